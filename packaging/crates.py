@@ -1,5 +1,6 @@
-"""Which crates the `use3d` program is made of: what `cargo tree` says of its own features and target. `cargo metadata` alone knows the
-features of the whole workspace, tests included, and would name crates that are not in the program.
+"""The crates that the `use3d` program is made of, read from `cargo tree` for its own features and target.
+`cargo metadata` alone has the features of the whole workspace, tests included, and would name crates that are
+not in the program.
 """
 
 import json
@@ -13,7 +14,7 @@ NAME = "use3d"
 
 
 def add_arguments(parser):
-    """The words that say which program is meant: the same that cargo builds it with."""
+    """Adds the arguments that choose the program; they are those of the cargo command that builds it."""
     parser.add_argument("--target", help="a target triple; this machine's where none is given")
     parser.add_argument("--no-default-features", action="store_true")
     parser.add_argument("--features", default="", help="with commas between them")
@@ -32,8 +33,9 @@ def host():
 
 
 class Program:
-    """Crates by (name, version): `crates` as `cargo metadata` describes them, `linked` those whose code may be in the program, procedural
-    macros included, `needs` from each to those that it needs to be built; `root` is the program itself.
+    """Crates by (name, version). `crates` holds their description by `cargo metadata`. `linked` holds the
+    crates whose code may be in the program, procedural macros included. `needs` leads from a crate to the
+    crates that its build needs. `root` is the program itself.
     """
 
     def __init__(self, target=None, no_default_features=False, features=""):
@@ -43,7 +45,8 @@ class Program:
         self.needs = self._tree("normal,build")
         self.linked = set(self._tree("normal"))
         self.root = next(key for key in self.needs if key[0] == NAME)
-        # Procedural macros and what builds others run on this machine, whatever the program is for.
+        # Procedural macros and build programs of other crates run on this machine, whatever the program's
+        # target is.
         platforms = [word for triple in sorted({self.target, host()}) for word in ("--filter-platform", triple)]
         features = ["--features", ",".join(f"{NAME}/{name}" for name in self.features)] if self.features else []
         metadata = json.loads(asked(["cargo", "metadata", "--format-version", "1", "--locked", *platforms, *features]))
@@ -54,7 +57,7 @@ class Program:
         command = ["cargo", "tree", "--locked", "--package", NAME, "--target", self.target, "--edges", edges]
         command += [] if self.default_features else ["--no-default-features"]
         command += ["--features", ",".join(self.features)] if self.features else []
-        # Each crate's own dependencies are listed where it comes first; later it has a star.
+        # `cargo tree` lists a crate's own dependencies where the crate comes first; later it prints a star.
         needs, path = {}, []
         for line in filter(None, asked([*command, "--prefix", "depth", "--format", " {p}"]).splitlines()):
             depth, name, version = line.split()[:3]
@@ -64,7 +67,7 @@ class Program:
             if path:
                 needs[path[-1]].add(key)
             path.append(key)
-        # Where cargo is told to unify the features of a workspace, it lists the workspace's other members as well.
+        # If cargo is set to unify the features of a workspace, it also lists the workspace's other members.
         root = next(key for key in needs if key[0] == NAME)
         reached, open_ = set(), {root}
         while open_:
@@ -73,5 +76,5 @@ class Program:
         return {key: needs[key] for key in needs if key in reached}
 
     def others(self):
-        """The linked crates that are not the workspace's own."""
+        """The linked crates of others."""
         return sorted(key for key in self.linked if self.crates[key]["source"] is not None)

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
-"""The notices of everybody whose code is in the `use3d` program, as their licences ask: the crates it is linked from, the Rust standard
-library and, in a static program, musl.
+"""Writes the notices of everybody whose code is in the `use3d` program, as their licences require: of the
+linked crates, of the Rust standard library and, in a static program, of musl.
 
     packaging/licences.py [--target TRIPLE] [--no-default-features] [--features LIST] > THIRDPARTY.txt
 
@@ -15,17 +15,17 @@ from pathlib import Path
 
 import crates
 
-# Files of these names are notices, wherever in a crate they lie, but for what is only tested or timed with.
+# Files with these names are notices, anywhere in a crate, except in folders for tests and timings.
 NOTICE = re.compile(r"(licen[cs]e|copying|unlicen[cs]e|copyright|notice|patents|authors)([-_. ].*)?", re.IGNORECASE)
 LICENCE = re.compile(r"(licen[cs]e|copying|unlicen[cs]e)([-_. ].*)?", re.IGNORECASE)
 ELSEWHERE = {"tests", "benches", "examples", "fuzz"}
 RULE = "=" * 78
-# What the licence of the Independent JPEG Group asks a program's documents to say.
+# The sentence that the licence of the Independent JPEG Group requires in a program's documents.
 IJG = "This software is based in part on the work of the Independent JPEG Group."
 
 
 def notices(folder, named=None):
-    """The notices that lie in a crate, as (path in it, text); `named` is its `license-file`."""
+    """The notices in a crate, as (path in it, text); `named` is its `license-file`."""
     found = []
     for path in sorted(folder.rglob("*")):
         inside = path.relative_to(folder)
@@ -37,9 +37,9 @@ def notices(folder, named=None):
 
 
 def standard(package):
-    """The standard text of a crate's licence, for one that ships none."""
+    """The standard text of the licence of a crate that ships no text."""
     expression = package["license"] or ""
-    # Of several licences that hold at once, one text would not do.
+    # For several licences that hold at once, one text is not enough.
     allowed = [] if " AND " in expression else re.split(r"\s+OR\s+|/", expression)
     if "MIT" in allowed:
         authors = ", ".join(package["authors"]) or f"the authors of {package['name']}"
@@ -58,12 +58,14 @@ def mit(holder):
 
 
 def of_crate(package):
-    """What has to come along with a crate: its own notices, and its licence's standard text where none of them is a licence."""
+    """The notices that must accompany a crate: its own, and the standard text of its licence if none of them
+    is a licence.
+    """
     found = notices(Path(package["manifest_path"]).parent, package["license_file"])
 
     def whole(path, text):
         path = Path(path)
-        # A few lines only say where else the licence is to be found.
+        # A text of a few lines only names the place of the licence.
         named_so = LICENCE.fullmatch(path.name) or path.parent.name.upper() == "LICENSES" or path == Path(package["license_file"] or "")
         return named_so and len(text) > 200
 
@@ -100,7 +102,7 @@ def document(program):
         where = package["repository"] or f"https://crates.io/crates/{package['name']}"
         lines.append(f"{package['name']} {package['version']}: {(package['license'] or 'see below').replace('/', ' OR ')}; {where}")
         for path, text in of_crate(package):
-            # Texts that differ only in how lines are broken are the same text.
+            # Texts that differ only in their line breaks count as the same text.
             texts.setdefault(" ".join(text.split()), (text, []))[1].append(f"{package['name']} {package['version']} ({path})")
     for text, of in texts.values():
         lines += ["", RULE, *of, RULE, "", text]

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
-"""A bill of materials (CycloneDX 1.5, JSON) of the `use3d` program: every crate that is built into it, with version, licence and
-checksum; those that only build others are there with scope `excluded`.
+"""Writes a bill of materials (CycloneDX 1.5, JSON) of the `use3d` program: every crate that is built into it,
+with version, licence and checksum. Crates that only build others have the scope `excluded`.
 
     packaging/sbom.py [--target TRIPLE] [--no-default-features] [--features LIST] > use3d.cdx.json
 
@@ -38,7 +38,7 @@ def bill(program):
         if key not in program.linked:
             entry["scope"] = "excluded"
         if package["license"]:
-            # Older crates write `/` where SPDX has OR.
+            # Older crates write `/` instead of SPDX's OR.
             entry["licenses"] = [{"expression": package["license"].replace("/", " OR ")}]
         if sums.get(key):
             entry["hashes"] = [{"alg": "SHA-256", "content": sums[key]}]

@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""A wheel that carries the `use3d` program and the Python module beside this file.
+"""Writes a wheel with the `use3d` program and the Python module beside this file.
 
     packaging/wheel.py BINARY --licences THIRDPARTY.txt --out dist/ [--platform TAG[.TAG…]]
 
-THIRDPARTY.txt is what `packaging/licences.py` writes for the binary's target and features: the notices of others that go with it.
-Of a static Linux binary (the default tags) it installs on every Linux of that processor; of any other binary say which platform
-it runs on, e.g. `--platform linux_x86_64` for this machine, `macosx_11_0_arm64`, `win_amd64`. The same inputs give the same bytes.
-Only the standard library is needed.
+THIRDPARTY.txt holds the notices of others; `packaging/licences.py` writes it for the binary's target and
+features. The wheel of a static Linux binary (the default tags) installs on every Linux with that processor.
+For any other binary name its platform, e.g. `--platform linux_x86_64` for this machine, `macosx_11_0_arm64`,
+`win_amd64`. The same inputs give the same bytes. Only the standard library is needed.
 """
 
 import argparse
@@ -32,7 +32,7 @@ def repository():
 
 
 def is_static(binary):
-    """Whether an ELF file asks for no interpreter, so that it needs no C library of the system."""
+    """True if an ELF file names no interpreter, so that it needs no C library of the system."""
     data = binary.read_bytes()
     if data[:5] != b"\x7fELF\x02":
         return False
@@ -82,7 +82,7 @@ def wheel(binary, licences, out, platform):
         for path, data in files.items():
             entry = zipfile.ZipInfo(path, (1980, 1, 1, 0, 0, 0))
             entry.compress_type = zipfile.ZIP_DEFLATED
-            # A regular file: pip looks at the kind before it looks at who may run it.
+            # Marks a regular file: pip checks the kind of file before it checks the right to run it.
             entry.external_attr = (0o100755 if "/scripts/" in path else 0o100644) << 16
             archive.writestr(entry, data)
     return target

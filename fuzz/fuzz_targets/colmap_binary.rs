@@ -1,5 +1,5 @@
-//! COLMAP's binary files. The first byte chooses the file; what is read must
-//! survive being written and read again.
+//! COLMAP's binary files. The first byte chooses the kind of file. A file that was read must be the same
+//! after it is written and read again.
 #![no_main]
 
 use std::path::Path;
@@ -28,7 +28,7 @@ fuzz_target!(|data: &[u8]| {
         1 => {
             let Ok(images) = binary::images(bytes, path) else { return };
             binary::write_images(&mut again, &images).expect("memory takes it");
-            // A name may come back in another spelling (`a\b` as `a/b`), but then stays as it is.
+            // A name may come back in another spelling (`a\b` as `a/b`), but does not change after that.
             let read = binary::images(&again, path).expect("what was written is read");
             assert_eq!(format!("{read:?}"), format!("{images:?}"));
             let _ = Model { images, ..Model::default() }.check(path);

@@ -1,5 +1,5 @@
-//! COLMAP's text files. The first byte chooses the file; what is read must
-//! survive being written and read again.
+//! COLMAP's text files. The first byte chooses the kind of file. A file that was read must be the same after
+//! it is written and read again.
 #![no_main]
 
 use std::path::Path;
@@ -11,7 +11,7 @@ fuzz_target!(|data: &[u8]| {
     let Some((&which, bytes)) = data.split_first() else { return };
     let path = Path::new("fuzzed.txt");
     let mut again = Vec::new();
-    // Debug texts are compared, since a NaN is not equal to itself.
+    // Compares debug texts, because a NaN is not equal to itself.
     match which % 3 {
         0 => {
             let Ok(cameras) = text::cameras(bytes, path) else { return };
@@ -21,7 +21,7 @@ fuzz_target!(|data: &[u8]| {
         }
         1 => {
             let Ok(images) = text::images(bytes, path) else { return };
-            // A name that begins or ends with a space has no place in a line.
+            // A name that begins or ends with a space cannot be written in a line.
             let Ok(()) = text::write_images(&mut again, &images) else { return };
             let read = text::images(&again, path).expect("what was written is read");
             assert_eq!(format!("{read:?}"), format!("{images:?}"));

@@ -1,5 +1,5 @@
-//! Image files of every format: header, then samples. Big ones are only announced, so
-//! that the fuzzer keeps its speed.
+//! Image files of every format: header, then samples. For large images only the header is read, so that the
+//! fuzzer stays fast.
 #![no_main]
 
 use std::path::Path;

@@ -1,4 +1,4 @@
-//! A scene's description, in a folder that holds nothing else of use.
+//! A scene's description, in a folder with one Gaussian and no other file.
 #![no_main]
 
 use std::path::PathBuf;

@@ -1,1 +1,1 @@
-//! End-to-end tests are in `tests/tests/`.
+//! Tests that need several crates at once; they are in `tests/tests/`. This library is empty.

@@ -1,5 +1,5 @@
-//! The extractor as stage 2 calls it: value and gradient for one 1400 × 933 view on the lattice that the
-//! resize reads.
+//! Measures the extractor as stage 2 calls it: value and gradient for one 1400 × 933 view, on the lattice
+//! that the resize reads.
 
 use std::hint::black_box;
 use std::sync::Arc;

@@ -1,10 +1,10 @@
-//! How well calibration works on real pairs: `calibration_report DIR [CALIBRATOR]`, where `DIR` holds
-//! `uieb_t90`, `lsui_t400` and `euvp`, each with `input/` and `reference/` (equal file names). Prints
-//! Markdown: held-out errors per set, and trained-on × tested-on. With a second argument, writes a calibrator
-//! fitted to all three sets there.
+//! Reports the quality of calibration on real pairs: `calibration_report DIR [CALIBRATOR]`, where `DIR`
+//! holds `uieb_t90`, `lsui_t400` and `euvp`, each with `input/` and `reference/` (equal file names). Prints
+//! Markdown: held-out errors per set, and a table of training set × test set. With a second argument, it
+//! writes a calibrator fitted to all three sets to that path.
 //!
-//! `calibration_report DIR --from PAIRS` fits to the pairs of another folder alone (synthetic ones, say) and
-//! tests on the three sets.
+//! `calibration_report DIR --from PAIRS` fits to the pairs of another folder alone (for example synthetic
+//! ones) and tests on the three sets.
 
 use std::path::Path;
 use std::time::Instant;
@@ -84,7 +84,8 @@ fn main() -> Result<(), Anyhow> {
     everything.examples = sets.iter().flat_map(|(_, d)| d.examples.clone()).collect();
     sets.push(("all three".into(), everything));
     for (name, dataset) in &sets {
-        // Three folds, so that every pair is tested once; each fit chooses its last step on pairs of its own.
+        // Three folds, so that every pair is tested once; each fit chooses its last step on its own
+        // held-out pairs.
         let folds = 3;
         let mut sum = [[0.0; 2]; 3];
         let started = Instant::now();

@@ -1,5 +1,5 @@
-//! Enhances photographs with the classical proposer: `fusion OUT_DIR IMAGE...` writes each beside its
-//! original.
+//! Enhances photographs with the classical proposer: `fusion OUT_DIR IMAGE...` writes each result beside
+//! its original.
 
 use std::path::Path;
 use std::time::Instant;

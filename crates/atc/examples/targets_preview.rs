@@ -1,4 +1,4 @@
-//! Targets of a capture without a reconstruction: Gaussians are made of its sparse points.
+//! Computes targets of a capture without a reconstruction: its sparse points become Gaussians.
 //! `targets_preview CAPTURE_DIR CALIBRATOR OUT_DIR [GAUSSIANS]` writes side-by-side pictures (captured,
 //! proposal, calibrated view by view, consensus) and support maps of a few views, and prints dispersion,
 //! order effects and times.
@@ -21,8 +21,8 @@ use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_splat::{Gaussians, Rasterizer};
 
-/// Isotropic Gaussians of the size of the gaps between the points; more than there are points by jittered
-/// copies.
+/// Isotropic Gaussians of the size of the gaps between the points. Jittered copies make up the number if it
+/// exceeds the number of points.
 fn gaussians(points: &[SparsePoint], count: usize) -> Gaussians {
     let stream = Stream::new(1, Purpose::new("jittered points"), 0);
     let copies = count.div_ceil(points.len().max(1)).max(1);

@@ -1,4 +1,4 @@
-//! Everything that can go wrong in this crate, with what to do about it.
+//! All errors of this crate, each with the next step for the user.
 
 use use3d_numerics::range::OutOfRange;
 
@@ -7,7 +7,7 @@ use crate::extractor::Form;
 /// An error of Appearance Transition Consensus.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum AtcError {
-    /// An image that cannot be looked at.
+    /// An image without pixels.
     #[error("the {role} image is {width}x{height}; both sides must be at least 1 pixel")]
     EmptyImage {
         /// Source, target or proposal.
@@ -17,10 +17,10 @@ pub enum AtcError {
         /// Height found.
         height: usize,
     },
-    /// A source with a NaN or an infinity in it.
+    /// A source image has a NaN or an infinity.
     #[error("the source image has a value that is not finite; check how the image was made")]
     NonFiniteSource,
-    /// An image of another size than the extractor's geometry.
+    /// An image has another size than the extractor's geometry.
     #[error("the image is {found_width}x{found_height}, but the extractor was set up for {width}x{height}")]
     Size {
         /// Width found.
@@ -32,7 +32,7 @@ pub enum AtcError {
         /// Height expected.
         height: usize,
     },
-    /// Extractor settings out of range.
+    /// Extractor settings are out of range.
     #[error(transparent)]
     Setting(#[from] OutOfRange),
     /// The proposer failed.
@@ -40,10 +40,10 @@ pub enum AtcError {
     Proposer {
         /// Its name.
         proposer: String,
-        /// What it said.
+        /// Its error message.
         message: String,
     },
-    /// A calibrator that was fitted for another proposer.
+    /// A calibrator was fitted for another proposer.
     #[error(
         "the calibrator was fitted for the proposer `{calibrator_proposer}` ({calibrator_digest}), but `{proposer}` ({digest}) is in use; use the proposer that the calibrator records, or fit a calibrator for this one"
     )]
@@ -57,68 +57,68 @@ pub enum AtcError {
         /// Its digest.
         digest: String,
     },
-    /// Too few usable pairs.
+    /// There are too few usable pairs.
     #[error(
         "{usable} usable pairs of {offered}; at least {needed} are needed to fit a calibrator{}",
         .first_problem.as_ref().map(|p| format!(" (first problem: {p})")).unwrap_or_default()
     )]
     TooFewPairs {
-        /// Pairs that could be used.
+        /// Number of usable pairs.
         usable: usize,
-        /// Pairs offered.
+        /// Number of pairs offered.
         offered: usize,
-        /// Pairs needed.
+        /// Number of pairs needed.
         needed: usize,
-        /// Why the first unusable pair could not be used.
+        /// The reason why the first unusable pair could not be used.
         first_problem: Option<String>,
     },
-    /// Training left the finite numbers.
+    /// Training reached a number that is not finite.
     #[error("calibrator training diverged at step {step}: the loss is {loss}")]
     Diverged {
         /// Step, from 1.
         step: u64,
-        /// Loss there.
+        /// Loss at this step.
         loss: f64,
     },
-    /// The caller asked to stop.
+    /// The caller requested a stop.
     #[error("stopped on request")]
     Stopped,
-    /// A file or set of tensors that does not hold what it should.
+    /// A file or a set of tensors has unexpected contents.
     #[error("{what}: {problem}")]
     Artifact {
-        /// Which artifact, and which part of it.
+        /// The artifact, and the part of it.
         what: String,
-        /// What was expected and found.
+        /// The expected and the found contents.
         problem: String,
     },
-    /// No views to make targets from.
+    /// There are no views to make targets from.
     #[error("there are no views to build targets from; the capture needs at least one training view")]
     NoViews,
-    /// A view that cannot be used.
+    /// A view cannot be used.
     #[error("view `{view}`: {problem}")]
     View {
         /// Its name.
         view: String,
-        /// What is wrong.
+        /// The error in the view.
         problem: String,
     },
-    /// Targets and scene or calibrator do not belong together.
+    /// Targets do not belong to the scene or to the calibrator.
     #[error("the targets are for {targets}, but {found} was given; build the targets again for this scene")]
     TargetsMismatch {
-        /// What the targets are for.
+        /// The scene or calibrator of the targets.
         targets: String,
-        /// What was given.
+        /// The scene or calibrator that was given.
         found: String,
     },
-    /// Another device than the processor gave up.
+    /// A device other than the processor failed.
     #[error("`{device}` failed: {problem}")]
     Device {
         /// Its name.
         device: String,
-        /// What it said.
+        /// Its error message.
         problem: String,
     },
-    /// Two parts of the method that use different local forms.
+    /// Two parts of the method use different local forms.
     #[error("the local operators are in {found} form, but {expected} form is needed")]
     Form {
         /// Form expected.

@@ -1,22 +1,23 @@
 //! The share of the water that an enhanced scene keeps.
 //!
-//! A 2D enhancer sees near rock and far rock through different water and gives both one change of colour, so
-//! near rock is pushed too far while the distance stays veiled. A scene that knows its water can take part of
-//! it away first, for near and far alike, and let the enhancer look at the result. Taking all of it away
-//! multiplies what little light came from afar, and its noise and its errors with it, so the gain is bounded.
+//! A 2D enhancer sees near rock and far rock through different water and applies one change of colour to
+//! both. So near rock is changed too much, while the distance stays veiled. A scene with known water can
+//! first remove a part of it, near and far alike; the enhancer then gets the result. Removing all of the
+//! water multiplies the little light that came from afar, with its noise and its errors, so the gain is
+//! bounded.
 //!
 //! With the optical depth `τ_c = −ln(A t_c / A)` of every pixel of every training view, weighted by its
-//! accumulated opacity `A`, and `τ̂` the largest over the channels of its 90th percentile,
+//! accumulated opacity `A`, and `τ̂` the largest of the channels' 90th percentiles, the share that is kept
+//! is
 //!
 //! ```text
 //! k = max(k_least, 1 − ln G / τ̂)
 //! ```
 //!
-//! is the share that is kept: light from far surfaces is amplified by at most `G` where `k_least` does not
-//! end it. Shallow water (`τ̂` small) may go down to `k_least`. Both bounds are choices, made by looking at
-//! real captures (docs, results): `G = 2`, `k_least = 0.4` where the water was measured beforehand. Where it
-//! was only learnt with the pictures, surface and water are told apart less surely, and `G = 1.4`, `k_least =
-//! 0.7`.
+//! Light from far surfaces is amplified by at most `G`, unless `k_least` applies. In shallow water (`τ̂`
+//! small) the share may fall to `k_least`. Both bounds were chosen by eye on real captures (docs, results):
+//! `G = 2`, `k_least = 0.4` if the water was measured beforehand. If it was only learnt together with the
+//! pictures, surface and water are separated less reliably, and `G = 1.4`, `k_least = 0.7`.
 
 use use3d_capture::{Image, KeptWater, Map};
 use use3d_numerics::math;
@@ -31,7 +32,7 @@ pub enum Trust {
 }
 
 impl Trust {
-    /// The largest gain `G` of far light, and the least share `k_least` that is kept.
+    /// The largest gain `G` of far light, and the smallest share `k_least` that is kept.
     fn bounds(self) -> (f64, f64) {
         match self {
             Self::Measured => (2.0, 0.4),
@@ -40,16 +41,16 @@ impl Trust {
     }
 }
 
-/// Bins per unit of optical depth.
+/// Number of bins per unit of optical depth.
 const FINE: f64 = 100.0;
-/// Optical depths from here on share the last bin.
+/// Index of the last bin; all larger optical depths share it.
 const DEEPEST: usize = 800;
 /// The percentile of optical depth that counts as far.
 const FAR: f64 = 0.9;
-/// A pixel with less opacity shows no surface.
+/// Opacity below which a pixel shows no surface.
 const LEAST_OPACITY: f32 = 0.2;
 
-/// The optical depths of a scene's surfaces as its training views see them, a histogram per channel.
+/// The optical depths of a scene's surfaces in its training views: a histogram per channel.
 #[derive(Clone, Debug)]
 pub struct Depths {
     weights: [Vec<f64>; 3],
@@ -62,8 +63,8 @@ impl Default for Depths {
 }
 
 impl Depths {
-    /// Adds a view: accumulated opacity `A` in `[0, 1]` and what arrives of a white surface's light, `A t`, per
-    /// channel. Both have the same size.
+    /// Adds a view: the accumulated opacity `A` in `[0, 1]`, and the part of a white surface's light that
+    /// arrives, `A t`, per channel. Both have the same size.
     pub fn add(&mut self, accumulation: &Map, arriving: &Image) {
         for (c, weights) in self.weights.iter_mut().enumerate() {
             for (&a, &light) in accumulation.data().iter().zip(arriving.plane(c)) {
@@ -103,7 +104,7 @@ pub fn shares(depths: &Depths, trust: Trust) -> KeptWater {
 mod tests {
     use super::*;
 
-    /// A view of one optical depth everywhere.
+    /// A view with the same optical depth everywhere.
     fn view(depth: [f64; 3]) -> Depths {
         let mut depths = Depths::default();
         let arriving = depth.map(|d| 0.8 * math::exp(-d) as f32);

@@ -1,5 +1,5 @@
-//! Appearance Transition Consensus (ATC): what the enhancement of a scene should be, learned from 2D pairs
-//! and agreed by all views, as fixed targets for stage 2.
+//! Appearance Transition Consensus (ATC): computes the desired enhancement of a scene, learned from 2D
+//! pairs and agreed by all views, as fixed targets for stage 2.
 //!
 //! ```text
 //! pairs ─▶ [proposer] ─▶ [extractor] ─▶ dataset ─▶ [calibrator]
@@ -10,11 +10,11 @@
 //! * [`extractor`]: `E(source, target)`, the transition between two images: one global affine and a grid of
 //!   gains and biases.
 //! * [`proposers`]: 2D enhancers behind one trait, among them [`proposers::Fusion`], which needs no weights.
-//! * [`calibrator`]: from proposed transitions to those of paired data.
+//! * [`calibrator`]: corrects proposed transitions towards those of paired data.
 //! * [`consensus`]: one scene operator, and one local target per Gaussian.
 //!
-//! Nothing here knows of files, stages or progress bars: artifacts are bytes, loops report to a closure
-//! ([`progress::Watch`]). Everything is deterministic on any number of threads.
+//! This crate does not use files, stages or progress bars: artifacts are bytes, and loops report to a
+//! closure ([`progress::Watch`]). Everything is deterministic on any number of threads.
 
 pub mod calibrator;
 pub mod consensus;

@@ -1,48 +1,48 @@
-//! How the loops of this crate say where they are, and how a caller asks them to stop.
+//! The progress reports of this crate's loops, and the way in which a caller stops them.
 
 use std::ops::ControlFlow;
 
 use crate::error::AtcError;
 
-/// Where a loop is.
+/// The position of a loop.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Progress<'a> {
-    /// About to look at a pair of photographs.
+    /// The loop is about to process a pair of photographs.
     Pair {
         /// Its index, from 0.
         index: usize,
         /// Its name.
         name: &'a str,
     },
-    /// Finished a training step of the calibrator.
+    /// The loop finished a training step of the calibrator.
     Step {
         /// The step, from 1.
         step: u64,
-        /// Steps in all.
+        /// Total number of steps.
         steps: u64,
         /// Loss of this step, interquartile units.
         loss: f64,
     },
-    /// About to extract the transition of a view.
+    /// The loop is about to extract the transition of a view.
     View {
         /// Its index, from 0.
         index: usize,
         /// Its name.
         name: &'a str,
     },
-    /// About to lift the local operators of a view to the Gaussians.
+    /// The loop is about to lift the local operators of a view to the Gaussians.
     Lift {
         /// Its index, from 0.
         index: usize,
-        /// Views in all.
+        /// Total number of views.
         views: usize,
     },
 }
 
-/// Called at every [`Progress`]; `Break` stops the loop with [`AtcError::Stopped`].
+/// A function that is called at every [`Progress`]; `Break` stops the loop with [`AtcError::Stopped`].
 pub type Watch<'a> = dyn FnMut(Progress<'_>) -> ControlFlow<()> + 'a;
 
-/// A watch that never stops anything.
+/// A watch that never stops the loop.
 pub fn unwatched(_: Progress<'_>) -> ControlFlow<()> {
     ControlFlow::Continue(())
 }

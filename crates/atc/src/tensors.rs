@@ -1,4 +1,4 @@
-//! Files of this crate, read and written with their name in every error.
+//! Files of this crate; every error contains the file's name.
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -6,7 +6,7 @@ use use3d_tensors::{TensorError, TensorFile, TensorWriter};
 
 use crate::error::AtcError;
 
-/// The bytes of a file with these tensors and this document; `what` names it in errors.
+/// The bytes of a file with these tensors and this document; `what` is its name in errors.
 pub(crate) fn finish(
     writer: &TensorWriter,
     what: &str,
@@ -22,7 +22,7 @@ pub(crate) struct Reader<'a> {
 }
 
 impl<'a> Reader<'a> {
-    /// Parses the container; `what` names the file in errors.
+    /// Parses the container; `what` is the file's name in errors.
     pub(crate) fn new(what: &'static str, bytes: &'a [u8]) -> Result<Self, AtcError> {
         let file = TensorFile::read(bytes).map_err(|e| AtcError::artifact(what, e.to_string()))?;
         Ok(Self { what, file })
@@ -37,27 +37,27 @@ impl<'a> Reader<'a> {
         result.map_err(|e| self.error(e.to_string()))
     }
 
-    /// The JSON document of the header; its `format` and `version` are checked first.
+    /// Reads the JSON document of the header; its `format` and `version` are checked first.
     pub(crate) fn header<H: DeserializeOwned>(&self, format: &str, version: u64) -> Result<H, AtcError> {
         self.named(self.file.document(format, version))
     }
 
-    /// The sides of a tensor that has `N`; `expected` says of what kind.
+    /// The sides of a tensor with `N` dimensions; `expected` describes them in errors.
     pub(crate) fn sides<const N: usize>(&self, name: &str, expected: &str) -> Result<[usize; N], AtcError> {
         self.named(self.file.sides(name, expected))
     }
 
-    /// An f32 tensor of the given shape, finite.
+    /// Reads an f32 tensor of the given shape, with finite values.
     pub(crate) fn f32(&self, name: &str, shape: &[usize]) -> Result<Vec<f32>, AtcError> {
         self.named(self.file.f32(name, shape))
     }
 
-    /// An f64 tensor of the given shape, finite.
+    /// Reads an f64 tensor of the given shape, with finite values.
     pub(crate) fn f64(&self, name: &str, shape: &[usize]) -> Result<Vec<f64>, AtcError> {
         self.named(self.file.f64(name, shape))
     }
 
-    /// A u32 tensor of the given shape.
+    /// Reads a u32 tensor of the given shape.
     pub(crate) fn u32(&self, name: &str, shape: &[usize]) -> Result<Vec<u32>, AtcError> {
         self.named(self.file.u32(name, shape))
     }

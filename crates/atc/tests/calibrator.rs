@@ -13,7 +13,7 @@ use use3d_capture::Image;
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 
-/// A proposer that errs in a way that the source tells: it brightens by half of what is missing.
+/// A proposer with an error that depends on the source: it brightens by only half of the required amount.
 struct Timid;
 
 impl Proposer for Timid {
@@ -80,7 +80,7 @@ fn training_brings_held_out_transitions_nearer_and_is_deterministic() {
     for (what, change) in [("global", report.errors.global), ("local", report.errors.local)] {
         assert!(change.ratio() < 0.6, "{what}: {change:?}");
     }
-    // The final fit, on the pairs that it has seen.
+    // The final fit, evaluated on the pairs used in it.
     let seen = evaluate(&calibrator, &dataset.examples);
     assert!(seen.global.ratio() < 0.5, "{seen:?}");
 
@@ -166,7 +166,7 @@ fn another_proposer_is_refused_unless_digests_were_not_recorded() {
     assert!(recorded.require(&other).is_err() && unrecorded.require(&Fusion.id()).is_err());
 }
 
-/// Targets that have nothing to do with their sources can only be learned by heart.
+/// Targets that do not depend on their sources can only be overfitted.
 #[test]
 fn early_stopping_does_less_harm_where_there_is_nothing_to_learn() {
     let mut dataset =
@@ -182,7 +182,7 @@ fn early_stopping_does_less_harm_where_there_is_nothing_to_learn() {
     let report = calibrator.provenance.held_out.unwrap();
     assert!(report.stopped[0] < params.steps, "{:?}", report.stopped);
     assert!(report.errors.global.after < report.all_steps.global.after);
-    // Where nothing helps, the proposal is what is left.
+    // If no correction helps, the proposal remains.
     assert!(report.kept[0] < 1.0, "{:?}", report.kept);
     for change in [report.errors.global, report.errors.centered] {
         assert!(change.after <= change.before + 1e-12, "{change:?}");
@@ -193,8 +193,8 @@ fn early_stopping_does_less_harm_where_there_is_nothing_to_learn() {
     assert_eq!(report.kept, [1.0; 2]);
 }
 
-/// Pairs made up for want of real ones bear out their own lesson; it is not applied to photographs unless
-/// someone asks.
+/// Synthetic pairs that replace missing real ones are not applied to photographs unless the user requests
+/// it, because they only support themselves.
 #[test]
 fn stand_ins_leave_the_proposal_as_it_is() {
     let mut dataset =
@@ -203,7 +203,7 @@ fn stand_ins_leave_the_proposal_as_it_is() {
     dataset.stand_in = true;
     for stop_early in [true, false] {
         let params = CalibratorParams { stop_early, ..quick() };
-        // Not one step is taken for what would be thrown away, and the scales are those of a fit.
+        // No step is taken that would be discarded, and the scales are those of a fit.
         let calibrator = train(&dataset, &params, "stand-ins", &mut |_| panic!("a step was taken")).unwrap();
         assert_eq!((calibrator.corrects(), learnt.corrects()), ([false; 2], [true; 2]));
         assert_eq!(calibrator.global_scales(), learnt.global_scales());
@@ -223,7 +223,7 @@ fn stand_ins_leave_the_proposal_as_it_is() {
     assert_eq!(calibrator.provenance.held_out, learnt.provenance.held_out);
 }
 
-/// The transition of a pair that differs by one affine says so at every cell.
+/// A pair that differs by one affine has this affine as its transition at every cell.
 #[test]
 fn an_affine_pair_has_that_affine_as_its_target() {
     let (water, _) = pair(9);
@@ -242,8 +242,8 @@ fn an_affine_pair_has_that_affine_as_its_target() {
     assert!(direction / (norm(&found.target) * norm(&t)) > 0.9);
 }
 
-/// The paper scales errors by the ranges of the paired operators, the release by those of the residuals (R19);
-/// the paper says nothing of how a head starts, and the release starts its last layer at random (R18).
+/// The paper scales errors by the ranges of the paired operators, the release by those of the residuals
+/// (R19). The paper does not specify a head's start, and the release starts its last layer at random (R18).
 #[test]
 fn the_scales_and_the_start_of_the_last_layer_can_be_chosen() {
     let dataset = Dataset::build(pairs(9), &Timid, &ExtractorSettings::default(), &mut unwatched).unwrap();
@@ -266,7 +266,7 @@ fn the_scales_and_the_start_of_the_last_layer_can_be_chosen() {
     assert_eq!(usual.global.residual.median, paper.global.residual.median);
     let silent = |c: &Calibrator| c.global.mlp.layers[2].weight.iter().all(|w| *w == 0.0);
     assert!(silent(&usual) && !silent(&fitted(Scales::Operators, LastLayer::Random)));
-    // Whatever the scales, the fit brings the pairs nearer to their targets.
+    // With any scales, the fit brings the pairs nearer to their targets.
     let params = CalibratorParams { scales: Scales::Operators, last_layer: LastLayer::Random, ..quick() };
     let errors = evaluate(&fit(&dataset, &params, &mut unwatched).unwrap(), &dataset.examples);
     assert!(errors.global.ratio() < 0.6, "{errors:?}");

@@ -1,4 +1,4 @@
-//! The consensus against the golden cases, and by its exact properties.
+//! Compares the consensus with the golden cases, and checks its exact properties.
 
 use glam::DVec3;
 use use3d_atc::calibrator::Calibrator;
@@ -195,7 +195,7 @@ fn a_constant_map_is_lifted_and_splatted_back_as_that_constant() {
     for (cell, &weight) in seen.local.iter().zip(&seen.weight) {
         if weight > 0.5 {
             covered += 1;
-            // A cell next to a hole mixes the constant with pixels that see nothing.
+            // A cell next to a hole mixes the constant with pixels that show nothing.
             assert!((0..6).all(|k| cell[k].abs() <= constant[k].abs() + 1e-5));
         }
     }
@@ -223,7 +223,7 @@ fn splatting_only_the_pixels_read_gives_what_the_whole_view_gives() {
     let mut rasterizer = Rasterizer::new();
     let seen = view_target(&gaussians, &state, camera, (16, 11), &mut rasterizer);
     let support = support_map(&gaussians, &state, camera, &mut rasterizer);
-    // The plain way: bilinear samples of the whole support map.
+    // The plain computation: bilinear samples of the whole support map.
     for (cell, &weight) in seen.weight.iter().enumerate() {
         let at = |i: usize, n_in: usize, n_out: usize| {
             let x = ((i as f64 + 0.5) * n_in as f64 / n_out as f64 - 0.5).max(0.0);
@@ -285,7 +285,7 @@ fn targets_of_a_small_scene_are_whole_deterministic_and_survive_their_file() {
     assert!(report.supported > 200);
     let order = report.order.unwrap();
     assert_eq!(order.compared, report.supported);
-    // An identity calibrator makes each candidate the proposal's own operator.
+    // With an identity calibrator each candidate is the proposal's own operator.
     let bytes = targets.to_bytes().unwrap();
     assert_eq!(bytes, targets.to_bytes().unwrap());
     let back = Targets::from_bytes(&bytes).unwrap();

@@ -1,4 +1,4 @@
-//! The extractor against the golden cases, and by itself.
+//! Compares the extractor with the golden cases, and checks its own properties.
 
 use std::sync::Arc;
 
@@ -82,7 +82,7 @@ fn golden_gradients() {
             source.backward(&global, &local, &mut workspace, &mut gradient).unwrap();
             case.check_planes(&format!("grad.{pull}.b"), gradient.data());
 
-            // The same through the lattice: the gradient at the pixels read, zero everywhere else.
+            // The same through the lattice: the gradient at the pixels that are read, zero everywhere else.
             let geometry = source.geometry().clone();
             let mut on_lattice = Image::new(0, 0);
             source.backward_on_lattice(&global, &local, &mut workspace, &mut on_lattice).unwrap();
@@ -154,8 +154,8 @@ fn gradients_agree_with_finite_differences() {
             };
             let step = 1.0 / 512.0;
             let numeric = (value(step) - value(-step)) / (2.0 * f64::from(step));
-            // The pixels are f32, so the difference quotient itself is good to about 1e-4 of the largest
-            // term.
+            // The pixels are f32, so the difference quotient itself is accurate to about 1e-4 of the
+            // largest term.
             let scale = numeric.abs().max(analytic.abs()).max(1.0);
             assert!(
                 (numeric - analytic).abs() < 2e-3 * scale,
@@ -193,9 +193,9 @@ fn a_known_affine_is_recovered_up_to_the_ridge() {
     let found = source.forward(&target, &mut workspace).unwrap();
     let norm = |v: &[f64]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
     let ratio = norm(&found.global) / norm(&t);
-    // A contraction towards the identity: shorter, not much.
+    // The fit is a contraction towards the identity: shorter, but not much shorter.
     assert!(ratio < 1.0 && ratio > 0.8, "{ratio}");
-    // And the local operators have little left to explain.
+    // The local operators then have little left to explain.
     let largest = found.local.as_flattened().iter().fold(0.0f64, |m, v| m.max(v.abs()));
     assert!(largest < 0.05, "{largest}");
 }
@@ -261,8 +261,8 @@ fn bad_images_are_errors() {
     assert!(source.backward(&[0.0; 12], &[[0.0; 6]; 3], &mut workspace, &mut gradient).is_err());
 }
 
-/// A sampled view has the same grid, reads pixels of the whole one, and says nearly the same of a smooth
-/// pair.
+/// A sampled view has the same grid, reads pixels of the whole one, and gives nearly the same transition
+/// for a smooth pair.
 #[test]
 fn a_sampled_view_has_nearly_the_same_transition() {
     let settings = ExtractorSettings::default();
@@ -302,7 +302,7 @@ fn a_sampled_view_has_nearly_the_same_transition() {
     for (a, b) in some.global.iter().zip(&all.global) {
         assert!((a - b).abs() < 5e-3, "{a} {b}");
     }
-    // More samples than the extractor's own resize has pixels are not taken; pixels are never taken twice.
+    // More samples than pixels of the extractor's own resize are not taken, and no pixel is taken twice.
     assert_eq!(whole.sampled(4000).unwrap().unwrap().1.working_size(), whole.working_size());
     assert!(Geometry::new(5, 5, &settings).unwrap().sampled(192).unwrap().is_none());
     assert!(whole.sampled(2).is_err());

@@ -1,7 +1,9 @@
 //! A build system for computations that take hours. It defines stages, cache keys and artifacts, and it plans
 //! runs, runs stages and keeps the cache.
 //!
-//! It is independent of the computations themselves.
+//! The inputs are a [`Registry`] of stages and a [`Batch`] of scenes. The outputs are artifacts in a
+//! [`Cache`] and a [`Summary`] of the run. The crate contains none of the computations, and it reads no
+//! pipeline files.
 //!
 //! A [`Stage`] is data and one pure function. The data are its name, the crates whose code it depends on, its
 //! parameters and its inputs; the function fills one folder. From these the builder derives a [`key`]: a

@@ -1,7 +1,8 @@
 //! The data of a capture: images, cameras, views, sparse points, and the capture that holds them.
 //!
-//! This crate is near the bottom of the workspace. It accesses no files, but defines valid file names
-//! ([`FileName`]).
+//! Other crates read captures from files and pass them to the method as these types. This crate itself reads
+//! and writes no files; it only defines valid file names ([`FileName`]). It is near the bottom of the
+//! workspace.
 //!
 //! Conventions (for the whole workspace):
 //!

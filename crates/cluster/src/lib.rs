@@ -1,9 +1,13 @@
-//! Converts a plan to jobs of a cluster's scheduler.
+//! Converts a plan to jobs of a cluster's scheduler (Slurm or HyperQueue).
+//!
+//! The inputs are a plan of the crate `build` and a description of the site. The outputs are the scheduler's
+//! files, and the jobs that its own command submits. This crate computes no stage, and it does not watch the
+//! jobs.
 //!
 //! The whole graph is submitted at once, and no process stays behind. A [`site::Site`] describes a cluster
 //! (account, partition, resources of a stage). [`jobs::of`] makes the few jobs that compute the missing
-//! stages of a plan, with arrays, dependencies, times and memory from the forecasts, and [`slurm`] or
-//! [`hyperqueue`] writes them in the scheduler's own format. Every task is `use3d run` on a shared cache, so
+//! stages of a plan, with arrays, dependencies, times and memory from the forecasts. [`slurm`] or
+//! [`hyperqueue`] writes them in the scheduler's own format. Every task is `use3d run` on a shared cache. So
 //! existing artifacts are not computed again, in whatever order tasks run, and even if one is interrupted or
 //! submitted twice. The state of the work is never read from the scheduler.
 

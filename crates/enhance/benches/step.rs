@@ -1,5 +1,5 @@
-//! What a step of stage 2 costs next to the rasterisation of a step of stage 1 (a lower bound of that step:
-//! its losses, density control and optimiser come on top).
+//! Compares the time of a step of stage 2 with that of the rasterisation of a step of stage 1 (a lower
+//! bound of that step, which also has losses, density control and an optimiser).
 
 use std::hint::black_box;
 

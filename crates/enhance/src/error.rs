@@ -1,4 +1,4 @@
-//! What can go wrong in stage 2.
+//! The errors of stage 2.
 
 use use3d_atc::AtcError;
 use use3d_numerics::range::OutOfRange;
@@ -8,38 +8,38 @@ use use3d_ubaf::FieldError;
 /// An error of stage 2.
 #[derive(Debug, thiserror::Error)]
 pub enum EnhanceError {
-    /// A parameter outside its range.
+    /// A parameter is outside its range.
     #[error("enhance: {0}")]
     Parameter(OutOfRange),
-    /// Sizes of the field that are not supported.
+    /// The sizes of the field are not supported.
     #[error(transparent)]
     Field(#[from] FieldError),
-    /// Nothing to learn from.
+    /// There is nothing to learn from.
     #[error("there are no training views to enhance the scene from; check the capture's split")]
     NoViews,
-    /// A scene without Gaussians.
+    /// The scene has no Gaussians.
     #[error("the scene has no Gaussians, so there is nothing to enhance; reconstruct it first")]
     EmptyScene,
-    /// Guidance of another kind than the objective asks for.
+    /// The guidance is of another kind than the objective requires.
     #[error("the objective `{objective}` needs {needed}; give it or choose another objective")]
     Guidance {
         /// The objective.
         objective: &'static str,
-        /// What is missing.
+        /// The missing guidance.
         needed: &'static str,
     },
-    /// The targets or the extractor refused.
+    /// The targets or the extractor returned an error.
     #[error(transparent)]
     Transition(#[from] AtcError),
-    /// A pseudo-label that cannot be used.
+    /// A pseudo-label cannot be used.
     #[error("pseudo-label of view `{view}`: {problem}")]
     Label {
         /// The view's name.
         view: String,
-        /// What is wrong.
+        /// The error in the label.
         problem: String,
     },
-    /// Numbers left the finite range.
+    /// A number is not finite.
     #[error(transparent)]
     NonFinite(#[from] NonFinite),
     /// The engine failed.
@@ -48,14 +48,14 @@ pub enum EnhanceError {
     /// A checkpoint could not be written.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
-    /// The observer asked to stop; the checkpoint is written.
+    /// The observer requested a stop; the checkpoint is written.
     #[error("stopped at step {step} of {steps}{}", if *saved { "; run again to resume" } else { "" })]
     Interrupted {
-        /// Steps done.
+        /// Number of steps done.
         step: u64,
-        /// Steps in all.
+        /// Total number of steps.
         steps: u64,
-        /// Whether a checkpoint holds the state.
+        /// True if a checkpoint holds the state.
         saved: bool,
     },
 }

@@ -1,4 +1,5 @@
-//! Whether a checkpoint belongs to this run: a digest of everything that shapes a step.
+//! The identity of a run, by which its checkpoints are recognised: a digest of everything that affects a
+//! step.
 
 use use3d_scene::Scene;
 
@@ -6,9 +7,9 @@ use crate::losses::TERMS;
 use crate::views::{EnhanceView, Guidance};
 use crate::{EnhanceError, EnhanceParams};
 
-/// The digest. How long to train, how often to save, how much to keep in memory and what
-/// computes are left out: they may change between two sessions of one run. How often to log is
-/// in: the log is part of the result.
+/// Computes the digest. It does not contain the length of the training, the frequency of saving, the memory
+/// limit and the device, because they may change between two sessions of one run. It contains the frequency
+/// of log lines, because the log is part of the result.
 pub(crate) fn fingerprint(
     scene: &Scene,
     views: &[EnhanceView],
@@ -25,7 +26,7 @@ pub(crate) fn fingerprint(
         ..params.clone()
     };
     hash.update(format!("{shaping:?}").as_bytes());
-    // A state has an entry per term of the loss.
+    // A state has one entry per term of the loss.
     for row in TERMS {
         hash.update(row.name.as_bytes());
         hash.update(&[0]);

@@ -1,4 +1,4 @@
-//! One whole step against the float64 oracle and against differences of itself.
+//! Compares a whole step with the float64 oracle and with its own finite differences.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -127,7 +127,7 @@ fn steps(part: &Part) -> Vec<Case<'_>> {
     cases
 }
 
-/// The same, each with water and in clear radiance.
+/// The cases of [`steps`], each with water and in clear radiance.
 fn in_both(part: &Part) -> Vec<(Case<'_>, Appearance)> {
     let each = [Appearance::Water, Appearance::Clear];
     each.into_iter()
@@ -185,40 +185,41 @@ fn golden_whole_steps() {
     }
 }
 
-/// Distances along a direction, in units of the parameters. Over long ones the loss bends, short ones drown
-/// in the rounding of f32; one in between must agree, so the best is asked.
+/// Distances along a direction, in units of the parameters. Over long distances the loss is curved, and
+/// short ones are lost in the rounding of f32. A distance in between must agree, so the best one counts.
 const DISTANCES: [f64; 8] = [1e-3, 5e-4, 2.5e-4, 1.25e-4, 6.3e-5, 3.1e-5, 1.6e-5, 8e-6];
-/// Differences that are added up for each distance, of slightly different length, so
-/// that their rounding averages out.
+/// Number of differences of slightly different lengths that are added for each distance, so that their
+/// rounding averages out.
 const REPEATS: u32 = 8;
-/// By what share of a direction's slope a difference may deviate, beside its rounding,
-/// which may take no more than that.
+/// Largest deviation of a difference as a share of a direction's derivative, in addition to its rounding,
+/// which must not exceed the same share.
 const DEVIATION: f64 = 0.003;
-/// By what share a gradient may be too long or too short at most without being noticed.
+/// Largest relative error in the length of a gradient that the test may fail to notice.
 const NOTICED: f64 = 0.01;
 
-/// Differences of the loss, added up, and the gradient's word on them. From `Δ(h) = L(θ + h d) − L(θ − h d)`
-/// at one length and at twice that, `(8 Δ(h) − Δ(2h)) / 6 = 2 h L′ + O(h⁵)`: what bends like a cube cancels,
-/// so that longer ways, which stand further out of the rounding, are straight enough.
+/// Sums of differences of the loss, and the values expected from the gradient. From
+/// `Δ(h) = L(θ + h d) − L(θ − h d)` at one length and at twice that,
+/// `(8 Δ(h) − Δ(2h)) / 6 = 2 h L′ + O(h⁵)`: the cubic term cancels, so that longer distances, which exceed
+/// the rounding more clearly, can be used.
 #[derive(Debug)]
 struct Difference {
     found: f64,
     expected: f64,
-    /// What the gradient says if every parameter moved uphill.
+    /// The difference that the gradient predicts if every parameter moved uphill.
     scale: f64,
-    /// What rounding adds to `found`.
+    /// The error of `found` due to rounding.
     noise: f64,
 }
 
 impl Difference {
-    /// Whether the gradient would be right, were it `factor` times as long.
+    /// True if the gradient, multiplied by `factor`, agrees with the difference.
     fn agrees(&self, factor: f64) -> bool {
         (self.found - factor * self.expected).abs() < DEVIATION * self.scale + self.noise
     }
 }
 
 impl Example {
-    /// Whether the loss stays as it is, to the bit, whatever the parameters of `range` are.
+    /// True if a change of the parameters of `range` leaves the loss unchanged to the bit.
     fn unmoved_by(&mut self, range: Range<usize>) -> bool {
         let (start, here) = (self.field.parameters.clone(), self.total());
         self.field.parameters[range].iter_mut().for_each(|p| *p += 0.5);
@@ -227,8 +228,8 @@ impl Example {
         here.to_bits() == there.to_bits()
     }
 
-    /// Differences along `direction` in the parameters of `range`, one for each
-    /// distance that stands out of rounding.
+    /// The differences along `direction` in the parameters of `range`, one for each distance that clearly
+    /// exceeds the rounding.
     fn differences(&mut self, gradient: &[f64], range: Range<usize>, direction: &[f64]) -> Vec<Difference> {
         let start = self.field.parameters.clone();
         let slope: f64 = range.clone().zip(direction).map(|(i, d)| (gradient[i] * d).abs()).sum();
@@ -236,7 +237,7 @@ impl Example {
             for (i, d) in range.clone().zip(direction) {
                 self.field.parameters[i] = (f64::from(start[i]) + distance * d) as f32;
             }
-            // What the f32 parameters really moved by.
+            // The actual change of the f32 parameters, times the gradient.
             let moved: f64 = range
                 .clone()
                 .map(|i| gradient[i] * (f64::from(self.field.parameters[i]) - f64::from(start[i])))
@@ -244,13 +245,13 @@ impl Example {
             (self.total(), moved)
         };
         let here = at(0.0).0;
-        // Over so short a way the loss is straight: what is left of it is rounding.
+        // Over such a short distance the loss is linear, so the rest is rounding.
         let noise = (1..=4)
             .map(|k| ((at(2e-6 * f64::from(k)).0 - here) + (at(-2e-6 * f64::from(k)).0 - here)).abs())
             .fold(0.0, f64::max);
         let differences = DISTANCES.map(|distance| {
-            // Each of the four values in it is rounded for itself, by 1.9 times the rounding of one in all;
-            // three are in what was measured, 2.4 times.
+            // The four values in the combination are rounded separately, which makes its rounding 1.9 times
+            // that of a single value. The measured noise has three of them, 2.4 times.
             let noise = noise * f64::from(REPEATS).sqrt();
             let mut sum = Difference { found: 0.0, expected: 0.0, scale: 0.0, noise };
             for k in 0..REPEATS {
@@ -272,7 +273,8 @@ impl Example {
     }
 }
 
-/// Random fields on the golden's scene: the slope along directions of each group is the gradient's.
+/// Random fields on the golden's scene: the derivative along directions of each group agrees with the
+/// gradient.
 #[test]
 fn whole_steps_agree_with_their_differences() {
     let part = Part::math("ubaf");
@@ -281,17 +283,17 @@ fn whole_steps_agree_with_their_differences() {
         for seed in 0..4 {
             let mut e = Example::new(&case, appearance);
             if seed % 2 == 1 {
-                // As large scenes are trained: the mean over some Gaussians, the others
-                // only where the view sees them.
+                // As in the training of large scenes: the mean over some Gaussians, and the others only
+                // where the view sees them.
                 e.frozen.relist(&Lookups::new(e.step.objects.sites().clone(), 5));
             }
             let draw = Stream::new(seed, Purpose::new("step differences"), 0);
             for (i, p) in e.field.parameters.iter_mut().enumerate() {
                 *p += 0.1 * draw.normal(i as u64) as f32;
             }
-            // The field is piecewise linear along the guide, and one node crossed can be a third of the
-            // slope. A difference across it says nothing about the derivative, so the nodes are put on
-            // straight lines, each of another slope.
+            // The field is piecewise linear along the guide, and one crossed node can change the derivative
+            // by a third. A difference across a node does not estimate the derivative, so the nodes are put
+            // on straight lines, each with another slope.
             let s = e.field.shape();
             for rank in 0..s.rank {
                 let slope = draw.normal(80_000 + rank as u64);
@@ -324,8 +326,8 @@ fn whole_steps_agree_with_their_differences() {
                 let differences = e.differences(&gradient, range.clone(), &across);
                 let right = differences.iter().any(|d| d.agrees(1.0));
                 assert!(right, "seed {seed}, {group}, across: {differences:#?}");
-                // Where every parameter moves uphill, by different lengths, the
-                // difference is as long as can be.
+                // If every parameter moves uphill, by different lengths, the difference is as large as
+                // possible.
                 let uphill: Vec<f64> =
                     range.clone().map(|i| gradient[i].signum() * (0.5 + random(i).abs())).collect();
                 let differences = e.differences(&gradient, range, &uphill);

@@ -1,7 +1,7 @@
-//! Enhanced images as colours to reproduce: what the objective `pseudo-labels` learns from.
+//! Enhanced images as colours to reproduce, from which the objective `pseudo-labels` learns.
 //!
-//! Making one costs a run of a 2D enhancer, so every view's is made once, and kept at the
-//! pixels that steps render, 16 bit.
+//! Making an image costs a run of a 2D enhancer. So every view's image is made once, and stored at the
+//! pixels that steps render, in 16 bits.
 
 use std::sync::Arc;
 
@@ -13,8 +13,8 @@ use crate::{EnhanceError, EnhanceParams};
 
 /// Enhanced images of the training views.
 pub trait LabelSource {
-    /// The enhanced image of view `index` of the list given to stage 2, of the
-    /// camera's size; or what is wrong.
+    /// The enhanced image of view `index` of the list given to stage 2, of the camera's size; or an error
+    /// message.
     fn label(&self, index: usize) -> Result<Image, String>;
 }
 
@@ -25,7 +25,7 @@ pub struct PseudoLabels {
 }
 
 impl PseudoLabels {
-    /// Asks for the image of every view, in order.
+    /// Loads the image of every view, in order.
     pub fn new(
         source: &dyn LabelSource,
         views: &[EnhanceView],
@@ -46,12 +46,12 @@ impl PseudoLabels {
         Ok(Self { views: views.iter().enumerate().map(&mut one).collect::<Result<_, _>>()? })
     }
 
-    /// View by view, on their lattices.
+    /// The images of all views, on their lattices.
     pub fn views(&self) -> impl Iterator<Item = &Raster<u16, 3>> {
         self.views.iter().map(|view| &**view)
     }
 
-    /// That of view `index`, which steps render on this lattice.
+    /// The image of view `index`, on the lattice that steps render.
     pub(crate) fn of(
         &self,
         index: usize,
@@ -71,7 +71,7 @@ impl PseudoLabels {
     }
 }
 
-/// The pixels of a label that the lattice has, rounded to 16 bit.
+/// The pixels of a label on the lattice, rounded to 16 bits.
 fn on_lattice(label: &Image, lattice: &Lattice) -> Raster<u16, 3> {
     let mut out = Raster::new(lattice.width(), lattice.height());
     for (y, &row) in lattice.rows().iter().enumerate() {

@@ -1,4 +1,4 @@
-//! What a user may choose about stage 2.
+//! The user's parameters of stage 2.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -6,7 +6,7 @@ use use3d_numerics::range::{OutOfRange, at_least, not_negative, within};
 use use3d_training::EngineChoice;
 use use3d_ubaf::{FieldError, Shape};
 
-/// What stage 2 learns from.
+/// The guidance from which stage 2 learns.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Objective {
@@ -17,12 +17,12 @@ pub enum Objective {
     GlobalOnly,
     /// The local term alone (ablation).
     LocalOnly,
-    /// The proposer's images, view by view, as colours to reproduce: the baseline
-    /// that the method is compared with.
+    /// The proposer's images, view by view, as colours to reproduce: the baseline with which the method is
+    /// compared.
     PseudoLabels,
 }
 
-/// How a rendered image is compared with a pseudo-label.
+/// The measure by which a rendered image is compared with a pseudo-label.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum PixelLoss {
@@ -33,15 +33,15 @@ pub enum PixelLoss {
     L2,
 }
 
-/// Where the field starts.
+/// The start of the field.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Start {
-    /// At the identity: the paper.
+    /// At the identity, as in the paper.
     Identity,
-    /// With the scene's affine at the global target. A composite is linear in its colours, so the global
-    /// target is nearly met at once, and the field's local part does not have to learn it first and unlearn
-    /// it later. Without a global term as `identity`.
+    /// With the scene's affine at the global target. An image is linear in its colours, so the global
+    /// target is nearly reached at once. The field's local part does not have to learn it first and unlearn
+    /// it later. Without a global term the same as `identity`.
     #[default]
     Operator,
 }
@@ -52,9 +52,9 @@ pub enum Start {
 pub struct EnhanceParams {
     /// Optimisation steps, one view each.
     pub iterations: u64,
-    /// What to learn from.
+    /// The guidance to learn from.
     pub objective: Objective,
-    /// Where the field starts.
+    /// The start of the field.
     pub start: Start,
     /// Weight λ_g of the global term.
     pub lambda_global: f64,
@@ -62,14 +62,14 @@ pub struct EnhanceParams {
     pub lambda_local: f64,
     /// Weight λ_tv of the factors' total variation.
     pub lambda_variation: f64,
-    /// In a step, a training view is sampled at its nearest pixels to at most this long side;
-    /// 0 renders all that the extractor weighs. How near the targets came is always measured
-    /// as the extractor reads an image.
+    /// In a step, a training view is sampled at its nearest pixels to at most this long side; 0 renders all
+    /// that the extractor weighs. The distance from the targets is always measured as the extractor reads
+    /// an image.
     pub sample_side: usize,
     /// The field's constant mode is the mean over at most this many Gaussians, evenly chosen from all (0:
-    /// over all). A step looks the field up at those and at what its view sees.
+    /// over all). A step looks the field up at these and at the Gaussians that its view sees.
     pub centre_sample: usize,
-    /// How pseudo-labels are compared (objective `pseudo-labels` only).
+    /// The measure by which pseudo-labels are compared (objective `pseudo-labels` only).
     pub pixel_loss: PixelLoss,
     /// Nodes per axis of the field, 2 to 256.
     pub resolution: usize,
@@ -86,13 +86,13 @@ pub struct EnhanceParams {
     pub seed: u64,
     /// Steps between checkpoints.
     pub checkpoint_every: u64,
-    /// Steps that one line of the log averages over.
+    /// Number of steps over which one line of the log averages.
     pub log_every: u64,
-    /// Memory for what is constant per view, MiB. Views beyond it are prepared
-    /// anew in every step that uses them.
+    /// Memory for the constants of views, MiB. Views beyond it are prepared again in every step that uses
+    /// them.
     pub cache_mib: usize,
-    /// What computes: `cpu`, `gpu` (the best graphics card), `gpu:NAME` (any part of an adapter's
-    /// name), or `auto`: a graphics card that passes its check, else the processor. Results of
+    /// The device that computes: `cpu`, `gpu` (the best graphics card), `gpu:NAME` (any part of an
+    /// adapter's name), or `auto`: a graphics card that passes its check, else the processor. Results of
     /// different devices are kept apart.
     #[schemars(with = "String")]
     pub engine: EngineChoice,

@@ -5,7 +5,7 @@ use use3d_training::Part;
 /// The parts of a step, in order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StepPart {
-    /// The view's constants, when they do not stay in memory.
+    /// The view's constants, if they do not stay in memory.
     Prepare,
     /// The field at all Gaussians, and their colours.
     Field,

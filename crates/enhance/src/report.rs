@@ -1,5 +1,4 @@
-//! What stage 2 says about itself: a log line per window of steps, and per view how
-//! near the targets were reached.
+//! The reports of stage 2: a log line per window of steps, and for each view its distance from the targets.
 
 use serde::ser::SerializeMap;
 use serde::{Deserialize, Serialize, Serializer};
@@ -17,14 +16,14 @@ pub struct LogEntry {
     pub step: u64,
     /// Weighted total loss.
     pub loss: f64,
-    /// Of each row of [`TERMS`] its value before its weight, and its error; 0 where it had nothing to say.
+    /// The value before its weight, and the error, of each row of [`TERMS`]; 0 if it had no value.
     pub terms: [Realised; COUNT],
 }
 
 impl LogEntry {
     /// The line of the log: step and loss, the terms by name, then the errors of those that measure one.
     pub fn to_json(&self) -> String {
-        // A number that is not finite, which stopped the run long before, becomes null.
+        // A number that is not finite becomes null; such a number ends the run long before.
         let number = |value: f64| serde_json::Value::from(value);
         let terms = || TERMS.iter().zip(&self.terms);
         let values = terms().map(|(row, mean)| (row.name.to_string(), mean.loss));
@@ -36,20 +35,20 @@ impl LogEntry {
     }
 }
 
-/// How far a view is from what was aimed at: the values of the terms of views, `None`
-/// where a term was not measured.
+/// The distance of a view from its goals: the values of the terms of views, `None` for a term that was not
+/// measured.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ViewErrors(pub Values);
 
 impl ViewErrors {
-    /// The value of the term of that name.
+    /// The value of the term with this name.
     pub fn of(&self, term: &str) -> Option<Realised> {
         named(&self.0, term)
     }
 }
 
-/// By name: value and error of a term that measures one, null where it was not measured; of another
-/// its value, 0 where it has none.
+/// Serialised by name: value and error of a term that measures an error, null if it was not measured; for
+/// other terms the value, 0 if there is none.
 impl Serialize for ViewErrors {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let mut map = serializer.serialize_map(None)?;
@@ -69,30 +68,31 @@ impl Serialize for ViewErrors {
 pub struct ViewReport {
     /// Its name.
     pub name: String,
-    /// At the identity.
+    /// Its errors at the identity.
     pub before: ViewErrors,
-    /// With the trained field.
+    /// Its errors with the trained field.
     pub after: ViewErrors,
 }
 
-/// What stage 2 reached.
+/// The results of stage 2.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
     /// View by view, in the given order.
     pub views: Vec<ViewReport>,
-    /// Views whose constants were kept in memory; the others were prepared anew in each of their steps.
+    /// Number of views whose constants were kept in memory; the others were prepared again in each of their
+    /// steps.
     pub views_in_memory: usize,
     /// Trained ratio of β_bs⁺ to β_bs and of β_attn⁺ to β_attn.
     pub transport_ratios: [f32; 2],
     /// Scene-global affine, rows `(A | b)`, the identity included.
     pub scene_affine: [[f32; 4]; 3],
-    /// Rendered pixels of all views as a share of all their pixels.
+    /// Number of rendered pixels of all views as a share of all their pixels.
     pub rendered_share: f64,
 }
 
 impl Report {
-    /// Root-mean-square over views of the normalised error of the term of that name, before and after;
-    /// `None` where it was not measured.
+    /// Root-mean-square over views of the normalised error of the term with this name, before and after;
+    /// `None` if it was not measured.
     pub fn errors(&self, term: &str) -> Option<(f64, f64)> {
         let rms = |pick: &dyn Fn(&ViewReport) -> ViewErrors| {
             let errors: Option<Vec<f64>> =
@@ -107,18 +107,18 @@ impl Report {
 /// The result of stage 2.
 #[derive(Clone, Debug)]
 pub struct Outcome {
-    /// The scene as it was given, with its enhancement.
+    /// The given scene with its enhancement.
     pub scene: Scene,
     /// One entry per window of steps.
     pub log: Vec<LogEntry>,
-    /// What was reached.
+    /// The final errors and the trained values.
     pub report: Report,
-    /// Where the time of the steps went.
+    /// The time spent on the parts of a step.
     pub profile: Profile<StepPart>,
 }
 
 impl Outcome {
-    /// The log as JSON lines. The same run gives the same bytes.
+    /// The log as JSON lines. Equal runs give equal bytes.
     pub fn log_lines(&self) -> String {
         self.log.iter().map(|entry| entry.to_json() + "\n").collect()
     }

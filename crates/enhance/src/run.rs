@@ -22,10 +22,10 @@ use crate::window::Window;
 use crate::{EnhanceError, EnhanceParams, Start, ViewErrors};
 
 const VIEWS: Purpose = Purpose::new("stage 2 views");
-/// What the names of this loop's checkpoints begin with.
+/// The prefix of the names of this loop's checkpoints.
 const CHECKPOINT: &str = "enhance";
 
-/// Everything that a later step depends on.
+/// All data on which later steps depend.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct State {
     fingerprint: [u8; 32],
@@ -50,10 +50,10 @@ impl Resumable for State {
 /// Learns the enhanced appearance of a reconstructed scene, with an engine that was made for this scene,
 /// these views and this guidance.
 ///
-/// `views` are the training views, in the scene's frame. With a `checkpoint_dir`, the state is
-/// saved there every `checkpoint_every` steps and when the observer asks to stop; a later call with
-/// the same inputs goes on from it with the same bits as an uninterrupted run. The scene's
-/// Gaussians and medium come back untouched.
+/// `views` are the training views, in the scene's frame. With a `checkpoint_dir`, the state is saved there
+/// every `checkpoint_every` steps and when the observer requests a stop. A later call with the same inputs
+/// continues from it, with the same bits as an uninterrupted run. The scene's Gaussians and medium are
+/// returned unchanged.
 pub fn enhance(
     scene: &Scene,
     views: &[EnhanceView],
@@ -109,12 +109,12 @@ struct Run<'a> {
     log: Vec<LogEntry>,
     window: Window,
     before: Vec<ViewErrors>,
-    /// For a person's eyes; not part of the result.
+    /// For the progress display; not part of the result.
     smooth_loss: Option<f64>,
 }
 
 impl Run<'_> {
-    /// The trained field as a scene carries it.
+    /// The trained field in the form that a scene stores.
     fn enhancement(&self, field: Field, centre: [f32; OUTPUTS]) -> Enhancement {
         let (appearance, kept_water) = (self.guidance.appearance(), self.guidance.kept_water());
         Enhancement { field, centre, appearance, kept_water }
@@ -136,7 +136,7 @@ impl Steps for Run<'_> {
     }
 
     fn save(&mut self, done: u64, checkpoints: &Checkpoints) -> Result<(), EnhanceError> {
-        // A state that is not finite is none to go on from.
+        // Never checkpoint a state that is not finite.
         self.drain(Drain::All)?;
         let state = State {
             fingerprint: self.fingerprint,
@@ -149,9 +149,9 @@ impl Steps for Run<'_> {
         Ok(checkpoints.save(done, &state)?)
     }
 
-    /// The [`Scene`] with its enhancement so far. The centre is the mean over all Gaussians,
-    /// not that over the ones that define it, which the engine knows: asking it would cost it
-    /// what it holds for the next step.
+    /// The [`Scene`] with its enhancement so far. The centre is the mean over all Gaussians and not over
+    /// those that define it, which the engine has: reading it from the engine would discard data that the
+    /// engine holds for the next step.
     fn view(&mut self) -> Result<Option<Snapshot>, EnhanceError> {
         let mut field = initial_field(self.scene, self.guidance, self.params)?;
         let state = self.engine.save()?;
@@ -175,7 +175,7 @@ impl Steps for Run<'_> {
 }
 
 impl Run<'_> {
-    /// Goes on from the furthest state that this run can go on from, if there is one.
+    /// Resumes from the furthest state that belongs to this run, if there is one.
     fn resume(&mut self, session: &Session, observer: &mut dyn Observer) -> Result<bool, EnhanceError> {
         let Some(state) = session.furthest::<State>(observer) else { return Ok(false) };
         match self.engine.load(state.engine) {
@@ -193,7 +193,7 @@ impl Run<'_> {
         Ok(true)
     }
 
-    /// Measures every view at the identity, then goes where the run starts.
+    /// Measures every view at the identity, then sets the start of the run.
     fn begin(&mut self) -> Result<(), EnhanceError> {
         let mut field = initial_field(self.scene, self.guidance, self.params)?;
         self.engine.load(FieldState::new(&field))?;
@@ -211,7 +211,7 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// Takes up the reports of steps.
+    /// Reads the engine's reports of steps.
     fn drain(&mut self, which: Drain) -> Result<(), EnhanceError> {
         for report in self.engine.drain(which)? {
             if let Some((what, index)) = report.non_finite {
@@ -225,17 +225,17 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// The log line of the steps since the last one.
+    /// Ends the window and adds its log line.
     fn end_window(&mut self) -> Result<(), EnhanceError> {
         self.drain(Drain::All)?;
         self.log.push(self.window.flush(self.step));
         Ok(())
     }
 
-    /// What comes after the last step.
+    /// Completes the run after the last step.
     fn finish(mut self) -> Result<Outcome, EnhanceError> {
-        // Only here, after the last checkpoint: a longer run that goes on from
-        // it still collects for this line.
+        // This happens only here, after the last checkpoint: a longer run that continues from it still
+        // collects data for this line.
         self.drain(Drain::All)?;
         if self.window.steps > 0 {
             self.end_window()?;

@@ -1,4 +1,4 @@
-//! What is constant about a training view, and how much of it is kept.
+//! The constants of a training view, and the choice of those that are kept.
 
 use std::sync::Arc;
 
@@ -17,7 +17,7 @@ use crate::labels::PseudoLabels;
 pub struct EnhanceView {
     /// The image's name.
     pub name: String,
-    /// Where it was taken from.
+    /// The camera that took it.
     pub camera: Camera,
 }
 
@@ -27,7 +27,7 @@ impl From<&View> for EnhanceView {
     }
 }
 
-/// What stage 2 is guided by.
+/// The guidance of stage 2.
 #[derive(Clone, Copy)]
 pub enum Guidance<'a> {
     /// Transition targets.
@@ -37,7 +37,8 @@ pub enum Guidance<'a> {
 }
 
 impl Guidance<'_> {
-    /// What is compared: targets say it; labels are enhanced photographs, which show the water.
+    /// The appearance that is compared. Targets define it; labels are enhanced photographs, which show the
+    /// water.
     pub fn appearance(&self) -> Appearance {
         match self {
             Self::Targets(targets) => targets.appearance,
@@ -45,7 +46,7 @@ impl Guidance<'_> {
         }
     }
 
-    /// The share of the stage-1 water in what is compared; all of it in photographs and so in labels.
+    /// The share of the stage-1 water in the compared images; all of it in photographs, and so in labels.
     pub fn kept_water(&self) -> KeptWater {
         match self {
             Self::Targets(targets) => targets.kept_water,
@@ -53,8 +54,8 @@ impl Guidance<'_> {
         }
     }
 
-    /// The stage-1 water in front of a camera as the views are compared in: thinned to the kept share. `false`,
-    /// and `maps` as they were, in a scene without water and in clear radiance.
+    /// Computes the stage-1 water in front of a camera for the comparison of views: thinned to the kept
+    /// share. Returns `false` and leaves `maps` unchanged in a scene without water and in clear radiance.
     pub fn look_through(
         &self,
         scene: &Scene,
@@ -70,11 +71,11 @@ impl Guidance<'_> {
     }
 }
 
-/// What a rendered view is compared with; made by [`References`], read by
+/// The reference with which a rendered view is compared; made by [`References`], read by
 /// [`Measure`](crate::engine::Measure).
 #[derive(Clone, Debug)]
 pub enum Reference {
-    /// The stage-1 render as the extractor sees it, and the local target on its grid.
+    /// The stage-1 render as the extractor's source, and the local target on its grid.
     Transition(Box<Source>, ViewTarget),
     /// The pseudo-label's pixels on the lattice, 16 bit.
     Label(Arc<Raster<u16, 3>>),
@@ -88,29 +89,31 @@ pub(crate) struct ViewConstants {
     pub(crate) reference: Reference,
 }
 
-/// Which of `count` Gaussians define the field's constant mode: at most `sample`, every so many; `None`:
-/// all, also where `sample` is 0.
+/// The indices of the Gaussians, out of `count`, that define the field's constant mode: at most `sample`,
+/// at regular intervals. `None` means all of them, also if `sample` is 0.
 pub fn centred(count: usize, sample: usize) -> Option<Vec<u32>> {
     let some = sample > 0 && sample < count;
     some.then(|| (0..count as u32).step_by(count.div_ceil(sample)).collect())
 }
 
-/// Where the scene's Gaussians look the field up, and which of them define its constant mode.
+/// The sites at which the scene's Gaussians look the field up, and the Gaussians that define its constant
+/// mode.
 #[derive(Clone)]
 pub(crate) struct Lookups {
     all: Arc<Sites>,
-    /// The Gaussians that define it; `None`: all of them, and every view lists all of them.
+    /// The Gaussians that define it; `None` if all do, and then every view lists all of them.
     centred: Option<Vec<u32>>,
 }
 
 impl Lookups {
-    /// With the mean over at most `sample` Gaussians, every so many; over all if `sample` is 0.
+    /// Lookups with the mean over at most `sample` Gaussians, at regular intervals; over all if `sample` is
+    /// 0.
     pub(crate) fn new(all: Arc<Sites>, sample: usize) -> Self {
         let centred = centred(all.len(), sample);
         Self { all, centred }
     }
 
-    /// Those that define the mean, and no others.
+    /// The sites that define the mean, and no others.
     pub(crate) fn centre(&self) -> Arc<Sites> {
         match &self.centred {
             Some(centred) => Arc::new(self.all.select(centred, centred.len())),
@@ -118,7 +121,7 @@ impl Lookups {
         }
     }
 
-    /// Those that define the mean, then what else a view sees.
+    /// The sites that define the mean, followed by the others that a view sees.
     fn of(&self, prepared: &Prepared) -> Listed {
         let Some(centred) = &self.centred else {
             return Listed { gaussians: None, sites: Arc::clone(&self.all) };
@@ -135,14 +138,14 @@ impl Lookups {
 
 /// The Gaussians whose appearance a step needs.
 pub(crate) struct Listed {
-    /// Their indices; `None`: all, in order.
+    /// Their indices; `None` for all, in order.
     gaussians: Option<Vec<u32>>,
-    /// Where they look the field up.
+    /// The sites at which they look the field up.
     pub(crate) sites: Arc<Sites>,
 }
 
 impl Listed {
-    /// All of them.
+    /// A list of all of them.
     #[cfg(test)]
     pub(crate) fn all(sites: &Arc<Sites>) -> Self {
         Self { gaussians: None, sites: Arc::clone(sites) }
@@ -156,7 +159,7 @@ impl Listed {
         }
     }
 
-    /// The same into a buffer, or `all` itself.
+    /// Copies the listed rows into a buffer, or returns `all` itself.
     pub(crate) fn gather<'a>(&self, all: &'a [[f32; 3]], out: &'a mut Vec<[f32; 3]>) -> &'a [[f32; 3]] {
         let Some(gaussians) = &self.gaussians else { return all };
         out.clear();
@@ -164,7 +167,8 @@ impl Listed {
         out
     }
 
-    /// The listed rows back at their places among `count`; rows that are not listed keep what they were.
+    /// Puts the listed rows back at their positions among `count`; rows that are not listed keep their
+    /// values.
     pub(crate) fn scatter<'a>(
         &self,
         rows: &'a [[f32; 3]],
@@ -180,7 +184,7 @@ impl Listed {
     }
 }
 
-/// The large constants of a view: kept while the budget lasts, else made anew for every step.
+/// The large constants of a view: kept while the memory limit allows, otherwise made again for every step.
 pub(crate) struct Frozen {
     /// Projection and trimmed tile lists; its colours change with every step.
     pub(crate) prepared: Prepared,
@@ -188,12 +192,12 @@ pub(crate) struct Frozen {
     pub(crate) listed: Listed,
     /// Their stage-1 colours in this view.
     pub(crate) base: Vec<[f32; 3]>,
-    /// The frozen water; `None` in a scene without, and in clear radiance.
+    /// The frozen water; `None` in a scene without water, and in clear radiance.
     pub(crate) water: Option<Water>,
 }
 
 impl Frozen {
-    /// Without what no pixel sees if there is a `trimmer`.
+    /// Makes the constants; with a `trimmer`, without the entries that no pixel sees.
     pub(crate) fn new(
         scene: &Scene,
         guidance: Guidance<'_>,
@@ -215,7 +219,7 @@ impl Frozen {
         Self { prepared, listed, base, water }
     }
 
-    /// The same with another list.
+    /// The same constants with another list.
     #[cfg(test)]
     pub(crate) fn relist(&mut self, lookups: &Lookups) {
         assert!(self.listed.gaussians.is_none());
@@ -233,17 +237,17 @@ impl Frozen {
     }
 }
 
-/// Which pixels of views of one size are rendered, and how the extractor reads them.
+/// The pixels of views of one size that are rendered, and the way in which the extractor reads them.
 pub(crate) struct Sampled {
     size: (usize, usize),
     geometry: Arc<Geometry>,
     pub(crate) lattice: Lattice,
 }
 
-/// The same for views of several sizes.
+/// The sampled pixels for views of several sizes.
 pub(crate) struct Samplings {
     settings: ExtractorSettings,
-    /// Pixels of the long side; 0 for all that the extractor weighs.
+    /// Number of pixels of the long side; 0 for all that the extractor weighs.
     side: usize,
     known: Vec<Arc<Sampled>>,
 }
@@ -253,7 +257,7 @@ impl Samplings {
         Self { settings, side, known: Vec::new() }
     }
 
-    /// Of views of this size.
+    /// The sampled pixels for views of this size.
     pub(crate) fn of(&mut self, size: (usize, usize)) -> Result<Arc<Sampled>, EnhanceError> {
         if let Some(known) = self.known.iter().find(|s| s.size == size) {
             return Ok(known.clone());
@@ -267,8 +271,8 @@ impl Samplings {
     }
 }
 
-/// Makes what views are compared with, one after another; views of one size share
-/// what depends on the size alone.
+/// Makes the references of views, one after another; views of one size share the data that depends on the
+/// size alone.
 pub struct References<'a> {
     scene: &'a Scene,
     guidance: Guidance<'a>,
@@ -277,7 +281,8 @@ pub struct References<'a> {
 }
 
 impl<'a> References<'a> {
-    /// On lattices of `sample_side` pixels on the long side; 0 for all that the extractor weighs.
+    /// References on lattices of `sample_side` pixels on the long side; 0 for all that the extractor
+    /// weighs.
     pub fn new(scene: &'a Scene, guidance: Guidance<'a>, sample_side: usize) -> Self {
         // Pseudo-labels are compared on the pixels that the default extractor would read.
         let settings = match guidance {
@@ -297,9 +302,9 @@ impl<'a> References<'a> {
         Ok(self.sampled(camera)?.lattice.clone())
     }
 
-    /// What view `index` is compared with. `stage1` is its stage-1 render on the
-    /// [lattice](Self::lattice), which labels have no use for; `known` is a reference of the same view on
-    /// another lattice: its local target is the same.
+    /// Makes the reference of view `index`. `stage1` draws its stage-1 render on the
+    /// [lattice](Self::lattice); labels do not need it. `known` is a reference of the same view on another
+    /// lattice: its local target is the same.
     pub fn of(
         &mut self,
         index: usize,
@@ -342,8 +347,8 @@ impl<'a> Preparer<'a> {
         Self { lookups, references, rendered: Rendered::new() }
     }
 
-    /// The constants of a view, trimmed if it is to be rendered again and again. `known` is what the view is
-    /// compared with on another lattice, where that is known already.
+    /// Makes the constants of a view, trimmed if it is to be rendered many times. `known` is the view's
+    /// reference on another lattice, if there is one.
     pub(crate) fn view(
         &mut self,
         index: usize,

@@ -1,4 +1,4 @@
-//! What the log is made of: losses of steps, summed since the last line.
+//! The source of the log: losses of steps, summed since the last line.
 
 use serde::{Deserialize, Serialize};
 
@@ -9,7 +9,7 @@ use crate::report::LogEntry;
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct Window {
     loss: f64,
-    /// One per row of the table.
+    /// One sum per row of the table.
     terms: [Realised; COUNT],
     pub(crate) steps: u64,
 }
@@ -25,7 +25,7 @@ impl Window {
         self.steps += 1;
     }
 
-    /// The line of the steps up to `step`; the window starts anew.
+    /// Returns the line of the steps up to `step` and starts a new window.
     pub(crate) fn flush(&mut self, step: u64) -> LogEntry {
         let Self { loss, terms, steps } = std::mem::take(self);
         let n = steps as f64;

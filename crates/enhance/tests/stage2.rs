@@ -1,5 +1,5 @@
-//! The loop on a small scene: it starts at the identity, reaches its targets, repeats itself
-//! bit for bit, and survives a kill.
+//! Tests the loop on a small scene: it starts at the identity, reaches its targets, repeats with the same
+//! bits, and survives a kill.
 
 mod common;
 
@@ -20,7 +20,7 @@ use use3d_scene::Scene;
 use use3d_splat::Rendered;
 use use3d_training::{Observer, Progress, Silent};
 
-/// On the processor.
+/// Enhances on the processor.
 fn enhance(
     scene: &Scene,
     views: &[EnhanceView],
@@ -33,7 +33,7 @@ fn enhance(
     use3d_enhance::enhance(scene, views, guidance, params, &mut engine, checkpoints, observer)
 }
 
-/// Stops after some steps and remembers what it was told.
+/// An observer that stops after some steps and stores its notices.
 struct Watcher {
     stop_after: u64,
     seen: u64,
@@ -64,14 +64,14 @@ impl Observer for Watcher {
 fn it_starts_at_the_identity() {
     let (scene, views) = mini();
     let wanted = targets(&scene, &taught(&scene), &views);
-    // Every pixel, so that the render can be laid beside the whole view.
+    // Every pixel is sampled, so that the render can be compared with the whole view.
     let params = EnhanceParams { sample_side: 0, ..quick(1) };
     let mut engine =
         CpuFieldEngine::new(&scene, &views, Guidance::Targets(&wanted), &params, &mut Silent).unwrap();
     let rms = (wanted.scene.iter().map(|t| math::powi(t / 0.2, 2)).sum::<f64>() / 12.0).sqrt();
     for (index, view) in views.iter().enumerate() {
         let errors = engine.evaluate(index, Reading::Sampled).unwrap();
-        // The realised operator is zero, so all that remains is the target.
+        // The realised operator is zero, so the error is the target itself.
         let error = errors.of("global").unwrap().error;
         assert!((error - rms).abs() < 1e-6, "{error} {rms}");
         let stage1 = draw(&scene, Look::Reconstruction, &view.camera);
@@ -97,17 +97,17 @@ fn losses_fall_and_the_realised_operators_reach_the_targets() {
     let (first, last) = (&full.log[0], &full.log[full.log.len() - 1]);
     let at = TERMS.iter().position(|row| row.name == "global").unwrap();
     let global = |line: &LogEntry| line.terms[at].loss;
-    // The teacher's local part is finer than the field's 16 nodes can follow in so few
-    // steps; its global part is not.
+    // The teacher's local part is too fine for the field's 16 nodes in so few steps; its global part is
+    // not.
     assert!(last.loss < 0.5 * first.loss && global(last) < 0.1 * global(first), "{first:?} {last:?}");
     let (before, after) = full.report.errors("global").unwrap();
     assert!(after < 0.3 * before, "global {before} -> {after}");
     let (local_before, local_after) = full.report.errors("local").unwrap();
     assert!(local_after < 0.9 * local_before, "local {local_before} -> {local_after}");
-    // Geometry, radiance and water are untouched.
+    // Geometry, radiance and water are unchanged.
     assert_eq!(full.scene.gaussians, scene.gaussians);
     assert_eq!(full.scene.medium, scene.medium);
-    // Views that were never trained on come near the teacher too.
+    // Views that were not used in training come near the teacher too.
     let distance = |a: &use3d_capture::Image, b: &use3d_capture::Image| {
         a.data().iter().zip(b.data()).map(|(a, b)| f64::from((a - b).abs())).sum::<f64>()
             / a.data().len() as f64
@@ -118,7 +118,7 @@ fn losses_fall_and_the_realised_operators_reach_the_targets() {
         let end = distance(&draw(&full.scene, Look::Enhanced { strength: 1.0 }, &view.camera), &goal);
         assert!(end < 0.5 * start, "{}: {start} -> {end}", view.name);
     }
-    // The ablations leave the other term alone.
+    // The ablations do not change the other term.
     let global_only = run(Objective::GlobalOnly, 120);
     let local_only = run(Objective::LocalOnly, 120);
     assert!(global_only.report.errors("global").unwrap().1 < 0.3 * before);
@@ -130,8 +130,8 @@ fn losses_fall_and_the_realised_operators_reach_the_targets() {
     assert!(global_only.report.errors("local").unwrap().1 > local_only.report.errors("local").unwrap().1);
 }
 
-/// A composite is linear in its colours, so an affine of the colours is one of the picture: what is left of
-/// the global error is where accumulation is not one. In clear radiance and with water.
+/// An image is linear in its colours, so an affine of the colours is an affine of the image. The remaining
+/// global error comes from pixels whose accumulation is not one. Tested in clear radiance and with water.
 #[test]
 fn the_scene_s_affine_at_the_global_target_nearly_meets_it() {
     let (scene, views) = mini();
@@ -150,8 +150,8 @@ fn the_scene_s_affine_at_the_global_target_nearly_meets_it() {
             begun.errors("global").unwrap().0,
             run(identity, Objective::Full, 0).errors("global").unwrap().0
         );
-        // Nothing is left for the field's local part to learn and unlearn: the local targets
-        // are nearer after as many steps.
+        // The field's local part then has nothing to learn and unlearn: the local targets are nearer after
+        // the same number of steps.
         let local = |start| run(start, Objective::Full, 60).errors("local").unwrap().1;
         assert!(local(operator) < local(identity), "{appearance:?}: {} {}", local(operator), local(identity));
         // An objective without a global term starts at the identity.
@@ -160,8 +160,8 @@ fn the_scene_s_affine_at_the_global_target_nearly_meets_it() {
     }
 }
 
-/// Operators are means over many pixels: a part of them must lead to the same field's
-/// transition, measured with all.
+/// Operators are means over many pixels: a part of them must lead to the same transition of the field,
+/// measured with all.
 #[test]
 fn a_sample_of_the_pixels_teaches_the_same() {
     let (scene, views) = mini();
@@ -182,8 +182,8 @@ fn a_sample_of_the_pixels_teaches_the_same() {
     assert!(wrong.to_string().contains("sample_side"), "{wrong}");
 }
 
-/// The mean over a part of the Gaussians splits the same appearance a little
-/// differently between field and affine.
+/// The mean over a part of the Gaussians divides the same appearance slightly differently between field and
+/// affine.
 #[test]
 fn a_mean_over_some_gaussians_teaches_the_same() {
     let (scene, views) = mini();
@@ -200,7 +200,7 @@ fn a_mean_over_some_gaussians_teaches_the_same() {
     let ((before, with_all), (_, with_some)) =
         (all.report.errors("local").unwrap(), some.report.errors("local").unwrap());
     assert!((with_some - with_all).abs() < 0.05 * before, "{before} {with_all} {with_some}");
-    // What was trained is what is drawn: the stored centre is that of the steps.
+    // The drawn scene is the trained one: the stored centre is that of the steps.
     let params = EnhanceParams { sample_side: 0, centre_sample: scene.gaussians.len() / 3, ..quick(1) };
     let mut engine =
         CpuFieldEngine::new(&scene, &views, Guidance::Targets(&wanted), &params, &mut Silent).unwrap();
@@ -229,8 +229,8 @@ fn pseudo_labels_are_reproduced() {
     }
 }
 
-/// With a share of the water, stage 2 is that of a scene whose water is so much thinner, and the enhanced scene
-/// shows that water.
+/// With a share of the water, stage 2 is that of a scene with correspondingly thinner water, and the
+/// enhanced scene shows that water.
 #[test]
 fn a_share_of_the_water_is_learnt_as_thinner_water() {
     let (scene, views) = mini();
@@ -264,7 +264,7 @@ fn a_share_of_the_water_is_learnt_as_thinner_water() {
         let apart = a.data().iter().zip(b.data()).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
         assert!(apart < 0.02, "{}: {apart}", view.name);
     }
-    // Strength 0 is the reconstruction in all of its water.
+    // Strength 0 is the reconstruction with all of its water.
     let camera = &views[0].camera;
     assert_eq!(
         draw(&part.scene, Look::Enhanced { strength: 0.0 }, camera),
@@ -272,8 +272,8 @@ fn a_share_of_the_water_is_learnt_as_thinner_water() {
     );
 }
 
-/// In clear radiance stage 2 is that of a scene without its water, and the water of
-/// the enhanced scene is stage 1's.
+/// In clear radiance, stage 2 is that of a scene without its water, and the water of the enhanced scene is
+/// stage 1's.
 #[test]
 fn clear_radiance_is_learnt_without_the_water_and_leaves_it_alone() {
     let (scene, views) = mini();
@@ -291,7 +291,7 @@ fn clear_radiance_is_learnt_without_the_water_and_leaves_it_alone() {
     assert_eq!(wet.report.transport_ratios, [1.0; 2]);
     let (before, after) = wet.report.errors("global").unwrap();
     assert!(after < 0.4 * before, "global {before} -> {after}");
-    // Full composites: enhanced objects behind the very water of stage 1.
+    // Full images: enhanced objects behind exactly the water of stage 1.
     let lattice = Lattice::full(&views[0].camera.intrinsics);
     let drawn = |look| {
         let (mut renderer, mut out) = (Renderer::new(&wet.scene, look).unwrap(), Rendered::new());
@@ -302,13 +302,13 @@ fn clear_radiance_is_learnt_without_the_water_and_leaves_it_alone() {
     let (water, layers) = drawn(Look::Enhanced { strength: 1.0 });
     assert_eq!(water, stage1);
     assert_eq!((&layers.medium, &layers.far), (&plain.medium, &plain.far));
-    // Without the water, what was learnt is what is seen.
+    // Without the water, the image shows exactly what was learnt.
     let without = draw(&alone.scene, Look::Enhanced { strength: 1.0 }, &views[0].camera);
     let farthest =
         layers.clear.data().iter().zip(without.data()).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
     assert!(farthest < 1e-5, "{farthest}");
     assert_ne!(layers.clear, plain.clear);
-    // The same targets, said to be with water, lead elsewhere.
+    // The same targets, declared to be with water, give another result.
     assert_ne!(run(&scene, &wanted).report.views, wet.report.views);
 }
 
@@ -326,8 +326,8 @@ fn threads_and_memory_do_not_change_a_bit() {
     let run = |threads: usize, cache_mib: usize, observer: &mut dyn Observer| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let params = EnhanceParams { cache_mib, centre_sample: 40, ..quick(25) };
-        // An observer need not be Send, so the loop runs here and its parallel
-        // parts in the pool of one call each.
+        // An observer need not be Send, so the loop runs here, and its parallel parts run in the pool of
+        // one call each.
         let mut notices = Vec::new();
         let out = pool.install(|| {
             let mut watcher = Watcher::new(u64::MAX);
@@ -367,7 +367,8 @@ fn a_killed_run_goes_on_as_if_it_had_not_been() {
     assert!(watcher.notices.iter().any(|n| n.contains("step 17")), "{:?}", watcher.notices);
     same(&whole, &resumed);
 
-    // Another parameter is another run; a damaged file is named. Neither goes on from it.
+    // A run with another parameter is another run, and a damaged file is reported by name; neither
+    // continues from the checkpoint.
     let other = EnhanceParams { learning_rate: 4e-3, ..params.clone() };
     let mut watcher = Watcher::new(u64::MAX);
     enhance(&scene, &views, guidance, &other, Some(dir.path()), &mut watcher).unwrap();
@@ -399,7 +400,7 @@ fn going_on_from_the_end_of_a_shorter_run_leaves_no_trace_of_that_end() {
         enhance(&scene, &views, Guidance::Targets(&wanted), &params, dir, &mut Silent).unwrap()
     };
     let short = run(10, Some(dir.path()));
-    // The last line of the shorter one's log is of three steps; that of the longer one is of seven.
+    // The last line of the shorter run's log covers three steps; that of the longer one covers seven.
     same(&run(16, Some(dir.path())), &run(16, None));
     same(&short, &run(10, Some(dir.path())));
 }
@@ -418,7 +419,7 @@ fn wrong_input_is_named() {
     assert!(message(&scene, &views, Guidance::Labels(&labels), &quick(1)).contains("transition targets"));
     let params = EnhanceParams { objective: Objective::PseudoLabels, ..quick(1) };
     assert!(message(&scene, &views, guidance, &params).contains("enhanced images"));
-    // Labels of other pixels, and of fewer views.
+    // The labels have other pixels, or are those of fewer views.
     let other = EnhanceParams { sample_side: 16, ..params.clone() };
     assert!(message(&scene, &views, Guidance::Labels(&labels), &other).contains("another `sample_side`"));
     let one = PseudoLabels::new(&Labels { taught: &teacher, views: &views }, &views[..1], &params).unwrap();

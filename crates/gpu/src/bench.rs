@@ -1,9 +1,10 @@
-//! One run that says what there is to know of an adapter: its limits, whether its kernels agree with the
-//! processor, whether they give the same bits each time, how long they take, and how many steps of a training
-//! it does in a second. No network, minutes at most; the record is one document.
+//! Benchmarks an adapter in one run: its limits, the agreement of its kernels with the processor, the
+//! equality of their bits between runs, their times, and the number of training steps per second. It uses
+//! no network and takes minutes at most; the record is one document.
 //!
-//! A card may be lent for a day or hang in one kernel. So whatever fails is written down and the rest goes on,
-//! and the record is handed over after every part; only a lost device ends it.
+//! A card may be available for a short time only, or hang in one kernel. So each failure is recorded and
+//! the other parts still run, and the record is passed on after every part. Only a lost device ends the
+//! benchmark.
 
 mod records;
 
@@ -30,25 +31,26 @@ pub use records::{
     FailedRecord, KernelRecord, RooflineRecord, TimesRecord, TrainingRecord, TwinRecord, ViewRecord,
 };
 
-/// What is run.
+/// The plan of a benchmark.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BenchPlan {
-    /// Sizes of views that kernels are timed at.
+    /// Sizes of views at which kernels are timed.
     pub sizes: Vec<(usize, usize)>,
-    /// Times that each size is run; the first one warms up.
+    /// Number of runs of each size; the first one warms up.
     pub rounds: usize,
-    /// Numbers of Gaussians that trainings have at each size.
+    /// Numbers of Gaussians of the trainings at each size.
     pub gaussians: Vec<usize>,
-    /// Steps of each training that are timed; as many as there are views warm up.
+    /// Number of timed steps of each training; as many steps as there are views warm up.
     pub steps: u64,
-    /// The same of the training at the middle size with the middle number of Gaussians, if it is another number.
+    /// Number of steps of the training at the middle size with the middle number of Gaussians, if it
+    /// differs.
     pub long: Option<u64>,
-    /// Bytes that are copied at once to find out how fast it goes, less where memory is short.
+    /// Number of bytes copied at once to measure the copy rate; fewer if memory is short.
     pub copied: u64,
 }
 
 impl BenchPlan {
-    /// Scenes of the trainings, with their steps.
+    /// The scenes of the trainings, with their numbers of steps.
     fn trainings(&self) -> Vec<(Packed, u64)> {
         let middle = (self.sizes.len() / 2, self.gaussians.len() / 2);
         let mut all = Vec::new();
@@ -70,7 +72,7 @@ fn cases(width: usize, height: usize) -> (LossCase, WaterCase) {
     )
 }
 
-/// What one size's kernels say, with the case that each belongs to.
+/// Runs the kernels of one size; returns each agreement with its case.
 fn run_twins(gpu: &Gpu, size: (usize, usize)) -> Result<Vec<(String, Agreement)>, EngineError> {
     let (loss, water) = cases(size.0, size.1);
     let mut all: Vec<_> = twins::losses(gpu, &loss)?.into_iter().map(|a| (format!("{loss:?}"), a)).collect();
@@ -78,16 +80,17 @@ fn run_twins(gpu: &Gpu, size: (usize, usize)) -> Result<Vec<(String, Agreement)>
     Ok(all)
 }
 
-/// Views of a training here.
+/// Number of views of a training.
 const VIEWS: usize = 4;
-/// Seconds that a measurement of what a device does at best takes at least.
+/// Shortest time in seconds of a measurement of the device's highest rate.
 const LEAST: f64 = 0.02;
-/// Steps whose kernels are timed by the device's clock.
+/// Number of steps whose kernels are timed by the device's clock.
 const PROFILED: u64 = 20;
-/// Steps after which the clock of whole steps is read: half its places, since steps may be done twice.
+/// Number of steps after which the clock of whole steps is read: half of its places, because steps may be
+/// done twice.
 const READ: usize = 1000;
 
-/// Stage 1 on a packed scene, a step of each view done.
+/// Starts stage 1 on a packed scene and does one step of each view.
 fn begun(gpu: &Gpu, scene: &Packed) -> Result<Stage1, EngineError> {
     let mut engine = Stage1::new(gpu)?;
     for view in scene.training_views()? {
@@ -98,7 +101,7 @@ fn begun(gpu: &Gpu, scene: &Packed) -> Result<Stage1, EngineError> {
     Ok(engine)
 }
 
-/// Losses of some steps, waited for.
+/// Runs some steps, waits for them, and returns their losses.
 fn go_on(engine: &mut Stage1, scene: &Packed, steps: Range<u64>) -> Result<Vec<f64>, EngineError> {
     for step in steps {
         engine.step((step % scene.views.max(1) as u64) as usize, &Packed::plan(step))?;
@@ -112,7 +115,7 @@ fn go_on(engine: &mut Stage1, scene: &Packed, steps: Range<u64>) -> Result<Vec<f
     }
 }
 
-/// Everything that a training has, as bits.
+/// Computes a digest of the bits of a training's whole state.
 fn digest(state: &TrainingState) -> String {
     let mut hasher = blake3::Hasher::new();
     for g in [&state.gaussians, &state.moments.first, &state.moments.second] {
@@ -134,7 +137,7 @@ fn digest(state: &TrainingState) -> String {
     hasher.finalize().to_hex().to_string()
 }
 
-/// Means over the kernels' dispatches.
+/// Computes means over the kernels' dispatches.
 fn kernel_records(times: BTreeMap<&'static str, KernelTime>) -> BTreeMap<&'static str, KernelRecord> {
     let record = |time: KernelTime| KernelRecord {
         dispatches: time.dispatches,
@@ -143,7 +146,7 @@ fn kernel_records(times: BTreeMap<&'static str, KernelTime>) -> BTreeMap<&'stati
     times.into_iter().map(|(name, time)| (name, record(time))).collect()
 }
 
-/// Kernels of `steps` steps beside what they need at least.
+/// Compares the kernels of `steps` steps with their smallest possible times.
 fn roofline(
     kernels: &BTreeMap<&'static str, KernelRecord>,
     steps: u64,
@@ -167,14 +170,14 @@ fn roofline(
     kernels.iter().filter_map(record).collect()
 }
 
-/// Mean loss of the first steps, one of each view, and of the last.
+/// Returns the mean loss of the first steps, one of each view, and that of the last ones.
 fn ends(losses: &[f64], scene: &Packed) -> [f64; 2] {
     let mean = |losses: &[f64]| losses.iter().sum::<f64>() / losses.len().max(1) as f64;
     let few = scene.views.min(losses.len());
     [mean(&losses[..few]), mean(&losses[losses.len() - few..])]
 }
 
-/// Steps of a packed scene against the processor's clock, with the device's around every whole step.
+/// Times the steps of a packed scene by the processor's clock, and every whole step by the device's.
 fn race(gpu: &Gpu, scene: &Packed, steps: u64, record: &mut TrainingRecord) -> Result<(), EngineError> {
     let views = scene.views as u64;
     let gpu = &gpu.clone().timed_steps();
@@ -206,7 +209,7 @@ fn race(gpu: &Gpu, scene: &Packed, steps: u64, record: &mut TrainingRecord) -> R
     Ok(())
 }
 
-/// Milliseconds of a refinement that replaces every twentieth Gaussian by two.
+/// Measures the milliseconds of a refinement that replaces every twentieth Gaussian by two.
 fn refine(engine: &mut Stage1, scene: &Packed) -> Result<f64, EngineError> {
     let split = |i: &usize| i.is_multiple_of(20);
     let kept = (0..scene.gaussians).filter(|i| !split(i)).map(Origin::Kept);
@@ -218,7 +221,7 @@ fn refine(engine: &mut Stage1, scene: &Packed) -> Result<f64, EngineError> {
     Ok(1e3 * started.elapsed().as_secs_f64())
 }
 
-/// Steps of stage 2 on a packed scene against the processor's clock, after one of each view.
+/// Times the steps of stage 2 on a packed scene by the processor's clock, after one step of each view.
 fn enhance(gpu: &Gpu, scene: &Packed, steps: u64) -> Result<EnhancementRecord, EngineError> {
     let (packed, views) = (scene.scene(), scene.enhance_views()?);
     let targets = twins::targets(scene.gaussians, &views, Appearance::Water);
@@ -247,8 +250,8 @@ fn enhance(gpu: &Gpu, scene: &Packed, steps: u64) -> Result<EnhancementRecord, E
     Ok(EnhancementRecord { steps, steps_per_second: steps as f64 / seconds, loss: ends(&losses, scene) })
 }
 
-/// Trains on a packed scene: first against the processor's clock, then with the device's around every kernel.
-/// What was found before a failure stays in the record.
+/// Trains on a packed scene: first timed by the processor's clock, then with the device's clock around
+/// every kernel. Results before a failure stay in the record.
 fn train(
     gpu: &Gpu,
     scene: &Packed,
@@ -293,19 +296,19 @@ fn train(
     Ok(())
 }
 
-/// A benchmark under way.
+/// A running benchmark.
 struct Bench<'a> {
     gpu: &'a Gpu,
     record: BenchRecord,
     started: Instant,
-    /// Nothing more can be asked of the device.
+    /// True if the device is lost.
     lost: bool,
     tell: &'a mut dyn FnMut(&str),
     keep: &'a mut dyn FnMut(&BenchRecord),
 }
 
 impl Bench<'_> {
-    /// Hands over the record as it is.
+    /// Passes the current record to `keep`.
     fn hand_over(&mut self) {
         self.record.seconds = self.started.elapsed().as_secs_f64();
         (self.keep)(&self.record);
@@ -316,7 +319,7 @@ impl Bench<'_> {
         self.record.failed.push(FailedRecord { section: section.to_string(), why: error.to_string() });
     }
 
-    /// Does a part of it: `None` where it failed, or the device is lost.
+    /// Runs one part of it; `None` if it failed or the device is lost.
     fn section<T>(&mut self, name: &str, work: impl FnOnce(&Gpu) -> Result<T, EngineError>) -> Option<T> {
         if self.lost {
             return None;
@@ -339,7 +342,7 @@ impl Bench<'_> {
         self.hand_over();
     }
 
-    /// Kernels beside the processor's functions, and whole steps in every variant.
+    /// Compares kernels with the processor's functions, and whole steps in every variant.
     fn twins(&mut self) {
         let mut found = Vec::new();
         self.section("kernels beside the processor's functions", |gpu| {
@@ -365,7 +368,7 @@ impl Bench<'_> {
         self.hand_over();
     }
 
-    /// Three runs of the same work in every variant.
+    /// Runs the same work three times in every variant.
     fn determinism(&mut self) {
         for variant in self.gpu.variants() {
             let name = format!("the same bits three times, {variant}");
@@ -398,7 +401,7 @@ impl Bench<'_> {
         self.hand_over();
     }
 
-    /// Times of the kernels at a size.
+    /// Times the kernels at one size.
     fn times(&mut self, (width, height): (usize, usize), rounds: usize) {
         let kernels = self.section(&format!("times at {width} x {height}"), |gpu| {
             let timed = gpu.clone().timed();
@@ -431,7 +434,7 @@ impl Bench<'_> {
         let mut record = TrainingRecord { size: [width, height], gaussians, ..TrainingRecord::default() };
         if let Err(error) = train(self.gpu, scene, steps, ceilings, &mut record) {
             record.refusal = Some(error.to_string());
-            // Too much for this card is an answer; the others may fit.
+            // Too little memory on this card is a result; smaller trainings may still fit.
             if !matches!(error, EngineError::OutOfMemory { .. }) {
                 self.fail(&name, &error);
             }
@@ -441,7 +444,7 @@ impl Bench<'_> {
     }
 }
 
-/// Runs all of it. `tell` hears what is under way, `keep` is given the record after every part.
+/// Runs the whole benchmark. `tell` receives the name of each part, and `keep` the record after every part.
 pub fn bench(
     gpu: &Gpu,
     plan: &BenchPlan,
@@ -546,7 +549,7 @@ mod tests {
             "{record:?}"
         );
         assert_eq!((training.submits_per_step, training.kernels["update"].dispatches), (1.0, 5));
-        // The portable one, and one, two and four pixels to a thread.
+        // The portable variant, and those with one, two and four pixels per thread.
         assert_eq!(training.backward_milliseconds.len(), 4, "{training:?}");
         let (busy, idle) = (training.busy_milliseconds_per_step.unwrap(), training.idle_share.unwrap());
         assert!(busy > 0.0 && busy <= 1e3 / training.steps_per_second, "{training:?}");

@@ -1,4 +1,4 @@
-//! Typed buffers on the device, which grow and say what they would need.
+//! Typed buffers on the device, which can grow, and which report their size in errors.
 
 use std::marker::PhantomData;
 
@@ -7,7 +7,7 @@ use use3d_training::EngineError;
 
 use crate::device::{Gpu, Held, NAME};
 
-/// An array of `T` that kernels read and write. Growing loses what it held.
+/// An array of `T` that kernels read and write. Growing discards its contents.
 #[derive(Debug)]
 pub(crate) struct Array<T> {
     what: &'static str,
@@ -41,7 +41,7 @@ fn create(
     Ok((buffer, gpu.hold(bytes)))
 }
 
-/// Copies the beginnings of buffers to main memory, in one submit that is waited for once.
+/// Copies the first bytes of buffers to main memory, in one submit with a single wait.
 fn fetch(gpu: &Gpu, wanted: &mut [(&wgpu::Buffer, &mut [u8])]) -> Result<(), EngineError> {
     let padded = |bytes: &[u8]| bytes.len().next_multiple_of(16) as u64;
     let size = wanted.iter().map(|(_, bytes)| padded(bytes)).sum();
@@ -62,7 +62,7 @@ fn fetch(gpu: &Gpu, wanted: &mut [(&wgpu::Buffer, &mut [u8])]) -> Result<(), Eng
     }
     gpu.submit(encoder);
     let slice = staging.slice(..);
-    // The result is found out by reading below.
+    // The read below reports an error, so the result is not needed here.
     slice.map_async(wgpu::MapMode::Read, |_| ());
     gpu.wait()?;
     let view = slice.get_mapped_range().map_err(|e| EngineError::Failed(Box::new(e)))?;
@@ -74,7 +74,7 @@ fn fetch(gpu: &Gpu, wanted: &mut [(&wgpu::Buffer, &mut [u8])]) -> Result<(), Eng
     Ok(())
 }
 
-/// The first words of some buffers, as many as asked for of each, waited for once.
+/// Reads the requested number of words from the start of each buffer, with a single wait.
 pub(crate) fn read_together<const N: usize>(
     gpu: &Gpu,
     wanted: [(&wgpu::Buffer, usize); N],
@@ -91,52 +91,53 @@ pub(crate) fn read_together<const N: usize>(
 }
 
 impl<T: Pod> Array<T> {
-    /// Room for so many items, zero.
+    /// An array with room for `capacity` items, all zero.
     pub(crate) fn new(gpu: &Gpu, what: &'static str, capacity: usize) -> Result<Self, EngineError> {
         let capacity = capacity.max(1);
         let (buffer, held) = create(gpu, what, Self::bytes(capacity), false)?;
         Ok(Self { what, buffer, held, capacity, item: PhantomData })
     }
 
-    /// One that kernels read as a uniform.
+    /// An array of one item that kernels read as a uniform.
     pub(crate) fn uniform(gpu: &Gpu, what: &'static str) -> Result<Self, EngineError> {
         let (buffer, held) = create(gpu, what, Self::bytes(1), true)?;
         Ok(Self { what, buffer, held, capacity: 1, item: PhantomData })
     }
 
-    /// With these items.
+    /// An array with these items.
     pub(crate) fn from(gpu: &Gpu, what: &'static str, items: &[T]) -> Result<Self, EngineError> {
         let array = Self::new(gpu, what, items.len())?;
         array.write(gpu, 0, items);
         Ok(array)
     }
 
-    /// Another of the same kind.
+    /// Another array of the same kind.
     pub(crate) fn another(&self, gpu: &Gpu, capacity: usize) -> Result<Self, EngineError> {
         Self::new(gpu, self.what, capacity)
     }
 
-    /// Bytes of so many items, padded to what the device copies at once.
+    /// Number of bytes of `items` items, padded to the device's unit of copying.
     fn bytes(items: usize) -> u64 {
         (items * size_of::<T>()).next_multiple_of(16) as u64
     }
 
-    /// Items there is room for.
+    /// Number of items for which there is room.
     pub(crate) fn capacity(&self) -> usize {
         self.capacity
     }
 
-    /// Bytes on the device.
+    /// Number of bytes on the device.
     pub(crate) fn size(&self) -> usize {
         self.buffer.size() as usize
     }
 
-    /// What kernels bind.
+    /// The buffer that kernels bind.
     pub(crate) fn raw(&self) -> &wgpu::Buffer {
         &self.buffer
     }
 
-    /// Makes room; whether the items are gone. The old buffer is let go first, so that both need not fit.
+    /// Makes room; returns true if the items were discarded. The old buffer is freed first, so that both
+    /// need not fit.
     pub(crate) fn grow(&mut self, gpu: &Gpu, items: usize) -> Result<bool, EngineError> {
         if items <= self.capacity {
             return Ok(false);
@@ -148,7 +149,7 @@ impl<T: Pod> Array<T> {
         Ok(true)
     }
 
-    /// Puts items at `first`; what lies past the capacity is left out.
+    /// Writes items starting at `first`; items beyond the capacity are left out.
     pub(crate) fn write(&self, gpu: &Gpu, first: usize, items: &[T]) {
         let items = &items[..items.len().min(self.capacity.saturating_sub(first))];
         if items.is_empty() {
@@ -159,7 +160,7 @@ impl<T: Pod> Array<T> {
         gpu.queue.write_buffer(&self.buffer, offset, bytes);
     }
 
-    /// Gives its room back. Bindings may name it until they are asked for again; they keep no room.
+    /// Frees its memory. Bindings may refer to it until they are made again; they use no memory.
     pub(crate) fn let_go(&mut self, gpu: &Gpu) {
         gpu.forget_bindings();
         self.buffer.destroy();
@@ -167,21 +168,21 @@ impl<T: Pod> Array<T> {
         self.capacity = 0;
     }
 
-    /// Makes every item zero.
+    /// Sets every item to zero.
     pub(crate) fn clear(&self, gpu: &Gpu) {
         let mut encoder = gpu.device.create_command_encoder(&Default::default());
         encoder.clear_buffer(&self.buffer, 0, None);
         gpu.submit(encoder);
     }
 
-    /// The first items, waited for.
+    /// Waits and reads the first items.
     pub(crate) fn read(&self, gpu: &Gpu, items: usize) -> Result<Vec<T>, EngineError> {
         let mut out = vec![T::zeroed(); items.min(self.capacity)];
         fetch(gpu, &mut [(&self.buffer, bytemuck::cast_slice_mut(&mut out))])?;
         Ok(out)
     }
 
-    /// Fills it with what is no number, so that whoever reads before writing is found out.
+    /// Fills the buffer with NaN, so that a read before the first write is detected.
     #[cfg(test)]
     pub(crate) fn poison(&self, gpu: &Gpu) {
         let words = vec![0x7fc0_dead_u32; self.size() / 4];

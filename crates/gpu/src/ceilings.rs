@@ -1,9 +1,10 @@
-//! What a card can do at best, measured, and what a step's kernels need at least, counted: the time that
-//! follows is a kernel's roofline, and its share of the time taken says how much there is to win.
+//! Measures the highest rates of a card, and counts the smallest work of a step's kernels. The resulting
+//! time is a kernel's roofline; its share of the measured time shows how much can be gained.
 //!
-//! Two kernels find the ceilings: one copies, one multiplies and adds. What a kernel needs is every buffer
-//! read and written once, and the operations of its text (a multiply-add is two, an exponential one), from
-//! the sizes of the view that was drawn last and the pairs of pixel and Gaussian in it.
+//! Two kernels measure the highest rates: one copies, one multiplies and adds. The smallest work of a
+//! kernel is to read and write every buffer once, plus the operations of its text (a multiply-add counts as
+//! two, an exponential as one). It follows from the sizes of the last drawn view and its pairs of pixel and
+//! Gaussian.
 
 use std::collections::BTreeMap;
 use std::time::Instant;
@@ -18,12 +19,12 @@ use crate::stage1::ViewWork;
 
 /// Threads of a workgroup.
 const THREADS: u32 = 256;
-/// Threads that multiply, and operations of each in a round: sixteen multiply-adds of four.
+/// Number of threads that multiply, and operations of each in a round: sixteen multiply-adds of four.
 const MULTIPLIERS: usize = 1 << 18;
 const PER_ROUND: f64 = 16.0 * 4.0 * 2.0;
-/// Times that each is measured; the best counts.
+/// Number of repeated measurements; the best counts.
 const TIMES: usize = 3;
-/// Rows of a copy that is not halved any more.
+/// Number of rows below which a copy is not halved any more.
 const FEWEST_ROWS: usize = 1 << 12;
 
 fn copy() -> Spec {
@@ -46,18 +47,18 @@ fn multiply() -> Spec {
     }
 }
 
-/// What a device did at best.
+/// The highest rates that a device reached.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Ceilings {
-    /// Bytes a second, read and written together.
+    /// Bytes per second, read and written together.
     pub(crate) bytes: f64,
-    /// Operations in single precision a second.
+    /// Operations in single precision per second.
     pub(crate) flops: f64,
-    /// Bytes that were copied at once.
+    /// Number of bytes copied at once.
     pub(crate) copied: u64,
 }
 
-/// Seconds of some dispatches, by the device's clock where it has one.
+/// Measures the seconds of some dispatches, by the device's clock if it has one.
 fn seconds(gpu: &Gpu, record: impl FnOnce(&mut wgpu::ComputePass<'_>)) -> Result<f64, EngineError> {
     gpu.wait()?;
     gpu.read_times(&mut BTreeMap::new())?;
@@ -71,7 +72,7 @@ fn seconds(gpu: &Gpu, record: impl FnOnce(&mut wgpu::ComputePass<'_>)) -> Result
     Ok(if own > 0.0 { own } else { waited })
 }
 
-/// The best rate of work whose size is doubled until it takes `least` seconds or is `most`.
+/// Returns the best rate of work whose size is doubled until it takes `least` seconds or reaches `most`.
 fn best(
     least: f64,
     most: u32,
@@ -89,7 +90,7 @@ fn best(
     Ok(rate)
 }
 
-/// Two buffers of so many rows; half as many, again and again, where memory does not suffice.
+/// Makes two buffers of `rows` rows; the number is halved repeatedly if memory does not suffice.
 fn pair(gpu: &Gpu, mut rows: usize) -> Result<[Array<Row>; 2], EngineError> {
     loop {
         let both =
@@ -101,14 +102,14 @@ fn pair(gpu: &Gpu, mut rows: usize) -> Result<[Array<Row>; 2], EngineError> {
     }
 }
 
-/// Measures a device: buffers of `bytes`, at least `least` seconds for a measurement.
+/// Measures a device with buffers of `bytes`; a measurement takes at least `least` seconds.
 pub(crate) fn measure(gpu: &Gpu, bytes: u64, least: f64) -> Result<Ceilings, EngineError> {
     let gpu = &gpu.clone().timed();
     let (copy, multiply) = (Kernel::new(gpu, &copy())?, Kernel::new(gpu, &multiply())?);
     let rows = (bytes.min(gpu.longest()) as usize / size_of::<Row>()).max(1);
     let [from, to] = pair(gpu, rows)?;
     let (rows, copied) = (from.capacity(), from.size() as u64);
-    // No more dispatches at once than the clock has places for.
+    // The number of dispatches is limited by the clock's places.
     let bytes = best(least, 1024, |size| {
         let time = seconds(gpu, |pass| {
             (0..size).for_each(|_| copy.dispatch(pass, copy.grid(rows), bound![from, to]));
@@ -125,26 +126,26 @@ pub(crate) fn measure(gpu: &Gpu, bytes: u64, least: f64) -> Result<Ceilings, Eng
     Ok(Ceilings { bytes, flops, copied })
 }
 
-/// What a kernel needs in one step of stage 1, everything switched on: bytes and operations; `None` for
-/// kernels of one workgroup, whose time is a launch.
+/// The smallest work of a kernel in one step of stage 1 with all features on: bytes and operations. `None`
+/// for kernels of one workgroup, whose time is that of a launch.
 pub(crate) fn need(kernel: &str, work: &ViewWork) -> Option<[f64; 2]> {
     let ViewWork { gaussians, visible, entries, tested, live, pixels, tile_passes } = *work;
     let (n, seen, e, p) = (gaussians as f64, visible as f64, entries as f64, pixels as f64);
     let (tested, live) = (tested as f64, live as f64);
-    // Depth has four digits, the tile's number as many as it needs.
+    // The depth has four digits, and the tile's number as many as it needs.
     let (by_depth, by_tile) = (4.0, tile_passes as f64);
-    // Three levels, a quarter of the pixels each time.
+    // Three levels, each with a quarter of the pixels of the one before.
     let levels = 1.0 + 1.0 / 4.0 + 1.0 / 16.0;
     Some(match kernel {
         "unpack" => [26.0 * p, 6.0 * p],
-        // Geometry of all, colours of what is visible; a splat, a key, a count.
+        // Geometry of all Gaussians, colours of the visible ones; a splat, a key, a count.
         "project" => [104.0 * n + 192.0 * seen, 250.0 * n + 130.0 * seen],
         "sort: histogram" => [4.0 * (by_depth * n + by_tile * e), 0.0],
         "sort: scatter" => [16.0 * (by_depth * n + by_tile * e) - 4.0 * (n + e), 0.0],
         "reduce" => [8.0 * n, 0.0],
         "offsets" => [20.0 * n, 0.0],
         "emit" => [8.0 * n + 32.0 * seen + 8.0 * e, 60.0 * e],
-        // Entry, owner and splat once a tile; water and sums of every pixel.
+        // Entry, owner and splat once per tile; water and sums of every pixel.
         "forward" => [56.0 * e + 100.0 * p, 10.0 * tested + 47.0 * live],
         "backward" => [104.0 * e + 68.0 * p, 10.0 * tested + 79.0 * live],
         // Values and both moments of 60 numbers, read and written; splat, run, statistics; records.
@@ -157,7 +158,7 @@ pub(crate) fn need(kernel: &str, work: &ViewWork) -> Option<[f64; 2]> {
         "pull" => [64.0 * p, 36.0 * p],
         "depth_means" | "depth_deviations" => [8.0 * p, 10.0 * p],
         "depth_slopes" => [12.0 * p, 12.0 * p],
-        // Basis, nine sums of sixteen bands, two soft signs a channel; and back.
+        // Basis, nine sums of sixteen bands, two softplus functions per channel; and backward.
         "look" => [36.0 * p, (60.0 + 288.0 + 6.0 * 25.0) * p],
         "gather" => [84.0 * p, (60.0 + 288.0 + 6.0 * 25.0) * p],
         _ => return None,
@@ -165,7 +166,7 @@ pub(crate) fn need(kernel: &str, work: &ViewWork) -> Option<[f64; 2]> {
 }
 
 impl Ceilings {
-    /// Least seconds for so many bytes and operations.
+    /// Smallest time in seconds for these bytes and operations.
     pub(crate) fn least(&self, [bytes, flops]: [f64; 2]) -> f64 {
         (bytes / self.bytes).max(flops / self.flops)
     }
@@ -204,7 +205,7 @@ mod tests {
         assert!(pair(&gpu, FEWEST_ROWS).is_err());
     }
 
-    /// The terms of a kernel's need that can be told apart.
+    /// Tests the terms of a kernel's work that can be separated.
     #[test]
     fn needs_follow_from_sizes() {
         let none = ViewWork { tile_passes: 1, ..ViewWork::default() };

@@ -1,8 +1,9 @@
-//! The check before an adapter is used: kernels and a whole step of stage 1 on a small scene
-//! beside the processor's, in a moment.
+//! The quick check before an adapter is used: compares kernels and a whole step of stage 1 on a small scene
+//! with those of the processor.
 //!
-//! Drivers have bugs that corrupt numbers without an error; a training of hours is no place to find them.
-//! What is wrong is told with the adapter's name and its driver, since another driver may be the remedy.
+//! Drivers have bugs that corrupt numbers without an error, and these must not be found only after hours of
+//! training. The error contains the name of the adapter and its driver, because another driver may solve
+//! the problem.
 
 use use3d_training::EngineError;
 
@@ -10,13 +11,13 @@ use crate::device::{DeviceError, Found, Gpu, found, listed, take_first};
 use crate::twins::{self, Agreement};
 use crate::variant::Variant;
 
-/// Why an adapter is not to be used.
+/// A reason why an adapter must not be used.
 #[derive(Debug, thiserror::Error)]
 pub enum CheckError {
-    /// It could not be opened, or does not fit.
+    /// It could not be opened, or does not meet the requirements.
     #[error(transparent)]
     Device(#[from] DeviceError),
-    /// It failed on the way.
+    /// It failed during the check.
     #[error(
         "the adapter `{adapter}` ({driver}) failed its check: {error}; update its driver or use another engine"
     )]
@@ -25,10 +26,10 @@ pub enum CheckError {
         adapter: String,
         /// Its driver.
         driver: String,
-        /// What failed.
+        /// The error.
         error: EngineError,
     },
-    /// It computes something else than the processor.
+    /// Its results differ from the processor's.
     #[error(
         "the adapter `{adapter}` ({driver}) computes wrongly: {what} differ from the processor's by {error:.1e}, at most {bar:.0e} is right; update its driver or use another engine"
     )]
@@ -37,20 +38,20 @@ pub enum CheckError {
         adapter: String,
         /// Its driver.
         driver: String,
-        /// Of what.
+        /// The compared quantity.
         what: String,
-        /// How far off it is.
+        /// The difference.
         error: f64,
-        /// The most it may be.
+        /// The largest allowed difference.
         bar: f64,
     },
-    /// Several were tried.
+    /// Several adapters were tried.
     #[error("{}", listed(.0))]
     Several(Vec<CheckError>),
 }
 
 impl CheckError {
-    /// What is wrong, where the adapter's name was told before.
+    /// The error's text without the adapter's name, for use after the name.
     fn reason(&self) -> String {
         match self {
             Self::Failed { error, .. } => error.to_string(),
@@ -62,7 +63,7 @@ impl CheckError {
     }
 }
 
-/// What does not hold, if anything.
+/// Returns an error for the first comparison that fails.
 fn verdict(gpu: &Gpu, found: Result<Vec<Agreement>, EngineError>) -> Result<(), CheckError> {
     let (adapter, driver) = (gpu.adapter().name.clone(), gpu.adapter().driver.clone());
     match found {
@@ -81,9 +82,9 @@ pub fn check(gpu: &Gpu) -> Result<(), CheckError> {
     verdict(gpu, twins::small(gpu))
 }
 
-/// Opens the first adapter that passes its check: of those of the name `name`, else of those whose names contain
-/// it, without a name of all that are no software. One that computes wrongly with operations across threads
-/// is taken without them if it is sound then.
+/// Opens the first adapter that passes its check. Candidates are those with exactly this name, else those
+/// whose name contains it; without a name, all that are not software. An adapter that computes wrongly with
+/// subgroup operations is used without them if it passes then.
 pub fn open_checked(name: Option<&str>) -> Result<Gpu, CheckError> {
     take_first(name, open_sound, CheckError::Several)
 }
@@ -92,8 +93,8 @@ fn open_sound(found: &Found) -> Result<Gpu, CheckError> {
     sound(|| Ok(Gpu::of(found)?), check)
 }
 
-/// A device that passes `test`, with the portable kernels where it must be. It is opened anew for these:
-/// the others may have cost the device.
+/// Opens a device that passes `test`, with the portable kernels if needed. It is opened again for these,
+/// because the test of the others may have lost the device.
 fn sound(
     open: impl Fn() -> Result<Gpu, CheckError>,
     test: impl Fn(&Gpu) -> Result<(), CheckError>,
@@ -109,8 +110,8 @@ fn sound(
     }
 }
 
-/// Every adapter of this machine, the likeliest first, with what the check says of it: how its kernels add up
-/// ([`Gpu::kernels`]), or why it is refused.
+/// Lists every adapter of this machine, the most suitable first, with the result of its check: the variant
+/// of its kernels ([`Gpu::kernels`]), or the reason why it is refused.
 pub fn checked_adapters() -> Vec<(crate::AdapterReport, Result<String, CheckError>)> {
     let said = |found: Found| {
         let said = open_sound(&found).map(|gpu| gpu.kernels());

@@ -1,10 +1,11 @@
-//! Arrays that are wider than one binding holds: so many Gaussians to a buffer, and a dispatch for each.
+//! Arrays that are larger than one binding: each buffer holds a limited number of Gaussians and has its own
+//! dispatch.
 //!
-//! A Gaussian has 192 bytes of colour, four times what it has of anything else. The compositor reads splats
-//! (48 bytes) in any order, so one binding must hold all of them; colours are read and moved only by kernels
-//! that take one Gaussian after another, which go over them chunk by chunk instead. So it is splats that
-//! bound how many Gaussians a device takes, not colours. Where one binding holds everything there is one
-//! chunk, and one dispatch. What a kernel computes of a Gaussian does not depend on the chunk it lies in.
+//! A Gaussian has 192 bytes of colour, four times as much as of any other array. The compositor reads
+//! splats (48 bytes) in any order, so one binding must hold all of them. Colours are read and moved only by
+//! kernels that process one Gaussian after another, which run over them chunk by chunk instead. So the
+//! splats and not the colours limit the number of Gaussians on a device. If one binding holds everything,
+//! there is one chunk and one dispatch. The result of a kernel for a Gaussian does not depend on its chunk.
 
 use use3d_training::EngineError;
 
@@ -12,7 +13,8 @@ use crate::buffer::Array;
 use crate::device::Gpu;
 use crate::kernel::{Access, Binding};
 
-/// How a kernel over a chunk sees it: its first Gaussian, and how many there is room for; the rest is 0.
+/// The description of a chunk for a kernel: its first Gaussian, and the number for which there is room; the
+/// rest is 0.
 pub(crate) const CHUNK: Binding = (Access::Uniform, "chunk", "vec4<u32>");
 
 /// One buffer of a [`Chunked`].
@@ -23,39 +25,40 @@ pub(crate) struct Chunk {
     pub(crate) floats: Array<f32>,
 }
 
-/// A buffer, the first of its Gaussians, and how many of them there are in it.
+/// A buffer, its first Gaussian, and the number of Gaussians in it.
 pub(crate) type Piece<'a> = (&'a wgpu::Buffer, usize, usize);
 
-/// So many floats for each of N Gaussians. Growing loses what it held.
+/// An array with `width` floats for each of N Gaussians. Growing discards its contents.
 #[derive(Debug)]
 pub(crate) struct Chunked {
     what: &'static str,
-    /// Floats of a Gaussian.
+    /// Number of floats per Gaussian.
     width: usize,
-    /// Gaussians of a chunk; the same for every width, so that chunks of several arrays go together.
+    /// Number of Gaussians in a chunk; equal for every width, so that the chunks of several arrays
+    /// correspond.
     most: usize,
     chunks: Vec<Chunk>,
 }
 
 impl Chunked {
-    /// Room for so many Gaussians.
+    /// An array with room for `n` Gaussians.
     pub(crate) fn new(gpu: &Gpu, what: &'static str, width: usize, n: usize) -> Result<Self, EngineError> {
         let mut all = Self { what, width, most: gpu.gaussians_of_chunk(), chunks: Vec::new() };
         all.grow(gpu, n.max(1))?;
         Ok(all)
     }
 
-    /// Another of the same kind, for so many Gaussians.
+    /// Another array of the same kind, for `n` Gaussians.
     pub(crate) fn another(&self, gpu: &Gpu, n: usize) -> Result<Self, EngineError> {
         Self::new(gpu, self.what, self.width, n)
     }
 
-    /// Gives its room back.
+    /// Frees its memory.
     pub(crate) fn let_go(&mut self, gpu: &Gpu) {
         self.chunks.iter_mut().for_each(|chunk| chunk.floats.let_go(gpu));
     }
 
-    /// Makes room.
+    /// Makes room for `n` Gaussians.
     pub(crate) fn grow(&mut self, gpu: &Gpu, n: usize) -> Result<(), EngineError> {
         let Self { what, width, most, chunks } = self;
         for (at, first) in (0..n).step_by(*most).enumerate() {
@@ -72,26 +75,26 @@ impl Chunked {
         Ok(())
     }
 
-    /// The chunks of the first `n` Gaussians, and how many of them lie in each.
+    /// The chunks of the first `n` Gaussians, each with the number of Gaussians in it.
     pub(crate) fn over(&self, n: usize) -> impl Iterator<Item = (&Chunk, usize)> {
         let firsts = (0..n).step_by(self.most);
         self.chunks.iter().zip(firsts).map(move |(chunk, first)| (chunk, self.most.min(n - first)))
     }
 
-    /// The same as plain buffers.
+    /// The chunks of the first `n` Gaussians as plain buffers.
     pub(crate) fn pieces(&self, n: usize) -> Vec<Piece<'_>> {
         let firsts = (0..n).step_by(self.most);
         self.over(n).zip(firsts).map(|((chunk, count), first)| (chunk.floats.raw(), first, count)).collect()
     }
 
-    /// Puts the values of Gaussians from the first on, for which there is room.
+    /// Writes the values of Gaussians, starting at the first; there must be room for them.
     pub(crate) fn write(&self, gpu: &Gpu, values: &[f32]) {
         for (chunk, values) in self.chunks.iter().zip(values.chunks(self.width * self.most)) {
             chunk.floats.write(gpu, 0, values);
         }
     }
 
-    /// The values of the first `n` Gaussians, waited for.
+    /// Waits and reads the values of the first `n` Gaussians.
     pub(crate) fn read(&self, gpu: &Gpu, n: usize) -> Result<Vec<f32>, EngineError> {
         let mut all = Vec::with_capacity(self.width * n);
         for (chunk, count) in self.over(n) {
@@ -100,7 +103,7 @@ impl Chunked {
         Ok(all)
     }
 
-    /// Bytes on the device.
+    /// Number of bytes on the device.
     pub(crate) fn size(&self) -> usize {
         self.chunks.iter().map(|chunk| chunk.floats.size()).sum()
     }
@@ -113,7 +116,7 @@ mod tests {
     #[test]
     fn values_come_back_from_as_many_chunks_as_they_need() {
         let Some(gpu) = crate::testing::software() else { return };
-        // Ten Gaussians to a chunk.
+        // A chunk holds ten Gaussians.
         let gpu = gpu.binding(1920 + 100);
         let mut chunked = Chunked::new(&gpu, "values", 48, 7).unwrap();
         for (n, counts) in

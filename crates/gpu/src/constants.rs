@@ -1,5 +1,5 @@
-//! What every kernel of a step may read: camera, sizes, the step's constants. One
-//! uniform, written before each step.
+//! The values that every kernel of a step may read: camera, sizes, the step's constants. They form one
+//! uniform, which is written before each step.
 
 use bytemuck::{Pod, Zeroable};
 use use3d_capture::{Camera, Lattice};
@@ -10,19 +10,19 @@ use crate::kernel::{Access, Binding};
 /// Pixels along a tile's side.
 pub(crate) const TILE: u32 = 16;
 
-/// The WGSL struct; [`StepConstants`] in its words.
+/// The WGSL struct with the same words as [`StepConstants`].
 pub(crate) const CONSTANTS: &str = include_str!("constants.wgsl");
 
-/// How kernels see it.
+/// The binding by which kernels read it.
 pub(crate) const CONSTANTS_BINDING: Binding = (Access::Uniform, "constants", "StepConstants");
 
-/// A step's constants. Rows of four words; the comments name them.
+/// The constants of a step, in rows of four words; the comments list the words.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub(crate) struct StepConstants {
-    /// Rows of the world-to-camera rotation; fourth word 0.
+    /// The rows of the world-to-camera rotation; the fourth word is 0.
     pub(crate) rotation: [[f32; 4]; 3],
-    /// The camera's centre, and what it lost in rounding: `centre + rest` is the centre to twice the digits.
+    /// The camera's centre, and its rounding error: `centre + rest` is the centre with twice the digits.
     pub(crate) center: [f32; 4],
     /// See `center`.
     pub(crate) center_rest: [f32; 4],
@@ -32,26 +32,26 @@ pub(crate) struct StepConstants {
     pub(crate) limits: [f32; 4],
     /// First and last pixel centre: columns, rows.
     pub(crate) extent: [f32; 4],
-    /// Of the lattice: width, height, tiles across, tiles down.
+    /// Size of the lattice: width, height, tiles across, tiles down.
     pub(crate) size: [u32; 4],
-    /// Gaussians, bands of colour active (1, 4, 9 or 16; 0: colours are given as they are, three numbers
-    /// each), entries there is room for, the step modulo 2^32.
+    /// Number of Gaussians, active colour bands (1, 4, 9 or 16; 0 means given colours, three numbers each),
+    /// number of entries for which there is room, the step modulo 2^32.
     pub(crate) counts: [u32; 4],
-    /// Water (0 or 1), gradients through distances (0 or 1), statistics gathered (0 or
-    /// 1), place of the step's report.
+    /// Water (0 or 1), gradients through distances (0 or 1), statistics gathered (0 or 1), index of the
+    /// step's report.
     pub(crate) flags: [u32; 4],
     /// Adam: β₁, β₂, 1/√(1 − β₂ᵗ), ε.
     pub(crate) adam: [f32; 4],
-    /// Rates over 1 − β₁ᵗ: means, log scales, quaternions, opacity logits.
+    /// Rates divided by 1 − β₁ᵗ: means, log scales, quaternions, opacity logits.
     pub(crate) rates: [f32; 4],
-    /// The same: constant colours, directional colours, 0, 0.
+    /// Rates divided by 1 − β₁ᵗ: constant colours, directional colours, 0, 0.
     pub(crate) color_rates: [f32; 4],
     /// Statistics: half width and half height times the scale, 0, 0.
     pub(crate) screen: [f32; 4],
 }
 
 impl StepConstants {
-    /// The pixels of a lattice, looked at by a camera: geometry of the view and numbers
+    /// The constants for the pixels of a lattice seen by a camera: the geometry of the view and the numbers
     /// of Gaussians; the rest is zero.
     pub(crate) fn on(
         camera: &Camera,
@@ -90,48 +90,48 @@ impl StepConstants {
         }
     }
 
-    /// Tiles of the view.
+    /// Number of tiles of the view.
     pub(crate) fn tiles(&self) -> usize {
         self.size[2] as usize * self.size[3] as usize
     }
 
-    /// Pixels of the view.
+    /// Number of pixels of the view.
     pub(crate) fn pixels(&self) -> usize {
         self.size[0] as usize * self.size[1] as usize
     }
 
-    /// Gaussians.
+    /// Number of Gaussians.
     pub(crate) fn gaussians(&self) -> usize {
         self.counts[0] as usize
     }
 }
 
-/// Words of the counts buffer.
+/// The words of the counts buffer.
 pub(crate) mod counts {
     use crate::kernel::{Access, Binding, Constant, U32S};
 
-    /// The counts as a kernel reads them.
+    /// The counts as a read-only binding.
     pub(crate) const READ: Binding = (Access::Read, "counts", U32S);
-    /// As a kernel of one thread writes them.
+    /// The counts as a binding that a kernel of one thread writes.
     pub(crate) const WRITE: Binding = (Access::Write, "counts", U32S);
-    /// As kernels of many threads write them.
+    /// The counts as a binding that kernels of many threads write.
     pub(crate) const SHARED: Binding = (Access::Write, "counts", "array<atomic<u32>>");
 
-    /// (tile, Gaussian) entries of the view.
+    /// Number of (tile, Gaussian) entries of the view.
     pub(crate) const ENTRIES: usize = 0;
-    /// The largest number of entries that a view needed so far.
+    /// The largest number of entries that a view has needed.
     pub(crate) const MOST: usize = 2;
-    /// The sticky stop: 0 while all is well, else [`OVERFLOW`] or [`NON_FINITE`].
-    /// Updates change nothing from then on.
+    /// The sticky stop: 0 without an error, else [`OVERFLOW`] or [`NON_FINITE`]. Once it is set, updates
+    /// change nothing.
     pub(crate) const STOP: usize = 4;
-    /// The step, modulo 2^32, that set it.
+    /// The step, modulo 2^32, that set the stop.
     pub(crate) const STOP_STEP: usize = 5;
-    /// What was not finite first: bit 0 means, 1 log scales, 2 quaternions, 3 opacity logits, 4
+    /// The first values that were not finite: bit 0 means, 1 log scales, 2 quaternions, 3 opacity logits, 4
     /// colours, 5 water, 6 gains, 7 the loss.
     pub(crate) const BAD: usize = 6;
-    /// Words in all.
+    /// Total number of words.
     pub(crate) const WORDS: usize = 64;
-    /// Their names in WGSL.
+    /// The names of the words in WGSL.
     pub(crate) fn constants() -> Vec<(&'static str, Constant)> {
         let words =
             [("ENTRIES", ENTRIES), ("MOST", MOST), ("STOP", STOP), ("STOP_STEP", STOP_STEP), ("BAD", BAD)];
@@ -140,9 +140,9 @@ pub(crate) mod counts {
         all
     }
 
-    /// More entries than there is room for.
+    /// There are more entries than room for them.
     pub(crate) const OVERFLOW: u32 = 1;
-    /// A value that is not finite.
+    /// A value is not finite.
     pub(crate) const NON_FINITE: u32 = 2;
 }
 
@@ -150,7 +150,7 @@ pub(crate) mod counts {
 mod tests {
     use super::*;
 
-    /// The two descriptions of the constants agree, word for word.
+    /// Tests that the two descriptions of the constants agree, word for word.
     #[test]
     fn the_kernels_see_the_constants_as_it_is_written() {
         let module = wgpu::naga::front::wgsl::parse_str(CONSTANTS).unwrap();

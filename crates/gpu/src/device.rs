@@ -1,8 +1,8 @@
-//! Which adapters there are, which one is taken, and a device of it.
+//! The adapters of this machine, the choice of one, and its device.
 //!
-//! The driver's loader is opened at run time, so the program builds and starts on machines without any.
-//! Processors that pretend to be graphics cards (software adapters) are slower than the engine for processors
-//! and are taken only when they are asked for by name.
+//! The driver's loader is opened at run time, so the program can be built and started on machines without
+//! any. Processors that act as graphics cards (software adapters) are slower than the engine for
+//! processors. They are used only if they are requested by name.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -16,22 +16,22 @@ use crate::variant::Variant;
 /// The engine's name in messages.
 pub(crate) const NAME: &str = "gpu";
 
-/// What every adapter must offer at least.
+/// The smallest limits that every adapter must offer.
 const STORAGE_BUFFERS: u32 = 16;
 const WORKGROUP_BYTES: u32 = 20 * 1024;
 const BINDING_BYTES: u64 = 128 << 20;
 
-/// Bytes that wgpu takes of a device at once when it is opened, at most: a block of its allocator for buffers
-/// and one for what passes through main memory.
+/// Largest number of bytes that wgpu allocates on a device when it is opened: a block of its allocator for
+/// buffers and one for data that passes through main memory.
 const OPENING: u64 = 192 << 20;
 
-/// Why there is no device.
+/// A reason why there is no device.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum DeviceError {
-    /// Nothing to choose from.
+    /// There is no adapter.
     #[error("{NOTHING}")]
     None,
-    /// Only software adapters, and none was named.
+    /// There are only software adapters, and none was named.
     #[error(
         "no graphics card was found, only software adapters: {}; name one to use it all the same (`--engine gpu:{}`), or use the processor (`--engine cpu`)", .found.join(", "), first_word(.found)
     )]
@@ -42,49 +42,49 @@ pub enum DeviceError {
     /// No adapter has such a name.
     #[error("no adapter's name has `{name}` in it{}", others(.found))]
     Named {
-        /// What was asked for.
+        /// The requested name.
         name: String,
         /// The adapters' names.
         found: Vec<String>,
     },
-    /// An adapter that cannot run the kernels.
+    /// An adapter cannot run the kernels.
     #[error(
         "the adapter `{adapter}` has {found} {what}, {needed} are needed; update its driver or use another engine"
     )]
     Limit {
         /// Its name.
         adapter: String,
-        /// Of what it has too little.
+        /// The limit that is too small.
         what: &'static str,
-        /// How much it has.
+        /// The adapter's value.
         found: u64,
-        /// How much is needed.
+        /// The required value.
         needed: u64,
     },
-    /// The driver did not open it.
+    /// The driver could not open the adapter.
     #[error(
         "the adapter `{adapter}` could not be opened: {reason}; free some of its memory if that is short (opening takes up to {} MiB of it), update its driver, or use another engine", OPENING >> 20
     )]
     Open {
         /// Its name.
         adapter: String,
-        /// What the driver said.
+        /// The driver's message.
         reason: String,
     },
-    /// Several were tried.
+    /// Several adapters were tried.
     #[error("{}", listed(.0))]
     Several(Vec<DeviceError>),
 }
 
-/// What is said where no adapter answers.
+/// The message if there is no adapter.
 const NOTHING: &str = "no graphics card was found: neither Vulkan's loader (`libvulkan.so.1`, package `libvulkan1`) nor another driver answered; install the card's driver, or use the processor (`--engine cpu`)";
 
-/// The adapters that there are instead of one that was named.
+/// The part of a message that lists the adapters that exist.
 fn others(found: &[String]) -> String {
     if found.is_empty() { format!(": {NOTHING}") } else { format!("; there are: {}", found.join(", ")) }
 }
 
-/// Why each of several adapters is not to be used.
+/// A message with the reason why each of several adapters cannot be used.
 pub(crate) fn listed(refusals: &[impl std::fmt::Display]) -> String {
     let each = refusals.iter().zip(1..).map(|(refusal, at)| format!("({at}) {refusal}"));
     let each: Vec<String> = each.collect();
@@ -95,28 +95,28 @@ fn first_word(names: &[String]) -> &str {
     names.first().and_then(|name| name.split_whitespace().next()).unwrap_or("NAME")
 }
 
-/// An adapter as a person is told of it.
+/// The description of an adapter for the user.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct AdapterReport {
     /// Its name.
     pub name: String,
     /// `discrete`, `integrated`, `virtual`, `software` or `other`.
     pub kind: &'static str,
-    /// The interface it is reached through, such as `vulkan`.
+    /// The interface through which it is used, such as `vulkan`.
     pub backend: String,
     /// Name and version of its driver.
     pub driver: String,
-    /// Largest buffer that a kernel can see, bytes.
+    /// Largest buffer that a kernel can bind, bytes.
     pub binding: u64,
     /// Largest buffer, bytes.
     pub buffer: u64,
     /// Memory that the threads of a workgroup share, bytes.
     pub workgroup: u32,
-    /// Buffers that a kernel can see.
+    /// Number of buffers that a kernel can bind.
     pub buffers: u32,
-    /// Least and most threads that run in step.
+    /// Smallest and largest number of threads in a subgroup.
     pub subgroup: [u32; 2],
-    /// Why it cannot be used, if it cannot.
+    /// The reason why it cannot be used; `None` if it can.
     pub refusal: Option<DeviceError>,
 }
 
@@ -146,7 +146,7 @@ impl AdapterReport {
         report
     }
 
-    /// Whether it is a processor.
+    /// True if it is a software adapter, which runs on the processor.
     pub fn is_software(&self) -> bool {
         self.kind == "software"
     }
@@ -164,7 +164,7 @@ impl AdapterReport {
         Ok(())
     }
 
-    /// Cards before chips, chips before what a machine of others lends, software last.
+    /// The adapter's position in the order: discrete, integrated, virtual, other, and software last.
     fn rank(&self) -> usize {
         ["discrete", "integrated", "virtual", "other", "software"]
             .iter()
@@ -186,13 +186,14 @@ fn enumerate() -> Vec<(AdapterReport, wgpu::Adapter)> {
     all
 }
 
-/// All adapters of this machine, the likeliest first.
+/// All adapters of this machine, the most suitable first.
 pub fn adapters() -> Vec<AdapterReport> {
     enumerate().into_iter().map(|(report, _)| report).collect()
 }
 
-/// Which of some adapters are meant, in the order in which they are tried: those of exactly this name in any
-/// case, else those with the name in theirs; without a name all that are no software.
+/// The indices of the adapters that a name refers to, in the order in which they are tried: those with
+/// exactly this name in any case, else those whose name contains it; without a name, all that are not
+/// software.
 fn order(reports: &[AdapterReport], name: Option<&str>) -> Result<Vec<usize>, DeviceError> {
     let found = || reports.iter().map(|report| report.name.clone()).collect::<Vec<_>>();
     let all = |fits: &dyn Fn(&AdapterReport) -> bool| {
@@ -207,7 +208,7 @@ fn order(reports: &[AdapterReport], name: Option<&str>) -> Result<Vec<usize>, De
         };
     };
     let wanted = name.to_lowercase();
-    // Else a card whose name begins another's could never be reached.
+    // Otherwise a card whose name is the beginning of another's could never be chosen.
     let exact = all(&|report| report.name.to_lowercase() == wanted);
     let fitting = if exact.is_empty() { all(&|r| r.name.to_lowercase().contains(&wanted)) } else { exact };
     if fitting.is_empty() {
@@ -216,7 +217,7 @@ fn order(reports: &[AdapterReport], name: Option<&str>) -> Result<Vec<usize>, De
     Ok(fitting)
 }
 
-/// The first that can be had, and why those before it cannot; every refusal where none can.
+/// Returns the first that can be opened, and the errors of those before it; all errors if none can.
 fn first<T, E>(
     order: Vec<usize>,
     mut take: impl FnMut(usize) -> Result<T, E>,
@@ -231,20 +232,20 @@ fn first<T, E>(
     Err(refusals)
 }
 
-/// An adapter that may be opened, as often as it takes.
+/// An adapter that may be opened any number of times.
 #[derive(Debug)]
 pub(crate) struct Found {
     pub(crate) report: AdapterReport,
     adapter: wgpu::Adapter,
 }
 
-/// All adapters of this machine, the likeliest first.
+/// All adapters of this machine, the most suitable first.
 pub(crate) fn found() -> Vec<Found> {
     enumerate().into_iter().map(|(report, adapter)| Found { report, adapter }).collect()
 }
 
-/// The first of the adapters that are meant by `name` that `take` takes, with what it said of those
-/// before; what `several` makes of the refusals where there is none.
+/// Returns the first of the adapters with this `name` for which `take` succeeds, together with the errors
+/// of those before it. If none succeeds, returns the single error, or `several` of all errors.
 pub(crate) fn take_first<E: From<DeviceError> + std::fmt::Display>(
     name: Option<&str>,
     take: impl Fn(&Found) -> Result<Gpu, E>,
@@ -259,7 +260,7 @@ pub(crate) fn take_first<E: From<DeviceError> + std::fmt::Display>(
     }
 }
 
-/// What went wrong on the device since it was last asked.
+/// Errors of the device since the last check.
 #[derive(Debug, Default)]
 struct Trouble {
     lost: Option<String>,
@@ -274,25 +275,25 @@ pub struct Gpu {
     pub(crate) queue: wgpu::Queue,
     report: AdapterReport,
     trouble: Arc<Mutex<Trouble>>,
-    /// Counts what was let go, so that nothing keeps bindings to it.
+    /// Counts freed buffers, so that no bindings to them are kept.
     generation: Arc<AtomicU64>,
-    /// Times every dispatch, where that was asked for.
+    /// Times every dispatch or pass, if requested.
     clock: Option<Arc<Clock>>,
-    /// Counts what was submitted.
+    /// Counts the submits.
     submits: Arc<AtomicU64>,
-    /// How kernels made for it add up.
+    /// The variant of the kernels made for it.
     variant: Variant,
-    /// Why it has portable kernels, where it could have others.
+    /// The reason why it has portable kernels although it supports others.
     fallback: Option<Arc<str>>,
-    /// Why adapters before it were not taken.
+    /// The reasons why adapters before it were not used.
     passed_over: Arc<[String]>,
-    /// Bytes of buffers that are there now.
+    /// Number of bytes of the existing buffers.
     held: Arc<AtomicU64>,
-    /// The most that there were.
+    /// The largest number of bytes of buffers so far.
     peak: Arc<AtomicU64>,
 }
 
-/// Bytes of a buffer, counted as long as it is there.
+/// The bytes of a buffer, counted as long as it exists.
 #[derive(Debug)]
 pub(crate) struct Held {
     all: Arc<AtomicU64>,
@@ -300,7 +301,7 @@ pub(crate) struct Held {
 }
 
 impl Held {
-    /// The buffer is gone.
+    /// Stops counting the buffer, after it was freed.
     pub(crate) fn let_go(&mut self) {
         self.all.fetch_sub(std::mem::take(&mut self.bytes), Ordering::Relaxed);
     }
@@ -317,8 +318,8 @@ fn lock(trouble: &Mutex<Trouble>) -> MutexGuard<'_, Trouble> {
 }
 
 impl Gpu {
-    /// Opens the first adapter that can be opened: of those of the name `name` in any case, else of those whose
-    /// names contain it; without a name of all that are no software.
+    /// Opens the first adapter that can be opened. Candidates are those with exactly this name in any case,
+    /// else those whose name contains it; without a name, all that are not software.
     pub fn open(name: Option<&str>) -> Result<Self, DeviceError> {
         take_first(name, Self::of, DeviceError::Several)
     }
@@ -352,7 +353,7 @@ impl Gpu {
         device.set_device_lost_callback(move |reason, message| {
             lock(&told).lost.get_or_insert(format!("{reason:?}: {message}"));
         });
-        // Without a handler of ours an error would end the process.
+        // Without this handler an error would end the process.
         let told = trouble.clone();
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
             let mut told = lock(&told);
@@ -376,7 +377,7 @@ impl Gpu {
             held: Arc::default(),
             peak: Arc::default(),
         };
-        // Software takes the portable one, whose bits no vector width changes.
+        // Software adapters use the portable variant, whose bits do not depend on the vector width.
         if !gpu.report.is_software()
             && let Some(variant) = gpu.subgroups()
         {
@@ -385,12 +386,12 @@ impl Gpu {
         Ok(gpu)
     }
 
-    /// How kernels made for this device add up.
+    /// The variant of the kernels made for this device.
     pub fn variant(&self) -> Variant {
         self.variant
     }
 
-    /// The same with portable kernels, since those of its variant do not serve.
+    /// The same device with portable kernels, because those of its variant failed.
     #[must_use]
     pub(crate) fn fallen_back(self, why: &str) -> Self {
         let mut gpu = self.with(Variant::Portable);
@@ -403,13 +404,13 @@ impl Gpu {
         self
     }
 
-    /// Why adapters that would have been taken before it were not.
+    /// The reasons why adapters that were tried before it were not used.
     pub fn refused_before(&self) -> &[String] {
         &self.passed_over
     }
 
-    /// How its kernels add up as a person is told: where they are the portable ones although it has operations
-    /// across threads, with the reason.
+    /// The variant of its kernels for the user; with the reason if they are portable although it supports
+    /// subgroup operations.
     pub fn kernels(&self) -> String {
         match &self.fallback {
             Some(why) => format!("{} (with subgroups: {why})", self.variant),
@@ -417,7 +418,7 @@ impl Gpu {
         }
     }
 
-    /// The variants that this device can do, the portable one first.
+    /// The variants that this device supports, the portable one first.
     pub fn variants(&self) -> Vec<Variant> {
         [Variant::Portable].into_iter().chain(self.subgroups()).collect()
     }
@@ -427,12 +428,12 @@ impl Gpu {
         Variant::of_subgroups(has, self.report.subgroup)
     }
 
-    /// The same with every number of pixels to a thread: what is measured on a card before one is taken.
+    /// The supported variants with every number of pixels per thread, for measurements on a card.
     pub fn trials(&self) -> Vec<Variant> {
         self.variants().into_iter().flat_map(Variant::each).collect()
     }
 
-    /// The same device for kernels of another variant; the portable one where it cannot do this one.
+    /// The same device for kernels of another variant; the portable one if it does not support this one.
     #[must_use]
     pub fn with(mut self, variant: Variant) -> Self {
         self.variant = if self.trials().contains(&variant) { variant } else { Variant::Portable };
@@ -444,12 +445,12 @@ impl Gpu {
         &self.report
     }
 
-    /// The same device with every dispatch of kernels made for it timed, where the device can.
+    /// The same device, which times every dispatch of kernels made for it if it can.
     pub(crate) fn timed(self) -> Self {
         self.with_clock(Timed::Dispatches)
     }
 
-    /// The same device with every step's pass timed as a whole, where the device can.
+    /// The same device, which times every step's pass as a whole if it can.
     pub(crate) fn timed_steps(self) -> Self {
         self.with_clock(Timed::Passes)
     }
@@ -465,10 +466,10 @@ impl Gpu {
         self.clock.as_deref()
     }
 
-    /// Whether nothing went wrong since the last call.
+    /// Returns an error if the device reported one since the last call.
     pub(crate) fn check(&self) -> Result<(), EngineError> {
         if lock(&self.trouble).other.is_some() {
-            // A lost device refuses everything, and says that it is lost when it is waited for.
+            // A lost device refuses everything, and reports the loss only in a wait.
             let _ = self.device.poll(wgpu::PollType::wait_indefinitely());
         }
         let mut trouble = lock(&self.trouble);
@@ -484,18 +485,18 @@ impl Gpu {
         }
     }
 
-    /// Hands over what was recorded.
+    /// Submits the recorded commands.
     pub(crate) fn submit(&self, encoder: wgpu::CommandEncoder) {
         self.submits.fetch_add(1, Ordering::Relaxed);
         self.queue.submit([encoder.finish()]);
     }
 
-    /// How often something was submitted.
+    /// The number of submits.
     pub(crate) fn submits(&self) -> u64 {
         self.submits.load(Ordering::Relaxed)
     }
 
-    /// Waits until everything that was submitted is done.
+    /// Waits until all submitted work is done.
     pub(crate) fn wait(&self) -> Result<(), EngineError> {
         let polled = self.device.poll(wgpu::PollType::wait_indefinitely());
         self.check()?;
@@ -509,33 +510,33 @@ impl Gpu {
         Held { all: self.held.clone(), bytes }
     }
 
-    /// Bytes of all buffers.
+    /// Number of bytes of all buffers.
     pub(crate) fn held(&self) -> u64 {
         self.held.load(Ordering::Relaxed)
     }
 
-    /// The most bytes that all buffers had since this was asked last.
+    /// The largest number of bytes of all buffers since the last call.
     #[cfg(test)]
     pub(crate) fn peak(&self) -> u64 {
         self.peak.swap(self.held(), Ordering::Relaxed)
     }
 
-    /// Bytes of the longest buffer that a kernel can see.
+    /// Size in bytes of the largest buffer that a kernel can bind.
     pub(crate) fn longest(&self) -> u64 {
         self.report.binding.min(self.report.buffer)
     }
 
-    /// Most Gaussians whose splats one binding holds.
+    /// Largest number of Gaussians whose splats fit into one binding.
     pub fn most_gaussians(&self) -> usize {
         (self.longest() / (SPLAT * size_of::<Row>()) as u64) as usize
     }
 
-    /// Gaussians whose colours one binding holds: see [`crate::chunks`].
+    /// Number of Gaussians whose colours fit into one binding: see [`crate::chunks`].
     pub(crate) fn gaussians_of_chunk(&self) -> usize {
         ((self.longest() / (4 * COLORS as u64)) as usize).max(1)
     }
 
-    /// Refuses a buffer that no kernel could see whole, or that the device cannot hold.
+    /// Returns an error for a buffer that is too large for a binding or for the device.
     pub(crate) fn fits(&self, what: &str, bytes: u64) -> Result<(), EngineError> {
         let most = self.longest();
         if bytes <= most {
@@ -546,7 +547,7 @@ impl Gpu {
         Err(EngineError::OutOfMemory { engine: NAME, what })
     }
 
-    /// Bindings made before this call may be to buffers that are gone.
+    /// Marks older bindings as invalid, because they may refer to buffers that were freed.
     pub(crate) fn forget_bindings(&self) {
         self.generation.fetch_add(1, Ordering::Relaxed);
     }
@@ -555,20 +556,20 @@ impl Gpu {
         self.generation.load(Ordering::Relaxed)
     }
 
-    /// The same device as if it bound no more than so many bytes.
+    /// The same device with a smaller limit on the bytes of a binding.
     #[cfg(test)]
     pub(crate) fn binding(mut self, bytes: u64) -> Self {
         self.report.binding = bytes;
         self
     }
 
-    /// As if the driver had had no memory for what it was asked last.
+    /// Simulates that the driver had no memory for the last request.
     #[cfg(test)]
     pub(crate) fn run_out_of_memory(&self) {
         lock(&self.trouble).memory = Some("out of memory".into());
     }
 
-    /// As if the driver had given up.
+    /// Simulates that the driver lost the device.
     #[cfg(test)]
     pub(crate) fn lose(&self) {
         self.device.destroy();

@@ -1,8 +1,8 @@
-//! Pictures of a scene: the kernels of stage 1 without training.
+//! Draws pictures of a scene: the kernels of stage 1 without training.
 //!
-//! A [`Drawing`] holds a scene's Gaussians on the device. Colours are the scene's harmonics, or one of the
-//! caller's per Gaussian and view; the water comes as maps, as the processor's compositor takes it. What is
-//! drawn is what `use3d_splat::Rasterizer` draws.
+//! A [`Drawing`] holds a scene's Gaussians on the device. Colours are the scene's harmonics, or given by
+//! the caller per Gaussian and view. The water is given as maps, as for the processor's compositor. The
+//! picture equals that of `use3d_splat::Rasterizer`.
 
 use use3d_capture::{Camera, Formation, Image, Lattice, Map, MediumMaps};
 use use3d_splat::{Gaussians, Layers, Rendered};
@@ -22,13 +22,13 @@ use crate::scene::Parameters;
 pub struct DrawnView<'a> {
     /// The camera, in the Gaussians' frame.
     pub camera: &'a Camera,
-    /// Which of its pixels.
+    /// The pixels of it to draw.
     pub lattice: &'a Lattice,
-    /// One colour per Gaussian, used as it is; `None`: their own harmonics.
+    /// One colour per Gaussian, used unchanged; `None` for their own harmonics.
     pub colors: Option<&'a [[f32; 3]]>,
-    /// The water on the lattice; `None`: there is none.
+    /// The water on the lattice; `None` if there is none.
     pub medium: Option<&'a MediumMaps>,
-    /// Whether the image's parts are wanted.
+    /// True if the image's parts are requested.
     pub layers: bool,
 }
 
@@ -41,7 +41,7 @@ pub struct Drawing {
     parameters: Parameters,
     count: usize,
     sh_degree: usize,
-    /// Colours of a view that come from the caller.
+    /// Colours of a view that the caller gives.
     given: Chunked,
     lists: Lists,
     planes: Planes,
@@ -52,10 +52,10 @@ pub struct Drawing {
 }
 
 impl Drawing {
-    /// Takes the Gaussians to a device.
+    /// Copies the Gaussians to a device.
     ///
     /// # Errors
-    /// More of them than it holds, and what its driver says.
+    /// There are more of them than it can hold, or the driver failed.
     pub fn new(gpu: &Gpu, gaussians: &Gaussians) -> Result<Self, EngineError> {
         let plane = |what| Array::new(gpu, what, 1);
         Ok(Self {
@@ -74,10 +74,10 @@ impl Drawing {
         })
     }
 
-    /// Draws a view into `out`, whose former contents count for nothing.
+    /// Draws a view into `out`, whose former contents do not matter.
     ///
     /// # Errors
-    /// Colours or maps of another number than Gaussians or pixels, and what the driver says.
+    /// The number of colours or of the maps' pixels is wrong, or the driver failed.
     pub fn draw(&mut self, view: &DrawnView<'_>, out: &mut Rendered) -> Result<(), EngineError> {
         let pixels = view.lattice.width() * view.lattice.height();
         let refused = |what: String| Err(EngineError::Request { engine: NAME, what });
@@ -110,7 +110,7 @@ impl Drawing {
         self.read(view, out)
     }
 
-    /// The water as the kernels read it: `e = 2^(−k z)`.
+    /// Writes the water in the form that the kernels read: `e = 2^(−k z)`.
     fn write_water(
         &mut self,
         camera: &Camera,
@@ -132,7 +132,7 @@ impl Drawing {
         Ok(())
     }
 
-    /// Draws into the planes, with as much room as it takes.
+    /// Draws into the planes, and makes more room for entries if needed.
     fn compose(&mut self, view: &DrawnView<'_>) -> Result<(), EngineError> {
         let gpu = &self.gpu;
         self.planes.grow(gpu, view.lattice.width() * view.lattice.height())?;
@@ -167,7 +167,7 @@ impl Drawing {
         }
     }
 
-    /// Takes what was drawn to main memory.
+    /// Copies the result to main memory.
     fn read(&self, view: &DrawnView<'_>, out: &mut Rendered) -> Result<(), EngineError> {
         let (width, height) = (view.lattice.width(), view.lattice.height());
         let n = width * height;
@@ -193,7 +193,7 @@ impl Drawing {
         out.accumulation = map(accumulation);
         out.layers = view.layers.then(|| {
             let (object, far) = (picture(object), picture(far));
-            // `image = object + medium + far`; none where there is no water.
+            // `image = object + medium + far`; zero if there is no water.
             let mut medium = Image::new(width, height);
             if view.medium.is_some() {
                 let parts = object.data().iter().zip(far.data());
@@ -209,7 +209,7 @@ impl Drawing {
     }
 }
 
-/// Lengths of the rays at z = 1 through a lattice's pixels.
+/// The lengths of the rays at z = 1 through a lattice's pixels.
 fn ray_lengths(camera: &Camera, lattice: &Lattice) -> Vec<f32> {
     let lens = &camera.intrinsics;
     let squared = |at: &f32, centre: f64, focal: f64| {
@@ -229,7 +229,7 @@ mod tests {
     use crate::testing::{camera, cloud, software, water};
     use crate::twins::compare_pictures;
 
-    /// Every array of both drawings.
+    /// Compares every array of both drawings.
     fn agree(what: &str, found: &Rendered, expected: &Rendered) {
         assert_eq!(found.layers.is_some(), expected.layers.is_some(), "{what}");
         for agreement in compare_pictures(found, expected) {
@@ -237,7 +237,7 @@ mod tests {
         }
     }
 
-    /// More Gaussians than one binding holds the colours of: with their own colours and with given ones.
+    /// More Gaussians than one binding can hold the colours of, with their own colours and with given ones.
     #[test]
     fn gaussians_in_several_chunks_are_drawn_as_in_one() {
         let Some(gpu) = software() else { return };
@@ -254,7 +254,7 @@ mod tests {
                 (out.image.data().to_vec(), out.depth.data().to_vec())
             })
         };
-        // 1,365 to a chunk.
+        // 1,365 Gaussians per chunk.
         let tight = gpu.clone().binding(262_144);
         assert_eq!(tight.gaussians_of_chunk(), 1365);
         let (one, several) = (draw(&gpu), draw(&tight));

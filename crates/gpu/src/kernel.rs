@@ -1,17 +1,17 @@
-//! Kernels: WGSL put together from a header, shared snippets and a body; bound and dispatched.
+//! Kernels: WGSL composed of a header, shared parts and a body; their bindings and dispatches.
 //!
-//! A [`Spec`] is plain data: which buffers a kernel sees and how, the constants that stand above it, its
-//! text. The declarations of its bindings are written from the same list as its bind group layout, so the two
-//! cannot disagree. Specs are checked without a device (the test below walks through all of them), a
-//! [`Kernel`] is a spec compiled for one.
+//! A [`Spec`] is plain data: the buffers that a kernel binds and their access, its constants, and its text.
+//! The declarations of its bindings are written from the same list as its bind group layout, so the two
+//! always agree. Specs are checked without a device (the test below runs through all of them); a [`Kernel`]
+//! is a spec compiled for a device.
 //!
-//! Every kernel has one bind group, bindings in the order of its list, and one entry
-//! point `main`. The header offers it
+//! Every kernel has one bind group, with bindings in the order of its list, and one entry point `main`. The
+//! header defines
 //!
 //! ```text
 //! WG                          threads of a workgroup
 //! group_of(wid, nwg) -> u32   number of the workgroup in a grid that may have two dimensions ([`Grid`])
-//! is_bad(x) -> bool           whether a float is infinite or no number, by its bits: WGSL does not promise `x != x`
+//! is_bad(x) -> bool           true if a float is infinite or NaN, by its bits: WGSL may lose `x != x`
 //! ```
 
 use std::fmt::Write as _;
@@ -21,10 +21,10 @@ use use3d_training::EngineError;
 
 use crate::device::Gpu;
 
-/// Most workgroups in one dimension of a grid.
+/// Largest number of workgroups in one dimension of a grid.
 const SIDE: u64 = 65_535;
 
-/// How a kernel sees a buffer.
+/// The access of a kernel to a buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Access {
     /// A small constant.
@@ -35,47 +35,47 @@ pub(crate) enum Access {
     Write,
 }
 
-/// A buffer that a kernel sees: how, its name, and its type in WGSL.
+/// A buffer that a kernel binds: its access, its name, and its type in WGSL.
 pub(crate) type Binding = (Access, &'static str, &'static str);
 
-/// A type that many bindings have.
+/// An array of floats, the type of many bindings.
 pub(crate) const F32S: &str = "array<f32>";
-/// See [`F32S`].
+/// An array of unsigned integers.
 pub(crate) const U32S: &str = "array<u32>";
-/// Rows of four: see [`F32S`].
+/// An array of rows of four floats.
 pub(crate) const ROWS: &str = "array<vec4<f32>>";
 
-/// Floats that a kernel reads.
+/// A binding of floats that a kernel reads.
 pub(crate) const fn read(name: &'static str) -> Binding {
     (Access::Read, name, F32S)
 }
 
-/// Floats that a kernel writes.
+/// A binding of floats that a kernel writes.
 pub(crate) const fn write(name: &'static str) -> Binding {
     (Access::Write, name, F32S)
 }
 
-/// A constant above a kernel.
+/// The value of a constant in a kernel's text.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Constant {
-    /// A whole number.
+    /// An unsigned integer.
     Count(u32),
-    /// A switch.
+    /// A boolean switch.
     Switch(bool),
 }
 
-/// What a kernel is made of.
+/// The description of a kernel.
 #[derive(Clone, Debug)]
 pub(crate) struct Spec {
     /// Its name in messages and profiles.
     pub(crate) name: &'static str,
     /// Threads of a workgroup.
     pub(crate) threads: u32,
-    /// What it sees, in the order in which it is bound.
+    /// Its buffers, in the order of the bindings.
     pub(crate) bindings: Vec<Binding>,
     /// Constants of this variant.
     pub(crate) constants: Vec<(&'static str, Constant)>,
-    /// Shared text, then its own.
+    /// The shared parts of its text, then its own.
     pub(crate) parts: Vec<&'static str>,
 }
 
@@ -112,10 +112,10 @@ fn group_of(wid: vec3<u32>, nwg: vec3<u32>) -> u32 { return wid.y * nwg.x + wid.
 fn is_bad(x: f32) -> bool { return (bitcast<u32>(x) & 0x7f800000u) == 0x7f800000u; }
 ";
 
-/// `sum_of_group(value, lane)`: a sum over the workgroup in a fixed order.
+/// The text of `sum_of_group(value, lane)`: a sum over the workgroup in a fixed order.
 pub(crate) const SUM: &str = include_str!("sum.wgsl");
 
-/// Workgroups of a dispatch.
+/// The workgroups of a dispatch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Grid {
     x: u32,
@@ -123,8 +123,8 @@ pub(crate) struct Grid {
 }
 
 impl Grid {
-    /// At least so many workgroups: rows of 65,535 where there are more, so that a kernel has
-    /// to leave those past its end out.
+    /// A grid of at least `count` workgroups: in rows of 65,535 if there are more, so that a kernel must
+    /// ignore those beyond its end.
     pub(crate) fn groups(count: usize) -> Self {
         let count = count as u64;
         if count <= SIDE {
@@ -133,20 +133,20 @@ impl Grid {
         Self { x: SIDE as u32, y: count.div_ceil(SIDE).min(SIDE) as u32 }
     }
 
-    /// So many items, `threads` to a workgroup.
+    /// A grid for `count` items, `threads` per workgroup.
     pub(crate) fn items(count: usize, threads: u32) -> Self {
         Self::groups(count.div_ceil(threads as usize))
     }
 }
 
-/// Bind groups of a kernel, by what is bound, and the generation of buffers they are of.
+/// The bind groups of a kernel by their buffers, and the generation of these buffers.
 #[derive(Debug, Default)]
 struct Bindings {
     generation: u64,
     groups: Vec<(Vec<wgpu::Buffer>, wgpu::BindGroup)>,
 }
 
-/// Most bind groups that a kernel keeps.
+/// Largest number of bind groups that a kernel keeps.
 const KEPT: usize = 64;
 
 /// A kernel on a device.
@@ -199,7 +199,7 @@ impl Kernel {
             layout: Some(&pipeline_layout),
             module: &module,
             entry_point: Some("main"),
-            // Kernels write what they read; clearing costs a barrier per workgroup.
+            // Kernels write before they read, and clearing would cost a barrier per workgroup.
             compilation_options: wgpu::PipelineCompilationOptions {
                 constants: &[],
                 zero_initialize_workgroup_memory: false,
@@ -217,12 +217,13 @@ impl Kernel {
         })
     }
 
-    /// A grid of so many items.
+    /// A grid for this number of items.
     pub(crate) fn grid(&self, items: usize) -> Grid {
         Grid::items(items, self.threads)
     }
 
-    /// Records a dispatch. The buffers stand in the order of the spec's bindings; an empty grid is nothing.
+    /// Records a dispatch. The buffers are in the order of the spec's bindings; an empty grid records
+    /// nothing.
     pub(crate) fn dispatch(&self, pass: &mut wgpu::ComputePass<'_>, grid: Grid, buffers: Vec<wgpu::Buffer>) {
         if grid.x == 0 || grid.y == 0 {
             return;
@@ -291,7 +292,7 @@ pub(crate) mod tests {
 
     use super::*;
 
-    /// Parses and validates a kernel as the device's driver would be given it, without a device.
+    /// Parses and validates a kernel's text as the driver receives it, without a device.
     pub(crate) fn validate(spec: &Spec) {
         let source = spec.source();
         let module = naga::front::wgsl::parse_str(&source)
@@ -301,7 +302,7 @@ pub(crate) mod tests {
         if let Err(e) = validator.validate(&module) {
             panic!("{}: {}", spec.name, e.emit_to_string(&source));
         }
-        // What a device without these operations is given has none of them.
+        // The text for a device without subgroup operations must contain none of them.
         let in_step = spec.constants.iter().any(|(name, _)| *name == "WIDTH");
         assert_eq!(source.contains("subgroup"), in_step, "{}", spec.name);
         let entry = module.entry_points.iter().find(|e| e.name == "main");

@@ -1,50 +1,56 @@
 //! The engines of training on graphics cards, of any vendor, found at run time.
 //!
-//! [`adapters`] lists what this machine has and [`Gpu::open`] takes one. A step is a row of kernels,
-//! written by hand in WGSL and recorded into one pass; nothing is read back while steps run, so that the
-//! card never waits for the processor.
+//! [`adapters`] lists the adapters of this machine and [`Gpu::open`] opens one. A step is a series of
+//! kernels, written by hand in WGSL and recorded into one pass. Nothing is read back while steps run, so
+//! that the card never waits for the processor.
 //!
-//! # What lies where
+//! # Buffers
 //!
-//! N Gaussians, E (tile, Gaussian) entries, P pixels of the view, T tiles of 16×16
-//! pixels. Every buffer is a flat array.
+//! There are N Gaussians, E (tile, Gaussian) entries, P pixels of the view, and T tiles of 16×16 pixels.
+//! Every buffer is a flat array.
 //!
-//! | buffer | items | what |
+//! | buffer | items | contents |
 //! |---|---|---|
 //! | geometry | N × 3 `vec4<f32>` | mean and opacity logit; log scales and 0; quaternion `w, x, y, z` |
-//! | colours | N × 48 `f32` | 16 bands × rgb one after another; in as many buffers as their bindings take |
-//! | first and second moments | as these two | Adam's |
-//! | statistics | N `vec2<u32>` | bits of the summed norm, renders |
-//! | splats | N × 3 `vec4<f32>` | `x, y, shear, steepness`; `steepness_y, log2_opacity, z, reach_y`; colour, and 1 where visible |
+//! | colours | N × 48 `f32` | 16 bands × rgb in sequence; in as many buffers as their bindings need |
+//! | first and second moments | as these two | Adam's moments |
+//! | statistics | N `vec2<u32>` | bits of the summed norm, number of renders |
+//! | splats | N × 3 `vec4<f32>` | three rows per Gaussian, see below |
 //! | runs | N `vec2<u32>` | first entry and number of entries of a Gaussian |
 //! | entries | E `u32` | the Gaussian of an entry; entries of a Gaussian lie together, by tile |
-//! | lists | E `u32` | entries by tile, by depth within |
-//! | starts | T + 1 `u32` | where a tile's list begins |
-//! | records | E × 3 `vec4<f32>` | gradient of an entry: ΣG, ΣGt, ΣGdy, ΣGt²; ΣGt·dy, ΣGdy², ∂z/ln 2, ∂r; ∂g, ∂b, Σ\|Gt\|, Σ\|Gv_y\| |
-//! | colour planes | 3 P `f32` | `c·P + y·W + x`: image, its gradient, `Σ w e_b`, `Σ w z c e_a`, `Σ w z e_b`, the water's `c_m`, `k_a`, `k_b` |
-//! | planes | P `f32` or `u32` | depth, accumulation, final transmittance, the entry of its list at which a pixel stopped |
+//! | lists | E `u32` | entries by tile, and by depth within a tile |
+//! | starts | T + 1 `u32` | start of each tile's list |
+//! | records | E × 3 `vec4<f32>` | gradient of an entry, three rows, see below |
+//! | colour planes | 3 P `f32` | images of three planes, see below |
+//! | planes | P `f32` or `u32` | depth, accumulation, final transmittance, entry at which a pixel stopped |
 //!
-//! Of stage 2, for L lookups of the field (listed Gaussians, and with water the 16 rows of
-//! its table), rank R, n parameters:
+//! The rows of a splat are `x, y, shear, steepness`; `steepness_y, log2_opacity, z, reach_y`; colour, and 1
+//! if it is visible. Those of a record are ΣG, ΣGt, ΣGdy, ΣGt²; ΣGt·dy, ΣGdy², ∂z/ln 2, ∂r; ∂g, ∂b,
+//! Σ\|Gt\|, Σ\|Gv_y\|. A colour plane has its values at `c·P + y·W + x`; there is one for the image, its
+//! gradient, `Σ w e_b`, `Σ w z c e_a`, `Σ w z e_b`, and the water's `c_m`, `k_a` and `k_b`.
 //!
-//! | buffer | items | what |
+//! The buffers of stage 2, for L lookups of the field (listed Gaussians, and with water the 16 rows of its
+//! table), rank R and n parameters:
+//!
+//! | buffer | items | contents |
 //! |---|---|---|
 //! | state | 3 n `f32` | the field's parameters, Adam's first and second moments |
-//! | sites | L × 2 `vec4<u32>` | bits of three fractions, and nodes; bits of three signed logs and 0, or of a fixed guide and 1 |
-//! | raw, slopes | 6 L `f32` | log-gain and bias, and the loss's derivatives by them |
-//! | codes, by codes | R L `f32` | a lookup's code, and the derivatives by it |
-//! | grade | 108 `f32` | the mean that is removed, the water's table of 16 × 6, two ratios |
-//! | records | E `vec4<f32>` | the derivative of an entry's colour |
+//! | sites | L × 2 `vec4<u32>` | three fractions and nodes; three signed logs and 0, or a fixed guide and 1 |
+//! | raw, slopes | 6 L `f32` | log-gain and bias, and the loss's gradients with respect to them |
+//! | codes, by codes | R L `f32` | a lookup's code, and the gradient with respect to it |
+//! | grade | 108 `f32` | the removed mean, the water's table of 16 × 6, two ratios |
+//! | records | E `vec4<f32>` | the gradient of an entry's colour |
 //!
-//! Photographs, opacities and masks lie as they are stored, four values of 8 bits or two of 16 in a word,
-//! depth priors in 16 bits, and a step's first kernel makes the floats of its view; smaller sizes are floats.
+//! Photographs, opacities and masks are in their stored form, four values of 8 bits or two of 16 bits in a
+//! word; depth priors have 16 bits. A step's first kernel makes the floats of its view. Smaller sizes are
+//! stored as floats.
 //!
-//! The water in front of a pixel enters as `e = 2^(−k z)` with `k = β |d| log₂e`.
+//! The water in front of a pixel is given as `e = 2^(−k z)` with `k = β |d| log₂e`.
 //!
 //! # Determinism
 //!
-//! Sorts are stable and of whole numbers, every record has one writer, sums go through fixed trees,
-//! and no kernel adds floats atomically: the same requests give the same bytes on the same adapter,
+//! Sorts are stable and use unsigned integers, every record has one writer, sums run through fixed trees,
+//! and no kernel adds floats atomically. So the same requests give the same bytes on the same adapter,
 //! driver, program and [`Variant`].
 
 pub mod bench;
@@ -84,8 +90,8 @@ pub use stage1::{Stage1, training_bytes};
 pub use stage2::Stage2;
 pub use variant::Variant;
 
-/// The text of every kernel in every variant, as drivers are given it: what results depend
-/// on besides adapter and driver.
+/// The text of every kernel in every variant, as drivers receive it. Results depend on it, as on adapter
+/// and driver.
 pub fn kernel_sources() -> Vec<String> {
     specs().iter().map(kernel::Spec::source).collect()
 }

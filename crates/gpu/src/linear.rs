@@ -1,9 +1,10 @@
 //! The linear attribute splat `S_v` and its adjoint: `(S_v x)(p) = Σ_i w_i(p) x_i`,
 //! `(S_vᵀ y)_i = Σ_p w_i(p) y(p)`.
 //!
-//! The weights are the compositor's, `w = T α`, without water. `S_v` is the forward pass with values in the
-//! place of colours, `S_vᵀ` the derivative by colours of that pass: three channels at a time, any number of
-//! them. The processor's are `use3d_splat::Rasterizer::{splat, splat_adjoint}`.
+//! The weights are the compositor's, `w = T α`, without water. `S_v` is the forward pass with values
+//! instead of colours, and `S_vᵀ` is the gradient of that pass with respect to colours: three channels at a
+//! time, for any number of channels. The processor's versions are
+//! `use3d_splat::Rasterizer::{splat, splat_adjoint}`.
 
 use use3d_capture::{Camera, Lattice};
 use use3d_splat::Gaussians;
@@ -18,11 +19,11 @@ use crate::raster::{Outputs, Planes, RasterKernels};
 use crate::scene::{Parameters, Row};
 use crate::stage2::colors_backward;
 
-/// Threads of the kernels over Gaussians.
+/// Number of threads of the kernels over Gaussians.
 const THREADS: u32 = 256;
-/// Channels that go through the passes together.
+/// Number of channels in one pass.
 const TOGETHER: usize = 3;
-/// How many channels a pass has; the rest is 0.
+/// The number of channels in a pass; the rest is 0.
 const PART: Binding = (Access::Uniform, "part", "vec4<u32>");
 
 fn spec(name: &'static str, bindings: &[Binding], body: &'static str) -> Spec {
@@ -46,20 +47,20 @@ fn gather() -> Spec {
     spec("sums of records", &bindings, include_str!("linear/gather.wgsl"))
 }
 
-/// All kernels of this room.
+/// All kernels of this module.
 pub(crate) fn specs() -> Vec<Spec> {
     vec![tint(), gather()]
 }
 
-/// Three channels, or fewer at the end.
+/// A group of three channels, or fewer at the end.
 #[derive(Debug)]
 struct Part {
     at: Array<[u32; 4]>,
-    /// How many.
+    /// Number of channels.
     channels: usize,
     /// `[3][height][width]`.
     planes: Array<f32>,
-    /// `[N][channels]`: what is splatted, or the sums of the adjoint.
+    /// `[N][channels]`: the values to splat, or the sums of the adjoint.
     values: Array<f32>,
 }
 
@@ -82,15 +83,15 @@ pub struct LinearSplat {
     pixels: usize,
     parts: Vec<Part>,
     records: Array<Row>,
-    /// Stands for the water that there is not.
+    /// A buffer that is bound instead of the absent water.
     nothing: Array<f32>,
 }
 
 impl LinearSplat {
-    /// Takes the Gaussians to a device. Their colours do not matter.
+    /// Copies the Gaussians to a device. Their colours do not matter.
     ///
     /// # Errors
-    /// More of them than it holds, and what its driver says.
+    /// There are more of them than it can hold, or the driver failed.
     pub fn new(gpu: &Gpu, gaussians: &Gaussians) -> Result<Self, EngineError> {
         Ok(Self {
             lists_kernels: ListKernels::new(gpu)?,
@@ -113,10 +114,10 @@ impl LinearSplat {
         })
     }
 
-    /// Makes ready for a view: what follows is of it.
+    /// Prepares a view, to which the next calls apply.
     ///
     /// # Errors
-    /// What the driver says.
+    /// The driver failed.
     pub fn view(&mut self, camera: &Camera, lattice: &Lattice) -> Result<(), EngineError> {
         let gpu = &self.gpu;
         self.pixels = lattice.width() * lattice.height();
@@ -141,7 +142,7 @@ impl LinearSplat {
                     &self.counts,
                     Some(&self.records),
                 );
-                // Where each pixel stops.
+                // The entry at which each pixel stops.
                 let (raster, drawn) = (&self.raster_kernels, lists.drawn());
                 planes.record_forward(raster, pass, &self.constants, tiles, &drawn, None, Outputs::Training);
             })?;
@@ -155,7 +156,7 @@ impl LinearSplat {
     /// (`[channels][height][width]`).
     ///
     /// # Errors
-    /// Lengths that do not fit, and what the driver says.
+    /// A length does not match, or the driver failed.
     pub fn splat(&mut self, channels: usize, values: &[f32], out: &mut [f32]) -> Result<(), EngineError> {
         self.check(channels, values.len(), out.len())?;
         self.prepare(channels)?;
@@ -190,10 +191,10 @@ impl LinearSplat {
     }
 
     /// `S_vᵀ`: lifts `planes` (`[channels][height][width]`) to the Gaussians, into `out` (`[N][channels]`);
-    /// zero where one is not visible.
+    /// zero for Gaussians that are not visible.
     ///
     /// # Errors
-    /// Lengths that do not fit, and what the driver says.
+    /// A length does not match, or the driver failed.
     pub fn adjoint(&mut self, channels: usize, planes: &[f32], out: &mut [f32]) -> Result<(), EngineError> {
         self.check(channels, out.len(), planes.len())?;
         self.prepare(channels)?;
@@ -219,7 +220,7 @@ impl LinearSplat {
         Ok(())
     }
 
-    /// Refuses numbers that are not one per channel and Gaussian, or channel and pixel.
+    /// Returns an error unless there is one value per channel and Gaussian, and one per channel and pixel.
     fn check(&self, channels: usize, values: usize, planes: usize) -> Result<(), EngineError> {
         let refuse = |what: String| Err(EngineError::Request { engine: NAME, what });
         if values != channels * self.count {
@@ -231,7 +232,7 @@ impl LinearSplat {
         Ok(())
     }
 
-    /// Makes room for so many channels of the view.
+    /// Makes room for this number of channels of the view.
     fn prepare(&mut self, channels: usize) -> Result<(), EngineError> {
         let gpu = &self.gpu;
         let parts = channels.div_ceil(TOGETHER);
@@ -305,7 +306,7 @@ mod tests {
         }
     }
 
-    /// More Gaussians than one binding holds the colours of, and more channels than a splat is wide.
+    /// More Gaussians than one binding can hold the colours of, and more channels than one pass has.
     #[test]
     fn gaussians_in_several_chunks_are_splatted_as_in_one() {
         let Some(gpu) = software() else { return };
@@ -319,7 +320,7 @@ mod tests {
             linear.adjoint(channels, &y, &mut lifted).unwrap();
             (seen, lifted)
         };
-        // 1,365 Gaussians to a chunk.
+        // 1,365 Gaussians per chunk.
         let tight = gpu.clone().binding(262_144);
         assert_eq!(tight.gaussians_of_chunk(), 1365);
         assert!(run(&gpu) == run(&tight));

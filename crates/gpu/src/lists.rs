@@ -1,13 +1,13 @@
-//! A view's Gaussians made ready to compose: projected, ordered by depth, and listed per tile.
+//! A view's Gaussians prepared for composing: projected, ordered by depth, and listed per tile.
 //!
 //! ```text
 //! project ─▶ order by depth ─▶ reduce, total, offsets ─▶ emit ─▶ order by tile ─▶ starts
 //! ```
 //!
-//! Entries are numbered in the order of depth, those of a Gaussian one after another: the number is where an
-//! entry's gradient goes, so that a Gaussian finds its own side by side. The order by tile is stable and
-//! keeps depth within a tile. Hidden Gaussians go through the first order with the largest key instead of
-//! being left out before: a dispatch less against a little more to sort.
+//! Entries are numbered in the order of depth, with those of a Gaussian one after another. The number is
+//! the position of an entry's gradient record, so a Gaussian finds its records side by side. The order by
+//! tile is stable and keeps the depth order within a tile. Hidden Gaussians are sorted with the largest key
+//! instead of being removed before: this saves a dispatch and makes the sort slightly longer.
 
 use use3d_capture::Lattice;
 use use3d_training::EngineError;
@@ -22,9 +22,9 @@ use crate::sort::{Items, Sort, SortKernels};
 
 /// Threads of a workgroup.
 const THREADS: u32 = 256;
-/// Gaussians per thread of the sums.
+/// Number of Gaussians per thread of the sums.
 const ITEMS: u32 = 8;
-/// Bits of a depth's key.
+/// Number of bits of a depth's key.
 const DEPTH_BITS: u32 = 28;
 
 pub(crate) const HARMONICS: &str = include_str!("view/harmonics.wgsl");
@@ -101,7 +101,7 @@ fn starts() -> Spec {
     spec("starts", &bindings, &[include_str!("view/starts.wgsl")], false)
 }
 
-/// All kernels of this room.
+/// All kernels of this module.
 pub(crate) fn specs() -> Vec<Spec> {
     vec![project(), reduce(), total(), offsets(), emit(false), emit(true), starts()]
 }
@@ -114,7 +114,7 @@ pub(crate) struct ListKernels {
     reduce: Kernel,
     total: Kernel,
     offsets: Kernel,
-    /// Without records, and with.
+    /// The variant without records, and the one with them.
     emit: [Kernel; 2],
     starts: Kernel,
 }
@@ -133,20 +133,20 @@ impl ListKernels {
     }
 }
 
-/// A view's lists as the compositor reads them, whoever made them.
+/// A view's lists as the compositor reads them, from any source.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Drawn<'a> {
     /// See [`Lists::axes`].
     pub(crate) axes: &'a Array<f32>,
     pub(crate) starts: &'a Array<u32>,
-    /// Entries by tile, by depth within.
+    /// Entries by tile, and by depth within a tile.
     pub(crate) lists: &'a Array<u32>,
     pub(crate) owners: &'a Array<u32>,
     pub(crate) splats: &'a Array<Row>,
 }
 
 impl Drawn<'_> {
-    /// What a kernel binds of a view, the constants first.
+    /// The buffers of a view that a kernel binds, the constants first.
     pub(crate) fn buffers(&self, constants: &Array<StepConstants>) -> Vec<wgpu::Buffer> {
         bound![*constants, *self.axes, *self.starts, *self.lists, *self.owners, *self.splats]
     }
@@ -155,9 +155,9 @@ impl Drawn<'_> {
 /// The buffers of a view's lists.
 #[derive(Debug)]
 pub(crate) struct Lists {
-    /// Pixel centres of columns, then of rows, each padded to whole tiles with the last one.
+    /// Pixel centres of columns, then of rows, each padded to whole tiles with the last centre.
     pub(crate) axes: Array<f32>,
-    /// What the axes are of.
+    /// The lattice of the axes.
     lattice: Option<Lattice>,
     pub(crate) splats: Array<Row>,
     tiles: Array<u32>,
@@ -172,7 +172,7 @@ pub(crate) struct Lists {
     nothing: Array<Row>,
 }
 
-/// Entries that there is room for at first.
+/// Number of entries for which there is room at first.
 const FIRST_ENTRIES: usize = 1 << 14;
 
 impl Lists {
@@ -194,22 +194,23 @@ impl Lists {
         })
     }
 
-    /// Entries that there is room for.
+    /// Number of entries for which there is room.
     pub(crate) fn capacity(&self) -> usize {
         self.by_tile.capacity()
     }
 
-    /// Makes room for so many entries.
+    /// Makes room for this number of entries.
     pub(crate) fn grow(&mut self, gpu: &Gpu, entries: usize) -> Result<(), EngineError> {
         self.owners.grow(gpu, entries)?;
         self.by_tile.grow(gpu, entries)
     }
 
-    /// Whether every entry of the view that was recorded last with these counts had room; waited for.
-    /// Where not, there is room now, half as much again as it takes, and the view is to be recorded anew.
+    /// Waits, and returns true if every entry of the last view recorded with these counts had room.
+    /// Otherwise it makes room for one and a half times as many entries as needed, and the view must be
+    /// recorded again.
     ///
     /// # Errors
-    /// What the driver says.
+    /// The driver failed.
     pub(crate) fn had_room(&mut self, gpu: &Gpu, counts: &Array<u32>) -> Result<bool, EngineError> {
         let told = counts.read(gpu, counts::WORDS)?;
         if told[counts::STOP] == 0 {
@@ -220,8 +221,8 @@ impl Lists {
         Ok(false)
     }
 
-    /// Makes ready for a view of a lattice, whose the constants are; before [`Lists::record`], and
-    /// again when one of them changes.
+    /// Prepares a view of a lattice with these constants. Called before [`Lists::record`], and again when
+    /// one of them changes.
     pub(crate) fn prepare(
         &mut self,
         gpu: &Gpu,
@@ -247,14 +248,15 @@ impl Lists {
             self.axes.write(gpu, 0, &axes);
             self.lattice = Some(lattice.clone());
         }
-        // One tile more than there are: that of entries nobody draws.
+        // One number more than there are tiles: that of entries that no tile draws.
         self.tile_bits = usize::BITS - constants.tiles().leading_zeros();
         self.by_depth.prepare(gpu, Items::Fixed(n), DEPTH_BITS);
         self.by_tile.prepare(gpu, Items::Counted(self.capacity()), self.tile_bits);
         Ok(())
     }
 
-    /// Records the making of the lists. With `records`, those of entries that no tile draws are zeroed.
+    /// Records the computation of the lists. With `records`, the records of entries that no tile draws are
+    /// zeroed.
     pub(crate) fn record(
         &self,
         kernels: &ListKernels,
@@ -306,12 +308,12 @@ impl Lists {
         Drawn { axes, starts, lists: self.entries(), owners, splats }
     }
 
-    /// Entries by tile, by depth within.
+    /// Entries by tile, and by depth within a tile.
     pub(crate) fn entries(&self) -> &Array<u32> {
         self.by_tile.output(self.tile_bits).1
     }
 
-    /// Bytes on the device.
+    /// Number of bytes on the device.
     pub(crate) fn size(&self) -> usize {
         let small = self.axes.size() + self.partial.size() + self.offsets.size() + self.starts.size();
         small
@@ -323,7 +325,7 @@ impl Lists {
             + self.by_tile.size()
     }
 
-    /// Gaussians that reach the lattice, nearest first; waited for.
+    /// Waits and returns the Gaussians that reach the lattice, nearest first.
     #[cfg(test)]
     pub(crate) fn visible(&self, gpu: &Gpu, n: usize) -> Vec<usize> {
         if n == 0 {
@@ -335,7 +337,7 @@ impl Lists {
         read(keys).iter().zip(read(order)).filter(|(k, _)| **k != hidden).map(|(_, i)| i as usize).collect()
     }
 
-    /// Fills everything that a view writes with what is no number.
+    /// Fills everything that a view writes with NaN.
     #[cfg(test)]
     pub(crate) fn poison(&self, gpu: &Gpu) {
         self.by_depth.poison(gpu);

@@ -1,5 +1,5 @@
-//! Where the time of kernels goes: the device's own clock before and after every dispatch, where it
-//! has one that can be read there.
+//! The time that kernels take: the device's clock is read before and after every dispatch, if the device
+//! supports it.
 
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
@@ -8,40 +8,40 @@ use use3d_training::EngineError;
 
 use crate::device::Gpu;
 
-/// Times that one reading holds: two per dispatch.
+/// Number of times that one reading holds: two per dispatch.
 const PLACES: u32 = 4096;
 
 /// Time of a kernel over some steps.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct KernelTime {
-    /// Dispatches.
+    /// Number of dispatches.
     pub dispatches: u64,
-    /// Seconds of all of them together.
+    /// Total time in seconds.
     pub seconds: f64,
 }
 
-/// Readings that were recorded and not yet taken.
+/// Times that were recorded and not yet read.
 #[derive(Debug)]
 pub(crate) struct Clock {
     set: wgpu::QuerySet,
     resolved: wgpu::Buffer,
     staging: wgpu::Buffer,
-    /// The kernel or pass of every second place.
+    /// The kernel or pass of every pair of places.
     names: Mutex<Vec<&'static str>>,
     timed: Timed,
 }
 
-/// What a clock is read before and after.
+/// The unit of work before and after which a clock is read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Timed {
-    /// Every dispatch, which keeps those of a pass apart.
+    /// Every dispatch; this keeps the dispatches of a pass separate.
     Dispatches,
-    /// Every pass of steps, which costs them nothing.
+    /// Every pass of steps; this costs the steps nothing.
     Passes,
 }
 
 impl Timed {
-    /// Features that a clock of this needs.
+    /// The features that this kind of clock needs.
     pub(crate) fn features(self) -> wgpu::Features {
         match self {
             Self::Dispatches => features(),
@@ -50,7 +50,7 @@ impl Timed {
     }
 }
 
-/// Features that a clock needs.
+/// The features that a clock of dispatches needs.
 pub(crate) fn features() -> wgpu::Features {
     wgpu::Features::TIMESTAMP_QUERY | wgpu::Features::TIMESTAMP_QUERY_INSIDE_PASSES
 }
@@ -77,25 +77,25 @@ impl Clock {
         }
     }
 
-    /// Notes the time before a dispatch; what to give to [`Clock::after`].
+    /// Records the time before a dispatch; returns the argument for [`Clock::after`].
     pub(crate) fn before(&self, pass: &mut wgpu::ComputePass<'_>, name: &'static str) -> Option<u32> {
         let place = self.place(Timed::Dispatches, name)?;
         pass.write_timestamp(&self.set, place);
         Some(place + 1)
     }
 
-    /// A place for the times around a kernel or a pass.
+    /// Reserves a pair of places for the times around a kernel or a pass.
     fn place(&self, timed: Timed, name: &'static str) -> Option<u32> {
         let mut names = self.names.lock().unwrap_or_else(PoisonError::into_inner);
         let place = 2 * names.len() as u32;
         if self.timed != timed || place + 1 >= PLACES {
-            return None; // not read for long: the rest goes untimed
+            return None; // the clock was not read for long: the rest is not timed
         }
         names.push(name);
         Some(place)
     }
 
-    /// The times at which a pass begins and ends.
+    /// The places for the times at which a pass begins and ends.
     pub(crate) fn around(&self, name: &'static str) -> Option<wgpu::ComputePassTimestampWrites<'_>> {
         let place = self.place(Timed::Passes, name)?;
         Some(wgpu::ComputePassTimestampWrites {
@@ -105,14 +105,14 @@ impl Clock {
         })
     }
 
-    /// Notes the time after it.
+    /// Records the time after a dispatch.
     pub(crate) fn after(&self, pass: &mut wgpu::ComputePass<'_>, place: Option<u32>) {
         if let Some(place) = place {
             pass.write_timestamp(&self.set, place);
         }
     }
 
-    /// What was noted since the last reading, added to `times`; waits for the device.
+    /// Waits for the device and adds the times recorded since the last reading to `times`.
     fn read(&self, gpu: &Gpu, times: &mut BTreeMap<&'static str, KernelTime>) -> Result<(), EngineError> {
         let names = std::mem::take(&mut *self.names.lock().unwrap_or_else(PoisonError::into_inner));
         if names.is_empty() {
@@ -124,7 +124,7 @@ impl Clock {
         encoder.copy_buffer_to_buffer(&self.resolved, 0, &self.staging, 0, 8 * u64::from(count));
         gpu.submit(encoder);
         let slice = self.staging.slice(..8 * u64::from(count));
-        // The result is found out by reading below.
+        // The read below reports an error, so the result is not needed here.
         slice.map_async(wgpu::MapMode::Read, |_| ());
         gpu.wait()?;
         {
@@ -144,8 +144,8 @@ impl Clock {
 }
 
 impl Gpu {
-    /// Adds the kernels' times since the last call to `times`, after what was submitted is done. Nothing
-    /// where the device has no clock.
+    /// Adds the kernels' times since the last call to `times`, after all submitted work is done. Does
+    /// nothing if the device has no clock.
     pub(crate) fn read_times(
         &self,
         times: &mut BTreeMap<&'static str, KernelTime>,

@@ -1,11 +1,11 @@
 //! Light through a tile's Gaussians and the water, forward and backward.
 //!
-//! Forward, one thread per pixel: the processor's compositor in the telescoped form, with what the
-//! water's gradients need summed on the way (`Σ w e_b`, `Σ w z c e_a`, `Σ w z e_b`). Backward, one
-//! thread per Gaussian of a round of 64, in a diagonal over the tile's pixels: it uses neither subgroups
-//! nor float atomics, so its bits depend on no width. Where a device has operations across threads that
-//! run in step, there is a second one ([`Variant::Subgroups`]): pixels lie in threads, and a Gaussian's
-//! sums come from these operations.
+//! In the forward pass, one thread per pixel runs the processor's compositor in the telescoped form, and
+//! sums the values for the water's gradients along the ray (`Σ w e_b`, `Σ w z c e_a`, `Σ w z e_b`). In the
+//! portable backward pass, one thread per Gaussian of a round of 64 runs in a diagonal over the tile's
+//! pixels. It uses neither subgroups nor float atomics, so its bits depend on no width. If a device has
+//! subgroup operations, there is a second backward pass ([`Variant::Subgroups`]): threads hold pixels, and
+//! subgroup operations sum up the values of a Gaussian.
 
 use use3d_training::EngineError;
 
@@ -17,17 +17,17 @@ use crate::lists::Drawn;
 use crate::scene::Row;
 use crate::variant::{EACH, Variant, WIDTHS};
 
-/// Threads of the forward pass: the pixels of a tile.
+/// Number of threads of the forward pass: the pixels of a tile.
 const FORWARD: u32 = 256;
-/// Threads of the portable backward pass: Gaussians of a round.
+/// Number of threads of the portable backward pass: the Gaussians of a round.
 const BACKWARD: u32 = 64;
-/// Pixels of a tile.
+/// Number of pixels of a tile.
 const PIXELS: u32 = 256;
 
-/// What WGSL text both passes share.
+/// The WGSL text that both passes share.
 pub(crate) const SHARED: &str = include_str!("raster/shared.wgsl");
 
-/// What passes over a view read of its tiles; [`Drawn`] in that order.
+/// The bindings of a view's tiles that passes read; [`Drawn`] in this order.
 pub(crate) const TILE: [Binding; 6] = [
     CONSTANTS_BINDING,
     read("axes"),
@@ -55,15 +55,15 @@ fn spec(
     }
 }
 
-/// What the forward pass leaves beside image, depth and accumulation.
+/// The outputs of the forward pass besides image, depth and accumulation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Outputs {
-    /// No more than these.
+    /// No others.
     Picture,
-    /// What the backward passes need.
+    /// The values for the backward passes.
     Training,
-    /// The image's parts, in the places of the sums along rays: object, clear, and the
-    /// water behind the last Gaussian.
+    /// The image's parts, in the buffers of the sums along rays: object, clear, and the water behind the
+    /// last Gaussian.
     Layers,
 }
 
@@ -102,7 +102,7 @@ fn backward(water: bool, variant: Variant) -> Spec {
             let body = include_str!("raster/backward_subgroups.wgsl");
             let threads = PIXELS / pixels;
             let mut spec = spec("backward", threads, &more, &water, body);
-            // A round is loaded by one thread each, and its sums lie in workgroup memory.
+            // Each thread loads one Gaussian of a round, and its sums lie in workgroup memory.
             let halves = if pixels == 1 || 2 * width > threads { 1 } else { 2 };
             let counts = [("WIDTH", width), ("EACH", pixels), ("HALVES", halves)];
             spec.constants.extend(counts.map(|(name, count)| (name, Constant::Count(count))));
@@ -111,7 +111,7 @@ fn backward(water: bool, variant: Variant) -> Spec {
     }
 }
 
-/// All kernels of this room.
+/// All kernels of this module.
 pub(crate) fn specs() -> Vec<Spec> {
     let both = [false, true];
     let mut specs: Vec<Spec> = both.iter().flat_map(|w| OUTPUTS.map(|k| forward(*w, k))).collect();
@@ -124,9 +124,9 @@ pub(crate) fn specs() -> Vec<Spec> {
 /// The kernels.
 #[derive(Debug)]
 pub(crate) struct RasterKernels {
-    /// By water, by [`Outputs`].
+    /// Indexed by water (without, with) and by [`Outputs`].
     forward: [[Kernel; 3]; 2],
-    /// By water, in the device's variant.
+    /// Indexed by water (without, with), in the device's variant.
     backward: Vec<Kernel>,
 }
 
@@ -154,7 +154,7 @@ pub(crate) struct WaterPlanes<'a> {
     pub(crate) backscatter: &'a Array<f32>,
 }
 
-/// What the forward pass writes of every pixel.
+/// The values that the forward pass writes for every pixel.
 #[derive(Debug)]
 pub(crate) struct Planes {
     /// Colour planes.
@@ -162,13 +162,13 @@ pub(crate) struct Planes {
     pub(crate) depth: Array<f32>,
     pub(crate) accumulation: Array<f32>,
     pub(crate) transmittance: Array<f32>,
-    /// The entry of its tile's list at which a pixel stopped; 2³¹ − 1 where it did not.
+    /// The entry of its tile's list at which a pixel stopped; 2³¹ − 1 if it did not stop.
     pub(crate) stop: Array<u32>,
     /// Colour planes: `Σ w e_b`, `Σ w z c e_a`, `Σ w z e_b`.
     pub(crate) veil: Array<f32>,
     pub(crate) object_moment: Array<f32>,
     pub(crate) veil_moment: Array<f32>,
-    /// What stands for the water where there is none.
+    /// A buffer that is bound instead of absent water.
     nothing: Array<f32>,
 }
 
@@ -187,7 +187,7 @@ impl Planes {
         })
     }
 
-    /// Makes room for so many pixels.
+    /// Makes room for this number of pixels.
     pub(crate) fn grow(&mut self, gpu: &Gpu, pixels: usize) -> Result<(), EngineError> {
         for colors in [&mut self.image, &mut self.veil, &mut self.object_moment, &mut self.veil_moment] {
             colors.grow(gpu, 3 * pixels)?;
@@ -199,7 +199,7 @@ impl Planes {
         Ok(())
     }
 
-    /// Bytes on the device.
+    /// Number of bytes on the device.
     pub(crate) fn size(&self) -> usize {
         let floats = [
             &self.image,
@@ -213,7 +213,7 @@ impl Planes {
         floats.into_iter().map(Array::size).sum::<usize>() + self.stop.size()
     }
 
-    /// Fills everything with what is no number.
+    /// Fills everything with NaN.
     #[cfg(test)]
     pub(crate) fn poison(&self, gpu: &Gpu) {
         self.stop.poison(gpu);
@@ -230,7 +230,7 @@ impl Planes {
         }
     }
 
-    /// What both passes bind first: [`TILE`], then [`WATER`].
+    /// The first bindings of both passes: [`TILE`], then [`WATER`].
     fn tile(
         &self,
         constants: &Array<StepConstants>,
@@ -245,8 +245,8 @@ impl Planes {
         buffers
     }
 
-    /// Records the forward pass of `tiles` tiles. With [`Outputs::Layers`] object, clear and far go into
-    /// `veil`, `object_moment` and `veil_moment`.
+    /// Records the forward pass of `tiles` tiles. With [`Outputs::Layers`], object, clear and far are
+    /// written to `veil`, `object_moment` and `veil_moment`.
     pub(crate) fn record_forward(
         &self,
         kernels: &RasterKernels,
@@ -272,8 +272,8 @@ impl Planes {
         kernel.dispatch(pass, Grid::groups(tiles), buffers);
     }
 
-    /// Records the backward pass from the loss's derivatives with respect to image
-    /// and depth: every entry's record.
+    /// Records the backward pass: computes every entry's record from the loss's gradients with respect to
+    /// image and depth.
     pub(crate) fn record_backward(
         &self,
         kernels: &RasterKernels,

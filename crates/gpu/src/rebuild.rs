@@ -1,9 +1,10 @@
-//! The scene after a refinement, made where it lies: rows of parameters and moments go to their new places.
+//! Builds the scene after a refinement on the device: rows of parameters and moments move to their new
+//! positions.
 //!
-//! The loop says where every Gaussian comes from ([`Origin`]); four bytes of that go to the device for each,
-//! and the shapes of children, which the processor draws as for every engine. Nothing else is moved between
-//! the two. An array is gathered into a new one and then let go, so that for a moment the longest is there
-//! twice: 192 bytes per Gaussian.
+//! The loop gives the origin of every Gaussian ([`Origin`]). Four bytes per Gaussian are copied to the
+//! device, together with the shapes of children, which the processor draws as for every engine. Nothing
+//! else is copied between the two. An array is gathered into a new one and then freed, so that for a moment
+//! the largest array exists twice: 192 bytes per Gaussian.
 
 use bytemuck::{Pod, Zeroable};
 use use3d_reconstruct::density::{Draws, Origin};
@@ -16,9 +17,9 @@ use crate::device::Gpu;
 use crate::kernel::{Access, Constant, Kernel, Spec, U32S, submit};
 use crate::scene::{COLORS, DeviceScene, GEOMETRY, Parameters, Row};
 
-/// The bit of an origin that says that the row is a twin or a child.
+/// The bit of an origin that marks a twin or a child.
 const BORN: u32 = 1 << 31;
-/// How the kernel sees an array.
+/// The type of an array in the kernel.
 const WORDS: &str = "array<vec4<u32>>";
 const PART: &str = "struct Part { first: u32, count: u32, source: u32, sources: u32, width: u32, inherited: u32, pad0: u32, pad1: u32 }";
 
@@ -37,26 +38,26 @@ fn gather() -> Spec {
     }
 }
 
-/// All kernels of this room.
+/// All kernels of this module.
 pub(crate) fn specs() -> Vec<Spec> {
     vec![gather()]
 }
 
-/// What one dispatch gathers.
+/// The part that one dispatch gathers.
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 #[repr(C)]
 struct Part {
     /// First Gaussian of the new buffer.
     first: u32,
-    /// Gaussians in it.
+    /// Number of Gaussians in it.
     count: u32,
     /// First Gaussian of the old buffer.
     source: u32,
-    /// Gaussians in it.
+    /// Number of Gaussians in it.
     sources: u32,
-    /// Rows of four per Gaussian.
+    /// Number of rows of four per Gaussian.
     width: u32,
-    /// Whether twins and children have what their source has; else zeros.
+    /// True if twins and children copy their source; otherwise they get zeros.
     inherited: u32,
     pad: [u32; 2],
 }
@@ -76,7 +77,8 @@ impl RebuildKernel {
         })
     }
 
-    /// Fills the new buffers of an array from its old ones, `floats` per Gaussian, and waits for it.
+    /// Fills the new buffers of an array from its old ones, `floats` per Gaussian, and waits for the
+    /// result.
     fn fill(
         &self,
         gpu: &Gpu,
@@ -102,7 +104,7 @@ impl RebuildKernel {
 }
 
 impl Parameters {
-    /// Takes the rows of `n` Gaussians to their new places among `to`.
+    /// Moves the rows of `n` Gaussians to their new positions in `to`.
     fn rebuild(
         &mut self,
         gpu: &Gpu,
@@ -126,8 +128,8 @@ impl Parameters {
 }
 
 impl DeviceScene {
-    /// Makes the scene that these rows describe, each of which comes from a Gaussian that there is, and lets
-    /// its statistics start anew. `shapes`: its Gaussians without their colours.
+    /// Builds the scene that these rows describe and resets its statistics. Each row must come from an
+    /// existing Gaussian. `shapes` are its Gaussians without their colours.
     pub(crate) fn rebuild(
         &mut self,
         gpu: &Gpu,
@@ -146,7 +148,7 @@ impl DeviceScene {
         self.first.rebuild(gpu, kernel, &origins, counts, false)?;
         self.second.rebuild(gpu, kernel, &origins, counts, false)?;
         self.count = rows.len();
-        // Children come last as the plan has them; what lies between them is written as it is.
+        // Children come last in the plan; the rows between them are written unchanged.
         if let Some(first) = rows.iter().position(|row| matches!(row, Origin::Child(..))) {
             let shape = |row: &Origin| {
                 let i = row.source();
@@ -174,7 +176,7 @@ mod tests {
     use super::*;
     use crate::testing::{cloud, software};
 
-    /// Rows of every kind in any order, fewer and more than there were, in one buffer and in several.
+    /// Rows of every kind in any order, fewer and more than before, in one buffer and in several.
     #[test]
     fn a_rebuilt_scene_is_the_processors_to_the_bit() {
         let Some(gpu) = software() else { return };
@@ -186,7 +188,7 @@ mod tests {
             let n = 5000;
             let mut gaussians = cloud(n, -2.0, 0.5);
             let mut moments = Moments { first: cloud(n, -3.0, 0.1), second: cloud(n, -4.0, 0.2) };
-            // A difference that no arithmetic keeps.
+            // A number that no arithmetic would preserve.
             moments.first.opacity_logits[7] = f32::from_bits(1);
             let statistics = Statistics { norms: vec![1.0; n], renders: vec![2; n] };
             scene.write(&gpu, &gaussians, &moments, &statistics).unwrap();

@@ -1,6 +1,6 @@
 var<workgroup> scan_cells: array<u32, WG>;
 
-// The sum of `value` over the threads before this one, and over all of the workgroup.
+// Returns the sum of `value` over the threads before this one, and the sum over the whole workgroup.
 fn exclusive(lid: u32, value: u32) -> vec2<u32> {
     scan_cells[lid] = value;
     workgroupBarrier();

@@ -1,4 +1,4 @@
-//! Gaussians, moments and statistics on the device, and the way between them and the rows in main memory.
+//! Gaussians, moments and statistics on the device, and their conversion from and to rows in main memory.
 
 use use3d_reconstruct::engine::{Moments, Statistics};
 use use3d_splat::Gaussians;
@@ -10,11 +10,11 @@ use crate::device::{Gpu, NAME};
 
 /// Four floats.
 pub(crate) type Row = [f32; 4];
-/// Rows of geometry per Gaussian.
+/// Number of rows of geometry per Gaussian.
 pub(crate) const GEOMETRY: usize = 3;
-/// Floats of colour per Gaussian.
+/// Number of floats of colour per Gaussian.
 pub(crate) const COLORS: usize = 48;
-/// Rows of a splat, the widest that one binding holds of every Gaussian.
+/// Number of rows of a splat, the largest data of every Gaussian that must fit into one binding.
 pub(crate) const SPLAT: usize = 3;
 
 /// The parameters of N Gaussians, or one of their moments.
@@ -34,7 +34,7 @@ impl Parameters {
         })
     }
 
-    /// These Gaussians, to be drawn and not trained.
+    /// The parameters of Gaussians that are drawn and not trained.
     pub(crate) fn of(gpu: &Gpu, gaussians: &Gaussians) -> Result<Self, EngineError> {
         let parameters = Self::new(gpu, "geometry", "colours", gaussians.len())?;
         parameters.write(gpu, gaussians);
@@ -46,7 +46,7 @@ impl Parameters {
         self.colors.grow(gpu, n)
     }
 
-    /// The geometry of a Gaussian.
+    /// The rows of one Gaussian's geometry.
     pub(crate) fn rows(
         [x, y, z]: [f32; 3],
         [a, b, c]: [f32; 3],
@@ -56,7 +56,7 @@ impl Parameters {
         [[x, y, z, logit], [a, b, c, 0.0], quaternion]
     }
 
-    /// Takes these Gaussians, for which there is room.
+    /// Writes these Gaussians; there must be room for them.
     pub(crate) fn write(&self, gpu: &Gpu, g: &Gaussians) {
         let rows: Vec<Row> = (0..g.len())
             .flat_map(|i| Self::rows(g.means[i], g.log_scales[i], g.quaternions[i], g.opacity_logits[i]))
@@ -65,7 +65,7 @@ impl Parameters {
         self.colors.write(gpu, g.sh.as_flattened().as_flattened());
     }
 
-    /// The first `n` of them, waited for.
+    /// Waits and reads the first `n` of them.
     pub(crate) fn read(&self, gpu: &Gpu, n: usize, sh_degree: usize) -> Result<Gaussians, EngineError> {
         let mut g = self.shapes(gpu, n, sh_degree)?;
         let colors = self.colors.read(gpu, n)?;
@@ -76,7 +76,7 @@ impl Parameters {
         Ok(g)
     }
 
-    /// The same without their colours, a fifth of the bytes.
+    /// Waits and reads them without their colours, which is a fifth of the bytes.
     fn shapes(&self, gpu: &Gpu, n: usize, sh_degree: usize) -> Result<Gaussians, EngineError> {
         let rows = self.geometry.read(gpu, GEOMETRY * n)?;
         let mut g = Gaussians::empty(sh_degree);
@@ -98,19 +98,19 @@ impl Parameters {
 /// A scene in training on the device.
 #[derive(Debug)]
 pub(crate) struct DeviceScene {
-    /// How many Gaussians.
+    /// Number of Gaussians.
     pub(crate) count: usize,
-    /// Highest degree of colours stored.
+    /// Highest stored degree of colours.
     pub(crate) sh_degree: usize,
     pub(crate) values: Parameters,
     pub(crate) first: Parameters,
     pub(crate) second: Parameters,
-    /// Bits of the summed norm, and renders.
+    /// Bits of the summed norm, and number of renders.
     pub(crate) statistics: Array<[u32; 2]>,
 }
 
 impl DeviceScene {
-    /// Empty.
+    /// An empty scene.
     pub(crate) fn new(gpu: &Gpu) -> Result<Self, EngineError> {
         Ok(Self {
             count: 0,
@@ -122,7 +122,7 @@ impl DeviceScene {
         })
     }
 
-    /// Refuses more Gaussians than there can be.
+    /// Returns an error if there are more Gaussians than the device can hold.
     pub(crate) fn refuse_more(gpu: &Gpu, n: usize) -> Result<(), EngineError> {
         let most = gpu.most_gaussians();
         if n <= most {
@@ -136,7 +136,7 @@ impl DeviceScene {
         Err(EngineError::OutOfMemory { engine: NAME, what })
     }
 
-    /// Takes a scene from main memory. All have one length.
+    /// Copies a scene from main memory. All arguments have the same length.
     pub(crate) fn write(
         &mut self,
         gpu: &Gpu,
@@ -160,29 +160,29 @@ impl DeviceScene {
         Ok(())
     }
 
-    /// Statistics of Gaussians that were not seen yet.
+    /// Resets the statistics.
     pub(crate) fn forget_statistics(&self, gpu: &Gpu) {
         self.statistics.clear(gpu);
     }
 
-    /// Takes other statistics of the same Gaussians.
+    /// Writes other statistics of the same Gaussians.
     fn write_statistics(&self, gpu: &Gpu, statistics: &Statistics) {
         let rows: Vec<[u32; 2]> =
             statistics.norms.iter().zip(&statistics.renders).map(|(n, r)| [n.to_bits(), *r]).collect();
         self.statistics.write(gpu, 0, &rows);
     }
 
-    /// The Gaussians, waited for.
+    /// Waits and reads the Gaussians.
     pub(crate) fn gaussians(&self, gpu: &Gpu) -> Result<Gaussians, EngineError> {
         self.values.read(gpu, self.count, self.sh_degree)
     }
 
-    /// The Gaussians without their colours, waited for.
+    /// Waits and reads the Gaussians without their colours.
     pub(crate) fn shapes(&self, gpu: &Gpu) -> Result<Gaussians, EngineError> {
         self.values.shapes(gpu, self.count, self.sh_degree)
     }
 
-    /// Their moments, waited for.
+    /// Waits and reads their moments.
     pub(crate) fn moments(&self, gpu: &Gpu) -> Result<Moments, EngineError> {
         Ok(Moments {
             first: self.first.read(gpu, self.count, self.sh_degree)?,
@@ -190,7 +190,7 @@ impl DeviceScene {
         })
     }
 
-    /// Their statistics, waited for.
+    /// Waits and reads their statistics.
     pub(crate) fn statistics(&self, gpu: &Gpu) -> Result<Statistics, EngineError> {
         let rows = self.statistics.read(gpu, self.count)?;
         Ok(Statistics {
@@ -199,7 +199,7 @@ impl DeviceScene {
         })
     }
 
-    /// Bytes on the device.
+    /// Number of bytes on the device.
     pub(crate) fn size(&self) -> usize {
         self.values.size() + self.first.size() + self.second.size() + self.statistics.size()
     }

@@ -1,9 +1,9 @@
-//! A stable radix sort of (key, value) pairs of whole numbers: per pass of eight bits a histogram of every
-//! block of items, the places that follow from it, and the move.
+//! A stable radix sort of (key, value) pairs of unsigned integers. Each pass of eight bits computes a
+//! histogram of every block of items, the positions that follow from it, and moves the items.
 //!
-//! No pass waits for another workgroup (no look-back), no order of threads matters: the same
-//! input gives the same output everywhere. The values of the first pass are the items' numbers,
-//! so a caller writes keys alone.
+//! No pass waits for another workgroup (there is no look-back), and the order of threads does not matter:
+//! the same input gives the same output everywhere. The values of the first pass are the items' numbers, so
+//! a caller writes only keys.
 
 use bytemuck::{Pod, Zeroable};
 use use3d_training::EngineError;
@@ -15,14 +15,14 @@ use crate::kernel::{Access, Binding, Constant, Grid, Kernel, Spec, U32S, bound};
 
 /// Threads of a workgroup.
 const THREADS: u32 = 256;
-/// Items of a block.
+/// Number of items in a block.
 const BLOCK: usize = 16 * THREADS as usize;
-/// Digits of a pass.
+/// Number of digits in a pass.
 const DIGITS: usize = 256;
-/// Passes of the longest key.
+/// Number of passes for the longest key.
 const PASSES: usize = 4;
 
-/// One pass as its kernels read it.
+/// The data of one pass for its kernels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 struct Pass {
@@ -91,16 +91,16 @@ impl SortKernels {
     }
 }
 
-/// How many items a sort has.
+/// The number of items of a sort.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Items {
-    /// So many.
+    /// This number.
     Fixed(usize),
-    /// As many as the first word of the counts says, at most so many.
+    /// The number in the first word of the counts, at most this number.
     Counted(usize),
 }
 
-/// The buffers of one sort. Keys are written by the caller; both are in order afterwards.
+/// The buffers of one sort. The caller writes the keys; keys and values are in order afterwards.
 #[derive(Debug)]
 pub(crate) struct Sort {
     keys: [Array<u32>; 2],
@@ -112,7 +112,7 @@ pub(crate) struct Sort {
 }
 
 impl Sort {
-    /// With room for so many items.
+    /// A sort with room for `capacity` items.
     pub(crate) fn new(gpu: &Gpu, capacity: usize) -> Result<Self, EngineError> {
         let pair =
             |what| Ok::<_, EngineError>([Array::new(gpu, what, capacity)?, Array::new(gpu, what, capacity)?]);
@@ -126,7 +126,7 @@ impl Sort {
         })
     }
 
-    /// Makes room; what it held is lost.
+    /// Makes room; the contents are discarded.
     pub(crate) fn grow(&mut self, gpu: &Gpu, capacity: usize) -> Result<(), EngineError> {
         for array in self.keys.iter_mut().chain(&mut self.values) {
             array.grow(gpu, capacity)?;
@@ -135,34 +135,34 @@ impl Sort {
         Ok(())
     }
 
-    /// Where the caller puts the keys.
+    /// The buffer for the caller's keys.
     pub(crate) fn input(&self) -> &Array<u32> {
         &self.keys[0]
     }
 
-    /// Items there is room for.
+    /// Number of items for which there is room.
     pub(crate) fn capacity(&self) -> usize {
         self.keys[0].capacity()
     }
 
-    /// Bytes on the device.
+    /// Number of bytes on the device.
     pub(crate) fn size(&self) -> usize {
         let pairs: usize = self.keys.iter().chain(&self.values).map(Array::size).sum();
         pairs + self.table.size() + self.totals.size()
     }
 
-    /// Passes for keys of so many bits.
+    /// Number of passes for keys of this number of bits.
     fn passes(bits: u32) -> usize {
         (bits.div_ceil(8) as usize).clamp(1, PASSES)
     }
 
-    /// Keys and values after sorting keys of so many bits.
+    /// Keys and values after sorting keys of this number of bits.
     pub(crate) fn output(&self, bits: u32) -> (&Array<u32>, &Array<u32>) {
         let side = Self::passes(bits) % 2;
         (&self.keys[side], &self.values[side])
     }
 
-    /// Sets the passes up; before [`Sort::record`], and again when one of these changes.
+    /// Sets up the passes. Called before [`Sort::record`], and again when one of these arguments changes.
     pub(crate) fn prepare(&mut self, gpu: &Gpu, items: Items, bits: u32) {
         let (count, counted) = match items {
             Items::Fixed(count) => (count, 0),
@@ -178,7 +178,7 @@ impl Sort {
         }
     }
 
-    /// Records the sort that was prepared.
+    /// Records the prepared sort.
     pub(crate) fn record(
         &self,
         kernels: &SortKernels,
@@ -204,7 +204,7 @@ impl Sort {
         }
     }
 
-    /// Fills everything with what is no number.
+    /// Fills everything with NaN.
     #[cfg(test)]
     pub(crate) fn poison(&self, gpu: &Gpu) {
         for array in self.keys.iter().chain(&self.values).chain([&self.table, &self.totals]) {
@@ -218,7 +218,7 @@ mod tests {
     use super::*;
     use crate::kernel::submit;
 
-    /// Numbers that repeat themselves, from a small generator.
+    /// Reproducible numbers from a small generator.
     fn keys(n: usize, bits: u32) -> Vec<u32> {
         let mut state = 0x2545_f491_4f6c_dd1du64 ^ n as u64;
         let mut next = || {

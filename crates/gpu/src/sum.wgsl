@@ -1,4 +1,4 @@
-// A sum over the workgroup in a fixed order: a tree over its threads, a power of two of them.
+// Sums a value over the workgroup in a fixed order: a tree over its threads. Their number is a power of two.
 var<workgroup> cells: array<f32, WG>;
 
 fn sum_of_group(value: f32, lane: u32) -> f32 {

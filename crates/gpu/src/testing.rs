@@ -1,4 +1,4 @@
-//! What device tests share.
+//! Helpers that device tests share.
 
 use std::process::Command;
 
@@ -9,15 +9,15 @@ use use3d_splat::Gaussians;
 
 use crate::device::Gpu;
 
-/// The software adapter, on a device of its own. Without one the test is left out with a word; an
-/// error where `USE3D_REQUIRE_GPU=1`.
+/// Opens the software adapter, on a device of its own. Without one the test is skipped with a message, or
+/// fails if `USE3D_REQUIRE_GPU=1`.
 pub(crate) fn software() -> Option<Gpu> {
     match Gpu::open(Some("llvmpipe")) {
         Ok(gpu) => Some(gpu),
         Err(error) => {
             let required = std::env::var_os("USE3D_REQUIRE_GPU").is_some_and(|v| v == "1");
             assert!(!required, "USE3D_REQUIRE_GPU is set: {error}");
-            // Past the test harness's capture, so that a skip is seen.
+            // Written past the test harness's capture, so that a skip is visible.
             use std::io::Write;
             let _ = writeln!(
                 std::io::stderr(),
@@ -28,22 +28,22 @@ pub(crate) fn software() -> Option<Gpu> {
     }
 }
 
-/// Runs one test of this program in a process of its own, where so many threads stand for the card's and
-/// vectors have so many bits: whether it passed, and what it printed.
+/// Runs one test of this program in a process of its own, with this number of threads for the adapter and
+/// of bits in a vector. Returns true if it passed, and its output.
 pub(crate) fn elsewhere(test: &str, threads: &str, vector_bits: &str) -> (bool, String) {
     let output = Command::new(std::env::current_exe().expect("this program"))
         .args(["--exact", "--nocapture", test])
         .env("LP_NUM_THREADS", threads)
         .env("LP_NATIVE_VECTOR_WIDTH", vector_bits)
-        // Its keys leave the width out.
+        // The keys of the driver's shader cache do not contain the width.
         .env("MESA_SHADER_CACHE_DISABLE", "true")
         .output()
         .expect("it starts");
     (output.status.success(), String::from_utf8_lossy(&output.stdout).into_owned())
 }
 
-/// A test that prints a line `digest …` prints the same one on any number of threads, with vectors of any
-/// width.
+/// Checks that a test that prints a line `digest …` prints the same line on any number of threads, with
+/// vectors of any width.
 pub(crate) fn same_bits_elsewhere(test: &str) {
     let digest = |threads: &str, bits: &str| {
         let (_, text) = elsewhere(test, threads, bits);
@@ -73,7 +73,7 @@ pub(crate) fn cloud(n: usize, log_scale: f32, logit: f32) -> Gaussians {
     gaussians
 }
 
-/// A camera at the origin, looking along z, turned a little.
+/// A camera at the origin that looks along z, slightly turned.
 pub(crate) fn camera(width: usize, height: usize) -> Camera {
     let (w, h) = (width as f64, height as f64);
     let intrinsics = Intrinsics { width, height, fx: 0.9 * w, fy: 0.95 * w, cx: 0.48 * w, cy: 0.53 * h };

@@ -1,4 +1,4 @@
-//! Projection, lists, compositor and update beside the processor's, on the same inputs.
+//! Compares projection, lists, compositor and update with the processor's, on the same inputs.
 
 use use3d_capture::{Camera, Image, Lattice, Map, MediumMaps};
 use use3d_reconstruct::engine::{Moments, Statistics, StepRates};
@@ -30,7 +30,7 @@ const RATES: StepRates = StepRates {
     medium_network: 0.0,
 };
 
-/// What one view needs, outside an engine.
+/// The buffers and kernels for one view, outside an engine.
 struct Bench {
     gpu: Gpu,
     lists: ListKernels,
@@ -38,7 +38,7 @@ struct Bench {
     update: UpdateKernels,
 }
 
-/// A view as the device drew and differentiated it.
+/// The device's results for a view: picture and gradients.
 struct Drawn {
     image: Vec<f32>,
     depth: Vec<f32>,
@@ -53,7 +53,7 @@ struct Drawn {
     visible: Vec<usize>,
 }
 
-/// A view and what the loss says of it.
+/// A view and the gradients of its loss.
 struct Case {
     gaussians: Gaussians,
     camera: Camera,
@@ -67,7 +67,7 @@ struct Case {
 
 impl Case {
     fn new(gaussians: Gaussians, width: usize, height: usize, wet: bool) -> Self {
-        // Mostly of one sign, as a loss's are: sums that cancel would say little of either side.
+        // Mostly of one sign, like those of a loss, because sums that cancel would test little.
         let wave = |i: usize, f: f32| ((i as f32 * f).fract() - 0.2) * 2e-3;
         let image = (0..3 * width * height).map(|i| wave(i, 0.618_034)).collect();
         let depth = (0..width * height).map(|i| wave(i, 0.414_213)).collect();
@@ -83,7 +83,7 @@ impl Case {
         }
     }
 
-    /// Length of a pixel's ray at z = 1; pixels count on over the channels.
+    /// The length of a pixel's ray at z = 1; pixel numbers continue over the channels.
     fn ray(&self, i: usize) -> f64 {
         let i = i % self.depth.pixels();
         let (x, y) = (i % self.lattice.width(), i / self.lattice.width());
@@ -113,7 +113,7 @@ impl Case {
 }
 
 impl Bench {
-    /// In each variant of the software adapter; none without one.
+    /// One bench for each variant of the software adapter; none without the adapter.
     fn each() -> Vec<Self> {
         Self::of(|gpu| gpu.variants())
     }
@@ -132,7 +132,8 @@ impl Bench {
         variants(&gpu).into_iter().map(with).collect()
     }
 
-    /// Draws and differentiates with every buffer poisoned; `room` entries, more where they do not suffice.
+    /// Draws and differentiates with every buffer poisoned, with room for `room` entries, and more if they
+    /// do not suffice.
     fn draw(&self, case: &Case, room: usize) -> Drawn {
         let (gpu, n) = (&self.gpu, case.gaussians.len());
         let mut scene = DeviceScene::new(gpu).unwrap();
@@ -218,7 +219,7 @@ impl Bench {
     }
 }
 
-/// The water as the kernels read it.
+/// The water in the form that the kernels read.
 fn exponents(maps: &MediumMaps, case: &Case) -> [Vec<f32>; 3] {
     let ray = |i: usize| case.ray(i);
     let k = |map: &Image| {
@@ -228,7 +229,7 @@ fn exponents(maps: &MediumMaps, case: &Case) -> [Vec<f32>; 3] {
     [maps.color.data().to_vec(), k(&maps.attenuation), k(&maps.backscatter)]
 }
 
-/// Holds the device's view to the processor's.
+/// Compares the device's view with the processor's.
 fn agree(bench: &Bench, case: &Case, room: usize, what: &str) -> Drawn {
     let what = &format!("{what}, {}", bench.gpu.variant());
     let drawn = bench.draw(case, room);
@@ -287,7 +288,8 @@ fn a_view_is_drawn_and_differentiated_as_on_the_processor() {
 fn views_agree(bench: &Bench) {
     for n in [0usize, 1, 255, 256, 257, 600] {
         for wet in [false, true] {
-            // Room for one entry at first: the overflow is told, changes nothing, and is cured.
+            // There is room for one entry at first: the overflow is reported, changes nothing, and is
+            // corrected.
             agree(bench, &Case::new(cloud(n, -3.0, 0.5), 75, 58, wet), 1, &format!("{n}, water {wet}"));
         }
     }
@@ -314,13 +316,13 @@ fn hard_cases_agree(bench: &Bench) {
     huge.means[7] = [0.0, 0.0, 4.0];
     huge.log_scales[7] = [2.0, 2.5, 1.0];
     agree(bench, &Case::new(huge, 70, 52, true), 1, "a huge one");
-    // Ten thousand times as long as they are wide.
+    // Gaussians ten thousand times as long as they are wide.
     let mut needles = cloud(60, -4.0, 2.0);
     for (i, scales) in needles.log_scales.iter_mut().enumerate() {
         *scales = [-1.5, -10.7, -10.7 + 0.1 * i as f32];
     }
     agree(bench, &Case::new(needles, 64, 48, false), 1, "needles");
-    // Faint ones, thousands to a tile, so that no pixel stops early.
+    // Faint Gaussians, thousands per tile, so that no pixel stops early.
     let full = cloud(9000, -1.5, -4.5);
     let drawn = agree(bench, &Case::new(full, 16, 16, true), 1, "full tiles");
     assert!(drawn.entries > 4096, "{}", drawn.entries);
@@ -337,7 +339,7 @@ fn the_same_view_is_the_same_bytes() {
     }
 }
 
-/// What [`subgroups_of_every_width_agree`] runs in processes of other widths.
+/// The test that [`subgroups_of_every_width_agree`] runs in processes of other widths.
 #[test]
 fn subgroups_of_this_width_agree() {
     for bench in Bench::of(Gpu::trials) {

@@ -1,5 +1,6 @@
-//! Adam on the Gaussians, with everything that leads to it: their records added up, the projection's
-//! derivative, the statistics of density control. One kernel, so that no gradient is written anywhere.
+//! Adam on the Gaussians, and all steps that lead to it: the sums of their records, the projection's
+//! derivative, and the statistics of density control. It is one kernel, so that no gradient is written to
+//! memory.
 
 use bytemuck::{Pod, Zeroable};
 use use3d_numerics::adam::Adam;
@@ -69,12 +70,12 @@ fn limit() -> Spec {
     }
 }
 
-/// All kernels of this room.
+/// All kernels of this module.
 pub(crate) fn specs() -> Vec<Spec> {
     vec![update(), finish(), limit()]
 }
 
-/// What the opacity ceiling is done with.
+/// The constants of the opacity ceiling.
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 #[repr(C)]
 struct Ceiling {
@@ -138,7 +139,8 @@ impl UpdateKernels {
         }
     }
 
-    /// Records a step's end: what was not finite stops what follows, and how it ended is noted.
+    /// Records a step's end: a value that is not finite stops later updates, and the step's status is
+    /// stored.
     pub(crate) fn record_finish(
         &self,
         pass: &mut wgpu::ComputePass<'_>,
@@ -149,7 +151,7 @@ impl UpdateKernels {
         self.finish.dispatch(pass, Grid::groups(1), bound![*constants, *counts, *ends]);
     }
 
-    /// Records the lowering of opacities to a logit.
+    /// Records the kernel that lowers opacities to a logit.
     pub(crate) fn record_limit(
         &self,
         gpu: &Gpu,

@@ -1,36 +1,36 @@
-//! Two ways to add a tile's gradients up. Which one a device takes is part of what its results depend on.
+//! Two ways to sum a tile's gradients. A device's results depend on the one that it uses.
 
 use std::fmt;
 
-/// How the backward pass adds up over the pixels of a tile.
+/// The method by which the backward pass sums over the pixels of a tile.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Variant {
-    /// A: one thread per Gaussian. No operation across threads, so the bits are the
-    /// same however many run in step.
+    /// A: one thread per Gaussian. There is no operation across threads, so the bits do not depend on the
+    /// size of a subgroup.
     #[default]
     Portable,
-    /// B: threads have pixels, and those that run in step add up together.
+    /// B: threads hold pixels, and the threads of a subgroup sum together.
     Subgroups {
-        /// Threads that run in step.
+        /// Number of threads in a subgroup.
         width: u32,
-        /// Pixels of a thread.
+        /// Number of pixels per thread.
         pixels: u32,
     },
 }
 
-/// Threads in step that there are kernels for.
+/// The subgroup sizes for which there are kernels.
 pub(crate) const WIDTHS: [u32; 5] = [4, 8, 16, 32, 64];
-/// Pixels of a thread that there are kernels for, the one that is taken first.
+/// The numbers of pixels per thread for which there are kernels; the default comes first.
 pub(crate) const EACH: [u32; 3] = [2, 1, 4];
 
 impl Variant {
-    /// B for a device that has operations across threads and always as many in step; `None` for any other.
+    /// B for a device that has subgroup operations and a fixed subgroup size; `None` for any other.
     pub(crate) fn of_subgroups(has: bool, [least, most]: [u32; 2]) -> Option<Self> {
         let able = has && least == most && WIDTHS.contains(&least);
         able.then_some(Self::Subgroups { width: least, pixels: EACH[0] })
     }
 
-    /// B with every number of pixels to a thread; A alone.
+    /// B with every number of pixels per thread, or A alone.
     pub(crate) fn each(self) -> Vec<Self> {
         match self {
             Self::Portable => vec![self],

@@ -1,13 +1,17 @@
 //! Converts a folder with pictures and a model of their cameras to a capture.
 //!
+//! The input is a folder with images and a COLMAP model. The outputs are a
+//! [`Capture`](use3d_capture::Capture), an [`ImportReport`], and the pixels of single views. The crate
+//! estimates no cameras: the model must exist.
+//!
 //! ```text
 //! layout ─▶ import ─▶ prepare ─▶ prepared ─▶ load
 //! finds     chooses   resamples   reads back   one view's pixels
 //! ```
 //!
-//! [`import`] finds the model and the images of a capture, resolves names without ever leaving the image
-//! folder, turns every lens into a pinhole, normalises the frame (R7), chooses the split (R8), and lists its
-//! choices in an [`ImportReport`]. If pixels must change (distortion, size, white balance), [`prepare`]
+//! [`import`] finds the model and the images of a capture and resolves names without ever leaving the image
+//! folder. It turns every lens into a pinhole, normalises the frame (R7), chooses the split (R8), and lists
+//! its choices in an [`ImportReport`]. If pixels must change (distortion, size, white balance), [`prepare`]
 //! streams them into a self-contained folder that [`load_prepared`] reads back exactly. [`load_pixels`],
 //! [`load_mask`] and [`load_depth_prior`] load one view at its camera's size.
 //!

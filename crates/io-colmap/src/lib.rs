@@ -2,8 +2,10 @@
 //!
 //! [`read_model`], [`write_model_binary`] and [`write_model_text`] read and write COLMAP's models in both of
 //! their formats ([`binary`], [`text`]). [`Lens`] maps a ray to a pixel on the sensor, and a pixel back to
-//! its ray, for each of COLMAP's camera models. The other parts of a capture, and the preparation of its
-//! pictures, are in the crate `import`.
+//! its ray, for each of COLMAP's camera models except panoramas.
+//!
+//! This crate does not read the pictures. Pictures and the other parts of a capture are in the crate
+//! `import`.
 
 pub mod binary;
 mod error;

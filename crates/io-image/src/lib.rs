@@ -1,4 +1,4 @@
-//! Reading and writing of image files.
+//! Reads and writes image files. It does not resize or correct pictures, except the small JPEGs for pages.
 //!
 //! Formats for reading: PNG (1 to 16 bits), JPEG, TIFF (8, 16 bits, float), EXR (half, float), NPY. Formats
 //! for writing: PNG (8, 16 bits), EXR (float), and JPEGs for pages. Formats are recognised by their first

@@ -1,5 +1,5 @@
-//! How long the media take for a view of 640×360 pixels: a forward and a
-//! backward pass, as in a training step.
+//! Measures the time of each medium for a view of 640×360 pixels: a forward and a backward pass, as in a
+//! training step.
 
 use std::hint::black_box;
 

@@ -1,17 +1,18 @@
-//! Spherical harmonics of the pixel's ray, for nine quantities at once: the part
-//! that `rbf` and `global` share.
+//! Spherical harmonics of the pixel's ray, for nine quantities at once: the part that `rbf` and `global`
+//! share.
 //!
-//! Per pixel, with the unit world direction `ω` of the ray through the pixel centre (R3)
-//! and the basis `Y` of 16 bands,
+//! For each pixel, with the unit world direction `ω` of the ray through the pixel centre (R3) and the basis
+//! `Y` of 16 bands,
 //!
 //! ```text
 //! raw[q] = Σ_b Y_b(ω) A[q][b]       q: c_m, β_bs, β_attn, each RGB
 //! c_m    = max(raw + 0.5, 0)        β = softplus(raw)                  (R6)
 //! ```
 //!
-//! The backward pass needs only the maps themselves: `c_m > 0` tells the clamp, and
-//! `softplus'(raw) = 1 - e^{-β}`. Rows are cut into strips of fixed height, each strip sums its 144 products
-//! in sixteen lanes, and strips are added in order in f64: the same bits on any number of threads.
+//! The backward pass needs only the maps themselves: the clamp is inactive where `c_m > 0`, and
+//! `softplus'(raw) = 1 - e^{-β}`. Rows are cut into strips of fixed height. Each strip sums its 144
+//! products in sixteen lanes, and the strips are added in order in f64. So the result has the same bits on
+//! any number of threads.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Level, Simd, dispatch, f32x16};
@@ -36,17 +37,17 @@ pub(crate) fn initial_coefficients() -> Coefficients {
     coefficients
 }
 
-/// Floats of one quantity's 16 bands, and of its constant band.
+/// Number of floats in one quantity's 16 bands, and in its constant band.
 const QUANTITY: usize = 48;
 const CONSTANT: usize = 3;
 
-/// Coefficients as runs: three constants, 45 directional, and so on.
+/// Cuts coefficients into runs of one role: three constants, 45 directional, and so on.
 pub(crate) fn runs(coefficients: &[f32]) -> Vec<(Role, &[f32])> {
     let split = coefficients.chunks_exact(QUANTITY).map(|q| q.split_at(CONSTANT));
     split.flat_map(|(constant, rest)| [(Role::Constant, constant), (Role::Directional, rest)]).collect()
 }
 
-/// The same, to be changed.
+/// The mutable form of [`runs`].
 pub(crate) fn runs_mut(coefficients: &mut [f32]) -> Vec<(Role, &mut [f32])> {
     let split = coefficients.chunks_exact_mut(QUANTITY).map(|q| q.split_at_mut(CONSTANT));
     split.flat_map(|(constant, rest)| [(Role::Constant, constant), (Role::Directional, rest)]).collect()
@@ -81,7 +82,7 @@ impl Rays {
         self.x.len()
     }
 
-    /// Unit world directions of 16 pixels of row `j` from column `i` on.
+    /// The unit world directions of 16 pixels of row `j`, starting at column `i`.
     #[inline(always)]
     pub(crate) fn directions<S: Simd>(&self, simd: S, i: usize, j: usize) -> [f32x16<S>; 3] {
         let x = rows::load(simd, &self.x, i);
@@ -111,7 +112,7 @@ pub(crate) fn planes(maps: &MediumMaps) -> [&[f32]; 9] {
     [c[0], c[1], c[2], b[0], b[1], b[2], a[0], a[1], a[2]]
 }
 
-/// The maps of one view.
+/// Computes the maps of one view.
 pub(crate) fn forward(
     coefficients: &Coefficients,
     camera: &Camera,
@@ -155,7 +156,8 @@ fn forward_strip<S: Simd>(
     }
 }
 
-/// Pulls gradients with respect to the maps back to the coefficients. `maps` are those that [`forward`] made.
+/// Converts gradients with respect to the maps into gradients with respect to the coefficients. `maps` must
+/// be the result of [`forward`].
 pub(crate) fn backward(
     camera: &Camera,
     lattice: &Lattice,
@@ -196,7 +198,8 @@ fn backward_strip<S: Simd>(
 ) -> [f32; 144] {
     let width = rays.width();
     let zero = f32x16::splat(simd, 0.0);
-    // A block's basis and raw gradients lie in L1; the products are summed twelve accumulators at a time.
+    // A block's basis and raw gradients fit into the L1 cache; twelve accumulators sum the products at a
+    // time.
     let mut basis = [[0.0f32; BLOCK]; 16];
     let mut raw = [[0.0f32; BLOCK]; 9];
     let mut totals = [zero; 144];
@@ -251,7 +254,7 @@ fn backward_strip<S: Simd>(
     out
 }
 
-/// The plain form of [`forward`]: one pixel after another, for tests.
+/// The plain form of [`forward`], pixel by pixel, for tests.
 #[cfg(test)]
 pub(crate) fn forward_plain(
     coefficients: &Coefficients,

@@ -1,5 +1,5 @@
-//! One set of spherical harmonics for the whole scene: water that varies with
-//! direction only, as in Plenodium.
+//! One set of spherical harmonics for the whole scene: water that varies with direction only, as in
+//! Plenodium.
 
 use use3d_capture::{Camera, Lattice, MediumMaps};
 

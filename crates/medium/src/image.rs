@@ -1,10 +1,10 @@
-//! Water laid over the finished image: the clear image seen through water at its expected depth, as
-//! SeaSplat and 3D-UIR form a photograph.
+//! Water applied to the finished image: the clear image seen through water at its expected depth. SeaSplat
+//! and 3D-UIR form a photograph in this way.
 //!
-//! The water is that of [`MediumGlobal`], one set of spherical harmonics; with the constant band alone
-//! it is SeaSplat's, three numbers each for the colour of infinitely deep water, backscatter and
-//! attenuation. What differs is where it goes: not in front of every Gaussian, but in front of each
-//! pixel ([`Formation::PerImage`]).
+//! The water is that of [`MediumGlobal`], one set of spherical harmonics. With the constant band alone it
+//! is SeaSplat's: three numbers each for the colour of infinitely deep water, backscatter and attenuation.
+//! The difference from `MediumGlobal` is its position: this water lies in front of each pixel
+//! ([`Formation::PerImage`]) and not in front of every Gaussian.
 
 use use3d_capture::{Camera, Formation, Lattice, MediumMaps};
 
@@ -12,7 +12,7 @@ use crate::kinds::{Harmonics, Medium, MediumStart};
 use crate::tensors::{Put, Tensors};
 use crate::{Coefficients, MediumError, MediumGlobal, Role};
 
-/// Water that varies with direction only, laid over finished images.
+/// Water that varies with direction only, applied to finished images.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MediumImage(pub MediumGlobal);
 

@@ -1,5 +1,6 @@
-//! The one table of media. A medium is a file that implements [`Medium`], and a row here; what it is called
-//! in files and parameters, the enum of models, and every call that goes to one of them follow from the row.
+//! The one table of media. A medium is a file that implements [`Medium`], and a row of this table. The row
+//! defines its name in files and parameters, its variant of the enum of models, and the dispatch of every
+//! call.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -8,55 +9,55 @@ use use3d_capture::{Camera, Formation, Lattice, MediumMaps};
 use crate::tensors::{Put, Tensor, Tensors};
 use crate::{Coefficients, MediumError, MediumGlobal, MediumImage, MediumMlp, MediumRbf, Role};
 
-/// What a model may need to know of its start; each takes what concerns it.
+/// The settings from which models start; each model uses those that it needs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MediumStart {
     /// Anchors of an anchored model, 1 to [`MOST_ANCHORS`](crate::MOST_ANCHORS).
     pub anchors: usize,
-    /// Anchors that share a view, 1 to `anchors`.
+    /// Number of anchors that share a view, 1 to `anchors`.
     pub top_k: usize,
     /// Seed of a model that starts at random.
     pub seed: u64,
 }
 
-/// A model that is spherical harmonics of the direction, around a camera.
+/// A model that consists of spherical harmonics of the direction, around a camera.
 #[derive(Clone, Copy, Debug)]
 pub struct Harmonics<'a> {
     /// `[c_m, β_bs, β_attn][band][RGB]`, one set per anchor; a single one without anchors.
     pub coefficients: &'a [Coefficients],
-    /// Where the sets belong; `None`: the one set holds everywhere.
+    /// The positions of the sets; `None` if one set holds everywhere.
     pub anchors: Option<Anchors<'a>>,
 }
 
-/// Places in the scene that coefficients belong to. [`MediumRbf`] says how cameras share them.
+/// Positions in the scene to which coefficients belong. [`MediumRbf`] defines how cameras share them.
 #[derive(Clone, Copy, Debug)]
 pub struct Anchors<'a> {
     /// Centres, normalised scene units.
     pub centers: &'a [[f32; 3]],
     /// Logarithms of widths.
     pub log_widths: &'a [f32],
-    /// Anchors that share a view.
+    /// Number of anchors that share a view.
     pub top_k: usize,
 }
 
-/// A model of the water: what a row of the table stands for. Degrees of spherical harmonics are 0 to 3.
+/// A model of the water: the interface of one row of the table. Degrees of spherical harmonics are 0 to 3.
 pub(crate) trait Medium: Sized {
-    /// Whether it can start from given spherical harmonics.
+    /// True if the model can start from given spherical harmonics.
     const FROM_HARMONICS: bool = false;
 
-    /// How images are formed in it.
+    /// The way in which images are formed in this water.
     const FORMATION: Formation = Formation::PerGaussian;
 
     /// The initial state.
     fn start(start: &MediumStart) -> Result<Self, MediumError>;
 
-    /// Takes the same harmonics everywhere, if it is made of such.
+    /// Sets the same harmonics everywhere, if the model consists of harmonics.
     fn set_harmonics(&mut self, _coefficients: &Coefficients) {}
 
-    /// As [`MediumModel::maps`].
+    /// See [`MediumModel::maps`].
     fn maps(&self, camera: &Camera, lattice: &Lattice, degree: usize, out: &mut MediumMaps);
 
-    /// As [`MediumModel::backward`].
+    /// See [`MediumModel::backward`].
     fn backward(
         &self,
         camera: &Camera,
@@ -67,27 +68,27 @@ pub(crate) trait Medium: Sized {
         gradient: &mut Self,
     );
 
-    /// As [`MediumModel::groups`].
+    /// See [`MediumModel::groups`].
     fn groups(&self) -> Vec<(Role, &[f32])>;
 
-    /// The same, to be changed.
+    /// The mutable form of `groups`.
     fn groups_mut(&mut self) -> Vec<(Role, &mut [f32])>;
 
-    /// Gives all its tensors.
+    /// Passes all its tensors to `put`.
     fn write(&self, put: Put<'_>);
 
-    /// The model from its tensors; `top_k` matters to anchored ones.
+    /// Makes the model from its tensors; only anchored models use `top_k`.
     fn read(top_k: usize, tensors: &Tensors) -> Result<Self, MediumError>;
 
-    /// Its harmonics, if it is made of such. Water without them is taken by viewers to
-    /// vary with the direction alone.
+    /// Returns its harmonics, if it consists of harmonics. Viewers assume that water without them varies
+    /// with the direction alone.
     fn harmonics(&self) -> Option<Harmonics<'_>> {
         None
     }
 }
 
-/// Makes models, kinds and calls of the table's rows. No water is in no row: it has no
-/// parameters and nothing to compute.
+/// Makes models, kinds and calls from the table's rows. There is no row for no water: it has no parameters
+/// and nothing to compute.
 macro_rules! media {
     ($($(#[$doc:meta])* $kind:ident($model:ty) = $name:literal;)+) => {
         /// A model of the water.
@@ -99,7 +100,7 @@ macro_rules! media {
             None,
         }
 
-        /// Which model of the water is fitted.
+        /// The model of the water that is fitted.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
         #[schemars(rename = "Medium")]
         pub enum MediumKind {
@@ -121,7 +122,7 @@ macro_rules! media {
                 }
             }
 
-            /// How images are formed in water of this kind.
+            /// The way in which images are formed in water of this kind.
             pub fn formation(self) -> Formation {
                 match self {
                     $(Self::$kind => <$model as Medium>::FORMATION,)+
@@ -129,7 +130,7 @@ macro_rules! media {
                 }
             }
 
-            /// Whether a model of this kind can start from given spherical harmonics.
+            /// True if a model of this kind can start from given spherical harmonics.
             pub fn starts_from_harmonics(self) -> bool {
                 match self {
                     $(Self::$kind => <$model as Medium>::FROM_HARMONICS,)+
@@ -147,8 +148,8 @@ macro_rules! media {
                 })
             }
 
-            /// One that is the same harmonics everywhere at the start; `None`
-            /// if its kind is not made of such.
+            /// A model that starts with the same harmonics everywhere; `None` if its kind does not consist
+            /// of harmonics.
             pub fn start_from(
                 kind: MediumKind,
                 start: &MediumStart,
@@ -165,7 +166,7 @@ macro_rules! media {
                 Ok(Some(model))
             }
 
-            /// Which model it is.
+            /// The kind of this model.
             pub fn kind(&self) -> MediumKind {
                 match self {
                     $(Self::$kind(_) => MediumKind::$kind,)+
@@ -173,9 +174,9 @@ macro_rules! media {
                 }
             }
 
-            /// The maps of one view on a lattice of its pixels. Spherical-harmonic bands above
-            /// `active_degree` (0 to 3) are left out; a model without bands knows no such limit.
-            /// Without water all maps are zero.
+            /// Computes the maps of one view on a lattice of its pixels. Spherical-harmonic bands above
+            /// `active_degree` (0 to 3) are left out; a model without bands ignores this limit. Without
+            /// water all maps are zero.
             pub fn maps(&self, camera: &Camera, lattice: &Lattice, active_degree: usize, out: &mut MediumMaps) {
                 out.formation = self.kind().formation();
                 match self {
@@ -190,8 +191,8 @@ macro_rules! media {
             }
 
             /// Adds to `gradient` the gradient of `<d_maps, maps>` with respect to every parameter. `maps`
-            /// are those that [`MediumModel::maps`] made with the same arguments; `gradient` has this model's
-            /// kind and size ([`MediumModel::zeros_like`]).
+            /// must be the result of [`MediumModel::maps`] for the same arguments; `gradient` has this
+            /// model's kind and size ([`MediumModel::zeros_like`]).
             pub fn backward(
                 &self,
                 camera: &Camera,
@@ -212,7 +213,7 @@ macro_rules! media {
                 }
             }
 
-            /// Runs of parameters of one role, in order.
+            /// The parameters in order, as runs of one role each.
             pub fn groups(&self) -> Vec<(Role, &[f32])> {
                 match self {
                     $(Self::$kind(m) => m.groups(),)+
@@ -240,8 +241,8 @@ macro_rules! media {
                 tensors
             }
 
-            /// The model of `kind` from its tensors; `top_k` matters to anchored ones only.
-            /// Shapes and finiteness are checked.
+            /// Makes the model of `kind` from its tensors; only anchored models use `top_k`. Shapes and
+            /// finiteness are checked.
             pub fn from_tensors(kind: MediumKind, top_k: usize, tensors: &Tensors) -> Result<Self, MediumError> {
                 Ok(match kind {
                     $(MediumKind::$kind => Self::$kind(Medium::read(top_k, tensors)?),)+
@@ -249,7 +250,7 @@ macro_rules! media {
                 })
             }
 
-            /// Its spherical harmonics, if it is made of such.
+            /// Returns its spherical harmonics, if it consists of harmonics.
             pub fn harmonics(&self) -> Option<Harmonics<'_>> {
                 match self {
                     $(Self::$kind(m) => m.harmonics(),)+
@@ -267,18 +268,18 @@ media! {
     Mlp(MediumMlp) = "mlp";
     /// One set of spherical harmonics (Plenodium's water).
     Global(MediumGlobal) = "global";
-    /// One set of spherical harmonics, laid over the finished image at its depth
-    /// (SeaSplat's and 3D-UIR's formation).
+    /// One set of spherical harmonics, applied to the finished image at its depth (SeaSplat's and 3D-UIR's
+    /// formation).
     Image(MediumImage) = "image";
 }
 
 impl MediumKind {
-    /// The kind of that name.
+    /// The kind with this name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.iter().copied().find(|kind| kind.name() == name)
     }
 
-    /// The names of all kinds of which `fits` holds, for a message: `rbf, mlp or none`.
+    /// The names of all kinds for which `fits` is true, for a message: `rbf, mlp or none`.
     pub fn names(fits: impl Fn(Self) -> bool) -> String {
         let names: Vec<&str> = Self::ALL.iter().filter(|kind| fits(**kind)).map(|kind| kind.name()).collect();
         match names.split_last() {
@@ -289,7 +290,7 @@ impl MediumKind {
 }
 
 impl Default for MediumKind {
-    /// The method's own.
+    /// The medium of the method itself.
     fn default() -> Self {
         Self::Rbf
     }

@@ -1,12 +1,12 @@
 //! MediumRBF and the media it is compared with.
 //!
-//! A medium model says, for a camera and the pixels looked at, what the water does along each pixel's ray:
-//! its colour at infinity `c_m` (display range) and the backscatter and attenuation coefficients `β_bs`,
+//! For a camera and a lattice of pixels, a medium model computes the water along each pixel's ray: its
+//! colour at infinity `c_m` (display range) and the backscatter and attenuation coefficients `β_bs`,
 //! `β_attn` (1 / scene unit), each per RGB channel. The compositor does the rest. Models are rows of one
 //! table (`kinds`): [`MediumRbf`] (the method's), one set of spherical harmonics for the whole scene
-//! ([`MediumGlobal`], as in Plenodium), a network of the direction ([`MediumMlp`], as in WaterSplatting), and
-//! no water at all. All of these stand in front of every Gaussian; [`MediumImage`] lies over the finished
-//! image, as in SeaSplat and 3D-UIR.
+//! ([`MediumGlobal`], as in Plenodium), a network of the direction ([`MediumMlp`], as in WaterSplatting),
+//! and no water at all. The water of all of these lies in front of every Gaussian; that of [`MediumImage`]
+//! is applied to the finished image, as in SeaSplat and 3D-UIR.
 //!
 //! `backward` is the exact adjoint of `maps` and adds to a gradient that has the model's own type.
 //! For optimisers, every model is a flat vector of parameters in a fixed order with a [`Role`]
@@ -28,7 +28,7 @@ pub use mlp::MediumMlp;
 pub use rbf::MediumRbf;
 pub use tensors::{MOST_ANCHORS, Tensor, Tensors};
 
-/// What a parameter is, so that an optimiser can give it its learning rate.
+/// The role of a parameter, by which an optimiser chooses its learning rate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
     /// A constant (band 0) spherical-harmonic coefficient.
@@ -41,16 +41,16 @@ pub enum Role {
     Network,
 }
 
-/// What is wrong with a medium's tensors.
+/// An error in a medium's tensors.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum MediumError {
-    /// A tensor is not there.
+    /// A tensor is missing.
     #[error("the medium has no tensor `{name}`")]
     Missing {
         /// Its name.
         name: String,
     },
-    /// A tensor of another shape.
+    /// A tensor has another shape than expected.
     #[error("medium tensor `{name}` has shape {found:?}, expected {expected:?}")]
     Shape {
         /// Its name.
@@ -60,7 +60,7 @@ pub enum MediumError {
         /// Shape expected.
         expected: Vec<usize>,
     },
-    /// A value that is not finite.
+    /// A value is not finite.
     #[error("medium tensor `{name}` is not finite at element {index}")]
     NotFinite {
         /// Its name.
@@ -68,7 +68,7 @@ pub enum MediumError {
         /// First bad element.
         index: usize,
     },
-    /// No anchors, or absurdly many.
+    /// There are no anchors, or too many.
     #[error("the medium has {found} anchors; expected 1 to {most}")]
     Anchors {
         /// Number found.
@@ -76,7 +76,7 @@ pub enum MediumError {
         /// Largest number accepted.
         most: usize,
     },
-    /// `top_k` outside `1..=anchors`.
+    /// `top_k` lies outside `1..=anchors`.
     #[error("the medium's top_k is {top_k}; expected 1 to {anchors}, its number of anchors")]
     TopK {
         /// Value found.
@@ -87,7 +87,7 @@ pub enum MediumError {
 }
 
 impl MediumModel {
-    /// Whether there is no water.
+    /// True if there is no water.
     pub fn is_none(&self) -> bool {
         matches!(self, Self::None)
     }
@@ -111,7 +111,7 @@ impl MediumModel {
         self.groups().iter().map(|(_, values)| values.len()).sum()
     }
 
-    /// Walks model and gradient in step, in the fixed order of the flat parameter vector:
+    /// Walks through model and gradient together, in the fixed order of the flat parameter vector:
     /// `f(role, offset, parameters, gradient)` with slices of equal length; `offset` is the first
     /// parameter's index in the flat vector.
     pub fn update(&mut self, gradient: &Self, mut f: impl FnMut(Role, usize, &mut [f32], &[f32])) {
@@ -128,7 +128,8 @@ impl MediumModel {
         self.groups().iter().flat_map(|(_, values)| values.iter().copied()).collect()
     }
 
-    /// Takes back what [`MediumModel::flat`] gave; `false` (and nothing changed) if the length differs.
+    /// Sets the parameters from the result of [`MediumModel::flat`]; returns `false` and changes nothing if
+    /// the length differs.
     pub fn set_flat(&mut self, values: &[f32]) -> bool {
         if values.len() != self.parameter_count() {
             return false;

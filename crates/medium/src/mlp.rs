@@ -5,10 +5,10 @@
 //! c_m = σ(raw)              β = softplus(raw)
 //! ```
 //!
-//! with the 16 spherical harmonics `Y` of the ray's direction, two hidden layers of 128 sigmoids and
-//! nine outputs. The same water everywhere: it knows the direction, not the place. Evaluated 64 pixels
-//! at a time, matrix times matrix; the backward pass computes the hidden layers again rather than
-//! storing 256 numbers per pixel.
+//! Here `Y` are the 16 spherical harmonics of the ray's direction; the network has two hidden layers of 128
+//! sigmoids and nine outputs. The water is the same everywhere: it depends on the direction and not on the
+//! position. The network is evaluated 64 pixels at a time, as products of matrices. The backward pass
+//! computes the hidden layers again, so that 256 numbers per pixel need not be stored.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Level, Simd, dispatch, f32x16};
@@ -25,14 +25,14 @@ use crate::kinds::{Medium, MediumStart};
 use crate::tensors::{self, Put, Tensors};
 use crate::{MediumError, Role};
 
-/// Inputs, hidden units, outputs (padded to a multiple of [`ROWS`] inside the kernels).
+/// Numbers of inputs, hidden units and outputs (the kernels pad outputs to a multiple of [`ROWS`]).
 const INPUTS: usize = 16;
 const HIDDEN: usize = 128;
 const OUTPUTS: usize = 9;
 const PADDED: usize = 12;
 /// Pixels per block.
 const BLOCK: usize = 4 * LANES;
-/// Strips whose gradients are summed by one task: bounds the memory for partial sums.
+/// Number of strips whose gradients one task sums; it bounds the memory for partial sums.
 const STRIPS_PER_TASK: usize = 8;
 
 /// Weights of the network, row-major `[out][in]`.
@@ -167,7 +167,7 @@ impl Medium for MediumMlp {
     }
 }
 
-/// The network with its last layer padded, and the transposes that the backward pass multiplies with.
+/// The network with its last layer padded, and the transposed weights that the backward pass uses.
 struct Padded {
     weights: [Vec<f32>; 3],
     biases: [Vec<f32>; 3],
@@ -188,11 +188,11 @@ impl Padded {
         Self { weights, biases, transposed }
     }
 
-    /// Hidden layers and raw outputs of one block of pixels.
+    /// Computes hidden layers and raw outputs of one block of pixels.
     #[inline(always)]
     fn evaluate<S: Simd>(&self, simd: S, rays: &Rays, row: usize, start: usize, block: &mut Block) {
         for v in (0..BLOCK).step_by(LANES) {
-            // Beyond the row's end: any direction will do, its derivative is zero.
+            // Beyond the row's end the direction does not matter, because its derivative is zero.
             let i = (start + v).min(rays.width() - 1);
             let [x, y, z] = rays.directions(simd, i, row);
             for (b, value) in basis_lanes(simd, 3, x, y, z).iter().enumerate() {
@@ -206,7 +206,7 @@ impl Padded {
         product(simd, &self.weights[2], Some(&self.biases[2]), &block.second, &mut block.raw);
     }
 
-    /// The gradients of one block, added to `sums`; `block` holds what [`Padded::evaluate`] left.
+    /// Adds the gradients of one block to `sums`; `block` holds the results of [`Padded::evaluate`].
     #[inline(always)]
     fn backward_of_block<S: Simd>(
         &self,
@@ -300,8 +300,8 @@ impl Gradients {
     }
 }
 
-/// Outputs that one pass of a matrix product sums in registers: by two vectors where registers
-/// hold a whole one, else by one.
+/// Number of outputs whose sums one pass of a matrix product holds in registers: as pairs of vectors where
+/// registers hold a whole vector, otherwise as single vectors.
 const ROWS: usize = 4;
 
 /// `out = weights · input (+ bias)`: `[out][in] × [in][BLOCK]`.
@@ -323,7 +323,8 @@ fn product_tiles<S: Simd, const V: usize>(
     out: &mut [f32],
 ) {
     let inputs = input.len() / BLOCK;
-    // Pixels outermost: their columns of the input stay in the first-level cache, while the weights stream.
+    // The outer loop runs over pixels: their columns of the input stay in the first-level cache while the
+    // weights stream through.
     for start in (0..BLOCK).step_by(V * LANES) {
         for (group, rows) in out.chunks_exact_mut(ROWS * BLOCK).enumerate() {
             let mut sums = [[f32x16::splat(simd, 0.0); V]; ROWS];
@@ -349,8 +350,8 @@ fn product_tiles<S: Simd, const V: usize>(
     }
 }
 
-/// `weights += d_out · inputᵀ`, `bias += Σ d_out`, over one block of pixels. The input is turned to
-/// `[pixel][in]` first, so that vectors run along the inputs and no sum crosses its lanes.
+/// `weights += d_out · inputᵀ`, `bias += Σ d_out`, over one block of pixels. The input is first transposed
+/// to `[pixel][in]`, so that vectors run along the inputs and no sum crosses lanes.
 #[inline(always)]
 fn accumulate<S: Simd>(
     simd: S,
@@ -366,7 +367,7 @@ fn accumulate<S: Simd>(
             *value = input[unit * BLOCK + p];
         }
     }
-    // The first layer has one vector of inputs only.
+    // The first layer has only one vector of inputs.
     if product::is_wide::<S>() && inputs > LANES {
         accumulate_tiles::<S, 2>(simd, d_out, turned, inputs, weights);
     } else {
@@ -430,8 +431,8 @@ mod tests {
         left.iter().enumerate().fold(start, |sum, (k, &l)| right(k).mul_add(l, sum))
     }
 
-    /// Tiles of one and of two vectors, of which a processor takes one kind: the same bits, and the
-    /// products that plain loops give.
+    /// Compares tiles of one and of two vectors (a processor uses only one of the two kinds): they have the
+    /// same bits, and agree with plain loops.
     #[test]
     fn tiles_of_either_width_are_plain_products() {
         let close = |found: f32, expected: f32, what: &str, j: usize, i: usize| {

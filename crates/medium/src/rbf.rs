@@ -1,4 +1,4 @@
-//! MediumRBF: water that varies with where the camera is and where it looks.
+//! MediumRBF: water that varies with the camera's position and viewing direction.
 //!
 //! Anchors `k` with centre `p_k`, width `σ_k = max(e^{l_k}, 1e-4)` and spherical-harmonic coefficients `A_k`.
 //! For a camera at `o`, clamped to `[-1.5, 1.5]` per axis of the normalised scene (R4), the `K` anchors of
@@ -8,10 +8,10 @@
 //! ρ_k = -|o - p_k|² / (2 σ_k²)      w = softmax over the K largest ρ      A = Σ_k w_k A_k
 //! ```
 //!
-//! and `A` is evaluated along every pixel's ray (`directional`). Ties go to the lower index. The selection is
-//! not differentiated, so the medium jumps where the K-th and the next anchor change places; nor is the
-//! camera's position. The maximum is subtracted before the exponential, since affinities of narrow anchors
-//! lie far below the range of `exp`.
+//! `A` is then evaluated along every pixel's ray (`directional`). Among equal affinities the lower index
+//! wins. The selection is not differentiated, so the medium jumps where the K-th and the next anchor change
+//! places; the camera's position is not differentiated either. The maximum is subtracted before the
+//! exponential, because affinities of narrow anchors lie far below the range of `exp`.
 
 use use3d_capture::{Camera, Lattice, MediumMaps};
 use use3d_numerics::math;
@@ -23,7 +23,7 @@ use crate::{MediumError, Role};
 
 /// Smallest width, scene units.
 const WIDTH_FLOOR: f64 = 1e-4;
-/// Camera coordinates are clamped to this, normalised scene units (R4).
+/// Camera coordinates are clamped to ± this value, normalised scene units (R4).
 const QUERY_LIMIT: f64 = 1.5;
 
 /// The anchors of a MediumRBF.
@@ -35,14 +35,14 @@ pub struct MediumRbf {
     pub log_widths: Vec<f32>,
     /// `A_k`: `[c_m, β_bs, β_attn][band][RGB]`.
     pub coefficients: Vec<Coefficients>,
-    /// Anchors that share a view, `K`.
+    /// Number `K` of anchors that share a view.
     pub top_k: usize,
 }
 
 impl MediumRbf {
-    /// The initial state (R5): 8 anchors at the corners of the normalised cube, x slowest, σ = 0.85; other
-    /// counts spread evenly over the sphere through those corners (a Fibonacci lattice). All anchors alike:
-    /// `c_m = 0.5`, `β = softplus(-5 Y₀₀) = 0.218`.
+    /// The initial state (R5): 8 anchors at the corners of the normalised cube, x slowest, σ = 0.85. Other
+    /// numbers of anchors are spread evenly over the sphere through those corners (a Fibonacci lattice).
+    /// All anchors are alike: `c_m = 0.5`, `β = softplus(-5 Y₀₀) = 0.218`.
     pub fn new(anchors: usize, top_k: usize) -> Self {
         let center = |k: usize| -> [f32; 3] {
             if anchors == 8 {
@@ -65,12 +65,13 @@ impl MediumRbf {
         self.centers.len()
     }
 
-    /// Whether there is no anchor (then the water is that of all-zero coefficients).
+    /// True if there is no anchor (the water is then that of all-zero coefficients).
     pub fn is_empty(&self) -> bool {
         self.centers.is_empty()
     }
 
-    /// The share of each anchor in the water around a camera: at most `K` are not zero, and they sum to 1.
+    /// The share of each anchor in the water around a camera: at most `K` shares are not zero, and they sum
+    /// to 1.
     pub fn weights(&self, camera: &Camera) -> Vec<f64> {
         let mut weights = vec![0.0; self.len()];
         for (k, w) in self.selection(camera) {
@@ -88,8 +89,8 @@ impl MediumRbf {
         sum.map(|quantity| quantity.map(|band| band.map(|v| v as f32)))
     }
 
-    /// Adds the gradients with respect to centres, log widths and coefficients,
-    /// given those with respect to `A`.
+    /// Adds the gradients with respect to centres, log widths and coefficients, computed from those with
+    /// respect to `A`.
     fn backward_of_coefficients(
         &self,
         camera: &Camera,
@@ -129,7 +130,7 @@ impl MediumRbf {
         }
     }
 
-    /// `σ_k` and whether it is held at its floor.
+    /// `σ_k`, and true if it is held at its floor.
     fn sigma(&self, k: usize) -> (f64, bool) {
         let sigma = math::exp(f64::from(self.log_widths[k]));
         (sigma.max(WIDTH_FLOOR), sigma < WIDTH_FLOOR)
@@ -229,7 +230,7 @@ impl Medium for MediumRbf {
     }
 }
 
-/// Whether there are so many anchors as a model may have, and as many as share a view.
+/// Checks that the number of anchors is allowed, and that `top_k` is at most that number.
 fn check(anchors: usize, top_k: usize) -> Result<(), MediumError> {
     if anchors == 0 || anchors > MOST_ANCHORS {
         return Err(MediumError::Anchors { found: anchors, most: MOST_ANCHORS });
@@ -240,7 +241,7 @@ fn check(anchors: usize, top_k: usize) -> Result<(), MediumError> {
     Ok(())
 }
 
-/// The observer, clamped (R4).
+/// The camera's position, clamped (R4).
 fn query(camera: &Camera) -> [f64; 3] {
     camera.pose.center().to_array().map(|v| v.clamp(-QUERY_LIMIT, QUERY_LIMIT))
 }

@@ -1,4 +1,4 @@
-//! Media as named tensors, the form in which a scene folder keeps them.
+//! Media as named tensors, the form in which a scene folder stores them.
 //!
 //! `rbf`: `centers [K,3]`, `log_widths [K]`, `coefficients [K,3,16,3]`. `global`: `coefficients [3,16,3]`.
 //! `mlp`: `layer0.weight [128,16]`, `layer0.bias [128]`, `layer1…`, `layer2…`. `none` has no tensors.
@@ -19,13 +19,13 @@ pub struct Tensor {
 /// Named tensors, in name order.
 pub type Tensors = BTreeMap<String, Tensor>;
 
-/// More anchors than any scene needs: a bound on what a file or a parameter may ask for.
+/// The largest number of anchors that a file or a parameter may request; no scene needs more.
 pub const MOST_ANCHORS: usize = 4096;
 
-/// Takes a model's tensors: name, shape, values.
+/// A function that receives a model's tensors: name, shape, values.
 pub(crate) type Put<'a> = &'a mut dyn FnMut(&str, &[usize], &[f32]);
 
-/// The values of a tensor of this shape, all finite.
+/// Returns the values of a tensor, after checking its shape and that all values are finite.
 pub(crate) fn get<'a>(tensors: &'a Tensors, name: &str, shape: &[usize]) -> Result<&'a [f32], MediumError> {
     let tensor = tensors.get(name).ok_or_else(|| MediumError::Missing { name: name.into() })?;
     if tensor.shape != shape || tensor.values.len() != shape.iter().product::<usize>() {
@@ -41,7 +41,7 @@ pub(crate) fn get<'a>(tensors: &'a Tensors, name: &str, shape: &[usize]) -> Resu
     }
 }
 
-/// Values as sets of coefficients.
+/// Splits values into sets of coefficients.
 pub(crate) fn coefficients(values: &[f32]) -> Vec<Coefficients> {
     values.chunks_exact(144).map(|chunk| bytemuck::pod_read_unaligned(bytemuck::cast_slice(chunk))).collect()
 }

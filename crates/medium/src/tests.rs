@@ -1,4 +1,4 @@
-//! Goldens, finite differences, and the vector code against its plain form.
+//! Compares with goldens and finite differences, and compares the vector code with its plain form.
 
 use glam::DVec3;
 use use3d_capture::{Camera, Formation, Image, Intrinsics, Lattice, MediumMaps, Pose};
@@ -95,7 +95,7 @@ fn camera(stream: &Stream, width: usize, height: usize) -> Camera {
 fn random_model(stream: &Stream, kind: MediumKind) -> MediumModel {
     let n = |i: u64| stream.normal(i) as f32;
     let coefficients = |from: u64| {
-        // Red is bright and green clamped everywhere, so that no pixel sits near the clamp's kink.
+        // Red is bright and green is clamped everywhere, so that no pixel lies near the clamp's kink.
         let mut a: crate::Coefficients = std::array::from_fn(|q| {
             std::array::from_fn(|b| std::array::from_fn(|c| 0.4 * n(from + (q * 48 + b * 3 + c) as u64)))
         });
@@ -155,7 +155,8 @@ fn gradients_agree_with_finite_differences() {
                 model.maps(&camera, &lattice, degree, &mut maps);
                 let mut gradient = model.zeros_like();
                 model.backward(&camera, &lattice, degree, &maps, &d_maps, &mut gradient);
-                // Each group by its own scale: a small one may not hide behind the largest gradient.
+                // Each group is checked at its own scale, so that a small one is not hidden by the largest
+                // gradient.
                 let mut ends = Vec::new();
                 for (_, group) in gradient.groups() {
                     ends.push(ends.last().copied().unwrap_or(0) + group.len());
@@ -166,7 +167,7 @@ fn gradients_agree_with_finite_differences() {
                 let scale_of = |(from, to): (usize, usize)| {
                     gradient[from..to].iter().fold(0.0f32, |m, g| m.max(g.abs()))
                 };
-                // Along random directions in each group, so that every parameter takes part.
+                // Derivatives along random directions in each group, so that every parameter takes part.
                 for (probe, &(from, to)) in groups.iter().enumerate() {
                     let scale = scale_of((from, to));
                     let direction: Vec<f32> = (0..parameters.len())
@@ -184,9 +185,12 @@ fn gradients_agree_with_finite_differences() {
                         model.maps(&camera, &lattice, degree, &mut maps);
                         dot(&maps, &d_maps)
                     };
-                    // Two steps cancel the cubic term, so that the larger one can drown the rounding.
-                    let mut slope = |h: f32| (at(h) - at(-h)) / (2.0 * f64::from(h));
-                    let numeric = (4.0 * slope(4e-3) - slope(8e-3)) / 3.0;
+                    // Three steps cancel the cubic and the fifth term (Romberg), so that the smallest one can
+                    // be large enough to exceed the rounding of the sum.
+                    let mut central = |h: f32| (at(h) - at(-h)) / (2.0 * f64::from(h));
+                    let [fine, middle, coarse] = [1e-2, 2e-2, 4e-2].map(&mut central);
+                    let (near, far) = ((4.0 * fine - middle) / 3.0, (4.0 * middle - coarse) / 3.0);
+                    let numeric = (16.0 * near - far) / 15.0;
                     let norm = ((to - from) as f64).sqrt() * f64::from(scale);
                     let error = (numeric - expected).abs();
                     assert!(
@@ -194,7 +198,7 @@ fn gradients_agree_with_finite_differences() {
                         "{kind:?} degree {degree}, {from} to {to}: {numeric} against {expected}"
                     );
                 }
-                // And single parameters of every group.
+                // Derivatives with respect to single parameters of every group.
                 let singles = groups.iter().flat_map(|&(from, to)| {
                     let step = (to - from) / 11 + 1;
                     (from..to).step_by(step).map(move |index| (index, (from, to)))

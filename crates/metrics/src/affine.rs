@@ -1,29 +1,29 @@
 //! The affine map of colours that brings one image closest to another.
 //!
-//! `Σ |A x + b - y|²` over all pixels is least for `A = C_yx C_xx⁻¹` and `b = ȳ - A x̄`, with the means `x̄`,
-//! `ȳ` and the centred second moments `C` of the two images' colours. It is what twelve numbers per image can
-//! do about exposure, white balance, contrast and a cast: what is left after it is a difference of structure.
-//! Values are taken as they are, clipping is the caller's.
+//! `Σ |A x + b - y|²` over all pixels is smallest for `A = C_yx C_xx⁻¹` and `b = ȳ - A x̄`, with the means
+//! `x̄`, `ȳ` and the centred second moments `C` of the two images' colours. These twelve numbers per image
+//! can correct exposure, white balance, contrast and a cast; a difference that remains is one of structure.
+//! Values are used unchanged; clipping is left to the caller.
 //!
-//! Along a direction in which the colours of `x` do not vary (a grey image has two) the map is not
-//! determined; it leaves that direction out, and the sum is least all the same.
+//! Along a direction in which the colours of `x` do not vary (a grey image has two such directions) the map
+//! is not determined. That direction is left out, and the sum is still the smallest.
 
 use use3d_capture::Image;
 use use3d_numerics::sums;
 
 use crate::error::{MetricError, finite, large_enough, same_size};
 
-/// Directions whose variance is below this share of the largest channel's do not vary: f32 values carry 24
-/// bits.
+/// Directions with a variance below this share of the largest channel's count as constant: f32 values have
+/// 24 bits.
 const FLAT: f64 = 1e-12;
 
 /// Rows `(A | b)`: red, green and blue of the image as functions of the colours of another.
 pub type ColourMap = [[f64; 4]; 3];
 
-/// The map of least squares from the colours of `x` to those of `y`.
+/// The least-squares map from the colours of `x` to those of `y`.
 ///
 /// # Errors
-/// Images of different sizes, without pixels, or with values that are not finite.
+/// The images have different sizes, no pixels, or values that are not finite.
 pub fn affine_fit(x: &Image, y: &Image) -> Result<ColourMap, MetricError> {
     same_size("the second image", x, y)?;
     large_enough("an affine map", x, 1)?;
@@ -35,7 +35,7 @@ pub fn affine_fit(x: &Image, y: &Image) -> Result<ColourMap, MetricError> {
         sums::sums::<3>(n, |i, t| (0..3).for_each(|c| t[c] += value(image, c, i))).map(|s| s / n as f64)
     };
     let (mx, my) = (mean(x), mean(y));
-    // Rows of three moments with x, then three with y.
+    // Each row has three moments with x, then three with y.
     let moments = sums::sums::<18>(n, |i, t| {
         let dx: [f64; 3] = std::array::from_fn(|c| value(x, c, i) - mx[c]);
         let dy: [f64; 3] = std::array::from_fn(|c| value(y, c, i) - my[c]);
@@ -55,8 +55,8 @@ pub fn affine_fit(x: &Image, y: &Image) -> Result<ColourMap, MetricError> {
     }))
 }
 
-/// Gauss and Jordan's elimination of a symmetric, non-negative system with the largest diagonal entry as
-/// pivot; says which unknowns were solved for. The others are free, and zero.
+/// Gauss-Jordan elimination of a symmetric, non-negative system with the largest diagonal entry as pivot.
+/// Returns true for the unknowns that were solved; the others are free and set to zero.
 fn eliminate(rows: &mut [[f64; 6]; 3]) -> [bool; 3] {
     let most = (0..3).map(|i| rows[i][i]).fold(0.0, f64::max);
     let mut solved = [false; 3];
@@ -139,14 +139,14 @@ mod tests {
 
     #[test]
     fn colours_that_do_not_vary_leave_the_map_finite_and_best() {
-        // Grey: one direction is there, and it is enough where y follows it.
+        // A grey image has one direction, which is enough if y follows it.
         let mut grey = noise(4);
         let plane = grey.plane(0).to_vec();
         (1..3).for_each(|c| grey.plane_mut(c).copy_from_slice(&plane));
         let wanted = map_colours(&grey, &[[0.5, 0.0, 0.0, 0.1], [0.0, 0.7, 0.0, 0.2], [0.2, 0.0, 0.3, 0.0]]);
         let found = affine_fit(&grey, &wanted).unwrap();
         assert!(square(&grey, &wanted, &found) < 1e-9, "{found:?}");
-        // One colour becomes the mean of the other image.
+        // A single colour is mapped to the mean of the other image.
         let y = noise(5);
         let flat = affine_fit(&Image::filled(31, 17, 0.3), &y).unwrap();
         let mean = y.plane(1).iter().map(|v| f64::from(*v)).sum::<f64>() / y.pixels() as f64;

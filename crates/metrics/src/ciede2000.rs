@@ -1,5 +1,5 @@
-//! CIEDE2000 colour difference (CIE 142-2001; Sharma, Wu & Dalal, *Color Research and Application* 2005), k_L
-//! = k_C = k_H = 1.
+//! CIEDE2000 colour difference (CIE 142-2001; Sharma, Wu & Dalal, *Color Research and Application* 2005),
+//! k_L = k_C = k_H = 1.
 //!
 //! With `C̄` the mean chroma, `G = (1 - √(C̄⁷/(C̄⁷ + 25⁷)))/2`, `a' = (1 + G) a`, chroma and hue of (a', b),
 //! their differences and means:
@@ -57,7 +57,7 @@ pub fn delta_e_of_lab(first: [f64; 3], second: [f64; 3]) -> f64 {
 /// CIEDE2000 per pixel of two display-range images (clamped to `[0, 1]`).
 ///
 /// # Errors
-/// Images of different sizes, without pixels, or with values that are not finite.
+/// The images have different sizes, no pixels, or values that are not finite.
 pub fn ciede2000(x: &Image, y: &Image) -> Result<Map, MetricError> {
     difference_of_lab("CIEDE2000", x, y, delta_e_of_lab)
 }
@@ -65,7 +65,7 @@ pub fn ciede2000(x: &Image, y: &Image) -> Result<Map, MetricError> {
 /// The mean of [`ciede2000`] over all pixels.
 ///
 /// # Errors
-/// As [`ciede2000`].
+/// See [`ciede2000`].
 pub fn mean_ciede2000(x: &Image, y: &Image) -> Result<f64, MetricError> {
     ciede2000(x, y).map(|map| mean(&map))
 }
@@ -74,7 +74,7 @@ pub fn mean_ciede2000(x: &Image, y: &Image) -> Result<f64, MetricError> {
 mod tests {
     use super::*;
 
-    /// Pairs from the table of the cited article, chosen for the hue and rotation corner cases.
+    /// Pairs from the table of the cited article, chosen for the corner cases of hue and rotation.
     #[test]
     fn published_test_pairs() {
         let pairs: [([f64; 3], [f64; 3], f64); 12] = [

@@ -1,15 +1,15 @@
-//! Do two views of a rendered scene agree where they see the same thing?
+//! Measures if two views of a rendered scene agree where they see the same surface.
 //!
-//! **Along optical flow**, with any distance: view 2 is warped into view 1, both are multiplied by the mask,
-//! and the distance of the two masked images is taken, one direction, no division by the mask's area. With
-//! LPIPS this is wLPIPS, whose flows and masks come from the *captured* images and are shared by all methods.
-//! Absolute values depend on how much is masked.
+//! **Along optical flow**, with any distance: view 2 is warped into view 1, both are multiplied by the
+//! mask, and the distance of the two masked images is computed, in one direction, without division by the
+//! mask's area. With LPIPS this is wLPIPS, whose flows and masks come from the *captured* images and are
+//! shared by all methods. Absolute values depend on the masked share.
 //!
-//! **Along geometry**, without any network: every pixel of view 1 with a known depth z is carried to view 2,
-//! `X = o + z Rᵀ d(p)`, `p₂ = π₂(X)`, and is visible there if view 2's depth at p₂ agrees with X's within a
-//! relative tolerance. `w∆E` is the mean CIEDE2000 over visible pixels, `wSSIM` the mean SSIM over windows
-//! that are visible throughout. These have their own masks, and their numbers are not comparable with
-//! flow-based ones.
+//! **Along geometry**, without any network: every pixel of view 1 with a known depth z is projected into
+//! view 2, `X = o + z Rᵀ d(p)`, `p₂ = π₂(X)`, and is visible there if view 2's depth at p₂ agrees with X's
+//! within a relative tolerance. `w∆E` is the mean CIEDE2000 over visible pixels, `wSSIM` the mean SSIM over
+//! windows in which all pixels are visible. These have their own masks, and their numbers are not
+//! comparable with flow-based ones.
 
 use rayon::prelude::*;
 use use3d_capture::{Camera, Image, Map};
@@ -22,11 +22,11 @@ use crate::ms_ssim::WINDOW;
 use crate::ssim::ssim_map;
 use crate::warp::{Flow, Mask, Warped, backward_warp};
 
-/// A distance between masked, aligned images. The caller's error type passes through.
+/// A distance between masked, aligned images. Errors have the caller's type.
 ///
 /// # Errors
-/// Rasters of different sizes, [`MetricError::NothingInCommon`] for an empty mask (as `E`), or whatever
-/// `distance` returns.
+/// The rasters have different sizes, the mask is empty ([`MetricError::NothingInCommon`], as `E`), or
+/// `distance` fails.
 pub fn warped_distance<E: From<MetricError>>(
     first: &Image,
     second: &Image,
@@ -51,13 +51,13 @@ pub struct GeometricView<'a> {
     pub depth: &'a Map,
 }
 
-/// Where the pixels of one view lie in another, and whether they are visible there.
+/// The positions of the pixels of one view in another, and the mask of those that are visible there.
 ///
 /// `tolerance` is the largest relative difference of depths that counts as the same surface; 0.02 is a good
 /// value for rendered depth.
 ///
 /// # Errors
-/// A depth map that has not its camera's size, or has values that are not finite.
+/// A depth map does not have its camera's size, or has values that are not finite.
 pub fn geometric_warp(
     first: GeometricView<'_>,
     second: GeometricView<'_>,
@@ -79,14 +79,14 @@ pub fn geometric_warp(
         }
         let (u, v) = (x as f64 + 0.5, y as f64 + 0.5);
         let (pixel, depth) = second.camera.project(center + to_world * (z * first.camera.ray(u, v)))?;
-        // Pixel coordinates to indices.
+        // Converts pixel coordinates to indices.
         let (i, j) = (pixel.x - 0.5, pixel.y - 0.5);
         let (last_x, last_y) = (second.depth.width() as f64 - 1.0, second.depth.height() as f64 - 1.0);
         if !(i >= 0.0 && j >= 0.0 && i <= last_x && j <= last_y) {
             return None;
         }
-        // Every sample that the colour is interpolated from must show the same surface: no mixing across
-        // edges.
+        // Every sample from which the colour is interpolated must show the same surface, so that colours do
+        // not mix across edges.
         let same = |column: usize, row: usize| {
             let seen = f64::from(second.depth.pixel(column, row)[0]);
             seen > 0.0 && (seen - depth).abs() <= tolerance * depth
@@ -113,7 +113,7 @@ pub fn geometric_warp(
 /// A geometric consistency measure of one pair.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Consistency {
-    /// The mean over what is visible; `None` where nothing is.
+    /// The mean over the visible part; `None` if nothing is visible.
     pub value: Option<f64>,
     /// The share of pixels (of windows, for SSIM) that counted.
     pub coverage: f64,
@@ -138,11 +138,11 @@ pub(crate) fn mean_where(map: &Map, counts: impl Fn(usize) -> bool + Sync) -> Co
     Consistency { value: (count > 0.0).then(|| sum / count), coverage: count / n as f64 }
 }
 
-/// `w∆E`: mean CIEDE2000 between view 1 and view 2 carried into it, over visible pixels (see
+/// `w∆E`: mean CIEDE2000 between view 1 and view 2 warped into it, over visible pixels (see
 /// [`geometric_warp`]).
 ///
 /// # Errors
-/// Rasters of different sizes, or values that are not finite.
+/// The rasters have different sizes, or values that are not finite.
 pub fn warped_delta_e(
     first: &Image,
     second: &Image,
@@ -157,7 +157,7 @@ pub fn warped_delta_e(
 /// `wSSIM`: mean SSIM over the windows whose pixels are all visible (see [`geometric_warp`]).
 ///
 /// # Errors
-/// Rasters of different sizes or with a side below 11 pixels, or values that are not finite.
+/// The rasters have different sizes, a side below 11 pixels, or values that are not finite.
 pub fn warped_ssim(
     first: &Image,
     second: &Image,
@@ -170,7 +170,7 @@ pub fn warped_ssim(
     Ok(mean_where(&map, |i| whole[i]))
 }
 
-/// For every window, whether all its pixels are in the mask (by counts along rows, then columns).
+/// For every window, true if all its pixels are in the mask (computed by counts along rows, then columns).
 pub(crate) fn whole_windows(mask: &Mask) -> Vec<bool> {
     let (width, height) = (mask.width(), mask.height());
     let (columns, rows) = (width + 1 - WINDOW, height + 1 - WINDOW);

@@ -1,16 +1,16 @@
-//! What no measure can be computed of.
+//! The reasons why a measure cannot be computed.
 
 use use3d_capture::Raster;
 
-/// Images that cannot be compared or measured.
+/// An error in images that cannot be compared or measured.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum MetricError {
-    /// Two rasters that should have one size.
+    /// Two rasters have different sizes and must have the same.
     #[error(
         "{what} is {found_width}x{found_height} pixels, but the image it belongs to is {width}x{height}; resize or crop one of them"
     )]
     SizeMismatch {
-        /// Which raster is off.
+        /// The raster with the wrong size.
         what: &'static str,
         /// Expected width.
         width: usize,
@@ -21,17 +21,17 @@ pub enum MetricError {
         /// Found height.
         found_height: usize,
     },
-    /// A value that is not a number, or infinite.
+    /// A value is NaN or infinite.
     #[error("{what} has a value that is not finite at column {x}, row {y}")]
     NotFinite {
-        /// Which raster.
+        /// The raster with this value.
         what: &'static str,
         /// Column.
         x: usize,
         /// Row.
         y: usize,
     },
-    /// Too few pixels for the measure.
+    /// The image has too few pixels for the measure.
     #[error("{measure} needs at least {least}x{least} pixels; the image has {width}x{height}")]
     TooSmall {
         /// The measure.
@@ -43,13 +43,13 @@ pub enum MetricError {
         /// Height found.
         height: usize,
     },
-    /// No difference: an error of zero has no finite PSNR.
+    /// There is no difference: an error of zero has no finite PSNR.
     #[error("the images are equal in every pixel that counts, so their PSNR is not finite")]
     Equal,
-    /// A mask that leaves no pixel.
+    /// The mask leaves no pixel.
     #[error("the mask leaves no pixel: masks are white (1) where pixels count and black (0) elsewhere")]
     NothingCounts,
-    /// A mask that leaves pixels, but no whole window.
+    /// The mask leaves pixels, but no whole window.
     #[error("the mask leaves no whole window of {side}x{side} pixels for {measure}")]
     NoWindow {
         /// The measure.
@@ -57,12 +57,12 @@ pub enum MetricError {
         /// Side of its windows.
         side: usize,
     },
-    /// Two views of different things.
+    /// The two views show different things.
     #[error("the two views see nothing in common")]
     NothingInCommon,
 }
 
-/// Fails unless `found` has the size of the image it belongs to.
+/// Fails unless `found` has the size of its image.
 pub(crate) fn same_size<T, U, const C: usize, const D: usize>(
     what: &'static str,
     image: &Raster<T, C>,
@@ -78,7 +78,8 @@ pub(crate) fn same_size<T, U, const C: usize, const D: usize>(
 
 /// Fails at the first value that is not finite.
 pub(crate) fn finite<const C: usize>(what: &'static str, image: &Raster<f32, C>) -> Result<(), MetricError> {
-    // Folding over blocks vectorises, a search does not; search only when there is something to find.
+    // Folding over blocks vectorises and a search does not, so the search runs only if there is something
+    // to find.
     let suspicious = image.data().chunks(4096).any(|c| c.iter().fold(false, |s, v| s | !v.is_finite()));
     if !suspicious {
         return Ok(());

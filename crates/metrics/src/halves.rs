@@ -1,8 +1,8 @@
-//! Gains of an image that were fitted on the other half of it: exposure is forgiven, and nothing is scored on
-//! the pixels it was fitted to.
+//! Gains of an image that are fitted on its other half: exposure is corrected, and no pixel is scored with
+//! a gain that was fitted to it.
 //!
-//! A camera that exposes and balances every view on its own gives a held-out view a gain that no other view
-//! tells. The gain per channel that fits the left half best (`g = Σ x y / Σ x²`) is applied to the right
+//! A camera that exposes and balances every view separately gives a held-out view a gain that no other view
+//! contains. The gain per channel that fits the left half best (`g = Σ x y / Σ x²`) is applied to the right
 //! half, and the other way round; both halves are scored as one image.
 
 use use3d_capture::Image;
@@ -11,12 +11,12 @@ use use3d_numerics::sums;
 use crate::error::{MetricError, finite, large_enough, same_size};
 use crate::warp::Mask;
 
-/// `x` with the gains per channel that take each half to `y` as fitted on the other half's pixels that count;
-/// a half that is black, or of which nothing counts, tells a gain of 1.
+/// Multiplies each half of `x` by the gains per channel that bring the other half nearest to `y`, fitted on
+/// its pixels that count. A half that is black, or in which no pixel counts, has a gain of 1.
 ///
 /// # Errors
-/// Images of different sizes, narrower than two pixels, with values that are not finite, or a mask of another
-/// size.
+/// The images have different sizes, are narrower than two pixels or have values that are not finite, or the
+/// mask has another size.
 pub fn fitted_on_other_half(x: &Image, y: &Image, mask: Option<&Mask>) -> Result<Image, MetricError> {
     same_size("the second image", x, y)?;
     large_enough("a gain per half", x, 2)?;
@@ -73,7 +73,7 @@ mod tests {
         for (a, b) in fitted.data().iter().zip(truth.data()) {
             assert!((a - b).abs() < 1e-6, "{a} {b}");
         }
-        // Only the left half is darker: a gain of its own would hide it.
+        // Only the left half is darker; a gain fitted on itself would hide it.
         let mut half = truth.clone();
         for y in 0..6 {
             for x in 0..5 {
@@ -82,7 +82,7 @@ mod tests {
         }
         let fitted = fitted_on_other_half(&half, &truth, None).unwrap();
         assert!((fitted.pixel(1, 1)[2] - 0.1).abs() < 1e-6 && (fitted.pixel(8, 1)[2] - 0.4).abs() < 1e-6);
-        // Pixels that do not count tell nothing.
+        // Pixels that do not count have no effect.
         let mut mask = Mask::filled(10, 6, 1);
         (0..6).for_each(|y| (0..5).for_each(|x| mask.set_pixel(x, y, [0])));
         let fitted = fitted_on_other_half(&half, &truth, Some(&mask)).unwrap();

@@ -16,7 +16,7 @@ const TO_XYZ: [[f64; 3]; 3] =
 /// D65: the sums of the rows above.
 const WHITE: [f64; 3] = [0.950456, 1.0, 1.088754];
 
-/// Where the cube root begins, (6/29)³.
+/// The smallest argument of the cube root, (6/29)³.
 const KNEE: f64 = 216.0 / 24389.0;
 
 fn decode(v: f64) -> f64 {
@@ -37,10 +37,10 @@ pub fn lab_of_srgb(rgb: [f32; 3]) -> [f64; 3] {
     lab_of_linear(rgb.map(|v| decode(f64::from(v.clamp(0.0, 1.0)))), math::cbrt)
 }
 
-/// A difference of CIELAB colours per pixel of two display-range images (clamped to `[0, 1]`).
+/// Computes a difference of CIELAB colours per pixel of two display-range images (clamped to `[0, 1]`).
 ///
 /// # Errors
-/// Images of different sizes, without pixels, or with values that are not finite.
+/// The images have different sizes, no pixels, or values that are not finite.
 pub(crate) fn difference_of_lab(
     metric: &'static str,
     x: &Image,
@@ -68,26 +68,27 @@ pub(crate) fn mean(map: &Map) -> f64 {
     use3d_numerics::sums::sum(n, |i| f64::from(map.data()[i])) / n as f64
 }
 
-/// The mean over all pixels of the colour difference of 1976, `√(ΔL² + Δa² + Δb²)`, of two
-/// display-range images (clamped to `[0, 1]`). It weighs saturated colours far more than
-/// CIEDE2000 does; older work gives it.
+/// The mean over all pixels of the colour difference of 1976, `√(ΔL² + Δa² + Δb²)`, of two display-range
+/// images (clamped to `[0, 1]`). It weighs saturated colours far more than CIEDE2000 does, and is used in
+/// older work.
 ///
 /// # Errors
-/// Images of different sizes, without pixels, or with values that are not finite.
+/// The images have different sizes, no pixels, or values that are not finite.
 pub fn mean_cie1976(x: &Image, y: &Image) -> Result<f64, MetricError> {
     let distance =
         |a: [f64; 3], b: [f64; 3]| (0..3).map(|i| (a[i] - b[i]) * (a[i] - b[i])).sum::<f64>().sqrt();
     difference_of_lab("ΔE of 1976", x, y, distance).map(|map| mean(&map))
 }
 
-/// CIELAB of 8-bit pixels by tables: the decoded value of each code, and cube roots to start from.
+/// Computes CIELAB of 8-bit pixels by tables: the decoded value of each code, and start values of cube
+/// roots.
 pub(crate) struct LabTable {
     decoded: [f64; 256],
     roots: Vec<f32>,
 }
 
 impl LabTable {
-    /// Intervals of the table of cube roots over `[0, 1]`.
+    /// Number of intervals of the table of cube roots over `[0, 1]`.
     const INTERVALS: usize = 16384;
 
     pub(crate) fn new() -> Self {
@@ -98,8 +99,8 @@ impl LabTable {
         }
     }
 
-    /// One step of Halley's iteration from the table: above the knee the start is off by at most 0.12 %, the
-    /// result by 2e-9.
+    /// One step of Halley's iteration from the table. Above the knee the start value is wrong by at most
+    /// 0.12 %, the result by 2e-9.
     #[inline]
     fn cube_root(&self, t: f64) -> f64 {
         let index = ((t * Self::INTERVALS as f64) as usize).min(Self::INTERVALS);
@@ -156,7 +157,7 @@ mod tests {
         let white = Image::filled(2, 2, 1.0);
         let mut red = Image::new(2, 2);
         red.plane_mut(0).fill(1.0);
-        // From the colours above: L 46.76, a 80.09, b 67.20 apart.
+        // The colours above differ by L 46.76, a 80.09, b 67.20.
         let expected = [46.76_f64, 80.09, 67.20].map(|v| v * v).iter().sum::<f64>().sqrt();
         assert!((mean_cie1976(&red, &white).unwrap() - expected).abs() < 0.03);
         assert_eq!(mean_cie1976(&red, &red).unwrap(), 0.0);
@@ -171,7 +172,7 @@ mod tests {
             let rgb = [bits as u8, (bits >> 8) as u8, (bits >> 16) as u8];
             let exact = lab_of_srgb(rgb.map(|v| f32::from(v) / 255.0));
             for (a, b) in table.lab(rgb).iter().zip(exact) {
-                // The display value of the formula is rounded to f32.
+                // The formula's display value is rounded to f32.
                 assert!((a - b).abs() < 5e-5, "{rgb:?}: {a} {b}");
             }
         }

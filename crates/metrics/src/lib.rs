@@ -1,16 +1,19 @@
 //! Image quality and consistency formulas: PSNR, SSIM, MS-SSIM, UCIQE, UIQM, CIEDE2000, warping.
 //!
-//! Formulas only; measures that need a trained network (LPIPS, MUSIQ …) live with the networks and plug into
-//! [`warped_distance`] as a closure. All images are display-referred RGB in `[0, 1]`.
+//! This crate holds formulas only. Measures that need a trained network (LPIPS, MUSIQ …) are in the crate
+//! of the networks and are passed to [`warped_distance`] as a closure. All images are display-referred RGB
+//! in `[0, 1]`.
 //!
-//! | with a reference | without | between views |
-//! | --- | --- | --- |
-//! | [`psnr`], [`psnr_exposure_fitted`], [`affine_fit`], [`fitted_on_other_half`], [`ssim`], [`ms_ssim`], [`ciede2000`], [`mean_cie1976`] | [`uciqe`], [`uiqm`] | [`warped_distance`] (flow), [`warped_delta_e`], [`warped_ssim`] (depth) |
+//! * With a reference: [`psnr`], [`psnr_exposure_fitted`], [`affine_fit`], [`fitted_on_other_half`],
+//!   [`ssim`], [`ms_ssim`], [`ciede2000`], [`mean_cie1976`].
+//! * Without a reference: [`uciqe`], [`uiqm`].
+//! * Between views: [`warped_distance`] (flow), [`warped_delta_e`], [`warped_ssim`] (depth).
 //!
-//! Every measure of a photograph heeds a [`Mask`] of the pixels that count; every result becomes a [`Score`],
-//! which is finite or says why it is not there.
+//! Every measure of a photograph can use a [`Mask`] of the pixels that count; every result becomes a
+//! [`Score`], which is finite or has a reason why there is no number.
 //!
-//! Deterministic: long sums are f64 in a fixed order, the same bits for any number of threads.
+//! All results are deterministic: long sums are f64 in a fixed order, with the same bits for any number of
+//! threads.
 
 mod affine;
 mod ciede2000;

@@ -1,32 +1,32 @@
-//! Which pixels count.
+//! The pixels that count.
 //!
-//! One rule for the whole workspace: a pixel counts where its weight (a mask file times an alpha channel) is
-//! at least one half. What does not count enters no score:
+//! There is one rule for the whole workspace: a pixel counts if its weight (a mask file times an alpha
+//! channel) is at least one half. Pixels that do not count enter no score:
 //!
-//! * measures of single pixels (PSNR, UCIQE, CIEDE2000) see the others only: [`only_counted`];
-//! * measures of windows (SSIM) see the windows all of whose pixels count;
-//! * measures of whole pictures (LPIPS and the quality networks) see black there, in every picture alike:
-//!   [`blacked_out`].
+//! * measures of single pixels (PSNR, UCIQE, CIEDE2000) use only the others: [`only_counted`];
+//! * measures of windows (SSIM) use only the windows in which all pixels count;
+//! * measures of whole pictures (LPIPS and the quality networks) get black pixels instead, in every picture
+//!   alike: [`blacked_out`].
 
 use use3d_capture::{Image, Map};
 
 use crate::error::{MetricError, same_size};
 use crate::warp::Mask;
 
-/// The mask of weights in `[0, 1]`; a weight that is not a number does not count.
+/// The mask of weights in `[0, 1]`; a weight of NaN does not count.
 pub fn mask_of(weights: &Map) -> Mask {
     weights.map(|w| u8::from(w >= 0.5))
 }
 
-/// How many pixels count.
+/// Number of pixels that count.
 pub fn counted(mask: &Mask) -> usize {
     mask.data().iter().filter(|m| **m != 0).count()
 }
 
-/// The pixels that count, in a row.
+/// An image of one row with the pixels that count.
 ///
 /// # Errors
-/// A mask of another size, or one that leaves nothing.
+/// The mask has another size, or leaves no pixel.
 pub fn only_counted(image: &Image, mask: &Mask) -> Result<Image, MetricError> {
     same_size("the mask", image, mask)?;
     let places: Vec<usize> = (0..image.pixels()).filter(|p| mask.data()[*p] != 0).collect();
@@ -41,10 +41,10 @@ pub fn only_counted(image: &Image, mask: &Mask) -> Result<Image, MetricError> {
     Ok(row)
 }
 
-/// The image, black where it does not count.
+/// The image, black where pixels do not count.
 ///
 /// # Errors
-/// A mask of another size, or one that leaves nothing.
+/// The mask has another size, or leaves no pixel.
 pub fn blacked_out(image: &Image, mask: &Mask) -> Result<Image, MetricError> {
     same_size("the mask", image, mask)?;
     if counted(mask) == 0 {

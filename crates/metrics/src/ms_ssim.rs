@@ -1,27 +1,28 @@
 //! Multi-scale structural similarity (Wang, Simoncelli & Bovik, 2003) with its exact gradient.
 //!
-//! Windows are 11-tap Gaussians of σ = 1.5, separable, over the *valid* region. Per level and channel the
-//! spatial mean of
+//! Windows are 11-tap Gaussians of σ = 1.5, separable, over the *valid* region. For each level and channel
+//! the measure is the spatial mean of
 //!
 //! ```text
-//! cs = (2 σ_xy + C₂) / (σ_x² + σ_y² + C₂)        at the last level  ssim = cs (2 μ_x μ_y + C₁) / (μ_x² + μ_y² + C₁)
+//! cs = (2 σ_xy + C₂) / (σ_x² + σ_y² + C₂)
+//! at the last level  ssim = cs (2 μ_x μ_y + C₁) / (μ_x² + μ_y² + C₁)
 //! ```
 //!
-//! with population moments, `C₁ = 0.01²`, `C₂ = 0.03²`. Each mean passes through max(·, 0), is raised to the
-//! level's weight, and the levels are multiplied; the value is the mean over channels. Between levels 2 × 2
-//! means; an odd side is padded with one zero at both ends and the divisor stays 4. A level whose smaller
-//! side is below 11 is dropped with all that follow, and the weights that remain are scaled to sum 1; an
-//! image with no level left has value 1 and no gradient.
+//! with population moments, `C₁ = 0.01²`, `C₂ = 0.03²`. Each mean passes through max(·, 0), is raised to
+//! the level's weight, and the levels are multiplied; the value is the mean over channels. Between levels
+//! the image is reduced to 2 × 2 means; an odd side is padded with one zero at both ends and the divisor
+//! stays 4. A level whose smaller side is below 11 is dropped together with all later ones, and the
+//! remaining weights are scaled to sum 1. An image with no level left has value 1 and no gradient.
 //!
-//! Variances of values far from zero cancel in f32, so images may be given less an offset (`x - offset`):
-//! second moments do not change, and means get the offset back. What is left of the cancellation is bounded
-//! by `|σ_xy| ≤ (σ_x² + σ_y²) / 2`.
+//! Variances of values far from zero cancel in f32, so images may be passed minus an offset (`x - offset`):
+//! second moments do not change, and the offset is added back to the means. The remaining cancellation is
+//! bounded by `|σ_xy| ≤ (σ_x² + σ_y²) / 2`.
 //!
-//! One pass does everything: a task owns one channel of a strip of rows, blurs rows into a ring of eleven,
-//! forms the means and their derivatives where eleven rows are there, and blurs those back, all within the
-//! second-level cache. A level's share of the gradient needs only one factor per channel that is known when
-//! all levels are done. Tasks are cut by rows, never by threads, and their sums are added in order, so the
-//! bits do not depend on the number of threads.
+//! One pass computes everything. A task owns one channel of a strip of rows and blurs rows into a ring of
+//! eleven. Once eleven rows are available, it computes the means and their derivatives and blurs those
+//! back, all within the second-level cache. A level's share of the gradient needs only one factor per
+//! channel, which is known when all levels are done. Tasks are cut by rows, never by threads, and their
+//! sums are added in order, so the bits do not depend on the number of threads.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Level, Simd, dispatch, f32x16};
@@ -34,13 +35,13 @@ pub const RECONSTRUCTION_WEIGHTS: [f64; 3] = [0.6, 0.3, 0.1];
 /// Level weights of the original paper.
 pub const STANDARD_WEIGHTS: [f64; 5] = [0.0448, 0.2856, 0.3001, 0.2363, 0.1333];
 
-/// Taps of the window.
+/// Number of taps of the window.
 pub const WINDOW: usize = 11;
 const MARGIN: usize = WINDOW - 1;
 const C1: f32 = 0.01 * 0.01;
 const C2: f32 = 0.03 * 0.03;
 const LANES: usize = 16;
-/// Rows of the gradient that one task owns.
+/// Number of rows of the gradient that one task owns.
 const STRIP: usize = 96;
 
 /// The normalised Gaussian window, σ = 1.5.
@@ -51,8 +52,8 @@ pub fn window() -> [f32; WINDOW] {
     raw.map(|v| (v / total) as f32)
 }
 
-/// The weights of the levels that an image of this size has: as given if it has them all, else those that
-/// remain, scaled to sum 1; empty where its smaller side is below 11.
+/// The weights of the levels that an image of this size has: unchanged if it has all levels, otherwise the
+/// remaining ones, scaled to sum 1; empty if its smaller side is below 11.
 pub fn level_weights(weights: &[f64], width: usize, height: usize) -> Vec<f64> {
     let mut side = width.min(height);
     let mut kept = Vec::new();
@@ -70,31 +71,31 @@ pub fn level_weights(weights: &[f64], width: usize, height: usize) -> Vec<f64> {
     kept
 }
 
-/// The measure with its scratch images: reuse it for images of one size and none is allocated again.
+/// The measure with its scratch images; reused for images of one size, it allocates nothing again.
 #[derive(Clone, Debug, Default)]
 pub struct MsSsim {
-    /// Levels 1 and on of both images, and every level's gradient before scaling (level 0 lies in the
-    /// caller's image).
+    /// The levels from 1 on of both images, and every level's gradient before scaling (that of level 0 is
+    /// in the caller's image).
     x: Vec<Image>,
     y: Vec<Image>,
     gradients: Vec<Image>,
 }
 
 impl MsSsim {
-    /// Without scratch memory yet.
+    /// A measure without scratch memory yet.
     pub fn new() -> Self {
         Self::default()
     }
 
     /// MS-SSIM of two images of one size, data range 1.
     pub fn value(&mut self, x: &Image, y: &Image, weights: &[f64]) -> f64 {
-        // Display range, centred on zero: a quarter of the cancellation.
+        // Display range centred on zero leaves a quarter of the cancellation.
         let centred = |image: &Image| image.map(|v| v - 0.5);
         self.evaluate(&centred(x), &centred(y), 0.5, weights, None)
     }
 
-    /// MS-SSIM and its gradient with respect to `x`. Both images are given less `offset`: the measure is that
-    /// of `x + offset` and `y + offset`. `gradient` is resized and overwritten.
+    /// Computes MS-SSIM and its gradient with respect to `x`. Both images are passed minus `offset`: the
+    /// measure is that of `x + offset` and `y + offset`. `gradient` is resized and overwritten.
     pub fn value_and_gradient(
         &mut self,
         x: &Image,
@@ -135,7 +136,7 @@ impl MsSsim {
         }
         self.gradients.resize_with(deeper.max(self.gradients.len()), || Image::new(0, 0));
 
-        // Forward and unscaled backward, level by level.
+        // Forward and unscaled backward passes, level by level.
         let mut means = vec![[0.0f64; 3]; weights.len()];
         for l in 0..weights.len() {
             let (x, y) = if l == 0 { (x, y) } else { (&self.x[l - 1], &self.y[l - 1]) };
@@ -176,7 +177,7 @@ impl MsSsim {
     }
 }
 
-/// 2 × 2 means; an odd side gets one zero (less the offset) at both ends.
+/// Computes 2 × 2 means; an odd side gets one zero (minus the offset) at both ends.
 fn pool(fine: &Image, offset: f32, coarse: &mut Image) {
     let (w, h) = (fine.width(), fine.height());
     let (cw, ch) = (w.div_ceil(2), h.div_ceil(2));
@@ -235,20 +236,20 @@ struct LevelPass<'a> {
     x: &'a Image,
     y: &'a Image,
     offset: f32,
-    /// Whether luminance counts.
+    /// True if luminance counts.
     last: bool,
 }
 
-/// Rows of one task, each with room for whole vectors and the window's reach.
+/// The rows of one task, each padded to whole vectors and the window's reach.
 struct Rows {
     stride: usize,
     /// x, y, x² + y², x y of one input row.
     products: [Vec<f32>; 4],
-    /// The same, blurred along rows: eleven rows each.
+    /// The products of eleven rows, blurred along rows.
     blurred: [Vec<f32>; 4],
     /// Derivatives of one valid row with respect to the mean of x, of x² + y², of x y; 16 zeros in front.
     derivatives: [Vec<f32>; 3],
-    /// The same, blurred back along rows: eleven rows each.
+    /// The derivatives of eleven rows, blurred back along rows.
     spread: [Vec<f32>; 3],
 }
 
@@ -267,7 +268,7 @@ impl Rows {
 }
 
 impl LevelPass<'_> {
-    /// The three channels' means; the gradient of the *sums* where asked for.
+    /// Returns the means of the three channels; computes the gradient of the *sums* if requested.
     fn run(&self, gradient: Option<&mut Image>) -> [f64; 3] {
         let (w, h) = (self.x.width(), self.x.height());
         let level = Level::new();
@@ -302,7 +303,8 @@ impl LevelPass<'_> {
         std::array::from_fn(|c| sums[c * strips..(c + 1) * strips].iter().sum::<f64>() / count)
     }
 
-    /// Gradient rows `strip * STRIP ..` of one channel, and the sum over the valid rows that start there.
+    /// Computes the gradient rows `strip * STRIP ..` of one channel, and the sum over the valid rows that
+    /// start there.
     #[inline(always)]
     fn strip<S: Simd>(
         &self,
@@ -317,7 +319,7 @@ impl LevelPass<'_> {
         let valid = h - MARGIN;
         let first = strip * STRIP;
         let end = (first + STRIP).min(h);
-        // Without a gradient only the strip's own valid rows matter.
+        // Without a gradient, only the strip's own valid rows are needed.
         let reach = if out.is_some() { MARGIN } else { 0 };
         let start = first.saturating_sub(reach);
         let mut next_input = start;
@@ -343,7 +345,7 @@ impl LevelPass<'_> {
         sum
     }
 
-    /// Products of an input row, blurred along the row into the ring.
+    /// Computes the products of an input row and blurs them along the row into the ring.
     #[inline(always)]
     fn blur_row<S: Simd>(&self, simd: S, taps: &[f32; WINDOW], channel: usize, row: usize, rows: &mut Rows) {
         let w = self.x.width();
@@ -368,7 +370,7 @@ impl LevelPass<'_> {
         }
     }
 
-    /// The sum over one valid row; its derivatives, blurred back along the row into the ring.
+    /// Returns the sum over one valid row; blurs its derivatives back along the row into the ring.
     #[inline(always)]
     fn valid_row<S: Simd>(
         &self,
@@ -440,7 +442,7 @@ impl LevelPass<'_> {
         f64::from(sum.as_slice().iter().sum::<f32>())
     }
 
-    /// One row of the gradient, from the ring of derivatives.
+    /// Computes one row of the gradient from the ring of derivatives.
     #[inline(always)]
     fn gradient_row<S: Simd>(
         &self,
@@ -461,7 +463,7 @@ impl LevelPass<'_> {
         for i in (0..w).step_by(LANES) {
             let mut sums = [zero; 3];
             for k in 0..WINDOW {
-                // The valid row that looks at this row with tap k.
+                // The valid row that reads this row with tap k.
                 let Some(from) = row.checked_sub(k) else { break };
                 if from >= valid {
                     continue;
@@ -635,7 +637,7 @@ mod tests {
     #[test]
     fn unrelated_and_tiny_images_have_no_gradient_and_no_nan() {
         let (x, _) = pair(6, 40, 40);
-        // A negative picture: structure of the opposite sign, value 0.
+        // A negative picture has structure of the opposite sign, so the value is 0.
         let y = x.map(|v| 1.0 - v);
         let mut gradient = Image::new(1, 1);
         let mut measure = MsSsim::new();

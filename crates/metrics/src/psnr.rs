@@ -1,12 +1,12 @@
 //! Peak signal-to-noise ratio, plain and after fitting the exposure.
 //!
-//! `PSNR = -10 log₁₀ mean (x - y)²` over the pixels that count and all channels, values clipped to `[0, 1]`,
-//! range 1. Equal images have no finite PSNR: that is an error ([`MetricError::Equal`]), never a large
-//! number. [`decibels`] is the only place where an error becomes a PSNR, in training too.
+//! `PSNR = -10 log₁₀ mean (x - y)²` over the pixels that count and all channels, values clipped to
+//! `[0, 1]`, range 1. Equal images have no finite PSNR: this is an error ([`MetricError::Equal`]), never a
+//! large number. [`decibels`] is the only function that converts an error to a PSNR, in training too.
 //!
-//! Scenes whose absolute brightness is not determined (a clear image seen through unknown water) are compared
-//! after the gain that fits best in the least-squares sense: `g = Σ x y / Σ x²`, one for all channels or one
-//! per channel.
+//! Scenes with unknown absolute brightness (a clear image seen through unknown water) are compared after
+//! the gain that fits best in the least-squares sense: `g = Σ x y / Σ x²`, one for all channels or one per
+//! channel.
 
 use use3d_capture::Image;
 use use3d_numerics::math;
@@ -16,7 +16,7 @@ use crate::error::{MetricError, finite, large_enough, same_size};
 use crate::mask::counted;
 use crate::warp::Mask;
 
-/// How many gains are fitted.
+/// The number of gains that are fitted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ExposureFit {
     /// One gain for the whole image: exposure.
@@ -32,11 +32,12 @@ fn check(x: &Image, y: &Image) -> Result<(), MetricError> {
     finite("the second image", y)
 }
 
-/// Mean square error of values clipped to `[0, 1]`, over the pixels of the mask (all without one).
+/// Mean square error of values clipped to `[0, 1]`, over the pixels of the mask (all pixels without a
+/// mask).
 ///
 /// # Errors
-/// Images of different sizes, without pixels, with values that are not finite, or a mask of another size or
-/// without a pixel.
+/// The images have different sizes, no pixels or values that are not finite, or the mask has another size
+/// or no pixel.
 pub fn mean_square_error(x: &Image, y: &Image, mask: Option<&Mask>) -> Result<f64, MetricError> {
     check(x, y)?;
     let count = match mask {
@@ -72,7 +73,7 @@ fn square_error(x: &Image, y: &Image, gain: [f64; 3], mask: Option<&Mask>) -> f6
 /// The PSNR of a mean square error of values in `[0, 1]`, dB.
 ///
 /// # Errors
-/// [`MetricError::Equal`] where there is no error, or one that is not a number.
+/// [`MetricError::Equal`] if the error is zero or not finite.
 pub fn decibels(mean_square: f64) -> Result<f64, MetricError> {
     if mean_square > 0.0 && mean_square.is_finite() {
         Ok(-10.0 * math::log10(mean_square))
@@ -81,10 +82,10 @@ pub fn decibels(mean_square: f64) -> Result<f64, MetricError> {
     }
 }
 
-/// PSNR in dB over the pixels of the mask (all without one).
+/// PSNR in dB over the pixels of the mask (all pixels without a mask).
 ///
 /// # Errors
-/// As [`mean_square_error`], and [`MetricError::Equal`] for images without a difference.
+/// See [`mean_square_error`]; [`MetricError::Equal`] for images without a difference.
 pub fn psnr(x: &Image, y: &Image, mask: Option<&Mask>) -> Result<f64, MetricError> {
     decibels(mean_square_error(x, y, mask)?)
 }
@@ -92,7 +93,7 @@ pub fn psnr(x: &Image, y: &Image, mask: Option<&Mask>) -> Result<f64, MetricErro
 /// The gains g that minimise `Σ (g x - y)²`; 1 where x is black.
 ///
 /// # Errors
-/// As [`mean_square_error`].
+/// See [`mean_square_error`].
 pub fn exposure_gain(x: &Image, y: &Image, fit: ExposureFit) -> Result<[f64; 3], MetricError> {
     check(x, y)?;
     let mut totals = [[0.0; 2]; 3];
@@ -111,10 +112,10 @@ pub fn exposure_gain(x: &Image, y: &Image, fit: ExposureFit) -> Result<[f64; 3],
     Ok(totals.map(|[xy, xx]| if xx > 0.0 { xy / xx } else { 1.0 }))
 }
 
-/// PSNR of `gain · x` against `y` after [`exposure_gain`], with the gains.
+/// PSNR of `gain · x` against `y` after [`exposure_gain`], and the gains.
 ///
 /// # Errors
-/// As [`psnr`].
+/// See [`psnr`].
 pub fn psnr_exposure_fitted(x: &Image, y: &Image, fit: ExposureFit) -> Result<(f64, [f64; 3]), MetricError> {
     let gain = exposure_gain(x, y, fit)?;
     Ok((decibels(square_error(x, y, gain, None) / (3 * x.pixels()) as f64)?, gain))
@@ -130,7 +131,7 @@ mod tests {
         let y = Image::filled(40, 30, 0.4);
         assert!((psnr(&x, &y, None).unwrap() - 20.0).abs() < 1e-5);
         assert_eq!(psnr(&x, &x, None), Err(MetricError::Equal));
-        // 0.8 x is y to the last bit.
+        // 0.8 x equals y to the last bit.
         assert_eq!(psnr_exposure_fitted(&x, &y, ExposureFit::Global), Err(MetricError::Equal));
         let mut tinted = y;
         tinted.plane_mut(2)[0] = 0.41;
@@ -141,7 +142,7 @@ mod tests {
         assert!((gain[0] - 0.8).abs() < 1e-6 && (gain[2] - 0.5).abs() < 1e-6);
         assert_eq!(exposure_gain(&Image::new(2, 2), &x, ExposureFit::Global).ok(), None);
         assert_eq!(exposure_gain(&Image::new(40, 30), &x, ExposureFit::Global).unwrap(), [1.0; 3]);
-        // Values beyond the display range count as clipped.
+        // Values beyond the display range are clipped.
         assert_eq!(psnr(&Image::filled(3, 3, 1.7), &Image::filled(3, 3, 1.0), None), Err(MetricError::Equal));
     }
 

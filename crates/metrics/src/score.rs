@@ -1,7 +1,8 @@
 //! A score: a finite number, or the reason why there is none.
 //!
-//! No score can be built that is infinite or not a number: [`Finite`] has no other way in, not from a file
-//! either. So nothing that is written as JSON comes out as `null`, and no mean is poisoned by one image.
+//! A score can be neither infinite nor NaN: a [`Finite`] can only be made from a finite number, also when
+//! it is read from a file. So no number becomes `null` in JSON, and no mean becomes NaN because of one
+//! image.
 
 use serde::{Deserialize, Serialize};
 
@@ -38,22 +39,22 @@ impl TryFrom<f64> for Finite {
     }
 }
 
-/// A number, or why there is none. Never zero for "unknown", never silently absent.
+/// A number, or the reason why there is none. It is never zero for "unknown", and never silently absent.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Score {
-    /// Measured.
+    /// The measured number.
     Value(Finite),
-    /// It could be measured, but not here; what to do to get it, e.g. `put lpips_alex.pth into models/`. A
-    /// mean over such a score is not available either.
+    /// The number could be measured, but not here. The text is the next step, e.g.
+    /// `put lpips_alex.pth into models/`. A mean over such a score is not available either.
     NotAvailable(String),
-    /// There is no such number of this image or pair (equal images have no finite PSNR, two views may see
-    /// nothing in common), and why. A mean leaves it out and counts it.
+    /// This image or pair has no such number (equal images have no finite PSNR, two views may see nothing
+    /// in common). The text is the reason. A mean leaves it out and counts it.
     Undefined(String),
 }
 
 impl Score {
-    /// A number; one that is not finite is [`Score::Undefined`].
+    /// The score of a number; one that is not finite is [`Score::Undefined`].
     pub fn of(value: f64) -> Self {
         Finite::new(value).map_or_else(
             || Self::Undefined(format!("the measure gives {value}, which is no score")),
@@ -61,7 +62,7 @@ impl Score {
         )
     }
 
-    /// What a formula said.
+    /// The score of a formula's result.
     pub fn measured(result: Result<f64, MetricError>) -> Self {
         match result {
             Ok(value) => Self::of(value),
@@ -83,7 +84,7 @@ impl Score {
         }
     }
 
-    /// Why there is no number.
+    /// The reason why there is no number.
     pub fn reason(&self) -> Option<&str> {
         match self {
             Self::Value(_) => None,
@@ -91,7 +92,7 @@ impl Score {
         }
     }
 
-    /// With more words before the reason of a score that is not there, e.g. which view it belongs to.
+    /// Adds words before the reason of a missing score, e.g. the view to which it belongs.
     #[must_use]
     pub fn named(self, place: &str) -> Self {
         match self {
@@ -101,8 +102,8 @@ impl Score {
         }
     }
 
-    /// The mean of scores, without those that are undefined: the first reason where one is not available, or
-    /// where none is left.
+    /// The mean of the scores without those that are undefined. If a score is not available, or none is
+    /// left, the result is the first reason.
     pub fn mean<'a>(scores: impl IntoIterator<Item = &'a Score>) -> Self {
         let (mut sum, mut count) = (0.0, 0usize);
         let mut undefined = None;

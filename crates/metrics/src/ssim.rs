@@ -4,16 +4,16 @@
 //! SSIM = (2 μ_x μ_y + C₁)(2 σ_xy + C₂) / ((μ_x² + μ_y² + C₁)(σ_x² + σ_y² + C₂))
 //! ```
 //!
-//! per pixel and channel, moments under a Gaussian window of 11 taps, σ 1.5, population variances, *valid*
-//! windows only (the map is smaller than the image by 10 per side pair), `C₁ = 0.01²`, `C₂ = 0.03²`; the
-//! measure is the mean over map and channels.
+//! per pixel and channel, with moments under a Gaussian window of 11 taps, σ 1.5, population variances,
+//! *valid* windows only (the map is smaller than the image by 10 per side pair), `C₁ = 0.01²`,
+//! `C₂ = 0.03²`. The measure is the mean over map and channels.
 //!
-//! Both factors are computed as one less what is missing, `1 - (μ_x - μ_y)²/…` and `1 - (σ_x² + σ_y² - 2
-//! σ_xy)/…`, so that no rounding takes a value above 1.
+//! Both factors are computed as one minus the missing part, `1 - (μ_x - μ_y)²/…` and
+//! `1 - (σ_x² + σ_y² - 2 σ_xy)/…`, so that rounding does not bring a value above 1.
 //!
 //! The window is separable: four products (x, y, x² + y², x y) are blurred along rows into a ring of eleven
-//! rows and then down columns. Values are centred on zero first, which leaves second moments and removes most
-//! of their cancellation in f32.
+//! rows and then down columns. Values are centred on zero first, which does not change second moments and
+//! removes most of their cancellation in f32.
 
 use rayon::prelude::*;
 use use3d_capture::{Image, Map};
@@ -26,16 +26,17 @@ use crate::warp::Mask;
 
 const C1: f32 = 0.01 * 0.01;
 const C2: f32 = 0.03 * 0.03;
-/// What is subtracted from the values.
+/// The offset that is subtracted from the values.
 const CENTER: f32 = 0.5;
-/// Map rows that one task computes.
+/// Number of map rows that one task computes.
 const STRIP: usize = 64;
 
-/// SSIM in `[-1, 1]`, over the windows all of whose pixels are in the mask (over all windows without one).
+/// SSIM in `[-1, 1]`, over the windows in which all pixels are in the mask (over all windows without a
+/// mask).
 ///
 /// # Errors
-/// Images of different sizes, with a side below 11 pixels, with values that are not finite, or a mask of
-/// another size or without a whole window.
+/// The images have different sizes, a side below 11 pixels or values that are not finite, or the mask has
+/// another size or no whole window.
 pub fn ssim(x: &Image, y: &Image, mask: Option<&Mask>) -> Result<f64, MetricError> {
     check(x, y)?;
     if let Some(mask) = mask {
@@ -59,7 +60,7 @@ pub fn ssim(x: &Image, y: &Image, mask: Option<&Mask>) -> Result<f64, MetricErro
             sum
         })
         .collect();
-    // Rounding may lead a hair above 1.
+    // Rounding may exceed 1 slightly.
     Ok((sums.iter().sum::<f64>() / (3 * columns * rows) as f64).clamp(-1.0, 1.0))
 }
 
@@ -67,7 +68,7 @@ pub fn ssim(x: &Image, y: &Image, mask: Option<&Mask>) -> Result<f64, MetricErro
 /// 5, y + 5).
 ///
 /// # Errors
-/// As [`ssim`].
+/// See [`ssim`].
 pub fn ssim_map(x: &Image, y: &Image) -> Result<Map, MetricError> {
     check(x, y)?;
     let (columns, rows) = (x.width() + 1 - WINDOW, x.height() + 1 - WINDOW);
@@ -91,7 +92,8 @@ fn check(x: &Image, y: &Image) -> Result<(), MetricError> {
     finite("the second image", y)
 }
 
-/// Computes the map rows of one strip of one channel and hands each (its index within the strip) to `take`.
+/// Computes the map rows of one strip of one channel and passes each, with its index within the strip, to
+/// `take`.
 fn strip(x: &Image, y: &Image, channel: usize, strip: usize, mut take: impl FnMut(usize, &[f32])) {
     let (width, columns) = (x.width(), x.width() + 1 - WINDOW);
     let rows = x.height() + 1 - WINDOW;
@@ -226,7 +228,7 @@ mod tests {
 
     #[test]
     fn no_value_exceeds_one_and_masked_windows_do_not_count() {
-        // Nearly equal images, where rounding once gave 1.0000000017.
+        // Nearly equal images, for which rounding once gave 1.0000000017.
         for seed in 0..6 {
             let x = noise(64, 48, seed);
             let y = x.map(|v| v + 1e-7);

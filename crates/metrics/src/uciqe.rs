@@ -1,23 +1,23 @@
-//! UCIQE, underwater colour image quality (Yang & Sowmya, IEEE TIP 2015), in the variants that are in public
-//! use.
+//! UCIQE, underwater colour image quality (Yang & Sowmya, IEEE TIP 2015), in the variants that are in
+//! public use.
 //!
 //! `UCIQE = 0.4680 σ_c + 0.2745 con_l + 0.2576 μ_s`: spread of chroma, contrast of lightness, mean
-//! saturation. The article leaves the scales open and implementations differ by two orders of magnitude, so a
-//! value means nothing without its variant's name:
+//! saturation. The article does not define the scales, and implementations differ by two orders of
+//! magnitude, so a value means nothing without its variant's name:
 //!
 //! | variant | CIELAB | σ_c | con_l | μ_s |
 //! | --- | --- | --- | --- | --- |
-//! | `lab8_relvar_hist` | 8 bit / 255 | relative | 1-99 % on the histogram between the image's own extremes | C/√(C²+L²) |
+//! | `lab8_relvar_hist` | 8 bit / 255 | relative | 1-99 %, histogram over the image's range | C/√(C²+L²) |
 //! | `lab8_relvar_stretch` (default) | 8 bit / 255 | relative | 1-99 % on the scale [0, 1] | C/√(C²+L²) |
 //! | `lab8_std_sorted` | 8 bit / 255 | standard deviation | sorted percentiles | C/L |
 //! | `hsv` | HSV | standard deviation of hue | means of the top and bottom 1 % of V | mean S |
 //! | `cielab_unit` | L/100, C/100 | standard deviation | percentiles | C/√(C²+L²) |
 //! | `cielab_255` | / 255 | standard deviation | percentiles | C/L |
-//! | `cielab_raw` | as is | standard deviation | percentiles | C/L |
+//! | `cielab_raw` | unchanged | standard deviation | percentiles | C/L |
 //!
 //! "8 bit" stores `L 255/100`, `a + 128`, `b + 128`; the offset of 128 stays in C = √(a² + b²), as in the
-//! first author's public code, which the default follows. "Relative" is `√ mean |1 - (mean C / C)²|`. Images
-//! are quantised to 8 bits first.
+//! first author's public code, which the default follows. "Relative" is `√ mean |1 - (mean C / C)²|`.
+//! Images are first quantised to 8 bits.
 
 use std::str::FromStr;
 
@@ -29,23 +29,23 @@ use use3d_numerics::sums;
 use crate::error::{MetricError, finite, large_enough};
 use crate::lab::{LabTable, quantise};
 
-/// Which implementation is followed.
+/// The implementation that is reproduced.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum UciqeVariant {
     /// Relative chroma spread, contrast on the histogram between the image's own extremes.
     Lab8RelvarHist,
-    /// Relative chroma spread, contrast on the scale [0, 1]: the one that reproduces published tables.
+    /// Relative chroma spread, contrast on the scale [0, 1]: the variant that reproduces published tables.
     #[default]
     Lab8RelvarStretch,
     /// Standard deviation, sorted percentiles, C/L.
     Lab8StdSorted,
-    /// On hue, saturation and value.
+    /// Hue, saturation and value.
     Hsv,
-    /// CIELAB over 100.
+    /// CIELAB divided by 100.
     CielabUnit,
-    /// CIELAB over 255.
+    /// CIELAB divided by 255.
     Cielab255,
-    /// CIELAB as it is.
+    /// CIELAB unchanged.
     CielabRaw,
 }
 
@@ -102,7 +102,7 @@ pub struct Uciqe {
 /// UCIQE of a display-range image; it is quantised to 8 bits first.
 ///
 /// # Errors
-/// An image without pixels, or with values that are not finite.
+/// The image has no pixels, or values that are not finite.
 pub fn uciqe(image: &Image, variant: UciqeVariant) -> Result<Uciqe, MetricError> {
     finite("the image", image)?;
     uciqe_of_8bit(&image.to_8bit(), variant)
@@ -111,7 +111,7 @@ pub fn uciqe(image: &Image, variant: UciqeVariant) -> Result<Uciqe, MetricError>
 /// UCIQE of an 8-bit image.
 ///
 /// # Errors
-/// An image without pixels.
+/// The image has no pixels.
 pub fn uciqe_of_8bit(image: &Image8, variant: UciqeVariant) -> Result<Uciqe, MetricError> {
     large_enough("UCIQE", image, 1)?;
     let (chroma_spread, contrast, saturation) = match variant {
@@ -122,10 +122,10 @@ pub fn uciqe_of_8bit(image: &Image8, variant: UciqeVariant) -> Result<Uciqe, Met
     Ok(Uciqe { score, chroma_spread, contrast, saturation })
 }
 
-/// Pixels that one task converts.
+/// Number of pixels that one task converts.
 const BLOCK: usize = 8192;
 
-/// `[value of every pixel]` by blocks.
+/// The value of every pixel, computed in blocks.
 fn per_pixel<T: Send + Copy + Default>(image: &Image8, f: impl Fn([u8; 3]) -> T + Sync) -> Vec<T> {
     let [r, g, b] = image.planes();
     let mut out = vec![T::default(); image.pixels()];
@@ -146,7 +146,7 @@ fn of_lab(image: &Image8, variant: UciqeVariant) -> (f64, f64, f64) {
         UciqeVariant::Cielab255 => (1.0 / 255.0, 1.0 / 255.0),
         UciqeVariant::CielabRaw => (1.0, 1.0),
         _ => {
-            // Kept as the bytes that they are: three a pixel, not sixteen.
+            // Stored as bytes: three per pixel instead of sixteen.
             let pixels = per_pixel(image, |rgb| quantise(table.lab(rgb)));
             let scaled = |i: usize| {
                 let [l, a, b] = pixels[i].map(|v| f64::from(v) / 255.0);
@@ -195,7 +195,7 @@ fn extremes(values: impl Iterator<Item = f64>) -> (f64, f64) {
 }
 
 /// The distance between the 1 % and 99 % levels of a histogram of 65536 bins over `[low, high]`, as a share
-/// of that range; 1 where the levels coincide.
+/// of that range; 1 if the levels coincide.
 fn histogram_contrast(values: impl Iterator<Item = f64>, low: f64, high: f64) -> f64 {
     const TOP: usize = 65535;
     if high <= low {
@@ -224,11 +224,11 @@ fn histogram_contrast(values: impl Iterator<Item = f64>, low: f64, high: f64) ->
     }
 }
 
-/// The order statistic at index `⌊0.99 n⌋` less that at `⌊0.01 n⌋`.
+/// The order statistic at index `⌊0.99 n⌋` minus that at `⌊0.01 n⌋`.
 fn percentile_contrast(mut values: Vec<f64>) -> f64 {
     let n = values.len();
     let (_, &mut low, above) = values.select_nth_unstable_by(n / 100, f64::total_cmp);
-    // Of the values above the first, those up to the second.
+    // The second order statistic is selected among the values above the first.
     match (n * 99 / 100).checked_sub(n / 100 + 1) {
         Some(rest) if rest < above.len() => *above.select_nth_unstable_by(rest, f64::total_cmp).1 - low,
         _ => 0.0,

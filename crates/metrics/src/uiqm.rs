@@ -1,8 +1,8 @@
 //! UIQM, underwater image quality without a reference (Panetta, Gao & Agaian, IEEE JOE 2016), as its widely
 //! copied Python port computes it.
 //!
-//! `UIQM = 0.0282 UICM + 0.2953 UISM + 3.5753 UIConM`: colourfulness, sharpness, contrast. On values 0 to
-//! 255. Published tables use the port, so its quirks are kept, on purpose:
+//! `UIQM = 0.0282 UICM + 0.2953 UISM + 3.5753 UIConM`: colourfulness, sharpness, contrast, on values 0 to
+//! 255. Published tables use the port, so its peculiarities are kept on purpose:
 //!
 //! * UICM: the trimmed means of R-G and (R+G)/2-B leave out `⌈0.1 n⌉ + 1` smallest and `⌊0.1 n⌋` largest
 //!   values but divide by `n - ⌈0.1 n⌉ - ⌊0.1 n⌋`; the variances are about these means over *all* values;
@@ -36,7 +36,7 @@ const BLOCK: usize = 10;
 /// UIQM of a display-range image; it is quantised to 8 bits first.
 ///
 /// # Errors
-/// An image with a side below 10 pixels, or with values that are not finite.
+/// The image has a side below 10 pixels, or values that are not finite.
 pub fn uiqm(image: &Image) -> Result<Uiqm, MetricError> {
     finite("the image", image)?;
     uiqm_of_8bit(&image.to_8bit())
@@ -45,7 +45,7 @@ pub fn uiqm(image: &Image) -> Result<Uiqm, MetricError> {
 /// UIQM of an 8-bit image.
 ///
 /// # Errors
-/// An image with a side below 10 pixels.
+/// The image has a side below 10 pixels.
 pub fn uiqm_of_8bit(image: &Image8) -> Result<Uiqm, MetricError> {
     large_enough("UIQM", image, BLOCK)?;
     let (colorfulness, sharpness, contrast) = (colorfulness(image), sharpness(image), contrast(image));
@@ -55,7 +55,7 @@ pub fn uiqm_of_8bit(image: &Image8) -> Result<Uiqm, MetricError> {
 
 fn colorfulness(image: &Image8) -> f64 {
     let [r, g, b] = image.planes();
-    // Both opponent values are whole or half numbers: histograms of doubled values are exact.
+    // Both opponent values are integers or half-integers, so histograms of doubled values are exact.
     const OFFSET: i32 = 510;
     let mut counts = [vec![0u64; 1021], vec![0u64; 1021]];
     for p in 0..image.pixels() {
@@ -85,8 +85,8 @@ fn colorfulness(image: &Image8) -> f64 {
     -0.0268 * math::hypot(mean_rg, mean_yb) + 0.1586 * (var_rg + var_yb).sqrt()
 }
 
-/// Squared Sobel magnitude of some rows of a plane, half-sample symmetric at the plane's borders. Whole
-/// numbers, at most 2 · 1020².
+/// Squared Sobel magnitude of some rows of a plane, half-sample symmetric at the plane's borders. The
+/// values are integers, at most 2 · 1020².
 fn sobel_squared(plane: &[u8], width: usize, height: usize, rows: std::ops::Range<usize>) -> Vec<i32> {
     let mut out = vec![0i32; rows.len() * width];
     for (line, y) in out.chunks_mut(width).zip(rows) {
@@ -109,8 +109,8 @@ fn sobel_squared(plane: &[u8], width: usize, height: usize, rows: std::ops::Rang
     out
 }
 
-/// The mean over whole blocks of `f(what its row of blocks shares, block's columns, block's rows)`, in a
-/// fixed order.
+/// The mean over whole blocks of `f(value shared by the row of blocks, block's columns, block's rows)`, in
+/// a fixed order.
 fn mean_over_blocks<R>(
     width: usize,
     height: usize,
@@ -133,10 +133,11 @@ fn sharpness(image: &Image8) -> f64 {
     let (width, height) = (image.width(), image.height());
     let eme = [0, 1, 2].map(|c| {
         let plane = image.plane(c);
-        // Edges are kept for one row of blocks: a whole plane of them would be four times the picture's own.
+        // Edges are stored for one row of blocks only: those of a whole plane would need four times the
+        // memory of the picture.
         let edges = |ys| sobel_squared(plane, width, height, ys);
-        // (max/min) of 255 √e/√e_max · v needs neither the common factor nor the roots: compare e v², halve
-        // the logarithm.
+        // (max/min) of 255 √e/√e_max · v needs neither the common factor nor the roots: it compares e v²
+        // and halves the logarithm.
         2.0 * mean_over_blocks(width, height, edges, |edges, xs, ys| {
             let (mut low, mut high) = (u64::MAX, 0u64);
             for (line, y) in ys.enumerate() {
@@ -181,7 +182,7 @@ fn contrast(image: &Image8) -> f64 {
 mod tests {
     use super::*;
 
-    /// The trimmed mean as the port writes it.
+    /// The trimmed mean as the port computes it.
     fn plain_trimmed_mean(mut values: Vec<f64>) -> f64 {
         values.sort_by(f64::total_cmp);
         let n = values.len();

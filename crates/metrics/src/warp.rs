@@ -1,11 +1,11 @@
-//! Backward warping along a flow, and where a flow can be trusted.
+//! Backward warping along a flow, and the pixels where a flow can be trusted.
 //!
-//! A flow f12 says for every pixel p of view 1 where it lies in view 2: at `p + f12(p)`, in pixel *indices*
-//! (the centre of the first pixel is (0, 0)). Backward warping samples view 2 there, bilinearly; it is valid
-//! where the target lies in `[0, W-1] × [0, H-1]`, and 0 elsewhere.
+//! For every pixel p of view 1, a flow f12 gives its position in view 2: `p + f12(p)`, in pixel *indices*
+//! (the centre of the first pixel is (0, 0)). Backward warping samples view 2 there, bilinearly. The sample
+//! is valid if the target lies in `[0, W-1] × [0, H-1]`, and 0 otherwise.
 //!
-//! Occlusions are found by going forward and back: `e = f12(p) + f21(p + f12(p))` should vanish. Two
-//! thresholds are in public use:
+//! Occlusions are found by following the flow forward and back: `e = f12(p) + f21(p + f12(p))` should
+//! vanish. Two thresholds are in public use:
 //!
 //! * Sundaram, Brox & Keutzer (ECCV 2010): `|e|² ≤ 0.01 (|f12|² + |f21(p + f12)|²) + 0.5`, the default;
 //! * one pixel: `|e| ≤ 1`.
@@ -18,20 +18,20 @@ use crate::error::{MetricError, finite, large_enough, same_size};
 
 /// Displacements (dx, dy) in pixels.
 pub type Flow = Raster<f32, 2>;
-/// Which pixels count: 1 or 0.
+/// A mask of the pixels that count: 1 or 0.
 pub type Mask = Raster<u8, 1>;
 
-/// An image brought into another view.
+/// An image warped into another view.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Warped {
-    /// Sampled colours; 0 where not inside.
+    /// Sampled colours; 0 where the target lies outside.
     pub image: Image,
-    /// Where the target lies inside the other view.
+    /// 1 where the target lies inside the other view.
     pub inside: Mask,
 }
 
-/// Where a pixel's target lies between four samples: the upper left one, and the shares of the right and
-/// lower ones.
+/// The position of a pixel's target between four samples: the upper left one, and the shares of the right
+/// and lower ones.
 struct Target {
     index: usize,
     right: usize,
@@ -39,7 +39,7 @@ struct Target {
     share: [f32; 2],
 }
 
-/// `None` outside `[0, W-1] × [0, H-1]`.
+/// The target of a position; `None` outside `[0, W-1] × [0, H-1]`.
 #[inline]
 fn target(x: f32, y: f32, width: usize, height: usize) -> Option<Target> {
     let (last_x, last_y) = ((width - 1) as f32, (height - 1) as f32);
@@ -101,7 +101,7 @@ fn sample_along<const C: usize>(source: &Raster<f32, C>, flow: &Flow) -> (Raster
 /// Samples `image` at `p + flow(p)`; the result has the flow's size.
 ///
 /// # Errors
-/// An image or flow without pixels, or with values that are not finite.
+/// The image or flow has no pixels, or values that are not finite.
 pub fn backward_warp(image: &Image, flow: &Flow) -> Result<Warped, MetricError> {
     large_enough("warping", image, 1)?;
     large_enough("warping", flow, 1)?;
@@ -111,21 +111,21 @@ pub fn backward_warp(image: &Image, flow: &Flow) -> Result<Warped, MetricError> 
     Ok(Warped { image, inside })
 }
 
-/// What going forward and back says about a flow.
+/// The result of following a flow forward and back.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ForwardBackward {
-    /// `|f12(p) + f21(p + f12(p))|²`, px²; f21 counts as 0 outside.
+    /// `|f12(p) + f21(p + f12(p))|²`, px²; f21 is 0 outside.
     pub error_squared: Raster<f32, 1>,
     /// `|f12|² + |f21(p + f12)|²`, px².
     pub magnitude_squared: Raster<f32, 1>,
-    /// Where the target lies inside the other view.
+    /// 1 where the target lies inside the other view.
     pub inside: Mask,
 }
 
 /// Compares a flow with the flow back.
 ///
 /// # Errors
-/// Flows of different sizes, without pixels, or with values that are not finite.
+/// The flows have different sizes, no pixels, or values that are not finite.
 pub fn forward_backward(f12: &Flow, f21: &Flow) -> Result<ForwardBackward, MetricError> {
     same_size("the backward flow", f12, f21)?;
     large_enough("a flow", f12, 1)?;
@@ -157,12 +157,13 @@ impl ForwardBackward {
         mask
     }
 
-    /// Inside and `|e|² ≤ relative (|f12|² + |f21|²) + absolute`; the usual values are 0.01 and 0.5.
+    /// The mask of targets inside with `|e|² ≤ relative (|f12|² + |f21|²) + absolute`; the usual values are
+    /// 0.01 and 0.5.
     pub fn relative_mask(&self, relative: f32, absolute: f32) -> Mask {
         self.mask(|error, magnitude| error <= relative * magnitude + absolute)
     }
 
-    /// Inside and `|e| ≤ limit` pixels; the usual value is 1.
+    /// The mask of targets inside with `|e| ≤ limit` pixels; the usual value is 1.
     pub fn absolute_mask(&self, limit: f32) -> Mask {
         self.mask(|error, _| error <= limit * limit)
     }

@@ -1,4 +1,4 @@
-//! The measures against the golden part `metrics`, all cases.
+//! Compares the measures with the golden part `metrics`, all cases.
 
 use use3d_capture::{Image, Image8};
 use use3d_golden::{Case, Part};
@@ -18,7 +18,7 @@ fn image(case: &Case<'_>, name: &str) -> Image {
     Image::from_planes(w, h, planes).unwrap()
 }
 
-/// Cases that have a tensor; at least one.
+/// The cases that have a tensor; at least one.
 fn with<'a>(part: &'a Part, tensor: &str) -> Vec<Case<'a>> {
     let cases: Vec<_> = part.cases().into_iter().filter(|c| c.has(tensor)).collect();
     assert!(!cases.is_empty(), "no case has {tensor}");

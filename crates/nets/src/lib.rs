@@ -1,5 +1,8 @@
 //! Networks trained by others, in pure Rust: Nu2Net, Depth Anything V2, LPIPS, RAFT, URanker, MUSIQ.
 //!
+//! The inputs are images and the official checkpoint files; the outputs are pictures, maps or scores. The
+//! crate only runs the networks: it does not train them and downloads nothing.
+//!
 //! | network | for | call |
 //! |---|---|---|
 //! | [`Nu2Net`] | the proposer: one enhanced view | [`Nu2Net::enhance`] |
@@ -13,10 +16,10 @@
 //!
 //! Every network is written by hand with a few operations (`engine`): one matrix product into which
 //! convolutions gather their windows, attention in blocks, normalisations, resamplers. No tensor library is
-//! used: inference needs about fifteen operations, and for the most expensive one, the convolution, a general
-//! library is several times slower than a product that never stores the unrolled picture. Further advantages:
-//! 80 fewer crates, no unsafe code, memory that is bounded by the feature maps, and the same bits for any
-//! number of threads. The disadvantage: no graphics processors.
+//! used, because inference needs only about fifteen operations. For the most expensive one, the convolution,
+//! a general library is several times slower than a product that never stores the unrolled picture. Further
+//! advantages are 80 fewer crates, no unsafe code, memory that is bounded by the feature maps, and the same
+//! bits for any number of threads. The disadvantage is that graphics processors are not used.
 //!
 //! All arithmetic is f32; long sums are f64. Agreement with the original implementations is tested on
 //! intermediate activations with reproducible stand-in weights ([`weights::StandIn`]).

@@ -1,7 +1,11 @@
-//! Numerical functions that several method crates share.
+//! Numerical functions that several method crates share: elementary functions, vector code with scalar twins,
+//! tiles of matrix products, spherical harmonics, Adam, random numbers, sums.
 //!
-//! Everything here is deterministic: the same inputs give the same bits on any number of threads, and the
-//! vector code gives the bits of its scalar twin wherever fused multiply-add exists.
+//! The inputs and outputs are numbers and slices. This crate has no tensor type, no files and no knowledge of
+//! images.
+//!
+//! Everything here is deterministic: the same inputs give the same bits on any number of threads. The vector
+//! code gives the bits of its scalar twin wherever fused multiply-add exists.
 
 pub mod adam;
 pub mod functions;

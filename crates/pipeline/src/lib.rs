@@ -1,5 +1,9 @@
 //! The method as a pipeline: from captures to results, computing nothing twice.
 //!
+//! The inputs are a pipeline file or a folder with a capture. The outputs are artifacts in the cache and a
+//! results folder. The losses and gradients of the method are in other crates; this one connects their
+//! functions.
+//!
 //! The crate `build` defines stages and decides when one must run. [`stages`] is the table of the method's
 //! stages, [`code`] is the table of the source code that they are made of, and [`config`] reads pipeline
 //! files. [`judge`] compares, times and tabulates. [`results`] copies the results to the results folder, with

@@ -1,4 +1,4 @@
-//! The fused photometric loss and the depth term at the sizes of a training step.
+//! Measures the fused photometric loss and the depth term at the sizes of a training step.
 
 use std::hint::black_box;
 

@@ -1,14 +1,14 @@
-//! How many Gaussians a run may have, and the memory that it takes.
+//! The largest number of Gaussians that a run may have, and the memory that it takes.
 //!
-//! Both follow from the capture and the parameters alone, never from the machine: a scene is the same
-//! wherever it is made. Without a `max_gaussians` the bound is
+//! Both are computed from the capture and the parameters alone, never from the machine: a scene is the same
+//! on every machine. Without a `max_gaussians` the bound is
 //!
 //! ```text
 //! clamp( max(pixels of the training views / 8, 4 × initial points), 250 000, 4 000 000 )
 //! ```
 //!
-//! It is there to end growth that has gone wrong, not to shape a scene: eight pixels for every Gaussian is
-//! several times what scenes reach by themselves.
+//! The bound stops growth that has gone wrong and is not meant to shape a scene: one Gaussian per eight
+//! pixels is several times the number that scenes reach without it.
 
 use use3d_capture::{Capture, View};
 
@@ -16,37 +16,40 @@ use crate::ReconstructParams;
 use crate::initialise::FEWEST_POINTS;
 
 const PIXELS_PER_GAUSSIAN: u64 = 8;
-/// The synthetic reef came to one Gaussian for 44 training pixels at 640x360, and for 65 at 1280x720.
+/// The synthetic reef grew to one Gaussian per 44 training pixels at 640x360, and per 65 at 1280x720.
 const PIXELS_PER_LIKELY_GAUSSIAN: u64 = 44;
 const GROWTH: usize = 4;
 const FEWEST: usize = 250_000;
 const MOST: usize = 4_000_000;
 
-/// Parameters, gradients, two moments, statistics, what is projected and listed of a Gaussian.
+/// Bytes per Gaussian at the start: parameters, gradients, two moments, statistics, and the projected and
+/// listed data.
 const BYTES_TO_BEGIN: u64 = 1500;
-/// The same in a scene that has grown, with the state while a checkpoint is read.
+/// Bytes per Gaussian in a scene that has grown, with the state while a checkpoint is read.
 const BYTES_WHEN_GROWN: u64 = 2500;
-/// The images, maps, gradients and buffers of a step, per pixel of the largest view: between 640x360 and
-/// 1280x720 at full size the largest resident set grew by 269 (two threads, water of eight anchors).
+/// Bytes per pixel of the largest view, for the images, maps, gradients and buffers of a step. Between
+/// 640x360 and 1280x720 at full size the largest resident set grew by 269 (two threads, water of eight
+/// anchors).
 const BYTES_PER_PIXEL: u64 = 270;
-/// A stored pixel, at least.
+/// Smallest size of a stored pixel, bytes.
 const BYTES_PER_STORED_PIXEL: u64 = 3;
 
-/// What of a capture decides how many Gaussians there may be, and the memory.
+/// The properties of a capture that decide the number of Gaussians and the memory.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct CaptureSize {
-    /// Pixels of all views, training and held out.
+    /// Number of pixels of all views, training and held out.
     pub pixels: u64,
-    /// Pixels of the training views.
+    /// Number of pixels of the training views.
     pub training: u64,
-    /// Pixels of the largest view.
+    /// Number of pixels of the largest view.
     pub largest: u64,
-    /// Finite sparse points.
+    /// Number of finite sparse points.
     pub points: usize,
 }
 
 impl CaptureSize {
-    /// Of views by width and height and whether they train, and of so many sparse points.
+    /// The size of a capture from its views, each with width, height and true for training, and its number
+    /// of sparse points.
     pub fn new(views: impl IntoIterator<Item = ((usize, usize), bool)>, points: usize) -> Self {
         let mut size = Self { points, ..Self::default() };
         for ((width, height), trains) in views {
@@ -58,14 +61,15 @@ impl CaptureSize {
         size
     }
 
-    /// Gaussians to start with before the bound holds: one per sparse point, random ones where those are few.
-    /// Start points between sparse ones (`start_points`) are not known yet; they are few where points are many.
+    /// Number of Gaussians at the start before the bound applies: one per sparse point, with random ones
+    /// added if there are few points. Start points between sparse ones (`start_points`) are not known yet;
+    /// they are few where points are many.
     pub(crate) fn initial(&self, params: &ReconstructParams) -> usize {
         let points = self.points;
         if points < FEWEST_POINTS { points.saturating_add(params.random_points) } else { points }
     }
 
-    /// The most Gaussians that a run may have, the initial ones included.
+    /// Largest number of Gaussians that a run may have, including the initial ones.
     fn most(&self, params: &ReconstructParams) -> usize {
         if params.max_gaussians > 0 {
             return params.max_gaussians;
@@ -75,7 +79,7 @@ impl CaptureSize {
         by_pixels.max(by_points).clamp(FEWEST, MOST)
     }
 
-    /// About as many Gaussians as a scene of this size comes to, rather too many.
+    /// Approximate number of Gaussians in a finished scene of this size; rather too large than too small.
     pub fn likely(&self, params: &ReconstructParams) -> usize {
         let by_pixels = usize::try_from(self.training / PIXELS_PER_LIKELY_GAUSSIAN).unwrap_or(usize::MAX);
         by_pixels.max(self.initial(params)).min(self.most(params))
@@ -91,23 +95,23 @@ impl From<&Capture> for CaptureSize {
     }
 }
 
-/// The most Gaussians that a run on this capture may have, the initial ones included.
+/// Largest number of Gaussians that a run on this capture may have, including the initial ones.
 pub fn most_gaussians(capture: &Capture, params: &ReconstructParams) -> usize {
     CaptureSize::from(capture).most(params)
 }
 
-/// What a run takes, bytes.
+/// The memory that a run takes, bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MemoryNeed {
-    /// To begin.
+    /// Memory at the start.
     pub start: u64,
-    /// With as many Gaussians as scenes of this size come to: for planning.
+    /// Memory with the usual number of Gaussians for scenes of this size: for planning.
     pub likely: u64,
-    /// With as many Gaussians as it may have.
+    /// Memory with the largest number of Gaussians that it may have.
     pub most: u64,
 }
 
-/// About how much memory a run on a capture of this size takes.
+/// Estimates the memory that a run on a capture of this size takes.
 pub fn memory_need(size: &CaptureSize, params: &ReconstructParams) -> MemoryNeed {
     let stored = size.pixels.saturating_mul(BYTES_PER_STORED_PIXEL);
     let step = size.largest.saturating_mul(BYTES_PER_PIXEL);
@@ -153,7 +157,8 @@ mod tests {
     fn the_bound_is_the_capture_s_and_far_above_what_scenes_reach() {
         let params = ReconstructParams::default();
         let of = |views, w, h, points| most_gaussians(&capture(views, w, h, points), &params);
-        // The synthetic reef of 48 views, 42 for training: 227 000 and 623 000 Gaussians at these sizes.
+        // The synthetic reef of 48 views, 42 for training, has 227 000 and 623 000 Gaussians at these
+        // sizes.
         assert_eq!(of(42, 640, 360, 20_091), 42 * 640 * 360 / 8);
         assert_eq!(of(42, 1280, 720, 20_091), MOST);
         assert_eq!(of(7, 96, 64, 2_000), FEWEST);
@@ -183,7 +188,7 @@ mod tests {
             capture.split = Split::every(48, 8);
             memory_need(&(&capture).into(), &params).likely as f64
         };
-        // The synthetic reef: 540 MB and 1.37 GB at most, the program itself included.
+        // Largest memory measured for the synthetic reef: 540 MB and 1.37 GB, including the program itself.
         let (small, large) = (likely(640, 360) / 540e6, likely(1280, 720) / 1.37e9);
         assert!((0.9..2.0).contains(&small) && (0.9..2.0).contains(&large), "{small} {large}");
         assert!(likely(1280, 720) > 2.0 * likely(640, 360));

@@ -1,16 +1,16 @@
-//! What can go wrong in stage 1.
+//! The errors of stage 1.
 
 use use3d_capture::{CameraError, CaptureError};
 use use3d_numerics::range::OutOfRange;
 use use3d_training::{CheckpointError, EngineError, NonFinite};
 
-/// Why there is no reconstruction.
+/// A reason why there is no reconstruction.
 #[derive(Debug, thiserror::Error)]
 pub enum ReconstructError {
-    /// Nothing to learn from.
+    /// There is nothing to learn from.
     #[error(transparent)]
     Capture(#[from] CaptureError),
-    /// One view does not determine a scene.
+    /// There is only one view, which does not determine a scene.
     #[error(
         "only one training view (`{view}`); a scene needs at least 2 views from different places: add images, or hold out fewer (`split.every`)"
     )]
@@ -23,7 +23,7 @@ pub enum ReconstructError {
     Camera {
         /// The view.
         view: String,
-        /// Why.
+        /// The reason.
         source: CameraError,
     },
     /// A view's pixels could not be loaded.
@@ -31,10 +31,10 @@ pub enum ReconstructError {
     Load {
         /// The view.
         view: String,
-        /// Why.
+        /// The reason.
         message: String,
     },
-    /// An image, mask or prior that does not fit its camera.
+    /// An image, mask or prior has another size than its camera.
     #[error(
         "view `{view}`: its {what} is {found_width}x{found_height} pixels, its camera {width}x{height}; scale the files or the camera (`size`, `image_dir`)"
     )]
@@ -52,12 +52,12 @@ pub enum ReconstructError {
         /// The camera's height.
         height: usize,
     },
-    /// Masks that leave nothing.
+    /// The masks leave no pixel.
     #[error(
         "the masks of all {views} training views leave no pixel: there is nothing to learn from; masks (files and alpha channels) are white where pixels count and black elsewhere: invert them, or remove them"
     )]
     NothingCounts {
-        /// Training views.
+        /// Number of training views.
         views: usize,
     },
     /// Points and poses do not belong together.
@@ -65,18 +65,18 @@ pub enum ReconstructError {
         "none of the {points} sparse points lies in front of any of the {views} training cameras: poses and points seem to be from different models, or poses are camera-to-world; check the sparse model"
     )]
     PointsBehindCameras {
-        /// Sparse points.
+        /// Number of sparse points.
         points: usize,
-        /// Training views.
+        /// Number of training views.
         views: usize,
     },
-    /// A parameter out of range.
+    /// A parameter is out of range.
     #[error("reconstruct: {0}")]
     Parameter(OutOfRange),
     /// The run diverged.
     #[error(transparent)]
     NonFinite(#[from] NonFinite),
-    /// The engine has views of another run.
+    /// The engine already has the views of another run.
     #[error(
         "the engine is in use already, with the views of another run; give every run an engine of its own"
     )]
@@ -87,14 +87,14 @@ pub enum ReconstructError {
     /// The checkpoint could not be written or read.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
-    /// The observer asked to stop; the checkpoint is written.
+    /// The observer requested a stop; the checkpoint is written.
     #[error("stopped at step {step} of {steps}{}", if *saved { "; run again to resume" } else { "" })]
     Interrupted {
-        /// Steps done.
+        /// Number of steps done.
         step: u64,
-        /// Steps in all.
+        /// Total number of steps.
         steps: u64,
-        /// Whether a checkpoint holds the state.
+        /// True if a checkpoint holds the state.
         saved: bool,
     },
 }

@@ -1,20 +1,20 @@
-//! Cameras that expose and balance every view on their own: a gain per view and channel, between
-//! the scene and its photographs.
+//! Cameras that expose and balance every view separately: a gain per view and channel, between the scene
+//! and its photographs.
 //!
 //! ```text
-//! Ĩ_v = e^{γ_v} ⊙ Î_v            Î_v the rendered view, Ĩ_v what its photograph is compared with
+//! Ĩ_v = e^{γ_v} ⊙ Î_v            Î_v the rendered view, Ĩ_v is compared with its photograph
 //! ∂L/∂Î = e^{γ} ⊙ ∂L/∂Ĩ,         ∂L/∂γ_c = Σ_pixels Ĩ_c ∂L/∂Ĩ_c  +  λ γ_c
 //! ```
 //!
-//! | symbol | what | shape |
+//! | symbol | meaning | shape |
 //! |---|---|---|
-//! | γ | log-gain of a training view, 0 at the start or what the capture's tracks tell | views × 3 |
-//! | λ | how strongly gains are drawn to one | 1 |
+//! | γ | log-gain of a training view; starts at 0 or at the value from the capture's tracks | views × 3 |
+//! | λ | strength with which gains are drawn to one | 1 |
 //!
-//! Gains belong to photographs: no render, no export and no later stage sees them. What all views share
-//! is brightness of the scene, so the mean of γ over the views is kept at 0 per channel. A gain in
-//! display range is one of linear light as far as display values follow a power law. Adam counts the
-//! steps of each view on its own.
+//! Gains belong to photographs: renders, exports and later stages do not contain them. A gain that all
+//! views share is a brightness of the scene, so the mean of γ over the views is kept at 0 per channel. A
+//! gain in display range is a gain of linear light to the extent that display values follow a power law.
+//! Adam counts the steps of each view separately.
 
 use serde::{Deserialize, Serialize};
 use use3d_capture::Image;
@@ -22,17 +22,17 @@ use use3d_numerics::adam::Adam;
 use use3d_numerics::math;
 use use3d_numerics::sums;
 
-/// How gains are learnt in a step.
+/// The settings by which gains are learnt in a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ExposureStep {
-    /// Adam's rate of γ; 0 holds the gains.
+    /// Adam's rate of γ; 0 keeps the gains fixed.
     pub rate: f64,
     /// λ.
     pub weight: f64,
 }
 
-/// The log-gains of all training views with Adam's moments, one row per view; no
-/// rows where no view has a gain.
+/// The log-gains of all training views with Adam's moments, one row per view; no rows if no view has a
+/// gain.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Exposures {
     /// γ.
@@ -41,12 +41,12 @@ pub struct Exposures {
     pub first: Vec<[f32; 3]>,
     /// Means of squared gradients.
     pub second: Vec<[f32; 3]>,
-    /// Adam's steps of each view.
+    /// Number of Adam's steps of each view.
     pub steps: Vec<u64>,
 }
 
 impl Exposures {
-    /// Starts from these gains, all positive.
+    /// Starts from these gains, which must be positive.
     pub fn new(gains: &[[f64; 3]]) -> Self {
         let n = gains.len();
         let mut exposures = Self {
@@ -59,7 +59,7 @@ impl Exposures {
         exposures
     }
 
-    /// `e^γ` of a view; 1 for one without a gain.
+    /// `e^γ` of a view; 1 for a view without a gain.
     pub fn gain(&self, view: usize) -> [f32; 3] {
         self.log_gains.get(view).map_or([1.0; 3], |g| g.map(math::exp))
     }
@@ -69,7 +69,7 @@ impl Exposures {
         (0..self.log_gains.len()).map(|v| self.gain(v)).collect()
     }
 
-    /// One Adam step of a view's gains from `∂L/∂γ` without its λ term.
+    /// Makes one Adam step of a view's gains, from `∂L/∂γ` without its λ term.
     pub fn update(&mut self, view: usize, gradient: [f64; 3], step: &ExposureStep) {
         let Some(gains) = self.log_gains.get_mut(view) else { return };
         self.steps[view] += 1;
@@ -80,12 +80,12 @@ impl Exposures {
         self.center();
     }
 
-    /// Whether every gain is a number.
+    /// True if every gain is finite.
     pub fn is_finite(&self) -> bool {
         self.log_gains.as_flattened().iter().all(|g| g.is_finite())
     }
 
-    /// Takes the views' common gain out.
+    /// Removes the views' common gain.
     fn center(&mut self) {
         let n = self.log_gains.len().max(1) as f64;
         for c in 0..3 {
@@ -94,7 +94,7 @@ impl Exposures {
         }
     }
 
-    /// Rows of each array; all the same in a sound state.
+    /// Number of rows of each array; all equal in a valid state.
     pub(crate) fn lengths(&self) -> [usize; 4] {
         [self.log_gains.len(), self.first.len(), self.second.len(), self.steps.len()]
     }
@@ -110,7 +110,7 @@ pub(crate) fn expose(image: &Image, gain: [f32; 3], out: &mut Image) {
     }
 }
 
-/// Turns `∂L/∂Ĩ` into `∂L/∂Î` in place; `∂L/∂γ` without its λ term.
+/// Turns `∂L/∂Ĩ` into `∂L/∂Î` in place; returns `∂L/∂γ` without its λ term.
 pub(crate) fn expose_backward(exposed: &Image, gain: [f32; 3], gradient: &mut Image) -> [f64; 3] {
     std::array::from_fn(|c| {
         let plane = exposed.plane(c);

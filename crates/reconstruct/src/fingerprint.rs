@@ -1,4 +1,5 @@
-//! Whether a checkpoint belongs to this run: a digest of parameters, cameras, points and pixels.
+//! The identity of a run, by which its checkpoints are recognised: a digest of parameters, cameras, points
+//! and pixels.
 
 use use3d_capture::Capture;
 use use3d_training::EngineChoice;
@@ -8,7 +9,7 @@ use crate::load::Views;
 use crate::triangles::Between;
 use crate::{FoundWater, ReconstructParams};
 
-/// The digest.
+/// Computes the digest.
 pub(crate) fn fingerprint(
     capture: &Capture,
     found: Option<&FoundWater>,
@@ -18,8 +19,9 @@ pub(crate) fn fingerprint(
     views: &Views,
 ) -> [u8; 32] {
     let mut hasher = blake3::Hasher::new();
-    // How often checkpoints are written changes nothing, nor does the length beyond the schedules; the cap
-    // counts as what it comes to. A run begun on one engine may go on with another.
+    // The frequency of checkpoints does not change the result, and neither does the length beyond the
+    // schedules; the cap is replaced by the number that it results in. A run begun on one engine may
+    // continue on another.
     let params = ReconstructParams {
         iterations: params.course(),
         max_gaussians: most_gaussians(capture, params),

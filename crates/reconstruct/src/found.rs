@@ -1,16 +1,17 @@
-//! Water that is known before training: where it starts, how long it is held, and the colours behind it.
+//! Water that is known before training: the water's start, the time for which it is held, and the colours
+//! behind it.
 //!
-//! Trained jointly from nothing, water drifts: Gaussians start with the photographs' hazy colours, so that a
-//! right water in front of them is too much haze, and the water, whose rates are high, gives way before the
-//! colours do. Water that is known beforehand (from the capture's tracks) therefore does three things:
+//! Trained jointly from nothing, water drifts: Gaussians start with the photographs' hazy colours, so that
+//! correct water in front of them is too much haze. The water, whose rates are high, then changes before
+//! the colours do. Water that is known beforehand (from the capture's tracks) therefore has three effects:
 //!
-//! * every anchor starts at it: `c_m(d) = v + g·d` in the bands of degree 0 and 1, `β` in the constant band
-//!   through the inverse of softplus. The water's active degree is at least 1 from the first step on;
-//! * Gaussians start with the radiance J behind the water where tracks tell it, the more so the
-//!   surer it is: `(w J + (1-w) I)` with `w = σ₀² / (σ₀² + σ_J²)`, σ₀ = 0.2 of display range, I the
-//!   point's colour in the photographs;
-//! * it is held for a share of the run (`medium_hold`) and then learnt at a fraction of
-//!   its rates (`medium_release`).
+//! * every anchor starts from it: `c_m(d) = v + g·d` in the bands of degree 0 and 1, `β` in the constant
+//!   band through the inverse of softplus. The water's active degree is at least 1 from the first step on;
+//! * Gaussians start with the radiance J behind the water where tracks determine it, weighted by its
+//!   certainty: `(w J + (1-w) I)` with `w = σ₀² / (σ₀² + σ_J²)`, σ₀ = 0.2 of display range, I the point's
+//!   colour in the photographs;
+//! * it is held for a share of the run (`medium_hold`) and then learnt at a fraction of its rates
+//!   (`medium_release`).
 
 use use3d_capture::Track;
 use use3d_medium::{Coefficients, MediumModel};
@@ -19,20 +20,20 @@ use use3d_numerics::spherical_harmonics::{C0, C1};
 
 use crate::ReconstructParams;
 
-/// An error of J, display range, at which the photographs' colour counts as much.
+/// Error of J, display range, at which the photographs' colour has the same weight.
 const EVEN: f64 = 0.2;
-/// The least coefficient that softplus is asked to give, 1/normalised unit.
+/// Smallest coefficient passed to the inverse of softplus, 1/normalised unit.
 const LEAST: f64 = 1e-4;
 
-/// What is known of a capture before training.
+/// The prior knowledge about a capture before training.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Known {
-    /// Its water; `None` where it is not known.
+    /// The capture's water; `None` if it is not known.
     pub water: Option<FoundWater>,
-    /// Gains of all views of the capture, red, green, blue, all positive; empty where they are not known.
+    /// Gains of all views of the capture, red, green, blue, all positive; empty if they are not known.
     pub gains: Vec<[f64; 3]>,
-    /// Tracks of all points of the capture, in the order of its points, whose views are those of the capture;
-    /// empty where there are none. Start points are laid between them (`start_points`).
+    /// Tracks of all points of the capture, in the order of its points; their views are those of the
+    /// capture. Empty if there are none. Start points are placed between them (`start_points`).
     pub tracks: Vec<Track>,
 }
 
@@ -47,16 +48,16 @@ pub struct FoundWater {
     pub veil: [f64; 3],
     /// `g` per channel.
     pub veil_slope: [[f64; 3]; 3],
-    /// Radiance behind the water and its standard error, per channel, of the capture's points in their order;
-    /// `None` where nothing is known.
+    /// Radiance behind the water and its standard error, per channel, of the capture's points in their
+    /// order; `None` where they are not known.
     pub radiances: Vec<Option<[(f64, f64); 3]>>,
 }
 
 impl FoundWater {
-    /// The least active degree of the water: its veil needs the bands of degree 1.
+    /// Smallest active degree of the water: its veil needs the bands of degree 1.
     pub(crate) const DEGREE: usize = 1;
 
-    /// As spherical-harmonic coefficients `[c_m, β_bs, β_attn][band][RGB]`.
+    /// The water as spherical-harmonic coefficients `[c_m, β_bs, β_attn][band][RGB]`.
     pub fn coefficients(&self) -> Coefficients {
         let mut out = Coefficients::default();
         let (c0, c1) = (f64::from(C0), f64::from(C1));
@@ -74,13 +75,14 @@ impl FoundWater {
         out
     }
 
-    /// The model of the water at the start; `None` for a model that does not start from spherical harmonics.
+    /// The model of the water at the start; `None` for a model that does not start from spherical
+    /// harmonics.
     pub(crate) fn model(&self, params: &ReconstructParams) -> Option<MediumModel> {
         MediumModel::start_from(params.medium, &params.medium_start(), &self.coefficients()).ok().flatten()
     }
 
-    /// The colour that the Gaussian of a point starts with, from its colour in
-    /// the photographs (display range).
+    /// The colour with which the Gaussian of a point starts, computed from its colour in the photographs
+    /// (display range).
     pub(crate) fn color(&self, point: usize, photographed: [f64; 3]) -> [f64; 3] {
         let Some(Some(radiance)) = self.radiances.get(point) else { return photographed };
         let sure = self.sure(point);
@@ -90,7 +92,7 @@ impl FoundWater {
         })
     }
 
-    /// The weight w of a point's radiance in the colour that it starts with, per channel; 0 where nothing is
+    /// The weight w of a point's radiance in its start colour, per channel; 0 where the radiance is not
     /// known.
     pub(crate) fn sure(&self, point: usize) -> [f64; 3] {
         let Some(Some(radiance)) = self.radiances.get(point) else { return [0.0; 3] };
@@ -100,7 +102,7 @@ impl FoundWater {
         })
     }
 
-    /// Adds everything that training starts from to a checkpoint's fingerprint.
+    /// Adds all values from which training starts to a checkpoint's fingerprint.
     pub(crate) fn fingerprint(&self, hasher: &mut blake3::Hasher) {
         hasher.update(format!("{self:?}").as_bytes());
     }

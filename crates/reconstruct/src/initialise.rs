@@ -1,11 +1,11 @@
-//! The Gaussians that training starts from.
+//! The Gaussians from which training starts.
 //!
-//! One per sparse point: its colour as the constant coefficient, an isotropic size of the mean distance
-//! to its three nearest other points, a uniformly random rotation, opacity 0.1. Equal points count as
-//! one neighbour, so that a heap of duplicates does not make Gaussians of size zero. A capture with
-//! fewer than 100 points gets random ones in what its cameras see; of more points than there may be
-//! Gaussians a random choice stays. Where `start_points` asks for it, points
-//! [between tracked points](crate::triangles) come behind them, as many as there is room for.
+//! There is one Gaussian per sparse point: its colour as the constant coefficient, an isotropic size equal
+//! to the mean distance to its three nearest other points, a uniformly random rotation, and opacity 0.1.
+//! Equal points count as one neighbour, so that a heap of duplicates does not make Gaussians of size zero.
+//! A capture with fewer than 100 points gets random ones in the space that its cameras see. If there are
+//! more points than Gaussians allowed, a random choice of them is kept. If `start_points` requests it,
+//! points [between tracked points](crate::triangles) are added, as many as there is room for.
 
 use std::num::NonZero;
 
@@ -21,15 +21,15 @@ use use3d_splat::{Gaussians, NEAR};
 use crate::triangles::{self, Between};
 use crate::{FoundWater, ReconstructError, ReconstructParams};
 
-/// Fewer sparse points than this are not a start.
+/// Smallest number of sparse points that is enough for a start.
 pub(crate) const FEWEST_POINTS: usize = 100;
 const NEIGHBOURS: usize = 3;
-/// Sizes are kept within this range, normalised scene units.
+/// Sizes are clamped to this range, normalised scene units.
 const SMALLEST: f64 = 1e-5;
 const LARGEST: f64 = 2.0;
 
-/// The initial Gaussians, at most `most`, with the colours behind the water where that was found, and
-/// `between` behind those of the sparse points; messages for a person go to `notice`.
+/// Makes the initial Gaussians, at most `most`. They have the colours behind the water where these are
+/// known, and `between` follow those of the sparse points. Messages for the user go to `notice`.
 pub(crate) fn gaussians(
     capture: &Capture,
     found: Option<&FoundWater>,
@@ -90,8 +90,8 @@ pub(crate) fn gaussians(
     Ok(gaussians)
 }
 
-/// `most` of the points, in their order. Any part of a file may be one part of the scene, so the
-/// choice is random, not every n-th.
+/// Chooses `most` of the points and keeps their order. Any part of a file may belong to one part of the
+/// scene, so the choice is random and not every n-th point.
 fn choose<T: Copy>(points: &[T], most: usize, seed: u64) -> Vec<T> {
     let stream = Stream::new(seed, Purpose::new("points kept"), 0);
     let mut kept = stream.permutation(points.len());
@@ -107,8 +107,8 @@ fn rotation(stream: &Stream, index: u64) -> [f32; 4] {
     q.map(|v| (v / norm) as f32)
 }
 
-/// Random positions on random pixel rays, at depths spread log-uniformly about those of the known points (or
-/// about the size of the normalised scene), grey; at most `most`.
+/// Random positions on random pixel rays, grey, at most `most`. Their depths are spread log-uniformly
+/// around those of the known points (or around the size of the normalised scene).
 fn random_points(
     cameras: &[Camera],
     known: &[(DVec3, [f64; 3])],
@@ -138,9 +138,9 @@ fn random_points(
         .collect()
 }
 
-/// For every point the mean distance to its three nearest points elsewhere.
+/// For every point, the mean distance to its three nearest points at other positions.
 fn spacing(points: &[DVec3]) -> Vec<f64> {
-    // Equal positions are one place.
+    // Equal positions count once.
     let mut order: Vec<usize> = (0..points.len()).collect();
     let key = |i: usize| points[i].to_array().map(|v| v + 0.0);
     order.sort_by(|&a, &b| {
@@ -168,7 +168,7 @@ fn place_spacing(places: &[[f64; 3]]) -> Vec<f64> {
         let (sum, count) = distances.fold((0.0, 0), |(s, c), d| (s + d, c + 1));
         if count == 0 { lone } else { sum / f64::from(count) }
     };
-    // The tree refuses some degenerate sets; those are small or planar, and the plain search then does.
+    // The tree refuses some degenerate sets. Those are small or planar, so a plain search is fast enough.
     match (NonZero::new(NEIGHBOURS + 1), ImmutableKdTree::<f64, 3>::new_from_slice(places)) {
         (Some(count), Ok(tree)) => places
             .par_iter()

@@ -1,12 +1,12 @@
-//! Stage 1: from a posed capture to a trained underwater scene.
+//! Stage 1: trains an underwater scene from a posed capture.
 //!
-//! The loop ([`reconstruct`]) owns schedules and decides *what* happens at every step; an [`engine::Engine`]
-//! owns parameters, moments and buffers and does it. Whoever calls chooses the engine: [`engine::CpuEngine`]
-//! is the reference, and any other crate may bring one. A step renders one training view through the water,
-//! compares it with the photograph ([`losses`]), and moves Gaussians and water by Adam. Now and then
-//! Gaussians are split, duplicated and removed (R9), and images grow from a quarter to full size (R11).
-//! Everything is a function of capture, parameters and seed: the same bits on any number of threads, and
-//! after any number of interruptions.
+//! The loop ([`reconstruct`]) owns the schedules and decides *what* is done at every step; an
+//! [`engine::Engine`] owns parameters, moments and buffers and does it. The caller chooses the engine:
+//! [`engine::CpuEngine`] is the reference, and any other crate may provide one. A step renders one training
+//! view through the water, compares it with the photograph ([`losses`]), and changes Gaussians and water by
+//! Adam. At intervals Gaussians are split, duplicated and removed (R9), and images grow from a quarter to
+//! full size (R11). Everything is a function of capture, parameters and seed: the same bits on any number
+//! of threads, and after any number of interruptions.
 
 mod bounds;
 pub mod density;
@@ -20,6 +20,7 @@ mod load;
 pub mod losses;
 mod params;
 mod peek;
+mod planes;
 mod profile;
 mod report;
 mod run;

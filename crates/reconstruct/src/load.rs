@@ -1,4 +1,4 @@
-//! Loading a capture's views once, and saying what of them cannot be used.
+//! Loads a capture's views once, and reports data that cannot be used.
 
 use use3d_capture::{Capture, View};
 use use3d_training::Observer;
@@ -12,7 +12,7 @@ pub(crate) struct Views {
     pub(crate) test: Vec<TrainingView>,
 }
 
-/// Loads every view once; priors without information are named.
+/// Loads every view once; reports priors without information.
 pub(crate) fn load(
     capture: &Capture,
     loader: &dyn ViewLoader,
@@ -57,8 +57,8 @@ pub(crate) fn load(
     Ok(Views { train, test })
 }
 
-/// A view of which nothing counts teaches and judges nothing: said, and refused
-/// where no training view is left.
+/// Reports views in which no pixel counts, because nothing is learnt or measured from them. It is an error
+/// if no training view is left.
 fn check_masks(
     train: &[TrainingView],
     test: &[TrainingView],

@@ -1,4 +1,4 @@
-//! Every number of stage 1, with the method's value as default.
+//! All numbers of stage 1, with the method's values as defaults.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -10,33 +10,33 @@ use use3d_training::EngineChoice;
 /// The largest divisor of the image pyramid.
 pub(crate) const MOST_DIVISOR: usize = 1024;
 
-/// Where depth priors come from (R14).
+/// The source of depth priors (R14).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum DepthPrior {
-    /// The capture's own files where it has a depth folder, else Depth Anything V2 where its weights are in
-    /// the models folder, else no depth term, and the run says so.
+    /// The capture's own files if it has a depth folder, else Depth Anything V2 if its weights are in the
+    /// models folder, else no depth term, which the run reports.
     #[default]
     Auto,
     /// No depth term.
     Off,
-    /// Files beside the images; none there: no depth term, and the run says so.
+    /// Files beside the images; if there are none, no depth term, which the run reports.
     Folder,
     /// Made by Depth Anything V2 before training.
     DepthAnythingV2,
 }
 
-/// What is known of the water before training.
+/// The knowledge of the water before training.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum MediumPrior {
     /// `tracks` for water that can start from them and is learnt from the photographs, else `off`.
     #[default]
     Auto,
-    /// Nothing: the water starts as the paper has it and is learnt from the first step on.
+    /// None: the water starts as in the paper and is learnt from the first step on.
     Off,
-    /// What the capture's tracks tell, where they do; else as `off`, and the log says why. For the
-    /// `rbf`, `global` and `image` waters.
+    /// The water that the capture's tracks determine; if they do not, as `off`, and the log says why. For
+    /// the `rbf`, `global` and `image` waters.
     Tracks,
 }
 
@@ -44,44 +44,48 @@ pub enum MediumPrior {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum StartPoints {
-    /// At the capture's sparse points, as the paper has it.
+    /// At the capture's sparse points, as in the paper.
     #[default]
     Tracks,
-    /// There, and between them on the triangles of each view's tracked points where the surface is smooth and
-    /// points are sparse, so that even floors and walls get no holes. Its gain was not measured yet.
+    /// At these points, and between them on the triangles of each view's tracked points, where the surface
+    /// is smooth and points are sparse. So even floors and walls get no holes.
     Triangles,
+    /// At all of these, and where tracked points end, on the plane of the nearest ones. So even ground
+    /// reaches the edge of the pictures.
+    Planes,
 }
 
-/// Whether photographs of one scene may differ in exposure and white balance.
+/// Differences in exposure and white balance between the photographs of one scene.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Exposure {
-    /// All views show the scene with one exposure, as the method has it.
+    /// All views show the scene with one exposure, as in the method.
     #[default]
     Off,
-    /// Every training view has a gain per channel, learnt with the scene and left out of what is rendered;
+    /// Every training view has a gain per channel, learnt with the scene and left out of renders;
     /// held-out views are also scored after a gain that is fitted on their other half.
     PerView,
 }
 
-/// Which images a scene is learnt from. The loop itself is the same; whoever loads the views follows this.
+/// The images from which a scene is learnt. The loop itself is the same; the code that loads the views
+/// reads this.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Images {
     /// The photographs.
     #[default]
     Captured,
-    /// Each photograph enhanced on its own, for comparison: what such images
-    /// disagree about ends up in the scene.
+    /// Each photograph enhanced separately, for comparison: differences between such images end up in the
+    /// scene.
     Proposed,
 }
 
 /// A learning rate that decays log-linearly over the run.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Rate(
-    /// At the first step.
+    /// The rate at the first step.
     pub f64,
-    /// At the last step.
+    /// The rate at the last step.
     pub f64,
 );
 
@@ -96,27 +100,27 @@ impl Rate {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct LearningRates {
-    /// Centres, normalised scene units.
+    /// Rate of centres, normalised scene units.
     pub means: Rate,
-    /// Constant colour coefficients.
+    /// Rate of constant colour coefficients.
     pub sh_constant: Rate,
-    /// Directional colour coefficients.
+    /// Rate of directional colour coefficients.
     pub sh_directional: Rate,
-    /// Opacity logits.
+    /// Rate of opacity logits.
     pub opacity: Rate,
-    /// Log scales.
+    /// Rate of log scales.
     pub scales: Rate,
-    /// Quaternions.
+    /// Rate of quaternions.
     pub quaternions: Rate,
-    /// The water's constant coefficients. Rates of the water are for a whole `schedule`; a compressed run
-    /// multiplies them by what it is shorter, at most tenfold.
+    /// Rate of the water's constant coefficients. Rates of the water are for a whole `schedule`; a
+    /// compressed run multiplies them by the factor by which it is shorter, at most tenfold.
     pub medium_constant: Rate,
-    /// The water's directional coefficients, anchor centres and log widths.
+    /// Rate of the water's directional coefficients, anchor centres and log widths.
     pub medium_directional: Rate,
-    /// The weights of the `mlp` water.
+    /// Rate of the weights of the `mlp` water.
     pub medium_network: Rate,
-    /// The views' log-gains, where `exposure` lets them have some; a compressed run
-    /// multiplies them as those of the water.
+    /// Rate of the views' log-gains, if `exposure` allows them; a compressed run multiplies it like those
+    /// of the water.
     pub exposure: Rate,
 }
 
@@ -141,13 +145,13 @@ impl Default for LearningRates {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Strategy {
-    /// As the paper's authors do: every strong pull on the screen adds a Gaussian, opacities are lowered to a
-    /// ceiling again and again, and what is then below `cull_opacity` is removed.
+    /// The rule of the paper's authors: every strong screen gradient adds a Gaussian, opacities are lowered
+    /// to a ceiling repeatedly, and Gaussians that are then below `cull_opacity` are removed.
     #[default]
     Authors,
-    /// Several views must agree that a Gaussian more pays, a budget from the pixels grows with the run, there
-    /// is no ceiling, and only what is below `frugal_cull_opacity` is removed, a third of all at most at once.
-    /// Its gain was not measured yet.
+    /// Several views must agree that another Gaussian helps, a budget from the pixels grows with the run,
+    /// and there is no ceiling. Only Gaussians below `frugal_cull_opacity` are removed, at most a third of
+    /// all at once. Its gain was not measured yet.
     Frugal,
 }
 
@@ -158,19 +162,19 @@ pub enum Strategy {
 pub struct Unseen {
     /// Apply the bounds. Their cost and gain have not been measured yet.
     pub enabled: bool,
-    /// Steps between two times.
+    /// Steps between two applications of the bounds.
     pub every: u64,
     /// Spread of the directions to the views that have a Gaussian in their picture, radians, below which its
     /// depth counts as unknown.
     pub spread: f64,
     /// Such a Gaussian is at most this many times as long along the view as across it.
     pub stretch: f64,
-    /// Largest standard deviation of a Gaussian that one or two such views show or that lies beyond, as a share of
-    /// the picture's width.
+    /// Largest standard deviation of a Gaussian that one or two such views show or that lies beyond, as a
+    /// share of the picture's width.
     pub width: f64,
     /// A Gaussian lies beyond if it is this many times as far as the last sparse points of every view.
     pub beyond: f64,
-    /// Largest opacity beyond, and where no view looks.
+    /// Largest opacity of Gaussians that lie beyond, or outside every picture.
     pub opacity: f64,
 }
 
@@ -180,11 +184,11 @@ impl Default for Unseen {
     }
 }
 
-/// When and how Gaussians are added and removed (R9).
+/// The rules by which Gaussians are added and removed (R9).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Densify {
-    /// Whether the number of Gaussians changes at all.
+    /// True if the number of Gaussians changes at all.
     pub enabled: bool,
     /// The rule by which Gaussians are added and removed.
     pub strategy: Strategy,
@@ -199,14 +203,14 @@ pub struct Densify {
     /// Longest pause after a ceiling: densification waits until `step mod period` reaches the smaller of this
     /// and the number of training views + `every`.
     pub pause: u64,
-    /// Share of the run after which nothing is added any more.
+    /// Share of the run after which no Gaussians are added.
     pub until: f64,
     /// Mean absolute screen gradient above which a Gaussian is split or duplicated.
     pub gradient_threshold: f64,
-    /// Pixels of the training images for which `gradient_threshold` is meant (the method's
-    /// 1400×933). The pull of a Gaussian of a given size in pixels falls with the images' side; for
-    /// other images it is scaled by √(pixels / this), so that a scene grows to about as many
-    /// Gaussians per pixel at any size. 0: never scaled.
+    /// Pixels of the training images for which `gradient_threshold` is meant (the method's 1400×933). The
+    /// screen gradient of a Gaussian of a given size in pixels falls with the images' side; for other
+    /// images it is scaled by √(pixels / this), so that a scene grows to about as many Gaussians per pixel
+    /// at any size. 0: never scaled.
     pub reference_pixels: u64,
     /// Largest standard deviation up to which it is duplicated rather than split, scene units.
     pub split_scale: f64,
@@ -214,7 +218,7 @@ pub struct Densify {
     pub shrink: f64,
     /// Gaussians below this opacity are removed while densifying.
     pub cull_opacity: f64,
-    /// The same afterwards, at every refinement to the end.
+    /// The opacity below which Gaussians are removed afterwards, at every refinement to the end.
     pub cull_opacity_late: f64,
     /// A run with a course of fewer steps than this has no ceilings and removes no Gaussians above half of
     /// `initial_opacity`: opacities have no time to rise. 0: runs of any length are alike.
@@ -232,7 +236,7 @@ pub struct Densify {
     pub floor: usize,
     /// … nor a smaller share of the initial ones.
     pub floor_share: f64,
-    /// Whether Adam's moments of the water's coefficients are zeroed at every refinement.
+    /// True if Adam's moments of the water's coefficients are zeroed at every refinement.
     pub reset_medium: bool,
 }
 
@@ -271,48 +275,48 @@ impl Default for Densify {
 pub struct ReconstructParams {
     /// Training steps, one view each.
     pub iterations: u64,
-    /// Steps over which rates, resolution, degrees and density control run their course. A
-    /// shorter run compresses them; a longer one goes on with their last values, so that its
-    /// first steps are those of the shorter run.
+    /// Steps over which rates, resolution, degrees and density control run their course. A shorter run
+    /// compresses them; a longer one continues with their last values, so that its first steps are those of
+    /// the shorter run.
     pub schedule: u64,
-    /// What the scene is learnt from.
+    /// The images from which the scene is learnt.
     pub images: Images,
     /// The model of the water.
     pub medium: MediumKind,
-    /// Anchors of the `rbf` water.
+    /// Number of anchors of the `rbf` water.
     pub anchors: usize,
-    /// Anchors that share a view.
+    /// Number of anchors that share a view.
     pub top_k: usize,
-    /// What the water starts from.
+    /// The prior knowledge from which the water starts.
     pub medium_prior: MediumPrior,
     /// Share of the run, 0 to 1, for which water that was found beforehand is held.
     pub medium_hold: f64,
-    /// What the water's rates are multiplied by after that, 0 to 1.
+    /// Factor of the water's rates after that, 0 to 1.
     pub medium_release: f64,
-    /// Whether views differ in exposure and white balance.
+    /// Differences between views in exposure and white balance.
     pub exposure: Exposure,
-    /// How strongly the views' gains are drawn to one: λ of `λ/2 · (ln gain)²` in the loss.
+    /// Strength with which the views' gains are drawn to one: λ of `λ/2 · (ln gain)²` in the loss.
     pub exposure_weight: f64,
-    /// Where depth priors come from.
+    /// The source of depth priors.
     pub depth_prior: DepthPrior,
     /// Weight of the depth term.
     pub depth_weight: f64,
-    /// Whether gradients flow through the ray distances of the water's terms (R2).
+    /// True if gradients flow through the ray distances of the water's terms (R2).
     pub depth_gradient: bool,
     /// Weight λ of Reg-MS-SSIM against Reg-L1.
     pub structure_weight: f64,
     /// Degree of the Gaussians' and the water's spherical harmonics, 0 to 3.
     pub sh_degree: usize,
-    /// Share of the run after which the active degree grows by one, again and again.
+    /// Share of the run after which the active degree grows by one, repeatedly.
     pub sh_every: f64,
-    /// Image divisors (1 to 1024) and the share of the run from which each
-    /// holds (R11); the first starts at 0.
+    /// Image divisors (1 to 1024), each with the share of the run from which it holds (R11); the first
+    /// starts at 0.
     pub resolution_schedule: Vec<(f64, usize)>,
     /// Opacity of the initial Gaussians.
     pub initial_opacity: f64,
     /// The places where Gaussians start.
     pub start_points: StartPoints,
-    /// Initial Gaussians where the capture has fewer than 100 sparse points.
+    /// Number of random initial Gaussians if the capture has fewer than 100 sparse points.
     pub random_points: usize,
     /// Adam's learning rates.
     pub learning_rates: LearningRates,
@@ -320,9 +324,9 @@ pub struct ReconstructParams {
     pub densify: Densify,
     /// Bounds on Gaussians that no view has seen well.
     pub unseen: Unseen,
-    /// Most Gaussians, the initial ones included: of more sparse points a random choice stays. 0: one
-    /// for every eight pixels of the training views or four for every sparse point, whichever are
-    /// more; from 250,000 to four million.
+    /// Largest number of Gaussians, including the initial ones: of more sparse points a random choice is
+    /// kept. 0: one for every eight pixels of the training views or four for every sparse point, whichever
+    /// is more; from 250,000 to four million.
     pub max_gaussians: usize,
     /// Seed of every random draw. Not read from settings: the caller sets it.
     #[serde(skip)]
@@ -331,13 +335,13 @@ pub struct ReconstructParams {
     pub evaluate_every: u64,
     /// Steps between lines of the training log.
     pub log_every: u64,
-    /// Most steps between checkpoints.
+    /// Largest number of steps between checkpoints.
     pub checkpoint_steps: u64,
-    /// Most minutes between checkpoints.
+    /// Largest number of minutes between checkpoints.
     pub checkpoint_minutes: f64,
-    /// What computes: `cpu`, `gpu` (the best graphics card), `gpu:NAME` (any part of an adapter's name), or
-    /// `auto`: a graphics card that passes its check and can do what is asked, else the processor. Results of
-    /// different devices are kept apart.
+    /// The device that computes: `cpu`, `gpu` (the best graphics card), `gpu:NAME` (any part of an
+    /// adapter's name), or `auto`: a graphics card that passes its check and supports all parameters, else
+    /// the processor. Results of different devices are kept apart.
     #[schemars(with = "String")]
     pub engine: EngineChoice,
 }
@@ -380,9 +384,9 @@ impl Default for ReconstructParams {
     }
 }
 
-/// Steps of a month at a hundred a second.
+/// The steps of a month at a hundred per second.
 const MOST_STEPS: u64 = 200_000_000;
-/// More points at random than a training of any scene holds.
+/// More random points than the training of any scene can hold.
 const MOST_POINTS: u64 = 10_000_000;
 
 impl ReconstructParams {
@@ -480,7 +484,7 @@ impl ReconstructParams {
         Ok(())
     }
 
-    /// What the water's model needs to know of its start.
+    /// The settings from which the water's model starts.
     pub(crate) fn medium_start(&self) -> MediumStart {
         MediumStart { anchors: self.anchors, top_k: self.top_k, seed: self.seed }
     }
@@ -497,9 +501,9 @@ impl ReconstructParams {
         reached.map_or(1, |s| s.1)
     }
 
-    /// What a step costs beside one on whole images, for telling the time left. Between two
-    /// measurements: from a quarter to the whole side, a run's steps grew five times in a small scene
-    /// and twelve times in a large one.
+    /// The cost of a step relative to one on whole images, for estimating the remaining time. The exponent
+    /// lies between two measurements: from a quarter to the whole side, a run's steps became five times
+    /// slower in a small scene and twelve times in a large one.
     pub(crate) fn step_work(&self, step: u64) -> f64 {
         math::powf(self.divisor(step) as f64, -1.5)
     }
@@ -510,7 +514,7 @@ impl ReconstructParams {
         ((step / every) as usize).min(self.sh_degree)
     }
 
-    /// Whether the capture's tracks are asked for the water.
+    /// True if the water starts from the capture's tracks.
     pub fn asks_tracks(&self) -> bool {
         match self.medium_prior {
             MediumPrior::Auto => self.medium.starts_from_harmonics() && self.images == Images::Captured,
@@ -519,12 +523,12 @@ impl ReconstructParams {
         }
     }
 
-    /// What the rates of water that was found beforehand are multiplied by at `step`.
+    /// The factor at `step` for the rates of water that was found beforehand.
     pub(crate) fn water_release(&self, step: u64) -> f64 {
         if (step as f64) < self.medium_hold * self.course() as f64 { 0.0 } else { self.medium_release }
     }
 
-    /// The step from which nothing is added any more.
+    /// The step from which no Gaussians are added.
     pub fn densify_end(&self) -> u64 {
         (self.densify.until * self.course() as f64).round() as u64
     }
@@ -545,7 +549,7 @@ impl ReconstructParams {
         self.course() < self.densify.gentle_below
     }
 
-    /// The step up to which nothing is refined: the preset, but at most a quarter of a short run.
+    /// The step up to which there is no refinement: the preset, but at most a quarter of a short run.
     pub fn warm_up(&self) -> u64 {
         self.densify.warm_up.min(self.course() / 4)
     }

@@ -1,5 +1,5 @@
-//! The scene in a checkpoint, for who looks on from outside: another process, another
-//! machine that sees the same disk.
+//! Reads the scene in a checkpoint, for an observer outside: another process, or another machine with the
+//! same disk.
 
 use std::path::Path;
 
@@ -10,14 +10,14 @@ use use3d_training::{CheckpointError, CheckpointFile};
 use crate::report::LogEntry;
 use crate::run::RunState;
 
-/// The scene after so many steps, as the checkpoint file at `path` holds it; `None` where there is no such
-/// file (any more). A checkpoint knows no frame: `frame` is the capture's.
+/// The scene after the returned number of steps, as the checkpoint file at `path` stores it; `None` if
+/// there is no such file (any more). A checkpoint does not contain the frame: `frame` is the capture's.
 ///
-/// Of the water every band is read, since those that are not learnt yet are zero; a water that is no
-/// harmonics is read to the degree of the last line of the log.
+/// Every band of the water is read, because those that are not learnt yet are zero. A water that does not
+/// consist of harmonics is read to the degree of the last line of the log.
 ///
 /// # Errors
-/// A file that cannot be read, or that is damaged or of another version.
+/// The file cannot be read, is damaged, or has another version.
 pub fn scene_in_checkpoint(path: &Path, frame: Frame) -> Result<Option<(u64, Scene)>, CheckpointError> {
     let Some(state) = CheckpointFile::at(path.to_path_buf()).load::<RunState<'_>>()? else { return Ok(None) };
     let engine = state.engine.into_owned();

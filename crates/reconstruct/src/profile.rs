@@ -1,4 +1,4 @@
-//! Where the time of stage 1 goes: the parts of a step, and how a step grows with the scene.
+//! The time that stage 1 takes: the parts of a step, and the growth of a step with the scene.
 
 use std::time::Duration;
 
@@ -41,19 +41,20 @@ impl Part for StepPart {
     ];
 }
 
-/// A stretch of the run, and what a step of it took. Never stored: times differ from run to run.
+/// A stretch of the run, and the time of its steps. It is never stored, because times differ from run to
+/// run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stretch {
     /// The last step of the stretch, counted from 1.
     pub step: u64,
-    /// Steps in it.
+    /// Number of steps in the stretch.
     pub steps: u64,
     /// Image divisor at its end.
     pub divisor: usize,
-    /// Gaussians at its end.
+    /// Number of Gaussians at its end.
     pub gaussians: usize,
-    /// Millions of (pixel, Gaussian) pairs that contribute to the last step's view, counted
-    /// at every fourth pixel both ways.
+    /// Millions of (pixel, Gaussian) pairs that contribute to the last step's view, estimated from every
+    /// fourth pixel in both directions.
     pub pairs: f64,
     /// Time of all its steps.
     pub spent: Duration,

@@ -1,24 +1,24 @@
-//! What a run writes down: log lines, held-out scores, and a plot.
+//! The written results of a run: log lines, held-out scores, and a plot.
 
 use serde::{Deserialize, Serialize};
 use use3d_metrics::Score;
 
-/// One line of the training log. Wall time is not in it: the log of a resumed run
-/// equals that of an uninterrupted one.
+/// One line of the training log. It contains no wall time, so that the log of a resumed run equals that of
+/// an uninterrupted one.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum LogEntry {
     /// Averages over the steps since the last such line.
     Steps {
-        /// Steps done.
+        /// Number of steps done.
         step: u64,
         /// The whole loss.
         loss: f64,
-        /// Values of the [terms](crate::losses::TERMS) before their weights, by name, each over the views
-        /// that it says something of; `None` where there was none.
+        /// Values of the [terms](crate::losses::TERMS) before their weights, by name, each averaged over
+        /// the views that have a value for it; `None` if no view has.
         terms: Vec<(String, Option<f64>)>,
-        /// PSNR of the training views over the pixels that count, dB; null where no step had a finite one.
+        /// PSNR of the training views over the pixels that count, dB; null if no step had a finite one.
         psnr: Option<f64>,
-        /// Gaussians.
+        /// Number of Gaussians.
         gaussians: usize,
         /// Image divisor.
         divisor: usize,
@@ -27,35 +27,35 @@ pub enum LogEntry {
     },
     /// A refinement.
     Refine {
-        /// Steps done.
+        /// Number of steps done.
         step: u64,
-        /// Gaussians split.
+        /// Number of Gaussians split.
         split: usize,
-        /// Gaussians duplicated.
+        /// Number of Gaussians duplicated.
         duplicated: usize,
-        /// Gaussians removed.
+        /// Number of Gaussians removed.
         culled: usize,
-        /// Spared by the floor.
+        /// Number of Gaussians kept because of the floor.
         spared: usize,
-        /// Held back by the cap.
+        /// Number of Gaussians that did not grow because of the cap.
         held_back: usize,
-        /// Gaussians afterwards.
+        /// Number of Gaussians afterwards.
         gaussians: usize,
     },
     /// An opacity ceiling.
     Ceiling {
-        /// Steps done.
+        /// Number of steps done.
         step: u64,
     },
     /// A held-out evaluation.
     Evaluation {
-        /// Steps done.
+        /// Number of steps done.
         step: u64,
-        /// Mean over views, dB; null where there is none (`evaluation.json` says why).
+        /// Mean over views, dB; null if there is none (`evaluation.json` has the reason).
         psnr: Option<f64>,
         /// Mean over views; null as for `psnr`.
         ssim: Option<f64>,
-        /// Gaussians.
+        /// Number of Gaussians.
         gaussians: usize,
     },
 }
@@ -63,7 +63,7 @@ pub enum LogEntry {
 impl LogEntry {
     /// One line of JSON: the kind under `event`, then its fields.
     pub fn to_json(&self) -> String {
-        // Externally tagged is what bincode can read back; people get a flat object.
+        // The externally tagged form is the one that bincode can read back; in JSON the object is flat.
         let (event, fields) = match serde_json::to_value(self) {
             Ok(serde_json::Value::Object(map)) => map.into_iter().next().unwrap_or_default(),
             _ => Default::default(),
@@ -72,7 +72,7 @@ impl LogEntry {
         line.insert("event".into(), event.to_lowercase().into());
         if let serde_json::Value::Object(fields) = fields {
             for (name, value) in fields {
-                // A field of its own for each term.
+                // Each term has a field of its own.
                 match (self, name.as_str()) {
                     (LogEntry::Steps { terms, .. }, "terms") => {
                         line.extend(terms.iter().map(|(name, value)| (name.clone(), (*value).into())));
@@ -92,19 +92,19 @@ pub struct ViewScore {
     pub view: String,
     /// PSNR of the clamped reconstruction over the pixels that count, dB.
     pub psnr: Score,
-    /// SSIM, 11-tap window, over the windows all of whose pixels count.
+    /// SSIM with an 11-tap window, over the windows in which all pixels count.
     pub ssim: Score,
-    /// The same after gains that were fitted on the other half of the view, where views have gains.
+    /// Both scores after gains that were fitted on the other half of the view, if views have gains.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub fitted: Option<FittedScore>,
 }
 
-/// Scores of an image whose halves were each given the gains per channel that fit the other half best.
+/// Scores of an image in which each half has the gains per channel that fit the other half best.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FittedScore {
-    /// As [`ViewScore::psnr`].
+    /// See [`ViewScore::psnr`].
     pub psnr: Score,
-    /// As [`ViewScore::ssim`].
+    /// See [`ViewScore::ssim`].
     pub ssim: Score,
 }
 
@@ -117,13 +117,13 @@ pub struct Evaluation {
     pub psnr: Score,
     /// Mean SSIM over the views that have one.
     pub ssim: Score,
-    /// Means of the views' fitted scores, where views have gains.
+    /// Means of the views' fitted scores, if views have gains.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub fitted: Option<FittedScore>,
 }
 
 impl Evaluation {
-    /// With means over `views`.
+    /// The evaluation with means over `views`.
     pub fn of(views: Vec<ViewScore>) -> Self {
         let psnr = Score::mean(views.iter().map(|v| &v.psnr));
         let ssim = Score::mean(views.iter().map(|v| &v.ssim));
@@ -136,7 +136,8 @@ impl Evaluation {
     }
 }
 
-/// Loss, PSNR (training line, held-out dots) and number of Gaussians over the steps, as an SVG document.
+/// Draws loss, PSNR (a line for training, dots for held-out views) and number of Gaussians over the steps,
+/// as an SVG document.
 pub fn plot(log: &[LogEntry]) -> String {
     let mut series: [Vec<(f64, f64)>; 3] = Default::default();
     let mut held_out = Vec::new();

@@ -1,4 +1,4 @@
-//! The loop of stage 1: what happens when. The work is the engine's.
+//! The loop of stage 1, which decides the order of the work. The engine does the work.
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -34,16 +34,16 @@ use crate::{
     initialise, losses, triangles,
 };
 
-/// What the names of this loop's checkpoints begin with.
+/// The prefix of the names of this loop's checkpoints.
 const CHECKPOINT: &str = "reconstruct";
 
-/// Most stretches of a run whose step times are told apart.
+/// Largest number of stretches of a run whose step times are reported separately.
 const STRETCHES: u64 = 15;
 
-/// The most by which a short run multiplies the rates of the water.
+/// The largest factor by which a short run multiplies the rates of the water.
 const MOST_COMPRESSED: f64 = 10.0;
 
-/// What stage 1 leaves.
+/// The result of stage 1.
 #[derive(Clone, Debug)]
 pub struct Outcome {
     /// The scene.
@@ -52,15 +52,16 @@ pub struct Outcome {
     pub log: Vec<LogEntry>,
     /// Held-out scores; `None` if no view is held out.
     pub evaluation: Option<Evaluation>,
-    /// Gain per channel of every training view, by name; empty where all were taken with one exposure.
+    /// Gain per channel of every training view, by name; empty if all have the same exposure.
     pub exposures: Vec<(String, [f32; 3])>,
-    /// Gaussians at the start.
+    /// Number of Gaussians at the start.
     pub initial_gaussians: usize,
-    /// Time per part of a step, of this process, as far as the engine measures it.
+    /// Time per part of a step in this process, if the engine measures it.
     pub profile: Profile<StepPart>,
-    /// The same over the course of the run: how a step grows with the scene.
+    /// The growth of a step with the scene, over the course of the run.
     pub growth: Vec<Stretch>,
-    /// Bytes of parameters, moments, views and buffers at the end, about; 0 where the engine does not say.
+    /// Approximate bytes of parameters, moments, views and buffers at the end; 0 if the engine does not
+    /// report it.
     pub memory: usize,
 }
 
@@ -100,10 +101,10 @@ impl Resumable for RunState<'_> {
 /// Reconstructs an underwater scene from a capture with an engine that has no views yet.
 ///
 /// Views are loaded once, through `loader`, at the size of their cameras. With a `checkpoint_dir` the run
-/// writes checkpoints there and goes on from the furthest one that belongs to the same capture and
-/// parameters, also where a run of another length left it; the result is the same to the last bit. Those of
-/// other runs in the folder are left alone. The last checkpoint stays there when the run is done: whoever has
-/// stored the outcome removes the folder.
+/// writes checkpoints there and continues from the furthest one that belongs to the same capture and
+/// parameters, even if a run of another length wrote it; the result is the same to the last bit.
+/// Checkpoints of other runs in the folder are not touched. The last checkpoint stays there after the run;
+/// the caller stores the outcome and then removes the folder.
 pub fn reconstruct(
     capture: &Capture,
     loader: &dyn ViewLoader,
@@ -115,9 +116,8 @@ pub fn reconstruct(
     reconstruct_in(capture, &Known::default(), loader, params, engine, checkpoint_dir, observer)
 }
 
-/// As [`reconstruct`], with what is known beforehand. Known water is where the water starts; it is
-/// held for `medium_hold` of the run, and learnt at `medium_release` of its rates from then on.
-/// Known gains are where gains start.
+/// Like [`reconstruct`], with prior knowledge. The water starts from known water, is held for `medium_hold`
+/// of the run, and is then learnt at `medium_release` of its rates. Gains start from known gains.
 pub fn reconstruct_in(
     capture: &Capture,
     known: &Known,
@@ -139,7 +139,10 @@ pub fn reconstruct_in(
     let sparse: Vec<_> = capture.points.iter().map(|p| p.position).filter(|p| p.is_finite()).collect();
     let between = match params.start_points {
         StartPoints::Tracks => Vec::new(),
-        StartPoints::Triangles => triangles::between(&views.train, &capture.split.train, known, &sparse),
+        chosen @ (StartPoints::Triangles | StartPoints::Planes) => {
+            let beyond = chosen == StartPoints::Planes;
+            triangles::between(&views.train, &capture.split.train, known, &sparse, beyond)
+        }
     };
     let gaussians =
         initialise::gaussians(capture, found, &between, params, most, |message| observer.notice(message))?;
@@ -213,11 +216,11 @@ pub fn reconstruct_in(
 /// A run between its first and last step.
 struct Run<'a> {
     params: &'a ReconstructParams,
-    /// The capture's, and so the scene's.
+    /// The frame of the capture and of the scene.
     frame: Frame,
-    /// Whether the water was known beforehand.
+    /// True if the water was known beforehand.
     holds_water: bool,
-    /// The water's active degree is never below this.
+    /// Smallest active degree of the water.
     least_water_degree: usize,
     order: ViewOrder,
     names: Vec<String>,
@@ -225,17 +228,17 @@ struct Run<'a> {
     engine: &'a mut dyn Engine,
     fingerprint: [u8; 32],
     initial: usize,
-    /// Gaussians now.
+    /// Current number of Gaussians.
     gaussians: usize,
-    /// The step that this process began with.
+    /// The step at which this process began.
     first: u64,
     step: u64,
     log: Vec<LogEntry>,
     window: Window,
     most: usize,
-    /// Pixels of the training views.
+    /// Number of pixels of the training views.
     pixels: u64,
-    /// The views that the `frugal` strategy asks.
+    /// The views that the `frugal` strategy uses.
     judges: Judges,
     /// The views that bound poorly seen Gaussians.
     witnesses: Witnesses,
@@ -255,7 +258,7 @@ impl Steps for Run<'_> {
         if done.is_multiple_of(params.iterations.div_ceil(STRETCHES)) || done == params.iterations {
             self.look_at_pace(view)?;
         }
-        // Refinements look at the state after the step's update.
+        // Refinements use the state after the step's update.
         self.control_density(observer)?;
         self.step = done;
         if done.is_multiple_of(params.log_every) {
@@ -269,7 +272,7 @@ impl Steps for Run<'_> {
     }
 
     fn save(&mut self, done: u64, checkpoints: &Checkpoints) -> Result<(), ReconstructError> {
-        // A state that is not finite is none to go on from.
+        // Never checkpoint a state that is not finite.
         self.drain(Drain::All)?;
         let state = RunState {
             fingerprint: self.fingerprint,
@@ -286,7 +289,7 @@ impl Steps for Run<'_> {
         steps.map(|step| self.params.step_work(step)).sum()
     }
 
-    /// The [`Scene`] as it would be if this were the last step.
+    /// The [`Scene`] as if this were the last step.
     fn view(&mut self) -> Result<Option<Snapshot>, ReconstructError> {
         let medium_degree = self.degrees(self.step.saturating_sub(1)).water;
         let state = self.engine.save()?;
@@ -311,7 +314,7 @@ impl Steps for Run<'_> {
 }
 
 impl Run<'_> {
-    /// Goes on from the checkpoint, if there is one of this run.
+    /// Resumes from the checkpoint, if there is one of this run.
     fn resume(&mut self, session: &Session, observer: &mut dyn Observer) -> Result<(), ReconstructError> {
         let Some(state) = session.furthest::<RunState<'_>>(observer) else { return Ok(()) };
         let gaussians = state.engine.gaussians.len();
@@ -329,8 +332,8 @@ impl Run<'_> {
         (self.initial, self.gaussians) = (state.initial, gaussians);
         self.log = state.log.into_owned();
         self.window = state.window;
-        // A run that ended here measured after its last checkpoint; one that
-        // goes on has that line in its log.
+        // A run that ended at this step was evaluated after its last checkpoint; a run that continues needs
+        // that line in its log.
         let due = self.params.evaluate_every > 0 && self.step.is_multiple_of(self.params.evaluate_every);
         let measured =
             matches!(self.log.last(), Some(LogEntry::Evaluation { step, .. }) if *step == self.step);
@@ -340,10 +343,10 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// What comes after the last step.
+    /// Completes the run after the last step.
     fn finish(mut self, capture: &Capture) -> Result<Outcome, ReconstructError> {
-        // Only here, after the last checkpoint: a longer run that goes on from
-        // it still collects for this line, and bounds what is poorly seen at its own steps.
+        // This happens only here, after the last checkpoint: a longer run that continues from it still
+        // collects data for this line, and bounds poorly seen Gaussians at its own steps.
         self.drain(Drain::All)?;
         self.hold_back()?;
         if self.window.steps > 0 {
@@ -354,7 +357,7 @@ impl Run<'_> {
         let (profile, memory) = (self.engine.profile(), self.engine.memory());
         let state = self.engine.save()?;
         let exposures = self.names.into_iter().zip(state.exposures.gains()).collect();
-        // An engine's own state stays with it, one that was fetched is the run's: only the scene is copied.
+        // A borrowed state belongs to the engine, and an owned one to this run; only the scene is copied.
         let (gaussians, medium) = match state {
             Cow::Borrowed(state) => (state.gaussians.clone(), state.medium.clone()),
             Cow::Owned(state) => (state.gaussians, state.medium),
@@ -364,7 +367,7 @@ impl Run<'_> {
         Ok(Outcome { scene, log, evaluation, exposures, initial_gaussians, profile, growth, memory })
     }
 
-    /// Takes up the reports of steps.
+    /// Reads the engine's reports of steps.
     fn drain(&mut self, which: Drain) -> Result<(), ReconstructError> {
         for report in self.engine.drain(which)? {
             if let Some((what, index)) = report.non_finite {
@@ -376,13 +379,13 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// Active degrees in a step.
+    /// The active degrees in a step.
     fn degrees(&self, step: u64) -> Degrees {
         let colors = self.params.active_degree(step);
         Degrees { colors, water: colors.max(self.least_water_degree) }
     }
 
-    /// The log line of the steps since the last one.
+    /// Ends the window and adds its log line.
     fn end_window(&mut self) -> Result<(), ReconstructError> {
         self.drain(Drain::All)?;
         let last = self.step.saturating_sub(1);
@@ -392,13 +395,13 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// What a step does.
+    /// The plan of a step.
     fn plan(&self, step: u64) -> StepPlan {
         let (params, r) = (self.params, &self.params.learning_rates);
         let rate = |rate: crate::Rate| rate.at(step, params.course());
-        // The water starts far from where it ends and Adam's steps are as long as the rate, whatever
-        // the gradient: a compressed run takes longer steps to get as far, within reason. (The
-        // Gaussians start where they belong.)
+        // The water starts far from its final state, and Adam's steps have the length of the rate for any
+        // gradient. So a compressed run takes longer steps to get as far, within reason. (The Gaussians
+        // start near their final state.)
         let compressed = (params.schedule as f64 / params.course() as f64).min(MOST_COMPRESSED);
         let let_go = if self.holds_water { params.water_release(step) } else { 1.0 };
         let water = |rate: crate::Rate| let_go * compressed * rate.at(step, params.course());
@@ -447,8 +450,8 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// The refinement or the opacity ceiling that is due after this step (R9), and the bounds of what is
-    /// poorly seen.
+    /// Runs the refinement or the opacity ceiling that is due after this step (R9), and bounds poorly seen
+    /// Gaussians.
     fn control_density(&mut self, observer: &mut dyn Observer) -> Result<(), ReconstructError> {
         let (params, d, step) = (self.params, &self.params.densify, self.step);
         if d.enabled && step > params.warm_up() {
@@ -474,7 +477,7 @@ impl Run<'_> {
         let ceilings = !self.params.is_gentle();
         let phase = step % d.period;
         if step.is_multiple_of(d.every) {
-            // Densification waits after a ceiling; culling alone goes on to the end.
+            // Densification waits after a ceiling; culling alone continues to the end.
             let pause = d.pause.min(self.names.len() as u64 + d.every);
             if !growing || !ceilings || phase >= pause {
                 self.refine(growing, observer)?;
@@ -489,7 +492,7 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// Bounds what is poorly seen.
+    /// Bounds poorly seen Gaussians.
     fn hold_back(&mut self) -> Result<(), ReconstructError> {
         let settings = &self.params.unseen;
         if settings.enabled {
@@ -500,8 +503,8 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// The most Gaussians that there may be now under the `frugal` strategy: from the initial number to the
-    /// budget, in proportion to the course of growth.
+    /// The current limit on Gaussians under the `frugal` strategy: from the initial number to the budget,
+    /// in proportion to the course of growth.
     fn budget(&self) -> usize {
         let (params, initial) = (self.params, self.initial as f64);
         let budget = (self.pixels as f64 / params.densify.frugal_pixels).max(1.5 * initial);
@@ -558,8 +561,8 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// PSNR and SSIM of the held-out views at full size over the pixels that count, also into the
-    /// log; `None` if there are none.
+    /// Measures PSNR and SSIM of the held-out views at full size over the pixels that count, and adds them
+    /// to the log; `None` if there are no such views.
     fn evaluate(&mut self) -> Result<Option<Evaluation>, ReconstructError> {
         if self.held_out.is_empty() {
             return Ok(None);

@@ -1,4 +1,4 @@
-//! The whole of stage 1: one golden step, and short runs on a tiny scene.
+//! Tests of stage 1 as a whole: one golden step, and short runs on a tiny scene.
 
 mod resume;
 mod terms;
@@ -25,7 +25,7 @@ use crate::{
     ReconstructError, ReconstructParams, TrainingView, ViewLoader, losses,
 };
 
-/// On the processor.
+/// Reconstructs on the processor.
 fn reconstruct(
     capture: &Capture,
     loader: &dyn ViewLoader,
@@ -36,7 +36,7 @@ fn reconstruct(
     reconstruct_in(capture, &Known::default(), loader, params, checkpoints, observer)
 }
 
-/// On the processor.
+/// Reconstructs on the processor with prior knowledge.
 fn reconstruct_in(
     capture: &Capture,
     known: &Known,
@@ -137,7 +137,7 @@ fn golden_stage1_step() {
     assert!(seen > 0, "no whole step among the cases");
 }
 
-/// A tiny reef of known truth: a wall of Gaussians in blue water, seen by a row of cameras.
+/// A tiny reef with known truth: a wall of Gaussians in blue water, seen by a row of cameras.
 fn tiny_capture(views: usize) -> (Capture, Vec<LoadedView>) {
     let stream = Stream::new(11, Purpose::new("tiny reef"), 0);
     let n = 260;
@@ -218,7 +218,7 @@ fn tiny_params(iterations: u64) -> ReconstructParams {
     params
 }
 
-/// Stops after some steps, and keeps what it was told.
+/// An observer that stops after some steps and stores its messages.
 #[derive(Default)]
 struct Watcher {
     stop_at: Option<u64>,
@@ -278,7 +278,7 @@ fn a_short_run_learns_the_scene_and_its_water() {
     let (capture, loaded) = tiny_capture(10);
     let run = |medium, iterations| {
         let mut params = ReconstructParams { medium, ..tiny_params(iterations) };
-        // In so few steps even ten times the method's rate would leave the water where it was at the start.
+        // With so few steps, even ten times the method's rate would leave the water near its start.
         params.learning_rates.medium_constant = crate::Rate(0.01, 0.002);
         reconstruct(&capture, &loader(&loaded), &params, None, &mut Silent).unwrap()
     };
@@ -307,13 +307,13 @@ fn the_growth_of_a_step_is_told_beside_its_pairs() {
     params.densify.enabled = false;
     let outcome = reconstruct(&capture, &loader(&loaded), &params, None, &mut Silent).unwrap();
     assert_eq!(outcome.growth.iter().map(|s| (s.step, s.steps)).collect::<Vec<_>>(), {
-        // The last one is what is left.
+        // The last stretch is the remainder.
         (1..=14).map(|k| (3 * k, 3)).chain([(44, 2)]).collect::<Vec<_>>()
     });
     let spent: std::time::Duration = outcome.growth.iter().map(|s| s.spent).sum();
-    // Three steps may be quicker than the clock tells; all of them together are not.
+    // Three steps may take less than the clock's resolution; all of them together do not.
     assert!(spent <= outcome.profile.spent() && !spent.is_zero());
-    // Every fourth pixel both ways stands for all pixels of the view, whichever it was.
+    // Every fourth pixel in both directions represents all pixels of the view, for any view.
     let pairs = capture.training_views().map(|view| {
         let lattice = use3d_capture::Lattice::full(&view.camera.intrinsics);
         let mut prepared = use3d_splat::Prepared::new();
@@ -382,7 +382,7 @@ fn a_run_that_diverges_says_where_and_keeps_the_last_checkpoint() {
     let (capture, loaded) = tiny_capture(5);
     let dir = tempfile::tempdir().unwrap();
     let mut params = ReconstructParams { checkpoint_steps: 1, ..tiny_params(30) };
-    // Past what f32 holds about two thirds of the way.
+    // The rate exceeds the range of f32 about two thirds of the way.
     params.learning_rates.means = crate::Rate(1e-4, 1e60);
     let result = reconstruct(&capture, &loader(&loaded), &params, Some(dir.path()), &mut Silent);
     let Err(ReconstructError::NonFinite(found)) = result.map(|_| ()) else { panic!("the run goes on") };
@@ -400,7 +400,7 @@ fn the_cap_bites_with_a_word_and_masks_hide_pixels() {
     assert!(outcome.scene.gaussians.len() <= 270);
     assert!(watcher.notices.iter().any(|n| n.contains("max_gaussians")), "{:?}", watcher.notices);
 
-    // It bounds the first Gaussians too, and the same ones stay.
+    // The limit also applies to the first Gaussians, and the same ones stay.
     let params = ReconstructParams { max_gaussians: 40, ..tiny_params(10) };
     let first = |params: &ReconstructParams| {
         let mut watcher = Watcher::default();
@@ -416,7 +416,7 @@ fn the_cap_bites_with_a_word_and_masks_hide_pixels() {
     assert!(first(&params) == first(&params));
     assert!(first(&params).gaussians.len() <= 40);
 
-    // Whatever lies under the mask does not reach the scene.
+    // The pixels under the mask do not affect the scene.
     let half = |x: usize| if x < 28 { 0.0 } else { 1.0 };
     let mask = (0..56 * 44).map(|p| half(p % 56)).collect();
     let mask = use3d_capture::Map::from_planes(56, 44, mask).unwrap();

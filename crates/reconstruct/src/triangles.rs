@@ -1,9 +1,9 @@
 //! Start points between tracked points, where surfaces are smooth and points are sparse.
 //!
-//! A tiled floor or an even wall has hardly a feature, so few points are triangulated on it; Gaussians that
-//! start at tracked points alone leave holes there, above all where the surface has the colour of the water,
-//! since the water then explains the picture without it. Between three tracked points that one view sees side
-//! by side there is a surface in most cases. So for every training view:
+//! A tiled floor or an even wall has hardly any features, so few points are triangulated on it. Gaussians
+//! that start only at tracked points leave holes there, above all where the surface has the colour of the
+//! water, because the water then explains the picture without a surface. Between three tracked points that
+//! one view sees side by side there is a surface in most cases. So for every training view:
 //!
 //! ```text
 //! corners   the pixels (x, y) where the view saw tracked points, z their depths; Delaunay triangles of them
@@ -12,15 +12,19 @@
 //!           1/z = Σ_k w_k / z_k,   since the inverse depth of a plane is linear in the image
 //! ```
 //!
-//! A sample is left out where the mask says so, where its colour is none that the corners have (up to
-//! [`UNLIKE`]; a gap between two corals shows what is behind), and where water that is known has swallowed all
-//! but [`SWALLOWED`] of the light. Samples are merged by voxels, whose edge is the power of two next to the
-//! size of a grid cell at the sample's depth. A voxel becomes a start point if two views at least have samples
-//! in it or beside it (one view where there is only one), and if no tracked point and no finer voxel lies in
-//! it. Its position and colour are the means of its samples.
+//! A sample is left out where the mask excludes it, where its colour differs from those of all corners (by
+//! more than [`UNLIKE`]; a gap between two corals shows the background), and where known water has absorbed
+//! all but [`SWALLOWED`] of the light. Samples are merged by voxels, whose edge is the power of two next to
+//! the size of a grid cell at the sample's depth. A voxel becomes a start point under two conditions. At
+//! least two views have samples in it or beside it (one view if there is only one), and no tracked point
+//! and no finer voxel lies in it. Its position and colour are the means of its samples.
 //!
-//! Depths are of the normalised frame, colours in display range. The points are a function of the arguments,
-//! in an order that does not depend on the number of threads.
+//! If `beyond` is set, the cells that no triangle covers are sampled too, at the depth of the
+//! [plane of the nearest tracked points](crate::planes), and their colours are compared with those of these
+//! points.
+//!
+//! Depths are in the normalised frame, colours in display range. The points are a function of the
+//! arguments, in an order that does not depend on the number of threads.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -31,28 +35,29 @@ use use3d_capture::{Camera, Pixels, Raster};
 use use3d_numerics::math;
 use use3d_splat::NEAR;
 
+use crate::planes::{self, Anchor};
 use crate::views::TrainingView;
 use crate::{FoundWater, Known};
 
-/// Cells of the grid of samples along a view's width.
+/// Number of cells of the grid of samples along a view's width.
 const CELLS: f64 = 80.0;
-/// The longest side of a triangle, as a share of the width.
+/// Largest side of a triangle, as a share of the width.
 const LONGEST: f64 = 0.25;
-/// The largest ratio of two depths of a triangle.
+/// Largest ratio of two depths of a triangle.
 const STEEPEST: f64 = 1.25;
-/// By how much a sample's colour may leave the range of its corners' colours, display range.
+/// Largest distance of a sample's colour from the range of its corners' colours, display range.
 const UNLIKE: f64 = 0.12;
-/// The least share of light that arrives in the clearest channel from a sample.
+/// Smallest share of light that must arrive from a sample in the clearest channel.
 const SWALLOWED: f64 = 0.1;
-/// Views whose samples are held at the same time.
+/// Number of views whose samples are in memory at the same time.
 const TOGETHER: usize = 16;
-/// A capture of few points gets this many start points between them at most, others [`TIMES`] as many as they
-/// have themselves.
+/// Largest number of start points between the points of a capture with few points. Other captures get at
+/// most [`TIMES`] times the number of their points.
 const AT_LEAST: usize = 20_000;
 /// See [`AT_LEAST`].
 const TIMES: usize = 2;
 
-/// The most start points between so many tracked points.
+/// The largest number of start points between this many tracked points.
 pub(crate) fn most_between(points: usize) -> usize {
     AT_LEAST.max(points.saturating_mul(TIMES))
 }
@@ -60,9 +65,9 @@ pub(crate) fn most_between(points: usize) -> usize {
 /// A start point that was not tracked.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Between {
-    /// Normalised frame.
+    /// Position in the normalised frame.
     pub(crate) position: DVec3,
-    /// Colour to start with, display range: behind the water where the water is known.
+    /// Start colour, display range: behind the water if the water is known.
     pub(crate) color: [f64; 3],
 }
 
@@ -74,7 +79,7 @@ struct Sample {
     voxel: Voxel,
 }
 
-/// A cube with edge 2^level; finer levels come first.
+/// A cube with edge 2^level, at integer coordinates; finer levels come first in the order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct Voxel {
     level: i32,
@@ -87,7 +92,7 @@ impl Voxel {
         Self { level, at: (position / edge).to_array().map(|v| v.floor() as i64) }
     }
 
-    /// The cube of twice the edge around it.
+    /// The surrounding cube with twice the edge.
     fn parent(self) -> Self {
         Self { level: self.level + 1, at: self.at.map(|v| v.div_euclid(2)) }
     }
@@ -101,20 +106,22 @@ struct Merged {
     count: f64,
 }
 
-/// Views that have samples in a voxel.
+/// The number of views that have samples in a voxel, and the last of them.
 #[derive(Clone, Copy, Debug)]
 struct SeenBy {
     last: usize,
     views: usize,
 }
 
-/// The start points between the tracked points of the training views: `views` in the order of `indices`,
-/// which are the views' places in the capture that the tracks count in. None lies where one of `sparse` is.
+/// Computes the start points between the tracked points of the training views, and `beyond` them if that is
+/// set. `views` are in the order of `indices`, which are the views' indices in the capture, as in the
+/// tracks. No start point lies in the voxel of a point in `sparse`.
 pub(crate) fn between(
     views: &[TrainingView],
     indices: &[usize],
     known: &Known,
     sparse: &[DVec3],
+    beyond: bool,
 ) -> Vec<Between> {
     let corners = corners(views, indices, known);
     let (mut merged, mut seen) = (BTreeMap::<Voxel, Merged>::new(), BTreeMap::<Voxel, SeenBy>::new());
@@ -125,7 +132,7 @@ pub(crate) fn between(
             .into_par_iter()
             .map(|view| {
                 let gain = known.gains.get(indices[view]).copied().unwrap_or([1.0; 3]);
-                samples(&views[view], gain, &corners[view], known.water.as_ref())
+                samples(&views[view], gain, &corners[view], known.water.as_ref(), beyond)
             })
             .collect();
         for (view, samples) in some.zip(samples) {
@@ -161,12 +168,12 @@ pub(crate) fn between(
     points
 }
 
-/// A tracked point as a view saw it.
+/// A tracked point in a view.
 #[derive(Clone, Copy, Debug)]
 struct Corner {
     at: DVec2,
     depth: f64,
-    /// The share of the colour behind the water that is taken, 0 to 1 per channel.
+    /// The weight of the colour behind the water, 0 to 1 per channel.
     sure: [f64; 3],
 }
 
@@ -193,18 +200,31 @@ fn corners(views: &[TrainingView], indices: &[usize], known: &Known) -> Vec<Vec<
     corners
 }
 
-/// The samples of one view.
+/// Computes the samples of one view.
 fn samples(
     view: &TrainingView,
     gain: [f64; 3],
     corners: &[Corner],
     water: Option<&FoundWater>,
+    beyond: bool,
 ) -> Vec<Sample> {
     let k = view.camera.intrinsics;
     let width = k.width as f64;
     let step = (width / CELLS).max(1.0);
     let points: Vec<Point> = corners.iter().map(|c| Point { x: c.at.x, y: c.at.y }).collect();
     let mut found = Vec::new();
+    // The cells inside a triangle, whether they became a sample or not.
+    let mut covered = BTreeSet::new();
+    let cell = |pixel: DVec2| ((pixel.y / step) as i64, (pixel.x / step) as i64);
+    let sample = |pixel: DVec2, inverse: f64, color: [f64; 3], sure: [f64; 3]| {
+        let ray = view.camera.ray(pixel.x, pixel.y);
+        let pose = &view.camera.pose;
+        let position = pose.rotation.transpose() * (ray / inverse - pose.translation);
+        let seen: [f64; 3] = std::array::from_fn(|i| color[i] / gain[i]);
+        let color = behind(water, &view.camera, position, seen, sure)?;
+        let level = math::log2(step / (inverse * k.fx)).round() as i32;
+        Some(Sample { position, color, voxel: Voxel::of(position, level) })
+    };
     for triangle in triangulate(&points).triangles.chunks_exact(3) {
         let three = [corners[triangle[0]], corners[triangle[1]], corners[triangle[2]]];
         if !smooth(&three, step, LONGEST * width) {
@@ -213,30 +233,43 @@ fn samples(
         let colors = three.map(|corner| shown(view, corner.at));
         for pixel in grid(&three.map(|c| c.at), step) {
             let Some(weights) = barycentric(&three.map(|c| c.at), pixel) else { continue };
+            covered.insert(cell(pixel));
             let color = shown(view, pixel);
             let (Some(color), [Some(a), Some(b), Some(c)]) = (color, colors) else { continue };
-            let alike = |i: usize| {
-                let (low, high) = (a[i].min(b[i]).min(c[i]), a[i].max(b[i]).max(c[i]));
-                color[i] >= low - UNLIKE && color[i] <= high + UNLIKE
-            };
-            if !(0..3).all(alike) {
+            if !alike(color, &[a, b, c]) {
                 continue;
             }
             let inverse: f64 = (0..3).map(|i| weights[i] / three[i].depth).sum();
-            let ray = view.camera.ray(pixel.x, pixel.y);
-            let pose = &view.camera.pose;
-            let position = pose.rotation.transpose() * (ray / inverse - pose.translation);
-            let seen: [f64; 3] = std::array::from_fn(|i| color[i] / gain[i]);
             let sure = std::array::from_fn(|c| (0..3).map(|i| weights[i] * three[i].sure[c]).sum());
-            let Some(color) = behind(water, &view.camera, position, seen, sure) else { continue };
-            let level = math::log2(step / (inverse * k.fx)).round() as i32;
-            found.push(Sample { position, color, voxel: Voxel::of(position, level) });
+            found.extend(sample(pixel, inverse, color, sure));
         }
+    }
+    if !beyond {
+        return found;
+    }
+    let anchors: Vec<Anchor> = corners.iter().map(|c| Anchor { at: c.at, inverse: 1.0 / c.depth }).collect();
+    let colors: Vec<Option<[f64; 3]>> = corners.iter().map(|c| shown(view, c.at)).collect();
+    let whole = [DVec2::ZERO, DVec2::new(width, 0.0), DVec2::new(0.0, k.height as f64)];
+    for pixel in grid(&whole, step).filter(|pixel| !covered.contains(&cell(*pixel))) {
+        let Some((inverse, shares)) = planes::inverse_depth(&anchors, pixel, step, width) else { continue };
+        let beside: Vec<[f64; 3]> = shares.iter().filter_map(|(i, _)| colors[*i]).collect();
+        let Some(color) = shown(view, pixel).filter(|color| alike(*color, &beside)) else { continue };
+        let sure = std::array::from_fn(|c| shares.iter().map(|(i, share)| share * corners[*i].sure[c]).sum());
+        found.extend(sample(pixel, inverse, color, sure));
     }
     found
 }
 
-/// True if a triangle is neither small nor large nor steep.
+/// True if a colour is within the range of others, or at most [`UNLIKE`] outside it.
+fn alike(color: [f64; 3], others: &[[f64; 3]]) -> bool {
+    (0..3).all(|c| {
+        let of = || others.iter().map(|other| other[c]);
+        let (low, high) = (of().fold(f64::INFINITY, f64::min), of().fold(f64::NEG_INFINITY, f64::max));
+        color[c] >= low - UNLIKE && color[c] <= high + UNLIKE
+    })
+}
+
+/// True if a triangle is neither too small nor too large nor too steep.
 fn smooth(corners: &[Corner; 3], step: f64, longest: f64) -> bool {
     let [a, b, c] = corners;
     let side = a.at.distance(b.at).max(b.at.distance(c.at)).max(c.at.distance(a.at));
@@ -257,7 +290,7 @@ fn grid(corners: &[DVec2; 3], step: f64) -> impl Iterator<Item = DVec2> {
     range(low.y, high.y).flat_map(move |y| range(low.x, high.x).map(move |x| DVec2::new(x, y)))
 }
 
-/// The weights of a triangle's corners at a point inside it.
+/// The weights of a triangle's corners at a point; `None` if the point lies outside.
 fn barycentric(corners: &[DVec2; 3], at: DVec2) -> Option<[f64; 3]> {
     let [a, b, c] = *corners;
     let area = (b - a).perp_dot(c - a);
@@ -266,7 +299,7 @@ fn barycentric(corners: &[DVec2; 3], at: DVec2) -> Option<[f64; 3]> {
     weights.iter().all(|w| *w >= 0.0).then_some(weights)
 }
 
-/// The colour of a 3×3 window around a pixel position, display range; `None` where one of its pixels does not
+/// The colour of a 3×3 window around a pixel position, display range; `None` if one of its pixels does not
 /// count.
 fn shown(view: &TrainingView, at: DVec2) -> Option<[f64; 3]> {
     let (width, height) = view.pixels().size();
@@ -292,8 +325,8 @@ fn shown(view: &TrainingView, at: DVec2) -> Option<[f64; 3]> {
     Some(sum.map(|v| v / count))
 }
 
-/// The colour behind the water that is known, as far as it is sure; `None` where too little light arrives to
-/// tell of a surface.
+/// The colour behind the known water, weighted by its certainty; `None` if too little light arrives to show
+/// a surface.
 fn behind(
     water: Option<&FoundWater>,
     camera: &Camera,
@@ -333,7 +366,7 @@ mod tests {
         Camera { intrinsics, pose: Pose::look_at(eye, eye + DVec3::new(0.0, 0.1, 1.0), -DVec3::Y) }
     }
 
-    /// A view that shows `color` of every pixel.
+    /// A view that shows `color` at every pixel.
     fn view(camera: Camera, color: impl Fn(usize, usize) -> [u8; 3], masked: bool) -> TrainingView {
         let [width, height] = SIZE;
         let mut pixels = Raster::new(width, height);
@@ -363,7 +396,7 @@ mod tests {
         points.iter().map(of).collect()
     }
 
-    /// Points on the plane `z = 2.2 + y/4`, some way apart from each other.
+    /// Points on the plane `z = 2.2 + y/4`, at some distance from each other.
     fn plane() -> Vec<DVec3> {
         let stream = Stream::new(3, Purpose::new("points of a plane"), 0);
         let draw = |k: u64| 0.1 * stream.uniform(k);
@@ -386,7 +419,7 @@ mod tests {
         let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
         let known = Known { tracks: tracks(&cameras, points), water, ..Known::default() };
         let indices: Vec<usize> = (0..views.len()).collect();
-        between(views, &indices, &known, points)
+        between(views, &indices, &known, points, false)
     }
 
     fn grey(_: usize, _: usize) -> [u8; 3] {
@@ -400,13 +433,14 @@ mod tests {
         let found = start(&views, &points, None);
         assert!(found.len() > 300, "{}", found.len());
         for p in &found {
-            // Inverse depth is linear over a plane in the image, so points lie on it to the last digits.
+            // Inverse depth is linear over a plane in the image, so points lie on the plane to the last
+            // digits.
             assert!((p.position.z - 2.2 - 0.25 * p.position.y).abs() < 1e-9, "{p:?}");
             for (c, wanted) in p.color.iter().zip([0.2, 0.4, 0.6]) {
                 assert!((c - wanted).abs() < 1e-9);
             }
         }
-        // Merged: one for a voxel, and none where a tracked point lies.
+        // Samples are merged: there is one per voxel, and none in the voxel of a tracked point.
         let voxels: BTreeSet<Voxel> = found.iter().map(|p| Voxel::of(p.position, -5)).collect();
         assert_eq!(voxels.len(), found.len());
         assert!(points.iter().all(|p| !voxels.contains(&Voxel::of(*p, -5))), "beside tracked points only");
@@ -419,7 +453,7 @@ mod tests {
         };
         let plain = views(grey, false);
         let points = plane();
-        // A step in depth: nothing between the two sides.
+        // A step in depth: there are no points between the two sides.
         let step: Vec<DVec3> =
             points.iter().map(|p| if p.x < 0.0 { *p } else { DVec3::new(p.x, p.y, p.z + 2.0) }).collect();
         let found = start(&plain, &step, None);
@@ -428,15 +462,15 @@ mod tests {
             let off = p.position.z - 2.2 - 0.25 * p.position.y;
             assert!(off.abs() < 1e-6 || (off - 2.0).abs() < 1e-6, "{off}");
         }
-        // Too far apart.
+        // The points are too far apart.
         let few: Vec<DVec3> = points.iter().copied().step_by(41).collect();
         assert_eq!(start(&plain, &few, None), []);
-        // Masked, and a view alone among several.
+        // Masked views, and a view that is the only one of several to show the surface.
         assert_eq!(start(&views(grey, true), &points, None), []);
         let mut alone = views(grey, true);
         alone[1] = view(cameras()[1], grey, false);
         assert_eq!(start(&alone, &points, None), []);
-        // A gap between the points through which something else is seen.
+        // A gap between the points through which a different colour is visible.
         let middle = DVec3::new(0.0, 0.0, 2.2);
         let around: Vec<DVec3> = points.into_iter().filter(|p| p.distance(middle) > 0.13).collect();
         let through = |c: Camera| {
@@ -458,7 +492,7 @@ mod tests {
         let points = plane();
         let (attenuation, veil) = ([0.4, 0.2, 0.1], [0.1, 0.3, 0.4]);
         let radiance = [0.6, 0.5, 0.4];
-        // An even surface of this radiance as a camera sees it at its pixels.
+        // An even surface of this radiance, as a camera sees it at its pixels.
         let shown = |camera: Camera| {
             view(
                 camera,
@@ -492,13 +526,35 @@ mod tests {
                 assert!((c - wanted).abs() < 0.01, "{c}, not {wanted}");
             }
         }
-        // Colours that are not sure are as photographed.
+        // Colours that are not certain are as photographed.
         let unsure = FoundWater { radiances: vec![None; points.len()], ..water };
         let photographed = start(&views, &points, Some(unsure));
         assert_eq!(photographed.len(), found.len());
         assert!(photographed.iter().all(|p| p.color[0] < 0.45), "hazy and dark");
         let thick = FoundWater { attenuation: [9.0, 2.0, 2.0], ..water };
         assert_eq!(start(&views, &points, Some(thick)), []);
+    }
+
+    #[test]
+    fn the_ground_goes_on_beyond_the_last_points_and_no_further_than_views_agree() {
+        let views: Vec<TrainingView> = cameras().into_iter().map(|c| view(c, grey, false)).collect();
+        // The right third of the plane has no tracked points.
+        let points: Vec<DVec3> = plane().into_iter().filter(|p| p.x < 0.3).collect();
+        let indices: Vec<usize> = (0..views.len()).collect();
+        let known = |points: &[DVec3]| Known { tracks: tracks(&cameras(), points), ..Known::default() };
+        let right = |found: &[Between]| found.iter().filter(|p| p.position.x > 0.45).count();
+        let without = between(&views, &indices, &known(&points), &points, false);
+        let with = between(&views, &indices, &known(&points), &points, true);
+        assert_eq!(right(&without), 0);
+        assert!(right(&with) > 100, "{}", right(&with));
+        for p in &with {
+            assert!((p.position.z - 2.2 - 0.25 * p.position.y).abs() < 1e-9, "{p:?}");
+        }
+        // Two surfaces, one behind the other, have no common plane.
+        let rough: Vec<DVec3> =
+            points.iter().enumerate().map(|(i, p)| DVec3::new(p.x, p.y, p.z + (i % 2) as f64)).collect();
+        let found = between(&views, &indices, &known(&rough), &rough, true);
+        assert!(right(&found) < right(&with) / 10, "{}", right(&found));
     }
 
     #[test]

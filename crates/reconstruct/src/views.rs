@@ -1,7 +1,7 @@
-//! The training images as the loop keeps them, and what a step sees of them.
+//! The training images as the loop stores them, and the target that a step reads.
 //!
-//! Photographs stay as they were stored (8 or 16 bits), priors and masks as 16 and 8 bits, so that
-//! hundreds of views fit in memory. A step's target is made when it is needed: `divisor × divisor`
+//! Photographs stay in their stored form (8 or 16 bits), priors and masks as 16 and 8 bits, so that
+//! hundreds of views fit in memory. A step's target is computed when it is needed: `divisor × divisor`
 //! means of the stored values (R11).
 
 use rayon::prelude::*;
@@ -9,22 +9,22 @@ use use3d_capture::{Camera, Image, Map, Pixels, Raster, View};
 
 use crate::ReconstructError;
 
-/// A view's files, read. Sizes must be those of the view's camera.
+/// A view's files after reading. All sizes must be that of the view's camera.
 #[derive(Clone, Debug)]
 pub struct LoadedView {
     /// The photograph.
     pub pixels: Pixels,
     /// Its opacity in `[0, 1]`, if it has any: transparent pixels take the water's colour.
     pub alpha: Option<Map>,
-    /// What counts, in `[0, 1]`.
+    /// Weight of each pixel, in `[0, 1]`.
     pub mask: Option<Map>,
     /// Disparity-like prior: larger is nearer, 0 is unknown.
     pub depth_prior: Option<Map>,
 }
 
-/// Reads views. The loop knows no file formats.
+/// Reads views, so that the loop does not depend on file formats.
 pub trait ViewLoader: Sync {
-    /// The view's photograph, mask and prior; the error is for a person to read.
+    /// The view's photograph, mask and prior; the error is a message for the user.
     fn load(&self, view: &View) -> Result<LoadedView, String>;
 }
 
@@ -49,14 +49,14 @@ pub struct TrainingView {
     exact: Option<(Image, Map)>,
 }
 
-/// What a step sees of a view; reused from step to step.
+/// The target of a step for a view; its memory is reused from step to step.
 #[derive(Clone, Debug)]
 pub struct Target {
     /// The photograph at the step's size.
     pub image: Image,
     /// Its opacity.
     pub alpha: Option<Map>,
-    /// What counts.
+    /// Weight of each pixel.
     pub mask: Option<Map>,
     /// The depth prior, 0 where it is unknown or the pixel does not count.
     pub prior: Option<Map>,
@@ -68,7 +68,7 @@ impl Default for Target {
     }
 }
 
-/// What [`TrainingView::new`] left out, for a person to know.
+/// Data that [`TrainingView::new`] left out, for a message to the user.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Dropped {
     /// The prior has no valid pixel.
@@ -114,7 +114,7 @@ impl TrainingView {
             camera,
             pixels: loaded.pixels,
             alpha: loaded.alpha.as_ref().filter(|a| a.data().iter().any(|&v| v < 1.0)).map(byte),
-            // What is not a number does not count.
+            // NaN does not count.
             mask: loaded.mask.as_ref().filter(|m| m.data().iter().any(|&v| v < 1.0 || v.is_nan())).map(byte),
             prior,
             #[cfg(test)]
@@ -123,7 +123,7 @@ impl TrainingView {
         Ok((view, dropped))
     }
 
-    /// A view whose target is exactly these floats, at full size only: goldens are not 8-bit.
+    /// A view whose target is exactly these floats, at full size only, because goldens are not 8-bit.
     #[cfg(test)]
     pub(crate) fn exact(camera: Camera, image: Image, prior: Map) -> Self {
         let (w, h) = (image.width(), image.height());
@@ -132,32 +132,32 @@ impl TrainingView {
         Self { name: "exact".into(), camera, pixels, alpha: None, mask: None, prior: None, exact }
     }
 
-    /// The photograph as it is stored, at full size.
+    /// The photograph in its stored form, at full size.
     pub fn pixels(&self) -> &Pixels {
         &self.pixels
     }
 
-    /// Its opacity, 255 is opaque; `None` where all of it is.
+    /// Its opacity, 255 is opaque; `None` if it is opaque everywhere.
     pub fn alpha(&self) -> Option<&Raster<u8, 1>> {
         self.alpha.as_ref()
     }
 
-    /// What counts, 255 counts wholly; `None` where everything does.
+    /// Its mask, 255 counts fully; `None` if every pixel counts.
     pub fn mask(&self) -> Option<&Raster<u8, 1>> {
         self.mask.as_ref()
     }
 
-    /// The depth prior, stretched to 1…65535, 0 where unknown; `None` where there is none.
+    /// The depth prior, stretched to 1…65535, 0 where unknown; `None` if there is none.
     pub fn prior(&self) -> Option<&Raster<u16, 1>> {
         self.prior.as_ref()
     }
 
-    /// Whether it has a depth prior.
+    /// True if it has a depth prior.
     pub fn has_prior(&self) -> bool {
         self.prior.is_some()
     }
 
-    /// Whether its mask leaves no pixel.
+    /// True if its mask leaves no pixel.
     pub fn counts_nothing(&self) -> bool {
         self.mask.as_ref().is_some_and(|m| m.data().iter().all(|v| *v == 0))
     }
@@ -167,7 +167,7 @@ impl TrainingView {
         self.pixels.to_image()
     }
 
-    /// Bytes held.
+    /// Number of bytes held.
     pub fn memory(&self) -> usize {
         let (w, h) = self.pixels.size();
         let pixels = match &self.pixels {
@@ -178,7 +178,7 @@ impl TrainingView {
         w * h * (pixels + maps + 2 * usize::from(self.prior.is_some()))
     }
 
-    /// Adds everything that training depends on to a digest.
+    /// Adds all data on which training depends to a digest.
     pub(crate) fn fingerprint(&self, hasher: &mut blake3::Hasher) {
         hasher.update(self.name.as_bytes());
         match &self.pixels {
@@ -193,14 +193,16 @@ impl TrainingView {
         }
     }
 
-    /// The camera over `divisor`, and the divisor taken: less where the image is smaller than that.
+    /// The camera divided by `divisor`, and the divisor used; it is smaller if the image is smaller than
+    /// `divisor`.
     pub fn camera_over(&self, divisor: usize) -> (Camera, usize) {
         let k = &self.camera.intrinsics;
         let divisor = divisor.clamp(1, k.width.min(k.height));
         (self.camera.downscaled(divisor), divisor)
     }
 
-    /// The view over `divisor` (less where the image is smaller than that), and its camera.
+    /// Computes the view's target divided by `divisor` (less if the image is smaller than that); returns
+    /// its camera.
     pub fn target(&self, divisor: usize, out: &mut Target) -> Camera {
         let (camera, divisor) = self.camera_over(divisor);
         let (w, h) = (camera.intrinsics.width, camera.intrinsics.height);
@@ -236,8 +238,8 @@ impl TrainingView {
     }
 }
 
-/// The prior stretched to 1…65535 (the loss does not see scale or shift), 0 where it
-/// is not finite or not positive.
+/// The prior stretched to 1…65535 (the loss ignores scale and shift), 0 where it is not finite or not
+/// positive.
 fn pack_prior(map: &Map) -> Result<Raster<u16, 1>, Dropped> {
     let known = |v: f32| v.is_finite() && v > 0.0;
     let (mut low, mut high) = (f32::INFINITY, 0.0f32);
@@ -256,7 +258,7 @@ fn pack_prior(map: &Map) -> Result<Raster<u16, 1>, Dropped> {
     Ok(map.map(|v| if known(v) { (f64::from(v - low) * scale + 1.5) as u16 } else { 0 }))
 }
 
-/// `divisor × divisor` means over `full`, per plane.
+/// Computes `divisor × divisor` means over `fine`, per plane.
 fn means<T: Copy + Into<i32> + Sync, const C: usize>(
     fine: &Raster<T, C>,
     divisor: usize,
@@ -280,7 +282,7 @@ fn means<T: Copy + Into<i32> + Sync, const C: usize>(
             return;
         }
         for (i, o) in out.iter_mut().enumerate() {
-            // One row of a box fits in 32 bits (at most MOST_DIVISOR 16-bit values), a whole box may not.
+            // One row of a box fits into 32 bits (at most MOST_DIVISOR 16-bit values); a whole box may not.
             let mut sum = 0i64;
             for row in rows.chunks_exact(fw) {
                 sum += i64::from(
@@ -292,7 +294,7 @@ fn means<T: Copy + Into<i32> + Sync, const C: usize>(
     });
 }
 
-/// Means over the known values only; 0 where none is known.
+/// Computes means over the known values only; 0 where no value is known.
 fn known_means(fine: &Raster<u16, 1>, divisor: usize, w: usize, h: usize, out: &mut Map) {
     out.resize(w, h);
     let fw = fine.width();

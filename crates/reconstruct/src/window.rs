@@ -1,5 +1,5 @@
-//! What the log and a person's display are made of: reports of steps, summed
-//! since the last line and smoothed.
+//! The source of the log and of the progress display: reports of steps, summed since the last line and
+//! smoothed.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,12 +7,12 @@ use crate::engine::StepReport;
 use crate::losses;
 use crate::report::LogEntry;
 
-/// Sums since the last log line, and the smoothed numbers that a person sees.
+/// Sums since the last log line, and the smoothed numbers for the progress display.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Window {
     pub(crate) steps: u64,
     loss: f64,
-    /// Sum and number of each of the loss's values.
+    /// Sum and count of each of the loss's values.
     terms: Vec<(f64, u64)>,
     psnr: (f64, u64),
     pub(crate) smooth_loss: Option<f64>,
@@ -37,7 +37,7 @@ impl Window {
         self.smooth_psnr = report.psnr.map_or(self.smooth_psnr, |psnr| smooth(self.smooth_psnr, psnr));
     }
 
-    /// The log line of the window, which starts anew.
+    /// Returns the log line of the window and starts a new one.
     pub(crate) fn flush(&mut self, step: u64, gaussians: usize, divisor: usize, degree: usize) -> LogEntry {
         let n = self.steps.max(1) as f64;
         let mean = |sum: &(f64, u64)| (sum.1 > 0).then(|| sum.0 / sum.1 as f64);

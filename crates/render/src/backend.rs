@@ -1,4 +1,4 @@
-//! Where a scene is drawn.
+//! The devices on which a scene is drawn.
 
 use std::fmt;
 
@@ -7,35 +7,35 @@ use use3d_splat::Rendered;
 
 use crate::RenderError;
 
-/// One drawing that a backend is asked for.
+/// One drawing requested from a backend.
 #[derive(Clone, Copy, Debug)]
 pub struct Request<'r> {
     /// The camera, in the scene's frame.
     pub camera: &'r Camera,
-    /// Which of its pixels.
+    /// The pixels of it to draw.
     pub lattice: &'r Lattice,
-    /// The share of the water that is left, in `[0, 1]`; `None`: the radiance of the Gaussians on black,
-    /// without a look at the water, so that [`Backend::medium`] stays as it was.
+    /// The share of the water that is left, in `[0, 1]`. `None` draws the radiance of the Gaussians on
+    /// black, without evaluating the water, so that [`Backend::medium`] stays unchanged.
     pub water: Option<f32>,
-    /// Whether object, medium and clear layers are wanted beside the picture.
+    /// True if object, medium and clear layers are requested besides the picture.
     pub layers: bool,
 }
 
 /// Changes the colours of all Gaussians of a view, in their order, in place.
 pub type Recolor<'r> = dyn Fn(&mut [[f32; 3]]) + 'r;
 
-/// What a [`Composer`] is asked for: the Gaussians of its scene in front of a camera.
+/// The input of a [`Composer`]: the Gaussians of its scene in front of a camera.
 #[derive(Clone, Copy)]
 pub struct Composition<'r> {
     /// The camera, in the scene's frame.
     pub camera: &'r Camera,
-    /// Which of its pixels.
+    /// The pixels of it to draw.
     pub lattice: &'r Lattice,
-    /// What the scene's stage-1 colours in this view go through before they are drawn.
+    /// A function that changes the scene's stage-1 colours in this view before they are drawn.
     pub recolor: Option<&'r Recolor<'r>>,
-    /// The water on the lattice; `None`: there is none.
+    /// The water on the lattice; `None` if there is none.
     pub medium: Option<&'r MediumMaps>,
-    /// Whether the image's parts are wanted.
+    /// True if the image's parts are requested.
     pub layers: bool,
 }
 
@@ -47,28 +47,28 @@ impl fmt::Debug for Composition<'_> {
     }
 }
 
-/// Composes the Gaussians of a scene on some device: what is left of a [`Backend`] when looks and shares of
-/// the water are taken care of, as [`Looking`](crate::Looking) does for it.
+/// Composes the Gaussians of a scene on some device: the part of a [`Backend`] without looks and shares of
+/// the water, which [`Looking`](crate::Looking) adds.
 pub trait Composer: Send {
-    /// Draws what is asked for into `out`, whose former contents count for nothing.
+    /// Draws the composition into `out`, whose former contents do not matter.
     ///
     /// # Errors
-    /// [`RenderError::Device`]; the composer may then be used no more.
+    /// [`RenderError::Device`]; the composer must not be used afterwards.
     fn compose(&mut self, view: &Composition<'_>, out: &mut Rendered) -> Result<(), RenderError>;
 }
 
-/// Draws views of the scene and the [`Look`](crate::Look) that it was made for, and keeps on its device what
-/// is the same for all of them.
+/// Draws views of the scene and the [`Look`](crate::Look) for which it was made, and keeps on its device
+/// the data that all views share.
 ///
-/// What a drawing must show is said in [`Renderer`](crate::Renderer) and defined by [`Cpu`](crate::Cpu).
+/// [`Renderer`](crate::Renderer) describes what a drawing must show, and [`Cpu`](crate::Cpu) defines it.
 pub trait Backend: Send {
-    /// Draws what is asked for into `out`, whose former contents count for nothing.
+    /// Draws the request into `out`, whose former contents do not matter.
     ///
     /// # Errors
-    /// [`RenderError::Device`]; the backend may then be used no more.
+    /// [`RenderError::Device`]; the backend must not be used afterwards.
     fn draw(&mut self, request: &Request<'_>, out: &mut Rendered) -> Result<(), RenderError>;
 
-    /// The water of the last drawing with some, all of it, however little was left in the picture: `c_m`,
-    /// `β_bs`, `β_attn` on its lattice. `None` in a scene without water.
+    /// The full water of the last drawing with water, for any share that was drawn: `c_m`, `β_bs`, `β_attn`
+    /// on its lattice. `None` in a scene without water.
     fn medium(&self) -> Option<&MediumMaps>;
 }

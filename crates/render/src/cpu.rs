@@ -1,6 +1,6 @@
-//! Looks at a scene: its colours graded, its water thinned, and the rest left to a [`Composer`].
+//! Draws a look at a scene: grades its colours, thins its water, and leaves the rest to a [`Composer`].
 //!
-//! [`Cpu`] composes on the processor and defines what is right: the same bytes on any number of threads.
+//! [`Cpu`] composes on the processor and is the reference: the same bytes on any number of threads.
 
 use use3d_capture::{Camera, Image, KeptWater, Lattice, MediumMaps};
 use use3d_scene::{Compositor, Scene};
@@ -33,20 +33,20 @@ impl Composer for Processor<'_> {
 /// Draws on the processor.
 pub type Cpu<'s> = Looking<'s, Processor<'s>>;
 
-/// One look at a scene, composed wherever `C` composes.
+/// One look at a scene, composed by any composer `C`.
 pub struct Looking<'s, C> {
     scene: &'s Scene,
     /// Per-Gaussian grades and the strength, if enhanced.
     grades: Option<(ObjectGrades, f32)>,
     composer: C,
-    /// The water in front of the last camera, as the look has it.
+    /// The water in front of the last camera, in this look.
     maps: MediumMaps,
-    /// `maps` with the coefficients of the water that is left.
+    /// `maps` with the coefficients of the remaining water.
     thinned: MediumMaps,
 }
 
 impl<'s> Cpu<'s> {
-    /// For one look, on the processor.
+    /// A look on the processor.
     ///
     /// # Errors
     /// See [`Looking::on`].
@@ -56,11 +56,11 @@ impl<'s> Cpu<'s> {
 }
 
 impl<'s, C: Composer> Looking<'s, C> {
-    /// For one look, by a composer of the same scene. The field is evaluated here, once; a view then costs
-    /// one affine per Gaussian more than the reconstruction.
+    /// A look with a composer of the same scene. The field is evaluated here, once; a view then costs one
+    /// more affine per Gaussian than the reconstruction.
     ///
     /// # Errors
-    /// A strength outside `[0, 1]`, or a scene that is not enhanced.
+    /// The strength is outside `[0, 1]`, or the scene is not enhanced.
     pub fn on(composer: C, scene: &'s Scene, look: Look) -> Result<Self, RenderError> {
         let grades = match look {
             Look::Reconstruction => None,
@@ -70,7 +70,7 @@ impl<'s, C: Composer> Looking<'s, C> {
         Ok(Self { scene, grades, composer, maps, thinned })
     }
 
-    /// The water in front of a camera, as this look has it, all of it.
+    /// Computes the full water in front of a camera, in this look.
     fn look_through(&mut self, camera: &Camera, lattice: &Lattice) {
         let strength = self.grades.as_ref().map(|(_, strength)| *strength);
         look_through(self.scene, strength, camera, lattice, &mut self.maps);
@@ -109,8 +109,8 @@ impl<C: Composer> Backend for Looking<'_, C> {
     }
 }
 
-/// The water in front of a camera in the enhanced look at `strength`, or as stage 1 learnt it without one.
-/// `false`, and `maps` as they were, in a scene without water.
+/// Computes the water in front of a camera: that of the enhanced look at `strength`, or without a strength
+/// that of stage 1. Returns `false` and leaves `maps` unchanged in a scene without water.
 pub(crate) fn look_through(
     scene: &Scene,
     strength: Option<f32>,
@@ -139,9 +139,9 @@ pub(crate) fn thin(maps: &MediumMaps, share: f32, out: &mut MediumMaps) {
     KeptWater([share; 3]).thin(out);
 }
 
-/// Gives open water its factor, in the picture and in its layers: of the water's light `(1 − Σ w) c_m`
-/// belongs to rays that no surface ends, part of it to the intervals before the last Gaussian and part to the
-/// far end.
+/// Multiplies open water by its factor, in the picture and in its layers. Of the water's light,
+/// `(1 − Σ w) c_m` belongs to rays that no surface ends; a part of it is in the intervals before the last
+/// Gaussian and a part at the far end.
 fn dim_open_water(color: &Image, share: f32, out: &mut Rendered) {
     let pixels = out.accumulation.pixels();
     let open = |i: usize| (1.0 - out.accumulation.data()[i % pixels]) * color.data()[i];

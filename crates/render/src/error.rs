@@ -1,26 +1,26 @@
-//! What keeps a scene from being drawn.
+//! The errors of rendering.
 
 /// An error of rendering.
 #[derive(Debug, thiserror::Error)]
 pub enum RenderError {
-    /// A scene that stage 2 has not seen.
+    /// The scene was not processed by stage 2.
     #[error("the scene has no enhancement; run `use3d enhance` on it first")]
     NotEnhanced,
-    /// A strength outside `[0, 1]`.
+    /// The strength is outside `[0, 1]`.
     #[error("strength is {0}; expected 0 (the reconstruction) to 1 (fully enhanced)")]
     Strength(f32),
-    /// An amount of water outside `[0, 1]`.
+    /// The amount of water is outside `[0, 1]`.
     #[error("the amount of water is {0}; expected 0 (none is left) to 1 (all of it)")]
     Water(f32),
-    /// Water is baked as cameras saw it, and there is none.
+    /// Water is baked as seen by cameras, and there are none.
     #[error("a look with water is baked as cameras saw it: give at least one camera")]
     NoCameras,
-    /// The device that a backend draws on failed. [`crate::Cpu`] never gives this.
+    /// The device of a backend failed. [`crate::Cpu`] never returns this.
     #[error("drawing on {device} failed: {problem}; the CPU draws the same pictures")]
     Device {
         /// The device, by its name.
         device: String,
-        /// What went wrong: lost, out of memory, ..., in words.
+        /// The failure in words: lost, out of memory, ....
         problem: String,
     },
 }

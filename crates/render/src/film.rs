@@ -1,5 +1,6 @@
-//! Films: raw Y4M (4:4:4, BT.709, limited range, as players expect), or piped into a system `ffmpeg` for any
-//! other container, which is told the same, so that its file says how the colours are meant.
+//! Films: raw Y4M (4:4:4, BT.709, limited range, as players expect), or piped into a system `ffmpeg` for
+//! any other container. The arguments of `ffmpeg` contain the same colour description, so that it is stored
+//! in the file.
 
 use std::ffi::OsString;
 use std::fs::File;
@@ -9,31 +10,31 @@ use std::process::{Child, Command, Stdio};
 
 use use3d_capture::Image8;
 
-/// Even sides, as 4:2:0 needs them, and what the numbers mean.
+/// Pads to even sides, which 4:2:0 needs, and sets the colour description.
 const FILTER: &str =
     "pad=ceil(iw/2)*2:ceil(ih/2)*2,setparams=colorspace=bt709:color_primaries=bt709:color_trc=bt709:range=tv";
 
-/// A film that cannot be begun or written. Whoever asked for it knows its path.
+/// A reason why a film cannot be begun or written. The caller has its path.
 #[derive(Debug, thiserror::Error)]
 pub enum FilmError {
-    /// No frames per second.
+    /// The frame rate is zero.
     #[error("0 frames per second; a film needs at least one")]
     FrameRate,
     /// The folder for the film cannot be made.
     #[error("cannot make its folder: {0}")]
     Folder(IoError),
-    /// The file that the film grows in cannot be made.
+    /// The temporary file of the film cannot be created.
     #[error("cannot write {}: {source}", path.display())]
     Create {
         /// That file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: IoError,
     },
     /// The system has no `ffmpeg`.
     #[error("cannot start ffmpeg ({0}); install ffmpeg, or name a .y4m file, which needs nothing")]
     NoFfmpeg(IoError),
-    /// A frame of another size than those before.
+    /// A frame has another size than those before.
     #[error("frames of {}x{} and {}x{} cannot share a film; render one camera size with --size", first.0, first.1, other.0, other.1)]
     Sizes {
         /// Width and height of the frames before.
@@ -47,13 +48,13 @@ pub enum FilmError {
     /// `ffmpeg` did not write the film.
     #[error("ffmpeg could not write it: {0}; .mp4, .webm, .gif and .y4m are known to work")]
     Refused(String),
-    /// The film could not be ended.
+    /// The film could not be completed.
     #[error("{0}")]
     Finish(IoError),
 }
 
 impl FilmError {
-    /// Whether something else was asked for than can be done, before or beside the writing itself.
+    /// True if the request cannot be fulfilled, before or apart from the writing itself.
     pub fn is_of_the_request(&self) -> bool {
         matches!(
             self,
@@ -76,27 +77,27 @@ enum Sink {
     Ffmpeg(Child),
 }
 
-/// The film until it is whole, beside its place; what is left of it goes with the command.
+/// The temporary file of the film, beside its final path; it is removed when this value is dropped.
 struct Part(PathBuf);
 
 impl Drop for Part {
     fn drop(&mut self) {
-        // Not there any more once it was renamed.
+        // The file no longer exists after it was renamed.
         let _ = std::fs::remove_file(&self.0);
     }
 }
 
 impl Film {
-    /// Starts a film at `path`: `.y4m` is written directly, anything else needs `ffmpeg`. Until it is whole
-    /// it grows in `part`, a place in the same folder, with the film's extension put to it.
+    /// Starts a film at `path`: `.y4m` is written directly, anything else needs `ffmpeg`. Until it is
+    /// complete it is written to `part`, a path in the same folder, whose extension becomes the film's.
     ///
     /// # Errors
-    /// See [`FilmError`]; [`FilmError::is_of_the_request`] is true of all.
+    /// See [`FilmError`]; [`FilmError::is_of_the_request`] is true for all of them.
     pub fn create(path: &Path, mut part: PathBuf, fps: u32) -> Result<Self, FilmError> {
         if fps == 0 {
             return Err(FilmError::FrameRate);
         }
-        // With its extension, by which ffmpeg knows what to write.
+        // The extension is needed, because ffmpeg chooses the format by it.
         if let Some(extension) = path.extension() {
             part.set_extension(extension);
         }
@@ -113,7 +114,7 @@ impl Film {
                 .args(["-vf", FILTER])
                 .args(["-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709"])
                 .args(["-color_range", "tv"])
-                // Never taken for an option or another protocol.
+                // The URL form keeps the path from being read as an option or another protocol.
                 .arg(file_url(&part.0))
                 .stdin(Stdio::piped())
                 .stderr(Stdio::piped())
@@ -127,7 +128,7 @@ impl Film {
     /// Appends a frame; all frames have one size.
     ///
     /// # Errors
-    /// A frame of another size, or one that cannot be written.
+    /// The frame has another size, or cannot be written.
     pub fn push(&mut self, frame: &Image8) -> Result<(), FilmError> {
         let size = (frame.width(), frame.height());
         let mut bytes = Vec::new();
@@ -155,16 +156,16 @@ impl Film {
             },
         };
         written.map_err(|e| match &mut self.sink {
-            // It has ended; why, it says itself.
+            // The process has ended; its error text has the reason.
             Sink::Ffmpeg(child) => ended(child, &e.to_string()),
             Sink::File { .. } => FilmError::Frame(e),
         })
     }
 
-    /// Ends the film; only now does its name appear.
+    /// Completes the film; only now its final name appears.
     ///
     /// # Errors
-    /// A film that could not be written to its end; its name does not appear.
+    /// The film could not be written to its end; its name does not appear.
     pub fn finish(self) -> Result<(), FilmError> {
         match self.sink {
             Sink::File(writer) => {
@@ -173,7 +174,7 @@ impl Film {
             }
             Sink::Ffmpeg(mut child) => {
                 drop(child.stdin.take());
-                // Read first: a full pipe would keep it from ending.
+                // The text is read first, because a full pipe would keep the process from ending.
                 let said = said(&mut child);
                 let status = child.wait().map_err(FilmError::Finish)?;
                 if !status.success() {
@@ -185,14 +186,14 @@ impl Film {
     }
 }
 
-/// A path as ffmpeg takes it literally.
+/// A path in the form that ffmpeg reads literally.
 fn file_url(path: &Path) -> OsString {
     let mut url = OsString::from("file:");
     url.push(path);
     url
 }
 
-/// What ffmpeg has told on its stderr.
+/// Reads the text that ffmpeg wrote to its stderr.
 fn said(child: &mut Child) -> String {
     let mut text = Vec::new();
     if let Some(mut stderr) = child.stderr.take() {
@@ -201,7 +202,7 @@ fn said(child: &mut Child) -> String {
     String::from_utf8_lossy(&text).into_owned()
 }
 
-/// An ffmpeg that no longer takes frames.
+/// The error for an ffmpeg process that no longer accepts frames.
 fn ended(child: &mut Child, otherwise: &str) -> FilmError {
     drop(child.stdin.take());
     let said = said(child);
@@ -209,8 +210,7 @@ fn ended(child: &mut Child, otherwise: &str) -> FilmError {
     refused(&said, otherwise)
 }
 
-/// Why ffmpeg did not write a film: the last of its words, without the memory addresses that it begins lines
-/// with.
+/// The error with ffmpeg's reason: the first line of its text, without the memory address at its beginning.
 fn refused(said: &str, otherwise: &str) -> FilmError {
     let line = said.lines().map(str::trim).find(|l| !l.is_empty());
     let why = line.map_or(otherwise, |l| l.rsplit_once("] ").map_or(l, |(_, words)| words));

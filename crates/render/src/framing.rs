@@ -1,11 +1,11 @@
-//! Cameras made to fit a picture or a scene.
+//! Cameras fitted to a picture or a scene.
 
 use glam::DVec3;
 use use3d_capture::{Camera, Intrinsics};
 use use3d_scene::Scene;
 
-/// A lens whose pictures are scaled to cover `width × height` pixels and cropped centrally: nothing is
-/// stretched.
+/// A lens whose pictures are scaled to cover `width × height` pixels and cropped centrally, without
+/// stretching.
 pub fn cover(k: &Intrinsics, width: usize, height: usize) -> Intrinsics {
     let scale = (width as f64 / k.width as f64).max(height as f64 / k.height as f64);
     let (wide, high) = (scale * k.width as f64, scale * k.height as f64);
@@ -13,8 +13,8 @@ pub fn cover(k: &Intrinsics, width: usize, height: usize) -> Intrinsics {
     whole.cropped((wide - width as f64) / 2.0, (high - height as f64) / 2.0, width, height)
 }
 
-/// How far away the scene is from a camera in its frame: the median depth of the Gaussians in front of it,
-/// scene units; 1 where none is.
+/// The distance of the scene from a camera in its frame: the median depth of the Gaussians in front of it,
+/// scene units; 1 if there are none.
 pub fn focus(scene: &Scene, camera: &Camera) -> f64 {
     let point = |m: &[f32; 3]| DVec3::new(m[0].into(), m[1].into(), m[2].into());
     let mut depths: Vec<f64> =

@@ -1,20 +1,20 @@
-//! Every picture that a scene can give.
+//! Every picture that can be drawn from a scene.
 //!
 //! ```text
 //! Scene ─▶ Backend ─▶ Renderer ─▶ SceneRenderer ─▶ picture ─▶ file, film
 //!          draws      a look      modes            colours for people
 //! ```
 //!
-//! A [`Backend`] holds a scene and draws it from any camera; [`Cpu`] is the one that defines what is right,
-//! and [`Looking`] makes one of any device that can compose Gaussians ([`Composer`]). A [`Renderer`] draws
-//! one [`Look`] with a share of the water, a [`SceneRenderer`] every [`Mode`] from one camera at a time.
+//! A [`Backend`] holds a scene and draws it from any camera. [`Cpu`] is the reference, and [`Looking`]
+//! makes a backend of any device that can compose Gaussians ([`Composer`]). A [`Renderer`] draws one
+//! [`Look`] with a share of the water, a [`SceneRenderer`] every [`Mode`] from one camera at a time.
 //! [`picture`] turns a mode's numbers into colours, [`cover`] and [`focus`] frame cameras, [`Film`] writes
-//! frames one after another. [`bake`] and [`bake_in_water`] write a look into spherical harmonics for viewers
-//! that know nothing of enhancement and water, [`white`] measures what is grey, [`medium_profile`] and
-//! [`medium_along`] read the water alone.
+//! frames one after another. [`bake`] and [`bake_in_water`] write a look into spherical harmonics for
+//! viewers without enhancement and water, [`white`] measures grey colours, and [`medium_profile`] and
+//! [`medium_along`] evaluate the water alone.
 //!
-//! Nothing here trains, and nothing that trains uses it: what a picture looks like changes no trained byte,
-//! and how training goes changes no picture of a given scene.
+//! This crate does not train, and no training uses it: a change of the pictures changes no trained byte,
+//! and a change of the training changes no picture of a given scene.
 
 mod backend;
 mod bake;

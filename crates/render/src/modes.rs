@@ -1,9 +1,9 @@
-//! Every picture a scene can give, for one camera at a time.
+//! Every picture of a scene, for one camera at a time.
 //!
-//! `reconstruction` is stage 1 with its water, `clear` its object radiance without water. `enhanced` is stage
-//! 2's full composite, `enhanced-clear` its object radiance without water. No 2D network is involved: the
-//! enhancement is in the scene. How much of the water is left in `reconstruction` and `enhanced` is a matter
-//! of the moment ([`SceneRenderer::with_water`]), and so is a white balance ([`SceneRenderer::with_white`]).
+//! `reconstruction` is stage 1 with its water, `clear` its object radiance without water. `enhanced` is
+//! stage 2's full image, `enhanced-clear` its object radiance without water. No 2D network is used: the
+//! enhancement is in the scene. The share of the water in `reconstruction` and `enhanced` can be set at any
+//! time ([`SceneRenderer::with_water`]), and so can a white balance ([`SceneRenderer::with_white`]).
 
 use use3d_capture::{Appearance, Camera, Image, Lattice, Map, MediumMaps};
 use use3d_scene::Scene;
@@ -25,7 +25,7 @@ pub enum Mode {
     Enhanced,
     /// Stage 2's object radiance without water.
     EnhancedClear,
-    /// Expected depth along the optical axis, scene units; 0 where nothing is.
+    /// Expected depth along the optical axis, scene units; 0 where nothing is hit.
     Depth,
     /// Accumulated opacity.
     Alpha,
@@ -70,14 +70,14 @@ impl Mode {
         }
     }
 
-    /// The mode of that name.
+    /// The mode with this name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|m| m.name() == name)
     }
 
-    /// The look that a scene leads with, wherever nobody asked for another one: the one that its enhancement
-    /// was learnt in, and the reconstruction of a scene that is not enhanced. Colours that were learnt to look
-    /// right through water are too strong without it.
+    /// The default look of a scene: the one in which its enhancement was learnt, or the reconstruction of a
+    /// scene that is not enhanced. Colours that were learnt to look right through water are too strong
+    /// without it.
     pub fn opening(scene: &Scene) -> Self {
         match scene.enhancement.as_ref().map(|enhancement| enhancement.appearance) {
             Some(Appearance::Clear) => Self::EnhancedClear,
@@ -86,12 +86,13 @@ impl Mode {
         }
     }
 
-    /// Whether it shows stage 2.
+    /// True if it shows stage 2.
     pub fn is_enhanced(self) -> bool {
         matches!(self, Self::Enhanced | Self::EnhancedClear)
     }
 
-    /// The gains of a white balance for its colours, per channel; `None` for a mode without a white balance.
+    /// The gains of a white balance for its colours, per channel; `None` for a mode without a white
+    /// balance.
     pub fn gains(self, gains: &Gains) -> Option<[f32; 3]> {
         match self {
             Self::Clear => Some(gains.clear),
@@ -101,7 +102,7 @@ impl Mode {
         }
     }
 
-    /// Whether [`SceneRenderer::with_water`] changes it.
+    /// True if [`SceneRenderer::with_water`] changes it.
     pub fn shows_water(self) -> bool {
         matches!(self, Self::Reconstruction | Self::Enhanced | Self::Object | Self::Medium)
     }
@@ -111,7 +112,7 @@ impl Mode {
     }
 }
 
-/// What a mode gives.
+/// The result of a mode.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Rendering {
     /// A colour image, unclamped.
@@ -129,11 +130,11 @@ pub struct SceneRenderer<'a> {
 }
 
 impl<'a> SceneRenderer<'a> {
-    /// Prepares a scene; `strength` in `[0, 1]` is how much of its enhancement, if it has one, `enhanced` and
-    /// `enhanced-clear` show.
+    /// Prepares a scene. `strength` in `[0, 1]` is the strength of its enhancement, if it has one, in
+    /// `enhanced` and `enhanced-clear`.
     ///
     /// # Errors
-    /// A strength outside that range.
+    /// The strength is outside that range.
     pub fn new(scene: &'a Scene, strength: f32) -> Result<Self, RenderError> {
         let enhanced = match scene.enhancement {
             Some(_) => Some(Renderer::new(scene, Look::Enhanced { strength })?),
@@ -142,17 +143,17 @@ impl<'a> SceneRenderer<'a> {
         Ok(Self::on(Renderer::new(scene, Look::Reconstruction)?, enhanced))
     }
 
-    /// Of renderers on any backend: one of the reconstruction, and one of the enhancement if the scene has
-    /// one.
+    /// A scene renderer from renderers on any backend: one of the reconstruction, and one of the
+    /// enhancement if the scene has one.
     pub fn on(plain: Renderer<'a>, enhanced: Option<Renderer<'a>>) -> Self {
         Self { plain, enhanced, gains: Gains::ONE, rendered: Rendered::new() }
     }
 
     /// Leaves only a share of the water, in `[0, 1]`, in `reconstruction`, its parts `object` and `medium`,
-    /// and `enhanced`: at 0 these are `clear` and `enhanced-clear`. Coefficients are shown as they are.
+    /// and `enhanced`: at 0 these are `clear` and `enhanced-clear`. The coefficients are shown unchanged.
     ///
     /// # Errors
-    /// A share outside that range.
+    /// The share is outside that range.
     pub fn with_water(self, water: f32) -> Result<Self, RenderError> {
         let Self { plain, enhanced, gains, rendered } = self;
         let enhanced = enhanced.map(|renderer| renderer.with_water(water)).transpose()?;
@@ -166,29 +167,29 @@ impl<'a> SceneRenderer<'a> {
         self
     }
 
-    /// The same, from the next picture on.
+    /// Sets the gains of a white balance from the next picture on.
     pub fn set_white(&mut self, gains: Gains) {
         self.gains = gains;
     }
 
-    /// Whether the scene can show [`Mode::Enhanced`] and [`Mode::EnhancedClear`].
+    /// True if the scene can show [`Mode::Enhanced`] and [`Mode::EnhancedClear`].
     pub fn is_enhanced(&self) -> bool {
         self.enhanced.is_some()
     }
 
-    /// Renders `modes` from a camera in the scene's normalised frame, in the order asked for. `Enhanced` and
+    /// Renders `modes` from a camera in the scene's normalised frame, in the given order. `Enhanced` and
     /// `EnhancedClear` of a scene without an enhancement are its reconstruction and its clear rendering.
     ///
     /// # Errors
-    /// What the backend's device says.
+    /// The error of the backend's device.
     pub fn render(&mut self, camera: &Camera, modes: &[Mode]) -> Result<Vec<Rendering>, RenderError> {
         self.render_on(camera, &Lattice::full(&camera.intrinsics), modes)
     }
 
-    /// The same for the pixels of a lattice alone.
+    /// Like [`SceneRenderer::render`], for the pixels of a lattice alone.
     ///
     /// # Errors
-    /// What the backend's device says.
+    /// The error of the backend's device.
     pub fn render_on(
         &mut self,
         camera: &Camera,
@@ -205,7 +206,7 @@ impl<'a> SceneRenderer<'a> {
             }
             let Rendered { image, layers, .. } = &self.rendered;
             for (frame, mode) in frames.iter_mut().zip(modes).filter(|(_, mode)| mode.is_enhanced()) {
-                // Rendered without water, the picture has no layers and is itself clear.
+                // A picture rendered without water has no layers and is itself clear.
                 let clear = layers.as_ref().map_or(image, |layers| &layers.clear);
                 let shown = if *mode == Mode::Enhanced { image } else { clear };
                 *frame = Some(Rendering::Color(shown.clone()));
@@ -226,10 +227,10 @@ impl<'a> SceneRenderer<'a> {
     }
 
     /// Draws `Clear`, `Enhanced`, `EnhancedClear` or, for any other mode, `Reconstruction`, and lends the
-    /// image: a frame at the least cost.
+    /// image. This is the cheapest way to draw a frame.
     ///
     /// # Errors
-    /// What the backend's device says.
+    /// The error of the backend's device.
     pub fn draw(&mut self, camera: &Camera, mode: Mode) -> Result<&Image, RenderError> {
         let renderer = match &mut self.enhanced {
             Some(enhanced) if mode.is_enhanced() => enhanced,
@@ -248,10 +249,10 @@ impl<'a> SceneRenderer<'a> {
         Ok(&self.rendered.image)
     }
 
-    /// One colour image; a convenience over [`SceneRenderer::render`].
+    /// Renders one colour image; a convenience over [`SceneRenderer::render`].
     ///
     /// # Errors
-    /// What the backend's device says.
+    /// The error of the backend's device.
     pub fn color(&mut self, camera: &Camera, mode: Mode) -> Result<Image, RenderError> {
         Ok(match self.render(camera, &[mode])?.pop() {
             Some(Rendering::Color(image)) => image,
@@ -290,7 +291,7 @@ impl<'a> SceneRenderer<'a> {
     }
 }
 
-/// Multiplies every pixel of a picture, channel by channel. Gains of 1 leave its bytes as they are.
+/// Multiplies every pixel of a picture, channel by channel. Gains of 1 leave its bytes unchanged.
 fn balance(image: &mut Image, gains: [f32; 3]) {
     let pixels = image.pixels();
     for (channel, gain) in image.data_mut().chunks_mut(pixels.max(1)).zip(gains) {
@@ -307,7 +308,7 @@ mod tests {
     use use3d_medium::{MediumModel, MediumRbf};
     use use3d_splat::Gaussians;
 
-    /// A Gaussian two units ahead in water, not enhanced.
+    /// A scene that is not enhanced: a Gaussian two units ahead in water.
     fn scene() -> (Scene, Camera) {
         let gaussians = Gaussians {
             sh_degree: 0,
@@ -346,7 +347,7 @@ mod tests {
             frames[Mode::ALL.iter().position(|m| *m == mode).unwrap()].clone()
         };
         assert_ne!(of(&frames, Mode::Reconstruction), of(&frames, Mode::Clear));
-        // Nothing is enhanced here.
+        // This scene is not enhanced.
         assert_eq!(of(&frames, Mode::Enhanced), of(&frames, Mode::Reconstruction));
         assert_eq!(of(&frames, Mode::EnhancedClear), of(&frames, Mode::Clear));
         for mode in [Mode::Reconstruction, Mode::Clear, Mode::Enhanced, Mode::EnhancedClear] {

@@ -1,11 +1,11 @@
-//! A mode's numbers as colours for people.
+//! The numbers of a mode as colours for display.
 
 use use3d_capture::{Image, Map};
 
 use crate::modes::{Mode, Rendering};
 
-/// A frame as people look at it: colours as they are, coefficients by their hue, depths by a colour map,
-/// opacity in grey.
+/// A frame for display: colours unchanged, coefficients by their hue, depths by a colour map, opacity in
+/// grey.
 pub fn picture(mode: Mode, frame: &Rendering) -> Image {
     match frame {
         Rendering::Color(image) if matches!(mode, Mode::Backscatter | Mode::Attenuation) => {
@@ -27,8 +27,8 @@ pub(crate) fn spread(map: &Map) -> Image {
     image
 }
 
-/// A map for people: near is bright, far is deep blue, unknown (0) is black; scaled between the 2 % and 98 %
-/// quantiles of its positive values.
+/// A depth map for display: near is bright, far is deep blue, unknown (0) is black; scaled between the 2 %
+/// and 98 % quantiles of its positive values.
 pub fn depth_picture(depth: &Map) -> Image {
     let mut known: Vec<f32> = depth.data().iter().copied().filter(|d| d.is_finite() && *d > 0.0).collect();
     let mut image = Image::new(depth.width(), depth.height());
@@ -38,7 +38,7 @@ pub fn depth_picture(depth: &Map) -> Image {
     known.sort_unstable_by(f32::total_cmp);
     let at = |share: f64| known[((known.len() - 1) as f64 * share) as usize];
     let (near, far) = (at(0.02), at(0.98).max(at(0.02) * 1.0001));
-    // Inverse depth: what the eye reads as distance.
+    // Inverse depth, because the eye judges distance by it.
     let scale = |d: f32| ((1.0 / d - 1.0 / far) / (1.0 / near - 1.0 / far)).clamp(0.0, 1.0);
     for y in 0..depth.height() {
         for x in 0..depth.width() {
@@ -51,7 +51,7 @@ pub fn depth_picture(depth: &Map) -> Image {
     image
 }
 
-/// Dark blue over teal and sand to pale yellow; lightness rises evenly.
+/// A colour map from dark blue over teal and sand to pale yellow; lightness rises evenly.
 fn ramp(t: f32) -> [f32; 3] {
     const STOPS: [[f32; 3]; 5] =
         [[0.03, 0.05, 0.22], [0.06, 0.28, 0.47], [0.13, 0.55, 0.55], [0.62, 0.76, 0.45], [0.99, 0.95, 0.70]];
@@ -61,8 +61,8 @@ fn ramp(t: f32) -> [f32; 3] {
     std::array::from_fn(|c| STOPS[i][c] * (1.0 - f) + STOPS[i + 1][c] * f)
 }
 
-/// Coefficients for people: divided by the largest value of the image, so that the hue shows which channel
-/// the water takes.
+/// Coefficients for display: divided by the largest value of the image, so that the hue shows which channel
+/// the water absorbs.
 pub fn coefficient_picture(map: &Image) -> Image {
     let most = map.data().iter().copied().filter(|v| v.is_finite()).fold(1e-6f32, f32::max);
     map.map(|v| v / most)

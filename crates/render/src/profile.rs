@@ -1,4 +1,4 @@
-//! The water alone, along rays and places.
+//! The water alone, along rays and at positions.
 
 use use3d_capture::{Camera, Lattice, MediumMaps, Pose};
 use use3d_medium::MediumModel;
@@ -7,8 +7,8 @@ use use3d_numerics::math;
 /// The water along one ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WaterSample {
-    /// Where: the angle from the optical axis in degrees (right is positive), or the camera's place in its
-    /// list.
+    /// The position: the angle from the optical axis in degrees (right is positive), or the camera's index
+    /// in its list.
     pub at: f64,
     /// `c_m`.
     pub color: [f32; 3],
@@ -38,8 +38,8 @@ pub fn medium_profile(medium: &MediumModel, degree: usize, camera: &Camera) -> O
     Some(samples.collect())
 }
 
-/// The water at the places of cameras, along the optical axis of the first; `None` for a scene without water,
-/// or without cameras.
+/// The water at the positions of cameras, along the optical axis of the first; `None` for a scene without
+/// water or without cameras.
 pub fn medium_along(medium: &MediumModel, degree: usize, cameras: &[Camera]) -> Option<Vec<WaterSample>> {
     let first = cameras.first()?;
     if medium.is_none() {

@@ -1,24 +1,25 @@
-//! Drawing a scene, as it was reconstructed or as it was enhanced, with all of its water, a share of it, or
-//! none; without any 2D network.
+//! Draws a scene, as it was reconstructed or as it was enhanced, with all of its water, a share of it, or
+//! none. It uses no 2D network.
 //!
 //! **The amount of water** `a` in `[0, 1]` scales both coefficients, and the open water that is seen where
-//! nothing ends the ray:
+//! no surface ends the ray:
 //!
 //! ```text
 //! rgb(a) = Σ w c e^{−a β_attn s}  +  Σ w c_m (1 − e^{−a β_bs s})  +  a (1 − Σ w) c_m
 //!          surfaces                  the veil before them            open water
 //! ```
 //!
-//! `w`, `s` (scene units), `c_m`, `β` (per scene unit) as in the compositor, whose intervals and far end this
-//! is in other order. `a = 1` is the picture as it was learnt, to the bit; `a = 0` is the radiance of the
-//! Gaussians alone, `Σ w c`, black where nothing is: `clear`, or `enhanced-clear` with the enhanced colours.
-//! In between light that comes from surfaces only grows and light that comes from the water only shrinks as
-//! `a` falls.
+//! `w`, `s` (scene units), `c_m`, `β` (per scene unit) are those of the compositor; this is the sum of its
+//! intervals and far end in another order. `a = 1` is exactly the learnt picture, to the bit. `a = 0` is
+//! the radiance of the Gaussians alone, `Σ w c`, black where nothing is hit: `clear`, or `enhanced-clear`
+//! with the enhanced colours. As `a` falls, light from surfaces only grows and light from the water only
+//! shrinks.
 //!
-//! Open water would not fade by its coefficients: infinitely deep, it has its colour `c_m` however thin it
-//! is. Its factor `a` is a choice, not physics; it makes open water darken steadily and meet the black of `a
-//! = 0`. It takes the share of a ray that no surface ends and not the compositor's far end, which begins at
-//! the last Gaussian however faint that is, and so shows the edges of faint Gaussians.
+//! Coefficients alone would not make open water fade: infinitely deep water has its colour `c_m` at any
+//! density. Its factor `a` is a choice and not physics; it makes open water darken steadily and become
+//! black at `a = 0`. It applies to the share of a ray that no surface ends, and not to the compositor's far
+//! end. The far end begins at the last Gaussian, even a very faint one, and would show the edges of faint
+//! Gaussians.
 
 use use3d_capture::{Camera, Lattice, MediumMaps};
 use use3d_scene::Scene;
@@ -28,16 +29,16 @@ use crate::RenderError;
 use crate::backend::{Backend, Request};
 use crate::cpu::Cpu;
 
-/// Which appearance of a scene is drawn.
+/// The appearance of a scene that is drawn.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Look {
-    /// Stage 1's.
+    /// The appearance of stage 1.
     Reconstruction,
-    /// Stage 2's at a strength in `[0, 1]`: 0 is the reconstruction exactly, 1 the trained enhancement. In
-    /// between log-gains, biases, the scene affine and the transport log-ratios are scaled, so the change
-    /// is smooth and gains stay positive.
+    /// The appearance of stage 2 at a strength in `[0, 1]`: 0 is the reconstruction exactly, 1 the trained
+    /// enhancement. In between, log-gains, biases, the scene affine and the transport log-ratios are
+    /// scaled, so the change is smooth and gains stay positive.
     Enhanced {
-        /// How much.
+        /// The strength.
         strength: f32,
     },
 }
@@ -45,28 +46,28 @@ pub enum Look {
 /// Draws views of one scene in one look.
 pub struct Renderer<'s> {
     backend: Box<dyn Backend + 's>,
-    /// How much of the water is left, in `[0, 1]`.
+    /// The share of the water that is left, in `[0, 1]`.
     water: f32,
 }
 
 impl<'s> Renderer<'s> {
-    /// For one look, on the processor.
+    /// A renderer for one look, on the processor.
     ///
     /// # Errors
-    /// A strength outside `[0, 1]`, or a scene that is not enhanced.
+    /// The strength is outside `[0, 1]`, or the scene is not enhanced.
     pub fn new(scene: &'s Scene, look: Look) -> Result<Self, RenderError> {
         Ok(Self::on(Box::new(Cpu::new(scene, look)?)))
     }
 
-    /// On any backend, for the scene and look that it was made for.
+    /// A renderer on any backend, for the scene and look of that backend.
     pub fn on(backend: Box<dyn Backend + 's>) -> Self {
         Self { backend, water: 1.0 }
     }
 
-    /// Leaves only `water` of the water, in `[0, 1]`; 1 at first.
+    /// Leaves only the share `water` of the water, in `[0, 1]`; it is 1 at first.
     ///
     /// # Errors
-    /// An amount outside that range.
+    /// The amount is outside that range.
     pub fn with_water(self, water: f32) -> Result<Self, RenderError> {
         if !(0.0..=1.0).contains(&water) {
             return Err(RenderError::Water(water));
@@ -75,10 +76,10 @@ impl<'s> Renderer<'s> {
     }
 
     /// Draws the pixels of `lattice` seen by `camera` (in the scene's frame), with object, medium and clear
-    /// layers if asked for. The layers are those of the picture: `image = object + medium + far`.
+    /// layers if requested. The layers belong to the picture: `image = object + medium + far`.
     ///
     /// # Errors
-    /// What the backend's device says.
+    /// The error of the backend's device.
     pub fn render(
         &mut self,
         camera: &Camera,
@@ -89,10 +90,10 @@ impl<'s> Renderer<'s> {
         self.backend.draw(&Request { camera, lattice, water: Some(self.water), layers }, out)
     }
 
-    /// As [`Renderer::render`] with no water left, and at less cost: the radiance of the Gaussians on black.
+    /// Like [`Renderer::render`] with no water left, but cheaper: the radiance of the Gaussians on black.
     ///
     /// # Errors
-    /// What the backend's device says.
+    /// The error of the backend's device.
     pub fn render_clear(
         &mut self,
         camera: &Camera,
@@ -102,8 +103,8 @@ impl<'s> Renderer<'s> {
         self.backend.draw(&Request { camera, lattice, water: None, layers: false }, out)
     }
 
-    /// The water of the last [`Renderer::render`], all of it, however little was left in the picture: c_m,
-    /// β_bs, β_attn. `None` in a scene without water.
+    /// The full water of the last [`Renderer::render`], for any share that was drawn: c_m, β_bs, β_attn.
+    /// `None` in a scene without water.
     pub fn medium(&self) -> Option<&MediumMaps> {
         self.backend.medium()
     }

@@ -1,23 +1,25 @@
-//! Measures what a white balance is made from: the colour of a place, or of all surfaces.
+//! Measures the colours for a white balance: those of a place, or of all surfaces.
 //!
-//! **A place** (`patch`). A person says that a pixel of a photograph shows something grey or white. The scene is
-//! drawn from that photograph's camera, at a size whose longer side is at most [`LONGEST`] pixels, in `clear`,
-//! `enhanced` and `enhanced-clear`; the colour is the mean over the [`PATCH`] × [`PATCH`] pixels around it. Several
-//! places are averaged by their casts `u`, one vote each.
+//! **A place** (`patch`). The user states that a pixel of a photograph shows something grey or white. The
+//! scene is drawn from that photograph's camera, at a size whose longer side is at most [`LONGEST`] pixels,
+//! in `clear`, `enhanced` and `enhanced-clear`; the colour is the mean over the [`PATCH`] × [`PATCH`]
+//! pixels around it. Several places are averaged by their casts `u`, one vote each.
 //!
-//! **All surfaces** (`reef`, `grey`). Pixels of small pictures, where the scene is solid, become points by their
-//! depth; points become voxels of side `0.012 ×` their median distance, each with one vote and its mean colour. With
-//! `χ = (ln R/G, ln B/G)` of a voxel in linear light:
+//! **All surfaces** (`reef`, `grey`). Pixels of small pictures, where the scene is solid, become points by
+//! their depth. Points become voxels of side `0.012 ×` their median distance, each with one vote and its
+//! mean colour. With `χ = (ln R/G, ln B/G)` of a voxel in linear light:
 //!
 //! ```text
 //! reef:  m = mean χ − (0.27, −0.40)        u = (m/σ_a² + 0/σ_c²) / (1/σ_a² + 1/σ_c²)      σ_a = ½, σ_c = ¼
 //! grey:  u = (ln ΣR/ΣG, ln ΣB/ΣG)
 //! ```
 //!
-//! `reef` believes two things: that surfaces have the mean colour of a reef, ± σ_a, and that there is no cast, ± σ_c.
-//! Gains multiply display values, whose logarithm goes with the linear one by 1/2.2, so `u/2.2` is taken away.
+//! `reef` makes two assumptions: that surfaces have the mean colour of a reef, ± σ_a, and that there is no
+//! cast, ± σ_c. Gains multiply display values, whose logarithm is that of linear light divided by 2.2, so
+//! `u/2.2` is removed.
 //!
-//! Limits: a place holds for its distance; both rules are wrong where the bottom is not what they believe.
+//! Limits: a place is valid for its distance; both rules are wrong where the bottom differs from their
+//! assumptions.
 
 use std::collections::BTreeMap;
 
@@ -31,33 +33,33 @@ use use3d_splat::Gaussians;
 use crate::RenderError;
 use crate::modes::{Mode, Rendering, SceneRenderer};
 
-/// Most pixels along the longer side of a picture in which a place is looked up.
+/// Largest number of pixels along the longer side of a picture in which a place is looked up.
 pub const LONGEST: usize = 1024;
-/// Pixels along the side of a patch.
+/// Number of pixels along the side of a patch.
 pub const PATCH: usize = 7;
-/// A patch that is solid over less than this share shows water, not a surface.
+/// Solid share of a patch below which it shows water and not a surface.
 const SOLID: f32 = 0.5;
-/// Darker than this, a channel is noise.
+/// Value below which a channel is only noise.
 const DARK: f64 = 0.02;
-/// The looks that gains are for, in the order of [`Gains::of_casts`].
+/// The looks that have gains, in the order of [`Gains::of_casts`].
 const LOOKS: [Mode; 3] = [Mode::Clear, Mode::Enhanced, Mode::EnhancedClear];
 
-/// Pixels along the longer side of a picture that surfaces are taken from.
+/// Number of pixels along the longer side of a picture from which surfaces are taken.
 const SMALL: usize = 160;
-/// Most views that surfaces are taken from.
+/// Largest number of views from which surfaces are taken.
 const VIEWS: usize = 24;
-/// A voxel's side as a share of the median distance.
+/// Side of a voxel as a share of the median distance.
 const VOXEL: f64 = 0.012;
-/// A pixel is a surface where so much of it is solid.
+/// Solid share of a pixel from which on it is a surface.
 const SURFACE: f32 = 0.9;
-/// Colours of surfaces that count, display range.
+/// Range of colours of surfaces that count, display range.
 const RANGE: [f64; 2] = [0.03, 0.98];
-/// Fewer surfaces say nothing.
+/// Fewest surfaces that are enough for a measurement.
 const FEWEST: usize = 50;
 /// The mean colour of reefs, `(ln R/G, ln B/G)` in linear light, and its spread.
 const REEF: [f64; 2] = [0.27, -0.40];
 const REEF_SPREAD: f64 = 0.5;
-/// The spread of the belief that there is no cast.
+/// The spread of the assumption that there is no cast.
 const NO_CAST_SPREAD: f64 = 0.25;
 /// The ratio of the logarithms of linear light and of display values.
 const GAMMA: f64 = 2.2;
@@ -71,39 +73,39 @@ pub struct Patch {
     pub depth: f64,
 }
 
-/// Why something is no grey to balance by.
+/// A reason why something cannot be used as grey.
 #[derive(Debug, thiserror::Error)]
 pub enum WhiteError {
-    /// A pixel outside the picture.
+    /// The pixel lies outside the picture.
     #[error("the pixel {x},{y} is outside the picture of {width}x{height}")]
     Outside {
-        /// From the left.
+        /// Position from the left.
         x: f64,
-        /// From the top.
+        /// Position from the top.
         y: f64,
         /// The picture's width.
         width: usize,
-        /// And its height.
+        /// The picture's height.
         height: usize,
     },
-    /// No surface.
+    /// There is no surface.
     #[error("there is no surface, only water; choose a place on something solid")]
     NoSurface,
-    /// Too dark.
+    /// The place is too dark.
     #[error("the place is too dark in `{look}` to tell its colour; choose a brighter one")]
     Dark {
-        /// In which look.
+        /// The look in which it is dark.
         look: &'static str,
     },
-    /// Not grey.
+    /// The place is not grey.
     #[error("the place is far from grey in `{look}`: {color}; choose something grey or white")]
     Coloured {
-        /// In which look.
+        /// The look in which it is coloured.
         look: &'static str,
         /// Its colour.
         color: String,
     },
-    /// Nothing to measure.
+    /// There is nothing to measure.
     #[error("the views show only {0} surfaces, too few to tell a colour from; at least {FEWEST} are needed")]
     Surfaces(usize),
     /// The device failed.
@@ -124,18 +126,18 @@ fn at_most(camera: &Camera, longest: usize) -> Camera {
     Camera { intrinsics: k.scaled(sx, sy, width, height), pose: camera.pose }
 }
 
-/// The places of a patch along one side: [`PATCH`] around `at`, those inside.
+/// The pixel indices of a patch along one side: the [`PATCH`] indices around `at` that lie inside.
 fn around(at: f64, scale: f64, side: usize) -> Vec<usize> {
     let middle = ((at + 0.5) * scale).floor() as i64;
     let half = (PATCH / 2) as i64;
     (middle - half..=middle + half).filter(|v| (0..side as i64).contains(v)).map(|v| v as usize).collect()
 }
 
-/// Looks at the pixel `(x, y)` of a camera's picture, counted from 0. The renderer must have no white balance of its
-/// own.
+/// Measures the colour of the pixel `(x, y)` of a camera's picture, counted from 0. The renderer must have
+/// no white balance of its own.
 ///
 /// # Errors
-/// A pixel outside the picture, one that shows no surface, and what the device says.
+/// The pixel lies outside the picture or shows no surface, or the device failed.
 pub fn patch(renderer: &mut SceneRenderer<'_>, camera: &Camera, x: f64, y: f64) -> Result<Patch, WhiteError> {
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
     if !((0.0..width as f64).contains(&x) && (0.0..height as f64).contains(&y)) {
@@ -168,7 +170,7 @@ pub fn patch(renderer: &mut SceneRenderer<'_>, camera: &Camera, x: f64, y: f64) 
     Ok(Patch { colors: [mean(&frames[0]), mean(&frames[1]), mean(&frames[2])], depth })
 }
 
-/// The cast of a colour that may be grey.
+/// The cast of a colour that is assumed to be grey.
 fn patch_cast(color: [f64; 3], look: &'static str) -> Result<[f64; 2], WhiteError> {
     if color.iter().any(|v| v.is_nan() || *v <= DARK) {
         return Err(WhiteError::Dark { look });
@@ -192,11 +194,11 @@ fn mean_cast(patches: &[Patch], look: usize) -> Result<[f64; 2], WhiteError> {
     Ok(sum)
 }
 
-/// The gains by which places become grey. A scene that is not `enhanced` has those of `clear` alone; a place that
-/// the water hides in `enhanced` leaves that look as it is.
+/// The gains by which places become grey. In a scene that is not `enhanced` only those of `clear` are
+/// measured. If the water hides a place in `enhanced`, that look stays unchanged.
 ///
 /// # Errors
-/// A place that is too dark, or far from grey, without the water.
+/// A place is too dark, or far from grey, without the water.
 pub fn gains_of_patches(patches: &[Patch], enhanced: bool) -> Result<Gains, WhiteError> {
     let clear = mean_cast(patches, 0)?;
     if !enhanced {
@@ -206,7 +208,7 @@ pub fn gains_of_patches(patches: &[Patch], enhanced: bool) -> Result<Gains, Whit
     Ok(Gains::of_casts([clear, behind_water, mean_cast(patches, 2)?]))
 }
 
-/// The display value `v` in linear light, by sRGB's curve.
+/// Converts the display value `v` to linear light, by sRGB's curve.
 fn linear(v: f64) -> f64 {
     if v <= 0.04045 { v / 12.92 } else { math::powf((v + 0.055) / 1.055, 2.4) }
 }
@@ -215,15 +217,16 @@ fn linear(v: f64) -> f64 {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Surfaces {
     colors: [Vec<[f64; 3]>; 3],
-    /// True if the scene is enhanced, so that the last two looks are its own.
+    /// True if the scene is enhanced, so that the last two looks differ from `clear`.
     enhanced: bool,
 }
 
 impl Surfaces {
-    /// Those that `cameras` see, or an even choice of them. The renderer must have no white balance of its own.
+    /// Collects the surfaces that `cameras`, or an even choice of them, see. The renderer must have no
+    /// white balance of its own.
     ///
     /// # Errors
-    /// What the device says.
+    /// The error of the device.
     pub fn seen_by(renderer: &mut SceneRenderer<'_>, cameras: &[Camera]) -> Result<Self, WhiteError> {
         let count = cameras.len().min(VIEWS);
         let mut points: Vec<(DVec3, f64, [[f64; 3]; 3])> = Vec::new();
@@ -264,7 +267,7 @@ impl Surfaces {
         Ok(Self { enhanced: renderer.is_enhanced(), ..Self::of_points(&points) })
     }
 
-    /// Merges points with their distance and their display colours.
+    /// Merges points, each with its distance and display colours, into voxels.
     fn of_points(points: &[(DVec3, f64, [[f64; 3]; 3])]) -> Self {
         let mut distances: Vec<f64> = points.iter().map(|point| point.1).collect();
         distances.sort_unstable_by(f64::total_cmp);
@@ -292,7 +295,7 @@ impl Surfaces {
         surfaces
     }
 
-    /// The casts of all looks by a rule.
+    /// The gains of all looks, with casts computed by a rule.
     fn gains(&self, rule: impl Fn(&[[f64; 3]]) -> [f64; 2]) -> Result<Gains, WhiteError> {
         let [least, most] = GAINS.map(|gain| math::ln(f64::from(gain)));
         let display = |u: [f64; 2]| u.map(|v| (v / GAMMA).clamp(least, most));
@@ -311,7 +314,7 @@ impl Surfaces {
     /// The gains by which all surfaces together are grey.
     ///
     /// # Errors
-    /// Too few surfaces.
+    /// There are too few surfaces.
     pub fn grey(&self) -> Result<Gains, WhiteError> {
         self.gains(|colors| {
             let sum = colors.iter().fold([0.0; 3], |sum, color| std::array::from_fn(|c| sum[c] + color[c]));
@@ -319,10 +322,11 @@ impl Surfaces {
         })
     }
 
-    /// The gains by the belief that surfaces have the mean colour of a reef, and that there is no cast.
+    /// The gains under the assumptions that surfaces have the mean colour of a reef, and that there is no
+    /// cast.
     ///
     /// # Errors
-    /// Too few surfaces.
+    /// There are too few surfaces.
     pub fn reef(&self) -> Result<Gains, WhiteError> {
         self.gains(|colors| {
             let casts = colors.iter().filter_map(|color| white::cast(*color));
@@ -333,19 +337,19 @@ impl Surfaces {
     }
 }
 
-/// The cast of a mean colour by `reef`'s two beliefs, linear light.
+/// The cast of a mean colour under `reef`'s two assumptions, linear light.
 fn half_believed(mean: [f64; 2]) -> [f64; 2] {
     let (reef, none) = (1.0 / (REEF_SPREAD * REEF_SPREAD), 1.0 / (NO_CAST_SPREAD * NO_CAST_SPREAD));
     std::array::from_fn(|k| (mean[k] - REEF[k]) * reef / (reef + none))
 }
 
-/// Gaussians whose colours are multiplied, channel by channel: in every direction `max(SH + ½, 0)` becomes `g`
-/// times what it was, exactly.
+/// Multiplies the colours of Gaussians, channel by channel: in every direction `max(SH + ½, 0)` becomes
+/// exactly `g` times its former value.
 pub fn balanced(mut gaussians: Gaussians, gains: [f32; 3]) -> Gaussians {
     for sh in &mut gaussians.sh {
         for (k, band) in sh.iter_mut().enumerate() {
             for (v, gain) in band.iter_mut().zip(gains) {
-                // SH + ½ is what is multiplied, so the ½ moves into the first band.
+                // SH + ½ is multiplied, so the change of the ½ moves into the first band.
                 let shift = if k == 0 { 0.5 * (gain - 1.0) / C0 } else { 0.0 };
                 *v = gain * *v + shift;
             }
@@ -362,7 +366,7 @@ mod tests {
     use use3d_scene::Scene;
     use use3d_splat::view_colors;
 
-    /// A wall of one colour two units ahead, left half of the picture alone.
+    /// A wall of one colour two units ahead, only in the left half of the picture.
     fn wall(color: [f32; 3]) -> (Scene, Camera) {
         let grid = |i: usize| [-2.0 + 0.1 * (i % 21) as f32, -1.5 + 0.1 * (i / 21) as f32, 2.0];
         let n = 21 * 31;
@@ -438,7 +442,7 @@ mod tests {
         let of = |color: [f64; 3]| gains_of_patches(&[Patch { colors: [color; 3], depth: 1.0 }], true);
         assert!(matches!(of([0.5, 0.5, 0.001]), Err(WhiteError::Dark { .. })));
         assert!(matches!(of([0.9, 0.1, 0.5]), Err(WhiteError::Coloured { .. })));
-        // Behind much water the place is black; the looks without water are balanced all the same.
+        // Behind much water the place is black; the looks without water are balanced nevertheless.
         let hidden = Patch { colors: [[0.4, 0.5, 0.5], [0.0, 0.1, 0.2], [0.5; 3]], depth: 9.0 };
         let gains = gains_of_patches(&[hidden], true).unwrap();
         assert_eq!((gains.clear[0] > 1.2, gains.enhanced, gains.enhanced_clear), (true, [1.0; 3], [1.0; 3]));
@@ -468,11 +472,11 @@ mod tests {
         for (gain, expected) in grey.iter().zip(expected) {
             assert!((f64::from(*gain) - expected).abs() < 0.02, "{grey:?} {expected:?}");
         }
-        // Reefs are yellow: a wall that is bluer than one gets its blue lowered, by a fifth in the logarithm.
+        // Reefs are yellow: on a wall that is bluer, blue is lowered, by a fifth in the logarithm.
         let reef = surfaces.reef().unwrap().clear;
         let u = half_believed([math::ln(0.2f64 / 0.4), math::ln(0.3f64 / 0.4)]);
         assert!((math::ln(f64::from(reef[0])) + u[0] / GAMMA).abs() < 0.01, "{reef:?} {u:?}");
-        // A hundred points in one voxel have the vote of one.
+        // A hundred points in one voxel have a single vote.
         let point = |x: f64, v: f64| (DVec3::new(x, 0.0, 2.0), 2.0, [[v; 3]; 3]);
         let crowd: Vec<_> = (0..100).map(|_| point(0.001, 0.5)).chain([point(1.0, 0.7)]).collect();
         assert_eq!(Surfaces::of_points(&crowd).colors[0].len(), 2);

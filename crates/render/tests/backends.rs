@@ -1,4 +1,4 @@
-//! Another backend than the processor's can be put behind a renderer through public names alone.
+//! Another backend than the processor's can be used in a renderer through public names alone.
 
 mod common;
 
@@ -9,7 +9,7 @@ use use3d_capture::MediumMaps;
 use use3d_render::{Backend, Cpu, Look, Mode, RenderError, Renderer, Request, SceneRenderer};
 use use3d_splat::Rendered;
 
-/// Draws like the processor, counts what it is asked for, and is lost after some drawings.
+/// A backend that draws like the processor, counts its requests, and fails after some drawings.
 struct Lent<'s> {
     cpu: Cpu<'s>,
     asked: &'s AtomicUsize,

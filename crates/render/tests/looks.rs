@@ -1,4 +1,4 @@
-//! Rendering and baking an enhanced scene.
+//! Tests of rendering and baking an enhanced scene.
 
 mod common;
 
@@ -72,7 +72,7 @@ fn water_goes_from_all_of_it_to_the_clear_radiance() {
             for p in 0..less.object.data().len() {
                 assert!(water(&more, p) >= water(&less, p) - 1e-5, "water {p}");
                 if look == Look::Reconstruction {
-                    // Enhanced colours may be negative: their sum need not shrink everywhere.
+                    // Enhanced colours may be negative, so their sum need not shrink everywhere.
                     assert!(more.object.data()[p] <= less.object.data()[p] + 1e-5, "object {p}");
                 }
                 for (k, layers) in [&less, &more].into_iter().enumerate() {
@@ -102,7 +102,7 @@ fn water_goes_from_all_of_it_to_the_clear_radiance() {
     }
 }
 
-/// The scene with nothing but the Gaussian that covers most of a picture.
+/// The scene with only the Gaussian that covers most of a picture.
 fn most_covering(scene: &Scene, camera: &Camera) -> Scene {
     let lattice = Lattice::full(&camera.intrinsics);
     let alone = |i: usize| Scene { gaussians: scene.gaussians.select(&[i]), ..scene.clone() };
@@ -149,7 +149,7 @@ fn a_faint_gaussian_before_open_water_leaves_no_edge() {
             for c in 0..3 {
                 let change = (with.image.pixel(x, y)[c] - without.image.pixel(x, y)[c]).abs();
                 assert!(change < 1.5 * alpha, "{x} {y} {c}: {change}");
-                // How much of the water's light lies nearer than the Gaussian.
+                // The part of the water's light that lies nearer than the Gaussian.
                 let nearer = 1.0 - math::exp(-share * maps.backscatter.pixel(x, y)[c] * s);
                 step = step.max((1.0 - share) * nearer * maps.color.pixel(x, y)[c]);
             }
@@ -207,7 +207,7 @@ fn a_crop_keeps_its_colours_and_layers_add_up() {
     let camera = &views[5].camera;
     let half: Vec<usize> = (0..200).collect();
     let crop = Scene { gaussians: teacher.gaussians.select(&half), ..teacher.clone() };
-    // In the crop, the Gaussians that remain have the colours they had: the same as hiding the others.
+    // In the crop, the remaining Gaussians keep their colours, as if the others were hidden.
     let mut hidden = teacher.clone();
     hidden.gaussians.opacity_logits[200..].fill(-30.0);
     let look = Look::Enhanced { strength: 1.0 };
@@ -227,7 +227,7 @@ fn a_crop_keeps_its_colours_and_layers_add_up() {
 fn a_baked_scene_shows_the_enhanced_radiance() {
     let (scene, views) = mini();
     let mut teacher = taught(&scene);
-    // Colours far from the clamp: the bake is exact to rounding.
+    // With colours far from the clamp, the bake is exact to rounding.
     for sh in &mut teacher.gaussians.sh {
         for band in &mut sh[1..] {
             *band = band.map(|v| 0.05 * v);
@@ -252,7 +252,7 @@ fn a_baked_scene_shows_the_enhanced_radiance() {
     assert!(worst(clear, &plain.image) < 1e-4, "{}", worst(clear, &plain.image));
     assert_eq!(bake(&teacher, 0.0).unwrap().0.means, teacher.gaussians.means);
 
-    // With clamped colours the report says how far off it is, and that it is far off only there.
+    // With clamped colours, the report states the error, and that it is large only there.
     let mut dark = teacher.clone();
     for sh in dark.gaussians.sh.iter_mut().take(100) {
         sh[0] = [-2.5, 0.3, -1.9];
@@ -296,7 +296,7 @@ fn a_look_baked_in_water_shows_what_cameras_saw() {
             assert!(2.0 * wet < dry && wet < bare, "in water {wet}, without backdrop {bare}, dry {dry}");
         }
     }
-    // Without water the bake is the one that knows none.
+    // Without water the bake equals the one without any water.
     let (plain, report) = bake(&teacher, 1.0).unwrap();
     let dry = bake_in_water(&teacher, Look::Enhanced { strength: 1.0 }, 0.0, &[]).unwrap();
     assert_eq!((dry.gaussians, dry.report), (plain, report));
@@ -320,7 +320,7 @@ fn one_camera_and_one_gaussian_are_baked_exactly() {
         [&maps.attenuation, &maps.backscatter, &maps.color].map(|m| f64::from(m.pixel(0, 0)[1]));
     let away = camera.pose.center() - glam::Vec3::from_array(scene.gaussians.means[0]).as_dvec3();
     let s = away.length();
-    // Green of the constant band: what was there arrives attenuated, and the veil is added.
+    // Green of the constant band: the former colour is attenuated, and the veil is added.
     let c0 = f64::from(use3d_numerics::spherical_harmonics::C0);
     let before = 0.5 + c0 * f64::from(scene.gaussians.sh[0][0][1]);
     let after = 0.5 + c0 * f64::from(baked.gaussians.sh[0][0][1]);
@@ -340,12 +340,12 @@ fn what_stage_1_knows_of_a_view_is_what_its_layers_say() {
         let apart = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
         assert!(apart(known.clear.data(), layers.clear.data()) < 1e-6);
         assert_eq!(known.accumulation, out.accumulation);
-        // Each channel arrives attenuated, and no more of it than there is.
+        // Each channel arrives attenuated, with at most the light of the surface.
         let n = known.accumulation.pixels();
         for (i, (arriving, clear)) in known.arriving.data().iter().zip(layers.clear.data()).enumerate() {
             let accumulation = known.accumulation.data()[i % n];
             assert!((0.0..=accumulation + 1e-6).contains(arriving), "{arriving} of {accumulation}");
-            // A surface of one colour: what arrives of it is its share.
+            // For a surface of one colour, the arriving part is its share.
             let share = arriving / accumulation.max(1e-6);
             let object = layers.object.data()[i];
             assert!((object - share * clear).abs() < 0.12, "{object} {share} {clear}");

@@ -1,5 +1,7 @@
 //! The scene folder: stage 1 and stage 2 write it, and rendering and export read it.
 //!
+//! [`Scene`] loads and saves a folder. This crate trains nothing, and it writes no picture files.
+//!
 //! ```text
 //! scene.json            format, version, frame, medium, enhancement (its appearance, the water that it
 //!                       keeps), the views it was made from
@@ -10,7 +12,7 @@
 //!
 //! Everything is in the scene's normalised frame; `frame` is the similarity from COLMAP's frame:
 //! `x_normalised = scale (R x_colmap) + t`, with `R` row by row. A folder without `scene.json` is not a
-//! scene: that file is removed first and written last, so a folder that was only partly written is never read
+//! scene. That file is removed first and written last, so a folder that was only partly written is never read
 //! as a complete one.
 //!
 //! [`Compositor`] draws a scene as stage 1 learnt it. [`KnownViews`] computes further quantities of a view

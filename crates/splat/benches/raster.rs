@@ -1,12 +1,12 @@
-//! Speed of rendering and its gradient, as a table: `cargo bench -p use3d-splat`.
+//! Measures the speed of rendering and of its gradient, and prints a table: `cargo bench -p use3d-splat`.
 //!
-//! * the machine's limit: fused multiply-adds per second, and the dense micro-kernel, one tile-sized set of
-//!   Gaussians of which every tested pair contributes, all in the first-level cache;
-//! * 1400×933 with 50 k, 200 k and 1 M Gaussians of a trained scene's size distribution;
-//! * the bar: the reef capture at 1280×720 with its sparse points as initialised Gaussians (found through
+//! * The machine's limit: fused multiply-adds per second, and the dense micro-kernel, a tile-sized set of
+//!   Gaussians in which every tested pair contributes, all in the first-level cache.
+//! * 1400×933 pixels with 50 k, 200 k and 1 M Gaussians that have a trained scene's distribution of sizes.
+//! * The bar: the reef capture at 1280×720 with its sparse points as initialised Gaussians (found through
 //!   `USE3D_DATA`), or a synthetic scene of the same statistics.
 //!
-//! Arguments: `bar` for the bar alone. Every time is the best of several runs.
+//! With the argument `bar` only the bar is measured. Every time is the best of several runs.
 
 use std::time::Instant;
 
@@ -66,7 +66,7 @@ struct Case {
     repeats: usize,
 }
 
-/// Milliseconds of one frame's parts.
+/// Milliseconds that the parts of one frame take.
 #[derive(Clone, Copy, Default)]
 struct Times {
     prepare: f64,
@@ -119,7 +119,7 @@ impl Case {
         }
     }
 
-    /// Best of the repeats, means over cameras.
+    /// Returns the best times of the repeats, averaged over the cameras, and the bytes of memory held.
     fn time(&self, water: bool) -> (Times, usize) {
         let mut rasterizer = Rasterizer::new();
         let (mut view, mut out) = (Prepared::new(), Rendered::new());
@@ -148,7 +148,7 @@ impl Case {
                     Gradients { gaussians: &mut grads, medium: medium_grads },
                 );
                 let ms = |a: Instant, b: Instant| (b - a).as_secs_f64() * 1e3;
-                // The first run allocates.
+                // The first run allocates memory and is not counted.
                 if repeat > 0 {
                     runs.push([ms(start, prepared), ms(prepared, forward), ms(forward, Instant::now())]);
                 }
@@ -162,15 +162,15 @@ impl Case {
     }
 }
 
-/// The fastest run: other work on the machine only ever adds.
+/// The time of the fastest run, because other work on the machine only ever adds time.
 fn best(runs: &[[f64; 3]], part: usize) -> f64 {
     runs.iter().map(|r| r[part]).fold(f64::INFINITY, f64::min)
 }
 
-/// What this machine can do at most, one thread.
+/// The most that this machine can do in one thread.
 struct Limit {
     gflops: f64,
-    /// ns per pair of the dense micro-kernel: forward, forward + backward.
+    /// Nanoseconds per pair of the dense micro-kernel: forward, forward + backward.
     water: [f64; 2],
     rough: [f64; 2],
     plain: [f64; 2],
@@ -206,7 +206,7 @@ fn multiply_adds() -> f64 {
     rounds as f64 * 10.0 * 32.0 / start.elapsed().as_secs_f64() * 1e-9
 }
 
-/// ns per pair where every pair contributes: 128 Gaussians that cover 128×128 pixels.
+/// Nanoseconds per pair where every pair contributes: 128 Gaussians that cover 128×128 pixels.
 fn dense(medium: Option<bool>) -> [f64; 2] {
     let (side, count) = (128, 128);
     let camera = Camera {
@@ -262,7 +262,7 @@ fn random_derivative(k: &Intrinsics) -> Image {
     Image::from_planes(k.width, k.height, data).expect("three planes")
 }
 
-/// Water as a medium model gives it: degree-2 functions of the ray's world direction.
+/// Water as a medium model produces it: degree-2 functions of the ray's world direction.
 fn smooth_medium(camera: &Camera) -> MediumMaps {
     let k = &camera.intrinsics;
     let mut maps = MediumMaps::zeros(k.width, k.height);
@@ -315,8 +315,8 @@ fn trained_scene(count: usize, pixels: f64, width: usize, height: usize) -> (Gau
     (out, camera)
 }
 
-/// Sparse points as initialised Gaussians: isotropic with the mean distance to the three
-/// nearest neighbours, opacity 0.1.
+/// Turns sparse points into initialised Gaussians: isotropic, with the mean distance to the three nearest
+/// neighbours as scale and opacity 0.1.
 fn initialised(points: &[(DVec3, [u8; 3])]) -> Gaussians {
     let scales: Vec<f64> = points
         .par_iter()
@@ -365,7 +365,8 @@ fn bar_scene() -> (String, Gaussians, Vec<Camera>) {
     let s = Stream::new(9, Purpose::new("reef-like points"), 0);
     let points: Vec<(DVec3, [u8; 3])> = (0..20_091u64)
         .map(|i| {
-            // A rough ground that rises towards the horizon, with points off it as triangulation leaves them.
+            // A rough ground that rises towards the horizon, with points off the ground such as
+            // triangulation leaves.
             let (u, v) = ((s.uniform(i * 16 + 4) - 0.5) * 1.9, (s.uniform(i * 16 + 5) - 0.3) * 0.9);
             let ground = 1.6 / (0.35 + v) * (1.0 + 0.15 * math::sin(9.0 * u) * math::cos(7.0 * v));
             let depth = ground.min(8.0) * math::exp(0.02 * s.normal(i * 8));

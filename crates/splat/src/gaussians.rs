@@ -13,7 +13,8 @@ pub struct Gaussians {
     pub means: Vec<[f32; 3]>,
     /// Natural logarithms of the three standard deviations, scene units.
     pub log_scales: Vec<[f32; 3]>,
-    /// Rotations `(w, x, y, z)`, not normalised; the zero quaternion is no rotation and is never drawn.
+    /// Rotations `(w, x, y, z)`, not normalised. The zero quaternion is no rotation, and its Gaussian is
+    /// never drawn.
     pub quaternions: Vec<[f32; 4]>,
     /// Logits of the opacities.
     pub opacity_logits: Vec<f32>,
@@ -21,7 +22,7 @@ pub struct Gaussians {
     pub sh: Vec<[[f32; 3]; 16]>,
 }
 
-/// What is wrong with a set of Gaussians; indices name the first offender.
+/// An error in a set of Gaussians; the indices name the first Gaussian with the error.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum GaussiansError {
     /// The arrays have different lengths.
@@ -42,13 +43,13 @@ pub enum GaussiansError {
     NotFinite {
         /// The parameter.
         field: &'static str,
-        /// Which Gaussian.
+        /// Index of the Gaussian.
         index: usize,
     },
     /// A quaternion of norm zero.
     #[error("Gaussian {index} has a zero quaternion, which is no rotation")]
     ZeroQuaternion {
-        /// Which Gaussian.
+        /// Index of the Gaussian.
         index: usize,
     },
 }
@@ -59,12 +60,12 @@ impl Gaussians {
         Self { sh_degree, ..Self::default() }
     }
 
-    /// How many there are.
+    /// Number of Gaussians.
     pub fn len(&self) -> usize {
         self.means.len()
     }
 
-    /// Whether there are none.
+    /// True if there are no Gaussians.
     pub fn is_empty(&self) -> bool {
         self.means.is_empty()
     }
@@ -131,24 +132,25 @@ impl Gaussians {
     }
 }
 
-/// Gradients of a loss with respect to every parameter of [`Gaussians`], and what
-/// density control wants to know.
+/// Gradients of a loss with respect to every parameter of [`Gaussians`], and the statistics that density
+/// control uses.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GaussianGradients {
-    /// With respect to the centres.
+    /// Gradient with respect to the centres.
     pub means: Vec<[f32; 3]>,
-    /// With respect to the log standard deviations.
+    /// Gradient with respect to the log standard deviations.
     pub log_scales: Vec<[f32; 3]>,
-    /// With respect to the unnormalised quaternions.
+    /// Gradient with respect to the unnormalised quaternions.
     pub quaternions: Vec<[f32; 4]>,
-    /// With respect to the opacity logits.
+    /// Gradient with respect to the opacity logits.
     pub opacity_logits: Vec<f32>,
-    /// With respect to the spherical-harmonics coefficients. All zero when the view's colours were given.
+    /// Gradient with respect to the spherical-harmonics coefficients. All zero when the view's colours were
+    /// given.
     pub sh: Vec<[[f32; 3]; 16]>,
-    /// `Σ_p |∂L_p/∂x|, Σ_p |∂L_p/∂y|` of the projected centre over pixels, 1 / pixel:
+    /// `Σ_p |∂L_p/∂x|, Σ_p |∂L_p/∂y|` with respect to the projected centre, summed over pixels, 1 / pixel:
     /// the absolute-gradient statistic.
     pub screen: Vec<[f32; 2]>,
-    /// Whether the Gaussian reached the screen (it has at least one tile).
+    /// True if the Gaussian reached the screen (it has at least one tile).
     pub visible: Vec<bool>,
 }
 
@@ -160,7 +162,7 @@ impl GaussianGradients {
         gradients
     }
 
-    /// Changes the number of Gaussians, keeping allocations; contents are unspecified afterwards.
+    /// Changes the number of Gaussians and keeps the allocations; the contents are unspecified afterwards.
     pub fn resize(&mut self, n: usize) {
         self.means.resize(n, [0.0; 3]);
         self.log_scales.resize(n, [0.0; 3]);
@@ -182,12 +184,12 @@ impl GaussianGradients {
         self.visible.fill(false);
     }
 
-    /// How many Gaussians it is for.
+    /// Number of Gaussians.
     pub fn len(&self) -> usize {
         self.means.len()
     }
 
-    /// Whether it is for none.
+    /// True if there are no Gaussians.
     pub fn is_empty(&self) -> bool {
         self.means.is_empty()
     }

@@ -1,13 +1,13 @@
 //! Gaussians as PLY files, in the layout that 3D Gaussian Splatting tools share.
 //!
-//! One `vertex` element per Gaussian with `x y z`, `f_dc_0..2` (band 0), `f_rest_*` (bands 1 and up,
-//! channel-major: all of red, then green, then blue; 0, 9, 24 or 45 of them for degree 0 to 3), `opacity`
-//! (logit), `scale_0..2` (log), `rot_0..3` (`w x y z`). Normals and any other property may be there and are
-//! ignored, in any order and of any type, also list properties and elements before `vertex`. Binary of either
-//! byte order and ascii are read; binary little-endian is written.
+//! The file has one `vertex` element per Gaussian with `x y z`, `f_dc_0..2` (band 0), `f_rest_*` (bands 1
+//! and up, channel-major: all of red, then green, then blue; 0, 9, 24 or 45 of them for degree 0 to 3),
+//! `opacity` (logit), `scale_0..2` (log), `rot_0..3` (`w x y z`). Normals and other properties, list
+//! properties, and elements before `vertex` may be present, in any order and of any type; they are ignored.
+//! Binary files of either byte order and ascii files are read; binary little-endian is written.
 //!
-//! A file is read as a stream and memory grows with what has arrived, so a header that promises 2⁶⁰ Gaussians
-//! costs nothing. Values that are not finite are handed on as they are;
+//! A file is read as a stream, and memory grows only with the data that has arrived. So a header that
+//! declares 2⁶⁰ Gaussians costs nothing. Values that are not finite are returned unchanged;
 //! [`Gaussians::validate`](crate::Gaussians::validate) finds them.
 
 use std::io::{self, BufRead, BufReader, BufWriter, Read, Write};
@@ -16,14 +16,14 @@ use crate::Gaussians;
 
 /// Longest header line, bytes.
 const LINE: usize = 4096;
-/// Most header lines.
+/// Largest number of header lines.
 const LINES: usize = 4096;
 /// Longest number in an ascii file, bytes.
 const TOKEN: usize = 256;
-/// Rows for which memory is set aside before any has arrived.
+/// Number of rows for which memory is reserved before any row has arrived.
 const ROWS: usize = 1 << 14;
 
-/// Why a PLY file could not be read.
+/// A reason why a PLY file could not be read.
 #[derive(Debug, thiserror::Error)]
 pub enum PlyError {
     /// The file could not be read, or ends early.
@@ -32,43 +32,43 @@ pub enum PlyError {
     /// Not a PLY file.
     #[error("not a PLY file: it does not start with the line `ply`")]
     Magic,
-    /// A header line that makes no sense.
+    /// A header line that cannot be understood.
     #[error("line {line} of the header, `{text}`: {problem}")]
     Header {
         /// Line number, from 1.
         line: usize,
         /// The line.
         text: String,
-        /// What is wrong with it.
+        /// The error in the line.
         problem: &'static str,
     },
-    /// The header never ends.
+    /// The header does not end.
     #[error("the header is too long ({LINES} lines of {LINE} bytes at most) or has no `end_header`")]
     Endless,
     /// No vertices.
     #[error("the file has no `vertex` element")]
     NoVertices,
-    /// A property that Gaussians have is not there.
+    /// A property that Gaussians need is missing.
     #[error(
         "the vertices have no property `{0}`; expected the layout of 3D Gaussian Splatting: x y z f_dc_0..2 opacity scale_0..2 rot_0..3"
     )]
     Missing(String),
-    /// A number of `f_rest_*` that belongs to no degree.
+    /// A number of `f_rest_*` properties that belongs to no degree.
     #[error(
         "the vertices have {0} properties f_rest_*; expected 0, 9, 24 or 45 (spherical-harmonics degree 0 to 3)"
     )]
     Rest(usize),
-    /// The file ends inside the vertices or before.
+    /// The file ends inside the vertices or before them.
     #[error("the file ends at {element} {index} of {count}")]
     Truncated {
         /// The element.
         element: String,
         /// Its index.
         index: u64,
-        /// How many the header promised.
+        /// The count in the header.
         count: u64,
     },
-    /// Something in an ascii file that is no number.
+    /// A text in an ascii file that is not a number.
     #[error("{element} {index}: `{text}` is not a number")]
     Number {
         /// The element.
@@ -116,7 +116,7 @@ impl Scalar {
         }
     }
 
-    /// The value of the first bytes of `b`, which are at least [`Scalar::size`].
+    /// The value of the first [`Scalar::size`] bytes of `b`.
     fn decode(self, b: [u8; 8], big: bool) -> f64 {
         macro_rules! of {
             ($ty:ty) => {{
@@ -223,7 +223,7 @@ struct Numbers<R> {
 }
 
 impl<R: BufRead> Numbers<R> {
-    /// The next number of the given type. `Ok(Err(text))` is text that is no number.
+    /// Reads the next number of the given type. `Ok(Err(text))` holds text that is not a number.
     fn next(&mut self, scalar: Scalar) -> io::Result<Result<f64, String>> {
         match self.format {
             Format::Binary { big } => {
@@ -253,7 +253,7 @@ impl<R: BufRead> Numbers<R> {
         Ok(String::from_utf8_lossy(&token).into_owned())
     }
 
-    /// Reads one element; `keep(property index, value)` gets its scalar properties.
+    /// Reads one element; `keep(property index, value)` receives its scalar properties.
     fn element(
         &mut self,
         element: &Element,
@@ -272,7 +272,8 @@ impl<R: BufRead> Numbers<R> {
                 Kind::One(scalar) => keep(i, self.next(scalar).map_err(error)?.map_err(number)?),
                 Kind::List { count, item } => {
                     let items = self.next(count).map_err(error)?.map_err(number)?;
-                    // A negative or NaN count is an empty list; a lying one ends at the end of the file.
+                    // A negative or NaN count is an empty list; a count that is too large fails at the end
+                    // of the file.
                     for _ in 0..items as u64 {
                         self.next(item).map_err(error)?.map_err(number)?;
                     }
@@ -292,7 +293,7 @@ pub fn read(reader: impl Read) -> Result<Gaussians, PlyError> {
         if element.name == "vertex" {
             return vertices(&mut numbers, element);
         }
-        // An element without properties takes no bytes, however many are promised.
+        // An element without properties takes no bytes, so its count does not matter.
         if !element.properties.is_empty() {
             for index in 0..element.count {
                 numbers.element(element, index, |_, _| {})?;
@@ -311,7 +312,7 @@ fn vertices(numbers: &mut Numbers<impl BufRead>, element: &Element) -> Result<Ga
         45 => 3,
         _ => return Err(PlyError::Rest(rest)),
     };
-    // Slots of a row: 0..3 position, 3 opacity, 4..7 scale, 7..11 rotation, 11..59 colour [band][rgb].
+    // The slots of a row: 0..3 position, 3 opacity, 4..7 scale, 7..11 rotation, 11..59 colour [band][rgb].
     let mut slots = vec![None; element.properties.len()];
     let mut place = |name: String, slot: usize| {
         let found = element.properties.iter().position(|(n, k)| *n == name && matches!(k, Kind::One(_)));
@@ -366,7 +367,7 @@ pub fn write(gaussians: &Gaussians, writer: impl Write) -> io::Result<()> {
     write_with_comments(gaussians, &[], writer)
 }
 
-/// As [`write()`], with comment lines in the header; a line break in one becomes a space.
+/// Like [`write()`], with comment lines in the header; a line break in a comment becomes a space.
 pub fn write_with_comments(gaussians: &Gaussians, comments: &[String], writer: impl Write) -> io::Result<()> {
     let mut out = BufWriter::with_capacity(1 << 18, writer);
     let mut names: Vec<String> = ["x", "y", "z", "nx", "ny", "nz"].map(str::to_string).to_vec();

@@ -1,29 +1,29 @@
-//! What goes into a rendered view and what comes out of it.
+//! The inputs and outputs of a rendered view.
 
 use use3d_capture::{Camera, Image, Map, MediumMaps};
 
 use crate::{GaussianGradients, Gaussians};
 
-/// Where colours come from when a view is prepared.
+/// The source of colours when a view is prepared.
 #[derive(Clone, Copy, Debug)]
 pub enum Colors<'a> {
-    /// From the Gaussians' spherical harmonics with bands up to `degree` (at most the
-    /// stored degree): `max(SH + ½, 0)`.
+    /// The Gaussians' spherical harmonics with bands up to `degree` (at most the stored degree):
+    /// `max(SH + ½, 0)`.
     Sh {
         /// Highest degree evaluated.
         degree: usize,
     },
-    /// One colour per Gaussian for this view, used as it is, not clamped.
+    /// One colour per Gaussian for this view, used unchanged and not clamped.
     Given(&'a [[f32; 3]]),
 }
 
-/// What is computed.
+/// The choice of what is computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Options {
-    /// Whether the gradient flows through the distance `s_i` in the medium's terms (R2); expected
-    /// depth is always differentiable.
+    /// True if the gradient flows through the distance `s_i` in the medium's terms (R2); expected depth is
+    /// always differentiable.
     pub depth_gradient: bool,
-    /// Whether [`Rendered::layers`] is filled.
+    /// True if [`Rendered::layers`] is filled.
     pub layers: bool,
 }
 
@@ -36,13 +36,13 @@ impl Default for Options {
 /// A rendered view.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rendered {
-    /// The underwater composite (without a medium: the Gaussians on black), display range, unclamped.
+    /// The underwater image (without a medium: the Gaussians on black), display range, unclamped.
     pub image: Image,
     /// Expected depth along the optical axis, `Σ w z / max(Σ w, 1e-6)`; 0 where nothing is hit.
     pub depth: Map,
     /// `Σ w`, in `[0, 1)`.
     pub accumulation: Map,
-    /// The parts of the image, if asked for.
+    /// The parts of the image, if requested.
     pub layers: Option<Layers>,
 }
 
@@ -68,7 +68,7 @@ impl Default for Rendered {
 }
 
 impl Rendered {
-    /// Empty; [`Rasterizer::forward`](crate::Rasterizer::forward) sets the sizes.
+    /// An empty view; [`Rasterizer::forward`](crate::Rasterizer::forward) sets the sizes.
     pub fn new() -> Self {
         Self { image: Image::new(0, 0), depth: Map::new(0, 0), accumulation: Map::new(0, 0), layers: None }
     }
@@ -95,20 +95,20 @@ impl Rendered {
     }
 }
 
-/// The loss's derivatives with respect to what [`Rasterizer::forward`](crate::Rasterizer::forward) rendered.
+/// The loss's gradients with respect to the results of [`Rasterizer::forward`](crate::Rasterizer::forward).
 #[derive(Clone, Copy, Debug)]
 pub struct RenderGradients<'a> {
-    /// With respect to the image.
+    /// Gradient with respect to the image.
     pub image: &'a Image,
-    /// With respect to expected depth.
+    /// Gradient with respect to expected depth.
     pub depth: Option<&'a Map>,
-    /// With respect to accumulation.
+    /// Gradient with respect to accumulation.
     pub accumulation: Option<&'a Map>,
-    /// With respect to the clear image.
+    /// Gradient with respect to the clear image.
     pub clear: Option<&'a Image>,
 }
 
-/// What a view was prepared from.
+/// The Gaussians and the camera from which a view was prepared.
 #[derive(Clone, Copy, Debug)]
 pub struct ViewOf<'a> {
     /// The Gaussians seen.
@@ -117,11 +117,11 @@ pub struct ViewOf<'a> {
     pub camera: &'a Camera,
 }
 
-/// Where [`Rasterizer::backward`](crate::Rasterizer::backward) writes its gradients.
+/// The buffers to which [`Rasterizer::backward`](crate::Rasterizer::backward) writes its gradients.
 #[derive(Debug)]
 pub struct Gradients<'a> {
-    /// Of the Gaussians' parameters.
+    /// Gradients of the Gaussians' parameters.
     pub gaussians: &'a mut GaussianGradients,
-    /// Of the medium's maps, if they are wanted.
+    /// Gradients of the medium's maps, if they are wanted.
     pub medium: Option<&'a mut MediumMaps>,
 }

@@ -7,8 +7,11 @@
 //! [`write_capture`] makes a COLMAP project together with the truth about it; [`write_pairs`] makes pairs for
 //! training a calibrator without any download.
 //!
-//! By default the pictures follow the method's image formation exactly, `I = J e^{-β_attn s} + c_m(d) (1 -
-//! e^{-β_bs s})` per channel on display values, s the distance along the ray (see [`Water`]).
+//! By default the pictures follow the method's image formation exactly, per channel on display values, with
+//! the distance s along the ray (see [`Water`]):
+//!
+//! `I = J e^{-β_attn s} + c_m(d) (1 - e^{-β_bs s})`.
+//!
 //! [`Physics::Spectral`] follows other physics: ten wavelengths in linear light, daylight that fades with
 //! depth, lamps, a camera that sets itself for every view, fish and marine snow. Known limits: opaque
 //! surfaces, no forward scattering (blur).

@@ -1,4 +1,4 @@
-//! Named tensors in safetensors files, little-endian.
+//! Reads and writes named tensors in safetensors files, little-endian. It does not compute with them.
 //!
 //! A file may also hold one JSON document, in its header under the key `3d-use`; the document's `format` and
 //! `version` are checked before anything else in it. The bytes are deterministic: at most one metadata key,

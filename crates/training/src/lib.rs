@@ -2,10 +2,12 @@
 //! against non-finite numbers, profiles.
 //!
 //! The work of the loops is in `reconstruct` and `enhance`; a [`Session`] runs it. The loops report to an
-//! [`Observer`] and stop at its request, keep their state in [`Checkpoints`] that are complete or absent and
-//! separate for each run, draw views through a [`ViewOrder`] that is a function of (seed, step), measure
-//! their [`Pace`], and check numbers with the [`guard`], so that a run that has diverged reports the place.
-//! An engine does the work of a step, and fails with an [`EngineError`].
+//! [`Observer`] and stop at its request. They keep their state in [`Checkpoints`] that are complete or absent
+//! and separate for each run. They draw views through a [`ViewOrder`] that is a function of (seed, step), and
+//! measure their [`Pace`]. They check numbers with the [`guard`], so that a run that has diverged reports the
+//! place. An engine does the work of a step, and fails with an [`EngineError`].
+//!
+//! This crate contains no losses, no gradients and no optimiser.
 
 mod chain;
 pub mod checkpoint;

@@ -1,4 +1,4 @@
-//! How long the field takes at a million Gaussians, and the water at a stage-2 lattice.
+//! Measures the time of the field at a million Gaussians, and of the water at a stage-2 lattice.
 
 use std::hint::black_box;
 

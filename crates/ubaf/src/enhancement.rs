@@ -1,20 +1,20 @@
-//! The trained field as a scene carries it: constants only, independent of which Gaussians are looked at.
+//! The trained field as a scene stores it: constants only, independent of which Gaussians are drawn.
 //!
 //! When training ends, the mean that [`crate::objects`] removes is stored as `centre` (R22). From then on a
-//! Gaussian's grade depends on its own position and colour alone, so that a crop, a merged scene or a single
+//! Gaussian's grade depends only on its own position and colour, so that a crop, a merged scene or a single
 //! Gaussian keeps its colours.
 //!
-//! **Strength** `s` in `[0, 1]` scales every departure from the identity in its own space: log-gain, bias,
-//! affine minus identity and transport log-ratio. `s = 0` is the reconstruction exactly, `s = 1` the enhanced
-//! scene exactly, and the path between is smooth and keeps gains positive; it is not a blend of the two
-//! images.
+//! **Strength** `s` in `[0, 1]` scales every deviation from the identity in its own space: log-gain, bias,
+//! affine minus identity, and transport log-ratio. `s = 0` is exactly the reconstruction and `s = 1`
+//! exactly the enhanced scene. The path between is smooth and keeps gains positive; it is not a blend of
+//! the two images.
 //!
-//! **Appearance.** A field that was learnt in clear radiance says what the objects' own colours become; it
-//! knows nothing of the water, which then stays as stage 1 found it.
+//! **Appearance.** A field that was learnt in clear radiance changes the objects' own colours only; the
+//! water then stays as stage 1 found it.
 //!
-//! **Kept water.** A field that was learnt in thinner water ([`KeptWater`]) is shown in the same thinner water:
-//! the stage-1 coefficients are multiplied by the kept share before the field grades them. At strength `s` the
-//! share is `1 + s (k − 1)`.
+//! **Kept water.** A field that was learnt in thinner water ([`KeptWater`]) is shown in the same thinner
+//! water: the stage-1 coefficients are multiplied by the kept share before the field grades them. At
+//! strength `s` the share is `1 + s (k − 1)`.
 
 use fearless_simd::{Level, Simd, dispatch};
 use rayon::prelude::*;
@@ -37,11 +37,11 @@ pub struct Enhancement {
     /// The constant mode of the field's raw outputs: their mean over the scene's Gaussians when training
     /// ended.
     pub centre: [f32; OUTPUTS],
-    /// What it was learnt in, and so what it changes: objects and water, or objects alone. Its tensors do
-    /// not hold this; the scene's description does.
+    /// The appearance in which it was learnt, and so the part that it changes: objects and water, or
+    /// objects alone. It is not among the tensors; the scene's description stores it.
     pub appearance: Appearance,
-    /// The share of the stage-1 water that the field was learnt in and that the enhanced scene keeps. Like the
-    /// appearance it stands in the scene's description.
+    /// The share of the stage-1 water in which the field was learnt and which the enhanced scene keeps. The
+    /// scene's description stores it, too.
     pub kept_water: KeptWater,
 }
 
@@ -73,8 +73,8 @@ impl Enhancement {
         ObjectGrades { affine: self.field.affine().map(|row| row.map(|v| strength * v)), grades }
     }
 
-    /// The enhanced water of a view: `maps` are the frozen medium's, `camera` the camera centre in the
-    /// scene's frame. What was learnt in clear radiance leaves the water as it is.
+    /// The enhanced water of a view: `maps` are the frozen medium's, `camera` is the camera centre in the
+    /// scene's frame. A field that was learnt in clear radiance leaves the water unchanged.
     pub fn water(&self, camera: [f32; 3], maps: MediumMaps, strength: f32) -> MediumMaps {
         if self.appearance == Appearance::Clear {
             return maps;
@@ -94,12 +94,12 @@ impl ObjectGrades {
         self.grades.len()
     }
 
-    /// Whether there is none.
+    /// True if there are no Gaussians.
     pub fn is_empty(&self) -> bool {
         self.grades.is_empty()
     }
 
-    /// Enhanced colours of a view from its Stage-1 colours, in place. One colour per Gaussian.
+    /// Turns the stage-1 colours of a view into enhanced colours, in place. One colour per Gaussian.
     pub fn apply(&self, colors: &mut [[f32; 3]]) {
         assert_eq!(colors.len(), self.len(), "one colour per Gaussian");
         let (level, affine) = (Level::new(), &self.affine);
@@ -108,8 +108,8 @@ impl ObjectGrades {
         });
     }
 
-    /// Gaussian `i`'s map as rows `(M | m)`: `c⁺ = M c + m`. This is what baking into spherical harmonics
-    /// needs.
+    /// Gaussian `i`'s map as rows `(M | m)`: `c⁺ = M c + m`. It is used to bake the field into spherical
+    /// harmonics.
     pub fn matrix(&self, i: usize) -> [[f32; 4]; 3] {
         let grade = self.grades[i];
         std::array::from_fn(|o| {
@@ -122,7 +122,7 @@ impl ObjectGrades {
     }
 }
 
-/// Inside a dispatched level, so that the fused multiply-adds are instructions.
+/// Runs inside a dispatched level, so that fused multiply-adds are instructions.
 #[inline(always)]
 fn regrade<S: Simd>(_: S, affine: &[[f32; 4]; 3], grades: &[[f32; OUTPUTS]], colors: &mut [[f32; 3]]) {
     for (c, grade) in colors.iter_mut().zip(grades) {

@@ -1,20 +1,22 @@
-//! The trainable parameters of U-BAF in one flat vector, so that one optimiser and one checkpoint line serve
-//! them all.
+//! The trainable parameters of U-BAF in one flat vector, so that one optimiser and one checkpoint record
+//! hold them all.
 //!
 //! | group | shape | meaning | start |
 //! |---|---|---|---|
-//! | `factors` | `[4, G, R]` | one-dimensional factor grids over x, y, z and the guide; node `j` sits at `-1 + 2j/(G-1)` | 1 + 0.01 N(0,1) |
-//! | `hidden_weight`, `hidden_bias` | `[W, R]`, `[W]` | first decoder layer, SiLU after it | uniform in ±1/√R |
+//! | `factors` | `[4, G, R]` | one-dimensional factor grids over x, y, z and the guide | 1 + 0.01 N(0,1) |
+//! | `hidden_weight`, `hidden_bias` | `[W, R]`, `[W]` | first decoder layer, then SiLU | uniform in ±1/√R |
 //! | `output_weight`, `output_bias` | `[6, W]`, `[6]` | second layer: log-gain RGB, bias RGB | 0 |
 //! | `guide` | `[4]` | `w_r, w_g, w_b, b` of `γ = tanh(w·h + b)` | ⅓, ⅓, ⅓, 0 |
 //! | `affine` | `[3, 4]` | scene-global affine minus the identity, `(δA | b_g)` row by row | 0 |
 //! | `transport` | `[2]` | `u_bs`, `u_attn`; a ratio is `exp(ln 4 · tanh u)` (R24) | 0 |
 //!
-//! With a zero second layer, affine and transport the enhanced scene is the reconstruction, exactly.
+//! Node `j` of a grid lies at `-1 + 2j/(G-1)`.
 //!
-//! The `output_bias` has no effect once the constant mode is removed; its gradient is zero by construction
-//! and is written as zero (summing it would give rounding noise, which Adam's normalisation turns into a
-//! random walk).
+//! With a zero second layer, affine and transport, the enhanced scene is exactly the reconstruction.
+//!
+//! The `output_bias` has no effect once the constant mode is removed. Its gradient is zero by construction
+//! and is written as zero, because summing it would give rounding noise, which Adam's normalisation turns
+//! into a random walk.
 
 use std::ops::Range;
 
@@ -35,16 +37,16 @@ pub struct Shape {
 }
 
 impl Default for Shape {
-    /// The method's: 16 nodes, rank 8, width 64.
+    /// The sizes of the method: 16 nodes, rank 8, width 64.
     fn default() -> Self {
         Self { resolution: 16, rank: 8, width: 64 }
     }
 }
 
-/// A field that cannot be built.
+/// A reason why a field cannot be built.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum FieldError {
-    /// A size outside its range.
+    /// A size is outside its range.
     #[error("U-BAF {what} is {value}; expected {low} to {high}")]
     Size {
         /// `resolution`, `rank` or `width`.
@@ -56,7 +58,7 @@ pub enum FieldError {
         /// Largest allowed.
         high: usize,
     },
-    /// The number of parameters does not fit the shape.
+    /// The number of parameters does not match the shape.
     #[error("{found} U-BAF parameters; a field of this shape has {expected}")]
     Length {
         /// Number found.
@@ -66,7 +68,7 @@ pub enum FieldError {
     },
 }
 
-/// Largest rank the kernels are built for.
+/// Largest rank for which the kernels are built.
 pub(crate) const MAX_RANK: usize = 16;
 
 impl Shape {
@@ -89,42 +91,42 @@ impl Shape {
         self.transport().end
     }
 
-    /// Where `factors [4, G, R]` lies in the flat vector.
+    /// Range of `factors [4, G, R]` in the flat vector.
     pub fn factors(&self) -> Range<usize> {
         0..4 * self.resolution * self.rank
     }
 
-    /// Where `hidden_weight [W, R]` lies.
+    /// Range of `hidden_weight [W, R]`.
     pub fn hidden_weight(&self) -> Range<usize> {
         after(self.factors(), self.width * self.rank)
     }
 
-    /// Where `hidden_bias [W]` lies.
+    /// Range of `hidden_bias [W]`.
     pub fn hidden_bias(&self) -> Range<usize> {
         after(self.hidden_weight(), self.width)
     }
 
-    /// Where `output_weight [6, W]` lies.
+    /// Range of `output_weight [6, W]`.
     pub fn output_weight(&self) -> Range<usize> {
         after(self.hidden_bias(), OUTPUTS * self.width)
     }
 
-    /// Where `output_bias [6]` lies.
+    /// Range of `output_bias [6]`.
     pub fn output_bias(&self) -> Range<usize> {
         after(self.output_weight(), OUTPUTS)
     }
 
-    /// Where `guide [4]` lies.
+    /// Range of `guide [4]`.
     pub fn guide(&self) -> Range<usize> {
         after(self.output_bias(), 4)
     }
 
-    /// Where `affine [3, 4]` lies.
+    /// Range of `affine [3, 4]`.
     pub fn affine(&self) -> Range<usize> {
         after(self.guide(), 12)
     }
 
-    /// Where `transport [2]` lies: the last group, so that everything before it shares one learning rate.
+    /// Range of `transport [2]`: the last group, so that all earlier parameters share one learning rate.
     pub fn transport(&self) -> Range<usize> {
         after(self.affine(), 2)
     }
@@ -139,7 +141,7 @@ fn after(previous: Range<usize>, length: usize) -> Range<usize> {
 pub struct Field {
     shape: Shape,
     bounds: FieldBox,
-    /// All trainable numbers, laid out as [`Shape`] says.
+    /// All trainable numbers, in the layout of [`Shape`].
     pub parameters: Vec<f32>,
 }
 
@@ -179,7 +181,7 @@ impl Field {
         self.shape
     }
 
-    /// The box that positions are normalised with.
+    /// The box by which positions are normalised.
     pub fn bounds(&self) -> &FieldBox {
         &self.bounds
     }
@@ -202,13 +204,13 @@ impl Field {
         [self.parameters[start], self.parameters[start + 1]]
     }
 
-    /// Whether every parameter is finite.
+    /// True if every parameter is finite.
     pub fn is_finite(&self) -> bool {
         self.parameters.iter().all(|p| p.is_finite())
     }
 }
 
-/// `∂L/∂` every parameter, accumulated in f64 in a fixed order, laid out as [`Shape`] says.
+/// `∂L/∂` every parameter, accumulated in f64 in a fixed order, in the layout of [`Shape`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Gradient {
     shape: Shape,
@@ -222,7 +224,7 @@ impl Gradient {
         Self { shape, values: vec![0.0; shape.parameters()] }
     }
 
-    /// Back to zero.
+    /// Sets all values to zero.
     pub fn clear(&mut self) {
         self.values.fill(0.0);
     }
@@ -232,7 +234,7 @@ impl Gradient {
         self.shape
     }
 
-    /// Rounded to f32 into `out`, which has the same length.
+    /// Writes the values, rounded to f32, to `out`, which has the same length.
     pub fn round_into(&self, out: &mut [f32]) {
         for (o, &g) in out.iter_mut().zip(&self.values) {
             *o = g as f32;
@@ -254,8 +256,8 @@ impl Gradient {
     }
 }
 
-/// `(I + δA) c + b_g` by rows, as `c + (δA c + b_g)` so that zero parameters change no bit of a non-negative
-/// colour.
+/// `(I + δA) c + b_g` by rows, computed as `c + (δA c + b_g)`, so that zero parameters change no bit of a
+/// non-negative colour.
 #[inline(always)]
 pub(crate) fn apply_affine(affine: &[[f32; 4]; 3], c: [f32; 3]) -> [f32; 3] {
     std::array::from_fn(|r| {
@@ -283,7 +285,7 @@ mod tests {
         ];
         assert_eq!(groups.iter().map(ExactSizeIterator::len).sum::<usize>(), s.parameters());
         assert!(groups.windows(2).all(|w| w[0].end == w[1].start));
-        // The authors' count for the default sizes, with the two transport scalars.
+        // The authors' number of parameters for the default sizes, plus the two transport scalars.
         assert_eq!(Shape::default().parameters(), 1494 + 2);
     }
 

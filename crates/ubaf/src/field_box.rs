@@ -1,9 +1,9 @@
-//! The box in which the field is resolved (R23): where the scene is, without the few Gaussians that fly far
-//! away.
+//! The box in which the field is resolved (R23): the extent of the scene without the few Gaussians that fly
+//! far away.
 //!
-//! Per axis the 1 % and 99 % quantiles of the Gaussian means and the medium's anchor centres together,
-//! widened by 2 % of the range on each side. A position outside is looked up on the box's face. `u = clamp(2
-//! (x - lo)/(hi - lo) - 1, -1, 1)`.
+//! For each axis it spans the 1 % and 99 % quantiles of the Gaussian means and the medium's anchor centres
+//! together, widened by 2 % of the range on each side. A position outside is looked up on the box's face.
+//! `u = clamp(2 (x - lo)/(hi - lo) - 1, -1, 1)`.
 
 /// Lower and upper corner, scene units.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -14,16 +14,15 @@ pub struct FieldBox {
     pub high: [f32; 3],
 }
 
-/// A side that is never shorter than this share of the coordinate's size, so that a flat scene still has a
-/// box.
+/// The smallest length of a side as a share of the coordinate's size, so that a flat scene still has a box.
 const THINNEST: f64 = 1e-4;
 
 impl FieldBox {
     /// `[-1, 1]³`: coordinates equal positions.
     pub const UNIT: Self = Self { low: [-1.0; 3], high: [1.0; 3] };
 
-    /// The box of a scene: `means` are the Gaussian centres, `anchors` the medium's. Points with a non-finite
-    /// coordinate are not counted; without any point the box is [`FieldBox::UNIT`].
+    /// The box of a scene: `means` are the Gaussian centres, `anchors` the medium's. Points with a
+    /// non-finite coordinate are ignored; without any point the box is [`FieldBox::UNIT`].
     pub fn of_scene(means: &[[f32; 3]], anchors: &[[f32; 3]]) -> Self {
         let mut out = Self::UNIT;
         let mut values = Vec::with_capacity(means.len() + anchors.len());
@@ -52,7 +51,7 @@ impl FieldBox {
         })
     }
 
-    /// Whether it has finite corners, the upper above the lower.
+    /// True if the corners are finite and the upper lies above the lower on every axis.
     pub fn is_valid(&self) -> bool {
         (0..3).all(|a| self.low[a].is_finite() && self.high[a].is_finite() && self.low[a] < self.high[a])
     }

@@ -1,7 +1,8 @@
-//! The fourth coordinate: a learned, bounded brightness-like number of a colour.
+//! The fourth coordinate: a learned, bounded number that describes a colour's brightness.
 //!
-//! `h(c) = sign(c) ln(1 + |c|)` per channel, `γ(c) = tanh(wᵀ h(c) + b)`. The signed log tames over-bright and
-//! negative colours; `w` and `b` are learned, `c` is constant in Stage 2, so `h` is computed once.
+//! `h(c) = sign(c) ln(1 + |c|)` per channel, `γ(c) = tanh(wᵀ h(c) + b)`. The signed log limits the effect
+//! of over-bright and negative colours. `w` and `b` are learned; `c` is constant in stage 2, so `h` is
+//! computed once.
 
 use fearless_simd::{Simd, f32x16, prelude::*};
 use use3d_numerics::math;
@@ -29,8 +30,8 @@ pub(crate) fn gamma_scalar(guide: &[f32; 4], h: [f32; 3]) -> f32 {
     functions::scalar::tanh(wr.mul_add(h[0], wg.mul_add(h[1], wb.mul_add(h[2], b))))
 }
 
-/// Where a coordinate in `[-1, 1]` falls on a grid of `nodes` nodes: the lower node and the fraction towards
-/// the next.
+/// The position of a coordinate in `[-1, 1]` on a grid of `nodes` nodes: the lower node and the fraction
+/// towards the next.
 #[inline(always)]
 pub(crate) fn locate(u: f32, nodes: usize) -> (usize, f32) {
     let at = (u + 1.0) * (0.5 * (nodes - 1) as f32);

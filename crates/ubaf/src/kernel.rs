@@ -1,14 +1,14 @@
-//! Code and decoder over tiles of Gaussians, sixteen lanes at a time: `raw = W₂ silu(W₁ z + b₁) + b₂`, `z =
-//! f_x ⊙ f_y ⊙ f_z ⊙ f_γ`.
+//! Code and decoder over tiles of Gaussians, in sixteen lanes: `raw = W₂ silu(W₁ z + b₁) + b₂`,
+//! `z = f_x ⊙ f_y ⊙ f_z ⊙ f_γ`.
 //!
 //! A tile is 256 Gaussians. Its codes are gathered one Gaussian at a time (the rank is the vector) and
-//! transposed. Forward, all hidden units pass over sixteen Gaussians whose codes and outputs stay in
-//! registers; backward, each hidden unit passes over the whole tile with its weight gradients in registers.
-//! The logistic values of the hidden units, a third of the work, may be kept from the forward to the backward
-//! pass; without them the backward pass computes them again, to the same bits. Lane sums are f32 over a block
-//! of 2048 Gaussians, then f64.
+//! transposed. In the forward pass, all hidden units run over sixteen Gaussians whose codes and outputs
+//! stay in registers. In the backward pass, each hidden unit runs over the whole tile with its weight
+//! gradients in registers. The logistic values of the hidden units, a third of the work, may be kept from
+//! the forward to the backward pass; otherwise the backward pass computes them again, with the same bits.
+//! Lane sums are f32 over a block of 2048 Gaussians, then f64.
 //!
-//! Ranks are padded with zero factors to 8 or 16; a zero code entry adds nothing anywhere.
+//! Ranks are padded with zero factors to 8 or 16; a zero code entry has no effect.
 
 use fearless_simd::{Level, Simd, dispatch, f32x16, prelude::*};
 
@@ -23,19 +23,20 @@ pub(crate) const TILE: usize = 256;
 /// Six planes of decoder outputs of a tile.
 pub(crate) type TileOutputs = [[f32; TILE]; OUTPUTS];
 
-/// A field's weights in the order the kernels read them.
+/// A field's weights in the order in which the kernels read them.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Packed {
     shape: Shape,
     rank: usize,
     /// `[4][G][padded rank]`.
     factors: Vec<f32>,
-    /// Per hidden unit: `padded rank` weights, bias, six output weights.
+    /// For each hidden unit: `padded rank` weights, bias, six output weights.
     units: Vec<f32>,
     output_bias: [f32; OUTPUTS],
 }
 
-/// What one lookup needs besides the weights: the first `len` entries of each slice, padded to whole lanes.
+/// The inputs of one lookup besides the weights: the first `len` entries of each slice, padded to whole
+/// lanes.
 #[derive(Clone, Copy)]
 pub(crate) struct Lookups<'a> {
     /// Lower nodes on x, y, z.
@@ -50,12 +51,12 @@ pub(crate) struct Lookups<'a> {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Accumulator {
     factors: Vec<f32>,
-    /// Per hidden unit, sixteen lanes each: `padded rank` weights, bias, six output weights.
+    /// For each hidden unit, sixteen lanes each: `padded rank` weights, bias, six output weights.
     units: Vec<f32>,
 }
 
 impl Packed {
-    /// Takes a field's weights; allocates only when the shape grows.
+    /// Copies a field's weights; allocates only when the shape grows.
     pub(crate) fn pack(&mut self, field: &Field) {
         let shape = field.shape();
         let rank = if shape.rank <= 8 { 8 } else { 16 };
@@ -77,13 +78,13 @@ impl Packed {
         self.output_bias.copy_from_slice(&p[shape.output_bias()]);
     }
 
-    /// How many logistic values a lookup has.
+    /// Number of logistic values per lookup.
     pub(crate) fn width(&self) -> usize {
         self.shape.width
     }
 
-    /// The decoder's raw outputs for one tile of lookups. `kept` takes the logistic values, [`Packed::width`]
-    /// per lookup, or is empty.
+    /// Computes the decoder's raw outputs for one tile of lookups. `kept` receives the logistic values,
+    /// [`Packed::width`] per lookup, or is empty.
     pub(crate) fn forward(
         &self,
         level: Level,
@@ -97,8 +98,8 @@ impl Packed {
         }
     }
 
-    /// Adds the tile's parameter derivatives to `sums` and writes `∂L/∂γ`, given `∂L/∂raw` (zero in padding
-    /// lanes) and what [`Packed::forward`] kept, or nothing.
+    /// Adds the tile's parameter gradients to `sums` and writes `∂L/∂γ`. Its inputs are `∂L/∂raw` (zero in
+    /// padding lanes) and the values that [`Packed::forward`] kept, or nothing.
     pub(crate) fn backward(
         &self,
         level: Level,
@@ -120,7 +121,7 @@ impl Packed {
 }
 
 impl Accumulator {
-    /// Zeros for the packed field.
+    /// Sets the sums to zero, in the size of the packed field.
     pub(crate) fn clear(&mut self, packed: &Packed) {
         self.factors.clear();
         self.factors.resize(packed.factors.len(), 0.0);
@@ -128,8 +129,8 @@ impl Accumulator {
         self.units.resize(packed.units.len() * LANES, 0.0);
     }
 
-    /// Adds the sums to a flat gradient. The output bias gets nothing: its gradient is exactly zero (see
-    /// `field`).
+    /// Adds the sums to a flat gradient. The output bias is left out, because its gradient is exactly zero
+    /// (see `field`).
     pub(crate) fn add_to(&self, packed: &Packed, gradient: &mut [f64]) {
         let (shape, rank) = (packed.shape, packed.rank);
         for (g, s) in
@@ -163,7 +164,8 @@ fn factor_rows<const P: usize>(
     resolution: usize,
     at: &[(usize, f32); 4],
 ) -> [[f32; P]; 4] {
-    // Loops, here and below: `array::from_fn` is a call that the instruction set does not reach into.
+    // Loops are used here and below, because `array::from_fn` is a call that is not compiled for the
+    // instruction set.
     let mut rows = [[0.0; P]; 4];
     for (axis, row) in rows.iter_mut().enumerate() {
         let (node, t) = at[axis];
@@ -197,7 +199,7 @@ fn codes<const P: usize>(packed: &Packed, lookups: Lookups<'_>) -> [[f32; TILE];
     z
 }
 
-/// Sixteen lookups of every plane.
+/// Reads sixteen lookups of every plane.
 #[inline(always)]
 fn lanes_at<S: Simd, const P: usize>(simd: S, planes: &[[f32; TILE]; P], at: usize) -> [f32x16<S>; P] {
     let mut lanes = [f32x16::splat(simd, 0.0); P];
@@ -207,7 +209,7 @@ fn lanes_at<S: Simd, const P: usize>(simd: S, planes: &[[f32; TILE]; P], at: usi
     lanes
 }
 
-/// Pre-activation of one hidden unit.
+/// The pre-activation of one hidden unit.
 #[inline(always)]
 fn activation<S: Simd, const P: usize>(simd: S, unit: &[f32], z: &[f32x16<S>; P]) -> f32x16<S> {
     let mut pre = f32x16::splat(simd, unit[P]);
@@ -237,7 +239,7 @@ fn forward_tile<S: Simd, const P: usize>(
             let pre = activation(simd, unit, &z);
             let s = functions::logistic(simd, pre);
             if keeps {
-                // Unit by unit, as the backward pass reads them.
+                // Stored unit by unit, as the backward pass reads them.
                 s.store_slice(&mut kept[k * lookups.gamma.len() + at..][..LANES]);
             }
             let hidden = pre * s;
@@ -251,7 +253,7 @@ fn forward_tile<S: Simd, const P: usize>(
     }
 }
 
-/// A tile's plane.
+/// One plane of a tile.
 type Plane = [f32; TILE];
 
 #[inline(always)]
@@ -283,10 +285,11 @@ fn backward_tile<S: Simd, const P: usize>(
     codes_backward(packed, lookups, &d_z, &mut sums.factors, d_gamma);
 }
 
-/// Hidden units that go backward together: what they share is read once, and their sums fit the registers.
+/// Number of hidden units in one backward pass: their shared inputs are read once, and their sums fit the
+/// registers.
 const UNITS: usize = 4;
 
-/// What the backward passes of all hidden units of a tile read.
+/// The inputs of the backward passes of all hidden units of a tile.
 struct Pass<'a, const P: usize> {
     z: &'a [Plane; P],
     d_out: &'a TileOutputs,
@@ -294,8 +297,8 @@ struct Pass<'a, const P: usize> {
     count: usize,
 }
 
-/// `U` hidden units, the first being `first`, over the whole tile: three products with few operands each, so
-/// that a register file of sixteen does not spill.
+/// The backward pass of `U` hidden units, starting with `first`, over the whole tile. It consists of three
+/// products with few operands each, so that sixteen registers suffice.
 #[inline(always)]
 fn units_backward<S: Simd, const P: usize, const U: usize>(
     simd: S,
@@ -350,8 +353,8 @@ fn units_backward<S: Simd, const P: usize, const U: usize>(
             d_code.store_slice(&mut d_z[r][at..at + LANES]);
         }
     }
-    // Weight gradients: products of two planes, summed lane by lane, a pair of units by a pair of planes at a
-    // time.
+    // Weight gradients are products of two planes, summed lane by lane, for a pair of units and a pair of
+    // planes at a time.
     for (u, sums) in sums.chunks_mut(2 * record * LANES).enumerate() {
         let (d_pre, hidden) = (&d_pre[2 * u..U.min(2 * u + 2)], &hidden[2 * u..U.min(2 * u + 2)]);
         for r in (0..P).step_by(2) {
@@ -371,8 +374,8 @@ fn units_backward<S: Simd, const P: usize, const U: usize>(
     }
 }
 
-/// Adds `Σ_lookups row ⊙ column`, lane by lane, for one or two rows and two columns to the records at `place`
-/// and after it.
+/// Adds `Σ_lookups row ⊙ column`, lane by lane, for one or two rows and two columns, to the record at
+/// `place` and the next one.
 #[inline(always)]
 fn products<S: Simd>(
     simd: S,

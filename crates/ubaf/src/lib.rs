@@ -1,15 +1,16 @@
 //! The Underwater Bilateral Appearance Field (U-BAF): a small 4D field that recolours a frozen scene.
 //!
-//! A Gaussian at `x` with Stage-1 colour `c̄` is looked up at `(x, γ(c̄))`; the field answers with a local
-//! log-gain `a` and bias `b` (three channels each), and the enhanced radiance is `c⁺(ω) = exp(a) ⊙ (A c(ω) +
-//! b_g) + b`, with one scene-global affine `(A, b_g)`. The water is recoloured by the same field, queried at
-//! the camera with the water's colour as guide, and two bounded ratios scale attenuation and backscatter.
-//! Nothing here knows of images, files or training: slices in, slices out.
+//! A Gaussian at `x` with stage-1 colour `c̄` is looked up at `(x, γ(c̄))`. The field returns a local
+//! log-gain `a` and bias `b` (three channels each), and the enhanced radiance is
+//! `c⁺(ω) = exp(a) ⊙ (A c(ω) + b_g) + b`, with one scene-global affine `(A, b_g)`. The water is recoloured
+//! by the same field, queried at the camera with the water's colour as guide, and two bounded ratios scale
+//! attenuation and backscatter. This crate uses no images, files or training loop: its inputs and outputs
+//! are slices.
 //!
-//! Reading order: [`field`] (the parameters) → `guide` and `code` (where a Gaussian looks) → `kernel` (code
-//! and decoder, forward and backward, 16 Gaussians at a time; `plain` is the scalar twin) → [`objects`]
-//! (constant mode, Gaussian colours) → [`water`] (guide table, medium maps, transport) → [`variation`] →
-//! [`enhancement`] (the trained field, ready to render).
+//! Reading order: [`field`] (the parameters) → `guide` and `sites` (the coordinates of a Gaussian's lookup)
+//! → `kernel` (code and decoder, forward and backward, 16 Gaussians at a time; `plain` is the scalar twin)
+//! → [`objects`] (constant mode, Gaussian colours) → [`water`] (guide table, medium maps, transport) →
+//! [`variation`] → [`enhancement`] (the trained field, ready to render).
 
 pub mod enhancement;
 pub mod field;

@@ -1,16 +1,16 @@
-//! The field at the Gaussians: constant-mode removal and enhanced radiance.
+//! The field at the Gaussians: removal of the constant mode, and enhanced radiance.
 //!
 //! `local_i = raw_i - (1/N) Σ_j raw_j` over the N Gaussians that define the mean (R22), so that the global
-//! grade belongs to the affine alone, and `c_i⁺ = exp(a_i) ⊙ (c_i + δA c_i + b_g) + b_i` with `(a_i, b_i) =
-//! local_i`; `c_i` is the clamped view-dependent Stage-1 colour, `c_i⁺` is not clamped. Gradients flow
-//! through the mean: with `g_i = ∂L/∂local_i`, `∂L/∂raw_i = g_i - (1/N) Σ_j g_j` for these N, so they matter
-//! in every step, seen or not; `g_i` alone for the others.
+//! grade belongs to the affine alone, and `c_i⁺ = exp(a_i) ⊙ (c_i + δA c_i + b_g) + b_i` with
+//! `(a_i, b_i) = local_i`. Here `c_i` is the clamped view-dependent stage-1 colour; `c_i⁺` is not clamped.
+//! Gradients flow through the mean: with `g_i = ∂L/∂local_i`, `∂L/∂raw_i = g_i - (1/N) Σ_j g_j` for these N
+//! Gaussians, so they matter in every step, visible or not. For the others it is `g_i` alone.
 //!
-//! Training takes the mean over some Gaussians, evenly chosen, and looks the others up only where a view sees
-//! them ([`ObjectPass::move_to`]); whoever draws the scene is given that mean.
+//! Training takes the mean over some Gaussians, evenly chosen, and looks the others up only in views that
+//! see them ([`ObjectPass::move_to`]); a drawing of the scene uses that mean.
 //!
-//! Work is cut into blocks of 2048 Gaussians; their sums are added in block order, so the bits do not depend
-//! on the number of threads. Nothing is allocated once the largest list of Gaussians was seen.
+//! Work is cut into blocks of 2048 Gaussians. Their sums are added in block order, so the bits do not
+//! depend on the number of threads. Nothing is allocated after the largest list of Gaussians has occurred.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -26,7 +26,7 @@ use crate::sites::{BLOCK, LANES, Sites};
 
 pub use crate::sites::guide_color;
 
-/// Most bytes of kept logistic values: two million Gaussians at the method's width.
+/// Largest number of bytes of kept logistic values: two million Gaussians at the method's width.
 const KEPT: usize = 512 << 20;
 
 /// The field evaluated at every Gaussian of a frozen scene, forward and backward.
@@ -35,15 +35,16 @@ pub struct ObjectPass {
     level: Level,
     sites: Arc<Sites>,
     packed: Packed,
-    /// Per block, six planes of [`BLOCK`] raw outputs.
+    /// For each block, six planes of [`BLOCK`] raw outputs.
     raw: Vec<f32>,
     mean: [f32; OUTPUTS],
-    /// Per block, what the kernel keeps from forward to backward; empty if that were more than [`KEPT`].
+    /// For each block, the values that the kernel keeps from forward to backward; empty if they would
+    /// exceed [`KEPT`].
     kept: Vec<f32>,
     /// `∂L/∂local`, then `∂L/∂raw`, in the layout of `raw`.
     d_raw: Vec<f32>,
     sums: Vec<BlockSums>,
-    /// Per block, a flat gradient.
+    /// For each block, a flat gradient.
     partials: Vec<f64>,
     scratch: Vec<Mutex<Scratch>>,
 }
@@ -68,13 +69,13 @@ impl Default for Scratch {
 }
 
 impl ObjectPass {
-    /// For Gaussians at `means` with guide colours from their SH band 0 (`sh_dc`, equal length), on the best
-    /// instruction set.
+    /// A pass for Gaussians at `means` with guide colours from their SH band 0 (`sh_dc`, equal length), on
+    /// the best instruction set.
     pub fn new(field: &Field, means: &[[f32; 3]], sh_dc: impl ExactSizeIterator<Item = [f32; 3]>) -> Self {
         Self::with_level(Level::new(), field, means, sh_dc)
     }
 
-    /// As [`ObjectPass::new`], on a given instruction set.
+    /// Like [`ObjectPass::new`], on a given instruction set.
     pub fn with_level(
         level: Level,
         field: &Field,
@@ -84,7 +85,7 @@ impl ObjectPass {
         Self::with_guides(level, field, means, sh_dc.map(guide_color))
     }
 
-    /// As [`ObjectPass::with_level`], with the guide colours `c̄` themselves.
+    /// Like [`ObjectPass::with_level`], with the guide colours `c̄` themselves.
     pub fn with_guides(
         level: Level,
         field: &Field,
@@ -109,12 +110,12 @@ impl ObjectPass {
         }
     }
 
-    /// Where it looks the field up.
+    /// The sites at which the field is looked up.
     pub fn sites(&self) -> &Arc<Sites> {
         &self.sites
     }
 
-    /// Looks the field up elsewhere from now on; [`ObjectPass::forward`] comes next.
+    /// Changes the sites at which the field is looked up; [`ObjectPass::forward`] must be called next.
     pub fn move_to(&mut self, sites: &Arc<Sites>) {
         if Arc::ptr_eq(&self.sites, sites) {
             return;
@@ -129,12 +130,12 @@ impl ObjectPass {
         self.sites.len()
     }
 
-    /// Whether there is none.
+    /// True if there are no Gaussians.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Evaluates the field at every site, and its mean.
+    /// Evaluates the field at every site, and computes its mean.
     pub fn forward(&mut self, field: &Field) {
         self.packed.pack(field);
         self.prepare_scratch();
@@ -145,11 +146,11 @@ impl ObjectPass {
         if kept * size_of::<f32>() > KEPT {
             self.kept.clear();
         } else if self.kept.len() < kept {
-            // Never shrunk: lists differ from view to view, and growing again would write zeros over
-            // megabytes.
+            // The buffer never shrinks: lists differ from view to view, and growing again would write zeros
+            // over megabytes.
             self.kept.resize(kept, 0.0);
         }
-        // Without a place to keep them every block gets the empty slice.
+        // If there is no room to keep them, every block gets the empty slice.
         let mut places = self.kept.chunks_mut(BLOCK * width);
         let places: Vec<&mut [f32]> =
             (0..self.sites.blocks()).map(|_| places.next().unwrap_or_default()).collect();
@@ -176,13 +177,13 @@ impl ObjectPass {
         self.mean = totals.outputs.map(|t| (t / n) as f32);
     }
 
-    /// The mean that was removed: what [`crate::Enhancement`] stores when training ends.
+    /// The removed mean, which [`crate::Enhancement`] stores when training ends.
     pub fn mean(&self) -> [f32; OUTPUTS] {
         self.mean
     }
 
-    /// `raw - centre` per Gaussian: log-gain RGB, bias RGB. With `centre = self.mean()` this is the field's
-    /// local part.
+    /// `raw - centre` of each Gaussian: log-gain RGB, bias RGB. With `centre = self.mean()` this is the
+    /// field's local part.
     pub fn locals(&self, centre: [f32; OUTPUTS]) -> Vec<[f32; OUTPUTS]> {
         (0..self.len())
             .map(|i| {
@@ -205,8 +206,8 @@ impl ObjectPass {
             });
     }
 
-    /// Adds the gradient of everything that `c⁺` depends on, given `∂L/∂c⁺`. Needs the last
-    /// [`ObjectPass::forward`] of this field.
+    /// Adds the gradient of everything on which `c⁺` depends, from `∂L/∂c⁺`. The last
+    /// [`ObjectPass::forward`] must have been for this field.
     pub fn backward(
         &mut self,
         field: &Field,
@@ -231,7 +232,7 @@ impl ObjectPass {
         self.backward_raw(field, gradient);
     }
 
-    /// As [`ObjectPass::backward`], given `∂L/∂local` directly.
+    /// Like [`ObjectPass::backward`], from `∂L/∂local` directly.
     pub fn backward_locals(&mut self, field: &Field, d_locals: &[[f32; OUTPUTS]], gradient: &mut Gradient) {
         assert_eq!(d_locals.len(), self.len(), "one local per Gaussian");
         self.d_raw.resize(self.raw.len(), 0.0);
@@ -247,8 +248,8 @@ impl ObjectPass {
         self.backward_raw(field, gradient);
     }
 
-    /// From `∂L/∂local` in `d_raw` and its sums to the parameters: through the mean, the decoder, the factors
-    /// and the guide.
+    /// Computes the gradient of the parameters from `∂L/∂local` in `d_raw` and its sums: through the mean,
+    /// the decoder, the factors and the guide.
     fn backward_raw(&mut self, field: &Field, gradient: &mut Gradient) {
         let shape = field.shape();
         let parameters = shape.parameters();
@@ -310,17 +311,18 @@ impl ObjectPass {
     }
 }
 
-/// The calling worker's scratch. Its content never outlives one block, so a poisoned one is as good as new.
+/// Runs `work` with the scratch memory of the calling thread. Its content is not used after one block, so a
+/// poisoned one is still usable.
 fn with_scratch(scratch: &[Mutex<Scratch>], work: impl FnOnce(&mut Scratch)) {
     let mine = rayon::current_thread_index().unwrap_or(0) % scratch.len();
     work(&mut scratch[mine].lock().unwrap_or_else(PoisonError::into_inner));
 }
 
-/// A run of at most [`TILE`] Gaussians inside a block.
+/// A range of at most [`TILE`] Gaussians inside a block.
 struct Tile {
-    /// First Gaussian.
+    /// Index of the first Gaussian.
     first: usize,
-    /// First Gaussian counted from the block's start.
+    /// Index of the first Gaussian, counted from the block's start.
     offset: usize,
     real: usize,
     /// `real` rounded up to whole lanes.
@@ -328,7 +330,7 @@ struct Tile {
 }
 
 impl Tile {
-    /// Where a block keeps the tile's logistic values.
+    /// The range of the tile's logistic values in those of its block.
     fn kept(&self, width: usize) -> std::ops::Range<usize> {
         self.offset * width..(self.offset + self.padded) * width
     }

@@ -1,8 +1,8 @@
-//! The field as the formulas say it, one Gaussian and one pixel at a time: the twin that the kernels are
-//! tested against.
+//! The field computed directly from the formulas, one Gaussian and one pixel at a time: the twin against
+//! which the kernels are tested.
 //!
-//! [`raw`] repeats the kernel's operations in its order (equal bits where multiply and add fuse); [`Exact`]
-//! is everything in f64, accurate enough to be differenced.
+//! [`raw`] repeats the kernel's operations in the same order (equal bits where multiply and add fuse);
+//! [`Exact`] computes everything in f64, which is accurate enough for finite differences.
 
 use use3d_numerics::math;
 use use3d_numerics::spherical_harmonics::C0;
@@ -14,7 +14,7 @@ use crate::guide::locate;
 use crate::water::ROWS;
 use use3d_numerics::functions;
 
-/// The decoder's outputs at field coordinates `u` (x, y, z, γ), in the kernel's arithmetic.
+/// Computes the decoder's outputs at field coordinates `u` (x, y, z, γ), with the kernel's arithmetic.
 pub(crate) fn raw(field: &Field, u: [f32; 4]) -> [f32; OUTPUTS] {
     let s = field.shape();
     let p = &field.parameters;
@@ -44,7 +44,7 @@ pub(crate) fn raw(field: &Field, u: [f32; 4]) -> [f32; OUTPUTS] {
     out
 }
 
-/// The field in f64, on parameters that may be moved by less than an f32 can tell.
+/// The field in f64, whose parameters can change by less than the resolution of f32.
 pub(crate) struct Exact {
     pub(crate) shape: Shape,
     pub(crate) bounds: FieldBox,

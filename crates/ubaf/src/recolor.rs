@@ -1,7 +1,7 @@
 //! The colour map of a block of Gaussians, `c⁺ = exp(a) ⊙ (c + δA c + b_g) + b`, and its derivative.
 //!
-//! Called inside a dispatched instruction-set level, so that everything here compiles to fused vector or
-//! scalar code.
+//! These functions run inside a dispatched instruction-set level, so that everything here compiles to fused
+//! vector or scalar code.
 
 use fearless_simd::{Simd, f32x16, prelude::*};
 
@@ -10,7 +10,7 @@ use crate::field::apply_affine;
 use crate::sites::{BLOCK, LANES};
 use use3d_numerics::lanes::exp_lanes;
 
-/// What a block adds up: outputs or their derivatives, and affine derivatives.
+/// The sums of a block: outputs or their gradients, and gradients of the affine.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct BlockSums {
     pub(crate) outputs: [f64; OUTPUTS],
@@ -28,7 +28,7 @@ fn gains<S: Simd>(simd: S, raw: &[f32], centre: &[f32; OUTPUTS], at: usize) -> [
     gains
 }
 
-/// Colours of a block: `raw` are its six planes, `base` and `out` its Gaussians' colours.
+/// Computes the colours of a block: `raw` are its six planes, `base` and `out` its Gaussians' colours.
 #[inline(always)]
 pub(crate) fn forward<S: Simd>(
     simd: S,
@@ -51,7 +51,7 @@ pub(crate) fn forward<S: Simd>(
     }
 }
 
-/// `∂L/∂local` into the six planes `d_raw`, and the sums of those and of the affine's derivative.
+/// Writes `∂L/∂local` to the six planes `d_raw`; returns its sums and those of the affine's gradient.
 #[inline(always)]
 pub(crate) fn backward<S: Simd>(
     simd: S,
@@ -66,7 +66,7 @@ pub(crate) fn backward<S: Simd>(
     for at in (0..base.len()).step_by(LANES) {
         let end = base.len().min(at + LANES);
         let d_colors = &d_colors[at..end];
-        // Gaussians that a view does not see come in long runs.
+        // Gaussians that a view does not see form long runs.
         if d_colors.iter().all(|d| *d == [0.0; 3]) {
             for plane in d_raw.chunks_exact_mut(BLOCK) {
                 plane[at..at + LANES].fill(0.0);
@@ -92,7 +92,7 @@ pub(crate) fn backward<S: Simd>(
     sums
 }
 
-/// Sums of the six planes of a block over its first `count` Gaussians.
+/// The sums of a block's six planes over its first `count` Gaussians.
 #[inline(always)]
 pub(crate) fn plane_sums(planes: &[f32], count: usize) -> [f64; OUTPUTS] {
     let mut sums = [0.0; OUTPUTS];

@@ -1,12 +1,12 @@
-//! Where each Gaussian looks the field up: everything about it that is constant in Stage 2.
+//! The coordinates of each Gaussian's lookup: everything about it that is constant in stage 2.
 //!
-//! Positions do not move, so the nodes and fractions on the x, y and z grids are found once; the guide
-//! coordinate depends on the learned `w, b`, so only the signed logs `h(c̄)` of the colour are stored. 27
-//! bytes per Gaussian.
+//! Positions do not move, so the nodes and fractions on the x, y and z grids are computed once. The guide
+//! coordinate depends on the learned `w, b`, so only the signed logs `h(c̄)` of the colour are stored. This
+//! takes 27 bytes per Gaussian.
 //!
-//! The first [`Sites::centred`] of them define the constant mode that is removed. All of a scene's Gaussians
-//! do unless some are chosen ([`Sites::select`]): a training step needs those that its view sees and those
-//! that define the mean, and no others.
+//! The first [`Sites::centred`] of them define the constant mode that is removed. By default these are all
+//! of a scene's Gaussians. With [`Sites::select`] a training step uses only the Gaussians that its view
+//! sees and those that define the mean.
 
 use use3d_numerics::spherical_harmonics::C0;
 
@@ -63,11 +63,11 @@ impl Sites {
         }
     }
 
-    /// Some of these sites, in the order of `indices`; the first `centred` of them define the mean.
+    /// Selects some of these sites, in the order of `indices`; the first `centred` of them define the mean.
     ///
     /// # Panics
     ///
-    /// If an index is not below [`Sites::len`], or `centred` above the number of indices.
+    /// Panics if an index is not below [`Sites::len`], or if `centred` exceeds the number of indices.
     pub fn select(&self, indices: &[u32], centred: usize) -> Self {
         assert!(centred <= indices.len(), "{centred} of {} sites cannot define the mean", indices.len());
         let mut out = Self::blank(indices.len(), centred);
@@ -83,33 +83,33 @@ impl Sites {
         out
     }
 
-    /// Number of real sites.
+    /// Number of sites without padding.
     pub fn len(&self) -> usize {
         self.len
     }
 
-    /// Whether there is none.
+    /// True if there are no sites.
     pub fn is_empty(&self) -> bool {
         self.len == 0
     }
 
-    /// How many sites, from the first, define the mean.
+    /// Number of sites, from the first, that define the mean.
     pub fn centred(&self) -> usize {
         self.centred
     }
 
-    /// Where site `i` looks: its lower nodes on the x, y, z grids, the fractions towards the next ones in
-    /// `[0, 1]`, and the signed logs of its guide colour. What an engine on another device copies.
+    /// The data of site `i`: its lower nodes on the x, y, z grids, the fractions towards the next nodes in
+    /// `[0, 1]`, and the signed logs of its guide colour. An engine on another device copies them.
     ///
     /// # Panics
     ///
-    /// If `i` is not below [`Sites::len`].
+    /// Panics if `i` is not below [`Sites::len`].
     pub fn site(&self, i: usize) -> ([u8; 3], [f32; 3], [f32; 3]) {
         assert!(i < self.len, "site {i} of {}", self.len);
         (self.nodes[i], self.fractions[i], std::array::from_fn(|c| self.signed_logs[c][i]))
     }
 
-    /// Bytes held.
+    /// Number of bytes held.
     pub fn bytes(&self) -> usize {
         self.nodes.len() * (size_of::<[u8; 3]>() + size_of::<[f32; 3]>() + 3 * size_of::<f32>())
     }

@@ -11,9 +11,10 @@
 //! | `box` | `[2, 3]` | lower and upper corner of the field |
 //! | `centre` | `[6]` | the removed constant mode |
 //!
-//! The appearance and the share of water that the field was learnt in ([`Enhancement::appearance`],
-//! [`Enhancement::kept_water`]) are not in here: a reader that knows them sets them, else it is all of the water. All f32, little-endian. Unknown tensors are an error: a file that says more than we
-//! read would be read wrongly.
+//! The file does not hold the appearance and the share of water in which the field was learnt
+//! ([`Enhancement::appearance`], [`Enhancement::kept_water`]). A reader that has them sets them; otherwise
+//! the share is all of the water. All tensors are f32, little-endian. An unknown tensor is an error,
+//! because a file with more information than this version uses would be read wrongly.
 
 use std::ops::Range;
 
@@ -25,13 +26,13 @@ use crate::enhancement::Enhancement;
 use crate::field::{Field, FieldError, Shape};
 use crate::field_box::FieldBox;
 
-/// What is wrong with a `ubaf.safetensors`.
+/// An error in a `ubaf.safetensors`.
 #[derive(Debug, thiserror::Error)]
 pub enum TensorError {
-    /// Its tensors are not those of a U-BAF.
+    /// The tensors are not those of a U-BAF.
     #[error(transparent)]
     Tensors(#[from] use3d_tensors::TensorError),
-    /// Corners that do not span a box.
+    /// The corners do not span a box.
     #[error("tensor `box` has corners {low:?} and {high:?}; expected low < high on every axis")]
     Box {
         /// Lower corner.
@@ -39,12 +40,12 @@ pub enum TensorError {
         /// Upper corner.
         high: [f32; 3],
     },
-    /// A size outside the supported range.
+    /// A size is outside the supported range.
     #[error(transparent)]
     Field(#[from] FieldError),
 }
 
-/// Name, place in the flat parameter vector, shape.
+/// A group of parameters: name, range in the flat parameter vector, shape.
 type Group = (&'static str, Range<usize>, Vec<usize>);
 
 fn groups(shape: Shape) -> [Group; 8] {
@@ -62,7 +63,7 @@ fn groups(shape: Shape) -> [Group; 8] {
 }
 
 impl Enhancement {
-    /// The file's bytes.
+    /// The bytes of the file.
     pub fn to_safetensors(&self) -> Result<Vec<u8>, TensorError> {
         let corners = [self.field.bounds().low, self.field.bounds().high];
         let mut writer = TensorWriter::new();
@@ -74,7 +75,7 @@ impl Enhancement {
         Ok(writer.finish()?)
     }
 
-    /// Reads the file's bytes.
+    /// Reads an enhancement from the bytes of a file.
     pub fn from_safetensors(data: &[u8]) -> Result<Self, TensorError> {
         let file = TensorFile::read(data)?;
         let grids = "[4, nodes, rank]";

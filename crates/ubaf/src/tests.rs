@@ -1,5 +1,5 @@
-//! Kernels against their twins, gradients against differences of the f64 twin, bits against threads and
-//! instruction sets.
+//! Compares kernels with their twins, gradients with differences of the f64 twin, and bits across threads
+//! and instruction sets.
 
 use fearless_simd::Level;
 use proptest::prelude::*;
@@ -12,7 +12,7 @@ use crate::plain::{self, Exact};
 use crate::water::Water;
 use crate::{Field, FieldBox, Gradient, ObjectPass, Shape, WaterPass, variation};
 
-/// Whether the level fuses multiply and add, so that vector code and scalar twins agree bit for bit.
+/// True if the level fuses multiply and add, so that vector code and scalar twins agree bit for bit.
 pub(crate) fn fuses(level: Level) -> bool {
     #[cfg(any(target_arch = "x86", target_arch = "x86_64"))]
     return level.as_avx2().is_some();
@@ -83,7 +83,7 @@ impl Example {
         let mut pass = WaterPass::with_level(level);
         let mut out = MediumMaps::zeros(0, 0);
         let mut gradient = Gradient::new(self.field.shape());
-        // Twice, so that state left over from a step would show.
+        // Runs twice, so that state left over from a step would change the result.
         for _ in 0..2 {
             gradient.clear();
             objects.forward(&self.field);
@@ -95,7 +95,7 @@ impl Example {
         gradient
     }
 
-    /// The scalar whose gradient [`Example::gradient`] is, by the f64 twin.
+    /// The scalar whose gradient is [`Example::gradient`], computed by the f64 twin.
     fn value(&self, exact: &Exact, d_colors: &[[f32; 3]], d_maps: &MediumMaps) -> f64 {
         let dot = |a: &[f64; 3], d: [f32; 3]| a.iter().zip(d).map(|(a, d)| a * f64::from(d)).sum::<f64>();
         let colors = exact.colors(&self.means, &self.sh_dc, &self.base);
@@ -179,7 +179,7 @@ proptest! {
         let step = 1e-6;
         let n = shape.parameters();
         let every = (n / 150).max(1);
-        // Every group's ends and a comb through all of them.
+        // The parameters are the ends of every group and a regular selection of all of them.
         let picks = (0..n).filter(|i| i % every == (seed as usize) % every || *i + 20 > n);
         let mut kinks = 0;
         for i in picks {
@@ -191,8 +191,8 @@ proptest! {
             let middle = value(at);
             let (up, down) = (value(at + step), value(at - step));
             exact.parameters[i] = at;
-            // A guide that crosses a node within the step has two one-sided slopes;
-            // nearly no parameter meets one.
+            // A guide that crosses a node within the step has two different one-sided derivatives; this is
+            // the case for very few parameters.
             if ((up - middle) - (middle - down)).abs() > 1e-3 * (up - down).abs().max(1e-6) {
                 kinks += 1;
                 continue;
@@ -208,7 +208,7 @@ proptest! {
     }
 }
 
-/// `∂L/∂raw` sums to zero over all Gaussians either way, so a pass over all of them that is given it finds
+/// `∂L/∂raw` sums to zero over all Gaussians either way, so a pass over all of them with this input finds
 /// the same gradient.
 #[test]
 fn chosen_sites_do_what_all_do() {

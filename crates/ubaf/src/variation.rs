@@ -3,7 +3,7 @@
 
 use crate::field::{Field, Gradient};
 
-/// `L_TV`.
+/// Computes `L_TV`.
 pub fn forward(field: &Field) -> f64 {
     let mut total = 0.0;
     each(field, |_, _, difference| total += f64::from(difference).abs());

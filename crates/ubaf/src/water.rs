@@ -1,15 +1,15 @@
-//! The field at the water: the medium's colour graded by the same field, queried at the camera, and bounded
-//! transport ratios.
+//! The field at the water: the same field, queried at the camera, grades the medium's colour; the transport
+//! ratios are bounded.
 //!
 //! * Guide table: the decoder at the camera centre for 16 guide values uniform in `[-1, 1]`, minus its own
 //!   mean over the 16 rows (R22); a row is `(exp(log-gain), bias)`.
-//! * Per pixel: `γ(c_m)` interpolates the table linearly, and `c_m⁺ = gain ⊙ (c_m + δA c_m + b_g) + bias`,
-//!   not clamped.
-//! * `β⁺ = β exp(ln 4 · tanh u)`, one `u` for backscatter and one for attenuation (R24), so ratios stay in
-//!   (¼, 4).
+//! * For each pixel, `γ(c_m)` interpolates the table linearly, and
+//!   `c_m⁺ = gain ⊙ (c_m + δA c_m + b_g) + bias`, not clamped.
+//! * `β⁺ = β exp(ln 4 · tanh u)`, with one `u` for backscatter and one for attenuation (R24), so ratios
+//!   stay in (¼, 4).
 //!
 //! Approximation: the table is linear between its 16 rows, as the field itself is linear between its guide
-//! nodes. Limit: a camera outside the field's box sees the water of the box's face.
+//! nodes. Limit: for a camera outside the field's box, the water is that of the box's face.
 
 use std::ops::Range;
 
@@ -25,14 +25,14 @@ use crate::kernel::{Accumulator, Lookups, Packed, TILE, TileOutputs};
 use crate::sites::LANES;
 use use3d_numerics::lanes::exp;
 
-/// Rows of the guide table.
+/// Number of rows of the guide table.
 pub const ROWS: usize = 16;
 /// The largest log-ratio of the transport coefficients, ln 4.
 pub const LOG_RATIO_BOUND: f32 = 2.0 * std::f32::consts::LN_2;
 /// Pixels per block of parallel work and fixed-order sums.
 const BLOCK: usize = 4096;
 
-/// The constant part of one view's water: what the frozen medium says, and the signed logs of its colour.
+/// The constant part of one view's water: the maps of the frozen medium, and the signed logs of its colour.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Water {
     /// The frozen medium's maps.
@@ -41,18 +41,18 @@ pub struct Water {
 }
 
 impl Water {
-    /// Takes the frozen medium's maps of a view.
+    /// Prepares the frozen medium's maps of a view.
     pub fn new(maps: MediumMaps) -> Self {
         let signed_logs = maps.color.map(signed_log);
         Self { maps, signed_logs }
     }
 
-    /// `h(c_m)` of every pixel, what the guide reads.
+    /// `h(c_m)` of every pixel, the input of the guide.
     pub fn signed_logs(&self) -> &Image {
         &self.signed_logs
     }
 
-    /// Bytes held.
+    /// Number of bytes held.
     pub fn bytes(&self) -> usize {
         12 * size_of::<f32>() * self.maps.color.pixels()
     }
@@ -61,7 +61,7 @@ impl Water {
 /// A guide table: gain RGB, bias RGB per row.
 pub type Table = [[f32; OUTPUTS]; ROWS];
 
-/// Reused state of the water's forward and backward passes.
+/// Reusable state of the water's forward and backward passes.
 #[derive(Debug)]
 pub struct WaterPass {
     level: Level,
@@ -72,7 +72,7 @@ pub struct WaterPass {
     partials: Vec<PixelSums>,
 }
 
-/// What a block of pixels adds up.
+/// The sums of a block of pixels.
 #[derive(Clone, Copy, Debug)]
 struct PixelSums {
     table: [[f64; OUTPUTS]; ROWS],
@@ -96,26 +96,26 @@ pub fn rows() -> [f32; ROWS] {
     std::array::from_fn(|k| (2.0 * k as f64 / (ROWS - 1) as f64 - 1.0) as f32)
 }
 
-/// The position part of the table's lookups, the same in every row: lower nodes on x, y, z
-/// and fractions towards the next.
+/// The position part of the table's lookups, equal in all rows: lower nodes on x, y, z and fractions
+/// towards the next.
 pub fn camera_site(field: &Field, camera: [f32; 3]) -> ([u8; 3], [f32; 3]) {
     let at = field.bounds().normalise(camera).map(|u| locate(u, field.shape().resolution));
     (at.map(|(node, _)| node as u8), at.map(|(_, fraction)| fraction))
 }
 
-/// The same for every row.
+/// [`camera_site`] repeated for every row.
 fn camera_sites(field: &Field, camera: [f32; 3]) -> ([[u8; 3]; ROWS], [[f32; 3]; ROWS]) {
     let (nodes, fractions) = camera_site(field, camera);
     ([nodes; ROWS], [fractions; ROWS])
 }
 
 impl WaterPass {
-    /// On the best instruction set of this machine.
+    /// A pass on the best instruction set of this machine.
     pub fn new() -> Self {
         Self::with_level(Level::new())
     }
 
-    /// On a given instruction set.
+    /// A pass on a given instruction set.
     pub fn with_level(level: Level) -> Self {
         Self {
             level,
@@ -127,7 +127,8 @@ impl WaterPass {
         }
     }
 
-    /// The guide table at a camera centre, with log-gains and biases scaled by `strength` (1 in training).
+    /// Computes the guide table at a camera centre, with log-gains and biases scaled by `strength` (1 in
+    /// training).
     pub fn table(&mut self, field: &Field, camera: [f32; 3], strength: f32) -> Table {
         self.packed.pack(field);
         let (nodes, fractions) = camera_sites(field, camera);
@@ -144,8 +145,8 @@ impl WaterPass {
         self.table
     }
 
-    /// The enhanced maps of a view at `strength` in `[0, 1]`: log-gain, bias, affine and log-ratios are
-    /// scaled by it, so 0 gives the frozen maps exactly and 1 the trained ones.
+    /// Computes the enhanced maps of a view at `strength` in `[0, 1]`. The strength scales log-gain, bias,
+    /// affine and log-ratios, so 0 gives exactly the frozen maps and 1 exactly the trained ones.
     pub fn forward(
         &mut self,
         field: &Field,
@@ -189,8 +190,8 @@ impl WaterPass {
         }
     }
 
-    /// Adds the gradient of everything the enhanced maps depend on, given `∂L/∂` the three maps. The last
-    /// [`WaterPass::forward`] must have been for this field, camera and water, at strength 1.
+    /// Adds the gradient of everything on which the enhanced maps depend, from `∂L/∂` the three maps. The
+    /// last [`WaterPass::forward`] must have been for this field, camera and water, at strength 1.
     pub fn backward(
         &mut self,
         field: &Field,
@@ -233,7 +234,7 @@ impl WaterPass {
         self.table_backward(field, camera, &sums.table, gradient);
     }
 
-    /// As [`WaterPass::backward`], for `∂L/∂table` alone.
+    /// Like [`WaterPass::backward`], for `∂L/∂table` alone.
     fn table_backward(
         &mut self,
         field: &Field,
@@ -264,7 +265,7 @@ pub fn ratios(field: &Field, strength: f32) -> [f32; 2] {
     field.transport().map(|u| math::exp(strength * LOG_RATIO_BOUND * math::tanh(u)))
 }
 
-/// What the colour of a view's pixels depends on.
+/// The inputs of the colours of a view's pixels.
 struct Recolouring<'a> {
     guide: &'a [f32; 4],
     affine: &'a [[f32; 4]; 3],
@@ -274,7 +275,7 @@ struct Recolouring<'a> {
 }
 
 impl Recolouring<'_> {
-    /// `γ` of up to sixteen pixels from `at` on.
+    /// `γ` of up to sixteen pixels, starting at `at`.
     #[inline(always)]
     fn gammas<S: Simd>(&self, simd: S, at: usize, count: usize) -> [f32; LANES] {
         let h = self.logs.map(|plane| {
@@ -287,7 +288,7 @@ impl Recolouring<'_> {
         out
     }
 
-    /// `c_m⁺` of a run of pixels.
+    /// Computes `c_m⁺` of a range of pixels.
     #[inline(always)]
     #[expect(clippy::needless_pass_by_value, reason = "the planes are lent for this run only")]
     fn recolor<S: Simd>(&self, simd: S, pixels: Range<usize>, out: [&mut [f32]; 3]) {
@@ -307,7 +308,7 @@ impl Recolouring<'_> {
         }
     }
 
-    /// Adds the derivatives of a run of pixels to `sums`, all but those of the transport.
+    /// Adds the gradients of a range of pixels to `sums`, except those of the transport.
     #[inline(always)]
     fn differentiate<S: Simd>(
         &self,

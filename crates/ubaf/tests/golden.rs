@@ -1,4 +1,4 @@
-//! The field against the float64 oracle: outputs and gradients at the stated tolerances.
+//! Compares the field with the float64 oracle: outputs and gradients, at the stated tolerances.
 
 use use3d_capture::{Formation, Image, MediumMaps};
 use use3d_golden::{Case, Part};
@@ -38,7 +38,8 @@ fn check_gradient(case: &Case<'_>, pull: &str, gradient: &Gradient) {
     }
 }
 
-/// Cases of whole optimisation steps belong to the crate that has a compositor and an extractor.
+/// Cases of the field. Cases of whole optimisation steps are tested in the crate that has a compositor and
+/// an extractor.
 fn field_cases(part: &Part) -> Vec<Case<'_>> {
     let cases: Vec<_> = part.cases().into_iter().filter(|c| c.has("in.c_bar")).collect();
     assert!(!cases.is_empty(), "no field cases");

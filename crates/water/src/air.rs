@@ -1,43 +1,46 @@
-//! Air told from water without tracks, by the darkest and the brightest points.
+//! Distinguishes air from water without tracks, by the darkest and the brightest points.
 //!
-//! Water adds a veil to whatever is seen through it and takes light away, the more the farther: `I = J
-//! e^{−β_a s} + B (1 − e^{−β_b s})` with `J ≥ 0`. What is darkest at a distance is therefore an upper bound
-//! of the veil there, in every channel. Where some far points are nearly black, there is no veil; where the
-//! brightest far points are as bright as the brightest near ones, nothing is taken away, as dark water lit
-//! by lamps would. Both together are air. The opposite is not said: a lawn has nothing black, near or far.
+//! Water adds a veil to everything seen through it and removes light, both increasing with distance:
+//! `I = J e^{−β_a s} + B (1 − e^{−β_b s})` with `J ≥ 0`. So the darkest value at a distance is an upper
+//! bound of the veil there, in every channel. Where some far points are nearly black, there is no veil.
+//! Where the brightest far points are as bright as the brightest near ones, no light is removed, as dark
+//! water lit by lamps would do. Both together mean air. The converse does not hold: a lawn has nothing
+//! black, near or far.
 //!
-//! A point counts in a view where the view shows the colour that the model gives to the point, so that what
-//! stands before it is not taken for it. Distances are sorted into [`CLASSES`] of equal numbers.
+//! A point counts in a view only if the view shows the colour that the model has for the point. So an
+//! object in front of the point is not mistaken for it. Distances are sorted into [`CLASSES`] classes of
+//! equal size.
 
 use use3d_capture::{Camera, Image, Map, SparsePoint};
 
-/// Classes of distances.
+/// Number of classes of distances.
 const CLASSES: usize = 5;
-/// The farthest ones, that tell.
+/// Number of farthest classes that are tested.
 const FAR: usize = 2;
-/// A class has at least so many points.
+/// Fewest points in a class.
 const FEWEST: usize = 150;
-/// The median distance of the farthest class over that of the nearest, at least.
+/// Smallest ratio of the median distance of the farthest class to that of the nearest.
 const RANGE: f64 = 1.4;
-/// Largest distance of a pixel from the point's colour, display range.
+/// Largest difference of a pixel from the point's colour, display range.
 const SAME: f64 = 0.08;
-/// The share of a class that is darker than its darkest value, and brighter than its brightest.
+/// The share of a class that is darker than its lower limit, and the share that is brighter than its upper
+/// limit.
 const TAIL: f64 = 0.02;
-/// The brightest far points are at least this share of the brightest near ones.
+/// Smallest ratio of the brightest far points to the brightest near ones.
 const BRIGHT: f64 = 0.8;
-/// Values up to here are nearly black, display range.
+/// Values up to this are nearly black, display range.
 const BLACK: f64 = 0.06;
 
-/// One view's glance at one point.
+/// One view of one point: its distance and colour.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Glance {
-    /// From the camera centre, any unit.
+    /// Distance from the camera centre, any unit.
     pub distance: f64,
     /// R, G, B, display range.
     pub value: [f64; 3],
 }
 
-/// A view's glances at the points that lie in it, with a mask where 1 counts.
+/// Returns a view's glances at the points that lie in it; `mask` is 1 where pixels count.
 pub fn glances(camera: &Camera, points: &[SparsePoint], image: &Image, mask: Option<&Map>) -> Vec<Glance> {
     let mut found = Vec::new();
     for point in points {
@@ -57,7 +60,7 @@ pub fn glances(camera: &Camera, points: &[SparsePoint], image: &Image, mask: Opt
     found
 }
 
-/// True if the glances show air. `false` says nothing: there may be water, or nothing dark.
+/// True if the glances show air. `false` does not mean water: the scene may simply have nothing dark.
 pub fn shows_air(glances: &[Glance]) -> bool {
     let whole = |g: &&Glance| g.distance.is_finite() && g.value.iter().all(|v| v.is_finite());
     let mut sorted: Vec<&Glance> = glances.iter().filter(whole).collect();

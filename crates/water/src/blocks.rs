@@ -1,20 +1,21 @@
-//! Points in blocks of neighbours. What the model gets wrong (shading, shadows, the veil's shape) it gets
-//! wrong alike for neighbouring points, so that errors are counted per block and not per point: the block is
-//! what the sandwich covariance and the test against no water take for independent.
+//! Groups points into blocks of neighbours. The model's errors (shading, shadows, the veil's shape) are
+//! alike for neighbouring points, so errors are counted per block and not per point. The sandwich
+//! covariance and the test against no water treat blocks as independent.
 
 use glam::DVec3;
 
-/// Most blocks.
+/// Largest number of blocks.
 const BLOCKS: usize = 48;
-/// Fewest points of a block, where there are enough.
+/// Fewest points in a block, if there are enough points.
 const SMALLEST: usize = 8;
 
-/// The block of every point: the points' box is halved at the median of its longest side, again and again.
+/// Returns the block of every point and the number of blocks. The points' box is halved repeatedly at the
+/// median of its longest side.
 pub(crate) fn blocks(positions: &[DVec3]) -> (Vec<usize>, usize) {
     let mut block = vec![0; positions.len()];
     let mut groups: Vec<Vec<usize>> = vec![(0..positions.len()).collect()];
     while groups.len() < BLOCKS {
-        // The fullest group is halved next; the first of equals.
+        // The fullest group is halved next; among equally full groups, the first.
         let Some(fullest) = (0..groups.len()).rev().max_by_key(|&g| groups[g].len()) else { break };
         if groups[fullest].len() < 2 * SMALLEST {
             break;

@@ -1,9 +1,9 @@
-//! The fit of one channel: where it starts, what it assumes, whether the views have gains, how much water
-//! explains.
+//! The fit of one channel: its starts, its assumptions, the decision on gains per view, and the share of
+//! the loss that water explains.
 //!
-//! The loss has more than one minimum, and with `ln B` as parameter its gradient vanishes where B does: a
-//! veil that was once taken for black would stay black. Every channel is therefore fitted from several veils,
-//! and the lowest cost wins.
+//! The loss has more than one minimum. With `ln B` as parameter, its gradient vanishes where B does: a veil
+//! that became black once would stay black. Every channel is therefore fitted from several veils, and the
+//! lowest cost wins.
 
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
@@ -20,38 +20,38 @@ use crate::verdict::Verdict;
 
 /// The veil that is assumed beforehand, display range, and the width of its logarithm.
 const VEIL_PRIOR: (f64, f64) = (0.35, 0.6);
-/// The width where open water shows the veil: from black to white.
+/// The width if open water shows the veil: from black to white.
 const VEIL_SEEN: f64 = 3.0;
-/// Veils that every fit starts from besides its first guess: nearly black, dark, middle.
+/// Veils from which every fit starts besides its first guess: nearly black, dark, middle.
 const VEIL_STARTS: [f64; 3] = [0.0003, 0.05, 0.3];
-/// Width of each component of the veil's relative slope.
+/// Width of each component of the veil's relative slope over directions.
 const SLOPE_PRIOR: f64 = 1.0;
-/// Width of each component of a channel's slope about the one that all channels share.
+/// Width of each component of a channel's slope around the slope that all channels share.
 const SLOPE_ALIKE: f64 = 0.1;
-/// A veil that the camera clipped to black: its share of green's, and the width of its logarithm.
+/// A veil that the camera clipped to black: its share of green's veil, and the width of its logarithm.
 const VEIL_CLIPPED: (f64, f64) = (0.07, 0.4);
-/// The same width in the fit: tracks do not measure such a veil, they draw it to nothing.
+/// The width of such a veil's logarithm during the fit: tracks do not measure it and would pull it to zero.
 const VEIL_HELD: f64 = 0.02;
 /// The width of `ln β_b/β_a` in a channel whose veil is assumed.
 const RATIO_CLIPPED: f64 = 0.05;
-/// Noise, design effect and gains follow from the residuals this many times.
+/// Number of times that noise, design effect and gains are computed from the residuals.
 const ROUNDS: usize = 3;
-/// A gain per view is kept where it takes away at least this share of the loss: exposure that changes does
-/// more than this, and gains that are not there would take over part of what distance does.
+/// A gain per view is kept if it removes at least this share of the loss. Changing exposure removes more
+/// than this; gains that are not real would absorb part of the effect of distance.
 const GAINS_EXPLAIN: f64 = 0.35;
-/// If gains without any water leave less than water without gains, this share is enough: exposure then changes
-/// most, and water that is fitted without it takes over part of what exposure does.
+/// This smaller share is enough if gains without any water leave less loss than water without gains.
+/// Exposure is then the larger effect, and water fitted without gains absorbs part of it.
 const GAINS_EXPLAIN_FIRST: f64 = 0.15;
-/// Width of the log-gains before anything is known of them.
+/// Width of the log-gains before the residuals are known.
 const GAIN_PRIOR: f64 = 0.1;
-/// Costs that differ by a smaller share are of the same minimum.
+/// Costs that differ by a smaller share than this belong to the same minimum.
 const ALIKE: f64 = 1e-5;
-/// Starts are compared on about so many points.
+/// Approximate number of points on which starts are compared.
 const START_POINTS: usize = 1200;
-/// More points than this tell nothing new.
+/// Largest number of points used; more points add no information.
 const MOST_POINTS: usize = 6000;
 
-/// One channel while it is fitted.
+/// One channel during its fit.
 pub(crate) struct Work {
     channel: Channel,
     points: usize,
@@ -61,15 +61,15 @@ pub(crate) struct Work {
     pub(crate) noise: Noise,
     pub(crate) best: Fit,
     pub(crate) errors: Covariance,
-    /// Share of the loss that gains take away.
+    /// The share of the loss that gains remove.
     gains_explain: f64,
     /// True if the veil is assumed, because the camera clipped it.
     pub(crate) assumed: bool,
 }
 
 impl Work {
-    /// Fits channel `c` without regard to the others; `open`: whether its open water is of use. `None` where
-    /// too few points tell.
+    /// Fits channel `c` without the other channels; `open` is true if its open water is used. `None` if too
+    /// few points carry information.
     pub(crate) fn alone(data: &Data, c: usize, params: &WaterParams, open: bool) -> Option<Self> {
         let (channel, points) = data.select(c, data.order.len().div_ceil(MOST_POINTS).max(1));
         if data.telling < params.min_points || points.len() < params.min_points {
@@ -77,7 +77,7 @@ impl Work {
         }
         let mut prior = Prior {
             attenuation: (math::ln(0.5), 2.0),
-            // Whatever was given, a width is positive.
+            // The width must be positive, for any value of the parameter.
             ratio: (0.0, params.ratio_width.max(1e-3)),
             veil: (math::ln(VEIL_PRIOR.0), VEIL_PRIOR.1),
             slope: ([0.0; 3], 0.0),
@@ -89,7 +89,8 @@ impl Work {
             strength: 1.0,
         };
         let (start, noise) = start(data, c, &prior);
-        // Then everything that may vary, on all points; noise and the gains' width follow from the residuals.
+        // Then everything that may vary is fitted on all points; noise and the gains' width follow from the
+        // residuals.
         prior.slope.1 = if params.directional_veil { SLOPE_PRIOR } else { 0.0 };
         if open && !data.open.is_empty() {
             prior.open = Open::new(&data.open, c, data.center);
@@ -122,7 +123,7 @@ impl Work {
         self.noise.sigmas(&self.channel)
     }
 
-    /// Fits again with noise and design effect as the residuals show them.
+    /// Fits again with the noise and design effect that the residuals show.
     fn settle(&mut self, rounds: usize) {
         for _ in 0..rounds {
             self.noise = self.noise.estimate(
@@ -139,7 +140,7 @@ impl Work {
         }
     }
 
-    /// Fits a part of the points from other veils, and goes on from the lowest cost.
+    /// Fits a part of the points from other veils, and continues from the lowest cost.
     fn other_veils(&mut self, data: &Data, c: usize) {
         let (channel, _) = data.select(c, data.order.len().div_ceil(START_POINTS).max(1));
         let sigmas = self.noise.sigmas(&channel);
@@ -156,7 +157,7 @@ impl Work {
                 fit(&channel, &sigmas, &self.prior, &theta, &[1.0])
             })
             .collect();
-        // The first of the lowest; where they are alike, the fit of all points stays.
+        // The first fit with the lowest cost is taken; if the costs are alike, the fit of all points stays.
         let lowest = fits.iter().fold(f64::INFINITY, |m, f| m.min(f.cost));
         if fits[0].cost > lowest + ALIKE * lowest.abs() {
             let best = fits.into_iter().find(|f| f.cost <= lowest);
@@ -164,7 +165,7 @@ impl Work {
         }
     }
 
-    /// The veil's slope, and the inverse of its covariance; `None` where it is not known.
+    /// The veil's slope, and the inverse of its covariance; `None` if it is unknown.
     pub(crate) fn slope(&self) -> Option<(DVec3, DMat3)> {
         if self.prior.slope.1 <= 0.0 {
             return None;
@@ -181,7 +182,7 @@ impl Work {
         self.settle(ROUNDS);
     }
 
-    /// Fits again with an assumed veil, a share of green's, which fills in as fast as surfaces fade.
+    /// Fits again with an assumed veil: a share of green's, with `β_b` close to `β_a`.
     pub(crate) fn assume_veil(&mut self, green: f64) {
         let veil = math::ln(VEIL_CLIPPED.0 * green);
         self.prior.veil = (veil, VEIL_HELD);
@@ -202,8 +203,8 @@ impl Work {
         math::exp(self.best.theta[VEIL])
     }
 
-    /// Frees the gains of the views where they explain enough, and says how much water explains that gains
-    /// cannot.
+    /// Fits gains of the views and keeps them if they explain enough. Returns the loss that water explains
+    /// beyond gains.
     pub(crate) fn gains(&mut self, params: &WaterParams) -> Against {
         let sigmas = self.sigmas();
         let gain = if params.gains { GAIN_PRIOR } else { 0.0 };
@@ -256,7 +257,7 @@ impl Work {
         Against { gains, total }
     }
 
-    /// The channel's water as it is told.
+    /// The result for this channel's water.
     pub(crate) fn describe(&self, data: &Data, against: &Against) -> ChannelWater {
         let theta = &self.best.theta;
         let (a, b) = (math::exp(theta[ATTENUATION]) / data.unit, math::exp(theta[BACKSCATTER]) / data.unit);
@@ -287,17 +288,17 @@ impl Work {
     }
 }
 
-/// The loss without water minus that with it.
+/// The loss without water minus the loss with it.
 #[derive(Clone, Debug)]
 pub(crate) struct Against {
-    /// By block.
+    /// The difference in each block.
     gains: Vec<f64>,
     /// The loss without water.
     total: f64,
 }
 
 impl Against {
-    /// That of all channels together.
+    /// The sum over all channels.
     pub(crate) fn sum<'a>(all: impl Iterator<Item = &'a Self>) -> Option<Self> {
         all.cloned().reduce(|mut sum, other| {
             sum.gains.iter_mut().zip(other.gains).for_each(|(a, b)| *a += b);
@@ -305,7 +306,7 @@ impl Against {
         })
     }
 
-    /// The t statistic over blocks of how far water lowers the loss, and the share of the loss that it
+    /// The t statistic over blocks of the fall in loss due to water, and the share of the loss that water
     /// explains.
     pub(crate) fn told(&self) -> [f64; 2] {
         let n = self.gains.len() as f64;
@@ -316,7 +317,7 @@ impl Against {
     }
 }
 
-/// The best of several starts on a part of the points.
+/// Returns the best of several starts on a part of the points.
 fn start(data: &Data, c: usize, prior: &Prior) -> (Vec<f64>, Noise) {
     let (channel, _) = data.select(c, data.order.len().div_ceil(START_POINTS).max(1));
     let mut values = channel.value.clone();
@@ -332,7 +333,7 @@ fn start(data: &Data, c: usize, prior: &Prior) -> (Vec<f64>, Noise) {
             fit(&channel, &Noise::START.sigmas(&channel), prior, &theta, &[3.0, 1.0])
         })
         .collect();
-    // The first of the lowest.
+    // Among equal costs, the first.
     let best = fits.into_iter().reduce(|a, b| if b.cost < a.cost { b } else { a });
     match best {
         Some(best) => {
@@ -343,10 +344,10 @@ fn start(data: &Data, c: usize, prior: &Prior) -> (Vec<f64>, Noise) {
     }
 }
 
-/// The directions that lie outermost, seen along 64 even directions: where a linear veil is least.
+/// The outermost directions along each of 64 even directions; a linear veil has its minimum at one of them.
 fn outermost(directions: &(impl Iterator<Item = [f64; 3]> + Clone)) -> Vec<[f64; 3]> {
     const ALONG: usize = 64;
-    // A spiral over the sphere by the golden angle.
+    // The 64 directions form a spiral over the sphere with the golden angle.
     let along = (0..ALONG).map(|i| {
         let z = 1.0 - (2.0 * i as f64 + 1.0) / ALONG as f64;
         let (sin, cos) = math::sin_cos(2.399_963_229_728_653 * i as f64);
@@ -356,7 +357,7 @@ fn outermost(directions: &(impl Iterator<Item = [f64; 3]> + Clone)) -> Vec<[f64;
     let mut found: Vec<[f64; 3]> = Vec::with_capacity(ALONG);
     for axis in along {
         let reach = |d: &[f64; 3]| axis.dot(DVec3::from_array(*d));
-        // The first of equals, in whatever order the views come: by its coordinates.
+        // Ties are broken by coordinates, so that the order of the views does not matter.
         let far = directions.clone().reduce(|a, b| {
             let further = reach(&b).total_cmp(&reach(&a));
             let further = further.then_with(|| order(&b, &a));
@@ -378,15 +379,15 @@ fn total(fit: &Fit, sigmas: &[f64]) -> f64 {
     fit.residuals.iter().zip(sigmas).map(|(r, s)| loss(*r, *s, CAUCHY)).sum()
 }
 
-/// Parameters of no water.
+/// The parameters of no water.
 pub(crate) fn dry(views: usize) -> Vec<f64> {
     let mut theta = vec![0.0; GAIN + views];
     (theta[ATTENUATION], theta[BACKSCATTER]) = (f64::NEG_INFINITY, f64::NEG_INFINITY);
     theta
 }
 
-/// Coefficients over the views of the least-squares slope over the views' mean distances; empty where all are
-/// as far.
+/// Coefficients over the views that give the least-squares slope of the gains over the views' mean
+/// distances; empty if all views are equally far.
 fn trend(channel: &Channel) -> Vec<f64> {
     let mut sums = vec![(0.0, 0.0); channel.views];
     for (view, distance) in channel.view.iter().zip(&channel.distance) {
@@ -403,10 +404,10 @@ fn trend(channel: &Channel) -> Vec<f64> {
     means.iter().map(|mean| mean.map_or(0.0, |mean| (mean - middle) / spread)).collect()
 }
 
-/// Standard deviation of the gains that the data show (one step of expectation and maximisation).
+/// The standard deviation of the gains that the data show (one step of expectation and maximisation).
 fn gain_width(channel: &Channel, best: &Fit, prior: &Prior) -> f64 {
     let gains = &best.theta[GAIN..];
-    // A view's own data alone give an upper bound of the precision of its gain.
+    // The data of a single view alone give an upper bound of the precision of its gain.
     let mut precision = vec![0.0; gains.len()];
     for (i, view) in channel.view.iter().enumerate() {
         let m = channel.value[i] - best.residuals[i];
@@ -420,7 +421,8 @@ fn gain_width(channel: &Channel, best: &Fit, prior: &Prior) -> f64 {
     if count > 0.0 { (sum / count).sqrt().clamp(1e-3, 0.3) } else { 1e-3 }
 }
 
-/// Moves the gains' mean into the veil: the geometric mean of the gains is 1, and radiances take the rest.
+/// Moves the gains' mean into the veil, so that the geometric mean of the gains is 1; the radiances absorb
+/// the rest.
 fn center_gains(theta: &mut [f64]) {
     let views = theta.len() - GAIN;
     let mean = theta[GAIN..].iter().sum::<f64>() / views.max(1) as f64;

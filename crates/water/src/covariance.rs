@@ -1,8 +1,8 @@
-//! Errors of the shared parameters: the sandwich `H⁻¹ M H⁻¹`, with H the curvature of loss and penalty and M
-//! the scatter of the blocks' gradients.
+//! Errors of the shared parameters: the sandwich `H⁻¹ M H⁻¹`, with H the curvature of loss and penalty, and
+//! M the scatter of the blocks' gradients.
 //!
-//! It holds where the errors are not those that the loss assumes, and where neighbouring points err together.
-//! The gains take part, so that what is uncertain because of them is counted.
+//! It stays valid if the errors are not those that the loss assumes, and if neighbouring points have common
+//! errors. The gains are included, so that the uncertainty they cause is counted.
 
 use crate::dense::Factor;
 use crate::formation::{BACKSCATTER, Channel, GAIN, VEIL, normal};
@@ -18,14 +18,14 @@ pub(crate) struct Covariance {
     pub(crate) slope: [f64; 9],
     /// Correlation of the errors of `ln β_b` and `ln B_0`.
     pub(crate) backscatter_veil: f64,
-    /// Standard error of `ln β_b` if nothing were assumed about `β_b/β_a`.
+    /// Standard error of `ln β_b` without any assumption about `β_b/β_a`.
     pub(crate) backscatter_alone: f64,
-    /// Observations per independent one: the blocks' scatter over what independent observations would show,
-    /// the median of the parameters'.
+    /// Number of observations per independent one: the blocks' scatter divided by the scatter that
+    /// independent observations would have; the median over the parameters.
     pub(crate) design_effect: f64,
 }
 
-/// Errors of a fit.
+/// Computes the errors of a fit.
 pub(crate) fn covariance(
     channel: &Channel,
     sigmas: &[f64],
@@ -41,7 +41,7 @@ pub(crate) fn covariance(
             scores[block[p]][k] += value;
         }
     });
-    // The weights overstate the loss's curvature; on average by this much.
+    // The weights overstate the loss's curvature; this is the mean factor.
     let (mut bend, mut weight) = (0.0, 0.0);
     for (r, s) in best.residuals.iter().zip(sigmas) {
         let u = square(r / (s * CAUCHY));
@@ -75,8 +75,8 @@ pub(crate) fn covariance(
     }
 }
 
-/// The shared parameters' part of the sandwich, row-major, and the design effect; `None` where the curvature
-/// is singular.
+/// The part of the sandwich that belongs to the shared parameters, row-major, and the design effect; `None`
+/// if the curvature is singular.
 fn sandwich(
     matrix: &[f64],
     curvature: f64,
@@ -96,7 +96,7 @@ fn sandwich(
         }
     }
     let factor = Factor::new(small, m)?;
-    // H⁻¹ times every block's gradient; the blocks' mean is what the penalty balances.
+    // H⁻¹ times every block's gradient; the penalty's gradient balances the blocks' mean.
     let count = scores.len() as f64;
     let mean: Vec<f64> = free.iter().map(|&k| scores.iter().map(|s| s[k]).sum::<f64>() / count).collect();
     let mut out = [0.0; GAIN * GAIN];
@@ -109,7 +109,7 @@ fn sandwich(
             }
         }
     }
-    // What was assumed is uncertain too: H⁻¹ P H⁻¹ of the penalty's curvature P.
+    // The assumptions are uncertain too: this adds H⁻¹ P H⁻¹ with the penalty's curvature P.
     let mut penalty = vec![0.0; n * n];
     prior.add(&best.theta, &mut vec![0.0; n], &mut penalty);
     let columns: Vec<Vec<f64>> = (0..GAIN)

@@ -1,5 +1,5 @@
-//! A capture's observations as all channels share them: sorted, with the points that tell, in units of the
-//! median distance.
+//! A capture's observations in the form that all channels share: sorted, with the informative points, in
+//! units of the median distance.
 
 use glam::DVec3;
 
@@ -14,9 +14,9 @@ pub(crate) struct Data {
     /// Sorted so that the caller's order does not matter.
     pub(crate) observations: Vec<Observation>,
     pub(crate) open: Vec<OpenWater>,
-    /// Indices of tracks that tell, by position.
+    /// Indices of informative tracks, sorted by position.
     pub(crate) order: Vec<usize>,
-    /// The block of neighbours that a point of `order` belongs to, by track.
+    /// The block of neighbours to which a point of `order` belongs, indexed by track.
     pub(crate) block: Vec<usize>,
     /// Number of blocks.
     pub(crate) blocks: usize,
@@ -62,7 +62,8 @@ impl Data {
         };
         let tells = |p: &usize| ranges[*p].len() >= 3 && ratio(&ranges[*p]) >= params.distance_ratio;
         let telling = (0..points).filter(tells).count();
-        // Points over a smaller range tell less, but cost little and steady the gains.
+        // Points over a smaller range of distances carry less information, but cost little and stabilise
+        // the gains.
         let mut order: Vec<usize> =
             (0..points).filter(|p| ranges[*p].len() >= 3 && ratio(&ranges[*p]) >= 1.1).collect();
         order.sort_by(|a, b| {
@@ -96,7 +97,7 @@ impl Data {
         }
     }
 
-    /// A channel's observations of every `step`-th point that tells, and those points.
+    /// A channel's observations of every `step`-th informative point, and those points.
     pub(crate) fn select(&self, c: usize, step: usize) -> (Channel, Vec<usize>) {
         let mut channel = Channel { start: vec![0], views: self.views, ..Channel::default() };
         let mut points = Vec::new();

@@ -7,8 +7,8 @@ pub(crate) struct Factor {
 }
 
 impl Factor {
-    /// Factors an `n × n` matrix, of which the lower triangle is read; `None` if it is not positive definite
-    /// or not finite.
+    /// Factors an `n × n` matrix, reading only its lower triangle; `None` if it is not positive definite or
+    /// not finite.
     pub(crate) fn new(mut matrix: Vec<f64>, n: usize) -> Option<Self> {
         for j in 0..n {
             for i in j..n {

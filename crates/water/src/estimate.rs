@@ -1,4 +1,4 @@
-//! From observations to the capture's water, with its errors and a verdict per channel.
+//! Estimates the capture's water from observations, with its errors and a verdict per channel.
 
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
@@ -13,21 +13,21 @@ use crate::open::OpenWater;
 use crate::solve::CAUCHY;
 use crate::verdict::{Verdict, judge, present};
 
-/// What a user may say about the estimate.
+/// The user's settings of the estimate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WaterParams {
-    /// A point counts where its farthest view is this many times as far as its nearest one.
+    /// A point counts if its farthest view is at least this many times as far away as its nearest.
     pub distance_ratio: f64,
-    /// Fewer such points than this and nothing is estimated.
+    /// With fewer such points than this nothing is estimated.
     pub min_points: usize,
-    /// Whether the veil may depend on the direction, to first order.
+    /// True if the veil may depend on the direction, to first order.
     pub directional_veil: bool,
-    /// Whether open water says what the veil is.
+    /// True if open water is used to measure the veil.
     pub open_water: bool,
-    /// Whether each view may have a gain of its own.
+    /// True if each view may have a gain of its own.
     pub gains: bool,
-    /// Standard deviation of `ln(β_b/β_a)` around 0 that is assumed beforehand. Decides only where the data
-    /// do not.
+    /// Standard deviation of `ln(β_b/β_a)` around 0 that is assumed beforehand. It matters only where the
+    /// data do not decide.
     pub ratio_width: f64,
 }
 
@@ -53,10 +53,10 @@ pub struct Measured {
     pub error: f64,
 }
 
-/// One channel's water. Lengths are those of the observations' distances.
+/// The water of one channel. Lengths have the unit of the observations' distances.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ChannelWater {
-    /// What can be relied on.
+    /// The reliability of the result.
     pub verdict: Verdict,
     /// `β_a`, 1/length.
     pub attenuation: Measured,
@@ -72,21 +72,21 @@ pub struct ChannelWater {
     pub veil_assumed: bool,
     /// Correlation of the errors of `ln β_b` and the veil.
     pub backscatter_veil_correlation: f64,
-    /// Relative error of `β_b` if nothing were assumed about `β_b/β_a`.
+    /// Relative error of `β_b` without any assumption about `β_b/β_a`.
     pub backscatter_alone: f64,
-    /// A t statistic: the fall of the loss, per block, from no water to this water, over its own scatter.
-    /// Where gains of the views are kept, both have them.
+    /// A t statistic: the fall of the loss per block from no water to this water, divided by its own
+    /// scatter. If gains of the views are kept, both fits have them.
     pub significance: f64,
     /// Share of the loss without water that water explains, 0 to 1.
     pub explained: f64,
-    /// Share of the remaining loss that a gain per view takes away, 0 to 1; gains are kept where it is
-    /// large.
+    /// Share of the remaining loss that a gain per view removes, 0 to 1; gains are kept if it is large.
     pub gains_explain: f64,
-    /// Error of an observation of an even surface, and what an uneven one adds as a share of its unevenness.
+    /// Error of an observation of an even surface, and the error that an uneven surface adds, as a share of
+    /// its unevenness.
     pub noise: [f64; 2],
-    /// Points that were used.
+    /// Number of points used.
     pub points: usize,
-    /// Observations that were used.
+    /// Number of observations used.
     pub observations: usize,
 }
 
@@ -95,35 +95,36 @@ pub struct ChannelWater {
 pub struct Water {
     /// Red, green, blue.
     pub channels: [ChannelWater; 3],
-    /// True if the fit found no water but a sky or a haze in air: a veil that is nearly white in all
+    /// True if the fit found not water but a sky or a haze in air: a veil that is nearly white in all
     /// channels.
     pub sky: bool,
     /// The t statistic of all channels together.
     pub significance: f64,
-    /// Share of that loss that water explains, 0 to 1.
+    /// Share of the loss of all channels that water explains, 0 to 1.
     pub explained: f64,
     /// Gain of every view and channel, geometric mean 1; 1 for views without observations.
     pub gains: Vec<[f64; 3]>,
-    /// Radiance without water of every point that was asked for and seen, and its standard error from the
-    /// scatter of its views; `None` elsewhere.
+    /// Radiance without water of every point that was seen, and its standard error from the scatter of its
+    /// views; `None` for other points.
     pub radiances: Vec<Option<[Measured; 3]>>,
-    /// Points whose farthest view is at least `distance_ratio` times as far as the nearest.
+    /// Number of points whose farthest view is at least `distance_ratio` times as far away as the nearest.
     pub points: usize,
-    /// Cells of open water that were looked at; 0 where there are too few to tell the veil.
+    /// Number of cells of open water used; 0 if there are too few to measure the veil.
     pub open: usize,
     /// 5th, 50th and 95th percentile of the distances.
     pub distances: [f64; 3],
-    /// Whether the three attenuations are within a factor of 1.5, as lamps, exposure or a haze make them,
-    /// and hardly water.
+    /// True if the three attenuations are within a factor of 1.5. Lamps, exposure or a haze cause this;
+    /// water hardly does.
     pub grey: bool,
 }
 
-/// Estimates the water from what `views` views show of `points` points and of open water.
+/// Estimates the water from the observations in `views` views of `points` points and of open water.
 ///
-/// Never fails: where the capture cannot tell, the verdicts say so and the values are those of no water. What
-/// is not finite is left out. The result does not depend on the observations' order.
+/// This function never fails: if the capture has too little information, the verdicts report it and the
+/// values are those of no water. Values that are not finite are left out. The result does not depend on the
+/// observations' order.
 ///
-/// Even cells that would make a veil surely brighter than white are no water but a sky or a lit wall: the
+/// Even cells that would make a veil clearly brighter than white show no water but a sky or a lit wall; the
 /// estimate is then made without them.
 pub fn estimate(
     sights: &Sights,
@@ -147,12 +148,12 @@ pub fn estimate(
     water
 }
 
-/// A veil at least this bright in every channel is none of water, display range: water that takes a colour
-/// away from surfaces takes it from the veil, too, and red first.
+/// A veil at least this bright in every channel is not that of water, display range: water that removes a
+/// colour from surfaces also removes it from the veil, and red first.
 const WHITE: f64 = 0.7;
 
-/// True if the veil is nearly white in all channels, where it is brightest of: the mean direction, and that
-/// of the even, far cells.
+/// True if the veil is nearly white in all channels, in the brighter of two directions: the mean direction,
+/// and the mean direction of the even, far cells.
 fn white(water: &Water, data: &Data) -> bool {
     let sum: DVec3 = data.open.iter().map(|o| o.direction).sum();
     let open = (!data.open.is_empty()).then(|| sum / data.open.len() as f64);
@@ -162,9 +163,10 @@ fn white(water: &Water, data: &Data) -> bool {
     })
 }
 
-/// As [`estimate`], with errors that count how the estimate moves with the images' size: `σ² + (β(W) −
-/// β(W/2))²`, where `sights` are those at the images' own size W and at half of it. Halves of points or views
-/// share what sharpness, compression and keypoints do; sizes do not.
+/// Like [`estimate`], with errors that include the change of the estimate with the images' size:
+/// `σ² + (β(W) − β(W/2))²`, where `sights` are those at the images' own size W and at half of it. Two
+/// halves of the points or views share the effects of sharpness, compression and keypoints; two sizes do
+/// not.
 pub fn estimate_sizes(
     sights: &[Sights; 2],
     points: usize,
@@ -192,14 +194,14 @@ pub fn estimate_sizes(
     water
 }
 
-/// A channel as it was solved.
+/// A channel's solution.
 struct Solved {
     theta: Vec<f64>,
     noise: Noise,
 }
 
 impl Data {
-    /// The fit of all channels.
+    /// Fits all channels.
     fn water(&self, points: usize, params: &WaterParams) -> Water {
         let clipped: [bool; 3] = std::array::from_fn(|c| clipped(&self.open, c));
         let mut works: Vec<Option<Work>> =
@@ -211,8 +213,8 @@ impl Data {
                 work.share_slope(slope);
             }
         });
-        // A veil that the camera clipped to black is dark beside green's, or blue's where green is black,
-        // too.
+        // A veil that the camera clipped to black is dark relative to green's, or relative to blue's where
+        // green is black too.
         let seen = [1, 2, 0].into_iter().filter(|c| !clipped[*c]);
         let green = seen.filter_map(|c| works[c].as_ref()).map(Work::veil).next();
         works.par_iter_mut().zip(clipped).filter(|(_, clipped)| *clipped).for_each(|(work, _)| {
@@ -222,7 +224,7 @@ impl Data {
         });
         let told: Vec<Option<Against>> =
             works.par_iter_mut().map(|work| work.as_mut().map(|work| work.gains(params))).collect();
-        // There is one body of water: the channels tell together whether there is any.
+        // There is one body of water, so all channels together decide whether there is any.
         let [significance, explained] =
             Against::sum(told.iter().flatten()).map_or([0.0; 2], |all| all.told());
         let mut gains = vec![[1.0; 3]; self.views];
@@ -258,7 +260,7 @@ impl Data {
         }
     }
 
-    /// The radiance of every point that was seen at all.
+    /// The radiance of every point that was seen.
     fn radiances(&self, fits: &[Solved], points: usize) -> Vec<Option<[Measured; 3]>> {
         (0..points)
             .into_par_iter()
@@ -273,8 +275,8 @@ impl Data {
             .collect()
     }
 
-    /// One channel's radiance of one point: Cauchy-weighted over its views, from the median of what each view
-    /// says alone.
+    /// One channel's radiance of one point: a Cauchy-weighted mean over its views, started from the median
+    /// of the values of each view alone.
     fn radiance(&self, seen: &[Observation], c: usize, solved: &Solved) -> Option<Measured> {
         let usable: Vec<&Observation> = seen.iter().filter(|o| o.value[c].is_finite()).collect();
         let mut channel = Channel { views: self.views, ..Channel::default() };
@@ -303,7 +305,7 @@ impl Data {
     }
 }
 
-/// Values at or below are clipped by the camera, display range.
+/// Values at or below this are clipped by the camera, display range.
 const BLACK: f64 = 2.0 / 255.0;
 
 /// True if the camera clipped a channel's open water to black in over half of the cells.
@@ -311,7 +313,7 @@ fn clipped(open: &[OpenWater], c: usize) -> bool {
     !open.is_empty() && 2 * open.iter().filter(|o| o.value[c] <= BLACK).count() > open.len()
 }
 
-/// The mean of slopes, each weighted by the inverse of its covariance.
+/// The mean of the slopes, each weighted by the inverse of its covariance.
 fn common(slopes: impl Iterator<Item = (DVec3, DMat3)>) -> Option<DVec3> {
     let (mut weight, mut sum) = (DMat3::ZERO, DVec3::ZERO);
     for (slope, precision) in slopes {

@@ -3,22 +3,23 @@
 //! An observation i of a point, at distance `s_i` along the unit direction `d_i` in view v:
 //!
 //! ```text
-//! m_i = a_i J + b_i,   a_i = e^{γ_v} e^{−β_a s_i},   b_i = e^{γ_v} B(d_i) (1 − e^{−β_b s_i}),   B(d) = B_0 (1 + g·(d − d̄))
+//! m_i  = a_i J + b_i,       a_i = e^{γ_v} e^{−β_a s_i},   b_i = e^{γ_v} B(d_i) (1 − e^{−β_b s_i}),
+//! B(d) = B_0 (1 + g·(d − d̄))
 //! ```
 //!
-//! J is the point's radiance without water. For given parameters and weights it has a closed form, `J = Σ w a
-//! (I − b) / Σ w a²` (0 where that is negative: no surface radiates less than nothing), so that only the
-//! shared parameters are left: variable projection (Golub and Pereyra, "The differentiation of
-//! pseudo-inverses and nonlinear least squares problems whose variables separate", SIAM J. Numer.
-//! Anal. 10, 1973). With `r = I − b − a J` and `x_i = ∂m_i/∂θ` at fixed J, the projected residual's exact
-//! derivative is
+//! J is the point's radiance without water. For given parameters and weights it has a closed form,
+//! `J = Σ w a (I − b) / Σ w a²` (0 where that is negative, because no surface radiates less than nothing).
+//! So only the shared parameters are left: variable projection (Golub and Pereyra, "The differentiation of
+//! pseudo-inverses and nonlinear least squares problems whose variables separate", SIAM J. Numer. Anal. 10,
+//! 1973). With `r = I − b − a J` and `x_i = ∂m_i/∂θ` at fixed J, the projected residual's exact derivative
+//! is
 //!
 //! ```text
 //! dr_i = −x_i + a_i (u − v)/S,   S = Σ w a²,   u = Σ w a x,   v = Σ w r ∂a/∂θ
 //! ```
 //!
-//! so that gradient and Gauss-Newton matrix of `½ Σ w r²` are `−Σ w r x` and `Σ w x xᵀ − u uᵀ/S + v vᵀ/S`. A
-//! point touches the shared parameters and the gains of the views that saw it, nothing else.
+//! so that gradient and Gauss-Newton matrix of `½ Σ w r²` are `−Σ w r x` and `Σ w x xᵀ − u uᵀ/S + v vᵀ/S`.
+//! A point affects only the shared parameters and the gains of the views that saw it.
 //!
 //! Distances are in units of the capture's median distance.
 
@@ -38,15 +39,15 @@ pub(crate) const GAIN: usize = 6;
 pub(crate) struct Channel {
     /// Point p has observations `start[p] .. start[p + 1]`.
     pub(crate) start: Vec<usize>,
-    /// View of each observation.
+    /// The view of each observation.
     pub(crate) view: Vec<usize>,
     /// Distance over the median distance.
     pub(crate) distance: Vec<f64>,
-    /// Unit direction minus the mean one.
+    /// Unit direction minus the mean direction.
     pub(crate) direction: Vec<[f64; 3]>,
-    /// What was seen, display range.
+    /// The observed value, display range.
     pub(crate) value: Vec<f64>,
-    /// How uneven the surface is there, display range.
+    /// The unevenness of the surface at the observation, display range.
     pub(crate) spread: Vec<f64>,
     /// Number of views of the capture.
     pub(crate) views: usize,
@@ -66,7 +67,7 @@ impl Channel {
     }
 }
 
-/// The parameters as the equation has them.
+/// The parameters in the form of the equation.
 pub(crate) struct Shared {
     attenuation: f64,
     backscatter: f64,
@@ -87,12 +88,12 @@ impl Shared {
     }
 }
 
-/// What one observation is made of at given parameters.
+/// The terms of one observation at given parameters.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Terms {
-    /// `a`: what is left of the radiance.
+    /// `a`: the fraction of the radiance that is left.
     pub(crate) left: f64,
-    /// `b`: what the water adds.
+    /// `b`: the light that the water adds.
     pub(crate) added: f64,
     gain: f64,
     /// `B(d)` and `B_0`.
@@ -137,7 +138,7 @@ impl Terms {
     }
 }
 
-/// The radiance of a point from `(weight, a, I − b)` of its observations, and `Σ w a²`.
+/// Returns the radiance of a point from `(weight, a, I − b)` of its observations, and `Σ w a²`.
 pub(crate) fn radiance(observations: impl Iterator<Item = (f64, f64, f64)>) -> (f64, f64) {
     let (mut above, mut below) = (0.0, 0.0);
     for (w, a, y) in observations {
@@ -147,8 +148,8 @@ pub(crate) fn radiance(observations: impl Iterator<Item = (f64, f64, f64)>) -> (
     (if below > 0.0 { (above / below).max(0.0) } else { 0.0 }, below)
 }
 
-/// A point's radiance and `Σ w a²` at these parameters and weights; the terms of its observations are left in
-/// `seen`.
+/// Returns a point's radiance and `Σ w a²` at these parameters and weights; stores the terms of its
+/// observations in `seen`.
 fn point(channel: &Channel, shared: &Shared, weights: &[f64], p: usize, seen: &mut Vec<Terms>) -> (f64, f64) {
     let range = channel.of_point(p);
     seen.clear();
@@ -157,7 +158,7 @@ fn point(channel: &Channel, shared: &Shared, weights: &[f64], p: usize, seen: &m
     radiance(range.zip(&*seen).map(triple))
 }
 
-/// Residuals of every observation with every point's radiance at its place for these weights.
+/// Returns the residuals of all observations, with every point's radiance at its optimum for these weights.
 pub(crate) fn residuals(channel: &Channel, theta: &[f64], weights: &[f64]) -> Vec<f64> {
     let shared = Shared::new(theta);
     let mut all = vec![0.0; channel.value.len()];
@@ -180,8 +181,8 @@ pub(crate) struct Normal {
     pub(crate) matrix: Vec<f64>,
 }
 
-/// Sums the normal equations; `each` is given every point's index and its part of the gradient, as parameters
-/// and values. Without `gains` theirs stay 0, which saves most of the work.
+/// Sums the normal equations; `each` receives every point's index and its part of the gradient, as
+/// parameters and values. Without `gains` the entries of the gains stay 0, which saves most of the work.
 pub(crate) fn normal(
     channel: &Channel,
     theta: &[f64],
@@ -197,8 +198,8 @@ pub(crate) fn normal(
     for p in 0..channel.points() {
         let range = channel.of_point(p);
         let (j, below) = point(channel, &shared, weights, p, &mut seen);
-        // The point's own parameters: the shared ones, then one gain per observation (a view sees a point
-        // once).
+        // The parameters that affect the point: the shared ones, then one gain per observation (a view sees
+        // a point once).
         index.clear();
         index.extend(0..GAIN);
         if gains {
@@ -229,7 +230,7 @@ pub(crate) fn normal(
                 v[GAIN + o] += w * r * t.left;
             }
         }
-        // Where the radiance sits at its bound it does not move with the parameters.
+        // Where the radiance is at its bound, it does not change with the parameters.
         if j > 0.0 {
             for e in 0..k {
                 for f in 0..=e {

@@ -1,6 +1,6 @@
-//! Water from tracks: attenuation, backscatter and veil of a capture, before anything is reconstructed.
+//! Water from tracks: attenuation, backscatter and veil of a capture, before the reconstruction.
 //!
-//! A triangulated point is seen from several distances. What changes between its views is the water in
+//! A triangulated point is seen from several distances. The difference between its views is the water in
 //! between:
 //!
 //! ```text
@@ -8,18 +8,19 @@
 //! ```
 //!
 //! per channel, with s the distance, d the unit direction, J the point's radiance without water, B the veil
-//! (a constant and a slope over directions), and g_v a gain of the view where exposure changes. `β_a`, `β_b`,
-//! B and the gains are shared by all points; J has a closed form and is eliminated. `docs/science/water.md` tells the
-//! whole of it: what is approximated, how good it is, when it cannot work.
+//! (a constant and a slope over directions), and g_v a gain of the view where exposure changes. `β_a`,
+//! `β_b`, B and the gains are shared by all points; J has a closed form and is eliminated.
+//! `docs/science/water.md` explains the whole method: its approximations, its accuracy, and the cases in
+//! which it cannot work.
 //!
-//! [`observe`] looks tracks up in the images and finds open water, [`estimate`] turns these [`Sights`] into a
-//! [`Water`] with standard errors and a [`Verdict`] per channel. Reading order: `patch` (what a view shows of
-//! a surface piece), `open` (where it shows no surface), `formation` (the equation, its derivative), `solve`
-//! (the robust fit), `noise` (expected errors), `covariance` (errors of the result), `estimate` (all
-//! together), `verdict`.
+//! [`observe`] looks tracks up in the images and finds open water; [`estimate`] turns these [`Sights`] into
+//! a [`Water`] with standard errors and a [`Verdict`] per channel. Reading order: `patch` (the colour of a
+//! surface piece in a view), `open` (cells without a surface), `formation` (the equation and its
+//! derivative), `solve` (the robust fit), `noise` (expected errors), `covariance` (errors of the result),
+//! `estimate` (all together), `verdict`.
 //!
 //! Everything is f64 and summed in a fixed order: the same observations give the same bits on any number of
-//! threads, in any order.
+//! threads, in any order of the observations.
 
 mod air;
 mod blocks;

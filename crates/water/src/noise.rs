@@ -1,15 +1,15 @@
-//! How far an observation is expected to be off: `σ² = σ_0² + κ² t²`, t the unevenness of the surface piece
-//! in that view.
+//! The expected error of an observation: `σ² = σ_0² + κ² t²`, with t the unevenness of the surface piece in
+//! that view.
 //!
-//! The model is a regression with errors on both sides: near and far views of a point are both uncertain. It
-//! is unbiased only if their errors have the right *ratio*. Where a keypoint is off by a fraction of a pixel,
-//! or a surface is seen at a slant, the mean of a textured piece changes by a share of its unevenness, and
-//! that share looks smaller through more water. Taking all errors for equal would read the near views' larger
-//! errors as signal, and attenuation would come out too strong.
+//! The model is a regression with errors on both sides: near and far views of a point are both uncertain.
+//! It is unbiased only if their errors have the right *ratio*. If a keypoint is off by a fraction of a
+//! pixel, or a surface is seen at a slant, the mean of a textured piece changes. The change is a share of
+//! the piece's unevenness, and it looks smaller through more water. If all errors were treated as equal,
+//! the larger errors of near views would be read as signal, and attenuation would come out too strong.
 //!
-//! Both numbers come from the residuals themselves: medians of absolute residuals (over `√(1 − leverage)`,
-//! since each point's radiance was fitted to few observations) in classes of equal counts of t, then a line
-//! through their squares.
+//! Both numbers are computed from the residuals: medians of absolute residuals (divided by
+//! `√(1 − leverage)`, because each point's radiance was fitted to few observations) in classes of equal
+//! counts of t, then a line through their squares.
 
 use crate::formation::{Channel, Shared, terms};
 
@@ -20,11 +20,11 @@ pub(crate) struct Noise {
     pub(crate) share: f64,
 }
 
-/// Classes of unevenness.
+/// Number of classes of unevenness.
 const CLASSES: usize = 16;
 /// Standard deviation over median absolute deviation of a normal distribution.
 const NORMAL: f64 = 1.4826;
-/// No camera is better than this: half a step of 8 bits.
+/// The smallest error of any camera: half a step of 8 bits.
 const FLOOR: f64 = 0.5 / 255.0;
 
 pub(crate) fn square(x: f64) -> f64 {
@@ -32,7 +32,7 @@ pub(crate) fn square(x: f64) -> f64 {
 }
 
 impl Noise {
-    /// Before anything is known.
+    /// The values before any residuals are known.
     pub(crate) const START: Self = Self { floor: 0.01, share: 0.15 };
 
     pub(crate) fn sigma(&self, spread: f64) -> f64 {
@@ -43,7 +43,8 @@ impl Noise {
         channel.spread.iter().map(|t| self.sigma(*t)).collect()
     }
 
-    /// From the residuals of a fit with `weights`; the old value where there are too few.
+    /// Computes the values from the residuals of a fit with `weights`; keeps the old values if there are
+    /// too few residuals.
     pub(crate) fn estimate(
         self,
         channel: &Channel,
@@ -51,7 +52,7 @@ impl Noise {
         weights: &[f64],
         residuals: &[f64],
     ) -> Self {
-        // (unevenness, residual over its own share of the error)
+        // Pairs of (unevenness, absolute residual / √(1 − leverage)).
         let mut pairs: Vec<(f64, f64)> = Vec::with_capacity(residuals.len());
         let shared = Shared::new(theta);
         for p in 0..channel.points() {
@@ -69,7 +70,7 @@ impl Noise {
             return self;
         }
         pairs.sort_by(|a, b| a.0.total_cmp(&b.0));
-        // Weighted least squares of variance on t²; the weights make relative errors equal.
+        // Weighted least squares of the variance over t²; the weights make relative errors equal.
         let (mut s, mut sx, mut sy, mut sxx, mut sxy) = (0.0, 0.0, 0.0, 0.0, 0.0);
         for class in pairs.chunks(pairs.len().div_ceil(CLASSES)) {
             let x = square(class[class.len() / 2].0);

@@ -1,5 +1,5 @@
-//! From tracks and images to observations: what each view shows of each point, from how far, in which
-//! direction, and of open water.
+//! Turns tracks and images into observations: the colour of each point in each view, its distance and
+//! direction, and open water.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -8,7 +8,7 @@ use use3d_capture::{Camera, Image, Map, Raster, Track};
 use crate::open::{OpenWater, Seen, open_water};
 use crate::patch::{NARROWEST, Patch, WIDEST, patch};
 
-/// One view's sight of one point.
+/// One view's observation of one point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Observation {
     /// Index of the point's track.
@@ -22,35 +22,35 @@ pub struct Observation {
     /// Mean of the surface piece around the point, R, G, B, display range; NaN where the camera clipped the
     /// channel.
     pub value: [f64; 3],
-    /// How uneven the surface piece is in this view: standard deviation per channel, display range.
+    /// The unevenness of the surface piece in this view: standard deviation per channel, display range.
     pub spread: [f64; 3],
 }
 
-/// What a capture's views show of its water.
+/// All observations of water in a capture's views.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Sights {
-    /// Points, ordered by point, then view.
+    /// Observations of points, ordered by point, then view.
     pub points: Vec<Observation>,
-    /// Cells in which nothing but water is seen, ordered by view.
+    /// Cells that show nothing but water, ordered by view.
     pub open: Vec<OpenWater>,
 }
 
-/// What is wrong with tracks and cameras.
+/// An error in tracks and cameras.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ObserveError {
-    /// A sighting names a view that is not there.
+    /// A sighting names a view that does not exist.
     #[error(
         "track {track} was seen by view {view}, but there are {views} cameras; tracks and cameras must be of the same capture"
     )]
     View {
         /// Index of the track.
         track: usize,
-        /// View that was named.
+        /// The named view.
         view: usize,
         /// Number of cameras.
         views: usize,
     },
-    /// An image of another size than its camera.
+    /// An image has another size than its camera.
     #[error("the image of view {view} is {}x{}, but its camera is {}x{}; prepare the capture first", found.0, found.1, expected.0, expected.1)]
     Size {
         /// Index of the view.
@@ -62,7 +62,7 @@ pub enum ObserveError {
     },
 }
 
-/// A sighting that will be looked up in its view.
+/// A sighting to be looked up in its view.
 struct Wanted {
     point: usize,
     x: f64,
@@ -72,14 +72,14 @@ struct Wanted {
     direction: DVec3,
 }
 
-/// Looks every track up in the views. `load` gives a view's image and mask (1 counts), or `None` to leave the
-/// view out; it is called once per view, in order, so that one image is in memory at a time.
+/// Looks every track up in the views. `load` returns a view's image and mask (1 counts), or `None` to leave
+/// the view out. It is called once per view, in order, so that one image is in memory at a time.
 ///
-/// Points seen by fewer than two views, sightings behind a camera and second sightings by one view are left
-/// out.
+/// Points seen by fewer than two views, sightings behind a camera, and second sightings by the same view
+/// are left out.
 ///
 /// # Errors
-/// Those of `load`, and [`ObserveError`] where tracks, cameras and images do not belong together.
+/// The errors of `load`, and [`ObserveError`] if tracks, cameras and images do not belong together.
 pub fn observe<E: From<ObserveError>>(
     cameras: &[Camera],
     tracks: &[Track],
@@ -94,11 +94,11 @@ pub fn observe<E: From<ObserveError>>(
     Ok(look.done())
 }
 
-/// As [`observe`], in the images as they are and at half their size: what differs between the two is what
-/// sharpness, compression and keypoints do to an estimate, and no water.
+/// Like [`observe`], in the images at their own size and at half of it. The difference between the two
+/// shows the effect of sharpness, compression and keypoints on an estimate, which is not water.
 ///
 /// # Errors
-/// As [`observe`].
+/// See [`observe`].
 pub fn observe_sizes<E: From<ObserveError>>(
     cameras: &[Camera],
     tracks: &[Track],
@@ -128,7 +128,7 @@ fn halved_tracks(tracks: &[Track]) -> Vec<Track> {
     moved
 }
 
-/// Means of 2×2 pixels; an odd row or column is left out.
+/// The means of 2×2 pixels; an odd last row or column is left out.
 fn halved<const C: usize>(image: &Raster<f32, C>) -> Raster<f32, C> {
     let (w, h) = ((image.width() / 2).max(1), (image.height() / 2).max(1));
     let (right, down) = (image.width().min(2) - 1, image.height().min(2) - 1);
@@ -143,7 +143,7 @@ fn halved<const C: usize>(image: &Raster<f32, C>) -> Raster<f32, C> {
     out
 }
 
-/// Tracks that are looked up view by view.
+/// Tracks to be looked up view by view.
 struct Lookup<'a> {
     cameras: &'a [Camera],
     wanted: Vec<Vec<Wanted>>,
@@ -190,7 +190,8 @@ impl<'a> Lookup<'a> {
     }
 }
 
-/// Where every view saw points, and the median distance of all sightings.
+/// The pixel positions and distances at which each view saw points, and the median distance of all
+/// sightings.
 fn sightings(cameras: &[Camera], tracks: &[Track]) -> (Vec<Vec<Seen>>, f64) {
     let mut seen: Vec<Vec<Seen>> = cameras.iter().map(|_| Vec::new()).collect();
     let mut distances = Vec::new();
@@ -209,7 +210,7 @@ fn sightings(cameras: &[Camera], tracks: &[Track]) -> (Vec<Vec<Seen>>, f64) {
     (seen, middle)
 }
 
-/// Lists a track's sightings with the windows that cover one piece of surface.
+/// Adds a track's sightings to `wanted`, with windows that all cover the same piece of surface.
 fn plan(
     cameras: &[Camera],
     point: usize,

@@ -1,19 +1,18 @@
-//! Open water: parts of a view in which no surface is seen, so that what is seen *is* the veil, `I = g_v
-//! B(d)`.
+//! Open water: parts of a view that show no surface, so that their colour *is* the veil, `I = g_v B(d)`.
 //!
-//! Tracks tell the veil only by how it fills in with distance, and often only `B β_b`, the beginning of that
-//! curve. Where a view shows water behind the last surface, the veil can be read off. A cell of a grid over
-//! the view counts as open water if
+//! Tracks show the veil only by the way it fills in with distance, and often only `B β_b`, the beginning of
+//! that curve. Where a view shows water behind the last surface, the veil can be measured directly. A cell
+//! of a grid over the view counts as open water if
 //!
-//! * nothing was triangulated in it or beside it;
-//! * the nearest points that were are far: the middle one of five at least as far as the capture's middle
-//!   distance. (A flat floor or wall has no points either, but near ones around it);
-//! * it is even: means of its 4×4 parts are off a plane by less than [`EVEN`], which no surface with texture
-//!   is;
+//! * no point was triangulated in it or beside it;
+//! * the nearest triangulated points are far: the middle one of five is at least as far as the capture's
+//!   middle distance (a flat floor or wall has no points either, but has near ones around it);
+//! * it is even: the means of its 4×4 parts differ from a plane by less than [`EVEN`], which no textured
+//!   surface does;
 //! * the camera did not clip its bright end, and the mask leaves it whole.
 //!
-//! What is left of surfaces that look like open water is far away in haze, where the veil is nearly all there
-//! is to see; single cells that do not fit the others of their direction lose their weight ([`Open::new`]).
+//! Surfaces that still look like open water are far away in haze, where the veil is nearly everything there
+//! is to see. Single cells that do not fit the others of their direction lose their weight ([`Open::new`]).
 
 use glam::DVec3;
 use use3d_capture::{Camera, Image, Map};
@@ -22,31 +21,32 @@ use crate::dense::Factor;
 use crate::noise::square;
 use crate::solve::CAUCHY;
 
-/// Cells along the longer side of a view.
+/// Number of cells along the longer side of a view.
 const CELLS: usize = 40;
 /// A cell's side is at least this many pixels.
 const SMALLEST: usize = 8;
-/// No sighting is nearer to a cell's centre than this, in cells.
+/// Smallest distance of a sighting from a cell's centre, in cells.
 const CLEAR: f64 = 1.5;
-/// Sightings around a cell that say how far the scene is there.
+/// Number of sightings around a cell by which the scene's distance there is judged.
 const NEAREST: usize = 5;
-/// How far parts of an even cell may be off a plane, display range (root mean square).
+/// Largest root-mean-square difference of the parts of an even cell from a plane, display range.
 const EVEN: f64 = 0.012;
-/// Values at or above are clipped by the camera, display range. Its dark end is none: a veil may be black.
+/// Values at or above this are clipped by the camera, display range. There is no lower limit, because a
+/// veil may be black.
 const BRIGHT: f64 = 253.5 / 255.0;
-/// Fewer cells than this, or cells in fewer views than [`FEWEST_VIEWS`], tell nothing.
+/// With fewer cells than this, or cells in fewer views than [`FEWEST_VIEWS`], open water is not used.
 const FEWEST: usize = 12;
 /// See [`FEWEST`].
 const FEWEST_VIEWS: usize = 3;
-/// More cells than this tell nothing new.
+/// Largest number of cells used; more cells add no information.
 const MOST: usize = 2000;
-/// What the veil, linear in the direction, is expected to be off by, display range.
+/// Expected error of the veil that is linear in the direction, display range.
 const WIDTH: f64 = 0.03;
-/// Cells that count as independent, at most: a veil that is not linear in the direction, or far walls among
-/// the cells, put many off alike.
+/// Largest number of cells that count as independent: a veil that is not linear in the direction, or far
+/// walls among the cells, shift many cells in the same way.
 const INDEPENDENT: f64 = 4.0;
 
-/// A cell of a view in which only water is seen.
+/// A cell of a view that shows only water.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OpenWater {
     /// Index of the view.
@@ -57,7 +57,7 @@ pub struct OpenWater {
     pub value: [f64; 3],
 }
 
-/// Where a view saw a point, pixels, and how far away it was.
+/// The pixel at which a view saw a point, and the point's distance.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Seen {
     pub(crate) x: f64,
@@ -65,7 +65,7 @@ pub(crate) struct Seen {
     pub(crate) distance: f64,
 }
 
-/// The open water of one view; `middle` is the capture's median distance of all sightings.
+/// Finds the open water of one view; `middle` is the capture's median distance of all sightings.
 pub(crate) fn open_water(
     view: usize,
     camera: &Camera,
@@ -96,7 +96,7 @@ pub(crate) fn open_water(
     found
 }
 
-/// Whether no sighting is within `reach` of `(x, y)` and those around are far.
+/// True if no sighting is within `reach` of `(x, y)` and those around it are far.
 fn far_and_empty(seen: &[Seen], x: f64, y: f64, reach: f64, middle: f64) -> bool {
     let mut nearest = [(f64::INFINITY, 0.0); NEAREST];
     for s in seen {
@@ -113,7 +113,7 @@ fn far_and_empty(seen: &[Seen], x: f64, y: f64, reach: f64, middle: f64) -> bool
     distances[NEAREST / 2] >= middle
 }
 
-/// The mean of a cell that is even in every channel.
+/// The mean of a cell, if it is even in every channel.
 fn even(image: &Image, mask: Option<&Map>, x0: usize, y0: usize, side: usize) -> Option<[f64; 3]> {
     const PARTS: usize = 4;
     let mut sums = [[0.0; 3]; PARTS * PARTS];
@@ -135,7 +135,7 @@ fn even(image: &Image, mask: Option<&Map>, x0: usize, y0: usize, side: usize) ->
     for c in 0..3 {
         let parts: [f64; PARTS * PARTS] = std::array::from_fn(|i| sums[i][c] / counts[i]);
         let middle = parts.iter().sum::<f64>() / n;
-        // Centred positions along an axis: their squares sum to n · 5/4.
+        // Centred positions along an axis: the sum of their squares is n · 5/4.
         let at = |k: usize| k as f64 - 0.5 * (PARTS - 1) as f64;
         let slope = |axis: fn(usize) -> usize| {
             parts.iter().enumerate().map(|(i, v)| at(axis(i)) * v).sum::<f64>() / (n * 1.25)
@@ -151,15 +151,15 @@ fn even(image: &Image, mask: Option<&Map>, x0: usize, y0: usize, side: usize) ->
     Some(mean)
 }
 
-/// What open water tells one channel's fit: `g_v B(d)` in some directions, each with a weight.
+/// The open water of one channel's fit: `g_v B(d)` in some directions, each with a weight.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Open {
-    /// View, unit direction minus the mean one, value, weight in units of [`WIDTH`]⁻².
+    /// View, unit direction minus the mean direction, value, weight in units of [`WIDTH`]⁻².
     pub(crate) cells: Vec<(usize, [f64; 3], f64, f64)>,
 }
 
 impl Open {
-    /// The cells that make sense, sorted and thinned; none where they are too few to tell the veil.
+    /// The finite cells, sorted and thinned; none if there are too few to measure the veil.
     pub(crate) fn usable(cells: &[OpenWater], views: usize) -> Vec<OpenWater> {
         let finite = |o: &&OpenWater| {
             o.view < views && o.direction.is_finite() && o.value.iter().all(|v| v.is_finite())
@@ -184,9 +184,9 @@ impl Open {
         cells.into_iter().step_by(step).collect()
     }
 
-    /// Cells of channel `c`, directions counted from `center`. Cells off a plane through the others, by
-    /// Cauchy's loss at the scale of their own scatter, lose their weight; together the cells weigh as
-    /// much as `INDEPENDENT` observations at most.
+    /// The cells of channel `c`, with directions relative to `center`. Cells that are off a plane through
+    /// the others lose their weight, by Cauchy's loss at the scale of their own scatter; all cells together
+    /// weigh at most as much as `INDEPENDENT` observations.
     pub(crate) fn new(cells: &[OpenWater], c: usize, center: DVec3) -> Self {
         let mut cells: Vec<(usize, [f64; 3], f64, f64)> =
             cells.iter().map(|o| (o.view, (o.direction - center).to_array(), o.value[c], 1.0)).collect();
@@ -213,7 +213,7 @@ impl Open {
     pub(crate) const WIDTH: f64 = WIDTH;
 }
 
-/// The weighted least-squares plane `v = p_0 + p·d`; directions that hardly vary have no slope.
+/// The weighted least-squares plane `v = p_0 + p·d`; its slope is 0 for directions that hardly vary.
 fn plane(cells: &[(usize, [f64; 3], f64, f64)]) -> Option<[f64; 4]> {
     let (mut matrix, mut rhs) = (vec![0.0; 16], vec![0.0; 4]);
     for (_, d, v, w) in cells {
@@ -244,7 +244,7 @@ mod tests {
         Camera { intrinsics, pose: Pose::look_at([0.0; 3].into(), [0.0, 1.0, 0.0].into(), glam::DVec3::Z) }
     }
 
-    /// Even above the middle, rough below.
+    /// An image that is even above the middle and rough below.
     fn view() -> Image {
         let mut image = Image::new(SIDE.0, SIDE.1);
         for y in 0..SIDE.1 {

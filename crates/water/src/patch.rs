@@ -1,31 +1,31 @@
-//! What a view shows around a pixel: a mean under a Gaussian window, and how uneven the picture is there.
+//! The colour of a view around a pixel: the mean under a Gaussian window, and the unevenness of the image
+//! there.
 //!
-//! Two views of one point can be compared only if both average the same piece of surface. A surface piece of
-//! radius ρ covers `f ρ / z` pixels at depth z, so the window's standard deviation is `σ = f ρ / z` in every
-//! view, with ρ per point such that the farthest view's is [`NARROWEST`]. The lens and the pixel have
-//! averaged already, by about [`LENS`]; the window only adds what is missing: `√(σ² − LENS)`. Without this,
-//! far views average more of a surface than near ones, contrast falls with distance for a reason that is not
-//! water, and attenuation comes out too strong.
+//! Two views of one point can be compared only if both average the same piece of surface. A surface piece
+//! of radius ρ covers `f ρ / z` pixels at depth z. So the window's standard deviation is `σ = f ρ / z` in
+//! every view, with ρ per point such that the farthest view's σ is [`NARROWEST`]. Lens and pixel have
+//! already averaged by about [`LENS`]; the window only adds the missing part: `√(σ² − LENS)`. Without this,
+//! far views average more of a surface than near ones, contrast falls with distance for a reason that is
+//! not water, and attenuation comes out too strong.
 
 use use3d_capture::{Image, Map};
 use use3d_numerics::math;
 
 /// Standard deviation of the window of a point's farthest view, lens included, pixels.
 pub(crate) const NARROWEST: f64 = 1.6;
-/// Standard deviation beyond which a near view is left out: its window would reach over half the picture,
-/// pixels.
+/// Standard deviation beyond which a near view is left out, pixels: its window would cover half the image.
 pub(crate) const WIDEST: f64 = 12.0;
-/// Variance of what lens and pixel average along an axis: a blur of 1:2:1 pixels and the pixel's own box,
-/// px².
+/// Variance of the averaging by lens and pixel along an axis: a blur of 1:2:1 pixels and the pixel's own
+/// box, px².
 const LENS: f64 = 0.5 + 1.0 / 12.0;
-/// The window ends here, in standard deviations.
+/// Radius of the window in standard deviations.
 const REACH: f64 = 2.5;
 /// Values at or beyond these are clipped by the camera, display range.
 const CLIPPED: [f32; 2] = [1.5 / 255.0, 253.5 / 255.0];
-/// A window with a larger share of clipped pixels is of no use.
+/// A window with a larger share of clipped pixels is not used.
 const CLIPPED_SHARE: f64 = 0.02;
 
-/// A window's result, per channel.
+/// The result of a window, per channel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Patch {
     /// Mean under the window, display range; NaN where the camera clipped the channel.
@@ -34,8 +34,8 @@ pub(crate) struct Patch {
     pub(crate) spread: [f64; 3],
 }
 
-/// The window around `(x, y)` with a standard deviation of `sigma` pixels, lens included; `None` where it
-/// leaves the image or the mask.
+/// Evaluates the window around `(x, y)` with a standard deviation of `sigma` pixels, lens included; `None`
+/// if it leaves the image or the mask.
 pub(crate) fn patch(image: &Image, mask: Option<&Map>, x: f64, y: f64, sigma: f64) -> Option<Patch> {
     let sigma = (sigma * sigma - LENS).max(0.25).sqrt();
     let radius = REACH * sigma;
@@ -70,7 +70,8 @@ pub(crate) fn patch(image: &Image, mask: Option<&Map>, x: f64, y: f64, sigma: f6
     })
 }
 
-/// Weights of the pixels along one axis whose centres are within `radius`, and the first one's index.
+/// The weights of the pixels along one axis whose centres are within `radius`, and the index of the first
+/// pixel.
 fn window(center: f64, radius: f64, sigma: f64, side: usize) -> (Vec<f64>, usize) {
     let first = (center - radius).floor().max(0.0) as usize;
     let last = ((center + radius).ceil() as usize).min(side);
@@ -97,7 +98,7 @@ mod tests {
 
     #[test]
     fn means_are_those_of_the_surface_and_clipped_channels_are_none() {
-        // A ramp has the value at its centre as mean, whatever the window, also between pixels.
+        // The mean of a ramp is the value at the window's centre, for any window, also between pixels.
         let ramp = image(|x, _| [0.1 + 0.015 * (x as f32 + 0.5), 0.5, 1.0]);
         let p = patch(&ramp, None, 20.3, 15.0, 3.0).unwrap();
         assert!((p.mean[0] - (0.1 + 0.015 * 20.3)).abs() < 1e-3, "{p:?}");

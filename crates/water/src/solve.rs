@@ -1,9 +1,10 @@
-//! The robust fit of one channel: Cauchy's loss by reweighting, Levenberg-Marquardt steps over the shared
-//! parameters.
+//! The robust fit of one channel: Cauchy's loss by reweighting, with Levenberg-Marquardt steps over the
+//! shared parameters.
 //!
-//! Minimised is `Σ (c²/2) ln(1 + (r/σ_i)²/c²) + ½ Σ (θ − prior)²/width²`. With the weights `w_i = 1/(σ_i² +
-//! r_i²/c²)` held, `½ Σ w r²` touches the loss from above, so every step that lowers it lowers the loss. The
-//! loss's width c is narrowed in three rounds, so that outliers of the start do not decide.
+//! The fit minimises `Σ (c²/2) ln(1 + (r/σ_i)²/c²) + ½ Σ (θ − prior)²/width²`. With fixed weights
+//! `w_i = 1/(σ_i² + r_i²/c²)`, `½ Σ w r²` touches the loss from above, so every step that lowers it also
+//! lowers the loss. The loss's width c is narrowed in three rounds, so that outliers of the start do not
+//! decide the result.
 
 use use3d_numerics::math;
 
@@ -14,51 +15,52 @@ use crate::open::Open;
 
 /// Cauchy's constant: 95 % efficiency on normal errors.
 pub(crate) const CAUCHY: f64 = 2.385;
-/// Bounds of `ln β` per median distance: outside, nothing changes any more.
+/// Bounds of `ln β` per median distance; beyond them nothing changes any more.
 const BETA_BOUNDS: [f64; 2] = [-9.0, 4.0];
-/// Most steps of one round.
+/// Largest number of steps in one round.
 const STEPS: usize = 40;
-/// A step that lowers the cost by a smaller share than this is the last.
+/// A step that lowers the cost by a smaller share than this is the last one.
 const SETTLED: f64 = 1e-7;
 
-/// Width of the slope of log-gains over the views' mean distances, per median distance. Gains that fall with
-/// distance and water that is stronger by as much look alike; a camera has little reason to do that.
+/// Width of the slope of log-gains over the views' mean distances, per median distance. Gains that fall
+/// with distance look like correspondingly stronger water; a camera has little reason to change its gain in
+/// this way.
 const TREND: f64 = 0.03;
 
-/// The least veil in any direction that was seen, over the mean direction's: light is never negative.
+/// The smallest veil in any direction that was seen, relative to the mean direction's: light is never
+/// negative.
 const DARKEST: f64 = 0.02;
-/// Width of the penalty of veils below [`DARKEST`]: a soft bound, so that the fit stays smooth.
+/// Width of the penalty on veils below [`DARKEST`]: a soft bound, so that the fit stays smooth.
 const NEGATIVE: f64 = 0.004;
 
-/// What is known beforehand, as normal distributions (mean, width), and which parameters are free at all.
+/// The prior knowledge, as normal distributions (mean, width), and the choice of free parameters.
 #[derive(Clone, Debug)]
 pub(crate) struct Prior {
-    /// `ln β_a` per median distance: any water in which something is seen.
+    /// `ln β_a` per median distance: any water through which something can be seen.
     pub(crate) attenuation: (f64, f64),
     /// `ln β_b − ln β_a`.
     pub(crate) ratio: (f64, f64),
     /// `ln B_0`.
     pub(crate) veil: (f64, f64),
-    /// The components of `g`, and the width of each; a width of 0 holds them where they are.
+    /// The components of `g`, and the width of each; a width of 0 fixes them.
     pub(crate) slope: ([f64; 3], f64),
-    /// Directions, minus the mean one, in which the veil must not be negative.
+    /// Directions, minus the mean direction, in which the veil must not be negative.
     pub(crate) seen: Vec<[f64; 3]>,
-    /// `γ`; a width of 0 holds them at 0.
+    /// Width of `γ`; a width of 0 fixes the gains at 0.
     pub(crate) gain: f64,
-    /// Coefficients over the views of the slope of γ over a view's mean distance, which is 0 but for
-    /// [`TREND`]; empty: not assumed.
+    /// Coefficients over the views that compute the slope of γ over a view's mean distance. This slope is
+    /// assumed to be 0 within [`TREND`]; without coefficients nothing is assumed.
     pub(crate) trend: Vec<f64>,
-    /// Open water: `g_v B(d)` where it was seen.
+    /// Open water: `g_v B(d)` in the directions in which it was seen.
     pub(crate) open: Open,
-    /// Without water only gains are fitted.
+    /// True if water is fitted; otherwise only gains are.
     pub(crate) water: bool,
-    /// How many times fewer independent observations there are than observations: what is assumed about the
-    /// water weighs as much more.
+    /// Number of observations per independent one. Assumptions about the water weigh more by this factor.
     pub(crate) strength: f64,
 }
 
 impl Prior {
-    /// Whether parameter `k` is fitted.
+    /// True if parameter `k` is fitted.
     pub(crate) fn free(&self, k: usize) -> bool {
         match k {
             _ if k >= GAIN => self.gain > 0.0,
@@ -67,14 +69,14 @@ impl Prior {
         }
     }
 
-    /// Penalty at `theta`.
+    /// The penalty at `theta`.
     fn value(&self, theta: &[f64]) -> f64 {
         let mut sum = 0.0;
         self.terms(theta, |_, off, width| sum += 0.5 * square(off / width));
         sum
     }
 
-    /// Calls `term` with (derivatives of the deviation by parameters, deviation, width).
+    /// Calls `term` with (derivatives of the deviation with respect to parameters, deviation, width).
     fn terms(&self, theta: &[f64], mut term: impl FnMut(&[(usize, f64)], f64, f64)) {
         if self.water {
             let narrowed = self.strength.max(1.0).sqrt().recip();
@@ -123,7 +125,7 @@ impl Prior {
         }
     }
 
-    /// Adds gradient and curvature.
+    /// Adds the penalty's gradient and curvature.
     pub(crate) fn add(&self, theta: &[f64], gradient: &mut [f64], matrix: &mut [f64]) {
         let n = theta.len();
         self.terms(theta, |coefficients, off, width| {
@@ -145,9 +147,9 @@ pub(crate) struct Fit {
     pub(crate) theta: Vec<f64>,
     /// Loss plus penalty.
     pub(crate) cost: f64,
-    /// Weight of every observation.
+    /// The weight of every observation.
     pub(crate) weights: Vec<f64>,
-    /// Residual of every observation.
+    /// The residual of every observation.
     pub(crate) residuals: Vec<f64>,
 }
 
@@ -161,8 +163,8 @@ fn weights(residuals: &[f64], sigmas: &[f64], c: f64) -> Vec<f64> {
     residuals.iter().zip(sigmas).map(|(r, s)| 1.0 / (s * s + square(r / c))).collect()
 }
 
-/// Fits from `theta`. `sigmas` are the expected errors of the observations, `rounds` the loss's widths over
-/// [`CAUCHY`], widest first.
+/// Fits from `theta`. `sigmas` are the expected errors of the observations; `rounds` are the loss's widths
+/// divided by [`CAUCHY`], widest first.
 pub(crate) fn fit(channel: &Channel, sigmas: &[f64], prior: &Prior, theta: &[f64], rounds: &[f64]) -> Fit {
     let n = channel.parameters();
     let mut theta = theta.to_vec();
@@ -178,7 +180,8 @@ pub(crate) fn fit(channel: &Channel, sigmas: &[f64], prior: &Prior, theta: &[f64
         let mut damping = 1e-3;
         for _ in 0..STEPS {
             w = weights(&r, sigmas, c);
-            // At fixed weights; the radiance moves to its place under them before the step is judged.
+            // The cost at fixed weights; the radiance takes its optimum under these weights before the step
+            // is judged.
             let held = |r: &[f64], theta: &[f64]| {
                 0.5 * r.iter().zip(&w).map(|(r, w)| w * r * r).sum::<f64>() + prior.value(theta)
             };
@@ -214,7 +217,7 @@ pub(crate) fn fit(channel: &Channel, sigmas: &[f64], prior: &Prior, theta: &[f64
     Fit { theta, cost, weights: w, residuals: r }
 }
 
-/// A damped step; `None` where the damped system is not positive definite.
+/// Computes a damped step; `None` if the damped system is not positive definite.
 fn step(
     gradient: &[f64],
     matrix: &[f64],
@@ -252,7 +255,7 @@ mod tests {
     use super::*;
     use crate::open::OpenWater;
 
-    /// Every term's derivative, with open water and gains, against differences of its value.
+    /// Compares every term's derivative, with open water and gains, with differences of its value.
     #[test]
     fn the_penalty_changes_as_its_gradient_says() {
         let cell = |i: usize| OpenWater {

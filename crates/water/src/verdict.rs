@@ -1,27 +1,27 @@
-//! What can be relied on.
+//! The reliability of an estimate.
 
 use std::fmt;
 
 use crate::estimate::ChannelWater;
 
-/// What the capture tells about one channel's water.
+/// The knowledge of one channel's water that the capture allows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
     /// Attenuation, backscatter and veil are all known.
     Found,
-    /// Attenuation is known. Backscatter and veil are known only together (a weak veil far off looks like a
-    /// strong one near by): `β_b` leans on the assumption that it is of the size of `β_a`.
+    /// Attenuation is known. Backscatter and veil are known only together (a weak veil far away looks like
+    /// a strong one near by): `β_b` relies on the assumption that it is about as large as `β_a`.
     VeilNotSeparable,
-    /// Distance changes nothing that water would explain.
+    /// Brightness does not change with distance in a way that water would explain.
     NoWater,
-    /// Distance changes something, but attenuation cannot be told from the rest.
+    /// Brightness changes with distance, but attenuation cannot be separated from other causes.
     NotObservable,
     /// Too few points were seen from different distances.
     TooFewPoints,
 }
 
 impl Verdict {
-    /// One word for files.
+    /// The verdict as one word for files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Found => "found",
@@ -32,7 +32,7 @@ impl Verdict {
         }
     }
 
-    /// Whether the attenuation can be used.
+    /// True if the attenuation can be used.
     pub fn usable(self) -> bool {
         matches!(self, Self::Found | Self::VeilNotSeparable)
     }
@@ -50,30 +50,30 @@ impl fmt::Display for Verdict {
     }
 }
 
-/// Least t statistic of water against none.
+/// Smallest t statistic of water against no water.
 const SIGNIFICANT: f64 = 3.0;
-/// Least share of the loss that water must explain.
+/// Smallest share of the loss that water must explain.
 const EXPLAINED: f64 = 0.03;
 /// Largest relative error of an attenuation that counts as known.
 const KNOWN: f64 = 0.35;
-/// Largest relative error of `β_b`, nothing assumed about its size, with which it counts as told apart from
-/// the veil.
+/// Largest relative error of `β_b`, without assumptions about its size, at which it counts as separated
+/// from the veil.
 const APART: f64 = 0.2;
-/// An optical depth (`β_a` times the distance of the far points) below this is what differences in sharpness
-/// alone can show.
+/// Differences in sharpness alone can cause an optical depth (`β_a` times the distance of the far points)
+/// below this value.
 const THINNEST: f64 = 0.06;
 
-/// An optical depth of the median distance beyond this leaves less than a hundredth of a point's light: what
-/// was fitted is not what is seen.
+/// An optical depth of the median distance above this value leaves less than a hundredth of a point's
+/// light, so the fit does not describe what is visible.
 const THICKEST: f64 = 5.0;
 
-/// True if there is water at all.
+/// True if there is any water.
 pub(crate) fn present(significance: f64, explained: f64) -> bool {
     significance >= SIGNIFICANT && explained >= EXPLAINED
 }
 
-/// The verdict on a channel of a capture with water (`wet`), at the median distance and that of the far
-/// points.
+/// The verdict on a channel of a capture with water (`wet`); `median` and `far` are the median distance and
+/// the distance of the far points.
 pub(crate) fn judge(water: &ChannelWater, wet: bool, median: f64, far: f64) -> Verdict {
     let attenuation = water.attenuation;
     let known = attenuation.error <= KNOWN * attenuation.value;
@@ -81,18 +81,18 @@ pub(crate) fn judge(water: &ChannelWater, wet: bool, median: f64, far: f64) -> V
         Verdict::NoWater
     } else if !(known && attenuation.value * median < THICKEST) {
         Verdict::NotObservable
-    } else if water.backscatter_alone <= APART {
+    } else if water.backscatter_alone <= APART && !water.veil_assumed {
         Verdict::Found
     } else {
         Verdict::VeilNotSeparable
     }
 }
 
-/// Largest over smallest attenuation of a grey loss. In none of Jerlov's ten types of water are red, green
-/// and blue within 1.6.
+/// Ratio of the largest to the smallest attenuation below which the loss of light is grey. In all ten of
+/// Jerlov's types of water, red, green and blue differ by more than a factor of 1.6.
 const GREY: f64 = 1.5;
 
-/// Whether the attenuations are alike.
+/// True if the attenuations are alike.
 pub(crate) fn grey(channels: &[ChannelWater; 3]) -> bool {
     if !channels.iter().all(|c| c.verdict.usable()) {
         return false;

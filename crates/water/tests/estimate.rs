@@ -1,5 +1,5 @@
-//! The estimate on observations that were made with known water: what must be exact, what must not matter,
-//! what must be refused.
+//! Tests the estimate on observations made with known water: exact results, changes that must not matter,
+//! and inputs that must be refused.
 
 use glam::DVec3;
 use use3d_numerics::math;
@@ -8,7 +8,7 @@ use use3d_water::{
     Glance, Observation, OpenWater, Sights, Verdict, Water, WaterParams, estimate, estimate_sizes, shows_air,
 };
 
-/// Water and photographers of a test.
+/// The water and the views of a test.
 #[derive(Clone, Copy)]
 struct Truth {
     attenuation: [f64; 3],
@@ -41,7 +41,7 @@ struct Made {
     gains: Vec<[f64; 3]>,
 }
 
-/// A swim along y over points on uneven ground; every point is seen by every second view or so.
+/// A swim along y over points on uneven ground; about every second view sees each point.
 fn make(truth: &Truth) -> Made {
     let draw = |purpose, i: usize| Stream::new(7, Purpose::new(purpose), i as u64);
     let mut gains: Vec<[f64; 3]> = (0..VIEWS)
@@ -182,7 +182,7 @@ fn gains_of_the_views_are_found_where_they_are_and_not_where_they_are_not() {
     assert!(none.channels.iter().all(|w| w.gains_explain < 0.1), "{:?}", none.channels[0].gains_explain);
 }
 
-/// Cells along the horizon, as seen by every view.
+/// Cells along the horizon, seen by every view.
 fn open_water(truth: &Truth) -> Vec<OpenWater> {
     (0..VIEWS * 20)
         .map(|i| {
@@ -196,7 +196,7 @@ fn open_water(truth: &Truth) -> Vec<OpenWater> {
 
 #[test]
 fn open_water_tells_the_veil_where_the_tracks_cannot() {
-    // Clear water: over these distances the veil is a straight line, of which tracks see the slope alone.
+    // Clear water: over these distances the veil is a straight line, and tracks measure only its slope.
     let clear =
         Truth { attenuation: [0.09, 0.03, 0.025], backscatter: [0.03, 0.025, 0.02], noise: 0.004, ..SEA };
     let made = make(&clear);
@@ -212,7 +212,7 @@ fn open_water_tells_the_veil_where_the_tracks_cannot() {
         near(w.backscatter.value, clear.backscatter[c], 0.2, "backscatter");
         assert!(w.backscatter.error < alone.backscatter.error, "{w:?}, alone {alone:?}");
     }
-    // A sky is even, far, and no water.
+    // A sky is even and far, and it is not water.
     let air = Truth { attenuation: [0.0; 3], backscatter: [0.0; 3], noise: 0.01, ..SEA };
     let made = make(&air);
     let sights = Sights { points: made.observations.clone(), open: open_water(&SEA) };
@@ -251,24 +251,24 @@ fn what_cannot_tell_is_refused() {
     let params = WaterParams::default();
     let nothing = Made { observations: vec![], positions: vec![], radiances: vec![], gains: vec![] };
     refused(&nothing, &params);
-    // Every point always from the same distance.
+    // Every point is always seen from the same distance.
     let mut round = make(&SEA);
     round.observations.iter_mut().for_each(|o| o.distance = 5.0 + 0.3 * (o.view % 2) as f64);
     assert_eq!(refused(&round, &params).points, 0);
-    // One view.
+    // There is only one view.
     let mut one = make(&SEA);
     one.observations.retain(|o| o.view == 3);
     refused(&one, &params);
-    // Without a limit few points are no error either.
+    // Without a lower limit, few points are not an error either.
     let mut few = make(&SEA);
     few.observations.retain(|o| o.point < 4);
     let water = solve(&few, &WaterParams { min_points: 0, ..params });
     assert!(water.channels.iter().all(|w| !w.attenuation.value.is_nan()));
-    // Parameters that make no sense give no nonsense.
+    // Meaningless parameters still give finite values.
     let odd = WaterParams { ratio_width: f64::NAN, ..params };
     assert!(solve(&make(&SEA), &odd).channels.iter().all(|w| w.attenuation.value.is_finite()));
     refused(&make(&SEA), &WaterParams { distance_ratio: f64::NAN, ..params });
-    // Clipped by the camera everywhere in one channel: the others are found.
+    // The camera clips one channel everywhere; the other channels are found.
     let mut clipped = make(&Truth { noise: 0.005, ..SEA });
     clipped.observations.iter_mut().for_each(|o| o.value[0] = f64::NAN);
     let water = solve(&clipped, &params);
@@ -293,7 +293,7 @@ fn observations_that_make_no_sense_are_left_out() {
     assert_eq!(solve(&bad, &WaterParams::default()).channels, reference.channels);
 }
 
-/// The sky over a castle is even and far behind everything, and no water.
+/// The sky over a castle is even and far behind everything, and it is not water.
 #[test]
 fn what_is_brighter_than_white_is_no_open_water() {
     let sky = Truth {
@@ -314,8 +314,8 @@ fn what_is_brighter_than_white_is_no_open_water() {
     assert_eq!(told, with(vec![]));
 }
 
-/// Red that the camera clips to black in open water: the gradient with respect to `ln B` vanishes there, so
-/// that tracks and cells agree on no veil at all. It is assumed instead, and said to be.
+/// The camera clips red to black in open water. The gradient with respect to `ln B` vanishes there, so
+/// tracks and cells would agree on no veil at all. The veil is assumed instead, and reported as assumed.
 #[test]
 fn a_veil_that_the_camera_clipped_is_assumed_and_said_to_be() {
     let dark = Truth { veil: [0.03, 0.45, 0.55], backscatter: [0.40, 0.16, 0.13], noise: 0.004, ..SEA };
@@ -336,12 +336,12 @@ fn a_veil_that_the_camera_clipped_is_assumed_and_said_to_be() {
     assert!(red.verdict.usable() && red.verdict != Verdict::Found, "{red:?}");
     near(red.attenuation.value, SEA.attenuation[0], 0.1, "red");
     near(green.attenuation.value, SEA.attenuation[1], 0.05, "green");
-    // A few dark cells are none of that.
+    // A few dark cells do not count as clipping.
     open.iter_mut().skip(90).for_each(|o| o.value[0] = 0.15);
     assert!(with(open).channels.iter().all(|w| !w.veil_assumed));
 }
 
-/// A veil that is darker than any linear one in some directions: the fit bends down to nothing and no
+/// A veil that is darker than any linear veil in some directions: the fit bends down to zero and no
 /// further.
 #[test]
 fn the_veil_is_negative_in_no_direction_that_was_seen() {
@@ -399,12 +399,12 @@ fn a_veil_that_is_nearly_white_in_all_channels_is_a_sky() {
     };
     let sky = with([0.86, 0.93, 0.95]);
     assert!(sky.sky && sky.channels.iter().all(|w| w.verdict == Verdict::NoWater), "{:?}", sky.channels);
-    // Bright in two of them is a lagoon.
+    // A veil that is bright in only two channels is that of a lagoon.
     let lagoon = with([0.35, 0.9, 0.95]);
     assert!(!lagoon.sky && lagoon.channels.iter().all(|w| w.verdict.usable()), "{:?}", lagoon.channels);
 }
 
-/// Points of every brightness between 1 and 6 units away, seen through `attenuation` and `veil`.
+/// Points of every brightness, 1 to 6 units away, seen through `attenuation` and `veil`.
 fn glances(darkest: f64, attenuation: f64, veil: f64) -> Vec<Glance> {
     (0..3000)
         .map(|i| {

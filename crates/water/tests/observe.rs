@@ -1,4 +1,4 @@
-//! What views show of tracks, and tracks and images that do not fit together.
+//! Observations of tracks in views, and tracks and images that do not belong together.
 
 use glam::{DMat3, DVec3};
 use use3d_capture::{Camera, Image, Intrinsics, Map, Pose, Sighting, Track};
@@ -6,7 +6,7 @@ use use3d_water::{Observation, ObserveError, observe, observe_sizes};
 
 const LENS: Intrinsics = Intrinsics { width: 80, height: 60, fx: 70.0, fy: 70.0, cx: 40.0, cy: 30.0 };
 
-/// Two cameras that look along z, the second twice as far from the point at the origin.
+/// Two cameras that look along z; the second is twice as far from the point at the origin.
 fn cameras() -> Vec<Camera> {
     let at = |z: f64| Camera {
         intrinsics: LENS,
@@ -23,7 +23,7 @@ fn track(sightings: Vec<Sighting>) -> Track {
     Track { position: DVec3::ZERO, sightings }
 }
 
-/// A disc around the centre that fills the same piece of surface from both cameras: half as wide from twice
+/// A disc around the centre that covers the same piece of surface in both cameras: half as wide from twice
 /// as far.
 fn disc(view: usize) -> Image {
     let mut image = Image::new(80, 60);
@@ -50,7 +50,7 @@ fn both_views_average_the_same_piece_of_surface() {
         [(0, 0, 4.0), (0, 1, 8.0)]
     );
     assert_eq!(found[0].direction, DVec3::Z);
-    // With one window of pixels for both they would differ by 0.2 and more.
+    // With the same window in pixels for both views they would differ by 0.2 or more.
     assert!((found[0].value[1] - found[1].value[1]).abs() < 0.05, "{found:?}");
     assert!(found[0].spread[1] > 0.1 && found[1].spread[1] > 0.1);
 }
@@ -93,7 +93,7 @@ fn half_the_size_shows_the_same_surface_in_half_as_many_pixels() {
         assert_eq!((a.point, a.view, a.distance, a.direction), (b.point, b.view, b.distance, b.direction));
         assert!((a.value[0] - b.value[0]).abs() < 1e-6);
     }
-    // A disc: the window of the half covers as many pixels, that is more of the surface.
+    // A disc: at half size the window covers as many pixels, and so more of the surface.
     let [whole, half] =
         observe_sizes::<ObserveError>(&cameras(), &tracks, |view| Ok(Some((disc(view), None)))).unwrap();
     assert!(half.points[1].value[1] < whole.points[1].value[1], "{whole:?} {half:?}");

@@ -1,5 +1,5 @@
-//! A synthetic capture whose water is known: another camera, noise, blur, detection errors and mismatches
-//! than the model has.
+//! A synthetic capture with known water. Its camera, noise, blur, detection errors and mismatches differ
+//! from those that the model assumes.
 
 use use3d_capture::{Image, Map};
 use use3d_import::{ImportParams, import, load_pixels};

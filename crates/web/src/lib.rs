@@ -1,14 +1,18 @@
-//! A scene as a page for browsers, and as files for other viewers.
+//! A scene as a page for browsers, and as files for other viewers. The input is a scene, with photographs and
+//! saved views if there are any. Nothing here serves the page; that is the crate `viewer`.
 //!
 //! [`page`] makes one HTML file that shows a scene with all of its content: the water, the enhancement at any
 //! strength, the positions of the photographs. It works from a disk, without a network, on any host. Its
 //! renderer is our own, in plain JavaScript and GLSL below `page/`; these files are joined unchanged, nothing
 //! is built or downloaded.
 //!
-//! The compositor is exact. The program's picture `a (1 − Σw) c_m + Σ w (c A + c_m (1 − E))` with `A =
-//! e^{−β_attn s}`, `E = e^{−β_bs s}` is ordinary alpha blending of the colours `f = c A + c_m (1 − E)` over
-//! open water, so a browser draws it with one blend function. The remaining differences to the program's own
-//! renderer come from half-float sums and from 8-bit harmonics.
+//! The compositor is exact. The program's picture is
+//!
+//! `a (1 − Σw) c_m + Σ w (c A + c_m (1 − E))` with `A = e^{−β_attn s}`, `E = e^{−β_bs s}`.
+//!
+//! This is ordinary alpha blending of the colours `f = c A + c_m (1 − E)` over open water, so a browser draws
+//! it with one blend function. The remaining differences to the program's own renderer come from half-float
+//! sums and from 8-bit harmonics.
 //!
 //! Reading order: `scene_file` (numbers → bytes) → `water` and `enhancement` (the page's data about both) →
 //! `photographs` → [`page`]. [`path`], `saved` and [`foreign`] are independent of these.

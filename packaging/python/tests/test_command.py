@@ -1,4 +1,4 @@
-"""How the command is started: a program that says what it was asked stands in for it."""
+"""Tests the start of the command, with a small program in its place that prints its arguments."""
 
 import concurrent.futures
 import io
@@ -100,7 +100,7 @@ class Command(WithProgram):
             use3d.run("slow", checkpoint)
         other.join()
         self.assertEqual(seen, ["step 1\n"])
-        # Once: the command takes a second one as a wish to end at once.
+        # Sends one signal: a second one would end the command at once.
         self.assertEqual(checkpoint.read_text(), "1")
 
     def test_a_command_whose_time_is_over_is_waited_for_too(self):
@@ -116,7 +116,7 @@ def _fails(_):
 
 @unittest.skipUnless(os.name == "posix", "a script stands in for the program")
 class OtherProcesses(WithProgram):
-    """A failure comes back from whatever process it happened in, and nobody waits for ever."""
+    """A failure in any process is reported, and no process waits forever."""
 
     def check(self, raised):
         self.assertEqual(raised.exception.code, 3)

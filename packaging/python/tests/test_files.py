@@ -1,6 +1,6 @@
 """The module's own tests: python3 -m unittest discover packaging/python/tests (needs NumPy).
 
-With USE3D_COMMAND set to a `use3d`, a tiny capture goes through the whole pipeline and is read back.
+With USE3D_COMMAND set to a `use3d`, the whole pipeline runs on a tiny capture, and its output is read.
 """
 
 import json
@@ -56,7 +56,7 @@ class Files(unittest.TestCase):
             safetensors({"a": {**good, "data_offsets": [4, 12]}}, bytes(8)),
             safetensors({"a": {**good, "data_offsets": [-8, 0]}}, bytes(8)),
             safetensors({"a": 1}, bytes(8)),
-            # Counts that 64 bits do not hold, or that are no counts; descriptions that go deeper than anybody reads.
+            # Counts that do not fit into 64 bits or are not counts; descriptions nested too deeply.
             safetensors({"a": {**good, "shape": [2**40, 2**40], "data_offsets": [0, 0]}}),
             safetensors({"a": {**good, "shape": [2**32, 2**32], "data_offsets": [0, 0]}}),
             safetensors({"a": {**good, "shape": [0, 2**70], "data_offsets": [0, 0]}}),

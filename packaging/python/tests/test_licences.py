@@ -1,4 +1,4 @@
-"""The notices of others, and the bill of materials, are of what the program is made of."""
+"""Tests that the notices of others and the bill of materials name the crates of the program."""
 
 import json
 import shutil
@@ -25,12 +25,12 @@ class Program(unittest.TestCase):
     def test_the_bill_lists_the_program_and_nothing_beside_it(self):
         command = ["cargo", "tree", "--locked", "-p", "use3d", "-e", "normal,build", "--prefix", "none", "--no-dedupe"]
         told = subprocess.run(command, cwd=PACKAGING.parent, stdout=subprocess.PIPE, check=True, text=True).stdout
-        # Where cargo unifies features, the workspace's other members follow after an empty line.
+        # If cargo unifies features, the workspace's other members follow after an empty line.
         tree = {tuple(line.split()[:2]) for line in told.split("\n\n")[0].splitlines()}
         bill = sbom.bill(self.program)
         listed = [(part["name"], f"v{part['version']}") for part in [bill["metadata"]["component"], *bill["components"]]]
         self.assertEqual(sorted(listed), sorted(tree))
-        # Only tests use these, or other programs of the workspace.
+        # Only tests or other programs of the workspace use these.
         self.assertFalse({"proptest", "criterion"} & {name for name, _ in listed})
         self.assertEqual([p["scope"] for p in bill["components"] if p["name"] == "cc"], ["excluded"])
         references = {part["bom-ref"] for part in bill["components"]} | {bill["metadata"]["component"]["bom-ref"]}
@@ -70,7 +70,7 @@ class Crate(unittest.TestCase):
         self.assertIn("Copyright (c) Ann <a@b.c>, Bo\n\nPermission is hereby granted", text)
         ((_, text),) = licences.of_crate(self.crate("Apache-2.0"))
         self.assertIn("Apache License", text)
-        # A notice is no licence.
+        # A notice is not a licence.
         (self.folder / "NOTICE").write_text("with thanks to all\n")
         self.assertEqual([path for path, _ in licences.of_crate(self.crate("MIT"))][0], "NOTICE")
         self.assertEqual(len(licences.of_crate(self.crate("MIT"))), 2)

@@ -1,4 +1,4 @@
-"""What pip has to find in a wheel."""
+"""Tests that a wheel holds everything that pip needs."""
 
 import base64
 import hashlib
@@ -16,7 +16,7 @@ spec.loader.exec_module(wheel)
 
 
 def elf(*kinds):
-    """The head of a program with program headers of these kinds; 3 names an interpreter."""
+    """The head of a program with program headers of these kinds; kind 3 names an interpreter."""
     head = bytearray(64)
     head[:5] = b"\x7fELF\x02"
     head[32:40] = (64).to_bytes(8, "little")
@@ -40,7 +40,7 @@ class Wheel(unittest.TestCase):
         with zipfile.ZipFile(made) as archive:
             names = {entry.filename: entry for entry in archive.infolist()}
             (program,) = (name for name in names if name.endswith("/scripts/use3d"))
-            # pip makes a file executable only where it is a regular one and says so.
+            # pip makes a file executable only if the archive marks it as a regular file.
             mode = names[program].external_attr >> 16
             self.assertTrue(stat.S_ISREG(mode) and mode & 0o111)
             self.assertIn("use3d/__init__.py", names)

@@ -1,13 +1,13 @@
-"""The `use3d` command from Python, and what it writes as NumPy arrays.
+"""Runs the `use3d` command from Python, and reads its output as NumPy arrays.
 
     import use3d
-    use3d.run("run", "my-reef/")                            # the command, with its own words
+    use3d.run("run", "my-reef/")                            # the command, with its own arguments
     results = use3d.Results("use3d-out/my-reef")
     scene = results.scene("my-reef")
     scene.gaussians["x"], scene.medium["coefficients"]      # arrays
-    scene.show()                                            # in a notebook: the scene to walk through
+    scene.show()                                            # in a notebook: an interactive view of the scene
 
-Only reading and starting: every computation is the command's.
+The module only starts the command and reads files; the command does every computation.
 """
 
 from ._command import CommandFailed, command, run

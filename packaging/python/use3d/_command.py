@@ -1,4 +1,4 @@
-"""Finding and starting the command."""
+"""Finds and starts the command."""
 
 import collections
 import json
@@ -10,14 +10,14 @@ import sys
 import sysconfig
 import threading
 
-# Lines of stderr that `CommandFailed` holds.
+# Number of lines of stderr that `CommandFailed` holds.
 _REMEMBERED = 200
-# Seconds that a command has for its checkpoint when time is over.
+# Seconds that a command has for its checkpoint after its time is over.
 _PATIENCE = 60
 
 
 class CommandFailed(RuntimeError):
-    """The command ended with another exit code than 0; `code` is that, `said` the last lines it wrote to stderr."""
+    """The command ended with an exit code other than 0: `code`. `said` holds its last lines on stderr."""
 
     def __init__(self, words, code, said):
         super().__init__(f"{' '.join(words)}: exit code {code}\n{said.strip()}")
@@ -26,12 +26,12 @@ class CommandFailed(RuntimeError):
         self.said = said
 
     def __reduce__(self):
-        # How other processes (multiprocessing, concurrent.futures, joblib, dask) hand it back.
+        # Needed to pass the error between processes (multiprocessing, concurrent.futures, joblib, dask).
         return type(self), (self.words, self.code, self.said)
 
 
 def version():
-    """The installed package's version; `unknown` where the module is used without being installed."""
+    """The installed package's version; `unknown` if the module is used without an installation."""
     from importlib import metadata
 
     try:
@@ -41,7 +41,8 @@ def version():
 
 
 def command():
-    """The path of the `use3d` program: `USE3D_COMMAND`, the one beside this Python, or the one on the path."""
+    """The path of the `use3d` program: `USE3D_COMMAND`, the one beside this Python, or the one on the path.
+    """
     named = os.environ.get("USE3D_COMMAND")
     if named:
         return named
@@ -63,18 +64,20 @@ def command():
 
 
 def run(*words, parse=None, timeout=None, **options):
-    """Runs `use3d WORDS…` and gives back what it wrote to stdout, parsed where `--json` is among the words.
+    """Runs `use3d WORDS…` and returns its output on stdout, parsed as JSON if `--json` is among the words.
 
-    `parse` says so otherwise. What the command writes to stderr, its progress, is passed on to `sys.stderr` line by line while it runs;
-    `stderr=None` lets it write there itself, so that a terminal shows its bars. `timeout` is in seconds; other `options` go to
-    `subprocess.Popen` (such as `cwd`, `env`).
+    `parse` (true or false) overrides that. The command writes its progress to stderr; each line is copied to
+    `sys.stderr` while the command runs. With `stderr=None` the command writes there directly, so that a
+    terminal shows its bars. `timeout` is in seconds; other `options` are passed to `subprocess.Popen` (such
+    as `cwd`, `env`).
 
-    Raises `CommandFailed` with the command's own message where it fails. On `KeyboardInterrupt`, and when time is over
-    (`subprocess.TimeoutExpired`), the command is asked to write a checkpoint and waited for; a second interrupt ends it at once.
+    Raises `CommandFailed` with the command's own message if the command fails. On `KeyboardInterrupt`, and
+    after the timeout (`subprocess.TimeoutExpired`), the command gets a signal to write a checkpoint and end,
+    and `run` waits for that. A second interrupt ends it at once.
     """
     words = [command(), *map(_word, words)]
     if os.name == "posix":
-        # Ctrl-C in a terminal would reach the command a second time, which ends it without a checkpoint.
+        # Ctrl-C in a terminal would reach the command a second time and end it without a checkpoint.
         options.setdefault("start_new_session", True)
     options.setdefault("stderr", subprocess.PIPE)
     process = subprocess.Popen(words, stdout=subprocess.PIPE, encoding="utf-8", errors="replace", **options)
@@ -121,15 +124,15 @@ def _pass_on(lines, said):
             sys.stderr.write(line)
             sys.stderr.flush()
         except (AttributeError, OSError, ValueError):
-            # Nobody listens, or no longer; the command must not wait for that.
+            # Nobody reads this output (any more); the command must not wait because of that.
             pass
 
 
 def _leave(process, patience):
-    """Asks the command to write a checkpoint and end, and waits for that."""
+    """Signals the command to write a checkpoint and end, and waits for that."""
     try:
         if os.name == "posix":
-            # On Windows Ctrl-C has reached it already.
+            # On Windows Ctrl-C has reached the command already.
             process.send_signal(signal.SIGINT)
         process.wait(patience)
     except KeyboardInterrupt:

@@ -1,4 +1,4 @@
-"""The open formats that artifacts are made of, as NumPy arrays."""
+"""Reads the open formats of artifacts as NumPy arrays."""
 
 import json
 import math
@@ -8,10 +8,10 @@ import numpy as np
 
 
 class FormatError(ValueError):
-    """A file that is not what its name says: which, and what is wrong."""
+    """A file is not in the format of its name. The message names the file and the fault."""
 
 
-# Little-endian, as the format has them. bfloat16 has no NumPy type and comes as its 16 bits.
+# Little-endian, as in the format. bfloat16 has no NumPy type and is returned as its 16 bits.
 _SAFETENSORS = {
     "F64": "<f8", "F32": "<f4", "F16": "<f2", "BF16": "<u2", "I64": "<i8", "I32": "<i4", "I16": "<i2", "I8": "i1",
     "U64": "<u8", "U32": "<u4", "U16": "<u2", "U8": "u1", "BOOL": "?",
@@ -21,12 +21,14 @@ _PLY = {
     "uint16": "<u2", "int": "<i4", "int32": "<i4", "uint": "<u4", "uint32": "<u4", "float": "<f4", "float32": "<f4",
     "double": "<f8", "float64": "<f8",
 }  # fmt: skip
-# The header of a scene's PLY has some sixty lines.
+# Limits for a header; that of a scene's PLY has about sixty lines.
 _PLY_LINE, _PLY_HEADER = 1 << 12, 1 << 20
 
 
 def read_safetensors(path):
-    """A safetensors file as a dict from name to array. The arrays are read-only; `array.copy()` is not."""
+    """Reads a safetensors file as a dict from name to array. The arrays are read-only; `array.copy()` can be
+    written.
+    """
     size = os.path.getsize(path)
     with open(path, "rb") as file:
         length = int.from_bytes(file.read(8), "little")
@@ -48,7 +50,7 @@ def read_safetensors(path):
             start, end = (_whole(n) for n in entry["data_offsets"])
         except (KeyError, TypeError, ValueError) as error:
             raise FormatError(f"{path}: tensor {name!r} is not described as it should be: {error!r}") from error
-        # Counted without an upper limit: a product of 64 bits may come out small again.
+        # Python integers have no upper limit; a 64-bit product could overflow to a small number.
         if not start <= end <= len(data) or end - start != math.prod(shape) * kind.itemsize:
             raise FormatError(f"{path}: tensor {name!r} has {end - start} bytes at {start}, of shape {shape} and {kind}")
         try:
@@ -65,9 +67,10 @@ def _whole(number):
 
 
 def read_ply(path):
-    """The vertices of a binary little-endian PLY (a scene's Gaussians) as a structured array, one field a property.
+    """Reads the vertices of a binary little-endian PLY (a scene's Gaussians) as a structured array, one field
+    per property.
 
-    It is read-only; `array.copy()` is not.
+    The array is read-only; `array.copy()` can be written.
     """
     size = os.path.getsize(path)
     with open(path, "rb") as file:
@@ -105,7 +108,7 @@ def read_ply(path):
             raise FormatError(f"{path}: it has no vertices")
         kind = np.dtype(list(fields.items()))
         left = size - file.tell()
-        # Before memory is asked for: a header can name any number.
+        # Checked before memory is allocated, because a header can name any number.
         if left < count * kind.itemsize:
             raise FormatError(f"{path}: cut off: {left} bytes of {count} vertices of {kind.itemsize} bytes")
         data = file.read(count * kind.itemsize)
@@ -115,7 +118,7 @@ def read_ply(path):
 
 
 def _count(path, words):
-    # More digits than 64 bits have are no count, and slow to read.
+    # Text with more digits than 64 bits can hold is not a count, and slow to parse.
     if len(words) != 1 or not words[0].isdecimal() or not words[0].isascii() or len(words[0]) > 19:
         raise FormatError(f"{path}: element vertex {' '.join(words)}; a number of vertices is expected")
     return int(words[0])

@@ -1,4 +1,4 @@
-"""What a run has left: results folders and scene folders."""
+"""Reads the output of a run: results folders and scene folders."""
 
 import csv
 import html
@@ -11,7 +11,7 @@ from ._files import FormatError, read_ply, read_safetensors
 
 
 def _kind(value):
-    """What a value is called in JSON."""
+    """The JSON name of a value's type."""
     kinds = {dict: "an object", list: "a list", str: "text", bool: "true or false", type(None): "null"}
     return kinds.get(type(value), "a number")
 
@@ -25,7 +25,9 @@ def _json(path):
 
 
 class Scene:
-    """A scene folder: `description`, and as arrays its `gaussians`, `medium` and `enhancement`, read when first asked for."""
+    """A scene folder: its `description`, and as arrays `gaussians`, `medium` and `enhancement`, each read at
+    its first use.
+    """
 
     def __init__(self, folder):
         self.folder = Path(folder)
@@ -66,22 +68,24 @@ class Scene:
 
     @property
     def gaussians(self):
-        """The Gaussians, a structured array: x, y, z, f_dc_0 …, opacity, scale_0 …, rot_0 … as 3DGS files have them."""
+        """The Gaussians as a structured array: x, y, z, f_dc_0 …, opacity, scale_0 …, rot_0 … as in 3DGS
+        files.
+        """
         return self._once("gaussians", lambda: read_ply(self._gaussians))
 
     @property
     def medium(self):
-        """The water's tensors by name; none where there is no water."""
+        """The water's tensors by name; empty if there is no water."""
         return self._once("medium", lambda: read_safetensors(self._medium)) if self._medium else {}
 
     @property
     def enhancement(self):
-        """The enhancement's tensors by name; none in a scene of stage 1."""
+        """The enhancement's tensors by name; empty for a scene of stage 1."""
         return self._once("enhancement", lambda: read_safetensors(self._enhancement)) if self._enhancement else {}
 
     def show(self, height=600, **options):
-        """The scene to walk through, in a notebook. `options` are those of `use3d export`, such as `cameras="my-reef/"`;
-        one that takes no value is `True`, and `None` or `False` leaves one out.
+        """An interactive view of the scene for a notebook. `options` are those of `use3d export`, such as
+        `cameras="my-reef/"`. An option without a value is `True`; `None` or `False` leaves an option out.
         """
         return _Page(self._page(options), height)
 
@@ -102,7 +106,7 @@ class Scene:
 
 
 class _Page:
-    """A page that a notebook shows in a frame of its own."""
+    """A page that a notebook shows in its own frame."""
 
     def __init__(self, page, height):
         self.page, self.height = page, int(height)
@@ -129,7 +133,7 @@ class Results:
         return sorted(str(path.relative_to(self.folder)) for path in found)
 
     def scene(self, name):
-        """The scene of that name, enhanced where it was."""
+        """The scene with this name; the enhanced one if there is one."""
         for part in ("enhanced-scene", "scene"):
             if (self.folder / name / part / "scene.json").is_file():
                 return Scene(self.folder / name / part)
@@ -145,7 +149,9 @@ class Results:
         raise FileNotFoundError(f"{path}: there is no such file; `use3d run` writes it when the stage `evaluate` is done")
 
     def pictures(self, name):
-        """The rendered pictures of a scene: a dict from mode (`clear`, `enhanced-clear`, `depth`, …) to a dict from view to path."""
+        """The rendered pictures of a scene: a dict from mode (`clear`, `enhanced-clear`, `depth`, …) to a
+        dict from view to path.
+        """
         folder = self.folder / name / "renders"
         if not folder.is_dir() and name not in self.scenes:
             raise self._unknown(name)

@@ -1,8 +1,9 @@
 //! The calibrator on disk: one safetensors file.
 //!
-//! Tensors `<head>.<layer>.weight`, `<head>.<layer>.bias` (layers 0 to 2, weights `[outputs, inputs]`) and
-//! `<head>.{condition,residual}.{median,range}` for the heads `global` and `local`, all f32. The header
-//! records the extractor's settings, the proposer, and where the calibrator comes from.
+//! The tensors are `<head>.<layer>.weight`, `<head>.<layer>.bias` (layers 0 to 2, weights
+//! `[outputs, inputs]`) and `<head>.{condition,residual}.{median,range}` for the heads `global` and
+//! `local`, all f32. The header records the extractor's settings, the proposer, and the calibrator's
+//! provenance.
 
 use serde::{Deserialize, Serialize};
 use use3d_tensors::{TensorFile, TensorWriter};
@@ -27,7 +28,7 @@ struct Header {
 }
 
 impl Calibrator {
-    /// The calibrator as the bytes of a safetensors file; the same calibrator gives the same bytes.
+    /// The calibrator as the bytes of a safetensors file; equal calibrators have equal bytes.
     pub fn to_bytes(&self) -> Result<Vec<u8>, AtcError> {
         let mut writer = TensorWriter::new();
         for (name, head) in [("global", &self.global), ("local", &self.local)] {
@@ -52,8 +53,8 @@ impl Calibrator {
         finish(&writer, WHAT, &header)
     }
 
-    /// Whether these are the bytes of a file that this program wrote, whole or not; a calibrator of the
-    /// authors' is not.
+    /// True if these bytes, complete or not, were written by this program; false for the authors'
+    /// calibrators.
     pub fn is_own_file(bytes: &[u8]) -> bool {
         TensorFile::has_document(bytes)
     }

@@ -1,8 +1,8 @@
-//! The data set of the calibrator: what the extractor says about each pair of photographs.
+//! The data set of the calibrator: the extractor's result for each pair of photographs.
 //!
-//! One pair of images is in memory at a time. A pair that cannot be read or whose halves do not fit together
-//! is listed and left out, never fatal. An example is a few tens of kilobytes and serialises, so that a
-//! caller can keep it per pair.
+//! One pair of images is in memory at a time. A pair that cannot be read, or whose halves do not match, is
+//! listed and left out; this is never an error. An example takes a few tens of kilobytes and serialises, so
+//! that a caller can store it per pair.
 
 use serde::{Deserialize, Serialize};
 use use3d_capture::Image;
@@ -12,11 +12,11 @@ use crate::extractor::{Affine, Descriptors, ExtractorSettings, Source, Transitio
 use crate::progress::{Progress, Watch, report};
 use crate::proposers::{Proposer, ProposerId};
 
-/// A pair of photographs on its way into a data set.
+/// A pair of photographs to be added to a data set.
 pub struct PairImages {
     /// The pair's name.
     pub name: String,
-    /// The underwater image and the enhanced one, or why they could not be read.
+    /// The underwater image and the enhanced one, or the reason why they could not be read.
     pub images: Result<(Image, Image), String>,
 }
 
@@ -25,7 +25,7 @@ pub struct PairImages {
 pub struct Skipped {
     /// The pair's name.
     pub name: String,
-    /// Why.
+    /// The reason.
     pub reason: String,
 }
 
@@ -38,7 +38,7 @@ pub struct CellExample {
     pub proposal: [f64; 6],
     /// The paired target's local operator.
     pub target: [f64; 6],
-    /// How well the target's operator is determined, `[0, 1]`.
+    /// The certainty of the target's operator, `[0, 1]`.
     pub confidence: f64,
 }
 
@@ -95,18 +95,18 @@ impl PairExample {
     }
 }
 
-/// Pairs in operator space, and those that were left out.
+/// Pairs in operator space, and the pairs that were left out.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Dataset {
-    /// Settings of the extractor that made it.
+    /// Settings of the extractor that computed it.
     pub extractor: ExtractorSettings,
-    /// Proposer that made it.
+    /// The proposer that computed it.
     pub proposer: ProposerId,
-    /// Usable pairs, in the order given.
+    /// Usable pairs, in the given order.
     pub examples: Vec<PairExample>,
     /// Pairs that were left out.
     pub skipped: Vec<Skipped>,
-    /// Whether the pairs were made up because there were no real ones.
+    /// True if the pairs are synthetic because there were no real ones.
     #[serde(default)]
     pub stand_in: bool,
 }
@@ -117,8 +117,8 @@ impl Dataset {
         Self { extractor, proposer, examples: Vec::new(), skipped: Vec::new(), stand_in: false }
     }
 
-    /// Runs proposer and extractor over `pairs`, one at a time. Fails only if the settings are bad or `watch`
-    /// asks to stop.
+    /// Runs proposer and extractor over `pairs`, one at a time. Fails only if the settings are invalid or
+    /// `watch` requests a stop.
     pub fn build(
         pairs: impl IntoIterator<Item = PairImages>,
         proposer: &dyn Proposer,
@@ -150,7 +150,7 @@ impl Dataset {
         }
     }
 
-    /// All cells of all examples.
+    /// Number of cells in all examples.
     pub fn cell_count(&self) -> usize {
         self.examples.iter().map(|e| e.cells.len()).sum()
     }
@@ -170,7 +170,8 @@ fn example(
     PairExample::extract(&pair.name, &source, target, &proposal, workspace).map_err(said)
 }
 
-/// Both halves must show the same frame: sizes may differ (one was scaled), shapes by at most two percent.
+/// Both halves must show the same frame: sizes may differ (one half was scaled), aspect ratios by at most
+/// two percent.
 fn check_shapes(source: &Image, target: &Image) -> Result<(), String> {
     let (a, b) = ((source.width(), source.height()), (target.width(), target.height()));
     if a.0.min(a.1).min(b.0).min(b.1) < 8 {

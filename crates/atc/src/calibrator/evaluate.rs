@@ -1,8 +1,9 @@
-//! Does calibration bring transitions nearer to the paired targets, on pairs that it was not fitted to?
+//! Measures if calibration brings transitions nearer to the paired targets, on pairs that were not used in
+//! the fit.
 //!
 //! The *normalised transition error* is the mean over the operator's numbers of `|error| / s`, with `s` the
-//! calibrator's interquartile ranges; global operators count equally, local ones by the confidence of their
-//! cell. *Before* is the proposal's own error, *after* that of the calibrated proposal.
+//! calibrator's interquartile ranges. Global operators count equally; local ones count by the confidence of
+//! their cell. *Before* is the error of the proposal, *after* that of the calibrated proposal.
 
 use serde::{Deserialize, Serialize};
 use use3d_numerics::random::{Purpose, Stream};
@@ -14,9 +15,9 @@ use crate::extractor::center;
 /// An error before and after calibration, interquartile units.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ErrorChange {
-    /// Of the proposal.
+    /// The proposal's error.
     pub before: f64,
-    /// Of the calibrated proposal.
+    /// The calibrated proposal's error.
     pub after: f64,
 }
 
@@ -30,35 +31,36 @@ impl ErrorChange {
 /// Mean normalised transition errors over some pairs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct TransitionErrors {
-    /// Global operators.
+    /// Errors of global operators.
     pub global: ErrorChange,
-    /// Local operators as fitted.
+    /// Errors of local operators as fitted.
     pub local: ErrorChange,
-    /// Local operators minus their mean over the image, which is what the consensus uses.
+    /// Errors of local operators minus their mean over the image, which the consensus uses.
     pub centered: ErrorChange,
 }
 
-/// The result of a fit to a part of the pairs, on the others.
+/// The result of a fit to a part of the pairs, tested on the others.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct HeldOutReport {
-    /// Pairs fitted to.
+    /// Number of pairs used in the fit.
     pub fitted: usize,
-    /// Names of the pairs tested on.
+    /// Names of the pairs used in the test.
     pub tested: Vec<String>,
-    /// Errors on them, each head at the step at which it stopped and with the share of its correction that
-    /// was kept. Both were chosen on these pairs, so with few of them the figure flatters a little.
+    /// Errors on them, with each head at the step at which it stopped and with the share of its correction
+    /// that was kept. Both were chosen on these same pairs, so with few pairs the errors are slightly too
+    /// good.
     pub errors: TransitionErrors,
     /// Errors on them after all steps of the recipe.
     pub all_steps: TransitionErrors,
     /// The last steps of the global and of the local head.
     pub stopped: [u64; 2],
-    /// The shares of their corrections that the global and the local head keep, 0 to 1; 0 trusts the
-    /// proposal.
+    /// The shares of their corrections that the global and the local head keep, 0 to 1; 0 leaves the
+    /// proposal unchanged.
     pub kept: [f64; 2],
 }
 
-/// Indices of the pairs to fit to and to test on, or `None` if nothing is to be held out or there are too few
+/// Indices of the pairs to fit to and to test on; `None` if nothing is to be held out or there are too few
 /// pairs.
 pub fn held_out(dataset: &Dataset, params: &CalibratorParams) -> Option<(Vec<usize>, Vec<usize>)> {
     let count = dataset.examples.len();
@@ -73,7 +75,7 @@ pub fn held_out(dataset: &Dataset, params: &CalibratorParams) -> Option<(Vec<usi
     Some((fitted, order))
 }
 
-/// A confidence-weighted mean in the making.
+/// A confidence-weighted mean while it is being summed.
 #[derive(Default)]
 struct Mean {
     sum: f64,

@@ -1,4 +1,4 @@
-//! The calibrator against the golden cases.
+//! Compares the calibrator with the golden cases.
 
 use use3d_golden::{Case, Part};
 
@@ -47,7 +47,7 @@ fn golden_heads_values_losses_and_gradients() {
         let cell_proposals = arrays::<6>(&case, "in.proposal_d");
         let cells = cell_descriptors.len() / descriptors.len();
 
-        // As a scene uses it: image by image.
+        // Image by image, as a scene uses it.
         let mut global: Vec<Affine> = Vec::new();
         let mut local: Vec<[f64; 6]> = Vec::new();
         for b in 0..descriptors.len() {
@@ -62,7 +62,7 @@ fn golden_heads_values_losses_and_gradients() {
         case.check_f64("out.t", global.as_flattened());
         case.check_f64("out.delta", local.as_flattened());
 
-        // As training uses it: one batch.
+        // In one batch, as training uses it.
         let mut conditions: Vec<f32> = Vec::new();
         let mut cell_conditions: Vec<f32> = Vec::with_capacity(LOCAL_CONDITION * cell_proposals.len());
         for b in 0..descriptors.len() {

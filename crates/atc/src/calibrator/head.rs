@@ -8,13 +8,13 @@
 //! loss       = Σ_rows w mean_k SmoothL1_{β=½}( (prediction − target)_k / max(s_r, 10⁻⁵)_k ) / max(Σ w, 10⁻⁶)
 //! ```
 //!
-//! Nothing bounds the output. The statistics are those of the residual `target − proposal`, so a head of
+//! The output is not bounded. The statistics are those of the residual `target − proposal`, so a head of
 //! zeros with a zero median returns the proposal.
 
 use super::mlp::{Mlp, Trace};
 use super::statistics::{CONDITION_FLOOR, Statistics};
 
-/// Corner of the Smooth-L1 loss.
+/// The error at which the Smooth-L1 loss changes from quadratic to linear.
 const BETA: f64 = 0.5;
 
 /// One head: network and statistics.
@@ -25,7 +25,7 @@ pub struct Head {
     /// Statistics of the conditions.
     pub condition: Statistics,
     /// Statistics of the residual `target − proposal`. Its ranges are the scales `s_g` or `s_ℓ` of stage 2;
-    /// where the parameters ask for the paper's scales, they are the ranges of the targets instead (R19).
+    /// with the paper's scales as parameter, they are the ranges of the targets instead (R19).
     pub residual: Statistics,
 }
 
@@ -51,8 +51,8 @@ impl Head {
         }
     }
 
-    /// The same head with only a share of its correction: 0 returns the proposal. The ranges, which stage 2
-    /// scales by, stay.
+    /// The same head with only a share of its correction: 0 returns the proposal. The ranges, which are the
+    /// scales of stage 2, stay.
     pub(super) fn damped(&self, share: f32) -> Self {
         let mut head = self.clone();
         let [.., last] = &mut head.mlp.layers;
@@ -61,7 +61,7 @@ impl Head {
         head
     }
 
-    /// Whether it ever changes a proposal: its last layer and its median residual are not all zero.
+    /// True if it can change a proposal: its last layer and its median residual are not all zero.
     pub(super) fn corrects(&self) -> bool {
         let [.., last] = &self.mlp.layers;
         last.weight.iter().chain(&last.bias).chain(&self.residual.median).any(|v| *v != 0.0)
@@ -73,14 +73,14 @@ impl Head {
         f64::from(value) * f64::from(self.residual.range[k]) + f64::from(self.residual.median[k])
     }
 
-    /// Residuals for rows of raw conditions (which are normalised in place), into `trace.output` as the
-    /// network's outputs.
+    /// Computes the network's outputs for rows of raw conditions, into `trace.output`. The conditions are
+    /// normalised in place.
     pub(super) fn run(&self, conditions: &mut [f32], trace: &mut Trace) {
         self.condition.normalise(conditions);
         self.mlp.forward(conditions, trace);
     }
 
-    /// The loss of a batch; adds the network's gradients to `gradients`.
+    /// Returns the loss of a batch and adds the network's gradients to `gradients`.
     pub(super) fn loss(&self, batch: &Batch<'_>, trace: &mut Trace, gradients: &mut Mlp) -> f64 {
         self.mlp.forward(batch.conditions, trace);
         let k = self.mlp.outputs();
@@ -109,7 +109,7 @@ impl Head {
     }
 }
 
-/// Value and slope of Smooth-L1 with its corner at [`BETA`].
+/// Value and derivative of Smooth-L1 with its corner at [`BETA`].
 fn smooth_l1(error: f64) -> (f64, f64) {
     if error.abs() < BETA {
         (0.5 * error * error / BETA, error / BETA)

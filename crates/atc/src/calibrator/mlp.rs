@@ -1,8 +1,9 @@
-//! The multilayer perceptron of a head: three linear layers with SiLU between, forward and backward by hand.
+//! The multilayer perceptron of a head: three linear layers with SiLU between, with hand-written forward
+//! and backward passes.
 //!
 //! `h₁ = silu(W₁ x + b₁)`, `h₂ = silu(W₂ h₁ + b₂)`, `y = W₃ h₂ + b₃` with `silu(z) = z σ(z)` and
-//! `silu'(z) = σ(z) (1 + z (1 − σ(z)))`. Rows of a batch are independent; weight gradients sum over the batch
-//! in row order.
+//! `silu'(z) = σ(z) (1 + z (1 − σ(z)))`. Rows of a batch are independent; weight gradients sum over the
+//! batch in row order.
 
 use rayon::prelude::*;
 use use3d_numerics::functions::scalar::logistic;
@@ -21,22 +22,22 @@ pub struct Linear {
 }
 
 impl Linear {
-    /// All zeros.
+    /// A layer of zeros.
     pub fn zeros(inputs: usize, outputs: usize) -> Self {
         Self { weight: vec![0.0; inputs * outputs], bias: vec![0.0; outputs] }
     }
 
-    /// Numbers in.
+    /// Number of inputs.
     pub fn inputs(&self) -> usize {
         self.weight.len() / self.bias.len().max(1)
     }
 
-    /// Numbers out.
+    /// Number of outputs.
     pub fn outputs(&self) -> usize {
         self.bias.len()
     }
 
-    /// `out = x Wᵀ + b`, a row per sample.
+    /// `out = x Wᵀ + b`, one row per sample.
     fn forward(&self, x: &[f32], out: &mut Vec<f32>, packed: &mut Vec<f32>) {
         let rows = x.len() / self.inputs();
         out.clear();
@@ -51,7 +52,8 @@ impl Linear {
         );
     }
 
-    /// Adds the parameter gradients of a batch with inputs `x` and those of its outputs, `d_out`.
+    /// Adds the parameter gradients of a batch, from its inputs `x` and the gradients `d_out` of its
+    /// outputs.
     fn add_gradient(&mut self, x: &[f32], d_out: &[f32], packed: &mut Vec<f32>) {
         let (inputs, outputs) = (self.inputs(), self.outputs());
         accumulate(
@@ -67,7 +69,7 @@ impl Linear {
         }
     }
 
-    /// `d_out W`: the derivatives of the inputs.
+    /// `d_out W`: the gradients of the inputs.
     fn backward_of_inputs(&self, d_out: &[f32], d_x: &mut Vec<f32>, packed: &mut Vec<f32>) {
         d_x.clear();
         d_x.resize(d_out.len() / self.outputs() * self.inputs(), 0.0);
@@ -78,11 +80,11 @@ impl Linear {
 /// Three linear layers with SiLU between.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mlp {
-    /// First to last.
+    /// The layers, first to last.
     pub layers: [Linear; 3],
 }
 
-/// What a forward pass leaves for the backward pass, and working memory.
+/// Values that a forward pass stores for the backward pass, and working memory.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Trace {
     hidden: [Vec<f32>; 2],
@@ -93,7 +95,7 @@ pub(super) struct Trace {
 }
 
 impl Mlp {
-    /// All zeros: the head that changes nothing.
+    /// A network of zeros: a head with it changes nothing.
     pub fn zeros(inputs: usize, hidden: usize, outputs: usize) -> Self {
         Self {
             layers: [
@@ -117,12 +119,12 @@ impl Mlp {
         mlp
     }
 
-    /// Numbers in.
+    /// Number of inputs.
     pub fn inputs(&self) -> usize {
         self.layers[0].inputs()
     }
 
-    /// Numbers out.
+    /// Number of outputs.
     pub fn outputs(&self) -> usize {
         self.layers[2].outputs()
     }
@@ -137,7 +139,7 @@ impl Mlp {
         self.layers.iter().flat_map(|l| [&l.weight, &l.bias])
     }
 
-    /// Outputs for rows of inputs, into `trace.output`.
+    /// Computes the outputs for rows of inputs, into `trace.output`.
     pub(super) fn forward(&self, x: &[f32], trace: &mut Trace) {
         let Trace { hidden, slope, output, packed, .. } = trace;
         let [first, second] = hidden;
@@ -148,7 +150,7 @@ impl Mlp {
         self.layers[2].forward(second, output, packed);
     }
 
-    /// Adds to `gradients` those of a batch whose forward pass left `trace`, given those of its
+    /// Adds to `gradients` those of the batch whose forward pass stored `trace`, from the gradients of its
     /// outputs.
     pub(super) fn backward(&self, x: &[f32], d_output: &[f32], trace: &mut Trace, gradients: &mut Mlp) {
         let Trace { hidden, slope, d_hidden, packed, .. } = trace;
@@ -165,7 +167,7 @@ impl Mlp {
 
 const CHUNK: usize = 8192;
 
-/// SiLU in place; its derivative into `slope`.
+/// Applies SiLU in place and writes its derivative to `slope`.
 fn activate(values: &mut [f32], slope: &mut Vec<f32>) {
     slope.resize(values.len(), 0.0);
     values.par_chunks_mut(CHUNK).zip(slope.par_chunks_mut(CHUNK)).for_each(|(values, slope)| {

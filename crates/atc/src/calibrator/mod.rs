@@ -1,16 +1,17 @@
-//! The calibrator: from what a 2D enhancer proposes to what paired data say.
+//! The calibrator: corrects the proposals of a 2D enhancer towards those of paired data.
 //!
-//! Two small networks in residual form ([`Head`]). The *global head* maps 18 source descriptors and the
-//! proposal's global operator (12) to a calibrated global operator. The *local head* works cell by cell,
-//! without neighbours: 6 cell descriptors, the 18 source descriptors, the proposal's global (12) and local
-//! operator (6), and one more global operator (12), the global head's own prediction in training and the
-//! scene consensus in use, to a calibrated local operator. Trained on paired images in operator space
-//! ([`train`]); frozen afterwards.
+//! It consists of two small networks in residual form ([`Head`]). The *global head* maps 18 source
+//! descriptors and the proposal's global operator (12) to a calibrated global operator. The *local head*
+//! works cell by cell, without neighbours. Its inputs are 6 cell descriptors, the 18 source descriptors,
+//! the proposal's global (12) and local operator (6), and one more global operator (12); its output is a
+//! calibrated local operator. The last input is the global head's own prediction in training, and the scene
+//! consensus in use. Both heads are trained on paired images in operator space ([`train`]) and frozen
+//! afterwards.
 //!
-//! The recipe is R18: Smooth-L1 with corner ½ on errors in interquartile units, AdamW at 2·10⁻⁴ with a cosine
-//! decay to 5 %, joint gradient norm at most 10, 750 steps of 128 pairs and 4096 cells, fewer where held-out
-//! pairs say so. Known limit: the paired "ground truth" of underwater enhancement is chosen by people among
-//! results of older methods; the calibrator learns their taste.
+//! The recipe is R18: Smooth-L1 with corner ½ on errors in interquartile units, AdamW at 2·10⁻⁴ with a
+//! cosine decay to 5 %, joint gradient norm at most 10, 750 steps of 128 pairs and 4096 cells, or fewer
+//! steps if held-out pairs are better with fewer. Known limit: people chose the paired "ground truth" of
+//! underwater enhancement among results of older methods, and the calibrator learns their taste.
 
 mod artifact;
 mod dataset;
@@ -49,29 +50,29 @@ pub const GLOBAL_CONDITION: usize = GLOBAL_DESCRIPTOR + 12;
 /// Conditions of the local head: cell 6, descriptor 18, proposal global 12, proposal local 6, global 12.
 pub const LOCAL_CONDITION: usize = LOCAL_DESCRIPTOR + GLOBAL_DESCRIPTOR + 12 + 6 + 12;
 
-/// Usual scales of a global operator's row: half the interquartile ranges of residuals of synthetic pairs, as
-/// proposals that know the scene are off by less.
+/// Usual scales of a global operator's row: half the interquartile ranges of residuals of synthetic pairs,
+/// because proposals that use the scene have smaller errors.
 const USUAL_GLOBAL: [f32; 4] = [0.3, 0.3, 0.3, 0.15];
-/// Usual scales of a local operator, likewise.
+/// Usual scales of a local operator, chosen in the same way.
 const USUAL_LOCAL: [f32; 6] = [0.08, 0.08, 0.08, 0.03, 0.03, 0.03];
 
-/// Where a calibrator comes from.
+/// The origin of a calibrator.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Provenance {
-    /// The pairs, in the caller's words (folders, a dataset's name).
+    /// The pairs, in the caller's words (folders, or a dataset's name).
     pub data: String,
-    /// Pairs fitted to.
+    /// Number of pairs used in the fit.
     pub pairs: usize,
-    /// Cells fitted to.
+    /// Number of cells used in the fit.
     pub cells: usize,
-    /// Optimiser steps.
+    /// Number of optimiser steps.
     pub steps: u64,
-    /// Seed of initialisation and sampling.
+    /// The seed of initialisation and sampling.
     pub seed: u64,
     /// Loss of the last step, interquartile units.
     pub loss: f64,
-    /// What a fit on a part of the pairs does to the others.
+    /// The effect of a fit to a part of the pairs on the other pairs.
     pub held_out: Option<HeldOutReport>,
     /// The tool's version.
     pub tool: String,
@@ -80,7 +81,7 @@ pub struct Provenance {
 /// A trained, frozen calibrator.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Calibrator {
-    /// The extractor settings it was fitted with; scenes follow them (R17).
+    /// The extractor settings with which it was fitted; scenes use the same (R17).
     pub extractor: ExtractorSettings,
     /// The proposer it was fitted for (R25).
     pub proposer: ProposerId,
@@ -88,7 +89,7 @@ pub struct Calibrator {
     pub global: Head,
     /// Local head, 54 → 6.
     pub local: Head,
-    /// Where it comes from.
+    /// The calibrator's origin.
     pub provenance: Provenance,
 }
 
@@ -104,8 +105,8 @@ impl Calibrator {
         }
     }
 
-    /// The same for proposals of which there are no pairs: it returns them unchanged, with scales that are
-    /// usual for transitions of underwater images, as nothing says what they are for these.
+    /// A calibrator for proposals without pairs: it returns them unchanged. Its scales are those that are
+    /// usual for transitions of underwater images, because none were measured.
     pub fn uncalibrated(extractor: ExtractorSettings, proposer: ProposerId) -> Self {
         let mut calibrator = Self::identity(extractor, proposer);
         calibrator.global.residual.range = USUAL_GLOBAL.repeat(3);
@@ -113,8 +114,8 @@ impl Calibrator {
         calibrator
     }
 
-    /// Whether the global and the local head correct anything. A head that keeps no share of its correction
-    /// returns the proposal.
+    /// True for the global and for the local head if it corrects anything. A head that keeps no share of
+    /// its correction returns the proposal.
     pub fn corrects(&self) -> [bool; 2] {
         [&self.global, &self.local].map(Head::corrects)
     }
@@ -138,7 +139,7 @@ impl Calibrator {
     }
 
     /// The calibrated local operators of one image under the global operator `scene`. `descriptors` and
-    /// `proposal` must be over the same grid.
+    /// `proposal` must have the same grid.
     pub fn calibrate_local(
         &self,
         descriptors: &Descriptors,

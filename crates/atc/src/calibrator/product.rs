@@ -1,9 +1,9 @@
 //! Small dense matrix products for the two heads.
 //!
 //! `C += A B` with `C` row-major and `A`, `B` read through strides, so that transposes cost nothing. `B` is
-//! packed in tiles of 16 columns and `A` in tiles of 6 rows; each element of `C` is one chain of fused
-//! multiply-adds over the inner index in ascending order, whatever the tiling, the number of threads or the
-//! instruction set, if that has one.
+//! packed in tiles of 16 columns and `A` in tiles of 6 rows. Each element of `C` is one chain of fused
+//! multiply-adds over the inner index in ascending order. So the result is the same for any tiling, any
+//! number of threads and any instruction set that has fused multiply-add.
 
 use fearless_simd::{Level, Simd, dispatch, f32x16, prelude::*};
 use rayon::prelude::*;
@@ -80,7 +80,7 @@ pub(super) fn accumulate(a: Matrix<'_>, b: Matrix<'_>, c: &mut [f32], packed: &m
     }
 }
 
-/// One band of up to six rows of `c` against every packed tile.
+/// Multiplies one band of up to six rows of `c` with every packed tile.
 #[inline(always)]
 fn band<S: Simd>(simd: S, left: &[f32], packed: &[f32], depth: usize, rows: &mut [f32], columns: usize) {
     for (index, right) in packed.chunks_exact(depth * TILE_COLUMNS).enumerate() {
@@ -103,7 +103,7 @@ mod tests {
     use super::*;
     use use3d_numerics::math;
 
-    /// The scalar twin: the same chain per element.
+    /// The scalar twin: the same chain of operations per element.
     fn plain(a: Matrix<'_>, b: Matrix<'_>, c: &mut [f32]) {
         for i in 0..a.rows {
             for j in 0..b.columns {
@@ -125,7 +125,7 @@ mod tests {
             accumulate(matrix_a, matrix_b, &mut fast, &mut packed);
             plain(matrix_a, matrix_b, &mut slow);
             assert_eq!(fast, slow, "{m}x{k} times {k}x{n}");
-            // And through a transpose: bᵀ aᵀ = (a b)ᵀ.
+            // The product through a transpose: bᵀ aᵀ = (a b)ᵀ.
             let (mut fast, mut slow) = (vec![0.0; m * n], vec![0.0; m * n]);
             accumulate(matrix_b.transposed(), matrix_a.transposed(), &mut fast, &mut packed);
             plain(matrix_b.transposed(), matrix_a.transposed(), &mut slow);

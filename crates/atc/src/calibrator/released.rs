@@ -1,10 +1,10 @@
-//! The calibrator that the paper's authors released, `transition_calibrator.pth`.
+//! Reads the calibrator that the paper's authors released, `transition_calibrator.pth`.
 //!
-//! Its archive holds a schema name and version (5) beside a state dictionary: two heads (`global_head`,
-//! `local_head`) with linear layers at positions 0, 2 and 4, and medians and scales of operators and
-//! conditions. Reading the archive is not done here; this module takes the named tensors. That calibrator is
-//! in `linear` form (R16): the first three local numbers are gains minus one, and everything downstream
-//! follows.
+//! Its archive holds a schema name and version (5) beside a state dictionary. The dictionary has two heads
+//! (`global_head`, `local_head`) with linear layers at positions 0, 2 and 4, and medians and scales of
+//! operators and conditions. This module receives the named tensors; it does not read the archive. The
+//! calibrator is in `linear` form (R16): the first three local numbers are gains minus one, and all later
+//! steps use that form.
 
 use std::collections::BTreeMap;
 
@@ -16,19 +16,20 @@ use crate::proposers::ProposerId;
 const WHAT: &str = "released calibrator";
 /// The schema name in the archive.
 const SCHEMA: &str = "3duse_transition_calibrator";
-/// The schema version that is read.
+/// The schema version that can be read.
 const SCHEMA_VERSION: i64 = 5;
 
-/// What the archive says beside its tensors, and what it leaves to the reader.
+/// The settings in the archive beside its tensors, and those that it does not contain.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ReleasedConfig {
     /// The archive's `schema`; empty if it was not read.
     pub schema: String,
     /// The archive's `schema_version`.
     pub schema_version: i64,
-    /// The proposer that it was fitted for; `nu2net`, with an empty digest where the archive does not tell.
+    /// The proposer for which it was fitted; `nu2net` with an empty digest if the archive does not contain
+    /// it.
     pub proposer: ProposerId,
-    /// Extractor settings; the authors build scenes at a long side of 384 with 16 cells, in linear form.
+    /// Extractor settings; the authors use scenes at a long side of 384 with 16 cells, in linear form.
     pub extractor: ExtractorSettings,
 }
 
@@ -46,8 +47,9 @@ impl Default for ReleasedConfig {
 type Tensors = BTreeMap<String, (Vec<usize>, Vec<f32>)>;
 
 impl Calibrator {
-    /// From the tensors of the released state dictionary. Names that contain `support_` are ignored; anything
-    /// else that is missing, extra, of a wrong shape or not finite is an error.
+    /// Makes a calibrator from the tensors of the released state dictionary. Names that contain `support_`
+    /// are ignored. Any other tensor that is missing, unexpected, of a wrong shape or not finite is an
+    /// error.
     pub fn from_named_tensors(mut tensors: Tensors, config: &ReleasedConfig) -> Result<Self, AtcError> {
         if !config.schema.is_empty() && config.schema != SCHEMA {
             return Err(AtcError::artifact(

@@ -1,14 +1,14 @@
 //! Robust location and scale of every column of a sample: median and interquartile range (R18, R19).
 //!
-//! The median is the lower one where the count is even; the quartiles are interpolated linearly between order
-//! statistics. The range has a floor of 10⁻³, so that a constant column does not blow up what is divided by
-//! it.
+//! For an even count the median is the lower one. The quartiles are interpolated linearly between order
+//! statistics. The range has a floor of 10⁻³, so that division by the range of a constant column is
+//! harmless.
 
 /// Smallest interquartile range that is stored.
 pub const RANGE_FLOOR: f64 = 1e-3;
-/// Floor at use, in normalised conditions and errors.
+/// Floor of the range where it is used in normalised conditions and errors.
 pub const CONDITION_FLOOR: f64 = 1e-5;
-/// Floor at use, in the losses of stage 2 and in the Cauchy factor of the consensus.
+/// Floor of the range where it is used in the losses of stage 2 and in the Cauchy factor of the consensus.
 pub const SCALE_FLOOR: f64 = 1e-4;
 
 /// Median and interquartile range of each column.
@@ -26,7 +26,7 @@ impl Statistics {
         Self { median: vec![0.0; columns], range: vec![1.0; columns] }
     }
 
-    /// Of rows of `columns` numbers each (at least one row).
+    /// The statistics of rows of `columns` numbers each (at least one row).
     pub fn of(rows: &[f32], columns: usize) -> Self {
         let count = rows.len() / columns;
         let mut out = Self::neutral(columns);
@@ -48,7 +48,7 @@ impl Statistics {
         out
     }
 
-    /// Rows of raw conditions, normalised in place: `(c − median) / max(range, 10⁻⁵)`.
+    /// Normalises rows of raw conditions in place: `(c − median) / max(range, 10⁻⁵)`.
     pub(super) fn normalise(&self, rows: &mut [f32]) {
         for row in rows.chunks_exact_mut(self.median.len()) {
             for ((v, m), r) in row.iter_mut().zip(&self.median).zip(&self.range) {

@@ -1,20 +1,19 @@
-//! When to stop, and how far to trust the result: the held-out pairs decide.
+//! Early stopping, and the share of the correction that is kept: the held-out pairs decide both.
 //!
-//! The recipe's 750 steps suit the 800 pairs that it was made for. A few dozen pairs are learned by heart
-//! long before, and a calibrator that knows its pairs by heart makes every other transition worse than the
-//! proposal was. So the fit to a part of the pairs is watched on the others, and each head of the final fit,
-//! which uses all pairs, stops at the step at which it was best there: the global head by its own error, the
-//! local head by that of the centred operators, which are what the consensus uses. The heads share no
-//! gradient, so they may stop apart. With many pairs the best step is the last one.
+//! The recipe's 750 steps suit the 800 pairs for which it was made. A few dozen pairs are overfitted long
+//! before, and an overfitted calibrator makes every other transition worse than the proposal. So a fit to a
+//! part of the pairs is evaluated on the others. Each head of the final fit, which uses all pairs, stops at
+//! the step at which it was best there: the global head by its own error, the local head by that of the
+//! centred operators, which the consensus uses. The heads share no gradient, so they may stop at different
+//! steps. With many pairs the best step is the last one.
 //!
-//! Even the best step may do harm where the pairs have little in common. So each head keeps only the share of
-//! its correction, of [`SHARES`], that served the held-out pairs best: `proposal + share · correction`. A
-//! share of 0 falls back to the proposal.
+//! Even the best step may make results worse if the pairs have little in common. So each head keeps only
+//! that share of its correction, out of [`SHARES`], that was best on the held-out pairs:
+//! `proposal + share · correction`. A share of 0 returns the proposal.
 //!
-//! Pairs kept aside speak for pairs of their kind alone. Synthetic pairs that stand in for real ones bear out
-//! nearly all of a correction that turns a real reef cyan; so [`CalibratorParams::trust`] limits the share,
-//! to 0 for stand-ins if nobody says otherwise. With 0 nothing is fitted at all: only the scales are taken
-//! from the pairs.
+//! Held-out pairs are evidence only for pairs of their own kind. Synthetic stand-ins for real pairs support
+//! nearly all of a correction that turns a real reef cyan. So [`CalibratorParams::trust`] limits the share,
+//! to 0 for stand-ins by default. With 0 nothing is fitted; only the scales are taken from the pairs.
 
 use super::evaluate::held_out;
 use super::training::{fit_until, scales_only};
@@ -22,22 +21,22 @@ use super::{Calibrator, CalibratorParams, Dataset, Head, HeldOutReport, evaluate
 use crate::error::AtcError;
 use crate::progress::Watch;
 
-/// Steps between two looks at the held-out pairs.
+/// Number of steps between two evaluations on the held-out pairs.
 const LOOK: u64 = 25;
-/// Shares of the trusted part of a correction that may be kept, the largest first: it wins a tie.
+/// Shares of the trusted part of a correction that may be kept. The largest comes first and wins ties.
 const SHARES: [f64; 5] = [1.0, 0.75, 0.5, 0.25, 0.0];
 
 /// The last step of each head.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Stop {
-    /// Of the global head.
+    /// The global head's last step.
     pub(super) global: u64,
-    /// Of the local head.
+    /// The local head's last step.
     pub(super) local: u64,
 }
 
 impl Stop {
-    /// Every step of the recipe.
+    /// A stop after every step of the recipe.
     pub(super) fn never(params: &CalibratorParams) -> Self {
         Self { global: params.steps, local: params.steps }
     }
@@ -48,7 +47,7 @@ impl Stop {
     }
 }
 
-/// A head at the step at which it was best, and its error there.
+/// A head at its best step, and its error at that step.
 struct Best {
     step: u64,
     error: f64,
@@ -63,9 +62,9 @@ impl Best {
     }
 }
 
-/// Fits a calibrator to all pairs of a data set, with a held-out report from a fit to a part of them; stops
-/// where that fit was best and keeps the share of it that was best, if the parameters say so. `data` says
-/// where the pairs come from.
+/// Fits a calibrator to all pairs of a data set, with a held-out report from a fit to a part of them. If
+/// the parameters request it, it stops where that fit was best and keeps the share of the correction that
+/// was best. `data` describes the origin of the pairs.
 pub fn train(
     dataset: &Dataset,
     params: &CalibratorParams,
@@ -75,7 +74,7 @@ pub fn train(
     params.validate()?;
     let trust = params.trust_in(dataset);
     if trust == 0.0 {
-        // Nothing of a correction would be kept: two fits would be thrown away.
+        // No correction would be kept, so both fits would be wasted.
         let mut calibrator = scales_only(dataset, params)?;
         calibrator.provenance.data = data.to_string();
         return Ok(calibrator);
@@ -97,7 +96,7 @@ pub fn train(
         if let (Some(global), Some(local)) = (global, local) {
             stop = Stop { global: global.step, local: local.step };
             (whole.global, whole.local) = (global.head.clone(), local.head.clone());
-            // The global head first: what it says is a condition of the local one.
+            // The global head comes first, because its output is a condition of the local head.
             kept[0] = best_share(trust, |share| {
                 whole.global = global.head.damped(share);
                 errors_of(&whole).global.after

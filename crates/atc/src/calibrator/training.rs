@@ -1,7 +1,8 @@
-//! Fitting the two heads to a data set of pairs (R18).
+//! Fits the two heads to a data set of pairs (R18).
 //!
-//! Deterministic: initialisation and every sampled row are functions of (seed, purpose, step, index), and all
-//! sums have a fixed order, so the same data and parameters give the same bits on any number of threads.
+//! The fit is deterministic: initialisation and every sampled row are functions of (seed, purpose, step,
+//! index), and all sums have a fixed order. So the same data and parameters give the same bits on any
+//! number of threads.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -20,11 +21,11 @@ use crate::error::AtcError;
 use crate::extractor::{Affine, ExtractorSettings};
 use crate::progress::{Progress, Watch, report};
 
-/// Fewest pairs a calibrator is fitted to; fewer say nothing about how transitions vary.
+/// Fewest pairs to which a calibrator is fitted; fewer show nothing about the variation of transitions.
 const FEWEST_PAIRS: usize = 2;
-/// Pairs that the recipe was made for: the paper trains on 800 of UIEB.
+/// Number of pairs for which the recipe was made: the paper trains on 800 of UIEB.
 pub const METHOD_PAIRS: usize = 800;
-/// Most cells that enter the statistics.
+/// Largest number of cells that enter the statistics.
 const STATISTICS_CELLS: usize = 100_000;
 
 /// The operators whose interquartile ranges are the scales of errors (R19).
@@ -79,12 +80,12 @@ pub struct CalibratorParams {
     /// all pairs.
     pub held_out: f64,
     /// Stop each head of the final fit at the step at which the fit without the held-out pairs was best on
-    /// them. A few dozen pairs are learned by heart long before the last step; with many the last step
+    /// them. A few dozen pairs are overfitted long before the last step; with many the last step
     /// is the best.
     pub stop_early: bool,
-    /// Largest share of its correction that a head may keep, 0 (the proposal as it is) to 1. Unset: 1, but 0
-    /// for pairs that stand in for real ones, whose water and whose hand are not those of the
-    /// photographs to come.
+    /// Largest share of its correction that a head may keep, 0 (the proposal unchanged) to 1. Unset: 1, but 0
+    /// for pairs that stand in for real ones, because they differ from the photographs in their water and
+    /// their enhancement.
     pub trust: Option<f64>,
     /// Seed. Not read from settings: the caller sets it.
     #[serde(skip)]
@@ -119,7 +120,7 @@ impl CalibratorParams {
         self.extractor.validate().map_err(|wrong| wrong.within("extractor"))?;
         within("pairs_per_step", self.pairs_per_step, 1, 1 << 20)?;
         within("cells_per_step", self.cells_per_step, 1, 1 << 20)?;
-        // Weights grow with the square of a width.
+        // The number of weights grows with the square of a width.
         within("global_hidden", self.global_hidden, 1, 8192)?;
         within("local_hidden", self.local_hidden, 1, 8192)?;
         within("steps", self.steps, 0, 200_000_000)?;
@@ -130,8 +131,7 @@ impl CalibratorParams {
         self.trust.map_or(Ok(()), |trust| within("trust", trust, 0.0, 1.0))
     }
 
-    /// Whether a data set is small beside the pairs that the recipe was made for ([`METHOD_PAIRS`]), less
-    /// than half of them.
+    /// True if a data set has less than half of the pairs for which the recipe was made ([`METHOD_PAIRS`]).
     pub fn few(pairs: usize) -> bool {
         2 * pairs < METHOD_PAIRS
     }
@@ -160,7 +160,7 @@ struct Rows {
     local_proposals: Vec<f32>,
     local_targets: Vec<f32>,
     confidence: Vec<f32>,
-    /// The pair of each cell.
+    /// Index of the pair of each cell.
     pair: Vec<usize>,
 }
 
@@ -216,7 +216,8 @@ fn gather(rows: &[f32], columns: usize, indices: &[usize], out: &mut Vec<f32>) {
     }
 }
 
-/// `count` rows of `available` drawn with replacement for `step`, or all if there are no more than that.
+/// Draws `count` of `available` rows with replacement for `step`; all rows if there are no more than
+/// `count`.
 fn draw(seed: u64, purpose: Purpose, step: u64, count: usize, available: usize) -> Vec<usize> {
     if available <= count {
         return (0..available).collect();
@@ -225,7 +226,7 @@ fn draw(seed: u64, purpose: Purpose, step: u64, count: usize, available: usize) 
     (0..count).map(|i| stream.below(i as u64, available)).collect()
 }
 
-/// Moments of one network's parameters.
+/// The optimiser's moments of one network's parameters.
 struct Moments {
     first: Mlp,
     second: Mlp,
@@ -261,7 +262,7 @@ fn clip(limit: f64, global: &mut Mlp, local: &mut Mlp) {
     }
 }
 
-/// Statistics and random initialisation of both heads.
+/// Computes the statistics and the initial weights of both heads.
 fn initial_heads(rows: &Rows, params: &CalibratorParams) -> (Head, Head) {
     let seed = params.seed;
     let mut global = Head {
@@ -302,8 +303,8 @@ fn initial_heads(rows: &Rows, params: &CalibratorParams) -> (Head, Head) {
     if params.last_layer == LastLayer::Random {
         return (global, local);
     }
-    // Both begin as the best constant, the median residual: with a few dozen pairs, what a random last layer
-    // says of pairs that it was not fitted to is noise from which the fit may never recover.
+    // Both heads begin as the best constant, the median residual. With a few dozen pairs, the output of a
+    // random last layer on other pairs is noise from which the fit may never recover.
     for head in [&mut global, &mut local] {
         let last = &mut head.mlp.layers[2];
         last.weight.fill(0.0);
@@ -312,7 +313,7 @@ fn initial_heads(rows: &Rows, params: &CalibratorParams) -> (Head, Head) {
     (global, local)
 }
 
-/// The rows of a data set; an error where there are too few to say how transitions vary.
+/// The rows of a data set; an error if there are too few to show the variation of transitions.
 fn usable_rows(dataset: &Dataset) -> Result<Rows, AtcError> {
     let pairs = dataset.examples.len();
     let rows = Rows::new(dataset);
@@ -327,8 +328,8 @@ fn usable_rows(dataset: &Dataset) -> Result<Rows, AtcError> {
     Ok(rows)
 }
 
-/// The calibrator that leaves every proposal as it is, with the scales that a fit to this data set would
-/// have. They come from the statistics of the pairs alone, so no step is taken.
+/// The calibrator that returns every proposal unchanged, with the scales that a fit to this data set would
+/// have. The scales depend only on the statistics of the pairs, so no step is taken.
 pub(super) fn scales_only(dataset: &Dataset, params: &CalibratorParams) -> Result<Calibrator, AtcError> {
     let rows = usable_rows(dataset)?;
     let (global, local) = initial_heads(&rows, params);
@@ -345,7 +346,8 @@ pub(super) fn scales_only(dataset: &Dataset, params: &CalibratorParams) -> Resul
     Ok(calibrator)
 }
 
-/// Fits a calibrator to all pairs of a data set by the whole recipe: nothing held out, every step taken.
+/// Fits a calibrator to all pairs of a data set with the whole recipe: nothing is held out, and every step
+/// is taken.
 pub fn fit(
     dataset: &Dataset,
     params: &CalibratorParams,
@@ -354,7 +356,8 @@ pub fn fit(
     fit_until(dataset, params, Stop::never(params), watch, &mut |_, _| {})
 }
 
-/// As [`fit`], each head only up to its own last step; `look` sees the calibrator after every step.
+/// Like [`fit`], but each head is trained only up to its own last step; `look` receives the calibrator
+/// after every step.
 pub(super) fn fit_until(
     dataset: &Dataset,
     params: &CalibratorParams,
@@ -392,7 +395,8 @@ pub(super) fn fit_until(
         clear(&mut global_gradients);
         clear(&mut local_gradients);
 
-        // What the global head says now about every pair: the local head's condition, without a gradient.
+        // The global head's current prediction for every pair is a condition of the local head, without a
+        // gradient.
         global.mlp.forward(&conditions, &mut global_trace);
         let predicted: Vec<Affine> = global_trace
             .output
@@ -429,7 +433,7 @@ pub(super) fn fit_until(
         if !loss.is_finite() {
             return Err(AtcError::Diverged { step, loss });
         }
-        // A head that has stopped neither moves nor takes part in the joint norm.
+        // A head that has stopped does not change and does not count in the joint norm.
         if step > stop.global {
             clear(&mut global_gradients);
         }

@@ -1,13 +1,13 @@
-//! One global operator for the scene out of one candidate per view.
+//! Computes one global operator for the scene from one candidate per view.
 //!
-//! Candidates are compared by what they do, not by their coefficients: each is applied to ten fixed colours
-//! (black, three greys, the primaries, their complements), and the 30 response numbers of the views have a
-//! geometric median `Y_sc = argmin_Y Σ_v ‖Y − Y_v‖`, found by Weiszfeld's iteration from the component-wise
-//! lower median (R20). A least-squares affine through probes and median response is the scene operator. Every
-//! response is affine in the probes and each iterate a weighted mean of responses, so that fit is exact: a
-//! change of coordinates.
+//! Candidates are compared by their effect and not by their coefficients. Each is applied to ten fixed
+//! colours (black, three greys, the primaries, their complements). The 30 response numbers of the views
+//! have a geometric median `Y_sc = argmin_Y Σ_v ‖Y − Y_v‖`, found by Weiszfeld's iteration from the
+//! component-wise lower median (R20). A least-squares affine through probes and median response is the
+//! scene operator. Every response is affine in the probes, and each iterate is a weighted mean of
+//! responses, so that fit is exact: a change of coordinates.
 //!
-//! A geometric median breaks down only when half of the views do. All in f64.
+//! A geometric median breaks down only when half of the views do. All sums are in f64.
 
 use serde::{Deserialize, Serialize};
 
@@ -30,14 +30,14 @@ pub const PROBES: [[f64; 3]; 10] = [
 
 /// Length of a response vector.
 const RESPONSE: usize = 3 * PROBES.len();
-/// Most Weiszfeld updates.
+/// Largest number of Weiszfeld updates.
 const ITERATIONS: usize = 32;
-/// Smallest distance that a view is divided by: 64 units in the last place of 1 in f32.
+/// Smallest distance used as a divisor: 64 units in the last place of 1 in f32.
 const DISTANCE_FLOOR: f64 = 64.0 * f32::EPSILON as f64;
 /// An update shorter than this ends the iteration.
 const STOP: f64 = 1e-6;
 
-/// What an operator makes of the probes, unclamped, probe by probe.
+/// The response of an operator to the probes, unclamped, probe by probe.
 pub fn response(operator: &Affine) -> [f64; RESPONSE] {
     let mut out = [0.0; RESPONSE];
     for (probe, colour) in PROBES.iter().zip(out.as_chunks_mut::<3>().0) {
@@ -92,17 +92,17 @@ pub fn refit(response: &[f64; RESPONSE]) -> Affine {
             }
         }
     }
-    // The probes span the colours, so the normal matrix is a constant far from singular.
+    // The probes span the colours, so the normal matrix is a constant that is far from singular.
     let inverse = invert_positive_definite(&normal).unwrap_or_default();
     std::array::from_fn(|k| (0..4).map(|j| inverse[k % 4][j] * right[k / 4][j]).sum())
 }
 
-/// The scene's global operator, and how far the views are from it.
+/// The scene's global operator, and the distances of the views from it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct GlobalConsensus {
     /// The scene operator minus the identity.
     pub operator: Affine,
-    /// Per view: distance of its responses to the consensus, a norm over 30 display values.
+    /// For each view, the distance of its responses from the consensus, a norm over 30 display values.
     pub distances: Vec<f64>,
     /// The (lower) median of the distances.
     pub dispersion: f64,

@@ -1,17 +1,17 @@
-//! One local target per Gaussian out of one map of local operators per view.
+//! Computes one local target per Gaussian from one map of local operators per view.
 //!
-//! The centred map of a view is brought to the size of its camera and lifted to the Gaussians by the exact
-//! adjoint of the splat, `v_i = [S_vᵀ Δ]_i / max(ω_i, 10⁻⁸)` with `ω_i = [S_vᵀ 1]_i` in pixels: object
-//! weights only, no water (R21). Views are fused online in a fixed order. A Gaussian with state `(μ, W, k)`,
-//! all zero at first, takes an observation with `ω > 10⁻⁸` as
+//! The centred map of a view is resized to its camera and lifted to the Gaussians by the exact adjoint of
+//! the splat, `v_i = [S_vᵀ Δ]_i / max(ω_i, 10⁻⁸)` with `ω_i = [S_vᵀ 1]_i` in pixels: object weights only,
+//! no water (R21). Views are fused one by one in a fixed order. A Gaussian has the state `(μ, W, k)`, which
+//! is zero at first. An observation with `ω > 10⁻⁸` updates it by
 //!
 //! ```text
-//! q = 1 for k < 2,  else 1 / (1 + mean_j ((v − μ)_j / s_j)²)          (a Cauchy factor, in units of the paired data)
+//! q = 1 for k < 2,  else 1 / (1 + mean_j ((v − μ)_j / s_j)²)     (a Cauchy factor, in units of paired data)
 //! W ← W + ω q,   μ ← μ + (ω q / max(W, 10⁻⁸)) (v − μ),   k ← k + 1
 //! ```
 //!
-//! It is supported once `k ≥ 2`. The result depends on the order of the views; [`super::order_effect`] says
-//! by how much.
+//! The Gaussian is supported once `k ≥ 2`. The result depends on the order of the views;
+//! [`super::order_effect`] measures by how much.
 
 use rayon::prelude::*;
 use use3d_capture::{Camera, Lattice};
@@ -22,11 +22,11 @@ use crate::calibrator::SCALE_FLOOR;
 use crate::error::AtcError;
 use crate::extractor::resize::Resize;
 
-/// Channels lifted together: six of the operator, and ones.
+/// Number of channels lifted together: six of the operator, and a channel of ones.
 const CHANNELS: usize = 7;
-/// Least visibility that counts, pixels.
+/// Smallest visibility that counts, pixels.
 const VISIBLE: f64 = 1e-8;
-/// Views that make a Gaussian supported.
+/// Number of views from which on a Gaussian is supported.
 pub const SUPPORTING_VIEWS: u32 = 2;
 
 /// The fused state of every Gaussian.
@@ -36,17 +36,17 @@ pub struct LocalConsensus {
     pub mean: Vec<[f32; 6]>,
     /// `W`: accumulated visibility times Cauchy factor, pixels.
     pub weight: Vec<f32>,
-    /// `k`: views that saw it.
+    /// `k`: number of views that saw it.
     pub count: Vec<u32>,
 }
 
-/// The adjoint of a scene's linear splat, `S_vᵀ`, wherever it is computed.
+/// The adjoint of a scene's linear splat, `S_vᵀ`, on any device.
 pub trait Adjoint {
-    /// How many Gaussians the scene has.
+    /// Number of Gaussians in the scene.
     fn gaussians(&self) -> usize;
 
-    /// Lifts `planes` (`[channels][height][width]`, of the camera's size) to the Gaussians: `out`
-    /// (`[N][channels]`), overwritten.
+    /// Lifts `planes` (`[channels][height][width]`, of the camera's size) to the Gaussians; overwrites
+    /// `out` (`[N][channels]`).
     ///
     /// # Errors
     /// [`AtcError::Device`].
@@ -59,7 +59,7 @@ pub trait Adjoint {
     ) -> Result<(), AtcError>;
 }
 
-/// The processor's.
+/// The adjoint on the processor.
 struct OnProcessor<'a> {
     gaussians: &'a Gaussians,
     rasterizer: Rasterizer,
@@ -86,7 +86,7 @@ impl Adjoint for OnProcessor<'_> {
     }
 }
 
-/// What one view says about every Gaussian, and the working memory for it.
+/// One view's observation of every Gaussian, and its working memory.
 pub struct Lift<'a> {
     adjoint: Box<dyn Adjoint + 'a>,
     maps: Vec<f32>,
@@ -94,19 +94,19 @@ pub struct Lift<'a> {
 }
 
 impl<'a> Lift<'a> {
-    /// On the processor; grows on first use (seven planes of the camera's size
-    /// and seven numbers per Gaussian).
+    /// A lift on the processor. Its memory grows on first use (seven planes of the camera's size and seven
+    /// numbers per Gaussian).
     pub fn new(gaussians: &'a Gaussians) -> Self {
         let (rasterizer, prepared) = (Rasterizer::new(), Prepared::new());
         Self::by(Box::new(OnProcessor { gaussians, rasterizer, prepared }))
     }
 
-    /// By somebody else's adjoint.
+    /// A lift with a given adjoint.
     pub fn by(adjoint: Box<dyn Adjoint + 'a>) -> Self {
         Self { adjoint, maps: Vec::new(), sums: Vec::new() }
     }
 
-    /// How many Gaussians the scene has.
+    /// Number of Gaussians in the scene.
     pub fn gaussians(&self) -> usize {
         self.adjoint.gaussians()
     }
@@ -179,7 +179,7 @@ impl LocalConsensus {
             });
     }
 
-    /// Whether a Gaussian has a target.
+    /// True if the Gaussian has a target.
     #[inline]
     pub fn supported(&self, gaussian: usize) -> bool {
         self.count[gaussian] >= SUPPORTING_VIEWS

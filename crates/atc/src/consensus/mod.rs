@@ -1,10 +1,10 @@
-//! The consensus: from one proposal per view to fixed targets for the scene.
+//! The consensus: computes fixed targets for the scene from one proposal per view.
 //!
-//! Every captured view is proposed, extracted and calibrated by itself ([`Recorder`]). The views' global
-//! operators become one scene operator ([`global_consensus`]); under that, each view's local operators are
-//! calibrated, centred, lifted to the Gaussians and fused ([`Lift`], [`LocalConsensus`]). The outcome,
-//! [`Targets`], is all that stage 2 learns from: one global operator, one local operator per Gaussian, and
-//! the scales that errors are measured in. Pixels are needed once and for one view at a time.
+//! Every captured view is proposed, extracted and calibrated separately ([`Recorder`]). The views' global
+//! operators become one scene operator ([`global_consensus`]). Under that, each view's local operators are
+//! calibrated, centred, lifted to the Gaussians and fused ([`Lift`], [`LocalConsensus`]). Stage 2 learns
+//! only from the result, [`Targets`]: one global operator, one local operator per Gaussian, and the scales
+//! in which errors are measured. Pixels are needed once, and for one view at a time.
 
 mod global;
 mod local;
@@ -39,8 +39,8 @@ use crate::proposers::ProposerId;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct TargetsParams {
-    /// Fuse the views a second time in a shuffled order and report how much the targets depend on it. Costs
-    /// as much again as the lifting.
+    /// Fuse the views a second time in a shuffled order and report how much the targets depend on it. This
+    /// doubles the cost of the lifting.
     pub measure_order: bool,
     /// Seed of that shuffle. Not read from settings: the caller sets it.
     #[serde(skip)]
@@ -53,7 +53,7 @@ impl Default for TargetsParams {
     }
 }
 
-/// What is known about one view.
+/// The consensus's data on one view.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ViewReport {
     /// Its name.
@@ -66,35 +66,35 @@ pub struct ViewReport {
     pub local: f64,
 }
 
-/// What the consensus found.
+/// The findings of the consensus.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TargetsReport {
-    /// View by view, in the order of fusion.
+    /// The views, in the order of fusion.
     pub views: Vec<ViewReport>,
     /// The median of the views' distances.
     pub dispersion: f64,
-    /// Gaussians in the scene.
+    /// Number of Gaussians in the scene.
     pub gaussians: usize,
-    /// Gaussians with a target.
+    /// Number of Gaussians with a target.
     pub supported: usize,
-    /// How much the targets depend on the order of the views, if it was measured.
+    /// The dependence of the targets on the order of the views, if it was measured.
     pub order: Option<OrderEffect>,
-    /// Whose proposals they are.
+    /// The proposer of the proposals.
     #[serde(default)]
     pub proposer: ProposerId,
-    /// What the transitions are between.
+    /// The kind of images that the transitions connect.
     #[serde(default)]
     pub appearance: Appearance,
-    /// The share of the stage-1 water in those pictures.
+    /// The share of the stage-1 water in those images.
     #[serde(default, skip_serializing_if = "KeptWater::is_all")]
     pub kept_water: KeptWater,
-    /// Whether a calibrator corrected any of them.
+    /// True if a calibrator corrected any proposal.
     #[serde(default)]
     pub calibrated: bool,
 }
 
 /// Builds the targets of a scene from photographs. `views` are the training views in capture order; each is
-/// dropped before the next is taken.
+/// dropped before the next is read.
 pub fn build_targets(
     gaussians: &Gaussians,
     views: impl IntoIterator<Item = Result<ViewInput, AtcError>>,
@@ -116,8 +116,8 @@ pub fn build_targets(
     targets_from_records(lift, &records, shown, proposals.id(), calibrator, params, watch)
 }
 
-/// The second half of [`build_targets`], for a caller that keeps the records and chooses what lifts. `shown`
-/// says what the pictures behind the records show of the water.
+/// The second half of [`build_targets`], for a caller that keeps the records and chooses the [`Lift`].
+/// `appearance` and `kept_water` describe the water in the images of the records.
 pub fn targets_from_records(
     lift: &mut Lift<'_>,
     records: &[ViewRecord],

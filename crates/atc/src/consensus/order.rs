@@ -1,8 +1,8 @@
-//! How much the fused targets depend on the order of the views.
+//! Measures how much the fused targets depend on the order of the views.
 //!
-//! Online fusion is not commutative: the first two views of a Gaussian enter without a Cauchy factor, and
-//! every factor is taken against the mean so far. The effect is measured on Gaussians that both orders
-//! support, as the largest `|Δμ_j| / s_j` over the six channels: interquartile units of the paired data.
+//! Fusion one by one is not commutative: the first two views of a Gaussian have no Cauchy factor, and every
+//! factor is computed with the mean so far. The effect is measured on Gaussians that both orders support,
+//! as the largest `|Δμ_j| / s_j` over the six channels: interquartile units of the paired data.
 
 use serde::{Deserialize, Serialize};
 
@@ -11,7 +11,7 @@ use super::LocalConsensus;
 /// Differences between two orders of the same views.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct OrderEffect {
-    /// Gaussians compared.
+    /// Number of Gaussians compared.
     pub compared: usize,
     /// Median of the difference, interquartile units.
     pub median: f64,

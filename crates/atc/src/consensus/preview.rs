@@ -1,8 +1,8 @@
 //! Pictures that show why consensus matters: a captured view, its proposal, its own calibrated transition,
-//! and the scene's.
+//! and the scene's transition.
 //!
-//! These are 2D previews, a transition applied to pixels. The method itself never does that: stage 2 makes
-//! the scene's appearance realise the transition in 3D.
+//! These are 2D previews, in which a transition is applied to pixels. The method itself never does that:
+//! stage 2 changes the scene's appearance so that it shows the transition in 3D.
 
 use rayon::prelude::*;
 use use3d_capture::{Image, Map};
@@ -16,18 +16,18 @@ use crate::error::AtcError;
 use crate::extractor::resize::Resize;
 use crate::extractor::{Affine, ExtractorSettings, Form, Source, affine_apply};
 
-/// One view, four ways, all at the captured size, and where the targets reach.
+/// Four versions of one view, all at the captured size, and a map of the targets' support.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Preview {
-    /// As captured; of clear radiance, as stage 1 knows it.
+    /// The captured image; for clear radiance, the image that stage 1 computed.
     pub captured: Image,
-    /// As the proposer alone would have it.
+    /// The proposer's result alone.
     pub proposal: Image,
-    /// With this view's own calibrated transition.
+    /// The image after this view's own calibrated transition.
     pub calibrated: Image,
-    /// With the scene's operator and the targets of the Gaussians it sees.
+    /// The image after the scene's operator and the targets of the Gaussians it sees.
     pub consensus: Image,
-    /// Where Gaussians with a target are seen.
+    /// The share of each pixel that shows Gaussians with a target.
     pub support: Map,
 }
 

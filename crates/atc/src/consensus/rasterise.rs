@@ -1,9 +1,9 @@
-//! The Gaussian-local targets as a view sees them: what stage 2 compares its local operators with.
+//! The targets of the Gaussians rendered into a view, with which stage 2 compares its local operators.
 //!
 //! `S = S_v(support)` clamped to `[0, 1]` and `target = S_v(μ · support) / max(S, 10⁻⁸)` at the camera's
-//! size, both then resized bilinearly (no antialias) to the operator grid, `S` clamped once more. The resize
-//! reads at most two columns and rows per cell, so only those pixels are splatted: the same numbers for a few
-//! hundred pixels in place of a million. Not centred again.
+//! size. Both are then resized bilinearly (no antialias) to the operator grid, and `S` is clamped once
+//! more. The resize reads at most two columns and rows per cell, so only those pixels are splatted: the
+//! same numbers from a few hundred pixels instead of a million. The targets are not centred again.
 
 use use3d_capture::{Camera, Lattice, Map};
 use use3d_splat::{Colors, Gaussians, Prepared, Rasterizer};
@@ -11,12 +11,12 @@ use use3d_splat::{Colors, Gaussians, Prepared, Rasterizer};
 use super::LocalConsensus;
 use crate::extractor::resize::{Axis, Resize};
 
-/// Local targets of a view, over its operator grid.
+/// The local targets of a view, over its operator grid.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ViewTarget {
     /// Columns and rows of the grid.
     pub grid: (usize, usize),
-    /// Target per cell, row-major; zero where nothing supported is seen.
+    /// Target per cell, row-major; zero where no supported Gaussian is seen.
     pub local: Vec<[f64; 6]>,
     /// Support per cell, `[0, 1]`: the cell's weight in the loss.
     pub weight: Vec<f64>,
@@ -68,7 +68,7 @@ pub fn view_target(
     }
 }
 
-/// Where a view sees Gaussians that have a target: `S_v(support)` per pixel, `[0, 1]`.
+/// The share of each pixel of a view that shows Gaussians with a target: `S_v(support)`, `[0, 1]`.
 pub fn support_map(
     gaussians: &Gaussians,
     state: &LocalConsensus,

@@ -1,9 +1,10 @@
-//! The targets of a scene: what stage 2 learns from, and their file.
+//! The targets of a scene, from which stage 2 learns, and their file.
 //!
-//! One safetensors file: `scene` [3,4] f64, `global_scales` [12] and `local_scales` [6] f64, `mean` [N,6] and
-//! `weight` [N] f32, `count` [N] u32, `candidates` [V,3,4] f64. The header records extractor settings (and so
-//! the local form), proposer, dispersion, the names of the views, the appearance that transitions are in and
-//! the share of the water in it; a file without these two is of transitions with all of the water.
+//! The file is one safetensors file: `scene` [3,4] f64, `global_scales` [12] and `local_scales` [6] f64,
+//! `mean` [N,6] and `weight` [N] f32, `count` [N] u32, `candidates` [V,3,4] f64. The header records
+//! extractor settings (and so the local form), proposer, dispersion, the names of the views, the appearance
+//! of the transitions and the share of water in it. A file without these last two describes transitions
+//! with all of the water.
 
 use serde::{Deserialize, Serialize};
 use use3d_capture::{Appearance, Camera, KeptWater};
@@ -25,11 +26,11 @@ const VERSION: u64 = 1;
 pub struct Targets {
     /// Extractor settings of the calibrator; stage 2 extracts with the same.
     pub extractor: ExtractorSettings,
-    /// The proposer behind them.
+    /// The proposer of the proposals.
     pub proposer: ProposerId,
-    /// What the transitions are between: pictures with water, or of clear radiance.
+    /// The kind of images that the transitions connect: with water, or of clear radiance.
     pub appearance: Appearance,
-    /// The share of the stage-1 water in those pictures; all of it in photographs.
+    /// The share of the stage-1 water in those images; photographs have all of it.
     pub kept_water: KeptWater,
     /// The scene's global operator minus the identity.
     pub scene: Affine,
@@ -60,12 +61,12 @@ struct Header {
 }
 
 impl Targets {
-    /// Gaussians they are for.
+    /// Number of Gaussians.
     pub fn gaussians(&self) -> usize {
         self.state.mean.len()
     }
 
-    /// An error unless they are for a scene with as many Gaussians.
+    /// Returns an error unless the scene has the same number of Gaussians.
     pub fn check_scene(&self, gaussians: &Gaussians) -> Result<(), AtcError> {
         if gaussians.len() == self.gaussians() {
             return Ok(());
@@ -76,7 +77,7 @@ impl Targets {
         })
     }
 
-    /// The local targets as `camera` sees them, over its operator grid.
+    /// The local targets in the view of `camera`, over its operator grid.
     pub fn view_target(
         &self,
         gaussians: &Gaussians,
@@ -88,7 +89,7 @@ impl Targets {
         Ok(view_target(gaussians, &self.state, camera, grid, rasterizer))
     }
 
-    /// The bytes of the file; the same targets give the same bytes.
+    /// The bytes of the file; equal targets have equal bytes.
     pub fn to_bytes(&self) -> Result<Vec<u8>, AtcError> {
         let n = self.gaussians();
         let mut writer = TensorWriter::new();
@@ -113,7 +114,7 @@ impl Targets {
         finish(&writer, WHAT, &header)
     }
 
-    /// Reads the bytes of the file.
+    /// Reads targets from the bytes of a file.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, AtcError> {
         let reader = Reader::new(WHAT, bytes)?;
         let header: Header = reader.header(FORMAT, VERSION)?;

@@ -1,4 +1,4 @@
-//! What is kept of each captured view: a few tens of kilobytes of operators, never its pixels.
+//! The data stored for each captured view: a few tens of kilobytes of operators, never its pixels.
 
 use std::sync::Arc;
 
@@ -9,29 +9,30 @@ use crate::error::AtcError;
 use crate::extractor::{Affine, Descriptors, Geometry, Source, Transition, Workspace, center};
 use crate::proposers::{Proposer, ProposerId};
 
-/// A view on its way into the consensus.
+/// A view as input of the consensus.
 pub struct ViewInput {
-    /// Its name, as reports show it.
+    /// Its name, for reports.
     pub name: String,
     /// Its camera, in the scene's frame. The image has the camera's size.
     pub camera: Camera,
-    /// What the transition starts from: the captured image, or the view's clear radiance.
+    /// The start of the transition: the captured image, or the view's clear radiance.
     pub image: Image,
-    /// The proposer's result for it, at any size, where it was computed before.
+    /// The proposer's result for it, at any size, if it was already computed.
     pub proposal: Option<Image>,
 }
 
-/// Where the proposals come from.
+/// The source of the proposals.
 #[derive(Clone, Copy)]
 pub enum Proposals<'a> {
-    /// Computed now, at the extractor's working resolution, for views that do not bring one along.
+    /// This proposer computes them, at the extractor's working resolution, for views that do not contain a
+    /// proposal.
     From(&'a dyn Proposer),
-    /// Every view brings one, made by this proposer.
+    /// Every view contains a proposal of this proposer.
     Given(&'a ProposerId),
 }
 
 impl Proposals<'_> {
-    /// Whose they are.
+    /// The proposer of the proposals.
     pub fn id(&self) -> ProposerId {
         match self {
             Self::From(proposer) => proposer.id(),
@@ -39,7 +40,7 @@ impl Proposals<'_> {
         }
     }
 
-    /// A view that was to bring a proposal and does not.
+    /// The error for a view that must contain a proposal and does not.
     pub(crate) fn missing(self, view: &str, id: &ProposerId) -> AtcError {
         AtcError::View { view: view.into(), problem: format!("it has no proposal by `{}`", id.name) }
     }
@@ -54,7 +55,7 @@ pub struct ViewRecord {
     pub camera: Camera,
     /// Columns and rows of its grid.
     pub grid: (usize, usize),
-    /// Descriptors of that image.
+    /// Descriptors of its image.
     pub descriptors: Descriptors,
     /// `E(image, proposal)`.
     pub proposal: Transition,
@@ -79,12 +80,12 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// A new one.
+    /// A new recorder.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Proposes (unless the view brings a proposal), extracts and calibrates one view.
+    /// Proposes (unless the view contains a proposal), extracts and calibrates one view.
     pub fn record(
         &mut self,
         view: &ViewInput,

@@ -1,11 +1,11 @@
-//! What the calibrator knows about a source image: 18 numbers for the image and 6 for each cell.
+//! The calibrator's description of a source image: 18 numbers for the image and 6 for each cell.
 //!
 //! Image: channel means and population standard deviations; the 0.1, 0.5 and 0.9 quantiles of each channel
-//! (linear interpolation, all of one quantile together); mean, standard deviation (≥ 10⁻⁵) and skewness of
-//! the luminance of `softplus(50 v) / 50`. Cell: adaptive means, then standard deviations `√max(E f² − (E
-//! f)², 10⁻⁵)`, of `f = (ln(Y + 10⁻⁴), (ℓ_r − ℓ_g)/√2, (ℓ_r + ℓ_g − 2 ℓ_b)/√6)` with `ℓ = ln(max(v, 0) +
-//! 10⁻⁴)` and `Y` the luminance of `max(v, 0)`. Both see the image at the extractor's working resolution,
-//! unclamped.
+//! (linear interpolation, all channels of one quantile together); mean, standard deviation (≥ 10⁻⁵) and
+//! skewness of the luminance of `softplus(50 v) / 50`. Cell: adaptive means, then standard deviations
+//! `√max(E f² − (E f)², 10⁻⁵)`, of `f = (ln(Y + 10⁻⁴), (ℓ_r − ℓ_g)/√2, (ℓ_r + ℓ_g − 2 ℓ_b)/√6)` with
+//! `ℓ = ln(max(v, 0) + 10⁻⁴)` and `Y` the luminance of `max(v, 0)`. Both use the image at the extractor's
+//! working resolution, unclamped.
 
 use rayon::prelude::*;
 use use3d_capture::Image;
@@ -60,7 +60,7 @@ fn describe_image(image: &Image) -> [f64; GLOBAL_DESCRIPTOR] {
             out[6 + 3 * q + c] = v;
         }
     }
-    // softplus(50 v) / 50 is max(v, 0) with a rounded corner; written so that large v does not overflow.
+    // softplus(50 v) / 50 is max(v, 0) with a rounded corner; this form does not overflow for large v.
     let softplus = |v: f64| (50.0 * v).max(0.0) / 50.0 + math::ln_1p(math::exp(-(50.0 * v).abs())) / 50.0;
     let luminance: Vec<f64> = (0..n)
         .into_par_iter()

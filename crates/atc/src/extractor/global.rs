@@ -9,11 +9,11 @@
 //! M − [I|0] = ( Σ w (y − x) x̃ᵀ ) (A + λ I)⁻¹
 //! ```
 //!
-//! which minimises `Σ w ‖M x̃ − y‖² + λ ‖M − [I|0]‖²`: all four columns are drawn to the identity (R15). `A`,
-//! its inverse and `w` depend on the source alone. The fit is linear in `y`, so with `K = (∂L/∂M)(A + λ I)⁻¹`
-//! the gradient is `∂L/∂y = w K x̃`. Sums and the solve are in f64. The fit is a contraction: colour
-//! directions that the source hardly shows are shrunk towards the identity, so `E(I, T(I)) = T` holds only up
-//! to that shrinkage.
+//! This minimises `Σ w ‖M x̃ − y‖² + λ ‖M − [I|0]‖²`: the ridge shrinks all four columns towards the
+//! identity (R15). `A`, its inverse and `w` depend on the source alone. The fit is linear in `y`, so with
+//! `K = (∂L/∂M)(A + λ I)⁻¹` the gradient is `∂L/∂y = w K x̃`. Sums and the solve are in f64. The fit is a
+//! contraction: colour directions that the source hardly contains are shrunk towards the identity, so
+//! `E(I, T(I)) = T` holds only up to that shrinkage.
 
 use rayon::prelude::*;
 use use3d_capture::{Image, Map};
@@ -22,14 +22,14 @@ use use3d_numerics::math;
 use super::Affine;
 use crate::vectorized::{LANES, total, vectorized};
 
-/// Relative ridge.
+/// The relative ridge.
 const RIDGE: f64 = 1e-3;
 /// Floor of the mean squared feature that scales the ridge.
 const ENERGY_FLOOR: f64 = 1e-4;
-/// BT.601 luminance.
+/// The weights of BT.601 luminance.
 pub(crate) const LUMINANCE: [f64; 3] = [0.299, 0.587, 0.114];
 
-/// How much a source pixel counts: little where it is black or beyond white.
+/// The weight of every source pixel: small where it is black or brighter than white.
 pub(crate) fn pixel_weights(source: &Image) -> Map {
     let logistic = |v: f64| 1.0 / (1.0 + math::exp(-v));
     let mut weights = Map::new(source.width(), source.height());
@@ -94,7 +94,7 @@ impl Ridge {
         invert_positive_definite(&a).map(|inverse| Self { inverse })
     }
 
-    /// `M − [I|0]` for a target of the source's size. `row_sums` is working memory.
+    /// Computes `M − [I|0]` for a target of the source's size. `row_sums` is working memory.
     pub(crate) fn forward(
         &self,
         source: &Image,
@@ -117,7 +117,7 @@ impl Ridge {
         self.times_inverse(&correlation)
     }
 
-    /// `K` of the module's header: the derivative by the operator times `(A + λ I)⁻¹`.
+    /// `K` of the module's header: the gradient with respect to the operator times `(A + λ I)⁻¹`.
     pub(crate) fn backward(&self, d_operator: &Affine) -> Affine {
         self.times_inverse(d_operator)
     }
@@ -177,7 +177,8 @@ fn correlate_row(x: [&[f32]; 3], w: &[f32], y: [&[f32]; 3]) -> Affine {
     std::array::from_fn(|i| total(&acc[i]))
 }
 
-/// The inverse of a symmetric positive definite matrix by Cholesky; `None` if it is not one (or not finite).
+/// The inverse of a symmetric positive definite matrix by Cholesky; `None` if it is not positive definite
+/// or not finite.
 pub(crate) fn invert_positive_definite(a: &[[f64; 4]; 4]) -> Option<[[f64; 4]; 4]> {
     let mut l = [[0.0; 4]; 4];
     for i in 0..4 {

@@ -1,32 +1,32 @@
-//! The local operator: per cell and channel, a gain and a bias that explain what the global affine left over.
+//! The local operator: a gain and a bias per cell and channel that explain the remainder after the global
+//! affine.
 //!
-//! Samples are adaptive means, 8 × 8 per cell, of `x' = M x̃` and of the target `y`. With `n = 64`,
+//! The samples are adaptive means, 8 × 8 per cell, of `x' = M x̃` and of the target `y`. With `n = 64`,
 //! `ρ = 10⁻²` and `m₂ = max(mean x'², 10⁻⁴)` the fit minimises
 //! `Σ (g x' + b − y)² + ρ n m₂ (g − 1)² + ρ n b²`. With the samples' population moments — `var`, `mx` of
 //! `x'`; `mr` of the residual `r = y − x'`; `cov = cov(x', r)` — the solution without cancellation is
-//!
 //! ```text
 //! D     = (1+ρ) var + ρ mx² + ρ (1+ρ) m₂          (≥ 10⁻⁶, because m₂ has a floor)
 //! g − 1 = ((1+ρ) cov + ρ mx mr) / D
 //! b     = ((var + ρ m₂) mr − mx cov) / D
 //! ```
 //!
-//! and the cell's operator is `(ln max(g, 0.05), b)` (log form, R16) or `(g − 1, b)` (linear form). Below the
-//! gain floor the log-gain has no gradient; its bias keeps its own. Pooling is linear, so `x'` at the samples
-//! is `M` applied to the pooled source, which is computed once per source.
+//! The cell's operator is `(ln max(g, 0.05), b)` (log form, R16) or `(g − 1, b)` (linear form). Below the
+//! gain floor the log-gain has no gradient; the bias keeps its own. Pooling is linear, so `x'` at the
+//! samples is `M` applied to the pooled source, which is computed once per source.
 
 use use3d_numerics::math;
 
 use super::{Affine, Form, affine_apply};
 
-/// Samples along a side of a cell.
+/// Number of samples along a side of a cell.
 pub(crate) const SIDE: usize = 8;
 const SAMPLES: usize = SIDE * SIDE;
 const RIDGE: f64 = 1e-2;
 const ENERGY_FLOOR: f64 = 1e-4;
 const GAIN_FLOOR: f64 = 0.05;
 
-/// Samples of one channel of one cell, their residual, and the moments the fit is made of.
+/// The samples of one channel of one cell, their residual, and the moments from which the fit is computed.
 struct Fit {
     x: [f64; SAMPLES],
     r: [f64; SAMPLES],
@@ -34,7 +34,7 @@ struct Fit {
     mean_r: f64,
     variance: f64,
     covariance: f64,
-    /// `max(mean x'², floor)` and whether the floor is inactive.
+    /// `max(mean x'², floor)`, and true if the floor is inactive.
     energy: f64,
     energy_active: bool,
     denominator: f64,
@@ -77,7 +77,7 @@ impl Fit {
         }
     }
 
-    /// RenderGradients of `(g − 1, b)` to those of the samples of `x'` (with `y` fixed) and of `y`.
+    /// Converts gradients of `(g − 1, b)` to those of the samples of `x'` (with `y` fixed) and of `y`.
     #[inline(always)]
     fn backward(&self, d_excess: f64, d_bias: f64) -> ([f64; SAMPLES], [f64; SAMPLES]) {
         let n = SAMPLES as f64;
@@ -98,7 +98,7 @@ impl Fit {
         for i in 0..SAMPLES {
             let d = self.x[i] - self.mean_x;
             d_y[i] = (d_mean_r + d_covariance * d) / n;
-            // r = y − x', hence the last term.
+            // The last term comes from r = y − x'.
             d_x[i] =
                 (d_mean_x + 2.0 * d_variance * d + d_covariance * (self.r[i] - self.mean_r)) / n - d_y[i];
         }
@@ -113,7 +113,7 @@ pub(crate) struct Band<'a> {
     pub(crate) source: &'a [f64],
     /// Pooled target.
     pub(crate) target: &'a [f64],
-    /// Sample columns, eight per cell.
+    /// Number of sample columns, eight per cell.
     pub(crate) columns: usize,
 }
 
@@ -154,8 +154,8 @@ impl Band<'_> {
         }
     }
 
-    /// RenderGradients of the operators to those of the pooled target (`[8][3][columns]`, overwritten);
-    /// returns the derivative by the global operator through `x'`.
+    /// Converts gradients of the operators to those of the pooled target (`[8][3][columns]`, overwritten);
+    /// returns the gradient with respect to the global operator through `x'`.
     #[inline(always)]
     pub(crate) fn backward(
         &self,
@@ -190,9 +190,9 @@ impl Band<'_> {
         d_global
     }
 
-    /// The calibration weight of the band's cells: `v / (v + 10⁻³) · exp(−mse / 0.02)`, clamped to `[0, 1]`;
-    /// `v` is the mean over channels of the samples' variance, `mse` the mean squared residual of the
-    /// fit. No gradient.
+    /// The calibration weight of the band's cells: `v / (v + 10⁻³) · exp(−mse / 0.02)`, clamped to
+    /// `[0, 1]`; `v` is the mean over channels of the samples' variance, and `mse` is the mean squared
+    /// residual of the fit. It has no gradient.
     pub(crate) fn confidence(&self, global: &Affine, confidence: &mut [f64]) {
         for (cell, out) in confidence.iter_mut().enumerate() {
             let (_, fits) = self.fits(global, cell);

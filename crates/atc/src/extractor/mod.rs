@@ -1,18 +1,19 @@
-//! The extractor `E(source, target)`: how the appearance of one image turns into that of another.
+//! The extractor `E(source, target)`: the transition from the appearance of one image to that of another.
 //!
-//! An appearance transition is a *global operator*, one affine `c ↦ (I + ΔA) c + Δb` for the image, and a
-//! *local operator* per cell of a coarse grid, a gain and a bias per channel that act on what the global one
-//! yields: `I_b(p) ≈ exp(a_p) ⊙ T(I_a(p)) + b_p`. Both come from ridge fits drawn to the identity (`global`,
-//! `local`), so `E(I, I)` is exactly zero. Colours are display-encoded and unclamped.
+//! An appearance transition has a *global operator*, one affine `c ↦ (I + ΔA) c + Δb` for the image, and a
+//! *local operator* per cell of a coarse grid: a gain and a bias per channel that act on the result of the
+//! global one: `I_b(p) ≈ exp(a_p) ⊙ T(I_a(p)) + b_p`. Both come from ridge fits that shrink to the identity
+//! (`global`, `local`), so `E(I, I)` is exactly zero. Colours are display-encoded and unclamped.
 //!
-//! Everything that depends on the source alone is in [`Source`] (per image) and [`Geometry`] (per size);
-//! [`Source::forward`] and [`Source::backward`] do the rest, value and exact gradient with respect to the
-//! target, without allocating. The source is a constant of the method (R15); the gradient passes through the
-//! resize, through the local fit and, because the local fit looks at `M x̃`, through the global one.
+//! All quantities that depend on the source alone are in [`Source`] (per image) and [`Geometry`] (per
+//! size). [`Source::forward`] and [`Source::backward`] compute the rest, value and exact gradient with
+//! respect to the target, without allocating. The source is a constant of the method (R15). The gradient
+//! passes through the resize, through the local fit and, because the local fit uses `M x̃`, through the
+//! global fit.
 //!
-//! Both images are resized to a long side of at most 384 pixels (R17) by a bilinear resize that reads at most
-//! four pixels per output pixel. [`Geometry::columns`] and [`Geometry::rows`] are the only ones read; a
-//! caller that can render just those uses [`Source::forward_on_lattice`] and gets the same bits.
+//! Both images are resized to a long side of at most 384 pixels (R17) by a bilinear resize that reads at
+//! most four pixels per output pixel. Only the pixels at [`Geometry::columns`] and [`Geometry::rows`] are
+//! read; a caller that can render just those uses [`Source::forward_on_lattice`] and gets the same bits.
 
 mod descriptors;
 pub(crate) mod global;
@@ -49,7 +50,7 @@ pub fn affine_apply(operator: &Affine, colour: [f64; 3]) -> [f64; 3] {
     })
 }
 
-/// What the first three numbers of a local operator are (R16).
+/// The meaning of the first three numbers of a local operator (R16).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Form {
@@ -94,8 +95,9 @@ impl ExtractorSettings {
         within("cells", self.cells, 2, 256)
     }
 
-    /// The working size `(width, height)` for an image of some size: long side at most [`Self::long_side`],
-    /// never enlarged beyond the floor of 8 pixels, halves rounded to even.
+    /// The working size `(width, height)` for an image of some size: the long side is at most
+    /// [`Self::long_side`], an image is enlarged only up to the floor of 8 pixels, and halves are rounded
+    /// to even.
     pub fn working_size(&self, width: usize, height: usize) -> (usize, usize) {
         let long = width.max(height);
         let side = |side: usize| {
@@ -116,8 +118,7 @@ impl ExtractorSettings {
     }
 }
 
-/// Everything about the extractor that depends on the image size alone. Share one between all views of a
-/// size.
+/// Everything in the extractor that depends on the image size alone. All views of one size share it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Geometry {
     settings: ExtractorSettings,
@@ -133,7 +134,7 @@ pub struct Geometry {
 }
 
 impl Geometry {
-    /// For images of `width × height` pixels.
+    /// The geometry for images of `width × height` pixels.
     pub fn new(width: usize, height: usize, settings: &ExtractorSettings) -> Result<Self, AtcError> {
         settings.validate()?;
         if width == 0 || height == 0 {
@@ -186,9 +187,9 @@ impl Geometry {
         &self.rows
     }
 
-    /// The same view sampled: the pixels nearest to those of an image of at most `long_side` pixels, and how
-    /// operators over the same grid are read off them. `None` where pixels would repeat or the grid would
-    /// be another one (very small images).
+    /// A sampled form of the same view: the pixels nearest to those of an image of at most `long_side`
+    /// pixels, and the geometry that extracts operators over the same grid from them. `None` if pixels
+    /// would repeat or the grid would differ (very small images).
     pub fn sampled(&self, long_side: usize) -> Result<Option<(Lattice, Self)>, AtcError> {
         let settings =
             ExtractorSettings { long_side: long_side.min(self.settings.long_side), ..self.settings.clone() };
@@ -213,13 +214,13 @@ impl Geometry {
 pub struct Transition {
     /// The global operator minus the identity.
     pub global: Affine,
-    /// Per cell, row-major over the grid: log-gain (or gain − 1) of R, G, B, then bias of R, G, B.
+    /// For each cell, row-major over the grid: log-gain (or gain − 1) of R, G, B, then bias of R, G, B.
     pub local: Vec<[f64; 6]>,
 }
 
-/// Subtracts from every local operator their plain mean over the cells, so that it cannot repeat the global
-/// one. The map is a symmetric projection: the derivative by centred operators, centred, is that of the
-/// operators.
+/// Subtracts from the local operators their plain mean over the cells, so that they cannot repeat the
+/// global one. The map is a symmetric projection: the gradient with respect to the operators is the
+/// gradient with respect to the centred operators, centred.
 pub fn center(cells: &mut [[f64; 6]]) {
     let count = cells.len().max(1) as f64;
     for k in 0..6 {

@@ -1,7 +1,7 @@
 //! Adaptive mean pooling and its exact adjoint.
 //!
 //! Bin `k` of `n` over an axis of length `L` covers the indices `⌊k L / n⌋ … ⌈(k + 1) L / n⌉ − 1`. Bins
-//! overlap by one index where `L / n` is not whole, and repeat indices where `n > L`.
+//! overlap by one index where `L / n` is not an integer, and repeat indices where `n > L`.
 
 use rayon::prelude::*;
 
@@ -10,7 +10,7 @@ use rayon::prelude::*;
 pub(crate) struct Bins {
     start: Vec<usize>,
     end: Vec<usize>,
-    /// For each index of the axis, the first and one past the last bin that covers it.
+    /// For each index of the axis, the first bin that covers it, and one past the last.
     covering: Vec<(usize, usize)>,
 }
 
@@ -40,7 +40,7 @@ impl Bins {
     }
 }
 
-/// Pooling of images with `P` planes: `[P][h][w]` to `[rows][P][columns]`, so that a band of pooled rows is
+/// Pools images with `P` planes: from `[P][h][w]` to `[rows][P][columns]`, so that a band of pooled rows is
 /// contiguous.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Pooling {
@@ -51,17 +51,17 @@ pub(crate) struct Pooling {
 }
 
 impl Pooling {
-    /// From a size of `(width, height)` to `(columns, rows)`.
+    /// Pools from a size of `(width, height)` to `(columns, rows)`.
     pub(crate) fn new(size: (usize, usize), to: (usize, usize)) -> Self {
         Self { x: Bins::new(size.0, to.0), y: Bins::new(size.1, to.1) }
     }
 
-    /// Working memory for [`Pooling::forward`].
+    /// Length of the working memory for [`Pooling::forward`].
     fn scratch_len(&self, planes: usize) -> usize {
         planes * self.y.len() * self.x.length()
     }
 
-    /// Means over the bins, accumulated in f64. `column_sums` is working memory.
+    /// Computes the means over the bins, accumulated in f64. `column_sums` is working memory.
     pub(crate) fn forward<T: Copy + Into<f64> + Sync>(
         &self,
         planes: usize,
@@ -88,8 +88,9 @@ impl Pooling {
         );
     }
 
-    /// First half of the adjoint: each pooled row's derivative (`[rows][P][columns]`) divided by its bins'
-    /// sizes and spread over the columns, `[rows][P][w]`. The second half is [`Pooling::covering_rows`].
+    /// First half of the adjoint: the gradient of each pooled row (`[rows][P][columns]`) is divided by its
+    /// bins' sizes and spread over the columns, `[rows][P][w]`. The second half is
+    /// [`Pooling::covering_rows`].
     pub(crate) fn spread(&self, planes: usize, d_pooled: &[f64], wide: &mut [f32]) {
         let (w, columns) = (self.x.length(), self.x.len());
         wide.par_chunks_mut(w).zip(d_pooled.par_chunks(columns)).enumerate().for_each(

@@ -1,20 +1,20 @@
 //! Bilinear resize and its exact adjoint.
 //!
 //! Output sample `i` of an axis that goes from `n_in` to `n_out` reads the source at
-//! `max((i + 0.5) n_in / n_out − 0.5, 0)`: half-pixel centres, edge clamped, no antialiasing. An image is
-//! resized by the tensor product of two axes, and the adjoint scatters a derivative back with the same four
-//! weights. An axis may be *compacted* to the indices that it reads; the arithmetic, and so every bit of the
-//! result, stays the same.
+//! `max((i + 0.5) n_in / n_out − 0.5, 0)`: half-pixel centres, clamped at the edge, without antialiasing.
+//! An image is resized by the tensor product of two axes, and the adjoint scatters a gradient back with the
+//! same four weights. An axis may be *compacted* to the indices that it reads; the arithmetic, and so every
+//! bit of the result, stays the same.
 
 use rayon::prelude::*;
 use use3d_capture::Image;
 
 use crate::vectorized::vectorized;
 
-/// Where one axis of the resize reads: `value = low + (high − low) · fraction`.
+/// The positions at which one axis of the resize reads: `value = low + (high − low) · fraction`.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Axis {
-    /// Samples of the source along the axis.
+    /// Number of samples of the source along the axis.
     pub(crate) source_len: usize,
     low: Vec<u32>,
     high: Vec<u32>,
@@ -34,7 +34,7 @@ impl Axis {
             let l = (x.floor() as usize).min(n_in - 1);
             let h = (l + 1).min(n_in - 1);
             let f = (x - l as f64) as f32;
-            // An index that is not weighted is not read, so that it need not be rendered.
+            // An index with weight zero is not read, so that its pixel need not be rendered.
             let f = if h == l { 0.0 } else { f };
             low.push(l as u32);
             high.push(if f == 0.0 { l } else { h } as u32);
@@ -60,7 +60,7 @@ impl Axis {
         Self { source_len, low, high, fraction, readers, reader_start }
     }
 
-    /// Samples of the output along the axis.
+    /// Number of samples of the output along the axis.
     pub(crate) fn len(&self) -> usize {
         self.low.len()
     }
@@ -96,21 +96,21 @@ impl Axis {
 /// A bilinear resize of whole images.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Resize {
-    /// Along x.
+    /// The axis along x.
     pub(crate) x: Axis,
-    /// Along y.
+    /// The axis along y.
     pub(crate) y: Axis,
     identity: bool,
 }
 
 impl Resize {
-    /// From the axes.
+    /// A resize with the given axes.
     pub(crate) fn new(x: Axis, y: Axis) -> Self {
         let identity = x.is_identity() && y.is_identity();
         Self { x, y, identity }
     }
 
-    /// From `(width, height)` to `(width, height)`.
+    /// A resize from one `(width, height)` to another.
     pub(crate) fn between(from: (usize, usize), to: (usize, usize)) -> Self {
         Self::new(Axis::new(from.0, to.0), Axis::new(from.1, to.1))
     }
@@ -142,15 +142,15 @@ impl Resize {
         });
     }
 
-    /// Resizes an image; `output` takes the output size.
+    /// Resizes an image; `output` gets the output size.
     pub(crate) fn forward(&self, source: &Image, output: &mut Image) {
         let (w, h) = self.output_size();
         output.resize(w, h);
         self.forward_planes(source.data(), output.data_mut());
     }
 
-    /// The adjoint of [`Resize::forward`]: `d_source` takes the source size and is overwritten;
-    /// `scratch` is working memory that may be reused.
+    /// The adjoint of [`Resize::forward`]: `d_source` gets the source size and is overwritten; `scratch` is
+    /// working memory that may be reused.
     pub(crate) fn backward(&self, d_out: &Image, d_source: &mut Image, scratch: &mut Vec<f32>) {
         let (w_in, h_in) = self.source_size();
         let (w, h) = self.output_size();
@@ -180,7 +180,7 @@ impl Resize {
     }
 }
 
-/// One output row from two source rows.
+/// Computes one output row from two source rows.
 fn resize_row(top: &[f32], bottom: &[f32], fraction: f32, x: &Axis, out: &mut [f32]) {
     let taps = x.low.iter().zip(&x.high).zip(&x.fraction);
     if fraction == 0.0 {

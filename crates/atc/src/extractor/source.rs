@@ -1,4 +1,4 @@
-//! One source image, everything precomputed that depends on it alone, and the extractor's value and gradient.
+//! One source image with everything that depends on it alone, and the extractor's value and gradient.
 
 use std::sync::Arc;
 
@@ -13,9 +13,10 @@ use super::{Affine, Descriptors, ExtractorSettings, Geometry, Transition};
 use crate::error::AtcError;
 use crate::vectorized::vectorized;
 
-/// A source image as the extractor sees it: resized, weighted, with its inverted moments and pooled samples.
+/// A source image prepared for the extractor: resized, weighted, with its inverted moments and pooled
+/// samples.
 ///
-/// Takes about 20 bytes per working pixel, 2 MB at 384 × 256.
+/// It takes about 20 bytes per working pixel, 2 MB at 384 × 256.
 #[derive(Clone, Debug)]
 pub struct Source {
     geometry: Arc<Geometry>,
@@ -26,8 +27,8 @@ pub struct Source {
     samples: Vec<f64>,
 }
 
-/// Working memory of [`Source::forward`] and [`Source::backward`], and the last transition. Reuse one over
-/// steps.
+/// Working memory of [`Source::forward`] and [`Source::backward`], and the last transition. One workspace
+/// can be used for many steps.
 #[derive(Clone, Debug)]
 pub struct Workspace {
     transition: Transition,
@@ -49,7 +50,7 @@ impl Default for Workspace {
 }
 
 impl Workspace {
-    /// Empty; grows on first use.
+    /// An empty workspace; it grows on first use.
     pub fn new() -> Self {
         Self {
             transition: Transition { global: [0.0; 12], local: Vec::new() },
@@ -79,19 +80,20 @@ fn check_size(image: &Image, (width, height): (usize, usize)) -> Result<(), AtcE
 }
 
 impl Source {
-    /// From a whole image, with a geometry of its own.
+    /// Makes a source from a whole image, with a geometry of its own.
     pub fn from_image(image: &Image, settings: &ExtractorSettings) -> Result<Self, AtcError> {
         let geometry = Geometry::new(image.width(), image.height(), settings)?;
         Self::new(&Arc::new(geometry), image)
     }
 
-    /// From a whole image of the geometry's size.
+    /// Makes a source from a whole image of the geometry's size.
     pub fn new(geometry: &Arc<Geometry>, image: &Image) -> Result<Self, AtcError> {
         check_size(image, geometry.size)?;
         Self::resized(geometry, &geometry.resize, image)
     }
 
-    /// From an image that holds only the geometry's lattice ([`Geometry::columns`] × [`Geometry::rows`]).
+    /// Makes a source from an image that holds only the geometry's lattice ([`Geometry::columns`] ×
+    /// [`Geometry::rows`]).
     pub fn on_lattice(geometry: &Arc<Geometry>, image: &Image) -> Result<Self, AtcError> {
         check_size(image, geometry.lattice_resize.source_size())?;
         Self::resized(geometry, &geometry.lattice_resize, image)
@@ -120,13 +122,13 @@ impl Source {
         &self.image
     }
 
-    /// The descriptors of the source. Computed on every call: tens of milliseconds.
+    /// The descriptors of the source. They are computed on every call, which takes tens of milliseconds.
     pub fn descriptors(&self) -> Descriptors {
         describe(&self.image, &self.geometry.cells)
     }
 
-    /// `E(source, target)` for a target of the geometry's size, of the working size, or of any other (which
-    /// is resized to the working size in the same way).
+    /// Computes `E(source, target)` for a target of the geometry's size, of the working size, or of any
+    /// other size (which is resized to the working size in the same way).
     pub fn forward<'w>(
         &self,
         target: &Image,
@@ -145,7 +147,7 @@ impl Source {
         Ok(&workspace.transition)
     }
 
-    /// As [`Source::forward`], for a target that holds only the geometry's lattice. The same bits.
+    /// Like [`Source::forward`], for a target that holds only the geometry's lattice, with the same bits.
     pub fn forward_on_lattice<'w>(
         &self,
         target: &Image,
@@ -192,9 +194,9 @@ impl Source {
         out
     }
 
-    /// The gradient with respect to the target of the last [`Source::forward`], of the geometry's size, given
-    /// the derivatives by the global operator and of the local ones (not centred: see [`super::center`]).
-    /// `gradient` is overwritten.
+    /// Computes the gradient with respect to the target of the last [`Source::forward`], of the geometry's
+    /// size, from the gradients of the global operator and of the local ones (not centred: see
+    /// [`super::center`]). `gradient` is overwritten.
     pub fn backward(
         &self,
         global: &Affine,
@@ -207,7 +209,7 @@ impl Source {
         Ok(())
     }
 
-    /// As [`Source::backward`], with the gradient on the lattice.
+    /// Like [`Source::backward`], with the gradient on the lattice.
     pub fn backward_on_lattice(
         &self,
         global: &Affine,
@@ -220,7 +222,7 @@ impl Source {
         Ok(())
     }
 
-    /// The gradient at the working resolution, into `ws.d_target`.
+    /// Computes the gradient at the working resolution, into `ws.d_target`.
     fn working_gradient(
         &self,
         global: &Affine,

@@ -1,12 +1,12 @@
-//! Proposers: 2D underwater enhancers that look at one photograph at a time.
+//! Proposers: 2D underwater enhancers that process one photograph at a time.
 //!
-//! What a proposer yields is never a target. The extractor turns it into a transition, the calibrator
-//! corrects that towards what paired data say, and the consensus makes one scene operator of all views. A
-//! calibrator is fitted for one proposer and records its name and digest; another proposer with it is an
+//! The result of a proposer is never a target. The extractor turns it into a transition, the calibrator
+//! corrects it towards the paired data, and the consensus makes one scene operator of all views. A
+//! calibrator is fitted for one proposer and records its name and digest; use with another proposer is an
 //! error (R25).
 //!
-//! [`scene`] is another kind: it starts from what stage 1 knows of a view, not from a photograph, so it is
-//! not behind the trait.
+//! [`scene`] is of another kind: its input is stage 1's description of a view and not a photograph, so it
+//! does not implement the trait.
 
 pub mod fusion;
 pub mod scene;
@@ -24,18 +24,17 @@ pub trait Proposer: Sync {
     /// A short fixed name, e.g. `fusion`.
     fn name(&self) -> &str;
 
-    /// What makes this proposer give other results than one of the same name: the digest of its weights, or
-    /// the version of its formula.
+    /// The identity of this proposer among those of the same name: the digest of its weights, or the
+    /// version of its formula.
     fn digest(&self) -> String;
 
-    /// An enhanced image of the same size, for a transition to be extracted from; display range, not
-    /// necessarily within `[0, 1]`. A network may look at a smaller version: transitions are smooth,
-    /// detail does not matter to them.
+    /// An enhanced image of the same size, from which a transition is extracted; display range, not
+    /// necessarily within `[0, 1]`. A network may process a smaller version, because transitions are smooth
+    /// and do not depend on detail.
     fn propose(&self, image: &Image) -> Result<Image, AtcError>;
 
-    /// An enhanced image of the same size at full detail, to be looked at: what this enhancer gives on its
-    /// own, which is what a comparison shows and what scenes for comparison are learnt from. The same as
-    /// a proposal unless the enhancer says otherwise.
+    /// An enhanced image of the same size at full detail, for display: the result of this enhancer alone,
+    /// used in comparisons and to train scenes for comparison. By default it is the proposal.
     fn enhance(&self, image: &Image) -> Result<Image, AtcError> {
         self.propose(image)
     }
@@ -46,18 +45,18 @@ pub trait Proposer: Sync {
     }
 }
 
-/// Which proposer a calibrator belongs to.
+/// The proposer to which a calibrator belongs.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ProposerId {
     /// [`Proposer::name`].
     pub name: String,
-    /// [`Proposer::digest`]; empty where a calibrator does not record it.
+    /// [`Proposer::digest`]; empty if a calibrator does not record it.
     pub digest: String,
 }
 
 impl ProposerId {
-    /// An error unless `used` is this proposer. An empty digest on either side means that it was not
-    /// recorded.
+    /// Returns an error unless `used` is this proposer. An empty digest on either side means that it was
+    /// not recorded.
     pub fn require(&self, used: &ProposerId) -> Result<(), AtcError> {
         let unrecorded = self.digest.is_empty() || used.digest.is_empty();
         if self.name == used.name && (unrecorded || self.digest == used.digest) {

@@ -1,10 +1,10 @@
-//! `scene`: an enhancement proposed for what stage 1 knows of a view, not for a photograph.
+//! `scene`: an enhancement proposed from stage 1's description of a view, and not from a photograph.
 //!
-//! A photograph mixes surface and water, so whoever looks at it alone has to guess which is which. Stage 1
-//! has told them apart: of a training view it knows the clear radiance `J` (display range, black where
-//! nothing is), the accumulation `A`, and per channel what of the surface's light arrives, `A t` with `t =
-//! e^{−β_attn s}`. A pixel is as *sure* as its least known channel, `w = min_c A t_c`. What is proposed is
-//! one grade for the whole scene, and one local rule:
+//! A photograph mixes surface and water, so a method that has only the photograph must guess which is
+//! which. Stage 1 has separated them. For a training view it provides the clear radiance `J` (display
+//! range, black where there is no surface), the accumulation `A`, and per channel the part of the surface's
+//! light that arrives, `A t` with `t = e^{−β_attn s}`. A pixel is as *sure* as its least known channel,
+//! `w = min_c A t_c`. The proposal is one grade for the whole scene, and one local rule:
 //!
 //! ```text
 //! m    = weighted medians over all views of ln J_c − mean_c ln J_c              the scene's mean colour
@@ -15,36 +15,38 @@
 //! J⁺   = b (Y⁺/Y_95)^{p−1} g ⊙ J̃                                                brightness, contrast
 //! ```
 //!
-//! * *White balance.* Surfaces under white light are on average not grey but a little warm, `μ`: sand, rock
-//!   and what grows on them reflect the more the longer the wave. A mean colour from grey to twice as warm as
-//!   `μ` says nothing about the light (`D ≤ 1`: gains of exactly one), and a clear cast is taken off nearly
-//!   whole: the positive-part rule of James and Stein, with `d` cut into its part along `μ` and across it, as
-//!   warmth varies more from scene to scene than tint. Water found by the method's own formation leaves no
-//!   cast; daylight that faded with depth, and a camera that balances by itself, do. The error of `m` has two
-//!   parts: how views differ about it, and how few kinds of surface there are. With `n = 1 / P(two pixels of
-//!   the scene look alike)` kinds, a scene of fewer than two (a tiled pool, a hull) has a mean colour that
-//!   is its paint's as well as its light's, and adds `σ_s² (1/n − 1/2)`.
-//! * *Far surfaces.* `J = (I − veil)/t` multiplies noise and what is wrong about the water by `1/t`. Where
-//!   `t` is below about `t_0`, colour `C = J/Y` (Y: luminance) gives way to `C̄`, that of the sure
-//!   neighbourhood: `Σ w² J / Σ w² Y` blurred over a sixteenth of the image.
-//!   What is wrong about an attenuation grows with the distance: a share ρ of it, and colours are off by ρ
-//!   times the differences of the optical depths `τ`. Log-colours (centred) are therefore drawn to the
-//!   scene's mean `m` as far as that error outweighs their own spread `σ_C`; luminance stays.
-//! * *Brightness.* The bright end of what is sure (99th percentile of the largest channel) is brought to at
-//!   least 0.85 and at most 0.97, by a gain `b` in [1/1.2, 1.5] that clips at most 0.3 % of what is
-//!   sure, and above one of the whole surface. `Y_95` is the 95th percentile of luminance after the balance.
-//! * *Contrast.* Only of a scene whose luminance spans less than 3 : 1 from the 5th to the 95th percentile:
-//!   `p` widens it, by at most 1.15.
-//! * *Air.* Where there is no water, nothing was taken from the scene: brightness and contrast are as the
-//!   camera set them.
+//! * *White balance.* Surfaces under white light are on average not grey but slightly warm, `μ`: sand, rock
+//!   and the growth on them reflect long waves more. A mean colour from grey to twice as warm as `μ` shows
+//!   nothing about the light (`D ≤ 1`: gains of exactly one), and a clear cast is removed almost
+//!   completely. This is the positive-part rule of James and Stein, with `d` split into its part along `μ`
+//!   and across it, because warmth varies more from scene to scene than tint. Water found by the method's
+//!   own formation leaves no cast; daylight that faded with depth, and a camera that balances
+//!   automatically, do. The error of `m` has two parts: the differences between views, and the small number
+//!   of kinds of surface, `n = 1 / P(two pixels of the scene look alike)`. The mean colour of a scene of
+//!   fewer than two kinds (a tiled pool, a hull) depends on its paint as well as on its light, and the
+//!   squared error gains `σ_s² (1/n − 1/2)`.
+//! * *Far surfaces.* `J = (I − veil)/t` multiplies noise and errors of the water by `1/t`. Where `t` is
+//!   below about `t_0`, the colour `C = J/Y` (Y: luminance) is replaced by `C̄`, that of the sure
+//!   neighbourhood: `Σ w² J / Σ w² Y` blurred over a sixteenth of the image. The effect of a wrong
+//!   attenuation grows with the distance: with a relative error ρ, colours are off by ρ times the
+//!   differences of the optical depths `τ`. Log-colours (centred) are therefore drawn towards the scene's
+//!   mean `m` as far as that error exceeds their own spread `σ_C`; luminance stays.
+//! * *Brightness.* The bright end of the sure pixels (99th percentile of the largest channel) is brought to
+//!   at least 0.85 and at most 0.97, by a gain `b` in [1/1.2, 1.5] that clips at most 0.3 % of the sure
+//!   pixels; a gain above one also clips at most 0.3 % of the whole surface. `Y_95` is the 95th percentile
+//!   of luminance after the balance.
+//! * *Contrast.* It changes only if the scene's luminance spans less than 3 : 1 from the 5th to the 95th
+//!   percentile: `p` widens it, by at most 1.15.
+//! * *Air.* Without water nothing was removed from the scene: brightness and contrast stay as the camera
+//!   set them.
 //!
-//! Medians and percentiles are of at most 4096 pixels of each view, on an even grid. A standard error counts
-//! every four views as one independent: neighbouring views see the same surfaces. Deterministic; no weights,
-//! no randomness.
+//! Medians and percentiles use at most 4096 pixels of each view, on an even grid. A standard error counts
+//! every four views as one independent view, because neighbouring views see the same surfaces. The proposer
+//! is deterministic; it has no weights and no randomness.
 //!
-//! Limits: one light for the whole scene. A reef that is mostly of one vivid colour is taken for a cast, as
-//! by any such estimate, within the bounds of `g`. The constants are of everyday surfaces, not of any
-//! capture.
+//! Limits: it assumes one light for the whole scene. A reef that is mostly of one vivid colour is treated
+//! as a cast, as by any such estimate, within the bounds of `g`. The constants describe everyday surfaces
+//! and no particular capture.
 
 use serde::{Deserialize, Serialize};
 use use3d_capture::{Image, Map, Raster};
@@ -57,61 +59,61 @@ use crate::extractor::global::LUMINANCE;
 
 /// The proposer's name.
 pub const NAME: &str = "scene";
-/// The version of the formula; raised when a constant or a step changes.
+/// The version of the formula; it is raised when a constant or a step changes.
 const VERSION: &str = "4";
 
-/// Mean log-colour of surfaces under white light: between that of everyday photographs and that of sand.
+/// Mean log-colour of surfaces under white light: between those of everyday photographs and of sand.
 const WARMTH: [f64; 3] = [0.10, 0.03, -0.13];
-/// How far the mean log-colour of a scene under white light lies from that: along it (grey is one such
-/// distance away), and across.
+/// The spread of the mean log-colours of scenes under white light around [`WARMTH`]: along it (grey is one
+/// such distance away), and across it.
 const SPREAD: [f64; 2] = [0.17, 0.10];
 /// Largest gain of a channel.
 const LARGEST_BALANCE: f64 = 1.5;
-/// How far the log-colour of one kind of surface, any paint, lies from the mean of all: per scene, root mean
-/// square.
+/// The root mean square distance per scene of the log-colour of one kind of surface, any paint, from the
+/// mean of all kinds.
 const PAINT: f64 = 1.3;
-/// Kinds of surface from which on their mean is the usual one.
+/// Number of kinds of surface from which on their mean is the usual one.
 const KINDS: f64 = 2.0;
-/// Two pixels whose centred log-colours are nearer than this look alike.
+/// Distance of centred log-colours below which two pixels look alike.
 const ALIKE: f64 = 0.1;
-/// Pixels that are compared with each other, at most.
+/// Largest number of pixels that are compared with each other.
 const COMPARED: usize = 1024;
-/// Views that count as one independent look at the scene.
+/// Number of views that count as one independent view of the scene.
 const VIEWS_ALIKE: f64 = 4.0;
-/// Transmittance at which half the colour is the neighbourhood's.
+/// Transmittance at which half of the colour comes from the neighbourhood.
 const HALF_TRUST: f32 = 0.05;
-/// Share by which an attenuation may be wrong.
+/// Relative error of an attenuation.
 const WRONG: f64 = 0.15;
-/// Spread of surfaces' centred log-colours about the scene's mean.
+/// Spread of the surfaces' centred log-colours around the scene's mean.
 const COLOURS: f64 = 0.3;
-/// Least transmittance and least radiance that are told from none.
+/// Smallest transmittance and radiance that are distinguished from zero.
 const LEAST: f64 = 1e-3;
-/// Where the bright end of the scene may lie, display range.
+/// Range in which the bright end of the scene may lie, display range.
 const BRIGHT_END: [f64; 2] = [0.85, 0.97];
 /// Bounds of the brightness.
 const BRIGHTNESS: [f64; 2] = [1.0 / 1.2, 1.5];
-/// Where more of the light than this arrives everywhere, there is no water.
+/// Fraction of arriving light above which, if it holds everywhere, there is no water.
 const NO_LOSS: f32 = 0.999;
 /// Share of the surface that a brighter scene may clip.
 const CLIPPED: f64 = 0.003;
-/// The least range of luminance, 95th over 5th percentile, that is left as it is; and the largest exponent
-/// that widens a smaller one.
+/// The smallest range of luminance, 95th over 5th percentile, that stays unchanged; and the largest
+/// exponent that widens a smaller range.
 const CONTRAST: (f64, f64) = (3.0, 1.15);
-/// Sampled pixels of a view, at most.
+/// Largest number of sampled pixels in a view.
 const SAMPLES: usize = 4096;
-/// Least radiance of which a colour is taken: darker is noise.
+/// Smallest radiance whose colour is used; darker pixels are noise.
 const DARK: f64 = 0.04;
-/// Least sum of weights, in pixels, that is believed.
+/// Smallest sum of weights, in pixels, that is enough for an estimate.
 const LEAST_WEIGHT: f64 = 20.0;
 
-/// What stage 1 knows of a view. All three have one size.
+/// Stage 1's description of a view. All three images have one size.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SceneView {
-    /// Clear radiance `J`, display range, unclamped, black where nothing is.
+    /// Clear radiance `J`, display range, unclamped, black where there is no surface.
     pub clear: Image,
     /// Accumulated opacity `A`, `[0, 1]`.
     pub accumulation: Map,
-    /// What arrives of a white surface's light, `A t`, per channel, `[0, 1]`.
+    /// The part of a white surface's light that arrives, `A t`, per channel, `[0, 1]`.
     pub arriving: Image,
 }
 
@@ -157,24 +159,25 @@ struct Sample {
 /// A centred log-colour and its weight.
 type Coloured = ([f64; 3], f64);
 
-/// Looks at the views of a scene, one after another, before anything is proposed for any.
+/// Collects samples from the views of a scene, one after another, before anything is proposed for any view.
 #[derive(Clone, Debug, Default)]
 pub struct SceneSurvey {
     views: Vec<Vec<Sample>>,
-    /// Whether anything takes light away.
+    /// True if some light is lost in any view.
     water: bool,
 }
 
-/// What was found about a scene, for reports.
+/// The findings about a scene, for reports.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SceneFindings {
     /// The scene's mean colour `m`: log of each channel over their geometric mean.
     pub mean_colour: [f64; 3],
     /// Its standard error, over views and kinds of surface.
     pub standard_error: f64,
-    /// How many kinds of surface there are: one over the chance that two pixels look alike; at least 1.
+    /// Number of kinds of surface: one over the chance that two pixels look alike; at least 1.
     pub kinds: f64,
-    /// Share of the departure from the usual mean colour that is taken off, `[0, 1)`; 0: no cast is sure.
+    /// Share of the difference from the usual mean colour that is removed, `[0, 1)`; 0 if no cast is
+    /// certain.
     pub trusted: f64,
     /// White balance `g`.
     pub balance: [f64; 3],
@@ -182,14 +185,14 @@ pub struct SceneFindings {
     pub brightness: f64,
     /// Exponent `p` of the contrast.
     pub contrast: f64,
-    /// Luminance that contrast turns about, `Y_95`.
+    /// Luminance that the contrast leaves unchanged, `Y_95`.
     pub pivot: f64,
-    /// Share of sampled surface that leaves the display range once graded.
+    /// Share of the sampled surface that leaves the display range after grading.
     pub clipped: f64,
 }
 
 impl SceneFindings {
-    /// A scene that is left as it is.
+    /// A scene that is left unchanged.
     const NONE: Self = Self {
         mean_colour: [0.0; 3],
         standard_error: 0.0,
@@ -204,17 +207,17 @@ impl SceneFindings {
 }
 
 impl SceneSurvey {
-    /// Nothing seen yet.
+    /// A survey without views.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Looks at one training view.
+    /// Adds one training view.
     pub fn add(&mut self, view: &SceneView) -> Result<(), AtcError> {
         view.check()?;
         let (w, h) = (view.clear.width(), view.clear.height());
         let sure = view.sureness();
-        // As many columns and rows as keep the grid's cells square.
+        // The numbers of columns and rows keep the grid's cells square.
         let share = (SAMPLES as f64 / (w * h) as f64).sqrt().min(1.0);
         let axis = |n: usize| {
             let count = ((n as f64 * share) as usize).max(1);
@@ -241,7 +244,7 @@ impl SceneSurvey {
         SceneProposer { findings: self.findings().unwrap_or(SceneFindings::NONE) }
     }
 
-    /// `None` where hardly anything is sure.
+    /// The findings; `None` if hardly any pixel is sure.
     fn findings(&self) -> Option<SceneFindings> {
         let coloured: Vec<Vec<Coloured>> =
             self.views.iter().map(|v| v.iter().filter_map(log_colour).collect()).collect();
@@ -270,8 +273,8 @@ impl SceneSurvey {
         let limit = quantile(&surface, 1.0 - CLIPPED)?.max(1e-3);
         let wanted =
             (bright.clamp(BRIGHT_END[0], BRIGHT_END[1]) / bright).clamp(BRIGHTNESS[0], BRIGHTNESS[1]);
-        // What is not sure, noise far away for one, keeps a scene from becoming
-        // brighter, and makes none darker.
+        // Pixels that are not sure, for example noise far away, can limit a brightening of the scene but
+        // never darken it.
         let bounded = wanted.min((1.0 / sure_limit).max(BRIGHTNESS[0])).min((1.0 / limit).max(1.0));
         let brightness = if self.water { bounded } else { 1.0 };
         let over = surface.iter().filter(|(v, _)| brightness * v > 1.0).count();
@@ -289,7 +292,7 @@ impl SceneSurvey {
     }
 }
 
-/// Log of each channel over their geometric mean, and the weight, of a pixel that is neither dark nor
+/// The log of each channel over their geometric mean, and the weight; `None` for a pixel that is dark or
 /// clipped.
 fn log_colour(sample: &Sample) -> Option<Coloured> {
     let shown = |v: &f64| (DARK / 4.0..1.0).contains(v);
@@ -319,7 +322,8 @@ fn curve(x: [f64; 3], pivot: f64, exponent: f64) -> f64 {
     if exponent > 1.0 { math::powf((luminance(x) / pivot).max(1e-6), exponent - 1.0) } else { 1.0 }
 }
 
-/// The weighted median of each channel, centred, and the sum of the weights; `None` where that is too little.
+/// The weighted median of each channel, centred, and the sum of the weights; `None` if that sum is too
+/// small.
 fn middle(colours: &[Coloured]) -> Option<([f64; 3], f64)> {
     let total: f64 = colours.iter().map(|(_, w)| w).sum();
     if total < LEAST_WEIGHT {
@@ -333,7 +337,7 @@ fn middle(colours: &[Coloured]) -> Option<([f64; 3], f64)> {
     Some((centred(medians), total))
 }
 
-/// The least value up to which a share of the weight lies; `None` without weight.
+/// The smallest value up to which a share of the weight lies; `None` without weight.
 fn quantile(values: &[(f64, f64)], share: f64) -> Option<f64> {
     let mut sorted: Vec<(f64, f64)> = values.iter().copied().filter(|(_, w)| *w > 0.0).collect();
     sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -348,7 +352,7 @@ fn quantile(values: &[(f64, f64)], share: f64) -> Option<f64> {
     sorted.last().map(|(value, _)| *value)
 }
 
-/// Root mean square over channels of the error of the mean colour, from how views differ.
+/// The error of the mean colour from the differences between views: root mean square over channels.
 fn standard_error(views: &[Vec<Coloured>], mean: [f64; 3]) -> f64 {
     let (mut weights, mut squares, mut spread) = (0.0, 0.0, 0.0);
     for (own, weight) in views.iter().filter_map(|v| middle(v)) {
@@ -381,7 +385,7 @@ fn kinds(colours: &[Coloured]) -> f64 {
     if alike > 0.0 { all / alike } else { (some.len() as f64).max(1.0) }
 }
 
-/// The gains that take off what of a mean colour is surely a cast, and its share.
+/// The gains that remove the certain part of a colour cast, and the share of the cast that they remove.
 fn balance(mean: [f64; 3], error: f64) -> ([f64; 3], f64) {
     let apart: [f64; 3] = std::array::from_fn(|c| mean[c] - WARMTH[c]);
     let length = dot(WARMTH, WARMTH).sqrt();
@@ -396,24 +400,24 @@ fn balance(mean: [f64; 3], error: f64) -> ([f64; 3], f64) {
     (apart.map(|d| math::exp(-trusted * d)), trusted)
 }
 
-/// The grade of one scene, ready for each of its views.
+/// The grade of one scene, to be applied to each of its views.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SceneProposer {
     findings: SceneFindings,
 }
 
 impl SceneProposer {
-    /// What identifies it: its formula, not the scene.
+    /// The proposer's identity, which depends on its formula and not on the scene.
     pub fn id() -> ProposerId {
         ProposerId { name: NAME.into(), digest: VERSION.into() }
     }
 
-    /// What it found.
+    /// The findings about the scene.
     pub fn findings(&self) -> &SceneFindings {
         &self.findings
     }
 
-    /// The enhanced clear radiance of a view, of its size; display range, not clamped.
+    /// The enhanced clear radiance of a view, in its size; display range, not clamped.
     pub fn propose(&self, view: &SceneView) -> Result<Image, AtcError> {
         view.check()?;
         let SceneFindings { mean_colour, balance, brightness, contrast, pivot, .. } = self.findings;
@@ -465,7 +469,7 @@ fn calmed(view: &SceneView) -> Image {
     out
 }
 
-/// Draws colours to the scene's mean log-colour as far as a wrong attenuation may have made them.
+/// Draws colours towards the scene's mean log-colour as far as a wrong attenuation may have caused them.
 fn draw_to_mean(image: &mut Image, view: &SceneView, mean: [f64; 3]) {
     for p in 0..image.pixels() {
         let accumulation = f64::from(view.accumulation.data()[p]);
@@ -491,8 +495,8 @@ fn draw_to_mean(image: &mut Image, view: &SceneView, mean: [f64; 3]) {
     }
 }
 
-/// Blurred over about a sixteenth of the long side: reduced until about twenty pixels are left of it, and
-/// expanded again.
+/// Blurs over about a sixteenth of the long side: the image is reduced to about twenty pixels and expanded
+/// again.
 fn blurred<const C: usize>(image: Raster<f32, C>) -> Raster<f32, C> {
     let (w, h) = (image.width(), image.height());
     if w.max(h) <= 20 {

@@ -1,13 +1,15 @@
-"""What the test needs of the command `hq`, on top of HyperQueue's Python package, for machines that have the package and not the command:
-the server, its scheduler and its workers are the real ones.
+"""The part of the command `hq` that the test needs, written with HyperQueue's Python package. It is for
+machines that have the package and not the command. The server, its scheduler and its workers are the real
+ones.
 
     hq.py server start          a server with two workers of one processor each; ends when its stdin does
     hq.py --output-mode quiet job submit-file FILE
     hq.py --output-mode quiet job list
     hq.py job wait ID
 
-It differs from the command in two things: the workers of the package offer processors alone, so that memory is looked for in the file and
-not asked for; and what is submitted is read here, so that the command's own reader of job files is not tried.
+It differs from the command in two things. The workers of the package offer only processors, so the memory is
+checked in the job file and not requested. The job file is read here, so the command's own reader of job files
+is not tested.
 
 The folder of the server is in HQ_SERVER_DIR, as for `hq`.
 """
@@ -62,7 +64,9 @@ def numbers():
 
 
 def show_open(client):
-    """A line for every job that is not over. The package tells it of jobs that are waited for: one look is enough."""
+    """Prints a line for every job that is not over. The package reports the jobs while it waits for them; one
+    report is enough.
+    """
     def look(jobs):
         for number, job in jobs.items():
             if not job["completed"]:

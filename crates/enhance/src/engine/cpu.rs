@@ -1,8 +1,9 @@
-//! The engine on the processor, the reference. A step: field → colours and water → compositor → extractor
-//! → losses, and all the way back.
+//! The engine on the processor, the reference. A step runs field → colours and water → compositor →
+//! extractor → losses, and then all of it backward.
 //!
-//! Gradients reach the field's parameters only; Gaussians, medium, targets and the stage-1 render are
-//! constants. The engine owns every buffer, so that a step allocates nothing once the largest view was seen.
+//! Gradients are computed for the field's parameters only; Gaussians, medium, targets and the stage-1
+//! render are constants. The engine owns every buffer, so that a step allocates nothing after the largest
+//! view has occurred.
 
 use use3d_capture::{Image, MediumMaps};
 use use3d_numerics::adam::Adam;
@@ -32,7 +33,7 @@ pub(crate) struct Step {
     pub(crate) enhanced_water: MediumMaps,
     /// Enhanced colours of the Gaussians that the view lists.
     pub(crate) colors: Vec<[f32; 3]>,
-    /// The same at their places among all.
+    /// The enhanced colours at their positions among all Gaussians.
     placed: Vec<[f32; 3]>,
     d_colors: Vec<[f32; 3]>,
     d_water: MediumMaps,
@@ -63,7 +64,7 @@ impl Step {
         }
     }
 
-    /// The enhanced render of a view on its lattice, into `self.rendered`.
+    /// Renders the enhanced view on its lattice, into `self.rendered`.
     pub(crate) fn render(&mut self, field: &Field, view: &ViewConstants, frozen: &mut Frozen) {
         self.objects.move_to(&frozen.listed.sites);
         self.objects.forward(field);
@@ -80,7 +81,8 @@ impl Step {
         self.profile.lap(StepPart::Compose);
     }
 
-    /// Losses of the rendered view, and their gradient in the image if `differentiate`.
+    /// Computes the losses of the rendered view, and their gradient with respect to the image if
+    /// `differentiate`.
     pub(crate) fn losses(
         &mut self,
         view: &ViewConstants,
@@ -93,13 +95,14 @@ impl Step {
         Ok(losses)
     }
 
-    /// The transition that the last `losses` read off the render.
+    /// The transition that the last `losses` extracted from the render.
     #[cfg(test)]
     pub(crate) fn transition(&self) -> &use3d_atc::extractor::Transition {
         self.measure.transition()
     }
 
-    /// The whole gradient, into `self.gradient`; needs `render` and `losses` of the same view just before.
+    /// Computes the whole gradient, into `self.gradient`; `render` and `losses` of the same view must come
+    /// just before.
     pub(crate) fn backward(&mut self, field: &Field, view: &ViewConstants, frozen: &Frozen, goals: &Goals) {
         self.gradient.clear();
         self.d_colors.resize(frozen.prepared.gaussians(), [0.0; 3]);
@@ -124,8 +127,8 @@ impl Step {
     }
 }
 
-/// The field with its moments, the frozen scene as every view sees it, and the buffers of a step. A step
-/// is done when it was asked for.
+/// The field with its moments, the frozen scene for every view, and the buffers of a step. A step is
+/// complete when the call returns.
 pub struct CpuFieldEngine<'a> {
     field: Field,
     /// First and second moments of the field's parameters.
@@ -135,18 +138,18 @@ pub struct CpuFieldEngine<'a> {
     guidance: Guidance<'a>,
     goals: Goals,
     step: Step,
-    /// The gradient in f32, as Adam takes it.
+    /// The gradient in f32, as the input of Adam.
     rounded: Vec<f32>,
-    /// What was not drained yet.
+    /// Reports that were not drained yet.
     reports: Vec<FieldReport>,
     store: Store<'a>,
-    /// Prepares views with every pixel that the extractor weighs; made when it is needed.
+    /// Prepares views with every pixel that the extractor weighs; created when it is needed.
     whole: Option<Preparer<'a>>,
 }
 
 impl<'a> CpuFieldEngine<'a> {
-    /// Prepares every view once, and starts at the identity. Views whose constants do not fit
-    /// `params.cache_mib` are prepared again when needed; the observer is told.
+    /// Prepares every view once, and starts at the identity. Views whose constants exceed
+    /// `params.cache_mib` are prepared again when needed; the observer gets a notice.
     pub fn new(
         scene: &'a Scene,
         views: &[EnhanceView],
@@ -166,8 +169,8 @@ impl<'a> CpuFieldEngine<'a> {
         for (index, view) in views.iter().enumerate() {
             let (small, large) = preparer.view(index, view, None, true)?;
             constants.push(small);
-            // First come, first kept: in shuffled epochs every view is as likely as any
-            // other, so no policy does better.
+            // Views are kept in the order in which they come: in shuffled epochs every view is equally
+            // likely, so no other policy is better.
             let bytes = large.bytes();
             kept.push((bytes <= room).then_some(large));
             if kept[index].is_some() {
@@ -200,7 +203,7 @@ impl<'a> CpuFieldEngine<'a> {
         })
     }
 
-    /// The field, to be changed between steps.
+    /// The field, for changes between steps.
     pub fn field_mut(&mut self) -> &mut Field {
         &mut self.field
     }
@@ -210,7 +213,7 @@ impl<'a> CpuFieldEngine<'a> {
         &self.step.rendered
     }
 
-    /// Losses and gradient at view `index`.
+    /// Computes losses and gradient for view `index`.
     pub fn differentiate(&mut self, index: usize) -> Result<StepLosses, EnhanceError> {
         self.step.profile.start();
         let view = &self.views[index];
@@ -224,8 +227,8 @@ impl<'a> CpuFieldEngine<'a> {
         Ok(losses)
     }
 
-    /// Adam with the gradient of [`CpuFieldEngine::differentiate`], a constant learning rate
-    /// per group; what was not finite.
+    /// Runs Adam with the gradient of [`CpuFieldEngine::differentiate`] and a constant learning rate per
+    /// group; returns the first array that was not finite.
     fn update(&mut self, losses: &StepLosses, plan: &FieldPlan) -> Option<(&'static str, Option<usize>)> {
         if !losses.total.is_finite() {
             return Some(("loss", None));
@@ -252,7 +255,7 @@ impl<'a> CpuFieldEngine<'a> {
         first_non_finite(&self.field.parameters).map(|at| ("parameter", Some(at)))
     }
 
-    /// How far view `index` is from its reference, on the pixels of the steps.
+    /// Measures the distance of view `index` from its reference, on the pixels of the steps.
     fn evaluate_sampled(&mut self, index: usize) -> Result<ViewErrors, EnhanceError> {
         let view = &self.views[index];
         let frozen = self.store.of(index, view, &mut self.step.rasterizer);
@@ -261,7 +264,7 @@ impl<'a> CpuFieldEngine<'a> {
         Ok(ViewErrors(losses.values))
     }
 
-    /// How far view `index` is from its targets, on every pixel that the extractor weighs.
+    /// Measures the distance of view `index` from its targets, on every pixel that the extractor weighs.
     fn evaluate_whole(&mut self, index: usize) -> Result<ViewErrors, EnhanceError> {
         let known = &self.views[index].reference;
         let (scene, guidance, lookups) = (self.store.scene, self.guidance, &self.store.lookups);
@@ -272,7 +275,7 @@ impl<'a> CpuFieldEngine<'a> {
         Ok(ViewErrors(losses.values))
     }
 
-    /// Refuses a view that there is not.
+    /// Returns an error if there is no such view.
     fn know(&self, view: usize) -> Result<(), EngineError> {
         let count = self.views.len();
         let what = || format!("there is no view {view}, only {count}");
@@ -316,7 +319,7 @@ impl FieldEngine for CpuFieldEngine<'_> {
         self.know(view)?;
         match (reading, self.guidance) {
             (Reading::Whole, Guidance::Targets(_)) => self.evaluate_whole(view),
-            // Labels keep their sample: before and after must be of the same pixels.
+            // Labels keep their sample, because the values before and after must use the same pixels.
             _ => self.evaluate_sampled(view),
         }
         .map_err(failed)
@@ -348,7 +351,7 @@ fn failed(error: EnhanceError) -> EngineError {
     EngineError::Failed(Box::new(error))
 }
 
-/// The large constants of views: those that are kept, and the last one made besides.
+/// The large constants of views: those that are kept, and the last ones that were made in addition.
 struct Store<'a> {
     scene: &'a Scene,
     guidance: Guidance<'a>,
@@ -358,14 +361,14 @@ struct Store<'a> {
 }
 
 impl Store<'_> {
-    /// The kept constants of view `index`, or the spare ones made to be its.
+    /// The kept constants of view `index`, or the spare ones after making them for this view.
     fn of(&mut self, index: usize, view: &ViewConstants, rasterizer: &mut Rasterizer) -> &mut Frozen {
         if let Some(frozen) = &mut self.kept[index] {
             return frozen;
         }
         let made = match self.spare.take() {
             Some((of, frozen)) if of == index => frozen,
-            // Trimmed like the kept ones: the same Gaussians in the same order give the same bits.
+            // They are trimmed like the kept ones: the same Gaussians in the same order give the same bits.
             _ => {
                 let Self { scene, guidance, lookups, .. } = self;
                 Frozen::new(scene, *guidance, lookups, &view.camera, &view.lattice, Some(rasterizer))

@@ -1,9 +1,9 @@
-//! How far a rendered view is from what it is compared with, and the derivative of that: the part of a
-//! step that every engine does alike.
+//! The distance of a rendered view from its reference, and its derivative: the part of a step that is the
+//! same for every engine.
 //!
-//! The extractor solves its systems in f64, over means of a few thousand pixels. An engine on another device
-//! hands a view's render over and takes the derivative back; both are as small as the lattice that steps
-//! render. What is computed is said by the table of [terms](crate::losses::TERMS).
+//! The extractor solves its systems in f64, over means of a few thousand pixels. An engine on another
+//! device passes a view's render in and gets the gradient back; both are as small as the lattice that steps
+//! render. The table of [terms](crate::losses::TERMS) defines what is computed.
 
 use use3d_atc::extractor::{Affine, Transition, Workspace};
 use use3d_capture::Image;
@@ -14,19 +14,19 @@ use crate::params::PixelLoss;
 use crate::views::{Guidance, Reference};
 use crate::{EnhanceError, EnhanceParams};
 
-/// What steps aim at, apart from each view's own reference, and what each term weighs.
+/// The goals of all steps, except each view's own reference, and the weight of each term.
 #[derive(Clone, Debug)]
 pub struct Goals {
     pub(crate) operator: Affine,
     pub(crate) global_scales: [f64; 12],
     pub(crate) local_scales: [f64; 6],
     pub(crate) pixel_loss: PixelLoss,
-    /// One per row of the table.
+    /// One weight per row of the table.
     pub(crate) weights: [f64; COUNT],
 }
 
 impl Goals {
-    /// As guidance and parameters say.
+    /// The goals that follow from guidance and parameters.
     pub fn new(guidance: Guidance<'_>, params: &EnhanceParams) -> Self {
         let (operator, global_scales, local_scales) = match guidance {
             Guidance::Targets(t) => (t.scene, t.global_scales, t.local_scales),
@@ -45,7 +45,7 @@ impl Goals {
         }
     }
 
-    /// Adds their weighted derivatives.
+    /// Adds the weighted gradients of the terms that read the field itself.
     pub fn field_backward(&self, field: &Field, gradient: &mut Gradient) {
         for (row, &weight) in TERMS.iter().zip(&self.weights) {
             if let Reads::Field { backward, .. } = row.reads {
@@ -55,7 +55,7 @@ impl Goals {
     }
 }
 
-/// Compares renders with their references; keeps its working memory from one to the next.
+/// Compares renders with their references; its working memory is reused.
 #[derive(Clone, Debug)]
 pub struct Measure {
     workspace: Workspace,
@@ -74,8 +74,9 @@ impl Default for Measure {
 }
 
 impl Measure {
-    /// Losses of `image`, a render on the lattice of its reference, and their derivative in it if `d_image`
-    /// is given. The terms that read the field are not among them: [`Goals::of_field`].
+    /// Computes the losses of `image`, a render on the lattice of its reference, and their gradient with
+    /// respect to it if `d_image` is given. The terms that read the field are not included: see
+    /// [`Goals::of_field`].
     pub fn losses(
         &mut self,
         reference: &Reference,
@@ -120,7 +121,7 @@ impl Measure {
         Ok(losses)
     }
 
-    /// The transition that the last [`Measure::losses`] read off a render.
+    /// The transition that the last [`Measure::losses`] extracted from a render.
     #[cfg(test)]
     pub(crate) fn transition(&self) -> &Transition {
         self.workspace.transition()

@@ -1,15 +1,16 @@
-//! Who owns the field: the loop decides *what* happens, an engine does it.
+//! The owner of the field: the loop decides *what* is done, and an engine does it.
 //!
-//! An engine is made for one scene, its training views and their guidance, which are constant. It holds
-//! the field's parameters, Adam's moments and every buffer of a step, here or on another device; the loop
-//! works on `&mut dyn FieldEngine`.
+//! An engine is made for one scene, its training views and their guidance, which are constant. It holds the
+//! field's parameters, Adam's moments and every buffer of a step, in main memory or on another device; the
+//! loop uses `&mut dyn FieldEngine`.
 //!
 //! ```text
 //! load a state ─▶ evaluate every view ─▶ step, step, … ─▶ drain reports ─▶ evaluate ─▶ centre, save
 //!                                                          └─ now and then: save (checkpoints)
 //! ```
 //!
-//! As in stage 1, a step may only be *asked for*; whatever else is asked comes after it.
+//! As in stage 1, a call of `step` may return before the step is done; all other calls take effect after
+//! it.
 
 mod cpu;
 mod measure;
@@ -34,7 +35,7 @@ use crate::views::{EnhanceView, Guidance};
 pub use crate::views::{Reference, References, centred};
 use crate::{EnhanceError, EnhanceParams, Objective};
 
-/// What one step does.
+/// The settings of one step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FieldPlan {
     /// The step, from 0.
@@ -45,7 +46,7 @@ pub struct FieldPlan {
     pub transport_rate: f64,
 }
 
-/// What came of a step.
+/// The result of a step.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FieldReport {
     /// The step, from 0.
@@ -54,56 +55,57 @@ pub struct FieldReport {
     pub view: usize,
     /// The losses.
     pub losses: StepLosses,
-    /// What was not finite, and its first bad element. The state is then of no use, and steps
-    /// asked for later may be left out.
+    /// The first array that was not finite, and its first bad element. The state is then useless, and steps
+    /// requested later may be left out.
     pub non_finite: Option<(&'static str, Option<usize>)>,
 }
 
-/// Which pixels of a view are read.
+/// The choice of pixels of a view that are read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reading {
-    /// Those that the steps render.
+    /// The pixels that the steps render.
     Sampled,
-    /// All that the extractor weighs; for pseudo-labels those of the steps.
+    /// All pixels that the extractor weighs; for pseudo-labels those of the steps.
     Whole,
 }
 
-/// How much an engine keeps and renders of the views.
+/// The share of the views that an engine keeps in memory and renders.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Coverage {
-    /// Views whose constants are kept in memory; the others are prepared anew in each of their steps.
+    /// Number of views whose constants are kept in memory; the others are prepared again in each of their
+    /// steps.
     pub views_in_memory: usize,
-    /// Pixels of all views that the steps render, as a share of all their pixels.
+    /// Number of pixels of all views that the steps render, as a share of all their pixels.
     pub rendered_share: f64,
 }
 
-/// Does the work of training stage 2. See the [module](self) for the order of calls.
+/// The work of training stage 2. See the [module](self) for the order of calls.
 pub trait FieldEngine: FieldDiagnostics {
-    /// Takes the state that the next step starts from: a [new](FieldState::new) one or one that was saved, by
-    /// whichever engine. One of [another field](FieldState::check) is refused.
+    /// Sets the state from which the next step starts: a [new](FieldState::new) one or one that any engine
+    /// saved. The state of [another field](FieldState::check) is refused.
     fn load(&mut self, state: FieldState) -> Result<(), EngineError>;
 
-    /// The state after every step that was asked for.
+    /// The state after all steps requested so far.
     fn save(&mut self) -> Result<FieldState, EngineError>;
 
-    /// Asks for one step on a view: render, losses, gradient, Adam.
+    /// Requests one step on a view: render, losses, gradient, Adam.
     fn step(&mut self, view: usize, plan: &FieldPlan) -> Result<(), EngineError>;
 
-    /// The reports of steps, in the order in which they were asked for, each once.
+    /// The reports of steps, each once, in the order of the requests.
     fn drain(&mut self, which: Drain) -> Result<Vec<FieldReport>, EngineError>;
 
-    /// How far a view is from its reference.
+    /// Measures the distance of a view from its reference.
     fn evaluate(&mut self, view: usize, reading: Reading) -> Result<ViewErrors, EngineError>;
 
     /// The constant mode of the present field over the Gaussians that define it (R22).
     fn centre(&mut self) -> Result<[f32; OUTPUTS], EngineError>;
 
-    /// How much it keeps and renders of the views.
+    /// The share of the views that it keeps in memory and renders.
     fn coverage(&self) -> Coverage;
 }
 
-/// What an engine may tell of its work besides. Nothing here enters a result, and an engine that
-/// knows none of it keeps the default.
+/// Optional information on an engine's work. Nothing here enters a result; an engine without this
+/// information keeps the default.
 pub trait FieldDiagnostics {
     /// Time spent per part of a step.
     fn profile(&self) -> Profile<StepPart> {
@@ -111,15 +113,15 @@ pub trait FieldDiagnostics {
     }
 }
 
-/// The field that a run starts from, at the identity: sizes and seed as the parameters
-/// say, its box around the scene.
+/// The field at the start of a run, at the identity: its sizes and seed come from the parameters, its box
+/// lies around the scene.
 pub fn initial_field(
     scene: &Scene,
     guidance: Guidance<'_>,
     params: &EnhanceParams,
 ) -> Result<Field, EnhanceError> {
-    // The water asks at the cameras, and so near the anchors; clear radiance is
-    // asked for at the Gaussians alone.
+    // The field is looked up at the cameras for water, and so near the anchors; for clear radiance it is
+    // looked up at the Gaussians alone.
     let anchors = match scene.medium.anchors() {
         Some(anchors) if guidance.appearance() == Appearance::Water => anchors.centers,
         _ => &[],
@@ -128,7 +130,7 @@ pub fn initial_field(
     Ok(Field::identity(params.shape(), bounds, params.seed)?)
 }
 
-/// Whether scene, views, guidance and parameters are such that stage 2 can learn from them.
+/// Checks that stage 2 can learn from this scene, these views, this guidance and these parameters.
 pub fn check_inputs(
     scene: &Scene,
     views: &[EnhanceView],

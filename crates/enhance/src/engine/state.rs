@@ -1,4 +1,4 @@
-//! The state of stage 2 between two steps: what an engine starts from, and what a checkpoint holds.
+//! The state of stage 2 between two steps: an engine starts from it, and a checkpoint stores it.
 
 use serde::{Deserialize, Serialize};
 use use3d_training::EngineError;
@@ -7,7 +7,7 @@ use use3d_ubaf::Field;
 /// The field's parameters with Adam's moments, in the field's order.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FieldState {
-    /// The form of this record, [`FieldState::VERSION`].
+    /// The version of this record's format, [`FieldState::VERSION`].
     pub version: u32,
     /// Parameters.
     pub parameters: Vec<f32>,
@@ -18,10 +18,10 @@ pub struct FieldState {
 }
 
 impl FieldState {
-    /// The form of this record.
+    /// The current version of this record's format.
     pub const VERSION: u32 = 2;
 
-    /// What a run starts from: this field.
+    /// The state at the start of a run with this field.
     pub fn new(field: &Field) -> Self {
         let zeros = vec![0.0; field.parameters.len()];
         Self {
@@ -32,7 +32,8 @@ impl FieldState {
         }
     }
 
-    /// Whether the version is this one and all lengths are those of a field with so many parameters.
+    /// Checks that the version is the current one and that all lengths are those of a field with this
+    /// number of parameters.
     pub fn check(&self, parameters: usize) -> Result<(), EngineError> {
         if self.version != Self::VERSION {
             let (found, known) = (self.version, Self::VERSION);

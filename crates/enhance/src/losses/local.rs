@@ -1,6 +1,6 @@
-//! The local term: what the operators of cells are beside the scene's. With `Δ̃ = Δ -` its plain mean over
-//! all cells, `Σ_p W_p mean_q φ((Δ̃_pq - Δ̄_pq)/s_q) / max(Σ_p W_p, 1e-6)`, `φ` the Smooth-L1; the target is
-//! not centred again. Without support the loss is 0. In f64.
+//! The local term, for the differences of the cells' operators from the scene's. With `Δ̃ = Δ -` its plain
+//! mean over all cells, `Σ_p W_p mean_q φ((Δ̃_pq - Δ̄_pq)/s_q) / max(Σ_p W_p, 1e-6)`, `φ` the Smooth-L1;
+//! the target is not centred again. Without support the loss is 0. In f64.
 
 use use3d_atc::extractor::{Transition, center};
 
@@ -9,7 +9,7 @@ use super::{LossTerm, Operators, Reads, Realised, SCALE_FLOOR, smooth_l1};
 /// Smallest divisor of the loss.
 const SUPPORT_FLOOR: f64 = 1e-6;
 
-/// Its row of the table.
+/// The term's row of the table.
 pub(super) const TERM: LossTerm = LossTerm {
     name: "local",
     title: "local",
@@ -28,8 +28,9 @@ fn term(seen: &Operators<'_>, weight: f64, gradient: &mut Transition) -> Realise
     value
 }
 
-/// The local term. `cells` are the realised operators, not centred, and are centred in place; `d_cells`
-/// receives `weight · ∂L/∂Δ` of the operators before centring. All three lists have one entry per cell.
+/// Computes the local term. `cells` are the realised operators, not centred, and are centred in place;
+/// `d_cells` receives `weight · ∂L/∂Δ` of the operators before centring. All three lists have one entry per
+/// cell.
 pub fn local_loss(
     cells: &mut [[f64; 6]],
     target: &[[f64; 6]],

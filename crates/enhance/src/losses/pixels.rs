@@ -1,11 +1,12 @@
-//! The term of pseudo-labels: a rendered image against another one's pixels, mean over pixels and channels.
+//! The term of pseudo-labels: compares a rendered image with the pixels of another, as a mean over pixels
+//! and channels.
 
 use use3d_capture::Image;
 
 use super::{LossTerm, Pixels, Reads};
 use crate::params::PixelLoss;
 
-/// Its row of the table.
+/// The term's row of the table.
 pub(super) const TERM: LossTerm =
     LossTerm { name: "pixels", title: "pseudo-label", weight: |_| 1.0, reads: Reads::Pixels(term) };
 

@@ -55,8 +55,8 @@ fn nothing_seen_is_no_loss_and_no_gradient() {
     assert!(gradient.iter().flatten().all(|&b| b == 0.0));
 }
 
-/// What the log says of a step, and the report of a view, is as it was before there was a
-/// table: name by name, in this order.
+/// The log line of a step and the report of a view have the same form as before the table existed: the same
+/// names in the same order.
 #[test]
 fn lines_and_reports_follow_the_table() {
     use crate::report::{LogEntry, ViewErrors};

@@ -4,7 +4,7 @@ use use3d_ubaf::variation;
 
 use super::{LossTerm, Reads};
 
-/// Its row of the table.
+/// The term's row of the table.
 pub(super) const TERM: LossTerm = LossTerm {
     name: "variation",
     title: "total variation",

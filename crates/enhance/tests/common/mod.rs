@@ -1,8 +1,8 @@
-//! The small golden scene, a teacher that enhances it, and targets read off the teacher's renders.
+//! The small golden scene, a teacher that enhances it, and targets computed from the teacher's renders.
 
 #![allow(dead_code, reason = "every test file uses its own part of this")]
 
-// One fixture for what is drawn and for what is trained.
+// One fixture for the tests of drawing and of training.
 #[path = "../../../render/tests/common/mod.rs"]
 mod drawn;
 
@@ -22,8 +22,8 @@ pub(crate) fn mini() -> (Scene, Vec<EnhanceView>) {
     (scene, views.into_iter().map(|view| EnhanceView { name: view.name, camera: view.camera }).collect())
 }
 
-/// Targets that the teacher meets nearly: the mean of its realised global
-/// operators, and its own local grades.
+/// Targets that the teacher nearly reaches: the mean of its realised global operators, and its own local
+/// grades.
 pub(crate) fn targets(scene: &Scene, taught: &Scene, views: &[EnhanceView]) -> Targets {
     let settings = ExtractorSettings::default();
     let mut operator = [0.0; 12];
@@ -58,15 +58,15 @@ pub(crate) fn targets(scene: &Scene, taught: &Scene, views: &[EnhanceView]) -> T
         state: LocalConsensus {
             mean: pass.locals(enhancement.centre),
             weight: vec![1.0; n],
-            // The first twenty were seen once only and carry no target.
+            // The first twenty were seen only once and have no target.
             count: (0..n).map(|i| if i < 20 { 1 } else { 3 }).collect(),
         },
     }
 }
 
-/// Quick settings.
+/// Settings for short runs.
 pub(crate) fn quick(iterations: u64) -> EnhanceParams {
-    // From the identity, so that a test sees what was learnt.
+    // The start is the identity, so that a test sees what was learnt.
     EnhanceParams {
         iterations,
         start: Start::Identity,

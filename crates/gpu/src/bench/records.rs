@@ -1,4 +1,4 @@
-//! What one run of the benchmark writes down.
+//! The record of one run of the benchmark.
 
 use std::collections::BTreeMap;
 
@@ -11,92 +11,94 @@ use crate::stage1::ViewWork;
 /// The record.
 #[derive(Clone, Debug, Serialize)]
 pub struct BenchRecord {
-    /// What the file is.
+    /// The name of the file's format.
     pub format: &'static str,
-    /// Of its form.
+    /// The version of the format.
     pub version: u32,
     /// The adapter.
     pub adapter: AdapterRecord,
-    /// Which variant of the kernels its trainings take.
+    /// The variant of the kernels that its trainings use.
     pub variant: String,
-    /// What the check at the start says.
+    /// The result of the check at the start.
     pub check: Option<CheckRecord>,
-    /// What it does at best.
+    /// The highest rates of the device.
     pub ceilings: Option<CeilingsRecord>,
-    /// Kernels beside the processor's functions, and whole steps in every variant.
+    /// Comparisons of kernels with the processor's functions, and of whole steps in every variant.
     pub twins: Vec<TwinRecord>,
-    /// Whether three runs give the same bits, in every variant.
+    /// Comparisons of the bits of three runs, in every variant.
     pub determinism: Vec<DeterminismRecord>,
-    /// Kernels' times by the device's clock, where it has one that can be read between dispatches.
+    /// Times of the kernels by the device's clock, if it has one that can be read between dispatches.
     pub times: Vec<TimesRecord>,
     /// Trainings of stage 1 on packed scenes: every size with every number of Gaussians.
     pub trainings: Vec<TrainingRecord>,
-    /// What could not be done; where the device was lost, the last of these, after which nothing was tried.
+    /// The parts that failed; if the device was lost, the last of these, after which nothing was tried.
     pub failed: Vec<FailedRecord>,
-    /// Whether everything was tried; a file of a run that is under way or was cut off says no.
+    /// True if everything was tried; false in the file of a running or interrupted benchmark.
     pub complete: bool,
-    /// Seconds that all of it took.
+    /// Duration of the whole run, seconds.
     pub seconds: f64,
 }
 
 /// A part of the benchmark that failed.
 #[derive(Clone, Debug, Serialize)]
 pub struct FailedRecord {
-    /// Which.
+    /// The part.
     pub section: String,
-    /// Why.
+    /// The reason.
     pub why: String,
 }
 
-/// A training of stage 1, everything switched on, and one of stage 2 on the scene that it began with.
+/// A training of stage 1 with all features on, and one of stage 2 on its initial scene.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct TrainingRecord {
     /// Pixels across and down.
     pub size: [usize; 2],
-    /// Gaussians.
+    /// Number of Gaussians.
     pub gaussians: usize,
-    /// Steps that were timed.
+    /// Number of timed steps.
     pub steps: u64,
-    /// Of them in a second, by the processor's clock, reports waited for; without the device's own clock.
+    /// These steps per second, by the processor's clock, including the wait for reports.
     pub steps_per_second: f64,
-    /// Time of the same steps in which the device was at work by its own clock, per step, milliseconds; `None`
-    /// where it has none.
+    /// Time of the same steps in which the device worked, by its own clock, per step, milliseconds; `None`
+    /// if it has no clock.
     pub busy_milliseconds_per_step: Option<f64>,
-    /// The share of the same steps' time in which it was not.
+    /// The share of the same steps' time in which the device was idle.
     pub idle_share: Option<f64>,
-    /// Mean loss of the first steps that were timed, one of each view, and of the last.
+    /// Mean loss of the first timed steps, one of each view, and of the last ones.
     pub loss: [f64; 2],
-    /// Bytes on the device.
+    /// Number of bytes on the device.
     pub bytes: usize,
-    /// What is handed to the device in a step.
+    /// Number of submits per step.
     pub submits_per_step: f64,
-    /// Dispatches of a step; `None` where the device has no clock to count them by.
+    /// Number of dispatches per step; `None` if the device has no clock to count them.
     pub dispatches_per_step: Option<f64>,
-    /// Per kernel, over a few steps more.
+    /// Record of each kernel, over a few more steps.
     pub kernels: BTreeMap<&'static str, KernelRecord>,
-    /// The view of the last of them; `None` where the device has no clock.
+    /// The view of the last of these steps; `None` if the device has no clock.
     pub view: Option<ViewRecord>,
-    /// Per kernel, what a step of that view needs at least.
+    /// Smallest possible time of each kernel in a step of that view.
     pub roofline: BTreeMap<&'static str, RooflineRecord>,
-    /// Mean time of the backward pass in every variant, with every number of pixels to a thread, milliseconds.
+    /// Mean time of the backward pass in every variant, with every number of pixels per thread,
+    /// milliseconds.
     pub backward_milliseconds: BTreeMap<String, f64>,
-    /// A refinement that replaces every twentieth Gaussian by two: survey and rebuilt scene, by the processor's
-    /// clock, milliseconds.
+    /// Time of a refinement that replaces every twentieth Gaussian by two: survey and rebuilt scene, by the
+    /// processor's clock, milliseconds.
     pub refinement_milliseconds: Option<f64>,
     /// The training of stage 2.
     pub enhancement: Option<EnhancementRecord>,
-    /// Why figures are missing, all or those of kernels: the device has too little memory, say.
+    /// The reason why all numbers, or those of kernels, are missing, for example too little memory on the
+    /// device.
     pub refusal: Option<String>,
 }
 
-/// A training of stage 2 with transition targets, whose extractor is on the processor.
+/// A training of stage 2 with transition targets, whose extractor runs on the processor.
 #[derive(Clone, Debug, Serialize)]
 pub struct EnhancementRecord {
-    /// Steps that were timed.
+    /// Number of timed steps.
     pub steps: u64,
-    /// Of them in a second, by the processor's clock.
+    /// These steps per second, by the processor's clock.
     pub steps_per_second: f64,
-    /// Mean loss of the first steps that were timed, one of each view, and of the last.
+    /// Mean loss of the first timed steps, one of each view, and of the last ones.
     pub loss: [f64; 2],
 }
 
@@ -107,19 +109,19 @@ pub struct AdapterRecord {
     pub name: String,
     /// `discrete`, `integrated`, `virtual`, `software` or `other`.
     pub kind: &'static str,
-    /// The interface it is reached through.
+    /// The interface through which it is used.
     pub backend: String,
     /// Name and version of its driver.
     pub driver: String,
-    /// Largest buffer that a kernel can see, bytes.
+    /// Largest buffer that a kernel can bind, bytes.
     pub largest_binding_bytes: u64,
     /// Largest buffer, bytes.
     pub largest_buffer_bytes: u64,
     /// Memory that the threads of a workgroup share, bytes.
     pub workgroup_memory_bytes: u32,
-    /// Buffers that a kernel can see.
+    /// Number of buffers that a kernel can bind.
     pub buffers_per_kernel: u32,
-    /// Least and most threads that run in step.
+    /// Smallest and largest number of threads in a subgroup.
     pub subgroup_threads: [u32; 2],
 }
 
@@ -142,37 +144,37 @@ impl From<&AdapterReport> for AdapterRecord {
 /// The check at the start.
 #[derive(Clone, Debug, Serialize)]
 pub struct CheckRecord {
-    /// Whether the adapter passed.
+    /// True if the adapter passed.
     pub passed: bool,
-    /// Why not.
+    /// The reason why it did not pass.
     pub refusal: Option<String>,
-    /// Seconds it took, kernels compiled included.
+    /// Duration in seconds, including the compilation of kernels.
     pub seconds: f64,
 }
 
 /// One comparison.
 #[derive(Clone, Debug, Serialize)]
 pub struct TwinRecord {
-    /// The case, by its numbers.
+    /// The case, described by its numbers.
     pub case: String,
-    /// Of what.
+    /// The compared quantity.
     pub what: String,
-    /// How far apart; `None` where a value is not finite.
+    /// The difference; `None` if a value is not finite.
     pub error: Option<f64>,
-    /// The most it may be.
+    /// The largest allowed difference.
     pub bar: f64,
-    /// Whether it holds.
+    /// True if the difference is allowed.
     pub holds: bool,
 }
 
 /// Three runs of the same work.
 #[derive(Clone, Debug, Serialize)]
 pub struct DeterminismRecord {
-    /// In which variant.
+    /// The variant of the kernels.
     pub variant: String,
     /// A digest of each run's bits.
     pub digests: Vec<String>,
-    /// Whether they are one.
+    /// True if all digests are equal.
     pub same: bool,
 }
 
@@ -181,18 +183,18 @@ pub struct DeterminismRecord {
 pub struct TimesRecord {
     /// Pixels across and down.
     pub size: [usize; 2],
-    /// Per kernel.
+    /// Record of each kernel.
     pub kernels: BTreeMap<&'static str, KernelRecord>,
 }
 
-/// What a device does at best, by two kernels that do nothing else.
+/// The highest rates of a device, measured by two kernels that do nothing else.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct CeilingsRecord {
-    /// Bytes read and written in a second by a copy, 10⁹.
+    /// Bytes read and written per second by a copy, 10⁹.
     pub copy_gigabytes_per_second: f64,
-    /// Operations in a second by multiply-adds in single precision, two each, 10⁹.
+    /// Operations per second by multiply-adds in single precision, two operations each, 10⁹.
     pub multiply_add_gigaflops: f64,
-    /// Bytes that were copied at once: fewer where memory was short.
+    /// Number of bytes copied at once; fewer if memory was short.
     pub copied_bytes: u64,
 }
 
@@ -206,16 +208,16 @@ impl From<Ceilings> for CeilingsRecord {
     }
 }
 
-/// How much there is to do in a view.
+/// The amount of work in a view.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct ViewRecord {
-    /// Gaussians on the screen.
+    /// Number of Gaussians on the screen.
     pub visible: usize,
-    /// (tile, Gaussian) entries.
+    /// Number of (tile, Gaussian) entries.
     pub entries: usize,
-    /// Gaussians that a pixel looks at before it stops, mean.
+    /// Mean number of Gaussians that a pixel tests before it stops.
     pub tested_per_pixel: f64,
-    /// Of them, those with a part in it.
+    /// Mean number of these that contribute to the pixel.
     pub live_per_pixel: f64,
 }
 
@@ -231,24 +233,25 @@ impl From<&ViewWork> for ViewRecord {
     }
 }
 
-/// A kernel beside what it needs at least.
+/// A kernel's smallest possible time, and the share of its measured time.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct RooflineRecord {
     /// Bytes of a step, every buffer once, 10⁶.
     pub megabytes: f64,
     /// Operations of a step, 10⁶.
     pub megaflops: f64,
-    /// Least milliseconds for these, by what the device does at best.
+    /// Smallest possible time for these at the device's highest rates, milliseconds.
     pub least_milliseconds: f64,
-    /// That over the time that the kernel took; a buffer that stays in the device's caches can bring it above 1.
+    /// This time divided by the measured time; a buffer that stays in the device's caches can bring it
+    /// above 1.
     pub share: f64,
 }
 
 /// One kernel.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct KernelRecord {
-    /// Dispatches that were timed.
+    /// Number of timed dispatches.
     pub dispatches: u64,
-    /// Mean time of one, milliseconds.
+    /// Mean time of one dispatch, milliseconds.
     pub milliseconds: f64,
 }

@@ -1,4 +1,4 @@
-// One thread per four floats, from one buffer to another.
+// One thread per four floats: copies them from one buffer to another.
 @compute @workgroup_size(WG)
 fn main(
     @builtin(workgroup_id) wid: vec3<u32>,

@@ -1,5 +1,5 @@
-// Multiply-adds that depend on nothing in memory: sixteen chains a thread, so that none waits for the one
-// before it.
+// Multiply-adds that read no memory. Each thread runs sixteen independent chains, so that no operation waits
+// for the result of the one before it.
 @compute @workgroup_size(WG)
 fn main(
     @builtin(workgroup_id) wid: vec3<u32>,

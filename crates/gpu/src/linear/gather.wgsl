@@ -1,4 +1,4 @@
-// One thread per Gaussian: up to three channels of what its entries gathered, added up in their order.
+// One thread per Gaussian: adds the records of its entries in their order, up to three channels.
 @compute @workgroup_size(WG)
 fn main(
     @builtin(workgroup_id) wid: vec3<u32>,

@@ -1,4 +1,4 @@
-// One thread per Gaussian: its values, up to three, take the place of its colour.
+// One thread per Gaussian: its values, up to three, replace its colour.
 @compute @workgroup_size(WG)
 fn main(
     @builtin(workgroup_id) wid: vec3<u32>,

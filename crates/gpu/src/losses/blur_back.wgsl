@@ -1,7 +1,7 @@
-// One level of the structure measure backward: its derivatives pulled to the pixels, times the level's
-// factor, and what the coarser level asks for.
+// Backward pass of one level of the structure measure. Blurs the gradients with respect to the moments back
+// to the pixels, multiplies them with the level's factor, and adds the gradient from the coarser level.
 
-// The third quantity's tile.
+// Tile of the third quantity.
 var<workgroup> tile_c: array<f32, 676>;
 
 @compute @workgroup_size(WG)
@@ -21,7 +21,7 @@ fn main(
     let plane = tile.z * columns * lines;
     let corner = tile.xy * 16u;
     for (var cell = lane; cell < SIDE * SIDE; cell = cell + 256u) {
-        // Wraps to a huge number left of the first.
+        // Left of the first column or above the first row this wraps to a huge number.
         let at = corner + vec2<u32>(cell % SIDE, cell / SIDE) - vec2<u32>(MARGIN, MARGIN);
         var d = vec3<f32>(0.0);
         if (at.x < columns && at.y < lines) {

@@ -1,5 +1,6 @@
-// One level of the structure measure forward: moments blurred with the 11-tap window over the valid region,
-// the sum of the level's values, and its derivatives by the mean, the mean square and the mean product.
+// Forward pass of one level of the structure measure. Blurs the moments with the 11-tap window over the valid
+// region. Computes the sum of the level's values, and the gradients with respect to the mean, the mean square
+// and the mean product.
 
 const C1: f32 = 0.01 * 0.01;
 const C2: f32 = 0.03 * 0.03;

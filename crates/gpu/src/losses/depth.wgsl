@@ -1,6 +1,7 @@
-// The Pearson loss against a depth prior. Two passes of sums, the second around the means of the first: f32
-// then suffices where the processor sums in f64. The results between passes: 0 count, 1 mean of disparities,
-// 2 mean of priors, 3 slope of the own deviation, 4 slope of the other, 5 loss.
+// The Pearson loss against a depth prior, with two passes of sums. The second pass subtracts the means of the
+// first, so f32 is accurate enough; the processor sums in f64. The passes hand on six results in `told`: 0
+// count, 1 mean of disparities, 2 mean of priors, 5 loss. The gradient with respect to a disparity d with
+// prior p is told[3] (d − mean of disparities) + told[4] (p − mean of priors).
 
 const FEWEST_PIXELS: f32 = 32.0;
 const DEPTH_SCALE: f32 = 10.0;
@@ -12,7 +13,8 @@ fn disparity(z: f32) -> f32 {
     return 1.0 / (DEPTH_SCALE * max(z, DEPTH_FLOOR) + 1.0);
 }
 
-// Finite by its bits: a compiler may take comparisons with infinities and NaN as it likes.
+// True if the value is positive and finite. Tests the bits, because a compiler may treat comparisons with
+// infinities and NaN as it likes.
 fn positive(value: f32) -> bool {
     let bits = bitcast<u32>(value);
     return bits > 0u && bits < INFINITE;

@@ -1,4 +1,4 @@
-// The correlation, the loss, and what every pixel's slope is made of. One workgroup.
+// Computes the correlation, the loss, and the two factors of every pixel's gradient. One workgroup.
 
 @compute @workgroup_size(WG)
 fn main(@builtin(local_invocation_index) lane: u32) {

@@ -1,4 +1,4 @@
-// Sums of the second pass: squares and product of the deviations from the means.
+// Sums of the second pass over depth: squares and product of the deviations from the means.
 
 @compute @workgroup_size(WG)
 fn main(

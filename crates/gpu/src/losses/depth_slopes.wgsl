@@ -1,4 +1,4 @@
-// The derivative by depth.
+// The gradient of the depth loss with respect to depth.
 
 @compute @workgroup_size(WG)
 fn main(

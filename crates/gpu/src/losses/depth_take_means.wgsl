@@ -1,4 +1,4 @@
-// The means that the second pass over depth is around. One workgroup.
+// Computes the means that the second pass over depth subtracts. One workgroup.
 
 @compute @workgroup_size(WG)
 fn main(@builtin(local_invocation_index) lane: u32) {

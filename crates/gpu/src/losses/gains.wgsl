@@ -1,5 +1,6 @@
-// Adam on the gain of one view, then the views' common gain is taken out. One workgroup. Three log-gains per
-// view, their first and their second moments: three runs of 3 × views.
+// Adam on the gain of one view; then the mean log-gain of all views is subtracted, channel by channel. One
+// workgroup. `gains` holds three runs of 3 × views numbers: the log-gains, their first and their second
+// moments.
 
 const BETA1: f32 = 0.9;
 const BETA2: f32 = 0.999;
@@ -7,7 +8,7 @@ const EPSILON: f32 = 1e-15;
 
 @compute @workgroup_size(WG)
 fn main(@builtin(local_invocation_index) lane: u32) {
-    // Barriers follow, so a run that has stopped goes through all of it and writes nothing.
+    // Barriers follow, so every thread runs to the end. After a stop it writes nothing.
     let going = atomicLoad(&counts[STOP]) == 0u;
     let all = 3u * view.views;
     for (var channel = 0u; channel < 3u; channel = channel + 1u) {

@@ -1,5 +1,5 @@
-// What both ways through a level share: the window, and the tiles that a workgroup blurs: 16 × 16 places look
-// at 26 × 26 cells.
+// Shared by the forward and the backward pass of a level: the window, and the tile that a workgroup blurs.
+// Its 16 × 16 positions read 26 × 26 cells.
 
 const MARGIN: u32 = 10u;
 const SIDE: u32 = 26u;
@@ -13,8 +13,8 @@ fn tap(k: u32) -> f32 {
     return view.taps[k >> 2u][k & 3u];
 }
 
-// Which tile of 16 × 16 places and which channel a workgroup owns, of an image with so many tiles across and
-// in all.
+// The tile of 16 × 16 positions and the channel that a workgroup owns: (tile column, tile row, channel).
+// `across` is the number of tiles per row, `all` the number of tiles per channel.
 fn tile_of(group: u32, across: u32, all: u32) -> vec3<u32> {
     let tile = group % all;
     return vec3<u32>(tile % across, tile / across, group / all);

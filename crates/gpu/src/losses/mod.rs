@@ -1,13 +1,14 @@
-//! What stage 1 minimises, on the device: the values and derivatives of the processor's table of terms.
+//! The loss of stage 1 on the device: the values and gradients of the processor's table of terms.
 //!
 //! ```text
 //! weigh ─▶ pool ─▶ pool ─▶ compare × levels ─▶ weigh_levels ─▶ blur_back × levels ─▶ pull ─▶ tell
 //! depth_means ─▶ depth_take_means ─▶ depth_deviations ─▶ depth_correlate ─▶ depth_slopes ──────▲
 //! ```
 //!
-//! The formulas are those of `use3d_reconstruct::losses` and `use3d_metrics::ms_ssim`, down to the images
-//! *less one* that keep f32 enough; sums go through trees whose form follows from the image's size alone.
-//! [`VALUES`] are the terms' values that there are kernels for: a plan that weighs another one is refused.
+//! The formulas are those of `use3d_reconstruct::losses` and `use3d_metrics::ms_ssim`, including the images
+//! *minus one* for which f32 is enough. Sums run through trees whose form follows from the image's size
+//! alone. [`VALUES`] are the terms' values for which there are kernels; a plan with a weight for another
+//! one is refused.
 
 mod shape;
 #[cfg(test)]
@@ -23,11 +24,11 @@ use crate::device::{Gpu, NAME};
 use crate::kernel::{Access, Binding, Constant, Grid, Kernel, SUM, Spec, bound, read, write};
 use shape::{HALVING, Halving, LEVEL, LEVELS, Level, LossConstants, Shape};
 
-/// The values there are kernels for, in the order of the table of terms.
+/// The values for which there are kernels, in the order of the table of terms.
 pub(crate) const VALUES: [&str; 3] = ["reg_l1", "reg_ms_ssim", "depth_loss"];
 
-/// Floats of a step's report that the losses write: total, the three [`VALUES`], mean
-/// squared error, pixels that count.
+/// Number of floats that the losses write to a step's report: total, the three [`VALUES`], mean squared
+/// error, number of pixels that count.
 pub(crate) const TOLD: usize = 6;
 
 const WITH_MASK: u32 = 1;
@@ -35,7 +36,7 @@ const WITH_GAINS: u32 = 2;
 const WITH_PRIOR: u32 = 4;
 const OVER_WATER: u32 = 8;
 
-/// What a view's loss is made from. Colour planes lie channel by channel.
+/// The input of a view's loss. Colour planes lie channel by channel.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Seen<'a> {
     /// The rendered image, before the view's gain: 3 P.
@@ -44,41 +45,41 @@ pub(crate) struct Seen<'a> {
     pub(crate) depth: &'a Array<f32>,
     /// The photograph: 3 P.
     pub(crate) photograph: &'a Array<f32>,
-    /// What of it counts: P.
+    /// The weights of its pixels: P.
     pub(crate) mask: Option<&'a Array<f32>>,
     /// The depth prior: P.
     pub(crate) prior: Option<&'a Array<f32>>,
 }
 
-/// Where derivatives and values go.
+/// The buffers for gradients and values.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Told<'a> {
-    /// By the rendered image, before the view's gain: 3 P.
+    /// Gradient with respect to the rendered image, before the view's gain: 3 P.
     pub(crate) image: &'a Array<f32>,
-    /// By depth: P, zeros where there is no prior.
+    /// Gradient with respect to depth: P, zeros if there is no prior.
     pub(crate) depth: &'a Array<f32>,
     /// Reports of steps, sixteen floats each; [`TOLD`] of them are written.
     pub(crate) reports: &'a Array<f32>,
-    /// The run's counts with the word that stops it.
+    /// The run's counts, which contain the word that stops it.
     pub(crate) counts: &'a Array<u32>,
 }
 
-/// What a step weighs.
+/// The settings of a step's loss.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct LossPlan {
     /// The step.
     pub(crate) step: u64,
-    /// Place of the step's report.
+    /// Index of the step's report.
     pub(crate) report: u32,
     /// Weights of [`VALUES`].
     pub(crate) weights: [f64; 3],
-    /// The view's row in the gains and how they are learnt; `None`: every gain is one.
+    /// The view's row in the gains, and the settings by which they are learnt; `None` if every gain is one.
     pub(crate) gains: Option<(usize, ExposureStep)>,
 }
 
 impl LossPlan {
-    /// The weights of a plan, in the order of [`VALUES`]; refuses one that
-    /// weighs what there is no kernel for.
+    /// The weights of a plan, in the order of [`VALUES`]; returns an error if a value without a kernel has
+    /// a weight.
     pub(crate) fn weights(given: &[f64]) -> Result<[f64; 3], EngineError> {
         let refused = |what: String| EngineError::Request { engine: NAME, what };
         let names: Vec<&str> = use3d_reconstruct::losses::names().collect();
@@ -104,28 +105,28 @@ impl LossPlan {
 /// The views' gains on the device with Adam's moments: see `use3d_reconstruct`'s exposures.
 #[derive(Debug)]
 pub(crate) struct Gains {
-    /// Three runs of 3 × views: log-gains, first and second moments.
+    /// Three runs of 3 × views numbers: log-gains, first and second moments.
     state: Array<f32>,
-    /// Adam's steps of each view.
+    /// Number of Adam's steps of each view.
     steps: Vec<u64>,
 }
 
 impl Gains {
-    /// Takes a state's gains.
+    /// Copies a state's gains to the device.
     pub(crate) fn new(gpu: &Gpu, from: &Exposures) -> Result<Self, EngineError> {
         let runs = [&from.log_gains, &from.first, &from.second];
         let values: Vec<f32> = runs.into_iter().flat_map(|run| run.as_flattened()).copied().collect();
         Ok(Self { state: Array::from(gpu, "the views' gains", &values)?, steps: from.steps.clone() })
     }
 
-    /// Takes back that a view's step was counted: it was left undone and is asked for again.
+    /// Reverts the count of a view's step that was not done and will be requested again.
     pub(crate) fn undo(&mut self, row: usize) {
         if let Some(steps) = self.steps.get_mut(row) {
             *steps = steps.saturating_sub(1);
         }
     }
 
-    /// Gives them back.
+    /// Copies the gains back.
     pub(crate) fn read(&self, gpu: &Gpu) -> Result<Exposures, EngineError> {
         let n = self.steps.len();
         let values = self.state.read(gpu, 9 * n)?;
@@ -139,7 +140,7 @@ impl Gains {
     }
 }
 
-/// The kernels, compiled.
+/// The compiled kernels.
 #[derive(Debug)]
 struct Kernels {
     over_water: Kernel,
@@ -158,11 +159,11 @@ struct Kernels {
     gains: Kernel,
 }
 
-/// What one level of the structure measure keeps.
+/// The buffers of one level of the structure measure.
 #[derive(Debug)]
 struct LevelBuffers {
     level: Array<Level>,
-    /// How it came from the finer one; unused by the finest.
+    /// The sizes by which it is computed from the finer level; unused by the finest.
     halving: Array<Halving>,
     /// `W Î − 1` and `W I − 1`.
     x: Array<f32>,
@@ -170,7 +171,7 @@ struct LevelBuffers {
     by_mean: Array<f32>,
     by_square: Array<f32>,
     by_product: Array<f32>,
-    /// Derivative by `x`; the finest one's lies with whoever asks.
+    /// Gradient with respect to `x`; for the finest level the caller owns the buffer.
     slope: Array<f32>,
 }
 
@@ -185,7 +186,7 @@ pub(crate) struct Losses {
     factors: Array<f32>,
     depth_sums: Array<f32>,
     depth_told: Array<f32>,
-    /// Stands where a view has no mask, prior or gains.
+    /// A buffer that is bound if a view has no mask, prior or gains.
     nothing: Array<f32>,
     shape: Shape,
 }
@@ -375,13 +376,13 @@ impl LevelBuffers {
     }
 }
 
-/// One workgroup.
+/// A grid of one workgroup.
 fn one() -> Grid {
     Grid::groups(1)
 }
 
 impl Losses {
-    /// The losses, for no size yet.
+    /// The losses without a size.
     pub(crate) fn new(gpu: &Gpu) -> Result<Self, EngineError> {
         Ok(Self {
             kernels: Kernels::new(gpu)?,
@@ -397,7 +398,7 @@ impl Losses {
         })
     }
 
-    /// Bytes on the device.
+    /// Number of bytes on the device.
     pub(crate) fn memory(&self) -> usize {
         let levels = self
             .levels
@@ -416,7 +417,7 @@ impl Losses {
         self.sums.grow(gpu, 12 * shape.groups)?;
         self.depth_sums.grow(gpu, 3 * shape.groups)?;
         self.level_sums.grow(gpu, 3 * shape.levels.iter().map(|level| level.groups).sum::<usize>())?;
-        // The image itself is weighed in any case; its derivatives are kept where it has a level of its own.
+        // The image itself is weighed in any case; its gradients are kept if it has a level of its own.
         let finest = 3 * width * height;
         self.levels[0].x.grow(gpu, finest)?;
         self.levels[0].y.grow(gpu, finest)?;
@@ -437,7 +438,7 @@ impl Losses {
         Ok(())
     }
 
-    /// Writes the constants of a step; before its pass is submitted, after [`Losses::resize`].
+    /// Writes the constants of a step. Called before its pass is submitted and after [`Losses::resize`].
     pub(crate) fn prepare(
         &mut self,
         gpu: &Gpu,
@@ -479,7 +480,7 @@ impl Losses {
         self.view.write(gpu, 0, &[view]);
     }
 
-    /// Lays a photograph over the water that is seen through it: `alpha` P, `color` the water's 3 P.
+    /// Puts the water behind the transparent pixels of a photograph: `alpha` P, `color` the water's 3 P.
     pub(crate) fn over_water(
         &self,
         pass: &mut wgpu::ComputePass<'_>,
@@ -494,7 +495,7 @@ impl Losses {
         self.kernels.over_water.dispatch(pass, grid, bound![self.view, *alpha, *color, *gains, *photograph]);
     }
 
-    /// Records values and derivatives of one view.
+    /// Records values and gradients of one view.
     pub(crate) fn record(
         &self,
         pass: &mut wgpu::ComputePass<'_>,
@@ -570,7 +571,7 @@ impl Losses {
         );
     }
 
-    /// Records the step of the view's gain, after [`Losses::record`].
+    /// Records the update of the view's gain, after [`Losses::record`].
     pub(crate) fn learn_gains(&self, pass: &mut wgpu::ComputePass<'_>, gains: &Gains, counts: &Array<u32>) {
         self.kernels.gains.dispatch(pass, one(), bound![self.view, self.sums, gains.state, *counts]);
     }

@@ -1,5 +1,5 @@
-// A photograph's transparent pixels take the water's colour, black without water, as the view's gain shows
-// it.
+// Composes a photograph's transparent pixels over the water's colour, times the view's gain. Without water
+// they are composed over black.
 
 @compute @workgroup_size(WG)
 fn main(

@@ -1,9 +1,9 @@
-// 2 × 2 means of both images for the next level; an odd side gets one black pixel at both ends, which is −1
-// in images less one.
+// Means of 2 × 2 pixels of both images, for the next level. An odd side is padded with a black pixel at both
+// ends; only the first of these is read. The images are stored less one, so black is −1.
 
-// Where a fine pixel lies, one past the end for one that is not there: an odd side is shifted by one.
+// Position of a fine pixel. An odd side is shifted by one for the padding.
 fn place(column: u32, row: u32, dx: u32, dy: u32) -> vec2<u32> {
-    // Wraps to a huge number left of the first.
+    // In the padding this wraps to a huge number.
     return vec2<u32>(2u * column + dx - size.fine_width % 2u, 2u * row + dy - size.fine_height % 2u);
 }
 

@@ -1,5 +1,5 @@
-// After the structure measure: its slope becomes the derivative by the rendered image, before the view's
-// gain.
+// After the structure measure: turns its gradient into the gradient with respect to the rendered image,
+// before the view's gain is applied. Also sums the gradient with respect to the log-gain.
 
 const EPSILON: f32 = 1e-3;
 

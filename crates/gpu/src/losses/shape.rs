@@ -1,23 +1,23 @@
-//! Sizes of a view and its levels, and the constants that kernels are given of them.
+//! Sizes of a view and its levels, and their constants for the kernels.
 
 use bytemuck::{Pod, Zeroable};
 use use3d_metrics::ms_ssim::{RECONSTRUCTION_WEIGHTS, WINDOW, level_weights, window};
 
 use crate::kernel::{Access, Binding};
 
-/// Most levels of the structure measure.
+/// Largest number of levels of the structure measure.
 pub(super) const LEVELS: usize = RECONSTRUCTION_WEIGHTS.len();
-/// Pixels that the window takes off an image's sides.
+/// Number of pixels by which the window shortens an image's sides.
 const MARGIN: usize = WINDOW - 1;
-/// Side of what a workgroup owns of a level.
+/// Side of the part of a level that a workgroup owns.
 const TILE: usize = 16;
-/// Elements of a plane that a workgroup owns.
+/// Number of elements of a plane that a workgroup owns.
 const SPAN: usize = 1024;
 
 pub(super) const LEVEL: Binding = (Access::Uniform, "level", "Level");
 pub(super) const HALVING: Binding = (Access::Uniform, "size", "Halving");
 
-/// A view's constants, as `shared.wgsl` reads them.
+/// A view's constants, in the form that `shared.wgsl` reads.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct LossConstants {
@@ -43,7 +43,7 @@ pub(super) struct LossConstants {
     pub(super) spare: [u32; 2],
 }
 
-/// A level's constants, as `structs.wgsl` has them.
+/// A level's constants, in the form of `structs.wgsl`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct Level {
@@ -56,7 +56,7 @@ pub(super) struct Level {
     pub(super) spare: [u32; 2],
 }
 
-/// Sizes of two neighbouring levels, as `structs.wgsl` has them.
+/// Sizes of two neighbouring levels, in the form of `structs.wgsl`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct Halving {
@@ -72,34 +72,34 @@ pub(super) struct LevelShape {
     pub(super) width: usize,
     pub(super) height: usize,
     weight: f64,
-    /// Workgroups of a channel on the way forward.
+    /// Number of workgroups per channel in the forward pass.
     pub(super) groups: usize,
 }
 
 impl LevelShape {
-    /// Places of the window that lie whole within a channel.
+    /// Number of window positions that lie completely within a channel.
     pub(super) fn valid(&self) -> usize {
         (self.width - MARGIN) * (self.height - MARGIN)
     }
 
-    /// Workgroups of a channel on the way back.
+    /// Number of workgroups per channel in the backward pass.
     pub(super) fn tiles(&self) -> usize {
         self.width.div_ceil(TILE) * self.height.div_ceil(TILE)
     }
 }
 
-/// A view's size, and its levels'.
+/// The size of a view and of its levels.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Shape {
     pub(super) width: usize,
     pub(super) height: usize,
-    /// Workgroups of a plane where each owns 1024 pixels.
+    /// Number of workgroups for a plane if each owns 1024 pixels.
     pub(super) groups: usize,
     pub(super) levels: Vec<LevelShape>,
 }
 
 impl Shape {
-    /// Of a view.
+    /// The shape of a view.
     pub(super) fn of(width: usize, height: usize) -> Self {
         let (mut w, mut h) = (width, height);
         let levels = level_weights(&RECONSTRUCTION_WEIGHTS, width, height)
@@ -114,7 +114,7 @@ impl Shape {
         Self { width, height, groups: (width * height).div_ceil(SPAN), levels }
     }
 
-    /// What follows from the size alone.
+    /// The constants that follow from the size alone.
     pub(super) fn view(&self) -> LossConstants {
         let mut view = LossConstants {
             width: self.width as u32,
@@ -154,7 +154,7 @@ impl Shape {
         }
     }
 
-    /// Sizes of a level and of the finer one.
+    /// The sizes of a level and of the finer one.
     pub(super) fn halving(&self, at: usize) -> Halving {
         let (fine, own) = (&self.levels[at.saturating_sub(1)], &self.levels[at]);
         Halving {

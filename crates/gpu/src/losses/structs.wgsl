@@ -1,12 +1,12 @@
-// Sizes that differ from level to level.
+// Constants that differ from level to level.
 
 struct Level {
     width: u32,
     height: u32,
     index: u32,
-    // Whether luminance counts: the coarsest level.
+    // 1 for the coarsest level, where luminance counts; else 0.
     last: u32,
-    // Of the coarser level; 0 without one.
+    // Size of the coarser level; 0 if there is none.
     coarse_width: u32,
     coarse_height: u32,
     spare0: u32,

@@ -1,7 +1,8 @@
-// What is told of a view, one workgroup: the loss, its values reg_l1, reg_ms_ssim and depth_loss, the squared
-// error and the pixels that count. A loss that is not finite stops the run before anything is updated.
+// Writes the report of a view: the loss, its terms reg_l1, reg_ms_ssim and depth_loss, the mean squared
+// error, and the number of pixels that count. One workgroup. A loss that is not finite stops the run before
+// anything is updated.
 
-// Of all channels.
+// Sum of a quantity over all channels.
 fn total_over(quantity: u32, lane: u32) -> f32 {
     var total = 0.0;
     for (var channel = 0u; channel < 3u; channel = channel + 1u) {

@@ -1,4 +1,4 @@
-//! The losses on the device beside those of the processor.
+//! Compares the losses on the device with those of the processor.
 
 use use3d_capture::{Image, Map};
 use use3d_golden::{Case, Part};
@@ -47,7 +47,8 @@ fn the_losses_are_those_of_the_processor() {
     }
 }
 
-/// A photograph and its render of a golden case on the device: report, slopes of the image, slopes of depth.
+/// Evaluates a golden case with photograph and render on the device: report, gradient of the image,
+/// gradient of depth.
 fn evaluate(gpu: &Gpu, case: &Case<'_>, weights: [f64; 3]) -> (Vec<f32>, Vec<f32>, Vec<f32>) {
     let image = |name: &str| {
         let (w, h, data) = case.planes(name);
@@ -134,8 +135,8 @@ fn the_same_bits_every_time() {
 
 #[test]
 fn every_value_of_the_table_has_a_kernel_or_is_refused() {
-    // A term that the processor gains needs a kernel, or a run that weighs it must be
-    // refused: see `LossPlan::weights`.
+    // A new term of the processor needs a kernel, or a run with a weight for it must be refused: see
+    // `LossPlan::weights`.
     assert!(use3d_reconstruct::losses::names().eq(VALUES));
     assert_eq!(LossPlan::weights(&[0.8, 0.2, 0.1]).unwrap(), [0.8, 0.2, 0.1]);
     assert!(LossPlan::weights(&[0.8]).unwrap_err().to_string().contains("expected 3"));

@@ -1,5 +1,5 @@
-// Before the structure measure: W Î − 1 and W I − 1 of every value, and the sums of Reg-L1 and of the squared
-// error.
+// Before the structure measure: computes W Î − 1 and W I − 1 of every value, and the sums of Reg-L1, of the
+// squared error and of the squared mask.
 
 const EPSILON: f32 = 1e-3;
 

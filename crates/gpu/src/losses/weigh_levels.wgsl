@@ -1,5 +1,5 @@
-// The structure measure, and every level's factor on its way back. One workgroup. Factors are three channels
-// per level; the measure stands at 9.
+// Computes the structure measure, and the factor of every level in the backward pass. One workgroup.
+// `factors` holds three channels per level; entry 9 is the measure.
 
 var<workgroup> level_means: array<f32, 12>;
 

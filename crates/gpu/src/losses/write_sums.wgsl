@@ -1,4 +1,4 @@
-// A workgroup's three sums, to three runs of `sums`.
+// Writes a workgroup's three sums into three runs of `sums`.
 fn write_sums(group: u32, lane: u32, a: f32, b: f32, c: f32) {
     let first = sum_of_group(a, lane);
     let second = sum_of_group(b, lane);

@@ -1,8 +1,10 @@
-// One workgroup per tile, one thread per Gaussian: each walks over the tile's pixels one behind the other, so
-// that every pixel sees its Gaussians from the farthest to the nearest and every thread adds up its own
-// Gaussian's record. No sum leaves its thread, so the bits do not depend on how many threads run in step.
+// One workgroup per tile, one thread per Gaussian. Each thread walks over the tile's pixels, one step behind
+// the thread before it. So every pixel meets its Gaussians from the farthest to the nearest, and every thread
+// adds up the record of its own Gaussian. No sum leaves its thread, so the bits do not depend on how many
+// threads run in step.
 //
-// Of a pixel only the transmittance and `-sum w v` of what lies behind change on the way.
+// During the walk only two numbers of a pixel change: the transmittance (`left`), and `-sum w v` over the
+// Gaussians behind (`behind`).
 var<workgroup> pull: array<vec4<f32>, 256>;
 var<workgroup> veiled_pull: array<vec4<f32>, 256>;
 var<workgroup> fog: array<vec4<f32>, 256>;
@@ -63,7 +65,7 @@ fn main(
     workgroupBarrier();
     if (lid == 0u) { last_entry = min(count, atomicLoad(&last)); }
     let end = workgroupUniformLoad(&last_entry);
-    // What lies behind the last pixel's stop has no part.
+    // Entries behind the last stop of all pixels have no effect, so their records are zero.
     for (var k = end + lid; k < count; k += WG) {
         let entry = lists[first + k];
         for (var r = 0u; r < 3u; r++) { records[3u * entry + r] = vec4<f32>(); }

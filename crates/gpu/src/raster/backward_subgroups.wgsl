@@ -1,10 +1,10 @@
-// One workgroup per tile, one, two or four pixels that lie together to a thread. Threads that run in step, a
-// team, have a rectangle of the tile: pixels are numbered along a Z-curve, so any such run of them lies
-// together.
+// One workgroup per tile; each thread has one, two or four neighbouring pixels. The threads that run in step
+// are a team (a subgroup). Pixels are numbered along a Z-curve, so the pixels of a team form a rectangle of
+// the tile.
 //
-// Of a round of Gaussians each team leaves out those that miss its rectangle, and walks over the others from
-// the farthest to the nearest: what a team adds up comes from one operation across its threads, and the
-// teams' sums are added in their order.
+// Gaussians are taken in rounds. In a round each team skips the Gaussians that miss its rectangle, and walks
+// over the others from the farthest to the nearest. One operation across a team's threads adds up their
+// gradients. The teams' sums are then added in the order of the teams.
 const TEAMS: u32 = WG / WIDTH;
 const ROUND: u32 = HALVES * WIDTH;
 const WORDS: u32 = (WIDTH + 31u) / 32u;
@@ -13,7 +13,7 @@ var<workgroup> near: array<vec4<f32>, ROUND>;
 var<workgroup> far: array<vec4<f32>, ROUND>;
 var<workgroup> tint: array<vec4<f32>, ROUND>;
 var<workgroup> parts: array<vec4<f32>, 3u * TEAMS * ROUND>;
-// By team, by part of the round: which Gaussians have a part.
+// Bit masks by team and by part of the round: the Gaussians that have a gradient there.
 var<workgroup> hits: array<u32, HALVES * TEAMS * WORDS>;
 var<workgroup> last: atomic<u32>;
 var<workgroup> last_entry: u32;
@@ -34,12 +34,12 @@ struct Pixel {
 
 struct Record { r0: vec4<f32>, r1: vec4<f32>, r2: vec4<f32> }
 
-// Every second bit of eight, the lowest first.
+// Takes every second bit of eight, beginning with the lowest.
 fn compact(bits: u32) -> u32 {
     return (bits & 1u) | ((bits >> 1u) & 2u) | ((bits >> 2u) & 4u) | ((bits >> 3u) & 8u);
 }
 
-// Where a pixel along the curve lies in its tile.
+// Position in the tile of a pixel on the curve: (column, row).
 fn place_of(number: u32) -> vec2<u32> { return vec2<u32>(compact(number), compact(number >> 1u)); }
 
 fn pixel_at(tile: u32, at: vec2<u32>) -> Pixel {
@@ -67,8 +67,8 @@ fn pixel_at(tile: u32, at: vec2<u32>) -> Pixel {
     return p;
 }
 
-// Takes a pixel past the Gaussian in place `k` of its list, and adds what it gives to the record; whether it
-// gives anything.
+// Moves a pixel past the Gaussian in place `k` of its list, and adds the gradient to the record. Returns true
+// if there is a gradient.
 fn pass_by(
     p: ptr<function, Pixel>,
     k: u32,
@@ -117,14 +117,14 @@ fn pass_by(
     return true;
 }
 
-// The least square in an interval.
+// Smallest square of a number in the interval [low, high].
 fn least_square(low: f32, high: f32) -> f32 {
     let nearest = max(max(low, -high), 0.0f);
     return nearest * nearest;
 }
 
-// Whether a Gaussian may reach 1/255 in a rectangle. More generous than the pixels' own test by more than
-// rounding.
+// True if a Gaussian may reach alpha = 1/255 in a rectangle. The test is looser than the test of a single
+// pixel, by more than the rounding error.
 fn reaches(a: vec4<f32>, b: vec4<f32>, low: vec2<f32>, high: vec2<f32>) -> bool {
     let y = vec2<f32>(low.y - a.y, high.y - a.y);
     let sheared = a.z * y;
@@ -150,9 +150,9 @@ fn main(
     if (count == 0u) { return; }
     if (lid == 0u) { atomicStore(&last, 0u); }
     workgroupBarrier();
-    // A team's own number and not the thread's: teams need not be numbered as threads are.
+    // Uses the numbers of team and lane, since a device need not number subgroups in the order of threads.
     let own = EACH * (team * WIDTH + lane);
-    // By name: a thread's pixels stay in registers.
+    // Four variables instead of an array, so that a thread's pixels stay in registers.
     var one = pixel_at(tile, place_of(own));
     var two = Pixel();
     var three = Pixel();
@@ -177,7 +177,7 @@ fn main(
     workgroupBarrier();
     if (lid == 0u) { last_entry = min(count, atomicLoad(&last)); }
     let end = workgroupUniformLoad(&last_entry);
-    // What lies behind the last pixel's stop has no part.
+    // Entries behind the last stop of all pixels have no effect, so their records are zero.
     for (var k = end + lid; k < count; k += WG) {
         let entry = lists[first + k];
         for (var r = 0u; r < 3u; r++) { records[3u * entry + r] = vec4<f32>(); }

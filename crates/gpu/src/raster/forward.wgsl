@@ -1,4 +1,4 @@
-// One workgroup per tile, one thread per pixel: light through the tile's Gaussians, nearest first.
+// One workgroup per tile, one thread per pixel: composes the light of the tile's Gaussians, nearest first.
 var<workgroup> near: array<vec4<f32>, 256>;
 var<workgroup> far: array<vec4<f32>, 256>;
 var<workgroup> tint: array<vec4<f32>, 256>;

@@ -1,5 +1,5 @@
-// One thread per row of four words: those of a Gaussian of the new scene, from where they lie in the old one.
-// Words, not floats, so that bits arrive as they were.
+// One thread per row of four words: copies a row of a Gaussian of the new scene from its place in the old
+// one. Copying words instead of floats keeps the bits unchanged.
 @compute @workgroup_size(WG)
 fn main(
     @builtin(workgroup_id) wid: vec3<u32>,
@@ -10,7 +10,7 @@ fn main(
     if (i >= part.count * part.width) { return; }
     let origin = origins[part.first + i / part.width];
     let source = origin & ~BORN;
-    // Another dispatch's, where the old scene lies in several buffers.
+    // The old scene may lie in several buffers; another dispatch copies the rows of the others.
     if (source < part.source || source - part.source >= part.sources) { return; }
     if (part.inherited == 0u && (origin & BORN) != 0u) {
         made[i] = vec4<u32>();

@@ -1,4 +1,4 @@
-// How often each digit stands in each block of items.
+// Counts each digit in each block of items.
 var<workgroup> bins: array<atomic<u32>, 256>;
 
 @compute @workgroup_size(WG)

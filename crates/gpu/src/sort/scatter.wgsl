@@ -1,6 +1,6 @@
-// Moves the items of a block to their places. Within a row of WG items, one item a thread, an item comes
-// after those of its digit in lower threads: each thread sets its bit in the digit's mask, and counts the
-// bits below its own.
+// Moves the items of a block to their places. A block is read in rows of WG items, one item per thread. In a
+// row, an item comes after the items with the same digit in lower threads. Each thread sets its bit in the
+// digit's mask, and counts the bits below its own.
 const WORDS: u32 = WG / 32u;
 
 var<workgroup> masks: array<atomic<u32>, 2048>;

@@ -2,8 +2,8 @@ const ITEMS: u32 = 16u;
 const DIGITS: u32 = 256u;
 
 struct Pass {
-    // First bit of the digit, items, blocks there is room for, and whether the items are counted on the
-    // device instead.
+    // First bit of the digit; number of items; number of blocks that there is room for; 1 if the number of
+    // items is read from `counts` instead.
     shift: u32,
     items: u32,
     blocks: u32,

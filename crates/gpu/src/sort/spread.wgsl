@@ -1,4 +1,4 @@
-// One workgroup per digit: where the digit's items of each block go, among the items of that digit.
+// One workgroup per digit: for each block, the place of its items among all items with this digit.
 @compute @workgroup_size(WG)
 fn main(
     @builtin(workgroup_id) wid: vec3<u32>,

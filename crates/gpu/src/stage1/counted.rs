@@ -1,4 +1,4 @@
-//! How much there was to do in the view that was drawn last, counted in main memory from what the device left.
+//! The amount of work in the last drawn view, counted in main memory from the data on the device.
 
 use use3d_splat::LOG2_255;
 use use3d_training::EngineError;
@@ -12,21 +12,21 @@ use crate::scene::SPLAT;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct ViewWork {
     pub(crate) gaussians: usize,
-    /// Of them, on the screen.
+    /// Number of Gaussians on the screen.
     pub(crate) visible: usize,
-    /// (tile, Gaussian) entries.
+    /// Number of (tile, Gaussian) entries.
     pub(crate) entries: usize,
-    /// Pairs that a pixel looks at before it stops.
+    /// Number of pairs that a pixel tests before it stops.
     pub(crate) tested: u64,
-    /// Of them, those with a part in the pixel.
+    /// Number of these pairs that contribute to the pixel.
     pub(crate) live: u64,
     pub(crate) pixels: usize,
-    /// Passes of the order by tile.
+    /// Number of passes of the order by tile.
     pub(crate) tile_passes: u32,
 }
 
 impl Stage1 {
-    /// Counts the view of the last step, which had so many pixels across and down; waited for.
+    /// Waits and counts the view of the last step, which had this many pixels across and down.
     pub(crate) fn last_view(&self, [width, height]: [usize; 2]) -> Result<ViewWork, EngineError> {
         let (gpu, n, pixels) = (&self.gpu, self.scene.count, width * height);
         let side = TILE as usize;

@@ -1,10 +1,10 @@
 //! Stage 1 on a graphics card: [`Stage1`] is an engine of `use3d_reconstruct`, and `CpuEngine` is its twin.
 //!
-//! A step is one submit and is only asked for: its report waits on the device until somebody drains it, so
-//! that the card never waits for the processor. What goes wrong sets a word that stops every later update;
-//! the steps after it changed nothing. Where a view had more entries than there was room for, the room is
-//! made and the same steps are asked for again: a step is a function of its plan, so the run goes on as if
-//! there had been room from the start.
+//! A step is one submit, and the call returns before it is done. Its report stays on the device until the
+//! reports are drained, so that the card never waits for the processor. An error sets a word that stops
+//! every later update, so the later steps change nothing. If a view had more entries than room, more room
+//! is made and the same steps are requested again. A step is a function of its plan, so the run continues
+//! as if there had been room from the start.
 
 mod counted;
 mod forecast;
@@ -43,15 +43,15 @@ use stored::Unpacked;
 pub(crate) use stored::specs;
 use targets::Targets;
 
-/// Reports there is room for on the device.
+/// Number of reports for which there is room on the device.
 const RING: usize = 256;
-/// Steps under way before their reports are waited for: the device has work for a while, and little
-/// is done twice after an overflow.
+/// Number of steps under way before their reports are waited for: the device has enough work, and little is
+/// done twice after an overflow.
 const UNDER_WAY: usize = 50;
-/// Floats of a report.
+/// Number of floats of a report.
 const REPORT: usize = 16;
 
-/// The kernels of a step that do not belong to losses or water.
+/// The kernels of a step, except those of losses and water.
 #[derive(Debug)]
 struct Kernels {
     lists: ListKernels,
@@ -60,12 +60,12 @@ struct Kernels {
     rebuild: RebuildKernel,
 }
 
-/// A step that was asked for and not reported yet.
+/// A step that was requested and not reported yet.
 #[derive(Debug)]
 struct Asked {
     view: usize,
     plan: StepPlan,
-    /// Its place in the ring of reports.
+    /// Its index in the ring of reports.
     slot: usize,
 }
 
@@ -88,14 +88,14 @@ pub struct Stage1 {
     records: Array<Row>,
     constants: Array<StepConstants>,
     counts: Array<u32>,
-    /// The same for renders, which stop no training.
+    /// The counts of renders, which do not stop the training.
     render_counts: Array<u32>,
     reports: Array<f32>,
     ends: Array<[u32; 4]>,
     asked: VecDeque<Asked>,
     slot: usize,
     done: Vec<StepReport>,
-    /// Shapes that a survey read, as long as they are the scene's.
+    /// The shapes that a survey read, kept as long as they are the scene's.
     surveyed: Option<Gaussians>,
 }
 
@@ -137,7 +137,7 @@ impl Stage1 {
         Err(EngineError::Request { engine: NAME, what })
     }
 
-    /// The water as the compositor reads it.
+    /// The water in the form that the compositor reads.
     fn water_planes(&self) -> Option<WaterPlanes<'_>> {
         self.water.as_ref().map(|water| WaterPlanes {
             color: &water.color,
@@ -146,7 +146,7 @@ impl Stage1 {
         })
     }
 
-    /// Makes room for the entries of a view that needs `most`, and half as many more.
+    /// Makes room for one and a half times the entries of a view that needs `most`.
     fn make_room(&mut self, most: usize) -> Result<(), EngineError> {
         let entries = most + most / 2;
         self.lists.grow(&self.gpu, entries)?;
@@ -154,7 +154,7 @@ impl Stage1 {
         Ok(())
     }
 
-    /// Waits for the steps that were asked for and takes their reports.
+    /// Waits for the requested steps and reads their reports.
     fn settle(&mut self) -> Result<(), EngineError> {
         while !self.asked.is_empty() {
             let ends = self.ends.read(&self.gpu, RING)?;
@@ -162,7 +162,7 @@ impl Stage1 {
             while let Some(asked) = self.asked.front() {
                 let [stop, step, bad, _] = ends[asked.slot];
                 if stop == counts::OVERFLOW && step == asked.plan.step as u32 {
-                    // The steps after it, which did nothing else, tell what their views need.
+                    // The later steps changed nothing, but they counted the entries that their views need.
                     let most = self.counts.read(&self.gpu, counts::WORDS)?[counts::MOST];
                     self.make_room(most as usize)?;
                     self.again()?;
@@ -172,7 +172,7 @@ impl Stage1 {
                 let mut report = step::report(asked, numbers, self.targets.views[asked.view].has_prior());
                 if stop != 0 {
                     report.non_finite = Some(self.not_finite(bad)?);
-                    // What was asked for after it changed nothing.
+                    // The steps requested after it changed nothing.
                     self.asked.clear();
                 } else {
                     self.asked.pop_front();
@@ -183,7 +183,7 @@ impl Stage1 {
         Ok(())
     }
 
-    /// Asks once more for the steps that an overflow left undone.
+    /// Requests again the steps that an overflow left undone.
     fn again(&mut self) -> Result<(), EngineError> {
         self.counts.write(&self.gpu, 0, &[0; counts::WORDS]);
         let asked: Vec<Asked> = self.asked.drain(..).collect();
@@ -198,7 +198,7 @@ impl Stage1 {
         Ok(())
     }
 
-    /// What the bits of a stop name, the first of it, and where.
+    /// Returns the first array that the bits of a stop describe, and the index of its first bad value.
     fn not_finite(&self, bad: u32) -> Result<(&'static str, Option<usize>), EngineError> {
         if bad & (1 << 7) != 0 {
             return Ok(("the loss", None));
@@ -298,7 +298,8 @@ impl Engine for Stage1 {
         self.gpu.check()
     }
 
-    /// On the device, but for the shapes of children, so that these are the same for every engine.
+    /// Everything is done on the device except the shapes of children, so that these are the same for every
+    /// engine.
     fn rebuild(&mut self, rows: &[Origin], draws: &Draws) -> Result<(), EngineError> {
         self.settle()?;
         let n = self.scene.count;
@@ -317,7 +318,7 @@ impl Engine for Stage1 {
             None => self.scene.shapes(&self.gpu)?,
         };
         DeviceScene::refuse_more(&self.gpu, rows.len())?;
-        // The records of a step are no longer needed: their room is lent to rows on their way.
+        // The records of a step are no longer needed: their memory is used to move the rows.
         self.records.let_go(&self.gpu);
         self.scene.rebuild(&self.gpu, &self.kernels.rebuild, &shapes, rows, draws)?;
         self.records.grow(&self.gpu, 3 * self.lists.capacity())?;

@@ -1,4 +1,4 @@
-//! One step, recorded into one pass; and a view drawn with the present state.
+//! Records one step into one pass, and draws a view with the present state.
 
 use use3d_capture::{Camera, Lattice};
 use use3d_reconstruct::engine::{Degrees, StepPlan, StepReport};
@@ -12,14 +12,14 @@ use crate::losses::{LossPlan, Seen, Told, VALUES};
 use crate::raster::Outputs;
 use crate::water::AlongRays;
 
-/// What the device wrote of a step.
+/// Makes the report of a step from the numbers that the device wrote.
 pub(super) fn report(asked: &Asked, numbers: &[f32], has_prior: bool) -> StepReport {
     let Asked { view, plan, .. } = asked;
     let told = |name: &str| VALUES.iter().position(|v| *v == name).map(|at| f64::from(numbers[1 + at]));
     let weighs = |name: &str| {
         use3d_reconstruct::losses::names().zip(&plan.weights).any(|(n, w)| n == name && *w != 0.0)
     };
-    // Both values of the photometric term are told where one of them counts.
+    // Both values of the photometric term are reported if one of them has a weight.
     let photometric = weighs("reg_l1") || weighs("reg_ms_ssim");
     let values = use3d_reconstruct::losses::names()
         .map(|name| match name {
@@ -38,7 +38,7 @@ pub(super) fn report(asked: &Asked, numbers: &[f32], has_prior: bool) -> StepRep
 }
 
 impl Stage1 {
-    /// Makes everything ready for a view, and writes the constants.
+    /// Prepares everything for a view, and writes the constants.
     fn prepare(&mut self, constants: StepConstants, lattice: &Lattice) -> Result<(), EngineError> {
         let gpu = &self.gpu;
         self.lists.prepare(gpu, &constants, lattice)?;
@@ -70,7 +70,7 @@ impl Stage1 {
         ];
         constants.set_rates(plan.step, &plan.rates);
         if let Some(reference) = plan.gather {
-            // As the processor scales them.
+            // Scaled as on the processor.
             let pixels = (width * plan.divisor) as f64 * (height * plan.divisor) as f64;
             let scale = if reference == 0 { 1.0 } else { (pixels / reference as f64).sqrt() as f32 };
             constants.screen = [0.5 * scale * width as f32, 0.5 * scale * height as f32, 0.0, 0.0];
@@ -152,7 +152,7 @@ impl Stage1 {
         self.gpu.check()
     }
 
-    /// Records lists and the forward pass of the view that was prepared.
+    /// Records the lists and the forward pass of the prepared view.
     fn record_view(&self, pass: &mut wgpu::ComputePass<'_>, constants: &StepConstants, train: bool) {
         let counts = if train { &self.counts } else { &self.render_counts };
         let (n, tiles) = (constants.gaussians(), constants.tiles());
@@ -165,7 +165,7 @@ impl Stage1 {
         self.planes.record_forward(raster, pass, &self.constants, tiles, &drawn, water, outputs);
     }
 
-    /// Draws a camera into the planes, with as much room as it takes.
+    /// Draws a camera into the planes, and makes more room for entries if needed.
     pub(super) fn draw(&mut self, camera: &Camera, degrees: Degrees) -> Result<(), EngineError> {
         let lattice = Lattice::full(&camera.intrinsics);
         loop {

@@ -1,7 +1,7 @@
-//! A view at full size as it is stored, 8 or 16 bits to a value, and the floats that a step reads of it.
+//! A view at full size in its stored form, 8 or 16 bits per value, and the floats that a step reads of it.
 //!
-//! A photograph of 8 bits takes a quarter of what its floats would, so four times as many views stay on the
-//! device. A step's first kernel makes the floats of its view; kernels of the loss read these.
+//! A photograph of 8 bits takes a quarter of the memory of its floats, so four times as many views stay on
+//! the device. A step's first kernel makes the floats of its view; kernels of the loss read these.
 
 use bytemuck::{Pod, Zeroable};
 use use3d_capture::Pixels;
@@ -12,12 +12,13 @@ use crate::buffer::Array;
 use crate::device::Gpu;
 use crate::kernel::{Access, Kernel, Spec, U32S, bound, write};
 
-/// Where the parts of a view lie, in words; the photograph is first, and 0 says that there is no such part.
+/// The positions of the parts of a view, in words; the photograph is first, and 0 means that there is no
+/// such part.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 struct Sections {
     pixels: u32,
-    /// Whether the photograph has 16 bits.
+    /// 1 if the photograph has 16 bits.
     deep: u32,
     alpha: u32,
     mask: u32,
@@ -45,12 +46,12 @@ fn unpack() -> Spec {
     }
 }
 
-/// All kernels of this room.
+/// All kernels of this module.
 pub(crate) fn specs() -> Vec<Spec> {
     vec![unpack()]
 }
 
-/// A view on the device as it is stored.
+/// A view on the device in its stored form.
 #[derive(Debug)]
 pub(super) struct StoredView {
     at: Array<Sections>,
@@ -58,7 +59,7 @@ pub(super) struct StoredView {
     words: Array<u32>,
 }
 
-/// Words with a part's bytes; the last one padded. Where the part begins.
+/// Appends a part's bytes as words, the last one padded; returns the position of the part.
 fn append(words: &mut Vec<u32>, bytes: &[u8]) -> u32 {
     let first = words.len() as u32;
     let (whole, rest) = bytes.as_chunks::<4>();
@@ -71,7 +72,7 @@ fn append(words: &mut Vec<u32>, bytes: &[u8]) -> u32 {
     first
 }
 
-/// The same of 16-bit values.
+/// Appends a part's 16-bit values as words; returns the position of the part.
 fn append_shorts(words: &mut Vec<u32>, values: &[u16]) -> u32 {
     let first = words.len() as u32;
     let low_and_high = |pair: &[u16]| u32::from(pair[0]) | pair.get(1).map_or(0, |v| u32::from(*v) << 16);
@@ -80,7 +81,7 @@ fn append_shorts(words: &mut Vec<u32>, values: &[u16]) -> u32 {
 }
 
 impl StoredView {
-    /// Takes a view to the device.
+    /// Copies a view to the device.
     pub(super) fn new(gpu: &Gpu, view: &TrainingView) -> Result<Self, EngineError> {
         let (width, height) = view.pixels().size();
         let mut words = Vec::new();
@@ -105,7 +106,7 @@ impl StoredView {
         Ok(Self { at, sections, words: Array::from(gpu, "a stored view", &words)? })
     }
 
-    /// Bytes on the device.
+    /// Number of bytes on the device.
     pub(super) fn size(&self) -> usize {
         self.words.size()
     }
@@ -121,7 +122,7 @@ pub(super) struct Unpacked {
     prior: Array<f32>,
 }
 
-/// What kernels of the loss read of a view.
+/// The floats of a view that kernels of the loss read.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Floats<'a> {
     pub(super) photograph: &'a Array<f32>,
@@ -152,14 +153,14 @@ impl Unpacked {
         Ok(())
     }
 
-    /// Records the making of a view's floats, after [`Unpacked::grow`].
+    /// Records the computation of a view's floats, after [`Unpacked::grow`].
     pub(super) fn record(&self, pass: &mut wgpu::ComputePass<'_>, view: &StoredView) {
         let grid = self.kernel.grid(view.sections.pixels as usize);
         let Self { photograph, alpha, mask, prior, .. } = self;
         self.kernel.dispatch(pass, grid, bound![view.at, view.words, *photograph, *alpha, *mask, *prior]);
     }
 
-    /// The floats of a view, once they are made.
+    /// The floats of a view, after they are computed.
     pub(super) fn floats(&self, view: &StoredView) -> Floats<'_> {
         let Sections { alpha, mask, prior, .. } = view.sections;
         let part = |section: u32, array| (section != 0).then_some(array);
@@ -171,7 +172,7 @@ impl Unpacked {
         }
     }
 
-    /// Bytes on the device.
+    /// Number of bytes on the device.
     pub(super) fn size(&self) -> usize {
         [&self.photograph, &self.alpha, &self.mask, &self.prior].map(Array::size).iter().sum()
     }
@@ -188,7 +189,8 @@ mod tests {
     use crate::kernel::submit;
     use crate::testing::{camera, software};
 
-    /// Every value that a photograph, a mask, an opacity and a prior can have, with sides that fill no word.
+    /// Every value that a photograph, a mask, an opacity and a prior can have, with sizes that do not fill
+    /// the last word.
     fn view(deep: bool, parts: bool) -> TrainingView {
         let (width, height) = (255, 259);
         let n = width * height;

@@ -1,4 +1,4 @@
-//! Photographs on the device, at the sizes that steps ask for.
+//! Photographs on the device, at the sizes that steps use.
 
 use std::collections::VecDeque;
 
@@ -10,10 +10,10 @@ use super::stored::{Floats, StoredView, Unpacked};
 use crate::buffer::Array;
 use crate::device::Gpu;
 
-/// Bytes of photographs kept on the device; the oldest make room for new ones.
+/// Largest number of bytes of photographs on the device; the oldest are dropped to make room for new ones.
 const KEPT: usize = 3 << 29;
 
-/// A view at a smaller size: means, which are floats.
+/// A view at a smaller size: means, stored as floats.
 #[derive(Debug)]
 pub(super) struct Reduced {
     /// Colour planes.
@@ -23,12 +23,12 @@ pub(super) struct Reduced {
     prior: Option<Array<f32>>,
 }
 
-/// What of a view is on the device.
+/// The form of a view on the device.
 #[derive(Debug)]
 pub(super) enum Values {
-    /// At full size, as it is stored.
+    /// At full size, in the stored form.
     Stored(StoredView),
-    /// At a smaller one.
+    /// At a smaller size.
     Reduced(Reduced),
 }
 
@@ -83,11 +83,11 @@ impl DeviceTarget {
         }
     }
 
-    /// Makes room for what [`DeviceTarget::record`] makes.
+    /// Makes room for the results of [`DeviceTarget::record`].
     pub(super) fn prepare(&self, gpu: &Gpu, unpacked: &mut Unpacked) -> Result<(), EngineError> {
         match &self.values {
             Values::Stored(view) => unpacked.grow(gpu, view),
-            // Water is laid behind a copy.
+            // The water is put behind a copy of the photograph.
             Values::Reduced(Reduced { photograph, alpha: Some(_), .. }) => {
                 unpacked.photograph.grow(gpu, photograph.capacity()).map(|_| ())
             }
@@ -95,7 +95,7 @@ impl DeviceTarget {
         }
     }
 
-    /// Records what has to be copied of it before a step's kernels.
+    /// Records the copies that are needed before a step's kernels.
     pub(super) fn copy(&self, encoder: &mut wgpu::CommandEncoder, unpacked: &Unpacked) {
         if let Values::Reduced(Reduced { photograph, alpha: Some(_), .. }) = &self.values {
             let from = photograph.raw();
@@ -103,15 +103,15 @@ impl DeviceTarget {
         }
     }
 
-    /// Records the making of its floats where it is not stored as such.
+    /// Records the computation of its floats if they are not stored.
     pub(super) fn record(&self, pass: &mut wgpu::ComputePass<'_>, unpacked: &Unpacked) {
         if let Values::Stored(view) = &self.values {
             unpacked.record(pass, view);
         }
     }
 
-    /// What kernels of the loss read of it, after [`DeviceTarget::record`]. A photograph with transparent
-    /// pixels is a copy that the water may be laid behind, in every step anew.
+    /// The floats that kernels of the loss read of it, after [`DeviceTarget::record`]. A photograph with
+    /// transparent pixels is copied in every step, so that the water can be put behind it.
     pub(super) fn floats<'a>(&'a self, unpacked: &'a Unpacked) -> Floats<'a> {
         match &self.values {
             Values::Stored(view) => unpacked.floats(view),
@@ -125,7 +125,7 @@ impl DeviceTarget {
     }
 }
 
-/// Views with what of them is on the device.
+/// The views, and the targets on the device.
 #[derive(Debug, Default)]
 pub(super) struct Targets {
     pub(super) views: Vec<TrainingView>,
@@ -135,7 +135,8 @@ pub(super) struct Targets {
 }
 
 impl Targets {
-    /// Puts a view at a divisor on the device where it is not there yet; its place until the next call.
+    /// Puts a view at a divisor on the device if it is not there yet; returns its index, valid until the
+    /// next call.
     pub(super) fn place(&mut self, gpu: &Gpu, view: usize, divisor: usize) -> Result<usize, EngineError> {
         if let Some(at) = self.kept.iter().position(|(key, _)| *key == (view, divisor)) {
             return Ok(at);
@@ -152,12 +153,12 @@ impl Targets {
         Ok(self.kept.len() - 1)
     }
 
-    /// A view that was placed.
+    /// A target on the device.
     pub(super) fn at(&self, place: usize) -> &DeviceTarget {
         &self.kept[place].1
     }
 
-    /// Bytes on the device.
+    /// Number of bytes on the device.
     pub(super) fn size(&self) -> usize {
         self.bytes
     }

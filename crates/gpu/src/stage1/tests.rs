@@ -1,5 +1,5 @@
-//! The engine beside the processor's: step by step from the same states, on its own over many steps, and
-//! what it does when something fails.
+//! Compares the engine with the processor's: step by step from the same states, alone over many steps, and
+//! after errors.
 
 use std::path::PathBuf;
 
@@ -28,8 +28,8 @@ const RATES: StepRates = StepRates {
 
 const SIZE: [usize; 2] = [56, 44];
 
-/// Three views: with a prior, with a mask, and with transparent pixels. Photographs are smooth, so
-/// that there is something to learn.
+/// Three views: with a prior, with a mask, and with transparent pixels. Photographs are smooth, so that
+/// there is something to learn.
 fn views() -> Vec<TrainingView> {
     let [width, height] = SIZE;
     let stream = Stream::new(3, Purpose::new("views for an engine"), 0);
@@ -157,7 +157,7 @@ fn many_steps_on_its_own_go_where_the_processors_go_and_runs_change_engines() {
     assert_eq!((a.len(), b.len()), (200, 200));
     let (first, last, cpu_last) = (mean(&a[..20]), mean(&a[180..]), mean(&b[180..]));
     assert!(last < 0.9 * first && (last - cpu_last).abs() < 1e-3 * cpu_last, "{first} {last} {cpu_last}");
-    // From the card to the processor and back.
+    // A state moves from the card to the processor and back.
     let (ours_state, cpu_state) = (ours.save().unwrap().into_owned(), cpu.save().unwrap().into_owned());
     cpu.load(ours_state).unwrap();
     ours.load(cpu_state).unwrap();
@@ -219,8 +219,8 @@ fn what_a_survey_read_counts_for_nothing_once_the_scene_is_another() {
     assert!(rebuilt([true, false]) == expected && rebuilt([false, true]) == expected);
 }
 
-/// More entries than there is room for at first: the steps are done again with more,
-/// and nothing else is different.
+/// More entries than there is room for at first: the steps are repeated with more room, and nothing else
+/// differs.
 #[test]
 fn steps_that_found_no_room_are_done_again() {
     let Some(gpu) = software() else { return };
@@ -242,7 +242,7 @@ fn steps_that_found_no_room_are_done_again() {
     assert_eq!(ours.save().unwrap().exposures.steps, cpu.save().unwrap().exposures.steps);
 }
 
-/// Everything a step can have is on: a mask, a prior or transparent pixels, gains, water, statistics.
+/// All features of a step are on: a mask, a prior or transparent pixels, gains, water, statistics.
 #[test]
 fn a_step_is_one_submit_of_at_most_sixty_dispatches() {
     let Some(gpu) = software() else { return };
@@ -257,7 +257,7 @@ fn a_step_is_one_submit_of_at_most_sixty_dispatches() {
         let mut times = std::collections::BTreeMap::new();
         gpu.read_times(&mut times).unwrap();
         let dispatches: u64 = times.values().map(|time| time.dispatches).sum();
-        // Views of more than 255 tiles are sorted by one more digit, three dispatches.
+        // Views of more than 255 tiles are sorted by one more digit, which needs three dispatches.
         assert!((30..=60 - 3).contains(&dispatches), "{dispatches}: {times:?}");
     }
 }
@@ -277,8 +277,8 @@ fn what_is_not_finite_is_named_and_stops_the_steps_after_it() {
     assert_eq!(reports[0].non_finite, Some(("quaternions", Some(4 * 31 + 2))));
 }
 
-/// Too many Gaussians, and too many entries of a view: what is too long, how long
-/// it would be, and what there is.
+/// Too many Gaussians, and too many entries of a view: the error contains the array that is too long, its
+/// length, and the limit.
 #[test]
 fn what_no_binding_holds_is_refused_with_its_size() {
     let Some(gpu) = software() else { return };
@@ -291,7 +291,7 @@ fn what_no_binding_holds_is_refused_with_its_size() {
     );
     let tight = gpu.binding(900_000);
     let mut ours = with_views(Stage1::new(&tight).unwrap());
-    // What was there before is still there.
+    // The former state is still there.
     ours.load(state(18_750, 0.5)).unwrap();
     let rows: Vec<_> = (0..18_750).chain([3]).map(Origin::Kept).collect();
     let refused = ours.rebuild(&rows, &Draws { seed: 1, step: 2, shrink: 1.6 }).unwrap_err().to_string();
@@ -303,8 +303,8 @@ fn what_no_binding_holds_is_refused_with_its_size() {
     assert!(refused.contains("records would take") && refused.contains("at most 900000"), "{refused}");
 }
 
-/// More Gaussians than one binding holds the colours of: steps, refinement, opacity ceiling and a picture, to
-/// the bit what they are where it holds them all.
+/// More Gaussians than one binding can hold the colours of: steps, refinement, opacity ceiling and a
+/// picture are the same to the bit as if one binding held them all.
 #[test]
 fn gaussians_in_several_chunks_are_trained_as_in_one() {
     let Some(gpu) = software() else { return };
@@ -325,7 +325,7 @@ fn gaussians_in_several_chunks_are_trained_as_in_one() {
         ours.render(&camera(33, 70), Degrees { colors: 2, water: 1 }, &mut image).unwrap();
         (reports, ours.save().unwrap().into_owned(), image)
     };
-    // 4,687 Gaussians to a chunk.
+    // 4,687 Gaussians per chunk.
     let (one, several) = (run(&gpu, 1), run(&gpu.clone().binding(900_000), 3));
     assert!(one == several);
 }
@@ -343,7 +343,8 @@ fn a_lost_device_is_told_by_the_next_step() {
     assert!(matches!(error, EngineError::DeviceLost { .. }), "{error}");
 }
 
-/// The bits of a few steps, for [`bits_do_not_depend_on_threads_or_widths`] to read from another process.
+/// Prints a digest of a few steps, which [`bits_do_not_depend_on_threads_or_widths`] reads from another
+/// process.
 #[test]
 fn digest_of_a_few_steps() {
     let Some(gpu) = software() else { return };
@@ -354,7 +355,7 @@ fn digest_of_a_few_steps() {
             ours.step((step % 3) as usize, &plan(step)).unwrap();
         }
         let reports = format!("{:?}", ours.drain(Drain::All).unwrap());
-        // Every digit of every number.
+        // Every digit of every number is included.
         let state = format!("{:?}", ours.save().unwrap());
         let mut sum = 0xcbf2_9ce4_8422_2325u64;
         for byte in reports.bytes().chain(state.bytes()) {
@@ -374,7 +375,7 @@ fn bits_do_not_depend_on_threads_or_widths() {
     }
 }
 
-/// Bytes on the device beside the views, and what was forecast.
+/// Bytes on the device besides the views, and the estimate.
 fn memory(scene: &Packed) -> [u64; 2] {
     let Some(gpu) = software() else { return [1, 1] };
     let mut ours = Stage1::new(&gpu).unwrap();
@@ -402,9 +403,10 @@ fn memory_is_what_was_forecast() {
     assert_forecast(&Packed { width: 64, height: 48, gaussians: 9000, views: 1, seed: 2 });
 }
 
-/// A photograph of eight megapixels. What [`memory_is_what_was_forecast`] always checks at small sizes is
-/// checked here at the largest that cameras commonly have, which keeps two cores busy for three minutes:
-/// `cargo test -p use3d-gpu eight_megapixels -- --ignored` after a change of what is kept on a device.
+/// A photograph of eight megapixels. [`memory_is_what_was_forecast`] always runs the same check at small
+/// sizes; this one uses the largest size that cameras commonly have and keeps two cores busy for three
+/// minutes. Run `cargo test -p use3d-gpu eight_megapixels -- --ignored` after a change of the data on a
+/// device.
 #[test]
 #[ignore = "three minutes on a software adapter; the same check at small sizes always runs"]
 fn eight_megapixels_take_what_was_forecast() {

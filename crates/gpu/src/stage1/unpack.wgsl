@@ -1,7 +1,7 @@
-// One thread per pixel: a view as it is stored, 8 or 16 bits to a value, becomes the floats that the
-// processor makes of it, to the bit. Values of the photograph, opacity and mask are products with one
-// rounding. The prior is a quotient, which a card need not round as a processor does: v / 65535 has the
-// binary digits of v for ever, so its float is put together from them.
+// One thread per pixel: turns a stored view, 8 or 16 bits per value, into floats with the same bits as on the
+// processor. Values of the photograph, opacity and mask are products with one rounding. The prior is a
+// quotient, and a GPU may round quotients in another way. The binary digits of v / 65535 are those of v,
+// repeated without end, so the float is built from them.
 const BYTE: f32 = 0.003921568859368563f;
 const SHORT: f32 = 1.5259021893143654e-05f;
 
@@ -15,7 +15,7 @@ fn over_65535(v: u32) -> f32 {
     if (v == 0u) { return 0.0f; }
     let empty = countLeadingZeros(v) - 16u;
     let digits = (v << 16u | v) << empty;
-    // What follows is never half of the last digit.
+    // The digits that follow are never exactly half of the last digit, so there is no tie.
     var rounded = digits >> 8u;
     if ((digits & 0xffu) >= 0x80u) { rounded += 1u; }
     return f32(rounded) * bitcast<f32>((103u - empty) << 23u);

@@ -1,4 +1,4 @@
-// (I + A) c + b of the scene's affine.
+// Applies the scene's affine map to a colour: (I + A) c + b.
 fn graded_of(c: vec3<f32>) -> vec3<f32> {
     var graded = vec3<f32>();
     for (var o = 0u; o < 3u; o++) {

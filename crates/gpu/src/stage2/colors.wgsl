@@ -1,7 +1,7 @@
-// One workgroup per tile, one thread per Gaussian: the derivative of the loss by its colour, summed over the
-// tile's pixels. Each thread walks over the pixels one step behind its neighbour, from the nearest Gaussian
-// to the farthest, so that a pixel's transmittance is what the forward pass had. No sum leaves its thread:
-// the bits do not depend on how many threads run in step.
+// One workgroup per tile, one thread per Gaussian: the gradient of the loss with respect to the Gaussian's
+// colour, summed over the tile's pixels. Each thread walks over the pixels, one step behind the thread before
+// it. A pixel meets its Gaussians from the nearest to the farthest, so its transmittance is that of the
+// forward pass. No sum leaves its thread, so the bits do not depend on how many threads run in step.
 var<workgroup> pull: array<vec4<f32>, 256>;
 var<workgroup> fog: array<vec4<f32>, 256>;
 var<workgroup> left: array<f32, 256>;
@@ -47,7 +47,7 @@ fn main(
     workgroupBarrier();
     if (lid == 0u) { last_entry = min(count, atomicLoad(&last)); }
     let end = workgroupUniformLoad(&last_entry);
-    // What lies behind the last pixel's stop has no part.
+    // Entries behind the last stop of all pixels have no effect, so their records are zero.
     for (var k = end + lid; k < count; k += WG) { records[lists[first + k]] = vec4<f32>(); }
     for (var base = 0u; base < end; base += WG) {
         let k = base + lid;

@@ -1,7 +1,7 @@
-// The decoder: hidden units over a code of RANK entries, six outputs.
+// The decoder: hidden units over a code of RANK entries, and six outputs.
 fn logistic(x: f32) -> f32 { return 1.0f / (1.0f + exp(-clamp(x, -80.0f, 80.0f))); }
 
-// What goes into a hidden unit.
+// Value of a hidden unit before its activation function.
 fn activation(unit: u32, z: ptr<function, array<f32, RANK>>) -> f32 {
     var pre = state[field.hidden_bias + unit];
     let at = field.hidden_weight + unit * RANK;
@@ -9,7 +9,7 @@ fn activation(unit: u32, z: ptr<function, array<f32, RANK>>) -> f32 {
     return pre;
 }
 
-// A hidden unit's weights in the three log-gains, and in the three biases.
+// Weights of a hidden unit in the three log-gains, and in the three biases.
 fn gain_weights(unit: u32) -> vec3<f32> {
     let at = field.output_weight + unit;
     return vec3<f32>(state[at], state[at + field.width], state[at + 2u * field.width]);

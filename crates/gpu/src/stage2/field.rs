@@ -1,16 +1,17 @@
-//! The field on the device: parameters with Adam's moments, a view's colours and
-//! water under them, and the way back.
+//! The field on the device: parameters with Adam's moments, a view's colours and water under them, and the
+//! backward pass.
 //!
 //! ```text
-//! lookup ─▶ grade ─▶ recolor, water ─▶ (the view is drawn, compared, and the image's derivative given) ─▶ colours, recolor backward,
-//!      water backward ─▶ totals ─▶ table ─▶ lookup backward ─▶ units, nodes ─▶ totals ─▶ gradient ─▶ Adam
+//! lookup ─▶ grade ─▶ recolor, water ─▶ (the view is drawn and compared: the image's gradient)
+//!   ─▶ colours, recolor backward, water backward ─▶ totals ─▶ table ─▶ lookup backward
+//!   ─▶ units, nodes ─▶ totals ─▶ gradient ─▶ Adam
 //! ```
 //!
-//! A lookup is a row of `sites`: a listed Gaussian, or one of the sixteen rows of the water's table,
-//! which are looked up at the camera with fixed guides; so water and objects share the field's
-//! kernels. The derivatives by the decoder's weights are summed by one thread per hidden unit over a
-//! block of lookups, those by the factors by one thread per node; blocks are at most 256, and follow
-//! from the number of lookups alone.
+//! A lookup is a row of `sites`: a listed Gaussian, or one of the sixteen rows of the water's table, which
+//! are looked up at the camera with fixed guides. So water and objects share the field's kernels. One
+//! thread per hidden unit sums the gradients of the decoder's weights over a block of lookups, and one
+//! thread per node those of the factors. There are at most 256 blocks, and their number follows from the
+//! number of lookups alone.
 
 use bytemuck::{Pod, Zeroable};
 use use3d_enhance::engine::{FieldPlan, FieldState};
@@ -28,7 +29,7 @@ use crate::kernel::{Grid, bound};
 use crate::raster::{Planes, WaterPlanes};
 use crate::scene::Row;
 
-/// Most blocks that the sums over lookups are cut into.
+/// Largest number of blocks of the sums over lookups.
 const BLOCKS: usize = 256;
 
 /// The struct of `field.wgsl`.
@@ -59,7 +60,7 @@ struct Constants {
 }
 
 impl Constants {
-    /// Of a view, for a step or without one.
+    /// The constants of a view, for a step or without one.
     fn new(shape: Shape, view: &FrozenView, plan: Option<&FieldPlan>) -> Self {
         let rows = if view.water.is_some() { water::ROWS } else { 0 };
         let lookups = view.listed + rows;
@@ -102,18 +103,18 @@ pub(super) struct DeviceField {
     shape: Shape,
     kernels: FieldKernels,
     constants: Array<Constants>,
-    /// Of the view that was prepared.
+    /// The constants of the prepared view.
     now: Constants,
     /// Parameters, first and second moments.
     pub(super) state: Array<f32>,
     pub(super) gradient: Array<f32>,
-    /// What the terms of the loss that read the field itself add to it.
+    /// Gradient of the loss's terms that read the field itself.
     pub(super) of_field: Array<f32>,
     pub(super) status: Array<u32>,
     pub(super) raw: Array<f32>,
     pub(super) grade: Array<f32>,
     slopes: Array<f32>,
-    /// The codes of lookups, and the derivatives by them.
+    /// The codes of lookups, and the gradients with respect to them.
     codes: Array<f32>,
     by_codes: Array<f32>,
     records: Array<Row>,
@@ -159,7 +160,7 @@ impl DeviceField {
         })
     }
 
-    /// Takes parameters and moments, whose number was checked.
+    /// Writes parameters and moments, whose number was checked.
     pub(super) fn write(&self, gpu: &Gpu, state: &FieldState) {
         let n = self.shape.parameters();
         for (k, values) in [&state.parameters, &state.first, &state.second].into_iter().enumerate() {
@@ -168,7 +169,7 @@ impl DeviceField {
         self.status.write(gpu, 0, &[NONE; 2]);
     }
 
-    /// Parameters and moments, waited for.
+    /// Waits and reads parameters and moments.
     pub(super) fn read(&self, gpu: &Gpu) -> Result<FieldState, EngineError> {
         let n = self.shape.parameters();
         let values = self.state.read(gpu, 3 * n)?;
@@ -180,7 +181,7 @@ impl DeviceField {
         })
     }
 
-    /// Makes ready for a view; for a step with its plan.
+    /// Prepares a view; with a plan, for a step.
     pub(super) fn prepare(
         &mut self,
         gpu: &Gpu,
@@ -213,7 +214,7 @@ impl DeviceField {
         Ok(())
     }
 
-    /// The enhanced water of the view that was prepared, as the compositor reads it.
+    /// The enhanced water of the prepared view, in the form that the compositor reads.
     pub(super) fn water(&self, view: &FrozenView) -> Option<WaterPlanes<'_>> {
         let Self { color, attenuation, backscatter, .. } = self;
         view.water.is_some().then_some(WaterPlanes { color, attenuation, backscatter })
@@ -263,8 +264,8 @@ impl DeviceField {
         }
     }
 
-    /// Records the gradient, from the image's derivative and what the forward
-    /// pass of the view left in `planes`.
+    /// Records the gradient, computed from the image's gradient and the values that the forward pass of the
+    /// view left in `planes`.
     pub(super) fn record_backward(
         &self,
         pass: &mut wgpu::ComputePass<'_>,
@@ -279,7 +280,7 @@ impl DeviceField {
         self.record_from_records(pass, view, planes, image_pull);
     }
 
-    /// The same from the colours' records on.
+    /// Records the gradient starting from the colours' records.
     fn record_from_records(
         &self,
         pass: &mut wgpu::ComputePass<'_>,
@@ -373,7 +374,7 @@ impl DeviceField {
         );
     }
 
-    /// Fills what a step writes with what is no number.
+    /// Fills everything that a step writes with NaN.
     #[cfg(test)]
     pub(super) fn poison(&self, gpu: &Gpu) {
         for array in [

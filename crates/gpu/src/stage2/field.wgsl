@@ -1,17 +1,17 @@
-// The field: its sizes, the places of its groups in the flat vector of parameters, and functions that several
-// kernels use.
+// The field: its sizes, the places of its parameter groups in the flat vector of parameters, and functions
+// that several kernels use.
 struct Field {
-    // Nodes per axis, hidden units, Gaussians listed, how many of them define the mean.
+    // Nodes per axis, hidden units, listed Gaussians, and listed Gaussians that define the mean.
     resolution: u32,
     width: u32,
     listed: u32,
     centred: u32,
-    // Lookups (the listed Gaussians, then the rows of the water's table), pixels, lookups of a block, blocks.
+    // Lookups (the listed Gaussians, then the rows of the water's table), pixels, lookups per block, blocks.
     lookups: u32,
     pixels: u32,
     per_block: u32,
     blocks: u32,
-    // Where the groups begin that come after the factors.
+    // First index of each parameter group that comes after the factors.
     hidden_weight: u32,
     hidden_bias: u32,
     output_weight: u32,
@@ -20,34 +20,36 @@ struct Field {
     affine: u32,
     transport: u32,
     parameters: u32,
-    // Workgroups: hidden units of a block, nodes of a block, lookups, pixels.
+    // Number of workgroups for the hidden units of a block, the nodes of a block, the lookups, and the
+    // pixels.
     unit_groups: u32,
     node_groups: u32,
     lookup_groups: u32,
     water_groups: u32,
-    // Adam: step of the field, step of the ratios, 1 / sqrt(1 - beta2^t), 0.
+    // Adam: step size of the field, step size of the ratios, 1 / sqrt(1 - beta2^t), 0.
     adam: vec4<f32>,
 }
 
 const OUTPUTS: u32 = 6u;
-// Rows of the water's guide table.
+// Number of rows in the water's guide table.
 const TABLE: u32 = 16u;
 // The largest log-ratio of the transport coefficients, ln 4.
 const LOG_RATIO: f32 = 1.3862944f;
-// Where `grade` has the mean, the table, and the two ratios.
+// Layout of `grade`: the mean at 0, the table at GRADE_TABLE, the two ratios at GRADE_RATIOS.
 const GRADE_TABLE: u32 = 8u;
 const GRADE_RATIOS: u32 = 104u;
-// Where `totals` has the derivatives of the listed colours, of the water, of the guide.
+// Layout of `totals`: the gradients of the listed colours at 0, of the water at OF_WATER, of the guide at
+// OF_GUIDE.
 const OF_WATER: u32 = 18u;
 const OF_GUIDE: u32 = 132u;
-// Of the water's: the affine, the guide, the ratios; the table comes first.
+// Layout of the water's sums: the table at 0, then the affine, the guide and the ratios; WATER_SUMS in all.
 const WATER_AFFINE: u32 = 96u;
 const WATER_GUIDE: u32 = 108u;
 const WATER_RATIOS: u32 = 112u;
 const WATER_SUMS: u32 = 114u;
 
-// The hyperbolic tangent to its last digits: a polynomial (Cephes) where a quotient of exponentials would
-// cancel. Nothing overflows.
+// The hyperbolic tangent, accurate to its last digits. Near 0 it is a polynomial (Cephes), because a quotient
+// of exponentials loses digits there by cancellation. Nothing overflows.
 fn squash(x: f32) -> f32 {
     if (abs(x) < 0.625f) {
         let y = x * x;
@@ -66,7 +68,7 @@ struct Place {
     t: f32,
 }
 
-// The lower node and the fraction towards the next of a coordinate in [-1, 1].
+// The lower node of a coordinate in [-1, 1], and the fraction of the way to the next node.
 fn locate(u: f32, nodes: u32) -> Place {
     let at = (u + 1.0f) * (0.5f * f32(nodes - 1u));
     let node = min(u32(max(at, 0.0f)), nodes - 2u);

@@ -1,9 +1,9 @@
-//! What is constant of a view on the device: splats, lists without what no pixel sees, stage-1 colours, where
-//! the field is looked up, the frozen water.
+//! The constants of a view on the device: splats, lists without entries that no pixel sees, stage-1
+//! colours, the field's lookups, the frozen water.
 //!
 //! The kernels of stage 1 project and list the scene for the view's lattice and draw it once. On a sparse
-//! lattice most small Gaussians fall between the pixels, so what some pixel sees is found out, and what
-//! remains is numbered anew, in main memory: once per view, not per step.
+//! lattice most small Gaussians fall between the pixels. So the entries that some pixel sees are found, and
+//! renumbered in main memory: once per view, not per step.
 
 use use3d_capture::{Camera, Lattice, MediumMaps};
 use use3d_enhance::Guidance;
@@ -20,7 +20,7 @@ use crate::lists::{Drawn, ListKernels, Lists};
 use crate::raster::{Outputs, Planes, RasterKernels, WaterPlanes};
 use crate::scene::{Parameters, Row};
 
-/// The frozen water of a view, planes: what the field recolours.
+/// The frozen water of a view as planes, which the field recolours.
 #[derive(Debug)]
 pub(super) struct FrozenWater {
     /// `c_m` and its signed logs.
@@ -58,7 +58,7 @@ impl FrozenWater {
         })
     }
 
-    /// As the compositor reads it.
+    /// The water in the form that the compositor reads.
     fn planes(&self) -> WaterPlanes<'_> {
         let Self { color, attenuation, backscatter, .. } = self;
         WaterPlanes { color, attenuation, backscatter }
@@ -75,40 +75,40 @@ pub(super) struct FrozenView {
     pub(super) constants: Array<StepConstants>,
     pub(super) size: (usize, usize),
     pub(super) tiles: usize,
-    /// Gaussians listed: those that define the mean, then what else the view sees.
+    /// Number of listed Gaussians: those that define the mean, then the others that the view sees.
     pub(super) listed: usize,
-    /// Of these, how many define the mean.
+    /// Number of these that define the mean.
     pub(super) centred: usize,
-    /// (tile, Gaussian) entries.
+    /// Number of (tile, Gaussian) entries.
     pub(super) entries: usize,
     axes: Array<f32>,
     starts: Array<u32>,
     lists: Array<u32>,
     owners: Array<u32>,
-    /// Their colours change with every step.
+    /// The splats, whose colours change with every step.
     pub(super) splats: Array<Row>,
-    /// First entry and number of entries of each.
+    /// The first entry and the number of entries of each Gaussian.
     pub(super) runs: Array<[u32; 2]>,
     /// Stage-1 colours.
     pub(super) base: Array<Row>,
-    /// Where they look the field up; with water the rows of its table come after them.
+    /// The field's lookups of the listed Gaussians; with water, followed by the rows of its table.
     pub(super) sites: Array<[u32; 4]>,
     pub(super) water: Option<FrozenWater>,
 }
 
 impl FrozenView {
-    /// As the compositor reads it.
+    /// The lists in the form that the compositor reads.
     pub(super) fn drawn(&self) -> Drawn<'_> {
         let Self { axes, starts, lists, owners, splats, .. } = self;
         Drawn { axes, starts, lists, owners, splats }
     }
 
-    /// Pixels of its lattice.
+    /// Number of pixels of its lattice.
     pub(super) fn pixels(&self) -> usize {
         self.size.0 * self.size.1
     }
 
-    /// Bytes on the device.
+    /// Number of bytes on the device.
     pub(super) fn bytes(&self) -> usize {
         let lists = self.starts.size() + self.lists.size() + self.owners.size() + self.runs.size();
         let rows = self.splats.size() + self.base.size() + self.sites.size();
@@ -116,18 +116,18 @@ impl FrozenView {
     }
 }
 
-/// Lists of a view as the device made them.
+/// The lists of a view as the device made them.
 struct Found<'a> {
     /// The Gaussian of each entry.
     owners: &'a [u32],
-    /// Entries by tile, by depth within, and whether a pixel sees them.
+    /// Entries by tile and by depth within a tile, and 1 for each entry that a pixel sees.
     lists: &'a [u32],
     seen: &'a [u32],
-    /// Where a tile's list begins; one more than there are tiles.
+    /// The start of each tile's list; one more than there are tiles.
     starts: &'a [u32],
 }
 
-/// The same without what no pixel sees, numbered anew: Gaussians by their place among those listed,
+/// The lists without entries that no pixel sees, renumbered: Gaussians by their position in the list,
 /// entries one Gaussian after another.
 #[derive(Debug, PartialEq)]
 struct Trimmed {
@@ -139,7 +139,8 @@ struct Trimmed {
 }
 
 impl Found<'_> {
-    /// `centred` are the Gaussians that define the mean; `None`: all of `gaussians`.
+    /// Removes the unseen entries. `centred` are the Gaussians that define the mean; `None` for all of
+    /// `gaussians`.
     fn trimmed(&self, gaussians: usize, centred: Option<&[u32]>) -> Trimmed {
         let every = |from: u32, to: u32| (from as usize..to as usize).filter(|&at| self.seen[at] != 0);
         let owner = |at: usize| self.owners[self.lists[at] as usize];
@@ -184,12 +185,12 @@ impl Found<'_> {
     }
 }
 
-/// The scene on the device, and what makes views of it.
+/// The scene on the device, and the kernels that make views of it.
 #[derive(Debug)]
 pub(super) struct Freezer<'a> {
     scene: &'a Scene,
     parameters: Parameters,
-    /// Where its Gaussians look the field up.
+    /// The sites at which its Gaussians look the field up.
     sites: std::sync::Arc<Sites>,
     centred: Option<Vec<u32>>,
     kernels: ListKernels,
@@ -219,8 +220,8 @@ impl<'a> Freezer<'a> {
         })
     }
 
-    /// Makes a view's constants; `planes` hold its stage-1 render afterwards, in the water that `guidance`
-    /// compares in. `field` says where the water's table is looked up.
+    /// Makes a view's constants; afterwards `planes` hold its stage-1 render, in the water in which
+    /// `guidance` compares. `field` defines the position at which the water's table is looked up.
     pub(super) fn freeze(
         &mut self,
         gpu: &Gpu,
@@ -293,7 +294,8 @@ impl<'a> Freezer<'a> {
         Ok(view)
     }
 
-    /// Draws the scene as stage 1 left it, with as much room as it takes, and finds what is seen of it.
+    /// Draws the scene of stage 1, with more room for entries if needed, and finds the entries that are
+    /// seen.
     fn draw(
         &mut self,
         gpu: &Gpu,
@@ -338,12 +340,12 @@ impl<'a> Freezer<'a> {
     }
 }
 
-/// A lookup's first row: bits of its fractions, and its nodes.
+/// The first row of a lookup: the bits of its fractions, and its nodes.
 fn position(nodes: [u8; 3], fractions: [f32; 3]) -> [u32; 4] {
     with(fractions, u32::from_le_bytes([nodes[0], nodes[1], nodes[2], 0]))
 }
 
-/// Bits of three numbers, and a word.
+/// A row of the bits of three numbers, and a word.
 fn with(values: [f32; 3], word: u32) -> [u32; 4] {
     let [x, y, z] = values.map(f32::to_bits);
     [x, y, z, word]
@@ -355,8 +357,8 @@ mod tests {
 
     #[test]
     fn what_is_seen_is_numbered_anew_one_gaussian_after_another() {
-        // Two tiles; Gaussian 4 is in both, Gaussian 1 in the first where no pixel
-        // sees it, Gaussian 2 in the second.
+        // Two tiles: Gaussian 4 is in both, Gaussian 1 in the first where no pixel sees it, Gaussian 2 in
+        // the second.
         let found = Found {
             owners: &[4, 4, 1, 2, 2],
             lists: &[2, 0, 4, 1, 3],

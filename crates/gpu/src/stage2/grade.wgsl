@@ -1,5 +1,5 @@
-// One workgroup: the mean that is removed from every Gaussian's outputs, the water's guide table, the two
-// transport ratios.
+// One workgroup: computes the mean that is subtracted from every Gaussian's outputs, the water's guide table,
+// and the two transport ratios.
 @compute @workgroup_size(WG)
 fn main(@builtin(local_invocation_index) lid: u32) {
     let groups = (field.centred + 63u) / 64u;

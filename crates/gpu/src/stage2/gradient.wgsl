@@ -1,5 +1,5 @@
-// One thread per parameter: its derivative, put together from what the other kernels summed and from the
-// terms of the loss that read the field itself. The first that is not finite is noted.
+// One thread per parameter: its gradient, which adds the sums of the other kernels to the loss terms that
+// read the field itself. The first index of a gradient that is not finite is stored.
 
 @compute @workgroup_size(WG)
 fn main(
@@ -23,7 +23,7 @@ fn main(
         let t = squash(state[at]);
         g += totals[OF_WATER + WATER_RATIOS + k] * grade[GRADE_RATIOS + k] * LOG_RATIO * (1.0f - t * t);
     }
-    // The output bias has no effect: nothing is summed for it.
+    // The output bias has no effect on the loss, so the other kernels sum nothing for it.
     gradient[at] = g;
     if (is_bad(g)) { atomicMin(&status[BAD_GRADIENT], at); }
 }

@@ -1,4 +1,4 @@
-//! The kernels of stage 2: what each sees, and its text.
+//! The kernels of stage 2: their bindings and their text.
 
 use use3d_training::EngineError;
 
@@ -7,23 +7,23 @@ use crate::device::Gpu;
 use crate::kernel::{Access, Binding, Constant, Kernel, ROWS, SUM, Spec, U32S, read, write};
 use crate::raster;
 
-/// Lookups of a workgroup, and of a tile of the kernels that add up parameters.
+/// Number of lookups in a workgroup, and in a tile of the kernels that sum the gradients of parameters.
 pub(super) const LOOKUPS: usize = 64;
-/// Pixels of a workgroup of the water's derivatives.
+/// Number of pixels in a workgroup of the water's gradients.
 pub(super) const WATER_SPAN: usize = 256;
-/// Sums of the colours' derivatives: six outputs, twelve numbers of the affine.
+/// Number of sums of the colours' gradients: six outputs, twelve numbers of the affine.
 pub(super) const COLOR_SUMS: usize = 18;
-/// Sums of the water's: the table, the affine, the guide, the ratios.
+/// Number of sums of the water's gradients: the table, the affine, the guide, the ratios.
 pub(super) const WATER_SUMS: usize = 114;
-/// Sums of the guide's.
+/// Number of sums of the guide's gradients.
 pub(super) const GUIDE_SUMS: usize = 4;
-/// Floats of the mean, the table and the ratios together.
+/// Number of floats of the mean, the table and the ratios together.
 pub(super) const GRADE: usize = 108;
-/// What a word of the status says while nothing is wrong.
+/// The value of a status word without an error.
 pub(super) const NONE: u32 = u32::MAX;
-/// The first derivative, and the first parameter, that is not finite.
+/// Index of the status word for the first gradient that is not finite.
 pub(super) const BAD_GRADIENT: usize = 0;
-/// See [`BAD_GRADIENT`].
+/// Index of the status word for the first parameter that is not finite.
 pub(super) const BAD_PARAMETER: usize = 1;
 
 const FIELD: &str = include_str!("field.wgsl");
@@ -39,7 +39,7 @@ const SITE_ROWS: Binding = (Access::Read, "sites", "array<vec4<u32>>");
 const STATUS: Binding = (Access::Write, "status", "array<atomic<u32>>");
 const BASE: Binding = (Access::Read, "base", ROWS);
 
-/// Which sums a total is of.
+/// The kind of sums that are added up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Of {
     Parameters,
@@ -51,7 +51,7 @@ pub(super) enum Of {
 impl Of {
     const ALL: [Self; 4] = [Self::Parameters, Self::Colors, Self::Water, Self::Guide];
 
-    /// Where its totals begin among all; parameters have an array of their own.
+    /// Position of its totals in the array of totals; parameters have an array of their own.
     fn first(self) -> usize {
         match self {
             Self::Parameters | Self::Colors => 0,
@@ -61,7 +61,7 @@ impl Of {
     }
 }
 
-/// A field of one rank; the other sizes are no constants.
+/// A field of one rank; the other sizes are not constants of the text.
 struct Variant(usize);
 
 impl Variant {
@@ -223,7 +223,7 @@ fn seen() -> Spec {
     }
 }
 
-/// The derivative by the colours of a tile's Gaussians: a record per entry.
+/// The kernel for the gradient of the colours of a tile's Gaussians: one record per entry.
 pub(crate) fn colors(water: bool) -> Spec {
     let more = [
         read("k_attenuation"),
@@ -240,7 +240,7 @@ pub(crate) fn colors(water: bool) -> Spec {
     }
 }
 
-/// All kernels of this room, for fields of the smallest, the method's and the largest rank.
+/// All kernels of this module, for fields of the smallest, the method's and the largest rank.
 pub(crate) fn specs() -> Vec<Spec> {
     let of_rank = |rank| {
         let v = Variant(rank);
@@ -281,7 +281,7 @@ pub(super) struct FieldKernels {
     pub(super) lookup_back: Kernel,
     pub(super) units: Kernel,
     pub(super) nodes: Kernel,
-    /// Without water, and with.
+    /// The variant without water, and the one with it.
     pub(super) gradient: [Kernel; 2],
     pub(super) learn: Kernel,
     pub(super) colors: [Kernel; 2],

@@ -1,5 +1,5 @@
-// Adam on the field: values, first and second moments are three runs of the state. A gradient that is not
-// finite changes nothing.
+// Adam on the field. The state has three runs: values, first moments and second moments. A gradient that is
+// not finite changes nothing.
 const BETA1: f32 = 0.9f;
 const BETA2: f32 = 0.999f;
 const EPSILON: f32 = 1e-15f;

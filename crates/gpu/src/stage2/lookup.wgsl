@@ -1,5 +1,5 @@
-// One thread per lookup: the field's raw outputs there; and per workgroup their sum over those that define
-// the mean.
+// One thread per lookup: the raw outputs of the field there. Per workgroup: the sum of these over the lookups
+// that define the mean.
 @compute @workgroup_size(WG)
 fn main(
     @builtin(workgroup_id) wid: vec3<u32>,

@@ -1,6 +1,6 @@
-// One thread per lookup: from the derivatives by its outputs, with the mean's taken off where it defines the
-// mean, to those by its code and by the guide. The code and its derivatives are kept for the kernels that add
-// up the parameters'.
+// One thread per lookup: from the gradients with respect to its outputs it computes those with respect to its
+// code and the guide. A lookup that defines the mean first subtracts the mean's gradient. The code and its
+// gradient are stored for the kernels that add up the gradients of the parameters.
 @compute @workgroup_size(WG)
 fn main(
     @builtin(workgroup_id) wid: vec3<u32>,

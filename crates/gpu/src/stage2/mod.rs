@@ -1,11 +1,11 @@
 //! Stage 2 on a graphics card: [`Stage2`] is an engine of `use3d_enhance`, and `CpuFieldEngine` is its twin.
 //!
-//! Geometry is frozen, so a view's splats and lists are made once and kept on the device while `cache_mib`
-//! lasts; a step looks the field up, draws the view on its sparse lattice, and takes the gradient back to the
-//! field and through Adam, all on the device. In between the lattice's pixels, some ten thousand numbers, go
-//! through main memory: the extractor solves its systems in f64, which cards do not have, and is the
-//! processor's own function ([`Measure`]). So a step waits for the device once. What the device did in a
-//! step's second half is found out with the next one's first, or by whoever drains, saves or evaluates.
+//! Geometry is frozen, so a view's splats and lists are made once and kept on the device up to the limit
+//! `cache_mib`. A step looks the field up, draws the view on its sparse lattice, and computes the gradient
+//! of the field and Adam, all on the device. Between the two halves the lattice's pixels, some ten thousand
+//! numbers, pass through main memory: the extractor solves its systems in f64, which cards do not have, and
+//! is the processor's own function ([`Measure`]). So a step waits for the device once. The status of a
+//! step's second half is read with the next step's first half, or by a call to drain, save or evaluate.
 
 mod field;
 mod frozen;
@@ -41,7 +41,7 @@ struct KnownView {
     reference: Reference,
 }
 
-/// The large ones, those that are kept and the last one made besides.
+/// The large constants of views: those that are kept, and the last ones that were made in addition.
 #[derive(Debug, Default)]
 struct Kept {
     views: Vec<Option<FrozenView>>,
@@ -55,21 +55,21 @@ impl Kept {
     }
 }
 
-/// What draws a view under the present field.
+/// The buffers and kernels that draw a view under the present field.
 #[derive(Debug)]
 struct Drawing {
     gpu: Gpu,
     raster: RasterKernels,
     planes: Planes,
-    /// The image's derivative.
+    /// The gradient of the image.
     pull: Array<f32>,
     device: DeviceField,
-    /// The field as it was read last.
+    /// The field as it was last read.
     field: Field,
-    /// The derivative of the terms that read it, and the same as the device takes it.
+    /// The gradient of the terms that read the field, and its rounded form for the device.
     of_field: Gradient,
     rounded: Vec<f32>,
-    /// The render that was read last.
+    /// The render that was last read.
     image: Image,
 }
 
@@ -94,7 +94,7 @@ impl Drawing {
         self.image.data_mut().copy_from_slice(pixels);
     }
 
-    /// Draws a view, reads render and parameters, and says what the status was before.
+    /// Draws a view, reads render and parameters, and returns the status of the step before.
     fn draw(&mut self, view: &FrozenView, plan: Option<&FieldPlan>) -> Result<[u32; 2], EngineError> {
         let Self { gpu, raster, planes, device, .. } = self;
         device.prepare(gpu, view, plan)?;
@@ -126,8 +126,8 @@ impl Drawing {
         Ok([status[0], status[1]])
     }
 
-    /// Takes the derivative of the render that was drawn last back to the field, adds that of the terms that
-    /// read the field itself, and does Adam's step.
+    /// Computes the gradient of the field from that of the last drawn render, adds that of the terms that
+    /// read the field itself, and runs Adam's step.
     fn learn(&mut self, view: &FrozenView, goals: &Goals, d_image: &Image) -> Result<(), EngineError> {
         let Self { gpu, planes, device, pull, field, of_field, rounded, .. } = self;
         of_field.clear();
@@ -154,18 +154,18 @@ pub struct Stage2<'a> {
     kept: Kept,
     measure: Measure,
     d_image: Image,
-    /// Makes references with every pixel that the extractor weighs; made when it is needed.
+    /// Makes references with every pixel that the extractor weighs; created when it is needed.
     whole: Option<References<'a>>,
-    /// The last step, until it is known whether it went well.
+    /// The last step, until its status is known.
     pending: Option<FieldReport>,
     done: Vec<FieldReport>,
-    /// A step went wrong: what is asked for after it changes nothing.
+    /// True after a failed step: later steps change nothing.
     stopped: bool,
 }
 
 impl<'a> Stage2<'a> {
-    /// Prepares every view once, and starts at the identity. Views whose constants do not fit
-    /// `params.cache_mib` on the device are prepared again when needed; the observer is told.
+    /// Prepares every view once, and starts at the identity. Views whose constants exceed
+    /// `params.cache_mib` on the device are prepared again when needed; the observer gets a notice.
     pub fn new(
         gpu: &Gpu,
         scene: &'a Scene,
@@ -222,7 +222,7 @@ impl<'a> Stage2<'a> {
             let drawn = &mut engine.drawing.image;
             let reference = references.of(index, view, |_, image| std::mem::swap(image, drawn), None)?;
             engine.views.push(KnownView { view: view.clone(), lattice, reference });
-            // First come, first kept, as on the processor.
+            // Views are kept in the order in which they come, as on the processor.
             let bytes = frozen.bytes();
             let fits = bytes <= room;
             room -= if fits { bytes } else { 0 };
@@ -243,7 +243,7 @@ impl<'a> Stage2<'a> {
         self.drawing.freeze(&mut self.freezer, camera, lattice, self.guidance)
     }
 
-    /// Refuses a view that there is not; else its constants are on the device afterwards.
+    /// Returns an error if there is no such view; otherwise its constants are on the device afterwards.
     fn place(&mut self, view: usize) -> Result<(), EngineError> {
         let count = self.views.len();
         let Some(known) = self.views.get(view) else {
@@ -260,7 +260,7 @@ impl<'a> Stage2<'a> {
         Ok(())
     }
 
-    /// Takes up what became of the last step, of which the device says `status`.
+    /// Completes the report of the last step with its `status` from the device.
     fn confirm(&mut self, status: [u32; 2]) {
         let Some(mut report) = self.pending.take() else { return };
         let bad = |at: usize, what| (status[at] != NONE).then(|| (what, Some(status[at] as usize)));
@@ -279,7 +279,7 @@ impl<'a> Stage2<'a> {
         Ok(())
     }
 
-    /// A step on a view whose constants are on the device.
+    /// Runs a step on a view whose constants are on the device.
     fn learn(&mut self, index: usize, plan: &FieldPlan) -> Result<(), EngineError> {
         let Some(view) = self.kept.get(index) else { return Ok(()) };
         let status = self.drawing.draw(view, Some(plan))?;
@@ -308,7 +308,7 @@ impl<'a> Stage2<'a> {
         Ok(())
     }
 
-    /// How far a view is from its targets, on every pixel that the extractor weighs.
+    /// Measures the distance of a view from its targets, on every pixel that the extractor weighs.
     fn evaluate_whole(&mut self, index: usize) -> Result<ViewErrors, EnhanceError> {
         let (scene, guidance) = (self.scene, self.guidance);
         let camera = self.views[index].view.camera;
@@ -326,7 +326,7 @@ impl<'a> Stage2<'a> {
         Ok(ViewErrors(losses.values))
     }
 
-    /// The same on the pixels of the steps.
+    /// Measures the distance of a view from its reference, on the pixels of the steps.
     fn evaluate_sampled(&mut self, index: usize) -> Result<ViewErrors, EnhanceError> {
         let reference = &self.views[index].reference;
         if let Some(view) = self.kept.get(index) {
@@ -369,7 +369,7 @@ impl FieldEngine for Stage2<'_> {
         self.place(view)?;
         match (reading, self.guidance) {
             (Reading::Whole, Guidance::Targets(_)) => self.evaluate_whole(view),
-            // Labels keep their sample: before and after must be of the same pixels.
+            // Labels keep their sample, because the values before and after must use the same pixels.
             _ => self.evaluate_sampled(view),
         }
         .map_err(failed)
@@ -377,7 +377,7 @@ impl FieldEngine for Stage2<'_> {
 
     fn centre(&mut self) -> Result<[f32; OUTPUTS], EngineError> {
         self.settle()?;
-        // Every view lists those that define it.
+        // Every view lists the Gaussians that define it.
         self.place(0)?;
         let mut mean = [0.0; OUTPUTS];
         if let Some(view) = self.kept.get(0) {

@@ -1,6 +1,6 @@
-// One thread per node of the four factor grids: the derivatives by its entries, summed over a block of
-// lookups, 64 at a time. Each lookup is between two nodes of an axis; every thread looks at all of them and
-// takes its own, so nothing is added atomically.
+// One thread per node of the four factor grids: the gradients with respect to its entries, summed over a
+// block of lookups, 64 at a time. Each lookup lies between two nodes of an axis. Every thread reads all
+// lookups and adds those at its own node, so there are no atomic additions.
 const AT_ONCE: u32 = 64u;
 
 var<workgroup> tile_slopes: array<f32, 4u * AT_ONCE * RANK>;

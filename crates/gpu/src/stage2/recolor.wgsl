@@ -1,4 +1,4 @@
-// One thread per listed Gaussian: its enhanced colour, exp(a) (c + A c + b_g) + b, into its splat.
+// One thread per listed Gaussian: writes its enhanced colour, exp(a) (c + A c + b_g) + b, into its splat.
 @compute @workgroup_size(WG)
 fn main(
     @builtin(workgroup_id) wid: vec3<u32>,

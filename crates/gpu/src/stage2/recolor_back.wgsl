@@ -1,5 +1,6 @@
-// One thread per listed Gaussian: the derivative by its colour, added up over its entries in their order; by
-// its six outputs; and per workgroup the sums of these and of the affine's derivatives.
+// One thread per listed Gaussian: adds up the gradient with respect to its colour over its entries, in their
+// order. From it follow the gradients with respect to its six outputs. Per workgroup: the sums of these six,
+// and of the affine's gradients.
 @compute @workgroup_size(WG)
 fn main(
     @builtin(workgroup_id) wid: vec3<u32>,

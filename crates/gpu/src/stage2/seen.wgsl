@@ -1,6 +1,6 @@
-// One workgroup per tile, one thread per entry: whether some pixel that is still being composed when its turn
-// comes lies within its contour. What no pixel sees is skipped by the compositor anyway; a little is added to
-// the contour, so that what its test rounds otherwise is kept.
+// One workgroup per tile, one thread per entry: 1 if the entry's contour contains a pixel whose composing has
+// not stopped before this entry. The compositor skips all other entries anyway. The contour gets a small
+// margin, so that an entry is kept even if the compositor's test rounds in another way.
 const MARGIN: f32 = 1e-3f;
 
 var<workgroup> ends: array<u32, 256>;
@@ -36,7 +36,7 @@ fn main(
             if (peak < -LOG2_255 - MARGIN) { continue; }
             for (var column = 0u; column < columns; column++) {
                 let t = axes[left + column] - fma(a.z, -dy, a.x);
-                // The Gaussian that ends a pixel is one that it sees.
+                // The Gaussian that stops a pixel counts as seen by it.
                 if (fma(t * a.w, -t, peak) >= -LOG2_255 - MARGIN && ends[row * TILE + column] >= k) { sees = 1u; }
             }
         }

@@ -1,5 +1,6 @@
-// Where a lookup looks, in words: bits of the fractions on x, y, z, and the nodes, eight bits each; bits of
-// the signed logs of its colour and 0, or of a guide coordinate that nothing moves and 1.
+// The position of a lookup, in two rows of four words. The first row has the bits of the fractions on x, y,
+// z, then the three nodes, eight bits each. The second row has the bits of the signed logs of its colour,
+// then 0; or the bits of a fixed guide coordinate, and 1 in the last word.
 fn is_fixed(i: u32) -> bool { return sites[2u * i + 1u].w != 0u; }
 
 fn gamma_of(i: u32) -> f32 {
@@ -19,7 +20,7 @@ fn places_of(i: u32, gamma: f32) -> array<Place, 4> {
     );
 }
 
-// Entry `r` of the factor of an axis, between its two nodes.
+// Entry `r` of the factor of an axis, interpolated between the two nodes of a place.
 fn factor(axis: u32, place: Place, r: u32) -> f32 {
     let at = (axis * field.resolution + place.node) * RANK + r;
     let low = state[at];

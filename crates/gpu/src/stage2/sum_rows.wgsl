@@ -1,4 +1,4 @@
-// A sum of rows over the workgroup in a fixed order: a tree over its threads, a power of two of them.
+// Sums rows over the workgroup in a fixed order: a tree over its threads. Their number is a power of two.
 var<workgroup> row_cells: array<vec4<f32>, WG>;
 
 fn sum_of_rows(value: vec4<f32>, lane: u32) -> vec4<f32> {

@@ -1,5 +1,5 @@
-// What the water's table says at a guide coordinate: gain and bias, and their rise from its lower row to the
-// next.
+// Values of the water's table at a guide coordinate: gain and bias, and how much each rises from the lower
+// row to the next.
 struct Graded {
     place: Place,
     gain: vec3<f32>,

@@ -1,5 +1,5 @@
-// The derivatives by the raw outputs of the table's rows, from those by the table: gains are exponentials,
-// and the rows' mean is removed.
+// Gradients with respect to the raw outputs of the table's rows, from those with respect to the table. Gains
+// are exponentials, and the mean of the rows is subtracted.
 @compute @workgroup_size(WG)
 fn main(@builtin(local_invocation_index) lid: u32) {
     if (lid >= OUTPUTS) { return; }

@@ -1,4 +1,4 @@
-//! Stage 2 beside the processor's engine.
+//! Compares stage 2 with the processor's engine.
 
 use use3d_atc::consensus::Targets;
 use use3d_capture::{Appearance, Frame, Image, Lattice, MediumMaps, Pose};
@@ -58,17 +58,17 @@ fn plan(step: u64) -> FieldPlan {
     FieldPlan { step, rate: 1e-3, transport_rate: 2e-4 }
 }
 
-/// Compares groups of what is laid out as the field's parameters.
+/// Compares groups of arrays in the layout of the field's parameters.
 fn compare(what: &str, field: &Field, ours: &[f32], cpu: &[f32], bar: f64) {
     for (name, range) in twins::groups(field) {
         let error = relative(&ours[range.clone()], &cpu[range]);
-        // Four sums over all lookups, of slopes of either sign.
+        // The guide has four sums over all lookups, of gradients with either sign.
         let bar = if name == "guide" { 2.0 * bar } else { bar };
         assert!(error <= bar, "{what}: {name} off by {error:.1e}");
     }
 }
 
-/// What the processor compares view `index` with.
+/// The reference with which the processor compares view `index`.
 fn reference(scene: &Scene, guidance: Guidance<'_>, params: &EnhanceParams, index: usize) -> Reference {
     let view = &views()[index];
     let mut references = References::new(scene, guidance, params.sample_side);
@@ -84,9 +84,9 @@ fn reference(scene: &Scene, guidance: Guidance<'_>, params: &EnhanceParams, inde
     references.of(index, view, draw, None).unwrap()
 }
 
-/// Steps from the processor's states, each judged alone: as a whole, and what the device does of it with
-/// the derivative of the image that the processor had. The extractor's derivative answers to the last
-/// digits of a render a hundredfold.
+/// Runs steps from the processor's states, each judged alone: as a whole, and the device's part with the
+/// processor's gradient of the image. The extractor's gradient amplifies the last digits of a render a
+/// hundredfold.
 fn teacher_forced(scene: &Scene, guidance: Guidance<'_>, params: &EnhanceParams) {
     let Some(gpu) = software() else { return };
     let views = views();
@@ -95,7 +95,7 @@ fn teacher_forced(scene: &Scene, guidance: Guidance<'_>, params: &EnhanceParams)
     let mut field = moved(scene, guidance, params);
     for step in 0..4 {
         let view = (step % 3) as usize;
-        // Moments of nothing but this step: the first ones are the gradient times a constant.
+        // The moments belong to this step only: the first ones are the gradient times a constant.
         let start = FieldState::new(&field);
         cpu.load(start.clone()).unwrap();
         ours.load(start.clone()).unwrap();
@@ -149,12 +149,12 @@ fn every_step_in_water_is_the_processors() {
     let scene = scene(300, MediumKind::Rbf);
     let targets = targets(&scene, Appearance::Water);
     teacher_forced(&scene, Guidance::Targets(&targets), &params());
-    // Every pixel that the extractor weighs, and a mean over all Gaussians.
+    // With every pixel that the extractor weighs, and a mean over all Gaussians.
     let whole = EnhanceParams { sample_side: 0, centre_sample: 0, ..params() };
     teacher_forced(&scene, Guidance::Targets(&targets), &whole);
 }
 
-/// Clear radiance, water that is a network, pseudo-labels; fields of other sizes.
+/// Clear radiance, water that is a network, pseudo-labels, and fields of other sizes.
 #[test]
 fn every_step_elsewhere_is_the_processors() {
     let scene = scene(300, MediumKind::Mlp);
@@ -169,7 +169,7 @@ fn every_step_elsewhere_is_the_processors() {
     teacher_forced(&scene, Guidance::Labels(&labels), &params);
 }
 
-/// The field's own kernels against the functions that they stand for.
+/// Compares the field's own kernels with the corresponding functions.
 #[test]
 fn the_field_is_the_processors_at_every_count_of_lookups() {
     let Some(gpu) = software() else { return };
@@ -230,7 +230,7 @@ fn a_hundred_steps_on_its_own_go_where_the_processors_go_and_runs_change_engines
     assert_eq!((a.len(), b.len()), (100, 100));
     let (first, last, cpu_last) = (mean(&a[..20]), mean(&a[80..]), mean(&b[80..]));
     assert!(last < 0.9 * first && (last - cpu_last).abs() < 1e-3 * cpu_last, "{first} {last} {cpu_last}");
-    // From the card to the processor and back.
+    // A state moves from the card to the processor and back.
     let (of_ours, of_cpu) = (ours.save().unwrap(), cpu.save().unwrap());
     cpu.load(of_ours).unwrap();
     ours.load(of_cpu).unwrap();
@@ -238,12 +238,12 @@ fn a_hundred_steps_on_its_own_go_where_the_processors_go_and_runs_change_engines
     assert!((mean(&a) - mean(&b)).abs() < 2e-3 * mean(&b), "{} {}", mean(&a), mean(&b));
 }
 
-/// What a few steps come to with so much memory for views.
+/// The state after a few steps with this much memory for views.
 fn state_after_steps(gpu: &crate::Gpu, cache_mib: usize) -> (FieldState, Vec<FieldReport>, usize) {
     state_of(gpu, &scene(200, MediumKind::Rbf), cache_mib)
 }
 
-/// The same of any scene.
+/// The state after a few steps on any scene.
 fn state_of(gpu: &crate::Gpu, scene: &Scene, cache_mib: usize) -> (FieldState, Vec<FieldReport>, usize) {
     let targets = targets(scene, Appearance::Water);
     let (guidance, views) = (Guidance::Targets(&targets), views());
@@ -262,13 +262,13 @@ fn views_that_are_made_again_give_the_same_bytes() {
     assert!(kept.0 == again.0 && kept.1 == again.1);
 }
 
-/// More Gaussians than one binding holds the colours of.
+/// More Gaussians than one binding can hold the colours of.
 #[test]
 fn gaussians_in_several_chunks_are_enhanced_as_in_one() {
     let Some(gpu) = software() else { return };
     let mut scene = scene(10, MediumKind::Rbf);
     scene.gaussians = cloud(4500, -4.5, 0.5);
-    // 2,083 to a chunk.
+    // 2,083 Gaussians per chunk.
     let tight = gpu.clone().binding(400_000);
     assert_eq!(tight.gaussians_of_chunk(), 2083);
     let (one, several) = (state_of(&gpu, &scene, 64), state_of(&tight, &scene, 64));
@@ -313,7 +313,8 @@ fn a_lost_device_is_told_by_the_next_step() {
     assert!(matches!(error, EngineError::DeviceLost { .. }), "{error}");
 }
 
-/// The bits of a few steps, for [`bits_do_not_depend_on_threads_or_widths`] to read from another process.
+/// Prints a digest of a few steps, which [`bits_do_not_depend_on_threads_or_widths`] reads from another
+/// process.
 #[test]
 fn digest_of_a_few_steps() {
     let Some(gpu) = software() else { return };

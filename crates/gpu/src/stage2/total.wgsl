@@ -1,4 +1,5 @@
-// One workgroup per value: the sum of its partial sums, in a fixed order. Which ones are summed stands above.
+// One workgroup per value: the sum of its partial sums, in a fixed order. The constant OF chooses the sums: 0
+// parameters, 1 colours, 2 water, 3 guide.
 @compute @workgroup_size(WG)
 fn main(
     @builtin(workgroup_id) wid: vec3<u32>,

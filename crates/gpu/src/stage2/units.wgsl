@@ -1,5 +1,5 @@
-// One thread per hidden unit: the derivatives by its weights, summed over a block of lookups, 64 at a time.
-// No sum leaves its thread.
+// One thread per hidden unit: the gradients with respect to its weights, summed over a block of lookups, 64
+// at a time. No sum leaves its thread.
 const AT_ONCE: u32 = 64u;
 
 var<workgroup> tile_codes: array<f32, AT_ONCE * RANK>;

@@ -1,4 +1,4 @@
-// One thread per pixel: the enhanced water in front of it.
+// One thread per pixel: computes the enhanced water in front of it.
 @compute @workgroup_size(WG)
 fn main(
     @builtin(workgroup_id) wid: vec3<u32>,

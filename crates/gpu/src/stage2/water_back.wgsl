@@ -1,10 +1,11 @@
-// Derivatives by what the enhanced water depends on, from what the forward pass summed along every ray:
+// Gradients with respect to the inputs of the enhanced water. They follow from the sums of the forward pass
+// along every ray, with the gradient g of the image:
 //
-//   by c    = g (1 - V)      by k_bs = g c MB ln 2      by k_attn = -g MA ln 2
+//   dc = g (1 - V)      dk_bs = g c MB ln 2      dk_attn = -g MA ln 2
 //
 // with V = sum w e_bs (`veil`), MB = sum w z e_bs (`veil_by_depth`), MA = sum w z c e_attn
-// (`light_by_depth`). A workgroup takes 256 pixels, 64 at a time; each of its threads owns one sum: 16 x 6 of
-// the table, 12 of the affine, 4 of the guide, 2 of the ratios.
+// (`light_by_depth`). A workgroup takes 256 pixels, 64 at a time; each of its threads computes one sum: 16 x
+// 6 for the table, 12 for the affine, 4 for the guide, 2 for the ratios.
 const LN_2: f32 = 0.69314718f;
 const SPAN: u32 = 256u;
 const AT_ONCE: u32 = 64u;

@@ -1,7 +1,7 @@
-//! A step of stage 2: the device's engine beside the processor's, from the same state.
+//! Compares a step of stage 2 on the device's engine with the processor's, from the same state.
 //!
-//! The views are compared with labels, pixel by pixel. The extractor, which transition targets ask for, is on
-//! the processor in both engines, and answers to the last digits of a render a hundredfold.
+//! The views are compared with labels, pixel by pixel. The extractor, which transition targets need, is on
+//! the processor in both engines, and amplifies the last digits of a render a hundredfold.
 
 use std::ops::Range;
 
@@ -20,7 +20,7 @@ use crate::stage2::Stage2;
 /// Seed of the field that steps begin with.
 const FIELD: u64 = 5;
 
-/// Labels that no enhancement of the scene gives.
+/// Labels that no enhancement of the scene can reach.
 pub(crate) struct Waves {
     pub(crate) width: usize,
     pub(crate) height: usize,
@@ -34,7 +34,7 @@ impl LabelSource for Waves {
     }
 }
 
-/// What an engine of stage 2 cannot be made for.
+/// Converts an error of stage 2 into one of the engine.
 pub(crate) fn failed(error: EnhanceError) -> EngineError {
     match error {
         EnhanceError::Engine(error) => error,
@@ -42,8 +42,9 @@ pub(crate) fn failed(error: EnhanceError) -> EngineError {
     }
 }
 
-/// A field well away from the identity, so that every parameter has a derivative. Near it the features of all
-/// Gaussians are alike, and what is left of a sum once the mean is removed is little: both engines round there.
+/// A field far from the identity, so that every parameter has a gradient. Near the identity the features of
+/// all Gaussians are alike, and little of a sum is left once the mean is removed, so both engines would
+/// compare only rounding.
 pub(crate) fn moved(
     scene: &Scene,
     guidance: Guidance<'_>,
@@ -57,7 +58,7 @@ pub(crate) fn moved(
     Ok(field)
 }
 
-/// The groups of a field's parameters, and where they lie.
+/// The groups of a field's parameters, and their ranges.
 pub(crate) fn groups(field: &Field) -> [(&'static str, Range<usize>); 8] {
     let shape = field.shape();
     [
@@ -72,11 +73,11 @@ pub(crate) fn groups(field: &Field) -> [(&'static str, Range<usize>); 8] {
     ]
 }
 
-/// A step of every view of a packed scene: the loss, gradients by groups of the field's parameters, and the mean
-/// that is removed from its outputs.
+/// Compares a step of every view of a packed scene: the loss, the gradients by groups of the field's
+/// parameters, and the mean that is removed from its outputs.
 ///
 /// # Errors
-/// What the device's driver says.
+/// The device's driver failed.
 pub fn field(gpu: &Gpu, scene: &Packed) -> Result<Vec<Agreement>, EngineError> {
     let Packed { width, height, .. } = *scene;
     let views = scene.enhance_views()?;
@@ -95,7 +96,7 @@ pub fn field(gpu: &Gpu, scene: &Packed) -> Result<Vec<Agreement>, EngineError> {
     let groups = groups(&field);
     let mut all = Vec::new();
     for index in 0..views.len() {
-        // Moments of nothing but this step: the first ones are the gradient times a constant.
+        // The moments belong to this step only: the first ones are the gradient times a constant.
         let start = FieldState::new(&field);
         let plan = FieldPlan { step: index as u64, rate: 1e-3, transport_rate: 2e-4 };
         let mut losses = [0.0; 2];

@@ -1,4 +1,4 @@
-//! The loss of a view.
+//! Compares the loss of a view with the processor's.
 
 use use3d_capture::{Image, Map};
 use use3d_numerics::{math, sums};
@@ -20,13 +20,13 @@ pub struct LossCase {
     pub width: usize,
     /// Pixels down.
     pub height: usize,
-    /// Of its draws.
+    /// The seed of its draws.
     pub seed: u64,
-    /// Whether some pixels do not count.
+    /// True if some pixels do not count.
     pub mask: bool,
-    /// Whether it has a depth prior.
+    /// True if it has a depth prior.
     pub prior: bool,
-    /// Whether views have gains.
+    /// True if views have gains.
     pub gains: bool,
 }
 
@@ -35,7 +35,7 @@ const VIEWS: usize = 5;
 const ROW: usize = 2;
 const STEP: ExposureStep = ExposureStep { rate: 2e-3, weight: 0.01 };
 
-/// A smooth picture with noise, a photograph near it, a mask, depths and a prior that is like them.
+/// A smooth picture with noise, a photograph near it, a mask, depths, and a similar depth prior.
 struct Inputs {
     rendered: Image,
     photograph: Image,
@@ -53,7 +53,7 @@ fn inputs(case: &LossCase) -> Option<Inputs> {
         let (x, y) = ((i % width) as f32, (i % n / width) as f32);
         0.45 + 0.3 * math::sin(0.21 * x + (i / n.max(1)) as f32) * math::cos(0.17 * y)
     };
-    // Now and then below zero and above one, where the weight and the squared error bend.
+    // Some values are below zero or above one, where the weight and the squared error have kinks.
     let rendered = (0..3 * n).map(|i| smooth(i) + 0.9 * math::powi(noise(0, i) - 0.5, 3) * 6.0).collect();
     let photograph = (0..3 * n).map(|i| (smooth(i) + 0.2 * (noise(1, i) - 0.5)).clamp(0.0, 1.0)).collect();
     let mask = (0..n).map(|i| if i % width < width / 5 { 0.0 } else { noise(2, i).max(0.5) }).collect();

@@ -1,7 +1,7 @@
-//! Kernels beside the processor's functions that they stand for, on the same inputs.
+//! Compares kernels with the corresponding functions of the processor, on the same inputs.
 //!
-//! The tests hold them to their bars over many sizes; the check at the start and the benchmark run some of
-//! them on the adapter at hand, so that a driver that computes wrongly is found before a training is.
+//! The tests compare them with their bounds over many sizes. The check at the start and the benchmark run
+//! some of them on the present adapter, so that a driver that computes wrongly is found before a training.
 
 mod field;
 mod losses;
@@ -29,21 +29,22 @@ pub(crate) use scene::targets;
 pub use steps::step;
 pub use water::{WaterCase, water};
 
-/// How near a kernel's results are to the processor's.
+/// The agreement of a kernel's results with the processor's.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Agreement {
-    /// Of what.
+    /// The compared quantity.
     pub what: String,
-    /// Norm of the difference over the norm of the processor's result; infinite where a value is not finite.
+    /// Norm of the difference divided by the norm of the processor's result; infinite if a value is not
+    /// finite.
     pub error: f64,
-    /// The most it may be.
+    /// The largest allowed error.
     pub bar: f64,
-    /// Of the device's bits.
+    /// A digest of the device's bits.
     pub digest: [u8; 32],
 }
 
 impl Agreement {
-    /// Of two arrays: relative to the norm of `ours`.
+    /// Compares two arrays, relative to the norm of `ours`.
     fn of(what: impl Into<String>, device: &[f32], ours: &[f32], bar: f64) -> Self {
         let mut sums = [0.0f64; 2];
         let mut finite = device.len() == ours.len();
@@ -63,7 +64,7 @@ impl Agreement {
         Self { what: what.into(), error, bar, digest }
     }
 
-    /// Of two numbers, absolutely.
+    /// Compares two numbers by absolute difference.
     fn of_values(what: impl Into<String>, device: f64, ours: f64, bar: f64) -> Self {
         let error = (device - ours).abs();
         let error = if error.is_finite() { error } else { f64::INFINITY };
@@ -71,13 +72,13 @@ impl Agreement {
         Self { what: what.into(), error, bar, digest }
     }
 
-    /// Whether it is within its bar.
+    /// True if the error is allowed.
     pub fn holds(&self) -> bool {
         self.error <= self.bar
     }
 }
 
-/// Every twin at a small size, a picture, and a whole step of each stage: what the check at the start runs.
+/// Runs every twin at a small size, a picture, and a whole step of each stage: the check at the start.
 pub fn small(gpu: &Gpu) -> Result<Vec<Agreement>, EngineError> {
     let mut all =
         losses(gpu, &LossCase { width: 61, height: 47, seed: 1, mask: true, prior: true, gains: true })?;
@@ -89,13 +90,13 @@ pub fn small(gpu: &Gpu) -> Result<Vec<Agreement>, EngineError> {
     Ok(all)
 }
 
-/// Uniform draws of a twin.
+/// Uniform random draws for a twin.
 fn draws(what: &'static str, seed: u64) -> Stream {
     Stream::new(seed, Purpose::new(what), 0)
 }
 
-/// What buffers hold before a kernel writes them: no number, so that whoever
-/// reads before writing is found out.
+/// The contents of buffers before a kernel writes them: NaN, so that a read before the first write is
+/// detected.
 fn poison(items: usize) -> Vec<f32> {
     vec![f32::from_bits(0x7fc0_dead); items]
 }

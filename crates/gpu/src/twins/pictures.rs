@@ -1,4 +1,4 @@
-//! Pictures, and the linear splat with its adjoint: a device beside the processor's rasterizer.
+//! Compares pictures, and the linear splat with its adjoint, with those of the processor's rasterizer.
 
 use use3d_capture::{Camera, Lattice, MediumMaps};
 use use3d_splat::{Colors, Options, Prepared, Rasterizer, Rendered};
@@ -9,13 +9,14 @@ use crate::device::Gpu;
 use crate::drawing::{Drawing, DrawnView};
 use crate::linear::LinearSplat;
 
-/// Channels of the linear splat here: two rounds, the second one not full.
+/// Number of channels of the linear splat here: two rounds, of which the second is not full.
 const CHANNELS: usize = 5;
 
-/// The first view of a packed scene, drawn through its water with every layer; and draws splatted and lifted.
+/// Compares the first view of a packed scene, drawn through its water with every layer, and random values
+/// splatted and lifted.
 ///
 /// # Errors
-/// What the device's driver says.
+/// The device's driver failed.
 pub fn pictures(gpu: &Gpu, scene: &Packed) -> Result<Vec<Agreement>, EngineError> {
     let cameras = scene.cameras()?;
     let Some(camera) = cameras.first() else { return Ok(Vec::new()) };
@@ -40,7 +41,7 @@ pub fn pictures(gpu: &Gpu, scene: &Packed) -> Result<Vec<Agreement>, EngineError
     Ok(all)
 }
 
-/// Every array of both drawings; without layers where one of them has none.
+/// Compares every array of both drawings; without layers if one of them has none.
 pub(crate) fn compare(found: &Rendered, expected: &Rendered) -> Vec<Agreement> {
     let mut all = Vec::new();
     let mut push = |what: &str, device: &[f32], ours: &[f32]| {

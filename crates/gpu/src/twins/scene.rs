@@ -1,4 +1,4 @@
-//! A packed scene with photographs, made from draws: what whole steps are compared and timed on.
+//! A packed scene with photographs, made from random draws, for comparing and timing whole steps.
 
 use use3d_atc::consensus::{LocalConsensus, Targets};
 use use3d_atc::extractor::ExtractorSettings;
@@ -18,8 +18,8 @@ use use3d_training::EngineError;
 use super::draws;
 use crate::device::NAME;
 
-/// Targets that no scene has to reach, for so many Gaussians: one global operator in every view, local ones of
-/// some size.
+/// Targets for this number of Gaussians that no scene needs to reach: one global operator in every view,
+/// and local ones of some size.
 pub(crate) fn targets(gaussians: usize, views: &[EnhanceView], appearance: Appearance) -> Targets {
     let operator = std::array::from_fn(|i| 0.02 * (i as f64 - 5.0));
     Targets {
@@ -40,30 +40,30 @@ pub(crate) fn targets(gaussians: usize, views: &[EnhanceView], appearance: Appea
     }
 }
 
-/// A scene and its views, by their sizes.
+/// A scene and its views, described by their sizes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Packed {
-    /// Pixels across.
+    /// Number of pixels across.
     pub width: usize,
-    /// Pixels down.
+    /// Number of pixels down.
     pub height: usize,
-    /// Gaussians.
+    /// Number of Gaussians.
     pub gaussians: usize,
-    /// Views.
+    /// Number of views.
     pub views: usize,
-    /// Of its draws.
+    /// The seed of its draws.
     pub seed: u64,
 }
 
 impl Packed {
-    /// What a run on it starts from. Gaussians fill a slab in front of the cameras, each a few pixels wide,
-    /// so that some fifty lie in front of a pixel where there are enough of them.
+    /// The initial state of a run on it. Gaussians fill a slab in front of the cameras, each a few pixels
+    /// wide. With enough Gaussians, about fifty lie in front of a pixel.
     pub fn state(&self) -> TrainingState {
         let (n, stream) = (self.gaussians, draws("packed scene", self.seed));
         let uniform = |i: usize, k: u64| stream.uniform(64 * i as u64 + k) as f32;
         let normal = |i: usize, k: u64| stream.normal(64 * i as u64 + k) as f32;
         let mut gaussians = Gaussians::empty(3);
-        // As wide as neighbours lie apart, about.
+        // About as wide as the distance between neighbours.
         let width = math::ln(0.9f32 / math::powf((n.max(1)) as f32, 1.0 / 3.0));
         for i in 0..n {
             gaussians.means.push([
@@ -82,13 +82,13 @@ impl Packed {
         TrainingState::new(gaussians, MediumModel::Rbf(MediumRbf::new(8, 4)), &[])
     }
 
-    /// The same as a finished scene.
+    /// The initial state as a finished scene.
     pub fn scene(&self) -> Scene {
         let TrainingState { gaussians, medium, .. } = self.state();
         Scene { gaussians, frame: Frame::IDENTITY, medium, medium_degree: 3, enhancement: None }
     }
 
-    /// Its views for stage 2, which go by names and cameras.
+    /// Its views for stage 2, which consist of names and cameras.
     pub fn enhance_views(&self) -> Result<Vec<EnhanceView>, EngineError> {
         let view = |(index, camera)| EnhanceView { name: format!("{index}.png"), camera };
         Ok(self.cameras()?.into_iter().enumerate().map(view).collect())
@@ -141,7 +141,7 @@ impl Packed {
         Ok(view)
     }
 
-    /// A step as the method has it, everything switched on.
+    /// The plan of a step of the method with all features on.
     pub fn plan(step: u64) -> StepPlan {
         let params = ReconstructParams::default();
         let r = &params.learning_rates;

@@ -1,4 +1,4 @@
-//! Whole steps of stage 1, and a refinement: an engine beside the processor's, from the same state.
+//! Compares whole steps of stage 1, and a refinement, with the processor's engine, from the same state.
 
 use use3d_reconstruct::density::{Draws, Origin};
 use use3d_reconstruct::engine::{CpuEngine, Engine, TrainingState};
@@ -7,8 +7,9 @@ use use3d_training::{Drain, EngineError};
 
 use super::{Agreement, Packed};
 
-/// One step from the same state on both engines: report, moments after it (which are the
-/// gradients, from zero), statistics. At the end rows of every kind, moved and made, to the bit.
+/// Compares one step from the same state on both engines: report, moments after it (which are the
+/// gradients, from zero), statistics. At the end it compares rows of every kind, moved and made, to the
+/// bit.
 pub fn step(engine: &mut dyn Engine, scene: &Packed) -> Result<Vec<Agreement>, EngineError> {
     let mut ours = CpuEngine::new();
     let state = scene.state();
@@ -27,7 +28,7 @@ pub fn step(engine: &mut dyn Engine, scene: &Packed) -> Result<Vec<Agreement>, E
         let (Some(expected), Some(found)) = (expected.first(), found.first()) else { continue };
         all.push(Agreement::of_values("loss", found.loss, expected.loss, 1e-4 * expected.loss.abs()));
         compare(engine.save()?.as_ref(), ours.save()?.as_ref(), &mut all);
-        // Each step is judged alone.
+        // Each step starts from the processor's state, so it is judged alone.
         let state = ours.save()?.into_owned();
         engine.load(state)?;
     }
@@ -54,7 +55,7 @@ pub fn step(engine: &mut dyn Engine, scene: &Packed) -> Result<Vec<Agreement>, E
     Ok(all)
 }
 
-/// First moments are gradients times a constant; the second follow.
+/// Compares first moments, which are gradients times a constant; the second moments follow from them.
 fn compare(device: &TrainingState, ours: &TrainingState, all: &mut Vec<Agreement>) {
     let (d, o) = (&device.moments.first, &ours.moments.first);
     for (what, device, ours) in [
@@ -80,7 +81,7 @@ mod tests {
         let found = step(&mut CpuEngine::new(), &scene).unwrap();
         assert_eq!(found.len(), 19);
         assert!(found.iter().all(|agreement| agreement.error == 0.0), "{found:?}");
-        // Nothing is compared that is not there.
+        // The compared scene is not empty.
         let state = scene.state();
         assert_eq!((state.gaussians.len(), scene.training_views().unwrap().len()), (150, 2));
     }

@@ -1,4 +1,4 @@
-//! The water of a view: maps, derivatives, Adam.
+//! Compares the water of a view: maps, gradients, Adam.
 
 use use3d_capture::{Camera, Intrinsics, Lattice, MediumMaps, Pose};
 use use3d_medium::{MediumGlobal, MediumModel, MediumRbf, Role};
@@ -15,15 +15,15 @@ use crate::water::{AlongRays, Water};
 /// A view and its water to compare.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WaterCase {
-    /// Pixels across.
+    /// Number of pixels across.
     pub width: usize,
-    /// Pixels down.
+    /// Number of pixels down.
     pub height: usize,
-    /// Of its draws.
+    /// The seed of its draws.
     pub seed: u64,
-    /// Anchors; 0 for one set of harmonics.
+    /// Number of anchors; 0 for one set of harmonics.
     pub anchors: usize,
-    /// Anchors that share the view.
+    /// Number of anchors that share the view.
     pub top_k: usize,
     /// Active degree.
     pub degree: usize,
@@ -64,7 +64,7 @@ pub fn water(gpu: &Gpu, case: &WaterCase) -> Result<Vec<Agreement>, EngineError>
         map.iter().enumerate().map(|(i, b)| b * std::f32::consts::LOG2_E * length[i % n]).collect()
     };
     let random = |run: u64| -> Vec<f32> { (0..3 * n).map(|i| normal(run, i)).collect() };
-    // Slopes lean to one side, as those of a picture that is too bright do.
+    // The gradients are mostly of one sign, like those of a picture that is too bright.
     let slopes: Vec<f32> = random(1).iter().map(|v| (v + 0.5) / (3 * n) as f32).collect();
     let veil: Vec<f32> = random(2).iter().map(|v| v.abs().min(1.0)).collect();
     let (light, veil_depth): (Vec<f32>, Vec<f32>) =

@@ -1,4 +1,5 @@
-// The last kernel of a step: what went wrong in it stops the steps that follow, and how it ended is noted.
+// The last kernel of a step. A value that was not finite in this step stops all following steps. How the step
+// ended is stored in `ends`.
 @compute @workgroup_size(WG)
 fn main(@builtin(local_invocation_index) lid: u32) {
     if (lid != 0u) { return; }

@@ -1,4 +1,4 @@
-// Opacities down to a ceiling, their moments to zero.
+// Lowers opacities to a ceiling and sets their moments to zero.
 @compute @workgroup_size(WG)
 fn main(
     @builtin(workgroup_id) wid: vec3<u32>,

@@ -1,6 +1,6 @@
-// One thread per Gaussian of a chunk: its records are added in the order of its tiles, go back through the
-// projection to its parameters, and Adam moves them; no gradient is ever stored. Gaussians that were not seen
-// have a gradient of zero, and their moments decay.
+// One thread per Gaussian of a chunk: adds its records in the order of its tiles, and carries the gradient
+// back through the projection to its parameters. Adam then moves the parameters; no gradient is stored. A
+// Gaussian that was not seen has gradient zero, and its moments decay.
 const BLOCK: u32 = 64u;
 
 var<private> bad: u32;
@@ -48,10 +48,10 @@ struct Pull {
     quaternion: vec4<f32>,
 }
 
-// From sums over pixels to the geometry. With v = conic (pixel - centre) = (a t, shear a t + b dy) and u_k
-// the projected axes, the gradient along axis k is a sum of G v (v . u_k): the product v . u_k = a t m_k + b
-// dy b_k is formed with m_k = a_k + shear b_k written through the cross products, in which the axis itself,
-// that of a needle, drops out.
+// From sums over pixels to the gradient of the geometry. With v = conic (pixel - centre) = (a t, shear a t +
+// b dy) and the projected axes u_k, the gradient along axis k is a sum of G v (v . u_k). The product is v .
+// u_k = a t m_k + b dy b_k, with m_k = a_k + shear b_k. Here m_k is computed from cross products, which do
+// not contain axis k itself: for a needle that is its long axis.
 fn pull_back(x: vec3<f32>, s: Screen, splat0: vec4<f32>, splat1: vec4<f32>, sum: array<vec4<f32>, 3>) -> Pull {
     var sums = sum;
     let k = splat0.z;
@@ -162,7 +162,7 @@ fn main(
     geometry_first[3u * i + 2u] = vec4<f32>(m.xyz, mw);
     geometry_second[3u * i + 2u] = vec4<f32>(v.xyz, vw);
 
-    // Where the clamp at black is active the colour has no gradient.
+    // The colour has no gradient where it is clamped at black.
     let by_color = vec3<f32>(sum[1].w, sum[2].xy) * vec3<f32>(splat2.xyz > vec3<f32>(0.0f));
     let bands = constants.counts.y;
     var y = harmonics(bands, direction);

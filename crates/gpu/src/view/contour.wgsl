@@ -1,5 +1,5 @@
-// The exact tiles of a Gaussian, row by row of tiles: those with a pixel centre within the box of its 1/255
-// contour along the row.
+// The exact tiles of a Gaussian, one row of tiles after another: the tiles with a pixel centre inside the box
+// of its 1/255 contour along that row.
 const TILE: u32 = 16u;
 
 struct Contour {
@@ -12,14 +12,14 @@ struct Contour {
     reach_y: f32,
 }
 
-// First and last centre of a tile across, and down.
+// Centres of a tile's first and last column; below, of its first and last row.
 fn across(t: u32) -> vec2<f32> { return vec2<f32>(axes[t * TILE], axes[t * TILE + TILE - 1u]); }
 fn down(t: u32) -> vec2<f32> {
     let first = (constants.size.z + t) * TILE;
     return vec2<f32>(axes[first], axes[first + TILE - 1u]);
 }
 
-// The half-open range of tiles across with a centre between two numbers.
+// Half-open range of tile columns with a pixel centre in [low, high].
 fn columns_meeting(low: f32, high: f32) -> vec2<u32> {
     var a = 0u;
     var b = constants.size.z;
@@ -36,7 +36,7 @@ fn columns_meeting(low: f32, high: f32) -> vec2<u32> {
     return vec2<u32>(first, a);
 }
 
-// The same down.
+// Half-open range of tile rows with a pixel centre in [low, high].
 fn rows_meeting(low: f32, high: f32) -> vec2<u32> {
     var a = 0u;
     var b = constants.size.w;
@@ -64,7 +64,7 @@ fn within(dy: f32, low: f32, high: f32) -> f32 {
 
 fn margin(x: f32) -> f32 { return 1e-3f + 1e-5f * abs(x); }
 
-// The tiles of one row of tiles, half open; none where the first is not below the second.
+// The tiles of one row of tiles, as a half-open range; empty if its first number is not below its second.
 fn row_span(s: Contour, row: u32) -> vec2<u32> {
     let rows = down(row);
     let low = max(rows.x - s.y, -s.reach_y);

@@ -1,6 +1,6 @@
-// One thread per entry: which Gaussian's it is, and in which tile. An entry beyond the tiles that are found
-// here, which another compilation of the same arithmetic may have counted, goes to a tile past the last,
-// which nobody draws, with a gradient of zero.
+// One thread per entry: its Gaussian and its tile. The kernel that counted the tiles is compiled on its own,
+// so its arithmetic may have counted more tiles than are found here. A surplus entry gets a tile after the
+// last one, which is never drawn, and a gradient of zero.
 @compute @workgroup_size(WG)
 fn main(
     @builtin(workgroup_id) wid: vec3<u32>,

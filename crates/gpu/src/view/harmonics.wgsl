@@ -1,4 +1,5 @@
-// Values of the real spherical harmonics at a unit direction, in the order and signs of the processor's.
+// Values of the real spherical harmonics at a unit direction, in the order and with the signs of the
+// processor's.
 fn harmonics(bands: u32, d: vec3<f32>) -> array<f32, 16> {
     var b = array<f32, 16>();
     let x = d.x;
@@ -32,7 +33,7 @@ fn harmonics(bands: u32, d: vec3<f32>) -> array<f32, 16> {
     return b;
 }
 
-// The unit direction from the camera to a Gaussian; (0, 0, 1) where they coincide.
+// The unit direction from the camera to a Gaussian; (0, 0, 1) if they coincide.
 fn direction_to(mean: vec3<f32>) -> vec3<f32> {
     let d = mean - constants.center.xyz;
     let norm = sqrt(d.x * d.x + d.y * d.y + d.z * d.z);

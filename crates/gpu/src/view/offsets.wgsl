@@ -1,4 +1,4 @@
-// Where the entries of every Gaussian begin: by its place in the order of depth, and by its number.
+// First entry of every Gaussian, by its rank in the order of depth (`offsets`), and by its index (`runs`).
 @compute @workgroup_size(WG)
 fn main(
     @builtin(workgroup_id) wid: vec3<u32>,

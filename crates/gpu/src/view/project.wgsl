@@ -1,4 +1,4 @@
-// One thread per Gaussian of a chunk: its splat, its key for the order by depth, and how many tiles it meets.
+// One thread per Gaussian of a chunk: its splat, its key for the order by depth, and its number of tiles.
 const HIDDEN: u32 = 0x0fffffffu;
 
 fn hide(i: u32) {

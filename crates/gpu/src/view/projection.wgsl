@@ -1,9 +1,9 @@
-// What forward and backward of the projection share.
+// Shared by the forward and the backward pass of the projection.
 //
-// The axes a, b of a Gaussian on the screen have the cross product c = a x b = (Rq)^T n times jx jy, with n =
-// r2 + sx r0 + sy r1 the direction to the Gaussian: no difference of nearly equal numbers, however thin it
-// is. The determinant of its covariance is a sum of squares of c, and so is what the backward pass needs of
-// the inverse: f32 suffices where the textbook's form asks for f64.
+// The axes a, b of a Gaussian on the screen have the cross product c = a x b = (Rq)^T n times jx jy. Here n =
+// r2 + sx r0 + sy r1 is the direction to the Gaussian. The product has no difference of nearly equal numbers,
+// however thin the Gaussian is. The determinant of its covariance is a sum of squares of c. So are the terms
+// of the inverse that the backward pass needs. So f32 suffices where the textbook's form needs f64.
 const NEAR: f32 = 0.01f;
 const FAR: f32 = 10000.0f;
 const BLUR: f32 = 0.3f;
@@ -28,7 +28,8 @@ struct Screen {
     c: vec3<f32>,
 }
 
-// In the camera's frame; relative to the camera's centre, which keeps the digits of what is near.
+// Position in the camera's frame. The camera's centre is subtracted first, which keeps the digits of near
+// points.
 fn camera_frame(mean: vec3<f32>) -> vec3<f32> {
     let d = (mean - constants.center.xyz) - constants.center_rest.xyz;
     return vec3<f32>(

@@ -1,4 +1,4 @@
-// Entries of a block of Gaussians in the order of depth.
+// Number of entries of each block of Gaussians, in the order of depth.
 @compute @workgroup_size(WG)
 fn main(
     @builtin(workgroup_id) wid: vec3<u32>,

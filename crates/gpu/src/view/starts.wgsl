@@ -1,4 +1,4 @@
-// One thread per tile and one more: the first place of its list.
+// One thread per tile, and one more: the index of the first entry of its list.
 @compute @workgroup_size(WG)
 fn main(
     @builtin(workgroup_id) wid: vec3<u32>,

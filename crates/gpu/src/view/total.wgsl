@@ -1,5 +1,5 @@
-// One workgroup: where every block's entries begin, and how many there are. Too many are none, and stop what
-// follows.
+// One workgroup: the first entry of every block, and the number of all entries. If there is no room for them,
+// the number is set to 0 and all following steps stop.
 @compute @workgroup_size(WG)
 fn main(@builtin(local_invocation_index) lid: u32) {
     let n = constants.counts.x;

@@ -1,9 +1,11 @@
-// Derivatives of the loss by the mixed coefficients, from what the forward pass summed along every ray:
+// Gradients of the loss with respect to the mixed coefficients. They follow from the sums of the forward pass
+// along every ray, with the gradient g of the image:
 //
 //   ∂c = g (1 − V)      ∂β_bs = g c MB |d|      ∂β_attn = −g MA |d|
 //
-// with V = Σ w e_bs (`veil`), MB = Σ w z e_bs (`veil_by_depth`), MA = Σ w z c e_attn (`light_by_depth`).
-// Basis × slope, summed over 1024 pixels a workgroup, 128 at a time, each sum in one lane.
+// with V = Σ w e_bs (`veil`), MB = Σ w z e_bs (`veil_by_depth`), MA = Σ w z c e_attn (`light_by_depth`). The
+// products of basis and gradient are summed over 1024 pixels per workgroup, 128 at a time. Each sum is
+// computed in one lane.
 
 const LOG2_E: f32 = 1.4426950408889634;
 const SPAN: u32 = 1024u;
@@ -12,7 +14,7 @@ const LANES: u32 = 128u;
 var<workgroup> bases: array<f32, 2048>;
 var<workgroup> slopes: array<f32, 1152>;
 
-// 1 − e^{−y} for y ≥ 0: the slope of softplus by its value.
+// 1 − e^{−y} for y ≥ 0: the derivative of softplus, from its value y.
 fn softplus_slope(y: f32) -> f32 {
     if (y > 0.5) {
         return 1.0 - exp(-y);
@@ -24,7 +26,7 @@ fn softplus_slope(y: f32) -> f32 {
     return y * sum;
 }
 
-// One sum of 144: over the pixels that lie in workgroup memory, four interleaved sums.
+// One of the 144 sums, over the pixels in workgroup memory. Four interleaved partial sums are added.
 fn sum_of(index: u32) -> f32 {
     let quantity = index / 48u;
     let band = (index % 48u) / 3u;

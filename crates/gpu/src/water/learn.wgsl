@@ -1,5 +1,5 @@
-// Adam on the water's parameters: values, first and second moments are three runs of the state. What is not
-// finite is noted; the kernel that ends a step stops the run.
+// Adam on the water's parameters. The state has three runs: values, first moments and second moments. A value
+// that is not finite sets a bit, and the kernel that ends the step then stops the run.
 
 const BETA1: f32 = 0.9;
 const BETA2: f32 = 0.999;

@@ -1,8 +1,8 @@
-// The water along every ray: c_m, and the exponents k = β |d| log2 e per unit of z.
+// The water along every ray: its colour c_m, and the exponents k = β |d| log2 e per unit of z.
 
 const LOG2_E: f32 = 1.4426950408889634;
 
-// ln(1 + e^x), relatively accurate where it vanishes: ln(1 + t) = 2 artanh(t / (2 + t)).
+// ln(1 + e^x) with a small relative error even where it is close to 0: ln(1 + t) = 2 artanh(t / (2 + t)).
 fn softplus(x: f32) -> f32 {
     let t = exp(-abs(x));
     let s = t / (t + 2.0);

@@ -1,5 +1,5 @@
-// The anchors around the camera, nearest first by affinity, and the sum of their coefficients. One workgroup.
-// After the 144 mixed coefficients stand, per place, the anchor and its share.
+// The anchors with the highest affinity to the camera, and the weighted sum of their coefficients. One
+// workgroup. After the 144 mixed coefficients come, for each place, the index of the anchor and its share.
 
 const WIDTH_FLOOR: f32 = 1e-4;
 const FARTHEST: f32 = -3e38;
@@ -14,11 +14,11 @@ fn affinity(anchor: u32) -> f32 {
     let offset = here - center;
     let sigma = max(exp(parameters[3u * water.anchors + anchor]), WIDTH_FLOOR);
     let scaled = offset / sigma;
-    // Kept in range: what is farther than any number weighs nothing all the same.
+    // Kept in range: an anchor that is so far away has share 0 in any case.
     return max(-0.5 * dot(scaled, scaled), FARTHEST);
 }
 
-// Whether (a, at i) comes before (b, at j): the higher affinity, then the lower index.
+// True if (a, at i) comes before (b, at j): the higher affinity, then the lower index.
 fn before(a: f32, i: u32, b: f32, j: u32) -> bool {
     return a > b || (a == b && i < j);
 }
@@ -31,7 +31,8 @@ fn main(@builtin(local_invocation_index) lane: u32) {
         }
         return;
     }
-    // The anchors that share the view, best first: each time the best of those behind the last one.
+    // Chooses the anchors that share the view, best first. Each round takes the best anchor that comes after
+    // the last one chosen.
     var last_affinity = 3e38;
     var last = 0u;
     for (var place = 0u; place < water.shared_by; place = place + 1u) {

@@ -1,12 +1,12 @@
-//! The water on the device: maps of a view, derivatives from what the forward pass
-//! summed along every ray, and Adam.
+//! The water on the device: maps of a view, gradients from the sums that the forward pass took along every
+//! ray, and Adam.
 //!
 //! ```text
 //! mix ─▶ look ─▶ (the view is drawn, the loss differentiated) ─▶ gather ─▶ total ─▶ spread ─▶ learn
 //! ```
 //!
-//! The formulas are those of `use3d_medium`. What water there is: the kinds made of spherical harmonics
-//! (`rbf`, `global`), and none. Water that is a network is refused: the processor's engine has it.
+//! The formulas are those of `use3d_medium`. Supported are the kinds that consist of spherical harmonics
+//! (`rbf`, `global`), and no water. Water that is a network is refused; the processor's engine supports it.
 //!
 //! The water in front of a pixel enters the compositor as `2^(−k z)` with `k = β |d| log₂e`, where |d| is the
 //! length of the pixel's ray at z = 1. So `e` needs no other map, and `∂β = ∂k · log₂e · |d|`.
@@ -26,14 +26,14 @@ use crate::constants::counts;
 use crate::device::{Gpu, NAME};
 use crate::kernel::{Access, Binding, Constant, Grid, Kernel, SUM, Spec, bound, read, write};
 
-/// Pixels that a workgroup sums.
+/// Number of pixels that a workgroup sums.
 const SPAN: usize = 1024;
-/// Coefficients of one set.
+/// Number of coefficients in one set.
 const COEFFICIENTS: usize = 144;
-/// Camera coordinates are clamped to this, normalised scene units (R4).
+/// Camera coordinates are clamped to ± this value, normalised scene units (R4).
 const QUERY_LIMIT: f64 = 1.5;
 
-/// The view's constants, as `shared.wgsl` reads them.
+/// The view's constants, in the form that `shared.wgsl` reads.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 struct Uniform {
@@ -50,7 +50,7 @@ struct Uniform {
     adam: [f32; 4],
 }
 
-/// What the forward pass summed along every ray, 3 P each: `Σ w e_bs`, `Σ w z c e_attn`, `Σ w z e_bs`.
+/// The sums of the forward pass along every ray, 3 P each: `Σ w e_bs`, `Σ w z c e_attn`, `Σ w z e_bs`.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct AlongRays<'a> {
     pub(crate) veil: &'a Array<f32>,
@@ -58,7 +58,7 @@ pub(crate) struct AlongRays<'a> {
     pub(crate) veil_by_depth: &'a Array<f32>,
 }
 
-/// The water with everything that its kernels keep.
+/// The water with all buffers of its kernels.
 #[derive(Debug)]
 pub(crate) struct Water {
     mix: Kernel,
@@ -80,7 +80,7 @@ pub(crate) struct Water {
     pub(crate) attenuation: Array<f32>,
     /// `k` of backscatter: 3 P.
     pub(crate) backscatter: Array<f32>,
-    /// The model, whose parameters are the device's only after [`Water::read`].
+    /// The model; its parameters equal the device's only after [`Water::read`].
     model: MediumModel,
     anchors: usize,
     shared_by: usize,
@@ -154,7 +154,7 @@ pub(crate) fn specs() -> [Spec; 6] {
 }
 
 impl Water {
-    /// Takes a model with Adam's moments; `None` where there is no water. A network is refused.
+    /// Copies a model with Adam's moments to the device; `None` if there is no water. A network is refused.
     pub(crate) fn new(
         gpu: &Gpu,
         model: &MediumModel,
@@ -206,7 +206,7 @@ impl Water {
         }))
     }
 
-    /// The model and its moments as they are now, waited for.
+    /// Waits and reads the present model and its moments.
     pub(crate) fn read(&self, gpu: &Gpu) -> Result<(MediumModel, [Vec<f32>; 2]), EngineError> {
         let n = self.model.parameter_count();
         let values = self.state.read(gpu, 3 * n)?;
@@ -217,7 +217,7 @@ impl Water {
         Ok((model, [values[n..2 * n].to_vec(), values[2 * n..].to_vec()]))
     }
 
-    /// Moments of the coefficients start anew.
+    /// Resets the moments of the coefficients.
     pub(crate) fn forget_moments(&self, gpu: &Gpu) {
         let n = self.model.parameter_count();
         let mut offset = 0;
@@ -231,7 +231,7 @@ impl Water {
         }
     }
 
-    /// Bytes on the device.
+    /// Number of bytes on the device.
     pub(crate) fn memory(&self) -> usize {
         [&self.state, &self.partial, &self.color, &self.attenuation, &self.backscatter]
             .map(Array::size)
@@ -239,8 +239,8 @@ impl Water {
             .sum()
     }
 
-    /// Writes the constants of a view, and makes room for it; before its pass is recorded. `rates` are Adam's
-    /// of constants and of directions; `step` counts from 0.
+    /// Writes the constants of a view and makes room for it. Called before its pass is recorded. `rates`
+    /// are Adam's rates of constants and of directions; `step` counts from 0.
     pub(crate) fn prepare(
         &mut self,
         gpu: &Gpu,
@@ -291,7 +291,7 @@ impl Water {
         );
     }
 
-    /// Records the derivatives by all parameters, from the image's.
+    /// Records the gradients with respect to all parameters, computed from the image's gradient.
     pub(crate) fn record_backward(
         &self,
         pass: &mut wgpu::ComputePass<'_>,
@@ -323,13 +323,13 @@ impl Water {
         );
     }
 
-    /// Records Adam's step, which takes the derivatives and leaves zeros.
+    /// Records Adam's step, which reads the gradients and sets them to zero.
     pub(crate) fn record_update(&self, pass: &mut wgpu::ComputePass<'_>, counts: &Array<u32>) {
         let grid = self.learn.grid(self.model.parameter_count());
         self.learn.dispatch(pass, grid, bound![self.uniform, self.slope, self.state, *counts]);
     }
 
-    /// The derivatives by all parameters, before [`Water::record_update`]; waited for.
+    /// Waits and reads the gradients with respect to all parameters, before [`Water::record_update`].
     pub(crate) fn slopes(&self, gpu: &Gpu) -> Result<Vec<f32>, EngineError> {
         self.slope.read(gpu, self.model.parameter_count())
     }

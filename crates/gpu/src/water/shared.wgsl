@@ -1,26 +1,26 @@
-// What all kernels of the water share. Its parameters lie flat as the processor's model has them: with
-// anchors 3 n centres, n log widths, then per anchor 144 coefficients `[quantity][band][channel]`; without
-// anchors the 144 alone.
+// Shared by all kernels of the water. The parameters lie flat, as in the processor's model. With n anchors
+// they are 3 n centres, n log widths, then per anchor 144 coefficients `[quantity][band][channel]`. Without
+// anchors they are the 144 coefficients alone.
 
 struct Water {
     width: u32,
     height: u32,
     pixels: u32,
-    // Active bands: 1, 4, 9 or 16.
+    // Number of active bands: 1, 4, 9 or 16.
     bands: u32,
-    // 0 for one set of coefficients that holds everywhere.
+    // Number of anchors; 0 for one set of coefficients that holds everywhere.
     anchors: u32,
     shared_by: u32,
-    // Workgroups of the backward sums.
+    // Number of workgroups of the backward sums.
     groups: u32,
     parameters: u32,
-    // Rows of the rotation from the camera into the world; in w the observer, clamped.
+    // Rows of the rotation from the camera into the world; w holds the camera's position, clamped.
     to_world_x: vec4<f32>,
     to_world_y: vec4<f32>,
     to_world_z: vec4<f32>,
-    // One over both focal lengths, and the principal point.
+    // 1 / focal length in x and in y, then the principal point.
     lens: vec4<f32>,
-    // Adam: step size of constants, of directions and anchors, one over the root of the second correction;
+    // Adam: step size of constants, step size of directions and anchors, 1 / √(second bias correction); one
     // spare.
     adam: vec4<f32>,
 }
@@ -29,7 +29,7 @@ const COEFFICIENTS: u32 = 144u;
 
 struct Ray {
     direction: vec3<f32>,
-    // Of (x, y, 1).
+    // Length of (x, y, 1).
     length: f32,
 }
 

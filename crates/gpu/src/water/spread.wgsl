@@ -1,9 +1,10 @@
-// From the mixed coefficients' derivatives to the anchors'. One workgroup. All slopes are zero before.
+// From the gradient of the mixed coefficients to the gradients of the anchors. One workgroup. All gradients
+// are zero before.
 
 const WIDTH_FLOOR: f32 = 1e-4;
 
-// How an anchor's share pulls the loss, less the mean of that over all shares: the mean is the pull of the
-// mixed coefficients, which are taken off before they are summed, not after.
+// Gradient with respect to an anchor's share, less its mean over all shares. That mean belongs to the mixed
+// coefficients, so these are subtracted before the sum and not after it.
 fn by_share(anchor: u32, lane: u32) -> f32 {
     var product = 0.0;
     if (lane < COEFFICIENTS) {

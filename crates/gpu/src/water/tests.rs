@@ -1,4 +1,4 @@
-//! The water on the device beside that of the processor.
+//! Compares the water on the device with that of the processor.
 
 use use3d_medium::{MediumImage, MediumMlp, MediumRbf};
 

@@ -1,4 +1,4 @@
-// The workgroups' sums added up, one coefficient a workgroup.
+// Adds up the sums of all workgroups; one workgroup per coefficient.
 
 @compute @workgroup_size(WG)
 fn main(@builtin(workgroup_id) wid: vec3<u32>, @builtin(local_invocation_index) lane: u32) {

@@ -229,7 +229,7 @@ fn finish(
     check_pairs(&batch)?;
     check_learning(&batch)?;
     calibrate_where_named(&mut batch);
-    one_proposer_for_all(&mut batch);
+    one_proposer_for_all(&mut batch, registry);
     if let Some(models) = &options.models {
         batch.name_external("models", Ok(models.clone()), "--models or USE3D_MODELS");
     } else if !batch.externals.contains_key("models") && Path::new("models").is_dir() {

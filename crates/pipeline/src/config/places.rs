@@ -4,8 +4,8 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use serde_json::{Map, Value};
-use use3d_build::Batch;
 use use3d_build::graph::{External, Overrides};
+use use3d_build::{Batch, Registry};
 
 use super::LEARNING;
 use super::document::ConfigError;
@@ -128,8 +128,11 @@ pub(super) fn check_learning(batch: &Batch) -> Result<(), ConfigError> {
 /// Applies the 2D enhancer of the targets also to the pairs, to the comparison that reconstructs from
 /// proposals, and to the reference rows, unless these have a setting of their own in the same layer. So one
 /// setting changes the 2D enhancer of a whole pipeline.
-pub(super) fn one_proposer_for_all(batch: &mut Batch) {
-    const FOLLOW: [&str; 3] = ["pairs", "propose", "evaluate"];
+pub(super) fn one_proposer_for_all(batch: &mut Batch, registry: &Registry) {
+    let there = |stage: &&str| registry.stage(stage).is_ok();
+    let all: Vec<&str> = ["pairs", "propose", "evaluate"].into_iter().filter(there).collect();
+    // Pairs are shared by all scenes.
+    let of_scenes: Vec<&str> = all.iter().copied().filter(|stage| *stage != "pairs").collect();
     let follow = |layer: &mut Overrides, stages: &[&str]| {
         let said = layer.get("targets").and_then(|targets| targets.get("proposer")).cloned();
         let Some(proposer) = said.filter(|p| p != "scene") else { return };
@@ -140,16 +143,15 @@ pub(super) fn one_proposer_for_all(batch: &mut Batch) {
             }
         }
     };
-    follow(&mut batch.defaults, &FOLLOW);
-    follow(&mut batch.forced, &FOLLOW);
+    follow(&mut batch.defaults, &all);
+    follow(&mut batch.forced, &all);
     for variant in &mut batch.variants {
-        follow(&mut variant.overrides, &FOLLOW);
-        follow(&mut variant.forced, &FOLLOW);
+        follow(&mut variant.overrides, &all);
+        follow(&mut variant.forced, &all);
     }
-    // Pairs are shared by all scenes.
     for scene in &mut batch.scenes {
-        follow(&mut scene.overrides, &FOLLOW[1..]);
-        follow(&mut scene.forced, &FOLLOW[1..]);
+        follow(&mut scene.overrides, &of_scenes);
+        follow(&mut scene.forced, &of_scenes);
     }
 }
 

@@ -192,7 +192,7 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
         known_from_tracks(context)?
     } else {
         let tracks = match params.start_points {
-            StartPoints::Triangles => imported(context)?.tracks(),
+            StartPoints::Triangles | StartPoints::Planes => imported(context)?.tracks(),
             StartPoints::Tracks => Vec::new(),
         };
         (Known { tracks, ..Known::default() }, false, water_learnt(&params).to_string())

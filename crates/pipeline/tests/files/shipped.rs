@@ -13,12 +13,17 @@ fn registry() -> Registry {
     let stage = |name, scope| Stage::new(name, scope, |_, _: &Map<String, Value>| Ok(()));
     let stages = vec![
         stage("import", Scope::Scene).external("capture", "capture"),
+        stage("depth", Scope::Scene).input("capture", "import"),
+        stage("propose", Scope::Scene).input("capture", "import"),
+        stage("pairs", Scope::Shared),
         stage("calibrate", Scope::Shared)
             .optional_external("input", "pairs.input")
             .optional_external("target", "pairs.target"),
         stage("reconstruct", Scope::Scene).input("capture", "import"),
         stage("targets", Scope::Scene).input("scene", "reconstruct").input("calibrator", "calibrate"),
         stage("enhance", Scope::Scene).input("scene", "reconstruct").input("calibrator", "calibrate"),
+        stage("render", Scope::Scene).input("scene", "enhance"),
+        stage("evaluate", Scope::Scene).input("scene", "enhance"),
     ];
     Registry::new(stages, super::stages::code())
         .expect("a table")

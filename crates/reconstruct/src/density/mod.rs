@@ -1,20 +1,22 @@
-//! Where Gaussians are added and where they are removed (R9).
+//! Density control: adds Gaussians in some places and removes them in others (R9).
 //!
-//! Over the renders since the last refinement in which a Gaussian was visible, the mean of
+//! The criterion is the mean, over the renders since the last refinement in which a Gaussian was visible,
+//! of
 //!
 //! ```text
 //! | (½ W Σ_p |∂L_p/∂x|,  ½ H Σ_p |∂L_p/∂y|) |₂
 //! ```
 //!
-//! says how much the loss pulls at it on the screen without opposite pulls cancelling; it is scaled to the
-//! image size that the threshold is meant for. Above a threshold, a Gaussian whose largest standard deviation
-//! exceeds a size is replaced by two drawn from it, 1.6 times smaller; a smaller one gets a twin. Faint and
-//! huge ones are removed, but never below a floor (the most opaque stay), and growth stops at a cap (the
-//! strongest pulls first). New Gaussians start with zero moments.
+//! This is the absolute gradient of the loss with respect to the Gaussian's position on the screen, so that
+//! opposite gradients do not cancel. It is scaled to the image size for which the threshold is meant. Above
+//! the threshold, a Gaussian whose largest standard deviation exceeds a size is replaced by two drawn from
+//! it, 1.6 times smaller; a smaller one gets a twin. Faint and huge Gaussians are removed, but never below
+//! a floor (the most opaque stay), and growth stops at a cap (the largest gradients first). New Gaussians
+//! start with zero moments.
 //!
-//! An engine is asked for a [`Survey`]; [`plan`] says which rows the refined scene has, [`rebuilt`] what each
-//! of them is. Both are functions of their arguments alone, so that every engine refines alike: it may follow
-//! `rebuilt` or do the same where its arrays are.
+//! An engine returns a [`Survey`]; [`plan`] computes the rows of the refined scene, and [`rebuilt`] the
+//! content of each row. Both are functions of their arguments alone, so that every engine refines alike: it
+//! may call `rebuilt` or do the same where its arrays are.
 
 mod rebuild;
 pub(crate) mod unseen;
@@ -27,7 +29,7 @@ use use3d_splat::Gaussians;
 
 use crate::engine::Statistics;
 
-/// What density control knows of every Gaussian: N rows each.
+/// The input of density control for every Gaussian: N rows each.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Survey {
     /// Opacity logits.
@@ -39,7 +41,7 @@ pub struct Survey {
 }
 
 impl Survey {
-    /// Of Gaussians and their statistics in main memory.
+    /// The survey of Gaussians and their statistics in main memory.
     pub fn of(gaussians: &Gaussians, statistics: &Statistics) -> Self {
         Self {
             opacity_logits: gaussians.opacity_logits.clone(),
@@ -49,12 +51,12 @@ impl Survey {
     }
 }
 
-/// What one refinement goes by.
+/// The settings of one refinement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RefineSettings {
-    /// Whether Gaussians are split and duplicated.
+    /// True if Gaussians are split and duplicated.
     pub grow: bool,
-    /// Mean absolute screen gradient above which they are.
+    /// Mean absolute screen gradient above which they are split or duplicated.
     pub gradient_threshold: f64,
     /// Largest standard deviation of a duplicate.
     pub split_scale: f64,
@@ -62,30 +64,30 @@ pub struct RefineSettings {
     pub cull_opacity: f64,
     /// Standard deviation above which they are removed.
     pub cull_scale: f64,
-    /// Culling leaves at least this many.
+    /// Culling leaves at least this many Gaussians.
     pub floor: usize,
-    /// Growth leaves at most this many.
+    /// Growth leaves at most this many Gaussians.
     pub most: usize,
 }
 
-/// What comes of a refinement.
+/// The result of a refinement.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RefineReport {
-    /// Gaussians replaced by two smaller ones.
+    /// Number of Gaussians replaced by two smaller ones.
     pub split: usize,
-    /// Gaussians that got a twin.
+    /// Number of Gaussians that got a twin.
     pub duplicated: usize,
-    /// Gaussians removed.
+    /// Number of Gaussians removed.
     pub culled: usize,
-    /// Gaussians that would have been removed, but for the floor.
+    /// Number of Gaussians that were kept only because of the floor.
     pub spared: usize,
-    /// Gaussians that would have been split or duplicated, but for the cap.
+    /// Number of Gaussians that were not split or duplicated because of the cap.
     pub held_back: usize,
 }
 
-/// The rows of the refined scene: survivors in their order, then twins and children in the order of their
-/// parents. All of `survey` has one length. Where the worth of every Gaussian is given, only those that are
-/// worth something grow, the worthiest first.
+/// Computes the rows of the refined scene: survivors in their order, then twins and children in the order
+/// of their parents. All arrays of `survey` have the same length. If `worth` is given, only Gaussians with
+/// a positive worth grow, in descending order of worth.
 pub fn plan(
     survey: &Survey,
     settings: &RefineSettings,
@@ -163,7 +165,7 @@ mod tests {
     };
     const DRAWS: Draws = Draws { seed: 1, step: 700, shrink: 1.6 };
 
-    /// Gaussians with (opacity logit, standard deviation, mean screen gradient).
+    /// Gaussians from rows of (opacity logit, standard deviation, mean screen gradient).
     fn scene(rows: &[(f32, f32, f32)]) -> (Gaussians, Survey) {
         let mut g = zeros(rows.len(), 0);
         let mut statistics = Statistics::new(rows.len());
@@ -196,9 +198,9 @@ mod tests {
         assert_eq!(refined.means[4], g.means[2]);
         assert!((refined.log_scales[2][0] - math::ln(0.1f32 / 1.6)).abs() < 1e-6);
         assert!(refined.means[2] != refined.means[3] && (refined.means[2][0] - 1.0).abs() < 0.6);
-        // Drawn from the parent: next to nothing along its thin axes.
+        // Children are drawn from the parent, so they hardly move along its thin axes.
         assert!(refined.means[2][1].abs() < 1e-2);
-        // Without growth only the removals remain.
+        // Without growth Gaussians are only removed.
         let (rows, _) = plan(&s, &RefineSettings { grow: false, ..SETTINGS }, None);
         assert_eq!(rows, [Kept(0), Kept(1), Kept(2)]);
     }
@@ -222,7 +224,7 @@ mod tests {
         let angle = std::f32::consts::FRAC_PI_4;
         for i in 0..n {
             g.means[i] = [0.0; 3];
-            // A quarter turn about z, of length 2: the long axis is y.
+            // A quarter turn about z, as a quaternion of length 2: the long axis is y.
             g.quaternions[i] = [2.0 * math::cos(angle), 0.0, 0.0, 2.0 * math::sin(angle)];
         }
         let settings = RefineSettings { most: 10 * n, ..SETTINGS };

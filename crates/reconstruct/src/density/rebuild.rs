@@ -1,25 +1,25 @@
-//! What the rows of a refined scene are.
+//! Computes the rows of a refined scene.
 
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_splat::Gaussians;
 
-/// What children are drawn for.
+/// The purpose of the random draws for children.
 const SPLIT: Purpose = Purpose::new("split Gaussians");
 
-/// Where a row of the refined scene comes from.
+/// The origin of a row of the refined scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Origin {
-    /// The Gaussian itself, with its moments.
+    /// An existing Gaussian, with its moments.
     Kept(usize),
-    /// A twin.
+    /// A twin of a Gaussian.
     Twin(usize),
     /// A child of a split: 0 or 1.
     Child(usize, usize),
 }
 
 impl Origin {
-    /// The Gaussian that it is, or is made from.
+    /// Index of the Gaussian that it is, or from which it is made.
     pub fn source(self) -> usize {
         match self {
             Self::Kept(i) | Self::Twin(i) | Self::Child(i, _) => i,
@@ -27,31 +27,31 @@ impl Origin {
     }
 }
 
-/// What the children of a refinement are drawn with: the same draws wherever they are made.
+/// The random draws for the children of a refinement; they are the same in every engine.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Draws {
     /// Seed of the run.
     pub seed: u64,
     /// The step, from 0.
     pub step: u64,
-    /// Factor by which a split's children are smaller.
+    /// Factor by which the children of a split are smaller.
     pub shrink: f64,
 }
 
 impl Draws {
-    /// Where a child lies in its parent, in standard deviations along the parent's axes.
+    /// The position of a child in its parent, in standard deviations along the parent's axes.
     pub fn place(&self, parent: usize, child: usize) -> [f64; 3] {
         let stream = Stream::new(self.seed, SPLIT, self.step);
         std::array::from_fn(|axis| stream.normal((6 * parent + 3 * child + axis) as u64))
     }
 
-    /// By how much a child's log scales are less than its parent's.
+    /// The difference between a parent's and a child's log scales.
     pub fn smaller(&self) -> f32 {
         math::ln(self.shrink) as f32
     }
 
-    /// Mean (scene units) and log scales of child 0 or 1 of a Gaussian. Everything else it has of its parent.
-    /// Of the Gaussians their colours are not looked at.
+    /// Mean (scene units) and log scales of child 0 or 1 of a Gaussian. All other parameters are the
+    /// parent's. The colours in `gaussians` are not used.
     pub fn child(&self, gaussians: &Gaussians, parent: usize, child: usize) -> ([f32; 3], [f32; 3]) {
         let (place, smaller) = (self.place(parent, child), self.smaller());
         let (mean, log_scales) = (gaussians.means[parent], gaussians.log_scales[parent]);
@@ -62,8 +62,8 @@ impl Draws {
     }
 }
 
-/// The Gaussians of these rows: what is kept and twins as they are, children drawn
-/// from their parents and smaller.
+/// Makes the Gaussians of these rows: kept ones and twins unchanged, children drawn from their parents and
+/// smaller.
 pub fn rebuilt(gaussians: &Gaussians, rows: &[Origin], draws: &Draws) -> Gaussians {
     let sources: Vec<usize> = rows.iter().map(|row| row.source()).collect();
     let mut refined = gaussians.select(&sources);
@@ -75,7 +75,7 @@ pub fn rebuilt(gaussians: &Gaussians, rows: &[Origin], draws: &Draws) -> Gaussia
     refined
 }
 
-/// `R(q) x` for a quaternion of any length.
+/// Computes `R(q) x` for a quaternion of any length.
 fn rotate(q: [f32; 4], x: [f64; 3]) -> [f64; 3] {
     let q = glam::DQuat::from_xyzw(q[1].into(), q[2].into(), q[3].into(), q[0].into());
     let norm = q.length();

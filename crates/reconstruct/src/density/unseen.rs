@@ -1,23 +1,24 @@
-//! Gaussians where no view has seen the scene well are held back: no streaks, no fog beyond the last tracks.
+//! Bounds Gaussians that no view has seen well: no streaks, and no fog beyond the last tracks.
 //!
-//! Views from about one direction give no depth: a Gaussian that only they show may be as long along the
-//! view as it likes, or float anywhere in open water, and no photograph objects. From elsewhere it is a
-//! streak or a fog. For every Gaussian, of the training views that have its centre in their picture (occlusion
-//! is not looked at; at most [`MOST_VIEWS`] views are asked):
+//! Views from almost one direction give no depth. A Gaussian seen only by such views may become arbitrarily
+//! long along the view, or float anywhere in open water, and no photograph contradicts it. From another
+//! direction it looks like a streak or fog. For every Gaussian, over the training views that have its
+//! centre in their picture (occlusion is ignored; at most [`MOST_VIEWS`] views are used):
 //!
 //! ```text
 //! u_v       unit directions to the cameras,       R = |Σ_v u_v| / n,      θ = √(2 (1 − R))   their spread
 //! d         Σ_v u_v, normalised
 //! σ_d       the standard deviation along d, √(dᵀ Σ d);       σ_⊥ the largest one across it
-//! beyond    depth > z_far of every one of these views; z_far: `beyond` times the depth that 99 of 100 sparse
-//!           points in its picture are nearer than
+//! z_far     of a view: `beyond` times a depth; 99 of 100 sparse points in its picture are nearer than it
+//! beyond    depth > z_far of every one of these views
 //!
-//! θ < spread                 ⇒   σ_d ≤ stretch · σ_⊥             (the axis that lies along d is shortened)
-//! θ < spread and n < 3, or beyond   ⇒   largest σ ≤ width · (picture's width at the depth of the nearest view)
+//! θ < spread                        ⇒   σ_d ≤ stretch · σ_⊥      (the axis that lies along d is shortened)
+//! θ < spread and n < 3, or beyond   ⇒   largest σ ≤ width · (picture's width at the nearest view's depth)
 //! beyond, or seen by no view        ⇒   opacity ≤ `opacity`
 //! ```
 //!
-//! Only sizes and opacities are lowered, and Adam's moments stay, so that a training goes on undisturbed.
+//! Only sizes and opacities are lowered, and Adam's moments stay, so that the training continues
+//! undisturbed.
 
 use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;
@@ -28,14 +29,14 @@ use use3d_splat::{Gaussians, NEAR};
 use super::logit;
 use crate::Unseen;
 
-/// Views that are asked at most, spread over the capture.
+/// Largest number of views used, spread over the capture.
 const MOST_VIEWS: usize = 64;
-/// Fewer views than this see the edge of a capture.
+/// A Gaussian seen by fewer views than this lies at the edge of a capture.
 const FEW: u32 = 3;
-/// The share of sparse points that are nearer than a view's last ones.
+/// The share of sparse points that define a view's far depth.
 const LAST: f64 = 0.99;
 
-/// A training view as far as this goes.
+/// The part of a training view that is used here.
 #[derive(Clone, Copy, Debug)]
 struct Witness {
     camera: Camera,
@@ -44,11 +45,11 @@ struct Witness {
     far: f64,
 }
 
-/// The part of the scene that the training views can have seen.
+/// The training views that decide which part of the scene can have been seen.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Witnesses(Vec<Witness>);
 
-/// The verdict on one Gaussian.
+/// The bounded parameters of one Gaussian.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Bounded {
     log_scales: [f32; 3],
@@ -73,7 +74,7 @@ impl Witnesses {
         Self(some.par_iter().map(witness).collect())
     }
 
-    /// Lowers sizes and opacities to what the views can have seen.
+    /// Lowers sizes and opacities to the bounds.
     pub(crate) fn hold_back(&self, gaussians: &mut Gaussians, settings: &Unseen) {
         let bounded: Vec<Bounded> =
             (0..gaussians.len()).into_par_iter().map(|i| self.bounded(gaussians, i, settings)).collect();
@@ -113,7 +114,7 @@ impl Witnesses {
     }
 }
 
-/// The depth of a point that a view has in its picture.
+/// The depth of a point; `None` if the point is not in the view's picture.
 fn depth(camera: &Camera, point: DVec3) -> Option<f64> {
     let (at, z) = camera.project(point)?;
     let k = &camera.intrinsics;
@@ -122,20 +123,20 @@ fn depth(camera: &Camera, point: DVec3) -> Option<f64> {
 }
 
 /// Shortens the axis that lies along `direction` until the extent along it is at most `stretch` times the
-/// largest one across.
+/// largest extent across it.
 fn shorten(log_scales: &mut [f32; 3], q: [f32; 4], direction: DVec3, stretch: f64) {
     let q = DQuat::from_xyzw(q[1].into(), q[2].into(), q[3].into(), q[0].into());
     let length = q.length();
     if length == 0.0 || !length.is_finite() {
         return;
     }
-    // In the Gaussian's own axes.
+    // The direction in the Gaussian's own axes.
     let d = DMat3::from_quat(q.normalize()).transpose() * direction;
     let scales = log_scales.map(|s| math::exp(f64::from(s)));
     let along: [f64; 3] = std::array::from_fn(|k| scales[k] * d[k]);
     let axis = (1..3).fold(0, |a, k| if along[k].abs() > along[a].abs() { k } else { a });
     let extent = along.iter().map(|v| v * v).sum::<f64>().sqrt();
-    // Across: the largest of the axes' parts that are perpendicular to the direction.
+    // The extent across: the largest perpendicular part of an axis.
     let across = (0..3).map(|k| scales[k] * (1.0 - d[k] * d[k]).max(0.0).sqrt()).fold(0.0, f64::max);
     if extent > stretch * across {
         log_scales[axis] += math::ln(stretch * across / extent) as f32;
@@ -154,7 +155,7 @@ mod tests {
         Camera { intrinsics, pose: Pose::look_at(eye, target, -DVec3::Y) }
     }
 
-    /// Sparse points in front of cameras that look along z, the last ones at z = 4.
+    /// Sparse points in front of cameras that look along z; the last ones are at z = 4.
     fn sparse() -> Vec<DVec3> {
         let at = |i: i32, j: i32| {
             DVec3::new(0.1 * f64::from(i - 5), 0.1 * f64::from(j - 5), 2.0 + 0.2 * f64::from(j))
@@ -162,7 +163,7 @@ mod tests {
         (0..11).flat_map(|i| (0..11).map(move |j| at(i, j))).collect()
     }
 
-    /// One Gaussian, opacity 0.9.
+    /// A single Gaussian of opacity 0.9.
     fn one(mean: [f32; 3], scales: [f32; 3]) -> Gaussians {
         let mut g = zeros(1, 0);
         g.means[0] = mean;
@@ -201,13 +202,13 @@ mod tests {
         let (scales, opacity, changed) = held(&in_a_row(0.05), streak());
         assert!(close(scales, [0.01, 0.02, 0.06]), "{scales:?}");
         assert!((opacity - 0.9).abs() < 1e-6 && changed);
-        // From several directions its length is seen.
+        // Views from several directions see its length.
         let (scales, _, changed) = held(&in_a_row(0.6), streak());
         assert!(close(scales, [0.01, 0.02, 0.5]) && !changed, "{scales:?}");
-        // Across the view a Gaussian may be as long as it likes.
+        // Across the view a Gaussian may have any length.
         let (_, _, changed) = held(&in_a_row(0.05), one([0.0, 0.0, 3.0], [0.5, 0.02, 0.01]));
         assert!(!changed);
-        // One view alone also bounds the size: 0.05 of 3 · 200/180.
+        // A single view also bounds the size: 0.05 of 3 · 200/180.
         let (scales, ..) = held(&in_a_row(0.05)[..1], one([0.0, 0.0, 3.0], [0.5, 0.02, 0.01]));
         assert!(close(scales, [0.05 * 3.0 * 200.0 / 180.0, 0.02, 0.01]), "{scales:?}");
     }
@@ -218,15 +219,15 @@ mod tests {
         let (scales, opacity, _) = held(&cameras, one([0.0, 0.0, 9.0], [2.0, 0.1, 2.0]));
         let most = 0.05 * 9.0 * 200.0 / 180.0;
         assert!(close(scales, [most, 0.1, most]) && (opacity - 0.5).abs() < 1e-6, "{scales:?} {opacity}");
-        // In front of the last tracks nothing changes, behind all cameras only the opacity does.
+        // In front of the last tracks nothing changes; behind all cameras only the opacity does.
         assert!(!held(&cameras, one([0.0, 0.0, 3.9], [2.0, 0.1, 2.0])).2);
         let (scales, opacity, changed) = held(&cameras, one([0.0, 0.0, -9.0], [2.0, 0.1, 2.0]));
         assert!(close(scales, [2.0, 0.1, 2.0]) && (opacity - 0.5).abs() < 1e-6 && changed);
-        // Faint ones stay as they are.
+        // Faint Gaussians stay unchanged.
         let mut faint = one([0.0, 0.0, -9.0], [2.0, 0.1, 2.0]);
         faint.opacity_logits[0] = -3.0;
         assert!(!held(&cameras, faint).2);
-        // Without sparse points nothing is known of what is far.
+        // Without sparse points no depth counts as far.
         let mut g = one([0.0, 0.0, 90.0], [2.0, 0.1, 2.0]);
         let settings = Unseen::default();
         let before = g.clone();

@@ -1,10 +1,11 @@
-//! The worth of another Gaussian: several views must agree that it pays (`densify.strategy = "frugal"`).
+//! The worth of an additional Gaussian: several views must agree that it helps
+//! (`densify.strategy = "frugal"`).
 //!
-//! A strong pull on the screen says that *something* is wrong under a Gaussian in the views that were drawn
-//! since the last refinement; often it is one view's reflection or fish. So some views are drawn again, in
+//! A strong screen gradient shows that *something* is wrong under a Gaussian in the views drawn since the
+//! last refinement; often it is a reflection or a fish in a single view. So some views are drawn again, in
 //! groups of neighbours that move along the capture from refinement to refinement. For view v, with the
-//! compositor's weights `w_iv(p) = T α` and the error `e_v(p)` of a pixel (the mean over the channels of the
-//! absolute difference between picture and photograph, 0 where the mask says so):
+//! compositor's weights `w_iv(p) = T α` and the error `e_v(p)` of a pixel (the mean over the channels of
+//! the absolute difference between picture and photograph, 0 where the mask excludes it):
 //!
 //! ```text
 //! m_iv = Σ_p w_iv(p)              pixels that Gaussian i fills in view v
@@ -15,9 +16,9 @@
 //! worth_i = Σ_v c_iv  if two views at least complain (one where there is only one), else 0
 //! ```
 //!
-//! `m` and `c` are the adjoint `S_vᵀ` of the linear splat, applied to ones and to errors. Views are kept and
-//! drawn at half their size, which is enough to tell where the error is. Everything is computed on the
-//! processor from the engine's state, for every engine alike.
+//! `m` and `c` are the adjoint `S_vᵀ` of the linear splat, applied to ones and to errors. Views are stored
+//! and drawn at half their size, which is enough to locate errors. Everything is computed on the processor
+//! from the engine's state, in the same way for every engine.
 
 use rayon::prelude::*;
 use use3d_capture::{Camera, Image8, Lattice, Map, MediumMaps};
@@ -29,24 +30,24 @@ use crate::views::TrainingView;
 
 /// The divisor of the views' sides.
 const DIVISOR: usize = 2;
-/// Neighbours that are asked together.
+/// Number of neighbouring views in a group.
 const GROUP: usize = 3;
-/// Groups that are asked at a refinement, at least and at most.
+/// Smallest and largest number of groups at a refinement.
 const GROUPS: [usize; 2] = [4, 16];
-/// Pixels that a Gaussian fills in a view that may complain of it.
+/// Number of pixels that a Gaussian must fill in a view for the view to count.
 const FILLED: f32 = 0.5;
-/// Views that must complain.
+/// Number of views that must have a large error.
 const AGREEING: u32 = 2;
 
 /// A training view at half its size.
 struct Judge {
     camera: Camera,
     photograph: Image8,
-    /// The pixels that count; all of them without a mask.
+    /// The pixels that count; `None` if all do.
     mask: Option<Map>,
 }
 
-/// The views that are asked, and what is computed on the way.
+/// The views used for the worth, and working memory.
 #[derive(Default)]
 pub(crate) struct Judges {
     views: Vec<Judge>,
@@ -57,7 +58,7 @@ pub(crate) struct Judges {
 }
 
 impl Judges {
-    /// Takes the views.
+    /// Stores the views at half their size.
     pub(crate) fn new(views: &[TrainingView]) -> Self {
         let views = views.iter().map(|view| {
             let mut target = Target::default();
@@ -74,7 +75,7 @@ impl Judges {
         Self { views: views.collect(), ..Self::default() }
     }
 
-    /// The worth of every Gaussian at the refinement with this number.
+    /// Computes the worth of every Gaussian at the refinement with this number.
     pub(crate) fn worth(&mut self, state: &TrainingState, degrees: Degrees, refinement: u64) -> Vec<f32> {
         let n = state.gaussians.len();
         let asked = asked(self.views.len(), refinement);
@@ -118,7 +119,7 @@ impl Judges {
 }
 
 impl Judge {
-    /// Two planes: the error of every pixel, and whether it counts.
+    /// Two planes: the error of every pixel, and its weight in the mask.
     fn planes(&self, rendered: &Rendered, gain: [f32; 3]) -> Vec<f32> {
         let count = self.photograph.pixels();
         let mut planes = vec![1.0; 2 * count];
@@ -141,8 +142,8 @@ impl Judge {
     }
 }
 
-/// The views that are asked at a refinement: groups of neighbours, spread over the capture, that move on by
-/// the length of a group from one refinement to the next. Ascending, each once.
+/// The views used at a refinement: groups of neighbours, spread over the capture, that move by the length
+/// of a group from one refinement to the next. In ascending order, each once.
 fn asked(views: usize, refinement: u64) -> Vec<usize> {
     let groups = (views / (4 * GROUP)).clamp(GROUPS[0], GROUPS[1]);
     let stride = views.div_ceil(groups).max(1);
@@ -185,8 +186,8 @@ mod tests {
         g
     }
 
-    /// Worths where the photographs of `wrong` views show a brighter first disc than the scene has, and
-    /// that of view 0 a brighter second one.
+    /// The worths if the photographs of the views in `wrong` show a brighter first disc than the scene has,
+    /// and the photograph of view 0 a brighter second one.
     fn worths(views: usize, wrong: &[usize], masked: bool) -> Vec<f32> {
         let state = TrainingState::new(discs(), MediumModel::None, &[]);
         let (mut prepared, mut rasterizer, mut rendered) =
@@ -217,7 +218,7 @@ mod tests {
     fn what_several_views_miss_is_worth_a_gaussian_and_what_one_shows_is_not() {
         let worth = worths(6, &[1, 2, 3], false);
         assert!(worth[0] > 1.0 && worth[1] == 0.0, "{worth:?}");
-        // One view alone is believed, two must agree.
+        // With a single view, one is enough; otherwise two must agree.
         assert!(worths(1, &[0], false)[1] > 0.0);
         assert_eq!(worths(2, &[], false)[1], 0.0);
         assert_eq!(worths(6, &[1, 2, 3], true), [0.0, 0.0], "nothing counts");
@@ -225,7 +226,7 @@ mod tests {
 
     #[test]
     fn worth_is_the_error_under_a_gaussian_times_its_weight() {
-        // Against a plain sum over the pixels of every view.
+        // Compared with a plain sum over the pixels of every view.
         let state = TrainingState::new(discs(), MediumModel::None, &[]);
         let worth = worths(6, &[1, 2, 3], false)[0];
         let (mut prepared, mut rasterizer) = (Prepared::new(), Rasterizer::new());

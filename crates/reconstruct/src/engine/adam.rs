@@ -1,8 +1,8 @@
 //! Adam over the Gaussians' arrays, in one pass per array.
 //!
-//! Per Gaussian 59 parameters with a gradient and two moments: 944 bytes are read and 708 written where
-//! everything is active. Bands above the active spherical-harmonics degree have no gradient and no moments
-//! yet, so they are not touched at all; that they are finite is checked in the same pass, on the bits, so
+//! A Gaussian has 59 parameters, each with a gradient and two moments: 944 bytes are read and 708 written
+//! if all bands are active. Bands above the active spherical-harmonics degree have no gradient and no
+//! moments yet, so they are not touched. The same pass checks on the bits that all values are finite, so
 //! that the check vectorises with the rest.
 
 use fearless_simd::{Level, Simd, dispatch};
@@ -15,12 +15,12 @@ use super::{Moments, StepRates};
 
 /// Gaussians per task.
 const CHUNK: usize = 1024;
-/// Floats of one Gaussian's coefficients, and of its constant band.
+/// Number of floats of one Gaussian's coefficients, and of its constant band.
 const COEFFICIENTS: usize = 48;
 const CONSTANT: usize = 3;
 
 impl Moments {
-    /// One update of everything; the first array with a value that is not finite, and where.
+    /// Updates all arrays once; returns the first array with a value that is not finite, and the index.
     pub(crate) fn update(
         &mut self,
         step: u64,
@@ -161,7 +161,7 @@ fn rows<S: Simd>(
     for ((p, g), (m, v)) in rows.zip(moments) {
         bad |= run(constant, &mut p[..CONSTANT], &g[..CONSTANT], &mut m[..CONSTANT], &mut v[..CONSTANT]);
         if active == COEFFICIENTS {
-            // The usual case, with a length the compiler knows.
+            // The usual case, with a length that the compiler knows.
             let all = CONSTANT..COEFFICIENTS;
             bad |= run(directional, &mut p[all.clone()], &g[all.clone()], &mut m[all.clone()], &mut v[all]);
         } else {
@@ -247,7 +247,7 @@ mod tests {
         let row = |g: &Gaussians, range: std::ops::Range<usize>| g.sh[at].as_flattened()[range].to_vec();
         assert_eq!(row(&parameters, 0..3), plain(&row(&before, 0..3), &row(&slopes, 0..3), 2e-3));
         assert_eq!(row(&parameters, 3..12), plain(&row(&before, 3..12), &row(&slopes, 3..12), 3e-3));
-        // Above the active degree nothing moves.
+        // Above the active degree nothing changes.
         assert_eq!(row(&parameters, 12..48), row(&before, 12..48));
     }
 

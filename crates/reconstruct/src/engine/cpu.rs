@@ -21,17 +21,18 @@ use crate::views::{Target, TrainingView};
 /// The engine's name in messages.
 const NAME: &str = "cpu";
 
-/// Parameters, moments and every buffer of a step, in main memory. A step is done when it was asked for.
+/// Parameters, moments and every buffer of a step, in main memory. A step is complete when the call
+/// returns.
 pub struct CpuEngine {
     state: TrainingState,
     views: Vec<TrainingView>,
-    /// What was not drained yet.
+    /// Reports that were not drained yet.
     reports: Vec<StepReport>,
     buffers: Buffers,
     profile: Profile<StepPart>,
 }
 
-/// What a step computes on the way; kept from step to step.
+/// Intermediate results of a step; the memory is reused from step to step.
 struct Buffers {
     target: Target,
     maps: MediumMaps,
@@ -59,7 +60,8 @@ impl CpuEngine {
         Self::with_terms(TERMS)
     }
 
-    /// One that minimises other terms: plans have one weight for each of their values, in this order.
+    /// An engine that minimises other terms: a plan needs one weight for each of their values, in this
+    /// order.
     pub fn with_terms(terms: &[LossTerm]) -> Self {
         Self {
             state: TrainingState::new(Gaussians::empty(0), MediumModel::None, &[]),
@@ -90,7 +92,7 @@ impl CpuEngine {
         })
     }
 
-    /// The loss of one view; all gradients are left in the buffers.
+    /// Computes the loss of one view and stores all gradients in the buffers.
     pub(crate) fn differentiate(&mut self, view: usize, plan: &StepPlan) -> Result<Loss, EngineError> {
         self.view(view)?;
         let (given, needed) = (plan.weights.len(), self.buffers.losses.values());
@@ -171,7 +173,7 @@ impl CpuEngine {
         Ok(loss)
     }
 
-    /// The gradients that [`CpuEngine::differentiate`] left.
+    /// The gradients that [`CpuEngine::differentiate`] computed.
     #[cfg(test)]
     pub(crate) fn gradients(&self) -> (&GaussianGradients, &MediumModel) {
         (&self.buffers.gradients, &self.buffers.medium_gradient)
@@ -201,7 +203,8 @@ impl CpuEngine {
         finite
     }
 
-    /// Adam and statistics after [`CpuEngine::differentiate`]; what was not finite.
+    /// Runs Adam and the statistics after [`CpuEngine::differentiate`]; returns the first array that was
+    /// not finite.
     fn update(&mut self, view: usize, plan: &StepPlan) -> Option<(&'static str, Option<usize>)> {
         self.profile.start();
         let state = &mut self.state;
@@ -227,7 +230,8 @@ impl CpuEngine {
         if let Some(reference) = plan.gather {
             let image = &self.buffers.rendered.image;
             let (width, height) = (image.width(), image.height());
-            // At every divisor as at full size: the pyramid's stronger pulls are part of the method.
+            // Pixels are counted at full size for every divisor: the pyramid's larger gradients are part of
+            // the method.
             let pixels = (width * plan.divisor) as f64 * (height * plan.divisor) as f64;
             let scale = if reference == 0 { 1.0 } else { (pixels / reference as f64).sqrt() as f32 };
             state.statistics.gather(&self.buffers.gradients, width, height, scale);
@@ -238,7 +242,7 @@ impl CpuEngine {
     }
 }
 
-/// Transparent pixels take the water's colour (black without water) as the view's gain shows it.
+/// Fills transparent pixels with the water's colour (black without water) times the view's gain.
 fn over_water(image: &mut Image, alpha: &Map, maps: Option<&MediumMaps>, gain: [f32; 3]) {
     let n = image.pixels();
     let color = maps.map(|m| m.color.data());
@@ -365,7 +369,7 @@ impl Diagnostics for CpuEngine {
         let (camera, _) = self.view(view)?.camera_over(divisor);
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         let some = |n: usize| (0..n).skip(EVERY / 2).step_by(EVERY).collect::<Vec<_>>();
-        // An image below three pixels has no such pixel: then all of them.
+        // An image with fewer than three pixels along a side has no such pixel, so all pixels are used.
         let lattice =
             Lattice::subset(&some(width), &some(height)).unwrap_or_else(|| Lattice::full(&camera.intrinsics));
         let prepared = &mut self.buffers.prepared;

@@ -1,8 +1,8 @@
-//! Who owns the parameters: the loop decides *what* happens, an engine does it.
+//! The owner of the parameters: the loop decides *what* is done, and an engine does it.
 //!
 //! An engine holds the Gaussians, the water, Adam's moments, the density statistics and every buffer of a
-//! step. It need not be here, nor on the processor: everything that crosses this seam is public, owned or
-//! borrowed plainly, and the loop works on `&mut dyn Engine`.
+//! step. It may be in another crate and on another device than the processor: all types of this interface
+//! are public and owned or plainly borrowed, and the loop uses `&mut dyn Engine`.
 //!
 //! ```text
 //! upload every view ─▶ load a state ─▶ step, step, … ─▶ drain reports
@@ -12,13 +12,13 @@
 //!                                       └─▶ save (checkpoints, the result)
 //! ```
 //!
-//! A step may only be *asked for*: an engine on another device may have several under way, and
-//! reports them when it can. Whatever else is asked of it comes after the steps that were asked for
-//! before. So a loop never waits for a device, except where it needs its numbers: at a line of the
-//! log, a refinement, a checkpoint.
+//! A call of `step` may return before the step is done: an engine on another device may have several steps
+//! under way, and reports them when it can. All other calls take effect after the steps that were requested
+//! before. So a loop waits for a device only where it needs its numbers: at a line of the log, a
+//! refinement, or a checkpoint.
 //!
-//! Which arithmetic an engine computes with is its own business, but the same engine on the same device gives
-//! the same bits for the same requests. An error ends the run; what was saved before stays good.
+//! An engine may use any arithmetic, but the same engine on the same device must give the same bits for the
+//! same requests. An error ends the run; state that was saved before stays valid.
 
 mod adam;
 mod cpu;
@@ -43,36 +43,36 @@ use crate::views::TrainingView;
 /// This step's learning rates.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StepRates {
-    /// Centres.
+    /// Rate of centres.
     pub means: f64,
-    /// Constant colour coefficients.
+    /// Rate of constant colour coefficients.
     pub sh_constant: f64,
-    /// Directional colour coefficients.
+    /// Rate of directional colour coefficients.
     pub sh_directional: f64,
-    /// Opacity logits.
+    /// Rate of opacity logits.
     pub opacity: f64,
-    /// Log scales.
+    /// Rate of log scales.
     pub scales: f64,
-    /// Quaternions.
+    /// Rate of quaternions.
     pub quaternions: f64,
-    /// The water's constant coefficients.
+    /// Rate of the water's constant coefficients.
     pub medium_constant: f64,
-    /// The water's directional coefficients and anchors.
+    /// Rate of the water's directional coefficients and anchors.
     pub medium_directional: f64,
-    /// The network water's weights.
+    /// Rate of the network water's weights.
     pub medium_network: f64,
 }
 
 /// Active degrees of spherical harmonics, 0 to 3.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Degrees {
-    /// Of the Gaussians' colours.
+    /// Degree of the Gaussians' colours.
     pub colors: usize,
-    /// Of the water.
+    /// Degree of the water.
     pub water: usize,
 }
 
-/// What one step does. The same plan on the same state is the same step, so steps can be asked for again.
+/// The settings of one step. The same plan on the same state gives the same step, so steps can be repeated.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StepPlan {
     /// The step, from 0.
@@ -83,19 +83,19 @@ pub struct StepPlan {
     pub degrees: Degrees,
     /// Learning rates.
     pub rates: StepRates,
-    /// Weights of the loss's values, in the order of [the table of
-    /// terms](crate::losses::TERMS); 0 leaves one out.
+    /// Weights of the loss's values, in the order of [the table of terms](crate::losses::TERMS); 0 leaves a
+    /// value out.
     pub weights: Vec<f64>,
-    /// Whether gradients flow through ray distances (R2).
+    /// True if gradients flow through ray distances (R2).
     pub depth_gradient: bool,
-    /// How the view's gain is learnt; `None`: every gain is one.
+    /// The settings by which the view's gain is learnt; `None` if every gain is one.
     pub exposure: Option<ExposureStep>,
-    /// Whether screen gradients are gathered for density control, and for how many pixels its
-    /// threshold is meant (0: not scaled).
+    /// The number of pixels for which the threshold of density control is meant (0: not scaled); `None` if
+    /// no screen gradients are gathered.
     pub gather: Option<u64>,
 }
 
-/// What came of a step.
+/// The result of a step.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StepReport {
     /// The step, from 0.
@@ -104,70 +104,69 @@ pub struct StepReport {
     pub view: usize,
     /// The whole loss.
     pub loss: f64,
-    /// The loss's values before their weights, in the plan's order; `None` where a term
-    /// has nothing to say of the view.
+    /// The loss's values before their weights, in the plan's order; `None` if a term has no value for the
+    /// view.
     pub values: Vec<Option<f64>>,
-    /// PSNR of the rendered view over the pixels that count, dB; `None` where it has no finite one.
+    /// PSNR of the rendered view over the pixels that count, dB; `None` if it is not finite.
     pub psnr: Option<f64>,
-    /// What was not finite, and its first bad element. The state is then of no use, and steps
-    /// asked for later may be left out.
+    /// The first array that was not finite, and its first bad element. The state is then useless, and steps
+    /// requested later may be left out.
     pub non_finite: Option<(&'static str, Option<usize>)>,
 }
 
-/// Does the work of training stage 1. See the [module](self) for the order of calls.
+/// The work of training stage 1. See the [module](self) for the order of calls.
 pub trait Engine: Diagnostics {
-    /// Takes a training view: its camera and its pixels as they are stored.
-    /// Views count from 0, in this order.
+    /// Adds a training view: its camera and its stored pixels. Views count from 0, in this order.
     fn upload(&mut self, view: TrainingView) -> Result<usize, EngineError>;
 
-    /// Takes the state that the next step starts from: a [new](TrainingState::new) one or one that was saved,
-    /// by whichever engine. One that [does not agree with itself](TrainingState::check) is refused.
+    /// Sets the state from which the next step starts: a [new](TrainingState::new) one or one that any
+    /// engine saved. A state that [is inconsistent](TrainingState::check) is refused.
     fn load(&mut self, state: TrainingState) -> Result<(), EngineError>;
 
-    /// The state after every step that was asked for. An engine whose state lies in main memory lends it.
+    /// The state after all steps requested so far. An engine whose state lies in main memory lends it.
     fn save(&mut self) -> Result<Cow<'_, TrainingState>, EngineError>;
 
-    /// Asks for one step on an uploaded view: render, loss, gradients, Adam.
+    /// Requests one step on an uploaded view: render, loss, gradients, Adam.
     fn step(&mut self, view: usize, plan: &StepPlan) -> Result<(), EngineError>;
 
-    /// The reports of steps, in the order in which they were asked for, each once.
+    /// The reports of steps, each once, in the order of the requests.
     fn drain(&mut self, which: Drain) -> Result<Vec<StepReport>, EngineError>;
 
-    /// What density control needs to know of every Gaussian.
+    /// Returns the input of density control for every Gaussian.
     fn survey(&mut self) -> Result<Survey, EngineError>;
 
-    /// Density statistics start anew.
+    /// Resets the density statistics.
     fn forget_statistics(&mut self) -> Result<(), EngineError>;
 
-    /// Makes the scene that these rows describe: what is kept keeps its moments, what is new
-    /// starts with zero moments, and density statistics start anew.
-    /// [`rebuilt`](crate::density::rebuilt) says what every row is.
+    /// Makes the scene that these rows describe: kept Gaussians keep their moments, new ones start with
+    /// zero moments, and the density statistics are reset. [`rebuilt`](crate::density::rebuilt) defines the
+    /// content of every row.
     fn rebuild(&mut self, rows: &[Origin], draws: &Draws) -> Result<(), EngineError>;
 
     /// Lowers opacities to a ceiling and zeroes their moments.
     fn limit_opacity(&mut self, ceiling: f64) -> Result<(), EngineError>;
 
-    /// Has means, sizes, rotations and opacities changed in place, after the reports of all steps were drained.
-    /// The number of Gaussians, their moments and statistics stay. An engine whose state lies elsewhere fetches
-    /// it and takes it back.
+    /// Changes means, sizes, rotations and opacities in place, after the reports of all steps were drained.
+    /// The number of Gaussians, their moments and statistics stay. An engine whose state is not in main
+    /// memory copies it there and back.
     fn amend(&mut self, change: &mut dyn FnMut(&mut Gaussians)) -> Result<(), EngineError> {
         let mut state = self.save()?.into_owned();
         change(&mut state.gaussians);
         self.load(state)
     }
 
-    /// Adam's moments of the water's coefficients (constant and directional) start anew.
+    /// Resets Adam's moments of the water's coefficients (constant and directional).
     fn forget_water_moments(&mut self) -> Result<(), EngineError>;
 
-    /// Renders a camera with the present state, gains left out.
+    /// Renders a camera with the present state, without gains.
     fn render(&mut self, camera: &Camera, degrees: Degrees, out: &mut Image) -> Result<(), EngineError>;
 }
 
-/// What an engine may tell of its work besides. Nothing here enters a result, and an engine that knows
-/// none of it keeps the defaults.
+/// Optional information on an engine's work. Nothing here enters a result; an engine without this
+/// information keeps the defaults.
 pub trait Diagnostics {
-    /// (pixel, Gaussian) pairs that contribute to an uploaded view with the present state, about;
-    /// `None` where nobody counts them.
+    /// Approximate number of (pixel, Gaussian) pairs that contribute to an uploaded view with the present
+    /// state; `None` if they are not counted.
     fn contributing_pairs(
         &mut self,
         _view: usize,
@@ -182,7 +181,7 @@ pub trait Diagnostics {
         Profile::default()
     }
 
-    /// Bytes of parameters, moments, views and buffers, about.
+    /// Approximate number of bytes of parameters, moments, views and buffers.
     fn memory(&self) -> usize {
         0
     }

@@ -1,6 +1,7 @@
-//! The state of training between two steps: what an engine starts from, and what a checkpoint holds.
+//! The state of training between two steps: an engine starts from it, and a checkpoint stores it.
 //!
-//! Plain rows in main memory, the same for every engine, so that a run can go on with another one.
+//! It consists of plain rows in main memory, the same for every engine, so that a run can continue with
+//! another one.
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use use3d_medium::{MediumKind, MediumModel, MediumStart};
@@ -22,14 +23,14 @@ pub struct Moments {
 }
 
 impl Moments {
-    /// All zero.
+    /// Moments of zero.
     pub fn new(gaussians: &Gaussians) -> Self {
         let zeros = zeros(gaussians.len(), gaussians.sh_degree);
         Self { first: zeros.clone(), second: zeros }
     }
 
-    /// Those of the rows of a refined scene: what is kept keeps its own, what is new starts with zero. Rows
-    /// come from Gaussians that there are.
+    /// The moments of the rows of a refined scene: kept Gaussians keep theirs, new ones start with zero.
+    /// The rows must come from existing Gaussians.
     pub fn rebuilt(&self, rows: &[Origin]) -> Self {
         let of = |from: &Gaussians| {
             let mut to = zeros(rows.len(), from.sh_degree);
@@ -57,12 +58,12 @@ pub struct Statistics {
 }
 
 impl Statistics {
-    /// Of `n` Gaussians that were not seen yet.
+    /// The statistics of `n` Gaussians that were not seen yet.
     pub fn new(n: usize) -> Self {
         Self { norms: vec![0.0; n], renders: vec![0; n] }
     }
 
-    /// Adds one render of `width × height` pixels, norms times `scale`.
+    /// Adds one render of `width × height` pixels, with norms multiplied by `scale`.
     pub fn gather(&mut self, gradients: &GaussianGradients, width: usize, height: usize, scale: f32) {
         let (sx, sy) = (0.5 * scale * width as f32, 0.5 * scale * height as f32);
         for (i, (screen, &visible)) in gradients.screen.iter().zip(&gradients.visible).enumerate() {
@@ -74,7 +75,7 @@ impl Statistics {
         }
     }
 
-    /// The mean norm of a Gaussian, 0 where it was not seen.
+    /// The mean norm of a Gaussian; 0 if it was not seen.
     pub fn mean(&self, gaussian: usize) -> f64 {
         match self.renders[gaussian] {
             0 => 0.0,
@@ -86,7 +87,7 @@ impl Statistics {
 /// Parameters, moments and statistics of a run between two steps.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TrainingState {
-    /// The form of this record, [`TrainingState::VERSION`].
+    /// The version of this record's format, [`TrainingState::VERSION`].
     pub version: u32,
     /// The Gaussians, N of them.
     #[serde(with = "GaussianRows")]
@@ -100,16 +101,16 @@ pub struct TrainingState {
     pub medium: MediumModel,
     /// First and second moments of the water's [flat](MediumModel::flat) parameters.
     pub medium_moments: [Vec<f32>; 2],
-    /// The training views' gains; none where all views are taken with one exposure.
+    /// The training views' gains; empty if all views have the same exposure.
     pub exposures: Exposures,
 }
 
 impl TrainingState {
-    /// The form of this record.
+    /// The current version of this record's format.
     pub const VERSION: u32 = 2;
 
-    /// What a run starts from: these Gaussians, this water, and these gains of the training views
-    /// (positive, none if no view has one).
+    /// The state at the start of a run: these Gaussians, this water, and these gains of the training views
+    /// (positive; empty if no view has one).
     pub fn new(gaussians: Gaussians, medium: MediumModel, gains: &[[f64; 3]]) -> Self {
         let count = medium.parameter_count();
         Self {
@@ -123,7 +124,8 @@ impl TrainingState {
         }
     }
 
-    /// Whether the version is this one and all lengths agree with each other and with so many training views.
+    /// Checks that the version is the current one and that all lengths agree with each other and with the
+    /// number of training views.
     pub fn check(&self, views: usize) -> Result<(), EngineError> {
         let wrong = |what: String| Err(EngineError::State(what));
         if self.version != Self::VERSION {
@@ -178,7 +180,7 @@ pub(crate) fn zeros(n: usize, sh_degree: usize) -> Gaussians {
     }
 }
 
-/// How Gaussians are written: `splat` knows of no formats.
+/// The stored form of Gaussians, because `splat` has no file formats.
 #[derive(Serialize, Deserialize)]
 #[serde(remote = "Gaussians")]
 struct GaussianRows {
@@ -190,7 +192,7 @@ struct GaussianRows {
     sh: Vec<[[f32; 3]; 16]>,
 }
 
-/// How the water is written: its kind, what its size follows from, and its flat parameters.
+/// The stored form of the water: its kind, the numbers that define its size, and its flat parameters.
 mod water {
     use super::*;
 

@@ -4,10 +4,10 @@
 //! d = 1 / (10 max(D, 1e-6) + 1)         L = 1 − Pearson(d, prior)                    (R14)
 //! ```
 //!
-//! over pixels with a finite, positive prior and positive rendered depth `D` (expected z), at least 32 of
-//! them, else `L = 0`. The prior is disparity-like: larger is nearer, 0 is unknown.
+//! The sums run over pixels with a finite, positive prior and positive rendered depth `D` (expected z).
+//! With fewer than 32 of them, `L = 0`. The prior is disparity-like: larger is nearer, 0 is unknown.
 //! `Pearson = mean(a b) / max(std a · std b, 1e-6)` of centred values with population moments. The factor
-//! 10 supposes a normalised scene.
+//! 10 assumes a normalised scene.
 
 use rayon::prelude::*;
 use use3d_capture::Map;
@@ -25,7 +25,7 @@ fn weight(params: &ReconstructParams, _step: u64) -> f64 {
 
 /// The factor in `1 / (10 D + 1)`.
 pub const DEPTH_SCALE: f32 = 10.0;
-/// Fewer pixels than this give no loss.
+/// Smallest number of pixels for a loss.
 pub const FEWEST_PIXELS: usize = 32;
 const DEPTH_FLOOR: f32 = 1e-6;
 const DEVIATION_FLOOR: f64 = 1e-6;
@@ -36,7 +36,7 @@ const BLOCK: usize = 1 << 13;
 pub struct DepthPriorLoss;
 
 impl DepthPriorLoss {
-    /// The loss; `weight` times its gradient with respect to `depth` overwrites `gradient`.
+    /// Returns the loss; overwrites `gradient` with `weight` times its gradient with respect to `depth`.
     pub fn evaluate(self, depth: &Map, prior: &Map, weight: f64, gradient: &mut Map) -> f64 {
         gradient.resize(depth.width(), depth.height());
         let (depth, prior) = (depth.data(), prior.data());
@@ -58,7 +58,8 @@ impl DepthPriorLoss {
         let variance_p = (pp / n - mean_p * mean_p).max(0.0);
         let product = (variance_d * variance_p).sqrt();
         let correlation = (dp / n - mean_d * mean_p) / product.max(DEVIATION_FLOOR);
-        // d L / d d_i = (own (d_i − mean) + other (prior_i − mean)); at the floor only the numerator moves.
+        // d L / d d_i = (own (d_i − mean) + other (prior_i − mean)); at the floor only the numerator
+        // varies.
         let (own, other) = if product > DEVIATION_FLOOR {
             (weight * correlation / (n * variance_d), -weight / (n * product))
         } else {
@@ -96,7 +97,7 @@ fn disparity(depth: f32) -> f32 {
 
 #[inline(always)]
 fn counts(depth: f32, prior: f32) -> bool {
-    // NaN compares false; infinity is excluded by name.
+    // NaN compares false; infinity is excluded explicitly.
     prior > 0.0 && prior < f32::INFINITY && depth > 0.0 && depth < f32::INFINITY
 }
 
@@ -128,7 +129,7 @@ fn backward(gradient: &mut [f32], depth: &[f32], prior: &[f32], [own, mean_d, ot
     for ((g, &depth), &prior) in gradient.iter_mut().zip(depth).zip(prior) {
         let d = disparity(depth);
         let by_disparity = own * (d - mean_d) + other * (prior - mean_p);
-        // d d / d D = −10 d², none below the floor.
+        // d d / d D = −10 d²; zero below the floor.
         let slope = if depth > DEPTH_FLOOR { -DEPTH_SCALE * d * d } else { 0.0 };
         *g = if counts(depth, prior) { by_disparity * slope } else { 0.0 };
     }

@@ -1,12 +1,12 @@
-//! Derivatives of a view's loss with respect to what was rendered of it, summed over the terms.
+//! Gradients of a view's loss with respect to its rendered rasters, summed over the terms.
 
 use use3d_capture::{MediumMaps, Raster};
 
-/// The derivative with respect to one raster; absent until a term gives one.
+/// The gradient with respect to one raster; absent until a term adds one.
 #[derive(Clone, Debug)]
 pub struct Slot<const C: usize> {
     sum: Raster<f32, C>,
-    /// What a later term writes before it is added.
+    /// Buffer that a later term fills before it is added.
     own: Raster<f32, C>,
     given: bool,
 }
@@ -18,8 +18,8 @@ impl<const C: usize> Default for Slot<C> {
 }
 
 impl<const C: usize> Slot<C> {
-    /// Adds a term's derivative. `write` is given a raster of any size and contents, and
-    /// makes it the derivative, per pixel.
+    /// Adds a term's gradient. `write` receives a raster of any size and contents, and must overwrite it
+    /// with the gradient per pixel.
     pub fn add<R>(&mut self, write: impl FnOnce(&mut Raster<f32, C>) -> R) -> R {
         if !self.given {
             self.given = true;
@@ -30,12 +30,12 @@ impl<const C: usize> Slot<C> {
         told
     }
 
-    /// The sum of what the terms gave; `None` if none gave any.
+    /// The sum of the terms' gradients; `None` if no term added one.
     pub fn get(&self) -> Option<&Raster<f32, C>> {
         self.given.then_some(&self.sum)
     }
 
-    /// The same, zeros of this size if none gave any.
+    /// The sum of the terms' gradients; zeros of this size if no term added one.
     pub(crate) fn or_zeros(&mut self, width: usize, height: usize) -> &mut Raster<f32, C> {
         if !self.given {
             self.given = true;
@@ -46,20 +46,20 @@ impl<const C: usize> Slot<C> {
     }
 }
 
-/// Derivatives of the loss with respect to the rasters that a term may read.
+/// Gradients of the loss with respect to the rasters that a term may read.
 #[derive(Clone, Debug, Default)]
 pub struct ViewGradients {
-    /// With respect to the image as it is [shown](super::Observation::image).
+    /// Gradient with respect to the image as it is [shown](super::Observation::image).
     pub image: Slot<3>,
-    /// With respect to expected depth.
+    /// Gradient with respect to expected depth.
     pub depth: Slot<1>,
-    /// With respect to accumulation.
+    /// Gradient with respect to accumulation.
     pub accumulation: Slot<1>,
-    /// With respect to the colour of infinitely deep water.
+    /// Gradient with respect to the colour of infinitely deep water.
     pub water_color: Slot<3>,
-    /// With respect to the backscatter coefficient.
+    /// Gradient with respect to the backscatter coefficient.
     pub backscatter: Slot<3>,
-    /// With respect to the attenuation coefficient.
+    /// Gradient with respect to the attenuation coefficient.
     pub attenuation: Slot<3>,
 }
 
@@ -73,7 +73,7 @@ impl ViewGradients {
         }
     }
 
-    /// Adds what the terms themselves asked of the water.
+    /// Adds the terms' own gradients of the water's maps.
     pub(crate) fn add_water(&self, maps: &mut MediumMaps) {
         for (slot, sum) in [
             (&self.water_color, &mut maps.color),

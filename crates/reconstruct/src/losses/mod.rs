@@ -1,13 +1,13 @@
-//! What stage 1 minimises: a weighted sum of terms, each a file of this folder and a row of [`TERMS`].
+//! The loss of stage 1: a weighted sum of terms, each a file of this folder and a row of [`TERMS`].
 //!
 //! ```text
-//! L = Σ weight · value        over the terms that say something of the view
+//! L = Σ weight · value        over the terms that have a value for the view
 //! ```
 //!
-//! A row gives a term's names and weights; weights of a step, the lines of the log and the sum itself follow
-//! from the table. A term sees the view as it was rendered and as it was photographed ([`Observation`]), says
-//! its values before their weights, and gives the derivatives of its weighted sum with respect to whatever it
-//! read of the render ([`ViewGradients`]).
+//! A row defines a term's names and weights; the weights of a step, the lines of the log and the sum itself
+//! follow from the table. A term reads the rendered view and its photograph ([`Observation`]), writes its
+//! values before their weights, and adds the gradients of its weighted sum with respect to the rasters that
+//! it read ([`ViewGradients`]).
 
 mod depth;
 mod gradients;
@@ -21,13 +21,13 @@ pub use photometric::{PhotometricLoss, PhotometricValue};
 
 use crate::{ReconstructParams, Target};
 
-/// Every term of the method, in the order in which values are summed and told.
+/// Every term of the method, in the order in which values are summed and reported.
 pub const TERMS: &[LossTerm] = &[photometric::TERM, depth::TERM];
 
-/// A row of the table: what a term's values are called and weigh, and the term.
+/// A row of the table: the names and weights of a term's values, and the term.
 #[derive(Clone, Copy, Debug)]
 pub struct LossTerm {
-    /// Its values: usually one, more where several are computed in one pass.
+    /// The term's values: usually one; several if they are computed in one pass.
     pub values: &'static [LossValue],
     /// Makes the term with its buffers.
     pub term: fn() -> Box<dyn Term>,
@@ -42,15 +42,15 @@ pub struct LossValue {
     pub weight: fn(&ReconstructParams, u64) -> f64,
 }
 
-/// What a term sees of a view in a step. All rasters have the step's size.
+/// The input of a term for a view in a step. All rasters have the step's size.
 #[derive(Clone, Copy, Debug)]
 pub struct Observation<'a> {
     /// The step, from 0.
     pub step: u64,
     /// The camera at the step's size.
     pub camera: &'a Camera,
-    /// The rendered view through water and, where views have gains, with its gain: what
-    /// a photograph is compared with.
+    /// The rendered view through water and, if views have gains, with its gain. It is compared with the
+    /// photograph.
     pub image: &'a Image,
     /// Its expected depth along the optical axis, scene units; 0 where nothing is hit.
     pub depth: &'a Map,
@@ -58,15 +58,15 @@ pub struct Observation<'a> {
     pub accumulation: &'a Map,
     /// The water of each pixel; `None` for a scene without water.
     pub water: Option<&'a MediumMaps>,
-    /// The photograph, what of it counts, and what else is known of the view.
+    /// The photograph, the pixels of it that count, and other known data of the view.
     pub target: &'a Target,
 }
 
 /// A term of the loss, with its buffers.
 pub trait Term: Send {
-    /// Writes the term's values, before their weights, into `values`: `None` where the view gives no
-    /// reason for one. Gives `gradients` the derivatives of their weighted sum. `weights` has one
-    /// entry per value, not all of them 0.
+    /// Writes the term's values, before their weights, into `values`: `None` if the view has no data for
+    /// one. Adds to `gradients` those of their weighted sum. `weights` has one entry per value, and not all
+    /// of them are 0.
     fn evaluate(
         &mut self,
         seen: &Observation<'_>,
@@ -75,8 +75,7 @@ pub trait Term: Send {
         gradients: &mut ViewGradients,
     );
 
-    /// Mean squared error of the last view over the pixels that count, for a PSNR, where
-    /// the term measures it on the way.
+    /// Mean squared error of the last view over the pixels that count, for a PSNR, if the term measures it.
     fn squared_error(&self) -> Option<f64> {
         None
     }
@@ -97,14 +96,14 @@ pub fn weights(params: &ReconstructParams, step: u64) -> Vec<f64> {
 pub struct Loss {
     /// `Σ weight · value`.
     pub total: f64,
-    /// Values before their weights, in the table's order; `None` where a term was left out or
-    /// has nothing to say of the view.
+    /// Values before their weights, in the table's order; `None` if a term was left out or has no value for
+    /// the view.
     pub values: Vec<Option<f64>>,
-    /// Mean squared error over the pixels that count, where a term measures it.
+    /// Mean squared error over the pixels that count, if a term measures it.
     pub squared_error: Option<f64>,
 }
 
-/// Terms at work, with the derivatives that they left.
+/// All terms of an engine, with the gradients that they computed.
 pub(crate) struct Losses {
     terms: Vec<(usize, Box<dyn Term>)>,
     pub(crate) gradients: ViewGradients,
@@ -116,13 +115,13 @@ impl Losses {
         Self { terms, gradients: ViewGradients::default() }
     }
 
-    /// Values of all terms together.
+    /// Number of values of all terms together.
     pub(crate) fn values(&self) -> usize {
         self.terms.iter().map(|(values, _)| values).sum()
     }
 
-    /// The loss of a view; `weights` has one entry per value. Its derivatives
-    /// replace those that were left before.
+    /// Computes the loss of a view; `weights` has one entry per value. Its gradients replace those of the
+    /// last call.
     pub(crate) fn evaluate(&mut self, seen: &Observation<'_>, weights: &[f64]) -> Loss {
         self.gradients.forget();
         let mut loss = Loss { values: vec![None; weights.len()], ..Loss::default() };

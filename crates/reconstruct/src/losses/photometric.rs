@@ -1,4 +1,4 @@
-//! Reg-L1 and Reg-MS-SSIM, fused: one pass before the structure measure and one after it.
+//! Reg-L1 and Reg-MS-SSIM in one computation: one pass before the structure measure and one after it.
 //!
 //! ```text
 //! W = 1 / (sg(Î) + ε),  ε = 1e-3                      per pixel and channel, no gradient
@@ -7,15 +7,15 @@
 //! L = (1 − λ) Reg-L1 + λ Reg-MS-SSIM
 //! ```
 //!
-//! Where the fit is good `W Î` is nearly 1 and `W I` is the ratio of target to prediction, so the structure
-//! term works on relative error and its variances would cancel in f32. Both are therefore formed *less one*
-//! without ever being near one: `W Î − 1 = −ε W` and `W I − 1 = W (I − Î) − ε W`. The first also carries `W`
-//! to the last pass, which needs no other image.
+//! Where the fit is good, `W Î` is nearly 1 and `W I` is the ratio of target to prediction. So the
+//! structure term measures relative error, and its variances would cancel in f32. Both are therefore
+//! computed *minus one* without ever being near one: `W Î − 1 = −ε W` and `W I − 1 = W (I − Î) − ε W`. The
+//! first also carries `W` to the last pass, which needs no other image.
 //!
 //! A mask multiplies prediction and target before anything else, so that a pixel that does not count adds
-//! nothing to either term and has no gradient. The means of the loss stay over all pixels: how much of a view
-//! counts is how much the view counts. The squared error that is told is a mean over the pixels that count,
-//! weighted by the mask's square.
+//! nothing to either term and has no gradient. The means of the loss stay over all pixels, so that a view
+//! weighs by the share of its pixels that count. The reported squared error is a mean over the pixels that
+//! count, weighted by the mask's square.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Level, Simd, dispatch, f32x16};
@@ -49,17 +49,17 @@ pub struct PhotometricValue {
     pub reg_l1: f64,
     /// Reg-MS-SSIM.
     pub reg_ms_ssim: f64,
-    /// Mean squared error of the prediction clamped to `[0, 1]` over the pixels that count,
-    /// for a PSNR; 0 where none does.
+    /// Mean squared error of the prediction clamped to `[0, 1]` over the pixels that count, for a PSNR; 0
+    /// if no pixel counts.
     pub squared_error: f64,
 }
 
 /// The loss with its scratch images.
 #[derive(Clone, Debug)]
 pub struct PhotometricLoss {
-    /// Of Reg-L1 and of Reg-MS-SSIM.
+    /// Weights of Reg-L1 and of Reg-MS-SSIM.
     shares: [f64; 2],
-    /// Of the structure measure's levels.
+    /// Weights of the structure measure's levels.
     weights: Vec<f64>,
     measure: MsSsim,
     /// `W Î − 1` and `W I − 1`.
@@ -69,12 +69,12 @@ pub struct PhotometricLoss {
 }
 
 impl PhotometricLoss {
-    /// With structure weight `lambda` and the method's three levels.
+    /// The loss with structure weight `lambda` and the method's three levels.
     pub fn new(lambda: f64) -> Self {
         Self::with_levels(lambda, &RECONSTRUCTION_WEIGHTS)
     }
 
-    /// With other level weights.
+    /// The loss with other level weights.
     pub fn with_levels(lambda: f64, weights: &[f64]) -> Self {
         Self {
             shares: [1.0 - lambda, lambda],
@@ -86,7 +86,7 @@ impl PhotometricLoss {
         }
     }
 
-    /// Value, and the gradient with respect to `prediction`. The images (and the mask,
+    /// Returns the value and computes the gradient with respect to `prediction`. The images (and the mask,
     /// weights in `[0, 1]`) have one size.
     pub fn evaluate(
         &mut self,
@@ -175,8 +175,8 @@ impl Term for PhotometricLoss {
     }
 }
 
-/// `x = W Î − 1`, `y = W I − 1`; sums of `|W (Î − I)|` and of the squared error.
-/// Lanes past the end add nothing.
+/// Computes `x = W Î − 1`, `y = W I − 1`, and the sums of `|W (Î − I)|` and of the squared error. Lanes
+/// past the end add nothing.
 #[inline(always)]
 fn weigh<S: Simd>(
     simd: S,

@@ -1,4 +1,4 @@
-//! Goldens and finite differences of the losses.
+//! Compares the losses with goldens and finite differences.
 
 use use3d_capture::{Image, Map};
 use use3d_golden::{Case, Part};
@@ -19,7 +19,7 @@ fn map(case: &Case<'_>, name: &str) -> Map {
     Map::from_planes(w, h, data).unwrap()
 }
 
-/// Level weights before they are renormalised: the training ones, or the case's own.
+/// Level weights before they are renormalised: the training weights, or the case's own.
 fn weights(case: &Case<'_>) -> Vec<f64> {
     let listed: Vec<f64> = serde_json::from_value(case.config()["weights"].clone()).unwrap();
     let (w, h) = (case.count("width"), case.count("height"));
@@ -34,7 +34,7 @@ fn golden_losses() {
     let mut seen = 0;
     for case in part.cases() {
         if !case.has("in.pred") {
-            continue; // a whole training step: tested beside the engine
+            continue; // a whole training step, which is tested with the engine
         }
         seen += 1;
         let (prediction, target) = (image(&case, "in.pred"), image(&case, "in.target"));
@@ -78,8 +78,8 @@ fn random_image(stream: &Stream, w: usize, h: usize, from: u64) -> Image {
     Image::from_planes(w, h, values).unwrap()
 }
 
-/// The loss with the weight held at `held`, in f64 and by the definition up to
-/// MS-SSIM, whose own test covers it.
+/// The loss with the weight held at `held`, in f64 and by the definition up to MS-SSIM, which has its own
+/// test.
 fn held(prediction: &Image, held: &Image, target: &Image, mask: &Map) -> f64 {
     let n = mask.pixels();
     let weight = |i: usize| 1.0 / (f64::from(held.data()[i] * mask.data()[i % n]) + 1e-3);
@@ -109,7 +109,8 @@ fn the_photometric_gradient_agrees_with_finite_differences_under_a_mask() {
         let stream = Stream::new(seed, Purpose::new("photometric probes"), 0);
         let prediction = random_image(&stream, w, h, 0);
         let noise = random_image(&stream, w, h, 50_000);
-        // Never nearer to the prediction than a probe moves it, so that no pixel crosses the kink of |Î − I|.
+        // The target is never nearer to the prediction than the step of a difference, so that no pixel
+        // crosses the kink of |Î − I|.
         let factor = |n: &f32| if *n < 0.5 { 0.95 - 0.1 * n } else { 1.05 + 0.1 * n };
         let values = prediction.data().iter().zip(noise.data()).map(|(p, n)| p * factor(n)).collect();
         let target = Image::from_planes(w, h, values).unwrap();
@@ -118,7 +119,7 @@ fn the_photometric_gradient_agrees_with_finite_differences_under_a_mask() {
         let mut gradient = Image::new(1, 1);
         let value = PhotometricLoss::new(0.2).evaluate(&prediction, &target, Some(&mask), &mut gradient);
         assert!((value.total - held(&prediction, &prediction, &target, &mask)).abs() < 1e-5);
-        // What training tells is what a finished scene is scored by.
+        // The error that training reports equals the score of a finished scene.
         let shown = target.map(|v| v.clamp(0.0, 1.0));
         let told =
             PhotometricLoss::new(0.2).evaluate(&prediction, &shown, Some(&mask), &mut Image::new(1, 1));

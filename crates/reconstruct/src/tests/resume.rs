@@ -1,4 +1,4 @@
-//! Interrupted runs, longer ones and several at once come to the same bytes.
+//! Interrupted, longer and simultaneous runs produce the same bytes.
 
 use std::borrow::Cow;
 
@@ -8,7 +8,7 @@ use super::*;
 use crate::density::{Draws, Origin, Survey};
 use crate::engine::{Diagnostics, StepReport};
 
-/// An engine that does some steps and then loses its device: it answers nothing any more.
+/// An engine that does some steps and then loses its device: from then on every call fails.
 struct Mortal {
     engine: CpuEngine,
     steps: u64,
@@ -96,10 +96,10 @@ fn the_same_scene_on_any_number_of_threads_and_after_any_interruption() {
     assert!(same(&whole, &on(3, None, &mut Watcher::default()).unwrap()), "threads change the scene");
 
     let dir = tempfile::tempdir().unwrap();
-    // Asked to stop: the state of that very step is kept.
+    // The observer requests a stop: the state of exactly that step is saved.
     let stopped = on(2, Some(dir.path()), &mut Watcher { stop_at: Some(27), ..Watcher::default() });
     assert!(matches!(stopped, Err(ReconstructError::Interrupted { step: 27, steps: 60, saved: true })));
-    // Killed without a word: the last checkpoint is taken up.
+    // The run is killed: the next run continues from the last checkpoint.
     let killed = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
         on(1, Some(dir.path()), &mut Watcher { panic_at: Some(46), ..Watcher::default() })
     }));
@@ -108,13 +108,13 @@ fn the_same_scene_on_any_number_of_threads_and_after_any_interruption() {
     let resumed = on(2, Some(dir.path()), &mut watcher).unwrap();
     assert!(watcher.notices.iter().any(|n| n.contains("resuming from step 43")), "{:?}", watcher.notices);
     assert!(same(&whole, &resumed), "interruptions change the scene");
-    // A finished run is not run again.
+    // A finished run is not repeated.
     assert!(same(
         &whole,
         &on(1, Some(dir.path()), &mut Watcher { panic_at: Some(1), ..Watcher::default() }).unwrap()
     ));
 
-    // Twenty steps more cost twenty steps, and end where an uninterrupted longer run ends.
+    // Twenty more steps cost twenty steps, with the same result as an uninterrupted longer run.
     let longer = ReconstructParams { iterations: 80, ..params.clone() };
     let run_longer = |dir: Option<&std::path::Path>, observer: &mut Watcher| {
         reconstruct(&capture, &loader(&loaded), &longer, dir, observer).unwrap()
@@ -124,7 +124,7 @@ fn the_same_scene_on_any_number_of_threads_and_after_any_interruption() {
     assert!(watcher.notices.iter().any(|n| n.contains("resuming from step 60")), "{:?}", watcher.notices);
     assert!(same(&run_longer(None, &mut Watcher::default()), &extended), "extending changes the scene");
 
-    // A checkpoint of other parameters, and a damaged one, are left alone, which is said.
+    // Checkpoints of other parameters, and damaged ones, are not touched, and a notice is given.
     let other = ReconstructParams { seed: 7, iterations: 90, ..params.clone() };
     let mut watcher = Watcher::default();
     reconstruct(&capture, &loader(&loaded), &other, Some(dir.path()), &mut watcher).unwrap();
@@ -148,7 +148,7 @@ fn the_same_scene_on_any_number_of_threads_and_after_any_interruption() {
 #[test]
 fn going_on_from_the_end_of_a_shorter_run_leaves_no_trace_of_that_end() {
     let (capture, loaded) = tiny_capture(6);
-    // The shorter run ends between two lines of the log, and on a step that a longer one is measured at.
+    // The shorter run ends between two lines of the log, and on a step at which a longer one is evaluated.
     let params = |iterations| ReconstructParams {
         iterations,
         schedule: 18,

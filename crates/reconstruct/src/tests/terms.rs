@@ -1,9 +1,9 @@
-//! A term of the loss that is no part of the program: does every gradient reach what it should?
+//! A term of the loss that is not part of the program: tests that every gradient reaches its target.
 
 use super::*;
 
-/// A term that reads everything there is: `½ mean image² + mean depth + ½ mean
-/// accumulation² + mean of the water's maps`.
+/// A term that reads every input:
+/// `½ mean image² + mean depth + ½ mean accumulation² + mean of the water's maps`.
 struct Everything;
 
 impl Term for Everything {
@@ -107,7 +107,7 @@ fn a_term_from_outside_reaches_gaussians_and_water_through_everything_it_reads()
         judge("water", &change, water[i], most(&water));
     }
 
-    // Terms add up: the same one twice is twice the loss and twice every derivative.
+    // Terms add up: the same term twice gives twice the loss and twice every gradient.
     let mut two = engine(&[ROW, ROW]);
     two.load(state.clone()).unwrap();
     let error = two.differentiate(0, &plan).unwrap_err().to_string();

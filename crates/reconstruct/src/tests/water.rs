@@ -2,7 +2,7 @@
 
 use super::*;
 
-/// The tiny reef's own water.
+/// The water of the tiny reef itself.
 fn true_water(points: usize) -> FoundWater {
     let c0 = f64::from(use3d_numerics::spherical_harmonics::C0);
     let soft = |x: f64| math::ln_1p(math::exp(c0 * x));
@@ -19,7 +19,7 @@ fn known(found: Option<&FoundWater>) -> Known {
     Known { water: found.cloned(), ..Known::default() }
 }
 
-/// The tiny reef by a camera that exposes every view on its own; the gains.
+/// The tiny reef taken by a camera that exposes every view separately, and the gains.
 fn unevenly_exposed(views: usize) -> (Capture, Vec<LoadedView>, Vec<[f64; 3]>) {
     let (capture, mut loaded) = tiny_capture(views);
     let stream = Stream::new(3, Purpose::new("tiny exposures"), 0);
@@ -48,7 +48,7 @@ fn a_camera_that_exposes_each_view_on_its_own_is_seen_through() {
     };
     let nothing = Known::default();
     let learnt = run(Exposure::PerView, &nothing, 400, None, None).unwrap();
-    // Gains are told up to what all views share.
+    // Gains are determined only up to a factor that all views share.
     let log = |rows: &[[f64; 3]], c: usize| -> Vec<f64> {
         let logs: Vec<f64> = rows.iter().map(|g| math::ln(g[c])).collect();
         let mean = logs.iter().sum::<f64>() / logs.len() as f64;
@@ -61,17 +61,17 @@ fn a_camera_that_exposes_each_view_on_its_own_is_seen_through() {
         let (a, b) = (log(&found, c), log(&truth, c));
         let error = a.iter().zip(&b).map(|(a, b)| (a - b) * (a - b)).sum::<f64>();
         let size = b.iter().map(|b| b * b).sum::<f64>();
-        // In so few steps most of it, not all.
+        // With so few steps most of the gain is found, but not all.
         assert!(error < 0.4 * size, "channel {c}: {a:?} for {b:?}");
     }
-    // A held-out view is judged after a gain of its own, which the other run is granted as well.
+    // A held-out view is scored after a gain of its own; the other run gets the same.
     let off = run(Exposure::Off, &nothing, 400, None, None).unwrap();
     assert!(off.exposures.is_empty() && off.evaluation.as_ref().unwrap().fitted.is_none());
     let (with, without) = (learnt.evaluation.as_ref().unwrap(), off.evaluation.as_ref().unwrap());
     let fitted = with.fitted.as_ref().expect("views have gains").psnr.value().unwrap();
     assert!(fitted > with.psnr.value().unwrap().max(without.psnr.value().unwrap()) + 1.0, "{fitted}");
-    // Known gains are where they start, and part of what a checkpoint must agree with; a stopped
-    // run ends as an undisturbed one.
+    // Gains start from known gains, and a checkpoint must agree with them. A stopped run ends like an
+    // undisturbed one.
     let known = Known { gains, ..Known::default() };
     let dir = tempfile::tempdir().unwrap();
     let stopped = run(Exposure::PerView, &known, 60, Some(35), Some(dir.path()));
@@ -104,15 +104,14 @@ fn water_that_was_found_is_held_and_then_let_go_gently() {
     let moved = |o: &Outcome| (water(o).coefficients[0][1][0][0] - start[1][0][0]).abs();
     let free = run(Some(&found), 0.0, 1.0, None, None).unwrap();
     assert!(moved(&half) > 0.0 && moved(&half) < 0.2 * moved(&free), "{} {}", moved(&half), moved(&free));
-    // What was found is part of what a checkpoint must agree with, and a stopped
-    // run ends as an undisturbed one.
+    // A checkpoint must agree with the water that was found. A stopped run ends like an undisturbed one.
     let dir = tempfile::tempdir().unwrap();
     let stopped = run(Some(&found), 0.5, 0.1, Some(25), Some(dir.path()));
     assert!(matches!(stopped, Err(ReconstructError::Interrupted { step: 25, .. })));
     let other = FoundWater { veil: [0.1; 3], ..found.clone() };
     assert!(!same(&run(Some(&other), 0.5, 0.1, None, Some(dir.path())).unwrap(), &half));
     assert!(same(&run(Some(&found), 0.5, 0.1, None, Some(dir.path())).unwrap(), &half));
-    // Without any, neither parameter has an effect.
+    // Without known water, neither parameter has an effect.
     let (a, b) = (run(None, 0.5, 0.1, None, None).unwrap(), run(None, 1.0, 0.0, None, None).unwrap());
     assert!(same(&a, &b));
 }

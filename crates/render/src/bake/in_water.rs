@@ -1,4 +1,4 @@
-//! A look with its water written into spherical harmonics, as the training cameras saw it.
+//! A look with its water written into spherical harmonics, as seen by the training cameras.
 //!
 //! The compositor's picture is `c_m + Σ w_i (f_i − c_m)` with
 //!
@@ -6,25 +6,26 @@
 //! f_i = c_i⁺ e^{−β_attn s_i} + c_m (1 − e^{−β_bs s_i})
 //! ```
 //!
-//! so a viewer that knows no water shows the same picture if Gaussian `i` has the colour `f_i` and open water
+//! So a viewer without water shows the same picture if Gaussian `i` has the colour `f_i` and open water
 //! stands behind everything. `f_i` depends on the distance `s_i` to the camera. It is averaged over the
 //! training cameras `v`, weighted by the visibility `ω_iv = Σ_pixels w_i`:
 //!
 //! ```text
-//! t_i = Σ_v ω_iv e^{−β̄_attn,iv s_iv} / Σ_v ω_iv       b_i = Σ_v ω_iv c̄_m,iv (1 − e^{−β̄_bs,iv s_iv}) / Σ_v ω_iv
+//! t_i = Σ_v ω_iv e^{−β̄_attn,iv s_iv} / Σ_v ω_iv
+//! b_i = Σ_v ω_iv c̄_m,iv (1 − e^{−β̄_bs,iv s_iv}) / Σ_v ω_iv
 //! f_i(ω) ≈ t_i c_i⁺(ω) + b_i
 //! ```
 //!
-//! with the water's coefficients and colour averaged over the pixels that the Gaussian covers. A Gaussian that
-//! no camera saw is taken as seen from the nearest camera through the mean water. All in scene units and
-//! display range.
+//! Here the water's coefficients and colour are averaged over the pixels that the Gaussian covers. A
+//! Gaussian that no camera saw is treated as seen from the nearest camera through the mean water. All
+//! values are in scene units and display range.
 //!
-//! Open water becomes a *backdrop*: a sphere of opaque Gaussians around the scene, each with the colour of the
-//! water in its direction, seen from the middle of the cameras.
+//! Open water becomes a *backdrop*: a sphere of opaque Gaussians around the scene, each with the colour of
+//! the water in its direction, as seen from the middle of the cameras.
 //!
-//! Limits: what a picture shows from a distance that no camera had (a close-up, a flight away from the scene)
-//! keeps the water of the cameras' distances. The water of a real viewer position is only in the page and in
-//! `render`.
+//! Limits: a picture from a distance that no camera had (a close-up, or a flight away from the scene) still
+//! shows the water of the cameras' distances. Only the page and `render` show the water of the viewer's
+//! actual position.
 
 use rayon::prelude::*;
 use use3d_capture::{Camera, Intrinsics, Lattice, MediumMaps, Pose};
@@ -38,14 +39,14 @@ use crate::RenderError;
 use crate::cpu::{grades, look_through, thin};
 use crate::renderer::Look;
 
-/// The longest side at which visibility is measured, pixels.
+/// The longest side, in pixels, at which visibility is measured.
 const SIDE: usize = 400;
-/// Planes that are lifted together: attenuation, backscatter and colour of the water, and ones.
+/// Number of planes that are lifted together: attenuation, backscatter and colour of the water, and ones.
 const PLANES: usize = 10;
-/// Gaussians of the backdrop.
+/// Number of Gaussians of the backdrop.
 const BACKDROP: usize = 3000;
-/// The backdrop's distance from the middle of the cameras, in units of the distance within which 99.5 % of the
-/// Gaussians lie.
+/// The backdrop's distance from the middle of the cameras, in units of the distance within which 99.5 % of
+/// the Gaussians lie.
 const BEYOND: f32 = 1.3;
 
 /// A baked look with water.
@@ -55,14 +56,15 @@ pub struct InWater {
     pub gaussians: Gaussians,
     /// The number of them that are the backdrop; 0 in a scene without water.
     pub backdrop: usize,
-    /// The distance of the harmonics from the colours that they stand for.
+    /// The difference between the harmonics and the colours that they represent.
     pub report: BakeReport,
 }
 
-/// Bakes a look with a share of its water in `[0, 1]`, as `cameras` (in the scene's frame) saw it.
+/// Bakes a look with a share of its water in `[0, 1]`, as seen by `cameras` (in the scene's frame).
 ///
 /// # Errors
-/// A strength or a share outside `[0, 1]`, an enhanced look of a scene that is not enhanced, or no camera.
+/// The strength or the share is outside `[0, 1]`, the enhanced look of a scene without enhancement is
+/// requested, or there is no camera.
 pub fn bake_in_water(
     scene: &Scene,
     look: Look,
@@ -100,7 +102,7 @@ pub fn bake_in_water(
     Ok(InWater { gaussians, backdrop: backdrop.len(), report })
 }
 
-/// A colour as it is.
+/// The colour map that changes nothing.
 const IDENTITY: [[f32; 4]; 3] = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
 
 /// `t_i` and `b_i` of every Gaussian.
@@ -121,7 +123,7 @@ impl Seen {
         let (mut whole, mut maps) = (MediumMaps::zeros(0, 0), MediumMaps::zeros(0, 0));
         let (mut rasterizer, mut prepared) = (Rasterizer::new(), Prepared::new());
         let (mut planes, mut sums) = (Vec::new(), vec![0.0f32; PLANES * n]);
-        // The mean water over all pixels, for what no camera saw.
+        // The mean water over all pixels, for Gaussians that no camera saw.
         let mut mean = [0.0f64; 9];
         for camera in cameras {
             let camera = camera.no_larger_than(SIDE);
@@ -189,7 +191,7 @@ fn distance(a: [f32; 3], b: [f32; 3]) -> f32 {
     (0..3).map(|k| (a[k] - b[k]) * (a[k] - b[k])).sum::<f32>().sqrt()
 }
 
-/// A sphere of Gaussians in the colours of open water, around the scene.
+/// A sphere of Gaussians around the scene, in the colours of open water.
 fn backdrop(scene: &Scene, strength: Option<f32>, water: f32, cameras: &[Camera]) -> Gaussians {
     let count = cameras.len() as f64;
     let middle = cameras.iter().map(|c| c.pose.center()).sum::<glam::DVec3>() / count;
@@ -202,7 +204,7 @@ fn backdrop(scene: &Scene, strength: Option<f32>, water: f32, cameras: &[Camera]
         if distances.is_empty() { 1.0 } else { *distances.select_nth_unstable_by(most, f32::total_cmp).1 };
     let radius = BEYOND * reach.max(4.0 * farthest_camera).max(1e-3);
     let mut out = Gaussians::empty(scene.gaussians.sh_degree);
-    // Golden-angle spiral: every Gaussian stands for the same area of the sphere.
+    // Golden-angle spiral: every Gaussian represents the same area of the sphere.
     let turn = std::f64::consts::PI * (3.0 - 5f64.sqrt());
     let spacing = (4.0 * std::f64::consts::PI / BACKDROP as f64).sqrt() as f32;
     let (mut whole, mut maps) = (MediumMaps::zeros(0, 0), MediumMaps::zeros(0, 0));

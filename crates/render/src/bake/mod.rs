@@ -1,11 +1,11 @@
-//! The enhancement written into spherical harmonics, for viewers that know only 3D Gaussian splatting.
+//! The enhancement written into spherical harmonics, for viewers that support only 3D Gaussian splatting.
 //!
 //! A Gaussian's enhanced radiance is `c⁺(ω) = M c(ω) + m` with one matrix per Gaussian, and
 //! `c(ω) = max(SH(ω) + ½, 0)`. Where that clamp is inactive, `SH⁺ = M SH` in every band, plus
 //! `(M ½ + m - ½)/C₀` in band 0, gives the same radiance exactly. Where it is active the baked colour
-//! differs, because a viewer clamps after the matrix instead of before; [`BakeReport`] says by how much.
-//! [`bake`] writes the enhanced object radiance, without water; [`bake_in_water`] what cameras saw of it
-//! through the water.
+//! differs, because a viewer clamps after the matrix instead of before; [`BakeReport`] measures the
+//! difference. [`bake`] writes the enhanced object radiance, without water; [`bake_in_water`] writes the
+//! colours that cameras saw through the water.
 
 mod in_water;
 
@@ -22,11 +22,11 @@ use use3d_splat::Gaussians;
 use crate::RenderError;
 use crate::cpu::grades;
 
-/// Directions on which the bake is checked, spread evenly over the sphere.
+/// Number of directions, spread evenly over the sphere, in which the bake is checked.
 const DIRECTIONS: usize = 48;
 
-/// How far a baked scene is from the enhanced one. Colours as a viewer shows them, `max(c, 0)`, display
-/// range; every Gaussian is weighted by its opacity.
+/// The difference between a baked scene and the enhanced one. Colours are those that a viewer shows,
+/// `max(c, 0)`, display range; every Gaussian is weighted by its opacity.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BakeReport {
     /// Share of (Gaussian, direction, channel) samples where the stage-1 clamp is active, so that the bake
@@ -49,7 +49,7 @@ pub fn bake(scene: &Scene, strength: f32) -> Result<(Gaussians, BakeReport), Ren
     Ok(bake_maps(&scene.gaussians, |i| grades.matrix(i)))
 }
 
-/// An affine colour map per Gaussian, rows `(M | m)`, written into its harmonics.
+/// Writes an affine colour map per Gaussian, rows `(M | m)`, into its harmonics.
 fn bake_maps(
     gaussians: &Gaussians,
     matrix: impl Fn(usize) -> [[f32; 4]; 3] + Sync,
@@ -89,7 +89,8 @@ fn compare(
     let color = |sh: &[[f32; 3]; 16], y: &[f32; 16]| -> [f32; 3] {
         std::array::from_fn(|c| 0.5 + (0..bands(degree)).map(|k| y[k] * sh[k][c]).sum::<f32>())
     };
-    // Per sample: its error per channel, and whether any channel's clamp is active.
+    // For each sample: the errors of the channels, true if the clamp of any channel is active, and the
+    // number of clamped channels.
     let errors = |i: usize, y: &[f32; 16]| -> ([f64; 3], bool, usize) {
         let raw = color(&before.sh[i], y);
         let base = raw.map(|v| v.max(0.0));

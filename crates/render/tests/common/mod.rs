@@ -78,7 +78,7 @@ pub(crate) fn mini() -> (Scene, Vec<Seen>) {
     (scene, views)
 }
 
-/// The scene enhanced by a field that a person made up: a red boost, a little contrast, and local variation.
+/// The scene enhanced by an invented field: a red boost, some contrast, and local variation.
 pub(crate) fn taught(scene: &Scene) -> Scene {
     let bounds = FieldBox::of_scene(&scene.gaussians.means, &[]);
     let mut field = Field::identity(Shape::default(), bounds, 7).unwrap();

@@ -1,15 +1,15 @@
-//! Tile rows that are differentiated together.
+//! Tile rows whose gradients are computed together.
 //!
-//! A group has at most [`GROUP`] entries (or is one row), so that the buffer of gradient records is bounded;
-//! after a group, each Gaussian adds its records in the order of tiles. Groups follow one another, so the
-//! order of additions is the order of tiles whatever the grouping and the number of threads.
+//! A group has at most [`GROUP`] entries, or is a single row. This bounds the buffer of gradient records.
+//! After each group, every Gaussian adds its records in the order of tiles. Groups follow one another, so
+//! additions always run in the order of tiles, for any grouping and any number of threads.
 
 use super::strips::{Strips, for_each};
 use super::sums::add;
 use crate::lists::{Prepared, TileRow};
 use crate::project::Record;
 
-/// Entries whose records are held at once (unless one tile row alone has more).
+/// Most entries whose records are in memory at once (one tile row alone may have more).
 const GROUP: usize = 1 << 20;
 
 /// The records of consecutive tile rows.
@@ -28,7 +28,7 @@ impl Strips for Records<'_> {
 }
 
 /// Runs `work(tile row, its records, its strips)` over all tile rows and sums the records of each visible
-/// Gaussian into `sums` (by rank). `work` must write every record.
+/// Gaussian into `sums` (indexed by rank). `work` must write every record.
 pub(crate) fn in_groups<T: Strips>(
     prepared: &Prepared,
     records: &mut Vec<Record>,

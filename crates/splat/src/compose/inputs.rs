@@ -1,6 +1,6 @@
-//! What a tile reads from images and maps before it is composed.
+//! The values that a tile reads from images and maps before it is composed.
 //!
-//! Always inlined, so that the lane code's instruction set applies to these loops too.
+//! These functions are always inlined, so that the lane code's instruction set applies to these loops too.
 
 use std::cell::Cell;
 use std::ops::Deref;
@@ -15,13 +15,15 @@ use crate::project::Splat;
 use crate::view::RenderGradients;
 
 thread_local! {
-    /// The memory of the thread's last [`RowSplats`], taken up again by its next one.
+    /// The memory of the thread's last [`RowSplats`], which the next one of this thread reuses.
     static SPARE: Cell<Vec<Splat>> = const { Cell::new(Vec::new()) };
 }
 
-/// The Gaussians of a tile row, one per span, side by side. A tile takes few of its row's Gaussians, each a
-/// wait for memory where they lie scattered over all of the view's; copied in one go the waits overlap, and
-/// the copy fits the second-level cache.
+/// The Gaussians of a tile row, one per span, in one array.
+///
+/// A tile reads only a few of its row's Gaussians. In the view's own array they lie far apart, and each
+/// read waits for memory. Copied in one pass, these waits overlap, and the copy fits the second-level
+/// cache.
 pub(crate) struct RowSplats(Vec<Splat>);
 
 impl Deref for RowSplats {
@@ -35,7 +37,7 @@ impl Deref for RowSplats {
 
 impl Drop for RowSplats {
     fn drop(&mut self) {
-        // Nothing to keep it for in a thread that ends.
+        // A thread that is ending has no thread-local storage left; the memory is then freed.
         let _ = SPARE.try_with(|spare| spare.set(std::mem::take(&mut self.0)));
     }
 }
@@ -48,7 +50,7 @@ pub(crate) fn row_splats(prepared: &Prepared, row: usize) -> RowSplats {
     RowSplats(splats)
 }
 
-/// The input of tile (`row`, `column`), with what [`row_splats`] gives for the row.
+/// The input of tile (`row`, `column`); `splats` is the result of [`row_splats`] for this row.
 #[inline(always)]
 pub(crate) fn input<'a>(prepared: &'a Prepared, splats: &'a [Splat], row: usize, column: usize) -> Input<'a> {
     let tile_row = &prepared.tile_rows[row];
@@ -88,17 +90,17 @@ pub(crate) fn load_water(
     water.centre(rows);
 }
 
-/// What a backward pass reads of a view.
+/// The parts of a view that a backward pass reads.
 #[derive(Clone, Copy)]
 pub(crate) struct BackwardRead<'a> {
     pub(crate) prepared: &'a Prepared,
     pub(crate) medium: Option<&'a MediumMaps>,
     pub(crate) d_rendered: &'a RenderGradients<'a>,
-    /// What the forward pass left; `None` where the pass goes front to back itself.
+    /// Values that the forward pass stored; `None` if this pass composes front to back itself.
     pub(crate) saved: Option<&'a Saved>,
 }
 
-/// Sets a tile up for the backward pass.
+/// Prepares a tile for the backward pass.
 #[inline(always)]
 pub(crate) fn load_derivatives(read: &BackwardRead<'_>, row: usize, column: usize, tile: &mut BackwardTile) {
     let BackwardRead { prepared, medium, d_rendered, saved } = *read;
@@ -120,7 +122,7 @@ pub(crate) fn load_derivatives(read: &BackwardRead<'_>, row: usize, column: usiz
         }
         let Some(saved) = saved else { continue };
         let start = y * prepared.width + x;
-        // Padding keeps its stop of 0: it takes no part.
+        // Padding keeps its stop of 0 and so takes no part.
         out.stop[..n].copy_from_slice(&saved.stop[start..start + n]);
         let row = |plane: usize| &saved.values[plane * pixels + y * prepared.width..][..prepared.width];
         out.transmittance = get(row(0), x, n);

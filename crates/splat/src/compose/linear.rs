@@ -1,7 +1,8 @@
 //! The linear attribute splat `S_v` and its adjoint: `(S_v x)(p) = Σ_i w_i(p) x_i`,
 //! `(S_vᵀ y)_i = Σ_p w_i(p) y(p)`.
 //!
-//! The weights are the compositor's, `w = T α`, without water; any number of channels, eight at a time.
+//! The weights are those of the compositor, `w = T α`, without water. Any number of channels is allowed;
+//! eight are computed at a time.
 
 use fearless_simd::dispatch;
 
@@ -15,7 +16,7 @@ use super::{lanes, plain};
 use crate::lists::{Prepared, TILE};
 use crate::project::Record;
 
-/// Some channels' planes of a planar raster, cut at tile rows.
+/// The planes of some channels of a planar raster, cut at tile rows.
 struct ChannelPlanes<'a> {
     planes: [&'a mut [f32]; CHANNELS],
     width: usize,
@@ -35,8 +36,8 @@ impl Strips for ChannelPlanes<'_> {
 
 impl Rasterizer {
     /// `S_v`: splats `values` (`[N][channels]`, in the order of the Gaussians) into `out`
-    /// (`[channels][height][width]`), overwriting it. Gaussians that are not visible do not matter.
-    /// Panics if a length does not fit.
+    /// (`[channels][height][width]`), overwriting it. Values of Gaussians that are not visible have no
+    /// effect. Panics if a length does not match.
     pub fn splat(&mut self, prepared: &Prepared, channels: usize, values: &[f32], out: &mut [f32]) {
         let pixels = prepared.width * prepared.height;
         assert_eq!(values.len(), prepared.gaussians * channels, "one value per Gaussian and channel");
@@ -84,8 +85,8 @@ impl Rasterizer {
         }
     }
 
-    /// `S_vᵀ`: lifts `maps` (`[channels][height][width]`) to Gaussians, `out` (`[N][channels]`), overwriting
-    /// it; 0 where a Gaussian is not visible. Panics if a length does not fit.
+    /// `S_vᵀ`: lifts `maps` (`[channels][height][width]`) to Gaussians, `out` (`[N][channels]`),
+    /// overwriting it; 0 where a Gaussian is not visible. Panics if a length does not match.
     pub fn splat_adjoint(&mut self, prepared: &Prepared, channels: usize, maps: &[f32], out: &mut [f32]) {
         let pixels = prepared.width * prepared.height;
         assert_eq!(out.len(), prepared.gaussians * channels, "one value per Gaussian and channel");
@@ -123,7 +124,7 @@ impl Rasterizer {
     }
 }
 
-/// Copies a tile of some planes.
+/// Copies one tile of some planes.
 fn load(
     prepared: &Prepared,
     planes: &[f32],

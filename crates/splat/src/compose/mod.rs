@@ -1,9 +1,9 @@
-//! The third room: light through lists of Gaussians and water, forward and backward, one tile at a time.
+//! The third part: light through lists of Gaussians and water, forward and backward, one tile at a time.
 //!
-//! `plain` says what is computed and `lanes` computes the same bits on vectors; `tile` is what they work
-//! on, `inputs` and `outputs` what goes in and out of it. `strips`, `groups` and `sums` share the work
-//! by `rows` of tiles, `per_image` lays water over what was composed without any; `rasterizer` and
-//! `linear` are what callers see.
+//! `plain` defines the computation, and `lanes` computes the same bits on vectors. `tile` holds the data of
+//! one tile, `inputs` fills it and `outputs` writes its results. `strips`, `groups` and `sums` divide the
+//! work into `rows` of tiles. `per_image` adds water to an image that was composed without it. `rasterizer`
+//! and `linear` are the public interface.
 
 mod groups;
 mod inputs;

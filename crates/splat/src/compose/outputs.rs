@@ -1,6 +1,6 @@
-//! What a tile writes to images and maps after it was composed.
+//! The values that a tile writes to images and maps after it was composed.
 //!
-//! Always inlined, so that the lane code's instruction set applies to these loops too.
+//! These functions are always inlined, so that the lane code's instruction set applies to these loops too.
 
 use std::ops::Range;
 
@@ -13,8 +13,8 @@ use super::tile::{BackwardTile, ForwardTile, Input, Lanes, TileWater};
 use crate::lists::{Prepared, TILE};
 use crate::view::Layers;
 
-/// What a forward pass leaves for the backward pass. It depends on geometry alone, so any medium,
-/// colours and d_rendered may follow.
+/// Values that a forward pass stores for the backward pass. They depend on geometry alone, so the backward
+/// pass may use any medium, colours and `d_rendered`.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Saved {
     stamp: u64,
@@ -23,7 +23,7 @@ pub(crate) struct Saved {
     pub(super) stop: Vec<i32>,
 }
 
-/// Strips of [`Saved`].
+/// The strips of [`Saved`].
 pub(crate) struct SavedPlanes<'a> {
     values: Planes<'a, f32, 3>,
     stop: Planes<'a, i32, 1>,
@@ -49,7 +49,8 @@ impl Saved {
         self.stamp == prepared.stamp && self.stop.len() == prepared.width * prepared.height
     }
 
-    /// Per pixel, the entry of its tile's list at which compositing stopped; `NEVER` where it did not.
+    /// For each pixel, the entry of its tile's list at which compositing stopped; `NEVER` where it did not
+    /// stop.
     pub(crate) fn stop(&self) -> &[i32] {
         &self.stop
     }
@@ -77,7 +78,7 @@ fn expected(sum: &Lanes, weight: &Lanes) -> Lanes {
     each(|l| sum[l] / weight[l].max(1e-6))
 }
 
-/// Strips of a rendered view: image, depth and accumulation.
+/// The strips of a rendered view: image, depth and accumulation.
 pub(crate) struct ImagePlanes<'a> {
     image: Planes<'a, f32, 3>,
     maps: [Planes<'a, f32, 1>; 2],
@@ -135,7 +136,7 @@ pub(crate) fn store_images<const WATER: bool>(
     }
 }
 
-/// Strips of the layers: object, medium, far, clear (three planes each) and distance.
+/// The strips of the layers: object, medium, far, clear (three planes each) and distance.
 pub(crate) struct LayerPlanes<'a> {
     images: [Planes<'a, f32, 3>; 4],
     distance: Planes<'a, f32, 1>,
@@ -173,15 +174,15 @@ impl Strips for LayerPlanes<'_> {
     }
 }
 
-/// A tile after the forward pass, with what it was composed of.
+/// A tile after the forward pass, with the inputs of that pass.
 pub(crate) struct Composed<'a> {
     pub(crate) input: &'a Input<'a>,
     pub(crate) water: &'a TileWater,
     pub(crate) tile: &'a ForwardTile,
 }
 
-/// Writes the layers of a tile. The interval medium is `c_m (1 − Σ w E) − far`: the
-/// telescoped sum without its last term.
+/// Writes the layers of a tile. The interval medium is `c_m (1 − Σ w E) − far`: the telescoped sum without
+/// its last term.
 #[inline(always)]
 pub(crate) fn store_layers<const WATER: bool>(
     prepared: &Prepared,
@@ -216,7 +217,7 @@ pub(crate) fn store_layers<const WATER: bool>(
     }
 }
 
-/// Strips of the medium's gradient: colour, backscatter, attenuation.
+/// The strips of the medium's gradient: colour, backscatter, attenuation.
 pub(crate) struct MediumPlanes<'a> {
     pub(super) maps: [Planes<'a, f32, 3>; 3],
 }

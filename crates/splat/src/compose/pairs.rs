@@ -1,4 +1,4 @@
-//! How much work a view is, counted pair by pair (slowly): for benches, reports and curious users.
+//! Counts the work of a view pair by pair. This is slow, and meant for benches and reports.
 
 use rayon::prelude::*;
 
@@ -7,10 +7,10 @@ use super::tile::{ForwardTile, NEVER};
 use crate::lists::{Prepared, TILE};
 use crate::project::{LOG2_255, Splat};
 
-/// Numbers of (pixel, Gaussian) pairs of a prepared view.
+/// Counts of the (pixel, Gaussian) pairs of a prepared view.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Pairs {
-    /// Pairs that a pixel's colour depends on.
+    /// Pairs on which a pixel's colour depends.
     pub contributing: u64,
     /// Pairs that the lane kernels evaluate: pixels of rows that a Gaussian's contour meets, until all
     /// pixels of the row have stopped.

@@ -1,19 +1,19 @@
-//! Water laid over a composed image: how SeaSplat and 3D-UIR form a photograph.
+//! Water applied to a composed image: the way in which SeaSplat and 3D-UIR form a photograph.
 //!
-//! The Gaussians are composed without water; then a pixel is one surface with their opacity `A = Σ w`, their
-//! light `J = Σ w c`, and their expected distance `s = |d| Σ w z / Σ w`:
+//! The Gaussians are composed without water. A pixel is then one surface with their opacity `A = Σ w`,
+//! their light `J = Σ w c`, and their expected distance `s = |d| Σ w z / Σ w`:
 //!
 //! ```text
 //! I = J a + c_m (1 − A b)        a = e^{−β_a s}    b = e^{−β_b s}
 //! ```
 //!
-//! Compositing per Gaussian takes every Gaussian at its own distance instead; the two agree where all of a
-//! pixel's Gaussians are equally far, and with `A = 1` this is the formula of those papers. Rays that
-//! nothing ends see open water, `c_m`.
+//! Compositing per Gaussian uses each Gaussian's own distance instead. The two agree where all Gaussians of
+//! a pixel are equally far away, and with `A = 1` this is the formula of those papers. A ray that hits
+//! nothing shows open water, `c_m`.
 //!
-//! With `g = ∂I` the derivatives are `∂J = g a`, `∂A = −Σ g c_m b`, `∂s = Σ g (c_m A β_b b − J β_a a)` (sums
-//! over channels), `∂c_m = g (1 − A b)`, `∂β_b = g c_m A s b` and `∂β_a = −g J s a`: those of clear image,
-//! depth and accumulation go on to the compositor.
+//! With `g = ∂I` the derivatives are `∂J = g a`, `∂A = −Σ g c_m b`, `∂s = Σ g (c_m A β_b b − J β_a a)`
+//! (sums over channels), `∂c_m = g (1 − A b)`, `∂β_b = g c_m A s b` and `∂β_a = −g J s a`. The derivatives
+//! with respect to clear image, depth and accumulation are the input of the compositor's backward pass.
 
 use std::ops::Range;
 
@@ -29,7 +29,7 @@ use super::tile::Lanes;
 use crate::lists::{Prepared, TILE};
 use crate::view::{Options, RenderGradients, Rendered};
 
-/// A view as it was composed without water, and the derivatives with respect to that.
+/// A view composed without water, and the derivatives with respect to it.
 #[derive(Clone, Debug)]
 pub(crate) struct Clear {
     geometry: u64,
@@ -55,17 +55,17 @@ impl Default for Clear {
 
 /// The strips that forming an image writes: the image, and the layers object, medium and far.
 type Formed<'a> = (Planes<'a, f32, 3>, Planes<'a, f32, 3>, Planes<'a, f32, 3>, Planes<'a, f32, 3>);
-/// The strips that its derivative writes: of clear image, depth, accumulation and water.
+/// The strips that its derivative writes: the gradients of clear image, depth, accumulation and water.
 type Derived<'a> = (Planes<'a, f32, 3>, Planes<'a, f32, 1>, Planes<'a, f32, 1>, MediumPlanes<'a>);
 
-/// One row of a tile: sixteen pixels of what the formula reads that is no colour.
+/// One row of a tile: the inputs of the formula for sixteen pixels that are the same in all channels.
 struct Surface {
     accumulation: Lanes,
     ray: Lanes,
     distance: Lanes,
 }
 
-/// The same for one channel.
+/// One row of a tile: the inputs of the formula that belong to one channel.
 struct Channel {
     light: Lanes,
     color: Lanes,
@@ -76,7 +76,7 @@ struct Channel {
     veil: Lanes,
 }
 
-/// What both directions read.
+/// The inputs of both directions.
 #[derive(Clone, Copy)]
 struct Read<'a> {
     prepared: &'a Prepared,
@@ -85,8 +85,9 @@ struct Read<'a> {
 }
 
 impl Read<'_> {
-    /// The rows and columns of the pixels in a row of tiles, tile by tile: row in the view, row
-    /// in the strip, tile, its columns.
+    /// Calls `work` for every part of a pixel row that lies in one tile, over the tile row `row`. Its
+    /// arguments are the pixel row in the view, the pixel row in the strip, the tile's column, and the
+    /// range of pixel columns.
     #[inline(always)]
     fn for_each(&self, row: usize, mut work: impl FnMut(usize, usize, usize, Range<usize>)) {
         for r in 0..self.prepared.rows.filled(row) {
@@ -126,22 +127,22 @@ impl Read<'_> {
 }
 
 impl Clear {
-    /// Whether it is this view in these colours.
+    /// True if it was composed from this view in these colours.
     pub(super) fn is_of(&self, prepared: &Prepared) -> bool {
         (self.geometry, self.colors) == (prepared.stamp, prepared.colors)
     }
 
-    /// Says that `composed` is this view now.
+    /// Marks `composed` as the image of this view.
     pub(super) fn mark(&mut self, prepared: &Prepared) {
         (self.geometry, self.colors) = (prepared.stamp, prepared.colors);
     }
 
-    /// Bytes held.
+    /// Number of bytes held.
     pub(super) fn memory(&self) -> usize {
         4 * 10 * self.composed.image.pixels()
     }
 
-    /// Keeps what was composed without water, and makes `out` the image in water.
+    /// Takes the view composed without water from `out`, and writes the image in water to `out`.
     pub(super) fn form(
         &mut self,
         kernels: Kernels,
@@ -169,8 +170,8 @@ impl Clear {
         });
     }
 
-    /// The derivatives with respect to clear image, depth and accumulation, which the compositor goes on
-    /// from, and to the water's maps.
+    /// Computes the derivatives with respect to clear image, depth and accumulation, from which the
+    /// compositor's backward pass continues, and with respect to the water's maps.
     pub(super) fn differentiate(
         &mut self,
         kernels: Kernels,
@@ -202,7 +203,7 @@ fn planes(image: &mut Image) -> Planes<'_, f32, 3> {
     Planes::of(image.data_mut(), w, h)
 }
 
-/// Forms a row of tiles. Always inlined, so that the instruction set reaches it.
+/// Forms a row of tiles. Always inlined, so that it is compiled for the instruction set.
 #[inline(always)]
 fn form_row(read: Read<'_>, row: usize, (mut image, mut object, mut medium, mut far): Formed<'_>) {
     read.for_each(row, |y, r, column, columns| {

@@ -1,11 +1,11 @@
-//! Sixteen pixels of an image's row, as tiles take and give them.
+//! Sixteen pixels of an image row, as tiles read and write them.
 //!
-//! Always inlined, so that the lane code's instruction set applies to these loops too.
+//! These functions are always inlined, so that the lane code's instruction set applies to these loops too.
 
 use super::tile::Lanes;
 use crate::lists::{Prepared, TILE};
 
-/// 16 pixels of a row from `start`; past the end, the last one again.
+/// Returns 16 pixels of a row from `start`; beyond the last of the `n` pixels, repeats it.
 #[inline(always)]
 pub(super) fn get(row: &[f32], start: usize, n: usize) -> Lanes {
     match row[start..].first_chunk() {
@@ -23,7 +23,8 @@ pub(super) fn put<T: Copy>(pixels: &mut [T], lanes: &[T; TILE]) {
     }
 }
 
-/// A loop, since `array::from_fn` is a call that the instruction set does not reach into.
+/// Fills the lanes in a loop, because `array::from_fn` is a call that is not compiled for the instruction
+/// set.
 #[inline(always)]
 pub(super) fn each(mut f: impl FnMut(usize) -> f32) -> Lanes {
     let mut lanes = [0.0; TILE];

@@ -1,6 +1,7 @@
-//! The compositor as plain scalar code: the definition of correct, and the path of machines without vectors.
+//! The compositor as plain scalar code: the reference for correct results, also used on machines without
+//! vectors.
 //!
-//! Per pixel, Gaussians by ascending depth, with `log₂ α` from [`Splat`](crate::project::Splat):
+//! For each pixel, over Gaussians by ascending depth, with `log₂ α` from [`Splat`](crate::project::Splat):
 //!
 //! ```text
 //! α = min(0.999, opacity e^{-σ}),  skipped if α < 1/255;   T' = T (1 − α);  if T' ≤ 1e-4: stop, not added
@@ -8,23 +9,24 @@
 //! rgb = c_m + Σ w (c e^{-β_a s} − c_m e^{-β_b s}),   s = z |d(p)|
 //! ```
 //!
-//! which is the object, interval-medium and far-end terms of the paper in one: the interval terms telescope,
+//! This is the sum of the paper's object, interval-medium and far-end terms, because the interval terms
+//! telescope,
 //! `Σ_i T_i (E_{i-1} − E_i) + T_{N+1} E_N = 1 − Σ w_i E_i`.
 //!
-//! Backward, with `v_i = Σ_c g_c (c_i E_a − c_m E_b)_c + g_clear·c_i + h_z z_i +
-//! h_w` the loss per unit of weight:
+//! The backward pass uses the loss per unit of weight
+//! `v_i = Σ_c g_c (c_i E_a − c_m E_b)_c + g_clear·c_i + h_z z_i + h_w`:
 //!
 //! ```text
 //! G_i = α ∂L/∂α = w_i v_i − α_i/(1 − α_i) Σ_{j>i} w_j v_j          (0 where α is clamped)
 //! ```
 //!
-//! walked from the farthest Gaussian to the nearest, so that `Σ_{j>i}` grows from zero (no cancellation) and
-//! the transmittance is recovered by division (its reciprocal by three Newton steps). The cost per pixel is
-//! one running number, not a list.
+//! It runs from the farthest Gaussian to the nearest, so that `Σ_{j>i}` grows from zero (no cancellation)
+//! and the transmittance is recovered by division (its reciprocal by three Newton steps). Each pixel needs
+//! one running number and no list.
 //!
-//! The lane code performs the same operations in the same order, so both give the same bits where
-//! multiply-add is fused. Per-Gaussian sums run over rows within a pixel column, then over
-//! columns by [`sum`], then over tiles.
+//! The lane code performs the same operations in the same order, so both compute the same bits where
+//! multiply-add is fused. Sums per Gaussian run over the rows of a pixel column, then over columns by
+//! [`sum`], then over tiles.
 
 use use3d_numerics::lanes::{SMALL_COEFFICIENTS, exp2, exp2_unclamped, sum};
 
@@ -37,7 +39,7 @@ use crate::project::{LOG2_255, Record, Splat, SplatGradient};
 /// The six exponentials of one Gaussian in one tile.
 struct Decay {
     z: f32,
-    /// Tile factors, attenuation then backscatter; `None` where deviations are not small.
+    /// The tile's factors, attenuation then backscatter; `None` where deviations are not small.
     factor: Option<[f32; 6]>,
     /// `centre · z`.
     exponent: [f32; 6],
@@ -64,7 +66,7 @@ impl Decay {
     }
 }
 
-/// `log₂ α` before the clamp at a pixel column, and `t`.
+/// Returns `log₂ α` before the clamp at a pixel column, and `t`.
 #[inline(always)]
 fn log2_alpha(splat: &Splat, row: crate::compose::tile::RowTerms, x: f32) -> (f32, f32) {
     let t = x - row.peak;
@@ -120,8 +122,8 @@ pub(crate) fn forward<const WATER: bool, const LAYERS: bool>(
     }
 }
 
-/// The gradient of a tile: one record per entry into `sink`, the medium's sums into `tile`. `s_gradient` is
-/// 1, or 0 if distances are constants in the medium's terms (R2).
+/// Computes the gradient of a tile: writes one record per entry to `sink`, and the medium's sums to `tile`.
+/// `s_gradient` is 1, or 0 if distances are constants in the medium's terms (R2).
 pub(crate) fn backward<const WATER: bool, const EXTRAS: bool>(
     input: &Input<'_>,
     water: &TileWater,
@@ -204,7 +206,7 @@ pub(crate) fn backward<const WATER: bool, const EXTRAS: bool>(
     }
 }
 
-/// Sums over the columns and turns them into a record.
+/// Sums over the columns and returns the sums as a record.
 pub(crate) fn finish(splat: &Splat, origin: [f32; 2], offset: &Lanes, sums: &ColumnSums<Lanes>) -> Record {
     let weighted = |a: &Lanes| -> Lanes { std::array::from_fn(|l| a[l] * offset[l]) };
     let x0 = weighted(&sums.weight);
@@ -221,7 +223,7 @@ pub(crate) fn finish(splat: &Splat, origin: [f32; 2], offset: &Lanes, sums: &Col
     SplatGradient { weight: s0, t, dy: y, t_t: tt, t_dy: ty, dy_dy: yy, z, color, screen }.record()
 }
 
-/// Stage 2: the gradient with respect to colours and the medium, front to back, no geometry.
+/// Stage 2: computes the gradient with respect to colours and the medium, front to back, without geometry.
 pub(crate) fn backward_colors<const WATER: bool>(
     input: &Input<'_>,
     water: &TileWater,
@@ -259,7 +261,8 @@ pub(crate) fn backward_colors<const WATER: bool>(
     }
 }
 
-/// One step of the transmittance: the weight of this Gaussian at lane `l`, if it contributes.
+/// One step of the transmittance: returns the weight of this Gaussian at lane `l`, or `None` if it does not
+/// contribute.
 #[inline(always)]
 fn weight(
     splat: &Splat,
@@ -309,7 +312,7 @@ pub(crate) fn splat(
     }
 }
 
-/// The adjoint of [`splat`]: records' first [`CHANNELS`] entries are `Σ_p w maps`.
+/// The adjoint of [`splat`]: the first [`CHANNELS`] entries of each record are `Σ_p w maps`.
 pub(crate) fn splat_adjoint(
     input: &Input<'_>,
     maps: &[[Lanes; CHANNELS]; TILE],

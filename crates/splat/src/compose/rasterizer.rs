@@ -1,8 +1,8 @@
-//! The rasterizer: forward and backward over all tiles, in strips of one tile row, without atomics.
+//! The rasterizer: forward and backward passes over all tiles, in strips of one tile row, without atomics.
 //!
-//! A tile row is one task; it writes its own strip of every image. Gradients of Gaussians leave a tile as one
-//! record per (tile, Gaussian) entry, in a buffer cut by tile rows; the records of a Gaussian are then added
-//! in the order of tiles. The buffer is bounded (see `groups`).
+//! A tile row is one task; it writes its own strip of every image. The gradients of a tile are stored as
+//! one record per (tile, Gaussian) entry, in a buffer that is cut by tile rows. The records of a Gaussian
+//! are then added in the order of tiles. The buffer is bounded (see `groups`).
 
 use fearless_simd::{Level, dispatch};
 use use3d_capture::{Formation, Image, MediumMaps};
@@ -19,16 +19,16 @@ use crate::lists::Prepared;
 use crate::project::{Drawn, Record, SplatGradient, backward};
 use crate::view::{Gradients, Options, RenderGradients, Rendered, ViewOf};
 
-/// Which code composes a tile. All give the same bits where multiply-add is fused.
+/// The code that composes a tile. All variants compute the same bits where multiply-add is fused.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Kernels {
-    /// Scalar code, the definition of correct.
+    /// Scalar code, the reference for correct results.
     Plain,
     /// Vector code at an instruction-set level.
     Lanes(Level),
 }
 
-/// Composes [`Prepared`] Gaussians; owns the scratch memory, which grows to what the largest
+/// Composes [`Prepared`] Gaussians. It owns the scratch memory, which grows to the size that the largest
 /// view needs and is then reused.
 #[derive(Clone, Debug)]
 pub struct Rasterizer {
@@ -46,17 +46,17 @@ impl Default for Rasterizer {
 }
 
 impl Rasterizer {
-    /// With the best instruction set of this machine.
+    /// A rasterizer for the best instruction set of this machine.
     pub fn new() -> Self {
         Self::with_level(Level::new())
     }
 
-    /// With a given instruction set.
+    /// A rasterizer for a given instruction set.
     pub fn with_level(level: Level) -> Self {
         Self::with_kernels(Kernels::Lanes(level))
     }
 
-    /// With plain scalar code: the definition of correct, slow.
+    /// A rasterizer with plain scalar code: the reference for correct results, and slow.
     pub fn plain() -> Self {
         Self::with_kernels(Kernels::Plain)
     }
@@ -71,15 +71,15 @@ impl Rasterizer {
         }
     }
 
-    /// Bytes of scratch memory held.
+    /// Number of bytes of scratch memory held.
     pub fn memory(&self) -> usize {
         (self.records.capacity() + self.sums.capacity()) * size_of::<Record>()
             + self.saved.memory()
             + self.clear.memory()
     }
 
-    /// Renders the prepared view. `medium` has the lattice's size, and says how images are formed in it;
-    /// `None` composes without water, on black.
+    /// Renders the prepared view. `medium` has the size of the lattice and defines how images are formed in
+    /// it; `None` composes without water, on black.
     pub fn forward(
         &mut self,
         prepared: &Prepared,
@@ -135,7 +135,7 @@ impl Rasterizer {
         });
     }
 
-    /// Per pixel of the lattice, the list entry at which compositing stops.
+    /// For each pixel of the lattice, the list entry at which compositing stops.
     pub(crate) fn stops(&mut self, prepared: &Prepared) -> &[i32] {
         if !self.saved.is_of(prepared) {
             self.forward_tiles::<false, false>(prepared, None, None);
@@ -143,8 +143,9 @@ impl Rasterizer {
         self.saved.stop()
     }
 
-    /// The gradient of a loss with respect to every parameter of the Gaussians and to the medium's maps.
-    /// `prepared` must be a view `of` these. `grads` are overwritten (and resized), not added to.
+    /// Computes the gradient of a loss with respect to every parameter of the Gaussians and to the medium's
+    /// maps. `prepared` must have been prepared from the Gaussians and camera in `of`. `grads` are resized
+    /// and overwritten, not added to.
     pub fn backward(
         &mut self,
         prepared: &Prepared,
@@ -190,7 +191,7 @@ impl Rasterizer {
         backward(&drawn, &self.sums, gaussians, camera, grads.gaussians);
     }
 
-    /// The view composed without water: as the last forward pass left it, or composed again.
+    /// The view composed without water: kept from the last forward pass, or composed again.
     fn clear_of(&mut self, prepared: &Prepared) -> Clear {
         let mut clear = std::mem::take(&mut self.clear);
         if !clear.is_of(prepared) {
@@ -234,8 +235,8 @@ impl Rasterizer {
         );
     }
 
-    /// Stage 2: gradients with respect to this view's colours and the medium's maps; geometry
-    /// is frozen. Both are overwritten.
+    /// Stage 2: computes the gradients with respect to this view's colours and the medium's maps, with
+    /// frozen geometry. Both are overwritten.
     pub fn backward_colors(
         &mut self,
         prepared: &Prepared,
@@ -308,7 +309,7 @@ fn check_size(prepared: &Prepared, what: &str, width: usize, height: usize) {
     );
 }
 
-/// The water, if it is laid over the composed image.
+/// The water, if it is applied to the composed image.
 fn over_the_image(medium: Option<&MediumMaps>) -> Option<&MediumMaps> {
     medium.filter(|water| water.formation == Formation::PerImage)
 }

@@ -1,4 +1,4 @@
-//! One row of tiles, tile by tile: what a task of the forward or the backward pass does.
+//! One row of tiles, tile by tile: the work of one task in the forward or the backward pass.
 
 use use3d_capture::MediumMaps;
 
@@ -14,8 +14,8 @@ use crate::project::Record;
 /// The strips that the forward pass writes.
 pub(super) type ForwardStrips<'a> = (SavedPlanes<'a>, ImagePlanes<'a>, LayerPlanes<'a>);
 
-/// Composes a tile row with `compose`. Always inlined, so that the loops around the
-/// kernel use its instruction set too.
+/// Composes a tile row with `compose`. Always inlined, so that the loops around the kernel are compiled for
+/// its instruction set too.
 #[inline(always)]
 pub(super) fn forward_row<const WATER: bool>(
     prepared: &Prepared,
@@ -45,7 +45,7 @@ pub(super) fn forward_row<const WATER: bool>(
     }
 }
 
-/// Differentiates a tile row with `compose`, which hands its records to the closure it is given.
+/// Differentiates a tile row with `compose`, which stores its records through the closure it receives.
 #[inline(always)]
 pub(super) fn backward_row<const WATER: bool>(
     read: &BackwardRead<'_>,

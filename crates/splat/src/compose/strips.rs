@@ -1,23 +1,23 @@
-//! Images cut into strips of one tile row each, handed to threads without allocation.
+//! Images cut into strips of one tile row each, and distributed to threads without allocation.
 
 use std::ops::Range;
 
 use crate::lists::TILE;
 
-/// Something that can be cut after a number of tile rows.
+/// A value that can be cut after a number of tile rows.
 pub(crate) trait Strips: Sized + Send {
-    /// The first `tile_rows` tile rows, and the rest. `at` is the absolute tile row of the cut.
+    /// Returns the first `tile_rows` tile rows, and the rest. `at` is the absolute tile row of the cut.
     fn cut(self, tile_rows: usize, at: usize) -> (Self, Self);
 }
 
-/// Mutable planes of one width; an absent plane is empty and stays so.
+/// Mutable planes of one width; an absent plane is empty, and so are all its strips.
 pub(crate) struct Planes<'a, T, const N: usize> {
     pub(crate) planes: [&'a mut [T]; N],
     pub(crate) width: usize,
 }
 
 impl<'a, T, const N: usize> Planes<'a, T, N> {
-    /// `N` planes of `width × height` that lie one after another.
+    /// `N` planes of `width × height` that lie one after another in `data`.
     pub(crate) fn of(data: &'a mut [T], width: usize, height: usize) -> Self {
         let mut rest = data;
         let planes = std::array::from_fn(|_| {
@@ -28,19 +28,19 @@ impl<'a, T, const N: usize> Planes<'a, T, N> {
         Self { planes, width }
     }
 
-    /// Absent planes.
+    /// Planes without pixels.
     pub(crate) fn absent(width: usize) -> Self {
         Self { planes: std::array::from_fn(|_| Default::default()), width }
     }
 
-    /// Pixels `columns` of row `y` of the strip in plane `c`.
+    /// Pixels `columns` of row `y` of the strip, in plane `c`.
     #[inline(always)]
     pub(crate) fn row(&mut self, c: usize, y: usize, columns: Range<usize>) -> &mut [T] {
         let start = y * self.width;
         &mut self.planes[c][start + columns.start..start + columns.end]
     }
 
-    /// Whether there is something to write to.
+    /// True if there are pixels to write.
     pub(crate) fn present(&self) -> bool {
         N > 0 && !self.planes[0].is_empty()
     }

@@ -1,5 +1,5 @@
-//! Sums of the gradient records of (tile, Gaussian) entries over each Gaussian, in the
-//! order of tiles and without atomics.
+//! Sums the gradient records of (tile, Gaussian) entries for each Gaussian, in the order of tiles and
+//! without atomics.
 
 use std::ops::Range;
 

@@ -1,19 +1,19 @@
-//! What one 16×16 tile holds while it is composed, and the water in front of it.
+//! The data of one 16×16 tile while it is composed, and the water in front of it.
 
 use use3d_numerics::lanes::SMALL;
 
 use crate::lists::{Span, TILE};
 use crate::project::{LOG2_255, Record, Splat};
 
-/// 16 pixels of a row.
+/// The 16 pixels of a row.
 pub(crate) type Lanes = [f32; TILE];
 
-/// Compositing stops before transmittance would fall to this.
+/// Compositing of a pixel stops before its transmittance would fall to this value or below.
 pub(crate) const STOP: f32 = 1e-4;
 /// Largest opacity of one Gaussian at one pixel.
 pub(crate) const ALPHA_MAX: f32 = 0.999;
 
-/// One tile's input: its Gaussians in depth order and its pixel centres.
+/// The input of one tile: its Gaussians in depth order and its pixel centres.
 #[derive(Clone, Copy)]
 pub(crate) struct Input<'a> {
     /// The Gaussians of the tile row, one per span.
@@ -22,7 +22,7 @@ pub(crate) struct Input<'a> {
     pub(crate) list: &'a [u32],
     pub(crate) columns: &'a Lanes,
     pub(crate) rows: &'a Lanes,
-    /// Rows and columns that are pixels, not padding.
+    /// Numbers of rows and columns that are pixels, not padding.
     pub(crate) filled_rows: usize,
     pub(crate) filled_columns: usize,
 }
@@ -57,22 +57,22 @@ impl WaterRow {
     }
 }
 
-/// The water of a tile. Over 16×16 pixels β hardly changes, so that `e^{-β z}` is a factor of the tile times
-/// the exponential of a small number, which needs no range reduction; where the number is not small the full
-/// exponential is taken. Both are exact to rounding.
+/// The water of a tile. Over 16×16 pixels β hardly changes. So `e^{-β z}` is computed as a factor of the
+/// tile times the exponential of a small number, which needs no range reduction. Where the number is not
+/// small, the full exponential is computed. Both are exact to rounding.
 #[derive(Clone, Copy, Default)]
 #[repr(C, align(64))]
 pub(crate) struct TileWater {
     pub(crate) rows: [WaterRow; TILE],
     /// Attenuation rgb, backscatter rgb, padding.
     pub(crate) centre: Lanes,
-    /// Up to this depth the deviations times depth stay within [`SMALL`].
+    /// The depth up to which the deviations times depth stay within [`SMALL`].
     pub(crate) near: f32,
 }
 
 impl TileWater {
-    /// Centres the exponents, which on entry are absolute, in the first `rows` rows.
-    /// Padding columns repeat a pixel.
+    /// Centres the exponents of the first `rows` rows; on entry they are absolute. Padding columns repeat a
+    /// pixel.
     #[inline(always)]
     pub(crate) fn centre(&mut self, rows: usize) {
         let mut largest = 0.0f32;
@@ -97,7 +97,7 @@ impl TileWater {
             }
             largest = largest.max((high - centre).max(centre - low));
         }
-        // Not-a-number and infinite coefficients leave `near` at a value that no depth is below.
+        // NaN and infinite coefficients leave `near` at a value that no depth lies below.
         self.near = if largest > 0.0 {
             SMALL / largest
         } else if largest == 0.0 {
@@ -112,7 +112,7 @@ impl TileWater {
 #[derive(Clone, Copy)]
 #[repr(C, align(64))]
 pub(crate) struct ForwardRow {
-    /// A pixel is live while `log₂ α` is at least this; infinite once it has stopped.
+    /// A pixel is live while `log₂ α` is at least this value; infinite once it has stopped.
     pub(crate) threshold: Lanes,
     pub(crate) transmittance: Lanes,
     /// `Σ w c e^{-β_a s}`.
@@ -125,12 +125,12 @@ pub(crate) struct ForwardRow {
     /// `Σ w c`, and the depth of the last contributor.
     pub(crate) clear: [Lanes; 3],
     pub(crate) last: Lanes,
-    /// Entry at which the pixel stopped; entries from there on do not contribute.
+    /// The entry at which the pixel stopped; this entry and all later ones do not contribute.
     pub(crate) stop: [i32; TILE],
 }
 
 impl ForwardRow {
-    /// Nothing composed, every pixel stopped.
+    /// Nothing is composed, and every pixel has stopped.
     const STOPPED: Self = {
         let zero = [0.0; TILE];
         Self {
@@ -147,7 +147,7 @@ impl ForwardRow {
     };
 }
 
-/// The stop of a pixel that never stopped.
+/// The stop of a pixel that did not stop.
 pub(crate) const NEVER: i32 = i32::MAX;
 
 /// A tile during the forward pass.
@@ -157,7 +157,7 @@ pub(crate) struct ForwardTile {
 }
 
 impl ForwardTile {
-    /// Before the first Gaussian; padding pixels have stopped.
+    /// The state before the first Gaussian; padding pixels have stopped.
     #[inline(always)]
     pub(crate) fn new(filled_rows: usize, filled_columns: usize) -> Self {
         let mut tile = Self { rows: [ForwardRow::STOPPED; TILE] };
@@ -169,21 +169,21 @@ impl ForwardTile {
     }
 }
 
-/// One row of pixels during the backward pass, which walks from the farthest Gaussian to the nearest.
+/// One row of pixels during the backward pass, which runs from the farthest Gaussian to the nearest.
 #[derive(Clone, Copy)]
 #[repr(C, align(64))]
 pub(crate) struct BackwardRow {
     pub(crate) stop: [i32; TILE],
-    /// Transmittance behind the Gaussian last undone.
+    /// The transmittance behind the Gaussian that was undone last.
     pub(crate) transmittance: Lanes,
-    /// `−Σ w v` of the Gaussians already undone (those behind), `v` being the loss per unit of weight.
+    /// `−Σ w v` over the Gaussians already undone (those behind); `v` is the loss per unit of weight.
     pub(crate) behind: Lanes,
-    /// Cotangent `g` of the image; `−g c_m`.
+    /// The gradient `g` of the image; `−g c_m`.
     pub(crate) image: [Lanes; 3],
     pub(crate) veiled: [Lanes; 3],
-    /// Cotangent of the clear image.
+    /// The gradient of the clear image.
     pub(crate) clear: [Lanes; 3],
-    /// `v` has the term `depth z + weight`.
+    /// `v` contains the term `depth z + weight`.
     pub(crate) depth: Lanes,
     pub(crate) weight: Lanes,
     /// `Σ w z g c e^{-β_a s}`, `−Σ w z g c_m e^{-β_b s}`, `Σ w e^{-β_b s}`.
@@ -221,7 +221,7 @@ impl BackwardTile {
     pub(crate) const ZERO: Self = Self { rows: [BackwardRow::ZERO; TILE] };
 }
 
-/// Where one tile's records go: each beside the others of its Gaussian's span.
+/// The place for one tile's records: each lies beside the others of its Gaussian's span.
 pub(crate) struct Sink<'a> {
     pub(crate) records: &'a mut [Record],
     /// The tile's column.
@@ -236,17 +236,17 @@ impl Sink<'_> {
     }
 }
 
-/// Channels that the linear splat and its adjoint treat at once.
+/// Number of channels that the linear splat and its adjoint compute at once.
 pub(crate) const CHANNELS: usize = 8;
 
-/// A Gaussian's scalars for the rows of one tile.
+/// A Gaussian's scalars for one row of a tile.
 #[derive(Clone, Copy)]
 pub(crate) struct RowTerms {
-    /// Where the row's parabola peaks, pixels.
+    /// The position of the peak of the row's parabola, pixels.
     pub(crate) peak: f32,
-    /// `log₂ α` there.
+    /// `log₂ α` at the peak.
     pub(crate) power: f32,
-    /// Row centre minus the Gaussian's.
+    /// The row's centre minus the Gaussian's centre.
     pub(crate) dy: f32,
 }
 
@@ -262,7 +262,7 @@ impl Splat {
         }
     }
 
-    /// `conic_xy` and `1 / cov_yy`: the vertical slope `v_y` of σ is `conic_xy t + dy / cov_yy`.
+    /// `conic_xy` and `1 / cov_yy`: the vertical derivative `v_y` of σ is `conic_xy t + dy / cov_yy`.
     #[inline(always)]
     pub(crate) fn conic_terms(&self) -> (f32, f32) {
         let twice = 2.0 * std::f32::consts::LN_2;
@@ -270,8 +270,8 @@ impl Splat {
     }
 }
 
-/// What a Gaussian's gradient sums over the rows of a tile, column by column: `G = ∂L/∂log₂ α` of a pixel, `η` the
-/// pixel's row from the sums' origin. `V` holds the 16 columns.
+/// A Gaussian's gradient summed over the rows of a tile, column by column. `G = ∂L/∂log₂ α` of a pixel; `η`
+/// is the pixel's row measured from the origin of the sums. `V` holds the 16 columns.
 #[derive(Clone, Copy)]
 pub(crate) struct ColumnSums<V> {
     /// `ΣG`.
@@ -295,11 +295,11 @@ impl<V: Copy> ColumnSums<V> {
     }
 }
 
-/// Turns sums over a tile in tile coordinates into moments about the Gaussian.
+/// Converts sums over a tile in tile coordinates into moments about the Gaussian.
 ///
 /// `s0 = ΣG`, `sx = ΣG X`, `sxx = ΣG X²`, `s1 = ΣG η`, `sx1 = ΣG X η`, `s2 = ΣG η²`, with `X, η` the pixel
-/// relative to `origin`; then `t = X + shear η + τ` and `dy = η + δ`. Returned:
-/// `[ΣG, ΣG t, ΣG dy, ΣG t², ΣG t dy, ΣG dy²]`. f64, since the terms may cancel.
+/// relative to `origin`; then `t = X + shear η + τ` and `dy = η + δ`. The result is
+/// `[ΣG, ΣG t, ΣG dy, ΣG t², ΣG t dy, ΣG dy²]`. The sums are f64, because the terms may cancel.
 #[inline(always)]
 pub(crate) fn moments(splat: &Splat, origin: [f32; 2], sums: [f32; 6]) -> [f32; 6] {
     let [s0, sx, sxx, s1, sx1, s2] = sums;

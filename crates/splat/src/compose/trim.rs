@@ -1,9 +1,10 @@
-//! Tile lists without what no pixel sees, for views that are composed many times over with frozen geometry.
+//! Drops from the tile lists the entries that no pixel sees, for views that are composed many times with
+//! frozen geometry.
 //!
-//! An entry of a tile's list stays if some pixel of the tile is still being composed when its turn comes and
-//! lies within its 1/255 contour: it then adds to the pixel or ends it. Everything else is skipped by the
-//! compositor anyway, so images and gradients keep every bit. On a sparse lattice (stage 2) most small
-//! Gaussians fall between the pixels of their tiles.
+//! An entry of a tile's list stays if some pixel of the tile is still being composed at that entry and lies
+//! within its 1/255 contour: it then adds to the pixel or ends it. The compositor skips all other entries
+//! anyway, so images and gradients keep every bit. On a sparse lattice (stage 2) most small Gaussians fall
+//! between the pixels of their tiles.
 
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
@@ -13,7 +14,8 @@ use crate::Rasterizer;
 use crate::lists::{Prepared, Span, TILE, TileRow};
 use crate::project::LOG2_255;
 
-/// Added to the contour, so that an entry whose test rounds otherwise than the compositor's is kept.
+/// Margin of the contour test, so that an entry is kept even if this test rounds differently from the
+/// compositor's.
 const MARGIN: f32 = 1e-3;
 
 impl Rasterizer {
@@ -32,7 +34,7 @@ impl Rasterizer {
     }
 }
 
-/// One tile row with the entries that some pixel sees. A Gaussian's span is cut where a tile drops it.
+/// One tile row with only the entries that some pixel sees. A Gaussian's span is cut where a tile drops it.
 #[inline(always)]
 fn trimmed(prepared: &Prepared, stop: &[i32], row: usize) -> TileRow {
     let old = &prepared.tile_rows[row];
@@ -56,7 +58,7 @@ fn trimmed(prepared: &Prepared, stop: &[i32], row: usize) -> TileRow {
                 if terms.power < -LOG2_255 - MARGIN {
                     continue;
                 }
-                // No early end: sixteen lanes at once.
+                // No early exit, so that sixteen lanes run at once.
                 for l in 0..TILE {
                     let t = input.columns[l] - terms.peak;
                     let power = terms.power - t * splat.steepness * t;
@@ -101,7 +103,8 @@ mod tests {
         let intrinsics = Intrinsics { width: 150, height: 116, fx: 120.0, fy: 124.0, cx: 70.0, cy: 60.0 };
         let camera = Camera { intrinsics, pose: Pose::IDENTITY };
         let every = |step: usize, n: usize| (0..n).step_by(step).collect::<Vec<_>>();
-        // Opaque enough that most pixels end, sparse enough that small Gaussians fall between them.
+        // The Gaussians are so opaque that most pixels stop, and so sparse that small ones fall between
+        // pixels.
         let gaussians = cloud(3000, -3.0, 3.0);
         for lattice in [Lattice::full(&intrinsics), Lattice::subset(&every(3, 150), &every(4, 116)).unwrap()]
         {

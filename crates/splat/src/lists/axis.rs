@@ -2,8 +2,8 @@
 
 /// Pixels along a tile's side; one row of a tile is one vector of lanes.
 pub(crate) const TILE: usize = 16;
-/// Ascending pixel-centre coordinates, padded to whole tiles by repeating the last one
-/// (padding is masked, never drawn).
+/// Ascending pixel-centre coordinates, padded to whole tiles by repeating the last centre (padding is
+/// masked and never drawn).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Axis {
     centres: Vec<f32>,
@@ -19,7 +19,7 @@ impl Axis {
         self.centres.resize(centres.len().div_ceil(TILE) * TILE, last);
     }
 
-    /// All centres, padding included.
+    /// All centres, including padding.
     pub(crate) fn centres(&self) -> &[f32] {
         &self.centres
     }
@@ -34,7 +34,7 @@ impl Axis {
         (self.length - t * TILE).min(TILE)
     }
 
-    /// First and last centre of tile `t`.
+    /// The first and last centre of tile `t`.
     pub(crate) fn tile(&self, t: usize) -> (f32, f32) {
         (self.centres[t * TILE], self.centres[t * TILE + TILE - 1])
     }
@@ -44,7 +44,7 @@ impl Axis {
         self.centres[t * TILE..].first_chunk().expect("the axis is padded to whole tiles")
     }
 
-    /// First and last centre; an empty range where there is none.
+    /// The first and last centre; an empty range if there are no centres.
     pub(crate) fn range(&self) -> [f32; 2] {
         match (self.centres.first(), self.centres.last()) {
             (Some(&first), Some(&last)) => [first, last],
@@ -52,17 +52,17 @@ impl Axis {
         }
     }
 
-    /// The half-open range of tiles with a centre between `low` and `high` (widened to tiles).
+    /// The half-open range of tiles with a centre between `low` and `high` (widened to whole tiles).
     pub(crate) fn tiles_meeting(&self, low: f32, high: f32) -> (usize, usize) {
         let (mut a, mut b) = (0, self.tiles());
-        // First tile whose last centre is not below `low`.
+        // The first tile whose last centre is not below `low`.
         while a < b {
             let middle = (a + b) / 2;
             if self.tile(middle).1 < low { a = middle + 1 } else { b = middle }
         }
         let first = a;
         let mut b = self.tiles();
-        // First tile whose first centre is above `high`.
+        // The first tile whose first centre is above `high`.
         while a < b {
             let middle = (a + b) / 2;
             if self.tile(middle).0 <= high { a = middle + 1 } else { b = middle }

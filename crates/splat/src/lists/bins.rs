@@ -1,7 +1,7 @@
-//! Which tiles every Gaussian meets, and so the list of every tile.
+//! Finds the tiles that every Gaussian meets, and makes the list of every tile.
 //!
-//! In two levels: bands of tile rows take what may meet them, then every tile row takes from its band the
-//! Gaussians whose contour meets it, each with its range of tiles.
+//! Binning has two levels. Each band of tile rows first collects the Gaussians that may meet it. Each tile
+//! row then takes from its band the Gaussians whose contour meets it, each with its range of tiles.
 
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use super::axis::Axis;
 use crate::project::{LOG2_255, Splat};
 
-/// Tile rows per band of the first binning level.
+/// Number of tile rows per band of the first binning level.
 const BAND: usize = 8;
 
 /// The tiles of one tile row that one Gaussian meets.
@@ -17,21 +17,21 @@ const BAND: usize = 8;
 pub(crate) struct Span {
     /// Position of the Gaussian in depth order.
     pub(crate) rank: u32,
-    /// First tile and number of tiles.
+    /// The first tile and the number of tiles.
     pub(crate) first: u32,
     pub(crate) count: u32,
-    /// Where its entries start among the row's gradient records.
+    /// Position of its first entry among the row's gradient records.
     pub(crate) start: u32,
 }
 
 /// One row of tiles.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct TileRow {
-    /// In depth order.
+    /// The spans, in depth order.
     pub(crate) spans: Vec<Span>,
     /// Lists of span positions, tile after tile.
     pub(crate) entries: Vec<u32>,
-    /// Where each tile's list starts; one more than tiles.
+    /// Position at which each tile's list starts; one element more than there are tiles.
     pub(crate) offsets: Vec<u32>,
 }
 
@@ -53,7 +53,7 @@ impl TileRow {
         for t in 0..tiles {
             self.offsets[t + 1] += self.offsets[t];
         }
-        // Fill with the offsets as cursors, then shift them back.
+        // Fills the lists with the offsets as cursors, then shifts the offsets back.
         self.entries.resize(self.offsets[tiles] as usize, 0);
         for (i, span) in self.spans.iter().enumerate() {
             for t in span.first..span.first + span.count {
@@ -69,7 +69,8 @@ impl TileRow {
     }
 }
 
-/// Lists `splats`, which are in depth order, per tile of `[columns, rows]`. `bands` is working memory.
+/// Makes the lists of `splats`, which are in depth order, for the tiles of `[columns, rows]`. `bands` is
+/// working memory.
 pub(super) fn list(
     splats: &[Splat],
     [columns, rows]: [&Axis; 2],
@@ -95,7 +96,7 @@ pub(super) fn list(
     });
 }
 
-/// The x range of the contour between two heights (relative to the centre), as offsets from the centre.
+/// The x range of the contour between two heights, both as offsets from the Gaussian's centre.
 #[inline(always)]
 fn contour_range(s: &Splat, low: f32, high: f32) -> Option<[f32; 2]> {
     let (low, high) = (low.max(-s.reach_y), high.min(s.reach_y));
@@ -103,8 +104,8 @@ fn contour_range(s: &Splat, low: f32, high: f32) -> Option<[f32; 2]> {
         return None;
     }
     let level = s.log2_opacity + LOG2_255;
-    // x(dy) = −shear dy ± √((level − steepness_y dy²)/steepness) peaks where the
-    // ellipse has a vertical tangent.
+    // x(dy) = −shear dy ± √((level − steepness_y dy²)/steepness) has its extremes where the ellipse has a
+    // vertical tangent.
     let (a, d) = (s.steepness, s.steepness_y);
     let tangent = s.shear * (level * a / (d * (d + a * s.shear * s.shear))).sqrt();
     let half_width = |dy: f32| ((level - d * dy * dy).max(0.0) / a).sqrt();
@@ -145,7 +146,7 @@ fn fill_tile_row(
 mod tests {
     use super::*;
 
-    /// The tangent formula against a dense walk around the contour.
+    /// Compares the tangent formula with a dense walk around the contour.
     #[test]
     fn the_contour_range_is_exact() {
         let s = Splat {

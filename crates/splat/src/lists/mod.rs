@@ -1,4 +1,5 @@
-//! The second room: which Gaussians meet which tile of pixels, in the order of their depth. Knows no light.
+//! The second part: finds which Gaussians meet which tile of pixels, in depth order. It does not depend on
+//! light.
 
 mod axis;
 mod bins;

@@ -1,18 +1,18 @@
-//! The Gaussians of one view made ready to compose: projected, sorted by depth, and listed per tile.
+//! The Gaussians of one view, prepared for composing: projected, sorted by depth, and listed per tile.
 //!
-//! A tile is 16×16 pixels *of the lattice* (its columns and rows, not the image's).
-//! `prepare` goes through four steps:
+//! A tile is 16×16 pixels *of the lattice* (of its columns and rows, not of the image's). `prepare` has
+//! four steps:
 //!
-//! 1. project every Gaussian and drop what cannot be seen (depth range, opacity below
-//!    1/255, outside the lattice);
-//! 2. sort by depth, equal depths in index order;
-//! 3. give each tile row its *spans*: for every Gaussian that touches it, the range of tiles
-//!    that its 1/255 contour meets;
+//! 1. project every Gaussian and drop those that cannot be seen (depth range, opacity below 1/255, outside
+//!    the lattice);
+//! 2. sort by depth, with equal depths in index order;
+//! 3. make the *spans* of each tile row: for every Gaussian that touches it, the range of tiles that its
+//!    1/255 contour meets;
 //! 4. turn the spans of a tile row into one list per tile, in depth order.
 //!
 //! The contour is exact: `α ≥ 1/255` is `σ ≤ ln(255 opacity)`, an ellipse, and a tile is listed only if the
 //! ellipse meets the tile's box of pixel centres along its row. Everything is a function of the data alone:
-//! any number of threads gives the same lists.
+//! any number of threads makes the same lists.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -29,13 +29,13 @@ use crate::{Colors, Gaussians};
 /// Gaussians per parallel task.
 const CHUNK: usize = 1024;
 
-/// Projected Gaussians with their tile lists for one camera and lattice. Reusable while the geometry is
-/// frozen; the buffers are kept from one [`Prepared::prepare`] to the next.
+/// Projected Gaussians with their tile lists for one camera and lattice. They can be reused while the
+/// geometry is frozen; the buffers are kept from one [`Prepared::prepare`] to the next.
 #[derive(Clone, Debug)]
 pub struct Prepared {
-    /// Unique to one `prepare`; equal stamps mean equal geometry.
+    /// A number unique to one `prepare`; equal stamps mean equal geometry.
     pub(crate) stamp: u64,
-    /// The same for its colours.
+    /// A number unique to one set of this view's colours.
     pub(crate) colors: u64,
     pub(crate) width: usize,
     pub(crate) height: usize,
@@ -66,7 +66,7 @@ impl Default for Prepared {
 static STAMP: AtomicU64 = AtomicU64::new(1);
 
 impl Prepared {
-    /// Nothing yet: a 0×0 lattice.
+    /// An empty view: a 0×0 lattice.
     pub fn new() -> Self {
         Self {
             stamp: 0,
@@ -88,17 +88,17 @@ impl Prepared {
         }
     }
 
-    /// Width of the lattice it was prepared for.
+    /// Width of the lattice that the view was prepared for.
     pub fn width(&self) -> usize {
         self.width
     }
 
-    /// Height of the lattice it was prepared for.
+    /// Height of the lattice that the view was prepared for.
     pub fn height(&self) -> usize {
         self.height
     }
 
-    /// Number of Gaussians it was prepared from.
+    /// Number of Gaussians that the view was prepared from.
     pub fn gaussians(&self) -> usize {
         self.gaussians
     }
@@ -108,12 +108,12 @@ impl Prepared {
         self.splats.iter().map(|s| s.index as usize)
     }
 
-    /// How many (tile, Gaussian) pairs the lists hold.
+    /// Number of (tile, Gaussian) pairs in the lists.
     pub fn entries(&self) -> usize {
         self.tile_rows.iter().map(|r| r.entries.len()).sum()
     }
 
-    /// Bytes held by its buffers.
+    /// Number of bytes that its buffers hold.
     pub fn memory(&self) -> usize {
         let rows: usize = self
             .tile_rows
@@ -132,8 +132,8 @@ impl Prepared {
 
     /// Projects, sorts and bins `gaussians` for `camera` at the pixels of `lattice`.
     ///
-    /// Gaussians with parameters that are not finite are not drawn. The arrays of `gaussians` must have one
-    /// length ([`Gaussians::validate`]); a shorter array of given colours panics.
+    /// Gaussians with parameters that are not finite are not drawn. The arrays of `gaussians` must have
+    /// equal lengths ([`Gaussians::validate`]). An array of given colours that is too short causes a panic.
     pub fn prepare(&mut self, gaussians: &Gaussians, camera: &Camera, lattice: &Lattice, colors: Colors<'_>) {
         self.stamp = STAMP.fetch_add(1, Ordering::Relaxed);
         self.colors = self.stamp;
@@ -161,7 +161,8 @@ impl Prepared {
         list(&self.splats, [&self.columns, &self.rows], &mut self.bands, &mut self.tile_rows);
     }
 
-    /// Replaces the colours of this view (per Gaussian, in the order of the [`Gaussians`]); geometry stays.
+    /// Replaces the colours of this view (one per Gaussian, in the order of the [`Gaussians`]); the
+    /// geometry stays.
     pub fn set_colors(&mut self, colors: &[[f32; 3]]) {
         assert_eq!(colors.len(), self.gaussians, "one colour per Gaussian");
         self.colors = STAMP.fetch_add(1, Ordering::Relaxed);
@@ -199,8 +200,8 @@ impl Prepared {
         }
     }
 
-    /// Other lists of the same Gaussians. Lets go of Gaussians without entries, and of the buffers
-    /// that only another `prepare` needs.
+    /// Sets other lists of the same Gaussians. Drops Gaussians without entries, and frees the buffers that
+    /// only another `prepare` needs.
     pub(crate) fn replace_lists(&mut self, tile_rows: Vec<TileRow>) {
         self.tile_rows = tile_rows;
         let mut ranks = vec![HIDDEN; self.splats.len()];
@@ -223,7 +224,7 @@ impl Prepared {
         self.stamp = STAMP.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Puts every visible Gaussian into every tile: what culling must not differ from.
+    /// Puts every visible Gaussian into every tile: the reference that culling must reproduce.
     #[cfg(test)]
     pub(crate) fn list_everything(&mut self) {
         let (tiles, n) = (self.columns.tiles(), self.splats.len());
@@ -261,8 +262,8 @@ pub(crate) mod tests {
         gaussians
     }
 
-    /// Culling must lose nothing: with every Gaussian in every tile the pictures and
-    /// gradients are the same, bit for bit.
+    /// Culling must lose nothing: with every Gaussian in every tile, the images and gradients are the same,
+    /// bit for bit.
     #[test]
     fn culling_changes_nothing() {
         use crate::{GaussianGradients, Options, Rasterizer, RenderGradients, Rendered};

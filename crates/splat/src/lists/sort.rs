@@ -10,10 +10,11 @@ pub(crate) struct Keys {
 }
 
 impl Keys {
-    /// Orders the finite, positive depths; ties keep their order. Infinite depths are left out.
+    /// Orders the finite, positive depths; equal depths keep their order. Infinite depths are left out.
     pub(crate) fn sort(&mut self, depths: impl Iterator<Item = f32>) {
         self.keys.clear();
-        // Bits of positive floats ascend with their values; the index below makes every key unique.
+        // The bits of positive floats ascend with their values; the index in the low half makes every key
+        // unique.
         self.keys.extend(
             depths
                 .enumerate()
@@ -25,12 +26,12 @@ impl Keys {
         self.order.extend(self.keys.iter().map(|&k| k as u32));
     }
 
-    /// Indices, nearest first.
+    /// Indices of the Gaussians, nearest first.
     pub(crate) fn order(&self) -> &[u32] {
         &self.order
     }
 
-    /// Bytes held.
+    /// Number of bytes held.
     pub(crate) fn memory(&self) -> usize {
         self.keys.capacity() * 8 + self.order.capacity() * 4
     }

@@ -1,4 +1,4 @@
-//! Colour of a Gaussian seen from a camera, and its derivative.
+//! The colour of a Gaussian seen from a camera, and its derivative.
 //!
 //! `c(ω) = max(0, Σ_k Y_k(ω) sh_k + ½)` per channel, `ω` the unit vector from the camera centre to the
 //! Gaussian's centre in the world frame. The direction is detached: no gradient flows from colour into
@@ -26,7 +26,7 @@ pub(crate) fn center(camera: &Camera) -> [f32; 3] {
     camera.pose.center().as_vec3().to_array()
 }
 
-/// The colour before the clamp, `Σ_k Y_k sh_k + ½`, with the basis.
+/// The colour before the clamp, `Σ_k Y_k sh_k + ½`, and the basis.
 #[inline(always)]
 pub(crate) fn raw_color(degree: usize, direction: [f32; 3], sh: &[[f32; 3]; 16]) -> ([f32; 3], [f32; 16]) {
     let y = basis(degree, direction);
@@ -62,8 +62,8 @@ pub(crate) fn color_backward(
     }
 }
 
-/// The colours of all Gaussians in this view, with bands up to `degree` (at most the
-/// stored degree): `max(0, SH + ½)`.
+/// Computes the colours of all Gaussians in this view, with bands up to `degree` (at most the stored
+/// degree): `max(0, SH + ½)`.
 pub fn view_colors(gaussians: &Gaussians, camera: &Camera, degree: usize, out: &mut Vec<[f32; 3]>) {
     let (degree, center) = (degree.min(gaussians.sh_degree).min(3), center(camera));
     out.resize(gaussians.len(), [0.0; 3]);

@@ -1,4 +1,5 @@
-//! The first room: what a Gaussian looks like to a camera, and its derivative. Knows no tiles.
+//! The first part: the projection of a Gaussian into a camera, and its derivative. It does not depend on
+//! tiles.
 
 mod color;
 mod passes;

@@ -1,5 +1,5 @@
-//! Over all Gaussians of a view: from parameters to [`Splat`]s, and from the compositor's sums
-//! back to gradients of parameters.
+//! Passes over all Gaussians of a view: from parameters to [`Splat`]s, and from the compositor's sums back
+//! to gradients of parameters.
 
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
@@ -16,14 +16,14 @@ const CHUNK: usize = 512;
 /// The rank of a Gaussian that is not visible.
 pub(crate) const HIDDEN: u32 = u32::MAX;
 
-/// Where a view's colours come from, remembered for the backward pass.
+/// The source of a view's colours, stored for the backward pass.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum ColorSource {
     Harmonics(usize),
     Given,
 }
 
-/// What the Gaussians of a view are projected with.
+/// The data with which the Gaussians of a view are projected.
 pub(crate) struct Projecting<'a> {
     gaussians: &'a Gaussians,
     colors: Colors<'a>,
@@ -35,8 +35,8 @@ pub(crate) struct Projecting<'a> {
 }
 
 impl<'a> Projecting<'a> {
-    /// Of these Gaussians for `camera`; `[columns, rows]` are the first and
-    /// last pixel centres of the lattice.
+    /// The projection of these Gaussians for `camera`; `[columns, rows]` are the first and last pixel
+    /// centres of the lattice.
     pub(crate) fn new(
         gaussians: &'a Gaussians,
         camera: &Camera,
@@ -48,8 +48,8 @@ impl<'a> Projecting<'a> {
         Self { gaussians, colors, source, projector, center, columns, rows }
     }
 
-    /// Projects the Gaussians from `first` on. Always inlined, so that the instruction set reaches it:
-    /// multiply-add is a call without.
+    /// Projects the Gaussians from `first` on. Always inlined, so that it is compiled for the instruction
+    /// set; otherwise multiply-add would be a function call.
     #[inline(always)]
     pub(crate) fn forward(&self, first: usize, out: &mut [Splat]) {
         let gaussians = self.gaussians;
@@ -77,7 +77,7 @@ impl<'a> Projecting<'a> {
     }
 }
 
-/// From sums of records to gradients of raw parameters. Overwrites `grads`.
+/// Converts sums of records to gradients of raw parameters. Overwrites `grads`.
 pub(crate) fn backward(
     drawn: &Drawn<'_>,
     sums: &[Record],
@@ -117,7 +117,7 @@ pub(crate) struct Drawn<'a> {
     pub(crate) source: ColorSource,
 }
 
-/// What the gradients of a view's Gaussians are made from.
+/// The inputs from which the gradients of a view's Gaussians are computed.
 struct BackwardInput<'a> {
     drawn: &'a Drawn<'a>,
     sums: &'a [Record],
@@ -137,13 +137,13 @@ struct Chunk<'a> {
     visible: &'a mut [bool],
 }
 
-/// The gradients of the Gaussians from `first` on. Always inlined, so that the instruction set reaches it:
-/// multiply-add is a call without.
+/// Computes the gradients of the Gaussians from `first` on. Always inlined, so that it is compiled for the
+/// instruction set; otherwise multiply-add would be a function call.
 #[inline(always)]
 fn backward_chunk(input: &BackwardInput<'_>, first: usize, ranks: &[u32], out: Chunk<'_>) {
     let BackwardInput { drawn, sums, gaussians, projector, center } = input;
     let Chunk { means, scales, quats, logits, sh, screen, visible } = out;
-    // Ranks are scattered over the view: fetched together, the waits for memory overlap.
+    // Ranks are scattered over the view. Reading them all first lets the waits for memory overlap.
     let mut fetched = [(Splat::default(), [0.0; 12]); CHUNK];
     for (fetched, &rank) in fetched.iter_mut().zip(ranks) {
         if rank != HIDDEN {

@@ -1,7 +1,7 @@
-//! Perspective projection of a 3D Gaussian to a 2D one (EWA splatting; Zwicker et
-//! al. 2001), and its derivative.
+//! Perspective projection of a 3D Gaussian to a 2D one (EWA splatting; Zwicker et al. 2001), and its
+//! derivative.
 //!
-//! With `X = R μ + t = (x, y, z)` and `Σ = R(q) S S R(q)ᵀ`, kept iff `near ≤ z ≤ far`:
+//! With `X = R μ + t = (x, y, z)` and `Σ = R(q) S S R(q)ᵀ`; a Gaussian is kept only if `near ≤ z ≤ far`:
 //!
 //! ```text
 //! mean2d = (fx x/z + cx, fy y/z + cy)
@@ -10,10 +10,10 @@
 //! cov2d = J R Σ Rᵀ Jᵀ + 0.3 I                                             pixels²
 //! ```
 //!
-//! The clamp bounds only the Jacobian; where it is active `tx` depends on `z` alone. The derivative
-//! is of the expressions as written. Everything is f64 inside (the determinant of a needle's
-//! covariance cancels in f32), so a Gaussian costs the same as in scalar f32 and the results are the
-//! correctly rounded ones to f32 accuracy.
+//! The clamp bounds only the Jacobian; where it is active, `tx` depends on `z` alone. The derivative is
+//! that of the expressions as written. All inner calculations are f64, because the determinant of a
+//! needle's covariance cancels in f32. A Gaussian still costs the same as in scalar f32, and the results
+//! are correctly rounded to f32 accuracy.
 
 use use3d_capture::Camera;
 use use3d_numerics::math;
@@ -22,11 +22,11 @@ use use3d_numerics::math;
 pub const NEAR: f64 = 0.01;
 /// Farthest depth drawn, scene units.
 pub const FAR: f64 = 1e4;
-/// Added to both diagonal entries of the projected covariance, pixels²: a Gaussian
-/// is never thinner than a pixel.
+/// Added to both diagonal entries of the projected covariance, pixels², so that no Gaussian is much thinner
+/// than a pixel.
 pub const BLUR: f64 = 0.3;
 
-/// A camera as the projection uses it.
+/// A camera in the form that the projection uses.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Projector {
     /// World-to-camera rotation, row-major.
@@ -63,7 +63,7 @@ pub(crate) struct GeometryGradient {
 /// Intermediate values that forward and backward share.
 struct Shared {
     x: [f64; 3],
-    /// `tx/z`, `ty/z` and whether each clamp is inactive.
+    /// `tx/z` and `ty/z`; true for each axis whose clamp is inactive.
     slope: [f64; 2],
     free: [bool; 2],
     /// Unit quaternion and the norm of the raw one.
@@ -140,8 +140,8 @@ impl Projector {
         Shared { x, slope: [sx, sy], free: [free_x, free_y], unit, norm, scale, turn, axes, jr }
     }
 
-    /// Projects one Gaussian; `None` if it is outside the depth range or its
-    /// projection is not a finite Gaussian.
+    /// Projects one Gaussian; `None` if it is outside the depth range or its projection is not a finite
+    /// Gaussian.
     #[inline(always)]
     pub(crate) fn project(
         &self,
@@ -164,7 +164,8 @@ impl Projector {
         finite.then_some(Projection { mean, z, cov })
     }
 
-    /// The derivative: from d_rendered of `mean2d` (pixels), `z` and `cov2d` (`xx`, `xy` counted once, `yy`).
+    /// Computes the gradient of the geometry from those of `mean2d` (pixels), `z` and `cov2d` (`xx`, `xy`
+    /// counted once, `yy`).
     #[inline(always)]
     pub(crate) fn backward(
         &self,
@@ -219,7 +220,7 @@ impl Projector {
     }
 }
 
-/// From the gradient of the rotation matrix to that of the raw quaternion, through the normalisation.
+/// Converts the gradient of the rotation matrix into that of the raw quaternion, through the normalisation.
 #[inline(always)]
 fn unit_quaternion_backward(f: &Shared, d: &[[f64; 3]; 3]) -> [f64; 4] {
     let [w, x, y, z] = f.unit;

@@ -1,10 +1,10 @@
-//! A Gaussian as the compositor reads it: from a projection to a [`Splat`], and from the
+//! A Gaussian in the form that the compositor reads: from a projection to a [`Splat`], and from the
 //! compositor's sums back to the projection.
 //!
-//! The forward pass gives `shear`, `steepness` and `steepness_y` from the covariance of the projection
-//! ([`splat_of`]); the backward pass ([`ScreenGradient`]) undoes them: with `v = conic · (pixel − centre) =
-//! (a t, shear a t + dy / cov_yy)`, the compositor's sums over pixels are the derivatives with respect to
-//! mean and covariance up to factors of the splat itself.
+//! The forward pass ([`splat_of`]) computes `shear`, `steepness` and `steepness_y` from the covariance of
+//! the projection; the backward pass ([`ScreenGradient`]) inverts this step. With
+//! `v = conic · (pixel − centre) = (a t, shear a t + dy / cov_yy)`, the compositor's sums over pixels are
+//! the derivatives with respect to mean and covariance, up to factors of the splat itself.
 
 use use3d_numerics::math;
 
@@ -13,11 +13,11 @@ use super::projection::Projection;
 /// `log₂ 255`: a Gaussian contributes where `log₂ α ≥ −LOG2_255`.
 pub const LOG2_255: f32 = 7.994_353_3;
 
-/// A projected Gaussian as the compositor reads it.
+/// A projected Gaussian in the form that the compositor reads.
 ///
 /// With `dx, dy` from the centre to the pixel, `σ` is written as a completed square along the pixel row:
-/// `log₂ α = log2_opacity − steepness (dx + shear dy)² − steepness_y dy²`. It cannot become negative by
-/// rounding and keeps the accuracy of the f64 determinant for needles.
+/// `log₂ α = log2_opacity − steepness (dx + shear dy)² − steepness_y dy²`. In this form `σ` cannot become
+/// negative by rounding, and it keeps the accuracy of the f64 determinant for needles.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[repr(C)]
 pub(crate) struct Splat {
@@ -36,18 +36,18 @@ pub(crate) struct Splat {
     pub(crate) z: f32,
     /// Colour of this view.
     pub(crate) color: [f32; 3],
-    /// Which Gaussian.
+    /// Index of the Gaussian.
     pub(crate) index: u32,
     /// Half height of the 1/255 contour, pixels.
     pub(crate) reach_y: f32,
 }
 
-/// Gradient of one (tile, Gaussian) entry, or the sum of several: the floats of a [`SplatGradient`], so that
-/// sums are one loop. The linear adjoint uses them as channels.
+/// The gradient of one (tile, Gaussian) entry, or the sum of several: the floats of a [`SplatGradient`] as
+/// an array, so that sums are one loop. The linear adjoint uses the floats as channels.
 pub(crate) type Record = [f32; 12];
 
-/// What the compositor's backward pass hands to the projection's, by name: sums over pixels with
-/// `G = α ∂L/∂α` and, from the Gaussian's centre, `t = dx + shear dy`.
+/// The compositor's gradient of a Gaussian by name, which is the input of the projection's backward pass:
+/// sums over pixels with `G = α ∂L/∂α` and, from the Gaussian's centre, `t = dx + shear dy`.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct SplatGradient {
     /// `ΣG`.
@@ -71,14 +71,14 @@ pub(crate) struct SplatGradient {
 }
 
 impl SplatGradient {
-    /// A record by name.
+    /// The values of a record by name.
     #[inline(always)]
     pub(crate) fn of(record: &Record) -> Self {
         let &[weight, t, dy, t_t, t_dy, dy_dy, z, r, g, b, x, y] = record;
         Self { weight, t, dy, t_t, t_dy, dy_dy, z, color: [r, g, b], screen: [x, y] }
     }
 
-    /// Its floats.
+    /// The values as a record.
     #[inline(always)]
     pub(crate) fn record(self) -> Record {
         let Self { weight, t, dy, t_t, t_dy, dy_dy, z, color: [r, g, b], screen: [x, y] } = self;
@@ -93,7 +93,8 @@ impl SplatGradient {
     }
 }
 
-/// The compositor's form of a projection; `None` if it is never drawn or its contour misses the lattice.
+/// Converts a projection to the compositor's form; `None` if it is never drawn or its contour misses the
+/// lattice.
 #[inline(always)]
 pub(super) fn splat_of(p: &Projection, logit: f32, columns: [f32; 2], rows: [f32; 2]) -> Option<Splat> {
     // log₂ of the logistic function, stable at both ends; NaN compares false below.
@@ -120,7 +121,7 @@ pub(super) fn splat_of(p: &Projection, logit: f32, columns: [f32; 2], rows: [f32
         steepness_y: (half / yy) as f32,
         log2_opacity: log2_opacity as f32,
         z: p.z as f32,
-        // A hair more than exact, so that rounding never loses a pixel on the contour.
+        // Slightly more than the exact value, so that rounding never loses a pixel on the contour.
         reach_y: (reach_y * (1.0 + 1e-6) + 1e-3) as f32,
         ..Splat::default()
     };
@@ -141,7 +142,7 @@ pub(super) struct ScreenGradient {
 }
 
 impl ScreenGradient {
-    /// From the compositor's sums: the derivative of [`splat_of`].
+    /// Computes the gradient from the compositor's sums: the derivative of [`splat_of`].
     #[inline(always)]
     pub(super) fn of(splat: &Splat, s: &SplatGradient) -> Self {
         let f = f64::from;

@@ -1,4 +1,4 @@
-//! The same bits on any number of threads, on every instruction set with fused
+//! The results have the same bits on any number of threads, on every instruction set with fused
 //! multiply-add, and for the scalar twin.
 
 use use3d_capture::{Image, MediumMaps};
@@ -12,7 +12,7 @@ use crate::support::{
     engines, fused_engines, lattice, random_camera, random_gaussians, random_image, random_map, random_medium,
 };
 
-/// Everything the crate computes of one scene.
+/// All results that the crate computes for one scene.
 #[derive(Debug, PartialEq)]
 struct Everything {
     view: Vec<usize>,
@@ -60,7 +60,8 @@ fn everything(rasterizer: &mut Rasterizer, gaussians: &Gaussians, medium: Option
     Everything { view: view.visible().collect(), rendered, grads, maps, colors, color_maps, splat, lifted }
 }
 
-/// Scenes: with stops (large opaque Gaussians), smooth and rough water, none.
+/// Scenes in which pixels stop (large opaque Gaussians), with smooth water, with rough water, and without
+/// water.
 fn scenes() -> Vec<(&'static str, Gaussians, Option<MediumMaps>)> {
     let mut opaque = random_gaussians(300, -0.8, 5);
     for logit in &mut opaque.opacity_logits {
@@ -113,7 +114,7 @@ fn engines_without_fused_multiply_add_agree_closely() {
         let worst = |a: &Image, b: &Image| {
             a.data().iter().zip(b.data()).map(|(a, b)| (a - b).abs()).fold(0.0f32, f32::max)
         };
-        // A pixel on the 1/255 contour may fall on the other side.
+        // A pixel on the 1/255 contour may fall on the other side of it.
         assert!(worst(&twin.rendered.image, &other.rendered.image) < 6e-3, "{name}");
         let mean = twin.rendered.image.data().iter().zip(other.rendered.image.data());
         let mean: f32 =
@@ -122,7 +123,7 @@ fn engines_without_fused_multiply_add_agree_closely() {
     }
 }
 
-/// A forward pass of another view in between must not matter to the backward pass.
+/// A forward pass of another view in between must not change the backward pass.
 #[test]
 fn the_backward_pass_does_not_depend_on_which_view_was_rendered_last() {
     let (_, gaussians, medium) = scenes().remove(1);

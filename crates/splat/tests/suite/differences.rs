@@ -1,4 +1,4 @@
-//! Finite differences against every gradient, on fresh random scenes.
+//! Compares every gradient with finite differences, on fresh random scenes.
 
 use use3d_capture::{Formation, MediumMaps};
 use use3d_numerics::random::{Purpose, Stream};
@@ -21,12 +21,12 @@ fn dot(a: &[f32], b: &[f32]) -> f64 {
 
 /// The loss jumps where a 1/255 contour crosses a pixel centre, where a pixel stops, and where two depths
 /// change order. Ten wide Gaussians put their contours outside the image and leave transmittance
-/// everywhere; what is left of the jumps is bounded by asking the median of eight random directions to
-/// agree, with a looser bound for all.
+/// everywhere. The remaining jumps are tolerated: the median of eight random directions must agree, and all
+/// of them must stay within a looser bound.
 fn check(scene: &mut Scene, options: Options, seed: u64) {
     let (w, h) = (scene.camera.intrinsics.width, scene.camera.intrinsics.height);
     let mut rasterizer = Rasterizer::new();
-    // Smooth d_rendered keep the noise of contour crossings low.
+    // Smooth `d_rendered` keep the noise of contour crossings low.
     let (image, clear) = (random_image(w, h, seed), random_image(w, h, seed + 1));
     let (depth, accumulation) = (random_map(w, h, seed + 2), random_map(w, h, seed + 3));
     let d_rendered = RenderGradients {
@@ -35,8 +35,8 @@ fn check(scene: &mut Scene, options: Options, seed: u64) {
         accumulation: Some(&accumulation),
         clear: Some(&clear),
     };
-    // The view direction of a colour is detached from the mean (R28): moved means keep
-    // the colours of where they were.
+    // The view direction of a colour is detached from the mean (R28), so moved means keep the colours of
+    // their old position.
     let mut colors = Vec::new();
     view_colors(&scene.gaussians, &scene.camera, scene.gaussians.sh_degree, &mut colors);
     let loss = |scene: &Scene, rasterizer: &mut Rasterizer, detached: bool| {
@@ -63,7 +63,7 @@ fn check(scene: &mut Scene, options: Options, seed: u64) {
         &d_rendered,
         Gradients { gaussians: &mut grads, medium: Some(&mut maps) },
     );
-    // f32 images carry about this much rounding into the loss.
+    // Rounding of f32 images changes the loss by about this amount.
     let rounding = 1e-7
         * [image.data(), clear.data(), depth.data(), accumulation.data()]
             .iter()
@@ -108,8 +108,8 @@ fn check(scene: &mut Scene, options: Options, seed: u64) {
             let (up, here, down) = (at(1.0), at(0.0), at(-1.0));
             let numeric = (up - down) / (2.0 * f64::from(step));
             values(&mut scene.gaussians).copy_from_slice(&old);
-            // Two depths that change order make a jump: a difference across it
-            // says nothing about the derivative.
+            // Two depths that change order make a jump; a difference across it does not estimate the
+            // derivative.
             if (up - 2.0 * here + down).abs() > 0.1 * (up - down).abs() + 2.0 * rounding {
                 continue;
             }

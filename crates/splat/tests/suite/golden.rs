@@ -1,4 +1,5 @@
-//! The compositor against the independent float64 oracle: forward and every gradient, on every engine.
+//! Compares the compositor with the independent float64 oracle: forward and every gradient, on every
+//! engine.
 
 use use3d_capture::{Camera, Image, Map, MediumMaps};
 use use3d_golden::{Case, Part};
@@ -114,7 +115,7 @@ fn golden_splat_and_adjoint() {
     assert!(cases > 0, "no case with in.attr");
 }
 
-/// Stage 2's backward is the full one restricted to colours and medium.
+/// The backward pass of stage 2 is the full one restricted to colours and medium.
 #[test]
 fn golden_cases_give_the_same_colour_and_medium_gradients_without_geometry() {
     let part = Part::math("compositor");
@@ -134,8 +135,8 @@ fn check_colors(
     image: &Image,
     rasterizer: &mut Rasterizer,
 ) {
-    // Degree 0 with a known basis turns the gradient of sh[0] into that of the
-    // colour, where the clamp is open.
+    // Degree 0 with a known basis turns the gradient of sh[0] into that of the colour, where the clamp is
+    // inactive.
     let mut lifted = gaussians.clone();
     for sh in &mut lifted.sh {
         sh[0] = sh[0].map(|v| v.abs() + 0.1);

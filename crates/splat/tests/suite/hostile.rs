@@ -1,5 +1,4 @@
-//! Parameters and sizes that no honest scene has: never a panic, never anything that is
-//! not finite from what is drawn.
+//! Parameters and sizes that no real scene has: they never cause a panic, and every drawn value is finite.
 
 use use3d_capture::MediumMaps;
 use use3d_numerics::random::{Purpose, Stream};
@@ -65,7 +64,8 @@ fn parameters_that_are_not_finite_are_not_drawn() {
     let bad = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e-42, -1e-42, 1e38, -1e38, 0.0];
     let s = Stream::new(3, Purpose::new("hostile"), 0);
     let mut gaussians = random_gaussians(400, -1.5, 1);
-    // Two of three Gaussians get one to three bad entries. Colours stay finite: they are drawn as they are.
+    // Two of three Gaussians have one to three bad entries. Colours stay finite, because they are drawn
+    // unchanged.
     for i in 0..400 {
         if i % 3 == 0 {
             continue;
@@ -123,7 +123,7 @@ fn gaussians_at_the_extremes_of_size_and_distance() {
     run_all(&gaussians, 50, 40);
 }
 
-/// Absurd water: no panic, and finite where the coefficients are.
+/// Absurd water: it causes no panic, and results are finite where the coefficients are.
 #[test]
 fn absurd_water() {
     let gaussians = random_gaussians(100, -1.5, 1);

@@ -1,4 +1,4 @@
-//! Water laid over composed images: the papers' formula, its derivative, and where it is the same as
+//! Water applied to composed images: the papers' formula, its derivative, and the cases in which it equals
 //! water in front of every Gaussian.
 
 use glam::DVec3;
@@ -23,12 +23,12 @@ struct View {
     water: MediumMaps,
 }
 
-/// Random Gaussians behind water over the image; all at one depth if `flat`.
+/// Random Gaussians behind water applied to the image; all at one depth if `flat`.
 fn view(seed: u64, flat: bool) -> View {
     view_of(-1.2, seed, flat)
 }
 
-/// The same with Gaussians around a log scale.
+/// The same view with Gaussians around a given log scale.
 fn view_of(log_scale: f64, seed: u64, flat: bool) -> View {
     let camera = random_camera(SIZE.0, SIZE.1);
     let mut gaussians = random_gaussians(60, log_scale, seed);
@@ -67,8 +67,9 @@ fn only(image: &Image) -> RenderGradients<'_> {
     RenderGradients { image, depth: None, accumulation: None, clear: None }
 }
 
-/// `I = J e^{−β_a s} + c_m (1 − A e^{−β_b s})` in f64 from what is composed without water. Where a pixel is
-/// opaque, that is SeaSplat's `J e^{−β_a s} + c_m (1 − e^{−β_b s})`; where nothing is hit, open water.
+/// `I = J e^{−β_a s} + c_m (1 − A e^{−β_b s})` in f64, from the image composed without water. Where a pixel
+/// is opaque, this is SeaSplat's `J e^{−β_a s} + c_m (1 − e^{−β_b s})`; where nothing is hit, it is open
+/// water.
 #[test]
 fn a_pixel_is_one_surface_at_its_expected_distance() {
     let view = view_of(-1.6, 3, false);
@@ -108,8 +109,8 @@ fn a_pixel_is_one_surface_at_its_expected_distance() {
     }
 }
 
-/// With every Gaussian at one depth there is one distance per pixel, so both formations
-/// are one, derivatives included.
+/// With every Gaussian at one depth there is one distance per pixel, so both formations give the same image
+/// and the same derivatives.
 #[test]
 fn at_one_depth_both_formations_agree() {
     let view = view(4, true);
@@ -161,7 +162,7 @@ fn fused_engines_give_the_same_bits() {
     }
 }
 
-/// The picture is linear in the colours, and the derivative needs no forward pass before it.
+/// The image is linear in the colours, and the derivative needs no forward pass before it.
 #[test]
 fn derivatives_of_colours_are_those_of_the_colours_there_are() {
     let mut view = view(6, false);
@@ -177,7 +178,7 @@ fn derivatives_of_colours_are_those_of_the_colours_there_are() {
     view.prepared.set_colors(&colors);
     let (mut grads, mut maps) = (vec![[0.0f32; 3]; n], MediumMaps::zeros(0, 0));
     rasterizer.backward_colors(&view.prepared, Some(&view.water), &d_image, &mut grads, &mut maps);
-    // Of the water as the whole derivative has it.
+    // The gradient of the water equals that of the full derivative.
     assert_eq!(maps, gradients(&mut Rasterizer::new(), &view, &view.water, &only(&d_image)).1);
     let lit = dot(&draw(&mut rasterizer, &view, Some(&view.water)).image, &d_image);
     view.prepared.set_colors(&vec![[0.0; 3]; n]);

@@ -151,7 +151,7 @@ fn errors_say_what_is_wrong() {
     assert!(ply::read(&ascii[..]).unwrap_err().to_string().contains("is not a number"));
 }
 
-/// A count of 2⁶⁰ costs neither memory nor time.
+/// A header with a count of 2⁶⁰ costs neither memory nor time.
 #[test]
 fn counts_are_not_believed() {
     let honest = bytes_of(&random_gaussians(3, -2.0, 1));
@@ -173,8 +173,8 @@ fn counts_are_not_believed() {
     assert!(ply::read(empty.as_bytes()).unwrap_err().to_string().contains("no property `x`"));
 }
 
-/// Bounded, seeded mutations: flipped, cut, doubled and spliced files end in a value
-/// or an error, never in a panic.
+/// Bounded, seeded mutations: flipped, cut, doubled and spliced files give a value or an error, never a
+/// panic.
 #[test]
 fn mutated_files_never_panic() {
     let s = Stream::new(7, Purpose::new("ply mutations"), 0);

@@ -1,4 +1,4 @@
-//! Properties that hold whatever the numbers.
+//! Properties that hold for any numbers.
 
 use glam::{DMat3, DQuat, DVec3};
 use use3d_capture::{Image, Lattice, MediumMaps, Pose};
@@ -41,7 +41,7 @@ fn the_adjoint_is_the_transpose() {
                 })
             };
             let ((left, size), (right, _)) = (dot(&sx, &y), dot(&x, &sy));
-            // Relative to the size of the terms, and to the result itself.
+            // The difference is bounded relative to the size of the terms, and to the result itself.
             assert!((left - right).abs() <= 1e-6 * size, "{left} {right} {size}");
             assert!((left - right).abs() <= 1e-5 * left.abs().max(1e-2 * size), "{left} {right}");
         }
@@ -89,7 +89,7 @@ fn clear_water_leaves_objects_on_the_medium_colour() {
             assert!((out.image.plane(c)[p] - expected).abs() < 2e-6);
         }
     }
-    // Nothing visible: the medium alone, and no depth.
+    // Nothing is visible: the image is the medium alone, without depth.
     let nothing = render(&prepared(&random_gaussians(0, 0.0, 0), &camera), Some(&medium));
     assert_eq!(nothing.image, medium.color);
     assert!(nothing.depth.data().iter().chain(nothing.accumulation.data()).all(|v| *v == 0.0));
@@ -132,7 +132,7 @@ fn a_rigid_motion_of_world_and_camera_changes_nothing() {
     turned.prepare(&moved, &moved_camera, &lattice(&camera), Colors::Sh { degree: 0 });
     let medium = random_medium(60, 40, true, 1);
     let (a, b) = (render(&still, Some(&medium)), render(&turned, Some(&medium)));
-    // A pixel on a contour may flip: at most 1/255 there, nothing elsewhere.
+    // A pixel on a contour may flip: it changes by at most 1/255, and nothing else changes.
     let differences: Vec<f32> =
         a.image.data().iter().zip(b.image.data()).map(|(a, b)| (a - b).abs()).collect();
     assert!(differences.iter().all(|d| *d < 5e-3));
@@ -197,7 +197,8 @@ fn a_sparse_lattice_renders_the_pixels_of_the_whole_image() {
     let sparse = Lattice::subset(&columns, &rows).unwrap();
     view.prepare(&gaussians, &camera, &sparse, Colors::Sh { degree: 3 });
     let part = render(&view, Some(&some));
-    // The exponentials' reduction is per tile, and tiles fall differently: equal to rounding.
+    // The exponentials' reduction is per tile, and the tiles differ, so the pixels are equal only to
+    // rounding.
     assert!(worst(part.image.data(), pick(&whole.image).data()) < 2e-6);
 }
 
@@ -217,8 +218,8 @@ fn given_colours_are_used_as_they_are() {
     }
 }
 
-/// The absolute statistic is at least the absolute value of the projected gradient, and is that of a single
-/// pixel's when only one has a derivative.
+/// The absolute statistic is the sum over pixels of the absolute gradients that each pixel has alone. So it
+/// bounds the absolute value of the projected gradient.
 #[test]
 fn the_screen_statistic_bounds_the_projected_gradient() {
     let (camera, gaussians) = (random_camera(40, 30), random_gaussians(50, -1.5, 14));

@@ -1,4 +1,4 @@
-//! The golden scene: whole images by the oracle, for the views whose medium maps are stored.
+//! The golden scene: whole images of the oracle, for the views whose medium maps are stored.
 
 use glam::{DMat3, DVec3};
 use use3d_capture::{Camera, Formation, Image, Intrinsics, MediumMaps, Pose};

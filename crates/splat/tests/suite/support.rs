@@ -1,4 +1,4 @@
-//! What several tests need: engines, scenes, cases.
+//! Helpers that several tests share: engines, scenes, cases.
 
 use glam::DVec3;
 use use3d_capture::{Camera, Formation, Image, Intrinsics, Lattice, Map, MediumMaps, Pose};
@@ -7,7 +7,7 @@ use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_splat::{Colors, Gaussians, Prepared, Rasterizer};
 
-/// Every engine that this machine can run, by name: the scalar twin first.
+/// Every engine that this machine can run, with its name; the scalar twin comes first.
 pub(crate) fn engines() -> Vec<(&'static str, Rasterizer)> {
     let mut engines = vec![
         ("plain", Rasterizer::plain()),
@@ -32,7 +32,7 @@ pub(crate) fn fused_engines() -> Vec<(&'static str, Rasterizer)> {
     engines().into_iter().filter(|(name, _)| matches!(*name, "plain" | "avx2" | "avx512")).collect()
 }
 
-/// The Gaussians of a golden case; without colours if it has none.
+/// The Gaussians of a golden case; without colours if the case has none.
 pub(crate) fn gaussians_of(case: &Case<'_>) -> Gaussians {
     let CaseGaussians { means, log_scales, quaternions, opacity_logits, sh } = case.gaussians();
     Gaussians { sh_degree: 3, means, log_scales, quaternions, opacity_logits, sh }
@@ -104,7 +104,7 @@ pub(crate) fn random_gaussians(n: usize, size: f64, seed: u64) -> Gaussians {
     out
 }
 
-/// Water that varies smoothly over the image, as that of a medium model does, or per pixel.
+/// Water that varies smoothly over the image, as a medium model's does, or from pixel to pixel.
 pub(crate) fn random_medium(width: usize, height: usize, smooth: bool, seed: u64) -> MediumMaps {
     let s = Stream::new(seed, Purpose::new("random medium"), 0);
     let mut out = MediumMaps::zeros(width, height);
@@ -148,7 +148,7 @@ pub(crate) fn random_map(width: usize, height: usize, seed: u64) -> Map {
     Map::from_planes(width, height, data).expect("one plane")
 }
 
-/// `gaussians` seen by `camera`, ready.
+/// `gaussians` prepared for `camera`.
 pub(crate) fn prepared(gaussians: &Gaussians, camera: &Camera) -> Prepared {
     let mut out = Prepared::new();
     out.prepare(gaussians, camera, &lattice(camera), Colors::Sh { degree: 3 });

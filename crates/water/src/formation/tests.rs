@@ -26,13 +26,13 @@ fn weights() -> Vec<f64> {
 
 #[test]
 fn golden_radiance_is_the_weighted_least_squares_solution() {
-    // Two views of one point, worked out by hand: a = e^{-s}, I - b = 1 and 1/2 at s = 0 and ln 2, weights 1
-    // and 4.
+    // Two views of one point, calculated by hand: a = e^{-s}, I - b = 1 and 1/2 at s = 0 and ln 2, weights
+    // 1 and 4.
     let (j, below) = radiance([(1.0, 1.0, 1.0), (4.0, 0.5, 0.5)].into_iter());
     assert_eq!((j, below), (1.0, 2.0));
     let (j, _) = radiance([(1.0, 1.0, 0.8), (4.0, 0.5, 0.5)].into_iter());
     assert!((j - (0.8 + 4.0 * 0.25) / 2.0).abs() < 1e-15);
-    // Darker than nothing is nothing.
+    // A negative radiance becomes 0.
     assert_eq!(radiance([(1.0, 0.5, -0.2)].into_iter()).0, 0.0);
     assert_eq!(radiance(std::iter::empty()), (0.0, 0.0));
 }
@@ -47,7 +47,7 @@ fn golden_terms_are_those_of_the_equation() {
     assert!((t.added - 0.4 * 1.03 * math::exp(0.03) * (1.0 - math::exp(-0.72))).abs() < 1e-15);
 }
 
-/// The residuals as a function of the parameters, radiances eliminated.
+/// The residuals as a function of the parameters, with radiances eliminated.
 fn at(channel: &Channel, theta: &[f64], k: usize, step: f64) -> Vec<f64> {
     let mut moved = theta.to_vec();
     moved[k] += step;
@@ -108,7 +108,7 @@ fn parts_of_the_points_add_up_and_gains_can_be_left_out() {
         let expected = if k < GAIN { whole.gradient[k] } else { 0.0 };
         assert!((shared.gradient[k] - expected).abs() < 1e-14);
         for l in 0..n {
-            // The gains' derivative of a radiance does not enter the shared block.
+            // The derivatives of a radiance by the gains do not enter the shared block.
             let expected = if k < GAIN && l < GAIN { whole.matrix[k * n + l] } else { 0.0 };
             assert!((shared.matrix[k * n + l] - expected).abs() < 1e-12, "{k} {l}");
         }

@@ -1,11 +1,11 @@
-// Where the visitor stands: eye, rotation, vertical field of view, and the point of interest in front, around
-// which one orbits. World up is +z unless it was levelled, and `upright` is the up that one comes back to;
-// ups and views belong to the page, never to the scene.
+// The visitor's camera: eye, rotation, vertical field of view, and the point of interest in front, around
+// which the camera orbits. World up is +z until the visitor levels it, and `upright` is the up that a reset
+// restores. Ups and views belong to the page, never to the scene.
 
 const DEGREE = Math.PI / 180;
 
-// The photograph that the page opens at: the trained one in the middle of all, since a capture's first view lies at its
-// edge. Of one or two it is the first.
+// The photograph that the page opens at: the training view nearest to the centre of all cameras, because a
+// capture's first view lies at its edge. With one or two photographs it is the first.
 function openingView(cameras) {
   const trained = cameras.map((view, i) => [view, i]).filter(([view]) => !view.heldOut);
   if (cameras.length < 3 || !trained.length) return cameras.length ? 0 : -1;
@@ -24,19 +24,19 @@ function makeCamera(header) {
   camera.set = ({ eye, rotation, fov, focus }) => {
     Object.assign(camera, { eye: [...eye], rotation: orthonormal(rotation), fov: fov ?? camera.fov, focus: focus ?? camera.focus });
   };
-  // The pinhole of a picture of this size; square pixels, principal point in the middle.
+  // The pinhole camera of a picture of this size: square pixels, principal point in the middle.
   camera.pinhole = (width, height) => {
     const f = height / 2 / Math.tan(camera.fov * DEGREE / 2);
     return { eye: camera.eye, rotation: camera.rotation, lens: [f, f, width / 2, height / 2], width, height };
   };
   camera.target = () => along(camera.eye, camera.rotation[2], camera.focus);
-  // All of the scene in the picture, seen from where one looks now.
+  // A view of the whole scene in the present direction.
   camera.framing = aspect => {
     const half = Math.atan(Math.tan(camera.fov * DEGREE / 2) * Math.min(1, aspect));
     const focus = reach / Math.sin(Math.min(half, 1.2));
     return { eye: along(middle, camera.rotation[2], -focus), rotation: camera.rotation, fov: camera.fov, focus };
   };
-  // A photograph's place; the field of view is its own.
+  // The camera of a photograph, with the photograph's own field of view.
   camera.atView = view => ({
     eye: view.eye, rotation: view.rotation, focus: view.focus || reach, fov: 2 * Math.atan(view.height / 2 / view.lens[1]) / DEGREE,
   });
@@ -52,7 +52,7 @@ function makeCamera(header) {
     camera.look(yaw, pitch);
     camera.eye = along(target, camera.rotation[2], -camera.focus);
   };
-  // Turns on the spot: yaw about up, pitch about the right axis, never over the poles.
+  // Turns without moving: yaw about up, pitch about the right axis, never over the poles.
   camera.look = (yaw, pitch) => {
     const tilt = Math.asin(clamp(dot(camera.rotation[2], camera.up), -1, 1)), most = 88 * DEGREE;
     const allowed = clamp(tilt + pitch, Math.min(-most, tilt), Math.max(most, tilt)) - tilt;
@@ -65,7 +65,7 @@ function makeCamera(header) {
     camera.eye = along(along(along(camera.eye, r, right), d, -up), f, forward);
   };
   camera.roll = angle => { camera.rotation = camera.rotation.map(row => turned(row, camera.rotation[2], angle)); };
-  // Towards a point of the picture, given as a direction.
+  // Moves towards a point of the picture, given as a direction.
   camera.zoom = (factor, direction = camera.rotation[2]) => {
     const step = camera.focus * (1 - factor);
     camera.eye = along(camera.eye, direction, step);
@@ -78,7 +78,7 @@ function makeCamera(header) {
     const f = height / 2 / Math.tan(camera.fov * DEGREE / 2);
     return [width / 2 + f * dot(camera.rotation[0], away) / z, height / 2 + f * dot(camera.rotation[1], away) / z, z];
   };
-  // World direction with depth 1 through a pixel.
+  // World direction through a pixel, scaled to depth 1.
   camera.through = (x, y, width, height) => {
     const f = height / 2 / Math.tan(camera.fov * DEGREE / 2);
     return add(camera.rotation[2], add(scaled(camera.rotation[0], (x - width / 2) / f), scaled(camera.rotation[1], (y - height / 2) / f)));

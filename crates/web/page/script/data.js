@@ -1,8 +1,8 @@
 // The scene's data: parts in base64 -> gzip -> sections of bytes -> textures.
 //
 // Numbers are stored byte by byte in planes (the first byte of every Gaussian, then the second ...), which
-// packs better; here they are put side by side again, in the layout that the shaders read. The header says
-// which section lies where.
+// compresses better. Here the bytes are put side by side again, in the layout that the shaders read. The
+// header lists the sections in their order.
 
 const GEOMETRY_BYTES = 48, HARMONIC_BYTES = 48, PER_ROW = 512;
 
@@ -18,7 +18,7 @@ async function unpacked(parts) {
   return new Uint8Array(await new Response(packed).arrayBuffer());
 }
 
-// `count` records of `stride` bytes from planes; `place(k)` is where byte k of a stored record goes.
+// Makes `count` records of `stride` bytes from planes; `place(k)` is the position of byte k in a record.
 function records(planes, count, stored, stride, rows, place) {
   const out = new Uint8Array(rows * PER_ROW * stride);
   for (let k = 0; k < stored; k++) {
@@ -32,7 +32,7 @@ function sceneData(header, sections) {
   const count = header.count, rows = Math.max(1, Math.ceil(count / PER_ROW));
   const geometry = records(sections.geometry, count, GEOMETRY_BYTES, GEOMETRY_BYTES, rows, k => k);
   const planes = sections.harmonics, stored = header.harmonicBytes;
-  // The last two stored bytes are the scale; the shader looks for it at the end of the record.
+  // The last two stored bytes are the scale; the shader reads it at the end of the record.
   const harmonics = planes && stored > 0
     ? records(planes, count, stored, HARMONIC_BYTES, rows, k => (k < stored - 2 ? k : HARMONIC_BYTES - stored + k))
     : null;
@@ -41,8 +41,8 @@ function sceneData(header, sections) {
   return { header, count, rows, geometry, harmonics, centres, cube: sections.cube };
 }
 
-// Parts are elements of the page, or scripts beside it have put them into a list; either way in the order of
-// the sections. A page that was served has them from its server, or has the server draw.
+// Parts are elements of the page, or scripts beside the page have put them into a list; both are in the order
+// of the sections. A page from a server gets them from there, or the server draws the pictures.
 async function loadScene(server) {
   if (server) {
     const { header, drawn } = await server.begin();

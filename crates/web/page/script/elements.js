@@ -1,4 +1,4 @@
-// Elements of the page by name, and making new ones.
+// Finds elements of the page by their id, and makes new ones.
 
 const element = id => document.getElementById(id);
 
@@ -13,7 +13,7 @@ function make(tag, attributes = {}, ...children) {
   return made;
 }
 
-// A sentence for who cannot see the picture, and for a moment at the bottom for who can.
+// Shows a sentence at the bottom for a moment, and gives it to screen readers.
 let quiet = 0;
 function say(text) {
   element('live').textContent = text;
@@ -30,7 +30,7 @@ function download(name, type, content) {
   setTimeout(() => URL.revokeObjectURL(link.href), 10000);
 }
 
-// What an opened file holds is taken up by `read`, which says in words what it was.
+// Passes the text of an opened file to `read`, which returns what the file holds, in words.
 function opensFiles(id, read) {
   element(id).onchange = async event => {
     const [file] = event.target.files;

@@ -1,4 +1,4 @@
-// Small helpers over WebGL2: programs whose uniforms are set by name, textures, targets.
+// Small helpers for WebGL2: programs whose uniforms are set by name, textures, render targets.
 
 const shaderText = name => document.getElementById(name).textContent.trim().replace(
   /^\/\/#include (\w+)$/gm, (_, part) => document.getElementById(part).textContent.trim());
@@ -18,8 +18,7 @@ function makeProgram(gl, vertex, fragment) {
     throw new Error(`${vertex} with ${fragment}: ${gl.getProgramInfoLog(program)}`);
   const places = {};
   const place = name => (places[name] ??= gl.getUniformLocation(program, name));
-  // Values by their form: numbers and booleans are ints or floats by the names given here, arrays are
-  // vectors.
+  // Sets uniforms. `ints` takes numbers and booleans, `floats` takes numbers, and vectors as arrays.
   return {
     use() { gl.useProgram(program); },
     ints(values) { for (const name in values) gl.uniform1i(place(name), Number(values[name])); },
@@ -46,14 +45,14 @@ function makeTexture(gl, filter = gl.NEAREST, kind = gl.TEXTURE_2D) {
   return texture;
 }
 
-// A texture of whole numbers, `texels` of four words to a row.
+// A texture of whole numbers: `rows` rows of `texels` texels with four words each.
 function wordTexture(gl, bytes, texels, rows) {
   const texture = makeTexture(gl);
   gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32UI, texels, rows, 0, gl.RGBA_INTEGER, gl.UNSIGNED_INT, new Uint32Array(bytes.buffer));
   return texture;
 }
 
-// A framebuffer with `count` half-float pictures that follow the size asked for.
+// A framebuffer with `count` half-float pictures; `resize` gives all of them a new size.
 function makeTarget(gl, count) {
   const target = { buffer: gl.createFramebuffer(), textures: Array.from({ length: count }, () => makeTexture(gl)), width: 0, height: 0 };
   target.resize = (width, height) => {

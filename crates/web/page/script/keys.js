@@ -1,4 +1,4 @@
-// One key for every action. Keys that belong to a text field or a slider stay there.
+// One key for every action. Keys that belong to a text field or a slider keep their own meaning.
 
 function makeKeys(viewer, navigation, panel, views, path, measure, white) {
   const { actions, modes } = panel;
@@ -8,8 +8,8 @@ function makeKeys(viewer, navigation, panel, views, path, measure, white) {
     c: () => { element('compare').click(); }, m: () => measure.choose('distance'), i: () => white.choose(), g: () => measure.choose('ground'),
     k: path.add, ' ': () => { if (path.keys.length > 1) (path.playing ? path.stop() : path.play()); },
     n: () => views.go(views.current + 1), b: () => views.go(views.current - 1),
-    // Without a pointer: what a click does, in the middle of the picture; where there is nothing to click,
-    // one goes there.
+    // Replaces the pointer: does what a click in the middle of the picture does. If there is nothing to
+    // click, the camera moves there.
     Enter: async () => {
       const { canvas } = viewer.renderer.gl, [x, y] = [canvas.clientWidth / 2, canvas.clientHeight / 2];
       if (!navigation.click(x, y) && !(await navigation.goTo(x, y))) say('There is no surface here');
@@ -30,7 +30,7 @@ function makeKeys(viewer, navigation, panel, views, path, measure, white) {
     if (event.ctrlKey || event.metaKey || event.altKey || element('help').open) return;
     const field = event.target.closest?.('input:not([type=radio]):not([type=checkbox]), select, textarea');
     if (field) return;
-    // Buttons and radio groups keep Space, Enter and the arrows.
+    // Buttons and radio groups keep Space, Enter and the arrow keys.
     const control = event.target.closest?.('button, input, [role=tab], [role=slider]');
     if (control && (event.key === ' ' || event.key === 'Enter' || event.key.startsWith('Arrow'))) return;
     if (navigation.press(event)) { event.preventDefault(); return; }

@@ -1,5 +1,5 @@
-// Puts the page together. `window.use3d` is for scripts that steer it: `ready` resolves once a picture is
-// shown.
+// Puts the page together. Scripts control the page through `window.use3d`; its `ready` resolves as soon as a
+// picture is shown.
 
 async function start() {
   const canvas = element('view'), progress = element('progress');
@@ -34,7 +34,7 @@ async function start() {
     }
   };
   // The float picture (RGBA, rows from the top) of a camera { eye, rotation, lens, width, height } and a look
-  // { mode, strength, water, white }, or of a box of it.
+  // { mode, strength, water, white }, or of a box of that picture.
   async function picture(view, look, box = null) {
     const { held } = viewer;
     viewer.held = true;

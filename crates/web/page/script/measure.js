@@ -1,6 +1,5 @@
-// Measuring: two points make a distance; three points of the ground make the horizon level. A point is where
-// the mean depth of the picture says that the surface is. Lengths are in units of the COLMAP model, or in
-// metres once one length is known.
+// Measuring: two points give a distance; three points of the ground level the horizon. A point lies at the
+// mean depth of the picture. Lengths are in units of the COLMAP model, or in metres if one length is known.
 
 function makeMeasure(viewer, overlay) {
   const { header, camera } = viewer, measure = { tool: null, points: [], distances: [], metresPerUnit: header.metresPerUnit ?? null };
@@ -32,7 +31,7 @@ function makeMeasure(viewer, overlay) {
     element('scale').textContent = measure.metresPerUnit ? `1 unit is ${measure.metresPerUnit.toPrecision(4)} m.` : 'Lengths are in units of the COLMAP model. Give one true length to have metres.';
     viewer.invalidate();
   };
-  // A point of the scene was picked. What three points of the ground do: their normal, on the eye's side,
+  // Takes a picked point of the scene. After three points of the ground, their normal on the eye's side
   // becomes up.
   measure.take = point => {
     measure.points.push(point);
@@ -66,7 +65,7 @@ function makeMeasure(viewer, overlay) {
     say(`Metres now: ${element('scale').textContent}`);
   };
   overlay.add(canvas => {
-    // Where Enter takes a point.
+    // Marks the place where Enter takes a point.
     if (measure.tool) canvas.cross('#ffd166');
     measure.points.forEach(point => canvas.dot(point, '#ffd166'));
     measure.distances.forEach(([a, b]) => {

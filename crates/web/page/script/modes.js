@@ -1,4 +1,4 @@
-// What can be shown, in the words of `use3d render --modes`, and what each mode asks of the renderer:
+// The modes that can be shown, named as in `use3d render --modes`, and the settings of the renderer for each:
 //   graded   enhanced colours                water    it has water, whose amount can be chosen
 //   objects  weight of the objects' light    veil     weight of the water's light, open water included
 const MODES = {
@@ -10,12 +10,12 @@ const MODES = {
   depth: { title: 'Depth', about: 'Near is bright, far is dark', graded: false, water: false, objects: 0, veil: 0, depth: true },
 };
 
-// What a scene opens with: the look that its enhancement was learnt in. Colours that look right through water
-// are too strong without it.
+// The mode that a scene opens with: the one in which its enhancement was learnt. Colours that look right
+// through water are too strong without it.
 const openingMode = header => (header.enhancement ? (header.enhancement.water ? 'enhanced' : 'enhanced-clear') : 'reconstruction');
 
-// What a white balance multiplies the colours of a look with: the looks without water and `enhanced` have gains of
-// their own, all others stay as they are.
+// The factors of a white balance for the colours of a look. The looks without water and `enhanced` have gains
+// of their own; all others stay unchanged.
 const NO_GAINS = [1, 1, 1];
 const gainsOf = look => look.white?.[look.mode] ?? NO_GAINS;
 

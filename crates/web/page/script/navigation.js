@@ -1,6 +1,6 @@
-// Moving about, as in other viewers: left drag orbits (looks around when flying), right drag looks, middle
-// drag or Shift and drag pans, the wheel zooms to the pointer, a double click goes there. One finger orbits,
-// two pan, zoom and roll. WASD with Q and E fly.
+// Moving the camera, as in other viewers: a left drag orbits, or looks around when flying. A right drag looks
+// around; a middle drag, or Shift and drag, pans. The wheel zooms to the pointer, and a double click moves
+// the camera to that place. One finger orbits; two pan, zoom and roll. WASD with Q and E fly.
 
 function makeNavigation(canvas, viewer) {
   const { camera } = viewer, pointers = new Map(), pressed = new Set();
@@ -68,7 +68,7 @@ function makeNavigation(canvas, viewer) {
   };
   canvas.addEventListener('dblclick', event => { if (!navigation.picking?.()) navigation.goTo(...place(event)); });
 
-  // Keys that are held: flying, and turning with the arrows.
+  // Keys that are held down: flying, and turning with the arrow keys.
   const HELD = ['KeyW', 'KeyA', 'KeyS', 'KeyD', 'KeyQ', 'KeyE', 'ArrowLeft', 'ArrowRight', 'ArrowUp', 'ArrowDown'];
   navigation.press = event => {
     if (!HELD.includes(event.code) || event.altKey || event.metaKey) return false;

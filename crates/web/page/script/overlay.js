@@ -1,12 +1,12 @@
-// What is drawn over the picture: the cameras as small pyramids, measured points with their lines, the path.
-// Positions follow the camera.
+// Draws over the picture: the cameras as small pyramids, measured points with their lines, the path. All of
+// them follow the camera.
 
 function makeOverlay(canvas, viewer) {
   const context = canvas.getContext('2d'), drawers = [], { camera } = viewer;
   let width = 0, height = 0;
   const overlay = {
     add: draw => drawers.push(draw),
-    // A line between world points, cut where it passes behind the eye.
+    // A line between world points, interrupted where it passes behind the eye.
     line(points, style, thickness = 1.5, dashed = false) {
       context.strokeStyle = style;
       context.lineWidth = thickness;
@@ -32,7 +32,7 @@ function makeOverlay(canvas, viewer) {
       context.fill();
       context.stroke();
     },
-    // The middle of the picture.
+    // A cross in the middle of the picture.
     cross(style, radius = 9) {
       const [x, y] = [width / 2, height / 2];
       context.setLineDash([]);

@@ -1,10 +1,10 @@
-// The panel: its tabs, what is shown and how strongly, facts about the scene; and the row of buttons below
-// the picture.
+// The panel: its tabs, the choice of mode and its sliders, facts about the scene. Also the row of buttons
+// below the picture.
 
 function makePanel(viewer, navigation) {
   const { header, camera } = viewer, modes = modesOf(header);
 
-  // Tabs, as the ARIA pattern has them: arrows move, one is in the tab order.
+  // Tabs follow the ARIA pattern: arrow keys move between them, and only one is in the tab order.
   const tabs = [...document.querySelectorAll('[role=tab]')];
   const open = tab => {
     tabs.forEach(other => {
@@ -37,7 +37,7 @@ function makePanel(viewer, navigation) {
     viewer.invalidate();
   };
 
-  // Modes, as radio buttons; and which one to compare with.
+  // Modes as radio buttons, and the mode to compare with.
   const choices = element('modes'), left = element('compare-mode');
   modes.forEach((name, i) => {
     choices.append(make('label', { class: 'choice', title: MODES[name].about },
@@ -47,7 +47,7 @@ function makePanel(viewer, navigation) {
   });
   const compare = element('compare');
   compare.onchange = () => {
-    // Two equal halves compare nothing.
+    // Two equal halves would show no difference.
     if (compare.checked && left.value === viewer.look.mode) left.value = modes[(modes.indexOf(viewer.look.mode) + 1) % modes.length];
     viewer.setCompare(compare.checked ? left.value : null);
     if (compare.checked) say(`${MODES[left.value].title} on the left, ${MODES[viewer.look.mode].title} on the right`);
@@ -102,14 +102,14 @@ function makePanel(viewer, navigation) {
   const water_ = { none: 'no water', global: 'one water everywhere', rbf: 'water that varies with place and direction', mlp: 'water that varies with direction',
     image: 'one water everywhere: the program lays it over the finished image, and this page in front of every Gaussian' };
   element('facts').textContent = [
-    // That of a scene that is trained changes.
+    // The number of Gaussians changes during training, so it is left out.
     header.sections.length ? `${header.count.toLocaleString('en')} Gaussians` : null, water_[header.medium.kind], header.enhancement ? 'enhanced' : 'not enhanced',
     header.cameras.length ? `${header.cameras.length} photographs` : null,
   ].filter(Boolean).join(' · ');
   return { actions, open: name => open(element(`tab-${name}`)), modes };
 }
 
-// The picture as it stands, as a PNG.
+// Saves the picture on the screen as a PNG.
 function savePicture(viewer) {
   viewer.renderer.gl.canvas.toBlob(blob => { if (blob) { download(`${viewer.header.name}-${viewer.look.mode}.png`, 'image/png', blob); say('Picture saved'); } });
 }

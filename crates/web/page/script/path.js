@@ -1,7 +1,7 @@
 // Camera paths: keys with a time, a pose, a field of view and a look. Between two keys the eye follows a
-// cubic through all keys (Hermite, with the slope (p_{i+1} - p_{i-1}) / (t_{i+1} - t_{i-1}) at key i), the
-// rotation turns at constant speed, field of view, strength and water change linearly, and the mode is that
-// of the key before. `use3d render --path` reads the same file and draws the same frames.
+// cubic through all keys (Hermite, with the slope (p_{i+1} - p_{i-1}) / (t_{i+1} - t_{i-1}) at key i). The
+// rotation turns at constant speed; field of view, strength and water change linearly; the mode is that of
+// the key before. `use3d render --path` reads the same file and draws the same frames.
 
 const PATH_FORMAT = '3d-use camera path';
 
@@ -31,8 +31,8 @@ function pathFile(keys, frame, framesPerSecond) {
   };
 }
 
-// What other programs read: every frame of the path as a camera of its own, in the COLMAP frame. nerfstudio
-// has camera-to-world matrices with y up and z back; COLMAP's images.txt has quaternions, its lens in
+// Paths for other programs: every frame of the path is a camera of its own, in the COLMAP frame. nerfstudio
+// has camera-to-world matrices with y up and z back. COLMAP has quaternions in images.txt, lenses in
 // cameras.txt, and no points.
 function framesOf(keys, framesPerSecond) {
   const start = keys[0].time, count = Math.round((keys[keys.length - 1].time - start) * framesPerSecond) + 1;
@@ -125,7 +125,7 @@ function makePath(viewer, overlay) {
   element('play').onclick = () => (path.playing ? path.stop() : path.play());
   element('scrub').oninput = event => { path.stop(); path.show(path.keys[0].time + Number(event.target.value)); };
   path.json = () => JSON.stringify(pathFile(path.keys, header.frame, path.framesPerSecond), null, 1);
-  // Pictures of other programs have the shape of this one, as high as Full HD.
+  // Pictures for other programs have the shape of this one and the height of Full HD.
   path.foreign = format => {
     const { clientWidth, clientHeight } = viewer.renderer.gl.canvas, height = 1080, width = 2 * Math.round(540 * clientWidth / Math.max(1, clientHeight));
     if (format === 'colmap') return colmapPath(path.keys, header.frame, path.framesPerSecond, width, height);

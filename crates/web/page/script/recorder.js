@@ -1,5 +1,5 @@
-// The path as a film, recorded from the canvas while it plays (WebM, as the browser encodes it). Exact frames
-// are `use3d render --path`'s.
+// Records the path as a film from the canvas while it plays (WebM, as the browser encodes it). For exact
+// frames use `use3d render --path`.
 
 function makeRecorder(viewer, path) {
   const button = element('record'), canvas = viewer.renderer.gl.canvas;
@@ -14,7 +14,7 @@ function makeRecorder(viewer, path) {
     media.start(250);
     button.classList.add('on');
     button.textContent = 'Recording…';
-    // A busy machine encodes late: a film is over when something of it has been encoded.
+    // A busy machine encodes late, so the film ends only after its first part has been encoded.
     const latest = 10000;
     const finish = waited => (chunks.length || waited > latest ? setTimeout(() => media.stop(), 120) : setTimeout(finish, 100, waited + 100));
     path.play(() => finish(0));

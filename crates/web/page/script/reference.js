@@ -1,5 +1,5 @@
-// The program's own picture in the place of the browser's, and how far the two are apart. Only where the
-// program serves the page; it goes away with the next move or change of look.
+// Shows the program's own picture in place of the browser's, and how far the two differ. Only a page that the
+// program serves has this. The next move or change of look hides the picture again.
 
 const REFERENCE_SIDE = 1600;
 
@@ -19,8 +19,8 @@ function makeReference(viewer, server, picture) {
   viewer.on('frame', () => { if (of !== null && of !== state()) reference.hide(); });
   viewer.on('look', () => { if (of !== null && of !== state()) reference.hide(); });
 
-  // Mean and 99.9 % quantile of the differences of colours in 8 bits, in the display range; of depths there
-  // is none, since each side has a range of its own.
+  // Mean and 99.9 % quantile of the differences of colours in 8 bits, as shares of the display range. Depths
+  // are not compared, because the two pictures scale them differently.
   const apart = (ours, theirs) => {
     const counts = new Uint32Array(256);
     let sum = 0, n = 0;

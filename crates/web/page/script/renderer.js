@@ -1,10 +1,10 @@
 // Draws the scene: water maps, open water, Gaussians back to front, then to the screen. A picture may have
-// two halves that show different modes; each is drawn for itself inside a scissor.
+// two halves with different modes; each half is drawn separately, inside a scissor.
 //
-// A camera is { eye, rotation, lens: [fx, fy, cx, cy], width, height } in pixels; a look is { mode, strength,
+// A camera is { eye, rotation, lens: [fx, fy, cx, cy], width, height } in pixels. A look is { mode, strength,
 // water, white }, where `white` holds the gains of each mode that has some.
 
-// Share of half a picture by which slopes in the projection's derivative may leave it.
+// Slopes in the projection's derivative may leave the picture by this share of half its size.
 const NO_LIMITS = 0.3;
 
 function makeRenderer(canvas, scene) {
@@ -87,8 +87,8 @@ function makeRenderer(canvas, scene) {
     gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, ordered);
   }
 
-  // Fills the float picture; `at` in [0, 1] is where `left` ends and `look` begins. Of a `box` [x, y, width, height],
-  // rows from the top, nothing else is drawn.
+  // Fills the float picture; `at` in [0, 1] is the place where `left` ends and `look` begins. A `box` [x, y,
+  // width, height], rows from the top, limits the drawing to itself.
   function compose(camera, look, left, at, box = null) {
     const { width, height } = camera;
     maps.resize(width, height);
@@ -126,8 +126,8 @@ function makeRenderer(canvas, scene) {
       }
       gl.disable(gl.SCISSOR_TEST);
     },
-    // The float picture of one look, or of a box [x, y, width, height] of it: RGBA per pixel, rows from the top; for
-    // depth the mean depth, 0 where nothing is.
+    // The float picture of one look, or of a box [x, y, width, height] of it: RGBA per pixel, rows from the
+    // top. For depth its values are the mean depth, and 0 where nothing is.
     picture(camera, look, box = null) {
       compose(camera, look, null, 0, box);
       gl.disable(gl.SCISSOR_TEST);
@@ -144,7 +144,7 @@ function makeRenderer(canvas, scene) {
   };
 }
 
-// The three cubes of a water that is a network of the direction, baked by the exporter: per quantity six
+// The three cubes of a water that is a network over directions, baked by the exporter. Each quantity has six
 // faces of half floats, RGBA.
 function bakedWater(gl, bytes, side) {
   const halves = new Uint16Array(bytes.slice().buffer), face = 4 * side * side;

@@ -1,5 +1,5 @@
-// Views of one's own under a name: place, look and what is compared. A file of them holds the direction that
-// is up and the length of a unit, too; `use3d export --web --views FILE` puts it into the page.
+// The visitor's own views under a name: place, look and comparison. Their file also holds the up direction
+// and the length of a unit; `use3d export --web --views FILE` puts it into the page.
 
 const VIEWS_FORMAT = '3d-use views';
 

@@ -1,20 +1,20 @@
-// The program that this page came from, where it came from one: `use3d view`, or a training that is watched.
-// Requests carry the token that stands behind `#` in the address, which browsers send to nobody.
-// `#TOKEN,server` has pictures drawn by the program, `#TOKEN,browser` here.
+// The program that served this page, if there is one: `use3d view`, or a training that is watched. Requests
+// carry the token after `#` in the address, which browsers never send to a server. `#TOKEN,server` makes the
+// program draw the pictures, `#TOKEN,browser` this page.
 
 function makeServer() {
   if (JSON.parse(element('scene').textContent) !== null) return null;
   const [token, where] = location.hash.slice(1).split(',');
   const server = { page: Math.random().toString(36).slice(2), where, lost: false, generation: null };
   server.ask = async (path, body = {}) => {
-    // Browsers have words of their own for an address at which nobody listens, which tell a visitor nothing.
+    // Replaces the browser's own error for an address without a server, which does not help a visitor.
     const answer = await fetch(path, { method: 'POST', headers: { Authorization: `Bearer ${token}` }, body: JSON.stringify(body), cache: 'no-store' })
       .catch(() => { throw new Error('The program does not answer'); });
     if (!answer.ok) throw Object.assign(new Error(await answer.text()), { status: answer.status });
     return answer;
   };
   server.json = async (path, body) => (await server.ask(path, body)).json();
-  // What is shown, once there is something.
+  // The description of the scene; waits until there is one.
   server.begin = async () => {
     for (;;) {
       const beginning = await server.json('/scene').catch(error => { if (error.status) throw error; return { waiting: 'The program does not answer; trying again' }; });
@@ -34,8 +34,8 @@ function drawsInSoftware() {
   return !gl || /swiftshader|llvmpipe|softpipe|software/i.test(name);
 }
 
-// Pictures by the program, in the place of a renderer. One is asked for at a time; of what is wanted
-// meanwhile only the newest counts, and the next request goes out when the picture before is on the screen.
+// Pictures drawn by the program, in place of a renderer. Only one request is open at a time, and only the
+// newest of the waiting ones is kept. The next request starts when the last picture is on the screen.
 function makeServerRenderer(canvas, server, shown) {
   const context = canvas.getContext('2d');
   let wanted = null, busy = false, patience = 500;
@@ -48,7 +48,7 @@ function makeServerRenderer(canvas, server, shown) {
         const answer = await server.ask('/frame', asked);
         [server.lost, patience] = [false, 500];
         if (answer.status !== 200) {
-          // Too many pages wanted pictures: what is on the screen is still the one before.
+          // Too many pages requested pictures, so the screen still shows the last one.
           await new Promise(done => setTimeout(done, patience));
           wanted ??= asked;
           continue;
@@ -59,7 +59,7 @@ function makeServerRenderer(canvas, server, shown) {
         picture.close();
         shown(Number(answer.headers.get('X-Divisor')));
       } catch (error) {
-        // A program that has ended is asked less and less often.
+        // After a program has ended, requests become less and less frequent.
         server.lost = !error.status;
         patience = Math.min(2 * patience, 15000);
         await new Promise(done => setTimeout(done, patience));

@@ -1,7 +1,7 @@
-// A place and its look as files have them. Files are in the COLMAP frame, x_scene = scale (R x) + t, so that
-// they outlive a scene that is trained again.
+// A camera and its look as stored in files. Files use the COLMAP frame, x_scene = scale (R x) + t, so they
+// stay valid when a scene is trained again.
 
-// Rotation rows and centre in the COLMAP frame, and back.
+// Rotation rows and centre in the COLMAP frame, and back in the frame of the scene.
 function toColmap(frame, { eye, rotation }) {
   const r = k => [frame.rotation[k], frame.rotation[3 + k], frame.rotation[6 + k]];
   const moved = scaled(subtract(eye, frame.translation), 1 / frame.scale);
@@ -31,7 +31,7 @@ function shotOfFile(shot, frame, what) {
   };
 }
 
-// Whether a file is of a kind and holds a list.
+// Fails unless a file has this format and version and holds the list.
 function checkFile(file, format, what, list) {
   if (file?.format !== format) throw new Error(`this is no ${what}: its "format" is not "${format}"`);
   if (file.version !== 1) throw new Error(`version ${file.version} of a ${what}; this page reads version 1`);

@@ -1,9 +1,9 @@
-// Puts Gaussians in order of depth along the optical axis, farthest first, in a thread of its own.
+// Sorts Gaussians by depth along the optical axis, farthest first, in a thread of its own.
 //
-// Positive floats order as their bits do. Depths lie in [0.01, 1e4], so the 24 bits above the lowest four,
-// counted from those of 0.01, tell them apart to one part in half a million: two counting passes of 12 bits
-// each. Both read what they move in the order in which it lies, and write to as many places at a time as
-// there are buckets, which the processor's caches hold.
+// Positive floats have the order of their bits. Depths lie in [0.01, 1e4]. The 24 bits above the lowest four,
+// counted from the bits of 0.01, separate them to one part in half a million. Two counting passes sort 12
+// bits each. Both read their items in the order in memory, and write to one place per bucket, which fits the
+// processor's caches.
 'use strict';
 const NEAR = 0.01, FAR = 1e4, BUCKETS = 4096;
 const LOWEST = new Uint32Array(new Float32Array([NEAR]).buffer)[0];
@@ -27,7 +27,7 @@ function order(forward, offset) {
     low[key & 4095]++;
     high[key >>> 12]++;
   }
-  // Where each bucket begins; the far end comes first.
+  // First place of each bucket; the far end comes first.
   for (let b = BUCKETS - 1, at = 0; b >= 0; b--) { const size = low[b]; low[b] = at; at += size; }
   for (let b = BUCKETS - 1, at = 0; b >= 0; b--) { const size = high[b]; high[b] = at; at += size; }
   for (let k = 0; k < count; k++) {

@@ -1,5 +1,5 @@
-// Asks the worker for the order of a pose; one question is under way at a time, and of the waiting ones only
-// the newest counts.
+// Requests the order of a pose from the worker. One request is open at a time, and only the newest of the
+// waiting ones is kept.
 
 function makeSorter(centres, sorted) {
   const source = document.getElementById('sort-worker').textContent;

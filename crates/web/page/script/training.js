@@ -1,5 +1,5 @@
-// The training that this page watches: how far it is, its curves, and what can be asked of it. Another scene,
-// or another stage of it, opens the page anew where one stands.
+// The training that this page watches: its progress, its curves and its controls. When another scene or
+// another stage begins, the page loads again. For the same scene it keeps the camera and the look.
 
 const PLACE = 'use3d place';
 
@@ -54,7 +54,7 @@ function makeTraining(viewer, server) {
     element('figure-held-out').textContent = `${number(status.heldOutPsnr, 2)} dB`;
   }
 
-  // A curve as one line, with the least, the last and the greatest value; a loss over a logarithmic axis.
+  // A curve as one line, with its smallest, last and largest value. A loss has a logarithmic axis.
   function chart(id, points, logarithmic) {
     const box = element(id), figure = box.closest('figure');
     const good = points.filter(([, v]) => Number.isFinite(v) && (!logarithmic || v > 0));
@@ -71,11 +71,11 @@ function makeTraining(viewer, server) {
     box.setAttribute('aria-label', `${figure.querySelector('.what').textContent}: from ${text(good[0][1])} to ${text(good[good.length - 1][1])}`);
   }
 
-  // A program that was asked to stop and is gone has stopped.
+  // After a request to stop, a program that no longer answers has stopped.
   const gone = () => (training.status?.stopping ? 'The training was stopped, and the program has ended. Run the same command to continue from its checkpoint.' : 'The program does not answer: it may have ended.');
 
   async function watch() {
-    // A page that nobody sees asks nothing, and so costs the training nothing.
+    // A hidden page sends no requests, so it costs the training nothing.
     if (!document.hidden) {
       try {
         const status = await server.json('/state');
@@ -83,7 +83,7 @@ function makeTraining(viewer, server) {
         show(status);
       } catch (error) {
         server.lost = !error.status;
-        // How it ended is known for good.
+        // A training that has ended keeps its final text.
         if (!training.status?.ended) element('training-state').textContent = error.status ? error.message : gone();
       }
     }

@@ -1,5 +1,5 @@
-// Vectors of three numbers as arrays, rotations as three rows [right, down, forward] in world coordinates
-// (COLMAP's camera axes), and quaternions [w, x, y, z] for turning smoothly from one rotation to another.
+// Vectors of three numbers as arrays; rotations as three rows [right, down, forward] in world coordinates
+// (COLMAP's camera axes). Quaternions [w, x, y, z] interpolate between two rotations.
 
 const add = (a, b) => [a[0] + b[0], a[1] + b[1], a[2] + b[2]];
 const subtract = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
@@ -12,13 +12,13 @@ const unit = (a, otherwise = [0, 0, 1]) => { const n = norm(a); return n > 1e-12
 const clamp = (v, low, high) => Math.min(high, Math.max(low, v));
 const mix = (a, b, t) => a + t * (b - a);
 
-// `v` turned by `angle` about the unit vector `axis` (Rodrigues).
+// Turns `v` by `angle` about the unit vector `axis` (Rodrigues).
 function turned(v, axis, angle) {
   const c = Math.cos(angle), s = Math.sin(angle), k = dot(axis, v) * (1 - c), w = cross(axis, v);
   return [0, 1, 2].map(i => c * v[i] + s * w[i] + k * axis[i]);
 }
 
-// Rows made orthonormal again, forward first: small steps add up.
+// Makes the rows orthonormal again, forward first, because errors of small steps add up.
 function orthonormal([, down, forward]) {
   const f = unit(forward), r = unit(cross(down, f), [1, 0, 0]);
   return [r, cross(f, r), f];
@@ -52,7 +52,7 @@ function rotationOf([w, x, y, z]) {
   ];
 }
 
-// From rotation `a` to `b` on the shortest arc, at constant speed.
+// Interpolates from rotation `a` to `b` on the shortest arc, at constant speed.
 function slerp(a, b, t) {
   const p = quaternionOf(a);
   let q = quaternionOf(b), cosine = p.reduce((sum, v, i) => sum + v * q[i], 0);

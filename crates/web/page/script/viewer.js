@@ -1,5 +1,5 @@
-// The picture on the screen and when it is drawn anew: only when something changed, at a lower resolution
-// while moving if the machine is too slow for the full one, and at the full one once still.
+// Draws the picture on the screen, and only when something changed. While the camera moves, a slow machine
+// gets a lower resolution; when it stands still, the picture has full resolution.
 
 const SCALES = [1, 0.75, 0.5, 0.35, 0.25], SLOW = 45, FAST = 18, STILL = 160;
 
@@ -15,7 +15,7 @@ function makeViewer(canvas, scene) {
   const flight = makeFlight(camera, moved);
   const viewer = {
     drawsHere: !server, camera, renderer, sorter, flight, header, invalidate, moved, ready: !!server,
-    held: false,              // somebody draws a picture of his own: no frames meanwhile
+    held: false,              // true while a picture is drawn for a caller: no frames meanwhile
     look: { mode: openingMode(header), strength: 1, water: 1, white: header.white?.gains ?? null },
     compare: null,            // the mode on the left, or null
     at: 0.5,
@@ -25,11 +25,11 @@ function makeViewer(canvas, scene) {
     setCompare(mode, at = viewer.at) { viewer.compare = mode; viewer.at = clamp(at, 0, 1); invalidate(); viewer.tell('look'); },
     leftLook: () => (viewer.compare ? { ...viewer.look, mode: viewer.compare } : null),
     fly: (goal, seconds) => flight.to(goal, seconds),
-    steps: [],                // what moves the camera by itself, asked before every frame
+    steps: [],                // functions that move the camera by themselves, called before every frame
   };
 
-  // Depth is shown between the 2 % and 98 % quantiles of what is in the picture, looked up in a small one of
-  // its own.
+  // Depth is shown between the 2 % and 98 % quantiles of the depths in the picture. These come from a small
+  // picture of their own.
   function depthRange() {
     const aspect = canvas.clientWidth / Math.max(1, canvas.clientHeight), height = 54, width = Math.max(8, Math.round(height * aspect));
     const small = renderer.picture(camera.pinhole(width, height), { mode: 'depth', strength: 0, water: 0 });
@@ -49,8 +49,8 @@ function makeViewer(canvas, scene) {
       if (moving) setTimeout(invalidate, STILL + 10);
       return;
     }
-    // While moving, a frame that came late asks for a smaller picture; one that came early may have a larger
-    // one.
+    // While the camera moves, a frame that came late makes the next pictures smaller, and one that came early
+    // makes them larger.
     if (moving && now - shownAt < 400) {
       const took = now - shownAt;
       if (took > SLOW) rung = Math.min(rung + 1, SCALES.length - 1); else if (took < FAST && now - lastFrame > 800) { rung = Math.max(rung - 1, 0); lastFrame = now; }
@@ -61,7 +61,7 @@ function makeViewer(canvas, scene) {
     if ([viewer.look.mode, viewer.compare].includes('depth') && !moving) depthRange();
     renderer.draw(camera.pinhole(width, height), viewer.look, viewer.leftLook(), viewer.at, range);
     shownAt = now;
-    // Sharp again once nothing moves.
+    // Draws with full resolution again as soon as nothing moves.
     if (moving && scale < Math.min(window.devicePixelRatio || 1, 2)) setTimeout(invalidate, STILL + 10);
     viewer.tell('frame');
   }
@@ -79,7 +79,7 @@ function makeViewer(canvas, scene) {
   new ResizeObserver(invalidate).observe(canvas);
   requestAnimationFrame(frame);
   viewer.settled = () => viewer.ready && sorter.settled() && !dirty && !flight.busy() && (!server || renderer.settled());
-  // The middle depth of the picture around a place, in CSS pixels; null where there is nothing.
+  // The median depth of the picture around a place in CSS pixels; null if nothing is there.
   viewer.depthAt = async (x, y) => {
     const size = 9, pinhole = camera.pinhole(canvas.clientWidth, canvas.clientHeight), [fx, fy, cx, cy] = pinhole.lens;
     const view = { ...pinhole, width: size, height: size, lens: [fx, fy, cx - x + size / 2, cy - y + size / 2] };

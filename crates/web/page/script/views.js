@@ -1,4 +1,4 @@
-// The places the photographs were taken from, with the photograph beside the picture.
+// The cameras of the photographs, and the photograph beside the picture.
 
 function makeViews(viewer, overlay) {
   const { header, camera } = viewer, cameras = header.cameras, list = element('cameras');
@@ -13,7 +13,7 @@ function makeViews(viewer, overlay) {
     list.append(make('li', {}, make('button', { type: 'button', class: 'card', onclick: () => views.go(i) }, picture, make('span', { class: 'name' }, view.name), held)));
   });
 
-  // The photograph stands beside the picture for as long as one stays at its place.
+  // The photograph stays beside the picture while the camera is at its place.
   const photo = element('photo');
   function showPhoto() {
     const view = cameras[views.current], there = view && norm(subtract(view.eye, camera.eye)) < 0.02 * camera.reach;
@@ -55,7 +55,7 @@ function makeViews(viewer, overlay) {
       canvas.line(line, i === views.current ? '#ffd166' : cameras[i].heldOut ? '#ff9e7acc' : '#7fe3f5cc', i === views.current ? 2.5 : 1.3);
     });
   });
-  // A click on a camera goes there: whichever eye is nearest to the pointer.
+  // A click moves the camera to the photograph whose eye is nearest to the pointer.
   views.pick = (x, y, width, height) => {
     if (!views.showFrusta) return false;
     let best = [18, -1];

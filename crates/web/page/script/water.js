@@ -1,10 +1,11 @@
-// The water of a view, as far as it depends on where the camera is: the shares of the anchors, and the table
-// by which an enhanced water is graded. What depends on the pixel is in water.frag.glsl.
+// The part of the water that depends on the camera's position: the shares of the anchors, and the table that
+// grades an enhanced water. The part that depends on the pixel is in water.frag.glsl.
 
 const QUERY_LIMIT = 1.5, WIDTH_FLOOR = 1e-4, TABLE_ROWS = 16, LOG_RATIO_BOUND = Math.log(4);
 
-// 144 coefficients [c_m, backscatter, attenuation][band][RGB]: those of the K anchors of highest affinity -|o
-// - p|^2 / (2 sigma^2), mixed by their softmax. Cameras are clamped to the cube in which anchors lie.
+// 144 coefficients [c_m, backscatter, attenuation][band][RGB]: the coefficients of the K anchors with the
+// highest affinity -|o - p|^2 / (2 sigma^2), mixed with their softmax. Camera positions are clamped to the
+// cube that contains the anchors.
 function aggregated(medium, eye) {
   if (!medium.centers) return medium.coefficients;
   const o = eye.map(v => clamp(v, -QUERY_LIMIT, QUERY_LIMIT));
@@ -20,8 +21,9 @@ function aggregated(medium, eye) {
   return sum;
 }
 
-// The decoder's six outputs at field coordinates u (x, y, z, guide), each in [-1, 1]: a product of four
-// linearly interpolated factors per rank, one hidden layer of SiLU units, one linear layer.
+// The decoder's six outputs at field coordinates u (x, y, z, guide), each in [-1, 1]. The decoder is a
+// product of four linearly interpolated factors per rank, one hidden layer of SiLU units, and one linear
+// layer.
 function fieldOutputs(field, u) {
   const { resolution, rank, width } = field, z = new Float64Array(rank).fill(1);
   u.forEach((value, axis) => {
@@ -41,8 +43,8 @@ function fieldOutputs(field, u) {
   return out;
 }
 
-// The table of a camera: gains and biases over sixteen guide values in [-1, 1], less their mean, times the
-// strength.
+// The table of a camera position: gains and biases at sixteen guide values in [-1, 1], less their mean, times
+// the strength.
 function guideTable(field, eye, strength) {
   const place = eye.map((v, a) => clamp(2 * (v - field.low[a]) / (field.high[a] - field.low[a]) - 1, -1, 1));
   const rows = Array.from({ length: TABLE_ROWS }, (_, k) => fieldOutputs(field, [...place, 2 * k / (TABLE_ROWS - 1) - 1]));

@@ -1,17 +1,19 @@
-// White balance by hand: a click on something that is grey or white. Its colour is the mean of a small patch of the
-// scene, drawn from the photograph nearest to here that sees the place, in each look that has gains; the gains make
-// it grey: g = (G/R, 1, G/B), of several places the geometric mean. `use3d … --white NAME:X,Y` does the same, and the
-// line to paste says so. A place holds for its distance alone.
+// White balance by hand: a click on something grey or white. Its colour is the mean of a small patch of the
+// scene, in each look that has gains. The patch is drawn from the nearest photograph that sees the place. The
+// gains make it grey: g = (G/R, 1, G/B); for several places they are the geometric mean. `use3d … --white
+// NAME:X,Y` does the same, and the page shows the line to paste. The balance is right only at the distance of
+// the place.
 
 const PATCH = 7, PATCH_LONGEST = 1024, PATCH_SOLID = 0.5, PATCH_DARK = 0.02, GAIN_RANGE = [0.2, 5], NEAR_VIEWS = 6;
 const WHITE_LOOKS = ['clear', 'enhanced', 'enhanced-clear'];
 
 function makeWhite(viewer, server, picture) {
   const { header, camera } = viewer, white = { picking: false, clicks: [], gains: header.white?.gains ?? null };
-  // What `enhanced` is looked at with: the water that the page opens with.
+  // The amount of water that the page opens with; `enhanced` is measured with it.
   const water = viewer.look.water, kept = header.white;
 
-  // The camera scaled so that its longer side has at most so many pixels, and the box of the patch in its picture.
+  // The camera scaled so that its longer side has at most PATCH_LONGEST pixels, and the box of the patch in
+  // its picture.
   function patchOf(view, x, y) {
     const factor = Math.min(1, PATCH_LONGEST / Math.max(view.width, view.height)), side = n => Math.max(1, Math.round(n * factor));
     const [width, height] = factor < 1 ? [side(view.width), side(view.height)] : [view.width, view.height];
@@ -21,7 +23,7 @@ function makeWhite(viewer, server, picture) {
     return { small: { eye: view.eye, rotation: view.rotation, lens: [fx * sx, fy * sy, cx * sx, cy * sy], width, height }, box: [left, top, to(x, sx, width) - left, to(y, sy, height) - top] };
   }
 
-  // { colors, depth } of the pixel of a camera, or { problem }.
+  // { colors, depth } at a pixel of a camera, or { problem }.
   white.measure = async (view, x, y) => {
     if (!viewer.drawsHere) return server.json('/patch', { page: server.page, camera: { eye: view.eye, rotation: view.rotation, lens: view.lens, width: view.width, height: view.height }, x, y, water });
     const { small, box } = patchOf(view, x, y);
@@ -37,7 +39,7 @@ function makeWhite(viewer, server, picture) {
     return { colors, depth: mean(depth, 0) };
   };
 
-  // The mean cast of places in one look, or why there is none.
+  // The gains that remove the mean cast of places in one look, or the problem that prevents them.
   function cast(clicks, look) {
     const sum = [0, 0];
     for (const { colors } of clicks) {
@@ -56,7 +58,7 @@ function makeWhite(viewer, server, picture) {
     return { gains: header.enhancement ? { clear: clear.gains, enhanced: behind.gains ?? NO_GAINS, 'enhanced-clear': enhanced.gains } : { clear: clear.gains, enhanced: NO_GAINS, 'enhanced-clear': clear.gains } };
   }
 
-  // Photographs that may see a point, the nearest eye first, with the pixel where it is and its depth.
+  // Photographs that may see a point, the nearest eye first, with its pixel and its depth there.
   function seenBy(point) {
     const seen = [];
     for (const view of header.cameras) {
@@ -74,7 +76,7 @@ function makeWhite(viewer, server, picture) {
     let click = null;
     for (const { view, x: px, y: py, z } of seenBy(point)) {
       const found = await white.measure(view, px, py);
-      // Something else stands before it there.
+      // In this photograph something else stands in front of the place.
       if (found.problem || Math.abs(found.depth - z) > 0.1 * z) continue;
       click = { ...found, view: view.name, x: px, y: py, width: view.width, height: view.height };
       break;
@@ -114,7 +116,7 @@ function makeWhite(viewer, server, picture) {
     gains: white.gains,
   }, null, 1);
 
-  // Something else may have set the look, a key of a path for one.
+  // Another part of the page may have set the look, for example a key of a path.
   viewer.on('look', () => {
     white.gains = viewer.look.white;
     off.disabled = element('white-save').disabled = !white.gains;

@@ -1,6 +1,6 @@
 #version 300 es
-// Open water, where nothing ends the ray: its colour c_m times how much of the water is left. Alpha starts at
-// 0 and adds up the weights.
+// Open water, where nothing ends the ray: its colour c_m times the amount of water that is left. Alpha starts
+// at 0 and adds up the weights.
 precision highp float;
 uniform sampler2D waterColor;
 uniform float amount;

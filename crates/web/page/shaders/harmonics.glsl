@@ -1,5 +1,5 @@
-// Real spherical harmonics to degree 3, in the order and with the signs of 3D Gaussian splatting, of a unit
-// direction.
+// Real spherical harmonics of a unit direction up to degree 3, in the order and with the signs of 3D Gaussian
+// splatting.
 void harmonics(vec3 d, out float y[16]) {
   float x = d.x, v = d.y, z = d.z, xx = x * x, vv = v * v, zz = z * z;
   y[0] = 0.2820948;

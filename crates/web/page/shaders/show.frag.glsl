@@ -1,14 +1,14 @@
 #version 300 es
-// From the summed picture to the screen: colours are clamped; depth is the mean z = sum w z / sum w, near
-// bright, far dark blue, scaled in inverse depth as the eye reads distance, unknown black.
+// Draws the summed picture to the screen. Colours are clamped. Depth is the mean z = sum w z / sum w: near is
+// bright, far is dark blue, unknown is black. It is scaled in inverse depth, as the eye judges distance.
 precision highp float;
 uniform sampler2D picture;
 uniform bool depthOnly;
-uniform vec3 gains;             // of the white balance
+uniform vec3 gains;             // gains of the white balance
 uniform vec2 range;             // nearest and farthest depth shown
 out vec4 outColor;
 
-// Dark blue over teal and sand to pale yellow; lightness rises evenly.
+// From dark blue over teal and sand to pale yellow; lightness rises evenly.
 vec3 ramp(float t) {
   const vec3 stops[5] = vec3[5](vec3(0.03, 0.05, 0.22), vec3(0.06, 0.28, 0.47), vec3(0.13, 0.55, 0.55), vec3(0.62, 0.76, 0.45), vec3(0.99, 0.95, 0.70));
   float at = clamp(t, 0.0, 1.0) * 4.0;

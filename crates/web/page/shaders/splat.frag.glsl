@@ -1,17 +1,17 @@
 #version 300 es
-// The underwater compositor, back to front as ordinary alpha blending. The program's picture is
+// The underwater compositor as ordinary alpha blending, back to front. The program's picture is
 //
 //   rgb = a (1 - sum w) c_m + sum w (c e^{-b_attn s} + c_m (1 - e^{-b_bs s})),    s = z |d(pixel)|
 //
 // so every Gaussian is drawn in the colour f = c e^{-b_attn s} + c_m (1 - e^{-b_bs s}) over the open water.
-// The coefficients arrive with the share a of the water that is left in them. Which parts are shown is a
-// matter of two weights.
+// The coefficients already contain the share a of the water that is left. Two weights choose the parts that
+// are shown.
 precision highp float;
 in vec2 offset;
 flat in vec3 color;
 flat in float opacity, depth;
 uniform sampler2D waterColor, waterBackscatter, waterAttenuation;
-uniform bool watery;            // false: no water is looked up
+uniform bool watery;            // false: the water maps are not read
 uniform bool depthOnly;
 uniform float objects, veil;    // weights of the two parts
 uniform vec4 lens;

@@ -1,16 +1,17 @@
 #version 300 es
-// One Gaussian as a quad: projection, colour, grade. The same formulas as the program's own renderer (EWA
-// splatting):
+// One Gaussian as a quad: projection, colour, grade. The formulas are those of the program's own renderer
+// (EWA splatting):
 //
 //   X = R (mean - eye) = (x, y, z),  J = [[fx/z, 0, -fx tx/z], [0, fy/z, -fy ty/z]],
 //   cov = J R S Rt Jt + 0.3 I   (pixels squared)
 //
-// with the slopes tx, ty clamped in J alone. A quad reaches as far as alpha >= 1/255. Per Gaussian three
-// texels of geometry (centre as floats; quaternion, logarithms of the sizes, opacity, harmonics' constants
-// and grade as 16-bit numbers) and three of harmonics (45 signed bytes and their scale).
+// with the slopes tx, ty clamped in J alone. A quad covers all pixels with alpha >= 1/255. Each Gaussian has
+// six texels. Three hold the geometry: the centre as floats; quaternion, logarithms of the sizes, opacity,
+// constant harmonics and grade as 16-bit numbers. Three hold the other harmonics: 45 signed bytes and their
+// scale.
 //
-// The colour of a view is c = max(0, sum_k Y_k sh_k + 1/2); an enhanced one c+ = e^{s a} (c + s (dA c + b_g))
-// + s b, with the strength s: s = 0 is the reconstruction, exactly.
+// The colour of a view is c = max(0, sum_k Y_k sh_k + 1/2). An enhanced colour is c+ = e^{s a} (c + s (dA c +
+// b_g)) + s b with the strength s; s = 0 is exactly the reconstruction.
 precision highp float;
 precision highp int;
 precision highp usampler2D;
@@ -67,7 +68,7 @@ mat3 turn(vec4 q) {             // w, x, y, z
 }
 
 void main() {
-  gl_Position = vec4(2.0, 2.0, 2.0, 1.0);     // nowhere, until it is known to be seen
+  gl_Position = vec4(2.0, 2.0, 2.0, 1.0);     // outside the picture; replaced if the Gaussian is visible
   offset = vec2(0.0);
   color = vec3(0.0);
   int row = int(index) / perRow;

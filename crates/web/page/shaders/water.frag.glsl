@@ -1,22 +1,22 @@
 #version 300 es
-// What the water does along each pixel's ray: its colour at infinity c_m and the coefficients of backscatter
-// and attenuation (1 / scene unit), evaluated once per pixel into three targets.
+// The water along each pixel's ray: its colour at infinity c_m, and the coefficients of backscatter and
+// attenuation (1 / scene unit). They are computed once per pixel into three targets.
 //
 //   kind 1 (harmonics):  raw_q = sum_b Y_b(w) A_qb,   c_m = max(raw + 0.5, 0),   beta = softplus(raw)
 //   kind 2 (baked):      the nine numbers are read from a cube of directions, which the exporter filled
 //
-// An enhanced water has its colour graded by a table over the guide gamma(c_m), and its coefficients scaled
-// by two ratios and the share k of the water that the enhanced scene keeps:
+// An enhanced water has its colour graded by a table over the guide gamma(c_m). Its coefficients are scaled
+// by two ratios, and by the share k of the water that the enhanced scene keeps:
 //
 //   h = sign(c) ln(1 + |c|),  gamma = tanh(w.h + b),
 //   c+ = gain(gamma) (c + dA c + b_g) + bias(gamma),  beta+ = ratio k beta
 //
-// `amount` in [0, 1] is how much of the water is left: it scales both coefficients.
+// `amount` in [0, 1] is the share of the water that is left: it scales both coefficients.
 precision highp float;
 precision highp samplerCube;
 
 uniform int kind;
-uniform int bands;              // 1, 4, 9 or 16 harmonics are in use
+uniform int bands;              // number of harmonics in use: 1, 4, 9 or 16
 uniform vec3 harmonic[48];      // [c_m, backscatter, attenuation][band] RGB
 uniform samplerCube cubeColor, cubeBackscatter, cubeAttenuation;
 uniform vec4 lens;              // fx, fy, cx, cy in pixels; rows count downwards

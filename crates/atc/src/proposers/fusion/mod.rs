@@ -1,19 +1,19 @@
 //! `fusion`: a classical underwater enhancer without weights.
 //!
-//! After the ideas of C. O. Ancuti, C. Ancuti, C. De Vleeschouwer and P. Bekaert, "Color Balance and Fusion
-//! for Underwater Image Enhancement", IEEE Transactions on Image Processing 27(1), 2018:
+//! It follows the ideas of C. O. Ancuti, C. Ancuti, C. De Vleeschouwer and P. Bekaert, "Color Balance and
+//! Fusion for Underwater Image Enhancement", IEEE Transactions on Image Processing 27(1), 2018:
 //!
-//! 1. white balance, with red (and in turbid water blue) compensated from green first (`white_balance`);
-//! 2. two inputs made of it: one brought to a middle brightness by a gamma curve, one sharpened;
-//! 3. a weight map for each, from contrast, saliency and saturation (`weights`), normalised to sum 1 per
-//!    pixel;
+//! 1. white balance, after red (and in turbid water blue) was compensated from green (`white_balance`);
+//! 2. two inputs made from it: one brought to a middle brightness by a gamma curve, one sharpened;
+//! 3. a weight map for each input, from contrast, saliency and saturation (`weights`), normalised to sum 1
+//!    per pixel;
 //! 4. the Laplacian pyramids of the inputs blended with the Gaussian pyramids of the weights (`pyramid`),
 //!    which leaves no halos where the weights change quickly.
 //!
-//! Differences from the article: opponent colours in place of CIELab in the saliency map; bounded grey-world
-//! gains; a plain unsharp mask; and a last stretch of the range, one curve for all channels, that takes the
-//! veil off hazy frames. Deterministic. Known limits: it knows nothing of distance, so far water is treated
-//! like near sand.
+//! Differences from the article: opponent colours instead of CIELab in the saliency map; bounded grey-world
+//! gains; a plain unsharp mask; and a final stretch of the range, one curve for all channels, that removes
+//! the veil of hazy frames. The proposer is deterministic. Known limits: it has no distances, so far water
+//! is treated like near sand.
 
 pub(super) mod pyramid;
 mod weights;
@@ -26,18 +26,18 @@ use use3d_numerics::sums::sums;
 use super::Proposer;
 use crate::error::AtcError;
 
-/// The first input's gamma curve brings the mean luminance towards this: bright frames gain contrast, dark
-/// ones light.
+/// Target of the mean luminance for the first input's gamma curve: bright frames gain contrast, dark ones
+/// light.
 const MEAN_LUMINANCE: f64 = 0.42;
 /// Bounds of the curve's exponent.
 const GAMMA: (f64, f64) = (0.7, 1.35);
 /// Strength of the second input's sharpening.
 const SHARPENING: f32 = 0.8;
-/// Added to every weight before normalisation, so that no input is shut out.
+/// Added to every weight before normalisation, so that no input is excluded.
 const WEIGHT_FLOOR: f32 = 0.1;
-/// Shares of the luminance that the last stretch may clip, dark and bright.
+/// Shares of the luminance that the final stretch may clip, dark and bright.
 const CLIPPED: [f64; 2] = [0.005, 0.005];
-/// Largest slope of the last stretch.
+/// Largest slope of the final stretch.
 const LARGEST_STRETCH: f32 = 1.6;
 
 /// The classical enhancer. It has no parameters.
@@ -49,7 +49,7 @@ impl Proposer for Fusion {
         "fusion"
     }
 
-    /// The version of the formula; raised when a constant or a step changes.
+    /// The version of the formula; it is raised when a constant or a step changes.
     fn digest(&self) -> String {
         "1".into()
     }
@@ -91,7 +91,7 @@ fn enhance(image: &Image) -> Image {
     stretch(&pyramid::collapse(sum))
 }
 
-/// The exponent that takes the mean luminance to [`MEAN_LUMINANCE`], bounded.
+/// The exponent that brings the mean luminance to [`MEAN_LUMINANCE`], bounded.
 fn gamma(image: &Image) -> f32 {
     let [r, g, b] = image.planes();
     let [sum] = sums::<1>(image.pixels(), |p, t| {
@@ -121,8 +121,8 @@ fn normalise(maps: &mut [Map; 2]) {
     }
 }
 
-/// One straight line for all channels from the luminance's dark and bright quantiles to 0 and 1, its slope
-/// bounded.
+/// Applies one straight line to all channels, from the luminance's dark and bright quantiles to 0 and 1,
+/// with a bounded slope.
 fn stretch(image: &Image) -> Image {
     let [r, g, b] = image.planes();
     let mut light: Vec<f32> =

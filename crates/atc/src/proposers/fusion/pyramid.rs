@@ -1,14 +1,14 @@
 //! Gaussian and Laplacian pyramids (Burt & Adelson, "The Laplacian pyramid as a compact image code", 1983).
 //!
-//! One level down: the binomial filter `(1, 4, 6, 4, 1) / 16` along both axes, every second pixel kept, sides
-//! rounded up, edges repeated. One level up: its transpose up to scale, `(1, 6, 1) / 8` at even and `(1, 1) /
-//! 2` at odd positions. A Laplacian level is an image minus its next level brought up again, so summing the
-//! levels from the top returns the image.
+//! One level down: the binomial filter `(1, 4, 6, 4, 1) / 16` along both axes, every second pixel kept,
+//! sides rounded up, edges repeated. One level up: its transpose up to scale, `(1, 6, 1) / 8` at even and
+//! `(1, 1) / 2` at odd positions. A Laplacian level is an image minus its expanded next level, so summing
+//! the levels from the top returns the image.
 
 use rayon::prelude::*;
 use use3d_capture::Raster;
 
-/// One level down.
+/// Computes the next coarser level.
 pub(in crate::proposers) fn reduce<const C: usize>(image: &Raster<f32, C>) -> Raster<f32, C> {
     let (w, h) = (image.width(), image.height());
     let (half_w, half_h) = (w.div_ceil(2), h.div_ceil(2));
@@ -23,7 +23,7 @@ pub(in crate::proposers) fn reduce<const C: usize>(image: &Raster<f32, C>) -> Ra
     })
 }
 
-/// One level up, to a given size (that `reduce` brings back to the image's own).
+/// Expands one level up to a given size (whose `reduce` has the image's own size).
 pub(in crate::proposers) fn expand<const C: usize>(
     image: &Raster<f32, C>,
     width: usize,
@@ -93,7 +93,7 @@ fn vertical<'a, const C: usize, F: Fn(usize) -> f32>(
     out
 }
 
-/// Levels of a pyramid whose top is at least 8 pixels on its short side, at most 7.
+/// Number of levels of a pyramid whose top is at least 8 pixels on its short side, at most 7.
 pub(super) fn levels(width: usize, height: usize) -> usize {
     let mut short = width.min(height);
     let mut count = 1;
@@ -114,8 +114,8 @@ pub(super) fn gaussian<const C: usize>(image: Raster<f32, C>, levels: usize) -> 
     out
 }
 
-/// Adds `weight · (level of the Laplacian pyramid of an image)` to each level of `sum`, given both Gaussian
-/// pyramids.
+/// Adds `weight · (level of the Laplacian pyramid of an image)` to each level of `sum`; both arguments are
+/// Gaussian pyramids.
 pub(super) fn add_laplacian(sum: &mut [Raster<f32, 3>], image: &[Raster<f32, 3>], weight: &[Raster<f32, 1>]) {
     for level in 0..sum.len() {
         let (w, h) = (image[level].width(), image[level].height());

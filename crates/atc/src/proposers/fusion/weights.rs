@@ -1,8 +1,9 @@
-//! How much each pixel of an input deserves to be seen.
+//! The weight of each pixel of an input.
 //!
-//! Three maps, added: *contrast*, the absolute Laplacian of the luminance, so that edges and texture count;
-//! *saliency*, the distance of the blurred colour from the mean colour in luminance and two opponent axes, so
-//! that objects stand out of the water; *saturation*, the spread of the channels around the luminance.
+//! Three maps are added: *contrast*, the absolute Laplacian of the luminance, so that edges and texture
+//! count; *saliency*, the distance of the blurred colour from the mean colour in luminance and two opponent
+//! axes, so that objects stand out of the water; *saturation*, the spread of the channels around the
+//! luminance.
 
 use rayon::prelude::*;
 use use3d_capture::{Image, Map};

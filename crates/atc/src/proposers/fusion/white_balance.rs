@@ -1,19 +1,19 @@
-//! White balance for water: first give the starved channels what green still knows, then equalise the means.
+//! White balance for water: first restore weak channels from green, then equalise the means.
 //!
-//! Water takes red first, turbid water blue as well; grey-world alone would then multiply almost nothing and
-//! paint red noise. So red is first compensated, `r ← r + (ḡ − r̄)(1 − r) g`: the green channel carries the
-//! detail, and pixels that are already red are left alone; blue likewise where its mean is below green's.
-//! Grey-world gains follow, bounded, because a frame full of blue water *is* blue.
+//! Water absorbs red first, and turbid water also blue. Grey-world alone would then multiply almost nothing
+//! and amplify red noise. So red is first compensated, `r ← r + (ḡ − r̄)(1 − r) g`: the green channel
+//! supplies the detail, and pixels that are already red are unchanged; blue likewise if its mean is below
+//! green's. Grey-world gains follow, bounded, because a frame full of blue water *is* blue.
 
 use use3d_capture::Image;
 use use3d_numerics::math;
 use use3d_numerics::sums::sums;
 
-/// Share of the means' difference that red and blue are given.
+/// Share of the difference of the means by which red and blue are compensated.
 const COMPENSATION: [f64; 2] = [0.85, 0.5];
-/// How far grey-world goes towards equal means.
+/// The strength of the grey-world step; 1 would make the means equal.
 const STRENGTH: f64 = 0.85;
-/// Largest and smallest gain of a channel.
+/// Smallest and largest gain of a channel.
 const GAIN: (f64, f64) = (0.6, 1.8);
 
 fn means(image: &Image) -> [f64; 3] {
@@ -27,7 +27,7 @@ fn means(image: &Image) -> [f64; 3] {
     .map(|s| s / count)
 }
 
-/// The white-balanced image. `image` is in `[0, 1]`; so is the result.
+/// The white-balanced image. `image` and the result are in `[0, 1]`.
 pub(super) fn balance(image: &Image) -> Image {
     let mut out = image.clone();
     let mean = means(image);

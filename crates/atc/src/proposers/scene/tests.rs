@@ -1,4 +1,4 @@
-//! What a scene's grade may and may not do.
+//! Tests of the allowed and forbidden effects of a scene's grade.
 
 use use3d_capture::{Image, Map};
 use use3d_numerics::math;
@@ -8,8 +8,8 @@ use super::*;
 
 const SIZE: (usize, usize) = (80, 45);
 
-/// A view of random patches: `colour` makes a patch's radiance of three uniform numbers, `t` its
-/// transmittance from its column's place in `[0, 1)`.
+/// A view of random patches: `colour` computes a patch's radiance from three uniform numbers, `t` its
+/// transmittance from its column's position in `[0, 1)`.
 fn view(seed: u64, colour: impl Fn([f64; 3]) -> [f64; 3], t: impl Fn(f64) -> f64) -> SceneView {
     let draw = Stream::new(seed, Purpose::new("scene proposer"), 0);
     let (w, h) = SIZE;
@@ -32,7 +32,7 @@ fn survey(views: &[SceneView]) -> SceneProposer {
     survey.finish()
 }
 
-/// Surfaces as they are: warm on average, of many colours.
+/// Typical surfaces: warm on average, and of many colours.
 fn warm(u: [f64; 3]) -> [f64; 3] {
     let light = 0.15 + 0.5 * u[0];
     let tint = [0.12 + 0.5 * (u[1] - 0.5), 0.03, -0.15 + 0.5 * (u[2] - 0.5)];
@@ -70,7 +70,7 @@ fn a_cast_of_all_sure_pixels_is_mostly_taken_off_within_bounds() {
         let found = *survey(&several(cast(by))).findings();
         let left: [f64; 3] = std::array::from_fn(|c| by[c] + math::ln(found.balance[c]));
         assert!(dot(left, left).sqrt() < 0.55 * dot(by, by).sqrt(), "{by:?}: {found:?}");
-        // The geometric mean of the gains is one: white balance is no brightness.
+        // The geometric mean of the gains is one, because white balance must not change brightness.
         assert!(found.balance.iter().map(|g| math::ln(*g)).sum::<f64>().abs() < 1e-9);
     }
     let strong = *survey(&several(cast([-1.2, 0.4, 0.8]))).findings();
@@ -78,7 +78,7 @@ fn a_cast_of_all_sure_pixels_is_mostly_taken_off_within_bounds() {
     assert!(strong.balance[0] > 1.4, "{strong:?}");
 }
 
-/// A tiled pool in white light and a grey one in blue light look the same: nothing is taken off.
+/// A tiled pool in white light and a grey one in blue light look the same, so no cast is removed.
 #[test]
 fn the_colour_of_a_scene_of_one_surface_is_no_cast() {
     let blue = [-0.33, 0.11, 0.22];
@@ -104,7 +104,7 @@ fn kinds_of_surface_are_counted_by_their_colours() {
     }
 }
 
-/// The same mean colour is believed the less the more the views differ about it.
+/// The same mean colour is trusted less if the views differ more about it.
 #[test]
 fn what_views_disagree_about_is_trusted_less() {
     let mean = [-0.2, 0.05, 0.15];
@@ -115,8 +115,8 @@ fn what_views_disagree_about_is_trusted_less() {
     assert_eq!(standard_error(&alike, [0.1, 0.0, -0.1]), 0.0);
     let mixed: Vec<_> =
         (0..8).map(|k| vec![(if k % 2 == 0 { [0.2; 3] } else { [-0.2; 3] }, 100.0)]).collect();
-    // Eight views count as two; centred medians of a grey are zero, so what is left is the mean's own
-    // departure.
+    // Eight views count as two; centred medians of a grey are zero, so only the mean's own deviation is
+    // left.
     let error = standard_error(&mixed, [0.3, 0.0, -0.3]);
     assert!((error - (0.06f64 / 2.0).sqrt()).abs() < 1e-9, "{error}");
 }
@@ -147,7 +147,7 @@ fn brightness_brings_the_bright_end_up_and_does_not_clip() {
             }
         }
         assert!(over as f64 <= 0.005 * f64::from(all), "seed {seed}: {over} of {all}, {found:?}");
-        // Dim scenes become brighter: up to the wanted end, or as far as the bound lets them.
+        // Dim scenes become brighter: up to the wanted end, or as far as the bound allows.
         assert!(
             bright > 0.8 || found.brightness > 1.45 || lights > 0.003,
             "seed {seed}: {bright}, {found:?}"
@@ -155,7 +155,7 @@ fn brightness_brings_the_bright_end_up_and_does_not_clip() {
     }
 }
 
-/// In air nothing was taken from the scene: it stays as the camera exposed it, dim or flat.
+/// In air nothing was removed from the scene: it stays as the camera exposed it, dim or flat.
 #[test]
 fn a_scene_without_water_keeps_its_light() {
     let dim = |u: [f64; 3]| [0.3 + 0.1 * u[0]; 3];
@@ -169,8 +169,8 @@ fn a_scene_without_water_keeps_its_light() {
     assert_eq!((in_air.brightness, in_air.contrast), (1.0, 1.0));
 }
 
-/// Noise where hardly any light arrives is brighter than white: the scene becomes
-/// neither darker nor brighter for it.
+/// Noise where hardly any light arrives is brighter than white; it must make the scene neither darker nor
+/// brighter.
 #[test]
 fn what_is_not_sure_does_not_darken() {
     let views: Vec<SceneView> = (0..6)
@@ -214,15 +214,15 @@ fn far_noisy_pixels_do_not_steer_the_balance() {
         assert!((one.balance[c] - other.balance[c]).abs() < 0.01, "{one:?} {other:?}");
         assert!((one.mean_colour[c] - other.mean_colour[c]).abs() < 0.01, "{one:?} {other:?}");
     }
-    // Counted like the others they would have.
+    // With the same weight as other pixels this noise would change the result.
     for view in &mut noisy {
         view.arriving = Image::filled(SIZE.0, SIZE.1, 0.8);
     }
     assert!(survey(&noisy).findings().balance[0] > one.balance[0] + 0.05);
 }
 
-/// The colour that a wrong attenuation of red makes far away gives way to the scene's mean; near colours, and
-/// those behind a grey haze, which errs in no colour, stay. Luminance always does.
+/// The false colour that a wrong attenuation of red causes far away is replaced by the scene's mean. Near
+/// colours, and those behind a grey haze, which shifts no colour, stay. Luminance never changes.
 #[test]
 fn colours_that_a_wrong_attenuation_may_have_made_are_drawn_to_the_mean() {
     let mean = [0.05, 0.03, -0.08];
@@ -285,7 +285,7 @@ fn the_colour_of_far_surfaces_is_drawn_to_what_is_sure_beside_them() {
         let ratio = |c: [f32; 3]| f64::from(c[0]) / light(c);
         assert!((ratio(after) - ratio(colour)).abs() < 0.03, "{after:?}");
     }
-    // A sure pixel keeps its own.
+    // A sure pixel keeps its own colour.
     let kept = out.pixel(5, 5);
     assert!((0..3).all(|c| (kept[c] - colour[c]).abs() < 0.01), "{kept:?}");
     scene.clear.set_pixel(40, 10, [0.9, 0.1, 0.1]);

@@ -25,7 +25,7 @@ pub(crate) fn backward<S: Simd, const WATER: bool, const EXTRAS: bool>(
     let origin = [input.columns[TILE / 2], input.rows[TILE / 2]];
     let offset = columns - f32x16::splat(simd, origin[0]);
     let eta: Lanes = (rows - f32x16::splat(simd, origin[1])).to_array();
-    // A row takes part below the farthest of its stops.
+    // A row takes part only in entries before the farthest stop of its pixels.
     let mut stops = [0; TILE];
     for (stop, row) in stops.iter_mut().zip(&tile.rows[..input.filled_rows]) {
         *stop = row.stop.iter().copied().max().unwrap_or(NEVER);
@@ -42,7 +42,7 @@ struct Backward<'a, 'b, S: Simd, const WATER: bool, const EXTRAS: bool> {
     tile: &'a mut BackwardTile,
     s_gradient: f32,
     sink: &'a mut Sink<'b>,
-    /// A pixel of the tile that sums are taken about, the columns from there, and the rows.
+    /// The pixel of the tile about which sums are taken, the columns measured from it, and the rows.
     origin: [f32; 2],
     offset: f32x16<S>,
     eta: Lanes,

@@ -1,4 +1,4 @@
-//! The gradient with respect to colours and water, geometry frozen (stage 2).
+//! The gradient with respect to colours and water, with frozen geometry (stage 2).
 
 use fearless_simd::{Simd, SimdBase, SimdFloat, f32x16};
 

@@ -1,7 +1,7 @@
-//! Water between one Gaussian and the pixels of a tile: `e^{-β_a s}` and `e^{-β_b s}`.
+//! The water between one Gaussian and the pixels of a tile: `e^{-β_a s}` and `e^{-β_b s}`.
 //!
-//! Three ways through: no water, a small deviation from the tile's centre (a polynomial), any
-//! deviation (the full exponential). Which one is decided once per Gaussian, in [`through`]; the rows
+//! There are three cases: no water, a small deviation from the tile's centre (a polynomial), and any
+//! deviation (the full exponential). [`through`] chooses the case once per Gaussian; the loops over rows
 //! are written once, for any [`Attenuate`].
 
 use fearless_simd::{Simd, SimdBase, SimdFloat, f32x16};
@@ -12,25 +12,25 @@ use super::load;
 use crate::compose::tile::{Lanes, TileWater};
 use crate::lists::TILE;
 
-/// A way through the water.
+/// One of the three ways to compute the water's decay.
 pub(super) trait Attenuate<S: Simd> {
-    /// Whether there is any.
+    /// True if there is water.
     const WATER: bool;
 
-    /// What is left of light at a row of pixels whose exponents deviate by `deviation` from
-    /// the tile's: `e^{-β_a s}` of channel `q`, or `e^{-β_b s}` of channel `q − 3`; times the
+    /// The fraction of light left at a row of pixels whose exponents deviate by `deviation` from the
+    /// tile's: `e^{-β_a s}` of channel `q`, or `e^{-β_b s}` of channel `q − 3`. It is multiplied by the
     /// scale of the decay if `SCALED`.
     fn at<const SCALED: bool>(&self, simd: S, q: usize, deviation: f32x16<S>) -> f32x16<S>;
 }
 
-/// What is done in the rows that a Gaussian meets, through any water.
+/// Work on the rows that a Gaussian meets, written for any [`Attenuate`].
 pub(super) trait ThroughWater<S: Simd> {
     type Out;
 
     fn rows<A: Attenuate<S>>(&mut self, simd: S, entry: &Entry<'_, S>, decay: &A) -> Self::Out;
 }
 
-/// Chooses the way through the water for one Gaussian; `scale` is what [`Attenuate::at`] may multiply with.
+/// Chooses the case for one Gaussian; `scale` is the factor that [`Attenuate::at`] may multiply by.
 #[inline(always)]
 pub(super) fn through<S: Simd, const WATER: bool, P: ThroughWater<S>>(
     simd: S,
@@ -50,10 +50,10 @@ pub(super) fn through<S: Simd, const WATER: bool, P: ThroughWater<S>>(
 /// No water.
 struct Dry;
 
-/// Deviations times depth are small.
+/// The deviations times depth are small.
 struct Near<S: Simd>(Decay<S>);
 
-/// They may be any number.
+/// The deviations times depth may be any number.
 struct Far<S: Simd>(Decay<S>);
 
 impl<S: Simd> Attenuate<S> for Dry {
@@ -88,11 +88,11 @@ impl<S: Simd> Attenuate<S> for Far<S> {
     }
 }
 
-/// The exponentials of one Gaussian in one tile; see the scalar `Decay`. Quantities are
-/// attenuation rgb, then backscatter rgb.
+/// The exponentials of one Gaussian in one tile; see the scalar `Decay`. The quantities are attenuation
+/// rgb, then backscatter rgb.
 struct Decay<S: Simd> {
     z: f32x16<S>,
-    /// `factor · scale · q_j`, or unused.
+    /// `factor · scale · q_j`; unused in the full exponential.
     coefficients: [Lanes; 4],
     exponent: Lanes,
     scale: Lanes,

@@ -1,8 +1,8 @@
-//! The walk over a tile's list of Gaussians, in either direction.
+//! The loop over a tile's list of Gaussians, in either direction.
 //!
-//! For each (tile, Gaussian) entry one vector holds the 16 rows and says which of them the 1/255
-//! contour meets (exactly: the row's nearest pixel centre is put to the test that the pixels face),
-//! so that dead rows cost nothing.
+//! For each (tile, Gaussian) entry one vector holds the 16 rows and computes which of them the 1/255
+//! contour meets. The test is exact: it evaluates `α` at the row's pixel centre nearest to the peak, with
+//! the same formula as for the pixels. Rows that are not met cost nothing.
 
 use fearless_simd::{Simd, SimdBase, SimdFloat, SimdMask, f32x16};
 
@@ -11,25 +11,25 @@ use crate::compose::tile::{Input, Lanes};
 use crate::lists::{Span, TILE};
 use crate::project::{LOG2_255, Splat};
 
-/// What is done with the Gaussians of a tile, one after another.
+/// The work that is done for each Gaussian of a tile in turn.
 pub(super) trait Pass<S: Simd> {
-    /// Whether every entry of the list is owed a record, also those that no pixel takes.
+    /// True if every entry of the list needs a record, including entries that contribute to no pixel.
     const RECORDS: bool;
 
-    /// Rows in which some pixel may still take entry `k`, as bits.
+    /// The rows in which some pixel may still receive entry `k`, as bits.
     fn open(&self, simd: S, k: usize) -> u32;
 
-    /// A Gaussian that meets open rows.
+    /// Handles a Gaussian that meets open rows.
     fn meet(&mut self, simd: S, entry: &Entry<'_, S>);
 
-    /// A Gaussian that meets none; called only where entries are owed [`RECORDS`](Self::RECORDS).
+    /// Handles a Gaussian that meets no open row; called only if [`RECORDS`](Self::RECORDS).
     #[inline(always)]
     fn miss(&mut self, _span: &Span) {}
 }
 
-/// One Gaussian in its turn.
+/// One Gaussian of a tile's list.
 pub(super) struct Entry<'a, S: Simd> {
-    /// Its place in the tile's list.
+    /// Its position in the tile's list.
     pub(super) k: usize,
     pub(super) span: &'a Span,
     pub(super) splat: &'a Splat,
@@ -45,7 +45,8 @@ impl<S: Simd> Entry<'_, S> {
         Bits(self.rows.live)
     }
 
-    /// `log₂ α` before the clamp and `t` of row `r`; `steepness` is the Gaussian's, in every lane.
+    /// Returns `log₂ α` before the clamp, and `t`, of row `r`; every lane of `steepness` holds the
+    /// Gaussian's.
     #[inline(always)]
     pub(super) fn log2_alpha(&self, simd: S, steepness: f32x16<S>, r: usize) -> (f32x16<S>, f32x16<S>) {
         let t = self.columns - f32x16::splat(simd, self.rows.peak[r]);
@@ -53,7 +54,7 @@ impl<S: Simd> Entry<'_, S> {
     }
 }
 
-/// One Gaussian against the 16 rows of a tile.
+/// One Gaussian evaluated on the 16 rows of a tile.
 struct RowsOf {
     /// Rows that the contour meets.
     live: u32,
@@ -67,8 +68,8 @@ fn rows_of<S: Simd>(simd: S, splat: &Splat, rows: f32x16<S>, columns: &Lanes) ->
     let dy = rows - c(splat.y);
     let peak = c(splat.shear).mul_add(-dy, c(splat.x));
     let power = c(splat.steepness_y).mul_add(-(dy * dy), c(splat.log2_opacity));
-    // The pixel centre nearest to the peak, if the peak were between the first and the last:
-    // at least as near as any pixel.
+    // The pixel centre nearest to the peak, if the peak lies between the first and the last centre;
+    // otherwise a point at least as near as any pixel.
     let t = peak.max(c(columns[0])).min(c(columns[TILE - 1])) - peak;
     let best = (t * c(splat.steepness)).mul_add(-t, power);
     let live = best.simd_ge(c(-LOG2_255)).to_bitmask() as u32;
@@ -88,16 +89,16 @@ impl Iterator for Bits {
         }
         let bit = self.0.trailing_zeros() as usize;
         self.0 &= self.0 - 1;
-        // The mask tells the compiler that rows are in range.
+        // The mask shows the compiler that the row is in range.
         Some(bit & (TILE - 1))
     }
 }
 
-/// Takes the pass through the list, from the nearest Gaussian to the farthest or,
-/// if `BACK`, the other way round.
+/// Runs the pass over the list, from the nearest Gaussian to the farthest or, if `BACK`, the other way
+/// round.
 ///
-/// It looks one entry ahead: how many rows the next entry has is then known before its turn, and the
-/// processor does not stall where it guessed wrong.
+/// The loop looks one entry ahead: the number of rows of the next entry is then known before its turn, so a
+/// wrongly predicted branch does not stall the processor.
 #[inline(always)]
 pub(super) fn walk<S: Simd, const BACK: bool, P: Pass<S>>(simd: S, input: &Input<'_>, pass: &mut P) {
     let (columns, rows) = (load(simd, input.columns), load(simd, input.rows));

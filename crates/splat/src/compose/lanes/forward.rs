@@ -1,4 +1,4 @@
-//! Composing a tile.
+//! Composes a tile.
 
 use fearless_simd::{Simd, SimdBase, f32x16};
 

@@ -1,5 +1,5 @@
-//! Composing front to back: what is left of each pixel's light before the next
-//! Gaussian, and where a pixel stops.
+//! Composing front to back: the transmittance of each pixel before the next Gaussian, and the entry at
+//! which a pixel stops.
 
 use fearless_simd::{Simd, SimdBase, SimdMask, f32x16, i32x16, mask32x16};
 use use3d_numerics::lanes::exp2_unclamped_lanes;
@@ -10,19 +10,19 @@ use crate::compose::tile::{ALPHA_MAX, ForwardRow, ForwardTile, Input, STOP};
 /// A tile that is composed front to back.
 pub(super) struct Front<'a> {
     pub(super) tile: &'a mut ForwardTile,
-    /// Rows that are pixels and have not all stopped, as bits.
+    /// Rows that are not padding and have pixels that have not stopped, as bits.
     pub(super) alive: u32,
 }
 
 impl<'a> Front<'a> {
-    /// Before the first Gaussian of `input`.
+    /// The state before the first Gaussian of `input`.
     #[inline(always)]
     pub(super) fn new(input: &Input<'_>, tile: &'a mut ForwardTile) -> Self {
         Self { tile, alive: ((1u64 << input.filled_rows) - 1) as u32 }
     }
 
-    /// Lets entry `k` through row `r`: its weights, with transmittance, threshold and stop brought up to
-    /// date. The row is no longer alive once all its pixels have stopped.
+    /// Applies entry `k` to row `r`: returns the weights and updates transmittance, threshold and stop. The
+    /// row is no longer alive once all its pixels have stopped.
     #[inline(always)]
     pub(super) fn weights<S: Simd>(
         &mut self,
@@ -53,7 +53,7 @@ impl<'a> Front<'a> {
     }
 }
 
-/// Stops pixels of a row at entry `k`. Whether all have stopped now.
+/// Stops pixels of a row at entry `k`. Returns true if all pixels of the row have stopped.
 #[inline(always)]
 fn stop<S: Simd>(simd: S, stopped: mask32x16<S>, row: &mut ForwardRow, k: usize) -> bool {
     let threshold = select(stopped, f32x16::splat(simd, f32::INFINITY), load(simd, &row.threshold));

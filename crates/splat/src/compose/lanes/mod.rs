@@ -1,11 +1,12 @@
-//! The compositor on 16 lanes: one row of a tile is one vector. Every function here is the lane
-//! form of its namesake in [`plain`](crate::compose::plain), with the same operations in the
-//! same order per pixel and per sum.
+//! The compositor on 16 lanes: one row of a tile is one vector. Every function here is the lane form of the
+//! function of the same name in [`plain`](crate::compose::plain), with the same operations in the same
+//! order per pixel and per sum.
 //!
-//! The Gaussian is outermost inside a tile: the tile's pixel state stays in the first-level cache, the
-//! Gaussian's gradient sums in registers. `entries` walks a tile's list, once for all of them: each is a
-//! [`Pass`](entries::Pass), which says what an entry does. `decay` is the water between a Gaussian and the
-//! pixels, `front` what is left of the light on its way back, `sums` the ends of sums.
+//! The outer loop inside a tile runs over Gaussians: the tile's pixel state stays in the first-level cache,
+//! and the Gaussian's gradient sums stay in registers. `entries` holds the one loop over a tile's list;
+//! each function is a [`Pass`](entries::Pass), which defines the work per entry. `decay` is the water
+//! between a Gaussian and the pixels, `front` the transmittance before the next Gaussian, and `sums` adds
+//! up lanes.
 
 mod backward;
 mod colors;

@@ -5,7 +5,8 @@ use fearless_simd::{Simd, SimdBase, f32x4, f32x16};
 use crate::compose::tile::{ColumnSums, moments};
 use crate::project::{Record, Splat, SplatGradient};
 
-/// Sums of lanes four apart, in the order of [`use3d_numerics::lanes::sum`].
+/// Adds the lanes whose indices differ by a multiple of four, in the order of
+/// [`use3d_numerics::lanes::sum`].
 #[inline(always)]
 fn quarter<S: Simd>(simd: S, v: f32x16<S>) -> f32x4<S> {
     let (low, high) = simd.split_f32x16(v);
@@ -16,14 +17,14 @@ fn quarter<S: Simd>(simd: S, v: f32x16<S>) -> f32x4<S> {
 /// Four sums at once, each in the order of [`use3d_numerics::lanes::sum`].
 #[inline(always)]
 pub(super) fn sums<S: Simd>(simd: S, [a, b, c, d]: [f32x16<S>; 4]) -> [f32; 4] {
-    // Named one by one: `array::map` is a call that the instruction set does not reach into.
+    // Written out one by one, because `array::map` is a call that is not compiled for the instruction set.
     let (a, b, c, d) = (quarter(simd, a), quarter(simd, b), quarter(simd, c), quarter(simd, d));
     let ab = (a.zip_low(b) + a.zip_high(b)).to_array();
     let cd = (c.zip_low(d) + c.zip_high(d)).to_array();
     [ab[0] + ab[2], ab[1] + ab[3], cd[0] + cd[2], cd[1] + cd[3]]
 }
 
-/// The backward pass's sums over rows, summed over the columns too, as a record; `offset` is the
+/// Sums the backward pass's column sums over the columns and returns them as a record; `offset` is the
 /// columns' distance from `origin`.
 #[inline(always)]
 pub(super) fn finish<S: Simd>(

@@ -4,7 +4,8 @@ use use3d_capture::{Intrinsics, Pose};
 use use3d_golden::Part;
 use use3d_numerics::random::{Purpose, Stream};
 
-/// From the derivative by the conic (`xy` counted once) to that of the covariance: `−C G C`.
+/// Converts the gradient with respect to the conic (`xy` counted once) into that of the covariance:
+/// `−C G C`.
 fn conic_backward(c: [f64; 3], g: [f64; 3]) -> [f64; 3] {
     let (c, g) = ([[c[0], c[1]], [c[1], c[2]]], [[g[0], g[1] / 2.0], [g[1] / 2.0, g[2]]]);
     let entry = |i: usize, j: usize| {
@@ -35,7 +36,7 @@ fn golden_projection_and_its_gradients() {
             let zero = Projection { mean: [0.0; 2], z: 0.0, cov: [0.0; 3] };
             let p = p.unwrap_or(zero);
             mean2d.extend(p.mean);
-            // The golden depth is that of culled Gaussians too.
+            // The golden file also stores the depth of culled Gaussians.
             z.push(projector.camera_frame(means[i])[2]);
             cov.extend(p.cov);
             conics.extend(if keep[i] != 0.0 { conic(p.cov) } else { [0.0; 3] });
@@ -86,7 +87,7 @@ fn finite_differences_agree_on_random_gaussians() {
     let projector = Projector::new(&camera);
     for i in 0..50 {
         let n = |k: u64| s.normal(i * 32 + k) as f32;
-        // Every fifth lies far to the side, where the Jacobian's clamp is active.
+        // Every fifth Gaussian lies far to the side, where the Jacobian's clamp is active.
         let side = if i % 5 == 0 { 6.0 } else { 0.7 };
         let mut p: [f32; 10] =
             [side * n(0), 0.7 * n(1), n(2), n(3) - 1.5, n(4) - 1.5, n(5) - 1.5, n(6), n(7), n(8), n(9)];
