@@ -74,7 +74,7 @@ fn the_authors_calibrator_serves_a_whole_run_and_by_hand() {
             _ => vec!["plan", "reef", "--calibrator", RELEASED, "--set", "calibrator.proposer=fusion"],
         };
         let (_, err) = expect(2, at, &arguments);
-        assert!(err.contains("fitted for the proposer `nu2net`, but `fusion` is asked for"), "{err}");
+        assert!(err.contains("fitted for the proposer `nu2net`, but `fusion` is requested"), "{err}");
     }
 
     // A file that is not a calibrator is reported, with the expected kind of file.
@@ -176,7 +176,7 @@ fn a_calibrator_of_our_own_serves_a_pipeline_and_a_scene_of_it() {
     // an error.
     pipeline("[calibrator]\nfile = \"own.safetensors\"\nproposer = \"nu2net\"", "");
     let (_, err) = expect(2, at, &["-q", "run", "p.toml", "--until", "targets", "--out", "out"]);
-    assert!(err.contains("fitted for the proposer `fusion`, but `nu2net` is asked for"), "{err}");
+    assert!(err.contains("fitted for the proposer `fusion`, but `nu2net` is requested"), "{err}");
     pipeline("[calibrator]\nfile = \"${USE3D_TEST_UNSET}/own.safetensors\"", "");
     let (_, err) = expect(2, at, &["plan", "p.toml"]);
     let words = ["the environment variable USE3D_TEST_UNSET", "named by `calibrator.file` in p.toml"];

@@ -100,7 +100,7 @@ fn each_input_from_outside_is_named_by_its_key_and_its_file() {
 
     for (set, expected) in [
         ("calibrator.pair.input=a", "calibrator.pairs.input, calibrator.pairs.target, calibrator.file"),
-        ("calibrate.input=a", "name it with `calibrator.pairs.input`"),
+        ("calibrate.input=a", "give it with `calibrator.pairs.input`"),
     ] {
         let error = load(&[set], LoadOptions::default()).expect_err(set);
         assert!(error.contains(expected), "{set}: {error}");
