@@ -101,7 +101,7 @@ impl Builder {
         let resolved =
             resolve::resolve(&self.registry, &self.cache, &self.numeric_class, graph, node, outcomes);
         let Ok(resolved) = resolved else {
-            return Ok(Err(StageError::message("its inputs are not there any more")));
+            return Ok(Err(StageError::message("its inputs are missing")));
         };
         let stage = &self.registry.stages()[graph.nodes[node].stage];
         let output = scratch.join("artifact");

@@ -301,7 +301,8 @@ impl Cache {
         let sealed = self.seal(folder)?;
         if sealed != named {
             let what = first_difference(&sealed, &named);
-            let source = std::io::Error::other(format!("{what} is not what was written; check the disk"));
+            let source =
+                std::io::Error::other(format!("{what} differs from what was written; check the disk"));
             return Err(FileError { path: folder.to_path_buf(), doing: "publish", source });
         }
         self.put_in_place(folder, manifest)

@@ -169,7 +169,7 @@ impl StageContext {
     pub fn resumed(&self, done: u64, total: u64) {
         let share = if total == 0 { 0.0 } else { done as f64 / total as f64 };
         self.resumed.store((share.clamp(0.0, 1.0) * 1e6) as u64, Ordering::Relaxed);
-        self.log(format_args!("going on from step {done} of {total}"));
+        self.log(format_args!("resuming from step {done} of {total}"));
     }
 
     /// Checks before the work that there is enough memory: fails if the work cannot even start here, and

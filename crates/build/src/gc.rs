@@ -104,7 +104,7 @@ impl Cache {
             } else if options.max_bytes.is_some_and(|limit| total > limit) {
                 match item.kind {
                     "artifact" => {
-                        format!("{} to make again", machine::seconds(item.cost * item.bytes as f64))
+                        format!("takes {} to compute again", machine::seconds(item.cost * item.bytes as f64))
                     }
                     _ => "only saves time".to_string(),
                 }

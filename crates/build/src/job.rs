@@ -201,7 +201,7 @@ impl Job<'_> {
     fn without_store(&self, label: &str, store: &RemoteStore, text: &str) {
         self.listener.event(&Event::Warning { label, text });
         if store.failed() {
-            let text = format!("{} fails again and again: going on without it", store.place());
+            let text = format!("{} failed repeatedly: continuing without it", store.place());
             self.listener.event(&Event::Warning { label, text: &text });
         }
     }
@@ -252,11 +252,11 @@ impl Job<'_> {
         }
         if output.join(MANIFEST).exists() {
             return Err(StageError::message(format!(
-                "the stage wrote `{MANIFEST}`, a name that is not its own to use"
+                "the stage wrote `{MANIFEST}`, which is a reserved name"
             )));
         }
         if files::list(&output)?.is_empty() {
-            return Err(StageError::message("the stage ended without an error and without writing anything"));
+            return Err(StageError::message("the stage ended without an error but wrote nothing"));
         }
         for (path, select, before) in &self.resolved.externals {
             if cache.contents().of_now(path, select.as_deref())?.digest != *before {
@@ -278,7 +278,7 @@ impl Job<'_> {
         let artifact = match published {
             Published::Now(artifact) | Published::Already(artifact) => artifact,
             Published::Differs(artifact, file) => {
-                self.alarm(label, &format!("another process made other bytes of {file}"));
+                self.alarm(label, &format!("another process computed other bytes of {file}"));
                 artifact
             }
         };
@@ -299,8 +299,8 @@ impl Job<'_> {
     /// Reports that the same key has other bytes.
     fn alarm(&self, label: &str, what: &str) {
         let text = format!(
-            "determinism alarm: {what} for the same key {}; the first artifact is kept. A result must follow from the \
-             key's ingredients alone",
+            "determinism alarm: {what} for the same key {}; the first artifact is kept. A result must \
+             depend only on the ingredients of its key",
             self.resolved.key.short()
         );
         self.listener.event(&Event::Warning { label, text: &text });

@@ -28,13 +28,13 @@ pub(crate) fn judge(free: u64, start: u64, most: u64, lower: &str) -> Result<Opt
     let [free_text, start_text, most_text] = [free, start, most].map(bytes);
     if start > free {
         return Err(format!(
-            "needs about {start_text} of memory to begin, and {free_text} can be had (limits of a container count); {lower}, or use a \
-             machine with more memory"
+            "needs about {start_text} of memory to begin, and {free_text} are available (the limits of a \
+             container count); {lower}, or use a machine with more memory"
         ));
     }
     Ok((most > free).then(|| {
         format!(
-            "may need up to {most_text} of memory, and {free_text} can be had; should it run out, {lower}"
+            "may need up to {most_text} of memory, and {free_text} are available; if it runs out, {lower}"
         )
     }))
 }

@@ -144,7 +144,7 @@ fn look_once(folder: &Path, look: Look) -> Result<Standing, PlaceError> {
         return foreign("this is a symbolic link");
     }
     if !kind.is_dir() {
-        return foreign("this is no folder");
+        return foreign("this is not a folder");
     }
     // Symbolic links and special files are never ours and never followed.
     let mut found: BTreeMap<String, fs::Metadata> = BTreeMap::new();
@@ -161,7 +161,7 @@ fn look_once(folder: &Path, look: Look) -> Result<Standing, PlaceError> {
         let relative = entry.path().strip_prefix(folder).unwrap_or(entry.path());
         let Some(name) = files::relative_name(relative).filter(|_| entry.file_type().is_file()) else {
             let odd = shown(&relative.to_string_lossy()).into_owned();
-            return foreign(&format!("it holds {odd}, which is not a plain file of ours"));
+            return foreign(&format!("it contains {odd}, which is not a regular file of this program"));
         };
         if let Ok(data) = entry.metadata() {
             found.insert(name, data);
@@ -171,14 +171,14 @@ fn look_once(folder: &Path, look: Look) -> Result<Standing, PlaceError> {
         return match fs::read_dir(folder) {
             Ok(mut entries) => match entries.next() {
                 None => Ok(Standing::Free),
-                Some(_) => foreign("it is not empty and holds no record of this program (manifest.json)"),
+                Some(_) => foreign("it is not empty and has no manifest.json of this program"),
             },
             Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(Standing::Free),
             Err(e) => at(folder, "look at", Err(e)),
         };
     };
     let Some(record) = read_record(&folder.join(MANIFEST)) else {
-        return foreign("its manifest.json is not a record of this program");
+        return foreign("its manifest.json was not written by this program");
     };
     let written = record_data.modified().ok();
     let changed = record.files.par_iter().find_map_first(|listed| {
@@ -255,7 +255,7 @@ fn there(folder: &Path) -> PlaceError {
 }
 
 fn not_ours(folder: &Path, why: &str) -> PlaceError {
-    occupied(folder, &format!("{why}; it is left as it is: choose another name, or move it away first"))
+    occupied(folder, &format!("{why}, so it is not replaced; choose another name, or move it away first"))
 }
 
 /// Checks, before any work is done, that files can be created in `folder`, or, if it does not exist, in the
@@ -336,8 +336,10 @@ pub fn put(made: &Path, folder: &Path, replace: bool) -> Result<(), PlaceError> 
             }
             Standing::Ours(ours) => {
                 if let Some(name) = ours.extra.iter().find(|name| in_the_way(made, name)) {
-                    let why =
-                        format!("{} is not ours, and the new result has a file of that name", shown(name));
+                    let why = format!(
+                        "{} was not written by this program, and the new result has a file of that name",
+                        shown(name)
+                    );
                     return Err(not_ours(folder, &why));
                 }
                 let aside = beside(folder, OLD);
@@ -372,7 +374,7 @@ pub fn put(made: &Path, folder: &Path, replace: bool) -> Result<(), PlaceError> 
             }
         }
     }
-    Err(occupied(folder, "another process keeps changing it; run again when that one is done"))
+    Err(occupied(folder, "another process is changing it; run again when that process has ended"))
 }
 
 /// Returns true if a file called `name` conflicts with the files of `made`.

@@ -75,7 +75,7 @@ impl Display for Gap {
             n => write!(f, " of {n} scenes")?,
         }
         write!(f, "): {remedy}")?;
-        if without.is_empty() { Ok(()) } else { write!(f, "; to do without: {without}") }
+        if without.is_empty() { Ok(()) } else { write!(f, "; to run without it: {without}") }
     }
 }
 
@@ -94,7 +94,7 @@ impl Display for Gaps {
             }
         }
         if without.len() > 1 && self.0.iter().all(|gap| !gap.lacking.without.is_empty()) {
-            write!(f, "\nTo do without all of it: {}", without.join(" "))?;
+            write!(f, "\nTo run without all of these: {}", without.join(" "))?;
         }
         Ok(())
     }
@@ -134,12 +134,12 @@ mod tests {
         gaps.add(lacking("the pairs", "--set y=2"), "pairs", "");
         assert_eq!(
             gaps.to_string(),
-            "2 things are missing, and nothing was computed:\n\
-             - the weights (for targets, evaluate of 4 scenes): put a.pth into models; to do without: --set x=1\n\
-             - the pairs (for pairs): put a.pth into models; to do without: --set y=2\n\
-             To do without all of it: --set x=1 --set y=2"
+            "2 things are missing, and nothing was computed:\n- the weights (for targets, evaluate of 4 \
+             scenes): put a.pth into models; to run without it: --set x=1\n- the pairs (for pairs): put \
+             a.pth into models; to run without it: --set y=2\nTo run without all of these: --set x=1 --set \
+             y=2"
         );
         gaps.add(lacking("the truth", ""), "evaluate", "a");
-        assert!(!gaps.to_string().contains("without all"), "not all of it can be done without");
+        assert!(!gaps.to_string().contains("run without all"), "not all of it can be done without");
     }
 }

@@ -90,9 +90,7 @@ impl Builder {
         self.cache.contents().look_again();
         let swept = self.cache.sweep();
         if swept > 0 {
-            let text = format!(
-                "removed {swept} unfinished result(s) of runs that were cut off; going on from there"
-            );
+            let text = format!("removed {swept} unfinished result(s) of earlier runs that were cut off");
             listener.event(&Event::Note { label: &graph.name, text: &text });
         }
         let mut runner = Runner::new(self, graph, options, listener);
@@ -457,7 +455,8 @@ impl<'r> Runner<'r> {
                     let whose = self.graph.nodes[maker].label();
                     let root = self.builder.cache.root().display();
                     let reason = format!(
-                        "{whose} is damaged or removed again and again; check the disk, and what else cleans up in {root}"
+                        "{whose} was damaged or removed repeatedly; check the disk, and look for another \
+                         program that removes files in {root}"
                     );
                     self.fail(i, key, reason);
                     return;

@@ -111,7 +111,7 @@ pub(crate) fn cell(node: &PlannedNode) -> Cell {
         (State::Run(reason), None) => (before, reason.clone()),
         (State::Waiting(parents), _) => (before, format!("waits for {}", parents.join(", "))),
         (State::Blocked(by), _) => (before, format!("needs {by}")),
-        (State::Unwanted, _) => (before, "not asked for".to_string()),
+        (State::Unwanted, _) => (before, "not requested".to_string()),
     };
     let (changes, working) = (node.changes.clone(), node.working.clone());
     Cell { stage: node.stage, standing, reason, changes, working }
@@ -157,7 +157,7 @@ impl Builder {
                 known.dedup();
                 if known.contains(&scene) {
                     let stages = graph.nodes.iter().filter(|n| n.scene == scene).map(|n| n.stage_name);
-                    return Err(BuildError::unknown("stage asked for by this scene", stage, stages));
+                    return Err(BuildError::unknown("stage of this scene", stage, stages));
                 }
                 return Err(BuildError::unknown("scene", scene, known));
             }

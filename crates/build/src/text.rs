@@ -52,10 +52,10 @@ impl Display for Plan {
                 write!(f, "; about {}", seconds(sum))?;
                 let guessed = self.own().filter_map(|n| n.forecast.as_ref()).any(|forecast| !forecast.own);
                 if guessed {
-                    write!(f, ", judging by other scenes whatever their size")?;
+                    write!(f, ", estimated from other scenes of any size")?;
                 }
                 if without > 0 {
-                    write!(f, " and {without} that never ran before")?;
+                    write!(f, " plus {without} that never ran before")?;
                 }
             } else if without > 0 {
                 write!(f, "; no earlier run to forecast the time from")?;
@@ -96,7 +96,7 @@ fn describe(node: &PlannedNode) -> (&'static str, String) {
         State::Waiting(parents) => {
             let parents = few(parents, ", ");
             // An earlier artifact stays valid unless something upstream changes.
-            let again = if node.had { "; runs again only if that comes out different" } else { "" };
+            let again = if node.had { "; runs again only if that result changes" } else { "" };
             ("waits", format!("for {parents}{again}"))
         }
         State::Unavailable(reason) => ("cannot", reason.clone()),
@@ -119,7 +119,7 @@ impl Display for Summary {
                 (self.failed().count(), "failed"),
                 (blocked, "not run because of these"),
                 (not_run, "not run"),
-                (self.elsewhere(), "left to others, who compute them"),
+                (self.elsewhere(), "left to other processes"),
             ] {
                 if count > 0 {
                     write!(f, ", {count} {word}")?;
@@ -127,9 +127,9 @@ impl Display for Summary {
             }
             write!(f, ", in {}", seconds(self.seconds))?;
             if self.left && not_run > 0 {
-                write!(f, "; out of time: the same command goes on from here")?;
+                write!(f, "; time limit reached: run the same command to continue")?;
             } else if self.interrupted && !self.left {
-                write!(f, "; interrupted: the same command goes on from here")?;
+                write!(f, "; interrupted: run the same command to continue")?;
             }
             writeln!(f)
         })
@@ -219,7 +219,7 @@ impl Display for Why {
                     writeln!(f, "  {change}")?;
                 }
                 if changes.is_empty() {
-                    writeln!(f, "  never made, or its artifact is gone")?;
+                    writeln!(f, "  never computed, or its artifact was removed")?;
                 }
             }
             Ok(())

@@ -31,7 +31,7 @@ pub(crate) fn check_folder(out: &Path, force: bool) -> Done {
         PlaceError::Io { .. } => e.into(),
     };
     if out.file_name().is_none() {
-        let what = "this folder is in use; name a folder of its own for the result";
+        let what = "this folder is in use; choose another folder for the result";
         return Err(CliError::Input(format!("--out {}: {what}", path_text(out))));
     }
     place::sweep(place::parent(out));
@@ -57,11 +57,12 @@ pub(crate) fn check_file(flag: &str, path: &Path, force: bool, extensions: &[&st
         Ok(found) if found.is_dir() => return refuse("this is a folder; expected the name of a file"),
         Ok(found) if !found.is_file() => {
             return refuse(
-                "this is no regular file (a link or a device); it is left as it is: choose another name",
+                "this is a link or a device and not a regular file, so it is not replaced; choose another \
+                 name",
             );
         }
         Ok(_) if !force => {
-            return refuse("the file is there; pass --force to replace it, or choose another name");
+            return refuse("the file exists; pass --force to replace it, or choose another name");
         }
         Err(e) if e.kind() != io::ErrorKind::NotFound => return refuse(&e.to_string()),
         _ => {}

@@ -42,12 +42,12 @@ impl CliError {
         match self {
             Self::Input(message) | Self::Failed(message) => message,
             Self::Interrupted => {
-                "interrupted; what was done so far is kept, the same command continues from there"
+                "interrupted; the work done so far is kept: run the same command to continue"
             }
             Self::OutOfTime => {
-                "out of time; what was done so far is kept, the same command continues from there"
+                "time limit reached; the work done so far is kept: run the same command to continue"
             }
-            Self::Stopped => "interrupted; the same command starts anew",
+            Self::Stopped => "interrupted; nothing was kept: the same command starts from the beginning",
         }
     }
 

@@ -74,7 +74,7 @@ fn the_authors_calibrator_serves_a_whole_run_and_by_hand() {
             _ => vec!["plan", "reef", "--calibrator", RELEASED, "--set", "calibrator.proposer=fusion"],
         };
         let (_, err) = expect(2, at, &arguments);
-        assert!(err.contains("fitted for the proposer `nu2net`, but `fusion` is asked for"), "{err}");
+        assert!(err.contains("fitted for the proposer `nu2net`, but `fusion` is requested"), "{err}");
     }
 
     // A file that is not a calibrator is reported, with the expected kind of file.
@@ -115,7 +115,7 @@ fn a_scene_proposes_for_itself_in_clear_radiance() {
     // No pairs and no fit: import, reconstruct, targets, enhance, render, evaluate, report.
     assert!(out.contains("reef: 7 done, 0 cached"), "{out}");
     let page = std::fs::read_to_string(at.join("out/report.html")).expect("the report");
-    assert!(page.contains("without its water: not calibrated"), "the report says what was done");
+    assert!(page.contains("without its water. They are not calibrated."), "the report says what was done");
     let read = |path: &str| -> serde_json::Value {
         let bytes = std::fs::read(at.join(path)).expect("a file");
         serde_json::from_slice(&bytes).expect("JSON")
@@ -151,7 +151,7 @@ fn a_calibrator_of_our_own_serves_a_pipeline_and_a_scene_of_it() {
     expect(0, at, &["-q", "synth", "pairs", "--out", "pairs", "--views", "6", "--size", "64x48"]);
     let fit = ["calibrate", "--input", "pairs/input", "--target", "pairs/reference", "--proposer", "fusion"];
     let (_, err) = expect(0, at, &[&fit[..], &["--set", "steps=5", "--out", "own.safetensors"]].concat());
-    assert!(err.contains("6 pairs are few, the recipe is made for 800"), "{err}");
+    assert!(err.contains("6 pairs are too few (800 recommended)"), "{err}");
 
     let pipeline = |calibrator: &str, scene: &str| {
         let text = format!(
@@ -176,7 +176,7 @@ fn a_calibrator_of_our_own_serves_a_pipeline_and_a_scene_of_it() {
     // an error.
     pipeline("[calibrator]\nfile = \"own.safetensors\"\nproposer = \"nu2net\"", "");
     let (_, err) = expect(2, at, &["-q", "run", "p.toml", "--until", "targets", "--out", "out"]);
-    assert!(err.contains("fitted for the proposer `fusion`, but `nu2net` is asked for"), "{err}");
+    assert!(err.contains("fitted for the proposer `fusion`, but `nu2net` is requested"), "{err}");
     pipeline("[calibrator]\nfile = \"${USE3D_TEST_UNSET}/own.safetensors\"", "");
     let (_, err) = expect(2, at, &["plan", "p.toml"]);
     let words = ["the environment variable USE3D_TEST_UNSET", "named by `calibrator.file` in p.toml"];

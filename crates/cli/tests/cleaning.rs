@@ -33,7 +33,7 @@ fn the_cache_of_the_pipelines_to_keep_is_the_one_that_is_cleaned() {
 
     let (code, said) = use3d(dir, &["gc", "--max-bytes", "1kB", "--keep", "one.toml"]);
     assert!(code == Some(0) && said.contains("import-of-old") && !leftover.exists(), "{said}");
-    assert!(said.contains("are more than the 1.0 kB of --max-bytes"), "{said}");
+    assert!(said.contains("more than the 1.0 kB of --max-bytes"), "{said}");
     let (code, said) = use3d(dir, &["plan", "one.toml"]);
     assert!(code == Some(0) && said.contains("1 cached"), "what is kept was removed: {said}");
 

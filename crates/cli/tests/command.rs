@@ -325,7 +325,7 @@ fn one_word_for_each_look(scene: &str, capture: &str, dir: &Path) {
     let ply = at("opening.ply");
     let (_, said) = expect(0, &["export", scene, "--ply", &ply]);
     assert!(count(&std::fs::read(&ply).unwrap()).1.contains("comment what: enhanced\n"));
-    assert!(said.contains("the look is baked as") && said.contains("ΔE00"), "{said}");
+    assert!(said.contains("the look is baked for") && said.contains("ΔE00"), "{said}");
     let bare = at("bare.ply");
     expect(0, &["-q", "export", scene, "--ply", &bare, "--no-backdrop"]);
     assert_eq!(count(&std::fs::read(&bare).unwrap()).0, count(&std::fs::read(at("clear.ply")).unwrap()).0);

@@ -34,7 +34,7 @@ fn run(place: &Place, extra: &[&str]) -> String {
 fn results_stand_for_what_they_were_made_from_and_earlier_ones_come_back() {
     let place = Place::new();
     let first = run(&place, &["--iterations", "30"]);
-    assert!(!first.contains("take the place"), "{first}");
+    assert!(!first.contains("replace those of"), "{first}");
     let scene = "out/tiny/enhanced-scene/scene.json";
     let read = |name: &str| std::fs::read(place.at(name)).expect("there");
     let before = read(scene);

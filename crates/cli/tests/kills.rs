@@ -142,7 +142,7 @@ impl Target<'_> {
         left.entry(stage).and_modify(|n| *n -= 1);
         *tally.kills.entry(stage).or_default() += usize::from(caught);
         let logs = self.logs();
-        let step = logs.get(stage).and_then(|log| log.split("going on from step ").nth(1)).and_then(|rest| {
+        let step = logs.get(stage).and_then(|log| log.split("resuming from step ").nth(1)).and_then(|rest| {
             rest.split(|c: char| !c.is_ascii_digit()).next().and_then(|number| number.parse::<u64>().ok())
         });
         if step.is_some_and(|step| 0 < step && step < STEPS) {

@@ -131,7 +131,7 @@ fn the_log_says_which_depth_prior_is_in_force_and_why() {
     assert!(none.contains("depth prior: none") && none.contains("Depth Anything V2"), "{none}");
     let asked = said(&["depth_prior=folder"]);
     assert!(
-        asked.contains("although depth_prior asks for files: the capture has no depth folder"),
+        asked.contains("although depth_prior requires files: the capture has no depth folder"),
         "{asked}"
     );
 }

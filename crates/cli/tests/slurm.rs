@@ -321,8 +321,11 @@ fn what_is_longer_than_its_jobs_limit_goes_on_in_the_next() {
         .map(|bytes| String::from_utf8_lossy(&bytes).into_owned())
         .collect();
     let attempts = logs.iter().flat_map(|log| log.lines()).filter(|line| line.contains(", attempt ")).count();
-    let told =
-        logs.iter().flat_map(|log| log.lines()).filter(|line| line.starts_with("out of time;")).count();
+    let told = logs
+        .iter()
+        .flat_map(|log| log.lines())
+        .filter(|line| line.starts_with("time limit reached;"))
+        .count();
     assert!(told > 0 && attempts == logs.len() + told, "{attempts} attempts, {told} out of time: {logs:#?}");
     assert!(submit(&slurm, &many, "limit", &words).contains("nothing to submit"), "{logs:#?}");
     assert!(many.artifacts("limit") == many.artifacts("alone"), "the artifacts are not those of one process");

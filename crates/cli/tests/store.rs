@@ -32,7 +32,7 @@ fn what_was_computed_in_one_cache_is_fetched_into_another() {
     // The address of an empty folder, and one of no folder.
     fs::create_dir(many.at("empty")).expect("folder");
     for (address, code, words) in [
-        ("empty", 0, "has none of what is missing here; is the address right?"),
+        ("empty", 0, "has none of the missing results; check the address"),
         ("nowhere", 1, "nowhere: there is no such folder"),
     ] {
         let mut pull = many.command(&["pull"], "second");
@@ -41,9 +41,9 @@ fn what_was_computed_in_one_cache_is_fetched_into_another() {
         assert!(ended == Some(code) && said.contains(words), "{address}: {said}");
     }
     let (code, said) = ended(command("push", "empty", &[]));
-    assert!(code == Some(0) && said.contains("empty has nothing of this pipeline"), "{said}");
+    assert!(code == Some(0) && said.contains("empty has no results of this pipeline"), "{said}");
     let (code, said) = ended(command("pull", "second", &[]));
-    assert!(!said.contains("is the address right"), "{said}");
+    assert!(!said.contains("check the address"), "{said}");
     assert!(code == Some(0) && said.contains(" 0 missing"), "{said}");
     assert!(many.artifacts("second") == whole);
     // Another machine's run also finds all of it, computes nothing, and delivers results.
@@ -60,7 +60,7 @@ fn what_was_computed_in_one_cache_is_fetched_into_another() {
     wrong[right.len() / 2] ^= 1;
     fs::write(&blob, wrong).expect("written");
     let (code, said) = ended(command("pull", "fourth", &["--quiet"]));
-    assert!(code == Some(1) && said.contains("came with other bytes"), "{said}");
+    assert!(code == Some(1) && said.contains("has other bytes than its digest"), "{said}");
     let fetched = many.artifacts("fourth");
     assert!(
         fetched.len() < whole.len() && fetched.iter().all(|(path, bytes)| whole.get(path) == Some(bytes))
@@ -79,7 +79,7 @@ fn a_store_that_cannot_be_used_is_said_before_anything_is_computed() {
     let many = Many::new(&["s1".to_string()]);
     fs::write(many.at("file"), "no folder").expect("written");
     for (address, code, words) in [
-        ("ftp://host/store", 2, "no such kind of store"),
+        ("ftp://host/store", 2, "unknown kind of store"),
         ("s3://AKIA:secret@bucket", 2, "AWS_SECRET_ACCESS_KEY"),
         ("file/store", 1, "cannot write v1/probe"),
     ] {

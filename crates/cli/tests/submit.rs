@@ -122,7 +122,7 @@ fn tasks_get_every_setting_the_engine_too_and_status_is_asked_with_the_same() {
     let text = submit(&["--dry-run"]);
     assert!(text.lines().any(|line| line.contains(" run ") && line.contains(engines)), "{text}");
     let text = submit(&[]);
-    let status = text.lines().find(|line| line.starts_with("how far they are")).unwrap_or_default();
+    let status = text.lines().find(|line| line.starts_with("to see their progress")).unwrap_or_default();
     assert!(status.contains("use3d status") && status.contains(engines), "{text}");
 }
 
@@ -145,8 +145,8 @@ fn what_has_no_capture_is_said_and_is_no_success() {
     assert!(code == Some(1) && text.contains("warning: gone import: "), "{text}");
     // The rest is submitted and done.
     let (code, text) = submit(&many, &path, "slurm", "cache", &words);
-    let rest =
-        text.contains("submitted finish as job") && text.contains("error: what needs them is not submitted");
+    let rest = text.contains("submitted finish as job")
+        && text.contains("error: the stages that need them are not submitted");
     assert!(code == Some(1) && rest && text.contains("1 input is missing, see above"), "{text}");
     assert_eq!(many.scores("use3d-out/many".as_ref()).len(), 1);
     // If nothing is left to submit, the message must not claim that everything is done.
@@ -158,7 +158,7 @@ fn what_has_no_capture_is_said_and_is_no_success() {
     let text = said(&output);
     assert!(output.status.code() == Some(1) && text.contains("warning: gone import: "), "{text}");
     let end = "error: nothing can be submitted: 1 input is missing, see above";
-    assert!(text.contains(end) && !text.contains("everything is there"), "{text}");
+    assert!(text.contains(end) && !text.contains("nothing to submit: all"), "{text}");
 }
 
 #[test]
@@ -251,13 +251,13 @@ fn hyperqueue_is_asked_whether_the_last_job_is_over() {
         .expect("written");
     let (code, text) = submit(&many, &path, "hq", "cache", &["--cluster", "cluster.toml"]);
     assert!(code == Some(0) && text.contains("submitted many as job 12"), "{text}");
-    assert!(text.contains("HyperQueue has no place for partition, stage.run.options"), "{text}");
-    assert!(!text.contains("HyperQueue begins nothing"), "{text}");
+    assert!(text.contains("HyperQueue has no setting for partition, stage.run.options"), "{text}");
+    assert!(!text.contains("HyperQueue starts no task"), "{text}");
     fs::write(many.at("open"), "3 RUNNING\n12 WAITING\n").expect("written");
     let (code, text) = submit(&many, &path, "hq", "cache", &[]);
     assert!(code == Some(2) && text.contains("12 (many)") && text.contains("hq job cancel"), "{text}");
     let (code, text) = submit(&many, &path, "hq", "cache", &["--again", "--layout", "stages"]);
-    assert!(code == Some(0) && text.contains("`finish` neither; then: use3d run "), "{text}");
+    assert!(code == Some(0) && text.contains("not even `finish`; then run: use3d run "), "{text}");
     fs::write(many.at("open"), "").expect("written");
     assert_eq!(submit(&many, &path, "hq", "cache", &[]).0, Some(0));
     let asked = read(&many.at("hq.log"));
@@ -294,7 +294,7 @@ fn a_run_leaves_when_its_time_is_over_or_slurm_says_so_and_the_next_goes_on() {
     // Too little time, even on a very fast machine.
     let output = run(&["--max-time", "0.05s"]).output().expect("the command starts");
     assert_eq!(output.status.code(), Some(75), "{}", said(&output));
-    assert!(said(&output).contains("out of time"), "{}", said(&output));
+    assert!(said(&output).contains("time limit reached"), "{}", said(&output));
     // After a signal during a training, its checkpoint exists, and the training resumes from it.
     let long = ["--set", "reconstruct.iterations=4000"];
     let mut child =

@@ -145,7 +145,7 @@ fn scenes_and_captures_are_looked_at_and_bad_cases_are_said() {
     let file = place.at("views.json");
     for (bytes, wrong) in [
         (None, "there is no such file"),
-        (Some(&b"\xff"[..]), "no text in UTF-8"),
+        (Some(&b"\xff"[..]), "not UTF-8 text"),
         (Some(b"{}"), "missing field"),
     ] {
         if let Some(bytes) = bytes {
@@ -162,7 +162,7 @@ fn scenes_and_captures_are_looked_at_and_bad_cases_are_said() {
         .stderr(Stdio::piped());
     let mut waits = Ended(waits.spawn().expect("the command starts"));
     let lines = BufReader::new(waits.0.stderr.take().expect("a pipe")).lines();
-    assert!(lines.map_while(Result::ok).any(|line| line.starts_with("nothing there yet; waiting for")));
+    assert!(lines.map_while(Result::ok).any(|line| line.starts_with("nothing to show yet; waiting for")));
     assert!(said(&["view", &scene, "--metres-per-unit", "0"]).contains("positive"));
     assert!(said(&["reconstruct", &capture, "--out", &place.at("x"), "--port", "7007"]).contains("--view"));
 }

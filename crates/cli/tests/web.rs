@@ -119,7 +119,7 @@ fn a_scene_goes_to_browsers_and_viewers_and_follows_a_path() {
     assert!(go(2, &["--out", &place.at("no")]).contains("use3d enhance"));
     std::fs::write(&path, text("sunny")).unwrap();
     assert!(go(2, &["--out", &place.at("no")]).contains("sunny"));
-    for (bytes, wrong) in [(&b"\xff"[..], "no text in UTF-8"), (b"{}", "missing field")] {
+    for (bytes, wrong) in [(&b"\xff"[..], "not UTF-8 text"), (b"{}", "missing field")] {
         std::fs::write(&path, bytes).unwrap();
         let said = go(2, &["--out", &place.at("no")]);
         assert!(

@@ -64,10 +64,10 @@ const AFTER_ANY: &str = "afterany";
 pub fn script(submission: &Submission, site: &Site) -> String {
     let mut lines = vec![
         "#!/bin/bash".to_string(),
-        "# What every task of job.toml goes through.".to_string(),
-        format!("# Written by `{}`; to be read and edited.", submission.by),
+        "# Every task of job.toml runs this script.".to_string(),
+        format!("# Written by `{}`. You may read and edit it.", submission.by),
         format!(
-            "# Its first word: `{AFTER_OK}`, or `{AFTER_ANY}` where `finish` begins whatever becomes of the task."
+            "# Its first word: `{AFTER_OK}`, or `{AFTER_ANY}` if `finish` starts after the task in any case."
         ),
         "after=$1; shift".to_string(),
         format!("cd {} || exit 1", word(&submission.place.to_string_lossy())),
@@ -169,7 +169,8 @@ pub fn submit(submission: &Submission) -> Result<Submitted, ClusterError> {
     let number = said.trim();
     if number.is_empty() || !number.bytes().all(|b| b.is_ascii_digit()) {
         return Err(wrong(format!(
-            "expected the number of a job, and it said: {number:?}; see with `hq job list` whether it took the job"
+            "expected the number of a job, but the answer was {number:?}; check with `hq job list` if the \
+             job was submitted"
         )));
     }
     let submitted = Submitted { jobs: vec![(submission.name.clone(), number.to_string())] };

@@ -101,7 +101,8 @@ pub fn of(
         todo.iter().copied().filter(|n| jobs.is_empty() || scope(n.stage) == Scope::Batch).collect();
     jobs.push(Job {
         name: "finish".to_string(),
-        about: "Does what is still missing, tries once more what failed, makes the report and fills the results folder."
+        about: "Computes what is still missing, tries failed stages once more, writes the report and fills \
+             the results folder."
             .to_string(),
         tasks: None,
         cells: Vec::new(),
@@ -155,8 +156,8 @@ fn workers_of(todo: &[&PlannedNode], site: &Site, cells: &[String], most: usize)
     vec![Job {
         name: "workers".to_string(),
         about: format!(
-            "{} what is missing of {}.",
-            if tasks == 1 { "One task does".to_string() } else { format!("{tasks} equal tasks share") },
+            "{} the missing stages of {}.",
+            if tasks == 1 { "One task computes".to_string() } else { format!("{tasks} equal tasks compute") },
             if cells.len() == 1 {
                 "one scene and variant".to_string()
             } else {

@@ -98,8 +98,8 @@ impl Site {
         let wrong = |reason| ClusterError::Site { file: path.display().to_string(), reason };
         let text = std::fs::read_to_string(path).map_err(|e| {
             wrong(format!(
-                "{e}; --cluster expects the file with the facts of the site (docs/guide/cluster.md shows one), without it the \
-                 defaults hold"
+                "{e}; --cluster expects a file that describes the site (docs/guide/cluster.md shows one); \
+                 without it the defaults are used"
             ))
         })?;
         Self::parse(&text, stages).map_err(wrong)
@@ -135,7 +135,7 @@ impl Site {
         positive("at_once", self.at_once)?;
         positive("largest_array", self.largest_array)?;
         let bytes = |field: &str, text: &str| match parse_bytes(text) {
-            Ok(0) => Err(format!("`{field}` is nothing; expected a size such as 8GB")),
+            Ok(0) => Err(format!("`{field}` is 0; expected a size such as 8GB")),
             Ok(_) => Ok(()),
             Err(reason) => Err(format!("`{field}`: {reason}")),
         };
@@ -175,7 +175,7 @@ impl Site {
         for (field, options) in [("options".to_string(), &self.options)].into_iter().chain(options) {
             if let Some(option) = options.iter().find(|option| !option.starts_with('-')) {
                 return Err(format!(
-                    "`{field}`: `{option}` is no option of sbatch; expected one such as --gres=gpu:1"
+                    "`{field}`: `{option}` is not an option of sbatch; expected one such as --gres=gpu:1"
                 ));
             }
         }
@@ -323,7 +323,7 @@ mod tests {
             ("cpus = 99999999999", "expected 1024 or fewer"),
             ("account = \"\"", "`account` is empty"),
             ("[stage.import]\npartition = \" \"", "`stage.import.partition` is empty"),
-            ("options = [\"gres=gpu:1\"]", "`options`: `gres=gpu:1` is no option of sbatch"),
+            ("options = [\"gres=gpu:1\"]", "`options`: `gres=gpu:1` is not an option of sbatch"),
             ("[stage.import]\noptions = [\"gpu\"]", "`stage.import.options`"),
             (
                 "command = \"apptainer exec use3d.sif use3d\"",

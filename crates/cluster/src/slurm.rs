@@ -96,7 +96,7 @@ pub fn script(job: &Job, submission: &Submission, site: &Site) -> String {
         "#!/bin/bash".to_string(),
         format!("# {}", job.about),
         format!(
-            "# Written by `{}`; to be read, edited, and submitted by hand with `sbatch` as well.",
+            "# Written by `{}`. You may read it, edit it, and submit it by hand with `sbatch`.",
             submission.by
         ),
     ];
@@ -142,7 +142,7 @@ pub fn script(job: &Job, submission: &Submission, site: &Site) -> String {
     lines.push(format!("{} {threads} {task} --max-time {most}s{cell} &", words(&site.command)));
     lines.push("child=$!".to_string());
     lines.push(
-        "# Shortly before the limit, and when it is cancelled: a checkpoint, then the end.".to_string(),
+        "# Shortly before the time limit, and on cancellation: write a checkpoint, then end.".to_string(),
     );
     lines.push(r#"trap 'told=1; kill -USR1 "$child" 2>/dev/null' USR1"#.to_string());
     lines.push(r#"trap 'told=1; kill -TERM "$child" 2>/dev/null' TERM"#.to_string());
@@ -152,7 +152,7 @@ pub fn script(job: &Job, submission: &Submission, site: &Site) -> String {
         r#"if [ "$code" = 75 ] && [ "${{SLURM_RESTART_COUNT:-0}}" -lt {} ]; then"#,
         site.requeues
     ));
-    lines.push("  # Out of time: into the queue again, to go on from the checkpoint.".to_string());
+    lines.push("  # Time limit reached: queue the task again; it continues from the checkpoint.".to_string());
     let own = if job.tasks.is_some() {
         r#""${SLURM_ARRAY_JOB_ID}_${SLURM_ARRAY_TASK_ID}""#
     } else {
@@ -227,7 +227,8 @@ fn number(said: &str) -> Result<String, ClusterError> {
         return Ok(number.to_string());
     }
     let reason = format!(
-        "expected the number of a job, and it said: {:?}; see with `squeue --me` whether it took the job",
+        "expected the number of a job, but the answer was {:?}; check with `squeue --me` if the job was \
+         submitted",
         said.trim()
     );
     Err(ClusterError::Command { command: "sbatch".to_string(), reason })

@@ -49,7 +49,7 @@ pub enum EnhanceError {
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
     /// The observer requested a stop; the checkpoint is written.
-    #[error("stopped at step {step} of {steps}{}", if *saved { "; run again to go on from there" } else { "" })]
+    #[error("stopped at step {step} of {steps}{}", if *saved { "; run again to resume" } else { "" })]
     Interrupted {
         /// Number of steps done.
         step: u64,

@@ -180,7 +180,9 @@ impl Run<'_> {
         let Some(state) = session.furthest::<State>(observer) else { return Ok(false) };
         match self.engine.load(state.engine) {
             Err(EngineError::State(why)) => {
-                observer.notice(&format!("the checkpoint does not fit this scene ({why}); starting anew"));
+                observer.notice(&format!(
+                    "the checkpoint does not fit this scene ({why}); starting from the beginning"
+                ));
                 return Ok(false);
             }
             other => other?,

@@ -372,13 +372,21 @@ fn a_killed_run_goes_on_as_if_it_had_not_been() {
     let other = EnhanceParams { learning_rate: 4e-3, ..params.clone() };
     let mut watcher = Watcher::new(u64::MAX);
     enhance(&scene, &views, guidance, &other, Some(dir.path()), &mut watcher).unwrap();
-    assert!(watcher.notices.iter().any(|n| n.contains("starting anew")), "{:?}", watcher.notices);
+    assert!(
+        watcher.notices.iter().any(|n| n.contains("starting from the beginning")),
+        "{:?}",
+        watcher.notices
+    );
     for entry in std::fs::read_dir(dir.path()).unwrap() {
         std::fs::write(entry.unwrap().path(), b"3d-use").unwrap();
     }
     let mut watcher = Watcher::new(u64::MAX);
     let anew = enhance(&scene, &views, guidance, &params, Some(dir.path()), &mut watcher).unwrap();
-    assert!(watcher.notices.iter().any(|n| n.contains("starting anew")), "{:?}", watcher.notices);
+    assert!(
+        watcher.notices.iter().any(|n| n.contains("starting from the beginning")),
+        "{:?}",
+        watcher.notices
+    );
     same(&whole, &anew);
 }
 

@@ -145,7 +145,7 @@ fn read_list(path: &Path) -> Result<Vec<(FileName, Camera)>, ImportError> {
                 _ => return Err(bad(format!("it has no list `cameras`; {EXPECTED}"))),
             }
         }
-        _ => return Err(bad(format!("it is no list; {EXPECTED}"))),
+        _ => return Err(bad(format!("it is not a list; {EXPECTED}"))),
     };
     let parse = |(i, entry): (usize, Value)| -> Result<Entry, ImportError> {
         serde_json::from_value(entry).map_err(|e| bad(format!("camera {i}: {e}; {EXPECTED}")))

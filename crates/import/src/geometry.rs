@@ -52,7 +52,8 @@ impl Geometry {
             path: path.to_path_buf(),
             found: file,
             expected: format!(
-                "but camera {} of the model is {} x {}, of which that is no whole fraction; give the folder with the images that COLMAP was run on as `image_dir`, or resize these",
+                "but camera {} of the model is {} x {}, and the image size is not a whole fraction of that; \
+                 give the folder with the images that COLMAP was run on as `image_dir`, or resize these",
                 camera.id, model.0, model.1
             ),
         })?;

@@ -95,7 +95,8 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
     if prepared::is_prepared(dir) {
         let mut imported = prepared::load_prepared(dir)?;
         if *params != ImportParams::default() {
-            let note = "this capture was imported before; the parameters of that import hold, not the ones given now";
+            let note = "this capture is already imported; the parameters of that import are used, not the \
+                 ones given now";
             imported.report.notes.push(note.into());
         }
         return Ok(imported);
@@ -192,8 +193,8 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
         .find(|(p, _)| p.position.to_array().iter().any(|v| !fits_single(*v)));
     if let Some((point, of)) = beyond {
         let reason = format!(
-            "point {} lies at {:?} once the scene is scaled by {:e}: too far for single precision; take it out of the \
-             model, or set `normalise = false`",
+            "point {} lies at {:?} after the scene is scaled by {:e}: too far for single precision; remove \
+             it from the model, or set `normalise = false`",
             of.id, point.position, frame.scale
         );
         return Err(ImportError::Parameter { field: "normalise", reason });

@@ -105,7 +105,7 @@ fn instead_of_a_model(root: &Path) -> String {
         return format!("the parent folder contains a model: did you mean {}?", parent.display());
     }
     if has("scene.json") && has("gaussians.ply") {
-        return "this is a scene; the capture that it was made from is wanted here".into();
+        return "this is a scene; give the capture that it was made from".into();
     }
     if has("transforms.json") {
         return "transforms.json (nerfstudio) is not read: give the COLMAP model that it was made from, \

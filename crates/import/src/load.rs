@@ -55,7 +55,8 @@ fn read_shaped(path: &Path, size: (usize, usize), what: &str) -> Result<Map, Imp
     let (sx, sy) = (map.width() as f64 / size.0 as f64, map.height() as f64 / size.1 as f64);
     if (sx / sy - 1.0).abs() > SHAPE_TOLERANCE {
         let expected = format!(
-            "but the {what} of an image of {} x {} must have that shape (any size); make it again from that image",
+            "but the {what} of an image of {} x {} must have that shape (any size); write it again from \
+             that image",
             size.0, size.1
         );
         return Err(ImportError::Size {

@@ -181,7 +181,7 @@ fn lists_of_cameras_are_explained() {
     let path = dir.path().join("scene.json");
     for (json, expected) in [
         ("{\"format\": \"3d-use scene\"}", "no list `cameras`"),
-        ("7", "it is no list"),
+        ("7", "it is not a list"),
         ("[{\"width\": \"wide\"}]", "camera 0"),
         ("nonsense", "not JSON"),
     ] {

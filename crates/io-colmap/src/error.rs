@@ -78,7 +78,7 @@ impl ModelError {
             let named = if shown == panorama { shown.to_string() } else { format!("{panorama} ({shown})") };
             (
                 named,
-                "a panorama has rays in all directions: cut it into perspective images before the model is made",
+                "a panorama has rays in all directions: cut it into perspective images before you run COLMAP",
             )
         } else {
             let hint = "the file may be damaged, or of a COLMAP after 4.2: export the model again, or run `colmap image_undistorter`";

@@ -171,7 +171,13 @@ fn decode_float_tiff(bytes: &[u8], width: usize, height: usize, path: &Path) -> 
         DecodingResult::I32(v) => v.into_iter().map(|x| x as f32).collect(),
         DecodingResult::U64(v) => v.into_iter().map(|x| x as f32).collect(),
         DecodingResult::I64(v) => v.into_iter().map(|x| x as f32).collect(),
-        _ => return Err(ImageError::decode(path, Format::Tiff, "its samples are not as its header says")),
+        _ => {
+            return Err(ImageError::decode(
+                path,
+                Format::Tiff,
+                "its samples differ from what its header says",
+            ));
+        }
     };
     if samples.len() != width * height {
         return Err(ImageError::decode(path, Format::Tiff, "it holds fewer samples than its header says"));

@@ -81,10 +81,10 @@ fn artifact<'s>(summary: &'s Summary, scene: &str, variant: &str, stage: &str) -
 /// that learnt from as many pairs as the paper's and keeps its whole correction.
 fn calibrator(provenance: &Provenance, calibrated: bool) -> (String, bool) {
     if !calibrated {
-        return ("none: proposals as they are".into(), false);
+        return ("none: proposals are not corrected".into(), false);
     }
     if provenance.pairs == 0 {
-        return (format!("a finished one, {}", provenance.data), true);
+        return (format!("a finished file, {}", provenance.data), true);
     }
     let kept = provenance.held_out.as_ref().map_or([1.0; 2], |held_out| held_out.kept);
     let [global, local] = kept.map(|share| 100.0 * share);

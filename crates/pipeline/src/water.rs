@@ -86,17 +86,15 @@ impl Judgement {
 impl fmt::Display for Judgement {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
-            Self::Found => "water found: stage 1 starts from it",
-            Self::Dry => "no water found: points look alike from near and far",
-            Self::Sky => "no water found: its veil would be nearly white in all colours, as a sky is",
+            Self::Found => "water found: stage 1 starts from this estimate",
+            Self::Dry => "no water found: points look the same from near and far",
+            Self::Sky => "no water found: the veil would be nearly white in all colours, like a sky",
             Self::Air => "no water found: far points are as dark and as bright as near ones, as in air",
             Self::Lamps => {
-                "not used: without this water points would be brighter than white, so light comes from the camera (lamps) or far walls pass for water; \
-                 stage 1 learns the water from the photographs"
+                "water estimate not used: it would make surfaces brighter than white (lamps at the camera, \
+                 or far walls taken for water?); stage 1 learns the water from the photographs"
             }
-            Self::Unknown => {
-                "not known in every colour: stage 1 learns the water from the photographs"
-            }
+            Self::Unknown => "water not known in every colour: stage 1 learns it from the photographs",
         })
     }
 }
@@ -262,7 +260,9 @@ fn channel(channel: &'static str, water: &ChannelWater, radiance: [f64; 3], fram
         channel,
         verdict: water.verdict.name(),
         told: match (water.veil_assumed, water.verdict.usable()) {
-            (true, true) => format!("{}; veil assumed, as open water is clipped to black", water.verdict),
+            (true, true) => {
+                format!("{}; veil assumed, because open water is clipped to black", water.verdict)
+            }
             _ => water.verdict.to_string(),
         },
         attenuation: told(water.attenuation, frame.scale),
@@ -297,7 +297,7 @@ impl fmt::Display for WaterReport {
         }
         writeln!(f)?;
         if self.open_water > 0 {
-            writeln!(f, "open water seen in {} places: the veil is read off there", self.open_water)?;
+            writeln!(f, "open water is visible in {} places; the veil is measured there", self.open_water)?;
         }
         writeln!(f, "{:6} {:>20} {:>20} {:>18}", "", "attenuation /unit", "backscatter /unit", "veil")?;
         for c in &self.channels {
@@ -308,7 +308,8 @@ impl fmt::Display for WaterReport {
         if self.grey {
             writeln!(
                 f,
-                "the channels lose alike: a haze, lamps or exposure do that; clear water takes red first"
+                "all colours fade at the same rate: haze, lamps or exposure can cause that; clear water \
+                 absorbs red first"
             )?;
         }
         let values = |c: usize| self.gains.iter().map(move |(_, g)| g[c]);

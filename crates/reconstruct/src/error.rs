@@ -88,7 +88,7 @@ pub enum ReconstructError {
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
     /// The observer requested a stop; the checkpoint is written.
-    #[error("stopped at step {step} of {steps}{}", if *saved { "; run again to go on from there" } else { "" })]
+    #[error("stopped at step {step} of {steps}{}", if *saved { "; run again to resume" } else { "" })]
     Interrupted {
         /// Number of steps done.
         step: u64,

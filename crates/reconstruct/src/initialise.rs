@@ -63,7 +63,8 @@ pub(crate) fn gaussians(
     if points.len() < FEWEST_POINTS.min(most) {
         let added = random_points(&cameras, &points, params, most - points.len());
         notice(&format!(
-            "the capture has only {} sparse points; {} random ones are added in what the cameras see (`random_points`)",
+            "the capture has only {} sparse points; {} random ones are added where the cameras look \
+             (`random_points`)",
             points.len(),
             added.len()
         ));

@@ -71,7 +71,8 @@ fn check_masks(
             return Err(ReconstructError::NothingCounts { views: views.len() });
         }
         observer.notice(&format!(
-            "the mask of {} of {} {what} views (first: `{first}`) leaves no pixel: they count for nothing; masks are white where pixels count",
+            "the mask of {} of {} {what} views (first: `{first}`) leaves no pixel: these views have no \
+             effect; masks are white where pixels count",
             blank.len(),
             views.len()
         ));

@@ -416,7 +416,8 @@ impl ReconstructParams {
                 return Err(OutOfRange::new("medium_prior", "tracks", expected));
             }
             if self.images == Images::Proposed {
-                let expected = "off with images = \"proposed\", whose water is no longer the photographs'";
+                let expected = "off with images = \"proposed\", as these images no longer have the water of \
+                     the photographs";
                 return Err(OutOfRange::new("medium_prior", "tracks", expected));
             }
         }

@@ -320,7 +320,9 @@ impl Run<'_> {
         let gaussians = state.engine.gaussians.len();
         match self.engine.load(state.engine.into_owned()) {
             Err(EngineError::State(why)) => {
-                observer.notice(&format!("the checkpoint does not fit this scene ({why}); starting anew"));
+                observer.notice(&format!(
+                    "the checkpoint does not fit this scene ({why}); starting from the beginning"
+                ));
                 return Ok(());
             }
             other => other?,

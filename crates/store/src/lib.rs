@@ -54,7 +54,7 @@ pub fn open(address: &str) -> Result<Arc<dyn Remote>, String> {
             open_bucket(&shown, bucket, prefix.trim_matches('/'))
         }
         _ => Err(format!(
-            "{shown}: no such kind of store; there are folders, file:///PATH and s3://BUCKET/PREFIX"
+            "{shown}: unknown kind of store; expected a folder, file:///PATH or s3://BUCKET/PREFIX"
         )),
     }
 }
@@ -96,11 +96,11 @@ mod tests {
         for (wrong, words) in [
             ("", "empty"),
             ("file://store", "file:///ABSOLUTE/PATH"),
-            ("ftp://host/store", "no such kind"),
+            ("ftp://host/store", "unknown kind"),
             ("s3://", "s3://BUCKET/PREFIX"),
             ("s3://AKIA:secret@bucket/prefix", "AWS_SECRET_ACCESS_KEY"),
             ("s3://bucket/prefix?secret=secret", "AWS_SECRET_ACCESS_KEY"),
-            ("https://AKIA:secret@host/bucket", "no such kind"),
+            ("https://AKIA:secret@host/bucket", "unknown kind"),
         ] {
             let error = open(wrong).err().expect(wrong);
             assert!(error.contains(words), "{wrong}: {error}");

@@ -120,12 +120,19 @@ impl Checkpoints {
         }
         if let Some(beyond) = entries.iter().filter(|e| e.ours && e.step > self.length).map(|e| e.step).min()
         {
-            notices.push(format!("the checkpoint is of step {beyond}, beyond the {} asked for", self.length));
+            notices.push(format!(
+                "the checkpoint is of step {beyond}, and this run has only {} steps",
+                self.length
+            ));
         } else if notices.is_empty() && !entries.is_empty() {
-            notices.push("an earlier run with other inputs or other parameters left a checkpoint, which is kept for that run".to_string());
+            notices.push(
+                "found a checkpoint of an earlier run with other inputs or other parameters; it is kept for \
+                 that run"
+                    .to_string(),
+            );
         }
         if let Some(last) = notices.last_mut() {
-            last.push_str("; starting anew");
+            last.push_str("; starting from the beginning");
         }
         Ok(Found { state: None, notices })
     }
@@ -139,7 +146,7 @@ impl Checkpoints {
                     return Ok(Look::Found(Found { state: Some(state), notices }));
                 }
                 Ok(Some(_)) => notices.push(format!(
-                    "the checkpoint {} does not hold what its name says; it is left alone",
+                    "the checkpoint {} does not have the content that its name says; it is not used",
                     entry.path.display()
                 )),
                 // The run that wrote it has a later file by now, which is not in this list.
@@ -182,7 +189,10 @@ impl Checkpoints {
             Ok(list) => list,
             Err(error) => {
                 if error.kind() != ErrorKind::NotFound {
-                    tracing::warn!("{}: {error}; its checkpoints are not found", self.dir.display());
+                    tracing::warn!(
+                        "{}: {error}; the checkpoints in this folder are not used",
+                        self.dir.display()
+                    );
                 }
                 return Vec::new();
             }
@@ -232,12 +242,12 @@ mod tests {
         assert_eq!(fs::read_dir(&folder).unwrap().count(), 3, "each keeps its last only");
         // Files beyond the requested length, and files of other runs, are reported.
         let (found, notice) = Run::new(&folder, 1, 200).load();
-        assert!(found.is_none() && notice.contains("step 290, beyond the 200"), "{notice}");
+        assert!(found.is_none() && notice.contains("step 290, and this run has only 200"), "{notice}");
         let (found, notice) = Run::new(&folder, 3, 300).load();
         assert!(
             found.is_none()
-                && notice.contains("other parameters left a checkpoint")
-                && notice.ends_with("starting anew"),
+                && notice.contains("other inputs or other parameters")
+                && notice.ends_with("starting from the beginning"),
             "{notice}"
         );
     }
@@ -251,16 +261,16 @@ mod tests {
         fs::write(second.0.path(120), b"3d-use state v01 nonsense").unwrap();
         let (found, notice) = second.load();
         assert_eq!(found, Some(80));
-        assert!(notice.contains("cut short") && !notice.contains("starting anew"), "{notice}");
+        assert!(notice.contains("cut short") && !notice.contains("starting from the beginning"), "{notice}");
         // A file under another step's name is not used.
         fs::copy(first.0.path(80), first.0.path(90)).unwrap();
         let (found, notice) = first.load();
-        assert!(found == Some(80) && notice.contains("what its name says"), "{notice}");
+        assert!(found == Some(80) && notice.contains("that its name says"), "{notice}");
         for step in [80, 90] {
             fs::write(first.0.path(step), b"").unwrap();
         }
         let (found, notice) = first.load();
-        assert!(found.is_none() && notice.ends_with("starting anew"), "{notice}");
+        assert!(found.is_none() && notice.ends_with("starting from the beginning"), "{notice}");
     }
 
     #[test]

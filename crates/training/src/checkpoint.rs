@@ -40,7 +40,7 @@ pub enum CheckpointError {
         source: std::io::Error,
     },
     /// The file is not a checkpoint of this version, is cut short, or was altered.
-    #[error("checkpoint {}: {reason}; delete it to start anew", path.display())]
+    #[error("checkpoint {}: {reason}; delete it to start from the beginning", path.display())]
     Damaged {
         /// The file.
         path: PathBuf,
@@ -187,7 +187,7 @@ impl CheckpointFile {
             }
         }
         tracing::warn!(
-            "the checkpoint {} is removed as soon as it is written; going on without it",
+            "the checkpoint {} was removed right after it was written; continuing without it",
             self.path.display()
         );
         Ok(())
@@ -246,7 +246,7 @@ impl CheckpointFile {
         // because arrays grow while they are read.
         match bincode::serde::decode_from_std_read::<T, _, _>(&mut body, bincode::config::standard()) {
             Ok(state) if body.fill_buf().map_err(io)?.is_empty() => Ok(Some(state)),
-            Ok(_) => Err(damaged("it holds more than this version's state")),
+            Ok(_) => Err(damaged("it contains more than the state of this version")),
             Err(DecodeError::Io { inner, .. }) if inner.kind() != ErrorKind::UnexpectedEof => Err(io(inner)),
             Err(e) => Err(damaged(&format!("its state does not decode ({e})"))),
         }

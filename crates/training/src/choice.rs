@@ -22,7 +22,8 @@ pub enum EngineChoice {
 /// The error for a text that names no engine.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "`{0}` is no engine; expected auto, cpu, gpu or gpu:NAME with any part of an adapter's name (`use3d devices` lists them)"
+    "`{0}` is not an engine; expected auto, cpu, gpu or gpu:NAME with any part of an adapter's name (`use3d \
+     devices` lists them)"
 )]
 pub struct UnknownEngine(String);
 

@@ -85,14 +85,15 @@ impl Session {
                     && let Some((step, length)) = checkpoints.apart()
                 {
                     observer.notice(&format!(
-                        "the same training is at step {step} of {length} with another engine or another version of this program; \
-                         that one is kept apart, and this one starts anew (`use3d reconstruct` and `use3d enhance` go on across engines)"
+                        "another engine or version of this program has done {step} of {length} steps of the \
+                         same training; its checkpoint is kept, and this run starts from the beginning \
+                         (`use3d reconstruct` and `use3d enhance` resume across engines)"
                     ));
                 }
                 found.state
             }
             Err(error) => {
-                observer.notice(&format!("{error}; starting anew"));
+                observer.notice(&format!("{error}; starting from the beginning"));
                 None
             }
         }
@@ -100,7 +101,7 @@ impl Session {
 
     /// Reports that the run resumes after `done` steps.
     pub fn tell_resumed(&self, done: u64, observer: &mut dyn Observer) {
-        observer.notice(&format!("going on from step {done} of {}", self.steps));
+        observer.notice(&format!("resuming from step {done} of {}", self.steps));
     }
 
     /// Does the steps after the first `done`. On an error, the observer gets a message about the last
@@ -115,9 +116,13 @@ impl Session {
         let ended = self.advance(done, &mut saved, work, observer);
         if ended.is_err() {
             observer.notice(&match (&self.checkpoints, saved) {
-                (None, _) | (_, 0) => "nothing was saved yet: the same command starts anew".to_string(),
+                (None, _) | (_, 0) => {
+                    "nothing was saved yet: the same command starts from the beginning".to_string()
+                }
                 (Some(_), saved) => {
-                    format!("the checkpoint of step {saved} is kept; the same command goes on from there")
+                    format!(
+                        "the checkpoint of step {saved} is kept; run the same command to continue from there"
+                    )
                 }
             });
         }
@@ -259,7 +264,7 @@ mod tests {
         let mut second = Counter::default();
         let state = session.furthest::<State>(&mut watcher).expect("a checkpoint");
         session.tell_resumed(state.step, &mut watcher);
-        assert!(watcher.notices.contains(&"going on from step 6 of 10".to_string()), "{:?}", watcher.notices);
+        assert!(watcher.notices.contains(&"resuming from step 6 of 10".to_string()), "{:?}", watcher.notices);
         assert_eq!(session.run(state.step, &mut second, &mut watcher).unwrap(), Ended::Done);
         assert_eq!((second.steps, second.saved), (vec![6, 7, 8, 9], vec![10]));
         // No step is left, and no file is written.
@@ -278,7 +283,7 @@ mod tests {
         for (checkpoints, fails_at, expected) in [
             (own(), 3, "nothing was saved yet"),
             (None, 9, "nothing was saved yet"),
-            (own(), 6, "the checkpoint of step 4 is kept; the same command goes on from there"),
+            (own(), 6, "the checkpoint of step 4 is kept; run the same command to continue from there"),
         ] {
             let mut watcher = Watcher::default();
             let mut work = Counter { fails_at: Some(fails_at), ..Counter::default() };
@@ -316,7 +321,9 @@ mod tests {
         };
         let said = told(of("b", 1));
         assert!(
-            said.contains("at step 4 of 10 with another engine") && said.contains("starts anew"),
+            said.contains("another engine or version")
+                && said.contains("4 of 10 steps")
+                && said.contains("starts from the beginning"),
             "{said}"
         );
         assert_eq!(told(of("b", 2)), "", "another run");
@@ -334,6 +341,6 @@ mod tests {
         let mut watcher = Watcher::default();
         assert!(session.furthest::<State>(&mut watcher).is_none());
         let told = watcher.notices.join("\n");
-        assert!(told.contains("another version") && told.contains("starting anew"), "{told}");
+        assert!(told.contains("another version") && told.contains("starting from the beginning"), "{told}");
     }
 }

@@ -43,7 +43,7 @@ fn is_loopback(host: &str) -> bool {
 pub(crate) fn refusal(request: &Request, token: &Token) -> Option<Response> {
     let forbidden = |what: &str| Some(Response::text(403, what));
     let Some(host) = request.host.as_deref().filter(|host| is_loopback(host)) else {
-        return forbidden("this server answers to 127.0.0.1 and localhost only");
+        return forbidden("this server answers only requests to 127.0.0.1 and localhost");
     };
     let own = format!("http://{host}");
     if request.origin.as_deref().is_some_and(|origin| !origin.eq_ignore_ascii_case(&own)) {
@@ -67,6 +67,6 @@ pub(crate) fn refusal(request: &Request, token: &Token) -> Option<Response> {
                 )
             }
         }
-        _ => Some(Response::text(405, "GET and POST are understood")),
+        _ => Some(Response::text(405, "only GET and POST are supported")),
     }
 }

@@ -81,7 +81,7 @@ fn head(bytes: &[u8]) -> Result<Option<(usize, Request, usize)>, NoRequest> {
         Ok(httparse::Status::Partial) | Err(httparse::Error::TooManyHeaders) => {
             return Err(NoRequest::Refused(431, "the request's head is too long"));
         }
-        Err(_) => return Err(NoRequest::Refused(400, "this is no HTTP request")),
+        Err(_) => return Err(NoRequest::Refused(400, "this is not an HTTP request")),
     };
     if end > HEAD {
         return Err(NoRequest::Refused(431, "the request's head is too long"));
@@ -90,16 +90,16 @@ fn head(bytes: &[u8]) -> Result<Option<(usize, Request, usize)>, NoRequest> {
         let named = parsed.headers.iter().filter(|f| f.name.eq_ignore_ascii_case(name));
         let mut all = named.map(|f| String::from_utf8_lossy(f.value).trim().to_string());
         match (all.next(), all.next()) {
-            (_, Some(_)) => Err(NoRequest::Refused(400, "a field of the request's head stands there twice")),
+            (_, Some(_)) => Err(NoRequest::Refused(400, "a header field of the request occurs twice")),
             (first, None) => Ok(first),
         }
     };
     if field("transfer-encoding")?.is_some() {
-        return Err(NoRequest::Refused(411, "send the body with its length"));
+        return Err(NoRequest::Refused(411, "the request needs a Content-Length"));
     }
     let length = match field("content-length")? {
         None => 0,
-        Some(text) => text.parse().map_err(|_| NoRequest::Refused(400, "the body's length is no number"))?,
+        Some(text) => text.parse().map_err(|_| NoRequest::Refused(400, "Content-Length is not a number"))?,
     };
     let request = Request {
         method: parsed.method.unwrap_or_default().to_string(),

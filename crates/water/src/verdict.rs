@@ -42,10 +42,10 @@ impl fmt::Display for Verdict {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Found => "found",
-            Self::VeilNotSeparable => "found; backscatter and veil only together",
-            Self::NoWater => "no water to be seen",
+            Self::VeilNotSeparable => "attenuation found; backscatter and veil cannot be separated",
+            Self::NoWater => "no sign of water",
             Self::NotObservable => "not observable",
-            Self::TooFewPoints => "not observable: too few points seen from different distances",
+            Self::TooFewPoints => "not observable: too few points are seen from different distances",
         })
     }
 }

@@ -37,7 +37,7 @@ pub use shot::Shot;
 #[derive(Debug, thiserror::Error)]
 pub enum WebError {
     /// A scene without Gaussians.
-    #[error("the scene holds no Gaussians: there is nothing to show")]
+    #[error("the scene has no Gaussians: there is nothing to show")]
     Empty,
     /// A photograph could not be encoded.
     #[error("photograph `{name}`: {source}")]

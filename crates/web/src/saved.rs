@@ -50,7 +50,8 @@ impl SavedViews {
     /// # Errors
     /// Returns a message that names the view and its problem.
     pub fn read(text: &str) -> Result<Self, String> {
-        let saved: Self = serde_json::from_str(text).map_err(|e| format!("it is no file of views: {e}"))?;
+        let saved: Self =
+            serde_json::from_str(text).map_err(|e| format!("it is not a file of views: {e}"))?;
         if saved.format != FORMAT {
             return Err(format!("its `format` is not `{FORMAT}`"));
         }
@@ -121,7 +122,7 @@ mod tests {
             ("[1,0,0]", "[2,0,0]", "view 1"),
             ("50.0", "0.0", "vertical_fov_degrees"),
             ("\"focus\":2.0", "\"focus\":0.0", "focus"),
-            ("\"views\"", "\"keys\"", "no file of views"),
+            ("\"views\"", "\"keys\"", "not a file of views"),
         ] {
             assert!(good.contains(from), "{from} in {good}");
             let error = SavedViews::read(&good.replacen(from, to, 1)).unwrap_err();

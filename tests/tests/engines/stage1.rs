@@ -243,9 +243,9 @@ fn a_run_goes_on_with_another_engine_where_one_was_stopped_or_lost() {
     let error = run(&mut Late::new(15), Some(dir.path()), &mut told).unwrap_err();
     assert!(matches!(error, ReconstructError::Engine(EngineError::DeviceLost { .. })), "{error}");
     assert!(error.to_string().contains("unplugged"), "{error}");
-    let kept = "the checkpoint of step 23 is kept; the same command goes on from there";
+    let kept = "the checkpoint of step 23 is kept; run the same command to continue from there";
     assert_eq!(told.notices.last().map(String::as_str), Some(kept));
     let mut watcher = Watcher::new(u64::MAX);
     same(&whole, &run(&mut CpuEngine::new(), Some(dir.path()), &mut watcher).unwrap());
-    assert!(watcher.notices.contains(&"going on from step 23 of 40".to_string()), "{:?}", watcher.notices);
+    assert!(watcher.notices.contains(&"resuming from step 23 of 40".to_string()), "{:?}", watcher.notices);
 }

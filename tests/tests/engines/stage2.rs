@@ -145,5 +145,5 @@ fn another_engine_trains_the_same_bytes_and_takes_over_from_one() {
     assert!(matches!(error, EnhanceError::Engine(EngineError::DeviceLost { .. })), "{error}");
     let mut watcher = Watcher::new(u64::MAX);
     same(&whole, &run(&mut cpu(), Some(dir.path()), &mut watcher).unwrap());
-    assert!(watcher.notices.contains(&"going on from step 13 of 30".to_string()), "{:?}", watcher.notices);
+    assert!(watcher.notices.contains(&"resuming from step 13 of 30".to_string()), "{:?}", watcher.notices);
 }

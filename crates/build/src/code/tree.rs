@@ -280,8 +280,8 @@ impl Lock {
         for package in seen.into_iter().map(|i| &self.packages[i]) {
             let origin = package.origin.as_ref().ok_or_else(|| {
                 format!(
-                    "Cargo.lock: `{}` is taken from a path outside crates/, so that its code is in no stage's digest; \
-                     move it below crates/, or take it from a registry or from git",
+                    "Cargo.lock: `{}` comes from a path outside crates/, so its code is in no stage's \
+                     digest; move it below crates/, or use a registry or git",
                     package.name
                 )
             })?;

@@ -27,10 +27,10 @@ impl<'a, W: Write> Receiver<'a, W> {
     pub(super) fn wrong(&self, file: &FileRecord) -> Option<String> {
         if self.overfull || self.count != file.size {
             let came = if self.overfull { "more".to_string() } else { self.count.to_string() };
-            return Some(format!("came as {came} bytes, {} are expected", file.size));
+            return Some(format!("has {came} bytes; expected {}", file.size));
         }
         let digest = Digest::from(self.hasher.finalize());
-        (digest != file.digest).then(|| "came with other bytes than its digest says".to_string())
+        (digest != file.digest).then(|| "has other bytes than its digest says".to_string())
     }
 
     pub(super) fn into_inner(self) -> W {

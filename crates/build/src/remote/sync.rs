@@ -46,7 +46,7 @@ impl Transferred {
 
     fn differs(&mut self, stage: &str, key: &Key, file: &str) {
         let what = format!(
-            "determinism alarm: the store and the cache have other bytes of {file} for one key; both stay as they are"
+            "determinism alarm: the store and the cache have other bytes of {file} for one key; both are kept"
         );
         self.problems.push(Problem { name: format!("{stage} {}", key.short()), what });
     }

@@ -100,8 +100,9 @@ impl RemoteStore {
             let _ = self.remote.remove(&name);
             let (again, there) = (again?, there?);
             if again || found == b"again" {
-                let reason = "it lets a name be created twice (it takes no notice of `If-None-Match: *`), so that two machines could \
-                    replace each other's artifacts; take a store that refuses, or a folder that all machines see";
+                let reason = "it lets a name be created twice (it ignores `If-None-Match: *`), so two \
+                     machines could replace each other's artifacts; use a store that refuses this, or a \
+                     folder that all machines can reach";
                 return Err(refused("rely on", reason));
             }
             if there && found != bytes {
@@ -113,7 +114,7 @@ impl RemoteStore {
             // A client that repeats a request by itself after a lost reply gets the error that the name
             // exists: its own first request created it.
             if !(first || there) {
-                return Err(refused("create", "it says that a new name is there already"));
+                return Err(refused("create", "it reports that a new name exists already"));
             }
             if there { Ok(()) } else { Err(refused("read", "what was just written is not there")) }
         })

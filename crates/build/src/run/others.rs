@@ -33,7 +33,7 @@ impl Runner<'_> {
     pub(super) fn watch_time(&mut self) {
         if !self.left && self.leave_at.is_some_and(|at| self.now() >= at) {
             self.left = true;
-            let text = "its time is over: saving checkpoints and leaving; the same command goes on from here";
+            let text = "time limit reached: saving checkpoints; run the same command to continue";
             self.listener.event(&Event::Note { label: &self.graph.name, text });
             self.options.stop.store(true, Ordering::Relaxed);
         }
@@ -61,7 +61,7 @@ impl Runner<'_> {
         for i in 0..self.phase.len() {
             if self.phase[i] == Phase::Pending {
                 let holder = self.held.get(&i).map(|held| held.holder.clone());
-                let holder = holder.unwrap_or_else(|| "who computes what it needs".to_string());
+                let holder = holder.unwrap_or_else(|| "a process that computes its inputs".to_string());
                 self.nodes[i].result = Became::Elsewhere(holder);
             }
         }

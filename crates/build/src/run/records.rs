@@ -59,7 +59,7 @@ impl Runner<'_> {
         let other =
             |made: &Made| made.key == artifact.manifest.key && made.content != artifact.manifest.content;
         if record.last.as_ref().is_some_and(other) {
-            let text = "determinism alarm: made again for the same key, it came out with other bytes";
+            let text = "determinism alarm: computed again for the same key, it has other bytes";
             self.listener.event(&Event::Warning { label: &self.nodes[i].label, text });
         }
     }

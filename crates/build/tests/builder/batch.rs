@@ -114,7 +114,7 @@ fn a_panicking_and_an_idle_stage_fail_alone() {
     let options = RunOptions { keep_going: true, ..RunOptions::default() };
     let (summary, ..) = run_with(&builder, &batch, &options);
     let text = summary.to_string();
-    assert!(text.contains("strength is 1") && text.contains("without writing anything"), "{text}");
+    assert!(text.contains("strength is 1") && text.contains("but wrote nothing"), "{text}");
     assert_eq!(summary.failed().count(), 2);
 }
 

@@ -160,7 +160,7 @@ fn a_patched_dependency_counts_by_its_commit_and_from_a_path_is_refused() {
             .into();
     assert!(digests[0] != digests[1] && digests[1] != digests[2], "{digests:?}");
     let message = with("").expect_err("a path").to_string();
-    assert!(message.contains("`either` is taken from a path outside crates/"), "{message}");
+    assert!(message.contains("`either` comes from a path outside crates/"), "{message}");
 }
 
 /// The same on a copy of this workspace.

@@ -276,7 +276,7 @@ fn while_another_one_computes_something_else_is_done() {
         let theirs = |n: &&use3d_build::run::RanNode| matches!(n.result, Became::Elsewhere(_));
         let left: Vec<&str> = summary.nodes.iter().filter(theirs).map(|n| n.stage).collect();
         assert!(left.contains(&"import") && left.contains(&"report"), "{left:?}");
-        assert!(summary.to_string().contains("left to others"), "{summary}");
+        assert!(summary.to_string().contains("left to other processes"), "{summary}");
         let of = |n: &&use3d_build::run::RanNode| n.scene == "reef" && n.stage == "import";
         let import = summary.nodes.iter().find(of).expect("there");
         assert!(matches!(&import.result, Became::Elsewhere(who) if who.contains("east")), "{import:?}");
@@ -304,11 +304,11 @@ fn a_run_whose_time_is_over_leaves_its_checkpoints_to_the_next() {
         let (summary, _) = run_told(&east, &batch, &limited(50), |_| ());
         codes.push(summary.exit_code());
         let log = fs::read_to_string(east.cache.root().join("logs/synthetic/reef/_/reconstruct.log"));
-        resumed += usize::from(log.is_ok_and(|log| log.contains("going on from step")));
+        resumed += usize::from(log.is_ok_and(|log| log.contains("resuming from step")));
         if summary.exit_code() == 0 {
             break;
         }
-        assert!(summary.to_string().contains("out of time"), "{summary}");
+        assert!(summary.to_string().contains("time limit reached"), "{summary}");
     }
     assert_eq!((codes.first(), codes.last()), (Some(&75), Some(&0)), "{codes:?}");
     assert!(codes[..codes.len() - 1].iter().all(|code| *code == 75) && resumed > 0, "{codes:?} {resumed}");

@@ -320,7 +320,7 @@ fn a_store_that_is_gone_is_given_up_and_the_run_goes_on() {
     let (summary, _, warnings) = run(&builder, &world.batch);
     assert!(summary.exit_code() == 0 && payload(&builder.cache) == world.whole);
     assert_eq!(warnings.len(), 4, "three times, and that it is enough: {warnings:?}");
-    assert!(warnings[3].contains("going on without it"), "{warnings:?}");
+    assert!(warnings[3].contains("continuing without it"), "{warnings:?}");
     assert!(asked.load(Ordering::Relaxed) <= 12, "a few tries each");
 }
 

@@ -264,7 +264,7 @@ pub(crate) fn count(most: u64) -> impl TypedValueParser<Value = usize> {
 /// Parses a time above zero, such as `90min`, `3h` or `3:50:00`.
 pub(crate) fn time(text: &str) -> Result<Duration, String> {
     let time = use3d_cluster::time::parse(text)?;
-    if time.is_zero() { Err("no time at all: give more than 0".to_string()) } else { Ok(time) }
+    if time.is_zero() { Err("the time must be more than 0".to_string()) } else { Ok(time) }
 }
 
 #[cfg(test)]

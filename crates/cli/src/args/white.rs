@@ -55,7 +55,7 @@ impl FromStr for WhiteChoice {
             "grey" | "gray" => return Ok(Self::Grey),
             "patch" => {
                 return Err(
-                    "name the pixel of a photograph that is grey or white, as f_0001.jpg:812,430".into()
+                    "give a pixel of a photograph that is grey or white, e.g. f_0001.jpg:812,430".into()
                 );
             }
             _ => {}

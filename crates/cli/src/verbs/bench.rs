@@ -104,7 +104,7 @@ pub(crate) fn truth(app: &App, args: &BenchTruthArgs) -> Done {
     match results.failed.as_slice() {
         [] => Ok(()),
         failed => Err(CliError::Failed(format!(
-            "{}; the table is without it, the same command tries again",
+            "{}; the table is written without it; run the same command to try again",
             failed.join("; ")
         ))),
     }
@@ -207,8 +207,8 @@ impl<'a> Bench<'a> {
         } else {
             let trainings = seconds(guessed);
             format!(
-                "{runs} stages to run; their trainings of stage 1 alone take about {trainings} on two idle cores, and the next seed has a \
-                 better forecast"
+                "{runs} stages to run; the trainings of stage 1 alone take about {trainings} on two idle \
+                 cores. The next seed has a better forecast"
             )
         };
         let seeds: Vec<String> = left.iter().map(|s| s.seed.to_string()).collect();

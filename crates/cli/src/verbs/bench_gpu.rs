@@ -26,7 +26,7 @@ pub(crate) fn gpu(app: &App, args: &BenchGpuArgs) -> Done {
     say(&format!("{} ({})", gpu.adapter().name, gpu.adapter().driver));
     say(&format!("kernels: {}", gpu.kernels()));
     for refusal in gpu.refused_before() {
-        say(&format!("passed over: {refusal}"));
+        say(&format!("skipped: {refusal}"));
     }
     // A card needs minutes for all of it; software needs as long for a few steps.
     let (steps, long) = match (args.steps, gpu.adapter().is_software()) {
@@ -101,7 +101,7 @@ pub(crate) fn gpu(app: &App, args: &BenchGpuArgs) -> Done {
     if !wrong.is_empty() {
         let what = wrong.join("; ");
         return Err(CliError::Failed(format!(
-            "these differ from the processor's by more than they may: {what}"
+            "these results differ from the processor's by more than the tolerance: {what}"
         )));
     }
     if let Some(runs) = record.determinism.iter().find(|runs| !runs.same) {

@@ -22,9 +22,7 @@ fn cache(args: &CacheArgs) -> Result<Cache, CliError> {
     };
     if args.cache.is_some() && !folder.is_dir() {
         let folder = path_text(&folder);
-        return Err(CliError::Input(format!(
-            "--cache {folder}: there is no such folder, so nothing to look through"
-        )));
+        return Err(CliError::Input(format!("--cache {folder}: there is no such folder; expected a cache")));
     }
     Cache::open(&folder, args.rehash).map_err(CliError::input)
 }
@@ -47,7 +45,8 @@ pub(crate) fn gc(args: &GcArgs) -> Done {
             Some((_, first)) if same_folder(first.root(), cache.root()) => {}
             Some((other, first)) => {
                 return Err(CliError::Input(format!(
-                    "--keep {}: its cache is {}, that of {} is {}; say with --cache which is to be cleaned",
+                    "--keep {}: its cache is {}, but the cache of {} is {}; choose the one to clean with \
+                     --cache",
                     path_text(pipeline),
                     path_text(parent(cache.root())),
                     path_text(other),
@@ -61,8 +60,8 @@ pub(crate) fn gc(args: &GcArgs) -> Done {
     let cleaning = cache.clean(&options);
     if let Some(limit) = max_bytes.filter(|limit| cleaning.left > *limit) {
         eprintln!(
-            "warning: {} are more than the {} of --max-bytes: the rest is kept, for --keep or by running processes, or \
-             could not be removed",
+            "warning: {} are left, more than the {} of --max-bytes: they are kept by --keep, in use by \
+             running processes, or could not be removed",
             bytes(cleaning.left),
             bytes(limit)
         );
@@ -96,12 +95,11 @@ pub(crate) fn verify(app: &App, args: &VerifyArgs) -> Done {
         Some(target) => Some(open(&args.pipeline(target), &[])?),
         None => {
             if let Some(sample) = &args.sample {
-                let what =
-                    "recomputing needs the pipeline file or capture whose stages may be computed again";
+                let what = "name the pipeline file or capture whose stages should be computed again";
                 return Err(CliError::Input(format!("--sample {sample}: {what}")));
             }
             if !(args.common.sets().is_empty() && args.settings.sets().is_empty()) {
-                let what = "--set and --engine belong to a pipeline file or capture: name it, too";
+                let what = "--set and --engine need a pipeline file or capture: name it too";
                 return Err(CliError::Input(what.into()));
             }
             None
@@ -138,7 +136,7 @@ pub(crate) fn verify(app: &App, args: &VerifyArgs) -> Done {
         (true, false, _) => Ok(()),
         (false, _, 0) => Err(CliError::Failed("the cache has problems; nothing was moved or changed".into())),
         (false, ..) => Err(CliError::Failed(
-            "the cache has problems; what is said to be damaged was moved aside, and the next run makes it anew"
+            "the cache has problems; damaged results were moved aside, and the next run computes them again"
                 .into(),
         )),
     }

@@ -57,7 +57,8 @@ pub(crate) fn run(args: &DevicesArgs) -> Done {
         match said {
             Err(refusal) => println!("         {refusal}\n"),
             Ok(_) if report.is_software() => println!(
-                "         its kernels agree with the processor's functions; as software it is taken only by name: --engine gpu:{}\n",
+                "         its kernels agree with the processor's functions; it is a software adapter, used \
+                 only by name: --engine gpu:{}\n",
                 name.split_whitespace().next().unwrap_or("NAME")
             ),
             Ok(_) => println!("         its kernels agree with the processor's functions\n"),

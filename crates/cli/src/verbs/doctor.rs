@@ -80,10 +80,10 @@ pub(crate) fn run(args: &DoctorArgs) -> Done {
         ("this machine", &report.machine),
         ("programs that help", &report.programs),
         (
-            "networks trained by others (all are optional; `use3d models` tells where each comes from)",
+            "networks by other authors (all are optional; `use3d models` lists where to get each)",
             &report.networks,
         ),
-        ("graphics cards (`use3d devices` tells more)", &report.cards),
+        ("graphics cards (`use3d devices` lists details)", &report.cards),
     ];
     for (title, findings) in groups {
         println!("\n{title}");
@@ -179,7 +179,7 @@ fn cards() -> Vec<Finding> {
         .map(|(report, said)| match said {
             Ok(_) if report.is_software() => {
                 let told =
-                    "passes its check, but is the processor under another name; it is taken only by name";
+                    "passes its check, but is a software adapter on the processor; it is used only by name";
                 Finding::new(&report.name, false, told, "")
             }
             Ok(_) => Finding::new(&report.name, true, "passes its check", purpose),

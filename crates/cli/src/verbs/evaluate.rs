@@ -77,7 +77,7 @@ fn folders(dir: &Path, reference: Option<&Path>, models: Option<&Path>) -> Resul
         if let Some(references) = &references {
             let Some(path) = references.get(&stem) else {
                 eprintln!(
-                    "{}: no counterpart of this stem in the reference folder; scored without",
+                    "{}: the reference folder has no file of this stem; scored without a reference",
                     shown(&stem)
                 );
                 rows.push(Row { method: String::new(), image: shown(&stem).into_owned(), scores });
@@ -124,7 +124,8 @@ fn refuse_beyond(path: &Path, pixels: u64, bytes_per_pixel: u64, free: Option<u6
     let need = bytes_per_pixel * pixels;
     match free {
         Some(free) if need > free => Err(CliError::Input(format!(
-            "{}: scoring its {pixels} pixels takes about {}, and {} of memory are free; scale the image down first",
+            "{}: scoring its {pixels} pixels needs about {} of memory, and {} are free; scale the image \
+             down first",
             path.display(),
             bytes(need),
             bytes(free)

@@ -35,7 +35,7 @@ pub(crate) fn run(app: &App, args: &ExportArgs) -> Done {
     }
     if args.web.is_none() && files(args).next().is_none() {
         let what =
-            "say what to write: --web FILE.html, --ply FILE, --compressed-ply FILE, --glb FILE or --spz FILE";
+            "choose an output: --web FILE.html, --ply FILE, --compressed-ply FILE, --glb FILE or --spz FILE";
         return Err(CliError::Input(what.into()));
     }
     let cameras = args.cameras.clone().or_else(|| capture_in(&args.scene));
@@ -131,8 +131,9 @@ fn baked(app: &App, args: &ExportArgs, scene: &Scene) -> Result<(String, Gaussia
     if !app.quiet {
         let apart = difference(scene, look, args.water, &wet, &cameras).map_err(CliError::failed)?;
         eprintln!(
-            "the look is baked as {} cameras saw it; at these cameras the file differs from the scene by ΔE00 {:.2} on average ({:.2} at the worst camera); \
-             close by it keeps the water of the cameras' distances",
+            "the look is baked for the distances of {} cameras; at these cameras the file differs from the \
+             scene by ΔE00 {:.2} on average ({:.2} at the worst camera); closer up it still shows the water \
+             of these distances",
             cameras.len(),
             apart.mean,
             apart.worst
@@ -167,8 +168,8 @@ fn cameras(args: &ExportArgs, scene: &Scene) -> Result<Vec<Camera>, CliError> {
         None if own.is_file() => own,
         None => {
             return Err(CliError::Input(format!(
-                "a look with water is baked as cameras saw it, and {} has no list of its cameras; give --cameras CAPTURE, or choose \
-                 a look without water (--what clear)",
+                "a look with water is baked for the distances of cameras, and {} has no list of its \
+                 cameras; give --cameras CAPTURE, or choose a look without water (--what clear)",
                 path_text(&args.scene)
             )));
         }

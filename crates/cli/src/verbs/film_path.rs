@@ -44,8 +44,8 @@ fn read(args: &RenderArgs, file: &Path, quiet: bool) -> Result<CameraPath, Strin
     };
     if dataparser.is_none() && !quiet {
         eprintln!(
-            "{}: no dataparser_transforms.json beside it, so its places are taken to be in the frame of the COLMAP model; copy that file of the \
-             nerfstudio model there if they are nerfstudio's own",
+            "{}: no dataparser_transforms.json beside it, so its positions are read in the frame of the \
+             COLMAP model; if they are in nerfstudio's frame, copy that file of the nerfstudio model there",
             path_text(file)
         );
     }
@@ -79,7 +79,8 @@ pub(crate) fn run(
         let shown = if given.is_empty() { vec![own] } else { given.clone() };
         if shown.iter().any(|mode| mode.is_enhanced()) && scene.enhancement.is_none() {
             return Err(wrong(
-                "it shows the enhancement, and the scene holds none; give --modes, or make one with `use3d enhance`",
+                "its keys show the enhancement, but the scene has none; give other --modes, or make one \
+                 with `use3d enhance`",
             ));
         }
         looks.push(shown);

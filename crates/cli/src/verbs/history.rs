@@ -104,12 +104,12 @@ impl Record {
     fn read(path: &Path) -> Result<Self, String> {
         let size = std::fs::metadata(path).map_err(|e| e.to_string())?.len();
         if size > MOST_BYTES {
-            return Err("it is too large for the record of a run".into());
+            return Err("it is too large to be the record of a run".into());
         }
         let bytes = std::fs::read(path).map_err(|e| e.to_string())?;
         let record: Self = serde_json::from_slice(&bytes).map_err(|e| e.to_string())?;
         if record.format != FORMAT || record.version != VERSION {
-            return Err(format!("it is no `{FORMAT}` of version {VERSION}"));
+            return Err(format!("it is not a `{FORMAT}` of version {VERSION}"));
         }
         Ok(record)
     }
@@ -153,7 +153,7 @@ pub(crate) fn records(results: &Path) -> Vec<(usize, Record)> {
             match Record::read(&path) {
                 Ok(record) => Some((number, record)),
                 Err(error) => {
-                    tracing::warn!("{}: {error}; this run is left out", path.display());
+                    tracing::warn!("{}: {error}; this run is not listed", path.display());
                     None
                 }
             }
@@ -201,8 +201,8 @@ pub(crate) fn keep(results: &Path, mut record: Record, quiet: bool) -> Result<()
     })?;
     if let Some((old, earlier)) = before.filter(|_| !quiet) {
         eprintln!(
-            "these results take the place of those of run {old} ({}), which stay in the cache: \
-             `use3d results {} {old}` brings them back",
+            "these results replace those of run {old} ({}), which are still in the cache: `use3d results {} \
+             {old}` restores them",
             earlier.settings(),
             word(results)
         );

@@ -15,7 +15,7 @@ pub(crate) fn run(args: &ModelsArgs) -> Done {
 
     let dir = args.dir.clone().unwrap_or_else(|| "models".into());
     if args.dir.is_some() && !dir.is_dir() {
-        let what = "there is no such folder; make it and put the files in, or name another one";
+        let what = "there is no such folder; make it and put the files into it, or name another one";
         return Err(CliError::Input(format!("--dir {}: {what}", dir.display())));
     }
     let go_on = || !interrupt::requested();
@@ -30,7 +30,7 @@ pub(crate) fn run(args: &ModelsArgs) -> Done {
     let missing: Vec<&str> = missing.map(|one| one[0].known().title).collect();
     let complete = || match (missing.is_empty(), &args.preset) {
         (false, Some(preset)) => Err(CliError::Input(format!(
-            "missing for the preset {preset}: {}; the list above says which file to put where",
+            "missing for the preset {preset}: {}; the list above says where to put each file",
             missing.join(", ")
         ))),
         _ => Ok(()),

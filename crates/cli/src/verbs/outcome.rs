@@ -88,7 +88,7 @@ pub(crate) fn tell(delivered: &[Delivered]) {
         let of = named.into_iter().filter(|name| !name.is_empty()).collect::<Vec<_>>().join(" · ");
         let mean = |method, metric| scores.mean(method, metric).and_then(|s| s.value());
         if let Some(psnr) = mean(Method::Reconstruction, "psnr") {
-            println!("{of}: views that no training saw are reconstructed at {psnr:.2} dB PSNR");
+            println!("{of}: held-out photographs are reproduced at {psnr:.2} dB PSNR");
         }
         // The look that leads the report is printed too.
         let enhanced = delivered

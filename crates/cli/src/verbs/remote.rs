@@ -37,7 +37,8 @@ pub(crate) fn push(app: &App, args: &PushArgs) -> Done {
     let nothing = sent.moved + sent.already == 0 && sent.problems.is_empty() && !sent.interrupted;
     if nothing && sent.missing > 0 && !app.quiet {
         eprintln!(
-            "warning: the cache at {} has nothing of this pipeline; are --cache and --set those of its run?",
+            "warning: the cache at {} has no results of this pipeline; give the same --cache and --set as \
+             in its run",
             path_text(parent(cache.root()))
         );
     }
@@ -58,7 +59,7 @@ pub(crate) fn pull(app: &App, args: &TransferArgs) -> Done {
     let done = fetched.map_err(CliError::failed)?;
     if done.moved == 0 && done.missing > 0 && done.problems.is_empty() && !done.interrupted && !app.quiet {
         eprintln!(
-            "warning: the store at {} has none of what is missing here; is the address right?",
+            "warning: the store at {} has none of the missing results; check the address",
             store.place()
         );
     }
@@ -74,7 +75,7 @@ fn tell(done: &Transferred, args: &TransferArgs) -> Done {
     match (done.interrupted, done.problems.len()) {
         (true, _) => Err(CliError::Interrupted),
         (false, 0) => Ok(()),
-        (false, 1) => Err(CliError::Failed("1 artifact is not as it should be, see above".into())),
-        (false, n) => Err(CliError::Failed(format!("{n} artifacts are not as they should be, see above"))),
+        (false, 1) => Err(CliError::Failed("1 artifact has a problem, see above".into())),
+        (false, n) => Err(CliError::Failed(format!("{n} artifacts have problems, see above"))),
     }
 }

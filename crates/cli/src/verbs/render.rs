@@ -36,7 +36,7 @@ pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
     let names: Vec<&str> = modes.iter().map(|mode| mode.name()).collect();
     if let (Some(mode), None) = (modes.iter().find(|mode| mode.is_enhanced()), &scene.enhancement) {
         return Err(CliError::Input(format!(
-            "--modes {}: {} holds no enhancement; make one with `use3d enhance`",
+            "--modes {}: {} has no enhancement; make one with `use3d enhance`",
             mode.name(),
             args.scene.display()
         )));
@@ -121,7 +121,8 @@ pub(crate) fn renderer<'s>(args: &RenderArgs, drawn: &Drawn<'s>) -> Result<Scene
 /// The requested cameras, in the scene's frame.
 pub(crate) fn cameras(args: &RenderArgs, scene: &Scene) -> Result<Vec<(FileName, Camera)>, CliError> {
     let from = args.cameras.as_deref().ok_or_else(|| {
-        let what = "say from where to render: --cameras CAPTURE, a COLMAP model or a list of cameras, or --path FILE";
+        let what = "give the cameras to render: --cameras with a capture, a COLMAP model or a list of \
+             cameras, or --path FILE";
         CliError::Input(what.into())
     })?;
     let mut cameras = read_cameras(from).map_err(CliError::input)?;
@@ -136,7 +137,7 @@ pub(crate) fn cameras(args: &RenderArgs, scene: &Scene) -> Result<Vec<(FileName,
         };
         if !cameras.iter().any(known) {
             eprintln!(
-                "warning: none of the cameras of {} is a view that {} was made from: it may be another capture",
+                "warning: no camera of {} is a view that {} was made from: it may be another capture",
                 from.display(),
                 args.scene.display()
             );

@@ -126,7 +126,7 @@ pub(crate) fn run(app: &App, args: &ResultsArgs) -> Done {
         for Told { run, shown, delivered, settings, kept, psnr, .. } in runs {
             let mark = if *shown { "shown now" } else { "" };
             let psnr = psnr.map_or_else(String::new, |psnr| format!("{psnr:.2} dB"));
-            let gone = if *kept { "" } else { "   (not whole in the cache)" };
+            let gone = if *kept { "" } else { "   (no longer complete in the cache)" };
             println!("  {run:>3}  {delivered}  {psnr:>8}  {mark:<9}  {settings}{gone}");
         }
     }

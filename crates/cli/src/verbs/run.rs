@@ -78,11 +78,11 @@ fn no_pipeline(file: &Path) -> Option<&'static str> {
     let extension = file.extension()?.to_string_lossy().to_lowercase();
     Some(match extension.as_str() {
         "mp4" | "mov" | "avi" | "mkv" | "webm" | "m4v" => {
-            "a film is no capture yet: take frames out of it (`ffmpeg -i FILM -vf fps=2 images/%05d.png`), run COLMAP on \
-             them, and give the folder that holds images/ and sparse/"
+            "a film is not a capture yet: extract frames from it (`ffmpeg -i FILM -vf fps=2 \
+             images/%05d.png`), run COLMAP on them, and give the folder with images/ and sparse/"
         }
         "png" | "jpg" | "jpeg" | "tif" | "tiff" | "exr" | "webp" | "heic" | "bmp" | "gif" => {
-            "one picture is no capture: give the folder that holds the images and their COLMAP model"
+            "one picture is not a capture: give the folder with the images and their COLMAP model"
         }
         "json" if file.file_name().is_some_and(|name| name == "transforms.json") => {
             "transforms.json (nerfstudio) is not read: give the capture's folder; the COLMAP model that it was made from lies \
@@ -93,7 +93,8 @@ fn no_pipeline(file: &Path) -> Option<&'static str> {
              File > Export > Export Cameras > COLMAP) with undistorted images, and give that folder"
         }
         "json" => {
-            "this is no pipeline file (.toml): give the capture's folder, with images and a COLMAP model (docs/guide/captures.md)"
+            "this is not a pipeline file (.toml): give the capture's folder, with images and a COLMAP model \
+             (docs/guide/captures.md)"
         }
         _ => return None,
     })
@@ -128,7 +129,9 @@ fn show(plan: &Plan, as_json: bool) -> Done {
     match plan.unavailable() {
         0 => Ok(()),
         _ => Err(CliError::Failed(
-            "inputs that the pipeline names are missing (`cannot` above); what needs them would fail".into(),
+            "inputs that the pipeline names are missing (see `cannot` above); the stages that need them \
+             would fail"
+                .into(),
         )),
     }
 }
@@ -188,7 +191,7 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     let choices = &args.white.choices[..];
     if !choices.is_empty() && !pipeline.target.is_dir() {
         let what =
-            "--white is for one capture folder; of a pipeline's scenes, keep one by `use3d white` each";
+            "--white works with one capture folder; for a pipeline, use `use3d white` on each of its scenes";
         return Err(CliError::Input(what.into()));
     }
     white::check(choices, &pipeline.target)?;
@@ -236,8 +239,8 @@ fn tell_why(plan: &Plan) {
     let (forecast, unknown) = plan.forecast();
     if plan.to_run() > unknown {
         let besides =
-            if unknown > 0 { format!(", and {unknown} stages that never ran before") } else { String::new() };
-        eprintln!("all of it will take about {}{besides}, judging by earlier runs", seconds(forecast));
+            if unknown > 0 { format!(" plus {unknown} stages that never ran before") } else { String::new() };
+        eprintln!("the whole run will take about {}{besides}, judging by earlier runs", seconds(forecast));
     }
 }
 
@@ -306,8 +309,8 @@ pub(crate) fn again(app: &App, record: &Record, results: &Path) -> Done {
     let missing = plan.to_run();
     if missing > 0 || plan.unavailable() > 0 {
         return Err(CliError::Input(format!(
-            "{missing} of its stages are not in the cache any more, or the program or its input has changed since; \
-             this runs it again: {}",
+            "{missing} of its stages are not in the cache any more, or the program or its input has changed \
+             since; to run it again: {}",
             record.command
         )));
     }

@@ -228,7 +228,8 @@ impl Checkpoints {
         let gone = std::fs::remove_dir(&self.folder).is_ok();
         if !gone && !app.quiet && self.files().next().is_some() {
             eprintln!(
-                "{}: checkpoints of a training with other parameters or inputs stay; remove them when it is not to be gone on with",
+                "{}: kept checkpoints of a run with other parameters or inputs; delete them if you will not \
+                 resume it",
                 path_text(&self.folder)
             );
         }

@@ -34,8 +34,8 @@ pub(crate) fn run(app: &App, what: &Submit) -> Done {
     };
     if let (SubmitLayout::Stages, Some(workers)) = (args.layout, args.workers) {
         return Err(CliError::Input(format!(
-            "--workers {workers}: --layout stages has a task for every scene and variant; leave one of them out (how many run at \
-             once says `at_once` of the site)"
+            "--workers {workers}: --layout stages has a task for every scene and variant; leave one of them \
+             out (`at_once` of the site limits the tasks that run at once)"
         )));
     }
     let Some(ready) = prepare(app, scheduler, args)? else { return Ok(()) };
@@ -91,7 +91,8 @@ pub(crate) fn run(app: &App, what: &Submit) -> Done {
                 let run =
                     [&["use3d".to_string(), "run".to_string()][..], &submission.run, &submission.results];
                 println!(
-                    "if a task fails, HyperQueue begins nothing that waits for it, `finish` neither; then: {} --keep-going",
+                    "if a task fails, HyperQueue starts no task that depends on it, not even `finish`; then \
+                     run: {} --keep-going",
                     quote::words(&run.concat())
                 );
             }
@@ -100,12 +101,12 @@ pub(crate) fn run(app: &App, what: &Submit) -> Done {
     println!("logs: {}", submission.folder.join("logs").display());
     // All arguments that affect keys are included: other arguments would show the state of other work.
     let told = [&["use3d".to_string(), "status".to_string()][..], &submission.run[..]];
-    println!("how far they are: {}", quote::words(&told.concat()));
+    println!("to see their progress: {}", quote::words(&told.concat()));
     end(WITHOUT, *missing)
 }
 
 /// The message about the part of a batch that was not submitted.
-const WITHOUT: &str = "what needs them is not submitted";
+const WITHOUT: &str = "the stages that need them are not submitted";
 
 /// Ends like the run would: with a failure if inputs are missing.
 fn end(what: &str, missing: usize) -> Done {
@@ -129,8 +130,8 @@ fn refuse_twice(
     }
     let named: Vec<String> = queued.iter().map(|(name, id)| format!("{id} ({name})")).collect();
     Err(CliError::Input(format!(
-        "jobs of the last submission are still in the queue: {}; wait for them, end them with `{cancel}`, or pass --again to \
-         submit beside them",
+        "jobs of the last submission are still in the queue: {}; wait for them, cancel them with \
+         `{cancel}`, or pass --again to submit more jobs",
         named.join(", ")
     )))
 }
@@ -154,7 +155,11 @@ fn site(app: &App, scheduler: Scheduler, args: &SubmitArgs, stages: &[&str]) -> 
             Scheduler::Slurm => "Slurm",
             Scheduler::HyperQueue => "HyperQueue",
         };
-        eprintln!("warning: {}: {name} has no place for {}: not used", file.display(), unused.join(", "));
+        eprintln!(
+            "warning: {}: {name} has no setting for {}, so it is not used",
+            file.display(),
+            unused.join(", ")
+        );
     }
     Ok(site)
 }
@@ -167,8 +172,8 @@ fn variables(pipeline: &Pipeline) -> Result<Vec<(String, String)>, CliError> {
         let Some(value) = std::env::var(name).ok().filter(|value| !value.is_empty()) else { continue };
         if may_be_secret(name) || !is_shell_name(name) {
             eprintln!(
-                "warning: the environment variable {name} is not written into scripts{}; see that tasks get it, for instance by \
-                 `setup` of the site",
+                "warning: the environment variable {name} is not written into scripts{}; make sure that \
+                 tasks have it, for instance by `setup` of the site",
                 if may_be_secret(name) { ", it may be a secret" } else { ", no shell knows such a name" }
             );
             continue;
@@ -215,7 +220,7 @@ fn prepare(app: &App, scheduler: Scheduler, args: &SubmitArgs) -> Result<Option<
     let missing = plan.unavailable();
     if jobs.is_empty() {
         if missing == 0 {
-            println!("everything is there: nothing to submit");
+            println!("nothing to submit: all results are there");
         }
         return end("nothing can be submitted", missing).map(|()| None);
     }

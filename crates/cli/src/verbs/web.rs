@@ -73,7 +73,8 @@ pub(crate) fn write(app: &App, args: &ExportArgs, path: &Path, scene: &Scene, wh
 pub(crate) fn saved_views(file: Option<&Path>) -> Result<Option<SavedViews>, CliError> {
     let Some(file) = file else { return Ok(None) };
     let wrong = |what: String| CliError::Input(format!("--views {}: {what}", path_text(file)));
-    let next = "expected what the page's \"Save file\" below its views writes (docs/guide/browser.md)";
+    let next = "expected a file that the page saved with \"Save file\" below its views \
+         (docs/guide/browser.md)";
     let text = text_of(file).map_err(|what| wrong(format!("{what}; {next}")))?;
     SavedViews::read(&text).map(Some).map_err(|what| wrong(format!("{what}; {next}")))
 }
@@ -87,7 +88,7 @@ pub(crate) fn text_of(file: &Path) -> Result<String, String> {
         std::io::ErrorKind::NotFound => "there is no such file".to_string(),
         _ => format!("it cannot be read: {error}"),
     })?;
-    String::from_utf8(bytes).map_err(|_| "it is no text in UTF-8".into())
+    String::from_utf8(bytes).map_err(|_| "it is not UTF-8 text".into())
 }
 
 /// The name for a scene folder: `reef/enhanced-scene` has the name `reef`.
@@ -153,16 +154,14 @@ pub(crate) fn views(cameras: &Path, folder: &Path, scene: &Scene) -> Result<Vec<
     {
         if origin.is_some() && !same_place(&scene.frame, &imported.capture.frame) {
             return Err(CliError::Input(format!(
-                "--cameras {}: its photographs have the names of those that {} was made from, but its cameras stand \
-                 elsewhere: it is another model; give the capture of this scene",
+                "--cameras {}: its photographs have the same names as those that {} was made from, but its \
+                 cameras are elsewhere: it is another model; give the capture of this scene",
                 path_text(cameras),
                 path_text(folder)
             )));
         }
         if imported.needs_preparation() {
-            eprintln!(
-                "the photographs are shown as they were taken: their lens is not undistorted in the page"
-            );
+            eprintln!("the page shows the photographs with the distortion of their lens");
         }
         return scene_page::views(scene, origin.as_ref(), &imported).map_err(CliError::input);
     }

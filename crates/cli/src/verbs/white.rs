@@ -21,7 +21,8 @@ use crate::verbs::found::{capture_in, scene_in};
 fn placed(cameras: Option<&Path>, scene: &Scene) -> Result<Vec<(String, Camera)>, CliError> {
     let Some(cameras) = cameras else {
         return Err(CliError::Input(
-            "a white balance by pixels, reef or grey is measured in the views of the capture: give it by --cameras CAPTURE"
+            "a white balance by pixels, reef or grey is measured in the photographs of the capture: name it \
+             with --cameras CAPTURE"
                 .into(),
         ));
     };
@@ -97,7 +98,7 @@ fn measured(
         .collect();
     if choices.len() > 1 && places.len() < choices.len() {
         return Err(CliError::Input(
-            "--white: several pixels go together; off, reef, grey and a file stand alone".into(),
+            "--white: give several pixels, or only one of off, reef, grey and a file".into(),
         ));
     }
     let renderer = || SceneRenderer::new(scene, 1.0).map_err(CliError::failed);
@@ -146,7 +147,7 @@ pub(crate) fn of(
         return Ok(None);
     }
     if !app.quiet {
-        eprintln!("white balance: {place} (--white off leaves the colours as they are)");
+        eprintln!("white balance: {place} (--white off leaves the colours unchanged)");
     }
     Ok(Some(white))
 }
@@ -170,7 +171,8 @@ fn tell(white: &White, scene: &Scene) {
     if !distances.is_empty() {
         let distances: Vec<String> = distances.iter().map(|d| format!("{d:.2}")).collect();
         eprintln!(
-            "measured at a distance of {} units; it holds there: what is nearer or further may keep a cast",
+            "measured at a distance of {} units and correct there; nearer or farther surfaces may keep a \
+             cast",
             distances.join(" and ")
         );
     }
@@ -231,7 +233,7 @@ pub(crate) fn run(app: &App, args: &KeepWhiteArgs) -> Done {
         match (&args.out, &white) {
             (Some(out), Some(white)) => white.write(out).map_err(CliError::failed)?,
             (Some(_), None) => {
-                return Err(CliError::Input("off goes without --out: there is nothing to write".into()));
+                return Err(CliError::Input("off writes no file: leave out --out".into()));
             }
             (None, white) => keep(white.as_ref(), &folder)?,
         }
@@ -247,7 +249,7 @@ pub(crate) fn run(app: &App, args: &KeepWhiteArgs) -> Done {
                 tell(white, &scene);
             }
         }
-        None if !app.quiet => eprintln!("no white balance: colours as they are"),
+        None if !app.quiet => eprintln!("no white balance: colours unchanged"),
         None => {}
     }
     Ok(())

@@ -37,7 +37,7 @@ impl FieldState {
     pub fn check(&self, parameters: usize) -> Result<(), EngineError> {
         if self.version != Self::VERSION {
             let (found, known) = (self.version, Self::VERSION);
-            let what = format!("it is of version {found}, expected {known}; start anew");
+            let what = format!("it is of version {found}, expected {known}; start from the beginning");
             return Err(EngineError::State(what));
         }
         let lengths = [self.parameters.len(), self.first.len(), self.second.len()];

@@ -179,7 +179,8 @@ impl<'a> Stage2<'a> {
         if guidance.appearance() == Appearance::Water && kind.formation() == Formation::PerImage {
             let name = kind.name();
             let what = format!(
-                "the water `{name}` is laid over finished images, which the processor alone does; use `--engine cpu`"
+                "the water `{name}` is laid over finished images, which only the processor does; use \
+                 `--engine cpu`"
             );
             return Err(EngineError::Request { engine: NAME, what }.into());
         }

@@ -175,7 +175,7 @@ pub fn markdown(figures: &TruthFigures, pictures: &[Sheet]) -> String {
     let over = match seeds {
         1 => format!("One seed ({}): no spread is known.", named[0]),
         _ => format!(
-            "Mean ± standard deviation over {seeds} seeds ({}), of captures and trainings alike.",
+            "Mean ± standard deviation over {seeds} seeds ({}), each used for captures and trainings.",
             named.join(", ")
         ),
     };

@@ -249,9 +249,7 @@ pub fn default_cache() -> Result<PathBuf, ConfigError> {
     let set = |name: &str| std::env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
     let base = set("XDG_CACHE_HOME").or_else(|| home().map(|h| h.join(".cache")));
     base.map(|b| b.join("use3d")).ok_or_else(|| {
-        ConfigError::plain(
-            "there is no home folder for the cache; say where it goes with --cache or USE3D_CACHE",
-        )
+        ConfigError::plain("there is no home folder for the cache; name a folder with --cache or USE3D_CACHE")
     })
 }
 
@@ -355,7 +353,7 @@ impl Reader<'_> {
             let unknown = error.unknown.as_deref().filter(|_| error.message.starts_with("unknown field"));
             if unknown == Some("preset") && base.starts_with("scene") {
                 let message =
-                    "`preset` stands at the top of the file or in a [[variant]], not in a [[scene]]";
+                    "`preset` belongs at the top of the file or in a [[variant]], not in a [[scene]]";
                 return self.document.key_error(&join(base, &error.path), message);
             }
             // Nested tables have key words of their own.
@@ -414,7 +412,8 @@ impl Reader<'_> {
         batch: &mut Batch,
     ) -> Result<(), ConfigError> {
         if given.pairs.is_some() && given.file.is_some() {
-            let message = "`file` is a finished calibrator and `pairs` are for making one; give one of them";
+            let message = "`file` is a finished calibrator and `pairs` are for making one; give only one of \
+                 them";
             return Err(self.document.key_error("calibrator.file", message));
         }
         let pairs = given.pairs.iter();
@@ -435,7 +434,8 @@ impl Reader<'_> {
         let bad = |c: char| c.is_control() || "/\\:*?\"<>|".contains(c);
         if name.is_empty() || name.starts_with('.') || name.contains(bad) {
             let message = format!(
-                "`{name}` names folders too: letters, digits, spaces, `-`, `_` and inner `.`, please"
+                "`{name}` is also the name of a folder: use only letters, digits, spaces, `-`, `_` and \
+                 inner `.`"
             );
             return Err(self.document.error(path, message));
         }
@@ -451,7 +451,9 @@ impl Reader<'_> {
         let path = join(base, "name");
         self.name(&path, name)?;
         if before.any(|other| other == name) {
-            return Err(self.document.error(&path, format!("there is a `{name}` before; names are unique")));
+            return Err(self
+                .document
+                .error(&path, format!("the name `{name}` is used twice; names must be unique")));
         }
         Ok(())
     }

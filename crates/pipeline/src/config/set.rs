@@ -135,7 +135,7 @@ fn named<'k>(kind: &str, rest: &'k str, names: &[String]) -> Result<(usize, &'k 
     }
     if let Some(name) = names.iter().find(|n| n.eq_ignore_ascii_case(rest)) {
         return Err(format!(
-            "what of it? Give a parameter, as in `{kind}.{name}.reconstruct.iterations=3000`"
+            "a parameter is missing: give one, as in `{kind}.{name}.reconstruct.iterations=3000`"
         ));
     }
     let wrong = rest.split('.').next().unwrap_or(rest);
@@ -184,10 +184,9 @@ fn folder_key(stage: &Stage, error: &ParameterError) -> Option<String> {
     let unknown = error.unknown.as_deref().filter(|_| error.message.starts_with("unknown field"))?;
     let input = stage.inputs().iter().find(|i| i.role == unknown)?;
     match input.source {
-        Source::External(name) => Some(format!(
-            "`{unknown}` is read from outside and no parameter; name it with `{}`",
-            key_of(name)
-        )),
+        Source::External(name) => {
+            Some(format!("`{unknown}` is an input and not a parameter; give it with `{}`", key_of(name)))
+        }
         Source::Stage(_) | Source::Reference(_) => None,
     }
 }

@@ -58,7 +58,7 @@ impl Card {
     pub(super) fn told(&self) -> String {
         let passed_over = match self.0.refused_before() {
             [] => String::new(),
-            refusals => format!("; passed over: {}", refusals.join("; ")),
+            refusals => format!("; skipped: {}", refusals.join("; ")),
         };
         format!("{} (kernels: {}){passed_over}", self.name(), self.0.kernels())
     }

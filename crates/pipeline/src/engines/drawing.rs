@@ -24,10 +24,7 @@ impl<'s> Drawn<'s> {
     pub fn new(scene: &'s Scene, engine: &EngineChoice) -> Result<Self, String> {
         let kind = scene.medium.kind();
         let processors = (kind.formation() == Formation::PerImage).then(|| {
-            format!(
-                "the water `{}` is laid over finished images, which the processor alone does",
-                kind.name()
-            )
+            format!("the water `{}` is laid over finished images, which only the processor does", kind.name())
         });
         let card = match (engine, &processors) {
             (EngineChoice::Cpu, _) | (EngineChoice::Auto, Some(_)) => None,

@@ -131,7 +131,8 @@ impl ChoosesEngine for ReconstructParams {
     fn beyond_cards(&self) -> Option<String> {
         (!on_cards(self.medium)).then(|| {
             format!(
-                "expected cpu for the water `{}`, which runs on the processor alone; of {} graphics cards have kernels",
+                "expected cpu for the water `{}`, which runs only on the processor; graphics cards have \
+                 kernels for {}",
                 self.medium.name(),
                 Medium::names(on_cards)
             )
@@ -223,7 +224,8 @@ fn narrow(most: usize, room: usize) -> String {
         return String::new();
     }
     format!(
-        "; it has room for {room} Gaussians in one binding and this capture may come to {most}, where the training would end: max_gaussians={room} keeps it below, cpu has no such bound"
+        "; it has room for {room} Gaussians in one binding, and this capture may come to {most}, where the \
+         training would fail: set max_gaussians={room}, or use cpu, which has no such limit"
     )
 }
 

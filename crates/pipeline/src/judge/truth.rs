@@ -67,7 +67,7 @@ const BLACK: f32 = 2.5 / 255.0;
 
 /// A file of the truth cannot be read.
 #[derive(Debug, thiserror::Error)]
-#[error("the truth beside the capture: {0}; make that file again, or rename its truth/ folder")]
+#[error("the truth of the capture: {0}; write that file again, or rename the truth/ folder")]
 pub struct TruthError(#[from] ImportError);
 
 /// The parameters for reading the true images: like the capture's images, with lenses and sizes.
@@ -126,25 +126,25 @@ impl Truth {
         (width, height): (usize, usize),
         say: &mut dyn FnMut(String),
     ) -> Option<Self> {
-        const FORM: &str = "expected truth/clean/ with images of the views' names, and where known truth/depth/ and \
-            truth/water.json as `use3d synth capture` writes them (docs/guide/captures.md)";
+        const FORM: &str = "expected truth/clean/ with images of the views' names, and, if known, \
+             truth/depth/ and truth/water.json as `use3d synth capture` writes them (docs/guide/captures.md)";
         if !is_there(capture) {
             if capture.join("truth").is_dir() && !is_prepared(capture) {
-                say(format!("the capture's truth/ folder has no clean/ and is left alone; {FORM}"));
+                say(format!("the capture's truth/ folder has no clean/ and is not used; {FORM}"));
             }
             return None;
         }
         let imported = match import(capture, &parameters(capture, Some(ImageSize { width, height }))) {
             Ok(imported) => imported,
             Err(error) => {
-                say(format!("the capture's truth/ folder is left alone: {error}; {FORM}"));
+                say(format!("the capture's truth/ folder is not used: {error}; {FORM}"));
                 return None;
             }
         };
         let water = match read_water(&capture.join(WATER)) {
             Ok(water) => water,
             Err(reason) => {
-                say(format!("{WATER} of the capture is left alone: {reason}; {FORM}"));
+                say(format!("{WATER} of the capture is not used: {reason}; {FORM}"));
                 None
             }
         };
@@ -584,7 +584,7 @@ mod tests {
         std::fs::create_dir(capture.join(CLEAN)).unwrap();
         std::fs::write(capture.join(CLEAN).join("notes.txt"), "1 2 3").unwrap();
         let (truth, notices) = open(&capture);
-        assert!(truth.is_none() && notices[0].contains("left alone"), "{notices:?}");
+        assert!(truth.is_none() && notices[0].contains("not used"), "{notices:?}");
         assert!(!files(&capture).is_empty(), "a change there is noticed");
     }
 

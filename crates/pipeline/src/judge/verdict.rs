@@ -57,7 +57,9 @@ fn reconstruction(scores: &SceneScores) -> Option<Sentence> {
     let Some(psnr) = mean(scores, Method::Reconstruction, "psnr") else {
         return Some(sentence(
             Tone::Plain,
-            "No photograph was held out, so nothing says how well the scene is reconstructed.".into(),
+            "No photograph was held out, so the quality of the reconstruction is not known. Hold some out \
+             with `import.split.every`."
+                .into(),
         ));
     };
     let of =
@@ -66,23 +68,23 @@ fn reconstruction(scores: &SceneScores) -> Option<Sentence> {
     let ssim =
         mean(scores, Method::Reconstruction, "ssim").map_or_else(String::new, |v| format!(", SSIM {v:.3}"));
     let weak = worst.filter(|(value, _)| *value < psnr - WEAK && views.len() > 1);
-    let weak =
-        weak.map_or_else(String::new, |(value, name)| format!("; the weakest, {name}, with {value:.1} dB"));
+    let weak = weak
+        .map_or_else(String::new, |(value, name)| format!(" The weakest view is {name}, at {value:.1} dB."));
     let (tone, meaning) = if psnr >= PSNR[0] {
         (Tone::Good, "a difference that is hard to see")
     } else if psnr >= PSNR[1] {
         // Pictures with their water are reproduced well; that proves nothing about colours without water.
         (Tone::Plain, "recognisable, with details missing")
     } else {
-        (Tone::Bad, "something is wrong: look at the pictures below")
+        (Tone::Bad, "something is wrong: look at the weakest view first")
     };
     let count = match views.len() {
-        1 => "the photograph that training did not see is".to_string(),
-        n => format!("the {n} photographs that training did not see are"),
+        1 => "the held-out photograph is".to_string(),
+        n => format!("the {n} held-out photographs are"),
     };
     Some(sentence(
         tone,
-        format!("Reconstruction: {count} met with PSNR {psnr:.1} dB{ssim} ({meaning}){weak}."),
+        format!("Reconstruction: {count} reproduced at {psnr:.1} dB PSNR{ssim} ({meaning}).{weak}"),
     ))
 }
 
@@ -114,10 +116,10 @@ fn against_truth(scores: &SceneScores, best: Method) -> Option<Sentence> {
     let better = better.map_or_else(String::new, |(value, look)| {
         format!(" Closer still is {}, with {value:.1} dB.", look.name())
     });
-    let texts = if texts.is_empty() { String::new() } else { format!(": {}", texts.join(", ")) };
+    let texts = if texts.is_empty() { String::new() } else { format!(" That is {}.", texts.join(", ")) };
     Some(sentence(
         tone,
-        format!("Against the true scene without water, {} reaches {ours:.1} dB{texts}.{better}", best.name()),
+        format!("Against the true scene without water, {} reaches {ours:.1} dB.{texts}{better}", best.name()),
     ))
 }
 
@@ -126,7 +128,7 @@ fn consistency(scores: &SceneScores, best: Method) -> Option<Sentence> {
     let ours = mean(scores, best, metric)?;
     let others: Vec<(f64, &str)> =
         OTHERS.iter().filter_map(|(method, name)| Some((mean(scores, *method, metric)?, *name))).collect();
-    let texts: Vec<String> = others.iter().map(|(other, name)| format!("{name} by {other:.1}")).collect();
+    let texts: Vec<String> = others.iter().map(|(other, name)| format!("{other:.1} for {name}")).collect();
     // A picture with stronger colours also varies more; so the tone depends on the comparison with the 2D
     // enhancer, which sees one picture at a time.
     let rival = mean(scores, Method::Proposal, metric);
@@ -135,11 +137,13 @@ fn consistency(scores: &SceneScores, best: Method) -> Option<Sentence> {
         Some(_) => Tone::Good,
         None => Tone::Plain,
     };
-    let beside = if texts.is_empty() { String::new() } else { format!("; those of {}", texts.join(", of ")) };
+    let beside =
+        if texts.is_empty() { String::new() } else { format!(" The figure is {}.", texts.join(" and ")) };
     Some(sentence(
         tone,
         format!(
-            "Consistency: between neighbouring views the colours of {} move by ΔE {ours:.1}{beside} (less is better).",
+            "Consistency: between neighbouring views the colours of {} change by ΔE {ours:.1}; less is \
+             better.{beside}",
             best.name()
         ),
     ))
@@ -149,14 +153,17 @@ fn without_reference(scores: &SceneScores, best: Method) -> Option<Sentence> {
     let text = |metric: &str, name: &str| -> Option<String> {
         let ours = mean(scores, best, metric)?;
         let captured = mean(scores, Method::Captured, metric)?;
-        Some(format!("{name} {ours:.2} ({captured:.2} of the photographs)"))
+        Some(format!("{name} {ours:.2} (photographs: {captured:.2})"))
     };
     let both: Vec<String> = [text("uciqe", "UCIQE"), text("uiqm", "UIQM")].into_iter().flatten().collect();
     (!both.is_empty()).then(|| {
         let what = both.join(", ");
         sentence(
             Tone::Plain,
-            format!("Scores without a reference: {what}. They reward contrast and colour, right or wrong, and decide nothing by themselves."),
+            format!(
+                "Scores without a reference: {what}. They rise with contrast and saturation even when \
+                 colours are wrong; do not rank by them alone."
+            ),
         )
     })
 }
@@ -239,7 +246,7 @@ mod tests {
         assert!(
             said[0].0 == Tone::Good
                 && said[0].1.contains("33.0 dB")
-                && said[0].1.contains("the weakest, b, with 30.0 dB"),
+                && said[0].1.contains("The weakest view is b, at 30.0 dB."),
             "{said:?}"
         );
         assert!(
@@ -247,8 +254,8 @@ mod tests {
                 && said[1].1.contains("8.0 dB more than the photographs, 2.5 dB more than the 2D enhancer"),
             "{said:?}"
         );
-        assert!(said[2].0 == Tone::Good && said[2].1.contains("move by ΔE 7.0"), "{said:?}");
-        assert!(said[3].1.contains("UCIQE 5.00 (4.50"), "{said:?}");
+        assert!(said[2].0 == Tone::Good && said[2].1.contains("change by ΔE 7.0"), "{said:?}");
+        assert!(said[3].1.contains("UCIQE 5.00 (photographs: 4.50"), "{said:?}");
         let middling = texts(&scene(&[(Method::Reconstruction, &[("psnr", 22.4)])]));
         assert!(
             middling[0].0 == Tone::Plain && middling[0].1.contains("(recognisable, with details missing)")

@@ -30,7 +30,7 @@ fn run(context: &StageContext, params: &CalibratorParams) -> Result<(), StageErr
     let calibrator = train(&dataset, &params, &data, &mut |progress| {
         if let Progress::Step { step, steps, loss } = progress {
             if step < last {
-                context.say("the fit that kept pairs aside to judge by is done; now the fit to all pairs");
+                context.say("validation fit done; now fitting all pairs");
             }
             last = step;
             context.progress_with(step, steps, "steps", &format!("loss {loss:.4}"));
@@ -54,33 +54,36 @@ fn tell(context: &StageContext, calibrator: &Calibrator, params: &CalibratorPara
     let (trust, pairs) = (params.trust_in(dataset), dataset.examples.len());
     if !dataset.stand_in && CalibratorParams::few(pairs) {
         context.say(format_args!(
-            "{pairs} pairs are few, the recipe is made for {METHOD_PAIRS}: what so few have in common need not hold for other water; look at \
-             proposals and enhanced views side by side, or compare with calibrate.trust=0"
+            "{pairs} pairs are too few ({METHOD_PAIRS} recommended): the result may not fit your water; \
+             compare proposals and enhanced views, or run again with calibrate.trust=0"
         ));
     }
     if calibrator.corrects() == [false; 2] {
         let why = match (dataset.stand_in, trust == 0.0) {
             (true, true) => {
-                "no pairs are named, and synthetic ones, which give the scales, do not say how this water should look; name real pairs \
-                 (UIEB, LSUI, EUVP) with --pairs INPUT TARGET or `calibrator.pairs`, a finished calibrator with --calibrator or \
-                 `calibrator.file`, or trust the synthetic ones with calibrate.trust=1"
+                "no pairs are given, and synthetic pairs give only the scales of errors, not the look; give \
+                 real pairs (UIEB, LSUI, EUVP) with --pairs INPUT TARGET or `calibrator.pairs`, or a \
+                 finished calibrator with --calibrator or `calibrator.file`; calibrate.trust=1 applies the \
+                 synthetic pairs"
             }
-            (false, true) => "calibrate.trust is 0; the pairs give the scales only",
-            (_, false) => "no share of what was learnt served the pairs kept aside",
+            (false, true) => "calibrate.trust is 0, so the pairs give only the scales of errors",
+            (_, false) => "no part of the learnt correction improved the held-out pairs",
         };
-        context.say(format_args!("proposals as they are: {why}"));
+        context.say(format_args!("proposals are not corrected: {why}"));
         return;
     }
     if let Some(held_out) = &calibrator.provenance.held_out {
         let errors = &held_out.errors;
         context.say(format_args!(
-            "held-out transition error, proposal → calibrated: global {:.3} → {:.3}, local {:.3} → {:.3}",
+            "colour error on held-out pairs, proposal → calibrated: global {:.3} → {:.3}, local {:.3} → \
+             {:.3}",
             errors.global.before, errors.global.after, errors.centered.before, errors.centered.after
         ));
         for (head, share) in ["global", "local"].into_iter().zip(held_out.kept) {
             if share < trust {
                 context.say(format_args!(
-                    "the {head} head keeps {:.0} % of its correction: more of it made the pairs kept aside worse (more pairs, or pairs of one kind, help)",
+                    "the {head} head keeps {:.0} % of its correction, as more made the held-out pairs \
+                     worse; more pairs, or pairs of one kind, help",
                     100.0 * share
                 ));
             }

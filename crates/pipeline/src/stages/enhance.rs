@@ -80,13 +80,14 @@ fn reached(report: &Report, params: &EnhanceParams) -> Vec<String> {
     let errors: Option<Vec<_>> = measuring.map(|row| Some((row, report.errors(row.name)?))).collect();
     let Some(errors) = errors else {
         return vec![
-            "realised transition: not measured (the scene was fitted to the 2D enhancer's images, not to transitions)".into(),
+            "colour errors not measured: the scene was fitted to images of the 2D enhancer, not to \
+             transitions"
+                .into(),
         ];
     };
     let each = errors.iter().map(|(row, (before, after))| format!("{} {before:.3} → {after:.3}", row.name));
     let each: Vec<String> = each.collect();
-    let mut lines =
-        vec![format!("realised transition, normalised error before → after: {}", each.join(", "))];
+    let mut lines = vec![format!("remaining colour error, before → after: {}", each.join(", "))];
     for (row, (before, after)) in errors {
         let name = row.name;
         // The growth must be visible in the printed decimals: a thousandth of a scale is no growth.
@@ -131,8 +132,9 @@ fn run(context: &StageContext, params: &EnhanceParams) -> Result<(), StageError>
     let guidance = if params.objective == Objective::PseudoLabels {
         if targets.appearance == Appearance::Clear {
             return Err(StageError::bad_input_message(
-                "objective = \"pseudo-labels\" learns from photographs that a 2D enhancer enhanced, and these targets are in clear radiance, of \
-                 `scene`; make targets with a 2D enhancer (`targets.proposer`), or choose another objective",
+                "objective = \"pseudo-labels\" needs photographs enhanced by a 2D enhancer, but these \
+                 targets are in clear radiance, from `scene`; make targets with a 2D enhancer \
+                 (`targets.proposer`), or choose another objective",
             ));
         }
         let proposer = by_name(&targets.proposer.name, context.optional_input("models"))

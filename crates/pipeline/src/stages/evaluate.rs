@@ -383,7 +383,10 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     }
     let views: Vec<&View> = capture.test_views().collect();
     if views.is_empty() {
-        context.say("no view is held out (split.every = 0): nothing to score");
+        context.say(
+            "no view is held out (split.every = 0), so there is nothing to score; import again with \
+             `split.every` above 0",
+        );
     }
     let mut evaluation = Evaluation {
         context,

@@ -67,11 +67,12 @@ fn run(context: &StageContext, params: &PairsParams) -> Result<(), StageError> {
         (Some(input), Some(target)) => (input.to_path_buf(), target.to_path_buf()),
         (None, None) if !params.stand_in => {
             return Err(StageError::bad_input_message(
-                "no pairs are named, and `stand_in = false` lets no synthetic ones take their place",
+                "no pairs are given, and `stand_in = false` forbids synthetic ones; give pairs with --pairs \
+                 INPUT TARGET",
             ));
         }
         (None, None) => {
-            context.say("no pairs given: synthetic ones stand in");
+            context.say("no pairs given: using synthetic pairs");
             scratch = leftovers::scratch()?;
             let dir = scratch.path().join("pairs");
             let synthetic = use3d_synth::PairsParams { seed: context.seed(), ..params.synthetic.clone() };

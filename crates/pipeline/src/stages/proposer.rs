@@ -23,8 +23,8 @@ pub enum ProposerChoice {
 }
 
 /// The error for `scene` as the proposer where a 2D enhancer is needed.
-const NO_PHOTOGRAPHS: &str = "`scene` proposes for what stage 1 knows of a scene, not for photographs: it is for `targets` only; choose auto, \
-    nu2net or fusion here";
+const NO_PHOTOGRAPHS: &str = "`scene` works on a reconstructed scene and not on photographs, so it is for \
+     `targets` only; choose auto, nu2net or fusion here";
 
 impl ProposerChoice {
     /// Refuses a proposer that does not enhance photographs, as the error of the parameter `proposer`.
@@ -123,8 +123,8 @@ pub(super) fn of_calibrator(
     };
     if asked != recorded {
         return Err(format!(
-            "the calibrator was fitted for the proposer `{recorded}`, but `{asked}` is asked for; ask for `{recorded}` or `auto`, or fit \
-             a calibrator for `{asked}`"
+            "the calibrator was fitted for the proposer `{recorded}`, but `{asked}` is requested; choose \
+             `{recorded}` or `auto`, or fit a calibrator for `{asked}`"
         ));
     }
     by_name(recorded, models)
@@ -151,7 +151,7 @@ fn nu2net(models: Option<&Path>) -> Result<Box<dyn Proposer>, String> {
     let models = Models::open(dir);
     let net = models.nu2net().map_err(|e| e.to_string())?;
     let found = [Network::Nu2NetReleased, Network::Nu2Net].into_iter().find_map(|n| models.find(n));
-    let path = found.ok_or("its file has gone away")?;
+    let path = found.ok_or("its file is missing")?;
     let bytes = std::fs::read(&path).map_err(|e| format!("{}: {e}", path.display()))?;
     Ok(Box::new(network::Network { net, digest: blake3::hash(&bytes).to_hex().to_string() }))
 }

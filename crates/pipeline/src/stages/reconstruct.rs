@@ -96,13 +96,14 @@ fn prior_in_force(params: &ReconstructParams, capture: &Capture, made: bool) -> 
         (DepthPrior::Auto, true, _) => {
             "depth prior: Depth Anything V2, since the capture has no depth folder".into()
         }
-        (_, true, _) => "depth prior: Depth Anything V2, as depth_prior asks for".into(),
+        (_, true, _) => "depth prior: Depth Anything V2, as depth_prior requires".into(),
         (DepthPrior::Auto, false, 0) => format!(
             "{none}: the capture has no depth files for its training views (depth/ with the photographs' stems), and {networks}"
         ),
         (_, false, 0) => format!(
-            "{none}, although depth_prior asks for files: the capture has no depth folder, or none of its files has the stem of a training \
-             view; `auto` has Depth Anything V2 make them, `off` says that none are wanted"
+            "{none}, although depth_prior requires files: the capture has no depth folder, or none of its \
+             files has the stem of a training view; choose `auto` to make them with Depth Anything V2, or \
+             `off` to train without"
         ),
         (_, false, with) => format!("depth prior: the capture's own files, {with} of {total} training views"),
     }
@@ -240,7 +241,8 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
         ));
         if let Some(fitted) = &evaluation.fitted {
             context.say(format_args!(
-                "held-out views{against}, after gains fitted on their other half: PSNR {}, SSIM {}",
+                "held-out views{against}, after gains fitted on the other half of each view: PSNR {}, SSIM \
+                 {}",
                 text(&fitted.psnr, " dB", 2),
                 text(&fitted.ssim, "", 4)
             ));

@@ -170,11 +170,12 @@ fn overall(scenes: &[SceneSection], missing: &[String]) -> Vec<Sentence> {
             .collect();
         let text = match (judged, bad.len()) {
             (0, _) => "No scene was scored.".to_string(),
-            (n, 0) => format!(
-                "{n} scenes were scored, and in none of them does a comparison turn out against the result."
-            ),
+            (n, 0) => {
+                format!("{n} scenes were scored. No comparison is unfavourable to the result in any of them.")
+            }
             (n, k) => format!(
-                "{n} scenes were scored; in {k} of them something turns out against the result: {}. Each scene says what, below.",
+                "{n} scenes were scored. In {k} of them a comparison is unfavourable to the result: {}. The \
+                 sections below give the details.",
                 bad.join(", ")
             ),
         };
@@ -188,7 +189,10 @@ fn overall(scenes: &[SceneSection], missing: &[String]) -> Vec<Sentence> {
         out.push(Sentence { tone, text });
     }
     if !missing.is_empty() {
-        let text = format!("Failed or not made, and so not in this report: {}.", missing.join(", "));
+        let text = format!(
+            "These parts failed or were not made, so this report does not have them: {}.",
+            missing.join(", ")
+        );
         out.push(Sentence { tone: Tone::Bad, text });
     }
     out
@@ -217,7 +221,7 @@ fn calibrator(calibrator: &Calibrator) -> CalibratorSection {
     let provenance = &calibrator.provenance;
     if calibrator.corrects() == [false; 2] {
         let summary = format!(
-            "Proposals as they are: no correction is applied to any. The scales of the errors come from {} pairs; {}.",
+            "The proposals are not corrected. The scales of the errors come from {} pairs; {}.",
             provenance.pairs, provenance.data
         );
         return CalibratorSection { summary, rows: Vec::new() };
@@ -242,7 +246,8 @@ fn calibrator(calibrator: &Calibrator) -> CalibratorSection {
     });
     CalibratorSection {
         summary: format!(
-            "Fitted to {} pairs ({} cells) in {} steps; {}.{} The errors are those of a fit to a part of the pairs, on the others.",
+            "Fitted to {} pairs ({} cells) in {} steps; {}.{} The errors were measured on held-out pairs, \
+             after a fit to the others.",
             provenance.pairs, provenance.cells, provenance.steps, provenance.data, kept
         ),
         rows: rows.collect(),
@@ -280,7 +285,8 @@ fn section(
     if let Some(svg) =
         parts.path("enhanced").and_then(|p| std::fs::read_to_string(p.join("training.svg")).ok())
     {
-        let caption = "Stage 2: how far the scene is from its targets, as a whole (global) and surface by surface (local). Both should fall.";
+        let caption = "Stage 2: the distance of the scene from its targets, as a whole (global) and surface \
+             by surface (local). Both should fall.";
         section.plots.push(PlotFigure { svg: inline(&svg), caption: caption.into() });
     }
     section.plots.extend(water(parts)?);
@@ -328,7 +334,8 @@ fn stage_1(log: &str) -> Vec<PlotFigure> {
             "Stage 1: loss",
             true,
             vec![curve("loss", "#0b7285", "", false)],
-            "How far pictures of the training views are from the photographs. It should fall and level out.",
+            "The difference between the photographs and pictures of the same views. It should fall and \
+             level out.",
         ),
         plot(
             "Stage 1: PSNR, dB",
@@ -343,7 +350,7 @@ fn stage_1(log: &str) -> Vec<PlotFigure> {
             "Stage 1: Gaussians",
             false,
             vec![curve("gaussians", "#845ef7", "", false)],
-            "How many Gaussians the scene has. It grows for as long as detail is added.",
+            "The number of Gaussians in the scene. It grows as long as detail is added.",
         ),
     ]
 }
@@ -356,7 +363,7 @@ fn left_out(scores: &SceneScores) -> Vec<String> {
             .collect();
         (!counts.is_empty()).then(|| {
             format!(
-                "{}: left out of the means, as there is no such number: {}.",
+                "{}: these scores have no value, so the means leave them out: {}.",
                 m.method.label(),
                 counts.join(", ")
             )
@@ -502,9 +509,11 @@ fn water(parts: &Parts<'_>) -> Result<Vec<PlotFigure>, StageError> {
             PlotFigure { svg: plot.svg(), caption: format!("{meaning}, {place}.") }
         };
     let kinds: [(&str, &str, &str, Pick); 3] = [
-        ("Attenuation", "1 / scene unit", "How fast distance dims the scene", |s| s.attenuation),
-        ("Backscatter", "1 / scene unit", "How fast distance adds the water's own light", |s| s.backscatter),
-        ("Colour of open water", "0 to 1", "What is seen where nothing but water is", |s| s.color),
+        ("Attenuation", "1 / scene unit", "The rate at which distance dims the scene", |s| s.attenuation),
+        ("Backscatter", "1 / scene unit", "The rate at which distance adds the water's own light", |s| {
+            s.backscatter
+        }),
+        ("Colour of open water", "0 to 1", "The colour where there is nothing but water", |s| s.color),
     ];
     let along = format!("from the left to the right edge of {}", view.name);
     let from = format!("at the place of each training camera, looking as {} does", view.name);
@@ -528,7 +537,8 @@ fn contact(scene: &Path) -> Result<Option<Picture>, StageError> {
     if !path.is_file() {
         return Ok(None);
     }
-    let caption = "In pairs: on the left a photograph, on its right what stage 1 renders from the same place. Photographs that training did not see, where there are any.";
+    let caption = "Pairs of pictures: a photograph on the left, and the rendering of stage 1 from the same \
+         place on the right. Held-out photographs are shown if there are any.";
     let sheet = read_image(&path)?;
     let picture = Picture::embed_wide("Stage 1: captured and rendered", caption, &sheet, 1640)?;
     Ok(Some(Picture { blank: blank_corner(&sheet), ..picture }))
@@ -556,7 +566,8 @@ fn strip(scores: &Path) -> Result<Option<Picture>, StageError> {
     let rows: Vec<String> =
         strip.rows.iter().map(|(label, moved)| format!("{label} (ΔE {moved:.1})")).collect();
     let caption = format!(
-        "One spot of the scene in neighbouring views, twice enlarged. Rows, from the top: {}; ΔE says how far its mean colour moves from view to view. Columns: {}.",
+        "One spot of the scene in neighbouring views, enlarged twice. Rows from the top: {}. ΔE is the \
+         change of its mean colour from view to view. Columns: {}.",
         rows.join(", "),
         strip.views.join(", ")
     );
@@ -572,19 +583,17 @@ fn dispersion(report: &TargetsReport) -> PlotFigure {
     let points = report.views.iter().enumerate().map(|(i, v)| (i as f64, v.distance)).collect();
     let names = report.views.iter().map(|v| v.name.clone()).collect();
     let plot = Plot {
-        title: "How far each view is from the consensus".into(),
+        title: "Distance of each view from the consensus".into(),
         x_label: "training view".into(),
         log_y: false,
         series: vec![Series { label: String::new(), color: "#0b7285", points, dots: true, names }],
     };
     let made = match (report.appearance, report.calibrated) {
         (Appearance::Clear, false) => {
-            " The proposals are for the scene as stage 1 found it, without its water: not calibrated."
+            " The proposals are for the scene of stage 1 without its water. They are not calibrated."
         }
-        (Appearance::Clear, true) => {
-            " The proposals are for the scene as stage 1 found it, without its water."
-        }
-        (Appearance::Water, false) => " Proposals as they are: not calibrated.",
+        (Appearance::Clear, true) => " The proposals are for the scene of stage 1 without its water.",
+        (Appearance::Water, false) => " The proposals are not calibrated.",
         (Appearance::Water, true) => "",
     };
     let caption = format!(
@@ -598,13 +607,16 @@ fn dispersion(report: &TargetsReport) -> PlotFigure {
 fn sheets(dir: &Path, report: &TargetsReport) -> Result<Vec<Picture>, StageError> {
     let caption = match report.appearance {
         Appearance::Water if !report.kept_water.is_all() => {
-            "Left to right: the scene of stage 1 with part of its water taken away, the proposal for this view alone, its change of colours as the calibrator leaves it, the consensus of all views (2D previews)."
+            "From left to right: the scene of stage 1 with part of its water removed, the proposal for this \
+             view, its change of colours after calibration, the consensus of all views (2D previews)."
         }
         Appearance::Water => {
-            "Left to right: captured, the proposal for this view alone, its change of colours as the calibrator leaves it, the consensus of all views (2D previews)."
+            "From left to right: the photograph, the proposal for this view, its change of colours after \
+             calibration, the consensus of all views (2D previews)."
         }
         Appearance::Clear => {
-            "Left to right: the scene of stage 1 without its water, what is proposed for it, this view's change of colours alone, the consensus of all views (2D previews)."
+            "From left to right: the scene of stage 1 without its water, the proposal for it, the change of \
+             colours of this view, the consensus of all views (2D previews)."
         }
     };
     let Ok(entries) = std::fs::read_dir(dir) else { return Ok(Vec::new()) };

@@ -98,7 +98,7 @@ fn network(named: &Named, what: &str, networks: &[use3d_nets::Network], without:
     };
     let mut remedy = format!("put {} {place}", files.collect::<Vec<_>>().join(" or "));
     if let Some(reason) = named.problem("models") {
-        remedy += &format!("; the folder of models cannot be found: {reason}");
+        remedy += &format!("; the models folder cannot be found: {reason}");
     }
     Some(Lacking { what: what.into(), remedy, without })
 }
@@ -190,10 +190,11 @@ fn of_targets(all: &AllParameters, named: &Named) -> Option<Lacking> {
         }
         if choice == ProposerChoice::Scene {
             let remedy = format!(
-                "{} names one, but `targets.proposer = \"scene\"` has none: calibrators are fitted to photographs; leave one of the two out",
+                "{} names one, but `targets.proposer = \"scene\"` uses none: calibrators are fitted to \
+                 photographs; leave one of the two out",
                 named.by("calibrator")
             );
-            return lacking("no calibrator is wanted", remedy, "--set targets.proposer=auto");
+            return lacking("a pipeline without a calibrator", remedy, "--set targets.proposer=auto");
         }
         let calibrator = match read_calibrator(named.path("calibrator")?) {
             Ok(calibrator) => calibrator,
@@ -209,7 +210,7 @@ fn of_targets(all: &AllParameters, named: &Named) -> Option<Lacking> {
         }
         let opened = of_calibrator(choice, &calibrator.proposer.name, models)
             .and_then(|p| calibrator.proposer.require(&p.id()).map_err(|e| e.to_string()));
-        return opened.err().and_then(|problem| lacking("a calibrator for what proposes", problem, ""));
+        return opened.err().and_then(|problem| lacking("a calibrator for the proposer in use", problem, ""));
     }
     let parameters =
         all.get("targets").and_then(|p| serde_json::from_value::<targets::Params>(p.clone()).ok());
@@ -234,7 +235,7 @@ fn of_targets(all: &AllParameters, named: &Named) -> Option<Lacking> {
     let remedy = format!(
         "the calibrator is fitted for `pairs.proposer`, which is `{fitted}` here, and `targets.proposer` is `{asked}`; give both the same"
     );
-    lacking("a calibrator for what proposes", remedy, &format!("--set targets.proposer={fitted}"))
+    lacking("a calibrator for the proposer in use", remedy, &format!("--set targets.proposer={fitted}"))
 }
 
 fn of_enhance(all: &AllParameters) -> Option<Lacking> {
@@ -275,7 +276,7 @@ fn of_truth(named: &Named) -> Option<Lacking> {
     let capture: &Path = named.path("capture")?;
     truth::unreadable(capture).map(|reason| Lacking {
         what: "the truth beside a capture".into(),
-        remedy: format!("{reason}; make that file again, or rename the truth/ folder"),
+        remedy: format!("{reason}; write that file again, or rename the truth/ folder"),
         without: String::new(),
     })
 }

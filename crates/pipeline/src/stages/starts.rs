@@ -88,7 +88,7 @@ impl<'s> Starts<'s> {
         };
         if !params.calibrated {
             return Err(StageError::bad_input_message(
-                "a calibrator is named, but `calibrated = false` says that none is used; leave one of the two out",
+                "a calibrator is named, but `calibrated = false` uses none; leave one of the two out",
             ));
         }
         let calibrator = read_calibrator(file)?;
@@ -121,7 +121,8 @@ impl<'s> Starts<'s> {
     fn known(context: &StageContext, scene: &'s Scene, views: &[&View]) -> Result<Self, StageError> {
         if context.optional_input("calibrator").is_some() {
             return Err(StageError::bad_input_message(
-                "a calibrator is named, but `proposer = \"scene\"` has none: calibrators are fitted to 2D enhancers; leave one of the two out",
+                "a calibrator is named, but `proposer = \"scene\"` uses none: calibrators are fitted to 2D \
+                 enhancers; leave one of the two out",
             ));
         }
         let mut known = KnownViews::new(scene);

@@ -100,7 +100,7 @@ fn each_input_from_outside_is_named_by_its_key_and_its_file() {
 
     for (set, expected) in [
         ("calibrator.pair.input=a", "calibrator.pairs.input, calibrator.pairs.target, calibrator.file"),
-        ("calibrate.input=a", "name it with `calibrator.pairs.input`"),
+        ("calibrate.input=a", "give it with `calibrator.pairs.input`"),
     ] {
         let error = load(&[set], LoadOptions::default()).expect_err(set);
         assert!(error.contains(expected), "{set}: {error}");
@@ -123,7 +123,7 @@ fn half_of_the_pairs_is_said_at_the_pairs() {
         "name = \"x\"\n[calibrator]\nfile = \"c\"\npairs = {{ input = \"a\", target = \"b\" }}\n{scene}"
     );
     let error = load(&both, &[]);
-    assert!(error.contains("give one of them"), "{error}");
+    assert!(error.contains("give only one of them"), "{error}");
 }
 
 #[test]

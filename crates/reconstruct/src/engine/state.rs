@@ -130,7 +130,7 @@ impl TrainingState {
         let wrong = |what: String| Err(EngineError::State(what));
         if self.version != Self::VERSION {
             let (found, known) = (self.version, Self::VERSION);
-            return wrong(format!("it is of version {found}, expected {known}; start anew"));
+            return wrong(format!("it is of version {found}, expected {known}; start from the beginning"));
         }
         let n = self.gaussians.len();
         for (what, rows) in [

@@ -75,10 +75,10 @@ fn a_lost_device_ends_the_run_with_a_word_and_its_checkpoints_are_gone_on_from()
     let lost = crate::reconstruct_in(&capture, &known, &loader, &params, &mut mortal, place, &mut told);
     let said = lost.map(|_| ()).unwrap_err().to_string();
     assert!(said.ends_with("lost its device (it was pulled out)"), "{said}");
-    assert!(told.notices.iter().any(|n| n.contains("is kept; the same command")), "{:?}", told.notices);
+    assert!(told.notices.iter().any(|n| n.contains("is kept; run the same command")), "{:?}", told.notices);
     let mut watcher = Watcher::default();
     let resumed = reconstruct(&capture, &loader, &params, place, &mut watcher).unwrap();
-    let from = watcher.notices.iter().find(|notice| notice.contains("going on from step"));
+    let from = watcher.notices.iter().find(|notice| notice.contains("resuming from step"));
     assert!(from.is_some_and(|notice| notice.contains("step 2") || notice.contains("step 1")), "{from:?}");
     assert!(same(&reconstruct(&capture, &loader, &params, None, &mut Watcher::default()).unwrap(), &resumed));
 }
@@ -106,7 +106,7 @@ fn the_same_scene_on_any_number_of_threads_and_after_any_interruption() {
     assert!(killed.is_err());
     let mut watcher = Watcher::default();
     let resumed = on(2, Some(dir.path()), &mut watcher).unwrap();
-    assert!(watcher.notices.iter().any(|n| n.contains("going on from step 43")), "{:?}", watcher.notices);
+    assert!(watcher.notices.iter().any(|n| n.contains("resuming from step 43")), "{:?}", watcher.notices);
     assert!(same(&whole, &resumed), "interruptions change the scene");
     // A finished run is not repeated.
     assert!(same(
@@ -121,7 +121,7 @@ fn the_same_scene_on_any_number_of_threads_and_after_any_interruption() {
     };
     let mut watcher = Watcher::default();
     let extended = run_longer(Some(dir.path()), &mut watcher);
-    assert!(watcher.notices.iter().any(|n| n.contains("going on from step 60")), "{:?}", watcher.notices);
+    assert!(watcher.notices.iter().any(|n| n.contains("resuming from step 60")), "{:?}", watcher.notices);
     assert!(same(&run_longer(None, &mut Watcher::default()), &extended), "extending changes the scene");
 
     // Checkpoints of other parameters, and damaged ones, are not touched, and a notice is given.
@@ -138,7 +138,11 @@ fn the_same_scene_on_any_number_of_threads_and_after_any_interruption() {
     }
     let mut watcher = Watcher::default();
     reconstruct(&capture, &loader(&loaded), &other, Some(dir.path()), &mut watcher).unwrap();
-    assert!(watcher.notices.iter().any(|n| n.contains("starting anew")), "{:?}", watcher.notices);
+    assert!(
+        watcher.notices.iter().any(|n| n.contains("starting from the beginning")),
+        "{:?}",
+        watcher.notices
+    );
 }
 
 #[test]

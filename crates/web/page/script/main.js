@@ -18,7 +18,7 @@ async function start() {
   navigation.picking = () => white.picking || measure.tool !== null;
   navigation.interrupted = () => path.stop();
   navigation.setFlying(false);
-  canvas.addEventListener('webglcontextlost', event => { event.preventDefault(); problem('The graphics driver stopped. Load the page again to go on.'); });
+  canvas.addEventListener('webglcontextlost', event => { event.preventDefault(); problem('The graphics driver stopped. Load the page again to continue.'); });
   viewer.setLook({});
   viewer.setCompare(null);
   const training = makeTraining(viewer, server);

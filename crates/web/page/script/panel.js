@@ -100,7 +100,7 @@ function makePanel(viewer, navigation) {
   element('close-help').onclick = () => element('help').close();
 
   const water_ = { none: 'no water', global: 'one water everywhere', rbf: 'water that varies with place and direction', mlp: 'water that varies with direction',
-    image: 'one water everywhere, which the program lays over the finished image and this page in front of every Gaussian' };
+    image: 'one water everywhere: the program lays it over the finished image, and this page in front of every Gaussian' };
   element('facts').textContent = [
     // The number of Gaussians changes during training, so it is left out.
     header.sections.length ? `${header.count.toLocaleString('en')} Gaussians` : null, water_[header.medium.kind], header.enhancement ? 'enhanced' : 'not enhanced',

@@ -72,7 +72,7 @@ function makeTraining(viewer, server) {
   }
 
   // After a request to stop, a program that no longer answers has stopped.
-  const gone = () => (training.status?.stopping ? 'It was stopped, and the program has ended; the same command goes on from its checkpoint.' : 'The program does not answer: it may have ended.');
+  const gone = () => (training.status?.stopping ? 'The training was stopped, and the program has ended. Run the same command to continue from its checkpoint.' : 'The program does not answer: it may have ended.');
 
   async function watch() {
     // A hidden page sends no requests, so it costs the training nothing.

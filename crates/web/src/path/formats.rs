@@ -50,7 +50,7 @@ impl CameraPath {
     /// Returns a message that names the camera and its problem.
     pub fn read_nerfstudio(text: &str, dataparser: Option<&str>) -> Result<Self, String> {
         let path: Nerfstudio =
-            serde_json::from_str(text).map_err(|e| format!("it is no nerfstudio camera path: {e}"))?;
+            serde_json::from_str(text).map_err(|e| format!("it is not a nerfstudio camera path: {e}"))?;
         let count = path.camera_path.len();
         // The file may lack one of the two numbers.
         let by_length = path.seconds.filter(|s| *s > 0.0).map(|s| count as f64 / s);
@@ -100,7 +100,7 @@ impl CameraPath {
             ));
         }
         if let Some((i, what)) = keys.iter().enumerate().find_map(|(i, k)| Some((i, k.shot.check().err()?))) {
-            return Err(format!("camera_path[{i}].camera_to_world is no pose: {what}"));
+            return Err(format!("camera_path[{i}].camera_to_world is not a pose: {what}"));
         }
         if !(rate > 0.0 && rate <= 1000.0) {
             return Err(format!("fps is {rate}; expected a positive number up to 1000"));

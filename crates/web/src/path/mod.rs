@@ -64,7 +64,7 @@ impl CameraPath {
     /// # Errors
     /// Returns a message that names the key and its problem.
     pub fn read(text: &str) -> Result<Self, String> {
-        let no_path = |e: serde_json::Error| format!("it is no camera path: {e}");
+        let no_path = |e: serde_json::Error| format!("it is not a camera path: {e}");
         let value: serde_json::Value = serde_json::from_str(text).map_err(no_path)?;
         if formats::is_nerfstudio(&value) {
             return Self::read_nerfstudio(text, None);

@@ -177,7 +177,7 @@ fn a_click_on_something_grey_balances_what_page_and_program_draw_alike() {
         assert!((ours / theirs - 1.0).abs() < 0.02, "{gains:?} {theirs:?}");
     }
     let told = browser.evaluate("document.getElementById('white-text').textContent");
-    assert!(told.as_str().is_some_and(|told| told.contains("It holds for that distance")), "{told}");
+    assert!(told.as_str().is_some_and(|told| told.contains("It is correct at that distance")), "{told}");
 
     // Pictures with these gains equal the program's.
     browser.evaluate("use3d.viewer.held = true");

@@ -145,7 +145,7 @@ fn the_program_draws_for_the_page_and_a_training_is_watched() {
     browser.evaluate("document.getElementById('stop').click(), document.getElementById('do-stop').click()");
     browser.until("use3d.training.status.stopping");
     browser.offline(true);
-    browser.until(&format!("{state}.startsWith('It was stopped')"));
+    browser.until(&format!("{state}.startsWith('The training was stopped')"));
     browser.offline(false);
     live.end("Done.");
     browser.until(&format!("{state} === 'Done.'"));

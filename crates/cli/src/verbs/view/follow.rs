@@ -68,7 +68,7 @@ pub(super) fn run(app: &App, args: &ViewArgs, target: &Path, live: &Arc<Live>) -
             Followed::Checkpoints(path) => format!("a checkpoint in {}", path_text(path)),
             Followed::Pipeline { scene, .. } => format!("the training of {scene}"),
         };
-        eprintln!("nothing there yet; waiting for {wanted}");
+        eprintln!("nothing to show yet; waiting for {wanted}");
     }
     let every = if matches!(followed, Followed::Pipeline { .. }) { PLAN_EVERY } else { EVERY };
     let (mut shown, mut looked): (Option<Newest>, Option<Instant>) = (None, None);

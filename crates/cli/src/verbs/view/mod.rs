@@ -40,7 +40,7 @@ pub(crate) fn run(app: &App, args: &ViewArgs) -> Done {
         return follow::run(app, args, followed, &live);
     }
     let Some(target) = &args.target else {
-        return Err(CliError::Input("say what to look at: a scene, a capture, or --follow FILE".into()));
+        return Err(CliError::Input("name what to show: a scene, a capture, or --follow FILE".into()));
     };
     let cameras = args.cameras.clone().or_else(|| capture_in(target));
     let shown = shown(app, &scene_in(app, target)?, cameras.as_deref(), args)?;
@@ -80,7 +80,7 @@ fn shown(app: &App, target: &Path, cameras: Option<&Path>, args: &ViewArgs) -> R
         return Err(CliError::Input(format!("{}: {what}", target.display())));
     }
     if args.cameras.is_some() {
-        return Err(CliError::Input("--cameras goes with a scene; a capture has its own cameras".into()));
+        return Err(CliError::Input("--cameras is for a scene; a capture has its own cameras".into()));
     }
     let imported = import(target, &ImportParams::default()).map_err(CliError::input)?;
     let scene = points::scene(&imported.capture)
@@ -128,8 +128,8 @@ fn serve(app: &App, args: &ViewerArgs, live: &Arc<Live>, told: Told) -> Result<S
     }
     if !app.quiet {
         eprintln!(
-            "open this address in a browser (all of it: what follows # is the key); from another machine after `ssh -L {port}:localhost:{port} HOST`; \
-             Ctrl-C ends it"
+            "open this whole address in a browser (the part after # is the key); on another machine, first \
+             run `ssh -L {port}:localhost:{port} HOST` there; Ctrl-C ends the viewer"
         );
     }
     if !args.no_open {

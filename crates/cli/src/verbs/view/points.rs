@@ -19,7 +19,11 @@ pub(super) fn scene(capture: &Capture) -> Result<Scene, String> {
     let places: Vec<glam::DVec3> = capture.points.iter().map(|p| p.position).collect();
     let count = places.len();
     if count == 0 {
-        return Err("this capture holds no sparse points, so there is nothing to show yet; `use3d reconstruct` makes a scene of it".into());
+        return Err(
+            "this capture has no sparse points, so there is nothing to show yet; `use3d reconstruct` makes \
+             a scene from it"
+                .into(),
+        );
     }
     let middle = places.iter().sum::<glam::DVec3>() / count as f64;
     let mut far: Vec<f64> = places.iter().map(|p| (*p - middle).length()).collect();

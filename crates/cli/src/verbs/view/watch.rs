@@ -52,7 +52,7 @@ impl Watched {
         self.live.end(&match result {
             Ok(_) => "Done.".to_string(),
             Err(_) if self.app.stop.load(Ordering::Relaxed) => {
-                "Stopped; the same command goes on from the checkpoint.".to_string()
+                "Stopped. Run the same command to continue from the checkpoint.".to_string()
             }
             Err(error) => format!("Failed: {}", error.text()),
         });
@@ -81,7 +81,7 @@ struct Watcher {
 impl Watcher {
     fn hear(self: &Arc<Self>, event: &Event<'_>) {
         match event {
-            Event::Started { label, .. } => self.live.wait_for(&format!("{label} is under way")),
+            Event::Started { label, .. } => self.live.wait_for(&format!("{label} is running")),
             Event::Progress { label, done, total, unit, .. } => {
                 self.live.wait_for(&format!("{label}: {done} of {total} {unit}"));
             }
