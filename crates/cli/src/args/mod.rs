@@ -53,8 +53,8 @@ use shared::count;
 )]
 #[command(
     after_help = "Start with `use3d demo`, then `use3d run CAPTURE_DIR` on your own COLMAP folder.\n\n\
-    Exit codes: 0 done; 1 a stage failed; 2 wrong usage or bad input; 75 out of time, the same command \
-    goes on; 130 interrupted."
+    Exit codes: 0 done; 1 a stage failed; 2 wrong usage or bad input; 75 time limit reached, run the \
+    same command to continue; 130 interrupted."
 )]
 pub(crate) struct Cli {
     /// The verb to run.
