@@ -151,7 +151,8 @@ fn said(app: &App, baked: &InWater) {
     let report = &baked.report;
     if !app.quiet && report.max_error > 0.0 {
         eprintln!(
-            "baked: the colour clamp is active in {:.2} % of samples; mean colour error {:.5}, there {:.5}, largest {:.4}",
+            "baked: the colours of {:.2} % of the samples are clamped; mean colour error {:.5}, in clamped \
+             samples {:.5}, at most {:.4}",
             100.0 * report.clamped_share,
             report.mean_error,
             report.mean_error_clamped,

@@ -156,7 +156,7 @@ fn site(app: &App, scheduler: Scheduler, args: &SubmitArgs, stages: &[&str]) -> 
             Scheduler::HyperQueue => "HyperQueue",
         };
         eprintln!(
-            "warning: {}: {name} has no setting for {}, so it is not used",
+            "warning: {}: {name} has no setting for {}; they are not used",
             file.display(),
             unused.join(", ")
         );
