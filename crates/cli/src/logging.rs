@@ -16,6 +16,7 @@ pub(crate) fn start(verbose: u8, quiet: bool) {
     let ours = [
         "capture",
         "io_image",
+        "survey",
         "io_colmap",
         "import",
         "splat",

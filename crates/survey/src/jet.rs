@@ -5,7 +5,7 @@ use std::ops::{Add, Div, Mul, Sub};
 
 use use3d_numerics::math;
 
-/// What a lens formula needs of a number.
+/// The operations that a lens formula needs.
 pub(crate) trait Real:
     Copy
     + Add<Output = Self>
