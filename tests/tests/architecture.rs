@@ -20,6 +20,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("io-image", &["capture"]),
     ("survey", &["capture", "numerics"]),
     ("io-colmap", &["capture", "io-image", "survey"]),
+    ("io-metashape", &["capture", "survey"]),
     ("import", &["capture", "numerics", "io-image", "io-colmap"]),
     ("metrics", &["capture", "numerics"]),
     ("nets", &["capture", "numerics"]),
@@ -58,6 +59,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
 const RESERVED: &[(&str, &[&str])] = &[
     ("libm", &["numerics"]),
     ("pytorch-reader", &["nets"]),
+    ("roxmltree", &["io-metashape"]),
     ("bincode", &["training"]),
     ("wgpu", &["gpu"]),
     ("jpeg-encoder", &["viewer"]),

@@ -18,6 +18,7 @@ pub(crate) fn start(verbose: u8, quiet: bool) {
         "io_image",
         "survey",
         "io_colmap",
+        "io_metashape",
         "import",
         "splat",
         "medium",
