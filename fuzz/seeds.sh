@@ -3,7 +3,7 @@
 set -eu
 cd "$(dirname "$0")"
 scene=../tests/golden/scene-mini
-mkdir -p corpus/colmap_binary corpus/colmap_text corpus/ply corpus/scene_json corpus/image corpus/metashape
+mkdir -p corpus/colmap_binary corpus/colmap_text corpus/ply corpus/scene_json corpus/image corpus/metashape corpus/nerfstudio
 i=0
 for stem in cameras images points3D; do
     code="\\00$i"
@@ -28,4 +28,7 @@ property float y
 property float z
 end_header
 0 0 1
+END
+cat >corpus/nerfstudio/one.json <<'END'
+{"w": 8, "h": 6, "fl_x": 9, "k1": 0.1, "applied_scale": 2, "frames": [{"file_path": "a.png", "mask_path": "m.png", "transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}]}
 END

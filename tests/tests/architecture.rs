@@ -21,6 +21,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("survey", &["capture", "numerics"]),
     ("io-colmap", &["capture", "io-image", "survey"]),
     ("io-metashape", &["capture", "survey"]),
+    ("io-nerfstudio", &["capture", "numerics", "survey"]),
     ("import", &["capture", "numerics", "io-image", "io-colmap"]),
     ("metrics", &["capture", "numerics"]),
     ("nets", &["capture", "numerics"]),

@@ -19,6 +19,7 @@ pub(crate) fn start(verbose: u8, quiet: bool) {
         "survey",
         "io_colmap",
         "io_metashape",
+        "io_nerfstudio",
         "import",
         "splat",
         "medium",
