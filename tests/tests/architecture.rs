@@ -22,7 +22,10 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("io-colmap", &["capture", "io-image", "survey"]),
     ("io-metashape", &["capture", "survey"]),
     ("io-nerfstudio", &["capture", "numerics", "survey"]),
-    ("import", &["capture", "numerics", "io-image", "io-colmap"]),
+    (
+        "import",
+        &["capture", "numerics", "io-image", "survey", "io-colmap", "io-metashape", "io-nerfstudio"],
+    ),
     ("metrics", &["capture", "numerics"]),
     ("nets", &["capture", "numerics"]),
     ("synth", &["capture", "numerics", "io-image", "io-colmap"]),

@@ -31,8 +31,10 @@
 
 mod cameras;
 mod error;
+mod formats;
 mod geometry;
 mod import;
+mod labels;
 mod layout;
 mod load;
 mod normalise;

@@ -15,10 +15,10 @@
 use std::sync::OnceLock;
 
 use use3d_capture::{Intrinsics, Raster};
-use use3d_io_colmap::Lens;
 #[cfg(test)]
 use use3d_io_colmap::LensModel;
 use use3d_numerics::math;
+use use3d_survey::Lens;
 
 use crate::resample::Sample;
 
