@@ -3,7 +3,7 @@
 set -eu
 cd "$(dirname "$0")"
 scene=../tests/golden/scene-mini
-mkdir -p corpus/colmap_binary corpus/colmap_text corpus/ply corpus/scene_json corpus/image
+mkdir -p corpus/colmap_binary corpus/colmap_text corpus/ply corpus/scene_json corpus/image corpus/metashape corpus/nerfstudio
 i=0
 for stem in cameras images points3D; do
     code="\\00$i"
@@ -17,3 +17,18 @@ cp "$scene/images/view_00.png" "$scene/exr/view_00.exr" corpus/image/
 # One pixel in each format that the scene does not have.
 printf '\223NUMPY\001\000\166\000{"descr": "<f4", "fortran_order": False, "shape": (1, 1), }                                                          \n\000\000\200\077' | tr '"' "'" >corpus/image/one.npy
 printf 'II*\000\010\000\000\000\010\000\000\001\003\000\001\000\000\000\001\000\000\000\001\001\003\000\001\000\000\000\001\000\000\000\002\001\003\000\001\000\000\000\010\000\000\000\003\001\003\000\001\000\000\000\001\000\000\000\006\001\003\000\001\000\000\000\001\000\000\000\021\001\004\000\001\000\000\000\156\000\000\000\026\001\003\000\001\000\000\000\001\000\000\000\027\001\004\000\001\000\000\000\001\000\000\000\000\000\000\000\200' >corpus/image/one.tif
+# One camera each of the formats that the scene is not in.
+cat >corpus/metashape/one <<'END'
+<document version="2.0.0"><chunk><sensors><sensor id="0" type="frame"><calibration class="adjusted"><resolution width="8" height="6"/><f>9</f><cx>1</cx><b2>1</b2><k4>1</k4><p1>1</p1></calibration></sensor></sensors><components><component id="0"><transform><rotation>1 0 0 0 1 0 0 0 1</rotation><translation>1 2 3</translation><scale>2</scale></transform></component></components><cameras><group label="g"><camera id="0" sensor_id="0" component_id="0" label="a"><transform>1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1</transform></camera></group></cameras><markers><marker id="0" label="m"><reference x="1" y="2" z="3"/></marker></markers><scalebars><scalebar label="s"><endpoint marker_id="0"/><endpoint marker_id="0"/><reference d="1"/></scalebar></scalebars><frames><frame><markers><marker marker_id="0"><location camera_id="0" x="1" y="2"/></marker></markers></frame></frames><reference>LOCAL_CS["a",UNIT["metre",1]]</reference></chunk></document>
+ply
+format ascii 1.0
+element vertex 1
+property float x
+property float y
+property float z
+end_header
+0 0 1
+END
+cat >corpus/nerfstudio/one.json <<'END'
+{"w": 8, "h": 6, "fl_x": 9, "k1": 0.1, "applied_scale": 2, "frames": [{"file_path": "a.png", "mask_path": "m.png", "transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}]}
+END

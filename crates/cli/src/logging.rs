@@ -16,7 +16,10 @@ pub(crate) fn start(verbose: u8, quiet: bool) {
     let ours = [
         "capture",
         "io_image",
+        "survey",
         "io_colmap",
+        "io_metashape",
+        "io_nerfstudio",
         "import",
         "splat",
         "medium",

@@ -217,7 +217,7 @@ fn what_is_no_capture_is_said_with_the_next_step() {
     check(&[
         (&["run", &at("dive.mp4")], 2, &["ffmpeg", "COLMAP"]),
         (&["run", &at("photo.png")], 2, &["one picture is not a capture"]),
-        (&["run", &at("transforms.json")], 2, &["nerfstudio", "colmap/sparse/0"]),
+        (&["run", &at("transforms.json")], 2, &["nerfstudio", "give the folder"]),
         (&["import", &at("dive.mp4"), "--out", &at("out")], 2, &["this is a file"]),
         (&["import", &images, "--out", &at("out")], 2, &["the parent folder contains a model"]),
     ]);

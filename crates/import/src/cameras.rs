@@ -22,6 +22,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 use use3d_capture::{Camera, FileName, Intrinsics, Pose};
 use use3d_io_colmap::{Model, ModelForm, read_model, read_model_as};
+use use3d_survey::Survey;
 
 use crate::error::ImportError;
 use crate::layout::find_models;
@@ -46,10 +47,10 @@ pub fn read_cameras(path: &Path) -> Result<Vec<(FileName, Camera)>, ImportError>
         read_model_as(path, form)?
     } else {
         let found = find_models(path, &ImportParams::default())?;
-        read_model_as(&found[0].dir, found[0].form)?
+        return from_model(&(found[0].format.read)(&found[0])?.survey);
     };
     model.check_single(path)?;
-    from_model(&model)
+    from_model(&model.into_survey(path)?)
 }
 
 /// The pinhole cameras of one `images.txt`, in its order, with the lenses of the `cameras.txt` in its folder.
@@ -61,12 +62,12 @@ pub fn read_images_txt(path: &Path) -> Result<Vec<Camera>, ImportError> {
     let cameras = use3d_io_colmap::text::cameras(&read(&lenses)?, &lenses)?;
     let names: Vec<FileName> = images.iter().map(|image| image.name.clone()).collect();
     let by_name: BTreeMap<FileName, Camera> =
-        from_model(&Model { cameras, images, points: Vec::new() })?.into_iter().collect();
+        from_model(&Model { cameras, images, points: Vec::new() }.into_survey(path)?)?.into_iter().collect();
     Ok(names.iter().filter_map(|name| by_name.get(name).copied()).collect())
 }
 
 /// The pinhole cameras of a model's images, sorted by name.
-pub(crate) fn from_model(model: &Model) -> Result<Vec<(FileName, Camera)>, ImportError> {
+pub(crate) fn from_model(model: &Survey) -> Result<Vec<(FileName, Camera)>, ImportError> {
     let mut lenses: BTreeMap<u32, Intrinsics> = BTreeMap::new();
     let mut out = Vec::with_capacity(model.images.len());
     for image in &model.images {
@@ -76,8 +77,7 @@ pub(crate) fn from_model(model: &Model) -> Result<Vec<(FileName, Camera)>, Impor
             None => {
                 let camera = model.camera(image.camera).ok_or_else(|| bad("it is not there".into()))?;
                 let (w, h) = (camera.width, camera.height);
-                let lens =
-                    camera.lens().ok_or_else(|| bad("it has the wrong number of parameters".into()))?;
+                let lens = camera.lens;
                 let pinhole = if is_pinhole(&lens, w, h) {
                     lens.intrinsics(w, h)
                 } else {

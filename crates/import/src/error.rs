@@ -5,6 +5,8 @@ use std::path::{Path, PathBuf};
 use use3d_capture::{CameraError, CaptureError, FileName, NameError};
 use use3d_io_colmap::ModelError;
 use use3d_io_image::ImageError;
+use use3d_io_metashape::MetashapeError;
+use use3d_io_nerfstudio::NerfstudioError;
 use use3d_numerics::range::OutOfRange;
 
 /// A capture that cannot be imported, prepared or loaded.
@@ -13,6 +15,12 @@ pub enum ImportError {
     /// An error in the model.
     #[error(transparent)]
     Model(#[from] ModelError),
+    /// An export of Metashape.
+    #[error(transparent)]
+    Metashape(#[from] MetashapeError),
+    /// A `transforms.json`.
+    #[error(transparent)]
+    Nerfstudio(#[from] NerfstudioError),
     /// An error in an image, a mask or a depth prior.
     #[error(transparent)]
     Image(#[from] ImageError),

@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use use3d_capture::{Intrinsics, Map, Pixels};
-use use3d_io_colmap::ModelCamera;
+use use3d_survey::SurveyCamera;
 
 use crate::error::ImportError;
 use crate::params::ImportParams;
@@ -42,7 +42,7 @@ fn size_ratio(model: (usize, usize), file: (usize, usize)) -> Option<(f64, f64)>
 impl Geometry {
     /// The geometry for files of one size taken by a camera; `path` is one of them, for messages.
     pub(crate) fn new(
-        camera: &ModelCamera,
+        camera: &SurveyCamera,
         file: (usize, usize),
         path: &std::path::Path,
         params: &ImportParams,
@@ -58,10 +58,7 @@ impl Geometry {
             ),
         })?;
         let bad = |reason: String| ImportError::Lens { camera: camera.id, reason };
-        let lens = camera
-            .lens()
-            .ok_or_else(|| bad("it has the wrong number of parameters".into()))?
-            .scaled(scale.0, scale.1);
+        let lens = camera.lens.scaled(scale.0, scale.1);
         let (undistortion, pinhole) = if is_pinhole(&lens, file.0, file.1) {
             (None, lens.intrinsics(file.0, file.1))
         } else {

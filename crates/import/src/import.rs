@@ -5,18 +5,19 @@
 //! change.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use glam::DVec3;
 use rayon::prelude::*;
 use use3d_capture::{Camera, Capture, CaptureError, Frame, Intrinsics, SparsePoint, View};
-use use3d_io_colmap::{Model, ModelImage, ModelPoint, fits_single, read_model_as};
+use use3d_io_colmap::fits_single;
 use use3d_io_image::{ImageInfo, image_info};
+use use3d_survey::{PosedImage, Survey, SurveyPoint};
 
 use crate::error::ImportError;
 use crate::geometry::Geometry;
-use crate::layout::{DEPTH_DIRS, MASK_DIRS, find_extra, find_images, find_models};
+use crate::layout::{DEPTH_DIRS, Folder, FoundModel, MASK_DIRS, find_extra, find_images, find_models};
 use crate::normalise;
 use crate::params::{ImportParams, WhiteBalance};
 use crate::prepared;
@@ -32,8 +33,10 @@ pub struct Imported {
     pub report: ImportReport,
     /// The changes to each view's file.
     pub(crate) plans: Vec<Plan>,
-    /// The model without the images that are missing, in COLMAP's frame.
-    pub(crate) model: Model,
+    /// The model without the images that are missing, in its own frame.
+    pub(crate) model: Survey,
+    /// Files and folders, relative to the capture, whose content makes the model.
+    pub(crate) model_files: Vec<PathBuf>,
     pub(crate) white_balance: WhiteBalance,
 }
 
@@ -43,7 +46,7 @@ pub(crate) struct Plan {
     pub(crate) geometry: Arc<Geometry>,
     /// True if the file has an alpha channel.
     pub(crate) alpha: bool,
-    /// COLMAP's camera id.
+    /// The id of its camera in the model.
     pub(crate) camera: u32,
 }
 
@@ -67,12 +70,19 @@ impl Imported {
         });
         let plans = plans.collect();
         let (report, model) = (self.report.clone(), self.model.clone());
-        Self { capture, report, plans, model, white_balance: self.white_balance }
+        let model_files = self.model_files.clone();
+        Self { capture, report, plans, model, model_files, white_balance: self.white_balance }
     }
 
-    /// The model that the capture came from, in COLMAP's frame, without the missing images.
-    pub fn model(&self) -> &Model {
+    /// The model that the capture came from, in its own frame, without the missing images.
+    pub fn model(&self) -> &Survey {
         &self.model
+    }
+
+    /// Files and folders, relative to the capture, whose content makes the model; empty for a prepared
+    /// capture.
+    pub fn model_files(&self) -> &[PathBuf] {
+        &self.model_files
     }
 }
 
@@ -104,31 +114,31 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
 
     let found = find_models(dir, params)?;
     let (chosen, others) = (&found[0], &found[1..]);
-    let mut model = read_model_as(&chosen.dir, chosen.form)?;
-    model.check_single(&chosen.dir)?;
+    let mut read = (chosen.format.read)(chosen)?;
     let bad_capture = |source| ImportError::Capture { path: dir.to_path_buf(), source };
-    if model.images.is_empty() {
+    if read.survey.images.is_empty() {
         return Err(bad_capture(CaptureError::NoViews));
     }
     let mut report = ImportReport {
         name: capture_name(dir),
         model: chosen.relative.clone(),
-        model_form: chosen.form.to_string(),
-        other_models: others.iter().map(|m| format!("{} ({} images)", m.relative, m.images)).collect(),
-        registered: model.images.len(),
+        model_form: chosen.form.clone(),
+        other_models: others.iter().map(FoundModel::counted).collect(),
+        registered: read.survey.images.len(),
         normalised: params.normalise,
         ..ImportReport::default()
     };
     let frame = if params.normalise {
         // All registered images count, also those that are missing on this disk, because the frame is a
         // property of the model.
-        normalise::frame(&model.images.iter().map(ModelImage::pose).collect::<Vec<_>>())
+        normalise::frame(&read.survey.images.iter().map(PosedImage::pose).collect::<Vec<_>>())
     } else {
         Frame::IDENTITY
     };
     report.scale = frame.scale;
 
-    let (folder, other_folders) = find_images(dir, params, &model)?;
+    let (folder, other_folders) = find_images(dir, params, &mut read)?;
+    let (mut model, base) = (read.survey, Folder::open_own(dir, &read.base));
     report.image_folder = folder.relative.clone();
     report.other_image_folders = other_folders;
     let masks = find_extra(dir, params.mask_dir.as_deref(), "mask_dir", &MASK_DIRS)?;
@@ -146,7 +156,10 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
         let view = View {
             id: image.id,
             image: path,
-            mask: masks.as_ref().map(|m| m.mask(&name)).transpose()?.flatten(),
+            mask: match model.files.get(&image.id).and_then(|f| f.mask.as_ref()).zip(base.as_ref()) {
+                Some((mask, base)) if params.mask_dir.is_none() => base.file(mask)?,
+                _ => masks.as_ref().map(|m| m.mask(&name)).transpose()?.flatten(),
+            },
             depth_prior: depths.as_ref().map(|d| d.depth(&name)).transpose()?.flatten(),
             name,
             camera: Camera { intrinsics: PENDING, pose: frame.apply_pose(&image.pose()) },
@@ -164,6 +177,12 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
         report.notes.push(format!("{renamed} images were found with another extension than in the model"));
     }
     model.retain_images(|image| kept.contains(&image.id));
+    report.notes.append(&mut model.notes);
+    if let Some(world) = &model.world {
+        report
+            .notes
+            .push(format!("1 unit of the model is {:.6} m ({})", world.metres_per_unit, world.source));
+    }
 
     let infos: Vec<ImageInfo> =
         views.par_iter().map(|(view, _)| image_info(&view.image)).collect::<Result<_, _>>()?;
@@ -186,7 +205,7 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
     report.alpha_masks = plans.iter().filter(|p| p.alpha).count();
     report.depth_priors = views.iter().filter(|v| v.depth_prior.is_some()).count();
 
-    let points = sparse_points(&model, &frame);
+    let points = sparse_points(&model.points, &frame);
     let beyond = points
         .iter()
         .zip(&model.points)
@@ -201,7 +220,8 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
     }
     let capture = Capture { name: report.name.clone(), views, split: split.split, points, frame };
     capture.validate().map_err(bad_capture)?;
-    Ok(Imported { capture, report, plans, model, white_balance: params.white_balance })
+    let model_files = read.files;
+    Ok(Imported { capture, report, plans, model, model_files, white_balance: params.white_balance })
 }
 
 /// A placeholder for intrinsics that are not known yet.
@@ -211,7 +231,7 @@ const PENDING: Intrinsics = Intrinsics { width: 0, height: 0, fx: 0.0, fy: 0.0, 
 fn plan(
     views: &mut [(View, u32)],
     infos: &[ImageInfo],
-    model: &Model,
+    model: &Survey,
     params: &ImportParams,
     report: &mut ImportReport,
 ) -> Result<Vec<Plan>, ImportError> {
@@ -239,7 +259,7 @@ fn plan(
         let camera = model.camera(id);
         report.cameras.push(CameraReport {
             id,
-            model: camera.map_or("", |c| c.model.name()).into(),
+            model: camera.map_or_else(String::new, |c| c.model.clone()),
             views: members.len(),
             model_size: camera.map_or([0, 0], |c| [c.width, c.height]),
             file_size: [width, height],
@@ -257,14 +277,14 @@ fn plan(
 }
 
 /// The model's points in the capture's frame.
-pub(crate) fn sparse_points(model: &Model, frame: &Frame) -> Vec<SparsePoint> {
-    let point = |p: &ModelPoint| SparsePoint {
+pub(crate) fn sparse_points(points: &[SurveyPoint], frame: &Frame) -> Vec<SparsePoint> {
+    let point = |p: &SurveyPoint| SparsePoint {
         position: frame.apply(DVec3::from_array(p.position)),
         color: p.color,
         error: if p.error.is_finite() { p.error } else { -1.0 },
         track_length: p.track.len() as u32,
     };
-    model.points.iter().map(point).collect()
+    points.iter().map(point).collect()
 }
 
 /// The name of a capture: its folder's own name, also for `.` and similar paths.

@@ -4,9 +4,12 @@
 use std::path::{Path, PathBuf};
 
 use use3d_capture::{FileName, NameError};
-use use3d_io_colmap::{Model, ModelError, ModelForm, count_images, form_of};
+use use3d_io_colmap::{ModelError, ModelForm, count_images, form_of};
+use use3d_survey::Survey;
 
 use crate::error::ImportError;
+use crate::formats::{FORMATS, Format, ReadModel};
+use crate::labels;
 use crate::params::ImportParams;
 
 /// Image folders, tried in this order.
@@ -16,63 +19,92 @@ pub(crate) const DEPTH_DIRS: [&str; 3] = ["depth", "depths", "depthAnythingV2_u1
 /// Mask folder.
 pub(crate) const MASK_DIRS: [&str; 1] = ["masks"];
 
-const IMAGE_EXTENSIONS: [&str; 12] =
+pub(crate) const IMAGE_EXTENSIONS: [&str; 12] =
     ["png", "jpg", "jpeg", "tif", "tiff", "exr", "PNG", "JPG", "JPEG", "TIF", "TIFF", "EXR"];
 const MASK_EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "tif", "tiff", "npy", "exr"];
 const DEPTH_EXTENSIONS: [&str; 5] = ["png", "npy", "tif", "tiff", "exr"];
 
 /// A model that was found.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub(crate) struct FoundModel {
-    /// Path relative to the capture, `.` for the capture itself.
+    pub(crate) format: &'static Format,
+    /// Its folder or file relative to the capture, `.` for the capture itself.
     pub(crate) relative: String,
-    pub(crate) dir: PathBuf,
-    pub(crate) form: ModelForm,
+    pub(crate) path: PathBuf,
+    /// The form it is stored in, as reports say it.
+    pub(crate) form: String,
+    /// The number of its images, where the format can be counted without reading it; else 0.
     pub(crate) images: u64,
+}
+
+impl FoundModel {
+    /// Its place and its number of images, as reports print them.
+    pub(crate) fn counted(&self) -> String {
+        match self.images {
+            0 => format!("{} ({})", self.relative, self.format.name),
+            images => format!("{} ({images} images)", self.relative),
+        }
+    }
 }
 
 /// All models of a capture. The chosen one comes first: the one that lists the most images, or the earlier
 /// place if several list the same number.
 pub(crate) fn find_models(root: &Path, params: &ImportParams) -> Result<Vec<FoundModel>, ImportError> {
-    if let Some(dir) = &params.model_dir {
-        let path = root.join(dir);
-        let form = form_of(&path)?;
-        let images = count_images(&path, form)?;
-        return Ok(vec![FoundModel { relative: dir.clone(), dir: path, form, images }]);
+    if let Some(place) = &params.model_dir {
+        for format in &FORMATS {
+            if let Some(found) = (format.at)(root, place)? {
+                return Ok(vec![found]);
+            }
+        }
+        form_of(&root.join(place))?; // the reason why it is none of COLMAP's either
     }
+    // The formats' own order: what lies beside the first one is reported as not used.
+    let mut found = Vec::new();
+    for format in &FORMATS {
+        found.extend((format.find)(root)?);
+    }
+    if !found.is_empty() {
+        return Ok(found);
+    }
+    // A model that lacks a file is what is meant, whatever else there is.
+    let incomplete = colmap_places(root).iter().map(|p| root.join(p)).find_map(|dir| {
+        let error = form_of(&dir).err()?;
+        matches!(error, ModelError::Incomplete { .. }).then_some(error)
+    });
+    if let Some(error) = incomplete {
+        return Err(error.into());
+    }
+    let looked = "sparse/0, sparse, colmap/sparse/0, sparse/*, colmap/sparse/*, colmap and the folder itself";
+    let hint = instead_of_a_model(root);
+    Err(ImportError::NoModel { path: root.to_path_buf(), looked: looked.into(), hint })
+}
+
+/// The folders of a capture that COLMAP's models may lie in.
+fn colmap_places(root: &Path) -> Vec<String> {
     let mut places: Vec<String> = ["sparse/0", "sparse", "colmap/sparse/0"].map(String::from).to_vec();
     for parent in ["sparse", "colmap/sparse"] {
         places.extend(subfolders(&root.join(parent)).into_iter().map(|name| format!("{parent}/{name}")));
     }
     places.extend(["colmap/sparse", "colmap", "."].map(String::from));
+    places
+}
 
+/// COLMAP's models in a capture, the largest first.
+pub(crate) fn find_colmap(root: &Path) -> Result<Vec<FoundModel>, ImportError> {
     let mut found: Vec<FoundModel> = Vec::new();
-    for relative in &places {
+    for relative in &colmap_places(root) {
         let dir = root.join(relative);
         if found.iter().any(|f| f.relative == *relative) {
             continue;
         }
         if let Some(form) = ModelForm::of(&dir) {
             let images = count_images(&dir, form)?;
-            found.push(FoundModel { relative: relative.clone(), dir, form, images });
+            let (relative, form) = (relative.clone(), form.to_string());
+            found.push(FoundModel { format: &FORMATS[0], relative, path: dir, form, images });
         }
     }
     // A stable sort keeps the order of places among equals.
     found.sort_by_key(|f| std::cmp::Reverse(f.images));
-    if found.is_empty() {
-        // If a model lacks a file, the error is about that model, whatever else the folder contains.
-        let incomplete = places.iter().map(|p| root.join(p)).find_map(|dir| {
-            let error = form_of(&dir).err()?;
-            matches!(error, ModelError::Incomplete { .. }).then_some(error)
-        });
-        if let Some(error) = incomplete {
-            return Err(error.into());
-        }
-        let looked =
-            "sparse/0, sparse, colmap/sparse/0, sparse/*, colmap/sparse/*, colmap and the folder itself";
-        let hint = instead_of_a_model(root);
-        return Err(ImportError::NoModel { path: root.to_path_buf(), looked: looked.into(), hint });
-    }
     Ok(found)
 }
 
@@ -107,20 +139,8 @@ fn instead_of_a_model(root: &Path) -> String {
     if has("scene.json") && has("gaussians.ply") {
         return "this is a scene; give the capture that it was made from".into();
     }
-    if has("transforms.json") {
-        return "transforms.json (nerfstudio) is not read: give the COLMAP model that it was made from, \
-            which `ns-process-data` leaves in colmap/sparse/0"
-            .into();
-    }
-    if ends(&["xml", "psx", "rcproj"]) {
-        return "projects of Metashape and RealityCapture are not read: export cameras and points in COLMAP's \
-            format (Metashape: File > Export > Export Cameras > COLMAP) with undistorted images"
-            .into();
-    }
-    if ends(&["mp4", "mov", "avi", "mkv"]) {
-        return "a film is not read: take frames out of it (`ffmpeg -i FILM -vf fps=2 images/%05d.png`) and run \
-            COLMAP on them"
-            .into();
+    if let Some(hint) = FORMATS.iter().rev().find_map(|format| (format.instead)(&names)) {
+        return hint.into();
     }
     let holding: Vec<String> =
         subfolders(root).into_iter().filter(|name| model_of(&root.join(name))).take(SHOWN + 1).collect();
@@ -151,7 +171,7 @@ fn instead_of_a_model(root: &Path) -> String {
 }
 
 /// Names of the folders in a folder: numbers first and by value, then the rest by name.
-fn subfolders(dir: &Path) -> Vec<String> {
+pub(crate) fn subfolders(dir: &Path) -> Vec<String> {
     let Ok(entries) = std::fs::read_dir(dir) else { return Vec::new() };
     let mut names: Vec<String> = entries
         .filter_map(Result::ok)
@@ -266,12 +286,13 @@ impl Folder {
 pub(crate) fn find_images(
     root: &Path,
     params: &ImportParams,
-    model: &Model,
+    model: &mut ReadModel,
 ) -> Result<(Folder, Vec<String>), ImportError> {
     let fail = |reason: &str, looked: String| {
         Err(ImportError::NoImages { path: root.to_path_buf(), reason: reason.into(), looked })
     };
-    let names: Vec<&str> = params.image_dir.as_deref().map_or(IMAGE_DIRS.to_vec(), |dir| vec![dir]);
+    let usual = || model.image_dirs.iter().map(String::as_str).collect();
+    let names: Vec<&str> = params.image_dir.as_deref().map_or_else(usual, |dir| vec![dir]);
     let looked = names.join(", ");
     let folders: Vec<Folder> = names.iter().filter_map(|n| Folder::open_own(root, n)).collect();
     let set = "`--set image_dir=DIR` (`--set import.image_dir=DIR` in `use3d run`)";
@@ -283,10 +304,10 @@ pub(crate) fn find_images(
     }
     let mut best: Option<(usize, &Folder)> = None;
     for folder in &folders {
-        let mut count = 0;
-        for image in &model.images {
-            count += usize::from(folder.image(&image.name)?.is_some());
-        }
+        let count = match model.labels {
+            true => labels::count(&model.survey, folder),
+            false => count_named(&model.survey, folder)?,
+        };
         if best.is_none_or(|(most, _)| count > most) {
             best = Some((count, folder));
         }
@@ -295,10 +316,13 @@ pub(crate) fn find_images(
         Some((count, folder)) if count > 0 => {
             let others =
                 folders.iter().filter(|f| f.real != folder.real).map(|f| f.relative.clone()).collect();
+            if model.labels {
+                labels::resolve(&mut model.survey, folder)?;
+            }
             Ok((folder.clone(), others))
         }
         _ => {
-            let wanted = model.images.first().map_or("", |i| i.name.as_str());
+            let wanted = model.survey.images.first().map_or("", |i| i.name.as_str());
             let mut why = format!("none of the model's images ({wanted:?}, …) is in the image folder");
             match folders.iter().find_map(|f| unread(&f.real)) {
                 Some(format) => why.push_str(&format!(
@@ -309,6 +333,15 @@ pub(crate) fn find_images(
             fail(&why, looked)
         }
     }
+}
+
+/// The number of a survey's images that a folder holds under their own names.
+fn count_named(survey: &Survey, folder: &Folder) -> Result<usize, ImportError> {
+    let mut count = 0;
+    for image in &survey.images {
+        count += usize::from(folder.image(&image.name)?.is_some());
+    }
+    Ok(count)
 }
 
 /// The format of images that are in a folder and cannot be read.

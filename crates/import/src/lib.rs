@@ -35,8 +35,10 @@
 
 mod cameras;
 mod error;
+mod formats;
 mod geometry;
 mod import;
+mod labels;
 mod layout;
 mod load;
 mod normalise;

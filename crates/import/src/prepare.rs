@@ -16,6 +16,7 @@ use use3d_io_image::{
     image_size, read_pixels, read_pixels_with_alpha, write_atomically, write_exr_map, write_png_map,
     write_png_pixels,
 };
+use use3d_survey::Survey;
 
 use crate::error::ImportError;
 use crate::geometry::Geometry;
@@ -77,19 +78,22 @@ pub fn prepare(
     }
     let capture = Capture {
         name: imported.capture.name.clone(),
-        points: sparse_points(&model, &imported.capture.frame),
+        points: sparse_points(&model.points, &imported.capture.frame),
         views: prepared,
         split: imported.capture.split.clone(),
         frame: imported.capture.frame,
     };
-    save(out, &capture, &report)?;
+    let world = imported.model.world.clone();
+    save(out, &capture, &report, world.as_ref())?;
     let plans = imported.plans.iter().zip(&cameras).zip(&capture.views).map(|((plan, &camera), view)| Plan {
         geometry: Arc::new(Geometry::identity(view.camera.intrinsics)),
         alpha: plan.alpha && !changes(plan, gains),
         camera,
     });
     let plans = plans.collect();
-    Ok(Imported { capture, report, plans, model, white_balance: WhiteBalance::None })
+    let model = Survey { world, ..model.into_survey(out)? };
+    let model_files = Vec::new();
+    Ok(Imported { capture, report, plans, model, model_files, white_balance: WhiteBalance::None })
 }
 
 fn changes(plan: &Plan, gains: Option<[f32; 3]>) -> bool {

@@ -15,6 +15,7 @@ use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 use use3d_capture::{Camera, Capture, FileName, Frame, Intrinsics, Pose, Split, View};
 use use3d_io_colmap::read_model;
+use use3d_survey::{Survey, World};
 
 use crate::error::ImportError;
 use crate::geometry::Geometry;
@@ -39,6 +40,9 @@ struct Manifest {
     #[serde(skip_serializing, default)]
     name: String,
     frame: FrameEntry,
+    /// The model's world, where it is known.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    world: Option<WorldEntry>,
     views: Vec<ViewEntry>,
     train: Vec<usize>,
     test: Vec<usize>,
@@ -50,6 +54,14 @@ struct FrameEntry {
     scale: f64,
     rotation: [f64; 9],
     translation: [f64; 3],
+}
+
+#[derive(Serialize, Deserialize)]
+struct WorldEntry {
+    metres_per_unit: f64,
+    transform: [[f64; 4]; 4],
+    crs: Option<String>,
+    source: String,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -88,7 +100,12 @@ pub fn is_prepared(dir: &Path) -> bool {
 }
 
 /// Writes the manifest; paths in the capture must be below `dir`.
-pub(crate) fn save(dir: &Path, capture: &Capture, report: &ImportReport) -> Result<(), ImportError> {
+pub(crate) fn save(
+    dir: &Path,
+    capture: &Capture,
+    report: &ImportReport,
+    world: Option<&World>,
+) -> Result<(), ImportError> {
     let path = dir.join(MANIFEST);
     let bad = |reason: String| ImportError::Prepared { path: path.clone(), reason };
     let relative = |p: &PathBuf| {
@@ -123,6 +140,12 @@ pub(crate) fn save(dir: &Path, capture: &Capture, report: &ImportReport) -> Resu
             rotation: row_major(&capture.frame.rotation),
             translation: capture.frame.translation.to_array(),
         },
+        world: world.cloned().map(|World { metres_per_unit, transform, crs, source }| WorldEntry {
+            metres_per_unit,
+            transform,
+            crs,
+            source,
+        }),
         views: capture.views.iter().map(entry).collect::<Result<_, ImportError>>()?,
         train: capture.split.train.clone(),
         test: capture.split.test.clone(),
@@ -233,12 +256,21 @@ pub fn load_prepared(dir: &Path) -> Result<Imported, ImportError> {
     if !(scale.is_finite() && *scale > 0.0 && frame.rotation.is_finite() && frame.translation.is_finite()) {
         return Err(bad("its frame is not a similarity".into()));
     }
-    let points = sparse_points(&model, &frame);
+    let points = sparse_points(&model.points, &frame);
+    let world = manifest.world.map(|WorldEntry { metres_per_unit, transform, crs, source }| World {
+        metres_per_unit,
+        transform,
+        crs,
+        source,
+    });
+    let model = Survey { world, ..model.into_survey(&dir.join(MODEL))? };
+    model.check().map_err(|e| bad(e.to_string()))?;
     let split = Split { train: manifest.train, test: manifest.test };
     let name = if manifest.name.is_empty() { capture_name(dir) } else { manifest.name };
     let mut report = manifest.report;
     report.name.clone_from(&name);
     let capture = Capture { name, views, split, points, frame };
     capture.validate().map_err(|source| ImportError::Capture { path: dir.to_path_buf(), source })?;
-    Ok(Imported { capture, report, plans, model, white_balance: WhiteBalance::None })
+    let model_files = Vec::new();
+    Ok(Imported { capture, report, plans, model, model_files, white_balance: WhiteBalance::None })
 }

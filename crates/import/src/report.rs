@@ -144,7 +144,11 @@ impl fmt::Display for ImportReport {
             some(&self.test)
         )?;
         match self.normalised {
-            true => writeln!(f, "  frame: normalised, 1 COLMAP unit is {:.6}", self.scale)?,
+            true => {
+                let unit =
+                    if form == "binary" || form == "text" { "COLMAP unit" } else { "unit of the model" };
+                writeln!(f, "  frame: normalised, 1 {unit} is {:.6}", self.scale)?;
+            }
             false => writeln!(f, "  frame: as in the model")?,
         }
         if let Some([r, g, b]) = self.white_balance {

@@ -15,10 +15,10 @@
 use std::sync::OnceLock;
 
 use use3d_capture::{Intrinsics, Raster};
-use use3d_io_colmap::Lens;
 #[cfg(test)]
 use use3d_io_colmap::LensModel;
 use use3d_numerics::math;
+use use3d_survey::Lens;
 
 use crate::resample::Sample;
 
@@ -281,12 +281,11 @@ mod tests {
 
     #[test]
     fn a_lens_that_does_nothing_is_a_pinhole() {
-        let almost = Lens::new(LensModel::SimpleRadial, &[800.0, 500.0, 350.0, 1e-7]).unwrap();
+        let almost = LensModel::SimpleRadial.lens(&[800.0, 500.0, 350.0, 1e-7]).unwrap();
         assert!(is_pinhole(&almost, 1000, 700));
-        let real = Lens::new(LensModel::SimpleRadial, &[800.0, 500.0, 350.0, 1e-2]).unwrap();
+        let real = LensModel::SimpleRadial.lens(&[800.0, 500.0, 350.0, 1e-2]).unwrap();
         assert!(!is_pinhole(&real, 1000, 700));
-        let k =
-            choose_pinhole(&Lens::new(LensModel::Pinhole, &[800.0, 800.0, 500.0, 350.0]).unwrap(), 1000, 700);
+        let k = choose_pinhole(&LensModel::Pinhole.lens(&[800.0, 800.0, 500.0, 350.0]).unwrap(), 1000, 700);
         let k = k.unwrap();
         assert_eq!((k.width, k.height), (1000, 700));
         assert!((k.cx - 500.0).abs() < 1e-3 && (k.cy - 350.0).abs() < 1e-3);
@@ -294,7 +293,7 @@ mod tests {
 
     #[test]
     fn unusable_lenses_are_refused() {
-        let folded = Lens::new(LensModel::SimpleRadial, &[800.0, -4000.0, 350.0, -2.0]).unwrap();
+        let folded = LensModel::SimpleRadial.lens(&[800.0, -4000.0, 350.0, -2.0]).unwrap();
         assert!(choose_pinhole(&folded, 1000, 700).is_err());
     }
 

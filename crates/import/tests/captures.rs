@@ -359,7 +359,7 @@ fn distorted_captures_come_out_as_pinholes_of_the_same_world() {
         (model.cameras.len(), model.cameras[0].id, model.cameras[0].model),
         (1, 9, LensModel::Pinhole)
     );
-    let lens = Lens::new(LensModel::Radial, &parameters).unwrap();
+    let lens = LensModel::Radial.lens(&parameters).unwrap();
     let (u, v) = lens.unproject(30.0, 20.0).unwrap();
     let keypoint = model.images[0].keypoints[0];
     assert!((keypoint.x - (u * k.fx + k.cx)).abs() < 1e-9 && (keypoint.y - (v * k.fy + k.cy)).abs() < 1e-9);

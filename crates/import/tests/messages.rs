@@ -46,8 +46,8 @@ fn what_lies_there_instead_of_a_model_is_said_with_the_next_step() {
     let without = |dir: &Path| std::fs::remove_dir_all(dir.join("sparse")).unwrap();
     type Change = fn(&Path);
     let cases: [(&str, Change); 9] = [
-        ("nerfstudio", |d| std::fs::write(d.join("transforms.json"), "{}").unwrap()),
-        ("Metashape", |d| std::fs::write(d.join("cameras.xml"), "<document/>").unwrap()),
+        ("no cameras file of Metashape", |d| std::fs::write(d.join("notes.xml"), "<html/>").unwrap()),
+        ("RealityScan", |d| std::fs::write(d.join("reef.RCPROJ"), "x").unwrap()),
         ("ffmpeg", |d| std::fs::write(d.join("Dive.MP4"), "x").unwrap()),
         ("this is a scene", |d| {
             std::fs::write(d.join("scene.json"), "{}").unwrap();
@@ -69,6 +69,17 @@ fn what_lies_there_instead_of_a_model_is_said_with_the_next_step() {
             change(dir);
         });
         assert!(said.contains("no COLMAP model found") && said.contains(expected), "{said}");
+    }
+    // A file of another format is a model, and what is wrong with it is said by its field.
+    for (file, text, expected) in [
+        ("transforms.json", "{}", "`frames` is missing"),
+        ("cameras.xml", "<document version=\"9\"/>", "`version` is \"9\""),
+    ] {
+        let said = complaint(|dir| {
+            without(dir);
+            std::fs::write(dir.join(file), text).unwrap();
+        });
+        assert!(said.contains(file) && said.contains(expected), "{said}");
     }
     let dir = tempfile::tempdir().unwrap();
     write_model_binary(&dir.path().join("sparse/0"), &model()).unwrap();

@@ -16,7 +16,8 @@ use use3d_capture::FileName;
 
 use crate::error::ModelError;
 use crate::lens::LensModel;
-use crate::model::{Keypoint, ModelCamera, ModelImage, ModelPoint};
+use crate::model::ModelCamera;
+use crate::{Keypoint, ModelImage, ModelPoint};
 
 /// The unread rest of a file.
 struct Cursor<'a> {

@@ -9,14 +9,15 @@
 
 pub mod binary;
 mod error;
-mod jet;
 mod lens;
 mod model;
+mod survey;
 pub mod text;
 
 pub use error::ModelError;
-pub use lens::{Lens, LensModel};
+pub use lens::LensModel;
 pub use model::{
-    Keypoint, Model, ModelCamera, ModelForm, ModelImage, ModelPoint, count_images, fits_single, form_of,
-    read_model, read_model_as, write_model_binary, write_model_text,
+    Model, ModelCamera, ModelForm, count_images, fits_single, form_of, read_model, read_model_as,
+    write_model_binary, write_model_text,
 };
+pub use use3d_survey::{Keypoint, Lens, PosedImage as ModelImage, SurveyPoint as ModelPoint};

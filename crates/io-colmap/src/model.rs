@@ -9,11 +9,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use glam::{DMat3, DQuat, DVec3};
-use use3d_capture::{FileName, Pose};
+use use3d_survey::{Lens, PosedImage as ModelImage, SurveyPoint as ModelPoint};
 
 use crate::error::ModelError;
-use crate::lens::{Lens, LensModel};
+use crate::lens::LensModel;
 use crate::{binary, text};
 
 /// A camera: a lens model with parameters, and the size of its images.
@@ -45,78 +44,8 @@ impl ModelCamera {
 
     /// The lens; `None` if the number of parameters is wrong (never for a model that was read).
     pub fn lens(&self) -> Option<Lens> {
-        Lens::new(self.model, &self.parameters)
+        self.model.lens(&self.parameters)
     }
-}
-
-/// A keypoint of an image.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Keypoint {
-    /// Pixel x.
-    pub x: f64,
-    /// Pixel y.
-    pub y: f64,
-    /// The id of the triangulated point, or [`Keypoint::NONE`].
-    pub point: u64,
-}
-
-impl Keypoint {
-    /// COLMAP's value (−1) for a keypoint without a triangulated point.
-    pub const NONE: u64 = u64::MAX;
-}
-
-/// A registered image.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ModelImage {
-    /// Its id.
-    pub id: u32,
-    /// World-to-camera rotation `w x y z`, as stored (not necessarily of unit length).
-    pub quaternion: [f64; 4],
-    /// World-to-camera translation.
-    pub translation: [f64; 3],
-    /// Its camera.
-    pub camera: u32,
-    /// Its file, relative to the image folder.
-    pub name: FileName,
-    /// Its keypoints.
-    pub keypoints: Vec<Keypoint>,
-}
-
-impl ModelImage {
-    /// The pose, with the quaternion normalised.
-    pub fn pose(&self) -> Pose {
-        let [w, x, y, z] = self.quaternion;
-        let rotation = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize());
-        Pose { rotation, translation: DVec3::from_array(self.translation) }
-    }
-
-    /// An image without keypoints at a pose.
-    pub fn at(id: u32, name: FileName, camera: u32, pose: &Pose) -> Self {
-        let q = DQuat::from_mat3(&pose.rotation);
-        Self {
-            id,
-            quaternion: [q.w, q.x, q.y, q.z],
-            translation: pose.translation.to_array(),
-            camera,
-            name,
-            keypoints: Vec::new(),
-        }
-    }
-}
-
-/// A triangulated point.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ModelPoint {
-    /// Its id.
-    pub id: u64,
-    /// World position.
-    pub position: [f64; 3],
-    /// 8-bit RGB.
-    pub color: [u8; 3],
-    /// Mean reprojection error, pixels (−1 if not known).
-    pub error: f64,
-    /// The keypoints that saw it: `(image id, keypoint index)`.
-    pub track: Vec<(u32, u32)>,
 }
 
 /// A model.

@@ -18,7 +18,8 @@ use use3d_capture::{FileName, shown};
 
 use crate::error::ModelError;
 use crate::lens::LensModel;
-use crate::model::{Keypoint, ModelCamera, ModelImage, ModelPoint};
+use crate::model::ModelCamera;
+use crate::{Keypoint, ModelImage, ModelPoint};
 
 type Result<T> = std::result::Result<T, ModelError>;
 

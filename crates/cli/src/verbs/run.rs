@@ -85,12 +85,15 @@ fn no_pipeline(file: &Path) -> Option<&'static str> {
             "one picture is not a capture: give the folder with the images and their COLMAP model"
         }
         "json" if file.file_name().is_some_and(|name| name == "transforms.json") => {
-            "transforms.json (nerfstudio) is not read: give the capture's folder; the COLMAP model that it was made from lies \
-             in colmap/sparse/0 there"
+            "give the folder that transforms.json (nerfstudio) lies in, not the file (docs/guide/other-programs.md)"
         }
-        "xml" | "psx" | "rcproj" => {
-            "projects of Metashape and RealityCapture are not read: export cameras and points in COLMAP's format (Metashape: \
-             File > Export > Export Cameras > COLMAP) with undistorted images, and give that folder"
+        "xml" | "psx" | "psz" => {
+            "give a folder with Metashape's exported cameras (File > Export > Export Cameras, Agisoft XML) and the photographs \
+             (docs/guide/other-programs.md)"
+        }
+        "rcproj" => {
+            "projects of RealityScan (RealityCapture) are not read: export cameras and points in COLMAP's format with \
+             undistorted images, and give that folder"
         }
         "json" => {
             "this is not a pipeline file (.toml): give the capture's folder, with images and a COLMAP model \

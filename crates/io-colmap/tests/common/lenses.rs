@@ -34,5 +34,5 @@ pub(crate) fn example(model: LensModel, amount: f64) -> Lens {
         M::Fisheye => (vec![500.0, 510.0, 503.0, 347.0], vec![]),
         M::Eucm => (vec![600.0, 610.0, 503.0, 347.0], k(&[0.5, 1.0])),
     };
-    Lens::new(model, &[head, tail].concat()).unwrap()
+    model.lens(&[head, tail].concat()).unwrap()
 }

@@ -35,9 +35,9 @@ fn files(parameters: &Value, capture: &Path) -> Result<Vec<PathBuf>, String> {
         paths.extend(files.into_iter().filter(|file| has_hidden_part(file)));
         return Ok(paths); // the whole folder, with its sights
     }
-    let report = imported.report;
+    let mut paths = imported.model_files().to_vec();
+    let report = &imported.report;
     let masks = params.mask_dir.unwrap_or_else(|| "masks".into());
-    let mut paths = vec![PathBuf::from(report.model)];
     let folders = [Some(&report.image_folder), Some(&masks), report.depth_folder.as_ref()];
     // The files are listed one by one: other files of these folders, which the model does not name, are not
     // part of the capture.

@@ -1,0 +1,300 @@
+//! The formats of models that an import takes: one row of a table for each.
+//!
+//! A row says what a model looks like in a folder, how it is read into a [`Survey`], where its photographs
+//! may lie, and what to say about files of the format that are not usable. COLMAP's comes first, so that a folder
+//! with several formats is read as before there were others.
+
+use std::path::{Path, PathBuf};
+
+use use3d_capture::FileName;
+use use3d_io_colmap::{ModelForm, count_images, form_of, read_model_as};
+use use3d_survey::Survey;
+
+use crate::error::ImportError;
+use crate::layout::{DEPTH_DIRS, FoundModel, IMAGE_DIRS, MASK_DIRS, find_colmap, subfolders};
+use crate::prepared::{MANIFEST, is_prepared};
+
+/// A format of models.
+#[derive(Debug)]
+pub(crate) struct Format {
+    /// Its name, for people.
+    pub(crate) name: &'static str,
+    /// The models of this format in a capture, the best first.
+    pub(crate) find: fn(&Path) -> Result<Vec<FoundModel>, ImportError>,
+    /// The model at a place that the user named; `None` if it is not of this format.
+    pub(crate) at: fn(&Path, &str) -> Result<Option<FoundModel>, ImportError>,
+    /// Reads a model that was found.
+    pub(crate) read: fn(&FoundModel) -> Result<ReadModel, ImportError>,
+    /// The advice for a capture without a model, by the names in its folder.
+    pub(crate) instead: fn(&[String]) -> Option<&'static str>,
+}
+
+/// A model that was read.
+pub(crate) struct ReadModel {
+    pub(crate) survey: Survey,
+    /// Files and folders, relative to the capture, whose content makes the model.
+    pub(crate) files: Vec<PathBuf>,
+    /// The folder, relative to the capture, that the survey's files lie in.
+    pub(crate) base: String,
+    /// The image folders to try, relative to the capture.
+    pub(crate) image_dirs: Vec<String>,
+    /// True if names are labels: without folders, extensions or both.
+    pub(crate) labels: bool,
+}
+
+/// The formats, in the order in which they are tried.
+pub(crate) static FORMATS: [Format; 3] = [
+    Format { name: "COLMAP", find: find_colmap, at: colmap_at, read: read_colmap, instead: no_colmap },
+    Format {
+        name: "Metashape",
+        find: |root| Ok(find_metashape(root)),
+        at: |root, place| Ok(metashape_at(root, place)),
+        read: read_metashape,
+        instead: no_metashape,
+    },
+    Format {
+        name: "nerfstudio",
+        find: |root| Ok(nerfstudio_at(root, TRANSFORMS).into_iter().collect()),
+        at: |root, place| {
+            Ok(nerfstudio_at(root, place).or_else(|| nerfstudio_at(root, &format!("{place}/{TRANSFORMS}"))))
+        },
+        read: read_nerfstudio,
+        instead: |_| None,
+    },
+];
+
+/// The largest file of points that is read, bytes.
+const LARGEST_POINTS: u64 = 4 << 30;
+
+/// The folder of a model's file, relative to the capture.
+fn base_of(found: &FoundModel) -> String {
+    let parent = Path::new(&found.relative).parent().map(|p| p.to_string_lossy().into_owned());
+    parent.filter(|p| !p.is_empty()).unwrap_or_else(|| ".".into())
+}
+
+/// A name in a folder of the capture.
+fn inside(base: &str, name: &str) -> String {
+    match (base, name) {
+        (".", _) => name.to_string(),
+        (_, ".") => base.to_string(),
+        _ => format!("{base}/{name}"),
+    }
+}
+
+fn has_extension(name: &str, extension: &str) -> bool {
+    Path::new(name).extension().is_some_and(|e| e.eq_ignore_ascii_case(extension))
+}
+
+/// Names of the files in a folder, sorted.
+fn files_in(dir: &Path) -> Vec<String> {
+    let Ok(entries) = std::fs::read_dir(dir) else { return Vec::new() };
+    let files = entries.filter_map(Result::ok).filter(|e| e.path().is_file());
+    let mut names: Vec<String> = files.filter_map(|e| e.file_name().into_string().ok()).collect();
+    names.sort();
+    names
+}
+
+fn read_points(path: &Path) -> Result<Vec<u8>, ImportError> {
+    let file = ImportError::file(path);
+    if std::fs::metadata(path).map_err(&file)?.len() > LARGEST_POINTS {
+        let reason = "it is larger than 4 GiB; export the tie points (sparse cloud), not the dense cloud";
+        return Err(file(std::io::Error::new(std::io::ErrorKind::InvalidData, reason)));
+    }
+    std::fs::read(path).map_err(file)
+}
+
+// COLMAP: three files, in `sparse/0` or thereabouts.
+
+fn colmap_at(root: &Path, place: &str) -> Result<Option<FoundModel>, ImportError> {
+    let path = root.join(place);
+    let Some(form) = ModelForm::of(&path) else { return Ok(None) };
+    let images = count_images(&path, form)?;
+    let (relative, form) = (place.to_string(), form.to_string());
+    Ok(Some(FoundModel { format: &FORMATS[0], relative, path, form, images }))
+}
+
+fn read_colmap(found: &FoundModel) -> Result<ReadModel, ImportError> {
+    let model = read_model_as(&found.path, form_of(&found.path)?)?;
+    model.check_single(&found.path)?;
+    Ok(ReadModel {
+        survey: model.into_survey(&found.path)?,
+        files: vec![PathBuf::from(&found.relative)],
+        base: ".".into(),
+        image_dirs: IMAGE_DIRS.map(String::from).to_vec(),
+        labels: false,
+    })
+}
+
+fn no_colmap(names: &[String]) -> Option<&'static str> {
+    let films = ["mp4", "mov", "avi", "mkv"];
+    names.iter().any(|n| films.iter().any(|e| has_extension(n, e))).then_some(
+        "a film is not read: take frames out of it (`ffmpeg -i FILM -vf fps=2 images/%05d.png`) and run COLMAP on \
+         them",
+    )
+}
+
+// Metashape: an XML file in the capture's folder, and points as PLY beside it.
+
+fn metashape_at(root: &Path, place: &str) -> Option<FoundModel> {
+    let path = root.join(place);
+    if path.is_dir() {
+        let inside = find_metashape(&path).into_iter().next()?;
+        let relative = format!("{place}/{}", inside.relative);
+        return Some(FoundModel { relative, ..inside });
+    }
+    let cameras = path.is_file() && has_extension(place, "xml") && use3d_io_metashape::is_cameras_file(&path);
+    cameras.then(|| FoundModel {
+        format: &FORMATS[1],
+        relative: place.into(),
+        path,
+        form: "Agisoft XML".into(),
+        images: 0,
+    })
+}
+
+fn find_metashape(root: &Path) -> Vec<FoundModel> {
+    let mut found: Vec<FoundModel> =
+        files_in(root).iter().filter_map(|name| metashape_at(root, name)).collect();
+    // Markers are exported as a file of the same form; the one with the cameras is called so.
+    found.sort_by_key(|f| !f.relative.to_lowercase().contains("camera"));
+    found
+}
+
+/// The file of points beside a cameras file: the only one, or the one that is called after tie points.
+fn points_beside(dir: &Path, notes: &mut Vec<String>) -> Option<String> {
+    let clouds: Vec<String> = files_in(dir).into_iter().filter(|n| has_extension(n, "ply")).collect();
+    let named = |name: &&String| {
+        let name = name.to_lowercase();
+        name == "points.ply" || name.contains("tie") || name.contains("sparse")
+    };
+    match clouds.as_slice() {
+        [] => {
+            notes.push(
+                "no points: export the tie points as PLY into the same folder, and the scene starts from them"
+                    .into(),
+            );
+            None
+        }
+        [one] => Some(one.clone()),
+        several => {
+            let chosen = several.iter().find(named).cloned();
+            if chosen.is_none() {
+                let list = several.join(", ");
+                notes.push(format!("several files of points, none used ({list}): call one points.ply"));
+            }
+            chosen
+        }
+    }
+}
+
+fn read_metashape(found: &FoundModel) -> Result<ReadModel, ImportError> {
+    let mut survey = use3d_io_metashape::read(&found.path)?;
+    let mut files = vec![PathBuf::from(&found.relative)];
+    let (dir, base) = (found.path.parent().unwrap_or(Path::new(".")), base_of(found));
+    if let Some(name) = points_beside(dir, &mut survey.notes) {
+        let path = dir.join(&name);
+        use3d_io_metashape::add_points(&mut survey, &read_points(&path)?, &path)?;
+        files.push(PathBuf::from(inside(&base, &name)));
+    }
+    let others = subfolders(dir).into_iter().filter(|name| may_hold_photographs(dir, name));
+    let mut places = IMAGE_DIRS.map(String::from).to_vec();
+    places.extend(others.filter(|name| !IMAGE_DIRS.contains(&name.as_str())));
+    // The whole folder counts where photographs lie in several of its folders.
+    places.push(".".into());
+    let image_dirs = places.iter().map(|place| inside(&base, place)).collect();
+    Ok(ReadModel { survey, files, base, image_dirs, labels: true })
+}
+
+/// False for a folder of a capture that holds other images of the same names: masks, depth priors, the truth of
+/// a synthetic capture, and captures that an import wrote.
+pub(crate) fn may_hold_photographs(dir: &Path, name: &str) -> bool {
+    let other = MASK_DIRS.contains(&name) || DEPTH_DIRS.contains(&name) || name == "truth";
+    !other && !is_prepared(&dir.join(name))
+}
+
+fn no_metashape(names: &[String]) -> Option<&'static str> {
+    let has = |e: &str| names.iter().any(|n| has_extension(n, e));
+    if has("rcproj") {
+        return Some(
+            "projects of RealityScan (RealityCapture) are not read: export cameras and points in COLMAP's format, \
+             with undistorted images",
+        );
+    }
+    if has("psx") || has("psz") {
+        return Some(
+            "a project of Metashape is not read itself: choose File > Export > Export Cameras, format Agisoft XML, \
+             and put that file beside the photographs",
+        );
+    }
+    has("xml").then_some(
+        "the XML file here is no cameras file of Metashape: choose File > Export > Export Cameras, format Agisoft \
+         XML, and put that file beside the photographs",
+    )
+}
+
+// nerfstudio: transforms.json in the capture's folder.
+
+const TRANSFORMS: &str = "transforms.json";
+
+fn nerfstudio_at(root: &Path, place: &str) -> Option<FoundModel> {
+    let path = root.join(place);
+    (path.is_file() && has_extension(place, "json") && !place.ends_with(MANIFEST)).then(|| FoundModel {
+        format: &FORMATS[2],
+        relative: place.into(),
+        path,
+        form: TRANSFORMS.into(),
+        images: 0,
+    })
+}
+
+fn read_nerfstudio(found: &FoundModel) -> Result<ReadModel, ImportError> {
+    let mut read = use3d_io_nerfstudio::read(&found.path)?;
+    let mut files = vec![PathBuf::from(&found.relative)];
+    let (dir, base) = (found.path.parent().unwrap_or(Path::new(".")), base_of(found));
+    match &read.points {
+        Some(name) if name.below(dir).is_file() => {
+            let path = name.below(dir);
+            files.push(PathBuf::from(inside(&base, name)));
+            read.add_points(&read_points(&path)?, &path)?;
+        }
+        Some(name) => read.survey.notes.push(format!("the file of points {name} is not there")),
+        None => {}
+    }
+    let mut survey = read.survey;
+    if survey.files.values().any(|f| f.depth.is_some()) {
+        survey.notes.push(
+            "depth_file_path is not used: those are distances, and depth priors here are larger where things are \
+             nearer"
+                .into(),
+        );
+    }
+    // The photographs' common folder is the image folder, as with other formats.
+    let parents: Vec<Vec<&str>> = survey
+        .images
+        .iter()
+        .map(|image| {
+            let mut parts: Vec<&str> = image.name.as_str().split('/').collect();
+            parts.pop();
+            parts
+        })
+        .collect();
+    let shared = parents.iter().skip(1).fold(parents.first().map_or(0, Vec::len), |shared, parts| {
+        parents[0].iter().zip(parts).take(shared).take_while(|(a, b)| a == b).count()
+    });
+    let common = parents.first().map_or_else(Vec::new, |p| p[..shared].to_vec());
+    let folder = if common.is_empty() { ".".to_string() } else { common.join("/") };
+    let skipped = if common.is_empty() { 0 } else { folder.len() + 1 };
+    let names: Vec<FileName> = survey
+        .images
+        .iter()
+        .map(|image| FileName::new(&image.name.as_str()[skipped..]))
+        .collect::<Result<_, _>>()?;
+    for (image, name) in survey.images.iter_mut().zip(names) {
+        image.name = name;
+    }
+    // The file names its masks, wherever they lie.
+    let masks = survey.files.values().filter_map(|f| f.mask.as_ref());
+    files.extend(masks.map(|name| PathBuf::from(inside(&base, name))));
+    let image_dirs = vec![inside(&base, &folder)];
+    Ok(ReadModel { survey, files, base, image_dirs, labels: false })
+}

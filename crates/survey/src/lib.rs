@@ -1,0 +1,27 @@
+//! What a photogrammetry program knows of a capture, in no program's format.
+//!
+//! A [`Survey`] holds cameras with their lenses, posed images, triangulated points with their tracks,
+//! markers, and, where it is known, the [`World`] that the coordinates belong to, in metres. Each `io-*` crate of a
+//! program reads its files into a survey, and the import knows surveys alone. [`Lens`] computes where a ray
+//! lands on the sensor, and back. [`ply`] reads points that a program exported beside its cameras.
+//!
+//! Conventions:
+//!
+//! * Camera frame: x right, y down, z forward. Poses are world-to-camera: `x_camera = R x_survey + t`.
+//! * Pixel (0, 0) is the image's top-left corner; pixel centres lie at +0.5.
+//! * Positions are `f64` in the program's own unit. [`World::transform`] takes them to metres.
+//!
+//! Nothing here opens a file.
+
+mod check;
+mod jet;
+mod lens;
+mod markers;
+pub mod ply;
+mod survey;
+
+pub use check::SurveyError;
+pub use lens::{Distortion, Lens, Projection};
+pub use markers::{Mark, Marker, ScaleBar};
+pub use ply::PlyError;
+pub use survey::{ImageFiles, Keypoint, PosedImage, Survey, SurveyCamera, SurveyPoint, World};

@@ -1,0 +1,248 @@
+//! The parts of a survey: cameras, posed images with keypoints, points with tracks, and the world.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use glam::{DMat3, DQuat, DVec3};
+use use3d_capture::{FileName, Pose};
+
+use crate::lens::Lens;
+use crate::markers::{Marker, ScaleBar};
+
+/// A camera: a lens and the size of its images.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SurveyCamera {
+    /// The id that images refer to.
+    pub id: u32,
+    /// The name of its lens model in the program that the survey came from, for reports.
+    pub model: String,
+    /// The name that people gave it, if any.
+    pub label: Option<String>,
+    /// Image width, pixels.
+    pub width: usize,
+    /// Image height, pixels.
+    pub height: usize,
+    /// Its lens, in pixels of an image of that size.
+    pub lens: Lens,
+}
+
+/// A keypoint of an image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Keypoint {
+    /// Pixel x.
+    pub x: f64,
+    /// Pixel y.
+    pub y: f64,
+    /// The id of the triangulated point, or [`Keypoint::NONE`].
+    pub point: u64,
+}
+
+impl Keypoint {
+    /// Stands for the point of a keypoint without a triangulated point.
+    pub const NONE: u64 = u64::MAX;
+}
+
+/// An image whose pose is known.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PosedImage {
+    /// Its id.
+    pub id: u32,
+    /// World-to-camera rotation `w x y z`, as stored (not necessarily of unit length).
+    pub quaternion: [f64; 4],
+    /// World-to-camera translation, units of the survey.
+    pub translation: [f64; 3],
+    /// The id of its camera.
+    pub camera: u32,
+    /// Its file, relative to the image folder.
+    pub name: FileName,
+    /// Its keypoints.
+    pub keypoints: Vec<Keypoint>,
+}
+
+impl PosedImage {
+    /// The pose, with the quaternion normalised.
+    pub fn pose(&self) -> Pose {
+        let [w, x, y, z] = self.quaternion;
+        let rotation = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize());
+        Pose { rotation, translation: DVec3::from_array(self.translation) }
+    }
+
+    /// An image without keypoints at a pose.
+    pub fn at(id: u32, name: FileName, camera: u32, pose: &Pose) -> Self {
+        let q = DQuat::from_mat3(&pose.rotation);
+        Self {
+            id,
+            quaternion: [q.w, q.x, q.y, q.z],
+            translation: pose.translation.to_array(),
+            camera,
+            name,
+            keypoints: Vec::new(),
+        }
+    }
+}
+
+/// A triangulated point.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SurveyPoint {
+    /// Its id.
+    pub id: u64,
+    /// Position, units of the survey.
+    pub position: [f64; 3],
+    /// 8-bit RGB.
+    pub color: [u8; 3],
+    /// Mean reprojection error, pixels (−1 where not known).
+    pub error: f64,
+    /// Its observations: `(image id, keypoint index)`; empty where a program exports none.
+    pub track: Vec<(u32, u32)>,
+}
+
+/// Files that belong to an image, relative to the survey's folder.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ImageFiles {
+    /// A mask: 0 is ignored, white counts fully.
+    pub mask: Option<FileName>,
+    /// A depth map of distances along the optical axis.
+    pub depth: Option<FileName>,
+}
+
+/// The world that a survey's coordinates belong to.
+#[derive(Clone, Debug, PartialEq)]
+pub struct World {
+    /// Metres in one unit of the survey.
+    pub metres_per_unit: f64,
+    /// From the survey's homogeneous coordinates to metres of the reference system: four rows of four,
+    /// `[scale R | t]` over `[0 0 0 1]`. In `f64`, so that earth-centred coordinates keep the millimetre.
+    pub transform: [[f64; 4]; 4],
+    /// The reference system as well-known text, where one is stated.
+    pub crs: Option<String>,
+    /// The statement that the metres rest on, such as `Metashape chunk transform`.
+    pub source: String,
+}
+
+impl World {
+    /// A position of the survey in metres of the world.
+    pub fn apply(&self, position: [f64; 3]) -> [f64; 3] {
+        let [a, b, c, _] = self.transform;
+        [a, b, c].map(|r| r[0] * position[0] + r[1] * position[1] + r[2] * position[2] + r[3])
+    }
+
+    /// A position of the world, metres, in the survey's units.
+    pub fn invert(&self, position: [f64; 3]) -> [f64; 3] {
+        let [a, b, c, _] = self.transform;
+        let rows = DMat3::from_cols_array_2d(&[a, b, c].map(|r| [r[0], r[1], r[2]]));
+        let moved = DVec3::from_array(position) - DVec3::new(a[3], b[3], c[3]);
+        // The rows are those of s R, so that their transpose over s² is the inverse.
+        (rows * moved / (self.metres_per_unit * self.metres_per_unit)).to_array()
+    }
+}
+
+/// All that a photogrammetry program knows of a capture.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Survey {
+    /// Cameras, in the program's order.
+    pub cameras: Vec<SurveyCamera>,
+    /// Images with a pose, in the program's order.
+    pub images: Vec<PosedImage>,
+    /// Points, in the program's order.
+    pub points: Vec<SurveyPoint>,
+    /// Masks and depth maps that the program names, by image id.
+    pub files: BTreeMap<u32, ImageFiles>,
+    /// Markers.
+    pub markers: Vec<Marker>,
+    /// Known distances between markers.
+    pub scale_bars: Vec<ScaleBar>,
+    /// The world, where it is known.
+    pub world: Option<World>,
+    /// Sentences for the report: images without a pose, parts that were left out, and the like.
+    pub notes: Vec<String>,
+}
+
+impl Survey {
+    /// The camera of an id.
+    pub fn camera(&self, id: u32) -> Option<&SurveyCamera> {
+        self.cameras.iter().find(|c| c.id == id)
+    }
+
+    /// Keeps the images for which `keep` is true, and takes the others out of tracks, marks and file lists.
+    pub fn retain_images(&mut self, keep: impl Fn(&PosedImage) -> bool) {
+        let before = self.images.len();
+        self.images.retain(keep);
+        if self.images.len() < before {
+            let kept: BTreeSet<u32> = self.images.iter().map(|i| i.id).collect();
+            for point in &mut self.points {
+                point.track.retain(|(image, _)| kept.contains(image));
+            }
+            for marker in &mut self.markers {
+                marker.marks.retain(|mark| kept.contains(&mark.image));
+            }
+            self.files.retain(|image, _| kept.contains(image));
+        }
+    }
+
+    /// The pixel of an image on which a position, in units of the survey, lands. `None` behind the camera, and
+    /// for an unknown camera.
+    pub fn project(&self, image: &PosedImage, position: [f64; 3]) -> Option<(f64, f64)> {
+        let pose = image.pose();
+        let at = pose.rotation * DVec3::from_array(position) + pose.translation;
+        let lens = &self.camera(image.camera)?.lens;
+        (at.z > 0.0).then(|| lens.project(at.x / at.z, at.y / at.z))
+    }
+
+    /// The number of `positions` that fall onto any image.
+    pub fn seen(&self, positions: &[[f64; 3]]) -> usize {
+        let on = |image: &PosedImage, p: [f64; 3]| {
+            let Some(camera) = self.camera(image.camera) else { return false };
+            let inside = |(x, y): (f64, f64)| {
+                (0.0..=camera.width as f64).contains(&x) && (0.0..=camera.height as f64).contains(&y)
+            };
+            self.project(image, p).is_some_and(inside)
+        };
+        positions.iter().filter(|p| self.images.iter().any(|image| on(image, **p))).count()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_world_goes_there_and_back_to_the_millimetre() {
+        let turn = DMat3::from_axis_angle(DVec3::new(0.6, 0.0, 0.8), 1.1) * 12.354;
+        let rows = turn.transpose().to_cols_array_2d();
+        let t = [-2_499_366.429888, -4_256_836.520906, 4_029_217.965003];
+        let row = |i: usize| [rows[i][0], rows[i][1], rows[i][2], t[i]];
+        let world = World {
+            metres_per_unit: 12.354,
+            transform: [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]],
+            crs: None,
+            source: "test".into(),
+        };
+        let point = [0.3, -7.0, 2.5];
+        let there = world.apply(point);
+        let direct = turn * DVec3::from_array(point) + DVec3::from_array(t);
+        assert!((DVec3::from_array(there) - direct).length() < 1e-8);
+        let back = world.invert(there);
+        assert!(back.iter().zip(point).all(|(a, b)| (a - b).abs() < 1e-9), "{back:?}");
+    }
+
+    #[test]
+    fn removed_images_leave_no_trace() {
+        let name = |n: &str| FileName::new(n).unwrap();
+        let mut survey = Survey {
+            images: vec![
+                PosedImage::at(4, name("a.png"), 1, &Pose::IDENTITY),
+                PosedImage::at(7, name("b.png"), 1, &Pose::IDENTITY),
+            ],
+            points: vec![SurveyPoint {
+                id: 1,
+                position: [0.0, 0.0, 2.0],
+                color: [1, 2, 3],
+                error: -1.0,
+                track: vec![(4, 0), (7, 0)],
+            }],
+            ..Survey::default()
+        };
+        survey.files.insert(7, ImageFiles { mask: Some(name("m.png")), depth: None });
+        survey.retain_images(|image| image.id == 4);
+        assert_eq!((survey.points[0].track.as_slice(), survey.files.len()), (&[(4, 0)][..], 0));
+    }
+}
