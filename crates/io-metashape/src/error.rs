@@ -1,4 +1,4 @@
-//! What can go wrong with an export: the file, the field, what was expected, what to do next.
+//! Errors of an export. Each names the file, the field, the expectation and the next step.
 
 use std::path::{Path, PathBuf};
 

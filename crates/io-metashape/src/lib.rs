@@ -1,4 +1,4 @@
-//! What Agisoft Metashape (PhotoScan before 2019) exports of a capture.
+//! Reads the export of a capture from Agisoft Metashape (PhotoScan before 2019).
 //!
 //! *File > Export > Export Cameras*, format *Agisoft XML*, gives a file with the lenses, poses, markers and
 //! scale bars of a chunk. [`read`] takes it as a [`Survey`](use3d_survey::Survey), with Metashape's own lens

@@ -1,4 +1,4 @@
-//! What can go wrong with a `transforms.json`: the file, the field, what was expected, what to do next.
+//! Errors of a `transforms.json`. Each names the file, the field, the expectation and the next step.
 
 use std::path::{Path, PathBuf};
 

@@ -1,4 +1,4 @@
-//! Where a ray lands on the sensor, and back, for the lenses of every program that is read.
+//! The map from rays to pixels and back, for the lenses of every program that is read.
 //!
 //! A ray of the camera frame is written as its point `(u, v) = (x/z, y/z)` on the plane `z = 1`. It lands on
 //! the pixel

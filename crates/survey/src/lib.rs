@@ -1,4 +1,4 @@
-//! What a photogrammetry program knows of a capture, in no program's format.
+//! The lenses, cameras, poses and points of a capture, in no program's format.
 //!
 //! A [`Survey`] holds cameras with their lenses, posed images, triangulated points with their tracks,
 //! markers, and, where it is known, the [`World`] that the coordinates belong to, in metres. Each `io-*` crate of a
