@@ -1,8 +1,8 @@
 //! The formats of models that an import takes: one row of a table for each.
 //!
 //! A row says what a model looks like in a folder, how it is read into a [`Survey`], where its photographs
-//! may lie, and what to say about files of the format that are not usable. COLMAP's comes first, so that a folder
-//! with several formats is read as before there were others.
+//! may lie, and what to say about files of the format that are not usable. COLMAP's comes first, so that
+//! a folder with several formats is read as before there were others.
 
 use std::path::{Path, PathBuf};
 
@@ -205,8 +205,8 @@ fn read_metashape(found: &FoundModel) -> Result<ReadModel, ImportError> {
     Ok(ReadModel { survey, files, base, image_dirs, labels: true })
 }
 
-/// False for a folder of a capture that holds other images of the same names: masks, depth priors, the truth of
-/// a synthetic capture, and captures that an import wrote.
+/// False for a folder of a capture that holds other images of the same names: masks, depth priors, the truth
+/// of a synthetic capture, and captures that an import wrote.
 pub(crate) fn may_hold_photographs(dir: &Path, name: &str) -> bool {
     let other = MASK_DIRS.contains(&name) || DEPTH_DIRS.contains(&name) || name == "truth";
     !other && !is_prepared(&dir.join(name))

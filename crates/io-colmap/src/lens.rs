@@ -214,7 +214,7 @@ impl LensModel {
 
 #[cfg(test)]
 #[path = "../tests/common/lenses.rs"]
-mod lenses;
+pub(crate) mod lenses;
 
 #[cfg(test)]
 mod tests {

@@ -77,7 +77,7 @@ impl LensModel {
             M::OpenCvFisheye => out.extend([n1, n2, n3, n4]),
             M::FullOpenCv => out.extend([n1, n2, p1, p2, n3, d1, d2, d3]),
             M::Fov => {
-                out.push(if let Projection::FieldOfView { omega } = lens.projection { omega } else { 0.0 })
+                out.push(if let Projection::FieldOfView { omega } = lens.projection { omega } else { 0.0 });
             }
             M::ThinPrismFisheye => out.extend([n1, n2, p1, p2, n3, n4, s1, s2]),
             M::RadTanThinPrismFisheye => {
@@ -97,16 +97,12 @@ impl LensModel {
 }
 
 #[cfg(test)]
-#[path = "../tests/common/lenses.rs"]
-mod lenses;
-
-#[cfg(test)]
 mod tests {
     use use3d_capture::{FileName, Pose};
     use use3d_survey::PosedImage;
 
-    use super::lenses::example;
     use super::*;
+    use crate::lens::lenses::example;
 
     #[test]
     fn every_camera_model_survives_the_way_through_a_survey() {

@@ -1,8 +1,8 @@
 //! From a cameras file to a survey.
 //!
 //! **The part that is used.** The enabled chunk with the most aligned cameras, and of it the component with
-//! the most: components have no common coordinates. Cameras that are disabled or have no transform are left out.
-//! The notes of the survey name all that was left out.
+//! the most: components have no common coordinates. Cameras that are disabled or have no transform are left
+//! out. The notes of the survey name all that was left out.
 //!
 //! **Names.** A camera's name is the path of its photograph where the file has one, else its label; where
 //! labels repeat, the labels of its groups come before it. The name need not have an extension.
@@ -189,7 +189,7 @@ fn read_chunk(chunk: Element<'_>) -> Result<Survey> {
     for camera in &aligned {
         *counts.entry(camera.component).or_default() += 1;
     }
-    let used = counts.iter().rev().max_by_key(|(_, count)| **count).map_or(None, |(id, _)| *id);
+    let used = counts.iter().rev().max_by_key(|(_, count)| **count).and_then(|(id, _)| *id);
     let elsewhere = aligned.len() - counts.get(&used).copied().unwrap_or(0);
     aligned.retain(|camera| camera.component == used);
     let names = |list: &[String]| {
@@ -251,7 +251,7 @@ fn pose(transform: Element<'_>) -> Result<Pose> {
 fn check_rotation(owner: Element<'_>, rotation: &DMat3) -> Result<()> {
     let gram = *rotation * rotation.transpose() - DMat3::IDENTITY;
     let off = gram.to_cols_array().iter().fold(0.0f64, |m, v| m.max(v.abs()));
-    if !(off <= ORTHONORMAL) {
+    if off.is_nan() || off > ORTHONORMAL {
         return owner.fail(format!("its rotation is off orthonormal by {off:.1e}; export the cameras again"));
     }
     if rotation.determinant() < 0.0 {
@@ -439,7 +439,7 @@ fn similarity(transform: Element<'_>) -> Result<Option<(f64, DMat3, DVec3)>> {
         let m: [f64; 16] = transform.numbers()?;
         let row = |i: usize| DVec3::new(m[4 * i], m[4 * i + 1], m[4 * i + 2]);
         let scale = row(0).length();
-        if !(scale > 0.0) {
+        if !scale.is_finite() || scale <= 0.0 {
             return bad_scale(scale);
         }
         let rotation = DMat3::from_cols(row(0), row(1), row(2)).transpose() * (1.0 / scale);
@@ -447,7 +447,7 @@ fn similarity(transform: Element<'_>) -> Result<Option<(f64, DMat3, DVec3)>> {
     } else {
         let Some(scale) = transform.child("scale") else { return Ok(None) };
         let [scale] = scale.numbers()?;
-        if !(scale > 0.0) {
+        if scale <= 0.0 {
             return bad_scale(scale);
         }
         let rotation = match transform.child("rotation") {

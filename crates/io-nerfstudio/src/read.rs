@@ -237,7 +237,7 @@ impl Fields<'_> {
         let rotation = DMat3::from_cols(row(0), row(1), row(2)).transpose();
         let gram = rotation * rotation.transpose() - DMat3::IDENTITY;
         let off = gram.to_cols_array().iter().fold(0.0f64, |most, v| most.max(v.abs()));
-        if !(off <= ORTHONORMAL) {
+        if off.is_nan() || off > ORTHONORMAL {
             return self.fail(format!(
                 "`{name}` has a rotation that is off orthonormal by {off:.1e}; expected no scale and no shear"
             ));
@@ -267,7 +267,7 @@ fn applied(whole: &Fields<'_>) -> Result<Applied> {
         applied.translation = DVec3::new(m[0][3], m[1][3], m[2][3]);
     }
     if let Some(scale) = whole.number("applied_scale")? {
-        if !(scale > 0.0) {
+        if scale <= 0.0 {
             return whole.fail(format!("`applied_scale` is {scale}; expected a number above 0"));
         }
         applied.scale = scale;

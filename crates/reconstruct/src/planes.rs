@@ -112,11 +112,8 @@ fn fit(
         right += row * (weight * anchors[*i].inverse);
     }
     let scale = normal.x_axis.x * normal.y_axis.y * normal.z_axis.z;
-    if !(normal.determinant() > 1e-6 * scale) {
-        return None;
-    }
-    let inverse = normal.inverse();
-    Some((inverse * right, inverse))
+    let determined = normal.determinant() > 1e-6 * scale;
+    determined.then(|| (normal.inverse() * right, normal.inverse()))
 }
 
 fn median(mut values: Vec<f64>) -> f64 {

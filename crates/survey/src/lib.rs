@@ -1,8 +1,8 @@
 //! The lenses, cameras, poses and points of a capture, in no program's format.
 //!
 //! A [`Survey`] holds cameras with their lenses, posed images, triangulated points with their tracks,
-//! markers, and, where it is known, the [`World`] that the coordinates belong to, in metres. Each `io-*` crate of a
-//! program reads its files into a survey, and the import knows surveys alone. [`Lens`] computes where a ray
+//! markers, and, where it is known, the [`World`] that the coordinates belong to, in metres. Each `io-*`
+//! crate reads a program's files into a survey, and the import knows surveys alone. [`Lens`] computes where a ray
 //! lands on the sensor, and back. [`ply`] reads points that a program exported beside its cameras.
 //!
 //! Conventions:

@@ -178,8 +178,8 @@ impl Survey {
         }
     }
 
-    /// The pixel of an image on which a position, in units of the survey, lands. `None` behind the camera, and
-    /// for an unknown camera.
+    /// The pixel of an image on which a position, in units of the survey, lands. `None` behind the camera,
+    /// and for an unknown camera.
     pub fn project(&self, image: &PosedImage, position: [f64; 3]) -> Option<(f64, f64)> {
         let pose = image.pose();
         let at = pose.rotation * DVec3::from_array(position) + pose.translation;
