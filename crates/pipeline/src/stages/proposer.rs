@@ -22,6 +22,9 @@ pub enum ProposerChoice {
     Scene,
 }
 
+/// The name of the proposer in targets that leave photographs as they are.
+pub(super) const NO_PROPOSER: &str = "none";
+
 /// The error for `scene` as the proposer where a 2D enhancer is needed.
 const NO_PHOTOGRAPHS: &str = "`scene` works on a reconstructed scene and not on photographs, so it is for \
      `targets` only; choose auto, nu2net or fusion here";
@@ -138,6 +141,11 @@ pub(super) fn by_name(name: &str, models: Option<&Path>) -> Result<Box<dyn Propo
             nu2net(models).map_err(|reason| format!("the calibrator was fitted for nu2net: {reason}"))
         }
         "scene" => Err(NO_PHOTOGRAPHS.into()),
+        NO_PROPOSER => Err(
+            "the targets of this scene in air leave its photographs as they are; make them with a 2D enhancer \
+             (`targets.proposer = \"fusion\"`)"
+                .into(),
+        ),
         other => Err(format!(
             "the calibrator was fitted for the proposer `{other}`, which this program does not have"
         )),

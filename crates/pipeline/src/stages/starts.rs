@@ -13,7 +13,7 @@ use use3d_scene::{KnownView, KnownViews, Scene};
 
 use super::calibrator::read_calibrator;
 use super::kept_water::{self, KeptWaterChoice};
-use super::proposer::{ProposerChoice, of_calibrator, open};
+use super::proposer::{NO_PROPOSER, ProposerChoice, of_calibrator, open};
 use super::targets::{Params, Source};
 
 /// The source of the pictures.
@@ -22,6 +22,8 @@ enum Pictures<'s> {
     Photographs(Box<dyn Proposer>),
     /// Stage-1 renders that show this share of the water (`None`: clear radiance), and proposals for them.
     Renders { views: Box<KnownViews<'s>>, shown: Option<KeptWater>, proposer: Box<dyn Proposer> },
+    /// The photographs of a scene in air, which stay as they are.
+    InAir,
     /// Clear radiance, and the grade of the whole scene by rule.
     Known(Box<(KnownViews<'s>, SceneProposer)>),
 }
@@ -49,6 +51,16 @@ impl<'s> Starts<'s> {
         if params.proposer == ProposerChoice::Scene {
             return Self::known(context, scene, views);
         }
+        let in_air = scene.medium.is_none();
+        if stays_as_photographed(params, context.optional_input("calibrator").is_some(), in_air) {
+            context.say(
+                "the scene has no water, so its colours stay as photographed; \
+                 `--set targets.proposer=fusion` enhances them all the same",
+            );
+            let id = ProposerId { name: NO_PROPOSER.into(), digest: String::new() };
+            let calibrator = Calibrator::uncalibrated(ExtractorSettings::default(), id.clone());
+            return Ok(Self { pictures: Pictures::InAir, calibrator, proposer: id });
+        }
         let (calibrator, proposer) = Self::two_dimensional(context, params)?;
         let id = proposer.id();
         let shown = match params.source {
@@ -61,10 +73,10 @@ impl<'s> Starts<'s> {
             },
         };
         let pictures = match params.source {
-            Source::Clear if !scene.medium.is_none() => {
+            Source::Clear if !in_air => {
                 Pictures::Renders { views: Box::new(KnownViews::new(scene)), shown: None, proposer }
             }
-            Source::Renders if !shown.is_all() && !scene.medium.is_none() => {
+            Source::Renders if !shown.is_all() && !in_air => {
                 Pictures::Renders { views: Box::new(KnownViews::new(scene)), shown: Some(shown), proposer }
             }
             _ => Pictures::Photographs(proposer),
@@ -113,7 +125,7 @@ impl<'s> Starts<'s> {
                 100.0 * g,
                 100.0 * b
             ),
-            Pictures::Known(_) => String::new(),
+            Pictures::InAir | Pictures::Known(_) => String::new(),
         };
         format!("`{}` proposes for {pictures}; {calibrated}", self.proposer.name)
     }
@@ -142,7 +154,7 @@ impl<'s> Starts<'s> {
     /// The appearance of the pictures, and the share of the water in them.
     pub(super) fn shown(&self) -> (Appearance, KeptWater) {
         match &self.pictures {
-            Pictures::Photographs(_) => (Appearance::Water, KeptWater::ALL),
+            Pictures::Photographs(_) | Pictures::InAir => (Appearance::Water, KeptWater::ALL),
             Pictures::Renders { shown: Some(kept), .. } => (Appearance::Water, *kept),
             Pictures::Renders { shown: None, .. } | Pictures::Known(_) => (Appearance::Clear, KeptWater::ALL),
         }
@@ -160,17 +172,19 @@ impl<'s> Starts<'s> {
     pub(super) fn proposals(&self) -> Proposals<'_> {
         match &self.pictures {
             Pictures::Photographs(proposer) => Proposals::From(proposer.as_ref()),
-            Pictures::Renders { .. } | Pictures::Known(_) => Proposals::Given(&self.proposer),
+            Pictures::Renders { .. } | Pictures::InAir | Pictures::Known(_) => {
+                Proposals::Given(&self.proposer)
+            }
         }
     }
 
     /// Prepares a training view for the consensus.
     pub(super) fn view(&mut self, view: &View) -> Result<ViewInput, AtcError> {
         let (image, proposal) = match &mut self.pictures {
-            Pictures::Photographs(_) => {
-                let pixels = load_pixels(view)
-                    .map_err(|e| AtcError::View { view: view.name.to_string(), problem: e.to_string() })?;
-                (pixels.to_image(), None)
+            Pictures::Photographs(_) => (photograph(view)?, None),
+            Pictures::InAir => {
+                let image = photograph(view)?;
+                (image.clone(), Some(image))
             }
             Pictures::Renders { views, shown, proposer } => {
                 let image = match shown {
@@ -191,6 +205,20 @@ impl<'s> Starts<'s> {
     }
 }
 
+/// The photograph of a view.
+fn photograph(view: &View) -> Result<Image, AtcError> {
+    let pixels = load_pixels(view)
+        .map_err(|e| AtcError::View { view: view.name.to_string(), problem: e.to_string() })?;
+    Ok(pixels.to_image())
+}
+
+/// True if the colours of a scene are left alone: it is in air, and the parameters leave the choice open. In
+/// blind rankings people like a photograph in air better than any 2D enhancement of it.
+fn stays_as_photographed(params: &Params, calibrator: bool, in_air: bool) -> bool {
+    let open = params.source == Source::Renders && params.proposer == ProposerChoice::Auto;
+    in_air && open && !calibrator
+}
+
 /// A view in the form that the proposer `scene` needs.
 fn scene_view(known: &mut KnownViews<'_>, view: &View) -> SceneView {
     let KnownView { clear, accumulation, arriving } = known.view(&view.camera);
@@ -209,4 +237,21 @@ fn grade_message(found: &SceneFindings) -> String {
         "proposer: scene, in clear radiance, not calibrated: {cast}; brightness ×{:.2}, contrast ×{:.2}",
         found.brightness, found.contrast
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn colours_in_air_stay_unless_an_enhancement_is_named() {
+        let open = Params::default();
+        assert!(stays_as_photographed(&open, false, true));
+        assert!(!stays_as_photographed(&open, false, false), "under water");
+        assert!(!stays_as_photographed(&open, true, true), "a calibrator is named");
+        let named = Params { proposer: ProposerChoice::Fusion, ..Params::default() };
+        assert!(!stays_as_photographed(&named, false, true));
+        let paper = Params { source: Source::Photographs, ..Params::default() };
+        assert!(!stays_as_photographed(&paper, false, true));
+    }
 }
