@@ -45,7 +45,7 @@ pub enum Development {
     /// sRGB with a soft shoulder, like a simple raw developer.
     #[default]
     Plain,
-    /// Like action cameras, see [`crate::physics`].
+    /// Like action cameras, see the header of the module `physics`.
     Action,
 }
 
