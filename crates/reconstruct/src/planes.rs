@@ -4,7 +4,7 @@
 //! inverse depth of a plane is linear in the image, so near a pixel p with the tracked points i beside it
 //!
 //! ```text
-//! 1/z_i ≈ a + b·(u_i − p)         u_i pixels, z_i depths; a, b by weighted least squares over the NEAREST points
+//! 1/z_i ≈ a + b·(u_i − p)         u_i pixels, z_i depths; a, b by weighted least squares, NEAREST points
 //! w_i = r_i / (|u_i − p|² + s²)   s one cell of the grid; r_i a Cauchy weight at the scale of the residuals
 //! σ_a² = σ² (Xᵀ W X)⁻¹₀₀          σ² the weighted mean square residual
 //! ```

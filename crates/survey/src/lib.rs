@@ -2,8 +2,8 @@
 //!
 //! A [`Survey`] holds cameras with their lenses, posed images, triangulated points with their tracks,
 //! markers, and, where it is known, the [`World`] that the coordinates belong to, in metres. Each `io-*`
-//! crate reads a program's files into a survey, and the import knows surveys alone. [`Lens`] computes where a ray
-//! lands on the sensor, and back. [`ply`] reads points that a program exported beside its cameras.
+//! crate reads a program's files into a survey, and the import knows surveys alone. [`Lens`] computes where
+//! a ray lands on the sensor, and back. [`ply`] reads points that a program exported beside its cameras.
 //!
 //! Conventions:
 //!

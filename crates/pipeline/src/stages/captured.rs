@@ -16,7 +16,7 @@ pub(super) fn capture(context: &StageContext) -> Result<Capture, StageError> {
     Ok(imported.capture)
 }
 
-/// Writes the training cameras beside a scene: a list in COLMAP's frame, which `use3d render --cameras` reads.
+/// Writes the training cameras beside a scene, as a list in COLMAP's frame for `use3d render --cameras`.
 pub(super) fn write_cameras(out: &Path, capture: &Capture) -> Result<(), StageError> {
     let in_colmap = |camera: &Camera| Camera { pose: capture.frame.invert_pose(&camera.pose), ..*camera };
     let cameras = camera_list(capture.training_views().map(|view| (&*view.name, in_colmap(&view.camera))));
