@@ -83,11 +83,14 @@ pub(crate) struct Strength {
     pub(crate) strength: f32,
     /// The 2D enhancer.
     pub(crate) proposer: String,
+    /// True if pipeline files turn calibration on; it is left out of keys until it is given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) calibrated: Option<bool>,
 }
 
 impl Default for Strength {
     fn default() -> Self {
-        Self { strength: 1.0, proposer: "fusion".to_string() }
+        Self { strength: 1.0, proposer: "fusion".to_string(), calibrated: None }
     }
 }
 
