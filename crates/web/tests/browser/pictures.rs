@@ -166,7 +166,8 @@ fn a_click_on_something_grey_balances_what_page_and_program_draw_alike() {
             const canvas = document.getElementById('view'), view = use3d.scene.cameras[1], scale = canvas.clientHeight / view.height;
             use3d.viewer.moved();
             await use3d.settled();
-            await use3d.white.take(canvas.clientWidth / 2 + scale * ({x} + 0.5 - view.lens[2]), canvas.clientHeight / 2 + scale * ({y} + 0.5 - view.lens[3]));
+            const wide = scale * view.lens[1] / view.lens[0]; // the page's pixels are square
+            await use3d.white.take(canvas.clientWidth / 2 + wide * ({x} + 0.5 - view.lens[2]), canvas.clientHeight / 2 + scale * ({y} + 0.5 - view.lens[3]));
         }})()"
     ));
     let line = browser.evaluate("document.getElementById('white-line').textContent");
