@@ -5,9 +5,8 @@ use std::path::{Path, PathBuf};
 use use3d_capture::{CameraError, CaptureError, FileName, NameError};
 use use3d_io_colmap::ModelError;
 use use3d_io_image::ImageError;
-use use3d_io_metashape::MetashapeError;
-use use3d_io_nerfstudio::NerfstudioError;
 use use3d_numerics::range::OutOfRange;
+use use3d_survey::ReadError;
 
 /// A capture that cannot be imported, prepared or loaded.
 #[derive(Debug, thiserror::Error)]
@@ -15,12 +14,9 @@ pub enum ImportError {
     /// An error in the model.
     #[error(transparent)]
     Model(#[from] ModelError),
-    /// An export of Metashape.
+    /// An error in an export of Metashape or in a `transforms.json`.
     #[error(transparent)]
-    Metashape(#[from] MetashapeError),
-    /// A `transforms.json`.
-    #[error(transparent)]
-    Nerfstudio(#[from] NerfstudioError),
+    Survey(#[from] ReadError),
     /// An error in an image, a mask or a depth prior.
     #[error(transparent)]
     Image(#[from] ImageError),

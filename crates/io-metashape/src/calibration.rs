@@ -21,16 +21,15 @@
 //! Projections by type: `frame` is perspective, `fisheye` and `equidistant_fisheye` equidistant,
 //! `equisolid_fisheye` equisolid. Panoramas and satellite sensors have no pinhole and are refused.
 
-use use3d_survey::{Distortion, Lens, Projection, SurveyCamera};
+use use3d_survey::{Distortion, Lens, Projection, ReadError, SurveyCamera};
 
-use crate::error::MetashapeError;
 use crate::xml::{Element, is_true};
 
 /// The parameters of a calibration that are read; any other that is not 0 is refused.
 const KNOWN: [&str; 17] =
     ["f", "fx", "fy", "cx", "cy", "b1", "b2", "skew", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4", "date"];
 
-fn projection(element: Element<'_>, kind: &str) -> Result<Projection, MetashapeError> {
+fn projection(element: Element<'_>, kind: &str) -> Result<Projection, ReadError> {
     match kind {
         "frame" => Ok(Projection::Perspective),
         "fisheye" | "equidistant_fisheye" => Ok(Projection::Equidistant),
@@ -44,7 +43,7 @@ fn projection(element: Element<'_>, kind: &str) -> Result<Projection, MetashapeE
 
 /// The calibration that counts: the adjusted one, or that of an old file, which has one and does not say
 /// which; the initial one only where the sensor's calibration is fixed.
-fn chosen(sensor: Element<'_>) -> Result<Element<'_>, MetashapeError> {
+fn chosen(sensor: Element<'_>) -> Result<Element<'_>, ReadError> {
     let of_class =
         |class: Option<&str>| sensor.children("calibration").find(|c| c.attribute("class") == class);
     if let Some(found) = of_class(Some("adjusted")).or_else(|| of_class(None)) {
@@ -63,7 +62,7 @@ fn chosen(sensor: Element<'_>) -> Result<Element<'_>, MetashapeError> {
     }
 }
 
-fn resolution(element: Element<'_>) -> Result<Option<(usize, usize)>, MetashapeError> {
+fn resolution(element: Element<'_>) -> Result<Option<(usize, usize)>, ReadError> {
     let Some(found) = element.child("resolution") else { return Ok(None) };
     Ok(Some((found.number("width")?, found.number("height")?)))
 }
@@ -73,7 +72,7 @@ fn resolution(element: Element<'_>) -> Result<Option<(usize, usize)>, MetashapeE
 /// # Errors
 /// A sensor without an adjusted calibration or a size, of an unknown type, or with parameters that are not
 /// known or no numbers.
-pub(crate) fn camera(sensor: Element<'_>) -> Result<SurveyCamera, MetashapeError> {
+pub(crate) fn camera(sensor: Element<'_>) -> Result<SurveyCamera, ReadError> {
     let calibration = chosen(sensor)?;
     let kind = calibration.attribute("type").or(sensor.attribute("type")).unwrap_or("frame");
     let projection = projection(calibration, kind)?;

@@ -17,13 +17,14 @@ use std::path::Path;
 use glam::{DMat3, DVec3};
 use roxmltree::Document;
 use use3d_capture::{FileName, Pose, shown};
-use use3d_survey::{Mark, Marker, PosedImage, ScaleBar, Survey, World};
+use use3d_survey::{
+    Mark, Marker, PosedImage, ReadError, RotationFault, ScaleBar, Survey, World, check_rotation, read_at_most,
+};
 
 use crate::calibration;
-use crate::error::MetashapeError;
 use crate::xml::Element;
 
-type Result<T> = std::result::Result<T, MetashapeError>;
+type Result<T> = std::result::Result<T, ReadError>;
 
 /// The largest file that is read, bytes: about 100,000 cameras with their covariances.
 const LARGEST: u64 = 1 << 29;
@@ -52,13 +53,7 @@ pub fn is_cameras_file(path: &Path) -> bool {
 /// A file that cannot be read, is no cameras file, has no aligned camera, or holds something that cannot be
 /// used; the message names the element and the next step.
 pub fn read(path: &Path) -> Result<Survey> {
-    let open = |source| MetashapeError::Open { path: path.to_path_buf(), source };
-    let length = std::fs::metadata(path).map_err(open)?.len();
-    if length > LARGEST {
-        let reason = format!("it has {length} bytes; expected at most {LARGEST}: export fewer cameras");
-        return Err(MetashapeError::broken(path, "file", reason));
-    }
-    parse(&std::fs::read(path).map_err(open)?, path)
+    parse(&read_at_most(path, LARGEST, "export fewer cameras")?, path)
 }
 
 /// Reads the bytes of a cameras file; `path` is for messages.
@@ -68,19 +63,25 @@ pub fn read(path: &Path) -> Result<Survey> {
 pub fn parse(bytes: &[u8], path: &Path) -> Result<Survey> {
     let text = std::str::from_utf8(bytes).map_err(|e| {
         let place = format!("byte {}", e.valid_up_to());
-        MetashapeError::broken(path, place, "it is not UTF-8 text; export the cameras again as Agisoft XML")
+        ReadError::broken(path, place, "it is not UTF-8 text; export the cameras again as Agisoft XML")
     })?;
     let document = Document::parse(text.trim_start_matches('\u{feff}')).map_err(|e| {
         let reason = format!("it is damaged or cut short ({e}); export the cameras again as Agisoft XML");
-        MetashapeError::broken(path, "XML", reason)
+        ReadError::broken(path, "XML", reason)
     })?;
     let root = Element { node: document.root_element(), path };
     check_version(root)?;
     let (chunk, others) = choose_chunk(root)?;
     let mut survey = read_chunk(chunk)?;
     survey.notes.extend(others);
-    survey.check().map_err(|source| MetashapeError::Survey { path: path.to_path_buf(), source })?;
+    check(&survey, path)?;
     Ok(survey)
+}
+
+/// Checks the survey as a whole; `path` is for messages.
+pub(crate) fn check(survey: &Survey, path: &Path) -> Result<()> {
+    let remedy = "check the project in Metashape and export the cameras again";
+    survey.check().map_err(|source| ReadError::Survey { path: path.to_path_buf(), source, remedy })
 }
 
 fn check_version(root: Element<'_>) -> Result<()> {
@@ -244,23 +245,21 @@ fn pose(transform: Element<'_>) -> Result<Pose> {
     let row = |i: usize| DVec3::new(m[4 * i], m[4 * i + 1], m[4 * i + 2]);
     // The rows of camera-to-world are the columns of world-to-camera.
     let rotation = DMat3::from_cols(row(0), row(1), row(2));
-    check_rotation(owner, &rotation)?;
+    require_rotation(owner, &rotation)?;
     Ok(Pose::from_center(rotation, DVec3::new(m[3], m[7], m[11])))
 }
 
-fn check_rotation(owner: Element<'_>, rotation: &DMat3) -> Result<()> {
-    let gram = *rotation * rotation.transpose() - DMat3::IDENTITY;
-    let off = gram.to_cols_array().iter().fold(0.0f64, |m, v| m.max(v.abs()));
-    if off.is_nan() || off > ORTHONORMAL {
-        return owner.fail(format!("its rotation is off orthonormal by {off:.1e}; export the cameras again"));
-    }
-    if rotation.determinant() < 0.0 {
-        return owner.fail(
+fn require_rotation(owner: Element<'_>, rotation: &DMat3) -> Result<()> {
+    match check_rotation(rotation, ORTHONORMAL) {
+        Ok(()) => Ok(()),
+        Err(RotationFault::NotOrthonormal(off)) => {
+            owner.fail(format!("its rotation is off orthonormal by {off:.1e}; export the cameras again"))
+        }
+        Err(RotationFault::Mirrored) => owner.fail(
             "its axes are mirrored (the determinant is -1); expected a right-handed rotation: export the \
              cameras again without changing axes",
-        );
+        ),
     }
-    Ok(())
 }
 
 /// A path or label as a name: without a drive, leading separators, and parts that lead up.
@@ -460,6 +459,6 @@ fn similarity(transform: Element<'_>) -> Result<Option<(f64, DMat3, DVec3)>> {
         };
         (scale, rotation, translation)
     };
-    check_rotation(owner, &rotation)?;
+    require_rotation(owner, &rotation)?;
     Ok(Some((scale, rotation, translation)))
 }

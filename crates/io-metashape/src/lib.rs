@@ -23,10 +23,8 @@
 
 pub mod calibration;
 pub mod chunk;
-mod error;
 mod points;
 mod xml;
 
 pub use chunk::{is_cameras_file, parse, read};
-pub use error::MetashapeError;
 pub use points::add_points;

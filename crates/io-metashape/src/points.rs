@@ -6,9 +6,9 @@
 
 use std::path::Path;
 
-use use3d_survey::{Survey, SurveyError, ply};
+use use3d_survey::{ReadError, Survey, ply};
 
-use crate::error::MetashapeError;
+use crate::chunk::check;
 
 /// The number of points by which the reading is chosen.
 const TRIED: usize = 200;
@@ -17,9 +17,9 @@ const TRIED: usize = 200;
 ///
 /// # Errors
 /// A file that is no PLY file of points, and points that no camera sees in either reading.
-pub fn add_points(survey: &mut Survey, bytes: &[u8], path: &Path) -> Result<(), MetashapeError> {
+pub fn add_points(survey: &mut Survey, bytes: &[u8], path: &Path) -> Result<(), ReadError> {
     let mut points =
-        ply::points(bytes).map_err(|source| MetashapeError::Points { path: path.to_path_buf(), source })?;
+        ply::points(bytes).map_err(|source| ReadError::Points { path: path.to_path_buf(), source })?;
     if points.is_empty() {
         survey.notes.push("the file of points is empty".into());
         return Ok(());
@@ -37,7 +37,7 @@ pub fn add_points(survey: &mut Survey, bytes: &[u8], path: &Path) -> Result<(), 
              system: export the points again with the coordinate system `Local Coordinates` and no shift",
             tried.len()
         );
-        return Err(MetashapeError::broken(path, "vertex", reason));
+        return Err(ReadError::broken(path, "vertex", reason));
     }
     if let Some(world) = survey.world.as_ref().filter(|_| from_world >= as_they_are) {
         for point in &mut points {
@@ -45,6 +45,5 @@ pub fn add_points(survey: &mut Survey, bytes: &[u8], path: &Path) -> Result<(), 
         }
     }
     survey.points = points;
-    let bad = |source: SurveyError| MetashapeError::Survey { path: path.to_path_buf(), source };
-    survey.check().map_err(bad)
+    check(survey, path)
 }

@@ -4,10 +4,9 @@ use std::path::Path;
 use std::str::FromStr;
 
 use roxmltree::Node;
+use use3d_survey::ReadError;
 
-use crate::error::MetashapeError;
-
-type Result<T> = std::result::Result<T, MetashapeError>;
+type Result<T> = std::result::Result<T, ReadError>;
 
 /// An element, with the file that it stands in.
 #[derive(Clone, Copy)]
@@ -34,7 +33,7 @@ impl<'a> Element<'a> {
     }
 
     pub(crate) fn fail<T>(&self, reason: impl Into<String>) -> Result<T> {
-        Err(MetashapeError::broken(self.path, self.place(), reason))
+        Err(ReadError::broken(self.path, self.place(), reason))
     }
 
     fn at(&self, node: Node<'a, 'a>) -> Self {

@@ -4,9 +4,9 @@ use std::fmt::Write;
 use std::path::Path;
 
 use glam::{DMat3, DVec3};
-use use3d_io_metashape::{MetashapeError, add_points, is_cameras_file, parse, read};
+use use3d_io_metashape::{add_points, is_cameras_file, parse, read};
 use use3d_numerics::math;
-use use3d_survey::{Survey, ply};
+use use3d_survey::{ReadError, Survey, ply};
 
 /// A lens in Metashape's terms.
 #[derive(Clone, Copy, Default)]
@@ -140,7 +140,7 @@ fn simple(cameras: &str, rest: &str) -> String {
     document(&sensor(0, &calibration(&PLAIN, "adjusted")), cameras, rest)
 }
 
-fn take(text: &str) -> Result<Survey, MetashapeError> {
+fn take(text: &str) -> Result<Survey, ReadError> {
     parse(text.as_bytes(), Path::new("dive/cameras.xml"))
 }
 

@@ -22,6 +22,6 @@ mod frame;
 mod read;
 mod write;
 
-pub use error::NerfstudioError;
+pub use error::UnknownLens;
 pub use read::{Transforms, parse, read};
 pub use write::{Export, export};

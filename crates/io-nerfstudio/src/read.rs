@@ -8,13 +8,13 @@ use serde_json::{Map, Value};
 use use3d_capture::FileName;
 use use3d_numerics::math;
 use use3d_survey::{
-    Distortion, ImageFiles, Lens, PosedImage, Projection, Survey, SurveyCamera, SurveyError, ply,
+    Distortion, ImageFiles, Lens, PosedImage, Projection, ReadError, RotationFault, Survey, SurveyCamera,
+    check_rotation, ply, read_at_most,
 };
 
-use crate::error::NerfstudioError;
 use crate::frame::Applied;
 
-type Result<T> = std::result::Result<T, NerfstudioError>;
+type Result<T> = std::result::Result<T, ReadError>;
 
 /// The largest file that is read, bytes: several 100,000 frames.
 const LARGEST: u64 = 1 << 28;
@@ -44,13 +44,13 @@ impl Transforms {
     /// # Errors
     /// A file that is no PLY file of points.
     pub fn add_points(&mut self, bytes: &[u8], path: &Path) -> Result<()> {
-        let mut points = ply::points(bytes)
-            .map_err(|source| NerfstudioError::Points { path: path.to_path_buf(), source })?;
+        let mut points =
+            ply::points(bytes).map_err(|source| ReadError::Points { path: path.to_path_buf(), source })?;
         for point in &mut points {
             point.position = self.applied.undo(DVec3::from_array(point.position)).to_array();
         }
         self.survey.points = points;
-        self.survey.check().map_err(|source| NerfstudioError::Survey { path: path.to_path_buf(), source })
+        check(&self.survey, path)
     }
 }
 
@@ -60,13 +60,7 @@ impl Transforms {
 /// A file that cannot be read, is no JSON, or holds something that cannot be used; the message names the
 /// frame and field.
 pub fn read(path: &Path) -> Result<Transforms> {
-    let open = |source| NerfstudioError::Open { path: path.to_path_buf(), source };
-    let length = std::fs::metadata(path).map_err(open)?.len();
-    if length > LARGEST {
-        let reason = format!("it has {length} bytes; expected at most {LARGEST}: split the capture");
-        return Err(NerfstudioError::broken(path, "file", reason));
-    }
-    parse(&std::fs::read(path).map_err(open)?, path)
+    parse(&read_at_most(path, LARGEST, "split the capture")?, path)
 }
 
 /// Reads the bytes of a file; `path` is for messages.
@@ -76,10 +70,10 @@ pub fn read(path: &Path) -> Result<Transforms> {
 pub fn parse(bytes: &[u8], path: &Path) -> Result<Transforms> {
     let json: Value = serde_json::from_slice(bytes).map_err(|e| {
         let reason = format!("it is damaged or cut short ({e}); write it again with ns-process-data");
-        NerfstudioError::broken(path, "JSON", reason)
+        ReadError::broken(path, "JSON", reason)
     })?;
     let Value::Object(all) = &json else {
-        return Err(NerfstudioError::broken(path, "JSON", "expected an object with `frames`"));
+        return Err(ReadError::broken(path, "JSON", "expected an object with `frames`"));
     };
     let whole = Fields { own: all, shared: None, path, place: "top level".into() };
     let frames = match all.get("frames") {
@@ -130,9 +124,14 @@ pub fn parse(bytes: &[u8], path: &Path) -> Result<Transforms> {
                 .into(),
         );
     }
-    let bad = |source: SurveyError| NerfstudioError::Survey { path: path.to_path_buf(), source };
-    survey.check().map_err(bad)?;
+    check(&survey, path)?;
     Ok(Transforms { survey, points, applied })
+}
+
+/// Checks the survey as a whole; `path` is for messages.
+fn check(survey: &Survey, path: &Path) -> Result<()> {
+    let remedy = "write the file again with ns-process-data";
+    survey.check().map_err(|source| ReadError::Survey { path: path.to_path_buf(), source, remedy })
 }
 
 /// The ids of COLMAP where every frame has one and they are distinct, else 1, 2, 3 and so on.
@@ -165,7 +164,7 @@ struct Fields<'a> {
 
 impl Fields<'_> {
     fn fail<T>(&self, reason: impl Into<String>) -> Result<T> {
-        Err(NerfstudioError::broken(self.path, &self.place, reason))
+        Err(ReadError::broken(self.path, &self.place, reason))
     }
 
     fn get(&self, name: &str) -> Option<&Value> {
@@ -235,20 +234,16 @@ impl Fields<'_> {
     fn rotation(&self, name: &str, m: &[Vec<f64>]) -> Result<DMat3> {
         let row = |i: usize| DVec3::new(m[i][0], m[i][1], m[i][2]);
         let rotation = DMat3::from_cols(row(0), row(1), row(2)).transpose();
-        let gram = rotation * rotation.transpose() - DMat3::IDENTITY;
-        let off = gram.to_cols_array().iter().fold(0.0f64, |most, v| most.max(v.abs()));
-        if off.is_nan() || off > ORTHONORMAL {
-            return self.fail(format!(
+        match check_rotation(&rotation, ORTHONORMAL) {
+            Ok(()) => Ok(rotation),
+            Err(RotationFault::NotOrthonormal(off)) => self.fail(format!(
                 "`{name}` has a rotation that is off orthonormal by {off:.1e}; expected no scale and no shear"
-            ));
-        }
-        if rotation.determinant() < 0.0 {
-            return self.fail(format!(
+            )),
+            Err(RotationFault::Mirrored) => self.fail(format!(
                 "`{name}` mirrors the axes (its determinant is -1); expected a right-handed rotation: write the \
                  file again with ns-process-data"
-            ));
+            )),
         }
-        Ok(rotation)
     }
 }
 

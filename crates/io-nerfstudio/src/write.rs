@@ -8,7 +8,7 @@ use glam::DVec3;
 use serde_json::{Map, Value, json};
 use use3d_survey::{Lens, Projection, Survey, SurveyCamera, ply};
 
-use crate::error::NerfstudioError;
+use crate::error::UnknownLens;
 use crate::frame::Applied;
 
 /// The name by which a file refers to its points.
@@ -28,7 +28,7 @@ pub struct Export {
 /// # Errors
 /// A lens with a term that the format does not have: skew, a denominator, a prism, growing tangential terms,
 /// a radial term beyond `k4`, a projection other than perspective and equidistant.
-pub fn export(survey: &Survey, image_folder: &str) -> Result<Export, NerfstudioError> {
+pub fn export(survey: &Survey, image_folder: &str) -> Result<Export, UnknownLens> {
     let applied = Applied::UPRIGHT;
     let mut top = Map::new();
     let shared = match survey.cameras.as_slice() {
@@ -67,7 +67,7 @@ pub fn export(survey: &Survey, image_folder: &str) -> Result<Export, NerfstudioE
             }
             Ok(Value::Object(frame))
         })
-        .collect::<Result<Vec<_>, NerfstudioError>>()?;
+        .collect::<Result<Vec<_>, UnknownLens>>()?;
     top.insert("frames".into(), Value::Array(frames));
     let points = (!survey.points.is_empty()).then(|| {
         top.insert("ply_file_path".into(), json!(POINTS));
@@ -81,8 +81,8 @@ pub fn export(survey: &Survey, image_folder: &str) -> Result<Export, NerfstudioE
 }
 
 /// The fields of a camera.
-fn lens(camera: &SurveyCamera) -> Result<Map<String, Value>, NerfstudioError> {
-    let fail = |reason| Err(NerfstudioError::Lens { camera: camera.id, reason });
+fn lens(camera: &SurveyCamera) -> Result<Map<String, Value>, UnknownLens> {
+    let fail = |reason| Err(UnknownLens { camera: camera.id, reason });
     let Lens { focal: [fx, fy], skew, principal: [cx, cy], projection, distortion: d } = camera.lens;
     let model = match projection {
         Projection::Perspective => "OPENCV",

@@ -6,9 +6,9 @@ use std::path::Path;
 use glam::{DMat3, DVec3};
 use use3d_capture::{FileName, Pose};
 use use3d_io_colmap::{LensModel, Model, ModelCamera};
-use use3d_io_nerfstudio::{NerfstudioError, Transforms, export, parse, read};
+use use3d_io_nerfstudio::{Transforms, export, parse, read};
 use use3d_numerics::math;
-use use3d_survey::{ImageFiles, Lens, PosedImage, Survey, SurveyCamera, SurveyPoint};
+use use3d_survey::{ImageFiles, Lens, PosedImage, ReadError, Survey, SurveyCamera, SurveyPoint};
 
 const PATH: &str = "dive/transforms.json";
 
@@ -16,7 +16,7 @@ fn name(text: &str) -> FileName {
     FileName::new(text).unwrap()
 }
 
-fn take(text: &str) -> Result<Transforms, NerfstudioError> {
+fn take(text: &str) -> Result<Transforms, ReadError> {
     parse(text.as_bytes(), Path::new(PATH))
 }
 

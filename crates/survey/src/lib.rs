@@ -11,17 +11,19 @@
 //! * Pixel (0, 0) is the image's top-left corner; pixel centres lie at +0.5.
 //! * Positions are `f64` in the program's own unit. [`World::transform`] takes them to metres.
 //!
-//! Nothing here opens a file.
+//! Only [`read_at_most`] opens a file.
 
 mod check;
 mod jet;
 mod lens;
 mod markers;
 pub mod ply;
+mod read;
 mod survey;
 
 pub use check::SurveyError;
 pub use lens::{Distortion, Lens, Projection};
 pub use markers::{Mark, Marker, ScaleBar};
 pub use ply::PlyError;
+pub use read::{ReadError, RotationFault, check_rotation, read_at_most};
 pub use survey::{ImageFiles, Keypoint, PosedImage, Survey, SurveyCamera, SurveyPoint, World};
