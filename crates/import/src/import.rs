@@ -224,7 +224,7 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
     Ok(Imported { capture, report, plans, model, model_files, white_balance: params.white_balance })
 }
 
-/// A placeholder for intrinsics that are not known yet.
+/// The intrinsics of a view until [`plan`] sets those of its camera and file size.
 const PENDING: Intrinsics = Intrinsics { width: 0, height: 0, fx: 0.0, fy: 0.0, cx: 0.0, cy: 0.0 };
 
 /// Makes one geometry per camera and file size, and sets the views' intrinsics.

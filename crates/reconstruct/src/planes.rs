@@ -112,8 +112,11 @@ fn fit(
         right += row * (weight * anchors[*i].inverse);
     }
     let scale = normal.x_axis.x * normal.y_axis.y * normal.z_axis.z;
-    let determined = normal.determinant() > 1e-6 * scale;
-    determined.then(|| (normal.inverse() * right, normal.inverse()))
+    if normal.determinant() <= 1e-6 * scale {
+        return None;
+    }
+    let inverse = normal.inverse();
+    Some((inverse * right, inverse))
 }
 
 fn median(mut values: Vec<f64>) -> f64 {

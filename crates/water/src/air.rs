@@ -2,9 +2,9 @@
 //!
 //! Water adds a veil to everything seen through it and removes light, both increasing with distance:
 //! `I = J e^{−β_a s} + B (1 − e^{−β_b s})` with `J ≥ 0`. So the darkest value at a distance is an upper
-//! bound of the veil there, in every channel. Where some far points are nearly black, there is no veil.
-//! Where the brightest far points are as bright as the brightest near ones, no light is removed, as dark
-//! water lit by lamps would do. Both together mean air. The converse does not hold: a lawn has nothing
+//! bound of the veil there, in every channel. If some far points are nearly black, there is no veil. If
+//! the brightest far points are as bright as the brightest near ones, no light is removed, as dark water
+//! lit by lamps would do. Both together mean air. The converse does not hold: a lawn has nothing
 //! black, near or far.
 //!
 //! A point counts in a view only if the view shows the colour that the model has for the point. So an

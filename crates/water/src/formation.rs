@@ -230,7 +230,7 @@ pub(crate) fn normal(
                 v[GAIN + o] += w * r * t.left;
             }
         }
-        // Where the radiance is at its bound, it does not change with the parameters.
+        // A radiance at its bound does not change with the parameters.
         if j > 0.0 {
             for e in 0..k {
                 for f in 0..=e {

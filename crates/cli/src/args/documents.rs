@@ -167,7 +167,7 @@ fn fault(command: &Command, known: &BTreeSet<String>) -> Option<String> {
             | ErrorKind::ValueValidation
     );
     let shown = matches!(error.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion);
-    // In a sentence a value may be left out, or be a placeholder: `--set`, `--water A`.
+    // In a sentence a value may be left out or be a letter: `--set`, `--water A`.
     let excused = shown || !command.whole && incomplete;
     (!excused).then(|| error.to_string().lines().next().unwrap_or_default().to_string())
 }

@@ -7,7 +7,7 @@
 //! L = (1 − λ) Reg-L1 + λ Reg-MS-SSIM
 //! ```
 //!
-//! Where the fit is good, `W Î` is nearly 1 and `W I` is the ratio of target to prediction. So the
+//! With a good fit, `W Î` is nearly 1 and `W I` is the ratio of target to prediction. So the
 //! structure term measures relative error, and its variances would cancel in f32. Both are therefore
 //! computed *minus one* without ever being near one: `W Î − 1 = −ε W` and `W I − 1 = W (I − Î) − ε W`. The
 //! first also carries `W` to the last pass, which needs no other image.
