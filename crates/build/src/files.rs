@@ -7,11 +7,10 @@
 use std::fs::{self, File};
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
-use std::sync::OnceLock;
-use std::sync::atomic::{AtomicU64, Ordering};
+
+pub(crate) use use3d_files::unique;
 
 use super::error::FileError;
-use super::machine::{self, ProcessId};
 
 /// The text between a file's name and [`unique`] in the name of its temporary sibling.
 pub(crate) const SIBLING: &str = ".tmp-";
@@ -145,21 +144,6 @@ pub(crate) fn rename(files: &dyn Files, from: &Path, to: &Path) -> io::Result<()
     renamed
 }
 
-/// Returns a name that no other process on any machine or in any container, and no other call, uses. It
-/// contains the [process that owns it](ProcessId::owner_is_alive), as far as that can be known, and a random
-/// number for cases where it cannot.
-pub(crate) fn unique() -> String {
-    static OWNER: OnceLock<String> = OnceLock::new();
-    unique_of(OWNER.get_or_init(|| ProcessId::this().name()))
-}
-
-fn unique_of(owner: &str) -> String {
-    static COUNTER: AtomicU64 = AtomicU64::new(0);
-    static CHANCE: OnceLock<u64> = OnceLock::new();
-    let chance = CHANCE.get_or_init(machine::random);
-    format!("{owner}-{chance:016x}-{}", COUNTER.fetch_add(1, Ordering::Relaxed))
-}
-
 /// Lists every regular file below a folder with its path (`/` between folders) and size, sorted; symbolic
 /// links and special files are errors.
 pub(crate) fn list(root: &Path) -> Result<Vec<(String, u64)>, FileError> {
@@ -250,38 +234,5 @@ mod tests {
         let error = rename(&LostAnswers, &dir.path().join("nothing"), &dir.path().join("new")).unwrap_err();
         assert_eq!(error.kind(), io::ErrorKind::NotFound);
         assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
-    }
-
-    #[test]
-    fn processes_that_think_they_are_one_get_different_names() {
-        const SAY: &str = "USE3D_TEST_NAMES";
-        let names: Vec<String> = (0..3).map(|_| unique_of("a-1-2")).collect();
-        if std::env::var_os(SAY).is_some() {
-            println!("names: {}", names.join(" "));
-            return;
-        }
-        // Two containers may have the same host name, process id, start time and counter; the random number
-        // distinguishes them.
-        let own = "files::tests::processes_that_think_they_are_one_get_different_names";
-        let said = || -> Vec<String> {
-            let mut this = std::process::Command::new(std::env::current_exe().unwrap());
-            let output = this.args(["--exact", own, "--nocapture"]).env(SAY, "1").output().unwrap();
-            let text = String::from_utf8(output.stdout).unwrap();
-            let line = text.lines().find_map(|line| line.split_once("names: ")).unwrap().1;
-            line.split(' ').map(String::from).collect()
-        };
-        let (one, other) = (said(), said());
-        let parts = |name: &str| -> (String, String, String) {
-            let (rest, count) = name.rsplit_once('-').unwrap();
-            let (owner, chance) = rest.rsplit_once('-').unwrap();
-            (owner.to_string(), chance.to_string(), count.to_string())
-        };
-        for (counted, (a, b)) in one.iter().zip(&other).enumerate() {
-            let (a, b) = (parts(a), parts(b));
-            assert_eq!((&a.0, &a.2), (&b.0, &b.2));
-            assert_eq!((a.0.as_str(), a.1.len(), a.2), ("a-1-2", 16, counted.to_string()));
-            assert_ne!(a.1, b.1);
-        }
-        assert_eq!((one.len(), other.len()), (3, 3));
     }
 }

@@ -1,48 +1,40 @@
-//! Leftovers of killed processes outside the cache: temporary files and folders whose names contain their
-//! owner.
-//!
-//! Every file or folder with a temporary name carries its [`owner`]: the process, unique among all machines.
-//! The next process that works in the same folder removes the leftovers of processes that are known to have
-//! ended, and nothing else.
+//! Folders for temporary files outside the cache, and the removal of those that killed processes left.
 
 use std::path::Path;
 
-use super::machine::ProcessId;
-
-/// This process's name for use in the names of temporary files; a `-` and a distinguishing suffix may follow.
-pub fn owner() -> String {
-    ProcessId::this().name()
-}
+use use3d_files::Making;
+pub use use3d_files::sweep;
 
 /// The prefix of the names of temporary folders.
 const SCRATCH: &str = "use3d-";
 
 /// Creates a temporary folder that is removed when it is dropped. It first removes those that killed
 /// processes left.
-pub fn scratch() -> std::io::Result<tempfile::TempDir> {
+pub fn scratch() -> std::io::Result<Scratch> {
     sweep(&std::env::temp_dir(), SCRATCH, |_| true);
-    tempfile::Builder::new().prefix(&format!("{SCRATCH}{}-", owner())).tempdir()
+    let folder =
+        tempfile::Builder::new().prefix(&format!("{SCRATCH}{}-", use3d_files::unique())).tempdir()?;
+    let making = Making::new(folder.path());
+    Ok(Scratch { folder, _making: making })
 }
 
-/// Removes files and folders in `folder` whose names are `prefix` and an [`owner`] that has ended, if
-/// `may_go` returns true. An item that cannot be removed stays, which is harmless.
-pub fn sweep(folder: &Path, prefix: &str, may_go: impl Fn(&Path) -> bool) {
-    for entry in std::fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok) {
-        let name = entry.file_name();
-        let owner = name.to_str().and_then(|name| name.strip_prefix(prefix));
-        if owner.and_then(ProcessId::owner_is_alive) != Some(false) || !may_go(&entry.path()) {
-            continue;
-        }
-        if entry.file_type().is_ok_and(|kind| kind.is_dir()) {
-            let _ = std::fs::remove_dir_all(entry.path());
-        } else {
-            let _ = std::fs::remove_file(entry.path());
-        }
+/// A folder for temporary files that is removed when it is dropped.
+#[derive(Debug)]
+pub struct Scratch {
+    folder: tempfile::TempDir,
+    _making: Making,
+}
+
+impl Scratch {
+    /// The path of the folder.
+    pub fn path(&self) -> &Path {
+        self.folder.path()
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::machine::ProcessId;
     use super::*;
 
     #[test]
@@ -51,34 +43,5 @@ mod tests {
         let name = folder.path().file_name().unwrap().to_str().unwrap().to_string();
         let alive = name.strip_prefix(SCRATCH).and_then(ProcessId::owner_is_alive);
         assert!(alive != Some(false) && folder.path().is_dir(), "{name}");
-    }
-
-    #[test]
-    fn only_what_the_gone_left_is_removed() {
-        let this = ProcessId::this();
-        let other = ProcessId { started: this.started + 1, ..this };
-        if other.is_alive() != Some(false) {
-            return; // a system that does not report it
-        }
-        let gone = other.name();
-        let dir = tempfile::tempdir().unwrap();
-        let mut kept = vec![
-            format!(".tmp-{}-0", owner()),
-            ".tmp-elsewhere-1-2-3".to_string(),
-            ".tmp-mine".to_string(),
-            format!("other-{gone}-0"),
-            format!(".tmp-{gone}-kept"),
-        ];
-        let left = [format!(".tmp-{gone}-0"), format!(".tmp-{gone}")];
-        for name in kept.iter().chain(&left) {
-            std::fs::create_dir_all(dir.path().join(name).join("deep")).unwrap();
-        }
-        std::fs::write(dir.path().join(format!(".tmp-{gone}-file")), "half").unwrap();
-        sweep(dir.path(), ".tmp-", |path| !path.ends_with(&kept[4]));
-        let list = std::fs::read_dir(dir.path()).unwrap();
-        let mut names: Vec<String> = list.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
-        names.sort();
-        kept.sort();
-        assert_eq!(names, kept);
     }
 }

@@ -1,13 +1,12 @@
 //! Facts about this machine and the present time. Records contain them; keys never do.
 
-use std::hash::{BuildHasher, Hasher, RandomState};
 use std::path::Path;
-use std::sync::OnceLock;
 use std::time::SystemTime;
 
 use serde::{Deserialize, Serialize};
 
-use super::digest::Digest;
+pub use use3d_files::ProcessId;
+
 use super::memory;
 
 /// A machine, for the record.
@@ -24,12 +23,8 @@ pub struct Machine {
 impl Machine {
     /// This machine.
     pub fn this() -> Self {
-        let host = std::fs::read_to_string("/proc/sys/kernel/hostname")
-            .ok()
-            .or_else(|| std::env::var("HOSTNAME").ok())
-            .or_else(|| std::env::var("COMPUTERNAME").ok());
         Self {
-            host: host.map_or_else(|| "unknown".to_string(), |h| h.trim().to_string()),
+            host: use3d_files::host(),
             system: format!("{} {}", std::env::consts::OS, std::env::consts::ARCH),
             cores: cores(),
         }
@@ -57,89 +52,6 @@ pub fn available_memory() -> Option<u64> {
 /// Memory this process holds, bytes.
 pub(crate) fn resident_memory() -> Option<u64> {
     memory::resident()
-}
-
-/// Identifies this running process among all that ever used a cache: host and boot, id, start time.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct ProcessId {
-    /// The machine since its last boot, and the namespace of its process ids.
-    pub place: String,
-    /// The process id.
-    pub pid: u32,
-    /// Its start time in the system's own units, which distinguishes a reused id.
-    pub started: u64,
-}
-
-impl ProcessId {
-    /// This process.
-    pub fn this() -> Self {
-        let pid = std::process::id();
-        Self { place: place(), pid, started: start_time(pid).unwrap_or(0) }
-    }
-
-    /// A short name that no other process on any machine has; for the names of files and folders, to mark
-    /// their owner.
-    pub(crate) fn name(&self) -> String {
-        format!("{}-{}-{}", Digest::of(self.place.as_bytes()).short(), self.pid, self.started)
-    }
-
-    /// Returns whether the process is running whose name a file carries (a further `-` and anything may
-    /// follow); `None` if it belongs to another machine.
-    pub(crate) fn owner_is_alive(name: &str) -> Option<bool> {
-        let mut parts = name.split('-');
-        let here = place();
-        if parts.next()? != Digest::of(here.as_bytes()).short() {
-            return None;
-        }
-        let (pid, started) = (parts.next()?.parse().ok()?, parts.next()?.parse().ok()?);
-        Self { place: here, pid, started }.is_alive()
-    }
-
-    /// Returns true if the process runs, false if it has ended, and `None` if it belongs to another machine.
-    pub fn is_alive(&self) -> Option<bool> {
-        if self.place != place() {
-            return None;
-        }
-        if !std::path::Path::new("/proc/self/stat").exists() {
-            return if self.pid == std::process::id() { Some(true) } else { None };
-        }
-        Some(start_time(self.pid).is_some_and(|s| s == self.started))
-    }
-}
-
-fn place() -> String {
-    static PLACE: OnceLock<String> = OnceLock::new();
-    let find = || {
-        let boot = std::fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default();
-        let space = std::fs::read_link("/proc/self/ns/pid").map(|p| p.display().to_string());
-        place_of(&Machine::this().host, boot.trim(), &space.unwrap_or_default())
-    };
-    PLACE.get_or_init(find).clone()
-}
-
-/// A host's name alone does not identify a machine, because two machines may have the same name. Where the
-/// system does not report the machine and the namespace of process ids, the process gets a place of its own.
-fn place_of(host: &str, boot: &str, space: &str) -> String {
-    if boot.is_empty() || space.is_empty() {
-        return format!("{host} {:016x}", random());
-    }
-    format!("{host} {boot} {space}")
-}
-
-/// A number that no other call in any process gets, from the system's source of randomness. It is never used
-/// for results.
-pub(crate) fn random() -> u64 {
-    RandomState::new().build_hasher().finish()
-}
-
-/// Field 22 of `/proc/<pid>/stat`; a zombie has ended.
-fn start_time(pid: u32) -> Option<u64> {
-    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
-    let mut fields = stat[stat.rfind(')')? + 1..].split_whitespace();
-    if fields.next()? == "Z" {
-        return None;
-    }
-    fields.nth(18)?.parse().ok()
 }
 
 /// Seconds since 1970.
@@ -198,25 +110,5 @@ mod tests {
         assert_eq!(seconds(18_420.0), "5 h 07 min");
         assert_eq!(bytes(12), "12 B");
         assert_eq!(bytes(1_500_000), "1.5 MB");
-    }
-
-    #[test]
-    fn machines_of_one_name_are_not_one_place() {
-        assert_eq!(place_of("a", "boot", "space"), place_of("a", "boot", "space"));
-        for (boot, space) in [("", ""), ("boot", ""), ("", "space")] {
-            assert_ne!(place_of("a", boot, space), place_of("a", boot, space), "{boot} {space}");
-        }
-    }
-
-    #[test]
-    fn this_process_is_alive_and_another_start_is_not() {
-        let this = ProcessId::this();
-        assert_eq!(this.is_alive(), Some(true));
-        assert_eq!(ProcessId::owner_is_alive(&format!("{}-1", this.name())), Some(true));
-        assert_eq!(ProcessId::owner_is_alive("elsewhere-1-2-3"), None);
-        if this.started != 0 {
-            assert_eq!(ProcessId { started: this.started + 1, ..this.clone() }.is_alive(), Some(false));
-        }
-        assert_eq!(ProcessId { place: "elsewhere".to_string(), ..this }.is_alive(), None);
     }
 }

@@ -3,7 +3,7 @@
 
 use std::time::{Duration, Instant};
 
-use super::machine::{self, Machine, ProcessId};
+use super::machine::{Machine, ProcessId};
 
 /// A steady clock: seconds since some moment of its own. The clocks of two machines are never compared.
 #[derive(Clone, Copy, Debug)]
@@ -51,7 +51,8 @@ impl Node {
 
     /// A process of a machine called `host`, for tests: this process cannot check that it runs.
     pub fn elsewhere(host: &str, clock: Clock) -> Self {
-        let process = ProcessId { place: format!("{host} {:016x}", machine::random()), pid: 1, started: 1 };
+        let process =
+            ProcessId { place: format!("{host} {:016x}", use3d_files::random()), pid: 1, started: 1 };
         Self { process, host: host.to_string(), clock }
     }
 

@@ -17,6 +17,7 @@ use std::time::SystemTime;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use use3d_capture::name::shown;
+use use3d_files::beside;
 
 use super::digest::Digest;
 use super::error::FileError;
@@ -270,13 +271,12 @@ pub fn check_writable(folder: &Path) -> Result<(), PlaceError> {
 
 /// The folder that contains `path`.
 pub fn parent(path: &Path) -> &Path {
-    path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
+    use3d_files::folder_of(path)
 }
 
 /// The prefix of the names of unfinished results.
-const MADE: &str = ".use3d-tmp-";
-/// The prefix of the name of an old result during its removal. It may hold the user's files, so no sweep
-/// removes it.
+const MADE: &str = use3d_files::BEING_MADE;
+/// The prefix of the name of an old result during its removal. It may hold the user's files.
 const OLD: &str = ".use3d-old-";
 
 /// A path beside `path` for an unfinished result. It does not contain the name of `path`, which may already
@@ -285,13 +285,23 @@ pub fn sibling(path: &Path) -> PathBuf {
     beside(path, MADE)
 }
 
-fn beside(path: &Path, begin: &str) -> PathBuf {
-    parent(path).join(format!("{begin}{}-{}", leftovers::owner(), files::unique()))
-}
-
 /// Removes unfinished results of killed processes from a folder.
+///
+/// An old result that a delivery moved aside is removed if it holds nothing but our files as they were
+/// written. If it may hold files of the user, a warning gives its place.
 pub fn sweep(folder: &Path) {
     leftovers::sweep(folder, MADE, |_| true);
+    leftovers::sweep(folder, OLD, |aside| {
+        let ours = matches!(look_once(aside, Look::Close), Ok(Standing::Ours(ours)) if ours.extra.is_empty());
+        if !ours {
+            tracing::warn!(
+                "{}: this folder holds files of an earlier result, and perhaps some of yours; an interrupted run \
+                 moved them there; check it, then remove it",
+                shown(&aside.to_string_lossy())
+            );
+        }
+        ours
+    });
 }
 
 /// Copies a folder of plain files and folders.
@@ -396,7 +406,9 @@ fn retire(aside: &Path, ours: &Ours, folder: &Path) -> Result<(), PlaceError> {
         at(&to, "create the folder of", fs::create_dir_all(parent(&to)))?;
         at(&to, "keep", fs::rename(aside.join(name), &to))?;
     }
-    for name in &ours.listed {
+    // The record is removed last, because it says which files are ours.
+    let (record, others): (Vec<_>, Vec<_>) = ours.listed.iter().partition(|name| *name == MANIFEST);
+    for name in others.into_iter().chain(record) {
         at(aside, "remove the old files of", fs::remove_file(aside.join(name)))?;
     }
     for entry in walkdir::WalkDir::new(aside).contents_first(true).into_iter().flatten() {

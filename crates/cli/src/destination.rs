@@ -68,6 +68,7 @@ pub(crate) fn check_file(flag: &str, path: &Path, force: bool, extensions: &[&st
         _ => {}
     }
     let folder = place::parent(path);
+    place::sweep(folder);
     place::check_writable(folder).or_else(|e| match e {
         PlaceError::Io { source, .. } => refuse(&format!("cannot write in {}: {source}", path_text(folder))),
         other => Err(other.into()),
@@ -80,7 +81,7 @@ pub(crate) fn write_file(
     path: &Path,
     fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
 ) -> Done {
-    let written = use3d_io_image::write_atomically(path, |writer| {
+    let written = use3d_files::write_atomically(path, |writer| {
         fill(writer)?;
         writer.flush()?;
         writer.get_ref().sync_all()

@@ -11,9 +11,10 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use use3d_capture::{Capture, FileName, Map, Pixels, View};
+use use3d_files::write_atomically;
 use use3d_io_colmap::{Keypoint, Model, ModelCamera, write_model_binary};
 use use3d_io_image::{
-    image_size, read_pixels, read_pixels_with_alpha, write_atomically, write_exr_map, write_png_map,
+    image_size, read_pixels, read_pixels_with_alpha, write_exr_map, write_png_map,
     write_png_pixels,
 };
 use use3d_survey::Survey;

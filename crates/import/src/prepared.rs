@@ -151,7 +151,7 @@ pub(crate) fn save(
         test: capture.split.test.clone(),
         report: report.clone(),
     };
-    use3d_io_image::write_atomically(&path, |w| {
+    use3d_files::write_atomically(&path, |w| {
         serde_json::to_writer_pretty(&mut *w, &manifest)?;
         std::io::Write::write_all(w, b"\n")
     })

@@ -190,7 +190,7 @@ fn write(
     path: &Path,
     fill: impl FnOnce(&mut std::io::BufWriter<std::fs::File>) -> std::io::Result<()>,
 ) -> Result<(), ModelError> {
-    use3d_io_image::write_atomically(path, fill)
+    use3d_files::write_atomically(path, fill)
         .map_err(|source| ModelError::Write { path: path.to_path_buf(), source })
 }
 

@@ -6,8 +6,8 @@ use std::path::Path;
 
 use exr::prelude::*;
 use use3d_capture::{Image, Map};
+use use3d_files::write_atomically;
 
-use crate::atomic::write_atomically;
 use crate::decoded::{Decoded, Samples};
 use crate::error::{Format, ImageError};
 use crate::limits::check_size;

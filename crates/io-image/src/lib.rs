@@ -18,7 +18,6 @@
 //! # }
 //! ```
 
-mod atomic;
 mod decoded;
 mod embed;
 mod error;
@@ -30,7 +29,6 @@ mod png_file;
 mod read;
 mod write;
 
-pub use atomic::write_atomically;
 pub use decoded::{Decoded, Samples};
 pub use embed::{JpegError, jpeg_address, shrunk};
 pub use error::{Format, ImageError};

@@ -5,8 +5,8 @@ use std::path::Path;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 use use3d_capture::{Image, Image8, Map, Pixels, Raster};
+use use3d_files::write_atomically;
 
-use crate::atomic::write_atomically;
 use crate::error::ImageError;
 
 fn write(

@@ -6,13 +6,14 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::io;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 use use3d_build::place::{self, Look, PlaceError, Standing};
 use use3d_build::run::RanNode;
 use use3d_build::{Artifact, Digest, Graph, Summary};
+use use3d_files::write_atomically;
 use use3d_scene::White;
 
 use crate::judge::configuration::Configuration;
@@ -433,12 +434,7 @@ fn check_page(page: &Path) -> Result<(), PlaceError> {
 }
 
 fn write(path: &Path, bytes: &[u8]) -> Result<(), PlaceError> {
-    let made = place::sibling(path);
-    let written = fs::write(&made, bytes).and_then(|()| fs::rename(&made, path));
-    if written.is_err() {
-        let _ = fs::remove_file(&made);
-    }
-    at(path, "write", written)
+    at(path, "write", write_atomically(path, |writer| writer.write_all(bytes)))
 }
 
 fn at<T>(path: &Path, doing: &'static str, result: io::Result<T>) -> Result<T, PlaceError> {

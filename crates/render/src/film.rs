@@ -101,12 +101,13 @@ impl Film {
         if let Some(extension) = path.extension() {
             part.set_extension(extension);
         }
-        let part = Part(part);
         let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
         std::fs::create_dir_all(folder).map_err(FilmError::Folder)?;
+        // The file must be new, so neither this program nor ffmpeg follows a link of that name.
+        let created = File::options().write(true).create_new(true).open(&part);
+        let file = created.map_err(|source| FilmError::Create { path: part.clone(), source })?;
+        let part = Part(part);
         let sink = if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("y4m")) {
-            let file =
-                File::create(&part.0).map_err(|source| FilmError::Create { path: part.0.clone(), source })?;
             Sink::File(BufWriter::new(file))
         } else {
             let child = Command::new("ffmpeg")

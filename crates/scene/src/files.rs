@@ -40,24 +40,14 @@ pub(crate) fn read_bounded(path: &Path, most: u64) -> Result<Vec<u8>, SceneError
 /// Fills a temporary file in the same folder with `write`, syncs it, and renames it to `path`.
 fn write_with(
     path: &Path,
-    write: impl FnOnce(&mut BufWriter<&File>) -> std::io::Result<()>,
+    write: impl FnOnce(&mut BufWriter<File>) -> std::io::Result<()>,
 ) -> Result<(), SceneError> {
-    let mut name = path.file_name().unwrap_or_default().to_os_string();
-    name.push(format!(".{}.part", std::process::id()));
-    let temporary = path.with_file_name(name);
-    let result = (|| {
-        let file = File::create(&temporary)?;
-        let mut writer = BufWriter::new(&file);
-        write(&mut writer)?;
+    let written = use3d_files::write_atomically(path, |writer| {
+        write(writer)?;
         writer.flush()?;
-        drop(writer);
-        file.sync_all()?;
-        std::fs::rename(&temporary, path)
-    })();
-    result.map_err(|source| {
-        let _ = std::fs::remove_file(&temporary);
-        SceneError::Io { path: path.into(), source }
-    })
+        writer.get_ref().sync_all()
+    });
+    written.map_err(io(path))
 }
 
 pub(crate) fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), SceneError> {

@@ -80,11 +80,15 @@ fn hold(folder: &Path) -> Option<std::fs::File> {
     handle.try_lock().is_ok().then_some(handle)
 }
 
+/// The prefix of the name of an unfinished folder that becomes `name`.
+fn partial_name(name: &std::ffi::OsStr) -> String {
+    format!(".{}.partial-", name.to_string_lossy())
+}
+
 /// Removes unfinished folders of killed commands next to `out`.
 fn sweep_partials(out: &Path) {
-    let parent = out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let prefix = format!(".{}.partial-", out.file_name().unwrap_or_default().to_string_lossy());
-    for entry in std::fs::read_dir(parent).into_iter().flatten().flatten() {
+    let prefix = partial_name(out.file_name().unwrap_or_default());
+    for entry in std::fs::read_dir(use3d_files::folder_of(out)).into_iter().flatten().flatten() {
         let left = entry.file_name().to_string_lossy().starts_with(&prefix);
         if left && hold(&entry.path()).is_some() {
             let _ = std::fs::remove_dir_all(entry.path());
@@ -108,9 +112,13 @@ pub(crate) fn whole_folder<T>(
         return Err(exists());
     }
     let name = out.file_name().ok_or_else(exists)?;
-    let partial = out.with_file_name(format!(".{}.partial-{}", name.to_string_lossy(), std::process::id()));
+    let folder = use3d_files::folder_of(out);
+    std::fs::create_dir_all(folder).map_err(SynthError::io(folder))?;
+    let partial = out.with_file_name(format!("{}{}", partial_name(name), use3d_files::unique()));
     sweep_partials(out);
-    let result = std::fs::create_dir_all(&partial).map_err(SynthError::io(&partial)).and_then(|()| {
+    let _making = use3d_files::Making::new(&partial);
+    // The folder must be new; an existing one belongs to another process.
+    let result = std::fs::create_dir(&partial).map_err(SynthError::io(&partial)).and_then(|()| {
         let _held = hold(&partial);
         let value = fill(&partial)?;
         if empty {

@@ -10,11 +10,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File};
-use std::hash::{BuildHasher, Hasher, RandomState};
 use std::io::{BufRead, BufReader, BufWriter, ErrorKind, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{LazyLock, Mutex, PoisonError};
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant, SystemTime};
 
 use bincode::error::{DecodeError, EncodeError};
@@ -89,22 +87,8 @@ const ABANDONED: Duration = Duration::from_secs(600);
 
 /// Creates a sibling of `path` that no other process on any machine and no other thread writes.
 fn create_sibling(path: &Path) -> std::io::Result<(PathBuf, File)> {
-    static COUNTER: AtomicU64 = AtomicU64::new(0);
-    // Process ids differ on one machine only; hash maps are seeded at random, so names get a random number
-    // too.
-    static CHANCE: LazyLock<u64> = LazyLock::new(|| RandomState::new().build_hasher().finish());
-    loop {
-        let mut name = path.file_name().unwrap_or_default().to_os_string();
-        let number = COUNTER.fetch_add(1, Ordering::Relaxed);
-        name.push(format!("{PART}{}-{:016x}-{number}", std::process::id(), *CHANCE));
-        let part = path.with_file_name(name);
-        // The file must be new; an existing file is never opened.
-        match File::options().write(true).create_new(true).open(&part) {
-            Ok(file) => return Ok((part, file)),
-            Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
-            Err(error) => return Err(error),
-        }
-    }
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    use3d_files::create_beside(path, &format!("{name}{PART}"), "")
 }
 
 /// Removes the unfinished files of killed processes from a folder of checkpoints. A training calls it again

@@ -121,9 +121,20 @@ fn what_a_killed_process_left_half_made_is_swept() {
     for folder in [&mine, &left, &old] {
         write(folder, &[("deep/a", "a")]);
     }
+    // A delivery moved these aside and was killed. One also holds a file of the user; one lacks some of our
+    // files.
+    let [kept, ours] = ["2", "3"].map(|n| dir.path().join(format!("{OLD}{}-{n}", dead.name())));
+    for folder in [&kept, &ours] {
+        write(folder, &[("deep/a", "a"), ("b", "b")]);
+        record(folder, None).unwrap();
+    }
+    write(&kept, &[("notes.txt", "mine")]);
+    fs::remove_file(ours.join("b")).unwrap();
     sweep(dir.path());
-    assert!(mine.exists() && old.exists(), "in use, or perhaps somebody's");
-    assert_eq!(left.exists(), dead.is_alive() != Some(false));
+    assert!(mine.exists() && old.exists() && kept.exists(), "in use, or perhaps somebody's");
+    for swept in [left, ours] {
+        assert_eq!(swept.exists(), dead.is_alive() != Some(false));
+    }
 }
 
 #[test]

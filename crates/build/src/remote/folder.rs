@@ -5,7 +5,6 @@ use std::fs::{self, File};
 use std::io::{self, ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 
-use super::super::files;
 use super::{Remote, RemoteError};
 
 /// A folder; unfinished files have names below `v1/tmp`.
@@ -37,11 +36,10 @@ impl Folder {
         finish: impl FnOnce(&Path, &Path) -> io::Result<T>,
     ) -> Result<T, RemoteError> {
         let (target, folder) = (self.root.join(name), self.root.join("v1/tmp"));
-        let sibling = folder.join(files::unique());
         let made =
             [Some(folder.as_path()), target.parent()].into_iter().flatten().try_for_each(fs::create_dir_all);
-        let file = made.and_then(|()| File::create(&sibling));
-        let mut file = file.map_err(|e| self.refused("write", name, &e))?;
+        let created = made.and_then(|()| use3d_files::create_beside(&folder.join("part"), "", ""));
+        let (sibling, mut file) = created.map_err(|e| self.refused("write", name, &e))?;
         let done =
             copy(from, &mut file, RemoteError::Local, |e| self.refused("write", name, &e)).and_then(|()| {
                 let done = file.sync_all().and_then(|()| finish(&sibling, &target));
@@ -77,6 +75,10 @@ impl Remote for Folder {
     }
 
     fn get(&self, name: &str, to: &mut (dyn Write + Send)) -> Result<bool, RemoteError> {
+        // The type is checked first, because opening a pipe waits for a writer.
+        if self.size(name)?.is_none() {
+            return Ok(false);
+        }
         let mut file = match File::open(self.root.join(name)) {
             Ok(file) => file,
             Err(e) if e.kind() == ErrorKind::NotFound => return Ok(false),
@@ -88,7 +90,8 @@ impl Remote for Folder {
 
     fn size(&self, name: &str) -> Result<Option<u64>, RemoteError> {
         match fs::metadata(self.root.join(name)) {
-            Ok(found) => Ok(Some(found.len())),
+            Ok(found) if found.is_file() => Ok(Some(found.len())),
+            Ok(_) => Err(self.refused("read", name, &io::Error::other("it is not a plain file"))),
             Err(e) if e.kind() == ErrorKind::NotFound => Ok(None),
             Err(e) => Err(self.refused("look at", name, &e)),
         }

@@ -22,7 +22,7 @@ use crate::verbs::view::Watched;
 use crate::verbs::web::scene_name;
 
 /// Creates a folder that is removed at the end of the command.
-pub(crate) fn scratch() -> Result<tempfile::TempDir, CliError> {
+pub(crate) fn scratch() -> Result<leftovers::Scratch, CliError> {
     leftovers::scratch().map_err(|e| {
         CliError::Failed(format!("cannot make a temporary folder: {e}; set TMPDIR to one with space"))
     })

@@ -10,7 +10,8 @@ use std::path::{Path, PathBuf};
 
 use use3d_build::Digest;
 use use3d_build::place::{self, PlaceError};
-use use3d_io_image::{write_atomically, write_png};
+use use3d_files::write_atomically;
+use use3d_io_image::write_png;
 
 use super::figures::TruthFigures;
 use super::page::markdown;

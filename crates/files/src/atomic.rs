@@ -1,18 +1,20 @@
-//! Writes files completely or not at all: a file is written under a temporary name in the same folder, then
-//! renamed to its final name.
+//! Writes one file completely or not at all: under a temporary name in the same folder, then renamed.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
-use std::sync::atomic::{AtomicU64, Ordering};
 
-static SERIAL: AtomicU64 = AtomicU64::new(0);
+use crate::making::Making;
+use crate::names::{BEING_MADE, create_beside, folder_of};
 
 /// Creates or replaces `path` with the output of `fill`. On an error the temporary file is removed and `path`
 /// is untouched.
 ///
 /// Parent folders are created. The data is not forced to the storage medium (`fsync`): callers that publish a
 /// whole folder do this once, for the folder.
+///
+/// # Errors
+/// Every error of `fill` and of the file system.
 pub fn write_atomically<T>(
     path: &Path,
     fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<T>,
@@ -20,13 +22,11 @@ pub fn write_atomically<T>(
     if path.file_name().is_none() {
         return Err(io::Error::new(io::ErrorKind::InvalidInput, "the path has no file name"));
     }
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    std::fs::create_dir_all(folder)?;
-    let serial = SERIAL.fetch_add(1, Ordering::Relaxed);
-    // The temporary name does not contain the final name, which may already have the greatest valid length.
-    let temporary = folder.join(format!(".use3d-{}-{serial}.tmp", std::process::id()));
+    std::fs::create_dir_all(folder_of(path))?;
+    let (temporary, file) = create_beside(path, BEING_MADE, "")?;
+    let _making = Making::new(&temporary);
     let result = (|| {
-        let mut writer = BufWriter::with_capacity(1 << 18, File::create(&temporary)?);
+        let mut writer = BufWriter::with_capacity(1 << 18, file);
         let value = fill(&mut writer)?;
         writer.flush()?;
         drop(writer);
