@@ -8,6 +8,7 @@
 //! <folder>/v1/logs/…  timings/<machine>.jsonl            logs, durations for forecasts
 //! <folder>/v1/stat-table                                 stored digests of input files
 //! <folder>/v1/leases/<key>  run-…                        leases of keys and of runs
+//! <folder>/v1/fetched/<key>                              marks an artifact that came from a store
 //! <folder>/v1/tmp/  damaged/                             unfinished folders; damaged artifacts
 //! ```
 //!
@@ -16,7 +17,7 @@
 //! several machines, may share a cache: the first to publish a key wins, and another one's different bytes
 //! raise an alarm. There is no lock to remove by hand, and no lock of the file system is used.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -33,6 +34,8 @@ use super::lease::Watch;
 use super::machine::ProcessId;
 use super::manifest::{Circumstances, FileRecord, MANIFEST, Manifest};
 use super::node::Node;
+use super::registry::Registry;
+use super::stage;
 
 /// The longest time for which a network file system may hide a name that exists: clients cache for a minute
 /// that a name did not exist.
@@ -50,6 +53,8 @@ pub struct Cache {
     verified: Arc<Mutex<BTreeSet<Key>>>,
     leases: Arc<Watch>,
     node: Arc<Node>,
+    /// The files that stages promise, by stage.
+    promises: Arc<BTreeMap<&'static str, &'static [&'static str]>>,
 }
 
 /// An artifact that exists in the cache.
@@ -107,13 +112,40 @@ impl Cache {
         }
         let contents = Arc::new(Contents::open(files.clone(), root.join("stat-table"), rehash));
         let node = Arc::new(Node::this());
-        Ok(Self { root, files, contents, verified: Arc::default(), leases: Arc::default(), node })
+        Ok(Self {
+            root,
+            files,
+            contents,
+            verified: Arc::default(),
+            leases: Arc::default(),
+            node,
+            promises: Arc::default(),
+        })
     }
 
     /// The same cache, used as if by another process or machine that shares it; for tests.
     #[must_use]
     pub fn as_node(self, node: Node) -> Self {
         Self { node: Arc::new(node), ..self }
+    }
+
+    /// Returns the same cache with the promises of the registry's stages. In it, an artifact without a file
+    /// that its stage promises is damaged.
+    #[must_use]
+    pub fn with_promises(self, registry: &Registry) -> Self {
+        let promises = registry.stages().iter().map(|stage| (stage.name, stage.promises)).collect();
+        Self { promises: Arc::new(promises), ..self }
+    }
+
+    /// Returns a clause that names a promised file that the manifest does not list.
+    pub(crate) fn unkept(&self, manifest: &Manifest) -> Option<String> {
+        let stage = manifest.ingredients.stage.as_str();
+        if manifest.files.is_empty() {
+            return Some("lists no files".to_string());
+        }
+        let names = manifest.files.iter().map(|file| file.path.as_str());
+        let missing = stage::unkept(self.promises.get(stage)?, names)?;
+        Some(format!("lists no {missing}, which every result of {stage} has"))
     }
 
     /// The identity and clock with which this process uses the cache.
@@ -176,6 +208,9 @@ impl Cache {
             Ok(manifest) => manifest,
             Err(reason) => return Ok(Lookup::Damaged(reason)),
         };
+        if let Some(missing) = self.unkept(&manifest) {
+            return Ok(Lookup::Damaged(format!("{MANIFEST} {missing}")));
+        }
         let wrong = manifest.files.par_iter().find_map_first(|file| {
             let found = self.contents.of_file(&path.join(&file.path));
             wrong_file(file, found.map(|c| (c.bytes, c.digest)))
@@ -252,6 +287,7 @@ impl Cache {
         let parent = self.root.join("damaged");
         files::at(&parent, "create", self.files.create_dir_all(&parent))?;
         files::at(&from, "move aside", files::rename(self.files(), &from, &to))?;
+        self.forget_fetched(key);
         self.verified.lock().unwrap_or_else(PoisonError::into_inner).remove(key);
         Ok(to)
     }
@@ -291,10 +327,28 @@ impl Cache {
         how: Circumstances,
     ) -> Result<Published, FileError> {
         let sealed = self.seal(folder)?;
-        self.put_in_place(folder, Manifest::new(ingredients, sealed, how))
+        let manifest = Manifest::new(ingredients, sealed, how);
+        // An earlier artifact of this key, which is gone, may have come from a store.
+        self.forget_fetched(&manifest.key);
+        self.put_in_place(folder, manifest)
     }
 
-    /// Makes the `folder` (in `tmp`), which holds the files of a manifest, the artifact of that manifest.
+    fn fetched_mark(&self, key: &Key) -> PathBuf {
+        self.root.join("fetched").join(key.to_string())
+    }
+
+    /// Removes the mark that the artifact of a key came from a store, because a computed one replaces it.
+    pub(crate) fn forget_fetched(&self, key: &Key) {
+        let _ = self.files.remove_file(&self.fetched_mark(key));
+    }
+
+    /// Returns true if the artifact of a key came from a store.
+    pub(crate) fn was_fetched(&self, key: &Key) -> bool {
+        matches!(self.files.exists(&self.fetched_mark(key)), Ok(true))
+    }
+
+    /// Makes the `folder` (in `tmp`), which holds the files of a manifest from a store, the artifact of that
+    /// manifest.
     pub(crate) fn adopt(&self, folder: &Path, manifest: Manifest) -> Result<Published, FileError> {
         let mut named = manifest.files.clone();
         named.sort_by(|a, b| a.path.cmp(&b.path));
@@ -305,6 +359,16 @@ impl Cache {
                 std::io::Error::other(format!("{what} differs from what was written; check the disk"));
             return Err(FileError { path: folder.to_path_buf(), doing: "publish", source });
         }
+        // The mark comes first, so no process finds the artifact without it.
+        let mark = self.fetched_mark(&manifest.key);
+        if let Some(folder) = mark.parent() {
+            files::at(folder, "create", self.files.create_dir_all(folder))?;
+        }
+        let marked = self.files.create_new(&mark, b"").or_else(|e| match e.kind() {
+            ErrorKind::AlreadyExists => Ok(()),
+            _ => Err(e),
+        });
+        files::at(&mark, "write", marked)?;
         self.put_in_place(folder, manifest)
     }
 

@@ -117,8 +117,11 @@ impl Cache {
                     continue;
                 }
                 if let Err(error) = self.discard(&item.path) {
-                    cleaning.failed.push((item.name, error.to_string()));
+                    cleaning.failed.push((item.name, error.source.to_string()));
                     continue;
+                }
+                if let (Some(key), "artifact") = (&item.key, item.kind) {
+                    self.forget_fetched(key);
                 }
             }
             total -= item.bytes;
@@ -176,7 +179,10 @@ impl Cache {
     fn discard(&self, path: &Path) -> Result<(), super::error::FileError> {
         let scratch = self.scratch()?;
         let gone = scratch.join("gone");
-        files::at(path, "remove", files::rename(self.files(), path, &gone))?;
+        if let Err(error) = files::at(path, "remove", files::rename(self.files(), path, &gone)) {
+            let _ = self.files().remove_dir_all(&scratch);
+            return Err(error);
+        }
         files::at(&scratch, "remove", self.files().remove_dir_all(&scratch))
     }
 }

@@ -23,6 +23,7 @@ use super::node::Clock;
 use super::pulse::Progress;
 use super::remote::{Fetched, RemoteError, RemoteStore, Sent};
 use super::resolve::{self, Resolved};
+use super::stage;
 
 /// Result of a job.
 pub(crate) enum Ended {
@@ -84,10 +85,12 @@ impl Job<'_> {
             }
             Err(StageError::Cancelled) => Ended::Cancelled,
             // An error is no failure of the stage if one of its inputs was removed or damaged meanwhile.
-            Err(error) => match self.damaged_input(&label) {
-                Some(parent) => Ended::DamagedInput(parent),
-                None => Ended::Failed(error.to_string()),
-            },
+            Err(error) => {
+                match self.damaged_input(&label).or_else(|| self.unreadable_input(&label, &error)) {
+                    Some(parent) => Ended::DamagedInput(parent),
+                    None => Ended::Failed(error.to_string()),
+                }
+            }
         }
     }
 
@@ -119,6 +122,31 @@ impl Job<'_> {
             return Some(*parent);
         }
         None
+    }
+
+    /// Sets aside the fetched inputs of a stage that cannot read its input, and returns a node that makes
+    /// one.
+    ///
+    /// An artifact from a store has the bytes of its manifest, and may still be unusable. It is then computed
+    /// here. An input that was computed here is not suspected: the stage has failed.
+    fn unreadable_input(&self, label: &str, error: &StageError) -> Option<usize> {
+        if !error.is_bad_input() {
+            return None;
+        }
+        let cache = &self.builder.cache;
+        let fetched = |artifact: &Artifact| cache.was_fetched(&artifact.manifest.key);
+        let mut suspect = None;
+        for (parent, artifact) in self.resolved.artifacts.iter().filter(|(_, artifact)| fetched(artifact)) {
+            let (stage, key) = (&artifact.manifest.ingredients.stage, &artifact.manifest.key);
+            self.builder.remote.iter().for_each(|store| store.distrust(key));
+            let aside = cache.set_aside(stage, key);
+            let place = aside.map_or_else(|e| e.to_string(), |p| format!("moved to {}", p.display()));
+            let text =
+                format!("its input {stage} from the store cannot be used: {error}; {place}, computing it");
+            self.listener.event(&Event::Warning { label, text: &text });
+            suspect = Some(*parent);
+        }
+        suspect
     }
 
     fn turn(&self) -> Result<Turn, FileError> {
@@ -255,8 +283,14 @@ impl Job<'_> {
                 "the stage wrote `{MANIFEST}`, which is a reserved name"
             )));
         }
-        if files::list(&output)?.is_empty() {
+        let listed = files::list(&output)?;
+        if listed.is_empty() {
             return Err(StageError::message("the stage ended without an error but wrote nothing"));
+        }
+        if let Some(name) = stage::unkept(stage.promises, listed.iter().map(|(name, _)| name.as_str())) {
+            return Err(StageError::message(format!(
+                "the stage ended without an error but did not write {name}, which every result of it has"
+            )));
         }
         for (path, select, before) in &self.resolved.externals {
             if cache.contents().of_now(path, select.as_deref())?.digest != *before {

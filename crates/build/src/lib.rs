@@ -152,6 +152,7 @@ pub struct Builder {
 impl Builder {
     /// A builder on this machine.
     pub fn new(registry: Registry, cache: Cache) -> Self {
+        let cache = cache.with_promises(&registry);
         Self { registry, cache, numeric_class: key::numeric_class(), remote: None }
     }
 

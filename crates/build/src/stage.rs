@@ -128,6 +128,7 @@ pub struct Stage {
     pub(crate) seeded: bool,
     pub(crate) length_like: &'static [&'static str],
     pub(crate) without_effect: &'static [&'static str],
+    pub(crate) promises: &'static [&'static str],
     pub(crate) device: Option<Device>,
     pub(crate) agreement: Option<Agreement>,
     pub(crate) cores: usize,
@@ -165,6 +166,7 @@ impl Stage {
             seeded: false,
             length_like: &[],
             without_effect: &[],
+            promises: &[],
             device: None,
             agreement: None,
             cores: 0,
@@ -344,6 +346,14 @@ impl Stage {
         self
     }
 
+    /// Sets the files that every artifact of the stage has, whatever its parameters and inputs. A name with
+    /// `/` at its end is a folder with at least one file. An artifact without one of them counts as damaged.
+    #[must_use]
+    pub fn promises(mut self, files: &'static [&'static str]) -> Self {
+        self.promises = files;
+        self
+    }
+
     /// Sets the device it computes on with given parameters, or `None` for the processor alone. The device is
     /// part of its class of arithmetic, and so of its key.
     #[must_use]
@@ -512,6 +522,17 @@ impl Stage {
     pub fn parameters(&self, given: &Value) -> Result<Value, ParameterError> {
         (self.canonicalise)(given)
     }
+}
+
+/// Returns the first promise that no file of these names keeps.
+pub(crate) fn unkept<'n>(
+    promises: &[&'static str],
+    names: impl Iterator<Item = &'n str> + Clone,
+) -> Option<&'static str> {
+    let keeps = |promise: &str, name: &str| {
+        name == promise || promise.ends_with('/') && name.starts_with(promise) && name.len() > promise.len()
+    };
+    promises.iter().copied().find(|promise| !names.clone().any(|name| keeps(promise, name)))
 }
 
 impl std::fmt::Debug for Stage {

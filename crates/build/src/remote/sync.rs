@@ -135,6 +135,7 @@ impl Builder {
         stop: &AtomicBool,
         listener: &Arc<dyn Listener>,
     ) -> Result<Transferred, RemoteError> {
+        self.cache.sweep();
         let mut done = Transferred::default();
         let mut asked = BTreeSet::new();
         loop {

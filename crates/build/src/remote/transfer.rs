@@ -1,5 +1,6 @@
 //! Sends one artifact to a store, or fetches it.
 
+use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
@@ -32,6 +33,8 @@ pub struct RemoteStore {
     pause: Duration,
     /// Number of artifacts in a row that failed.
     failures: AtomicU32,
+    /// Keys whose artifact in the store was unusable; runs compute them.
+    distrusted: Mutex<BTreeSet<Key>>,
 }
 
 /// Result of fetching an artifact.
@@ -61,7 +64,7 @@ pub enum Sent {
 impl RemoteStore {
     /// A store with the usual pauses.
     pub fn new(remote: Arc<dyn Remote>) -> Self {
-        Self { remote, pause: PAUSE, failures: AtomicU32::new(0) }
+        Self { remote, pause: PAUSE, failures: AtomicU32::new(0), distrusted: Mutex::default() }
     }
 
     /// The same with another first pause between attempts, for tests.
@@ -182,6 +185,11 @@ impl RemoteStore {
         })
     }
 
+    /// Makes sure that the store is not asked for this key again, because its artifact was unusable.
+    pub(crate) fn distrust(&self, key: &Key) {
+        self.distrusted.lock().unwrap_or_else(PoisonError::into_inner).insert(*key);
+    }
+
     /// Fetches a key's artifact into the cache, if the store has it.
     ///
     /// # Errors
@@ -194,7 +202,17 @@ impl RemoteStore {
         key: &Key,
         stop: &AtomicBool,
     ) -> Result<Fetched, RemoteError> {
+        if self.distrusted.lock().unwrap_or_else(PoisonError::into_inner).contains(key) {
+            return Ok(Fetched::Missing);
+        }
         let Some(manifest) = self.manifest(stage, key, stop)? else { return Ok(Fetched::Missing) };
+        if let Some(reason) = cache.unkept(&manifest) {
+            return Err(RemoteError::Wrong {
+                place: self.place(),
+                name: super::manifest(stage, key),
+                reason,
+            });
+        }
         let scratch = cache.scratch()?;
         let fetched = self.fetch_into(&scratch.join("artifact"), cache, manifest, stop);
         // If it cannot be removed now, a later run removes it.
@@ -262,6 +280,11 @@ impl RemoteStore {
         let ours = &artifact.manifest;
         let stage = ours.ingredients.stage.as_str();
         let there = match self.manifest(stage, &ours.key, stop) {
+            // The artifact in the store is unusable, and every run refuses it.
+            Ok(Some(theirs)) if cache.unkept(&theirs).is_some() => {
+                self.remote.remove(&manifest(stage, &ours.key))?;
+                false
+            }
             Ok(Some(theirs)) if theirs.content != ours.content => {
                 return Ok(Sent::Differs(first_difference(&theirs.files, &ours.files)));
             }

@@ -10,6 +10,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use use3d_build::cache::Lookup;
+use use3d_build::manifest::{FileRecord, Manifest};
 use use3d_build::remote::{Folder, Memory, Remote, RemoteError, RemoteStore, Sent, Transferred};
 use use3d_build::{Batch, Builder, Digest, Graph, Listener, Silent};
 
@@ -487,4 +488,112 @@ fn of_all_that_create_a_name_at_once_one_does() {
         assert!(!remote.get("v1/nothing", &mut Vec::new()).expect("an answer"));
         remote.remove("v1/nothing").expect("no error");
     }
+}
+
+/// Changes the manifest of a stage's first artifact in a store and corrects its digests.
+fn forge(store: &Memory, stage: &str, change: impl FnOnce(&mut Manifest)) -> String {
+    let prefix = format!("v1/artifacts/{stage}/");
+    let (name, mut manifest) = {
+        let objects = store.objects();
+        let (name, bytes) = objects.iter().find(|(name, _)| name.starts_with(&prefix)).expect("a manifest");
+        (name.clone(), serde_json::from_slice::<Manifest>(bytes).expect("a manifest"))
+    };
+    change(&mut manifest);
+    manifest.content = manifest.content_of_files();
+    store.objects().insert(name.clone(), serde_json::to_vec(&manifest).expect("JSON"));
+    name
+}
+
+#[test]
+fn an_artifact_without_the_files_that_its_stage_promises_is_none() {
+    let world = World::new();
+    type Change = fn(&mut Manifest);
+    let changes: [(&str, &str, Change); 3] = [
+        ("import", "lists no files", |m| m.files.clear()),
+        ("import", "lists no words.txt", |m| m.files[0].path = "frames.txt".to_string()),
+        ("targets", "lists no deep/", |m| m.files.retain(|f| !f.path.starts_with("deep/"))),
+    ];
+    for (i, (stage, words, change)) in changes.into_iter().enumerate() {
+        let remote = Arc::new(Memory::default());
+        world.push(&world.builder("alone"), &shared(&remote), false).expect("pushed");
+        let right = remote.objects().clone();
+        let name = forge(&remote, stage, change);
+        // A pull refuses it.
+        let pulling = world.builder(&format!("pull-{i}"));
+        let pulled = world.pull(&pulling, &shared(&remote)).expect("the rest comes");
+        assert!(pulled.problems.len() == 1 && pulled.problems[0].what.contains(words), "{pulled:?}");
+        World::assert_tidy(&pulling);
+        // A run computes it and replaces the one in the store.
+        let running = world.builder(&format!("run-{i}")).with_remote(shared(&remote));
+        let (summary, _, warnings) = run(&running, &world.batch);
+        assert!(summary.exit_code() == 0 && payload(&running.cache) == world.whole, "{warnings:?}");
+        assert!(warnings.len() == 1 && warnings[0].contains(words), "{warnings:?}");
+        let theirs = |bytes: &[u8]| serde_json::from_slice::<Manifest>(bytes).expect("a manifest").files;
+        assert_eq!(theirs(&remote.objects()[&name]), theirs(&right[&name]));
+        // An earlier version put it into a cache; a run and `verify` find it there.
+        let old = world.builder(&format!("old-{i}"));
+        assert_eq!(run(&old, &world.batch).0.exit_code(), 0);
+        let (_, _, path) = old.cache.artifacts().into_iter().find(|a| a.0 == stage).expect("an artifact");
+        let file = path.join("manifest.json");
+        let mut manifest: Manifest = serde_json::from_slice(&fs::read(&file).expect("read")).expect("JSON");
+        change(&mut manifest);
+        manifest.content = manifest.content_of_files();
+        fs::write(&file, serde_json::to_vec(&manifest).expect("JSON")).expect("written");
+        let problems = old.cache.verify_all(false).problems;
+        assert!(problems.iter().any(|p| p.what.contains(words)), "{problems:?}");
+        let (summary, started, warnings) = run(&old, &world.batch);
+        assert!(summary.exit_code() == 0 && started.len() == 1 && warnings.len() == 1, "{warnings:?}");
+        assert!(warnings[0].contains(words) && payload(&old.cache) == world.whole, "{warnings:?}");
+    }
+}
+
+#[test]
+fn what_was_fetched_and_cannot_be_read_is_computed_instead() {
+    let world = World::new();
+    let remote = Arc::new(Memory::default());
+    world.push(&world.builder("alone"), &shared(&remote), false).expect("pushed");
+    // Another program made it: all digests fit, but no stage can read it.
+    let garbage = b"garbage";
+    forge(&remote, "import", |manifest| {
+        let digest = Digest::of(garbage);
+        manifest.files = vec![FileRecord { path: "words.txt".to_string(), size: 7, digest }];
+    });
+    remote.objects().insert(format!("v1/blobs/{}", Digest::of(garbage)), garbage.to_vec());
+    // With the store, and after a pull without it.
+    for (name, asks) in [("asking", true), ("later", false)] {
+        let builder = world.builder(name);
+        let pulled = world.pull(&builder, &shared(&remote)).expect("it fits");
+        assert!(pulled.problems.is_empty() && pulled.moved > 0, "{pulled:?}");
+        let builder = if asks { builder.with_remote(shared(&remote)) } else { builder };
+        let (summary, _, warnings) = run(&builder, &world.batch);
+        assert!(summary.exit_code() == 0 && payload(&builder.cache) == world.whole, "{name}: {warnings:?}");
+        assert!(warnings[0].contains("from the store cannot be used"), "{name}: {warnings:?}");
+        // An input that was computed here is not suspected.
+        assert_eq!(fs::read_dir(builder.cache.root().join("damaged")).expect("folder").count(), 1);
+        assert!(run(&builder, &world.batch).1.is_empty(), "{name}");
+    }
+    // A bad capture fails its stage at once, fetched or not.
+    let mut batch = batch(world.dir.path(), &["bad"]);
+    fs::write(world.dir.path().join("bad/images/words.txt"), "garbage\n").expect("written");
+    batch.name = "bad".to_string();
+    let builder = world.builder("asking");
+    let (summary, started, _) = run(&builder, &batch);
+    assert_eq!((summary.exit_code(), started.iter().filter(|s| s.contains("import")).count()), (1, 1));
+}
+
+#[cfg(unix)]
+#[test]
+fn a_pipe_in_the_place_of_a_file_holds_nobody() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let folder = dir.path().join("v1/blobs");
+    fs::create_dir_all(&folder).expect("folder");
+    let made = std::process::Command::new("mkfifo").arg(folder.join("pipe")).status();
+    if !made.is_ok_and(|status| status.success()) {
+        return; // a system without named pipes
+    }
+    let store = Folder::new(dir.path());
+    for answer in [store.get("v1/blobs/pipe", &mut Vec::new()).err(), store.size("v1/blobs/pipe").err()] {
+        assert!(answer.expect("refused").to_string().contains("not a plain file"));
+    }
+    assert!(store.get("v1/blobs", &mut Vec::new()).is_err(), "a folder");
 }

@@ -132,6 +132,9 @@ fn pause(delay: u64, context: &StageContext) -> Result<(), StageError> {
 
 fn reconstruct(context: &StageContext, p: &ReconstructParameters, delay: u64) -> Result<(), StageError> {
     let words = fs::read(context.input("capture")?.join("words.txt"))?;
+    if words.starts_with(b"garbage") {
+        return Err(StageError::bad_input_message("words.txt: words are expected, found garbage"));
+    }
     let mut state = *blake3::hash(
         &[&words[..], &context.seed().to_le_bytes(), format!("{:?}", p.medium).as_bytes()].concat(),
     )
@@ -194,6 +197,7 @@ pub(crate) fn stages(delay: u64) -> Vec<Stage> {
         .about("Reads a capture.")
         .external("capture", "capture")
         .select(|_, _| Ok(vec![PathBuf::from("images")]))
+        .promises(&["words.txt"])
         .made_of(&["use3d-io-colmap"], &[]),
         simple("depth", Scope::Scene)
             .input("capture", "import")
@@ -217,6 +221,7 @@ pub(crate) fn stages(delay: u64) -> Vec<Stage> {
             })
             .made_of(&["use3d-splat", "use3d-medium"], &[]),
         simple("targets", Scope::Scene)
+            .promises(&["result.txt", "deep/"])
             .input("scene", "reconstruct")
             .input("calibrator", "calibrate")
             .made_of(&["use3d-atc"], &[]),

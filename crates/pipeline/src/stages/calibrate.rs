@@ -12,6 +12,7 @@ pub(super) fn stage() -> Stage {
     Stage::new("calibrate", Scope::Shared, run)
         .about("learn from image pairs what \"enhanced\" means")
         .made_of(&[], &["src/stages/calibrate.rs"])
+        .promises(&[CALIBRATOR, "report.json"])
         .check(|p: &CalibratorParams| p.validate().map_err(out_of_range))
         .input("pairs", "pairs")
         .when_named(|all, named| is_calibrated(all) && !named.has("calibrator"))

@@ -38,6 +38,7 @@ pub(super) fn stage() -> Stage {
     Stage::new("enhance", Scope::Scene, run)
         .about("stage 2: store the enhancement in the scene")
         .made_of(&[], &["src/stages/enhance.rs"])
+        .promises(&["scene.json", "gaussians.ply", REPORT])
         .check(|p: &EnhanceParams| p.validate().map_err(out_of_range))
         .check(engines::check::<EnhanceParams>)
         .computes_on(engines::class::<EnhanceParams>)

@@ -122,6 +122,7 @@ pub(super) fn stage() -> Stage {
     Stage::new("evaluate", Scope::Scene, run)
         .about("score the held-out views")
         .made_of(&[], &["src/stages/evaluate.rs"])
+        .promises(&[SCORES])
         .check(Params::check)
         .check(engines::check::<Params>)
         .computes_on(engines::class::<Params>)

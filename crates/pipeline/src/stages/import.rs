@@ -16,6 +16,7 @@ pub(super) fn stage() -> Stage {
     Stage::new("import", Scope::Scene, run)
         .about("read a COLMAP folder: find model and images, undistort, resize, normalise, split")
         .made_of(&[], &["src/stages/import.rs"])
+        .promises(&["capture.json", "report.json", "images/"])
         .check(|p: &ImportParams| p.validate().map_err(out_of_range))
         .external("capture", "capture")
         .select(files)

@@ -46,6 +46,7 @@ pub(super) fn stage() -> Stage {
     Stage::new("pairs", Scope::Shared, run)
         .about("transitions and proposals of the paired images")
         .made_of(&[], &["src/stages/pairs.rs"])
+        .promises(&[DATASET])
         .check(|p: &PairsParams| {
             p.extractor.validate().map_err(|wrong| out_of_range(wrong.within("extractor")))?;
             p.synthetic.validate().map_err(|wrong| out_of_range(wrong.within("synthetic")))

@@ -54,6 +54,7 @@ pub(super) fn stage() -> Stage {
     let stage = Stage::new("reconstruct", Scope::Scene, run)
         .about("stage 1: reconstruct the scene with its water")
         .made_of(&[], &["src/stages/reconstruct.rs"])
+        .promises(&["scene.json", "gaussians.ply", "training.jsonl"])
         .check(|p: &ReconstructParams| p.validate().map_err(out_of_range))
         .check(engines::check::<ReconstructParams>)
         .computes_on(engines::class::<ReconstructParams>)

@@ -57,6 +57,7 @@ pub(super) fn stage() -> Stage {
     Stage::new("render", Scope::Scene, run)
         .about("pictures of the held-out views")
         .made_of(&[], &["src/stages/render.rs"])
+        .promises(&["captured/"])
         .check(|p: &Params| {
             for (name, value) in [("strength", p.strength), ("water", p.water)] {
                 if !(0.0..=1.0).contains(&value) {

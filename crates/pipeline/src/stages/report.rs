@@ -43,6 +43,7 @@ pub(super) fn stage() -> Stage {
         .about("tables and one page about the whole batch")
         // The tables show the digests of the score files.
         .made_of(&[], &["src/stages/report.rs"])
+        .promises(&["index.html", "scores.json"])
         .input("calibrator", "calibrate")
         .or_external("calibrator")
         .input("import", "import")

@@ -113,6 +113,7 @@ pub(super) fn stage() -> Stage {
     Stage::new("targets", Scope::Scene, run)
         .about("appearance transition consensus: scene-global and Gaussian-local targets")
         .made_of(&[], &["src/stages/targets.rs"])
+        .promises(&[TARGETS, "report.json"])
         .when(|all| !asked_for(all))
         .input("import", "import")
         .input("scene", "reconstruct")
