@@ -23,7 +23,10 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("io-colmap", &["capture", "files", "io-image", "survey"]),
     ("io-metashape", &["capture", "survey"]),
     ("io-nerfstudio", &["capture", "numerics", "survey"]),
-    ("import", &["capture", "files", "numerics", "io-image", "survey", "io-colmap", "io-metashape", "io-nerfstudio"]),
+    (
+        "import",
+        &["capture", "files", "numerics", "io-image", "survey", "io-colmap", "io-metashape", "io-nerfstudio"],
+    ),
     ("metrics", &["capture", "numerics"]),
     ("nets", &["capture", "numerics"]),
     ("synth", &["capture", "files", "numerics", "io-image", "io-colmap"]),

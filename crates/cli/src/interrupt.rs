@@ -71,6 +71,40 @@ fn ignores(status: &str, signal: i32) -> Option<bool> {
     Some(mask >> (signal - 1) & 1 == 1)
 }
 
+/// The time after a signal in which work may end by itself.
+const GRACE: Duration = Duration::from_millis(300);
+
+/// While this value exists, a signal ends the process after [`GRACE`] and removes its unfinished files. It is
+/// for work that keeps no partial result.
+#[must_use]
+pub(crate) struct EndsSoon(Arc<AtomicBool>);
+
+pub(crate) fn ends_soon() -> EndsSoon {
+    let (done, flag) = (Arc::new(AtomicBool::new(false)), install());
+    let over = done.clone();
+    std::thread::spawn(move || {
+        while !over.load(Ordering::Relaxed) {
+            if flag.load(Ordering::Relaxed) {
+                // Most work checks the flag itself, and ends with a better message.
+                std::thread::sleep(GRACE);
+                if !over.load(Ordering::Relaxed) {
+                    use3d_files::abandon();
+                    let _ = CliError::Stopped.report();
+                    std::process::exit(i32::from(CliError::Stopped.code()));
+                }
+            }
+            std::thread::sleep(GRACE / 6);
+        }
+    });
+    EndsSoon(done)
+}
+
+impl Drop for EndsSoon {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
 /// Returns true if a signal has arrived.
 pub(crate) fn requested() -> bool {
     FLAG.get().is_some_and(|flag| flag.load(Ordering::Relaxed))

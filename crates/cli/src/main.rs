@@ -18,10 +18,9 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use clap::Parser;
 use use3d_build::Listener;
 
-use args::{Bench, Cli, Synth, Verb};
+use args::{Bench, Synth, Verb};
 use error::{CliError, Done};
 
 /// The seed of stages that are run by hand, the same as in a pipeline without one; `--set seed=N` changes it.
@@ -42,7 +41,7 @@ pub(crate) struct App {
 }
 
 fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let cli = args::parse();
     logging::start(cli.verbose, cli.quiet);
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let threads = cli.threads.unwrap_or(cores);

@@ -317,3 +317,30 @@ fn a_run_leaves_when_its_time_is_over_or_slurm_says_so_and_the_next_goes_on() {
     assert!(output.status.code() == Some(2) && said(&output).contains("there are: s1"), "{}", said(&output));
     assert!(!many.at("use3d-out").exists(), "nothing was delivered");
 }
+
+/// Names with a line break are refused: the shell would execute the rest of the name as a line of the script.
+#[test]
+fn no_place_of_a_script_has_a_line_break() {
+    let many = Many::new(&["s1".to_string()]);
+    let path = stand_ins(&many);
+    let wrong = "o\ntouch PWNED #";
+    let mut command = many.command(&["submit", "slurm"], "cache");
+    let output = command.args(["--dry-run", "--out", wrong]).env("PATH", &path).output();
+    let output = output.expect("the command starts");
+    assert!(
+        output.status.code() == Some(2) && said(&output).contains("control character"),
+        "{}",
+        said(&output)
+    );
+    // The working folder is checked too.
+    let folder = many.at(wrong);
+    fs::create_dir(&folder).expect("a folder");
+    let mut command = many.command(&["submit", "slurm"], "cache");
+    let output = command.args(["--dry-run", "--out"]).arg(many.at("out")).current_dir(&folder);
+    let output = output.env("PATH", &path).output().expect("the command starts");
+    assert!(
+        output.status.code() == Some(2) && said(&output).contains("control character"),
+        "{}",
+        said(&output)
+    );
+}

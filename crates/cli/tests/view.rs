@@ -166,3 +166,42 @@ fn scenes_and_captures_are_looked_at_and_bad_cases_are_said() {
     assert!(said(&["view", &scene, "--metres-per-unit", "0"]).contains("positive"));
     assert!(said(&["reconstruct", &capture, "--out", &place.at("x"), "--port", "7007"]).contains("--view"));
 }
+
+/// The arguments of a process are public on a machine, so the viewer's key is not among them.
+#[cfg(target_os = "linux")]
+#[test]
+fn the_browser_is_led_to_the_viewer_by_a_page_that_only_its_user_reads() {
+    use std::os::unix::fs::PermissionsExt;
+
+    let place = Place::new();
+    let at = |name: &str| std::path::PathBuf::from(place.at(name));
+    for folder in ["bin", "run"] {
+        std::fs::create_dir(at(folder)).expect("a folder");
+    }
+    let script = format!("#!/bin/sh\necho \"$*\" > {0}.new; mv {0}.new {0}\n", place.at("opened"));
+    std::fs::write(at("bin/xdg-open"), script).expect("written");
+    std::fs::set_permissions(at("bin/xdg-open"), PermissionsExt::from_mode(0o755)).expect("allowed");
+    let mut command = command();
+    command.args(["-q", "view", &place.at("tiny")]).stdout(Stdio::piped());
+    command.env("DISPLAY", ":0").env("XDG_RUNTIME_DIR", at("run"));
+    let path = std::env::var("PATH").unwrap_or_default();
+    let mut child = command.env("PATH", format!("{}:{path}", place.at("bin"))).spawn().expect("it starts");
+    let mut address = String::new();
+    BufReader::new(child.stdout.take().expect("a pipe")).read_line(&mut address).expect("a line");
+    let token = address.trim().split_once('#').expect("an address with a key").1.to_string();
+    let opened = (0..200).find_map(|_| {
+        std::thread::sleep(std::time::Duration::from_millis(50));
+        std::fs::read_to_string(at("opened")).ok()
+    });
+    let page = std::path::PathBuf::from(opened.expect("a browser was opened").trim());
+    let (text, mode) = (std::fs::read_to_string(&page), std::fs::metadata(&page));
+    let words = std::fs::read(format!("/proc/{}/cmdline", child.id())).expect("its words");
+    std::process::Command::new("kill").arg(child.id().to_string()).status().expect("a signal");
+    child.wait().expect("it ends");
+    assert!(page.starts_with(at("run")) && !page.to_string_lossy().contains(&token), "{}", page.display());
+    assert_eq!(mode.expect("there").permissions().mode() & 0o777, 0o600);
+    assert!(
+        text.expect("read").contains(address.trim()) && !String::from_utf8_lossy(&words).contains(&token)
+    );
+    assert!(!page.exists(), "it is removed when the viewer ends");
+}

@@ -219,9 +219,37 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
         return Err(ImportError::Parameter { field: "normalise", reason });
     }
     let capture = Capture { name: report.name.clone(), views, split: split.split, points, frame };
+    report.notes.extend(useless(&capture));
     capture.validate().map_err(bad_capture)?;
     let model_files = read.files;
     Ok(Imported { capture, report, plans, model, model_files, white_balance: params.white_balance })
+}
+
+/// Returns the reasons why no training can learn from a capture whose numbers are all valid.
+fn useless(capture: &Capture) -> Vec<String> {
+    let mut notes = Vec::new();
+    if let Some((first, others)) = capture.views.split_first() {
+        let at = first.camera.pose.center();
+        let near = 1e-9 * (1.0 + at.abs().max_element());
+        if !others.is_empty() && others.iter().all(|v| v.camera.pose.center().distance(at) <= near) {
+            notes.push(
+                "all views have the same camera position, so no depth can be estimated and no other view will \
+                 be right; check the poses of the model"
+                    .into(),
+            );
+        }
+        let is_ahead =
+            |view: &View, p: DVec3| (view.camera.pose.rotation * p + view.camera.pose.translation).z > 0.0;
+        let seen = capture.points.iter().any(|p| capture.views.iter().any(|v| is_ahead(v, p.position)));
+        if !capture.points.is_empty() && !seen {
+            notes.push(
+                "all sparse points lie behind all cameras, so their positions are useless; check the viewing \
+                 directions of the poses of the model"
+                    .into(),
+            );
+        }
+    }
+    notes
 }
 
 /// The intrinsics of a view until [`plan`] sets those of its camera and file size.

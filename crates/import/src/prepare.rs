@@ -14,8 +14,7 @@ use use3d_capture::{Capture, FileName, Map, Pixels, View};
 use use3d_files::write_atomically;
 use use3d_io_colmap::{Keypoint, Model, ModelCamera, write_model_binary};
 use use3d_io_image::{
-    image_size, read_pixels, read_pixels_with_alpha, write_exr_map, write_png_map,
-    write_png_pixels,
+    image_size, read_pixels, read_pixels_with_alpha, write_exr_map, write_png_map, write_png_pixels,
 };
 use use3d_survey::Survey;
 

@@ -616,3 +616,34 @@ fn the_full_size_of_a_scaled_import_is_that_of_its_files() {
     }
     assert_eq!(whole.full_size().capture.views, whole.capture.views);
 }
+
+/// A capture with valid numbers that no training can learn from gets a note and is not refused.
+#[test]
+fn a_capture_of_which_nothing_can_be_learnt_says_so() {
+    let names: Vec<String> = (0..4).map(|i| format!("{i}.png")).collect();
+    let dir = tempfile::tempdir().unwrap();
+    for (name, phase) in names.iter().zip(0..) {
+        write_png8(&dir.path().join("images").join(name), &picture(SIZE.0, SIZE.1, phase as f32)).unwrap();
+    }
+    let notes = |change: &dyn Fn(&mut Model)| {
+        let mut model = model(pinhole(1), &names);
+        change(&mut model);
+        write_model_binary(&dir.path().join("sparse/0"), &model).unwrap();
+        import(dir.path(), &ImportParams::default()).unwrap().report.notes.join("; ")
+    };
+    assert_eq!(notes(&|_| ()), "");
+    let same = notes(&|model| {
+        let first = model.images[0].pose();
+        let (id, camera) = (100, model.cameras[0].id);
+        model.images.iter_mut().for_each(|image| {
+            *image = ModelImage {
+                keypoints: image.keypoints.clone(),
+                ..ModelImage::at(image.id, image.name.clone(), camera, &first)
+            };
+        });
+        assert!(model.images.iter().any(|image| image.id == id));
+    });
+    assert!(same.contains("the same camera position"), "{same}");
+    let behind = notes(&|model| model.points.iter_mut().for_each(|p| p.position = [0.2, 0.3, -400.0]));
+    assert!(behind.contains("behind all cameras"), "{behind}");
+}

@@ -1,8 +1,8 @@
 //! Sockets and threads: one thread accepts connections, one per connection answers, one draws.
 
-use std::net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream};
-use std::sync::Arc;
+use std::net::{Ipv4Addr, Shutdown, SocketAddr, TcpListener, TcpStream};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 
 use crate::drawing::Drawing;
@@ -11,8 +11,10 @@ use crate::http::{self, NoRequest, Pending, Response};
 use crate::live::Live;
 use crate::site::Site;
 
-/// Largest number of connections that are served at a time: a browser opens up to six per page. As many
-/// further ones get an answer that there are too many; more than these are closed without an answer.
+/// Largest number of connections that are served at a time: a browser opens up to six per page. A further one
+/// replaces the oldest that has not shown the token, so clients without the token cannot keep others out. If
+/// all have shown it, the further one gets the answer that there are too many. Above twice this number,
+/// connections are closed without an answer.
 const CONNECTIONS: usize = 56;
 
 /// A server that cannot be started.
@@ -77,8 +79,13 @@ impl Server {
             .name("viewer drawing".into())
             .spawn(move || drawer.work())
             .map_err(|e| start(&e))?;
-        let accepting =
-            Accepting { site, token: token.clone(), closing: closing.clone(), open: Arc::default() };
+        let accepting = Accepting {
+            site,
+            token: token.clone(),
+            closing: closing.clone(),
+            open: Arc::default(),
+            guests: Arc::default(),
+        };
         thread::Builder::new()
             .name("viewer".into())
             .spawn(move || accepting.accept(&listener))
@@ -111,7 +118,47 @@ struct Accepting {
     site: Arc<Site>,
     token: Token,
     closing: Arc<AtomicBool>,
+    /// The number of connections, with those that are being closed.
     open: Arc<AtomicUsize>,
+    guests: Arc<Mutex<Guests>>,
+}
+
+/// The connections that are served, oldest first.
+#[derive(Default)]
+struct Guests {
+    next: u64,
+    all: Vec<Guest>,
+}
+
+struct Guest {
+    number: u64,
+    /// A second handle of the socket, to close it.
+    stream: TcpStream,
+    /// True if it has shown the token.
+    known: bool,
+}
+
+impl Guests {
+    /// Admits a connection and returns its number. If there is no room, it replaces a connection that has not
+    /// shown the token.
+    fn admit(&mut self, stream: &TcpStream) -> Option<u64> {
+        if self.all.len() >= CONNECTIONS {
+            let unknown = self.all.iter().position(|guest| !guest.known)?;
+            let _ = self.all.remove(unknown).stream.shutdown(Shutdown::Both);
+        }
+        let (number, stream) = (self.next, stream.try_clone().ok()?);
+        self.next += 1;
+        self.all.push(Guest { number, stream, known: false });
+        Some(number)
+    }
+
+    fn has_shown_the_token(&mut self, number: u64) {
+        self.all.iter_mut().filter(|guest| guest.number == number).for_each(|guest| guest.known = true);
+    }
+
+    fn leave(&mut self, number: u64) {
+        self.all.retain(|guest| guest.number != number);
+    }
 }
 
 impl Accepting {
@@ -128,8 +175,10 @@ impl Accepting {
             }
             let this = self.clone();
             let served = thread::Builder::new().name("viewer page".into()).spawn(move || {
-                if before < CONNECTIONS {
-                    this.serve(&mut stream);
+                let admitted = this.guests().admit(&stream);
+                if let Some(number) = admitted {
+                    this.serve(&mut stream, number);
+                    this.guests().leave(number);
                 } else {
                     let why = "too many connections; close other pages of this viewer";
                     http::refuse(&mut stream, &Response::text(503, why));
@@ -142,8 +191,12 @@ impl Accepting {
         }
     }
 
+    fn guests(&self) -> std::sync::MutexGuard<'_, Guests> {
+        self.guests.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     /// Answers a connection's requests, one after another.
-    fn serve(&self, stream: &mut TcpStream) {
+    fn serve(&self, stream: &mut TcpStream, number: u64) {
         let _ = stream.set_nodelay(true);
         let mut pending = Pending::default();
         while !self.closing.load(Ordering::Relaxed) {
@@ -155,7 +208,11 @@ impl Accepting {
                     return;
                 }
             };
-            let response = refusal(&request, &self.token).unwrap_or_else(|| self.site.answer(&request));
+            let refused = refusal(&request, &self.token);
+            if refused.is_none() && request.method == "POST" {
+                self.guests().has_shown_the_token(number);
+            }
+            let response = refused.unwrap_or_else(|| self.site.answer(&request));
             if http::write(stream, &response, request.stays).is_err() || !request.stays {
                 return;
             }

@@ -249,17 +249,35 @@ fn a_page_that_asks_a_hundred_times_gets_its_newest_and_many_pages_share() {
     drop((silent, deaf));
 }
 
+fn connected(server: &Server) -> TcpStream {
+    TcpStream::connect(("127.0.0.1", server.port())).unwrap()
+}
+
+/// Sends a request with the token over a connection that stays open, and returns true if it is answered.
+fn answers(server: &Server, stream: &mut TcpStream) -> bool {
+    let host = format!("localhost:{}", server.port());
+    let request = format!(
+        "POST /state HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\nAuthorization: Bearer {}\r\n\
+         Content-Length: 2\r\n\r\n{{}}",
+        token(server)
+    );
+    stream.write_all(request.as_bytes()).unwrap();
+    let mut block = [0; 4096];
+    let read = stream.read(&mut block).unwrap();
+    String::from_utf8_lossy(&block[..read]).starts_with("HTTP/1.1 200")
+}
+
 #[test]
 fn one_page_too_many_is_told_so_whatever_it_sends() {
     let server = Server::start(None, &Arc::new(Live::new("", None))).unwrap();
-    let silent: Vec<TcpStream> =
-        (0..56).map(|_| TcpStream::connect(("127.0.0.1", server.port())).unwrap()).collect();
+    let mut known: Vec<TcpStream> = (0..56).map(|_| connected(&server)).collect();
+    assert!(known.iter_mut().all(|stream| answers(&server, stream)));
     let long = json!({ "name": "x".repeat(60_000) });
     for _ in 0..10 {
         let (status, _, body) = ask(&server, "/state", &long);
         assert!(status == 503 && String::from_utf8_lossy(&body).contains("too many"), "{status}");
     }
-    drop(silent);
+    drop(known);
 }
 
 #[test]
@@ -300,4 +318,26 @@ fn a_place_is_measured_and_its_gains_reach_the_pictures() {
     let plain = ask(&server, "/frame", &look(64, "clear"));
     assert_eq!((plain.0, of(1.0).2 == plain.2, of(0.5).2 == plain.2), (200, true, false));
     assert_eq!((of(50.0).0, of(-1.0).0), (400, 400));
+}
+
+/// Slow connections without the token cannot keep a client with the token out.
+#[test]
+fn slow_strangers_make_room_for_who_knows_the_token() {
+    let server = Server::start(None, &Arc::new(Live::new("", None))).unwrap();
+    let address = ("127.0.0.1", server.port());
+    // A connection that has shown the token stays, however many others come.
+    let mut known = connected(&server);
+    assert!(answers(&server, &mut known));
+    let slow: Vec<TcpStream> = (0..100)
+        .map(|_| {
+            let mut stream = TcpStream::connect(address).unwrap();
+            stream.write_all(b"GET / HT").unwrap();
+            stream
+        })
+        .collect();
+    for _ in 0..15 {
+        assert_eq!(ask(&server, "/state", &json!({})).0, 200);
+    }
+    assert!(answers(&server, &mut known));
+    drop(slow);
 }

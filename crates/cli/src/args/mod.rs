@@ -14,7 +14,7 @@ mod upkeep;
 mod view;
 mod white;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
 pub(crate) use bench::{Baselines, Bench, BenchGpuArgs, BenchTruthArgs};
 pub(crate) use captures::{Synth, SynthCaptureArgs, SynthPairsArgs, WaterArgs};
@@ -69,6 +69,21 @@ pub(crate) struct Cli {
     /// Threads for computing (default: all cores). Never changes a result.
     #[arg(long, global = true, value_name = "N", env = "USE3D_THREADS", value_parser = count(MAX_THREADS))]
     pub(crate) threads: Option<usize>,
+}
+
+/// Reads the command line. An environment variable that is set but empty counts as unset, because scripts set
+/// `USE3D_CACHE=${SCRATCH}` on machines that may have no such variable.
+pub(crate) fn parse() -> Cli {
+    let matches = without_empty_variables(Cli::command()).get_matches();
+    Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit())
+}
+
+fn without_empty_variables(command: clap::Command) -> clap::Command {
+    let without = |argument: clap::Arg| match argument.get_env().map(std::env::var_os) {
+        Some(Some(value)) if value.is_empty() => argument.env(None::<&'static str>),
+        _ => argument,
+    };
+    command.mut_args(without).mut_subcommands(without_empty_variables)
 }
 
 /// More threads than the cores of any one machine; each thread needs memory of its own.

@@ -14,6 +14,7 @@ use crate::args::{CacheArgs, GcArgs, PipelineArgs, VerifyArgs};
 use crate::destination::path_text;
 use crate::error::{CliError, Done};
 use crate::verbs::run::{json, open};
+use crate::verbs::stages::stages;
 
 fn cache(args: &CacheArgs) -> Result<Cache, CliError> {
     let folder = match &args.cache {
@@ -24,7 +25,7 @@ fn cache(args: &CacheArgs) -> Result<Cache, CliError> {
         let folder = path_text(&folder);
         return Err(CliError::Input(format!("--cache {folder}: there is no such folder; expected a cache")));
     }
-    Cache::open(&folder, args.rehash).map_err(CliError::input)
+    Ok(Cache::open(&folder, args.rehash).map_err(CliError::input)?.with_promises(&stages()?))
 }
 
 pub(crate) fn gc(args: &GcArgs) -> Done {
@@ -67,10 +68,18 @@ pub(crate) fn gc(args: &GcArgs) -> Done {
         );
     }
     if args.json {
-        return json(&cleaning);
+        json(&cleaning)?;
+    } else {
+        print!("{cleaning}");
     }
-    print!("{cleaning}");
-    Ok(())
+    match cleaning.failed.len() {
+        0 => Ok(()),
+        n => Err(CliError::Failed(format!(
+            "{} could not be removed, see above; run gc as the user who owns {}, or make it writable",
+            if n == 1 { "1 item".to_string() } else { format!("{n} items") },
+            path_text(parent(cache.root()))
+        ))),
+    }
 }
 
 fn same_folder(a: &Path, b: &Path) -> bool {

@@ -23,6 +23,7 @@ pub(crate) fn run(args: &DevicesArgs) -> Done {
         refusal: Option<String>,
     }
 
+    let _ends_soon = crate::interrupt::ends_soon();
     let all = checked_adapters();
     if args.json {
         let adapters: Vec<_> = all

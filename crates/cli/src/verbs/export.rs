@@ -23,6 +23,7 @@ use crate::App;
 use crate::args::{ExportArgs, ExportFrame, ExportWhat};
 use crate::destination::{check_file, path_text, write_file};
 use crate::error::{CliError, Done};
+use crate::interrupt::ends_soon;
 use crate::verbs::found::{capture_in, scene_in};
 use crate::verbs::{web, white};
 
@@ -38,6 +39,7 @@ pub(crate) fn run(app: &App, args: &ExportArgs) -> Done {
             "choose an output: --web FILE.html, --ply FILE, --compressed-ply FILE, --glb FILE or --spz FILE";
         return Err(CliError::Input(what.into()));
     }
+    let _ends_soon = ends_soon();
     let cameras = args.cameras.clone().or_else(|| capture_in(&args.scene));
     let args = &ExportArgs { scene: scene_in(app, &args.scene)?, cameras, ..args.clone() };
     let scene = Scene::load(&args.scene).map_err(CliError::input)?;

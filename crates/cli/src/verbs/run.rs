@@ -18,6 +18,7 @@ use crate::args::{
     CacheArgs, DemoArgs, DemoSize, GraphArgs, GraphFormat, PipelineArgs, PlanArgs, RunArgs, Settings,
     WhiteChoice, WhyArgs, as_typed,
 };
+use crate::destination::path_text;
 use crate::error::{CliError, Done};
 use crate::verbs::history::{self, Record};
 use crate::verbs::outcome::{self, Outcome};
@@ -68,9 +69,47 @@ pub(crate) fn open(args: &PipelineArgs, scenes: &[String]) -> Result<Loaded, Cli
     };
     let pipeline =
         pipeline.map_err(|error| CliError::Input(as_typed(&error.to_string(), &args.spelled())))?;
+    outside_captures(&pipeline)?;
     let cache = Cache::open(&pipeline.cache, cache.rehash).map_err(CliError::input)?;
     let graph = Graph::new(&registry, &pipeline.batch).map_err(CliError::input)?;
     Ok(Loaded { pipeline, builder: Builder::new(registry, cache), graph })
+}
+
+/// Refuses a cache inside the folder of a capture. It would lie beside the photographs, and in a prepared
+/// capture, where every file counts, it would change the input of its own results.
+fn outside_captures(pipeline: &Pipeline) -> Done {
+    let cache = real(&pipeline.cache);
+    let captures = pipeline.batch.scenes.iter().filter_map(|s| s.externals.get("capture")?.as_ref().ok());
+    match captures.into_iter().find(|capture| cache.starts_with(real(capture))) {
+        None => Ok(()),
+        Some(capture) => Err(CliError::Input(format!(
+            "--cache {}: it would lie in the capture {}; choose a folder outside",
+            path_text(&pipeline.cache),
+            path_text(capture)
+        ))),
+    }
+}
+
+/// Refuses a folder of results inside the cache.
+fn outside_the_cache(out: &Path, cache: &Path) -> Done {
+    if !real(out).starts_with(real(cache)) {
+        return Ok(());
+    }
+    Err(CliError::Input(format!(
+        "--out {}: it would lie in the cache {}; choose a folder outside",
+        path_text(out),
+        path_text(cache)
+    )))
+}
+
+/// Returns an absolute path without links in the part of it that exists.
+fn real(path: &Path) -> PathBuf {
+    let path = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
+    let there = path.ancestors().find_map(|part| Some((part, part.canonicalize().ok()?)));
+    match there {
+        Some((part, real)) => path.strip_prefix(part).map_or(real.clone(), |rest| real.join(rest)),
+        None => path,
+    }
 }
 
 /// Names the kind of a file that is no pipeline file or capture folder, and the next step for it.
@@ -202,6 +241,7 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     let out = args.out.clone().or(results).unwrap_or_else(named);
     let out = (!args.cache_only).then_some(out);
     if let Some(out) = &out {
+        outside_the_cache(out, &loaded.pipeline.cache)?;
         results::check(&loaded.graph, until.as_deref(), out)?;
     }
     let loaded = match &args.remote {

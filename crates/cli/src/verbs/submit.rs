@@ -255,8 +255,10 @@ fn prepare(app: &App, scheduler: Scheduler, args: &SubmitArgs) -> Result<Option<
     if let Some(calibrator) = &args.pipeline.calibration.calibrator {
         run.extend(["--calibrator".to_string(), text(calibrator)?]);
     }
-    // The words go into comments and lines of a script, so each must be one line.
-    if let Some(word) = run.iter().find(|word| word.chars().any(char::is_control)) {
+    // These words go into comments and lines of a script, so each must be one line. `out` is also the folder
+    // of scripts and logs.
+    let places = [text(&place)?, text(&out)?];
+    if let Some(word) = run.iter().chain(&places).find(|word| word.chars().any(char::is_control)) {
         return Err(CliError::Input(format!(
             "{word:?} has a control character in it; a script cannot hold it"
         )));

@@ -15,7 +15,7 @@ use use3d_synth::{
 use crate::App;
 use crate::args::{SynthCaptureArgs, SynthPairsArgs};
 use crate::error::{CliError, Done};
-use crate::interrupt;
+use crate::interrupt::{self, ends_soon};
 use crate::size::parse_size;
 
 /// Reports the progress, and returns whether to continue.
@@ -123,6 +123,7 @@ pub(crate) fn keep_capture(app: &App, params: &CaptureParams, out: &Path) -> Don
     std::fs::create_dir_all(folder)
         .map_err(|e| CliError::Input(format!("--out {}: {e}", folder.display())))?;
     let made = place::sibling(out);
+    let _ends_soon = ends_soon();
     let placed = write_capture(params, &made, &mut tell(app, "synth capture"))
         .map_err(error)
         .and_then(|_| place::record(&made, Some(recipe)).map_err(CliError::failed))
@@ -135,6 +136,7 @@ pub(crate) fn keep_capture(app: &App, params: &CaptureParams, out: &Path) -> Don
 
 pub(crate) fn capture(app: &App, args: &SynthCaptureArgs) -> Done {
     let (params, out) = (capture_params(args)?, &args.common.out);
+    let _ends_soon = ends_soon();
     write_capture(&params, out, &mut tell(app, "synth capture")).map_err(error)?;
     if !app.quiet {
         eprintln!("{}: {} views of {}x{}", out.display(), params.views, params.width, params.height);
@@ -152,6 +154,7 @@ pub(crate) fn pairs(app: &App, args: &SynthPairsArgs) -> Done {
     if let Some(size) = &args.size {
         (params.width, params.height) = parse_size(size)?;
     }
+    let _ends_soon = ends_soon();
     write_pairs(&params, &args.out, &mut tell(app, "synth pairs")).map_err(error)?;
     if !app.quiet {
         eprintln!("{}: {} pairs of {}x{}", args.out.display(), params.pairs, params.width, params.height);

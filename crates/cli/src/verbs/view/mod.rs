@@ -8,7 +8,7 @@ mod watch;
 pub(crate) use watch::Watched;
 
 use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -115,8 +115,15 @@ enum Told {
     Remark,
 }
 
+/// A server that runs until it is dropped.
+struct Serving {
+    _server: Server,
+    /// The page that leads a browser to the server.
+    _redirect: Option<tempfile::NamedTempFile>,
+}
+
 /// Starts the server, prints its address, and opens a browser if there is a screen.
-fn serve(app: &App, args: &ViewerArgs, live: &Arc<Live>, told: Told) -> Result<Server, CliError> {
+fn serve(app: &App, args: &ViewerArgs, live: &Arc<Live>, told: Told) -> Result<Serving, CliError> {
     let server = Server::start(args.port, live).map_err(CliError::input)?;
     let (address, port) = (server.address(), server.port());
     if told == Told::Result {
@@ -132,15 +139,34 @@ fn serve(app: &App, args: &ViewerArgs, live: &Arc<Live>, told: Told) -> Result<S
              run `ssh -L {port}:localhost:{port} HOST` there; Ctrl-C ends the viewer"
         );
     }
-    if !args.no_open {
-        open(&address);
-    }
-    Ok(server)
+    let redirect = if args.no_open { None } else { open(&address) };
+    Ok(Serving { _server: server, _redirect: redirect })
 }
 
-/// Makes the system open an address. The address is printed in any case, so a missing browser does not
-/// matter.
-fn open(address: &str) {
+/// The prefix of the name of a page that leads to a server.
+const REDIRECT: &str = "use3d-view-";
+
+/// Writes a page that leads to an address. Only this user can read it, while every user of a machine can read
+/// the arguments of its processes, and the address ends with the key.
+fn page_to(address: &str) -> std::io::Result<tempfile::NamedTempFile> {
+    let own = std::env::var_os("XDG_RUNTIME_DIR").map(PathBuf::from).filter(|folder| folder.is_dir());
+    let folder = own.unwrap_or_else(std::env::temp_dir);
+    use3d_files::sweep(&folder, REDIRECT, |_| true);
+    let prefix = format!("{REDIRECT}{}-", use3d_files::unique());
+    let mut page = tempfile::Builder::new().prefix(&prefix).suffix(".html").tempfile_in(folder)?;
+    write!(
+        page,
+        "<!doctype html>\n<meta charset=\"utf-8\">\n<meta name=\"referrer\" content=\"no-referrer\">\n\
+         <meta http-equiv=\"refresh\" content=\"0; url={address}\">\n<title>3D-USE</title>\n\
+         <p><a href=\"{address}\">Open the viewer</a></p>\n"
+    )?;
+    page.flush()?;
+    Ok(page)
+}
+
+/// Makes the system open an address, and returns the page that leads to it. The address is printed in any
+/// case, so a missing browser does not matter.
+fn open(address: &str) -> Option<tempfile::NamedTempFile> {
     let screen = ["DISPLAY", "WAYLAND_DISPLAY"].iter().any(|name| std::env::var_os(name).is_some());
     let (program, arguments): (&str, &[&str]) = if cfg!(target_os = "macos") {
         ("open", &[])
@@ -149,12 +175,19 @@ fn open(address: &str) {
     } else if screen {
         ("xdg-open", &[])
     } else {
-        return;
+        return None;
+    };
+    let page = match page_to(address) {
+        Ok(page) => page,
+        Err(error) => {
+            tracing::debug!("no page that leads a browser to the viewer: {error}");
+            return None;
+        }
     };
     let quiet = || Stdio::null();
     let started = Command::new(program)
         .args(arguments)
-        .arg(address)
+        .arg(page.path())
         .stdin(quiet())
         .stdout(quiet())
         .stderr(quiet())
@@ -164,4 +197,5 @@ fn open(address: &str) {
         Ok(mut child) => drop(std::thread::spawn(move || child.wait())),
         Err(error) => tracing::debug!("{program}: {error}"),
     }
+    Some(page)
 }

@@ -7,10 +7,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 use use3d_build::{Event, Listener};
 use use3d_import::load_prepared;
 use use3d_scene::Scene;
-use use3d_viewer::{Live, Server, Shown};
+use use3d_viewer::{Live, Shown};
 use use3d_web::PageView;
 
-use super::{Told, places, serve};
+use super::{Serving, Told, places, serve};
 use crate::App;
 use crate::args::WatchArgs;
 use crate::error::CliError;
@@ -19,7 +19,7 @@ use crate::error::CliError;
 pub(crate) struct Watched {
     app: App,
     live: Arc<Live>,
-    _server: Server,
+    _server: Serving,
 }
 
 impl Watched {

@@ -7,6 +7,9 @@
 pub mod plot;
 
 use askama::Template;
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use sha2::{Digest, Sha256};
 use use3d_capture::Image;
 use use3d_io_image::{JpegError, jpeg_address, shrunk};
 
@@ -163,6 +166,7 @@ impl Picture {
 #[derive(Template)]
 #[template(path = "report.html")]
 struct PageTemplate<'a> {
+    policy: &'a str,
     title: &'a str,
     subtitle: &'a str,
     verdict: String,
@@ -173,6 +177,18 @@ struct PageTemplate<'a> {
     calibrator: &'a Option<CalibratorSection>,
     missing: &'a [String],
     footer: &'a str,
+}
+
+/// Returns the page's content policy: it fetches nothing, and only its own script runs, whatever the names of
+/// scenes and pictures contain.
+fn policy() -> String {
+    const TEMPLATE: &str = include_str!("../../../templates/report.html");
+    let script = TEMPLATE.split("<script>").nth(1).and_then(|rest| rest.split("</script>").next());
+    let digest = STANDARD.encode(Sha256::digest(script.unwrap_or_default().as_bytes()));
+    format!(
+        "default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; img-src data:; \
+         base-uri 'none'; form-action 'none'"
+    )
 }
 
 #[derive(Template)]
@@ -327,6 +343,7 @@ impl Page {
     /// The page as HTML.
     pub fn html(&self) -> Result<String, ReportError> {
         let template = PageTemplate {
+            policy: &policy(),
             title: &self.title,
             subtitle: &self.subtitle,
             verdict: verdict(&self.verdict)?,
@@ -438,6 +455,19 @@ pub fn with_costs(html: &str, rows: &[StageRow], made: &str, parameters: &str) -
 mod tests {
     use super::*;
     use crate::judge::tables::{Better, Column, Row};
+
+    #[test]
+    fn no_script_runs_but_the_page_s_own() {
+        let html = Page { title: "<script>alert(1)</script>".into(), ..Page::default() }.html().unwrap();
+        let policy = html.split("http-equiv=\"Content-Security-Policy\" content=\"").nth(1).unwrap();
+        let policy = policy.split('"').next().unwrap();
+        let scripts: Vec<&str> =
+            html.split("<script>").skip(1).map(|rest| rest.split("</script>").next().unwrap()).collect();
+        assert_eq!(scripts.len(), 1);
+        let digest = STANDARD.encode(Sha256::digest(scripts[0].as_bytes()));
+        assert!(policy.contains("default-src 'none'"), "{policy}");
+        assert!(policy.contains(&format!("script-src 'sha256-{digest}';")), "{policy}");
+    }
 
     #[test]
     fn a_page_is_one_file_that_escapes_what_it_shows() {
