@@ -349,7 +349,7 @@ pub struct ReconstructParams {
 impl Default for ReconstructParams {
     fn default() -> Self {
         Self {
-            iterations: 15_000,
+            iterations: 5000,
             schedule: 15_000,
             images: Images::Captured,
             medium: MediumKind::default(),
@@ -561,7 +561,7 @@ mod tests {
 
     #[test]
     fn schedules_are_those_of_the_method_at_fifteen_thousand_steps() {
-        let p = ReconstructParams::default();
+        let p = ReconstructParams { iterations: 15_000, ..ReconstructParams::default() };
         p.validate().unwrap();
         let divisors = [0, 2999, 3000, 5999, 6000, 14_999].map(|s| p.divisor(s));
         assert_eq!(divisors, [4, 4, 2, 2, 1, 1]);
