@@ -53,7 +53,7 @@ impl Resumable for State {
 /// `views` are the training views, in the scene's frame. With a `checkpoint_dir`, the state is saved there
 /// every `checkpoint_every` steps and when the observer requests a stop. A later call with the same inputs
 /// continues from it, with the same bits as an uninterrupted run. The scene's Gaussians and medium are
-/// returned unchanged.
+/// returned unchanged. If the guidance asks for no change, no step is done: the field stays the identity.
 pub fn enhance(
     scene: &Scene,
     views: &[EnhanceView],
@@ -65,10 +65,10 @@ pub fn enhance(
 ) -> Result<Outcome, EnhanceError> {
     check_inputs(scene, views, guidance, params)?;
     let fingerprint = fingerprint(scene, views, guidance, params)?;
+    let steps = if guidance.asks_for_no_change() { 0 } else { params.iterations };
     let session = Session {
-        steps: params.iterations,
-        checkpoints: checkpoint_dir
-            .map(|dir| Checkpoints::new(dir, CHECKPOINT, &fingerprint, params.iterations)),
+        steps,
+        checkpoints: checkpoint_dir.map(|dir| Checkpoints::new(dir, CHECKPOINT, &fingerprint, steps)),
         every_steps: params.checkpoint_every,
         every_minutes: f64::INFINITY,
     };
@@ -90,7 +90,7 @@ pub fn enhance(
         run.begin()?;
     }
     if let Ended::Stopped { step, saved } = session.run(run.step, &mut run, observer)? {
-        return Err(EnhanceError::Interrupted { step, steps: params.iterations, saved });
+        return Err(EnhanceError::Interrupted { step, steps, saved });
     }
     run.finish()
 }

@@ -54,6 +54,14 @@ impl Guidance<'_> {
         }
     }
 
+    /// True if the identity is the answer, as in a scene in air whose colours stay as photographed.
+    pub fn asks_for_no_change(&self) -> bool {
+        match self {
+            Self::Targets(targets) => targets.ask_for_no_change(),
+            Self::Labels(_) => false,
+        }
+    }
+
     /// Computes the stage-1 water in front of a camera for the comparison of views: thinned to the kept
     /// share. Returns `false` and leaves `maps` unchanged in a scene without water and in clear radiance.
     pub fn look_through(

@@ -83,6 +83,25 @@ fn it_starts_at_the_identity() {
 }
 
 #[test]
+fn targets_that_ask_for_no_change_are_met_without_a_step() {
+    let (scene, views) = mini();
+    let mut wanted = targets(&scene, &taught(&scene), &views);
+    assert!(!wanted.ask_for_no_change());
+    wanted.scene = [0.0; 12];
+    assert!(!wanted.ask_for_no_change(), "a local operator is left");
+    wanted.state.mean.fill([0.0; 6]);
+    let mut watcher = Watcher::new(u64::MAX);
+    let outcome =
+        enhance(&scene, &views, Guidance::Targets(&wanted), &quick(50), None, &mut watcher).unwrap();
+    assert_eq!((watcher.seen, outcome.log.len()), (0, 0));
+    for view in &views {
+        let images = [Look::Reconstruction, Look::Enhanced { strength: 1.0 }]
+            .map(|l| draw(&outcome.scene, l, &view.camera));
+        assert!(images[0].data().iter().zip(images[1].data()).all(|(a, b)| (a - b).abs() < 1e-6));
+    }
+}
+
+#[test]
 fn losses_fall_and_the_realised_operators_reach_the_targets() {
     let (scene, views) = mini();
     let teacher = taught(&scene);

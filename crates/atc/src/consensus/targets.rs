@@ -66,6 +66,13 @@ impl Targets {
         self.state.mean.len()
     }
 
+    /// True if the global operator and every fused local operator are the identity, to 10⁻⁶.
+    pub fn ask_for_no_change(&self) -> bool {
+        let least = |v: f64| v.abs() <= 1e-6;
+        self.scene.iter().all(|&v| least(v))
+            && self.state.mean.as_flattened().iter().all(|&v| least(f64::from(v)))
+    }
+
     /// Returns an error unless the scene has the same number of Gaussians.
     pub fn check_scene(&self, gaussians: &Gaussians) -> Result<(), AtcError> {
         if gaussians.len() == self.gaussians() {
