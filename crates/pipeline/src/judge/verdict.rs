@@ -1,8 +1,8 @@
-//! Sentences about the scores of a scene: what is better than what and by how much, what is worse, and what
-//! was not measured.
+//! Sentences about a scene: its water, the length of its training, the comparisons between its methods, the
+//! scores that are missing, and what to do next.
 //!
-//! Every sentence is made from the figures in the tables. If a comparison is unfavourable to the enhanced
-//! scene, the sentence says so.
+//! Every sentence is made from the figures in the tables and from the files of the stages. If a comparison
+//! is unfavourable to the enhanced scene, the sentence says so.
 
 use use3d_capture::flat_stem;
 
@@ -28,6 +28,21 @@ pub struct Sentence {
     pub text: String,
 }
 
+/// Facts about a scene that its scores do not contain.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SceneFacts {
+    /// A sentence on the water; empty if nothing is known.
+    pub water: String,
+    /// Steps of stage 1 and of stage 2, each with the usual number; `None` for a stage that did not run.
+    pub steps: [Option<(u64, u64)>; 2],
+    /// True if stage 2 had nothing to learn, because the colours stay as photographed.
+    pub unchanged: bool,
+    /// Number of pairs from which the calibrator was fitted, and the recommended number.
+    pub pairs: Option<(usize, usize)>,
+}
+
+/// A training of this many times the usual steps has little left to gain.
+const LONGER: u64 = 3;
 /// The weakest view is named if it is this many dB below the mean.
 const WEAK: f64 = 2.0;
 /// PSNR from which a reconstruction is good, and below which it is bad, dB.
@@ -42,14 +57,70 @@ fn mean(scores: &SceneScores, method: Method, metric: &str) -> Option<f64> {
 }
 
 /// The sentences of a scene whose enhanced look is `best`.
-pub fn verdict(scores: &SceneScores, best: Method) -> Vec<Sentence> {
+pub fn verdict(scores: &SceneScores, best: Method, facts: &SceneFacts) -> Vec<Sentence> {
     let mut out = Vec::new();
     out.extend(reconstruction(scores));
+    out.extend(training(facts));
+    out.extend((!facts.water.is_empty()).then(|| sentence(Tone::Plain, facts.water.clone())));
+    out.extend(learning(facts));
     out.extend(against_truth(scores, best));
     out.extend(consistency(scores, best));
     out.extend(without_reference(scores, best));
     out.extend(not_measured(scores));
+    out.push(next_steps(scores, facts));
     out
+}
+
+/// A sentence on a training that was shorter than usual.
+fn training(facts: &SceneFacts) -> Option<Sentence> {
+    let short = facts.steps.iter().zip(["stage 1", "stage 2"]).filter_map(|(steps, stage)| {
+        let (done, usual) = (*steps)?;
+        (done < usual && done > 0).then(|| format!("{done} of the usual {usual} steps in {stage}"))
+    });
+    let short: Vec<String> = short.collect();
+    (!short.is_empty()).then(|| {
+        sentence(
+            Tone::Plain,
+            format!("Training: {}. This is a first look; a full run is sharper.", short.join(", ")),
+        )
+    })
+}
+
+/// Sentences on the enhancement and on the pairs behind it.
+fn learning(facts: &SceneFacts) -> Option<Sentence> {
+    if facts.unchanged {
+        let text = "Enhancement: none. The scene has no water, so its colours stay as photographed.";
+        return Some(sentence(Tone::Plain, text.into()));
+    }
+    let (pairs, recommended) = facts.pairs.filter(|(pairs, recommended)| pairs < recommended)?;
+    let text = format!(
+        "Pairs: the enhancement was learnt from {pairs} pairs. {recommended} are recommended; with fewer it may \
+         not fit your water."
+    );
+    Some(sentence(Tone::Plain, text))
+}
+
+/// One to three things that the reader can do now.
+fn next_steps(scores: &SceneScores, facts: &SceneFacts) -> Sentence {
+    let psnr = mean(scores, Method::Reconstruction, "psnr");
+    let short = facts.steps.iter().flatten().any(|(done, usual)| *done > 0 && done < usual);
+    let mut steps = Vec::new();
+    if short {
+        steps.push("run again without `--iterations`".to_string());
+    } else if let [Some((done, usual)), _] = facts.steps
+        && psnr.is_some_and(|psnr| (PSNR[1]..PSNR[0]).contains(&psnr))
+        && done < LONGER * usual
+    {
+        steps.push(format!("for more detail, run again with `--iterations {}`", LONGER * usual));
+    }
+    if psnr.is_some_and(|psnr| psnr < PSNR[1]) {
+        steps.push("ask `use3d water` and the guide \"Is my capture good?\" what is wrong".into());
+    }
+    steps.push("open the page `view.html` and swim through the scene".into());
+    if !facts.unchanged && facts.pairs.is_none() {
+        steps.push("for other colours, learn them from pairs with `--pairs`".into());
+    }
+    sentence(Tone::Plain, format!("Next: {}.", steps.join("; ")))
 }
 
 fn reconstruction(scores: &SceneScores) -> Option<Sentence> {
@@ -97,9 +168,13 @@ fn compared(ours: f64, other: f64, unit: &str, decimals: usize, whom: &str, word
     format!("{apart}{unit} {} than {whom}", words[usize::from(ours < other)])
 }
 
-/// The methods that an enhanced scene is compared with.
-const OTHERS: [(Method, &str); 2] =
-    [(Method::Captured, "the photographs"), (Method::Proposal, "the 2D enhancer on each photograph")];
+/// The methods that an enhanced scene is compared with. The last is the fair rival in consistency: it sees
+/// the same renders, one at a time.
+const OTHERS: [(Method, &str); 3] = [
+    (Method::Captured, "the photographs"),
+    (Method::Proposal, "the 2D enhancer on each photograph"),
+    (Method::ProposalOfRender, "the 2D enhancer on each render of stage 1"),
+];
 
 fn against_truth(scores: &SceneScores, best: Method) -> Option<Sentence> {
     let metric = "truth_psnr";
@@ -130,8 +205,9 @@ fn consistency(scores: &SceneScores, best: Method) -> Option<Sentence> {
         OTHERS.iter().filter_map(|(method, name)| Some((mean(scores, *method, metric)?, *name))).collect();
     let texts: Vec<String> = others.iter().map(|(other, name)| format!("{other:.1} for {name}")).collect();
     // A picture with stronger colours also varies more; so the tone depends on the comparison with the 2D
-    // enhancer, which sees one picture at a time.
-    let rival = mean(scores, Method::Proposal, metric);
+    // enhancer, which sees one picture at a time. Photographs have noise that no render has, so its result
+    // on renders counts where it is known.
+    let rival = mean(scores, Method::ProposalOfRender, metric).or(mean(scores, Method::Proposal, metric));
     let tone = match rival {
         Some(rival) if ours > rival => Tone::Bad,
         Some(_) => Tone::Good,
@@ -231,7 +307,10 @@ mod tests {
     }
 
     fn texts(scores: &SceneScores) -> Vec<(Tone, String)> {
-        verdict(scores, Method::EnhancedClear).into_iter().map(|s| (s.tone, s.text)).collect()
+        verdict(scores, Method::EnhancedClear, &SceneFacts::default())
+            .into_iter()
+            .map(|s| (s.tone, s.text))
+            .collect()
     }
 
     #[test]
@@ -280,6 +359,56 @@ mod tests {
         );
         assert!(said[2].0 == Tone::Bad, "{said:?}");
         assert_eq!(said[3].1, "Not measured: LPIPS (no models folder).");
+        assert!(said[4].1.starts_with("Next: ask `use3d water`"), "{said:?}");
         assert!(texts(&scene(&[(Method::Reconstruction, &[])]))[0].1.contains("No photograph was held out"));
+    }
+
+    #[test]
+    fn the_rival_in_consistency_is_the_enhancer_that_sees_the_same_renders() {
+        let rival = |of_renders: f64| {
+            let scores = scene(&[
+                (Method::Proposal, &[("w_delta_e", 9.0)]),
+                (Method::ProposalOfRender, &[("w_delta_e", of_renders)]),
+                (Method::EnhancedClear, &[("w_delta_e", 7.0)]),
+            ]);
+            texts(&scores).into_iter().find(|(_, text)| text.contains("Consistency")).unwrap()
+        };
+        assert_eq!(rival(6.0).0, Tone::Bad, "the enhancer of photographs is worse, but not the fair rival");
+        let (tone, text) = rival(7.5);
+        assert_eq!(tone, Tone::Good);
+        assert!(text.contains("9.0 for the 2D enhancer on each photograph"), "{text}");
+        assert!(text.contains("7.5 for the 2D enhancer on each render of stage 1"), "{text}");
+    }
+
+    #[test]
+    fn it_says_how_long_was_trained_which_water_was_used_and_what_to_do_next() {
+        let scores = scene(&[(Method::Reconstruction, &[("psnr", 25.0)])]);
+        let facts = SceneFacts {
+            water: "Water found: stage 1 starts from it.".into(),
+            steps: [Some((300, 5000)), Some((1000, 1000))],
+            pairs: Some((60, 800)),
+            ..SceneFacts::default()
+        };
+        let of = |facts: &SceneFacts| -> Vec<String> {
+            verdict(&scores, Method::Enhanced, facts).into_iter().map(|s| s.text).collect()
+        };
+        let said = of(&facts);
+        assert!(said[1].starts_with("Training: 300 of the usual 5000 steps in stage 1. "), "{said:?}");
+        assert_eq!(said[2], "Water found: stage 1 starts from it.");
+        assert!(said[3].starts_with("Pairs: the enhancement was learnt from 60 pairs. 800"), "{said:?}");
+        assert!(said[4].starts_with("Next: run again without `--iterations`; open the page"), "{said:?}");
+        let whole = SceneFacts {
+            steps: [Some((5000, 5000)), Some((0, 1000))],
+            unchanged: true,
+            ..SceneFacts::default()
+        };
+        let said = of(&whole);
+        assert!(said[1].starts_with("Enhancement: none."), "{said:?}");
+        assert!(
+            said[2].contains("run again with `--iterations 15000`") && !said[2].contains("--pairs"),
+            "{said:?}"
+        );
+        let long = SceneFacts { steps: [Some((15_000, 5000)), None], ..SceneFacts::default() };
+        assert!(of(&long)[1].starts_with("Next: open the page"), "{:?}", of(&long));
     }
 }

@@ -4,23 +4,27 @@ use std::path::Path;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use use3d_atc::calibrator::Calibrator;
+use use3d_atc::calibrator::{Calibrator, METHOD_PAIRS};
 use use3d_atc::consensus::TargetsReport;
 use use3d_build::{Scope, Stage, StageContext, StageError, StageInput};
 use use3d_capture::{Appearance, Camera, Image, flat_stem};
+use use3d_enhance::EnhanceParams;
 use use3d_io_image::read_image;
+use use3d_reconstruct::ReconstructParams;
 use use3d_render::{Mode, WaterSample, medium_along, medium_profile};
 use use3d_scene::Scene;
 
 use super::calibrator::read_calibrator;
 use super::common::{folder, read_json, write_json, write_text};
-use super::names::{CONTACT, ENHANCED_IN_2D, SCORES, STRIP, TRUE_VIEWS, WATER};
+use super::names::{CHOICES, CONTACT, ENHANCED_IN_2D, SCORES, STRIP, TRUE_VIEWS, WATER};
+use super::proposer::NO_PROPOSER;
+use super::reconstruct::Choices;
 use crate::judge::report::plot::{Plot, RGB, Series};
 use crate::judge::report::{CalibratorSection, Page, Picture, PlotFigure, SceneSection, ViewSection};
 use crate::judge::scores::{Method, MethodScores, SceneScores, ScoredScene};
 use crate::judge::strip::Strip;
 use crate::judge::tables::{Table, paper};
-use crate::judge::verdict::{Sentence, Tone, verdict};
+use crate::judge::verdict::{SceneFacts, Sentence, Tone, verdict};
 
 /// Parameters of the report.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -94,13 +98,15 @@ fn parts(context: &StageContext) -> Vec<Parts<'_>> {
 
 fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let all = parts(context);
+    let calibrator = context.optional_input("calibrator").map(read_calibrator).transpose()?;
+    let pairs = calibrator.as_ref().map_or(0, |c| c.provenance.pairs);
     let mut scored = Vec::new();
     let mut scenes = Vec::new();
     for (i, parts) in all.iter().enumerate() {
         context.alive()?;
         context.progress_with(i as u64, all.len() as u64, "scenes", parts.scene);
         let scores = parts.path("scores").map(read_scores).transpose()?;
-        scenes.push(section(parts, scores.as_ref(), params)?);
+        scenes.push(section(parts, scores.as_ref(), params, pairs)?);
         if let (Some(scores), Some(path)) = (scores, parts.path("scores")) {
             let bytes = std::fs::read(path.join(SCORES)).map_err(|e| StageError::io(path, e))?;
             scored.push(ScoredScene {
@@ -116,10 +122,6 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     }
     let tables = paper::tables(&scored);
     write_tables(&context.output().join("tables"), &tables)?;
-    let calibrator = match context.optional_input("calibrator") {
-        Some(path) => Some(calibrator(&read_calibrator(path)?)),
-        None => None,
-    };
     let page = Page {
         title: match &all[..] {
             // The title names the only scene, unless the user set a title.
@@ -135,7 +137,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         verdict: overall(&scenes, context.missing()),
         tables,
         scenes,
-        calibrator,
+        calibrator: calibrator.as_ref().map(calibrator_section),
         missing: context.missing().to_vec(),
         footer: format!("use3d {}", env!("CARGO_PKG_VERSION")),
     };
@@ -218,7 +220,7 @@ pub fn write_tables(dir: &Path, tables: &[Table]) -> Result<(), StageError> {
     Ok(())
 }
 
-fn calibrator(calibrator: &Calibrator) -> CalibratorSection {
+fn calibrator_section(calibrator: &Calibrator) -> CalibratorSection {
     let provenance = &calibrator.provenance;
     if calibrator.corrects() == [false; 2] {
         let summary = format!(
@@ -259,6 +261,7 @@ fn section(
     parts: &Parts<'_>,
     scores: Option<&SceneScores>,
     params: &Params,
+    pairs: usize,
 ) -> Result<SceneSection, StageError> {
     let mut section =
         SceneSection { name: parts.name(), group: parts.group.into(), ..SceneSection::default() };
@@ -270,10 +273,9 @@ fn section(
         );
         section.notes = left_out(scores);
     }
-    section.notes.extend(parts.path("scene").and_then(water_note));
     let best = best_look(parts.path("enhanced"))?;
     if let Some(scores) = scores {
-        section.verdict = verdict(scores, scored_as(best));
+        section.verdict = verdict(scores, scored_as(best), &facts(parts, pairs));
     }
     if let Some(renders) = parts.path("renders") {
         section.views = views(renders, parts.path("scores"), scores, best, params.views)?;
@@ -301,9 +303,42 @@ fn section(
     Ok(section)
 }
 
-/// The water estimated from the tracks, in the same words as `use3d water`; `None` if stage 1 did not use the
-/// tracks.
-fn water_note(scene: &Path) -> Option<String> {
+/// The facts of a scene that its verdict needs, from the files of its stages. `pairs` is the number from
+/// which the batch's calibrator was fitted, or 0.
+fn facts(parts: &Parts<'_>, pairs: usize) -> SceneFacts {
+    let last_step = |role: &str| -> Option<u64> {
+        let log = std::fs::read_to_string(parts.path(role)?.join("training.jsonl")).ok()?;
+        let entries = log.lines().filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok());
+        Some(entries.filter_map(|entry| entry["step"].as_u64()).max().unwrap_or(0))
+    };
+    let targets: Option<TargetsReport> =
+        parts.path("targets").and_then(|dir| read_json(&dir.join("report.json")).ok());
+    let calibrated = pairs > 0 && targets.as_ref().is_some_and(|targets| targets.calibrated);
+    SceneFacts {
+        water: parts.path("scene").map(water_sentence).unwrap_or_default(),
+        steps: [
+            last_step("scene").map(|done| (done, ReconstructParams::default().iterations)),
+            last_step("enhanced").map(|done| (done, EnhanceParams::default().iterations)),
+        ],
+        unchanged: targets.is_some_and(|targets| targets.proposer.name == NO_PROPOSER),
+        pairs: calibrated.then_some((pairs, METHOD_PAIRS)),
+    }
+}
+
+/// A sentence on the water of stage 1. If the tracks were used, it has their estimate, in the same words as
+/// `use3d water`. Empty if the scene does not say it.
+fn water_sentence(scene: &Path) -> String {
+    if let Some(estimate) = water_from_tracks(scene) {
+        return estimate;
+    }
+    match read_json::<Choices>(&scene.join(CHOICES)) {
+        Ok(choices) if !choices.water.is_empty() => format!("Water: {}.", choices.water),
+        _ => String::new(),
+    }
+}
+
+/// The water estimated from the tracks; `None` if stage 1 did not use the tracks.
+fn water_from_tracks(scene: &Path) -> Option<String> {
     let told: serde_json::Value = read_json(&scene.join(WATER)).ok()?;
     let channel = |c: &serde_json::Value| {
         let attenuation = &c["attenuation"];
@@ -313,7 +348,7 @@ fn water_note(scene: &Path) -> Option<String> {
         format!("{name} {value} ± {error} per unit ({})", c["told"].as_str().unwrap_or_default())
     };
     let channels: Vec<String> = told["channels"].as_array()?.iter().map(channel).collect();
-    Some(format!("Water from tracks: {}. Attenuation: {}.", told["told"].as_str()?, channels.join(", ")))
+    Some(format!("Water: {}. Attenuation: {}.", told["told"].as_str()?, channels.join(", ")))
 }
 
 /// The plots of stage 1's training, from its log.
