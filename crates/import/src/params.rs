@@ -141,11 +141,18 @@ impl From<ImageSize> for String {
     }
 }
 
+/// No scene can be learnt from photographs whose longer side is smaller.
+const LEAST_SIDE: usize = 16;
+
 impl ImportParams {
     /// Checks a condition that the types cannot express: at most one way of resizing.
     pub fn validate(&self) -> Result<(), OutOfRange> {
         if self.downscale == 0 {
             return Err(OutOfRange::new("downscale", 0, "1, which leaves the size as it is, or more"));
+        }
+        if (1..LEAST_SIDE).contains(&self.max_side) {
+            let expected = format!("0, which leaves the size as it is, or at least {LEAST_SIDE} pixels");
+            return Err(OutOfRange::new("max_side", self.max_side, expected));
         }
         let ways = [
             ("size", self.size.map(|s| s.to_string())),
@@ -164,6 +171,13 @@ impl ImportParams {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn photographs_of_a_few_pixels_are_refused() {
+        let of = |max_side| ImportParams { max_side, ..ImportParams::default() }.validate();
+        assert!(of(0).is_ok() && of(16).is_ok());
+        assert!(of(1).unwrap_err().to_string().contains("at least 16 pixels"));
+    }
 
     #[test]
     fn sizes_are_written_as_people_write_them() {

@@ -10,6 +10,7 @@ use use3d_atc::calibrator::{Dataset, PairImages};
 use use3d_atc::extractor::ExtractorSettings;
 use use3d_atc::progress::Progress;
 use use3d_build::{Scope, Stage, StageContext, StageError, leftovers};
+use use3d_capture::Image;
 use use3d_io_image::read_image;
 
 use super::calibrated::is_calibrated;
@@ -100,9 +101,11 @@ fn run(context: &StageContext, params: &PairsParams) -> Result<(), StageError> {
         )));
     }
     let total = pairs.len();
-    let images = pairs.into_iter().map(|(name, a, b)| PairImages {
-        images: read_image(&a).and_then(|a| Ok((a, read_image(&b)?))).map_err(|e| e.to_string()),
-        name,
+    let mut duller = 0;
+    let images = pairs.into_iter().map(|(name, a, b)| {
+        let images = read_image(&a).and_then(|a| Ok((a, read_image(&b)?))).map_err(|e| e.to_string());
+        duller += usize::from(images.as_ref().is_ok_and(|(input, target)| is_duller(target, input)));
+        PairImages { images, name }
     });
     let dataset = Dataset::build(images, proposer.as_ref(), &params.extractor, &mut |progress| {
         if let Progress::Pair { index, name } = progress {
@@ -113,10 +116,43 @@ fn run(context: &StageContext, params: &PairsParams) -> Result<(), StageError> {
     context.alive()?;
     let mut dataset = dataset?;
     dataset.stand_in = context.optional_input("input").is_none();
+    if 2 * duller > total {
+        context.say(format_args!(
+            "warning: in {duller} of {total} pairs the target has less contrast and a stronger tint than the \
+             input; if the two folders are swapped, give them as --pairs INPUT TARGET, where TARGET is the \
+             enhanced one"
+        ));
+    }
     for skipped in &dataset.skipped {
         context.say(format_args!("pair {} is left out: {}", skipped.name, skipped.reason));
     }
     write_json(&context.output().join(DATASET), &dataset)
+}
+
+/// True if `image` has less contrast and a stronger tint than `other`, as a photograph under water has
+/// beside its enhanced version. Contrast is the standard deviation of the mean of the channels. Tint is the
+/// largest difference between the means of two channels.
+fn is_duller(image: &Image, other: &Image) -> bool {
+    let measure = |image: &Image| {
+        let n = image.width() * image.height();
+        if n == 0 {
+            return (0.0, 0.0);
+        }
+        let mean = |values: &[f32]| values.iter().map(|&v| f64::from(v)).sum::<f64>() / n as f64;
+        let planes: Vec<&[f32]> = image.data().chunks_exact(n).collect();
+        let means = [0, 1, 2].map(|c| mean(planes[c]));
+        let grey = means.iter().sum::<f64>() / 3.0;
+        let square = |p: usize| {
+            let value = planes.iter().map(|plane| f64::from(plane[p])).sum::<f64>() / 3.0 - grey;
+            value * value
+        };
+        let variance = (0..n).map(square).sum::<f64>() / n as f64;
+        let tint =
+            means.iter().copied().fold(f64::MIN, f64::max) - means.iter().copied().fold(f64::MAX, f64::min);
+        (variance.sqrt(), tint)
+    };
+    let [(contrast, tint), (other_contrast, other_tint)] = [image, other].map(measure);
+    contrast < other_contrast && tint > other_tint
 }
 
 /// Pairs of image files with equal stems, in name order.
@@ -141,4 +177,24 @@ pub(super) fn list(input: &Path, target: &Path) -> Result<Vec<(String, PathBuf, 
         .into_iter()
         .filter_map(|(stem, a)| targets.remove(&stem).map(|b| (stem, a, b)))
         .collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_photograph_under_water_is_duller_than_its_enhanced_version() {
+        let stripes = |dark: [f32; 3], bright: [f32; 3]| {
+            let mut image = Image::new(8, 4);
+            for p in 0..32 {
+                image.set_pixel(p % 8, p / 8, if p % 2 == 0 { dark } else { bright });
+            }
+            image
+        };
+        let under_water = stripes([0.1, 0.4, 0.5], [0.2, 0.5, 0.6]);
+        let enhanced = stripes([0.2, 0.2, 0.2], [0.8, 0.8, 0.8]);
+        assert!(is_duller(&under_water, &enhanced) && !is_duller(&enhanced, &under_water));
+        assert!(!is_duller(&enhanced, &enhanced));
+    }
 }
