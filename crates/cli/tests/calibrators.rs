@@ -7,6 +7,7 @@ use std::process::Command;
 
 use use3d_golden::torch::{released_calibrator, released_calibrator_tensors, safetensors_file};
 
+#[allow(dead_code, reason = "each test binary uses a part of it")]
 mod standin;
 
 /// Runs the command in `dir`, expects an exit code, and returns stdout and stderr.

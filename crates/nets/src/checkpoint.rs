@@ -151,6 +151,29 @@ impl Checkpoint {
         self.path.display().to_string()
     }
 
+    /// The tensor of this name, if it has this shape and holds floating-point numbers.
+    fn stored(&self, name: &str, shape: &[usize]) -> Result<(&Stored, Format), NetError> {
+        let Some(stored) = self.tensors.get(name) else {
+            return Err(NetError::MissingTensor {
+                origin: self.origin(),
+                tensor: name.to_string(),
+                expected: shape.to_vec(),
+            });
+        };
+        if stored.shape() != shape {
+            return Err(NetError::Shape {
+                origin: self.origin(),
+                tensor: name.to_string(),
+                expected: shape.to_vec(),
+                found: stored.shape().to_vec(),
+            });
+        }
+        let format = stored.format().map_err(|found| {
+            self.values_error(name, format!("holds values of type {found}, expected floating point"))
+        })?;
+        Ok((stored, format))
+    }
+
     fn values_error(&self, tensor: &str, problem: impl Into<String>) -> NetError {
         NetError::Values { origin: self.origin(), tensor: tensor.to_string(), problem: problem.into() }
     }
@@ -186,24 +209,7 @@ impl Stored {
 
 impl Weights for Checkpoint {
     fn tensor(&mut self, name: &str, shape: &[usize]) -> Result<Vec<f32>, NetError> {
-        let Some(stored) = self.tensors.get(name) else {
-            return Err(NetError::MissingTensor {
-                origin: self.origin(),
-                tensor: name.to_string(),
-                expected: shape.to_vec(),
-            });
-        };
-        if stored.shape() != shape {
-            return Err(NetError::Shape {
-                origin: self.origin(),
-                tensor: name.to_string(),
-                expected: shape.to_vec(),
-                found: stored.shape().to_vec(),
-            });
-        }
-        let format = stored.format().map_err(|found| {
-            self.values_error(name, format!("holds values of type {found}, expected floating point"))
-        })?;
+        let (stored, format) = self.stored(name, shape)?;
         let values = match stored {
             Stored::Torch(tensor) => {
                 let bytes =
@@ -220,6 +226,16 @@ impl Weights for Checkpoint {
         }
         self.taken.insert(name.to_string());
         Ok(values)
+    }
+}
+
+/// A checkpoint whose names and shapes are checked and whose values are not read: all are zero.
+pub(crate) struct Shapes<'c>(pub(crate) &'c Checkpoint);
+
+impl Weights for Shapes<'_> {
+    fn tensor(&mut self, name: &str, shape: &[usize]) -> Result<Vec<f32>, NetError> {
+        self.0.stored(name, shape)?;
+        Ok(vec![0.0; shape.iter().product()])
     }
 }
 

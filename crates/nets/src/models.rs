@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use sha2::{Digest as _, Sha256};
 
-use crate::checkpoint::Checkpoint;
+use crate::checkpoint::{Checkpoint, Shapes};
 use crate::depth_anything::{DepthAnythingSize, DepthAnythingV2};
 use crate::error::NetError;
 use crate::lpips::Lpips;
@@ -18,6 +18,7 @@ use crate::musiq::Musiq;
 use crate::nu2net::Nu2Net;
 use crate::raft::Raft;
 use crate::uranker::URanker;
+use crate::weights::StandIn;
 
 /// A checkpoint that a network needs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -322,6 +323,27 @@ impl Models {
             checkpoint.rename(torchvision_name);
         }
         Ok(checkpoint)
+    }
+
+    /// Checks the file of a network without reading its values: it is there, has the published digest (if one
+    /// is), can be read, and has every tensor in its shape. The shapes of Depth Anything V2 and of the
+    /// calibrator are not checked: the first is too large, and the second says its own layout.
+    pub fn check(&self, network: Network) -> Result<(), NetError> {
+        let checkpoint = self.checkpoint(network)?;
+        let mut shapes = Shapes(&checkpoint);
+        let mut rest = StandIn;
+        match network {
+            Network::Nu2NetReleased | Network::Nu2Net => Nu2Net::from_weights(&mut shapes).map(drop),
+            Network::LpipsHeads => Lpips::from_weights(&mut rest, &mut shapes).map(drop),
+            Network::AlexNet => Lpips::from_weights(&mut shapes, &mut rest).map(drop),
+            Network::RaftLarge => Raft::from_weights(&mut shapes).map(drop),
+            Network::URanker => URanker::from_weights(&mut shapes).map(drop),
+            Network::Musiq => Musiq::from_weights(&mut shapes).map(drop),
+            Network::DepthAnythingV2Small
+            | Network::DepthAnythingV2Base
+            | Network::DepthAnythingV2Large
+            | Network::TransitionCalibrator => Ok(()),
+        }
     }
 
     fn not_available(&self, network: Network) -> NetError {

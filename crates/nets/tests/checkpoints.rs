@@ -125,6 +125,36 @@ fn a_models_folder_gives_working_networks() {
 }
 
 #[test]
+fn a_file_that_cannot_serve_its_network_is_told_without_reading_its_values() {
+    let dir = tempfile::tempdir().unwrap();
+    let models = Models::open(dir.path());
+    for (network, file, mut tensors) in [
+        (Network::Nu2Net, "NU2Net_ckpt", recorded(|r| Nu2Net::from_weights(r).map(drop))),
+        (Network::LpipsHeads, "alex", heads()),
+        (
+            Network::AlexNet,
+            "alexnet-owt-7be5be79",
+            recorded(|r| Lpips::from_weights(r, &mut StandIn).map(drop)),
+        ),
+        (Network::RaftLarge, "raft-things", recorded(|r| Raft::from_weights(r).map(drop))),
+        (Network::URanker, "URanker_ckpt", recorded(|r| URanker::from_weights(r).map(drop))),
+        (Network::Musiq, "musiq_koniq_ckpt-e95806b9", recorded(|r| Musiq::from_weights(r).map(drop))),
+    ] {
+        let path = dir.path().join(file).with_extension("safetensors");
+        assert!(matches!(models.check(network), Err(NetError::NotAvailable { .. })), "{file}");
+        std::fs::write(&path, safetensors_file(&tensors)).unwrap();
+        models.check(network).unwrap_or_else(|e| panic!("{file}: {e}"));
+        let last = tensors.keys().next_back().unwrap().clone();
+        tensors.remove(&last);
+        std::fs::write(&path, safetensors_file(&tensors)).unwrap();
+        let message = models.check(network).unwrap_err().to_string();
+        assert!(message.contains(&format!("`{last}`")) && message.contains("is missing"), "{message}");
+        std::fs::write(&path, "no checkpoint").unwrap();
+        assert!(matches!(models.check(network), Err(NetError::Damaged { .. })), "{file}");
+    }
+}
+
+#[test]
 fn princeton_files_of_raft_load_too() {
     let torchvision = recorded(|r| Raft::from_weights(r).map(drop));
     let princeton: Tensors = torchvision

@@ -19,7 +19,8 @@ pub(crate) fn run(args: &ModelsArgs) -> Done {
         return Err(CliError::Input(format!("--dir {}: {what}", dir.display())));
     }
     let go_on = || !interrupt::requested();
-    let status = use3d_nets::Models::open(&dir).status_while(&go_on).map_err(CliError::input)?;
+    let folder = use3d_nets::Models::open(&dir);
+    let status = folder.status_while(&go_on).map_err(CliError::input)?;
     let mut status = status.ok_or(CliError::Stopped)?;
     let needed = args.preset.as_deref().map(needed_for).transpose()?;
     if let Some(needed) = &needed {
@@ -27,7 +28,11 @@ pub(crate) fn run(args: &ModelsArgs) -> Done {
     }
     let there = |network: &Network| status.iter().any(|r| r.known.network == *network && r.found.is_some());
     let missing = needed.iter().flatten().filter(|one| !one.iter().any(there));
-    let missing: Vec<&str> = missing.map(|one| one[0].known().title).collect();
+    let mut missing: Vec<&str> = missing.map(|one| one[0].known().title).collect();
+    // The files of a preset are also opened: a run would refuse a damaged one.
+    let unusable = |network: Network| needed.as_ref().and_then(|_| folder.check(network).err());
+    let found = status.iter().filter(|row| row.found.is_some());
+    missing.extend(found.filter(|row| unusable(row.known.network).is_some()).map(|row| row.known.title));
     let complete = || match (missing.is_empty(), &args.preset) {
         (false, Some(preset)) => Err(CliError::Input(format!(
             "missing for the preset {preset}: {}; the list above says where to put each file",
@@ -55,6 +60,9 @@ pub(crate) fn run(args: &ModelsArgs) -> Done {
         };
         println!("{mark}  {:<28} {}", row.known.title, row.known.used_for);
         println!("         {file}");
+        if let Some(reason) = row.found.as_ref().and_then(|_| unusable(row.known.network)) {
+            println!("         cannot be used: {reason}");
+        }
         let size = bytes(row.known.bytes);
         println!("         {size}, {}, {}\n", row.known.licence, row.known.origin);
     }

@@ -5,7 +5,11 @@
 //! run begins, never a result, and is part of no stage's code and of no key. Captures are not in it: a
 //! missing capture fails only its own scene, and the others run.
 
+#[cfg(feature = "nets")]
+use std::collections::BTreeMap;
 use std::path::Path;
+#[cfg(feature = "nets")]
+use std::sync::Mutex;
 
 use serde_json::Value;
 use use3d_build::{AllParameters, Lacking, Named, Stage};
@@ -59,9 +63,26 @@ fn without_nu2net(all: &AllParameters, stage: &str) -> String {
     format!("--set {stage}.proposer=fusion")
 }
 
-/// Nu2Net's weights if they are missing and the parameters of a stage name the network.
+/// Nu2Net's weights if the parameters of a stage name the network and they are missing, or if they are there
+/// for `auto` and cannot be used.
 fn weights(all: &AllParameters, named: &Named, stage: &str) -> Option<Lacking> {
-    (text(all, stage, "proposer") == "nu2net").then(|| nu2net(all, named, stage)).flatten()
+    match text(all, stage, "proposer") {
+        "nu2net" => nu2net(all, named, stage),
+        "auto" => nu2net(all, named, stage).filter(|_| has_nu2net(named)),
+        _ => None,
+    }
+}
+
+#[cfg(feature = "nets")]
+fn has_nu2net(named: &Named) -> bool {
+    use use3d_nets::Network::{Nu2Net, Nu2NetReleased};
+    let folder = named.path("models").filter(|dir| dir.is_dir()).map(use3d_nets::Models::open);
+    folder.is_some_and(|folder| [Nu2NetReleased, Nu2Net].iter().any(|network| folder.has(*network)))
+}
+
+#[cfg(not(feature = "nets"))]
+fn has_nu2net(_: &Named) -> bool {
+    false
 }
 
 #[cfg(feature = "nets")]
@@ -82,13 +103,35 @@ fn no_networks(what: &str, without: String) -> Lacking {
     Lacking { what: what.into(), remedy, without }
 }
 
+/// The reason why the file of a network cannot be used. A file is checked once, for all scenes, until it
+/// changes.
+#[cfg(feature = "nets")]
+fn unusable(folder: &use3d_nets::Models, network: use3d_nets::Network) -> Option<String> {
+    type File = (std::path::PathBuf, u64, Option<std::time::SystemTime>);
+    static CHECKED: Mutex<BTreeMap<File, Option<String>>> = Mutex::new(BTreeMap::new());
+    let path = folder.find(network)?;
+    let metadata = std::fs::metadata(&path).ok()?;
+    let file = (path, metadata.len(), metadata.modified().ok());
+    let mut checked = CHECKED.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    let check = || folder.check(network).err().map(|error| error.to_string());
+    checked.entry(file).or_insert_with(check).clone()
+}
+
 /// The missing weights of a network that is available in several files; `None` if one of them is present.
 #[cfg(feature = "nets")]
 fn network(named: &Named, what: &str, networks: &[use3d_nets::Network], without: String) -> Option<Lacking> {
     let models = named.path("models");
     let folder = models.filter(|dir| dir.is_dir()).map(use3d_nets::Models::open);
-    if folder.is_some_and(|folder| networks.iter().any(|network| folder.has(*network))) {
-        return None;
+    let present = folder.and_then(|folder| {
+        let network = networks.iter().find(|network| folder.has(**network))?;
+        Some(unusable(&folder, *network).map(|reason| {
+            let remedy =
+                format!("{reason}; put the file there that is published at {}", network.known().origin);
+            Lacking { what: format!("{what}, in a file that can be used"), remedy, without: without.clone() }
+        }))
+    });
+    if let Some(found) = present {
+        return found;
     }
     let known: Vec<_> = networks.iter().map(|network| network.known()).collect();
     let files = known.iter().map(|k| format!("{} (published at {})", k.files[0], k.origin));
