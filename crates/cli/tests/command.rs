@@ -326,6 +326,13 @@ fn one_word_for_each_look(scene: &str, capture: &str, dir: &Path) {
     let (_, said) = expect(0, &["export", scene, "--ply", &ply]);
     assert!(count(&std::fs::read(&ply).unwrap()).1.contains("comment what: enhanced\n"));
     assert!(said.contains("the look is baked for") && said.contains("ΔE00"), "{said}");
+    // With the capture's cameras, the held-out views are not baked. The file is compared with the scene
+    // there.
+    let (_, said) = expect(0, &["export", scene, "--ply", &at("seen.ply"), "--cameras", capture]);
+    assert!(said.contains("at 2 held-out views by ΔE00"), "{said}");
+    assert_eq!(std::fs::read(at("seen.ply")).unwrap(), std::fs::read(&ply).unwrap(), "the same cameras");
+    let apart: Vec<f64> = said.split("ΔE00 ").skip(1).map(|s| s[..4].parse().expect("a number")).collect();
+    assert!(apart.len() == 2 && apart.iter().all(|a| (0.0..1.5).contains(a)), "{said}");
     let bare = at("bare.ply");
     expect(0, &["-q", "export", scene, "--ply", &bare, "--no-backdrop"]);
     assert_eq!(count(&std::fs::read(&bare).unwrap()).0, count(&std::fs::read(at("clear.ply")).unwrap()).0);
@@ -455,6 +462,14 @@ fn stages_by_hand_make_the_same_scene_and_export_opens_again() {
         let read = |scene: &str| std::fs::read(Path::new(scene).join(file)).unwrap();
         assert_eq!(read(&one), read(&two), "{file} depends on the number of threads");
     }
+    // The scene says which water it started from, with the errors of the estimate.
+    let read = |file: &str| -> serde_json::Value {
+        serde_json::from_slice(&std::fs::read(Path::new(&one).join(file)).unwrap()).unwrap()
+    };
+    let (scene, choices) = (read("scene.json"), read("choices.json"));
+    let (started, chosen) = (scene["origin"]["water"].as_str().unwrap(), choices["water"].as_str().unwrap());
+    assert!(started.starts_with(chosen) && started.contains("attenuation red "), "{started}");
+    assert!(started.contains(" ± ") && started.ends_with(" per COLMAP unit"), "{started}");
     let ply = at("scene.ply");
     expect(0, &["export", &one, "--ply", &ply]);
     let exported =

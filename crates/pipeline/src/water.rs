@@ -251,6 +251,21 @@ impl WaterReport {
     }
 }
 
+impl WaterReport {
+    /// The attenuation of all channels with its standard errors, in words.
+    pub fn attenuation(&self) -> String {
+        let number = |v: Option<f64>| v.map_or_else(|| "–".to_string(), |v| format!("{v:.4}"));
+        let channel = |c: &ChannelReport| {
+            let ValueReport { value, error } = c.attenuation;
+            format!("{} {} ± {}", c.channel, number(Some(value)), number(error))
+        };
+        format!(
+            "attenuation {} per COLMAP unit",
+            self.channels.iter().map(channel).collect::<Vec<_>>().join(", ")
+        )
+    }
+}
+
 fn channel(channel: &'static str, water: &ChannelWater, radiance: [f64; 3], frame: &Frame) -> ChannelReport {
     let told = |m: Measured, scale: f64| ValueReport {
         value: m.value * scale,

@@ -13,13 +13,16 @@ use use3d_capture::{Capture, View};
 use crate::SceneError;
 use crate::description::Description;
 
-/// The views of the capture that a scene was made from, by stem.
+/// The views of the capture that a scene was made from, by stem, and the water that it started from.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Origin {
     /// The views that were trained with.
     pub train: Vec<String>,
     /// The views that were held out.
     pub held_out: Vec<String>,
+    /// The water that stage 1 started from, as a sentence with its standard errors; older scenes have none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub water: Option<String>,
 }
 
 /// Largest relative difference of the numbers of two frames that count as the frames of one capture.
@@ -30,7 +33,7 @@ impl Origin {
     pub fn of(capture: &Capture) -> Self {
         let stems =
             |indices: &[usize]| indices.iter().map(|&i| capture.views[i].stem().to_string()).collect();
-        Self { train: stems(&capture.split.train), held_out: stems(&capture.split.test) }
+        Self { train: stems(&capture.split.train), held_out: stems(&capture.split.test), water: None }
     }
 
     /// Reads the origin of a scene folder; `None` if it is not recorded.

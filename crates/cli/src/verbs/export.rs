@@ -9,13 +9,14 @@ use std::path::Path;
 use clap::ValueEnum;
 use glam::{DMat3, DVec3};
 use use3d_build::machine::bytes;
-use use3d_capture::{Camera, Frame};
+use use3d_capture::{Camera, Frame, stem};
 use use3d_import::read_cameras;
 use use3d_pipeline::baked::difference;
+use use3d_pipeline::scene_page::is_held_out;
 use use3d_pipeline::stages::CAMERAS;
 use use3d_render::white::balanced;
 use use3d_render::{InWater, Look, Mode, bake_in_water};
-use use3d_scene::{Scene, similarity};
+use use3d_scene::{Origin, Scene, similarity};
 use use3d_splat::{Gaussians, ply};
 use use3d_web::foreign::{NO_WATER, compressed_ply, glb, spz};
 
@@ -127,18 +128,23 @@ fn baked(app: &App, args: &ExportArgs, scene: &Scene) -> Result<(String, Gaussia
         said(app, &dry);
         return Ok((name(&what), dry.gaussians));
     }
-    let cameras = cameras(args, scene)?;
-    let mut wet = bake_in_water(scene, look, args.water, &cameras).map_err(CliError::input)?;
+    let Cameras { through, held_out } = cameras(args, scene)?;
+    let mut wet = bake_in_water(scene, look, args.water, &through).map_err(CliError::input)?;
     said(app, &wet);
     if !app.quiet {
-        let apart = difference(scene, look, args.water, &wet, &cameras).map_err(CliError::failed)?;
+        let apart = |cameras: &[Camera]| -> Result<String, CliError> {
+            let apart = difference(scene, look, args.water, &wet, cameras).map_err(CliError::failed)?;
+            Ok(format!("ΔE00 {:.2} on average ({:.2} at the worst camera)", apart.mean, apart.worst))
+        };
+        let unseen = match held_out.len() {
+            0 => String::new(),
+            n => format!("; at {n} held-out views by {}", apart(&held_out)?),
+        };
         eprintln!(
             "the look is baked for the distances of {} cameras; at these cameras the file differs from the \
-             scene by ΔE00 {:.2} on average ({:.2} at the worst camera); closer up it still shows the water \
-             of these distances",
-            cameras.len(),
-            apart.mean,
-            apart.worst
+             scene by {}{unseen}; closer up it still shows the water of these distances",
+            through.len(),
+            apart(&through)?
         );
     }
     if args.no_backdrop {
@@ -163,8 +169,16 @@ fn said(app: &App, baked: &InWater) {
     }
 }
 
-/// The cameras through whose water the scene is baked, in the scene's frame.
-fn cameras(args: &ExportArgs, scene: &Scene) -> Result<Vec<Camera>, CliError> {
+/// Cameras in the scene's frame.
+struct Cameras {
+    /// Those through whose water the scene is baked.
+    through: Vec<Camera>,
+    /// The held-out views among the given cameras: the file is compared with the scene there, too.
+    held_out: Vec<Camera>,
+}
+
+/// The cameras for a look with water. Held-out views are not baked, unless no other cameras are given.
+fn cameras(args: &ExportArgs, scene: &Scene) -> Result<Cameras, CliError> {
     let own = args.scene.join(CAMERAS);
     let place = match &args.cameras {
         Some(place) => place.clone(),
@@ -178,8 +192,16 @@ fn cameras(args: &ExportArgs, scene: &Scene) -> Result<Vec<Camera>, CliError> {
         }
     };
     let read = read_cameras(&place).map_err(CliError::input)?;
-    let in_scene = |camera: Camera| Camera { pose: scene.frame.apply_pose(&camera.pose), ..camera };
-    Ok(read.into_iter().map(|(_, camera)| in_scene(camera)).collect())
+    let origin = Origin::read(&args.scene).map_err(CliError::input)?;
+    let (mut through, mut held_out) = (Vec::new(), Vec::new());
+    for (name, camera) in read {
+        let camera = Camera { pose: scene.frame.apply_pose(&camera.pose), ..camera };
+        if is_held_out(origin.as_ref(), stem(&name)) { &mut held_out } else { &mut through }.push(camera);
+    }
+    if through.is_empty() {
+        through.clone_from(&held_out);
+    }
+    Ok(Cameras { through, held_out })
 }
 
 /// Half a turn about x, xyzw: COLMAP's y points down and its z away from the viewer.

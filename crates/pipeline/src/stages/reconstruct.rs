@@ -115,10 +115,22 @@ fn imported(context: &StageContext) -> Result<Imported, StageError> {
     use3d_import::load_prepared(context.input("import")?).map_err(StageError::bad_input)
 }
 
+/// The water that a training starts from.
+#[derive(Default)]
+struct Start {
+    /// The water and the views' gains, as far as the tracks give them.
+    known: Known,
+    /// True if the tracks show that there is no water.
+    dry: bool,
+    /// The sentence that was reported.
+    said: String,
+    /// The attenuation from the tracks with its standard errors, as words; empty without an estimate.
+    attenuation: String,
+}
+
 /// The water and the views' gains estimated from the capture's tracks. They are reported and written next to
-/// the scene. The flag is true if the tracks show that there is no water; the text is the sentence that was
-/// reported.
-fn known_from_tracks(context: &StageContext) -> Result<(Known, bool, String), StageError> {
+/// the scene.
+fn known_from_tracks(context: &StageContext) -> Result<Start, StageError> {
     let folder = context.input("import")?;
     let imported = imported(context)?;
     let (water, judgement) =
@@ -138,7 +150,7 @@ fn known_from_tracks(context: &StageContext) -> Result<(Known, bool, String), St
     context.say(&said);
     let found = found_water(&water, judgement);
     let known = Known { water: found, gains: water.gains, tracks: imported.tracks() };
-    Ok((known, judgement.no_water(), said))
+    Ok(Start { known, dry: judgement.no_water(), said, attenuation: report.attenuation() })
 }
 
 /// The start of the water if tracks are not used.
@@ -189,14 +201,15 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
         need.most,
         "lower `reconstruct.max_gaussians`, or `import.size` for smaller images",
     )?;
-    let (known, dry, told) = if params.asks_tracks() {
+    let Start { known, dry, said: told, attenuation } = if params.asks_tracks() {
         known_from_tracks(context)?
     } else {
         let tracks = match params.start_points {
             StartPoints::Triangles | StartPoints::Planes => imported(context)?.tracks(),
             StartPoints::Tracks => Vec::new(),
         };
-        (Known { tracks, ..Known::default() }, false, water_learnt(&params).to_string())
+        let known = Known { tracks, ..Known::default() };
+        Start { known, said: water_learnt(&params).to_string(), ..Start::default() }
     };
     if dry {
         (params.medium, params.medium_prior) = (Medium::None, MediumPrior::Off);
@@ -255,6 +268,7 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
     outcome.scene.save(out)?;
     let depth_prior = prior.trim_start_matches("depth prior: ").to_string();
     let water = told.trim_start_matches("water from tracks: ").to_string();
+    let with_errors = if attenuation.is_empty() { water.clone() } else { format!("{water}; {attenuation}") };
     write_json(&out.join(CHOICES), &Choices { depth_prior, water })?;
     if params.exposure == Exposure::PerView {
         let views =
@@ -262,7 +276,7 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
         let exposures = Exposures { format: "3d-use exposures", version: 1, views: views.collect() };
         write_json(&out.join(EXPOSURES), &exposures)?;
     }
-    Origin::of(&capture).write(out)?;
+    Origin { water: Some(with_errors), ..Origin::of(&capture) }.write(out)?;
     write_cameras(out, &capture)?;
     if let Some(sheet) = sheet(&learnt_from, &outcome.scene)? {
         write_png(&out.join(CONTACT), &sheet)?;
