@@ -1,8 +1,9 @@
 //! Enforces the dependencies of the architecture: a crate may depend only on crates below it and only on
 //! crates that it uses, and heavy or delicate third-party crates stay in the crates that own them. The tests
-//! read `cargo metadata`, so a forbidden dependency fails here at once.
+//! read `cargo metadata`, so a forbidden dependency fails here at once. A type's name belongs to at most two
+//! files of the workspace.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -208,4 +209,88 @@ fn every_declared_dependency_is_used() {
         }
     }
     assert!(unused.is_empty(), "remove from Cargo.toml what nothing names: {unused:#?}");
+}
+
+/// Names that any number of files may define, because Rust programs use them by convention: a module's alias
+/// of `Result`, a module's `Error`, and the parameters of a stage.
+const CONVENTIONAL: &[&str] = &["Result", "Error", "Params"];
+
+/// Names that more than two files still define, with the number of files. Their types are left to rename. The
+/// list only shrinks: nothing is added to it, and a name leaves it when at most two files define it.
+const LEFT_TO_RENAME: &[(&str, usize)] =
+    &[("Folder", 3), ("Made", 3), ("Node", 3), ("Record", 3), ("Row", 3), ("Seen", 4)];
+
+/// The name of the type that a line defines. An indented `type` is an item of a trait or of its
+/// implementation, so it defines no type.
+fn defined_type(line: &str) -> Option<&str> {
+    let item = line.trim_start();
+    let item = match item.strip_prefix("pub") {
+        Some(rest) if rest.starts_with('(') => rest.split_once(") ")?.1,
+        Some(rest) => rest.trim_start(),
+        None => item,
+    };
+    let item = item.strip_prefix("unsafe ").unwrap_or(item);
+    let (keyword, rest) = item.split_once(' ')?;
+    let defines = match keyword {
+        "struct" | "enum" | "trait" | "union" => true,
+        "type" => !line.starts_with(char::is_whitespace),
+        _ => false,
+    };
+    let end = rest.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(rest.len());
+    (defines && end > 0).then(|| &rest[..end])
+}
+
+#[test]
+fn a_definition_of_a_type_is_recognised() {
+    assert_eq!(defined_type("pub struct Scene {"), Some("Scene"));
+    assert_eq!(defined_type("    pub(in crate::plan) enum Step<'a> {"), Some("Step"));
+    assert_eq!(defined_type("struct Film(PathBuf);"), Some("Film"));
+    assert_eq!(defined_type("pub unsafe trait Pod: Copy {"), Some("Pod"));
+    assert_eq!(defined_type("pub(crate) type Rows = Vec<f32>;"), Some("Rows"));
+    for other in ["    type Item = u32;", "let structure = 1;", "fn struct_of() {}", "public struct X", ""] {
+        assert_eq!(defined_type(other), None, "{other}");
+    }
+}
+
+/// Files below `folder` whose names end in `.rs`.
+fn rust_files(folder: &Path) -> Vec<PathBuf> {
+    let (mut open, mut files) = (vec![folder.to_path_buf()], Vec::new());
+    while let Some(path) = open.pop() {
+        if path.is_dir() {
+            open.extend(std::fs::read_dir(&path).expect("a folder").map(|e| e.expect("an entry").path()));
+        } else if path.extension().is_some_and(|e| e == "rs") {
+            files.push(path);
+        }
+    }
+    files
+}
+
+/// A reader who meets a type's name should know which type it is.
+#[test]
+fn a_type_name_stands_in_at_most_two_files() {
+    let mut files: BTreeMap<String, BTreeSet<PathBuf>> = BTreeMap::new();
+    for package in metadata()["packages"].as_array().expect("packages") {
+        let manifest = PathBuf::from(package["manifest_path"].as_str().expect("a path"));
+        let sources = manifest.parent().expect("a folder").join("src");
+        for path in rust_files(&sources) {
+            let text = std::fs::read_to_string(&path).expect("a source file");
+            for name in text.lines().filter_map(defined_type) {
+                files.entry(name.to_string()).or_default().insert(path.clone());
+            }
+        }
+    }
+    assert!(files.len() > 1000, "{} names of types were found", files.len());
+    let allowed = |name: &str| LEFT_TO_RENAME.iter().find(|(left, _)| *left == name).map_or(2, |(_, n)| *n);
+    let repeated: Vec<_> = files
+        .iter()
+        .filter(|(name, places)| !CONVENTIONAL.contains(&name.as_str()) && places.len() > allowed(name))
+        .collect();
+    assert!(repeated.is_empty(), "rename these types so that at most two files share a name: {repeated:#?}");
+    for (name, number) in LEFT_TO_RENAME {
+        let found = files.get(*name).map_or(0, BTreeSet::len);
+        assert!(
+            found >= *number,
+            "{found} files define `{name}`: LEFT_TO_RENAME must say so, or drop the name if at most two do"
+        );
+    }
 }

@@ -5,7 +5,7 @@ use std::hint::black_box;
 use std::sync::Arc;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use use3d_atc::extractor::{ExtractorSettings, Geometry, Source, Workspace};
+use use3d_atc::extractor::{ExtractorSettings, Geometry, SourceImage, Workspace};
 use use3d_capture::Image;
 use use3d_numerics::math;
 
@@ -17,7 +17,7 @@ fn image(width: usize, height: usize, phase: f32) -> Image {
 fn extractor(criterion: &mut Criterion) {
     let geometry = Arc::new(Geometry::new(1400, 933, &ExtractorSettings::default()).expect("good settings"));
     let (w, h) = (geometry.columns().len(), geometry.rows().len());
-    let source = Source::on_lattice(&geometry, &image(w, h, 0.0)).expect("finite");
+    let source = SourceImage::on_lattice(&geometry, &image(w, h, 0.0)).expect("finite");
     let target = image(w, h, 0.4);
     let mut workspace = Workspace::new();
     let mut gradient = Image::new(0, 0);
@@ -32,7 +32,7 @@ fn extractor(criterion: &mut Criterion) {
         });
     });
     criterion.bench_function("source, 1400x933 lattice", |b| {
-        b.iter(|| Source::on_lattice(&geometry, black_box(&target)).expect("finite"));
+        b.iter(|| SourceImage::on_lattice(&geometry, black_box(&target)).expect("finite"));
     });
 }
 

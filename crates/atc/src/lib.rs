@@ -14,7 +14,7 @@
 //! * [`consensus`]: one scene operator, and one local target per Gaussian.
 //!
 //! This crate does not use files, stages or progress bars: artifacts are bytes, and loops report to a
-//! closure ([`progress::Watch`]). Everything is deterministic on any number of threads.
+//! closure ([`progress::ProgressCallback`]). Everything is deterministic on any number of threads.
 
 pub mod calibrator;
 pub mod consensus;

@@ -6,7 +6,7 @@ use crate::error::AtcError;
 
 /// The position of a loop.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Progress<'a> {
+pub enum LoopPosition<'a> {
     /// The loop is about to process a pair of photographs.
     Pair {
         /// Its index, from 0.
@@ -39,15 +39,15 @@ pub enum Progress<'a> {
     },
 }
 
-/// A function that is called at every [`Progress`]; `Break` stops the loop with [`AtcError::Stopped`].
-pub type Watch<'a> = dyn FnMut(Progress<'_>) -> ControlFlow<()> + 'a;
+/// A function that is called at every [`LoopPosition`]; `Break` stops the loop with [`AtcError::Stopped`].
+pub type ProgressCallback<'a> = dyn FnMut(LoopPosition<'_>) -> ControlFlow<()> + 'a;
 
 /// A watch that never stops the loop.
-pub fn unwatched(_: Progress<'_>) -> ControlFlow<()> {
+pub fn unwatched(_: LoopPosition<'_>) -> ControlFlow<()> {
     ControlFlow::Continue(())
 }
 
-pub(crate) fn report(watch: &mut Watch<'_>, progress: Progress<'_>) -> Result<(), AtcError> {
+pub(crate) fn report(watch: &mut ProgressCallback<'_>, progress: LoopPosition<'_>) -> Result<(), AtcError> {
     match watch(progress) {
         ControlFlow::Continue(()) => Ok(()),
         ControlFlow::Break(()) => Err(AtcError::Stopped),

@@ -6,8 +6,8 @@ use use3d_atc::AtcError;
 use use3d_atc::calibrator::{
     Calibrator, CalibratorParams, Dataset, LastLayer, PairImages, Scales, Statistics, evaluate, fit, train,
 };
-use use3d_atc::extractor::{ExtractorSettings, Source, Workspace, affine_apply};
-use use3d_atc::progress::{Progress, unwatched};
+use use3d_atc::extractor::{ExtractorSettings, SourceImage, Workspace, affine_apply};
+use use3d_atc::progress::{LoopPosition, unwatched};
 use use3d_atc::proposers::{Fusion, Proposer, ProposerId};
 use use3d_capture::Image;
 use use3d_numerics::math;
@@ -96,7 +96,7 @@ fn training_brings_held_out_transitions_nearer_and_is_deterministic() {
 #[test]
 fn an_identity_calibrator_returns_the_proposal_exactly() {
     let (water, _) = pair(3);
-    let source = Source::from_image(&water, &ExtractorSettings::default()).unwrap();
+    let source = SourceImage::from_image(&water, &ExtractorSettings::default()).unwrap();
     let mut workspace = Workspace::new();
     let proposal = source.forward(&Fusion.propose(source.image()).unwrap(), &mut workspace).unwrap().clone();
     let calibrator = Calibrator::identity(ExtractorSettings::default(), Fusion.id());
@@ -138,8 +138,8 @@ fn bad_pairs_are_listed_and_too_few_are_an_error() {
 fn a_watch_can_stop_training_and_bad_parameters_are_named() {
     let dataset = Dataset::build(pairs(4), &Timid, &ExtractorSettings::default(), &mut unwatched).unwrap();
     let mut last = 0;
-    let mut watch = |progress: Progress<'_>| {
-        if let Progress::Step { step, .. } = progress {
+    let mut watch = |progress: LoopPosition<'_>| {
+        if let LoopPosition::Step { step, .. } = progress {
             last = step;
             if step == 5 {
                 return ControlFlow::Break(());

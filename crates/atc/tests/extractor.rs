@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use use3d_atc::extractor::{ExtractorSettings, Form, Geometry, Source, Workspace, center};
+use use3d_atc::extractor::{ExtractorSettings, Form, Geometry, SourceImage, Workspace, center};
 use use3d_capture::Image;
 use use3d_golden::{Case, Part};
 use use3d_numerics::math;
@@ -29,7 +29,7 @@ fn cells(case: &Case<'_>, tensor: &str) -> Vec<[f64; 6]> {
 fn golden_values() {
     for case in Part::math("extractor").cases() {
         let (a, b) = (image(&case, "in.a"), image(&case, "in.b"));
-        let source = Source::from_image(&a, &settings(&case)).unwrap();
+        let source = SourceImage::from_image(&a, &settings(&case)).unwrap();
         let mut workspace = Workspace::new();
         let transition = source.forward(&b, &mut workspace).unwrap().clone();
         case.check_f64("out.t", &transition.global);
@@ -60,7 +60,7 @@ fn golden_values() {
 fn golden_gradients() {
     for case in Part::math("extractor").cases() {
         let (a, b) = (image(&case, "in.a"), image(&case, "in.b"));
-        let source = Source::from_image(&a, &settings(&case)).unwrap();
+        let source = SourceImage::from_image(&a, &settings(&case)).unwrap();
         let mut workspace = Workspace::new();
         source.forward(&b, &mut workspace).unwrap();
         let mut pulled = 0;
@@ -128,7 +128,7 @@ fn gradients_agree_with_finite_differences() {
             let a = random_image(w, h, 2 * case as u64);
             let b = random_image(w, h, 2 * case as u64 + 1);
             let direction = random_image(w, h, 100 + case as u64).map(|v| v - 0.4);
-            let source = Source::from_image(&a, &settings).unwrap();
+            let source = SourceImage::from_image(&a, &settings).unwrap();
             let mut workspace = Workspace::new();
             source.forward(&b, &mut workspace).unwrap();
             let stream = Stream::new(9, Purpose::new("cotangents"), case as u64);
@@ -169,7 +169,7 @@ fn gradients_agree_with_finite_differences() {
 fn an_image_and_itself_have_the_zero_transition_exactly() {
     for (w, h) in [(64, 48), (500, 333), (3, 5), (1, 1), (20, 700)] {
         let image = random_image(w, h, 5);
-        let source = Source::from_image(&image, &ExtractorSettings::default()).unwrap();
+        let source = SourceImage::from_image(&image, &ExtractorSettings::default()).unwrap();
         let mut workspace = Workspace::new();
         let transition = source.forward(&image, &mut workspace).unwrap();
         assert_eq!(transition.global, [0.0; 12]);
@@ -188,7 +188,7 @@ fn a_known_affine_is_recovered_up_to_the_ridge() {
             target.set_pixel(x, y, use3d_atc::extractor::affine_apply(&t, colour).map(|v| v as f32));
         }
     }
-    let source = Source::from_image(&image, &ExtractorSettings::default()).unwrap();
+    let source = SourceImage::from_image(&image, &ExtractorSettings::default()).unwrap();
     let mut workspace = Workspace::new();
     let found = source.forward(&target, &mut workspace).unwrap();
     let norm = |v: &[f64]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
@@ -216,8 +216,8 @@ fn the_lattice_gives_the_same_bits_as_the_whole_image() {
     };
     assert_eq!(geometry.lattice().width(), geometry.columns().len());
     assert!(geometry.columns().len() <= 400 && geometry.columns().len() < 700);
-    let whole = Source::new(&geometry, &a).unwrap();
-    let lattice = Source::on_lattice(&geometry, &sample(&a)).unwrap();
+    let whole = SourceImage::new(&geometry, &a).unwrap();
+    let lattice = SourceImage::on_lattice(&geometry, &sample(&a)).unwrap();
     let (mut one, mut two) = (Workspace::new(), Workspace::new());
     let first = whole.forward(&b, &mut one).unwrap();
     let second = lattice.forward_on_lattice(&sample(&b), &mut two).unwrap();
@@ -230,7 +230,7 @@ fn the_same_bits_on_any_number_of_threads() {
     let run = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
-            let source = Source::from_image(&a, &ExtractorSettings::default()).unwrap();
+            let source = SourceImage::from_image(&a, &ExtractorSettings::default()).unwrap();
             let mut workspace = Workspace::new();
             let transition = source.forward(&b, &mut workspace).unwrap().clone();
             let mut gradient = Image::new(0, 0);
@@ -249,10 +249,10 @@ fn bad_images_are_errors() {
     let settings = ExtractorSettings::default();
     let mut bad = random_image(20, 10, 1);
     bad.plane_mut(1)[7] = f32::NAN;
-    assert!(Source::from_image(&bad, &settings).unwrap_err().to_string().contains("not finite"));
-    assert!(Source::from_image(&Image::new(0, 4), &settings).is_err());
+    assert!(SourceImage::from_image(&bad, &settings).unwrap_err().to_string().contains("not finite"));
+    assert!(SourceImage::from_image(&Image::new(0, 4), &settings).is_err());
     assert!(ExtractorSettings { cells: 1, ..ExtractorSettings::default() }.validate().is_err());
-    let source = Source::from_image(&random_image(20, 10, 1), &settings).unwrap();
+    let source = SourceImage::from_image(&random_image(20, 10, 1), &settings).unwrap();
     let mut workspace = Workspace::new();
     assert!(source.forward(&Image::new(3, 0), &mut workspace).is_err());
     assert!(source.forward_on_lattice(&random_image(21, 10, 1), &mut workspace).is_err());
@@ -292,11 +292,11 @@ fn a_sampled_view_has_nearly_the_same_transition() {
     };
     let transition = |geometry: Geometry, source: &Image, target: &Image| {
         let mut workspace = Workspace::new();
-        let source = Source::on_lattice(&Arc::new(geometry), source).unwrap();
+        let source = SourceImage::on_lattice(&Arc::new(geometry), source).unwrap();
         source.forward_on_lattice(target, &mut workspace).unwrap().clone()
     };
     let some = transition(geometry, &pick(&source), &pick(&target));
-    let all = Source::from_image(&source, &settings).unwrap();
+    let all = SourceImage::from_image(&source, &settings).unwrap();
     let mut workspace = Workspace::new();
     let all = all.forward(&target, &mut workspace).unwrap();
     for (a, b) in some.global.iter().zip(&all.global) {

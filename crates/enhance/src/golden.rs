@@ -5,13 +5,13 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use use3d_atc::consensus::ViewTarget;
-use use3d_atc::extractor::{ExtractorSettings, Form, Geometry, Source};
+use use3d_atc::extractor::{ExtractorSettings, Form, Geometry, SourceImage};
 use use3d_capture::{Appearance, Formation, Image, MediumMaps};
 use use3d_golden::{Case, CaseGaussians, Part};
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_splat::{Colors, Gaussians, Options, Prepared, Rasterizer, Rendered, view_colors};
 use use3d_ubaf::objects::guide_color;
-use use3d_ubaf::{Field, FieldBox, Level, ObjectPass, Shape, Water};
+use use3d_ubaf::{Field, FieldBox, Level, ObjectPass, Shape, ViewWater};
 
 use crate::engine::{Goals, Step};
 use crate::losses::{TERMS, named};
@@ -60,7 +60,7 @@ impl Example {
         let mut rendered = Rendered::new();
         let maps = (appearance == Appearance::Water).then_some(maps);
         Rasterizer::new().forward(&prepared, maps.as_ref(), &Options::default(), &mut rendered);
-        let source = Source::on_lattice(&geometry, &rendered.image).unwrap();
+        let source = SourceImage::on_lattice(&geometry, &rendered.image).unwrap();
         let shape = case.shape("in.delta_target");
         let target = ViewTarget {
             grid: (shape[1], shape[0]),
@@ -103,7 +103,7 @@ impl Example {
                 prepared,
                 listed: Listed::all(objects.sites()),
                 base,
-                water: maps.map(Water::new),
+                water: maps.map(ViewWater::new),
             },
             step: Step::new(&field, objects),
             stage1: rendered.image,
@@ -202,7 +202,7 @@ const NOTICED: f64 = 0.01;
 /// `(8 Δ(h) − Δ(2h)) / 6 = 2 h L′ + O(h⁵)`: the cubic term cancels, so that longer distances, which exceed
 /// the rounding more clearly, can be used.
 #[derive(Debug)]
-struct Difference {
+struct FiniteDifference {
     found: f64,
     expected: f64,
     /// The difference that the gradient predicts if every parameter moved uphill.
@@ -211,7 +211,7 @@ struct Difference {
     noise: f64,
 }
 
-impl Difference {
+impl FiniteDifference {
     /// True if the gradient, multiplied by `factor`, agrees with the difference.
     fn agrees(&self, factor: f64) -> bool {
         (self.found - factor * self.expected).abs() < DEVIATION * self.scale + self.noise
@@ -230,7 +230,12 @@ impl Example {
 
     /// The differences along `direction` in the parameters of `range`, one for each distance that clearly
     /// exceeds the rounding.
-    fn differences(&mut self, gradient: &[f64], range: Range<usize>, direction: &[f64]) -> Vec<Difference> {
+    fn differences(
+        &mut self,
+        gradient: &[f64],
+        range: Range<usize>,
+        direction: &[f64],
+    ) -> Vec<FiniteDifference> {
         let start = self.field.parameters.clone();
         let slope: f64 = range.clone().zip(direction).map(|(i, d)| (gradient[i] * d).abs()).sum();
         let mut at = |distance: f64| {
@@ -253,7 +258,7 @@ impl Example {
             // The four values in the combination are rounded separately, which makes its rounding 1.9 times
             // that of a single value. The measured noise has three of them, 2.4 times.
             let noise = noise * f64::from(REPEATS).sqrt();
-            let mut sum = Difference { found: 0.0, expected: 0.0, scale: 0.0, noise };
+            let mut sum = FiniteDifference { found: 0.0, expected: 0.0, scale: 0.0, noise };
             for k in 0..REPEATS {
                 let distance = distance * (1.0 + 0.03 * f64::from(k));
                 let mut over = |distance: f64| {

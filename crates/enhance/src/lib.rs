@@ -46,6 +46,6 @@ pub use labels::{LabelSource, PseudoLabels};
 pub use losses::{Realised, global_loss, local_loss, smooth_l1};
 pub use params::{EnhanceParams, Objective, PixelLoss, Start};
 pub use profile::StepPart;
-pub use report::{LogEntry, Outcome, Report, ViewErrors, ViewReport};
+pub use report::{EnhanceOutcome, LogEntry, Report, ViewErrors, ViewReport};
 pub use run::enhance;
 pub use views::{EnhanceView, Guidance};

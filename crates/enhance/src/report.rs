@@ -106,7 +106,7 @@ impl Report {
 
 /// The result of stage 2.
 #[derive(Clone, Debug)]
-pub struct Outcome {
+pub struct EnhanceOutcome {
     /// The given scene with its enhancement.
     pub scene: Scene,
     /// One entry per window of steps.
@@ -117,7 +117,7 @@ pub struct Outcome {
     pub profile: Profile<StepPart>,
 }
 
-impl Outcome {
+impl EnhanceOutcome {
     /// The log as JSON lines. Equal runs give equal bytes.
     pub fn log_lines(&self) -> String {
         self.log.iter().map(|entry| entry.to_json() + "\n").collect()

@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 use use3d_numerics::random::Purpose;
 use use3d_scene::Scene;
 use use3d_training::{
-    Checkpoints, Drain, Ended, EngineError, NonFinite, Observer, Progress, Resumable, Session, Snapshot,
-    Steps, ViewOrder,
+    Checkpoints, Drain, EngineError, NonFinite, Observer, Resumable, Session, SessionEnd, Snapshot, Steps,
+    TrainingProgress, ViewOrder,
 };
 use use3d_ubaf::water::ratios;
 use use3d_ubaf::{Enhancement, Field, OUTPUTS, ObjectPass};
@@ -16,7 +16,7 @@ use use3d_ubaf::{Enhancement, Field, OUTPUTS, ObjectPass};
 use crate::engine::{Coverage, FieldEngine, FieldPlan, FieldState, Reading, check_inputs, initial_field};
 use crate::fingerprint::fingerprint;
 use crate::losses::Values;
-use crate::report::{LogEntry, Outcome, Report, ViewReport};
+use crate::report::{EnhanceOutcome, LogEntry, Report, ViewReport};
 use crate::views::{EnhanceView, Guidance};
 use crate::window::Window;
 use crate::{EnhanceError, EnhanceParams, Start, ViewErrors};
@@ -27,7 +27,7 @@ const CHECKPOINT: &str = "enhance";
 
 /// All data on which later steps depend.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-struct State {
+struct EnhanceState {
     fingerprint: [u8; 32],
     /// Steps done.
     step: u64,
@@ -37,7 +37,7 @@ struct State {
     before: Vec<Values>,
 }
 
-impl Resumable for State {
+impl Resumable for EnhanceState {
     fn fingerprint(&self) -> &[u8; 32] {
         &self.fingerprint
     }
@@ -62,7 +62,7 @@ pub fn enhance(
     engine: &mut dyn FieldEngine,
     checkpoint_dir: Option<&Path>,
     observer: &mut dyn Observer,
-) -> Result<Outcome, EnhanceError> {
+) -> Result<EnhanceOutcome, EnhanceError> {
     check_inputs(scene, views, guidance, params)?;
     let fingerprint = fingerprint(scene, views, guidance, params)?;
     let steps = if guidance.asks_for_no_change() { 0 } else { params.iterations };
@@ -72,7 +72,7 @@ pub fn enhance(
         every_steps: params.checkpoint_every,
         every_minutes: f64::INFINITY,
     };
-    let mut run = Run {
+    let mut run = EnhanceRun {
         scene,
         views,
         guidance,
@@ -89,14 +89,14 @@ pub fn enhance(
     if !run.resume(&session, observer)? {
         run.begin()?;
     }
-    if let Ended::Stopped { step, saved } = session.run(run.step, &mut run, observer)? {
+    if let SessionEnd::Stopped { step, saved } = session.run(run.step, &mut run, observer)? {
         return Err(EnhanceError::Interrupted { step, steps, saved });
     }
     run.finish()
 }
 
 /// A run between its first and last step.
-struct Run<'a> {
+struct EnhanceRun<'a> {
     scene: &'a Scene,
     views: &'a [EnhanceView],
     guidance: Guidance<'a>,
@@ -113,7 +113,7 @@ struct Run<'a> {
     smooth_loss: Option<f64>,
 }
 
-impl Run<'_> {
+impl EnhanceRun<'_> {
     /// The trained field in the form that a scene stores.
     fn enhancement(&self, field: Field, centre: [f32; OUTPUTS]) -> Enhancement {
         let (appearance, kept_water) = (self.guidance.appearance(), self.guidance.kept_water());
@@ -121,7 +121,7 @@ impl Run<'_> {
     }
 }
 
-impl Steps for Run<'_> {
+impl Steps for EnhanceRun<'_> {
     type Error = EnhanceError;
 
     fn step(&mut self, step: u64, _observer: &mut dyn Observer) -> Result<(), EnhanceError> {
@@ -138,7 +138,7 @@ impl Steps for Run<'_> {
     fn save(&mut self, done: u64, checkpoints: &Checkpoints) -> Result<(), EnhanceError> {
         // Never checkpoint a state that is not finite.
         self.drain(Drain::All)?;
-        let state = State {
+        let state = EnhanceState {
             fingerprint: self.fingerprint,
             step: done,
             engine: self.engine.save()?,
@@ -165,19 +165,19 @@ impl Steps for Run<'_> {
         Ok(Some(Arc::new(Scene { enhancement: Some(enhancement), ..self.scene.clone() })))
     }
 
-    fn shown(&self) -> Progress {
-        Progress {
+    fn shown(&self) -> TrainingProgress {
+        TrainingProgress {
             loss: self.smooth_loss,
             gaussians: Some(self.scene.gaussians.len()),
-            ..Progress::default()
+            ..TrainingProgress::default()
         }
     }
 }
 
-impl Run<'_> {
+impl EnhanceRun<'_> {
     /// Resumes from the furthest state that belongs to this run, if there is one.
     fn resume(&mut self, session: &Session, observer: &mut dyn Observer) -> Result<bool, EnhanceError> {
-        let Some(state) = session.furthest::<State>(observer) else { return Ok(false) };
+        let Some(state) = session.furthest::<EnhanceState>(observer) else { return Ok(false) };
         match self.engine.load(state.engine) {
             Err(EngineError::State(why)) => {
                 observer.notice(&format!(
@@ -233,7 +233,7 @@ impl Run<'_> {
     }
 
     /// Completes the run after the last step.
-    fn finish(mut self) -> Result<Outcome, EnhanceError> {
+    fn finish(mut self) -> Result<EnhanceOutcome, EnhanceError> {
         // This happens only here, after the last checkpoint: a longer run that continues from it still
         // collects data for this line.
         self.drain(Drain::All)?;
@@ -261,6 +261,6 @@ impl Run<'_> {
             Report { views: reports, views_in_memory, transport_ratios, scene_affine, rendered_share };
         let enhancement = self.enhancement(field, centre);
         let scene = Scene { enhancement: Some(enhancement), ..self.scene.clone() };
-        Ok(Outcome { scene, log: self.log, report, profile: self.engine.profile() })
+        Ok(EnhanceOutcome { scene, log: self.log, report, profile: self.engine.profile() })
     }
 }

@@ -3,11 +3,11 @@
 use std::sync::Arc;
 
 use use3d_atc::consensus::{Targets, ViewTarget};
-use use3d_atc::extractor::{ExtractorSettings, Geometry, Source};
+use use3d_atc::extractor::{ExtractorSettings, Geometry, SourceImage};
 use use3d_capture::{Appearance, Camera, Image, KeptWater, Lattice, MediumMaps, Raster, View};
 use use3d_scene::Scene;
 use use3d_splat::{Options, Prepared, Rasterizer, Rendered};
-use use3d_ubaf::{Sites, Water};
+use use3d_ubaf::{Sites, ViewWater};
 
 use crate::EnhanceError;
 use crate::labels::PseudoLabels;
@@ -84,7 +84,7 @@ impl Guidance<'_> {
 #[derive(Clone, Debug)]
 pub enum Reference {
     /// The stage-1 render as the extractor's source, and the local target on its grid.
-    Transition(Box<Source>, ViewTarget),
+    Transition(Box<SourceImage>, ViewTarget),
     /// The pseudo-label's pixels on the lattice, 16 bit.
     Label(Arc<Raster<u16, 3>>),
 }
@@ -201,7 +201,7 @@ pub(crate) struct Frozen {
     /// Their stage-1 colours in this view.
     pub(crate) base: Vec<[f32; 3]>,
     /// The frozen water; `None` in a scene without water, and in clear radiance.
-    pub(crate) water: Option<Water>,
+    pub(crate) water: Option<ViewWater>,
 }
 
 impl Frozen {
@@ -223,7 +223,7 @@ impl Frozen {
         let base = listed.rows(colors);
         let mut maps = MediumMaps::zeros(0, 0);
         let shown = guidance.look_through(scene, camera, lattice, &mut maps);
-        let water = shown.then(|| Water::new(maps));
+        let water = shown.then(|| ViewWater::new(maps));
         Self { prepared, listed, base, water }
     }
 
@@ -241,7 +241,7 @@ impl Frozen {
         self.prepared.memory()
             + listed
             + size_of_val(self.base.as_slice())
-            + self.water.as_ref().map_or(0, Water::bytes)
+            + self.water.as_ref().map_or(0, ViewWater::bytes)
     }
 }
 
@@ -325,7 +325,7 @@ impl<'a> References<'a> {
             Guidance::Targets(targets) => {
                 let mut image = Image::new(0, 0);
                 stage1(&mut self.rasterizer, &mut image);
-                let source = Source::on_lattice(&sampled.geometry, &image)?;
+                let source = SourceImage::on_lattice(&sampled.geometry, &image)?;
                 let target = match known {
                     Some(Reference::Transition(_, target)) => target.clone(),
                     _ => targets.view_target(&self.scene.gaussians, &view.camera, &mut self.rasterizer)?,

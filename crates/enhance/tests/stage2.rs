@@ -9,7 +9,7 @@ use use3d_capture::{Appearance, KeptWater, Lattice};
 use use3d_enhance::engine::{CpuFieldEngine, FieldEngine, Reading};
 use use3d_enhance::losses::TERMS;
 use use3d_enhance::{
-    EnhanceError, EnhanceParams, EnhanceView, Guidance, LogEntry, Objective, Outcome, PixelLoss,
+    EnhanceError, EnhanceOutcome, EnhanceParams, EnhanceView, Guidance, LogEntry, Objective, PixelLoss,
     PseudoLabels, Start,
 };
 use use3d_medium::{MediumGlobal, MediumModel};
@@ -18,7 +18,7 @@ use use3d_numerics::spherical_harmonics::C0;
 use use3d_render::{Look, Renderer};
 use use3d_scene::Scene;
 use use3d_splat::Rendered;
-use use3d_training::{Observer, Progress, Silent};
+use use3d_training::{Observer, Silent, TrainingProgress};
 
 /// Enhances on the processor.
 fn enhance(
@@ -28,7 +28,7 @@ fn enhance(
     params: &EnhanceParams,
     checkpoints: Option<&std::path::Path>,
     observer: &mut dyn Observer,
-) -> Result<Outcome, EnhanceError> {
+) -> Result<EnhanceOutcome, EnhanceError> {
     let mut engine = CpuFieldEngine::new(scene, views, guidance, params, observer)?;
     use3d_enhance::enhance(scene, views, guidance, params, &mut engine, checkpoints, observer)
 }
@@ -47,7 +47,7 @@ impl Watcher {
 }
 
 impl Observer for Watcher {
-    fn progress(&mut self, progress: &Progress) {
+    fn progress(&mut self, progress: &TrainingProgress) {
         self.seen = progress.step;
     }
 
@@ -273,7 +273,7 @@ fn a_share_of_the_water_is_learnt_as_thinner_water() {
     let enhancement = part.scene.enhancement.as_ref().unwrap();
     assert_eq!(enhancement.kept_water, KeptWater([0.5; 3]));
     assert_eq!(all.scene.enhancement.as_ref().unwrap().kept_water, KeptWater::ALL);
-    let errors = |outcome: &Outcome| outcome.report.errors("global").unwrap();
+    let errors = |outcome: &EnhanceOutcome| outcome.report.errors("global").unwrap();
     let ((before, after), (thin_before, thin_after)) = (errors(&part), errors(&all));
     assert!((before - thin_before).abs() < 1e-3 * before, "{before} {thin_before}");
     assert!((after - thin_after).abs() < 0.05 * before, "{after} {thin_after}");
@@ -331,10 +331,10 @@ fn clear_radiance_is_learnt_without_the_water_and_leaves_it_alone() {
     assert_ne!(run(&scene, &wanted).report.views, wet.report.views);
 }
 
-fn same(a: &Outcome, b: &Outcome) {
+fn same(a: &EnhanceOutcome, b: &EnhanceOutcome) {
     assert_eq!(a.scene.enhancement, b.scene.enhancement);
     assert_eq!(a.log_lines(), b.log_lines());
-    let errors = |o: &Outcome| o.report.views.clone();
+    let errors = |o: &EnhanceOutcome| o.report.views.clone();
     assert_eq!(errors(a), errors(b));
 }
 

@@ -25,7 +25,7 @@ use crate::device::Gpu;
 use crate::profile::KernelTime;
 use crate::stage1::{Stage1, ViewWork};
 use crate::stage2::Stage2;
-use crate::twins::{self, Agreement, LossCase, Packed, WaterCase};
+use crate::twins::{self, Agreement, LossCase, SceneSize, WaterCase};
 pub use records::{
     AdapterRecord, BenchRecord, CeilingsRecord, CheckRecord, DeterminismRecord, EnhancementRecord,
     FailedRecord, KernelRecord, RooflineRecord, TimesRecord, TrainingRecord, TwinRecord, ViewRecord,
@@ -51,13 +51,13 @@ pub struct BenchPlan {
 
 impl BenchPlan {
     /// The scenes of the trainings, with their numbers of steps.
-    fn trainings(&self) -> Vec<(Packed, u64)> {
+    fn trainings(&self) -> Vec<(SceneSize, u64)> {
         let middle = (self.sizes.len() / 2, self.gaussians.len() / 2);
         let mut all = Vec::new();
         for (i, &(width, height)) in self.sizes.iter().enumerate() {
             for (k, &gaussians) in self.gaussians.iter().enumerate() {
                 let long = self.long.filter(|_| (i, k) == middle);
-                let scene = Packed { width, height, gaussians, views: VIEWS, seed: 7 };
+                let scene = SceneSize { width, height, gaussians, views: VIEWS, seed: 7 };
                 all.push((scene, long.unwrap_or(self.steps)));
             }
         }
@@ -91,7 +91,7 @@ const PROFILED: u64 = 20;
 const READ: usize = 1000;
 
 /// Starts stage 1 on a packed scene and does one step of each view.
-fn begun(gpu: &Gpu, scene: &Packed) -> Result<Stage1, EngineError> {
+fn begun(gpu: &Gpu, scene: &SceneSize) -> Result<Stage1, EngineError> {
     let mut engine = Stage1::new(gpu)?;
     for view in scene.training_views()? {
         engine.upload(view)?;
@@ -102,9 +102,9 @@ fn begun(gpu: &Gpu, scene: &Packed) -> Result<Stage1, EngineError> {
 }
 
 /// Runs some steps, waits for them, and returns their losses.
-fn go_on(engine: &mut Stage1, scene: &Packed, steps: Range<u64>) -> Result<Vec<f64>, EngineError> {
+fn go_on(engine: &mut Stage1, scene: &SceneSize, steps: Range<u64>) -> Result<Vec<f64>, EngineError> {
     for step in steps {
-        engine.step((step % scene.views.max(1) as u64) as usize, &Packed::plan(step))?;
+        engine.step((step % scene.views.max(1) as u64) as usize, &SceneSize::plan(step))?;
     }
     let reports = engine.drain(Drain::All)?;
     match reports.iter().find_map(|report| report.non_finite) {
@@ -171,14 +171,14 @@ fn roofline(
 }
 
 /// Returns the mean loss of the first steps, one of each view, and that of the last ones.
-fn ends(losses: &[f64], scene: &Packed) -> [f64; 2] {
+fn ends(losses: &[f64], scene: &SceneSize) -> [f64; 2] {
     let mean = |losses: &[f64]| losses.iter().sum::<f64>() / losses.len().max(1) as f64;
     let few = scene.views.min(losses.len());
     [mean(&losses[..few]), mean(&losses[losses.len() - few..])]
 }
 
 /// Times the steps of a packed scene by the processor's clock, and every whole step by the device's.
-fn race(gpu: &Gpu, scene: &Packed, steps: u64, record: &mut TrainingRecord) -> Result<(), EngineError> {
+fn race(gpu: &Gpu, scene: &SceneSize, steps: u64, record: &mut TrainingRecord) -> Result<(), EngineError> {
     let views = scene.views as u64;
     let gpu = &gpu.clone().timed_steps();
     let mut engine = begun(gpu, scene)?;
@@ -189,7 +189,7 @@ fn race(gpu: &Gpu, scene: &Packed, steps: u64, record: &mut TrainingRecord) -> R
     for first in (views..end).step_by(READ) {
         let (started, submitted) = (Instant::now(), gpu.submits());
         for step in first..end.min(first + READ as u64) {
-            engine.step((step % views.max(1)) as usize, &Packed::plan(step))?;
+            engine.step((step % views.max(1)) as usize, &SceneSize::plan(step))?;
         }
         submits += gpu.submits() - submitted;
         losses.extend(go_on(&mut engine, scene, 0..0)?);
@@ -210,7 +210,7 @@ fn race(gpu: &Gpu, scene: &Packed, steps: u64, record: &mut TrainingRecord) -> R
 }
 
 /// Measures the milliseconds of a refinement that replaces every twentieth Gaussian by two.
-fn refine(engine: &mut Stage1, scene: &Packed) -> Result<f64, EngineError> {
+fn refine(engine: &mut Stage1, scene: &SceneSize) -> Result<f64, EngineError> {
     let split = |i: &usize| i.is_multiple_of(20);
     let kept = (0..scene.gaussians).filter(|i| !split(i)).map(Origin::Kept);
     let children = (0..scene.gaussians).filter(split).flat_map(|i| [0, 1].map(|k| Origin::Child(i, k)));
@@ -222,7 +222,7 @@ fn refine(engine: &mut Stage1, scene: &Packed) -> Result<f64, EngineError> {
 }
 
 /// Times the steps of stage 2 on a packed scene by the processor's clock, after one step of each view.
-fn enhance(gpu: &Gpu, scene: &Packed, steps: u64) -> Result<EnhancementRecord, EngineError> {
+fn enhance(gpu: &Gpu, scene: &SceneSize, steps: u64) -> Result<EnhancementRecord, EngineError> {
     let (packed, views) = (scene.scene(), scene.enhance_views()?);
     let targets = twins::targets(scene.gaussians, &views, Appearance::Water);
     let (guidance, params) = (Guidance::Targets(&targets), EnhanceParams::default());
@@ -254,7 +254,7 @@ fn enhance(gpu: &Gpu, scene: &Packed, steps: u64) -> Result<EnhancementRecord, E
 /// every kernel. Results before a failure stay in the record.
 fn train(
     gpu: &Gpu,
-    scene: &Packed,
+    scene: &SceneSize,
     steps: u64,
     ceilings: Option<&Ceilings>,
     record: &mut TrainingRecord,
@@ -297,7 +297,7 @@ fn train(
 }
 
 /// A running benchmark.
-struct Bench<'a> {
+struct BenchRun<'a> {
     gpu: &'a Gpu,
     record: BenchRecord,
     started: Instant,
@@ -307,7 +307,7 @@ struct Bench<'a> {
     keep: &'a mut dyn FnMut(&BenchRecord),
 }
 
-impl Bench<'_> {
+impl BenchRun<'_> {
     /// Passes the current record to `keep`.
     fn hand_over(&mut self) {
         self.record.seconds = self.started.elapsed().as_secs_f64();
@@ -349,7 +349,7 @@ impl Bench<'_> {
             for size in [(61, 47), (96, 64), (257, 33)] {
                 found.extend(run_twins(gpu, size)?);
             }
-            let scene = Packed { width: 61, height: 47, gaussians: 600, views: 2, seed: 3 };
+            let scene = SceneSize { width: 61, height: 47, gaussians: 600, views: 2, seed: 3 };
             for variant in gpu.trials() {
                 let mut engine = Stage1::new(&gpu.clone().with(variant))?;
                 let case = format!("step, {variant}, {scene:?}");
@@ -381,7 +381,7 @@ impl Bench<'_> {
                         hasher.update(case.as_bytes());
                         hasher.update(&agreement.digest);
                     }
-                    let scene = Packed { width: 96, height: 64, gaussians: 2000, views: 3, seed: 5 };
+                    let scene = SceneSize { width: 96, height: 64, gaussians: 2000, views: 3, seed: 5 };
                     for agreement in
                         twins::pictures(&gpu, &scene)?.into_iter().chain(twins::field(&gpu, &scene)?)
                     {
@@ -424,11 +424,11 @@ impl Bench<'_> {
         self.hand_over();
     }
 
-    fn training(&mut self, scene: &Packed, steps: u64, ceilings: Option<&Ceilings>) {
+    fn training(&mut self, scene: &SceneSize, steps: u64, ceilings: Option<&Ceilings>) {
         if self.lost {
             return;
         }
-        let Packed { width, height, gaussians, .. } = *scene;
+        let SceneSize { width, height, gaussians, .. } = *scene;
         let name = format!("{steps} steps at {width} x {height} with {gaussians} Gaussians");
         (self.tell)(&name);
         let mut record = TrainingRecord { size: [width, height], gaussians, ..TrainingRecord::default() };
@@ -467,7 +467,7 @@ pub fn bench(
         seconds: 0.0,
     };
     let started = Instant::now();
-    let mut bench = Bench { gpu, record, started, lost: false, tell: &mut tell, keep: &mut keep };
+    let mut bench = BenchRun { gpu, record, started, lost: false, tell: &mut tell, keep: &mut keep };
     bench.check();
     let ceilings = bench.section("what it does at best", |gpu| measure(gpu, plan.copied, LEAST));
     bench.record.ceilings = ceilings.map(Into::into);

@@ -5,14 +5,14 @@ use std::marker::PhantomData;
 use bytemuck::Pod;
 use use3d_training::EngineError;
 
-use crate::device::{Gpu, Held, NAME};
+use crate::device::{BufferBytes, Gpu, NAME};
 
 /// An array of `T` that kernels read and write. Growing discards its contents.
 #[derive(Debug)]
 pub(crate) struct Array<T> {
     what: &'static str,
     buffer: wgpu::Buffer,
-    held: Held,
+    held: BufferBytes,
     capacity: usize,
     item: PhantomData<T>,
 }
@@ -22,7 +22,7 @@ fn create(
     what: &'static str,
     bytes: u64,
     uniform: bool,
-) -> Result<(wgpu::Buffer, Held), EngineError> {
+) -> Result<(wgpu::Buffer, BufferBytes), EngineError> {
     gpu.fits(what, bytes)?;
     let kind = if uniform { wgpu::BufferUsages::UNIFORM } else { wgpu::BufferUsages::STORAGE };
     let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {

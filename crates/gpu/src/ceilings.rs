@@ -14,7 +14,7 @@ use use3d_training::EngineError;
 use crate::buffer::Array;
 use crate::device::Gpu;
 use crate::kernel::{Access, Kernel, ROWS, Spec, bound, submit};
-use crate::scene::Row;
+use crate::scene::Float4;
 use crate::stage1::ViewWork;
 
 /// Threads of a workgroup.
@@ -91,7 +91,7 @@ fn best(
 }
 
 /// Makes two buffers of `rows` rows; the number is halved repeatedly if memory does not suffice.
-fn pair(gpu: &Gpu, mut rows: usize) -> Result<[Array<Row>; 2], EngineError> {
+fn pair(gpu: &Gpu, mut rows: usize) -> Result<[Array<Float4>; 2], EngineError> {
     loop {
         let both =
             Array::new(gpu, "rows", rows).and_then(|from| Ok([from, Array::new(gpu, "copied rows", rows)?]));
@@ -106,7 +106,7 @@ fn pair(gpu: &Gpu, mut rows: usize) -> Result<[Array<Row>; 2], EngineError> {
 pub(crate) fn measure(gpu: &Gpu, bytes: u64, least: f64) -> Result<Ceilings, EngineError> {
     let gpu = &gpu.clone().timed();
     let (copy, multiply) = (Kernel::new(gpu, &copy())?, Kernel::new(gpu, &multiply())?);
-    let rows = (bytes.min(gpu.longest()) as usize / size_of::<Row>()).max(1);
+    let rows = (bytes.min(gpu.longest()) as usize / size_of::<Float4>()).max(1);
     let [from, to] = pair(gpu, rows)?;
     let (rows, copied) = (from.capacity(), from.size() as u64);
     // The number of dispatches is limited by the clock's places.
@@ -114,9 +114,9 @@ pub(crate) fn measure(gpu: &Gpu, bytes: u64, least: f64) -> Result<Ceilings, Eng
         let time = seconds(gpu, |pass| {
             (0..size).for_each(|_| copy.dispatch(pass, copy.grid(rows), bound![from, to]));
         })?;
-        Ok((2.0 * (rows * size_of::<Row>()) as f64 * f64::from(size), time))
+        Ok((2.0 * (rows * size_of::<Float4>()) as f64 * f64::from(size), time))
     })?;
-    let (rounds, sums) = (Array::uniform(gpu, "rounds")?, Array::<Row>::new(gpu, "sums", MULTIPLIERS)?);
+    let (rounds, sums) = (Array::uniform(gpu, "rounds")?, Array::<Float4>::new(gpu, "sums", MULTIPLIERS)?);
     let flops = best(least, 1 << 20, |size| {
         rounds.write(gpu, 0, &[[size, 0.999f32.to_bits(), 0.001f32.to_bits(), 0]]);
         let time =

@@ -7,7 +7,7 @@
 
 use use3d_training::EngineError;
 
-use crate::device::{DeviceError, Found, Gpu, found, listed, take_first};
+use crate::device::{AdapterChoice, DeviceError, Gpu, found, listed, take_first};
 use crate::twins::{self, Agreement};
 use crate::variant::Variant;
 
@@ -89,7 +89,7 @@ pub fn open_checked(name: Option<&str>) -> Result<Gpu, CheckError> {
     take_first(name, open_sound, CheckError::Several)
 }
 
-fn open_sound(found: &Found) -> Result<Gpu, CheckError> {
+fn open_sound(found: &AdapterChoice) -> Result<Gpu, CheckError> {
     sound(|| Ok(Gpu::of(found)?), check)
 }
 
@@ -113,7 +113,7 @@ fn sound(
 /// Lists every adapter of this machine, the most suitable first, with the result of its check: the variant
 /// of its kernels ([`Gpu::kernels`]), or the reason why it is refused.
 pub fn checked_adapters() -> Vec<(crate::AdapterReport, Result<String, CheckError>)> {
-    let said = |found: Found| {
+    let said = |found: AdapterChoice| {
         let said = open_sound(&found).map(|gpu| gpu.kernels());
         (found.report, said)
     };

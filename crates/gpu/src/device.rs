@@ -10,7 +10,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use use3d_training::EngineError;
 
 use crate::profile::{self, Clock, Timed};
-use crate::scene::{COLORS, Row, SPLAT};
+use crate::scene::{COLORS, Float4, SPLAT};
 use crate::variant::Variant;
 
 /// The engine's name in messages.
@@ -234,21 +234,21 @@ fn first<T, E>(
 
 /// An adapter that may be opened any number of times.
 #[derive(Debug)]
-pub(crate) struct Found {
+pub(crate) struct AdapterChoice {
     pub(crate) report: AdapterReport,
     adapter: wgpu::Adapter,
 }
 
 /// All adapters of this machine, the most suitable first.
-pub(crate) fn found() -> Vec<Found> {
-    enumerate().into_iter().map(|(report, adapter)| Found { report, adapter }).collect()
+pub(crate) fn found() -> Vec<AdapterChoice> {
+    enumerate().into_iter().map(|(report, adapter)| AdapterChoice { report, adapter }).collect()
 }
 
 /// Returns the first of the adapters with this `name` for which `take` succeeds, together with the errors
 /// of those before it. If none succeeds, returns the single error, or `several` of all errors.
 pub(crate) fn take_first<E: From<DeviceError> + std::fmt::Display>(
     name: Option<&str>,
-    take: impl Fn(&Found) -> Result<Gpu, E>,
+    take: impl Fn(&AdapterChoice) -> Result<Gpu, E>,
     several: impl FnOnce(Vec<E>) -> E,
 ) -> Result<Gpu, E> {
     let all = found();
@@ -295,19 +295,19 @@ pub struct Gpu {
 
 /// The bytes of a buffer, counted as long as it exists.
 #[derive(Debug)]
-pub(crate) struct Held {
+pub(crate) struct BufferBytes {
     all: Arc<AtomicU64>,
     bytes: u64,
 }
 
-impl Held {
+impl BufferBytes {
     /// Stops counting the buffer, after it was freed.
     pub(crate) fn let_go(&mut self) {
         self.all.fetch_sub(std::mem::take(&mut self.bytes), Ordering::Relaxed);
     }
 }
 
-impl Drop for Held {
+impl Drop for BufferBytes {
     fn drop(&mut self) {
         self.let_go();
     }
@@ -325,7 +325,7 @@ impl Gpu {
     }
 
     /// Opens an adapter.
-    pub(crate) fn of(Found { report, adapter }: &Found) -> Result<Self, DeviceError> {
+    pub(crate) fn of(AdapterChoice { report, adapter }: &AdapterChoice) -> Result<Self, DeviceError> {
         if let Some(refusal) = &report.refusal {
             return Err(refusal.clone());
         }
@@ -504,10 +504,10 @@ impl Gpu {
     }
 
     /// Counts a buffer.
-    pub(crate) fn hold(&self, bytes: u64) -> Held {
+    pub(crate) fn hold(&self, bytes: u64) -> BufferBytes {
         let held = bytes + self.held.fetch_add(bytes, Ordering::Relaxed);
         self.peak.fetch_max(held, Ordering::Relaxed);
-        Held { all: self.held.clone(), bytes }
+        BufferBytes { all: self.held.clone(), bytes }
     }
 
     /// Number of bytes of all buffers.
@@ -528,7 +528,7 @@ impl Gpu {
 
     /// Largest number of Gaussians whose splats fit into one binding.
     pub fn most_gaussians(&self) -> usize {
-        (self.longest() / (SPLAT * size_of::<Row>()) as u64) as usize
+        (self.longest() / (SPLAT * size_of::<Float4>()) as u64) as usize
     }
 
     /// Number of Gaussians whose colours fit into one binding: see [`crate::chunks`].

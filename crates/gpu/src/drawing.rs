@@ -14,7 +14,7 @@ use crate::constants::{StepConstants, counts};
 use crate::device::{Gpu, NAME};
 use crate::kernel::submit;
 use crate::lists::{ListKernels, Lists};
-use crate::raster::{Outputs, Planes, RasterKernels, WaterPlanes};
+use crate::raster::{Outputs, RasterKernels, RasterPlanes, WaterPlanes};
 use crate::scene::Parameters;
 
 /// A view to draw.
@@ -44,7 +44,7 @@ pub struct Drawing {
     /// Colours of a view that the caller gives.
     given: Chunked,
     lists: Lists,
-    planes: Planes,
+    planes: RasterPlanes,
     /// `c_m`, and `k` of attenuation and backscatter.
     water: [Array<f32>; 3],
     constants: Array<StepConstants>,
@@ -66,7 +66,7 @@ impl Drawing {
             sh_degree: gaussians.sh_degree,
             given: Chunked::new(gpu, "colours of a view", 3, 1)?,
             lists: Lists::new(gpu)?,
-            planes: Planes::new(gpu)?,
+            planes: RasterPlanes::new(gpu)?,
             water: [plane("the water's colour")?, plane("attenuation")?, plane("backscatter")?],
             constants: Array::uniform(gpu, "constants")?,
             counts: Array::new(gpu, "counts of a picture", counts::WORDS)?,
@@ -171,7 +171,7 @@ impl Drawing {
     fn read(&self, view: &DrawnView<'_>, out: &mut Rendered) -> Result<(), EngineError> {
         let (width, height) = (view.lattice.width(), view.lattice.height());
         let n = width * height;
-        let Planes { image, depth, accumulation, veil, object_moment, veil_moment, .. } = &self.planes;
+        let RasterPlanes { image, depth, accumulation, veil, object_moment, veil_moment, .. } = &self.planes;
         let parts = if view.layers { 3 * n } else { 0 };
         let [image, depth, accumulation, object, clear, far] = read_together(
             &self.gpu,

@@ -15,8 +15,8 @@ use crate::constants::{CONSTANTS, CONSTANTS_BINDING, StepConstants, counts};
 use crate::device::{Gpu, NAME};
 use crate::kernel::{Access, Binding, Grid, Kernel, ROWS, Spec, bound, read, submit, write};
 use crate::lists::{ListKernels, Lists};
-use crate::raster::{Outputs, Planes, RasterKernels};
-use crate::scene::{Parameters, Row};
+use crate::raster::{Outputs, RasterKernels, RasterPlanes};
+use crate::scene::{Float4, Parameters};
 use crate::stage2::colors_backward;
 
 /// Number of threads of the kernels over Gaussians.
@@ -54,7 +54,7 @@ pub(crate) fn specs() -> Vec<Spec> {
 
 /// A group of three channels, or fewer at the end.
 #[derive(Debug)]
-struct Part {
+struct LinearBuffers {
     at: Array<[u32; 4]>,
     /// Number of channels.
     channels: usize,
@@ -76,13 +76,13 @@ pub struct LinearSplat {
     parameters: Parameters,
     count: usize,
     lists: Lists,
-    planes: Planes,
+    planes: RasterPlanes,
     constants: Array<StepConstants>,
     counts: Array<u32>,
     tiles: usize,
     pixels: usize,
-    parts: Vec<Part>,
-    records: Array<Row>,
+    parts: Vec<LinearBuffers>,
+    records: Array<Float4>,
     /// A buffer that is bound instead of the absent water.
     nothing: Array<f32>,
 }
@@ -102,7 +102,7 @@ impl LinearSplat {
             parameters: Parameters::of(gpu, gaussians)?,
             count: gaussians.len(),
             lists: Lists::new(gpu)?,
-            planes: Planes::new(gpu)?,
+            planes: RasterPlanes::new(gpu)?,
             constants: Array::uniform(gpu, "constants")?,
             counts: Array::new(gpu, "counts of a view", counts::WORDS)?,
             tiles: 0,
@@ -240,7 +240,7 @@ impl LinearSplat {
         while self.parts.len() < parts {
             let at = Array::uniform(gpu, "channels")?;
             let (planes, values) = (Array::new(gpu, "planes", 1)?, Array::new(gpu, "values", 1)?);
-            self.parts.push(Part { at, channels: 0, planes, values });
+            self.parts.push(LinearBuffers { at, channels: 0, planes, values });
         }
         for (first, part) in (0..channels).step_by(TOGETHER).zip(&mut self.parts) {
             part.channels = TOGETHER.min(channels - first);

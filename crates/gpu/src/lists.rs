@@ -17,7 +17,7 @@ use crate::chunks::CHUNK;
 use crate::constants::{CONSTANTS, CONSTANTS_BINDING, StepConstants, TILE, counts};
 use crate::device::Gpu;
 use crate::kernel::{Access, Binding, Constant, Grid, Kernel, ROWS, Spec, U32S, bound, read};
-use crate::scene::{Parameters, Row, SPLAT};
+use crate::scene::{Float4, Parameters, SPLAT};
 use crate::sort::{Items, Sort, SortKernels};
 
 /// Threads of a workgroup.
@@ -135,17 +135,17 @@ impl ListKernels {
 
 /// A view's lists as the compositor reads them, from any source.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Drawn<'a> {
+pub(crate) struct ViewLists<'a> {
     /// See [`Lists::axes`].
     pub(crate) axes: &'a Array<f32>,
     pub(crate) starts: &'a Array<u32>,
     /// Entries by tile, and by depth within a tile.
     pub(crate) lists: &'a Array<u32>,
     pub(crate) owners: &'a Array<u32>,
-    pub(crate) splats: &'a Array<Row>,
+    pub(crate) splats: &'a Array<Float4>,
 }
 
-impl Drawn<'_> {
+impl ViewLists<'_> {
     /// The buffers of a view that a kernel binds, the constants first.
     pub(crate) fn buffers(&self, constants: &Array<StepConstants>) -> Vec<wgpu::Buffer> {
         bound![*constants, *self.axes, *self.starts, *self.lists, *self.owners, *self.splats]
@@ -159,7 +159,7 @@ pub(crate) struct Lists {
     pub(crate) axes: Array<f32>,
     /// The lattice of the axes.
     lattice: Option<Lattice>,
-    pub(crate) splats: Array<Row>,
+    pub(crate) splats: Array<Float4>,
     tiles: Array<u32>,
     by_depth: Sort,
     partial: Array<u32>,
@@ -169,7 +169,7 @@ pub(crate) struct Lists {
     by_tile: Sort,
     tile_bits: u32,
     pub(crate) starts: Array<u32>,
-    nothing: Array<Row>,
+    nothing: Array<Float4>,
 }
 
 /// Number of entries for which there is room at first.
@@ -266,7 +266,7 @@ impl Lists {
         tiles: usize,
         scene: &Parameters,
         counts: &Array<u32>,
-        records: Option<&Array<Row>>,
+        records: Option<&Array<Float4>>,
     ) {
         let Self { axes, splats, tiles: met, by_depth, partial, offsets, runs, owners, by_tile, .. } = self;
         let Parameters { geometry, colors } = scene;
@@ -303,9 +303,9 @@ impl Lists {
     }
 
     /// The lists as the compositor reads them, after [`Lists::record`].
-    pub(crate) fn drawn(&self) -> Drawn<'_> {
+    pub(crate) fn drawn(&self) -> ViewLists<'_> {
         let Self { axes, starts, owners, splats, .. } = self;
-        Drawn { axes, starts, lists: self.entries(), owners, splats }
+        ViewLists { axes, starts, lists: self.entries(), owners, splats }
     }
 
     /// Entries by tile, and by depth within a tile.

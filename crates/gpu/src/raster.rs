@@ -13,8 +13,8 @@ use crate::buffer::Array;
 use crate::constants::{CONSTANTS, CONSTANTS_BINDING, StepConstants};
 use crate::device::Gpu;
 use crate::kernel::{Access, Binding, Constant, Grid, Kernel, ROWS, Spec, U32S, bound, read, write};
-use crate::lists::Drawn;
-use crate::scene::Row;
+use crate::lists::ViewLists;
+use crate::scene::Float4;
 use crate::variant::{EACH, Variant, WIDTHS};
 
 /// Number of threads of the forward pass: the pixels of a tile.
@@ -27,7 +27,7 @@ const PIXELS: u32 = 256;
 /// The WGSL text that both passes share.
 pub(crate) const SHARED: &str = include_str!("raster/shared.wgsl");
 
-/// The bindings of a view's tiles that passes read; [`Drawn`] in this order.
+/// The bindings of a view's tiles that passes read; [`ViewLists`] in this order.
 pub(crate) const TILE: [Binding; 6] = [
     CONSTANTS_BINDING,
     read("axes"),
@@ -156,7 +156,7 @@ pub(crate) struct WaterPlanes<'a> {
 
 /// The values that the forward pass writes for every pixel.
 #[derive(Debug)]
-pub(crate) struct Planes {
+pub(crate) struct RasterPlanes {
     /// Colour planes.
     pub(crate) image: Array<f32>,
     pub(crate) depth: Array<f32>,
@@ -172,7 +172,7 @@ pub(crate) struct Planes {
     nothing: Array<f32>,
 }
 
-impl Planes {
+impl RasterPlanes {
     pub(crate) fn new(gpu: &Gpu) -> Result<Self, EngineError> {
         Ok(Self {
             image: Array::new(gpu, "image", 1)?,
@@ -234,7 +234,7 @@ impl Planes {
     fn tile(
         &self,
         constants: &Array<StepConstants>,
-        drawn: &Drawn<'_>,
+        drawn: &ViewLists<'_>,
         water: Option<WaterPlanes<'_>>,
     ) -> Vec<wgpu::Buffer> {
         let none = &self.nothing;
@@ -253,7 +253,7 @@ impl Planes {
         pass: &mut wgpu::ComputePass<'_>,
         constants: &Array<StepConstants>,
         tiles: usize,
-        drawn: &Drawn<'_>,
+        drawn: &ViewLists<'_>,
         water: Option<WaterPlanes<'_>>,
         outputs: Outputs,
     ) {
@@ -280,11 +280,11 @@ impl Planes {
         pass: &mut wgpu::ComputePass<'_>,
         constants: &Array<StepConstants>,
         tiles: usize,
-        drawn: &Drawn<'_>,
+        drawn: &ViewLists<'_>,
         water: Option<WaterPlanes<'_>>,
         image_pull: &Array<f32>,
         depth_pull: &Array<f32>,
-        records: &Array<Row>,
+        records: &Array<Float4>,
     ) {
         let kernel = &kernels.backward[usize::from(water.is_some())];
         let mut buffers = self.tile(constants, drawn, water);

@@ -15,7 +15,7 @@ use crate::buffer::Array;
 use crate::chunks::Piece;
 use crate::device::Gpu;
 use crate::kernel::{Access, Constant, Kernel, Spec, U32S, submit};
-use crate::scene::{COLORS, DeviceScene, GEOMETRY, Parameters, Row};
+use crate::scene::{COLORS, DeviceScene, Float4, GEOMETRY, Parameters};
 
 /// The bit of an origin that marks a twin or a child.
 const BORN: u32 = 1 << 31;
@@ -46,7 +46,7 @@ pub(crate) fn specs() -> Vec<Spec> {
 /// The part that one dispatch gathers.
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 #[repr(C)]
-struct Part {
+struct GatherRange {
     /// First Gaussian of the new buffer.
     first: u32,
     /// Number of Gaussians in it.
@@ -66,7 +66,7 @@ struct Part {
 #[derive(Debug)]
 pub(crate) struct RebuildKernel {
     gather: Kernel,
-    part: Array<Part>,
+    part: Array<GatherRange>,
 }
 
 impl RebuildKernel {
@@ -91,8 +91,15 @@ impl RebuildKernel {
             for &(from, source, sources) in old {
                 let [first, count, source, sources, width] =
                     [first, count, source, sources, floats / 4].map(|v| v as u32);
-                let part =
-                    Part { first, count, source, sources, width, inherited: inherited.into(), pad: [0; 2] };
+                let part = GatherRange {
+                    first,
+                    count,
+                    source,
+                    sources,
+                    width,
+                    inherited: inherited.into(),
+                    pad: [0; 2],
+                };
                 self.part.write(gpu, 0, &[part]);
                 let buffers = vec![self.part.raw().clone(), origins.raw().clone(), from.clone(), to.clone()];
                 let grid = self.gather.grid((count * width) as usize);
@@ -113,7 +120,7 @@ impl Parameters {
         [n, to]: [usize; 2],
         inherited: bool,
     ) -> Result<(), EngineError> {
-        let geometry: Array<Row> = self.geometry.another(gpu, GEOMETRY * to)?;
+        let geometry: Array<Float4> = self.geometry.another(gpu, GEOMETRY * to)?;
         let (old, made) = ([(self.geometry.raw(), 0, n)], [(geometry.raw(), 0, to)]);
         kernel.fill(gpu, origins, [&old, &made], 4 * GEOMETRY, inherited)?;
         self.geometry.let_go(gpu);
@@ -158,7 +165,7 @@ impl DeviceScene {
                 };
                 Parameters::rows(mean, log_scales, shapes.quaternions[i], shapes.opacity_logits[i])
             };
-            let rows: Vec<Row> = rows[first..].iter().flat_map(shape).collect();
+            let rows: Vec<Float4> = rows[first..].iter().flat_map(shape).collect();
             self.values.geometry.write(gpu, GEOMETRY * first, &rows);
         }
         self.statistics.grow(gpu, self.count)?;

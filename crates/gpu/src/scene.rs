@@ -9,7 +9,7 @@ use crate::chunks::Chunked;
 use crate::device::{Gpu, NAME};
 
 /// Four floats.
-pub(crate) type Row = [f32; 4];
+pub(crate) type Float4 = [f32; 4];
 /// Number of rows of geometry per Gaussian.
 pub(crate) const GEOMETRY: usize = 3;
 /// Number of floats of colour per Gaussian.
@@ -21,7 +21,7 @@ pub(crate) const SPLAT: usize = 3;
 #[derive(Debug)]
 pub(crate) struct Parameters {
     /// Mean and opacity logit; log scales and 0; quaternion.
-    pub(crate) geometry: Array<Row>,
+    pub(crate) geometry: Array<Float4>,
     /// 16 bands × rgb.
     pub(crate) colors: Chunked,
 }
@@ -52,13 +52,13 @@ impl Parameters {
         [a, b, c]: [f32; 3],
         quaternion: [f32; 4],
         logit: f32,
-    ) -> [Row; GEOMETRY] {
+    ) -> [Float4; GEOMETRY] {
         [[x, y, z, logit], [a, b, c, 0.0], quaternion]
     }
 
     /// Writes these Gaussians; there must be room for them.
     pub(crate) fn write(&self, gpu: &Gpu, g: &Gaussians) {
-        let rows: Vec<Row> = (0..g.len())
+        let rows: Vec<Float4> = (0..g.len())
             .flat_map(|i| Self::rows(g.means[i], g.log_scales[i], g.quaternions[i], g.opacity_logits[i]))
             .collect();
         self.geometry.write(gpu, 0, &rows);
@@ -128,7 +128,7 @@ impl DeviceScene {
         if n <= most {
             return Ok(());
         }
-        let (name, bytes) = (&gpu.adapter().name, SPLAT * size_of::<Row>() * n);
+        let (name, bytes) = (&gpu.adapter().name, SPLAT * size_of::<Float4>() * n);
         let what = format!(
             "the splats of {n} Gaussians would take {bytes} bytes in one piece, `{name}` binds at most {}: {most} Gaussians (`max_gaussians`)",
             gpu.longest()

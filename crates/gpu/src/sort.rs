@@ -25,7 +25,7 @@ const PASSES: usize = 4;
 /// The data of one pass for its kernels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
-struct Pass {
+struct SortPass {
     shift: u32,
     items: u32,
     blocks: u32,
@@ -107,8 +107,8 @@ pub(crate) struct Sort {
     values: [Array<u32>; 2],
     table: Array<u32>,
     totals: Array<u32>,
-    passes: Vec<Array<Pass>>,
-    written: [Pass; PASSES],
+    passes: Vec<Array<SortPass>>,
+    written: [SortPass; PASSES],
 }
 
 impl Sort {
@@ -122,7 +122,7 @@ impl Sort {
             table: Array::new(gpu, "digit counts", DIGITS * capacity.div_ceil(BLOCK).max(1))?,
             totals: Array::new(gpu, "digit totals", DIGITS)?,
             passes: (0..PASSES).map(|_| Array::uniform(gpu, "sort pass")).collect::<Result<_, _>>()?,
-            written: [Pass::default(); PASSES],
+            written: [SortPass::default(); PASSES],
         })
     }
 
@@ -170,7 +170,7 @@ impl Sort {
         };
         for (at, array) in self.passes.iter().enumerate().take(Self::passes(bits)) {
             let blocks = count.div_ceil(BLOCK) as u32;
-            let pass = Pass { shift: 8 * at as u32, items: count as u32, blocks, counted };
+            let pass = SortPass { shift: 8 * at as u32, items: count as u32, blocks, counted };
             if self.written[at] != pass {
                 array.write(gpu, 0, &[pass]);
                 self.written[at] = pass;

@@ -12,8 +12,8 @@ use crate::constants::{StepConstants, counts};
 use crate::device::Gpu;
 use crate::kernel::submit;
 use crate::lists::{ListKernels, Lists};
-use crate::raster::{Outputs, Planes, RasterKernels, WaterPlanes};
-use crate::scene::{DeviceScene, Row};
+use crate::raster::{Outputs, RasterKernels, RasterPlanes, WaterPlanes};
+use crate::scene::{DeviceScene, Float4};
 use crate::testing::{camera, cloud, elsewhere, relative, software, water};
 use crate::update::UpdateKernels;
 use crate::variant::Variant;
@@ -31,7 +31,7 @@ const RATES: StepRates = StepRates {
 };
 
 /// The buffers and kernels for one view, outside an engine.
-struct Bench {
+struct ViewKernels {
     gpu: Gpu,
     lists: ListKernels,
     raster: RasterKernels,
@@ -39,7 +39,7 @@ struct Bench {
 }
 
 /// The device's results for a view: picture and gradients.
-struct Drawn {
+struct ViewResult {
     image: Vec<f32>,
     depth: Vec<f32>,
     accumulation: Vec<f32>,
@@ -112,7 +112,7 @@ impl Case {
     }
 }
 
-impl Bench {
+impl ViewKernels {
     /// One bench for each variant of the software adapter; none without the adapter.
     fn each() -> Vec<Self> {
         Self::of(|gpu| gpu.variants())
@@ -134,12 +134,12 @@ impl Bench {
 
     /// Draws and differentiates with every buffer poisoned, with room for `room` entries, and more if they
     /// do not suffice.
-    fn draw(&self, case: &Case, room: usize) -> Drawn {
+    fn draw(&self, case: &Case, room: usize) -> ViewResult {
         let (gpu, n) = (&self.gpu, case.gaussians.len());
         let mut scene = DeviceScene::new(gpu).unwrap();
         let (moments, statistics) = (Moments::new(&case.gaussians), Statistics::new(n));
         scene.write(gpu, &case.gaussians, &moments, &statistics).unwrap();
-        let (mut lists, mut planes) = (Lists::new(gpu).unwrap(), Planes::new(gpu).unwrap());
+        let (mut lists, mut planes) = (Lists::new(gpu).unwrap(), RasterPlanes::new(gpu).unwrap());
         lists.grow(gpu, room).unwrap();
         let degree = case.degree.min(case.gaussians.sh_degree);
         let mut constants = StepConstants::on(&case.camera, &case.lattice, n, degree, lists.capacity());
@@ -149,7 +149,7 @@ impl Bench {
         constants.screen = [constants.size[0] as f32 * 0.5, constants.size[1] as f32 * 0.5, 0.0, 0.0];
         lists.prepare(gpu, &constants, &case.lattice).unwrap();
         planes.grow(gpu, pixels).unwrap();
-        let records = Array::<Row>::new(gpu, "records", 3 * lists.capacity()).unwrap();
+        let records = Array::<Float4>::new(gpu, "records", 3 * lists.capacity()).unwrap();
         lists.poison(gpu);
         planes.poison(gpu);
         records.poison(gpu);
@@ -205,7 +205,7 @@ impl Bench {
         assert_eq!(told[counts::STOP], 0, "not finite: {:b}", told[counts::BAD]);
         let of = |array: &Array<f32>, n: usize| array.read(gpu, n).unwrap();
         let order = lists.visible(gpu, n);
-        Drawn {
+        ViewResult {
             image: of(&planes.image, 3 * pixels),
             depth: of(&planes.depth, pixels),
             accumulation: of(&planes.accumulation, pixels),
@@ -230,7 +230,7 @@ fn exponents(maps: &MediumMaps, case: &Case) -> [Vec<f32>; 3] {
 }
 
 /// Compares the device's view with the processor's.
-fn agree(bench: &Bench, case: &Case, room: usize, what: &str) -> Drawn {
+fn agree(bench: &ViewKernels, case: &Case, room: usize, what: &str) -> ViewResult {
     let what = &format!("{what}, {}", bench.gpu.variant());
     let drawn = bench.draw(case, room);
     let (prepared, rendered, gradients, maps) = case.cpu();
@@ -280,12 +280,12 @@ fn agree(bench: &Bench, case: &Case, room: usize, what: &str) -> Drawn {
 
 #[test]
 fn a_view_is_drawn_and_differentiated_as_on_the_processor() {
-    for bench in Bench::each() {
+    for bench in ViewKernels::each() {
         views_agree(&bench);
     }
 }
 
-fn views_agree(bench: &Bench) {
+fn views_agree(bench: &ViewKernels) {
     for n in [0usize, 1, 255, 256, 257, 600] {
         for wet in [false, true] {
             // There is room for one entry at first: the overflow is reported, changes nothing, and is
@@ -306,12 +306,12 @@ fn views_agree(bench: &Bench) {
 
 #[test]
 fn a_huge_one_needles_and_full_tiles_are_drawn_alike() {
-    for bench in Bench::each() {
+    for bench in ViewKernels::each() {
         hard_cases_agree(&bench);
     }
 }
 
-fn hard_cases_agree(bench: &Bench) {
+fn hard_cases_agree(bench: &ViewKernels) {
     let mut huge = cloud(40, -3.5, 0.0);
     huge.means[7] = [0.0, 0.0, 4.0];
     huge.log_scales[7] = [2.0, 2.5, 1.0];
@@ -330,7 +330,7 @@ fn hard_cases_agree(bench: &Bench) {
 
 #[test]
 fn the_same_view_is_the_same_bytes() {
-    for bench in Bench::each() {
+    for bench in ViewKernels::each() {
         let case = Case::new(cloud(400, -3.0, 0.5), 61, 47, true);
         let (a, b) = (bench.draw(&case, 1 << 15), bench.draw(&case, 1));
         assert!(a.image == b.image && a.depth == b.depth && a.along == b.along);
@@ -342,7 +342,7 @@ fn the_same_view_is_the_same_bytes() {
 /// The test that [`subgroups_of_every_width_agree`] runs in processes of other widths.
 #[test]
 fn subgroups_of_this_width_agree() {
-    for bench in Bench::of(Gpu::trials) {
+    for bench in ViewKernels::of(Gpu::trials) {
         agree(&bench, &Case::new(cloud(600, -2.5, 0.5), 75, 58, true), 1, "600");
         println!("\nagrees with {}.", bench.gpu.variant());
     }

@@ -13,7 +13,7 @@ use crate::constants::{CONSTANTS, CONSTANTS_BINDING, StepConstants, counts};
 use crate::device::Gpu;
 use crate::kernel::{Access, Grid, Kernel, ROWS, Spec, bound, write};
 use crate::lists::{HARMONICS, Lists, PROJECTION};
-use crate::scene::{DeviceScene, Row};
+use crate::scene::{DeviceScene, Float4};
 
 /// Threads of a workgroup.
 const THREADS: u32 = 128;
@@ -110,7 +110,7 @@ impl UpdateKernels {
         constants: &Array<StepConstants>,
         counts: &Array<u32>,
         lists: &Lists,
-        records: &Array<Row>,
+        records: &Array<Float4>,
         scene: &DeviceScene,
     ) {
         let DeviceScene { values, first, second, statistics, .. } = scene;

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 /// The file formats that are read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Format {
+pub enum FileFormat {
     /// Portable Network Graphics, 1 to 16 bits.
     Png,
     /// JPEG, 8 bits.
@@ -18,7 +18,7 @@ pub enum Format {
     Npy,
 }
 
-impl fmt::Display for Format {
+impl fmt::Display for FileFormat {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Png => "PNG",
@@ -62,7 +62,7 @@ pub enum ImageError {
         /// The file.
         path: PathBuf,
         /// Its format.
-        format: Format,
+        format: FileFormat,
         /// Announced width.
         width: u64,
         /// Announced height.
@@ -79,7 +79,7 @@ pub enum ImageError {
         /// The file.
         path: PathBuf,
         /// Its format.
-        format: Format,
+        format: FileFormat,
         /// The decoder's error.
         reason: String,
     },
@@ -104,7 +104,7 @@ pub enum ImageError {
 }
 
 impl ImageError {
-    pub(crate) fn decode(path: &Path, format: Format, reason: impl fmt::Display) -> Self {
+    pub(crate) fn decode(path: &Path, format: FileFormat, reason: impl fmt::Display) -> Self {
         Self::Decode { path: path.to_path_buf(), format, reason: reason.to_string() }
     }
 

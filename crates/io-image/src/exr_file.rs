@@ -9,7 +9,7 @@ use use3d_capture::{Image, Map};
 use use3d_files::write_atomically;
 
 use crate::decoded::{Decoded, Samples};
-use crate::error::{Format, ImageError};
+use crate::error::{FileFormat, ImageError};
 use crate::limits::check_size;
 
 /// Names under which a single channel of interest is looked for, best first.
@@ -21,7 +21,7 @@ pub(crate) fn header(
     reader: impl std::io::BufRead,
     path: &Path,
 ) -> std::result::Result<(u64, u64, Vec<String>, usize), ImageError> {
-    let fail = |reason: String| ImageError::decode(path, Format::Exr, reason);
+    let fail = |reason: String| ImageError::decode(path, FileFormat::Exr, reason);
     let meta = exr::meta::MetaData::read_from_buffered(reader, false).map_err(|e| fail(e.to_string()))?;
     let header = meta
         .headers
@@ -60,7 +60,7 @@ pub(crate) fn pick(names: &[String], path: &Path) -> std::result::Result<Vec<usi
 
 pub(crate) fn decode(bytes: &[u8], path: &Path) -> std::result::Result<Decoded, ImageError> {
     let (width, height, _, bytes_per_pixel) = header(Cursor::new(bytes), path)?;
-    check_size(path, Format::Exr, width, height, bytes_per_pixel as u64, bytes.len() as u64)?;
+    check_size(path, FileFormat::Exr, width, height, bytes_per_pixel as u64, bytes.len() as u64)?;
     let image = read()
         .no_deep_data()
         .largest_resolution_level()
@@ -69,7 +69,7 @@ pub(crate) fn decode(bytes: &[u8], path: &Path) -> std::result::Result<Decoded, 
         .all_attributes()
         .non_parallel()
         .from_buffered(Cursor::new(bytes))
-        .map_err(|e| ImageError::decode(path, Format::Exr, e))?;
+        .map_err(|e| ImageError::decode(path, FileFormat::Exr, e))?;
     let layer = &image.layer_data;
     let (width, height) = (layer.size.width(), layer.size.height());
     let list = &layer.channel_data.list;
@@ -80,7 +80,7 @@ pub(crate) fn decode(bytes: &[u8], path: &Path) -> std::result::Result<Decoded, 
     for (k, &channel) in picked.iter().enumerate() {
         let data = &list[channel].sample_data;
         if data.len() != n {
-            return Err(ImageError::decode(path, Format::Exr, "a channel is subsampled"));
+            return Err(ImageError::decode(path, FileFormat::Exr, "a channel is subsampled"));
         }
         for (p, value) in data.values_as_f32().enumerate() {
             samples[p * picked.len() + k] = value;

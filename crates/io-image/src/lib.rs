@@ -31,7 +31,7 @@ mod write;
 
 pub use decoded::{Decoded, Samples};
 pub use embed::{JpegError, jpeg_address, shrunk};
-pub use error::{Format, ImageError};
+pub use error::{FileFormat, ImageError};
 pub use exr_file::{write_exr, write_exr_channels, write_exr_map};
 pub use limits::MAX_PIXELS;
 pub use read::{

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::error::{Format, ImageError};
+use crate::error::{FileFormat, ImageError};
 
 /// The largest number of pixels of a file: 2^27, about 134 million.
 pub const MAX_PIXELS: u64 = 1 << 27;
@@ -17,7 +17,7 @@ const MAX_COMPRESSION: u64 = 4096;
 /// Checks an announced size against the limits and against the length of the file that announces it.
 pub(crate) fn check_size(
     path: &Path,
-    format: Format,
+    format: FileFormat,
     width: u64,
     height: u64,
     bytes_per_pixel: u64,

@@ -7,7 +7,7 @@ use std::path::Path;
 use npyz::{DType, NpyHeader, Order, TypeChar};
 
 use crate::decoded::{Decoded, Samples};
-use crate::error::{Format, ImageError};
+use crate::error::{FileFormat, ImageError};
 use crate::limits::check_size;
 
 const MAGIC: &[u8] = b"\x93NUMPY";
@@ -18,7 +18,7 @@ const MAX_BRACKETS: usize = 16;
 
 /// Parses the header after limiting the work that it can cause in the parser.
 pub(crate) fn header(mut reader: impl Read, path: &Path) -> Result<NpyHeader, ImageError> {
-    let fail = |reason: String| ImageError::decode(path, Format::Npy, reason);
+    let fail = |reason: String| ImageError::decode(path, FileFormat::Npy, reason);
     let mut head = [0u8; 12];
     reader.read_exact(&mut head[..10]).map_err(|_| fail("it ends within its header".into()))?;
     let (prefix, length) = if head[..6] == *MAGIC && head[6] == 1 {
@@ -65,11 +65,11 @@ pub(crate) fn element_size(header: &NpyHeader) -> u64 {
 }
 
 pub(crate) fn decode(bytes: &[u8], path: &Path) -> Result<Decoded, ImageError> {
-    let fail = |reason: String| ImageError::decode(path, Format::Npy, reason);
+    let fail = |reason: String| ImageError::decode(path, FileFormat::Npy, reason);
     let mut rest = bytes;
     let header = header(&mut rest, path)?;
     let (width, height, channels) = dimensions(&header, path)?;
-    let (w, h) = check_size(path, Format::Npy, width, height, channels * 4, bytes.len() as u64)?;
+    let (w, h) = check_size(path, FileFormat::Npy, width, height, channels * 4, bytes.len() as u64)?;
     let c = channels as usize;
     let count = w * h * c;
     let size = element_size(&header);

@@ -13,7 +13,7 @@ use tiff::decoder::DecodingResult;
 use use3d_capture::{Image, Map, Pixels};
 
 use crate::decoded::{Decoded, Samples};
-use crate::error::{Format, ImageError};
+use crate::error::{FileFormat, ImageError};
 use crate::limits::{MAX_PIXELS, check_size};
 use crate::{exr_file, jpeg, npy, png_file};
 
@@ -25,7 +25,7 @@ pub struct ImageInfo {
     /// Height, pixels.
     pub height: usize,
     /// The format, by the file's first bytes.
-    pub format: Format,
+    pub format: FileFormat,
     /// True if there is an alpha channel.
     pub alpha: bool,
 }
@@ -35,16 +35,16 @@ fn open_error(path: &Path) -> impl Fn(std::io::Error) -> ImageError + '_ {
 }
 
 /// The format that the first bytes belong to.
-fn detect(start: &[u8]) -> Option<Format> {
-    const SIGNATURES: [(&[u8], Format); 8] = [
-        (b"\x89PNG\r\n\x1a\n", Format::Png),
-        (b"\xFF\xD8\xFF", Format::Jpeg),
-        (b"II*\0", Format::Tiff),
-        (b"MM\0*", Format::Tiff),
-        (b"II+\0", Format::Tiff),
-        (b"MM\0+", Format::Tiff),
-        (b"\x76\x2f\x31\x01", Format::Exr),
-        (b"\x93NUMPY", Format::Npy),
+fn detect(start: &[u8]) -> Option<FileFormat> {
+    const SIGNATURES: [(&[u8], FileFormat); 8] = [
+        (b"\x89PNG\r\n\x1a\n", FileFormat::Png),
+        (b"\xFF\xD8\xFF", FileFormat::Jpeg),
+        (b"II*\0", FileFormat::Tiff),
+        (b"MM\0*", FileFormat::Tiff),
+        (b"II+\0", FileFormat::Tiff),
+        (b"MM\0+", FileFormat::Tiff),
+        (b"\x76\x2f\x31\x01", FileFormat::Exr),
+        (b"\x93NUMPY", FileFormat::Npy),
     ];
     SIGNATURES.iter().find(|(s, _)| start.starts_with(s)).map(|&(_, f)| f)
 }
@@ -73,25 +73,25 @@ fn info(mut reader: impl BufRead + Seek, length: u64, path: &Path) -> Result<Ima
     }
     let format = detect(start).ok_or_else(|| ImageError::UnknownFormat { path: path.to_path_buf() })?;
     let (width, height, bytes_per_pixel, alpha) = match format {
-        Format::Exr => {
+        FileFormat::Exr => {
             let (w, h, names, bytes) = exr_file::header(reader, path)?;
             let picked = exr_file::pick(&names, path)?;
             (w, h, bytes as u64, picked.len() == 4)
         }
-        Format::Npy => {
+        FileFormat::Npy => {
             let header = npy::header(&mut reader, path)?;
             let (w, h, c) = npy::dimensions(&header, path)?;
             (w, h, c * npy::element_size(&header), c % 2 == 0)
         }
-        Format::Jpeg => {
+        FileFormat::Jpeg => {
             let frame = jpeg::frame(&mut reader).map_err(|e| ImageError::decode(path, format, e))?;
             (frame.width, frame.height, 3, false)
         }
-        Format::Png => {
+        FileFormat::Png => {
             let head = png_file::header(&mut reader).map_err(|e| ImageError::decode(path, format, e))?;
             (head.width, head.height, head.bytes_per_pixel, head.alpha)
         }
-        Format::Tiff => tiff_header(reader, path)?,
+        FileFormat::Tiff => tiff_header(reader, path)?,
     };
     let (width, height) = check_size(path, format, width, height, bytes_per_pixel, length)?;
     Ok(ImageInfo { width, height, format, alpha })
@@ -110,10 +110,10 @@ fn decoder_limits(pixels: u64) -> image::Limits {
     limits
 }
 
-fn photo_reader<R: BufRead + Seek>(reader: R, format: Format, pixels: u64) -> ImageReader<R> {
+fn photo_reader<R: BufRead + Seek>(reader: R, format: FileFormat, pixels: u64) -> ImageReader<R> {
     let format = match format {
-        Format::Png => ImageFormat::Png,
-        Format::Jpeg => ImageFormat::Jpeg,
+        FileFormat::Png => ImageFormat::Png,
+        FileFormat::Jpeg => ImageFormat::Jpeg,
         _ => ImageFormat::Tiff,
     };
     let mut reader = ImageReader::with_format(reader, format);
@@ -123,7 +123,7 @@ fn photo_reader<R: BufRead + Seek>(reader: R, format: Format, pixels: u64) -> Im
 
 /// Width, height, bytes per pixel and alpha of a TIFF.
 fn tiff_header(mut reader: impl BufRead + Seek, path: &Path) -> Result<(u64, u64, u64, bool), ImageError> {
-    let format = Format::Tiff;
+    let format = FileFormat::Tiff;
     if let Some((width, height)) = float_tiff_size(&mut reader, path)? {
         return Ok((width, height, 8, false));
     }
@@ -140,7 +140,7 @@ fn float_tiff_size(
     reader: &mut (impl BufRead + Seek),
     path: &Path,
 ) -> Result<Option<(u64, u64)>, ImageError> {
-    let fail = |e: tiff::TiffError| ImageError::decode(path, Format::Tiff, e);
+    let fail = |e: tiff::TiffError| ImageError::decode(path, FileFormat::Tiff, e);
     let mut decoder = tiff::decoder::Decoder::new(&mut *reader).map_err(fail)?;
     let (width, height) = decoder.dimensions().map_err(fail)?;
     let float = |d: &mut tiff::decoder::Decoder<_>| {
@@ -158,7 +158,7 @@ fn float_tiff_size(
 }
 
 fn decode_float_tiff(bytes: &[u8], width: usize, height: usize, path: &Path) -> Result<Decoded, ImageError> {
-    let fail = |e: tiff::TiffError| ImageError::decode(path, Format::Tiff, e);
+    let fail = |e: tiff::TiffError| ImageError::decode(path, FileFormat::Tiff, e);
     let mut limits = tiff::decoder::Limits::default();
     limits.decoding_buffer_size = width * height * 8;
     limits.intermediate_buffer_size = width * height * 8 + (1 << 20);
@@ -174,13 +174,17 @@ fn decode_float_tiff(bytes: &[u8], width: usize, height: usize, path: &Path) -> 
         _ => {
             return Err(ImageError::decode(
                 path,
-                Format::Tiff,
+                FileFormat::Tiff,
                 "its samples differ from what its header says",
             ));
         }
     };
     if samples.len() != width * height {
-        return Err(ImageError::decode(path, Format::Tiff, "it holds fewer samples than its header says"));
+        return Err(ImageError::decode(
+            path,
+            FileFormat::Tiff,
+            "it holds fewer samples than its header says",
+        ));
     }
     Ok(Decoded { width, height, channels: 1, samples: Samples::Float(samples) })
 }
@@ -190,20 +194,21 @@ pub fn decode(bytes: &[u8], path: &Path) -> Result<Decoded, ImageError> {
     let ImageInfo { width, height, format, .. } = info_of_bytes(bytes, path)?;
     let fail = |reason: String| ImageError::decode(path, format, reason);
     match format {
-        Format::Exr => return exr_file::decode(bytes, path),
-        Format::Npy => return npy::decode(bytes, path),
-        Format::Jpeg => {
+        FileFormat::Exr => return exr_file::decode(bytes, path),
+        FileFormat::Npy => return npy::decode(bytes, path),
+        FileFormat::Jpeg => {
             let frame = jpeg::check_whole(bytes).map_err(fail)?;
             if !matches!(frame.components, 1 | 3 | 4) {
                 return Err(fail(format!("it has {} components", frame.components)));
             }
         }
-        Format::Tiff if float_tiff_size(&mut Cursor::new(bytes), path)?.is_some() => {
+        FileFormat::Tiff if float_tiff_size(&mut Cursor::new(bytes), path)?.is_some() => {
             return decode_float_tiff(bytes, width, height, path);
         }
-        Format::Png | Format::Tiff => {}
+        FileFormat::Png | FileFormat::Tiff => {}
     }
-    let pixels = if format == Format::Png { png_file::without_metadata(bytes) } else { Cow::Borrowed(bytes) };
+    let pixels =
+        if format == FileFormat::Png { png_file::without_metadata(bytes) } else { Cow::Borrowed(bytes) };
     let reader = photo_reader(Cursor::new(pixels.as_ref()), format, (width * height) as u64);
     let image = reader.decode().map_err(|e| fail(e.to_string()))?;
     let (width, height) = (image.width() as usize, image.height() as usize);

@@ -88,7 +88,7 @@ fn jpeg_and_tiff_of_all_depths_are_read() {
     let jpeg = dir.path().join("misnamed.png"); // the contents decide
     save(&jpeg, &DynamicImage::ImageRgb8(eight.clone()), ImageFormat::Jpeg);
     let info = image_info(&jpeg).unwrap();
-    assert_eq!((info.format, info.width, info.height), (Format::Jpeg, 64, 48));
+    assert_eq!((info.format, info.width, info.height), (FileFormat::Jpeg, 64, 48));
     let read = read_image(&jpeg).unwrap();
     let worst = read.data().iter().zip(image.data()).fold(0.0f32, |m, (a, b)| m.max((a - b).abs()));
     assert!(worst < 0.1, "{worst}");

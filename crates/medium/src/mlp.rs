@@ -70,7 +70,7 @@ impl Medium for MediumMlp {
         let rays = Rays::new(camera, lattice);
         let level = Level::new();
         let network = Padded::new(self);
-        strips(out).into_par_iter().enumerate().for_each_init(Block::new, |block, (s, mut strip)| {
+        strips(out).into_par_iter().enumerate().for_each_init(PixelBlock::new, |block, (s, mut strip)| {
             let width = rays.width();
             for row in 0..strip[0].len() / width {
                 for start in (0..width).step_by(BLOCK) {
@@ -107,7 +107,7 @@ impl Medium for MediumMlp {
             .into_par_iter()
             .map(|task| {
                 let mut sums = Gradients::new();
-                let mut block = Block::new();
+                let mut block = PixelBlock::new();
                 let width = rays.width();
                 for row in task * rows_per_task..((task + 1) * rows_per_task).min(lattice.height()) {
                     for start in (0..width).step_by(BLOCK) {
@@ -190,7 +190,7 @@ impl Padded {
 
     /// Computes hidden layers and raw outputs of one block of pixels.
     #[inline(always)]
-    fn evaluate<S: Simd>(&self, simd: S, rays: &Rays, row: usize, start: usize, block: &mut Block) {
+    fn evaluate<S: Simd>(&self, simd: S, rays: &Rays, row: usize, start: usize, block: &mut PixelBlock) {
         for v in (0..BLOCK).step_by(LANES) {
             // Beyond the row's end the direction does not matter, because its derivative is zero.
             let i = (start + v).min(rays.width() - 1);
@@ -214,7 +214,7 @@ impl Padded {
         start: usize,
         maps: &[&[f32]; 9],
         d_maps: &[&[f32]; 9],
-        block: &mut Block,
+        block: &mut PixelBlock,
         sums: &mut Gradients,
     ) {
         let zero = f32x16::splat(simd, 0.0);
@@ -245,7 +245,7 @@ impl Padded {
 }
 
 /// Values of one block, `[unit][pixel]`.
-struct Block {
+struct PixelBlock {
     input: Vec<f32>,
     first: Vec<f32>,
     second: Vec<f32>,
@@ -255,7 +255,7 @@ struct Block {
     turned: Vec<f32>,
 }
 
-impl Block {
+impl PixelBlock {
     fn new() -> Self {
         let zeros = |units: usize| vec![0.0; units * BLOCK];
         Self {

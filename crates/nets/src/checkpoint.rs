@@ -41,7 +41,7 @@ enum Stored {
 
 /// Floating-point formats that a weight may have.
 #[derive(Clone, Copy)]
-enum Format {
+enum FloatFormat {
     F64,
     F32,
     F16,
@@ -187,20 +187,20 @@ impl Stored {
         }
     }
 
-    fn format(&self) -> Result<Format, String> {
+    fn format(&self) -> Result<FloatFormat, String> {
         match self {
             Self::Torch(tensor) => match tensor.dtype() {
-                DType::F64 => Ok(Format::F64),
-                DType::F32 => Ok(Format::F32),
-                DType::F16 => Ok(Format::F16),
-                DType::BF16 => Ok(Format::Bf16),
+                DType::F64 => Ok(FloatFormat::F64),
+                DType::F32 => Ok(FloatFormat::F32),
+                DType::F16 => Ok(FloatFormat::F16),
+                DType::BF16 => Ok(FloatFormat::Bf16),
                 other => Err(format!("{other:?}")),
             },
             Self::Safe { dtype, .. } => match dtype {
-                Dtype::F64 => Ok(Format::F64),
-                Dtype::F32 => Ok(Format::F32),
-                Dtype::F16 => Ok(Format::F16),
-                Dtype::BF16 => Ok(Format::Bf16),
+                Dtype::F64 => Ok(FloatFormat::F64),
+                Dtype::F32 => Ok(FloatFormat::F32),
+                Dtype::F16 => Ok(FloatFormat::F16),
+                Dtype::BF16 => Ok(FloatFormat::Bf16),
                 other => Err(format!("{other:?}")),
             },
         }
@@ -248,12 +248,12 @@ fn is_safetensors(path: &Path) -> std::io::Result<bool> {
 }
 
 /// Converts little-endian bytes to f32.
-fn decode(format: Format, bytes: &[u8]) -> Vec<f32> {
+fn decode(format: FloatFormat, bytes: &[u8]) -> Vec<f32> {
     match format {
-        Format::F64 => bytes.as_chunks::<8>().0.iter().map(|b| f64::from_le_bytes(*b) as f32).collect(),
-        Format::F32 => bytes.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect(),
-        Format::F16 => bytes.as_chunks::<2>().0.iter().map(|b| half(u16::from_le_bytes(*b))).collect(),
-        Format::Bf16 => bytes
+        FloatFormat::F64 => bytes.as_chunks::<8>().0.iter().map(|b| f64::from_le_bytes(*b) as f32).collect(),
+        FloatFormat::F32 => bytes.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect(),
+        FloatFormat::F16 => bytes.as_chunks::<2>().0.iter().map(|b| half(u16::from_le_bytes(*b))).collect(),
+        FloatFormat::Bf16 => bytes
             .as_chunks::<2>()
             .0
             .iter()

@@ -16,7 +16,7 @@ use crate::engine::attention::attention;
 use crate::engine::convolution::{Convolution, Padding};
 use crate::engine::normalise::{self, Affine};
 use crate::engine::planes::Planes;
-use crate::engine::resample::{Axis, Rule, resize, resize_by};
+use crate::engine::resample::{ResampleAxis, Rule, resize, resize_by};
 use crate::error::NetError;
 use crate::images;
 use crate::weights::{Layers, Weights};
@@ -41,7 +41,7 @@ pub enum DepthAnythingSize {
 }
 
 /// Widths of one size.
-struct Shape {
+struct NetworkWidths {
     width: usize,
     heads: usize,
     blocks: usize,
@@ -51,9 +51,9 @@ struct Shape {
 }
 
 impl DepthAnythingSize {
-    fn shape(self) -> Shape {
+    fn shape(self) -> NetworkWidths {
         match self {
-            Self::Small => Shape {
+            Self::Small => NetworkWidths {
                 width: 384,
                 heads: 6,
                 blocks: 12,
@@ -61,7 +61,7 @@ impl DepthAnythingSize {
                 features: 64,
                 channels: [48, 96, 192, 384],
             },
-            Self::Base => Shape {
+            Self::Base => NetworkWidths {
                 width: 768,
                 heads: 12,
                 blocks: 12,
@@ -69,7 +69,7 @@ impl DepthAnythingSize {
                 features: 128,
                 channels: [96, 192, 384, 768],
             },
-            Self::Large => Shape {
+            Self::Large => NetworkWidths {
                 width: 1024,
                 heads: 16,
                 blocks: 24,
@@ -90,13 +90,13 @@ pub struct DepthAnythingV2 {
     class_token: Vec<f32>,
     class_position: Vec<f32>,
     positions: Planes,
-    blocks: Vec<Block>,
+    blocks: Vec<TransformerBlock>,
     norm: Affine,
     head: DptHead,
 }
 
 #[derive(Clone, Debug)]
-struct Block {
+struct TransformerBlock {
     norm1: Affine,
     qkv: Convolution,
     /// The layer scale is folded in.
@@ -126,7 +126,8 @@ impl DepthAnythingV2 {
                 positions.data[c * GRID * GRID + t] = *v;
             }
         }
-        let blocks = (0..shape.blocks).map(|i| Block::read(i, width, weights)).collect::<Result<_, _>>()?;
+        let blocks =
+            (0..shape.blocks).map(|i| TransformerBlock::read(i, width, weights)).collect::<Result<_, _>>()?;
         Ok(Self {
             heads: shape.heads,
             taken: shape.taken,
@@ -184,12 +185,12 @@ impl DepthAnythingV2 {
         if (rows, columns) == (GRID, GRID) {
             return self.positions.clone();
         }
-        let axis = |n: usize| Axis::new(Rule::BicubicStep(GRID as f64 / (n as f64 + 0.1)), GRID, n);
+        let axis = |n: usize| ResampleAxis::new(Rule::BicubicStep(GRID as f64 / (n as f64 + 0.1)), GRID, n);
         resize_by(&self.positions, &axis(rows), &axis(columns))
     }
 }
 
-impl Block {
+impl TransformerBlock {
     fn read(index: usize, width: usize, weights: &mut dyn Weights) -> Result<Self, NetError> {
         let name = |part: &str| format!("pretrained.blocks.{index}.{part}");
         let scale1 = weights.tensor(&name("ls1.gamma"), &[width])?;

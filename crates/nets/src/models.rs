@@ -50,7 +50,7 @@ pub enum Network {
 
 /// The known properties of a checkpoint.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub struct Known {
+pub struct CheckpointInfo {
     /// The network.
     pub network: Network,
     /// Its name in tables.
@@ -73,8 +73,8 @@ pub struct Known {
 const UNDERWATER_RANKER: &str = "https://github.com/RQ-Wu/UnderwaterRanker (README: Google Drive or Baidu)";
 
 /// All files that may be in the models folder.
-pub const KNOWN: [Known; 11] = [
-    Known {
+pub const KNOWN: [CheckpointInfo; 11] = [
+    CheckpointInfo {
         network: Network::Nu2NetReleased,
         title: "Nu2Net (3D-USE release)",
         used_for: "proposer",
@@ -84,7 +84,7 @@ pub const KNOWN: [Known; 11] = [
         licence: "CC BY-NC 4.0",
         origin: "https://github.com/bilityniu/3D-USE (weights/uie_proposer.pth)",
     },
-    Known {
+    CheckpointInfo {
         network: Network::Nu2Net,
         title: "Nu2Net",
         used_for: "proposer",
@@ -94,7 +94,7 @@ pub const KNOWN: [Known; 11] = [
         licence: "CC BY-NC 4.0",
         origin: UNDERWATER_RANKER,
     },
-    Known {
+    CheckpointInfo {
         network: Network::DepthAnythingV2Small,
         title: "Depth Anything V2 Small",
         used_for: "depth prior",
@@ -104,7 +104,7 @@ pub const KNOWN: [Known; 11] = [
         licence: "Apache-2.0",
         origin: "https://huggingface.co/depth-anything/Depth-Anything-V2-Small",
     },
-    Known {
+    CheckpointInfo {
         network: Network::DepthAnythingV2Base,
         title: "Depth Anything V2 Base",
         used_for: "depth prior",
@@ -114,7 +114,7 @@ pub const KNOWN: [Known; 11] = [
         licence: "CC BY-NC 4.0",
         origin: "https://huggingface.co/depth-anything/Depth-Anything-V2-Base",
     },
-    Known {
+    CheckpointInfo {
         network: Network::DepthAnythingV2Large,
         title: "Depth Anything V2 Large",
         used_for: "depth prior",
@@ -124,7 +124,7 @@ pub const KNOWN: [Known; 11] = [
         licence: "CC BY-NC 4.0",
         origin: "https://huggingface.co/depth-anything/Depth-Anything-V2-Large",
     },
-    Known {
+    CheckpointInfo {
         network: Network::LpipsHeads,
         title: "LPIPS 0.1 heads",
         used_for: "LPIPS, wLPIPS",
@@ -138,7 +138,7 @@ pub const KNOWN: [Known; 11] = [
         licence: "BSD-2-Clause",
         origin: "https://github.com/richzhang/PerceptualSimilarity (lpips/weights/v0.1/alex.pth)",
     },
-    Known {
+    CheckpointInfo {
         network: Network::AlexNet,
         title: "AlexNet",
         used_for: "LPIPS, wLPIPS",
@@ -148,7 +148,7 @@ pub const KNOWN: [Known; 11] = [
         licence: "BSD-3-Clause",
         origin: "https://download.pytorch.org/models/alexnet-owt-7be5be79.pth",
     },
-    Known {
+    CheckpointInfo {
         network: Network::RaftLarge,
         title: "RAFT-Large",
         used_for: "wLPIPS",
@@ -169,7 +169,7 @@ pub const KNOWN: [Known; 11] = [
         licence: "BSD-3-Clause",
         origin: "https://download.pytorch.org/models/raft_large_C_T_SKHT_V2-ff5fadd5.pth",
     },
-    Known {
+    CheckpointInfo {
         network: Network::URanker,
         title: "URanker",
         used_for: "quality score",
@@ -179,7 +179,7 @@ pub const KNOWN: [Known; 11] = [
         licence: "CC BY-NC 4.0",
         origin: UNDERWATER_RANKER,
     },
-    Known {
+    CheckpointInfo {
         network: Network::Musiq,
         title: "MUSIQ (KonIQ)",
         used_for: "quality score",
@@ -192,7 +192,7 @@ pub const KNOWN: [Known; 11] = [
         licence: "Apache-2.0 (original), PolyForm Noncommercial 1.0.0 (torch port)",
         origin: "https://huggingface.co/chaofengc/IQA-PyTorch-Weights",
     },
-    Known {
+    CheckpointInfo {
         network: Network::TransitionCalibrator,
         title: "Calibrator (3D-USE release)",
         used_for: "calibrator, where [calibrator] file or --calibrator names it",
@@ -209,7 +209,7 @@ const LPIPS_HEADS_SHA256: &str = "df73285e35b22355a2df87cdb6b70b343713b667eddbda
 /// The result of comparing a file with the official one.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case", tag = "verdict")]
-pub enum Verdict {
+pub enum DigestCheck {
     /// The digest is the official one, as far as it is published (completely, or its first digits in the
     /// file's name).
     Official,
@@ -224,7 +224,7 @@ pub enum Verdict {
 
 /// A file of the models folder.
 #[derive(Clone, Debug, Serialize)]
-pub struct Found {
+pub struct ModelFile {
     /// The file.
     pub path: PathBuf,
     /// Its size in bytes.
@@ -232,7 +232,7 @@ pub struct Found {
     /// Its SHA-256 digest, hexadecimal.
     pub sha256: String,
     /// The comparison with the official file.
-    pub verdict: Verdict,
+    pub verdict: DigestCheck,
 }
 
 /// One row of the list of models.
@@ -240,9 +240,9 @@ pub struct Found {
 pub struct Status {
     /// The known properties of the checkpoint.
     #[serde(flatten)]
-    pub known: Known,
+    pub known: CheckpointInfo,
     /// The file, if it exists.
-    pub found: Option<Found>,
+    pub found: Option<ModelFile>,
 }
 
 /// The models folder.
@@ -253,7 +253,7 @@ pub struct Models {
 
 impl Network {
     /// The known properties of this checkpoint.
-    pub fn known(self) -> &'static Known {
+    pub fn known(self) -> &'static CheckpointInfo {
         // The table has one row per variant, in the order of declaration; a test checks this.
         &KNOWN[self as usize]
     }
@@ -314,7 +314,7 @@ impl Models {
         let path = self.find(network).ok_or_else(|| self.not_available(network))?;
         if expected_digest(known, &path).is_some()
             && let Some(found) = inspect(known, path.clone(), &|| true)?
-            && let Verdict::Different { expected } = found.verdict
+            && let DigestCheck::Different { expected } = found.verdict
         {
             return Err(NetError::Digest { path, expected, found: found.sha256 });
         }
@@ -415,7 +415,7 @@ impl Models {
 
 /// The published digest of a file, or the published part of it: names like `…-7be5be79.pth` end with its
 /// first eight digits.
-fn expected_digest(known: &Known, path: &Path) -> Option<String> {
+fn expected_digest(known: &CheckpointInfo, path: &Path) -> Option<String> {
     let name = path.file_name()?.to_str()?;
     if let Some((_, digest)) =
         known.digests.iter().find(|(file, _)| Path::new(file).file_name() == path.file_name())
@@ -431,7 +431,11 @@ fn expected_digest(known: &Known, path: &Path) -> Option<String> {
 }
 
 /// Reads a file completely for its digest; `None` if `go_on` returned false before the end.
-fn inspect(known: &Known, path: PathBuf, go_on: &dyn Fn() -> bool) -> Result<Option<Found>, NetError> {
+fn inspect(
+    known: &CheckpointInfo,
+    path: PathBuf,
+    go_on: &dyn Fn() -> bool,
+) -> Result<Option<ModelFile>, NetError> {
     let read_error = |source| NetError::Read { path: path.clone(), source };
     let mut file = std::fs::File::open(&path).map_err(read_error)?;
     let mut hasher = Sha256::new();
@@ -450,11 +454,11 @@ fn inspect(known: &Known, path: PathBuf, go_on: &dyn Fn() -> bool) -> Result<Opt
     }
     let sha256: String = hasher.finalize().iter().map(|b| format!("{b:02x}")).collect();
     let verdict = match expected_digest(known, &path) {
-        None => Verdict::Unknown,
-        Some(expected) if sha256.starts_with(&expected) => Verdict::Official,
-        Some(expected) => Verdict::Different { expected },
+        None => DigestCheck::Unknown,
+        Some(expected) if sha256.starts_with(&expected) => DigestCheck::Official,
+        Some(expected) => DigestCheck::Different { expected },
     };
-    Ok(Some(Found { path, bytes, sha256, verdict }))
+    Ok(Some(ModelFile { path, bytes, sha256, verdict }))
 }
 
 /// Converts Princeton's name of a RAFT tensor to torchvision's; `None` for aliases of tensors that exist
@@ -542,7 +546,7 @@ mod tests {
         assert!(matches!(models.checkpoint(Network::AlexNet), Err(NetError::Digest { .. })));
         let status = models.status().unwrap();
         let found = status.iter().find_map(|s| s.found.as_ref()).unwrap();
-        assert_eq!(found.verdict, Verdict::Different { expected: "7be5be79".into() });
+        assert_eq!(found.verdict, DigestCheck::Different { expected: "7be5be79".into() });
         assert_eq!(found.bytes, 6);
     }
 

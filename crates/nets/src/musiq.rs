@@ -45,7 +45,7 @@ pub struct Musiq {
     class_token: Vec<f32>,
     positions: Vec<f32>,
     scales: Vec<f32>,
-    blocks: Vec<Block>,
+    blocks: Vec<EncoderBlock>,
     norm: Affine,
     head: Convolution,
 }
@@ -60,7 +60,7 @@ struct PatchNet {
 }
 
 #[derive(Clone, Debug)]
-struct Block {
+struct EncoderBlock {
     norm1: Affine,
     /// Query, key, value.
     qkv: [Convolution; 3],
@@ -94,7 +94,7 @@ impl Musiq {
             class_token: weights.tensor(&encoder("cls"), &[1, 1, WIDTH])?,
             positions: weights.tensor(&encoder("posembed_input.position_emb"), &[1, GRID * GRID, WIDTH])?,
             scales: weights.tensor(&encoder("scaleembed_input.scale_emb"), &[3, WIDTH])?,
-            blocks: (0..BLOCKS).map(|i| Block::read(i, weights)).collect::<Result<_, _>>()?,
+            blocks: (0..BLOCKS).map(|i| EncoderBlock::read(i, weights)).collect::<Result<_, _>>()?,
             norm: weights.affine(&encoder("encoder_norm"), WIDTH)?,
             head: weights.linear("head", 1, WIDTH)?,
         })
@@ -212,7 +212,7 @@ fn standardised(
     Ok(Convolution::new(shape, &values, None, stride, padding))
 }
 
-impl Block {
+impl EncoderBlock {
     fn read(index: usize, weights: &mut dyn Weights) -> Result<Self, NetError> {
         let name = |part: &str| format!("transformer_encoder.transformer.encoderblock_{index}.{part}");
         let mut linear = |part: &str, outputs, inputs| weights.linear(&name(part), outputs, inputs);

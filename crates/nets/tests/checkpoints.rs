@@ -1,7 +1,7 @@
 //! Checkpoint files: every container format of every network gives the same tensors; a wrong file gives an
 //! error that names the tensor.
 
-use use3d_nets::models::Verdict;
+use use3d_nets::models::DigestCheck;
 use use3d_nets::weights::{StandIn, Weights};
 use use3d_nets::{
     Archive, Checkpoint, DepthAnythingSize, DepthAnythingV2, Lpips, Models, Musiq, NetError, Network, Nu2Net,
@@ -119,7 +119,7 @@ fn a_models_folder_gives_working_networks() {
     models.lpips().unwrap();
     let status = models.status().unwrap();
     assert_eq!(status.iter().filter(|s| s.found.is_some()).count(), 3);
-    assert!(status.iter().filter_map(|s| s.found.as_ref()).all(|f| f.verdict == Verdict::Unknown));
+    assert!(status.iter().filter_map(|s| s.found.as_ref()).all(|f| f.verdict == DigestCheck::Unknown));
     let json = serde_json::to_string(&status).unwrap();
     assert!(json.contains("\"licence\":\"CC BY-NC 4.0\"") && json.contains("\"verdict\":\"unknown\""));
 }
@@ -252,7 +252,7 @@ fn golden_real_lpips_heads() {
     println!("testing the real LPIPS heads in {}", models.dir().display());
     let status = models.status().unwrap();
     let found = status.iter().find(|s| s.known.network == Network::LpipsHeads).unwrap();
-    assert_eq!(found.found.as_ref().unwrap().verdict, Verdict::Official);
+    assert_eq!(found.found.as_ref().unwrap().verdict, DigestCheck::Official);
     let mut checkpoint = models.checkpoint(Network::LpipsHeads).unwrap();
     let largest = [49.21, 104.72, 132.36, 74.77, 41.31];
     for (i, (channels, largest)) in [64, 192, 384, 256, 256].into_iter().zip(largest).enumerate() {

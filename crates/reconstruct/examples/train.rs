@@ -11,7 +11,7 @@ use use3d_import::{ImportParams, import, load_depth_prior, load_mask, load_pixel
 use use3d_reconstruct::engine::CpuEngine;
 use use3d_reconstruct::{LoadedView, ReconstructParams, reconstruct};
 use use3d_splat::{Colors, Options, Prepared, Rasterizer, Rendered};
-use use3d_training::{Observer, Progress};
+use use3d_training::{Observer, TrainingProgress};
 
 struct Lines {
     last: Instant,
@@ -19,7 +19,7 @@ struct Lines {
 }
 
 impl Observer for Lines {
-    fn progress(&mut self, p: &Progress) {
+    fn progress(&mut self, p: &TrainingProgress) {
         if self.last.elapsed().as_secs_f64() > 10.0 || p.step == p.steps {
             self.last = Instant::now();
             println!(

@@ -39,7 +39,7 @@ pub use params::{
 pub use peek::scene_in_checkpoint;
 pub use profile::{StepPart, Stretch, growth};
 pub use report::{Evaluation, FittedScore, LogEntry, ViewScore, plot};
-pub use run::{Outcome, reconstruct, reconstruct_in};
+pub use run::{ReconstructOutcome, reconstruct, reconstruct_in};
 pub use use3d_medium::MediumKind as Medium;
 pub use use3d_training::EngineChoice;
 pub use views::{Dropped, LoadedView, Target, TrainingView, ViewLoader};

@@ -14,8 +14,8 @@ use use3d_numerics::random::Purpose;
 use use3d_numerics::range::OutOfRange;
 use use3d_scene::Scene;
 use use3d_training::{
-    Checkpoints, Drain, Ended, EngineError, NonFinite, Observer, Profile, Progress, Resumable, Session,
-    Snapshot, Steps, ViewOrder,
+    Checkpoints, Drain, EngineError, NonFinite, Observer, Profile, Resumable, Session, SessionEnd, Snapshot,
+    Steps, TrainingProgress, ViewOrder,
 };
 
 use crate::bounds::{CaptureSize, most_gaussians};
@@ -45,7 +45,7 @@ const MOST_COMPRESSED: f64 = 10.0;
 
 /// The result of stage 1.
 #[derive(Clone, Debug)]
-pub struct Outcome {
+pub struct ReconstructOutcome {
     /// The scene.
     pub scene: Scene,
     /// The training log.
@@ -65,7 +65,7 @@ pub struct Outcome {
     pub memory: usize,
 }
 
-impl Outcome {
+impl ReconstructOutcome {
     /// The training log, one JSON object per line.
     pub fn log_lines(&self) -> String {
         self.log.iter().map(|entry| entry.to_json() + "\n").collect()
@@ -112,7 +112,7 @@ pub fn reconstruct(
     engine: &mut dyn Engine,
     checkpoint_dir: Option<&Path>,
     observer: &mut dyn Observer,
-) -> Result<Outcome, ReconstructError> {
+) -> Result<ReconstructOutcome, ReconstructError> {
     reconstruct_in(capture, &Known::default(), loader, params, engine, checkpoint_dir, observer)
 }
 
@@ -126,7 +126,7 @@ pub fn reconstruct_in(
     engine: &mut dyn Engine,
     checkpoint_dir: Option<&Path>,
     observer: &mut dyn Observer,
-) -> Result<Outcome, ReconstructError> {
+) -> Result<ReconstructOutcome, ReconstructError> {
     params.validate().map_err(ReconstructError::Parameter)?;
     capture.validate()?;
     if let [only] = capture.split.train[..] {
@@ -176,7 +176,7 @@ pub fn reconstruct_in(
         }
     }
     engine.load(TrainingState::new(gaussians, water, if exposes { &gains } else { &[] }))?;
-    let mut run = Run {
+    let mut run = ReconstructRun {
         params,
         frame: capture.frame,
         holds_water: found.is_some(),
@@ -207,14 +207,14 @@ pub fn reconstruct_in(
         every_minutes: params.checkpoint_minutes,
     };
     run.resume(&session, observer)?;
-    if let Ended::Stopped { step, saved } = session.run(run.step, &mut run, observer)? {
+    if let SessionEnd::Stopped { step, saved } = session.run(run.step, &mut run, observer)? {
         return Err(ReconstructError::Interrupted { step, steps: params.iterations, saved });
     }
     run.finish(capture)
 }
 
 /// A run between its first and last step.
-struct Run<'a> {
+struct ReconstructRun<'a> {
     params: &'a ReconstructParams,
     /// The frame of the capture and of the scene.
     frame: Frame,
@@ -246,7 +246,7 @@ struct Run<'a> {
     growth: Vec<Stretch>,
 }
 
-impl Steps for Run<'_> {
+impl Steps for ReconstructRun<'_> {
     type Error = ReconstructError;
 
     fn step(&mut self, step: u64, observer: &mut dyn Observer) -> Result<(), ReconstructError> {
@@ -298,22 +298,22 @@ impl Steps for Run<'_> {
         Ok(Some(Arc::new(scene)))
     }
 
-    fn shown(&self) -> Progress {
+    fn shown(&self) -> TrainingProgress {
         let evaluated = |entry: &LogEntry| match entry {
             LogEntry::Evaluation { psnr, .. } => *psnr,
             _ => None,
         };
-        Progress {
+        TrainingProgress {
             loss: self.window.smooth_loss,
             psnr: self.window.smooth_psnr,
             held_out_psnr: self.log.iter().rev().find_map(evaluated),
             gaussians: Some(self.gaussians),
-            ..Progress::default()
+            ..TrainingProgress::default()
         }
     }
 }
 
-impl Run<'_> {
+impl ReconstructRun<'_> {
     /// Resumes from the checkpoint, if there is one of this run.
     fn resume(&mut self, session: &Session, observer: &mut dyn Observer) -> Result<(), ReconstructError> {
         let Some(state) = session.furthest::<RunState<'_>>(observer) else { return Ok(()) };
@@ -344,7 +344,7 @@ impl Run<'_> {
     }
 
     /// Completes the run after the last step.
-    fn finish(mut self, capture: &Capture) -> Result<Outcome, ReconstructError> {
+    fn finish(mut self, capture: &Capture) -> Result<ReconstructOutcome, ReconstructError> {
         // This happens only here, after the last checkpoint: a longer run that continues from it still
         // collects data for this line, and bounds poorly seen Gaussians at its own steps.
         self.drain(Drain::All)?;
@@ -364,7 +364,16 @@ impl Run<'_> {
         };
         let scene = Scene { gaussians, frame: capture.frame, medium, medium_degree, enhancement: None };
         let (log, growth, initial_gaussians) = (self.log, self.growth, self.initial);
-        Ok(Outcome { scene, log, evaluation, exposures, initial_gaussians, profile, growth, memory })
+        Ok(ReconstructOutcome {
+            scene,
+            log,
+            evaluation,
+            exposures,
+            initial_gaussians,
+            profile,
+            growth,
+            memory,
+        })
     }
 
     /// Reads the engine's reports of steps.

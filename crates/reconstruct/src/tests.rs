@@ -16,13 +16,13 @@ use use3d_medium::{MediumModel, MediumRbf};
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_splat::{Colors, Gaussians, Options, Prepared, Rasterizer, Rendered};
-use use3d_training::{Observer, Progress, Silent};
+use use3d_training::{Observer, Silent, TrainingProgress};
 
 use crate::engine::{CpuEngine, Degrees, Engine, StepPlan, StepRates, TrainingState};
 use crate::losses::{LossTerm, LossValue, Observation, Term, ViewGradients};
 use crate::{
-    DepthPrior, Exposure, FoundWater, Images, Known, LoadedView, LogEntry, Medium, MediumPrior, Outcome,
-    ReconstructError, ReconstructParams, TrainingView, ViewLoader, losses,
+    DepthPrior, Exposure, FoundWater, Images, Known, LoadedView, LogEntry, Medium, MediumPrior,
+    ReconstructError, ReconstructOutcome, ReconstructParams, TrainingView, ViewLoader, losses,
 };
 
 /// Reconstructs on the processor.
@@ -32,7 +32,7 @@ fn reconstruct(
     params: &ReconstructParams,
     checkpoints: Option<&Path>,
     observer: &mut dyn Observer,
-) -> Result<Outcome, ReconstructError> {
+) -> Result<ReconstructOutcome, ReconstructError> {
     reconstruct_in(capture, &Known::default(), loader, params, checkpoints, observer)
 }
 
@@ -44,7 +44,7 @@ fn reconstruct_in(
     params: &ReconstructParams,
     checkpoints: Option<&Path>,
     observer: &mut dyn Observer,
-) -> Result<Outcome, ReconstructError> {
+) -> Result<ReconstructOutcome, ReconstructError> {
     crate::reconstruct_in(capture, known, loader, params, &mut CpuEngine::new(), checkpoints, observer)
 }
 
@@ -220,15 +220,15 @@ fn tiny_params(iterations: u64) -> ReconstructParams {
 
 /// An observer that stops after some steps and stores its messages.
 #[derive(Default)]
-struct Watcher {
+struct StoppingObserver {
     stop_at: Option<u64>,
     panic_at: Option<u64>,
     step: u64,
     notices: Vec<String>,
 }
 
-impl Observer for Watcher {
-    fn progress(&mut self, progress: &Progress) {
+impl Observer for StoppingObserver {
+    fn progress(&mut self, progress: &TrainingProgress) {
         self.step = progress.step;
         assert!(self.panic_at != Some(self.step), "killed");
     }
@@ -242,7 +242,7 @@ impl Observer for Watcher {
     }
 }
 
-fn same(a: &Outcome, b: &Outcome) -> bool {
+fn same(a: &ReconstructOutcome, b: &ReconstructOutcome) -> bool {
     a.scene == b.scene && a.log == b.log && a.evaluation == b.evaluation
 }
 
@@ -257,7 +257,7 @@ fn views_of_which_nothing_counts_are_said_and_have_no_score() {
     let (first, held_out) = (capture.split.train[0], capture.split.test[0]);
     black(&mut loaded[first]);
     black(&mut loaded[held_out]);
-    let mut heard = Watcher::default();
+    let mut heard = StoppingObserver::default();
     let outcome = reconstruct(&capture, &loader(&loaded), &params, None, &mut heard).unwrap();
     assert_eq!(
         heard.notices.iter().filter(|n| n.contains("leaves no pixel")).count(),
@@ -283,7 +283,7 @@ fn a_short_run_learns_the_scene_and_its_water() {
         reconstruct(&capture, &loader(&loaded), &params, None, &mut Silent).unwrap()
     };
     let (wet, dry) = (run(Medium::Rbf, 160), run(Medium::None, 160));
-    let psnr = |o: &Outcome| o.evaluation.as_ref().unwrap().psnr.value().unwrap();
+    let psnr = |o: &ReconstructOutcome| o.evaluation.as_ref().unwrap().psnr.value().unwrap();
     assert!(psnr(&wet) > 18.5, "held-out PSNR {:.2} dB", psnr(&wet));
     assert!(psnr(&wet) > psnr(&dry) + 0.5, "with water {:.2} dB, without {:.2} dB", psnr(&wet), psnr(&dry));
     assert!(wet.log.iter().any(|e| matches!(e, LogEntry::Refine { split, .. } if *split > 0)));
@@ -293,7 +293,7 @@ fn a_short_run_learns_the_scene_and_its_water() {
     assert!(wet.log_lines().lines().count() == wet.log.len() && wet.plot().contains("</svg>"));
     for medium in [Medium::Global, Medium::Image, Medium::Mlp] {
         let other = run(medium, 40);
-        let first = |o: &Outcome| {
+        let first = |o: &ReconstructOutcome| {
             o.log.iter().find_map(|e| if let LogEntry::Steps { psnr, .. } = e { *psnr } else { None })
         };
         assert!(psnr(&other) > first(&other).unwrap() + 1.0, "{medium:?}: {:.2} dB", psnr(&other));
@@ -332,7 +332,7 @@ fn bad_captures_get_a_clear_word() {
     let (capture, loaded) = tiny_capture(6);
     let params = tiny_params(2);
     let run = |capture: &Capture, params: &ReconstructParams| {
-        let mut watcher = Watcher::default();
+        let mut watcher = StoppingObserver::default();
         let result = reconstruct(capture, &loader(&loaded), params, None, &mut watcher);
         (result.map_err(|e| e.to_string()), watcher.notices)
     };
@@ -366,7 +366,7 @@ fn bad_captures_get_a_clear_word() {
     let mut bad_priors = loaded.clone();
     bad_priors[1].depth_prior = Some(use3d_capture::Map::filled(56, 44, 0.3));
     bad_priors[2].depth_prior = Some(use3d_capture::Map::filled(56, 44, f32::NAN));
-    let mut watcher = Watcher::default();
+    let mut watcher = StoppingObserver::default();
     reconstruct(&capture, &loader(&bad_priors), &params, None, &mut watcher).unwrap();
     for part in [
         "`001.png`: its depth prior is the same everywhere",
@@ -395,7 +395,7 @@ fn a_run_that_diverges_says_where_and_keeps_the_last_checkpoint() {
 fn the_cap_bites_with_a_word_and_masks_hide_pixels() {
     let (capture, mut loaded) = tiny_capture(6);
     let params = ReconstructParams { max_gaussians: 270, ..tiny_params(60) };
-    let mut watcher = Watcher::default();
+    let mut watcher = StoppingObserver::default();
     let outcome = reconstruct(&capture, &loader(&loaded), &params, None, &mut watcher).unwrap();
     assert!(outcome.scene.gaussians.len() <= 270);
     assert!(watcher.notices.iter().any(|n| n.contains("max_gaussians")), "{:?}", watcher.notices);
@@ -403,7 +403,7 @@ fn the_cap_bites_with_a_word_and_masks_hide_pixels() {
     // The limit also applies to the first Gaussians, and the same ones stay.
     let params = ReconstructParams { max_gaussians: 40, ..tiny_params(10) };
     let first = |params: &ReconstructParams| {
-        let mut watcher = Watcher::default();
+        let mut watcher = StoppingObserver::default();
         let outcome = reconstruct(&capture, &loader(&loaded), params, None, &mut watcher).unwrap();
         assert!(
             watcher.notices.iter().any(|n| n.contains("40 of 260 sparse points")),

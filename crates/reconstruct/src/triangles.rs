@@ -73,7 +73,7 @@ pub(crate) struct Between {
 
 /// A pixel of a triangle.
 #[derive(Clone, Copy, Debug)]
-struct Sample {
+struct TriangleSample {
     position: DVec3,
     color: [f64; 3],
     voxel: Voxel,
@@ -127,7 +127,7 @@ pub(crate) fn between(
     let (mut merged, mut seen) = (BTreeMap::<Voxel, Merged>::new(), BTreeMap::<Voxel, SeenBy>::new());
     for first in (0..views.len()).step_by(TOGETHER) {
         let some = first..(first + TOGETHER).min(views.len());
-        let samples: Vec<Vec<Sample>> = some
+        let samples: Vec<Vec<TriangleSample>> = some
             .clone()
             .into_par_iter()
             .map(|view| {
@@ -207,7 +207,7 @@ fn samples(
     corners: &[Corner],
     water: Option<&FoundWater>,
     beyond: bool,
-) -> Vec<Sample> {
+) -> Vec<TriangleSample> {
     let k = view.camera.intrinsics;
     let width = k.width as f64;
     let step = (width / CELLS).max(1.0);
@@ -223,7 +223,7 @@ fn samples(
         let seen: [f64; 3] = std::array::from_fn(|i| color[i] / gain[i]);
         let color = behind(water, &view.camera, position, seen, sure)?;
         let level = math::log2(step / (inverse * k.fx)).round() as i32;
-        Some(Sample { position, color, voxel: Voxel::of(position, level) })
+        Some(TriangleSample { position, color, voxel: Voxel::of(position, level) })
     };
     for triangle in triangulate(&points).triangles.chunks_exact(3) {
         let three = [corners[triangle[0]], corners[triangle[1]], corners[triangle[2]]];

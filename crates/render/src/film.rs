@@ -67,7 +67,7 @@ impl FilmError {
 pub struct Film {
     sink: Sink,
     path: PathBuf,
-    part: Part,
+    part: TemporaryFilm,
     size: Option<(usize, usize)>,
     fps: u32,
 }
@@ -78,9 +78,9 @@ enum Sink {
 }
 
 /// The temporary file of the film, beside its final path; it is removed when this value is dropped.
-struct Part(PathBuf);
+struct TemporaryFilm(PathBuf);
 
-impl Drop for Part {
+impl Drop for TemporaryFilm {
     fn drop(&mut self) {
         // The file no longer exists after it was renamed.
         let _ = std::fs::remove_file(&self.0);
@@ -106,7 +106,7 @@ impl Film {
         // The file must be new, so neither this program nor ffmpeg follows a link of that name.
         let created = File::options().write(true).create_new(true).open(&part);
         let file = created.map_err(|source| FilmError::Create { path: part.clone(), source })?;
-        let part = Part(part);
+        let part = TemporaryFilm(part);
         let sink = if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("y4m")) {
             Sink::File(BufWriter::new(file))
         } else {

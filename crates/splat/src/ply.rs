@@ -145,14 +145,14 @@ enum Kind {
 }
 
 #[derive(Debug)]
-struct Element {
+struct PlyElement {
     name: String,
     count: u64,
     properties: Vec<(String, Kind)>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Format {
+enum PlyEncoding {
     Ascii,
     Binary { big: bool },
 }
@@ -167,12 +167,12 @@ fn header_line(reader: &mut impl BufRead) -> io::Result<Option<String>> {
     Ok(Some(String::from_utf8_lossy(&bytes).trim_end().to_string()))
 }
 
-fn header(reader: &mut impl BufRead) -> Result<(Format, Vec<Element>), PlyError> {
+fn header(reader: &mut impl BufRead) -> Result<(PlyEncoding, Vec<PlyElement>), PlyError> {
     if header_line(reader)?.as_deref() != Some("ply") {
         return Err(PlyError::Magic);
     }
     let mut format = None;
-    let mut elements: Vec<Element> = Vec::new();
+    let mut elements: Vec<PlyElement> = Vec::new();
     for line in 2..LINES {
         let Some(text) = header_line(reader)? else { return Err(PlyError::Endless) };
         let error = |problem| PlyError::Header { line, text: text.chars().take(120).collect(), problem };
@@ -181,15 +181,15 @@ fn header(reader: &mut impl BufRead) -> Result<(Format, Vec<Element>), PlyError>
             [] | ["comment" | "obj_info", ..] => {}
             ["format", kind, _version] => {
                 format = Some(match *kind {
-                    "ascii" => Format::Ascii,
-                    "binary_little_endian" => Format::Binary { big: false },
-                    "binary_big_endian" => Format::Binary { big: true },
+                    "ascii" => PlyEncoding::Ascii,
+                    "binary_little_endian" => PlyEncoding::Binary { big: false },
+                    "binary_big_endian" => PlyEncoding::Binary { big: true },
                     _ => return Err(error("expected ascii, binary_little_endian or binary_big_endian")),
                 });
             }
             ["element", name, count] => {
                 let count = count.parse().map_err(|_| error("the count is not a whole number"))?;
-                elements.push(Element { name: (*name).to_string(), count, properties: Vec::new() });
+                elements.push(PlyElement { name: (*name).to_string(), count, properties: Vec::new() });
             }
             ["property", rest @ ..] => {
                 let Some(element) = elements.last_mut() else {
@@ -219,19 +219,19 @@ fn header(reader: &mut impl BufRead) -> Result<(Format, Vec<Element>), PlyError>
 /// The body, one number after another.
 struct Numbers<R> {
     reader: R,
-    format: Format,
+    format: PlyEncoding,
 }
 
 impl<R: BufRead> Numbers<R> {
     /// Reads the next number of the given type. `Ok(Err(text))` holds text that is not a number.
     fn next(&mut self, scalar: Scalar) -> io::Result<Result<f64, String>> {
         match self.format {
-            Format::Binary { big } => {
+            PlyEncoding::Binary { big } => {
                 let mut bytes = [0; 8];
                 self.reader.read_exact(&mut bytes[..scalar.size()])?;
                 Ok(Ok(scalar.decode(bytes, big)))
             }
-            Format::Ascii => {
+            PlyEncoding::Ascii => {
                 let token = self.token()?;
                 Ok(token.parse().map_err(|_| token))
             }
@@ -256,7 +256,7 @@ impl<R: BufRead> Numbers<R> {
     /// Reads one element; `keep(property index, value)` receives its scalar properties.
     fn element(
         &mut self,
-        element: &Element,
+        element: &PlyElement,
         index: u64,
         mut keep: impl FnMut(usize, f64),
     ) -> Result<(), PlyError> {
@@ -303,7 +303,7 @@ pub fn read(reader: impl Read) -> Result<Gaussians, PlyError> {
     Err(PlyError::NoVertices)
 }
 
-fn vertices(numbers: &mut Numbers<impl BufRead>, element: &Element) -> Result<Gaussians, PlyError> {
+fn vertices(numbers: &mut Numbers<impl BufRead>, element: &PlyElement) -> Result<Gaussians, PlyError> {
     let rest = element.properties.iter().filter(|(name, _)| name.starts_with("f_rest_")).count();
     let sh_degree = match rest {
         0 => 0,

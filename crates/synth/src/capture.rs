@@ -31,8 +31,8 @@ use crate::error::{Answer, SynthError, check, whole_folder};
 use crate::geometry::noise::Noise;
 use crate::physics::spectral::{Lamps, Spectral};
 use crate::physics::{Development, Physics, camera, passers, sideways};
-use crate::render::{Condition, Look, Shot, add_noise, expose, render};
-use crate::scene::{Caustics, Draws, Layout, MeshScene, Place, linear};
+use crate::render::{Condition, RayColor, Shot, add_noise, expose, render};
+use crate::scene::{Caustics, Draws, Layout, Location, MeshScene, linear};
 use crate::sparse::{self, Corner};
 use crate::swim;
 use crate::water::{Water, WaterType};
@@ -69,7 +69,7 @@ pub struct CaptureParams {
     pub detail: f32,
     /// The place of the photographs.
     #[serde(skip_serializing_if = "is_default")]
-    pub place: Place,
+    pub place: Location,
     /// The image formation.
     #[serde(skip_serializing_if = "is_default")]
     pub physics: Physics,
@@ -124,7 +124,7 @@ impl Default for CaptureParams {
             points: 8000,
             depth_priors: true,
             detail: 1.0,
-            place: Place::Reef,
+            place: Location::Reef,
             physics: Physics::Display,
             air: false,
             lamps: 0.0,
@@ -158,7 +158,7 @@ impl CaptureParams {
         check("fish", self.fish, self.fish <= 50, "at most 50")?;
         check("backlight", self.backlight, (0.0..=1.0).contains(&self.backlight), "0 to 1")?;
         let reef = "nothing but its default in a pool; boards of greys stand in the reef";
-        check("greys", self.greys, !self.greys || self.place == Place::Reef, reef)?;
+        check("greys", self.greys, !self.greys || self.place == Location::Reef, reef)?;
         if self.physics == Physics::Display {
             let only = "nothing but its default with physics = \"display\"; ask for physics = \"spectral\"";
             check("air", self.air, !self.air, only)?;
@@ -293,7 +293,7 @@ impl Studio {
                     seed: params.seed,
                     development: params.camera,
                 };
-                let look = |camera: &Camera| Box::new(water.seen_from(sideways(camera))) as Box<dyn Look>;
+                let look = |camera: &Camera| Box::new(water.seen_from(sideways(camera))) as Box<dyn RayColor>;
                 let gains = camera::gains(&scene, &cameras, &look, automatic);
                 let middle = camera::middle_gain(&gains);
                 // White light, without a veil that brightens the picture.
@@ -353,7 +353,7 @@ impl Studio {
                 // The same camera's picture of the scene in air; for the plain camera it is the clean
                 // picture.
                 let action = params.camera == Development::Action;
-                let clean: &dyn Look = if action { clean.as_ref() } else { &self.clean };
+                let clean: &dyn RayColor = if action { clean.as_ref() } else { &self.clean };
                 let mut shot = render(&self.scene, camera, &[&water, clean], caustics);
                 let image = &mut shot.images[0];
                 let mut canvas = passers::Canvas { image, depth: &shot.depth, camera, water: &water };

@@ -3,7 +3,7 @@
 //! A procedural reef (terrain, boulders, corals, sponges, a wreck, a rope, a colour chart) consists of
 //! triangles with procedural textures. It is rendered by casting rays, under soft daylight and through one of
 //! Jerlov's waters. No part of it is made of Gaussians, so that a reconstruction from these pictures is not
-//! an inverse crime. [`Place::Pool`] is a tiled pool instead, with even surfaces of nearly one colour.
+//! an inverse crime. [`Location::Pool`] is a tiled pool instead, with even surfaces of nearly one colour.
 //! [`write_capture`] makes a COLMAP project together with the truth about it; [`write_pairs`] makes pairs for
 //! training a calibrator without any download.
 //!
@@ -33,5 +33,5 @@ pub use capture::{CaptureParams, CaptureTruth, ViewGains, write_capture};
 pub use error::{Answer, SynthError};
 pub use pairs::{PairsParams, write_pairs};
 pub use physics::{Development, Physics};
-pub use scene::Place;
+pub use scene::Location;
 pub use water::{UnknownWaterType, Water, WaterType};

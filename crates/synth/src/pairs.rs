@@ -20,7 +20,7 @@ use crate::physics::camera::{self as develop, Automatic};
 use crate::physics::spectral::Spectral;
 use crate::physics::{Development, Physics, sideways};
 use crate::render::{Condition, add_noise, expose, render};
-use crate::scene::{Caustics, Draws, Layout, MeshScene, Place};
+use crate::scene::{Caustics, Draws, Layout, Location, MeshScene};
 use crate::swim;
 use crate::water::{Water, WaterType};
 
@@ -119,7 +119,7 @@ pub fn write_pairs<A: Answer>(
         for number in 0..params.pairs.div_ceil(PER_SCENE) {
             let mut draws = Draws::new(params.seed, "pair scene", number as u64);
             let layout = Layout {
-                place: Place::Reef,
+                place: Location::Reef,
                 seed: u64::from(draws.bits()),
                 detail: params.detail,
                 density: draws.range(0.5, 1.1),

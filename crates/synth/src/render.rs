@@ -11,7 +11,7 @@ use use3d_capture::{Camera, Image, Map};
 use use3d_numerics::random::{Purpose, Stream};
 
 use crate::geometry::bvh::Ray;
-use crate::scene::{Caustics, MeshScene, Seen, display};
+use crate::scene::{Caustics, MeshScene, SurfaceHit, display};
 use crate::water::Water;
 
 /// Light and water under which the scene is photographed.
@@ -24,22 +24,22 @@ pub(crate) struct Condition {
 }
 
 /// The colour of a ray's end in a picture.
-pub(crate) trait Look: Sync {
+pub(crate) trait RayColor: Sync {
     /// The colour of the surface that `ray` hits (`None` is open water), in display values or linear light,
     /// depending on the implementation.
-    fn color(&self, seen: Option<Seen>, ray: &Ray) -> Vec3;
+    fn color(&self, seen: Option<SurfaceHit>, ray: &Ray) -> Vec3;
 }
 
-impl Look for Condition {
+impl RayColor for Condition {
     /// Returns display values.
-    fn color(&self, seen: Option<Seen>, ray: &Ray) -> Vec3 {
+    fn color(&self, seen: Option<SurfaceHit>, ray: &Ray) -> Vec3 {
         let per_t = ray.direction.length();
         self.display(seen, per_t, ray.direction / per_t)
     }
 }
 
 impl Condition {
-    fn display(&self, seen: Option<Seen>, distance_per_t: f32, direction: Vec3) -> Vec3 {
+    fn display(&self, seen: Option<SurfaceHit>, distance_per_t: f32, direction: Vec3) -> Vec3 {
         let clean = seen.map_or(Vec3::ZERO, |s| display(s.light * self.light));
         let distance = seen.map_or(f32::INFINITY, |s| s.t * distance_per_t);
         match &self.water {
@@ -89,7 +89,7 @@ impl Rays {
 pub(crate) fn render(
     scene: &MeshScene,
     camera: &Camera,
-    conditions: &[&dyn Look],
+    conditions: &[&dyn RayColor],
     caustics: Caustics,
 ) -> Shot {
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
@@ -205,7 +205,7 @@ pub(crate) fn coarse_rays(camera: &Camera) -> Vec<Ray> {
 /// The exposure at which the cameras' views have this mean luminance on display (bisection on a coarse grid
 /// of rays).
 pub(crate) fn expose(scene: &MeshScene, cameras: &[Camera], condition: &Condition, luminance: f32) -> f32 {
-    let samples: Vec<(Option<Seen>, f32, Vec3)> = cameras
+    let samples: Vec<(Option<SurfaceHit>, f32, Vec3)> = cameras
         .iter()
         .flat_map(coarse_rays)
         .map(|ray| {

@@ -48,7 +48,7 @@ pub struct Checkpoints {
 
 /// Result of searching for a state to resume from.
 #[derive(Debug)]
-pub struct Found<T> {
+pub struct ResumePoint<T> {
     /// The furthest state; `None` if the run starts from the beginning.
     pub state: Option<T>,
     /// Messages for the user: files that are damaged or belong to other runs.
@@ -56,7 +56,7 @@ pub struct Found<T> {
 }
 
 /// The data in the name of a checkpoint file.
-struct Entry {
+struct CheckpointName {
     path: PathBuf,
     ours: bool,
     length: u64,
@@ -64,8 +64,8 @@ struct Entry {
 }
 
 /// Result of one search in the folder.
-enum Look<T> {
-    Found(Found<T>),
+enum SearchResult<T> {
+    Found(ResumePoint<T>),
     /// No state is usable; the messages for the user.
     Nothing(Vec<String>),
     /// A file was removed between listing and reading.
@@ -103,19 +103,19 @@ impl Checkpoints {
     ///
     /// # Errors
     /// An existing file cannot be read. Files that are damaged or disappear meanwhile are skipped.
-    pub fn load<T: Resumable>(&self) -> Result<Found<T>, CheckpointError> {
+    pub fn load<T: Resumable>(&self) -> Result<ResumePoint<T>, CheckpointError> {
         sweep(&self.dir);
         let (mut entries, mut notices) = (Vec::new(), Vec::new());
         for _ in 0..LOOKS {
             entries = self.entries();
             entries.sort_by_key(|e| std::cmp::Reverse(e.step));
             match self.furthest(&entries)? {
-                Look::Found(found) => return Ok(found),
-                Look::Nothing(why) => {
+                SearchResult::Found(found) => return Ok(found),
+                SearchResult::Nothing(why) => {
                     notices = why;
                     break;
                 }
-                Look::Vanished => {}
+                SearchResult::Vanished => {}
             }
         }
         if let Some(beyond) = entries.iter().filter(|e| e.ours && e.step > self.length).map(|e| e.step).min()
@@ -134,28 +134,28 @@ impl Checkpoints {
         if let Some(last) = notices.last_mut() {
             last.push_str("; starting from the beginning");
         }
-        Ok(Found { state: None, notices })
+        Ok(ResumePoint { state: None, notices })
     }
 
     /// The furthest usable state of these entries, which are sorted by step.
-    fn furthest<T: Resumable>(&self, entries: &[Entry]) -> Result<Look<T>, CheckpointError> {
+    fn furthest<T: Resumable>(&self, entries: &[CheckpointName]) -> Result<SearchResult<T>, CheckpointError> {
         let mut notices = Vec::new();
         for entry in entries.iter().filter(|e| e.ours && e.step <= self.length) {
             match CheckpointFile::at(entry.path.clone()).load::<T>() {
                 Ok(Some(state)) if *state.fingerprint() == self.fingerprint && state.step() == entry.step => {
-                    return Ok(Look::Found(Found { state: Some(state), notices }));
+                    return Ok(SearchResult::Found(ResumePoint { state: Some(state), notices }));
                 }
                 Ok(Some(_)) => notices.push(format!(
                     "the checkpoint {} does not have the content that its name says; it is not used",
                     entry.path.display()
                 )),
                 // The run that wrote it has a later file by now, which is not in this list.
-                Ok(None) => return Ok(Look::Vanished),
+                Ok(None) => return Ok(SearchResult::Vanished),
                 Err(damaged @ CheckpointError::Damaged { .. }) => notices.push(damaged.to_string()),
                 Err(error) => return Err(error),
             }
         }
-        Ok(Look::Nothing(notices))
+        Ok(SearchResult::Nothing(notices))
     }
 
     /// The step and length of this run under another key, if there is one. In a cache the folder's name is a
@@ -175,7 +175,7 @@ impl Checkpoints {
     }
 
     /// This loop's checkpoints in the folder, of all runs.
-    fn entries(&self) -> Vec<Entry> {
+    fn entries(&self) -> Vec<CheckpointName> {
         let run = self.run();
         let parse = |path: PathBuf| {
             let stem = path.file_name()?.to_str()?.strip_suffix(EXTENSION)?.strip_suffix('.')?;
@@ -183,7 +183,7 @@ impl Checkpoints {
             let (of, length, step) =
                 (parts.next()?, parts.next()?.parse().ok()?, parts.next()?.parse().ok()?);
             let ours = of == run;
-            parts.next().is_none().then_some(Entry { path, ours, length, step })
+            parts.next().is_none().then_some(CheckpointName { path, ours, length, step })
         };
         let list = match fs::read_dir(&self.dir) {
             Ok(list) => list,
@@ -204,7 +204,7 @@ impl Checkpoints {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::State;
+    use crate::testing::SavedStep;
 
     struct Run(Checkpoints);
 
@@ -213,10 +213,10 @@ mod tests {
             Self(Checkpoints::new(dir, "train", &[run; 32], length))
         }
         fn save(&self, step: u64) {
-            self.0.save(step, &State { fingerprint: self.0.fingerprint, step }).unwrap();
+            self.0.save(step, &SavedStep { fingerprint: self.0.fingerprint, step }).unwrap();
         }
         fn load(&self) -> (Option<u64>, String) {
-            let found = self.0.load::<State>().unwrap();
+            let found = self.0.load::<SavedStep>().unwrap();
             (found.state.map(|s| s.step), found.notices.join("\n"))
         }
     }

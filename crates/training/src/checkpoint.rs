@@ -254,7 +254,7 @@ mod tests {
     use super::*;
 
     #[derive(Debug, PartialEq, Serialize, Deserialize)]
-    struct State {
+    struct SavedValues {
         step: u64,
         values: Vec<f32>,
     }
@@ -263,20 +263,20 @@ mod tests {
     fn a_state_comes_back_and_a_later_one_replaces_it() {
         let dir = tempfile::tempdir().unwrap();
         let file = CheckpointFile::new(&dir.path().join("deep/down"), "state.bin");
-        assert!(file.load::<State>().unwrap().is_none());
+        assert!(file.load::<SavedValues>().unwrap().is_none());
         for step in [1, 2] {
-            let state = State { step, values: vec![step as f32, f32::MIN_POSITIVE, -0.0] };
+            let state = SavedValues { step, values: vec![step as f32, f32::MIN_POSITIVE, -0.0] };
             file.save(&state).unwrap();
-            assert_eq!(file.load::<State>().unwrap().unwrap(), state);
+            assert_eq!(file.load::<SavedValues>().unwrap().unwrap(), state);
         }
         // A state of another version is refused, even if it is complete.
-        assert!(matches!(file.load::<(State, State)>(), Err(CheckpointError::Damaged { .. })));
+        assert!(matches!(file.load::<(SavedValues, SavedValues)>(), Err(CheckpointError::Damaged { .. })));
         assert!(matches!(file.load::<u64>(), Err(CheckpointError::Damaged { .. })));
         // The folder contains only the checkpoint.
         assert_eq!(fs::read_dir(dir.path().join("deep/down")).unwrap().count(), 1);
         file.remove().unwrap();
         file.remove().unwrap();
-        assert!(file.load::<State>().unwrap().is_none());
+        assert!(file.load::<SavedValues>().unwrap().is_none());
     }
 
     #[test]
@@ -307,8 +307,8 @@ mod tests {
                 let file = file.clone();
                 scope.spawn(move || {
                     for step in 0..40 {
-                        file.save(&State { step, values: vec![writer as f32; 3000] }).unwrap();
-                        let read = file.load::<State>().unwrap().expect("whole at every moment");
+                        file.save(&SavedValues { step, values: vec![writer as f32; 3000] }).unwrap();
+                        let read = file.load::<SavedValues>().unwrap().expect("whole at every moment");
                         assert!(read.values.iter().all(|v| *v == read.values[0]));
                     }
                 });
@@ -335,29 +335,32 @@ mod tests {
 
         let dir = tempfile::tempdir().unwrap();
         let file = CheckpointFile::new(dir.path(), "state.bin");
-        let good = State { step: 1, values: vec![0.25] };
+        let good = SavedValues { step: 1, values: vec![0.25] };
         file.save(&good).unwrap();
         let error = file.save(&Faulty).unwrap_err();
         assert!(error.to_string().contains("out of words"), "{error}");
         assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
-        assert_eq!(file.load::<State>().unwrap().unwrap(), good);
+        assert_eq!(file.load::<SavedValues>().unwrap().unwrap(), good);
     }
 
     #[test]
     fn every_cut_and_every_flipped_byte_is_noticed() {
         let dir = tempfile::tempdir().unwrap();
         let file = CheckpointFile::new(dir.path(), "state.bin");
-        file.save(&State { step: 3, values: vec![0.5; 9] }).unwrap();
+        file.save(&SavedValues { step: 3, values: vec![0.5; 9] }).unwrap();
         let good = fs::read(file.path()).unwrap();
         for cut in 0..good.len() {
             fs::write(file.path(), &good[..cut]).unwrap();
-            assert!(matches!(file.load::<State>(), Err(CheckpointError::Damaged { .. })), "cut at {cut}");
+            assert!(
+                matches!(file.load::<SavedValues>(), Err(CheckpointError::Damaged { .. })),
+                "cut at {cut}"
+            );
         }
         for at in 0..good.len() {
             let mut bad = good.clone();
             bad[at] ^= 0x10;
             fs::write(file.path(), &bad).unwrap();
-            assert!(file.load::<State>().is_err(), "flip at {at}");
+            assert!(file.load::<SavedValues>().is_err(), "flip at {at}");
         }
     }
 }

@@ -22,13 +22,13 @@ mod session;
 #[cfg(test)]
 mod testing;
 
-pub use chain::{Checkpoints, Found, Resumable};
+pub use chain::{Checkpoints, Resumable, ResumePoint};
 pub use checkpoint::{CheckpointError, CheckpointFile};
 pub use choice::{EngineChoice, UnknownEngine};
 pub use engine::{Drain, EngineError};
 pub use guard::NonFinite;
-pub use observer::{Observer, Progress, Silent, Snapshot, StopFlag};
+pub use observer::{Observer, Silent, Snapshot, StopFlag, TrainingProgress};
 pub use order::ViewOrder;
 pub use pace::Pace;
 pub use profile::{Part, Profile};
-pub use session::{Ended, Session, Steps};
+pub use session::{Session, SessionEnd, Steps};

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 /// The progress of a loop. Optional numbers are absent if a loop does not have them.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Progress {
+pub struct TrainingProgress {
     /// Number of steps done.
     pub step: u64,
     /// Total number of steps.
@@ -32,7 +32,7 @@ pub type Snapshot = Arc<dyn Any + Send + Sync>;
 /// Observes a loop. Every method has a default that does nothing, so a test may pass [`Silent`].
 pub trait Observer {
     /// Called after every step; implementations decide how often to display it.
-    fn progress(&mut self, _progress: &Progress) {}
+    fn progress(&mut self, _progress: &TrainingProgress) {}
 
     /// Reports a message for the user, once: a fallback, a limit that was reached.
     fn notice(&mut self, _message: &str) {}

@@ -16,7 +16,7 @@ use std::time::Instant;
 
 use crate::chain::{Checkpoints, Resumable};
 use crate::checkpoint::CheckpointError;
-use crate::observer::{Observer, Progress, Snapshot};
+use crate::observer::{Observer, Snapshot, TrainingProgress};
 use crate::pace::Pace;
 
 /// The work of a loop, one step after another.
@@ -43,12 +43,12 @@ pub trait Steps {
 
     /// The numbers to display after a step: smoothed loss and PSNR, and the number of Gaussians. The skeleton
     /// adds the rest.
-    fn shown(&self) -> Progress;
+    fn shown(&self) -> TrainingProgress;
 }
 
 /// The end of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Ended {
+pub enum SessionEnd {
     /// The last step was done.
     Done,
     /// The run was stopped on request.
@@ -111,7 +111,7 @@ impl Session {
         done: u64,
         work: &mut S,
         observer: &mut dyn Observer,
-    ) -> Result<Ended, S::Error> {
+    ) -> Result<SessionEnd, S::Error> {
         let mut saved = done;
         let ended = self.advance(done, &mut saved, work, observer);
         if ended.is_err() {
@@ -135,7 +135,7 @@ impl Session {
         saved: &mut u64,
         work: &mut S,
         observer: &mut dyn Observer,
-    ) -> Result<Ended, S::Error> {
+    ) -> Result<SessionEnd, S::Error> {
         let mut left = work.work(done..self.steps.max(done));
         let mut pace = Pace::start();
         let mut saved_at = Instant::now();
@@ -145,7 +145,7 @@ impl Session {
             let cost = work.work(step..done);
             left -= cost;
             pace.step(cost);
-            observer.progress(&Progress {
+            observer.progress(&TrainingProgress {
                 step: done,
                 steps: self.steps,
                 steps_per_second: pace.steps_per_second(),
@@ -168,17 +168,17 @@ impl Session {
                 (saved_at, *saved) = (Instant::now(), done);
             }
             if stop {
-                return Ok(Ended::Stopped { step: done, saved: self.checkpoints.is_some() });
+                return Ok(SessionEnd::Stopped { step: done, saved: self.checkpoints.is_some() });
             }
         }
-        Ok(Ended::Done)
+        Ok(SessionEnd::Done)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::State;
+    use crate::testing::SavedStep;
 
     /// Counts steps, and records the steps after which it was saved.
     #[derive(Default)]
@@ -202,26 +202,26 @@ mod tests {
         }
         fn save(&mut self, done: u64, checkpoints: &Checkpoints) -> Result<(), CheckpointError> {
             self.saved.push(done);
-            checkpoints.save(done, &State { fingerprint: [1; 32], step: done })
+            checkpoints.save(done, &SavedStep { fingerprint: [1; 32], step: done })
         }
         fn view(&mut self) -> Result<Option<Snapshot>, CheckpointError> {
             Ok(Some(std::sync::Arc::new(self.steps.clone())))
         }
-        fn shown(&self) -> Progress {
-            Progress { loss: Some(0.5), ..Progress::default() }
+        fn shown(&self) -> TrainingProgress {
+            TrainingProgress { loss: Some(0.5), ..TrainingProgress::default() }
         }
     }
 
     #[derive(Default)]
-    struct Watcher {
+    struct TestObserver {
         stop_at: Option<u64>,
-        seen: Vec<Progress>,
+        seen: Vec<TrainingProgress>,
         notices: Vec<String>,
         views: Vec<Snapshot>,
     }
 
-    impl Observer for Watcher {
-        fn progress(&mut self, progress: &Progress) {
+    impl Observer for TestObserver {
+        fn progress(&mut self, progress: &TrainingProgress) {
             self.seen.push(*progress);
         }
         fn notice(&mut self, message: &str) {
@@ -247,11 +247,11 @@ mod tests {
             every_steps: 4,
             every_minutes: f64::INFINITY,
         };
-        let mut watcher = Watcher { stop_at: Some(6), ..Watcher::default() };
-        assert!(session.furthest::<State>(&mut watcher).is_none());
+        let mut watcher = TestObserver { stop_at: Some(6), ..TestObserver::default() };
+        assert!(session.furthest::<SavedStep>(&mut watcher).is_none());
         let mut first = Counter::default();
         let ended = session.run(0, &mut first, &mut watcher).unwrap();
-        assert_eq!(ended, Ended::Stopped { step: 6, saved: true });
+        assert_eq!(ended, SessionEnd::Stopped { step: 6, saved: true });
         assert_eq!((first.steps.len(), first.saved), (6, vec![4, 6]));
         // Six of ten steps are done, and the displayed numbers are the loop's own.
         let last = watcher.seen.last().unwrap();
@@ -262,15 +262,15 @@ mod tests {
         assert_eq!(shown.collect::<Vec<_>>(), [3, 6]);
 
         let mut second = Counter::default();
-        let state = session.furthest::<State>(&mut watcher).expect("a checkpoint");
+        let state = session.furthest::<SavedStep>(&mut watcher).expect("a checkpoint");
         session.tell_resumed(state.step, &mut watcher);
         assert!(watcher.notices.contains(&"resuming from step 6 of 10".to_string()), "{:?}", watcher.notices);
-        assert_eq!(session.run(state.step, &mut second, &mut watcher).unwrap(), Ended::Done);
+        assert_eq!(session.run(state.step, &mut second, &mut watcher).unwrap(), SessionEnd::Done);
         assert_eq!((second.steps, second.saved), (vec![6, 7, 8, 9], vec![10]));
         // No step is left, and no file is written.
         let mut third = Counter::default();
-        let state = session.furthest::<State>(&mut watcher).expect("the last checkpoint stays");
-        assert_eq!(session.run(state.step, &mut third, &mut watcher).unwrap(), Ended::Done);
+        let state = session.furthest::<SavedStep>(&mut watcher).expect("the last checkpoint stays");
+        assert_eq!(session.run(state.step, &mut third, &mut watcher).unwrap(), SessionEnd::Done);
         assert!(third.steps.is_empty() && third.saved.is_empty());
     }
 
@@ -285,7 +285,7 @@ mod tests {
             (None, 9, "nothing was saved yet"),
             (own(), 6, "the checkpoint of step 4 is kept; run the same command to continue from there"),
         ] {
-            let mut watcher = Watcher::default();
+            let mut watcher = TestObserver::default();
             let mut work = Counter { fails_at: Some(fails_at), ..Counter::default() };
             session(checkpoints).run(0, &mut work, &mut watcher).unwrap_err();
             assert!(
@@ -295,7 +295,7 @@ mod tests {
             );
         }
         // A run that resumed and failed before its next checkpoint keeps the old one.
-        let mut watcher = Watcher::default();
+        let mut watcher = TestObserver::default();
         let mut work = Counter { fails_at: Some(5), ..Counter::default() };
         session(own()).run(4, &mut work, &mut watcher).unwrap_err();
         assert!(watcher.notices[0].contains("step 4 is kept"), "{:?}", watcher.notices);
@@ -312,11 +312,11 @@ mod tests {
             every_minutes: f64::INFINITY,
         };
         of("a", 1)
-            .run(0, &mut Counter { fails_at: Some(6), ..Counter::default() }, &mut Watcher::default())
+            .run(0, &mut Counter { fails_at: Some(6), ..Counter::default() }, &mut TestObserver::default())
             .unwrap_err();
         let told = |session: Session| {
-            let mut watcher = Watcher::default();
-            assert!(session.furthest::<State>(&mut watcher).is_none());
+            let mut watcher = TestObserver::default();
+            assert!(session.furthest::<SavedStep>(&mut watcher).is_none());
             watcher.notices.join("\n")
         };
         let said = told(of("b", 1));
@@ -338,8 +338,8 @@ mod tests {
         std::fs::write(checkpoints.path(5), old).unwrap();
         let session =
             Session { steps: 10, checkpoints: Some(checkpoints), every_steps: 4, every_minutes: 1.0 };
-        let mut watcher = Watcher::default();
-        assert!(session.furthest::<State>(&mut watcher).is_none());
+        let mut watcher = TestObserver::default();
+        assert!(session.furthest::<SavedStep>(&mut watcher).is_none());
         let told = watcher.notices.join("\n");
         assert!(told.contains("another version") && told.contains("starting from the beginning"), "{told}");
     }

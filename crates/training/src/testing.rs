@@ -6,12 +6,12 @@ use crate::Resumable;
 
 /// A checkpoint's content.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct State {
+pub(crate) struct SavedStep {
     pub(crate) fingerprint: [u8; 32],
     pub(crate) step: u64,
 }
 
-impl Resumable for State {
+impl Resumable for SavedStep {
     fn fingerprint(&self) -> &[u8; 32] {
         &self.fingerprint
     }

@@ -5,7 +5,7 @@ use std::hint::black_box;
 use criterion::{Criterion, criterion_group, criterion_main};
 use use3d_capture::MediumMaps;
 use use3d_numerics::random::{Purpose, Stream};
-use use3d_ubaf::water::Water;
+use use3d_ubaf::water::ViewWater;
 use use3d_ubaf::{Field, FieldBox, Gradient, ObjectPass, Shape, WaterPass};
 
 fn field() -> Field {
@@ -57,7 +57,7 @@ fn water(c: &mut Criterion) {
     for (i, v) in maps.color.data_mut().iter_mut().enumerate() {
         *v = draw.uniform(i as u64) as f32;
     }
-    let water = Water::new(maps.clone());
+    let water = ViewWater::new(maps.clone());
     let mut pass = WaterPass::new();
     let mut out = MediumMaps::zeros(0, 0);
     let mut gradient = Gradient::new(field.shape());

@@ -23,7 +23,7 @@ use use3d_capture::{Appearance, KeptWater, MediumMaps};
 use crate::OUTPUTS;
 use crate::field::{Field, apply_affine};
 use crate::objects::ObjectPass;
-use crate::water::{Water, WaterPass};
+use crate::water::{ViewWater, WaterPass};
 use use3d_numerics::lanes::exp;
 
 /// Gaussians per parallel task.
@@ -81,7 +81,7 @@ impl Enhancement {
         }
         let mut maps = maps;
         self.kept_water.at_strength(strength).thin(&mut maps);
-        let water = Water::new(maps);
+        let water = ViewWater::new(maps);
         let mut out = MediumMaps::zeros(0, 0);
         WaterPass::new().forward(&self.field, camera, &water, strength, &mut out);
         out

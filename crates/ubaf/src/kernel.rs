@@ -25,7 +25,7 @@ pub(crate) type TileOutputs = [[f32; TILE]; OUTPUTS];
 
 /// A field's weights in the order in which the kernels read them.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Packed {
+pub(crate) struct PackedField {
     shape: Shape,
     rank: usize,
     /// `[4][G][padded rank]`.
@@ -55,7 +55,7 @@ pub(crate) struct Accumulator {
     units: Vec<f32>,
 }
 
-impl Packed {
+impl PackedField {
     /// Copies a field's weights; allocates only when the shape grows.
     pub(crate) fn pack(&mut self, field: &Field) {
         let shape = field.shape();
@@ -84,7 +84,7 @@ impl Packed {
     }
 
     /// Computes the decoder's raw outputs for one tile of lookups. `kept` receives the logistic values,
-    /// [`Packed::width`] per lookup, or is empty.
+    /// [`PackedField::width`] per lookup, or is empty.
     pub(crate) fn forward(
         &self,
         level: Level,
@@ -99,7 +99,7 @@ impl Packed {
     }
 
     /// Adds the tile's parameter gradients to `sums` and writes `∂L/∂γ`. Its inputs are `∂L/∂raw` (zero in
-    /// padding lanes) and the values that [`Packed::forward`] kept, or nothing.
+    /// padding lanes) and the values that [`PackedField::forward`] kept, or nothing.
     pub(crate) fn backward(
         &self,
         level: Level,
@@ -122,7 +122,7 @@ impl Packed {
 
 impl Accumulator {
     /// Sets the sums to zero, in the size of the packed field.
-    pub(crate) fn clear(&mut self, packed: &Packed) {
+    pub(crate) fn clear(&mut self, packed: &PackedField) {
         self.factors.clear();
         self.factors.resize(packed.factors.len(), 0.0);
         self.units.clear();
@@ -131,7 +131,7 @@ impl Accumulator {
 
     /// Adds the sums to a flat gradient. The output bias is left out, because its gradient is exactly zero
     /// (see `field`).
-    pub(crate) fn add_to(&self, packed: &Packed, gradient: &mut [f64]) {
+    pub(crate) fn add_to(&self, packed: &PackedField, gradient: &mut [f64]) {
         let (shape, rank) = (packed.shape, packed.rank);
         for (g, s) in
             gradient[shape.factors()].chunks_exact_mut(shape.rank).zip(self.factors.chunks_exact(rank))
@@ -186,7 +186,7 @@ fn location(lookups: Lookups<'_>, i: usize, resolution: usize) -> [(usize, f32);
 
 /// Codes of a tile, one plane per rank.
 #[inline(always)]
-fn codes<const P: usize>(packed: &Packed, lookups: Lookups<'_>) -> [[f32; TILE]; P] {
+fn codes<const P: usize>(packed: &PackedField, lookups: Lookups<'_>) -> [[f32; TILE]; P] {
     let table = packed.factors.as_chunks::<P>().0;
     let mut z = [[0.0; TILE]; P];
     for i in 0..lookups.gamma.len() {
@@ -222,7 +222,7 @@ fn activation<S: Simd, const P: usize>(simd: S, unit: &[f32], z: &[f32x16<S>; P]
 #[inline(always)]
 fn forward_tile<S: Simd, const P: usize>(
     simd: S,
-    packed: &Packed,
+    packed: &PackedField,
     lookups: Lookups<'_>,
     out: &mut TileOutputs,
     kept: &mut [f32],
@@ -259,7 +259,7 @@ type Plane = [f32; TILE];
 #[inline(always)]
 fn backward_tile<S: Simd, const P: usize>(
     simd: S,
-    packed: &Packed,
+    packed: &PackedField,
     lookups: Lookups<'_>,
     d_out: &TileOutputs,
     kept: &[f32],
@@ -273,7 +273,7 @@ fn backward_tile<S: Simd, const P: usize>(
     let whole = packed.shape.width / UNITS * UNITS;
     let (units, rest) = packed.units.split_at(whole * record);
     let (unit_sums, rest_sums) = sums.units.split_at_mut(whole * record * LANES);
-    let pass = Pass { z: &z, d_out, kept, count };
+    let pass = BackwardInputs { z: &z, d_out, kept, count };
     let groups = units.chunks_exact(UNITS * record).zip(unit_sums.chunks_exact_mut(UNITS * record * LANES));
     for (group, (units, sums)) in groups.enumerate() {
         units_backward::<S, P, UNITS>(simd, &pass, group * UNITS, units, sums, &mut d_z);
@@ -290,7 +290,7 @@ fn backward_tile<S: Simd, const P: usize>(
 const UNITS: usize = 4;
 
 /// The inputs of the backward passes of all hidden units of a tile.
-struct Pass<'a, const P: usize> {
+struct BackwardInputs<'a, const P: usize> {
     z: &'a [Plane; P],
     d_out: &'a TileOutputs,
     kept: &'a [f32],
@@ -302,7 +302,7 @@ struct Pass<'a, const P: usize> {
 #[inline(always)]
 fn units_backward<S: Simd, const P: usize, const U: usize>(
     simd: S,
-    pass: &Pass<'_, P>,
+    pass: &BackwardInputs<'_, P>,
     first: usize,
     units: &[f32],
     sums: &mut [f32],
@@ -412,7 +412,7 @@ fn add<S: Simd>(simd: S, d: f32x16<S>, sum: &mut [f32]) {
 /// `∂L/∂factors` and `∂L/∂γ` from `∂L/∂z`.
 #[inline(always)]
 fn codes_backward<const P: usize>(
-    packed: &Packed,
+    packed: &PackedField,
     lookups: Lookups<'_>,
     d_z: &[[f32; TILE]; P],
     d_factors: &mut [f32],

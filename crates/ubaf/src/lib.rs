@@ -35,7 +35,7 @@ pub use field_box::FieldBox;
 pub use objects::ObjectPass;
 pub use sites::Sites;
 pub use tensors::TensorError;
-pub use water::{Water, WaterPass};
+pub use water::{ViewWater, WaterPass};
 
 /// Outputs of the decoder: log-gain RGB, then bias RGB.
 pub const OUTPUTS: usize = 6;

@@ -20,7 +20,7 @@ use rayon::prelude::*;
 use crate::OUTPUTS;
 use crate::field::{Field, Gradient};
 use crate::guide;
-use crate::kernel::{Accumulator, Lookups, Packed, TILE, TileOutputs};
+use crate::kernel::{Accumulator, Lookups, PackedField, TILE, TileOutputs};
 use crate::recolor::{self, BlockSums, plane_sums, total};
 use crate::sites::{BLOCK, LANES, Sites};
 
@@ -34,7 +34,7 @@ const KEPT: usize = 512 << 20;
 pub struct ObjectPass {
     level: Level,
     sites: Arc<Sites>,
-    packed: Packed,
+    packed: PackedField,
     /// For each block, six planes of [`BLOCK`] raw outputs.
     raw: Vec<f32>,
     mean: [f32; OUTPUTS],
@@ -46,18 +46,18 @@ pub struct ObjectPass {
     sums: Vec<BlockSums>,
     /// For each block, a flat gradient.
     partials: Vec<f64>,
-    scratch: Vec<Mutex<Scratch>>,
+    scratch: Vec<Mutex<ObjectScratch>>,
 }
 
 #[derive(Debug)]
-struct Scratch {
+struct ObjectScratch {
     outputs: TileOutputs,
     gamma: [f32; TILE],
     d_gamma: [f32; TILE],
     sums: Accumulator,
 }
 
-impl Default for Scratch {
+impl Default for ObjectScratch {
     fn default() -> Self {
         Self {
             outputs: [[0.0; TILE]; OUTPUTS],
@@ -105,7 +105,7 @@ impl ObjectPass {
             partials: Vec::new(),
             scratch: Vec::new(),
             mean: [0.0; OUTPUTS],
-            packed: Packed::default(),
+            packed: PackedField::default(),
             sites,
         }
     }
@@ -266,7 +266,7 @@ impl ObjectPass {
             .enumerate()
             .for_each(|(block, (partial, d_raw))| {
                 with_scratch(scratch, |scratch| {
-                    let Scratch { outputs, gamma, d_gamma, sums } = scratch;
+                    let ObjectScratch { outputs, gamma, d_gamma, sums } = scratch;
                     sums.clear(packed);
                     let mut d_guide = [0.0f64; 4];
                     for tile in tiles(sites, block) {
@@ -313,7 +313,7 @@ impl ObjectPass {
 
 /// Runs `work` with the scratch memory of the calling thread. Its content is not used after one block, so a
 /// poisoned one is still usable.
-fn with_scratch(scratch: &[Mutex<Scratch>], work: impl FnOnce(&mut Scratch)) {
+fn with_scratch(scratch: &[Mutex<ObjectScratch>], work: impl FnOnce(&mut ObjectScratch)) {
     let mine = rayon::current_thread_index().unwrap_or(0) % scratch.len();
     work(&mut scratch[mine].lock().unwrap_or_else(PoisonError::into_inner));
 }

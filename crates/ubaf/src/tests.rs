@@ -9,7 +9,7 @@ use use3d_numerics::random::{Purpose, Stream};
 use crate::guide::{gamma_scalar, signed_log};
 use crate::objects::guide_color;
 use crate::plain::{self, Exact};
-use crate::water::Water;
+use crate::water::ViewWater;
 use crate::{Field, FieldBox, Gradient, ObjectPass, Shape, WaterPass, variation};
 
 /// True if the level fuses multiply and add, so that vector code and scalar twins agree bit for bit.
@@ -79,7 +79,7 @@ impl Example {
     fn gradient(&self, level: Level) -> Gradient {
         let (d_colors, d_maps) = self.derivatives();
         let mut objects = ObjectPass::with_level(level, &self.field, &self.means, self.sh_dc.iter().copied());
-        let water = Water::new(self.maps.clone());
+        let water = ViewWater::new(self.maps.clone());
         let mut pass = WaterPass::with_level(level);
         let mut out = MediumMaps::zeros(0, 0);
         let mut gradient = Gradient::new(self.field.shape());
@@ -266,7 +266,7 @@ fn the_output_bias_shifts_nothing() {
         pass.forward(field);
         let mut out = Vec::new();
         pass.colors(field, &e.base, &mut out);
-        let water = Water::new(e.maps.clone());
+        let water = ViewWater::new(e.maps.clone());
         let mut maps = MediumMaps::zeros(0, 0);
         WaterPass::new().forward(field, e.camera, &water, 1.0, &mut maps);
         (out, maps)

@@ -21,7 +21,7 @@ use use3d_numerics::math;
 use crate::OUTPUTS;
 use crate::field::{Field, Gradient, apply_affine};
 use crate::guide::{self, locate, signed_log};
-use crate::kernel::{Accumulator, Lookups, Packed, TILE, TileOutputs};
+use crate::kernel::{Accumulator, Lookups, PackedField, TILE, TileOutputs};
 use crate::sites::LANES;
 use use3d_numerics::lanes::exp;
 
@@ -34,13 +34,13 @@ const BLOCK: usize = 4096;
 
 /// The constant part of one view's water: the maps of the frozen medium, and the signed logs of its colour.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Water {
+pub struct ViewWater {
     /// The frozen medium's maps.
     pub maps: MediumMaps,
     signed_logs: Image,
 }
 
-impl Water {
+impl ViewWater {
     /// Prepares the frozen medium's maps of a view.
     pub fn new(maps: MediumMaps) -> Self {
         let signed_logs = maps.color.map(signed_log);
@@ -65,7 +65,7 @@ pub type Table = [[f32; OUTPUTS]; ROWS];
 #[derive(Debug)]
 pub struct WaterPass {
     level: Level,
-    packed: Packed,
+    packed: PackedField,
     raw: Box<TileOutputs>,
     table: Table,
     sums: Accumulator,
@@ -119,7 +119,7 @@ impl WaterPass {
     pub fn with_level(level: Level) -> Self {
         Self {
             level,
-            packed: Packed::default(),
+            packed: PackedField::default(),
             raw: Box::new([[0.0; TILE]; OUTPUTS]),
             table: [[0.0; OUTPUTS]; ROWS],
             sums: Accumulator::default(),
@@ -151,7 +151,7 @@ impl WaterPass {
         &mut self,
         field: &Field,
         camera: [f32; 3],
-        water: &Water,
+        water: &ViewWater,
         strength: f32,
         out: &mut MediumMaps,
     ) {
@@ -196,7 +196,7 @@ impl WaterPass {
         &mut self,
         field: &Field,
         camera: [f32; 3],
-        water: &Water,
+        water: &ViewWater,
         d_maps: &MediumMaps,
         gradient: &mut Gradient,
     ) {

@@ -2,7 +2,7 @@
 
 use use3d_capture::{Formation, Image, MediumMaps};
 use use3d_golden::{Case, Part};
-use use3d_ubaf::water::Water;
+use use3d_ubaf::water::ViewWater;
 use use3d_ubaf::{Field, FieldBox, Gradient, ObjectPass, Shape, WaterPass, variation};
 
 fn field(case: &Case<'_>) -> Field {
@@ -63,7 +63,7 @@ fn golden_field_outputs_and_gradients() {
         case.check("out.colors_plus", colors.as_flattened());
 
         let camera: [f32; 3] = case.f32("in.cam_center").try_into().unwrap();
-        let water = Water::new(MediumMaps {
+        let water = ViewWater::new(MediumMaps {
             color: image(&case, "in.c_m"),
             backscatter: image(&case, "in.beta_bs"),
             attenuation: image(&case, "in.beta_attn"),

@@ -1,9 +1,9 @@
 //! Draws pictures for pages, one after another, in one thread.
 //!
 //! Every page has at most one waiting request. A newer request replaces it, and the older one is answered
-//! with [`Drawn::Dropped`]. A moving picture is drawn at reduced size (1, ½, ⅓ or ¼ of each side), so that it
-//! takes [`MOVING`] at the pace of the pictures before it. A still one is drawn at full size, or so that it
-//! takes [`STILL`] while a training runs.
+//! with [`DrawingAnswer::Dropped`]. A moving picture is drawn at reduced size (1, ½, ⅓ or ¼ of each side), so
+//! that it takes [`MOVING`] at the pace of the pictures before it. A still one is drawn at full size, or so
+//! that it takes [`STILL`] while a training runs.
 
 use std::collections::VecDeque;
 use std::sync::mpsc::{Receiver, Sender, channel};
@@ -34,7 +34,7 @@ const JPEG_QUALITY: u8 = 70;
 
 /// The picture to draw.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Look {
+pub(crate) struct PictureRequest {
     /// The camera in the scene's frame.
     pub(crate) camera: Camera,
     pub(crate) mode: Mode,
@@ -48,8 +48,8 @@ pub(crate) struct Look {
 }
 
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Wanted {
-    Picture(Look),
+pub(crate) enum DrawingRequest {
+    Picture(PictureRequest),
     /// The median depth of the pixels that such a camera sees.
     Depth(Camera),
     /// The colour of a spot, for the white balance.
@@ -63,7 +63,7 @@ pub(crate) enum Wanted {
 }
 
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Drawn {
+pub(crate) enum DrawingAnswer {
     Picture {
         bytes: Vec<u8>,
         kind: &'static str,
@@ -80,16 +80,16 @@ pub(crate) enum Drawn {
     Failed(String),
 }
 
-struct Job {
+struct DrawingJob {
     page: String,
-    wanted: Wanted,
-    answer: Sender<Drawn>,
+    wanted: DrawingRequest,
+    answer: Sender<DrawingAnswer>,
 }
 
 /// Requests, oldest page first.
 #[derive(Default)]
 struct Queue {
-    jobs: VecDeque<Job>,
+    jobs: VecDeque<DrawingJob>,
     closed: bool,
     /// Nothing is drawn before this time.
     rests_until: Option<Instant>,
@@ -107,23 +107,23 @@ impl Drawing {
     }
 
     /// Adds a request for a drawing to the queue.
-    pub(crate) fn ask(&self, page: &str, wanted: Wanted) -> Receiver<Drawn> {
+    pub(crate) fn ask(&self, page: &str, wanted: DrawingRequest) -> Receiver<DrawingAnswer> {
         let (answer, drawn) = channel();
         let mut queue = self.queue.lock().unwrap_or_else(PoisonError::into_inner);
-        let picture = |w: &Wanted| matches!(w, Wanted::Picture(_));
+        let picture = |w: &DrawingRequest| matches!(w, DrawingRequest::Picture(_));
         let full = queue.jobs.len() >= 2 * PAGES;
         let waits =
             queue.jobs.iter_mut().find(|job| job.page == page && picture(&job.wanted) == picture(&wanted));
         match waits {
             Some(job) => {
                 // The receiver may be gone already; then the answer is lost.
-                let _ = std::mem::replace(&mut job.answer, answer).send(Drawn::Dropped);
+                let _ = std::mem::replace(&mut job.answer, answer).send(DrawingAnswer::Dropped);
                 job.wanted = wanted;
             }
             None if full => {
-                let _ = answer.send(Drawn::Dropped);
+                let _ = answer.send(DrawingAnswer::Dropped);
             }
-            None => queue.jobs.push_back(Job { page: page.into(), wanted, answer }),
+            None => queue.jobs.push_back(DrawingJob { page: page.into(), wanted, answer }),
         }
         self.changed.notify_all();
         drawn
@@ -136,7 +136,7 @@ impl Drawing {
     }
 
     /// The next request, as soon as it may be drawn; `None` at the end.
-    fn next(&self) -> Option<Job> {
+    fn next(&self) -> Option<DrawingJob> {
         let mut queue = self.queue.lock().unwrap_or_else(PoisonError::into_inner);
         loop {
             if queue.closed {
@@ -162,7 +162,7 @@ impl Drawing {
         let mut next = self.next();
         while let Some(job) = next {
             let Some((shown, version)) = self.live.shown() else {
-                let _ = job.answer.send(Drawn::Failed("there is no scene yet".into()));
+                let _ = job.answer.send(DrawingAnswer::Failed("there is no scene yet".into()));
                 next = self.next();
                 continue;
             };
@@ -173,7 +173,7 @@ impl Drawing {
             let mut renderer = match made {
                 Ok(renderer) => renderer,
                 Err(error) => {
-                    let _ = job.answer.send(Drawn::Failed(error.to_string()));
+                    let _ = job.answer.send(DrawingAnswer::Failed(error.to_string()));
                     next = self.next();
                     continue;
                 }
@@ -182,16 +182,16 @@ impl Drawing {
             // The renderer is kept as long as the scene and the amounts stay the same.
             while let Some(job) = now.take_if(|job| {
                 (self.live.version(), amounts(&job.wanted)) == (version, (strength, water))
-                    || matches!(job.wanted, Wanted::Depth(_)) && self.live.version() == version
+                    || matches!(job.wanted, DrawingRequest::Depth(_)) && self.live.version() == version
             }) {
                 let started = Instant::now();
                 let trains = self.live.rest(Duration::ZERO).is_some();
                 let drawn = on(&beside, trains, || match &job.wanted {
-                    Wanted::Picture(look) => pace.draw(&mut renderer, look, version, trains),
-                    Wanted::Depth(camera) => depth(&mut renderer, camera),
-                    Wanted::Patch { camera, x, y, .. } => {
+                    DrawingRequest::Picture(look) => pace.draw(&mut renderer, look, version, trains),
+                    DrawingRequest::Depth(camera) => depth(&mut renderer, camera),
+                    DrawingRequest::Patch { camera, x, y, .. } => {
                         renderer.set_white(Gains::ONE);
-                        Drawn::Patch(patch(&mut renderer, camera, *x, *y).map_err(|e| e.to_string()))
+                        DrawingAnswer::Patch(patch(&mut renderer, camera, *x, *y).map_err(|e| e.to_string()))
                     }
                 });
                 let _ = job.answer.send(drawn);
@@ -209,11 +209,11 @@ impl Drawing {
 }
 
 /// The strength and the share of water that a renderer is made for.
-fn amounts(wanted: &Wanted) -> (f32, f32) {
+fn amounts(wanted: &DrawingRequest) -> (f32, f32) {
     match wanted {
-        Wanted::Picture(look) => (look.strength, look.water),
-        Wanted::Depth(_) => (1.0, 1.0),
-        Wanted::Patch { water, .. } => (1.0, *water),
+        DrawingRequest::Picture(look) => (look.strength, look.water),
+        DrawingRequest::Depth(_) => (1.0, 1.0),
+        DrawingRequest::Patch { water, .. } => (1.0, *water),
     }
 }
 
@@ -230,7 +230,7 @@ struct Pace {
 }
 
 impl Pace {
-    fn divisor(&self, look: &Look, trains: bool) -> usize {
+    fn divisor(&self, look: &PictureRequest, trains: bool) -> usize {
         let budget = match (look.moving, trains) {
             (true, _) => MOVING,
             (false, true) => STILL,
@@ -243,7 +243,13 @@ impl Pace {
         LADDER.into_iter().find(fits).unwrap_or(LADDER[LADDER.len() - 1])
     }
 
-    fn draw(&mut self, renderer: &mut SceneRenderer<'_>, look: &Look, version: u64, trains: bool) -> Drawn {
+    fn draw(
+        &mut self,
+        renderer: &mut SceneRenderer<'_>,
+        look: &PictureRequest,
+        version: u64,
+        trains: bool,
+    ) -> DrawingAnswer {
         let divisor = self.divisor(look, trains);
         let k = look.camera.intrinsics;
         let (width, height) = (k.width.div_ceil(divisor), k.height.div_ceil(divisor));
@@ -257,21 +263,21 @@ impl Pace {
         };
         let image = match renderer.render(&camera, &modes) {
             Ok(frames) => joined(look, &modes, &frames),
-            Err(error) => return Drawn::Failed(error.to_string()),
+            Err(error) => return DrawingAnswer::Failed(error.to_string()),
         };
         let one = started.elapsed().as_secs_f64() / (width * height * modes.len()) as f64;
         let known = &mut self.per_pixel[usize::from(trains)];
         *known = Some(known.map_or(one, |known| 0.7 * known + 0.3 * one));
         let exact = divisor == 1 && !look.moving && !trains;
         match encoded(&image, exact) {
-            Ok((bytes, kind)) => Drawn::Picture { bytes, kind, divisor, version },
-            Err(error) => Drawn::Failed(error),
+            Ok((bytes, kind)) => DrawingAnswer::Picture { bytes, kind, divisor, version },
+            Err(error) => DrawingAnswer::Failed(error),
         }
     }
 }
 
 /// The picture of a look, joined from both sides of the divider.
-fn joined(look: &Look, modes: &[Mode], frames: &[Rendering]) -> Image {
+fn joined(look: &PictureRequest, modes: &[Mode], frames: &[Rendering]) -> Image {
     let mut sides = modes.iter().zip(frames).map(|(mode, frame)| picture(*mode, frame));
     let Some(mut image) = sides.next() else { return Image::new(0, 0) };
     if let (Some(left), Some((_, at))) = (sides.next(), look.left) {
@@ -303,17 +309,19 @@ fn encoded(image: &Image, exact: bool) -> Result<(Vec<u8>, &'static str), String
     Ok((bytes, "image/jpeg"))
 }
 
-fn depth(renderer: &mut SceneRenderer<'_>, camera: &Camera) -> Drawn {
+fn depth(renderer: &mut SceneRenderer<'_>, camera: &Camera) -> DrawingAnswer {
     let frames = match renderer.render(camera, &[Mode::Depth, Mode::Alpha]) {
         Ok(frames) => frames,
-        Err(error) => return Drawn::Failed(error.to_string()),
+        Err(error) => return DrawingAnswer::Failed(error.to_string()),
     };
-    let [Rendering::Scalar(depth), Rendering::Scalar(alpha)] = &frames[..] else { return Drawn::Depth(None) };
+    let [Rendering::Scalar(depth), Rendering::Scalar(alpha)] = &frames[..] else {
+        return DrawingAnswer::Depth(None);
+    };
     let there =
         depth.data().iter().zip(alpha.data()).filter(|(depth, alpha)| **depth > 0.0 && **alpha > 0.25);
     let mut depths: Vec<f32> = there.map(|(depth, _)| *depth).collect();
     depths.sort_unstable_by(f32::total_cmp);
-    Drawn::Depth(depths.get(depths.len() / 2).copied())
+    DrawingAnswer::Depth(depths.get(depths.len() / 2).copied())
 }
 
 #[cfg(test)]
@@ -326,9 +334,9 @@ mod tests {
 
     use crate::live::Shown;
 
-    fn look(width: usize) -> Look {
+    fn look(width: usize) -> PictureRequest {
         let intrinsics = Intrinsics { width, height: 48, fx: 40.0, fy: 40.0, cx: 32.0, cy: 24.0 };
-        Look {
+        PictureRequest {
             camera: Camera { intrinsics, pose: Pose::IDENTITY },
             mode: Mode::Clear,
             left: None,
@@ -364,20 +372,22 @@ mod tests {
         // Nothing is drawn yet, as if one large picture took all this time.
         let drawing = Drawing::new(live);
         let mut asked: Vec<_> =
-            (64..84).map(|width| drawing.ask("a", Wanted::Picture(look(width)))).collect();
+            (64..84).map(|width| drawing.ask("a", DrawingRequest::Picture(look(width)))).collect();
         // Another page's request, and a depth request of the same page, replace no other.
-        let other = drawing.ask("b", Wanted::Picture(look(30)));
-        let depth = drawing.ask("a", Wanted::Depth(look(9).camera));
+        let other = drawing.ask("b", DrawingRequest::Picture(look(30)));
+        let depth = drawing.ask("a", DrawingRequest::Depth(look(9).camera));
         let newest = asked.pop().expect("the last one");
-        assert!(asked.iter().all(|older| older.try_recv() == Ok(Drawn::Dropped)));
+        assert!(asked.iter().all(|older| older.try_recv() == Ok(DrawingAnswer::Dropped)));
         let worker = drawing.clone();
         let works = std::thread::spawn(move || worker.work());
         for (drawn, width) in [(newest, 83), (other, 30)] {
-            let Ok(Drawn::Picture { bytes, kind, divisor, .. }) = drawn.recv() else { panic!("no picture") };
+            let Ok(DrawingAnswer::Picture { bytes, kind, divisor, .. }) = drawn.recv() else {
+                panic!("no picture")
+            };
             assert_eq!((kind, divisor), ("image/png", 1));
             assert_eq!(bytes[16..20], u32::to_be_bytes(width));
         }
-        assert!(matches!(depth.recv(), Ok(Drawn::Depth(_))));
+        assert!(matches!(depth.recv(), Ok(DrawingAnswer::Depth(_))));
         drawing.close();
         works.join().expect("it ends");
     }
@@ -385,8 +395,8 @@ mod tests {
     #[test]
     fn a_picture_is_as_small_as_its_time_asks_for() {
         let still = look(100);
-        let moving = Look { moving: true, ..still };
-        let both = Look { left: Some((Mode::Depth, 0.5)), ..moving };
+        let moving = PictureRequest { moving: true, ..still };
+        let both = PictureRequest { left: Some((Mode::Depth, 0.5)), ..moving };
         // For 4800 pixels: the time for all of them as a share of the time of a moving picture.
         let pace = |share: f64| {
             let one = Some(share * MOVING.as_secs_f64() / 4800.0);

@@ -4,7 +4,7 @@
 //! that its browser adds, and cannot read the token. If it uses a name of its own that resolves to this
 //! machine (DNS rebinding), that name appears in `Host`.
 
-use crate::http::{Request, Response};
+use crate::http::{HttpRequest, Response};
 
 /// The secret at the end of the printed address.
 #[derive(Clone, Debug)]
@@ -40,7 +40,7 @@ fn is_loopback(host: &str) -> bool {
 
 /// The refusal of a request; `None` if it is allowed. The page itself contains no secret and is open to
 /// everyone on this machine; all other requests need `POST` with origin and token.
-pub(crate) fn refusal(request: &Request, token: &Token) -> Option<Response> {
+pub(crate) fn refusal(request: &HttpRequest, token: &Token) -> Option<Response> {
     let forbidden = |what: &str| Some(Response::text(403, what));
     let Some(host) = request.host.as_deref().filter(|host| is_loopback(host)) else {
         return forbidden("this server answers only requests to 127.0.0.1 and localhost");

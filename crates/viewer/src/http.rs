@@ -21,7 +21,7 @@ const IDLE: Duration = Duration::from_secs(30);
 
 /// A request.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Request {
+pub(crate) struct HttpRequest {
     /// `GET`, `POST`, …
     pub(crate) method: String,
     /// The path with its query.
@@ -72,7 +72,7 @@ impl Response {
 pub(crate) struct Pending(Vec<u8>);
 
 /// The end of a head, its request, and the length of the body.
-fn head(bytes: &[u8]) -> Result<Option<(usize, Request, usize)>, NoRequest> {
+fn head(bytes: &[u8]) -> Result<Option<(usize, HttpRequest, usize)>, NoRequest> {
     let mut fields = [httparse::EMPTY_HEADER; FIELDS];
     let mut parsed = httparse::Request::new(&mut fields);
     let end = match parsed.parse(bytes) {
@@ -101,7 +101,7 @@ fn head(bytes: &[u8]) -> Result<Option<(usize, Request, usize)>, NoRequest> {
         None => 0,
         Some(text) => text.parse().map_err(|_| NoRequest::Refused(400, "Content-Length is not a number"))?,
     };
-    let request = Request {
+    let request = HttpRequest {
         method: parsed.method.unwrap_or_default().to_string(),
         path: parsed.path.unwrap_or_default().to_string(),
         host: field("host")?,
@@ -115,7 +115,7 @@ fn head(bytes: &[u8]) -> Result<Option<(usize, Request, usize)>, NoRequest> {
 }
 
 /// Reads the next request of a connection.
-pub(crate) fn read(stream: &mut TcpStream, pending: &mut Pending) -> Result<Request, NoRequest> {
+pub(crate) fn read(stream: &mut TcpStream, pending: &mut Pending) -> Result<HttpRequest, NoRequest> {
     let mut begun = (!pending.0.is_empty()).then(Instant::now);
     let mut more = |bytes: &mut Vec<u8>| -> Result<(), NoRequest> {
         let left = begun.map_or(IDLE, |begun| PATIENCE.saturating_sub(begun.elapsed()));

@@ -60,7 +60,7 @@ impl Shown {
 }
 
 #[derive(Debug, Default)]
-struct State {
+struct LiveState {
     /// The thing that is waited for, or the result at the end.
     words: String,
     /// True while a training runs.
@@ -90,7 +90,7 @@ struct State {
     copying: Duration,
 }
 
-impl State {
+impl LiveState {
     /// True if `shown` is another state of the scene that is shown now, so that it can replace it without
     /// reloading the page.
     fn continues(&self, shown: &Shown) -> bool {
@@ -107,7 +107,7 @@ impl State {
 /// The scene that is shown, shared by a server and the producer of the scene.
 #[derive(Debug)]
 pub struct Live {
-    state: Mutex<State>,
+    state: Mutex<LiveState>,
     changed: Condvar,
     /// Set by the page's stop button or by another reason to stop the training; `None` if nothing can be
     /// paused or stopped.
@@ -119,12 +119,13 @@ impl Live {
     /// Starts without a scene. `stop` is the flag that ends the training with a checkpoint; without it the
     /// page cannot pause or stop anything.
     pub fn new(words: &str, stop: Option<Arc<AtomicBool>>) -> Self {
-        let state = State { words: words.into(), share: SHARE, header: Value::Null, ..State::default() };
+        let state =
+            LiveState { words: words.into(), share: SHARE, header: Value::Null, ..LiveState::default() };
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         Self { state: Mutex::new(state), changed: Condvar::new(), stop, cores }
     }
 
-    fn state(&self) -> MutexGuard<'_, State> {
+    fn state(&self) -> MutexGuard<'_, LiveState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -177,7 +178,7 @@ impl Live {
         // Between two stages a page sends a request every two seconds.
         const MOMENT: Duration = Duration::from_secs(4);
         let ended = Instant::now();
-        let waits = |state: &State| {
+        let waits = |state: &LiveState| {
             let looked = state.looked.filter(|at| at.elapsed() < LOOKING);
             looked.is_some_and(|at| at < ended) && ended.elapsed() < MOMENT
         };
@@ -254,7 +255,7 @@ impl Live {
 
     fn put(
         &self,
-        mut state: MutexGuard<'_, State>,
+        mut state: MutexGuard<'_, LiveState>,
         shown: Shown,
         header: Option<Value>,
         data: Option<Arc<PageData>>,

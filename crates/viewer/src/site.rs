@@ -12,8 +12,8 @@ use use3d_capture::{Camera, Intrinsics, Pose};
 use use3d_render::Mode;
 use use3d_scene::white::{GAINS, Gains};
 
-use crate::drawing::{Drawing, Drawn, Look, Wanted};
-use crate::http::{Request, Response};
+use crate::drawing::{Drawing, DrawingAnswer, DrawingRequest, PictureRequest};
+use crate::http::{HttpRequest, Response};
 use crate::live::Live;
 
 /// Longest side of a picture, pixels.
@@ -97,7 +97,7 @@ impl CameraWords {
 }
 
 impl LookWords {
-    fn look(&self) -> Result<Look, String> {
+    fn look(&self) -> Result<PictureRequest, String> {
         let mode = |name: &str| Mode::from_name(name).ok_or_else(|| format!("there is no mode `{name}`"));
         let shares = [f64::from(self.strength), f64::from(self.water), self.at];
         if shares.iter().any(|share| !(0.0..=1.0).contains(share)) {
@@ -110,7 +110,7 @@ impl LookWords {
         if gains.as_flattened().iter().any(|gain| !(least..=most).contains(gain)) {
             return Err(format!("the gains of a white balance are {least} to {most}"));
         }
-        Ok(Look {
+        Ok(PictureRequest {
             camera: self.camera.camera()?,
             mode: mode(&self.mode)?,
             left: left.map(|left| (left, self.at)),
@@ -128,7 +128,7 @@ impl Site {
     }
 
     /// The answer to a request that passed the guard.
-    pub(crate) fn answer(&self, request: &Request) -> Response {
+    pub(crate) fn answer(&self, request: &HttpRequest) -> Response {
         if request.method == "GET" {
             let mut page = Response::new(200, "text/html; charset=utf-8", self.page.html.clone());
             page.fields = vec![
@@ -147,16 +147,16 @@ impl Site {
             }),
             "/frame" => words::<LookWords>(request)
                 .and_then(|words| Ok((words.look()?, words.page)))
-                .map(|(look, page)| self.picture(&self.drawing.ask(&page, Wanted::Picture(look)))),
+                .map(|(look, page)| self.picture(&self.drawing.ask(&page, DrawingRequest::Picture(look)))),
             "/depth" => words::<DepthWords>(request)
                 .and_then(|words| Ok((words.camera.camera()?, words.page)))
-                .map(|(camera, page)| self.picture(&self.drawing.ask(&page, Wanted::Depth(camera)))),
+                .map(|(camera, page)| self.picture(&self.drawing.ask(&page, DrawingRequest::Depth(camera)))),
             "/patch" => words::<PatchWords>(request).and_then(|asked| {
                 if !(0.0..=1.0).contains(&asked.water) {
                     return Err("water is 0 to 1".into());
                 }
                 let (camera, water) = (asked.camera.camera()?, asked.water);
-                let wanted = Wanted::Patch { camera, x: asked.x, y: asked.y, water };
+                let wanted = DrawingRequest::Patch { camera, x: asked.x, y: asked.y, water };
                 Ok(self.picture(&self.drawing.ask(&asked.page, wanted)))
             }),
             "/do" => words::<CommandWords>(request).and_then(|asked| {
@@ -171,26 +171,26 @@ impl Site {
         answer.unwrap_or_else(|wrong| Response::text(400, &wrong))
     }
 
-    fn picture(&self, drawn: &Receiver<Drawn>) -> Response {
+    fn picture(&self, drawn: &Receiver<DrawingAnswer>) -> Response {
         match drawn.recv_timeout(PATIENCE) {
-            Ok(Drawn::Picture { bytes, kind, divisor, version }) => {
+            Ok(DrawingAnswer::Picture { bytes, kind, divisor, version }) => {
                 let mut response = Response::new(200, kind, bytes);
                 response.fields =
                     vec![("X-Divisor", divisor.to_string()), ("X-Version", version.to_string())];
                 response
             }
-            Ok(Drawn::Patch(Ok(patch))) => {
+            Ok(DrawingAnswer::Patch(Ok(patch))) => {
                 Response::json(&json!({ "colors": patch.colors, "depth": patch.depth }))
             }
-            Ok(Drawn::Patch(Err(problem))) => Response::json(&json!({ "problem": problem })),
-            Ok(Drawn::Depth(depth)) => Response::json(&json!({ "depth": depth })),
-            Ok(Drawn::Dropped) | Err(_) => Response::new(204, "text/plain", ""),
-            Ok(Drawn::Failed(why)) => Response::text(503, &why),
+            Ok(DrawingAnswer::Patch(Err(problem))) => Response::json(&json!({ "problem": problem })),
+            Ok(DrawingAnswer::Depth(depth)) => Response::json(&json!({ "depth": depth })),
+            Ok(DrawingAnswer::Dropped) | Err(_) => Response::new(204, "text/plain", ""),
+            Ok(DrawingAnswer::Failed(why)) => Response::text(503, &why),
         }
     }
 }
 
 /// Parses a request's body.
-fn words<T: serde::de::DeserializeOwned>(request: &Request) -> Result<T, String> {
+fn words<T: serde::de::DeserializeOwned>(request: &HttpRequest) -> Result<T, String> {
     serde_json::from_slice(&request.body).map_err(|e| format!("the request cannot be read: {e}"))
 }

@@ -15,7 +15,7 @@ use crate::estimate::{ChannelWater, Measured, WaterParams};
 use crate::formation::{ATTENUATION, BACKSCATTER, Channel, GAIN, VEIL};
 use crate::noise::{Noise, square};
 use crate::open::Open;
-use crate::solve::{CAUCHY, Fit, Prior, fit, loss};
+use crate::solve::{CAUCHY, ChannelFit, Prior, fit, loss};
 use crate::verdict::Verdict;
 
 /// The veil that is assumed beforehand, display range, and the width of its logarithm.
@@ -59,7 +59,7 @@ pub(crate) struct Work {
     count: usize,
     prior: Prior,
     pub(crate) noise: Noise,
-    pub(crate) best: Fit,
+    pub(crate) best: ChannelFit,
     pub(crate) errors: Covariance,
     /// The share of the loss that gains remove.
     gains_explain: f64,
@@ -145,7 +145,7 @@ impl Work {
         let (channel, _) = data.select(c, data.order.len().div_ceil(START_POINTS).max(1));
         let sigmas = self.noise.sigmas(&channel);
         let veils = std::iter::once(self.best.theta[VEIL]).chain(VEIL_STARTS.map(math::ln));
-        let fits: Vec<Fit> = veils
+        let fits: Vec<ChannelFit> = veils
             .collect::<Vec<_>>()
             .par_iter()
             .map(|veil| {
@@ -245,7 +245,7 @@ impl Work {
         self.against(&sigmas, &self.best, &without)
     }
 
-    fn against(&self, sigmas: &[f64], with: &Fit, without: &Fit) -> Against {
+    fn against(&self, sigmas: &[f64], with: &ChannelFit, without: &ChannelFit) -> Against {
         let (mut gains, mut total) = (vec![0.0; self.count], 0.0);
         for p in 0..self.channel.points() {
             for i in self.channel.of_point(p) {
@@ -324,7 +324,7 @@ fn start(data: &Data, c: usize, prior: &Prior) -> (Vec<f64>, Noise) {
     values.sort_by(f64::total_cmp);
     let middle = values.get(values.len() / 2).copied().unwrap_or(0.4);
     let starts = [(0.1, 0.1), (0.4, 0.4), (1.2, 1.2), (0.3, 1.2), (1.2, 0.3)];
-    let fits: Vec<Fit> = starts
+    let fits: Vec<ChannelFit> = starts
         .par_iter()
         .map(|(a, b): &(f64, f64)| {
             let mut theta = vec![0.0; channel.parameters()];
@@ -375,7 +375,7 @@ fn order(a: &[f64; 3], b: &[f64; 3]) -> std::cmp::Ordering {
 }
 
 /// The loss of a fit.
-fn total(fit: &Fit, sigmas: &[f64]) -> f64 {
+fn total(fit: &ChannelFit, sigmas: &[f64]) -> f64 {
     fit.residuals.iter().zip(sigmas).map(|(r, s)| loss(*r, *s, CAUCHY)).sum()
 }
 
@@ -405,7 +405,7 @@ fn trend(channel: &Channel) -> Vec<f64> {
 }
 
 /// The standard deviation of the gains that the data show (one step of expectation and maximisation).
-fn gain_width(channel: &Channel, best: &Fit, prior: &Prior) -> f64 {
+fn gain_width(channel: &Channel, best: &ChannelFit, prior: &Prior) -> f64 {
     let gains = &best.theta[GAIN..];
     // The data of a single view alone give an upper bound of the precision of its gain.
     let mut precision = vec![0.0; gains.len()];

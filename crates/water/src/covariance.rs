@@ -7,7 +7,7 @@
 use crate::dense::Factor;
 use crate::formation::{BACKSCATTER, Channel, GAIN, VEIL, normal};
 use crate::noise::square;
-use crate::solve::{CAUCHY, Fit, Prior};
+use crate::solve::{CAUCHY, ChannelFit, Prior};
 
 /// Errors of the shared parameters.
 #[derive(Clone, Debug)]
@@ -29,7 +29,7 @@ pub(crate) struct Covariance {
 pub(crate) fn covariance(
     channel: &Channel,
     sigmas: &[f64],
-    best: &Fit,
+    best: &ChannelFit,
     prior: &Prior,
     block: &[usize],
     count: usize,
@@ -81,7 +81,7 @@ fn sandwich(
     matrix: &[f64],
     curvature: f64,
     scores: &[Vec<f64>],
-    best: &Fit,
+    best: &ChannelFit,
     prior: &Prior,
 ) -> Option<([f64; GAIN * GAIN], f64)> {
     let n = best.theta.len();

@@ -5,7 +5,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 use use3d_capture::{Camera, Image, Map, Raster, Track};
 
-use crate::open::{OpenWater, Seen, open_water};
+use crate::open::{ObservedPoint, OpenWater, open_water};
 use crate::patch::{NARROWEST, Patch, WIDEST, patch};
 
 /// One view's observation of one point.
@@ -63,7 +63,7 @@ pub enum ObserveError {
 }
 
 /// A sighting to be looked up in its view.
-struct Wanted {
+struct PatchQuery {
     point: usize,
     x: f64,
     y: f64,
@@ -146,8 +146,8 @@ fn halved<const C: usize>(image: &Raster<f32, C>) -> Raster<f32, C> {
 /// Tracks to be looked up view by view.
 struct Lookup<'a> {
     cameras: &'a [Camera],
-    wanted: Vec<Vec<Wanted>>,
-    seen: Vec<Vec<Seen>>,
+    wanted: Vec<Vec<PatchQuery>>,
+    seen: Vec<Vec<ObservedPoint>>,
     /// The median distance of all sightings.
     middle: f64,
     found: Sights,
@@ -155,7 +155,7 @@ struct Lookup<'a> {
 
 impl<'a> Lookup<'a> {
     fn new(cameras: &'a [Camera], tracks: &[Track]) -> Result<Self, ObserveError> {
-        let mut wanted: Vec<Vec<Wanted>> = cameras.iter().map(|_| Vec::new()).collect();
+        let mut wanted: Vec<Vec<PatchQuery>> = cameras.iter().map(|_| Vec::new()).collect();
         for (point, track) in tracks.iter().enumerate() {
             plan(cameras, point, track, &mut wanted)?;
         }
@@ -174,7 +174,7 @@ impl<'a> Lookup<'a> {
             .par_iter()
             .map(|w| {
                 let Patch { mean: value, spread } = patch(image, mask, w.x, w.y, w.sigma)?;
-                let Wanted { point, distance, direction, .. } = *w;
+                let PatchQuery { point, distance, direction, .. } = *w;
                 Some(Observation { point, view, distance, direction, value, spread })
             })
             .collect();
@@ -192,15 +192,15 @@ impl<'a> Lookup<'a> {
 
 /// The pixel positions and distances at which each view saw points, and the median distance of all
 /// sightings.
-fn sightings(cameras: &[Camera], tracks: &[Track]) -> (Vec<Vec<Seen>>, f64) {
-    let mut seen: Vec<Vec<Seen>> = cameras.iter().map(|_| Vec::new()).collect();
+fn sightings(cameras: &[Camera], tracks: &[Track]) -> (Vec<Vec<ObservedPoint>>, f64) {
+    let mut seen: Vec<Vec<ObservedPoint>> = cameras.iter().map(|_| Vec::new()).collect();
     let mut distances = Vec::new();
     for track in tracks {
         for s in &track.sightings {
             let Some(camera) = cameras.get(s.view) else { continue };
             let distance = (track.position - camera.pose.center()).length();
             if distance.is_finite() && s.x.is_finite() && s.y.is_finite() {
-                seen[s.view].push(Seen { x: s.x, y: s.y, distance });
+                seen[s.view].push(ObservedPoint { x: s.x, y: s.y, distance });
                 distances.push(distance);
             }
         }
@@ -215,9 +215,9 @@ fn plan(
     cameras: &[Camera],
     point: usize,
     track: &Track,
-    wanted: &mut [Vec<Wanted>],
+    wanted: &mut [Vec<PatchQuery>],
 ) -> Result<(), ObserveError> {
-    let mut seen: Vec<(usize, Wanted, f64)> = Vec::with_capacity(track.sightings.len());
+    let mut seen: Vec<(usize, PatchQuery, f64)> = Vec::with_capacity(track.sightings.len());
     for s in &track.sightings {
         let camera = cameras.get(s.view).ok_or(ObserveError::View {
             track: point,
@@ -231,7 +231,7 @@ fn plan(
         let usable = depth > 0.0 && scale.is_finite() && distance.is_finite() && s.x.is_finite();
         if usable && !seen.iter().any(|(view, ..)| *view == s.view) {
             let direction = way / distance;
-            seen.push((s.view, Wanted { point, x: s.x, y: s.y, sigma: 0.0, distance, direction }, scale));
+            seen.push((s.view, PatchQuery { point, x: s.x, y: s.y, sigma: 0.0, distance, direction }, scale));
         }
     }
     let smallest = seen.iter().fold(f64::INFINITY, |m, (.., scale)| m.min(*scale));

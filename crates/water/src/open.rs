@@ -59,7 +59,7 @@ pub struct OpenWater {
 
 /// The pixel at which a view saw a point, and the point's distance.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Seen {
+pub(crate) struct ObservedPoint {
     pub(crate) x: f64,
     pub(crate) y: f64,
     pub(crate) distance: f64,
@@ -71,7 +71,7 @@ pub(crate) fn open_water(
     camera: &Camera,
     image: &Image,
     mask: Option<&Map>,
-    seen: &[Seen],
+    seen: &[ObservedPoint],
     middle: f64,
 ) -> Vec<OpenWater> {
     let (w, h) = (image.width(), image.height());
@@ -97,7 +97,7 @@ pub(crate) fn open_water(
 }
 
 /// True if no sighting is within `reach` of `(x, y)` and those around it are far.
-fn far_and_empty(seen: &[Seen], x: f64, y: f64, reach: f64, middle: f64) -> bool {
+fn far_and_empty(seen: &[ObservedPoint], x: f64, y: f64, reach: f64, middle: f64) -> bool {
     let mut nearest = [(f64::INFINITY, 0.0); NEAREST];
     for s in seen {
         let off = square(s.x - x) + square(s.y - y);
@@ -257,8 +257,12 @@ mod tests {
     }
 
     /// Points all over the lower half, at `distance`.
-    fn seen(distance: f64) -> Vec<Seen> {
-        let at = |i: usize| Seen { x: (i % 32) as f64 * 10.0, y: 85.0 + (i / 32) as f64 * 10.0, distance };
+    fn seen(distance: f64) -> Vec<ObservedPoint> {
+        let at = |i: usize| ObservedPoint {
+            x: (i % 32) as f64 * 10.0,
+            y: 85.0 + (i / 32) as f64 * 10.0,
+            distance,
+        };
         (0..32 * 8).map(at).collect()
     }
 

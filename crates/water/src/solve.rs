@@ -142,7 +142,7 @@ impl Prior {
 
 /// A fitted channel.
 #[derive(Clone, Debug)]
-pub(crate) struct Fit {
+pub(crate) struct ChannelFit {
     /// The shared parameters.
     pub(crate) theta: Vec<f64>,
     /// Loss plus penalty.
@@ -165,7 +165,13 @@ fn weights(residuals: &[f64], sigmas: &[f64], c: f64) -> Vec<f64> {
 
 /// Fits from `theta`. `sigmas` are the expected errors of the observations; `rounds` are the loss's widths
 /// divided by [`CAUCHY`], widest first.
-pub(crate) fn fit(channel: &Channel, sigmas: &[f64], prior: &Prior, theta: &[f64], rounds: &[f64]) -> Fit {
+pub(crate) fn fit(
+    channel: &Channel,
+    sigmas: &[f64],
+    prior: &Prior,
+    theta: &[f64],
+    rounds: &[f64],
+) -> ChannelFit {
     let n = channel.parameters();
     let mut theta = theta.to_vec();
     let plain: Vec<f64> = sigmas.iter().map(|s| 1.0 / (s * s)).collect();
@@ -214,7 +220,7 @@ pub(crate) fn fit(channel: &Channel, sigmas: &[f64], prior: &Prior, theta: &[f64
     let c = CAUCHY * rounds.last().copied().unwrap_or(1.0);
     w = weights(&r, sigmas, c);
     let cost = r.iter().zip(sigmas).map(|(r, s)| loss(*r, *s, c)).sum::<f64>() + prior.value(&theta);
-    Fit { theta, cost, weights: w, residuals: r }
+    ChannelFit { theta, cost, weights: w, residuals: r }
 }
 
 /// Computes a damped step; `None` if the damped system is not positive definite.

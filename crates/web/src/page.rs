@@ -168,7 +168,7 @@ pub fn data(page: &Page<'_>) -> Result<PageData, WebError> {
 
 /// The page that requests its scene from the server.
 pub fn served() -> Served {
-    let (html, policy) = html("3D-USE", &Value::Null, "", Source::Server);
+    let (html, policy) = html("3D-USE", &Value::Null, "", SceneSource::Server);
     Served { html, policy }
 }
 
@@ -202,7 +202,7 @@ fn write_below(page: &Page<'_>, folder: &str, most: usize) -> Result<Written, We
     let mut header = entries(page);
 
     // The page without its parts, and room for their elements.
-    let fixed = html(page.name, &header, "", Source::Page).0.len() + geometry.len() + cube.len() + 1000;
+    let fixed = html(page.name, &header, "", SceneSource::Page).0.len() + geometry.len() + cube.len() + 1000;
     let mut degree = full;
     let mut kept = all.clone();
     while degree > 0 && fixed + kept.len() > most {
@@ -236,7 +236,7 @@ fn write_below(page: &Page<'_>, folder: &str, most: usize) -> Result<Written, We
         }
     }
     header["sections"] = entries.into();
-    let source = if one_file { Source::Page } else { Source::Beside };
+    let source = if one_file { SceneSource::Page } else { SceneSource::Beside };
     Ok(Written { html: html(page.name, &header, &embedded, source).0, parts, degree })
 }
 
@@ -248,7 +248,7 @@ fn pieces(text: &str, most: usize) -> Vec<&str> {
 /// A digest of everything in a page except the scene. It distinguishes two programs that make different pages
 /// of the same scene.
 pub fn digest() -> String {
-    let (html, _) = html("", &Value::Null, "", Source::Page);
+    let (html, _) = html("", &Value::Null, "", SceneSource::Page);
     Sha256::digest(html.as_bytes()).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
@@ -298,23 +298,23 @@ fn entries(page: &Page<'_>) -> Value {
 
 /// The place from which a page gets its scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Source {
+enum SceneSource {
     Page,
     Beside,
     Server,
 }
 
 /// The text of the whole page, and its content policy.
-fn html(name: &str, header: &Value, parts: &str, source: Source) -> (String, String) {
+fn html(name: &str, header: &Value, parts: &str, source: SceneSource) -> (String, String) {
     let script = SCRIPTS.join("\n");
     let script_element = format!("\n(() => {{\n'use strict';\n{script}\n}})();\n");
     let style_element = format!("\n{STYLE}\n");
     let digest = |text: &str| format!("'sha256-{}'", STANDARD.encode(Sha256::digest(text.as_bytes())));
     // The parts next to a page come from the same place as the page, a disk or a host.
     let (beside, connect) = match source {
-        Source::Page => ("", ""),
-        Source::Beside => (" 'self' file:", ""),
-        Source::Server => ("", "connect-src 'self'; "),
+        SceneSource::Page => ("", ""),
+        SceneSource::Beside => (" 'self' file:", ""),
+        SceneSource::Server => ("", "connect-src 'self'; "),
     };
     let policy = format!(
         "default-src 'none'; script-src {}{beside}; style-src {}; worker-src blob:; img-src data: blob:; media-src blob:; \

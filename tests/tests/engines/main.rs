@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use use3d_scene::Scene;
-use use3d_training::{EngineError, Observer, Progress};
+use use3d_training::{EngineError, Observer, TrainingProgress};
 
 /// Number of steps that may be in progress before one is done.
 const UNDER_WAY: usize = 3;
@@ -33,7 +33,7 @@ impl Watcher {
 }
 
 impl Observer for Watcher {
-    fn progress(&mut self, progress: &Progress) {
+    fn progress(&mut self, progress: &TrainingProgress) {
         self.step = progress.step;
     }
 

@@ -14,7 +14,7 @@ use use3d_reconstruct::engine::{
     CpuEngine, Degrees, Diagnostics, Engine, Moments, Statistics, StepPlan, StepReport, TrainingState,
 };
 use use3d_reconstruct::{
-    Exposure, LoadedView, Outcome, ReconstructError, ReconstructParams, TrainingView, reconstruct,
+    Exposure, LoadedView, ReconstructError, ReconstructOutcome, ReconstructParams, TrainingView, reconstruct,
 };
 use use3d_training::{Drain, EngineError, Observer, Silent};
 
@@ -206,13 +206,13 @@ pub(crate) fn run(
     engine: &mut dyn Engine,
     dir: Option<&Path>,
     observer: &mut dyn Observer,
-) -> Result<Outcome, ReconstructError> {
+) -> Result<ReconstructOutcome, ReconstructError> {
     let (capture, loaded) = capture();
     let load = |view: &View| Ok(loaded[view.id as usize].clone());
     reconstruct(&capture, &load, &params(), engine, dir, observer)
 }
 
-fn same(a: &Outcome, b: &Outcome) {
+fn same(a: &ReconstructOutcome, b: &ReconstructOutcome) {
     assert_eq!(a.log_lines(), b.log_lines());
     assert_eq!(a.evaluation, b.evaluation);
     assert_eq!(a.exposures, b.exposures);

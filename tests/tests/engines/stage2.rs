@@ -11,7 +11,7 @@ use use3d_enhance::engine::{
     Coverage, CpuFieldEngine, FieldDiagnostics, FieldEngine, FieldPlan, FieldReport, FieldState, Reading,
 };
 use use3d_enhance::{
-    EnhanceError, EnhanceParams, EnhanceView, Guidance, Outcome, Start, ViewErrors, enhance,
+    EnhanceError, EnhanceOutcome, EnhanceParams, EnhanceView, Guidance, Start, ViewErrors, enhance,
 };
 use use3d_reconstruct::engine::CpuEngine;
 use use3d_scene::Scene;
@@ -128,7 +128,7 @@ fn another_engine_trains_the_same_bytes_and_takes_over_from_one() {
     let run = |engine: &mut dyn FieldEngine, dir: Option<&Path>, observer: &mut dyn Observer| {
         enhance(&scene, &views, guidance, &params, engine, dir, observer)
     };
-    let same = |a: &Outcome, b: &Outcome| {
+    let same = |a: &EnhanceOutcome, b: &EnhanceOutcome| {
         assert_eq!(a.log_lines(), b.log_lines());
         assert_eq!(a.report, b.report);
         assert!(bytes(&a.scene) == bytes(&b.scene), "another enhancement");

@@ -19,7 +19,7 @@ const FORMAT: &str = "3d-use calibrator";
 const VERSION: u64 = 1;
 
 #[derive(Serialize, Deserialize)]
-struct Header {
+struct CalibratorHeader {
     format: String,
     version: u64,
     extractor: ExtractorSettings,
@@ -43,7 +43,7 @@ impl Calibrator {
                 writer.f32(&format!("{name}.{part}.range"), &shape, &statistics.range);
             }
         }
-        let header = Header {
+        let header = CalibratorHeader {
             format: FORMAT.into(),
             version: VERSION,
             extractor: self.extractor.clone(),
@@ -62,7 +62,7 @@ impl Calibrator {
     /// Reads a calibrator from the bytes of a safetensors file.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, AtcError> {
         let reader = Reader::new(WHAT, bytes)?;
-        let header: Header = reader.header(FORMAT, VERSION)?;
+        let header: CalibratorHeader = reader.header(FORMAT, VERSION)?;
         header.extractor.validate()?;
         Ok(Self {
             extractor: header.extractor,

@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 use use3d_capture::Image;
 
 use crate::error::AtcError;
-use crate::extractor::{Affine, Descriptors, ExtractorSettings, Source, Transition, Workspace};
-use crate::progress::{Progress, Watch, report};
+use crate::extractor::{Affine, Descriptors, ExtractorSettings, SourceImage, Transition, Workspace};
+use crate::progress::{LoopPosition, ProgressCallback, report};
 use crate::proposers::{Proposer, ProposerId};
 
 /// A pair of photographs to be added to a data set.
@@ -61,7 +61,7 @@ impl PairExample {
     /// Extracts both transitions of a pair. `proposal` is the proposer's result for `source`, at any size.
     pub fn extract(
         name: &str,
-        source: &Source,
+        source: &SourceImage,
         target: &Image,
         proposal: &Image,
         workspace: &mut Workspace,
@@ -123,13 +123,13 @@ impl Dataset {
         pairs: impl IntoIterator<Item = PairImages>,
         proposer: &dyn Proposer,
         extractor: &ExtractorSettings,
-        watch: &mut Watch<'_>,
+        watch: &mut ProgressCallback<'_>,
     ) -> Result<Self, AtcError> {
         extractor.validate()?;
         let mut dataset = Self::new(extractor.clone(), proposer.id());
         let mut workspace = Workspace::new();
         for (index, pair) in pairs.into_iter().enumerate() {
-            report(watch, Progress::Pair { index, name: &pair.name })?;
+            report(watch, LoopPosition::Pair { index, name: &pair.name })?;
             match example(&pair, proposer, extractor, &mut workspace) {
                 Ok(example) => dataset.examples.push(example),
                 Err(reason) => {
@@ -165,7 +165,7 @@ fn example(
     let (source, target) = pair.images.as_ref().map_err(Clone::clone)?;
     check_shapes(source, target)?;
     let said = |e: AtcError| e.to_string();
-    let source = Source::from_image(source, extractor).map_err(said)?;
+    let source = SourceImage::from_image(source, extractor).map_err(said)?;
     let proposal = proposer.propose(source.image()).map_err(said)?;
     PairExample::extract(&pair.name, &source, target, &proposal, workspace).map_err(said)
 }

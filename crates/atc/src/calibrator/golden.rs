@@ -2,7 +2,7 @@
 
 use use3d_golden::{Case, Part};
 
-use super::head::{Batch, Head};
+use super::head::{Head, HeadBatch};
 use super::mlp::{Linear, Mlp, Trace};
 use super::{Calibrator, LOCAL_CONDITION, Statistics, push_local_condition};
 use crate::extractor::{Affine, Descriptors, ExtractorSettings, Transition};
@@ -94,8 +94,12 @@ fn golden_heads_values_losses_and_gradients() {
             let mut gradients =
                 Mlp::zeros(head.mlp.inputs(), head.mlp.layers[0].outputs(), head.mlp.outputs());
             let (proposals, targets) = (case.f32(proposal), case.f32(target));
-            let batch =
-                Batch { conditions, proposals: &proposals, targets: &targets, weights: weights.as_deref() };
+            let batch = HeadBatch {
+                conditions,
+                proposals: &proposals,
+                targets: &targets,
+                weights: weights.as_deref(),
+            };
             losses.push(head.loss(&batch, &mut Trace::default(), &mut gradients));
             if case.pulls().contains_key("total") {
                 let d_total = case.f64("cot.total")[0];

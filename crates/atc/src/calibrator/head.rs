@@ -30,7 +30,7 @@ pub struct Head {
 }
 
 /// Rows of samples for one head.
-pub(super) struct Batch<'a> {
+pub(super) struct HeadBatch<'a> {
     /// Normalised conditions.
     pub(super) conditions: &'a [f32],
     /// Proposals.
@@ -81,7 +81,7 @@ impl Head {
     }
 
     /// Returns the loss of a batch and adds the network's gradients to `gradients`.
-    pub(super) fn loss(&self, batch: &Batch<'_>, trace: &mut Trace, gradients: &mut Mlp) -> f64 {
+    pub(super) fn loss(&self, batch: &HeadBatch<'_>, trace: &mut Trace, gradients: &mut Mlp) -> f64 {
         self.mlp.forward(batch.conditions, trace);
         let k = self.mlp.outputs();
         let rows = batch.targets.len() / k;

@@ -44,13 +44,16 @@ impl Default for ReleasedConfig {
     }
 }
 
-type Tensors = BTreeMap<String, (Vec<usize>, Vec<f32>)>;
+type ReleasedTensors = BTreeMap<String, (Vec<usize>, Vec<f32>)>;
 
 impl Calibrator {
     /// Makes a calibrator from the tensors of the released state dictionary. Names that contain `support_`
     /// are ignored. Any other tensor that is missing, unexpected, of a wrong shape or not finite is an
     /// error.
-    pub fn from_named_tensors(mut tensors: Tensors, config: &ReleasedConfig) -> Result<Self, AtcError> {
+    pub fn from_named_tensors(
+        mut tensors: ReleasedTensors,
+        config: &ReleasedConfig,
+    ) -> Result<Self, AtcError> {
         if !config.schema.is_empty() && config.schema != SCHEMA {
             return Err(AtcError::artifact(
                 WHAT,
@@ -89,7 +92,7 @@ impl Calibrator {
     }
 }
 
-fn take(tensors: &mut Tensors, name: &str, shape: &[usize]) -> Result<Vec<f32>, AtcError> {
+fn take(tensors: &mut ReleasedTensors, name: &str, shape: &[usize]) -> Result<Vec<f32>, AtcError> {
     let (found, values) = tensors
         .remove(name)
         .ok_or_else(|| AtcError::artifact(WHAT, format!("the tensor `{name}` is missing")))?;
@@ -105,7 +108,12 @@ fn take(tensors: &mut Tensors, name: &str, shape: &[usize]) -> Result<Vec<f32>, 
     Ok(values)
 }
 
-fn take_head(tensors: &mut Tensors, which: &str, inputs: usize, outputs: usize) -> Result<Head, AtcError> {
+fn take_head(
+    tensors: &mut ReleasedTensors,
+    which: &str,
+    inputs: usize,
+    outputs: usize,
+) -> Result<Head, AtcError> {
     let first = format!("{which}_head.0.bias");
     let hidden = match tensors.get(&first).map(|(shape, _)| shape.as_slice()) {
         Some([hidden]) if *hidden > 0 => *hidden,
@@ -143,8 +151,8 @@ mod tests {
     use super::*;
     use use3d_numerics::math;
 
-    fn released() -> Tensors {
-        let mut out = Tensors::new();
+    fn released() -> ReleasedTensors {
+        let mut out = ReleasedTensors::new();
         let mut add = |name: String, shape: Vec<usize>| {
             let n = shape.iter().product::<usize>();
             let values = (0..n).map(|i| math::sin(i as f32 * 0.37 + name.len() as f32) * 0.1).collect();
@@ -180,7 +188,7 @@ mod tests {
     #[test]
     fn anything_missing_extra_or_misshapen_is_named() {
         let config = ReleasedConfig::default();
-        let fails = |tensors: Tensors| {
+        let fails = |tensors: ReleasedTensors| {
             Calibrator::from_named_tensors(tensors, &ReleasedConfig::default()).unwrap_err().to_string()
         };
         for name in released().keys().filter(|n| !n.starts_with("support_")) {

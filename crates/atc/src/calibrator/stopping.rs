@@ -19,7 +19,7 @@ use super::evaluate::held_out;
 use super::training::{fit_until, scales_only};
 use super::{Calibrator, CalibratorParams, Dataset, Head, HeldOutReport, evaluate};
 use crate::error::AtcError;
-use crate::progress::Watch;
+use crate::progress::ProgressCallback;
 
 /// Number of steps between two evaluations on the held-out pairs.
 const LOOK: u64 = 25;
@@ -69,7 +69,7 @@ pub fn train(
     dataset: &Dataset,
     params: &CalibratorParams,
     data: &str,
-    watch: &mut Watch<'_>,
+    watch: &mut ProgressCallback<'_>,
 ) -> Result<Calibrator, AtcError> {
     params.validate()?;
     let trust = params.trust_in(dataset);

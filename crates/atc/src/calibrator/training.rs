@@ -11,7 +11,7 @@ use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_numerics::range::{OutOfRange, positive, within};
 
-use super::head::{Batch, Head};
+use super::head::{Head, HeadBatch};
 use super::mlp::{Mlp, Trace};
 use super::stopping::Stop;
 use super::{
@@ -19,7 +19,7 @@ use super::{
 };
 use crate::error::AtcError;
 use crate::extractor::{Affine, ExtractorSettings};
-use crate::progress::{Progress, Watch, report};
+use crate::progress::{LoopPosition, ProgressCallback, report};
 
 /// Fewest pairs to which a calibrator is fitted; fewer show nothing about the variation of transitions.
 const FEWEST_PAIRS: usize = 2;
@@ -150,7 +150,7 @@ impl CalibratorParams {
 }
 
 /// The data set as flat rows.
-struct Rows {
+struct DatasetRows {
     /// `[pairs][30]`, raw.
     global_conditions: Vec<f32>,
     global_proposals: Vec<f32>,
@@ -164,7 +164,7 @@ struct Rows {
     pair: Vec<usize>,
 }
 
-impl Rows {
+impl DatasetRows {
     fn new(dataset: &Dataset) -> Self {
         let mut rows = Self {
             global_conditions: Vec::new(),
@@ -263,7 +263,7 @@ fn clip(limit: f64, global: &mut Mlp, local: &mut Mlp) {
 }
 
 /// Computes the statistics and the initial weights of both heads.
-fn initial_heads(rows: &Rows, params: &CalibratorParams) -> (Head, Head) {
+fn initial_heads(rows: &DatasetRows, params: &CalibratorParams) -> (Head, Head) {
     let seed = params.seed;
     let mut global = Head {
         mlp: Mlp::random(
@@ -314,9 +314,9 @@ fn initial_heads(rows: &Rows, params: &CalibratorParams) -> (Head, Head) {
 }
 
 /// The rows of a data set; an error if there are too few to show the variation of transitions.
-fn usable_rows(dataset: &Dataset) -> Result<Rows, AtcError> {
+fn usable_rows(dataset: &Dataset) -> Result<DatasetRows, AtcError> {
     let pairs = dataset.examples.len();
-    let rows = Rows::new(dataset);
+    let rows = DatasetRows::new(dataset);
     if pairs < FEWEST_PAIRS || rows.cells() == 0 {
         return Err(AtcError::TooFewPairs {
             usable: pairs,
@@ -351,7 +351,7 @@ pub(super) fn scales_only(dataset: &Dataset, params: &CalibratorParams) -> Resul
 pub fn fit(
     dataset: &Dataset,
     params: &CalibratorParams,
-    watch: &mut Watch<'_>,
+    watch: &mut ProgressCallback<'_>,
 ) -> Result<Calibrator, AtcError> {
     fit_until(dataset, params, Stop::never(params), watch, &mut |_, _| {})
 }
@@ -362,7 +362,7 @@ pub(super) fn fit_until(
     dataset: &Dataset,
     params: &CalibratorParams,
     stop: Stop,
-    watch: &mut Watch<'_>,
+    watch: &mut ProgressCallback<'_>,
     look: &mut dyn FnMut(u64, &Calibrator),
 ) -> Result<Calibrator, AtcError> {
     params.validate()?;
@@ -411,7 +411,7 @@ pub(super) fn fit_until(
         gather(&conditions, GLOBAL_CONDITION, &batch, &mut c);
         gather(&rows.global_proposals, 12, &batch, &mut p);
         gather(&rows.global_targets, 12, &batch, &mut t);
-        let samples = Batch { conditions: &c, proposals: &p, targets: &t, weights: None };
+        let samples = HeadBatch { conditions: &c, proposals: &p, targets: &t, weights: None };
         let global_loss = global.loss(&samples, &mut global_trace, &mut global_gradients);
 
         let purpose = Purpose::new("calibrator cells");
@@ -426,7 +426,7 @@ pub(super) fn fit_until(
         gather(&rows.local_proposals, 6, &batch, &mut p);
         gather(&rows.local_targets, 6, &batch, &mut t);
         gather(&rows.confidence, 1, &batch, &mut w);
-        let samples = Batch { conditions: &c, proposals: &p, targets: &t, weights: Some(&w) };
+        let samples = HeadBatch { conditions: &c, proposals: &p, targets: &t, weights: Some(&w) };
         let local_loss = local.loss(&samples, &mut local_trace, &mut local_gradients);
 
         let loss = global_loss + local_loss;
@@ -450,7 +450,7 @@ pub(super) fn fit_until(
         }
         calibrator.provenance.loss = loss;
         look(step, &calibrator);
-        report(watch, Progress::Step { step, steps: calibrator.provenance.steps, loss })?;
+        report(watch, LoopPosition::Step { step, steps: calibrator.provenance.steps, loss })?;
     }
     Ok(calibrator)
 }

@@ -32,7 +32,7 @@ use use3d_splat::Gaussians;
 use crate::calibrator::Calibrator;
 use crate::error::AtcError;
 use crate::extractor::Affine;
-use crate::progress::{Progress, Watch, report};
+use crate::progress::{LoopPosition, ProgressCallback, report};
 use crate::proposers::ProposerId;
 
 /// Parameters of the targets.
@@ -101,14 +101,14 @@ pub fn build_targets(
     proposals: Proposals<'_>,
     calibrator: &Calibrator,
     params: &TargetsParams,
-    watch: &mut Watch<'_>,
+    watch: &mut ProgressCallback<'_>,
 ) -> Result<(Targets, TargetsReport), AtcError> {
     calibrator.proposer.require(&proposals.id())?;
     let mut recorder = Recorder::new();
     let mut records = Vec::new();
     for (index, view) in views.into_iter().enumerate() {
         let view = view?;
-        report(watch, Progress::View { index, name: &view.name })?;
+        report(watch, LoopPosition::View { index, name: &view.name })?;
         records.push(recorder.record(&view, proposals, calibrator)?);
     }
     let lift = &mut Lift::new(gaussians);
@@ -125,7 +125,7 @@ pub fn targets_from_records(
     proposer: ProposerId,
     calibrator: &Calibrator,
     params: &TargetsParams,
-    watch: &mut Watch<'_>,
+    watch: &mut ProgressCallback<'_>,
 ) -> Result<(Targets, TargetsReport), AtcError> {
     let candidates: Vec<Affine> = records.iter().map(|r| r.candidate).collect();
     let global = global_consensus(&candidates).ok_or(AtcError::NoViews)?;
@@ -184,12 +184,12 @@ pub fn fuse_views(
     order: &[usize],
     calibrator: &Calibrator,
     scene: &Affine,
-    watch: &mut Watch<'_>,
+    watch: &mut ProgressCallback<'_>,
 ) -> Result<LocalConsensus, AtcError> {
     let mut state = LocalConsensus::new(lift.gaussians());
     let scales = calibrator.local_scales();
     for (index, &which) in order.iter().enumerate() {
-        report(watch, Progress::Lift { index, views: order.len() })?;
+        report(watch, LoopPosition::Lift { index, views: order.len() })?;
         let record = &records[which];
         let cells = record.local(calibrator, scene)?;
         lift.run(&record.camera, record.grid, &cells)?;

@@ -14,7 +14,7 @@ use super::{Proposals, Targets, ViewInput, ViewRecord};
 use crate::calibrator::Calibrator;
 use crate::error::AtcError;
 use crate::extractor::resize::Resize;
-use crate::extractor::{Affine, ExtractorSettings, Form, Source, affine_apply};
+use crate::extractor::{Affine, ExtractorSettings, Form, SourceImage, affine_apply};
 
 /// Four versions of one view, all at the captured size, and a map of the targets' support.
 #[derive(Clone, Debug, PartialEq)]
@@ -47,7 +47,7 @@ impl Preview {
             (Some(proposal), _) => proposal.clone(),
             (None, Proposals::From(proposer)) => {
                 let settings: &ExtractorSettings = &calibrator.extractor;
-                proposer.propose(Source::from_image(&view.image, settings)?.image())?
+                proposer.propose(SourceImage::from_image(&view.image, settings)?.image())?
             }
             (None, Proposals::Given(id)) => return Err(proposals.missing(&view.name, id)),
         };

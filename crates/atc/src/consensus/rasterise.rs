@@ -9,7 +9,7 @@ use use3d_capture::{Camera, Lattice, Map};
 use use3d_splat::{Colors, Gaussians, Prepared, Rasterizer};
 
 use super::LocalConsensus;
-use crate::extractor::resize::{Axis, Resize};
+use crate::extractor::resize::{Resize, ResizeAxis};
 
 /// The local targets of a view, over its operator grid.
 #[derive(Clone, Debug, PartialEq)]
@@ -33,7 +33,7 @@ pub fn view_target(
     rasterizer: &mut Rasterizer,
 ) -> ViewTarget {
     let (w, h) = (camera.intrinsics.width, camera.intrinsics.height);
-    let (x, y) = (Axis::new(w, grid.0), Axis::new(h, grid.1));
+    let (x, y) = (ResizeAxis::new(w, grid.0), ResizeAxis::new(h, grid.1));
     let lattice = Lattice::subset(&x.support(), &y.support()).unwrap_or_else(|| Lattice::size(w, h));
     let resize = Resize::new(x.compact(), y.compact());
     let pixels = lattice.width() * lattice.height();

@@ -47,7 +47,7 @@ pub struct Targets {
 }
 
 #[derive(Serialize, Deserialize)]
-struct Header {
+struct TargetsHeader {
     format: String,
     version: u64,
     extractor: ExtractorSettings,
@@ -108,7 +108,7 @@ impl Targets {
         writer.u32("count", &[n], &self.state.count);
         let candidates: Vec<f64> = self.views.iter().flat_map(|(_, t)| *t).collect();
         writer.f64("candidates", &[self.views.len(), 3, 4], &candidates);
-        let header = Header {
+        let header = TargetsHeader {
             format: FORMAT.into(),
             version: VERSION,
             extractor: self.extractor.clone(),
@@ -124,7 +124,7 @@ impl Targets {
     /// Reads targets from the bytes of a file.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, AtcError> {
         let reader = Reader::new(WHAT, bytes)?;
-        let header: Header = reader.header(FORMAT, VERSION)?;
+        let header: TargetsHeader = reader.header(FORMAT, VERSION)?;
         header.extractor.validate()?;
         if !header.kept_water.is_valid() {
             return Err(reader.error("kept_water is not three numbers from 0 to 1"));

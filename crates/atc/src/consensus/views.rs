@@ -6,7 +6,7 @@ use use3d_capture::{Camera, Image};
 
 use crate::calibrator::Calibrator;
 use crate::error::AtcError;
-use crate::extractor::{Affine, Descriptors, Geometry, Source, Transition, Workspace, center};
+use crate::extractor::{Affine, Descriptors, Geometry, SourceImage, Transition, Workspace, center};
 use crate::proposers::{Proposer, ProposerId};
 
 /// A view as input of the consensus.
@@ -110,7 +110,7 @@ impl Recorder {
                 geometry
             }
         };
-        let source = Source::new(&geometry, &view.image).map_err(|e| fail(e.to_string()))?;
+        let source = SourceImage::new(&geometry, &view.image).map_err(|e| fail(e.to_string()))?;
         let computed;
         let proposal = match (&view.proposal, proposals) {
             (Some(proposal), _) => proposal,

@@ -27,7 +27,7 @@ const ENERGY_FLOOR: f64 = 1e-4;
 const GAIN_FLOOR: f64 = 0.05;
 
 /// The samples of one channel of one cell, their residual, and the moments from which the fit is computed.
-struct Fit {
+struct CellFit {
     x: [f64; SAMPLES],
     r: [f64; SAMPLES],
     mean_x: f64,
@@ -43,7 +43,7 @@ struct Fit {
     bias: f64,
 }
 
-impl Fit {
+impl CellFit {
     #[inline(always)]
     fn new(x: [f64; SAMPLES], y: &[f64; SAMPLES]) -> Self {
         let n = SAMPLES as f64;
@@ -125,7 +125,7 @@ impl Band<'_> {
 
     /// The fits of the three channels of `cell` under the global operator `global`.
     #[inline(always)]
-    fn fits(&self, global: &Affine, cell: usize) -> ([[f64; SAMPLES]; 3], [Fit; 3]) {
+    fn fits(&self, global: &Affine, cell: usize) -> ([[f64; SAMPLES]; 3], [CellFit; 3]) {
         let source: [[f64; SAMPLES]; 3] = std::array::from_fn(|c| self.gather(c, cell, self.source));
         let mut mapped = [[0.0; SAMPLES]; 3];
         for i in 0..SAMPLES {
@@ -134,7 +134,7 @@ impl Band<'_> {
                 mapped[c][i] = colour[c];
             }
         }
-        let fits = std::array::from_fn(|c| Fit::new(mapped[c], &self.gather(c, cell, self.target)));
+        let fits = std::array::from_fn(|c| CellFit::new(mapped[c], &self.gather(c, cell, self.target)));
         (source, fits)
     }
 

@@ -5,15 +5,15 @@
 //! global one: `I_b(p) ≈ exp(a_p) ⊙ T(I_a(p)) + b_p`. Both come from ridge fits that shrink to the identity
 //! (`global`, `local`), so `E(I, I)` is exactly zero. Colours are display-encoded and unclamped.
 //!
-//! All quantities that depend on the source alone are in [`Source`] (per image) and [`Geometry`] (per
-//! size). [`Source::forward`] and [`Source::backward`] compute the rest, value and exact gradient with
-//! respect to the target, without allocating. The source is a constant of the method (R15). The gradient
-//! passes through the resize, through the local fit and, because the local fit uses `M x̃`, through the
-//! global fit.
+//! All quantities that depend on the source alone are in [`SourceImage`] (per image) and [`Geometry`] (per
+//! size). [`SourceImage::forward`] and [`SourceImage::backward`] compute the rest, value and exact gradient
+//! with respect to the target, without allocating. The source is a constant of the method (R15). The
+//! gradient passes through the resize, through the local fit and, because the local fit uses `M x̃`, through
+//! the global fit.
 //!
 //! Both images are resized to a long side of at most 384 pixels (R17) by a bilinear resize that reads at
 //! most four pixels per output pixel. Only the pixels at [`Geometry::columns`] and [`Geometry::rows`] are
-//! read; a caller that can render just those uses [`Source::forward_on_lattice`] and gets the same bits.
+//! read; a caller that can render just those uses [`SourceImage::forward_on_lattice`] and gets the same bits.
 
 mod descriptors;
 pub(crate) mod global;
@@ -35,7 +35,7 @@ use pooling::Pooling;
 use resize::Resize;
 
 pub use descriptors::{Descriptors, GLOBAL_DESCRIPTOR, LOCAL_DESCRIPTOR};
-pub use source::{Source, Workspace};
+pub use source::{SourceImage, Workspace};
 
 /// A global operator minus the identity, row-major 3 × 4: `(a00, a01, a02, b0, a10, …, b2)`.
 pub type Affine = [f64; 12];

@@ -13,7 +13,7 @@ use crate::vectorized::vectorized;
 
 /// The positions at which one axis of the resize reads: `value = low + (high − low) · fraction`.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Axis {
+pub(crate) struct ResizeAxis {
     /// Number of samples of the source along the axis.
     pub(crate) source_len: usize,
     low: Vec<u32>,
@@ -25,7 +25,7 @@ pub(crate) struct Axis {
     reader_start: Vec<u32>,
 }
 
-impl Axis {
+impl ResizeAxis {
     /// The axis from `n_in` to `n_out` samples (both at least 1).
     pub(crate) fn new(n_in: usize, n_out: usize) -> Self {
         let (mut low, mut high, mut fraction) = (Vec::new(), Vec::new(), Vec::new());
@@ -73,7 +73,7 @@ impl Axis {
         indices
     }
 
-    /// The same axis over a source that holds only [`Axis::support`].
+    /// The same axis over a source that holds only [`ResizeAxis::support`].
     pub(crate) fn compact(&self) -> Self {
         let support = self.support();
         let position = |taps: &[u32]| {
@@ -97,22 +97,22 @@ impl Axis {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Resize {
     /// The axis along x.
-    pub(crate) x: Axis,
+    pub(crate) x: ResizeAxis,
     /// The axis along y.
-    pub(crate) y: Axis,
+    pub(crate) y: ResizeAxis,
     identity: bool,
 }
 
 impl Resize {
     /// A resize with the given axes.
-    pub(crate) fn new(x: Axis, y: Axis) -> Self {
+    pub(crate) fn new(x: ResizeAxis, y: ResizeAxis) -> Self {
         let identity = x.is_identity() && y.is_identity();
         Self { x, y, identity }
     }
 
     /// A resize from one `(width, height)` to another.
     pub(crate) fn between(from: (usize, usize), to: (usize, usize)) -> Self {
-        Self::new(Axis::new(from.0, to.0), Axis::new(from.1, to.1))
+        Self::new(ResizeAxis::new(from.0, to.0), ResizeAxis::new(from.1, to.1))
     }
 
     /// The source size that [`Resize::forward`] expects.
@@ -181,7 +181,7 @@ impl Resize {
 }
 
 /// Computes one output row from two source rows.
-fn resize_row(top: &[f32], bottom: &[f32], fraction: f32, x: &Axis, out: &mut [f32]) {
+fn resize_row(top: &[f32], bottom: &[f32], fraction: f32, x: &ResizeAxis, out: &mut [f32]) {
     let taps = x.low.iter().zip(&x.high).zip(&x.fraction);
     if fraction == 0.0 {
         for (o, ((&l, &h), &f)) in out.iter_mut().zip(taps) {

@@ -18,7 +18,7 @@ use crate::vectorized::vectorized;
 ///
 /// It takes about 20 bytes per working pixel, 2 MB at 384 × 256.
 #[derive(Clone, Debug)]
-pub struct Source {
+pub struct SourceImage {
     geometry: Arc<Geometry>,
     image: Image,
     weights: Map,
@@ -27,8 +27,8 @@ pub struct Source {
     samples: Vec<f64>,
 }
 
-/// Working memory of [`Source::forward`] and [`Source::backward`], and the last transition. One workspace
-/// can be used for many steps.
+/// Working memory of [`SourceImage::forward`] and [`SourceImage::backward`], and the last transition. One
+/// workspace can be used for many steps.
 #[derive(Clone, Debug)]
 pub struct Workspace {
     transition: Transition,
@@ -66,7 +66,7 @@ impl Workspace {
         }
     }
 
-    /// The transition of the last [`Source::forward`].
+    /// The transition of the last [`SourceImage::forward`].
     pub fn transition(&self) -> &Transition {
         &self.transition
     }
@@ -79,7 +79,7 @@ fn check_size(image: &Image, (width, height): (usize, usize)) -> Result<(), AtcE
     Err(AtcError::Size { found_width: image.width(), found_height: image.height(), width, height })
 }
 
-impl Source {
+impl SourceImage {
     /// Makes a source from a whole image, with a geometry of its own.
     pub fn from_image(image: &Image, settings: &ExtractorSettings) -> Result<Self, AtcError> {
         let geometry = Geometry::new(image.width(), image.height(), settings)?;
@@ -147,7 +147,8 @@ impl Source {
         Ok(&workspace.transition)
     }
 
-    /// Like [`Source::forward`], for a target that holds only the geometry's lattice, with the same bits.
+    /// Like [`SourceImage::forward`], for a target that holds only the geometry's lattice, with the same
+    /// bits.
     pub fn forward_on_lattice<'w>(
         &self,
         target: &Image,
@@ -194,8 +195,8 @@ impl Source {
         out
     }
 
-    /// Computes the gradient with respect to the target of the last [`Source::forward`], of the geometry's
-    /// size, from the gradients of the global operator and of the local ones (not centred: see
+    /// Computes the gradient with respect to the target of the last [`SourceImage::forward`], of the
+    /// geometry's size, from the gradients of the global operator and of the local ones (not centred: see
     /// [`super::center`]). `gradient` is overwritten.
     pub fn backward(
         &self,
@@ -209,7 +210,7 @@ impl Source {
         Ok(())
     }
 
-    /// Like [`Source::backward`], with the gradient on the lattice.
+    /// Like [`SourceImage::backward`], with the gradient on the lattice.
     pub fn backward_on_lattice(
         &self,
         global: &Affine,

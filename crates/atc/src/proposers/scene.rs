@@ -151,7 +151,7 @@ impl SceneView {
 
 /// A sampled pixel of a surface.
 #[derive(Clone, Copy, Debug)]
-struct Sample {
+struct SurfaceSample {
     radiance: [f64; 3],
     weight: f64,
 }
@@ -162,7 +162,7 @@ type Coloured = ([f64; 3], f64);
 /// Collects samples from the views of a scene, one after another, before anything is proposed for any view.
 #[derive(Clone, Debug, Default)]
 pub struct SceneSurvey {
-    views: Vec<Vec<Sample>>,
+    views: Vec<Vec<SurfaceSample>>,
     /// True if some light is lost in any view.
     water: bool,
 }
@@ -231,7 +231,7 @@ impl SceneSurvey {
                     let arriving = view.arriving.pixel(x, y);
                     self.water |= arriving.iter().any(|a| *a < NO_LOSS * accumulation);
                     let radiance = view.clear.pixel(x, y).map(|v| f64::from(v.max(0.0)));
-                    samples.push(Sample { radiance, weight: f64::from(sure.pixel(x, y)[0]) });
+                    samples.push(SurfaceSample { radiance, weight: f64::from(sure.pixel(x, y)[0]) });
                 }
             }
         }
@@ -255,14 +255,14 @@ impl SceneSurvey {
         let standard_error = (math::powi(standard_error(&coloured, mean_colour), 2) + few).sqrt();
         let (balance, trusted) = balance(mean_colour, standard_error);
 
-        let all: Vec<Sample> = self.views.iter().flatten().copied().collect();
-        let graded = |s: &Sample| -> [f64; 3] { std::array::from_fn(|c| balance[c] * s.radiance[c]) };
+        let all: Vec<SurfaceSample> = self.views.iter().flatten().copied().collect();
+        let graded = |s: &SurfaceSample| -> [f64; 3] { std::array::from_fn(|c| balance[c] * s.radiance[c]) };
         let light: Vec<(f64, f64)> = all.iter().map(|s| (luminance(graded(s)), s.weight)).collect();
         let pivot = quantile(&light, 0.95)?.max(1e-3);
         let range = pivot / quantile(&light, 0.05)?.max(1e-3);
         let widest = if self.water { CONTRAST.1 } else { 1.0 };
         let contrast = (math::ln(CONTRAST.0) / math::ln(range.max(1.0 + 1e-9))).clamp(1.0, widest);
-        let largest = |s: &Sample| {
+        let largest = |s: &SurfaceSample| {
             let x = graded(s);
             curve(x, pivot, contrast) * x[0].max(x[1]).max(x[2])
         };
@@ -294,7 +294,7 @@ impl SceneSurvey {
 
 /// The log of each channel over their geometric mean, and the weight; `None` for a pixel that is dark or
 /// clipped.
-fn log_colour(sample: &Sample) -> Option<Coloured> {
+fn log_colour(sample: &SurfaceSample) -> Option<Coloured> {
     let shown = |v: &f64| (DARK / 4.0..1.0).contains(v);
     let bright = luminance(sample.radiance) >= DARK;
     if !(bright && sample.weight > 0.0 && sample.radiance.iter().all(shown)) {

@@ -156,7 +156,7 @@ fn program([name, argument, purpose, origin]: &[&str; 4]) -> Finding {
 fn networks(models: Option<&Path>) -> Vec<Finding> {
     let folder = models.unwrap_or(Path::new("models"));
     let looked = use3d_nets::Models::open(folder);
-    let find = |known: &use3d_nets::models::Known| match looked.find(known.network) {
+    let find = |known: &use3d_nets::models::CheckpointInfo| match looked.find(known.network) {
         Some(file) => Finding::new(known.title, true, path_text(&file), known.used_for),
         None => {
             let told = format!("put {} into {}", known.files.join(" or "), path_text(folder));

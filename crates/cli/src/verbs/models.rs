@@ -9,7 +9,7 @@ use crate::error::{CliError, Done};
 #[cfg(feature = "nets")]
 pub(crate) fn run(args: &ModelsArgs) -> Done {
     use use3d_build::machine::bytes;
-    use use3d_nets::models::Verdict;
+    use use3d_nets::models::DigestCheck;
 
     use crate::interrupt;
 
@@ -50,9 +50,11 @@ pub(crate) fn run(args: &ModelsArgs) -> Done {
         let (mark, file) = match &row.found {
             Some(found) => {
                 let verdict = match &found.verdict {
-                    Verdict::Official => "official".to_string(),
-                    Verdict::Unknown => "digest not published".to_string(),
-                    Verdict::Different { expected } => format!("NOT the official file (expected {expected})"),
+                    DigestCheck::Official => "official".to_string(),
+                    DigestCheck::Unknown => "digest not published".to_string(),
+                    DigestCheck::Different { expected } => {
+                        format!("NOT the official file (expected {expected})")
+                    }
                 };
                 ("found  ", format!("{} ({verdict}, sha256 {})", found.path.display(), &found.sha256[..16]))
             }

@@ -8,7 +8,7 @@ use use3d_build::place::{self, Look, Standing};
 use use3d_build::{Digest, Event};
 use use3d_pipeline::code::built_in;
 use use3d_synth::{
-    CaptureParams, Development, PairsParams, Physics, Place, SynthError, WaterType, write_capture,
+    CaptureParams, Development, Location, PairsParams, Physics, SynthError, WaterType, write_capture,
     write_pairs,
 };
 
@@ -69,7 +69,7 @@ fn named<T: DeserializeOwned>(flag: &str, text: &str, known: &[&str]) -> Result<
 fn capture_params(args: &SynthCaptureArgs) -> Result<CaptureParams, CliError> {
     let common = &args.common;
     let physics = named("--physics", &args.physics, &Physics::ALL.map(Physics::name))?;
-    let place = named("--place", &args.place, &Place::ALL.map(Place::name))?;
+    let place = named("--place", &args.place, &Location::ALL.map(Location::name))?;
     let camera = named("--camera", &args.camera, &Development::ALL.map(Development::name))?;
     let mut params = CaptureParams {
         seed: common.seed,

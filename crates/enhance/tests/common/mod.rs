@@ -8,7 +8,7 @@ mod drawn;
 
 pub(crate) use drawn::{draw, taught};
 use use3d_atc::consensus::{LocalConsensus, Targets};
-use use3d_atc::extractor::{ExtractorSettings, Source, Workspace};
+use use3d_atc::extractor::{ExtractorSettings, SourceImage, Workspace};
 use use3d_atc::proposers::ProposerId;
 use use3d_capture::{Appearance, Image, KeptWater};
 use use3d_enhance::{EnhanceParams, EnhanceView, LabelSource, Start};
@@ -31,7 +31,7 @@ pub(crate) fn targets(scene: &Scene, taught: &Scene, views: &[EnhanceView]) -> T
     for view in views {
         let before = draw(scene, Look::Reconstruction, &view.camera);
         let after = draw(taught, Look::Enhanced { strength: 1.0 }, &view.camera);
-        let source = Source::from_image(&before, &settings).unwrap();
+        let source = SourceImage::from_image(&before, &settings).unwrap();
         let mut workspace = Workspace::new();
         let global = source.forward(&after, &mut workspace).unwrap().global;
         for (o, g) in operator.iter_mut().zip(global) {

@@ -22,7 +22,7 @@ use crate::buffer::Array;
 use crate::constants::counts;
 use crate::device::{Gpu, NAME};
 use crate::kernel::{Access, Binding, Constant, Grid, Kernel, SUM, Spec, bound, read, write};
-use shape::{HALVING, Halving, LEVEL, LEVELS, Level, LossConstants, Shape};
+use shape::{HALVING, Halving, LEVEL, LEVELS, Level, LossConstants, ViewShape};
 
 /// The values for which there are kernels, in the order of the table of terms.
 pub(crate) const VALUES: [&str; 3] = ["reg_l1", "reg_ms_ssim", "depth_loss"];
@@ -38,7 +38,7 @@ const OVER_WATER: u32 = 8;
 
 /// The input of a view's loss. Colour planes lie channel by channel.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Seen<'a> {
+pub(crate) struct LossInput<'a> {
     /// The rendered image, before the view's gain: 3 P.
     pub(crate) image: &'a Array<f32>,
     /// Expected depth: P.
@@ -53,7 +53,7 @@ pub(crate) struct Seen<'a> {
 
 /// The buffers for gradients and values.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Told<'a> {
+pub(crate) struct LossOutput<'a> {
     /// Gradient with respect to the rendered image, before the view's gain: 3 P.
     pub(crate) image: &'a Array<f32>,
     /// Gradient with respect to depth: P, zeros if there is no prior.
@@ -142,7 +142,7 @@ impl Gains {
 
 /// The compiled kernels.
 #[derive(Debug)]
-struct Kernels {
+struct LossKernels {
     over_water: Kernel,
     weigh: Kernel,
     pool: Kernel,
@@ -178,7 +178,7 @@ struct LevelBuffers {
 /// The losses of views of one size, with their buffers.
 #[derive(Debug)]
 pub(crate) struct Losses {
-    kernels: Kernels,
+    kernels: LossKernels,
     view: Array<LossConstants>,
     levels: Vec<LevelBuffers>,
     sums: Array<f32>,
@@ -188,7 +188,7 @@ pub(crate) struct Losses {
     depth_told: Array<f32>,
     /// A buffer that is bound if a view has no mask, prior or gains.
     nothing: Array<f32>,
-    shape: Shape,
+    shape: ViewShape,
 }
 
 const VIEW: Binding = (Access::Uniform, "view", "LossConstants");
@@ -322,7 +322,7 @@ pub(crate) fn specs() -> [Spec; 14] {
     ]
 }
 
-impl Kernels {
+impl LossKernels {
     fn new(gpu: &Gpu) -> Result<Self, EngineError> {
         let [
             over_water,
@@ -385,7 +385,7 @@ impl Losses {
     /// The losses without a size.
     pub(crate) fn new(gpu: &Gpu) -> Result<Self, EngineError> {
         Ok(Self {
-            kernels: Kernels::new(gpu)?,
+            kernels: LossKernels::new(gpu)?,
             view: Array::uniform(gpu, "a view's constants")?,
             levels: (0..LEVELS).map(|_| LevelBuffers::new(gpu)).collect::<Result<_, _>>()?,
             sums: Array::new(gpu, "sums of the loss", 1)?,
@@ -394,7 +394,7 @@ impl Losses {
             depth_sums: Array::new(gpu, "sums over depth", 1)?,
             depth_told: Array::new(gpu, "the depth loss", 8)?,
             nothing: Array::new(gpu, "nothing", 4)?,
-            shape: Shape::default(),
+            shape: ViewShape::default(),
         })
     }
 
@@ -409,11 +409,11 @@ impl Losses {
 
     /// Makes room for views of this size.
     pub(crate) fn resize(&mut self, gpu: &Gpu, width: usize, height: usize) -> Result<(), EngineError> {
-        let shape = Shape::of(width, height);
+        let shape = ViewShape::of(width, height);
         if shape == self.shape {
             return Ok(());
         }
-        self.shape = Shape::default();
+        self.shape = ViewShape::default();
         self.sums.grow(gpu, 12 * shape.groups)?;
         self.depth_sums.grow(gpu, 3 * shape.groups)?;
         self.level_sums.grow(gpu, 3 * shape.levels.iter().map(|level| level.groups).sum::<usize>())?;
@@ -443,7 +443,7 @@ impl Losses {
         &mut self,
         gpu: &Gpu,
         plan: &LossPlan,
-        seen: &Seen<'_>,
+        seen: &LossInput<'_>,
         gains: Option<&mut Gains>,
         water: bool,
     ) {
@@ -499,9 +499,9 @@ impl Losses {
     pub(crate) fn record(
         &self,
         pass: &mut wgpu::ComputePass<'_>,
-        seen: &Seen<'_>,
+        seen: &LossInput<'_>,
         gains: Option<&Gains>,
-        told: &Told<'_>,
+        told: &LossOutput<'_>,
     ) {
         let (k, shape, view) = (&self.kernels, &self.shape, &self.view);
         let gains = gains.map_or(&self.nothing, |g| &g.state);

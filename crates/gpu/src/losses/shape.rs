@@ -90,7 +90,7 @@ impl LevelShape {
 
 /// The size of a view and of its levels.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Shape {
+pub(super) struct ViewShape {
     pub(super) width: usize,
     pub(super) height: usize,
     /// Number of workgroups for a plane if each owns 1024 pixels.
@@ -98,7 +98,7 @@ pub(super) struct Shape {
     pub(super) levels: Vec<LevelShape>,
 }
 
-impl Shape {
+impl ViewShape {
     /// The shape of a view.
     pub(super) fn of(width: usize, height: usize) -> Self {
         let (mut w, mut h) = (width, height);

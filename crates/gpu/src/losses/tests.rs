@@ -70,9 +70,14 @@ fn evaluate(gpu: &Gpu, case: &Case<'_>, weights: [f64; 3]) -> (Vec<f32>, Vec<f32
     let (by_image, by_depth) = (array(&vec![0.0; 3 * n]), array(&vec![0.0; n]));
     let reports = array(&[0.0; 16]);
     let stop = Array::from(gpu, "counts", &[0u32; counts::WORDS]).unwrap();
-    let seen =
-        Seen { image: &rendered, depth: &depth, photograph: &photograph, mask: None, prior: Some(&prior) };
-    let told = Told { image: &by_image, depth: &by_depth, reports: &reports, counts: &stop };
+    let seen = LossInput {
+        image: &rendered,
+        depth: &depth,
+        photograph: &photograph,
+        mask: None,
+        prior: Some(&prior),
+    };
+    let told = LossOutput { image: &by_image, depth: &by_depth, reports: &reports, counts: &stop };
     let plan = LossPlan { step: 0, report: 0, weights, gains: None };
     losses.prepare(gpu, &plan, &seen, None, false);
     submit(gpu, "losses", |pass| losses.record(pass, &seen, None, &told)).unwrap();
@@ -158,7 +163,7 @@ fn transparent_pixels_show_the_water_with_the_views_gain() {
     let (seen_alpha, water) = (array(&alpha), array(&color));
     let mut gains = Gains::new(&gpu, &exposures).unwrap();
     let (depth, image) = (array(&alpha), array(&picture));
-    let seen = Seen { image: &image, depth: &depth, photograph: &photograph, mask: None, prior: None };
+    let seen = LossInput { image: &image, depth: &depth, photograph: &photograph, mask: None, prior: None };
     let step = ExposureStep { rate: 0.0, weight: 0.0 };
     let plan = LossPlan { step: 0, report: 0, weights: [0.8, 0.2, 0.0], gains: Some((1, step)) };
     losses.prepare(&gpu, &plan, &seen, Some(&mut gains), true);
@@ -186,8 +191,8 @@ fn a_loss_that_is_no_number_stops_the_run() {
     let stop = Array::from(&gpu, "counts", &[0u32; counts::WORDS]).unwrap();
     let mut losses = Losses::new(&gpu).unwrap();
     losses.resize(&gpu, w, h).unwrap();
-    let seen = Seen { image: &image, depth: &depth, photograph: &photograph, mask: None, prior: None };
-    let told = Told { image: &by_image, depth: &by_depth, reports: &reports, counts: &stop };
+    let seen = LossInput { image: &image, depth: &depth, photograph: &photograph, mask: None, prior: None };
+    let told = LossOutput { image: &by_image, depth: &by_depth, reports: &reports, counts: &stop };
     let plan = LossPlan { step: 12, report: 0, weights: [0.8, 0.2, 0.0], gains: None };
     losses.prepare(&gpu, &plan, &seen, None, false);
     submit(&gpu, "losses", |pass| losses.record(pass, &seen, None, &told)).unwrap();

@@ -32,11 +32,11 @@ use crate::device::{Gpu, NAME};
 use crate::kernel::submit;
 use crate::lists::{ListKernels, Lists};
 use crate::losses::{Gains, Losses};
-use crate::raster::{Planes, RasterKernels, WaterPlanes};
+use crate::raster::{RasterKernels, RasterPlanes, WaterPlanes};
 use crate::rebuild::RebuildKernel;
-use crate::scene::{DeviceScene, Row};
+use crate::scene::{DeviceScene, Float4};
 use crate::update::UpdateKernels;
-use crate::water::Water;
+use crate::water::DeviceWater;
 pub(crate) use counted::ViewWork;
 pub use forecast::training_bytes;
 use stored::Unpacked;
@@ -53,7 +53,7 @@ const REPORT: usize = 16;
 
 /// The kernels of a step, except those of losses and water.
 #[derive(Debug)]
-struct Kernels {
+struct StepKernels {
     lists: ListKernels,
     raster: RasterKernels,
     update: UpdateKernels,
@@ -73,19 +73,19 @@ struct Asked {
 #[derive(Debug)]
 pub struct Stage1 {
     gpu: Gpu,
-    kernels: Kernels,
+    kernels: StepKernels,
     targets: Targets,
     scene: DeviceScene,
     lists: Lists,
-    planes: Planes,
+    planes: RasterPlanes,
     losses: Losses,
-    water: Option<Water>,
+    water: Option<DeviceWater>,
     gains: Gains,
     /// The floats of a step's view.
     unpacked: Unpacked,
     image_slope: Array<f32>,
     depth_slope: Array<f32>,
-    records: Array<Row>,
+    records: Array<Float4>,
     constants: Array<StepConstants>,
     counts: Array<u32>,
     /// The counts of renders, which do not stop the training.
@@ -103,7 +103,7 @@ impl Stage1 {
     /// An engine without views and with an empty scene.
     pub fn new(gpu: &Gpu) -> Result<Self, EngineError> {
         Ok(Self {
-            kernels: Kernels {
+            kernels: StepKernels {
                 lists: ListKernels::new(gpu)?,
                 raster: RasterKernels::new(gpu)?,
                 update: UpdateKernels::new(gpu)?,
@@ -112,7 +112,7 @@ impl Stage1 {
             targets: Targets::default(),
             scene: DeviceScene::new(gpu)?,
             lists: Lists::new(gpu)?,
-            planes: Planes::new(gpu)?,
+            planes: RasterPlanes::new(gpu)?,
             losses: Losses::new(gpu)?,
             water: None,
             gains: Gains::new(gpu, &Exposures::default())?,
@@ -238,7 +238,7 @@ impl Engine for Stage1 {
         self.done.clear();
         self.surveyed = None;
         let TrainingState { gaussians, moments, statistics, medium, medium_moments, exposures, .. } = &state;
-        self.water = Water::new(&self.gpu, medium, [&medium_moments[0], &medium_moments[1]])?;
+        self.water = DeviceWater::new(&self.gpu, medium, [&medium_moments[0], &medium_moments[1]])?;
         self.gains = Gains::new(&self.gpu, exposures)?;
         self.gpu.forget_bindings();
         self.scene.write(&self.gpu, gaussians, moments, statistics)?;
@@ -356,7 +356,7 @@ impl Diagnostics for Stage1 {
     fn memory(&self) -> usize {
         let slopes = self.image_slope.size() + self.depth_slope.size();
         let planes = self.planes.size() + self.unpacked.size() + slopes;
-        let water = self.water.as_ref().map_or(0, Water::memory);
+        let water = self.water.as_ref().map_or(0, DeviceWater::memory);
         let step = self.lists.size() + self.records.size() + self.losses.memory() + water + planes;
         self.scene.size() + step + self.targets.size()
     }

@@ -8,7 +8,7 @@ use super::stored::Floats;
 use super::{Asked, RING, Stage1};
 use crate::constants::{StepConstants, counts};
 use crate::kernel::submit;
-use crate::losses::{LossPlan, Seen, Told, VALUES};
+use crate::losses::{LossInput, LossOutput, LossPlan, VALUES};
 use crate::raster::Outputs;
 use crate::water::AlongRays;
 
@@ -85,7 +85,7 @@ impl Stage1 {
         target.prepare(&self.gpu, &mut self.unpacked)?;
         let Floats { photograph, alpha, mask, prior } = target.floats(&self.unpacked);
         let (image, depth) = (&self.planes.image, &self.planes.depth);
-        let seen = Seen { image, depth, photograph, mask, prior };
+        let seen = LossInput { image, depth, photograph, mask, prior };
         let exposed = plan.exposure.is_some();
         let loss = LossPlan {
             step: plan.step,
@@ -113,7 +113,7 @@ impl Stage1 {
                 self.losses.over_water(pass, photograph, alpha, color, gains);
             }
             self.record_view(pass, &constants, true);
-            let told = Told {
+            let told = LossOutput {
                 image: &self.image_slope,
                 depth: &self.depth_slope,
                 reports: &self.reports,

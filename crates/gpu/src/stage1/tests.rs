@@ -12,7 +12,7 @@ use use3d_reconstruct::{ExposureStep, LoadedView};
 
 use super::*;
 use crate::testing::{camera, cloud, relative, same_bits_elsewhere, software};
-use crate::twins::Packed;
+use crate::twins::SceneSize;
 
 const RATES: StepRates = StepRates {
     means: 1e-3,
@@ -376,7 +376,7 @@ fn bits_do_not_depend_on_threads_or_widths() {
 }
 
 /// Bytes on the device besides the views, and the estimate.
-fn memory(scene: &Packed) -> [u64; 2] {
+fn memory(scene: &SceneSize) -> [u64; 2] {
     let Some(gpu) = software() else { return [1, 1] };
     let mut ours = Stage1::new(&gpu).unwrap();
     for view in scene.training_views().unwrap() {
@@ -384,7 +384,7 @@ fn memory(scene: &Packed) -> [u64; 2] {
     }
     ours.load(scene.state()).unwrap();
     for view in 0..scene.views {
-        ours.step(view, &Packed::plan(view as u64)).unwrap();
+        ours.step(view, &SceneSize::plan(view as u64)).unwrap();
     }
     ours.drain(Drain::All).unwrap();
     let entries = ours.counts.read(&gpu, counts::WORDS).unwrap()[counts::MOST] as usize;
@@ -392,15 +392,15 @@ fn memory(scene: &Packed) -> [u64; 2] {
     [(ours.memory() - ours.targets.size()) as u64, forecast]
 }
 
-fn assert_forecast(scene: &Packed) {
+fn assert_forecast(scene: &SceneSize) {
     let [found, forecast] = memory(scene);
     assert!(found <= forecast && forecast <= found + found / 20 + (4 << 20), "{found}, forecast {forecast}");
 }
 
 #[test]
 fn memory_is_what_was_forecast() {
-    assert_forecast(&Packed { width: 320, height: 240, gaussians: 300, views: 1, seed: 2 });
-    assert_forecast(&Packed { width: 64, height: 48, gaussians: 9000, views: 1, seed: 2 });
+    assert_forecast(&SceneSize { width: 320, height: 240, gaussians: 300, views: 1, seed: 2 });
+    assert_forecast(&SceneSize { width: 64, height: 48, gaussians: 9000, views: 1, seed: 2 });
 }
 
 /// A photograph of eight megapixels. [`memory_is_what_was_forecast`] always runs the same check at small
@@ -410,5 +410,5 @@ fn memory_is_what_was_forecast() {
 #[test]
 #[ignore = "three minutes on a software adapter; the same check at small sizes always runs"]
 fn eight_megapixels_take_what_was_forecast() {
-    assert_forecast(&Packed { width: 3264, height: 2448, gaussians: 2000, views: 1, seed: 2 });
+    assert_forecast(&SceneSize { width: 3264, height: 2448, gaussians: 2000, views: 1, seed: 2 });
 }

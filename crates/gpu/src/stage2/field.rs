@@ -26,8 +26,8 @@ use super::kernels::{
 use crate::buffer::Array;
 use crate::device::Gpu;
 use crate::kernel::{Grid, bound};
-use crate::raster::{Planes, WaterPlanes};
-use crate::scene::Row;
+use crate::raster::{RasterPlanes, WaterPlanes};
+use crate::scene::Float4;
 
 /// Largest number of blocks of the sums over lookups.
 const BLOCKS: usize = 256;
@@ -117,9 +117,9 @@ pub(super) struct DeviceField {
     /// The codes of lookups, and the gradients with respect to them.
     codes: Array<f32>,
     by_codes: Array<f32>,
-    records: Array<Row>,
+    records: Array<Float4>,
     totals: Array<f32>,
-    of_mean: Array<Row>,
+    of_mean: Array<Float4>,
     of_colors: Array<f32>,
     of_water: Array<f32>,
     of_guide: Array<f32>,
@@ -270,7 +270,7 @@ impl DeviceField {
         &self,
         pass: &mut wgpu::ComputePass<'_>,
         view: &FrozenView,
-        planes: &Planes,
+        planes: &RasterPlanes,
         image_pull: &Array<f32>,
     ) {
         let mut buffers = view.drawn().buffers(&view.constants);
@@ -285,7 +285,7 @@ impl DeviceField {
         &self,
         pass: &mut wgpu::ComputePass<'_>,
         view: &FrozenView,
-        planes: &Planes,
+        planes: &RasterPlanes,
         image_pull: &Array<f32>,
     ) {
         let (k, constants) = (&self.kernels, &self.constants);

@@ -16,9 +16,9 @@ use crate::buffer::{Array, read_together};
 use crate::constants::{StepConstants, TILE, counts};
 use crate::device::Gpu;
 use crate::kernel::{Grid, Kernel, bound, submit};
-use crate::lists::{Drawn, ListKernels, Lists};
-use crate::raster::{Outputs, Planes, RasterKernels, WaterPlanes};
-use crate::scene::{Parameters, Row};
+use crate::lists::{ListKernels, Lists, ViewLists};
+use crate::raster::{Outputs, RasterKernels, RasterPlanes, WaterPlanes};
+use crate::scene::{Float4, Parameters};
 
 /// The frozen water of a view as planes, which the field recolours.
 #[derive(Debug)]
@@ -49,7 +49,7 @@ impl FrozenWater {
             let each = betas.iter().zip(lengths.iter().cycle());
             each.map(|(beta, length)| beta * length * std::f32::consts::LOG2_E).collect()
         };
-        let water = water::Water::new(maps);
+        let water = water::ViewWater::new(maps);
         Ok(Self {
             color: Array::from(gpu, "the water's colour", water.maps.color.data())?,
             logs: Array::from(gpu, "the guide of the water's colour", water.signed_logs().data())?,
@@ -86,11 +86,11 @@ pub(super) struct FrozenView {
     lists: Array<u32>,
     owners: Array<u32>,
     /// The splats, whose colours change with every step.
-    pub(super) splats: Array<Row>,
+    pub(super) splats: Array<Float4>,
     /// The first entry and the number of entries of each Gaussian.
     pub(super) runs: Array<[u32; 2]>,
     /// Stage-1 colours.
-    pub(super) base: Array<Row>,
+    pub(super) base: Array<Float4>,
     /// The field's lookups of the listed Gaussians; with water, followed by the rows of its table.
     pub(super) sites: Array<[u32; 4]>,
     pub(super) water: Option<FrozenWater>,
@@ -98,9 +98,9 @@ pub(super) struct FrozenView {
 
 impl FrozenView {
     /// The lists in the form that the compositor reads.
-    pub(super) fn drawn(&self) -> Drawn<'_> {
+    pub(super) fn drawn(&self) -> ViewLists<'_> {
         let Self { axes, starts, lists, owners, splats, .. } = self;
-        Drawn { axes, starts, lists, owners, splats }
+        ViewLists { axes, starts, lists, owners, splats }
     }
 
     /// Number of pixels of its lattice.
@@ -117,7 +117,7 @@ impl FrozenView {
 }
 
 /// The lists of a view as the device made them.
-struct Found<'a> {
+struct DeviceLists<'a> {
     /// The Gaussian of each entry.
     owners: &'a [u32],
     /// Entries by tile and by depth within a tile, and 1 for each entry that a pixel sees.
@@ -138,7 +138,7 @@ struct Trimmed {
     runs: Vec<[u32; 2]>,
 }
 
-impl Found<'_> {
+impl DeviceLists<'_> {
     /// Removes the unseen entries. `centred` are the Gaussians that define the mean; `None` for all of
     /// `gaussians`.
     fn trimmed(&self, gaussians: usize, centred: Option<&[u32]>) -> Trimmed {
@@ -226,7 +226,7 @@ impl<'a> Freezer<'a> {
         &mut self,
         gpu: &Gpu,
         raster: &RasterKernels,
-        planes: &mut Planes,
+        planes: &mut RasterPlanes,
         field: &Field,
         camera: &Camera,
         lattice: &Lattice,
@@ -252,14 +252,14 @@ impl<'a> Freezer<'a> {
                 (self.seen.raw(), entries),
             ],
         )?;
-        let found = Found { owners: &owners, lists: &lists, seen: &seen, starts: &starts };
+        let found = DeviceLists { owners: &owners, lists: &lists, seen: &seen, starts: &starts };
         let trimmed = found.trimmed(n, self.centred.as_deref());
         let rows: &[[u32; 4]] = splats.as_chunks().0;
         let row = |words: [u32; 4]| words.map(f32::from_bits);
         let own = |i: u32| &rows[3 * i as usize..3 * i as usize + 3];
         let of_listed = trimmed.listed.iter().flat_map(|&i| own(i).iter().map(|words| row(*words)));
-        let splats: Vec<Row> = of_listed.collect();
-        let base: Vec<Row> = trimmed.listed.iter().map(|&i| row(own(i)[2])).collect();
+        let splats: Vec<Float4> = of_listed.collect();
+        let base: Vec<Float4> = trimmed.listed.iter().map(|&i| row(own(i)[2])).collect();
         let mut sites: Vec<[u32; 4]> = Vec::with_capacity(2 * (trimmed.listed.len() + water::ROWS));
         for &i in &trimmed.listed {
             let (nodes, fractions, logs) = self.sites.site(i as usize);
@@ -300,7 +300,7 @@ impl<'a> Freezer<'a> {
         &mut self,
         gpu: &Gpu,
         raster: &RasterKernels,
-        planes: &mut Planes,
+        planes: &mut RasterPlanes,
         camera: &Camera,
         lattice: &Lattice,
         water: Option<&FrozenWater>,
@@ -359,7 +359,7 @@ mod tests {
     fn what_is_seen_is_numbered_anew_one_gaussian_after_another() {
         // Two tiles: Gaussian 4 is in both, Gaussian 1 in the first where no pixel sees it, Gaussian 2 in
         // the second.
-        let found = Found {
+        let found = DeviceLists {
             owners: &[4, 4, 1, 2, 2],
             lists: &[2, 0, 4, 1, 3],
             seen: &[0, 1, 1, 1, 0],
@@ -376,7 +376,8 @@ mod tests {
         assert_eq!(some, expected);
         let all = found.trimmed(6, None);
         assert_eq!((all.listed.len(), &all.owners[..]), (6, &[2, 4, 4][..]));
-        let nothing = Found { owners: &[], lists: &[], seen: &[], starts: &[0, 0] }.trimmed(3, Some(&[1]));
+        let nothing =
+            DeviceLists { owners: &[], lists: &[], seen: &[], starts: &[0, 0] }.trimmed(3, Some(&[1]));
         assert_eq!((nothing.listed, nothing.starts, nothing.lists.len()), (vec![1], vec![0, 0], 0));
     }
 }

@@ -62,9 +62,9 @@ impl Of {
 }
 
 /// A field of one rank; the other sizes are not constants of the text.
-struct Variant(usize);
+struct FieldRank(usize);
 
-impl Variant {
+impl FieldRank {
     fn spec(&self, name: &'static str, threads: u32, bindings: &[Binding], parts: &[&'static str]) -> Spec {
         let count = |value: usize| Constant::Count(value as u32);
         Spec {
@@ -243,7 +243,7 @@ pub(crate) fn colors(water: bool) -> Spec {
 /// All kernels of this module, for fields of the smallest, the method's and the largest rank.
 pub(crate) fn specs() -> Vec<Spec> {
     let of_rank = |rank| {
-        let v = Variant(rank);
+        let v = FieldRank(rank);
         let mut all = vec![
             v.lookup(),
             v.grade(),
@@ -289,7 +289,7 @@ pub(super) struct FieldKernels {
 
 impl FieldKernels {
     pub(super) fn new(gpu: &Gpu, rank: usize) -> Result<Self, EngineError> {
-        let v = Variant(rank);
+        let v = FieldRank(rank);
         let kernel = |spec: Spec| Kernel::new(gpu, &spec);
         let total = |of| kernel(v.total(of));
         Ok(Self {

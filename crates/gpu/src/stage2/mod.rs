@@ -26,7 +26,7 @@ use use3d_ubaf::{Field, Gradient, OUTPUTS, ObjectPass};
 use crate::buffer::{Array, read_together};
 use crate::device::{Gpu, NAME};
 use crate::kernel::submit;
-use crate::raster::{Outputs, Planes, RasterKernels};
+use crate::raster::{Outputs, RasterKernels, RasterPlanes};
 use field::DeviceField;
 use frozen::{Freezer, FrozenView};
 use kernels::{BAD_GRADIENT, BAD_PARAMETER, NONE};
@@ -57,10 +57,10 @@ impl Kept {
 
 /// The buffers and kernels that draw a view under the present field.
 #[derive(Debug)]
-struct Drawing {
+struct FieldDrawing {
     gpu: Gpu,
     raster: RasterKernels,
-    planes: Planes,
+    planes: RasterPlanes,
     /// The gradient of the image.
     pull: Array<f32>,
     device: DeviceField,
@@ -73,7 +73,7 @@ struct Drawing {
     image: Image,
 }
 
-impl Drawing {
+impl FieldDrawing {
     /// Makes a view's constants; its stage-1 render is read into `image`.
     fn freeze(
         &mut self,
@@ -149,7 +149,7 @@ pub struct Stage2<'a> {
     guidance: Guidance<'a>,
     goals: Goals,
     freezer: Freezer<'a>,
-    drawing: Drawing,
+    drawing: FieldDrawing,
     views: Vec<KnownView>,
     kept: Kept,
     measure: Measure,
@@ -194,10 +194,10 @@ impl<'a> Stage2<'a> {
             guidance,
             goals: Goals::new(guidance, params),
             freezer: Freezer::new(gpu, scene, sites, centred(g.len(), params.centre_sample))?,
-            drawing: Drawing {
+            drawing: FieldDrawing {
                 gpu: gpu.clone(),
                 raster: RasterKernels::new(gpu)?,
-                planes: Planes::new(gpu)?,
+                planes: RasterPlanes::new(gpu)?,
                 pull: Array::new(gpu, "slopes of the image", 1)?,
                 device,
                 of_field: Gradient::new(field.shape()),
@@ -272,7 +272,7 @@ impl<'a> Stage2<'a> {
     /// Waits for the last step.
     fn settle(&mut self) -> Result<(), EngineError> {
         if self.pending.is_some() {
-            let Drawing { gpu, device, .. } = &self.drawing;
+            let FieldDrawing { gpu, device, .. } = &self.drawing;
             let status = device.status.read(gpu, 2)?;
             self.confirm([status[0], status[1]]);
         }
@@ -340,7 +340,7 @@ impl<'a> Stage2<'a> {
 impl FieldEngine for Stage2<'_> {
     fn load(&mut self, state: FieldState) -> Result<(), EngineError> {
         state.check(self.drawing.field.parameters.len())?;
-        let Drawing { gpu, device, .. } = &self.drawing;
+        let FieldDrawing { gpu, device, .. } = &self.drawing;
         device.write(gpu, &state);
         (self.pending, self.stopped) = (None, false);
         self.done.clear();
@@ -381,7 +381,7 @@ impl FieldEngine for Stage2<'_> {
         self.place(0)?;
         let mut mean = [0.0; OUTPUTS];
         if let Some(view) = self.kept.get(0) {
-            let Drawing { gpu, device, .. } = &mut self.drawing;
+            let FieldDrawing { gpu, device, .. } = &mut self.drawing;
             device.prepare(gpu, view, None)?;
             submit(gpu, "the field's mean", |pass| device.record_lookup(pass, view))?;
             mean.copy_from_slice(&device.grade.read(gpu, OUTPUTS)?);

@@ -11,7 +11,7 @@ use use3d_numerics::random::{Purpose, Stream};
 use use3d_scene::Scene;
 use use3d_splat::{Options, Prepared, Rasterizer, Rendered};
 use use3d_training::{Drain, EngineError, Silent};
-use use3d_ubaf::{Field, ObjectPass, Water, WaterPass};
+use use3d_ubaf::{Field, ObjectPass, ViewWater, WaterPass};
 
 use super::{Stage2, initial_field};
 use crate::testing::{camera, cloud, relative, same_bits_elsewhere, software};
@@ -197,7 +197,7 @@ fn the_field_is_the_processors_at_every_count_of_lookups() {
         let (mut maps, mut enhanced) = (MediumMaps::zeros(0, 0), MediumMaps::zeros(0, 0));
         assert!(scene.look_through(&camera, lattice, &mut maps));
         let center = camera.pose.center().as_vec3().to_array();
-        WaterPass::new().forward(&field, center, &Water::new(maps), 1.0, &mut enhanced);
+        WaterPass::new().forward(&field, center, &ViewWater::new(maps), 1.0, &mut enhanced);
         let color = ours.drawing.device.color.read(&gpu, 3 * view.pixels()).unwrap();
         let error = relative(&color, enhanced.color.data());
         assert!(error <= 1e-5, "{n} lookups: the water's colour off by {error:.1e}");

@@ -13,7 +13,7 @@ use use3d_scene::Scene;
 use use3d_training::{Drain, EngineError, Silent};
 use use3d_ubaf::Field;
 
-use super::{Agreement, Packed, draws};
+use super::{Agreement, SceneSize, draws};
 use crate::device::Gpu;
 use crate::stage2::Stage2;
 
@@ -78,8 +78,8 @@ pub(crate) fn groups(field: &Field) -> [(&'static str, Range<usize>); 8] {
 ///
 /// # Errors
 /// The device's driver failed.
-pub fn field(gpu: &Gpu, scene: &Packed) -> Result<Vec<Agreement>, EngineError> {
-    let Packed { width, height, .. } = *scene;
+pub fn field(gpu: &Gpu, scene: &SceneSize) -> Result<Vec<Agreement>, EngineError> {
+    let SceneSize { width, height, .. } = *scene;
     let views = scene.enhance_views()?;
     let packed = scene.scene();
     let params = EnhanceParams {
@@ -127,7 +127,7 @@ mod tests {
     #[test]
     fn a_step_of_stage_2_agrees_in_every_group() {
         let Some(gpu) = software() else { return };
-        let scene = Packed { width: 48, height: 32, gaussians: 150, views: 2, seed: 1 };
+        let scene = SceneSize { width: 48, height: 32, gaussians: 150, views: 2, seed: 1 };
         let found = field(&gpu, &scene).unwrap();
         assert_eq!(found.len(), 20);
         for agreement in &found {

@@ -11,7 +11,7 @@ use crate::buffer::Array;
 use crate::constants::counts;
 use crate::device::Gpu;
 use crate::kernel::submit;
-use crate::losses::{Gains, LossPlan, Losses, Seen, TOLD, Told};
+use crate::losses::{Gains, LossInput, LossOutput, LossPlan, Losses, TOLD};
 
 /// A view to compare losses on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -115,14 +115,14 @@ pub fn losses(gpu: &Gpu, case: &LossCase) -> Result<Vec<Agreement>, EngineError>
     let reports = array("reports", &poison(32))?;
     let counts = Array::from(gpu, "counts", &[0u32; counts::WORDS])?;
     let mut gains = Gains::new(gpu, &inputs.exposures)?;
-    let seen = Seen {
+    let seen = LossInput {
         image: &image,
         depth: &depth,
         photograph: &photograph,
         mask: mask.as_ref(),
         prior: prior.as_ref(),
     };
-    let told = Told { image: &by_image, depth: &by_depth, reports: &reports, counts: &counts };
+    let told = LossOutput { image: &by_image, depth: &by_depth, reports: &reports, counts: &counts };
     let plan = LossPlan { step: 7, report: 1, weights: WEIGHTS, gains: case.gains.then_some((ROW, STEP)) };
     losses.prepare(gpu, &plan, &seen, Some(&mut gains), false);
     submit(gpu, "losses", |pass| {

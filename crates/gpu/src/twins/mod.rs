@@ -24,7 +24,7 @@ pub use losses::{LossCase, losses};
 #[cfg(test)]
 pub(crate) use pictures::compare as compare_pictures;
 pub use pictures::pictures;
-pub use scene::Packed;
+pub use scene::SceneSize;
 pub(crate) use scene::targets;
 pub use steps::step;
 pub use water::{WaterCase, water};
@@ -83,7 +83,7 @@ pub fn small(gpu: &Gpu) -> Result<Vec<Agreement>, EngineError> {
     let mut all =
         losses(gpu, &LossCase { width: 61, height: 47, seed: 1, mask: true, prior: true, gains: true })?;
     all.extend(water(gpu, &WaterCase { width: 61, height: 47, seed: 1, anchors: 8, top_k: 4, degree: 3 })?);
-    let scene = Packed { width: 48, height: 32, gaussians: 150, views: 1, seed: 1 };
+    let scene = SceneSize { width: 48, height: 32, gaussians: 150, views: 1, seed: 1 };
     all.extend(step(&mut Stage1::new(gpu)?, &scene)?);
     all.extend(pictures(gpu, &scene)?);
     all.extend(field(gpu, &scene)?);

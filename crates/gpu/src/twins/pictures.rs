@@ -4,7 +4,7 @@ use use3d_capture::{Camera, Lattice, MediumMaps};
 use use3d_splat::{Colors, Options, Prepared, Rasterizer, Rendered};
 use use3d_training::EngineError;
 
-use super::{Agreement, Packed, draws};
+use super::{Agreement, SceneSize, draws};
 use crate::device::Gpu;
 use crate::drawing::{Drawing, DrawnView};
 use crate::linear::LinearSplat;
@@ -17,7 +17,7 @@ const CHANNELS: usize = 5;
 ///
 /// # Errors
 /// The device's driver failed.
-pub fn pictures(gpu: &Gpu, scene: &Packed) -> Result<Vec<Agreement>, EngineError> {
+pub fn pictures(gpu: &Gpu, scene: &SceneSize) -> Result<Vec<Agreement>, EngineError> {
     let cameras = scene.cameras()?;
     let Some(camera) = cameras.first() else { return Ok(Vec::new()) };
     let packed = scene.scene();
@@ -61,7 +61,7 @@ pub(crate) fn compare(found: &Rendered, expected: &Rendered) -> Vec<Agreement> {
 
 fn linear(
     gpu: &Gpu,
-    scene: &Packed,
+    scene: &SceneSize,
     camera: &Camera,
     lattice: &Lattice,
     prepared: &Prepared,

@@ -42,7 +42,7 @@ pub(crate) fn targets(gaussians: usize, views: &[EnhanceView], appearance: Appea
 
 /// A scene and its views, described by their sizes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Packed {
+pub struct SceneSize {
     /// Number of pixels across.
     pub width: usize,
     /// Number of pixels down.
@@ -55,7 +55,7 @@ pub struct Packed {
     pub seed: u64,
 }
 
-impl Packed {
+impl SceneSize {
     /// The initial state of a run on it. Gaussians fill a slab in front of the cameras, each a few pixels
     /// wide. With enough Gaussians, about fifty lie in front of a pixel.
     pub fn state(&self) -> TrainingState {

@@ -5,12 +5,12 @@ use use3d_reconstruct::engine::{CpuEngine, Engine, TrainingState};
 use use3d_splat::Gaussians;
 use use3d_training::{Drain, EngineError};
 
-use super::{Agreement, Packed};
+use super::{Agreement, SceneSize};
 
 /// Compares one step from the same state on both engines: report, moments after it (which are the
 /// gradients, from zero), statistics. At the end it compares rows of every kind, moved and made, to the
 /// bit.
-pub fn step(engine: &mut dyn Engine, scene: &Packed) -> Result<Vec<Agreement>, EngineError> {
+pub fn step(engine: &mut dyn Engine, scene: &SceneSize) -> Result<Vec<Agreement>, EngineError> {
     let mut ours = CpuEngine::new();
     let state = scene.state();
     for view in scene.training_views()? {
@@ -21,7 +21,7 @@ pub fn step(engine: &mut dyn Engine, scene: &Packed) -> Result<Vec<Agreement>, E
     ours.load(state.clone())?;
     engine.load(state)?;
     for view in 0..scene.views {
-        let plan = Packed::plan(view as u64);
+        let plan = SceneSize::plan(view as u64);
         ours.step(view, &plan)?;
         engine.step(view, &plan)?;
         let (expected, found) = (ours.drain(Drain::All)?, engine.drain(Drain::All)?);
@@ -77,7 +77,7 @@ mod tests {
 
     #[test]
     fn an_engine_agrees_with_itself() {
-        let scene = Packed { width: 48, height: 32, gaussians: 150, views: 2, seed: 1 };
+        let scene = SceneSize { width: 48, height: 32, gaussians: 150, views: 2, seed: 1 };
         let found = step(&mut CpuEngine::new(), &scene).unwrap();
         assert_eq!(found.len(), 19);
         assert!(found.iter().all(|agreement| agreement.error == 0.0), "{found:?}");

@@ -10,7 +10,7 @@ use crate::buffer::Array;
 use crate::constants::counts;
 use crate::device::Gpu;
 use crate::kernel::submit;
-use crate::water::{AlongRays, Water};
+use crate::water::{AlongRays, DeviceWater};
 
 /// A view and its water to compare.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -82,9 +82,8 @@ pub fn water(gpu: &Gpu, case: &WaterCase) -> Result<Vec<Agreement>, EngineError>
     let count = model.parameter_count();
     let mut first: Vec<f32> = (0..count).map(|i| 1e-3 * normal(5, i)).collect();
     let mut second: Vec<f32> = (0..count).map(|i| 1e-5 * normal(6, i).abs()).collect();
-    let mut device = Water::new(gpu, &model, [&first, &second])?.ok_or_else(|| EngineError::Request {
-        engine: crate::device::NAME,
-        what: "a twin of no water".into(),
+    let mut device = DeviceWater::new(gpu, &model, [&first, &second])?.ok_or_else(|| {
+        EngineError::Request { engine: crate::device::NAME, what: "a twin of no water".into() }
     })?;
     let mut learnt = model.clone();
     learnt.update(&gradient, |role, offset, values, pulls| {

@@ -60,7 +60,7 @@ pub(crate) struct AlongRays<'a> {
 
 /// The water with all buffers of its kernels.
 #[derive(Debug)]
-pub(crate) struct Water {
+pub(crate) struct DeviceWater {
     mix: Kernel,
     look: Kernel,
     gather: Kernel,
@@ -80,7 +80,7 @@ pub(crate) struct Water {
     pub(crate) attenuation: Array<f32>,
     /// `k` of backscatter: 3 P.
     pub(crate) backscatter: Array<f32>,
-    /// The model; its parameters equal the device's only after [`Water::read`].
+    /// The model; its parameters equal the device's only after [`DeviceWater::read`].
     model: MediumModel,
     anchors: usize,
     shared_by: usize,
@@ -153,7 +153,7 @@ pub(crate) fn specs() -> [Spec; 6] {
     ]
 }
 
-impl Water {
+impl DeviceWater {
     /// Copies a model with Adam's moments to the device; `None` if there is no water. A network is refused.
     pub(crate) fn new(
         gpu: &Gpu,
@@ -329,7 +329,7 @@ impl Water {
         self.learn.dispatch(pass, grid, bound![self.uniform, self.slope, self.state, *counts]);
     }
 
-    /// Waits and reads the gradients with respect to all parameters, before [`Water::record_update`].
+    /// Waits and reads the gradients with respect to all parameters, before [`DeviceWater::record_update`].
     pub(crate) fn slopes(&self, gpu: &Gpu) -> Result<Vec<f32>, EngineError> {
         self.slope.read(gpu, self.model.parameter_count())
     }

@@ -27,11 +27,11 @@ fn the_water_is_that_of_the_processor() {
 #[test]
 fn no_water_needs_nothing_and_a_network_is_refused_by_name() {
     let Some(gpu) = software() else { return };
-    assert!(Water::new(&gpu, &MediumModel::None, [&[], &[]]).unwrap().is_none());
+    assert!(DeviceWater::new(&gpu, &MediumModel::None, [&[], &[]]).unwrap().is_none());
     let (network, over) = (MediumModel::Mlp(MediumMlp::new(1)), MediumModel::Image(MediumImage::default()));
     for (model, name) in [(network, "`mlp`"), (over, "`image`")] {
         let moments = vec![0.0; model.parameter_count()];
-        let error = Water::new(&gpu, &model, [&moments, &moments]).unwrap_err().to_string();
+        let error = DeviceWater::new(&gpu, &model, [&moments, &moments]).unwrap_err().to_string();
         assert!(error.contains(name) && error.contains("--engine cpu"), "{error}");
     }
 }
@@ -41,7 +41,7 @@ fn moments_of_coefficients_are_forgotten_and_those_of_anchors_kept() {
     let Some(gpu) = software() else { return };
     let model = MediumModel::Rbf(MediumRbf::new(8, 4));
     let moments = vec![1.0; model.parameter_count()];
-    let water = Water::new(&gpu, &model, [&moments, &moments]).unwrap().unwrap();
+    let water = DeviceWater::new(&gpu, &model, [&moments, &moments]).unwrap().unwrap();
     water.forget_moments(&gpu);
     let (same, both) = water.read(&gpu).unwrap();
     assert!(same == model);
@@ -55,7 +55,7 @@ fn a_run_that_has_stopped_changes_nothing() {
     let Some(gpu) = software() else { return };
     let model = MediumModel::Rbf(MediumRbf::new(8, 4));
     let moments = vec![1e-3; model.parameter_count()];
-    let water = Water::new(&gpu, &model, [&moments, &moments]).unwrap().unwrap();
+    let water = DeviceWater::new(&gpu, &model, [&moments, &moments]).unwrap().unwrap();
     let mut words = [0u32; counts::WORDS];
     words[counts::STOP] = counts::OVERFLOW;
     let stopped = Array::from(&gpu, "counts", &words).unwrap();

@@ -1,9 +1,9 @@
 //! Resampling a picture to another size, by the rules of the tools that the networks were trained with.
 //!
 //! Every rule is separable: one output coordinate is a weighted sum of a short run of input coordinates.
-//! [`Axis`] holds the runs and weights of one direction (computed in f64); [`resize`] applies two of them.
-//! Pillow's 8-bit bilinear is a separate function because it rounds to whole levels after each pass, in fixed
-//! point.
+//! [`ResampleAxis`] holds the runs and weights of one direction (computed in f64); [`resize`] applies two of
+//! them. Pillow's 8-bit bilinear is a separate function because it rounds to whole levels after each pass, in
+//! fixed point.
 
 use rayon::prelude::*;
 use use3d_capture::Image8;
@@ -26,14 +26,14 @@ pub(crate) enum Rule {
 }
 
 /// For each output coordinate, the first input coordinate and the weights from there on.
-pub(crate) struct Axis {
+pub(crate) struct ResampleAxis {
     first: Vec<usize>,
     /// The start of each output's weights in `weights`, with one more entry at the end.
     offsets: Vec<usize>,
     weights: Vec<f32>,
 }
 
-impl Axis {
+impl ResampleAxis {
     pub(crate) fn new(rule: Rule, input: usize, output: usize) -> Self {
         let mut axis = Self { first: Vec::new(), offsets: vec![0], weights: Vec::new() };
         for i in 0..output {
@@ -109,7 +109,7 @@ fn cubic(x: f64) -> (isize, Vec<f64>) {
 }
 
 /// Resamples every plane by the rules of both directions.
-pub(crate) fn resize_by(input: &Planes, vertical: &Axis, horizontal: &Axis) -> Planes {
+pub(crate) fn resize_by(input: &Planes, vertical: &ResampleAxis, horizontal: &ResampleAxis) -> Planes {
     let (height, width) = (vertical.len(), horizontal.len());
     let mut out = Planes::new(input.channels, height, width);
     if out.data.is_empty() {
@@ -136,7 +136,11 @@ pub(crate) fn resize_by(input: &Planes, vertical: &Axis, horizontal: &Axis) -> P
 
 /// Resamples every plane to `height × width` by one rule.
 pub(crate) fn resize(input: &Planes, height: usize, width: usize, rule: Rule) -> Planes {
-    resize_by(input, &Axis::new(rule, input.height, height), &Axis::new(rule, input.width, width))
+    resize_by(
+        input,
+        &ResampleAxis::new(rule, input.height, height),
+        &ResampleAxis::new(rule, input.width, width),
+    )
 }
 
 /// Pillow's bilinear resampling of 8-bit pictures (releases before 13): triangle filter widened when
@@ -247,7 +251,7 @@ mod tests {
         ];
         for rule in rules {
             for (input, output) in [(1, 1), (1, 5), (7, 1), (7, 7), (9, 4), (4, 31)] {
-                let axis = Axis::new(rule, input, output);
+                let axis = ResampleAxis::new(rule, input, output);
                 for i in 0..output {
                     let sum: f32 = axis.weights(i).iter().sum();
                     assert!((sum - 1.0).abs() < 1e-6, "{rule:?} {input} {output}");

@@ -23,7 +23,7 @@ pub(crate) enum Norm {
 
 /// An encoder with its weights.
 #[derive(Clone, Debug)]
-pub(crate) struct Encoder {
+pub(crate) struct RaftEncoder {
     first: Normed,
     blocks: Vec<Residual>,
     last: Convolution,
@@ -42,7 +42,7 @@ struct Residual {
     shortcut: Option<Normed>,
 }
 
-impl Encoder {
+impl RaftEncoder {
     pub(crate) fn read(name: &str, norm: Norm, weights: &mut dyn Weights) -> Result<Self, NetError> {
         let mut normed = |part: String, norm_part: String, shape: [usize; 4], stride: usize| {
             let padding = Padding::same(shape[2] / 2);

@@ -18,7 +18,7 @@ use crate::error::NetError;
 use crate::images;
 use crate::weights::Weights;
 use correlation::Correlation;
-use encoder::{Encoder, Norm};
+use encoder::{Norm, RaftEncoder};
 use update::{Update, Upsampler};
 
 const NAME: &str = "RAFT";
@@ -33,8 +33,8 @@ pub type Flow = Raster<f32, 2>;
 /// The network with its weights.
 #[derive(Clone, Debug)]
 pub struct Raft {
-    features: Encoder,
-    context: Encoder,
+    features: RaftEncoder,
+    context: RaftEncoder,
     update: Update,
     upsampler: Upsampler,
 }
@@ -43,8 +43,8 @@ impl Raft {
     /// Reads the network, with tensors by torchvision's names.
     pub fn from_weights(weights: &mut dyn Weights) -> Result<Self, NetError> {
         Ok(Self {
-            features: Encoder::read("feature_encoder", Norm::Instance, weights)?,
-            context: Encoder::read("context_encoder", Norm::Batch, weights)?,
+            features: RaftEncoder::read("feature_encoder", Norm::Instance, weights)?,
+            context: RaftEncoder::read("context_encoder", Norm::Batch, weights)?,
             update: Update::read(weights)?,
             upsampler: Upsampler::read(weights)?,
         })

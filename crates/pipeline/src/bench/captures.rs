@@ -7,7 +7,7 @@
 //! as action cameras do, with reef spectra and grey boards near and far. None has depth priors, since those
 //! of synthetic captures are made from the true depth.
 
-use use3d_synth::{CaptureParams, Development, Physics, Place, WaterType};
+use use3d_synth::{CaptureParams, Development, Location, Physics, WaterType};
 
 /// The description of a synthetic capture.
 #[derive(Clone, Copy, Debug)]
@@ -19,7 +19,7 @@ pub struct Capture {
     /// Water type; `None` for air.
     water: Option<WaterType>,
     physics: Physics,
-    place: Place,
+    place: Location,
     /// Light of the lamps, see [`CaptureParams::lamps`].
     lamps: f32,
     /// The camera's development; with [`Development::Action`] the scene contains boards of greys.
@@ -34,7 +34,7 @@ const fn display(name: &'static str, about: &'static str, water: WaterType) -> C
         about,
         water: Some(water),
         physics: Physics::Display,
-        place: Place::Reef,
+        place: Location::Reef,
         lamps: 0.0,
         camera: Development::Plain,
         backlight: 0.0,
@@ -58,7 +58,7 @@ pub const CAPTURES: [Capture; 14] = [
     display("display-1C", "The method's own formation, clear coast (Jerlov 1C)", WaterType::Coastal1),
     display("display-5C", "The method's own formation, turbid coast (Jerlov 5C)", WaterType::Coastal5),
     Capture {
-        place: Place::Pool,
+        place: Location::Pool,
         ..display("pool", "The method's own formation, a tiled pool (Jerlov IB)", WaterType::Ib)
     },
     spectral(
@@ -70,7 +70,7 @@ pub const CAPTURES: [Capture; 14] = [
     spectral("lamps", "The same with two lamps at the camera", Some(WaterType::Ii), 3.0),
     spectral("air", "The same without water and lamps", None, 0.0),
     Capture {
-        place: Place::VeilPool,
+        place: Location::VeilPool,
         ..display("veil-pool", "The pool with tiles of the colour of open water", WaterType::Ib)
     },
     Capture {

@@ -1,7 +1,7 @@
 //! The stage that learns the calibrator: it maps proposed transitions towards those of the paired data.
 
 use use3d_atc::calibrator::{Calibrator, CalibratorParams, Dataset, METHOD_PAIRS, train};
-use use3d_atc::progress::Progress;
+use use3d_atc::progress::LoopPosition;
 use use3d_build::{Scope, Stage, StageContext, StageError};
 
 use super::calibrated::is_calibrated;
@@ -29,7 +29,7 @@ fn run(context: &StageContext, params: &CalibratorParams) -> Result<(), StageErr
     let data = format!("{} pairs, {} left out", dataset.examples.len(), dataset.skipped.len());
     let mut last = 0;
     let calibrator = train(&dataset, &params, &data, &mut |progress| {
-        if let Progress::Step { step, steps, loss } = progress {
+        if let LoopPosition::Step { step, steps, loss } = progress {
             if step < last {
                 context.say("validation fit done; now fitting all pairs");
             }

@@ -8,7 +8,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_atc::calibrator::{Dataset, PairImages};
 use use3d_atc::extractor::ExtractorSettings;
-use use3d_atc::progress::Progress;
+use use3d_atc::progress::LoopPosition;
 use use3d_build::{Scope, Stage, StageContext, StageError, leftovers};
 use use3d_capture::Image;
 use use3d_io_image::read_image;
@@ -108,7 +108,7 @@ fn run(context: &StageContext, params: &PairsParams) -> Result<(), StageError> {
         PairImages { images, name }
     });
     let dataset = Dataset::build(images, proposer.as_ref(), &params.extractor, &mut |progress| {
-        if let Progress::Pair { index, name } = progress {
+        if let LoopPosition::Pair { index, name } = progress {
             context.progress_with(index as u64, total as u64, "pairs", name);
         }
         if context.cancelled() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }

@@ -4,7 +4,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_atc::consensus::{Preview, Recorder, TargetsParams, targets_from_records};
-use use3d_atc::progress::Progress;
+use use3d_atc::progress::LoopPosition;
 use use3d_build::{Figure, Scope, Stage, StageContext, StageError};
 use use3d_capture::{Capture, View};
 use use3d_io_image::{write_png, write_png_map};
@@ -158,7 +158,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         &starts.calibrator,
         &consensus,
         &mut |progress| {
-            if let Progress::Lift { index, .. } = progress {
+            if let LoopPosition::Lift { index, .. } = progress {
                 context.progress_with(
                     (views.len() + index) as u64,
                     total,

@@ -1,6 +1,6 @@
 //! Forwards a training loop's progress to its stage.
 
-use use3d_training::{Observer, Progress, Snapshot};
+use use3d_training::{Observer, Snapshot, TrainingProgress};
 
 use use3d_build::StageContext;
 
@@ -16,7 +16,7 @@ impl<'a> Watch<'a> {
 }
 
 impl Observer for Watch<'_> {
-    fn progress(&mut self, progress: &Progress) {
+    fn progress(&mut self, progress: &TrainingProgress) {
         let mut words = Vec::new();
         if let Some(loss) = progress.loss {
             words.push(format!("loss {loss:.4}"));

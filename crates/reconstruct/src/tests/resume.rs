@@ -71,62 +71,73 @@ fn a_lost_device_ends_the_run_with_a_word_and_its_checkpoints_are_gone_on_from()
     let mut mortal = Mortal { engine: CpuEngine::new(), steps: 27 };
     let known = Known::default();
     let (place, loader) = (Some(dir.path()), loader(&loaded));
-    let mut told = Watcher::default();
+    let mut told = StoppingObserver::default();
     let lost = crate::reconstruct_in(&capture, &known, &loader, &params, &mut mortal, place, &mut told);
     let said = lost.map(|_| ()).unwrap_err().to_string();
     assert!(said.ends_with("lost its device (it was pulled out)"), "{said}");
     assert!(told.notices.iter().any(|n| n.contains("is kept; run the same command")), "{:?}", told.notices);
-    let mut watcher = Watcher::default();
+    let mut watcher = StoppingObserver::default();
     let resumed = reconstruct(&capture, &loader, &params, place, &mut watcher).unwrap();
     let from = watcher.notices.iter().find(|notice| notice.contains("resuming from step"));
     assert!(from.is_some_and(|notice| notice.contains("step 2") || notice.contains("step 1")), "{from:?}");
-    assert!(same(&reconstruct(&capture, &loader, &params, None, &mut Watcher::default()).unwrap(), &resumed));
+    assert!(same(
+        &reconstruct(&capture, &loader, &params, None, &mut StoppingObserver::default()).unwrap(),
+        &resumed
+    ));
 }
 
 #[test]
 fn the_same_scene_on_any_number_of_threads_and_after_any_interruption() {
     let (capture, loaded) = tiny_capture(7);
     let params = ReconstructParams { checkpoint_steps: 8, schedule: 60, ..tiny_params(60) };
-    let on = |threads: usize, dir: Option<&std::path::Path>, observer: &mut Watcher| {
+    let on = |threads: usize, dir: Option<&std::path::Path>, observer: &mut StoppingObserver| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let work = || reconstruct(&capture, &loader(&loaded), &params, dir, observer);
         pool.install(work)
     };
-    let whole = on(1, None, &mut Watcher::default()).unwrap();
-    assert!(same(&whole, &on(3, None, &mut Watcher::default()).unwrap()), "threads change the scene");
+    let whole = on(1, None, &mut StoppingObserver::default()).unwrap();
+    assert!(
+        same(&whole, &on(3, None, &mut StoppingObserver::default()).unwrap()),
+        "threads change the scene"
+    );
 
     let dir = tempfile::tempdir().unwrap();
     // The observer requests a stop: the state of exactly that step is saved.
-    let stopped = on(2, Some(dir.path()), &mut Watcher { stop_at: Some(27), ..Watcher::default() });
+    let stopped =
+        on(2, Some(dir.path()), &mut StoppingObserver { stop_at: Some(27), ..StoppingObserver::default() });
     assert!(matches!(stopped, Err(ReconstructError::Interrupted { step: 27, steps: 60, saved: true })));
     // The run is killed: the next run continues from the last checkpoint.
     let killed = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
-        on(1, Some(dir.path()), &mut Watcher { panic_at: Some(46), ..Watcher::default() })
+        on(1, Some(dir.path()), &mut StoppingObserver { panic_at: Some(46), ..StoppingObserver::default() })
     }));
     assert!(killed.is_err());
-    let mut watcher = Watcher::default();
+    let mut watcher = StoppingObserver::default();
     let resumed = on(2, Some(dir.path()), &mut watcher).unwrap();
     assert!(watcher.notices.iter().any(|n| n.contains("resuming from step 43")), "{:?}", watcher.notices);
     assert!(same(&whole, &resumed), "interruptions change the scene");
     // A finished run is not repeated.
     assert!(same(
         &whole,
-        &on(1, Some(dir.path()), &mut Watcher { panic_at: Some(1), ..Watcher::default() }).unwrap()
+        &on(1, Some(dir.path()), &mut StoppingObserver { panic_at: Some(1), ..StoppingObserver::default() })
+            .unwrap()
     ));
 
     // Twenty more steps cost twenty steps, with the same result as an uninterrupted longer run.
     let longer = ReconstructParams { iterations: 80, ..params.clone() };
-    let run_longer = |dir: Option<&std::path::Path>, observer: &mut Watcher| {
+    let run_longer = |dir: Option<&std::path::Path>, observer: &mut StoppingObserver| {
         reconstruct(&capture, &loader(&loaded), &longer, dir, observer).unwrap()
     };
-    let mut watcher = Watcher::default();
+    let mut watcher = StoppingObserver::default();
     let extended = run_longer(Some(dir.path()), &mut watcher);
     assert!(watcher.notices.iter().any(|n| n.contains("resuming from step 60")), "{:?}", watcher.notices);
-    assert!(same(&run_longer(None, &mut Watcher::default()), &extended), "extending changes the scene");
+    assert!(
+        same(&run_longer(None, &mut StoppingObserver::default()), &extended),
+        "extending changes the scene"
+    );
 
     // Checkpoints of other parameters, and damaged ones, are not touched, and a notice is given.
     let other = ReconstructParams { seed: 7, iterations: 90, ..params.clone() };
-    let mut watcher = Watcher::default();
+    let mut watcher = StoppingObserver::default();
     reconstruct(&capture, &loader(&loaded), &other, Some(dir.path()), &mut watcher).unwrap();
     assert!(watcher.notices.iter().any(|n| n.contains("other parameters")), "{:?}", watcher.notices);
     let files = |dir: &std::path::Path| -> Vec<_> {
@@ -136,7 +147,7 @@ fn the_same_scene_on_any_number_of_threads_and_after_any_interruption() {
     for file in files(dir.path()) {
         std::fs::write(file, b"3d-use state v01 nonsense").unwrap();
     }
-    let mut watcher = Watcher::default();
+    let mut watcher = StoppingObserver::default();
     reconstruct(&capture, &loader(&loaded), &other, Some(dir.path()), &mut watcher).unwrap();
     assert!(
         watcher.notices.iter().any(|n| n.contains("starting from the beginning")),
@@ -157,7 +168,8 @@ fn going_on_from_the_end_of_a_shorter_run_leaves_no_trace_of_that_end() {
         ..tiny_params(18)
     };
     let run = |iterations, dir: Option<&std::path::Path>| {
-        reconstruct(&capture, &loader(&loaded), &params(iterations), dir, &mut Watcher::default()).unwrap()
+        reconstruct(&capture, &loader(&loaded), &params(iterations), dir, &mut StoppingObserver::default())
+            .unwrap()
     };
     let dir = tempfile::tempdir().unwrap();
     let short = run(27, Some(dir.path()));
@@ -172,7 +184,8 @@ fn runs_of_two_lengths_at_once_share_a_folder() {
     let params = |iterations| ReconstructParams { iterations, checkpoint_steps: 1, ..tiny_params(12) };
     let dir = tempfile::tempdir().unwrap();
     let run = |iterations, dir: Option<&std::path::Path>| {
-        reconstruct(&capture, &loader(&loaded), &params(iterations), dir, &mut Watcher::default()).unwrap()
+        reconstruct(&capture, &loader(&loaded), &params(iterations), dir, &mut StoppingObserver::default())
+            .unwrap()
     };
     std::thread::scope(|scope| {
         let runs: Vec<_> = [12, 13, 12]

@@ -43,7 +43,7 @@ fn a_camera_that_exposes_each_view_on_its_own_is_seen_through() {
     let (capture, loaded, gains) = unevenly_exposed(10);
     let run = |exposure: Exposure, known: &Known, steps: u64, stop: Option<u64>, dir: Option<&Path>| {
         let params = ReconstructParams { exposure, ..tiny_params(steps) };
-        let mut watcher = Watcher { stop_at: stop, ..Watcher::default() };
+        let mut watcher = StoppingObserver { stop_at: stop, ..StoppingObserver::default() };
         reconstruct_in(&capture, known, &loader(&loaded), &params, dir, &mut watcher)
     };
     let nothing = Known::default();
@@ -88,10 +88,10 @@ fn water_that_was_found_is_held_and_then_let_go_gently() {
     let found = true_water(capture.points.len());
     let run = |found: Option<&FoundWater>, hold: f64, release: f64, stop: Option<u64>, dir: Option<&Path>| {
         let params = ReconstructParams { medium_hold: hold, medium_release: release, ..tiny_params(40) };
-        let mut watcher = Watcher { stop_at: stop, ..Watcher::default() };
+        let mut watcher = StoppingObserver { stop_at: stop, ..StoppingObserver::default() };
         reconstruct_in(&capture, &known(found), &loader(&loaded), &params, dir, &mut watcher)
     };
-    let water = |outcome: &Outcome| match &outcome.scene.medium {
+    let water = |outcome: &ReconstructOutcome| match &outcome.scene.medium {
         MediumModel::Rbf(rbf) => rbf.clone(),
         other => panic!("{:?}", other.kind()),
     };
@@ -101,7 +101,7 @@ fn water_that_was_found_is_held_and_then_let_go_gently() {
     assert_eq!(water(&held).centers, MediumRbf::new(8, 4).centers);
     assert!(held.scene.medium_degree >= 1, "the veil's slope needs its bands");
     let half = run(Some(&found), 0.5, 0.1, None, None).unwrap();
-    let moved = |o: &Outcome| (water(o).coefficients[0][1][0][0] - start[1][0][0]).abs();
+    let moved = |o: &ReconstructOutcome| (water(o).coefficients[0][1][0][0] - start[1][0][0]).abs();
     let free = run(Some(&found), 0.0, 1.0, None, None).unwrap();
     assert!(moved(&half) > 0.0 && moved(&half) < 0.2 * moved(&free), "{} {}", moved(&half), moved(&free));
     // A checkpoint must agree with the water that was found. A stopped run ends like an undisturbed one.

@@ -86,7 +86,7 @@ pub fn bake_in_water(
     if cameras.is_empty() {
         return Err(RenderError::NoCameras);
     }
-    let seen = Seen::through(scene, strength, water, cameras);
+    let seen = WaterEffect::through(scene, strength, water, cameras);
     let in_water = |i: usize| {
         let (arriving, veil) = seen.of(i);
         let mut rows = matrix(i);
@@ -106,12 +106,12 @@ pub fn bake_in_water(
 const IDENTITY: [[f32; 4]; 3] = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
 
 /// `t_i` and `b_i` of every Gaussian.
-struct Seen {
+struct WaterEffect {
     arriving: Vec<[f32; 3]>,
     veil: Vec<[f32; 3]>,
 }
 
-impl Seen {
+impl WaterEffect {
     fn of(&self, gaussian: usize) -> ([f32; 3], [f32; 3]) {
         (self.arriving[gaussian], self.veil[gaussian])
     }

@@ -7,7 +7,7 @@
 use super::strips::{Strips, for_each};
 use super::sums::add;
 use crate::lists::{Prepared, TileRow};
-use crate::project::Record;
+use crate::project::EntryGradient;
 
 /// Most entries whose records are in memory at once (one tile row alone may have more).
 const GROUP: usize = 1 << 20;
@@ -15,7 +15,7 @@ const GROUP: usize = 1 << 20;
 /// The records of consecutive tile rows.
 struct Records<'a> {
     rows: &'a [TileRow],
-    records: &'a mut [Record],
+    records: &'a mut [EntryGradient],
 }
 
 impl Strips for Records<'_> {
@@ -31,10 +31,10 @@ impl Strips for Records<'_> {
 /// Gaussian into `sums` (indexed by rank). `work` must write every record.
 pub(crate) fn in_groups<T: Strips>(
     prepared: &Prepared,
-    records: &mut Vec<Record>,
-    sums: &mut Vec<Record>,
+    records: &mut Vec<EntryGradient>,
+    sums: &mut Vec<EntryGradient>,
     strips: T,
-    work: &(impl Fn(usize, &mut [Record], T) + Sync),
+    work: &(impl Fn(usize, &mut [EntryGradient], T) + Sync),
 ) {
     let rows = &prepared.tile_rows;
     sums.clear();

@@ -9,7 +9,7 @@ use use3d_capture::MediumMaps;
 
 use super::outputs::Saved;
 use super::pixels::{each, get, ray_lengths};
-use super::tile::{BackwardTile, Input, TileWater};
+use super::tile::{BackwardTile, TileInput, TileWater};
 use crate::lists::{Prepared, TILE};
 use crate::project::Splat;
 use crate::view::RenderGradients;
@@ -52,9 +52,14 @@ pub(crate) fn row_splats(prepared: &Prepared, row: usize) -> RowSplats {
 
 /// The input of tile (`row`, `column`); `splats` is the result of [`row_splats`] for this row.
 #[inline(always)]
-pub(crate) fn input<'a>(prepared: &'a Prepared, splats: &'a [Splat], row: usize, column: usize) -> Input<'a> {
+pub(crate) fn input<'a>(
+    prepared: &'a Prepared,
+    splats: &'a [Splat],
+    row: usize,
+    column: usize,
+) -> TileInput<'a> {
     let tile_row = &prepared.tile_rows[row];
-    Input {
+    TileInput {
         splats,
         spans: &tile_row.spans,
         list: tile_row.list(column),

@@ -14,7 +14,7 @@ use super::sums::scatter;
 use super::tile::{CHANNELS, ForwardTile, Lanes, Sink};
 use super::{lanes, plain};
 use crate::lists::{Prepared, TILE};
-use crate::project::Record;
+use crate::project::EntryGradient;
 
 /// The planes of some channels of a planar raster, cut at tile rows.
 struct ChannelPlanes<'a> {
@@ -95,26 +95,40 @@ impl Rasterizer {
         for first in (0..channels).step_by(CHANNELS) {
             let count = (channels - first).min(CHANNELS);
             let planes = &maps[first * pixels..(first + count) * pixels];
-            in_groups(prepared, &mut self.records, &mut self.sums, (), &|row, records: &mut [Record], ()| {
-                let splats = row_splats(prepared, row);
-                for column in 0..prepared.columns.tiles() {
-                    let input = input(prepared, &splats, row, column);
-                    let mut state = ForwardTile::new(input.filled_rows, input.filled_columns);
-                    let mut tile = [[[0.0; TILE]; CHANNELS]; TILE];
-                    load(prepared, planes, row, column, input.filled_rows, input.filled_columns, &mut tile);
-                    let mut sink = Sink { records: &mut *records, column: column as u32 };
-                    match kernels {
-                        Kernels::Plain => plain::splat_adjoint(&input, &tile, &mut state, &mut sink),
-                        Kernels::Lanes(level) => {
-                            dispatch!(level, simd => match count {
-                                1 => lanes::splat_adjoint::<_, 1>(simd, &input, &tile, &mut state, &mut sink),
-                                2..=4 => lanes::splat_adjoint::<_, 4>(simd, &input, &tile, &mut state, &mut sink),
-                                _ => lanes::splat_adjoint::<_, CHANNELS>(simd, &input, &tile, &mut state, &mut sink),
-                            });
+            in_groups(
+                prepared,
+                &mut self.records,
+                &mut self.sums,
+                (),
+                &|row, records: &mut [EntryGradient], ()| {
+                    let splats = row_splats(prepared, row);
+                    for column in 0..prepared.columns.tiles() {
+                        let input = input(prepared, &splats, row, column);
+                        let mut state = ForwardTile::new(input.filled_rows, input.filled_columns);
+                        let mut tile = [[[0.0; TILE]; CHANNELS]; TILE];
+                        load(
+                            prepared,
+                            planes,
+                            row,
+                            column,
+                            input.filled_rows,
+                            input.filled_columns,
+                            &mut tile,
+                        );
+                        let mut sink = Sink { records: &mut *records, column: column as u32 };
+                        match kernels {
+                            Kernels::Plain => plain::splat_adjoint(&input, &tile, &mut state, &mut sink),
+                            Kernels::Lanes(level) => {
+                                dispatch!(level, simd => match count {
+                                    1 => lanes::splat_adjoint::<_, 1>(simd, &input, &tile, &mut state, &mut sink),
+                                    2..=4 => lanes::splat_adjoint::<_, 4>(simd, &input, &tile, &mut state, &mut sink),
+                                    _ => lanes::splat_adjoint::<_, CHANNELS>(simd, &input, &tile, &mut state, &mut sink),
+                                });
+                            }
                         }
                     }
-                }
-            });
+                },
+            );
             let mut sums = vec![[0.0; CHANNELS]; prepared.gaussians];
             scatter(prepared, &self.sums, &mut sums, |sum| std::array::from_fn(|c| sum[c]));
             for (out, sum) in out.chunks_exact_mut(channels).zip(&sums) {

@@ -8,8 +8,8 @@ use use3d_capture::{Image, Map, MediumMaps};
 use use3d_numerics::lanes::exp2;
 
 use super::pixels::{each, get, put, ray_lengths};
-use super::strips::{Planes, Strips};
-use super::tile::{BackwardTile, ForwardTile, Input, Lanes, TileWater};
+use super::strips::{PlanesMut, Strips};
+use super::tile::{BackwardTile, ForwardTile, Lanes, TileInput, TileWater};
 use crate::lists::{Prepared, TILE};
 use crate::view::Layers;
 
@@ -25,8 +25,8 @@ pub(crate) struct Saved {
 
 /// The strips of [`Saved`].
 pub(crate) struct SavedPlanes<'a> {
-    values: Planes<'a, f32, 3>,
-    stop: Planes<'a, i32, 1>,
+    values: PlanesMut<'a, f32, 3>,
+    stop: PlanesMut<'a, i32, 1>,
 }
 
 impl Strips for SavedPlanes<'_> {
@@ -42,7 +42,10 @@ impl Saved {
         self.stamp = prepared.stamp;
         self.values.resize(3 * w * h, 0.0);
         self.stop.resize(w * h, 0);
-        SavedPlanes { values: Planes::of(&mut self.values, w, h), stop: Planes::of(&mut self.stop, w, h) }
+        SavedPlanes {
+            values: PlanesMut::of(&mut self.values, w, h),
+            stop: PlanesMut::of(&mut self.stop, w, h),
+        }
     }
 
     pub(crate) fn is_of(&self, prepared: &Prepared) -> bool {
@@ -62,7 +65,7 @@ impl Saved {
 
 impl SavedPlanes<'_> {
     #[inline(always)]
-    pub(crate) fn store(&mut self, input: &Input<'_>, tile: &ForwardTile, columns: Range<usize>) {
+    pub(crate) fn store(&mut self, input: &TileInput<'_>, tile: &ForwardTile, columns: Range<usize>) {
         for (r, row) in tile.rows[..input.filled_rows].iter().enumerate() {
             put(self.values.row(0, r, columns.clone()), &row.transmittance);
             put(self.values.row(1, r, columns.clone()), &expected(&row.depth, &row.accumulation));
@@ -80,19 +83,19 @@ fn expected(sum: &Lanes, weight: &Lanes) -> Lanes {
 
 /// The strips of a rendered view: image, depth and accumulation.
 pub(crate) struct ImagePlanes<'a> {
-    image: Planes<'a, f32, 3>,
-    maps: [Planes<'a, f32, 1>; 2],
+    image: PlanesMut<'a, f32, 3>,
+    maps: [PlanesMut<'a, f32, 1>; 2],
 }
 
 impl<'a> ImagePlanes<'a> {
     pub(crate) fn of(image: &'a mut Image, depth: &'a mut Map, accumulation: &'a mut Map) -> Self {
         let (w, h) = (image.width(), image.height());
-        let maps = [Planes::of(depth.data_mut(), w, h), Planes::of(accumulation.data_mut(), w, h)];
-        Self { image: Planes::of(image.data_mut(), w, h), maps }
+        let maps = [PlanesMut::of(depth.data_mut(), w, h), PlanesMut::of(accumulation.data_mut(), w, h)];
+        Self { image: PlanesMut::of(image.data_mut(), w, h), maps }
     }
 
     pub(crate) fn absent(width: usize) -> Self {
-        Self { image: Planes::absent(width), maps: [Planes::absent(width), Planes::absent(width)] }
+        Self { image: PlanesMut::absent(width), maps: [PlanesMut::absent(width), PlanesMut::absent(width)] }
     }
 
     pub(crate) fn present(&self) -> bool {
@@ -115,7 +118,7 @@ pub(crate) fn store_images<const WATER: bool>(
     medium: Option<&MediumMaps>,
     row: usize,
     columns: Range<usize>,
-    input: &Input<'_>,
+    input: &TileInput<'_>,
     tile: &ForwardTile,
     out: &mut ImagePlanes<'_>,
 ) {
@@ -138,8 +141,8 @@ pub(crate) fn store_images<const WATER: bool>(
 
 /// The strips of the layers: object, medium, far, clear (three planes each) and distance.
 pub(crate) struct LayerPlanes<'a> {
-    images: [Planes<'a, f32, 3>; 4],
-    distance: Planes<'a, f32, 1>,
+    images: [PlanesMut<'a, f32, 3>; 4],
+    distance: PlanesMut<'a, f32, 1>,
 }
 
 impl<'a> LayerPlanes<'a> {
@@ -147,13 +150,13 @@ impl<'a> LayerPlanes<'a> {
         let (w, h) = (layers.object.width(), layers.object.height());
         let images = [&mut layers.object, &mut layers.medium, &mut layers.far, &mut layers.clear];
         Self {
-            images: images.map(|image| Planes::of(image.data_mut(), w, h)),
-            distance: Planes::of(layers.distance.data_mut(), w, h),
+            images: images.map(|image| PlanesMut::of(image.data_mut(), w, h)),
+            distance: PlanesMut::of(layers.distance.data_mut(), w, h),
         }
     }
 
     pub(crate) fn absent(width: usize) -> Self {
-        Self { images: std::array::from_fn(|_| Planes::absent(width)), distance: Planes::absent(width) }
+        Self { images: std::array::from_fn(|_| PlanesMut::absent(width)), distance: PlanesMut::absent(width) }
     }
 }
 
@@ -176,7 +179,7 @@ impl Strips for LayerPlanes<'_> {
 
 /// A tile after the forward pass, with the inputs of that pass.
 pub(crate) struct Composed<'a> {
-    pub(crate) input: &'a Input<'a>,
+    pub(crate) input: &'a TileInput<'a>,
     pub(crate) water: &'a TileWater,
     pub(crate) tile: &'a ForwardTile,
 }
@@ -219,7 +222,7 @@ pub(crate) fn store_layers<const WATER: bool>(
 
 /// The strips of the medium's gradient: colour, backscatter, attenuation.
 pub(crate) struct MediumPlanes<'a> {
-    pub(super) maps: [Planes<'a, f32, 3>; 3],
+    pub(super) maps: [PlanesMut<'a, f32, 3>; 3],
 }
 
 impl<'a> MediumPlanes<'a> {
@@ -229,9 +232,9 @@ impl<'a> MediumPlanes<'a> {
             Some(grads) => {
                 grads.resize(w, h);
                 [&mut grads.color, &mut grads.backscatter, &mut grads.attenuation]
-                    .map(|image| Planes::of(image.data_mut(), w, h))
+                    .map(|image| PlanesMut::of(image.data_mut(), w, h))
             }
-            None => std::array::from_fn(|_| Planes::absent(w)),
+            None => std::array::from_fn(|_| PlanesMut::absent(w)),
         };
         Self { maps }
     }
@@ -253,7 +256,7 @@ impl Strips for MediumPlanes<'_> {
 #[inline(always)]
 pub(crate) fn store_medium_gradient<const WATER: bool>(
     prepared: &Prepared,
-    input: &Input<'_>,
+    input: &TileInput<'_>,
     row: usize,
     column: usize,
     tile: &BackwardTile,

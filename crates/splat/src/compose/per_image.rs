@@ -24,7 +24,7 @@ use use3d_numerics::lanes::exp;
 use super::outputs::MediumPlanes;
 use super::pixels::{each, get, put, ray_lengths};
 use super::rasterizer::Kernels;
-use super::strips::{Planes, for_each};
+use super::strips::{PlanesMut, for_each};
 use super::tile::Lanes;
 use crate::lists::{Prepared, TILE};
 use crate::view::{Options, RenderGradients, Rendered};
@@ -54,9 +54,10 @@ impl Default for Clear {
 }
 
 /// The strips that forming an image writes: the image, and the layers object, medium and far.
-type Formed<'a> = (Planes<'a, f32, 3>, Planes<'a, f32, 3>, Planes<'a, f32, 3>, Planes<'a, f32, 3>);
+type Formed<'a> =
+    (PlanesMut<'a, f32, 3>, PlanesMut<'a, f32, 3>, PlanesMut<'a, f32, 3>, PlanesMut<'a, f32, 3>);
 /// The strips that its derivative writes: the gradients of clear image, depth, accumulation and water.
-type Derived<'a> = (Planes<'a, f32, 3>, Planes<'a, f32, 1>, Planes<'a, f32, 1>, MediumPlanes<'a>);
+type Derived<'a> = (PlanesMut<'a, f32, 3>, PlanesMut<'a, f32, 1>, PlanesMut<'a, f32, 1>, MediumPlanes<'a>);
 
 /// One row of a tile: the inputs of the formula for sixteen pixels that are the same in all channels.
 struct Surface {
@@ -162,7 +163,9 @@ impl Clear {
                     [&mut layers.object, &mut layers.medium, &mut layers.far].map(planes);
                 (planes(&mut out.image), object, medium, far)
             }
-            None => (planes(&mut out.image), Planes::absent(w), Planes::absent(w), Planes::absent(w)),
+            None => {
+                (planes(&mut out.image), PlanesMut::absent(w), PlanesMut::absent(w), PlanesMut::absent(w))
+            }
         };
         for_each(0..prepared.rows.tiles(), strips, &|row, strips: Formed<'_>| match kernels {
             Kernels::Plain => form_row(read, row, strips),
@@ -186,9 +189,9 @@ impl Clear {
         self.d_accumulation.resize(w, h);
         let read = Read { prepared, water, composed: &self.composed };
         let strips: Derived<'_> = (
-            Planes::of(self.d_image.data_mut(), w, h),
-            Planes::of(self.d_depth.data_mut(), w, h),
-            Planes::of(self.d_accumulation.data_mut(), w, h),
+            PlanesMut::of(self.d_image.data_mut(), w, h),
+            PlanesMut::of(self.d_depth.data_mut(), w, h),
+            PlanesMut::of(self.d_accumulation.data_mut(), w, h),
             MediumPlanes::of(grads, prepared),
         );
         for_each(0..prepared.rows.tiles(), strips, &|row, strips: Derived<'_>| match kernels {
@@ -198,9 +201,9 @@ impl Clear {
     }
 }
 
-fn planes(image: &mut Image) -> Planes<'_, f32, 3> {
+fn planes(image: &mut Image) -> PlanesMut<'_, f32, 3> {
     let (w, h) = (image.width(), image.height());
-    Planes::of(image.data_mut(), w, h)
+    PlanesMut::of(image.data_mut(), w, h)
 }
 
 /// Forms a row of tiles. Always inlined, so that it is compiled for the instruction set.

@@ -31,10 +31,11 @@
 use use3d_numerics::lanes::{SMALL_COEFFICIENTS, exp2, exp2_unclamped, sum};
 
 use super::tile::{
-    ALPHA_MAX, BackwardTile, CHANNELS, ColumnSums, ForwardTile, Input, Lanes, STOP, Sink, TileWater, moments,
+    ALPHA_MAX, BackwardTile, CHANNELS, ColumnSums, ForwardTile, Lanes, STOP, Sink, TileInput, TileWater,
+    moments,
 };
 use crate::lists::TILE;
-use crate::project::{LOG2_255, Record, Splat, SplatGradient};
+use crate::project::{EntryGradient, LOG2_255, Splat, SplatGradient};
 
 /// The six exponentials of one Gaussian in one tile.
 struct Decay {
@@ -75,7 +76,7 @@ fn log2_alpha(splat: &Splat, row: crate::compose::tile::RowTerms, x: f32) -> (f3
 
 /// Composes a tile. `water` is read only if `WATER`.
 pub(crate) fn forward<const WATER: bool, const LAYERS: bool>(
-    input: &Input<'_>,
+    input: &TileInput<'_>,
     water: &TileWater,
     tile: &mut ForwardTile,
 ) {
@@ -125,7 +126,7 @@ pub(crate) fn forward<const WATER: bool, const LAYERS: bool>(
 /// Computes the gradient of a tile: writes one record per entry to `sink`, and the medium's sums to `tile`.
 /// `s_gradient` is 1, or 0 if distances are constants in the medium's terms (R2).
 pub(crate) fn backward<const WATER: bool, const EXTRAS: bool>(
-    input: &Input<'_>,
+    input: &TileInput<'_>,
     water: &TileWater,
     tile: &mut BackwardTile,
     s_gradient: f32,
@@ -207,7 +208,12 @@ pub(crate) fn backward<const WATER: bool, const EXTRAS: bool>(
 }
 
 /// Sums over the columns and returns the sums as a record.
-pub(crate) fn finish(splat: &Splat, origin: [f32; 2], offset: &Lanes, sums: &ColumnSums<Lanes>) -> Record {
+pub(crate) fn finish(
+    splat: &Splat,
+    origin: [f32; 2],
+    offset: &Lanes,
+    sums: &ColumnSums<Lanes>,
+) -> EntryGradient {
     let weighted = |a: &Lanes| -> Lanes { std::array::from_fn(|l| a[l] * offset[l]) };
     let x0 = weighted(&sums.weight);
     let in_tile = [
@@ -225,7 +231,7 @@ pub(crate) fn finish(splat: &Splat, origin: [f32; 2], offset: &Lanes, sums: &Col
 
 /// Stage 2: computes the gradient with respect to colours and the medium, front to back, without geometry.
 pub(crate) fn backward_colors<const WATER: bool>(
-    input: &Input<'_>,
+    input: &TileInput<'_>,
     water: &TileWater,
     tile: &mut BackwardTile,
     sink: &mut Sink<'_>,
@@ -291,7 +297,7 @@ fn weight(
 
 /// The linear splat of up to [`CHANNELS`] channels: `out[row][channel] += Σ w values`.
 pub(crate) fn splat(
-    input: &Input<'_>,
+    input: &TileInput<'_>,
     values: impl Fn(u32) -> [f32; CHANNELS],
     forward: &mut ForwardTile,
     out: &mut [[Lanes; CHANNELS]; TILE],
@@ -314,7 +320,7 @@ pub(crate) fn splat(
 
 /// The adjoint of [`splat`]: the first [`CHANNELS`] entries of each record are `Σ_p w maps`.
 pub(crate) fn splat_adjoint(
-    input: &Input<'_>,
+    input: &TileInput<'_>,
     maps: &[[Lanes; CHANNELS]; TILE],
     forward: &mut ForwardTile,
     sink: &mut Sink<'_>,

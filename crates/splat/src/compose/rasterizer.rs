@@ -16,7 +16,7 @@ use super::strips::for_each;
 use super::sums::scatter;
 use super::{lanes, plain};
 use crate::lists::Prepared;
-use crate::project::{Drawn, Record, SplatGradient, backward};
+use crate::project::{EntryGradient, SplatGradient, VisibleSplats, backward};
 use crate::view::{Gradients, Options, RenderGradients, Rendered, ViewOf};
 
 /// The code that composes a tile. All variants compute the same bits where multiply-add is fused.
@@ -35,8 +35,8 @@ pub struct Rasterizer {
     pub(crate) kernels: Kernels,
     saved: Saved,
     clear: Clear,
-    pub(crate) records: Vec<Record>,
-    pub(crate) sums: Vec<Record>,
+    pub(crate) records: Vec<EntryGradient>,
+    pub(crate) sums: Vec<EntryGradient>,
 }
 
 impl Default for Rasterizer {
@@ -73,7 +73,7 @@ impl Rasterizer {
 
     /// Number of bytes of scratch memory held.
     pub fn memory(&self) -> usize {
-        (self.records.capacity() + self.sums.capacity()) * size_of::<Record>()
+        (self.records.capacity() + self.sums.capacity()) * size_of::<EntryGradient>()
             + self.saved.memory()
             + self.clear.memory()
     }
@@ -187,7 +187,8 @@ impl Rasterizer {
         };
         let read = BackwardRead { prepared, medium, d_rendered, saved: None };
         run(self, read, s_gradient, grads.medium);
-        let drawn = Drawn { splats: &prepared.splats, ranks: &prepared.ranks, source: prepared.color_source };
+        let drawn =
+            VisibleSplats { splats: &prepared.splats, ranks: &prepared.ranks, source: prepared.color_source };
         backward(&drawn, &self.sums, gaussians, camera, grads.gaussians);
     }
 

@@ -7,9 +7,9 @@ use super::outputs::{
     Composed, ImagePlanes, LayerPlanes, MediumPlanes, SavedPlanes, store_images, store_layers,
     store_medium_gradient,
 };
-use super::tile::{BackwardTile, ForwardTile, Input, Sink, TileWater};
+use super::tile::{BackwardTile, ForwardTile, Sink, TileInput, TileWater};
 use crate::lists::{Prepared, TILE};
-use crate::project::Record;
+use crate::project::EntryGradient;
 
 /// The strips that the forward pass writes.
 pub(super) type ForwardStrips<'a> = (SavedPlanes<'a>, ImagePlanes<'a>, LayerPlanes<'a>);
@@ -22,7 +22,7 @@ pub(super) fn forward_row<const WATER: bool>(
     medium: Option<&MediumMaps>,
     row: usize,
     (mut saved, mut images, mut layers): ForwardStrips<'_>,
-    compose: impl Fn(&Input<'_>, &TileWater, &mut ForwardTile),
+    compose: impl Fn(&TileInput<'_>, &TileWater, &mut ForwardTile),
 ) {
     let mut water = TileWater::default();
     let splats = row_splats(prepared, row);
@@ -50,9 +50,9 @@ pub(super) fn forward_row<const WATER: bool>(
 pub(super) fn backward_row<const WATER: bool>(
     read: &BackwardRead<'_>,
     row: usize,
-    records: &mut [Record],
+    records: &mut [EntryGradient],
     mut grads: MediumPlanes<'_>,
-    compose: impl Fn(&Input<'_>, &TileWater, &mut BackwardTile, &mut Sink<'_>),
+    compose: impl Fn(&TileInput<'_>, &TileWater, &mut BackwardTile, &mut Sink<'_>),
 ) {
     let mut water = TileWater::default();
     let mut tile = BackwardTile::ZERO;

@@ -11,12 +11,12 @@ pub(crate) trait Strips: Sized + Send {
 }
 
 /// Mutable planes of one width; an absent plane is empty, and so are all its strips.
-pub(crate) struct Planes<'a, T, const N: usize> {
+pub(crate) struct PlanesMut<'a, T, const N: usize> {
     pub(crate) planes: [&'a mut [T]; N],
     pub(crate) width: usize,
 }
 
-impl<'a, T, const N: usize> Planes<'a, T, N> {
+impl<'a, T, const N: usize> PlanesMut<'a, T, N> {
     /// `N` planes of `width × height` that lie one after another in `data`.
     pub(crate) fn of(data: &'a mut [T], width: usize, height: usize) -> Self {
         let mut rest = data;
@@ -46,7 +46,7 @@ impl<'a, T, const N: usize> Planes<'a, T, N> {
     }
 }
 
-impl<T: Send, const N: usize> Strips for Planes<'_, T, N> {
+impl<T: Send, const N: usize> Strips for PlanesMut<'_, T, N> {
     fn cut(self, tile_rows: usize, _at: usize) -> (Self, Self) {
         let width = self.width;
         let mut second: [&mut [T]; N] = std::array::from_fn(|_| Default::default());
@@ -106,7 +106,7 @@ mod tests {
     fn every_row_gets_its_own_pixels() {
         let (width, height) = (3, 40);
         let mut data = vec![0u32; 2 * width * height];
-        let strips = (Planes::<u32, 2>::of(&mut data, width, height), Planes::<f32, 1>::absent(width));
+        let strips = (PlanesMut::<u32, 2>::of(&mut data, width, height), PlanesMut::<f32, 1>::absent(width));
         for_each(0..3, strips, &|row, (mut planes, absent)| {
             assert!(planes.present() && !absent.present());
             let rows = planes.planes[0].len() / width;

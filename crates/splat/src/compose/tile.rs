@@ -3,7 +3,7 @@
 use use3d_numerics::lanes::SMALL;
 
 use crate::lists::{Span, TILE};
-use crate::project::{LOG2_255, Record, Splat};
+use crate::project::{EntryGradient, LOG2_255, Splat};
 
 /// The 16 pixels of a row.
 pub(crate) type Lanes = [f32; TILE];
@@ -15,7 +15,7 @@ pub(crate) const ALPHA_MAX: f32 = 0.999;
 
 /// The input of one tile: its Gaussians in depth order and its pixel centres.
 #[derive(Clone, Copy)]
-pub(crate) struct Input<'a> {
+pub(crate) struct TileInput<'a> {
     /// The Gaussians of the tile row, one per span.
     pub(crate) splats: &'a [Splat],
     pub(crate) spans: &'a [Span],
@@ -27,7 +27,7 @@ pub(crate) struct Input<'a> {
     pub(crate) filled_columns: usize,
 }
 
-impl<'a> Input<'a> {
+impl<'a> TileInput<'a> {
     /// The Gaussian of entry `k`, with its span.
     #[inline(always)]
     pub(crate) fn entry(&self, k: usize) -> (&'a Span, &'a Splat) {
@@ -223,7 +223,7 @@ impl BackwardTile {
 
 /// The place for one tile's records: each lies beside the others of its Gaussian's span.
 pub(crate) struct Sink<'a> {
-    pub(crate) records: &'a mut [Record],
+    pub(crate) records: &'a mut [EntryGradient],
     /// The tile's column.
     pub(crate) column: u32,
 }
@@ -231,7 +231,7 @@ pub(crate) struct Sink<'a> {
 impl Sink<'_> {
     /// Stores the record of an entry.
     #[inline(always)]
-    pub(crate) fn put(&mut self, span: &Span, record: Record) {
+    pub(crate) fn put(&mut self, span: &Span, record: EntryGradient) {
         self.records[(span.start + (self.column - span.first)) as usize] = record;
     }
 }

@@ -7,7 +7,7 @@ mod projection;
 mod splat;
 
 pub use color::view_colors;
-pub(crate) use passes::{ColorSource, Drawn, HIDDEN, Projecting, backward};
+pub(crate) use passes::{ColorSource, HIDDEN, Projecting, VisibleSplats, backward};
 pub use projection::{BLUR, FAR, NEAR};
 pub use splat::LOG2_255;
-pub(crate) use splat::{Record, Splat, SplatGradient};
+pub(crate) use splat::{EntryGradient, Splat, SplatGradient};

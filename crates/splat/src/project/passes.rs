@@ -8,7 +8,7 @@ use use3d_numerics::math;
 
 use super::color;
 use super::projection::Projector;
-use super::splat::{Record, ScreenGradient, Splat, SplatGradient, splat_of};
+use super::splat::{EntryGradient, ScreenGradient, Splat, SplatGradient, splat_of};
 use crate::{Colors, GaussianGradients, Gaussians};
 
 /// Gaussians per parallel task of the backward pass.
@@ -79,8 +79,8 @@ impl<'a> Projecting<'a> {
 
 /// Converts sums of records to gradients of raw parameters. Overwrites `grads`.
 pub(crate) fn backward(
-    drawn: &Drawn<'_>,
-    sums: &[Record],
+    drawn: &VisibleSplats<'_>,
+    sums: &[EntryGradient],
     gaussians: &Gaussians,
     camera: &Camera,
     grads: &mut GaussianGradients,
@@ -109,7 +109,7 @@ pub(crate) fn backward(
 }
 
 /// The Gaussians that a view draws.
-pub(crate) struct Drawn<'a> {
+pub(crate) struct VisibleSplats<'a> {
     /// In depth order.
     pub(crate) splats: &'a [Splat],
     /// Position in depth order of every Gaussian, [`HIDDEN`] if it is not visible.
@@ -119,8 +119,8 @@ pub(crate) struct Drawn<'a> {
 
 /// The inputs from which the gradients of a view's Gaussians are computed.
 struct BackwardInput<'a> {
-    drawn: &'a Drawn<'a>,
-    sums: &'a [Record],
+    drawn: &'a VisibleSplats<'a>,
+    sums: &'a [EntryGradient],
     gaussians: &'a Gaussians,
     projector: Projector,
     center: [f32; 3],

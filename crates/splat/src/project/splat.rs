@@ -44,7 +44,7 @@ pub(crate) struct Splat {
 
 /// The gradient of one (tile, Gaussian) entry, or the sum of several: the floats of a [`SplatGradient`] as
 /// an array, so that sums are one loop. The linear adjoint uses the floats as channels.
-pub(crate) type Record = [f32; 12];
+pub(crate) type EntryGradient = [f32; 12];
 
 /// The compositor's gradient of a Gaussian by name, which is the input of the projection's backward pass:
 /// sums over pixels with `G = α ∂L/∂α` and, from the Gaussian's centre, `t = dx + shear dy`.
@@ -73,21 +73,21 @@ pub(crate) struct SplatGradient {
 impl SplatGradient {
     /// The values of a record by name.
     #[inline(always)]
-    pub(crate) fn of(record: &Record) -> Self {
+    pub(crate) fn of(record: &EntryGradient) -> Self {
         let &[weight, t, dy, t_t, t_dy, dy_dy, z, r, g, b, x, y] = record;
         Self { weight, t, dy, t_t, t_dy, dy_dy, z, color: [r, g, b], screen: [x, y] }
     }
 
     /// The values as a record.
     #[inline(always)]
-    pub(crate) fn record(self) -> Record {
+    pub(crate) fn record(self) -> EntryGradient {
         let Self { weight, t, dy, t_t, t_dy, dy_dy, z, color: [r, g, b], screen: [x, y] } = self;
         [weight, t, dy, t_t, t_dy, dy_dy, z, r, g, b, x, y]
     }
 
     /// The record of a gradient with respect to colour alone.
     #[inline(always)]
-    pub(crate) fn of_color(color: [f32; 3]) -> Record {
+    pub(crate) fn of_color(color: [f32; 3]) -> EntryGradient {
         let [r, g, b] = color;
         [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, r, g, b, 0.0, 0.0]
     }

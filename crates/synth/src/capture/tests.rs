@@ -79,7 +79,7 @@ fn a_pool_is_even_and_has_points_where_its_joints_are() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("pool");
     let params = CaptureParams {
-        place: Place::Pool,
+        place: Location::Pool,
         views: 6,
         width: 160,
         height: 90,
@@ -353,7 +353,7 @@ fn an_action_camera_s_capture_marks_grey_patches_that_are_grey_without_water() {
 #[test]
 fn tiles_of_the_veil_s_colour_look_alike_from_near_and_far() {
     let dir = tempfile::tempdir().unwrap();
-    let spread = |place: Place| {
+    let spread = |place: Location| {
         let out = dir.path().join(place.name());
         let params = CaptureParams { place, water: WaterType::Ib, noise: 0.0, ..small() };
         write_capture(&params, &out, &mut |_, _| ()).unwrap();
@@ -365,7 +365,7 @@ fn tiles_of_the_veil_s_colour_look_alike_from_near_and_far() {
         let (far, near) = (mean(0..10), mean(params.height - 10..params.height));
         (0..3).map(|c| math::ln(far[c] / far[1] / (near[c] / near[1])).abs()).fold(0.0, f32::max)
     };
-    let (blue, veil) = (spread(Place::Pool), spread(Place::VeilPool));
+    let (blue, veil) = (spread(Location::Pool), spread(Location::VeilPool));
     assert!(veil < 0.6 * blue, "{veil} {blue}");
 }
 
@@ -376,5 +376,5 @@ fn what_only_spectral_captures_and_reefs_have_is_refused_elsewhere() {
     assert!(refused(CaptureParams { backlight: 0.5, ..small() }).contains("backlight"));
     let far = CaptureParams { physics: Physics::Spectral, backlight: 1.5, ..small() };
     assert!(refused(far).contains("0 to 1"));
-    assert!(refused(CaptureParams { greys: true, place: Place::Pool, ..small() }).contains("greys"));
+    assert!(refused(CaptureParams { greys: true, place: Location::Pool, ..small() }).contains("greys"));
 }

@@ -26,7 +26,7 @@ pub(crate) struct Hit {
 type Four = [f32; 4];
 
 #[derive(Clone, Debug)]
-struct Node {
+struct BvhNode {
     min: [Four; 3],
     max: [Four; 3],
     /// Index of a node; of a pack if the high bit is set; or `EMPTY`.
@@ -51,7 +51,7 @@ const SLACK: f32 = 5e-5;
 /// The tree.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Bvh {
-    nodes: Vec<Node>,
+    nodes: Vec<BvhNode>,
     packs: Vec<Pack>,
 }
 
@@ -204,7 +204,7 @@ impl Bvh {
             children.extend(pair as Box<[Tree]>);
         }
         let index = self.nodes.len();
-        self.nodes.push(Node {
+        self.nodes.push(BvhNode {
             min: [[f32::INFINITY; 4]; 3],
             max: [[f32::NEG_INFINITY; 4]; 3],
             child: [EMPTY; 4],

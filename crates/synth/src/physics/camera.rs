@@ -28,7 +28,7 @@ use use3d_capture::{Camera, Image};
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 
-use crate::render::{Look, coarse_rays};
+use crate::render::{RayColor, coarse_rays};
 use crate::scene::{Caustics, MeshScene, display};
 
 /// Rec. 601 luminance.
@@ -109,7 +109,7 @@ pub(crate) struct Automatic {
 }
 
 /// Mean light of a view per channel, linear.
-fn mean_light(scene: &MeshScene, camera: &Camera, look: &dyn Look) -> Vec3 {
+fn mean_light(scene: &MeshScene, camera: &Camera, look: &dyn RayColor) -> Vec3 {
     let rays = coarse_rays(camera);
     let still = Caustics { strength: 0.0, time: 0.0 };
     let sum: Vec3 = rays.iter().map(|ray| look.color(scene.look(ray, 0.05, still), ray)).sum();
@@ -120,7 +120,7 @@ fn mean_light(scene: &MeshScene, camera: &Camera, look: &dyn Look) -> Vec3 {
 pub(crate) fn gains(
     scene: &MeshScene,
     cameras: &[Camera],
-    look: &(dyn Fn(&Camera) -> Box<dyn Look> + Sync),
+    look: &(dyn Fn(&Camera) -> Box<dyn RayColor> + Sync),
     automatic: Automatic,
 ) -> Vec<Vec3> {
     let metering = Stream::new(automatic.seed, Purpose::new("metering"), 0);

@@ -26,8 +26,8 @@ use glam::Vec3;
 use use3d_numerics::math;
 
 use crate::geometry::bvh::Ray;
-use crate::render::Look;
-use crate::scene::Seen;
+use crate::render::RayColor;
+use crate::scene::SurfaceHit;
 use crate::water::WaterType;
 
 /// Wavelengths, nm.
@@ -253,8 +253,8 @@ impl Spectral {
     }
 }
 
-impl Look for Spectral {
-    fn color(&self, seen: Option<Seen>, ray: &Ray) -> Vec3 {
+impl RayColor for Spectral {
+    fn color(&self, seen: Option<SurfaceHit>, ray: &Ray) -> Vec3 {
         let per_t = ray.direction.length();
         let s = seen.map_or(f32::INFINITY, |seen| seen.t * per_t);
         self.light(seen.map(|seen| seen.light), ray.origin, ray.direction / per_t, s)

@@ -16,7 +16,7 @@ use crate::geometry::noise::Noise;
 /// The place of the photographs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
-pub enum Place {
+pub enum Location {
     /// A coral reef with a wreck.
     #[default]
     Reef,
@@ -27,7 +27,7 @@ pub enum Place {
     VeilPool,
 }
 
-impl Place {
+impl Location {
     /// All places.
     pub const ALL: [Self; 3] = [Self::Reef, Self::Pool, Self::VeilPool];
 
@@ -45,7 +45,7 @@ impl Place {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Layout {
     /// The kind of scene.
-    pub(crate) place: Place,
+    pub(crate) place: Location,
     /// The seed of positions and shapes.
     pub(crate) seed: u64,
     /// Triangle density, in (0, 1]; a coarse scene is also less crowded.

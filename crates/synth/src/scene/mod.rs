@@ -18,7 +18,7 @@ use use3d_numerics::math;
 
 pub(crate) use draws::Draws;
 pub(crate) use layout::Layout;
-pub use layout::Place;
+pub use layout::Location;
 use surface::Surface;
 pub(crate) use surface::{display, linear};
 pub(crate) use terrain::Terrain;
@@ -43,7 +43,7 @@ pub(crate) struct MeshScene {
 
 /// The surface point that a ray hits.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Seen {
+pub(crate) struct SurfaceHit {
     /// Position along the ray, in lengths of its direction.
     pub(crate) t: f32,
     /// Light towards the camera, linear, under neutral daylight of unit exposure.
@@ -66,9 +66,9 @@ impl MeshScene {
     /// Builds the scene and computes its light.
     pub(crate) fn new(layout: &Layout) -> Self {
         let (mesh, palette, terrain) = match layout.place {
-            Place::Reef => layout::build(layout),
-            Place::Pool => pool::build(layout.seed, pool::blue()),
-            Place::VeilPool => pool::build(layout.seed, layout.veil),
+            Location::Reef => layout::build(layout),
+            Location::Pool => pool::build(layout.seed, pool::blue()),
+            Location::VeilPool => pool::build(layout.seed, layout.veil),
         };
         let bvh = Bvh::build(&mesh.positions, &mesh.triangles);
         let mut draws = Draws::new(layout.seed, "daylight", 0);
@@ -96,7 +96,7 @@ impl MeshScene {
     }
 
     /// Casts a ray; `spread` is the width of a pixel at unit `t`, metres. `None` is open water.
-    pub(crate) fn look(&self, ray: &Ray, spread: f32, caustics: Caustics) -> Option<Seen> {
+    pub(crate) fn look(&self, ray: &Ray, spread: f32, caustics: Caustics) -> Option<SurfaceHit> {
         let hit = self.bvh.nearest(ray, FAR)?;
         let triangle = hit.triangle as usize;
         let corners = self.mesh.triangles[triangle].map(|i| i as usize);
@@ -122,7 +122,7 @@ impl MeshScene {
         let light = self.daylight.at(tilted, baked.x, sunlight);
         // A board of greys is lit by neutral light, whatever tint the daylight has.
         let light = if grey { Vec3::splat(light.dot(Vec3::splat(1.0 / 3.0))) } else { light };
-        Some(Seen { t: hit.t, light: albedo * light, surface })
+        Some(SurfaceHit { t: hit.t, light: albedo * light, surface })
     }
 
     /// True if a surface is a patch of a board of greys.

@@ -7,7 +7,7 @@ use super::decay::{Attenuate, ThroughWater, through};
 use super::entries::{Entry, Pass, walk};
 use super::sums::finish;
 use super::{accumulate, load, select};
-use crate::compose::tile::{ALPHA_MAX, BackwardTile, ColumnSums, Input, Lanes, NEVER, Sink, TileWater};
+use crate::compose::tile::{ALPHA_MAX, BackwardTile, ColumnSums, Lanes, NEVER, Sink, TileInput, TileWater};
 use crate::lists::{Span, TILE};
 use crate::project::LOG2_255;
 
@@ -15,7 +15,7 @@ use crate::project::LOG2_255;
 #[inline(always)]
 pub(crate) fn backward<S: Simd, const WATER: bool, const EXTRAS: bool>(
     simd: S,
-    input: &Input<'_>,
+    input: &TileInput<'_>,
     water: &TileWater,
     tile: &mut BackwardTile,
     s_gradient: f32,

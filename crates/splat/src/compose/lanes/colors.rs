@@ -7,7 +7,7 @@ use super::entries::{Entry, Pass, walk};
 use super::front::Front;
 use super::sums::sums;
 use super::{accumulate, load};
-use crate::compose::tile::{BackwardTile, ForwardTile, Input, Sink, TileWater};
+use crate::compose::tile::{BackwardTile, ForwardTile, Sink, TileInput, TileWater};
 use crate::lists::Span;
 use crate::project::SplatGradient;
 
@@ -15,7 +15,7 @@ use crate::project::SplatGradient;
 #[inline(always)]
 pub(crate) fn backward_colors<S: Simd, const WATER: bool>(
     simd: S,
-    input: &Input<'_>,
+    input: &TileInput<'_>,
     water: &TileWater,
     tile: &mut BackwardTile,
     sink: &mut Sink<'_>,

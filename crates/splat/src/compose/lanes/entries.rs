@@ -7,7 +7,7 @@
 use fearless_simd::{Simd, SimdBase, SimdFloat, SimdMask, f32x16};
 
 use super::load;
-use crate::compose::tile::{Input, Lanes};
+use crate::compose::tile::{Lanes, TileInput};
 use crate::lists::{Span, TILE};
 use crate::project::{LOG2_255, Splat};
 
@@ -100,7 +100,7 @@ impl Iterator for Bits {
 /// The loop looks one entry ahead: the number of rows of the next entry is then known before its turn, so a
 /// wrongly predicted branch does not stall the processor.
 #[inline(always)]
-pub(super) fn walk<S: Simd, const BACK: bool, P: Pass<S>>(simd: S, input: &Input<'_>, pass: &mut P) {
+pub(super) fn walk<S: Simd, const BACK: bool, P: Pass<S>>(simd: S, input: &TileInput<'_>, pass: &mut P) {
     let (columns, rows) = (load(simd, input.columns), load(simd, input.rows));
     let count = input.list.len();
     if count == 0 {

@@ -6,13 +6,13 @@ use super::decay::{Attenuate, ThroughWater, through};
 use super::entries::{Entry, Pass, walk};
 use super::front::Front;
 use super::{accumulate, load, select};
-use crate::compose::tile::{ForwardTile, Input, TileWater};
+use crate::compose::tile::{ForwardTile, TileInput, TileWater};
 
 /// See [`plain::forward`](crate::compose::plain::forward).
 #[inline(always)]
 pub(crate) fn forward<S: Simd, const WATER: bool, const LAYERS: bool>(
     simd: S,
-    input: &Input<'_>,
+    input: &TileInput<'_>,
     water: &TileWater,
     tile: &mut ForwardTile,
 ) {

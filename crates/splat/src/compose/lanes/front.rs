@@ -5,7 +5,7 @@ use fearless_simd::{Simd, SimdBase, SimdMask, f32x16, i32x16, mask32x16};
 use use3d_numerics::lanes::exp2_unclamped_lanes;
 
 use super::{load, select};
-use crate::compose::tile::{ALPHA_MAX, ForwardRow, ForwardTile, Input, STOP};
+use crate::compose::tile::{ALPHA_MAX, ForwardRow, ForwardTile, STOP, TileInput};
 
 /// A tile that is composed front to back.
 pub(super) struct Front<'a> {
@@ -17,7 +17,7 @@ pub(super) struct Front<'a> {
 impl<'a> Front<'a> {
     /// The state before the first Gaussian of `input`.
     #[inline(always)]
-    pub(super) fn new(input: &Input<'_>, tile: &'a mut ForwardTile) -> Self {
+    pub(super) fn new(input: &TileInput<'_>, tile: &'a mut ForwardTile) -> Self {
         Self { tile, alive: ((1u64 << input.filled_rows) - 1) as u32 }
     }
 

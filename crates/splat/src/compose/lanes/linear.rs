@@ -6,14 +6,14 @@ use super::entries::{Entry, Pass, walk};
 use super::front::Front;
 use super::sums::sums;
 use super::{accumulate, load};
-use crate::compose::tile::{CHANNELS, ForwardTile, Input, Lanes, Sink};
+use crate::compose::tile::{CHANNELS, ForwardTile, Lanes, Sink, TileInput};
 use crate::lists::{Span, TILE};
 
 /// See [`plain::splat`](crate::compose::plain::splat); the first `C` channels.
 #[inline(always)]
 pub(crate) fn splat<S: Simd, const C: usize>(
     simd: S,
-    input: &Input<'_>,
+    input: &TileInput<'_>,
     values: impl Fn(u32) -> [f32; CHANNELS],
     forward: &mut ForwardTile,
     out: &mut [[Lanes; CHANNELS]; TILE],
@@ -54,7 +54,7 @@ impl<S: Simd, F: Fn(u32) -> [f32; CHANNELS], const C: usize> Pass<S> for Splatti
 #[inline(always)]
 pub(crate) fn splat_adjoint<S: Simd, const C: usize>(
     simd: S,
-    input: &Input<'_>,
+    input: &TileInput<'_>,
     maps: &[[Lanes; CHANNELS]; TILE],
     forward: &mut ForwardTile,
     sink: &mut Sink<'_>,

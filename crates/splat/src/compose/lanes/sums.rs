@@ -3,7 +3,7 @@
 use fearless_simd::{Simd, SimdBase, f32x4, f32x16};
 
 use crate::compose::tile::{ColumnSums, moments};
-use crate::project::{Record, Splat, SplatGradient};
+use crate::project::{EntryGradient, Splat, SplatGradient};
 
 /// Adds the lanes whose indices differ by a multiple of four, in the order of
 /// [`use3d_numerics::lanes::sum`].
@@ -33,7 +33,7 @@ pub(super) fn finish<S: Simd>(
     origin: [f32; 2],
     offset: f32x16<S>,
     of: ColumnSums<f32x16<S>>,
-) -> Record {
+) -> EntryGradient {
     let ColumnSums { weight, eta, eta_eta, z, color: [r, g, b], screen: [x, y_slope] } = of;
     let x0 = weight * offset;
     let [s0, sx, sxx, s1] = sums(simd, [weight, x0, x0 * offset, eta]);
