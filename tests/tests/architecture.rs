@@ -23,6 +23,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("io-metashape", &["capture", "survey"]),
     ("io-nerfstudio", &["capture", "numerics", "survey"]),
     ("import", &["capture", "numerics", "io-image", "survey", "io-colmap", "io-metashape", "io-nerfstudio"]),
+    ("prepare", &["capture", "io-image", "io-colmap"]),
     ("metrics", &["capture", "numerics"]),
     ("nets", &["capture", "numerics"]),
     ("synth", &["capture", "numerics", "io-image", "io-colmap"]),
