@@ -24,6 +24,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("io-nerfstudio", &["capture", "numerics", "survey"]),
     ("import", &["capture", "numerics", "io-image", "survey", "io-colmap", "io-metashape", "io-nerfstudio"]),
     ("prepare", &["capture", "io-image", "io-colmap"]),
+    ("check", &["capture", "numerics", "io-image", "import"]),
     ("metrics", &["capture", "numerics"]),
     ("nets", &["capture", "numerics"]),
     ("synth", &["capture", "numerics", "io-image", "io-colmap"]),
