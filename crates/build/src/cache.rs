@@ -144,7 +144,7 @@ impl Cache {
             return Some("lists no files".to_string());
         }
         let names = manifest.files.iter().map(|file| file.path.as_str());
-        let missing = stage::unkept(self.promises.get(stage)?, names)?;
+        let missing = stage::unkept(self.promises.get(stage)?, &names)?;
         Some(format!("lists no {missing}, which every result of {stage} has"))
     }
 

@@ -287,7 +287,7 @@ impl Job<'_> {
         if listed.is_empty() {
             return Err(StageError::message("the stage ended without an error but wrote nothing"));
         }
-        if let Some(name) = stage::unkept(stage.promises, listed.iter().map(|(name, _)| name.as_str())) {
+        if let Some(name) = stage::unkept(stage.promises, &listed.iter().map(|(name, _)| name.as_str())) {
             return Err(StageError::message(format!(
                 "the stage ended without an error but did not write {name}, which every result of it has"
             )));

@@ -527,7 +527,7 @@ impl Stage {
 /// Returns the first promise that no file of these names keeps.
 pub(crate) fn unkept<'n>(
     promises: &[&'static str],
-    names: impl Iterator<Item = &'n str> + Clone,
+    names: &(impl Iterator<Item = &'n str> + Clone),
 ) -> Option<&'static str> {
     let keeps = |promise: &str, name: &str| {
         name == promise || promise.ends_with('/') && name.starts_with(promise) && name.len() > promise.len()

@@ -152,7 +152,7 @@ impl Checkpoint {
     }
 
     /// The tensor of this name, if it has this shape and holds floating-point numbers.
-    fn stored(&self, name: &str, shape: &[usize]) -> Result<(&Stored, Format), NetError> {
+    fn stored(&self, name: &str, shape: &[usize]) -> Result<(&Stored, FloatFormat), NetError> {
         let Some(stored) = self.tensors.get(name) else {
             return Err(NetError::MissingTensor {
                 origin: self.origin(),
