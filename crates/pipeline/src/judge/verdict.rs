@@ -37,6 +37,8 @@ pub struct SceneFacts {
     pub steps: [Option<(u64, u64)>; 2],
     /// True if stage 2 had nothing to learn, because the colours stay as photographed.
     pub unchanged: bool,
+    /// True if a calibrator corrected the proposals.
+    pub calibrated: bool,
     /// Number of pairs from which the calibrator was fitted, and the recommended number.
     pub pairs: Option<(usize, usize)>,
 }
@@ -103,11 +105,17 @@ fn learning(facts: &SceneFacts) -> Option<Sentence> {
 /// One to three things that the reader can do now.
 fn next_steps(scores: &SceneScores, facts: &SceneFacts) -> Sentence {
     let psnr = mean(scores, Method::Reconstruction, "psnr");
-    let short = facts.steps.iter().flatten().any(|(done, usual)| *done > 0 && done < usual);
     let mut steps = Vec::new();
-    if short {
-        steps.push("run again without `--iterations`".to_string());
-    } else if let [Some((done, usual)), _] = facts.steps
+    let options = ["--iterations ", "--set enhance.iterations="];
+    for (stage, option) in facts.steps.into_iter().zip(options) {
+        if let Some((done, usual)) = stage
+            && (1..usual).contains(&done)
+        {
+            steps.push(format!("run again with `{option}{usual}`"));
+        }
+    }
+    if let [Some((done, usual)), _] = facts.steps
+        && steps.is_empty()
         && psnr.is_some_and(|psnr| (PSNR[1]..PSNR[0]).contains(&psnr))
         && done < LONGER * usual
     {
@@ -117,7 +125,7 @@ fn next_steps(scores: &SceneScores, facts: &SceneFacts) -> Sentence {
         steps.push("ask `use3d water` and the guide \"Is my capture good?\" what is wrong".into());
     }
     steps.push("open the page `view.html` and swim through the scene".into());
-    if !facts.unchanged && facts.pairs.is_none() {
+    if !facts.unchanged && !facts.calibrated {
         steps.push("for other colours, learn them from pairs with `--pairs`".into());
     }
     sentence(Tone::Plain, format!("Next: {}.", steps.join("; ")))
@@ -386,6 +394,7 @@ mod tests {
         let facts = SceneFacts {
             water: "Water found: stage 1 starts from it.".into(),
             steps: [Some((300, 5000)), Some((1000, 1000))],
+            calibrated: true,
             pairs: Some((60, 800)),
             ..SceneFacts::default()
         };
@@ -396,7 +405,12 @@ mod tests {
         assert!(said[1].starts_with("Training: 300 of the usual 5000 steps in stage 1. "), "{said:?}");
         assert_eq!(said[2], "Water found: stage 1 starts from it.");
         assert!(said[3].starts_with("Pairs: the enhancement was learnt from 60 pairs. 800"), "{said:?}");
-        assert!(said[4].starts_with("Next: run again without `--iterations`; open the page"), "{said:?}");
+        assert!(said[4].starts_with("Next: run again with `--iterations 5000`; open the page"), "{said:?}");
+        assert!(!said[4].contains("--pairs"), "{said:?}");
+        let demo = SceneFacts { steps: [Some((3000, 5000)), Some((600, 1000))], ..SceneFacts::default() };
+        let next = of(&demo).pop().unwrap();
+        let both = "run again with `--iterations 5000`; run again with `--set enhance.iterations=1000`";
+        assert!(next.contains(both) && next.contains("with `--pairs`"), "{next}");
         let whole = SceneFacts {
             steps: [Some((5000, 5000)), Some((0, 1000))],
             unchanged: true,

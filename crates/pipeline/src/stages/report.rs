@@ -274,17 +274,17 @@ fn section(
         section.notes = left_out(scores);
     }
     let best = best_look(parts.path("enhanced"))?;
+    let log = training_log(parts, "scene");
+    let targets: Option<TargetsReport> =
+        parts.path("targets").map(|dir| read_json(&dir.join("report.json"))).transpose()?;
     if let Some(scores) = scores {
-        section.verdict = verdict(scores, scored_as(best), &facts(parts, pairs));
+        let facts = facts(parts, pairs, log.as_deref(), targets.as_ref());
+        section.verdict = verdict(scores, scored_as(best), &facts);
     }
     if let Some(renders) = parts.path("renders") {
         section.views = views(renders, parts.path("scores"), scores, best, params.views)?;
     }
-    if let Some(log) =
-        parts.path("scene").and_then(|p| std::fs::read_to_string(p.join("training.jsonl")).ok())
-    {
-        section.plots.extend(stage_1(&log));
-    }
+    section.plots.extend(log.iter().flat_map(|log| stage_1(log)));
     if let Some(svg) =
         parts.path("enhanced").and_then(|p| std::fs::read_to_string(p.join("training.svg")).ok())
     {
@@ -295,33 +295,37 @@ fn section(
     section.plots.extend(water(parts)?);
     section.sheets.extend(parts.path("scene").map(contact).transpose()?.flatten());
     section.sheets.extend(parts.path("scores").map(strip).transpose()?.flatten());
-    if let Some(targets) = parts.path("targets") {
-        let report: TargetsReport = read_json(&targets.join("report.json"))?;
-        section.plots.push(dispersion(&report));
-        section.sheets.extend(sheets(&targets.join("previews"), &report)?);
+    if let (Some(folder), Some(report)) = (parts.path("targets"), &targets) {
+        section.plots.push(dispersion(report));
+        section.sheets.extend(sheets(&folder.join("previews"), report)?);
     }
     Ok(section)
 }
 
-/// The facts of a scene that its verdict needs, from the files of its stages. `pairs` is the number from
-/// which the batch's calibrator was fitted, or 0.
-fn facts(parts: &Parts<'_>, pairs: usize) -> SceneFacts {
-    let last_step = |role: &str| -> Option<u64> {
-        let log = std::fs::read_to_string(parts.path(role)?.join("training.jsonl")).ok()?;
-        let entries = log.lines().filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok());
-        Some(entries.filter_map(|entry| entry["step"].as_u64()).max().unwrap_or(0))
-    };
-    let targets: Option<TargetsReport> =
-        parts.path("targets").and_then(|dir| read_json(&dir.join("report.json")).ok());
-    let calibrated = pairs > 0 && targets.as_ref().is_some_and(|targets| targets.calibrated);
+/// The training log of a stage, one JSON object for each line.
+fn training_log(parts: &Parts<'_>, role: &str) -> Option<String> {
+    std::fs::read_to_string(parts.path(role)?.join("training.jsonl")).ok()
+}
+
+/// The last step of a training log; 0 for a log without steps.
+fn last_step(log: &str) -> u64 {
+    let entries = log.lines().filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok());
+    entries.filter_map(|entry| entry["step"].as_u64()).max().unwrap_or(0)
+}
+
+/// The facts of a scene that its verdict needs. `pairs` is the number from which the batch's calibrator was
+/// fitted, or 0. `log` is the log of stage 1.
+fn facts(parts: &Parts<'_>, pairs: usize, log: Option<&str>, targets: Option<&TargetsReport>) -> SceneFacts {
+    let calibrated = targets.is_some_and(|targets| targets.calibrated);
     SceneFacts {
         water: parts.path("scene").map(water_sentence).unwrap_or_default(),
         steps: [
-            last_step("scene").map(|done| (done, ReconstructParams::default().iterations)),
-            last_step("enhanced").map(|done| (done, EnhanceParams::default().iterations)),
+            log.map(|log| (last_step(log), ReconstructParams::default().iterations)),
+            training_log(parts, "enhanced").map(|log| (last_step(&log), EnhanceParams::default().iterations)),
         ],
         unchanged: targets.is_some_and(|targets| targets.proposer.name == NO_PROPOSER),
-        pairs: calibrated.then_some((pairs, METHOD_PAIRS)),
+        calibrated,
+        pairs: (calibrated && pairs > 0).then_some((pairs, METHOD_PAIRS)),
     }
 }
 
