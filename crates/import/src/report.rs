@@ -174,3 +174,22 @@ impl fmt::Display for CameraReport {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_file_is_not_called_many() {
+        let report = |extra: &[&str], missing: &[&str]| {
+            let names = |list: &[&str]| list.iter().map(|name| (*name).to_string()).collect();
+            ImportReport { extra: names(extra), missing: names(missing), ..ImportReport::default() }.to_string()
+        };
+        let text = report(&["a.jpg"], &["b.jpg"]);
+        assert!(text.contains("1 image is not in the model, not used: a.jpg"), "{text}");
+        assert!(text.contains("1 listed image is not there, skipped: b.jpg"), "{text}");
+        let text = report(&["a.jpg", "c.jpg"], &["b.jpg", "d.jpg"]);
+        assert!(text.contains("2 images are not in the model, not used: a.jpg, c.jpg"), "{text}");
+        assert!(text.contains("2 listed images are not there, skipped: b.jpg, d.jpg"), "{text}");
+    }
+}

@@ -3,7 +3,7 @@
 mod common;
 
 use common::{draw, mini, taught};
-use use3d_capture::{Camera, Lattice, MediumMaps};
+use use3d_capture::{Camera, Lattice, MediumMaps, Pose};
 use use3d_medium::{MediumGlobal, MediumImage, MediumModel};
 use use3d_numerics::math;
 use use3d_render::{Look, RenderError, Renderer, bake, bake_in_water};
@@ -379,5 +379,39 @@ fn water_over_the_image_is_graded_and_thinned_as_any_other() {
         let between = a * (1.0 - math::exp(-maps.backscatter.data()[i] * s));
         let expected = object + maps.color.data()[i] * (between + share * (1.0 - a));
         assert!((out.image.data()[i] - expected).abs() < 1e-5, "{} {expected}", out.image.data()[i]);
+    }
+}
+
+#[test]
+fn two_cameras_at_two_distances_each_find_their_own_colour() {
+    let (mut scene, views) = mini();
+    let near = views[0].camera;
+    scene.gaussians = most_covering(&scene, &near).gaussians;
+    scene.medium = MediumModel::Global(MediumGlobal::default());
+    // The second camera stands on the other side, at twice the distance.
+    let at = glam::Vec3::from_array(scene.gaussians.means[0]).as_dvec3();
+    let away = near.pose.center() - at;
+    let up = if away.y.abs() < 0.9 * away.length() { glam::DVec3::Y } else { glam::DVec3::X };
+    let far = Camera { pose: Pose::look_at(at - 2.0 * away, at, up), ..near };
+    let baked = bake_in_water(&scene, Look::Reconstruction, 1.0, &[near, far]).unwrap();
+    let green = |gaussians: &use3d_splat::Gaussians, camera: &Camera| {
+        let d = (at - camera.pose.center()).normalize().as_vec3().to_array();
+        let y = use3d_numerics::spherical_harmonics::basis(3, d);
+        0.5 + (0..16).map(|k| f64::from(y[k] * gaussians.sh[0][k][1])).sum::<f64>()
+    };
+    let mut maps = MediumMaps::zeros(0, 0);
+    let mut expected = |camera: &Camera| {
+        scene.look_through(camera, &Lattice::full(&camera.intrinsics), &mut maps);
+        let [attenuation, backscatter, veil] =
+            [&maps.attenuation, &maps.backscatter, &maps.color].map(|m| f64::from(m.pixel(0, 0)[1]));
+        let s = (at - camera.pose.center()).length();
+        green(&scene.gaussians, camera).max(0.0) * math::exp(-attenuation * s)
+            + veil * (1.0 - math::exp(-backscatter * s))
+    };
+    let (here, there) = (expected(&near), expected(&far));
+    assert!((here - there).abs() > 0.02, "the distances make a difference: {here} {there}");
+    for (camera, expected) in [(&near, here), (&far, there)] {
+        let shown = green(&baked.gaussians, camera);
+        assert!((shown - expected).abs() < 0.1 * (here - there).abs(), "{shown} for {expected}");
     }
 }

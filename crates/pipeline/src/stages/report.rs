@@ -134,7 +134,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
             1 => "one scene".into(),
             cells => head(&all, cells, scored.len()),
         },
-        verdict: overall(&scenes, context.missing()),
+        verdict: overall(&scenes, in_variants(&all), context.missing()),
         tables,
         scenes,
         calibrator: calibrator.as_ref().map(calibrator_section),
@@ -160,10 +160,16 @@ fn head(all: &[Parts<'_>], cells: usize, scored: usize) -> String {
     format!("{scenes}{variants}{scored}")
 }
 
-/// The verdict on a batch: the sentences of a single scene, else the numbers of scored scenes and of bad
-/// ones; and the list of what is missing.
-fn overall(scenes: &[SceneSection], missing: &[String]) -> Vec<Sentence> {
+/// True if a scene is there in more than one variant.
+fn in_variants(all: &[Parts<'_>]) -> bool {
+    all.iter().any(|parts| parts.variant != all[0].variant)
+}
+
+/// The verdict on a batch: the sentences of a single scene, else the numbers of scored results and of bad
+/// ones; and the list of what is missing. A result is a scene, or one of its variants.
+fn overall(scenes: &[SceneSection], variants: bool, missing: &[String]) -> Vec<Sentence> {
     let mut out = Vec::new();
+    let results = if variants { "results" } else { "scenes" };
     if scenes.len() > 1 {
         let judged = scenes.iter().filter(|scene| !scene.verdict.is_empty()).count();
         let bad: Vec<&str> = scenes
@@ -172,12 +178,12 @@ fn overall(scenes: &[SceneSection], missing: &[String]) -> Vec<Sentence> {
             .map(|scene| scene.name.as_str())
             .collect();
         let text = match (judged, bad.len()) {
-            (0, _) => "No scene was scored.".to_string(),
+            (0, _) => format!("None of the {results} was scored."),
             (n, 0) => {
-                format!("{n} scenes were scored. No comparison is unfavourable to the result in any of them.")
+                format!("{n} {results} were scored. No comparison is unfavourable to the method in any of them.")
             }
             (n, k) => format!(
-                "{n} scenes were scored. In {k} of them a comparison is unfavourable to the result: {}. The \
+                "{n} {results} were scored. In {k} of them a comparison is unfavourable to the method: {}. The \
                  sections below give the details.",
                 bad.join(", ")
             ),
@@ -674,6 +680,28 @@ fn sheets(dir: &Path, report: &TargetsReport) -> Result<Vec<Picture>, StageError
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_head_and_the_verdict_count_scenes_and_variants_apart() {
+        let part = |scene, variant| Parts { scene, group: "", variant, inputs: Vec::new() };
+        let one = [part("reef", "full"), part("reef", "mlp"), part("reef", "rbf"), part("reef", "none")];
+        assert_eq!(head(&one, 4, 4), "one scene in 4 variants");
+        assert_eq!(head(&one, 4, 3), "one scene in 4 variants, 3 of 4 scored");
+        let two = [part("reef", ""), part("vent", "")];
+        assert_eq!(head(&two, 2, 2), "2 scenes");
+        assert!(in_variants(&one) && !in_variants(&two));
+        let sentence = |tone| vec![Sentence { tone, text: "a sentence".into() }];
+        let section = |name: &str, tone| SceneSection {
+            name: name.into(),
+            verdict: sentence(tone),
+            ..SceneSection::default()
+        };
+        let scenes = [section("reef · full", Tone::Good), section("reef · mlp", Tone::Bad)];
+        let text = |variants| overall(&scenes, variants, &[])[0].text.clone();
+        assert!(text(true).starts_with("2 results were scored. In 1 of them"), "{}", text(true));
+        assert!(text(false).starts_with("2 scenes were scored."), "{}", text(false));
+        assert!(text(true).contains("reef · mlp"), "{}", text(true));
+    }
 
     #[test]
     fn only_a_sheet_whose_last_row_ends_early_has_a_blank_corner() {

@@ -20,6 +20,14 @@
 //! Gaussian that no camera saw is treated as seen from the nearest camera through the mean water. All
 //! values are in scene units and display range.
 //!
+//! Cameras saw a Gaussian from several distances, and so in several colours. Each camera saw it from one
+//! direction, so harmonics can hold the difference. Bands 0 and 1 are fitted to it by least squares, with a
+//! penalty `λ` (`PENALTY`) that keeps the harmonics from above where the cameras do not determine them:
+//!
+//! ```text
+//! h_i = h̄_i + argmin_δ Σ_v ω_iv |t_iv c_i⁺(ω_v) + b_iv − h̄_i(ω_v) − δ·y(ω_v)|² + λ Σ_v ω_iv |δ|²
+//! ```
+//!
 //! Open water becomes a *backdrop*: a sphere of opaque Gaussians around the scene, each with the colour of
 //! the water in its direction, as seen from the middle of the cameras.
 //!
@@ -30,7 +38,7 @@
 use rayon::prelude::*;
 use use3d_capture::{Camera, Intrinsics, Lattice, MediumMaps, Pose};
 use use3d_numerics::math;
-use use3d_numerics::spherical_harmonics::C0;
+use use3d_numerics::spherical_harmonics::{C0, bands, basis};
 use use3d_scene::Scene;
 use use3d_splat::{Colors, Gaussians, Prepared, Rasterizer};
 
@@ -43,6 +51,10 @@ use crate::renderer::Look;
 const SIDE: usize = 400;
 /// Number of planes that are lifted together: attenuation, backscatter and colour of the water, and ones.
 const PLANES: usize = 10;
+/// Number of functions of the harmonics that are fitted to the cameras: bands 0 and 1.
+const FITTED: usize = 4;
+/// The penalty `λ` of a change of the harmonics, as a share of the visibility.
+const PENALTY: f64 = 0.01;
 /// Number of Gaussians of the backdrop.
 const BACKDROP: usize = 3000;
 /// The backdrop's distance from the middle of the cameras, in units of the distance within which 99.5 % of
@@ -97,6 +109,7 @@ pub fn bake_in_water(
         rows
     };
     let (mut gaussians, report) = bake_maps(&scene.gaussians, in_water);
+    fit(scene, strength, water, cameras, matrix, &mut gaussians);
     let backdrop = backdrop(scene, strength, water, cameras);
     gaussians.extend(&backdrop);
     Ok(InWater { gaussians, backdrop: backdrop.len(), report })
@@ -120,28 +133,13 @@ impl WaterEffect {
         let n = scene.gaussians.len();
         let (mut arriving, mut veil, mut weight) =
             (vec![[0.0f32; 3]; n], vec![[0.0f32; 3]; n], vec![0.0f32; n]);
-        let (mut whole, mut maps) = (MediumMaps::zeros(0, 0), MediumMaps::zeros(0, 0));
-        let (mut rasterizer, mut prepared) = (Rasterizer::new(), Prepared::new());
-        let (mut planes, mut sums) = (Vec::new(), vec![0.0f32; PLANES * n]);
         // The mean water over all pixels, for Gaussians that no camera saw.
         let mut mean = [0.0f64; 9];
-        for camera in cameras {
-            let camera = camera.no_larger_than(SIDE);
-            let lattice = Lattice::full(&camera.intrinsics);
-            look_through(scene, strength, &camera, &lattice, &mut whole);
-            thin(&whole, water, &mut maps);
-            let pixels = lattice.width() * lattice.height();
-            planes.clear();
-            for image in [&maps.attenuation, &maps.backscatter, &maps.color] {
-                planes.extend_from_slice(image.data());
-            }
+        each_camera(scene, strength, water, cameras, |center, planes, sums| {
+            let pixels = planes.len() / PLANES;
             for (m, plane) in mean.iter_mut().zip(planes.chunks_exact(pixels)) {
                 *m += plane.iter().map(|v| f64::from(*v)).sum::<f64>() / (pixels * cameras.len()) as f64;
             }
-            planes.resize(PLANES * pixels, 1.0);
-            prepared.prepare(&scene.gaussians, &camera, &lattice, Colors::Sh { degree: 0 });
-            rasterizer.splat_adjoint(&prepared, PLANES, &planes, &mut sums);
-            let center = camera.pose.center().as_vec3().to_array();
             arriving
                 .par_iter_mut()
                 .zip(&mut veil)
@@ -149,19 +147,14 @@ impl WaterEffect {
                 .zip(sums.par_chunks_exact(PLANES))
                 .zip(&scene.gaussians.means)
                 .for_each(|((((arriving, veil), weight), sums), at)| {
-                    let visible = sums[PLANES - 1];
-                    if visible <= 0.0 {
-                        return;
-                    }
-                    let water: [f32; 9] = std::array::from_fn(|k| sums[k] / visible);
-                    let (t, b) = through(&water, distance(*at, center));
+                    let Some((visible, t, b)) = seen_through(sums, *at, center) else { return };
                     for c in 0..3 {
                         arriving[c] += visible * t[c];
                         veil[c] += visible * b[c];
                     }
                     *weight += visible;
                 });
-        }
+        });
         let centers: Vec<[f32; 3]> = cameras.iter().map(|c| c.pose.center().as_vec3().to_array()).collect();
         let mean = mean.map(|m| m as f32);
         arriving.par_iter_mut().zip(&mut veil).zip(&weight).zip(&scene.gaussians.means).for_each(
@@ -177,6 +170,135 @@ impl WaterEffect {
         );
         Self { arriving, veil }
     }
+}
+
+/// Calls `visit` for each camera with its centre, the planes of its water (`β_attn`, `β_bs` and `c_m` with three
+/// channels each, and ones), and the sums of these planes over each Gaussian's pixels, weighted by visibility.
+fn each_camera(
+    scene: &Scene,
+    strength: Option<f32>,
+    water: f32,
+    cameras: &[Camera],
+    mut visit: impl FnMut([f32; 3], &[f32], &[f32]),
+) {
+    let (mut whole, mut maps) = (MediumMaps::zeros(0, 0), MediumMaps::zeros(0, 0));
+    let (mut rasterizer, mut prepared) = (Rasterizer::new(), Prepared::new());
+    let (mut planes, mut sums) = (Vec::new(), vec![0.0f32; PLANES * scene.gaussians.len()]);
+    for camera in cameras {
+        let camera = camera.no_larger_than(SIDE);
+        let lattice = Lattice::full(&camera.intrinsics);
+        look_through(scene, strength, &camera, &lattice, &mut whole);
+        thin(&whole, water, &mut maps);
+        planes.clear();
+        for image in [&maps.attenuation, &maps.backscatter, &maps.color] {
+            planes.extend_from_slice(image.data());
+        }
+        planes.resize(PLANES * lattice.width() * lattice.height(), 1.0);
+        prepared.prepare(&scene.gaussians, &camera, &lattice, Colors::Sh { degree: 0 });
+        rasterizer.splat_adjoint(&prepared, PLANES, &planes, &mut sums);
+        visit(camera.pose.center().as_vec3().to_array(), &planes, &sums);
+    }
+}
+
+/// The visibility, transmission and veil of one Gaussian in one camera, or `None` if it is not visible there.
+fn seen_through(sums: &[f32], at: [f32; 3], center: [f32; 3]) -> Option<(f32, [f32; 3], [f32; 3])> {
+    let visible = sums[PLANES - 1];
+    if !(visible > 0.0) {
+        return None;
+    }
+    let water: [f32; 9] = std::array::from_fn(|k| sums[k] / visible);
+    let (t, b) = through(&water, distance(at, center));
+    Some((visible, t, b))
+}
+
+/// The normal equations of one Gaussian's fit: `Σ ω y yᵀ` (lower triangle), `Σ ω y r` per channel, and `Σ ω`.
+#[derive(Clone, Copy, Default)]
+struct Normal {
+    left: [f32; FITTED * (FITTED + 1) / 2],
+    right: [[f32; 3]; FITTED],
+    weight: f32,
+}
+
+impl Normal {
+    fn add(&mut self, weight: f32, basis: &[f32; 16], residual: [f32; 3]) {
+        let mut k = 0;
+        for i in 0..FITTED {
+            for j in 0..=i {
+                self.left[k] += weight * basis[i] * basis[j];
+                k += 1;
+            }
+            for (sum, r) in self.right[i].iter_mut().zip(residual) {
+                *sum += weight * basis[i] * r;
+            }
+        }
+        self.weight += weight;
+    }
+
+    /// The solution in its first `used` functions, by Cholesky's method.
+    fn solve(&self, used: usize) -> [[f32; 3]; FITTED] {
+        let mut root = [[0.0f64; FITTED]; FITTED];
+        for i in 0..used {
+            for j in 0..=i {
+                let mut sum = f64::from(self.left[i * (i + 1) / 2 + j]);
+                if i == j {
+                    sum += PENALTY * f64::from(self.weight);
+                }
+                for k in 0..j {
+                    sum -= root[i][k] * root[j][k];
+                }
+                root[i][j] = if i == j { sum.max(f64::MIN_POSITIVE).sqrt() } else { sum / root[j][j] };
+            }
+        }
+        let mut x = [[0.0f64; 3]; FITTED];
+        for c in 0..3 {
+            for i in 0..used {
+                let known: f64 = (0..i).map(|k| root[i][k] * x[k][c]).sum();
+                x[i][c] = (f64::from(self.right[i][c]) - known) / root[i][i];
+            }
+            for i in (0..used).rev() {
+                let known: f64 = (i + 1..used).map(|k| root[k][i] * x[k][c]).sum();
+                x[i][c] = (x[i][c] - known) / root[i][i];
+            }
+        }
+        x.map(|row| row.map(|v| v as f32))
+    }
+}
+
+/// Fits bands 0 and 1 of `baked` to the colours in which each camera saw a Gaussian (module documentation).
+fn fit(
+    scene: &Scene,
+    strength: Option<f32>,
+    water: f32,
+    cameras: &[Camera],
+    matrix: impl Fn(usize) -> [[f32; 4]; 3] + Sync,
+    baked: &mut Gaussians,
+) {
+    let degree = baked.sh_degree.min(3);
+    let used = bands(degree).min(FITTED);
+    let mut normals = vec![Normal::default(); baked.len()];
+    each_camera(scene, strength, water, cameras, |center, _, sums| {
+        normals.par_iter_mut().zip(sums.par_chunks_exact(PLANES)).enumerate().for_each(|(i, (normal, sums))| {
+            let at = scene.gaussians.means[i];
+            let Some((visible, t, b)) = seen_through(sums, at, center) else { return };
+            let s = distance(at, center).max(f32::MIN_POSITIVE);
+            let y = basis(degree, std::array::from_fn(|k| (at[k] - center[k]) / s));
+            let of = |sh: &[[f32; 3]; 16]| -> [f32; 3] {
+                std::array::from_fn(|c| 0.5 + (0..bands(degree)).map(|k| y[k] * sh[k][c]).sum::<f32>())
+            };
+            let (own, shown) = (of(&scene.gaussians.sh[i]).map(|v| v.max(0.0)), of(&baked.sh[i]));
+            let m = matrix(i);
+            let residual = std::array::from_fn(|c| {
+                let enhanced = m[c][0] * own[0] + m[c][1] * own[1] + m[c][2] * own[2] + m[c][3];
+                t[c] * enhanced + b[c] - shown[c]
+            });
+            normal.add(visible, &y, residual);
+        });
+    });
+    baked.sh.par_iter_mut().zip(&normals).filter(|(_, normal)| normal.weight > 0.0).for_each(|(sh, normal)| {
+        for (band, change) in sh.iter_mut().zip(normal.solve(used)).take(used) {
+            *band = std::array::from_fn(|c| band[c] + change[c]);
+        }
+    });
 }
 
 /// `(e^{−β_attn s}, c_m (1 − e^{−β_bs s}))` of water `[β_attn, β_bs, c_m]` at a distance.
