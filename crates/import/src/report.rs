@@ -183,7 +183,8 @@ mod tests {
     fn one_file_is_not_called_many() {
         let report = |extra: &[&str], missing: &[&str]| {
             let names = |list: &[&str]| list.iter().map(|name| (*name).to_string()).collect();
-            ImportReport { extra: names(extra), missing: names(missing), ..ImportReport::default() }.to_string()
+            ImportReport { extra: names(extra), missing: names(missing), ..ImportReport::default() }
+                .to_string()
         };
         let text = report(&["a.jpg"], &["b.jpg"]);
         assert!(text.contains("1 image is not in the model, not used: a.jpg"), "{text}");

@@ -180,7 +180,9 @@ fn overall(scenes: &[SceneSection], variants: bool, missing: &[String]) -> Vec<S
         let text = match (judged, bad.len()) {
             (0, _) => format!("None of the {results} was scored."),
             (n, 0) => {
-                format!("{n} {results} were scored. No comparison is unfavourable to the method in any of them.")
+                format!(
+                    "{n} {results} were scored. No comparison is unfavourable to the method in any of them."
+                )
             }
             (n, k) => format!(
                 "{n} {results} were scored. In {k} of them a comparison is unfavourable to the method: {}. The \
