@@ -1,4 +1,4 @@
-//! One held-out view of a capture side by side: photograph, 2D enhancer, `clear`, `enhanced-clear`, truth.
+//! One held-out view of a capture side by side: photograph, 2D enhancer, `clear`, `enhanced`, truth.
 //!
 //! Photograph and renderings are those of the `render` stage; the 2D enhancer runs here on the photograph, as
 //! in `evaluate`. The view is the middle one of the held-out views.
@@ -91,7 +91,7 @@ pub fn sheet(
     let enhanced = proposer.enhance(&photograph)?;
     let mut shown = vec![("photograph", photograph), ("2D enhancer on the photograph", enhanced)];
     // A scene without a second stage has fewer pictures.
-    for modes in [["clear"].as_slice(), &["enhanced-clear", "enhanced"]] {
+    for modes in [["clear"].as_slice(), &["enhanced", "enhanced-clear"]] {
         let there = |mode: &&&str| renders.join(mode).join(name).is_file();
         if let Some(mode) = modes.iter().find(there) {
             shown.push((mode, read_image(&renders.join(mode).join(name))?));
@@ -117,7 +117,7 @@ mod tests {
             image.set_pixel(3, 3, [0.9, 0.1, 0.2]);
             image
         };
-        for (folder, v) in [("captured", 0.2), ("clear", 0.4), ("enhanced", 0.6)] {
+        for (folder, v) in [("captured", 0.2), ("clear", 0.4), ("enhanced", 0.6), ("enhanced-clear", 0.7)] {
             std::fs::create_dir(dir.path().join(folder)).unwrap();
             for (i, name) in ["a", "b", "c"].iter().enumerate() {
                 let image = shade(v + 0.01 * i as f32);
