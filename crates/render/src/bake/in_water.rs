@@ -28,8 +28,9 @@
 //! h_i = h̄_i + argmin_δ Σ_v ω_iv |t_iv c_i⁺(ω_v) + b_iv − h̄_i(ω_v) − δ·y(ω_v)|² + λ Σ_v ω_iv |δ|²
 //! ```
 //!
-//! On a reef that the camera swims towards, this halves the difference at held-out views. With cameras of half
-//! the swim alone it also halves the difference at the other half, so the fit does not only repeat its views.
+//! On a reef that the camera swims towards, this halves the difference at held-out views. With cameras of
+//! half the swim alone it also halves the difference at the other half, so the fit does not only repeat its
+//! views.
 //!
 //! Open water becomes a *backdrop*: a sphere of opaque Gaussians around the scene, each with the colour of
 //! the water in its direction, as seen from the middle of the cameras.
@@ -175,8 +176,9 @@ impl WaterEffect {
     }
 }
 
-/// Calls `visit` for each camera with its centre, the planes of its water (`β_attn`, `β_bs` and `c_m` with three
-/// channels each, and ones), and the sums of these planes over each Gaussian's pixels, weighted by visibility.
+/// Calls `visit` for each camera with its centre, the planes of its water (`β_attn`, `β_bs` and `c_m` with
+/// three channels each, and ones), and the sums of these planes over each Gaussian's pixels, weighted by
+/// visibility.
 fn each_camera(
     scene: &Scene,
     strength: Option<f32>,
