@@ -28,13 +28,13 @@ use super::stage;
 /// Result of a job.
 pub(crate) enum Ended {
     /// The artifact exists; `computed` is true if this process just computed it.
-    Ready { artifact: Box<Artifact>, computed: bool, seconds: f64 },
+    Ready { artifact: Arc<Artifact>, computed: bool, seconds: f64 },
     /// The job failed.
     Failed(String),
     /// The job was stopped.
     Cancelled,
-    /// Another process computes the node; the text names it.
-    Held(String),
+    /// Another process computes the node; the text names it. The resolved node waits.
+    Held(String, Box<Resolved>),
     /// An input's artifact was damaged and has been moved aside; the number is the node that makes it.
     DamagedInput(usize),
 }
@@ -44,7 +44,7 @@ pub(crate) struct Job<'a> {
     pub(crate) pipeline: &'a str,
     pub(crate) id: usize,
     pub(crate) node: &'a Node,
-    pub(crate) resolved: Resolved,
+    pub(crate) resolved: Box<Resolved>,
     pub(crate) threads: usize,
     pub(crate) stop: Arc<AtomicBool>,
     pub(crate) listener: Arc<dyn Listener>,
@@ -60,7 +60,7 @@ impl Job<'_> {
             Ok(Turn::Ours(lease)) => lease,
             Ok(Turn::Made(artifact)) => return Ended::Ready { artifact, computed: false, seconds: 0.0 },
             Ok(Turn::Cancelled) => return Ended::Cancelled,
-            Ok(Turn::Held(holder)) => return Ended::Held(holder),
+            Ok(Turn::Held(holder)) => return Ended::Held(holder, self.resolved),
             Err(error) => return Ended::Failed(error.to_string()),
         };
         let damaged_there = match self.fetch(&label, lease.as_ref()) {
@@ -81,7 +81,7 @@ impl Job<'_> {
                 }
                 let seconds = start.elapsed().as_secs_f64();
                 self.send(&label, &artifact, damaged_there);
-                Ended::Ready { artifact: Box::new(artifact), computed: true, seconds }
+                Ended::Ready { artifact: Arc::new(artifact), computed: true, seconds }
             }
             Err(StageError::Cancelled) => Ended::Cancelled,
             // An error is no failure of the stage if one of its inputs was removed or damaged meanwhile.
@@ -343,14 +343,14 @@ impl Job<'_> {
 
 enum Turn {
     Ours(Option<Lease>),
-    Made(Box<Artifact>),
+    Made(Arc<Artifact>),
     Held(String),
     Cancelled,
 }
 
 /// Result of a fetch from the store.
 enum Brought {
-    Artifact(Box<Artifact>),
+    Artifact(Arc<Artifact>),
     Nothing { damaged: bool },
     Cancelled,
 }

@@ -261,30 +261,41 @@ impl Drop for Lease {
 
 /// The keys that a run needs, protected until it ends: the artifacts that it has found or made and will read,
 /// and the checkpoints that it resumes from.
+///
+/// The keys are in a few files, each more than twice as large as the next. Added keys go into a small file, and
+/// two files of about the same size are merged. So a key is written only a few times, however many there are,
+/// and few files need renewal.
 pub(crate) struct RunLease {
     cache: Cache,
-    path: PathBuf,
     holder: Holder,
-    line: Vec<u8>,
-    beat: Beat,
+    parts: Vec<Part>,
     keys: BTreeSet<Key>,
-    changed: bool,
+    /// The keys that are not yet in a part.
+    fresh: Vec<Key>,
+    beat: Beat,
     renewed: Duration,
 }
+
+/// One file of a run's lease.
+struct Part {
+    path: PathBuf,
+    line: Vec<u8>,
+    keys: Vec<Key>,
+}
+
+/// The number of keys below which they are written again instead of kept in a file of their own.
+const FEW_KEYS: usize = 64;
 
 impl RunLease {
     /// A run's lease without keys.
     pub(crate) fn new(cache: &Cache) -> Self {
-        let holder = Holder::of(cache.node(), Vec::new());
-        let path = folder(cache).join(format!("run-{}", holder.token));
         Self {
             cache: cache.clone(),
-            path,
-            holder,
-            line: Vec::new(),
-            beat: Beat::default(),
+            holder: Holder::of(cache.node(), Vec::new()),
+            parts: Vec::new(),
             keys: BTreeSet::new(),
-            changed: false,
+            fresh: Vec::new(),
+            beat: Beat::default(),
             renewed: cache.node().clock.now(),
         }
     }
@@ -292,41 +303,78 @@ impl RunLease {
     /// Adds keys; other processes see them after [`show`](Self::show).
     pub(crate) fn extend(&mut self, keys: impl IntoIterator<Item = Key>) {
         for key in keys {
-            self.changed |= self.keys.insert(key);
+            if self.keys.insert(key) {
+                self.fresh.push(key);
+            }
         }
     }
 
     /// Publishes the added keys, and a pulse of this process.
     pub(crate) fn show(&mut self) {
+        if !self.fresh.is_empty() {
+            self.write_fresh();
+        }
+        self.keep_alive();
+    }
+
+    fn write_fresh(&mut self) {
+        let mut keys = std::mem::take(&mut self.fresh);
+        let new = keys.len();
+        let mut kept = self.parts.len();
+        while kept > 0 && self.parts[kept - 1].keys.len() <= FEW_KEYS.max(2 * keys.len()) {
+            kept -= 1;
+            keys.extend(&self.parts[kept].keys);
+        }
+        let path = match self.parts.get(kept) {
+            Some(part) => part.path.clone(),
+            None => folder(&self.cache).join(format!("run-{}", files::unique())),
+        };
+        self.holder.reads.clone_from(&keys);
+        let line = self.holder.line();
+        self.beat.number += 1;
+        let files = self.cache.files();
+        if put(files, &path, &[&line[..], &pulse::line(&self.beat)].concat()).is_err() {
+            keys.truncate(new);
+            self.fresh = keys;
+            return;
+        }
+        for part in self.parts.drain(kept..).skip(1) {
+            let _ = files.remove_file(&part.path);
+        }
+        self.parts.push(Part { path, line, keys });
+    }
+
+    /// Writes the pulse if it is due, so that other processes see that this one is alive.
+    pub(crate) fn keep_alive(&mut self) {
         let now = self.cache.node().clock.now();
-        if !self.changed && now.saturating_sub(self.renewed) < HEARTBEAT {
+        if now.saturating_sub(self.renewed) < HEARTBEAT {
             return;
         }
         self.renewed = now;
         self.beat.number += 1;
-        let files = self.cache.files();
-        let beat = pulse::line(&self.beat);
-        // If another process removed the lease, it is written again.
-        if !self.changed && files.overwrite(&self.path, self.line.len() as u64, &beat).is_ok() {
-            return;
+        let (files, beat) = (self.cache.files(), pulse::line(&self.beat));
+        for part in &self.parts {
+            // If another process removed the lease, it is written again.
+            if files.overwrite(&part.path, part.line.len() as u64, &beat).is_err() {
+                let _ = put(files, &part.path, &[&part.line[..], &beat].concat());
+            }
         }
-        self.holder.reads = self.keys.iter().copied().collect();
-        self.line = self.holder.line();
-        self.changed = put(files, &self.path, &[&self.line[..], &beat].concat()).is_err();
     }
 }
 
 impl std::fmt::Debug for RunLease {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("RunLease").field("path", &self.path).field("keys", &self.keys.len()).finish()
+        f.debug_struct("RunLease").field("parts", &self.parts.len()).field("keys", &self.keys.len()).finish()
     }
 }
 
 impl Drop for RunLease {
     fn drop(&mut self) {
         let files = self.cache.files();
-        if files.read(&self.path).is_ok_and(|found| !self.line.is_empty() && found.starts_with(&self.line)) {
-            let _ = files.remove_file(&self.path);
+        for part in &self.parts {
+            if files.read(&part.path).is_ok_and(|found| found.starts_with(&part.line)) {
+                let _ = files.remove_file(&part.path);
+            }
         }
     }
 }

@@ -80,8 +80,8 @@
 //! [`cache`]: the folder layout, publishing, verification. [`code`]: token-level code digests. [`content`]:
 //! digests of inputs that are not read twice. [`graph`]: scenes × stages × variants. [`plan`] and [`run`]:
 //! the forecast of a run, and the run. [`executor`]: places where jobs run. [`history`]: records of past
-//! runs, and forecasts. [`place`]: results outside the cache, and the rules for replacing them. [`remote`]: a
-//! store beside the cache.
+//! runs, and forecasts. [`place`]: results outside the cache, and the rules for replacing them; [`delivered`]:
+//! the sources of those that exist. [`remote`]: a store beside the cache.
 
 mod agree;
 mod alone;
@@ -90,6 +90,7 @@ pub mod canonical;
 pub mod code;
 pub mod content;
 mod context;
+pub mod delivered;
 pub mod digest;
 pub mod error;
 mod events;

@@ -125,9 +125,10 @@ impl Builder {
         let wanted = graph.wanted(until);
         let timings = self.cache.timings();
         let mut outcomes = vec![Outcome::Open; graph.nodes.len()];
+        let records = self.cache.records(&graph.name);
         let mut nodes: Vec<PlannedNode> = Vec::with_capacity(graph.nodes.len());
         for (i, node) in graph.nodes.iter().enumerate() {
-            let record = self.cache.record(&graph.name, node);
+            let record = records.of(node);
             let mut planned = PlannedNode {
                 stage: node.stage_name,
                 scene: node.scene.clone(),

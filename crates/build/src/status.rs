@@ -1,5 +1,7 @@
 //! The state of every node, and the changes since its last artifact: `status` and `why`.
 
+use std::collections::HashMap;
+
 use serde::Serialize;
 
 use super::Builder;
@@ -84,18 +86,15 @@ impl Plan {
     /// The plan as a table.
     pub fn status(&self) -> Status {
         let mut rows: Vec<Row> = Vec::new();
+        let mut places: HashMap<(&str, &str), usize> = HashMap::new();
         for node in self.nodes.iter().filter(|n| n.state != State::Unwanted) {
             let cell = cell(node);
-            match rows.iter_mut().find(|r| r.scene == node.scene && r.variant == node.variant) {
-                Some(row) => row.cells.push(cell),
-                None => {
-                    rows.push(Row {
-                        scene: node.scene.clone(),
-                        variant: node.variant.clone(),
-                        cells: vec![cell],
-                    });
-                }
+            let place = *places.entry((&node.scene, &node.variant)).or_insert(rows.len());
+            if place == rows.len() {
+                let (scene, variant) = (node.scene.clone(), node.variant.clone());
+                rows.push(Row { scene, variant, cells: Vec::new() });
             }
+            rows[place].cells.push(cell);
         }
         Status { pipeline: self.pipeline.clone(), rows }
     }

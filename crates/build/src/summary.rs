@@ -62,7 +62,7 @@ pub struct RanNode {
     pub seed: Option<u64>,
     /// Its artifact.
     #[serde(skip)]
-    pub artifact: Option<Artifact>,
+    pub artifact: Option<Arc<Artifact>>,
 }
 
 /// The result of a batch.
@@ -85,6 +85,11 @@ pub struct Summary {
 }
 
 impl Summary {
+    /// A summary of nodes that have already run.
+    pub fn of_nodes(nodes: Vec<RanNode>) -> Self {
+        Self { pipeline: String::new(), nodes, interrupted: false, left: false, seconds: 0.0, lease: None }
+    }
+
     /// The present results of one scene in one variant, for use before the batch ends.
     pub fn of_scene(nodes: &[RanNode], scene: &str, variant: &str) -> Self {
         // A result for all scenes also belongs to this scene.
@@ -139,7 +144,7 @@ impl Summary {
                 && (n.scene.is_empty() || n.scene == scene)
                 && (variant.is_empty() || n.variant.is_empty() || n.variant == variant)
         };
-        self.nodes.iter().find(fits).and_then(|n| n.artifact.as_ref())
+        self.nodes.iter().find(fits).and_then(|n| n.artifact.as_deref())
     }
 
     pub(crate) fn count(&self, which: impl Fn(&Became) -> bool) -> usize {

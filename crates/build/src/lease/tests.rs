@@ -158,6 +158,24 @@ fn a_run_protects_what_it_has_decided_on() {
     }
     drop(run);
     assert!(in_use(&cache).is_empty());
+    // Many keys are added one after the other. Every key is seen; there are few files, and each key is written
+    // only a few times.
+    let mut run = RunLease::new(&cache);
+    let mut written = 0;
+    for i in 1..2000_usize {
+        run.extend([key_of(&i.to_string())]);
+        run.show();
+        let size = |part: &Part| std::fs::metadata(&part.path).unwrap().len() as usize;
+        written += run.parts.last().map_or(0, size);
+        assert!(run.parts.len() <= 2 + i.ilog2().saturating_sub(5) as usize, "{}", run.parts.len());
+        if i % 500 == 0 {
+            assert_eq!(in_use(&other).len(), i);
+        }
+    }
+    assert!(written / 2000 < 8000, "{} bytes a key", written / 2000);
+    assert_eq!(in_use(&other).len(), 1999);
+    drop(run);
+    assert!(in_use(&cache).is_empty() && std::fs::read_dir(folder(&cache)).unwrap().count() == 0);
     // A lease of another machine, read only once, counts as live unless it is more than a day old.
     let path = folder(&cache).join(key_of("c").to_string());
     std::fs::write(&path, foreign()).unwrap();

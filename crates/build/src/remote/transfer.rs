@@ -43,10 +43,10 @@ pub enum Fetched {
     /// The store does not have it.
     Missing,
     /// It is in the cache now.
-    Now(Box<Artifact>),
+    Now(Arc<Artifact>),
     /// Another artifact of the same key was in the cache first, and stays: its stage is not deterministic.
     /// The text is the file in which they differ.
-    Differs(Box<Artifact>, String),
+    Differs(Arc<Artifact>, String),
 }
 
 /// Result of sending an artifact.
@@ -230,8 +230,8 @@ impl RemoteStore {
         files::at(folder, "create", cache.files().create_dir_all(folder))?;
         each(&manifest.files, |file| self.fetch_file(&folder.join(&file.path), cache, file, stop))?;
         Ok(match cache.adopt(folder, manifest)? {
-            Published::Now(artifact) | Published::Already(artifact) => Fetched::Now(Box::new(artifact)),
-            Published::Differs(artifact, file) => Fetched::Differs(Box::new(artifact), file),
+            Published::Now(artifact) | Published::Already(artifact) => Fetched::Now(Arc::new(artifact)),
+            Published::Differs(artifact, file) => Fetched::Differs(Arc::new(artifact), file),
         })
     }
 

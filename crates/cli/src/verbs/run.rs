@@ -11,7 +11,7 @@ use use3d_build::place;
 use use3d_build::{Builder, Cache, Event, Graph, Listener, Plan, RunOptions, Summary, picture};
 use use3d_cluster::quote;
 use use3d_pipeline::config::{LoadOptions, Pipeline, for_capture, load};
-use use3d_pipeline::results::{self, Delivered};
+use use3d_pipeline::results::{Delivered, Results};
 
 use crate::App;
 use crate::args::{
@@ -242,7 +242,10 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     let out = (!args.cache_only).then_some(out);
     if let Some(out) = &out {
         outside_the_cache(out, &loaded.pipeline.cache)?;
-        results::check(&loaded.graph, until.as_deref(), out)?;
+    }
+    let results = out.map(|out| Arc::new(Results::new(&out, &loaded.builder.cache)));
+    if let Some(results) = &results {
+        results.check(&loaded.graph, until.as_deref())?;
     }
     let loaded = match &args.remote {
         Some(address) => {
@@ -267,7 +270,7 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     };
     let white = (!choices.is_empty()).then_some((choices, pipeline.target.as_path()));
     let given = Given { pipeline: &pipeline, scenes: &args.scene, white };
-    let done = execute(app, &loaded, &options, (out.as_deref(), &given), args.json);
+    let done = execute(app, &loaded, &options, (results.as_ref(), &given), args.json);
     if let Some(watched) = &watched {
         watched.end(&done);
     }
@@ -359,7 +362,8 @@ pub(crate) fn again(app: &App, record: &Record, results: &Path) -> Done {
     }
     let options = RunOptions { until: record.until.clone(), ..of_app(app) };
     let given = Given { pipeline: &args, scenes: &record.scenes, white: None };
-    execute(app, &loaded, &options, (Some(results), &given), false)
+    let results = Arc::new(Results::new(results, &loaded.builder.cache));
+    execute(app, &loaded, &options, (Some(&results), &given), false)
 }
 
 /// Runs a pipeline, writes its results into `out`, and stores a record of the run there.
@@ -367,7 +371,7 @@ fn execute(
     app: &App,
     loaded: &Loaded,
     options: &RunOptions,
-    (out, given): (Option<&Path>, &Given<'_>),
+    (out, given): (Option<&Arc<Results>>, &Given<'_>),
     as_json: bool,
 ) -> Done {
     let listener = out.map_or_else(|| app.listener.clone(), |out| delivering(app, out));
@@ -375,14 +379,15 @@ fn execute(
     // The finished results of an interrupted run were delivered scene by scene.
     let whole = !summary.interrupted && !summary.left;
     let mut delivered = match out {
-        Some(out) if whole => results::deliver(&summary, out, &typed()),
+        Some(out) if whole => out.deliver(&summary, &typed()),
         _ => Ok(Vec::new()),
     };
     if let (Some((choices, capture)), Ok(there), Some(out)) = (given.white, &delivered, out) {
         balance(app, choices, capture, there)?;
         // The pages open with this white balance.
         if !there.is_empty() {
-            delivered = results::deliver(&summary, out, &typed());
+            out.look_again();
+            delivered = out.deliver(&summary, &typed());
         }
     }
     if as_json {
@@ -398,7 +403,7 @@ fn execute(
     if let Some(out) = out.filter(|_| !delivered.is_empty()) {
         let until = options.until.as_deref();
         let record = Record::of(given.pipeline, given.scenes, until, loaded, &summary, typed());
-        history::keep(out, record, app.quiet || as_json)?;
+        history::keep(out.folder(), record, app.quiet || as_json)?;
     }
     match summary.exit_code() {
         0 => Ok(()),
@@ -432,12 +437,12 @@ fn typed() -> String {
 
 /// The app's listener, which also delivers the results of every scene as soon as it is finished: the batch
 /// may run for days or fail.
-fn delivering(app: &App, out: &Path) -> Arc<dyn Listener> {
-    let (inner, out) = (app.listener.clone(), out.to_path_buf());
+fn delivering(app: &App, out: &Arc<Results>) -> Arc<dyn Listener> {
+    let (inner, out) = (app.listener.clone(), out.clone());
     Arc::new(move |event: &Event<'_>| {
         inner.event(event);
         if let Event::SceneOver { scene, variant, nodes } = event
-            && let Err(error) = results::deliver(&Summary::of_scene(nodes, scene, variant), &out, &typed())
+            && let Err(error) = out.deliver(&Summary::of_scene(nodes, scene, variant), &typed())
         {
             // Delivery is tried again at the end, where a failure counts.
             let text = format!("its results could not be delivered yet: {error}");
@@ -478,7 +483,7 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
     let throwaway = CacheArgs { cache: Some(probe.path().join("cache")), ..args.cache.clone() };
     let probed =
         open(&PipelineArgs { settings: settings.clone(), ..PipelineArgs::of(&empty, &throwaway) }, &[])?;
-    results::check(&probed.graph, None, &args.out)?;
+    Results::new(&args.out, &probed.builder.cache).check(&probed.graph, None)?;
     place::check(&capture, true)?;
     place::check_writable(&args.out)?;
     keep_capture(app, &params, &capture)?;
@@ -486,9 +491,10 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
     cache.cache.get_or_insert_with(|| args.out.join("cache"));
     let pipeline = PipelineArgs { settings, ..PipelineArgs::of(&capture, &cache) };
     let loaded = open(&pipeline, &[])?;
-    results::check(&loaded.graph, None, &args.out)?;
+    let results = Arc::new(Results::new(&args.out, &loaded.builder.cache));
+    results.check(&loaded.graph, None)?;
     let given = Given { pipeline: &pipeline, scenes: &[], white: None };
-    execute(app, &loaded, &of_app(app), (Some(&args.out), &given), false)?;
+    execute(app, &loaded, &of_app(app), (Some(&results), &given), false)?;
     if !app.quiet {
         println!(
             "the demo took {}; open {} in a browser",

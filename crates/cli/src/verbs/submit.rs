@@ -11,7 +11,7 @@ use use3d_cluster::site::{Scheduler, Site};
 use use3d_cluster::slurm::{self, Submission};
 use use3d_cluster::{ClusterError, hyperqueue, quote, time};
 use use3d_pipeline::config::Pipeline;
-use use3d_pipeline::results;
+use use3d_pipeline::results::Results;
 
 use crate::App;
 use crate::args::{Submit, SubmitArgs, SubmitLayout};
@@ -241,7 +241,7 @@ fn prepare(app: &App, scheduler: Scheduler, args: &SubmitArgs) -> Result<Option<
     }
     let place = std::env::current_dir().map_err(CliError::failed)?;
     let out = args.out.clone().unwrap_or_else(|| PathBuf::from("use3d-out").join(&pipeline.batch.name));
-    results::check(graph, None, &out)?;
+    Results::new(&out, &builder.cache).check(graph, None)?;
     let out = place.join(out);
     let mut run =
         vec![text(&args.pipeline.target)?, "--cache".to_string(), text(&absolute(&pipeline.cache)?)?];
