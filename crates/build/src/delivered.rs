@@ -5,10 +5,10 @@
 //! <cache>/v1/delivered/<results folder>/<part>.json
 //! ```
 //!
-//! A note lists the sources of the part, and has a digest of the names, sizes, times and inodes of its files at
-//! the time of delivery. If this digest is the same now, no file was changed, added or removed, and the part is
-//! ours as it was delivered. Without a note, or with another digest, every place is examined as closely as
-//! before ([`place`](super::place)). So the loss of a note costs only time.
+//! A note lists the sources of the part, and has a digest of the names, sizes, times and inodes of its files
+//! at the time of delivery. If this digest is the same now, no file was changed, added or removed, and the
+//! part is ours as it was delivered. Without a note, or with another digest, every place is examined as
+//! closely as before ([`place`](super::place)). So the loss of a note costs only time.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

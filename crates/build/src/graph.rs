@@ -236,6 +236,30 @@ impl Graph {
         Ok(Self { name: batch.name.clone(), nodes: builder.nodes })
     }
 
+    /// Returns a digest of the batch: its stages with their code, the parameters that count, seeds and
+    /// inputs. Two processes with the same digest compute the same keys.
+    pub fn digest(&self, registry: &Registry) -> Digest {
+        let mut encoder = Encoder::new("use3d 2026 batch v1");
+        for node in &self.nodes {
+            encoder.text(node.stage_name).text(&node.scene).text(&node.variant);
+            for (name, digest) in &registry.code(node.stage).ours {
+                encoder.text(name).bytes(digest.as_bytes());
+            }
+            let stage = &registry.stages()[node.stage];
+            canonical::encode(&stage.key_parameters(&node.parameters), &mut encoder);
+            encoder.number(u64::from(node.seed.is_some())).number(node.seed.unwrap_or(0));
+            for input in &node.inputs {
+                encoder.text(input.role);
+                match &input.from {
+                    From::Node(node) => encoder.number(*node as u64),
+                    From::External(Ok(path)) => encoder.text(&path.to_string_lossy()),
+                    From::External(Err(reason)) => encoder.text(reason),
+                };
+            }
+        }
+        encoder.finish()
+    }
+
     /// Finds the node of a stage in a scene (empty for stages over all scenes) and variant (empty for the
     /// first).
     pub fn find(&self, scene: &str, variant: &str, stage: &str) -> Option<usize> {

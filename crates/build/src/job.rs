@@ -157,6 +157,10 @@ impl Job<'_> {
         let artifacts = self.resolved.artifacts.iter().map(|(_, a)| a.manifest.key);
         let reads: Vec<Key> = artifacts.chain(self.resolved.checkpoints).collect();
         let asked = Lease::ask(cache, key, &reads);
+        if let (Asked::Granted(_), Some(killed)) = (&asked, cache.killed(key)) {
+            let text = format!("{killed}; continuing from its checkpoint");
+            self.listener.event(&Event::Warning { label: &self.node.label(), text: &text });
+        }
         // Another process may have finished between the lookup before and the lease.
         let found = match &asked {
             Asked::Granted(Some(lease)) if lease.followed => {
@@ -210,7 +214,8 @@ impl Job<'_> {
     /// Sends the computed artifact to the store, if there is one. `check` is true if the store's copy was
     /// damaged.
     fn send(&self, label: &str, artifact: &Artifact, check: bool) {
-        let Some(store) = self.builder.remote.as_ref().filter(|s| s.is_worth_asking()) else { return };
+        let store = self.builder.remote.as_ref().filter(|s| s.is_worth_asking() && s.takes());
+        let Some(store) = store else { return };
         match store.send(&self.builder.cache, artifact, check, &self.stop) {
             Ok(Sent::Now | Sent::Already) => store.worked(),
             Ok(Sent::Differs(file)) => self.alarm(label, &format!("the store has other bytes of {file}")),
@@ -316,6 +321,7 @@ impl Job<'_> {
                 artifact
             }
         };
+        cache.forget_killed(&self.resolved.key);
         log.line(&format!("done in {}", machine::seconds(seconds)));
         cache.add_timing(&Timing {
             stage: stage.name.to_string(),
@@ -405,7 +411,9 @@ fn watched<T>(
             lease.iter().for_each(|l| l.renew(reached));
             let mut renewed = clock.now();
             while let Err(mpsc::RecvTimeoutError::Timeout) = wait.recv_timeout(SAMPLE) {
-                peak.fetch_max(machine::resident_memory().unwrap_or(0), Ordering::Relaxed);
+                let held = machine::resident_memory().unwrap_or(0);
+                peak.fetch_max(held, Ordering::Relaxed);
+                reached.note_memory(held);
                 if clock.now() - renewed > HEARTBEAT {
                     lease.iter().for_each(|l| l.renew(reached));
                     renewed = clock.now();

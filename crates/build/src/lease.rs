@@ -22,12 +22,18 @@ use super::key::Key;
 use super::machine::ProcessId;
 use super::node::Node;
 use super::pulse::{self, Beat, Progress};
+use super::task::{Killed, Task};
 
 /// Time between two renewals by a holder.
 pub(crate) const HEARTBEAT: Duration = Duration::from_secs(10);
 /// The time for which a lease of another machine may stay unchanged before its holder counts as ended: many
-/// times the heartbeat and the minute for which a network file system may show old content.
-const EXPIRY: Duration = Duration::from_secs(300);
+/// times the heartbeat, and more than the minute for which a network file system may show old content.
+const EXPIRY: Duration = Duration::from_secs(110);
+/// The time after which a scheduler is asked if the holder's task is over: longer than a heartbeat.
+const ASKING: Duration = Duration::from_secs(12);
+/// The time for which a run waits for the work of other processes before it leaves that work to them. It is
+/// longer than [`EXPIRY`], so the work of a killed process is taken over.
+pub const PATIENCE: Duration = Duration::from_secs(150);
 /// The same limit for a file without a readable holder: it is being written at this moment, or a crash left
 /// it unfinished.
 const HALF: Duration = Duration::from_secs(5);
@@ -40,13 +46,21 @@ pub(crate) struct Holder {
     process: ProcessId,
     host: String,
     token: String,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    task: Option<Task>,
     /// Keys of the artifacts and checkpoints that the holder reads or resumes from; cleaning up leaves them.
     pub(crate) reads: Vec<Key>,
 }
 
 impl Holder {
     fn of(node: &Node, reads: Vec<Key>) -> Self {
-        Self { process: node.process.clone(), host: node.host.clone(), token: files::unique(), reads }
+        Self {
+            process: node.process.clone(),
+            host: node.host.clone(),
+            token: files::unique(),
+            task: node.task.clone(),
+            reads,
+        }
     }
 
     /// The first line of a lease; its pulse follows.
@@ -133,10 +147,13 @@ fn judge(cache: &Cache, path: &Path, now: Duration) -> Judged {
         Some((_, Some(beat))) if beat.left => return Judged::Dead(bytes),
         Some((holder, _)) => {
             let name = format!("process {} on {}", holder.process.pid, holder.host);
-            let limit = match node.is_alive(&holder.process) {
-                Some(true) => Duration::MAX,
-                Some(false) => Duration::ZERO,
-                None => EXPIRY,
+            let limit = match (node.is_alive(&holder.process), &holder.task) {
+                (Some(true), _) => Duration::MAX,
+                (Some(false), _) => Duration::ZERO,
+                (None, Some(task)) if node.has_followed(task) => Duration::ZERO,
+                // A living holder has renewed its lease meanwhile.
+                (None, Some(task)) if unchanged >= ASKING && node.is_over(task) => Duration::ZERO,
+                (None, _) => EXPIRY,
             };
             (limit, name, Some(holder))
         }
@@ -262,9 +279,9 @@ impl Drop for Lease {
 /// The keys that a run needs, protected until it ends: the artifacts that it has found or made and will read,
 /// and the checkpoints that it resumes from.
 ///
-/// The keys are in a few files, each more than twice as large as the next. Added keys go into a small file, and
-/// two files of about the same size are merged. So a key is written only a few times, however many there are,
-/// and few files need renewal.
+/// The keys are in a few files, each more than twice as large as the next. Added keys go into a small file,
+/// and two files of about the same size are merged. So a key is written only a few times, however many there
+/// are, and few files need renewal.
 pub(crate) struct RunLease {
     cache: Cache,
     holder: Holder,
@@ -427,7 +444,10 @@ fn take_over(lease: Lease, dead: &[u8], now: Duration) -> Asked {
     }
     let asked = if files.read(&path).is_ok_and(|found| found == dead) {
         match put(files, &path, &lease.bytes()) {
-            Ok(()) => Asked::Granted(Some(lease)),
+            Ok(()) => {
+                note_how_it_ended(&cache, &path, dead);
+                Asked::Granted(Some(lease))
+            }
             Err(_) => Asked::Granted(lease.never_held()),
         }
     } else {
@@ -435,6 +455,28 @@ fn take_over(lease: Lease, dead: &[u8], now: Duration) -> Asked {
     };
     let _ = files.remove_file(&claim);
     asked
+}
+
+/// Returns the end of a holder from its last lease; `None` if it gave up by itself.
+fn killed(dead: &[u8]) -> Option<Killed> {
+    let (holder, beat) = Holder::parse(dead)?;
+    let beat = beat.unwrap_or_default();
+    (!beat.left).then(|| Killed {
+        host: holder.host,
+        process: holder.process.pid,
+        task: holder.task,
+        seconds: beat.seconds,
+        peak_memory: beat.memory << 20,
+        times: 1,
+    })
+}
+
+/// Notes for a key that the holder of this lease was killed, if it was.
+fn note_how_it_ended(cache: &Cache, path: &Path, dead: &[u8]) {
+    let key = path.file_name().and_then(|name| name.to_str()?.parse::<Key>().ok());
+    if let (Some(key), Some(killed)) = (key, killed(dead)) {
+        cache.note_killed(&key, killed);
+    }
 }
 
 /// Writes a whole lease over the old file. It is not synced: after a power cut no process holds it.
@@ -480,7 +522,10 @@ pub(crate) fn in_use(cache: &Cache) -> BTreeSet<Key> {
         }
         let live = match judge(cache, &path, cache.node().clock.now()) {
             Judged::Absent => continue,
-            Judged::Dead(_) => None,
+            Judged::Dead(dead) => {
+                note_how_it_ended(cache, &path, &dead);
+                None
+            }
             Judged::Live(_, Some(holder)) if cache.node().is_alive(&holder.process) == Some(true) => {
                 Some(Some(holder))
             }
@@ -521,6 +566,9 @@ pub struct Working {
     pub total: u64,
     /// The unit of the work.
     pub unit: String,
+    /// The scheduler's task of the holder, if there is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub task: Option<Task>,
 }
 
 impl Cache {
@@ -530,11 +578,17 @@ impl Cache {
         let path = folder(self).join(key.to_string());
         let (holder, beat) = Holder::parse(&self.files().read(&path).ok()?)?;
         let beat = beat.unwrap_or_default();
-        if beat.left || self.node().is_alive(&holder.process) == Some(false) {
+        let alive = self.node().is_alive(&holder.process);
+        if beat.left || alive == Some(false) {
             return None;
         }
         let modified = std::fs::metadata(&path).and_then(|m| m.modified()).ok();
         let silent = file_time(self).zip(modified).and_then(|(now, at)| now.duration_since(at).ok());
+        let silent_long = silent.is_some_and(|silent| silent >= ASKING);
+        if alive.is_none() && silent_long && holder.task.as_ref().is_some_and(|t| self.node().is_over(t)) {
+            // The next holder notes the end; until then the lease itself shows it.
+            return None;
+        }
         Some(Working {
             host: holder.host,
             process: holder.process.pid,
@@ -543,7 +597,31 @@ impl Cache {
             done: beat.done,
             total: beat.total,
             unit: beat.unit,
+            task: holder.task,
         })
+    }
+}
+
+impl Cache {
+    /// Returns the process that was killed while it computed a key, from a note or from the lease it left.
+    pub fn killed_at(&self, key: &Key) -> Option<Killed> {
+        let path = folder(self).join(key.to_string());
+        let left = || -> Option<Killed> {
+            let bytes = self.files().read(&path).ok()?;
+            // The holder may still be at work.
+            if self.working_on(key).is_some() {
+                return None;
+            }
+            killed(&bytes)
+        };
+        match (self.killed(key), left()) {
+            (Some(noted), Some(left)) => Some(Killed {
+                peak_memory: noted.peak_memory.max(left.peak_memory),
+                times: noted.times + 1,
+                ..left
+            }),
+            (noted, left) => noted.or(left),
+        }
     }
 }
 

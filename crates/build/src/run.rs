@@ -66,6 +66,9 @@ pub struct RunOptions {
     pub leave: Arc<AtomicBool>,
     /// Stop waiting for other processes after this long idle; `None` waits until they finish.
     pub until_empty: Option<Duration>,
+    /// Compute only stages over the whole batch, from the artifacts that exist; other stages are only looked
+    /// up.
+    pub gather: bool,
     /// The executor of the jobs.
     pub executor: Arc<dyn Executor>,
 }
@@ -83,6 +86,7 @@ impl Default for RunOptions {
             limit: None,
             leave: Arc::default(),
             until_empty: None,
+            gather: false,
             executor: Arc::new(Threads),
         }
     }
@@ -298,6 +302,7 @@ impl<'r> Runner<'r> {
                     self.finish(i, ended, ingredients);
                 }
                 self.lease.keep_alive();
+                self.watch_time();
             }
             self.lease.show();
             self.tell_scenes();
@@ -496,6 +501,12 @@ impl<'r> Runner<'r> {
                 self.fail(i, Some(resolved.key), error.to_string());
                 return true;
             }
+        }
+        if self.options.gather && self.scope(i) != Scope::Batch {
+            self.nodes[i].result = Became::Missing;
+            self.outcomes[i] = Outcome::Unavailable(self.nodes[i].label.clone());
+            self.over(i);
+            return true;
         }
         if self.scope(i) == Scope::Shared {
             match self.need(i) {

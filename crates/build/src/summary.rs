@@ -27,6 +27,8 @@ pub enum Became {
     Blocked(String),
     /// Not run because the run ended before it.
     NotRun,
+    /// Missing, in a run that computes only stages over the whole batch.
+    Missing,
     /// Left to another process, which computes it or its inputs; the text names that process.
     Elsewhere(String),
     /// Not requested.
@@ -114,12 +116,19 @@ impl Summary {
         if self.interrupted && !self.left {
             return 130;
         }
-        u8::from(any(|r| matches!(r, Became::Failed { .. } | Became::Blocked(_) | Became::NotRun)))
+        u8::from(any(|r| {
+            matches!(r, Became::Failed { .. } | Became::Blocked(_) | Became::NotRun | Became::Missing)
+        }))
     }
 
     /// Number of nodes that were left to other processes.
     pub fn elsewhere(&self) -> usize {
         self.count(|r| matches!(r, Became::Elsewhere(_)))
+    }
+
+    /// The nodes that are missing and were not requested.
+    pub fn missing(&self) -> impl Iterator<Item = &RanNode> {
+        self.nodes.iter().filter(|n| !n.shared && n.result == Became::Missing)
     }
 
     /// Number of nodes that were computed in this run.

@@ -58,7 +58,8 @@ fn folder_of(scene: &str, variant: &str) -> PathBuf {
     if variant.is_empty() { scene.into() } else { format!("{scene}@{variant}").into() }
 }
 
-/// A results folder and the notes about its parts. A part is the folder of a scene, or the page and the tables.
+/// A results folder and the notes about its parts. A part is the folder of a scene, or the page and the
+/// tables.
 pub struct Results {
     out: PathBuf,
     notes: Notes,
@@ -262,7 +263,9 @@ impl Results {
         delivered.extend(has_tables.then(|| Delivered::over_all("tables", tables.clone())));
         let mut sources = sources_of(summary.nodes.iter());
         sources.update(made_by_program().as_bytes());
-        views.iter().for_each(|view| drop(sources.update(view.path.as_os_str().as_encoded_bytes())));
+        for view in views {
+            sources.update(view.path.as_os_str().as_encoded_bytes());
+        }
         let wanted = MadeOf::from([(PAGE.to_string(), Digest::from(sources.finalize()).to_string())]);
         let computed = summary.nodes.iter().any(|n| matches!(n.result, Became::Done));
         if !computed && self.stands(OVER_ALL) && self.made_of(OVER_ALL) == wanted {
@@ -396,7 +399,8 @@ impl Delivered {
 /// balance. Returns true if the page is there.
 fn write_view(own: &Cell<'_>, shown: &Artifact, page: &Path) -> Result<bool, PlaceError> {
     let folder = place::parent(page);
-    // The page records its scene, its program and its white balance. A page with the same record is up to date.
+    // The page records its scene, its program and its white balance. A page with the same record is up to
+    // date.
     let white = white_of(folder, shown.manifest.key);
     let balanced = white.as_ref().map_or_else(String::new, |(_, digest)| format!(", white {digest}"));
     let source = format!("<!-- {}{balanced} -->\n", view_of(shown));

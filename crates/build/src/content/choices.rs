@@ -1,8 +1,8 @@
 //! Choices of files that are not made twice.
 //!
-//! To choose the files of a capture that a stage reads, its model is read and its folders are listed, which may
-//! take long. So a choice is stored with its sources: the files that were read and the folders that were listed.
-//! It is valid as long as none of them has another size, time or inode. Errors are not stored.
+//! To choose the files of a capture that a stage reads, its model is read and its folders are listed, which
+//! may take long. So a choice is stored with its sources: the files that were read and the folders that were
+//! listed. It is valid as long as none of them has another size, time or inode. Errors are not stored.
 
 use std::collections::{BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
@@ -78,8 +78,8 @@ impl Choices {
         files
     }
 
-    /// Returns the new bytes of the table, with the choices that other processes have written meanwhile; `None`
-    /// if there is no new choice.
+    /// Returns the new bytes of the table, with the choices that other processes have written meanwhile;
+    /// `None` if there is no new choice.
     pub(super) fn to_write(&self, there: impl FnOnce() -> Vec<u8>) -> Option<Vec<u8>> {
         if self.changed.is_empty() {
             return None;

@@ -8,7 +8,7 @@ use super::super::key::{Ingredients, Key};
 use super::super::machine;
 use super::super::resolve::Outcome;
 use super::super::summary::Became;
-use super::{Phase, Runner};
+use super::Runner;
 
 /// The parts of a node's record that matter during a run. The whole record is read only to change it.
 #[derive(Clone, Copy, Debug, Default)]

@@ -1,12 +1,14 @@
 //! A store beside the cache: `push`, `pull`, and the store that `run` uses.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
+use use3d_build::gc::parse_age;
 use use3d_build::place::parent;
-use use3d_build::remote::{RemoteStore, Transferred};
+use use3d_build::remote::{RemoteError, RemoteStore, Transferred};
 
 use crate::App;
-use crate::args::{PushArgs, TransferArgs};
+use crate::args::{PipelineArgs, PushArgs, RemoteArgs, StoreGcArgs, StoreLsArgs, TransferArgs};
 use crate::destination::path_text;
 use crate::error::{CliError, Done};
 use crate::verbs::run::{Loaded, json, open};
@@ -18,10 +20,81 @@ fn store(address: &str) -> Result<RemoteStore, CliError> {
 }
 
 /// The store at an address, after a test that it works reliably.
-pub(crate) fn probed(app: &App, address: &str) -> Result<Arc<RemoteStore>, CliError> {
+fn probed(app: &App, address: &str) -> Result<RemoteStore, CliError> {
     let store = store(address)?;
     store.probe(&app.stop).map_err(|e| CliError::Failed(format!("--remote: {e}")))?;
-    Ok(Arc::new(store))
+    Ok(store)
+}
+
+/// The store of a run. A store that does not answer now may answer later, so it ends no run. Nothing is sent
+/// to it until a test has shown that it works reliably.
+pub(crate) fn of_run(app: &App, address: &str, read_only: bool) -> Result<Arc<RemoteStore>, CliError> {
+    let store = store(address)?;
+    if read_only {
+        return Ok(Arc::new(store.read_only()));
+    }
+    match store.probe(&app.stop) {
+        Ok(()) => Ok(Arc::new(store)),
+        Err(error @ RemoteError::Refused { passing: true, .. }) => {
+            eprintln!(
+                "warning: --remote: {error}; it is asked for what it has all the same, and nothing is sent to it: `use3d push` \
+                 does that later"
+            );
+            Ok(Arc::new(store.read_only()))
+        }
+        Err(error) => Err(CliError::Failed(format!("--remote: {error}"))),
+    }
+}
+
+pub(crate) fn list(app: &App, args: &StoreLsArgs) -> Done {
+    existing(&args.store)?;
+    let shelf = store(&args.store.remote)?.shelf(&app.stop).map_err(CliError::failed)?;
+    if args.json {
+        let (files, bytes) = shelf.size();
+        return json(&serde_json::json!({ "stages": shelf.stages(), "files": files, "bytes": bytes }));
+    }
+    print!("{shelf}");
+    Ok(())
+}
+
+pub(crate) fn sweep(app: &App, args: &StoreGcArgs) -> Done {
+    let older_than =
+        parse_age(&args.older_than).map_err(|e| CliError::Input(format!("--older-than: {e}")))?;
+    existing(&args.store)?;
+    let mut keep = BTreeSet::new();
+    for pipeline in &args.keep {
+        let loaded = open(&PipelineArgs::of(pipeline, &args.cache), &[])?;
+        let plan = loaded.builder.plan(&loaded.graph, None);
+        // An artifact without a key cannot be distinguished from one that no node needs.
+        if plan.to_run() > 0 {
+            return Err(CliError::Input(format!(
+                "--keep {}: {} of its stages are not in the cache, so that it is not known what of the store they are; \
+                 `use3d pull` it or run it first",
+                path_text(pipeline),
+                plan.to_run()
+            )));
+        }
+        keep.extend(plan.keys());
+    }
+    let swept = store(&args.store.remote)?.sweep(older_than, &keep, args.dry_run, &app.stop);
+    let swept = swept.map_err(CliError::failed)?;
+    if args.json {
+        json(&swept)?;
+    } else {
+        print!("{swept}");
+    }
+    if swept.interrupted { Err(CliError::Interrupted) } else { Ok(()) }
+}
+
+/// Refuses a store folder that does not exist.
+fn existing(args: &RemoteArgs) -> Done {
+    match use3d_store::folder(&args.remote).filter(|folder| !folder.is_dir()) {
+        None => Ok(()),
+        Some(folder) => Err(CliError::Failed(format!(
+            "--remote: {}: there is no such folder; give the one that `push` or `run --remote` filled, or mount it",
+            folder.display()
+        ))),
+    }
 }
 
 fn loaded(args: &TransferArgs) -> Result<Loaded, CliError> {
@@ -30,7 +103,7 @@ fn loaded(args: &TransferArgs) -> Result<Loaded, CliError> {
 
 pub(crate) fn push(app: &App, args: &PushArgs) -> Done {
     let Loaded { builder, graph, .. } = loaded(&args.what)?;
-    let store = probed(app, &args.what.remote)?;
+    let store = probed(app, &args.what.store.remote)?;
     let cache = &builder.cache;
     let sent = builder.push(&graph, &store, args.check, &app.stop, &app.listener);
     let sent = sent.map_err(CliError::failed)?;
@@ -48,13 +121,8 @@ pub(crate) fn push(app: &App, args: &PushArgs) -> Done {
 pub(crate) fn pull(app: &App, args: &TransferArgs) -> Done {
     let Loaded { builder, graph, .. } = loaded(args)?;
     // A user who only fetches may have no permission to write.
-    let store = store(&args.remote)?;
-    if let Some(folder) = use3d_store::folder(&args.remote).filter(|folder| !folder.is_dir()) {
-        return Err(CliError::Failed(format!(
-            "--remote: {}: there is no such folder; give the one that `push` or `run --remote` filled, or mount it",
-            folder.display()
-        )));
-    }
+    let store = store(&args.store.remote)?;
+    existing(&args.store)?;
     let fetched = builder.pull(&graph, &store, &app.stop, &app.listener);
     let done = fetched.map_err(CliError::failed)?;
     if done.moved == 0 && done.missing > 0 && done.problems.is_empty() && !done.interrupted && !app.quiet {
@@ -74,6 +142,10 @@ fn tell(done: &Transferred, args: &TransferArgs) -> Done {
     }
     match (done.interrupted, done.problems.len()) {
         (true, _) => Err(CliError::Interrupted),
+        (false, 0) if args.all_or_fail && done.missing > 0 => Err(CliError::Failed(format!(
+            "{} of the pipeline are missing, and --all-or-fail asks for all",
+            if done.missing == 1 { "1 artifact".to_string() } else { format!("{} artifacts", done.missing) }
+        ))),
         (false, 0) => Ok(()),
         (false, 1) => Err(CliError::Failed("1 artifact has a problem, see above".into())),
         (false, n) => Err(CliError::Failed(format!("{n} artifacts have problems, see above"))),

@@ -3,26 +3,27 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use serde::Serialize;
 use use3d_build::machine::seconds;
 use use3d_build::place;
-use use3d_build::{Builder, Cache, Event, Graph, Listener, Plan, RunOptions, Summary, picture};
-use use3d_cluster::quote;
+use use3d_build::status::{Row, Standing};
+use use3d_build::{Builder, Cache, Event, Graph, Listener, PATIENCE, Plan, RunOptions, Summary, picture};
+use use3d_cluster::{quote, slurm};
 use use3d_pipeline::config::{LoadOptions, Pipeline, for_capture, load};
 use use3d_pipeline::results::{Delivered, Results};
 
 use crate::App;
 use crate::args::{
     CacheArgs, DemoArgs, DemoSize, GraphArgs, GraphFormat, PipelineArgs, PlanArgs, RunArgs, Settings,
-    WhiteChoice, WhyArgs, as_typed,
+    StatusArgs, WhiteChoice, WhyArgs, as_typed,
 };
 use crate::destination::path_text;
 use crate::error::{CliError, Done};
 use crate::verbs::history::{self, Record};
 use crate::verbs::outcome::{self, Outcome};
-use crate::verbs::remote::probed;
+use crate::verbs::remote::of_run;
 use crate::verbs::stages::{scratch, stages};
 use crate::verbs::synth::keep_capture;
 use crate::verbs::view::Watched;
@@ -70,7 +71,7 @@ pub(crate) fn open(args: &PipelineArgs, scenes: &[String]) -> Result<Loaded, Cli
     let pipeline =
         pipeline.map_err(|error| CliError::Input(as_typed(&error.to_string(), &args.spelled())))?;
     outside_captures(&pipeline)?;
-    let cache = Cache::open(&pipeline.cache, cache.rehash).map_err(CliError::input)?;
+    let cache = Cache::open(&pipeline.cache, cache.rehash).map_err(CliError::input)?.asking(slurm::is_over());
     let graph = Graph::new(&registry, &pipeline.batch).map_err(CliError::input)?;
     Ok(Loaded { pipeline, builder: Builder::new(registry, cache), graph })
 }
@@ -178,14 +179,32 @@ fn show(plan: &Plan, as_json: bool) -> Done {
     }
 }
 
-pub(crate) fn status(args: &PlanArgs) -> Done {
-    let (_, plan) = planned(args)?;
-    let status = plan.status();
-    if args.json {
-        return json(&status);
+pub(crate) fn status(args: &StatusArgs) -> Done {
+    let (loaded, plan) = planned(&args.plan)?;
+    let mut status = plan.status();
+    for name in &args.scene {
+        let known = || loaded.pipeline.batch.scenes.iter().map(|s| s.name.as_str());
+        if !known().any(|scene| scene == name) {
+            return Err(CliError::input(use3d_build::BuildError::unknown("scene", name, known())));
+        }
     }
-    print!("{status}");
-    Ok(())
+    status.rows.retain(|row| {
+        let asked = args.scene.is_empty() || args.scene.contains(&row.scene);
+        let failed = |row: &Row| row.cells.iter().any(|cell| cell.standing == Standing::Failed);
+        asked && (!args.failed || failed(row))
+    });
+    match (args.summary, args.plan.json) {
+        (true, true) => json(&status.counts()),
+        (true, false) => {
+            print!("{}", status.counts());
+            Ok(())
+        }
+        (false, true) => json(&status),
+        (false, false) => {
+            print!("{status}");
+            Ok(())
+        }
+    }
 }
 
 pub(crate) fn why(args: &WhyArgs) -> Done {
@@ -230,6 +249,15 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     if args.dry_run {
         return show(&loaded.builder.plan(&loaded.graph, until.as_deref()), args.json);
     }
+    if let Some(submitted) = &args.submitted
+        && *submitted != loaded.graph.digest(&loaded.builder.registry).short()
+    {
+        return Err(CliError::Input(format!(
+            "{}: this is not the submitted pipeline: the file was edited since, or this is another version of the \
+             program; submit it again",
+            path_text(&pipeline.target)
+        )));
+    }
     let choices = &args.white.choices[..];
     if !choices.is_empty() && !pipeline.target.is_dir() {
         let what =
@@ -249,7 +277,7 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     }
     let loaded = match &args.remote {
         Some(address) => {
-            let store = probed(app, address)?;
+            let store = of_run(app, address, args.remote_read_only)?;
             Loaded { builder: loaded.builder.with_remote(store), ..loaded }
         }
         None => loaded,
@@ -266,6 +294,7 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
         only,
         limit: args.max_time,
         until_empty: args.until_empty.then_some(PATIENCE),
+        gather: args.gather,
         ..of_app(app)
     };
     let white = (!choices.is_empty()).then_some((choices, pipeline.target.as_path()));
@@ -289,9 +318,6 @@ fn tell_why(plan: &Plan) {
         eprintln!("the whole run will take about {}{besides}, judging by earlier runs", seconds(forecast));
     }
 }
-
-/// The time for which a run with nothing else to do waits for the work of other processes.
-const PATIENCE: Duration = Duration::from_secs(60);
 
 /// The default options of a run in this process.
 fn of_app(app: &App) -> RunOptions {
@@ -410,6 +436,20 @@ fn execute(
         75 => Err(CliError::OutOfTime),
         130 => Err(CliError::Interrupted),
         _ => {
+            let missing: Vec<&str> = summary.missing().map(|node| node.label.as_str()).collect();
+            if !missing.is_empty() {
+                return Err(CliError::Failed(format!(
+                    "{} missing: {}{}; `use3d submit` hands them over once more, `use3d run` without --gather computes them \
+                     here",
+                    if missing.len() == 1 {
+                        "1 stage is".to_string()
+                    } else {
+                        format!("{} stages are", missing.len())
+                    },
+                    missing[..missing.len().min(SHOWN)].join(", "),
+                    if missing.len() > SHOWN { ", …" } else { "" }
+                )));
+            }
             let failed: Vec<&str> = summary.failed().map(|node| node.label.as_str()).collect();
             Err(CliError::Failed(format!("failed: {}; see the reasons and logs above", failed.join(", "))))
         }
@@ -428,6 +468,9 @@ fn balance(app: &App, choices: &[WhiteChoice], capture: &Path, delivered: &[Deli
     }
     Ok(())
 }
+
+/// The number of missing stages that are named one by one.
+const SHOWN: usize = 6;
 
 /// The command as it was typed.
 fn typed() -> String {
