@@ -22,7 +22,7 @@ use super::key::Key;
 use super::machine::ProcessId;
 use super::node::Node;
 use super::pulse::{self, Beat, Progress};
-use super::task::{Killed, Task};
+use super::task::{ClusterTask, Killed};
 
 /// Time between two renewals by a holder.
 pub(crate) const HEARTBEAT: Duration = Duration::from_secs(10);
@@ -47,7 +47,7 @@ pub(crate) struct Holder {
     host: String,
     token: String,
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    task: Option<Task>,
+    task: Option<ClusterTask>,
     /// Keys of the artifacts and checkpoints that the holder reads or resumes from; cleaning up leaves them.
     pub(crate) reads: Vec<Key>,
 }
@@ -285,7 +285,7 @@ impl Drop for Lease {
 pub(crate) struct RunLease {
     cache: Cache,
     holder: Holder,
-    parts: Vec<Part>,
+    parts: Vec<LeaseFile>,
     keys: BTreeSet<Key>,
     /// The keys that are not yet in a part.
     fresh: Vec<Key>,
@@ -294,7 +294,7 @@ pub(crate) struct RunLease {
 }
 
 /// One file of a run's lease.
-struct Part {
+struct LeaseFile {
     path: PathBuf,
     line: Vec<u8>,
     keys: Vec<Key>,
@@ -358,7 +358,7 @@ impl RunLease {
         for part in self.parts.drain(kept..).skip(1) {
             let _ = files.remove_file(&part.path);
         }
-        self.parts.push(Part { path, line, keys });
+        self.parts.push(LeaseFile { path, line, keys });
     }
 
     /// Writes the pulse if it is due, so that other processes see that this one is alive.
@@ -568,7 +568,7 @@ pub struct Working {
     pub unit: String,
     /// The scheduler's task of the holder, if there is one.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub task: Option<Task>,
+    pub task: Option<ClusterTask>,
 }
 
 impl Cache {

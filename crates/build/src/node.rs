@@ -4,7 +4,7 @@
 use std::time::{Duration, Instant};
 
 use super::machine::{Machine, ProcessId};
-use super::task::{IsOver, Task};
+use super::task::{ClusterTask, IsOver};
 
 /// A steady clock: seconds since some moment of its own. The clocks of two machines are never compared.
 #[derive(Clone, Copy, Debug)]
@@ -43,7 +43,7 @@ pub struct Node {
     pub(crate) host: String,
     pub(crate) clock: Clock,
     /// The task of a scheduler that this process is.
-    pub(crate) task: Option<Task>,
+    pub(crate) task: Option<ClusterTask>,
     is_over: Option<IsOver>,
 }
 
@@ -54,7 +54,7 @@ impl Node {
             process: ProcessId::this(),
             host: Machine::this().host,
             clock: Clock::system(),
-            task: Task::this(),
+            task: ClusterTask::this(),
             is_over: None,
         }
     }
@@ -68,7 +68,7 @@ impl Node {
 
     /// Returns the same process as a task of a scheduler, for tests.
     #[must_use]
-    pub fn as_task(self, task: Task) -> Self {
+    pub fn as_task(self, task: ClusterTask) -> Self {
         Self { task: Some(task), ..self }
     }
 
@@ -79,12 +79,12 @@ impl Node {
     }
 
     /// Returns true if this process is a later attempt of a task, so that the task is over.
-    pub(crate) fn has_followed(&self, task: &Task) -> bool {
+    pub(crate) fn has_followed(&self, task: &ClusterTask) -> bool {
         self.task.as_ref().is_some_and(|own| own.follows(task))
     }
 
     /// Returns true if the scheduler reports that a task is over.
-    pub(crate) fn is_over(&self, task: &Task) -> bool {
+    pub(crate) fn is_over(&self, task: &ClusterTask) -> bool {
         self.is_over.as_ref().is_some_and(|ask| ask(task) == Some(true))
     }
 

@@ -39,7 +39,7 @@ use super::stage::Scope;
 pub use super::summary::{Became, RanNode, Summary};
 use need::Need;
 use others::{Held, LEAVING};
-use records::Known;
+use records::LastResult;
 
 /// Options of a run.
 #[derive(Clone, Debug)]
@@ -182,7 +182,7 @@ struct Runner<'r> {
     /// The time since which this process has nothing to do.
     idle: Option<Duration>,
     /// The last records of each node, from earlier runs.
-    known: Vec<Known>,
+    known: Vec<LastResult>,
     /// The nodes of each scene and variant, with the number of unfinished ones.
     scenes: Vec<OwnNodes>,
     scene_of: Vec<Option<usize>>,
@@ -228,12 +228,12 @@ impl<'r> Runner<'r> {
         let count = graph.nodes.len();
         let (mut scenes, mut scene_of) = (Vec::<OwnNodes>::new(), vec![None; count]);
         let mut places: HashMap<(&str, &str), usize> = HashMap::new();
-        let mut known = vec![Known::default(); count];
+        let mut known = vec![LastResult::default(); count];
         let records = builder.cache.records(&graph.name);
         let (mut children, mut open) = (vec![Vec::new(); count], vec![0; count]);
         for (i, node) in graph.nodes.iter().enumerate().filter(|(i, _)| wanted[*i]) {
             // A node's last artifact is likely the one it needs now, also while its inputs are being made.
-            known[i] = Known::of(&records.of(node));
+            known[i] = LastResult::of(&records.of(node));
             lease.extend(known[i].last.map(|(key, _)| key));
             if !node.scene.is_empty() {
                 let place = *places.entry((&node.scene, &node.variant)).or_insert(scenes.len());

@@ -55,7 +55,7 @@ pub struct RanNode {
     pub shared: bool,
     /// Its parameters, defaults filled in.
     #[serde(skip)]
-    pub parameters: serde_json::Value,
+    pub parameters: Arc<serde_json::Value>,
     /// The name of the preset below its parameters; empty for none.
     #[serde(skip)]
     pub preset: String,

@@ -15,7 +15,7 @@ use super::key::Key;
 
 /// A task of a scheduler.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Task {
+pub struct ClusterTask {
     /// `slurm` or `hq`.
     pub scheduler: String,
     /// Its number there; `123_4` for a task of an array.
@@ -27,7 +27,7 @@ pub struct Task {
     pub memory: u64,
 }
 
-impl Task {
+impl ClusterTask {
     /// The task of this process, from the variables that schedulers set.
     pub fn this() -> Option<Self> {
         Self::of(&|name: &str| std::env::var(name).ok().filter(|value| !value.is_empty()))
@@ -59,14 +59,14 @@ impl Task {
     }
 }
 
-impl std::fmt::Display for Task {
+impl std::fmt::Display for ClusterTask {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{} {}", self.scheduler, self.id)
     }
 }
 
 /// Asks a scheduler if a task is over; it returns `None` if the scheduler gives no answer.
-pub type IsOver = Arc<dyn Fn(&Task) -> Option<bool> + Send + Sync>;
+pub type IsOver = Arc<dyn Fn(&ClusterTask) -> Option<bool> + Send + Sync>;
 
 /// A process that ended in the middle of its work without a message. Usually it was killed for memory or
 /// time, or its machine was lost.
@@ -78,7 +78,7 @@ pub struct Killed {
     pub process: u32,
     /// Its task.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub task: Option<Task>,
+    pub task: Option<ClusterTask>,
     /// The time in seconds that it had worked, by its last pulse.
     pub seconds: u64,
     /// Its peak memory in bytes, by its last pulse.
@@ -139,7 +139,7 @@ mod tests {
         let of = |set: &[(&str, &str)]| {
             let set: Vec<(String, String)> =
                 set.iter().map(|(a, b)| (a.to_string(), b.to_string())).collect();
-            Task::of(&|name| set.iter().find(|(n, _)| n == name).map(|(_, value)| value.clone()))
+            ClusterTask::of(&|name| set.iter().find(|(n, _)| n == name).map(|(_, value)| value.clone()))
         };
         assert_eq!(of(&[]), None);
         let first = of(&[
@@ -150,7 +150,7 @@ mod tests {
         ])
         .unwrap();
         assert_eq!((first.id.as_str(), first.attempt, first.memory), ("12_4", 0, 900 << 20));
-        let later = Task { attempt: 2, ..first.clone() };
+        let later = ClusterTask { attempt: 2, ..first.clone() };
         assert!(later.follows(&first) && !first.follows(&later) && !first.follows(&first));
         let other = of(&[("SLURM_JOB_ID", "17"), ("SLURM_RESTART_COUNT", "9")]).unwrap();
         assert!(other.id == "17" && !other.follows(&first));
@@ -165,7 +165,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let cache = Cache::open(dir.path(), false).unwrap();
         let key = super::super::digest::Digest::of(b"key");
-        let task = Task { scheduler: "slurm".into(), id: "1".into(), attempt: 0, memory: 1000 };
+        let task = ClusterTask { scheduler: "slurm".into(), id: "1".into(), attempt: 0, memory: 1000 };
         let killed = |peak_memory| Killed {
             host: "n1".into(),
             process: 7,

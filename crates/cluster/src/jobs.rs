@@ -122,7 +122,8 @@ pub fn of(
     let last: Vec<&PlannedNode> = todo.iter().copied().filter(|n| scope(n.stage) == Scope::Batch).collect();
     jobs.push(Job {
         name: "finish".to_string(),
-            about: "Makes the report from the results that exist, fills the results folder, and names what is missing."
+        about: "Makes the report from the results that exist, fills the results folder, and names what is \
+             missing."
             .to_string(),
         tasks: None,
         at_once: 1,
@@ -208,7 +209,7 @@ fn workers_of(
 
 /// The array of a task: its stage, its variant, the block of scene numbers, and the jobs it waits for. A
 /// scene with an input that exists already waits for fewer jobs than the others, in an array of its own.
-type Place = (&'static str, String, usize, Vec<After>);
+type ArrayPlace = (&'static str, String, usize, Vec<After>);
 
 /// The tasks of all missing artifacts, in arrays no larger than the site allows.
 fn stages_of(plan: &Plan, registry: &Registry, site: &Site) -> Vec<Job> {
@@ -224,7 +225,7 @@ fn stages_of(plan: &Plan, registry: &Registry, site: &Site) -> Vec<Job> {
     let mut jobs: Vec<Job> = Vec::new();
     for stage in stages {
         let name = stage.name();
-        let mut arrays: Vec<(Place, Vec<(usize, usize)>)> = Vec::new();
+        let mut arrays: Vec<(ArrayPlace, Vec<(usize, usize)>)> = Vec::new();
         let mut known: BTreeMap<(String, usize, Vec<usize>), usize> = BTreeMap::new();
         let own = plan.nodes.iter().enumerate().filter(|(_, n)| n.stage == name && n.shared_with.is_none());
         for (i, node) in own.filter(|(_, n)| is_todo(n)) {

@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use serde::{Deserialize, Serialize};
 use use3d_build::FileError;
 use use3d_build::files::{Disk, write_atomic};
-use use3d_build::task::{IsOver, Task};
+use use3d_build::task::{ClusterTask, IsOver};
 
 use super::ClusterError;
 use super::jobs::{After, Job};
@@ -330,7 +330,7 @@ const FRESH: Duration = Duration::from_secs(10);
 pub fn is_over() -> IsOver {
     type Said = HashMap<String, (Instant, Option<bool>)>;
     let said: Mutex<Said> = Mutex::default();
-    Arc::new(move |task: &Task| {
+    Arc::new(move |task: &ClusterTask| {
         if task.scheduler != "slurm" {
             return None;
         }

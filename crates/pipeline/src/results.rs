@@ -194,7 +194,7 @@ impl Results {
     }
 
     /// Writes the results of a scene in a variant to their places, unless they are there already.
-    fn deliver_cell(&self, own: &Cell<'_>) -> Result<Vec<Delivered>, PlaceError> {
+    fn deliver_cell(&self, own: &DeliveredCell<'_>) -> Result<Vec<Delivered>, PlaceError> {
         let (scene, variant) = (own.scene, own.variant);
         let folder = folder_of(scene, variant);
         let part = folder.to_string_lossy().into_owned();
@@ -304,7 +304,7 @@ impl Results {
 }
 
 /// A scene in a variant: its own nodes, and those that serve all scenes of the variant.
-struct Cell<'s> {
+struct DeliveredCell<'s> {
     scene: &'s str,
     variant: &'s str,
     nodes: Vec<&'s RanNode>,
@@ -312,8 +312,8 @@ struct Cell<'s> {
 }
 
 /// The scenes and variants of a summary, in its order.
-fn cells(summary: &Summary) -> Vec<Cell<'_>> {
-    let mut cells: Vec<Cell<'_>> = Vec::new();
+fn cells(summary: &Summary) -> Vec<DeliveredCell<'_>> {
+    let mut cells: Vec<DeliveredCell<'_>> = Vec::new();
     let mut places: HashMap<(&str, &str), usize> = HashMap::new();
     let mut shared: HashMap<&str, Vec<&RanNode>> = HashMap::new();
     for node in &summary.nodes {
@@ -324,7 +324,7 @@ fn cells(summary: &Summary) -> Vec<Cell<'_>> {
         let place = *places.entry((&node.scene, &node.variant)).or_insert(cells.len());
         if place == cells.len() {
             let (scene, variant) = (&node.scene, &node.variant);
-            cells.push(Cell { scene, variant, nodes: Vec::new(), shared: Vec::new() });
+            cells.push(DeliveredCell { scene, variant, nodes: Vec::new(), shared: Vec::new() });
         }
         cells[place].nodes.push(node);
     }
@@ -335,7 +335,7 @@ fn cells(summary: &Summary) -> Vec<Cell<'_>> {
     cells
 }
 
-impl Cell<'_> {
+impl DeliveredCell<'_> {
     fn artifact(&self, stage: &str) -> Option<&Artifact> {
         self.nodes.iter().find(|node| node.stage == stage)?.artifact.as_deref()
     }
@@ -397,7 +397,7 @@ impl Delivered {
 
 /// Writes a scene's page, unless it was made from the same scene by the same program and with the same white
 /// balance. Returns true if the page is there.
-fn write_view(own: &Cell<'_>, shown: &Artifact, page: &Path) -> Result<bool, PlaceError> {
+fn write_view(own: &DeliveredCell<'_>, shown: &Artifact, page: &Path) -> Result<bool, PlaceError> {
     let folder = place::parent(page);
     // The page records its scene, its program and its white balance. A page with the same record is up to
     // date.

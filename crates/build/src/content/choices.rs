@@ -32,7 +32,7 @@ pub(super) type Whose = (Digest, PathBuf);
 
 /// A stored choice.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Made {
+pub(super) struct StoredChoice {
     pub(super) files: Arc<[PathBuf]>,
     /// Its sources with their state at that time; `None` for a source that did not exist.
     from: Vec<(PathBuf, Option<Stat>)>,
@@ -41,7 +41,7 @@ pub(super) struct Made {
 /// The stored choices.
 #[derive(Default)]
 pub(super) struct Choices {
-    table: HashMap<Whose, Made>,
+    table: HashMap<Whose, StoredChoice>,
     changed: BTreeSet<Whose>,
     /// The choices that were requested since the run or the plan began.
     pub(super) asked: HashMap<Whose, Arc<[PathBuf]>>,
@@ -71,7 +71,7 @@ impl Choices {
         let from: Vec<_> = choice.made_from.into_iter().map(|path| (stat(&whose.1, &path), path)).collect();
         if !from.is_empty() && from.iter().all(|(stat, _)| stat.is_none_or(|s| s.settled())) {
             let from = from.into_iter().map(|(stat, path)| (path, stat)).collect();
-            self.table.insert(whose.clone(), Made { files: files.clone(), from });
+            self.table.insert(whose.clone(), StoredChoice { files: files.clone(), from });
             self.changed.insert(whose.clone());
         }
         self.asked.insert(whose.clone(), files.clone());
@@ -111,7 +111,7 @@ impl Choices {
 }
 
 /// Writes a choice as one line: the digest, then JSON.
-fn line((who, input): &Whose, made: &Made) -> Option<String> {
+fn line((who, input): &Whose, made: &StoredChoice) -> Option<String> {
     let texts = |paths: &mut dyn Iterator<Item = &Path>| {
         paths.map(|path| path.to_str().map(String::from)).collect::<Option<Vec<String>>>()
     };
@@ -123,7 +123,7 @@ fn line((who, input): &Whose, made: &Made) -> Option<String> {
     Some(format!("{who} {json}"))
 }
 
-fn parse(line: &str) -> Option<(Whose, Made)> {
+fn parse(line: &str) -> Option<(Whose, StoredChoice)> {
     let (who, json) = line.split_once(' ')?;
     let (input, files, from, stats): (PathBuf, Vec<PathBuf>, Vec<PathBuf>, Vec<String>) =
         serde_json::from_str(json).ok()?;
@@ -132,6 +132,6 @@ fn parse(line: &str) -> Option<(Whose, Made)> {
     }
     let stat = |words: &String| if words.is_empty() { Some(None) } else { Stat::parse(words).map(Some) };
     let stats: Vec<Option<Stat>> = stats.iter().map(stat).collect::<Option<_>>()?;
-    let made = Made { files: files.into(), from: from.into_iter().zip(stats).collect() };
+    let made = StoredChoice { files: files.into(), from: from.into_iter().zip(stats).collect() };
     Some(((who.parse().ok()?, input), made))
 }

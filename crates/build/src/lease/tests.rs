@@ -166,7 +166,7 @@ fn a_run_protects_what_it_has_decided_on() {
     for i in 1..2000_usize {
         run.extend([key_of(&i.to_string())]);
         run.show();
-        let size = |part: &Part| std::fs::metadata(&part.path).unwrap().len() as usize;
+        let size = |part: &LeaseFile| std::fs::metadata(&part.path).unwrap().len() as usize;
         written += run.parts.last().map_or(0, size);
         assert!(run.parts.len() <= 2 + i.ilog2().saturating_sub(5) as usize, "{}", run.parts.len());
         if i % 500 == 0 {
@@ -199,13 +199,14 @@ fn waiting_grows_to_ten_seconds_and_differs_between_processes() {
 #[test]
 fn a_task_that_is_known_to_be_over_is_waited_for_no_longer_and_how_it_ended_is_kept() {
     let dir = tempfile::tempdir().unwrap();
-    let task = Task { scheduler: "slurm".to_string(), id: "12_4".to_string(), attempt: 0, memory: 900 << 20 };
+    let task =
+        ClusterTask { scheduler: "slurm".to_string(), id: "12_4".to_string(), attempt: 0, memory: 900 << 20 };
     let open = || Cache::open(dir.path(), false).unwrap();
     let elsewhere = |host: &str| Node::elsewhere(host, Clock::system());
     let over = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(false));
     let answer = over.clone();
     let [silent, asking] = [(); 2].map(|()| open().as_node(elsewhere("west")));
-    let asking = asking.asking(std::sync::Arc::new(move |asked: &Task| {
+    let asking = asking.asking(std::sync::Arc::new(move |asked: &ClusterTask| {
         assert_eq!(asked.id, "12_4");
         Some(answer.load(std::sync::atomic::Ordering::Relaxed))
     }));
@@ -238,7 +239,7 @@ fn a_task_that_is_known_to_be_over_is_waited_for_no_longer_and_how_it_ended_is_k
     // A later attempt of the same task does not wait at all.
     let key = key_of("third");
     killed(&key);
-    let later = open().as_node(elsewhere("n2").as_task(Task { attempt: 1, ..task.clone() }));
+    let later = open().as_node(elsewhere("n2").as_task(ClusterTask { attempt: 1, ..task.clone() }));
     assert!(granted(&Lease::ask(&later, &key, &[])));
     // A holder that gives up was not killed.
     let key = key_of("fourth");

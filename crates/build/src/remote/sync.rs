@@ -40,7 +40,7 @@ pub struct Transferred {
 
 impl Transferred {
     /// Counts an artifact and reports the progress.
-    fn note(&mut self, manifest: &Manifest, done: &str, pace: &Pace, listener: &Arc<dyn Listener>) {
+    fn note(&mut self, manifest: &Manifest, done: &str, pace: &Rate, listener: &Arc<dyn Listener>) {
         self.moved += 1;
         self.bytes += manifest.bytes();
         let (label, bytes) = (manifest.made_for.to_string(), machine::bytes(manifest.bytes()));
@@ -92,13 +92,13 @@ fn listed(plan: &Plan) -> Vec<(&'static str, Option<Key>, bool)> {
 }
 
 /// The progress and the rate of a transfer.
-struct Pace {
+struct Rate {
     start: Instant,
     /// The number of artifacts to move, as far as it is known.
     total: usize,
 }
 
-impl Pace {
+impl Rate {
     fn words(&self, moved: usize, bytes: u64) -> String {
         let rate = bytes as f64 / self.start.elapsed().as_secs_f64().max(1e-3);
         format!("{moved} of {}, {}/s", self.total.max(moved), machine::bytes(rate as u64))
@@ -135,7 +135,7 @@ impl Builder {
                 Some(key) => to_send.push((stage, key)),
             }
         }
-        let pace = Pace { start: Instant::now(), total: to_send.len() };
+        let pace = Rate { start: Instant::now(), total: to_send.len() };
         let done = Mutex::new(done);
         each(&to_send, ARTIFACTS_AT_ONCE, |(stage, key)| {
             if lock(&done).interrupted {
@@ -176,7 +176,7 @@ impl Builder {
         let mut asked = BTreeSet::new();
         // A lease protects the fetched artifacts from a cleaning until all are fetched.
         let mut lease = RunLease::new(&self.cache);
-        let mut pace = Pace { start: Instant::now(), total: 0 };
+        let mut pace = Rate { start: Instant::now(), total: 0 };
         loop {
             let (before, nodes) = (lock(&done).moved, listed(&self.plan(graph, None)));
             let there = nodes.iter().filter(|(_, _, is_there)| *is_there).count();

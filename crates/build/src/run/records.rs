@@ -12,13 +12,13 @@ use super::Runner;
 
 /// The parts of a node's record that matter during a run. The whole record is read only to change it.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Known {
+pub(super) struct LastResult {
     /// The key and content of its last artifact.
     pub(super) last: Option<(Key, Digest)>,
     failed: bool,
 }
 
-impl Known {
+impl LastResult {
     pub(super) fn of(record: &Record) -> Self {
         let last = record.last.as_ref().map(|made| (made.key, made.content));
         Self { last, failed: record.failure.is_some() }
@@ -59,7 +59,7 @@ impl Runner<'_> {
             let old = record.last.replace(Made { key, ingredients: ingredients.clone(), content, at });
             record.before = old.filter(|o| o.key != key).or(record.before);
         }
-        self.known[i] = Known::of(&record);
+        self.known[i] = LastResult::of(&record);
         self.write_record(i, &record);
     }
 
