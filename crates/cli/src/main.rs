@@ -101,6 +101,7 @@ fn run(app: &App, verb: Verb) -> Done {
         Verb::Devices(args) => verbs::devices::run(&args),
         Verb::Gc(args) => verbs::cache::gc(&args),
         Verb::Verify(args) => verbs::cache::verify(app, &args),
+        Verb::Pipelines(args) => verbs::pipelines::run(&args),
         Verb::Params(args) => verbs::params::run(&args),
         Verb::Completions(args) => verbs::generate::completions(&args),
         Verb::Man(args) => verbs::generate::man(&args),

@@ -32,7 +32,8 @@ pub(crate) use stages::{
     CalibrateArgs, EnhanceArgs, EvaluateArgs, ImportArgs, ReconstructArgs, TableFormat, TargetsArgs,
 };
 pub(crate) use upkeep::{
-    CompletionsArgs, DevicesArgs, DoctorArgs, GcArgs, ManArgs, ModelsArgs, ParamsArgs, VerifyArgs,
+    CompletionsArgs, DevicesArgs, DoctorArgs, GcArgs, ManArgs, ModelsArgs, ParamsArgs, PipelinesArgs,
+    VerifyArgs,
 };
 pub(crate) use view::{ViewArgs, ViewerArgs, WatchArgs};
 pub(crate) use white::{KeepWhiteArgs, Place, WhiteArgs, WhiteChoice};
@@ -247,6 +248,9 @@ pub(crate) enum Verb {
     /// Check the cache's files against their digests, and optionally recompute a sample.
     #[command(after_help = "Examples:\n  use3d verify\n  use3d verify pipelines/demo.toml --sample 5%")]
     Verify(VerifyArgs),
+    /// List the pipeline files that come with this program, or print one.
+    #[command(after_help = "Examples:\n  use3d pipelines\n  use3d pipelines use26 > use26.toml")]
+    Pipelines(PipelinesArgs),
     /// List every parameter of `--set` and pipeline files: default, kind, meaning.
     #[command(after_help = "Examples:\n  use3d params\n  use3d params reconstruct\n  use3d params --json")]
     Params(ParamsArgs),
@@ -282,6 +286,7 @@ impl Verb {
             Self::Devices(args) => args.json,
             Self::Gc(args) => args.json,
             Self::Verify(args) => args.json,
+            Self::Pipelines(args) => args.json && args.name.is_none(),
             Self::Params(args) => args.json,
             Self::Water(args) => args.json,
             _ => false,

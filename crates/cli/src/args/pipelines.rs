@@ -42,7 +42,7 @@ pub(crate) struct DemoArgs {
 pub(crate) struct RunArgs {
     #[command(flatten)]
     pub(crate) pipeline: PipelineArgs,
-    /// Show only this scene; may be repeated.
+    /// Only this scene; may be repeated.
     #[arg(long, value_name = "NAME")]
     pub(crate) scene: Vec<String>,
     /// Stop after this stage.
@@ -150,7 +150,7 @@ pub(crate) struct PlanArgs {
 pub(crate) struct StatusArgs {
     #[command(flatten)]
     pub(crate) plan: PlanArgs,
-    /// Only this scene; may be repeated.
+    /// Show only this scene; may be repeated.
     #[arg(long, value_name = "NAME")]
     pub(crate) scene: Vec<String>,
     /// Show only rows with a failure.
