@@ -45,7 +45,7 @@ pub(crate) fn install() -> Arc<AtomicBool> {
                 for signal in signals.forever() {
                     let now = Instant::now();
                     if is_second(&earlier, signal, now) {
-                        std::process::exit(130);
+                        signal_hook::low_level::exit(130);
                     }
                     // Echoes are not stored, so a sender that repeats its signal ends the process in the end.
                     if !earlier.iter().any(|(kind, _)| *kind == signal) {

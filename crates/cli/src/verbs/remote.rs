@@ -30,19 +30,25 @@ fn probed(app: &App, address: &str) -> Result<RemoteStore, CliError> {
 /// to it until a test has shown that it works reliably.
 pub(crate) fn of_run(app: &App, address: &str, read_only: bool) -> Result<Arc<RemoteStore>, CliError> {
     let store = store(address)?;
-    if read_only {
-        return Ok(Arc::new(store.read_only()));
-    }
-    match store.probe(&app.stop) {
-        Ok(()) => Ok(Arc::new(store)),
-        Err(error @ RemoteError::Refused { passing: true, .. }) => {
-            eprintln!(
-                "warning: --remote: {error}; it is asked for what it has all the same, and nothing is sent to it: `use3d push` \
-                 does that later"
+    let tested = if read_only { None } else { Some(store.probe(&app.stop)) };
+    let (writable, warning) = usable(tested)?;
+    warning.iter().for_each(|text| eprintln!("warning: --remote: {text}"));
+    Ok(Arc::new(if writable { store } else { store.read_only() }))
+}
+
+/// Decides from the test of a store if a run may send artifacts to it (`None`: it must not), with a warning.
+fn usable(tested: Option<Result<(), RemoteError>>) -> Result<(bool, Option<String>), CliError> {
+    match tested {
+        None => Ok((false, None)),
+        Some(Ok(())) => Ok((true, None)),
+        Some(Err(error @ RemoteError::Refused { passing: true, .. })) => {
+            let text = format!(
+                "{error}; the run fetches from it nevertheless, and sends nothing to it: `use3d push` does \
+                 that later"
             );
-            Ok(Arc::new(store.read_only()))
+            Ok((false, Some(text)))
         }
-        Err(error) => Err(CliError::Failed(format!("--remote: {error}"))),
+        Some(Err(error)) => Err(CliError::Failed(format!("--remote: {error}"))),
     }
 }
 
@@ -68,8 +74,8 @@ pub(crate) fn sweep(app: &App, args: &StoreGcArgs) -> Done {
         // An artifact without a key cannot be distinguished from one that no node needs.
         if plan.to_run() > 0 {
             return Err(CliError::Input(format!(
-                "--keep {}: {} of its stages are not in the cache, so that it is not known what of the store they are; \
-                 `use3d pull` it or run it first",
+                "--keep {}: {} of its stages are not in the cache, so their artifacts in the store are not \
+                 known; `use3d pull` it or run it first",
                 path_text(pipeline),
                 plan.to_run()
             )));
@@ -143,11 +149,38 @@ fn tell(done: &Transferred, args: &TransferArgs) -> Done {
     match (done.interrupted, done.problems.len()) {
         (true, _) => Err(CliError::Interrupted),
         (false, 0) if args.all_or_fail && done.missing > 0 => Err(CliError::Failed(format!(
-            "{} of the pipeline are missing, and --all-or-fail asks for all",
-            if done.missing == 1 { "1 artifact".to_string() } else { format!("{} artifacts", done.missing) }
+            "{} missing, and --all-or-fail asks for all of the pipeline",
+            if done.missing == 1 {
+                "1 artifact is".to_string()
+            } else {
+                format!("{} artifacts are", done.missing)
+            }
         ))),
         (false, 0) => Ok(()),
         (false, 1) => Err(CliError::Failed("1 artifact has a problem, see above".into())),
         (false, n) => Err(CliError::Failed(format!("{n} artifacts have problems, see above"))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_store_that_may_answer_later_ends_no_run_and_one_that_never_will_does() {
+        let refused = |passing| RemoteError::Refused {
+            place: "s3://lab/use3d".to_string(),
+            doing: "create",
+            name: "v1/probe/1".to_string(),
+            reason: "500 Internal Server Error".to_string(),
+            passing,
+        };
+        assert!(matches!(usable(Some(Ok(()))), Ok((true, None))));
+        // A store that is only read is not tested: the test would need permission to write.
+        assert!(matches!(usable(None), Ok((false, None))));
+        let (writable, warning) = usable(Some(Err(refused(true)))).ok().expect("the run continues");
+        let warning = warning.expect("a warning");
+        assert!(!writable && warning.contains("500") && warning.contains("`use3d push`"), "{warning}");
+        assert!(usable(Some(Err(refused(false)))).is_err());
     }
 }

@@ -9,7 +9,9 @@ use serde::Serialize;
 use use3d_build::machine::seconds;
 use use3d_build::place;
 use use3d_build::status::{Row, Standing};
-use use3d_build::{Builder, Cache, Event, Graph, Listener, PATIENCE, Plan, RunOptions, Summary, picture};
+use use3d_build::{
+    Builder, Cache, Event, Graph, Listener, PATIENCE, Plan, Registry, RunOptions, Summary, picture,
+};
 use use3d_cluster::{quote, slurm};
 use use3d_pipeline::config::{LoadOptions, Pipeline, for_capture, load};
 use use3d_pipeline::results::{Delivered, Results};
@@ -45,10 +47,23 @@ impl Loaded {
     }
 }
 
-/// Loads a pipeline file, or makes a pipeline for a capture folder.
+/// Loads a pipeline file, or makes a pipeline for a capture folder, and opens its cache.
 pub(crate) fn open(args: &PipelineArgs, scenes: &[String]) -> Result<Loaded, CliError> {
-    let PipelineArgs { target, calibration, cache, .. } = args;
     let registry = stages()?;
+    let pipeline = read(&registry, args, scenes)?;
+    outside_captures(&pipeline)?;
+    let cache = Cache::open(&pipeline.cache, args.cache.rehash).map_err(CliError::input)?;
+    let graph = Graph::new(&registry, &pipeline.batch).map_err(CliError::input)?;
+    Ok(Loaded { pipeline, builder: Builder::new(registry, cache.asking(slurm::is_over())), graph })
+}
+
+/// Loads a pipeline file, or makes a pipeline for a capture folder. The cache is not touched.
+pub(crate) fn read(
+    registry: &Registry,
+    args: &PipelineArgs,
+    scenes: &[String],
+) -> Result<Pipeline, CliError> {
+    let PipelineArgs { target, calibration, cache, .. } = args;
     let options = LoadOptions {
         sets: args.sets(),
         cache: cache.cache.clone(),
@@ -58,22 +73,17 @@ pub(crate) fn open(args: &PipelineArgs, scenes: &[String]) -> Result<Loaded, Cli
         calibrator: calibration.calibrator.clone(),
     };
     let pipeline = if target.is_dir() {
-        for_capture(&registry, target, &options)
+        for_capture(registry, target, &options)
     } else if target.is_file() {
         if let Some(what) = no_pipeline(target) {
             return Err(CliError::Input(format!("{}: {what}", target.display())));
         }
-        load(&registry, target, &options)
+        load(registry, target, &options)
     } else {
         let what = "there is no such pipeline file (.toml) or capture folder";
         return Err(CliError::Input(format!("{}: {what}", target.display())));
     };
-    let pipeline =
-        pipeline.map_err(|error| CliError::Input(as_typed(&error.to_string(), &args.spelled())))?;
-    outside_captures(&pipeline)?;
-    let cache = Cache::open(&pipeline.cache, cache.rehash).map_err(CliError::input)?.asking(slurm::is_over());
-    let graph = Graph::new(&registry, &pipeline.batch).map_err(CliError::input)?;
-    Ok(Loaded { pipeline, builder: Builder::new(registry, cache), graph })
+    pipeline.map_err(|error| CliError::Input(as_typed(&error.to_string(), &args.spelled())))
 }
 
 /// Refuses a cache inside the folder of a capture. It would lie beside the photographs, and in a prepared
@@ -253,8 +263,8 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
         && *submitted != loaded.graph.digest(&loaded.builder.registry).short()
     {
         return Err(CliError::Input(format!(
-            "{}: this is not the submitted pipeline: the file was edited since, or this is another version of the \
-             program; submit it again",
+            "{}: this is not the submitted pipeline: the file was edited since, this is another version of \
+             the program, or `arguments` of the site change a parameter; submit it again",
             path_text(&pipeline.target)
         )));
     }
@@ -439,8 +449,8 @@ fn execute(
             let missing: Vec<&str> = summary.missing().map(|node| node.label.as_str()).collect();
             if !missing.is_empty() {
                 return Err(CliError::Failed(format!(
-                    "{} missing: {}{}; `use3d submit` hands them over once more, `use3d run` without --gather computes them \
-                     here",
+                    "{} missing: {}{}; `use3d submit` submits them again, `use3d run` without --gather \
+                     computes them here",
                     if missing.len() == 1 {
                         "1 stage is".to_string()
                     } else {

@@ -17,7 +17,8 @@ use use3d_pipeline::results::Results;
 use crate::App;
 use crate::args::{CacheArgs, CancelArgs, PipelineArgs, Submit, SubmitArgs, SubmitLayout};
 use crate::error::{CliError, Done};
-use crate::verbs::run::{Loaded, open};
+use crate::verbs::run::{Loaded, open, read};
+use crate::verbs::stages::stages;
 
 /// All decisions before anything is written.
 struct Ready {
@@ -118,9 +119,9 @@ fn tell_stuck(jobs: &[(String, String)]) {
     let numbers: Vec<String> = jobs.iter().map(|(_, number)| number.clone()).collect();
     for (number, reason) in slurm::never(&numbers) {
         eprintln!(
-            "warning: job {number} can never start ({reason}): no node of its partition has what it requests; write \
-             partition, cpus, memory and time of the site into --cluster FILE (docs/guide/cluster.md), run `use3d \
-             cancel`, and submit again"
+            "warning: job {number} can never start ({reason}): no node of its partition has what it \
+             requests; write partition, cpus, memory and time of the site into --cluster FILE \
+             (docs/guide/cluster.md), run `use3d cancel`, and submit again"
         );
     }
 }
@@ -142,8 +143,8 @@ pub(crate) fn cancel(args: &CancelArgs) -> Done {
     let out = match &args.out {
         Some(out) => out.clone(),
         None => {
-            let loaded = open(&PipelineArgs::of(&args.target, &CacheArgs::default()), &[])?;
-            PathBuf::from("use3d-out").join(&loaded.pipeline.batch.name)
+            let pipeline = PipelineArgs::of(&args.target, &CacheArgs::default());
+            PathBuf::from("use3d-out").join(read(&stages()?, &pipeline, &[])?.batch.name)
         }
     };
     let folder = folder_of(&out);
