@@ -158,8 +158,10 @@ impl Job<'_> {
         let reads: Vec<Key> = artifacts.chain(self.resolved.checkpoints).collect();
         let asked = Lease::ask(cache, key, &reads);
         if let (Asked::Granted(_), Some(killed)) = (&asked, cache.killed(key)) {
-            let text = format!("{killed}; continuing from its checkpoint");
-            self.listener.event(&Event::Warning { label: &self.node.label(), text: &text });
+            let resumes = self.resolved.checkpoints.is_some();
+            let next = if resumes { "continuing from its last checkpoint" } else { "computing it again" };
+            let text = format!("{killed}; {next}");
+            self.listener.event(&Event::Note { label: &self.node.label(), text: &text });
         }
         // Another process may have finished between the lookup before and the lease.
         let found = match &asked {
