@@ -19,8 +19,8 @@ use tiny::{TINY, files};
 
 /// The most operations on names for an artifact that a run computes, in `--until import`.
 const COMPUTED: f64 = 600.0;
-/// The same for an artifact that a run finds.
-const FOUND: f64 = 40.0;
+/// The same for an artifact that a run finds. Its capture has eleven files, and the artifact seventeen.
+const FOUND: f64 = 80.0;
 /// The most bytes that a run without work reads for an artifact: 50 MB for 911 artifacts.
 const READ: f64 = 55_000.0;
 
@@ -172,9 +172,8 @@ fn a_run_that_finds_everything_delivered_reads_none_of_it() {
     let artifacts = nodes.len() as f64;
     let out = captures.at("out").to_string_lossy().into_owned();
     let opened: Vec<&str> = trace.lines().filter(|line| line.contains(&out)).collect();
-    let is_file = |line: &&&str| {
-        !line.contains("O_DIRECTORY") && !line.contains("O_WRONLY") && !line.contains(".json\"")
-    };
+    // A file without a name shows that the folder can be written.
+    let is_file = |line: &&&str| !line.contains("O_DIRECTORY") && !line.contains("O_TMPFILE");
     assert_eq!(opened.iter().filter(is_file).count(), 0, "{opened:#?}");
     let (_, trace) = traced(&["-e", "trace=read,pread64,readv"], &log, &run());
     let bytes = read(&trace) / artifacts;

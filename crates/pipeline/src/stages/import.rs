@@ -85,8 +85,10 @@ fn below<'f>(files: impl Iterator<Item = &'f PathBuf>, capture: &Path, folder: &
     let name = |file: &PathBuf| {
         // The path itself shows it, unless it contains a step upwards.
         let plain = |rest: &&Path| rest.components().all(|part| matches!(part, Component::Normal(_)));
-        if let Some(rest) = file.strip_prefix(&place).ok().filter(plain) {
-            return Some(Path::new(folder).join(rest));
+        for root in [&place, &real] {
+            if let Some(rest) = file.strip_prefix(root).ok().filter(plain) {
+                return Some(Path::new(folder).join(rest));
+            }
         }
         let file = file.canonicalize().ok()?;
         Some(Path::new(folder).join(file.strip_prefix(&real).ok()?))
