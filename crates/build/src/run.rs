@@ -186,6 +186,8 @@ struct Runner<'r> {
     /// The nodes of each scene and variant, with the number of unfinished ones.
     scenes: Vec<OwnNodes>,
     scene_of: Vec<Option<usize>>,
+    /// The requested nodes that all scenes of a variant share.
+    shared: Vec<usize>,
     /// Finished scenes that are not reported yet.
     untold: BTreeSet<usize>,
     sender: mpsc::Sender<(usize, Ended, Ingredients)>,
@@ -249,6 +251,8 @@ impl<'r> Runner<'r> {
                 open[i] += usize::from(wanted[parent]);
             }
         }
+        let scope = |i: &usize| builder.registry.stages()[graph.nodes[*i].stage].scope;
+        let shared = (0..count).filter(|i| wanted[*i] && scope(i) == Scope::Shared).collect();
         lease.show();
         let start = builder.cache.node().clock.now();
         let leave_at = options.limit.map(|limit| start + limit - LEAVING.min(limit / 10));
@@ -286,6 +290,7 @@ impl<'r> Runner<'r> {
             lease,
             scenes,
             scene_of,
+            shared,
             untold: BTreeSet::new(),
             sender,
             receiver,
@@ -366,7 +371,9 @@ impl<'r> Runner<'r> {
     fn tell_scenes(&mut self) {
         for place in std::mem::take(&mut self.untold) {
             let own = &self.scenes[place].nodes;
-            let nodes: Vec<RanNode> = own.iter().map(|i| self.nodes[*i].clone()).collect();
+            let variant = &self.nodes[own[0]].variant;
+            let shared = self.shared.iter().filter(|i| self.nodes[**i].variant == *variant);
+            let nodes: Vec<RanNode> = own.iter().chain(shared).map(|i| self.nodes[*i].clone()).collect();
             let RanNode { scene, variant, .. } = &nodes[0];
             self.listener.event(&Event::SceneOver { scene, variant, nodes: &nodes });
         }
