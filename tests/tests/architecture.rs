@@ -28,6 +28,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
         "import",
         &["capture", "files", "numerics", "io-image", "survey", "io-colmap", "io-metashape", "io-nerfstudio"],
     ),
+    ("prepare", &["capture", "files", "io-image", "io-colmap"]),
     ("metrics", &["capture", "numerics"]),
     ("nets", &["capture", "numerics"]),
     ("synth", &["capture", "files", "numerics", "io-image", "io-colmap"]),

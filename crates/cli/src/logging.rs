@@ -21,6 +21,7 @@ pub(crate) fn start(verbose: u8, quiet: bool) {
         "io_metashape",
         "io_nerfstudio",
         "import",
+        "prepare",
         "splat",
         "medium",
         "atc",

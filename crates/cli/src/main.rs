@@ -78,6 +78,7 @@ fn run(app: &App, verb: Verb) -> Done {
         Verb::Status(args) => verbs::run::status(&args),
         Verb::Why(args) => verbs::run::why(&args),
         Verb::Graph(args) => verbs::run::graph(&args),
+        Verb::Prepare(args) => verbs::prepare::run(app, &args),
         Verb::Import(args) => verbs::stages::import(app, &args),
         Verb::Reconstruct(args) => verbs::stages::reconstruct(app, &args),
         Verb::Calibrate(args) => verbs::stages::calibrate(app, &args),

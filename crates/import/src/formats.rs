@@ -128,8 +128,8 @@ fn read_colmap(found: &FoundModel) -> Result<ReadModel, ImportError> {
 fn no_colmap(names: &[String]) -> Option<&'static str> {
     let films = ["mp4", "mov", "avi", "mkv"];
     names.iter().any(|n| films.iter().any(|e| has_extension(n, e))).then_some(
-        "a film is not read: take frames out of it (`ffmpeg -i FILM -vf fps=2 images/%05d.png`) and run COLMAP on \
-         them",
+        "it has a film and no model: `use3d prepare FILM --out CAPTURE_DIR` makes a capture of it, and `use3d run FILM` \
+         does so first",
     )
 }
 

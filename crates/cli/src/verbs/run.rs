@@ -22,6 +22,7 @@ use crate::destination::path_text;
 use crate::error::{CliError, Done};
 use crate::verbs::history::{self, Record};
 use crate::verbs::outcome::{self, Outcome};
+use crate::verbs::prepare;
 use crate::verbs::remote::probed;
 use crate::verbs::stages::{scratch, stages};
 use crate::verbs::synth::keep_capture;
@@ -117,8 +118,7 @@ fn no_pipeline(file: &Path) -> Option<&'static str> {
     let extension = file.extension()?.to_string_lossy().to_lowercase();
     Some(match extension.as_str() {
         "mp4" | "mov" | "avi" | "mkv" | "webm" | "m4v" => {
-            "a film is not a capture yet: extract frames from it (`ffmpeg -i FILM -vf fps=2 \
-             images/%05d.png`), run COLMAP on them, and give the folder with images/ and sparse/"
+            "a film is not a capture yet: `use3d run FILM` or `use3d prepare FILM --out CAPTURE_DIR` makes one of it"
         }
         "png" | "jpg" | "jpeg" | "tif" | "tiff" | "exr" | "webp" | "heic" | "bmp" | "gif" => {
             "one picture is not a capture: give the folder with the images and their COLMAP model"
@@ -212,7 +212,10 @@ pub(crate) fn graph(args: &GraphArgs) -> Done {
 
 pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     // A results folder stands for the pipeline that was run into it, and new results go there again.
-    let (pipeline, results) = resolved(&args.pipeline);
+    let (mut pipeline, results) = resolved(&args.pipeline);
+    if let Some(capture) = prepared(app, args, &pipeline.target)? {
+        pipeline.target = capture;
+    }
     let elsewhere = |set: &String| set.contains("model_dir");
     if pipeline.target.is_dir()
         && !use3d_import::is_prepared(&pipeline.target)
@@ -272,6 +275,14 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
         watched.end(&done);
     }
     done
+}
+
+/// The capture that a film or a folder of photographs is prepared as; `None` for any other target.
+fn prepared(app: &App, args: &RunArgs, target: &Path) -> Result<Option<PathBuf>, CliError> {
+    if args.dry_run || args.pipeline.sets().iter().any(|set| set.contains("model_dir")) {
+        return Ok(None);
+    }
+    prepare::capture_for(app, target, args.out.as_deref())
 }
 
 /// Prints why stages run again, and an estimate of the total time.
