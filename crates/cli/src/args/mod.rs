@@ -2,6 +2,7 @@
 
 mod bench;
 mod captures;
+mod check;
 mod cluster;
 #[cfg(test)]
 mod documents;
@@ -19,6 +20,7 @@ use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
 pub(crate) use bench::{Baselines, Bench, BenchGpuArgs, BenchTruthArgs};
 pub(crate) use captures::{Synth, SynthCaptureArgs, SynthPairsArgs, WaterArgs};
+pub(crate) use check::CheckArgs;
 pub(crate) use cluster::{Submit, SubmitArgs, SubmitLayout};
 pub(crate) use pictures::{CameraPath, ExportArgs, ExportFrame, ExportWhat, FrameFormat, RenderArgs};
 pub(crate) use pipelines::{
@@ -225,6 +227,9 @@ pub(crate) enum Verb {
         #[command(subcommand)]
         what: Bench,
     },
+    /// Say before a run what will go wrong with a capture, and what to do about it.
+    #[command(after_help = "Examples:\n  use3d check my-reef/\n  use3d check my-reef/ --html check.html")]
+    Check(CheckArgs),
     /// Estimate the water of a capture: attenuation, backscatter and veil from its sparse points, with error
     /// bars.
     #[command(
@@ -266,6 +271,7 @@ impl Verb {
         match self {
             Self::Run(args) => args.json,
             Self::Prepare(args) => args.json,
+            Self::Check(args) => args.json,
             Self::Push(args) => args.what.json,
             Self::Pull(args) => args.json,
             Self::Results(args) => args.json,

@@ -3,6 +3,7 @@
 pub(crate) mod bench;
 pub(crate) mod bench_gpu;
 pub(crate) mod cache;
+pub(crate) mod check;
 pub(crate) mod compare;
 pub(crate) mod devices;
 pub(crate) mod doctor;

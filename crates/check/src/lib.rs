@@ -1,0 +1,20 @@
+//! Judges a capture before any training, and says what will go wrong and what to do about it.
+//!
+//! ```text
+//! measure ─▶ findings ─▶ report ─▶ page
+//! figures     rules        text      HTML with small pictures
+//! ```
+//!
+//! [`measure`] computes figures from the cameras, the tracks and, if pixels are at hand, the photographs. Each
+//! rule of [`findings`] compares figures with a limit. A [`Report`] holds what the rules found, the gravest
+//! first. Nothing here changes a capture, and no result of a training depends on it.
+
+mod findings;
+mod measure;
+mod page;
+mod report;
+
+pub use findings::{WaterSight, examine};
+pub use measure::{Figures, ViewFigures, measure};
+pub use page::{Picture, page};
+pub use report::{Finding, Report, Severity};
