@@ -3,7 +3,8 @@
 use use3d_import::ImportReport;
 
 use crate::measure::{Figures, ViewFigures};
-use crate::report::{Finding, Report, Severity};
+use crate::reach::{Reach, Side};
+use crate::report::{CheckReport, Finding, Severity};
 
 /// The result of the estimate of the water, in its own words.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -32,6 +33,8 @@ const RANGED: f64 = 0.1;
 const DARK: f64 = 0.06;
 /// A side above which a training takes very long, pixels.
 const LARGE: usize = 2000;
+/// Shares of a picture without any track that lose something, and that spoil the scene.
+const BARE: (f64, f64) = (0.1, 0.25);
 /// Steps along the sight and breadth of the positions at which distances are hardly determined.
 const TUNNEL: (f64, f64) = (0.9, 0.1);
 
@@ -41,19 +44,20 @@ pub fn examine(
     figures: Figures,
     water: Option<WaterSight<'_>>,
     metres: Option<f64>,
-) -> Report {
+) -> CheckReport {
     let mut rules = Rules { found: Vec::new(), views: figures.views.len() };
     rules.images(import);
     rules.split(import);
     rules.cameras(import);
     rules.model(&figures);
+    rules.reach(&figures.reach);
     rules.pixels(&figures.views);
     rules.water(&figures, water);
     rules.extras(import, metres);
     let mut findings = rules.found;
     // The order of the rules is that of their weight among equals.
     findings.sort_by_key(|f| f.severity);
-    Report { capture: import.name.clone(), findings, figures }
+    CheckReport { capture: import.name.clone(), findings, figures }
 }
 
 struct Rules {
@@ -86,25 +90,29 @@ impl Rules {
         let all = self.views + import.extra.len();
         let without = import.extra.len() as f64 / all.max(1) as f64;
         if !import.extra.is_empty() {
-            let text = format!("{} of {all} photographs have no place in the model.", import.extra.len());
+            let text =
+                format!("For {} of {all} photographs no camera position is known.", import.extra.len());
             let severity = if without > 1.0 / 3.0 { Severity::Serious } else { Severity::Minor };
             let remedy = "find the cameras again with `use3d prepare`, which says what helps, or take more photographs \
                 in between";
             self.add(severity, "unplaced", text, remedy, import.extra.clone());
         } else {
-            let text = format!("All {all} photographs have a place in the model.");
+            let text = format!("All {all} photographs have a camera position.");
             self.add(Severity::Good, "unplaced", text, "", Vec::new());
         }
         if !import.missing.is_empty() {
-            let text = format!("{} images of the model are not in the folder.", import.missing.len());
+            let text =
+                format!("{} photographs that the model names are not in the folder.", import.missing.len());
             let severity =
                 if import.missing.len() > self.views { Severity::Serious } else { Severity::Minor };
             let remedy = "put the missing files back, under the names that the model has";
             self.add(severity, "missing", text, remedy, import.missing.clone());
         }
         if !import.other_models.is_empty() {
-            let text =
-                format!("There are other models that are not used: {}.", import.other_models.join(", "));
+            let text = format!(
+                "The folder has more models, which are not used: {}.",
+                import.other_models.join(", ")
+            );
             let remedy = "if they show other parts of the dive, photograph the way between the parts, or run them as \
                 captures of their own";
             self.add(Severity::Minor, "groups", text, remedy, Vec::new());
@@ -165,9 +173,10 @@ impl Rules {
             .collect();
         if let Some(least) = undistorted.iter().copied().reduce(f64::min) {
             let lens = import.cameras.first().map_or("", |c| &c.model);
-            let text = format!("The photographs are undistorted here ({lens}).");
+            let text =
+                format!("The lens bends straight lines ({lens}), so the photographs are straightened here.");
             if least < 0.6 {
-                let text = format!("{text} This leaves {:.0} % of their pixels.", 100.0 * least);
+                let text = format!("{text} {:.0} % of their pixels are left.", 100.0 * least);
                 let remedy = "check the lens model of the cameras; a fisheye loses its edges in any case";
                 self.add(Severity::Minor, "lens", text, remedy, Vec::new());
             } else {
@@ -193,7 +202,7 @@ impl Rules {
         if !lonely.is_empty() {
             let severity = if self.share(lonely.len()) > 0.1 { Severity::Serious } else { Severity::Minor };
             let text = format!(
-                "{} of {} views share few points with the others, so their places are uncertain.",
+                "{} of {} views share few points with the others, so their camera positions are uncertain.",
                 lonely.len(),
                 self.views
             );
@@ -203,14 +212,18 @@ impl Rules {
         match figures.error {
             Some(error) if error > ERROR.0 => {
                 let severity = if error > ERROR.1 { Severity::Serious } else { Severity::Minor };
-                let text =
-                    format!("The mean reprojection error is {error:.2} pixels: the lens model fits badly.");
+                let text = format!(
+                    "Points land {error:.2} pixels beside their place on average (reprojection error): the lens model \
+                     fits badly."
+                );
                 let remedy = "another lens model (`use3d prepare --lens`), zoom and stabilisation off, sharper \
                     photographs";
                 self.add(severity, "error", text, remedy, Vec::new());
             }
             Some(error) => {
-                let text = format!("The mean reprojection error is {error:.2} pixels.");
+                let text = format!(
+                    "Points land {error:.2} pixels beside their place on average (reprojection error)."
+                );
                 self.add(Severity::Good, "error", text, "", Vec::new());
             }
             None => {}
@@ -230,6 +243,38 @@ impl Rules {
                     .to_string();
             self.add(Severity::Serious, "path", text, "swim sideways along the scene as well", Vec::new());
         }
+    }
+
+    /// Parts of the pictures that no track reaches.
+    fn reach(&mut self, reaches: &[Reach]) {
+        let Some(worst) = reaches.iter().reduce(|a, b| if b.bare > a.bare { b } else { a }) else { return };
+        if worst.bare < BARE.0 {
+            let text = "Points that were found again cover the pictures to their edges.".into();
+            self.add(Severity::Good, "reach", text, "", Vec::new());
+            return;
+        }
+        let share = 100.0 * worst.bare;
+        // Open water and sky are usually at the top, and have no points anywhere.
+        let (place, severe) = match worst.border.filter(|(_, width)| *width >= BARE.0) {
+            Some((Side::Left, width)) => (format!("The left {:.0} %", 100.0 * width), true),
+            Some((Side::Right, width)) => (format!("The right {:.0} %", 100.0 * width), true),
+            Some((Side::Bottom, width)) => (format!("The lower {:.0} %", 100.0 * width), true),
+            Some((Side::Top, width)) => (format!("The upper {:.0} %", 100.0 * width), false),
+            None => (format!("About {share:.0} %"), false),
+        };
+        let severity = if severe && worst.bare >= BARE.1 { Severity::Serious } else { Severity::Minor };
+        let camera = match reaches.len() {
+            1 => String::new(),
+            _ => format!(" of the camera with {}x{} pixels", worst.size[0], worst.size[1]),
+        };
+        let text = format!(
+            "{place} of the pictures{camera} holds no point that was found again in another picture, in any of {} \
+             views. The scene cannot be learnt there and will look like fog.",
+            worst.views
+        );
+        let remedy = "nothing, if only open water or sky is there; otherwise find the cameras again from the whole \
+            pictures, without masks (`use3d prepare`), or cut that part off all pictures";
+        self.add(severity, "reach", text, remedy, Vec::new());
     }
 
     fn pixels(&mut self, views: &[ViewFigures]) {
@@ -292,7 +337,7 @@ impl Rules {
 
     fn water(&mut self, figures: &Figures, water: Option<WaterSight<'_>>) {
         let ranged = figures.seen_from_distances;
-        let share = format!("{:.0} % of the points are seen from different distances.", 100.0 * ranged);
+        let share = format!("{:.0} % of the points are seen from near and from far.", 100.0 * ranged);
         match water {
             Some(WaterSight::Found(words)) => {
                 self.add(Severity::Good, "water", format!("{}. {share}", sentence(words)), "", Vec::new());
@@ -332,7 +377,8 @@ impl Rules {
             None => {
                 let text =
                     "The scale is not known: distances and the water are in units of the model.".into();
-                let remedy = "nothing, if you need no metres; Metashape's exports keep them";
+                let remedy = "nothing, if you need no metres; otherwise measure one length in the photographs \
+                    (docs/guide/metres.md)";
                 self.add(Severity::Minor, "scale", text, remedy, Vec::new());
             }
         }

@@ -13,6 +13,8 @@ use use3d_capture::{Capture, Image, Track};
 use use3d_io_image::shrunk;
 use use3d_numerics::math;
 
+use crate::reach::{Reach, reaches};
+
 /// The longer side of the pictures in which sharpness is measured, pixels.
 const SIDE: usize = 640;
 /// Views on each side that a view's sharpness is compared with.
@@ -65,6 +67,8 @@ pub struct Figures {
     pub forward: Option<f64>,
     /// The spread of camera positions across their main line, as a share of the spread along it.
     pub breadth: Option<f64>,
+    /// The parts of the pictures that tracks reach, for each camera with enough views.
+    pub reach: Vec<Reach>,
 }
 
 /// Measures a capture. `load` gives the pixels of a view at the size of its camera; without it, the figures
@@ -105,6 +109,7 @@ pub fn measure<E>(
     let errors: Vec<f64> = capture.points.iter().map(|p| p.error).filter(|e| *e >= 0.0).collect();
     figures.error = (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64);
     (figures.forward, figures.breadth) = motion(capture);
+    figures.reach = reaches(capture, tracks);
 
     let neighbours = neighbours(tracks, count);
     for (i, view) in capture.views.iter().enumerate() {
@@ -143,7 +148,7 @@ fn neighbours(tracks: &[Track], count: usize) -> Vec<usize> {
     found
 }
 
-/// How much cameras move along their sight, and how broad their positions are.
+/// The share of the motion along the sight, and the breadth of the positions.
 fn motion(capture: &Capture) -> (Option<f64>, Option<f64>) {
     let centres: Vec<DVec3> = capture.views.iter().map(|v| v.camera.pose.center()).collect();
     if centres.len() < 3 {

@@ -47,7 +47,7 @@ pub struct Finding {
 
 /// The report on a capture.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Report {
+pub struct CheckReport {
     /// The capture's name.
     pub capture: String,
     /// The findings, the gravest first.
@@ -55,6 +55,9 @@ pub struct Report {
     /// The figures behind them.
     pub figures: Figures,
 }
+
+/// Subjects that a picture does not suffer from.
+const LIGHT: [&str; 4] = ["scale", "depth", "masks", "split"];
 
 /// The names of views that a line of text holds.
 const NAMES: usize = 6;
@@ -70,10 +73,21 @@ impl Finding {
     }
 }
 
-impl Report {
+impl CheckReport {
     /// The findings that need something to be done.
     pub fn faults(&self) -> impl Iterator<Item = &Finding> {
         self.findings.iter().filter(|f| f.severity != Severity::Good)
+    }
+
+    /// The gravest faults in one line each, at most `most`. Things that a capture may lack without any loss
+    /// to its pictures, such as its scale, are left out.
+    pub fn gravest(&self, most: usize) -> Vec<String> {
+        let heavy = self.faults().filter(|f| !LIGHT.contains(&f.subject));
+        let line = |f: &Finding| match f.remedy.is_empty() {
+            true => format!("{}: {}", f.severity.word(), f.text),
+            false => format!("{}: {} Do this: {}.", f.severity.word(), f.text, f.remedy),
+        };
+        heavy.take(most).map(line).collect()
     }
 
     /// The judgement in one line.
@@ -92,7 +106,7 @@ impl Report {
     }
 }
 
-impl fmt::Display for Report {
+impl fmt::Display for CheckReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, "{}: {}", shown(&self.capture), self.summary())?;
         for (i, finding) in self.faults().enumerate() {

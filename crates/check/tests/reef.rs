@@ -6,7 +6,7 @@ use glam::{DMat3, DVec3};
 use use3d_capture::{
     Camera, Capture, FileName, Frame, Image, Intrinsics, Pose, Sighting, SparsePoint, Split, Track, View,
 };
-use use3d_check::{Picture, Report, Severity, WaterSight, examine, measure, page};
+use use3d_check::{CheckReport, Picture, Severity, WaterSight, examine, measure, page};
 use use3d_import::ImportReport;
 
 const W: usize = 96;
@@ -87,7 +87,7 @@ impl Reef {
         Self { capture, tracks, images, report }
     }
 
-    fn examine(&self) -> Report {
+    fn examine(&self) -> CheckReport {
         let mut load = |view: usize| Ok::<_, Infallible>(self.images[view].clone());
         let Ok(figures) = measure(&self.capture, &self.tracks, Some(&mut load));
         examine(&self.report, figures, Some(WaterSight::Found("water found")), Some(0.5))
@@ -95,7 +95,7 @@ impl Reef {
 }
 
 /// The severity of the finding on a subject, with the views that it names.
-fn of(report: &Report, subject: &str) -> (Severity, Vec<String>) {
+fn of(report: &CheckReport, subject: &str) -> (Severity, Vec<String>) {
     let found = report.findings.iter().find(|f| f.subject == subject);
     let found = found.unwrap_or_else(|| panic!("no finding on {subject}: {report}"));
     (found.severity, found.views.clone())

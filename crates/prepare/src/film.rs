@@ -11,7 +11,7 @@ use std::process::{Command, Stdio};
 
 use crate::choose::{Frame, choose};
 use crate::error::PrepareError;
-use crate::process::{self, Ended, Progress, Watch, spelled};
+use crate::process::{self, Ended, StepProgress, StepWatch, spelled};
 use crate::tools::{self, Program};
 
 /// Width of the grey frames, pixels.
@@ -135,7 +135,7 @@ pub(crate) fn look(
     path: &Path,
     most: usize,
     log: &Path,
-    watch: &Watch<'_>,
+    watch: &StepWatch<'_>,
 ) -> Result<Choice, PrepareError> {
     let absolute = std::path::absolute(path).map_err(PrepareError::file(path))?;
     let film = probe(ffmpeg, &absolute)?;
@@ -162,7 +162,7 @@ pub(crate) fn look(
 fn grey_frames(
     command: &mut Command,
     log: &Path,
-    watch: &Watch<'_>,
+    watch: &StepWatch<'_>,
     step: u64,
     total: Option<f64>,
 ) -> Result<Vec<Frame>, PrepareError> {
@@ -188,7 +188,7 @@ fn grey_frames(
             frames.push(Frame::new(frames.len() as u64 * step, width, height, &grey));
             watch.check()?;
             let done = frames.len() as u64;
-            (watch.progress)(Progress {
+            (watch.progress)(StepProgress {
                 step: "frames",
                 done,
                 total: total.max(done),
@@ -209,7 +209,7 @@ pub(crate) fn write(
     choice: &Choice,
     (folder, names): (&Path, &[PathBuf]),
     log: &Path,
-    watch: &Watch<'_>,
+    watch: &StepWatch<'_>,
 ) -> Result<(), PrepareError> {
     let Choice { film, frames, .. } = choice;
     let wanted: Vec<String> = frames.iter().map(|f| format!("eq(n\\,{})", f.number)).collect();
@@ -228,7 +228,7 @@ pub(crate) fn write(
     let heard = |line: &str| {
         let done = line.rsplit("frame=").next().and_then(|rest| rest.split_whitespace().next()?.parse().ok());
         if let Some(done) = done.filter(|_| line.contains("frame=")) {
-            (watch.progress)(Progress { step: "frames", done, total, unit: "frames written" });
+            (watch.progress)(StepProgress { step: "frames", done, total, unit: "frames written" });
         }
     };
     let outcome = process::run(&mut command, log, watch.stop, heard)?;

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::error::PrepareError;
 use crate::exif;
-use crate::process::{self, Progress, Watch};
+use crate::process::{self, StepProgress, StepWatch};
 use crate::sources::Photograph;
 use crate::tools::{self, Program};
 
@@ -14,7 +14,7 @@ pub(crate) fn copy(
     folder: &Path,
     ffmpeg: Option<&Program>,
     log: &Path,
-    watch: &Watch<'_>,
+    watch: &StepWatch<'_>,
 ) -> Result<(), PrepareError> {
     for (done, photograph) in photographs.iter().enumerate() {
         watch.check()?;
@@ -45,7 +45,7 @@ pub(crate) fn copy(
             }
         }
         let (done, total) = (done as u64 + 1, photographs.len() as u64);
-        (watch.progress)(Progress { step: "photographs", done, total, unit: "photographs" });
+        (watch.progress)(StepProgress { step: "photographs", done, total, unit: "photographs" });
     }
     Ok(())
 }

@@ -14,11 +14,11 @@ use crate::error::PrepareError;
 use crate::film::{self, Choice};
 use crate::params::{FEWEST, PrepareParams};
 use crate::photographs;
-use crate::process::{Progress, Watch};
+use crate::process::{StepProgress, StepWatch};
 use crate::sfm::{Commands, FEATURES_DB, IMAGES, MATCHES_DB, MODELS, Sfm, groups};
 use crate::sources::{BESIDE, Sources};
 use crate::tools::{Finder, Program, Programs};
-use crate::verdict::{Verdict, judge, models, remedies};
+use crate::verdict::{CameraVerdict, judge, models, remedies};
 
 /// The record of a preparation, in the capture's folder.
 pub const PREPARED: &str = "prepare.json";
@@ -46,19 +46,19 @@ pub struct Input {
 #[derive(Debug)]
 pub struct Prepared {
     /// The judgement.
-    pub verdict: Verdict,
+    pub verdict: CameraVerdict,
     /// Further remarks.
     pub remarks: Vec<String>,
 }
 
 /// The parts of the record that a later preparation reads.
 #[derive(Deserialize)]
-struct Record {
+struct PreparedRecord {
     key: String,
     inputs: Vec<Input>,
 }
 
-fn record(capture: &Path) -> Option<Record> {
+fn record(capture: &Path) -> Option<PreparedRecord> {
     let bytes = std::fs::read(capture.join(PREPARED)).ok()?;
     serde_json::from_slice(&bytes).ok()
 }
@@ -78,7 +78,7 @@ pub fn key_of(
     params: &PrepareParams,
     finder: Finder,
     earlier: &Path,
-    watch: &Watch<'_>,
+    watch: &StepWatch<'_>,
 ) -> Result<(String, Vec<Input>, bool), PrepareError> {
     let earlier = record(earlier);
     let known = earlier.iter().flat_map(|r| &r.inputs).map(|input| (&*input.name, input));
@@ -107,7 +107,7 @@ pub fn key_of(
     Ok((key, inputs, reusable))
 }
 
-fn digest(path: &Path, watch: &Watch<'_>) -> Result<String, PrepareError> {
+fn digest(path: &Path, watch: &StepWatch<'_>) -> Result<String, PrepareError> {
     let bad = PrepareError::file(path);
     let mut file = File::open(path).map_err(&bad)?;
     let (mut hasher, mut part) = (blake3::Hasher::new(), vec![0; 1 << 20]);
@@ -144,7 +144,7 @@ struct Taken {
 
 /// The finished steps, each with the digest of everything that it depends on.
 #[derive(Default, Serialize, Deserialize)]
-struct State {
+struct FinishedSteps {
     images: Option<(String, Vec<Taken>, Vec<String>)>,
     features: Option<(String, Commands)>,
     matches: Option<(String, Commands)>,
@@ -154,7 +154,7 @@ struct State {
 struct Work<'a> {
     folder: &'a Path,
     log: PathBuf,
-    state: State,
+    state: FinishedSteps,
 }
 
 impl Work<'_> {
@@ -192,7 +192,7 @@ pub fn prepare(
     params: &PrepareParams,
     programs: &Programs,
     (folder, threads): (&Path, usize),
-    watch: &Watch<'_>,
+    watch: &StepWatch<'_>,
 ) -> Result<Prepared, PrepareError> {
     params.validate()?;
     // Missing programs are named before any work is done.
@@ -221,7 +221,8 @@ pub fn prepare(
     let images_key = hash(&json!({ "rules": RULES, "inputs": digests, "frames": params.frames }));
     if work.state.images.as_ref().is_none_or(|(done, ..)| *done != images_key) {
         let (taken, remarks) = images(sources, params, ffmpeg.as_ref(), &work, watch)?;
-        work.state = State { images: Some((images_key.clone(), taken, remarks)), ..State::default() };
+        work.state =
+            FinishedSteps { images: Some((images_key.clone(), taken, remarks)), ..FinishedSteps::default() };
         work.keep()?;
     } else {
         (watch.note)("images: kept from the last attempt");
@@ -262,7 +263,7 @@ pub fn prepare(
     if work.state.features.as_ref().is_none_or(|(done, _)| *done != features_key) {
         // A step that was interrupted starts again, so that its result does not depend on the interruption.
         work.remove_database(FEATURES_DB)?;
-        work.state = State { features: None, matches: None, cameras: None, ..work.state };
+        work.state = FinishedSteps { features: None, matches: None, cameras: None, ..work.state };
         work.keep()?;
         let commands = sfm.features(&groups)?;
         work.state.features = Some((features_key.clone(), commands));
@@ -274,7 +275,7 @@ pub fn prepare(
     let matches_key = hash(&json!([features_key, matching, params.repeatable]));
     if work.state.matches.as_ref().is_none_or(|(done, _)| *done != matches_key) {
         work.remove_database(MATCHES_DB)?;
-        work.state = State { matches: None, cameras: None, ..work.state };
+        work.state = FinishedSteps { matches: None, cameras: None, ..work.state };
         work.keep()?;
         let (from, to) = (folder.join(FEATURES_DB), folder.join(MATCHES_DB));
         // A fake or broken program may have written none; the step then says so itself.
@@ -315,7 +316,7 @@ pub fn prepare(
         remarks.push("a model has numbers beyond single precision; the import will refuse it".into());
     }
     assemble(&work, sources, &found)?;
-    let State { features, matches, cameras, .. } = &work.state;
+    let FinishedSteps { features, matches, cameras, .. } = &work.state;
     let steps = [("features", features), ("matches", matches), ("cameras", cameras)];
     let commands: BTreeMap<&str, &Commands> =
         steps.into_iter().filter_map(|(name, step)| Some((name, &step.as_ref()?.1))).collect();
@@ -338,7 +339,7 @@ fn images(
     params: &PrepareParams,
     ffmpeg: Option<&Program>,
     work: &Work<'_>,
-    watch: &Watch<'_>,
+    watch: &StepWatch<'_>,
 ) -> Result<(Vec<Taken>, Vec<String>), PrepareError> {
     work.remove(CAPTURE)?;
     let folder = work.folder.join(IMAGES);
@@ -396,7 +397,7 @@ fn images(
     }
     taken.sort_by(|a, b| a.image.cmp(&b.image));
     let total = taken.len() as u64;
-    (watch.progress)(Progress { step: "images", done: total, total, unit: "images" });
+    (watch.progress)(StepProgress { step: "images", done: total, total, unit: "images" });
     Ok((taken, remarks))
 }
 

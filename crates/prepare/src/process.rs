@@ -13,7 +13,7 @@ use crate::error::PrepareError;
 
 /// The progress of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Progress {
+pub struct StepProgress {
     /// The step, in words.
     pub step: &'static str,
     /// Finished units.
@@ -25,16 +25,16 @@ pub struct Progress {
 }
 
 /// The caller's view of the work.
-pub struct Watch<'a> {
+pub struct StepWatch<'a> {
     /// Set by the caller to stop the work.
     pub stop: &'a AtomicBool,
     /// Receives progress.
-    pub progress: &'a dyn Fn(Progress),
+    pub progress: &'a dyn Fn(StepProgress),
     /// Receives one line for every finished step and every remark.
     pub note: &'a dyn Fn(&str),
 }
 
-impl Watch<'_> {
+impl StepWatch<'_> {
     pub(crate) fn check(&self) -> Result<(), PrepareError> {
         if self.stop.load(Ordering::Relaxed) { Err(PrepareError::Interrupted) } else { Ok(()) }
     }
@@ -73,7 +73,7 @@ fn forward(stream: impl Read + Send + 'static, lines: Sender<String>) {
 }
 
 /// The end of a program: its status and its last lines that are not empty.
-pub(crate) struct Outcome {
+pub(crate) struct ProgramEnd {
     pub(crate) status: ExitStatus,
     pub(crate) last: Vec<String>,
 }
@@ -94,7 +94,7 @@ pub(crate) fn run(
     log: &Path,
     stop: &AtomicBool,
     mut heard: impl FnMut(&str),
-) -> Result<Outcome, PrepareError> {
+) -> Result<ProgramEnd, PrepareError> {
     let mut file = open_log(log)?;
     let failed = PrepareError::file(log);
     writeln!(file, "$ {}", spelled(command).join(" ")).map_err(&failed)?;
@@ -127,7 +127,7 @@ pub(crate) fn run(
             Err(RecvTimeoutError::Timeout) => {
                 // A grandchild may keep the streams open after the program has ended.
                 if let Some(status) = child.0.try_wait().map_err(PrepareError::file(&program))? {
-                    return Ok(Outcome { status, last: last.into() });
+                    return Ok(ProgramEnd { status, last: last.into() });
                 }
             }
             Err(RecvTimeoutError::Disconnected) => break,
@@ -135,7 +135,7 @@ pub(crate) fn run(
     }
     loop {
         if let Some(status) = child.0.try_wait().map_err(PrepareError::file(&program))? {
-            return Ok(Outcome { status, last: last.into() });
+            return Ok(ProgramEnd { status, last: last.into() });
         }
         if stop.load(Ordering::Relaxed) {
             return Err(PrepareError::Interrupted);
@@ -145,7 +145,7 @@ pub(crate) fn run(
 }
 
 /// The end of a program that failed, in words.
-pub(crate) fn reason(outcome: &Outcome) -> String {
+pub(crate) fn reason(outcome: &ProgramEnd) -> String {
     #[cfg(unix)]
     let signal = std::os::unix::process::ExitStatusExt::signal(&outcome.status);
     #[cfg(not(unix))]

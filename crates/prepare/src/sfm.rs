@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 
 use crate::error::PrepareError;
 use crate::params::{Mapper, Matching, PrepareParams};
-use crate::process::{self, Outcome, Progress, Watch, counts, spelled};
+use crate::process::{self, ProgramEnd, StepProgress, StepWatch, counts, spelled};
 use crate::tools::{self, Program};
 
 /// The script for `pycolmap`.
@@ -48,7 +48,7 @@ pub(crate) struct Sfm<'a> {
     pub(crate) work: &'a Path,
     pub(crate) log: &'a Path,
     pub(crate) threads: usize,
-    pub(crate) watch: &'a Watch<'a>,
+    pub(crate) watch: &'a StepWatch<'a>,
     /// The number of images.
     pub(crate) images: usize,
 }
@@ -86,7 +86,7 @@ impl Sfm<'_> {
         step: &str,
         job: &Value,
         heard: impl FnMut(&str),
-    ) -> Result<(Outcome, Commands), PrepareError> {
+    ) -> Result<(ProgramEnd, Commands), PrepareError> {
         let mut command = self.command();
         command.args(["-c", SCRIPT, step]).arg(job.to_string());
         let outcome = process::run(&mut command, self.log, self.watch.stop, heard)?;
@@ -101,7 +101,7 @@ impl Sfm<'_> {
         arguments: &[(&str, String)],
         options: &[(&[&str], String)],
         heard: impl FnMut(&str),
-    ) -> Result<(Outcome, Vec<String>), PrepareError> {
+    ) -> Result<(ProgramEnd, Vec<String>), PrepareError> {
         let help = self.command().args([verb, "-h"]).stdin(Stdio::null()).output();
         let help = help.map_err(PrepareError::file(&self.program.path))?;
         let help = String::from_utf8_lossy(&[help.stdout, help.stderr].concat()).into_owned();
@@ -122,7 +122,7 @@ impl Sfm<'_> {
         Ok((outcome, said))
     }
 
-    fn failed(&self, step: &'static str, outcome: &Outcome) -> PrepareError {
+    fn failed(&self, step: &'static str, outcome: &ProgramEnd) -> PrepareError {
         PrepareError::Step { step, reason: process::reason(outcome), log: self.log.to_path_buf() }
     }
 
@@ -135,7 +135,7 @@ impl Sfm<'_> {
         let tell = |before: u64, line: &str| {
             if let Some((done, _)) = counts(line).filter(|_| line.contains("Processed file")) {
                 let done = before + done;
-                (self.watch.progress)(Progress { step: STEP, done, total, unit: "images" });
+                (self.watch.progress)(StepProgress { step: STEP, done, total, unit: "images" });
             }
         };
         if self.is_package() {
@@ -197,7 +197,7 @@ impl Sfm<'_> {
         let tell = |line: &str| {
             if let Some((done, total)) = counts(line).filter(|_| !line.contains("Processed file")) {
                 let unit = if exhaustive { "blocks" } else { "images" };
-                (self.watch.progress)(Progress { step: STEP, done, total, unit });
+                (self.watch.progress)(StepProgress { step: STEP, done, total, unit });
             }
         };
         let (outcome, commands) = if self.is_package() {
@@ -234,7 +234,7 @@ impl Sfm<'_> {
         let tell = |line: &str| {
             if let Some(done) = registered(line) {
                 let done = done.min(total);
-                (self.watch.progress)(Progress { step: STEP, done, total, unit: "images with a place" });
+                (self.watch.progress)(StepProgress { step: STEP, done, total, unit: "images with a place" });
             }
         };
         let fixed = !self.params.calibration.is_empty();

@@ -4,7 +4,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use use3d_capture::FileName;
-use use3d_io_image::{Format, image_info};
+use use3d_io_image::{FileFormat, image_info};
 
 use crate::error::PrepareError;
 use crate::exif;
@@ -150,13 +150,13 @@ impl Sources {
             let info = image_info(path)?;
             let size = (info.width, info.height);
             let mut taken = (String::new(), String::new(), 0);
-            if info.format == Format::Jpeg {
+            if info.format == FileFormat::Jpeg {
                 let mut head = Vec::new();
                 let file = std::fs::File::open(path).map_err(PrepareError::file(path))?;
                 file.take(exif::HEAD).read_to_end(&mut head).map_err(PrepareError::file(path))?;
                 let found = exif::read(&head);
                 (photograph.orientation, taken) = (found.orientation, found.camera);
-            } else if !matches!(info.format, Format::Png | Format::Tiff) {
+            } else if !matches!(info.format, FileFormat::Png | FileFormat::Tiff) {
                 return Err(PrepareError::input(path, "expected a JPEG, PNG or TIFF"));
             }
             photograph.camera = format!("{}x{} {} {} {}", size.0, size.1, taken.0, taken.1, taken.2);

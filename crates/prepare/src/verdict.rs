@@ -28,7 +28,7 @@ pub enum Grade {
 
 /// The judgement of a preparation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Verdict {
+pub struct CameraVerdict {
     /// The grade.
     pub grade: Grade,
     /// Number of images.
@@ -80,7 +80,7 @@ pub(crate) fn judge(
     models: &[Model],
     names: &[String],
     (params, matching, films): (&PrepareParams, Matching, bool),
-) -> Option<Verdict> {
+) -> Option<CameraVerdict> {
     let used = models.first()?;
     let mut placed: BTreeSet<&str> = used.images.iter().map(|i| i.name.as_str()).collect();
     let missing: Vec<String> = names.iter().filter(|n| !placed.contains(n.as_str())).cloned().collect();
@@ -135,7 +135,7 @@ pub(crate) fn judge(
             params.lens
         ));
     }
-    Some(Verdict {
+    Some(CameraVerdict {
         grade,
         images: names.len(),
         registered,

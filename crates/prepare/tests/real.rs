@@ -7,10 +7,10 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use common::{Attempt, attempt};
+use common::{Attempt, attempt, attempt_until};
 use glam::{DMat3, DVec3};
 use use3d_io_colmap::{Model, read_model};
-use use3d_prepare::{CAPTURE, Finder, Grade, PrepareParams, Programs};
+use use3d_prepare::{CAPTURE, Finder, Grade, PrepareError, PrepareParams, Programs};
 use use3d_synth::{CaptureParams, write_capture};
 
 fn programs(finder: Finder) -> Programs {
@@ -133,5 +133,40 @@ fn a_film_and_its_photographs_get_their_true_cameras() {
             println!("{finder:?}: turned by {turn:.3} degrees, distances off by {:.3} %", 100.0 * distance);
             assert!(turn < 1.0 && distance < 0.01, "{turn} {distance}");
         }
+    }
+}
+
+/// The number of the real reef's photographs that are used.
+const REEF: usize = 20;
+
+#[test]
+fn photographs_of_a_real_reef_get_the_cameras_of_its_model_also_after_an_interruption() {
+    let Some(data) = std::env::var_os("USE3D_DATA").map(PathBuf::from) else {
+        println!("skipped: USE3D_DATA does not name the folder with the real captures");
+        return;
+    };
+    let reef = data.join("reef_deepreefmap");
+    let truth = read_model(&reef.join("sparse/0")).unwrap();
+    let entries = std::fs::read_dir(reef.join("images")).unwrap();
+    let mut photographs: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
+    photographs.sort();
+    photographs.truncate(REEF);
+    let stem = |name: &str| number(name.rsplit_once('.').map_or(name, |(stem, _)| stem));
+    let truth = poses(&truth, stem);
+    for finder in finders() {
+        let dir = tempfile::tempdir().unwrap();
+        let params = PrepareParams { features: Some(2000), ..PrepareParams::default() };
+        let (out, programs) = (dir.path().join("reef"), programs(finder));
+        let stopped = attempt_until(&photographs, &params, &programs, &out, Some("features: found"));
+        assert!(matches!(stopped.done, Err(PrepareError::Interrupted)), "{:?}", stopped.done);
+        let Attempt { done, work, notes, .. } = attempt(&photographs, &params, &programs, &out);
+        assert!(notes.iter().any(|n| n == "features: kept from the last attempt"), "{notes:?}");
+        let verdict = done.unwrap().verdict;
+        println!("{finder:?}: {:?}", verdict.words);
+        assert!(verdict.grade == Grade::Good && verdict.registered == REEF, "{verdict:?}");
+        let found = poses(&read_model(&work.join(CAPTURE).join("sparse/0")).unwrap(), stem);
+        let (turn, distance) = errors(&found, &truth);
+        println!("{finder:?}: turned by {turn:.3} degrees, distances off by {:.3} %", 100.0 * distance);
+        assert!(turn < 2.0 && distance < 0.01, "{turn} {distance}");
     }
 }

@@ -1,8 +1,10 @@
 //! `use3d check`: says before a run what will go wrong with a capture, and what to do about it.
 
+use std::convert::Infallible;
 use std::io::Write;
+use std::path::Path;
 
-use use3d_check::{Picture, Report, WaterSight, examine, measure, page};
+use use3d_check::{CheckReport, Picture, WaterSight, examine, measure, page};
 use use3d_import::{ImportParams, Imported, capture_name, import, is_prepared, load_pixels, load_prepared};
 use use3d_io_image::{jpeg_address, shrunk};
 use use3d_pipeline::water::{Judgement, from_tracks};
@@ -10,7 +12,7 @@ use use3d_water::WaterParams;
 
 use crate::App;
 use crate::args::CheckArgs;
-use crate::destination::{check_file, path_text, write_file};
+use crate::destination::{check_file, path_text, word, write_file};
 use crate::error::{CliError, Done};
 use crate::interrupt;
 use crate::verbs::stages::{imported, parameters, scratch, stages};
@@ -55,8 +57,13 @@ pub(crate) fn run(app: &App, args: &CheckArgs) -> Done {
     let (_, judgement) = water.map_err(CliError::input)?;
     let words = judgement.to_string();
     let water = match judgement {
-        Judgement::Found => WaterSight::Found(&words),
-        Judgement::Lamps | Judgement::Unknown => WaterSight::Unknown(&words),
+        Judgement::Found => WaterSight::Found("the water can be measured before the training"),
+        Judgement::Lamps => WaterSight::Unknown(
+            "colours fade with the distance as the light of lamps does, so the water cannot be measured beforehand",
+        ),
+        Judgement::Unknown => WaterSight::Unknown(
+            "the water cannot be measured in every colour beforehand, so the training learns it from the photographs",
+        ),
         Judgement::Dry | Judgement::Sky | Judgement::Air => WaterSight::None(&words),
     };
     let report = examine(&listed, figures.map_err(CliError::input)?, Some(water), metres(&capture));
@@ -74,8 +81,22 @@ pub(crate) fn run(app: &App, args: &CheckArgs) -> Done {
     Ok(())
 }
 
+/// The gravest faults of a capture that its model shows, in lines, before a run. No picture is read. An error
+/// of the capture gives no line: the run itself reports it.
+pub(crate) fn before_run(capture: &Path, parameters: &serde_json::Value) -> Vec<String> {
+    const MOST: usize = 3;
+    let Ok(params) = serde_json::from_value::<ImportParams>(parameters.clone()) else { return Vec::new() };
+    let Ok(imported) = import(capture, &params) else { return Vec::new() };
+    let Ok(figures) = measure::<Infallible>(&imported.capture, &imported.tracks(), None);
+    let mut lines = examine(&imported.report, figures, None, metres(&imported)).gravest(MOST);
+    if !lines.is_empty() {
+        lines.push(format!("`use3d check {}` says more, and looks at the photographs", word(capture)));
+    }
+    lines
+}
+
 /// Small pictures of the views that the page shows.
-fn pictures(report: &Report, capture: &Imported) -> Result<Vec<Picture>, CliError> {
+fn pictures(report: &CheckReport, capture: &Imported) -> Result<Vec<Picture>, CliError> {
     let wanted = report.pictured();
     let views = capture.capture.views.iter().filter(|view| wanted.contains(view.name.as_str()));
     views

@@ -6,8 +6,8 @@ use std::sync::Mutex;
 
 use use3d_build::{Digest, Event, place};
 use use3d_prepare::{
-    CAPTURE, Grade, Input, PREPARED, PrepareError, PrepareParams, Prepared, Programs, Progress, Sources,
-    Watch, key_of, prepare, work_folder,
+    CAPTURE, Grade, Input, PREPARED, PrepareError, PrepareParams, Prepared, Programs, Sources, StepProgress,
+    StepWatch, key_of, prepare, work_folder,
 };
 
 use crate::App;
@@ -47,7 +47,7 @@ impl<'a> Teller<'a> {
         *step = next;
     }
 
-    fn progress(&self, Progress { step, done, total, unit }: Progress) {
+    fn progress(&self, StepProgress { step, done, total, unit }: StepProgress) {
         self.end(Some(step));
         let event =
             Event::Progress { node: 0, label: step, done, total, unit, message: "", seconds_left: None };
@@ -69,7 +69,7 @@ enum Need {
 }
 
 /// A preparation.
-struct Job<'a> {
+struct Preparation<'a> {
     app: &'a App,
     sources: &'a Sources,
     params: &'a PrepareParams,
@@ -77,14 +77,14 @@ struct Job<'a> {
     out: &'a Path,
 }
 
-impl Job<'_> {
+impl Preparation<'_> {
     fn watched<T>(
         &self,
-        work: impl FnOnce(&Watch<'_>) -> Result<T, PrepareError>,
+        work: impl FnOnce(&StepWatch<'_>) -> Result<T, PrepareError>,
     ) -> Result<T, PrepareError> {
         let teller = Teller::new(self.app);
         let (progress, note) = (|p| teller.progress(p), |text: &str| teller.note(text));
-        let done = work(&Watch { stop: &self.app.stop, progress: &progress, note: &note });
+        let done = work(&StepWatch { stop: &self.app.stop, progress: &progress, note: &note });
         teller.end(None);
         done
     }
@@ -130,7 +130,7 @@ fn lines(prepared: &Prepared) -> Vec<String> {
 pub(crate) fn run(app: &App, args: &PrepareArgs) -> Done {
     let sources = Sources::of(&args.inputs)?;
     let (params, programs) = (args.params(), args.programs());
-    let job = Job { app, sources: &sources, params: &params, programs: &programs, out: &args.out };
+    let job = Preparation { app, sources: &sources, params: &params, programs: &programs, out: &args.out };
     match job.need()? {
         Need::Nothing if !app.quiet && !args.json => {
             println!("{}: prepared before from the same files and choices", path_text(&args.out));
@@ -170,7 +170,7 @@ pub(crate) fn capture_for(app: &App, target: &Path, out: Option<&Path>) -> Resul
     let beside = out.map_or(Path::new("use3d-out"), place::parent);
     let capture = beside.join("captures").join(name);
     let (params, programs) = (PrepareParams::default(), programs());
-    let job = Job { app, sources: &sources, params: &params, programs: &programs, out: &capture };
+    let job = Preparation { app, sources: &sources, params: &params, programs: &programs, out: &capture };
     let told = |text: &str| {
         if !app.quiet {
             eprintln!("{text}");

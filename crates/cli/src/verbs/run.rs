@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use serde::Serialize;
 use use3d_build::machine::seconds;
 use use3d_build::place;
+use use3d_build::plan::{PlannedNode, State};
 use use3d_build::{Builder, Cache, Event, Graph, Listener, Plan, RunOptions, Summary, picture};
 use use3d_cluster::quote;
 use use3d_pipeline::config::{LoadOptions, Pipeline, for_capture, load};
@@ -20,6 +21,7 @@ use crate::args::{
 };
 use crate::destination::path_text;
 use crate::error::{CliError, Done};
+use crate::verbs::check;
 use crate::verbs::history::{self, Record};
 use crate::verbs::outcome::{self, Outcome};
 use crate::verbs::prepare;
@@ -255,7 +257,9 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
         None => loaded,
     };
     if !app.quiet {
-        tell_why(&loaded.builder.plan(&loaded.graph, until.as_deref()));
+        let plan = loaded.builder.plan(&loaded.graph, until.as_deref());
+        tell_faults(&loaded, &plan, &pipeline.target);
+        tell_why(&plan);
     }
     let watched = Watched::start(app, &args.watch, None)?;
     let app = watched.as_ref().map_or(app, Watched::app);
@@ -283,6 +287,19 @@ fn prepared(app: &App, args: &RunArgs, target: &Path) -> Result<Option<PathBuf>,
         return Ok(None);
     }
     prepare::capture_for(app, target, args.out.as_deref())
+}
+
+/// The stage that reads a capture folder.
+const IMPORT: &str = "import";
+
+/// Prints the gravest faults of a capture folder that is imported for the first time.
+fn tell_faults(loaded: &Loaded, plan: &Plan, target: &Path) {
+    let imports = |node: &&PlannedNode| node.stage == IMPORT && matches!(node.state, State::Run(_));
+    let anew = target.is_dir() && plan.nodes.iter().any(|node| imports(&node) && !node.had);
+    let node = loaded.graph.nodes.iter().find(|node| node.stage_name == IMPORT).filter(|_| anew);
+    for line in node.map_or_else(Vec::new, |node| check::before_run(target, &node.parameters)) {
+        eprintln!("{line}");
+    }
 }
 
 /// Prints why stages run again, and an estimate of the total time.
