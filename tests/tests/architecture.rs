@@ -24,17 +24,23 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("io-colmap", &["capture", "files", "io-image", "survey"]),
     ("io-metashape", &["capture", "survey"]),
     ("io-nerfstudio", &["capture", "numerics", "survey"]),
-<<<<<<< HEAD
+    ("io-opensfm", &["capture", "numerics", "survey"]),
     (
         "import",
-        &["capture", "files", "numerics", "io-image", "survey", "io-colmap", "io-metashape", "io-nerfstudio"],
+        &[
+            "capture",
+            "files",
+            "numerics",
+            "io-image",
+            "survey",
+            "io-colmap",
+            "io-metashape",
+            "io-nerfstudio",
+            "io-opensfm",
+        ],
     ),
     ("prepare", &["capture", "files", "io-image", "io-colmap"]),
-=======
-    ("import", &["capture", "numerics", "io-image", "survey", "io-colmap", "io-metashape", "io-nerfstudio"]),
-    ("prepare", &["capture", "io-image", "io-colmap"]),
     ("check", &["capture", "numerics", "io-image", "import"]),
->>>>>>> 1d19438 (Check a capture before a run, and say what to do (never compiled))
     ("metrics", &["capture", "numerics"]),
     ("nets", &["capture", "numerics"]),
     ("synth", &["capture", "files", "numerics", "io-image", "io-colmap"]),

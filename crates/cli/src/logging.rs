@@ -20,6 +20,7 @@ pub(crate) fn start(verbose: u8, quiet: bool) {
         "io_colmap",
         "io_metashape",
         "io_nerfstudio",
+        "io_opensfm",
         "import",
         "prepare",
         "splat",
