@@ -1,8 +1,8 @@
 //! The parts of the pictures that tracks reach, over all views of a camera.
 //!
-//! The picture is divided into a grid of cells, and each sighting of a sparse point counts in its cell. A cell
-//! that fewer than one view in ten reaches is bare: nothing there was found again in another picture, so the
-//! scene cannot be learnt there.
+//! The picture is divided into a grid of cells, and each sighting of a sparse point counts in its cell. A
+//! cell that fewer than one view in ten reaches is bare: nothing there was found again in another picture, so
+//! the scene cannot be learnt there.
 
 use serde::Serialize;
 use use3d_capture::{Capture, Track};

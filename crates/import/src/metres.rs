@@ -1,7 +1,7 @@
 //! Metres from tables that lie beside the photographs.
 //!
 //! ```text
-//! lengths.csv      length, metres, image, x1, y1, x2, y2     a known length, marked in two or more photographs
+//! lengths.csv      length, metres, image, x1, y1, x2, y2     a known length, in two or more photographs
 //! positions.csv    image, x, y, z                            where photographs were taken, metres
 //! depths.csv       image, depth                              how deep, metres below the surface
 //! ```
@@ -32,13 +32,13 @@ const AGREE: f64 = 0.01;
 const CERTAIN: f64 = 0.1;
 
 /// A table whose first line names its columns.
-struct Table {
+struct CsvTable {
     path: PathBuf,
     columns: Vec<String>,
     rows: Vec<(usize, Vec<String>)>,
 }
 
-impl Table {
+impl CsvTable {
     /// Reads a table of the capture; `None` if it is not there.
     fn read(dir: &Path, name: &str, needed: &[&str]) -> Result<Option<Self>, ImportError> {
         let path = dir.join(name);
@@ -132,15 +132,16 @@ pub(crate) fn read(
 ) -> Result<(), ImportError> {
     let mut found = Vec::new();
     let (mut notes, mut markers, mut bars) = (Vec::new(), Vec::new(), Vec::new());
-    if let Some(table) = Table::read(dir, LENGTHS, &["length", "metres", "image", "x1", "y1", "x2", "y2"])? {
+    if let Some(table) = CsvTable::read(dir, LENGTHS, &["length", "metres", "image", "x1", "y1", "x2", "y2"])?
+    {
         files.push(LENGTHS.into());
         found.extend(lengths(&table, images, survey, (&mut markers, &mut bars), &mut notes)?);
     }
-    if let Some(table) = Table::read(dir, POSITIONS, &["image", "x", "y", "z"])? {
+    if let Some(table) = CsvTable::read(dir, POSITIONS, &["image", "x", "y", "z"])? {
         files.push(POSITIONS.into());
         found.extend(positions(&table, survey, &mut notes)?);
     }
-    if let Some(table) = Table::read(dir, DEPTHS, &["image", "depth"])? {
+    if let Some(table) = CsvTable::read(dir, DEPTHS, &["image", "depth"])? {
         files.push(DEPTHS.into());
         found.extend(depths(&table, survey, &mut notes)?);
     }
@@ -164,7 +165,7 @@ pub(crate) fn read(
 
 /// Metres by known lengths. Their ends become markers with a scale bar between them.
 fn lengths(
-    table: &Table,
+    table: &CsvTable,
     images: &Folder,
     survey: &Survey,
     (markers, bars): (&mut Vec<Marker>, &mut Vec<ScaleBar>),
@@ -233,7 +234,7 @@ fn lengths(
 
 /// The centres of the named images with the numbers of their rows, and the number of names without a camera.
 fn centres<T>(
-    table: &Table,
+    table: &CsvTable,
     survey: &Survey,
     of: impl Fn(&(usize, Vec<String>)) -> Result<T, ImportError>,
 ) -> Result<(Vec<(DVec3, T)>, usize), ImportError> {
@@ -249,7 +250,11 @@ fn centres<T>(
     Ok((pairs, unknown))
 }
 
-fn positions(table: &Table, survey: &Survey, notes: &mut Vec<String>) -> Result<Option<World>, ImportError> {
+fn positions(
+    table: &CsvTable,
+    survey: &Survey,
+    notes: &mut Vec<String>,
+) -> Result<Option<World>, ImportError> {
     let (pairs, unknown) = centres(table, survey, |row| {
         Ok(DVec3::new(table.number(row, "x")?, table.number(row, "y")?, table.number(row, "z")?))
     })?;
@@ -273,7 +278,7 @@ fn positions(table: &Table, survey: &Survey, notes: &mut Vec<String>) -> Result<
     }
 }
 
-fn depths(table: &Table, survey: &Survey, notes: &mut Vec<String>) -> Result<Option<World>, ImportError> {
+fn depths(table: &CsvTable, survey: &Survey, notes: &mut Vec<String>) -> Result<Option<World>, ImportError> {
     let (pairs, _) = centres(table, survey, |row| table.number(row, "depth"))?;
     let remedy = "swim at different depths, or measure a length";
     match fit_depths(&pairs, format!("the depths in {DEPTHS}")) {

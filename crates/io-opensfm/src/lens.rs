@@ -8,13 +8,13 @@ use use3d_survey::{Distortion, Lens, Projection, ReadError, SurveyCamera};
 type Result<T> = std::result::Result<T, ReadError>;
 
 /// The fields of a camera.
-struct Entry<'a> {
+struct CameraFields<'a> {
     fields: &'a Map<String, Value>,
     path: &'a Path,
     place: String,
 }
 
-impl Entry<'_> {
+impl CameraFields<'_> {
     fn fail<T>(&self, reason: impl Into<String>) -> Result<T> {
         Err(ReadError::broken(self.path, self.place.clone(), reason))
     }
@@ -55,7 +55,7 @@ pub(crate) fn camera(id: u32, name: &str, entry: &Value, path: &Path) -> Result<
     let Value::Object(fields) = entry else {
         return Err(ReadError::broken(path, place, "it is no object; expected projection_type and focal"));
     };
-    let entry = Entry { fields, path, place };
+    let entry = CameraFields { fields, path, place };
     // Files of the first versions had no field for the projection.
     let kind = match fields.get("projection_type") {
         None => "perspective",

@@ -19,13 +19,13 @@ const LARGEST: u64 = 1 << 29;
 
 /// A reconstruction as it is stored.
 #[derive(Deserialize)]
-struct Stored {
+struct StoredReconstruction {
     cameras: Map<String, Value>,
     shots: Map<String, Value>,
     #[serde(default)]
     points: BTreeMap<String, StoredPoint>,
     #[serde(default)]
-    reference_lla: Option<Reference>,
+    reference_lla: Option<GeoReference>,
 }
 
 #[derive(Deserialize)]
@@ -36,7 +36,7 @@ struct StoredPoint {
 }
 
 #[derive(Deserialize)]
-struct Reference {
+struct GeoReference {
     latitude: f64,
     longitude: f64,
     altitude: f64,
@@ -56,7 +56,7 @@ pub fn read(path: &Path) -> Result<Survey> {
 /// # Errors
 /// As [`read`].
 pub fn parse(bytes: &[u8], path: &Path) -> Result<Survey> {
-    let stored: Vec<Stored> = serde_json::from_slice(bytes).map_err(|e| {
+    let stored: Vec<StoredReconstruction> = serde_json::from_slice(bytes).map_err(|e| {
         let reason = format!(
             "it is no reconstruction of OpenSfM, or damaged ({e}); expected a list of reconstructions with cameras, shots \
              and points: take the file that OpenSfM's `reconstruct` wrote"
@@ -153,8 +153,8 @@ fn turn(v: DVec3) -> DMat3 {
 }
 
 /// Local metres around a place on the earth; `None` for the place that stands for "not known".
-fn world(reference: &Reference) -> Option<World> {
-    let Reference { latitude, longitude, altitude } = *reference;
+fn world(reference: &GeoReference) -> Option<World> {
+    let GeoReference { latitude, longitude, altitude } = *reference;
     if latitude == 0.0 && longitude == 0.0 {
         return None;
     }

@@ -11,8 +11,7 @@ use use3d_capture::{Frame, World};
 use use3d_import::Imported;
 use use3d_numerics::math;
 use use3d_reconstruct::FoundWater;
-use use3d_synth::WaterType;
-use use3d_water::{ChannelWater, Measured, Verdict, Water, WaterParams, estimate_sizes, shows_air};
+use use3d_water::{ChannelWater, JERLOV, Measured, Verdict, Water, WaterParams, estimate_sizes, shows_air};
 
 use crate::sights::Seen;
 pub use crate::sights::SightsError;
@@ -197,9 +196,9 @@ pub struct MetricWater {
     pub attenuation: [ValueReport; 3],
     /// `β_b` of red, green and blue, 1/m.
     pub backscatter: [ValueReport; 3],
-    /// Jerlov's type with the most similar attenuation, and its attenuation, 1/m; none unless all channels are
-    /// known.
-    pub nearest: Option<(&'static str, [f32; 3])>,
+    /// Jerlov's type with the most similar attenuation, and its attenuation, 1/m; none unless all channels
+    /// are known.
+    pub nearest: Option<(&'static str, [f64; 3])>,
 }
 
 impl MetricWater {
@@ -214,17 +213,17 @@ impl MetricWater {
         };
         let (attenuation, backscatter) = (of(|c| c.attenuation)?, of(|c| c.backscatter)?);
         let known = channels.iter().all(|c| c.usable) && attenuation.iter().all(|v| v.value > 0.0);
-        let apart = |kind: &WaterType| -> f64 {
-            let pairs = kind.attenuation().into_iter().zip(&attenuation);
-            pairs.map(|(k, v)| math::ln(v.value / f64::from(k))).map(|d| d * d).sum()
+        let apart = |kind: &(&str, [f64; 3])| -> f64 {
+            let pairs = kind.1.into_iter().zip(&attenuation);
+            pairs.map(|(k, v)| math::ln(v.value / k)).map(|d| d * d).sum()
         };
-        let nearest = WaterType::ALL.into_iter().min_by(|a, b| apart(a).total_cmp(&apart(b)));
+        let nearest = JERLOV.into_iter().min_by(|a, b| apart(a).total_cmp(&apart(b)));
         Some(Self {
             metres_per_unit: world.metres_per_unit,
             source: world.source.clone(),
             attenuation,
             backscatter,
-            nearest: nearest.filter(|_| known).map(|kind| (kind.name(), kind.attenuation())),
+            nearest: nearest.filter(|_| known),
         })
     }
 }

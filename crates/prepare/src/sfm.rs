@@ -26,8 +26,8 @@ const SIDE: usize = 2000;
 /// Neighbours of an image in a sequence that it is compared with, besides those at distances of powers of
 /// two.
 const OVERLAP: usize = 10;
-/// The focal length that is tried first, as a share of the longer side, if a photograph does not say it. Behind
-/// a flat port a wide lens sees less than in air; COLMAP's own 1.2 is for telephoto lenses.
+/// The focal length that is tried first, as a share of the longer side, if a photograph does not say it.
+/// Behind a flat port a wide lens sees less than in air; COLMAP's own 1.2 is for telephoto lenses.
 const FOCAL: f64 = 0.85;
 /// The smallest angle between the rays of the first pair, degrees. COLMAP's own 16 refuses every good first
 /// pair of a swim straight ahead.

@@ -1,5 +1,5 @@
-//! `use3d prepare`: makes a capture from films and photographs. `use3d run` does the same first if it is given
-//! a film, or a folder of photographs without a model.
+//! `use3d prepare`: makes a capture from films and photographs. `use3d run` does the same first if it is
+//! given a film, or a folder of photographs without a model.
 
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
