@@ -255,12 +255,21 @@ impl Rules {
         }
         let share = 100.0 * worst.bare;
         // Open water and sky are usually at the top, and have no points anywhere.
-        let (place, severe) = match worst.border.filter(|(_, width)| *width >= BARE.0) {
-            Some((Side::Left, width)) => (format!("The left {:.0} %", 100.0 * width), true),
-            Some((Side::Right, width)) => (format!("The right {:.0} %", 100.0 * width), true),
-            Some((Side::Bottom, width)) => (format!("The lower {:.0} %", 100.0 * width), true),
-            Some((Side::Top, width)) => (format!("The upper {:.0} %", 100.0 * width), false),
-            None => (format!("About {share:.0} %"), false),
+        let wide: Vec<(Side, f64)> =
+            worst.borders.iter().copied().filter(|(_, width)| *width >= BARE.0).collect();
+        let severe = wide.iter().any(|(side, _)| *side != Side::Top);
+        let part = |(side, width): &(Side, f64)| {
+            let name = match side {
+                Side::Left => "left",
+                Side::Right => "right",
+                Side::Top => "upper",
+                Side::Bottom => "lower",
+            };
+            format!("the {name} {:.0} %", 100.0 * width)
+        };
+        let place = match wide.is_empty() {
+            true => format!("About {share:.0} %"),
+            false => sentence(&wide.iter().map(part).collect::<Vec<_>>().join(" and ")),
         };
         let severity = if severe && worst.bare >= BARE.1 { Severity::Serious } else { Severity::Minor };
         let camera = match reaches.len() {
@@ -268,7 +277,7 @@ impl Rules {
             _ => format!(" of the camera with {}x{} pixels", worst.size[0], worst.size[1]),
         };
         let text = format!(
-            "{place} of the pictures{camera} holds no point that was found again in another picture, in any of {} \
+            "{place} of the pictures{camera} never hold a point that was found again in another picture, in any of {} \
              views. The scene cannot be learnt there and will look like fog.",
             worst.views
         );

@@ -43,8 +43,8 @@ pub struct Reach {
     pub cells: Vec<Vec<usize>>,
     /// The share of the cells that are bare.
     pub bare: f64,
-    /// The widest bare border, with its width as a share of the picture; `None` if no border is bare.
-    pub border: Option<(Side, f64)>,
+    /// The bare borders, the widest first, with their widths as shares of the picture.
+    pub borders: Vec<(Side, f64)>,
 }
 
 impl Reach {
@@ -54,7 +54,7 @@ impl Reach {
     }
 
     fn new(size: [usize; 2], views: usize, cells: Vec<Vec<usize>>) -> Self {
-        let mut reach = Self { size, views, cells, bare: 0.0, border: None };
+        let mut reach = Self { size, views, cells, bare: 0.0, borders: Vec::new() };
         let [columns, rows] = GRID;
         let count = (0..rows).flat_map(|r| (0..columns).map(move |c| (c, r)));
         reach.bare = count.filter(|&(c, r)| reach.is_bare(c, r)).count() as f64 / (columns * rows) as f64;
@@ -69,8 +69,8 @@ impl Reach {
             (Side::Bottom, (0..rows).rev().take_while(|&r| row(r)).count(), rows),
         ];
         let widths = borders.map(|(side, bare, of)| (side, bare as f64 / of as f64));
-        reach.border =
-            widths.into_iter().filter(|(_, w)| *w > 0.0).reduce(|a, b| if b.1 > a.1 { b } else { a });
+        reach.borders = widths.into_iter().filter(|(_, width)| *width > 0.0).collect();
+        reach.borders.sort_by(|a, b| b.1.total_cmp(&a.1));
         reach
     }
 }
@@ -118,17 +118,17 @@ mod tests {
     }
 
     #[test]
-    fn the_widest_bare_border_is_found() {
+    fn bare_borders_are_found_the_widest_first() {
         let all = Reach::new([200, 120], 10, cells(|_, _| true));
-        assert_eq!((all.bare, all.border), (0.0, None));
+        assert_eq!((all.bare, all.borders), (0.0, Vec::new()));
         let right = Reach::new([200, 120], 10, cells(|c, r| c < 12 && r > 0));
-        assert_eq!(right.border, Some((Side::Right, 0.4)));
+        assert_eq!(right.borders, [(Side::Right, 0.4), (Side::Top, 1.0 / 12.0)]);
         assert!((right.bare - (0.4 + 0.6 / 12.0)).abs() < 1e-12, "{}", right.bare);
         let bottom = Reach::new([200, 120], 10, cells(|_, r| r < 9));
-        assert_eq!(bottom.border, Some((Side::Bottom, 0.25)));
+        assert_eq!(bottom.borders, [(Side::Bottom, 0.25)]);
         // One stray sighting in many views leaves a cell bare.
         let mut stray = cells(|c, _| c > 9);
         stray[5][0] = 1;
-        assert_eq!(Reach::new([200, 120], 30, stray).border, Some((Side::Left, 0.5)));
+        assert_eq!(Reach::new([200, 120], 30, stray).borders, [(Side::Left, 0.5)]);
     }
 }
