@@ -208,7 +208,7 @@ fn each_camera(
 /// The visibility, transmission and veil of one Gaussian in one camera, or `None` if it is not visible there.
 fn seen_through(sums: &[f32], at: [f32; 3], center: [f32; 3]) -> Option<(f32, [f32; 3], [f32; 3])> {
     let visible = sums[PLANES - 1];
-    if !(visible > 0.0) {
+    if visible.is_nan() || visible <= 0.0 {
         return None;
     }
     let water: [f32; 9] = std::array::from_fn(|k| sums[k] / visible);
@@ -224,6 +224,8 @@ struct Normal {
     weight: f32,
 }
 
+// The triangular sums follow the indices of their formulas.
+#[allow(clippy::needless_range_loop)]
 impl Normal {
     const ZERO: Self =
         Self { left: [0.0; FITTED * (FITTED + 1) / 2], right: [[0.0; 3]; FITTED], weight: 0.0 };
