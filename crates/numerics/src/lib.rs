@@ -1,5 +1,5 @@
 //! Numerical functions that several method crates share: elementary functions, vector code with scalar twins,
-//! tiles of matrix products, spherical harmonics, Adam, random numbers, sums.
+//! tiles of matrix products, small linear systems, spherical harmonics, Adam, random numbers, sums.
 //!
 //! The inputs and outputs are numbers and slices. This crate has no tensor type, no files and no knowledge of
 //! images.
@@ -8,6 +8,7 @@
 //! code gives the bits of its scalar twin wherever fused multiply-add exists.
 
 pub mod adam;
+pub mod cholesky;
 pub mod functions;
 pub mod lanes;
 pub mod math;

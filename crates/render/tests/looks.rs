@@ -307,6 +307,17 @@ fn a_look_baked_in_water_shows_what_cameras_saw() {
     assert!(refused(1.5, &cameras).unwrap().contains("expected 0"));
 }
 
+/// The green of the first Gaussian behind water that is the same in all directions, if it has the green `own`
+/// without water.
+fn green_through_water(scene: &Scene, camera: &Camera, own: f64) -> f64 {
+    let mut maps = MediumMaps::zeros(0, 0);
+    scene.look_through(camera, &Lattice::full(&camera.intrinsics), &mut maps);
+    let [attenuation, backscatter, veil] =
+        [&maps.attenuation, &maps.backscatter, &maps.color].map(|m| f64::from(m.pixel(0, 0)[1]));
+    let s = (camera.pose.center() - glam::Vec3::from_array(scene.gaussians.means[0]).as_dvec3()).length();
+    own * math::exp(-attenuation * s) + veil * (1.0 - math::exp(-backscatter * s))
+}
+
 #[test]
 fn one_camera_and_one_gaussian_are_baked_exactly() {
     let (mut scene, views) = mini();
@@ -314,17 +325,11 @@ fn one_camera_and_one_gaussian_are_baked_exactly() {
     scene.gaussians = most_covering(&scene, &camera).gaussians;
     scene.medium = MediumModel::Global(MediumGlobal::default());
     let baked = bake_in_water(&scene, Look::Reconstruction, 1.0, &[camera]).unwrap();
-    let mut maps = MediumMaps::zeros(0, 0);
-    scene.look_through(&camera, &Lattice::full(&camera.intrinsics), &mut maps);
-    let [attenuation, backscatter, veil] =
-        [&maps.attenuation, &maps.backscatter, &maps.color].map(|m| f64::from(m.pixel(0, 0)[1]));
-    let away = camera.pose.center() - glam::Vec3::from_array(scene.gaussians.means[0]).as_dvec3();
-    let s = away.length();
     // Green of the constant band: the former colour is attenuated, and the veil is added.
     let c0 = f64::from(use3d_numerics::spherical_harmonics::C0);
     let before = 0.5 + c0 * f64::from(scene.gaussians.sh[0][0][1]);
     let after = 0.5 + c0 * f64::from(baked.gaussians.sh[0][0][1]);
-    let expected = before * math::exp(-attenuation * s) + veil * (1.0 - math::exp(-backscatter * s));
+    let expected = green_through_water(&scene, &camera, before);
     assert!((after - expected).abs() < 1e-5, "{after} {expected}");
 }
 
@@ -399,15 +404,8 @@ fn two_cameras_at_two_distances_each_find_their_own_colour() {
         let y = use3d_numerics::spherical_harmonics::basis(3, d);
         0.5 + (0..16).map(|k| f64::from(y[k] * gaussians.sh[0][k][1])).sum::<f64>()
     };
-    let mut maps = MediumMaps::zeros(0, 0);
-    let mut expected = |camera: &Camera| {
-        scene.look_through(camera, &Lattice::full(&camera.intrinsics), &mut maps);
-        let [attenuation, backscatter, veil] =
-            [&maps.attenuation, &maps.backscatter, &maps.color].map(|m| f64::from(m.pixel(0, 0)[1]));
-        let s = (at - camera.pose.center()).length();
-        green(&scene.gaussians, camera).max(0.0) * math::exp(-attenuation * s)
-            + veil * (1.0 - math::exp(-backscatter * s))
-    };
+    let expected =
+        |camera: &Camera| green_through_water(&scene, camera, green(&scene.gaussians, camera).max(0.0));
     let (here, there) = (expected(&near), expected(&far));
     assert!((here - there).abs() > 0.02, "the distances make a difference: {here} {there}");
     for (camera, expected) in [(&near, here), (&far, there)] {

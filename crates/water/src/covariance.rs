@@ -4,10 +4,10 @@
 //! It stays valid if the errors are not those that the loss assumes, and if neighbouring points have common
 //! errors. The gains are included, so that the uncertainty they cause is counted.
 
-use crate::dense::Factor;
 use crate::formation::{BACKSCATTER, Channel, GAIN, VEIL, normal};
 use crate::noise::square;
 use crate::solve::{CAUCHY, ChannelFit, Prior};
+use use3d_numerics::cholesky::Factor;
 
 /// Errors of the shared parameters.
 #[derive(Clone, Debug)]

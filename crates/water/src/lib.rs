@@ -27,7 +27,6 @@ mod blocks;
 mod channel;
 mod covariance;
 mod data;
-mod dense;
 mod estimate;
 mod formation;
 mod noise;

@@ -17,9 +17,9 @@
 use glam::DVec3;
 use use3d_capture::{Camera, Image, Map};
 
-use crate::dense::Factor;
 use crate::noise::square;
 use crate::solve::CAUCHY;
+use use3d_numerics::cholesky::Factor;
 
 /// Number of cells along the longer side of a view.
 const CELLS: usize = 40;

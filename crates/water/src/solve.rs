@@ -8,10 +8,10 @@
 
 use use3d_numerics::math;
 
-use crate::dense::Factor;
 use crate::formation::{ATTENUATION, BACKSCATTER, Channel, GAIN, VEIL, normal, residuals};
 use crate::noise::square;
 use crate::open::Open;
+use use3d_numerics::cholesky::Factor;
 
 /// Cauchy's constant: 95 % efficiency on normal errors.
 pub(crate) const CAUCHY: f64 = 2.385;

@@ -41,6 +41,7 @@
 
 use rayon::prelude::*;
 use use3d_capture::{Camera, Intrinsics, Lattice, MediumMaps, Pose};
+use use3d_numerics::cholesky::Factor;
 use use3d_numerics::math;
 use use3d_numerics::spherical_harmonics::{C0, bands, basis};
 use use3d_scene::Scene;
@@ -224,53 +225,40 @@ struct Normal {
     weight: f32,
 }
 
-// The triangular sums follow the indices of their formulas.
-#[allow(clippy::needless_range_loop)]
 impl Normal {
     const ZERO: Self =
         Self { left: [0.0; FITTED * (FITTED + 1) / 2], right: [[0.0; 3]; FITTED], weight: 0.0 };
 
     fn add(&mut self, weight: f32, basis: &[f32; 16], residual: [f32; 3]) {
-        let mut k = 0;
-        for i in 0..FITTED {
-            for j in 0..=i {
-                self.left[k] += weight * basis[i] * basis[j];
-                k += 1;
+        for (i, y) in basis.iter().enumerate().take(FITTED) {
+            for (sum, other) in self.left[i * (i + 1) / 2..].iter_mut().zip(&basis[..=i]) {
+                *sum += weight * y * other;
             }
             for (sum, r) in self.right[i].iter_mut().zip(residual) {
-                *sum += weight * basis[i] * r;
+                *sum += weight * y * r;
             }
         }
         self.weight += weight;
     }
 
-    /// The solution in its first `used` functions, by Cholesky's method.
+    /// The change `δ` of the first `used` bands; zero if sums are not finite.
     fn solve(&self, used: usize) -> [[f32; 3]; FITTED] {
-        let mut root = [[0.0f64; FITTED]; FITTED];
+        let mut change = [[0.0; 3]; FITTED];
+        let mut matrix = vec![0.0; used * used];
         for i in 0..used {
             for j in 0..=i {
-                let mut sum = f64::from(self.left[i * (i + 1) / 2 + j]);
-                if i == j {
-                    sum += PENALTY * f64::from(self.weight);
-                }
-                for k in 0..j {
-                    sum -= root[i][k] * root[j][k];
-                }
-                root[i][j] = if i == j { sum.max(f64::MIN_POSITIVE).sqrt() } else { sum / root[j][j] };
+                matrix[i * used + j] = f64::from(self.left[i * (i + 1) / 2 + j]);
             }
+            matrix[i * used + i] += PENALTY * f64::from(self.weight);
         }
-        let mut x = [[0.0f64; 3]; FITTED];
+        let Some(factor) = Factor::new(matrix, used) else { return change };
         for c in 0..3 {
-            for i in 0..used {
-                let known: f64 = (0..i).map(|k| root[i][k] * x[k][c]).sum();
-                x[i][c] = (f64::from(self.right[i][c]) - known) / root[i][i];
-            }
-            for i in (0..used).rev() {
-                let known: f64 = (i + 1..used).map(|k| root[k][i] * x[k][c]).sum();
-                x[i][c] = (x[i][c] - known) / root[i][i];
+            let right: Vec<f64> = self.right[..used].iter().map(|r| f64::from(r[c])).collect();
+            for (row, v) in change.iter_mut().zip(factor.solve(&right)) {
+                row[c] = v as f32;
             }
         }
-        x.map(|row| row.map(|v| v as f32))
+        change
     }
 }
 
@@ -365,4 +353,52 @@ fn backdrop(scene: &Scene, strength: Option<f32>, water: f32, cameras: &[Camera]
         out.sh.push(sh);
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use use3d_numerics::random::{Purpose, Stream};
+
+    #[test]
+    fn the_fit_is_where_the_derivative_of_its_objective_is_zero() {
+        let draw = Stream::new(3, Purpose::new("fit in water"), 0);
+        let cameras: Vec<(f32, [f32; 16], [f32; 3])> = (0..12u64)
+            .map(|v| {
+                let d = glam::DVec3::new(draw.normal(9 * v), draw.normal(9 * v + 1), 3.0).normalize();
+                let residual = std::array::from_fn(|c| draw.normal(9 * v + 2 + c as u64) as f32);
+                (draw.uniform(9 * v + 8) as f32 + 0.1, basis(3, d.as_vec3().to_array()), residual)
+            })
+            .collect();
+        let mut normal = Normal::ZERO;
+        cameras.iter().for_each(|(weight, y, residual)| normal.add(*weight, y, *residual));
+        for used in [1, 4, FITTED] {
+            let objective = |change: &[[f64; 3]; FITTED]| {
+                let mut sum = 0.0;
+                for (weight, y, residual) in &cameras {
+                    for c in 0..3 {
+                        let fitted: f64 = (0..used).map(|k| f64::from(y[k]) * change[k][c]).sum();
+                        let apart = f64::from(residual[c]) - fitted;
+                        sum += f64::from(*weight) * apart * apart;
+                    }
+                }
+                let size: f64 = change[..used].iter().flatten().map(|v| v * v).sum();
+                sum + PENALTY * f64::from(normal.weight) * size
+            };
+            let best = normal.solve(used).map(|row| row.map(f64::from));
+            assert!(best[used..].iter().flatten().all(|v| *v == 0.0));
+            let least = objective(&best);
+            for (k, c) in (0..used).flat_map(|k| [(k, 0), (k, 1), (k, 2)]) {
+                let at = |step: f64| {
+                    let mut moved = best;
+                    moved[k][c] += step;
+                    objective(&moved)
+                };
+                let (more, less) = (at(1e-3), at(-1e-3));
+                assert!(more > least && less > least, "{used} {k} {c}: {less} {least} {more}");
+                let (slope, curvature) = ((more - less) / 2e-3, (more + less - 2.0 * least) / 1e-6);
+                assert!((slope / curvature).abs() < 1e-4, "{used} {k} {c}: {slope} of {curvature}");
+            }
+        }
+    }
 }

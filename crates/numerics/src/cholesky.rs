@@ -1,7 +1,10 @@
 //! Small dense systems: a symmetric positive definite matrix, row-major, factored as `L Lᵀ` in place.
+//!
+//! Sums run in the order of their indices, so the same matrix gives the same bits everywhere. Nothing is
+//! pivoted: the factor of a badly conditioned matrix loses digits.
 
-/// A lower triangular factor.
-pub(crate) struct Factor {
+/// A lower triangular factor `L`, `n × n`.
+pub struct Factor {
     n: usize,
     lower: Vec<f64>,
 }
@@ -9,7 +12,7 @@ pub(crate) struct Factor {
 impl Factor {
     /// Factors an `n × n` matrix, reading only its lower triangle; `None` if it is not positive definite or
     /// not finite.
-    pub(crate) fn new(mut matrix: Vec<f64>, n: usize) -> Option<Self> {
+    pub fn new(mut matrix: Vec<f64>, n: usize) -> Option<Self> {
         for j in 0..n {
             for i in j..n {
                 let (head, tail) = matrix.split_at(i * n);
@@ -29,8 +32,8 @@ impl Factor {
         Some(Self { n, lower: matrix })
     }
 
-    /// Solves `L Lᵀ x = b`.
-    pub(crate) fn solve(&self, b: &[f64]) -> Vec<f64> {
+    /// Solves `L Lᵀ x = b` for the `n` entries of `b`.
+    pub fn solve(&self, b: &[f64]) -> Vec<f64> {
         let (n, l) = (self.n, &self.lower);
         let mut x = b.to_vec();
         for i in 0..n {
