@@ -19,12 +19,13 @@ use super::common::{folder, read_json, write_json, write_text};
 use super::names::{CHOICES, CONTACT, ENHANCED_IN_2D, SCORES, STRIP, TRUE_VIEWS, WATER};
 use super::proposer::NO_PROPOSER;
 use super::reconstruct::Choices;
+use crate::judge::report::batch::{head, overall};
 use crate::judge::report::plot::{Plot, RGB, Series};
 use crate::judge::report::{CalibratorSection, Page, Picture, PlotFigure, SceneSection, ViewSection};
 use crate::judge::scores::{Method, MethodScores, SceneScores, ScoredScene};
 use crate::judge::strip::Strip;
 use crate::judge::tables::{Table, paper};
-use crate::judge::verdict::{SceneFacts, Sentence, Tone, verdict};
+use crate::judge::verdict::{SceneFacts, verdict};
 
 /// Parameters of the report.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -120,6 +121,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
             });
         }
     }
+    let results: Vec<(&str, &str)> = all.iter().map(|parts| (parts.scene, parts.variant)).collect();
     let tables = paper::tables(&scored);
     write_tables(&context.output().join("tables"), &tables)?;
     let page = Page {
@@ -132,9 +134,9 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         },
         subtitle: match all.len() {
             1 => "one scene".into(),
-            cells => head(&all, cells, scored.len()),
+            _ => head(&results, scored.len()),
         },
-        verdict: overall(&scenes, in_variants(&all), context.missing()),
+        verdict: overall(&results, &scenes, context.missing()),
         tables,
         scenes,
         calibrator: calibrator.as_ref().map(calibrator_section),
@@ -143,70 +145,6 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     };
     write_json(&context.output().join("scores.json"), &scored)?;
     write_text(&context.output().join("index.html"), &page.html()?)
-}
-
-/// One line with the number of scenes, variants and scores.
-fn head(all: &[Parts<'_>], cells: usize, scored: usize) -> String {
-    let count = |names: &mut Vec<&str>| {
-        names.sort_unstable();
-        names.dedup();
-        names.len()
-    };
-    let scenes = count(&mut all.iter().map(|p| p.scene).collect());
-    let variants = count(&mut all.iter().map(|p| p.variant).collect());
-    let scenes = if scenes == 1 { "one scene".to_string() } else { format!("{scenes} scenes") };
-    let variants = if variants == 1 { String::new() } else { format!(" in {variants} variants") };
-    let scored = if scored == cells { String::new() } else { format!(", {scored} of {cells} scored") };
-    format!("{scenes}{variants}{scored}")
-}
-
-/// True if a scene is there in more than one variant.
-fn in_variants(all: &[Parts<'_>]) -> bool {
-    all.iter().any(|parts| parts.variant != all[0].variant)
-}
-
-/// The verdict on a batch: the sentences of a single scene, else the numbers of scored results and of bad
-/// ones; and the list of what is missing. A result is a scene, or one of its variants.
-fn overall(scenes: &[SceneSection], variants: bool, missing: &[String]) -> Vec<Sentence> {
-    let mut out = Vec::new();
-    let results = if variants { "results" } else { "scenes" };
-    if scenes.len() > 1 {
-        let judged = scenes.iter().filter(|scene| !scene.verdict.is_empty()).count();
-        let bad: Vec<&str> = scenes
-            .iter()
-            .filter(|scene| scene.verdict.iter().any(|sentence| sentence.tone == Tone::Bad))
-            .map(|scene| scene.name.as_str())
-            .collect();
-        let text = match (judged, bad.len()) {
-            (0, _) => format!("None of the {results} was scored."),
-            (n, 0) => {
-                format!(
-                    "{n} {results} were scored. No comparison is unfavourable to the method in any of them."
-                )
-            }
-            (n, k) => format!(
-                "{n} {results} were scored. In {k} of them a comparison is unfavourable to the method: {}. The \
-                 sections below give the details.",
-                bad.join(", ")
-            ),
-        };
-        let tone = if judged == 0 {
-            Tone::Plain
-        } else if bad.is_empty() {
-            Tone::Good
-        } else {
-            Tone::Bad
-        };
-        out.push(Sentence { tone, text });
-    }
-    if !missing.is_empty() {
-        let text = format!(
-            "These parts failed or were not made, so this report does not have them: {}.",
-            missing.join(", ")
-        );
-        out.push(Sentence { tone: Tone::Bad, text });
-    }
-    out
 }
 
 fn read_scores(folder: &Path) -> Result<SceneScores, StageError> {
@@ -682,28 +620,6 @@ fn sheets(dir: &Path, report: &TargetsReport) -> Result<Vec<Picture>, StageError
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn the_head_and_the_verdict_count_scenes_and_variants_apart() {
-        let part = |scene, variant| Parts { scene, group: "", variant, inputs: Vec::new() };
-        let one = [part("reef", "full"), part("reef", "mlp"), part("reef", "rbf"), part("reef", "none")];
-        assert_eq!(head(&one, 4, 4), "one scene in 4 variants");
-        assert_eq!(head(&one, 4, 3), "one scene in 4 variants, 3 of 4 scored");
-        let two = [part("reef", ""), part("vent", "")];
-        assert_eq!(head(&two, 2, 2), "2 scenes");
-        assert!(in_variants(&one) && !in_variants(&two));
-        let sentence = |tone| vec![Sentence { tone, text: "a sentence".into() }];
-        let section = |name: &str, tone| SceneSection {
-            name: name.into(),
-            verdict: sentence(tone),
-            ..SceneSection::default()
-        };
-        let scenes = [section("reef · full", Tone::Good), section("reef · mlp", Tone::Bad)];
-        let text = |variants| overall(&scenes, variants, &[])[0].text.clone();
-        assert!(text(true).starts_with("2 results were scored. In 1 of them"), "{}", text(true));
-        assert!(text(false).starts_with("2 scenes were scored."), "{}", text(false));
-        assert!(text(true).contains("reef · mlp"), "{}", text(true));
-    }
 
     #[test]
     fn only_a_sheet_whose_last_row_ends_early_has_a_blank_corner() {

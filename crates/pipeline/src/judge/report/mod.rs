@@ -4,6 +4,7 @@
 //! This module only lays out what the stages measured and rendered; it computes nothing. Pictures are
 //! embedded as JPEG at a bounded size, so that the page of a large batch stays small enough to send.
 
+pub mod batch;
 pub mod plot;
 
 use askama::Template;
