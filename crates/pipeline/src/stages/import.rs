@@ -82,6 +82,7 @@ fn sources(capture: &Path) -> Vec<PathBuf> {
 fn below<'f>(files: impl Iterator<Item = &'f PathBuf>, capture: &Path, folder: &str) -> Vec<PathBuf> {
     let place = capture.join(folder);
     let Ok(real) = place.canonicalize() else { return Vec::new() };
+    let capture_real = capture.canonicalize().ok();
     let name = |file: &PathBuf| {
         // The path itself shows it, unless it contains a step upwards.
         let plain = |rest: &&Path| rest.components().all(|part| matches!(part, Component::Normal(_)));
@@ -89,6 +90,10 @@ fn below<'f>(files: impl Iterator<Item = &'f PathBuf>, capture: &Path, folder: &
             if let Some(rest) = file.strip_prefix(root).ok().filter(plain) {
                 return Some(Path::new(folder).join(rest));
             }
+        }
+        // A file of another folder of the capture is listed there.
+        if capture_real.as_ref().is_some_and(|root| file.strip_prefix(root).ok().filter(plain).is_some()) {
+            return None;
         }
         let file = file.canonicalize().ok()?;
         Some(Path::new(folder).join(file.strip_prefix(&real).ok()?))
