@@ -9,6 +9,7 @@
 //! <folder>/v1/stat-table                                 stored digests of input files
 //! <folder>/v1/leases/<key>  run-…                        leases of keys and of runs
 //! <folder>/v1/fetched/<key>                              marks an artifact that came from a store
+//! <folder>/v1/delivered/<results folder>/<part>.json     the sources of the files in a results folder
 //! <folder>/v1/tmp/  damaged/                             unfinished folders; damaged artifacts
 //! ```
 //!
@@ -72,7 +73,7 @@ pub enum Lookup {
     /// There is nothing.
     Missing,
     /// The complete artifact.
-    Whole(Box<Artifact>),
+    Whole(Arc<Artifact>),
     /// An artifact that differs from its manifest, with the reason.
     Damaged(String),
 }
@@ -217,7 +218,7 @@ impl Cache {
         });
         Ok(match wrong {
             Some(reason) => Lookup::Damaged(reason),
-            None => Lookup::Whole(Box::new(Artifact { path, manifest })),
+            None => Lookup::Whole(Arc::new(Artifact { path, manifest })),
         })
     }
 
@@ -398,11 +399,11 @@ impl Cache {
             };
             return match found {
                 Lookup::Whole(first) if first.manifest.content == manifest.content => {
-                    Ok(Published::Already(*first))
+                    Ok(Published::Already(Arc::unwrap_or_clone(first)))
                 }
                 Lookup::Whole(first) => {
                     let which = first_difference(&first.manifest.files, &manifest.files);
-                    Ok(Published::Differs(*first, which))
+                    Ok(Published::Differs(Arc::unwrap_or_clone(first), which))
                 }
                 Lookup::Damaged(_) => {
                     self.set_aside(&stage, &manifest.key)?;

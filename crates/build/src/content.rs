@@ -7,6 +7,8 @@
 //! the relative paths, sizes and digests of its files, sorted by path. It does not cover the folder's own
 //! path, so that moving a capture changes nothing.
 
+mod choices;
+
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fs::Metadata;
 use std::io::Read;
@@ -19,6 +21,8 @@ use rayon::prelude::*;
 use super::digest::{Digest, Encoder};
 use super::error::FileError;
 use super::files::{self, Files};
+pub use choices::Choice;
+use choices::Choices;
 
 const CONTEXT: &str = "use3d 2026 folder digest v1";
 /// The time for which a file must have been unchanged before its digest is stored.
@@ -44,6 +48,19 @@ impl Stat {
         #[cfg(not(unix))]
         let (changed, inode) = (0, 0);
         Self { size: metadata.len(), modified: modified.map_or(0, |d| d.as_nanos()), changed, inode }
+    }
+
+    /// Returns it as a text without a line break.
+    fn words(&self) -> String {
+        let Self { size, modified, changed, inode } = self;
+        format!("{size} {modified} {changed} {inode}")
+    }
+
+    fn parse(words: &str) -> Option<Self> {
+        let mut parts = words.split(' ');
+        let (size, modified) = (parts.next()?.parse().ok()?, parts.next()?.parse().ok()?);
+        let (changed, inode) = (parts.next()?.parse().ok()?, parts.next()?.parse().ok()?);
+        Some(Self { size, modified, changed, inode })
     }
 
     fn settled(&self) -> bool {
@@ -76,13 +93,19 @@ struct State {
     changed: BTreeSet<PathBuf>,
     whole: BTreeMap<(PathBuf, Vec<PathBuf>), Content>,
     fresh: BTreeSet<PathBuf>,
+    choices: Choices,
 }
+
+/// The name of the table of choices, beside that of digests.
+const CHOICES: &str = "choices";
 
 impl Contents {
     /// Opens the table at `table_path`; an unreadable table counts as empty. `rehash` ignores its entries.
     pub fn open(files: Arc<dyn Files>, table_path: PathBuf, rehash: bool) -> Self {
         let table = files.read(&table_path).map(|bytes| parse(&bytes)).unwrap_or_default();
-        Self { files, table_path, rehash, state: Mutex::new(State { table, ..State::default() }) }
+        let known = if rehash { None } else { files.read(&table_path.with_file_name(CHOICES)).ok() };
+        let choices = known.map(|bytes| Choices::read(&bytes)).unwrap_or_default();
+        Self { files, table_path, rehash, state: Mutex::new(State { table, choices, ..State::default() }) }
     }
 
     /// Returns the content of a file or folder. For a folder this covers all files that are not hidden, or
@@ -107,7 +130,29 @@ impl Contents {
     /// Forgets the inputs that this process has read, so that each is checked once more. A run and a plan
     /// begin with this.
     pub(crate) fn look_again(&self) {
-        self.lock().whole.clear();
+        let mut state = self.lock();
+        state.whole.clear();
+        state.choices.asked.clear();
+    }
+
+    /// Returns the files of an input that `who` reads. `choose` makes the choice if none is stored.
+    pub(crate) fn choice(
+        &self,
+        who: Digest,
+        input: &Path,
+        choose: impl FnOnce() -> Result<Choice, String>,
+    ) -> Result<Arc<[PathBuf]>, String> {
+        let whose = (who, input.to_path_buf());
+        if let Some(known) = self.lock().choices.asked.get(&whose) {
+            return Ok(known.clone());
+        }
+        let known = self.lock().choices.still_holds(&whose);
+        if let Some(files) = known {
+            self.lock().choices.asked.insert(whose, files.clone());
+            return Ok(files);
+        }
+        let choice = choose()?;
+        Ok(self.lock().choices.remember(&whose, choice))
     }
 
     /// Like [`of`](Self::of), but checks the file or folder again, to find an input that changed while it was
@@ -207,6 +252,12 @@ impl Contents {
     /// costs only time.
     pub fn save(&self) -> Result<(), FileError> {
         let mut state = self.lock();
+        let path = self.table_path.with_file_name(CHOICES);
+        let there = || self.files.read(&path).unwrap_or_default();
+        if let Some(bytes) = state.choices.to_write(there) {
+            files::write_atomic(self.files.as_ref(), &path, &bytes)?;
+            state.choices.were_written();
+        }
         if state.changed.is_empty() {
             return Ok(());
         }
@@ -220,8 +271,7 @@ impl Contents {
             .iter()
             .filter_map(|(path, (stat, digest))| {
                 let path = serde_json::to_string(path.to_str()?).ok()?;
-                let Stat { size, modified, changed, inode } = stat;
-                Some(format!("{digest} {size} {modified} {changed} {inode} {path}"))
+                Some(format!("{digest} {} {path}", stat.words()))
             })
             .collect();
         lines.sort();
@@ -234,6 +284,9 @@ impl Contents {
     /// Forgets files that do not exist any more; part of cleaning up.
     pub(crate) fn forget_missing(&self) {
         let mut state = self.lock();
+        if state.choices.forget_missing() {
+            let _ = self.files.remove_file(&self.table_path.with_file_name(CHOICES));
+        }
         let gone: Vec<PathBuf> = state.table.keys().filter(|p| !p.exists()).cloned().collect();
         if gone.is_empty() {
             return;

@@ -145,7 +145,7 @@ pub(crate) struct NodeInput {
 /// The settings of a scene in a variant: the parameters of all stages, and the files from outside.
 #[derive(Debug)]
 pub(crate) struct Place {
-    pub(crate) all: AllParameters,
+    pub(crate) all: Arc<AllParameters>,
     pub(crate) named: Named,
 }
 
@@ -159,8 +159,8 @@ pub struct Node {
     pub scene: String,
     /// The variant's name; empty where there are none.
     pub variant: String,
-    /// Its parameters, defaults filled in.
-    pub parameters: Value,
+    /// Its parameters, defaults filled in. Nodes with equal parameters share them.
+    pub parameters: Arc<Value>,
     /// The name of the preset below its parameters; empty for none. For people only.
     pub preset: String,
     /// The seed of its random draws; `None` for a stage without random draws.
@@ -211,8 +211,14 @@ impl Graph {
         check_names(registry, batch)?;
         let unnamed = [Variant::default()];
         let variants = if batch.variants.is_empty() { &unnamed[..] } else { &batch.variants };
-        let mut builder =
-            GraphBuilder { registry, batch, nodes: Vec::new(), place: HashMap::new(), first: HashMap::new() };
+        let mut builder = GraphBuilder {
+            registry,
+            batch,
+            nodes: Vec::new(),
+            place: HashMap::new(),
+            first: HashMap::new(),
+            merged: HashMap::new(),
+        };
         // Scene by scene, so that results come early; shared stages first, stages over all scenes last.
         for variant in variants {
             builder.add(None, variant, None, Scope::Shared)?;
@@ -228,6 +234,30 @@ impl Graph {
         }
         builder.add_batch_stages(variants)?;
         Ok(Self { name: batch.name.clone(), nodes: builder.nodes })
+    }
+
+    /// Returns a digest of the batch: its stages with their code, the parameters that count, seeds and
+    /// inputs. Two processes with the same digest compute the same keys.
+    pub fn digest(&self, registry: &Registry) -> Digest {
+        let mut encoder = Encoder::new("use3d 2026 batch v1");
+        for node in &self.nodes {
+            encoder.text(node.stage_name).text(&node.scene).text(&node.variant);
+            for (name, digest) in &registry.code(node.stage).ours {
+                encoder.text(name).bytes(digest.as_bytes());
+            }
+            let stage = &registry.stages()[node.stage];
+            canonical::encode(&stage.key_parameters(&node.parameters), &mut encoder);
+            encoder.number(u64::from(node.seed.is_some())).number(node.seed.unwrap_or(0));
+            for input in &node.inputs {
+                encoder.text(input.role);
+                match &input.from {
+                    From::Node(node) => encoder.number(*node as u64),
+                    From::External(Ok(path)) => encoder.text(&path.to_string_lossy()),
+                    From::External(Err(reason)) => encoder.text(reason),
+                };
+            }
+        }
+        encoder.finish()
     }
 
     /// Finds the node of a stage in a scene (empty for stages over all scenes) and variant (empty for the
@@ -263,6 +293,19 @@ impl Graph {
             }
         }
         wanted
+    }
+
+    /// The nodes that must finish before a node can, each once. For a node that repeats the work of another,
+    /// this is that node alone.
+    pub(crate) fn needs(&self, node: usize) -> Vec<usize> {
+        let of = &self.nodes[node];
+        let mut needs = match of.same_as {
+            Some(first) => vec![first],
+            None => of.inputs.iter().filter_map(NodeInput::node).collect(),
+        };
+        needs.sort_unstable();
+        needs.dedup();
+        needs
     }
 
     /// The nodes whose artifacts a node reads, and for a node that repeats the work of another, also that
@@ -305,12 +348,45 @@ struct GraphBuilder<'a> {
     nodes: Vec<Node>,
     place: HashMap<(String, String, &'static str), usize>,
     first: HashMap<Digest, usize>,
+    /// Merged parameters, by the settings of a scene and the name of a variant.
+    merged: HashMap<(Option<String>, String), Arc<Merged>>,
+}
+
+/// Parameters of all stages for a scene and variant.
+struct Merged {
+    all: Arc<AllParameters>,
+    /// The parameters of each stage, which nodes share, and their digests.
+    each: BTreeMap<&'static str, (Arc<Value>, Digest)>,
 }
 
 impl GraphBuilder<'_> {
     /// Parameters of every stage for a scene and variant. The layers are preset, defaults, scene, variant and
-    /// command line, and then the forced parameters of the variant and of the scene; later layers win.
-    fn parameters(&self, scene: Option<&BatchScene>, variant: &Variant) -> Result<AllParameters, BuildError> {
+    /// command line, and then the forced parameters of the variant and of the scene; later layers win. Scenes
+    /// with the same settings share them.
+    fn parameters(
+        &mut self,
+        scene: Option<&BatchScene>,
+        variant: &Variant,
+    ) -> Result<Arc<Merged>, BuildError> {
+        let own = scene.map(|s| serde_json::to_string(&(&s.overrides, &s.forced)).unwrap_or_default());
+        let key = (own, variant.name.clone());
+        if let Some(known) = self.merged.get(&key) {
+            return Ok(known.clone());
+        }
+        let all = self.merge(scene, variant)?;
+        let shared = |stage: &super::stage::Stage| {
+            let value = all[stage.name].clone();
+            let mut encoder = Encoder::new("use3d 2026 node parameters v1");
+            canonical::encode(&value, &mut encoder);
+            (stage.name, (Arc::new(value), encoder.finish()))
+        };
+        let each = self.registry.stages().iter().map(shared).collect();
+        let merged = Arc::new(Merged { all: Arc::new(all), each });
+        self.merged.insert(key, merged.clone());
+        Ok(merged)
+    }
+
+    fn merge(&self, scene: Option<&BatchScene>, variant: &Variant) -> Result<AllParameters, BuildError> {
         let mut all = AllParameters::new();
         for stage in self.registry.stages() {
             let scene = scene.filter(|_| stage.scope == Scope::Scene);
@@ -361,12 +437,13 @@ impl GraphBuilder<'_> {
 
     /// The index of a scene's reference variant, if a stage declares a condition for it and a variant meets
     /// that condition.
-    fn reference(&self, scene: &BatchScene, variants: &[Variant]) -> Result<Option<usize>, BuildError> {
-        let Some(fulfils) = self.registry.stages().iter().find_map(|s| s.reference.as_ref()) else {
+    fn reference(&mut self, scene: &BatchScene, variants: &[Variant]) -> Result<Option<usize>, BuildError> {
+        let registry = self.registry;
+        let Some(fulfils) = registry.stages().iter().find_map(|s| s.reference.as_ref()) else {
             return Ok(None);
         };
         for (i, variant) in variants.iter().enumerate() {
-            if fulfils(&self.parameters(Some(scene), variant)?) {
+            if fulfils(&self.parameters(Some(scene), variant)?.all) {
                 return Ok(Some(i));
             }
         }
@@ -380,10 +457,11 @@ impl GraphBuilder<'_> {
         reference: Option<&Variant>,
         scope: Scope,
     ) -> Result<(), BuildError> {
-        let all = self.parameters(scene, variant)?;
-        let place = Arc::new(Place { all, named: self.named(scene, variant) });
-        let Place { all, named } = place.as_ref();
-        for (index, stage) in self.registry.stages().iter().enumerate().filter(|(_, s)| s.scope == scope) {
+        let merged = self.parameters(scene, variant)?;
+        let place = Arc::new(Place { all: merged.all.clone(), named: self.named(scene, variant) });
+        let (all, named): (&AllParameters, _) = (&place.all, &place.named);
+        let registry = self.registry;
+        for (index, stage) in registry.stages().iter().enumerate().filter(|(_, s)| s.scope == scope) {
             if stage.condition.as_ref().is_some_and(|asked| !asked(all, named)) {
                 continue;
             }
@@ -447,23 +525,21 @@ impl GraphBuilder<'_> {
             }
             let seed = stage.seeded.then(|| variant.seed.unwrap_or(self.batch.seed));
             let scene_name = scene.map(|s| s.name.clone()).unwrap_or_default();
-            let name = variant.preset_name.as_ref().unwrap_or(&self.batch.preset_name);
-            let parameters = (all[stage.name].clone(), name.clone());
+            let name = variant.preset_name.as_ref().unwrap_or(&self.batch.preset_name).clone();
             let cell = (scene_name, variant.name.clone(), place.clone());
-            self.push(index, cell, parameters, seed, inputs);
+            self.push(index, cell, (&merged, name), seed, inputs);
         }
         Ok(())
     }
 
     fn add_batch_stages(&mut self, variants: &[Variant]) -> Result<(), BuildError> {
-        let all = self.parameters(None, &Variant::default())?;
-        let place = Arc::new(Place { all, named: self.named(None, &Variant::default()) });
-        let Place { all, named } = place.as_ref();
+        let merged = self.parameters(None, &Variant::default())?;
+        let place = Arc::new(Place { all: merged.all.clone(), named: self.named(None, &Variant::default()) });
+        let (all, named): (&AllParameters, _) = (&place.all, &place.named);
+        let registry = self.registry;
         let groups: HashMap<&str, &str> =
             self.batch.scenes.iter().map(|s| (s.name.as_str(), s.group.as_str())).collect();
-        for (index, stage) in
-            self.registry.stages().iter().enumerate().filter(|(_, s)| s.scope == Scope::Batch)
-        {
+        for (index, stage) in registry.stages().iter().enumerate().filter(|(_, s)| s.scope == Scope::Batch) {
             let given =
                 |v: &&Variant| v.overrides.contains_key(stage.name) || v.forced.contains_key(stage.name);
             if let Some(variant) = variants.iter().find(given) {
@@ -531,9 +607,8 @@ impl GraphBuilder<'_> {
                 }
             }
             let seed = stage.seeded.then_some(self.batch.seed);
-            let parameters = (all[stage.name].clone(), self.batch.preset_name.clone());
             let cell = (String::new(), String::new(), place.clone());
-            self.push(index, cell, parameters, seed, inputs);
+            self.push(index, cell, (&merged, self.batch.preset_name.clone()), seed, inputs);
         }
         Ok(())
     }
@@ -542,14 +617,14 @@ impl GraphBuilder<'_> {
         &mut self,
         stage: usize,
         (scene, variant, place): (String, String, Arc<Place>),
-        (parameters, preset): (Value, String),
+        (merged, preset): (&Merged, String),
         seed: Option<u64>,
         inputs: Vec<NodeInput>,
     ) {
         let name = self.registry.stages()[stage].name;
         let mut identity = Encoder::new("use3d 2026 node identity v1");
-        identity.text(name);
-        canonical::encode(&parameters, &mut identity);
+        let (parameters, digest) = &merged.each[name];
+        identity.text(name).bytes(digest.as_bytes());
         identity.number(u64::from(seed.is_some())).number(seed.unwrap_or(0));
         for input in &inputs {
             identity.text(input.role).text(&input.scene).text(&input.variant);
@@ -570,7 +645,7 @@ impl GraphBuilder<'_> {
             stage_name: name,
             scene,
             variant,
-            parameters,
+            parameters: parameters.clone(),
             preset,
             seed,
             place,

@@ -1,7 +1,7 @@
 //! The last record of every node: the data for `status`, `why` and the forecasts. It is never part of a
 //! result.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
@@ -57,6 +57,24 @@ impl Record {
     }
 }
 
+/// The records of a pipeline, for a reader that needs many of them.
+pub(crate) struct Records<'c> {
+    cache: &'c Cache,
+    pipeline: &'c str,
+    scenes: BTreeSet<String>,
+}
+
+impl Records<'_> {
+    /// Returns the record of a node.
+    pub(crate) fn of(&self, node: &Node) -> Record {
+        if self.scenes.contains(&safe(&node.scene)) {
+            self.cache.record(self.pipeline, node)
+        } else {
+            Record::default()
+        }
+    }
+}
+
 /// The folder of durations, with one file per machine.
 const TIMINGS: &str = "timings";
 
@@ -78,6 +96,14 @@ impl Cache {
         let path = self.node_path("history", pipeline, node, "json");
         let bytes = self.files().read(&path).ok();
         bytes.and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default()
+    }
+
+    /// Returns the records of a pipeline's nodes. A scene without a folder has none.
+    pub(crate) fn records<'c>(&'c self, pipeline: &'c str) -> Records<'c> {
+        let folder = self.root().join("history").join(safe(pipeline));
+        let list = std::fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok);
+        let scenes = list.filter_map(|entry| entry.file_name().into_string().ok()).collect();
+        Records { cache: self, pipeline, scenes }
     }
 
     pub(crate) fn write_record(&self, pipeline: &str, node: &Node, record: &Record) -> Result<(), FileError> {

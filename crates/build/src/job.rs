@@ -28,13 +28,13 @@ use super::stage;
 /// Result of a job.
 pub(crate) enum Ended {
     /// The artifact exists; `computed` is true if this process just computed it.
-    Ready { artifact: Box<Artifact>, computed: bool, seconds: f64 },
+    Ready { artifact: Arc<Artifact>, computed: bool, seconds: f64 },
     /// The job failed.
     Failed(String),
     /// The job was stopped.
     Cancelled,
-    /// Another process computes the node; the text names it.
-    Held(String),
+    /// Another process computes the node; the text names it. The resolved node waits.
+    Held(String, Box<Resolved>),
     /// An input's artifact was damaged and has been moved aside; the number is the node that makes it.
     DamagedInput(usize),
 }
@@ -44,7 +44,7 @@ pub(crate) struct Job<'a> {
     pub(crate) pipeline: &'a str,
     pub(crate) id: usize,
     pub(crate) node: &'a Node,
-    pub(crate) resolved: Resolved,
+    pub(crate) resolved: Box<Resolved>,
     pub(crate) threads: usize,
     pub(crate) stop: Arc<AtomicBool>,
     pub(crate) listener: Arc<dyn Listener>,
@@ -60,7 +60,7 @@ impl Job<'_> {
             Ok(Turn::Ours(lease)) => lease,
             Ok(Turn::Made(artifact)) => return Ended::Ready { artifact, computed: false, seconds: 0.0 },
             Ok(Turn::Cancelled) => return Ended::Cancelled,
-            Ok(Turn::Held(holder)) => return Ended::Held(holder),
+            Ok(Turn::Held(holder)) => return Ended::Held(holder, self.resolved),
             Err(error) => return Ended::Failed(error.to_string()),
         };
         let damaged_there = match self.fetch(&label, lease.as_ref()) {
@@ -81,7 +81,7 @@ impl Job<'_> {
                 }
                 let seconds = start.elapsed().as_secs_f64();
                 self.send(&label, &artifact, damaged_there);
-                Ended::Ready { artifact: Box::new(artifact), computed: true, seconds }
+                Ended::Ready { artifact: Arc::new(artifact), computed: true, seconds }
             }
             Err(StageError::Cancelled) => Ended::Cancelled,
             // An error is no failure of the stage if one of its inputs was removed or damaged meanwhile.
@@ -157,6 +157,12 @@ impl Job<'_> {
         let artifacts = self.resolved.artifacts.iter().map(|(_, a)| a.manifest.key);
         let reads: Vec<Key> = artifacts.chain(self.resolved.checkpoints).collect();
         let asked = Lease::ask(cache, key, &reads);
+        if let (Asked::Granted(_), Some(killed)) = (&asked, cache.killed(key)) {
+            let resumes = self.resolved.checkpoints.is_some();
+            let next = if resumes { "continuing from its last checkpoint" } else { "computing it again" };
+            let text = format!("{killed}; {next}");
+            self.listener.event(&Event::Note { label: &self.node.label(), text: &text });
+        }
         // Another process may have finished between the lookup before and the lease.
         let found = match &asked {
             Asked::Granted(Some(lease)) if lease.followed => {
@@ -210,7 +216,8 @@ impl Job<'_> {
     /// Sends the computed artifact to the store, if there is one. `check` is true if the store's copy was
     /// damaged.
     fn send(&self, label: &str, artifact: &Artifact, check: bool) {
-        let Some(store) = self.builder.remote.as_ref().filter(|s| s.is_worth_asking()) else { return };
+        let store = self.builder.remote.as_ref().filter(|s| s.is_worth_asking() && s.takes());
+        let Some(store) = store else { return };
         match store.send(&self.builder.cache, artifact, check, &self.stop) {
             Ok(Sent::Now | Sent::Already) => store.worked(),
             Ok(Sent::Differs(file)) => self.alarm(label, &format!("the store has other bytes of {file}")),
@@ -316,6 +323,7 @@ impl Job<'_> {
                 artifact
             }
         };
+        cache.forget_killed(&self.resolved.key);
         log.line(&format!("done in {}", machine::seconds(seconds)));
         cache.add_timing(&Timing {
             stage: stage.name.to_string(),
@@ -343,14 +351,14 @@ impl Job<'_> {
 
 enum Turn {
     Ours(Option<Lease>),
-    Made(Box<Artifact>),
+    Made(Arc<Artifact>),
     Held(String),
     Cancelled,
 }
 
 /// Result of a fetch from the store.
 enum Brought {
-    Artifact(Box<Artifact>),
+    Artifact(Arc<Artifact>),
     Nothing { damaged: bool },
     Cancelled,
 }
@@ -405,7 +413,9 @@ fn watched<T>(
             lease.iter().for_each(|l| l.renew(reached));
             let mut renewed = clock.now();
             while let Err(mpsc::RecvTimeoutError::Timeout) = wait.recv_timeout(SAMPLE) {
-                peak.fetch_max(machine::resident_memory().unwrap_or(0), Ordering::Relaxed);
+                let held = machine::resident_memory().unwrap_or(0);
+                peak.fetch_max(held, Ordering::Relaxed);
+                reached.note_memory(held);
                 if clock.now() - renewed > HEARTBEAT {
                     lease.iter().for_each(|l| l.renew(reached));
                     renewed = clock.now();

@@ -22,12 +22,18 @@ use super::key::Key;
 use super::machine::ProcessId;
 use super::node::Node;
 use super::pulse::{self, Beat, Progress};
+use super::task::{ClusterTask, Killed};
 
 /// Time between two renewals by a holder.
 pub(crate) const HEARTBEAT: Duration = Duration::from_secs(10);
 /// The time for which a lease of another machine may stay unchanged before its holder counts as ended: many
-/// times the heartbeat and the minute for which a network file system may show old content.
-const EXPIRY: Duration = Duration::from_secs(300);
+/// times the heartbeat, and more than the minute for which a network file system may show old content.
+const EXPIRY: Duration = Duration::from_secs(110);
+/// The time after which a scheduler is asked if the holder's task is over: longer than a heartbeat.
+const ASKING: Duration = Duration::from_secs(12);
+/// The time for which a run waits for the work of other processes before it leaves that work to them. It is
+/// longer than [`EXPIRY`], so the work of a killed process is taken over.
+pub const PATIENCE: Duration = Duration::from_secs(150);
 /// The same limit for a file without a readable holder: it is being written at this moment, or a crash left
 /// it unfinished.
 const HALF: Duration = Duration::from_secs(5);
@@ -40,13 +46,21 @@ pub(crate) struct Holder {
     process: ProcessId,
     host: String,
     token: String,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    task: Option<ClusterTask>,
     /// Keys of the artifacts and checkpoints that the holder reads or resumes from; cleaning up leaves them.
     pub(crate) reads: Vec<Key>,
 }
 
 impl Holder {
     fn of(node: &Node, reads: Vec<Key>) -> Self {
-        Self { process: node.process.clone(), host: node.host.clone(), token: files::unique(), reads }
+        Self {
+            process: node.process.clone(),
+            host: node.host.clone(),
+            token: files::unique(),
+            task: node.task.clone(),
+            reads,
+        }
     }
 
     /// The first line of a lease; its pulse follows.
@@ -133,10 +147,13 @@ fn judge(cache: &Cache, path: &Path, now: Duration) -> Judged {
         Some((_, Some(beat))) if beat.left => return Judged::Dead(bytes),
         Some((holder, _)) => {
             let name = format!("process {} on {}", holder.process.pid, holder.host);
-            let limit = match node.is_alive(&holder.process) {
-                Some(true) => Duration::MAX,
-                Some(false) => Duration::ZERO,
-                None => EXPIRY,
+            let limit = match (node.is_alive(&holder.process), &holder.task) {
+                (Some(true), _) => Duration::MAX,
+                (Some(false), _) => Duration::ZERO,
+                (None, Some(task)) if node.has_followed(task) => Duration::ZERO,
+                // A living holder has renewed its lease meanwhile.
+                (None, Some(task)) if unchanged >= ASKING && node.is_over(task) => Duration::ZERO,
+                (None, _) => EXPIRY,
             };
             (limit, name, Some(holder))
         }
@@ -261,30 +278,41 @@ impl Drop for Lease {
 
 /// The keys that a run needs, protected until it ends: the artifacts that it has found or made and will read,
 /// and the checkpoints that it resumes from.
+///
+/// The keys are in a few files, each more than twice as large as the next. Added keys go into a small file,
+/// and two files of about the same size are merged. So a key is written only a few times, however many there
+/// are, and few files need renewal.
 pub(crate) struct RunLease {
     cache: Cache,
-    path: PathBuf,
     holder: Holder,
-    line: Vec<u8>,
-    beat: Beat,
+    parts: Vec<LeaseFile>,
     keys: BTreeSet<Key>,
-    changed: bool,
+    /// The keys that are not yet in a part.
+    fresh: Vec<Key>,
+    beat: Beat,
     renewed: Duration,
 }
+
+/// One file of a run's lease.
+struct LeaseFile {
+    path: PathBuf,
+    line: Vec<u8>,
+    keys: Vec<Key>,
+}
+
+/// The number of keys below which they are written again instead of kept in a file of their own.
+const FEW_KEYS: usize = 64;
 
 impl RunLease {
     /// A run's lease without keys.
     pub(crate) fn new(cache: &Cache) -> Self {
-        let holder = Holder::of(cache.node(), Vec::new());
-        let path = folder(cache).join(format!("run-{}", holder.token));
         Self {
             cache: cache.clone(),
-            path,
-            holder,
-            line: Vec::new(),
-            beat: Beat::default(),
+            holder: Holder::of(cache.node(), Vec::new()),
+            parts: Vec::new(),
             keys: BTreeSet::new(),
-            changed: false,
+            fresh: Vec::new(),
+            beat: Beat::default(),
             renewed: cache.node().clock.now(),
         }
     }
@@ -292,41 +320,78 @@ impl RunLease {
     /// Adds keys; other processes see them after [`show`](Self::show).
     pub(crate) fn extend(&mut self, keys: impl IntoIterator<Item = Key>) {
         for key in keys {
-            self.changed |= self.keys.insert(key);
+            if self.keys.insert(key) {
+                self.fresh.push(key);
+            }
         }
     }
 
     /// Publishes the added keys, and a pulse of this process.
     pub(crate) fn show(&mut self) {
+        if !self.fresh.is_empty() {
+            self.write_fresh();
+        }
+        self.keep_alive();
+    }
+
+    fn write_fresh(&mut self) {
+        let mut keys = std::mem::take(&mut self.fresh);
+        let new = keys.len();
+        let mut kept = self.parts.len();
+        while kept > 0 && self.parts[kept - 1].keys.len() <= FEW_KEYS.max(2 * keys.len()) {
+            kept -= 1;
+            keys.extend(&self.parts[kept].keys);
+        }
+        let path = match self.parts.get(kept) {
+            Some(part) => part.path.clone(),
+            None => folder(&self.cache).join(format!("run-{}", files::unique())),
+        };
+        self.holder.reads.clone_from(&keys);
+        let line = self.holder.line();
+        self.beat.number += 1;
+        let files = self.cache.files();
+        if put(files, &path, &[&line[..], &pulse::line(&self.beat)].concat()).is_err() {
+            keys.truncate(new);
+            self.fresh = keys;
+            return;
+        }
+        for part in self.parts.drain(kept..).skip(1) {
+            let _ = files.remove_file(&part.path);
+        }
+        self.parts.push(LeaseFile { path, line, keys });
+    }
+
+    /// Writes the pulse if it is due, so that other processes see that this one is alive.
+    pub(crate) fn keep_alive(&mut self) {
         let now = self.cache.node().clock.now();
-        if !self.changed && now.saturating_sub(self.renewed) < HEARTBEAT {
+        if now.saturating_sub(self.renewed) < HEARTBEAT {
             return;
         }
         self.renewed = now;
         self.beat.number += 1;
-        let files = self.cache.files();
-        let beat = pulse::line(&self.beat);
-        // If another process removed the lease, it is written again.
-        if !self.changed && files.overwrite(&self.path, self.line.len() as u64, &beat).is_ok() {
-            return;
+        let (files, beat) = (self.cache.files(), pulse::line(&self.beat));
+        for part in &self.parts {
+            // If another process removed the lease, it is written again.
+            if files.overwrite(&part.path, part.line.len() as u64, &beat).is_err() {
+                let _ = put(files, &part.path, &[&part.line[..], &beat].concat());
+            }
         }
-        self.holder.reads = self.keys.iter().copied().collect();
-        self.line = self.holder.line();
-        self.changed = put(files, &self.path, &[&self.line[..], &beat].concat()).is_err();
     }
 }
 
 impl std::fmt::Debug for RunLease {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("RunLease").field("path", &self.path).field("keys", &self.keys.len()).finish()
+        f.debug_struct("RunLease").field("parts", &self.parts.len()).field("keys", &self.keys.len()).finish()
     }
 }
 
 impl Drop for RunLease {
     fn drop(&mut self) {
         let files = self.cache.files();
-        if files.read(&self.path).is_ok_and(|found| !self.line.is_empty() && found.starts_with(&self.line)) {
-            let _ = files.remove_file(&self.path);
+        for part in &self.parts {
+            if files.read(&part.path).is_ok_and(|found| found.starts_with(&part.line)) {
+                let _ = files.remove_file(&part.path);
+            }
         }
     }
 }
@@ -379,7 +444,10 @@ fn take_over(lease: Lease, dead: &[u8], now: Duration) -> Asked {
     }
     let asked = if files.read(&path).is_ok_and(|found| found == dead) {
         match put(files, &path, &lease.bytes()) {
-            Ok(()) => Asked::Granted(Some(lease)),
+            Ok(()) => {
+                note_how_it_ended(&cache, &path, dead);
+                Asked::Granted(Some(lease))
+            }
             Err(_) => Asked::Granted(lease.never_held()),
         }
     } else {
@@ -387,6 +455,28 @@ fn take_over(lease: Lease, dead: &[u8], now: Duration) -> Asked {
     };
     let _ = files.remove_file(&claim);
     asked
+}
+
+/// Returns the end of a holder from its last lease; `None` if it gave up by itself.
+fn killed(dead: &[u8]) -> Option<Killed> {
+    let (holder, beat) = Holder::parse(dead)?;
+    let beat = beat.unwrap_or_default();
+    (!beat.left).then(|| Killed {
+        host: holder.host,
+        process: holder.process.pid,
+        task: holder.task,
+        seconds: beat.seconds,
+        peak_memory: beat.memory << 20,
+        times: 1,
+    })
+}
+
+/// Notes for a key that the holder of this lease was killed, if it was.
+fn note_how_it_ended(cache: &Cache, path: &Path, dead: &[u8]) {
+    let key = path.file_name().and_then(|name| name.to_str()?.parse::<Key>().ok());
+    if let (Some(key), Some(killed)) = (key, killed(dead)) {
+        cache.note_killed(&key, killed);
+    }
 }
 
 /// Writes a whole lease over the old file. It is not synced: after a power cut no process holds it.
@@ -432,7 +522,10 @@ pub(crate) fn in_use(cache: &Cache) -> BTreeSet<Key> {
         }
         let live = match judge(cache, &path, cache.node().clock.now()) {
             Judged::Absent => continue,
-            Judged::Dead(_) => None,
+            Judged::Dead(dead) => {
+                note_how_it_ended(cache, &path, &dead);
+                None
+            }
             Judged::Live(_, Some(holder)) if cache.node().is_alive(&holder.process) == Some(true) => {
                 Some(Some(holder))
             }
@@ -473,6 +566,9 @@ pub struct Working {
     pub total: u64,
     /// The unit of the work.
     pub unit: String,
+    /// The scheduler's task of the holder, if there is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub task: Option<ClusterTask>,
 }
 
 impl Cache {
@@ -482,11 +578,17 @@ impl Cache {
         let path = folder(self).join(key.to_string());
         let (holder, beat) = Holder::parse(&self.files().read(&path).ok()?)?;
         let beat = beat.unwrap_or_default();
-        if beat.left || self.node().is_alive(&holder.process) == Some(false) {
+        let alive = self.node().is_alive(&holder.process);
+        if beat.left || alive == Some(false) {
             return None;
         }
         let modified = std::fs::metadata(&path).and_then(|m| m.modified()).ok();
         let silent = file_time(self).zip(modified).and_then(|(now, at)| now.duration_since(at).ok());
+        let silent_long = silent.is_some_and(|silent| silent >= ASKING);
+        if alive.is_none() && silent_long && holder.task.as_ref().is_some_and(|t| self.node().is_over(t)) {
+            // The next holder notes the end; until then the lease itself shows it.
+            return None;
+        }
         Some(Working {
             host: holder.host,
             process: holder.process.pid,
@@ -495,7 +597,31 @@ impl Cache {
             done: beat.done,
             total: beat.total,
             unit: beat.unit,
+            task: holder.task,
         })
+    }
+}
+
+impl Cache {
+    /// Returns the process that was killed while it computed a key, from a note or from the lease it left.
+    pub fn killed_at(&self, key: &Key) -> Option<Killed> {
+        let path = folder(self).join(key.to_string());
+        let left = || -> Option<Killed> {
+            let bytes = self.files().read(&path).ok()?;
+            // The holder may still be at work.
+            if self.working_on(key).is_some() {
+                return None;
+            }
+            killed(&bytes)
+        };
+        match (self.killed(key), left()) {
+            (Some(noted), Some(left)) => Some(Killed {
+                peak_memory: noted.peak_memory.max(left.peak_memory),
+                times: noted.times + 1,
+                ..left
+            }),
+            (noted, left) => noted.or(left),
+        }
     }
 }
 

@@ -4,6 +4,7 @@
 use std::time::{Duration, Instant};
 
 use super::machine::{Machine, ProcessId};
+use super::task::{ClusterTask, IsOver};
 
 /// A steady clock: seconds since some moment of its own. The clocks of two machines are never compared.
 #[derive(Clone, Copy, Debug)]
@@ -36,24 +37,55 @@ impl Clock {
 }
 
 /// One user of a cache.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct Node {
     pub(crate) process: ProcessId,
     pub(crate) host: String,
     pub(crate) clock: Clock,
+    /// The task of a scheduler that this process is.
+    pub(crate) task: Option<ClusterTask>,
+    is_over: Option<IsOver>,
 }
 
 impl Node {
     /// This process.
     pub fn this() -> Self {
-        Self { process: ProcessId::this(), host: Machine::this().host, clock: Clock::system() }
+        Self {
+            process: ProcessId::this(),
+            host: Machine::this().host,
+            clock: Clock::system(),
+            task: ClusterTask::this(),
+            is_over: None,
+        }
     }
 
     /// A process of a machine called `host`, for tests: this process cannot check that it runs.
     pub fn elsewhere(host: &str, clock: Clock) -> Self {
         let process =
             ProcessId { place: format!("{host} {:016x}", use3d_files::random()), pid: 1, started: 1 };
-        Self { process, host: host.to_string(), clock }
+        Self { process, host: host.to_string(), clock, task: None, is_over: None }
+    }
+
+    /// Returns the same process as a task of a scheduler, for tests.
+    #[must_use]
+    pub fn as_task(self, task: ClusterTask) -> Self {
+        Self { task: Some(task), ..self }
+    }
+
+    /// Returns the same process with a function that asks a scheduler about tasks.
+    #[must_use]
+    pub fn asking(self, is_over: IsOver) -> Self {
+        Self { is_over: Some(is_over), ..self }
+    }
+
+    /// Returns true if this process is a later attempt of a task, so that the task is over.
+    pub(crate) fn has_followed(&self, task: &ClusterTask) -> bool {
+        self.task.as_ref().is_some_and(|own| own.follows(task))
+    }
+
+    /// Returns true if the scheduler reports that a task is over.
+    pub(crate) fn is_over(&self, task: &ClusterTask) -> bool {
+        self.is_over.as_ref().is_some_and(|ask| ask(task) == Some(true))
     }
 
     /// Returns true if the process runs, false if it has ended, and `None` if it belongs to another machine.

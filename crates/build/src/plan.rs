@@ -15,6 +15,7 @@ use super::history::{Forecast, Record};
 use super::key::{Difference, Key};
 use super::lease::Working;
 use super::resolve::{self, Outcome, Unresolved};
+use super::task::Killed;
 
 /// The planned state of a node.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -65,9 +66,16 @@ pub struct PlannedNode {
     pub failed: Option<String>,
     /// True if it ever had an artifact.
     pub had: bool,
+    /// The process that was killed while it computed the artifact last.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub killed: Option<Killed>,
     /// The process that computes it now.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub working: Option<Working>,
+    /// The nodes of the plan whose artifacts it reads. For a node that repeats the work of another, this is
+    /// that node.
+    #[serde(skip)]
+    pub needs: Vec<usize>,
 }
 
 /// A plan.
@@ -125,9 +133,10 @@ impl Builder {
         let wanted = graph.wanted(until);
         let timings = self.cache.timings();
         let mut outcomes = vec![Outcome::Open; graph.nodes.len()];
+        let records = self.cache.records(&graph.name);
         let mut nodes: Vec<PlannedNode> = Vec::with_capacity(graph.nodes.len());
         for (i, node) in graph.nodes.iter().enumerate() {
-            let record = self.cache.record(&graph.name, node);
+            let record = records.of(node);
             let mut planned = PlannedNode {
                 stage: node.stage_name,
                 scene: node.scene.clone(),
@@ -142,7 +151,9 @@ impl Builder {
                 shared_with: None,
                 failed: None,
                 had: record.last.is_some(),
+                killed: None,
                 working: None,
+                needs: graph.needs(i),
             };
             if !wanted[i] {
                 outcomes[i] = Outcome::Unavailable(String::new());
@@ -157,6 +168,7 @@ impl Builder {
                 planned.checkpoints = twin.checkpoints;
                 planned.failed = twin.failed.clone();
                 planned.working = twin.working.clone();
+                planned.killed = twin.killed.clone();
                 planned.shared_with = Some(graph.nodes[first].label());
                 outcomes[i] = outcomes[first].clone();
                 nodes.push(planned);
@@ -220,17 +232,22 @@ impl Builder {
             }
         };
         planned.working = self.cache.working_on(&resolved.key);
+        if planned.working.is_none() {
+            planned.killed = self.cache.killed_at(&resolved.key);
+        }
         planned.failed = record.failed(Some(resolved.key)).map(|f| f.reason.clone());
         planned.changes = match &record.last {
             Some(last) if last.key != resolved.key => last.ingredients.differences(&resolved.ingredients),
             _ => Vec::new(),
         };
-        planned.state = State::Run(reason.unwrap_or_else(|| match (&record.last, &planned.failed) {
-            (_, Some(_)) => "the last attempt failed".to_string(),
-            (None, _) => "never made".to_string(),
-            (Some(last), _) if last.key == resolved.key => "its artifact was removed".to_string(),
-            (Some(_), _) => "changed".to_string(),
-        }));
+        let killed = planned.killed.as_ref().map(ToString::to_string);
+        planned.state =
+            State::Run(reason.or(killed).unwrap_or_else(|| match (&record.last, &planned.failed) {
+                (_, Some(_)) => "the last attempt failed".to_string(),
+                (None, _) => "never made".to_string(),
+                (Some(last), _) if last.key == resolved.key => "its artifact was removed".to_string(),
+                (Some(_), _) => "changed".to_string(),
+            }));
         Outcome::Open
     }
 }

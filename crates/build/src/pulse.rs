@@ -21,6 +21,8 @@ pub(crate) struct Beat {
     pub(crate) total: u64,
     /// The unit of the work.
     pub(crate) unit: String,
+    /// The peak memory of the holder in megabytes.
+    pub(crate) memory: u64,
     /// True if the holder gave up: its artifact does not exist.
     pub(crate) left: bool,
 }
@@ -33,11 +35,12 @@ pub(crate) fn line(beat: &Beat) -> Vec<u8> {
     let word = if beat.left { "left" } else { "here" };
     let unit = if unit.is_empty() { "-" } else { &unit };
     format!(
-        "{word} {:010} {:010} {:010} {:010} {unit:<UNIT$}\n",
+        "{word} {:010} {:010} {:010} {:010} {:010} {unit:<UNIT$}\n",
         beat.number % MOST,
         number(beat.seconds),
         number(beat.done),
-        number(beat.total)
+        number(beat.total),
+        number(beat.memory)
     )
     .into_bytes()
 }
@@ -52,13 +55,19 @@ pub(crate) fn parse(bytes: &[u8]) -> Option<Beat> {
     };
     let mut number = || words.next()?.parse().ok();
     let (number, seconds, done, total) = (number()?, number()?, number()?, number()?);
-    let unit = words.next()?.replace('-', "");
-    Some(Beat { number, seconds, done, total, unit, left })
+    // Earlier versions did not write the memory.
+    let (next, last) = (words.next()?, words.next());
+    let (memory, unit) = match last {
+        Some(unit) => (next.parse().ok()?, unit),
+        None => (0, next),
+    };
+    Some(Beat { number, seconds, done, total, unit: unit.replace('-', ""), memory, left })
 }
 
 /// The progress of a stage, passed from the working threads to the thread that renews the lease.
 #[derive(Debug, Default)]
 pub(crate) struct Progress {
+    memory: AtomicU64,
     done: AtomicU64,
     total: AtomicU64,
     unit: Mutex<String>,
@@ -75,9 +84,15 @@ impl Progress {
         }
     }
 
+    /// Notes the memory in use, in bytes; the pulse shows the peak.
+    pub(crate) fn note_memory(&self, bytes: u64) {
+        self.memory.fetch_max(bytes >> 20, Ordering::Relaxed);
+    }
+
     /// Copies the progress into a pulse.
     pub(crate) fn read(&self, beat: &mut Beat) {
         beat.done = self.done.load(Ordering::Relaxed);
+        beat.memory = self.memory.load(Ordering::Relaxed);
         beat.total = self.total.load(Ordering::Relaxed);
         beat.unit.clone_from(&self.unit.lock().unwrap_or_else(PoisonError::into_inner));
     }
@@ -95,6 +110,7 @@ mod tests {
             done: 300,
             total: 15_000,
             unit: "steps".to_string(),
+            memory: 1234,
             left: true,
         };
         for beat in [Beat::default(), long.clone(), Beat { total: u64::MAX, ..Beat::default() }] {
@@ -106,6 +122,8 @@ mod tests {
         for wrong in [&b""[..], b"here", b"there 1 2 3 4 steps", b"here 1 2 3 x steps", &[0xff, 0xfe]] {
             assert_eq!(parse(wrong), None);
         }
+        let old = parse(b"here 0000000001 0000000002 0000000003 0000000004 steps           \n").unwrap();
+        assert_eq!((old.total, old.memory, old.unit.as_str()), (4, 0, "steps"));
         // A unit of several words, or a long unit, becomes one word.
         let odd = Beat { unit: "pictures of all views".to_string(), ..Beat::default() };
         assert_eq!(parse(&line(&odd)).map(|b| b.unit), Some("picturesofallvie".to_string()));

@@ -1,12 +1,13 @@
 //! Computes the key of a node from its parameters and the artifacts of its inputs.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use super::cache::{Artifact, Cache};
 use super::canonical;
 use super::content::Content;
 use super::context::StageInput;
-use super::digest::Digest;
+use super::digest::{Digest, Encoder};
 use super::graph::{From, Graph, Node, NodeInput};
 use super::key::{Ingredients, InputDigest, Key};
 use super::registry::Registry;
@@ -18,7 +19,7 @@ pub(crate) enum Outcome {
     /// Not decided yet.
     Open,
     /// The artifact exists.
-    Ready(Box<Artifact>),
+    Ready(Arc<Artifact>),
     /// It cannot be made; the text names the cause.
     Unavailable(String),
 }
@@ -32,9 +33,9 @@ pub(crate) struct Resolved {
     pub(crate) checkpoints: Option<Key>,
     pub(crate) inputs: Vec<StageInput>,
     /// The artifacts among the inputs, with the nodes that made them.
-    pub(crate) artifacts: Vec<(usize, Artifact)>,
+    pub(crate) artifacts: Vec<(usize, Arc<Artifact>)>,
     /// The external inputs, with the files that count and the digest of their content.
-    pub(crate) externals: Vec<(PathBuf, Option<Vec<PathBuf>>, Digest)>,
+    pub(crate) externals: Vec<(PathBuf, Option<Arc<[PathBuf]>>, Digest)>,
     pub(crate) bytes: u64,
 }
 
@@ -84,14 +85,14 @@ pub(crate) fn resolve(
                 Outcome::Unavailable(whose) => return Err(Unresolved::Blocked(whose.clone())),
                 Outcome::Ready(artifact) => {
                     bytes += artifact.manifest.bytes();
-                    artifacts.push((*parent, artifact.as_ref().clone()));
+                    artifacts.push((*parent, artifact.clone()));
                     (artifact.manifest.content, artifact.path.clone())
                 }
             },
             // An optional input need not be named; a named input must exist.
             From::External(Err(reason)) => return Err(Unresolved::Input(input_error(input, reason))),
             From::External(Ok(path)) => {
-                let found = external(stage, node, input, path, cache);
+                let found = external(registry, node, input, path, cache);
                 let (select, content) =
                     found.map_err(|reason| Unresolved::Input(input_error(input, &reason)))?;
                 bytes += content.bytes;
@@ -152,21 +153,35 @@ pub(crate) fn there(graph: &Graph, node: usize, outcomes: &[Outcome]) -> Vec<Sta
 }
 
 fn external(
-    stage: &Stage,
+    registry: &Registry,
     node: &Node,
     input: &NodeInput,
     path: &Path,
     cache: &Cache,
-) -> Result<(Option<Vec<PathBuf>>, Content), String> {
+) -> Result<(Option<Arc<[PathBuf]>>, Content), String> {
     if !path.exists() {
         return Err(format!("{} does not exist; correct the path or put the data there", path.display()));
     }
-    let select = match &stage.inputs[input.index].select {
+    let select = match &registry.stages()[node.stage].inputs[input.index].select {
         None => None,
-        Some(choose) => Some(choose(&node.parameters, path)?),
+        Some(choose) => {
+            let who = who_chooses(registry, node, input);
+            Some(cache.contents().choice(who, path, || choose(&node.parameters, path))?)
+        }
     };
     let content = cache.contents().of(path, select.as_deref()).map_err(|e| e.to_string())?;
     Ok((select, content))
+}
+
+/// A digest of the code that chooses files and of its parameters.
+fn who_chooses(registry: &Registry, node: &Node, input: &NodeInput) -> Digest {
+    let mut who = Encoder::new("use3d 2026 choice of files v1");
+    who.text(node.stage_name).text(input.role);
+    for (name, digest) in &registry.code(node.stage).ours {
+        who.text(name).bytes(digest.as_bytes());
+    }
+    canonical::encode(&node.parameters, &mut who);
+    who.finish()
 }
 
 fn input_error(input: &NodeInput, reason: &str) -> String {

@@ -10,6 +10,7 @@ use serde_json::{Map, Value};
 
 use super::agree::{Agreement, AlikeFiles, Figure};
 use super::canonical;
+use super::content::Choice;
 use super::context::{StageContext, StageInput};
 use super::error::{ParameterError, StageError};
 use super::graph::External;
@@ -43,7 +44,7 @@ pub enum Source {
 
 /// Chooses the files of an external input that a stage reads, relative to the input's path, from the
 /// parameters.
-pub type Select = Arc<dyn Fn(&Value, &Path) -> Result<Vec<PathBuf>, String> + Send + Sync>;
+pub type Select = Arc<dyn Fn(&Value, &Path) -> Result<Choice, String> + Send + Sync>;
 
 /// A condition on the parameters of all stages: true if an artifact is read.
 pub(super) type Needed = Arc<dyn Fn(&AllParameters) -> bool + Send + Sync>;
@@ -293,8 +294,18 @@ impl Stage {
     /// input; folders count with everything below). A path that does not exist is skipped.
     #[must_use]
     pub fn select(
-        mut self,
+        self,
         choose: impl Fn(&Value, &Path) -> Result<Vec<PathBuf>, String> + Send + Sync + 'static,
+    ) -> Self {
+        self.select_by(move |parameters, input| choose(parameters, input).map(Choice::from))
+    }
+
+    /// Like [`select`](Self::select), for slow choices: the choice is stored and used as long as its sources
+    /// do not change.
+    #[must_use]
+    pub fn select_by(
+        mut self,
+        choose: impl Fn(&Value, &Path) -> Result<Choice, String> + Send + Sync + 'static,
     ) -> Self {
         if let Some(input) = self.inputs.last_mut() {
             input.select = Some(Arc::new(choose));

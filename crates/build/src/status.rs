@@ -1,5 +1,7 @@
 //! The state of every node, and the changes since its last artifact: `status` and `why`.
 
+use std::collections::{BTreeMap, HashMap};
+
 use serde::Serialize;
 
 use super::Builder;
@@ -84,18 +86,15 @@ impl Plan {
     /// The plan as a table.
     pub fn status(&self) -> Status {
         let mut rows: Vec<Row> = Vec::new();
+        let mut places: HashMap<(&str, &str), usize> = HashMap::new();
         for node in self.nodes.iter().filter(|n| n.state != State::Unwanted) {
             let cell = cell(node);
-            match rows.iter_mut().find(|r| r.scene == node.scene && r.variant == node.variant) {
-                Some(row) => row.cells.push(cell),
-                None => {
-                    rows.push(Row {
-                        scene: node.scene.clone(),
-                        variant: node.variant.clone(),
-                        cells: vec![cell],
-                    });
-                }
+            let place = *places.entry((&node.scene, &node.variant)).or_insert(rows.len());
+            if place == rows.len() {
+                let (scene, variant) = (node.scene.clone(), node.variant.clone());
+                rows.push(Row { scene, variant, cells: Vec::new() });
             }
+            rows[place].cells.push(cell);
         }
         Status { pipeline: self.pipeline.clone(), rows }
     }
@@ -104,7 +103,8 @@ impl Plan {
 /// The state of a planned node.
 pub(crate) fn cell(node: &PlannedNode) -> Cell {
     let before = if node.had { Standing::Stale } else { Standing::Missing };
-    let (standing, reason) = match (&node.state, &node.failed) {
+    let killed = node.killed.as_ref().map(ToString::to_string);
+    let (standing, reason) = match (&node.state, node.failed.as_ref().or(killed.as_ref())) {
         (State::Cached, _) => (Standing::Cached, String::new()),
         (State::Run(_), Some(reason)) => (Standing::Failed, reason.clone()),
         (State::Unavailable(reason), _) => (Standing::Failed, reason.clone()),
@@ -117,7 +117,29 @@ pub(crate) fn cell(node: &PlannedNode) -> Cell {
     Cell { stage: node.stage, standing, reason, changes, working }
 }
 
+/// The number of cells by stage and state.
+#[derive(Clone, Debug, Serialize)]
+pub struct Counts {
+    /// The pipeline's name.
+    pub pipeline: String,
+    /// The stages in the order of the table, each with the states of its cells and their numbers.
+    pub stages: Vec<(&'static str, BTreeMap<&'static str, usize>)>,
+}
+
 impl Status {
+    /// Returns the number of cells by stage and state.
+    pub fn counts(&self) -> Counts {
+        let mut stages: Vec<(&'static str, BTreeMap<&'static str, usize>)> = Vec::new();
+        for cell in self.rows.iter().flat_map(|row| &row.cells) {
+            let at = stages.iter().position(|(stage, _)| *stage == cell.stage).unwrap_or(stages.len());
+            if at == stages.len() {
+                stages.push((cell.stage, BTreeMap::new()));
+            }
+            *stages[at].1.entry(cell.word()).or_default() += 1;
+        }
+        Counts { pipeline: self.pipeline.clone(), stages }
+    }
+
     /// Number of cells in this state.
     pub fn count(&self, standing: Standing) -> usize {
         self.rows.iter().flat_map(|r| &r.cells).filter(|c| c.standing == standing).count()

@@ -27,6 +27,8 @@ pub enum Became {
     Blocked(String),
     /// Not run because the run ended before it.
     NotRun,
+    /// Missing, in a run that computes only stages over the whole batch.
+    Missing,
     /// Left to another process, which computes it or its inputs; the text names that process.
     Elsewhere(String),
     /// Not requested.
@@ -53,7 +55,7 @@ pub struct RanNode {
     pub shared: bool,
     /// Its parameters, defaults filled in.
     #[serde(skip)]
-    pub parameters: serde_json::Value,
+    pub parameters: Arc<serde_json::Value>,
     /// The name of the preset below its parameters; empty for none.
     #[serde(skip)]
     pub preset: String,
@@ -62,7 +64,7 @@ pub struct RanNode {
     pub seed: Option<u64>,
     /// Its artifact.
     #[serde(skip)]
-    pub artifact: Option<Artifact>,
+    pub artifact: Option<Arc<Artifact>>,
 }
 
 /// The result of a batch.
@@ -85,6 +87,11 @@ pub struct Summary {
 }
 
 impl Summary {
+    /// A summary of nodes that have already run.
+    pub fn of_nodes(nodes: Vec<RanNode>) -> Self {
+        Self { pipeline: String::new(), nodes, interrupted: false, left: false, seconds: 0.0, lease: None }
+    }
+
     /// The present results of one scene in one variant, for use before the batch ends.
     pub fn of_scene(nodes: &[RanNode], scene: &str, variant: &str) -> Self {
         // A result for all scenes also belongs to this scene.
@@ -109,12 +116,19 @@ impl Summary {
         if self.interrupted && !self.left {
             return 130;
         }
-        u8::from(any(|r| matches!(r, Became::Failed { .. } | Became::Blocked(_) | Became::NotRun)))
+        u8::from(any(|r| {
+            matches!(r, Became::Failed { .. } | Became::Blocked(_) | Became::NotRun | Became::Missing)
+        }))
     }
 
     /// Number of nodes that were left to other processes.
     pub fn elsewhere(&self) -> usize {
         self.count(|r| matches!(r, Became::Elsewhere(_)))
+    }
+
+    /// The nodes that are missing and were not requested.
+    pub fn missing(&self) -> impl Iterator<Item = &RanNode> {
+        self.nodes.iter().filter(|n| !n.shared && n.result == Became::Missing)
     }
 
     /// Number of nodes that were computed in this run.
@@ -139,7 +153,7 @@ impl Summary {
                 && (n.scene.is_empty() || n.scene == scene)
                 && (variant.is_empty() || n.variant.is_empty() || n.variant == variant)
         };
-        self.nodes.iter().find(fits).and_then(|n| n.artifact.as_ref())
+        self.nodes.iter().find(fits).and_then(|n| n.artifact.as_deref())
     }
 
     pub(crate) fn count(&self, which: impl Fn(&Became) -> bool) -> usize {

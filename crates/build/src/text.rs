@@ -11,7 +11,8 @@ use super::lease::Working;
 use super::machine::{bytes, seconds};
 use super::plan::{Plan, PlannedNode, State};
 use super::run::{Became, Summary};
-use super::status::{Cell, Standing, Status, Why};
+use super::status::{Cell, Counts, Standing, Status, Why};
+use super::task::Killed;
 use super::verify::Verification;
 
 /// Most items that a line names.
@@ -119,6 +120,7 @@ impl Display for Summary {
                 (self.failed().count(), "failed"),
                 (blocked, "not run because of these"),
                 (not_run, "not run"),
+                (self.missing().count(), "missing"),
                 (self.elsewhere(), "left to other processes"),
             ] {
                 if count > 0 {
@@ -180,10 +182,49 @@ impl Display for Status {
     }
 }
 
+impl Display for Counts {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        const WORDS: [&str; 5] = ["cached", "running", "missing", "stale", "failed"];
+        write!(f, "{:<12}", "stage")?;
+        WORDS.iter().try_for_each(|word| write!(f, " {word:>8}"))?;
+        writeln!(f)?;
+        for (stage, counts) in &self.stages {
+            write!(f, "{stage:<12}")?;
+            for word in WORDS {
+                match counts.get(word) {
+                    Some(count) => write!(f, " {count:>8}")?,
+                    None => write!(f, " {:>8}", "-")?,
+                }
+            }
+            writeln!(f)?;
+        }
+        Ok(())
+    }
+}
+
+impl Display for Killed {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        let task = self.task.as_ref().map_or_else(String::new, |task| format!(", {task}"));
+        write!(f, "killed: process {} on {}{task} ended without a word", self.process, shown(&self.host))?;
+        write!(f, " after {}", seconds(self.seconds as f64))?;
+        if self.peak_memory > 0 {
+            write!(f, " with {} of memory", bytes(self.peak_memory))?;
+        }
+        match self.times {
+            0 | 1 => Ok(()),
+            times => write!(f, ", the {times}th time"),
+        }
+    }
+}
+
 impl Display for Working {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         let Self { host, process, done, total, unit, .. } = self;
-        write!(f, "on {} (process {process})", shown(host))?;
+        write!(f, "on {} (process {process}", shown(host))?;
+        match &self.task {
+            Some(task) => write!(f, ", {task})")?,
+            None => write!(f, ")")?,
+        }
         if *total > 0 {
             write!(f, ", {done} of {total} {}", shown(unit))?;
         }

@@ -296,7 +296,7 @@ struct Made {
     node: usize,
     /// The class of arithmetic in which it would be made now.
     class: String,
-    artifact: Box<Artifact>,
+    artifact: Arc<Artifact>,
 }
 
 impl Made {
@@ -309,7 +309,7 @@ impl Made {
 
 impl Cache {
     /// The first whole artifact, by key, with the same ingredients except for the class of arithmetic.
-    fn of_another_class(&self, ingredients: &Ingredients) -> Option<Box<Artifact>> {
+    fn of_another_class(&self, ingredients: &Ingredients) -> Option<Arc<Artifact>> {
         let keys = self.artifacts().into_iter().filter(|(stage, ..)| *stage == ingredients.stage);
         keys.into_iter().find_map(|(stage, key, _)| {
             let Ok(Lookup::Whole(artifact)) = self.lookup(&stage, &key) else { return None };

@@ -6,7 +6,7 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{OnceLock, mpsc};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use signal_hook::consts::{SIGINT, SIGTERM};
 
@@ -15,21 +15,45 @@ use crate::error::CliError;
 static FLAG: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 static LEAVE: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 
+/// The time in which signals of one kind count as one. Slurm sends SIGTERM to every process of a task, and
+/// the script of the task may forward its own. A terminal signals a whole group, and the parent may forward
+/// it.
+fn as_one(signal: i32) -> Duration {
+    if signal == SIGTERM { Duration::from_secs(2) } else { Duration::from_millis(200) }
+}
+
+/// Returns true if a signal is a second one, which ends this process at once, and not an echo of the first.
+fn is_second(earlier: &[(i32, Instant)], signal: i32, now: Instant) -> bool {
+    let echoes = |(kind, at): &(i32, Instant)| *kind == signal && now.duration_since(*at) < as_one(signal);
+    !earlier.is_empty() && !earlier.iter().any(echoes)
+}
+
 /// Installs the handlers and returns the flag that long work checks.
 pub(crate) fn install() -> Arc<AtomicBool> {
     FLAG.get_or_init(|| {
         let flag = Arc::new(AtomicBool::new(false));
-        // Set by signals alone. A run that reaches its time limit sets only the other flag, so that a later
-        // first signal does not end the program at once.
-        let asked = Arc::new(AtomicBool::new(false));
-        for signal in [SIGINT, SIGTERM].into_iter().chain(hang_up()) {
-            // Order matters: the second signal finds the flag set and exits; the first only sets it.
-            let armed = signal_hook::flag::register_conditional_shutdown(signal, 130, asked.clone())
-                .and_then(|_| signal_hook::flag::register(signal, asked.clone()))
-                .and_then(|_| signal_hook::flag::register(signal, flag.clone()));
-            if let Err(error) = armed {
+        let ending: Vec<i32> = [SIGINT, SIGTERM].into_iter().chain(hang_up()).collect();
+        for signal in &ending {
+            // The handler itself sets the flag, so that work notices it at once.
+            if let Err(error) = signal_hook::flag::register(*signal, flag.clone()) {
                 tracing::warn!("cannot handle signal {signal}: {error}; interrupting loses work since the last checkpoint");
             }
+        }
+        match signal_hook::iterator::Signals::new(&ending) {
+            Ok(mut signals) => drop(std::thread::spawn(move || {
+                let mut earlier: Vec<(i32, Instant)> = Vec::new();
+                for signal in signals.forever() {
+                    let now = Instant::now();
+                    if is_second(&earlier, signal, now) {
+                        signal_hook::low_level::exit(130);
+                    }
+                    // Echoes are not stored, so a sender that repeats its signal ends the process in the end.
+                    if !earlier.iter().any(|(kind, _)| *kind == signal) {
+                        earlier.push((signal, now));
+                    }
+                }
+            })),
+            Err(error) => tracing::warn!("a second signal will not end this process at once: {error}"),
         }
         #[cfg(unix)]
         {
@@ -150,6 +174,19 @@ mod tests {
     fn work_that_ends_is_handed_back_and_one_that_panics_is_an_error() {
         assert_eq!(unless_stopped(|| 3).ok(), Some(3));
         assert!(unless_stopped(|| -> u8 { panic!("on purpose") }).is_err());
+    }
+
+    #[test]
+    fn a_signal_and_its_echo_are_one() {
+        let start = Instant::now();
+        let at = |signal, milliseconds| (signal, start + Duration::from_millis(milliseconds));
+        let second = |earlier: &[(i32, Instant)], (signal, now)| is_second(earlier, signal, now);
+        assert!(!second(&[], at(SIGTERM, 0)));
+        assert!(!second(&[at(SIGTERM, 0)], at(SIGTERM, 1900)));
+        assert!(second(&[at(SIGTERM, 0)], at(SIGTERM, 2100)));
+        assert!(second(&[at(SIGTERM, 0)], at(SIGINT, 100)));
+        assert!(!second(&[at(SIGINT, 0)], at(SIGINT, 100)));
+        assert!(second(&[at(SIGINT, 0)], at(SIGINT, 300)));
     }
 
     #[test]

@@ -20,7 +20,7 @@ use std::sync::atomic::AtomicBool;
 
 use use3d_build::Listener;
 
-use args::{Bench, Synth, Verb};
+use args::{Bench, Store, Synth, Verb};
 use error::{CliError, Done};
 
 /// The seed of stages that are run by hand, the same as in a pipeline without one; `--set seed=N` changes it.
@@ -70,10 +70,13 @@ fn run(app: &App, verb: Verb) -> Done {
         Verb::Demo(args) => verbs::run::demo(app, &args),
         Verb::Run(args) => verbs::run::run(app, &args),
         Verb::Submit { what } => verbs::submit::run(app, &what),
+        Verb::Cancel(args) => verbs::submit::cancel(&args),
         Verb::Push(args) => verbs::remote::push(app, &args),
         Verb::Pull(args) => verbs::remote::pull(app, &args),
         Verb::Results(args) => verbs::results::run(app, &args),
         Verb::Compare(args) => verbs::compare::run(app, &args),
+        Verb::Store { what: Store::Ls(args) } => verbs::remote::list(app, &args),
+        Verb::Store { what: Store::Gc(args) } => verbs::remote::sweep(app, &args),
         Verb::Plan(args) => verbs::run::plan(&args),
         Verb::Status(args) => verbs::run::status(&args),
         Verb::Why(args) => verbs::run::why(&args),
@@ -98,6 +101,7 @@ fn run(app: &App, verb: Verb) -> Done {
         Verb::Devices(args) => verbs::devices::run(&args),
         Verb::Gc(args) => verbs::cache::gc(&args),
         Verb::Verify(args) => verbs::cache::verify(app, &args),
+        Verb::Pipelines(args) => verbs::pipelines::run(&args),
         Verb::Params(args) => verbs::params::run(&args),
         Verb::Completions(args) => verbs::generate::completions(&args),
         Verb::Man(args) => verbs::generate::man(&args),

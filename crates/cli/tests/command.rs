@@ -56,6 +56,19 @@ fn wrong_usage_exits_with_2_and_names_the_next_step() {
 }
 
 #[test]
+fn an_installed_program_has_the_pipeline_files_of_the_paper() {
+    let (list, _) = expect(0, &["pipelines"]);
+    assert!(list.contains("use26") && list.contains("All 26 scenes of the paper"), "{list}");
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../pipelines");
+    for (name, file) in [("use26", "use26.toml"), ("demo", "demo.toml"), ("schema", "schema.json")] {
+        let (text, _) = expect(0, &["pipelines", name]);
+        assert_eq!(text, std::fs::read_to_string(folder.join(file)).unwrap(), "{name}");
+    }
+    let (_, err) = expect(2, &["pipelines", "use62"]);
+    assert!(err.contains("did you mean `use26`"), "{err}");
+}
+
+#[test]
 fn golden_scene_mini_renders_to_its_images_from_both_forms_of_its_model() {
     let golden = use3d_golden::root().join("scene-mini");
     let dir = tempfile::tempdir().unwrap();

@@ -93,3 +93,57 @@ fn a_store_that_cannot_be_used_is_said_before_anything_is_computed() {
     }
     assert_eq!(many.artifacts("cache").len(), 0);
 }
+
+#[test]
+fn a_store_is_listed_cleaned_up_and_only_read() {
+    let many = Many::new(&["s1".to_string()]);
+    let store = many.at("store").to_string_lossy().into_owned();
+    let command = |verb: &str, cache: &str, words: &[&str]| {
+        let mut command = many.command(&[verb], cache);
+        command.args(["--remote", &store]).args(words);
+        ended(command)
+    };
+    let of_store = |words: &[&str]| {
+        let mut command = tiny::command();
+        command.arg("store").args(words).args(["--remote", &store]);
+        ended(command)
+    };
+    let (code, said) = of_store(&["ls"]);
+    assert!(code == Some(1) && said.contains("there is no such folder"), "{said}");
+    // Nothing is sent to a store that is only read; a store without an artifact is no failure of the run.
+    fs::create_dir(&store).expect("folder");
+    let (code, said) = command("run", "first", &["--cache-only", "--remote-read-only"]);
+    assert!(code == Some(0) && !said.contains("--remote"), "{said}");
+    assert!(tiny::files(store.as_ref()).is_empty());
+    // An artifact that neither side has is missing: that fails a user who needs all of them.
+    fs::remove_dir_all(many.at("first/v1/artifacts/report")).expect("removed");
+    let (code, said) = command("push", "first", &["--all-or-fail"]);
+    assert!(
+        code == Some(1) && said.contains("1 artifact is missing, and --all-or-fail asks for all"),
+        "{said}"
+    );
+    let (code, said) = command("pull", "second", &["--all-or-fail"]);
+    assert!(code == Some(1) && said.contains("1 artifact is missing"), "{said}");
+    assert_eq!(command("pull", "second", &[]).0, Some(0));
+    let there = tiny::files(store.as_ref());
+    let (code, said) = command("run", "third", &["--cache-only", "--remote-read-only"]);
+    assert!(code == Some(0) && said.contains(" 1 done,"), "{said}");
+    assert!(tiny::files(store.as_ref()) == there, "nothing was sent");
+
+    let (code, said) = of_store(&["ls"]);
+    assert!(code == Some(0) && said.contains("reconstruct  1\n") && said.contains(" artifacts, "), "{said}");
+    let (_, said) = of_store(&["ls", "--json"]);
+    let list: serde_json::Value = serde_json::from_str(&said).expect("JSON");
+    assert_eq!(list["stages"]["reconstruct"], 1);
+    // Young files stay, and so does what a pipeline uses.
+    let (code, said) = of_store(&["gc", "--older-than", "1d"]);
+    assert!(code == Some(0) && said.starts_with("removed 0 artifacts and 0 files"), "{said}");
+    let (code, said) = of_store(&["gc", "--older-than", "1s", "--dry-run", "--json"]);
+    let would: serde_json::Value = serde_json::from_str(&said).expect("JSON");
+    assert!(code == Some(0) && would["dry_run"] == true, "{said}");
+    let keep = many.at("many.toml").to_string_lossy().into_owned();
+    let cache = many.at("nowhere").to_string_lossy().into_owned();
+    let (code, said) = of_store(&["gc", "--older-than", "1s", "--keep", &keep, "--cache", &cache]);
+    assert!(code == Some(2) && said.contains("are not in the cache"), "{said}");
+    assert!(tiny::files(store.as_ref()) == there);
+}

@@ -16,10 +16,14 @@ const SBATCH: &str = r#"
 echo "$*" >> "$here/sbatch.log"
 script="${!#}"
 number=$(( $(cat "$here/number" 2>/dev/null || echo 100) + 1 )); echo "$number" > "$here/number"
-last=$(sed -n 's/^#SBATCH --array=0-\([0-9]*\)%.*/\1/p' "$script")
+array=$(sed -n 's/^#SBATCH --array=\(.*\)%.*/\1/p' "$script")
 export SLURM_JOB_ID=$number SLURM_CPUS_PER_TASK=1 SLURM_ARRAY_JOB_ID=$number
-if [ -n "$last" ]; then
-  for task in $(seq 0 "$last"); do SLURM_ARRAY_TASK_ID=$task bash "$script" >> "$here/tasks.log" 2>&1 & done
+if [ -n "$array" ]; then
+  for range in ${array//,/ }; do
+    for task in $(seq "${range%-*}" "${range#*-}"); do
+      SLURM_ARRAY_TASK_ID=$task bash "$script" >> "$here/tasks.log" 2>&1 &
+    done
+  done
   wait
 else
   bash "$script" >> "$here/tasks.log" 2>&1
@@ -343,4 +347,225 @@ fn no_place_of_a_script_has_a_line_break() {
         "{}",
         said(&output)
     );
+}
+
+/// Writes a stand-in for a command.
+fn stand_in(many: &Many, name: &str, body: &str) {
+    let path = many.at("bin").join(name);
+    fs::write(&path, format!("#!/bin/bash\n{body}\n")).expect("written");
+    fs::set_permissions(&path, fs::Permissions::from_mode(0o755)).expect("executable");
+}
+
+#[test]
+fn every_submitted_job_is_recorded_at_once_and_all_can_be_cancelled() {
+    let many = Many::new(&["s1".to_string()]);
+    let path = stand_ins(&many);
+    let cancel = |words: &[&str]| {
+        let mut command = tiny::command();
+        command.args(["cancel"]).arg(many.at("many.toml")).args(words).current_dir(many.at(""));
+        let output = command.env("PATH", &path).output().expect("the command starts");
+        (output.status.code(), said(&output))
+    };
+    let (code, text) = cancel(&[]);
+    assert!(code == Some(2) && text.contains("nothing was submitted from there"), "{text}");
+    assert!(!many.at("use3d-out").exists(), "cancelling makes no folder");
+    // The second job finds the first one in the record, so a `submit` that is killed leaves no unknown job.
+    let record = many.at("use3d-out/many-submit/submitted.json");
+    let body = format!(
+        "cp {} {} 2>/dev/null; n=$(cat n 2>/dev/null || echo 6); echo $((n + 1)) | tee n",
+        record.display(),
+        many.at("seen").display()
+    );
+    stand_in(&many, "sbatch", &body);
+    let (code, text) = submit(&many, &path, "slurm", "cache", &[]);
+    assert_eq!(code, Some(0), "{text}");
+    let seen: serde_json::Value = serde_json::from_str(&read(&many.at("seen"))).expect("a record");
+    assert_eq!(
+        (&seen["scheduler"], &seen["jobs"]),
+        (&"slurm".into(), &serde_json::json!([["workers", "7"]]))
+    );
+    let kept = many.at("use3d-out/many-submit/pipeline.toml");
+    assert_eq!(read(&kept), read(&many.at("many.toml")));
+    let (code, text) = cancel(&[]);
+    assert!(code == Some(0) && text.contains("cancelled 7, 8"), "{text}");
+    assert_eq!(read(&many.at("bin/scancel.log")), "7 8\n");
+    stand_in(&many, "scancel", "echo 'Access denied' >&2; exit 1");
+    let (code, text) = cancel(&["--out", "use3d-out/many"]);
+    assert!(code == Some(1) && text.contains("Access denied"), "{text}");
+}
+
+#[test]
+fn the_sites_limit_of_arrays_is_asked_for_and_jobs_that_never_start_are_named() {
+    let many = Many::new(&["s1".to_string(), "s2".to_string(), "s3".to_string()]);
+    let path = stand_ins(&many);
+    // Slurm counts task numbers from 0, so its limit of 3 permits the numbers 0 to 2. The shorter limit wins.
+    let arrays = |cluster: &str| {
+        fs::write(many.at("cluster.toml"), cluster).expect("written");
+        let words = ["--layout", "stages", "--dry-run", "--cluster", "cluster.toml"];
+        let (code, text) = submit(&many, &path, "slurm", "cache", &words);
+        assert_eq!(code, Some(0), "{text}");
+        let lines = text.lines().skip_while(|line| !line.contains("--job-name=many-reconstruct"));
+        let array = lines.filter_map(|line| line.strip_prefix("#SBATCH --array=")).next().expect("an array");
+        array.to_string()
+    };
+    assert_eq!(arrays(""), "0-2%8");
+    stand_in(&many, "scontrol", "echo 'MaxArrayTasks = 9'; echo 'MaxArraySize            = 3'");
+    assert_eq!(arrays(""), "0-1%4");
+    assert_eq!(arrays("largest_array = 1"), "0%3");
+    stand_in(&many, "sbatch", "n=$(cat n 2>/dev/null || echo 6); echo $((n + 1)) | tee n");
+    let pending =
+        "case \"$*\" in *' %r '*) echo '7_[0-2] (PartitionConfig)'; echo '8 (Dependency)' ;; esac; exit 0";
+    stand_in(&many, "squeue", pending);
+    let (code, text) = submit(&many, &path, "slurm", "cache", &["-q"]);
+    let warned = "warning: job 7_[0-2] can never start (PartitionConfig)";
+    assert!(code == Some(0) && text.contains(warned) && !text.contains("job 8 can never"), "{text}");
+}
+
+/// A task computes what was planned at its submission, or nothing.
+#[test]
+fn a_task_refuses_a_pipeline_that_was_edited_since() {
+    let many = Many::new(&["s1".to_string()]);
+    let path = stand_ins(&many);
+    let site = format!("command = \"{}\"\ncpus = 1\n", env!("CARGO_BIN_EXE_use3d"));
+    fs::write(many.at("cluster.toml"), site).expect("written");
+    let text = read(&many.at("many.toml"));
+    // The file is edited while the tasks wait.
+    let keep = read(&many.at("bin/sbatch")).replace(
+        "script=",
+        &format!("sed -i 's/seed = 42/seed = 43/' {}\nscript=", many.at("many.toml").display()),
+    );
+    fs::write(many.at("bin/sbatch"), keep).expect("written");
+    let words = ["--cluster", "cluster.toml", "--layout", "stages"];
+    submit(&many, &path, "slurm", "cache", &words);
+    let log = read(&many.at("bin/tasks.log"));
+    assert!(log.contains("this is not the submitted pipeline"), "{log}");
+    assert!(many.artifacts("cache").is_empty(), "{log}");
+    // The same scripts work again with the submitted text.
+    fs::write(many.at("many.toml"), text).expect("written");
+    let script = many.at("use3d-out/many-submit/import.sbatch");
+    let output = std::process::Command::new("bash").arg(script).env("SLURM_ARRAY_TASK_ID", "0").output();
+    let output = output.expect("a shell");
+    assert!(output.status.success() && !many.artifacts("cache").is_empty(), "{}", said(&output));
+}
+
+/// Slurm sends the signal of a cancelled, preempted or requeued task to every process of the task: to the
+/// script, which passes it on, and to the command itself.
+#[test]
+fn a_cancelled_task_saves_its_checkpoint_and_gives_up_its_lease() {
+    use std::os::unix::process::CommandExt;
+    let many = Many::new(&["s1".to_string()]);
+    let path = stand_ins(&many);
+    stand_in(&many, "sbatch", "echo 7");
+    let site = format!("command = \"{}\"\ncpus = 1\n", env!("CARGO_BIN_EXE_use3d"));
+    fs::write(many.at("cluster.toml"), site).expect("written");
+    let long = ["--set", "reconstruct.iterations=20000", "--set", "reconstruct.checkpoint_steps=100000"];
+    let words = [&["--cluster", "cluster.toml"][..], &long].concat();
+    let (code, text) = submit(&many, &path, "slurm", "cache", &words);
+    assert_eq!(code, Some(0), "{text}");
+    let mut task = std::process::Command::new("bash");
+    task.arg(many.at("use3d-out/many-submit/workers.sbatch")).env("SLURM_ARRAY_TASK_ID", "0");
+    task.env("SLURM_JOB_ID", "7").env("PATH", &path).process_group(0);
+    let mut task = task.stdout(std::process::Stdio::null()).spawn().expect("a shell");
+    let log = many.at("cache/v1/logs/many/s1/_/reconstruct.log");
+    // The lease shows the progress of its holder.
+    let trains = || {
+        tiny::files(&many.at("cache/v1/leases")).values().any(|lease| {
+            String::from_utf8_lossy(lease)
+                .lines()
+                .any(|line| line.starts_with("here ") && line.contains("steps"))
+        })
+    };
+    while !trains() {
+        assert!(task.try_wait().expect("a state").is_none(), "ended before it was told to: {}", read(&log));
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    let group = format!("-{}", task.id());
+    let told = std::process::Command::new("kill").args(["-TERM", "--", &group]).status();
+    assert!(told.expect("kill").success());
+    assert_eq!(task.wait().expect("ends").code(), Some(130));
+    let saved = tiny::files(&many.at("cache/v1/checkpoints"));
+    assert!(saved.keys().any(|path| path.starts_with("reconstruct")), "{:?}", saved.keys());
+    // A lease that is given up says so, and no other process waits for it.
+    for lease in tiny::files(&many.at("cache/v1/leases")).values() {
+        let lease = String::from_utf8_lossy(lease);
+        assert!(lease.lines().any(|line| line.starts_with("left ")), "{lease}");
+    }
+    // The next attempt goes on at that step, and not from the beginning.
+    let mut again = many.command(&["run", "--cache-only"], "cache");
+    let mut again = again.args(long).stdout(std::process::Stdio::null()).spawn().expect("the command starts");
+    while !read(&log).contains("resuming from step") {
+        assert!(again.try_wait().expect("a state").is_none(), "it did not resume: {}", read(&log));
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    again.kill().expect("killed");
+    again.wait().expect("over");
+}
+
+#[test]
+fn status_counts_and_chooses_and_a_run_that_only_gathers_names_what_is_missing() {
+    let many = Many::new(&["s1".to_string(), "gone".to_string()]);
+    fs::remove_dir_all(many.at("gone")).expect("removed");
+    let asked = |verbs: &[&str], words: &[&str]| {
+        let output = many.command(verbs, "cache").args(words).output().expect("the command starts");
+        (output.status.code(), said(&output))
+    };
+    let (code, text) = asked(&["run"], &["--gather", "--keep-going", "--out", "out"]);
+    assert!(code == Some(1) && text.contains("s1 · import") && !many.at("out/s1").exists(), "{text}");
+    assert!(many.artifacts("cache").is_empty(), "{text}");
+    let (code, text) = asked(&["run"], &["--cache-only", "--keep-going"]);
+    assert_eq!(code, Some(1), "{text}");
+    let (code, text) = asked(&["run"], &["--gather", "--keep-going", "--out", "out"]);
+    assert!(code == Some(1) && text.contains(" 0 done,") && many.at("out/s1/scores").exists(), "{text}");
+    let (code, text) = asked(&["status"], &["--summary"]);
+    let import = text.lines().find(|line| line.starts_with("import")).unwrap_or_default();
+    let counts: Vec<&str> = import.split_whitespace().collect();
+    assert!(code == Some(0) && counts == ["import", "1", "-", "-", "-", "1"], "{text}");
+    let (_, text) = asked(&["status"], &["--failed"]);
+    assert!(text.contains("gone") && !text.contains("\ns1"), "{text}");
+    let (_, text) = asked(&["status"], &["--scene", "s1"]);
+    assert!(!text.contains("gone") && text.contains("\ns1"), "{text}");
+    let (code, text) = asked(&["status"], &["--scene", "s2"]);
+    assert!(code == Some(2) && text.contains("there are: s1, gone"), "{text}");
+}
+
+#[test]
+fn a_killed_task_is_named_and_the_next_asks_for_more_memory() {
+    let many = Many::new(&["s1".to_string()]);
+    let path = stand_ins(&many);
+    fs::write(many.at("cluster.toml"), "[stage.run]\nmemory = \"900MB\"\n").expect("written");
+    let memory = || {
+        let words = ["--cluster", "cluster.toml", "--dry-run"];
+        let (code, text) = submit(&many, &path, "slurm", "cache", &words);
+        assert_eq!(code, Some(0), "{text}");
+        let line = text.lines().find(|line| line.starts_with("#SBATCH --mem=")).expect("a request");
+        line.to_string()
+    };
+    assert_eq!(memory(), "#SBATCH --mem=859M");
+    let run = |words: &[&str]| {
+        let mut command = many.command(&["run", "--cache-only"], "cache");
+        command.args(words).env("SLURM_JOB_ID", "12").env("SLURM_MEM_PER_NODE", "1000");
+        command
+    };
+    let mut task = run(&["--set", "reconstruct.iterations=100000"]);
+    let task = task.stdout(std::process::Stdio::null()).stderr(std::process::Stdio::null()).spawn();
+    let mut task = task.expect("the command starts");
+    let log = many.at("cache/v1/logs/many/s1/_/reconstruct.log");
+    while !log.exists() {
+        assert!(task.try_wait().expect("a state").is_none(), "ended before it was killed");
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    task.kill().expect("killed");
+    task.wait().expect("over");
+    let status = |words: &[&str]| {
+        let output = many.command(&["status"], "cache").args(words).output().expect("the command starts");
+        said(&output)
+    };
+    // The number of steps is a part of the key.
+    let text = status(&["--set", "reconstruct.iterations=100000"]);
+    let words = format!("killed: process {} on ", task.id());
+    assert!(text.contains(&words) && text.contains("slurm 12 ended without a word"), "{text}");
+    let words = ["--cluster", "cluster.toml", "--dry-run", "--set", "reconstruct.iterations=100000"];
+    let (_, text) = submit(&many, &path, "slurm", "cache", &words);
+    assert!(text.lines().any(|line| line == "#SBATCH --mem=1500M"), "{text}");
+    assert_eq!(memory(), "#SBATCH --mem=859M");
 }

@@ -3,9 +3,9 @@
 //!
 //! If a worker is lost, HyperQueue starts its task again, and the task resumes from its last checkpoint; so
 //! no limit and no signal is needed. HyperQueue has no dependency of the kind "after that task, even if it
-//! failed". Therefore a task that only `finish` waits for ends with 0 even after a failure, and `finish`
-//! tries it once more and reports the result of the batch. If another stage waits for a stage that failed,
-//! HyperQueue does not start the waiting tasks.
+//! failed". Therefore a task that only `finish` waits for ends with 0 even after a failure, and `finish`,
+//! which names what is missing, reports the result of the batch. If another stage waits for a stage that
+//! failed, HyperQueue does not start the waiting tasks.
 
 use std::path::PathBuf;
 
@@ -80,7 +80,7 @@ pub fn script(submission: &Submission, site: &Site) -> String {
     lines.push(format!(r#"code=0; {command} "$@" || code=$?"#));
     // No task must follow one that was interrupted.
     lines.push(r#"if [ "$code" = 0 ] || [ "$code" = 130 ]; then exit "$code"; fi"#.to_string());
-    lines.push(r#"echo "ended with exit code $code; the task finish tries it once more" >&2"#.to_string());
+    lines.push(r#"echo "ended with exit code $code; the task finish names what is missing" >&2"#.to_string());
     lines.join("\n") + "\n"
 }
 
@@ -101,16 +101,25 @@ pub fn ends_with_a_failure(jobs: &[Job]) -> bool {
 /// The job file of `hq job submit-file`.
 pub fn file(jobs: &[Job], submission: &Submission) -> String {
     let mut tasks: Vec<Task> = Vec::new();
-    // The task numbers of every job.
-    let mut numbers: Vec<Vec<usize>> = Vec::new();
+    // The numbers of every job's tasks in the file, with the job's own number of each task.
+    let mut numbers: Vec<Vec<(Option<usize>, usize)>> = Vec::new();
     for (which, job) in jobs.iter().enumerate() {
         let after = if only_last_waits(jobs, which) { AFTER_ANY } else { AFTER_OK };
         let mut own = Vec::new();
-        for at in 0..job.tasks.unwrap_or(1) {
+        for at in 0..job.count() {
+            let own_number = job.tasks.as_ref().map(|tasks| tasks[at]);
             let id = tasks.len();
             let deps = job.after.iter().flat_map(|after| match after {
-                After::Same(of) => numbers[*of].get(at).copied().into_iter().collect::<Vec<_>>(),
-                After::Done(of) | After::Over(of) => numbers[*of].clone(),
+                After::Same(of) => numbers[*of]
+                    .iter()
+                    .filter(|(number, _)| *number == own_number)
+                    .map(|(_, id)| *id)
+                    .collect(),
+                // The workers of HyperQueue limit the concurrent jobs, so such a dependency is left out.
+                After::Over(_) if !job.delivers => Vec::new(),
+                After::Done(of) | After::Over(of) => {
+                    numbers[*of].iter().map(|(_, id)| *id).collect::<Vec<_>>()
+                }
             });
             let deps = deps.collect();
             let script = script_path(submission).to_string_lossy().into_owned();
@@ -119,8 +128,10 @@ pub fn file(jobs: &[Job], submission: &Submission) -> String {
             command.extend(submission.task(job));
             command
                 .extend(job.cells.get(at).into_iter().flat_map(|cell| ["--only".to_string(), cell.clone()]));
-            let number = if job.tasks.is_some() { format!("-{at}") } else { String::new() };
-            let log = submission.folder.join("logs").join(format!("{}{number}.log", job.name));
+            let number = own_number.map_or_else(String::new, |number| format!("-{number}"));
+            // Every start of a task has its own log.
+            let log = format!("{}{number}-%{{INSTANCE_ID}}.log", job.name);
+            let log = submission.folder.join("logs").join(log);
             let mut resources = job.asks.needs.resources.clone();
             resources.insert("cpus".to_string(), job.asks.cpus as u64);
             // In megabytes, the unit of HyperQueue's workers; a site may use another name for it, or 0 for no
@@ -138,7 +149,7 @@ pub fn file(jobs: &[Job], submission: &Submission) -> String {
                 deps,
                 request: vec![request],
             });
-            own.push(id);
+            own.push((own_number, id));
         }
         numbers.push(own);
     }
@@ -173,9 +184,19 @@ pub fn submit(submission: &Submission) -> Result<Submitted, ClusterError> {
              job was submitted"
         )));
     }
-    let submitted = Submitted { jobs: vec![(submission.name.clone(), number.to_string())] };
+    let submitted =
+        Submitted { scheduler: "hq".to_string(), jobs: vec![(submission.name.clone(), number.to_string())] };
     submission.keep(&submitted)?;
     Ok(submitted)
+}
+
+/// Cancels jobs.
+///
+/// # Errors
+/// There is no `hq`, or it refuses.
+pub fn cancel(numbers: &[String]) -> Result<(), ClusterError> {
+    let words = ["job".to_string(), "cancel".to_string(), numbers.join(",")];
+    call(&words, "").map(drop)
 }
 
 /// The job of the last submission from this folder, by name and number, if HyperQueue still has unfinished

@@ -3,16 +3,21 @@
 //!
 //! There are two layouts. *Workers*: one array of equal tasks that share the batch, whatever its graph. It
 //! does not depend on limits of arrays or on failures of dependencies, and every task requests the resources
-//! of the largest stage. *Stages*: an array over the scenes and variants for every stage, element after
-//! element, each with a request for its own stage, such as a GPU. Both end with one task that runs after all
-//! others, even after failures, makes the report and fills the results folder.
+//! of the largest stage. *Stages*: one task for every missing artifact, in arrays of one stage and variant,
+//! each with a request for its own stage, such as a GPU. Both end with one task that runs after all others,
+//! even after failures, makes the report and fills the results folder; it computes nothing else.
+//!
+//! In the arrays of the second layout a scene has the same number everywhere. So a task starts when the tasks
+//! of that number in the arrays before it are done. Variants that share an artifact share its task, and a
+//! stage that compares variants waits for the same scene of the reference variant.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use use3d_build::gc::parse_bytes;
 use use3d_build::plan::{PlannedNode, State};
-use use3d_build::{Plan, Registry, Scope, Source};
+use use3d_build::task::Killed;
+use use3d_build::{Plan, Registry, Scope};
 
 use super::ClusterError;
 use super::site::{Needs, SHORTEST, Site, WORKERS};
@@ -58,8 +63,10 @@ pub struct Job {
     pub name: String,
     /// Its description in a sentence.
     pub about: String,
-    /// Number of tasks, if it is an array.
-    pub tasks: Option<usize>,
+    /// The numbers of its tasks, if it is an array.
+    pub tasks: Option<Vec<usize>>,
+    /// The most tasks that run at the same time.
+    pub at_once: usize,
     /// The scene and variant of every task, in the form of `--only`; empty if the tasks are equal.
     pub cells: Vec<String>,
     /// The conditions for starting it.
@@ -70,6 +77,19 @@ pub struct Job {
     pub delivers: bool,
     /// The resources that each task requests.
     pub asks: Asks,
+}
+
+impl Job {
+    /// The number of its tasks.
+    pub fn count(&self) -> usize {
+        self.tasks.as_ref().map_or(1, Vec::len)
+    }
+
+    /// The list of its tasks: number, scene and variant of each.
+    pub fn list(&self) -> String {
+        let numbers = self.tasks.iter().flatten();
+        numbers.zip(&self.cells).map(|(number, cell)| format!("{number} {cell}\n")).collect()
+    }
 }
 
 /// The jobs that compute the missing stages, each after the jobs it waits for; empty if nothing is missing.
@@ -94,20 +114,22 @@ pub fn of(
     let cells = cells(&todo)?;
     let scope = |stage: &str| registry.stage(stage).map_or(Scope::Batch, |s| s.scope());
     let mut jobs = match layout {
-        Layout::Workers => workers_of(&todo, site, &cells, workers.unwrap_or(site.at_once)),
-        Layout::Stages => stages_of(&todo, registry, site, &cells),
+        Layout::Workers => {
+            workers_of(&todo, site, &cells, workers.unwrap_or(site.at_once), &|n| scope(n.stage))
+        }
+        Layout::Stages => stages_of(plan, registry, site),
     };
-    let last: Vec<&PlannedNode> =
-        todo.iter().copied().filter(|n| jobs.is_empty() || scope(n.stage) == Scope::Batch).collect();
+    let last: Vec<&PlannedNode> = todo.iter().copied().filter(|n| scope(n.stage) == Scope::Batch).collect();
     jobs.push(Job {
         name: "finish".to_string(),
-        about: "Computes what is still missing, tries failed stages once more, writes the report and fills \
-             the results folder."
+        about: "Makes the report from the results that exist, fills the results folder, and names what is \
+             missing."
             .to_string(),
         tasks: None,
+        at_once: 1,
         cells: Vec::new(),
         after: (0..jobs.len()).map(After::Over).collect(),
-        words: vec!["--keep-going".to_string()],
+        words: vec!["--keep-going".to_string(), "--gather".to_string()],
         delivers: true,
         asks: asks(&last, site, WORKERS, |nodes| nodes.iter().filter_map(|n| longest(n)).sum()),
     });
@@ -116,7 +138,7 @@ pub fn of(
 
 /// The scenes and variants with missing stages, in the plan's order.
 fn cells(todo: &[&PlannedNode]) -> Result<Vec<String>, ClusterError> {
-    let mut cells: Vec<String> = Vec::new();
+    let (mut cells, mut known) = (Vec::new(), BTreeSet::new());
     for node in todo.iter().filter(|n| !n.scene.is_empty()) {
         for (what, name) in [("scene", &node.scene), ("variant", &node.variant)] {
             let reason = if name.chars().any(char::is_control) {
@@ -128,20 +150,31 @@ fn cells(todo: &[&PlannedNode]) -> Result<Vec<String>, ClusterError> {
             };
             return Err(ClusterError::Name { what, name: name.clone(), reason });
         }
-        let cell = match node.variant.as_str() {
-            "" => node.scene.clone(),
-            variant => format!("{}@{variant}", node.scene),
-        };
-        if !cells.contains(&cell) {
+        let cell = cell(node);
+        if known.insert(cell.clone()) {
             cells.push(cell);
         }
     }
     Ok(cells)
 }
 
-fn workers_of(todo: &[&PlannedNode], site: &Site, cells: &[String], most: usize) -> Vec<Job> {
+/// A node's scene and variant in the form of `--only`.
+fn cell(node: &PlannedNode) -> String {
+    match node.variant.as_str() {
+        "" => node.scene.clone(),
+        variant => format!("{}@{variant}", node.scene),
+    }
+}
+
+fn workers_of(
+    todo: &[&PlannedNode],
+    site: &Site,
+    cells: &[String],
+    most: usize,
+    scope: &dyn Fn(&PlannedNode) -> Scope,
+) -> Vec<Job> {
     let tasks = most.clamp(1, cells.len().clamp(1, site.largest_array));
-    if cells.is_empty() {
+    if todo.iter().all(|n| scope(n) == Scope::Batch) {
         return Vec::new();
     }
     // The longest chain is that of one scene; the rest of the work is shared.
@@ -158,13 +191,14 @@ fn workers_of(todo: &[&PlannedNode], site: &Site, cells: &[String], most: usize)
         about: format!(
             "{} the missing stages of {}.",
             if tasks == 1 { "One task computes".to_string() } else { format!("{tasks} equal tasks compute") },
-            if cells.len() == 1 {
+            if cells.len() < 2 {
                 "one scene and variant".to_string()
             } else {
                 format!("{} scenes and variants", cells.len())
             }
         ),
-        tasks: Some(tasks),
+        tasks: Some((0..tasks).collect()),
+        at_once: site.at_once,
         cells: Vec::new(),
         after: Vec::new(),
         words: ["--keep-going", "--until-empty", "--cache-only"].map(String::from).to_vec(),
@@ -173,80 +207,86 @@ fn workers_of(todo: &[&PlannedNode], site: &Site, cells: &[String], most: usize)
     }]
 }
 
-/// The tasks of every stage, in arrays no larger than the site allows. All stages are cut at the same places,
-/// so that a task's predecessor has the same number in the array with the same number.
-fn stages_of(todo: &[&PlannedNode], registry: &Registry, site: &Site, cells: &[String]) -> Vec<Job> {
+/// The array of a task: its stage, its variant, the block of scene numbers, and the jobs it waits for. A
+/// scene with an input that exists already waits for fewer jobs than the others, in an array of its own.
+type ArrayPlace = (&'static str, String, usize, Vec<After>);
+
+/// The tasks of all missing artifacts, in arrays no larger than the site allows.
+fn stages_of(plan: &Plan, registry: &Registry, site: &Site) -> Vec<Job> {
+    let mut scenes: BTreeMap<&str, usize> = BTreeMap::new();
+    for node in plan.nodes.iter().filter(|n| !n.scene.is_empty()) {
+        let next = scenes.len();
+        scenes.entry(&node.scene).or_insert(next);
+    }
+    let is_todo = |n: &PlannedNode| matches!(n.state, State::Run(_) | State::Waiting(_));
+    let stages: Vec<_> = registry.stages().iter().filter(|s| s.scope() != Scope::Batch).collect();
+    // The job of each node, if it has one. Inputs come first in a plan, and in the table of stages.
+    let mut job_of: Vec<Option<usize>> = vec![None; plan.nodes.len()];
     let mut jobs: Vec<Job> = Vec::new();
-    let mut made: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
-    let parts: Vec<&[String]> = cells.chunks(site.largest_array).collect();
-    for stage in registry.stages().iter().filter(|s| s.scope() != Scope::Batch) {
+    for stage in stages {
         let name = stage.name();
-        let nodes: Vec<&PlannedNode> = todo.iter().copied().filter(|n| n.stage == name).collect();
-        if nodes.is_empty() {
-            continue;
-        }
-        let parents: BTreeSet<&str> = stage
-            .inputs()
-            .iter()
-            .filter_map(|input| match input.source {
-                Source::Stage(from) | Source::Reference(from) => Some(from),
-                Source::External(_) => None,
-            })
-            .collect();
-        let mut words = vec!["--until".to_string(), name.to_string(), "--cache-only".to_string()];
-        words.extend(site.needs(name).arguments);
-        let asks =
-            asks(&nodes, site, name, |nodes| nodes.iter().filter_map(|n| longest(n)).fold(0.0, f64::max));
-        let job = Job {
-            name: name.to_string(),
-            about: format!("The stage `{name}`, which all scenes share."),
-            tasks: None,
-            cells: Vec::new(),
-            after: Vec::new(),
-            words,
-            delivers: false,
-            asks,
-        };
-        // The jobs of earlier stages. If both are arrays, only the array with the same scenes counts.
-        let after = |part: Option<usize>, jobs: &[Job]| {
-            let before = parents.iter().filter_map(|parent| made.get(parent));
-            let mut waits: Vec<usize> = before
-                .flat_map(|own| match part {
-                    Some(part) if jobs[own[0]].tasks.is_some() => vec![own[part]],
-                    _ => own.clone(),
-                })
-                .collect();
-            waits.sort_unstable();
-            let one = |of: usize| match part {
-                Some(_) if jobs[of].tasks.is_some() => After::Same(of),
-                _ => After::Done(of),
+        let mut arrays: Vec<(ArrayPlace, Vec<(usize, usize)>)> = Vec::new();
+        let mut known: BTreeMap<(String, usize, Vec<usize>), usize> = BTreeMap::new();
+        let own = plan.nodes.iter().enumerate().filter(|(_, n)| n.stage == name && n.shared_with.is_none());
+        for (i, node) in own.filter(|(_, n)| is_todo(n)) {
+            // For a node that shares the work of another node, this is the other node.
+            let maker = |need: &usize| match plan.nodes[*need].shared_with {
+                Some(_) => plan.nodes[*need].needs.first().copied().unwrap_or(*need),
+                None => *need,
             };
-            waits.into_iter().map(one).collect()
-        };
-        let own = if stage.scope() == Scope::Scene {
-            let one = |(part, cells): (usize, &&[String])| {
-                let which = if parts.len() > 1 {
-                    format!(", part {} of {}", part + 1, parts.len())
-                } else {
-                    String::new()
+            let mut before: Vec<usize> = node.needs.iter().map(maker).filter_map(|n| job_of[n]).collect();
+            before.sort_unstable();
+            before.dedup();
+            let number = scenes.get(node.scene.as_str()).copied().unwrap_or(0);
+            let (part, number) = (number / site.largest_array, number % site.largest_array);
+            let at = *known.entry((node.variant.clone(), part, before.clone())).or_insert(arrays.len());
+            if at == arrays.len() {
+                let in_array = stage.scope() == Scope::Scene;
+                let after = |of: &usize| match jobs[*of].tasks {
+                    Some(_) if in_array => After::Same(*of),
+                    _ => After::Done(*of),
                 };
-                Job {
-                    name: if parts.len() > 1 { format!("{name}-{}", part + 1) } else { name.to_string() },
-                    about: format!(
-                        "The stage `{name}`, a task for every scene and variant with something to do{which}."
-                    ),
-                    tasks: Some(cells.len()),
-                    cells: cells.to_vec(),
-                    after: after(Some(part), &jobs),
-                    ..job.clone()
-                }
+                let place = (name, node.variant.clone(), part, before.iter().map(after).collect());
+                arrays.push((place, Vec::new()));
+            }
+            arrays[at].1.push((number, i));
+        }
+        // All arrays of a stage together keep the limit of concurrent tasks.
+        let side_by_side = arrays.len().min(site.at_once).max(1);
+        let first = jobs.len();
+        for (k, ((_, variant, _, mut after), tasks)) in arrays.iter().cloned().enumerate() {
+            if k >= side_by_side && stage.scope() == Scope::Scene {
+                after.push(After::Over(first + k - side_by_side));
+            }
+            let nodes: Vec<&PlannedNode> = tasks.iter().map(|(_, i)| &plan.nodes[*i]).collect();
+            let mut words = vec!["--until".to_string(), name.to_string(), "--cache-only".to_string()];
+            words.extend(site.needs(name).arguments);
+            let longest =
+                |nodes: &[&PlannedNode]| nodes.iter().filter_map(|n| longest(n)).fold(0.0, f64::max);
+            let which = match (variant.as_str(), arrays.len()) {
+                (_, 1) => String::new(),
+                ("", _) => format!(", part {} of {}", k + 1, arrays.len()),
+                (variant, _) => format!(", variant {variant}, part {} of {}", k + 1, arrays.len()),
             };
-            parts.iter().enumerate().map(one).collect()
-        } else {
-            vec![Job { after: after(None, &jobs), ..job }]
-        };
-        made.insert(name, (jobs.len()..jobs.len() + own.len()).collect());
-        jobs.extend(own);
+            let in_array = stage.scope() == Scope::Scene;
+            tasks.iter().for_each(|(_, i)| job_of[*i] = Some(jobs.len()));
+            jobs.push(Job {
+                name: if arrays.len() == 1 { name.to_string() } else { format!("{name}-{}", k + 1) },
+                about: if in_array {
+                    format!("The stage `{name}`, a task for every scene with something to do{which}.")
+                } else {
+                    format!("The stage `{name}`, which all scenes share.")
+                },
+                tasks: in_array.then(|| tasks.iter().map(|(number, _)| *number).collect()),
+                at_once: site.at_once / side_by_side
+                    + usize::from(k % side_by_side < site.at_once % side_by_side),
+                cells: if in_array { nodes.iter().map(|n| cell(n)).collect() } else { Vec::new() },
+                after,
+                words,
+                delivers: false,
+                asks: asks(&nodes, site, name, longest),
+            });
+        }
     }
     jobs
 }
@@ -270,6 +310,8 @@ fn asks(nodes: &[&PlannedNode], site: &Site, stage: &str, seconds: impl Fn(&[&Pl
         None => forecast.max(of_time(&site.time)),
     };
     let peak = nodes.iter().filter_map(|n| n.forecast.map(|f| f.peak_memory).max(n.memory)).max();
+    // The memory of a killed task was not enough.
+    let killed = nodes.iter().filter_map(|n| n.killed.as_ref()).map(Killed::asks_for).max().unwrap_or(0);
     let memory = match (&needs.memory, peak) {
         (Some(memory), _) => of_bytes(memory),
         (None, Some(peak)) if known => peak.saturating_add(peak / 4).saturating_add(256_000_000),
@@ -277,7 +319,7 @@ fn asks(nodes: &[&PlannedNode], site: &Site, stage: &str, seconds: impl Fn(&[&Pl
     };
     Asks {
         time: time.clamp(SHORTEST, of_time(&site.longest)),
-        memory,
+        memory: memory.max(killed),
         cpus: needs.cpus.unwrap_or(site.cpus),
         needs,
     }

@@ -5,13 +5,16 @@
 //! script then puts the task into the queue again. A task whose work is done ends at once, so tasks may enter
 //! the queue again or be submitted twice without harm.
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::time::Duration;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 use use3d_build::FileError;
 use use3d_build::files::{Disk, write_atomic};
+use use3d_build::task::{ClusterTask, IsOver};
 
 use super::ClusterError;
 use super::jobs::{After, Job};
@@ -49,8 +52,19 @@ pub struct Submission {
 /// The submitted jobs of a submission.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Submitted {
+    /// `slurm` or `hq`.
+    #[serde(default)]
+    pub scheduler: String,
     /// Each job's name, and its number from the scheduler.
     pub jobs: Vec<(String, String)>,
+}
+
+impl Submitted {
+    /// Returns the last submission from a folder.
+    pub fn read(folder: &Path) -> Self {
+        let text = std::fs::read_to_string(folder.join("submitted.json")).unwrap_or_default();
+        serde_json::from_str(&text).unwrap_or_default()
+    }
 }
 
 impl Submission {
@@ -66,8 +80,7 @@ impl Submission {
 
     /// The jobs of the last submission from this folder.
     pub(crate) fn submitted(&self) -> Submitted {
-        let text = std::fs::read_to_string(self.folder.join("submitted.json")).unwrap_or_default();
-        serde_json::from_str(&text).unwrap_or_default()
+        Submitted::read(&self.folder)
     }
 
     /// Stores the submitted jobs, for [`Self::submitted`].
@@ -107,8 +120,8 @@ pub fn script(job: &Job, submission: &Submission, site: &Site) -> String {
     let log = submission.folder.join("logs").join(&job.name).to_string_lossy().replace('%', "%%");
     option(format!("--output={}", word(&format!("{log}-{number}.log"))));
     option("--open-mode=append".to_string());
-    if let Some(tasks) = job.tasks {
-        option(format!("--array=0-{}%{}", tasks.saturating_sub(1), site.at_once));
+    if let Some(tasks) = &job.tasks {
+        option(format!("--array={}%{}", ranges(tasks), job.at_once));
     }
     option(format!("--time={}", clock(job.asks.time)));
     option(format!("--mem={}M", job.asks.memory.div_ceil(1_048_576)));
@@ -129,8 +142,8 @@ pub fn script(job: &Job, submission: &Submission, site: &Site) -> String {
     lines.extend(site.setup.iter().cloned());
     if !job.cells.is_empty() {
         let list = word(&submission.list_path(job).to_string_lossy());
-        lines.push("# The scene and variant of this task: a line of the list.".to_string());
-        lines.push(format!(r#"cell=$(sed -n "$((SLURM_ARRAY_TASK_ID + 1))p" {list})"#));
+        lines.push("# The scene and variant of this task: the line of the list with its number.".to_string());
+        lines.push(format!(r#"cell=$(sed -n "s/^$SLURM_ARRAY_TASK_ID //p" {list})"#));
         lines.push(r#"[ -n "$cell" ] || exit 0"#.to_string());
     }
     lines.push(String::new());
@@ -145,6 +158,7 @@ pub fn script(job: &Job, submission: &Submission, site: &Site) -> String {
         "# Shortly before the time limit, and on cancellation: write a checkpoint, then end.".to_string(),
     );
     lines.push(r#"trap 'told=1; kill -USR1 "$child" 2>/dev/null' USR1"#.to_string());
+    lines.push("# Slurm also signals the command itself; two such signals at once count as one.".to_string());
     lines.push(r#"trap 'told=1; kill -TERM "$child" 2>/dev/null' TERM"#.to_string());
     lines.push(r#"told=0; wait "$child"; code=$?"#.to_string());
     lines.push(r#"while [ "$told" = 1 ]; do told=0; wait "$child"; code=$?; done"#.to_string());
@@ -162,6 +176,21 @@ pub fn script(job: &Job, submission: &Submission, site: &Site) -> String {
     lines.push("fi".to_string());
     lines.push(r#"exit "$code""#.to_string());
     lines.join("\n") + "\n"
+}
+
+/// Writes numbers in the form of Slurm: `0-3,7`.
+fn ranges(numbers: &[usize]) -> String {
+    let mut parts: Vec<(usize, usize)> = Vec::new();
+    for &number in numbers {
+        match parts.last_mut() {
+            Some((_, last)) if *last + 1 == number => *last = number,
+            _ => parts.push((number, number)),
+        }
+    }
+    let text = |(first, last): (usize, usize)| {
+        if first == last { first.to_string() } else { format!("{first}-{last}") }
+    };
+    parts.into_iter().map(text).collect::<Vec<_>>().join(",")
 }
 
 /// The option of `sbatch` with the jobs, by Slurm's numbers, that this one waits for.
@@ -184,7 +213,7 @@ pub fn write(jobs: &[Job], submission: &Submission, site: &Site) -> Result<(), C
     for job in jobs {
         put(&submission.script_path(job), &script(job, submission, site))?;
         if !job.cells.is_empty() {
-            put(&submission.list_path(job), &(job.cells.join("\n") + "\n"))?;
+            put(&submission.list_path(job), &job.list())?;
         }
     }
     Ok(())
@@ -197,26 +226,66 @@ pub fn write(jobs: &[Job], submission: &Submission, site: &Site) -> Result<(), C
 /// cancelled.
 pub fn submit(jobs: &[Job], submission: &Submission) -> Result<Submitted, ClusterError> {
     let mut numbers: Vec<String> = Vec::new();
+    let named = |numbers: &[String]| {
+        let jobs = jobs.iter().map(|job| job.name.clone()).zip(numbers.iter().cloned()).collect();
+        Submitted { scheduler: "slurm".to_string(), jobs }
+    };
     let scripts = format!("; the scripts lie in {}", submission.folder.display());
     for job in jobs {
         let script = submission.script_path(job).to_string_lossy().into_owned();
         let arguments =
             ["--parsable".to_string()].into_iter().chain(dependency(job, &numbers)).chain([script]);
         match call("sbatch", &arguments.collect::<Vec<_>>(), &scripts).and_then(|said| number(&said)) {
-            Ok(number) => numbers.push(number),
+            Ok(number) => {
+                numbers.push(number);
+                // The file is written at once, so an interrupted `submit` leaves a record of its jobs.
+                submission.keep(&named(&numbers))?;
+            }
             Err(error) => {
                 if !numbers.is_empty() {
                     // Half a batch would only wait for the rest.
                     let _ = call("scancel", &numbers, "");
+                    submission.keep(&Submitted::default())?;
                 }
                 return Err(error);
             }
         }
     }
-    let jobs = jobs.iter().map(|job| job.name.clone()).zip(numbers).collect();
-    let submitted = Submitted { jobs };
-    submission.keep(&submitted)?;
-    Ok(submitted)
+    Ok(named(&numbers))
+}
+
+/// Cancels jobs.
+///
+/// # Errors
+/// There is no `scancel`, or it refuses.
+pub fn cancel(numbers: &[String]) -> Result<(), ClusterError> {
+    call("scancel", numbers, "").map(drop)
+}
+
+/// The largest number of tasks in an array by Slurm's configuration; `None` if it does not say.
+pub fn largest_array() -> Option<usize> {
+    let said = call("scontrol", &["show".to_string(), "config".to_string()], "").ok()?;
+    let line = said.lines().find(|line| line.trim_start().starts_with("MaxArraySize"))?;
+    // The largest task number is one less.
+    line.split_once('=')?.1.trim().parse::<usize>().ok()?.checked_sub(1).filter(|most| *most > 0)
+}
+
+/// Returns the jobs that can never start, each with Slurm's reason.
+pub fn never(numbers: &[String]) -> Vec<(String, String)> {
+    const FOR_EVER: [&str; 6] = [
+        "PartitionConfig",
+        "PartitionNodeLimit",
+        "PartitionTimeLimit",
+        "BadConstraints",
+        "AccountNotAllowed",
+        "QOSNotAllowed",
+    ];
+    let arguments = ["--noheader", "--array-unique", "--format=%i %r", "--jobs"].map(String::from);
+    let arguments: Vec<String> = arguments.into_iter().chain([numbers.join(",")]).collect();
+    let said = call("squeue", &arguments, "").unwrap_or_default();
+    let lines = said.lines().filter_map(|line| line.trim().split_once(' '));
+    let stuck = lines.filter(|(_, reason)| FOR_EVER.iter().any(|known| reason.contains(known)));
+    stuck.map(|(number, reason)| (number.to_string(), reason.trim_matches(['(', ')']).to_string())).collect()
 }
 
 /// The job's number in the output of `sbatch --parsable`: if there are several clusters, a semicolon and the
@@ -252,6 +321,35 @@ pub fn queued(submission: &Submission) -> Result<Vec<(String, String)>, ClusterE
         }
     }
     Ok(found)
+}
+
+/// The time for which an answer of Slurm about a task is used again.
+const FRESH: Duration = Duration::from_secs(10);
+
+/// Returns a function that asks Slurm if a task is over, so that its queue no longer has it.
+pub fn is_over() -> IsOver {
+    type Said = HashMap<String, (Instant, Option<bool>)>;
+    let said: Mutex<Said> = Mutex::default();
+    Arc::new(move |task: &ClusterTask| {
+        if task.scheduler != "slurm" {
+            return None;
+        }
+        let mut said = said.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((at, answer)) = said.get(&task.id)
+            && at.elapsed() < FRESH
+        {
+            return *answer;
+        }
+        let arguments = ["--noheader", "--format=%T", "--jobs", &task.id].map(String::from);
+        let answer = match call("squeue", &arguments, "") {
+            // A task that waits for its next start is over too, because its process is gone.
+            Ok(states) => Some(states.lines().all(|state| state.trim() == "PENDING")),
+            Err(ClusterError::Command { reason, .. }) if reason.contains("Invalid job id") => Some(true),
+            Err(_) => None,
+        };
+        said.insert(task.id.clone(), (Instant::now(), answer));
+        answer
+    })
 }
 
 /// Returns the output of a command of Slurm. `more` is added to the error if there is no such command.

@@ -10,6 +10,7 @@ use std::time::Duration;
 use use3d_build::code::CodeTable;
 use use3d_build::history::Forecast;
 use use3d_build::plan::{PlannedNode, State};
+use use3d_build::task::Killed;
 use use3d_build::{Plan, Registry, Scope, Stage};
 use use3d_cluster::jobs::{self, After, Job, Layout};
 use use3d_cluster::site::Site;
@@ -57,7 +58,9 @@ fn node(stage: &'static str, scene: &str, variant: &str, state: State, minutes: 
         shared_with: None,
         failed: None,
         had: false,
+        killed: None,
         working: None,
+        needs: Vec::new(),
     }
 }
 
@@ -88,6 +91,26 @@ fn plan() -> Plan {
         }
     }
     nodes.push(node("report", "", "", wait(), 0.0));
+    // The inputs of every node follow the table of stages; a comparison also reads stage 1 of the first
+    // variant.
+    let find = |nodes: &[PlannedNode], stage: &str, scene: &str, variant: &str| {
+        nodes.iter().position(|n| n.stage == stage && n.scene == scene && n.variant == variant)
+    };
+    for i in 0..nodes.len() {
+        let (scene, variant) = (nodes[i].scene.clone(), nodes[i].variant.clone());
+        let own = |stage: &str| find(&nodes, stage, &scene, &variant);
+        let needs = match nodes[i].stage {
+            "import" if nodes[i].shared_with.is_some() => vec![find(&nodes, "import", &scene, "full")],
+            "calibrate" => vec![own("pairs")],
+            "reconstruct" => vec![own("import")],
+            "enhance" => vec![own("reconstruct"), find(&nodes, "calibrate", "", "")],
+            "evaluate" => {
+                vec![own("enhance"), own("import"), find(&nodes, "reconstruct", &scene, "full")]
+            }
+            _ => Vec::new(),
+        };
+        nodes[i].needs = needs.into_iter().flatten().collect();
+    }
     Plan { pipeline: "use26".to_string(), nodes, seconds: 0.0 }
 }
 
@@ -152,7 +175,7 @@ fn scripts_are_written_as_they_were_read() {
             all += &format!("==> sbatch {dependency} {}.sbatch\n", job.name);
             all += &slurm::script(job, &submission(), &site());
             if !job.cells.is_empty() {
-                all += &format!("==> {}.tasks\n{}\n", job.name, job.cells.join("\n"));
+                all += &format!("==> {}.tasks\n{}", job.name, job.list());
             }
         }
         check(&format!("slurm-{name}.txt"), &all);
@@ -169,7 +192,12 @@ fn scripts_are_written_as_they_were_read() {
 fn what_a_task_says_goes_into_the_folder_of_logs_whatever_the_folder_is_called() {
     let folder = PathBuf::from("/proj/my.log.dir");
     let file = hyperqueue::file(&of(Layout::Workers), &Submission { folder, ..submission() });
-    for name in ["workers-0.log", "workers-0.err", "finish.log", "finish.err"] {
+    for name in [
+        "workers-0-%{INSTANCE_ID}.log",
+        "workers-0-%{INSTANCE_ID}.err",
+        "finish-%{INSTANCE_ID}.log",
+        "finish-%{INSTANCE_ID}.err",
+    ] {
         assert!(file.contains(&format!("\"/proj/my.log.dir/logs/{name}\"")), "{name}: {file}");
     }
 }
@@ -226,35 +254,72 @@ fn a_script_that_is_being_read_is_not_written_into() {
 }
 
 #[test]
-fn only_what_is_missing_is_submitted_and_each_waits_for_what_it_needs() {
+fn every_missing_artifact_has_one_task_and_each_waits_for_what_it_needs() {
     let jobs = of(Layout::Stages);
     let names: Vec<&str> = jobs.iter().map(|j| j.name.as_str()).collect();
-    assert_eq!(names, ["import", "calibrate", "reconstruct", "enhance", "evaluate", "finish"]);
-    // The finished scene is in no list, and the lists are the same for all stages, so tasks with equal
-    // numbers match.
-    let cells = ["Panama@full", "Panama@mlp", "Curaçao north@full", "Curaçao north@mlp"];
-    for job in jobs.iter().filter(|j| j.tasks.is_some()) {
-        assert_eq!(
-            (job.cells.as_slice(), job.tasks),
-            (&cells.map(String::from)[..], Some(4)),
-            "{}",
-            job.name
-        );
-    }
-    assert_eq!(jobs[2].after, [After::Same(0)]);
-    assert_eq!(jobs[3].after, [After::Done(1), After::Same(2)]);
-    assert_eq!(jobs[5].after, [0, 1, 2, 3, 4].map(After::Over));
+    let expected = [
+        "import",
+        "calibrate",
+        "reconstruct-1",
+        "reconstruct-2",
+        "reconstruct-3",
+        "reconstruct-4",
+        "enhance-1",
+        "enhance-2",
+        "enhance-3",
+        "enhance-4",
+        "evaluate-1",
+        "evaluate-2",
+        "evaluate-3",
+        "evaluate-4",
+        "finish",
+    ];
+    assert_eq!(names, expected);
+    // The import that two variants share is one task; the finished scene is in no list. A scene has the same
+    // number everywhere, and a scene that does not wait for an import is in an array of its own.
+    let tasks = |at: usize| (jobs[at].tasks.clone().unwrap_or_default(), jobs[at].cells.join(" "));
+    assert_eq!(tasks(0), (vec![1], "Curaçao north@full".to_string()));
+    assert_eq!(tasks(2), (vec![0], "Panama@full".to_string()));
+    assert_eq!(tasks(3), (vec![0], "Panama@mlp".to_string()));
+    assert_eq!(tasks(4), (vec![1], "Curaçao north@full".to_string()));
+    assert_eq!(tasks(5), (vec![1], "Curaçao north@mlp".to_string()));
+    assert_eq!((jobs[2].after.as_slice(), jobs[3].after.as_slice()), (&[][..], &[][..]));
+    assert_eq!(
+        (jobs[4].after.as_slice(), jobs[5].after.as_slice()),
+        (&[After::Same(0)][..], &[After::Same(0)][..])
+    );
+    assert_eq!(jobs[6].after, [After::Done(1), After::Same(2)]);
+    // A comparison of variants waits for the same scene of the reference variant, and for no other.
+    assert_eq!(jobs[11].cells, ["Panama@mlp"]);
+    assert_eq!(jobs[11].after, [After::Same(2), After::Same(7)]);
+    assert_eq!(jobs[14].after, (0..14).map(After::Over).collect::<Vec<_>>());
     // 1.5 times the longest duration, but no more than the site allows.
     assert_eq!(jobs[2].asks.time, Duration::from_secs(100 * 80 * 3 / 2 + 300));
-    assert_eq!(jobs[3].asks.time, Duration::from_secs(7200));
-    assert_eq!(jobs[3].asks.memory, 32_000_000_000);
+    assert_eq!(jobs[6].asks.time, Duration::from_secs(7200));
+    assert_eq!(jobs[6].asks.memory, 32_000_000_000);
     // A stage that never ran requests the site's defaults.
-    assert_eq!(jobs[4].asks.time, Duration::from_secs(4 * 3600));
+    assert_eq!(jobs[10].asks.time, Duration::from_secs(4 * 3600));
+    let mut killed = plan();
+    for node in killed.nodes.iter_mut().filter(|n| n.stage == "evaluate") {
+        node.killed = Some(Killed {
+            host: "n1".to_string(),
+            process: 7,
+            task: None,
+            seconds: 3,
+            peak_memory: 40_000_000_000,
+            times: 1,
+        });
+    }
+    let again = jobs::of(&killed, &registry(), &site(), Layout::Stages, None).expect("jobs");
+    assert_eq!(again[10].asks.memory, 60_000_000_000);
+    assert!(again.last().expect("finish").asks.memory < 60_000_000_000);
 
+    let count = |jobs: &[Job]| jobs.iter().map(|j| j.tasks.as_ref().map(Vec::len)).collect::<Vec<_>>();
     let workers = of(Layout::Workers);
-    assert_eq!(workers.iter().map(|j| j.tasks).collect::<Vec<_>>(), [Some(4), None]);
+    assert_eq!(count(&workers), [Some(4), None]);
+    assert!(workers[1].words.contains(&"--gather".to_string()), "{:?}", workers[1].words);
     let one = jobs::of(&plan(), &registry(), &site(), Layout::Workers, Some(1)).expect("jobs");
-    assert_eq!((one[0].tasks, one[0].asks.time), (Some(1), Duration::from_secs(12 * 3600)));
+    assert_eq!((count(&one)[0], one[0].asks.time), (Some(1), Duration::from_secs(12 * 3600)));
 
     let mut done = plan();
     done.nodes.iter_mut().for_each(|n| n.state = State::Cached);
@@ -269,37 +334,62 @@ fn only_what_is_missing_is_submitted_and_each_waits_for_what_it_needs() {
     assert!(matches!(error, ClusterError::Name { .. }), "{error}");
 }
 
-#[test]
-fn what_is_more_than_an_array_may_hold_is_cut_alike_for_all_stages() {
-    let site = Site { largest_array: 3, ..site() };
-    let jobs = jobs::of(&plan(), &registry(), &site, Layout::Stages, None).expect("jobs");
-    let named: Vec<(&str, Option<usize>)> = jobs.iter().map(|j| (j.name.as_str(), j.tasks)).collect();
-    let [import, reconstruct, enhance, evaluate] = [
-        ["import-1", "import-2"],
-        ["reconstruct-1", "reconstruct-2"],
-        ["enhance-1", "enhance-2"],
-        ["evaluate-1", "evaluate-2"],
-    ]
-    .map(|[one, two]| [(one, Some(3)), (two, Some(1))]);
-    let expected =
-        [&import[..], &[("calibrate", None)], &reconstruct, &enhance, &evaluate, &[("finish", None)]]
-            .concat();
-    assert_eq!(named, expected);
-    // Tasks with equal numbers match in the arrays of one part, and no scene is left out.
-    for job in &jobs[..jobs.len() - 1] {
-        let cells: &[&str] = match job.tasks {
-            Some(3) => &["Panama@full", "Panama@mlp", "Curaçao north@full"],
-            Some(_) => &["Curaçao north@mlp"],
-            None => &[],
-        };
-        assert_eq!(job.cells, cells, "{}", job.name);
+/// Many scenes in three variants that share everything up to stage 2, as in an ablation of stage 2.
+fn ablation(scenes: usize) -> Plan {
+    let mut nodes = Vec::new();
+    for scene in 0..scenes {
+        let name = format!("s{scene:04}");
+        let first = nodes.len();
+        for variant in ["full", "half", "none"] {
+            let at = nodes.len();
+            let mut own = Vec::new();
+            for (k, stage) in ["import", "reconstruct", "enhance", "evaluate"].into_iter().enumerate() {
+                let state = State::Waiting(Vec::new());
+                let mut node = node(stage, &name, variant, state, 10.0);
+                node.needs = if k > 0 { vec![at + k - 1] } else { Vec::new() };
+                if k < 2 && variant != "full" {
+                    (node.shared_with, node.needs) = (Some("full".to_string()), vec![first + k]);
+                }
+                own.push(node);
+            }
+            nodes.extend(own);
+        }
     }
-    assert_eq!(jobs[3].after, [After::Same(0)]);
-    assert_eq!(jobs[4].after, [After::Same(1)]);
-    assert_eq!(jobs[6].after, [After::Done(2), After::Same(4)]);
-    assert_eq!(jobs[9].after, (0..9).map(After::Over).collect::<Vec<_>>());
+    Plan { pipeline: "ablation".to_string(), nodes, seconds: 0.0 }
+}
+
+#[test]
+fn what_is_more_than_an_array_may_hold_is_cut_and_no_more_run_at_once() {
+    let site = Site { largest_array: 3, at_once: 4, ..site() };
+    let jobs = jobs::of(&ablation(7), &registry(), &site, Layout::Stages, None).expect("jobs");
+    let of = |stage: &str| jobs.iter().filter(|j| j.name.starts_with(stage)).collect::<Vec<_>>();
+    // There are seven trainings, not twenty-one, and four run at the same time.
+    let trainings = of("reconstruct");
+    assert_eq!(trainings.iter().map(|j| j.count()).collect::<Vec<_>>(), [3, 3, 1]);
+    assert_eq!(trainings.iter().map(|j| j.at_once).sum::<usize>(), 4);
+    assert_eq!(trainings[2].tasks, Some(vec![0]));
+    for stage in ["import", "reconstruct", "enhance", "evaluate"] {
+        let tasks: usize = of(stage).iter().map(|j| j.count()).sum();
+        assert_eq!(tasks, if ["import", "reconstruct"].contains(&stage) { 7 } else { 21 }, "{stage}");
+        // Arrays beyond the limit of concurrent tasks wait for others.
+        let waits = of(stage).iter().filter(|j| j.after.iter().any(|a| matches!(a, After::Over(_)))).count();
+        assert_eq!(waits, of(stage).len().saturating_sub(4), "{stage}");
+    }
+    // The predecessor of every task has the same number in the array that it waits for.
+    for job in &jobs[..jobs.len() - 1] {
+        for after in &job.after {
+            if let After::Same(of) = after {
+                let there = jobs[*of].tasks.as_ref().expect("an array");
+                assert!(
+                    job.tasks.as_ref().expect("an array").iter().all(|n| there.contains(n)),
+                    "{}",
+                    job.name
+                );
+            }
+        }
+    }
     let workers = jobs::of(&plan(), &registry(), &site, Layout::Workers, Some(9)).expect("jobs");
-    assert_eq!(workers[0].tasks, Some(3));
+    assert_eq!(workers[0].count(), 3);
 }
 
 /// A folder with commands that stand in for `use3d` and Slurm's.
@@ -332,7 +422,7 @@ impl StandIn {
         let path = format!("{}:{}", self.dir.path().display(), std::env::var("PATH").unwrap_or_default());
         let mut command = Command::new("bash");
         command.arg(own.script_path(job)).env("PATH", path);
-        command.envs([("SLURM_ARRAY_JOB_ID", "7"), ("SLURM_JOB_ID", "9"), ("SLURM_ARRAY_TASK_ID", "2")]);
+        command.envs([("SLURM_ARRAY_JOB_ID", "7"), ("SLURM_JOB_ID", "9"), ("SLURM_ARRAY_TASK_ID", "1")]);
         command.env("SLURM_CPUS_PER_TASK", "3").stdout(Stdio::null());
         command
     }
@@ -347,7 +437,7 @@ fn a_task_runs_its_own_scene_and_tells_how_it_ended() {
     let stages = of(Layout::Stages);
     for code in [0, 1, 2, 130] {
         let stand_in = StandIn::new(&format!("printf '%s\\n' \"$@\" > words; exit {code}"));
-        let status = stand_in.script(&stages[2]).status().expect("a shell");
+        let status = stand_in.script(&stages[4]).status().expect("a shell");
         assert_eq!(status.code(), Some(code));
         let words = stand_in.read("words");
         let words: Vec<&str> = words.lines().collect();
@@ -393,10 +483,10 @@ fn what_only_finish_waits_for_keeps_it_from_nothing_in_hyperqueue() {
 fn a_task_out_of_time_is_queued_again_but_not_for_ever() {
     let stages = of(Layout::Stages);
     let stand_in = StandIn::new("exit 75");
-    assert_eq!(stand_in.script(&stages[2]).status().expect("a shell").code(), Some(75));
-    assert_eq!(stand_in.script(&stages[5]).status().expect("a shell").code(), Some(75));
-    assert_eq!(stand_in.read("scontrol.log"), "requeue 7_2\nrequeue 9\n");
-    let often = stand_in.script(&stages[2]).env("SLURM_RESTART_COUNT", "50").status().expect("a shell");
+    assert_eq!(stand_in.script(&stages[4]).status().expect("a shell").code(), Some(75));
+    assert_eq!(stand_in.script(&stages[14]).status().expect("a shell").code(), Some(75));
+    assert_eq!(stand_in.read("scontrol.log"), "requeue 7_1\nrequeue 9\n");
+    let often = stand_in.script(&stages[4]).env("SLURM_RESTART_COUNT", "50").status().expect("a shell");
     assert_eq!((often.code(), stand_in.read("scontrol.log").lines().count()), (Some(75), 2));
 }
 
@@ -408,7 +498,7 @@ fn the_signal_before_the_limit_reaches_the_run_and_its_exit_code_the_scheduler()
             "trap 'echo {signal} > heard; exit {code}' {signal}; echo > ready; while :; do sleep 0.02; done"
         );
         let stand_in = StandIn::new(&body);
-        let mut child = stand_in.script(&stages[2]).spawn().expect("a shell");
+        let mut child = stand_in.script(&stages[4]).spawn().expect("a shell");
         while stand_in.read("ready").is_empty() {
             assert!(child.try_wait().expect("a state").is_none(), "ended before it was told to");
             std::thread::sleep(Duration::from_millis(5));
@@ -417,6 +507,6 @@ fn the_signal_before_the_limit_reaches_the_run_and_its_exit_code_the_scheduler()
         assert!(kill.expect("kill").success());
         let status = child.wait().expect("ends");
         assert_eq!((status.code(), stand_in.read("heard").trim()), (Some(code), signal));
-        assert_eq!(stand_in.read("scontrol.log"), if code == 75 { "requeue 7_2\n" } else { "" });
+        assert_eq!(stand_in.read("scontrol.log"), if code == 75 { "requeue 7_1\n" } else { "" });
     }
 }

@@ -1,7 +1,7 @@
 //! The places of models, images, masks and depth priors in a capture folder, and the conversion of names from
 //! a model to paths that never leave the folder.
 
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 use use3d_capture::{FileName, NameError};
 use use3d_io_colmap::{ModelError, ModelForm, count_images, form_of};
@@ -194,6 +194,21 @@ pub(crate) struct Folder {
     links: bool,
 }
 
+/// The kind of the last part of a path below a real folder; `None` if a part before it is a link or a step
+/// upwards.
+fn kind_without_links(folder: &Path, path: &Path) -> std::io::Result<Option<std::fs::FileType>> {
+    let mut place = folder.to_path_buf();
+    let mut kind: Option<std::fs::FileType> = None;
+    for part in path.strip_prefix(folder).into_iter().flat_map(Path::components) {
+        if kind.is_some_and(|kind| kind.is_symlink()) || !matches!(part, Component::Normal(_)) {
+            return Ok(None);
+        }
+        place.push(part);
+        kind = Some(std::fs::symlink_metadata(&place)?.file_type());
+    }
+    Ok(kind)
+}
+
 impl Folder {
     /// Opens a folder; `None` if it does not exist. Its files may not be links to places outside.
     pub(crate) fn open(root: &Path, relative: &str) -> Option<Self> {
@@ -214,6 +229,13 @@ impl Folder {
     /// not allowed.
     pub(crate) fn file(&self, name: &FileName) -> Result<Option<PathBuf>, ImportError> {
         let here = name.below(&self.real);
+        // Without a link on the way, the path is the real one. This costs one look at each part of the name,
+        // and not one at each part of the whole path.
+        match kind_without_links(&self.real, &here) {
+            Ok(Some(kind)) if !kind.is_symlink() => return Ok(kind.is_file().then_some(here)),
+            Ok(_) => {}
+            Err(_) => return Ok(None),
+        }
         let Ok(real) = here.canonicalize() else { return Ok(None) };
         if !real.starts_with(&self.real) {
             if self.links {
@@ -415,6 +437,10 @@ mod tests {
             assert_eq!(found, images.canonicalize().unwrap().join("link.png"));
             std::os::unix::fs::symlink(dir.path(), images.join("folder.png")).unwrap();
             assert!(own.file(&name("folder.png")).unwrap().is_none());
+            // A link on the way leads outside, too.
+            std::os::unix::fs::symlink(dir.path(), images.join("away")).unwrap();
+            let message = folder.file(&name("away/outside.png")).unwrap_err().to_string();
+            assert!(message.contains("symbolic link"), "{message}");
         }
         assert!(folder.file(&name("sub\\a b.png")).unwrap().is_some());
         assert!(folder.file(&name("sub/none.png")).unwrap().is_none());

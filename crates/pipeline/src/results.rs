@@ -4,15 +4,17 @@
 //! An artifact holds nothing that depends on the clock or the machine. Times, memory, keys and drawing speeds
 //! are stored next to artifacts; this module adds them to the page and the tables.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use serde::Serialize;
+use use3d_build::delivered::{MadeOf, Notes};
 use use3d_build::place::{self, Look, PlaceError, Standing};
-use use3d_build::run::RanNode;
-use use3d_build::{Artifact, Digest, Graph, Summary};
+use use3d_build::run::{Became, RanNode};
+use use3d_build::{Artifact, Cache, Digest, Graph, Summary};
 use use3d_files::write_atomically;
 use use3d_scene::White;
 
@@ -56,37 +58,322 @@ fn folder_of(scene: &str, variant: &str) -> PathBuf {
     if variant.is_empty() { scene.into() } else { format!("{scene}@{variant}").into() }
 }
 
-/// Checks, before anything is computed, that the results of `until` (all stages if `None`) can be written to
-/// `out`: that the folder is writable, and that everything at their places was written by this program.
-///
-/// # Errors
-/// Returns the first place that is occupied, or that cannot be written. Nothing is changed.
-pub fn check(graph: &Graph, until: Option<&[String]>, out: &Path) -> Result<(), PlaceError> {
-    place::check_writable(out)?;
-    let mut places: BTreeMap<PathBuf, String> = BTreeMap::new();
-    for (node, _) in graph.nodes.iter().zip(graph.wanted(until)).filter(|(_, wanted)| *wanted) {
-        if let Some(place) = place_of(node.stage_name, &node.scene, &node.variant)
-            && let Some(other) = places.insert(place.clone(), node.label())
-        {
-            let reason = format!(
-                "the results of `{other}` and `{}` would both go there; rename a scene or a variant",
-                node.label()
-            );
-            return Err(PlaceError::Occupied { path: out.join(place), reason });
-        }
-        if node.stage_name == "reconstruct" {
-            check_page(&out.join(folder_of(&node.scene, &node.variant)).join(VIEW))?;
-        }
-        if node.stage_name == "report" {
-            check_page(&out.join(PAGE))?;
-            places.insert(TABLES.into(), node.label());
-        }
+/// A results folder and the notes about its parts. A part is the folder of a scene, or the page and the
+/// tables.
+pub struct Results {
+    out: PathBuf,
+    notes: Notes,
+    /// The sources of each part that is as it was delivered.
+    standing: Mutex<BTreeMap<String, MadeOf>>,
+}
+
+/// The part over all scenes.
+const OVER_ALL: &str = "";
+
+/// The files and folders of a part.
+fn paths_of(part: &str) -> Vec<PathBuf> {
+    if part == OVER_ALL { vec![PAGE.into(), TABLES.into()] } else { vec![part.into()] }
+}
+
+impl Results {
+    /// The folder `out` for the results of a cache.
+    pub fn new(out: &Path, cache: &Cache) -> Self {
+        Self { out: out.to_path_buf(), notes: Notes::of(cache, out), standing: Mutex::default() }
     }
-    places.keys().try_for_each(|place| {
-        let place = out.join(place);
-        place::sweep(place::parent(&place));
-        place::check(&place, true)
-    })
+
+    /// The path of the folder.
+    pub fn folder(&self) -> &Path {
+        &self.out
+    }
+
+    fn standing(&self) -> MutexGuard<'_, BTreeMap<String, MadeOf>> {
+        self.standing.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Returns true if a part is as it was delivered. Its files are examined once.
+    fn stands(&self, part: &str) -> bool {
+        let mut standing = self.standing();
+        if !standing.contains_key(part) {
+            standing.insert(part.to_string(), self.notes.standing(part, &paths_of(part)));
+        }
+        !standing[part].is_empty()
+    }
+
+    /// The sources of a part that is as it was delivered; empty if it is not.
+    fn made_of(&self, part: &str) -> MadeOf {
+        self.standing().get(part).cloned().unwrap_or_default()
+    }
+
+    /// Notes the sources of a part that was just delivered.
+    fn keep(&self, part: &str, made_of: MadeOf) {
+        if let Err(error) = self.notes.keep(part, &paths_of(part), made_of.clone()) {
+            tracing::debug!("{error}");
+        }
+        self.standing().insert(part.to_string(), made_of);
+    }
+
+    /// Forgets what is known of the parts, because another part of the program has written into the folder.
+    pub fn look_again(&self) {
+        self.standing().clear();
+    }
+
+    /// Checks, before anything is computed, that the results of `until` (all stages if `None`) can be written
+    /// to the folder: that it is writable, and that everything at their places was written by this program.
+    ///
+    /// # Errors
+    /// Returns the first place that is occupied, or that cannot be written. Nothing is changed.
+    pub fn check(&self, graph: &Graph, until: Option<&[String]>) -> Result<(), PlaceError> {
+        let out = &self.out;
+        place::check_writable(out)?;
+        place::sweep(out);
+        let mut places: BTreeMap<PathBuf, String> = BTreeMap::new();
+        // A part that is as it was delivered is ours.
+        let mut examined: BTreeMap<PathBuf, bool> = BTreeMap::new();
+        for (node, _) in graph.nodes.iter().zip(graph.wanted(until)).filter(|(_, wanted)| *wanted) {
+            if let Some(place) = place_of(node.stage_name, &node.scene, &node.variant)
+                && let Some(other) = places.insert(place.clone(), node.label())
+            {
+                let reason = format!(
+                    "the results of `{other}` and `{}` would both go there; rename a scene or a variant",
+                    node.label()
+                );
+                return Err(PlaceError::Occupied { path: out.join(place), reason });
+            }
+            let (part, page) = match node.stage_name {
+                "reconstruct" => {
+                    let folder = folder_of(&node.scene, &node.variant);
+                    (folder.clone(), folder.join(VIEW))
+                }
+                "report" => {
+                    places.insert(TABLES.into(), node.label());
+                    (PathBuf::from(OVER_ALL), PathBuf::from(PAGE))
+                }
+                _ => continue,
+            };
+            let stands = self.stands(&part.to_string_lossy());
+            examined.insert(part, stands);
+            if !stands {
+                check_page(&out.join(page))?;
+            }
+        }
+        let part_of = |place: &Path| match place.parent() {
+            Some(folder) if place != Path::new(TABLES) => folder.to_path_buf(),
+            _ => PathBuf::from(OVER_ALL),
+        };
+        let unknown = places.keys().filter(|place| examined.get(&part_of(place)) != Some(&true));
+        for place in unknown {
+            let place = out.join(place);
+            place::sweep(place::parent(&place));
+            place::check(&place, true)?;
+        }
+        Ok(())
+    }
+
+    /// Fills the folder and returns the list of results: `report`, `tables`, and the folders of every scene.
+    /// `command` is the command line that was typed; the report shows it.
+    ///
+    /// # Errors
+    /// A place is occupied by something that this program did not write, or cannot be written; results that
+    /// were delivered before it stay.
+    pub fn deliver(&self, summary: &Summary, command: &str) -> Result<Vec<Delivered>, PlaceError> {
+        let out = &self.out;
+        at(out, "create", fs::create_dir_all(out))?;
+        let mut delivered = Vec::new();
+        let mut views = Vec::new();
+        for cell in &cells(summary) {
+            let own = self.deliver_cell(cell)?;
+            let (view, folders): (Vec<_>, Vec<_>) = own.into_iter().partition(|d| d.what == "view");
+            delivered.extend(folders);
+            views.extend(view);
+        }
+        if let Some(report) = summary.artifact("", "", "report") {
+            delivered.extend(self.deliver_report(summary, report, &views, command)?);
+        }
+        delivered.extend(views);
+        Ok(delivered)
+    }
+
+    /// Writes the results of a scene in a variant to their places, unless they are there already.
+    fn deliver_cell(&self, own: &DeliveredCell<'_>) -> Result<Vec<Delivered>, PlaceError> {
+        let (scene, variant) = (own.scene, own.variant);
+        let folder = folder_of(scene, variant);
+        let part = folder.to_string_lossy().into_owned();
+        let mut wanted = MadeOf::new();
+        let mut delivered = Vec::new();
+        for node in &own.nodes {
+            let Some(artifact) = &node.artifact else { continue };
+            let Some(place) = place_of(node.stage, scene, variant) else { continue };
+            let key = artifact.manifest.key;
+            // The scores also name the configuration, which follows from all nodes of the scene.
+            let source =
+                if node.stage == "evaluate" { format!("{key} {}", own.sources()) } else { key.to_string() };
+            wanted.insert(node.stage.to_string(), source);
+            let (scene, variant, path) = (scene.into(), variant.into(), self.out.join(place));
+            delivered.push(Delivered { what: node.stage.to_string(), scene, variant, path });
+        }
+        let shown = own.artifact("reconstruct").and_then(|scene| own.artifact("enhance").or(Some(scene)));
+        let page = self.out.join(&folder).join(VIEW);
+        let page =
+            Delivered { what: "view".into(), scene: scene.into(), variant: variant.into(), path: page };
+        if let Some(shown) = shown {
+            wanted.insert(VIEW.to_string(), view_of(shown));
+        }
+        let standing = if self.stands(&part) { self.made_of(&part) } else { MadeOf::new() };
+        if wanted.iter().all(|(place, source)| standing.get(place) == Some(source)) {
+            delivered.extend(shown.map(|_| page));
+            return Ok(delivered);
+        }
+        for node in &own.nodes {
+            let Some(artifact) = &node.artifact else { continue };
+            let Some(place) = place_of(node.stage, scene, variant) else { continue };
+            let target = self.out.join(place);
+            let configuration = if node.stage == "evaluate" { own.configuration() } else { None };
+            match configuration {
+                Some(configuration) => scores(artifact, &configuration, &target)?,
+                // The artifact's manifest is the record of the folder.
+                None => {
+                    let fill = |made: &Path| place::copy_folder(&artifact.path, made);
+                    put(Some(artifact.manifest.key), &target, fill)?;
+                }
+            }
+        }
+        if let Some(shown) = shown {
+            if write_view(own, shown, &page.path)? {
+                delivered.push(page);
+            } else {
+                wanted.remove(VIEW);
+            }
+        }
+        // The other results in the part are unchanged.
+        self.keep(&part, standing.into_iter().chain(wanted).collect());
+        Ok(delivered)
+    }
+
+    /// Writes the page and the tables over all scenes, unless nothing was computed since they were written.
+    fn deliver_report(
+        &self,
+        summary: &Summary,
+        report: &Artifact,
+        views: &[Delivered],
+        command: &str,
+    ) -> Result<Vec<Delivered>, PlaceError> {
+        let (page, tables) = (self.out.join(PAGE), self.out.join(TABLES));
+        let has_tables = report.manifest.files.iter().any(|file| file.path.starts_with("tables/"));
+        let mut delivered = vec![Delivered::over_all("report", page.clone())];
+        delivered.extend(has_tables.then(|| Delivered::over_all("tables", tables.clone())));
+        let mut sources = sources_of(summary.nodes.iter());
+        sources.update(made_by_program().as_bytes());
+        for view in views {
+            sources.update(view.path.as_os_str().as_encoded_bytes());
+        }
+        let wanted = MadeOf::from([(PAGE.to_string(), Digest::from(sources.finalize()).to_string())]);
+        let computed = summary.nodes.iter().any(|n| matches!(n.result, Became::Done));
+        if !computed && self.stands(OVER_ALL) && self.made_of(OVER_ALL) == wanted {
+            return Ok(delivered);
+        }
+        let made = configurations(summary);
+        let source = report.path.join("index.html");
+        let html = at(&source, "read", fs::read_to_string(&source))?;
+        check_page(&page)?;
+        let timed = timed_tables(summary, &made, &report.path);
+        let html = timed.as_ref().map_or_else(|| html.clone(), |tables| with_tables(&html, tables));
+        let html = with_configurations(&html, &told(&made));
+        let html = with_costs(&html, &rows(summary), &written(summary, command), &parameters(summary));
+        let links =
+            views.iter().map(|view| (view.scene.as_str(), view.variant.as_str(), view.path.as_path()));
+        let links = links.map(|(scene, variant, path)| (scene, variant, relative(path, &self.out)));
+        let html = with_views(&html, links);
+        write(&page, stamped(&html).as_bytes())?;
+        if has_tables {
+            // Drawing speeds do not follow from a key, so the tables are written with every new page.
+            put(None, &tables, |made| {
+                place::copy_folder(&report.path.join(TABLES), made)?;
+                if let Some(timed) = &timed {
+                    at(
+                        made,
+                        "write",
+                        write_tables(made, timed).map_err(|e| io::Error::other(e.to_string())),
+                    )?;
+                }
+                place::record(made, None)
+            })?;
+        }
+        self.keep(OVER_ALL, wanted);
+        Ok(delivered)
+    }
+}
+
+/// A scene in a variant: its own nodes, and those that serve all scenes of the variant.
+struct DeliveredCell<'s> {
+    scene: &'s str,
+    variant: &'s str,
+    nodes: Vec<&'s RanNode>,
+    shared: Vec<&'s RanNode>,
+}
+
+/// The scenes and variants of a summary, in its order.
+fn cells(summary: &Summary) -> Vec<DeliveredCell<'_>> {
+    let mut cells: Vec<DeliveredCell<'_>> = Vec::new();
+    let mut places: HashMap<(&str, &str), usize> = HashMap::new();
+    let mut shared: HashMap<&str, Vec<&RanNode>> = HashMap::new();
+    for node in &summary.nodes {
+        if node.scene.is_empty() {
+            shared.entry(&node.variant).or_default().push(node);
+            continue;
+        }
+        let place = *places.entry((&node.scene, &node.variant)).or_insert(cells.len());
+        if place == cells.len() {
+            let (scene, variant) = (&node.scene, &node.variant);
+            cells.push(DeliveredCell { scene, variant, nodes: Vec::new(), shared: Vec::new() });
+        }
+        cells[place].nodes.push(node);
+    }
+    for cell in &mut cells {
+        let stages = shared.get(cell.variant).into_iter().flatten();
+        cell.shared = stages.filter(|node| node.stage != "report").copied().collect();
+    }
+    cells
+}
+
+impl DeliveredCell<'_> {
+    fn artifact(&self, stage: &str) -> Option<&Artifact> {
+        self.nodes.iter().find(|node| node.stage == stage)?.artifact.as_deref()
+    }
+
+    fn all(&self) -> impl Iterator<Item = &RanNode> {
+        self.nodes.iter().chain(&self.shared).copied()
+    }
+
+    /// A digest of everything that the configuration follows from.
+    fn sources(&self) -> String {
+        let mut sources = sources_of(self.all());
+        sources.update(made_by_program().as_bytes());
+        Digest::from(sources.finalize()).short()
+    }
+
+    fn configuration(&self) -> Option<Configuration> {
+        made_by::configuration(&Summary::of_nodes(self.all().cloned().collect()), self.scene, self.variant)
+    }
+}
+
+/// The program that writes the pages, in words.
+fn made_by_program() -> String {
+    format!("{} {}", env!("CARGO_PKG_VERSION"), use3d_web::page::digest())
+}
+
+/// Starts a digest with the keys, presets and times of nodes.
+fn sources_of<'n>(nodes: impl Iterator<Item = &'n RanNode>) -> blake3::Hasher {
+    let mut sources = blake3::Hasher::new();
+    for node in nodes {
+        let key = node.artifact.as_ref().map(|a| (a.manifest.key, &a.manifest.finished));
+        sources.update(format!("{} {} {key:?}\n", node.label, node.preset).as_bytes());
+    }
+    sources
+}
+
+/// The record of a page for a scene's artifact. A page without white balance has exactly this record.
+fn view_of(shown: &Artifact) -> String {
+    format!("of {} by {}", shown.manifest.key, use3d_web::page::digest())
 }
 
 /// A result that is in the results folder.
@@ -108,125 +395,42 @@ impl Delivered {
     }
 }
 
-/// Fills `out` and returns the list of results: `report`, `tables`, and the folders of every scene. `command`
-/// is the command line that was typed; the report shows it.
-///
-/// # Errors
-/// A place is occupied by something that this program did not write, or cannot be written; results that were
-/// delivered before it stay.
-pub fn deliver(summary: &Summary, out: &Path, command: &str) -> Result<Vec<Delivered>, PlaceError> {
-    let mut delivered = Vec::new();
-    at(out, "create", fs::create_dir_all(out))?;
-    let made = configurations(summary);
-    for node in &summary.nodes {
-        let Some(artifact) = &node.artifact else { continue };
-        let Some(place) = place_of(node.stage, &node.scene, &node.variant) else { continue };
-        let target = out.join(place);
-        let configuration = made.get(&(node.scene.as_str(), node.variant.as_str()));
-        match configuration.filter(|_| node.stage == "evaluate") {
-            Some(configuration) => scores(artifact, configuration, &target)?,
-            // The artifact's manifest is the record of the folder.
-            None => {
-                put(Some(artifact.manifest.key), &target, |made| place::copy_folder(&artifact.path, made))?;
+/// Writes a scene's page, unless it was made from the same scene by the same program and with the same white
+/// balance. Returns true if the page is there.
+fn write_view(own: &DeliveredCell<'_>, shown: &Artifact, page: &Path) -> Result<bool, PlaceError> {
+    let folder = place::parent(page);
+    // The page records its scene, its program and its white balance. A page with the same record is up to
+    // date.
+    let white = white_of(folder, shown.manifest.key);
+    let balanced = white.as_ref().map_or_else(String::new, |(_, digest)| format!(", white {digest}"));
+    let source = format!("<!-- {}{balanced} -->\n", view_of(shown));
+    check_page(page)?;
+    if fs::read_to_string(page).is_ok_and(|text| text.contains(&source)) {
+        return Ok(true);
+    }
+    let capture = own.artifact("import").map(|import| import.path.as_path());
+    let white = white.as_ref().map(|(white, _)| white);
+    let made = match scene_page::write(own.scene, &shown.path, capture, VIEW_PARTS, white) {
+        Ok(made) => made,
+        Err(error) => {
+            // The results are complete without this page.
+            tracing::warn!("{}: no page for a browser: {error}", own.scene);
+            return Ok(false);
+        }
+    };
+    at(folder, "create", fs::create_dir_all(folder))?;
+    if !made.parts.is_empty() {
+        put(None, &folder.join(VIEW_PARTS), |parts| {
+            at(parts, "create", fs::create_dir_all(parts))?;
+            for (name, text) in &made.parts {
+                let part = parts.join(name);
+                at(&part, "write", fs::write(&part, text))?;
             }
-        }
-        let (scene, variant) = (node.scene.clone(), node.variant.clone());
-        delivered.push(Delivered { what: node.stage.to_string(), scene, variant, path: target });
+            place::record(parts, None)
+        })?;
     }
-    let views = pages(summary, out)?;
-    if let Some(report) = summary.artifact("", "", "report") {
-        let page = out.join(PAGE);
-        let source = report.path.join("index.html");
-        let html = at(&source, "read", fs::read_to_string(&source))?;
-        check_page(&page)?;
-        let timed = timed_tables(summary, &made, &report.path);
-        let html = timed.as_ref().map_or_else(|| html.clone(), |tables| with_tables(&html, tables));
-        let html = with_configurations(&html, &told(&made));
-        let html = with_costs(&html, &rows(summary), &written(summary, command), &parameters(summary));
-        let links =
-            views.iter().map(|view| (view.scene.as_str(), view.variant.as_str(), view.path.as_path()));
-        let html =
-            with_views(&html, links.map(|(scene, variant, path)| (scene, variant, relative(path, out))));
-        write(&page, stamped(&html).as_bytes())?;
-        delivered.push(Delivered::over_all("report", page));
-        if report.path.join(TABLES).is_dir() {
-            let tables = out.join(TABLES);
-            // Drawing speeds do not follow from a key, so the tables are written again each time.
-            put(None, &tables, |made| {
-                place::copy_folder(&report.path.join(TABLES), made)?;
-                if let Some(timed) = &timed {
-                    at(
-                        made,
-                        "write",
-                        write_tables(made, timed).map_err(|e| io::Error::other(e.to_string())),
-                    )?;
-                }
-                place::record(made, None)
-            })?;
-            delivered.push(Delivered::over_all("tables", tables));
-        }
-    }
-    delivered.extend(views);
-    Ok(delivered)
-}
-
-/// Writes the page of every scene of the run, enhanced if it has an enhancement, and returns the list of
-/// pages.
-fn pages(summary: &Summary, out: &Path) -> Result<Vec<Delivered>, PlaceError> {
-    let mut pages = Vec::new();
-    for node in summary.nodes.iter().filter(|n| n.stage == "reconstruct" && !n.scene.is_empty()) {
-        let (scene, variant) = (node.scene.as_str(), node.variant.as_str());
-        let shown = summary.artifact(scene, variant, "enhance").or(node.artifact.as_ref());
-        let Some(shown) = shown else { continue };
-        let folder = out.join(folder_of(scene, variant));
-        let page = folder.join(VIEW);
-        let delivered = Delivered {
-            what: "view".into(),
-            scene: scene.into(),
-            variant: variant.into(),
-            path: page.clone(),
-        };
-        // The page records its scene, its program and its white balance. A page with the same record is up to
-        // date.
-        let white = white_of(&folder, shown.manifest.key);
-        let balanced = white.as_ref().map_or_else(String::new, |(_, digest)| format!(", white {digest}"));
-        let source =
-            format!("<!-- of {} by {}{balanced} -->\n", shown.manifest.key, use3d_web::page::digest());
-        check_page(&page)?;
-        if fs::read_to_string(&page).is_ok_and(|text| text.contains(&source)) {
-            pages.push(delivered);
-            continue;
-        }
-        let capture = summary.artifact(scene, variant, "import").map(|import| import.path.as_path());
-        let made = match scene_page::write(
-            scene,
-            &shown.path,
-            capture,
-            VIEW_PARTS,
-            white.as_ref().map(|(white, _)| white),
-        ) {
-            Ok(made) => made,
-            Err(error) => {
-                // The results are complete without this page.
-                tracing::warn!("{scene}: no page for a browser: {error}");
-                continue;
-            }
-        };
-        at(&folder, "create", fs::create_dir_all(&folder))?;
-        if !made.parts.is_empty() {
-            put(None, &folder.join(VIEW_PARTS), |parts| {
-                at(parts, "create", fs::create_dir_all(parts))?;
-                for (name, text) in &made.parts {
-                    let part = parts.join(name);
-                    at(&part, "write", fs::write(&part, text))?;
-                }
-                place::record(parts, None)
-            })?;
-        }
-        write(&page, stamped(&format!("{}{source}", made.html)).as_bytes())?;
-        pages.push(delivered);
-    }
-    Ok(pages)
+    write(page, stamped(&format!("{}{source}", made.html)).as_bytes())?;
+    Ok(true)
 }
 
 /// The white balance that was stored among the results for a scene of this key, and its digest.
@@ -267,10 +471,15 @@ fn timed_tables(
 ) -> Option<Vec<Table>> {
     let mut scored: Vec<ScoredScene> =
         serde_json::from_slice(&fs::read(report.join("scores.json")).ok()?).ok()?;
+    let evaluated: HashMap<(&str, &str), &RanNode> = summary
+        .nodes
+        .iter()
+        .filter(|n| n.stage == "evaluate")
+        .map(|n| ((n.scene.as_str(), n.variant.as_str()), n))
+        .collect();
     for scene in &mut scored {
-        let evaluated =
-            |n: &&RanNode| n.stage == "evaluate" && n.scene == scene.scene && n.variant == scene.variant;
-        let artifact = summary.nodes.iter().find(evaluated).and_then(|n| n.artifact.as_ref());
+        let node = evaluated.get(&(scene.scene.as_str(), scene.variant.as_str()));
+        let artifact = node.and_then(|n| n.artifact.as_deref());
         let note = artifact.and_then(|a| a.manifest.notes.get(SPEED).cloned());
         scene.configuration = made.get(&(scene.scene.as_str(), scene.variant.as_str())).cloned();
         scene.speed = note.and_then(|note| serde_json::from_value(note).ok());
@@ -285,13 +494,9 @@ fn timed_tables(
 
 /// The configuration of every scene in every variant of a run.
 fn configurations(summary: &Summary) -> BTreeMap<(&str, &str), Configuration> {
-    let cells = summary.nodes.iter().filter(|n| n.stage == "reconstruct" && !n.scene.is_empty());
-    cells
-        .filter_map(|n| {
-            let cell = (n.scene.as_str(), n.variant.as_str());
-            Some((cell, made_by::configuration(summary, cell.0, cell.1)?))
-        })
-        .collect()
+    let cells = cells(summary);
+    let trained = cells.iter().filter(|cell| cell.nodes.iter().any(|node| node.stage == "reconstruct"));
+    trained.filter_map(|cell| Some(((cell.scene, cell.variant), cell.configuration()?))).collect()
 }
 
 /// The configurations as the top of the report shows them: one line for all scenes of a variant.
@@ -344,6 +549,7 @@ fn written(summary: &Summary, command: &str) -> String {
 /// The parameters of every stage of the run, as text; equal ones are listed once.
 fn parameters(summary: &Summary) -> String {
     let mut groups: Vec<(String, Vec<String>)> = Vec::new();
+    let mut known: HashMap<String, usize> = HashMap::new();
     for node in summary.nodes.iter().filter(|n| !n.shared) {
         let Some(artifact) = &node.artifact else { continue };
         let ingredients = &artifact.manifest.ingredients;
@@ -353,10 +559,11 @@ fn parameters(summary: &Summary) -> String {
         let place = [node.scene.as_str(), node.variant.as_str()];
         let place: Vec<&str> = place.into_iter().filter(|p| !p.is_empty()).collect();
         let place = if place.is_empty() { "all scenes".to_string() } else { place.join(" · ") };
-        match groups.iter_mut().find(|(t, _)| *t == text) {
-            Some((_, places)) => places.push(place),
-            None => groups.push((text, vec![place])),
+        let at = *known.entry(text.clone()).or_insert(groups.len());
+        if at == groups.len() {
+            groups.push((text, Vec::new()));
         }
+        groups[at].1.push(place);
     }
     let groups = groups.into_iter().map(|(text, places)| format!("{}:\n{text}\n", places.join(", ")));
     groups.collect::<Vec<_>>().join("\n")

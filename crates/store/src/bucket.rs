@@ -12,7 +12,7 @@ use object_store::{
     PutPayload, RetryConfig,
 };
 use tokio::runtime::Runtime;
-use use3d_build::remote::{Remote, RemoteError};
+use use3d_build::remote::{Listed, Remote, RemoteError};
 
 /// Larger objects are uploaded in parts of this size, in bytes.
 const PART: u64 = 16 << 20;
@@ -181,6 +181,21 @@ impl Remote for Bucket {
             Err(Error::AlreadyExists { .. } | Error::Precondition { .. }) => Ok(false),
             Err(e) => Err(self.refused("create", name, &e)),
         }
+    }
+
+    fn list(&self, prefix: &str) -> Result<Vec<Listed>, RemoteError> {
+        let below = self.prefix.parts().count();
+        self.runtime.block_on(async {
+            let mut pieces = self.store.list(Some(&self.at(prefix.trim_end_matches('/'))));
+            let mut found = Vec::new();
+            while let Some(piece) = pieces.next().await {
+                let object = piece.map_err(|e| self.refused("list", prefix, &e))?;
+                let name = object.location.parts().skip(below);
+                let name = name.map(|part| part.as_ref().to_string()).collect::<Vec<_>>().join("/");
+                found.push(Listed { name, size: object.size, written: object.last_modified.into() });
+            }
+            Ok(found)
+        })
     }
 
     fn remove(&self, name: &str) -> Result<(), RemoteError> {

@@ -4,7 +4,8 @@ use super::*;
 fn foreign() -> Vec<u8> {
     let process = ProcessId { place: "elsewhere".to_string(), pid: 7, started: 1 };
     let host = "elsewhere".to_string();
-    serde_json::to_vec(&Holder { process, host, token: String::new(), reads: Vec::new() }).unwrap()
+    serde_json::to_vec(&Holder { process, host, token: String::new(), task: None, reads: Vec::new() })
+        .unwrap()
 }
 
 fn granted(asked: &Asked) -> bool {
@@ -158,6 +159,24 @@ fn a_run_protects_what_it_has_decided_on() {
     }
     drop(run);
     assert!(in_use(&cache).is_empty());
+    // Many keys are added one after the other. Every key is seen; there are few files, and each key is
+    // written only a few times.
+    let mut run = RunLease::new(&cache);
+    let mut written = 0;
+    for i in 1..2000_usize {
+        run.extend([key_of(&i.to_string())]);
+        run.show();
+        let size = |part: &LeaseFile| std::fs::metadata(&part.path).unwrap().len() as usize;
+        written += run.parts.last().map_or(0, size);
+        assert!(run.parts.len() <= 2 + i.ilog2().saturating_sub(5) as usize, "{}", run.parts.len());
+        if i % 500 == 0 {
+            assert_eq!(in_use(&other).len(), i);
+        }
+    }
+    assert!(written / 2000 < 8000, "{} bytes a key", written / 2000);
+    assert_eq!(in_use(&other).len(), 1999);
+    drop(run);
+    assert!(in_use(&cache).is_empty() && std::fs::read_dir(folder(&cache)).unwrap().count() == 0);
     // A lease of another machine, read only once, counts as live unless it is more than a day old.
     let path = folder(&cache).join(key_of("c").to_string());
     std::fs::write(&path, foreign()).unwrap();
@@ -175,4 +194,56 @@ fn waiting_grows_to_ten_seconds_and_differs_between_processes() {
         assert!(last >= Duration::from_secs(7) && last <= Duration::from_secs(13), "{waits:?}");
     }
     assert_ne!(of(1), of(2 << 40));
+}
+
+#[test]
+fn a_task_that_is_known_to_be_over_is_waited_for_no_longer_and_how_it_ended_is_kept() {
+    let dir = tempfile::tempdir().unwrap();
+    let task =
+        ClusterTask { scheduler: "slurm".to_string(), id: "12_4".to_string(), attempt: 0, memory: 900 << 20 };
+    let open = || Cache::open(dir.path(), false).unwrap();
+    let elsewhere = |host: &str| Node::elsewhere(host, Clock::system());
+    let over = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(false));
+    let answer = over.clone();
+    let [silent, asking] = [(); 2].map(|()| open().as_node(elsewhere("west")));
+    let asking = asking.asking(std::sync::Arc::new(move |asked: &ClusterTask| {
+        assert_eq!(asked.id, "12_4");
+        Some(answer.load(std::sync::atomic::Ordering::Relaxed))
+    }));
+    let killed = |key: &Key| {
+        let cache = open().as_node(elsewhere("n1").as_task(task.clone()));
+        let Asked::Granted(Some(lease)) = Lease::ask(&cache, key, &[]) else { panic!("nobody has it") };
+        let progress = Progress::default();
+        progress.note_memory(3 << 30);
+        lease.renew(&progress);
+        std::mem::forget(lease); // it ends without a word
+    };
+    let now = asking.node().clock.now();
+    // The scheduler has the task at first, and later no longer.
+    let key = key_of("first");
+    killed(&key);
+    let ask = |after| Lease::ask_at(&asking, &key, &[], now + after);
+    assert!(!granted(&ask(Duration::ZERO)) && !granted(&ask(ASKING)));
+    over.store(true, std::sync::atomic::Ordering::Relaxed);
+    assert!(granted(&ask(ASKING)), "taken over");
+    let known = silent.killed(&key).unwrap();
+    assert_eq!((known.host.as_str(), known.times, known.peak_memory), ("n1", 1, 3 << 30));
+    assert_eq!(known.asks_for(), (3 << 30) + (3 << 29));
+    assert!(known.to_string().contains("slurm 12_4 ended without a word"), "{known}");
+    // A process without a scheduler to ask waits until the lease expires, and not longer.
+    let key = key_of("second");
+    killed(&key);
+    let ask = |after| Lease::ask_at(&silent, &key, &[], now + after);
+    assert!(!granted(&ask(Duration::ZERO)) && !granted(&ask(ASKING)) && granted(&ask(EXPIRY)));
+    assert!(EXPIRY < PATIENCE, "a run that waits for others outlives the lease of one that was killed");
+    // A later attempt of the same task does not wait at all.
+    let key = key_of("third");
+    killed(&key);
+    let later = open().as_node(elsewhere("n2").as_task(ClusterTask { attempt: 1, ..task.clone() }));
+    assert!(granted(&Lease::ask(&later, &key, &[])));
+    // A holder that gives up was not killed.
+    let key = key_of("fourth");
+    let Asked::Granted(lease) = Lease::ask(&later, &key, &[]) else { panic!("nobody has it") };
+    drop(lease);
+    assert!(granted(&Lease::ask(&silent, &key, &[])) && silent.killed(&key).is_none());
 }

@@ -4,8 +4,10 @@
 use std::fs::{self, File};
 use std::io::{self, ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
+use std::time::SystemTime;
 
-use super::{Remote, RemoteError};
+use super::super::files;
+use super::{Listed, Remote, RemoteError};
 
 /// A folder; unfinished files have names below `v1/tmp`.
 #[derive(Clone, Debug)]
@@ -120,6 +122,24 @@ impl Remote for Folder {
                 Err(e) => Err(e),
             }
         })
+    }
+
+    fn list(&self, prefix: &str) -> Result<Vec<Listed>, RemoteError> {
+        let mut found = Vec::new();
+        for entry in walkdir::WalkDir::new(self.root.join(prefix)) {
+            let entry = match entry {
+                Ok(entry) => entry,
+                // The file does not exist or was removed meanwhile.
+                Err(e) if e.io_error().is_some_and(|e| e.kind() == ErrorKind::NotFound) => continue,
+                Err(e) => return Err(self.refused("list", prefix, &io::Error::other(e))),
+            };
+            let name = entry.path().strip_prefix(&self.root).ok().and_then(files::relative_name);
+            let (true, Some(name)) = (entry.file_type().is_file(), name) else { continue };
+            let Ok(data) = entry.metadata() else { continue };
+            let written = data.modified().unwrap_or(SystemTime::UNIX_EPOCH);
+            found.push(Listed { name, size: data.len(), written });
+        }
+        Ok(found)
     }
 
     fn remove(&self, name: &str) -> Result<(), RemoteError> {

@@ -3,8 +3,9 @@
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
 use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::SystemTime;
 
-use super::{Remote, RemoteError};
+use super::{Listed, Remote, RemoteError};
 
 /// Objects in memory.
 #[derive(Debug, Default)]
@@ -47,6 +48,15 @@ impl Remote for Memory {
             objects.insert(name.to_string(), bytes.to_vec());
         }
         Ok(is_new)
+    }
+
+    fn list(&self, prefix: &str) -> Result<Vec<Listed>, RemoteError> {
+        let objects = self.objects();
+        let of = |(name, bytes): (&String, &Vec<u8>)| {
+            let written = SystemTime::UNIX_EPOCH;
+            Listed { name: name.clone(), size: bytes.len() as u64, written }
+        };
+        Ok(objects.iter().filter(|(name, _)| name.starts_with(prefix)).map(of).collect())
     }
 
     fn remove(&self, name: &str) -> Result<(), RemoteError> {

@@ -17,10 +17,12 @@
 mod folder;
 mod memory;
 mod receive;
+mod shelf;
 mod sync;
 mod transfer;
 
 use std::io::{self, Read, Write};
+use std::time::SystemTime;
 
 use super::digest::Digest;
 use super::error::FileError;
@@ -28,6 +30,7 @@ use super::key::Key;
 
 pub use folder::Folder;
 pub use memory::Memory;
+pub use shelf::{Shelf, Swept};
 pub use sync::Transferred;
 pub use transfer::{Fetched, RemoteStore, Sent};
 
@@ -66,6 +69,23 @@ pub trait Remote: Send + Sync {
     /// # Errors
     /// The store's error.
     fn remove(&self, name: &str) -> Result<(), RemoteError>;
+
+    /// Lists all objects whose names begin with `prefix`, which ends with `/`, in no order.
+    ///
+    /// # Errors
+    /// The store refuses or does not answer.
+    fn list(&self, prefix: &str) -> Result<Vec<Listed>, RemoteError>;
+}
+
+/// An object in a list.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Listed {
+    /// Its name.
+    pub name: String,
+    /// Its size, bytes.
+    pub size: u64,
+    /// The time of its last change, by the store's clock.
+    pub written: SystemTime,
 }
 
 /// The reason why something could not be fetched or sent.
@@ -110,8 +130,13 @@ pub enum RemoteError {
 }
 
 impl RemoteError {
+    /// Returns true if the whole store does not exist.
+    pub(crate) fn is_of_the_whole_store(&self) -> bool {
+        matches!(self, Self::Refused { reason, .. } if reason.contains("NoSuchBucket"))
+    }
+
     /// Returns true if the same operation may succeed when it is repeated.
-    fn passes(&self) -> bool {
+    pub fn passes(&self) -> bool {
         matches!(self, Self::Refused { passing: true, .. } | Self::Wrong { .. })
     }
 }

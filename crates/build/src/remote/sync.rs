@@ -2,8 +2,9 @@
 
 use std::collections::BTreeSet;
 use std::fmt;
-use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
 
 use serde::Serialize;
 
@@ -12,11 +13,13 @@ use super::super::cache::Lookup;
 use super::super::events::{Event, Listener};
 use super::super::graph::Graph;
 use super::super::key::Key;
+use super::super::lease::RunLease;
 use super::super::machine;
 use super::super::manifest::Manifest;
 use super::super::plan::{Plan, State};
 use super::super::verify::Problem;
-use super::{Fetched, RemoteError, RemoteStore, Sent};
+use super::transfer::{ARTIFACTS_AT_ONCE, each};
+use super::{Fetched, RemoteError, RemoteStore, Sent, Shelf};
 
 /// Report of sending or fetching.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
@@ -36,11 +39,13 @@ pub struct Transferred {
 }
 
 impl Transferred {
-    fn note(&mut self, manifest: &Manifest, done: &str, listener: &Arc<dyn Listener>) {
+    /// Counts an artifact and reports the progress.
+    fn note(&mut self, manifest: &Manifest, done: &str, pace: &Rate, listener: &Arc<dyn Listener>) {
         self.moved += 1;
         self.bytes += manifest.bytes();
         let (label, bytes) = (manifest.made_for.to_string(), machine::bytes(manifest.bytes()));
-        let text = format!("{done} {} {}, {bytes}", manifest.ingredients.stage, manifest.key.short());
+        let (stage, key) = (&manifest.ingredients.stage, manifest.key.short());
+        let text = format!("{done} {stage} {key}, {bytes} ({})", pace.words(self.moved, self.bytes));
         listener.event(&Event::Note { label: &label, text: &text });
     }
 
@@ -86,9 +91,27 @@ fn listed(plan: &Plan) -> Vec<(&'static str, Option<Key>, bool)> {
     nodes.map(|n| (n.stage, n.key, n.state == State::Cached)).collect()
 }
 
+/// The progress and the rate of a transfer.
+struct Rate {
+    start: Instant,
+    /// The number of artifacts to move, as far as it is known.
+    total: usize,
+}
+
+impl Rate {
+    fn words(&self, moved: usize, bytes: u64) -> String {
+        let rate = bytes as f64 / self.start.elapsed().as_secs_f64().max(1e-3);
+        format!("{moved} of {}, {}/s", self.total.max(moved), machine::bytes(rate as u64))
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 impl Builder {
-    /// Sends all cached artifacts of a graph. `check` reads the objects in the store, and replaces those that
-    /// do not match.
+    /// Sends all cached artifacts of a graph. A list of the store shows which ones it already has. `check`
+    /// reads the objects in the store, and replaces those that do not match.
     ///
     /// # Errors
     /// A store that does not answer or refuses the data.
@@ -100,27 +123,39 @@ impl Builder {
         stop: &AtomicBool,
         listener: &Arc<dyn Listener>,
     ) -> Result<Transferred, RemoteError> {
+        let shelf = listing(store, stop)?;
         let mut done = Transferred::default();
+        let mut to_send = Vec::new();
         for (stage, key, is_there) in listed(&self.plan(graph, None)) {
-            let found = match key.filter(|_| is_there) {
-                Some(key) => self.cache.lookup(stage, &key)?,
-                None => Lookup::Missing,
-            };
-            let Lookup::Whole(artifact) = found else {
-                done.missing += 1;
-                continue;
-            };
-            match store.send(&self.cache, &artifact, check, stop) {
-                Ok(Sent::Now) => done.note(&artifact.manifest, "sent", listener),
-                Ok(Sent::Already) => done.already += 1,
-                Ok(Sent::Differs(file)) => done.differs(stage, &artifact.manifest.key, &file),
-                Err(error) => done.settle(stage, &artifact.manifest.key, error)?,
-            }
-            if done.interrupted {
-                break;
+            match key.filter(|_| is_there) {
+                None => done.missing += 1,
+                Some(key) if !check && shelf.as_ref().is_some_and(|s| s.has(stage, &key)) => {
+                    done.already += 1
+                }
+                Some(key) => to_send.push((stage, key)),
             }
         }
-        Ok(done)
+        let pace = Rate { start: Instant::now(), total: to_send.len() };
+        let done = Mutex::new(done);
+        each(&to_send, ARTIFACTS_AT_ONCE, |(stage, key)| {
+            if lock(&done).interrupted {
+                return Ok(());
+            }
+            let Lookup::Whole(artifact) = self.cache.lookup(stage, key)? else {
+                lock(&done).missing += 1;
+                return Ok(());
+            };
+            let sent = store.send_beside(&self.cache, &artifact, shelf.as_ref(), check, stop);
+            let mut done = lock(&done);
+            match sent {
+                Ok(Sent::Now) => done.note(&artifact.manifest, "sent", &pace, listener),
+                Ok(Sent::Already) => done.already += 1,
+                Ok(Sent::Differs(file)) => done.differs(stage, key, &file),
+                Err(error) => done.settle(stage, key, error)?,
+            }
+            Ok(())
+        })?;
+        Ok(done.into_inner().unwrap_or_else(PoisonError::into_inner))
     }
 
     /// Fetches all artifacts of a graph that the store has and the cache lacks. A node whose key depends on
@@ -136,27 +171,60 @@ impl Builder {
         listener: &Arc<dyn Listener>,
     ) -> Result<Transferred, RemoteError> {
         self.cache.sweep();
-        let mut done = Transferred::default();
+        let shelf = listing(store, stop)?;
+        let done = Mutex::new(Transferred::default());
         let mut asked = BTreeSet::new();
+        // A lease protects the fetched artifacts from a cleaning until all are fetched.
+        let mut lease = RunLease::new(&self.cache);
+        let mut pace = Rate { start: Instant::now(), total: 0 };
         loop {
-            let (before, nodes) = (done.moved, listed(&self.plan(graph, None)));
+            let (before, nodes) = (lock(&done).moved, listed(&self.plan(graph, None)));
             let there = nodes.iter().filter(|(_, _, is_there)| *is_there).count();
-            (done.missing, done.already) = (nodes.len() - there, there.saturating_sub(before));
-            for (stage, key, _) in nodes.into_iter().filter(|(_, _, is_there)| !is_there) {
-                let Some(key) = key.filter(|key| asked.insert(*key)) else { continue };
-                match store.fetch(&self.cache, stage, &key, stop) {
-                    Ok(Fetched::Now(artifact)) => done.note(&artifact.manifest, "fetched", listener),
-                    Ok(Fetched::Missing) => {}
-                    Ok(Fetched::Differs(_, file)) => done.differs(stage, &key, &file),
-                    Err(error) => done.settle(stage, &key, error)?,
-                }
-                if done.interrupted {
-                    return Ok(done);
-                }
+            {
+                let mut done = lock(&done);
+                (done.missing, done.already) = (nodes.len() - there, there.saturating_sub(before));
             }
-            if done.moved == before {
-                return Ok(done);
+            pace.total = nodes.len() - lock(&done).already;
+            let has = |stage: &str, key: &Key| shelf.as_ref().is_none_or(|shelf| shelf.has(stage, key));
+            let to_fetch: Vec<(&str, Key)> = nodes
+                .into_iter()
+                .filter(|(_, _, is_there)| !is_there)
+                .filter_map(|(stage, key, _)| Some((stage, key?)))
+                .filter(|(stage, key)| asked.insert(*key) && has(stage, key))
+                .collect();
+            lease.extend(to_fetch.iter().map(|(_, key)| *key));
+            lease.show();
+            each(&to_fetch, ARTIFACTS_AT_ONCE, |(stage, key)| {
+                if lock(&done).interrupted {
+                    return Ok(());
+                }
+                let fetched = store.fetch(&self.cache, stage, key, stop);
+                let mut done = lock(&done);
+                match fetched {
+                    Ok(Fetched::Now(artifact)) => done.note(&artifact.manifest, "fetched", &pace, listener),
+                    Ok(Fetched::Missing) => {}
+                    Ok(Fetched::Differs(_, file)) => done.differs(stage, key, &file),
+                    Err(error) => done.settle(stage, key, error)?,
+                }
+                Ok(())
+            })?;
+            let now = lock(&done);
+            if now.interrupted || now.moved == before {
+                return Ok(now.clone());
             }
         }
+    }
+}
+
+/// Lists a store; `None` if it permits no list. Such a store is asked for every artifact.
+fn listing(store: &RemoteStore, stop: &AtomicBool) -> Result<Option<Shelf>, RemoteError> {
+    match store.shelf(stop) {
+        Ok(shelf) => Ok(Some(shelf)),
+        Err(RemoteError::Stopped) => Ok(None),
+        Err(error @ RemoteError::Refused { passing: false, .. }) if !error.is_of_the_whole_store() => {
+            tracing::debug!("{error}; asking for every artifact");
+            Ok(None)
+        }
+        Err(error) => Err(error),
     }
 }

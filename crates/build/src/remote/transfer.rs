@@ -14,14 +14,16 @@ use super::super::files;
 use super::super::key::Key;
 use super::super::manifest::{FileRecord, Manifest};
 use super::receive::{Receiver, Sender, wrong_names};
-use super::{Remote, RemoteError, blob, manifest};
+use super::{Remote, RemoteError, Shelf, blob, manifest};
 
 /// Number of attempts for an operation that may succeed when it is repeated.
 const TRIES: u32 = 4;
 /// The first pause between two attempts; each pause is four times the one before.
 const PAUSE: Duration = Duration::from_millis(500);
-/// Most files in transfer at the same time.
-const SIDE_BY_SIDE: usize = 4;
+/// Most files of one artifact in transfer at the same time.
+const FILES_AT_ONCE: usize = 4;
+/// Most artifacts in transfer at the same time, which makes 32 requests.
+pub(super) const ARTIFACTS_AT_ONCE: usize = 8;
 /// The largest size of a manifest in bytes.
 const LARGEST_MANIFEST: u64 = 64 << 20;
 /// The number of failed artifacts in a row after which a run continues without the store.
@@ -29,7 +31,9 @@ const ENOUGH: u32 = 3;
 
 /// A store, with pauses between attempts and a count of failures.
 pub struct RemoteStore {
-    remote: Arc<dyn Remote>,
+    pub(super) remote: Arc<dyn Remote>,
+    /// True if nothing may be sent.
+    read_only: bool,
     pause: Duration,
     /// Number of artifacts in a row that failed.
     failures: AtomicU32,
@@ -43,10 +47,10 @@ pub enum Fetched {
     /// The store does not have it.
     Missing,
     /// It is in the cache now.
-    Now(Box<Artifact>),
+    Now(Arc<Artifact>),
     /// Another artifact of the same key was in the cache first, and stays: its stage is not deterministic.
     /// The text is the file in which they differ.
-    Differs(Box<Artifact>, String),
+    Differs(Arc<Artifact>, String),
 }
 
 /// Result of sending an artifact.
@@ -64,13 +68,30 @@ pub enum Sent {
 impl RemoteStore {
     /// A store with the usual pauses.
     pub fn new(remote: Arc<dyn Remote>) -> Self {
-        Self { remote, pause: PAUSE, failures: AtomicU32::new(0), distrusted: Mutex::default() }
+        Self {
+            remote,
+            read_only: false,
+            pause: PAUSE,
+            failures: AtomicU32::new(0),
+            distrusted: Mutex::default(),
+        }
     }
 
     /// The same with another first pause between attempts, for tests.
     #[must_use]
     pub fn with_pause(self, pause: Duration) -> Self {
         Self { pause, ..self }
+    }
+
+    /// Returns the same store for reading only.
+    #[must_use]
+    pub fn read_only(self) -> Self {
+        Self { read_only: true, ..self }
+    }
+
+    /// Returns true if computed artifacts are sent to the store.
+    pub(crate) fn takes(&self) -> bool {
+        !self.read_only
     }
 
     /// Its address, for display.
@@ -138,7 +159,7 @@ impl RemoteStore {
     }
 
     /// Repeats `attempt` until it succeeds, fails for good, or was tried often enough.
-    fn patiently<T>(
+    pub(super) fn patiently<T>(
         &self,
         stop: &AtomicBool,
         mut attempt: impl FnMut() -> Result<T, RemoteError>,
@@ -167,7 +188,12 @@ impl RemoteStore {
     }
 
     /// The store's manifest for a key, if there is one.
-    fn manifest(&self, stage: &str, key: &Key, stop: &AtomicBool) -> Result<Option<Manifest>, RemoteError> {
+    pub(super) fn manifest(
+        &self,
+        stage: &str,
+        key: &Key,
+        stop: &AtomicBool,
+    ) -> Result<Option<Manifest>, RemoteError> {
         let name = manifest(stage, key);
         self.patiently(stop, || {
             let mut to = Receiver::new(Vec::new(), LARGEST_MANIFEST, stop);
@@ -228,10 +254,12 @@ impl RemoteStore {
         stop: &AtomicBool,
     ) -> Result<Fetched, RemoteError> {
         files::at(folder, "create", cache.files().create_dir_all(folder))?;
-        each(&manifest.files, |file| self.fetch_file(&folder.join(&file.path), cache, file, stop))?;
+        each(&manifest.files, FILES_AT_ONCE, |file| {
+            self.fetch_file(&folder.join(&file.path), cache, file, stop)
+        })?;
         Ok(match cache.adopt(folder, manifest)? {
-            Published::Now(artifact) | Published::Already(artifact) => Fetched::Now(Box::new(artifact)),
-            Published::Differs(artifact, file) => Fetched::Differs(Box::new(artifact), file),
+            Published::Now(artifact) | Published::Already(artifact) => Fetched::Now(Arc::new(artifact)),
+            Published::Differs(artifact, file) => Fetched::Differs(Arc::new(artifact), file),
         })
     }
 
@@ -277,9 +305,26 @@ impl RemoteStore {
         check: bool,
         stop: &AtomicBool,
     ) -> Result<Sent, RemoteError> {
+        self.send_beside(cache, artifact, None, check, stop)
+    }
+
+    /// Like [`send`](Self::send), for a store that was listed: the objects in the list are not requested
+    /// again.
+    pub(super) fn send_beside(
+        &self,
+        cache: &Cache,
+        artifact: &Artifact,
+        shelf: Option<&Shelf>,
+        check: bool,
+        stop: &AtomicBool,
+    ) -> Result<Sent, RemoteError> {
         let ours = &artifact.manifest;
         let stage = ours.ingredients.stage.as_str();
-        let there = match self.manifest(stage, &ours.key, stop) {
+        let there = match shelf {
+            Some(shelf) if !check && !shelf.has(stage, &ours.key) => Ok(None),
+            _ => self.manifest(stage, &ours.key, stop),
+        };
+        let there = match there {
             // The artifact in the store is unusable, and every run refuses it.
             Ok(Some(theirs)) if cache.unkept(&theirs).is_some() => {
                 self.remote.remove(&manifest(stage, &ours.key))?;
@@ -299,8 +344,9 @@ impl RemoteStore {
         };
         cache.verify(artifact, false).map_err(RemoteError::Damaged)?;
         let replaced = AtomicUsize::new(0);
-        each(&ours.files, |file| {
-            if !self.has(file, check, stop)? {
+        each(&ours.files, FILES_AT_ONCE, |file| {
+            let listed = !check && shelf.is_some_and(|shelf| shelf.has_file(&file.digest, file.size));
+            if !listed && !self.has(file, check, stop)? {
                 self.send_file(&artifact.path.join(&file.path), file, stop)?;
                 replaced.fetch_add(1, Ordering::Relaxed);
             }
@@ -355,15 +401,16 @@ impl RemoteStore {
 
 /// Calls `work` for every item, a few at a time, and stops at the first error. It uses threads of its own,
 /// because computing threads must not wait for a network.
-fn each<T: Sync>(
+pub(super) fn each<T: Sync>(
     items: &[T],
+    at_once: usize,
     work: impl Fn(&T) -> Result<(), RemoteError> + Sync,
 ) -> Result<(), RemoteError> {
     let next = AtomicUsize::new(0);
     let failed: Mutex<Option<RemoteError>> = Mutex::default();
     let failure = || failed.lock().unwrap_or_else(PoisonError::into_inner);
     std::thread::scope(|scope| {
-        for _ in 0..SIDE_BY_SIDE.min(items.len()) {
+        for _ in 0..at_once.min(items.len()) {
             scope.spawn(|| {
                 while let Some(item) = items.get(next.fetch_add(1, Ordering::Relaxed)) {
                     if failure().is_some() {

@@ -7,7 +7,7 @@ use std::time::Duration;
 use super::super::digest::Digest;
 use super::super::events::Event;
 use super::super::lease::{self, HEARTBEAT};
-use super::super::resolve;
+use super::super::resolve::{self, Resolved};
 use super::super::summary::Became;
 use super::{Phase, Runner};
 
@@ -22,6 +22,8 @@ pub(super) struct Held {
     times: u32,
     /// Time of the next request.
     again: Duration,
+    /// The resolved node that waits.
+    resolved: Option<Box<Resolved>>,
 }
 
 impl Runner<'_> {
@@ -39,9 +41,18 @@ impl Runner<'_> {
         }
     }
 
-    /// Returns true if another process computes a node and the next request is not due yet.
-    pub(super) fn is_held(&self, i: usize) -> bool {
-        self.held.get(&i).is_some_and(|held| held.again > self.now())
+    /// Makes nodes that other processes compute wait for room again, if their next request is due.
+    pub(super) fn ask_again(&mut self) {
+        let now = self.now();
+        let due = self.held.iter_mut().filter(|(_, held)| held.again <= now);
+        let due: Vec<(usize, Box<Resolved>)> =
+            due.filter_map(|(i, held)| Some((*i, held.resolved.take()?))).collect();
+        for (i, resolved) in due {
+            if self.phase[i] == Phase::Pending && self.open[i] == 0 {
+                self.full = false;
+                self.waiting.insert((self.rank[i], i), resolved);
+            }
+        }
     }
 
     /// Returns true if the run should wait for other processes, when there is nothing to do here. If not, the
@@ -71,7 +82,8 @@ impl Runner<'_> {
     /// Waits until a job ends, the next request for a lease is due, or this run must write its pulse.
     pub(super) fn wait(&mut self) {
         let (clock, now) = (self.builder.cache.node().clock, self.now());
-        let asks = self.held.values().map(|held| held.again).filter(|_| self.has_room());
+        let waits = self.held.values().filter(|held| held.resolved.is_some());
+        let asks = waits.map(|held| held.again).filter(|_| self.has_room());
         let next = asks.chain(self.leave_at.filter(|_| !self.left)).min();
         let until = next.map_or(HEARTBEAT, |at| at.saturating_sub(now).min(HEARTBEAT));
         let mut left = clock.wait_for(until).max(Duration::from_millis(1));
@@ -92,7 +104,7 @@ impl Runner<'_> {
 
     /// Puts back a node that another process computes: it is requested again later, and meanwhile this run
     /// works on other nodes.
-    pub(super) fn put_back(&mut self, i: usize, holder: String) {
+    pub(super) fn put_back(&mut self, i: usize, holder: String, resolved: Box<Resolved>) {
         let (now, node) = (self.now(), self.builder.cache.node());
         let times = self.held.get(&i).map_or(0, |held| held.times);
         if times == 0 {
@@ -100,7 +112,7 @@ impl Runner<'_> {
             self.listener.event(&Event::Waiting { node: i, label, holder: &holder });
         }
         let again = now + lease::back_off(times, node.number());
-        self.held.insert(i, Held { holder, times: times + 1, again });
+        self.held.insert(i, Held { holder, times: times + 1, again, resolved: Some(resolved) });
         self.phase[i] = Phase::Pending;
         self.spread();
     }
@@ -118,7 +130,13 @@ impl Runner<'_> {
             let place = Digest::of(format!("{number} {scene}").as_bytes());
             if scene.is_empty() { (None, *i) } else { (Some(place), *i) }
         };
-        self.order.sort_by_cached_key(place);
+        let mut order: Vec<usize> = (0..nodes.len()).collect();
+        order.sort_by_cached_key(place);
+        order.into_iter().enumerate().for_each(|(rank, i)| self.rank[i] = rank);
+        let rank = &self.rank;
+        self.due = self.due.iter().map(|(_, i)| (rank[*i], *i)).collect();
+        let waiting = std::mem::take(&mut self.waiting).into_iter();
+        self.waiting = waiting.map(|((_, i), resolved)| ((rank[i], i), resolved)).collect();
     }
 
     /// Returns true if the time limit would cut off a stage without checkpoints that could finish in a run

@@ -8,7 +8,22 @@ use super::super::key::{Ingredients, Key};
 use super::super::machine;
 use super::super::resolve::Outcome;
 use super::super::summary::Became;
-use super::{Phase, Runner};
+use super::Runner;
+
+/// The parts of a node's record that matter during a run. The whole record is read only to change it.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct LastResult {
+    /// The key and content of its last artifact.
+    pub(super) last: Option<(Key, Digest)>,
+    failed: bool,
+}
+
+impl LastResult {
+    pub(super) fn of(record: &Record) -> Self {
+        let last = record.last.as_ref().map(|made| (made.key, made.content));
+        Self { last, failed: record.failure.is_some() }
+    }
+}
 
 impl Runner<'_> {
     /// Ends a node without a result; the failure and its log are kept for `status`, and the batch stops
@@ -24,25 +39,27 @@ impl Runner<'_> {
         record.failure = Some(Failure { key, reason: reason.clone(), log: log.clone(), at });
         self.write_record(i, &record);
         self.nodes[i].result = Became::Failed { reason, log };
+        self.known[i].failed = true;
         self.outcomes[i] = Outcome::Unavailable(label);
-        self.phase[i] = Phase::Over;
+        self.over(i);
         self.halted |= !self.options.keep_going;
     }
 
     /// Records the ingredients of a node's result; the earlier record is kept, to show the changes.
-    pub(super) fn record_made(&self, i: usize, ingredients: Ingredients, content: Digest) {
-        let mut record = self.builder.cache.record(&self.graph.name, &self.graph.nodes[i]);
+    pub(super) fn record_made(&mut self, i: usize, ingredients: &Ingredients, content: Digest) {
         let key = ingredients.key();
-        let same = record.last.as_ref().is_some_and(|last| last.key == key && last.content == content);
-        if same && record.failure.is_none() {
+        let same = self.known[i].last == Some((key, content));
+        if same && !self.known[i].failed {
             return;
         }
+        let mut record = self.builder.cache.record(&self.graph.name, &self.graph.nodes[i]);
         record.failure = None;
-        if !same {
-            let made = Made { key, ingredients, content, at: machine::utc(machine::now()) };
-            let old = record.last.replace(made);
+        if !record.last.as_ref().is_some_and(|last| last.key == key && last.content == content) {
+            let at = machine::utc(machine::now());
+            let old = record.last.replace(Made { key, ingredients: ingredients.clone(), content, at });
             record.before = old.filter(|o| o.key != key).or(record.before);
         }
+        self.known[i] = LastResult::of(&record);
         self.write_record(i, &record);
     }
 
@@ -55,10 +72,9 @@ impl Runner<'_> {
 
     /// Warns if an artifact was lost and came out different when the same key was computed again.
     pub(super) fn warn_if_changed(&self, i: usize, artifact: &Artifact) {
-        let record = self.builder.cache.record(&self.graph.name, &self.graph.nodes[i]);
-        let other =
-            |made: &Made| made.key == artifact.manifest.key && made.content != artifact.manifest.content;
-        if record.last.as_ref().is_some_and(other) {
+        let manifest = &artifact.manifest;
+        let other = |(key, content)| key == manifest.key && content != manifest.content;
+        if self.known[i].last.is_some_and(other) {
             let text = "determinism alarm: computed again for the same key, it has other bytes";
             self.listener.event(&Event::Warning { label: &self.nodes[i].label, text });
         }

@@ -4,6 +4,7 @@ mod batch;
 mod caching;
 mod code;
 mod crash;
+mod economy;
 mod executors;
 mod faults;
 mod nodes;

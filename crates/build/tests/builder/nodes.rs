@@ -386,3 +386,24 @@ fn a_part_of_a_batch_is_what_was_asked_for_and_what_it_needs() {
     let of = |label: &String| label.starts_with("wreck");
     assert!(summary.exit_code() == 0 && told.started.iter().all(of), "{summary}{:?}", told.started);
 }
+
+#[test]
+fn one_that_only_gathers_computes_nothing_of_a_scene_and_says_what_is_missing() {
+    let dir = tempfile::tempdir().expect("folder");
+    let batch = batch(&dir.path().join("data"), &["reef", "wreck"]);
+    let builder = builder(&dir.path().join("cache"));
+    let reef = RunOptions { only: Some(vec![("reef".to_string(), String::new())]), ..RunOptions::default() };
+    assert_eq!(run_told(&builder, &batch, &reef, |_| ()).0.exit_code(), 0);
+    let gather = RunOptions { gather: true, keep_going: true, ..RunOptions::default() };
+    let (summary, told) = run_told(&builder, &batch, &gather, |_| ());
+    assert_eq!((summary.exit_code(), told.started.as_slice()), (1, &["report".to_string()][..]), "{summary}");
+    let missing: Vec<&str> = summary.missing().map(|n| n.label.as_str()).collect();
+    assert_eq!(missing, ["wreck · import"], "{summary}");
+    let report = summary.artifact("", "", "report").expect("made").path.join("table.txt");
+    let text = fs::read_to_string(report).expect("read");
+    assert!(text.contains("Group reef") && text.contains("missing wreck · evaluate"), "{text}");
+    // If everything exists, the run succeeds.
+    assert_eq!(run(&builder, &batch).0.exit_code(), 0);
+    let (summary, told) = run_told(&builder, &batch, &gather, |_| ());
+    assert!(summary.exit_code() == 0 && told.started.is_empty(), "{summary}{:?}", told.started);
+}

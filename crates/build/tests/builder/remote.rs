@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use use3d_build::cache::Lookup;
 use use3d_build::manifest::{FileRecord, Manifest};
-use use3d_build::remote::{Folder, Memory, Remote, RemoteError, RemoteStore, Sent, Transferred};
+use use3d_build::remote::{Folder, Listed, Memory, Remote, RemoteError, RemoteStore, Sent, Transferred};
 use use3d_build::{Batch, Builder, Digest, Graph, Listener, Silent};
 
 use super::stages::{batch, builder, payload, run};
@@ -129,6 +129,12 @@ impl Remote for Faulty {
 
     fn remove(&self, name: &str) -> Result<(), RemoteError> {
         self.inner.remove(name)
+    }
+
+    fn list(&self, prefix: &str) -> Result<Vec<Listed>, RemoteError> {
+        let fault = self.asked("list", prefix)?;
+        let found = self.inner.list(prefix)?;
+        self.answer(fault, prefix, found)
     }
 }
 
@@ -596,4 +602,72 @@ fn a_pipe_in_the_place_of_a_file_holds_nobody() {
         assert!(answer.expect("refused").to_string().contains("not a plain file"));
     }
     assert!(store.get("v1/blobs", &mut Vec::new()).is_err(), "a folder");
+}
+
+#[test]
+fn what_a_store_has_is_found_by_a_list_and_what_nobody_keeps_can_go() {
+    let world = World::new();
+    let asked = Arc::new(AtomicUsize::new(0));
+    let counted = asked.clone();
+    let remote = Arc::new(Faulty::new(move |_, _| {
+        counted.fetch_add(1, Ordering::Relaxed);
+        None
+    }));
+    let (store, alone) = (shared(&remote), world.builder("alone"));
+    let pushed = world.push(&alone, &store, false).expect("pushed");
+    asked.store(0, Ordering::Relaxed);
+    // If there is nothing to do, two lists suffice, whatever the number of artifacts.
+    let again = world.push(&alone, &store, false).expect("pushed");
+    assert_eq!((again.already, again.moved, asked.swap(0, Ordering::Relaxed)), (pushed.moved, 0, 2));
+    let there = world.pull(&alone, &store).expect("pulled");
+    assert_eq!((there.already, there.moved, asked.swap(0, Ordering::Relaxed)), (pushed.moved, 0, 2));
+    let stop = AtomicBool::new(false);
+    let shelf = store.shelf(&stop).expect("listed");
+    assert_eq!(shelf.stages().values().sum::<usize>(), pushed.moved);
+    assert_eq!(shelf.size().0, remote.inner.objects().keys().filter(|n| n.starts_with("v1/blobs/")).count());
+    // A store that permits no list is asked for every artifact.
+    let silent = Arc::new(Faulty::new(|doing, _| (doing == "list").then_some(Fault::Forbidden)));
+    assert_eq!(world.push(&alone, &shared(&silent), false).expect("pushed").moved, pushed.moved);
+    assert_eq!(world.push(&alone, &shared(&silent), false).expect("pushed").already, pushed.moved);
+    let other = world.builder("other");
+    assert_eq!(world.pull(&other, &shared(&silent)).expect("pulled").moved, pushed.moved);
+    assert!(payload(&other.cache) == world.whole);
+
+    // A cleaning leaves the artifacts of a pipeline complete, and removes the others with their files.
+    let graph = Graph::new(&alone.registry, &world.batch).expect("graph");
+    let plan = alone.plan(&graph, None);
+    let kept = plan
+        .nodes
+        .iter()
+        .filter(|n| n.scene != "wreck" && n.stage != "report")
+        .filter_map(|n| n.key)
+        .collect();
+    let day = Duration::from_secs(86_400);
+    let would = store.sweep(day, &kept, true, &stop).expect("listed");
+    assert!(would.artifacts > 0 && would.files > 0 && would.dry_run, "{would:?}");
+    let before = remote.inner.objects().len();
+    let swept = store.sweep(day, &kept, false, &stop).expect("swept");
+    assert_eq!(before - remote.inner.objects().len(), swept.artifacts + swept.files);
+    assert_eq!((swept.artifacts, swept.files, swept.left), (would.artifacts, would.files, would.left));
+    let third = world.builder("third");
+    let pulled = world.pull(&third, &store).expect("pulled");
+    assert!(pulled.problems.is_empty() && pulled.missing > 0 && pulled.moved == swept.left, "{pulled:?}");
+}
+
+#[test]
+fn to_a_store_that_is_only_read_nothing_is_sent() {
+    let world = World::new();
+    let remote = Arc::new(Memory::default());
+    world.push(&world.builder("alone"), &shared(&remote), false).expect("pushed");
+    let wreck: Vec<String> = remote.objects().keys().filter(|n| n.contains("/evaluate/")).cloned().collect();
+    wreck.iter().for_each(|name| drop(remote.objects().remove(name)));
+    let before = remote.objects().clone();
+    let store = RemoteStore::new(remote.clone()).read_only();
+    let builder = world.builder("cache").with_remote(Arc::new(store));
+    let (summary, started, warnings) = run(&builder, &world.batch);
+    assert!(
+        summary.exit_code() == 0 && warnings.is_empty() && started.len() == 2,
+        "{started:?} {warnings:?}"
+    );
+    assert!(payload(&builder.cache) == world.whole && *remote.objects() == before);
 }

@@ -161,6 +161,9 @@ fn a_scene_is_told_when_it_is_over_and_not_when_the_batch_is() {
     let into = told.clone();
     let listener: Arc<dyn Listener> = Arc::new(move |event: &Event<'_>| match event {
         Event::SceneOver { scene, nodes, .. } => {
+            // The stages that all scenes share belong to each scene, too.
+            let shared: Vec<&str> = nodes.iter().filter(|n| n.scene.is_empty()).map(|n| n.stage).collect();
+            assert_eq!(shared, ["calibrate"], "{scene}");
             let own = nodes.iter().filter(|n| n.scene == *scene);
             let scores = own.filter_map(|n| n.artifact.as_ref()).filter(|a| file(&a.path).is_some()).count();
             into.lock().expect("lock").push(format!("{scene}: {scores}"));

@@ -32,6 +32,16 @@ pub(crate) enum SubmitLayout {
 }
 
 #[derive(Debug, Args)]
+pub(crate) struct CancelArgs {
+    /// The pipeline file (.toml) or capture folder that was submitted.
+    #[arg(value_name = "PIPELINE.toml|CAPTURE_DIR")]
+    pub(crate) target: PathBuf,
+    /// The results folder of the submission, if one was given.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
 pub(crate) struct SubmitArgs {
     #[command(flatten)]
     pub(crate) pipeline: PipelineArgs,

@@ -18,12 +18,13 @@ use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
 pub(crate) use bench::{Baselines, Bench, BenchGpuArgs, BenchTruthArgs};
 pub(crate) use captures::{Synth, SynthCaptureArgs, SynthPairsArgs, WaterArgs};
-pub(crate) use cluster::{Submit, SubmitArgs, SubmitLayout};
+pub(crate) use cluster::{CancelArgs, Submit, SubmitArgs, SubmitLayout};
 pub(crate) use pictures::{CameraPath, ExportArgs, ExportFrame, ExportWhat, FrameFormat, RenderArgs};
 pub(crate) use pipelines::{
-    CompareArgs, DemoArgs, DemoSize, GraphArgs, GraphFormat, PlanArgs, ResultsArgs, RunArgs, WhyArgs,
+    CompareArgs, DemoArgs, DemoSize, GraphArgs, GraphFormat, PlanArgs, ResultsArgs, RunArgs, StatusArgs,
+    WhyArgs,
 };
-pub(crate) use remote::{PushArgs, TransferArgs};
+pub(crate) use remote::{PushArgs, RemoteArgs, Store, StoreGcArgs, StoreLsArgs, TransferArgs};
 pub(crate) use shared::{
     CacheArgs, CalibrationArgs, CommonArgs, EngineArgs, PipelineArgs, Settings, Spelled, as_typed,
 };
@@ -31,7 +32,8 @@ pub(crate) use stages::{
     CalibrateArgs, EnhanceArgs, EvaluateArgs, ImportArgs, ReconstructArgs, TableFormat, TargetsArgs,
 };
 pub(crate) use upkeep::{
-    CompletionsArgs, DevicesArgs, DoctorArgs, GcArgs, ManArgs, ModelsArgs, ParamsArgs, VerifyArgs,
+    CompletionsArgs, DevicesArgs, DoctorArgs, GcArgs, ManArgs, ModelsArgs, ParamsArgs, PipelinesArgs,
+    VerifyArgs,
 };
 pub(crate) use view::{ViewArgs, ViewerArgs, WatchArgs};
 pub(crate) use white::{KeepWhiteArgs, Place, WhiteArgs, WhiteChoice};
@@ -111,6 +113,9 @@ pub(crate) enum Verb {
         #[command(subcommand)]
         what: Submit,
     },
+    /// Cancel the jobs of the last submission. Finished stages stay, and `submit` submits the rest again.
+    #[command(after_help = "Example:\n  use3d cancel pipelines/use26.toml")]
+    Cancel(CancelArgs),
     /// Send the cached results of a pipeline to a store that other machines can reach: a folder or a bucket.
     #[command(
         after_help = "Examples:\n  use3d push my-reef/ --remote /mnt/share/use3d\n  use3d push pipelines/use26.toml --remote s3://lab/use3d --check"
@@ -131,13 +136,21 @@ pub(crate) enum Verb {
         use3d compare my-reef:1 my-reef:2 --out compare.html      two runs into one folder (`use3d results my-reef`)"
     )]
     Compare(CompareArgs),
+    /// List the artifacts in a store, or remove some.
+    Store {
+        /// The task.
+        #[command(subcommand)]
+        what: Store,
+    },
     /// Show the stages that would run, the cached ones, the reasons, and the forecast cost.
     #[command(after_help = "Examples:\n  use3d plan pipelines/seathru4.toml\n  use3d plan my-reef/ --json")]
     Plan(PlanArgs),
     /// Show a table of scenes × stages: cached, stale, missing, failed, or running with machine, progress and
     /// time.
-    #[command(after_help = "Example:\n  use3d status pipelines/seathru4.toml")]
-    Status(PlanArgs),
+    #[command(
+        after_help = "Examples:\n  use3d status pipelines/seathru4.toml\n  use3d status pipelines/use26.toml --summary\n  use3d status pipelines/use26.toml --failed"
+    )]
+    Status(StatusArgs),
     /// Show which ingredient of a stage's key changed, with its old and new value.
     #[command(after_help = "Example:\n  use3d why pipelines/seathru4.toml Panama enhance")]
     Why(WhyArgs),
@@ -235,6 +248,9 @@ pub(crate) enum Verb {
     /// Check the cache's files against their digests, and optionally recompute a sample.
     #[command(after_help = "Examples:\n  use3d verify\n  use3d verify pipelines/demo.toml --sample 5%")]
     Verify(VerifyArgs),
+    /// List the pipeline files that come with this program, or print one.
+    #[command(after_help = "Examples:\n  use3d pipelines\n  use3d pipelines use26 > use26.toml")]
+    Pipelines(PipelinesArgs),
     /// List every parameter of `--set` and pipeline files: default, kind, meaning.
     #[command(after_help = "Examples:\n  use3d params\n  use3d params reconstruct\n  use3d params --json")]
     Params(ParamsArgs),
@@ -256,7 +272,10 @@ impl Verb {
             Self::Push(args) => args.what.json,
             Self::Pull(args) => args.json,
             Self::Results(args) => args.json,
-            Self::Plan(args) | Self::Status(args) => args.json,
+            Self::Store { what: Store::Ls(args) } => args.json,
+            Self::Store { what: Store::Gc(args) } => args.json,
+            Self::Plan(args) => args.json,
+            Self::Status(args) => args.plan.json,
             Self::Why(args) => args.json,
             Self::Bench { what: Bench::Truth(args) } => args.json,
             Self::Evaluate(args) => args.json || args.format == TableFormat::Json,
@@ -267,6 +286,7 @@ impl Verb {
             Self::Devices(args) => args.json,
             Self::Gc(args) => args.json,
             Self::Verify(args) => args.json,
+            Self::Pipelines(args) => args.json && args.name.is_none(),
             Self::Params(args) => args.json,
             Self::Water(args) => args.json,
             _ => false,

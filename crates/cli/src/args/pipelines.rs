@@ -62,10 +62,14 @@ pub(crate) struct RunArgs {
     /// the exit code is 75 unless all is done. The same command continues from there.
     #[arg(long, value_name = "TIME", value_parser = time)]
     pub(crate) max_time: Option<Duration>,
-    /// After a minute with nothing else to do, leave the work of other processes on the same cache to them
-    /// instead of waiting.
+    /// After two and a half minutes with nothing else to do, leave the work of other processes on the same
+    /// cache to them instead of waiting. That is longer than the wait for a killed process.
     #[arg(long)]
     pub(crate) until_empty: bool,
+    /// Compute only stages over the whole batch (the report), from the results that exist, and fill the
+    /// results folder. If something is missing, it is named, and the exit code is 1.
+    #[arg(long, conflicts_with_all = ["until", "until_empty", "cache_only"])]
+    pub(crate) gather: bool,
     /// Fill the cache, and write no results folder.
     #[arg(long, conflicts_with = "out")]
     pub(crate) cache_only: bool,
@@ -73,6 +77,13 @@ pub(crate) struct RunArgs {
     /// computed, and computed results are sent to it. If it fails, the run continues without it.
     #[arg(long, env = "USE3D_REMOTE", value_name = "URL", hide_env_values = true)]
     pub(crate) remote: Option<String>,
+    /// Only fetch from the store: nothing is sent to it, and no permission to write is needed.
+    #[arg(long, requires = "remote")]
+    pub(crate) remote_read_only: bool,
+    /// Refuse to run if the pipeline does not have this digest. `use3d submit` writes it into its scripts, so
+    /// an edited pipeline file or another version of this program is noticed.
+    #[arg(long, value_name = "DIGEST", hide = true)]
+    pub(crate) submitted: Option<String>,
     /// Only show what would run (the same as `use3d plan`).
     #[arg(long)]
     pub(crate) dry_run: bool,
@@ -133,6 +144,21 @@ pub(crate) struct PlanArgs {
     /// One JSON document on stdout.
     #[arg(long)]
     pub(crate) json: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct StatusArgs {
+    #[command(flatten)]
+    pub(crate) plan: PlanArgs,
+    /// Show only this scene; may be repeated.
+    #[arg(long, value_name = "NAME")]
+    pub(crate) scene: Vec<String>,
+    /// Show only rows with a failure.
+    #[arg(long)]
+    pub(crate) failed: bool,
+    /// Show the number of cells by stage and state instead of the rows.
+    #[arg(long, conflicts_with_all = ["scene", "failed"])]
+    pub(crate) summary: bool,
 }
 
 #[derive(Debug, Args)]

@@ -1,8 +1,61 @@
-//! `push` and `pull`: send a pipeline's artifacts to a store, or fetch them.
+//! `push`, `pull` and `store`: send a pipeline's artifacts to a store or fetch them, and list or clean a
+//! store.
 
-use clap::Args;
+use std::path::PathBuf;
 
-use super::shared::PipelineArgs;
+use clap::{Args, Subcommand};
+
+use super::shared::{CacheArgs, PipelineArgs};
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum Store {
+    /// Show the number of artifacts of each stage in a store, and their size.
+    #[command(after_help = "Example:\n  use3d store ls --remote s3://lab/use3d")]
+    Ls(StoreLsArgs),
+    /// Remove old artifacts from a store, except those of the pipelines to keep.
+    #[command(
+        after_help = "Example:\n  use3d store gc --remote s3://lab/use3d --older-than 90d --keep pipelines/use26.toml --dry-run"
+    )]
+    Gc(StoreGcArgs),
+}
+
+/// The address of a store.
+#[derive(Clone, Debug, Args)]
+pub(crate) struct RemoteArgs {
+    /// The store: a folder, or s3://BUCKET/PREFIX if this program was built with S3. Keys and server come
+    /// from the usual AWS_… variables.
+    #[arg(long, env = "USE3D_REMOTE", value_name = "URL", hide_env_values = true)]
+    pub(crate) remote: String,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct StoreLsArgs {
+    #[command(flatten)]
+    pub(crate) store: RemoteArgs,
+    /// One JSON document on stdout.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct StoreGcArgs {
+    #[command(flatten)]
+    pub(crate) store: RemoteArgs,
+    /// Remove artifacts that were sent longer ago than this, e.g. 90d.
+    #[arg(long, value_name = "AGE")]
+    pub(crate) older_than: String,
+    /// Never remove the cached artifacts of these pipelines.
+    #[arg(long = "keep", value_name = "PIPELINE.toml")]
+    pub(crate) keep: Vec<PathBuf>,
+    /// Only show what would be removed.
+    #[arg(long)]
+    pub(crate) dry_run: bool,
+    #[command(flatten)]
+    pub(crate) cache: CacheArgs,
+    /// One JSON document on stdout.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
 
 #[derive(Debug, Args)]
 pub(crate) struct PushArgs {
@@ -17,10 +70,11 @@ pub(crate) struct PushArgs {
 pub(crate) struct TransferArgs {
     #[command(flatten)]
     pub(crate) pipeline: PipelineArgs,
-    /// The store: a folder, or s3://BUCKET/PREFIX where this program was built with S3. Keys and server come
-    /// from the usual AWS_… variables.
-    #[arg(long, env = "USE3D_REMOTE", value_name = "URL", hide_env_values = true)]
-    pub(crate) remote: String,
+    #[command(flatten)]
+    pub(crate) store: RemoteArgs,
+    /// End with 1 if an artifact of the pipeline is missing on the sending side.
+    #[arg(long)]
+    pub(crate) all_or_fail: bool,
     /// One JSON document on stdout.
     #[arg(long)]
     pub(crate) json: bool,

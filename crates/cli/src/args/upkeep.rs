@@ -95,6 +95,16 @@ impl VerifyArgs {
 }
 
 #[derive(Debug, Args)]
+pub(crate) struct PipelinesArgs {
+    /// The file to print; `schema` is the JSON schema of pipeline files. Without a name, all are listed.
+    #[arg(value_name = "NAME", conflicts_with = "json")]
+    pub(crate) name: Option<String>,
+    /// The list as one JSON document on stdout.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Args)]
 pub(crate) struct ParamsArgs {
     /// Only this stage.
     pub(crate) stage: Option<String>,

@@ -15,6 +15,7 @@ pub(crate) mod history;
 pub(crate) mod models;
 pub(crate) mod outcome;
 pub(crate) mod params;
+pub(crate) mod pipelines;
 pub(crate) mod remote;
 pub(crate) mod render;
 pub(crate) mod results;

@@ -1,12 +1,14 @@
 //! A store beside the cache: `push`, `pull`, and the store that `run` uses.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
+use use3d_build::gc::parse_age;
 use use3d_build::place::parent;
-use use3d_build::remote::{RemoteStore, Transferred};
+use use3d_build::remote::{RemoteError, RemoteStore, Transferred};
 
 use crate::App;
-use crate::args::{PushArgs, TransferArgs};
+use crate::args::{PipelineArgs, PushArgs, RemoteArgs, StoreGcArgs, StoreLsArgs, TransferArgs};
 use crate::destination::path_text;
 use crate::error::{CliError, Done};
 use crate::verbs::run::{Loaded, json, open};
@@ -18,10 +20,87 @@ fn store(address: &str) -> Result<RemoteStore, CliError> {
 }
 
 /// The store at an address, after a test that it works reliably.
-pub(crate) fn probed(app: &App, address: &str) -> Result<Arc<RemoteStore>, CliError> {
+fn probed(app: &App, address: &str) -> Result<RemoteStore, CliError> {
     let store = store(address)?;
     store.probe(&app.stop).map_err(|e| CliError::Failed(format!("--remote: {e}")))?;
-    Ok(Arc::new(store))
+    Ok(store)
+}
+
+/// The store of a run. A store that does not answer now may answer later, so it ends no run. Nothing is sent
+/// to it until a test has shown that it works reliably.
+pub(crate) fn of_run(app: &App, address: &str, read_only: bool) -> Result<Arc<RemoteStore>, CliError> {
+    let store = store(address)?;
+    let tested = if read_only { None } else { Some(store.probe(&app.stop)) };
+    let (writable, warning) = usable(tested)?;
+    warning.iter().for_each(|text| eprintln!("warning: --remote: {text}"));
+    Ok(Arc::new(if writable { store } else { store.read_only() }))
+}
+
+/// Decides from the test of a store if a run may send artifacts to it (`None`: it must not), with a warning.
+fn usable(tested: Option<Result<(), RemoteError>>) -> Result<(bool, Option<String>), CliError> {
+    match tested {
+        None => Ok((false, None)),
+        Some(Ok(())) => Ok((true, None)),
+        Some(Err(error @ RemoteError::Refused { passing: true, .. })) => {
+            let text = format!(
+                "{error}; the run fetches from it nevertheless, and sends nothing to it: `use3d push` does \
+                 that later"
+            );
+            Ok((false, Some(text)))
+        }
+        Some(Err(error)) => Err(CliError::Failed(format!("--remote: {error}"))),
+    }
+}
+
+pub(crate) fn list(app: &App, args: &StoreLsArgs) -> Done {
+    existing(&args.store)?;
+    let shelf = store(&args.store.remote)?.shelf(&app.stop).map_err(CliError::failed)?;
+    if args.json {
+        let (files, bytes) = shelf.size();
+        return json(&serde_json::json!({ "stages": shelf.stages(), "files": files, "bytes": bytes }));
+    }
+    print!("{shelf}");
+    Ok(())
+}
+
+pub(crate) fn sweep(app: &App, args: &StoreGcArgs) -> Done {
+    let older_than =
+        parse_age(&args.older_than).map_err(|e| CliError::Input(format!("--older-than: {e}")))?;
+    existing(&args.store)?;
+    let mut keep = BTreeSet::new();
+    for pipeline in &args.keep {
+        let loaded = open(&PipelineArgs::of(pipeline, &args.cache), &[])?;
+        let plan = loaded.builder.plan(&loaded.graph, None);
+        // An artifact without a key cannot be distinguished from one that no node needs.
+        if plan.to_run() > 0 {
+            return Err(CliError::Input(format!(
+                "--keep {}: {} of its stages are not in the cache, so their artifacts in the store are not \
+                 known; `use3d pull` it or run it first",
+                path_text(pipeline),
+                plan.to_run()
+            )));
+        }
+        keep.extend(plan.keys());
+    }
+    let swept = store(&args.store.remote)?.sweep(older_than, &keep, args.dry_run, &app.stop);
+    let swept = swept.map_err(CliError::failed)?;
+    if args.json {
+        json(&swept)?;
+    } else {
+        print!("{swept}");
+    }
+    if swept.interrupted { Err(CliError::Interrupted) } else { Ok(()) }
+}
+
+/// Refuses a store folder that does not exist.
+fn existing(args: &RemoteArgs) -> Done {
+    match use3d_store::folder(&args.remote).filter(|folder| !folder.is_dir()) {
+        None => Ok(()),
+        Some(folder) => Err(CliError::Failed(format!(
+            "--remote: {}: there is no such folder; give the one that `push` or `run --remote` filled, or mount it",
+            folder.display()
+        ))),
+    }
 }
 
 fn loaded(args: &TransferArgs) -> Result<Loaded, CliError> {
@@ -30,7 +109,7 @@ fn loaded(args: &TransferArgs) -> Result<Loaded, CliError> {
 
 pub(crate) fn push(app: &App, args: &PushArgs) -> Done {
     let Loaded { builder, graph, .. } = loaded(&args.what)?;
-    let store = probed(app, &args.what.remote)?;
+    let store = probed(app, &args.what.store.remote)?;
     let cache = &builder.cache;
     let sent = builder.push(&graph, &store, args.check, &app.stop, &app.listener);
     let sent = sent.map_err(CliError::failed)?;
@@ -48,13 +127,8 @@ pub(crate) fn push(app: &App, args: &PushArgs) -> Done {
 pub(crate) fn pull(app: &App, args: &TransferArgs) -> Done {
     let Loaded { builder, graph, .. } = loaded(args)?;
     // A user who only fetches may have no permission to write.
-    let store = store(&args.remote)?;
-    if let Some(folder) = use3d_store::folder(&args.remote).filter(|folder| !folder.is_dir()) {
-        return Err(CliError::Failed(format!(
-            "--remote: {}: there is no such folder; give the one that `push` or `run --remote` filled, or mount it",
-            folder.display()
-        )));
-    }
+    let store = store(&args.store.remote)?;
+    existing(&args.store)?;
     let fetched = builder.pull(&graph, &store, &app.stop, &app.listener);
     let done = fetched.map_err(CliError::failed)?;
     if done.moved == 0 && done.missing > 0 && done.problems.is_empty() && !done.interrupted && !app.quiet {
@@ -74,8 +148,39 @@ fn tell(done: &Transferred, args: &TransferArgs) -> Done {
     }
     match (done.interrupted, done.problems.len()) {
         (true, _) => Err(CliError::Interrupted),
+        (false, 0) if args.all_or_fail && done.missing > 0 => Err(CliError::Failed(format!(
+            "{} missing, and --all-or-fail asks for all of the pipeline",
+            if done.missing == 1 {
+                "1 artifact is".to_string()
+            } else {
+                format!("{} artifacts are", done.missing)
+            }
+        ))),
         (false, 0) => Ok(()),
         (false, 1) => Err(CliError::Failed("1 artifact has a problem, see above".into())),
         (false, n) => Err(CliError::Failed(format!("{n} artifacts have problems, see above"))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_store_that_may_answer_later_ends_no_run_and_one_that_never_will_does() {
+        let refused = |passing| RemoteError::Refused {
+            place: "s3://lab/use3d".to_string(),
+            doing: "create",
+            name: "v1/probe/1".to_string(),
+            reason: "500 Internal Server Error".to_string(),
+            passing,
+        };
+        assert!(matches!(usable(Some(Ok(()))), Ok((true, None))));
+        // A store that is only read is not tested: the test would need permission to write.
+        assert!(matches!(usable(None), Ok((false, None))));
+        let (writable, warning) = usable(Some(Err(refused(true)))).ok().expect("the run continues");
+        let warning = warning.expect("a warning");
+        assert!(!writable && warning.contains("500") && warning.contains("`use3d push`"), "{warning}");
+        assert!(usable(Some(Err(refused(false)))).is_err());
     }
 }

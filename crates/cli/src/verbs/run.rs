@@ -3,26 +3,29 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use serde::Serialize;
 use use3d_build::machine::seconds;
 use use3d_build::place;
-use use3d_build::{Builder, Cache, Event, Graph, Listener, Plan, RunOptions, Summary, picture};
-use use3d_cluster::quote;
+use use3d_build::status::{Row, Standing};
+use use3d_build::{
+    Builder, Cache, Event, Graph, Listener, PATIENCE, Plan, Registry, RunOptions, Summary, picture,
+};
+use use3d_cluster::{quote, slurm};
 use use3d_pipeline::config::{LoadOptions, Pipeline, for_capture, load};
-use use3d_pipeline::results::{self, Delivered};
+use use3d_pipeline::results::{Delivered, Results};
 
 use crate::App;
 use crate::args::{
     CacheArgs, DemoArgs, DemoSize, GraphArgs, GraphFormat, PipelineArgs, PlanArgs, RunArgs, Settings,
-    WhiteChoice, WhyArgs, as_typed,
+    StatusArgs, WhiteChoice, WhyArgs, as_typed,
 };
 use crate::destination::path_text;
 use crate::error::{CliError, Done};
 use crate::verbs::history::{self, Record};
 use crate::verbs::outcome::{self, Outcome};
-use crate::verbs::remote::probed;
+use crate::verbs::remote::of_run;
 use crate::verbs::stages::{scratch, stages};
 use crate::verbs::synth::keep_capture;
 use crate::verbs::view::Watched;
@@ -44,10 +47,23 @@ impl Loaded {
     }
 }
 
-/// Loads a pipeline file, or makes a pipeline for a capture folder.
+/// Loads a pipeline file, or makes a pipeline for a capture folder, and opens its cache.
 pub(crate) fn open(args: &PipelineArgs, scenes: &[String]) -> Result<Loaded, CliError> {
-    let PipelineArgs { target, calibration, cache, .. } = args;
     let registry = stages()?;
+    let pipeline = read(&registry, args, scenes)?;
+    outside_captures(&pipeline)?;
+    let cache = Cache::open(&pipeline.cache, args.cache.rehash).map_err(CliError::input)?;
+    let graph = Graph::new(&registry, &pipeline.batch).map_err(CliError::input)?;
+    Ok(Loaded { pipeline, builder: Builder::new(registry, cache.asking(slurm::is_over())), graph })
+}
+
+/// Loads a pipeline file, or makes a pipeline for a capture folder. The cache is not touched.
+pub(crate) fn read(
+    registry: &Registry,
+    args: &PipelineArgs,
+    scenes: &[String],
+) -> Result<Pipeline, CliError> {
+    let PipelineArgs { target, calibration, cache, .. } = args;
     let options = LoadOptions {
         sets: args.sets(),
         cache: cache.cache.clone(),
@@ -57,22 +73,17 @@ pub(crate) fn open(args: &PipelineArgs, scenes: &[String]) -> Result<Loaded, Cli
         calibrator: calibration.calibrator.clone(),
     };
     let pipeline = if target.is_dir() {
-        for_capture(&registry, target, &options)
+        for_capture(registry, target, &options)
     } else if target.is_file() {
         if let Some(what) = no_pipeline(target) {
             return Err(CliError::Input(format!("{}: {what}", target.display())));
         }
-        load(&registry, target, &options)
+        load(registry, target, &options)
     } else {
         let what = "there is no such pipeline file (.toml) or capture folder";
         return Err(CliError::Input(format!("{}: {what}", target.display())));
     };
-    let pipeline =
-        pipeline.map_err(|error| CliError::Input(as_typed(&error.to_string(), &args.spelled())))?;
-    outside_captures(&pipeline)?;
-    let cache = Cache::open(&pipeline.cache, cache.rehash).map_err(CliError::input)?;
-    let graph = Graph::new(&registry, &pipeline.batch).map_err(CliError::input)?;
-    Ok(Loaded { pipeline, builder: Builder::new(registry, cache), graph })
+    pipeline.map_err(|error| CliError::Input(as_typed(&error.to_string(), &args.spelled())))
 }
 
 /// Refuses a cache inside the folder of a capture. It would lie beside the photographs, and in a prepared
@@ -178,14 +189,32 @@ fn show(plan: &Plan, as_json: bool) -> Done {
     }
 }
 
-pub(crate) fn status(args: &PlanArgs) -> Done {
-    let (_, plan) = planned(args)?;
-    let status = plan.status();
-    if args.json {
-        return json(&status);
+pub(crate) fn status(args: &StatusArgs) -> Done {
+    let (loaded, plan) = planned(&args.plan)?;
+    let mut status = plan.status();
+    for name in &args.scene {
+        let known = || loaded.pipeline.batch.scenes.iter().map(|s| s.name.as_str());
+        if !known().any(|scene| scene == name) {
+            return Err(CliError::input(use3d_build::BuildError::unknown("scene", name, known())));
+        }
     }
-    print!("{status}");
-    Ok(())
+    status.rows.retain(|row| {
+        let asked = args.scene.is_empty() || args.scene.contains(&row.scene);
+        let failed = |row: &Row| row.cells.iter().any(|cell| cell.standing == Standing::Failed);
+        asked && (!args.failed || failed(row))
+    });
+    match (args.summary, args.plan.json) {
+        (true, true) => json(&status.counts()),
+        (true, false) => {
+            print!("{}", status.counts());
+            Ok(())
+        }
+        (false, true) => json(&status),
+        (false, false) => {
+            print!("{status}");
+            Ok(())
+        }
+    }
 }
 
 pub(crate) fn why(args: &WhyArgs) -> Done {
@@ -230,6 +259,15 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     if args.dry_run {
         return show(&loaded.builder.plan(&loaded.graph, until.as_deref()), args.json);
     }
+    if let Some(submitted) = &args.submitted
+        && *submitted != loaded.graph.digest(&loaded.builder.registry).short()
+    {
+        return Err(CliError::Input(format!(
+            "{}: this is not the submitted pipeline: the file was edited since, this is another version of \
+             the program, or `arguments` of the site change a parameter; submit it again",
+            path_text(&pipeline.target)
+        )));
+    }
     let choices = &args.white.choices[..];
     if !choices.is_empty() && !pipeline.target.is_dir() {
         let what =
@@ -242,11 +280,14 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     let out = (!args.cache_only).then_some(out);
     if let Some(out) = &out {
         outside_the_cache(out, &loaded.pipeline.cache)?;
-        results::check(&loaded.graph, until.as_deref(), out)?;
+    }
+    let results = out.map(|out| Arc::new(Results::new(&out, &loaded.builder.cache)));
+    if let Some(results) = &results {
+        results.check(&loaded.graph, until.as_deref())?;
     }
     let loaded = match &args.remote {
         Some(address) => {
-            let store = probed(app, address)?;
+            let store = of_run(app, address, args.remote_read_only)?;
             Loaded { builder: loaded.builder.with_remote(store), ..loaded }
         }
         None => loaded,
@@ -263,11 +304,12 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
         only,
         limit: args.max_time,
         until_empty: args.until_empty.then_some(PATIENCE),
+        gather: args.gather,
         ..of_app(app)
     };
     let white = (!choices.is_empty()).then_some((choices, pipeline.target.as_path()));
     let given = Given { pipeline: &pipeline, scenes: &args.scene, white };
-    let done = execute(app, &loaded, &options, (out.as_deref(), &given), args.json);
+    let done = execute(app, &loaded, &options, (results.as_ref(), &given), args.json);
     if let Some(watched) = &watched {
         watched.end(&done);
     }
@@ -286,9 +328,6 @@ fn tell_why(plan: &Plan) {
         eprintln!("the whole run will take about {}{besides}, judging by earlier runs", seconds(forecast));
     }
 }
-
-/// The time for which a run with nothing else to do waits for the work of other processes.
-const PATIENCE: Duration = Duration::from_secs(60);
 
 /// The default options of a run in this process.
 fn of_app(app: &App) -> RunOptions {
@@ -359,7 +398,8 @@ pub(crate) fn again(app: &App, record: &Record, results: &Path) -> Done {
     }
     let options = RunOptions { until: record.until.clone(), ..of_app(app) };
     let given = Given { pipeline: &args, scenes: &record.scenes, white: None };
-    execute(app, &loaded, &options, (Some(results), &given), false)
+    let results = Arc::new(Results::new(results, &loaded.builder.cache));
+    execute(app, &loaded, &options, (Some(&results), &given), false)
 }
 
 /// Runs a pipeline, writes its results into `out`, and stores a record of the run there.
@@ -367,7 +407,7 @@ fn execute(
     app: &App,
     loaded: &Loaded,
     options: &RunOptions,
-    (out, given): (Option<&Path>, &Given<'_>),
+    (out, given): (Option<&Arc<Results>>, &Given<'_>),
     as_json: bool,
 ) -> Done {
     let listener = out.map_or_else(|| app.listener.clone(), |out| delivering(app, out));
@@ -375,14 +415,15 @@ fn execute(
     // The finished results of an interrupted run were delivered scene by scene.
     let whole = !summary.interrupted && !summary.left;
     let mut delivered = match out {
-        Some(out) if whole => results::deliver(&summary, out, &typed()),
+        Some(out) if whole => out.deliver(&summary, &typed()),
         _ => Ok(Vec::new()),
     };
     if let (Some((choices, capture)), Ok(there), Some(out)) = (given.white, &delivered, out) {
         balance(app, choices, capture, there)?;
         // The pages open with this white balance.
         if !there.is_empty() {
-            delivered = results::deliver(&summary, out, &typed());
+            out.look_again();
+            delivered = out.deliver(&summary, &typed());
         }
     }
     if as_json {
@@ -398,13 +439,27 @@ fn execute(
     if let Some(out) = out.filter(|_| !delivered.is_empty()) {
         let until = options.until.as_deref();
         let record = Record::of(given.pipeline, given.scenes, until, loaded, &summary, typed());
-        history::keep(out, record, app.quiet || as_json)?;
+        history::keep(out.folder(), record, app.quiet || as_json)?;
     }
     match summary.exit_code() {
         0 => Ok(()),
         75 => Err(CliError::OutOfTime),
         130 => Err(CliError::Interrupted),
         _ => {
+            let missing: Vec<&str> = summary.missing().map(|node| node.label.as_str()).collect();
+            if !missing.is_empty() {
+                return Err(CliError::Failed(format!(
+                    "{} missing: {}{}; `use3d submit` submits them again, `use3d run` without --gather \
+                     computes them here",
+                    if missing.len() == 1 {
+                        "1 stage is".to_string()
+                    } else {
+                        format!("{} stages are", missing.len())
+                    },
+                    missing[..missing.len().min(SHOWN)].join(", "),
+                    if missing.len() > SHOWN { ", …" } else { "" }
+                )));
+            }
             let failed: Vec<&str> = summary.failed().map(|node| node.label.as_str()).collect();
             Err(CliError::Failed(format!("failed: {}; see the reasons and logs above", failed.join(", "))))
         }
@@ -424,6 +479,9 @@ fn balance(app: &App, choices: &[WhiteChoice], capture: &Path, delivered: &[Deli
     Ok(())
 }
 
+/// The number of missing stages that are named one by one.
+const SHOWN: usize = 6;
+
 /// The command as it was typed.
 fn typed() -> String {
     let words: Vec<String> = std::env::args_os().map(|word| word.to_string_lossy().into_owned()).collect();
@@ -432,12 +490,12 @@ fn typed() -> String {
 
 /// The app's listener, which also delivers the results of every scene as soon as it is finished: the batch
 /// may run for days or fail.
-fn delivering(app: &App, out: &Path) -> Arc<dyn Listener> {
-    let (inner, out) = (app.listener.clone(), out.to_path_buf());
+fn delivering(app: &App, out: &Arc<Results>) -> Arc<dyn Listener> {
+    let (inner, out) = (app.listener.clone(), out.clone());
     Arc::new(move |event: &Event<'_>| {
         inner.event(event);
         if let Event::SceneOver { scene, variant, nodes } = event
-            && let Err(error) = results::deliver(&Summary::of_scene(nodes, scene, variant), &out, &typed())
+            && let Err(error) = out.deliver(&Summary::of_scene(nodes, scene, variant), &typed())
         {
             // Delivery is tried again at the end, where a failure counts.
             let text = format!("its results could not be delivered yet: {error}");
@@ -478,7 +536,7 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
     let throwaway = CacheArgs { cache: Some(probe.path().join("cache")), ..args.cache.clone() };
     let probed =
         open(&PipelineArgs { settings: settings.clone(), ..PipelineArgs::of(&empty, &throwaway) }, &[])?;
-    results::check(&probed.graph, None, &args.out)?;
+    Results::new(&args.out, &probed.builder.cache).check(&probed.graph, None)?;
     place::check(&capture, true)?;
     place::check_writable(&args.out)?;
     keep_capture(app, &params, &capture)?;
@@ -486,9 +544,10 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
     cache.cache.get_or_insert_with(|| args.out.join("cache"));
     let pipeline = PipelineArgs { settings, ..PipelineArgs::of(&capture, &cache) };
     let loaded = open(&pipeline, &[])?;
-    results::check(&loaded.graph, None, &args.out)?;
+    let results = Arc::new(Results::new(&args.out, &loaded.builder.cache));
+    results.check(&loaded.graph, None)?;
     let given = Given { pipeline: &pipeline, scenes: &[], white: None };
-    execute(app, &loaded, &of_app(app), (Some(&args.out), &given), false)?;
+    execute(app, &loaded, &of_app(app), (Some(&results), &given), false)?;
     if !app.quiet {
         println!(
             "the demo took {}; open {} in a browser",

@@ -2,21 +2,23 @@
 //! ends after the submission; `use3d status` shows the progress.
 
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use use3d_build::Plan;
 use use3d_build::machine::seconds;
 use use3d_build::plan::State;
 use use3d_cluster::jobs::{self, Job, Layout};
 use use3d_cluster::site::{Scheduler, Site};
-use use3d_cluster::slurm::{self, Submission};
+use use3d_cluster::slurm::{self, Submission, Submitted};
 use use3d_cluster::{ClusterError, hyperqueue, quote, time};
 use use3d_pipeline::config::Pipeline;
-use use3d_pipeline::results;
+use use3d_pipeline::results::Results;
 
 use crate::App;
-use crate::args::{Submit, SubmitArgs, SubmitLayout};
+use crate::args::{CacheArgs, CancelArgs, PipelineArgs, Submit, SubmitArgs, SubmitLayout};
 use crate::error::{CliError, Done};
-use crate::verbs::run::{Loaded, open};
+use crate::verbs::run::{Loaded, open, read};
+use crate::verbs::stages::stages;
 
 /// All decisions before anything is written.
 struct Ready {
@@ -41,8 +43,7 @@ pub(crate) fn run(app: &App, what: &Submit) -> Done {
     let Some(ready) = prepare(app, scheduler, args)? else { return Ok(()) };
     let Ready { jobs, submission, site, missing } = &ready;
     for job in jobs {
-        let tasks =
-            job.tasks.filter(|n| *n != 1).map_or_else(|| "1 task".to_string(), |n| format!("{n} tasks"));
+        let tasks = if job.count() == 1 { "1 task".to_string() } else { format!("{} tasks", job.count()) };
         println!(
             "{:<12} {tasks}, {} processors, {} MB, up to {}",
             job.name,
@@ -59,8 +60,8 @@ pub(crate) fn run(app: &App, what: &Submit) -> Done {
                 let dependency = slurm::dependency(job, &before).unwrap_or_default();
                 println!("\n--- sbatch {dependency} {}", submission.script_path(job).display());
                 print!("{}", slurm::script(job, submission, site));
-                for cell in &job.cells {
-                    println!("--- {}: {cell}", submission.list_path(job).display());
+                for line in job.list().lines() {
+                    println!("--- {}: {line}", submission.list_path(job).display());
                 }
             }
             return end(WITHOUT, *missing);
@@ -75,14 +76,17 @@ pub(crate) fn run(app: &App, what: &Submit) -> Done {
         Submit::Slurm(_) => {
             refuse_twice(args, slurm::queued(submission), "scancel")?;
             slurm::write(jobs, submission, site).map_err(CliError::failed)?;
+            keep_pipeline(&args.pipeline.target, submission)?;
             let submitted = slurm::submit(jobs, submission).map_err(CliError::failed)?;
             for (name, id) in &submitted.jobs {
                 println!("submitted {name} as job {id}");
             }
+            tell_stuck(&submitted.jobs);
         }
         Submit::Hq(_) => {
             refuse_twice(args, hyperqueue::queued(submission), "hq job cancel")?;
             hyperqueue::write(jobs, submission, site).map_err(CliError::failed)?;
+            keep_pipeline(&args.pipeline.target, submission)?;
             let submitted = hyperqueue::submit(submission).map_err(CliError::failed)?;
             for (name, id) in &submitted.jobs {
                 println!("submitted {name} as job {id}");
@@ -100,9 +104,71 @@ pub(crate) fn run(app: &App, what: &Submit) -> Done {
     }
     println!("logs: {}", submission.folder.join("logs").display());
     // All arguments that affect keys are included: other arguments would show the state of other work.
-    let told = [&["use3d".to_string(), "status".to_string()][..], &submission.run[..]];
+    let own: Vec<String> = submission.run.iter().take_while(|word| *word != "--submitted").cloned().collect();
+    let told = [&["use3d".to_string(), "status".to_string()][..], &own[..]];
     println!("to see their progress: {}", quote::words(&told.concat()));
     end(WITHOUT, *missing)
+}
+
+/// The time that Slurm needs to find that a job can never run.
+const EXAMINED: Duration = Duration::from_secs(2);
+
+/// Names the jobs that will never start, because the site has no place for their requests.
+fn tell_stuck(jobs: &[(String, String)]) {
+    std::thread::sleep(EXAMINED);
+    let numbers: Vec<String> = jobs.iter().map(|(_, number)| number.clone()).collect();
+    for (number, reason) in slurm::never(&numbers) {
+        eprintln!(
+            "warning: job {number} can never start ({reason}): no node of its partition has what it \
+             requests; write partition, cpus, memory and time of the site into --cluster FILE \
+             (docs/guide/cluster.md), run `use3d cancel`, and submit again"
+        );
+    }
+}
+
+/// Stores a copy of the pipeline's file with the submission, for people. Tasks read the file itself, and
+/// refuse to run if it was edited.
+fn keep_pipeline(target: &Path, submission: &Submission) -> Done {
+    if !target.is_file() {
+        return Ok(());
+    }
+    let text = std::fs::read(target).map_err(CliError::failed)?;
+    let kept = submission.folder.join("pipeline.toml");
+    use3d_files::write_atomically(&kept, |writer| std::io::Write::write_all(writer, &text))
+        .map_err(|e| CliError::Failed(format!("{}: {e}", kept.display())))
+}
+
+/// Cancels the jobs of the last submission.
+pub(crate) fn cancel(args: &CancelArgs) -> Done {
+    let out = match &args.out {
+        Some(out) => out.clone(),
+        None => {
+            let pipeline = PipelineArgs::of(&args.target, &CacheArgs::default());
+            PathBuf::from("use3d-out").join(read(&stages()?, &pipeline, &[])?.batch.name)
+        }
+    };
+    let folder = folder_of(&out);
+    let submitted = Submitted::read(&folder);
+    if submitted.jobs.is_empty() {
+        return Err(CliError::Input(format!(
+            "{}: nothing was submitted from there; give the results folder of the submission with --out",
+            folder.display()
+        )));
+    }
+    let numbers: Vec<String> = submitted.jobs.iter().map(|(_, number)| number.clone()).collect();
+    let ended =
+        if submitted.scheduler == "hq" { hyperqueue::cancel(&numbers) } else { slurm::cancel(&numbers) };
+    ended.map_err(CliError::failed)?;
+    println!(
+        "cancelled {}; running stages write their checkpoints, and `use3d submit` submits the rest",
+        numbers.join(", ")
+    );
+    Ok(())
+}
+
+/// The folder of the scripts and logs for results in `out`.
+fn folder_of(out: &Path) -> PathBuf {
+    out.with_file_name(format!("{}-submit", out.file_name().unwrap_or_default().to_string_lossy()))
 }
 
 /// The message about the part of a batch that was not submitted.
@@ -209,7 +275,11 @@ fn prepare(app: &App, scheduler: Scheduler, args: &SubmitArgs) -> Result<Option<
     loaded.nothing_lacks(None, None)?;
     let Loaded { pipeline, builder, graph } = &loaded;
     let stages: Vec<&str> = builder.registry.stages().iter().map(|s| s.name()).collect();
-    let site = site(app, scheduler, args, &stages)?;
+    let mut site = site(app, scheduler, args, &stages)?;
+    // The limit of the site's own configuration comes first, if Slurm reports one.
+    if let (Scheduler::Slurm, Some(most)) = (scheduler, slurm::largest_array()) {
+        site.largest_array = site.largest_array.min(most);
+    }
     let plan = builder.plan(graph, None);
     tell_missing(&plan);
     let layout = match args.layout {
@@ -241,7 +311,7 @@ fn prepare(app: &App, scheduler: Scheduler, args: &SubmitArgs) -> Result<Option<
     }
     let place = std::env::current_dir().map_err(CliError::failed)?;
     let out = args.out.clone().unwrap_or_else(|| PathBuf::from("use3d-out").join(&pipeline.batch.name));
-    results::check(graph, None, &out)?;
+    Results::new(&out, &builder.cache).check(graph, None)?;
     let out = place.join(out);
     let mut run =
         vec![text(&args.pipeline.target)?, "--cache".to_string(), text(&absolute(&pipeline.cache)?)?];
@@ -255,6 +325,7 @@ fn prepare(app: &App, scheduler: Scheduler, args: &SubmitArgs) -> Result<Option<
     if let Some(calibrator) = &args.pipeline.calibration.calibrator {
         run.extend(["--calibrator".to_string(), text(calibrator)?]);
     }
+    run.extend(["--submitted".to_string(), graph.digest(&builder.registry).short()]);
     // These words go into comments and lines of a script, so each must be one line. `out` is also the folder
     // of scripts and logs.
     let places = [text(&place)?, text(&out)?];
@@ -269,8 +340,7 @@ fn prepare(app: &App, scheduler: Scheduler, args: &SubmitArgs) -> Result<Option<
         .chars()
         .map(|c| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '-' })
         .collect();
-    let folder =
-        out.with_file_name(format!("{}-submit", out.file_name().unwrap_or_default().to_string_lossy()));
+    let folder = folder_of(&out);
     let verb = match scheduler {
         Scheduler::Slurm => "slurm",
         Scheduler::HyperQueue => "hq",

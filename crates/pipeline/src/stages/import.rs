@@ -1,9 +1,10 @@
 //! Converts a COLMAP folder into a prepared capture: pinhole cameras, pixels at their size, a normalised
 //! frame and a split.
 
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 use serde_json::Value;
+use use3d_build::content::Choice;
 use use3d_build::{Scope, Stage, StageContext, StageError};
 use use3d_import::{ImportError, ImportParams, Imported, import, prepare};
 use use3d_io_colmap::ModelError;
@@ -19,7 +20,9 @@ pub(super) fn stage() -> Stage {
         .promises(&["capture.json", "report.json", "images/"])
         .check(|p: &ImportParams| p.validate().map_err(out_of_range))
         .external("capture", "capture")
-        .select(files)
+        .select_by(|parameters, capture| {
+            Ok(Choice { files: files(parameters, capture)?, made_from: sources(capture) })
+        })
         .cost(0, 1 << 30)
 }
 
@@ -51,10 +54,47 @@ fn files(parameters: &Value, capture: &Path) -> Result<Vec<PathBuf>, String> {
     Ok(paths)
 }
 
+/// More files and folders than this are not compared one by one to find a change.
+const MOST_COMPARED: usize = 4096;
+
+/// The sources of the choice of files: all folders of the capture, whose times change when a file is added or
+/// removed, and the files that name the images, such as models and lists.
+fn sources(capture: &Path) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    for entry in walkdir::WalkDir::new(capture).follow_links(true).sort_by_file_name() {
+        // An unreadable entry may become readable later, so such a choice is made again each time.
+        let Ok(entry) = entry else { return Vec::new() };
+        let names_images = |path: &Path| {
+            let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
+            extension.is_some_and(|e| ["bin", "txt", "json", "xml", "ply"].contains(&e.as_str()))
+        };
+        if entry.file_type().is_dir() || names_images(entry.path()) {
+            found.push(entry.path().strip_prefix(capture).unwrap_or(entry.path()).to_path_buf());
+        }
+        if found.len() > MOST_COMPARED {
+            return Vec::new();
+        }
+    }
+    found
+}
+
 /// Those of `files` that are below a folder of the capture, as paths relative to the capture.
 fn below<'f>(files: impl Iterator<Item = &'f PathBuf>, capture: &Path, folder: &str) -> Vec<PathBuf> {
-    let Ok(real) = capture.join(folder).canonicalize() else { return Vec::new() };
+    let place = capture.join(folder);
+    let Ok(real) = place.canonicalize() else { return Vec::new() };
+    let capture_real = capture.canonicalize().ok();
     let name = |file: &PathBuf| {
+        // The path itself shows it, unless it contains a step upwards.
+        let plain = |rest: &&Path| rest.components().all(|part| matches!(part, Component::Normal(_)));
+        for root in [&place, &real] {
+            if let Some(rest) = file.strip_prefix(root).ok().filter(plain) {
+                return Some(Path::new(folder).join(rest));
+            }
+        }
+        // A file of another folder of the capture is listed there.
+        if capture_real.as_ref().is_some_and(|root| file.strip_prefix(root).ok().filter(plain).is_some()) {
+            return None;
+        }
         let file = file.canonicalize().ok()?;
         Some(Path::new(folder).join(file.strip_prefix(&real).ok()?))
     };

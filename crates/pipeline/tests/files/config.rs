@@ -47,7 +47,7 @@ fn parameters(text: &str, sets: &[&str], scene: &str, variant: &str, stage: &str
     let pipeline = load(text, sets).expect("a pipeline");
     let graph = Graph::new(&registry(0), &pipeline.batch).expect("a graph");
     let node = graph.find(scene, variant, stage).expect("a node");
-    graph.nodes[node].parameters.clone()
+    graph.nodes[node].parameters.as_ref().clone()
 }
 
 #[test]

@@ -1,0 +1,100 @@
+//! The pipeline files that come with the program: a list of them, and the text of one. An installed program
+//! has no folder `pipelines/` beside it, so the files are parts of the program.
+
+use serde::Serialize;
+use use3d_build::BuildError;
+use use3d_pipeline::config::schema_text;
+
+use crate::args::PipelinesArgs;
+use crate::error::{CliError, Done};
+use crate::verbs::run::json;
+use crate::verbs::stages::stages;
+
+/// Each file's name, and its text.
+const FILES: [(&str, &str); 7] = [
+    ("ablation-stage1", include_str!("../../../../pipelines/ablation-stage1.toml")),
+    ("ablation-stage2", include_str!("../../../../pipelines/ablation-stage2.toml")),
+    ("d3-d5", include_str!("../../../../pipelines/d3-d5.toml")),
+    ("demo", include_str!("../../../../pipelines/demo.toml")),
+    ("druva20", include_str!("../../../../pipelines/druva20.toml")),
+    ("seathru4", include_str!("../../../../pipelines/seathru4.toml")),
+    ("use26", include_str!("../../../../pipelines/use26.toml")),
+];
+
+/// The name of the JSON schema of all pipeline files, for editors.
+const SCHEMA: &str = "schema";
+
+/// An entry of the list.
+#[derive(Serialize)]
+struct PipelineFile {
+    name: &'static str,
+    about: String,
+}
+
+pub(crate) fn run(args: &PipelinesArgs) -> Done {
+    let Some(name) = &args.name else {
+        let mut files: Vec<PipelineFile> =
+            FILES.iter().map(|(name, text)| PipelineFile { name, about: first_sentence(text) }).collect();
+        files.push(PipelineFile {
+            name: SCHEMA,
+            about: "The JSON schema of pipeline files, for editors.".to_string(),
+        });
+        if args.json {
+            return json(&files);
+        }
+        for file in files {
+            println!("{:<16} {}", file.name, file.about);
+        }
+        return Ok(());
+    };
+    if name == SCHEMA {
+        print!("{}", schema_text(&stages()?));
+        return Ok(());
+    }
+    match FILES.iter().find(|(known, _)| known == name) {
+        Some((_, text)) => {
+            print!("{text}");
+            Ok(())
+        }
+        None => {
+            let names = FILES.iter().map(|(name, _)| *name).chain([SCHEMA]);
+            Err(CliError::input(BuildError::unknown("pipeline", name, names)))
+        }
+    }
+}
+
+/// The first sentence of the comment at the head of a pipeline file.
+fn first_sentence(text: &str) -> String {
+    let comment =
+        text.lines().filter(|line| !line.starts_with("#:")).map_while(|line| line.strip_prefix("# "));
+    let words = comment.collect::<Vec<_>>().join(" ");
+    match words.split_once(". ") {
+        Some((first, _)) => format!("{first}."),
+        None => words,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_file_of_the_folder_is_in_the_program() {
+        let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../pipelines");
+        let mut found: Vec<(String, String)> = Vec::new();
+        for entry in std::fs::read_dir(folder).expect("the folder") {
+            let path = entry.expect("an entry").path();
+            if path.extension().is_some_and(|e| e == "toml") {
+                let name = path.file_stem().expect("a name").to_string_lossy().into_owned();
+                found.push((name, std::fs::read_to_string(&path).expect("a pipeline file")));
+            }
+        }
+        found.sort();
+        let known: Vec<_> = FILES.iter().map(|(name, text)| (name.to_string(), text.to_string())).collect();
+        assert_eq!(known, found);
+        for (name, text) in FILES {
+            let about = first_sentence(text);
+            assert!((20..120).contains(&about.len()) && about.ends_with('.'), "{name}: {about}");
+        }
+    }
+}
