@@ -155,7 +155,7 @@ fn photographs_of_a_real_reef_get_the_cameras_of_its_model_also_after_an_interru
     let truth = poses(&truth, stem);
     for finder in finders() {
         let dir = tempfile::tempdir().unwrap();
-        let params = PrepareParams { features: Some(2000), ..PrepareParams::default() };
+        let params = PrepareParams::default();
         let (out, programs) = (dir.path().join("reef"), programs(finder));
         let stopped = attempt_until(&photographs, &params, &programs, &out, Some("features: found"));
         assert!(matches!(stopped.done, Err(PrepareError::Interrupted)), "{:?}", stopped.done);
