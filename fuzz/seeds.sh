@@ -3,7 +3,7 @@
 set -eu
 cd "$(dirname "$0")"
 scene=../tests/golden/scene-mini
-mkdir -p corpus/colmap_binary corpus/colmap_text corpus/ply corpus/scene_json corpus/image corpus/metashape corpus/nerfstudio
+mkdir -p corpus/colmap_binary corpus/colmap_text corpus/ply corpus/scene_json corpus/image corpus/metashape corpus/nerfstudio corpus/opensfm
 i=0
 for stem in cameras images points3D; do
     code="\\00$i"
@@ -31,4 +31,7 @@ end_header
 END
 cat >corpus/nerfstudio/one.json <<'END'
 {"w": 8, "h": 6, "fl_x": 9, "k1": 0.1, "applied_scale": 2, "frames": [{"file_path": "a.png", "mask_path": "m.png", "transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}]}
+END
+cat >corpus/opensfm/one <<'END'
+[{"cameras": {"c": {"projection_type": "brown", "width": 8, "height": 6, "focal_x": 1, "focal_y": 1, "c_x": 0.1, "k1": 0.1, "p1": 0.1}}, "shots": {"a.jpg": {"camera": "c", "rotation": [0, 0, 1], "translation": [1, 2, 3]}}, "points": {"7": {"coordinates": [1, 2, 3], "color": [1, 2, 3]}}, "reference_lla": {"latitude": 1, "longitude": 2, "altitude": 3}}]a.jpg	7	0	0.1	0.2	0.01	1	2	3
 END

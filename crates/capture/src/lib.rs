@@ -9,7 +9,7 @@
 //! * Camera frame as in COLMAP/OpenCV: x right, y down, z forward. `x_camera = R x_world + t`.
 //! * Pixel centres at +0.5: pixel (column `j`, row `i`) has its centre at `(j + 0.5, i + 0.5)`.
 //! * Colours are display-referred, `[0, 1]`, the PNG value over 255; they are never linearised.
-//! * Lengths are in scene units (COLMAP's, or normalised by [`Frame`]); never metric.
+//! * Lengths are in scene units (COLMAP's, or normalised by [`Frame`]). [`World`] takes them to metres.
 
 mod appearance;
 mod camera;
@@ -20,6 +20,7 @@ pub mod name;
 pub mod path;
 mod raster;
 mod track;
+mod world;
 
 pub use appearance::Appearance;
 pub use camera::{Camera, CameraError, Frame, Intrinsics, Pose};
@@ -29,3 +30,4 @@ pub use lattice::{Formation, Lattice, MediumMaps, world_direction};
 pub use name::{FileName, NameError, flat_stem, shown, stem};
 pub use raster::{Image, Image8, Map, Raster};
 pub use track::{Sighting, Track};
+pub use world::World;

@@ -215,7 +215,7 @@ fn what_is_no_capture_is_said_with_the_next_step() {
     }
     let images = Path::new(&reef).join("images").to_str().unwrap().to_string();
     check(&[
-        (&["run", &at("dive.mp4")], 2, &["ffmpeg", "COLMAP"]),
+        (&["plan", &at("dive.mp4")], 2, &["use3d prepare FILM", "use3d run FILM"]),
         (&["run", &at("photo.png")], 2, &["one picture is not a capture"]),
         (&["run", &at("transforms.json")], 2, &["nerfstudio", "give the folder"]),
         (&["import", &at("dive.mp4"), "--out", &at("out")], 2, &["this is a file"]),

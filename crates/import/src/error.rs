@@ -14,7 +14,7 @@ pub enum ImportError {
     /// An error in the model.
     #[error(transparent)]
     Model(#[from] ModelError),
-    /// An error in an export of Metashape or in a `transforms.json`.
+    /// An error in a file of another program, or in a table beside the photographs.
     #[error(transparent)]
     Survey(#[from] ReadError),
     /// An error in an image, a mask or a depth prior.
@@ -109,6 +109,16 @@ pub enum ImportError {
         /// The list.
         path: PathBuf,
         /// The problem, and the remedy.
+        reason: String,
+    },
+    /// A table beside the photographs that cannot be used.
+    #[error("{}: line {line}: {reason}", path.display())]
+    Table {
+        /// The table.
+        path: PathBuf,
+        /// The number of the line.
+        line: usize,
+        /// The problem, and the expected value.
         reason: String,
     },
     /// A prepared capture that cannot be read back.

@@ -43,7 +43,7 @@ pub(crate) struct ReadModel {
 }
 
 /// The formats, in the order in which they are tried.
-pub(crate) static FORMATS: [Format; 3] = [
+pub(crate) static FORMATS: [Format; 4] = [
     Format { name: "COLMAP", find: find_colmap, at: colmap_at, read: read_colmap, instead: no_colmap },
     Format {
         name: "Metashape",
@@ -60,6 +60,13 @@ pub(crate) static FORMATS: [Format; 3] = [
         },
         read: read_nerfstudio,
         instead: |_| None,
+    },
+    Format {
+        name: "OpenSfM",
+        find: |root| Ok(find_opensfm(root, ".").into_iter().collect()),
+        at: |root, place| Ok(opensfm_at(root, place).or_else(|| find_opensfm(root, place))),
+        read: read_opensfm,
+        instead: no_opensfm,
     },
 ];
 
@@ -128,8 +135,8 @@ fn read_colmap(found: &FoundModel) -> Result<ReadModel, ImportError> {
 fn no_colmap(names: &[String]) -> Option<&'static str> {
     let films = ["mp4", "mov", "avi", "mkv"];
     names.iter().any(|n| films.iter().any(|e| has_extension(n, e))).then_some(
-        "a film is not read: take frames out of it (`ffmpeg -i FILM -vf fps=2 images/%05d.png`) and run COLMAP on \
-         them",
+        "it has a film and no model: `use3d prepare FILM --out CAPTURE_DIR` makes a capture of it, and `use3d run FILM` \
+         does so first",
     )
 }
 
@@ -238,7 +245,8 @@ const TRANSFORMS: &str = "transforms.json";
 
 fn nerfstudio_at(root: &Path, place: &str) -> Option<FoundModel> {
     let path = root.join(place);
-    (path.is_file() && has_extension(place, "json") && !place.ends_with(MANIFEST)).then(|| FoundModel {
+    let other = place.ends_with(MANIFEST) || place.ends_with(RECONSTRUCTION);
+    (path.is_file() && has_extension(place, "json") && !other).then(|| FoundModel {
         format: &FORMATS[2],
         relative: place.into(),
         path,
@@ -297,4 +305,59 @@ fn read_nerfstudio(found: &FoundModel) -> Result<ReadModel, ImportError> {
     files.extend(masks.map(|name| PathBuf::from(inside(&base, name))));
     let image_dirs = vec![inside(&base, &folder)];
     Ok(ReadModel { survey, files, base, image_dirs, labels: false })
+}
+
+// OpenSfM: reconstruction.json with tracks.csv beside it, in the capture's folder or in `opensfm/`, as in a
+// project of WebODM.
+
+const RECONSTRUCTION: &str = "reconstruction.json";
+const TRACKS: &str = "tracks.csv";
+
+fn opensfm_at(root: &Path, place: &str) -> Option<FoundModel> {
+    let path = root.join(place);
+    (path.is_file() && place.ends_with(RECONSTRUCTION)).then(|| FoundModel {
+        format: &FORMATS[3],
+        relative: place.into(),
+        path,
+        form: "OpenSfM".into(),
+        images: 0,
+    })
+}
+
+fn find_opensfm(root: &Path, place: &str) -> Option<FoundModel> {
+    ["", "opensfm/"]
+        .iter()
+        .find_map(|folder| opensfm_at(root, &inside(place, &format!("{folder}{RECONSTRUCTION}"))))
+}
+
+fn read_opensfm(found: &FoundModel) -> Result<ReadModel, ImportError> {
+    let mut survey = use3d_io_opensfm::read(&found.path)?;
+    let mut files = vec![PathBuf::from(&found.relative)];
+    let (dir, base) = (found.path.parent().unwrap_or(Path::new(".")), base_of(found));
+    let tracks = dir.join(TRACKS);
+    if tracks.is_file() {
+        use3d_io_opensfm::read_tracks(&mut survey, &tracks)?;
+        files.push(PathBuf::from(inside(&base, TRACKS)));
+    } else {
+        survey.notes.push(format!(
+            "no {TRACKS} beside {RECONSTRUCTION}: put it there, and the water is measured before the training"
+        ));
+    }
+    // WebODM keeps the photographs beside the folder `opensfm`.
+    let above = Path::new(&base).parent().map(|p| p.to_string_lossy().into_owned());
+    let above = above.filter(|_| base != ".").map(|p| if p.is_empty() { ".".into() } else { p });
+    let folders = [Some(base.clone()), above];
+    let mut image_dirs = Vec::new();
+    for at in folders.iter().flatten() {
+        image_dirs.extend(IMAGE_DIRS.iter().chain(&["."]).map(|place| inside(at, place)));
+    }
+    Ok(ReadModel { survey, files, base, image_dirs, labels: false })
+}
+
+fn no_opensfm(names: &[String]) -> Option<&'static str> {
+    let has = |name: &str| names.iter().any(|n| n == name);
+    (has("odm_report") || has("cameras.json") && has("images.json")).then_some(
+        "results of WebODM have no tracks: put `opensfm/reconstruction.json` and `opensfm/tracks.csv` of the project's \
+         folder beside the photographs",
+    )
 }

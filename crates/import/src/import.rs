@@ -18,6 +18,7 @@ use use3d_survey::{PosedImage, Survey, SurveyPoint};
 use crate::error::ImportError;
 use crate::geometry::Geometry;
 use crate::layout::{DEPTH_DIRS, Folder, FoundModel, MASK_DIRS, find_extra, find_images, find_models};
+use crate::metres;
 use crate::normalise;
 use crate::params::{ImportParams, WhiteBalance};
 use crate::prepared;
@@ -138,6 +139,7 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
     report.scale = frame.scale;
 
     let (folder, other_folders) = find_images(dir, params, &mut read)?;
+    metres::read(dir, &folder, &mut read.survey, &mut read.files)?;
     let (mut model, base) = (read.survey, Folder::open_own(dir, &read.base));
     report.image_folder = folder.relative.clone();
     report.other_image_folders = other_folders;

@@ -11,6 +11,7 @@ use crate::error::ImportError;
 use crate::formats::{FORMATS, Format, ReadModel};
 use crate::labels;
 use crate::params::ImportParams;
+use crate::prepared::is_prepared;
 
 /// Image folders, tried in this order.
 pub(crate) const IMAGE_DIRS: [&str; 4] = ["images", "images_wb", "Images_wb", "input"];
@@ -117,23 +118,57 @@ pub fn check_layout(root: &Path) -> Result<(), ImportError> {
     find_models(root, &ImportParams::default()).map(|_| ())
 }
 
+/// The names in a folder.
+fn names_in(root: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(root);
+    entries
+        .map_or_else(|_| Vec::new(), |e| e.filter_map(|e| e.ok()?.file_name().into_string().ok()).collect())
+}
+
+fn ends(names: &[String], extensions: &[&str]) -> bool {
+    let of = |n: &String| Path::new(n).extension().map(|e| e.to_string_lossy().to_lowercase());
+    names.iter().any(|n| of(n).is_some_and(|e| extensions.contains(&e.as_str())))
+}
+
+/// True if a folder, or its image folder, has photographs.
+fn holds_pictures(root: &Path, names: &[String]) -> bool {
+    const PHOTOGRAPHS: [&str; 5] = ["png", "jpg", "jpeg", "tif", "tiff"];
+    ends(names, &PHOTOGRAPHS) || IMAGE_DIRS.iter().any(|name| root.join(name).is_dir())
+}
+
+/// A model in the folder above.
+fn model_above(root: &Path) -> Option<PathBuf> {
+    let parent = root.canonicalize().ok()?.parent()?.to_path_buf();
+    has_usual_model(&parent).then_some(parent)
+}
+
+fn has_usual_model(folder: &Path) -> bool {
+    ["sparse/0", "sparse", "colmap/sparse/0"].iter().any(|d| ModelForm::of(&folder.join(d)).is_some())
+}
+
+/// True if a folder has photographs or films and no sign of a model: no model here, above or in its folders,
+/// no project of another program, and no scene.
+pub fn holds_only_pictures(root: &Path) -> bool {
+    let names = names_in(root);
+    let has = |name: &str| names.iter().any(|n| n == name);
+    let films = (FORMATS[0].instead)(&names).is_some();
+    let project = FORMATS[1..].iter().any(|format| (format.instead)(&names).is_some());
+    (films || holds_pictures(root, &names))
+        && !project
+        && !is_prepared(root)
+        && !(has("scene.json") && has("gaussians.ply"))
+        && matches!(check_layout(root), Err(ImportError::NoModel { .. }))
+        && model_above(root).is_none()
+        && !subfolders(root).iter().any(|name| has_usual_model(&root.join(name)))
+}
+
 /// The remedy for a folder without a model, depending on its content.
 fn instead_of_a_model(root: &Path) -> String {
-    let names: Vec<String> = std::fs::read_dir(root)
-        .map(|entries| entries.filter_map(|e| e.ok()?.file_name().into_string().ok()).collect())
-        .unwrap_or_default();
+    let names = names_in(root);
     let has = |name: &str| names.iter().any(|n| n == name);
-    let ends = |extensions: &[&str]| {
-        let of = |n: &String| Path::new(n).extension().map(|e| e.to_string_lossy().to_lowercase());
-        names.iter().any(|n| of(n).is_some_and(|e| extensions.contains(&e.as_str())))
-    };
-    let parent = root.canonicalize().ok().and_then(|p| p.parent().map(Path::to_path_buf));
-    let model_of = |p: &PathBuf| {
-        ["sparse/0", "sparse", "colmap/sparse/0"].iter().any(|d| ModelForm::of(&p.join(d)).is_some())
-    };
     // A message names this many entries of a list.
     const SHOWN: usize = 3;
-    if let Some(parent) = parent.filter(model_of) {
+    if let Some(parent) = model_above(root) {
         return format!("the parent folder contains a model: did you mean {}?", parent.display());
     }
     if has("scene.json") && has("gaussians.ply") {
@@ -142,8 +177,11 @@ fn instead_of_a_model(root: &Path) -> String {
     if let Some(hint) = FORMATS.iter().rev().find_map(|format| (format.instead)(&names)) {
         return hint.into();
     }
-    let holding: Vec<String> =
-        subfolders(root).into_iter().filter(|name| model_of(&root.join(name))).take(SHOWN + 1).collect();
+    let holding: Vec<String> = subfolders(root)
+        .into_iter()
+        .filter(|name| has_usual_model(&root.join(name)))
+        .take(SHOWN + 1)
+        .collect();
     if let Some(first) = holding.first() {
         let more = if holding.len() > SHOWN { ", …" } else { "" };
         let shown = holding[..holding.len().min(SHOWN)].join(", ");
@@ -153,12 +191,10 @@ fn instead_of_a_model(root: &Path) -> String {
             root.join(first).display()
         );
     }
-    let pictures = IMAGE_DIRS.iter().find(|name| root.join(name).is_dir());
-    let own = ends(&["png", "jpg", "jpeg", "tif", "tiff"]).then_some(".");
-    if let Some(pictures) = pictures.copied().or(own) {
+    if holds_pictures(root, &names) {
         return format!(
-            "it has pictures and no model; COLMAP makes one: `colmap automatic_reconstructor --workspace_path {0} \
-             --image_path {0}/{pictures} --dense 0`, or name the model's folder with `--set model_dir=DIR` \
+            "it has pictures and no model: `use3d prepare {} --out CAPTURE_DIR` finds the cameras with COLMAP, and \
+             `use3d run` does so first; or name the model's folder with `--set model_dir=DIR` \
              (`--set import.model_dir=DIR` in `use3d run`)",
             root.display()
         );

@@ -42,7 +42,7 @@ struct Manifest {
     frame: FrameEntry,
     /// The model's world, where it is known.
     #[serde(skip_serializing_if = "Option::is_none", default)]
-    world: Option<WorldEntry>,
+    world: Option<World>,
     views: Vec<ViewEntry>,
     train: Vec<usize>,
     test: Vec<usize>,
@@ -54,14 +54,6 @@ struct FrameEntry {
     scale: f64,
     rotation: [f64; 9],
     translation: [f64; 3],
-}
-
-#[derive(Serialize, Deserialize)]
-struct WorldEntry {
-    metres_per_unit: f64,
-    transform: [[f64; 4]; 4],
-    crs: Option<String>,
-    source: String,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -140,12 +132,7 @@ pub(crate) fn save(
             rotation: row_major(&capture.frame.rotation),
             translation: capture.frame.translation.to_array(),
         },
-        world: world.cloned().map(|World { metres_per_unit, transform, crs, source }| WorldEntry {
-            metres_per_unit,
-            transform,
-            crs,
-            source,
-        }),
+        world: world.cloned(),
         views: capture.views.iter().map(entry).collect::<Result<_, ImportError>>()?,
         train: capture.split.train.clone(),
         test: capture.split.test.clone(),
@@ -196,6 +183,14 @@ pub fn prepared_extent(dir: &Path) -> Result<Extent, ImportError> {
         train: manifest.train,
         points: manifest.report.points,
     })
+}
+
+/// The world of a prepared capture, from its manifest alone; `None` if its metres are not known.
+///
+/// # Errors
+/// Fails if the manifest is missing or has another format.
+pub fn prepared_world(dir: &Path) -> Result<Option<World>, ImportError> {
+    Ok(manifest(dir)?.world)
 }
 
 /// Reads a prepared capture exactly as it was: the same cameras, points and split to the last bit.
@@ -257,13 +252,7 @@ pub fn load_prepared(dir: &Path) -> Result<Imported, ImportError> {
         return Err(bad("its frame is not a similarity".into()));
     }
     let points = sparse_points(&model.points, &frame);
-    let world = manifest.world.map(|WorldEntry { metres_per_unit, transform, crs, source }| World {
-        metres_per_unit,
-        transform,
-        crs,
-        source,
-    });
-    let model = Survey { world, ..model.into_survey(&dir.join(MODEL))? };
+    let model = Survey { world: manifest.world, ..model.into_survey(&dir.join(MODEL))? };
     model.check().map_err(|e| bad(e.to_string()))?;
     let split = Split { train: manifest.train, test: manifest.test };
     let name = if manifest.name.is_empty() { capture_name(dir) } else { manifest.name };

@@ -301,3 +301,77 @@ fn a_folder_with_two_formats_is_read_as_colmaps() {
         ("sparse/0", vec!["transforms.json (nerfstudio)".into()])
     );
 }
+
+/// A project of WebODM: the reconstruction in `opensfm/`, the photographs beside it.
+fn webodm(dir: &Path) {
+    let lens = Lens {
+        distortion: Distortion { numerator: [-0.1, 0.03, 0.0, 0.0, 0.0, 0.0], ..Distortion::default() },
+        ..Lens::pinhole([400.0, 400.0], [240.0, 180.0])
+    };
+    let (mut shots, mut tracks) = (Vec::new(), String::from("OPENSFM_TRACKS_VERSION_v2\n"));
+    for i in 0..VIEWS {
+        let p = pose(i);
+        let (axis, angle) = glam::DQuat::from_mat3(&p.rotation).to_axis_angle();
+        let (r, t) = ((axis * angle).to_array(), p.translation.to_array());
+        shots.push(format!(
+            r#""f{i}.png": {{"camera": "v2 gopro", "rotation": {r:?}, "translation": {t:?}, "gps_dop": 5.0}}"#
+        ));
+        let places: Vec<(f64, f64)> = dots()
+            .iter()
+            .map(|dot| p.rotation * *dot + p.translation)
+            .map(|at| lens.project(at.x / at.z, at.y / at.z))
+            .collect();
+        for (track, (x, y)) in places.iter().enumerate() {
+            let (x, y) = ((x - 240.0) / 480.0, (y - 180.0) / 480.0);
+            tracks += &format!("f{i}.png\t{track}\t{track}\t{x}\t{y}\t0.001\t9\t9\t9\t-1\t-1\n");
+        }
+        write_png(&dir.join(format!("images/f{i}.png")), &photograph(&places)).unwrap();
+    }
+    let points = dots().into_iter().enumerate().map(|(i, dot)| {
+        format!(r#""{i}": {{"color": [9.0, 9.0, 9.0], "coordinates": {:?}}}"#, dot.to_array())
+    });
+    let points = points.collect::<Vec<_>>().join(", ");
+    let text = format!(
+        r#"[{{"cameras": {{"v2 gopro": {{"projection_type": "perspective", "width": 480, "height": 360,
+        "focal": {}, "k1": -0.1, "k2": 0.03}}}}, "shots": {{{}}}, "points": {{{points}}},
+        "reference_lla": {{"latitude": 12.1, "longitude": -68.9, "altitude": 0.0}}}}]"#,
+        400.0 / 480.0,
+        shots.join(", ")
+    );
+    std::fs::create_dir(dir.join("opensfm")).unwrap();
+    std::fs::write(dir.join("opensfm/reconstruction.json"), text).unwrap();
+    std::fs::write(dir.join("opensfm/tracks.csv"), tracks).unwrap();
+}
+
+#[test]
+fn dots_come_out_of_a_webodm_project_where_they_are_with_their_tracks() {
+    let dir = tempfile::tempdir().unwrap();
+    webodm(dir.path());
+    let imported = import(dir.path(), &ImportParams::default()).unwrap();
+    let report = &imported.report;
+    assert_eq!(
+        (report.model.as_str(), report.image_folder.as_str()),
+        ("opensfm/reconstruction.json", "images")
+    );
+    assert_eq!((report.views, report.points, report.missing.len()), (4, 35, 0));
+    let files = ["opensfm/reconstruction.json", "opensfm/tracks.csv"].map(Path::new);
+    assert_eq!(imported.model_files(), files);
+    assert!(report.to_string().contains("metres east, north and up of latitude 12.1"), "{report}");
+    assert!(imported.tracks().iter().all(|track| track.sightings.len() == VIEWS as usize));
+    let prepared = hold_to_a_tenth_of_a_pixel(&imported, &dir.path().join("out"));
+    for track in prepared.tracks() {
+        for seen in track.sightings {
+            let (place, _) = prepared.capture.views[seen.view].camera.project(track.position).unwrap();
+            assert!(math::hypot(place.x - seen.x, place.y - seen.y) < 1e-6);
+        }
+    }
+    // The file may be named, and results without the reconstruction are told from it.
+    let params = ImportParams { model_dir: Some("opensfm".into()), ..ImportParams::default() };
+    assert_eq!(import(dir.path(), &params).unwrap().capture.views, imported.capture.views);
+    std::fs::remove_dir_all(dir.path().join("opensfm")).unwrap();
+    for name in ["cameras.json", "images.json"] {
+        std::fs::write(dir.path().join(name), "{}").unwrap();
+    }
+    let said = import(dir.path(), &ImportParams::default()).unwrap_err().to_string();
+    assert!(said.contains("opensfm/tracks.csv"), "{said}");
+}

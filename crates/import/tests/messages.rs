@@ -48,14 +48,14 @@ fn what_lies_there_instead_of_a_model_is_said_with_the_next_step() {
     let cases: [(&str, Change); 9] = [
         ("no cameras file of Metashape", |d| std::fs::write(d.join("notes.xml"), "<html/>").unwrap()),
         ("RealityScan", |d| std::fs::write(d.join("reef.RCPROJ"), "x").unwrap()),
-        ("ffmpeg", |d| std::fs::write(d.join("Dive.MP4"), "x").unwrap()),
+        ("use3d prepare FILM", |d| std::fs::write(d.join("Dive.MP4"), "x").unwrap()),
         ("this is a scene", |d| {
             std::fs::write(d.join("scene.json"), "{}").unwrap();
             std::fs::write(d.join("gaussians.ply"), "ply").unwrap();
         }),
         ("--set model_dir=DIR", |_| ()),
         ("--set import.model_dir=DIR", |_| ()),
-        ("colmap automatic_reconstructor", |_| ()),
+        ("use3d prepare", |_| ()),
         ("the folder is empty", |d| std::fs::remove_dir_all(d.join("images")).unwrap()),
         ("folders in it have one (east, west)", |d| {
             for name in ["west", "east"] {

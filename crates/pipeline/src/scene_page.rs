@@ -68,6 +68,7 @@ pub(crate) fn write(
         Some(capture) => views(&scene, origin.as_ref(), &load_prepared(capture)?)?,
         None => Vec::new(),
     };
-    let page = Page { name, scene: &scene, views, metres_per_unit: None, saved: None, white };
+    let metres_per_unit = Scene::world(folder)?.map(|world| world.metres_per_unit);
+    let page = Page { name, scene: &scene, views, metres_per_unit, saved: None, white };
     Ok(use3d_web::write(&page, parts)?)
 }

@@ -7,10 +7,11 @@ use std::fmt;
 use std::path::Path;
 
 use serde::Serialize;
-use use3d_capture::Frame;
+use use3d_capture::{Frame, World};
 use use3d_import::Imported;
+use use3d_numerics::math;
 use use3d_reconstruct::FoundWater;
-use use3d_water::{ChannelWater, Measured, Verdict, Water, WaterParams, estimate_sizes, shows_air};
+use use3d_water::{ChannelWater, JERLOV, Measured, Verdict, Water, WaterParams, estimate_sizes, shows_air};
 
 use crate::sights::Seen;
 pub use crate::sights::SightsError;
@@ -154,7 +155,7 @@ pub fn found_water(water: &Water, judgement: Judgement) -> Option<FoundWater> {
     })
 }
 
-/// The report on a capture's water. Lengths are in COLMAP units, directions along COLMAP's axes.
+/// The report on a capture's water. Lengths are in units of its model, directions along the model's axes.
 #[derive(Clone, Debug, Serialize)]
 pub struct WaterReport {
     /// The fixed text `"3d-use water"`.
@@ -179,6 +180,52 @@ pub struct WaterReport {
     pub channels: Vec<ChannelReport>,
     /// Gain of every view if the exposure changes: name, R, G, B.
     pub gains: Vec<(String, [f64; 3])>,
+    /// The same water per metre, if the capture's metres are known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub metric: Option<MetricWater>,
+}
+
+/// Water per metre.
+#[derive(Clone, Debug, Serialize)]
+pub struct MetricWater {
+    /// Metres in one unit of the model.
+    pub metres_per_unit: f64,
+    /// The statement that the metres rest on.
+    pub source: String,
+    /// `β_a` of red, green and blue, 1/m.
+    pub attenuation: [ValueReport; 3],
+    /// `β_b` of red, green and blue, 1/m.
+    pub backscatter: [ValueReport; 3],
+    /// Jerlov's type with the most similar attenuation, and its attenuation, 1/m; none unless all channels
+    /// are known.
+    pub nearest: Option<(&'static str, [f64; 3])>,
+}
+
+impl MetricWater {
+    fn new(world: &World, channels: &[ChannelReport]) -> Option<Self> {
+        let per_metre = |v: ValueReport| ValueReport {
+            value: v.value / world.metres_per_unit,
+            error: v.error.map(|e| e / world.metres_per_unit),
+        };
+        let of = |value: fn(&ChannelReport) -> ValueReport| -> Option<[ValueReport; 3]> {
+            let all: Vec<ValueReport> = channels.iter().map(|c| per_metre(value(c))).collect();
+            all.try_into().ok()
+        };
+        let (attenuation, backscatter) = (of(|c| c.attenuation)?, of(|c| c.backscatter)?);
+        let known = channels.iter().all(|c| c.usable) && attenuation.iter().all(|v| v.value > 0.0);
+        let apart = |kind: &(&str, [f64; 3])| -> f64 {
+            let pairs = kind.1.into_iter().zip(&attenuation);
+            pairs.map(|(k, v)| math::ln(v.value / k)).map(|d| d * d).sum()
+        };
+        let nearest = JERLOV.into_iter().min_by(|a, b| apart(a).total_cmp(&apart(b)));
+        Some(Self {
+            metres_per_unit: world.metres_per_unit,
+            source: world.source.clone(),
+            attenuation,
+            backscatter,
+            nearest: nearest.filter(|_| known),
+        })
+    }
 }
 
 /// A value and its standard error; no error if nothing was estimated.
@@ -197,6 +244,9 @@ pub struct ChannelReport {
     pub channel: &'static str,
     /// `found`, `veil-not-separable`, `no-water`, `not-observable` or `too-few-points`.
     pub verdict: &'static str,
+    /// True if the channel's values can be used.
+    #[serde(skip)]
+    usable: bool,
     /// The verdict as a sentence.
     pub told: String,
     /// `β_a`, 1/unit.
@@ -233,6 +283,10 @@ impl WaterReport {
             .filter(|_| water.gains.iter().flatten().any(|g| *g != 1.0))
             .map(|(view, gains)| (view.name.to_string(), *gains))
             .collect();
+        let channels: Vec<ChannelReport> = (water.channels.iter().zip(names).enumerate())
+            .map(|(c, (w, name))| channel(name, w, radiance(water, |p| p[c].value), frame))
+            .collect();
+        let world = imported.model().world.as_ref();
         Self {
             format: "3d-use water",
             version: 1,
@@ -243,26 +297,40 @@ impl WaterReport {
             open_water: water.open,
             distances: water.distances.map(|s| s / frame.scale),
             grey: water.grey,
-            channels: (water.channels.iter().zip(names).enumerate())
-                .map(|(c, (w, name))| channel(name, w, radiance(water, |p| p[c].value), frame))
-                .collect(),
+            metric: world.and_then(|world| MetricWater::new(world, &channels)),
+            channels,
             gains,
         }
     }
 }
 
 impl WaterReport {
-    /// The attenuation of all channels with its standard errors, in words.
+    /// The attenuation of all channels with its standard errors, in words: per metre, with the backscatter,
+    /// if the metres are known.
     pub fn attenuation(&self) -> String {
         let number = |v: Option<f64>| v.map_or_else(|| "–".to_string(), |v| format!("{v:.4}"));
-        let channel = |c: &ChannelReport| {
-            let ValueReport { value, error } = c.attenuation;
-            format!("{} {} ± {}", c.channel, number(Some(value)), number(error))
+        let listed = |values: &[ValueReport]| {
+            let channel = |(name, v): (&str, &ValueReport)| {
+                format!("{name} {} ± {}", number(Some(v.value)), number(v.error))
+            };
+            ["red", "green", "blue"].into_iter().zip(values).map(channel).collect::<Vec<_>>().join(", ")
         };
-        format!(
-            "attenuation {} per COLMAP unit",
-            self.channels.iter().map(channel).collect::<Vec<_>>().join(", ")
-        )
+        match &self.metric {
+            Some(metric) => {
+                let like = metric.nearest.map_or_else(String::new, |(name, _)| {
+                    format!("; Jerlov's water type {name} is the most similar")
+                });
+                format!(
+                    "attenuation {} per metre, backscatter {} per metre{like}",
+                    listed(&metric.attenuation),
+                    listed(&metric.backscatter)
+                )
+            }
+            None => {
+                let values: Vec<ValueReport> = self.channels.iter().map(|c| c.attenuation).collect();
+                format!("attenuation {} per COLMAP unit", listed(&values))
+            }
+        }
     }
 }
 
@@ -274,6 +342,7 @@ fn channel(channel: &'static str, water: &ChannelWater, radiance: [f64; 3], fram
     ChannelReport {
         channel,
         verdict: water.verdict.name(),
+        usable: water.verdict.usable(),
         told: match (water.veil_assumed, water.verdict.usable()) {
             (true, true) => {
                 format!("{}; veil assumed, because open water is clipped to black", water.verdict)
@@ -318,6 +387,20 @@ impl fmt::Display for WaterReport {
         for c in &self.channels {
             let cells = [c.attenuation, c.backscatter, c.veil].map(|v| v.to_string());
             writeln!(f, "{:6} {:>20} {:>20} {:>18}  {}", c.channel, cells[0], cells[1], cells[2], c.told)?;
+        }
+        if let Some(metric) = &self.metric {
+            let MetricWater { metres_per_unit, source, attenuation, backscatter, nearest } = metric;
+            writeln!(f, "per metre (1 unit is {metres_per_unit:.4} m, by {source}):")?;
+            for (c, name) in ["red", "green", "blue"].into_iter().enumerate() {
+                let cells = [attenuation[c], backscatter[c]].map(|v| v.to_string());
+                writeln!(f, "{name:6} {:>20} {:>20}", cells[0], cells[1])?;
+            }
+            if let Some((kind, [r, g, b])) = nearest {
+                writeln!(
+                    f,
+                    "Jerlov's water type {kind} is the most similar: attenuation {r:.2}, {g:.2}, {b:.2} per metre"
+                )?;
+            }
         }
         writeln!(f, "{}", self.told)?;
         if self.grey {

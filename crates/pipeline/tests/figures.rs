@@ -283,3 +283,13 @@ fn a_default_that_changes_and_a_table_without_an_origin_are_told() {
     let elsewhere = look(&registry, "docs/science/method.md", &current).0.join("\n");
     assert!(elsewhere.contains("tables of figures are in docs/science/results.md and"), "{elsewhere}");
 }
+
+#[test]
+fn the_water_types_that_reports_compare_with_are_those_of_synthetic_captures() {
+    for (kind, (name, attenuation)) in use3d_synth::WaterType::ALL.into_iter().zip(use3d_water::JERLOV) {
+        assert_eq!(kind.name(), name);
+        for (a, b) in kind.attenuation().into_iter().zip(attenuation) {
+            assert!((f64::from(a) - b).abs() < 1e-6, "{name}: {a} {b}");
+        }
+    }
+}

@@ -4,7 +4,7 @@ use std::path::{Component, Path};
 
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
-use use3d_capture::{Appearance, Frame, KeptWater, shown};
+use use3d_capture::{Appearance, Frame, KeptWater, World, shown};
 use use3d_medium::MediumKind;
 
 use crate::{Origin, Scene, SceneError, files};
@@ -27,6 +27,8 @@ pub(crate) struct Description {
     pub(crate) medium: MediumEntry,
     #[serde(default)]
     pub(crate) enhancement: Option<EnhancementEntry>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) world: Option<World>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) origin: Option<Origin>,
 }
@@ -107,6 +109,7 @@ impl Description {
                 appearance: e.appearance,
                 kept_water: e.kept_water,
             }),
+            world: None,
             origin: None,
         }
     }
@@ -149,6 +152,12 @@ impl Description {
             return Err(wrong(format!(
                 "enhancement.kept_water is {:?}; expected three numbers from 0 to 1",
                 kept.0
+            )));
+        }
+        if let Some(world) = description.world.as_ref().filter(|world| !world.is_valid()) {
+            return Err(wrong(format!(
+                "world.metres_per_unit is {} and world.transform {:?}; expected finite numbers and a scale above 0",
+                world.metres_per_unit, world.transform
             )));
         }
         let names = [Some(&description.gaussians), description.medium.file.as_ref()];

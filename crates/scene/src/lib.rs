@@ -4,7 +4,7 @@
 //!
 //! ```text
 //! scene.json            format, version, frame, medium, enhancement (its appearance, the water that it
-//!                       keeps), the views it was made from
+//!                       keeps), the world in metres where it is known, the views it was made from
 //! gaussians.ply         the usual 3D Gaussian splatting layout
 //! medium.safetensors    the medium's tensors (absent for `none`)
 //! ubaf.safetensors      the enhancement's tensors (stage 2 only)
@@ -33,7 +33,7 @@ pub use white::White;
 
 use std::path::{Path, PathBuf};
 
-use use3d_capture::Frame;
+use use3d_capture::{Frame, World};
 use use3d_medium::{MediumError, MediumModel};
 use use3d_splat::Gaussians;
 use use3d_ubaf::Enhancement;
@@ -143,6 +143,24 @@ impl Scene {
         files::write_medium(dir, &self.medium)?;
         files::write_enhancement(dir, self.enhancement.as_ref())?;
         description::Description::of(self).write(dir)
+    }
+
+    /// Reads the world of a scene folder, from COLMAP's frame to metres; `None` if it is not known.
+    ///
+    /// # Errors
+    /// Fails if the folder is not a scene.
+    pub fn world(dir: &Path) -> Result<Option<World>, SceneError> {
+        Ok(description::Description::read(dir)?.world)
+    }
+
+    /// Records the world in a saved scene folder.
+    ///
+    /// # Errors
+    /// Fails if the folder is not a scene, or cannot be written.
+    pub fn set_world(dir: &Path, world: &World) -> Result<(), SceneError> {
+        let mut description = description::Description::read(dir)?;
+        description.world = Some(world.clone());
+        description.write(dir)
     }
 
     /// True if `dir` looks like a scene folder.

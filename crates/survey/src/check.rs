@@ -83,8 +83,7 @@ impl Survey {
             }
         }
         if let Some(world) = &self.world {
-            let finite = world.transform.iter().flatten().all(|v| v.is_finite());
-            if !(finite && world.metres_per_unit.is_finite() && world.metres_per_unit > 0.0) {
+            if !world.is_valid() {
                 let reason = format!(
                     "one unit is {} metres and its transform {:?}; expected finite numbers and a scale above 0",
                     world.metres_per_unit, world.transform

@@ -14,6 +14,7 @@
 //! Only [`read_at_most`] opens a file.
 
 mod check;
+mod fit;
 mod jet;
 mod lens;
 mod markers;
@@ -22,8 +23,10 @@ mod read;
 mod survey;
 
 pub use check::SurveyError;
+pub use fit::{fit_depths, fit_positions};
 pub use lens::{Distortion, Lens, Projection};
 pub use markers::{Mark, Marker, ScaleBar};
 pub use ply::PlyError;
 pub use read::{ReadError, RotationFault, check_rotation, read_at_most};
-pub use survey::{ImageFiles, Keypoint, PosedImage, Survey, SurveyCamera, SurveyPoint, World};
+pub use survey::{ImageFiles, Keypoint, PosedImage, Survey, SurveyCamera, SurveyPoint};
+pub use use3d_capture::World;

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use glam::{DMat3, DQuat, DVec3};
-use use3d_capture::{FileName, Pose};
+use use3d_capture::{FileName, Pose, World};
 
 use crate::lens::Lens;
 use crate::markers::{Marker, ScaleBar};
@@ -104,37 +104,6 @@ pub struct ImageFiles {
     pub depth: Option<FileName>,
 }
 
-/// The world that a survey's coordinates belong to.
-#[derive(Clone, Debug, PartialEq)]
-pub struct World {
-    /// Metres in one unit of the survey.
-    pub metres_per_unit: f64,
-    /// From the survey's homogeneous coordinates to metres of the reference system: four rows of four,
-    /// `[scale R | t]` over `[0 0 0 1]`. In `f64`, so that earth-centred coordinates keep the millimetre.
-    pub transform: [[f64; 4]; 4],
-    /// The reference system as well-known text, where one is stated.
-    pub crs: Option<String>,
-    /// The statement that the metres rest on, such as `Metashape chunk transform`.
-    pub source: String,
-}
-
-impl World {
-    /// A position of the survey in metres of the world.
-    pub fn apply(&self, position: [f64; 3]) -> [f64; 3] {
-        let [a, b, c, _] = self.transform;
-        [a, b, c].map(|r| r[0] * position[0] + r[1] * position[1] + r[2] * position[2] + r[3])
-    }
-
-    /// A position of the world, metres, in the survey's units.
-    pub fn invert(&self, position: [f64; 3]) -> [f64; 3] {
-        let [a, b, c, _] = self.transform;
-        let rows = DMat3::from_cols_array_2d(&[a, b, c].map(|r| [r[0], r[1], r[2]]));
-        let moved = DVec3::from_array(position) - DVec3::new(a[3], b[3], c[3]);
-        // The rows are those of s R, so that their transpose over s² is the inverse.
-        (rows * moved / (self.metres_per_unit * self.metres_per_unit)).to_array()
-    }
-}
-
 /// All that a photogrammetry program knows of a capture.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Survey {
@@ -203,26 +172,6 @@ impl Survey {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_world_goes_there_and_back_to_the_millimetre() {
-        let turn = DMat3::from_axis_angle(DVec3::new(0.6, 0.0, 0.8), 1.1) * 12.354;
-        let rows = turn.transpose().to_cols_array_2d();
-        let t = [-2_499_366.429888, -4_256_836.520906, 4_029_217.965003];
-        let row = |i: usize| [rows[i][0], rows[i][1], rows[i][2], t[i]];
-        let world = World {
-            metres_per_unit: 12.354,
-            transform: [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]],
-            crs: None,
-            source: "test".into(),
-        };
-        let point = [0.3, -7.0, 2.5];
-        let there = world.apply(point);
-        let direct = turn * DVec3::from_array(point) + DVec3::from_array(t);
-        assert!((DVec3::from_array(there) - direct).length() < 1e-8);
-        let back = world.invert(there);
-        assert!(back.iter().zip(point).all(|(a, b)| (a - b).abs() < 1e-9), "{back:?}");
-    }
 
     #[test]
     fn removed_images_leave_no_trace() {

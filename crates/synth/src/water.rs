@@ -73,6 +73,11 @@ impl WaterType {
         ["I", "IA", "IB", "II", "III", "1C", "3C", "5C", "7C", "9C"][self as usize]
     }
 
+    /// `K_d` of red, green and blue, 1/m: the attenuation of display values in this water.
+    pub fn attenuation(self) -> [f32; 3] {
+        self.diffuse_attenuation().map(|[a, b]| 0.5 * (a + b))
+    }
+
     /// K_d in 1/m at 600, 625 | 525, 550 | 450, 475 nm.
     fn diffuse_attenuation(self) -> [[f32; 2]; 3] {
         match self {
@@ -127,7 +132,7 @@ impl Water {
     /// Water of a type at a depth (metres), in a frame where `up` points to the surface and `sun` to the sun.
     /// `white_balance` is the share of the colour cast removed by the camera, 0 to 1.
     pub fn of_type(kind: WaterType, depth: f32, white_balance: f32, up: Vec3, sun: Vec3) -> Self {
-        let k = kind.diffuse_attenuation().map(|[a, b]| 0.5 * (a + b));
+        let k = kind.attenuation();
         let mean = 0.5 * (k[1] + k[2]);
         let way = depth * (1.0 - white_balance) + SIDEWAYS;
         let veil: [f32; 3] = std::array::from_fn(|c| SCATTERING[c] * math::exp(-k[c] * way) / (k[c] + 0.06));
@@ -145,7 +150,7 @@ impl Water {
 
     /// The colour of daylight at a depth (linear, brightest channel 1), after the camera's white balance.
     pub fn daylight_tint(kind: WaterType, depth: f32, white_balance: f32) -> [f32; 3] {
-        let k = kind.diffuse_attenuation().map(|[a, b]| 0.5 * (a + b));
+        let k = kind.attenuation();
         let tint = k.map(|k| math::exp(-k * depth * (1.0 - white_balance)));
         let brightest = tint.iter().fold(0.0f32, |m, &v| m.max(v));
         tint.map(|v| v / brightest)

@@ -29,6 +29,7 @@ mod covariance;
 mod data;
 mod estimate;
 mod formation;
+mod jerlov;
 mod noise;
 mod observe;
 mod open;
@@ -38,6 +39,7 @@ mod verdict;
 
 pub use air::{Glance, glances, shows_air};
 pub use estimate::{ChannelWater, Measured, Water, WaterParams, estimate, estimate_sizes};
+pub use jerlov::JERLOV;
 pub use observe::{Observation, ObserveError, Sights, observe, observe_sizes};
 pub use open::OpenWater;
 pub use verdict::Verdict;

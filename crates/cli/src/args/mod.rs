@@ -2,11 +2,13 @@
 
 mod bench;
 mod captures;
+mod check;
 mod cluster;
 #[cfg(test)]
 mod documents;
 mod pictures;
 mod pipelines;
+mod prepare;
 mod remote;
 mod shared;
 mod stages;
@@ -18,12 +20,14 @@ use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
 pub(crate) use bench::{Baselines, Bench, BenchGpuArgs, BenchTruthArgs};
 pub(crate) use captures::{Synth, SynthCaptureArgs, SynthPairsArgs, WaterArgs};
+pub(crate) use check::CheckArgs;
 pub(crate) use cluster::{CancelArgs, Submit, SubmitArgs, SubmitLayout};
 pub(crate) use pictures::{CameraPath, ExportArgs, ExportFrame, ExportWhat, FrameFormat, RenderArgs};
 pub(crate) use pipelines::{
     CompareArgs, DemoArgs, DemoSize, GraphArgs, GraphFormat, PlanArgs, ResultsArgs, RunArgs, StatusArgs,
     WhyArgs,
 };
+pub(crate) use prepare::PrepareArgs;
 pub(crate) use remote::{PushArgs, RemoteArgs, Store, StoreGcArgs, StoreLsArgs, TransferArgs};
 pub(crate) use shared::{
     CacheArgs, CalibrationArgs, CommonArgs, EngineArgs, PipelineArgs, Settings, Spelled, as_typed,
@@ -54,7 +58,8 @@ use shared::count;
     arg_required_else_help = true
 )]
 #[command(
-    after_help = "Start with `use3d demo`, then `use3d run CAPTURE_DIR` on your own COLMAP folder.\n\n\
+    after_help = "Start with `use3d demo`, then `use3d run dive.mp4` on your own film or `use3d run CAPTURE_DIR` on a folder with \
+    photographs.\n\n\
     Exit codes: 0 done; 1 a stage failed; 2 wrong usage or bad input; 75 time limit reached, run the \
     same command to continue; 130 interrupted."
 )]
@@ -98,9 +103,10 @@ pub(crate) enum Verb {
     #[command(after_help = "Examples:\n  use3d demo\n  use3d demo --size full --out ~/use3d-demo\n  \
         use3d demo --set reconstruct.iterations=300 --set enhance.iterations=100    only to see it run")]
     Demo(DemoArgs),
-    /// Run a pipeline file, or the whole pipeline with defaults on one capture folder.
+    /// Run a pipeline file, or the whole pipeline with defaults on one film or capture folder.
     #[command(
         after_help = "Examples:\n  use3d run my-reef/                      results in ./use3d-out/my-reef\n  \
+        use3d run dive.mp4                      a film, or a folder of photographs: cameras are found first\n  \
         use3d run pipelines/seathru4.toml --jobs 2 --keep-going\n  \
         use3d run pipelines/seathru4.toml --scene Panama --until reconstruct\n  \
         use3d run my-reef/ --set reconstruct.iterations=3000 --set import.size=640x360\n  \
@@ -157,7 +163,15 @@ pub(crate) enum Verb {
     /// Print the pipeline's graph with its states, as Mermaid or SVG.
     #[command(after_help = "Example:\n  use3d graph pipelines/seathru4.toml --format svg > graph.svg")]
     Graph(GraphArgs),
-    /// Read a COLMAP folder: find model and images, undistort, resize, normalise, split.
+    /// Make a capture from films or photographs: choose frames, and find the cameras with COLMAP.
+    #[command(after_help = "Examples:\n  use3d prepare dive.mp4 --out my-reef/\n  \
+        use3d prepare photos/ --out my-reef/ --matching exhaustive\n  \
+        use3d prepare part-1.mp4 part-2.mp4 --out my-reef/ --frames 300\n\n\
+        It needs ffmpeg for films, and COLMAP (`colmap`, or `pip install pycolmap`). After an interruption, the \
+        same command continues.")]
+    Prepare(PrepareArgs),
+    /// Read a folder with photographs and a model of COLMAP, Metashape, nerfstudio or OpenSfM: undistort,
+    /// resize, normalise, split.
     #[command(after_help = "Examples:\n  use3d import my-reef/ --out prepared/\n  \
         use3d import my-reef/ --out prepared/ --set size=1400x933 --set image_dir=images_wb")]
     Import(ImportArgs),
@@ -226,6 +240,9 @@ pub(crate) enum Verb {
         #[command(subcommand)]
         what: Bench,
     },
+    /// Say before a run what will go wrong with a capture, and what to do about it.
+    #[command(after_help = "Examples:\n  use3d check my-reef/\n  use3d check my-reef/ --html check.html")]
+    Check(CheckArgs),
     /// Estimate the water of a capture: attenuation, backscatter and veil from its sparse points, with error
     /// bars.
     #[command(
@@ -269,6 +286,8 @@ impl Verb {
     pub(crate) fn wants_json(&self) -> bool {
         match self {
             Self::Run(args) => args.json,
+            Self::Prepare(args) => args.json,
+            Self::Check(args) => args.json,
             Self::Push(args) => args.what.json,
             Self::Pull(args) => args.json,
             Self::Results(args) => args.json,

@@ -131,6 +131,9 @@ pub(crate) enum ExportFrame {
     /// COLMAP's frame turned so that y points up, as in most viewers; SuperSplat turns files by itself and
     /// needs colmap.
     YUp,
+    /// Metres along the axes of the capture's world. A large offset, such as that of UTM, is left out and
+    /// written into the file's header.
+    Metric,
 }
 
 #[derive(Clone, Debug, Args)]

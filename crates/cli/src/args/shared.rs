@@ -210,7 +210,7 @@ pub(crate) struct CacheArgs {
 /// A pipeline, with its settings and folders.
 #[derive(Clone, Debug, Args)]
 pub(crate) struct PipelineArgs {
-    /// A pipeline file (.toml) or a capture folder.
+    /// A pipeline file (.toml) or a capture folder; for `run` also a film or a folder of photographs.
     #[arg(value_name = "PIPELINE.toml|CAPTURE_DIR")]
     pub(crate) target: PathBuf,
     #[command(flatten)]

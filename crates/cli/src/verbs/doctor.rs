@@ -48,8 +48,18 @@ struct Report {
 
 /// A helper program: its name, the argument that makes it print its version, its use, and the way to get it.
 const PROGRAMS: [[&str; 4]; 5] = [
-    ["colmap", "help", "finds the cameras of your photographs", "install COLMAP: https://colmap.github.io"],
-    ["ffmpeg", "-version", "writes films other than .y4m", "install ffmpeg: https://ffmpeg.org"],
+    [
+        "colmap",
+        "help",
+        "finds the cameras of your photographs (use3d prepare)",
+        "sudo apt install colmap, or pip install pycolmap",
+    ],
+    [
+        "ffmpeg",
+        "-version",
+        "takes frames out of films, and writes films other than .y4m",
+        "install ffmpeg: https://ffmpeg.org",
+    ],
     ["sbatch", "--version", "runs pipelines on a Slurm cluster (use3d submit slurm)", "comes with Slurm"],
     ["hq", "--version", "runs pipelines by HyperQueue (use3d submit hq)", "comes with HyperQueue"],
     [

@@ -221,7 +221,13 @@ fn write(
         Format::Glb => ExportFrame::Colmap,
         Format::Spz => ExportFrame::YUp,
     };
+    let mut offset = None;
     let turned = match frame {
+        ExportFrame::Metric => {
+            let (similarity, left_out) = metric(&args.scene)?;
+            offset = left_out;
+            Some(similarity::apply(colmap, &similarity))
+        }
         ExportFrame::Colmap => None,
         ExportFrame::Normalised => Some(similarity::apply(colmap, &scene.frame)),
         ExportFrame::YUp => {
@@ -236,6 +242,9 @@ fn write(
         format!("what: {what}"),
         format!("frame: {}", name(&frame)),
     ];
+    if let Some([x, y, z]) = offset {
+        comments.push(format!("offset: add {x} {y} {z} metres to each position"));
+    }
     // The writers of the other formats add this text themselves; SPZ has no room for text.
     if format == Format::Ply {
         comments.push(NO_WATER.into());
@@ -250,8 +259,32 @@ fn write(
         let (what, frame) = (&comments[1], &comments[2]);
         let size = std::fs::metadata(path).map_or(0, |m| m.len());
         eprintln!("{}: {} Gaussians, {what}, {frame}, {}", path_text(path), gaussians.len(), bytes(size));
+        if let Some([x, y, z]) = offset {
+            eprintln!(
+                "positions lack the offset {x} {y} {z} metres: single precision would lose millimetres"
+            );
+        }
     }
     Ok(())
+}
+
+/// Coordinates above this many metres lose millimetres in single precision.
+const FAR: f64 = 1000.0;
+
+/// The similarity from COLMAP's frame to metres, without a large offset, and that offset in whole metres.
+fn metric(scene: &Path) -> Result<(Frame, Option<[f64; 3]>), CliError> {
+    let Some(world) = Scene::world(scene).map_err(CliError::input)? else {
+        return Err(CliError::Input(format!(
+            "--frame metric: {} does not know its metres; measure a length or give positions \
+             (docs/guide/metres.md), and run again",
+            path_text(scene)
+        )));
+    };
+    let translation = DVec3::from_array(world.apply([0.0; 3]));
+    let offset = if translation.abs().max_element() > FAR { translation.round() } else { DVec3::ZERO };
+    let (scale, rotation) = (world.metres_per_unit, world.rotation());
+    let similarity = Frame { scale, rotation, translation: translation - offset };
+    Ok((similarity, (offset != DVec3::ZERO).then(|| offset.to_array())))
 }
 
 fn spz_version(args: &ExportArgs) -> spz::Version {

@@ -3,6 +3,7 @@
 pub(crate) mod bench;
 pub(crate) mod bench_gpu;
 pub(crate) mod cache;
+pub(crate) mod check;
 pub(crate) mod compare;
 pub(crate) mod devices;
 pub(crate) mod doctor;
@@ -16,6 +17,7 @@ pub(crate) mod models;
 pub(crate) mod outcome;
 pub(crate) mod params;
 pub(crate) mod pipelines;
+pub(crate) mod prepare;
 pub(crate) mod remote;
 pub(crate) mod render;
 pub(crate) mod results;

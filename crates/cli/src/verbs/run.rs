@@ -8,6 +8,7 @@ use std::time::Instant;
 use serde::Serialize;
 use use3d_build::machine::seconds;
 use use3d_build::place;
+use use3d_build::plan::{PlannedNode, State};
 use use3d_build::status::{Row, Standing};
 use use3d_build::{
     Builder, Cache, Event, Graph, Listener, PATIENCE, Plan, Registry, RunOptions, Summary, picture,
@@ -23,8 +24,10 @@ use crate::args::{
 };
 use crate::destination::path_text;
 use crate::error::{CliError, Done};
+use crate::verbs::check;
 use crate::verbs::history::{self, Record};
 use crate::verbs::outcome::{self, Outcome};
+use crate::verbs::prepare;
 use crate::verbs::remote::of_run;
 use crate::verbs::stages::{scratch, stages};
 use crate::verbs::synth::keep_capture;
@@ -128,8 +131,7 @@ fn no_pipeline(file: &Path) -> Option<&'static str> {
     let extension = file.extension()?.to_string_lossy().to_lowercase();
     Some(match extension.as_str() {
         "mp4" | "mov" | "avi" | "mkv" | "webm" | "m4v" => {
-            "a film is not a capture yet: extract frames from it (`ffmpeg -i FILM -vf fps=2 \
-             images/%05d.png`), run COLMAP on them, and give the folder with images/ and sparse/"
+            "a film is not a capture yet: `use3d run FILM` or `use3d prepare FILM --out CAPTURE_DIR` makes one of it"
         }
         "png" | "jpg" | "jpeg" | "tif" | "tiff" | "exr" | "webp" | "heic" | "bmp" | "gif" => {
             "one picture is not a capture: give the folder with the images and their COLMAP model"
@@ -241,7 +243,10 @@ pub(crate) fn graph(args: &GraphArgs) -> Done {
 
 pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     // A results folder stands for the pipeline that was run into it, and new results go there again.
-    let (pipeline, results) = resolved(&args.pipeline);
+    let (mut pipeline, results) = resolved(&args.pipeline);
+    if let Some(capture) = prepared(app, args, &pipeline.target)? {
+        pipeline.target = capture;
+    }
     let elsewhere = |set: &String| set.contains("model_dir");
     if pipeline.target.is_dir()
         && !use3d_import::is_prepared(&pipeline.target)
@@ -293,7 +298,9 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
         None => loaded,
     };
     if !app.quiet {
-        tell_why(&loaded.builder.plan(&loaded.graph, until.as_deref()));
+        let plan = loaded.builder.plan(&loaded.graph, until.as_deref());
+        tell_faults(&loaded, &plan, &pipeline.target);
+        tell_why(&plan);
     }
     let watched = Watched::start(app, &args.watch, None)?;
     let app = watched.as_ref().map_or(app, Watched::app);
@@ -314,6 +321,27 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
         watched.end(&done);
     }
     done
+}
+
+/// The capture that a film or a folder of photographs is prepared as; `None` for any other target.
+fn prepared(app: &App, args: &RunArgs, target: &Path) -> Result<Option<PathBuf>, CliError> {
+    if args.dry_run || args.pipeline.sets().iter().any(|set| set.contains("model_dir")) {
+        return Ok(None);
+    }
+    prepare::capture_for(app, target, args.out.as_deref())
+}
+
+/// The stage that reads a capture folder.
+const IMPORT: &str = "import";
+
+/// Prints the gravest faults of a capture folder that is imported for the first time.
+fn tell_faults(loaded: &Loaded, plan: &Plan, target: &Path) {
+    let imports = |node: &&PlannedNode| node.stage == IMPORT && matches!(node.state, State::Run(_));
+    let anew = target.is_dir() && plan.nodes.iter().any(|node| imports(&node) && !node.had);
+    let node = loaded.graph.nodes.iter().find(|node| node.stage_name == IMPORT).filter(|_| anew);
+    for line in node.map_or_else(Vec::new, |node| check::before_run(target, &node.parameters)) {
+        eprintln!("{line}");
+    }
 }
 
 /// Prints why stages run again, and an estimate of the total time.

@@ -22,6 +22,18 @@ pub(crate) fn check(path: &Path, args: &ExportArgs) -> Done {
     check_file("--web", path, args.replace.force, &["html"])
 }
 
+/// The metres in one unit of a scene's model: those given, those saved with its views, or those of its world.
+pub(crate) fn metres(
+    given: Option<f64>,
+    saved: Option<&SavedViews>,
+    scene: &Path,
+) -> Result<Option<f64>, CliError> {
+    match given.or_else(|| saved?.metres_per_unit) {
+        Some(metres) => Ok(Some(metres)),
+        None => Ok(Scene::world(scene).map_err(CliError::input)?.map(|world| world.metres_per_unit)),
+    }
+}
+
 /// Writes the page, and its parts into a folder beside it if it is too large for one file.
 pub(crate) fn write(app: &App, args: &ExportArgs, path: &Path, scene: &Scene, white: Option<&White>) -> Done {
     let views = match &args.cameras {
@@ -36,7 +48,7 @@ pub(crate) fn write(app: &App, args: &ExportArgs, path: &Path, scene: &Scene, wh
         name: &name,
         scene,
         views,
-        metres_per_unit: args.metres_per_unit,
+        metres_per_unit: metres(args.metres_per_unit, saved.as_ref(), &args.scene)?,
         saved: saved.as_ref(),
         white,
     };

@@ -11,7 +11,7 @@ use use3d_enhance::{
     Report, enhance,
 };
 use use3d_import::load_pixels;
-use use3d_scene::Origin;
+use use3d_scene::{Origin, Scene};
 
 use super::captured::{capture, write_cameras};
 use super::common::{out_of_range, write_json, write_text};
@@ -172,6 +172,9 @@ fn run(context: &StageContext, params: &EnhanceParams) -> Result<(), StageError>
     outcome.scene.save(out)?;
     if let Some(origin) = Origin::read(context.input("scene")?)? {
         origin.write(out)?;
+    }
+    if let Some(world) = Scene::world(context.input("scene")?)? {
+        Scene::set_world(out, &world)?;
     }
     write_text(&out.join("training.jsonl"), &outcome.log_lines())?;
     write_json(&out.join(REPORT), &outcome.report)?;

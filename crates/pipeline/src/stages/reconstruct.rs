@@ -10,7 +10,7 @@ use use3d_reconstruct::{
     DepthPrior, Evaluation, Exposure, Images, Known, LoadedView, Medium, MediumPrior, ReconstructError,
     ReconstructParams, StartPoints, growth, memory_need, most_gaussians, reconstruct_in,
 };
-use use3d_scene::Origin;
+use use3d_scene::{Origin, Scene};
 use use3d_water::WaterParams;
 
 use super::captured::{capture, write_cameras};
@@ -277,6 +277,10 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
         write_json(&out.join(EXPOSURES), &exposures)?;
     }
     Origin { water: Some(with_errors), ..Origin::of(&capture) }.write(out)?;
+    let world = use3d_import::prepared_world(context.input("import")?).map_err(StageError::bad_input)?;
+    if let Some(world) = world {
+        Scene::set_world(out, &world)?;
+    }
     write_cameras(out, &capture)?;
     if let Some(sheet) = sheet(&learnt_from, &outcome.scene)? {
         write_png(&out.join(CONTACT), &sheet)?;

@@ -24,7 +24,7 @@ use crate::App;
 use crate::args::{ViewArgs, ViewerArgs};
 use crate::error::{CliError, Done};
 use crate::verbs::found::{capture_in, scene_in};
-use crate::verbs::web::{saved_views, scene_name, views};
+use crate::verbs::web::{metres, saved_views, scene_name, views};
 use crate::verbs::white;
 
 /// Time between two checks of the stop flag while waiting.
@@ -54,7 +54,6 @@ pub(crate) fn run(app: &App, args: &ViewArgs) -> Done {
 
 /// The scene or capture in a folder.
 fn shown(app: &App, target: &Path, cameras: Option<&Path>, args: &ViewArgs) -> Result<Shown, CliError> {
-    let metres_per_unit = args.metres_per_unit;
     let saved = saved_views(args.views.as_deref())?.map(Arc::new);
     if Scene::is_scene(target) {
         let scene = Scene::load(target).map_err(CliError::input)?;
@@ -63,6 +62,7 @@ fn shown(app: &App, target: &Path, cameras: Option<&Path>, args: &ViewArgs) -> R
             None => Vec::new(),
         };
         let name = scene_name(target);
+        let metres_per_unit = metres(args.metres_per_unit, saved.as_deref(), target)?;
         let white = white::of(app, &args.white, target, &scene, cameras)?.map(Arc::new);
         return Ok(Shown {
             name,
@@ -88,12 +88,14 @@ fn shown(app: &App, target: &Path, cameras: Option<&Path>, args: &ViewArgs) -> R
     let origin = Origin::of(&imported.capture);
     let views: Vec<PageView> =
         scene_page::views(&scene, Some(&origin), &imported).map_err(CliError::input)?;
+    let given = args.metres_per_unit.or_else(|| saved.as_ref()?.metres_per_unit);
+    let known = imported.model().world.as_ref().map(|world| world.metres_per_unit);
     let name = imported.capture.name;
     Ok(Shown {
         name,
         scene: Arc::new(scene),
         views: Arc::new(views),
-        metres_per_unit,
+        metres_per_unit: given.or(known),
         saved,
         white: None,
         step: None,

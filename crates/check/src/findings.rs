@@ -1,0 +1,417 @@
+//! The rules: each compares a figure with a limit and says what it means and what to do.
+
+use use3d_import::ImportReport;
+
+use crate::measure::{Figures, ViewFigures};
+use crate::reach::{Reach, Side};
+use crate::report::{CheckReport, Finding, Severity};
+
+/// The result of the estimate of the water, in its own words.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum WaterSight<'a> {
+    /// The water is known.
+    Found(&'a str),
+    /// There is none.
+    None(&'a str),
+    /// It cannot be used or is not known.
+    Unknown(&'a str),
+}
+
+/// A view that sees fewer points, or has fewer neighbours, hardly has a place.
+const LONELY: (usize, usize) = (50, 2);
+/// A view whose sharpness is below this share of its neighbours' is blurred.
+const BLURRED: f64 = 0.4;
+/// Changes of exposure that are seen, and that spoil a scene, stops.
+const EXPOSURE: (f64, f64) = (0.2, 0.6);
+/// The same for white balance, as a share.
+const BALANCE: (f64, f64) = (0.06, 0.2);
+/// Reprojection errors of a good lens model and of a wrong one, pixels.
+const ERROR: (f64, f64) = (1.0, 1.5);
+/// The share of points seen from different distances below which the water can hardly be measured.
+const RANGED: f64 = 0.1;
+/// Brightness of a picture in which little can be seen, display range.
+const DARK: f64 = 0.06;
+/// A side above which a training takes very long, pixels.
+const LARGE: usize = 2000;
+/// Shares of a picture without any track that lose something, and that spoil the scene.
+const BARE: (f64, f64) = (0.1, 0.25);
+/// Steps along the sight and breadth of the positions at which distances are hardly determined.
+const TUNNEL: (f64, f64) = (0.9, 0.1);
+
+/// Examines a capture. `metres` is the length of one unit of its model, if it is known.
+pub fn examine(
+    import: &ImportReport,
+    figures: Figures,
+    water: Option<WaterSight<'_>>,
+    metres: Option<f64>,
+) -> CheckReport {
+    let mut rules = Rules { found: Vec::new(), views: figures.views.len() };
+    rules.images(import);
+    rules.split(import);
+    rules.cameras(import);
+    rules.model(&figures);
+    rules.reach(&figures.reach);
+    rules.pixels(&figures.views);
+    rules.water(&figures, water);
+    rules.extras(import, metres);
+    let mut findings = rules.found;
+    // The order of the rules is that of their weight among equals.
+    findings.sort_by_key(|f| f.severity);
+    CheckReport { capture: import.name.clone(), findings, figures }
+}
+
+struct Rules {
+    found: Vec<Finding>,
+    views: usize,
+}
+
+fn names(views: &[ViewFigures], those: impl Fn(&ViewFigures) -> bool) -> Vec<String> {
+    views.iter().filter(|v| those(v)).map(|v| v.name.clone()).collect()
+}
+
+impl Rules {
+    fn add(
+        &mut self,
+        severity: Severity,
+        subject: &'static str,
+        text: String,
+        remedy: &str,
+        views: Vec<String>,
+    ) {
+        self.found.push(Finding { severity, subject, text, remedy: remedy.into(), views });
+    }
+
+    fn share(&self, part: usize) -> f64 {
+        part as f64 / self.views.max(1) as f64
+    }
+
+    /// Photographs without a place, and models that are not used.
+    fn images(&mut self, import: &ImportReport) {
+        let all = self.views + import.extra.len();
+        let without = import.extra.len() as f64 / all.max(1) as f64;
+        if !import.extra.is_empty() {
+            let text =
+                format!("For {} of {all} photographs no camera position is known.", import.extra.len());
+            let severity = if without > 1.0 / 3.0 { Severity::Serious } else { Severity::Minor };
+            let remedy = "find the cameras again with `use3d prepare`, which says what helps, or take more photographs \
+                in between";
+            self.add(severity, "unplaced", text, remedy, import.extra.clone());
+        } else {
+            let text = format!("All {all} photographs have a camera position.");
+            self.add(Severity::Good, "unplaced", text, "", Vec::new());
+        }
+        if !import.missing.is_empty() {
+            let text =
+                format!("{} photographs that the model names are not in the folder.", import.missing.len());
+            let severity =
+                if import.missing.len() > self.views { Severity::Serious } else { Severity::Minor };
+            let remedy = "put the missing files back, under the names that the model has";
+            self.add(severity, "missing", text, remedy, import.missing.clone());
+        }
+        if !import.other_models.is_empty() {
+            let text = format!(
+                "The folder has more models, which are not used: {}.",
+                import.other_models.join(", ")
+            );
+            let remedy = "if they show other parts of the dive, photograph the way between the parts, or run them as \
+                captures of their own";
+            self.add(Severity::Minor, "groups", text, remedy, Vec::new());
+        }
+        if self.views < 12 {
+            let text = format!("{} photographs are very few.", self.views);
+            let remedy = "take 30 to 200 photographs of one site";
+            self.add(Severity::Serious, "few", text, remedy, Vec::new());
+        } else if self.views < 24 {
+            let text = format!("{} photographs are few: new views between them will have holes.", self.views);
+            let remedy = "take 30 to 200 photographs of one site";
+            self.add(Severity::Minor, "few", text, remedy, Vec::new());
+        }
+    }
+
+    fn split(&mut self, import: &ImportReport) {
+        let (train, test) = (import.train.len(), import.test.len());
+        if test == 0 {
+            let remedy = "leave `split.every` at 8, unless you need every photograph for the scene";
+            let text = "No view is held out, so the report can have no honest scores.".to_string();
+            self.add(Severity::Minor, "split", text, remedy, Vec::new());
+        } else if train < 8 {
+            let text = format!("Only {train} views are left for training, and {test} are held out.");
+            let remedy = "hold out fewer views (`--set import.split.every=8`, or a shorter test_list.txt)";
+            self.add(Severity::Serious, "split", text, remedy, import.test.clone());
+        } else {
+            let text = format!("{test} of {} views are held out for the scores.", train + test);
+            self.add(Severity::Good, "split", text, "", Vec::new());
+        }
+    }
+
+    fn cameras(&mut self, import: &ImportReport) {
+        let sizes: std::collections::BTreeSet<[usize; 2]> = import.cameras.iter().map(|c| c.size).collect();
+        if sizes.len() > 1 {
+            let list: Vec<String> = sizes.iter().map(|[w, h]| format!("{w}x{h}")).collect();
+            let text = format!("The photographs have {} sizes: {}.", sizes.len(), list.join(", "));
+            self.add(
+                Severity::Minor,
+                "sizes",
+                text,
+                "make all of them one size with `--max-side` or `--size`",
+                Vec::new(),
+            );
+        }
+        let large = sizes.iter().flatten().copied().max().unwrap_or(0);
+        if large > LARGE {
+            let text =
+                format!("The photographs have {large} pixels on the longer side, so a run takes many hours.");
+            self.add(Severity::Minor, "large", text, "begin with `--max-side 1280`", Vec::new());
+        }
+        let undistorted: Vec<f64> = import
+            .cameras
+            .iter()
+            .filter_map(|c| {
+                let [w, h] = c.undistorted_size?;
+                Some((w * h) as f64 / (c.file_size[0] * c.file_size[1]).max(1) as f64)
+            })
+            .collect();
+        if let Some(least) = undistorted.iter().copied().reduce(f64::min) {
+            let lens = import.cameras.first().map_or("", |c| &c.model);
+            let text =
+                format!("The lens bends straight lines ({lens}), so the photographs are straightened here.");
+            if least < 0.6 {
+                let text = format!("{text} {:.0} % of their pixels are left.", 100.0 * least);
+                let remedy = "check the lens model of the cameras; a fisheye loses its edges in any case";
+                self.add(Severity::Minor, "lens", text, remedy, Vec::new());
+            } else {
+                self.add(Severity::Good, "lens", text, "", Vec::new());
+            }
+        }
+    }
+
+    fn model(&mut self, figures: &Figures) {
+        let lonely = names(&figures.views, |v| v.points < LONELY.0 || v.neighbours < LONELY.1);
+        if figures.track_length == 0.0 {
+            let text = "The model has no tracks: it does not say which view sees which point.".to_string();
+            let remedy = "export the model with its tie points and projections; without them the water is learnt from \
+                scratch";
+            self.add(Severity::Serious, "tracks", text, remedy, Vec::new());
+            return;
+        }
+        if figures.points < 1000 {
+            let text = format!("There are only {} sparse points.", figures.points);
+            let remedy = "look for more features (`use3d prepare --features 8000`); the scene starts from these points";
+            self.add(Severity::Serious, "points", text, remedy, Vec::new());
+        }
+        if !lonely.is_empty() {
+            let severity = if self.share(lonely.len()) > 0.1 { Severity::Serious } else { Severity::Minor };
+            let text = format!(
+                "{} of {} views share few points with the others, so their camera positions are uncertain.",
+                lonely.len(),
+                self.views
+            );
+            let remedy = "photograph the way to them more densely, or remove them from the folder of images";
+            self.add(severity, "lonely", text, remedy, lonely);
+        }
+        match figures.error {
+            Some(error) if error > ERROR.0 => {
+                let severity = if error > ERROR.1 { Severity::Serious } else { Severity::Minor };
+                let text = format!(
+                    "Points land {error:.2} pixels beside their place on average (reprojection error): the lens model \
+                     fits badly."
+                );
+                let remedy = "another lens model (`use3d prepare --lens`), zoom and stabilisation off, sharper \
+                    photographs";
+                self.add(severity, "error", text, remedy, Vec::new());
+            }
+            Some(error) => {
+                let text = format!(
+                    "Points land {error:.2} pixels beside their place on average (reprojection error)."
+                );
+                self.add(Severity::Good, "error", text, "", Vec::new());
+            }
+            None => {}
+        }
+        if figures.track_length < 3.0 {
+            let text = format!("A point is seen in {:.1} views only.", figures.track_length);
+            let remedy = "let neighbouring photographs overlap by 70 % or more";
+            self.add(Severity::Minor, "overlap", text, remedy, Vec::new());
+        }
+        if let (Some(forward), Some(breadth)) = (figures.forward, figures.breadth)
+            && forward > TUNNEL.0
+            && breadth < TUNNEL.1
+        {
+            let text =
+                "The camera moves along one line in its own viewing direction, so distances are hardly \
+                determined."
+                    .to_string();
+            self.add(Severity::Serious, "path", text, "swim sideways along the scene as well", Vec::new());
+        }
+    }
+
+    /// Parts of the pictures that no track reaches.
+    fn reach(&mut self, reaches: &[Reach]) {
+        let Some(worst) = reaches.iter().reduce(|a, b| if b.bare > a.bare { b } else { a }) else { return };
+        if worst.bare < BARE.0 {
+            let text = "Points that were found again cover the pictures to their edges.".into();
+            self.add(Severity::Good, "reach", text, "", Vec::new());
+            return;
+        }
+        let share = 100.0 * worst.bare;
+        // Open water and sky are usually at the top, and have no points anywhere.
+        let wide: Vec<(Side, f64)> =
+            worst.borders.iter().copied().filter(|(_, width)| *width >= BARE.0).collect();
+        let severe = wide.iter().any(|(side, _)| *side != Side::Top);
+        let part = |(side, width): &(Side, f64)| {
+            let name = match side {
+                Side::Left => "left",
+                Side::Right => "right",
+                Side::Top => "upper",
+                Side::Bottom => "lower",
+            };
+            format!("the {name} {:.0} %", 100.0 * width)
+        };
+        let place = match wide.is_empty() {
+            true => format!("About {share:.0} %"),
+            false => sentence(&wide.iter().map(part).collect::<Vec<_>>().join(" and ")),
+        };
+        let severity = if severe && worst.bare >= BARE.1 { Severity::Serious } else { Severity::Minor };
+        let camera = match reaches.len() {
+            1 => String::new(),
+            _ => format!(" of the camera with {}x{} pixels", worst.size[0], worst.size[1]),
+        };
+        let text = format!(
+            "{place} of the pictures{camera} never hold a point that was found again in another picture, in any of {} \
+             views. The scene cannot be learnt there and will look like fog.",
+            worst.views
+        );
+        let remedy = "nothing, if only open water or sky is there; otherwise find the cameras again from the whole \
+            pictures, without masks (`use3d prepare`), or cut that part off all pictures";
+        self.add(severity, "reach", text, remedy, Vec::new());
+    }
+
+    fn pixels(&mut self, views: &[ViewFigures]) {
+        if views.iter().all(|v| v.brightness.is_none()) {
+            return;
+        }
+        let steps = |of: fn(&ViewFigures) -> Option<f64>, limits: (f64, f64)| {
+            let largest = views.iter().filter_map(of).fold(0.0f64, |m, s| m.max(s.abs()));
+            let list = names(views, |v| of(v).is_some_and(|s| s.abs() > limits.0));
+            (largest, list)
+        };
+        let (largest, list) = steps(|v| v.exposure_step, EXPOSURE);
+        if !list.is_empty() {
+            let often = self.share(list.len()) > 0.2;
+            let severity = if largest > EXPOSURE.1 || often { Severity::Serious } else { Severity::Minor };
+            let text =
+                format!("The exposure changes between neighbouring views, by up to {largest:.1} stops.");
+            let remedy = "`--set reconstruct.exposure=per-view`; lock the exposure on the next dive";
+            self.add(severity, "exposure", text, remedy, list);
+        } else if views.iter().any(|v| v.exposure_step.is_some()) {
+            self.add(Severity::Good, "exposure", "The exposure is steady.".into(), "", Vec::new());
+        }
+        let (largest, list) = steps(|v| v.balance_step, BALANCE);
+        if !list.is_empty() {
+            let severity = if largest > BALANCE.1 { Severity::Serious } else { Severity::Minor };
+            let text = format!(
+                "The white balance changes between neighbouring views, by up to {:.0} %.",
+                100.0 * largest
+            );
+            let remedy = "`--set reconstruct.exposure=per-view`; set a fixed white balance on the next dive";
+            self.add(severity, "balance", text, remedy, list);
+        } else if views.iter().any(|v| v.balance_step.is_some()) {
+            self.add(Severity::Good, "balance", "The white balance is steady.".into(), "", Vec::new());
+        }
+        let blurred = names(views, |v| v.sharpness.is_some_and(|s| s < BLURRED));
+        if !blurred.is_empty() {
+            let severity = if self.share(blurred.len()) > 0.1 { Severity::Serious } else { Severity::Minor };
+            let text = format!(
+                "{} of {} views are blurred, compared with the views around them.",
+                blurred.len(),
+                self.views
+            );
+            let remedy = "remove them from the folder of images; swim slower, with 1/240 s or shorter";
+            self.add(severity, "blur", text, remedy, blurred);
+        } else {
+            self.add(
+                Severity::Good,
+                "blur",
+                "No view is much less sharp than its neighbours.".into(),
+                "",
+                Vec::new(),
+            );
+        }
+        let dark = names(views, |v| v.brightness.is_some_and(|b| b < DARK));
+        if !dark.is_empty() {
+            let text = format!("{} of {} views are very dark.", dark.len(), self.views);
+            self.add(Severity::Minor, "dark", text, "expose longer, or remove them", dark);
+        }
+    }
+
+    fn water(&mut self, figures: &Figures, water: Option<WaterSight<'_>>) {
+        let ranged = figures.seen_from_distances;
+        let share = format!("{:.0} % of the points are seen from near and from far.", 100.0 * ranged);
+        match water {
+            Some(WaterSight::Found(words)) => {
+                self.add(Severity::Good, "water", format!("{}. {share}", sentence(words)), "", Vec::new());
+            }
+            Some(WaterSight::None(words)) => {
+                self.add(Severity::Good, "water", format!("{}.", sentence(words)), "", Vec::new());
+            }
+            Some(WaterSight::Unknown(words)) => {
+                let remedy = if ranged < 2.0 * RANGED {
+                    "photograph the same things from near and from far, for example from 1 and from 4 metres"
+                } else {
+                    "`use3d water` shows each colour; lock exposure and white balance, and use no lamps in daylight"
+                };
+                self.add(
+                    Severity::Minor,
+                    "water",
+                    format!("{}. {share}", sentence(words)),
+                    remedy,
+                    Vec::new(),
+                );
+            }
+            None if ranged < RANGED && figures.track_length > 0.0 => {
+                let text = format!("Only {share} The water can hardly be measured.");
+                let remedy = "photograph the same things from near and from far";
+                self.add(Severity::Minor, "water", text, remedy, Vec::new());
+            }
+            None => {}
+        }
+    }
+
+    fn extras(&mut self, import: &ImportReport, metres: Option<f64>) {
+        match metres {
+            Some(metres) => {
+                let text = format!("The scale is known: one unit of the model is {metres:.4} m.");
+                self.add(Severity::Good, "scale", text, "", Vec::new());
+            }
+            None => {
+                let text =
+                    "The scale is not known: distances and the water are in units of the model.".into();
+                let remedy = "nothing, if you need no metres; otherwise measure one length in the photographs \
+                    (docs/guide/metres.md)";
+                self.add(Severity::Minor, "scale", text, remedy, Vec::new());
+            }
+        }
+        if import.depth_priors == 0 {
+            let text = "There are no depth maps to help the training.".into();
+            let remedy = "put the weights of Depth Anything V2 into the models folder (`use3d models`), if you may use \
+                them";
+            self.add(Severity::Minor, "depth", text, remedy, Vec::new());
+        }
+        if import.masks + import.alpha_masks == 0 {
+            let text = "There are no masks: fish and divers will leave ghosts, if there are any.".into();
+            self.add(
+                Severity::Minor,
+                "masks",
+                text,
+                "paint them black in masks/ (docs/guide/captures.md)",
+                Vec::new(),
+            );
+        }
+    }
+}
+
+/// Words with a capital letter at their beginning.
+fn sentence(words: &str) -> String {
+    let mut letters = words.chars();
+    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
+}

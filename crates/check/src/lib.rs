@@ -1,0 +1,23 @@
+//! Judges a capture before any training, and says what will go wrong and what to do about it.
+//!
+//! ```text
+//! measure ─▶ findings ─▶ report ─▶ page
+//! figures     rules        text      HTML with small pictures
+//! ```
+//!
+//! [`measure`] computes figures from the cameras, the tracks and, if pixels are at hand, the photographs;
+//! [`Reach`] says which parts of the pictures the tracks reach. Each rule of [`findings`] compares figures
+//! with a limit. A [`CheckReport`] holds what the rules found, the gravest first. Nothing here changes a
+//! capture, and no result of a training depends on it.
+
+mod findings;
+mod measure;
+mod page;
+mod reach;
+mod report;
+
+pub use findings::{WaterSight, examine};
+pub use measure::{Figures, ViewFigures, measure};
+pub use page::{Picture, page};
+pub use reach::{Reach, Side};
+pub use report::{CheckReport, Finding, Severity};

@@ -1,0 +1,255 @@
+//! The figures of a capture: what each view sees, how sharp it is, and how its colours differ from its
+//! neighbour's.
+//!
+//! Exposure and white balance are compared on points that two neighbouring views share, since their other
+//! contents differ. The change of exposure is the median of `log2(Y_b / Y_a)` over the shared points, in
+//! stops, and that of the white balance the median change of `R/G` and of `B/G`, as a share.
+
+use std::collections::BTreeMap;
+
+use glam::DVec3;
+use serde::Serialize;
+use use3d_capture::{Capture, Image, Track};
+use use3d_io_image::shrunk;
+use use3d_numerics::math;
+
+use crate::reach::{Reach, reaches};
+
+/// The longer side of the pictures in which sharpness is measured, pixels.
+const SIDE: usize = 640;
+/// Views on each side that a view's sharpness is compared with.
+const NEAR: usize = 4;
+/// Two views are neighbours if they share this many points.
+const SHARED: usize = 15;
+/// The fewest shared points from which a change of colour is measured.
+const ENOUGH: usize = 20;
+/// Values outside of this range are clipped or too dark to compare, display range.
+const COMPARABLE: std::ops::Range<f64> = 0.04..0.96;
+/// A point is seen from different distances if its farthest view is this many times as far as its nearest.
+pub(crate) const FARTHER: f64 = 1.25;
+
+/// The figures of a view.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct ViewFigures {
+    /// Its name.
+    pub name: String,
+    /// Sparse points that it sees.
+    pub points: usize,
+    /// Views that share at least fifteen points with it.
+    pub neighbours: usize,
+    /// Its sharpness divided by the median of the views around it.
+    pub sharpness: Option<f64>,
+    /// The mean of its pixels, display range.
+    pub brightness: Option<f64>,
+    /// The change of exposure since the view before it, stops.
+    pub exposure_step: Option<f64>,
+    /// The larger change of `R/G` and `B/G` since the view before it, as a share.
+    pub balance_step: Option<f64>,
+}
+
+/// The figures of a capture.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Figures {
+    /// The views, in the order of names.
+    pub views: Vec<ViewFigures>,
+    /// Sparse points.
+    pub points: usize,
+    /// Mean number of views that see a point.
+    pub track_length: f64,
+    /// Mean reprojection error, pixels; `None` if the model does not say it.
+    pub error: Option<f64>,
+    /// The share of points whose farthest view is at least 1.25 times as far away as its nearest.
+    pub seen_from_distances: f64,
+    /// The distances of points from the views that see them: 5th, 50th and 95th percentile, units of the
+    /// capture.
+    pub distances: [f64; 3],
+    /// Mean of `|cos|` between a camera's step and its viewing direction: near 1 if it moves along its sight.
+    pub forward: Option<f64>,
+    /// The spread of camera positions across their main line, as a share of the spread along it.
+    pub breadth: Option<f64>,
+    /// The parts of the pictures that tracks reach, for each camera with enough views.
+    pub reach: Vec<Reach>,
+}
+
+/// Measures a capture. `load` gives the pixels of a view at the size of its camera; without it, the figures
+/// of pixels are left out.
+///
+/// # Errors
+/// The errors of `load`.
+pub fn measure<E>(
+    capture: &Capture,
+    tracks: &[Track],
+    load: Option<&mut dyn FnMut(usize) -> Result<Image, E>>,
+) -> Result<Figures, E> {
+    let count = capture.views.len();
+    let mut figures = Figures { points: capture.points.len(), ..Figures::default() };
+    let mut seen: Vec<Vec<(usize, f64, f64)>> = vec![Vec::new(); count];
+    let mut distances = Vec::new();
+    let (mut ranged, mut tracked, mut lengths) = (0usize, 0usize, 0usize);
+    for (point, track) in tracks.iter().enumerate() {
+        let mut range = (f64::INFINITY, 0.0f64);
+        for s in track.sightings.iter().filter(|s| s.view < count) {
+            seen[s.view].push((point, s.x, s.y));
+            let d = capture.views[s.view].camera.pose.center().distance(track.position);
+            range = (range.0.min(d), range.1.max(d));
+            distances.push(d);
+        }
+        if !track.sightings.is_empty() {
+            tracked += 1;
+            lengths += track.sightings.len();
+            ranged += usize::from(range.1 >= FARTHER * range.0);
+        }
+    }
+    let share = |part: usize, of: usize| part as f64 / of.max(1) as f64;
+    figures.track_length = share(lengths, tracked);
+    figures.seen_from_distances = share(ranged, tracked);
+    distances.sort_unstable_by(f64::total_cmp);
+    figures.distances = [0.05, 0.5, 0.95]
+        .map(|q| distances.get((q * distances.len() as f64) as usize).copied().unwrap_or(0.0));
+    let errors: Vec<f64> = capture.points.iter().map(|p| p.error).filter(|e| *e >= 0.0).collect();
+    figures.error = (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64);
+    (figures.forward, figures.breadth) = motion(capture);
+    figures.reach = reaches(capture, tracks);
+
+    let neighbours = neighbours(tracks, count);
+    for (i, view) in capture.views.iter().enumerate() {
+        figures.views.push(ViewFigures {
+            name: view.name.to_string(),
+            points: seen[i].len(),
+            neighbours: neighbours[i],
+            ..ViewFigures::default()
+        });
+    }
+    if let Some(load) = load {
+        pixels(&mut figures.views, &seen, load)?;
+    }
+    Ok(figures)
+}
+
+/// The number of neighbours of each view.
+fn neighbours(tracks: &[Track], count: usize) -> Vec<usize> {
+    let mut shared: BTreeMap<(usize, usize), usize> = BTreeMap::new();
+    // Long tracks add many pairs; a few thousand points tell enough.
+    let step = (tracks.len() / 20_000).max(1);
+    for track in tracks.iter().step_by(step) {
+        for (i, a) in track.sightings.iter().enumerate() {
+            for b in &track.sightings[i + 1..] {
+                if a.view != b.view {
+                    *shared.entry((a.view.min(b.view), a.view.max(b.view))).or_default() += step;
+                }
+            }
+        }
+    }
+    let mut found = vec![0; count];
+    for ((a, b), _) in shared.into_iter().filter(|((a, b), n)| *n >= SHARED && a.max(b) < &count) {
+        found[a] += 1;
+        found[b] += 1;
+    }
+    found
+}
+
+/// The share of the motion along the sight, and the breadth of the positions.
+fn motion(capture: &Capture) -> (Option<f64>, Option<f64>) {
+    let centres: Vec<DVec3> = capture.views.iter().map(|v| v.camera.pose.center()).collect();
+    if centres.len() < 3 {
+        return (None, None);
+    }
+    let sight = |i: usize| capture.views[i].camera.pose.rotation.transpose() * DVec3::Z;
+    let steps = (1..centres.len()).filter_map(|i| {
+        let step = (centres[i] - centres[i - 1]).try_normalize()?;
+        Some(step.dot(sight(i)).abs())
+    });
+    let steps: Vec<f64> = steps.collect();
+    let forward = (!steps.is_empty()).then(|| steps.iter().sum::<f64>() / steps.len() as f64);
+    // The main line by power iteration on the covariance.
+    let mean = centres.iter().sum::<DVec3>() / centres.len() as f64;
+    let mut line = DVec3::new(1.0, 0.7, 0.4);
+    for _ in 0..100 {
+        let next: DVec3 = centres.iter().map(|c| (*c - mean) * (*c - mean).dot(line)).sum();
+        let Some(next) = next.try_normalize() else { return (forward, None) };
+        line = next;
+    }
+    let (mut along, mut across) = (0.0, 0.0);
+    for c in &centres {
+        let d = *c - mean;
+        along += d.dot(line) * d.dot(line);
+        across += (d - line * d.dot(line)).length_squared();
+    }
+    (forward, (along > 0.0).then(|| (across / along).sqrt()))
+}
+
+/// Measures the pixels of all views, one image in memory at a time.
+fn pixels<E>(
+    views: &mut [ViewFigures],
+    seen: &[Vec<(usize, f64, f64)>],
+    load: &mut dyn FnMut(usize) -> Result<Image, E>,
+) -> Result<(), E> {
+    let mut sharpness = Vec::with_capacity(views.len());
+    let mut before: BTreeMap<usize, [f64; 3]> = BTreeMap::new();
+    for i in 0..views.len() {
+        let image = load(i)?;
+        let colours: BTreeMap<usize, [f64; 3]> =
+            seen[i].iter().filter_map(|&(point, x, y)| Some((point, colour(&image, x, y)?))).collect();
+        let shared: Vec<([f64; 3], [f64; 3])> =
+            colours.iter().filter_map(|(point, now)| Some((*before.get(point)?, *now))).collect();
+        if shared.len() >= ENOUGH {
+            let luma = |c: [f64; 3]| 0.2126 * c[0] + 0.7152 * c[1] + 0.0722 * c[2];
+            let step = |of: &dyn Fn([f64; 3]) -> f64| {
+                median(shared.iter().map(|(a, b)| math::ln(of(*b) / of(*a))).collect())
+            };
+            views[i].exposure_step = Some(step(&luma) / std::f64::consts::LN_2);
+            let changes = [step(&|c| c[0] / c[1]), step(&|c| c[2] / c[1])];
+            views[i].balance_step = Some(changes.iter().fold(0.0f64, |m, c| m.max(c.abs())));
+        }
+        before = colours;
+        views[i].brightness =
+            Some(image.data().iter().map(|v| f64::from(*v)).sum::<f64>() / image.data().len().max(1) as f64);
+        sharpness.push(laplacian(&image));
+    }
+    for i in 0..views.len() {
+        let around = sharpness[i.saturating_sub(NEAR)..(i + NEAR + 1).min(sharpness.len())].to_vec();
+        let usual = median(around);
+        views[i].sharpness = (usual > 0.0).then(|| sharpness[i] / usual);
+    }
+    Ok(())
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_unstable_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
+}
+
+/// The mean of 3×3 pixels around a place; `None` if it is outside, clipped or dark.
+fn colour(image: &Image, x: f64, y: f64) -> Option<[f64; 3]> {
+    let (column, row) = (x.floor(), y.floor());
+    if column < 1.0 || row < 1.0 || column + 2.0 > image.width() as f64 || row + 2.0 > image.height() as f64 {
+        return None;
+    }
+    let mut sum = [0.0; 3];
+    for v in row as usize - 1..row as usize + 2 {
+        for u in column as usize - 1..column as usize + 2 {
+            let pixel = image.pixel(u, v);
+            (0..3).for_each(|c| sum[c] += f64::from(pixel[c]) / 9.0);
+        }
+    }
+    sum.iter().all(|v| COMPARABLE.contains(v)).then_some(sum)
+}
+
+/// The mean squared Laplacian of the green channel, in a picture of about [`SIDE`] pixels.
+fn laplacian(image: &Image) -> f64 {
+    let small = shrunk(image, SIDE);
+    let (w, h) = (small.width(), small.height());
+    if w < 3 || h < 3 {
+        return 0.0;
+    }
+    let green = &small.data()[w * h..2 * w * h];
+    let at = |x: usize, y: usize| i32::from(green[y * w + x]);
+    let mut sum = 0.0;
+    for y in 1..h - 1 {
+        for x in 1..w - 1 {
+            let l = 4 * at(x, y) - at(x - 1, y) - at(x + 1, y) - at(x, y - 1) - at(x, y + 1);
+            sum += f64::from(l * l);
+        }
+    }
+    sum / ((w - 2) * (h - 2)) as f64
+}

@@ -1,0 +1,108 @@
+//! The report as one HTML page, with small pictures of the views that findings are about. The page needs no
+//! other file and no network.
+
+use std::fmt::Write;
+
+use crate::reach::Reach;
+use crate::report::{CheckReport, Severity};
+
+/// A small picture of a view.
+#[derive(Clone, Debug)]
+pub struct Picture {
+    /// The view's name.
+    pub name: String,
+    /// Its `data:` address.
+    pub address: String,
+}
+
+const STYLE: &str = "body{font:16px/1.5 system-ui,sans-serif;max-width:56rem;margin:2rem auto;padding:0 1rem;\
+    color:#1b1f23;background:#fff}article{border-left:.4rem solid #999;padding:.1rem 1rem;margin:1.2rem 0}\
+    article.serious{border-color:#b3261e}article.minor{border-color:#c98a00}article.good{border-color:#2e7d32}\
+    figure{display:inline-block;width:min(14rem,45%);margin:.4rem .6rem .4rem 0;font-size:.8rem}\
+    figure.cells{display:block;width:auto}img,svg{display:block;max-width:100%}\
+    @media(prefers-color-scheme:dark){body{color:#e6e6e6;background:#16191c}}";
+
+/// The pictures that one finding shows.
+const MOST: usize = 8;
+
+fn escaped(text: &str) -> String {
+    let mut out = String::with_capacity(text.len());
+    for c in text.chars() {
+        match c {
+            '&' => out.push_str("&amp;"),
+            '<' => out.push_str("&lt;"),
+            '>' => out.push_str("&gt;"),
+            '"' => out.push_str("&quot;"),
+            c => out.push(c),
+        }
+    }
+    out
+}
+
+/// The names of the views that the page shows.
+fn wanted(report: &CheckReport) -> impl Iterator<Item = &String> {
+    report.faults().flat_map(|f| f.views.iter().take(MOST))
+}
+
+impl CheckReport {
+    /// The names of the views whose pictures [`page`] shows, each once.
+    pub fn pictured(&self) -> std::collections::BTreeSet<String> {
+        wanted(self).cloned().collect()
+    }
+}
+
+/// A drawing of a picture's cells: blue where tracks reach, red where none does.
+fn drawing(reach: &Reach) -> String {
+    const CELL: usize = 12;
+    let (rows, columns) = (reach.cells.len(), reach.cells.first().map_or(0, Vec::len));
+    let (width, height) = (columns * CELL, rows * CELL);
+    let mut out = format!(
+        "<figure class=\"cells\"><svg width=\"{width}\" height=\"{height}\" role=\"img\" aria-label=\"parts of the picture without \
+         points\"><rect width=\"{width}\" height=\"{height}\" fill=\"#5b8db8\"/><path fill=\"#f2c1bb\" stroke=\"#b3261e\" \
+         d=\""
+    );
+    for (row, column) in (0..rows).flat_map(|r| (0..columns).map(move |c| (r, c))) {
+        if reach.is_bare(column, row) {
+            // Writing to a string cannot fail.
+            let _ = write!(out, "M{} {}h{CELL}v{CELL}h-{CELL}z", column * CELL, row * CELL);
+        }
+    }
+    out.push_str("\"/></svg>blue: points were found again here; red: none in any view</figure>\n");
+    out
+}
+
+/// Writes the page.
+pub fn page(report: &CheckReport, pictures: &[Picture]) -> String {
+    let title = escaped(&format!("Check of {}", report.capture));
+    let mut out = format!(
+        "<!doctype html>\n<html lang=\"en\"><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\n\
+         <title>{title}</title><style>{STYLE}</style>\n<h1>{title}</h1>\n<p>{}.</p>\n",
+        escaped(&report.summary())
+    );
+    // Writing to a string cannot fail.
+    for finding in &report.findings {
+        let word = finding.severity.word();
+        let _ = writeln!(out, "<article class=\"{word}\"><p><b>{word}</b>: {}</p>", escaped(&finding.text));
+        if !finding.remedy.is_empty() {
+            let _ = writeln!(out, "<p>Do this: {}.</p>", escaped(&finding.remedy));
+        }
+        if finding.subject == "reach" && finding.severity != Severity::Good {
+            let worst = report.figures.reach.iter().reduce(|a, b| if b.bare > a.bare { b } else { a });
+            out.push_str(&worst.map(drawing).unwrap_or_default());
+        }
+        if finding.severity != Severity::Good {
+            for name in finding.views.iter().take(MOST) {
+                if let Some(picture) = pictures.iter().find(|p| p.name == *name) {
+                    let (name, address) = (escaped(name), escaped(&picture.address));
+                    let _ = writeln!(out, "<figure><img alt=\"{name}\" src=\"{address}\">{name}</figure>");
+                }
+            }
+            if finding.views.len() > MOST {
+                let _ = writeln!(out, "<p>and {} more</p>", finding.views.len() - MOST);
+            }
+        }
+        out.push_str("</article>\n");
+    }
+    out.push_str("</html>\n");
+    out
+}

@@ -1,0 +1,134 @@
+//! The parts of the pictures that tracks reach, over all views of a camera.
+//!
+//! The picture is divided into a grid of cells, and each sighting of a sparse point counts in its cell. A
+//! cell that fewer than one view in ten reaches is bare: nothing there was found again in another picture, so
+//! the scene cannot be learnt there.
+
+use serde::Serialize;
+use use3d_capture::{Capture, Track};
+
+/// Columns and rows of the grid.
+const GRID: [usize; 2] = [20, 12];
+/// A cell is bare if it has fewer sightings than this share of the views.
+const BARE: f64 = 0.1;
+/// A column or row is bare if this share of its cells is.
+const WHOLE: f64 = 0.9;
+/// Fewer views say nothing about a camera.
+const VIEWS: usize = 3;
+/// Fewer sightings per cell, as a multiple of the number that makes a cell bare, say nothing either.
+const ENOUGH: f64 = 5.0;
+
+/// A side of a picture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Side {
+    /// The left edge.
+    Left,
+    /// The right edge.
+    Right,
+    /// The upper edge.
+    Top,
+    /// The lower edge.
+    Bottom,
+}
+
+/// The reach of the tracks in the pictures of one camera.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Reach {
+    /// Width and height of the pictures, pixels.
+    pub size: [usize; 2],
+    /// The number of views.
+    pub views: usize,
+    /// Sightings in each cell, row by row from the top.
+    pub cells: Vec<Vec<usize>>,
+    /// The share of the cells that are bare.
+    pub bare: f64,
+    /// The bare borders, the widest first, with their widths as shares of the picture.
+    pub borders: Vec<(Side, f64)>,
+}
+
+impl Reach {
+    /// True if a cell is bare.
+    pub fn is_bare(&self, column: usize, row: usize) -> bool {
+        (self.cells[row][column] as f64) < (BARE * self.views as f64).max(1.0)
+    }
+
+    fn new(size: [usize; 2], views: usize, cells: Vec<Vec<usize>>) -> Self {
+        let mut reach = Self { size, views, cells, bare: 0.0, borders: Vec::new() };
+        let [columns, rows] = GRID;
+        let count = (0..rows).flat_map(|r| (0..columns).map(move |c| (c, r)));
+        reach.bare = count.filter(|&(c, r)| reach.is_bare(c, r)).count() as f64 / (columns * rows) as f64;
+        let column =
+            |c: usize| (0..rows).filter(|&r| reach.is_bare(c, r)).count() as f64 >= WHOLE * rows as f64;
+        let row =
+            |r: usize| (0..columns).filter(|&c| reach.is_bare(c, r)).count() as f64 >= WHOLE * columns as f64;
+        let borders = [
+            (Side::Left, (0..columns).take_while(|&c| column(c)).count(), columns),
+            (Side::Right, (0..columns).rev().take_while(|&c| column(c)).count(), columns),
+            (Side::Top, (0..rows).take_while(|&r| row(r)).count(), rows),
+            (Side::Bottom, (0..rows).rev().take_while(|&r| row(r)).count(), rows),
+        ];
+        let widths = borders.map(|(side, bare, of)| (side, bare as f64 / of as f64));
+        reach.borders = widths.into_iter().filter(|(_, width)| *width > 0.0).collect();
+        reach.borders.sort_by(|a, b| b.1.total_cmp(&a.1));
+        reach
+    }
+}
+
+/// The reach of each camera that has enough views and sightings.
+pub(crate) fn reaches(capture: &Capture, tracks: &[Track]) -> Vec<Reach> {
+    let mut cameras: Vec<use3d_capture::Intrinsics> = Vec::new();
+    let of_view: Vec<usize> = capture
+        .views
+        .iter()
+        .map(|view| {
+            let own = view.camera.intrinsics;
+            cameras.iter().position(|known| *known == own).unwrap_or_else(|| {
+                cameras.push(own);
+                cameras.len() - 1
+            })
+        })
+        .collect();
+    let [columns, rows] = GRID;
+    let mut cells = vec![vec![vec![0; columns]; rows]; cameras.len()];
+    for s in tracks.iter().flat_map(|track| &track.sightings) {
+        let Some(&camera) = of_view.get(s.view) else { continue };
+        let (w, h) = (cameras[camera].width as f64, cameras[camera].height as f64);
+        if s.x >= 0.0 && s.y >= 0.0 && s.x < w && s.y < h {
+            let cell =
+                |at: f64, side: f64, count: usize| ((at / side * count as f64) as usize).min(count - 1);
+            cells[camera][cell(s.y, h, rows)][cell(s.x, w, columns)] += 1;
+        }
+    }
+    let found = cameras.iter().zip(cells).enumerate().filter_map(|(i, (camera, cells))| {
+        let views = of_view.iter().filter(|&&c| c == i).count();
+        let mean = cells.iter().flatten().sum::<usize>() as f64 / (columns * rows) as f64;
+        let enough = views >= VIEWS && mean >= ENOUGH * (BARE * views as f64).max(1.0);
+        enough.then(|| Reach::new([camera.width, camera.height], views, cells))
+    });
+    found.collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn cells(reached: impl Fn(usize, usize) -> bool) -> Vec<Vec<usize>> {
+        (0..GRID[1]).map(|r| (0..GRID[0]).map(|c| if reached(c, r) { 9 } else { 0 }).collect()).collect()
+    }
+
+    #[test]
+    fn bare_borders_are_found_the_widest_first() {
+        let all = Reach::new([200, 120], 10, cells(|_, _| true));
+        assert_eq!((all.bare, all.borders), (0.0, Vec::new()));
+        let right = Reach::new([200, 120], 10, cells(|c, r| c < 12 && r > 0));
+        assert_eq!(right.borders, [(Side::Right, 0.4), (Side::Top, 1.0 / 12.0)]);
+        assert!((right.bare - (0.4 + 0.6 / 12.0)).abs() < 1e-12, "{}", right.bare);
+        let bottom = Reach::new([200, 120], 10, cells(|_, r| r < 9));
+        assert_eq!(bottom.borders, [(Side::Bottom, 0.25)]);
+        // One stray sighting in many views leaves a cell bare.
+        let mut stray = cells(|c, _| c > 9);
+        stray[5][0] = 1;
+        assert_eq!(Reach::new([200, 120], 30, stray).borders, [(Side::Left, 0.5)]);
+    }
+}

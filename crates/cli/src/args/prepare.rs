@@ -1,0 +1,131 @@
+//! The arguments of `use3d prepare`.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use use3d_prepare::{Finder, Mapper, Matching, PrepareParams, Programs};
+
+use super::shared::{Replace, count};
+
+#[derive(Debug, Args)]
+pub(crate) struct PrepareArgs {
+    /// Films, photographs, and folders of them.
+    #[arg(required = true, value_name = "FILM|PHOTOS")]
+    pub(crate) inputs: Vec<PathBuf>,
+    /// The folder for the capture.
+    #[arg(short, long, value_name = "CAPTURE_DIR")]
+    pub(crate) out: PathBuf,
+    /// The most frames that are taken out of the films.
+    #[arg(long, value_name = "N", default_value_t = 200, value_parser = count(MAX_FRAMES))]
+    frames: usize,
+    /// COLMAP's name of the lens model, such as OPENCV, SIMPLE_RADIAL or OPENCV_FISHEYE.
+    #[arg(long, value_name = "MODEL", default_value = "OPENCV")]
+    lens: String,
+    /// Known parameters of the lens, in COLMAP's order for --lens. They are not changed then.
+    #[arg(long, value_name = "P,P,…", value_delimiter = ',', allow_hyphen_values = true)]
+    calibration: Vec<f64>,
+    /// The pairs of images that are compared.
+    #[arg(long, value_enum, default_value_t)]
+    matching: MatchingChoice,
+    /// The way from matches to cameras.
+    #[arg(long, value_enum, default_value_t)]
+    mapper: MapperChoice,
+    /// The most features of an image (default: 3000 on the processor, 8192 on a graphics card).
+    #[arg(long, value_name = "N", value_parser = count(MAX_FEATURES))]
+    features: Option<usize>,
+    /// Match and map on one thread, so that two runs give the same bytes. This takes longer.
+    #[arg(long)]
+    repeatable: bool,
+    #[command(flatten)]
+    programs: ProgramArgs,
+    #[command(flatten)]
+    pub(crate) replace: Replace,
+    /// One JSON document on stdout.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+/// More frames than any one scene can use.
+const MAX_FRAMES: u64 = 100_000;
+const MAX_FEATURES: u64 = 100_000;
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+enum MatchingChoice {
+    /// All pairs of up to 120 photographs; neighbours for films and for more photographs.
+    #[default]
+    Auto,
+    /// Each image and its neighbours in the order of names.
+    Sequential,
+    /// Every image and every other one.
+    Exhaustive,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+enum MapperChoice {
+    /// Image after image.
+    #[default]
+    Incremental,
+    /// All images together; newer versions of COLMAP have it. It is faster for many images.
+    Global,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+enum FinderChoice {
+    /// `colmap` if it uses a graphics card, else `pycolmap`, else `colmap`.
+    #[default]
+    Auto,
+    /// The program `colmap`.
+    Colmap,
+    /// The Python package `pycolmap`.
+    Pycolmap,
+}
+
+/// The programs of others that find cameras and read films.
+#[derive(Clone, Debug, Args)]
+struct ProgramArgs {
+    /// The program that finds the cameras.
+    #[arg(long, value_enum, default_value_t)]
+    with: FinderChoice,
+    /// COLMAP's program.
+    #[arg(long, env = "USE3D_COLMAP", value_name = "PROGRAM", default_value = "colmap")]
+    colmap: PathBuf,
+    /// A Python that has pycolmap or imageio-ffmpeg.
+    #[arg(long, env = "USE3D_PYTHON", value_name = "PROGRAM", default_value = "python3")]
+    python: PathBuf,
+    /// The program that reads films.
+    #[arg(long, env = "USE3D_FFMPEG", value_name = "PROGRAM", default_value = "ffmpeg")]
+    ffmpeg: PathBuf,
+}
+
+impl PrepareArgs {
+    /// The choices.
+    pub(crate) fn params(&self) -> PrepareParams {
+        PrepareParams {
+            frames: self.frames,
+            lens: self.lens.to_uppercase(),
+            calibration: self.calibration.clone(),
+            features: self.features,
+            matching: match self.matching {
+                MatchingChoice::Auto => Matching::Auto,
+                MatchingChoice::Sequential => Matching::Sequential,
+                MatchingChoice::Exhaustive => Matching::Exhaustive,
+            },
+            mapper: match self.mapper {
+                MapperChoice::Incremental => Mapper::Incremental,
+                MapperChoice::Global => Mapper::Global,
+            },
+            repeatable: self.repeatable,
+        }
+    }
+
+    /// The programs.
+    pub(crate) fn programs(&self) -> Programs {
+        let ProgramArgs { with, colmap, python, ffmpeg } = self.programs.clone();
+        let finder = match with {
+            FinderChoice::Auto => Finder::Auto,
+            FinderChoice::Colmap => Finder::Colmap,
+            FinderChoice::Pycolmap => Finder::Pycolmap,
+        };
+        Programs { colmap, ffmpeg, python, finder }
+    }
+}

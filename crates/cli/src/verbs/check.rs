@@ -1,0 +1,109 @@
+//! `use3d check`: says before a run what will go wrong with a capture, and what to do about it.
+
+use std::convert::Infallible;
+use std::io::Write;
+use std::path::Path;
+
+use use3d_check::{CheckReport, Picture, WaterSight, examine, measure, page};
+use use3d_import::{ImportParams, Imported, capture_name, import, is_prepared, load_pixels, load_prepared};
+use use3d_io_image::{jpeg_address, shrunk};
+use use3d_pipeline::water::{Judgement, from_tracks};
+use use3d_water::WaterParams;
+
+use crate::App;
+use crate::args::CheckArgs;
+use crate::destination::{check_file, path_text, word, write_file};
+use crate::error::{CliError, Done};
+use crate::interrupt;
+use crate::verbs::stages::{imported, parameters, scratch, stages};
+
+/// The longer side of a small picture, pixels.
+const SMALL: usize = 320;
+/// The JPEG quality of a small picture.
+const QUALITY: u8 = 80;
+
+/// The length of one unit of a capture's model in metres, if it is known.
+fn metres(imported: &Imported) -> Option<f64> {
+    imported.model().world.as_ref().map(|world| world.metres_per_unit)
+}
+
+pub(crate) fn run(app: &App, args: &CheckArgs) -> Done {
+    if let Some(file) = &args.html {
+        check_file("--html", file, args.replace.force, &["html", "htm"])?;
+    }
+    let registry = stages()?;
+    let mut sets = vec![format!("max_side={}", args.max_side)];
+    sets.extend(args.settings.set.iter().cloned());
+    let parameters = parameters(&registry, &["import"], &sets)?;
+    let scratch = scratch()?;
+    let folder = imported(app, &registry, &args.capture, &parameters[0], scratch.path())?;
+    let capture = load_prepared(&folder).map_err(CliError::input)?;
+    // An import stores neither the capture's name nor the files that it does not use.
+    let mut listed = capture.report.clone();
+    if !is_prepared(&args.capture) {
+        let given: ImportParams = serde_json::from_value(parameters[0].clone()).map_err(CliError::failed)?;
+        let original =
+            import(&args.capture, &ImportParams { max_side: 0, ..given }).map_err(CliError::input)?;
+        listed = original.report;
+    }
+    listed.name = capture_name(&args.capture);
+    let (capture, water, figures) = interrupt::unless_stopped(move || {
+        let water = from_tracks(&folder, &capture, &WaterParams::default());
+        let mut load =
+            |view: usize| load_pixels(&capture.capture.views[view]).map(|pixels| pixels.to_image());
+        let figures = measure(&capture.capture, &capture.tracks(), Some(&mut load));
+        (capture, water, figures)
+    })?;
+    let (_, judgement) = water.map_err(CliError::input)?;
+    let words = judgement.to_string();
+    let water = match judgement {
+        Judgement::Found => WaterSight::Found("the water can be measured before the training"),
+        Judgement::Lamps => WaterSight::Unknown(
+            "colours fade with the distance as the light of lamps does, so the water cannot be measured beforehand",
+        ),
+        Judgement::Unknown => WaterSight::Unknown(
+            "the water cannot be measured in every colour beforehand, so the training learns it from the photographs",
+        ),
+        Judgement::Dry | Judgement::Sky | Judgement::Air => WaterSight::None(&words),
+    };
+    let report = examine(&listed, figures.map_err(CliError::input)?, Some(water), metres(&capture));
+    if let Some(file) = &args.html {
+        let html = page(&report, &pictures(&report, &capture)?);
+        write_file("--html", file, |writer| writer.write_all(html.as_bytes()))?;
+    }
+    if args.json {
+        return crate::verbs::run::json(&report);
+    }
+    print!("{report}");
+    if let (Some(file), false) = (&args.html, app.quiet) {
+        eprintln!("the page: {}", path_text(file));
+    }
+    Ok(())
+}
+
+/// The gravest faults of a capture that its model shows, in lines, before a run. No picture is read. An error
+/// of the capture gives no line: the run itself reports it.
+pub(crate) fn before_run(capture: &Path, parameters: &serde_json::Value) -> Vec<String> {
+    const MOST: usize = 3;
+    let Ok(params) = serde_json::from_value::<ImportParams>(parameters.clone()) else { return Vec::new() };
+    let Ok(imported) = import(capture, &params) else { return Vec::new() };
+    let Ok(figures) = measure::<Infallible>(&imported.capture, &imported.tracks(), None);
+    let mut lines = examine(&imported.report, figures, None, metres(&imported)).gravest(MOST);
+    if !lines.is_empty() {
+        lines.push(format!("`use3d check {}` says more, and looks at the photographs", word(capture)));
+    }
+    lines
+}
+
+/// Small pictures of the views that the page shows.
+fn pictures(report: &CheckReport, capture: &Imported) -> Result<Vec<Picture>, CliError> {
+    let wanted = report.pictured();
+    let views = capture.capture.views.iter().filter(|view| wanted.contains(view.name.as_str()));
+    views
+        .map(|view| {
+            let image = load_pixels(view).map_err(CliError::input)?.to_image();
+            let address = jpeg_address(&shrunk(&image, SMALL), QUALITY).map_err(CliError::failed)?;
+            Ok(Picture { name: view.name.to_string(), address })
+        })
+        .collect()
+}

@@ -1,0 +1,204 @@
+//! `use3d prepare`: makes a capture from films and photographs. `use3d run` does the same first if it is
+//! given a film, or a folder of photographs without a model.
+
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+
+use use3d_build::{Digest, Event, place};
+use use3d_prepare::{
+    CAPTURE, Grade, Input, PREPARED, PrepareError, PrepareParams, Prepared, Programs, Sources, StepProgress,
+    StepWatch, key_of, prepare, work_folder,
+};
+
+use crate::App;
+use crate::args::PrepareArgs;
+use crate::destination::{check_folder, path_text, word};
+use crate::error::{CliError, Done};
+
+impl From<PrepareError> for CliError {
+    fn from(error: PrepareError) -> Self {
+        match error {
+            PrepareError::Interrupted => Self::Interrupted,
+            PrepareError::Step { .. } | PrepareError::NoCameras { .. } => Self::failed(error),
+            _ => Self::input(error),
+        }
+    }
+}
+
+/// Forwards the progress of a preparation to the listener. Each step has a label of its own.
+struct Teller<'a> {
+    app: &'a App,
+    step: Mutex<Option<&'static str>>,
+}
+
+impl<'a> Teller<'a> {
+    fn new(app: &'a App) -> Self {
+        Self { app, step: Mutex::new(None) }
+    }
+
+    fn end(&self, next: Option<&'static str>) {
+        let mut step = self.step.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        if *step == next {
+            return;
+        }
+        if let Some(label) = *step {
+            self.app.listener.event(&Event::Done { node: 0, label, cached: true, seconds: 0.0 });
+        }
+        *step = next;
+    }
+
+    fn progress(&self, StepProgress { step, done, total, unit }: StepProgress) {
+        self.end(Some(step));
+        let event =
+            Event::Progress { node: 0, label: step, done, total, unit, message: "", seconds_left: None };
+        self.app.listener.event(&event);
+    }
+
+    fn note(&self, text: &str) {
+        self.end(None);
+        self.app.listener.event(&Event::Note { label: "prepare", text });
+    }
+}
+
+/// The work that a capture needs.
+enum Need {
+    /// None: it was prepared from the same inputs with the same choices.
+    Nothing,
+    /// All of it; with the key and the inputs.
+    Work(String, Vec<Input>),
+}
+
+/// A preparation.
+struct Preparation<'a> {
+    app: &'a App,
+    sources: &'a Sources,
+    params: &'a PrepareParams,
+    programs: &'a Programs,
+    out: &'a Path,
+}
+
+impl Preparation<'_> {
+    fn watched<T>(
+        &self,
+        work: impl FnOnce(&StepWatch<'_>) -> Result<T, PrepareError>,
+    ) -> Result<T, PrepareError> {
+        let teller = Teller::new(self.app);
+        let (progress, note) = (|p| teller.progress(p), |text: &str| teller.note(text));
+        let done = work(&StepWatch { stop: &self.app.stop, progress: &progress, note: &note });
+        teller.end(None);
+        done
+    }
+
+    fn need(&self) -> Result<Need, CliError> {
+        let (key, inputs, same) =
+            self.watched(|watch| key_of(self.sources, self.params, self.programs.finder, self.out, watch))?;
+        let whole =
+            || matches!(place::look(self.out, place::Look::Quick), Ok(place::Standing::Ours(o)) if o.whole);
+        Ok(if same && whole() { Need::Nothing } else { Need::Work(key, inputs) })
+    }
+
+    /// Does the work, and moves the capture to its place.
+    fn make(&self, key: &str, inputs: &[Input], force: bool) -> Result<Prepared, CliError> {
+        check_folder(self.out, force)?;
+        let work = work_folder(self.out);
+        let prepared = self.watched(|watch| {
+            let (params, programs) = (self.params, self.programs);
+            prepare(self.sources, (key, inputs), params, programs, (&work, self.app.threads), watch)
+        })?;
+        let made = work.join(CAPTURE);
+        place::record(&made, Some(Digest::of(key.as_bytes())))
+            .and_then(|()| place::put(&made, self.out, force))
+            .map_err(CliError::failed)?;
+        // The capture is in its place; files of the work that stay behind do no harm.
+        let _ = std::fs::remove_dir_all(&work);
+        Ok(prepared)
+    }
+}
+
+/// The judgement in lines, with a word for its grade.
+fn lines(prepared: &Prepared) -> Vec<String> {
+    let grade = match prepared.verdict.grade {
+        Grade::Good => "good",
+        Grade::Usable => "usable",
+        Grade::Poor => "poor",
+    };
+    let mut lines = vec![format!("The cameras are {grade}. {}", prepared.verdict.words[0])];
+    lines.extend(prepared.verdict.words[1..].iter().chain(&prepared.remarks).cloned());
+    lines
+}
+
+pub(crate) fn run(app: &App, args: &PrepareArgs) -> Done {
+    let sources = Sources::of(&args.inputs)?;
+    let (params, programs) = (args.params(), args.programs());
+    let job = Preparation { app, sources: &sources, params: &params, programs: &programs, out: &args.out };
+    match job.need()? {
+        Need::Nothing if !app.quiet && !args.json => {
+            println!("{}: prepared before from the same files and choices", path_text(&args.out));
+        }
+        Need::Nothing => {}
+        Need::Work(key, inputs) => {
+            let prepared = job.make(&key, &inputs, args.replace.force)?;
+            if !args.json {
+                lines(&prepared).iter().for_each(|line| println!("{line}"));
+            }
+        }
+    }
+    if args.json {
+        let path = args.out.join(PREPARED);
+        let text = std::fs::read_to_string(&path)
+            .map_err(|e| CliError::Failed(format!("{}: {e}", path_text(&path))))?;
+        print!("{text}");
+    } else if !app.quiet {
+        eprintln!("next: use3d run {}", word(&args.out));
+    }
+    Ok(())
+}
+
+/// The capture for the target of a run, prepared if it is not yet. `None` if the target needs no preparation.
+/// The capture lies beside the results: in `captures/` in the folder that holds them.
+pub(crate) fn capture_for(app: &App, target: &Path, out: Option<&Path>) -> Result<Option<PathBuf>, CliError> {
+    let film = target.is_file() && use3d_prepare::is_film(target);
+    if !film && !(target.is_dir() && use3d_import::holds_only_pictures(target)) {
+        return Ok(None);
+    }
+    let sources = Sources::of(&[target.to_path_buf()])?;
+    let name = if film {
+        target.file_stem().unwrap_or_default().to_string_lossy().into_owned()
+    } else {
+        use3d_import::capture_name(target)
+    };
+    let beside = out.map_or(Path::new("use3d-out"), place::parent);
+    let capture = beside.join("captures").join(name);
+    let (params, programs) = (PrepareParams::default(), programs());
+    let job = Preparation { app, sources: &sources, params: &params, programs: &programs, out: &capture };
+    let told = |text: &str| {
+        if !app.quiet {
+            eprintln!("{text}");
+        }
+    };
+    match job.need()? {
+        Need::Nothing => told(&format!("the capture is {}, prepared before", path_text(&capture))),
+        Need::Work(key, inputs) => {
+            told(&format!(
+                "{} has no cameras yet: preparing the capture {} (`use3d prepare` has more choices)",
+                path_text(target),
+                path_text(&capture)
+            ));
+            let prepared = job.make(&key, &inputs, true)?;
+            lines(&prepared).iter().for_each(|line| told(line));
+        }
+    }
+    Ok(Some(capture))
+}
+
+/// The programs by the environment's variables, as for `use3d prepare`.
+fn programs() -> Programs {
+    let named = |variable: &str, usual: PathBuf| std::env::var_os(variable).map_or(usual, PathBuf::from);
+    let Programs { colmap, ffmpeg, python, finder } = Programs::default();
+    Programs {
+        colmap: named("USE3D_COLMAP", colmap),
+        ffmpeg: named("USE3D_FFMPEG", ffmpeg),
+        python: named("USE3D_PYTHON", python),
+        finder,
+    }
+}

@@ -1,0 +1,122 @@
+//! `use3d prepare`, and `use3d run` on photographs without a model, with a script in the place of `colmap`.
+#![cfg(unix)]
+
+mod tiny;
+
+use std::os::unix::fs::PermissionsExt;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use tiny::Place;
+
+/// The script: it copies a model that was made before.
+const SCRIPT: &str = r#"#!/bin/sh
+here=$(dirname "$0")
+case "$1" in help) echo "COLMAP 9.9 -- a script"; exit 0;; esac
+[ "$2" = -h ] && exit 0
+echo "$1" >> "$here/calls"
+case "$1" in
+feature_extractor) echo features > features.db ;;
+mapper) cp -r "$here/tiny/sparse/0" models/0 ;;
+esac
+"#;
+
+/// A place with the photographs of the tiny capture in `photos`, and the script.
+fn place() -> Place {
+    let place = Place::new();
+    let script = place.at("colmap");
+    std::fs::write(&script, SCRIPT).unwrap();
+    std::fs::set_permissions(&script, std::fs::Permissions::from_mode(0o755)).unwrap();
+    std::fs::create_dir(place.at("photos")).unwrap();
+    for entry in std::fs::read_dir(place.at("tiny/images")).unwrap() {
+        let path = entry.unwrap().path();
+        std::fs::copy(&path, Path::new(&place.at("photos")).join(path.file_name().unwrap())).unwrap();
+    }
+    place
+}
+
+/// A command that finds the script and no other program.
+fn alone(command: &mut Command, place: &Place) -> Output {
+    command.env("USE3D_COLMAP", place.at("colmap"));
+    command.env("USE3D_PYTHON", "/nowhere/python3").env("USE3D_FFMPEG", "/nowhere/ffmpeg");
+    command.output().expect("the command starts")
+}
+
+fn prepare(place: &Place, input: &str, extra: &[&str]) -> Output {
+    let mut command = tiny::command();
+    command.args(["prepare", &place.at(input), "--out", &place.at("reef")]).args(extra);
+    alone(&mut command, place)
+}
+
+fn said(output: &Output) -> String {
+    String::from_utf8_lossy(&[&output.stdout[..], &output.stderr[..]].concat()).into_owned()
+}
+
+fn calls(place: &Place) -> usize {
+    std::fs::read_to_string(place.at("calls")).map_or(0, |text| text.lines().count())
+}
+
+#[test]
+fn a_capture_is_prepared_once_and_never_replaced_by_accident() {
+    let place = place();
+    let first = prepare(&place, "photos", &[]);
+    let text = said(&first);
+    assert!(first.status.success() && text.contains("images have a place (100 %)"), "{text}");
+    assert!(text.contains("next: use3d run"), "{text}");
+    for file in ["images", "sparse/0/cameras.bin", "prepare.json", "manifest.json"] {
+        assert!(Path::new(&place.at("reef")).join(file).exists(), "{file}");
+    }
+    assert!(!Path::new(&place.at(".reef.preparing")).exists());
+    let done = calls(&place);
+    let again = prepare(&place, "photos", &[]);
+    assert!(again.status.success() && said(&again).contains("prepared before"), "{}", said(&again));
+    assert_eq!(calls(&place), done);
+    // Another choice would replace the capture.
+    let other = prepare(&place, "photos", &["--features", "500"]);
+    assert_eq!((other.status.code(), said(&other).contains("--force")), (Some(2), true), "{}", said(&other));
+    let forced = prepare(&place, "photos", &["--features", "500", "--force", "--json"]);
+    let record: serde_json::Value = serde_json::from_slice(&forced.stdout).expect("one JSON document");
+    assert_eq!((&record["verdict"]["grade"], &record["params"]["features"]), (&"good".into(), &500.into()));
+    // A folder of the user is never replaced.
+    std::fs::write(Path::new(&place.at("reef")).join("images/mine.txt"), "x").unwrap();
+    std::fs::remove_file(Path::new(&place.at("reef")).join("manifest.json")).unwrap();
+    let foreign = prepare(&place, "photos", &["--force"]);
+    assert_eq!(foreign.status.code(), Some(2), "{}", said(&foreign));
+}
+
+#[test]
+fn missing_programs_are_named_with_the_commands_that_bring_them() {
+    let place = place();
+    std::fs::write(place.at("dive.mp4"), "x").unwrap();
+    std::fs::remove_file(place.at("colmap")).unwrap();
+    for (input, program) in [("photos", "COLMAP is needed"), ("dive.mp4", "ffmpeg is needed")] {
+        let refused = prepare(&place, input, &[]);
+        let text = said(&refused);
+        assert_eq!(refused.status.code(), Some(2), "{text}");
+        for part in [program, "apt install colmap ffmpeg", "pip install pycolmap imageio-ffmpeg"] {
+            assert!(text.contains(part), "{part}: {text}");
+        }
+    }
+}
+
+#[test]
+fn a_run_on_photographs_prepares_them_first_and_once() {
+    let place = place();
+    let run = |place: &Place| {
+        let mut command = place.run_into("results/photos", "photos", "cache", &[]);
+        command.args(["--until", "import"]);
+        alone(&mut command, place)
+    };
+    let first = run(&place);
+    assert!(first.status.success(), "{}", said(&first));
+    assert!(Path::new(&place.at("results/captures/photos/sparse/0/images.bin")).is_file());
+    let done = calls(&place);
+    assert!(done >= 3);
+    assert!(run(&place).status.success());
+    assert_eq!(calls(&place), done);
+    // A folder with a model is used as it is.
+    let model =
+        place.run_into("results/tiny", "tiny", "cache", &[]).args(["--until", "import"]).output().unwrap();
+    assert!(model.status.success(), "{}", said(&model));
+    assert!(!Path::new(&place.at("results/captures/tiny")).exists());
+}

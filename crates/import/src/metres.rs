@@ -1,0 +1,309 @@
+//! Metres from tables that lie beside the photographs.
+//!
+//! ```text
+//! lengths.csv      length, metres, image, x1, y1, x2, y2     a known length, in two or more photographs
+//! positions.csv    image, x, y, z                            where photographs were taken, metres
+//! depths.csv       image, depth                              how deep, metres below the surface
+//! ```
+//!
+//! The first line of a table names its columns, in any order; other columns are ignored. If the model states
+//! metres itself, these are kept, and a note says by how much a table differs. Otherwise the first table in
+//! the order above gives them. A table that does not determine the metres says so in a note.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use glam::DVec3;
+use use3d_capture::World;
+use use3d_io_image::image_size;
+use use3d_survey::{Mark, Marker, PosedImage, ScaleBar, Survey, fit_depths, fit_positions, read_at_most};
+
+use crate::error::ImportError;
+use crate::layout::Folder;
+
+const LENGTHS: &str = "lengths.csv";
+const POSITIONS: &str = "positions.csv";
+const DEPTHS: &str = "depths.csv";
+/// The largest table that is read, bytes.
+const LARGEST: u64 = 1 << 26;
+/// Metres of two sources that differ by more than this share are said.
+const AGREE: f64 = 0.01;
+/// Depths whose metres are less certain than this share are not used.
+const CERTAIN: f64 = 0.1;
+
+/// A table whose first line names its columns.
+struct CsvTable {
+    path: PathBuf,
+    columns: Vec<String>,
+    rows: Vec<(usize, Vec<String>)>,
+}
+
+impl CsvTable {
+    /// Reads a table of the capture; `None` if it is not there.
+    fn read(dir: &Path, name: &str, needed: &[&str]) -> Result<Option<Self>, ImportError> {
+        let path = dir.join(name);
+        if !path.is_file() {
+            return Ok(None);
+        }
+        let bytes = read_at_most(&path, LARGEST, "keep the rows of this capture alone")?;
+        let text = String::from_utf8_lossy(&bytes);
+        let lines = (1usize..).zip(text.trim_start_matches('\u{feff}').lines());
+        let mut lines = lines.filter(|(_, line)| !line.trim().is_empty() && !line.starts_with('#'));
+        let header = lines.next().map_or("", |(_, line)| line);
+        // Spreadsheets of some languages separate by semicolons.
+        let separator = [';', '\t'].into_iter().find(|s| header.contains(*s)).unwrap_or(',');
+        let fields = |line: &str| -> Vec<String> {
+            line.split(separator).map(|f| f.trim().trim_matches('"').to_string()).collect()
+        };
+        let columns: Vec<String> = fields(header).iter().map(|f| f.to_lowercase()).collect();
+        let rows = lines.map(|(number, line)| (number, fields(line))).collect();
+        let table = Self { path, columns, rows };
+        match needed.iter().find(|name| table.column(name).is_none()) {
+            None => Ok(Some(table)),
+            Some(missing) => Err(table.fail(
+                1,
+                &format!(
+                    "there is no column `{missing}`; expected the first line to be {}",
+                    needed.join(",")
+                ),
+            )),
+        }
+    }
+
+    fn column(&self, name: &str) -> Option<usize> {
+        self.columns.iter().position(|c| c == name)
+    }
+
+    fn fail(&self, line: usize, reason: &str) -> ImportError {
+        ImportError::Table { path: self.path.clone(), line, reason: reason.into() }
+    }
+
+    fn text<'a>(&self, row: &'a (usize, Vec<String>), name: &str) -> Result<&'a str, ImportError> {
+        let field = self.column(name).and_then(|at| row.1.get(at)).filter(|field| !field.is_empty());
+        field.map(String::as_str).ok_or_else(|| self.fail(row.0, &format!("`{name}` is empty; fill it in")))
+    }
+
+    fn number(&self, row: &(usize, Vec<String>), name: &str) -> Result<f64, ImportError> {
+        let text = self.text(row, name)?;
+        let number = text.parse::<f64>().ok().filter(|v| v.is_finite());
+        number.ok_or_else(|| {
+            self.fail(row.0, &format!("`{name}` is {text:?}; expected a number with a decimal point"))
+        })
+    }
+}
+
+/// The images of a survey by their names, also without folders and without extension where that is clear.
+struct Names<'a>(BTreeMap<String, Vec<&'a PosedImage>>);
+
+impl<'a> Names<'a> {
+    fn of(survey: &'a Survey) -> Self {
+        let mut names: BTreeMap<String, Vec<&PosedImage>> = BTreeMap::new();
+        for image in &survey.images {
+            let whole = image.name.as_str().to_lowercase();
+            let file = whole.rsplit('/').next().unwrap_or(&whole).to_string();
+            let stem = use3d_capture::stem(&file).to_string();
+            let mut forms = vec![whole, file, stem];
+            forms.dedup();
+            for form in forms {
+                names.entry(form).or_default().push(image);
+            }
+        }
+        Self(names)
+    }
+
+    fn find(&self, name: &str) -> Option<&'a PosedImage> {
+        let name = name.replace('\\', "/").to_lowercase();
+        let file = name.rsplit('/').next().unwrap_or(&name);
+        let forms = [name.as_str(), file, use3d_capture::stem(file)];
+        forms.iter().find_map(|form| match self.0.get(*form).map(Vec::as_slice) {
+            Some(&[one]) => Some(one),
+            _ => None,
+        })
+    }
+}
+
+/// Reads the tables of a capture, sets the survey's world where it has none, and names the files that were
+/// read. The names of the survey's images are those of files in `images`.
+pub(crate) fn read(
+    dir: &Path,
+    images: &Folder,
+    survey: &mut Survey,
+    files: &mut Vec<PathBuf>,
+) -> Result<(), ImportError> {
+    let mut found = Vec::new();
+    let (mut notes, mut markers, mut bars) = (Vec::new(), Vec::new(), Vec::new());
+    if let Some(table) = CsvTable::read(dir, LENGTHS, &["length", "metres", "image", "x1", "y1", "x2", "y2"])?
+    {
+        files.push(LENGTHS.into());
+        found.extend(lengths(&table, images, survey, (&mut markers, &mut bars), &mut notes)?);
+    }
+    if let Some(table) = CsvTable::read(dir, POSITIONS, &["image", "x", "y", "z"])? {
+        files.push(POSITIONS.into());
+        found.extend(positions(&table, survey, &mut notes)?);
+    }
+    if let Some(table) = CsvTable::read(dir, DEPTHS, &["image", "depth"])? {
+        files.push(DEPTHS.into());
+        found.extend(depths(&table, survey, &mut notes)?);
+    }
+    survey.markers.append(&mut markers);
+    survey.scale_bars.append(&mut bars);
+    for world in found {
+        match &survey.world {
+            None => survey.world = Some(world),
+            Some(kept) if (world.metres_per_unit / kept.metres_per_unit - 1.0).abs() > AGREE => {
+                notes.push(format!(
+                    "by {} one unit is {:.6} m, by {} {:.6} m; the latter is used",
+                    world.source, world.metres_per_unit, kept.source, kept.metres_per_unit
+                ));
+            }
+            Some(_) => {}
+        }
+    }
+    survey.notes.append(&mut notes);
+    Ok(())
+}
+
+/// Metres by known lengths. Their ends become markers with a scale bar between them.
+fn lengths(
+    table: &CsvTable,
+    images: &Folder,
+    survey: &Survey,
+    (markers, bars): (&mut Vec<Marker>, &mut Vec<ScaleBar>),
+    notes: &mut Vec<String>,
+) -> Result<Option<World>, ImportError> {
+    let names = Names::of(survey);
+    let first = survey.markers.iter().map(|m| m.id).max().map_or(0, |id| id.saturating_add(1));
+    let mut known: BTreeMap<&str, (usize, f64)> = BTreeMap::new();
+    for row in &table.rows {
+        let (label, metres) = (table.text(row, "length")?, table.number(row, "metres")?);
+        if metres <= 0.0 {
+            return Err(table.fail(row.0, &format!("`metres` is {metres}; expected a number above 0")));
+        }
+        let name = table.text(row, "image")?;
+        let Some(image) = names.find(name) else {
+            let example = survey.images.first().map_or("", |i| i.name.as_str());
+            let reason = format!(
+                "`image` is {name}, which has no camera or is there twice; expected a photograph of the model, such as \
+                 {example}"
+            );
+            return Err(table.fail(row.0, &reason));
+        };
+        let next = markers.len() / 2;
+        let (at, stated) = *known.entry(label).or_insert((next, metres));
+        if stated != metres {
+            let reason = format!("`metres` is {metres}, and {stated} in an earlier line of `{label}`");
+            return Err(table.fail(row.0, &reason));
+        }
+        if at == next {
+            let ids = [0, 1].map(|end| first.saturating_add((2 * next + end) as u32));
+            for (id, end) in ids.into_iter().zip(["1", "2"]) {
+                let label = format!("{label} {end}");
+                markers.push(Marker { id, label, reference: None, marks: Vec::new() });
+            }
+            bars.push(ScaleBar { label: label.into(), ends: ids, metres });
+        }
+        // Marks count in the pixels of the file, which may be larger or smaller than in the model.
+        let file = images.image(&image.name)?.map(|path| image_size(&path)).transpose()?;
+        let camera = survey.camera(image.camera);
+        let factors = camera.zip(file).map_or((1.0, 1.0), |(camera, (w, h))| {
+            (camera.width as f64 / w as f64, camera.height as f64 / h as f64)
+        });
+        for (end, (x, y)) in [("x1", "y1"), ("x2", "y2")].into_iter().enumerate() {
+            let (x, y) = (table.number(row, x)? * factors.0, table.number(row, y)? * factors.1);
+            markers[2 * at + end].marks.push(Mark { image: image.id, x, y });
+        }
+    }
+    let measured = Survey {
+        cameras: survey.cameras.clone(),
+        images: survey.images.iter().map(|i| PosedImage { keypoints: Vec::new(), ..i.clone() }).collect(),
+        markers: markers.clone(),
+        scale_bars: bars.clone(),
+        ..Survey::default()
+    };
+    let Some((metres, worst)) = measured.metres_by_scale_bars() else {
+        notes.push(format!(
+            "{LENGTHS} gives no metres: mark both ends of a length in two photographs at least, from different places"
+        ));
+        return Ok(None);
+    };
+    if worst > AGREE {
+        notes.push(format!("the lengths in {LENGTHS} disagree by up to {:.1} %", 100.0 * worst));
+    }
+    Ok(Some(World::scaled(metres, format!("the measured lengths in {LENGTHS}"))))
+}
+
+/// The centres of the named images with the numbers of their rows, and the number of names without a camera.
+fn centres<T>(
+    table: &CsvTable,
+    survey: &Survey,
+    of: impl Fn(&(usize, Vec<String>)) -> Result<T, ImportError>,
+) -> Result<(Vec<(DVec3, T)>, usize), ImportError> {
+    let names = Names::of(survey);
+    let (mut pairs, mut unknown) = (Vec::new(), 0);
+    for row in &table.rows {
+        let value = of(row)?;
+        match names.find(table.text(row, "image")?) {
+            Some(image) => pairs.push((image.pose().center(), value)),
+            None => unknown += 1,
+        }
+    }
+    Ok((pairs, unknown))
+}
+
+fn positions(
+    table: &CsvTable,
+    survey: &Survey,
+    notes: &mut Vec<String>,
+) -> Result<Option<World>, ImportError> {
+    let (pairs, unknown) = centres(table, survey, |row| {
+        Ok(DVec3::new(table.number(row, "x")?, table.number(row, "y")?, table.number(row, "z")?))
+    })?;
+    let lacking = if unknown > 0 { format!(", {unknown} others have no camera") } else { String::new() };
+    match fit_positions(&pairs, format!("the positions in {POSITIONS}")) {
+        Some((world, left)) => {
+            notes.push(format!(
+                "{} positions in {POSITIONS} fit the cameras to {left:.3} m{lacking}",
+                pairs.len()
+            ));
+            Ok(Some(world))
+        }
+        None => {
+            notes.push(format!(
+                "{POSITIONS} gives no metres: {} of its images have a camera{lacking}; expected three or more that are \
+                 not on one line",
+                pairs.len()
+            ));
+            Ok(None)
+        }
+    }
+}
+
+fn depths(table: &CsvTable, survey: &Survey, notes: &mut Vec<String>) -> Result<Option<World>, ImportError> {
+    let (pairs, _) = centres(table, survey, |row| table.number(row, "depth"))?;
+    let remedy = "swim at different depths, or measure a length";
+    match fit_depths(&pairs, format!("the depths in {DEPTHS}")) {
+        Some((world, error)) if error <= CERTAIN => {
+            notes.push(format!(
+                "{} depths in {DEPTHS} give the metres to {:.1} %, one standard error",
+                pairs.len(),
+                100.0 * error
+            ));
+            Ok(Some(world))
+        }
+        Some((_, error)) => {
+            notes.push(format!(
+                "{DEPTHS} does not give the metres: they would be off by {:.0} %; {remedy}",
+                100.0 * error
+            ));
+            Ok(None)
+        }
+        None => {
+            notes.push(format!(
+                "{DEPTHS} gives no metres: {} of its images have a camera; expected five or more that are not in one \
+                 plane; {remedy}",
+                pairs.len()
+            ));
+            Ok(None)
+        }
+    }
+}

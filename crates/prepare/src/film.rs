@@ -1,0 +1,307 @@
+//! Takes frames out of a film with `ffmpeg`: one pass looks at small grey frames, and a second one writes the
+//! chosen frames at full size.
+//!
+//! Frames become JPEGs of high quality. JPEG has the colours of BT.601 in full range, so the film's own
+//! colours are converted to these. A film that does not name its matrix has BT.709 from 720 lines on, and
+//! else BT.601.
+
+use std::io::{BufReader, Read};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use crate::choose::{Frame, choose};
+use crate::error::PrepareError;
+use crate::process::{self, Ended, StepProgress, StepWatch, spelled};
+use crate::tools::{self, Program};
+
+/// Width of the grey frames, pixels.
+const WIDTH: usize = 480;
+/// The most frames of one second that are looked at.
+const RATE: f64 = 10.0;
+/// The largest side of a grey frame that is accepted from ffmpeg, pixels.
+const MAX_SIDE: usize = 1 << 13;
+
+/// The properties of a film.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Film {
+    path: PathBuf,
+    /// Frames per second.
+    rate: f64,
+    /// Seconds, if known.
+    seconds: Option<f64>,
+    /// The colour matrix to assume, if the film names none.
+    matrix: Option<&'static str>,
+    /// True if its colours are for HDR screens.
+    hdr: bool,
+}
+
+/// A chosen frame.
+#[derive(Clone, Debug)]
+pub(crate) struct Chosen {
+    /// Its number in the film, from 0.
+    pub(crate) number: u64,
+    /// Its sharpness, on small grey frames.
+    pub(crate) sharpness: f32,
+    /// Its time in the film, seconds.
+    pub(crate) seconds: f64,
+}
+
+/// The frames of one film.
+pub(crate) struct Choice {
+    pub(crate) film: Film,
+    pub(crate) frames: Vec<Chosen>,
+    pub(crate) looked_at: usize,
+    /// The overlap of neighbours at least; 0 if the limit of frames is too small for the film.
+    pub(crate) overlap: f64,
+}
+
+/// The text of ffmpeg about a file, as the properties of its film.
+fn understand(path: &Path, text: &str) -> Result<Film, PrepareError> {
+    let Some(stream) = text.lines().find(|l| l.contains("Video: ") && l.contains("Stream #")) else {
+        let last =
+            text.lines().rfind(|l| !l.trim().is_empty() && !l.starts_with("At least")).unwrap_or_default();
+        return Err(PrepareError::input(path, format!("ffmpeg finds no film in it: {}", last.trim())));
+    };
+    let before = |unit: &str| -> Option<f64> {
+        stream.split(',').find_map(|part| part.trim().strip_suffix(unit)?.trim().parse().ok())
+    };
+    let thousand = |text: &str| Some(1000.0 * text.trim().strip_suffix('k')?.parse::<f64>().ok()?);
+    let rate = before(" fps")
+        .or_else(|| before(" tbr"))
+        .or_else(|| stream.split(',').find_map(|part| thousand(part.trim().strip_suffix(" tbr")?)));
+    let rate = rate.filter(|r| r.is_finite() && *r > 0.0).unwrap_or(30.0);
+    let clock = text.split("Duration: ").nth(1).and_then(|rest| rest.split(',').next());
+    let seconds = clock.and_then(|clock| {
+        let parts: Vec<f64> = clock.split(':').map(|p| p.trim().parse().ok()).collect::<Option<_>>()?;
+        let &[h, m, s] = &parts[..] else { return None };
+        Some(3600.0 * h + 60.0 * m + s).filter(|s| s.is_finite() && *s > 0.0)
+    });
+    let height = stream.split(|c: char| c == ',' || c == ' ').find_map(|word| {
+        let (w, h) = word.split_once('x')?;
+        let _: u32 = w.parse().ok()?;
+        h.parse::<u32>().ok()
+    });
+    let named =
+        ["bt709", "bt470bg", "smpte170m", "bt2020", "fcc", "smpte240m"].iter().any(|m| stream.contains(m));
+    let guess = if height.unwrap_or(0) >= 720 { "bt709" } else { "bt601" };
+    let hdr = stream.contains("smpte2084") || stream.contains("arib-std-b67");
+    Ok(Film { path: path.to_path_buf(), rate, seconds, matrix: (!named).then_some(guess), hdr })
+}
+
+/// Asks ffmpeg about a film.
+fn probe(ffmpeg: &Program, path: &Path) -> Result<Film, PrepareError> {
+    let mut command = tools::command(&ffmpeg.path);
+    command.args(["-hide_banner", "-i"]).arg(path).stdin(Stdio::null());
+    let output = command.output().map_err(PrepareError::file(&ffmpeg.path))?;
+    understand(path, &String::from_utf8_lossy(&output.stderr))
+}
+
+/// The argument that keeps every frame's number: ffmpeg 5.1 renamed it.
+fn numbers_kept(version: &str) -> [&'static str; 2] {
+    let mut parts = version.split(['.', '-']).map(|p| p.parse::<u32>().ok());
+    match (parts.next().flatten(), parts.next().flatten()) {
+        (Some(0..=4), _) | (Some(5), Some(0)) => ["-vsync", "0"],
+        _ => ["-fps_mode", "passthrough"],
+    }
+}
+
+/// Reads exactly one line, at most 256 bytes, without its end; `None` at the end of the stream.
+fn line(reader: &mut impl Read) -> std::io::Result<Option<String>> {
+    let mut bytes = Vec::new();
+    let mut byte = [0];
+    while reader.read(&mut byte)? == 1 {
+        if byte[0] == b'\n' {
+            return Ok(Some(String::from_utf8_lossy(&bytes).into_owned()));
+        }
+        bytes.push(byte[0]);
+        if bytes.len() > 256 {
+            return Err(std::io::Error::other("ffmpeg wrote no Y4M frames"));
+        }
+    }
+    Ok(None)
+}
+
+/// The size in the header of a Y4M stream.
+fn y4m_size(header: &str) -> Option<(usize, usize)> {
+    let field = |letter: char| header.split(' ').skip(1).find_map(|f| f.strip_prefix(letter)?.parse().ok());
+    let size: (usize, usize) = (field('W')?, field('H')?);
+    (header.starts_with("YUV4MPEG2 ") && (1..=MAX_SIDE).contains(&size.0) && (1..=MAX_SIDE).contains(&size.1))
+        .then_some(size)
+}
+
+/// Looks at a film's frames, and chooses some.
+pub(crate) fn look(
+    ffmpeg: &Program,
+    path: &Path,
+    most: usize,
+    log: &Path,
+    watch: &StepWatch<'_>,
+) -> Result<Choice, PrepareError> {
+    let absolute = std::path::absolute(path).map_err(PrepareError::file(path))?;
+    let film = probe(ffmpeg, &absolute)?;
+    let step = (film.rate / RATE).round().max(1.0) as u64;
+    let filter = format!("select=not(mod(n\\,{step})),scale=w=min({WIDTH}\\,iw):h=-2,format=gray");
+    let mut command = tools::command(&ffmpeg.path);
+    command.args(["-v", "error", "-nostdin", "-i"]).arg(&film.path).args(["-an", "-sn", "-vf", &filter]);
+    command.args(numbers_kept(&ffmpeg.version)).args(["-strict", "-1", "-f", "yuv4mpegpipe", "-"]);
+    let frames = grey_frames(&mut command, log, watch, step, film.seconds.map(|s| s * film.rate)).map_err(
+        |e| match e {
+            PrepareError::Step { reason, .. } => PrepareError::input(path, reason),
+            other => other,
+        },
+    )?;
+    let (chosen, overlap) = choose(&frames, most);
+    let looked_at = frames.len();
+    let chosen = chosen.into_iter().map(|i| &frames[i]);
+    let frames: Vec<Chosen> = chosen
+        .map(|f| Chosen { number: f.number, sharpness: f.sharpness, seconds: f.number as f64 / film.rate })
+        .collect();
+    Ok(Choice { film, frames, looked_at, overlap })
+}
+
+fn grey_frames(
+    command: &mut Command,
+    log: &Path,
+    watch: &StepWatch<'_>,
+    step: u64,
+    total: Option<f64>,
+) -> Result<Vec<Frame>, PrepareError> {
+    use std::io::Write;
+    let mut file = process::open_log(log)?;
+    writeln!(file, "$ {}", spelled(command).join(" ")).map_err(PrepareError::file(log))?;
+    let program = PathBuf::from(command.get_program());
+    let piped = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(file);
+    let mut child = Ended(piped.spawn().map_err(PrepareError::file(&program))?);
+    let Some(out) = child.0.stdout.take() else { return Ok(Vec::new()) };
+    let mut reader = BufReader::with_capacity(1 << 20, out);
+    let failed = |reason: String| PrepareError::Step { step: "frames", reason, log: log.to_path_buf() };
+    let broken = |e: std::io::Error| failed(e.to_string());
+    let total = total.map_or(0, |frames| (frames / step as f64).ceil() as u64);
+    let mut frames = Vec::new();
+    if let Some(header) = line(&mut reader).map_err(broken)? {
+        let (width, height) = y4m_size(&header).ok_or_else(|| failed("ffmpeg wrote no Y4M frames".into()))?;
+        let mut grey = vec![0; width * height];
+        while line(&mut reader).map_err(broken)?.is_some_and(|l| l.starts_with("FRAME")) {
+            if reader.read_exact(&mut grey).is_err() {
+                break; // a film that was cut off: the frames so far count
+            }
+            frames.push(Frame::new(frames.len() as u64 * step, width, height, &grey));
+            watch.check()?;
+            let done = frames.len() as u64;
+            (watch.progress)(StepProgress {
+                step: "frames",
+                done,
+                total: total.max(done),
+                unit: "frames looked at",
+            });
+        }
+    }
+    child.0.wait().map_err(PrepareError::file(&program))?;
+    if frames.is_empty() {
+        return Err(failed(format!("ffmpeg can read no frame of it; its words are in {}", log.display())));
+    }
+    Ok(frames)
+}
+
+/// Writes the chosen frames as `names`, which has a path for each.
+pub(crate) fn write(
+    ffmpeg: &Program,
+    choice: &Choice,
+    (folder, names): (&Path, &[PathBuf]),
+    log: &Path,
+    watch: &StepWatch<'_>,
+) -> Result<(), PrepareError> {
+    let Choice { film, frames, .. } = choice;
+    let wanted: Vec<String> = frames.iter().map(|f| format!("eq(n\\,{})", f.number)).collect();
+    let matrix = film.matrix.map_or_else(String::new, |m| format!("in_color_matrix={m}:"));
+    let filter = format!(
+        "select={},scale={matrix}out_color_matrix=bt601:out_range=pc:flags=bicubic+accurate_rnd+full_chroma_int,\
+         format=yuvj420p",
+        wanted.join("+")
+    );
+    let mut command = tools::command(&ffmpeg.path);
+    command.args(["-v", "error", "-stats", "-nostdin", "-y", "-i"]).arg(&film.path).args(["-an", "-sn"]);
+    command.args(["-vf", &filter]).args(numbers_kept(&ffmpeg.version)).args(["-qscale:v", "2"]);
+    let parts = folder.join("part-%06d.jpg");
+    command.arg(&parts);
+    let total = frames.len() as u64;
+    let heard = |line: &str| {
+        let done = line.rsplit("frame=").next().and_then(|rest| rest.split_whitespace().next()?.parse().ok());
+        if let Some(done) = done.filter(|_| line.contains("frame=")) {
+            (watch.progress)(StepProgress { step: "frames", done, total, unit: "frames written" });
+        }
+    };
+    let outcome = process::run(&mut command, log, watch.stop, heard)?;
+    if !outcome.status.success() {
+        let (step, log) = ("frames", log.to_path_buf());
+        return Err(PrepareError::Step { step, reason: process::reason(&outcome), log });
+    }
+    for (i, name) in names.iter().enumerate() {
+        let part = folder.join(format!("part-{:06}.jpg", i + 1));
+        std::fs::rename(&part, name).map_err(PrepareError::file(&part))?;
+    }
+    Ok(())
+}
+
+impl Film {
+    /// Remarks on the film for the user.
+    pub(crate) fn remarks(&self) -> Vec<String> {
+        let name = self.path.file_name().unwrap_or_default().to_string_lossy();
+        let mut remarks = Vec::new();
+        if self.hdr {
+            remarks.push(format!(
+                "{name} is an HDR film: its colours look pale here; film in standard colours (Rec. 709) next time"
+            ));
+        }
+        remarks
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_words_of_ffmpeg_are_understood() {
+        let text = "Input #0, mov\n  Duration: 00:01:03.60, start: 0.000000, bitrate: 1999 kb/s\n  Stream \
+            #0:0[0x1](und): Video: h264 (High) (avc1 / 0x31637661), yuv420p(progressive), 480x270, 1997 kb/s, 29.97 \
+            fps, 10 tbr, 10240 tbn (default)\nAt least one output file must be specified\n";
+        let film = understand(Path::new("a.mp4"), text).unwrap();
+        assert_eq!(
+            (film.rate, film.seconds, film.matrix, film.hdr),
+            (29.97, Some(63.6), Some("bt601"), false)
+        );
+        let large = text.replace("480x270", "1920x1080 [SAR 1:1 DAR 16:9]");
+        assert_eq!(understand(Path::new("a.mp4"), &large).unwrap().matrix, Some("bt709"));
+        let named = text.replace("(progressive)", "(tv, bt709, progressive)");
+        assert_eq!(understand(Path::new("a.mp4"), &named).unwrap().matrix, None);
+        let hdr = text.replace("(progressive)", "(tv, bt2020nc/bt2020/arib-std-b67)");
+        assert!(understand(Path::new("a.mp4"), &hdr).unwrap().hdr);
+        let none = text.replace("29.97 fps, 10 tbr", "1k tbr").replace("00:01:03.60", "N/A");
+        let film = understand(Path::new("a.mp4"), &none).unwrap();
+        assert_eq!((film.rate, film.seconds), (1000.0, None));
+        let refused = understand(Path::new("a.mp4"), "a.mp4: Invalid data found\n").unwrap_err().to_string();
+        assert!(refused.contains("Invalid data"), "{refused}");
+    }
+
+    #[test]
+    fn the_argument_for_numbers_fits_the_version() {
+        for (version, expected) in [
+            ("4.4.2-0ubuntu", "-vsync"),
+            ("5.0", "-vsync"),
+            ("5.1.8-0+deb12u1", "-fps_mode"),
+            ("7.0.2-static", "-fps_mode"),
+            ("N-111-gabc", "-fps_mode"),
+        ] {
+            assert_eq!(numbers_kept(version)[0], expected, "{version}");
+        }
+    }
+
+    #[test]
+    fn headers_of_y4m_are_checked() {
+        assert_eq!(y4m_size("YUV4MPEG2 W480 H270 F10:1 Ip Cmono"), Some((480, 270)));
+        for bad in ["YUV4MPEG2 W480", "YUV4MPEG2 W0 H9", "YUV4MPEG2 W99999 H9", "P5 W4 H4", ""] {
+            assert_eq!(y4m_size(bad), None, "{bad}");
+        }
+    }
+}

@@ -1,0 +1,108 @@
+//! The choices of a preparation.
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::PrepareError;
+
+/// The pairs of images that are compared.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Matching {
+    /// Exhaustive for up to [`FEW`](Matching::FEW) photographs, sequential for films and for more.
+    #[default]
+    Auto,
+    /// Each image with its neighbours in the order of names.
+    Sequential,
+    /// Every image with every other one.
+    Exhaustive,
+}
+
+impl Matching {
+    /// The largest number of photographs that are all compared with each other.
+    pub const FEW: usize = 120;
+
+    /// The pairing for this many images.
+    pub(crate) fn settle(self, images: usize, films: bool) -> Self {
+        match self {
+            Self::Auto if !films && images <= Self::FEW => Self::Exhaustive,
+            Self::Auto => Self::Sequential,
+            chosen => chosen,
+        }
+    }
+}
+
+/// The way from matches to cameras.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Mapper {
+    /// Image after image. It is slower and needs little overlap.
+    #[default]
+    Incremental,
+    /// All images together, in newer versions of COLMAP. It is faster for many images.
+    Global,
+}
+
+/// The choices of a preparation.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PrepareParams {
+    /// The most frames that are taken out of the films.
+    pub frames: usize,
+    /// COLMAP's name of the lens model.
+    pub lens: String,
+    /// Known parameters of the lens, in COLMAP's order for `lens`; they are then not refined.
+    pub calibration: Vec<f64>,
+    /// The most features of an image; `None` for 3,000 on the processor and 8,192 on a graphics card.
+    pub features: Option<usize>,
+    /// The pairs of images that are compared.
+    pub matching: Matching,
+    /// The way from matches to cameras.
+    pub mapper: Mapper,
+    /// One thread for matching and mapping, so that two runs give the same bytes.
+    pub repeatable: bool,
+}
+
+impl Default for PrepareParams {
+    fn default() -> Self {
+        Self {
+            frames: 200,
+            lens: "OPENCV".into(),
+            calibration: Vec::new(),
+            features: None,
+            matching: Matching::Auto,
+            mapper: Mapper::Incremental,
+            repeatable: false,
+        }
+    }
+}
+
+/// The fewest images that a model can be made from.
+pub(crate) const FEWEST: usize = 3;
+
+impl PrepareParams {
+    pub(crate) fn validate(&self) -> Result<(), PrepareError> {
+        let bad = |flag: &'static str, reason: String| Err(PrepareError::Choice { flag, reason });
+        if self.frames < FEWEST {
+            return bad("--frames", format!("{} is too few; expected {FEWEST} or more", self.frames));
+        }
+        if self.features.is_some_and(|n| !(100..=100_000).contains(&n)) {
+            return bad("--features", "expected a number from 100 to 100000".into());
+        }
+        let Some(model) = use3d_io_colmap::LensModel::from_name(&self.lens) else {
+            let reason = format!(
+                "{} is no lens model of COLMAP; take OPENCV, SIMPLE_RADIAL, or OPENCV_FISHEYE for a fisheye",
+                self.lens
+            );
+            return bad("--lens", reason);
+        };
+        let (given, needed) = (self.calibration.len(), model.parameter_count());
+        if given != 0 && given != needed {
+            let reason =
+                format!("{} has {needed} parameters in COLMAP's order, and {given} were given", self.lens);
+            return bad("--calibration", reason);
+        }
+        if self.calibration.iter().any(|v| !v.is_finite()) {
+            return bad("--calibration", "expected finite numbers".into());
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,68 @@
+//! Copies photographs into the image folder, as they are stored.
+
+use std::path::Path;
+
+use crate::error::PrepareError;
+use crate::exif;
+use crate::process::{self, StepProgress, StepWatch};
+use crate::sources::Photograph;
+use crate::tools::{self, Program};
+
+/// Copies the photographs into `folder`. WebP becomes PNG; a JPEG's orientation is set to "not turned".
+pub(crate) fn copy(
+    photographs: &[Photograph],
+    folder: &Path,
+    ffmpeg: Option<&Program>,
+    log: &Path,
+    watch: &StepWatch<'_>,
+) -> Result<(), PrepareError> {
+    for (done, photograph) in photographs.iter().enumerate() {
+        watch.check()?;
+        let to = photograph.name.below(folder);
+        if let Some(parent) = to.parent() {
+            std::fs::create_dir_all(parent).map_err(PrepareError::file(parent))?;
+        }
+        let from = &photograph.path;
+        match ffmpeg {
+            Some(ffmpeg) if photograph.converted => {
+                let source = std::path::absolute(from).map_err(PrepareError::file(from))?;
+                let mut command = tools::command(&ffmpeg.path);
+                command.args(["-v", "error", "-y", "-i"]).arg(source).args(["-frames:v", "1"]).arg(&to);
+                let outcome = process::run(&mut command, log, watch.stop, |_| {})?;
+                if !outcome.status.success() {
+                    let reason = format!("ffmpeg cannot convert it: {}", process::reason(&outcome));
+                    return Err(PrepareError::input(from, reason));
+                }
+            }
+            _ if photograph.orientation != 1 => {
+                let mut bytes = std::fs::read(from).map_err(PrepareError::file(from))?;
+                let found = exif::read(&bytes[..bytes.len().min(exif::HEAD as usize)]);
+                exif::straighten(&found, &mut bytes);
+                std::fs::write(&to, bytes).map_err(PrepareError::file(&to))?;
+            }
+            _ => {
+                std::fs::copy(from, &to).map_err(PrepareError::file(from))?;
+            }
+        }
+        let (done, total) = (done as u64 + 1, photographs.len() as u64);
+        (watch.progress)(StepProgress { step: "photographs", done, total, unit: "photographs" });
+    }
+    Ok(())
+}
+
+/// Copies a file or a folder of plain files.
+pub(crate) fn copy_all(from: &Path, to: &Path) -> Result<(), PrepareError> {
+    if from.is_file() {
+        return std::fs::copy(from, to).map(|_| ()).map_err(PrepareError::file(from));
+    }
+    for entry in walkdir::WalkDir::new(from).follow_links(true) {
+        let entry = entry.map_err(|e| PrepareError::input(from, e.to_string()))?;
+        let target = to.join(entry.path().strip_prefix(from).unwrap_or(entry.path()));
+        if entry.file_type().is_dir() {
+            std::fs::create_dir_all(&target).map_err(PrepareError::file(&target))?;
+        } else {
+            std::fs::copy(entry.path(), &target).map_err(PrepareError::file(entry.path()))?;
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,211 @@
+//! Runs another program: its lines go to a log file, its progress to the caller, and it ends with the caller.
+
+use std::collections::VecDeque;
+use std::fs::{File, OpenOptions};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::path::Path;
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
+use std::time::Duration;
+
+use crate::error::PrepareError;
+
+/// The progress of a step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct StepProgress {
+    /// The step, in words.
+    pub step: &'static str,
+    /// Finished units.
+    pub done: u64,
+    /// All units; 0 if the number is not known.
+    pub total: u64,
+    /// The name of the units.
+    pub unit: &'static str,
+}
+
+/// The caller's view of the work.
+pub struct StepWatch<'a> {
+    /// Set by the caller to stop the work.
+    pub stop: &'a AtomicBool,
+    /// Receives progress.
+    pub progress: &'a dyn Fn(StepProgress),
+    /// Receives one line for every finished step and every remark.
+    pub note: &'a dyn Fn(&str),
+}
+
+impl StepWatch<'_> {
+    pub(crate) fn check(&self) -> Result<(), PrepareError> {
+        if self.stop.load(Ordering::Relaxed) { Err(PrepareError::Interrupted) } else { Ok(()) }
+    }
+}
+
+/// A child process that is ended when it is dropped.
+pub(crate) struct Ended(pub(crate) Child);
+
+impl Drop for Ended {
+    fn drop(&mut self) {
+        // A process that has ended already is no problem.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// The longest line that is kept, bytes.
+const LONGEST: u64 = 4096;
+/// The number of last lines that a message about a failure can draw from.
+const LAST: usize = 12;
+/// Time between two looks at the caller's wish to stop.
+const LOOK: Duration = Duration::from_millis(100);
+
+fn forward(stream: impl Read + Send + 'static, lines: Sender<String>) {
+    std::thread::spawn(move || {
+        let mut reader = BufReader::new(stream);
+        let mut bytes = Vec::new();
+        while let Ok(1..) = reader.by_ref().take(LONGEST).read_until(b'\n', &mut bytes) {
+            let line = String::from_utf8_lossy(&bytes).trim_end().to_string();
+            if lines.send(line).is_err() {
+                return;
+            }
+            bytes.clear();
+        }
+    });
+}
+
+/// The end of a program: its status and its last lines that are not empty.
+pub(crate) struct ProgramEnd {
+    pub(crate) status: ExitStatus,
+    pub(crate) last: Vec<String>,
+}
+
+/// A command as it is typed.
+pub(crate) fn spelled(command: &Command) -> Vec<String> {
+    let words = std::iter::once(command.get_program()).chain(command.get_args());
+    words.map(|word| word.to_string_lossy().into_owned()).collect()
+}
+
+pub(crate) fn open_log(log: &Path) -> Result<File, PrepareError> {
+    OpenOptions::new().create(true).append(true).open(log).map_err(PrepareError::file(log))
+}
+
+/// Runs a command to its end. Each line goes to the log file and to `heard`.
+pub(crate) fn run(
+    command: &mut Command,
+    log: &Path,
+    stop: &AtomicBool,
+    mut heard: impl FnMut(&str),
+) -> Result<ProgramEnd, PrepareError> {
+    let mut file = open_log(log)?;
+    let failed = PrepareError::file(log);
+    writeln!(file, "$ {}", spelled(command).join(" ")).map_err(&failed)?;
+    let child = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn();
+    let program = Path::new(command.get_program()).to_path_buf();
+    let mut child = Ended(child.map_err(PrepareError::file(&program))?);
+    let (sender, lines) = channel();
+    if let Some(out) = child.0.stdout.take() {
+        forward(out, sender.clone());
+    }
+    if let Some(err) = child.0.stderr.take() {
+        forward(err, sender);
+    }
+    let mut last: VecDeque<String> = VecDeque::new();
+    loop {
+        if stop.load(Ordering::Relaxed) {
+            return Err(PrepareError::Interrupted);
+        }
+        match lines.recv_timeout(LOOK) {
+            Ok(line) => {
+                writeln!(file, "{line}").map_err(&failed)?;
+                heard(&line);
+                if !line.trim().is_empty() {
+                    last.push_back(line);
+                    if last.len() > LAST {
+                        last.pop_front();
+                    }
+                }
+            }
+            Err(RecvTimeoutError::Timeout) => {
+                // A grandchild may keep the streams open after the program has ended.
+                if let Some(status) = child.0.try_wait().map_err(PrepareError::file(&program))? {
+                    return Ok(ProgramEnd { status, last: last.into() });
+                }
+            }
+            Err(RecvTimeoutError::Disconnected) => break,
+        }
+    }
+    loop {
+        if let Some(status) = child.0.try_wait().map_err(PrepareError::file(&program))? {
+            return Ok(ProgramEnd { status, last: last.into() });
+        }
+        if stop.load(Ordering::Relaxed) {
+            return Err(PrepareError::Interrupted);
+        }
+        std::thread::sleep(LOOK);
+    }
+}
+
+/// The end of a program that failed, in words.
+pub(crate) fn reason(outcome: &ProgramEnd) -> String {
+    #[cfg(unix)]
+    let signal = std::os::unix::process::ExitStatusExt::signal(&outcome.status);
+    #[cfg(not(unix))]
+    let signal: Option<i32> = None;
+    let end = match (signal, outcome.status.code()) {
+        (Some(9), _) => "it was killed, probably because memory ran out; close other programs".to_string(),
+        (Some(signal), _) => format!("it was ended by signal {signal}"),
+        (None, Some(code)) => format!("it ended with code {code}"),
+        (None, None) => "it was ended".to_string(),
+    };
+    let shown = outcome.last.len().saturating_sub(3);
+    let last: Vec<&str> = outcome.last[shown..].iter().map(String::as_str).collect();
+    if last.is_empty() { end } else { format!("{end}; its last lines:\n  {}", last.join("\n  ")) }
+}
+
+/// The counts in a line of COLMAP: `[3/20]`, or `[2/3, 1/3]` for blocks.
+pub(crate) fn counts(line: &str) -> Option<(u64, u64)> {
+    let inside =
+        line.rsplit_once('[').and_then(|(_, rest)| rest.split_once(']')).map(|(inside, _)| inside)?;
+    let part = |text: &str| -> Option<(u64, u64)> {
+        let (a, b) = text.trim().split_once('/')?;
+        Some((a.parse().ok()?, b.parse().ok()?))
+    };
+    match inside.split_once(',') {
+        None => part(inside),
+        Some((outer, inner)) => {
+            let ((a, n), (b, m)) = (part(outer)?, part(inner)?);
+            Some((a.checked_sub(1)?.checked_mul(m)?.checked_add(b)?, n.checked_mul(m)?))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn counts_of_every_kind_of_line() {
+        for (line, expected) in [
+            ("Processed file [3/20]", Some((3, 20))),
+            ("I20261124 17:22:29.1 1 x.cc:8] Processed file [3/20]", Some((3, 20))),
+            ("Matching block [2/3, 1/3]", Some((4, 9))),
+            ("Matching block [1/1, 1/1] in 367.404s", Some((1, 1))),
+            ("Matching block [0/3, 1/3]", None),
+            ("Elapsed time: 0.434 [minutes]", None),
+            ("nothing", None),
+            ("[99999999999999999999/1]", None),
+        ] {
+            assert_eq!(counts(line), expected, "{line}");
+        }
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_program_that_is_stopped_ends_at_once() {
+        let dir = tempfile::tempdir().unwrap();
+        let stop = AtomicBool::new(true);
+        let begun = std::time::Instant::now();
+        let ended = run(Command::new("sleep").arg("30"), &dir.path().join("log.txt"), &stop, |_| {});
+        assert!(matches!(ended, Err(PrepareError::Interrupted)));
+        assert!(begun.elapsed() < Duration::from_secs(10));
+    }
+}

@@ -1,0 +1,329 @@
+//! Finds the cameras of images in three steps: features, matches, mapping.
+//!
+//! Each step is one or more commands of the program `colmap`, or a call of the Python package `pycolmap`
+//! through a script that is part of this program. `colmap` renamed options between its versions, so its own
+//! help decides which ones are given. Random seeds are fixed. With several threads the order of some sums and
+//! of random numbers still varies, so the last digits of a model do too.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use serde_json::{Value, json};
+
+use crate::error::PrepareError;
+use crate::params::{Mapper, Matching, PrepareParams};
+use crate::process::{self, ProgramEnd, StepProgress, StepWatch, counts, spelled};
+use crate::tools::{self, Program};
+
+/// The script for `pycolmap`.
+const SCRIPT: &str = include_str!("sfm.py");
+/// Features of an image on the processor and on a graphics card: comparing them takes the square of their
+/// number.
+const FEATURES: (usize, usize) = (3000, 8192);
+/// The longer side at which features are searched, pixels.
+const SIDE: usize = 2000;
+/// Neighbours of an image in a sequence that it is compared with, besides those at distances of powers of
+/// two.
+const OVERLAP: usize = 10;
+/// The focal length that is tried first, as a share of the longer side, if a photograph does not say it.
+/// Behind a flat port a wide lens sees less than in air; COLMAP's own 1.2 is for telephoto lenses.
+const FOCAL: f64 = 0.85;
+/// The smallest angle between the rays of the first pair, degrees. COLMAP's own 16 refuses every good first
+/// pair of a swim straight ahead.
+const FIRST_ANGLE: f64 = 4.0;
+/// Images of the smallest model that is kept.
+const SMALLEST: usize = 10;
+
+/// Names inside the folder of the work.
+pub(crate) const IMAGES: &str = "capture/images";
+pub(crate) const FEATURES_DB: &str = "features.db";
+pub(crate) const MATCHES_DB: &str = "matches.db";
+pub(crate) const MODELS: &str = "models";
+
+/// The work of finding cameras.
+pub(crate) struct Sfm<'a> {
+    pub(crate) program: &'a Program,
+    pub(crate) params: &'a PrepareParams,
+    pub(crate) work: &'a Path,
+    pub(crate) log: &'a Path,
+    pub(crate) threads: usize,
+    pub(crate) watch: &'a StepWatch<'a>,
+    /// The number of images.
+    pub(crate) images: usize,
+}
+
+/// The commands of a step, as they are recorded.
+pub(crate) type Commands = Vec<Vec<String>>;
+
+impl Sfm<'_> {
+    fn command(&self) -> Command {
+        let mut command = tools::command(&self.program.path);
+        command.current_dir(self.work);
+        command
+    }
+
+    fn is_package(&self) -> bool {
+        self.program.name == "pycolmap"
+    }
+
+    /// The threads of a step whose result depends on their number.
+    fn deciding_threads(&self) -> usize {
+        if self.params.repeatable { 1 } else { self.threads }
+    }
+
+    fn feature_count(&self) -> usize {
+        self.params.features.unwrap_or(if self.program.card { FEATURES.1 } else { FEATURES.0 })
+    }
+
+    fn smallest(&self) -> usize {
+        SMALLEST.min(self.images / 3).max(3)
+    }
+
+    /// Runs the script for `pycolmap`.
+    fn script(
+        &self,
+        step: &str,
+        job: &Value,
+        heard: impl FnMut(&str),
+    ) -> Result<(ProgramEnd, Commands), PrepareError> {
+        let mut command = self.command();
+        command.args(["-c", SCRIPT, step]).arg(job.to_string());
+        let outcome = process::run(&mut command, self.log, self.watch.stop, heard)?;
+        let said = ["python3", "-c", "SCRIPT", step].map(String::from).to_vec();
+        Ok((outcome, vec![[said, vec![job.to_string()]].concat()]))
+    }
+
+    /// Runs a verb of `colmap`. An option counts with the first of its names that the program's help lists.
+    fn verb(
+        &self,
+        verb: &str,
+        arguments: &[(&str, String)],
+        options: &[(&[&str], String)],
+        heard: impl FnMut(&str),
+    ) -> Result<(ProgramEnd, Vec<String>), PrepareError> {
+        let help = self.command().args([verb, "-h"]).stdin(Stdio::null()).output();
+        let help = help.map_err(PrepareError::file(&self.program.path))?;
+        let help = String::from_utf8_lossy(&[help.stdout, help.stderr].concat()).into_owned();
+        let known = |name: &str| help.split_whitespace().any(|word| word == name);
+        let mut command = self.command();
+        command.arg(verb);
+        for (name, value) in arguments {
+            command.args([*name, value]);
+        }
+        for (names, value) in options {
+            if let Some(name) = names.iter().find(|name| known(name)) {
+                command.args([*name, value]);
+            }
+        }
+        let outcome = process::run(&mut command, self.log, self.watch.stop, heard)?;
+        let mut said = spelled(&command);
+        said[0] = "colmap".into();
+        Ok((outcome, said))
+    }
+
+    fn failed(&self, step: &'static str, outcome: &ProgramEnd) -> PrepareError {
+        PrepareError::Step { step, reason: process::reason(outcome), log: self.log.to_path_buf() }
+    }
+
+    /// Finds the features of all images. Each group of images has one camera.
+    pub(crate) fn features(&self, groups: &[Vec<String>]) -> Result<Commands, PrepareError> {
+        const STEP: &str = "features";
+        let (card, count) = (self.program.card, self.feature_count());
+        let total = self.images as u64;
+        let mut before = 0;
+        let tell = |before: u64, line: &str| {
+            if let Some((done, _)) = counts(line).filter(|_| line.contains("Processed file")) {
+                let done = before + done;
+                (self.watch.progress)(StepProgress { step: STEP, done, total, unit: "images" });
+            }
+        };
+        if self.is_package() {
+            let job = json!({
+                "database": FEATURES_DB, "images": IMAGES, "groups": groups, "lens": self.params.lens,
+                "calibration": self.params.calibration, "features": count, "side": SIDE,
+                "focal": FOCAL,
+                "threads": self.threads, "card": card,
+            });
+            let (outcome, commands) = self.script(STEP, &job, |line| tell(0, line))?;
+            return if outcome.status.success() { Ok(commands) } else { Err(self.failed(STEP, &outcome)) };
+        }
+        let mut commands = Vec::new();
+        for (i, group) in groups.iter().enumerate() {
+            let list = format!("group-{i}.txt");
+            let path = self.work.join(&list);
+            std::fs::write(&path, group.join("\n") + "\n").map_err(PrepareError::file(&path))?;
+            let mut arguments = vec![
+                ("--database_path", FEATURES_DB.to_string()),
+                ("--image_path", IMAGES.to_string()),
+                ("--image_list_path", list),
+                ("--ImageReader.camera_model", self.params.lens.clone()),
+                ("--ImageReader.single_camera", "1".to_string()),
+            ];
+            if !self.params.calibration.is_empty() {
+                let numbers: Vec<String> = self.params.calibration.iter().map(f64::to_string).collect();
+                arguments.push(("--ImageReader.camera_params", numbers.join(",")));
+            }
+            let options: [(&[&str], String); 6] = [
+                (&["--ImageReader.default_focal_length_factor"], FOCAL.to_string()),
+                (&["--FeatureExtraction.use_gpu", "--SiftExtraction.use_gpu"], u8::from(card).to_string()),
+                (
+                    &["--FeatureExtraction.num_threads", "--SiftExtraction.num_threads"],
+                    self.threads.to_string(),
+                ),
+                (
+                    &["--FeatureExtraction.max_image_size", "--SiftExtraction.max_image_size"],
+                    SIDE.to_string(),
+                ),
+                (&["--SiftExtraction.max_num_features"], count.to_string()),
+                (&["--random_seed", "--default_random_seed"], "0".to_string()),
+            ];
+            let (outcome, said) =
+                self.verb("feature_extractor", &arguments, &options, |line| tell(before, line))?;
+            if !outcome.status.success() {
+                return Err(self.failed(STEP, &outcome));
+            }
+            before += group.len() as u64;
+            commands.push(said);
+        }
+        Ok(commands)
+    }
+
+    /// Compares images. The database of features has been copied to that of matches.
+    pub(crate) fn matches(&self, matching: Matching) -> Result<Commands, PrepareError> {
+        const STEP: &str = "matches";
+        let card = self.program.card;
+        let exhaustive = matching == Matching::Exhaustive;
+        let tell = |line: &str| {
+            if let Some((done, total)) = counts(line).filter(|_| !line.contains("Processed file")) {
+                let unit = if exhaustive { "blocks" } else { "images" };
+                (self.watch.progress)(StepProgress { step: STEP, done, total, unit });
+            }
+        };
+        let (outcome, commands) = if self.is_package() {
+            let job = json!({
+                "database": MATCHES_DB, "matching": matching, "overlap": OVERLAP,
+                "threads": self.deciding_threads(), "card": card,
+            });
+            self.script(STEP, &job, tell)?
+        } else {
+            let verb = if exhaustive { "exhaustive_matcher" } else { "sequential_matcher" };
+            let options: [(&[&str], String); 5] = [
+                (&["--FeatureMatching.use_gpu", "--SiftMatching.use_gpu"], u8::from(card).to_string()),
+                (
+                    &["--FeatureMatching.num_threads", "--SiftMatching.num_threads"],
+                    self.deciding_threads().to_string(),
+                ),
+                (&["--SequentialMatching.overlap"], OVERLAP.to_string()),
+                (&["--SequentialMatching.quadratic_overlap"], "1".to_string()),
+                (&["--random_seed", "--default_random_seed"], "0".to_string()),
+            ];
+            let (outcome, said) =
+                self.verb(verb, &[("--database_path", MATCHES_DB.to_string())], &options, tell)?;
+            (outcome, vec![said])
+        };
+        if outcome.status.success() { Ok(commands) } else { Err(self.failed(STEP, &outcome)) }
+    }
+
+    /// Finds cameras and points. The models lie in folders of their own.
+    pub(crate) fn map(&self) -> Result<Commands, PrepareError> {
+        const STEP: &str = "cameras";
+        let models = self.work.join(MODELS);
+        std::fs::create_dir_all(&models).map_err(PrepareError::file(&models))?;
+        let total = self.images as u64;
+        let tell = |line: &str| {
+            if let Some(done) = registered(line) {
+                let done = done.min(total);
+                (self.watch.progress)(StepProgress { step: STEP, done, total, unit: "images with a place" });
+            }
+        };
+        let fixed = !self.params.calibration.is_empty();
+        let global = self.params.mapper == Mapper::Global;
+        let threads = self.deciding_threads();
+        let (outcome, commands) = if self.is_package() {
+            let job = json!({
+                "database": MATCHES_DB, "images": IMAGES, "models": MODELS, "mapper": self.params.mapper,
+                "threads": threads, "smallest": self.smallest(), "fixed": fixed, "first_angle": FIRST_ANGLE,
+            });
+            self.script("map", &job, tell)?
+        } else {
+            let verb = if global { "global_mapper" } else { "mapper" };
+            let arguments = [
+                ("--database_path", MATCHES_DB.to_string()),
+                ("--image_path", IMAGES.to_string()),
+                ("--output_path", MODELS.to_string()),
+            ];
+            let mut options: Vec<(&[&str], String)> = vec![
+                (&["--Mapper.num_threads", "--GlobalMapper.num_threads"], threads.to_string()),
+                (&["--Mapper.init_min_tri_angle"], FIRST_ANGLE.to_string()),
+                (&["--Mapper.min_model_size"], self.smallest().to_string()),
+                (&["--random_seed", "--default_random_seed"], "0".to_string()),
+                (&["--Mapper.random_seed", "--GlobalMapper.random_seed"], "0".to_string()),
+            ];
+            if fixed {
+                options.push((&["--Mapper.ba_refine_focal_length"], "0".to_string()));
+                options.push((&["--Mapper.ba_refine_extra_params"], "0".to_string()));
+            }
+            let (outcome, said) = self.verb(verb, &arguments, &options, tell)?;
+            (outcome, vec![said])
+        };
+        let none = std::fs::read_dir(&models).is_ok_and(|mut entries| entries.next().is_none());
+        // `colmap` also fails when it found no cameras; the caller has a better message for that.
+        let unknown =
+            outcome.last.iter().any(|l| l.contains("not recognized") || l.contains("no global mapper"));
+        if unknown && global {
+            let reason = format!(
+                "{} {} has no global mapper; leave the flag out",
+                self.program.name, self.program.version
+            );
+            return Err(PrepareError::Choice { flag: "--mapper global", reason });
+        }
+        if outcome.status.success()
+            || none && outcome.status.code() == Some(1) && self.program.name == "colmap"
+        {
+            Ok(commands)
+        } else {
+            Err(self.failed(STEP, &outcome))
+        }
+    }
+}
+
+/// The number of images with a place, in a line of the mapper.
+fn registered(line: &str) -> Option<u64> {
+    let rest = line.split_once("Registering image #")?.1;
+    let inside = rest.split_once('(')?.1.split_once(')')?.0;
+    inside.rsplit('=').next()?.parse().ok()
+}
+
+/// Groups of images by their cameras, in the order of first appearance. COLMAP gives each a camera.
+pub(crate) fn groups(images: &[(String, String)]) -> Vec<Vec<String>> {
+    let mut order: BTreeMap<&str, usize> = BTreeMap::new();
+    let mut groups: Vec<Vec<String>> = Vec::new();
+    for (name, camera) in images {
+        let at = *order.entry(camera).or_insert(groups.len());
+        if at == groups.len() {
+            groups.push(Vec::new());
+        }
+        groups[at].push(name.clone());
+    }
+    groups
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_of_the_mapper_count_images() {
+        assert_eq!(registered("Registering image #27 (6)"), Some(6));
+        assert_eq!(registered("I2 x.cc:620] Registering image #36 (num_reg_frames=34)"), Some(34));
+        assert_eq!(registered("  => Image sees 20 / 30 points"), None);
+    }
+
+    #[test]
+    fn images_are_grouped_by_camera() {
+        let image = |name: &str, camera: &str| (name.to_string(), camera.to_string());
+        let found = groups(&[image("a", "x"), image("b", "y"), image("c", "x")]);
+        assert_eq!(found, [vec!["a", "c"], vec!["b"]]);
+    }
+}

@@ -1,0 +1,170 @@
+//! Judges the models that were found, in words: the share of images with a place, the error, the groups.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use use3d_io_colmap::{Model, ModelForm, read_model};
+
+use crate::error::PrepareError;
+use crate::params::{Matching, PrepareParams};
+
+/// A share of images with a place that is good, and one that is still usable.
+const SHARES: (f64, f64) = (0.9, 2.0 / 3.0);
+/// A mean reprojection error above which the lens model does not fit, pixels.
+const ERROR: f64 = 1.5;
+
+/// The grade of a preparation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Grade {
+    /// Nine in ten images have a place, and the error is small.
+    Good,
+    /// Two thirds of the images have a place.
+    Usable,
+    /// Less.
+    Poor,
+}
+
+/// The judgement of a preparation.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CameraVerdict {
+    /// The grade.
+    pub grade: Grade,
+    /// Number of images.
+    pub images: usize,
+    /// Images with a place in the model that is used.
+    pub registered: usize,
+    /// Images of each further group, without those that an earlier group has.
+    pub groups: Vec<usize>,
+    /// Points.
+    pub points: usize,
+    /// Mean reprojection error, pixels.
+    pub error: f64,
+    /// Mean number of images that see a point.
+    pub track_length: f64,
+    /// The images without a place in the model that is used.
+    pub missing: Vec<String>,
+    /// The judgement in words, with the next steps.
+    pub words: Vec<String>,
+}
+
+/// Reads the models below a folder, the one with the most images first.
+pub(crate) fn models(folder: &Path) -> Result<Vec<Model>, PrepareError> {
+    let entries = std::fs::read_dir(folder).map_err(PrepareError::file(folder))?;
+    let mut paths: Vec<PathBuf> = entries.filter_map(|e| Some(e.ok()?.path())).collect();
+    paths.push(folder.to_path_buf());
+    // Numbers in names have at most a few digits: `10` comes after `9`.
+    paths.sort_by_key(|p| (p.as_os_str().len(), p.clone()));
+    let mut found = Vec::new();
+    for path in paths.into_iter().filter(|path| ModelForm::of(path).is_some()) {
+        let model = read_model(&path)?;
+        if !model.images.is_empty() {
+            found.push(model);
+        }
+    }
+    found.sort_by_key(|model| std::cmp::Reverse(model.images.len()));
+    // Attempts of the mapper that a larger model covers are of no use.
+    let mut placed: BTreeSet<String> = BTreeSet::new();
+    found.retain(|model| {
+        let names = model.images.iter().map(|image| image.name.to_string());
+        let before = placed.len();
+        placed.extend(names);
+        placed.len() > before
+    });
+    Ok(found)
+}
+
+/// Judges models that are sorted by size. `names` are the images; `films` is true if they come from films.
+pub(crate) fn judge(
+    models: &[Model],
+    names: &[String],
+    (params, matching, films): (&PrepareParams, Matching, bool),
+) -> Option<CameraVerdict> {
+    let used = models.first()?;
+    let mut placed: BTreeSet<&str> = used.images.iter().map(|i| i.name.as_str()).collect();
+    let missing: Vec<String> = names.iter().filter(|n| !placed.contains(n.as_str())).cloned().collect();
+    let registered = names.len() - missing.len();
+    let mut groups = Vec::new();
+    for model in &models[1..] {
+        let more: BTreeSet<&str> =
+            model.images.iter().map(|i| i.name.as_str()).filter(|n| !placed.contains(n)).collect();
+        if !more.is_empty() {
+            groups.push(more.len());
+            placed.extend(more);
+        }
+    }
+    let points = used.points.len();
+    let mean = |sum: f64| if points == 0 { 0.0 } else { sum / points as f64 };
+    let error = mean(used.points.iter().map(|p| p.error.max(0.0)).sum());
+    let track_length = mean(used.points.iter().map(|p| p.track.len() as f64).sum());
+    let share = registered as f64 / names.len().max(1) as f64;
+    let grade = match share {
+        s if s >= SHARES.0 && error <= ERROR => Grade::Good,
+        s if s >= SHARES.1 => Grade::Usable,
+        _ => Grade::Poor,
+    };
+    let mut words = vec![format!(
+        "{registered} of {} images have a place ({:.0} %). The mean reprojection error is {error:.2} pixels, and {points} \
+         points are each seen in {track_length:.1} images.",
+        names.len(),
+        100.0 * share
+    )];
+    if !groups.is_empty() {
+        let list: Vec<String> = groups.iter().map(usize::to_string).collect();
+        words.push(format!(
+            "Other images form {} without enough overlap with the largest one, which is used: {} images.",
+            if groups.len() == 1 { "a group".into() } else { format!("{} groups", groups.len()) },
+            list.join(", ")
+        ));
+    }
+    if share < SHARES.0 {
+        words.push(format!("To give more images a place: {}.", remedies(params, matching, films).join("; ")));
+    }
+    if share < SHARES.1 {
+        words.push(
+            "More than a third of the images is missing, so parts of the scene will be missing too. If none of this \
+             helps, film again: slowly, sideways, with a fixed zoom, and with things in view that do not move."
+                .into(),
+        );
+    }
+    if error > ERROR {
+        words.push(format!(
+            "The error is above {ERROR} pixels, so the lens model {} does not fit well: try another --lens, and switch \
+             off zoom and stabilisation in the camera.",
+            params.lens
+        ));
+    }
+    Some(CameraVerdict {
+        grade,
+        images: names.len(),
+        registered,
+        groups,
+        points,
+        error,
+        track_length,
+        missing,
+        words,
+    })
+}
+
+/// The changes of choices that give more images a place.
+pub(crate) fn remedies(params: &PrepareParams, matching: Matching, films: bool) -> Vec<String> {
+    let mut remedies = Vec::new();
+    if matching == Matching::Sequential {
+        remedies.push("compare every image with every other one (--matching exhaustive)".into());
+    }
+    let features = params.features.unwrap_or(3000);
+    if features < 8000 {
+        remedies.push(format!("look for more features (--features {})", (features * 2).min(8000)));
+    }
+    if films {
+        remedies.push(format!("take more frames (--frames {})", params.frames * 2));
+    } else {
+        remedies.push("add photographs in between".into());
+    }
+    if params.lens != "OPENCV_FISHEYE" {
+        remedies.push("for a very wide lens, --lens OPENCV_FISHEYE".into());
+    }
+    remedies
+}

@@ -1,0 +1,241 @@
+//! Preparations with a script in the place of `colmap`: what fails, and what is kept for the next attempt.
+#![cfg(unix)]
+
+mod common;
+
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+
+use common::{Attempt, attempt};
+use use3d_capture::{FileName, Raster};
+use use3d_io_colmap::{Keypoint, LensModel, Model, ModelCamera, ModelImage, ModelPoint, write_model_binary};
+use use3d_prepare::{CAPTURE, Finder, Grade, PREPARED, PrepareError, PrepareParams, Programs};
+
+/// A folder with ten photographs, a script as `colmap`, and the models that the script finds.
+struct Place {
+    dir: tempfile::TempDir,
+}
+
+const SCRIPT: &str = r#"#!/bin/sh
+here=$(dirname "$0")
+case "$1" in help) echo "COLMAP 9.9 -- a script"; exit 0;; esac
+if [ "$2" = -h ]; then echo "--SiftExtraction.use_gpu --SiftMatching.num_threads"; exit 0; fi
+echo "$@" >> "$here/calls"
+if [ -e "$here/fail-$1" ]; then echo "the disk is on fire" >&2; exit 3; fi
+case "$1" in
+feature_extractor) echo features > features.db ;;
+*_matcher) cat features.db > /dev/null && echo matches >> matches.db ;;
+mapper) [ "$(wc -l < matches.db)" = 2 ] || exit 9
+  for model in "$here"/models/*; do [ -d "$model" ] && cp -r "$model" models/; done
+  ls models/* > /dev/null 2>&1 || exit 1 ;;
+esac
+"#;
+
+impl Place {
+    fn new() -> Self {
+        let place = Self { dir: tempfile::tempdir().unwrap() };
+        let script = place.at("colmap");
+        std::fs::write(&script, SCRIPT).unwrap();
+        std::fs::set_permissions(&script, std::fs::Permissions::from_mode(0o755)).unwrap();
+        std::fs::create_dir_all(place.at("photos")).unwrap();
+        std::fs::create_dir_all(place.at("models")).unwrap();
+        for i in 0..10u8 {
+            let image = Raster::<u8, 3>::filled(16, 12, 20 * i);
+            use3d_io_image::write_png8(&place.at("photos").join(name(i.into()).as_str()), &image).unwrap();
+        }
+        place
+    }
+
+    fn at(&self, name: &str) -> PathBuf {
+        self.dir.path().join(name)
+    }
+
+    /// The script finds these images in its model of that number, with this reprojection error.
+    fn found(&self, number: usize, images: impl Iterator<Item = usize>, error: f64) {
+        let camera = ModelCamera {
+            id: 1,
+            model: LensModel::SimpleRadial,
+            width: 16,
+            height: 12,
+            parameters: vec![20.0, 8.0, 6.0, 0.0],
+        };
+        let images: Vec<ModelImage> = images
+            .map(|i| ModelImage {
+                id: i as u32 + 1,
+                name: name(i),
+                camera: 1,
+                quaternion: [1.0, 0.0, 0.0, 0.0],
+                translation: [i as f64, 0.0, 4.0],
+                keypoints: vec![Keypoint { x: 8.0, y: 6.0, point: 1 }],
+            })
+            .collect();
+        let track = images.iter().map(|image| (image.id, 0)).collect();
+        let point = ModelPoint { id: 1, position: [0.0, 0.0, 1.0], color: [9, 9, 9], error, track };
+        let folder = self.at("models").join(number.to_string());
+        std::fs::create_dir_all(&folder).unwrap();
+        write_model_binary(&folder, &Model { cameras: vec![camera], images, points: vec![point] }).unwrap();
+    }
+
+    fn attempt(&self, params: &PrepareParams) -> Attempt {
+        let programs = Programs { colmap: self.at("colmap"), finder: Finder::Colmap, ..Programs::default() };
+        attempt(&[self.at("photos")], params, &programs, &self.at("reef"))
+    }
+
+    /// The verbs that were called since the last look.
+    fn calls(&self) -> Vec<String> {
+        let text = std::fs::read_to_string(self.at("calls")).unwrap_or_default();
+        let _ = std::fs::remove_file(self.at("calls"));
+        text.lines().map(|l| l.split(' ').next().unwrap().to_string()).collect()
+    }
+}
+
+fn name(i: usize) -> FileName {
+    FileName::new(&format!("p_{i:02}.png")).unwrap()
+}
+
+const ALL: [&str; 3] = ["feature_extractor", "exhaustive_matcher", "mapper"];
+
+#[test]
+fn a_capture_is_made_and_its_record_says_of_what() {
+    let place = Place::new();
+    place.found(0, 0..10, 0.5);
+    let Attempt { done, work, .. } = place.attempt(&PrepareParams::default());
+    let verdict = done.unwrap().verdict;
+    assert_eq!((verdict.grade, verdict.registered, verdict.groups.len()), (Grade::Good, 10, 0));
+    assert!(verdict.words[0].contains("10 of 10 images"), "{}", verdict.words[0]);
+    assert_eq!(place.calls(), ALL);
+    let capture = work.join(CAPTURE);
+    assert!(capture.join("images/p_03.png").is_file() && capture.join("sparse/0/points3D.bin").is_file());
+    let record: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(capture.join(PREPARED)).unwrap()).unwrap();
+    assert_eq!(record["programs"][0]["version"], "9.9");
+    let command = record["commands"]["features"][0].to_string();
+    // Only options that the program's help lists are given, and no path of this machine is kept.
+    for part in ["--ImageReader.camera_model", "OPENCV", "--SiftExtraction.use_gpu"] {
+        assert!(command.contains(part), "{command}");
+    }
+    assert!(!command.contains("random_seed") && !command.contains("photos"), "{command}");
+}
+
+#[test]
+fn a_failing_step_names_its_log_and_finished_steps_are_kept() {
+    let place = Place::new();
+    place.found(0, 0..10, 0.5);
+    for (step, words) in
+        [("feature_extractor", "features"), ("exhaustive_matcher", "matches"), ("mapper", "cameras")]
+    {
+        std::fs::write(place.at(&format!("fail-{step}")), "").unwrap();
+        let Attempt { done, work, .. } = place.attempt(&PrepareParams::default());
+        let message = done.unwrap_err().to_string();
+        for part in [words, "failed", "the disk is on fire", "code 3", "log.txt"] {
+            assert!(message.contains(part), "{step}: {message}");
+        }
+        assert!(std::fs::read_to_string(work.join("log.txt")).unwrap().contains("on fire"));
+        assert_eq!(place.calls().last().unwrap(), step);
+        std::fs::remove_file(place.at(&format!("fail-{step}"))).unwrap();
+    }
+    // Only the step that failed last is left to do.
+    let Attempt { done, notes, .. } = place.attempt(&PrepareParams::default());
+    done.unwrap();
+    assert_eq!(place.calls(), ["mapper"]);
+    assert_eq!(notes.iter().filter(|n| n.contains("kept from the last attempt")).count(), 3, "{notes:?}");
+    // Another choice repeats the steps after it.
+    let more = PrepareParams { features: Some(5000), ..PrepareParams::default() };
+    place.attempt(&more).done.unwrap();
+    assert_eq!(place.calls(), ALL);
+    let other = PrepareParams { matching: use3d_prepare::Matching::Sequential, ..more };
+    place.attempt(&other).done.unwrap();
+    assert_eq!(place.calls(), ["sequential_matcher", "mapper"]);
+}
+
+#[test]
+fn few_images_and_several_groups_are_said_in_words() {
+    let place = Place::new();
+    // The smaller group comes first, and one of its images is also in the larger one.
+    place.found(0, 7..10, 0.4);
+    place.found(1, 0..8, 2.0);
+    let Attempt { done, work, .. } = place.attempt(&PrepareParams::default());
+    let verdict = done.unwrap().verdict;
+    assert_eq!((verdict.grade, verdict.registered, &verdict.groups[..]), (Grade::Usable, 8, &[2][..]));
+    let words = verdict.words.join("\n");
+    for part in ["8 of 10 images have a place (80 %)", "2 images", "--features 6000", "1.5 pixels", "--lens"]
+    {
+        assert!(words.contains(part), "{part}: {words}");
+    }
+    let largest = use3d_io_colmap::read_model(&work.join(CAPTURE).join("sparse/0")).unwrap();
+    assert_eq!(largest.images.len(), 8);
+
+    let place = Place::new();
+    place.found(0, 0..4, 0.4);
+    let verdict = place.attempt(&PrepareParams::default()).done.unwrap().verdict;
+    assert_eq!(verdict.grade, Grade::Poor);
+    assert!(verdict.words.iter().any(|w| w.contains("More than a third")), "{:?}", verdict.words);
+    assert_eq!(verdict.missing.len(), 6);
+}
+
+#[test]
+fn no_cameras_are_an_error_with_remedies() {
+    let place = Place::new();
+    let error = place.attempt(&PrepareParams::default()).done.unwrap_err();
+    assert!(matches!(error, PrepareError::NoCameras { images: 10, .. }), "{error}");
+    assert!(error.to_string().contains("--features 6000"), "{error}");
+    place.calls();
+    // The next attempt maps again.
+    place.found(0, 0..10, 0.5);
+    place.attempt(&PrepareParams::default()).done.unwrap();
+    assert_eq!(place.calls(), ["mapper"]);
+}
+
+#[test]
+fn a_finished_capture_is_known_again_and_changed_photographs_are_noticed() {
+    let place = Place::new();
+    place.found(0, 0..10, 0.5);
+    let first = place.attempt(&PrepareParams::default());
+    assert!(first.done.is_ok() && !first.reusable);
+    std::fs::rename(first.work.join(CAPTURE), place.at("reef")).unwrap();
+    assert!(place.attempt(&PrepareParams::default()).reusable);
+    let more = PrepareParams { features: Some(5000), ..PrepareParams::default() };
+    assert!(!place.attempt(&more).reusable);
+    let image = Raster::<u8, 3>::filled(16, 12, 255);
+    use3d_io_image::write_png8(&place.at("photos/p_03.png"), &image).unwrap();
+    assert!(!place.attempt(&PrepareParams::default()).reusable);
+}
+
+#[test]
+fn wrong_inputs_and_choices_are_refused_before_any_work() {
+    let place = Place::new();
+    place.found(0, 0..10, 0.5);
+    let refused = |inputs: &[PathBuf], params: &PrepareParams| {
+        let programs = Programs { colmap: place.at("colmap"), finder: Finder::Colmap, ..Programs::default() };
+        attempt(inputs, params, &programs, &place.at("reef")).done.unwrap_err().to_string()
+    };
+    let usual = PrepareParams::default();
+    let photos = [place.at("photos")];
+    let with = |change: fn(&mut PrepareParams)| {
+        let mut params = PrepareParams::default();
+        change(&mut params);
+        refused(&photos, &params)
+    };
+    assert!(with(|p| p.lens = "WIDE".into()).contains("--lens: WIDE is no lens model"));
+    assert!(with(|p| p.calibration = vec![1.0]).contains("has 8 parameters"));
+    assert!(with(|p| p.features = Some(3)).contains("--features"));
+    let write = |name: &str, bytes: &[u8]| {
+        std::fs::write(place.at(name), bytes).unwrap();
+        place.at(name)
+    };
+    std::fs::create_dir(place.at("empty")).unwrap();
+    for (input, part) in [
+        (place.at("nothing.mp4"), "no such file"),
+        (place.at("empty"), "no films or photographs"),
+        (write("a.heic", b"x"), "heif-convert"),
+        (write("b.png", b"not a picture"), "b.png"),
+        (place.at("photos/p_01.png"), "3 photographs"),
+    ] {
+        let message = refused(&[input], &usual);
+        assert!(message.contains(part), "{message}");
+    }
+    assert!(
+        refused(&[place.at("photos/p_01.png"), place.at("photos/p_01.png")], &usual).contains("same name")
+    );
+    assert!(!Path::new(&place.at("calls")).exists(), "no step was started");
+}

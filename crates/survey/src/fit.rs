@@ -1,0 +1,189 @@
+//! The world by measured places of cameras: positions in metres, or depths below the surface.
+
+use glam::{DMat3, DVec3};
+use use3d_capture::World;
+
+/// Rotations of the eigenvalue method; a symmetric matrix of four rows needs a handful.
+const SWEEPS: usize = 60;
+
+/// The similarity that takes `(model, metres)` pairs onto each other with the least squares, with the root
+/// mean square of what is left, metres. `None` with fewer than three pairs and where they lie on one line.
+///
+/// The rotation is the unit quaternion with the largest eigenvalue of Horn's matrix of the correlations.
+pub fn fit_positions(pairs: &[(DVec3, DVec3)], source: String) -> Option<(World, f64)> {
+    if pairs.len() < 3 {
+        return None;
+    }
+    let n = pairs.len() as f64;
+    let mean = pairs.iter().fold((DVec3::ZERO, DVec3::ZERO), |m, p| (m.0 + p.0 / n, m.1 + p.1 / n));
+    let centred: Vec<(DVec3, DVec3)> = pairs.iter().map(|p| (p.0 - mean.0, p.1 - mean.1)).collect();
+    // m[i][j] is the sum of model_i times metres_j.
+    let mut m = [[0.0; 3]; 3];
+    for (a, b) in &centred {
+        let (a, b) = (a.to_array(), b.to_array());
+        (0..9).for_each(|k| m[k / 3][k % 3] += a[k / 3] * b[k % 3]);
+    }
+    let [[xx, xy, xz], [yx, yy, yz], [zx, zy, zz]] = m;
+    let horn = [
+        [xx + yy + zz, yz - zy, zx - xz, xy - yx],
+        [yz - zy, xx - yy - zz, xy + yx, zx + xz],
+        [zx - xz, xy + yx, yy - xx - zz, yz + zy],
+        [xy - yx, zx + xz, yz + zy, zz - xx - yy],
+    ];
+    let (values, vectors) = eigen(horn);
+    let mut order = [0, 1, 2, 3];
+    order.sort_by(|&a, &b| values[b].total_cmp(&values[a]));
+    // On one line any turn about it fits as well: the two largest eigenvalues are equal.
+    if values[order[0]] - values[order[1]] <= 1e-6 * values[order[0]].abs() {
+        return None;
+    }
+    let q = std::array::from_fn(|row| vectors[row][order[0]]);
+    let rotation = of_quaternion(q);
+    let spread: f64 = centred.iter().map(|p| p.0.length_squared()).sum();
+    let scale = centred.iter().map(|(a, b)| b.dot(rotation * *a)).sum::<f64>() / spread;
+    if !(scale.is_finite() && scale > 0.0) {
+        return None;
+    }
+    let translation = mean.1 - scale * (rotation * mean.0);
+    let left: f64 = centred.iter().map(|(a, b)| (*b - scale * (rotation * *a)).length_squared()).sum();
+    Some((World::of(scale, &rotation, translation, source), (left / n).sqrt()))
+}
+
+/// The rotation of a unit quaternion `w x y z`.
+fn of_quaternion([w, x, y, z]: [f64; 4]) -> DMat3 {
+    DMat3::from_cols(
+        DVec3::new(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)),
+        DVec3::new(2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)),
+        DVec3::new(2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)),
+    )
+}
+
+/// The eigenvalues of a symmetric matrix, and its eigenvectors as columns, by Jacobi's rotations.
+fn eigen<const N: usize>(mut a: [[f64; N]; N]) -> ([f64; N], [[f64; N]; N]) {
+    let mut v: [[f64; N]; N] = std::array::from_fn(|i| std::array::from_fn(|j| f64::from(u8::from(i == j))));
+    for _ in 0..SWEEPS {
+        let mut largest = (0, 0, 0.0f64);
+        for i in 0..N {
+            for j in i + 1..N {
+                if a[i][j].abs() > largest.2 {
+                    largest = (i, j, a[i][j].abs());
+                }
+            }
+        }
+        let (p, q, size) = largest;
+        let whole: f64 = (0..N).map(|i| a[i][i].abs()).sum();
+        if size <= 1e-16 * whole {
+            break;
+        }
+        // tan of the angle that makes the entry 0, without trigonometry.
+        let theta = (a[q][q] - a[p][p]) / (2.0 * a[p][q]);
+        let t = if theta >= 0.0 { 1.0 } else { -1.0 } / (theta.abs() + (theta * theta + 1.0).sqrt());
+        let c = 1.0 / (t * t + 1.0).sqrt();
+        let s = t * c;
+        for row in &mut a {
+            (row[p], row[q]) = (c * row[p] - s * row[q], s * row[p] + c * row[q]);
+        }
+        for k in 0..N {
+            (a[p][k], a[q][k]) = (c * a[p][k] - s * a[q][k], s * a[p][k] + c * a[q][k]);
+        }
+        for row in &mut v {
+            (row[p], row[q]) = (c * row[p] - s * row[q], s * row[p] + c * row[q]);
+        }
+    }
+    (std::array::from_fn(|i| a[i][i]), v)
+}
+
+/// The scale and the direction down by `(model position, depth in metres)` pairs: `depth = w · x + d` with
+/// the least squares. The metres of a unit are `|w|`. Returns the world with z up and the surface at `z = 0`,
+/// and the standard error of the metres as a share. `None` with fewer than five pairs, and where positions do
+/// not fill space.
+pub fn fit_depths(pairs: &[(DVec3, f64)], source: String) -> Option<(World, f64)> {
+    if pairs.len() < 5 {
+        return None;
+    }
+    let n = pairs.len() as f64;
+    let mean = pairs.iter().fold((DVec3::ZERO, 0.0), |m, p| (m.0 + p.0 / n, m.1 + p.1 / n));
+    let (mut normal, mut right) = (DMat3::ZERO, DVec3::ZERO);
+    for (x, depth) in pairs {
+        let x = *x - mean.0;
+        normal += DMat3::from_cols(x * x.x, x * x.y, x * x.z);
+        right += x * (depth - mean.1);
+    }
+    let (values, _) = eigen(normal.transpose().to_cols_array_2d());
+    let largest = values.iter().copied().fold(0.0, f64::max);
+    if values.iter().any(|v| *v <= 1e-8 * largest) {
+        return None;
+    }
+    let inverse = normal.inverse();
+    let w = inverse * right;
+    let scale = w.length();
+    if !(scale.is_finite() && scale > 0.0) {
+        return None;
+    }
+    let left: f64 = pairs.iter().map(|(x, depth)| depth - mean.1 - w.dot(*x - mean.0)).map(|r| r * r).sum();
+    let down = w / scale;
+    // The variance of |w| is that of w along itself.
+    let error = (left / (n - 4.0) * down.dot(inverse * down)).sqrt() / scale;
+    let up = -down;
+    let side = if up.x.abs() < 0.9 { DVec3::X } else { DVec3::Y };
+    let x = (side - up * side.dot(up)).normalize();
+    let rotation = DMat3::from_cols(x, up.cross(x), up).transpose();
+    let height = -(mean.1 - w.dot(mean.0));
+    Some((World::of(scale, &rotation, DVec3::new(0.0, 0.0, height), source), error))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn places() -> Vec<DVec3> {
+        (0..12).map(f64::from).map(|i| DVec3::new(0.4 * i, 0.03 * i * i - 1.0, 0.5 * (i % 3.0))).collect()
+    }
+
+    #[test]
+    fn positions_of_the_size_of_utm_keep_the_millimetre() {
+        let turn = DMat3::from_axis_angle(DVec3::new(0.6, 0.0, 0.8), 2.1);
+        let origin = DVec3::new(512_345.678, 4_256_836.521, -12.25);
+        let pairs: Vec<(DVec3, DVec3)> =
+            places().iter().map(|p| (*p, 0.731 * (turn * *p) + origin)).collect();
+        let (world, left) = fit_positions(&pairs, "test".into()).unwrap();
+        assert!((world.metres_per_unit / 0.731 - 1.0).abs() < 1e-9 && left < 1e-8, "{world:?} {left}");
+        for (model, metres) in &pairs {
+            let found = DVec3::from_array(world.apply(model.to_array()));
+            assert!((found - *metres).length() < 1e-6, "{found} {metres}");
+            assert!((DVec3::from_array(world.invert(found.to_array())) - *model).length() < 1e-6);
+        }
+        // Errors of a few centimetres are said.
+        let noisy: Vec<_> = (0i32..)
+            .zip(&pairs)
+            .map(|(i, (a, b))| (*a, *b + DVec3::new(0.05 * f64::from(i % 3 - 1), 0.0, 0.0)))
+            .collect();
+        let (world, left) = fit_positions(&noisy, "test".into()).unwrap();
+        assert!((world.metres_per_unit / 0.731 - 1.0).abs() < 0.03 && (0.01..0.06).contains(&left), "{left}");
+        let line: Vec<_> = pairs.iter().map(|p| (DVec3::X * p.0.x, DVec3::Y * p.0.x)).collect();
+        assert!(
+            fit_positions(&line, String::new()).is_none()
+                && fit_positions(&pairs[..2], String::new()).is_none()
+        );
+    }
+
+    #[test]
+    fn depths_give_the_scale_and_the_direction_down() {
+        let down = DVec3::new(0.1, 0.9, -0.3).normalize();
+        let pairs: Vec<(DVec3, f64)> = places().iter().map(|p| (*p, 0.8 * down.dot(*p) + 11.0)).collect();
+        let (world, error) = fit_depths(&pairs, "test".into()).unwrap();
+        assert!((world.metres_per_unit - 0.8).abs() < 1e-9 && error < 1e-6, "{world:?} {error}");
+        for (x, depth) in &pairs {
+            assert!((world.apply(x.to_array())[2] + depth).abs() < 1e-9, "z is minus the depth");
+        }
+        assert!((world.rotation().determinant() - 1.0).abs() < 1e-9);
+        // A gauge with a step of 10 cm.
+        let coarse: Vec<_> = pairs.iter().map(|(x, d)| (*x, (10.0 * d).round() / 10.0)).collect();
+        let (world, error) = fit_depths(&coarse, "test".into()).unwrap();
+        let off = (world.metres_per_unit / 0.8 - 1.0).abs();
+        assert!(off < 3.0 * error && error < 0.1, "{off} {error}");
+        // On one line nothing is known of the other directions.
+        let line: Vec<_> = pairs.iter().map(|p| (DVec3::X * p.0.x, p.1)).collect();
+        assert!(fit_depths(&line, String::new()).is_none());
+    }
+}
