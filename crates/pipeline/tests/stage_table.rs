@@ -220,6 +220,8 @@ fn a_token_in_any_file_makes_every_stage_stale_that_reaches_it() {
         match krate {
             // The numeric class covers the results of a graphics card: it contains the digest of the kernels.
             "cli" | "cluster" | "golden" | "build" | "store" | "web" | "viewer" | "gpu" => true,
+            // They end before the first stage: one makes captures, the other only speaks about them.
+            "prepare" | "check" => true,
             "pipeline" => WITHOUT_ARTIFACTS.iter().any(|known| file.starts_with(known)),
             _ => false,
         }
