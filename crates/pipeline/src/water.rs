@@ -273,6 +273,25 @@ pub struct ChannelReport {
     pub used: [usize; 2],
 }
 
+/// The verdicts of all colours in one line, each verdict once: `red: found; green and blue: not observable`.
+pub(crate) fn by_verdict(channels: &[ChannelReport]) -> String {
+    let mut groups: Vec<(Vec<&str>, &str)> = Vec::new();
+    for c in channels {
+        match groups.iter_mut().find(|(_, told)| *told == c.told) {
+            Some((names, _)) => names.push(c.channel),
+            None => groups.push((vec![c.channel], &c.told)),
+        }
+    }
+    let line = |(names, told): &(Vec<&str>, &str)| {
+        let told = told.replace(';', ",");
+        match names.len() == channels.len() {
+            true => format!("all colours: {told}"),
+            false => format!("{}: {told}", names.join(" and ")),
+        }
+    };
+    groups.iter().map(line).collect::<Vec<_>>().join("; ")
+}
+
 impl WaterReport {
     /// The report of `water`, estimated in the capture's normalised frame.
     pub fn new(imported: &Imported, water: &Water, judgement: Judgement) -> Self {
@@ -489,5 +508,23 @@ mod tests {
         assert!(Judgement::of(&air) == Judgement::Dry && taken(&air).is_none());
         let sky = Water { sky: true, ..water([Verdict::NoWater; 3], [0.3; 3], 0.01, 1.7) };
         assert!(Judgement::of(&sky) == Judgement::Sky && Judgement::of(&sky).no_water());
+    }
+
+    #[test]
+    fn one_line_says_each_verdict_once() {
+        let line = |verdicts| {
+            let water = water(verdicts, [0.3; 3], 0.01, 0.8);
+            let frame = Frame::IDENTITY;
+            let channels: Vec<ChannelReport> = (["red", "green", "blue"].into_iter().zip(&water.channels))
+                .map(|(name, c)| channel(name, c, [0.0, 0.5, 1.0], &frame))
+                .collect();
+            by_verdict(&channels)
+        };
+        assert_eq!(line([Verdict::Found; 3]), "all colours: found");
+        let mixed = [Verdict::Found, Verdict::VeilNotSeparable, Verdict::VeilNotSeparable];
+        assert_eq!(
+            line(mixed),
+            "red: found; green and blue: attenuation found, backscatter and veil cannot be separated"
+        );
     }
 }

@@ -20,7 +20,7 @@ use super::names::{CHOICES, CONTACT, EVALUATION, WATER};
 use super::proposals;
 use super::watch::Watch;
 use crate::engines;
-use crate::water::{Judgement, WaterReport, found_water, from_tracks};
+use crate::water::{Judgement, WaterReport, by_verdict, found_water, from_tracks};
 
 /// The file with the training views' gains.
 const EXPOSURES: &str = "exposures.json";
@@ -139,8 +139,7 @@ fn known_from_tracks(context: &StageContext) -> Result<Start, StageError> {
     let report = WaterReport { capture: "capture".into(), ..WaterReport::new(&imported, &water, judgement) };
     write_json(&context.output().join(WATER), &report)?;
     context.log(report.to_string().trim_end());
-    let channels = report.channels.iter().map(|c| format!("{} {}", c.channel, c.told));
-    context.say(format!("water from tracks: {}", channels.collect::<Vec<_>>().join("; ")));
+    context.say(format!("water from tracks: {}", by_verdict(&report.channels)));
     let so = match judgement.no_water() {
         true => "; the water is off (medium = \"none\")",
         false if judgement == Judgement::Found => "",
