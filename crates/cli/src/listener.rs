@@ -11,6 +11,8 @@ use use3d_build::machine::seconds;
 use use3d_build::{Event, Listener};
 use use3d_capture::name::{shown, shown_lines};
 
+use crate::whole_run::LABEL;
+
 /// Time between two plain lines when stderr is not a terminal.
 const PLAIN_INTERVAL: Duration = Duration::from_secs(10);
 
@@ -83,7 +85,11 @@ impl Terminal {
 
     fn bar(&self, label: &str) -> Option<ProgressBar> {
         let bar = self.bars.as_ref()?.add(ProgressBar::new(0));
-        if let Ok(style) = ProgressStyle::with_template("{prefix:<24} {bar:24} {pos}/{len} {msg}") {
+        let template = match label == LABEL {
+            true => "{prefix:<24} {bar:24} {pos} {msg}",
+            false => "{prefix:<24} {bar:24} {pos}/{len} {msg}",
+        };
+        if let Ok(style) = ProgressStyle::with_template(template) {
             bar.set_style(style);
         }
         bar.set_prefix(label.to_string());
@@ -107,7 +113,8 @@ impl Terminal {
             bar.set_message(format!("{words} {}", node.times(done, total, left)));
         } else if node.last_line.elapsed() >= PLAIN_INTERVAL {
             node.last_line = now;
-            eprintln!("{label}: {done}/{total} {words} {}", node.times(done, total, left));
+            let of = if label == LABEL { String::new() } else { format!("/{total}") };
+            eprintln!("{label}: {done}{of} {words} {}", node.times(done, total, left));
         }
     }
 

@@ -13,6 +13,7 @@ mod logging;
 mod size;
 mod verbs;
 mod version;
+mod whole_run;
 
 use std::process::ExitCode;
 use std::sync::Arc;

@@ -2,8 +2,12 @@
 //! `USE3D_UPDATE_SNAPSHOTS=1` writes the files below `snapshots/` again; the difference is then reviewed like
 //! code.
 
-use std::path::{Path, PathBuf};
+mod steady;
+
+use std::path::Path;
 use std::process::Command;
+
+use steady::compare;
 
 /// Exit code, stdout and stderr of a run in `folder`.
 fn said(folder: &Path, arguments: &[&str]) -> String {
@@ -18,27 +22,6 @@ fn said(folder: &Path, arguments: &[&str]) -> String {
     format!("$ use3d {}\n{}{}[{code}]\n", arguments.join(" "), text(&output.stdout), text(&output.stderr))
 }
 
-/// Compares a text with the file of that name.
-fn check(name: &str, text: &str) {
-    let file = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/snapshots").join(format!("{name}.txt"));
-    // The file should have no spaces at the ends of lines.
-    let text: String = text.lines().map(|line| format!("{}\n", line.trim_end())).collect();
-    if std::env::var_os("USE3D_UPDATE_SNAPSHOTS").is_some() {
-        std::fs::write(&file, &text).expect("the snapshot can be written");
-    }
-    let written = std::fs::read_to_string(&file).unwrap_or_default();
-    let differs = text.lines().zip(written.lines()).position(|(now, then)| now != then);
-    let line = differs.unwrap_or_else(|| text.lines().count().min(written.lines().count()));
-    assert!(
-        text == written,
-        "{} differs from line {}:\n- {}\n+ {}\nread it, and write it anew with USE3D_UPDATE_SNAPSHOTS=1",
-        file.display(),
-        line + 1,
-        written.lines().nth(line).unwrap_or_default(),
-        text.lines().nth(line).unwrap_or_default()
-    );
-}
-
 #[test]
 fn the_help_of_every_verb() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -50,7 +33,7 @@ fn the_help_of_every_verb() {
     assert!(verbs.contains(&"run") && verbs.contains(&"man") && verbs.len() > 15, "{verbs:?}");
     let each =
         verbs.iter().filter(|verb| **verb != "help").map(|verb| said(folder.path(), &[verb, "--help"]));
-    check("help", &(top.clone() + "\n" + &each.collect::<Vec<_>>().join("\n")));
+    compare("help", &(top.clone() + "\n" + &each.collect::<Vec<_>>().join("\n")));
 }
 
 #[test]
@@ -80,5 +63,5 @@ fn the_messages_that_a_beginner_meets() {
         &["render", "photographs", "--cameras", "photographs", "--out", "out"],
     ];
     let text: Vec<String> = runs.iter().map(|arguments| said(folder.path(), arguments)).collect();
-    check("messages", &text.join("\n"));
+    compare("messages", &text.join("\n"));
 }

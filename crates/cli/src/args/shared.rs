@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use clap::Args;
-use clap::builder::{RangedU64ValueParser, TypedValueParser};
 use use3d_reconstruct::EngineChoice;
 
 /// The engine that computes.
@@ -256,9 +255,11 @@ pub(crate) struct Replace {
 }
 
 /// A whole number from 1 to `most`.
-pub(crate) fn count(most: u64) -> impl TypedValueParser<Value = usize> {
-    // `most` fits into a `usize` of 32 bits or more.
-    RangedU64ValueParser::<u64>::new().range(1..=most).map(|n| n as usize)
+pub(crate) fn count(most: u64) -> impl Fn(&str) -> Result<usize, String> + Clone + Send + Sync + 'static {
+    move |text| {
+        let number = text.parse::<usize>().ok().filter(|n| *n >= 1 && *n as u64 <= most);
+        number.ok_or_else(|| format!("expected a whole number from 1 to {most}"))
+    }
 }
 
 /// Parses a time above zero, such as `90min`, `3h` or `3:50:00`.

@@ -33,6 +33,7 @@ use crate::verbs::stages::{scratch, stages};
 use crate::verbs::synth::keep_capture;
 use crate::verbs::view::Watched;
 use crate::verbs::white;
+use crate::whole_run::WholeRun;
 
 /// A pipeline with the builder and graph to work on it.
 pub(crate) struct Loaded {
@@ -297,10 +298,10 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
         }
         None => loaded,
     };
-    if !app.quiet {
-        let plan = loaded.builder.plan(&loaded.graph, until.as_deref());
-        tell_faults(&loaded, &plan, &pipeline.target);
-        tell_why(&plan);
+    let plan = (!app.quiet).then(|| loaded.builder.plan(&loaded.graph, until.as_deref()));
+    if let Some(plan) = &plan {
+        tell_faults(&loaded, plan, &pipeline.target);
+        tell_why(plan);
     }
     let watched = Watched::start(app, &args.watch, None)?;
     let app = watched.as_ref().map_or(app, Watched::app);
@@ -315,7 +316,7 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
         ..of_app(app)
     };
     let white = (!choices.is_empty()).then_some((choices, pipeline.target.as_path()));
-    let given = Given { pipeline: &pipeline, scenes: &args.scene, white };
+    let given = Given { pipeline: &pipeline, scenes: &args.scene, white, plan };
     let done = execute(app, &loaded, &options, (results.as_ref(), &given), args.json);
     if let Some(watched) = &watched {
         watched.end(&done);
@@ -397,6 +398,8 @@ struct Given<'a> {
     scenes: &'a [String],
     /// The white balance for its scenes, and the capture in whose views it is measured.
     white: Option<(&'a [WhiteChoice], &'a Path)>,
+    /// The plan, if the progress of the whole run is shown.
+    plan: Option<Plan>,
 }
 
 /// The pipeline of a target. If the target is a results folder, this is the pipeline that was run into it,
@@ -425,7 +428,7 @@ pub(crate) fn again(app: &App, record: &Record, results: &Path) -> Done {
         )));
     }
     let options = RunOptions { until: record.until.clone(), ..of_app(app) };
-    let given = Given { pipeline: &args, scenes: &record.scenes, white: None };
+    let given = Given { pipeline: &args, scenes: &record.scenes, white: None, plan: None };
     let results = Arc::new(Results::new(results, &loaded.builder.cache));
     execute(app, &loaded, &options, (Some(&results), &given), false)
 }
@@ -439,6 +442,12 @@ fn execute(
     as_json: bool,
 ) -> Done {
     let listener = out.map_or_else(|| app.listener.clone(), |out| delivering(app, out));
+    let listener = match &given.plan {
+        Some(plan) => {
+            WholeRun::new(plan, &loaded.graph, options.only.as_deref(), options.jobs).listener(listener)
+        }
+        None => listener,
+    };
     let summary = loaded.builder.run(&loaded.graph, options, &listener);
     // The finished results of an interrupted run were delivered scene by scene.
     let whole = !summary.interrupted && !summary.left;
@@ -574,7 +583,8 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
     let loaded = open(&pipeline, &[])?;
     let results = Arc::new(Results::new(&args.out, &loaded.builder.cache));
     results.check(&loaded.graph, None)?;
-    let given = Given { pipeline: &pipeline, scenes: &[], white: None };
+    let plan = (!app.quiet).then(|| loaded.builder.plan(&loaded.graph, None));
+    let given = Given { pipeline: &pipeline, scenes: &[], white: None, plan };
     execute(app, &loaded, &of_app(app), (Some(&results), &given), false)?;
     if !app.quiet {
         println!(

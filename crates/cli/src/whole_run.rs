@@ -1,0 +1,187 @@
+//! The time left of a whole run: one bar for all of its stages.
+//!
+//! With the seconds `r` that a running stage has left and the seconds `p` that a pending stage will take,
+//!
+//! ```text
+//! left = max( longest r or p,  (Σ r + Σ p) / jobs )
+//! ```
+//!
+//! `r` is the estimate of the stage itself, or else its `p` less the time since its start. `p` is the
+//! forecast from earlier runs, or else the stage's usual cost times the seconds that one unit of cost takes
+//! in this run. There is no time left until one stage has given its own.
+//!
+//! Limits: the usual costs were measured on four captures with the default parameters. A stage that waits for
+//! another process counts as pending.
+
+use std::collections::BTreeSet;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use use3d_build::plan::{Plan, State};
+use use3d_build::{Event, Graph, Listener};
+
+/// The label of the bar of a whole run.
+pub(crate) const LABEL: &str = "whole run";
+
+/// The least time between two updates of the bar.
+const INTERVAL: Duration = Duration::from_millis(500);
+
+/// Usual cost of a stage, of which stage 1 has 100 at its default length: a fixed part, and a part for each
+/// step. From the default runs of a reef, a vent and a second reef at up to 647 pixels, and of a fern.
+fn usual_cost(stage: &str, steps: f64) -> f64 {
+    let (fixed, of_a_step) = match stage {
+        "reconstruct" => (3.0, 0.0194),
+        "enhance" => (0.5, 0.003),
+        "evaluate" => (5.0, 0.0),
+        "calibrate" => (5.0, 0.0),
+        "pairs" | "targets" => (1.5, 0.0),
+        _ => (0.3, 0.0),
+    };
+    fixed + of_a_step * steps
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Turn {
+    Pending,
+    /// Its start, and the seconds left that it reported, with the time of the report.
+    Running(Instant, Option<(f64, Instant)>),
+    /// The seconds that it took.
+    Over(f64),
+    /// It needs no time: it is cached, not requested or shared.
+    Absent,
+}
+
+/// A stage of a whole run.
+#[derive(Clone, Copy, Debug)]
+struct Share {
+    cost: f64,
+    forecast: Option<f64>,
+    turn: Turn,
+}
+
+impl Share {
+    /// Seconds that the part takes from start to end, as far as the part itself tells.
+    fn whole(&self, now: Instant) -> Option<f64> {
+        match self.turn {
+            Turn::Running(start, Some((left, at))) => {
+                Some((at - start).as_secs_f64() + left.max((now - at).as_secs_f64()))
+            }
+            Turn::Over(seconds) => Some(seconds),
+            _ => self.forecast,
+        }
+    }
+}
+
+/// Takes the bar away when the run is over.
+struct Bar(Arc<dyn Listener>);
+
+impl Drop for Bar {
+    fn drop(&mut self) {
+        self.0.event(&Event::Done { node: usize::MAX, label: LABEL, cached: true, seconds: 0.0 });
+    }
+}
+
+/// The stages of a run and their times.
+pub(crate) struct WholeRun {
+    parts: Vec<Share>,
+    jobs: usize,
+    started: Instant,
+    drawn: Option<Instant>,
+}
+
+impl WholeRun {
+    /// The stages that `plan` will run; with `only`, those of these scenes and variants, and of no scene.
+    pub(crate) fn new(plan: &Plan, graph: &Graph, only: Option<&[(String, String)]>, jobs: usize) -> Self {
+        let only: Option<BTreeSet<(&str, &str)>> =
+            only.map(|cells| cells.iter().map(|(scene, variant)| (&**scene, &**variant)).collect());
+        let parts = plan.nodes.iter().zip(&graph.nodes).map(|(planned, node)| {
+            let runs = matches!(planned.state, State::Run(_) | State::Waiting(_));
+            let cell = (&*planned.scene, &*planned.variant);
+            let wanted = planned.scene.is_empty() || only.as_ref().is_none_or(|only| only.contains(&cell));
+            let steps = node.parameters.get("iterations").and_then(serde_json::Value::as_f64).unwrap_or(0.0);
+            Share {
+                cost: usual_cost(planned.stage, steps),
+                forecast: planned.forecast.map(|forecast| forecast.seconds),
+                turn: match runs && wanted && planned.shared_with.is_none() {
+                    true => Turn::Pending,
+                    false => Turn::Absent,
+                },
+            }
+        });
+        Self { parts: parts.collect(), jobs: jobs.max(1), started: Instant::now(), drawn: None }
+    }
+
+    /// A listener that passes all events to `inner` and adds the progress of the whole run. A run of one
+    /// stage has no bar of its own.
+    pub(crate) fn listener(self, inner: Arc<dyn Listener>) -> Arc<dyn Listener> {
+        if self.parts.iter().filter(|part| part.turn == Turn::Pending).count() < 2 {
+            return inner;
+        }
+        let whole = Mutex::new(self);
+        let bar = Bar(inner);
+        Arc::new(move |event: &Event<'_>| {
+            let inner = &bar.0;
+            inner.event(event);
+            let mut whole = whole.lock().unwrap_or_else(PoisonError::into_inner);
+            let now = Instant::now();
+            if whole.note(event, now)
+                && whole.drawn.is_none_or(|drawn| now - drawn >= INTERVAL)
+                && let Some(left) = whole.left(now)
+            {
+                whole.drawn = Some(now);
+                let passed = (now - whole.started).as_secs_f64();
+                let percent = (100.0 * passed / (passed + left).max(1e-9)) as u64;
+                drop(whole);
+                inner.event(&Event::Progress {
+                    node: usize::MAX,
+                    label: LABEL,
+                    done: percent,
+                    total: 100,
+                    unit: "%",
+                    message: "",
+                    seconds_left: Some(left),
+                });
+            }
+        })
+    }
+
+    /// Takes the news of an event, and returns true if the event tells about time.
+    fn note(&mut self, event: &Event<'_>, now: Instant) -> bool {
+        let (node, turn) = match event {
+            Event::Started { node, .. } => (*node, Turn::Running(now, None)),
+            Event::Progress { node, seconds_left, .. } => match self.parts.get(*node).map(|part| part.turn) {
+                Some(Turn::Running(start, before)) => {
+                    (*node, Turn::Running(start, seconds_left.map(|left| (left, now)).or(before)))
+                }
+                _ => return false,
+            },
+            Event::Done { node, cached: false, seconds, .. } => (*node, Turn::Over(*seconds)),
+            Event::Done { node, .. } | Event::Failed { node, .. } => (*node, Turn::Absent),
+            _ => return false,
+        };
+        match self.parts.get_mut(node) {
+            Some(part) => part.turn = turn,
+            None => return false,
+        }
+        true
+    }
+
+    /// Seconds left; `None` while no stage has told its time.
+    fn left(&self, now: Instant) -> Option<f64> {
+        let told = self.parts.iter().filter_map(|part| Some((part.cost, part.whole(now)?)));
+        let (cost, seconds) = told.fold((0.0, 0.0), |(c, s), (cost, whole)| (c + cost, s + whole));
+        let unit = (cost > 0.0).then(|| seconds / cost)?;
+        let own = |part: &Share| part.forecast.unwrap_or(unit * part.cost);
+        let left = self.parts.iter().map(|part| match part.turn {
+            Turn::Pending => own(part),
+            Turn::Running(_, Some((left, at))) => (left - (now - at).as_secs_f64()).max(0.0),
+            Turn::Running(start, None) => (own(part) - (now - start).as_secs_f64()).max(0.0),
+            Turn::Over(_) | Turn::Absent => 0.0,
+        });
+        let (sum, longest) = left.fold((0.0, 0.0f64), |(sum, longest), one| (sum + one, longest.max(one)));
+        Some(longest.max(sum / self.jobs as f64))
+    }
+}
+
+#[cfg(test)]
+mod tests;

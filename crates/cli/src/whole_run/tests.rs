@@ -1,0 +1,81 @@
+use super::*;
+
+/// The stages of a default run.
+const STAGES: [&str; 7] = ["import", "reconstruct", "targets", "enhance", "render", "evaluate", "report"];
+
+fn default_run(started: Instant) -> WholeRun {
+    let steps = |stage: &str| match stage {
+        "reconstruct" => 5000.0,
+        "enhance" => 1000.0,
+        _ => 0.0,
+    };
+    let part = |stage| Share { cost: usual_cost(stage, steps(stage)), forecast: None, turn: Turn::Pending };
+    WholeRun { parts: STAGES.map(part).to_vec(), jobs: 1, started, drawn: None }
+}
+
+fn after(start: Instant, seconds: f64) -> Instant {
+    start + Duration::from_secs_f64(seconds)
+}
+
+/// The times of a recorded run at which the bar moves, in seconds, with the seconds left that it shows, and
+/// the duration of the run.
+fn replay(lines: &[&str]) -> (Vec<(f64, f64)>, f64) {
+    let start = Instant::now();
+    let mut whole = default_run(start);
+    let (mut begun, mut shown) = (0.0, Vec::new());
+    for line in lines {
+        let words: Vec<&str> = line.split(' ').collect();
+        let stage = STAGES.iter().position(|stage| *stage == words[0]).expect("a stage");
+        let number = |i: usize| words[i].parse::<f64>().expect("a number");
+        let passed = if words[1] == "done" {
+            whole.parts[stage].turn = Turn::Over(number(2));
+            begun += number(2);
+            begun
+        } else {
+            let now = after(start, begun + number(1));
+            whole.parts[stage].turn = Turn::Running(after(start, begun), Some((number(2), now)));
+            begun + number(1)
+        };
+        shown.extend(whole.left(after(start, passed)).map(|left| (passed, left)));
+    }
+    (shown, begun)
+}
+
+#[test]
+fn after_a_fifth_of_a_first_run_the_time_left_is_right_to_a_factor_of_two() {
+    let recorded = include_str!("recorded.txt");
+    let runs = recorded.lines().filter(|line| !line.starts_with('#')).collect::<Vec<_>>().join("\n");
+    let runs: Vec<&str> = runs.split("run ").skip(1).collect();
+    assert_eq!(runs.len(), 3);
+    for run in runs {
+        let lines: Vec<&str> = run.lines().collect();
+        let (shown, total) = replay(&lines[1..]);
+        let checked: Vec<_> = shown.iter().filter(|(t, _)| (0.2 * total..0.97 * total).contains(t)).collect();
+        assert!(checked.len() > 15, "{}: {} estimates", lines[0], checked.len());
+        for (passed, left) in checked {
+            let ratio = left / (total - passed);
+            assert!((0.5..2.0).contains(&ratio), "{}: {passed} of {total} s: {left} s left", lines[0]);
+        }
+    }
+}
+
+#[test]
+fn forecasts_count_before_usual_costs_and_jobs_share_the_work() {
+    let start = Instant::now();
+    let mut whole = default_run(start);
+    assert_eq!(whole.left(start), None, "nothing is known yet");
+    for part in &mut whole.parts {
+        part.forecast = Some(10.0);
+    }
+    assert_eq!(whole.left(start), Some(70.0));
+    whole.jobs = 2;
+    assert_eq!(whole.left(start), Some(35.0));
+    whole.parts[1].forecast = Some(100.0);
+    assert_eq!(whole.left(start), Some(100.0), "one stage runs in one job");
+    // A running stage without news uses up its forecast, and no more.
+    whole.parts[1].turn = Turn::Running(start, None);
+    assert_eq!(whole.left(after(start, 60.0)), Some(50.0));
+    assert_eq!(whole.left(after(start, 500.0)), Some(30.0));
+    whole.parts.iter_mut().for_each(|part| part.turn = Turn::Over(1.0));
+    assert_eq!(whole.left(start), Some(0.0));
+}
