@@ -25,6 +25,8 @@ pub(crate) fn fingerprint(
     let params = ReconstructParams {
         iterations: params.course(),
         max_gaussians: most_gaussians(capture, params),
+        // It acts after the last checkpoint.
+        unknown_below: 0.0,
         checkpoint_steps: 1,
         checkpoint_minutes: 1.0,
         engine: EngineChoice::Cpu,

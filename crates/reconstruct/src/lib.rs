@@ -25,6 +25,7 @@ mod profile;
 mod report;
 mod run;
 mod triangles;
+mod unknown;
 mod views;
 mod window;
 

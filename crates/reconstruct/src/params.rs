@@ -324,6 +324,9 @@ pub struct ReconstructParams {
     pub densify: Densify,
     /// Bounds on Gaussians that no view has seen well.
     pub unseen: Unseen,
+    /// Transmission of the water, 0 to 1, at which half of a Gaussian's colour channel counts as known. Less
+    /// known channels fade into the others after the last step, so that far red is no fog. 0: never.
+    pub unknown_below: f64,
     /// Largest number of Gaussians, including the initial ones: of more sparse points a random choice is
     /// kept. 0: one for every eight pixels of the training views or four for every sparse point, whichever
     /// is more; from 250,000 to four million.
@@ -373,6 +376,7 @@ impl Default for ReconstructParams {
             learning_rates: LearningRates::default(),
             densify: Densify::default(),
             unseen: Unseen::default(),
+            unknown_below: 0.0,
             max_gaussians: 0,
             seed: 42,
             evaluate_every: 0,
@@ -465,6 +469,7 @@ impl ReconstructParams {
         positive("unseen.beyond", u.beyond)?;
         share("unseen.opacity", u.opacity)?;
         positive("unseen.opacity", u.opacity)?;
+        share("unknown_below", self.unknown_below)?;
         let r = &self.learning_rates;
         for (name, rate) in [
             ("means", r.means),

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
-use use3d_capture::{Capture, Frame, Image};
+use use3d_capture::{Camera, Capture, Frame, Image};
 use use3d_medium::MediumModel;
 use use3d_metrics::{Score, fitted_on_other_half, mask_of, psnr, ssim};
 use use3d_numerics::random::Purpose;
@@ -31,7 +31,7 @@ use crate::views::{TrainingView, ViewLoader};
 use crate::window::Window;
 use crate::{
     Exposure, ExposureStep, FoundWater, Known, ReconstructError, ReconstructParams, StartPoints, Strategy,
-    initialise, losses, triangles,
+    initialise, losses, triangles, unknown,
 };
 
 /// The prefix of the names of this loop's checkpoints.
@@ -196,6 +196,7 @@ pub fn reconstruct_in(
         pixels: CaptureSize::from(capture).training,
         judges,
         witnesses,
+        cameras,
         cap_told: false,
         growth: Vec::new(),
     };
@@ -242,6 +243,8 @@ struct ReconstructRun<'a> {
     judges: Judges,
     /// The views that bound poorly seen Gaussians.
     witnesses: Witnesses,
+    /// The cameras of the training views.
+    cameras: Vec<Camera>,
     cap_told: bool,
     growth: Vec<Stretch>,
 }
@@ -349,6 +352,7 @@ impl ReconstructRun<'_> {
         // collects data for this line, and bounds poorly seen Gaussians at its own steps.
         self.drain(Drain::All)?;
         self.hold_back()?;
+        self.fade_unknown()?;
         if self.window.steps > 0 {
             self.end_window()?;
         }
@@ -508,6 +512,18 @@ impl ReconstructRun<'_> {
             self.drain(Drain::All)?;
             let witnesses = &self.witnesses;
             self.engine.amend(&mut |gaussians| witnesses.hold_back(gaussians, settings))?;
+        }
+        Ok(())
+    }
+
+    /// Fades colour channels that the water hid from all training views.
+    fn fade_unknown(&mut self) -> Result<(), ReconstructError> {
+        let below = self.params.unknown_below;
+        if below > 0.0 {
+            let degree = self.degrees(self.params.iterations.saturating_sub(1)).water;
+            let water = self.engine.save()?.medium.clone();
+            let cameras = &self.cameras;
+            self.engine.amend(&mut |gaussians| unknown::fade(gaussians, &water, degree, cameras, below))?;
         }
         Ok(())
     }
