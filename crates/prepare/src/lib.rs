@@ -15,7 +15,6 @@
 
 mod choose;
 mod error;
-mod exif;
 mod film;
 mod params;
 mod photographs;

@@ -170,8 +170,8 @@ pub(crate) enum Verb {
         It needs ffmpeg for films, and COLMAP (`colmap`, or `pip install pycolmap`). After an interruption, the \
         same command continues.")]
     Prepare(PrepareArgs),
-    /// Read a folder with photographs and a model of COLMAP, Metashape, nerfstudio or OpenSfM: undistort,
-    /// resize, normalise, split.
+    /// Read a folder with photographs and a model of COLMAP, Metashape, RealityScan, nerfstudio or OpenSfM:
+    /// undistort, resize, normalise, split.
     #[command(after_help = "Examples:\n  use3d import my-reef/ --out prepared/\n  \
         use3d import my-reef/ --out prepared/ --set size=1400x933 --set image_dir=images_wb")]
     Import(ImportArgs),
