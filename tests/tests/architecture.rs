@@ -41,7 +41,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "io-realityscan",
         ],
     ),
-    ("prepare", &["capture", "files", "io-image", "io-colmap"]),
+    ("prepare", &["capture", "files", "numerics", "io-image", "io-colmap"]),
     ("check", &["capture", "numerics", "io-image", "import"]),
     ("metrics", &["capture", "numerics"]),
     ("nets", &["capture", "numerics"]),

@@ -25,6 +25,7 @@ mod embed;
 mod error;
 mod exif;
 mod exr_file;
+mod histogram;
 mod jpeg;
 mod limits;
 mod npy;
@@ -37,6 +38,7 @@ pub use embed::{JpegError, jpeg_address, shrunk};
 pub use error::{FileFormat, ImageError};
 pub use exif::{Exif, GpsPosition, exif_of_bytes, read_exif, straighten};
 pub use exr_file::{write_exr, write_exr_channels, write_exr_map};
+pub use histogram::ChannelHistogram;
 pub use limits::MAX_PIXELS;
 pub use read::{
     ImageInfo, decode, image_info, image_size, info_of_bytes, read, read_image, read_map, read_pixels,

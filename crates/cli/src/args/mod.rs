@@ -166,7 +166,8 @@ pub(crate) enum Verb {
     /// Make a capture from films or photographs: choose frames, and find the cameras with COLMAP.
     #[command(after_help = "Examples:\n  use3d prepare dive.mp4 --out my-reef/\n  \
         use3d prepare photos/ --out my-reef/ --matching exhaustive\n  \
-        use3d prepare part-1.mp4 part-2.mp4 --out my-reef/ --frames 300\n\n\
+        use3d prepare part-1.mp4 part-2.mp4 --out my-reef/ --frames 300\n  \
+        use3d prepare druva /data/DRUVA --out druva/\n\n\
         It needs ffmpeg for films, and COLMAP (`colmap`, or `pip install pycolmap`). After an interruption, the \
         same command continues.")]
     Prepare(PrepareArgs),

@@ -9,7 +9,8 @@ use super::shared::{Replace, count};
 
 #[derive(Debug, Args)]
 pub(crate) struct PrepareArgs {
-    /// Films, photographs, and folders of them.
+    /// Films, photographs, and folders of them; or `seathru`, `druva` or `d3d5` and the folder of that data
+    /// set, for one capture of each scene.
     #[arg(required = true, value_name = "FILM|PHOTOS")]
     pub(crate) inputs: Vec<PathBuf>,
     /// The folder for the capture.
