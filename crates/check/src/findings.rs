@@ -365,7 +365,8 @@ impl Rules {
             }
             // A change of exposure hides the change with the distance.
             Some(WaterSight::None(_)) if self.light_changes() => {
-                let text = "No water was found, but exposure or white balance change so much that this says little.";
+                let text =
+                    "No water was found, but exposure or white balance change so much that this says little.";
                 let remedy = "nothing for these photographs: the training learns the water from them; on the next dive lock \
                     exposure and white balance";
                 self.add(Severity::Minor, "water", text.into(), remedy, Vec::new());

@@ -216,5 +216,8 @@ fn the_page_escapes_names_and_shows_pictures() {
     // A photograph without a picture is shown by its name, and commands are marked as such.
     reef.report.extra = vec!["v_99.png".into()];
     let html = page(&reef.examine(), &[]);
-    assert!(html.contains("<figure>v_99.png</figure>") && html.contains("<code>use3d prepare</code>"), "{html}");
+    assert!(
+        html.contains("<figure>v_99.png</figure>") && html.contains("<code>use3d prepare</code>"),
+        "{html}"
+    );
 }

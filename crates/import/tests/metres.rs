@@ -294,7 +294,8 @@ fn a_scale_bar_of_a_metashape_project_gives_metres_to_half_a_percent() {
             .unwrap();
         }
     }
-    // Metashape's f is fy, b1 is fx - fy, the principal point counts from the middle, p1 and p2 change places.
+    // Metashape's f is fy, b1 is fx - fy, the principal point counts from the middle, p1 and p2 change
+    // places.
     let sensor = "<sensor id=\"0\" type=\"frame\"><resolution width=\"1600\" height=\"1200\"/><calibration type=\"frame\" \
                   class=\"adjusted\"><resolution width=\"1600\" height=\"1200\"/><f>1310</f><cx>5</cx><cy>-3</cy><b1>-10</b1>\
                   <k1>-0.08</k1><k2>0.02</k2><p1>-0.002</p1><p2>0.001</p2></calibration></sensor>";

@@ -205,8 +205,8 @@ pub fn straighten(bytes: &mut [u8]) {
 mod tests {
     use super::*;
 
-    /// A JPEG's head with an orientation, a camera, a focal length of 24 mm, and 12° 6' 30.5" S, 68° 54' E, 2.5 m
-    /// below the sea.
+    /// A JPEG's head with an orientation, a camera, a focal length of 24 mm, and a place: 12° 6' 30.5" S,
+    /// 68° 54' E, 2.5 m below the sea.
     fn head(orientation: u16, big: bool) -> Vec<u8> {
         let short = |v: u16| if big { v.to_be_bytes() } else { v.to_le_bytes() }.to_vec();
         let long = |v: u32| if big { v.to_be_bytes() } else { v.to_le_bytes() }.to_vec();

@@ -210,7 +210,7 @@ fn descriptions_of_one_scene_in_every_format_give_the_same_cameras() {
     for image in &whole.images {
         let (pose, name) = (image.pose(), image.name.as_str());
         let c = pose.center();
-        // Columns of the camera's axes in the world, with y up and z backward: Rz(-heading) Rx(pitch) Ry(roll).
+        // The camera's axes in the world, with y up and z backward, are Rz(-heading) Rx(pitch) Ry(roll).
         let [right, down, ahead] = pose.rotation.transpose().to_cols_array_2d();
         let pitch = math::atan2(-down[2], math::hypot(right[2], ahead[2]));
         let heading = -math::atan2(down[0], -down[1]);

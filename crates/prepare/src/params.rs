@@ -75,8 +75,8 @@ impl Default for PrepareParams {
     }
 }
 
-/// The usual lens model: one focal length and two radial terms. A lens with more freedom, such as OPENCV, fits
-/// small pictures and plain scenes with cameras that are wrong.
+/// The usual lens model: one focal length and two radial terms. A lens with more freedom, such as OPENCV,
+/// fits small pictures and plain scenes with cameras that are wrong.
 const LENS: &str = "RADIAL";
 
 /// The fewest images that a model can be made from.

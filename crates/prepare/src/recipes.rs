@@ -126,7 +126,8 @@ impl Recipe {
         let scene = folder.join(name);
         match self {
             Self::SeaThruNerf => {
-                let images = ["images_wb", "Images_wb"].map(|n| scene.join(n)).into_iter().find(|p| p.is_dir())?;
+                let images =
+                    ["images_wb", "Images_wb"].map(|n| scene.join(n)).into_iter().find(|p| p.is_dir())?;
                 let places = ["sparse/0", "colmap/sparse/0"].map(|n| scene.join(n));
                 let model = places.into_iter().find(|place| ModelForm::of(place).is_some())?;
                 Some(RecipeWork::Published { images, model })
@@ -143,7 +144,8 @@ impl Recipe {
                     films
                 };
                 let own = |p: &PathBuf| p.file_stem().is_some_and(|stem| stem.eq_ignore_ascii_case(name));
-                let film = films(folder).into_iter().find(own).or_else(|| films(&scene).into_iter().next())?;
+                let film =
+                    films(folder).into_iter().find(own).or_else(|| films(&scene).into_iter().next())?;
                 Some(RecipeWork::Film(film))
             }
         }
@@ -252,9 +254,11 @@ mod tests {
     fn scenes_are_found_by_their_files_and_the_others_are_named() {
         let dir = tempfile::tempdir().unwrap();
         let root = dir.path();
-        for (recipe, said) in
-            [(Recipe::SeaThruNerf, "SeathruNeRF_dataset"), (Recipe::SeaThru, "D3/"), (Recipe::Druva, "A1.MP4")]
-        {
+        for (recipe, said) in [
+            (Recipe::SeaThruNerf, "SeathruNeRF_dataset"),
+            (Recipe::SeaThru, "D3/"),
+            (Recipe::Druva, "A1.MP4"),
+        ] {
             let error = recipe.scenes(root).unwrap_err().to_string();
             assert!(error.contains(said) && error.contains("docs/guide/datasets.md"), "{error}");
         }
@@ -276,7 +280,11 @@ mod tests {
         let linear = dir.path().join("D3");
         for (name, level) in [("a.png", 8000u16), ("b.png", 16000)] {
             let mut image = Raster::<u16, 3>::new(8, 4);
-            image.data_mut().chunks_exact_mut(32).zip([level, level / 2, level / 4]).for_each(|(p, v)| p.fill(v));
+            image
+                .data_mut()
+                .chunks_exact_mut(32)
+                .zip([level, level / 2, level / 4])
+                .for_each(|(p, v)| p.fill(v));
             write_png16(&linear.join(name), &image).unwrap();
         }
         let sources = Sources::of(&[linear]).unwrap();

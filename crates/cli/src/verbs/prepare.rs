@@ -168,7 +168,8 @@ pub(crate) fn run(app: &App, args: &PrepareArgs) -> Done {
 fn by_recipe(app: &App, args: &PrepareArgs, recipe: Recipe) -> Done {
     let [name, folder] = args.inputs.as_slice() else {
         let name = path_text(&args.inputs[0]);
-        let reason = format!("`use3d prepare {name}` needs one folder, the unpacked data set: docs/guide/datasets.md");
+        let reason =
+            format!("`use3d prepare {name}` needs one folder, the unpacked data set: docs/guide/datasets.md");
         return Err(CliError::Input(reason));
     };
     if args.json {
@@ -180,7 +181,9 @@ fn by_recipe(app: &App, args: &PrepareArgs, recipe: Recipe) -> Done {
     for RecipeScene { name, work } in &scenes {
         let out = args.out.join(name);
         let said = match work {
-            RecipeWork::Published { images, model } => copied(app, (images, model), &out, args.replace.force)?,
+            RecipeWork::Published { images, model } => {
+                copied(app, (images, model), &out, args.replace.force)?
+            }
             RecipeWork::Film(path) | RecipeWork::Linear(path) => {
                 let sources = Sources::of(std::slice::from_ref(path))?;
                 let job =
