@@ -3,7 +3,7 @@
 set -eu
 cd "$(dirname "$0")"
 scene=../tests/golden/scene-mini
-mkdir -p corpus/colmap_binary corpus/colmap_text corpus/ply corpus/scene_json corpus/image corpus/metashape corpus/nerfstudio corpus/opensfm
+mkdir -p corpus/colmap_binary corpus/colmap_text corpus/ply corpus/scene_json corpus/image corpus/metashape corpus/nerfstudio corpus/opensfm corpus/realityscan corpus/exif
 i=0
 for stem in cameras images points3D; do
     code="\\00$i"
@@ -35,3 +35,11 @@ END
 cat >corpus/opensfm/one <<'END'
 [{"cameras": {"c": {"projection_type": "brown", "width": 8, "height": 6, "focal_x": 1, "focal_y": 1, "c_x": 0.1, "k1": 0.1, "p1": 0.1}}, "shots": {"a.jpg": {"camera": "c", "rotation": [0, 0, 1], "translation": [1, 2, 3]}}, "points": {"7": {"coordinates": [1, 2, 3], "color": [1, 2, 3]}}, "reference_lla": {"latitude": 1, "longitude": 2, "altitude": 3}}]a.jpg	7	0	0.1	0.2	0.01	1	2	3
 END
+cat >corpus/realityscan/table <<'END'
+#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2
+a.jpg,1,2,3,10,20,30,27,0.01,-0.02,-0.1,0.05,0,0,0.003,0
+END
+cat >corpus/realityscan/xmp <<'END'
+<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"><rdf:Description xmlns:xcr="http://www.capturingreality.com/ns/xcr/1.1#" xcr:Version="3" xcr:Coordinates="absolute" xcr:DistortionModel="brown3" xcr:FocalLength35mm="27"><xcr:Rotation>1 0 0 0 1 0 0 0 1</xcr:Rotation><xcr:Position>1 2 3</xcr:Position><xcr:DistortionCoeficients>0.1 0 0 0 0 0</xcr:DistortionCoeficients></rdf:Description></rdf:RDF></x:xmpmeta>
+END
+printf '\377\330\377\341\000\042Exif\000\000II*\000\010\000\000\000\001\000\022\001\003\000\001\000\000\000\006\000\000\000\000\000\000\000\377\332\000\002' >corpus/exif/one.jpg

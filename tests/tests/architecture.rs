@@ -25,6 +25,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("io-metashape", &["capture", "survey"]),
     ("io-nerfstudio", &["capture", "numerics", "survey"]),
     ("io-opensfm", &["capture", "numerics", "survey"]),
+    ("io-realityscan", &["capture", "numerics", "survey"]),
     (
         "import",
         &[
@@ -37,9 +38,10 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "io-metashape",
             "io-nerfstudio",
             "io-opensfm",
+            "io-realityscan",
         ],
     ),
-    ("prepare", &["capture", "files", "io-image", "io-colmap"]),
+    ("prepare", &["capture", "files", "numerics", "io-image", "io-colmap"]),
     ("check", &["capture", "numerics", "io-image", "import"]),
     ("metrics", &["capture", "numerics"]),
     ("nets", &["capture", "numerics"]),
@@ -78,7 +80,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
 const RESERVED: &[(&str, &[&str])] = &[
     ("libm", &["numerics"]),
     ("pytorch-reader", &["nets"]),
-    ("roxmltree", &["io-metashape"]),
+    ("roxmltree", &["io-metashape", "io-realityscan"]),
     ("bincode", &["training"]),
     ("wgpu", &["gpu"]),
     ("jpeg-encoder", &["viewer"]),

@@ -13,6 +13,8 @@ pub enum WaterSight<'a> {
     Found(&'a str),
     /// There is none.
     None(&'a str),
+    /// It cannot be told from the light of lamps.
+    Lamps(&'a str),
     /// It cannot be used or is not known.
     Unknown(&'a str),
 }
@@ -49,7 +51,7 @@ pub fn examine(
     rules.images(import);
     rules.split(import);
     rules.cameras(import);
-    rules.model(&figures);
+    rules.model(&figures, water);
     rules.reach(&figures.reach);
     rules.pixels(&figures.views);
     rules.water(&figures, water);
@@ -185,13 +187,23 @@ impl Rules {
         }
     }
 
-    fn model(&mut self, figures: &Figures) {
+    fn model(&mut self, figures: &Figures, water: Option<WaterSight<'_>>) {
         let lonely = names(&figures.views, |v| v.points < LONELY.0 || v.neighbours < LONELY.1);
         if figures.track_length == 0.0 {
-            let text = "The model has no tracks: it does not say which view sees which point.".to_string();
-            let remedy = "export the model with its tie points and projections; without them the water is learnt from \
-                scratch";
-            self.add(Severity::Serious, "tracks", text, remedy, Vec::new());
+            let text = "The model has no tracks: it does not say which view sees which point, so the cameras and their \
+                overlap cannot be checked."
+                .to_string();
+            // In air, nothing is lost by that.
+            let dry = matches!(water, Some(WaterSight::None(_)));
+            let (severity, remedy) = match dry {
+                true => (Severity::Minor, "export the model with its tie points and projections, if you can"),
+                false => (
+                    Severity::Serious,
+                    "export the model with its tie points and projections; without them the water is learnt from \
+                     scratch",
+                ),
+            };
+            self.add(severity, "tracks", text, remedy, Vec::new());
             return;
         }
         if figures.points < 1000 {
@@ -351,6 +363,20 @@ impl Rules {
             Some(WaterSight::Found(words)) => {
                 self.add(Severity::Good, "water", format!("{}. {share}", sentence(words)), "", Vec::new());
             }
+            // A change of exposure hides the change with the distance.
+            Some(WaterSight::None(_)) if self.light_changes() => {
+                let text =
+                    "No water was found, but exposure or white balance change so much that this says little.";
+                let remedy = "nothing for these photographs: the training learns the water from them; on the next dive lock \
+                    exposure and white balance";
+                self.add(Severity::Minor, "water", text.into(), remedy, Vec::new());
+            }
+            Some(WaterSight::Lamps(words)) => {
+                let text = format!("{}. {share}", sentence(words));
+                let remedy = "nothing for these photographs: the training learns the water from them; in daylight leave the \
+                    lamps off";
+                self.add(Severity::Minor, "water", text, remedy, Vec::new());
+            }
             Some(WaterSight::None(words)) => {
                 self.add(Severity::Good, "water", format!("{}.", sentence(words)), "", Vec::new());
             }
@@ -358,7 +384,7 @@ impl Rules {
                 let remedy = if ranged < 2.0 * RANGED {
                     "photograph the same things from near and from far, for example from 1 and from 4 metres"
                 } else {
-                    "`use3d water` shows each colour; lock exposure and white balance, and use no lamps in daylight"
+                    "`use3d water` shows each colour; lock exposure and white balance on the next dive"
                 };
                 self.add(
                     Severity::Minor,
@@ -375,6 +401,12 @@ impl Rules {
             }
             None => {}
         }
+    }
+
+    /// True if exposure or white balance change so much that the scene suffers.
+    fn light_changes(&self) -> bool {
+        let light = ["exposure", "balance"];
+        self.found.iter().any(|f| f.severity == Severity::Serious && light.contains(&f.subject))
     }
 
     fn extras(&mut self, import: &ImportReport, metres: Option<f64>) {

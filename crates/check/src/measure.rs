@@ -235,7 +235,8 @@ fn colour(image: &Image, x: f64, y: f64) -> Option<[f64; 3]> {
     sum.iter().all(|v| COMPARABLE.contains(v)).then_some(sum)
 }
 
-/// The mean squared Laplacian of the green channel, in a picture of about [`SIDE`] pixels.
+/// The mean squared Laplacian of the green channel over its squared mean, in a picture of about [`SIDE`]
+/// pixels. A darker exposure of the same picture is as sharp.
 fn laplacian(image: &Image) -> f64 {
     let small = shrunk(image, SIDE);
     let (w, h) = (small.width(), small.height());
@@ -244,6 +245,7 @@ fn laplacian(image: &Image) -> f64 {
     }
     let green = &small.data()[w * h..2 * w * h];
     let at = |x: usize, y: usize| i32::from(green[y * w + x]);
+    let mean = green.iter().map(|v| f64::from(*v)).sum::<f64>() / (w * h) as f64;
     let mut sum = 0.0;
     for y in 1..h - 1 {
         for x in 1..w - 1 {
@@ -251,5 +253,6 @@ fn laplacian(image: &Image) -> f64 {
             sum += f64::from(l * l);
         }
     }
-    sum / ((w - 2) * (h - 2)) as f64
+    // One step of 255 stands for a picture without light.
+    sum / ((w - 2) * (h - 2)) as f64 / (mean * mean).max(1.0)
 }

@@ -19,7 +19,7 @@ const STYLE: &str = "body{font:16px/1.5 system-ui,sans-serif;max-width:56rem;mar
     color:#1b1f23;background:#fff}article{border-left:.4rem solid #999;padding:.1rem 1rem;margin:1.2rem 0}\
     article.serious{border-color:#b3261e}article.minor{border-color:#c98a00}article.good{border-color:#2e7d32}\
     figure{display:inline-block;width:min(14rem,45%);margin:.4rem .6rem .4rem 0;font-size:.8rem}\
-    figure.cells{display:block;width:auto}img,svg{display:block;max-width:100%}\
+    code{overflow-wrap:anywhere}figure.cells{display:block;width:auto}img,svg{display:block;max-width:100%}\
     @media(prefers-color-scheme:dark){body{color:#e6e6e6;background:#16191c}}";
 
 /// The pictures that one finding shows.
@@ -35,6 +35,17 @@ fn escaped(text: &str) -> String {
             '"' => out.push_str("&quot;"),
             c => out.push(c),
         }
+    }
+    out
+}
+
+/// Text with commands between backquotes.
+fn marked(text: &str) -> String {
+    let mut out = String::new();
+    for (i, part) in escaped(text).split('`').enumerate() {
+        // Every second part stands between a pair.
+        let whole = i % 2 == 0;
+        let _ = if whole { write!(out, "{part}") } else { write!(out, "<code>{part}</code>") };
     }
     out
 }
@@ -82,9 +93,9 @@ pub fn page(report: &CheckReport, pictures: &[Picture]) -> String {
     // Writing to a string cannot fail.
     for finding in &report.findings {
         let word = finding.severity.word();
-        let _ = writeln!(out, "<article class=\"{word}\"><p><b>{word}</b>: {}</p>", escaped(&finding.text));
+        let _ = writeln!(out, "<article class=\"{word}\"><p><b>{word}</b>: {}</p>", marked(&finding.text));
         if !finding.remedy.is_empty() {
-            let _ = writeln!(out, "<p>Do this: {}.</p>", escaped(&finding.remedy));
+            let _ = writeln!(out, "<p>Do this: {}.</p>", marked(&finding.remedy));
         }
         if finding.subject == "reach" && finding.severity != Severity::Good {
             let worst = report.figures.reach.iter().reduce(|a, b| if b.bare > a.bare { b } else { a });
@@ -92,10 +103,12 @@ pub fn page(report: &CheckReport, pictures: &[Picture]) -> String {
         }
         if finding.severity != Severity::Good {
             for name in finding.views.iter().take(MOST) {
-                if let Some(picture) = pictures.iter().find(|p| p.name == *name) {
-                    let (name, address) = (escaped(name), escaped(&picture.address));
-                    let _ = writeln!(out, "<figure><img alt=\"{name}\" src=\"{address}\">{name}</figure>");
-                }
+                let picture = pictures.iter().find(|p| p.name == *name);
+                let name = escaped(name);
+                let image = picture
+                    .map(|p| format!("<img alt=\"{name}\" src=\"{}\">", escaped(&p.address)))
+                    .unwrap_or_default();
+                let _ = writeln!(out, "<figure>{image}{name}</figure>");
             }
             if finding.views.len() > MOST {
                 let _ = writeln!(out, "<p>and {} more</p>", finding.views.len() - MOST);

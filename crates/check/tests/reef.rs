@@ -119,10 +119,32 @@ fn blurred_and_dark_views_are_named() {
     let flat = Image::filled(W, H, 0.45);
     reef.images[7] = flat;
     reef.images[11] = reef.images[11].map(|v| 0.05 * v);
+    // A darker exposure is not blurred.
+    reef.images[15] = reef.images[15].map(|v| 0.45 * v);
     let report = reef.examine();
     assert_eq!(of(&report, "blur").0, Severity::Minor);
     assert!(of(&report, "blur").1.contains(&"v_07.png".to_string()), "{report}");
+    assert!(!of(&report, "blur").1.contains(&"v_15.png".to_string()), "{report}");
     assert_eq!(of(&report, "dark").1, ["v_11.png"]);
+}
+
+#[test]
+fn the_water_is_not_called_absent_while_the_exposure_jumps() {
+    let mut reef = Reef::new();
+    let dry = |reef: &Reef| {
+        let mut load = |view: usize| Ok::<_, Infallible>(reef.images[view].clone());
+        let Ok(figures) = measure(&reef.capture, &reef.tracks, Some(&mut load));
+        examine(&reef.report, figures, Some(WaterSight::None("no water found")), Some(0.5))
+    };
+    assert_eq!(of(&dry(&reef), "water").0, Severity::Good);
+    for view in [6, 13, 20] {
+        reef.images[view] = reef.images[view].map(|v| 0.45 * v);
+    }
+    let report = dry(&reef);
+    assert_eq!((of(&report, "exposure").0, of(&report, "water").0), (Severity::Serious, Severity::Minor));
+    // In air, a model without tracks is no serious problem.
+    reef.tracks.iter_mut().for_each(|t| t.sightings.clear());
+    assert_eq!(of(&dry(&reef), "tracks").0, Severity::Minor);
 }
 
 #[test]
@@ -191,4 +213,11 @@ fn the_page_escapes_names_and_shows_pictures() {
     let html = page(&report, &[picture]);
     assert!(!html.contains("<b>reef") && html.contains("&lt;b&gt;reef"), "{html}");
     assert!(html.contains("src=\"data:image/jpeg;base64,AAAA\"") && html.contains("Do this: "));
+    // A photograph without a picture is shown by its name, and commands are marked as such.
+    reef.report.extra = vec!["v_99.png".into()];
+    let html = page(&reef.examine(), &[]);
+    assert!(
+        html.contains("<figure>v_99.png</figure>") && html.contains("<code>use3d prepare</code>"),
+        "{html}"
+    );
 }

@@ -21,6 +21,7 @@ pub(crate) fn start(verbose: u8, quiet: bool) {
         "io_metashape",
         "io_nerfstudio",
         "io_opensfm",
+        "io_realityscan",
         "import",
         "prepare",
         "splat",

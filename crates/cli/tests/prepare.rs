@@ -120,3 +120,49 @@ fn a_run_on_photographs_prepares_them_first_and_once() {
     assert!(model.status.success(), "{}", said(&model));
     assert!(!Path::new(&place.at("results/captures/tiny")).exists());
 }
+
+#[test]
+fn recipes_make_a_capture_of_each_scene_and_name_what_is_missing() {
+    let place = place();
+    let data = Path::new(&place.at("data")).to_path_buf();
+    let recipe = |name: &str| {
+        let mut command = tiny::command();
+        command.args(["prepare", name, &place.at("data"), "--out", &place.at("captures")]);
+        alone(&mut command, &place)
+    };
+    std::fs::create_dir(&data).unwrap();
+    for name in ["seathru", "druva", "d3d5"] {
+        let output = recipe(name);
+        let text = said(&output);
+        assert_eq!(output.status.code(), Some(2), "{text}");
+        assert!(text.contains("is here: expected") && text.contains("docs/guide/datasets.md"), "{text}");
+    }
+    let copy = |from: &str, to: &Path| {
+        std::fs::create_dir_all(to).unwrap();
+        for entry in std::fs::read_dir(place.at(from)).unwrap() {
+            let path = entry.unwrap().path();
+            std::fs::copy(&path, to.join(path.file_name().unwrap())).unwrap();
+        }
+    };
+    // Published cameras are copied, under the names of the pipeline files.
+    copy("tiny/images", &data.join("Panama/Images_wb"));
+    copy("tiny/sparse/0", &data.join("Panama/sparse/0"));
+    for again in [false, true] {
+        let output = recipe("seathru");
+        let text = said(&output);
+        assert!(output.status.success(), "{text}");
+        assert!(text.contains(if again { "Panama: copied before" } else { "Panama: " }), "{text}");
+        assert!(text.contains("not prepared: IUI3-RedSea, Curasao, JapaneseGradens-RedSea"), "{text}");
+        assert!(text.contains("export SEATHRU=") && text.contains("pipelines/seathru4.toml"), "{text}");
+    }
+    assert!(Path::new(&place.at("captures/Panama/images_wb")).is_dir());
+    assert_eq!(calls(&place), 0, "no cameras are looked for");
+    // Linear photographs are made visible first; the originals decide if it was done before.
+    copy("tiny/images", &data.join("D3"));
+    let text = said(&recipe("d3d5"));
+    assert!(text.contains("D3: The cameras are") && text.contains("not prepared: D5"), "{text}");
+    assert!(Path::new(&place.at("captures/D3/sparse/0")).is_dir());
+    assert!(!Path::new(&place.at("captures/.D3.balanced")).exists());
+    let before = calls(&place);
+    assert!(said(&recipe("d3d5")).contains("D3: prepared before") && calls(&place) == before);
+}

@@ -8,10 +8,13 @@ use std::path::{Path, PathBuf};
 
 use use3d_capture::FileName;
 use use3d_io_colmap::{ModelForm, count_images, form_of, read_model_as};
+use use3d_io_image::image_size;
+use use3d_io_realityscan::{is_cameras_table, is_sidecar, parse_sidecars, read_sidecar, read_table};
 use use3d_survey::Survey;
 
 use crate::error::ImportError;
-use crate::layout::{DEPTH_DIRS, FoundModel, IMAGE_DIRS, MASK_DIRS, find_colmap, subfolders};
+use crate::labels;
+use crate::layout::{DEPTH_DIRS, Folder, FoundModel, IMAGE_DIRS, MASK_DIRS, find_colmap, subfolders};
 use crate::prepared::{MANIFEST, is_prepared};
 
 /// A format of models.
@@ -43,7 +46,7 @@ pub(crate) struct ReadModel {
 }
 
 /// The formats, in the order in which they are tried.
-pub(crate) static FORMATS: [Format; 4] = [
+pub(crate) static FORMATS: [Format; 5] = [
     Format { name: "COLMAP", find: find_colmap, at: colmap_at, read: read_colmap, instead: no_colmap },
     Format {
         name: "Metashape",
@@ -67,6 +70,13 @@ pub(crate) static FORMATS: [Format; 4] = [
         at: |root, place| Ok(opensfm_at(root, place).or_else(|| find_opensfm(root, place))),
         read: read_opensfm,
         instead: no_opensfm,
+    },
+    Format {
+        name: "RealityScan",
+        find: |root| Ok(find_realityscan(root)),
+        at: |root, place| Ok(realityscan_at(root, place)),
+        read: read_realityscan,
+        instead: no_realityscan,
     },
 ];
 
@@ -203,13 +213,18 @@ fn read_metashape(found: &FoundModel) -> Result<ReadModel, ImportError> {
         use3d_io_metashape::add_points(&mut survey, &read_points(&path)?, &path)?;
         files.push(PathBuf::from(inside(&base, &name)));
     }
+    let image_dirs = places_of_photographs(dir).iter().map(|place| inside(&base, place)).collect();
+    Ok(ReadModel { survey, files, base, image_dirs, labels: true })
+}
+
+/// The folders that may hold the photographs of a file in `dir`, relative to it. The usual ones come first;
+/// the whole folder comes last, for photographs in several of its folders.
+fn places_of_photographs(dir: &Path) -> Vec<String> {
     let others = subfolders(dir).into_iter().filter(|name| may_hold_photographs(dir, name));
     let mut places = IMAGE_DIRS.map(String::from).to_vec();
     places.extend(others.filter(|name| !IMAGE_DIRS.contains(&name.as_str())));
-    // The whole folder counts where photographs lie in several of its folders.
     places.push(".".into());
-    let image_dirs = places.iter().map(|place| inside(&base, place)).collect();
-    Ok(ReadModel { survey, files, base, image_dirs, labels: true })
+    places
 }
 
 /// False for a folder of a capture that holds other images of the same names: masks, depth priors, the truth
@@ -221,12 +236,6 @@ pub(crate) fn may_hold_photographs(dir: &Path, name: &str) -> bool {
 
 fn no_metashape(names: &[String]) -> Option<&'static str> {
     let has = |e: &str| names.iter().any(|n| has_extension(n, e));
-    if has("rcproj") {
-        return Some(
-            "projects of RealityScan (RealityCapture) are not read: export cameras and points in COLMAP's format, \
-             with undistorted images",
-        );
-    }
     if has("psx") || has("psz") {
         return Some(
             "a project of Metashape is not read itself: choose File > Export > Export Cameras, format Agisoft XML, \
@@ -359,5 +368,103 @@ fn no_opensfm(names: &[String]) -> Option<&'static str> {
     (has("odm_report") || has("cameras.json") && has("images.json")).then_some(
         "results of WebODM have no tracks: put `opensfm/reconstruction.json` and `opensfm/tracks.csv` of the project's \
          folder beside the photographs",
+    )
+}
+
+// RealityScan: a table of cameras in the capture's folder with points as PLY beside it, or an XMP file beside
+// each photograph.
+
+/// Folders that are searched for XMP files go this deep.
+const XMP_DEPTH: usize = 4;
+
+/// RealityScan's XMP files below a folder, sorted, with their names relative to it.
+fn sidecars_below(dir: &Path) -> impl Iterator<Item = (String, PathBuf)> {
+    let hidden = |e: &walkdir::DirEntry| e.depth() > 0 && e.file_name().to_string_lossy().starts_with('.');
+    let dir = dir.to_path_buf();
+    walkdir::WalkDir::new(&dir)
+        .max_depth(XMP_DEPTH)
+        .sort_by_file_name()
+        .into_iter()
+        .filter_entry(move |e| !hidden(e))
+        .filter_map(move |entry| {
+            let path = entry.ok()?.into_path();
+            let name = path.strip_prefix(&dir).ok()?.to_str()?.replace('\\', "/");
+            (has_extension(&name, "xmp") && is_sidecar(&path)).then_some((name, path))
+        })
+}
+
+fn realityscan_at(root: &Path, place: &str) -> Option<FoundModel> {
+    let path = root.join(place);
+    let table = path.is_file() && has_extension(place, "csv") && is_cameras_table(&path);
+    let form = match table {
+        true => "RealityScan CSV",
+        false if path.is_dir() && sidecars_below(&path).next().is_some() => "RealityScan XMP",
+        false => return None,
+    };
+    Some(FoundModel { format: &FORMATS[4], relative: place.into(), path, form: form.into(), images: 0 })
+}
+
+fn find_realityscan(root: &Path) -> Vec<FoundModel> {
+    let tables = files_in(root).into_iter().filter(|name| has_extension(name, "csv"));
+    let mut found: Vec<FoundModel> = tables.filter_map(|name| realityscan_at(root, &name)).collect();
+    // The folder above all photographs is tried last: its XMP files include those of the others.
+    let places = places_of_photographs(root);
+    found.extend(places.iter().find_map(|place| realityscan_at(root, place)));
+    found
+}
+
+fn read_realityscan(found: &FoundModel) -> Result<ReadModel, ImportError> {
+    let mut files = Vec::new();
+    let (registration, dir, base, places) = if found.path.is_dir() {
+        let mut sidecars = Vec::new();
+        for (name, path) in sidecars_below(&found.path) {
+            sidecars.push(read_sidecar(FileName::new(use3d_capture::stem(&name))?, &path)?);
+            files.push(PathBuf::from(inside(&found.relative, &name)));
+        }
+        let registration = parse_sidecars(&sidecars, &found.path)?;
+        (registration, found.path.as_path(), found.relative.clone(), vec![".".to_string()])
+    } else {
+        let dir = found.path.parent().unwrap_or(Path::new("."));
+        files.push(PathBuf::from(&found.relative));
+        (read_table(&found.path)?, dir, base_of(found), places_of_photographs(dir))
+    };
+    let names: Vec<&FileName> = registration.shots.iter().map(|shot| &shot.name).collect();
+    let folders = places.iter().filter_map(|place| Folder::open_own(dir, place));
+    // The first of those with the most photographs.
+    let photographs = folders.map(|folder| labels::photographs(&names, &folder)).fold(
+        std::collections::BTreeMap::new(),
+        |best, more| if more.len() > best.len() { more } else { best },
+    );
+    let mut sizes = std::collections::BTreeMap::new();
+    for (name, path) in photographs {
+        sizes.insert(name, image_size(&path)?);
+    }
+    let mut survey = registration.into_survey(&sizes, &found.path)?;
+    // Points lie beside the table, or in the capture's folder above the photographs.
+    let above = (found.path.is_dir() && base != ".").then(|| dir.parent()).flatten();
+    let (near, near_base) = above.map_or((dir, base.as_str()), |parent| (parent, parent_of(&base)));
+    if let Some(name) = points_beside(near, &mut survey.notes) {
+        let path = near.join(&name);
+        use3d_io_realityscan::add_points(&mut survey, &read_points(&path)?, &path)?;
+        files.push(PathBuf::from(inside(near_base, &name)));
+    }
+    survey.notes.push(
+        "RealityScan's files do not state the unit: if the project is in metres, a table beside the photographs says so"
+            .into(),
+    );
+    let image_dirs = places.iter().map(|place| inside(&base, place)).collect();
+    Ok(ReadModel { survey, files, base, image_dirs, labels: true })
+}
+
+/// The folder above a place, relative to the capture.
+fn parent_of(place: &str) -> &str {
+    place.rsplit_once('/').map_or(".", |(parent, _)| parent)
+}
+
+fn no_realityscan(names: &[String]) -> Option<&'static str> {
+    let has = |e: &str| names.iter().any(|n| has_extension(n, e));
+    (has("rcproj") || has("rsproj")).then_some(
+        "a project of RealityScan (RealityCapture) is not read itself: export the registration as \
+         \"Internal/External camera parameters\" (CSV) and the points as PLY, and put both files beside the photographs",
     )
 }

@@ -5,6 +5,7 @@
 //! parts with the label is meant, and of equals the one with the same extension.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
 
 use use3d_capture::FileName;
 use use3d_survey::Survey;
@@ -79,6 +80,16 @@ impl Photographs {
             [first, ..] => Fit::One((*first).clone()),
         }
     }
+}
+
+/// The photographs of a folder that belong to some labels, each the only one that fits its label.
+pub(crate) fn photographs(labels: &[&FileName], folder: &Folder) -> BTreeMap<FileName, PathBuf> {
+    let photographs = Photographs::of(folder);
+    let found = labels.iter().filter_map(|label| match photographs.fit(label) {
+        Fit::One(path) => Some(((*label).clone(), folder.path().join(path))),
+        Fit::None | Fit::Several(..) => None,
+    });
+    found.collect()
 }
 
 /// The number of a survey's images that have exactly one photograph in a folder.

@@ -6,6 +6,9 @@
 //! depths.csv       image, depth                              how deep, metres below the surface
 //! ```
 //!
+//! If none of these and not the model itself gives metres, the GPS positions in the photographs do, where
+//! they are far enough apart.
+//!
 //! The first line of a table names its columns, in any order; other columns are ignored. If the model states
 //! metres itself, these are kept, and a note says by how much a table differs. Otherwise the first table in
 //! the order above gives them. A table that does not determine the metres says so in a note.
@@ -15,8 +18,10 @@ use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 use use3d_capture::World;
-use use3d_io_image::image_size;
-use use3d_survey::{Mark, Marker, PosedImage, ScaleBar, Survey, fit_depths, fit_positions, read_at_most};
+use use3d_io_image::{image_size, read_exif};
+use use3d_survey::{
+    EarthPlace, Mark, Marker, PosedImage, ScaleBar, Survey, fit_depths, fit_positions, read_at_most,
+};
 
 use crate::error::ImportError;
 use crate::layout::Folder;
@@ -28,7 +33,7 @@ const DEPTHS: &str = "depths.csv";
 const LARGEST: u64 = 1 << 26;
 /// Metres of two sources that differ by more than this share are said.
 const AGREE: f64 = 0.01;
-/// Depths whose metres are less certain than this share are not used.
+/// Depths and GPS positions whose metres are less certain than this share are not used.
 const CERTAIN: f64 = 0.1;
 
 /// A table whose first line names its columns.
@@ -158,6 +163,9 @@ pub(crate) fn read(
             }
             Some(_) => {}
         }
+    }
+    if survey.world.is_none() {
+        survey.world = gps(images, survey, &mut notes)?;
     }
     survey.notes.append(&mut notes);
     Ok(())
@@ -306,4 +314,50 @@ fn depths(table: &CsvTable, survey: &Survey, notes: &mut Vec<String>) -> Result<
             Ok(None)
         }
     }
+}
+
+/// Metres by the GPS positions in the photographs themselves.
+fn gps(images: &Folder, survey: &Survey, notes: &mut Vec<String>) -> Result<Option<World>, ImportError> {
+    let mut places = Vec::new();
+    for image in &survey.images {
+        let Some(path) = images.image(&image.name)? else { continue };
+        if let Some(gps) = read_exif(&path).map_err(ImportError::file(&path))?.gps {
+            let altitude = gps.altitude.unwrap_or(0.0);
+            let (latitude, longitude) = (gps.latitude, gps.longitude);
+            places.push((image.pose().center(), EarthPlace { latitude, longitude, altitude }));
+        }
+    }
+    let Some(&(_, first)) = places.first() else { return Ok(None) };
+    let pairs: Vec<(DVec3, DVec3)> = places.iter().map(|(at, place)| (*at, first.metres_to(place))).collect();
+    let remedy = "measure a length";
+    let source = format!(
+        "the photographs' GPS positions: metres east, north and up of latitude {:.7}, longitude {:.7}, altitude {:.2} m",
+        first.latitude, first.longitude, first.altitude
+    );
+    let Some((world, left)) = fit_positions(&pairs, source) else {
+        notes.push(format!(
+            "the GPS positions of {} photographs give no metres: expected three or more that are not on one line; {remedy}",
+            pairs.len()
+        ));
+        return Ok(None);
+    };
+    // One standard error of the scale: that of one coordinate over the spread of all.
+    let mean = pairs.iter().map(|p| p.1).sum::<DVec3>() / pairs.len() as f64;
+    let spread: f64 = pairs.iter().map(|p| (p.1 - mean).length_squared()).sum();
+    let error = left / (3.0 * spread).sqrt();
+    if error > CERTAIN {
+        notes.push(format!(
+            "the GPS positions of {} photographs do not give the metres: they would be off by {:.0} %; {remedy}",
+            pairs.len(),
+            100.0 * error
+        ));
+        return Ok(None);
+    }
+    notes.push(format!(
+        "the GPS positions of {} photographs fit the cameras to {left:.2} m and give the metres to {:.1} %, one standard \
+         error",
+        pairs.len(),
+        100.0 * error
+    ));
+    Ok(Some(world))
 }

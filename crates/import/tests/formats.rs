@@ -375,3 +375,89 @@ fn dots_come_out_of_a_webodm_project_where_they_are_with_their_tracks() {
     let said = import(dir.path(), &ImportParams::default()).unwrap_err().to_string();
     assert!(said.contains("opensfm/tracks.csv"), "{said}");
 }
+
+/// RealityScan's formulas, written down here a second time: `t1` goes with `r² + 2 u²`.
+fn realityscan_pixel(pose: &Pose, dot: DVec3) -> (f64, f64) {
+    let at = pose.rotation * dot + pose.translation;
+    let (u, v) = (at.x / at.z, at.y / at.z);
+    let r2 = u * u + v * v;
+    let radial = 1.0 - 0.12 * r2 + 0.05 * r2 * r2;
+    let x = u * radial + 0.004 * (r2 + 2.0 * u * u) - 2.0 * 0.003 * u * v;
+    let y = v * radial - 0.003 * (r2 + 2.0 * v * v) + 2.0 * 0.004 * u * v;
+    (240.0 + 0.0125 * 480.0 + 400.0 * x, 180.0 - 0.01 * 480.0 + 400.0 * y)
+}
+
+/// A RealityScan export with its points: the table, or XMP files beside the photographs.
+fn realityscan(dir: &Path, xmp: bool) {
+    let mut table = String::from("#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2\n");
+    for i in 0..VIEWS {
+        let p = pose(i);
+        let places: Vec<_> = dots().iter().map(|dot| realityscan_pixel(&p, *dot)).collect();
+        write_png(&dir.join(format!("images/dive/IMG_{i}.png")), &photograph(&places)).unwrap();
+        let (c, [right, down, ahead]) = (p.center(), p.rotation.transpose().to_cols_array_2d());
+        // The axes with y up and z backward are Rz(-heading) Rx(pitch) Ry(roll).
+        let pitch = math::atan2(-down[2], math::hypot(right[2], ahead[2]));
+        let angles = [-math::atan2(down[0], -down[1]), pitch, math::atan2(-right[2], -ahead[2])];
+        let [heading, pitch, roll] = angles.map(f64::to_degrees);
+        table += &format!(
+            "IMG_{i}.png,{},{},{},{heading},{pitch},{roll},30,0.0125,-0.01,-0.12,0.05,0,0,0.004,-0.003\n",
+            c.x, c.y, c.z
+        );
+        let rows = p.rotation.transpose().to_cols_array().map(|v| v.to_string()).join(" ");
+        let text = format!(
+            "<x:xmpmeta xmlns:x=\"adobe:ns:meta/\"><rdf:RDF xmlns:rdf=\"http://www.w3.org/1999/02/22-rdf-syntax-ns#\">\
+             <rdf:Description xmlns:xcr=\"http://www.capturingreality.com/ns/xcr/1.1#\" xcr:Version=\"3\" \
+             xcr:Coordinates=\"absolute\" xcr:DistortionModel=\"brown3t2\" xcr:FocalLength35mm=\"30\" \
+             xcr:PrincipalPointU=\"0.0125\" xcr:PrincipalPointV=\"-0.01\"><xcr:Rotation>{rows}</xcr:Rotation>\
+             <xcr:Position>{} {} {}</xcr:Position><xcr:DistortionCoeficients>-0.12 0.05 0 0 0.004 -0.003\
+             </xcr:DistortionCoeficients></rdf:Description></rdf:RDF></x:xmpmeta>",
+            c.x, c.y, c.z
+        );
+        if xmp {
+            std::fs::write(dir.join(format!("images/dive/IMG_{i}.xmp")), text).unwrap();
+        }
+    }
+    if !xmp {
+        std::fs::write(dir.join("reef.csv"), table).unwrap();
+    }
+    let point = |d: DVec3| SurveyPoint {
+        id: 1,
+        position: d.to_array(),
+        color: [1, 2, 3],
+        error: -1.0,
+        track: vec![],
+    };
+    std::fs::write(dir.join("points.ply"), ply::write(&dots().into_iter().map(point).collect::<Vec<_>>()))
+        .unwrap();
+}
+
+#[test]
+fn dots_come_out_of_a_realityscan_export_where_they_are() {
+    for xmp in [false, true] {
+        let dir = tempfile::tempdir().unwrap();
+        realityscan(dir.path(), xmp);
+        check_layout(dir.path()).unwrap();
+        let imported = import(dir.path(), &ImportParams::default()).unwrap();
+        let report = &imported.report;
+        let model = if xmp { "images" } else { "reef.csv" };
+        assert_eq!((report.model.as_str(), report.image_folder.as_str()), (model, "images"));
+        assert_eq!((report.views, report.points, report.missing.len()), (4, 35, 0), "{report}");
+        let first = if xmp { "images/dive/IMG_0.xmp" } else { "reef.csv" };
+        assert_eq!(imported.model_files()[0], Path::new(first));
+        assert_eq!(imported.model_files().last().unwrap(), Path::new("points.ply"));
+        assert!(report.to_string().contains("brown3t2"), "{report}");
+        let prepared = hold_to_a_tenth_of_a_pixel(&imported, &dir.path().join("out"));
+        assert_eq!(prepared.capture.views[1].name, "dive/IMG_1.png");
+        let params = ImportParams { model_dir: Some(model.into()), ..ImportParams::default() };
+        assert_eq!(import(dir.path(), &params).unwrap().capture.views, imported.capture.views);
+        // A photograph that is missing is named, and none at all is an error.
+        std::fs::remove_file(dir.path().join("images/dive/IMG_2.png")).unwrap();
+        let missing = import(dir.path(), &ImportParams::default()).unwrap().report.missing;
+        assert_eq!(missing, [if xmp { "dive/IMG_2" } else { "IMG_2.png" }]);
+        for i in [0, 1, 3] {
+            std::fs::remove_file(dir.path().join(format!("images/dive/IMG_{i}.png"))).unwrap();
+        }
+        let said = import(dir.path(), &ImportParams::default()).unwrap_err().to_string();
+        assert!(said.contains("none of its 4 photographs") && said.contains(model), "{said}");
+    }
+}

@@ -47,7 +47,7 @@ fn what_lies_there_instead_of_a_model_is_said_with_the_next_step() {
     type Change = fn(&Path);
     let cases: [(&str, Change); 9] = [
         ("no cameras file of Metashape", |d| std::fs::write(d.join("notes.xml"), "<html/>").unwrap()),
-        ("RealityScan", |d| std::fs::write(d.join("reef.RCPROJ"), "x").unwrap()),
+        ("Internal/External camera parameters", |d| std::fs::write(d.join("reef.RCPROJ"), "x").unwrap()),
         ("use3d prepare FILM", |d| std::fs::write(d.join("Dive.MP4"), "x").unwrap()),
         ("this is a scene", |d| {
             std::fs::write(d.join("scene.json"), "{}").unwrap();
@@ -74,6 +74,7 @@ fn what_lies_there_instead_of_a_model_is_said_with_the_next_step() {
     for (file, text, expected) in [
         ("transforms.json", "{}", "`frames` is missing"),
         ("cameras.xml", "<document version=\"9\"/>", "`version` is \"9\""),
+        ("reef.csv", "#name,x,y,alt,heading,pitch,roll,f\na.png,0,0,0,0,0,0,0", "`f` is 0"),
     ] {
         let said = complaint(|dir| {
             without(dir);

@@ -179,3 +179,142 @@ fn tables_that_are_wrong_say_the_line_and_what_is_expected() {
     assert!(imported.model().world.is_none());
     assert!(imported.report.to_string().contains("two photographs at least"), "{}", imported.report);
 }
+
+/// A JPEG with the EXIF data of a GPS position.
+fn photograph_at(latitude: f64, longitude: f64, altitude: f64) -> Vec<u8> {
+    let ratio = |value: f64, under: u32| {
+        [((value * f64::from(under)).round() as u32).to_be_bytes(), under.to_be_bytes()].concat()
+    };
+    let degrees = |value: f64| {
+        let (whole, minutes) = (value.abs().floor(), value.abs().fract() * 60.0);
+        [ratio(whole, 1), ratio(minutes.floor(), 1), ratio(minutes.fract() * 60.0, 1_000_000)].concat()
+    };
+    let entry = |tag: u16, kind: u16, count: u32, value: [u8; 4]| {
+        [&tag.to_be_bytes()[..], &kind.to_be_bytes(), &count.to_be_bytes(), &value].concat()
+    };
+    let letter = |text: &[u8; 1]| [text[0], 0, 0, 0];
+    // The first directory is at 8 with one entry, that of the position at 26 with five, its numbers at 92.
+    let body = [
+        b"MM\0*\0\0\0\x08\0\x01".to_vec(),
+        entry(0x8825, 4, 1, 26u32.to_be_bytes()),
+        vec![0; 4],
+        vec![0, 5],
+        entry(1, 2, 2, letter(if latitude < 0.0 { b"S" } else { b"N" })),
+        entry(2, 5, 3, 92u32.to_be_bytes()),
+        entry(3, 2, 2, letter(if longitude < 0.0 { b"W" } else { b"E" })),
+        entry(4, 5, 3, 116u32.to_be_bytes()),
+        entry(6, 5, 1, 140u32.to_be_bytes()),
+        vec![0; 4],
+        degrees(latitude),
+        degrees(longitude),
+        ratio(altitude, 1000),
+    ]
+    .concat();
+    let mut bytes = Vec::new();
+    image::RgbImage::from_pixel(SIZE.0 as u32 / 8, SIZE.1 as u32 / 8, image::Rgb([90, 90, 90]))
+        .write_to(&mut std::io::Cursor::new(&mut bytes), image::ImageFormat::Jpeg)
+        .unwrap();
+    let length = (body.len() as u16 + 8).to_be_bytes();
+    let segment = [&b"\xFF\xE1"[..], &length, b"Exif\0\0", &body].concat();
+    [&bytes[..2], &segment, &bytes[2..]].concat()
+}
+
+#[test]
+fn gps_positions_in_photographs_give_metres_if_they_are_far_enough_apart() {
+    // A degree of latitude is 110.9 km there, and one of longitude 104.3 km.
+    let (latitude, longitude) = (20.3, -86.9);
+    for (reach, expected) in [(60.0, Ok(())), (0.5, Err("they would be off by"))] {
+        let dir = tempfile::tempdir().unwrap();
+        project(dir.path(), 8);
+        let turn = DMat3::from_axis_angle(DVec3::new(0.2, 0.9, -0.3).normalize(), 1.9);
+        for i in 0..VIEWS {
+            // Receivers are off by some metres.
+            let off =
+                DVec3::new(f64::from(i % 3) - 1.0, f64::from(i * 5 % 4) - 1.5, f64::from(i * 3 % 5) - 2.0);
+            let at = reach * (turn * pose(i).center()) + off;
+            let bytes =
+                photograph_at(latitude + at.y / 110_711.0, longitude + at.x / 104_474.0, 100.0 + at.z);
+            let path = dir.path().join(format!("images/dive/IMG_{i:04}"));
+            std::fs::remove_file(path.with_extension("png")).unwrap();
+            std::fs::write(path.with_extension("jpg"), bytes).unwrap();
+        }
+        let imported = read(dir.path()).unwrap();
+        let said = imported.report.to_string();
+        match expected {
+            Ok(()) => {
+                let world = imported.model().world.clone().unwrap();
+                assert!((world.metres_per_unit / reach - 1.0).abs() < 0.03, "{world:?}");
+                assert!(
+                    said.contains("GPS positions of 8 photographs fit") && said.contains("latitude 20.3"),
+                    "{said}"
+                );
+            }
+            Err(expected) => assert!(imported.model().world.is_none() && said.contains(expected), "{said}"),
+        }
+        // A measured length comes first.
+        let length = (ENDS[0] - ENDS[1]).length() * METRES;
+        std::fs::write(
+            dir.path().join("lengths.csv"),
+            lengths(ENDS, &[1, 3, 6], 8.0, length).replace(".png", ""),
+        )
+        .unwrap();
+        let world = read(dir.path()).unwrap().model().world.clone().unwrap();
+        assert!(
+            (world.metres_per_unit / METRES - 1.0).abs() < 0.02 && world.source.contains("lengths"),
+            "{world:?}"
+        );
+    }
+}
+
+#[test]
+fn a_scale_bar_of_a_metashape_project_gives_metres_to_half_a_percent() {
+    let dir = tempfile::tempdir().unwrap();
+    let grey = Image::filled(SIZE.0 / 8, SIZE.1 / 8, 0.4);
+    let (mut cameras, mut marks) = (String::new(), [String::new(), String::new()]);
+    for i in 0..VIEWS {
+        let p = pose(i);
+        let (r, c) = (p.rotation.to_cols_array_2d(), p.center());
+        let row = |k: usize| format!("{} {} {} {}", r[k][0], r[k][1], r[k][2], c[k]);
+        let (a, b, d) = (row(0), row(1), row(2));
+        write!(
+            cameras,
+            "<camera id=\"{i}\" sensor_id=\"0\" label=\"IMG_{i}\"><transform>{a} {b} {d} 0 0 0 1</transform></camera>"
+        )
+        .unwrap();
+        write_png(&dir.path().join(format!("photos/IMG_{i}.png")), &grey).unwrap();
+        // Marks are set to whole pixels.
+        for (mark, end) in marks.iter_mut().zip(ENDS) {
+            let (x, y) = pixel(i, end);
+            write!(
+                mark,
+                "<location camera_id=\"{i}\" pinned=\"true\" x=\"{}\" y=\"{}\"/>",
+                x.round(),
+                y.round()
+            )
+            .unwrap();
+        }
+    }
+    // Metashape's f is fy, b1 is fx - fy, the principal point counts from the middle, p1 and p2 change
+    // places.
+    let sensor = "<sensor id=\"0\" type=\"frame\"><resolution width=\"1600\" height=\"1200\"/><calibration type=\"frame\" \
+                  class=\"adjusted\"><resolution width=\"1600\" height=\"1200\"/><f>1310</f><cx>5</cx><cy>-3</cy><b1>-10</b1>\
+                  <k1>-0.08</k1><k2>0.02</k2><p1>-0.002</p1><p2>0.001</p2></calibration></sensor>";
+    let length = (ENDS[0] - ENDS[1]).length() * METRES;
+    let [one, two] = marks;
+    let xml = format!(
+        "<document version=\"2.0.0\"><chunk><sensors>{sensor}</sensors><cameras>{cameras}</cameras><markers><marker id=\"0\" \
+         label=\"target 1\"/><marker id=\"1\" label=\"target 2\"/></markers><scalebars><scalebar id=\"0\" label=\"bar\">\
+         <endpoint marker_id=\"0\"/><endpoint marker_id=\"1\"/><reference distance=\"{length}\" enabled=\"true\"/></scalebar>\
+         </scalebars><frames><frame id=\"0\"><markers><marker marker_id=\"0\">{one}</marker><marker marker_id=\"1\">{two}</marker>\
+         </markers></frame></frames></chunk></document>"
+    );
+    std::fs::write(dir.path().join("cameras.xml"), xml).unwrap();
+    let imported = read(dir.path()).unwrap();
+    let world = imported.model().world.clone().unwrap();
+    let off = world.metres_per_unit / METRES - 1.0;
+    println!("off by {:.3} %", 100.0 * off);
+    assert!(off.abs() < 0.005 && world.source == "Metashape scale bars", "{world:?}");
+    let out = dir.path().join("out");
+    prepare(&imported, &out, 1, &|_, _| true).unwrap();
+    assert_eq!(prepared_world(&out).unwrap(), Some(world));
+}

@@ -5,6 +5,8 @@
 //! bytes, not by the name. Values are display-referred (a PNG value over 255) and never linearised; EXR files
 //! hold the same values unclamped.
 //!
+//! Of the EXIF data of a JPEG, orientation, camera and GPS position are read.
+//!
 //! Every size is checked before memory is allocated (at most [`MAX_PIXELS`], and never more than the file's
 //! own length can hold). Every file is written under a temporary name in the same folder and then renamed, so
 //! it is written completely or not at all.
@@ -21,7 +23,9 @@
 mod decoded;
 mod embed;
 mod error;
+mod exif;
 mod exr_file;
+mod histogram;
 mod jpeg;
 mod limits;
 mod npy;
@@ -32,7 +36,9 @@ mod write;
 pub use decoded::{Decoded, Samples};
 pub use embed::{JpegError, jpeg_address, shrunk};
 pub use error::{FileFormat, ImageError};
+pub use exif::{Exif, GpsPosition, exif_of_bytes, read_exif, straighten};
 pub use exr_file::{write_exr, write_exr_channels, write_exr_map};
+pub use histogram::ChannelHistogram;
 pub use limits::MAX_PIXELS;
 pub use read::{
     ImageInfo, decode, image_info, image_size, info_of_bytes, read, read_image, read_map, read_pixels,

@@ -1,4 +1,4 @@
-//! There and back, one scene in three formats, and files that mean harm.
+//! There and back, one scene in every format, and files that mean harm.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -110,7 +110,7 @@ fn a_survey_comes_back() {
 }
 
 #[test]
-fn three_descriptions_of_one_scene_give_the_same_cameras() {
+fn descriptions_of_one_scene_in_every_format_give_the_same_cameras() {
     let whole = survey();
     let opencv = [812.5, 810.25, 503.0, 347.5, -0.15, 0.05, 0.004, -0.003];
     let model = Model {
@@ -124,7 +124,7 @@ fn three_descriptions_of_one_scene_give_the_same_cameras() {
         images: whole.images.iter().map(|i| PosedImage { camera: 1, ..i.clone() }).collect(),
         points: whole.points.clone(),
     };
-    let colmap = model.into_survey(Path::new("sparse/0")).unwrap();
+    let colmap = model.clone().into_survey(Path::new("sparse/0")).unwrap();
 
     // Metashape's f is fy, b1 is fx - fy, the principal point counts from the middle, p1 and p2 change
     // places.
@@ -176,6 +176,71 @@ fn three_descriptions_of_one_scene_give_the_same_cameras() {
     let nerfstudio = take(&json.to_string()).unwrap().survey;
     assert!(apart(&colmap, &nerfstudio) < 1e-6);
     assert_eq!(nerfstudio.images[4].id, 5, "counted where COLMAP's ids are not there");
+
+    // OpenSfM: shares of the longer side, from the middle, and an axis times an angle.
+    let shots = whole.images.iter().map(|image| {
+        let pose = image.pose();
+        let (axis, angle) = glam::DQuat::from_mat3(&pose.rotation).to_axis_angle();
+        let (rotation, translation) = ((axis * angle).to_array(), pose.translation.to_array());
+        let shot = serde_json::json!({"camera": "c", "rotation": rotation, "translation": translation});
+        (image.name.to_string(), shot)
+    });
+    let shots: serde_json::Map<String, serde_json::Value> = shots.collect();
+    let camera = serde_json::json!({
+        "projection_type": "brown", "width": 1000, "height": 700, "focal_x": fx / 1000.0, "focal_y": fy / 1000.0,
+        "c_x": (cx - 500.0) / 1000.0, "c_y": (cy - 350.0) / 1000.0, "k1": k1, "k2": k2, "k3": 0.0, "p1": p1, "p2": p2,
+    });
+    let json = serde_json::json!([{"cameras": {"c": camera}, "shots": shots}]);
+    let opensfm =
+        use3d_io_opensfm::parse(json.to_string().as_bytes(), Path::new("reconstruction.json")).unwrap();
+    assert!(apart(&colmap, &opensfm) < 1e-6);
+
+    // RealityScan has one focal length: the scene again, with fy = fx.
+    let square = Model {
+        cameras: vec![ModelCamera {
+            parameters: [fx, fx, cx, cy, k1, k2, p1, p2].to_vec(),
+            ..model.cameras[0].clone()
+        }],
+        ..model
+    };
+    let square = square.into_survey(Path::new("sparse/0")).unwrap();
+    let (mut table, mut sidecars) =
+        (String::from("#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2\n"), Vec::new());
+    let (f, px, py) = (fx / 1000.0 * 36.0, (cx - 500.0) / 1000.0, (cy - 350.0) / 1000.0);
+    for image in &whole.images {
+        let (pose, name) = (image.pose(), image.name.as_str());
+        let c = pose.center();
+        // The camera's axes in the world, with y up and z backward, are Rz(-heading) Rx(pitch) Ry(roll).
+        let [right, down, ahead] = pose.rotation.transpose().to_cols_array_2d();
+        let pitch = math::atan2(-down[2], math::hypot(right[2], ahead[2]));
+        let heading = -math::atan2(down[0], -down[1]);
+        let roll = math::atan2(-right[2], -ahead[2]);
+        let [heading, pitch, roll] = [heading, pitch, roll].map(f64::to_degrees);
+        writeln!(
+            table,
+            "{name},{},{},{},{heading},{pitch},{roll},{f},{px},{py},{k1},{k2},0,0,{p2},{p1}",
+            c.x, c.y, c.z
+        )
+        .unwrap();
+        let rows = pose.rotation.transpose().to_cols_array().map(|v| v.to_string()).join(" ");
+        let text = format!(
+            "<rdf:Description xmlns:rdf=\"http://www.w3.org/1999/02/22-rdf-syntax-ns#\" \
+             xmlns:xcr=\"http://www.capturingreality.com/ns/xcr/1.1#\" xcr:Version=\"3\" xcr:DistortionModel=\"brown3t2\" \
+             xcr:FocalLength35mm=\"{f}\" xcr:PrincipalPointU=\"{px}\" xcr:PrincipalPointV=\"{py}\" \
+             xcr:DistortionCoeficients=\"{k1} {k2} 0 0 {p2} {p1}\"><xcr:Rotation>{rows}</xcr:Rotation>\
+             <xcr:Position>{} {} {}</xcr:Position></rdf:Description>",
+            c.x, c.y, c.z
+        );
+        let (name, path) = (image.name.clone(), "a.xmp".into());
+        sidecars.push(use3d_io_realityscan::Sidecar { name, path, bytes: text.into_bytes() });
+    }
+    let by_table = use3d_io_realityscan::parse_table(table.as_bytes(), Path::new("cameras.csv")).unwrap();
+    let by_xmp = use3d_io_realityscan::parse_sidecars(&sidecars, Path::new("images")).unwrap();
+    for registration in [by_table, by_xmp] {
+        let sizes = whole.images.iter().map(|image| (image.name.clone(), (1000, 700))).collect();
+        let realityscan = registration.into_survey(&sizes, Path::new("cameras.csv")).unwrap();
+        assert!(apart(&square, &realityscan) < 1e-6);
+    }
 }
 
 /// A file of two frames, as text to be changed.

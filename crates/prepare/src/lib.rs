@@ -9,18 +9,20 @@
 //! and [`photographs`] copies photographs. [`sfm`] finds the cameras with the program `colmap` or the Python
 //! package `pycolmap`, in three steps: features, matches, mapping. [`verdict`] says how well this went.
 //!
+//! [`recipes`] names the files of data sets that others published, and the choices for them.
+//!
 //! All work is done in one folder, beside the result. Each finished step is noted there with the digest of
 //! its inputs and choices, so an interrupted run continues, and a changed choice repeats only the steps after
 //! it. Images are not undistorted: the import does that.
 
 mod choose;
 mod error;
-mod exif;
 mod film;
 mod params;
 mod photographs;
 mod prepare;
 mod process;
+mod recipes;
 mod sfm;
 mod sources;
 mod tools;
@@ -30,6 +32,7 @@ pub use error::PrepareError;
 pub use params::{Mapper, Matching, PrepareParams};
 pub use prepare::{CAPTURE, Input, PREPARED, Prepared, key_of, prepare, work_folder};
 pub use process::{StepProgress, StepWatch};
+pub use recipes::{Recipe, RecipeScene, RecipeWork, balance, publish};
 pub use sources::{Sources, is_film, is_photograph};
 pub use tools::{Finder, Program, Programs};
 pub use verdict::{CameraVerdict, Grade};

@@ -65,7 +65,7 @@ impl Default for PrepareParams {
     fn default() -> Self {
         Self {
             frames: 200,
-            lens: "OPENCV".into(),
+            lens: LENS.into(),
             calibration: Vec::new(),
             features: None,
             matching: Matching::Auto,
@@ -74,6 +74,10 @@ impl Default for PrepareParams {
         }
     }
 }
+
+/// The usual lens model: one focal length and two radial terms. A lens with more freedom, such as OPENCV,
+/// fits small pictures and plain scenes with cameras that are wrong.
+const LENS: &str = "RADIAL";
 
 /// The fewest images that a model can be made from.
 pub(crate) const FEWEST: usize = 3;
@@ -89,7 +93,7 @@ impl PrepareParams {
         }
         let Some(model) = use3d_io_colmap::LensModel::from_name(&self.lens) else {
             let reason = format!(
-                "{} is no lens model of COLMAP; take OPENCV, SIMPLE_RADIAL, or OPENCV_FISHEYE for a fisheye",
+                "{} is no lens model of COLMAP; take RADIAL, OPENCV, or OPENCV_FISHEYE for a fisheye",
                 self.lens
             );
             return bad("--lens", reason);

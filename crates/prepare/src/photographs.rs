@@ -2,8 +2,9 @@
 
 use std::path::Path;
 
+use use3d_io_image::straighten;
+
 use crate::error::PrepareError;
-use crate::exif;
 use crate::process::{self, StepProgress, StepWatch};
 use crate::sources::Photograph;
 use crate::tools::{self, Program};
@@ -36,8 +37,7 @@ pub(crate) fn copy(
             }
             _ if photograph.orientation != 1 => {
                 let mut bytes = std::fs::read(from).map_err(PrepareError::file(from))?;
-                let found = exif::read(&bytes[..bytes.len().min(exif::HEAD as usize)]);
-                exif::straighten(&found, &mut bytes);
+                straighten(&mut bytes);
                 std::fs::write(&to, bytes).map_err(PrepareError::file(&to))?;
             }
             _ => {

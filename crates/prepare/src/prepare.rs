@@ -26,6 +26,9 @@ pub const PREPARED: &str = "prepare.json";
 pub const CAPTURE: &str = "capture";
 const STATE: &str = "state.json";
 const LOG: &str = "log.txt";
+/// Attempts to lock the folder of the work, and the pause between them, milliseconds.
+const LOCK_TRIES: u64 = 40;
+const LOCK_PAUSE: u64 = 50;
 /// Changes when images are chosen or written in another way.
 const RULES: u32 = 1;
 
@@ -206,12 +209,14 @@ pub fn prepare(
     }
     std::fs::create_dir_all(folder).map_err(PrepareError::file(folder))?;
     let lock = File::create(folder.join("lock")).map_err(PrepareError::file(folder))?;
-    match lock.try_lock() {
-        Err(std::fs::TryLockError::WouldBlock) => {
-            return Err(PrepareError::Busy { path: folder.to_path_buf() });
-        }
-        // A file system without locks is no reason to refuse.
-        Err(std::fs::TryLockError::Error(_)) | Ok(()) => {}
+    // A program that another thread has just started may hold a copy of an old lock until it runs, so one
+    // refusal says little. A file system without locks is no reason to refuse.
+    let taken = |attempt: u64| {
+        std::thread::sleep(std::time::Duration::from_millis(attempt.min(1) * LOCK_PAUSE));
+        matches!(lock.try_lock(), Err(std::fs::TryLockError::WouldBlock))
+    };
+    if (0..LOCK_TRIES).all(taken) {
+        return Err(PrepareError::Busy { path: folder.to_path_buf() });
     }
     let state = std::fs::read(folder.join(STATE)).ok();
     let state = state.and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default();

@@ -1,13 +1,11 @@
 //! The inputs: films and photographs, in the order in which they are given.
 
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use use3d_capture::FileName;
-use use3d_io_image::{FileFormat, image_info};
+use use3d_io_image::{FileFormat, image_info, read_exif};
 
 use crate::error::PrepareError;
-use crate::exif;
 
 const FILMS: [&str; 14] =
     ["mp4", "mov", "avi", "mkv", "webm", "m4v", "mts", "m2ts", "mpg", "mpeg", "wmv", "3gp", "lrv", "insv"];
@@ -151,10 +149,7 @@ impl Sources {
             let size = (info.width, info.height);
             let mut taken = (String::new(), String::new(), 0);
             if info.format == FileFormat::Jpeg {
-                let mut head = Vec::new();
-                let file = std::fs::File::open(path).map_err(PrepareError::file(path))?;
-                file.take(exif::HEAD).read_to_end(&mut head).map_err(PrepareError::file(path))?;
-                let found = exif::read(&head);
+                let found = read_exif(path).map_err(PrepareError::file(path))?;
                 (photograph.orientation, taken) = (found.orientation, found.camera);
             } else if !matches!(info.format, FileFormat::Png | FileFormat::Tiff) {
                 return Err(PrepareError::input(path, "expected a JPEG, PNG or TIFF"));

@@ -11,6 +11,8 @@ use crate::params::{Matching, PrepareParams};
 
 /// A share of images with a place that is good, and one that is still usable.
 const SHARES: (f64, f64) = (0.9, 2.0 / 3.0);
+/// Focal lengths along x and y of a real lens differ by less than this factor.
+const SQUARE: f64 = 1.2;
 /// A mean reprojection error above which the lens model does not fit, pixels.
 const ERROR: f64 = 1.5;
 
@@ -99,7 +101,12 @@ pub(crate) fn judge(
     let error = mean(used.points.iter().map(|p| p.error.max(0.0)).sum());
     let track_length = mean(used.points.iter().map(|p| p.track.len() as f64).sum());
     let share = registered as f64 / names.len().max(1) as f64;
+    let odd = used.cameras.iter().filter_map(|camera| camera.lens()).find_map(|lens| {
+        let [fx, fy] = lens.focal;
+        (fx / fy).max(fy / fx).ge(&SQUARE).then_some(fx / fy)
+    });
     let grade = match share {
+        _ if odd.is_some() => Grade::Poor,
         s if s >= SHARES.0 && error <= ERROR => Grade::Good,
         s if s >= SHARES.1 => Grade::Usable,
         _ => Grade::Poor,
@@ -116,6 +123,12 @@ pub(crate) fn judge(
             "Other images form {} without enough overlap with the largest one, which is used: {} images.",
             if groups.len() == 1 { "a group".into() } else { format!("{} groups", groups.len()) },
             list.join(", ")
+        ));
+    }
+    if let Some(ratio) = odd {
+        words.push(format!(
+            "The focal lengths along the width and the height differ by a factor of {ratio:.2}, which no lens has, so the \
+             cameras are wrong: take a lens model with less freedom (--lens RADIAL), or more and sharper images."
         ));
     }
     if share < SHARES.0 {
@@ -167,4 +180,33 @@ pub(crate) fn remedies(params: &PrepareParams, matching: Matching, films: bool) 
         remedies.push("for a very wide lens, --lens OPENCV_FISHEYE".into());
     }
     remedies
+}
+
+#[cfg(test)]
+mod tests {
+    use use3d_io_colmap::{LensModel, ModelCamera, ModelImage};
+
+    use super::*;
+
+    #[test]
+    fn a_lens_that_no_camera_has_makes_the_cameras_poor() {
+        let names: Vec<String> = (0..4).map(|i| format!("f_{i}.jpg")).collect();
+        let judged = |fy: f64| {
+            let image = |(i, name): (usize, &String)| {
+                let pose = use3d_capture::Pose::IDENTITY;
+                ModelImage::at(i as u32, use3d_capture::FileName::new(name).unwrap(), 1, &pose)
+            };
+            let parameters = vec![254.0, fy, 160.0, 90.0, 0.1, 0.0, 0.0, 0.0];
+            let camera = ModelCamera { id: 1, model: LensModel::OpenCv, width: 320, height: 180, parameters };
+            let images = names.iter().enumerate().map(image).collect();
+            let model = Model { cameras: vec![camera], images, points: Vec::new() };
+            judge(&[model], &names, (&PrepareParams::default(), Matching::Exhaustive, false)).unwrap()
+        };
+        assert_eq!(judged(250.0).grade, Grade::Good);
+        for fy in [148.7, 400.0] {
+            let verdict = judged(fy);
+            assert_eq!(verdict.grade, Grade::Poor);
+            assert!(verdict.words[1].contains("--lens RADIAL"), "{:?}", verdict.words);
+        }
+    }
 }

@@ -15,6 +15,7 @@
 
 mod check;
 mod fit;
+mod geo;
 mod jet;
 mod lens;
 mod markers;
@@ -24,6 +25,7 @@ mod survey;
 
 pub use check::SurveyError;
 pub use fit::{fit_depths, fit_positions};
+pub use geo::EarthPlace;
 pub use lens::{Distortion, Lens, Projection};
 pub use markers::{Mark, Marker, ScaleBar};
 pub use ply::PlyError;

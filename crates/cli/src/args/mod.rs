@@ -166,12 +166,13 @@ pub(crate) enum Verb {
     /// Make a capture from films or photographs: choose frames, and find the cameras with COLMAP.
     #[command(after_help = "Examples:\n  use3d prepare dive.mp4 --out my-reef/\n  \
         use3d prepare photos/ --out my-reef/ --matching exhaustive\n  \
-        use3d prepare part-1.mp4 part-2.mp4 --out my-reef/ --frames 300\n\n\
+        use3d prepare part-1.mp4 part-2.mp4 --out my-reef/ --frames 300\n  \
+        use3d prepare druva /data/DRUVA --out druva/\n\n\
         It needs ffmpeg for films, and COLMAP (`colmap`, or `pip install pycolmap`). After an interruption, the \
         same command continues.")]
     Prepare(PrepareArgs),
-    /// Read a folder with photographs and a model of COLMAP, Metashape, nerfstudio or OpenSfM: undistort,
-    /// resize, normalise, split.
+    /// Read a folder with photographs and a model of COLMAP, Metashape, RealityScan, nerfstudio or OpenSfM:
+    /// undistort, resize, normalise, split.
     #[command(after_help = "Examples:\n  use3d import my-reef/ --out prepared/\n  \
         use3d import my-reef/ --out prepared/ --set size=1400x933 --set image_dir=images_wb")]
     Import(ImportArgs),

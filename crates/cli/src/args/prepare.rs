@@ -9,7 +9,8 @@ use super::shared::{Replace, count};
 
 #[derive(Debug, Args)]
 pub(crate) struct PrepareArgs {
-    /// Films, photographs, and folders of them.
+    /// Films, photographs, and folders of them; or `seathru`, `druva` or `d3d5` and the folder of that data
+    /// set, for one capture of each scene.
     #[arg(required = true, value_name = "FILM|PHOTOS")]
     pub(crate) inputs: Vec<PathBuf>,
     /// The folder for the capture.
@@ -18,8 +19,8 @@ pub(crate) struct PrepareArgs {
     /// The most frames that are taken out of the films.
     #[arg(long, value_name = "N", default_value_t = 200, value_parser = count(MAX_FRAMES))]
     frames: usize,
-    /// COLMAP's name of the lens model, such as OPENCV, SIMPLE_RADIAL or OPENCV_FISHEYE.
-    #[arg(long, value_name = "MODEL", default_value = "OPENCV")]
+    /// COLMAP's name of the lens model, such as RADIAL, OPENCV or OPENCV_FISHEYE.
+    #[arg(long, value_name = "MODEL", default_value = "RADIAL")]
     lens: String,
     /// Known parameters of the lens, in COLMAP's order for --lens. They are not changed then.
     #[arg(long, value_name = "P,P,…", value_delimiter = ',', allow_hyphen_values = true)]

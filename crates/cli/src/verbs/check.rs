@@ -4,9 +4,10 @@ use std::convert::Infallible;
 use std::io::Write;
 use std::path::Path;
 
+use use3d_capture::Image;
 use use3d_check::{CheckReport, Picture, WaterSight, examine, measure, page};
 use use3d_import::{ImportParams, Imported, capture_name, import, is_prepared, load_pixels, load_prepared};
-use use3d_io_image::{jpeg_address, shrunk};
+use use3d_io_image::{jpeg_address, read_image, shrunk};
 use use3d_pipeline::water::{Judgement, from_tracks};
 use use3d_water::WaterParams;
 
@@ -58,7 +59,7 @@ pub(crate) fn run(app: &App, args: &CheckArgs) -> Done {
     let words = judgement.to_string();
     let water = match judgement {
         Judgement::Found => WaterSight::Found("the water can be measured before the training"),
-        Judgement::Lamps => WaterSight::Unknown(
+        Judgement::Lamps => WaterSight::Lamps(
             "colours fade with the distance as the light of lamps does, so the water cannot be measured beforehand",
         ),
         Judgement::Unknown => WaterSight::Unknown(
@@ -68,7 +69,8 @@ pub(crate) fn run(app: &App, args: &CheckArgs) -> Done {
     };
     let report = examine(&listed, figures.map_err(CliError::input)?, Some(water), metres(&capture));
     if let Some(file) = &args.html {
-        let html = page(&report, &pictures(&report, &capture)?);
+        let folder = args.capture.join(&listed.image_folder);
+        let html = page(&report, &pictures(&report, &capture, &folder)?);
         write_file("--html", file, |writer| writer.write_all(html.as_bytes()))?;
     }
     if args.json {
@@ -95,15 +97,27 @@ pub(crate) fn before_run(capture: &Path, parameters: &serde_json::Value) -> Vec<
     lines
 }
 
-/// Small pictures of the views that the page shows.
-fn pictures(report: &CheckReport, capture: &Imported) -> Result<Vec<Picture>, CliError> {
-    let wanted = report.pictured();
-    let views = capture.capture.views.iter().filter(|view| wanted.contains(view.name.as_str()));
-    views
-        .map(|view| {
-            let image = load_pixels(view).map_err(CliError::input)?.to_image();
-            let address = jpeg_address(&shrunk(&image, SMALL), QUALITY).map_err(CliError::failed)?;
-            Ok(Picture { name: view.name.to_string(), address })
-        })
-        .collect()
+/// Small pictures of the views that the page shows, and of photographs without a camera, from `folder`.
+fn pictures(report: &CheckReport, capture: &Imported, folder: &Path) -> Result<Vec<Picture>, CliError> {
+    let small = |name: &str, image: &Image| -> Result<Picture, CliError> {
+        let address = jpeg_address(&shrunk(image, SMALL), QUALITY).map_err(CliError::failed)?;
+        Ok(Picture { name: name.to_string(), address })
+    };
+    let mut pictures = Vec::new();
+    for name in report.pictured() {
+        match capture.capture.views.iter().find(|view| view.name == name) {
+            Some(view) => {
+                let image = load_pixels(view).map_err(CliError::input)?.to_image();
+                pictures.push(small(&name, &image)?);
+            }
+            // One that cannot be read, or is not there, is shown by its name alone.
+            None => {
+                let path = use3d_capture::FileName::new(&name).ok().map(|name| name.below(folder));
+                if let Some(image) = path.and_then(|path| read_image(&path).ok()) {
+                    pictures.push(small(&name, &image)?);
+                }
+            }
+        }
+    }
+    Ok(pictures)
 }

@@ -6,8 +6,8 @@ use std::sync::Mutex;
 
 use use3d_build::{Digest, Event, place};
 use use3d_prepare::{
-    CAPTURE, Grade, Input, PREPARED, PrepareError, PrepareParams, Prepared, Programs, Sources, StepProgress,
-    StepWatch, key_of, prepare, work_folder,
+    CAPTURE, Grade, Input, PREPARED, PrepareError, PrepareParams, Prepared, Programs, Recipe, RecipeScene,
+    RecipeWork, Sources, StepProgress, StepWatch, balance, key_of, prepare, publish, work_folder,
 };
 
 use crate::App;
@@ -105,14 +105,20 @@ impl Preparation<'_> {
             let (params, programs) = (self.params, self.programs);
             prepare(self.sources, (key, inputs), params, programs, (&work, self.app.threads), watch)
         })?;
-        let made = work.join(CAPTURE);
-        place::record(&made, Some(Digest::of(key.as_bytes())))
-            .and_then(|()| place::put(&made, self.out, force))
-            .map_err(CliError::failed)?;
-        // The capture is in its place; files of the work that stay behind do no harm.
-        let _ = std::fs::remove_dir_all(&work);
+        put(&work, self.out, key, force)?;
         Ok(prepared)
     }
+}
+
+/// Moves the finished capture of a work folder to its place.
+fn put(work: &Path, out: &Path, key: &str, force: bool) -> Done {
+    let made = work.join(CAPTURE);
+    place::record(&made, Some(Digest::of(key.as_bytes())))
+        .and_then(|()| place::put(&made, out, force))
+        .map_err(CliError::failed)?;
+    // The capture is in its place; files of the work that stay behind do no harm.
+    let _ = std::fs::remove_dir_all(work);
+    Ok(())
 }
 
 /// The judgement in lines, with a word for its grade.
@@ -128,6 +134,10 @@ fn lines(prepared: &Prepared) -> Vec<String> {
 }
 
 pub(crate) fn run(app: &App, args: &PrepareArgs) -> Done {
+    let first = args.inputs.first().filter(|input| !input.exists());
+    if let Some(recipe) = first.and_then(|input| Recipe::named(input.to_str()?)) {
+        return by_recipe(app, args, recipe);
+    }
     let sources = Sources::of(&args.inputs)?;
     let (params, programs) = (args.params(), args.programs());
     let job = Preparation { app, sources: &sources, params: &params, programs: &programs, out: &args.out };
@@ -152,6 +162,84 @@ pub(crate) fn run(app: &App, args: &PrepareArgs) -> Done {
         eprintln!("next: use3d run {}", word(&args.out));
     }
     Ok(())
+}
+
+/// Prepares the scenes of a data set, each into a capture of its name.
+fn by_recipe(app: &App, args: &PrepareArgs, recipe: Recipe) -> Done {
+    let [name, folder] = args.inputs.as_slice() else {
+        let name = path_text(&args.inputs[0]);
+        let reason =
+            format!("`use3d prepare {name}` needs one folder, the unpacked data set: docs/guide/datasets.md");
+        return Err(CliError::Input(reason));
+    };
+    if args.json {
+        let reason = "--json is for one capture: each scene of a data set has its own prepare.json";
+        return Err(CliError::Input(reason.into()));
+    }
+    let (scenes, missing) = recipe.scenes(folder)?;
+    let (params, programs) = (recipe.choices(args.params()), args.programs());
+    for RecipeScene { name, work } in &scenes {
+        let out = args.out.join(name);
+        let said = match work {
+            RecipeWork::Published { images, model } => {
+                copied(app, (images, model), &out, args.replace.force)?
+            }
+            RecipeWork::Film(path) | RecipeWork::Linear(path) => {
+                let sources = Sources::of(std::slice::from_ref(path))?;
+                let job =
+                    Preparation { app, sources: &sources, params: &params, programs: &programs, out: &out };
+                match job.need()? {
+                    Need::Nothing => vec!["prepared before from the same files and choices".into()],
+                    Need::Work(key, inputs) if matches!(work, RecipeWork::Linear(_)) => {
+                        let shown = args.out.join(format!(".{name}.balanced"));
+                        job.watched(|watch| balance(&sources, &shown, watch))?;
+                        let sources = Sources::of(std::slice::from_ref(&shown))?;
+                        let job = Preparation { sources: &sources, ..job };
+                        let prepared = job.make(&key, &inputs, args.replace.force)?;
+                        let _ = std::fs::remove_dir_all(&shown);
+                        lines(&prepared)
+                    }
+                    Need::Work(key, inputs) => lines(&job.make(&key, &inputs, args.replace.force)?),
+                }
+            }
+        };
+        said.iter().for_each(|line| println!("{name}: {line}"));
+    }
+    if !missing.is_empty() {
+        println!("not in {}, and not prepared: {}", path_text(folder), missing.join(", "));
+    }
+    if !app.quiet {
+        let (variable, pipeline) = recipe.pipeline();
+        eprintln!(
+            "next: export {variable}={}; use3d run pipelines/{pipeline}.toml (docs/guide/datasets.md, recipe {})",
+            word(&args.out),
+            path_text(name)
+        );
+    }
+    Ok(())
+}
+
+/// Copies a published scene into a capture, unless this was done before.
+fn copied(
+    app: &App,
+    (images, model): (&Path, &Path),
+    out: &Path,
+    force: bool,
+) -> Result<Vec<String>, CliError> {
+    let sources = Sources::of(&[images.to_path_buf()])?;
+    let (params, programs) = (PrepareParams::default(), Programs::default());
+    let job = Preparation { app, sources: &sources, params: &params, programs: &programs, out };
+    let Need::Work(key, _) = job.need()? else {
+        return Ok(vec!["copied before from the same photographs".into()]);
+    };
+    check_folder(out, force)?;
+    let work = work_folder(out);
+    publish(images, model, &key, &work)?;
+    let report = use3d_import::import(&work.join(CAPTURE), &use3d_import::ImportParams::default())
+        .map_err(CliError::input)?
+        .report;
+    put(&work, out, &key, force)?;
+    Ok(vec![format!("{} photographs and their cameras copied", report.views)])
 }
 
 /// The capture for the target of a run, prepared if it is not yet. `None` if the target needs no preparation.

@@ -1,0 +1,157 @@
+//! The table "Internal/External camera parameters": a line for each photograph.
+
+use std::path::Path;
+
+use glam::{DMat3, DVec3};
+use use3d_capture::{FileName, Pose, shown};
+use use3d_numerics::math;
+use use3d_survey::{ReadError, read_at_most};
+
+use crate::registration::{RegisteredShot, Registration, ShareLens, tidy};
+
+type Result<T> = std::result::Result<T, ReadError>;
+
+/// The largest table that is read, bytes: more than a million photographs.
+const LARGEST: u64 = 1 << 28;
+/// Width of the film that `f` is stated for, millimetres.
+const FILM: f64 = 36.0;
+/// The names of each column, the older one first. The first [`NEEDED`] must be there.
+const COLUMNS: [&[&str]; 16] = [
+    &["name"],
+    &["x"],
+    &["y"],
+    &["alt", "z"],
+    &["heading", "yaw"],
+    &["pitch"],
+    &["roll"],
+    &["f", "f_35mm"],
+    &["px", "px_norm"],
+    &["py", "py_norm"],
+    &["k1"],
+    &["k2"],
+    &["k3"],
+    &["k4"],
+    &["t1"],
+    &["t2"],
+];
+const NEEDED: usize = 8;
+
+/// The first line of a table with its columns.
+struct Header {
+    separator: char,
+    /// The place of each of [`COLUMNS`].
+    places: [Option<usize>; 16],
+}
+
+impl Header {
+    fn of(line: &str) -> Self {
+        let separator = [';', '\t'].into_iter().find(|s| line.contains(*s)).unwrap_or(',');
+        let names: Vec<String> = line
+            .split(separator)
+            .map(|name| name.trim().trim_matches('"').trim_start_matches('#').trim().to_lowercase())
+            .collect();
+        let place = |aliases: &[&str]| names.iter().position(|name| aliases.contains(&name.as_str()));
+        Self { separator, places: COLUMNS.map(place) }
+    }
+
+    /// The first needed column that is not there.
+    fn missing(&self) -> Option<&'static str> {
+        (0..NEEDED).find(|&i| self.places[i].is_none()).map(|i| COLUMNS[i][0])
+    }
+}
+
+/// The lines that say something, with their numbers. Some versions begin with the number of cameras.
+fn lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
+    let all = (1usize..).zip(text.trim_start_matches('\u{feff}').lines());
+    all.filter(|(_, line)| !line.trim().is_empty() && !line.trim_start().starts_with("#cameras"))
+}
+
+/// True if a file's first line names the columns of a table of cameras.
+pub fn is_cameras_table(path: &Path) -> bool {
+    use std::io::Read;
+    let Ok(file) = std::fs::File::open(path) else { return false };
+    let mut head = Vec::new();
+    if file.take(4096).read_to_end(&mut head).is_err() {
+        return false;
+    }
+    let head = String::from_utf8_lossy(&head);
+    lines(&head).next().is_some_and(|(_, line)| Header::of(line).missing().is_none())
+}
+
+/// Reads a table.
+///
+/// # Errors
+/// A file that cannot be read, is no such table, or holds something that cannot be used; the message names
+/// the line.
+pub fn read_table(path: &Path) -> Result<Registration> {
+    parse_table(&read_at_most(path, LARGEST, "export fewer cameras")?, path)
+}
+
+/// Reads the bytes of a table; `path` is for messages.
+///
+/// # Errors
+/// As [`read_table`].
+pub fn parse_table(bytes: &[u8], path: &Path) -> Result<Registration> {
+    let text = String::from_utf8_lossy(bytes);
+    let mut lines = lines(&text);
+    let Some((first, line)) = lines.next() else {
+        return Err(ReadError::broken(path, "file", "it is empty; export the cameras again"));
+    };
+    let header = Header::of(line);
+    if let Some(missing) = header.missing() {
+        let reason = format!(
+            "there is no column `{missing}`; expected name, x, y, alt, heading, pitch, roll and f: export the \
+             registration as \"Internal/External camera parameters\""
+        );
+        return Err(ReadError::broken(path, format!("line {first}"), reason));
+    }
+    let mut registration = Registration::default();
+    for (number, line) in lines.filter(|(_, line)| !line.trim_start().starts_with('#')) {
+        let fields: Vec<&str> = line.split(header.separator).map(|f| f.trim().trim_matches('"')).collect();
+        let broken = |reason: String| ReadError::broken(path, format!("line {number}"), reason);
+        // A column that is not in the table is 0, and one that is must be in every line.
+        let value = |column: usize| -> Result<f64> {
+            let Some(at) = header.places[column] else { return Ok(0.0) };
+            let text = fields.get(at).copied().unwrap_or_default();
+            text.parse::<f64>().ok().filter(|v| v.is_finite()).ok_or_else(|| {
+                let name = COLUMNS[column][0];
+                broken(format!("`{name}` is {:?}; expected a number with a decimal point", shown(text)))
+            })
+        };
+        let text = header.places[0].and_then(|at| fields.get(at)).copied().unwrap_or_default();
+        let name = FileName::new(&tidy(text))
+            .map_err(|e| broken(format!("`name` is {:?}: {e}; export the cameras again", shown(text))))?;
+        let centre = DVec3::new(value(1)?, value(2)?, value(3)?);
+        let angles = [value(4)?, value(5)?, value(6)?];
+        let f = value(7)?;
+        if f <= 0.0 {
+            return Err(broken(format!(
+                "`f` is {f}; expected millimetres above 0: align the photographs again"
+            )));
+        }
+        let lens = ShareLens {
+            focal: f / FILM,
+            principal: [value(8)?, value(9)?],
+            radial: [value(10)?, value(11)?, value(12)?, value(13)?],
+            tangential: [value(14)?, value(15)?],
+        };
+        let pose = Pose::from_center(turn(angles), centre);
+        registration.shots.push(RegisteredShot { name, pose, lens });
+    }
+    if registration.shots.is_empty() {
+        let reason = "it has no cameras; align the photographs, select a component, and export again";
+        return Err(ReadError::broken(path, format!("line {first}"), reason));
+    }
+    Ok(registration)
+}
+
+/// World to camera by heading, pitch and roll in degrees.
+fn turn([heading, pitch, roll]: [f64; 3]) -> DMat3 {
+    let of = |degrees: f64| (math::sin(degrees.to_radians()), math::cos(degrees.to_radians()));
+    let ((sh, ch), (sp, cp), (sr, cr)) = (of(-heading), of(pitch), of(roll));
+    let about_z = DMat3::from_cols(DVec3::new(ch, sh, 0.0), DVec3::new(-sh, ch, 0.0), DVec3::Z);
+    let about_x = DMat3::from_cols(DVec3::X, DVec3::new(0.0, cp, sp), DVec3::new(0.0, -sp, cp));
+    let about_y = DMat3::from_cols(DVec3::new(cr, 0.0, -sr), DVec3::Y, DVec3::new(sr, 0.0, cr));
+    // That camera looks along -z with y up.
+    DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)) * (about_z * about_x * about_y).transpose()
+}
