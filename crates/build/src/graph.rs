@@ -5,7 +5,7 @@
 //! content is read, by an identity made of stage, parameters, seed and the identities of the inputs. They
 //! point to the first node with the same identity.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -239,12 +239,16 @@ impl Graph {
     /// Returns a digest of the batch: its stages with their code, the parameters that count, seeds and
     /// inputs. Two processes with the same digest compute the same keys.
     pub fn digest(&self, registry: &Registry) -> Digest {
-        let mut encoder = Encoder::new("use3d 2026 batch v1");
-        for node in &self.nodes {
-            encoder.text(node.stage_name).text(&node.scene).text(&node.variant);
-            for (name, digest) in &registry.code(node.stage).ours {
+        let mut encoder = Encoder::new("use3d 2026 batch v2");
+        let stages: BTreeSet<usize> = self.nodes.iter().map(|node| node.stage).collect();
+        for place in stages {
+            encoder.text(registry.stages()[place].name);
+            for (name, digest) in &registry.code(place).ours {
                 encoder.text(name).bytes(digest.as_bytes());
             }
+        }
+        for node in &self.nodes {
+            encoder.text(node.stage_name).text(&node.scene).text(&node.variant);
             let stage = &registry.stages()[node.stage];
             canonical::encode(&stage.key_parameters(&node.parameters), &mut encoder);
             encoder.number(u64::from(node.seed.is_some())).number(node.seed.unwrap_or(0));

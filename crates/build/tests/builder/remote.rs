@@ -12,7 +12,7 @@ use std::time::Duration;
 use use3d_build::cache::Lookup;
 use use3d_build::manifest::{FileRecord, Manifest};
 use use3d_build::remote::{Folder, Listed, Memory, Remote, RemoteError, RemoteStore, Sent, Transferred};
-use use3d_build::{Batch, Builder, Digest, Graph, Listener, Silent};
+use use3d_build::{Batch, Builder, Digest, Event, Graph, Listener, Silent};
 
 use super::stages::{batch, builder, payload, run};
 
@@ -670,4 +670,52 @@ fn to_a_store_that_is_only_read_nothing_is_sent() {
         "{started:?} {warnings:?}"
     );
     assert!(payload(&builder.cache) == world.whole && *remote.objects() == before);
+}
+
+/// Keeps the texts of the notes.
+#[derive(Default)]
+struct Notes(Mutex<Vec<String>>);
+
+impl Listener for Notes {
+    fn event(&self, event: &Event<'_>) {
+        if let Event::Note { text, .. } = event {
+            self.0.lock().expect("notes").push((*text).to_string());
+        }
+    }
+}
+
+/// A store far away answers each request late, so many are made at the same time.
+#[test]
+fn many_requests_are_made_at_once_and_no_more_than_thirty_two() {
+    let world = World::new();
+    let (open, most) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicUsize::new(0)));
+    let (now, peak) = (open.clone(), most.clone());
+    let remote = Arc::new(Faulty::new(move |_, _| {
+        peak.fetch_max(now.fetch_add(1, Ordering::SeqCst) + 1, Ordering::SeqCst);
+        std::thread::sleep(Duration::from_millis(20));
+        now.fetch_sub(1, Ordering::SeqCst);
+        None
+    }));
+    let (store, alone, notes) = (shared(&remote), world.builder("alone"), Arc::new(Notes::default()));
+    let graph = Graph::new(&alone.registry, &world.batch).expect("graph");
+    let listener: Arc<dyn Listener> = notes.clone();
+    let stop = AtomicBool::new(false);
+    let sent = alone.push(&graph, &store, false, &stop, &listener).expect("pushed");
+    let sending = most.swap(0, Ordering::SeqCst);
+    let other = world.builder("other");
+    let fetched = other.pull(&graph, &store, &stop, &listener).expect("pulled");
+    let fetching = most.swap(0, Ordering::SeqCst);
+    assert!(payload(&other.cache) == world.whole && sent.moved == fetched.moved);
+    for peak in [sending, fetching] {
+        assert!((5..=32).contains(&peak), "{sending} requests at once to send, {fetching} to fetch");
+    }
+    // Each note has the number of artifacts so far, their total and the rate.
+    let notes = notes.0.lock().expect("notes");
+    let last = format!("({} of {}, ", sent.moved, sent.moved);
+    let told = |verb: &str| notes.iter().filter(|text| text.starts_with(verb)).cloned().collect::<Vec<_>>();
+    for texts in [told("sent "), told("fetched ")] {
+        assert_eq!(texts.len(), sent.moved, "{texts:?}");
+        assert!(texts.iter().any(|text| text.contains(&last)), "{texts:?}");
+        assert!(texts.iter().all(|text| text.ends_with("/s)")), "{texts:?}");
+    }
 }
