@@ -8,7 +8,7 @@ use super::canonical;
 use super::content::Content;
 use super::context::StageInput;
 use super::digest::{Digest, Encoder};
-use super::graph::{From, Graph, Node, NodeInput};
+use super::graph::{From, Graph, InputCell, Node, NodeInput};
 use super::key::{Ingredients, InputDigest, Key};
 use super::registry::Registry;
 use super::stage::{Scope, Stage};
@@ -100,7 +100,7 @@ pub(crate) fn resolve(
                 (content.digest, path.clone())
             }
         };
-        let (scene, group, variant) = (input.scene.clone(), input.group.clone(), input.variant.clone());
+        let InputCell { scene, group, variant } = input.cell();
         let role = input.role.to_string();
         let stage_input = StageInput {
             role: role.clone(),
@@ -146,7 +146,7 @@ pub(crate) fn there(graph: &Graph, node: usize, outcomes: &[Outcome]) -> Vec<Sta
         From::External(place) => place.clone().ok().filter(|path| path.exists()),
     };
     let given = |input: &NodeInput| {
-        let (scene, group, variant) = (input.scene.clone(), input.group.clone(), input.variant.clone());
+        let InputCell { scene, group, variant } = input.cell();
         Some(StageInput { role: input.role.to_string(), path: path(input)?, scene, group, variant })
     };
     graph.nodes[node].inputs.iter().filter_map(given).collect()

@@ -383,14 +383,16 @@ impl Training<'_> {
     /// The node that trains, and its progress by its lease.
     fn trains(&self) -> Option<(String, u64)> {
         let leases = tiny::files(&self.many.at("cache/v1/leases"));
-        leases.iter().filter(|(path, _)| !path.to_string_lossy().starts_with("run-")).find_map(|(_, bytes)| {
-            let text = String::from_utf8_lossy(bytes).into_owned();
-            let (holder, pulse) = text.split_once('\n')?;
-            let holder: serde_json::Value = serde_json::from_str(holder).ok()?;
-            let words: Vec<&str> = pulse.split_whitespace().collect();
-            (words.first() == Some(&"here")).then_some(())?;
-            Some((holder["host"].as_str()?.to_string(), words.get(3)?.parse().ok()?))
-        })
+        leases.iter().filter(|(path, _)| !path.to_string_lossy().starts_with("run-")).find_map(
+            |(_, bytes)| {
+                let text = String::from_utf8_lossy(bytes).into_owned();
+                let (holder, pulse) = text.split_once('\n')?;
+                let holder: serde_json::Value = serde_json::from_str(holder).ok()?;
+                let words: Vec<&str> = pulse.split_whitespace().collect();
+                (words.first() == Some(&"here")).then_some(())?;
+                Some((holder["host"].as_str()?.to_string(), words.get(3)?.parse().ok()?))
+            },
+        )
     }
 
     fn wait_for<T>(&self, what: &str, most: u64, found: impl Fn() -> Option<T>) -> (T, Duration) {

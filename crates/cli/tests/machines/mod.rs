@@ -33,7 +33,10 @@ impl Fake {
     pub(crate) fn start(name: &str) -> Result<Self, String> {
         let mut unshare = Command::new("unshare");
         unshare.args(["--uts", "--pid", "--fork", "--mount-proc", "--kill-child", "sh", "-c"]);
-        unshare.arg(format!("hostname {name} && exec sleep 1000000")).stdin(Stdio::null());
+        // The machine knows its own name.
+        let hosts = "hosts=$(mktemp) && echo \"127.0.0.1 localhost $(hostname)\" > $hosts && \
+                     mount --bind $hosts /etc/hosts && rm $hosts";
+        unshare.arg(format!("hostname {name} && {hosts} && exec sleep 1000000")).stdin(Stdio::null());
         let mut unshare = unshare.stderr(Stdio::null()).spawn().map_err(|e| format!("unshare: {e}"))?;
         let start = Instant::now();
         loop {
