@@ -201,7 +201,7 @@ fn a_run_that_finds_everything_delivered_reads_none_of_it() {
 /// and `status`, and by `submit`, which also examines the results folder. A capture has eleven files, and ten
 /// variants share it.
 const LOOKED_AT: [f64; 3] = [4.0, 4.0, 6.0];
-/// The most calls of a task of `--layout stages` for each scene of the batch, besides those for its own scene.
+/// The most calls of a task of `--layout stages` for each other scene of the batch.
 const BY_A_TASK: f64 = 5.0;
 
 /// Commands that look at a large batch: none costs more for a stage than in a small batch, and a task that
