@@ -180,7 +180,7 @@ pub(crate) struct Lease {
 /// Result of requesting a lease.
 pub(crate) enum Asked {
     /// This process has the lease, or leases do not work here (`None`), which is as good.
-    Granted(Option<Lease>),
+    Granted(Option<Box<Lease>>),
     /// Another process computes this key; the text names it.
     Held(String),
 }
@@ -204,7 +204,7 @@ impl Lease {
         match create(cache.files(), &lease.path, &lease.bytes()) {
             Created::Done => {
                 lease.followed = cache.leases().was_elsewhere(key);
-                Asked::Granted(Some(lease))
+                Asked::Granted(Some(Box::new(lease)))
             }
             Created::Impossible => Asked::Granted(lease.never_held()),
             Created::Taken => match judge(cache, &lease.path, now) {
@@ -259,7 +259,7 @@ impl Lease {
     }
 
     /// Drops a lease that was never held, without marking the file as abandoned.
-    fn never_held(mut self) -> Option<Self> {
+    fn never_held(mut self) -> Option<Box<Self>> {
         self.line.clear();
         None
     }
@@ -449,7 +449,7 @@ fn take_over(lease: Lease, dead: &[u8], now: Duration) -> Asked {
         match put(files, &path, &lease.bytes()) {
             Ok(()) => {
                 note_how_it_ended(&cache, &path, dead);
-                Asked::Granted(Some(lease))
+                Asked::Granted(Some(Box::new(lease)))
             }
             Err(_) => Asked::Granted(lease.never_held()),
         }
@@ -464,7 +464,7 @@ fn take_over(lease: Lease, dead: &[u8], now: Duration) -> Asked {
 fn killed(dead: &[u8]) -> Option<Killed> {
     let (holder, beat) = Holder::parse(dead)?;
     let beat = beat.unwrap_or_default();
-    (!beat.left).then(|| Killed {
+    (!beat.left).then_some(Killed {
         host: holder.host,
         process: holder.process.pid,
         task: holder.task,

@@ -24,6 +24,9 @@ pub(crate) enum Outcome {
     Unavailable(String),
 }
 
+/// The files of an external input that count; `None` for all of them.
+type Selected = Option<Arc<[PathBuf]>>;
+
 /// A node whose inputs all exist.
 #[derive(Clone, Debug)]
 pub(crate) struct Resolved {
@@ -35,7 +38,7 @@ pub(crate) struct Resolved {
     /// The artifacts among the inputs, with the nodes that made them.
     pub(crate) artifacts: Vec<(usize, Arc<Artifact>)>,
     /// The external inputs, with the files that count and the digest of their content.
-    pub(crate) externals: Vec<(PathBuf, Option<Arc<[PathBuf]>>, Digest)>,
+    pub(crate) externals: Vec<(PathBuf, Selected, Digest)>,
     pub(crate) bytes: u64,
 }
 
@@ -158,7 +161,7 @@ fn external(
     input: &NodeInput,
     path: &Path,
     cache: &Cache,
-) -> Result<(Option<Arc<[PathBuf]>>, Content), String> {
+) -> Result<(Selected, Content), String> {
     if !path.exists() {
         return Err(format!("{} does not exist; correct the path or put the data there", path.display()));
     }

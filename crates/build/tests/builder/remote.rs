@@ -693,8 +693,8 @@ impl Listener for Notes {
 fn many_requests_are_made_at_once_and_no_more_than_thirty_two() {
     let scenes: Vec<String> = (0..20).map(|n| format!("s{n}")).collect();
     let world = World::of(&scenes.iter().map(String::as_str).collect::<Vec<_>>());
-    let (open, most) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicUsize::new(0)));
-    let (now, peak) = (open.clone(), most.clone());
+    let (now, most) = (AtomicUsize::new(0), Arc::new(AtomicUsize::new(0)));
+    let peak = most.clone();
     let remote = Arc::new(Faulty::new(move |_, _| {
         peak.fetch_max(now.fetch_add(1, Ordering::SeqCst) + 1, Ordering::SeqCst);
         std::thread::sleep(Duration::from_millis(20));
