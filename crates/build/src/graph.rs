@@ -5,7 +5,7 @@
 //! content is read, by an identity made of stage, parameters, seed and the identities of the inputs. They
 //! point to the first node with the same identity.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -137,6 +137,14 @@ pub(crate) struct NodeInput {
     pub(crate) named: String,
     /// The input's place in the stage's list.
     pub(crate) index: usize,
+    /// The scene that it belongs to, for a stage over the whole batch. Other stages have none, and a large
+    /// batch has many inputs.
+    pub(crate) cell: Option<Box<InputCell>>,
+}
+
+/// The scene, its group and the variant of an input of a stage over the whole batch.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct InputCell {
     pub(crate) scene: String,
     pub(crate) group: String,
     pub(crate) variant: String,
@@ -173,6 +181,11 @@ pub struct Node {
 }
 
 impl NodeInput {
+    /// The scene that it belongs to; empty where there is none.
+    pub(crate) fn cell(&self) -> InputCell {
+        self.cell.as_deref().cloned().unwrap_or_default()
+    }
+
     /// The node whose artifact it is; `None` for an input from outside.
     pub(crate) fn node(&self) -> Option<usize> {
         match self.from {
@@ -211,10 +224,13 @@ impl Graph {
         check_names(registry, batch)?;
         let unnamed = [Variant::default()];
         let variants = if batch.variants.is_empty() { &unnamed[..] } else { &batch.variants };
+        // A list that grows copies itself, and needs three times its memory meanwhile.
+        let in_cells = registry.stages().iter().filter(|stage| stage.scope == Scope::Scene).count();
+        let most = batch.scenes.len().saturating_mul(variants.len()).saturating_mul(in_cells);
         let mut builder = GraphBuilder {
             registry,
             batch,
-            nodes: Vec::new(),
+            nodes: Vec::with_capacity(most.saturating_add(registry.stages().len())),
             place: HashMap::new(),
             first: HashMap::new(),
             merged: HashMap::new(),
@@ -239,12 +255,16 @@ impl Graph {
     /// Returns a digest of the batch: its stages with their code, the parameters that count, seeds and
     /// inputs. Two processes with the same digest compute the same keys.
     pub fn digest(&self, registry: &Registry) -> Digest {
-        let mut encoder = Encoder::new("use3d 2026 batch v1");
-        for node in &self.nodes {
-            encoder.text(node.stage_name).text(&node.scene).text(&node.variant);
-            for (name, digest) in &registry.code(node.stage).ours {
+        let mut encoder = Encoder::new("use3d 2026 batch v2");
+        let stages: BTreeSet<usize> = self.nodes.iter().map(|node| node.stage).collect();
+        for place in stages {
+            encoder.text(registry.stages()[place].name);
+            for (name, digest) in &registry.code(place).ours {
                 encoder.text(name).bytes(digest.as_bytes());
             }
+        }
+        for node in &self.nodes {
+            encoder.text(node.stage_name).text(&node.scene).text(&node.variant);
             let stage = &registry.stages()[node.stage];
             canonical::encode(&stage.key_parameters(&node.parameters), &mut encoder);
             encoder.number(u64::from(node.seed.is_some())).number(node.seed.unwrap_or(0));
@@ -513,15 +533,7 @@ impl GraphBuilder<'_> {
                 };
                 let said = external.and_then(|name| namer(name)?.1.get(name));
                 let named = said.cloned().unwrap_or_default();
-                inputs.push(NodeInput {
-                    role: input.role,
-                    from,
-                    named,
-                    index: i,
-                    scene: String::new(),
-                    group: String::new(),
-                    variant: String::new(),
-                });
+                inputs.push(NodeInput { role: input.role, from, named, index: i, cell: None });
             }
             let seed = stage.seeded.then(|| variant.seed.unwrap_or(self.batch.seed));
             let scene_name = scene.map(|s| s.name.clone()).unwrap_or_default();
@@ -566,9 +578,7 @@ impl GraphBuilder<'_> {
                     from: From::External(Err(String::new())),
                     named: String::new(),
                     index: i,
-                    scene: String::new(),
-                    group: String::new(),
-                    variant: String::new(),
+                    cell: None,
                 };
                 match input.source {
                     Source::External(name) => match (self.batch.externals.get(name), input.optional) {
@@ -592,16 +602,14 @@ impl GraphBuilder<'_> {
                             inputs.push(NodeInput { from, named, ..base.clone() });
                         }
                         for (n, node) in self.nodes.iter().enumerate().filter(|(_, n)| n.stage_name == name) {
-                            inputs.push(NodeInput {
-                                from: From::Node(n),
+                            let group = groups.get(node.scene.as_str()).copied().unwrap_or_default();
+                            let cell = InputCell {
                                 scene: node.scene.clone(),
-                                group: groups
-                                    .get(node.scene.as_str())
-                                    .map(ToString::to_string)
-                                    .unwrap_or_default(),
+                                group: group.to_string(),
                                 variant: node.variant.clone(),
-                                ..base.clone()
-                            });
+                            };
+                            let (from, cell) = (From::Node(n), Some(Box::new(cell)));
+                            inputs.push(NodeInput { from, cell, ..base.clone() });
                         }
                     }
                 }
@@ -627,7 +635,8 @@ impl GraphBuilder<'_> {
         identity.text(name).bytes(digest.as_bytes());
         identity.number(u64::from(seed.is_some())).number(seed.unwrap_or(0));
         for input in &inputs {
-            identity.text(input.role).text(&input.scene).text(&input.variant);
+            let cell = input.cell();
+            identity.text(input.role).text(&cell.scene).text(&cell.variant);
             match &input.from {
                 From::Node(node) => identity.bytes(self.nodes[*node].identity.as_bytes()),
                 From::External(Ok(path)) => identity.text(&path.to_string_lossy()),

@@ -63,7 +63,7 @@ impl Job<'_> {
             Ok(Turn::Held(holder)) => return Ended::Held(holder, self.resolved),
             Err(error) => return Ended::Failed(error.to_string()),
         };
-        let damaged_there = match self.fetch(&label, lease.as_ref()) {
+        let damaged_there = match self.fetch(&label, lease.as_deref()) {
             Brought::Artifact(artifact) => {
                 if let Some(lease) = lease {
                     lease.finish();
@@ -74,7 +74,7 @@ impl Job<'_> {
             Brought::Nothing { damaged } => damaged,
         };
         let start = Instant::now();
-        match self.compute(&label, lease.as_ref()) {
+        match self.compute(&label, lease.as_deref()) {
             Ok(artifact) => {
                 if let Some(lease) = lease {
                     lease.finish();
@@ -350,7 +350,7 @@ impl Job<'_> {
 }
 
 enum Turn {
-    Ours(Option<Lease>),
+    Ours(Option<Box<Lease>>),
     Made(Arc<Artifact>),
     Held(String),
     Cancelled,

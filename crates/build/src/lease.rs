@@ -27,8 +27,11 @@ use super::task::{ClusterTask, Killed};
 /// Time between two renewals by a holder.
 pub(crate) const HEARTBEAT: Duration = Duration::from_secs(10);
 /// The time for which a lease of another machine may stay unchanged before its holder counts as ended: many
-/// times the heartbeat, and more than the minute for which a network file system may show old content.
-const EXPIRY: Duration = Duration::from_secs(110);
+/// times the heartbeat, and more than the minute for which a network file system may show old content. With
+/// two times [`LONGEST_PAUSE`], it is less than two minutes.
+const EXPIRY: Duration = Duration::from_secs(100);
+/// The longest time between two requests for a lease that another process holds.
+const LONGEST_PAUSE: Duration = Duration::from_secs(5);
 /// The time after which a scheduler is asked if the holder's task is over: longer than a heartbeat.
 const ASKING: Duration = Duration::from_secs(12);
 /// The time for which a run waits for the work of other processes before it leaves that work to them. It is
@@ -177,7 +180,7 @@ pub(crate) struct Lease {
 /// Result of requesting a lease.
 pub(crate) enum Asked {
     /// This process has the lease, or leases do not work here (`None`), which is as good.
-    Granted(Option<Lease>),
+    Granted(Option<Box<Lease>>),
     /// Another process computes this key; the text names it.
     Held(String),
 }
@@ -201,7 +204,7 @@ impl Lease {
         match create(cache.files(), &lease.path, &lease.bytes()) {
             Created::Done => {
                 lease.followed = cache.leases().was_elsewhere(key);
-                Asked::Granted(Some(lease))
+                Asked::Granted(Some(Box::new(lease)))
             }
             Created::Impossible => Asked::Granted(lease.never_held()),
             Created::Taken => match judge(cache, &lease.path, now) {
@@ -256,7 +259,7 @@ impl Lease {
     }
 
     /// Drops a lease that was never held, without marking the file as abandoned.
-    fn never_held(mut self) -> Option<Self> {
+    fn never_held(mut self) -> Option<Box<Self>> {
         self.line.clear();
         None
     }
@@ -446,7 +449,7 @@ fn take_over(lease: Lease, dead: &[u8], now: Duration) -> Asked {
         match put(files, &path, &lease.bytes()) {
             Ok(()) => {
                 note_how_it_ended(&cache, &path, dead);
-                Asked::Granted(Some(lease))
+                Asked::Granted(Some(Box::new(lease)))
             }
             Err(_) => Asked::Granted(lease.never_held()),
         }
@@ -461,7 +464,7 @@ fn take_over(lease: Lease, dead: &[u8], now: Duration) -> Asked {
 fn killed(dead: &[u8]) -> Option<Killed> {
     let (holder, beat) = Holder::parse(dead)?;
     let beat = beat.unwrap_or_default();
-    (!beat.left).then(|| Killed {
+    (!beat.left).then_some(Killed {
         host: holder.host,
         process: holder.process.pid,
         task: holder.task,
@@ -625,10 +628,10 @@ impl Cache {
     }
 }
 
-/// The time to wait before the n-th new request for a lease that was held: doubled each time up to ten
+/// The time to wait before the n-th new request for a lease that was held: doubled each time up to about five
 /// seconds, and different for different processes.
 pub(crate) fn back_off(times: u32, number: u64) -> Duration {
-    let base = Duration::from_millis(50).saturating_mul(1 << times.min(8)).min(Duration::from_secs(10));
+    let base = Duration::from_millis(50).saturating_mul(1 << times.min(8)).min(LONGEST_PAUSE);
     let share = (number.rotate_left(times.wrapping_mul(7)) % 256) as u32;
     base * (192 + share / 2) / 256
 }

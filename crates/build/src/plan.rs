@@ -68,10 +68,10 @@ pub struct PlannedNode {
     pub had: bool,
     /// The process that was killed while it computed the artifact last.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub killed: Option<Killed>,
+    pub killed: Option<Box<Killed>>,
     /// The process that computes it now.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub working: Option<Working>,
+    pub working: Option<Box<Working>>,
     /// The nodes of the plan whose artifacts it reads. For a node that repeats the work of another, this is
     /// that node.
     #[serde(skip)]
@@ -231,9 +231,9 @@ impl Builder {
                 return Outcome::Unavailable(label());
             }
         };
-        planned.working = self.cache.working_on(&resolved.key);
+        planned.working = self.cache.working_on(&resolved.key).map(Box::new);
         if planned.working.is_none() {
-            planned.killed = self.cache.killed_at(&resolved.key);
+            planned.killed = self.cache.killed_at(&resolved.key).map(Box::new);
         }
         planned.failed = record.failed(Some(resolved.key)).map(|f| f.reason.clone());
         planned.changes = match &record.last {

@@ -8,7 +8,7 @@ use super::canonical;
 use super::content::Content;
 use super::context::StageInput;
 use super::digest::{Digest, Encoder};
-use super::graph::{From, Graph, Node, NodeInput};
+use super::graph::{From, Graph, InputCell, Node, NodeInput};
 use super::key::{Ingredients, InputDigest, Key};
 use super::registry::Registry;
 use super::stage::{Scope, Stage};
@@ -24,6 +24,9 @@ pub(crate) enum Outcome {
     Unavailable(String),
 }
 
+/// The files of an external input that count; `None` for all of them.
+type Selected = Option<Arc<[PathBuf]>>;
+
 /// A node whose inputs all exist.
 #[derive(Clone, Debug)]
 pub(crate) struct Resolved {
@@ -35,7 +38,7 @@ pub(crate) struct Resolved {
     /// The artifacts among the inputs, with the nodes that made them.
     pub(crate) artifacts: Vec<(usize, Arc<Artifact>)>,
     /// The external inputs, with the files that count and the digest of their content.
-    pub(crate) externals: Vec<(PathBuf, Option<Arc<[PathBuf]>>, Digest)>,
+    pub(crate) externals: Vec<(PathBuf, Selected, Digest)>,
     pub(crate) bytes: u64,
 }
 
@@ -100,7 +103,7 @@ pub(crate) fn resolve(
                 (content.digest, path.clone())
             }
         };
-        let (scene, group, variant) = (input.scene.clone(), input.group.clone(), input.variant.clone());
+        let InputCell { scene, group, variant } = input.cell();
         let role = input.role.to_string();
         let stage_input = StageInput {
             role: role.clone(),
@@ -146,7 +149,7 @@ pub(crate) fn there(graph: &Graph, node: usize, outcomes: &[Outcome]) -> Vec<Sta
         From::External(place) => place.clone().ok().filter(|path| path.exists()),
     };
     let given = |input: &NodeInput| {
-        let (scene, group, variant) = (input.scene.clone(), input.group.clone(), input.variant.clone());
+        let InputCell { scene, group, variant } = input.cell();
         Some(StageInput { role: input.role.to_string(), path: path(input)?, scene, group, variant })
     };
     graph.nodes[node].inputs.iter().filter_map(given).collect()
@@ -158,7 +161,7 @@ fn external(
     input: &NodeInput,
     path: &Path,
     cache: &Cache,
-) -> Result<(Option<Arc<[PathBuf]>>, Content), String> {
+) -> Result<(Selected, Content), String> {
     if !path.exists() {
         return Err(format!("{} does not exist; correct the path or put the data there", path.display()));
     }

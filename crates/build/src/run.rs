@@ -304,7 +304,7 @@ impl<'r> Runner<'r> {
             while !self.stopped() && self.step(starter) {
                 // Finished jobs make room and are inputs of other nodes.
                 while let Ok((i, ended, ingredients)) = self.receiver.try_recv() {
-                    self.finish(i, ended, ingredients);
+                    self.finish(i, ended, &ingredients);
                 }
                 self.lease.keep_alive();
                 self.watch_time();
@@ -611,7 +611,7 @@ impl<'r> Runner<'r> {
         true
     }
 
-    fn finish(&mut self, i: usize, ended: Ended, ingredients: Ingredients) {
+    fn finish(&mut self, i: usize, ended: Ended, ingredients: &Ingredients) {
         let key = self.running.remove(&i).map(|r| r.key);
         self.full = false;
         if !matches!(ended, Ended::Held(..)) {
@@ -624,7 +624,7 @@ impl<'r> Runner<'r> {
                 let label = &self.nodes[i].label;
                 self.listener.event(&Event::Done { node: i, label, cached: !computed, seconds });
                 let result = if computed { Became::Done } else { Became::Cached };
-                self.ready(i, artifact, result, seconds, &ingredients);
+                self.ready(i, artifact, result, seconds, ingredients);
             }
             Ended::Failed(reason) => self.fail(i, key, reason),
             Ended::Cancelled => {

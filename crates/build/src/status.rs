@@ -113,7 +113,7 @@ pub(crate) fn cell(node: &PlannedNode) -> Cell {
         (State::Blocked(by), _) => (before, format!("needs {by}")),
         (State::Unwanted, _) => (before, "not requested".to_string()),
     };
-    let (changes, working) = (node.changes.clone(), node.working.clone());
+    let (changes, working) = (node.changes.clone(), node.working.as_deref().cloned());
     Cell { stage: node.stage, standing, reason, changes, working }
 }
 

@@ -212,7 +212,7 @@ impl Display for Killed {
         }
         match self.times {
             0 | 1 => Ok(()),
-            times => write!(f, ", the {times}th time"),
+            times => write!(f, ", {times} times so far"),
         }
     }
 }

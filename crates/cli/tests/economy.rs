@@ -5,7 +5,7 @@
 //!
 //! ```text
 //! apt-get install --no-install-recommends strace
-//! USE3D_SCENES=1000 cargo test -p use3d --test economy -- --nocapture
+//! USE3D_SCENES=1000 cargo test --release -p use3d --test economy -- --nocapture
 //! ```
 
 mod tiny;
@@ -195,4 +195,76 @@ fn a_run_that_finds_everything_delivered_reads_none_of_it() {
     println!("nothing to do: {bytes:.0} bytes read, {:.0} calls, per artifact", calls(&trace) / artifacts);
     assert!(bytes < READ, "{bytes}");
     assert!(changed() == before, "the results were written again");
+}
+
+/// The most calls for a stage of a scene and variant that a command looks at, with no result there: by `plan`
+/// and `status`, and by `submit`, which also examines the results folder. A capture has eleven files, and ten
+/// variants share it.
+const LOOKED_AT: [f64; 3] = [4.0, 4.0, 6.0];
+/// The most calls of a task of `--layout stages` for each other scene of the batch.
+const BY_A_TASK: f64 = 5.0;
+
+/// Commands that look at a large batch: none costs more for a stage than in a small batch, and a task that
+/// computes one scene hardly looks at the others.
+#[test]
+fn looking_at_a_stage_costs_the_same_in_a_large_batch() {
+    if skipped() {
+        return;
+    }
+    let most: usize = std::env::var("USE3D_SCENES").map_or(30, |n| n.parse().expect("a number of scenes"));
+    let captures = Captures::new(most);
+    let log = captures.at("trace");
+    let variants = 10;
+    let costs = |scenes: usize| {
+        let pipeline = captures.pipeline(scenes, variants);
+        let cache = captures.at(&format!("cache{scenes}"));
+        let command = |verbs: &[&str], words: &[&str]| {
+            let mut command = tiny::command();
+            command.args(verbs).arg(&pipeline).arg("--cache").arg(&cache).args(words);
+            command
+        };
+        let planned = command(&["plan"], &["--json"]).output().expect("the command starts");
+        let plan: serde_json::Value = serde_json::from_slice(&planned.stdout).expect("JSON");
+        let nodes = plan["nodes"].as_array().expect("nodes").len() as f64;
+        let out = captures.at("out").to_string_lossy().into_owned();
+        let only = ["--only", "s0000@v0", "--until", "import", "--cache-only", "--threads", "1"];
+        let submit = ["--layout", "stages", "--dry-run", "--out", &out];
+        let counted = |name: &str, command: Command, of: f64| {
+            let start = Instant::now();
+            let (said, trace) = traced(&["-c", "-e", CALLS], &log, &command);
+            let (all, seconds) = (calls(&trace), start.elapsed().as_secs_f64());
+            println!(
+                "{scenes} scenes × {variants}, {name}: {all:.0} calls, {:.2} of {of}, {seconds:.1} s",
+                all / of
+            );
+            (said, all / of)
+        };
+        let (said, submitted) =
+            counted("submit --dry-run", command(&["-q", "submit", "slurm"], &submit), nodes);
+        // There is one task for every artifact: the variants differ in stage 2, and share what comes before.
+        let tasks: usize = said
+            .lines()
+            .filter(|line| line.contains(" tasks, ") || line.contains(" 1 task, "))
+            .filter_map(|line| line.split_whitespace().nth(1)?.parse::<usize>().ok())
+            .sum();
+        println!("{scenes} scenes × {variants}: {nodes} stages, {tasks} tasks");
+        let shared = plan["nodes"].as_array().expect("nodes").iter().filter(|n| !n["shared_with"].is_null());
+        assert_eq!(tasks, nodes as usize - shared.count());
+        let looks = [
+            counted("plan", command(&["-q", "plan"], &[]), nodes).1,
+            counted("status", command(&["-q", "status"], &["--summary"]), nodes).1,
+            submitted,
+        ];
+        let task = counted("a task", command(&["-q", "run"], &only), 1.0).1;
+        let again = counted("a task that is done", command(&["-q", "run"], &only), 1.0).1;
+        (looks, [task, again])
+    };
+    let ((small, few), (large, many)) = (costs(5), costs(most));
+    for ((small, large), bound) in small.into_iter().zip(large).zip(LOOKED_AT) {
+        assert!(large <= small && large < bound, "{small} {large}");
+    }
+    for (few, many) in few.into_iter().zip(many) {
+        let others = (many - few) / (most - 5) as f64;
+        assert!(others < BY_A_TASK, "{others} calls for each other scene");
+    }
 }

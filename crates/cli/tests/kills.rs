@@ -7,10 +7,13 @@
 //! ```text
 //! USE3D_KILLS=100 cargo test -p use3d --test kills -- --nocapture
 //! ```
+//!
+//! A second test lets `strace` kill the runs at system calls that change files, in the middle of a stage.
 
 mod tiny;
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -211,6 +214,104 @@ fn killed_at_any_moment_the_artifacts_are_those_of_an_undisturbed_run() {
         started.elapsed().as_secs_f64(),
         tally.kills,
         tally.inside
+    );
+}
+
+/// The system calls at which runs are killed.
+const CALLS: [&str; 8] = ["rename", "fsync", "mkdir", "openat", "write", "unlink", "rmdir", "close"];
+
+/// A run that `strace` kills at the `n`-th call of a kind that one of its threads makes.
+fn killed_at(target: &Target<'_>, call: &str, n: u64) -> std::process::Output {
+    let run = target.run(&OFTEN);
+    let mut strace = Command::new("strace");
+    strace.args(["-f", "-qqq", "-o", "/dev/null", "-e", &format!("trace={call}")]);
+    strace.args(["-e", &format!("inject={call}:signal=SIGKILL:when={n}"), "--"]).arg(run.get_program());
+    strace.args(run.get_args()).env_remove("USE3D_CACHE").env_remove("USE3D_MODELS");
+    strace.output().expect("strace starts")
+}
+
+/// The stage in which a process was killed, from the lease that it left. `before` has the leases of earlier
+/// processes.
+fn interrupted(
+    target: &Target<'_>,
+    before: &BTreeMap<PathBuf, Vec<u8>>,
+    expected: &BTreeMap<PathBuf, Vec<u8>>,
+) -> Option<String> {
+    let mut left = files(&target.below("leases"));
+    left.retain(|path, bytes| before.get(path) != Some(bytes));
+    // A lease has the name of its artifact, which lies in its stage's folder.
+    let artifact = expected.keys().find(|path| {
+        let key = path.iter().nth(1);
+        key.is_some_and(|key| left.contains_key(Path::new(key)))
+    })?;
+    Some(artifact.iter().next()?.to_string_lossy().into_owned())
+}
+
+#[test]
+fn killed_at_any_system_call_the_artifacts_are_those_of_an_undisturbed_run() {
+    let works = ["-qqq", "-o", "/dev/null", "-e", "inject=getpid:signal=SIGKILL:when=9", "true"];
+    if !Command::new("strace").args(works).output().is_ok_and(|o| o.status.success()) {
+        println!("SKIPPED, no run was killed at a system call: strace is not installed, or forbidden");
+        return;
+    }
+    let many: Option<usize> =
+        std::env::var("USE3D_KILLS").ok().map(|n| n.parse().expect("a number of kills"));
+    let enough = many.unwrap_or(4);
+    let place = Place::new();
+    let whole = Target { place: &place, cache: "whole".to_string() };
+    let undisturbed = whole.run(&OFTEN).output().expect("runs");
+    assert!(undisturbed.status.success(), "{}", String::from_utf8_lossy(&undisturbed.stderr));
+    let expected = whole.artifacts();
+    let mut random = Random(0x2545_f491_4f6c_dd1d);
+    let (mut stages, mut calls) = (BTreeMap::<String, usize>::new(), BTreeMap::<&str, usize>::new());
+    let (started, mut campaigns, mut outside) = (Instant::now(), 0, 0);
+    // Only kills in the middle of a stage count.
+    while stages.values().sum::<usize>() < enough {
+        assert!(campaigns < 3 + enough, "too few kills: {stages:?}");
+        let target = Target { place: &place, cache: format!("call{campaigns}") };
+        campaigns += 1;
+        loop {
+            let call = CALLS[random.below(CALLS.len() as u64) as usize];
+            // Early calls and late ones alike: their number is different for every kind.
+            let most = 2 << random.below(9);
+            let n = 1 + random.below(most);
+            let before = files(&target.below("leases"));
+            let output = killed_at(&target, call, n);
+            let found = target.artifacts();
+            for (path, bytes) in &found {
+                assert!(expected.get(path) == Some(bytes), "{} after {call} {n}", path.display());
+            }
+            if output.status.success() {
+                break;
+            }
+            let text = String::from_utf8_lossy(&output.stderr);
+            assert_eq!(output.status.signal(), Some(9), "{call} {n}: {text}");
+            match interrupted(&target, &before, &expected) {
+                Some(stage) => {
+                    *stages.entry(stage).or_default() += 1;
+                    *calls.entry(call).or_default() += 1;
+                }
+                None => outside += 1,
+            }
+            if stages.values().sum::<usize>() >= enough {
+                break;
+            }
+        }
+        let last = target.run(&OFTEN).output().expect("runs");
+        assert!(last.status.success(), "{}", String::from_utf8_lossy(&last.stderr));
+        assert!(target.artifacts() == expected, "some artifact differs after {calls:?}");
+        assert!(target.results() == whole.results(), "some result differs after {calls:?}");
+        for leftover in ["tmp", "leases"] {
+            assert_eq!(files(&target.below(leftover)).len(), 0, "{leftover} is swept");
+        }
+        for folder in [&target.cache, &target.out()] {
+            std::fs::remove_dir_all(place.at(folder)).expect("removed");
+        }
+    }
+    println!(
+        "{} kills in stages and {outside} outside, in {campaigns} campaigns, {:.0} s: {stages:?} {calls:?}",
+        stages.values().sum::<usize>(),
+        started.elapsed().as_secs_f64()
     );
 }
 

@@ -1,5 +1,7 @@
 //! Runs a batch through a real Slurm with a controller and two nodes on this machine, with workers killed, a
 //! node drained, the controller restarted, and a time limit; the bytes are those of a run of one process.
+//! Another test cancels, preempts, requeues and kills a training, with nodes that cannot check each other's
+//! processes.
 //!
 //! It needs Slurm and munge, root, and some minutes, so it runs only on request:
 //!
@@ -8,14 +10,17 @@
 //! USE3D_SLURM=1 USE3D_SCENES=use26 cargo test -p use3d --test slurm -- --nocapture
 //! ```
 
+mod machines;
 mod many;
 mod tiny;
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use machines::Fake;
 use many::{Many, workers};
 
 /// The longest time to wait for an empty queue.
@@ -25,6 +30,8 @@ const PATIENCE: Duration = Duration::from_secs(3600);
 struct Slurm {
     folder: PathBuf,
     running: Vec<(&'static str, Child)>,
+    /// The machines of the nodes, if they are not this one.
+    machines: Vec<Fake>,
 }
 
 /// The path of a program, including programs for administrators.
@@ -39,7 +46,8 @@ fn port() -> u16 {
 }
 
 impl Slurm {
-    fn start(folder: PathBuf) -> Self {
+    /// Starts one. The nodes are this machine, unless there are other `machines` for them.
+    fn start(folder: PathBuf, machines: Vec<Fake>) -> Self {
         for name in ["state", "spool/n1", "spool/n2", "log", "munge"] {
             fs::create_dir_all(folder.join(name)).expect("folder");
         }
@@ -47,6 +55,8 @@ impl Slurm {
         let host = fs::read_to_string("/proc/sys/kernel/hostname").expect("a name");
         let host = host.trim();
         let (control, first, second) = (port(), port(), port());
+        let name = |n: usize| machines.get(n).map_or(host, |machine| machine.name.as_str());
+        let (n1, n2) = (name(0), name(1));
         let text = format!(
             "ClusterName=onebox\nSlurmctldHost={host}(127.0.0.1)\nAuthType=auth/munge\nCryptoType=crypto/munge\n\
              AuthInfo=socket={here}/munge/socket\nCommunicationParameters=NoCtldInAddrAny,NoInAddrAny\nSlurmUser=root\n\
@@ -57,16 +67,18 @@ impl Slurm {
              AccountingStorageType=accounting_storage/none\nSwitchType=switch/none\nMpiDefault=none\nReturnToService=2\n\
              SchedulerType=sched/backfill\nSchedulerParameters=sched_interval=2,bf_interval=2\nSelectType=select/cons_tres\n\
              SelectTypeParameters=CR_Core\nOverTimeLimit=0\nKillWait=30\n\
-             NodeName=n1 NodeHostname={host} NodeAddr=127.0.0.1 Port={first} CPUs=1 RealMemory=2000\n\
-             NodeName=n2 NodeHostname={host} NodeAddr=127.0.0.1 Port={second} CPUs=1 RealMemory=2000\n\
-             PartitionName=main Nodes=ALL Default=YES MaxTime=INFINITE State=UP\n"
+             PreemptType=preempt/partition_prio\nPreemptMode=REQUEUE\n\
+             NodeName=n1 NodeHostname={n1} NodeAddr=127.0.0.1 Port={first} CPUs=1 RealMemory=2000\n\
+             NodeName=n2 NodeHostname={n2} NodeAddr=127.0.0.1 Port={second} CPUs=1 RealMemory=2000\n\
+             PartitionName=main Nodes=ALL Default=YES MaxTime=INFINITE State=UP PriorityTier=1\n\
+             PartitionName=urgent Nodes=ALL MaxTime=INFINITE State=UP PriorityTier=2\n"
         );
         fs::write(folder.join("slurm.conf"), text).expect("written");
         fs::write(folder.join("munge/key"), [7u8; 128]).expect("written");
         let key = folder.join("munge/key");
         use std::os::unix::fs::PermissionsExt;
         fs::set_permissions(&key, fs::Permissions::from_mode(0o600)).expect("private");
-        let mut slurm = Self { folder, running: Vec::new() };
+        let mut slurm = Self { folder, running: Vec::new(), machines };
         let munge = slurm.folder.join("munge");
         let option = |name: &str, file: &str| format!("--{name}={}", munge.join(file).display());
         slurm.spawn(
@@ -82,10 +94,12 @@ impl Slurm {
             ],
         );
         slurm.control();
-        slurm.spawn("slurmd", &["-D", "-N", "n1"]);
-        slurm.spawn("slurmd", &["-D", "-N", "n2"]);
+        slurm.spawn_on(0, "slurmd", &["-D", "-N", "n1"]);
+        slurm.spawn_on(1, "slurmd", &["-D", "-N", "n2"]);
         let start = Instant::now();
-        while slurm.ask("sinfo", &["--noheader", "--format=%T"]).trim() != "idle" {
+        // There is one line for each partition and state.
+        let idle = |states: &str| !states.is_empty() && states.lines().all(|state| state.trim() == "idle");
+        while !idle(&slurm.ask("sinfo", &["--noheader", "--format=%T"])) {
             assert!(start.elapsed() < Duration::from_secs(60), "no idle nodes: {}", slurm.logs());
             std::thread::sleep(Duration::from_millis(200));
         }
@@ -97,13 +111,18 @@ impl Slurm {
     }
 
     fn spawn(&mut self, name: &'static str, arguments: &[&str]) {
+        self.spawn_on(usize::MAX, name, arguments);
+    }
+
+    /// Starts a service on the machine of a node.
+    fn spawn_on(&mut self, node: usize, name: &'static str, arguments: &[&str]) {
         let program = find(name).unwrap_or_else(|| panic!("{name} is not installed"));
-        let child = self
-            .with(Command::new(program))
-            .args(arguments)
-            .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .spawn();
+        let mut command = self.with(Command::new(program));
+        command.args(arguments);
+        if let Some(machine) = self.machines.get(node) {
+            command = machine.on(&command);
+        }
+        let child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn();
         self.running.push((name, child.unwrap_or_else(|e| panic!("{name}: {e}"))));
     }
 
@@ -187,7 +206,7 @@ fn a_batch_through_a_real_slurm_ends_like_a_run_of_one_process() {
     let whole = many.alone();
     println!("{count} scenes by one process: {:.0} s", start.elapsed().as_secs_f64());
     let root = place("batch");
-    let mut slurm = Slurm::start(root.clone());
+    let mut slurm = Slurm::start(root.clone(), Vec::new());
     let command = env!("CARGO_BIN_EXE_use3d");
     let mut site = format!("command = \"{command}\"\ncpus = 1\npartition = \"main\"\nat_once = 2\n");
     // Without these lines stages would request the memory of real scenes, which these nodes do not have.
@@ -300,7 +319,7 @@ fn what_is_longer_than_its_jobs_limit_goes_on_in_the_next() {
     let whole = alone("alone", &steps);
     println!("by one process: {} in {:.0} s", steps[1], whole.as_secs_f64());
     let root = place("limit");
-    let slurm = Slurm::start(root.clone());
+    let slurm = Slurm::start(root.clone(), Vec::new());
     // A later option of a script wins: two minutes, of which the last is for saving. Slurm may send the
     // signal half a minute earlier.
     let site = format!(
@@ -334,6 +353,155 @@ fn what_is_longer_than_its_jobs_limit_goes_on_in_the_next() {
         start.elapsed().as_secs_f64(),
         logs.len()
     );
+    drop(slurm);
+    fs::remove_dir_all(root).expect("removed");
+}
+
+/// The state of a training that the scheduler interrupts.
+struct Training<'m> {
+    many: &'m Many,
+    slurm: &'m Slurm,
+}
+
+impl Training<'_> {
+    /// The steps of its checkpoints.
+    fn saved(&self) -> BTreeSet<u64> {
+        let files = tiny::files(&self.many.at("cache/v1/checkpoints/reconstruct"));
+        let step = |path: PathBuf| path.file_stem()?.to_str()?.rsplit('-').next()?.parse().ok();
+        files.into_keys().filter_map(step).collect()
+    }
+
+    /// The steps from which the training resumed, in order.
+    fn resumed(&self) -> Vec<u64> {
+        let mut logs: Vec<_> = tiny::files(&self.many.at("use3d-out/many-submit/logs")).into_iter().collect();
+        logs.sort();
+        let text: String = logs.iter().map(|(_, bytes)| String::from_utf8_lossy(bytes)).collect();
+        let steps = text.split("resuming from step ").skip(1);
+        steps.filter_map(|rest| rest.split(' ').next()?.parse().ok()).collect()
+    }
+
+    /// The node that trains, and its progress by its lease.
+    fn trains(&self) -> Option<(String, u64)> {
+        let leases = tiny::files(&self.many.at("cache/v1/leases"));
+        leases.iter().filter(|(path, _)| !path.to_string_lossy().starts_with("run-")).find_map(
+            |(_, bytes)| {
+                let text = String::from_utf8_lossy(bytes).into_owned();
+                let (holder, pulse) = text.split_once('\n')?;
+                let holder: serde_json::Value = serde_json::from_str(holder).ok()?;
+                let words: Vec<&str> = pulse.split_whitespace().collect();
+                (words.first() == Some(&"here")).then_some(())?;
+                Some((holder["host"].as_str()?.to_string(), words.get(3)?.parse().ok()?))
+            },
+        )
+    }
+
+    fn wait_for<T>(&self, what: &str, most: u64, found: impl Fn() -> Option<T>) -> (T, Duration) {
+        let start = Instant::now();
+        loop {
+            if let Some(found) = found() {
+                return (found, start.elapsed());
+            }
+            let queue = self.slurm.queue();
+            assert!(start.elapsed() < Duration::from_secs(most), "no {what} after {most} s: {queue:?}");
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    }
+
+    /// Waits until the training has done more steps than are saved.
+    fn wait_for_progress(&self) -> (String, u64) {
+        let saved = self.saved().last().copied().unwrap_or(0);
+        self.wait_for("progress", 400, || self.trains().filter(|(_, step)| *step > saved)).0
+    }
+
+    /// Waits until a checkpoint is written after an interruption at about `step`; returns its step.
+    fn wait_for_checkpoint(&self, what: &str, step: u64) -> u64 {
+        let saved = || self.saved().last().copied().filter(|saved| *saved >= step);
+        let (saved, waited) = self.wait_for("checkpoint", 30, saved);
+        println!("{what}: at step {step} or later, saved at {saved} after {:.1} s", waited.as_secs_f64());
+        saved
+    }
+}
+
+/// Slurm signals every process of a task that is cancelled, preempted or requeued. The training writes a
+/// checkpoint of its last step each time, and goes on from there. When all processes of a task are killed,
+/// its training goes on at another node within half a minute.
+#[test]
+fn what_slurm_interrupts_loses_no_step_and_what_is_killed_goes_on_soon() {
+    if let Some(reason) = refused() {
+        println!("SKIPPED, nothing was tested with a real Slurm: {reason}");
+        return;
+    }
+    let machines = ["n1", "n2"].map(|name| Fake::start(name).unwrap_or_else(|e| panic!("{e}")));
+    let many = Many::new(&["reef".to_string()]);
+    let root = place("signals");
+    let slurm = Slurm::start(root.clone(), machines.into());
+    let site = format!(
+        "command = \"{}\"\ncpus = 1\npartition = \"main\"\n[stage.run]\nmemory = \"900MB\"\n",
+        env!("CARGO_BIN_EXE_use3d")
+    );
+    fs::write(many.at("cluster.toml"), site).expect("written");
+    // No checkpoint is written but those for signals.
+    let long = ["reconstruct.iterations=2000000", "reconstruct.checkpoint_steps=2000000"];
+    let words: Vec<String> = long.iter().flat_map(|set| ["--set".to_string(), set.to_string()]).collect();
+    let submit = |more: &[&str]| {
+        let mut command = slurm.with(many.command(&["submit", "slurm", "-q"], "cache"));
+        command.args(["--cluster", "cluster.toml"]).args(&words).args(more);
+        let output = command.output().expect("the command starts");
+        let text = String::from_utf8_lossy(&output.stdout).into_owned();
+        assert!(output.status.success(), "{text}{}", String::from_utf8_lossy(&output.stderr));
+        let number = text.split("submitted workers as job ").nth(1).and_then(|rest| rest.lines().next());
+        number.expect("a number").to_string()
+    };
+    let training = Training { many: &many, slurm: &slurm };
+    let empty = || slurm.queue().is_empty().then_some(());
+
+    submit(&[]);
+    let (_, step) = training.wait_for_progress();
+    let mut cancel = slurm.with(tiny::command());
+    cancel.arg("cancel").arg(many.at("many.toml")).current_dir(many.at(""));
+    let output = cancel.output().expect("the command starts");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let cancelled = training.wait_for_checkpoint("cancelled", step);
+    training.wait_for("empty queue", 60, empty);
+    assert_eq!(training.trains(), None, "no lease is left of a cancelled task");
+
+    let first = submit(&[]);
+    training.wait_for_progress();
+    assert_eq!(training.resumed(), [cancelled]);
+    // A job that is more urgent wants both nodes.
+    let (_, step) = training.wait_for_progress();
+    let urgent = ["--partition=urgent", "--nodes=2", "--mem=100M", "--output=/dev/null", "--wrap=sleep 2"];
+    slurm.ask("sbatch", &urgent);
+    let preempted = training.wait_for_checkpoint("preempted", step);
+    training.wait_for_progress();
+    assert_eq!(training.resumed(), [cancelled, preempted]);
+    let (_, step) = training.wait_for_progress();
+    slurm.ask("scontrol", &["requeue", &format!("{first}_0")]);
+    let requeued = training.wait_for_checkpoint("requeued", step);
+    let (node, _) = training.wait_for_progress();
+    assert_eq!(training.resumed(), [cancelled, preempted, requeued]);
+
+    // A second task waits on the other node.
+    let second = submit(&["--again"]);
+    let waits = || {
+        let log = many.at(&format!("use3d-out/many-submit/logs/workers-{second}_0.log"));
+        fs::read_to_string(log).unwrap_or_default().contains("waiting for process").then_some(())
+    };
+    training.wait_for("second task", 60, waits);
+    let (pids, own) = (workers("cache"), |pid: u32| {
+        let name = fs::read_to_string(format!("/proc/{pid}/environ")).unwrap_or_default();
+        name.split('\0').any(|variable| variable == format!("SLURMD_NODENAME={node}"))
+    });
+    let victim = pids.into_iter().find(|pid| own(*pid)).expect("the training process");
+    let group = Command::new("ps").args(["-o", "pgid=", "-p", &victim.to_string()]).output().expect("ps");
+    let group = String::from_utf8_lossy(&group.stdout).trim().to_string();
+    let killed = Command::new("kill").args(["-9", "--", &format!("-{group}")]).status();
+    assert!(killed.expect("kill").success());
+    let other = || training.trains().filter(|(on, _)| *on != node);
+    let ((next, _), waited) = training.wait_for("other node", 30, other);
+    println!("killed on {node}: {next} goes on after {:.1} s", waited.as_secs_f64());
+    training.wait_for_progress();
+    assert_eq!(training.resumed().last(), Some(&requeued));
     drop(slurm);
     fs::remove_dir_all(root).expect("removed");
 }

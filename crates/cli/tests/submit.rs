@@ -386,9 +386,18 @@ fn every_submitted_job_is_recorded_at_once_and_all_can_be_cancelled() {
     );
     let kept = many.at("use3d-out/many-submit/pipeline.toml");
     assert_eq!(read(&kept), read(&many.at("many.toml")));
+    // Slurm forgets jobs that ended, and refuses to cancel a job that it does not know.
     let (code, text) = cancel(&[]);
-    assert!(code == Some(0) && text.contains("cancelled 7, 8"), "{text}");
-    assert_eq!(read(&many.at("bin/scancel.log")), "7 8\n");
+    assert!(code == Some(0) && text.contains("nothing to cancel: all jobs"), "{text}");
+    assert_eq!(read(&many.at("bin/scancel.log")), "");
+    let unknown = "slurm_load_jobs error: Invalid job id specified";
+    stand_in(&many, "squeue", &format!("[ \"${{!#}}\" = 7 ] && {{ echo '{unknown}' >&2; exit 1; }}; echo 8"));
+    let (code, text) = cancel(&[]);
+    assert!(code == Some(0) && text.contains("cancelled 8;"), "{text}");
+    stand_in(&many, "squeue", "echo 1");
+    let (code, text) = cancel(&[]);
+    assert!(code == Some(0) && text.contains("cancelled 7, 8;"), "{text}");
+    assert_eq!(read(&many.at("bin/scancel.log")), "8\n7 8\n");
     stand_in(&many, "scancel", "echo 'Access denied' >&2; exit 1");
     let (code, text) = cancel(&["--out", "use3d-out/many"]);
     assert!(code == Some(1) && text.contains("Access denied"), "{text}");

@@ -205,7 +205,15 @@ pub fn cancel(numbers: &[String]) -> Result<(), ClusterError> {
 /// # Errors
 /// `hq` does not exist or its server does not answer.
 pub fn queued(submission: &Submission) -> Result<Vec<(String, String)>, ClusterError> {
-    let last = submission.submitted().jobs;
+    still_queued(submission.submitted())
+}
+
+/// Returns the jobs of a submission that HyperQueue has not finished, by name and number.
+///
+/// # Errors
+/// `hq` does not exist or its server does not answer.
+pub fn still_queued(submitted: Submitted) -> Result<Vec<(String, String)>, ClusterError> {
+    let last = submitted.jobs;
     if last.is_empty() {
         return Ok(Vec::new());
     }

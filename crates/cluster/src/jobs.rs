@@ -311,7 +311,7 @@ fn asks(nodes: &[&PlannedNode], site: &Site, stage: &str, seconds: impl Fn(&[&Pl
     };
     let peak = nodes.iter().filter_map(|n| n.forecast.map(|f| f.peak_memory).max(n.memory)).max();
     // The memory of a killed task was not enough.
-    let killed = nodes.iter().filter_map(|n| n.killed.as_ref()).map(Killed::asks_for).max().unwrap_or(0);
+    let killed = nodes.iter().filter_map(|n| n.killed.as_deref()).map(Killed::asks_for).max().unwrap_or(0);
     let memory = match (&needs.memory, peak) {
         (Some(memory), _) => of_bytes(memory),
         (None, Some(peak)) if known => peak.saturating_add(peak / 4).saturating_add(256_000_000),

@@ -309,8 +309,16 @@ fn number(said: &str) -> Result<String, ClusterError> {
 /// # Errors
 /// `squeue` does not exist.
 pub fn queued(submission: &Submission) -> Result<Vec<(String, String)>, ClusterError> {
+    still_queued(submission.submitted())
+}
+
+/// Returns the jobs of a submission that are still in Slurm's queue, by name and number.
+///
+/// # Errors
+/// `squeue` does not exist.
+pub fn still_queued(submitted: Submitted) -> Result<Vec<(String, String)>, ClusterError> {
     let mut found = Vec::new();
-    for (name, number) in submission.submitted().jobs {
+    for (name, number) in submitted.jobs {
         // One call for each job: an unknown number is an error of the whole call.
         let arguments = ["--noheader", "--format=%i", "--jobs", &number].map(String::from);
         match call("squeue", &arguments, "") {

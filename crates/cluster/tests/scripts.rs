@@ -301,14 +301,14 @@ fn every_missing_artifact_has_one_task_and_each_waits_for_what_it_needs() {
     assert_eq!(jobs[10].asks.time, Duration::from_secs(4 * 3600));
     let mut killed = plan();
     for node in killed.nodes.iter_mut().filter(|n| n.stage == "evaluate") {
-        node.killed = Some(Killed {
+        node.killed = Some(Box::new(Killed {
             host: "n1".to_string(),
             process: 7,
             task: None,
             seconds: 3,
             peak_memory: 40_000_000_000,
             times: 1,
-        });
+        }));
     }
     let again = jobs::of(&killed, &registry(), &site(), Layout::Stages, None).expect("jobs");
     assert_eq!(again[10].asks.memory, 60_000_000_000);

@@ -4,7 +4,7 @@
 //! An artifact holds nothing that depends on the clock or the machine. Times, memory, keys and drawing speeds
 //! are stored next to artifacts; this module adds them to the page and the tables.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -161,9 +161,13 @@ impl Results {
             _ => PathBuf::from(OVER_ALL),
         };
         let unknown = places.keys().filter(|place| examined.get(&part_of(place)) != Some(&true));
+        let mut swept = BTreeSet::new();
         for place in unknown {
             let place = out.join(place);
-            place::sweep(place::parent(&place));
+            let folder = place::parent(&place);
+            if swept.insert(folder.to_path_buf()) {
+                place::sweep(folder);
+            }
             place::check(&place, true)?;
         }
         Ok(())

@@ -127,6 +127,33 @@ class Files(unittest.TestCase):
             with self.assertRaisesRegex(FileNotFoundError, "evaluate"):
                 results.scores("reef")
 
+    def test_pictures_and_tables_are_found_by_name(self):
+        with tempfile.TemporaryDirectory() as folder:
+            scene = Path(folder) / "reef" / "scene"
+            scene.mkdir(parents=True)
+            (scene / "scene.json").write_text('{"format": "3d-use scene"}')
+            results = use3d.Results(folder)
+            self.assertEqual((results.pictures("reef"), results.tables), ({}, []))
+            for mode, view in [("clear", "b"), ("clear", "a"), ("depth", "a")]:
+                path = Path(folder) / "reef" / "renders" / mode / f"{view}.png"
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_bytes(b"")
+            (Path(folder) / "tables").mkdir()
+            (Path(folder) / "tables" / "water.csv").write_bytes(b'scene,psnr\r\n"reef, north",28.5\r\n')
+            pictures = results.pictures("reef")
+            self.assertEqual({mode: list(views) for mode, views in pictures.items()}, {"clear": ["a", "b"], "depth": ["a"]})
+            self.assertTrue(pictures["clear"]["a"].is_file())
+            self.assertEqual(results.tables, ["water"])
+            self.assertEqual(results.table("water"), [{"scene": "reef, north", "psnr": "28.5"}])
+            with self.assertRaisesRegex(KeyError, "there are: water"):
+                results.table("air")
+            with self.assertRaisesRegex(KeyError, "there are: reef"):
+                results.pictures("wreck")
+
+    def test_the_module_names_its_version_and_has_types(self):
+        self.assertTrue(use3d.__version__)
+        self.assertTrue((Path(use3d.__file__).parent / "py.typed").is_file())
+
     def test_a_description_that_is_none_is_said_with_its_field(self):
         scene = {"format": "3d-use scene", "medium": {"kind": "rbf", "file": "medium.safetensors"}, "enhancement": None}
         path = self.path.parent / "scene.json"
@@ -173,6 +200,10 @@ class Command(unittest.TestCase):
             self.assertEqual(scene.medium["coefficients"].shape[1:], (3, 16, 3))
             self.assertEqual(scene.enhancement["factors"].shape[:2], (4, 16))
             self.assertEqual(results.scores("reef")["format"], "3d-use scores")
+            pictures = results.pictures("reef")
+            self.assertTrue({"clear", "depth"} <= set(pictures), sorted(pictures))
+            self.assertTrue(all(path.is_file() for views in pictures.values() for path in views.values()))
+            self.assertTrue(results.tables and all(results.table(name) for name in results.tables), results.tables)
             self.assertIn("<iframe srcdoc=", scene.show(force=True, metres_per_unit=2.5, cameras=None)._repr_html_())
             plan = use3d.run("plan", folder / "reef", "--cache", folder / "cache", "--json", *words)
             self.assertTrue(all(node["state"] == "cached" for node in plan["nodes"]))

@@ -44,6 +44,11 @@ class Wheel(unittest.TestCase):
             mode = names[program].external_attr >> 16
             self.assertTrue(stat.S_ISREG(mode) and mode & 0o111)
             self.assertIn("use3d/__init__.py", names)
+            # Without this file, type checkers ignore the module's types.
+            self.assertIn("use3d/py.typed", names)
+            (about,) = (archive.read(name).decode() for name in names if name.endswith("/METADATA"))
+            for field in ("Project-URL: ", "Author: ", "Classifier: ", "License-File: THIRDPARTY.txt"):
+                self.assertIn(f"\n{field}", about)
             (beside,) = (name for name in names if name.endswith(".dist-info/THIRDPARTY.txt"))
             self.assertEqual(archive.read(beside), notices.read_bytes())
             (record,) = (name for name in names if name.endswith("/RECORD"))

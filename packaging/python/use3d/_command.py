@@ -1,5 +1,7 @@
 """Finds and starts the command."""
 
+from __future__ import annotations
+
 import collections
 import json
 import os
@@ -9,6 +11,10 @@ import subprocess
 import sys
 import sysconfig
 import threading
+from typing import Any, Union
+
+# A word of a command line.
+Word = Union[str, "os.PathLike[str]", int, float]
 
 # Number of lines of stderr that `CommandFailed` holds.
 _REMEMBERED = 200
@@ -19,7 +25,7 @@ _PATIENCE = 60
 class CommandFailed(RuntimeError):
     """The command ended with an exit code other than 0: `code`. `said` holds its last lines on stderr."""
 
-    def __init__(self, words, code, said):
+    def __init__(self, words: list[str], code: int, said: str) -> None:
         super().__init__(f"{' '.join(words)}: exit code {code}\n{said.strip()}")
         self.words = words
         self.code = code
@@ -30,7 +36,7 @@ class CommandFailed(RuntimeError):
         return type(self), (self.words, self.code, self.said)
 
 
-def version():
+def version() -> str:
     """The installed package's version; `unknown` if the module is used without an installation."""
     from importlib import metadata
 
@@ -40,7 +46,7 @@ def version():
         return "unknown"
 
 
-def command():
+def command() -> str:
     """The path of the `use3d` program: `USE3D_COMMAND`, the one beside this Python, or the one on the path.
     """
     named = os.environ.get("USE3D_COMMAND")
@@ -63,7 +69,7 @@ def command():
     return found
 
 
-def run(*words, parse=None, timeout=None, **options):
+def run(*words: Word, parse: bool | None = None, timeout: float | None = None, **options: Any) -> Any:
     """Runs `use3d WORDS…` and returns its output on stdout, parsed as JSON if `--json` is among the words.
 
     `parse` (true or false) overrides that. The command writes its progress to stderr; each line is copied to
@@ -75,13 +81,14 @@ def run(*words, parse=None, timeout=None, **options):
     after the timeout (`subprocess.TimeoutExpired`), the command gets a signal to write a checkpoint and end,
     and `run` waits for that. A second interrupt ends it at once.
     """
-    words = [command(), *map(_word, words)]
+    line = [command(), *map(_word, words)]
     if os.name == "posix":
         # Ctrl-C in a terminal would reach the command a second time and end it without a checkpoint.
         options.setdefault("start_new_session", True)
     options.setdefault("stderr", subprocess.PIPE)
-    process = subprocess.Popen(words, stdout=subprocess.PIPE, encoding="utf-8", errors="replace", **options)
-    written, said = [], collections.deque(maxlen=_REMEMBERED)
+    process: Any = subprocess.Popen(line, stdout=subprocess.PIPE, encoding="utf-8", errors="replace", **options)
+    written: list[str] = []
+    said: collections.deque[str] = collections.deque(maxlen=_REMEMBERED)
     readers = [threading.Thread(target=lambda: written.append(process.stdout.read()), daemon=True)]
     if process.stderr is not None:
         readers.append(threading.Thread(target=_pass_on, args=(process.stderr, said), daemon=True))
@@ -104,7 +111,7 @@ def run(*words, parse=None, timeout=None, **options):
         for pipe in filter(None, (process.stdout, process.stderr)):
             pipe.close()
     if process.returncode != 0:
-        raise CommandFailed(words, process.returncode, "".join(said))
+        raise CommandFailed(line, process.returncode, "".join(said))
     if parse if parse is not None else "--json" in words:
         return json.loads(written[0])
     return written[0]

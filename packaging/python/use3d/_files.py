@@ -1,5 +1,7 @@
 """Reads the open formats of artifacts as NumPy arrays."""
 
+from __future__ import annotations
+
 import json
 import math
 import os
@@ -25,7 +27,7 @@ _PLY = {
 _PLY_LINE, _PLY_HEADER = 1 << 12, 1 << 20
 
 
-def read_safetensors(path):
+def read_safetensors(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
     """Reads a safetensors file as a dict from name to array. The arrays are read-only; `array.copy()` can be
     written.
     """
@@ -66,7 +68,7 @@ def _whole(number):
     return number
 
 
-def read_ply(path):
+def read_ply(path: str | os.PathLike[str]) -> np.ndarray:
     """Reads the vertices of a binary little-endian PLY (a scene's Gaussians) as a structured array, one field
     per property.
 

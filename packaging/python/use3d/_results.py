@@ -1,10 +1,16 @@
 """Reads the output of a run: results folders and scene folders."""
 
+from __future__ import annotations
+
 import csv
 import html
 import json
+import os
 import tempfile
 from pathlib import Path, PurePath
+from typing import Any
+
+import numpy as np
 
 from ._command import run
 from ._files import FormatError, read_ply, read_safetensors
@@ -29,7 +35,7 @@ class Scene:
     its first use.
     """
 
-    def __init__(self, folder):
+    def __init__(self, folder: str | os.PathLike[str]) -> None:
         self.folder = Path(folder)
         path = self.folder / "scene.json"
         if not path.is_file():
@@ -39,7 +45,7 @@ class Scene:
             raise FormatError(f"{path}: it holds {_kind(self.description)}; a description of a scene is expected")
         if self.description.get("format") != "3d-use scene":
             raise FormatError(f"{path}: format {self.description.get('format')!r}; '3d-use scene' is expected")
-        self._read = {}
+        self._read: dict[str, Any] = {}
         self._gaussians = self._file("gaussians", self.description.get("gaussians", "gaussians.ply"))
         self._medium, self._enhancement = self._part("medium"), self._part("enhancement")
 
@@ -67,23 +73,23 @@ class Scene:
         return self._read[name]
 
     @property
-    def gaussians(self):
+    def gaussians(self) -> np.ndarray:
         """The Gaussians as a structured array: x, y, z, f_dc_0 …, opacity, scale_0 …, rot_0 … as in 3DGS
         files.
         """
         return self._once("gaussians", lambda: read_ply(self._gaussians))
 
     @property
-    def medium(self):
+    def medium(self) -> dict[str, np.ndarray]:
         """The water's tensors by name; empty if there is no water."""
         return self._once("medium", lambda: read_safetensors(self._medium)) if self._medium else {}
 
     @property
-    def enhancement(self):
+    def enhancement(self) -> dict[str, np.ndarray]:
         """The enhancement's tensors by name; empty for a scene of stage 1."""
         return self._once("enhancement", lambda: read_safetensors(self._enhancement)) if self._enhancement else {}
 
-    def show(self, height=600, **options):
+    def show(self, height: int = 600, **options: Any) -> _Page:
         """An interactive view of the scene for a notebook. `options` are those of `use3d export`, such as
         `cameras="my-reef/"`. An option without a value is `True`; `None` or `False` leaves an option out.
         """
@@ -121,25 +127,25 @@ class _Page:
 class Results:
     """A folder that `use3d run` has filled."""
 
-    def __init__(self, folder):
+    def __init__(self, folder: str | os.PathLike[str]) -> None:
         self.folder = Path(folder)
         if not self.folder.is_dir():
             raise FileNotFoundError(f"{self.folder}: there is no such folder of results")
 
     @property
-    def scenes(self):
+    def scenes(self) -> list[str]:
         """The names of its scenes, with variants as `scene@variant`."""
         found = {p.parent.parent for name in ("scene", "enhanced-scene") for p in self.folder.glob(f"**/{name}/scene.json")}
         return sorted(str(path.relative_to(self.folder)) for path in found)
 
-    def scene(self, name):
+    def scene(self, name: str) -> Scene:
         """The scene with this name; the enhanced one if there is one."""
         for part in ("enhanced-scene", "scene"):
             if (self.folder / name / part / "scene.json").is_file():
                 return Scene(self.folder / name / part)
         raise self._unknown(name)
 
-    def scores(self, name):
+    def scores(self, name: str) -> dict[str, Any]:
         """`scores.json` of a scene."""
         path = self.folder / name / "scores" / "scores.json"
         if path.is_file():
@@ -148,19 +154,19 @@ class Results:
             raise self._unknown(name)
         raise FileNotFoundError(f"{path}: there is no such file; `use3d run` writes it when the stage `evaluate` is done")
 
-    def pictures(self, name):
+    def pictures(self, name: str) -> dict[str, dict[str, Path]]:
         """The rendered pictures of a scene: a dict from mode (`clear`, `enhanced-clear`, `depth`, …) to a
         dict from view to path.
         """
         folder = self.folder / name / "renders"
         if not folder.is_dir() and name not in self.scenes:
             raise self._unknown(name)
-        found = {}
+        found: dict[str, dict[str, Path]] = {}
         for path in sorted(folder.glob("*/*.png")):
             found.setdefault(path.parent.name, {})[path.stem] = path
         return found
 
-    def table(self, name):
+    def table(self, name: str) -> list[dict[str, str]]:
         """A table of the report (`tables/NAME.csv`) as a list of rows, each a dict from column to text."""
         path = self.folder / "tables" / f"{name}.csv"
         if not path.is_file():
@@ -169,7 +175,7 @@ class Results:
             return list(csv.DictReader(file))
 
     @property
-    def tables(self):
+    def tables(self) -> list[str]:
         """The names of the report's tables."""
         return sorted(path.stem for path in (self.folder / "tables").glob("*.csv"))
 

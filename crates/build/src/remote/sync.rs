@@ -130,7 +130,7 @@ impl Builder {
             match key.filter(|_| is_there) {
                 None => done.missing += 1,
                 Some(key) if !check && shelf.as_ref().is_some_and(|s| s.has(stage, &key)) => {
-                    done.already += 1
+                    done.already += 1;
                 }
                 Some(key) => to_send.push((stage, key)),
             }

@@ -1,6 +1,6 @@
 //! Sends one artifact to a store, or fetches it.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashMap};
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
@@ -9,6 +9,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use super::super::cache::{Artifact, Cache, Published, first_difference};
+use super::super::digest::Digest;
 use super::super::error::FileError;
 use super::super::files;
 use super::super::key::Key;
@@ -39,6 +40,9 @@ pub struct RemoteStore {
     failures: AtomicU32,
     /// Keys whose artifact in the store was unusable; runs compute them.
     distrusted: Mutex<BTreeSet<Key>>,
+    /// The files that were looked for or sent, each true once it was checked. Artifacts that share a file
+    /// wait for each other, so the file is sent and checked once.
+    in_hand: Mutex<HashMap<Digest, Arc<Mutex<bool>>>>,
 }
 
 /// Result of fetching an artifact.
@@ -74,6 +78,7 @@ impl RemoteStore {
             pause: PAUSE,
             failures: AtomicU32::new(0),
             distrusted: Mutex::default(),
+            in_hand: Mutex::default(),
         }
     }
 
@@ -345,11 +350,19 @@ impl RemoteStore {
         cache.verify(artifact, false).map_err(RemoteError::Damaged)?;
         let replaced = AtomicUsize::new(0);
         each(&ours.files, FILES_AT_ONCE, |file| {
-            let listed = !check && shelf.is_some_and(|shelf| shelf.has_file(&file.digest, file.size));
-            if !listed && !self.has(file, check, stop)? {
+            if !check && shelf.is_some_and(|shelf| shelf.has_file(&file.digest, file.size)) {
+                return Ok(());
+            }
+            let hand = self.hand(file);
+            let mut checked = hand.lock().unwrap_or_else(PoisonError::into_inner);
+            if *checked {
+                return Ok(());
+            }
+            if !self.has(file, check, stop)? {
                 self.send_file(&artifact.path.join(&file.path), file, stop)?;
                 replaced.fetch_add(1, Ordering::Relaxed);
             }
+            *checked = check;
             Ok(())
         })?;
         if there {
@@ -367,6 +380,11 @@ impl RemoteStore {
             }
             _ => Sent::Now,
         })
+    }
+
+    fn hand(&self, file: &FileRecord) -> Arc<Mutex<bool>> {
+        let mut hands = self.in_hand.lock().unwrap_or_else(PoisonError::into_inner);
+        hands.entry(file.digest).or_default().clone()
     }
 
     /// Returns true if the store has a file, by its size, or by its bytes with `check`.

@@ -93,7 +93,7 @@ impl Runner<'_> {
             left -= SLICE;
         }
         if let Ok((i, ended, ingredients)) = self.receiver.recv_timeout(left) {
-            self.finish(i, ended, ingredients);
+            self.finish(i, ended, &ingredients);
         }
     }
 

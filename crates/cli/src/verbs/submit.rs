@@ -155,9 +155,16 @@ pub(crate) fn cancel(args: &CancelArgs) -> Done {
             folder.display()
         )));
     }
-    let numbers: Vec<String> = submitted.jobs.iter().map(|(_, number)| number.clone()).collect();
-    let ended =
-        if submitted.scheduler == "hq" { hyperqueue::cancel(&numbers) } else { slurm::cancel(&numbers) };
+    // A scheduler refuses to cancel a job that it has forgotten, so only jobs in its queue are cancelled.
+    let is_hq = submitted.scheduler == "hq";
+    let queued = if is_hq { hyperqueue::still_queued(submitted) } else { slurm::still_queued(submitted) };
+    let queued = queued.map_err(CliError::failed)?;
+    if queued.is_empty() {
+        println!("nothing to cancel: all jobs of the last submission have ended");
+        return Ok(());
+    }
+    let numbers: Vec<String> = queued.into_iter().map(|(_, number)| number).collect();
+    let ended = if is_hq { hyperqueue::cancel(&numbers) } else { slurm::cancel(&numbers) };
     ended.map_err(CliError::failed)?;
     println!(
         "cancelled {}; running stages write their checkpoints, and `use3d submit` submits the rest",
@@ -296,18 +303,13 @@ fn prepare(app: &App, scheduler: Scheduler, args: &SubmitArgs) -> Result<Option<
     }
     let (forecast, without) = plan.forecast();
     if !app.quiet {
-        let unknown = match without {
-            0 => String::new(),
-            1 => ", and 1 stage never ran before".to_string(),
-            n => format!(", and {n} stages never ran before"),
+        let about = match without {
+            0 => format!("about {}", seconds(forecast)),
+            n if n == plan.to_run() => "no forecast, because none of their stages ran before".to_string(),
+            1 => format!("about {}, and 1 stage never ran before", seconds(forecast)),
+            n => format!("about {}, and {n} stages never ran before", seconds(forecast)),
         };
-        println!(
-            "{}: {} to run, {} cached; about {}{unknown}",
-            plan.pipeline,
-            plan.to_run(),
-            plan.cached(),
-            seconds(forecast)
-        );
+        println!("{}: {} to run, {} cached; {about}", plan.pipeline, plan.to_run(), plan.cached());
     }
     let place = std::env::current_dir().map_err(CliError::failed)?;
     let out = args.out.clone().unwrap_or_else(|| PathBuf::from("use3d-out").join(&pipeline.batch.name));

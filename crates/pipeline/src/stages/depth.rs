@@ -109,8 +109,9 @@ pub fn wanted(
         Some("depth-anything-v2") => true,
         Some("auto") => {
             let params: Params = serde_json::from_value(depth.clone()).unwrap_or_default();
-            let has_own = capture.is_none_or(|(capture, import)| has_depth_folder(capture, import));
-            !has_own && models.is_some_and(|models| params.encoder.found(models).is_ok())
+            let has_own = || capture.is_none_or(|(capture, import)| has_depth_folder(capture, import));
+            // The capture is not looked at without need: a large batch has many.
+            models.is_some_and(|models| params.encoder.found(models).is_ok()) && !has_own()
         }
         _ => false,
     }

@@ -7,9 +7,9 @@
 
 #[cfg(feature = "nets")]
 use std::collections::BTreeMap;
-use std::path::Path;
-#[cfg(feature = "nets")]
-use std::sync::Mutex;
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 use serde_json::Value;
 use use3d_build::{AllParameters, Lacking, Named, Stage};
@@ -42,12 +42,20 @@ pub(super) fn with_requirements(stage: Stage) -> Stage {
         "reconstruct" => stage.requires(|all, _| of_reconstruct(all).into_iter().collect()),
         "targets" => stage.requires(|all, named| of_targets(all, named).into_iter().collect()),
         "enhance" => stage.requires(|all, _| of_enhance(all).into_iter().collect()),
-        "evaluate" => stage.requires(|all, named| {
-            let mut missing: Vec<Lacking> = weights(all, named, "evaluate").into_iter().collect();
-            missing.extend(of_scores(all, named));
-            missing.extend(of_truth(named));
-            missing
-        }),
+        "evaluate" => {
+            // The variants of a scene share its truth, and reading all of it takes long.
+            let known: Mutex<HashMap<PathBuf, Option<Lacking>>> = Mutex::default();
+            stage.requires(move |all, named| {
+                let mut missing: Vec<Lacking> = weights(all, named, "evaluate").into_iter().collect();
+                missing.extend(of_scores(all, named));
+                if let Some(capture) = named.path("capture") {
+                    let mut known = known.lock().unwrap_or_else(PoisonError::into_inner);
+                    let of_capture = || of_truth(capture);
+                    missing.extend(known.entry(capture.into()).or_insert_with(of_capture).clone());
+                }
+                missing
+            })
+        }
         _ => stage,
     }
 }
@@ -315,8 +323,7 @@ fn of_scores(all: &AllParameters, _: &Named) -> Vec<Lacking> {
 }
 
 /// Truth that exists next to a capture and cannot be read.
-fn of_truth(named: &Named) -> Option<Lacking> {
-    let capture: &Path = named.path("capture")?;
+fn of_truth(capture: &Path) -> Option<Lacking> {
     truth::unreadable(capture).map(|reason| Lacking {
         what: "the truth beside a capture".into(),
         remedy: format!("{reason}; write that file again, or rename the truth/ folder"),
