@@ -145,8 +145,8 @@ fn no_pipeline(file: &Path) -> Option<&'static str> {
              (docs/guide/other-programs.md)"
         }
         "rcproj" => {
-            "projects of RealityScan (RealityCapture) are not read: export cameras and points in COLMAP's format with \
-             undistorted images, and give that folder"
+            "a project file of RealityScan (RealityCapture) is not read: export its cameras as CSV or XMP and its points \
+             as PLY beside the photographs, and give that folder (docs/guide/other-programs.md)"
         }
         "json" => {
             "this is not a pipeline file (.toml): give the capture's folder, with images and a COLMAP model \
