@@ -217,8 +217,18 @@ fn killed_at_any_moment_the_artifacts_are_those_of_an_undisturbed_run() {
     );
 }
 
-/// The system calls at which runs are killed.
-const CALLS: [&str; 8] = ["rename", "fsync", "mkdir", "openat", "write", "unlink", "rmdir", "close"];
+/// The system calls at which runs are killed, with the first and the last number of a call that counts. A
+/// program makes many calls of some kinds before its first stage, and few of other kinds in all.
+const CALLS: [(&str, u64, u64); 8] = [
+    ("rename", 1, 40),
+    ("fsync", 1, 80),
+    ("mkdir", 1, 4),
+    ("openat", 30, 110),
+    ("write", 1, 80),
+    ("unlink", 1, 6),
+    ("rmdir", 1, 2),
+    ("close", 30, 110),
+];
 
 /// A run that `strace` kills at the `n`-th call of a kind that one of its threads makes.
 fn killed_at(target: &Target<'_>, call: &str, n: u64) -> std::process::Output {
@@ -271,10 +281,8 @@ fn killed_at_any_system_call_the_artifacts_are_those_of_an_undisturbed_run() {
         let target = Target { place: &place, cache: format!("call{campaigns}") };
         campaigns += 1;
         loop {
-            let call = CALLS[random.below(CALLS.len() as u64) as usize];
-            // Early calls and late ones alike: their number is different for every kind.
-            let most = 2 << random.below(9);
-            let n = 1 + random.below(most);
+            let (call, first, last) = CALLS[random.below(CALLS.len() as u64) as usize];
+            let n = first + random.below(last - first + 1);
             let before = files(&target.below("leases"));
             let output = killed_at(&target, call, n);
             let found = target.artifacts();
@@ -307,6 +315,7 @@ fn killed_at_any_system_call_the_artifacts_are_those_of_an_undisturbed_run() {
         for folder in [&target.cache, &target.out()] {
             std::fs::remove_dir_all(place.at(folder)).expect("removed");
         }
+        println!("{campaigns} campaigns, {:.0} s: {stages:?}", started.elapsed().as_secs_f64());
     }
     println!(
         "{} kills in stages and {outside} outside, in {campaigns} campaigns, {:.0} s: {stages:?} {calls:?}",

@@ -178,7 +178,7 @@ mod tests {
         assert!(matches!(usable(Some(Ok(()))), Ok((true, None))));
         // A store that is only read is not tested: the test would need permission to write.
         assert!(matches!(usable(None), Ok((false, None))));
-        let (writable, warning) = usable(Some(Err(refused(true)))).ok().expect("the run continues");
+        let (writable, warning) = usable(Some(Err(refused(true)))).expect("the run continues");
         let warning = warning.expect("a warning");
         assert!(!writable && warning.contains("500") && warning.contains("`use3d push`"), "{warning}");
         assert!(usable(Some(Err(refused(false)))).is_err());
