@@ -82,14 +82,14 @@ impl Survey {
                 return fail(format!("point {}", point.id), reason);
             }
         }
-        if let Some(world) = &self.world {
-            if !world.is_valid() {
-                let reason = format!(
-                    "one unit is {} metres and its transform {:?}; expected finite numbers and a scale above 0",
-                    world.metres_per_unit, world.transform
-                );
-                return fail("world".into(), reason);
-            }
+        if let Some(world) = &self.world
+            && !world.is_valid()
+        {
+            let reason = format!(
+                "one unit is {} metres and its transform {:?}; expected finite numbers and a scale above 0",
+                world.metres_per_unit, world.transform
+            );
+            return fail("world".into(), reason);
         }
         Ok(())
     }

@@ -20,7 +20,7 @@ pub struct EarthPlace {
 
 impl EarthPlace {
     /// The position from the earth's centre, metres.
-    fn from_centre(&self) -> DVec3 {
+    fn position(&self) -> DVec3 {
         let (lat, lon) = (self.latitude.to_radians(), self.longitude.to_radians());
         let (sin, cos) = (math::sin(lat), math::cos(lat));
         let normal = RADIUS / (1.0 - ECCENTRICITY * sin * sin).sqrt();
@@ -37,7 +37,7 @@ impl EarthPlace {
         let (lat, lon) = (self.latitude.to_radians(), self.longitude.to_radians());
         let (sin, cos) = (math::sin(lat), math::cos(lat));
         let (sin_lon, cos_lon) = (math::sin(lon), math::cos(lon));
-        let apart = other.from_centre() - self.from_centre();
+        let apart = other.position() - self.position();
         let east = DVec3::new(-sin_lon, cos_lon, 0.0);
         let north = DVec3::new(-sin * cos_lon, -sin * sin_lon, cos);
         let up = DVec3::new(cos * cos_lon, cos * sin_lon, sin);
