@@ -316,16 +316,31 @@ fn depths(table: &CsvTable, survey: &Survey, notes: &mut Vec<String>) -> Result<
     }
 }
 
-/// Metres by the GPS positions in the photographs themselves.
+/// Metres by the GPS positions in the photographs themselves. Only those of JPEG files are read. If the first,
+/// the middle and the last photograph have none, the others are not opened.
 fn gps(images: &Folder, survey: &Survey, notes: &mut Vec<String>) -> Result<Option<World>, ImportError> {
+    let is_jpeg = |image: &&PosedImage| {
+        let extension = Path::new(&*image.name).extension().map(|e| e.to_string_lossy().to_lowercase());
+        extension.is_some_and(|e| e == "jpg" || e == "jpeg")
+    };
+    let photographs: Vec<&PosedImage> = survey.images.iter().filter(is_jpeg).collect();
+    let place = |image: &PosedImage| -> Result<Option<EarthPlace>, ImportError> {
+        let Some(path) = images.image(&image.name)? else { return Ok(None) };
+        let found = read_exif(&path).map_err(ImportError::file(&path))?.gps;
+        Ok(found.map(|gps| EarthPlace {
+            latitude: gps.latitude,
+            longitude: gps.longitude,
+            altitude: gps.altitude.unwrap_or(0.0),
+        }))
+    };
+    let last = photographs.len().saturating_sub(1);
+    let mut any = false;
+    for i in [0, last / 2, last] {
+        any = any || photographs.get(i).map(|image| place(image)).transpose()?.flatten().is_some();
+    }
     let mut places = Vec::new();
-    for image in &survey.images {
-        let Some(path) = images.image(&image.name)? else { continue };
-        if let Some(gps) = read_exif(&path).map_err(ImportError::file(&path))?.gps {
-            let altitude = gps.altitude.unwrap_or(0.0);
-            let (latitude, longitude) = (gps.latitude, gps.longitude);
-            places.push((image.pose().center(), EarthPlace { latitude, longitude, altitude }));
-        }
+    for image in photographs.into_iter().filter(|_| any) {
+        places.extend(place(image)?.map(|at| (image.pose().center(), at)));
     }
     let Some(&(_, first)) = places.first() else { return Ok(None) };
     let pairs: Vec<(DVec3, DVec3)> = places.iter().map(|(at, place)| (*at, first.metres_to(place))).collect();

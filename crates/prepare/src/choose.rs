@@ -262,7 +262,7 @@ mod tests {
         let frames: Vec<Frame> = (0..200).map(|i| frame(i, 2 * i as i64, i % 3 != 0)).collect();
         let (chosen, overlap) = choose(&frames, 1000);
         assert!(chosen.len() >= ENOUGH.min(30), "{}", chosen.len());
-        let sharp = chosen.iter().filter(|&&i| frames[i].number % 3 == 0).count();
+        let sharp = chosen.iter().filter(|&&i| frames[i].number.is_multiple_of(3)).count();
         assert!(sharp * 10 >= chosen.len() * 8, "{sharp} of {}", chosen.len());
         for pair in chosen.windows(2) {
             assert!(pair[1] > pair[0]);

@@ -76,7 +76,7 @@ fn understand(path: &Path, text: &str) -> Result<Film, PrepareError> {
         let &[h, m, s] = &parts[..] else { return None };
         Some(3600.0 * h + 60.0 * m + s).filter(|s| s.is_finite() && *s > 0.0)
     });
-    let height = stream.split(|c: char| c == ',' || c == ' ').find_map(|word| {
+    let height = stream.split([',', ' ']).find_map(|word| {
         let (w, h) = word.split_once('x')?;
         let _: u32 = w.parse().ok()?;
         h.parse::<u32>().ok()
