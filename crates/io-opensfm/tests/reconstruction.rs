@@ -23,7 +23,7 @@ fn pose(i: u32) -> Pose {
 }
 
 fn dots() -> Vec<DVec3> {
-    (0..30).map(|k| f64::from(k)).map(|k| DVec3::new(0.1 * k - 1.0, 0.05 * k, 3.0 + 0.02 * k * k)).collect()
+    (0..30).map(f64::from).map(|k| DVec3::new(0.1 * k - 1.0, 0.05 * k, 3.0 + 0.02 * k * k)).collect()
 }
 
 /// A COLMAP model with one camera, five images, points and tracks.

@@ -246,7 +246,8 @@ fn copied(
 /// The capture lies beside the results: in `captures/` in the folder that holds them.
 pub(crate) fn capture_for(app: &App, target: &Path, out: Option<&Path>) -> Result<Option<PathBuf>, CliError> {
     let film = target.is_file() && use3d_prepare::is_film(target);
-    if !film && !(target.is_dir() && use3d_import::holds_only_pictures(target)) {
+    let pictures = || target.is_dir() && use3d_import::holds_only_pictures(target);
+    if !film && !pictures() {
         return Ok(None);
     }
     let sources = Sources::of(&[target.to_path_buf()])?;
