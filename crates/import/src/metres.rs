@@ -316,8 +316,8 @@ fn depths(table: &CsvTable, survey: &Survey, notes: &mut Vec<String>) -> Result<
     }
 }
 
-/// Metres by the GPS positions in the photographs themselves. Only those of JPEG files are read. If the first,
-/// the middle and the last photograph have none, the others are not opened.
+/// Metres by the GPS positions in the photographs themselves. Only those of JPEG files are read. If the
+/// first, the middle and the last photograph have none, the others are not opened.
 fn gps(images: &Folder, survey: &Survey, notes: &mut Vec<String>) -> Result<Option<World>, ImportError> {
     let is_jpeg = |image: &&PosedImage| {
         let extension = Path::new(&*image.name).extension().map(|e| e.to_string_lossy().to_lowercase());
