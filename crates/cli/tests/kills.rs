@@ -13,9 +13,9 @@
 mod tiny;
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::os::unix::process::ExitStatusExt;
+use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use tiny::{Place, files};
@@ -230,14 +230,26 @@ const CALLS: [(&str, u64, u64); 8] = [
     ("close", 30, 110),
 ];
 
-/// A run that `strace` kills at the `n`-th call of a kind that one of its threads makes.
-fn killed_at(target: &Target<'_>, call: &str, n: u64) -> std::process::Output {
+/// Ends a run by `strace` at the `n`-th call of a kind that one of its threads makes.
+fn killed_at(target: &Target<'_>, call: &str, n: u64) -> ExitStatus {
     let run = target.run(&OFTEN);
     let mut strace = Command::new("strace");
     strace.args(["-f", "-qqq", "-o", "/dev/null", "-e", &format!("trace={call}")]);
     strace.args(["-e", &format!("inject={call}:signal=SIGKILL:when={n}"), "--"]).arg(run.get_program());
     strace.args(run.get_args()).env_remove("USE3D_CACHE").env_remove("USE3D_MODELS");
-    strace.output().expect("strace starts")
+    strace.stdout(Stdio::null()).stderr(Stdio::null()).stdin(Stdio::null());
+    // When its processes are killed, strace may stop its whole group.
+    let mut child = strace.process_group(0).spawn().expect("strace starts");
+    let group = format!("-{}", child.id());
+    loop {
+        for _ in 0..100 {
+            if let Some(status) = child.try_wait().expect("a state") {
+                return status;
+            }
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        let _ = Command::new("kill").args(["-CONT", "--", &group]).stderr(Stdio::null()).status();
+    }
 }
 
 /// The stage in which a process was killed, from the lease that it left. `before` has the leases of earlier
@@ -284,16 +296,15 @@ fn killed_at_any_system_call_the_artifacts_are_those_of_an_undisturbed_run() {
             let (call, first, last) = CALLS[random.below(CALLS.len() as u64) as usize];
             let n = first + random.below(last - first + 1);
             let before = files(&target.below("leases"));
-            let output = killed_at(&target, call, n);
+            let status = killed_at(&target, call, n);
             let found = target.artifacts();
             for (path, bytes) in &found {
                 assert!(expected.get(path) == Some(bytes), "{} after {call} {n}", path.display());
             }
-            if output.status.success() {
+            if status.success() {
                 break;
             }
-            let text = String::from_utf8_lossy(&output.stderr);
-            assert_eq!(output.status.signal(), Some(9), "{call} {n}: {text}");
+            assert_eq!(status.signal(), Some(9), "{call} {n}: {status}");
             match interrupted(&target, &before, &expected) {
                 Some(stage) => {
                     *stages.entry(stage).or_default() += 1;
