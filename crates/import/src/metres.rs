@@ -316,14 +316,10 @@ fn depths(table: &CsvTable, survey: &Survey, notes: &mut Vec<String>) -> Result<
     }
 }
 
-/// Metres by the GPS positions in the photographs themselves. Only those of JPEG files are read. If the
-/// first, the middle and the last photograph have none, the others are not opened.
+/// Metres by the GPS positions in the photographs themselves. If the first and the last photograph have none,
+/// the others are not opened.
 fn gps(images: &Folder, survey: &Survey, notes: &mut Vec<String>) -> Result<Option<World>, ImportError> {
-    let is_jpeg = |image: &&PosedImage| {
-        let extension = Path::new(&*image.name).extension().map(|e| e.to_string_lossy().to_lowercase());
-        extension.is_some_and(|e| e == "jpg" || e == "jpeg")
-    };
-    let photographs: Vec<&PosedImage> = survey.images.iter().filter(is_jpeg).collect();
+    let photographs = &survey.images;
     let place = |image: &PosedImage| -> Result<Option<EarthPlace>, ImportError> {
         let Some(path) = images.image(&image.name)? else { return Ok(None) };
         let found = read_exif(&path).map_err(ImportError::file(&path))?.gps;
@@ -335,11 +331,11 @@ fn gps(images: &Folder, survey: &Survey, notes: &mut Vec<String>) -> Result<Opti
     };
     let last = photographs.len().saturating_sub(1);
     let mut any = false;
-    for i in [0, last / 2, last] {
-        any = any || photographs.get(i).map(|image| place(image)).transpose()?.flatten().is_some();
+    for i in [0, last] {
+        any = any || photographs.get(i).map(place).transpose()?.flatten().is_some();
     }
     let mut places = Vec::new();
-    for image in photographs.into_iter().filter(|_| any) {
+    for image in photographs.iter().filter(|_| any) {
         places.extend(place(image)?.map(|at| (image.pose().center(), at)));
     }
     let Some(&(_, first)) = places.first() else { return Ok(None) };
