@@ -62,7 +62,8 @@ pub(crate) fn find_models(root: &Path, params: &ImportParams) -> Result<Vec<Foun
     // The formats' own order: what lies beside the first one is reported as not used.
     let mut found = Vec::new();
     for format in &FORMATS {
-        // The search for RealityScan's files looks at every photograph, so it is for captures without a model.
+        // The search for RealityScan's files looks at every photograph, so it is only for captures without
+        // another model.
         if format.name != "RealityScan" || found.is_empty() {
             found.extend((format.find)(root)?);
         }
