@@ -15,7 +15,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("tensors", &[]),
     ("files", &[]),
     ("capture", &["numerics"]),
-    ("golden", &["capture"]),
+    ("golden", &["capture", "numerics"]),
     ("build", &["capture", "files"]),
     ("cluster", &["build"]),
     ("store", &["build"]),

@@ -11,6 +11,7 @@
 //! message if a file or tensor is missing: golden tests never skip.
 
 mod fixtures;
+mod mutated;
 pub mod torch;
 
 use std::collections::BTreeMap;
@@ -20,6 +21,7 @@ use safetensors::{Dtype, SafeTensors};
 use serde_json::Value;
 
 pub use fixtures::CaseGaussians;
+pub use mutated::mutated;
 
 /// The folder with `math/`, `networks/` and `scene-mini/`.
 pub fn root() -> PathBuf {

@@ -4,6 +4,7 @@ use std::fmt::Write;
 use std::path::Path;
 
 use glam::{DMat3, DVec3};
+use use3d_golden::mutated;
 use use3d_io_metashape::{add_points, is_cameras_file, parse, read};
 use use3d_numerics::math;
 use use3d_survey::{ReadError, Survey, ply};
@@ -511,28 +512,9 @@ fn mutated_files_never_panic() {
         <markers><marker id=\"0\" label=\"m\"/></markers><scalebars><scalebar id=\"0\"><endpoint marker_id=\"0\"/><reference d=\"1\"/></scalebar></scalebars>\
         <frames><frame id=\"0\"><markers><marker marker_id=\"0\"><location camera_id=\"0\" x=\"5\" y=\"6\"/></marker></markers></frame></frames>";
     let seed = simple(&cameras, rest).into_bytes();
-    let mut state = 11u64;
-    let mut draw = || {
-        state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-        (state >> 33) as usize
-    };
     let mut read = 0;
     for round in 0..4000 {
-        let mut bytes = seed.clone();
-        for _ in 0..1 + draw() % 3 {
-            let at = draw() % bytes.len();
-            match round % 4 {
-                0 => bytes[at] = b"0123456789-.e <>/\"="[draw() % 19],
-                1 => bytes[at] = draw() as u8,
-                2 => bytes.truncate(at.max(1)),
-                _ => {
-                    let to = (at + draw() % 60).min(bytes.len());
-                    let piece = bytes[at..to].to_vec();
-                    let into = draw() % bytes.len();
-                    bytes.splice(into..into, piece);
-                }
-            }
-        }
+        let bytes = mutated(&seed, b"0123456789-.e <>/\"=", round);
         read += usize::from(parse(&bytes, Path::new("mutated.xml")).is_ok());
     }
     assert!(read > 100, "only {read} of the mutated files were read: the seed is too brittle");

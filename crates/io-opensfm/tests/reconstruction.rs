@@ -5,6 +5,7 @@ use std::path::Path;
 
 use glam::{DMat3, DQuat, DVec3};
 use use3d_capture::{FileName, Pose};
+use use3d_golden::mutated;
 use use3d_io_colmap::{LensModel, Model, ModelCamera};
 use use3d_io_opensfm::{add_tracks, parse};
 use use3d_survey::{Keypoint, PosedImage, Projection, ReadError, Survey, SurveyPoint};
@@ -197,26 +198,9 @@ fn faults_are_named() {
 #[test]
 fn mutated_files_never_panic() {
     let seed = small().into_bytes();
-    let mut state = 7u64;
-    let mut next = || {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (state >> 33) as usize
-    };
     let mut read = 0;
-    for _ in 0..20_000 {
-        let mut bytes = seed.clone();
-        for _ in 0..1 + next() % 3 {
-            let at = next() % bytes.len();
-            if bytes.len() < 4 {
-                break;
-            }
-            match next() % 4 {
-                0 => bytes[at] = next() as u8,
-                1 => bytes.truncate(at.max(4)),
-                2 => bytes.insert(at, next() as u8),
-                _ => bytes[at] = b"0123456789.-e,[]{}\""[next() % 19],
-            }
-        }
+    for round in 0..20_000 {
+        let bytes = mutated(&seed, b"0123456789.-e,[]{}\"", round);
         if let Ok(mut survey) = parse(&bytes, Path::new("mutated.json")) {
             read += 1;
             let _ = add_tracks(&mut survey, &bytes, Path::new("mutated.csv"));

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DVec3};
 use use3d_capture::{FileName, Pose};
+use use3d_golden::mutated;
 use use3d_io_realityscan::*;
 use use3d_numerics::math;
 use use3d_survey::{ReadError, Survey, SurveyPoint, ply};
@@ -62,7 +63,8 @@ fn survey(registration: Registration) -> Survey {
     registration.into_survey(&sizes, Path::new(TABLE)).unwrap()
 }
 
-/// Where a camera 27 mm long, looking along `forward` with `down`, sees a point.
+/// The pixel of a point in a camera with a lens of 27 mm that looks along `forward` with `down` below,
+/// computed by hand.
 fn manual(right: DVec3, down: DVec3, forward: DVec3, centre: DVec3, point: DVec3) -> (f64, f64) {
     let local = point - centre;
     let (u, v) = (local.dot(right) / local.dot(forward), local.dot(down) / local.dot(forward));
@@ -247,26 +249,9 @@ fn mutated_files_never_panic() {
     let pose = Pose::from_center(DMat3::IDENTITY, DVec3::new(1.0, 2.0, 3.0));
     let rows = "a.jpg,1,2,3,10,20,30,27,0,0,0.1,0,0,0,0,0\nb.jpg,2,2,3,10,20,30,27,0,0,0.1,0,0,0,0,0\n";
     let seeds = [format!("{HEADER}\n{rows}").into_bytes(), xmp(&pose, &[]).into_bytes()];
-    let mut state = 7u64;
-    let mut next = || {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (state >> 33) as usize
-    };
     let mut read = [0, 0];
     for round in 0..20_000 {
-        let mut bytes = seeds[round % 2].clone();
-        for _ in 0..1 + next() % 3 {
-            let at = next() % bytes.len();
-            if bytes.len() < 4 {
-                break;
-            }
-            match next() % 4 {
-                0 => bytes[at] = next() as u8,
-                1 => bytes.truncate(at.max(4)),
-                2 => bytes.insert(at, next() as u8),
-                _ => bytes[at] = b"0123456789.-e,;<>\"\n"[next() % 19],
-            }
-        }
+        let bytes = mutated(&seeds[round % 2], b"0123456789.-e,;<>\"\n", round as u64);
         let found = match round % 2 {
             0 => parse_table(&bytes, Path::new(TABLE)),
             _ => {
