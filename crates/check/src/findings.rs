@@ -1,5 +1,6 @@
 //! The rules: each compares a figure with a limit and says what it means and what to do.
 
+use use3d_capture::shown;
 use use3d_import::ImportReport;
 
 use crate::measure::{Figures, ViewFigures};
@@ -111,10 +112,8 @@ impl Rules {
             self.add(severity, "missing", text, remedy, import.missing.clone());
         }
         if !import.other_models.is_empty() {
-            let text = format!(
-                "The folder has more models, which are not used: {}.",
-                import.other_models.join(", ")
-            );
+            let names: Vec<_> = import.other_models.iter().map(|name| shown(name)).collect();
+            let text = format!("The folder has more models, which are not used: {}.", names.join(", "));
             let remedy = "if they show other parts of the dive, photograph the way between the parts, or run them as \
                 captures of their own";
             self.add(Severity::Minor, "groups", text, remedy, Vec::new());

@@ -99,6 +99,11 @@ fn missing_programs_are_named_with_the_commands_that_bring_them() {
     }
 }
 
+fn first_photograph(place: &Place) -> String {
+    let mut entries = std::fs::read_dir(place.at("other/photos")).unwrap();
+    entries.next().unwrap().unwrap().file_name().into_string().unwrap()
+}
+
 #[test]
 fn a_run_on_photographs_prepares_them_first_and_once() {
     let place = place();
@@ -113,6 +118,16 @@ fn a_run_on_photographs_prepares_them_first_and_once() {
     let done = calls(&place);
     assert!(done >= 3);
     assert!(run(&place).status.success());
+    assert_eq!(calls(&place), done);
+    // The capture of another folder of the same name is not replaced.
+    std::fs::create_dir(place.at("other")).unwrap();
+    std::fs::rename(place.at("photos"), place.at("other/photos")).unwrap();
+    std::fs::remove_file(place.at("other/photos/") + &first_photograph(&place)).unwrap();
+    let mut command = place.run_into("results/photos", "other/photos", "cache", &[]);
+    let other = alone(command.args(["--until", "import"]), &place);
+    let text = said(&other);
+    assert_eq!(other.status.code(), Some(2), "{text}");
+    assert!(text.contains("prepared from other files") && text.contains("--force` replaces it"), "{text}");
     assert_eq!(calls(&place), done);
     // A folder with a model is used as it is.
     let model =

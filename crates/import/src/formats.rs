@@ -24,6 +24,8 @@ pub(crate) struct Format {
     pub(crate) name: &'static str,
     /// The models of this format in a capture, the best first.
     pub(crate) find: fn(&Path) -> Result<Vec<FoundModel>, ImportError>,
+    /// A model that only a look at every photograph finds. It is called if no other model is there.
+    pub(crate) search: fn(&Path) -> Option<FoundModel>,
     /// The model at a place that the user named; `None` if it is not of this format.
     pub(crate) at: fn(&Path, &str) -> Result<Option<FoundModel>, ImportError>,
     /// Reads a model that was found.
@@ -47,10 +49,18 @@ pub(crate) struct ReadModel {
 
 /// The formats, in the order in which they are tried.
 pub(crate) static FORMATS: [Format; 5] = [
-    Format { name: "COLMAP", find: find_colmap, at: colmap_at, read: read_colmap, instead: no_colmap },
+    Format {
+        name: "COLMAP",
+        find: find_colmap,
+        search: |_| None,
+        at: colmap_at,
+        read: read_colmap,
+        instead: no_colmap,
+    },
     Format {
         name: "Metashape",
         find: |root| Ok(find_metashape(root)),
+        search: |_| None,
         at: |root, place| Ok(metashape_at(root, place)),
         read: read_metashape,
         instead: no_metashape,
@@ -58,6 +68,7 @@ pub(crate) static FORMATS: [Format; 5] = [
     Format {
         name: "nerfstudio",
         find: |root| Ok(nerfstudio_at(root, TRANSFORMS).into_iter().collect()),
+        search: |_| None,
         at: |root, place| {
             Ok(nerfstudio_at(root, place).or_else(|| nerfstudio_at(root, &format!("{place}/{TRANSFORMS}"))))
         },
@@ -67,13 +78,15 @@ pub(crate) static FORMATS: [Format; 5] = [
     Format {
         name: "OpenSfM",
         find: |root| Ok(find_opensfm(root, ".").into_iter().collect()),
+        search: |_| None,
         at: |root, place| Ok(opensfm_at(root, place).or_else(|| find_opensfm(root, place))),
         read: read_opensfm,
         instead: no_opensfm,
     },
     Format {
         name: "RealityScan",
-        find: |root| Ok(find_realityscan(root)),
+        find: |root| Ok(realityscan_tables(root)),
+        search: realityscan_sidecars,
         at: |root, place| Ok(realityscan_at(root, place)),
         read: read_realityscan,
         instead: no_realityscan,
@@ -404,13 +417,14 @@ fn realityscan_at(root: &Path, place: &str) -> Option<FoundModel> {
     Some(FoundModel { format: &FORMATS[4], relative: place.into(), path, form: form.into(), images: 0 })
 }
 
-fn find_realityscan(root: &Path) -> Vec<FoundModel> {
+fn realityscan_tables(root: &Path) -> Vec<FoundModel> {
     let tables = files_in(root).into_iter().filter(|name| has_extension(name, "csv"));
-    let mut found: Vec<FoundModel> = tables.filter_map(|name| realityscan_at(root, &name)).collect();
+    tables.filter_map(|name| realityscan_at(root, &name)).collect()
+}
+
+fn realityscan_sidecars(root: &Path) -> Option<FoundModel> {
     // The folder above all photographs is tried last: its XMP files include those of the others.
-    let places = places_of_photographs(root);
-    found.extend(places.iter().find_map(|place| realityscan_at(root, place)));
-    found
+    places_of_photographs(root).iter().find_map(|place| realityscan_at(root, place))
 }
 
 fn read_realityscan(found: &FoundModel) -> Result<ReadModel, ImportError> {

@@ -62,11 +62,10 @@ pub(crate) fn find_models(root: &Path, params: &ImportParams) -> Result<Vec<Foun
     // The formats' own order: what lies beside the first one is reported as not used.
     let mut found = Vec::new();
     for format in &FORMATS {
-        // The search for RealityScan's files looks at every photograph, so it is only for captures without
-        // another model.
-        if format.name != "RealityScan" || found.is_empty() {
-            found.extend((format.find)(root)?);
-        }
+        found.extend((format.find)(root)?);
+    }
+    if found.is_empty() {
+        found.extend(FORMATS.iter().filter_map(|format| (format.search)(root)));
     }
     if !found.is_empty() {
         return Ok(found);
@@ -150,15 +149,13 @@ fn has_usual_model(folder: &Path) -> bool {
     ["sparse/0", "sparse", "colmap/sparse/0"].iter().any(|d| ModelForm::of(&folder.join(d)).is_some())
 }
 
-/// True if a folder has photographs or films and no sign of a model: no model here, above or in its folders,
-/// no project of another program, and no scene.
-pub fn holds_only_pictures(root: &Path) -> bool {
+/// True if a folder has no sign of a model: no model here, above or in its folders, no project of another
+/// program, and no scene.
+pub fn holds_no_model(root: &Path) -> bool {
     let names = names_in(root);
     let has = |name: &str| names.iter().any(|n| n == name);
-    let films = (FORMATS[0].instead)(&names).is_some();
     let project = FORMATS[1..].iter().any(|format| (format.instead)(&names).is_some());
-    (films || holds_pictures(root, &names))
-        && !project
+    !project
         && !is_prepared(root)
         && !(has("scene.json") && has("gaussians.ply"))
         && matches!(check_layout(root), Err(ImportError::NoModel { .. }))

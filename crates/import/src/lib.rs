@@ -56,7 +56,7 @@ mod white_balance;
 pub use cameras::{camera_list, read_cameras, read_images_txt};
 pub use error::ImportError;
 pub use import::{Imported, capture_name, import};
-pub use layout::{check_layout, has_depth_folder, holds_only_pictures};
+pub use layout::{check_layout, has_depth_folder, holds_no_model};
 pub use load::{load_depth_prior, load_mask, load_pixels};
 pub use params::{ImageSize, ImportParams, SplitOrder, SplitParams, WhiteBalance};
 pub use prepare::{PreparedView, Progress, prepare};

@@ -18,9 +18,10 @@ use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 use use3d_capture::World;
-use use3d_io_image::{image_size, read_exif};
+use use3d_io_image::{GpsPosition, image_size, read_exif};
 use use3d_survey::{
-    EarthPlace, Mark, Marker, PosedImage, ScaleBar, Survey, fit_depths, fit_positions, read_at_most,
+    EarthPlace, Mark, Marker, PosedImage, PositionsFit, ScaleBar, Survey, fit_depths, fit_positions,
+    read_at_most,
 };
 
 use crate::error::ImportError;
@@ -54,23 +55,22 @@ impl CsvTable {
         let text = String::from_utf8_lossy(&bytes);
         let lines = (1usize..).zip(text.trim_start_matches('\u{feff}').lines());
         let mut lines = lines.filter(|(_, line)| !line.trim().is_empty() && !line.starts_with('#'));
-        let header = lines.next().map_or("", |(_, line)| line);
+        let (first, header) = lines.next().unwrap_or((1, ""));
         // Spreadsheets of some languages separate by semicolons.
         let separator = [';', '\t'].into_iter().find(|s| header.contains(*s)).unwrap_or(',');
         let fields = |line: &str| -> Vec<String> {
             line.split(separator).map(|f| f.trim().trim_matches('"').to_string()).collect()
         };
         let columns: Vec<String> = fields(header).iter().map(|f| f.to_lowercase()).collect();
-        let rows = lines.map(|(number, line)| (number, fields(line))).collect();
+        // Spreadsheets write rows whose fields are all empty.
+        let rows = lines.map(|(number, line)| (number, fields(line)));
+        let rows = rows.filter(|(_, fields)| fields.iter().any(|field| !field.is_empty())).collect();
         let table = Self { path, columns, rows };
         match needed.iter().find(|name| table.column(name).is_none()) {
             None => Ok(Some(table)),
             Some(missing) => Err(table.fail(
-                1,
-                &format!(
-                    "there is no column `{missing}`; expected the first line to be {}",
-                    needed.join(",")
-                ),
+                first,
+                &format!("there is no column `{missing}`; expected this line to be {}", needed.join(",")),
             )),
         }
     }
@@ -268,7 +268,7 @@ fn positions(
     })?;
     let lacking = if unknown > 0 { format!(", {unknown} others have no camera") } else { String::new() };
     match fit_positions(&pairs, format!("the positions in {POSITIONS}")) {
-        Some((world, left)) => {
+        Some(PositionsFit { world, left, .. }) => {
             notes.push(format!(
                 "{} positions in {POSITIONS} fit the cameras to {left:.3} m{lacking}",
                 pairs.len()
@@ -317,27 +317,30 @@ fn depths(table: &CsvTable, survey: &Survey, notes: &mut Vec<String>) -> Result<
 }
 
 /// Metres by the GPS positions in the photographs themselves. If the first and the last photograph have none,
-/// the others are not opened.
+/// the others are not opened. If some positions have an altitude, only these count.
 fn gps(images: &Folder, survey: &Survey, notes: &mut Vec<String>) -> Result<Option<World>, ImportError> {
     let photographs = &survey.images;
-    let place = |image: &PosedImage| -> Result<Option<EarthPlace>, ImportError> {
+    let place = |image: &PosedImage| -> Result<Option<GpsPosition>, ImportError> {
         let Some(path) = images.image(&image.name)? else { return Ok(None) };
-        let found = read_exif(&path).map_err(ImportError::file(&path))?.gps;
-        Ok(found.map(|gps| EarthPlace {
-            latitude: gps.latitude,
-            longitude: gps.longitude,
-            altitude: gps.altitude.unwrap_or(0.0),
-        }))
+        Ok(read_exif(&path).map_err(ImportError::file(&path))?.gps)
     };
     let last = photographs.len().saturating_sub(1);
     let mut any = false;
     for i in [0, last] {
         any = any || photographs.get(i).map(place).transpose()?.flatten().is_some();
     }
-    let mut places = Vec::new();
+    let mut found = Vec::new();
     for image in photographs.iter().filter(|_| any) {
-        places.extend(place(image)?.map(|at| (image.pose().center(), at)));
+        found.extend(place(image)?.map(|gps| (image.pose().center(), gps)));
     }
+    if found.iter().any(|(_, gps)| gps.altitude.is_some()) {
+        found.retain(|(_, gps)| gps.altitude.is_some());
+    }
+    let places = found.iter().map(|(at, gps)| {
+        let altitude = gps.altitude.unwrap_or(0.0);
+        (*at, EarthPlace { latitude: gps.latitude, longitude: gps.longitude, altitude })
+    });
+    let places: Vec<(DVec3, EarthPlace)> = places.collect();
     let Some(&(_, first)) = places.first() else { return Ok(None) };
     let pairs: Vec<(DVec3, DVec3)> = places.iter().map(|(at, place)| (*at, first.metres_to(place))).collect();
     let remedy = "measure a length";
@@ -345,17 +348,13 @@ fn gps(images: &Folder, survey: &Survey, notes: &mut Vec<String>) -> Result<Opti
         "the photographs' GPS positions: metres east, north and up of latitude {:.7}, longitude {:.7}, altitude {:.2} m",
         first.latitude, first.longitude, first.altitude
     );
-    let Some((world, left)) = fit_positions(&pairs, source) else {
+    let Some(PositionsFit { world, left, error }) = fit_positions(&pairs, source) else {
         notes.push(format!(
             "the GPS positions of {} photographs give no metres: expected three or more that are not on one line; {remedy}",
             pairs.len()
         ));
         return Ok(None);
     };
-    // One standard error of the scale: that of one coordinate over the spread of all.
-    let mean = pairs.iter().map(|p| p.1).sum::<DVec3>() / pairs.len() as f64;
-    let spread: f64 = pairs.iter().map(|p| (p.1 - mean).length_squared()).sum();
-    let error = left / (3.0 * spread).sqrt();
     if error > CERTAIN {
         notes.push(format!(
             "the GPS positions of {} photographs do not give the metres: they would be off by {:.0} %; {remedy}",

@@ -5,7 +5,7 @@
 //! bytes, not by the name. Values are display-referred (a PNG value over 255) and never linearised; EXR files
 //! hold the same values unclamped.
 //!
-//! Of the EXIF data of a JPEG, orientation, camera and GPS position are read.
+//! [`read_exif`] reads orientation, camera and GPS position of a JPEG.
 //!
 //! Every size is checked before memory is allocated (at most [`MAX_PIXELS`], and never more than the file's
 //! own length can hold). Every file is written under a temporary name in the same folder and then renamed, so

@@ -9,9 +9,11 @@ use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
+use use3d_capture::shown;
+
 use crate::choose::{Frame, choose};
 use crate::error::PrepareError;
-use crate::process::{self, Ended, StepProgress, StepWatch, spelled};
+use crate::process::{self, Ended, ProgramEnd, StepProgress, StepWatch, spelled};
 use crate::tools::{self, Program};
 
 /// Width of the grey frames, pixels.
@@ -20,6 +22,10 @@ const WIDTH: usize = 480;
 const RATE: f64 = 10.0;
 /// The largest side of a grey frame that is accepted from ffmpeg, pixels.
 const MAX_SIDE: usize = 1 << 13;
+/// The most terms of one sum in a filter. Sums of many thousand terms exceed a limit of ffmpeg.
+const SUM: usize = 16;
+/// The file with the filter, in the folder of the work.
+const FILTER: &str = "filter.txt";
 
 /// The properties of a film.
 #[derive(Clone, Debug, PartialEq)]
@@ -96,13 +102,37 @@ fn probe(ffmpeg: &Program, path: &Path) -> Result<Film, PrepareError> {
     understand(path, &String::from_utf8_lossy(&output.stderr))
 }
 
+/// The first two numbers of a version such as `5.1.8-0+deb12u1` or `n7.1`.
+fn numbers(version: &str) -> (Option<u32>, Option<u32>) {
+    let mut parts = version.trim_start_matches('n').split(['.', '-']).map(|p| p.parse().ok());
+    (parts.next().flatten(), parts.next().flatten())
+}
+
 /// The argument that keeps every frame's number: ffmpeg 5.1 renamed it.
 fn numbers_kept(version: &str) -> [&'static str; 2] {
-    let mut parts = version.split(['.', '-']).map(|p| p.parse::<u32>().ok());
-    match (parts.next().flatten(), parts.next().flatten()) {
+    match numbers(version) {
         (Some(0..=4), _) | (Some(5), Some(0)) => ["-vsync", "0"],
         _ => ["-fps_mode", "passthrough"],
     }
+}
+
+/// The argument that reads the filter from a file: ffmpeg 7.1 renamed it, and 9.0 removed the older name.
+fn filter_from_file(version: &str) -> &'static str {
+    match numbers(version).0 {
+        Some(0..=7) => "-filter_script:v",
+        _ => "-/filter:v",
+    }
+}
+
+/// An expression of ffmpeg that is 1 for the frames of these sorted numbers, and else 0. It is a binary
+/// search, so that its depth and the time for a frame stay small.
+fn expression(numbers: &[u64]) -> String {
+    if numbers.len() <= SUM {
+        let terms: Vec<String> = numbers.iter().map(|number| format!("eq(n\\,{number})")).collect();
+        return terms.join("+");
+    }
+    let (low, high) = numbers.split_at(numbers.len() / 2);
+    format!("if(lt(n\\,{})\\,{}\\,{})", high[0], expression(low), expression(high))
 }
 
 /// Reads exactly one line, at most 256 bytes, without its end; `None` at the end of the stream.
@@ -181,9 +211,12 @@ fn grey_frames(
     if let Some(header) = line(&mut reader).map_err(broken)? {
         let (width, height) = y4m_size(&header).ok_or_else(|| failed("ffmpeg wrote no Y4M frames".into()))?;
         let mut grey = vec![0; width * height];
-        while line(&mut reader).map_err(broken)?.is_some_and(|l| l.starts_with("FRAME")) {
-            if reader.read_exact(&mut grey).is_err() {
-                break; // a film that was cut off: the frames so far count
+        while let Some(head) = line(&mut reader).map_err(broken)? {
+            // Of a film that was cut off, ffmpeg writes the frames that it can read, and each of them whole.
+            let whole = head.starts_with("FRAME") && reader.read_exact(&mut grey).is_ok();
+            if !whole {
+                let so_far = frames.len();
+                return Err(failed(format!("ffmpeg's stream broke off after {so_far} frames; try again")));
             }
             frames.push(Frame::new(frames.len() as u64 * step, width, height, &grey));
             watch.check()?;
@@ -196,7 +229,12 @@ fn grey_frames(
             });
         }
     }
-    child.0.wait().map_err(PrepareError::file(&program))?;
+    // With its stream closed, a program that still writes ends.
+    drop(reader);
+    let status = child.0.wait().map_err(PrepareError::file(&program))?;
+    if status.code().is_none() {
+        return Err(failed(process::reason(&ProgramEnd { status, last: Vec::new() })));
+    }
     if frames.is_empty() {
         return Err(failed(format!("ffmpeg can read no frame of it; its words are in {}", log.display())));
     }
@@ -212,18 +250,26 @@ pub(crate) fn write(
     watch: &StepWatch<'_>,
 ) -> Result<(), PrepareError> {
     let Choice { film, frames, .. } = choice;
-    let wanted: Vec<String> = frames.iter().map(|f| format!("eq(n\\,{})", f.number)).collect();
+    if frames.is_empty() {
+        return Ok(());
+    }
+    let wanted: Vec<u64> = frames.iter().map(|f| f.number).collect();
     let matrix = film.matrix.map_or_else(String::new, |m| format!("in_color_matrix={m}:"));
     let filter = format!(
         "select={},scale={matrix}out_color_matrix=bt601:out_range=pc:flags=bicubic+accurate_rnd+full_chroma_int,\
          format=yuvj420p",
-        wanted.join("+")
+        expression(&wanted)
     );
+    // As an argument the filter of many frames could be too long.
+    let script = log.with_file_name(FILTER);
+    std::fs::write(&script, filter).map_err(PrepareError::file(&script))?;
+    let script = std::path::absolute(&script).map_err(PrepareError::file(&script))?;
     let mut command = tools::command(&ffmpeg.path);
     command.args(["-v", "error", "-stats", "-nostdin", "-y", "-i"]).arg(&film.path).args(["-an", "-sn"]);
-    command.args(["-vf", &filter]).args(numbers_kept(&ffmpeg.version)).args(["-qscale:v", "2"]);
-    let parts = folder.join("part-%06d.jpg");
-    command.arg(&parts);
+    command.arg(filter_from_file(&ffmpeg.version)).arg(script);
+    command.args(numbers_kept(&ffmpeg.version)).args(["-qscale:v", "2"]);
+    // The pattern has no folder, because a percent sign in the folder's name would be a part of it.
+    command.arg("part-%06d.jpg").current_dir(folder);
     let total = frames.len() as u64;
     let heard = |line: &str| {
         let done = line.rsplit("frame=").next().and_then(|rest| rest.split_whitespace().next()?.parse().ok());
@@ -247,6 +293,7 @@ impl Film {
     /// Remarks on the film for the user.
     pub(crate) fn remarks(&self) -> Vec<String> {
         let name = self.path.file_name().unwrap_or_default().to_string_lossy();
+        let name = shown(&name);
         let mut remarks = Vec::new();
         if self.hdr {
             remarks.push(format!(
@@ -292,8 +339,61 @@ mod tests {
             ("5.1.8-0+deb12u1", "-fps_mode"),
             ("7.0.2-static", "-fps_mode"),
             ("N-111-gabc", "-fps_mode"),
+            ("n4.4", "-vsync"),
         ] {
             assert_eq!(numbers_kept(version)[0], expected, "{version}");
+        }
+        for (version, expected) in [
+            ("4.4.2-0ubuntu", "-filter_script:v"),
+            ("5.1.8-0+deb12u1", "-filter_script:v"),
+            ("n7.1", "-filter_script:v"),
+            ("9.0.1", "-/filter:v"),
+            ("N-111-gabc", "-/filter:v"),
+        ] {
+            assert_eq!(filter_from_file(version), expected, "{version}");
+        }
+    }
+
+    #[test]
+    fn the_expression_of_many_frames_is_shallow() {
+        assert_eq!(expression(&[3, 8]), "eq(n\\,3)+eq(n\\,8)");
+        let few: Vec<u64> = (0..=SUM as u64).collect();
+        let (low, high) = (expression(&few[..8]), expression(&few[8..]));
+        assert_eq!(expression(&few), format!("if(lt(n\\,8)\\,{low}\\,{high})"));
+        let many: Vec<u64> = (0..100_000).map(|i| 7 * i).collect();
+        let text = expression(&many);
+        assert_eq!(text.matches("eq(").count(), many.len());
+        let deepest = text.chars().scan(0i32, |depth, c| {
+            *depth += i32::from(c == '(') - i32::from(c == ')');
+            Some(*depth)
+        });
+        assert!(deepest.max().unwrap() < 20);
+        assert!(text.split("eq(").all(|part| part.matches('+').count() < 2), "sums are flat");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_stream_that_breaks_off_is_an_error_and_ends_the_program() {
+        const HEAD: &str = "printf 'YUV4MPEG2 W4 H4 F1:1 Cmono\n'; printf 'FRAME\n0123456789abcdef'; ";
+        let dir = tempfile::tempdir().unwrap();
+        let log = dir.path().join("log.txt");
+        let stop = std::sync::atomic::AtomicBool::new(false);
+        let watch = StepWatch { stop: &stop, progress: &|_| (), note: &|_| () };
+        let read = |rest: &str| {
+            let mut command = Command::new("sh");
+            command.arg("-c").arg(format!("{HEAD}{rest}"));
+            grey_frames(&mut command, &log, &watch, 1, None)
+        };
+        assert_eq!(read("exit 0").unwrap().len(), 1);
+        // A film with damaged parts still counts.
+        assert_eq!(read("exit 69").unwrap().len(), 1);
+        for (rest, part) in [
+            ("printf 'FRAME\n0123'", "broke off after 1 frames"),
+            ("yes", "broke off after 1 frames"),
+            ("kill -9 $$", "it was killed"),
+        ] {
+            let message = read(rest).unwrap_err().to_string();
+            assert!(message.contains(part), "{rest}: {message}");
         }
     }
 

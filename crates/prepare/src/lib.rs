@@ -11,7 +11,7 @@
 //!
 //! [`recipes`] names the files of data sets that others published, and the choices for them.
 //!
-//! All work is done in one folder, beside the result. Each finished step is noted there with the digest of
+//! All work is done in one folder, beside the result ([`work`]). Each finished step is noted there with the digest of
 //! its inputs and choices, so an interrupted run continues, and a changed choice repeats only the steps after
 //! it. Images are not undistorted: the import does that.
 
@@ -27,12 +27,13 @@ mod sfm;
 mod sources;
 mod tools;
 mod verdict;
+mod work;
 
 pub use error::PrepareError;
 pub use params::{Mapper, Matching, PrepareParams};
-pub use prepare::{CAPTURE, Input, PREPARED, Prepared, key_of, prepare, work_folder};
+pub use prepare::{CAPTURE, Input, PREPARED, Prepared, check, key_of, prepare, work_folder};
 pub use process::{StepProgress, StepWatch};
 pub use recipes::{Recipe, RecipeScene, RecipeWork, balance, publish};
-pub use sources::{Sources, is_film, is_photograph};
+pub use sources::{Sources, holds_inputs, is_film, is_photograph};
 pub use tools::{Finder, Program, Programs};
 pub use verdict::{CameraVerdict, Grade};

@@ -104,6 +104,10 @@ impl PrepareParams {
                 format!("{} has {needed} parameters in COLMAP's order, and {given} were given", self.lens);
             return bad("--calibration", reason);
         }
+        if given != 0 && self.mapper == Mapper::Global {
+            let reason = "the global mapper does not keep a known lens; leave out `--mapper global`, or the calibration";
+            return bad("--calibration", reason.into());
+        }
         if self.calibration.iter().any(|v| !v.is_finite()) {
             return bad("--calibration", "expected finite numbers".into());
         }

@@ -28,7 +28,9 @@ pub(crate) fn copy(
             Some(ffmpeg) if photograph.converted => {
                 let source = std::path::absolute(from).map_err(PrepareError::file(from))?;
                 let mut command = tools::command(&ffmpeg.path);
-                command.args(["-v", "error", "-y", "-i"]).arg(source).args(["-frames:v", "1"]).arg(&to);
+                command.args(["-v", "error", "-y", "-i"]).arg(source);
+                // With `update` a percent sign in the path is no pattern for numbers.
+                command.args(["-frames:v", "1", "-update", "1"]).arg(&to);
                 let outcome = process::run(&mut command, log, watch.stop, |_| {})?;
                 if !outcome.status.success() {
                     let reason = format!("ffmpeg cannot convert it: {}", process::reason(&outcome));

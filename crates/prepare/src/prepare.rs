@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
 use serde::{Deserialize, Serialize};
-use serde_json::json;
+use serde_json::{Value, json};
+use use3d_capture::shown;
 use use3d_io_colmap::{Model, write_model_binary};
 
 use crate::error::PrepareError;
@@ -15,20 +16,16 @@ use crate::film::{self, Choice};
 use crate::params::{FEWEST, PrepareParams};
 use crate::photographs;
 use crate::process::{StepProgress, StepWatch};
-use crate::sfm::{Commands, FEATURES_DB, IMAGES, MATCHES_DB, MODELS, Sfm, groups};
+use crate::sfm::{FEATURES_DB, IMAGES, MATCHES_DB, MODELS, Sfm, groups};
 use crate::sources::{BESIDE, Sources};
 use crate::tools::{Finder, Program, Programs};
-use crate::verdict::{CameraVerdict, judge, models, remedies};
+use crate::verdict::{CameraVerdict, ModelContext, judge, models, remedies};
+use crate::work::{Step, Work, hash};
 
 /// The record of a preparation, in the capture's folder.
 pub const PREPARED: &str = "prepare.json";
 /// The finished capture, in the folder of the work.
 pub const CAPTURE: &str = "capture";
-const STATE: &str = "state.json";
-const LOG: &str = "log.txt";
-/// Attempts to lock the folder of the work, and the pause between them, milliseconds.
-const LOCK_TRIES: u64 = 40;
-const LOCK_PAUSE: u64 = 50;
 /// Changes when images are chosen or written in another way.
 const RULES: u32 = 1;
 
@@ -66,11 +63,6 @@ fn record(capture: &Path) -> Option<PreparedRecord> {
     serde_json::from_slice(&bytes).ok()
 }
 
-fn hash(value: &impl Serialize) -> String {
-    let text = serde_json::to_string(value).unwrap_or_default();
-    blake3::hash(text.as_bytes()).to_hex().to_string()
-}
-
 /// The digest of a preparation's inputs and choices, with the inputs, and true if the capture at `earlier`
 /// was made from the same. An input whose size and time have not changed since is not read again.
 ///
@@ -87,7 +79,7 @@ pub fn key_of(
     let known = earlier.iter().flat_map(|r| &r.inputs).map(|input| (&*input.name, input));
     let known: BTreeMap<&str, &Input> = known.collect();
     let mut inputs = Vec::new();
-    for (name, path) in sources.files() {
+    for (name, path) in sources.files()? {
         let bad = PrepareError::file(&path);
         let data = std::fs::metadata(&path).map_err(&bad)?;
         let since = data.modified().ok().and_then(|t| t.duration_since(UNIX_EPOCH).ok());
@@ -145,43 +137,30 @@ struct Taken {
     camera: String,
 }
 
-/// The finished steps, each with the digest of everything that it depends on.
-#[derive(Default, Serialize, Deserialize)]
-struct FinishedSteps {
-    images: Option<(String, Vec<Taken>, Vec<String>)>,
-    features: Option<(String, Commands)>,
-    matches: Option<(String, Commands)>,
-    cameras: Option<(String, Commands)>,
+/// Refuses choices that cannot be carried out, and names missing programs, without reading the inputs.
+///
+/// # Errors
+/// Returns the first such choice or program.
+pub fn check(sources: &Sources, params: &PrepareParams, programs: &Programs) -> Result<(), PrepareError> {
+    needed(sources, params, programs).map(|_| ())
 }
 
-struct Work<'a> {
-    folder: &'a Path,
-    log: PathBuf,
-    state: FinishedSteps,
-}
-
-impl Work<'_> {
-    fn keep(&self) -> Result<(), PrepareError> {
-        let path = self.folder.join(STATE);
-        let bytes = serde_json::to_vec(&self.state).unwrap_or_default();
-        use3d_files::write_atomically(&path, |w| std::io::Write::write_all(w, &bytes))
-            .map_err(PrepareError::file(&path))
+/// The programs that these inputs need: one for films and conversion, and one for cameras.
+fn needed(
+    sources: &Sources,
+    params: &PrepareParams,
+    programs: &Programs,
+) -> Result<(Option<Program>, Program), PrepareError> {
+    params.validate()?;
+    let needs_ffmpeg = sources.has_films() || sources.photographs.iter().any(|p| p.converted);
+    let ffmpeg = needs_ffmpeg.then(|| programs.film()).transpose()?;
+    if let (false, [first, ..]) = (sources.has_films(), &sources.photographs[..])
+        && sources.photographs.len() < FEWEST
+    {
+        let reason = format!("a scene needs {FEWEST} photographs at least, better 30 to 200");
+        return Err(PrepareError::input(&first.path, reason));
     }
-
-    fn remove(&self, name: &str) -> Result<(), PrepareError> {
-        let path = self.folder.join(name);
-        let removed =
-            if path.is_dir() { std::fs::remove_dir_all(&path) } else { std::fs::remove_file(&path) };
-        match removed {
-            Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(PrepareError::file(&path)(e)),
-            _ => Ok(()),
-        }
-    }
-
-    /// Removes a database with the files that belong to it.
-    fn remove_database(&self, name: &str) -> Result<(), PrepareError> {
-        ["", "-wal", "-shm", "-journal"].iter().try_for_each(|end| self.remove(&format!("{name}{end}")))
-    }
+    Ok((ffmpeg, programs.cameras()?))
 }
 
 /// Prepares a capture in `folder`, the folder of the work: the result is its `capture`. `key` and `inputs`
@@ -197,155 +176,104 @@ pub fn prepare(
     (folder, threads): (&Path, usize),
     watch: &StepWatch<'_>,
 ) -> Result<Prepared, PrepareError> {
-    params.validate()?;
-    // Missing programs are named before any work is done.
-    let needs_ffmpeg = sources.has_films() || sources.photographs.iter().any(|p| p.converted);
-    let ffmpeg = needs_ffmpeg.then(|| programs.film()).transpose()?;
-    let program = programs.cameras()?;
-    if !sources.has_films() && sources.photographs.len() < FEWEST {
-        let path = sources.photographs.first().map_or(folder, |p| &p.path);
-        let reason = format!("a scene needs {FEWEST} photographs at least, better 30 to 200");
-        return Err(PrepareError::input(path, reason));
-    }
-    std::fs::create_dir_all(folder).map_err(PrepareError::file(folder))?;
-    let lock = File::create(folder.join("lock")).map_err(PrepareError::file(folder))?;
-    // A program that another thread has just started may hold a copy of an old lock until it runs, so one
-    // refusal says little. A file system without locks is no reason to refuse.
-    let taken = |attempt: u64| {
-        std::thread::sleep(std::time::Duration::from_millis(attempt.min(1) * LOCK_PAUSE));
-        matches!(lock.try_lock(), Err(std::fs::TryLockError::WouldBlock))
-    };
-    if (0..LOCK_TRIES).all(taken) {
-        return Err(PrepareError::Busy { path: folder.to_path_buf() });
-    }
-    let state = std::fs::read(folder.join(STATE)).ok();
-    let state = state.and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default();
-    let mut work = Work { folder, log: folder.join(LOG), state };
-
-    let digests: Vec<(&str, &str)> = inputs.iter().map(|i| (&*i.name, &*i.digest)).collect();
-    let images_key = hash(&json!({ "rules": RULES, "inputs": digests, "frames": params.frames }));
-    if work.state.images.as_ref().is_none_or(|(done, ..)| *done != images_key) {
-        let (taken, remarks) = images(sources, params, ffmpeg.as_ref(), &work, watch)?;
-        work.state =
-            FinishedSteps { images: Some((images_key.clone(), taken, remarks)), ..FinishedSteps::default() };
-        work.keep()?;
-    } else {
-        (watch.note)("images: kept from the last attempt");
-    }
-    let Some((_, taken, mut remarks)) = work.state.images.clone() else {
-        return Err(PrepareError::Interrupted);
-    };
-    let names: Vec<String> = taken.iter().map(|t| t.image.clone()).collect();
-    if names.len() < FEWEST {
+    let (ffmpeg, program) = needed(sources, params, programs)?;
+    let mut work = Work::open(folder, watch)?;
+    // Other inputs, such as masks, are copied after the last step.
+    let digests: Vec<(&str, &str)> =
+        inputs.iter().take(sources.count()).map(|i| (&*i.name, &*i.digest)).collect();
+    let choices = json!({ "rules": RULES, "inputs": digests, "frames": params.frames });
+    let step = Step { name: "images", output: IMAGES, choices };
+    let Images { taken, mut remarks } =
+        work.step(step, |work| images(sources, params, ffmpeg.as_ref(), work, watch))?;
+    if taken.len() < FEWEST {
         let path = sources.films.first().map_or(folder, |p| p.as_path());
         let reason = format!(
             "{} usable frames were found, and a scene needs {FEWEST} at least: it is too short, too dark, or stands still",
-            names.len()
+            taken.len()
         );
         return Err(PrepareError::input(path, reason));
     }
 
-    let sfm = Sfm {
-        program: &program,
-        params,
-        work: folder,
-        log: &work.log.clone(),
-        threads,
-        watch,
-        images: names.len(),
-    };
+    let log = work.log.clone();
+    let (program, images) = (&program, taken.len());
+    let sfm = Sfm { program, params, work: folder, log: &log, threads, watch, images };
     let cameras: Vec<(String, String)> = taken.iter().map(|t| (t.image.clone(), t.camera.clone())).collect();
     let groups = groups(&cameras);
     if groups.len() > 1 && !params.calibration.is_empty() {
         let reason = format!("the images come from {} cameras, and one calibration was given", groups.len());
         return Err(PrepareError::Choice { flag: "--calibration", reason });
     }
-    let matching = params.matching.settle(names.len(), sources.has_films());
-    let features_key = hash(&json!({
-        "images": images_key, "program": program, "lens": params.lens, "calibration": params.calibration,
-        "features": params.features,
-    }));
-    if work.state.features.as_ref().is_none_or(|(done, _)| *done != features_key) {
-        // A step that was interrupted starts again, so that its result does not depend on the interruption.
-        work.remove_database(FEATURES_DB)?;
-        work.state = FinishedSteps { features: None, matches: None, cameras: None, ..work.state };
-        work.keep()?;
+    sfm.check_calibration()?;
+    let choices = json!({
+        "program": program, "lens": params.lens, "calibration": params.calibration, "features": params.features,
+    });
+    let features = work.step(Step { name: "features", output: FEATURES_DB, choices }, |_| {
         let commands = sfm.features(&groups)?;
-        work.state.features = Some((features_key.clone(), commands));
-        work.keep()?;
-        (watch.note)(&format!("features: found in {} images", names.len()));
-    } else {
-        (watch.note)("features: kept from the last attempt");
-    }
-    let matches_key = hash(&json!([features_key, matching, params.repeatable]));
-    if work.state.matches.as_ref().is_none_or(|(done, _)| *done != matches_key) {
-        work.remove_database(MATCHES_DB)?;
-        work.state = FinishedSteps { matches: None, cameras: None, ..work.state };
-        work.keep()?;
+        (watch.note)(&format!("features: found in {images} images"));
+        Ok(commands)
+    })?;
+    let matching = params.matching.settle(images, sources.has_films());
+    let choices = json!([matching, params.repeatable]);
+    let matches = work.step(Step { name: "matches", output: MATCHES_DB, choices }, |_| {
         let (from, to) = (folder.join(FEATURES_DB), folder.join(MATCHES_DB));
-        // A fake or broken program may have written none; the step then says so itself.
-        if from.is_file() {
-            std::fs::copy(&from, &to).map_err(PrepareError::file(&from))?;
-        }
+        std::fs::copy(&from, &to).map_err(PrepareError::file(&from))?;
         let commands = sfm.matches(matching)?;
-        work.state.matches = Some((matches_key.clone(), commands));
-        work.keep()?;
         (watch.note)("matches: the images are compared");
-    } else {
-        (watch.note)("matches: kept from the last attempt");
-    }
-    let cameras_key = hash(&json!([matches_key, params.mapper]));
-    if work.state.cameras.as_ref().is_none_or(|(done, _)| *done != cameras_key) {
-        work.remove(MODELS)?;
-        work.state.cameras = None;
-        work.keep()?;
-        let commands = sfm.map()?;
-        work.state.cameras = Some((cameras_key, commands));
-        work.keep()?;
-    } else {
-        (watch.note)("cameras: kept from the last attempt");
-    }
+        Ok(commands)
+    })?;
+    let choices = json!(params.mapper);
+    let cameras = work.step(Step { name: "cameras", output: MODELS, choices }, |_| sfm.map())?;
 
+    let names: Vec<String> = taken.iter().map(|t| t.image.clone()).collect();
     let found: Vec<Model> = models(&folder.join(MODELS))?;
-    let Some(verdict) = judge(&found, &names, (params, matching, sources.has_films())) else {
+    let context =
+        ModelContext { params, matching, films: sources.has_films(), features: sfm.feature_count() };
+    let Some(verdict) = judge(&found, &names, &context) else {
         // The next attempt maps again, perhaps with another version of the program.
-        work.state.cameras = None;
-        work.keep()?;
+        work.forget_last()?;
         let reason = format!(
             "neighbouring images share too few features, because they are blurred, hazy, empty or too far apart; {}",
-            remedies(params, matching, sources.has_films()).join("; ")
+            remedies(&context).join("; ")
         );
-        return Err(PrepareError::NoCameras { images: names.len(), reason, log: work.log });
+        return Err(PrepareError::NoCameras { images, reason, log });
     };
     if found.iter().any(|m| m.check_single(&folder.join(MODELS)).is_err()) {
         remarks.push("a model has numbers beyond single precision; the import will refuse it".into());
     }
     assemble(&work, sources, &found)?;
-    let FinishedSteps { features, matches, cameras, .. } = &work.state;
-    let steps = [("features", features), ("matches", matches), ("cameras", cameras)];
-    let commands: BTreeMap<&str, &Commands> =
-        steps.into_iter().filter_map(|(name, step)| Some((name, &step.as_ref()?.1))).collect();
-    let programs: Vec<&Program> = ffmpeg.iter().chain([&program]).collect();
+    let commands = json!({ "features": features, "matches": matches, "cameras": cameras });
+    let programs: Vec<&Program> = ffmpeg.iter().chain([program]).collect();
     let record = json!({
         "format": "use3d preparation", "schema": 1, "key": key, "programs": programs, "params": params,
         "matching": matching, "inputs": inputs, "images": taken, "cameras": groups.len(), "commands": commands,
         "verdict": verdict, "remarks": remarks,
     });
-    let path = folder.join(CAPTURE).join(PREPARED);
-    let mut bytes = serde_json::to_vec_pretty(&record).unwrap_or_default();
-    bytes.push(b'\n');
-    std::fs::write(&path, bytes).map_err(PrepareError::file(&path))?;
+    write_record(&folder.join(CAPTURE), &record)?;
     Ok(Prepared { verdict, remarks })
 }
 
-/// Writes the images of all inputs, and returns them with remarks.
+/// Writes the record of a preparation into its capture.
+pub(crate) fn write_record(capture: &Path, record: &Value) -> Result<(), PrepareError> {
+    let path = capture.join(PREPARED);
+    std::fs::write(&path, format!("{record:#}\n")).map_err(PrepareError::file(&path))
+}
+
+/// The images of a capture.
+#[derive(Serialize, Deserialize)]
+struct Images {
+    taken: Vec<Taken>,
+    /// Remarks on the inputs for the user.
+    remarks: Vec<String>,
+}
+
+/// Writes the images of all inputs.
 fn images(
     sources: &Sources,
     params: &PrepareParams,
     ffmpeg: Option<&Program>,
     work: &Work<'_>,
     watch: &StepWatch<'_>,
-) -> Result<(Vec<Taken>, Vec<String>), PrepareError> {
+) -> Result<Images, PrepareError> {
     work.remove(CAPTURE)?;
     let folder = work.folder.join(IMAGES);
     std::fs::create_dir_all(&folder).map_err(PrepareError::file(&folder))?;
@@ -364,10 +292,11 @@ fn images(
         film::write(ffmpeg, &choice, (&own, &paths), &work.log, watch)?;
         let Choice { film, frames, looked_at, overlap } = choice;
         let file = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        (watch.note)(&format!("{file}: {} frames taken of {looked_at} that were looked at", frames.len()));
+        let said = shown(&file);
+        (watch.note)(&format!("{said}: {} frames taken of {looked_at} that were looked at", frames.len()));
         if overlap == 0.0 {
             remarks.push(format!(
-                "{file} is long: {most} frames are too few for neighbours to overlap; allow more with --frames, or cut \
+                "{said} is long: {most} frames are too few for neighbours to overlap; allow more with --frames, or cut \
                  the film into parts"
             ));
         }
@@ -403,7 +332,7 @@ fn images(
     taken.sort_by(|a, b| a.image.cmp(&b.image));
     let total = taken.len() as u64;
     (watch.progress)(StepProgress { step: "images", done: total, total, unit: "images" });
-    Ok((taken, remarks))
+    Ok(Images { taken, remarks })
 }
 
 /// Puts the models, and what lies beside the photographs, into the capture.

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 use std::fs::{File, OpenOptions};
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{BufReader, Read, Write};
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -52,24 +52,53 @@ impl Drop for Ended {
 }
 
 /// The longest line that is kept, bytes.
-const LONGEST: u64 = 4096;
+const LONGEST: usize = 4096;
 /// The number of last lines that a message about a failure can draw from.
 const LAST: usize = 12;
 /// Time between two looks at the caller's wish to stop.
 const LOOK: Duration = Duration::from_millis(100);
 
-fn forward(stream: impl Read + Send + 'static, lines: Sender<String>) {
-    std::thread::spawn(move || {
-        let mut reader = BufReader::new(stream);
-        let mut bytes = Vec::new();
-        while let Ok(1..) = reader.by_ref().take(LONGEST).read_until(b'\n', &mut bytes) {
-            let line = String::from_utf8_lossy(&bytes).trim_end().to_string();
-            if lines.send(line).is_err() {
-                return;
+/// Splits a stream into lines. `heard` gets each line, with true if a terminal would overwrite it with the next
+/// one, as programs do with their progress; it returns false to end the reading.
+fn split(stream: impl Read, mut heard: impl FnMut(String, bool) -> bool) {
+    let mut line = Vec::new();
+    let mut send = |line: &mut Vec<u8>, overwritten: bool| {
+        let text = String::from_utf8_lossy(line).trim_end().to_string();
+        line.clear();
+        heard(text, overwritten)
+    };
+    // A carriage return ends a line that is overwritten, unless a line end follows it.
+    let mut returned = false;
+    for byte in BufReader::new(stream).bytes() {
+        let Ok(byte) = byte else { break };
+        let more = match byte {
+            b'\n' => {
+                returned = false;
+                send(&mut line, false)
             }
-            bytes.clear();
+            b'\r' => {
+                returned = true;
+                true
+            }
+            _ => {
+                let ended = returned || line.len() == LONGEST;
+                let more = !ended || send(&mut line, returned);
+                returned = false;
+                line.push(byte);
+                more
+            }
+        };
+        if !more {
+            return;
         }
-    });
+    }
+    if !line.is_empty() {
+        send(&mut line, false);
+    }
+}
+
+fn forward(stream: impl Read + Send + 'static, lines: Sender<(String, bool)>) {
+    std::thread::spawn(move || split(stream, |line, overwritten| lines.send((line, overwritten)).is_ok()));
 }
 
 /// The end of a program: its status and its last lines that are not empty.
@@ -114,7 +143,8 @@ pub(crate) fn run(
             return Err(PrepareError::Interrupted);
         }
         match lines.recv_timeout(LOOK) {
-            Ok(line) => {
+            Ok((line, true)) => heard(&line),
+            Ok((line, false)) => {
                 writeln!(file, "{line}").map_err(&failed)?;
                 heard(&line);
                 if !line.trim().is_empty() {
@@ -196,6 +226,35 @@ mod tests {
         ] {
             assert_eq!(counts(line), expected, "{line}");
         }
+    }
+
+    #[test]
+    fn progress_that_overwrites_itself_arrives_line_by_line() {
+        let long = "x".repeat(LONGEST + 3);
+        let text = format!("begin\r\n\nframe= 1 \rframe= 2\r\rframe= 3\r\nerror\n{long}\nlast");
+        let mut found = Vec::new();
+        split(text.as_bytes(), |line, overwritten| {
+            found.push((line, overwritten));
+            true
+        });
+        let expected = [
+            ("begin", false),
+            ("", false),
+            ("frame= 1", true),
+            ("frame= 2", true),
+            ("frame= 3", false),
+            ("error", false),
+            (&long[..LONGEST], false),
+            ("xxx", false),
+            ("last", false),
+        ];
+        assert_eq!(found, expected.map(|(line, overwritten)| (line.to_string(), overwritten)));
+        let mut count = 0;
+        split("a\nb\nc\n".as_bytes(), |_, _| {
+            count += 1;
+            count < 2
+        });
+        assert_eq!(count, 2);
     }
 
     #[cfg(unix)]

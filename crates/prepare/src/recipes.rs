@@ -14,7 +14,7 @@ use use3d_io_image::{ChannelHistogram, read_pixels, write_png16};
 use crate::error::PrepareError;
 use crate::params::{Matching, PrepareParams};
 use crate::photographs::copy_all;
-use crate::prepare::{CAPTURE, PREPARED};
+use crate::prepare::{CAPTURE, Input, write_record};
 use crate::process::{StepProgress, StepWatch};
 use crate::sources::{Sources, is_film};
 
@@ -171,11 +171,16 @@ impl Recipe {
     }
 }
 
-/// Copies photographs and their model into the folder of the work, as a capture. `key` goes into its record.
+/// Copies photographs and their model into the folder of the work, as a capture. `key` and `inputs` go into
+/// its record.
 ///
 /// # Errors
 /// A file cannot be copied.
-pub fn publish(images: &Path, model: &Path, key: &str, work: &Path) -> Result<(), PrepareError> {
+pub fn publish(
+    (images, model): (&Path, &Path),
+    (key, inputs): (&str, &[Input]),
+    work: &Path,
+) -> Result<(), PrepareError> {
     let capture = work.join(CAPTURE);
     if capture.exists() {
         std::fs::remove_dir_all(&capture).map_err(PrepareError::file(&capture))?;
@@ -184,9 +189,8 @@ pub fn publish(images: &Path, model: &Path, key: &str, work: &Path) -> Result<()
     std::fs::create_dir_all(&sparse).map_err(PrepareError::file(&sparse))?;
     copy_all(images, &capture.join("images_wb"))?;
     copy_all(model, &sparse.join("0"))?;
-    let path = capture.join(PREPARED);
-    let record = json!({ "format": "use3d preparation", "schema": 1, "key": key, "inputs": [] });
-    std::fs::write(&path, format!("{record:#}\n")).map_err(PrepareError::file(&path))
+    let record = json!({ "format": "use3d preparation", "schema": 1, "key": key, "inputs": inputs });
+    write_record(&capture, &record)
 }
 
 /// Writes linear photographs as pictures for screens: each channel is divided by its 99.8 % quantile over all

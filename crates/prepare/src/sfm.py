@@ -1,11 +1,17 @@
-"""One step of finding cameras with pycolmap: features, matches or map. Its argument is a JSON object.
+"""One step of finding cameras with pycolmap: check, features, matches or map.
+
+The arguments are the step and the path of a file with a JSON object.
 
 Names of arguments and options changed between versions of pycolmap, so each is looked up before it is used.
 """
 
+import sys
+
+# Python would import modules from the folder in which it is started, and so run files of the user.
+sys.path = [place for place in sys.path if place]
+
 import json
 import os
-import sys
 
 import pycolmap
 
@@ -13,6 +19,10 @@ import pycolmap
 if hasattr(pycolmap, "logging"):
     pycolmap.logging.logtostderr = True
     pycolmap.logging.minloglevel = 0
+
+
+# The options of the mapper that keep a known lens.
+FIXED = {"ba_refine_focal_length": False, "ba_refine_extra_params": False}
 
 
 def set_options(options, values):
@@ -35,6 +45,14 @@ def call(function, *positional, **named):
 
 def first_class(*names):
     return next(getattr(pycolmap, name)() for name in names if hasattr(pycolmap, name))
+
+
+def check(_job):
+    """Fails if this version cannot keep a known lens. It runs before any other step."""
+    options = pycolmap.IncrementalPipelineOptions()
+    missing = [name for name in FIXED if not hasattr(options, name)]
+    if missing:
+        sys.exit("this version of pycolmap has no option " + " or ".join(missing))
 
 
 def features(job):
@@ -94,11 +112,15 @@ def map_images(job):
     seed = {"random_seed": 0, "mapper.random_seed": 0, "triangulation.random_seed": 0}
     threads = {"num_threads": job["threads"], "mapper.num_threads": job["threads"]}
     small = {"min_model_size": job["smallest"], "mapper.init_min_tri_angle": job["first_angle"]}
-    fixed = {"ba_refine_focal_length": False, "ba_refine_extra_params": False} if job["fixed"] else {}
+    if job["fixed"]:
+        check(job)
+    fixed = FIXED if job["fixed"] else {}
     if job["mapper"] == "global":
+        if job["fixed"]:
+            sys.exit("the global mapper does not keep a known lens; take the incremental one")
         if not hasattr(pycolmap, "global_mapping"):
             sys.exit("this version of pycolmap has no global mapper; take the incremental one")
-        options = set_options(pycolmap.GlobalPipelineOptions(), {**seed, **threads, **fixed})
+        options = set_options(pycolmap.GlobalPipelineOptions(), {**seed, **threads})
         pycolmap.global_mapping(job["database"], job["images"], job["models"], options)
         return
     options = set_options(pycolmap.IncrementalPipelineOptions(), {**seed, **threads, **small, **fixed})
@@ -107,4 +129,6 @@ def map_images(job):
 
 if hasattr(pycolmap, "set_random_seed"):
     pycolmap.set_random_seed(0)
-{"features": features, "matches": matches, "map": map_images}[sys.argv[1]](json.loads(sys.argv[2]))
+with open(sys.argv[2], encoding="utf-8") as file:
+    given = json.load(file)
+{"check": check, "features": features, "matches": matches, "map": map_images}[sys.argv[1]](given)

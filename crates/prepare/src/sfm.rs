@@ -17,7 +17,11 @@ use crate::process::{self, ProgramEnd, StepProgress, StepWatch, counts, spelled}
 use crate::tools::{self, Program};
 
 /// The script for `pycolmap`.
-const SCRIPT: &str = include_str!("sfm.py");
+pub(crate) const SCRIPT: &str = include_str!("sfm.py");
+/// The file with the script's input, in the folder of the work. As an argument it could be too long.
+const JOB: &str = "job.json";
+/// The options of the mapper that keep a known lens.
+const FIXED: [&[&str]; 2] = [&["--Mapper.ba_refine_focal_length"], &["--Mapper.ba_refine_extra_params"]];
 /// Features of an image on the processor and on a graphics card: comparing them takes the square of their
 /// number.
 const FEATURES: (usize, usize) = (3000, 8192);
@@ -72,7 +76,8 @@ impl Sfm<'_> {
         if self.params.repeatable { 1 } else { self.threads }
     }
 
-    fn feature_count(&self) -> usize {
+    /// The most features of an image.
+    pub(crate) fn feature_count(&self) -> usize {
         self.params.features.unwrap_or(if self.program.card { FEATURES.1 } else { FEATURES.0 })
     }
 
@@ -87,11 +92,44 @@ impl Sfm<'_> {
         job: &Value,
         heard: impl FnMut(&str),
     ) -> Result<(ProgramEnd, Commands), PrepareError> {
+        let path = self.work.join(JOB);
+        std::fs::write(&path, job.to_string()).map_err(PrepareError::file(&path))?;
         let mut command = self.command();
-        command.args(["-c", SCRIPT, step]).arg(job.to_string());
+        command.args(["-c", SCRIPT, step, JOB]);
         let outcome = process::run(&mut command, self.log, self.watch.stop, heard)?;
         let said = ["python3", "-c", "SCRIPT", step].map(String::from).to_vec();
         Ok((outcome, vec![[said, vec![job.to_string()]].concat()]))
+    }
+
+    /// The help of a verb of `colmap`.
+    fn help(&self, verb: &str) -> Result<String, PrepareError> {
+        let help = self.command().args([verb, "-h"]).stdin(Stdio::null()).output();
+        let help = help.map_err(PrepareError::file(&self.program.path))?;
+        Ok(String::from_utf8_lossy(&[help.stdout, help.stderr].concat()).into_owned())
+    }
+
+    /// Refuses a known lens if the mapper has no option that keeps it.
+    ///
+    /// # Errors
+    /// The error names the flag and the program.
+    pub(crate) fn check_calibration(&self) -> Result<(), PrepareError> {
+        if self.params.calibration.is_empty() {
+            return Ok(());
+        }
+        let lacking = if self.is_package() {
+            let (outcome, _) = self.script("check", &json!({}), |_| {})?;
+            (!outcome.status.success()).then(|| process::reason(&outcome))
+        } else {
+            let help = self.help("mapper")?;
+            let lacking = FIXED.iter().find(|names| !names.iter().any(|name| lists(&help, name)));
+            lacking.map(|names| format!("its mapper has no option {}", names.join(" or ")))
+        };
+        let Some(lacking) = lacking else { return Ok(()) };
+        let Program { name, version, .. } = self.program;
+        let reason = format!(
+            "{name} {version} cannot keep a known lens: {lacking}; leave the flag out, or update {name}"
+        );
+        Err(PrepareError::Choice { flag: "--calibration", reason })
     }
 
     /// Runs a verb of `colmap`. An option counts with the first of its names that the program's help lists.
@@ -102,17 +140,14 @@ impl Sfm<'_> {
         options: &[(&[&str], String)],
         heard: impl FnMut(&str),
     ) -> Result<(ProgramEnd, Vec<String>), PrepareError> {
-        let help = self.command().args([verb, "-h"]).stdin(Stdio::null()).output();
-        let help = help.map_err(PrepareError::file(&self.program.path))?;
-        let help = String::from_utf8_lossy(&[help.stdout, help.stderr].concat()).into_owned();
-        let known = |name: &str| help.split_whitespace().any(|word| word == name);
+        let help = self.help(verb)?;
         let mut command = self.command();
         command.arg(verb);
         for (name, value) in arguments {
             command.args([*name, value]);
         }
         for (names, value) in options {
-            if let Some(name) = names.iter().find(|name| known(name)) {
+            if let Some(name) = names.iter().find(|name| lists(&help, name)) {
                 command.args([*name, value]);
             }
         }
@@ -261,8 +296,7 @@ impl Sfm<'_> {
                 (&["--Mapper.random_seed", "--GlobalMapper.random_seed"], "0".to_string()),
             ];
             if fixed {
-                options.push((&["--Mapper.ba_refine_focal_length"], "0".to_string()));
-                options.push((&["--Mapper.ba_refine_extra_params"], "0".to_string()));
+                options.extend(FIXED.map(|names| (names, "0".to_string())));
             }
             let (outcome, said) = self.verb(verb, &arguments, &options, tell)?;
             (outcome, vec![said])
@@ -286,6 +320,11 @@ impl Sfm<'_> {
             Err(self.failed(STEP, &outcome))
         }
     }
+}
+
+/// True if a help lists an option.
+fn lists(help: &str, option: &str) -> bool {
+    help.split_whitespace().any(|word| word == option)
 }
 
 /// The number of images with a place, in a line of the mapper.

@@ -1,11 +1,15 @@
 //! The inputs: films and photographs, in the order in which they are given.
 
+use std::collections::BTreeSet;
+use std::fs::File;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use use3d_capture::FileName;
 use use3d_io_image::{FileFormat, image_info, read_exif};
 
 use crate::error::PrepareError;
+use crate::prepare::PREPARED;
 
 const FILMS: [&str; 14] =
     ["mp4", "mov", "avi", "mkv", "webm", "m4v", "mts", "m2ts", "mpg", "mpeg", "wmv", "3gp", "lrv", "insv"];
@@ -20,6 +24,11 @@ const IMAGES: [&str; 4] = ["images", "images_wb", "Images_wb", "input"];
 /// Files and folders that are copied beside the images of a capture without a model.
 pub(crate) const BESIDE: [&str; 6] =
     ["masks", "depth", "depths", "depthAnythingV2_u16", "train_list.txt", "test_list.txt"];
+/// The file in every result of this program, and the formats that its first bytes name.
+const RECORD: &str = "manifest.json";
+const RECORD_FORMATS: [&str; 2] = ["\"use3d artifact\"", "\"use3d result\""];
+/// The file in every folder that a program can make again.
+const CACHE_TAG: &str = "CACHEDIR.TAG";
 
 fn has(path: &Path, extensions: &[&str]) -> bool {
     path.extension().is_some_and(|e| extensions.iter().any(|known| e.eq_ignore_ascii_case(known)))
@@ -33,6 +42,46 @@ pub fn is_film(path: &Path) -> bool {
 /// True if a file's name ends like a photograph's, also one that must be converted first.
 pub fn is_photograph(path: &Path) -> bool {
     has(path, &PHOTOGRAPHS) || has(path, &CONVERTED) || has(path, &REFUSED)
+}
+
+/// True for the small copy of a film that a camera stores beside it.
+fn is_proxy(path: &Path) -> bool {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    has(path, &["lrv"]) || has(path, &["insv"]) && name.starts_with("LRV_")
+}
+
+/// True if a program made a folder: a prepared capture, a result of this program, or a cache.
+fn is_made(folder: &Path) -> bool {
+    // Other programs also write a file of the record's name, so its first bytes are checked.
+    let recorded = || {
+        let mut head = Vec::new();
+        let read = File::open(folder.join(RECORD)).and_then(|file| file.take(4096).read_to_end(&mut head));
+        let text = String::from_utf8_lossy(&head);
+        read.is_ok() && RECORD_FORMATS.iter().any(|format| text.contains(format))
+    };
+    [PREPARED, CACHE_TAG].iter().any(|name| folder.join(name).is_file()) || recorded()
+}
+
+/// The films and photographs in a folder, to this depth of folders. Results of this program, and folders of a
+/// capture that hold other images of the same names, are left out.
+fn walk(root: &Path, depth: usize) -> impl Iterator<Item = Result<PathBuf, PrepareError>> {
+    let visible = |entry: &walkdir::DirEntry| {
+        let name = entry.file_name().to_string_lossy();
+        let folder = entry.file_type().is_dir();
+        entry.depth() == 0
+            || !(name.starts_with('.') || folder && (OTHERS.contains(&&*name) || is_made(entry.path())))
+    };
+    let is_input = |path: &Path| path.is_file() && !is_proxy(path) && (is_film(path) || is_photograph(path));
+    let entries = walkdir::WalkDir::new(root).max_depth(depth).follow_links(true);
+    entries.into_iter().filter_entry(visible).filter_map(move |entry| match entry {
+        Ok(entry) => is_input(entry.path()).then(|| Ok(entry.into_path())),
+        Err(e) => Some(Err(PrepareError::input(e.path().unwrap_or(Path::new(".")), e.to_string()))),
+    })
+}
+
+/// True if a folder, or a folder in it, has films or photographs.
+pub fn holds_inputs(folder: &Path) -> bool {
+    walk(folder, 2).any(|found| found.is_ok())
 }
 
 /// A photograph.
@@ -56,6 +105,8 @@ pub struct Sources {
     pub(crate) photographs: Vec<Photograph>,
     /// A folder with masks, depth maps or lists beside its photographs.
     pub(crate) capture: Option<PathBuf>,
+    /// Further folders and files whose content counts, with their names in the record.
+    others: Vec<(String, PathBuf)>,
 }
 
 impl Sources {
@@ -94,34 +145,29 @@ impl Sources {
         let inner = IMAGES.iter().map(|name| folder.join(name)).find(|path| path.is_dir());
         if inner.is_some() && !several {
             self.capture = Some(folder.to_path_buf());
+            let beside = BESIDE.iter().map(|name| (name.to_string(), folder.join(name)));
+            self.others.extend(beside.filter(|(_, path)| path.exists()));
         }
         let root = inner.unwrap_or_else(|| folder.to_path_buf());
         let own = folder.file_name().map(|n| n.to_string_lossy().into_owned());
         let prefix = own.filter(|_| several).map(|name| name + "/").unwrap_or_default();
-        let visible = |entry: &walkdir::DirEntry| {
-            let name = entry.file_name().to_string_lossy();
-            entry.depth() == 0
-                || !(name.starts_with('.') || OTHERS.contains(&&*name) && entry.file_type().is_dir())
-        };
-        let (mut count, mut names) = (0, Vec::new());
-        for entry in walkdir::WalkDir::new(&root).follow_links(true).into_iter().filter_entry(visible) {
-            let entry = entry.map_err(|e| PrepareError::input(&root, e.to_string()))?;
-            let path = entry.path();
-            if !path.is_file() || !(is_film(path) || is_photograph(path)) {
-                continue;
-            }
-            count += 1;
-            if is_film(path) {
-                names.push(path.to_path_buf());
-                continue;
-            }
-            let relative = path.strip_prefix(&root).unwrap_or(path).to_string_lossy().replace('\\', "/");
-            self.photograph(path, &format!("{prefix}{relative}"))?;
-        }
-        names.sort();
-        self.films.append(&mut names);
-        if count == 0 {
+        let mut found = walk(&root, usize::MAX).collect::<Result<Vec<PathBuf>, PrepareError>>()?;
+        // Cameras can store a raw or HEIC file and a JPEG of the same photograph.
+        let readable = |path: &&PathBuf| has(path, &PHOTOGRAPHS) || has(path, &CONVERTED);
+        let readable: BTreeSet<PathBuf> =
+            found.iter().filter(readable).map(|path| path.with_extension("")).collect();
+        found.retain(|path| !(has(path, &REFUSED) && readable.contains(&path.with_extension(""))));
+        if found.is_empty() {
             return Err(PrepareError::input(folder, "there are no films or photographs in this folder"));
+        }
+        found.sort();
+        for path in found {
+            if is_film(&path) {
+                self.films.push(path);
+                continue;
+            }
+            let relative = path.strip_prefix(&root).unwrap_or(&path).to_string_lossy().replace('\\', "/");
+            self.photograph(&path, &format!("{prefix}{relative}"))?;
         }
         Ok(())
     }
@@ -165,13 +211,133 @@ impl Sources {
         !self.films.is_empty()
     }
 
-    /// The files whose content is the input, with their names in the record.
-    pub(crate) fn files(&self) -> Vec<(String, PathBuf)> {
+    /// Adds a folder or a file whose content counts.
+    pub fn add(&mut self, name: &str, path: &Path) {
+        self.others.push((name.into(), path.to_path_buf()));
+    }
+
+    /// The number of films and photographs.
+    pub(crate) fn count(&self) -> usize {
+        self.films.len() + self.photographs.len()
+    }
+
+    /// The files whose content is the input, with their names in the record: films and photographs come first.
+    ///
+    /// # Errors
+    /// A folder cannot be read.
+    pub(crate) fn files(&self) -> Result<Vec<(String, PathBuf)>, PrepareError> {
         let film = |path: &PathBuf| {
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
             (name, path.clone())
         };
         let photographs = self.photographs.iter().map(|p| (p.name.to_string(), p.path.clone()));
-        self.films.iter().map(film).chain(photographs).collect()
+        let mut files: Vec<(String, PathBuf)> = self.films.iter().map(film).chain(photographs).collect();
+        for (name, path) in &self.others {
+            for entry in walkdir::WalkDir::new(path).follow_links(true).sort_by_file_name() {
+                let entry = entry.map_err(|e| PrepareError::input(path, e.to_string()))?;
+                if entry.file_type().is_file() {
+                    let relative = entry.path().strip_prefix(path).unwrap_or(entry.path());
+                    let relative = Path::new(name).join(relative).to_string_lossy().replace('\\', "/");
+                    files.push((relative.trim_end_matches('/').into(), entry.into_path()));
+                }
+            }
+        }
+        Ok(files)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use use3d_capture::Raster;
+
+    use super::*;
+
+    /// A folder with these files: photographs are written, and other files hold the text beside the name.
+    fn folder(files: &[(&str, &str)]) -> tempfile::TempDir {
+        let dir = tempfile::tempdir().unwrap();
+        for (name, text) in files {
+            let path = dir.path().join(name);
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            if has(&path, &["png"]) {
+                use3d_io_image::write_png8(&path, &Raster::<u8, 3>::filled(8, 6, 90)).unwrap();
+            } else {
+                std::fs::write(&path, text).unwrap();
+            }
+        }
+        dir
+    }
+
+    fn names(sources: &Sources) -> Vec<String> {
+        sources.files().unwrap().into_iter().map(|(name, _)| name).collect()
+    }
+
+    #[test]
+    fn results_of_this_program_and_hidden_folders_hold_no_photographs() {
+        let dir = folder(&[
+            ("a.png", ""),
+            ("left/b.png", ""),
+            ("other/manifest.json", "{\"name\": \"a web page\"}"),
+            ("other/c.png", ""),
+            ("use3d-out/captures/reef/prepare.json", "{}"),
+            ("use3d-out/captures/reef/images/a.png", ""),
+            ("use3d-out/reef/evaluate/manifest.json", "{\n  \"format\": \"use3d result\",\n"),
+            ("use3d-out/reef/evaluate/views/a.png", ""),
+            ("use3d-out/reef/import/manifest.json", "{\"format\":\"use3d artifact\","),
+            ("use3d-out/reef/import/images/a.png", ""),
+            ("cache/CACHEDIR.TAG", "Signature: 8a477f597d28d172789f06886806bc55"),
+            ("cache/00/a.png", ""),
+            (".reef.preparing/capture/images/a.png", ""),
+        ]);
+        let root = dir.path().to_path_buf();
+        assert_eq!(names(&Sources::of(&[root]).unwrap()), ["a.png", "left/b.png", "other/c.png"]);
+        // A prepared capture that is named itself is taken.
+        let capture = dir.path().join("use3d-out/captures/reef");
+        assert_eq!(names(&Sources::of(&[capture]).unwrap()), ["a.png"]);
+    }
+
+    #[test]
+    fn masks_and_models_that_are_copied_count_as_inputs() {
+        let dir = folder(&[("images/a.png", ""), ("masks/left/a.png", ""), ("train_list.txt", "a.png")]);
+        let mut sources = Sources::of(&[dir.path().to_path_buf()]).unwrap();
+        sources.add("sparse/0", &dir.path().join("masks"));
+        assert_eq!(names(&sources), ["a.png", "masks/left/a.png", "train_list.txt", "sparse/0/left/a.png"]);
+        assert_eq!(sources.count(), 1);
+    }
+
+    #[test]
+    fn a_folder_holds_inputs_at_its_top_or_one_folder_below() {
+        for (file, expected) in [
+            ("a.webp", true),
+            ("left/a.MTS", true),
+            ("images/a.jpg", true),
+            ("one/two/a.jpg", false),
+            ("notes.txt", false),
+            (".hidden/a.jpg", false),
+            ("masks/a.jpg", false),
+        ] {
+            assert_eq!(holds_inputs(folder(&[(file, "x")]).path()), expected, "{file}");
+        }
+    }
+
+    #[test]
+    fn second_files_of_one_photograph_or_film_are_left_out() {
+        let dir = folder(&[
+            ("a.png", ""),
+            ("a.DNG", "raw"),
+            ("a.heic", "heic"),
+            ("GX010001.MP4", "film"),
+            ("GL010001.LRV", "film"),
+            ("VID_1.insv", "film"),
+            ("LRV_1.insv", "film"),
+        ]);
+        let root = dir.path().to_path_buf();
+        let found = Sources::of(std::slice::from_ref(&root)).unwrap();
+        assert_eq!(names(&found), ["GX010001.MP4", "VID_1.insv", "a.png"]);
+        // One that is named itself is taken.
+        assert!(Sources::of(&[root.join("GL010001.LRV")]).unwrap().has_films());
+        // A raw file alone is refused with the remedy.
+        std::fs::write(root.join("b.dng"), "raw").unwrap();
+        let refused = Sources::of(&[root]).unwrap_err().to_string();
+        assert!(refused.contains("b.dng") && refused.contains("convert it"), "{refused}");
     }
 }

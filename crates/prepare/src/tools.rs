@@ -89,10 +89,21 @@ fn colmap(programs: &Programs) -> Option<Program> {
     Some(Program { name: "colmap".into(), version, card, path: programs.colmap.clone() })
 }
 
+// Python would import modules from the folder in which it is started, and so run files of the user. The first
+// line of each script prevents that.
+
+/// Prints the version of `pycolmap`, and 1 if it computes on a graphics card.
+const ASK_PYCOLMAP: &str = "import sys; sys.path = [place for place in sys.path if place]
+import pycolmap
+print('pycolmap', pycolmap.__version__, int(getattr(pycolmap, 'has_cuda', False)))";
+
+/// Prints the path of the `ffmpeg` in `imageio-ffmpeg`.
+const ASK_FFMPEG: &str = "import sys; sys.path = [place for place in sys.path if place]
+import imageio_ffmpeg
+print(imageio_ffmpeg.get_ffmpeg_exe())";
+
 fn pycolmap(programs: &Programs) -> Option<Program> {
-    const ASK: &str =
-        "import pycolmap; print('pycolmap', pycolmap.__version__, int(getattr(pycolmap, 'has_cuda', False)))";
-    let text = output(&programs.python, &["-c", ASK])?;
+    let text = output(&programs.python, &["-c", ASK_PYCOLMAP])?;
     let words: Vec<&str> = text.lines().find(|l| l.starts_with("pycolmap "))?.split_whitespace().collect();
     let &[_, version, card] = &words[..] else { return None };
     let (name, version, card) = ("pycolmap".into(), version.into(), card == "1");
@@ -110,8 +121,7 @@ impl Programs {
             Some(Program { name: "ffmpeg".into(), version, card: false, path })
         };
         let packaged = || {
-            let ask = "import imageio_ffmpeg; print(imageio_ffmpeg.get_ffmpeg_exe())";
-            let text = output(&self.python, &["-c", ask])?;
+            let text = output(&self.python, &["-c", ASK_FFMPEG])?;
             of(PathBuf::from(text.lines().next()?))
         };
         of(self.ffmpeg.clone()).or_else(packaged).ok_or_else(|| {
@@ -163,6 +173,23 @@ mod tests {
         assert_eq!(version_after(text, "COLMAP").as_deref(), Some("3.8"));
         assert_eq!(version_after("ffmpeg version 7.1, x", "ffmpeg version").as_deref(), Some("7.1"));
         assert_eq!(version_after("nothing", "COLMAP"), None);
+    }
+
+    #[test]
+    fn python_imports_nothing_from_the_folder_of_the_user() {
+        let dir = tempfile::tempdir().unwrap();
+        for module in ["pycolmap", "imageio_ffmpeg", "json"] {
+            std::fs::write(dir.path().join(format!("{module}.py")), "open('imported', 'w')\n").unwrap();
+        }
+        for script in [ASK_PYCOLMAP, ASK_FFMPEG, crate::sfm::SCRIPT] {
+            let mut command = Command::new("python3");
+            command.args(["-c", script, "none", "none"]).current_dir(dir.path()).stdin(Stdio::null());
+            if command.output().is_err() {
+                println!("skipped: python3 is not installed");
+                return;
+            }
+            assert!(!dir.path().join("imported").exists(), "{script}");
+        }
     }
 
     #[test]

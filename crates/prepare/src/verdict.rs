@@ -77,12 +77,19 @@ pub(crate) fn models(folder: &Path) -> Result<Vec<Model>, PrepareError> {
     Ok(found)
 }
 
-/// Judges models that are sorted by size. `names` are the images; `films` is true if they come from films.
-pub(crate) fn judge(
-    models: &[Model],
-    names: &[String],
-    (params, matching, films): (&PrepareParams, Matching, bool),
-) -> Option<CameraVerdict> {
+/// The choices behind a model, as they were carried out.
+pub(crate) struct ModelContext<'a> {
+    pub(crate) params: &'a PrepareParams,
+    /// The pairing that was used.
+    pub(crate) matching: Matching,
+    /// True if images come from films.
+    pub(crate) films: bool,
+    /// The most features of an image.
+    pub(crate) features: usize,
+}
+
+/// Judges models that are sorted by size. `names` are the images.
+pub(crate) fn judge(models: &[Model], names: &[String], context: &ModelContext<'_>) -> Option<CameraVerdict> {
     let used = models.first()?;
     let mut placed: BTreeSet<&str> = used.images.iter().map(|i| i.name.as_str()).collect();
     let missing: Vec<String> = names.iter().filter(|n| !placed.contains(n.as_str())).cloned().collect();
@@ -132,7 +139,7 @@ pub(crate) fn judge(
         ));
     }
     if share < SHARES.0 {
-        words.push(format!("To give more images a place: {}.", remedies(params, matching, films).join("; ")));
+        words.push(format!("To give more images a place: {}.", remedies(context).join("; ")));
     }
     if share < SHARES.1 {
         words.push(
@@ -145,7 +152,7 @@ pub(crate) fn judge(
         words.push(format!(
             "The error is above {ERROR} pixels, so the lens model {} does not fit well: try another --lens, and switch \
              off zoom and stabilisation in the camera.",
-            params.lens
+            context.params.lens
         ));
     }
     Some(CameraVerdict {
@@ -162,12 +169,12 @@ pub(crate) fn judge(
 }
 
 /// The changes of choices that give more images a place.
-pub(crate) fn remedies(params: &PrepareParams, matching: Matching, films: bool) -> Vec<String> {
+pub(crate) fn remedies(context: &ModelContext<'_>) -> Vec<String> {
+    let &ModelContext { params, matching, films, features } = context;
     let mut remedies = Vec::new();
     if matching == Matching::Sequential {
         remedies.push("compare every image with every other one (--matching exhaustive)".into());
     }
-    let features = params.features.unwrap_or(3000);
     if features < 8000 {
         remedies.push(format!("look for more features (--features {})", (features * 2).min(8000)));
     }
@@ -200,13 +207,34 @@ mod tests {
             let camera = ModelCamera { id: 1, model: LensModel::OpenCv, width: 320, height: 180, parameters };
             let images = names.iter().enumerate().map(image).collect();
             let model = Model { cameras: vec![camera], images, points: Vec::new() };
-            judge(&[model], &names, (&PrepareParams::default(), Matching::Exhaustive, false)).unwrap()
+            let params = PrepareParams::default();
+            let context = ModelContext {
+                params: &params,
+                matching: Matching::Exhaustive,
+                films: false,
+                features: 3000,
+            };
+            judge(&[model], &names, &context).unwrap()
         };
         assert_eq!(judged(250.0).grade, Grade::Good);
         for fy in [148.7, 400.0] {
             let verdict = judged(fy);
             assert_eq!(verdict.grade, Grade::Poor);
             assert!(verdict.words[1].contains("--lens RADIAL"), "{:?}", verdict.words);
+        }
+    }
+
+    #[test]
+    fn more_features_are_advised_only_where_few_were_looked_for() {
+        let params = PrepareParams::default();
+        for (features, advice) in
+            [(3000, Some("--features 6000")), (5000, Some("--features 8000")), (8192, None)]
+        {
+            let context =
+                ModelContext { params: &params, matching: Matching::Sequential, films: true, features };
+            let words = remedies(&context).join("; ");
+            assert_eq!(words.contains("--features"), advice.is_some(), "{words}");
+            assert!(advice.is_none_or(|advice| words.contains(advice)), "{words}");
         }
     }
 }

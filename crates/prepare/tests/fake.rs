@@ -193,12 +193,53 @@ fn a_finished_capture_is_known_again_and_changed_photographs_are_noticed() {
     let first = place.attempt(&PrepareParams::default());
     assert!(first.done.is_ok() && !first.reusable);
     std::fs::rename(first.work.join(CAPTURE), place.at("reef")).unwrap();
-    assert!(place.attempt(&PrepareParams::default()).reusable);
+    // The folder of the work has its images no more, so they are copied again.
+    let again = place.attempt(&PrepareParams::default());
+    assert!(again.done.is_ok() && again.reusable);
+    assert!(!again.notes.iter().any(|note| note.starts_with("images: kept")), "{:?}", again.notes);
+    assert!(again.work.join(CAPTURE).join("images/p_03.png").is_file());
+    std::fs::create_dir(place.at("photos/masks")).unwrap();
     let more = PrepareParams { features: Some(5000), ..PrepareParams::default() };
     assert!(!place.attempt(&more).reusable);
     let image = Raster::<u8, 3>::filled(16, 12, 255);
     use3d_io_image::write_png8(&place.at("photos/p_03.png"), &image).unwrap();
     assert!(!place.attempt(&PrepareParams::default()).reusable);
+}
+
+#[test]
+fn masks_beside_the_photographs_count_and_are_copied() {
+    let place = Place::new();
+    place.found(0, 0..10, 0.5);
+    std::fs::create_dir(place.at("swim")).unwrap();
+    std::fs::rename(place.at("photos"), place.at("swim/images")).unwrap();
+    std::fs::create_dir(place.at("swim/masks")).unwrap();
+    let mask = |level| {
+        let image = Raster::<u8, 3>::filled(16, 12, level);
+        use3d_io_image::write_png8(&place.at("swim/masks/p_03.png"), &image).unwrap();
+    };
+    mask(0);
+    let programs = Programs { colmap: place.at("colmap"), finder: Finder::Colmap, ..Programs::default() };
+    let prepare = || attempt(&[place.at("swim")], &PrepareParams::default(), &programs, &place.at("reef"));
+    let first = prepare();
+    first.done.unwrap();
+    assert!(first.work.join(CAPTURE).join("masks/p_03.png").is_file());
+    std::fs::rename(first.work.join(CAPTURE), place.at("reef")).unwrap();
+    mask(255);
+    assert!(!prepare().reusable);
+}
+
+#[test]
+fn a_step_that_writes_nothing_and_a_lens_that_cannot_be_kept_are_errors() {
+    let place = Place::new();
+    place.found(0, 0..10, 0.5);
+    let known = PrepareParams { calibration: vec![20.0, 8.0, 6.0, 0.0, 0.0], ..PrepareParams::default() };
+    let said = place.attempt(&known).done.unwrap_err().to_string();
+    assert!(said.starts_with("--calibration") && said.contains("ba_refine_focal_length"), "{said}");
+    assert!(place.calls().is_empty());
+    let silent = SCRIPT.replace("echo features > features.db", "true");
+    std::fs::write(place.at("colmap"), silent).unwrap();
+    let said = place.attempt(&PrepareParams::default()).done.unwrap_err().to_string();
+    assert!(said.contains("features failed") && said.contains("did not write features.db"), "{said}");
 }
 
 #[test]

@@ -6,11 +6,23 @@ use use3d_capture::World;
 /// Rotations of the eigenvalue method; a symmetric matrix of four rows needs a handful.
 const SWEEPS: usize = 60;
 
-/// The similarity that takes `(model, metres)` pairs onto each other with the least squares, with the root
-/// mean square of what is left, metres. `None` with fewer than three pairs and where they lie on one line.
+/// A world by measured positions.
+#[derive(Clone, Debug)]
+pub struct PositionsFit {
+    /// The world.
+    pub world: World,
+    /// The root mean square of the distances that are left, metres.
+    pub left: f64,
+    /// One standard error of the metres of a unit, as a share of them.
+    pub error: f64,
+}
+
+/// The similarity that takes `(model, metres)` pairs onto each other with the least squares. `None` with fewer
+/// than three pairs and where they lie on one line.
 ///
-/// The rotation is the unit quaternion with the largest eigenvalue of Horn's matrix of the correlations.
-pub fn fit_positions(pairs: &[(DVec3, DVec3)], source: String) -> Option<(World, f64)> {
+/// The rotation is the unit quaternion with the largest eigenvalue of Horn's matrix of the correlations. The
+/// standard error counts the `3n − 7` coordinates that are left after a similarity's seven parameters.
+pub fn fit_positions(pairs: &[(DVec3, DVec3)], source: String) -> Option<PositionsFit> {
     if pairs.len() < 3 {
         return None;
     }
@@ -46,7 +58,9 @@ pub fn fit_positions(pairs: &[(DVec3, DVec3)], source: String) -> Option<(World,
     }
     let translation = mean.1 - scale * (rotation * mean.0);
     let left: f64 = centred.iter().map(|(a, b)| (*b - scale * (rotation * *a)).length_squared()).sum();
-    Some((World::of(scale, &rotation, translation, source), (left / n).sqrt()))
+    let error = (left / (3.0 * n - 7.0) / spread).sqrt() / scale;
+    let world = World::of(scale, &rotation, translation, source);
+    Some(PositionsFit { world, left: (left / n).sqrt(), error })
 }
 
 /// The rotation of a unit quaternion `w x y z`.
@@ -146,7 +160,7 @@ mod tests {
         let origin = DVec3::new(512_345.678, 4_256_836.521, -12.25);
         let pairs: Vec<(DVec3, DVec3)> =
             places().iter().map(|p| (*p, 0.731 * (turn * *p) + origin)).collect();
-        let (world, left) = fit_positions(&pairs, "test".into()).unwrap();
+        let PositionsFit { world, left, .. } = fit_positions(&pairs, "test".into()).unwrap();
         assert!((world.metres_per_unit / 0.731 - 1.0).abs() < 1e-9 && left < 1e-8, "{world:?} {left}");
         for (model, metres) in &pairs {
             let found = DVec3::from_array(world.apply(model.to_array()));
@@ -158,13 +172,37 @@ mod tests {
             .zip(&pairs)
             .map(|(i, (a, b))| (*a, *b + DVec3::new(0.05 * f64::from(i % 3 - 1), 0.0, 0.0)))
             .collect();
-        let (world, left) = fit_positions(&noisy, "test".into()).unwrap();
+        let PositionsFit { world, left, .. } = fit_positions(&noisy, "test".into()).unwrap();
         assert!((world.metres_per_unit / 0.731 - 1.0).abs() < 0.03 && (0.01..0.06).contains(&left), "{left}");
         let line: Vec<_> = pairs.iter().map(|p| (DVec3::X * p.0.x, DVec3::Y * p.0.x)).collect();
         assert!(
             fit_positions(&line, String::new()).is_none()
                 && fit_positions(&pairs[..2], String::new()).is_none()
         );
+    }
+
+    #[test]
+    fn the_standard_error_of_positions_is_that_of_many_measurements_also_with_three_and_four() {
+        // Errors of a receiver, uniform within ±1.
+        let mut state = 1u64;
+        let mut random = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+        };
+        for (count, rounds) in [(3, 4000), (4, 2000), (12, 500)] {
+            let model: Vec<DVec3> = places().iter().step_by(12 / count).copied().take(count).collect();
+            let (mut stated, mut real) = (0.0, 0.0);
+            for _ in 0..rounds {
+                let noise = |p: &DVec3| *p + 0.02 * DVec3::new(random(), random(), random());
+                let metres: Vec<DVec3> = model.iter().map(noise).collect();
+                let pairs: Vec<_> = model.iter().copied().zip(metres).collect();
+                let fit = fit_positions(&pairs, String::new()).unwrap();
+                stated += fit.error * fit.error / f64::from(rounds);
+                real += (fit.world.metres_per_unit - 1.0).powi(2) / f64::from(rounds);
+            }
+            let ratio = (stated / real).sqrt();
+            assert!((0.9..1.1).contains(&ratio), "{count} positions: {ratio}");
+        }
     }
 
     #[test]

@@ -24,7 +24,7 @@ mod read;
 mod survey;
 
 pub use check::SurveyError;
-pub use fit::{fit_depths, fit_positions};
+pub use fit::{PositionsFit, fit_depths, fit_positions};
 pub use geo::EarthPlace;
 pub use lens::{Distortion, Lens, Projection};
 pub use markers::{Mark, Marker, ScaleBar};

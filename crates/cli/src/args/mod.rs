@@ -27,7 +27,7 @@ pub(crate) use pipelines::{
     CompareArgs, DemoArgs, DemoSize, GraphArgs, GraphFormat, PlanArgs, ResultsArgs, RunArgs, StatusArgs,
     WhyArgs,
 };
-pub(crate) use prepare::PrepareArgs;
+pub(crate) use prepare::{PrepareArgs, usual_programs};
 pub(crate) use remote::{PushArgs, RemoteArgs, Store, StoreGcArgs, StoreLsArgs, TransferArgs};
 pub(crate) use shared::{
     CacheArgs, CalibrationArgs, CommonArgs, EngineArgs, PipelineArgs, Settings, Spelled, as_typed,
@@ -293,7 +293,7 @@ impl Verb {
             Self::Pull(args) => args.json,
             Self::Results(args) => args.json,
             Self::Store { what: Store::Ls(args) } => args.json,
-            Self::Store { what: Store::Gc(args) } => args.json,
+            Self::Store { what: Store::Gc(args) } => args.sweep.json,
             Self::Plan(args) => args.json,
             Self::Status(args) => args.plan.json,
             Self::Why(args) => args.json,
@@ -304,7 +304,7 @@ impl Verb {
             Self::White(args) => args.json,
             Self::Models(args) => args.json,
             Self::Devices(args) => args.json,
-            Self::Gc(args) => args.json,
+            Self::Gc(args) => args.sweep.json,
             Self::Verify(args) => args.json,
             Self::Pipelines(args) => args.json && args.name.is_none(),
             Self::Params(args) => args.json,

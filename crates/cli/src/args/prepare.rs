@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use clap::{Args, ValueEnum};
+use clap::{Args, Parser, ValueEnum};
 use use3d_prepare::{Finder, Mapper, Matching, PrepareParams, Programs};
 
 use super::shared::{Replace, count};
@@ -121,12 +121,27 @@ impl PrepareArgs {
 
     /// The programs.
     pub(crate) fn programs(&self) -> Programs {
-        let ProgramArgs { with, colmap, python, ffmpeg } = self.programs.clone();
+        self.programs.clone().into()
+    }
+}
+
+impl From<ProgramArgs> for Programs {
+    fn from(ProgramArgs { with, colmap, python, ffmpeg }: ProgramArgs) -> Self {
         let finder = match with {
             FinderChoice::Auto => Finder::Auto,
             FinderChoice::Colmap => Finder::Colmap,
             FinderChoice::Pycolmap => Finder::Pycolmap,
         };
-        Programs { colmap, ffmpeg, python, finder }
+        Self { colmap, ffmpeg, python, finder }
     }
+}
+
+/// The programs as `use3d prepare` without flags takes them: by the environment's variables, or the usual ones.
+pub(crate) fn usual_programs() -> Programs {
+    #[derive(Parser)]
+    struct NoFlags {
+        #[command(flatten)]
+        programs: ProgramArgs,
+    }
+    NoFlags::parse_from(["use3d"]).programs.into()
 }

@@ -1,11 +1,10 @@
 //! `push`, `pull` and `store`: send a pipeline's artifacts to a store or fetch them, and list or clean a
 //! store.
 
-use std::path::PathBuf;
-
 use clap::{Args, Subcommand};
 
-use super::shared::{CacheArgs, PipelineArgs};
+use super::shared::PipelineArgs;
+use super::upkeep::SweepArgs;
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Store {
@@ -44,24 +43,15 @@ pub(crate) struct StoreGcArgs {
     /// Remove artifacts that were sent longer ago than this, e.g. 90d.
     #[arg(long, value_name = "AGE")]
     pub(crate) older_than: String,
-    /// Never remove the cached artifacts of these pipelines.
-    #[arg(long = "keep", value_name = "PIPELINE.toml")]
-    pub(crate) keep: Vec<PathBuf>,
-    /// Only show what would be removed.
-    #[arg(long)]
-    pub(crate) dry_run: bool,
     #[command(flatten)]
-    pub(crate) cache: CacheArgs,
-    /// One JSON document on stdout.
-    #[arg(long)]
-    pub(crate) json: bool,
+    pub(crate) sweep: SweepArgs,
 }
 
 #[derive(Debug, Args)]
 pub(crate) struct PushArgs {
     #[command(flatten)]
     pub(crate) what: TransferArgs,
-    /// Read back the objects in the store, and replace those that are wrong.
+    /// Read back the objects in the store, compare them with those here, and replace those that are wrong.
     #[arg(long)]
     pub(crate) check: bool,
 }

@@ -39,14 +39,9 @@ pub(crate) struct DoctorArgs {
     pub(crate) json: bool,
 }
 
+/// The part that is not removed, of a cache or a store.
 #[derive(Debug, Args)]
-pub(crate) struct GcArgs {
-    /// Keep the cache below this size, e.g. 50GB.
-    #[arg(long, value_name = "SIZE")]
-    pub(crate) max_bytes: Option<String>,
-    /// Remove items that were not used for this long, e.g. 30d.
-    #[arg(long, value_name = "AGE")]
-    pub(crate) older_than: Option<String>,
+pub(crate) struct SweepArgs {
     /// Never remove results that these pipelines use.
     #[arg(long = "keep", value_name = "PIPELINE.toml")]
     pub(crate) keep: Vec<PathBuf>,
@@ -58,6 +53,18 @@ pub(crate) struct GcArgs {
     /// One JSON document on stdout.
     #[arg(long)]
     pub(crate) json: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct GcArgs {
+    /// Keep the cache below this size, e.g. 50GB.
+    #[arg(long, value_name = "SIZE")]
+    pub(crate) max_bytes: Option<String>,
+    /// Remove items that were not used for this long, e.g. 30d.
+    #[arg(long, value_name = "AGE")]
+    pub(crate) older_than: Option<String>,
+    #[command(flatten)]
+    pub(crate) sweep: SweepArgs,
 }
 
 #[derive(Debug, Args)]

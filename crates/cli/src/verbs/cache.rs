@@ -37,8 +37,8 @@ pub(crate) fn gc(args: &GcArgs) -> Done {
     let mut keep = BTreeSet::new();
     // Without --cache, the cache is the one named by the pipelines to keep.
     let mut named: Option<(&Path, Cache)> = None;
-    for pipeline in &args.keep {
-        let loaded = open(&PipelineArgs::of(pipeline, &args.cache), &[])?;
+    for pipeline in &args.sweep.keep {
+        let loaded = open(&PipelineArgs::of(pipeline, &args.sweep.cache), &[])?;
         keep.extend(loaded.builder.plan(&loaded.graph, None).keys());
         let cache = loaded.builder.cache;
         match &named {
@@ -56,8 +56,8 @@ pub(crate) fn gc(args: &GcArgs) -> Done {
             }
         }
     }
-    let options = CleanOptions { max_bytes, older_than, keep, dry_run: args.dry_run };
-    let cache = named.map_or_else(|| cache(&args.cache), |(_, cache)| Ok(cache))?;
+    let options = CleanOptions { max_bytes, older_than, keep, dry_run: args.sweep.dry_run };
+    let cache = named.map_or_else(|| cache(&args.sweep.cache), |(_, cache)| Ok(cache))?;
     let cleaning = cache.clean(&options);
     if let Some(limit) = max_bytes.filter(|limit| cleaning.left > *limit) {
         eprintln!(
@@ -67,7 +67,7 @@ pub(crate) fn gc(args: &GcArgs) -> Done {
             bytes(limit)
         );
     }
-    if args.json {
+    if args.sweep.json {
         json(&cleaning)?;
     } else {
         print!("{cleaning}");

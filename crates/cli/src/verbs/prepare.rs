@@ -7,11 +7,11 @@ use std::sync::Mutex;
 use use3d_build::{Digest, Event, place};
 use use3d_prepare::{
     CAPTURE, Grade, Input, PREPARED, PrepareError, PrepareParams, Prepared, Programs, Recipe, RecipeScene,
-    RecipeWork, Sources, StepProgress, StepWatch, balance, key_of, prepare, publish, work_folder,
+    RecipeWork, Sources, StepProgress, StepWatch, balance, check, key_of, prepare, publish, work_folder,
 };
 
 use crate::App;
-use crate::args::PrepareArgs;
+use crate::args::{PrepareArgs, usual_programs};
 use crate::destination::{check_folder, path_text, word};
 use crate::error::{CliError, Done};
 
@@ -89,6 +89,16 @@ impl Preparation<'_> {
         done
     }
 
+    /// Refuses a taken place, wrong choices and missing programs before the inputs are read, because reading
+    /// long films takes minutes. A capture that was prepared before may be the wanted one.
+    fn check(&self, force: bool) -> Done {
+        if self.out.join(PREPARED).is_file() {
+            return Ok(());
+        }
+        check_folder(self.out, force)?;
+        Ok(check(self.sources, self.params, self.programs)?)
+    }
+
     fn need(&self) -> Result<Need, CliError> {
         let (key, inputs, same) =
             self.watched(|watch| key_of(self.sources, self.params, self.programs.finder, self.out, watch))?;
@@ -141,6 +151,7 @@ pub(crate) fn run(app: &App, args: &PrepareArgs) -> Done {
     let sources = Sources::of(&args.inputs)?;
     let (params, programs) = (args.params(), args.programs());
     let job = Preparation { app, sources: &sources, params: &params, programs: &programs, out: &args.out };
+    job.check(args.replace.force)?;
     match job.need()? {
         Need::Nothing if !app.quiet && !args.json => {
             println!("{}: prepared before from the same files and choices", path_text(&args.out));
@@ -188,6 +199,7 @@ fn by_recipe(app: &App, args: &PrepareArgs, recipe: Recipe) -> Done {
                 let sources = Sources::of(std::slice::from_ref(path))?;
                 let job =
                     Preparation { app, sources: &sources, params: &params, programs: &programs, out: &out };
+                job.check(args.replace.force)?;
                 match job.need()? {
                     Need::Nothing => vec!["prepared before from the same files and choices".into()],
                     Need::Work(key, inputs) if matches!(work, RecipeWork::Linear(_)) => {
@@ -226,15 +238,16 @@ fn copied(
     out: &Path,
     force: bool,
 ) -> Result<Vec<String>, CliError> {
-    let sources = Sources::of(&[images.to_path_buf()])?;
+    let mut sources = Sources::of(&[images.to_path_buf()])?;
+    sources.add("sparse/0", model);
     let (params, programs) = (PrepareParams::default(), Programs::default());
     let job = Preparation { app, sources: &sources, params: &params, programs: &programs, out };
-    let Need::Work(key, _) = job.need()? else {
+    let Need::Work(key, inputs) = job.need()? else {
         return Ok(vec!["copied before from the same photographs".into()]);
     };
     check_folder(out, force)?;
     let work = work_folder(out);
-    publish(images, model, &key, &work)?;
+    publish((images, model), (&key, &inputs), &work)?;
     let report = use3d_import::import(&work.join(CAPTURE), &use3d_import::ImportParams::default())
         .map_err(CliError::input)?
         .report;
@@ -246,7 +259,8 @@ fn copied(
 /// The capture lies beside the results: in `captures/` in the folder that holds them.
 pub(crate) fn capture_for(app: &App, target: &Path, out: Option<&Path>) -> Result<Option<PathBuf>, CliError> {
     let film = target.is_file() && use3d_prepare::is_film(target);
-    let pictures = || target.is_dir() && use3d_import::holds_only_pictures(target);
+    let pictures =
+        || target.is_dir() && use3d_import::holds_no_model(target) && use3d_prepare::holds_inputs(target);
     if !film && !pictures() {
         return Ok(None);
     }
@@ -258,36 +272,33 @@ pub(crate) fn capture_for(app: &App, target: &Path, out: Option<&Path>) -> Resul
     };
     let beside = out.map_or(Path::new("use3d-out"), place::parent);
     let capture = beside.join("captures").join(name);
-    let (params, programs) = (PrepareParams::default(), programs());
+    let (params, programs) = (PrepareParams::default(), usual_programs());
     let job = Preparation { app, sources: &sources, params: &params, programs: &programs, out: &capture };
     let told = |text: &str| {
         if !app.quiet {
             eprintln!("{text}");
         }
     };
+    job.check(false)?;
     match job.need()? {
         Need::Nothing => told(&format!("the capture is {}, prepared before", path_text(&capture))),
+        Need::Work(..) if capture.exists() => {
+            let (target, capture) = (word(target), word(&capture));
+            return Err(CliError::Input(format!(
+                "{capture}: this capture was prepared from other files or with other choices, or was changed since; `use3d prepare {target} \
+                 --out {capture} --force` replaces it; to keep it, prepare {target} into another folder with --out, and \
+                 run that folder"
+            )));
+        }
         Need::Work(key, inputs) => {
             told(&format!(
                 "{} has no cameras yet: preparing the capture {} (`use3d prepare` has more choices)",
                 path_text(target),
                 path_text(&capture)
             ));
-            let prepared = job.make(&key, &inputs, true)?;
+            let prepared = job.make(&key, &inputs, false)?;
             lines(&prepared).iter().for_each(|line| told(line));
         }
     }
     Ok(Some(capture))
-}
-
-/// The programs by the environment's variables, as for `use3d prepare`.
-fn programs() -> Programs {
-    let named = |variable: &str, usual: PathBuf| std::env::var_os(variable).map_or(usual, PathBuf::from);
-    let Programs { colmap, ffmpeg, python, finder } = Programs::default();
-    Programs {
-        colmap: named("USE3D_COLMAP", colmap),
-        ffmpeg: named("USE3D_FFMPEG", ffmpeg),
-        python: named("USE3D_PYTHON", python),
-        finder,
-    }
 }

@@ -68,23 +68,24 @@ pub(crate) fn sweep(app: &App, args: &StoreGcArgs) -> Done {
         parse_age(&args.older_than).map_err(|e| CliError::Input(format!("--older-than: {e}")))?;
     existing(&args.store)?;
     let mut keep = BTreeSet::new();
-    for pipeline in &args.keep {
-        let loaded = open(&PipelineArgs::of(pipeline, &args.cache), &[])?;
+    for pipeline in &args.sweep.keep {
+        let loaded = open(&PipelineArgs::of(pipeline, &args.sweep.cache), &[])?;
         let plan = loaded.builder.plan(&loaded.graph, None);
         // An artifact without a key cannot be distinguished from one that no node needs.
-        if plan.to_run() > 0 {
+        let unknown = plan.to_run() + plan.unavailable() + plan.blocked();
+        if unknown > 0 {
             return Err(CliError::Input(format!(
-                "--keep {}: {} of its stages are not in the cache, so their artifacts in the store are not \
-                 known; `use3d pull` it or run it first",
-                path_text(pipeline),
-                plan.to_run()
+                "--keep {}: {unknown} of its stages are not in the cache, or their inputs are not on this \
+                 machine, so their artifacts in the store are not known; `use3d pull` it or run it first, where \
+                 its captures are",
+                path_text(pipeline)
             )));
         }
         keep.extend(plan.keys());
     }
-    let swept = store(&args.store.remote)?.sweep(older_than, &keep, args.dry_run, &app.stop);
+    let swept = store(&args.store.remote)?.sweep(older_than, &keep, args.sweep.dry_run, &app.stop);
     let swept = swept.map_err(CliError::failed)?;
-    if args.json {
+    if args.sweep.json {
         json(&swept)?;
     } else {
         print!("{swept}");
