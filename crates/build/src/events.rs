@@ -40,6 +40,13 @@ pub enum Event<'a> {
         /// Seconds left, if the stage can estimate them.
         seconds_left: Option<f64>,
     },
+    /// Progress of all stages of a run together, from a listener that computes it. 100 % ends the display.
+    WholeRun {
+        /// Share of the time that has passed, 0 to 100.
+        percent: u64,
+        /// Seconds left.
+        seconds_left: f64,
+    },
     /// Numbers of a step, by name, for curves. Sent after every step; a slow listener slows down the stage.
     Figures {
         /// Scene, variant and stage, for display.

@@ -11,10 +11,11 @@ use use3d_build::machine::seconds;
 use use3d_build::{Event, Listener};
 use use3d_capture::name::{shown, shown_lines};
 
-use crate::whole_run::LABEL;
-
 /// Time between two plain lines when stderr is not a terminal.
 const PLAIN_INTERVAL: Duration = Duration::from_secs(10);
+
+/// The label of the bar of all stages together.
+const WHOLE_RUN: &str = "whole run";
 
 /// A remaining time that is longer than the pace so far predicts by this factor gets an explanation.
 const SLOWER: f64 = 1.5;
@@ -85,8 +86,8 @@ impl Terminal {
 
     fn bar(&self, label: &str) -> Option<ProgressBar> {
         let bar = self.bars.as_ref()?.add(ProgressBar::new(0));
-        let template = match label == LABEL {
-            true => "{prefix:<24} {bar:24} {pos} {msg}",
+        let template = match label == WHOLE_RUN {
+            true => "{prefix:<24} {bar:24} {pos} % {msg}",
             false => "{prefix:<24} {bar:24} {pos}/{len} {msg}",
         };
         if let Ok(style) = ProgressStyle::with_template(template) {
@@ -113,8 +114,11 @@ impl Terminal {
             bar.set_message(format!("{words} {}", node.times(done, total, left)));
         } else if node.last_line.elapsed() >= PLAIN_INTERVAL {
             node.last_line = now;
-            let of = if label == LABEL { String::new() } else { format!("/{total}") };
-            eprintln!("{label}: {done}{of} {words} {}", node.times(done, total, left));
+            let times = node.times(done, total, left);
+            match label == WHOLE_RUN {
+                true => eprintln!("{label}: {done} % {times}"),
+                false => eprintln!("{label}: {done}/{total} {words} {times}"),
+            }
         }
     }
 
@@ -149,6 +153,10 @@ impl Listener for Terminal {
                 let words =
                     if message.is_empty() { (*unit).to_string() } else { format!("{unit}, {message}") };
                 self.progress(label, *done, *total, &words, *seconds_left);
+            }
+            Event::WholeRun { percent: 100, .. } => self.end(WHOLE_RUN),
+            Event::WholeRun { percent, seconds_left } => {
+                self.progress(WHOLE_RUN, *percent, 100, "", Some(*seconds_left));
             }
             Event::Waiting { label, holder, .. } => self.line(&format!("{label}: waiting for {holder}")),
             Event::Done { label, cached, seconds, .. } => {

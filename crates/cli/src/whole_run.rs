@@ -20,9 +20,6 @@ use std::time::{Duration, Instant};
 use use3d_build::plan::{Plan, State};
 use use3d_build::{Event, Graph, Listener};
 
-/// The label of the bar of a whole run.
-pub(crate) const LABEL: &str = "whole run";
-
 /// The least time between two updates of the bar.
 const INTERVAL: Duration = Duration::from_millis(500);
 
@@ -52,11 +49,13 @@ enum Turn {
 }
 
 /// A stage of a whole run.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 struct Share {
     cost: f64,
     forecast: Option<f64>,
     turn: Turn,
+    /// The parts whose results it needs; they come before it.
+    needs: Vec<usize>,
 }
 
 impl Share {
@@ -77,7 +76,7 @@ struct Bar(Arc<dyn Listener>);
 
 impl Drop for Bar {
     fn drop(&mut self) {
-        self.0.event(&Event::Done { node: usize::MAX, label: LABEL, cached: true, seconds: 0.0 });
+        self.0.event(&Event::WholeRun { percent: 100, seconds_left: 0.0 });
     }
 }
 
@@ -102,6 +101,7 @@ impl WholeRun {
             Share {
                 cost: usual_cost(planned.stage, steps),
                 forecast: planned.forecast.map(|forecast| forecast.seconds),
+                needs: planned.needs.clone(),
                 turn: match runs && wanted && planned.shared_with.is_none() {
                     true => Turn::Pending,
                     false => Turn::Absent,
@@ -130,17 +130,10 @@ impl WholeRun {
             {
                 whole.drawn = Some(now);
                 let passed = (now - whole.started).as_secs_f64();
-                let percent = (100.0 * passed / (passed + left).max(1e-9)) as u64;
+                // 100 % is for the end.
+                let percent = (100.0 * passed / (passed + left).max(1e-9)).min(99.0) as u64;
                 drop(whole);
-                inner.event(&Event::Progress {
-                    node: usize::MAX,
-                    label: LABEL,
-                    done: percent,
-                    total: 100,
-                    unit: "%",
-                    message: "",
-                    seconds_left: Some(left),
-                });
+                inner.event(&Event::WholeRun { percent, seconds_left: left });
             }
         })
     }
@@ -156,7 +149,11 @@ impl WholeRun {
                 _ => return false,
             },
             Event::Done { node, cached: false, seconds, .. } => (*node, Turn::Over(*seconds)),
-            Event::Done { node, .. } | Event::Failed { node, .. } => (*node, Turn::Absent),
+            Event::Done { node, .. } => (*node, Turn::Absent),
+            Event::Failed { node, .. } => {
+                self.give_up(*node);
+                return true;
+            }
             _ => return false,
         };
         match self.parts.get_mut(node) {
@@ -164,6 +161,17 @@ impl WholeRun {
             None => return false,
         }
         true
+    }
+
+    /// Takes a failed part away, with all parts that need its result.
+    fn give_up(&mut self, failed: usize) {
+        let mut gone = vec![false; self.parts.len()];
+        for (i, part) in self.parts.iter_mut().enumerate().skip(failed) {
+            gone[i] = i == failed || part.needs.iter().any(|need| gone.get(*need) == Some(&true));
+            if gone[i] {
+                part.turn = Turn::Absent;
+            }
+        }
     }
 
     /// Seconds left; `None` while no stage has told its time.

@@ -7,7 +7,6 @@
 mod steady;
 mod viewer;
 
-use std::path::Path;
 use std::process::{Command, Stdio};
 
 use steady::{compare, steady};
@@ -116,5 +115,4 @@ fn a_newcomer_gets_through_the_first_day() {
     assert!(["reef.ply", "reef.html", "pictures"].iter().all(|name| day.has(name)));
 
     compare("newcomer", &day.printed);
-    assert!(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/snapshots/newcomer.txt").is_file());
 }

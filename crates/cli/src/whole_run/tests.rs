@@ -9,7 +9,12 @@ fn default_run(started: Instant) -> WholeRun {
         "enhance" => 1000.0,
         _ => 0.0,
     };
-    let part = |stage| Share { cost: usual_cost(stage, steps(stage)), forecast: None, turn: Turn::Pending };
+    let part = |stage| Share {
+        cost: usual_cost(stage, steps(stage)),
+        forecast: None,
+        turn: Turn::Pending,
+        needs: Vec::new(),
+    };
     WholeRun { parts: STAGES.map(part).to_vec(), jobs: 1, started, drawn: None }
 }
 
@@ -57,6 +62,17 @@ fn after_a_fifth_of_a_first_run_the_time_left_is_right_to_a_factor_of_two() {
             assert!((0.5..2.0).contains(&ratio), "{}: {passed} of {total} s: {left} s left", lines[0]);
         }
     }
+}
+
+#[test]
+fn a_failed_stage_takes_those_that_need_it_away() {
+    let start = Instant::now();
+    let mut whole = default_run(start);
+    whole.parts.iter_mut().for_each(|part| part.forecast = Some(10.0));
+    // The targets need stage 1, stage 2 needs the targets, and the others need nothing here.
+    (whole.parts[2].needs, whole.parts[3].needs) = (vec![0, 1], vec![2]);
+    whole.give_up(1);
+    assert_eq!(whole.left(start), Some(40.0));
 }
 
 #[test]

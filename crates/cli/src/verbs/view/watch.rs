@@ -14,7 +14,6 @@ use super::{Serving, Told, places, serve};
 use crate::App;
 use crate::args::WatchArgs;
 use crate::error::CliError;
-use crate::whole_run::LABEL;
 
 /// The app whose stages are shown, and the server, which lives as long as this value.
 pub(crate) struct Watched {
@@ -82,8 +81,6 @@ struct Watcher {
 impl Watcher {
     fn hear(self: &Arc<Self>, event: &Event<'_>) {
         match event {
-            // The page shows the training, which ends before the whole run.
-            Event::Progress { label: LABEL, .. } | Event::Done { label: LABEL, .. } => {}
             Event::Started { label, .. } => self.live.wait_for(&format!("{label} is running")),
             Event::Progress { label, done, total, unit, .. } => {
                 self.live.wait_for(&format!("{label}: {done} of {total} {unit}"));
