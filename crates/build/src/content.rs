@@ -64,9 +64,14 @@ impl Stat {
     }
 
     fn settled(&self) -> bool {
-        let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).map_or(0, |d| d.as_nanos());
+        self.settled_before(SystemTime::now())
+    }
+
+    /// Returns true if the last change was so long before `time` that a later one would show.
+    fn settled_before(&self, time: SystemTime) -> bool {
+        let time = time.duration_since(SystemTime::UNIX_EPOCH).map_or(0, |d| d.as_nanos());
         let last = self.modified.max(self.changed.max(0).cast_unsigned());
-        last + SETTLE.as_nanos() < now
+        last + SETTLE.as_nanos() < time
     }
 }
 
@@ -151,8 +156,9 @@ impl Contents {
             self.lock().choices.asked.insert(whose, files.clone());
             return Ok(files);
         }
+        let before = SystemTime::now();
         let choice = choose()?;
-        Ok(self.lock().choices.remember(&whose, choice))
+        Ok(self.lock().choices.remember(&whose, choice, before))
     }
 
     /// Like [`of`](Self::of), but checks the file or folder again, to find an input that changed while it was

@@ -75,15 +75,20 @@ impl Notes {
     pub fn keep(&self, part: &str, paths: &[PathBuf], made_of: MadeOf) -> Result<(), FileError> {
         let path = self.note(part);
         files::at(&self.folder, "create", self.cache.files().create_dir_all(&self.folder))?;
-        for _ in 0..TICK.1 {
-            let Some(looks) = self.looks(paths) else { break };
+        if let Some(Looks { digest, newest: Some(newest) }) = self.looks(paths) {
             // A change within the same clock tick could not be distinguished from the delivery.
-            if looks.newest.is_some_and(|newest| newest < self.present(&path)) {
-                let note = Note { format: FORMAT.to_string(), made_of, looks: looks.digest };
+            let over = (0..TICK.1).any(|_| {
+                let over = newest < self.present(&path);
+                if !over {
+                    std::thread::sleep(TICK.0);
+                }
+                over
+            });
+            if over && self.looks(paths).is_some_and(|now| now.digest == digest) {
+                let note = Note { format: FORMAT.to_string(), made_of, looks: digest };
                 let bytes = serde_json::to_vec(&note).unwrap_or_default();
                 return files::write_atomic(self.cache.files(), &path, &bytes);
             }
-            std::thread::sleep(TICK.0);
         }
         // Without a sure digest there is no note.
         let _ = self.cache.files().remove_file(&path);

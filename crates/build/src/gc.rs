@@ -168,6 +168,14 @@ impl Cache {
                 add("checkpoints", 1, path, name, folder.parse().ok());
             }
         }
+        for path in below(&self.root().join("killed")) {
+            let (name, key) = (last(&path), path.file_stem().and_then(|stem| stem.to_str()?.parse().ok()));
+            add("note of a killed process", 1, path, name, key);
+        }
+        for folder in below(&self.root().join("delivered")) {
+            let name = last(&folder);
+            add("notes of delivered results", 1, folder, name, None);
+        }
         for path in below(&self.root().join("damaged")) {
             let name = last(&path);
             add("damaged", 0, path, name, None);

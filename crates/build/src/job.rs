@@ -157,12 +157,6 @@ impl Job<'_> {
         let artifacts = self.resolved.artifacts.iter().map(|(_, a)| a.manifest.key);
         let reads: Vec<Key> = artifacts.chain(self.resolved.checkpoints).collect();
         let asked = Lease::ask(cache, key, &reads);
-        if let (Asked::Granted(_), Some(killed)) = (&asked, cache.killed(key)) {
-            let resumes = self.resolved.checkpoints.is_some();
-            let next = if resumes { "continuing from its last checkpoint" } else { "computing it again" };
-            let text = format!("{killed}; {next}");
-            self.listener.event(&Event::Note { label: &self.node.label(), text: &text });
-        }
         // Another process may have finished between the lookup before and the lease.
         let found = match &asked {
             Asked::Granted(Some(lease)) if lease.followed => {
@@ -177,7 +171,15 @@ impl Job<'_> {
                 }
                 Turn::Made(artifact)
             }
-            (_, Asked::Granted(lease)) => Turn::Ours(lease),
+            (_, Asked::Granted(lease)) => {
+                if let Some(killed) = cache.killed(key) {
+                    let resumes = self.resolved.checkpoints.is_some();
+                    let next = if resumes { ", from its last checkpoint if it has one" } else { "" };
+                    let text = format!("{killed}; computing it again{next}");
+                    self.listener.event(&Event::Note { label: &self.node.label(), text: &text });
+                }
+                Turn::Ours(lease)
+            }
             (_, Asked::Held(holder)) => Turn::Held(holder),
         })
     }

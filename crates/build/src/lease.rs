@@ -620,7 +620,7 @@ impl Cache {
         match (self.killed(key), left()) {
             (Some(noted), Some(left)) => Some(Killed {
                 peak_memory: noted.peak_memory.max(left.peak_memory),
-                times: noted.times + 1,
+                times: noted.times.saturating_add(1),
                 ..left
             }),
             (noted, left) => noted.or(left),

@@ -348,6 +348,9 @@ impl<'r> Runner<'r> {
     fn try_waiting(&mut self, at: (usize, usize), starter: &dyn Starter<'r>) -> bool {
         let Some(resolved) = self.waiting.remove(&at) else { return false };
         let i = at.1;
+        if self.phase[i] != Phase::Pending {
+            return false;
+        }
         if self.fits(i, &resolved) != Fits::Now {
             return self.keep_waiting(i, resolved);
         }
@@ -420,6 +423,8 @@ impl<'r> Runner<'r> {
             self.open[child] += 1;
             self.due.remove(&(self.rank[child], child));
             self.waiting.remove(&(self.rank[child], child));
+            // What was resolved with the lost artifact must not start later.
+            self.forget_resolved(child);
         }
     }
 

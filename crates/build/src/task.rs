@@ -8,6 +8,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
+use use3d_capture::name::shown;
 
 use super::cache::Cache;
 use super::files;
@@ -18,6 +19,9 @@ use super::key::Key;
 pub struct ClusterTask {
     /// `slurm` or `hq`.
     pub scheduler: String,
+    /// The name of the cluster; empty if it is not known.
+    #[serde(default)]
+    pub cluster: String,
     /// Its number there; `123_4` for a task of an array.
     pub id: String,
     /// The number of earlier starts.
@@ -43,6 +47,7 @@ impl ClusterTask {
                 number("SLURM_MEM_PER_NODE").map_or(0, |megabytes| megabytes.saturating_mul(1 << 20));
             return Some(Self {
                 scheduler: "slurm".into(),
+                cluster: variable("SLURM_CLUSTER_NAME").unwrap_or_default(),
                 id,
                 attempt: attempt("SLURM_RESTART_COUNT"),
                 memory,
@@ -50,18 +55,20 @@ impl ClusterTask {
         }
         let (job, task) = (variable("HQ_JOB_ID")?, variable("HQ_TASK_ID")?);
         let (id, attempt) = (format!("{job}_{task}"), attempt("HQ_INSTANCE_ID"));
-        Some(Self { scheduler: "hq".into(), id, attempt, memory: 0 })
+        Some(Self { scheduler: "hq".into(), cluster: String::new(), id, attempt, memory: 0 })
     }
 
     /// Returns true if this is a later attempt of the same task.
     pub(crate) fn follows(&self, earlier: &Self) -> bool {
-        self.scheduler == earlier.scheduler && self.id == earlier.id && self.attempt > earlier.attempt
+        let same = |task: &Self| (task.scheduler.clone(), task.cluster.clone(), task.id.clone());
+        same(self) == same(earlier) && self.attempt > earlier.attempt
     }
 }
 
 impl std::fmt::Display for ClusterTask {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{} {}", self.scheduler, self.id)
+        // The text comes from a file of another machine.
+        write!(f, "{} {}", shown(&self.scheduler), shown(&self.id))
     }
 }
 
@@ -117,7 +124,7 @@ impl Cache {
     pub(crate) fn note_killed(&self, key: &Key, mut killed: Killed) {
         if let Some(before) = self.killed(key) {
             killed.peak_memory = killed.peak_memory.max(before.peak_memory);
-            killed.times = before.times + 1;
+            killed.times = before.times.saturating_add(1);
         }
         let bytes = serde_json::to_vec(&killed).unwrap_or_default();
         // If the note is lost, the next task may request too little again.
@@ -165,7 +172,13 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let cache = Cache::open(dir.path(), false).unwrap();
         let key = super::super::digest::Digest::of(b"key");
-        let task = ClusterTask { scheduler: "slurm".into(), id: "1".into(), attempt: 0, memory: 1000 };
+        let task = ClusterTask {
+            scheduler: "slurm".into(),
+            cluster: String::new(),
+            id: "1".into(),
+            attempt: 0,
+            memory: 1000,
+        };
         let killed = |peak_memory| Killed {
             host: "n1".into(),
             process: 7,

@@ -1,11 +1,11 @@
 //! The cost of bookkeeping, counted in system calls: it does not grow with the number of scenes, and a run
 //! that finds all results delivered reads no large file of them.
 //!
-//! It counts with `strace`. Larger numbers of scenes are for the figures in `docs/science/cluster.md`:
+//! It counts with `strace`. Larger numbers of scenes are for the figures in `docs/science/performance.md`:
 //!
 //! ```text
 //! apt-get install --no-install-recommends strace
-//! USE3D_SCENES=1000 cargo test --release -p use3d --test economy -- --nocapture
+//! USE3D_SCENES=1000 cargo test -p use3d --test economy -- --nocapture
 //! ```
 
 mod tiny;
@@ -23,7 +23,7 @@ const CALLS: &str = "trace=readlink,statx,openat";
 const COMPUTED: f64 = 600.0;
 /// The same for an artifact that a run finds. Its capture has eleven files, and the artifact seventeen.
 const FOUND: f64 = 85.0;
-/// The most bytes that a run without work reads for an artifact: 50 MB for 911 artifacts.
+/// The most bytes that a run without work reads for an artifact: 50 MB for 26 scenes of ten variants, which have about 900 artifacts.
 const READ: f64 = 55_000.0;
 
 /// Captures that differ in one image each, and pipeline files for the first of them.

@@ -145,5 +145,10 @@ fn a_store_is_listed_cleaned_up_and_only_read() {
     let cache = many.at("nowhere").to_string_lossy().into_owned();
     let (code, said) = of_store(&["gc", "--older-than", "1s", "--keep", &keep, "--cache", &cache]);
     assert!(code == Some(2) && said.contains("are not in the cache"), "{said}");
+    // A pipeline whose captures are elsewhere has unknown artifacts, and not none.
+    fs::rename(many.at("s1"), many.at("elsewhere")).expect("renamed");
+    let cache = many.at("first").to_string_lossy().into_owned();
+    let (code, said) = of_store(&["gc", "--older-than", "1s", "--keep", &keep, "--cache", &cache]);
+    assert!(code == Some(2) && said.contains("inputs are not on this machine"), "{said}");
     assert!(tiny::files(store.as_ref()) == there);
 }

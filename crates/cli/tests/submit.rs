@@ -110,6 +110,14 @@ fn what_is_handed_over_ends_like_a_run_of_one_process_and_again_means_only_what_
     let (code, text) = submit("stages", &["--layout", "stages", "--again"]);
     assert!(code == Some(1) && text.contains("QOSMaxSubmitJob"), "{text}");
     assert_eq!(read(&many.at("bin/scancel.log")), "7\n");
+    // If that fails, the record still has the earlier ones, for `use3d cancel`.
+    fs::remove_file(many.at("once")).expect("removed");
+    let recorded = || read(&many.at("out-stages-submit/submitted.json"));
+    assert!(!recorded().is_empty() && !recorded().contains("\"7\""), "{}", recorded());
+    fs::write(many.at("bin/scancel"), "#!/bin/bash\nexit 1\n").expect("written");
+    let (code, text) = submit("stages", &["--layout", "stages", "--again"]);
+    assert!(code == Some(1) && text.contains("QOSMaxSubmitJob"), "{text}");
+    assert!(recorded().contains("\"7\""), "{}", recorded());
 }
 
 #[test]

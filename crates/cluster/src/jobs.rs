@@ -191,10 +191,10 @@ fn workers_of(
         about: format!(
             "{} the missing stages of {}.",
             if tasks == 1 { "One task computes".to_string() } else { format!("{tasks} equal tasks compute") },
-            if cells.len() < 2 {
-                "one scene and variant".to_string()
-            } else {
-                format!("{} scenes and variants", cells.len())
+            match cells.len() {
+                0 => "all scenes together".to_string(),
+                1 => "one scene and variant".to_string(),
+                n => format!("{n} scenes and variants"),
             }
         ),
         tasks: Some((0..tasks).collect()),

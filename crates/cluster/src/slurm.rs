@@ -231,6 +231,13 @@ pub fn submit(jobs: &[Job], submission: &Submission) -> Result<Submitted, Cluste
         Submitted { scheduler: "slurm".to_string(), jobs }
     };
     let scripts = format!("; the scripts lie in {}", submission.folder.display());
+    // Half a batch would only wait for the rest. Jobs that could not be cancelled stay in the record.
+    let give_up = |numbers: &[String], error: ClusterError| {
+        if !numbers.is_empty() && call("scancel", numbers, "").is_ok() {
+            let _ = submission.keep(&Submitted::default());
+        }
+        Err(error)
+    };
     for job in jobs {
         let script = submission.script_path(job).to_string_lossy().into_owned();
         let arguments =
@@ -239,16 +246,11 @@ pub fn submit(jobs: &[Job], submission: &Submission) -> Result<Submitted, Cluste
             Ok(number) => {
                 numbers.push(number);
                 // The file is written at once, so an interrupted `submit` leaves a record of its jobs.
-                submission.keep(&named(&numbers))?;
-            }
-            Err(error) => {
-                if !numbers.is_empty() {
-                    // Half a batch would only wait for the rest.
-                    let _ = call("scancel", &numbers, "");
-                    submission.keep(&Submitted::default())?;
+                if let Err(error) = submission.keep(&named(&numbers)) {
+                    return give_up(&numbers, error);
                 }
-                return Err(error);
             }
+            Err(error) => return give_up(&numbers, error),
         }
     }
     Ok(named(&numbers))
@@ -339,7 +341,10 @@ pub fn is_over() -> IsOver {
     type Said = HashMap<String, (Instant, Option<bool>)>;
     let said: Mutex<Said> = Mutex::default();
     Arc::new(move |task: &ClusterTask| {
-        if task.scheduler != "slurm" {
+        // Another cluster with the same cache has numbers of its own.
+        let here = std::env::var("SLURM_CLUSTER_NAME").unwrap_or_default();
+        let elsewhere = !here.is_empty() && !task.cluster.is_empty() && here != task.cluster;
+        if task.scheduler != "slurm" || elsewhere {
             return None;
         }
         let mut said = said.lock().unwrap_or_else(PoisonError::into_inner);

@@ -76,13 +76,12 @@ impl Bucket {
             }
             _ => "",
         };
-        RemoteError::Refused {
-            place: self.place.clone(),
-            doing,
-            name: name.to_string(),
-            reason: format!("{error}{advice}"),
-            passing,
+        let (place, reason) = (self.place.clone(), format!("{error}{advice}"));
+        // The library has no error of its own for a bucket that does not exist; this is the name in S3's answer.
+        if reason.contains("NoSuchBucket") {
+            return RemoteError::NoStore { place, reason };
         }
+        RemoteError::Refused { place, doing, name: name.to_string(), reason, passing }
     }
 
     async fn upload(

@@ -7,6 +7,7 @@
 use std::collections::{BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::SystemTime;
 
 use super::super::digest::Digest;
 use super::Stat;
@@ -64,12 +65,12 @@ impl Choices {
         same.then(|| made.files.clone())
     }
 
-    /// Stores a choice, unless one of its sources was changed a moment ago: one clock tick may hide a second
-    /// change.
-    pub(super) fn remember(&mut self, whose: &Whose, choice: Choice) -> Arc<[PathBuf]> {
+    /// Stores a choice whose making began at `began`, unless one of its sources was changed since then or a
+    /// moment before: the choice may have missed the change, and one clock tick may hide a second one.
+    pub(super) fn remember(&mut self, whose: &Whose, choice: Choice, began: SystemTime) -> Arc<[PathBuf]> {
         let files: Arc<[PathBuf]> = choice.files.into();
         let from: Vec<_> = choice.made_from.into_iter().map(|path| (stat(&whose.1, &path), path)).collect();
-        if !from.is_empty() && from.iter().all(|(stat, _)| stat.is_none_or(|s| s.settled())) {
+        if !from.is_empty() && from.iter().all(|(stat, _)| stat.is_none_or(|s| s.settled_before(began))) {
             let from = from.into_iter().map(|(stat, path)| (path, stat)).collect();
             self.table.insert(whose.clone(), StoredChoice { files: files.clone(), from });
             self.changed.insert(whose.clone());
@@ -134,4 +135,27 @@ fn parse(line: &str) -> Option<(Whose, StoredChoice)> {
     let stats: Vec<Option<Stat>> = stats.iter().map(stat).collect::<Option<_>>()?;
     let made = StoredChoice { files: files.into(), from: from.into_iter().zip(stats).collect() };
     Some(((who.parse().ok()?, input), made))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+
+    #[test]
+    fn a_choice_is_stored_only_if_its_sources_were_at_rest_before_it_began() {
+        let dir = tempfile::tempdir().expect("a folder");
+        let whose = (Digest::of(b"stage"), dir.path().to_path_buf());
+        let choice = || Choice { files: vec!["a.jpg".into()], made_from: vec![".".into()] };
+        let stored = |began: SystemTime| {
+            let mut choices = Choices::default();
+            choices.remember(&whose, choice(), began);
+            choices.still_holds(&whose).is_some()
+        };
+        // The folder was changed just now.
+        let now = SystemTime::now();
+        assert!(!stored(now) && !stored(now - Duration::from_secs(60)));
+        assert!(stored(now + Duration::from_secs(60)));
+    }
 }

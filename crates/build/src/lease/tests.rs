@@ -208,8 +208,13 @@ fn the_work_of_a_killed_process_goes_on_soon() {
 #[test]
 fn a_task_that_is_known_to_be_over_is_waited_for_no_longer_and_how_it_ended_is_kept() {
     let dir = tempfile::tempdir().unwrap();
-    let task =
-        ClusterTask { scheduler: "slurm".to_string(), id: "12_4".to_string(), attempt: 0, memory: 900 << 20 };
+    let task = ClusterTask {
+        scheduler: "slurm".to_string(),
+        cluster: String::new(),
+        id: "12_4".to_string(),
+        attempt: 0,
+        memory: 900 << 20,
+    };
     let open = || Cache::open(dir.path(), false).unwrap();
     let elsewhere = |host: &str| Node::elsewhere(host, Clock::system());
     let over = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(false));

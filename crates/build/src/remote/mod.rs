@@ -105,6 +105,14 @@ pub enum RemoteError {
         /// True if the operation may succeed when it is repeated.
         passing: bool,
     },
+    /// There is no such store.
+    #[error("{place}: there is no such store: {reason}")]
+    NoStore {
+        /// The store.
+        place: String,
+        /// The server's answer.
+        reason: String,
+    },
     /// The content of an object does not match its name.
     #[error("{place}: {name} {reason}")]
     Wrong {
@@ -130,11 +138,6 @@ pub enum RemoteError {
 }
 
 impl RemoteError {
-    /// Returns true if the whole store does not exist.
-    pub(crate) fn is_of_the_whole_store(&self) -> bool {
-        matches!(self, Self::Refused { reason, .. } if reason.contains("NoSuchBucket"))
-    }
-
     /// Returns true if the same operation may succeed when it is repeated.
     pub fn passes(&self) -> bool {
         matches!(self, Self::Refused { passing: true, .. } | Self::Wrong { .. })

@@ -4,10 +4,11 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fmt;
 use std::sync::Mutex;
 use std::sync::PoisonError;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::time::{Duration, SystemTime};
 
 use serde::Serialize;
+use use3d_capture::name::shown;
 
 use super::super::digest::Digest;
 use super::super::key::Key;
@@ -16,7 +17,7 @@ use super::super::manifest::Manifest;
 use super::transfer::each;
 use super::{RemoteError, RemoteStore, manifest};
 
-/// The age in seconds before a file without a manifest is removed. A transfer sends the files first and the
+/// The age before a file without a manifest is removed; a cleaning of younger artifacts waits an hour. A transfer sends the files first and the
 /// manifest last, so a young file may belong to a transfer in progress.
 const BEING_SENT: Duration = Duration::from_secs(86_400);
 
@@ -58,7 +59,8 @@ impl Shelf {
 impl fmt::Display for Shelf {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for (stage, count) in self.stages() {
-            writeln!(f, "{stage:<12} {count}")?;
+            // The name comes from the store.
+            writeln!(f, "{:<12} {count}", shown(stage))?;
         }
         let (files, bytes) = self.size();
         writeln!(f, "{} artifacts, {files} files, {}", self.artifacts.len(), machine::bytes(bytes))
@@ -118,8 +120,11 @@ impl RemoteStore {
     }
 
     /// Removes artifacts that were sent longer than `older_than` ago and are not among those to keep, and
-    /// then the files of no artifact. Manifests are removed first, so the files of every manifest exist at
-    /// all times.
+    /// then the files of no artifact. Manifests are removed first. Before the files, the store is listed
+    /// again, and files of artifacts that were sent meanwhile stay.
+    ///
+    /// Limit: an artifact that is sent between that list and the removal of a file may use the file again
+    /// and lose it. A run that fetches such an artifact finds the loss and computes it.
     ///
     /// # Errors
     /// The store does not answer, or permits no removal.
@@ -136,17 +141,8 @@ impl RemoteStore {
         let goes = |key: &Key, written: &SystemTime| !keep.contains(key) && age(written) > older_than;
         let (gone, left): (Vec<_>, Vec<_>) =
             shelf.artifacts.iter().partition(|((_, key), written)| goes(key, written));
-        // The manifests that stay name the files that stay. An unreadable manifest names no usable file.
-        let named: Mutex<BTreeSet<Digest>> = Mutex::default();
-        each(&left, 32, |((stage, key), _)| match self.manifest(stage, key, stop) {
-            Ok(Some(Manifest { files, .. })) => {
-                named.lock().unwrap_or_else(PoisonError::into_inner).extend(files.iter().map(|f| f.digest));
-                Ok(())
-            }
-            Ok(None) | Err(RemoteError::Wrong { .. }) => Ok(()),
-            Err(error) => Err(error),
-        })?;
-        let named = named.into_inner().unwrap_or_else(PoisonError::into_inner);
+        let left: Vec<&(String, Key)> = left.into_iter().map(|(artifact, _)| artifact).collect();
+        let named = self.named_by(&left, stop)?;
         let unnamed = |(digest, (_, written)): &(&Digest, &(u64, SystemTime))| {
             !named.contains(*digest) && age(written) > BEING_SENT.min(older_than.max(BEING_SENT / 24))
         };
@@ -162,12 +158,57 @@ impl RemoteStore {
         if dry_run {
             return Ok(swept);
         }
+        let (artifacts_gone, files_gone, bytes_gone) =
+            (AtomicUsize::new(0), AtomicUsize::new(0), AtomicU64::new(0));
         let remove = |name: String| self.patiently(stop, || self.remote.remove(&name));
-        let removed = each(&gone, 32, |((stage, key), _)| remove(manifest(stage, key)))
-            .and_then(|()| each(&files, 32, |(digest, _)| remove(super::blob(digest))));
-        match removed {
-            Err(RemoteError::Stopped) => Ok(Swept { interrupted: true, ..swept }),
-            removed => removed.map(|()| swept),
-        }
+        let all = || -> Result<(), RemoteError> {
+            each(&gone, 32, |((stage, key), _)| {
+                remove(manifest(stage, key))?;
+                artifacts_gone.fetch_add(1, Ordering::Relaxed);
+                Ok(())
+            })?;
+            let now = self.shelf(stop)?;
+            let new: Vec<_> =
+                now.artifacts.keys().filter(|key| !shelf.artifacts.contains_key(*key)).collect();
+            let used_again = self.named_by(&new, stop)?;
+            let files: Vec<_> = files.iter().filter(|(digest, _)| !used_again.contains(*digest)).collect();
+            each(&files, 32, |(digest, (size, _))| {
+                remove(super::blob(digest))?;
+                files_gone.fetch_add(1, Ordering::Relaxed);
+                bytes_gone.fetch_add(*size, Ordering::Relaxed);
+                Ok(())
+            })
+        };
+        let interrupted = match all() {
+            Err(RemoteError::Stopped) => true,
+            removed => removed.map(|()| false)?,
+        };
+        let artifacts = artifacts_gone.into_inner();
+        Ok(Swept {
+            artifacts,
+            files: files_gone.into_inner(),
+            bytes: bytes_gone.into_inner(),
+            left: shelf.artifacts.len() - artifacts,
+            dry_run,
+            interrupted,
+        })
+    }
+
+    /// The files that the manifests of some artifacts name. An unreadable manifest names no usable file.
+    fn named_by(
+        &self,
+        artifacts: &[&(String, Key)],
+        stop: &AtomicBool,
+    ) -> Result<BTreeSet<Digest>, RemoteError> {
+        let named: Mutex<BTreeSet<Digest>> = Mutex::default();
+        each(artifacts, 32, |(stage, key)| match self.manifest(stage, key, stop) {
+            Ok(Some(Manifest { files, .. })) => {
+                named.lock().unwrap_or_else(PoisonError::into_inner).extend(files.iter().map(|f| f.digest));
+                Ok(())
+            }
+            Ok(None) | Err(RemoteError::Wrong { .. }) => Ok(()),
+            Err(error) => Err(error),
+        })?;
+        Ok(named.into_inner().unwrap_or_else(PoisonError::into_inner))
     }
 }

@@ -221,7 +221,7 @@ fn listing(store: &RemoteStore, stop: &AtomicBool) -> Result<Option<Shelf>, Remo
     match store.shelf(stop) {
         Ok(shelf) => Ok(Some(shelf)),
         Err(RemoteError::Stopped) => Ok(None),
-        Err(error @ RemoteError::Refused { passing: false, .. }) if !error.is_of_the_whole_store() => {
+        Err(error @ RemoteError::Refused { passing: false, .. }) => {
             tracing::debug!("{error}; asking for every artifact");
             Ok(None)
         }

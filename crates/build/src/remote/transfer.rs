@@ -313,7 +313,7 @@ impl RemoteStore {
         self.send_beside(cache, artifact, None, check, stop)
     }
 
-    /// Like [`send`](Self::send), for a store that was listed: the objects in the list are not requested
+    /// Like [`send`](Self::send), for a store that was listed: the files in the list are not requested
     /// again.
     pub(super) fn send_beside(
         &self,

@@ -55,6 +55,13 @@ impl Runner<'_> {
         }
     }
 
+    /// Forgets the resolved inputs of a node that another process held; it is resolved again.
+    pub(super) fn forget_resolved(&mut self, i: usize) {
+        if let Some(held) = self.held.get_mut(&i) {
+            held.resolved = None;
+        }
+    }
+
     /// Returns true if the run should wait for other processes, when there is nothing to do here. If not, the
     /// remaining nodes are left to them.
     pub(super) fn waits_for_others(&mut self) -> bool {

@@ -7,6 +7,7 @@ mod crash;
 mod economy;
 mod executors;
 mod faults;
+mod faulty_store;
 mod nodes;
 mod reference;
 mod remote;

@@ -118,10 +118,16 @@ fn tell_stuck(jobs: &[(String, String)]) {
     std::thread::sleep(EXAMINED);
     let numbers: Vec<String> = jobs.iter().map(|(_, number)| number.clone()).collect();
     for (number, reason) in slurm::never(&numbers) {
+        let why = match reason.contains("NotAllowed") {
+            true => "your account may not use it; write account or qos of the site into",
+            false => {
+                "no node of its partition has what it requests; write partition, cpus, memory and time of the \
+                 site into"
+            }
+        };
         eprintln!(
-            "warning: job {number} can never start ({reason}): no node of its partition has what it \
-             requests; write partition, cpus, memory and time of the site into --cluster FILE \
-             (docs/guide/cluster.md), run `use3d cancel`, and submit again"
+            "warning: job {number} can never start ({reason}): {why} --cluster FILE (docs/guide/cluster.md), run \
+             `use3d cancel`, and submit again"
         );
     }
 }

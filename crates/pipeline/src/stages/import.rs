@@ -66,7 +66,8 @@ fn sources(capture: &Path) -> Vec<PathBuf> {
         let Ok(entry) = entry else { return Vec::new() };
         let names_images = |path: &Path| {
             let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
-            extension.is_some_and(|e| ["bin", "txt", "json", "xml", "ply"].contains(&e.as_str()))
+            extension
+                .is_some_and(|e| ["bin", "txt", "json", "xml", "ply", "csv", "xmp"].contains(&e.as_str()))
         };
         if entry.file_type().is_dir() || names_images(entry.path()) {
             found.push(entry.path().strip_prefix(capture).unwrap_or(entry.path()).to_path_buf());
