@@ -136,7 +136,7 @@ pub use key::DeviceClass;
 pub use lease::{PATIENCE, Working};
 pub use plan::Plan;
 pub use registry::{Registry, Shorthand};
-pub use require::{Gap, Gaps, Lacking};
+pub use require::{Checks, Gap, Gaps, Lacking};
 pub use run::{RunOptions, Summary};
 pub use stage::{AllParameters, Input, Named, Scope, Select, Source, Stage};
 

@@ -5,9 +5,12 @@
 //! training of hours that has to fail at its end never starts.
 
 use std::fmt::{self, Display, Formatter};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::Builder;
+use super::content::{Choice, Contents};
+use super::digest::Digest;
 use super::graph::Graph;
 use super::stage::{AllParameters, Named};
 
@@ -23,7 +26,26 @@ pub struct Lacking {
 }
 
 /// The requirements of a stage.
-pub(super) type Requires = Arc<dyn Fn(&AllParameters, &Named) -> Vec<Lacking> + Send + Sync>;
+pub(super) type Requires = Arc<dyn Fn(&AllParameters, &Named, &Checks<'_>) -> Vec<Lacking> + Send + Sync>;
+
+/// Checks of files that are not made twice: a check without a fault is stored in the cache with the state of
+/// the files that it read.
+pub struct Checks<'a>(&'a Contents);
+
+impl Checks<'_> {
+    /// Returns the fault that `check` finds in files of `input`. If it found none before, and none of the files
+    /// that it read has changed since, it is not made again. `name` names the check and its rules; `check`
+    /// returns the files and folders that it read, relative to `input`.
+    pub fn once(
+        &self,
+        name: &str,
+        input: &Path,
+        check: impl FnOnce() -> Result<Vec<PathBuf>, String>,
+    ) -> Option<String> {
+        let choice = || check().map(|made_from| Choice { files: Vec::new(), made_from });
+        self.0.choice(Digest::of(name.as_bytes()), input, choice).err()
+    }
+}
 
 /// A missing thing, and the stages and scenes that need it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -104,10 +126,11 @@ impl Builder {
     /// Lists everything that the wanted nodes of a graph need and do not have. Computes nothing.
     pub fn gaps(&self, graph: &Graph, until: Option<&[String]>, only: Option<&[(String, String)]>) -> Gaps {
         let mut gaps = Gaps::default();
+        let checks = Checks(self.cache.contents());
         let wanted = graph.wanted_of(until, only);
         for (node, _) in graph.nodes.iter().zip(wanted).filter(|(_, wanted)| *wanted) {
             let Some(requires) = &self.registry.stages()[node.stage].requires else { continue };
-            for lacking in requires(&node.place.all, &node.place.named) {
+            for lacking in requires(&node.place.all, &node.place.named, &checks) {
                 gaps.add(lacking, node.stage_name, &node.scene);
             }
         }
@@ -117,7 +140,40 @@ impl Builder {
 
 #[cfg(test)]
 mod tests {
+    use super::super::files::Disk;
     use super::*;
+
+    #[test]
+    fn a_check_without_a_fault_is_made_again_only_when_its_files_change() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("truth.png");
+        std::fs::write(&path, "truth").unwrap();
+        let old = std::time::SystemTime::now() - std::time::Duration::from_secs(100);
+        std::fs::File::options().write(true).open(&path).unwrap().set_modified(old).unwrap();
+        // The change time cannot be set back.
+        std::thread::sleep(std::time::Duration::from_millis(2100));
+        // Each attempt is a process of its own. Returns the fault and the number of checks that were made.
+        let attempt = |fault: Option<&str>| {
+            let contents = Contents::open(Arc::new(Disk), dir.path().join("stat"), false);
+            let mut made = 0;
+            let mut once = || {
+                Checks(&contents).once("readable", dir.path(), || {
+                    made += 1;
+                    fault.map_or(Ok(vec!["truth.png".into()]), |fault| Err(fault.into()))
+                })
+            };
+            let found = (once(), once());
+            contents.save().unwrap();
+            assert_eq!(found.0, found.1);
+            (found.0, made)
+        };
+        // A fault is not stored.
+        assert_eq!(attempt(Some("broken")), (Some("broken".into()), 2));
+        assert_eq!(attempt(None), (None, 1));
+        assert_eq!(attempt(None), (None, 0));
+        std::fs::write(&path, "other").unwrap();
+        assert_eq!(attempt(Some("broken")), (Some("broken".into()), 2));
+    }
 
     #[test]
     fn what_several_need_is_said_once_with_all_of_them() {

@@ -15,7 +15,7 @@ use super::context::{StageContext, StageInput};
 use super::error::{ParameterError, StageError};
 use super::graph::External;
 use super::key::DeviceClass;
-use super::require::{Lacking, Requires};
+use super::require::{Checks, Lacking, Requires};
 
 /// The set over which a stage is made once.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -436,11 +436,11 @@ impl Stage {
 
     /// States its requirements from outside: `missing` lists the unmet ones, from the parameters of all
     /// stages and from the files that the pipeline names. It is called before anything runs and does not
-    /// change any result.
+    /// change any result. Checks that read much go through [`Checks`].
     #[must_use]
     pub fn requires(
         mut self,
-        missing: impl Fn(&AllParameters, &Named) -> Vec<Lacking> + Send + Sync + 'static,
+        missing: impl Fn(&AllParameters, &Named, &Checks<'_>) -> Vec<Lacking> + Send + Sync + 'static,
     ) -> Self {
         self.requires = Some(Arc::new(missing));
         self

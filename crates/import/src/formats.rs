@@ -14,7 +14,7 @@ use use3d_survey::Survey;
 
 use crate::error::ImportError;
 use crate::labels;
-use crate::layout::{DEPTH_DIRS, Folder, FoundModel, IMAGE_DIRS, MASK_DIRS, find_colmap, subfolders};
+use crate::layout::{DEPTH_DIRS, FoundModel, IMAGE_DIRS, MASK_DIRS, SourceFolder, find_colmap, subfolders};
 use crate::prepared::{MANIFEST, is_prepared};
 
 /// A format of models.
@@ -443,7 +443,7 @@ fn read_realityscan(found: &FoundModel) -> Result<ReadModel, ImportError> {
         (read_table(&found.path)?, dir, base_of(found), places_of_photographs(dir))
     };
     let names: Vec<&FileName> = registration.shots.iter().map(|shot| &shot.name).collect();
-    let folders = places.iter().filter_map(|place| Folder::open_own(dir, place));
+    let folders = places.iter().filter_map(|place| SourceFolder::open_own(dir, place));
     // The first of those with the most photographs.
     let photographs = folders.map(|folder| labels::photographs(&names, &folder)).fold(
         std::collections::BTreeMap::new(),

@@ -17,7 +17,7 @@ use use3d_survey::{PosedImage, Survey, SurveyPoint};
 
 use crate::error::ImportError;
 use crate::geometry::Geometry;
-use crate::layout::{DEPTH_DIRS, Folder, FoundModel, MASK_DIRS, find_extra, find_images, find_models};
+use crate::layout::{DEPTH_DIRS, FoundModel, MASK_DIRS, SourceFolder, find_extra, find_images, find_models};
 use crate::metres;
 use crate::normalise;
 use crate::params::{ImportParams, WhiteBalance};
@@ -140,7 +140,7 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
 
     let (folder, other_folders) = find_images(dir, params, &mut read)?;
     metres::read(dir, &folder, &mut read.survey, &mut read.files)?;
-    let (mut model, base) = (read.survey, Folder::open_own(dir, &read.base));
+    let (mut model, base) = (read.survey, SourceFolder::open_own(dir, &read.base));
     report.image_folder = folder.relative.clone();
     report.other_image_folders = other_folders;
     let masks = find_extra(dir, params.mask_dir.as_deref(), "mask_dir", &MASK_DIRS)?;

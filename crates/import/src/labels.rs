@@ -12,7 +12,7 @@ use use3d_survey::Survey;
 
 use crate::error::ImportError;
 use crate::formats::may_hold_photographs;
-use crate::layout::{Folder, IMAGE_EXTENSIONS};
+use crate::layout::{IMAGE_EXTENSIONS, SourceFolder};
 
 /// The outcome for one label.
 enum Fit {
@@ -35,7 +35,7 @@ fn stem(name: &str) -> &str {
 }
 
 impl Photographs {
-    fn of(folder: &Folder) -> Self {
+    fn of(folder: &SourceFolder) -> Self {
         let mut by_stem: BTreeMap<String, Vec<String>> = BTreeMap::new();
         let mut allowed: BTreeMap<String, bool> = BTreeMap::new();
         for path in folder.images() {
@@ -83,7 +83,7 @@ impl Photographs {
 }
 
 /// The photographs of a folder that belong to some labels, each the only one that fits its label.
-pub(crate) fn photographs(labels: &[&FileName], folder: &Folder) -> BTreeMap<FileName, PathBuf> {
+pub(crate) fn photographs(labels: &[&FileName], folder: &SourceFolder) -> BTreeMap<FileName, PathBuf> {
     let photographs = Photographs::of(folder);
     let found = labels.iter().filter_map(|label| match photographs.fit(label) {
         Fit::One(path) => Some(((*label).clone(), folder.path().join(path))),
@@ -93,7 +93,7 @@ pub(crate) fn photographs(labels: &[&FileName], folder: &Folder) -> BTreeMap<Fil
 }
 
 /// The number of a survey's images that have exactly one photograph in a folder.
-pub(crate) fn count(survey: &Survey, folder: &Folder) -> usize {
+pub(crate) fn count(survey: &Survey, folder: &SourceFolder) -> usize {
     let photographs = Photographs::of(folder);
     survey.images.iter().filter(|image| matches!(photographs.fit(&image.name), Fit::One(_))).count()
 }
@@ -102,7 +102,7 @@ pub(crate) fn count(survey: &Survey, folder: &Folder) -> usize {
 ///
 /// # Errors
 /// A label that fits two photographs, and two labels that fit one.
-pub(crate) fn resolve(survey: &mut Survey, folder: &Folder) -> Result<(), ImportError> {
+pub(crate) fn resolve(survey: &mut Survey, folder: &SourceFolder) -> Result<(), ImportError> {
     let photographs = Photographs::of(folder);
     let fail = |reason: String| {
         let (path, looked) = (folder.path().to_path_buf(), folder.relative.clone());

@@ -155,12 +155,12 @@ pub fn holds_no_model(root: &Path) -> bool {
     let names = names_in(root);
     let has = |name: &str| names.iter().any(|n| n == name);
     let project = FORMATS[1..].iter().any(|format| (format.instead)(&names).is_some());
-    !project
-        && !is_prepared(root)
-        && !(has("scene.json") && has("gaussians.ply"))
-        && matches!(check_layout(root), Err(ImportError::NoModel { .. }))
-        && model_above(root).is_none()
-        && !subfolders(root).iter().any(|name| has_usual_model(&root.join(name)))
+    let scene = has("scene.json") && has("gaussians.ply");
+    if project || scene || is_prepared(root) || model_above(root).is_some() {
+        return false;
+    }
+    let inside = subfolders(root).iter().any(|name| has_usual_model(&root.join(name)));
+    !inside && matches!(check_layout(root), Err(ImportError::NoModel { .. }))
 }
 
 /// The remedy for a folder without a model, depending on its content.
@@ -221,7 +221,7 @@ pub(crate) fn subfolders(dir: &Path) -> Vec<String> {
 
 /// A folder in which files are looked up by names from a model or a manifest.
 #[derive(Clone, Debug)]
-pub(crate) struct Folder {
+pub(crate) struct SourceFolder {
     /// The path that is shown to the user, relative to the capture.
     pub(crate) relative: String,
     /// The real path, with symbolic links resolved.
@@ -246,7 +246,7 @@ fn kind_without_links(folder: &Path, path: &Path) -> std::io::Result<Option<std:
     Ok(kind)
 }
 
-impl Folder {
+impl SourceFolder {
     /// Opens a folder; `None` if it does not exist. Its files may not be links to places outside.
     pub(crate) fn open(root: &Path, relative: &str) -> Option<Self> {
         let real = root.join(relative).canonicalize().ok().filter(|p| p.is_dir())?;
@@ -346,14 +346,14 @@ pub(crate) fn find_images(
     root: &Path,
     params: &ImportParams,
     model: &mut ReadModel,
-) -> Result<(Folder, Vec<String>), ImportError> {
+) -> Result<(SourceFolder, Vec<String>), ImportError> {
     let fail = |reason: &str, looked: String| {
         Err(ImportError::NoImages { path: root.to_path_buf(), reason: reason.into(), looked })
     };
     let usual = || model.image_dirs.iter().map(String::as_str).collect();
     let names: Vec<&str> = params.image_dir.as_deref().map_or_else(usual, |dir| vec![dir]);
     let looked = names.join(", ");
-    let folders: Vec<Folder> = names.iter().filter_map(|n| Folder::open_own(root, n)).collect();
+    let folders: Vec<SourceFolder> = names.iter().filter_map(|n| SourceFolder::open_own(root, n)).collect();
     let set = "`--set image_dir=DIR` (`--set import.image_dir=DIR` in `use3d run`)";
     if folders.is_empty() {
         return fail(&format!("there is no image folder; name yours with {set}"), looked);
@@ -361,7 +361,7 @@ pub(crate) fn find_images(
     for folder in &folders {
         std::fs::read_dir(&folder.real).map_err(ImportError::file(&root.join(&folder.relative)))?;
     }
-    let mut best: Option<(usize, &Folder)> = None;
+    let mut best: Option<(usize, &SourceFolder)> = None;
     for folder in &folders {
         let count = match model.labels {
             true => labels::count(&model.survey, folder),
@@ -395,7 +395,7 @@ pub(crate) fn find_images(
 }
 
 /// The number of a survey's images that a folder holds under their own names.
-fn count_named(survey: &Survey, folder: &Folder) -> Result<usize, ImportError> {
+fn count_named(survey: &Survey, folder: &SourceFolder) -> Result<usize, ImportError> {
     let mut count = 0;
     for image in &survey.images {
         count += usize::from(folder.image(&image.name)?.is_some());
@@ -422,10 +422,10 @@ pub(crate) fn find_extra(
     asked: Option<&str>,
     field: &'static str,
     defaults: &[&str],
-) -> Result<Option<Folder>, ImportError> {
+) -> Result<Option<SourceFolder>, ImportError> {
     match asked {
-        None => Ok(defaults.iter().find_map(|dir| Folder::open_own(root, dir))),
-        Some(dir) => match Folder::open_own(root, dir) {
+        None => Ok(defaults.iter().find_map(|dir| SourceFolder::open_own(root, dir))),
+        Some(dir) => match SourceFolder::open_own(root, dir) {
             Some(folder) => Ok(Some(folder)),
             None => {
                 let reason = format!("there is no folder {}", root.join(dir).display());
@@ -458,7 +458,7 @@ mod tests {
         let images = dir.path().join("images");
         std::fs::create_dir_all(images.join("sub")).unwrap();
         std::fs::write(images.join("sub/a b.png"), b"x").unwrap();
-        let folder = Folder::open(dir.path(), "images").unwrap();
+        let folder = SourceFolder::open(dir.path(), "images").unwrap();
         let name = |text: &str| FileName::new(text).unwrap();
         #[cfg(unix)]
         {
@@ -469,7 +469,7 @@ mod tests {
             assert!(folder.file(&name("inside.png")).unwrap().is_some());
             // A user's own folder may hold links to files, under their own names, but links to folders do not
             // count.
-            let own = Folder::open_own(dir.path(), "images").unwrap();
+            let own = SourceFolder::open_own(dir.path(), "images").unwrap();
             let found = own.file(&name("link.png")).unwrap().unwrap();
             assert_eq!(found, images.canonicalize().unwrap().join("link.png"));
             std::os::unix::fs::symlink(dir.path(), images.join("folder.png")).unwrap();

@@ -25,7 +25,7 @@ use use3d_survey::{
 };
 
 use crate::error::ImportError;
-use crate::layout::Folder;
+use crate::layout::SourceFolder;
 
 const LENGTHS: &str = "lengths.csv";
 const POSITIONS: &str = "positions.csv";
@@ -131,7 +131,7 @@ impl<'a> Names<'a> {
 /// read. The names of the survey's images are those of files in `images`.
 pub(crate) fn read(
     dir: &Path,
-    images: &Folder,
+    images: &SourceFolder,
     survey: &mut Survey,
     files: &mut Vec<PathBuf>,
 ) -> Result<(), ImportError> {
@@ -174,7 +174,7 @@ pub(crate) fn read(
 /// Metres by known lengths. Their ends become markers with a scale bar between them.
 fn lengths(
     table: &CsvTable,
-    images: &Folder,
+    images: &SourceFolder,
     survey: &Survey,
     (markers, bars): (&mut Vec<Marker>, &mut Vec<ScaleBar>),
     notes: &mut Vec<String>,
@@ -318,7 +318,11 @@ fn depths(table: &CsvTable, survey: &Survey, notes: &mut Vec<String>) -> Result<
 
 /// Metres by the GPS positions in the photographs themselves. If the first and the last photograph have none,
 /// the others are not opened. If some positions have an altitude, only these count.
-fn gps(images: &Folder, survey: &Survey, notes: &mut Vec<String>) -> Result<Option<World>, ImportError> {
+fn gps(
+    images: &SourceFolder,
+    survey: &Survey,
+    notes: &mut Vec<String>,
+) -> Result<Option<World>, ImportError> {
     let photographs = &survey.images;
     let place = |image: &PosedImage| -> Result<Option<GpsPosition>, ImportError> {
         let Some(path) = images.image(&image.name)? else { return Ok(None) };

@@ -20,7 +20,7 @@ use use3d_survey::{Survey, World};
 use crate::error::ImportError;
 use crate::geometry::Geometry;
 use crate::import::{Imported, Plan, capture_name, sparse_points};
-use crate::layout::Folder;
+use crate::layout::SourceFolder;
 use crate::params::WhiteBalance;
 use crate::report::ImportReport;
 
@@ -198,7 +198,7 @@ pub fn load_prepared(dir: &Path) -> Result<Imported, ImportError> {
     let path = dir.join(MANIFEST);
     let bad = |reason: String| ImportError::Prepared { path: path.clone(), reason };
     let manifest = manifest(dir)?;
-    let folder = Folder::open(dir, ".").ok_or_else(|| bad("its folder is gone".into()))?;
+    let folder = SourceFolder::open(dir, ".").ok_or_else(|| bad("its folder is gone".into()))?;
     let file = |name: &FileName| {
         // Paths are kept as given, not as resolved, so that a relative folder stays relative.
         match folder.file(name)? {

@@ -35,7 +35,7 @@ const GLANCES: usize = 4000;
 
 /// The measurements in a capture's photographs.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Seen {
+pub(crate) struct CaptureSights {
     /// Those in the photographs at their own size, and at half that size.
     pub(crate) sizes: [Sights; 2],
     /// Glances of views at points; only if the model has no tracks.
@@ -82,7 +82,7 @@ pub enum SightsError {
     Stopped,
 }
 
-impl Seen {
+impl CaptureSights {
     /// Measures a capture. `view` returns a training view's image and mask at the size of its camera, or an
     /// error that stops the work.
     fn look(
@@ -261,15 +261,15 @@ mod tests {
         let imported =
             |max_side| import(&reef, &ImportParams { max_side, ..ImportParams::default() }).unwrap();
         let (whole, scaled) = (imported(0), imported(32));
-        let seen = Seen::of_files(&whole, None, || true).unwrap();
+        let seen = CaptureSights::of_files(&whole, None, || true).unwrap();
         let [full, half] = &seen.sizes;
         assert!(full.points.len() > 100 && half.points.len() > 50 && seen.glances.is_empty());
         let bytes = seen.bytes().unwrap();
-        let again = Seen::of_files(&scaled, None, || true).unwrap();
+        let again = CaptureSights::of_files(&scaled, None, || true).unwrap();
         assert_eq!(again.bytes().unwrap(), bytes, "whatever the size of training");
         let path = dir.path().join(SIGHTS);
         std::fs::write(&path, &bytes).unwrap();
-        let read = Seen::read(&path, &scaled).unwrap();
+        let read = CaptureSights::read(&path, &scaled).unwrap();
         assert_eq!(read.bytes().unwrap(), bytes);
         for (a, b) in read.sizes[0].points.iter().zip(&full.points) {
             assert_eq!(
@@ -279,15 +279,15 @@ mod tests {
             assert!((0..3).all(|c| a.value[c].is_nan() == b.value[c].is_nan()));
         }
         // The values are balanced as in the import, and the work stops when the user stops it.
-        let balanced = Seen::of_files(&whole, Some([1.0, 0.5, 1.0]), || true).unwrap();
+        let balanced = CaptureSights::of_files(&whole, Some([1.0, 0.5, 1.0]), || true).unwrap();
         let (a, b) = (&balanced.sizes[0].points[0], &full.points[0]);
         assert!((a.value[1] - 0.5 * b.value[1]).abs() < 1e-6, "{a:?} {b:?}");
-        assert!(matches!(Seen::of_files(&whole, None, || false), Err(SightsError::Stopped)));
+        assert!(matches!(CaptureSights::of_files(&whole, None, || false), Err(SightsError::Stopped)));
         // The measurements of another capture are refused, and so is a damaged file.
         let mut fewer = imported(0);
         fewer.capture.points.truncate(3);
-        assert!(matches!(Seen::read(&path, &fewer), Err(SightsError::Other { .. })));
+        assert!(matches!(CaptureSights::read(&path, &fewer), Err(SightsError::Other { .. })));
         std::fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
-        assert!(Seen::read(&path, &whole).unwrap_err().to_string().contains(SIGHTS));
+        assert!(CaptureSights::read(&path, &whole).unwrap_err().to_string().contains(SIGHTS));
     }
 }

@@ -13,7 +13,7 @@ use use3d_numerics::math;
 use use3d_reconstruct::FoundWater;
 use use3d_water::{ChannelWater, JERLOV, Measured, Verdict, Water, WaterParams, estimate_sizes, shows_air};
 
-use crate::sights::Seen;
+use crate::sights::CaptureSights;
 pub use crate::sights::SightsError;
 
 /// Estimates the water of the capture that was imported into `folder`, in its normalised frame.
@@ -25,7 +25,7 @@ pub fn from_tracks(
     imported: &Imported,
     params: &WaterParams,
 ) -> Result<(Water, Judgement), SightsError> {
-    let seen = Seen::of_import(folder, imported)?;
+    let seen = CaptureSights::of_import(folder, imported)?;
     let positions: Vec<_> = imported.capture.points.iter().map(|p| p.position).collect();
     let views = imported.capture.views.len();
     let mut water = estimate_sizes(&seen.sizes, positions.len(), &positions, views, params);

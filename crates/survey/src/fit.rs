@@ -198,7 +198,7 @@ mod tests {
                 let pairs: Vec<_> = model.iter().copied().zip(metres).collect();
                 let fit = fit_positions(&pairs, String::new()).unwrap();
                 stated += fit.error * fit.error / f64::from(rounds);
-                real += (fit.world.metres_per_unit - 1.0).powi(2) / f64::from(rounds);
+                real += use3d_numerics::math::powi(fit.world.metres_per_unit - 1.0, 2) / f64::from(rounds);
             }
             let ratio = (stated / real).sqrt();
             assert!((0.9..1.1).contains(&ratio), "{count} positions: {ratio}");

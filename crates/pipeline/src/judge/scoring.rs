@@ -212,7 +212,7 @@ fn whole<'a>(image: &'a Image, mask: Option<&Mask>) -> Result<Cow<'a, Image>, Me
 type Correspondence = Result<(Flow, Mask), String>;
 
 /// The data by which a view is compared; none of it belongs to a method.
-pub struct Seen<'a> {
+pub struct ComparedView<'a> {
     /// The camera.
     pub camera: &'a Camera,
     /// Depth along the optical axis; 0 where unknown.
@@ -223,7 +223,7 @@ pub struct Seen<'a> {
     pub mask: Option<&'a Mask>,
 }
 
-impl<'a> Seen<'a> {
+impl<'a> ComparedView<'a> {
     fn geometry(&self) -> GeometricView<'a> {
         GeometricView { camera: self.camera, depth: self.depth }
     }
@@ -238,7 +238,7 @@ pub struct Pairing {
 
 impl Pairing {
     /// The correspondence of two views.
-    pub fn new(judges: &Judges, first: &Seen<'_>, second: &Seen<'_>) -> Self {
+    pub fn new(judges: &Judges, first: &ComparedView<'_>, second: &ComparedView<'_>) -> Self {
         let geometry =
             geometric_warp(first.geometry(), second.geometry(), SAME_SURFACE).map_err(|e| e.to_string());
         let among = |found: Correspondence| {
@@ -430,7 +430,7 @@ mod tests {
         let cameras = [at(0.0), at(0.2), at(50.0)];
         let mut left = Mask::filled(40, 30, 1);
         (0..30).for_each(|y| (0..20).for_each(|x| left.set_pixel(x, y, [0])));
-        let seen = |i: usize, mask| Seen { camera: &cameras[i], depth: &depth, raw: &raw, mask };
+        let seen = |i: usize, mask| ComparedView { camera: &cameras[i], depth: &depth, raw: &raw, mask };
         let of = |second, mask| {
             let pairing = Pairing::new(&judges, &seen(0, mask), &seen(second, None));
             pairing.scores(&judges, &raw, &raw, "path_")

@@ -37,7 +37,7 @@ pub struct Strip {
 }
 
 /// One view: camera, rendered depth, photograph.
-pub struct Seen<'a> {
+pub struct StripView<'a> {
     /// The camera.
     pub camera: &'a Camera,
     /// Depth along the optical axis.
@@ -61,12 +61,12 @@ fn corner(u: f64, v: f64, side: usize, (width, height): (usize, usize)) -> Optio
 /// The upper left corner of the crop in every view, around the spot under pixel `(x, y)` of the middle view;
 /// `None` if a view does not see it.
 fn track(
-    views: &[Seen<'_>],
+    views: &[StripView<'_>],
     middle: usize,
     (x, y): (usize, usize),
     side: usize,
 ) -> Option<Vec<(usize, usize)>> {
-    let Seen { camera, depth, .. } = &views[middle];
+    let StripView { camera, depth, .. } = &views[middle];
     let z = f64::from(depth.pixel(x, y)[0]);
     if !(z.is_finite() && z > 0.0) {
         return None;
@@ -74,7 +74,7 @@ fn track(
     let pose = &camera.pose;
     let point =
         pose.rotation.transpose() * (z * camera.ray(x as f64 + 0.5, y as f64 + 0.5) - pose.translation);
-    let place = |view: &Seen<'_>| {
+    let place = |view: &StripView<'_>| {
         let (at, expected) = view.camera.project(point)?;
         let size = (view.depth.width(), view.depth.height());
         let place = corner(at.x, at.y, side, size)?;
@@ -101,12 +101,12 @@ fn contrast(image: &Image, (left, top): (usize, usize), side: usize) -> f64 {
 
 /// The side of the crops, and the upper left corner of each view's crop; `None` if no spot is seen by all
 /// views.
-pub fn choose(views: &[Seen<'_>]) -> Option<(usize, Vec<(usize, usize)>)> {
+pub fn choose(views: &[StripView<'_>]) -> Option<(usize, Vec<(usize, usize)>)> {
     let middle = views.len() / 2;
     let photograph = views.get(middle)?.photograph;
     let (width, height) = (photograph.width(), photograph.height());
     let side = side(width, height);
-    let sizes_agree = |v: &Seen<'_>| {
+    let sizes_agree = |v: &StripView<'_>| {
         (v.depth.width(), v.depth.height()) == (v.photograph.width(), v.photograph.height())
             && v.photograph.width().min(v.photograph.height()) >= side
     };
@@ -188,8 +188,8 @@ mod tests {
     #[test]
     fn the_spot_with_contrast_is_followed_and_flicker_is_seen() {
         let walls: Vec<_> = (0..3).map(wall).collect();
-        let seen: Vec<Seen<'_>> =
-            walls.iter().map(|(camera, depth, photograph)| Seen { camera, depth, photograph }).collect();
+        let seen: Vec<StripView<'_>> =
+            walls.iter().map(|(camera, depth, photograph)| StripView { camera, depth, photograph }).collect();
         let (side, corners) = choose(&seen).expect("a spot");
         assert_eq!(side, 20);
         assert_eq!((corners[0].0 - corners[1].0, corners[1].0 - corners[2].0), (4, 4));
@@ -210,10 +210,10 @@ mod tests {
         let (camera, depth, image) = wall(0);
         let mut away = camera;
         away.pose.translation.x = -50.0;
-        let at = |camera| Seen { camera, depth: &depth, photograph: &image };
+        let at = |camera| StripView { camera, depth: &depth, photograph: &image };
         assert_eq!(choose(&[at(&camera), at(&away)]), None);
         let nothing = Map::new(90, 60);
-        assert_eq!(choose(&[Seen { camera: &camera, depth: &nothing, photograph: &image }]), None);
+        assert_eq!(choose(&[StripView { camera: &camera, depth: &nothing, photograph: &image }]), None);
         assert_eq!(choose(&[]), None);
     }
 }

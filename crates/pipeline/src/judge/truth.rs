@@ -29,6 +29,7 @@
 //!   normalised frame is `scale` times the length in COLMAP's frame, which is `units_per_metre` times metres;
 //!   a coefficient per length is converted the other way.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -98,14 +99,33 @@ pub fn files(capture: &Path) -> Vec<PathBuf> {
     files
 }
 
-/// The first file of a capture's truth that cannot be read, and the reason. A truth of another form than this
-/// program's does not count as the truth of a capture, and is ignored.
-pub fn unreadable(capture: &Path) -> Option<String> {
+/// Reads all files of a capture's truth, and returns them and their folders, relative to the capture. A truth of
+/// another form than this program's does not count as the truth of a capture, and nothing of it is read.
+///
+/// # Errors
+/// The first file that cannot be read, and the reason.
+pub fn check_readable(capture: &Path) -> Result<Vec<PathBuf>, String> {
     if !is_there(capture) {
-        return None;
+        return Ok(Vec::new());
     }
-    let imported = import(capture, &parameters(capture, None)).ok()?;
-    (0..imported.capture.views.len()).find_map(|i| imported.view(i).err()).map(|e| e.to_string())
+    let Ok(imported) = import(capture, &parameters(capture, None)) else { return Ok(Vec::new()) };
+    let views = &imported.capture.views;
+    (0..views.len()).try_for_each(|i| imported.view(i).map(|_| ())).map_err(|e| e.to_string())?;
+    Ok(sources(&imported))
+}
+
+/// The files and folders that decide which images a truth has, and its images. Folders count because their times
+/// change when a file is added or removed.
+fn sources(imported: &Imported) -> Vec<PathBuf> {
+    let views = &imported.capture.views;
+    let images = views.iter().flat_map(|v| [Some(&v.image), v.mask.as_ref(), v.depth_prior.as_ref()]);
+    let mut sources: BTreeSet<PathBuf> = images.flatten().cloned().collect();
+    let folders: Vec<PathBuf> =
+        sources.iter().filter_map(|path| Some(path.parent()?.to_path_buf())).collect();
+    sources.extend(folders);
+    sources.extend(imported.model_files().iter().cloned());
+    sources.extend(["truth", CLEAN, DEPTH, GREYS].map(PathBuf::from));
+    sources.into_iter().collect()
 }
 
 /// A capture's truth.

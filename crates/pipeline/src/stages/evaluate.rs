@@ -19,6 +19,7 @@ use std::path::Path;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_atc::proposers::Proposer;
+use use3d_build::content::Choice;
 use use3d_build::{Figure, Scope, Stage, StageContext, StageError, machine};
 use use3d_capture::{Appearance, Camera, Capture, Frame, Image, Map, View, path};
 use use3d_import::{load_mask, load_pixels};
@@ -28,6 +29,7 @@ use use3d_render::{Mode, Rendering, SceneRenderer};
 use use3d_scene::Scene;
 
 use super::captured::capture;
+use super::choices::choice_sources;
 use super::common::{folder, read_json, write_json};
 use super::drawn::drawn;
 use super::names::{ENHANCED_IN_2D, EVALUATION, TRUE_VIEWS};
@@ -39,9 +41,9 @@ use crate::engines::{self, ChoosesEngine, Drawn, EngineChoice};
 use crate::judge::scores::{
     self, Finite, Method, MethodScores, PairScores, SceneScores, SceneSpeed, Scores, ViewScores, Warp,
 };
-use crate::judge::scoring::{Judges, Pairing, Seen as Compared};
+use crate::judge::scoring::{ComparedView, Judges, Pairing};
 use crate::judge::speed;
-use crate::judge::strip::{Seen, Strip, choose, sheet};
+use crate::judge::strip::{Strip, StripView, choose, sheet};
 use crate::judge::truth::{Truth, files};
 
 /// The scores that an evaluation has to have.
@@ -136,7 +138,12 @@ pub(super) fn stage() -> Stage {
         .optional_external("models", "models")
         .select(|_, models| Ok(super::weights::judge_files(models)))
         .optional_external("truth", "capture")
-        .select(|_, capture| Ok(files(capture)))
+        .select_by(|_, capture| {
+            let files = files(capture);
+            // Without a truth, the answer costs nothing.
+            let made_from = if files.is_empty() { Vec::new() } else { choice_sources(capture) };
+            Ok(Choice { files, made_from })
+        })
         .cost(0, 4 << 30)
 }
 
@@ -306,8 +313,8 @@ struct Station {
 }
 
 impl Station {
-    fn compared(&self) -> Compared<'_> {
-        Compared { camera: &self.camera, depth: &self.depth, raw: &self.raw, mask: self.mask.as_ref() }
+    fn compared(&self) -> ComparedView<'_> {
+        ComparedView { camera: &self.camera, depth: &self.depth, raw: &self.raw, mask: self.mask.as_ref() }
     }
 }
 
@@ -525,7 +532,7 @@ fn strip(
     let views: Vec<&View> = capture.views.iter().skip(first).take(3).collect();
     let looks: Vec<Appearances> = views.iter().map(|view| looker.view(view)).collect::<Result<_, _>>()?;
     let seen = views.iter().zip(&looks).filter_map(|(view, look)| {
-        Some(Seen { camera: &view.camera, depth: &look.depth, photograph: look.of(Method::Captured)? })
+        Some(StripView { camera: &view.camera, depth: &look.depth, photograph: look.of(Method::Captured)? })
     });
     let Some((side, corners)) = choose(&seen.collect::<Vec<_>>()) else {
         context.log("no spot is seen by three neighbouring views: no consistency strip");

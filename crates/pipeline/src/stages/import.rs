@@ -10,8 +10,9 @@ use use3d_import::{ImportError, ImportParams, Imported, import, prepare};
 use use3d_io_colmap::ModelError;
 use use3d_io_image::ImageError;
 
+use super::choices::choice_sources;
 use super::common::{out_of_range, write_json};
-use crate::sights::{SIGHTS, Seen, SightsError};
+use crate::sights::{CaptureSights, SIGHTS, SightsError};
 
 pub(super) fn stage() -> Stage {
     Stage::new("import", Scope::Scene, run)
@@ -21,7 +22,7 @@ pub(super) fn stage() -> Stage {
         .check(|p: &ImportParams| p.validate().map_err(out_of_range))
         .external("capture", "capture")
         .select_by(|parameters, capture| {
-            Ok(Choice { files: files(parameters, capture)?, made_from: sources(capture) })
+            Ok(Choice { files: files(parameters, capture)?, made_from: choice_sources(capture) })
         })
         .cost(0, 1 << 30)
 }
@@ -52,31 +53,6 @@ fn files(parameters: &Value, capture: &Path) -> Result<Vec<PathBuf>, String> {
     paths.extend(["train_list.txt", "test_list.txt"].map(PathBuf::from));
     paths.retain(|p| capture.join(p).exists());
     Ok(paths)
-}
-
-/// More files and folders than this are not compared one by one to find a change.
-const MOST_COMPARED: usize = 4096;
-
-/// The sources of the choice of files: all folders of the capture, whose times change when a file is added or
-/// removed, and the files that name the images, such as models and lists.
-fn sources(capture: &Path) -> Vec<PathBuf> {
-    let mut found = Vec::new();
-    for entry in walkdir::WalkDir::new(capture).follow_links(true).sort_by_file_name() {
-        // An unreadable entry may become readable later, so such a choice is made again each time.
-        let Ok(entry) = entry else { return Vec::new() };
-        let names_images = |path: &Path| {
-            let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
-            extension
-                .is_some_and(|e| ["bin", "txt", "json", "xml", "ply", "csv", "xmp"].contains(&e.as_str()))
-        };
-        if entry.file_type().is_dir() || names_images(entry.path()) {
-            found.push(entry.path().strip_prefix(capture).unwrap_or(entry.path()).to_path_buf());
-        }
-        if found.len() > MOST_COMPARED {
-            return Vec::new();
-        }
-    }
-    found
 }
 
 /// Those of `files` that are below a folder of the capture, as paths relative to the capture.
@@ -142,7 +118,7 @@ fn keep_sights(
     let bytes = if use3d_import::is_prepared(context.input("capture")?) && before.is_file() {
         std::fs::read(&before).map_err(|e| StageError::io(&before, e))?
     } else {
-        let seen = Seen::of_files(imported, balance, || !context.cancelled());
+        let seen = CaptureSights::of_files(imported, balance, || !context.cancelled());
         let seen = seen.map_err(|error| match error {
             SightsError::Stopped => StageError::Cancelled,
             error => StageError::bad_input(error),

@@ -17,6 +17,7 @@ mod calibrate;
 mod calibrated;
 mod calibrator;
 mod captured;
+mod choices;
 mod common;
 mod contact;
 #[cfg(feature = "nets")]

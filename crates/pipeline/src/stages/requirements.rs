@@ -7,12 +7,12 @@
 
 #[cfg(feature = "nets")]
 use std::collections::BTreeMap;
-use std::collections::HashMap;
-use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
+use std::path::Path;
+#[cfg(feature = "nets")]
+use std::sync::Mutex;
 
 use serde_json::Value;
-use use3d_build::{AllParameters, Lacking, Named, Stage};
+use use3d_build::{AllParameters, Checks, Lacking, Named, Stage};
 
 use super::calibrated::is_calibrated;
 use super::calibrator::read_calibrator;
@@ -31,31 +31,23 @@ const PAIRS: &str = "UIEB, LSUI or EUVP, docs/guide/datasets.md says where they 
 /// The stage with its requirements.
 pub(super) fn with_requirements(stage: Stage) -> Stage {
     match stage.name() {
-        "pairs" => stage.requires(|all, named| {
+        "pairs" => stage.requires(|all, named, _| {
             let mut missing: Vec<Lacking> = weights(all, named, "pairs").into_iter().collect();
             missing.extend(of_pairs(all, named));
             missing
         }),
-        "propose" => stage.requires(|all, named| weights(all, named, "propose").into_iter().collect()),
+        "propose" => stage.requires(|all, named, _| weights(all, named, "propose").into_iter().collect()),
         #[cfg(feature = "nets")]
-        "depth" => stage.requires(|all, named| of_depth(all, named).into_iter().collect()),
-        "reconstruct" => stage.requires(|all, _| of_reconstruct(all).into_iter().collect()),
-        "targets" => stage.requires(|all, named| of_targets(all, named).into_iter().collect()),
-        "enhance" => stage.requires(|all, _| of_enhance(all).into_iter().collect()),
-        "evaluate" => {
-            // The variants of a scene share its truth, and reading all of it takes long.
-            let known: Mutex<HashMap<PathBuf, Option<Lacking>>> = Mutex::default();
-            stage.requires(move |all, named| {
-                let mut missing: Vec<Lacking> = weights(all, named, "evaluate").into_iter().collect();
-                missing.extend(of_scores(all, named));
-                if let Some(capture) = named.path("capture") {
-                    let mut known = known.lock().unwrap_or_else(PoisonError::into_inner);
-                    let of_capture = || of_truth(capture);
-                    missing.extend(known.entry(capture.into()).or_insert_with(of_capture).clone());
-                }
-                missing
-            })
-        }
+        "depth" => stage.requires(|all, named, _| of_depth(all, named).into_iter().collect()),
+        "reconstruct" => stage.requires(|all, _, _| of_reconstruct(all).into_iter().collect()),
+        "targets" => stage.requires(|all, named, _| of_targets(all, named).into_iter().collect()),
+        "enhance" => stage.requires(|all, _, _| of_enhance(all).into_iter().collect()),
+        "evaluate" => stage.requires(|all, named, checks| {
+            let mut missing: Vec<Lacking> = weights(all, named, "evaluate").into_iter().collect();
+            missing.extend(of_scores(all, named));
+            missing.extend(named.path("capture").and_then(|capture| of_truth(capture, checks)));
+            missing
+        }),
         _ => stage,
     }
 }
@@ -323,8 +315,10 @@ fn of_scores(all: &AllParameters, _: &Named) -> Vec<Lacking> {
 }
 
 /// Truth that exists next to a capture and cannot be read.
-fn of_truth(capture: &Path) -> Option<Lacking> {
-    truth::unreadable(capture).map(|reason| Lacking {
+fn of_truth(capture: &Path, checks: &Checks<'_>) -> Option<Lacking> {
+    // Reading all images of a truth takes long.
+    let fault = checks.once("a truth is readable, 1", capture, || truth::check_readable(capture));
+    fault.map(|reason| Lacking {
         what: "the truth beside a capture".into(),
         remedy: format!("{reason}; write that file again, or rename the truth/ folder"),
         without: String::new(),
