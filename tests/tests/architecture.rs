@@ -230,11 +230,6 @@ fn every_declared_dependency_is_used() {
 /// of `Result`, a module's `Error`, and the parameters of a stage.
 const CONVENTIONAL: &[&str] = &["Result", "Error", "Params"];
 
-/// Names that more than two files still define, with the number of files. Their types are left to rename. The
-/// list only shrinks: nothing is added to it, and a name leaves it when at most two files define it.
-const LEFT_TO_RENAME: &[(&str, usize)] =
-    &[("Folder", 3), ("Made", 3), ("Node", 3), ("Record", 3), ("Row", 3), ("Seen", 4)];
-
 /// The name of the type that a line defines. An indented `type` is an item of a trait or of its
 /// implementation, so it defines no type.
 fn defined_type(line: &str) -> Option<&str> {
@@ -295,17 +290,9 @@ fn a_type_name_stands_in_at_most_two_files() {
         }
     }
     assert!(files.len() > 1000, "{} names of types were found", files.len());
-    let allowed = |name: &str| LEFT_TO_RENAME.iter().find(|(left, _)| *left == name).map_or(2, |(_, n)| *n);
     let repeated: Vec<_> = files
         .iter()
-        .filter(|(name, places)| !CONVENTIONAL.contains(&name.as_str()) && places.len() > allowed(name))
+        .filter(|(name, places)| !CONVENTIONAL.contains(&name.as_str()) && places.len() > 2)
         .collect();
     assert!(repeated.is_empty(), "rename these types so that at most two files share a name: {repeated:#?}");
-    for (name, number) in LEFT_TO_RENAME {
-        let found = files.get(*name).map_or(0, BTreeSet::len);
-        assert!(
-            found >= *number,
-            "{found} files define `{name}`: LEFT_TO_RENAME must say so, or drop the name if at most two do"
-        );
-    }
 }

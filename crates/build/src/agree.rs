@@ -58,13 +58,13 @@ pub(crate) enum Verdict {
 
 /// An artifact's folder, and what lies in it.
 #[derive(Clone, Copy)]
-pub(crate) struct Folder<'a> {
+pub(crate) struct ArtifactFolder<'a> {
     pub(crate) path: &'a Path,
     pub(crate) files: &'a [FileRecord],
 }
 
 /// Compares two artifacts by the rule of their stage.
-pub(crate) fn compare(agreement: &Agreement, made: Folder<'_>, again: Folder<'_>) -> Verdict {
+pub(crate) fn compare(agreement: &Agreement, made: ArtifactFolder<'_>, again: ArtifactFolder<'_>) -> Verdict {
     let said = match agreement {
         Agreement::Figures(figures) => compare_figures(figures, made.path, again.path),
         Agreement::Files(kinds) => compare_files(kinds, made, again).map(|()| true),
@@ -110,7 +110,11 @@ fn compare_figures(figures: &[Figure], made: &Path, again: &Path) -> Result<bool
     Ok(any)
 }
 
-fn compare_files(kinds: &[AlikeFiles], made: Folder<'_>, again: Folder<'_>) -> Result<(), String> {
+fn compare_files(
+    kinds: &[AlikeFiles],
+    made: ArtifactFolder<'_>,
+    again: ArtifactFolder<'_>,
+) -> Result<(), String> {
     let of = |files: &'_ [FileRecord], path: &str| files.iter().find(|f| f.path == path).map(|f| f.digest);
     if let Some(more) = again.files.iter().find(|f| of(made.files, &f.path).is_none()) {
         return Err(format!("{} is new", more.path));
@@ -153,7 +157,7 @@ mod tests {
     use super::*;
 
     fn compare_figures(figures: &'static [Figure], made: &Path, again: &Path) -> Verdict {
-        let folder = |path| Folder { path, files: &[] };
+        let folder = |path| ArtifactFolder { path, files: &[] };
         compare(&Agreement::Figures(figures), folder(made), folder(again))
     }
 
@@ -226,8 +230,8 @@ mod tests {
         };
         let made = artifact("made", &[("a.txt", "four"), ("b.raw", "b")]);
         let against = |(path, files): &(std::path::PathBuf, Vec<FileRecord>)| {
-            let made = Folder { path: &made.0, files: &made.1 };
-            compare(&Agreement::Files(&KINDS), made, Folder { path, files })
+            let made = ArtifactFolder { path: &made.0, files: &made.1 };
+            compare(&Agreement::Files(&KINDS), made, ArtifactFolder { path, files })
         };
         assert_eq!(against(&artifact("near", &[("a.txt", "fours"), ("b.raw", "b")])), Verdict::Agree);
         let far = apart(against(&artifact("far", &[("a.txt", "foursome"), ("b.raw", "b")])));

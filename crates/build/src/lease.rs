@@ -84,13 +84,13 @@ impl Holder {
 /// The lease files that this process has observed, each with the time of its last change.
 #[derive(Debug, Default)]
 pub(crate) struct Watch {
-    seen: Mutex<HashMap<PathBuf, Seen>>,
+    seen: Mutex<HashMap<PathBuf, ObservedLease>>,
     /// Keys that another machine was observed to compute.
     elsewhere: Mutex<BTreeSet<Key>>,
 }
 
 #[derive(Debug)]
-struct Seen {
+struct ObservedLease {
     bytes: Vec<u8>,
     modified: Option<SystemTime>,
     since: Duration,
@@ -113,7 +113,10 @@ impl Watch {
         match seen.get(path) {
             Some(s) if s.bytes == bytes && s.modified == modified => now.saturating_sub(s.since),
             _ => {
-                seen.insert(path.to_path_buf(), Seen { bytes: bytes.to_vec(), modified, since: now });
+                seen.insert(
+                    path.to_path_buf(),
+                    ObservedLease { bytes: bytes.to_vec(), modified, since: now },
+                );
                 Duration::ZERO
             }
         }

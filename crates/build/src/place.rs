@@ -67,7 +67,7 @@ fn at<T>(path: &Path, doing: &'static str, result: io::Result<T>) -> Result<T, P
 
 /// The part of a record that is needed here; artifacts' manifests have more.
 #[derive(Deserialize, Serialize)]
-struct Record {
+struct ResultRecord {
     format: String,
     schema: u32,
     /// The key of the result, if the record contains it.
@@ -204,10 +204,10 @@ fn is_older(data: &fs::Metadata, than: Option<SystemTime>) -> bool {
     matches!((data.modified().ok(), than), (Some(file), Some(record)) if file < record)
 }
 
-fn read_record(path: &Path) -> Option<Record> {
+fn read_record(path: &Path) -> Option<ResultRecord> {
     let mut bytes = Vec::new();
     fs::File::open(path).ok()?.take(MOST_BYTES).read_to_end(&mut bytes).ok()?;
-    let record: Record = serde_json::from_slice(&bytes).ok()?;
+    let record: ResultRecord = serde_json::from_slice(&bytes).ok()?;
     (record.schema == 1 && [FORMAT, ARTIFACT].contains(&record.format.as_str())).then_some(record)
 }
 
@@ -230,7 +230,7 @@ pub fn record(folder: &Path, key: Option<Digest>) -> Result<(), PlaceError> {
         })
         .collect::<Result<_, PlaceError>>()?;
     let path = folder.join(MANIFEST);
-    let record = Record { format: FORMAT.into(), schema: 1, key, files };
+    let record = ResultRecord { format: FORMAT.into(), schema: 1, key, files };
     let mut bytes = at(&path, "write", serde_json::to_vec_pretty(&record).map_err(io::Error::other))?;
     bytes.push(b'\n');
     at(&path, "write", fs::write(&path, bytes))

@@ -12,7 +12,7 @@ use std::sync::atomic::Ordering;
 use serde::Serialize;
 
 use super::Builder;
-use super::agree::{self, Folder, Verdict};
+use super::agree::{self, ArtifactFolder, Verdict};
 use super::cache::{Artifact, Cache, Lookup, first_difference};
 use super::digest::Encoder;
 use super::error::{BuildError, FileError, StageError};
@@ -164,7 +164,7 @@ impl Builder {
         let stages = graph.nodes.iter().filter(|node| node.same_as.is_none()).count();
         let held = Some(Held { cached: cached.len(), stages });
         let mut found = Verification { held, recomputed: Some(0), ..Verification::default() };
-        let mut chosen: Vec<(f64, Made)> = Vec::new();
+        let mut chosen: Vec<(f64, RecomputableArtifact)> = Vec::new();
         for made in cached {
             let draw = Encoder::new("use3d 2026 verification sample v1")
                 .bytes(made.artifact.manifest.key.as_bytes())
@@ -220,7 +220,7 @@ impl Builder {
 
     /// Finds the cached artifact of each node of a graph: that of this machine's class, else one of another
     /// class with the same ingredients. Later nodes then read the artifact found.
-    fn cached_in_any_class(&self, graph: &Graph) -> (Vec<Made>, Vec<Outcome>) {
+    fn cached_in_any_class(&self, graph: &Graph) -> (Vec<RecomputableArtifact>, Vec<Outcome>) {
         let mut outcomes = self.outcomes(&self.plan(graph, None));
         let mut cached = Vec::new();
         for (i, node) in graph.nodes.iter().enumerate() {
@@ -240,7 +240,11 @@ impl Builder {
             };
             let Some(artifact) = artifact else { continue };
             outcomes[i] = Outcome::Ready(artifact.clone());
-            cached.push(Made { node: i, class: resolved.ingredients.numeric_class, artifact });
+            cached.push(RecomputableArtifact {
+                node: i,
+                class: resolved.ingredients.numeric_class,
+                artifact,
+            });
         }
         (cached, outcomes)
     }
@@ -249,7 +253,7 @@ impl Builder {
     fn recompute(
         &self,
         graph: &Graph,
-        made: &Made,
+        made: &RecomputableArtifact,
         outcomes: &[Outcome],
         options: &RunOptions,
         listener: &Arc<dyn Listener>,
@@ -278,8 +282,8 @@ impl Builder {
                     ));
                 };
                 let folder = scratch.join("artifact");
-                let before = Folder { path: &made.artifact.path, files: &made.artifact.manifest.files };
-                match agree::compare(&agreement, before, Folder { path: &folder, files: &files }) {
+                let before = ArtifactFolder { path: &made.artifact.path, files: &made.artifact.manifest.files };
+                match agree::compare(&agreement, before, ArtifactFolder { path: &folder, files: &files }) {
                     Verdict::Agree => Again::Agrees,
                     Verdict::Apart(what) => Again::Wrong(format!("{as_what}, {what}")),
                     Verdict::NothingToCompare(what) => Again::NotCompared(format!("{as_what}: {what}")),
@@ -292,14 +296,14 @@ impl Builder {
 }
 
 /// An artifact that can be computed again.
-struct Made {
+struct RecomputableArtifact {
     node: usize,
     /// The class of arithmetic in which it would be made now.
     class: String,
     artifact: Arc<Artifact>,
 }
 
-impl Made {
+impl RecomputableArtifact {
     /// The class of arithmetic in which it was made, if that is another one.
     fn in_another_class(&self) -> Option<&str> {
         let class = self.artifact.manifest.ingredients.numeric_class.as_str();

@@ -24,10 +24,10 @@ const SLOWER: f64 = 1.5;
 pub(crate) struct Terminal {
     quiet: bool,
     bars: Option<MultiProgress>,
-    nodes: Mutex<BTreeMap<String, Node>>,
+    nodes: Mutex<BTreeMap<String, NodeProgress>>,
 }
 
-struct Node {
+struct NodeProgress {
     bar: Option<ProgressBar>,
     started: Instant,
     /// Work done at the first report: a run may resume from a checkpoint.
@@ -37,7 +37,7 @@ struct Node {
     last_line: Instant,
 }
 
-impl Node {
+impl NodeProgress {
     /// Records the progress of the work; a second fit of the same stage is timed by itself.
     fn reached(&mut self, done: u64, now: Instant) {
         if done < self.last {
@@ -100,7 +100,7 @@ impl Terminal {
     fn progress(&self, label: &str, done: u64, total: u64, words: &str, left: Option<f64>) {
         let mut nodes = self.nodes.lock().unwrap_or_else(PoisonError::into_inner);
         let (now, words, label) = (Instant::now(), &shown(words), &*shown(label));
-        let node = nodes.entry(label.to_string()).or_insert_with(|| Node {
+        let node = nodes.entry(label.to_string()).or_insert_with(|| NodeProgress {
             bar: self.bar(label),
             started: now,
             first: done,
@@ -174,10 +174,10 @@ impl Listener for Terminal {
 mod tests {
     use super::*;
 
-    fn node(first: u64, seconds_ago: u64) -> Node {
+    fn node(first: u64, seconds_ago: u64) -> NodeProgress {
         let now = Instant::now();
         let started = now.checked_sub(Duration::from_secs(seconds_ago)).unwrap_or(now);
-        Node { bar: None, started, first, last: first, last_line: now }
+        NodeProgress { bar: None, started, first, last: first, last_line: now }
     }
 
     #[test]

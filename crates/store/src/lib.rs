@@ -10,7 +10,7 @@ mod bucket;
 use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
-use use3d_build::remote::{Folder, Remote};
+use use3d_build::remote::{FolderStore, Remote};
 
 /// The folder of an address, if the address is one of a folder.
 pub fn folder(address: &str) -> Option<PathBuf> {
@@ -33,11 +33,13 @@ pub fn open(address: &str) -> Result<Arc<dyn Remote>, String> {
             return Err("an empty address: a folder or s3://BUCKET/PREFIX is expected".to_string());
         }
         let path = std::path::absolute(address).map_err(|e| format!("{address}: {e}"))?;
-        return Ok(Arc::new(Folder::new(&path)));
+        return Ok(Arc::new(FolderStore::new(&path)));
     };
     match scheme {
         "file" => match Path::new(rest) {
-            path if path.components().next() == Some(Component::RootDir) => Ok(Arc::new(Folder::new(path))),
+            path if path.components().next() == Some(Component::RootDir) => {
+                Ok(Arc::new(FolderStore::new(path)))
+            }
             _ => Err(format!("{shown}: write file:///ABSOLUTE/PATH")),
         },
         "s3" => {

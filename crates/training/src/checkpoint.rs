@@ -98,8 +98,8 @@ pub(crate) fn sweep(dir: &Path) {
 }
 
 fn sweep_at(dir: &Path, now: Instant) {
-    type Seen = (u64, Option<SystemTime>, Instant);
-    static SEEN: Mutex<BTreeMap<PathBuf, Seen>> = Mutex::new(BTreeMap::new());
+    type FileState = (u64, Option<SystemTime>, Instant);
+    static SEEN: Mutex<BTreeMap<PathBuf, FileState>> = Mutex::new(BTreeMap::new());
     let mut seen = SEEN.lock().unwrap_or_else(PoisonError::into_inner);
     let mut there = BTreeSet::new();
     for entry in fs::read_dir(dir).into_iter().flatten().filter_map(Result::ok) {

@@ -11,11 +11,11 @@ use super::{Listed, Remote, RemoteError};
 
 /// A folder; unfinished files have names below `v1/tmp`.
 #[derive(Clone, Debug)]
-pub struct Folder {
+pub struct FolderStore {
     root: PathBuf,
 }
 
-impl Folder {
+impl FolderStore {
     /// The store in a folder, which is created by the first write.
     pub fn new(root: &Path) -> Self {
         Self { root: root.to_path_buf() }
@@ -71,7 +71,7 @@ fn copy(
     }
 }
 
-impl Remote for Folder {
+impl Remote for FolderStore {
     fn place(&self) -> String {
         self.root.display().to_string()
     }

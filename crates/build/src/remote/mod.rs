@@ -28,7 +28,7 @@ use super::digest::Digest;
 use super::error::FileError;
 use super::key::Key;
 
-pub use folder::Folder;
+pub use folder::FolderStore;
 pub use memory::Memory;
 pub use shelf::{Shelf, Swept};
 pub use sync::Transferred;

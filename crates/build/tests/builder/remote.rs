@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use use3d_build::cache::Lookup;
 use use3d_build::manifest::{FileRecord, Manifest};
-use use3d_build::remote::{Folder, Memory, Remote, RemoteError, RemoteStore, Sent, Transferred};
+use use3d_build::remote::{FolderStore, Memory, Remote, RemoteError, RemoteStore, Sent, Transferred};
 use use3d_build::{Batch, Builder, Digest, Event, Graph, Listener, Silent};
 
 use super::faulty_store::{Fault, Faulty};
@@ -83,7 +83,7 @@ fn manifests(builder: &Builder) -> BTreeMap<String, Vec<u8>> {
 fn what_one_machine_computed_another_one_fetches_to_the_byte() {
     let world = World::new();
     let folder = world.dir.path().join("store");
-    for remote in [Arc::new(Memory::default()) as Arc<dyn Remote>, Arc::new(Folder::new(&folder))] {
+    for remote in [Arc::new(Memory::default()) as Arc<dyn Remote>, Arc::new(FolderStore::new(&folder))] {
         let place = remote.place();
         let name = |name: &str| format!("{name}-{}", place.len());
         let store = Arc::new(RemoteStore::new(remote));
@@ -344,7 +344,7 @@ fn one_that_is_asked_to_stop_leaves_in_the_middle_of_a_file() {
 #[test]
 fn of_all_that_create_a_name_at_once_one_does() {
     let dir = tempfile::tempdir().expect("a folder");
-    let remotes: [Arc<dyn Remote>; 2] = [Arc::new(Memory::default()), Arc::new(Folder::new(dir.path()))];
+    let remotes: [Arc<dyn Remote>; 2] = [Arc::new(Memory::default()), Arc::new(FolderStore::new(dir.path()))];
     for (remote, round) in remotes.iter().flat_map(|remote| (0..20).map(move |round| (remote, round))) {
         let won: Mutex<Vec<Vec<u8>>> = Mutex::default();
         std::thread::scope(|scope| {
@@ -480,7 +480,7 @@ fn a_pipe_in_the_place_of_a_file_holds_nobody() {
     if !made.is_ok_and(|status| status.success()) {
         return; // a system without named pipes
     }
-    let store = Folder::new(dir.path());
+    let store = FolderStore::new(dir.path());
     for answer in [store.get("v1/blobs/pipe", &mut Vec::new()).err(), store.size("v1/blobs/pipe").err()] {
         assert!(answer.expect("refused").to_string().contains("not a plain file"));
     }

@@ -17,7 +17,7 @@ use crate::interrupt;
 use crate::verbs::stages::{check_origin, imported, parameters, run_stage, scratch, stages};
 
 /// A named row of scores.
-struct Row {
+struct ScoreRow {
     method: String,
     image: String,
     scores: Scores,
@@ -56,7 +56,7 @@ fn images(dir: &Path, flag: &str) -> Result<BTreeMap<String, PathBuf>, CliError>
     Ok(found)
 }
 
-fn folders(dir: &Path, reference: Option<&Path>, models: Option<&Path>) -> Result<Vec<Row>, CliError> {
+fn folders(dir: &Path, reference: Option<&Path>, models: Option<&Path>) -> Result<Vec<ScoreRow>, CliError> {
     let judges = Judges::open(models);
     let given = images(dir, "--images")?;
     let references = reference.map(|dir| images(dir, "--reference")).transpose()?;
@@ -80,7 +80,7 @@ fn folders(dir: &Path, reference: Option<&Path>, models: Option<&Path>) -> Resul
                     "{}: the reference folder has no file of this stem; scored without a reference",
                     shown(&stem)
                 );
-                rows.push(Row { method: String::new(), image: shown(&stem).into_owned(), scores });
+                rows.push(ScoreRow { method: String::new(), image: shown(&stem).into_owned(), scores });
                 continue;
             };
             let reference = read(path, &judges, true)?;
@@ -95,10 +95,10 @@ fn folders(dir: &Path, reference: Option<&Path>, models: Option<&Path>) -> Resul
             }
             scores.extend(judges.against(&image, &reference, None));
         }
-        rows.push(Row { method: String::new(), image: shown(&stem).into_owned(), scores });
+        rows.push(ScoreRow { method: String::new(), image: shown(&stem).into_owned(), scores });
     }
     let mean = mean(rows.iter().map(|r| &r.scores));
-    rows.push(Row { method: String::new(), image: "mean".into(), scores: mean });
+    rows.push(ScoreRow { method: String::new(), image: "mean".into(), scores: mean });
     Ok(rows)
 }
 
@@ -142,7 +142,12 @@ fn mean<'a>(all: impl Iterator<Item = &'a Scores>) -> Scores {
     names.into_iter().map(|n| (n.clone(), Score::mean(all.iter().filter_map(|s| s.get(n))))).collect()
 }
 
-fn scene_rows(app: &App, args: &EvaluateArgs, scene: &Path, capture: &Path) -> Result<Vec<Row>, CliError> {
+fn scene_rows(
+    app: &App,
+    args: &EvaluateArgs,
+    scene: &Path,
+    capture: &Path,
+) -> Result<Vec<ScoreRow>, CliError> {
     let registry = stages()?;
     let sets = [args.size.sets(), args.settings.set.clone()].concat();
     let parameters = parameters(&registry, &["evaluate", "import"], &sets)?;
@@ -166,18 +171,22 @@ fn scene_rows(app: &App, args: &EvaluateArgs, scene: &Path, capture: &Path) -> R
         let Some(found) = scores.methods.iter().find(|m| m.method == method) else { continue };
         let label = method.name().to_string();
         for view in &found.views {
-            rows.push(Row { method: label.clone(), image: view.view.clone(), scores: view.scores.clone() });
+            rows.push(ScoreRow {
+                method: label.clone(),
+                image: view.view.clone(),
+                scores: view.scores.clone(),
+            });
         }
         for pair in found.neighbours.iter().chain(&found.path) {
             let image = format!("{} → {}", pair.first, pair.second);
-            rows.push(Row { method: label.clone(), image, scores: pair.scores.clone() });
+            rows.push(ScoreRow { method: label.clone(), image, scores: pair.scores.clone() });
         }
-        rows.push(Row { method: label, image: "mean".into(), scores: found.mean.clone() });
+        rows.push(ScoreRow { method: label, image: "mean".into(), scores: found.mean.clone() });
     }
     Ok(rows)
 }
 
-fn print(rows: &[Row], format: TableFormat) -> Done {
+fn print(rows: &[ScoreRow], format: TableFormat) -> Done {
     let mut names: Vec<&String> = rows.iter().flat_map(|r| r.scores.keys()).collect();
     names.sort();
     names.dedup();

@@ -25,7 +25,7 @@ const MOST: usize = 100_000;
 
 /// A run into a results folder.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(crate) struct Record {
+pub(crate) struct RunRecord {
     format: String,
     version: u32,
     /// Time when its results were last written into the folder, in seconds since 1970.
@@ -49,12 +49,12 @@ pub(crate) struct Record {
     /// The models folder.
     pub(crate) models: Option<PathBuf>,
     /// The delivered artifacts.
-    pub(crate) artifacts: Vec<Made>,
+    pub(crate) artifacts: Vec<DeliveredArtifact>,
 }
 
 /// An artifact of a run.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub(crate) struct Made {
+pub(crate) struct DeliveredArtifact {
     /// The stage.
     pub(crate) stage: String,
     /// The scene; empty for an artifact over all scenes.
@@ -69,7 +69,7 @@ fn whole(path: &Path) -> PathBuf {
     std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf())
 }
 
-impl Record {
+impl RunRecord {
     /// Makes the record of a finished run.
     pub(crate) fn of(
         args: &PipelineArgs,
@@ -82,7 +82,7 @@ impl Record {
         let made = summary.nodes.iter().filter_map(|node| {
             let key = node.artifact.as_ref()?.manifest.key;
             let (scene, variant) = (node.scene.clone(), node.variant.clone());
-            Some(Made { stage: node.stage.to_string(), scene, variant, key })
+            Some(DeliveredArtifact { stage: node.stage.to_string(), scene, variant, key })
         });
         Self {
             format: FORMAT.into(),
@@ -144,13 +144,13 @@ impl Record {
 
 /// The records of a results folder with their numbers, the oldest first. Unreadable files are left out with a
 /// warning.
-pub(crate) fn records(results: &Path) -> Vec<(usize, Record)> {
+pub(crate) fn records(results: &Path) -> Vec<(usize, RunRecord)> {
     let entries = std::fs::read_dir(results.join(FOLDER)).into_iter().flatten().flatten().take(MOST);
-    let mut found: Vec<(usize, Record)> = entries
+    let mut found: Vec<(usize, RunRecord)> = entries
         .filter_map(|entry| {
             let path = entry.path();
             let number = path.file_name()?.to_str()?.strip_suffix(".json")?.parse().ok()?;
-            match Record::read(&path) {
+            match RunRecord::read(&path) {
                 Ok(record) => Some((number, record)),
                 Err(error) => {
                     tracing::warn!("{}: {error}; this run is not listed", path.display());
@@ -164,19 +164,19 @@ pub(crate) fn records(results: &Path) -> Vec<(usize, Record)> {
 }
 
 /// The run whose results are in the folder now.
-pub(crate) fn current(records: &[(usize, Record)]) -> Option<&(usize, Record)> {
+pub(crate) fn current(records: &[(usize, RunRecord)]) -> Option<&(usize, RunRecord)> {
     records.iter().max_by_key(|(number, record)| (record.delivered, *number))
 }
 
 /// The run whose results are in a folder, if it is a results folder.
-pub(crate) fn of_results(folder: &Path) -> Option<Record> {
+pub(crate) fn of_results(folder: &Path) -> Option<RunRecord> {
     let records = records(folder);
     current(&records).map(|(_, record)| record.clone())
 }
 
 /// Stores the record of a run whose results were delivered, and prints which results they replaced and how to
 /// restore those.
-pub(crate) fn keep(results: &Path, mut record: Record, quiet: bool) -> Result<(), CliError> {
+pub(crate) fn keep(results: &Path, mut record: RunRecord, quiet: bool) -> Result<(), CliError> {
     let known = records(results);
     let before = current(&known);
     if before.is_some_and(|(_, old)| old.artifacts == record.artifacts) {
@@ -190,7 +190,7 @@ pub(crate) fn keep(results: &Path, mut record: Record, quiet: bool) -> Result<()
     let same = known.iter().rfind(|(_, old)| old.artifacts == record.artifacts);
     if let Some((_, old)) = same {
         // A restored run keeps its own record.
-        record = Record { delivered: record.delivered, ..old.clone() };
+        record = RunRecord { delivered: record.delivered, ..old.clone() };
     }
     let number = same.map_or_else(|| known.last().map_or(1, |(last, _)| last + 1), |(number, _)| *number);
     let path = results.join(FOLDER).join(format!("{number:04}.json"));

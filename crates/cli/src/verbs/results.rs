@@ -13,7 +13,7 @@ use crate::App;
 use crate::args::ResultsArgs;
 use crate::destination::{path_text, word};
 use crate::error::{CliError, Done};
-use crate::verbs::history::{self, Record};
+use crate::verbs::history::{self, RunRecord};
 use crate::verbs::run;
 
 /// The default folder of results.
@@ -59,13 +59,13 @@ fn all() -> Vec<PathBuf> {
 }
 
 /// The folder of a run's artifact, if it is still in the cache.
-pub(crate) fn artifact(record: &Record, stage: &str) -> Option<PathBuf> {
+pub(crate) fn artifact(record: &RunRecord, stage: &str) -> Option<PathBuf> {
     let made = record.artifacts.iter().find(|made| made.stage == stage)?;
     found(record, stage, &made.key)
 }
 
 /// The folder of a run's artifact by its key, if it is still in the cache.
-pub(crate) fn found(record: &Record, stage: &str, key: &use3d_build::Digest) -> Option<PathBuf> {
+pub(crate) fn found(record: &RunRecord, stage: &str, key: &use3d_build::Digest) -> Option<PathBuf> {
     if !record.cache.is_dir() {
         return None;
     }
@@ -76,7 +76,7 @@ pub(crate) fn found(record: &Record, stage: &str, key: &use3d_build::Digest) -> 
     }
 }
 
-fn told(number: usize, record: &Record, shown: bool) -> Told {
+fn told(number: usize, record: &RunRecord, shown: bool) -> Told {
     let scores =
         artifact(record, "evaluate").and_then(|path| read_json::<SceneScores>(&path.join(SCORES)).ok());
     let psnr = scores.and_then(|scores| scores.mean(Method::Reconstruction, "psnr")?.value());

@@ -25,7 +25,7 @@ use crate::args::{
 use crate::destination::path_text;
 use crate::error::{CliError, Done};
 use crate::verbs::check;
-use crate::verbs::history::{self, Record};
+use crate::verbs::history::{self, RunRecord};
 use crate::verbs::outcome::{self, Outcome};
 use crate::verbs::prepare;
 use crate::verbs::remote::of_run;
@@ -415,7 +415,7 @@ fn resolved(args: &PipelineArgs) -> (PipelineArgs, Option<PathBuf>) {
 ///
 /// # Errors
 /// Some results are no longer in the cache. Nothing is computed.
-pub(crate) fn again(app: &App, record: &Record, results: &Path) -> Done {
+pub(crate) fn again(app: &App, record: &RunRecord, results: &Path) -> Done {
     let args = record.arguments(&PipelineArgs::of(&record.target, &CacheArgs::default()));
     let loaded = open(&args, &record.scenes)?;
     let plan = loaded.builder.plan(&loaded.graph, record.until.as_deref());
@@ -475,7 +475,7 @@ fn execute(
     }
     if let Some(out) = out.filter(|_| !delivered.is_empty()) {
         let until = options.until.as_deref();
-        let record = Record::of(given.pipeline, given.scenes, until, loaded, &summary, typed());
+        let record = RunRecord::of(given.pipeline, given.scenes, until, loaded, &summary, typed());
         history::keep(out.folder(), record, app.quiet || as_json)?;
     }
     match summary.exit_code() {

@@ -13,13 +13,13 @@ use use3d_splat::{Gaussians, Rendered};
 use use3d_ubaf::{Enhancement, Field, FieldBox, ObjectPass, Shape};
 
 /// A view of the golden scene.
-pub(crate) struct Seen {
+pub(crate) struct ViewOfTruth {
     pub(crate) name: String,
     pub(crate) camera: Camera,
 }
 
 /// The scene and its views.
-pub(crate) fn mini() -> (Scene, Vec<Seen>) {
+pub(crate) fn mini() -> (Scene, Vec<ViewOfTruth>) {
     let root = use3d_golden::root().join("scene-mini");
     let part = Part::load(&root.join("truth.safetensors"));
     let truth = part.whole();
@@ -53,7 +53,7 @@ pub(crate) fn mini() -> (Scene, Vec<Seen>) {
     let json: serde_json::Value = serde_json::from_str(&text).unwrap();
     let number = |v: &serde_json::Value| v.as_f64().unwrap();
     let row = |v: &serde_json::Value| DVec3::new(number(&v[0]), number(&v[1]), number(&v[2]));
-    let mut views: Vec<Seen> = json["views"]
+    let mut views: Vec<ViewOfTruth> = json["views"]
         .as_array()
         .unwrap()
         .iter()
@@ -68,7 +68,7 @@ pub(crate) fn mini() -> (Scene, Vec<Seen>) {
                 cx: number(&v["cx"]),
                 cy: number(&v["cy"]),
             };
-            Seen {
+            ViewOfTruth {
                 name: v["name"].as_str().unwrap().into(),
                 camera: Camera { intrinsics, pose: Pose { rotation, translation: row(&v["t_cw"]) } },
             }
