@@ -503,15 +503,15 @@ fn configurations(summary: &Summary) -> BTreeMap<(&str, &str), Configuration> {
     trained.filter_map(|cell| Some(((cell.scene, cell.variant), cell.configuration()?))).collect()
 }
 
-/// The configurations as the top of the report shows them: one line for all scenes of a variant.
-fn told(made: &BTreeMap<(&str, &str), Configuration>) -> Vec<(String, String)> {
+/// The configurations as the top of the report shows them: the parts for all scenes of a variant.
+fn told(made: &BTreeMap<(&str, &str), Configuration>) -> Vec<(String, Vec<(&'static str, String)>)> {
     let mut variants: Vec<&str> = made.keys().map(|(_, variant)| *variant).collect();
     variants.sort_unstable();
     variants.dedup();
     let of = |variant: &str| {
         let all: Vec<&Configuration> =
             made.iter().filter(|((_, v), _)| *v == variant).map(|(_, c)| c).collect();
-        (variant.to_string(), Configuration::told(&all))
+        (variant.to_string(), Configuration::parts(&all))
     };
     variants.into_iter().map(of).collect()
 }

@@ -67,9 +67,10 @@ impl Configuration {
         ]
     }
 
-    /// The configurations of several scenes in one line; a value that they share is listed once.
-    pub fn told(all: &[&Self]) -> String {
-        let Some(first) = all.first() else { return String::new() };
+    /// The configurations of several scenes: names of fields with their values. The first field is the base and
+    /// has no name. A value that the scenes share is listed once.
+    pub fn parts(all: &[&Self]) -> Vec<(&'static str, String)> {
+        let Some(first) = all.first() else { return Vec::new() };
         let each: Vec<_> = all.iter().map(|c| c.fields()).collect();
         let parts = first.fields().into_iter().enumerate().filter_map(|(k, (name, _))| {
             let mut values: Vec<&str> = Vec::new();
@@ -83,7 +84,16 @@ impl Configuration {
                 1..=SHOWN => values.join(" or "),
                 n => format!("{n} different ones"),
             };
-            Some(if name.is_empty() { text } else { format!("{name}: {text}") })
+            Some((name, text))
+        });
+        parts.collect()
+    }
+
+    /// The configurations of several scenes in one line.
+    pub fn told(all: &[&Self]) -> String {
+        let parts = Self::parts(all).into_iter().map(|(name, text)| match name {
+            "" => text,
+            _ => format!("{name}: {text}"),
         });
         parts.collect::<Vec<_>>().join("; ")
     }

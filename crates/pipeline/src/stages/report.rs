@@ -282,23 +282,40 @@ fn water_sentence(scene: &Path) -> String {
         return estimate;
     }
     match read_json::<Choices>(&scene.join(CHOICES)) {
-        Ok(choices) if !choices.water.is_empty() => format!("Water: {}.", choices.water),
+        Ok(choices) if !choices.water.is_empty() => format!("{}.", capitalised(&choices.water)),
         _ => String::new(),
     }
 }
 
 /// The water estimated from the tracks; `None` if stage 1 did not use the tracks.
 fn water_from_tracks(scene: &Path) -> Option<String> {
-    let told: serde_json::Value = read_json(&scene.join(WATER)).ok()?;
-    let channel = |c: &serde_json::Value| {
-        let attenuation = &c["attenuation"];
-        let number = |v: &serde_json::Value| v.as_f64().map_or_else(|| "–".into(), |v| format!("{v:.4}"));
-        let (value, error) = (number(&attenuation["value"]), number(&attenuation["error"]));
-        let name = c["channel"].as_str().unwrap_or_default();
-        format!("{name} {value} ± {error} per unit ({})", c["told"].as_str().unwrap_or_default())
-    };
-    let channels: Vec<String> = told["channels"].as_array()?.iter().map(channel).collect();
-    Some(format!("Water: {}. Attenuation: {}.", told["told"].as_str()?, channels.join(", ")))
+    let water: serde_json::Value = read_json(&scene.join(WATER)).ok()?;
+    let judgement = capitalised(water["told"].as_str()?);
+    let used = if water["judgement"] == "found" { "" } else { ", measured and not used" };
+    let channels: Vec<(String, &str)> = water["channels"].as_array()?.iter().map(channel_in_words).collect();
+    let verdict = channels.first()?.1;
+    let alike = channels.iter().all(|(_, other)| *other == verdict);
+    let each = channels.iter().map(|(figures, verdict)| match alike {
+        true => figures.clone(),
+        false => format!("{figures} ({verdict})"),
+    });
+    let each = each.collect::<Vec<_>>().join(", ");
+    let verdict = if alike { format!(" ({verdict})") } else { String::new() };
+    Some(format!("{judgement}. Attenuation per unit{used}: {each}{verdict}."))
+}
+
+/// A channel's attenuation with its error, and its verdict.
+fn channel_in_words(channel: &serde_json::Value) -> (String, &str) {
+    let attenuation = &channel["attenuation"];
+    let number = |v: &serde_json::Value| v.as_f64().map_or_else(|| "–".into(), |v| format!("{v:.4}"));
+    let (value, error) = (number(&attenuation["value"]), number(&attenuation["error"]));
+    let name = channel["channel"].as_str().unwrap_or_default();
+    (format!("{name} {value} ± {error}"), channel["told"].as_str().unwrap_or_default())
+}
+
+fn capitalised(text: &str) -> String {
+    let mut chars = text.chars();
+    chars.next().map_or_else(String::new, |first| first.to_uppercase().chain(chars).collect())
 }
 
 /// The plots of stage 1's training, from its log.

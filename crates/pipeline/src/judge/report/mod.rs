@@ -207,7 +207,23 @@ impl TablesTemplate {
 #[derive(Template)]
 #[template(path = "made-by.html")]
 struct MadeByTemplate<'a> {
-    made: &'a [(String, String)],
+    made: Vec<MadeBy<'a>>,
+}
+
+/// The configuration of a variant: its base and its steps in one line, and all the rest.
+struct MadeBy<'a> {
+    name: &'a str,
+    base: &'a str,
+    steps: &'a str,
+    parts: Vec<&'a (&'static str, String)>,
+}
+
+impl<'a> MadeBy<'a> {
+    fn new((name, parts): &'a (String, Vec<(&'static str, String)>)) -> Self {
+        let value = |field| parts.iter().find(|(name, _)| *name == field).map_or("", |(_, text)| text);
+        let rest = parts.iter().filter(|(name, _)| !["", "steps"].contains(name));
+        Self { name, base: value(""), steps: value("steps"), parts: rest.collect() }
+    }
 }
 
 #[derive(Template)]
@@ -363,10 +379,17 @@ impl Page {
 #[derive(Template)]
 #[template(path = "verdict.html")]
 struct VerdictTemplate<'a> {
-    sentences: Vec<(&'static str, &'static str, &'a str)>,
+    sentences: Vec<SentenceView<'a>>,
 }
 
-/// Sentences as a list; empty without sentences.
+struct SentenceView<'a> {
+    class: &'static str,
+    mark: &'static str,
+    /// Pieces of the text; true for commands and names of files.
+    pieces: Vec<(bool, &'a str)>,
+}
+
+/// Sentences as a list; empty without sentences. Text between backticks is shown as code.
 fn verdict(sentences: &[Sentence]) -> Result<String, askama::Error> {
     let marked = sentences.iter().map(|sentence| {
         let (class, mark) = match sentence.tone {
@@ -374,7 +397,8 @@ fn verdict(sentences: &[Sentence]) -> Result<String, askama::Error> {
             Tone::Bad => ("bad", "–"),
             Tone::Plain => ("plain", "·"),
         };
-        (class, mark, sentence.text.as_str())
+        let pieces = sentence.text.split('`').enumerate().map(|(k, piece)| (k % 2 == 1, piece));
+        SentenceView { class, mark, pieces: pieces.collect() }
     });
     VerdictTemplate { sentences: marked.collect() }.render()
 }
@@ -396,13 +420,14 @@ pub fn with_tables(html: &str, tables: &[Table]) -> String {
     }
 }
 
-/// A page with the configurations at the top: pairs of a name and its configuration as text.
-pub fn with_configurations(html: &str, made: &[(String, String)]) -> String {
+/// A page with the configurations at the top: the name of each variant with the parts of its configuration.
+pub fn with_configurations(html: &str, made: &[(String, Vec<(&'static str, String)>)]) -> String {
     const AFTER: &str = "<p class=\"lead\">";
     let Some(start) = html.find(AFTER) else { return html.into() };
     let Some(end) = html[start..].find("</p>").map(|end| start + end + "</p>".len()) else {
         return html.into();
     };
+    let made = made.iter().map(MadeBy::new).collect();
     let Ok(lines) = (MadeByTemplate { made }).render() else { return html.into() };
     format!("{}{}{}", &html[..end], lines.trim_end(), &html[end..])
 }
@@ -539,9 +564,14 @@ mod tests {
         assert!(other.contains("12.34") && other.contains("another caption") && !other.contains(">caption<"));
         assert_eq!(with_tables(&other, &[timed]), other, "once more changes nothing");
         assert!(other.contains("<sup>a</sup>") && other.contains("preset paper; seed: 42"), "{other}");
-        let told = with_configurations(&other, &[("reef".into(), "preset paper, changed: a = <b>".into())]);
+        let parts =
+            [("", "preset paper, changed: a = <b>"), ("proposer", "fusion"), ("steps", "5000 + 1000")];
+        let parts = parts.map(|(name, text)| (name, text.to_string())).to_vec();
+        let told = with_configurations(&other, &[("reef".into(), parts)]);
         let at = |text: &str| told.find(text).unwrap_or_else(|| panic!("{text}"));
-        assert!(at("preset paper, changed: a = &#60;b&#62;") < at("id=\"scene-1\""), "on the first screen");
+        let line = "reef · settings: preset paper, changed: a = &#60;b&#62;; 5000 + 1000 steps</summary>";
+        assert!(at(line) < at("id=\"scene-1\""), "on the first screen");
+        assert!(at(line) < at("<dt>proposer</dt><dd>fusion</dd>"));
         assert_eq!(with_configurations(&other, &[]), other);
     }
 }
