@@ -20,8 +20,8 @@ use glam::DVec3;
 use use3d_capture::World;
 use use3d_io_image::{GpsPosition, image_size, read_exif};
 use use3d_survey::{
-    EarthPlace, Mark, Marker, PosedImage, PositionsFit, ScaleBar, Survey, fit_depths, fit_positions,
-    read_at_most,
+    EarthPlace, Mark, Marker, PosedImage, PositionsFit, ScaleBar, Survey, TextRow, TextTable, fit_depths,
+    fit_positions, read_at_most,
 };
 
 use crate::error::ImportError;
@@ -37,14 +37,13 @@ const AGREE: f64 = 0.01;
 /// Depths and GPS positions whose metres are less certain than this share are not used.
 const CERTAIN: f64 = 0.1;
 
-/// A table whose first line names its columns.
-struct CsvTable {
+/// A table beside the photographs.
+struct MetresTable {
     path: PathBuf,
-    columns: Vec<String>,
-    rows: Vec<(usize, Vec<String>)>,
+    table: TextTable,
 }
 
-impl CsvTable {
+impl MetresTable {
     /// Reads a table of the capture; `None` if it is not there.
     fn read(dir: &Path, name: &str, needed: &[&str]) -> Result<Option<Self>, ImportError> {
         let path = dir.join(name);
@@ -52,47 +51,33 @@ impl CsvTable {
             return Ok(None);
         }
         let bytes = read_at_most(&path, LARGEST, "keep the rows of this capture alone")?;
-        let text = String::from_utf8_lossy(&bytes);
-        let lines = (1usize..).zip(text.trim_start_matches('\u{feff}').lines());
-        let mut lines = lines.filter(|(_, line)| !line.trim().is_empty() && !line.starts_with('#'));
-        let (first, header) = lines.next().unwrap_or((1, ""));
-        // Spreadsheets of some languages separate by semicolons.
-        let separator = [';', '\t'].into_iter().find(|s| header.contains(*s)).unwrap_or(',');
-        let fields = |line: &str| -> Vec<String> {
-            line.split(separator).map(|f| f.trim().trim_matches('"').to_string()).collect()
-        };
-        let columns: Vec<String> = fields(header).iter().map(|f| f.to_lowercase()).collect();
-        // Spreadsheets write rows whose fields are all empty.
-        let rows = lines.map(|(number, line)| (number, fields(line)));
-        let rows = rows.filter(|(_, fields)| fields.iter().any(|field| !field.is_empty())).collect();
-        let table = Self { path, columns, rows };
-        match needed.iter().find(|name| table.column(name).is_none()) {
-            None => Ok(Some(table)),
-            Some(missing) => Err(table.fail(
-                first,
-                &format!("there is no column `{missing}`; expected this line to be {}", needed.join(",")),
-            )),
+        let fail = |line, reason| ImportError::Table { path: path.clone(), line, reason };
+        let table = TextTable::parse(&bytes, "#").map_err(|(line, reason)| fail(line, reason))?;
+        if let Some(missing) = needed.iter().find(|name| table.column(&[name]).is_none()) {
+            let expected = needed.join(",");
+            let reason = format!("there is no column `{missing}`; expected this line to be {expected}");
+            return Err(fail(table.first_line, reason));
         }
+        Ok(Some(Self { path, table }))
     }
 
-    fn column(&self, name: &str) -> Option<usize> {
-        self.columns.iter().position(|c| c == name)
+    fn fail(&self, row: &TextRow, reason: &str) -> ImportError {
+        ImportError::Table { path: self.path.clone(), line: row.line, reason: reason.into() }
     }
 
-    fn fail(&self, line: usize, reason: &str) -> ImportError {
-        ImportError::Table { path: self.path.clone(), line, reason: reason.into() }
+    fn text<'a>(&self, row: &'a TextRow, name: &str) -> Result<&'a str, ImportError> {
+        let field = self.table.column(&[name]).map_or("", |column| row.get(column));
+        if field.is_empty() {
+            return Err(self.fail(row, &format!("`{name}` is empty; fill it in")));
+        }
+        Ok(field)
     }
 
-    fn text<'a>(&self, row: &'a (usize, Vec<String>), name: &str) -> Result<&'a str, ImportError> {
-        let field = self.column(name).and_then(|at| row.1.get(at)).filter(|field| !field.is_empty());
-        field.map(String::as_str).ok_or_else(|| self.fail(row.0, &format!("`{name}` is empty; fill it in")))
-    }
-
-    fn number(&self, row: &(usize, Vec<String>), name: &str) -> Result<f64, ImportError> {
+    fn number(&self, row: &TextRow, name: &str) -> Result<f64, ImportError> {
         let text = self.text(row, name)?;
         let number = text.parse::<f64>().ok().filter(|v| v.is_finite());
         number.ok_or_else(|| {
-            self.fail(row.0, &format!("`{name}` is {text:?}; expected a number with a decimal point"))
+            self.fail(row, &format!("`{name}` is {text:?}; expected a number with a decimal point"))
         })
     }
 }
@@ -137,16 +122,17 @@ pub(crate) fn read(
 ) -> Result<(), ImportError> {
     let mut found = Vec::new();
     let (mut notes, mut markers, mut bars) = (Vec::new(), Vec::new(), Vec::new());
-    if let Some(table) = CsvTable::read(dir, LENGTHS, &["length", "metres", "image", "x1", "y1", "x2", "y2"])?
+    if let Some(table) =
+        MetresTable::read(dir, LENGTHS, &["length", "metres", "image", "x1", "y1", "x2", "y2"])?
     {
         files.push(LENGTHS.into());
         found.extend(lengths(&table, images, survey, (&mut markers, &mut bars), &mut notes)?);
     }
-    if let Some(table) = CsvTable::read(dir, POSITIONS, &["image", "x", "y", "z"])? {
+    if let Some(table) = MetresTable::read(dir, POSITIONS, &["image", "x", "y", "z"])? {
         files.push(POSITIONS.into());
         found.extend(positions(&table, survey, &mut notes)?);
     }
-    if let Some(table) = CsvTable::read(dir, DEPTHS, &["image", "depth"])? {
+    if let Some(table) = MetresTable::read(dir, DEPTHS, &["image", "depth"])? {
         files.push(DEPTHS.into());
         found.extend(depths(&table, survey, &mut notes)?);
     }
@@ -173,7 +159,7 @@ pub(crate) fn read(
 
 /// Metres by known lengths. Their ends become markers with a scale bar between them.
 fn lengths(
-    table: &CsvTable,
+    table: &MetresTable,
     images: &SourceFolder,
     survey: &Survey,
     (markers, bars): (&mut Vec<Marker>, &mut Vec<ScaleBar>),
@@ -182,10 +168,10 @@ fn lengths(
     let names = Names::of(survey);
     let first = survey.markers.iter().map(|m| m.id).max().map_or(0, |id| id.saturating_add(1));
     let mut known: BTreeMap<&str, (usize, f64)> = BTreeMap::new();
-    for row in &table.rows {
+    for row in &table.table.rows {
         let (label, metres) = (table.text(row, "length")?, table.number(row, "metres")?);
         if metres <= 0.0 {
-            return Err(table.fail(row.0, &format!("`metres` is {metres}; expected a number above 0")));
+            return Err(table.fail(row, &format!("`metres` is {metres}; expected a number above 0")));
         }
         let name = table.text(row, "image")?;
         let Some(image) = names.find(name) else {
@@ -194,13 +180,13 @@ fn lengths(
                 "`image` is {name}, which has no camera or is there twice; expected a photograph of the model, such as \
                  {example}"
             );
-            return Err(table.fail(row.0, &reason));
+            return Err(table.fail(row, &reason));
         };
         let next = markers.len() / 2;
         let (at, stated) = *known.entry(label).or_insert((next, metres));
         if stated != metres {
             let reason = format!("`metres` is {metres}, and {stated} in an earlier line of `{label}`");
-            return Err(table.fail(row.0, &reason));
+            return Err(table.fail(row, &reason));
         }
         if at == next {
             let ids = [0, 1].map(|end| first.saturating_add((2 * next + end) as u32));
@@ -242,13 +228,13 @@ fn lengths(
 
 /// The centres of the named images with the numbers of their rows, and the number of names without a camera.
 fn centres<T>(
-    table: &CsvTable,
+    table: &MetresTable,
     survey: &Survey,
-    of: impl Fn(&(usize, Vec<String>)) -> Result<T, ImportError>,
+    of: impl Fn(&TextRow) -> Result<T, ImportError>,
 ) -> Result<(Vec<(DVec3, T)>, usize), ImportError> {
     let names = Names::of(survey);
     let (mut pairs, mut unknown) = (Vec::new(), 0);
-    for row in &table.rows {
+    for row in &table.table.rows {
         let value = of(row)?;
         match names.find(table.text(row, "image")?) {
             Some(image) => pairs.push((image.pose().center(), value)),
@@ -259,7 +245,7 @@ fn centres<T>(
 }
 
 fn positions(
-    table: &CsvTable,
+    table: &MetresTable,
     survey: &Survey,
     notes: &mut Vec<String>,
 ) -> Result<Option<World>, ImportError> {
@@ -286,7 +272,11 @@ fn positions(
     }
 }
 
-fn depths(table: &CsvTable, survey: &Survey, notes: &mut Vec<String>) -> Result<Option<World>, ImportError> {
+fn depths(
+    table: &MetresTable,
+    survey: &Survey,
+    notes: &mut Vec<String>,
+) -> Result<Option<World>, ImportError> {
     let (pairs, _) = centres(table, survey, |row| table.number(row, "depth"))?;
     let remedy = "swim at different depths, or measure a length";
     match fit_depths(&pairs, format!("the depths in {DEPTHS}")) {

@@ -5,7 +5,7 @@ use std::path::Path;
 use glam::{DMat3, DVec3};
 use use3d_capture::{FileName, Pose, shown};
 use use3d_numerics::math;
-use use3d_survey::{ReadError, read_at_most};
+use use3d_survey::{ReadError, TextTable, read_at_most};
 
 use crate::registration::{RegisteredShot, Registration, ShareLens, tidy};
 
@@ -36,34 +36,12 @@ const COLUMNS: [&[&str]; 16] = [
 ];
 const NEEDED: usize = 8;
 
-/// The first line of a table with its columns.
-struct Header {
-    separator: char,
-    /// The place of each of [`COLUMNS`].
-    places: [Option<usize>; 16],
-}
+/// Lines before the names of the columns begin with this: some versions write the number of cameras there.
+const COUNT: &str = "#cameras";
 
-impl Header {
-    fn of(line: &str) -> Self {
-        let separator = [';', '\t'].into_iter().find(|s| line.contains(*s)).unwrap_or(',');
-        let names: Vec<String> = line
-            .split(separator)
-            .map(|name| name.trim().trim_matches('"').trim_start_matches('#').trim().to_lowercase())
-            .collect();
-        let place = |aliases: &[&str]| names.iter().position(|name| aliases.contains(&name.as_str()));
-        Self { separator, places: COLUMNS.map(place) }
-    }
-
-    /// The first needed column that is not there.
-    fn missing(&self) -> Option<&'static str> {
-        (0..NEEDED).find(|&i| self.places[i].is_none()).map(|i| COLUMNS[i][0])
-    }
-}
-
-/// The lines that say something, with their numbers. Some versions begin with the number of cameras.
-fn lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
-    let all = (1usize..).zip(text.trim_start_matches('\u{feff}').lines());
-    all.filter(|(_, line)| !line.trim().is_empty() && !line.trim_start().starts_with("#cameras"))
+/// The first needed column that is not there.
+fn missing(table: &TextTable) -> Option<&'static str> {
+    COLUMNS[..NEEDED].iter().find(|names| table.column(names).is_none()).map(|names| names[0])
 }
 
 /// True if a file's first line names the columns of a table of cameras.
@@ -74,8 +52,9 @@ pub fn is_cameras_table(path: &Path) -> bool {
     if file.take(4096).read_to_end(&mut head).is_err() {
         return false;
     }
-    let head = String::from_utf8_lossy(&head);
-    lines(&head).next().is_some_and(|(_, line)| Header::of(line).missing().is_none())
+    // The last line may be cut off within a character or a quoted field.
+    let whole = head.iter().rposition(|b| *b == b'\n').map_or(&head[..], |end| &head[..end]);
+    TextTable::parse(whole, COUNT).is_ok_and(|table| missing(&table).is_none())
 }
 
 /// Reads a table.
@@ -92,33 +71,35 @@ pub fn read_table(path: &Path) -> Result<Registration> {
 /// # Errors
 /// As [`read_table`].
 pub fn parse_table(bytes: &[u8], path: &Path) -> Result<Registration> {
-    let text = String::from_utf8_lossy(bytes);
-    let mut lines = lines(&text);
-    let Some((first, line)) = lines.next() else {
+    let broken = |line: usize, reason: String| ReadError::broken(path, format!("line {line}"), reason);
+    let table = TextTable::parse(bytes, COUNT).map_err(|(line, reason)| broken(line, reason))?;
+    if table.columns.iter().all(String::is_empty) {
         return Err(ReadError::broken(path, "file", "it is empty; export the cameras again"));
-    };
-    let header = Header::of(line);
-    if let Some(missing) = header.missing() {
+    }
+    let first = table.first_line;
+    if let Some(missing) = missing(&table) {
         let reason = format!(
             "there is no column `{missing}`; expected name, x, y, alt, heading, pitch, roll and f: export the \
              registration as \"Internal/External camera parameters\""
         );
-        return Err(ReadError::broken(path, format!("line {first}"), reason));
+        return Err(broken(first, reason));
     }
+    let places = COLUMNS.map(|names| table.column(names));
     let mut registration = Registration::default();
-    for (number, line) in lines.filter(|(_, line)| !line.trim_start().starts_with('#')) {
-        let fields: Vec<&str> = line.split(header.separator).map(|f| f.trim().trim_matches('"')).collect();
-        let broken = |reason: String| ReadError::broken(path, format!("line {number}"), reason);
+    for row in &table.rows {
+        let broken = |reason: String| broken(row.line, reason);
         // A column that is not in the table is 0, and one that is must be in every line.
         let value = |column: usize| -> Result<f64> {
-            let Some(at) = header.places[column] else { return Ok(0.0) };
-            let text = fields.get(at).copied().unwrap_or_default();
-            text.parse::<f64>().ok().filter(|v| v.is_finite()).ok_or_else(|| {
+            let Some(at) = places[column] else { return Ok(0.0) };
+            row.number(at).ok_or_else(|| {
                 let name = COLUMNS[column][0];
-                broken(format!("`{name}` is {:?}; expected a number with a decimal point", shown(text)))
+                broken(format!(
+                    "`{name}` is {:?}; expected a number with a decimal point",
+                    shown(row.get(at))
+                ))
             })
         };
-        let text = header.places[0].and_then(|at| fields.get(at)).copied().unwrap_or_default();
+        let text = places[0].map_or("", |at| row.get(at));
         let name = FileName::new(&tidy(text))
             .map_err(|e| broken(format!("`name` is {:?}: {e}; export the cameras again", shown(text))))?;
         let centre = DVec3::new(value(1)?, value(2)?, value(3)?);
@@ -140,7 +121,7 @@ pub fn parse_table(bytes: &[u8], path: &Path) -> Result<Registration> {
     }
     if registration.shots.is_empty() {
         let reason = "it has no cameras; align the photographs, select a component, and export again";
-        return Err(ReadError::broken(path, format!("line {first}"), reason));
+        return Err(broken(first, reason.into()));
     }
     Ok(registration)
 }

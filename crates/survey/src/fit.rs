@@ -1,6 +1,6 @@
 //! The world by measured places of cameras: positions in metres, or depths below the surface.
 
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DQuat, DVec3};
 use use3d_capture::World;
 
 /// Rotations of the eigenvalue method; a symmetric matrix of four rows needs a handful.
@@ -49,8 +49,8 @@ pub fn fit_positions(pairs: &[(DVec3, DVec3)], source: String) -> Option<Positio
     if values[order[0]] - values[order[1]] <= 1e-6 * values[order[0]].abs() {
         return None;
     }
-    let q = std::array::from_fn(|row| vectors[row][order[0]]);
-    let rotation = of_quaternion(q);
+    let [w, x, y, z] = std::array::from_fn(|row| vectors[row][order[0]]);
+    let rotation = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w));
     let spread: f64 = centred.iter().map(|p| p.0.length_squared()).sum();
     let scale = centred.iter().map(|(a, b)| b.dot(rotation * *a)).sum::<f64>() / spread;
     if !(scale.is_finite() && scale > 0.0) {
@@ -61,15 +61,6 @@ pub fn fit_positions(pairs: &[(DVec3, DVec3)], source: String) -> Option<Positio
     let error = (left / (3.0 * n - 7.0) / spread).sqrt() / scale;
     let world = World::of(scale, &rotation, translation, source);
     Some(PositionsFit { world, left: (left / n).sqrt(), error })
-}
-
-/// The rotation of a unit quaternion `w x y z`.
-fn of_quaternion([w, x, y, z]: [f64; 4]) -> DMat3 {
-    DMat3::from_cols(
-        DVec3::new(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)),
-        DVec3::new(2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)),
-        DVec3::new(2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)),
-    )
 }
 
 /// The eigenvalues of a symmetric matrix, and its eigenvectors as columns, by Jacobi's rotations.

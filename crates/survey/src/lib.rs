@@ -22,6 +22,7 @@ mod markers;
 pub mod ply;
 mod read;
 mod survey;
+mod table;
 
 pub use check::SurveyError;
 pub use fit::{PositionsFit, fit_depths, fit_positions};
@@ -31,4 +32,5 @@ pub use markers::{Mark, Marker, ScaleBar};
 pub use ply::PlyError;
 pub use read::{ReadError, RotationFault, check_rotation, read_at_most};
 pub use survey::{ImageFiles, Keypoint, PosedImage, Survey, SurveyCamera, SurveyPoint};
+pub use table::{TextRow, TextTable};
 pub use use3d_capture::World;
