@@ -20,6 +20,10 @@ pub enum WaterSight<'a> {
     Unknown(&'a str),
 }
 
+/// Forms of models that never have tracks, and one that has them in a file of their own, as an import reports
+/// them.
+const WITHOUT_TRACKS: [&str; 4] = ["Agisoft XML", "transforms.json", "RealityScan CSV", "RealityScan XMP"];
+const OPENSFM: &str = "OpenSfM";
 /// A view that sees fewer points, or has fewer neighbours, hardly has a place.
 const LONELY: (usize, usize) = (50, 2);
 /// A view whose sharpness is below this share of its neighbours' is blurred.
@@ -38,6 +42,8 @@ const DARK: f64 = 0.06;
 const LARGE: usize = 2000;
 /// Shares of a picture without any track that lose something, and that spoil the scene.
 const BARE: (f64, f64) = (0.1, 0.25);
+/// A mask that leaves less than this share of a picture leaves nothing to learn from.
+const UNMASKED: f64 = 0.01;
 /// Steps along the sight and breadth of the positions at which distances are hardly determined.
 const TUNNEL: (f64, f64) = (0.9, 0.1);
 
@@ -52,11 +58,11 @@ pub fn examine(
     rules.images(import);
     rules.split(import);
     rules.cameras(import);
-    rules.model(&figures, water);
+    rules.model(import, &figures, water);
     rules.reach(&figures.reach);
     rules.pixels(&figures.views);
     rules.water(&figures, water);
-    rules.extras(import, metres);
+    rules.extras(import, &figures, metres);
     let mut findings = rules.found;
     // The order of the rules is that of their weight among equals.
     findings.sort_by_key(|f| f.severity);
@@ -186,21 +192,26 @@ impl Rules {
         }
     }
 
-    fn model(&mut self, figures: &Figures, water: Option<WaterSight<'_>>) {
+    fn model(&mut self, import: &ImportReport, figures: &Figures, water: Option<WaterSight<'_>>) {
         let lonely = names(&figures.views, |v| v.points < LONELY.0 || v.neighbours < LONELY.1);
         if figures.track_length == 0.0 {
             let text = "The model has no tracks: it does not say which view sees which point, so the cameras and their \
                 overlap cannot be checked."
                 .to_string();
-            // In air, nothing is lost by that.
+            // In air, nothing is lost by that, and some programs export no tracks.
             let dry = matches!(water, Some(WaterSight::None(_)));
-            let (severity, remedy) = match dry {
-                true => (Severity::Minor, "export the model with its tie points and projections, if you can"),
-                false => (
-                    Severity::Serious,
+            let never = WITHOUT_TRACKS.contains(&&*import.model_form);
+            let severity = if dry || never { Severity::Minor } else { Severity::Serious };
+            let remedy = match &*import.model_form {
+                _ if never => {
+                    "nothing: this program's files have no tracks, so the training learns the water from the \
+                    photographs"
+                }
+                OPENSFM => "put `tracks.csv` beside `reconstruction.json`",
+                _ => {
                     "export the model with its tie points and projections; without them the water is learnt from \
-                     scratch",
-                ),
+                    scratch"
+                }
             };
             self.add(severity, "tracks", text, remedy, Vec::new());
             return;
@@ -333,9 +344,10 @@ impl Rules {
         if !blurred.is_empty() {
             let severity = if self.share(blurred.len()) > 0.1 { Severity::Serious } else { Severity::Minor };
             let text = format!(
-                "{} of {} views are blurred, compared with the views around them.",
+                "{} of {} views {} blurred, compared with the views around them.",
                 blurred.len(),
-                self.views
+                self.views,
+                if blurred.len() == 1 { "is" } else { "are" }
             );
             let remedy = "remove them from the folder of images; swim slower, with 1/240 s or shorter";
             self.add(severity, "blur", text, remedy, blurred);
@@ -350,7 +362,8 @@ impl Rules {
         }
         let dark = names(views, |v| v.brightness.is_some_and(|b| b < DARK));
         if !dark.is_empty() {
-            let text = format!("{} of {} views are very dark.", dark.len(), self.views);
+            let are = if dark.len() == 1 { "is" } else { "are" };
+            let text = format!("{} of {} views {are} very dark.", dark.len(), self.views);
             self.add(Severity::Minor, "dark", text, "expose longer, or remove them", dark);
         }
     }
@@ -379,6 +392,8 @@ impl Rules {
             Some(WaterSight::None(words)) => {
                 self.add(Severity::Good, "water", format!("{}.", sentence(words)), "", Vec::new());
             }
+            // The finding on the tracks says it.
+            Some(WaterSight::Unknown(_)) if figures.track_length == 0.0 => {}
             Some(WaterSight::Unknown(words)) => {
                 let remedy = if ranged < 2.0 * RANGED {
                     "photograph the same things from near and from far, for example from 1 and from 4 metres"
@@ -408,7 +423,7 @@ impl Rules {
         self.found.iter().any(|f| f.severity == Severity::Serious && light.contains(&f.subject))
     }
 
-    fn extras(&mut self, import: &ImportReport, metres: Option<f64>) {
+    fn extras(&mut self, import: &ImportReport, figures: &Figures, metres: Option<f64>) {
         match metres {
             Some(metres) => {
                 let text = format!("The scale is known: one unit of the model is {metres:.4} m.");
@@ -427,6 +442,15 @@ impl Rules {
             let remedy = "put the weights of Depth Anything V2 into the models folder (`use3d models`), if you may use \
                 them";
             self.add(Severity::Minor, "depth", text, remedy, Vec::new());
+        }
+        let hidden = names(&figures.views, |v| v.unmasked.is_some_and(|share| share < UNMASKED));
+        if !hidden.is_empty() {
+            let severity = if self.share(hidden.len()) > 0.1 { Severity::Serious } else { Severity::Minor };
+            let text =
+                format!("The masks of {} of {} views leave almost no pixel.", hidden.len(), self.views);
+            let remedy =
+                "masks are white where pixels count and black elsewhere: invert them, or remove them";
+            self.add(severity, "masks", text, remedy, hidden);
         }
         if import.masks + import.alpha_masks == 0 {
             let text = "There are no masks: fish and divers will leave ghosts, if there are any.".into();

@@ -45,6 +45,8 @@ pub struct ViewFigures {
     pub exposure_step: Option<f64>,
     /// The larger change of `R/G` and `B/G` since the view before it, as a share.
     pub balance_step: Option<f64>,
+    /// The share of its pixels that its mask leaves; `None` without a mask.
+    pub unmasked: Option<f64>,
 }
 
 /// The figures of a capture.

@@ -148,6 +148,28 @@ fn the_water_is_not_called_absent_while_the_exposure_jumps() {
 }
 
 #[test]
+fn masks_that_leave_nothing_and_formats_without_tracks_are_said() {
+    let mut reef = Reef::new();
+    let with = |reef: &Reef, unmasked: &dyn Fn(usize) -> Option<f64>, water: WaterSight<'_>| {
+        let mut load = |view: usize| Ok::<_, Infallible>(reef.images[view].clone());
+        let Ok(mut figures) = measure(&reef.capture, &reef.tracks, Some(&mut load));
+        (0..VIEWS).for_each(|view| figures.views[view].unmasked = unmasked(view));
+        examine(&reef.report, figures, Some(water), Some(0.5))
+    };
+    let unknown = WaterSight::Unknown("the water cannot be measured");
+    let one = with(&reef, &|view| Some(if view == 3 { 0.0 } else { 0.8 }), unknown);
+    assert_eq!(of(&one, "masks"), (Severity::Minor, vec!["v_03.png".to_string()]));
+    assert_eq!(of(&with(&reef, &|_| Some(0.0), unknown), "masks").0, Severity::Serious);
+    reef.tracks.iter_mut().for_each(|t| t.sightings.clear());
+    for (form, expected) in [("binary", Severity::Serious), ("Agisoft XML", Severity::Minor)] {
+        reef.report.model_form = form.into();
+        let report = with(&reef, &|_| None, unknown);
+        assert_eq!(of(&report, "tracks").0, expected, "{form}");
+        assert!(report.findings.iter().all(|f| f.subject != "water"), "{report}");
+    }
+}
+
+#[test]
 fn changes_of_exposure_and_white_balance_are_measured_on_shared_points() {
     let mut reef = Reef::new();
     let step = 2.0f32.sqrt();

@@ -171,9 +171,17 @@ fn recipes_make_a_capture_of_each_scene_and_name_what_is_missing() {
         assert!(text.contains("export SEATHRU=") && text.contains("pipelines/seathru4.toml"), "{text}");
     }
     assert!(Path::new(&place.at("captures/Panama/images_wb")).is_dir());
+    // A folder of the recipe's name in the working folder is not taken for the recipe's data.
+    std::fs::create_dir(place.at("seathru")).unwrap();
+    let mut command = tiny::command();
+    command.args(["prepare", "seathru", &place.at("data"), "--out", &place.at("captures")]);
+    let text = said(&alone(command.current_dir(place.at(".")), &place));
+    assert!(text.contains("Panama: copied before"), "{text}");
     assert_eq!(calls(&place), 0, "no cameras are looked for");
     // Linear photographs are made visible first; the originals decide if it was done before.
-    copy("tiny/images", &data.join("D3"));
+    copy("tiny/images", &data.join("D3/linearPNG"));
+    std::fs::create_dir(data.join("D3/Raw")).unwrap();
+    std::fs::write(data.join("D3/Raw/a.NEF"), "raw").unwrap();
     let text = said(&recipe("d3d5"));
     assert!(text.contains("D3: The cameras are") && text.contains("not prepared: D5"), "{text}");
     assert!(Path::new(&place.at("captures/D3/sparse/0")).is_dir());

@@ -288,7 +288,10 @@ fn read_nerfstudio(found: &FoundModel) -> Result<ReadModel, ImportError> {
             read.add_points(&read_points(&path)?, &path)?;
         }
         Some(name) => read.survey.notes.push(format!("the file of points {name} is not there")),
-        None => {}
+        None => read
+            .survey
+            .notes
+            .push(format!("{TRANSFORMS} names no points (ply_file_path): the scene starts from chance")),
     }
     let mut survey = read.survey;
     if survey.files.values().any(|f| f.depth.is_some()) {
@@ -477,6 +480,12 @@ fn parent_of(place: &str) -> &str {
 
 fn no_realityscan(names: &[String]) -> Option<&'static str> {
     let has = |e: &str| names.iter().any(|n| has_extension(n, e));
+    if names.iter().any(|name| name.eq_ignore_ascii_case("cameras.csv")) {
+        return Some(
+            "cameras.csv is no table of RealityScan with the columns name, x, y, alt, heading, pitch, roll and f: export \
+             the registration as \"Internal/External camera parameters\" in the coordinate system `Grid plane`",
+        );
+    }
     (has("rcproj") || has("rsproj")).then_some(
         "a project of RealityScan (RealityCapture) is not read itself: export the registration as \
          \"Internal/External camera parameters\" (CSV) and the points as PLY, and put both files beside the photographs",

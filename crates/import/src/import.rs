@@ -96,7 +96,7 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
     params.validate()?;
     if !dir.is_dir() {
         let what = if dir.exists() {
-            "this is a file; a capture is a folder with images and a COLMAP model"
+            "this is a file; a capture is a folder with images and a COLMAP model; `use3d prepare` makes one of a film"
         } else {
             "there is no such folder"
         };

@@ -310,10 +310,11 @@ impl SourceFolder {
         }
     }
 
-    /// A mask of an image: `a.jpg.png` (COLMAP's convention), or `a.png` and similar names.
+    /// A mask of an image: `a.jpg.png` (COLMAP's convention), `a.png`, or `a_mask.png` (Metashape's).
     pub(crate) fn mask(&self, name: &FileName) -> Result<Option<PathBuf>, ImportError> {
         let by_stem = MASK_EXTENSIONS.iter().map(|e| name.with_extension(e));
-        self.first(std::iter::once(FileName::new(&format!("{name}.png"))).chain(by_stem))
+        let marked = MASK_EXTENSIONS.iter().map(|e| FileName::new(&format!("{}_mask.{e}", name.stem())));
+        self.first(std::iter::once(FileName::new(&format!("{name}.png"))).chain(by_stem).chain(marked))
     }
 
     /// A depth prior of an image, by its stem.
@@ -373,8 +374,9 @@ pub(crate) fn find_images(
     }
     match best {
         Some((count, folder)) if count > 0 => {
-            let others =
-                folders.iter().filter(|f| f.real != folder.real).map(|f| f.relative.clone()).collect();
+            // The capture's folder itself is above the others.
+            let others = folders.iter().filter(|f| f.real != folder.real && f.relative != ".");
+            let others = others.map(|f| f.relative.clone()).collect();
             if model.labels {
                 labels::resolve(&mut model.survey, folder)?;
             }

@@ -19,6 +19,7 @@ use std::path::{Path, PathBuf};
 use glam::DVec3;
 use use3d_capture::World;
 use use3d_io_image::{GpsPosition, image_size, read_exif};
+use use3d_numerics::math;
 use use3d_survey::{
     EarthPlace, Mark, Marker, PosedImage, PositionsFit, ScaleBar, Survey, TextRow, TextTable, fit_depths,
     fit_positions, read_at_most,
@@ -36,6 +37,9 @@ const LARGEST: u64 = 1 << 26;
 const AGREE: f64 = 0.01;
 /// Depths and GPS positions whose metres are less certain than this share are not used.
 const CERTAIN: f64 = 0.1;
+
+/// Marks farther from their marker than this share of the image's longer side are wrong.
+const MISPLACED: f64 = 0.03;
 
 /// A table beside the photographs.
 struct MetresTable {
@@ -136,6 +140,7 @@ pub(crate) fn read(
         files.push(DEPTHS.into());
         found.extend(depths(&table, survey, &mut notes)?);
     }
+    notes.extend(unread_tables(dir, images));
     survey.markers.append(&mut markers);
     survey.scale_bars.append(&mut bars);
     for world in found {
@@ -155,6 +160,31 @@ pub(crate) fn read(
     }
     survey.notes.append(&mut notes);
     Ok(())
+}
+
+/// A remark on each file that is meant as a table and is not read: in another folder, or under another name.
+fn unread_tables(dir: &Path, images: &SourceFolder) -> Vec<String> {
+    let mut remarks = Vec::new();
+    for folder in [dir, images.path()] {
+        for entry in std::fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok) {
+            let name = entry.file_name().to_string_lossy().into_owned();
+            let table = [LENGTHS, POSITIONS, DEPTHS].into_iter().find(|table| {
+                let (stem, ending) = name.rsplit_once('.').unwrap_or((&name, ""));
+                let ending = ending.to_lowercase();
+                stem.eq_ignore_ascii_case(use3d_capture::stem(table))
+                    && ["csv", "txt", "tsv", "xlsx", "xls", "ods"].contains(&ending.as_str())
+            });
+            if let Some(table) = table.filter(|table| !dir.join(table).is_file()) {
+                let name = use3d_capture::shown(&name).into_owned();
+                remarks.push(format!(
+                    "{name} is not read: a table must be a CSV file called {table}, in the capture's folder itself"
+                ));
+            }
+        }
+    }
+    remarks.sort();
+    remarks.dedup();
+    remarks
 }
 
 /// Metres by known lengths. Their ends become markers with a scale bar between them.
@@ -214,34 +244,82 @@ fn lengths(
         scale_bars: bars.clone(),
         ..Survey::default()
     };
-    let Some((metres, worst)) = measured.metres_by_scale_bars() else {
+    let Some((metres, worst, label)) = measured.metres_by_scale_bars() else {
         notes.push(format!(
             "{LENGTHS} gives no metres: mark both ends of a length in two photographs at least, from different places"
         ));
         return Ok(None);
     };
+    if let Some((label, image, pixels)) = misplaced_mark(&measured) {
+        notes.push(format!(
+            "{LENGTHS} does not give the metres: the end `{label}` in {image} is {pixels:.0} pixels away from where the \
+             other photographs put it; look for swapped ends and wrong pixels there"
+        ));
+        return Ok(None);
+    }
+    if worst > CERTAIN {
+        notes.push(format!(
+            "{LENGTHS} does not give the metres: its lengths disagree, and `{label}` is off by {:.0} % of their mean; \
+             look for a wrong length, or for ends that are swapped in one photograph",
+            100.0 * worst
+        ));
+        return Ok(None);
+    }
     if worst > AGREE {
-        notes.push(format!("the lengths in {LENGTHS} disagree by up to {:.1} %", 100.0 * worst));
+        notes.push(format!("the lengths in {LENGTHS} disagree by up to {:.1} % (`{label}`)", 100.0 * worst));
     }
     Ok(Some(World::scaled(metres, format!("the measured lengths in {LENGTHS}"))))
 }
 
-/// The centres of the named images with the numbers of their rows, and the number of names without a camera.
+/// The mark that is farthest from its marker, if it is absurdly far: the marker's label, the image, and pixels of
+/// the model.
+fn misplaced_mark(survey: &Survey) -> Option<(String, String, f64)> {
+    let mut worst: Option<(String, String, f64)> = None;
+    for marker in &survey.markers {
+        let Some(position) = survey.marker_position(marker) else { continue };
+        for mark in &marker.marks {
+            let Some(image) = survey.images.iter().find(|image| image.id == mark.image) else { continue };
+            let Some(camera) = survey.camera(image.camera) else { continue };
+            let at = survey.project(image, position);
+            let pixels = at.map_or(f64::INFINITY, |(x, y)| math::hypot(x - mark.x, y - mark.y));
+            let absurd = pixels > MISPLACED * camera.width.max(camera.height) as f64;
+            if absurd && worst.as_ref().is_none_or(|(_, _, most)| pixels > *most) {
+                worst = Some((marker.label.clone(), image.name.to_string(), pixels));
+            }
+        }
+    }
+    worst
+}
+
+/// Measured places of cameras.
+struct Centres<T> {
+    /// The centre of each camera, with its measurement.
+    pairs: Vec<(DVec3, T)>,
+    /// The names of their images.
+    names: Vec<String>,
+    /// The number of rows whose images have no camera.
+    unknown: usize,
+}
+
+/// The centres of the named images with the values of their rows.
 fn centres<T>(
     table: &MetresTable,
     survey: &Survey,
     of: impl Fn(&TextRow) -> Result<T, ImportError>,
-) -> Result<(Vec<(DVec3, T)>, usize), ImportError> {
-    let names = Names::of(survey);
-    let (mut pairs, mut unknown) = (Vec::new(), 0);
+) -> Result<Centres<T>, ImportError> {
+    let known = Names::of(survey);
+    let (mut pairs, mut names, mut unknown) = (Vec::new(), Vec::new(), 0);
     for row in &table.table.rows {
         let value = of(row)?;
-        match names.find(table.text(row, "image")?) {
-            Some(image) => pairs.push((image.pose().center(), value)),
+        match known.find(table.text(row, "image")?) {
+            Some(image) => {
+                pairs.push((image.pose().center(), value));
+                names.push(image.name.to_string());
+            }
             None => unknown += 1,
         }
     }
-    Ok((pairs, unknown))
+    Ok(Centres { pairs, names, unknown })
 }
 
 fn positions(
@@ -249,11 +327,25 @@ fn positions(
     survey: &Survey,
     notes: &mut Vec<String>,
 ) -> Result<Option<World>, ImportError> {
-    let (pairs, unknown) = centres(table, survey, |row| {
+    let Centres { pairs, names, unknown } = centres(table, survey, |row| {
         Ok(DVec3::new(table.number(row, "x")?, table.number(row, "y")?, table.number(row, "z")?))
     })?;
     let lacking = if unknown > 0 { format!(", {unknown} others have no camera") } else { String::new() };
     match fit_positions(&pairs, format!("the positions in {POSITIONS}")) {
+        Some(PositionsFit { world, left, error }) if error > CERTAIN => {
+            let off = |(at, metres): &(DVec3, DVec3)| {
+                DVec3::from_array(world.apply(at.to_array())).distance(*metres)
+            };
+            let worst = pairs.iter().map(off).fold(0.0, f64::max);
+            let farthest = pairs.iter().zip(&names).find(|(pair, _)| off(pair) == worst);
+            let name = farthest.map_or("", |(_, name)| name);
+            notes.push(format!(
+                "{POSITIONS} does not give the metres: its positions fit the cameras to {left:.3} m only, so the metres \
+                 would be off by {:.0} %; {name} is farthest off, by {worst:.3} m",
+                100.0 * error
+            ));
+            Ok(None)
+        }
         Some(PositionsFit { world, left, .. }) => {
             notes.push(format!(
                 "{} positions in {POSITIONS} fit the cameras to {left:.3} m{lacking}",
@@ -277,7 +369,11 @@ fn depths(
     survey: &Survey,
     notes: &mut Vec<String>,
 ) -> Result<Option<World>, ImportError> {
-    let (pairs, _) = centres(table, survey, |row| table.number(row, "depth"))?;
+    let Centres { mut pairs, .. } = centres(table, survey, |row| table.number(row, "depth"))?;
+    if pairs.iter().all(|(_, depth)| *depth <= 0.0) {
+        pairs.iter_mut().for_each(|(_, depth)| *depth = -*depth);
+        notes.push(format!("the depths in {DEPTHS} are negative; they count as metres below the surface"));
+    }
     let remedy = "swim at different depths, or measure a length";
     match fit_depths(&pairs, format!("the depths in {DEPTHS}")) {
         Some((world, error)) if error <= CERTAIN => {
@@ -307,7 +403,8 @@ fn depths(
 }
 
 /// Metres by the GPS positions in the photographs themselves. If the first and the last photograph have none,
-/// the others are not opened. If some positions have an altitude, only these count.
+/// the others are not opened. Positions without an altitude do not count: they lie in a plane, and cameras do
+/// not.
 fn gps(
     images: &SourceFolder,
     survey: &Survey,
@@ -327,15 +424,17 @@ fn gps(
     for image in photographs.iter().filter(|_| any) {
         found.extend(place(image)?.map(|gps| (image.pose().center(), gps)));
     }
-    if found.iter().any(|(_, gps)| gps.altitude.is_some()) {
-        found.retain(|(_, gps)| gps.altitude.is_some());
-    }
-    let places = found.iter().map(|(at, gps)| {
-        let altitude = gps.altitude.unwrap_or(0.0);
-        (*at, EarthPlace { latitude: gps.latitude, longitude: gps.longitude, altitude })
+    let places = found.iter().filter_map(|(at, gps)| {
+        Some((*at, EarthPlace { latitude: gps.latitude, longitude: gps.longitude, altitude: gps.altitude? }))
     });
     let places: Vec<(DVec3, EarthPlace)> = places.collect();
-    let Some(&(_, first)) = places.first() else { return Ok(None) };
+    let Some(&(_, first)) = places.first() else {
+        if !found.is_empty() {
+            notes
+                .push("the GPS positions of the photographs have no altitude, so they give no metres".into());
+        }
+        return Ok(None);
+    };
     let pairs: Vec<(DVec3, DVec3)> = places.iter().map(|(at, place)| (*at, first.metres_to(place))).collect();
     let remedy = "measure a length";
     let source = format!(

@@ -147,6 +147,56 @@ fn a_log_of_depths_gives_metres_and_says_how_certain_they_are() {
 }
 
 #[test]
+fn tables_that_contradict_the_cameras_give_no_metres_and_name_the_photograph() {
+    let dir = tempfile::tempdir().unwrap();
+    project(dir.path(), 8);
+    let refused = |file: &str, text: String, parts: &[&str]| {
+        std::fs::write(dir.path().join(file), text).unwrap();
+        let imported = read(dir.path()).unwrap();
+        let said = imported.report.to_string();
+        assert!(imported.model().world.is_none(), "{said}");
+        assert!(parts.iter().all(|part| said.contains(part)), "{said}");
+        std::fs::remove_file(dir.path().join(file)).unwrap();
+    };
+    let length = METRES * (ENDS[0] - ENDS[1]).length();
+    // The ends are swapped in one photograph.
+    let swapped = lengths([ENDS[1], ENDS[0]], &[3], 8.0, length);
+    let swapped = lengths(ENDS, &[1, 6], 8.0, length) + swapped.split_once('\n').unwrap().1;
+    refused("lengths.csv", swapped, &["lengths.csv does not give", "pixels away", "swapped"]);
+    // One of two lengths is ten times too long.
+    let other = lengths(ENDS, &[1, 3, 6], 8.0, 10.0 * length).replace("ruler", "frame");
+    let both = lengths(ENDS, &[1, 3, 6], 8.0, length) + other.split_once('\n').unwrap().1;
+    refused("lengths.csv", both, &["lengths disagree"]);
+    // One position is wrong.
+    let mut table = String::from("image,x,y,z\n");
+    for i in 0..VIEWS {
+        let at = METRES * pose(i).center() + if i == 5 { DVec3::X * 5.0 } else { DVec3::ZERO };
+        writeln!(table, "IMG_{i:04},{},{},{}", at.x, at.y, at.z).unwrap();
+    }
+    refused("positions.csv", table, &["positions.csv does not give", "IMG_0005", "farthest off"]);
+    // Tables that are not read are named.
+    refused("Lengths.xlsx", "x".into(), &["Lengths.xlsx is not read", "called lengths.csv"]);
+    refused("images/depths.csv", "image,depth\n".into(), &["depths.csv is not read", "capture's folder"]);
+}
+
+#[test]
+fn negative_depths_are_metres_below_the_surface() {
+    let dir = tempfile::tempdir().unwrap();
+    project(dir.path(), 8);
+    let down = DVec3::new(0.05, 0.99, 0.1).normalize();
+    let mut table = String::from("image,depth\n");
+    for i in 0..VIEWS {
+        writeln!(table, "IMG_{i:04},{:.2}", -(METRES * down.dot(pose(i).center()) + 8.0)).unwrap();
+    }
+    std::fs::write(dir.path().join("depths.csv"), table).unwrap();
+    let imported = read(dir.path()).unwrap();
+    assert!(imported.report.to_string().contains("depths in depths.csv are negative"), "{}", imported.report);
+    let world = imported.model().world.clone().unwrap();
+    let height = |i: u32| world.apply(pose(i).center().to_array())[2];
+    assert!((0..VIEWS).all(|i| height(i) < 0.0), "the cameras are below the surface");
+}
+
+#[test]
 fn tables_that_are_wrong_say_the_line_and_what_is_expected() {
     let dir = tempfile::tempdir().unwrap();
     project(dir.path(), 8);
@@ -253,6 +303,13 @@ fn gps_positions_in_photographs_give_metres_if_they_are_far_enough_apart() {
             }
             Err(expected) => assert!(imported.model().world.is_none() && said.contains(expected), "{said}"),
         }
+        // Positions without altitudes do not count.
+        for i in 0..VIEWS {
+            let path = dir.path().join(format!("images/dive/IMG_{i:04}.jpg"));
+            std::fs::write(path, photograph_at(latitude, longitude + f64::from(i) * 0.001, None)).unwrap();
+        }
+        let flat = read(dir.path()).unwrap();
+        assert!(flat.model().world.is_none() && flat.report.to_string().contains("have no altitude"));
         // A measured length comes first.
         let length = (ENDS[0] - ENDS[1]).length() * METRES;
         std::fs::write(

@@ -379,10 +379,11 @@ fn metres_of_unit(crs: &str) -> Option<f64> {
 
 fn read_world(chunk: Element<'_>, transform: Option<Element<'_>>, survey: &mut Survey) -> Result<()> {
     let crs = chunk.child("reference").map(|r| r.text().to_string()).filter(|text| !text.is_empty());
-    let bars = survey.metres_by_scale_bars();
-    if let Some((_, worst)) = bars.filter(|(_, worst)| *worst > AGREE) {
-        survey.notes.push(format!("the scale bars disagree by up to {:.1} %", 100.0 * worst));
+    let bars = survey.metres_by_scale_bars().map(|(metres, worst, label)| (metres, worst, label.to_string()));
+    if let Some((_, worst, label)) = bars.as_ref().filter(|(_, worst, _)| *worst > AGREE) {
+        survey.notes.push(format!("the scale bars disagree by up to {:.1} % ({label})", 100.0 * worst));
     }
+    let bars = bars.map(|(metres, ..)| metres);
     if let Some((scale, rotation, translation)) = transform.map(similarity).transpose()?.flatten() {
         let Some(unit) = metres_of_unit(crs.as_deref().unwrap_or_default()) else {
             return chunk
@@ -400,7 +401,7 @@ fn read_world(chunk: Element<'_>, transform: Option<Element<'_>>, survey: &mut S
                     .into(),
             );
         }
-        if let Some((by_bars, _)) = bars.filter(|(by_bars, _)| (by_bars / metres - 1.0).abs() > AGREE) {
+        if let Some(by_bars) = bars.filter(|by_bars| (by_bars / metres - 1.0).abs() > AGREE) {
             survey.notes.push(format!(
                 "by the scale bars one unit is {by_bars:.6} m, by the chunk's transform {metres:.6} m: update \
                  the transform (Reference > Update) and export again if the bars are right"
@@ -412,7 +413,7 @@ fn read_world(chunk: Element<'_>, transform: Option<Element<'_>>, survey: &mut S
             crs,
             source: "Metashape chunk transform".into(),
         });
-    } else if let Some((metres, _)) = bars {
+    } else if let Some(metres) = bars {
         let row = |i: usize| std::array::from_fn(|j| if i == j { metres } else { 0.0 });
         survey.world = Some(World {
             metres_per_unit: metres,

@@ -7,7 +7,7 @@ use glam::{DMat3, DVec3};
 use use3d_golden::mutated;
 use use3d_io_metashape::{add_points, is_cameras_file, parse, read};
 use use3d_numerics::math;
-use use3d_survey::{ReadError, Survey, ply};
+use use3d_survey::{EarthPlace, ReadError, Survey, World, ply};
 
 /// A lens in Metashape's terms.
 #[derive(Clone, Copy, Default)]
@@ -422,6 +422,25 @@ fn scale_bars_give_metres_where_the_chunk_has_none() {
     assert!(complaint(&bad).contains("metres above 0"));
 }
 
+/// The place of the world on the earth in the test below.
+const PLACE: EarthPlace = EarthPlace { latitude: 43.1, longitude: 5.9, altitude: -12.0 };
+
+/// Longitude, latitude and altitude of a position from the earth's centre, by steps from [`PLACE`].
+fn geographic(position: [f64; 3]) -> [f64; 3] {
+    let mut place = PLACE;
+    for _ in 0..20 {
+        let off = DVec3::from_array(position) - place.position();
+        let (lat, lon) = (place.latitude.to_radians(), place.longitude.to_radians());
+        let east = DVec3::new(-math::sin(lon), math::cos(lon), 0.0);
+        let up = DVec3::new(math::cos(lat) * math::cos(lon), math::cos(lat) * math::sin(lon), math::sin(lat));
+        let radius = place.position().length();
+        place.longitude += (off.dot(east) / (radius * math::cos(lat))).to_degrees();
+        place.latitude += (off.dot(up.cross(east)) / radius).to_degrees();
+        place.altitude += off.dot(up);
+    }
+    [place.longitude, place.latitude, place.altitude]
+}
+
 #[test]
 fn points_are_taken_in_the_chunks_own_frame_and_in_the_worlds() {
     let cameras: String = (0..6).map(|i| camera(i, 0, &format!("c{i}"), "")).collect();
@@ -446,6 +465,19 @@ fn points_are_taken_in_the_chunks_own_frame_and_in_the_worlds() {
     for (a, b) in survey.points.iter().zip(&local) {
         assert!((DVec3::from_array(a.position) - DVec3::from_array(b.position)).length() < 1e-9);
     }
+    // The world is on the earth: longitude, latitude and altitude are understood, and chunk coordinates are not
+    // taken for those of the world, in which they would lie in the earth's centre.
+    let kept = survey.world.clone();
+    let turn = DMat3::from_axis_angle(DVec3::new(0.6, 0.0, 0.8), 1.1);
+    let on_earth = World::of(0.8, &turn, PLACE.position(), "test".into());
+    survey.world = Some(on_earth.clone());
+    for text in [cloud(&|p| p), cloud(&|p| on_earth.apply(p)), cloud(&|p| geographic(on_earth.apply(p)))] {
+        add_points(&mut survey, &text, path).unwrap();
+        for (a, b) in survey.points.iter().zip(&local) {
+            assert!((0..3).all(|k| (a.position[k] - b.position[k]).abs() < 1e-3), "{a:?} {b:?}");
+        }
+    }
+    survey.world = kept;
     let said = add_points(&mut survey, &cloud(&|p| p.map(|v| v + 1e5)), path).unwrap_err().to_string();
     assert!(said.contains("points.ply") && said.contains("Local Coordinates"), "{said}");
     let said = add_points(&mut survey, b"solid", path).unwrap_err().to_string();

@@ -36,6 +36,7 @@ pub fn add_tracks(survey: &mut Survey, bytes: &[u8], path: &Path) -> Result<(), 
     let images: BTreeMap<String, usize> =
         survey.images.iter().enumerate().map(|(i, image)| (image.name.to_string(), i)).collect();
     let points: BTreeMap<u64, usize> = survey.points.iter().enumerate().map(|(i, p)| (p.id, i)).collect();
+    let (mut sightings, mut used) = (0usize, 0usize);
     for (number, line) in (1usize..).zip(text.lines()) {
         if line.trim().is_empty() || number == 1 && line.starts_with(HEADER) {
             continue;
@@ -49,6 +50,7 @@ pub fn add_tracks(survey: &mut Survey, bytes: &[u8], path: &Path) -> Result<(), 
                 `create_tracks` wrote, or remove it";
             return Err(ReadError::broken(path, format!("line {number}"), reason));
         };
+        sightings += 1;
         let (Some(&image), Some(&point)) = (images.get(name), points.get(&track)) else { continue };
         let Some(camera) = survey.camera(survey.images[image].camera) else { continue };
         let (w, h) = (camera.width as f64, camera.height as f64);
@@ -58,6 +60,12 @@ pub fn add_tracks(survey: &mut Survey, bytes: &[u8], path: &Path) -> Result<(), 
         let sighting = (image.id, image.keypoints.len() as u32);
         image.keypoints.push(keypoint);
         survey.points[point].track.push(sighting);
+        used += 1;
+    }
+    if used == 0 && sightings > 0 {
+        survey.notes.push(
+            "no line of tracks.csv is of these photographs and points: take the file of the same reconstruction".into(),
+        );
     }
     check(survey, path)
 }

@@ -123,7 +123,22 @@ pub fn parse_table(bytes: &[u8], path: &Path) -> Result<Registration> {
         let reason = "it has no cameras; align the photographs, select a component, and export again";
         return Err(broken(first, reason.into()));
     }
+    if in_degrees(&registration) {
+        let reason = "the positions are longitudes and latitudes, which cannot be used: export again with the \
+            coordinate system `Grid plane`";
+        return Err(broken(first, reason.into()));
+    }
     Ok(registration)
+}
+
+/// True if positions look like longitudes and latitudes: within hundredths of a degree, and hundreds of times as
+/// far apart in height.
+fn in_degrees(registration: &Registration) -> bool {
+    let centres = registration.shots.iter().map(|shot| shot.pose.center());
+    let (low, high) = centres.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(l, h), c| (l.min(c), h.max(c)));
+    let [x, y, z] = (high - low).to_array();
+    let on_earth = low.x >= -180.0 && high.x <= 180.0 && low.y >= -90.0 && high.y <= 90.0;
+    registration.shots.len() > 2 && on_earth && x.max(y) < 0.02 && z > 300.0 * x.max(y)
 }
 
 /// World to camera by heading, pitch and roll in degrees.

@@ -198,6 +198,12 @@ fn faults_of_tables_are_named() {
     }
     assert!(table("").unwrap_err().to_string().contains("empty"));
     assert!(table(HEADER).unwrap_err().to_string().contains("no cameras"));
+    let at = |x: f64, y: f64, z: f64| format!("p{z}.jpg,{x},{y},{z},10,20,30,27,0,0,0,0,0,0,0,0\n");
+    let degrees = [at(5.9, 43.1, 2.0), at(5.900_02, 43.100_04, 3.0), at(5.900_05, 43.100_01, 4.5)].concat();
+    let said = table(&format!("{HEADER}\n{degrees}")).unwrap_err().to_string();
+    assert!(said.contains("longitudes") && said.contains("Grid plane"), "{said}");
+    let metres = [at(5.9, 43.1, 2.0), at(5.9, 43.1, 3.0), at(6.1, 43.2, 9.5)].concat();
+    assert!(table(&format!("{HEADER}\n{metres}")).is_ok(), "a swim straight up");
     let twice = table(&format!("{good}{row}\n")).unwrap();
     let known = sizes(&twice, (480, 360));
     let said = twice.into_survey(&known, Path::new(TABLE)).unwrap_err().to_string();

@@ -57,7 +57,7 @@ pub struct PrepareParams {
     pub matching: Matching,
     /// The way from matches to cameras.
     pub mapper: Mapper,
-    /// One thread for matching and mapping, so that two runs give the same bytes.
+    /// One thread for features, matching and mapping, and pycolmap, so that two runs give the same bytes.
     pub repeatable: bool,
 }
 
@@ -77,7 +77,7 @@ impl Default for PrepareParams {
 
 /// The usual lens model: one focal length and two radial terms. A lens with more freedom, such as OPENCV,
 /// fits small pictures and plain scenes with cameras that are wrong.
-const LENS: &str = "RADIAL";
+pub(crate) const LENS: &str = "RADIAL";
 
 /// The fewest images that a model can be made from.
 pub(crate) const FEWEST: usize = 3;

@@ -19,7 +19,7 @@ use crate::process::{StepProgress, StepWatch};
 use crate::sfm::{FEATURES_DB, IMAGES, MATCHES_DB, MODELS, Sfm, groups};
 use crate::sources::{BESIDE, Sources};
 use crate::tools::{Finder, Program, Programs};
-use crate::verdict::{CameraVerdict, ModelContext, judge, models, remedies};
+use crate::verdict::{CameraVerdict, Grade, ModelContext, judge, models, remedies};
 use crate::work::{Step, Work, hash};
 
 /// The record of a preparation, in the capture's folder.
@@ -160,7 +160,16 @@ fn needed(
         let reason = format!("a scene needs {FEWEST} photographs at least, better 30 to 200");
         return Err(PrepareError::input(&first.path, reason));
     }
-    Ok((ffmpeg, programs.cameras()?))
+    if !params.repeatable {
+        return Ok((ffmpeg, programs.cameras()?));
+    }
+    // Two runs of the program `colmap` differ, even on one thread.
+    if programs.finder == Finder::Colmap {
+        let reason =
+            "the program colmap is not repeatable; take pycolmap (`pip install pycolmap`, --with pycolmap)";
+        return Err(PrepareError::Choice { flag: "--repeatable", reason: reason.into() });
+    }
+    Ok((ffmpeg, Programs { finder: Finder::Pycolmap, ..programs.clone() }.cameras()?))
 }
 
 /// Prepares a capture in `folder`, the folder of the work: the result is its `capture`. `key` and `inputs`
@@ -183,7 +192,7 @@ pub fn prepare(
         inputs.iter().take(sources.count()).map(|i| (&*i.name, &*i.digest)).collect();
     let choices = json!({ "rules": RULES, "inputs": digests, "frames": params.frames });
     let step = Step { name: "images", output: IMAGES, choices };
-    let Images { taken, mut remarks } =
+    let Images { taken, mut remarks, doubts } =
         work.step(step, |work| images(sources, params, ffmpeg.as_ref(), work, watch))?;
     if taken.len() < FEWEST {
         let path = sources.films.first().map_or(folder, |p| p.as_path());
@@ -206,6 +215,7 @@ pub fn prepare(
     sfm.check_calibration()?;
     let choices = json!({
         "program": program, "lens": params.lens, "calibration": params.calibration, "features": params.features,
+        "repeatable": params.repeatable,
     });
     let features = work.step(Step { name: "features", output: FEATURES_DB, choices }, |_| {
         let commands = sfm.features(&groups)?;
@@ -237,6 +247,9 @@ pub fn prepare(
         );
         return Err(PrepareError::NoCameras { images, reason, log });
     };
+    if verdict.grade != Grade::Good {
+        remarks.extend(doubts);
+    }
     if found.iter().any(|m| m.check_single(&folder.join(MODELS)).is_err()) {
         remarks.push("a model has numbers beyond single precision; the import will refuse it".into());
     }
@@ -264,6 +277,8 @@ struct Images {
     taken: Vec<Taken>,
     /// Remarks on the inputs for the user.
     remarks: Vec<String>,
+    /// Remarks that matter only if images have no place.
+    doubts: Vec<String>,
 }
 
 /// Writes the images of all inputs.
@@ -277,7 +292,7 @@ fn images(
     work.remove(CAPTURE)?;
     let folder = work.folder.join(IMAGES);
     std::fs::create_dir_all(&folder).map_err(PrepareError::file(&folder))?;
-    let (mut taken, mut remarks) = (Vec::new(), Vec::new());
+    let (mut taken, mut remarks, mut doubts) = (Vec::new(), Vec::new(), Vec::new());
     let several = sources.films.len() + usize::from(!sources.photographs.is_empty()) > 1;
     for (number, path) in sources.films.iter().enumerate() {
         let Some(ffmpeg) = ffmpeg else { break };
@@ -295,7 +310,7 @@ fn images(
         let said = shown(&file);
         (watch.note)(&format!("{said}: {} frames taken of {looked_at} that were looked at", frames.len()));
         if overlap == 0.0 {
-            remarks.push(format!(
+            doubts.push(format!(
                 "{said} is long: {most} frames are too few for neighbours to overlap; allow more with --frames, or cut \
                  the film into parts"
             ));
@@ -332,7 +347,7 @@ fn images(
     taken.sort_by(|a, b| a.image.cmp(&b.image));
     let total = taken.len() as u64;
     (watch.progress)(StepProgress { step: "images", done: total, total, unit: "images" });
-    Ok(Images { taken, remarks })
+    Ok(Images { taken, remarks, doubts })
 }
 
 /// Puts the models, and what lies beside the photographs, into the capture.

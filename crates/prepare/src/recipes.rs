@@ -133,8 +133,11 @@ impl Recipe {
                 Some(RecipeWork::Published { images, model })
             }
             Self::SeaThru => {
-                let sources = Sources::of(std::slice::from_ref(&scene)).ok()?;
-                (!sources.has_films()).then_some(RecipeWork::Linear(scene))
+                // Some archives have raw files beside the folder of the linear photographs.
+                let linear = ["linearPNG", "linear", "png"].map(|n| scene.join(n));
+                let photographs = linear.into_iter().find(|path| path.is_dir()).unwrap_or(scene);
+                let sources = Sources::of(std::slice::from_ref(&photographs)).ok()?;
+                (!sources.has_films()).then_some(RecipeWork::Linear(photographs))
             }
             Self::Druva => {
                 let films = |dir: &Path| -> Vec<PathBuf> {

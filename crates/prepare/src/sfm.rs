@@ -71,7 +71,8 @@ impl Sfm<'_> {
         self.program.name == "pycolmap"
     }
 
-    /// The threads of a step whose result depends on their number.
+    /// The threads of a step whose result depends on their number: also features, which are stored in the order
+    /// in which they are found.
     fn deciding_threads(&self) -> usize {
         if self.params.repeatable { 1 } else { self.threads }
     }
@@ -178,7 +179,7 @@ impl Sfm<'_> {
                 "database": FEATURES_DB, "images": IMAGES, "groups": groups, "lens": self.params.lens,
                 "calibration": self.params.calibration, "features": count, "side": SIDE,
                 "focal": FOCAL,
-                "threads": self.threads, "card": card,
+                "threads": self.deciding_threads(), "card": card,
             });
             let (outcome, commands) = self.script(STEP, &job, |line| tell(0, line))?;
             return if outcome.status.success() { Ok(commands) } else { Err(self.failed(STEP, &outcome)) };
@@ -204,7 +205,7 @@ impl Sfm<'_> {
                 (&["--FeatureExtraction.use_gpu", "--SiftExtraction.use_gpu"], u8::from(card).to_string()),
                 (
                     &["--FeatureExtraction.num_threads", "--SiftExtraction.num_threads"],
-                    self.threads.to_string(),
+                    self.deciding_threads().to_string(),
                 ),
                 (
                     &["--FeatureExtraction.max_image_size", "--SiftExtraction.max_image_size"],

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use use3d_io_colmap::{Model, ModelForm, read_model};
 
 use crate::error::PrepareError;
-use crate::params::{Matching, PrepareParams};
+use crate::params::{LENS, Matching, PrepareParams};
 
 /// A share of images with a place that is good, and one that is still usable.
 const SHARES: (f64, f64) = (0.9, 2.0 / 3.0);
@@ -172,6 +172,9 @@ pub(crate) fn judge(models: &[Model], names: &[String], context: &ModelContext<'
 pub(crate) fn remedies(context: &ModelContext<'_>) -> Vec<String> {
     let &ModelContext { params, matching, films, features } = context;
     let mut remedies = Vec::new();
+    if params.lens != LENS {
+        remedies.push(format!("take the usual lens model (leave out --lens {})", params.lens));
+    }
     if matching == Matching::Sequential {
         remedies.push("compare every image with every other one (--matching exhaustive)".into());
     }

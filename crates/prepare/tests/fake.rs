@@ -179,6 +179,10 @@ fn no_cameras_are_an_error_with_remedies() {
     let error = place.attempt(&PrepareParams::default()).done.unwrap_err();
     assert!(matches!(error, PrepareError::NoCameras { images: 10, .. }), "{error}");
     assert!(error.to_string().contains("--features 6000"), "{error}");
+    let fisheye = PrepareParams { lens: "OPENCV_FISHEYE".into(), ..PrepareParams::default() };
+    let error = place.attempt(&fisheye).done.unwrap_err();
+    assert!(error.to_string().contains("leave out --lens OPENCV_FISHEYE"), "{error}");
+    place.attempt(&PrepareParams::default()).done.unwrap_err();
     place.calls();
     // The next attempt maps again.
     place.found(0, 0..10, 0.5);
@@ -236,6 +240,9 @@ fn a_step_that_writes_nothing_and_a_lens_that_cannot_be_kept_are_errors() {
     let said = place.attempt(&known).done.unwrap_err().to_string();
     assert!(said.starts_with("--calibration") && said.contains("ba_refine_focal_length"), "{said}");
     assert!(place.calls().is_empty());
+    let repeatable = PrepareParams { repeatable: true, ..PrepareParams::default() };
+    let said = place.attempt(&repeatable).done.unwrap_err().to_string();
+    assert!(said.starts_with("--repeatable") && said.contains("pip install pycolmap"), "{said}");
     let silent = SCRIPT.replace("echo features > features.db", "true");
     std::fs::write(place.at("colmap"), silent).unwrap();
     let said = place.attempt(&PrepareParams::default()).done.unwrap_err().to_string();

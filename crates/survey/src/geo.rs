@@ -19,8 +19,8 @@ pub struct EarthPlace {
 }
 
 impl EarthPlace {
-    /// The position from the earth's centre, metres.
-    fn position(&self) -> DVec3 {
+    /// The position from the earth's centre, metres: x towards latitude and longitude 0, z north.
+    pub fn position(&self) -> DVec3 {
         let (lat, lon) = (self.latitude.to_radians(), self.longitude.to_radians());
         let (sin, cos) = (math::sin(lat), math::cos(lat));
         let normal = RADIUS / (1.0 - ECCENTRICITY * sin * sin).sqrt();

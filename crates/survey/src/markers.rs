@@ -66,28 +66,23 @@ impl Survey {
         position.is_finite().then(|| position.to_array())
     }
 
-    /// Metres in one unit by the scale bars, and the largest disagreement of one bar with their mean, as a
-    /// share; `None` without a bar whose ends are both known.
-    pub fn metres_by_scale_bars(&self) -> Option<(f64, f64)> {
+    /// Metres in one unit by the scale bars, the largest disagreement of one bar with their mean, as a share, and
+    /// the label of that bar; `None` without a bar whose ends are both known.
+    pub fn metres_by_scale_bars(&self) -> Option<(f64, f64, &str)> {
         let end = |id: u32| {
             let marker = self.markers.iter().find(|m| m.id == id)?;
             self.marker_position(marker).map(DVec3::from_array)
         };
-        let factors: Vec<f64> = self
-            .scale_bars
-            .iter()
-            .filter_map(|bar| {
-                let length = (end(bar.ends[0])? - end(bar.ends[1])?).length();
-                let factor = bar.metres / length;
-                (factor.is_finite() && factor > 0.0).then_some(factor)
-            })
-            .collect();
-        if factors.is_empty() {
-            return None;
-        }
-        let mean = factors.iter().sum::<f64>() / factors.len() as f64;
-        let worst = factors.iter().fold(0.0f64, |w, f| w.max((f / mean - 1.0).abs()));
-        Some((mean, worst))
+        let known = self.scale_bars.iter().filter_map(|bar| {
+            let length = (end(bar.ends[0])? - end(bar.ends[1])?).length();
+            let factor = bar.metres / length;
+            (factor.is_finite() && factor > 0.0).then_some((factor, bar.label.as_str()))
+        });
+        let factors: Vec<(f64, &str)> = known.collect();
+        let mean = factors.iter().map(|(factor, _)| factor).sum::<f64>() / factors.len() as f64;
+        let off = |(factor, label): &(f64, _)| ((factor / mean - 1.0).abs(), *label);
+        let (worst, label) = factors.iter().map(off).max_by(|a, b| a.0.total_cmp(&b.0))?;
+        Some((mean, worst, label))
     }
 }
 
@@ -122,8 +117,8 @@ mod tests {
         assert_eq!(survey.metres_by_scale_bars(), None);
         let length = (DVec3::from_array(truth[0]) - DVec3::from_array(truth[1])).length();
         survey.scale_bars.push(ScaleBar { label: "bar".into(), ends: [0, 1], metres: 2.5 * length });
-        let (metres, worst) = survey.metres_by_scale_bars().unwrap();
-        assert!((metres - 2.5).abs() < 1e-9 && worst < 1e-12);
+        let (metres, worst, label) = survey.metres_by_scale_bars().unwrap();
+        assert!((metres - 2.5).abs() < 1e-9 && worst < 1e-12 && label == "bar");
         survey.markers[1].marks.truncate(1);
         assert_eq!(survey.marker_position(&survey.markers[1]), None, "one ray is no position");
         assert_eq!(survey.metres_by_scale_bars(), None);

@@ -8,6 +8,9 @@ use use3d_capture::{FileName, Pose, World};
 use crate::lens::Lens;
 use crate::markers::{Marker, ScaleBar};
 
+/// Points farther from the cameras than this many times the spread of the cameras are not of their scene.
+const FARTHEST: f64 = 1000.0;
+
 /// A camera: a lens and the size of its images.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SurveyCamera {
@@ -156,8 +159,14 @@ impl Survey {
         (at.z > 0.0).then(|| lens.project(at.x / at.z, at.y / at.z))
     }
 
-    /// The number of `positions` that fall onto any image.
+    /// The number of `positions` that fall onto any image, and are not absurdly far from it: coordinates of
+    /// another reference system would lie in the centre of the earth.
     pub fn seen(&self, positions: &[[f64; 3]]) -> usize {
+        let centres: Vec<DVec3> = self.images.iter().map(|image| image.pose().center()).collect();
+        let mean = centres.iter().sum::<DVec3>() / centres.len().max(1) as f64;
+        let spread = centres.iter().map(|c| c.distance(mean)).fold(0.0, f64::max);
+        let reach = if spread > 0.0 { FARTHEST * spread } else { f64::INFINITY };
+        let near = |p: &[f64; 3]| DVec3::from_array(*p).distance(mean) < reach;
         let on = |image: &PosedImage, p: [f64; 3]| {
             let Some(camera) = self.camera(image.camera) else { return false };
             let inside = |(x, y): (f64, f64)| {
@@ -165,7 +174,8 @@ impl Survey {
             };
             self.project(image, p).is_some_and(inside)
         };
-        positions.iter().filter(|p| self.images.iter().any(|image| on(image, **p))).count()
+        let near = positions.iter().filter(|p| near(p));
+        near.filter(|p| self.images.iter().any(|image| on(image, **p))).count()
     }
 }
 

@@ -23,7 +23,7 @@ pub(crate) struct PrepareArgs {
     #[arg(long, value_name = "MODEL", default_value = "RADIAL")]
     lens: String,
     /// Known parameters of the lens, in COLMAP's order for --lens. They are not changed then.
-    #[arg(long, value_name = "P,P,…", value_delimiter = ',', allow_hyphen_values = true)]
+    #[arg(long, value_name = "P,P,…", value_delimiter = ',', allow_hyphen_values = true, value_parser = number)]
     calibration: Vec<f64>,
     /// The pairs of images that are compared.
     #[arg(long, value_enum, default_value_t)]
@@ -34,7 +34,7 @@ pub(crate) struct PrepareArgs {
     /// The most features of an image (default: 3000 on the processor, 8192 on a graphics card).
     #[arg(long, value_name = "N", value_parser = count(MAX_FEATURES))]
     features: Option<usize>,
-    /// Match and map on one thread, so that two runs give the same bytes. This takes longer.
+    /// Use one thread and pycolmap, so that two runs give the same bytes. This takes longer.
     #[arg(long)]
     repeatable: bool,
     #[command(flatten)]
@@ -44,6 +44,11 @@ pub(crate) struct PrepareArgs {
     /// One JSON document on stdout.
     #[arg(long)]
     pub(crate) json: bool,
+}
+
+/// A number with or without spaces around it.
+fn number(text: &str) -> Result<f64, String> {
+    text.trim().parse().map_err(|_| format!("{:?} is no number", text.trim()))
 }
 
 /// More frames than any one scene can use.

@@ -4,9 +4,11 @@ use std::convert::Infallible;
 use std::io::Write;
 use std::path::Path;
 
-use use3d_capture::Image;
+use use3d_capture::{Image, Map};
 use use3d_check::{CheckReport, Picture, WaterSight, examine, measure, page};
-use use3d_import::{ImportParams, Imported, capture_name, import, is_prepared, load_pixels, load_prepared};
+use use3d_import::{
+    ImportParams, Imported, capture_name, import, is_prepared, load_mask, load_pixels, load_prepared,
+};
 use use3d_io_image::{jpeg_address, read_image, shrunk};
 use use3d_pipeline::water::{Judgement, from_tracks};
 use use3d_water::WaterParams;
@@ -52,7 +54,15 @@ pub(crate) fn run(app: &App, args: &CheckArgs) -> Done {
         let water = from_tracks(&folder, &capture, &WaterParams::default());
         let mut load =
             |view: usize| load_pixels(&capture.capture.views[view]).map(|pixels| pixels.to_image());
-        let figures = measure(&capture.capture, &capture.tracks(), Some(&mut load));
+        let figures =
+            measure(&capture.capture, &capture.tracks(), Some(&mut load)).and_then(|mut figures| {
+                for (view, figures) in capture.capture.views.iter().zip(&mut figures.views) {
+                    let mask = load_mask(view)?;
+                    let white = |mask: &Map| mask.data().iter().filter(|v| **v >= 0.5).count();
+                    figures.unmasked = mask.map(|mask| white(&mask) as f64 / mask.data().len().max(1) as f64);
+                }
+                Ok(figures)
+            });
         (capture, water, figures)
     })?;
     let (_, judgement) = water.map_err(CliError::input)?;

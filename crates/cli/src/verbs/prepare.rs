@@ -144,8 +144,10 @@ fn lines(prepared: &Prepared) -> Vec<String> {
 }
 
 pub(crate) fn run(app: &App, args: &PrepareArgs) -> Done {
-    let first = args.inputs.first().filter(|input| !input.exists());
-    if let Some(recipe) = first.and_then(|input| Recipe::named(input.to_str()?)) {
+    // A folder of that name may be the captures of an earlier time.
+    let recipe = args.inputs.first().and_then(|input| Recipe::named(input.to_str()?));
+    let is_data = |recipe: &Recipe| matches!(&args.inputs[..], [_, data] if recipe.scenes(data).is_ok());
+    if let Some(recipe) = recipe.filter(|recipe| !args.inputs[0].exists() || is_data(recipe)) {
         return by_recipe(app, args, recipe);
     }
     let sources = Sources::of(&args.inputs)?;
@@ -157,6 +159,13 @@ pub(crate) fn run(app: &App, args: &PrepareArgs) -> Done {
             println!("{}: prepared before from the same files and choices", path_text(&args.out));
         }
         Need::Nothing => {}
+        Need::Work(..) if args.out.join(PREPARED).is_file() && !args.replace.force => {
+            return Err(CliError::Input(format!(
+                "--out {}: this capture was prepared from other files or with other choices, or was changed since; pass \
+                 --force to replace it, or choose another folder",
+                path_text(&args.out)
+            )));
+        }
         Need::Work(key, inputs) => {
             let prepared = job.make(&key, &inputs, args.replace.force)?;
             if !args.json {
@@ -222,11 +231,15 @@ fn by_recipe(app: &App, args: &PrepareArgs, recipe: Recipe) -> Done {
     }
     if !app.quiet {
         let (variable, pipeline) = recipe.pipeline();
-        eprintln!(
-            "next: export {variable}={}; use3d run pipelines/{pipeline}.toml (docs/guide/datasets.md, recipe {})",
-            word(&args.out),
-            path_text(name)
-        );
+        // A pipeline file in another folder reads the variable, too.
+        let out = std::path::absolute(&args.out).unwrap_or_else(|_| args.out.clone());
+        let file = format!("pipelines/{pipeline}.toml");
+        let run = match Path::new(&file).is_file() {
+            true => format!("use3d run {file}"),
+            false => format!("use3d pipelines {pipeline} > {pipeline}.toml; use3d run {pipeline}.toml"),
+        };
+        let (out, name) = (word(&out), path_text(name));
+        eprintln!("next: export {variable}={out}; {run} (docs/guide/datasets.md, recipe {name})");
     }
     Ok(())
 }

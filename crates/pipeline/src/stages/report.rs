@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use use3d_atc::calibrator::{Calibrator, METHOD_PAIRS};
 use use3d_atc::consensus::TargetsReport;
 use use3d_build::{Scope, Stage, StageContext, StageError, StageInput};
-use use3d_capture::{Appearance, Camera, Image, flat_stem};
+use use3d_capture::{Appearance, Camera, Image, flat_stem, shown};
 use use3d_enhance::EnhanceParams;
 use use3d_io_image::read_image;
 use use3d_reconstruct::ReconstructParams;
@@ -264,7 +264,10 @@ fn last_step(log: &str) -> u64 {
 fn facts(parts: &Parts<'_>, pairs: usize, log: Option<&str>, targets: Option<&TargetsReport>) -> SceneFacts {
     let calibrated = targets.is_some_and(|targets| targets.calibrated);
     SceneFacts {
-        water: parts.path("scene").map(water_sentence).unwrap_or_default(),
+        water: parts
+            .path("scene")
+            .map(|scene| water_sentence(scene) + &scale_sentence(scene))
+            .unwrap_or_default(),
         steps: [
             log.map(|log| (last_step(log), ReconstructParams::default().iterations)),
             training_log(parts, "enhanced").map(|log| (last_step(&log), EnhanceParams::default().iterations)),
@@ -285,6 +288,23 @@ fn water_sentence(scene: &Path) -> String {
         Ok(choices) if !choices.water.is_empty() => format!("{}.", capitalised(&choices.water)),
         _ => String::new(),
     }
+}
+
+/// A sentence on the metres of a unit, with a space in front; empty if they are not known.
+fn scale_sentence(scene: &Path) -> String {
+    let description = read_json::<serde_json::Value>(&scene.join("scene.json")).unwrap_or_default();
+    let world = &description["world"];
+    let Some(metres) = world["metres_per_unit"].as_f64() else { return String::new() };
+    let source = shown(world["source"].as_str().unwrap_or_default());
+    // A note on the estimate has the water per metre.
+    let water: serde_json::Value = read_json(&scene.join(WATER)).unwrap_or_default();
+    let per_metre = water["metric"]["attenuation"].as_array().map_or_else(String::new, |values| {
+        let number =
+            |v: &serde_json::Value| v["value"].as_f64().map_or_else(|| "–".into(), |v| format!("{v:.3}"));
+        let values: Vec<String> = values.iter().map(number).collect();
+        format!(" Attenuation per metre, red, green, blue: {}.", values.join(", "))
+    });
+    format!(" One unit is {metres:.4} m, by {source}.{per_metre}")
 }
 
 /// The water estimated from the tracks; `None` if stage 1 did not use the tracks.
