@@ -4,7 +4,7 @@ use std::error::Error;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use super::code::CodeError;
+use crate::code::CodeError;
 
 /// An invalid parameter of a stage.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -75,100 +75,50 @@
 //! * Long stages check [`StageContext::cancelled`] often and return [`StageError::Cancelled`] after saving a
 //!   checkpoint.
 //!
-//! # Overview of the modules
+//! # Rooms
 //!
-//! [`cache`]: the folder layout, publishing, verification. [`code`]: token-level code digests. [`content`]:
-//! digests of inputs that are not read twice. [`graph`]: scenes × stages × variants. [`plan`] and [`run`]:
-//! the forecast of a run, and the run. [`executor`]: places where jobs run. [`history`]: records of past
-//! runs, and forecasts. [`place`]: results outside the cache, and the rules for replacing them;
-//! [`delivered`]: the sources of those that exist. [`remote`]: a store beside the cache.
+//! A room uses only the rooms that stand before it in this list.
+//!
+//! * [`cache`] keeps artifacts on disk, with their keys, manifests and digests, and results outside the cache.
+//! * [`share`] shares a cache or a store between processes and machines: leases, killed tasks, remote stores.
+//! * [`stage`] defines a stage: its inputs, its parameters, its requirements, and what its function gets.
+//! * [`plan`] makes the graph of scenes × stages × variants, derives keys, and forecasts a run.
+//! * [`run`] runs a batch or one stage, transfers, verifies and cleans, and writes the texts about it.
+//!
+//! [`code`] computes the digests of the sources that a stage uses.
 
-mod agree;
-mod alone;
 pub mod cache;
-pub mod canonical;
 pub mod code;
-pub mod content;
-mod context;
-pub mod delivered;
 pub mod digest;
 pub mod error;
-mod events;
-pub mod executor;
-pub mod files;
-pub mod gc;
-pub mod graph;
-pub mod history;
-mod job;
-pub mod key;
-mod lease;
-pub mod leftovers;
-pub mod machine;
-pub mod manifest;
-mod memory;
-pub mod node;
-pub mod picture;
-pub mod place;
 pub mod plan;
-mod pulse;
-mod registry;
-pub mod remote;
-mod require;
-mod resolve;
 pub mod run;
-mod stage;
-pub mod status;
-mod summary;
-pub mod task;
-mod text;
-pub mod verify;
+pub mod share;
+pub mod stage;
 
-pub use agree::{Agreement, AlikeFiles, Figure};
-pub use alone::Alone;
-pub use cache::{Artifact, Cache};
-pub use context::{Notes, StageContext, StageInput};
+pub use cache::artifacts::{Artifact, Cache};
+pub use cache::key::DeviceClass;
+pub use cache::manifest::Notes;
+pub use cache::{canonical, content, delivered, files, key, leftovers, machine, manifest, node, place, task};
 pub use digest::Digest;
 pub use error::{BuildError, FileError, ParameterError, StageError};
-pub use events::{Event, Listener, Silent};
-pub use executor::{Executor, Threads};
-pub use graph::{Batch, BatchScene, Graph, Variant};
-pub use key::DeviceClass;
-pub use lease::{PATIENCE, Working};
-pub use plan::Plan;
-pub use registry::{Registry, Shorthand};
-pub use require::{Checks, Gap, Gaps, Lacking};
-pub use run::{RunOptions, Summary};
-pub use stage::{AllParameters, Input, Named, Scope, Select, Source, Stage};
-
-/// Stages and the cache they work on.
-#[derive(Clone)]
-pub struct Builder {
-    /// The stages.
-    pub registry: Registry,
-    /// The cache.
-    pub cache: Cache,
-    numeric_class: String,
-    remote: Option<std::sync::Arc<remote::RemoteStore>>,
-}
-
-impl Builder {
-    /// A builder on this machine.
-    pub fn new(registry: Registry, cache: Cache) -> Self {
-        let cache = cache.with_promises(&registry);
-        Self { registry, cache, numeric_class: key::numeric_class(), remote: None }
-    }
-
-    /// The same builder, which looks in a store for artifacts that the cache lacks before it computes them,
-    /// and uploads the artifacts that it has computed.
-    #[must_use]
-    pub fn with_remote(self, remote: std::sync::Arc<remote::RemoteStore>) -> Self {
-        Self { remote: Some(remote), ..self }
-    }
-
-    /// The same builder as if on a machine with another class of arithmetic.
-    #[must_use]
-    pub fn with_numeric_class(mut self, class: &str) -> Self {
-        self.numeric_class = class.to_string();
-        self
-    }
-}
+pub use plan::builder::Builder;
+pub use plan::gaps::{Gap, Gaps};
+pub use plan::graph::{Batch, BatchScene, Graph, Variant};
+pub use plan::planning::Plan;
+pub use plan::{graph, history, picture, status};
+pub use run::alone::Alone;
+pub use run::runner::RunOptions;
+pub use run::summary::Summary;
+pub use run::sync::Transferred;
+pub use run::{gc, verify};
+pub use share::killed::Killed;
+pub use share::lease::{PATIENCE, Working};
+pub use share::remote;
+pub use stage::agree::{Agreement, AlikeFiles, Figure};
+pub use stage::context::StageContext;
+pub use stage::definition::{Input, Scope, Select, Source, Stage};
+pub use stage::events::{Event, Listener, Silent};
+pub use stage::inputs::{AllParameters, Named, StageInput};
+pub use stage::registry::{Registry, Shorthand};
+pub use stage::require::{Checks, Lacking};

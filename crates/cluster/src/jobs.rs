@@ -14,9 +14,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
+use use3d_build::Killed;
 use use3d_build::gc::parse_bytes;
 use use3d_build::plan::{PlannedNode, State};
-use use3d_build::task::Killed;
 use use3d_build::{Plan, Registry, Scope};
 
 use super::ClusterError;

@@ -7,10 +7,10 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
+use use3d_build::Killed;
 use use3d_build::code::CodeTable;
 use use3d_build::history::Forecast;
 use use3d_build::plan::{PlannedNode, State};
-use use3d_build::task::Killed;
 use use3d_build::{Plan, Registry, Scope, Stage};
 use use3d_cluster::jobs::{self, After, Job, Layout};
 use use3d_cluster::site::Site;

@@ -5,7 +5,6 @@ mod caching;
 mod code;
 mod crash;
 mod economy;
-mod executors;
 mod faults;
 mod faulty_store;
 mod nodes;

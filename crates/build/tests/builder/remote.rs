@@ -9,9 +9,10 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use use3d_build::Transferred;
 use use3d_build::cache::Lookup;
 use use3d_build::manifest::{FileRecord, Manifest};
-use use3d_build::remote::{FolderStore, Memory, Remote, RemoteError, RemoteStore, Sent, Transferred};
+use use3d_build::remote::{FolderStore, Memory, Remote, RemoteError, RemoteStore, Sent};
 use use3d_build::{Batch, Builder, Digest, Event, Graph, Listener, Silent};
 
 use super::faulty_store::{Fault, Faulty};

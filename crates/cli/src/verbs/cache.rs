@@ -25,7 +25,7 @@ fn cache(args: &CacheArgs) -> Result<Cache, CliError> {
         let folder = path_text(&folder);
         return Err(CliError::Input(format!("--cache {folder}: there is no such folder; expected a cache")));
     }
-    Ok(Cache::open(&folder, args.rehash).map_err(CliError::input)?.with_promises(&stages()?))
+    Ok(Cache::open(&folder, args.rehash).map_err(CliError::input)?.with_promises(stages()?.promises()))
 }
 
 pub(crate) fn gc(args: &GcArgs) -> Done {

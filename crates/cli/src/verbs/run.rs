@@ -19,8 +19,8 @@ use use3d_pipeline::results::{Delivered, Results};
 
 use crate::App;
 use crate::args::{
-    CacheArgs, DemoArgs, DemoSize, GraphArgs, GraphFormat, PipelineArgs, PlanArgs, RunArgs, Settings,
-    StatusArgs, WhiteChoice, WhyArgs, as_typed,
+    CacheArgs, DemoArgs, DemoSize, PipelineArgs, PlanArgs, RunArgs, Settings, StatusArgs, WhiteChoice,
+    WhyArgs, as_typed,
 };
 use crate::destination::path_text;
 use crate::error::{CliError, Done};
@@ -232,13 +232,10 @@ pub(crate) fn why(args: &WhyArgs) -> Done {
     Ok(())
 }
 
-pub(crate) fn graph(args: &GraphArgs) -> Done {
-    let loaded = open(&resolved(&args.pipeline).0, &[])?;
+pub(crate) fn graph(pipeline: &PipelineArgs) -> Done {
+    let loaded = open(&resolved(pipeline).0, &[])?;
     let plan = loaded.builder.plan(&loaded.graph, None);
-    match args.format {
-        GraphFormat::Mermaid => print!("{}", picture::mermaid(&loaded.graph, &plan)),
-        GraphFormat::Svg => print!("{}", picture::svg(&loaded.graph, &plan)),
-    }
+    print!("{}", picture::mermaid(&loaded.graph, &plan));
     Ok(())
 }
 
