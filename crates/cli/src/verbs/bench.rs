@@ -22,8 +22,9 @@ use crate::args::{Baselines, BenchTruthArgs};
 use crate::destination::path_text;
 use crate::error::{CliError, Done};
 use crate::size::parse_size;
-use crate::verbs::run::json;
-use crate::verbs::stages::{scratch, stages};
+use crate::verbs::json::json;
+use crate::verbs::loaded::stages;
+use crate::verbs::stages::scratch;
 use crate::verbs::synth::keep_capture;
 
 /// Seconds of a training step per pixel, on two cores, if no earlier run gives a better value: 8 ms at

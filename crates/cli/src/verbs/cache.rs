@@ -13,8 +13,9 @@ use crate::App;
 use crate::args::{CacheArgs, GcArgs, PipelineArgs, VerifyArgs};
 use crate::destination::path_text;
 use crate::error::{CliError, Done};
-use crate::verbs::run::{json, open};
-use crate::verbs::stages::stages;
+use crate::verbs::json::json;
+use crate::verbs::loaded::open;
+use crate::verbs::loaded::stages;
 
 fn cache(args: &CacheArgs) -> Result<Cache, CliError> {
     let folder = match &args.cache {

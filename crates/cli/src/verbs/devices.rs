@@ -35,7 +35,7 @@ pub(crate) fn run(args: &DevicesArgs) -> Done {
                 refusal: said.as_ref().err().map(ToString::to_string),
             })
             .collect();
-        return crate::verbs::run::json(&json!({ "adapters": adapters }));
+        return crate::verbs::json::json(&json!({ "adapters": adapters }));
     }
     if all.is_empty() {
         println!("{}", DeviceError::None);

@@ -83,7 +83,7 @@ pub(crate) fn run(args: &DoctorArgs) -> Done {
         cards: cards(),
     };
     if args.json {
-        return crate::verbs::run::json(&report);
+        return crate::verbs::json::json(&report);
     }
     println!("use3d {}", version::WHOLE);
     let groups = [

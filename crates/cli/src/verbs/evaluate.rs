@@ -14,7 +14,8 @@ use crate::App;
 use crate::args::{EvaluateArgs, TableFormat};
 use crate::error::{CliError, Done};
 use crate::interrupt;
-use crate::verbs::stages::{check_origin, imported, parameters, run_stage, scratch, stages};
+use crate::verbs::loaded::stages;
+use crate::verbs::stages::{check_origin, imported, parameters, run_stage, scratch};
 
 /// A named row of scores.
 struct ScoreRow {
@@ -196,7 +197,7 @@ fn print(rows: &[ScoreRow], format: TableFormat) -> Done {
                 .iter()
                 .map(|r| serde_json::json!({ "method": r.method, "image": r.image, "scores": r.scores }))
                 .collect();
-            return crate::verbs::run::json(&list);
+            return crate::verbs::json::json(&list);
         }
         TableFormat::Csv => {
             let quote = |text: &str| {

@@ -18,7 +18,7 @@ use crate::destination::{check_file, path_text};
 use crate::error::{CliError, Done};
 use crate::interrupt;
 use crate::size::parse_size;
-use crate::verbs::render::{film, modes, not_filmed, write};
+use crate::verbs::drawing::{film, modes, not_filmed, write};
 use crate::verbs::web::text_of;
 
 /// The folder for frames with the path's own looks.

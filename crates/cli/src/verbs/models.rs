@@ -41,7 +41,7 @@ pub(crate) fn run(args: &ModelsArgs) -> Done {
         _ => Ok(()),
     };
     if args.json {
-        crate::verbs::run::json(&status)?;
+        crate::verbs::json::json(&status)?;
         return complete();
     }
     let absent = if dir.is_dir() { "" } else { " (not there; name yours with --dir or USE3D_MODELS)" };

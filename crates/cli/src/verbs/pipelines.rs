@@ -7,8 +7,8 @@ use use3d_pipeline::config::schema_text;
 
 use crate::args::PipelinesArgs;
 use crate::error::{CliError, Done};
-use crate::verbs::run::json;
-use crate::verbs::stages::stages;
+use crate::verbs::json::json;
+use crate::verbs::loaded::stages;
 
 /// Each file's name, and its text.
 const FILES: [(&str, &str); 7] = [

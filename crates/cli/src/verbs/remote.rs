@@ -12,7 +12,8 @@ use crate::App;
 use crate::args::{PipelineArgs, PushArgs, RemoteArgs, StoreGcArgs, StoreLsArgs, TransferArgs};
 use crate::destination::path_text;
 use crate::error::{CliError, Done};
-use crate::verbs::run::{Loaded, json, open};
+use crate::verbs::json::json;
+use crate::verbs::loaded::{Loaded, open};
 
 /// The store at an address.
 fn store(address: &str) -> Result<RemoteStore, CliError> {

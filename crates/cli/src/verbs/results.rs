@@ -14,6 +14,7 @@ use crate::args::ResultsArgs;
 use crate::destination::{path_text, word};
 use crate::error::{CliError, Done};
 use crate::verbs::history::{self, RunRecord};
+use crate::verbs::json::json;
 use crate::verbs::run;
 
 /// The default folder of results.
@@ -119,7 +120,7 @@ pub(crate) fn run(app: &App, args: &ResultsArgs) -> Done {
             .iter()
             .map(|(results, runs)| serde_json::json!({ "results": results, "runs": runs }))
             .collect();
-        return run::json(&documents);
+        return json(&documents);
     }
     for (results, runs) in &documents {
         println!("{}", path_text(results));

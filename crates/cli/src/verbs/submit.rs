@@ -17,8 +17,8 @@ use use3d_pipeline::results::Results;
 use crate::App;
 use crate::args::{CacheArgs, CancelArgs, PipelineArgs, Submit, SubmitArgs, SubmitLayout};
 use crate::error::{CliError, Done};
-use crate::verbs::run::{Loaded, open, read};
-use crate::verbs::stages::stages;
+use crate::verbs::loaded::stages;
+use crate::verbs::loaded::{Loaded, open, read};
 
 /// All decisions before anything is written.
 struct Ready {

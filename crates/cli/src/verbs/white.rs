@@ -240,7 +240,7 @@ pub(crate) fn run(app: &App, args: &KeepWhiteArgs) -> Done {
         (white, args.out.clone().unwrap_or_else(|| White::place(&folder)))
     };
     if args.json {
-        return crate::verbs::run::json(&white);
+        return crate::verbs::json::json(&white);
     }
     match &white {
         Some(white) => {
