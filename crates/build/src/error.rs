@@ -4,7 +4,7 @@ use std::error::Error;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use crate::code::CodeError;
+use use3d_code::CodeError;
 
 /// An invalid parameter of a stage.
 #[derive(Clone, Debug, PartialEq, Eq)]

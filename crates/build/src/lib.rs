@@ -79,17 +79,15 @@
 //!
 //! A room uses only the rooms that stand before it in this list.
 //!
-//! * [`cache`] keeps artifacts on disk, with their keys, manifests and digests, and results outside the cache.
+//! * [`cache`] keeps artifacts on disk, with keys, manifests and digests, and results outside the cache.
 //! * [`share`] shares a cache or a store between processes and machines: leases, killed tasks, remote stores.
 //! * [`stage`] defines a stage: its inputs, its parameters, its requirements, and what its function gets.
 //! * [`plan`] makes the graph of scenes × stages × variants, derives keys, and forecasts a run.
 //! * [`run`] runs a batch or one stage, transfers, verifies and cleans, and writes the texts about it.
 //!
-//! [`code`] computes the digests of the sources that a stage uses.
+//! The crate [`code`] computes the digests of the sources that a stage uses.
 
 pub mod cache;
-pub mod code;
-pub mod digest;
 pub mod error;
 pub mod plan;
 pub mod run;
@@ -100,7 +98,6 @@ pub use cache::artifacts::{Artifact, Cache};
 pub use cache::key::DeviceClass;
 pub use cache::manifest::Notes;
 pub use cache::{canonical, content, delivered, files, key, leftovers, machine, manifest, node, place, task};
-pub use digest::Digest;
 pub use error::{BuildError, FileError, ParameterError, StageError};
 pub use plan::builder::Builder;
 pub use plan::gaps::{Gap, Gaps};
@@ -122,3 +119,5 @@ pub use stage::events::{Event, Listener, Silent};
 pub use stage::inputs::{AllParameters, Named, StageInput};
 pub use stage::registry::{Registry, Shorthand};
 pub use stage::require::{Checks, Lacking};
+pub use use3d_code as code;
+pub use use3d_code::digest::{self, Digest};

@@ -7,8 +7,11 @@
 //! dependencies, and the locked third-party crates. So a change in one method's crate makes only those stages
 //! stale that use it, and a change of a comment makes none stale.
 //!
-//! This crate itself does not count, nor do the parts that [`CodeRules`] leaves out: they choose a stage's
-//! inputs and parameters and provide its folder, but they write no byte in the folder.
+//! The parts that [`CodeRules`] leaves out do not count: they choose a stage's inputs and parameters and
+//! provide its folder, but they write no byte in the folder.
+//!
+//! A build script makes the table of its own source tree with [`tree::read`], and the program reads it with
+//! [`CodeTable::stored`]. The [`digest`]s are those of everything else that is digested, too.
 //!
 //! Known limits: the compiler's version and its flags do not count (numbers are IEEE arithmetic in a fixed
 //! order), nor do features switched on only by other crates of the build.
@@ -19,14 +22,12 @@ use std::path::Path;
 use serde::Deserialize;
 use serde_json::Value;
 
-use super::digest::{Digest, Encoder};
-
+pub mod digest;
 mod tokens;
-mod tree;
+pub mod tree;
 mod uses;
 
-/// This crate: it writes no byte of an artifact.
-const NOT_FOLLOWED: &str = env!("CARGO_PKG_NAME");
+use digest::{Digest, Encoder};
 
 /// The rules by which a workspace's code is assigned to stages.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -36,6 +37,9 @@ pub struct CodeRules {
     /// Files and folders (`src/config/`) of that crate that write no byte of an artifact: if a stage uses
     /// them, they do not count.
     pub not_followed: &'static [&'static str],
+    /// Crates that write no byte of an artifact, such as the build system: if a file of that crate uses them,
+    /// they do not count.
+    pub crates_not_followed: &'static [&'static str],
     /// Crates that are used only under a `cfg` condition and are not in this build.
     pub absent: &'static [&'static str],
 }
@@ -142,7 +146,7 @@ impl CodeTable {
     /// # Errors
     /// The code does not exist.
     pub fn stage(&self, crates: &[&str], sources: &[&str]) -> Result<StageCode, CodeError> {
-        let CodeRules { by_file, not_followed, absent } = self.rules;
+        let CodeRules { by_file, not_followed, crates_not_followed, absent } = self.rules;
         let no_file = |path: &str| CodeError::NoFile { path: path.to_string(), by_file };
         let mut code = StageCode::default();
         let mut open: Vec<&str> = crates.to_vec();
@@ -161,7 +165,7 @@ impl CodeTable {
                 continue;
             }
             unite(&mut code.third_party, &file.third_party);
-            let counts = |name: &&str| *name != NOT_FOLLOWED && !absent.contains(name);
+            let counts = |name: &&str| !crates_not_followed.contains(name) && !absent.contains(name);
             open.extend(file.workspace.iter().map(String::as_str).filter(counts));
             let followed = |path: &&str| !not_followed.iter().any(|left| path.starts_with(left));
             files.extend(file.uses.iter().map(String::as_str).filter(followed));

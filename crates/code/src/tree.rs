@@ -16,8 +16,8 @@ use std::path::{Path, PathBuf};
 use serde_json::{Map, Value, json};
 use walkdir::WalkDir;
 
-use super::tokens::{module_files, tokens_of};
-use super::uses::{modules, uses_of};
+use crate::tokens::{module_files, tokens_of};
+use crate::uses::{modules, uses_of};
 
 const CONTEXT: &str = "use3d 2026 code digest v1";
 const DEPENDENCY_TABLES: [&str; 2] = ["dependencies", "build-dependencies"];
@@ -26,7 +26,10 @@ const DEPENDENCY_TABLES: [&str; 2] = ["dependencies", "build-dependencies"];
 /// `crates.<package>.{tokens, manifest, workspace, third_party}`, and
 /// `files.<path>.{tokens, uses, workspace, third_party}` for the files of the crate in folder
 /// `crates/<by_file>`.
-pub(crate) fn read(root: &Path, by_file: &str) -> Result<Value, String> {
+///
+/// # Errors
+/// A source or manifest cannot be read, or a dependency comes from a path outside `crates/`.
+pub fn read(root: &Path, by_file: &str) -> Result<Value, String> {
     let workspace = parse_toml(&root.join("Cargo.toml"))?;
     let inherited = workspace.pointer("/workspace/dependencies").cloned().unwrap_or_default();
     let lock = Lock::read(&root.join("Cargo.lock"))?;
@@ -118,7 +121,10 @@ fn file_entry(
 }
 
 /// The folders with a crate, directly below `crates/`.
-pub(crate) fn crate_folders(root: &Path) -> Result<Vec<PathBuf>, String> {
+///
+/// # Errors
+/// The folder cannot be read.
+pub fn crate_folders(root: &Path) -> Result<Vec<PathBuf>, String> {
     let crates = root.join("crates");
     let entries = std::fs::read_dir(&crates).map_err(|e| format!("{}: {e}", crates.display()))?;
     let mut folders: Vec<PathBuf> =

@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use proc_macro2::{Delimiter, Spacing, TokenStream, TokenTree};
 
-use super::tokens::{attribute, is_cfg_test, is_doc, is_punct, is_test_only_file, item_end};
+use crate::tokens::{attribute, is_cfg_test, is_doc, is_punct, is_test_only_file, item_end};
 
 /// The names used in one file.
 #[derive(Default)]

@@ -34,8 +34,8 @@ use crate::cache::manifest::{self, Circumstances, FileRecord, MANIFEST, Manifest
 use crate::cache::node::Node;
 use crate::cache::task::IsOver;
 use crate::cache::watch::Watch;
-use crate::digest::Digest;
 use crate::error::FileError;
+use use3d_code::digest::Digest;
 
 /// The longest time for which a network file system may hide a name that exists: clients cache for a minute
 /// that a name did not exist.

@@ -7,7 +7,7 @@
 
 use serde_json::Value;
 
-use crate::digest::Encoder;
+use use3d_code::digest::Encoder;
 
 /// Appends `value` to `encoder` canonically.
 pub fn encode(value: &Value, encoder: &mut Encoder) {
@@ -127,7 +127,7 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use crate::digest::Digest;
+    use use3d_code::digest::Digest;
 
     fn digest(value: &Value) -> Digest {
         let mut encoder = Encoder::new("test");

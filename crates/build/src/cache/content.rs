@@ -19,10 +19,10 @@ use std::time::{Duration, SystemTime};
 use rayon::prelude::*;
 
 use crate::cache::files::{self, Files};
-use crate::digest::{Digest, Encoder};
 use crate::error::FileError;
 pub use choices::Choice;
 use choices::Choices;
+use use3d_code::digest::{Digest, Encoder};
 
 const CONTEXT: &str = "use3d 2026 folder digest v1";
 /// The time for which a file must have been unchanged before its digest is stored.

@@ -18,8 +18,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::cache::artifacts::Cache;
 use crate::cache::files;
-use crate::digest::{Digest, Encoder};
 use crate::error::FileError;
+use use3d_code::digest::{Digest, Encoder};
 
 /// The sources of a part of a results folder: by place, a key or another text that identifies the source.
 pub type MadeOf = BTreeMap<String, String>;

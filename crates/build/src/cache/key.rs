@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::cache::canonical;
-use crate::digest::{Digest, Encoder};
+use use3d_code::digest::{Digest, Encoder};
 
 /// Schema number of the encoding below; a change makes every artifact stale.
 const CONTEXT: &str = "use3d 2026 artifact key v1";

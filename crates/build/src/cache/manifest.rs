@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::cache::key::{Ingredients, Key};
 use crate::cache::machine::Machine;
-use crate::digest::{Digest, Encoder};
+use use3d_code::digest::{Digest, Encoder};
 
 /// The manifest's file name; no payload file of an artifact has it.
 pub const MANIFEST: &str = "manifest.json";

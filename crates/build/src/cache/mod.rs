@@ -1,6 +1,6 @@
 //! The cache on disk: keys, manifests, digests of contents, and artifacts; and result folders outside it.
 //!
-//! This room knows no stages. It gets the files that a stage promises as data.
+//! This room has no code for stages: the files that a stage promises are data here.
 
 pub(crate) mod artifacts;
 pub mod canonical;

@@ -98,12 +98,12 @@ impl Node {
 
     /// A short name for files, shared by all processes of this machine that share its kernel.
     pub(crate) fn machine(&self) -> String {
-        crate::digest::Digest::of(self.process.place.as_bytes()).short()
+        use3d_code::digest::Digest::of(self.process.place.as_bytes()).short()
     }
 
     /// A number of this process. It makes nodes differ in order or time where they should not all act alike.
     pub(crate) fn number(&self) -> u64 {
-        let name = crate::digest::Digest::of(self.process.name().as_bytes());
+        let name = use3d_code::digest::Digest::of(self.process.name().as_bytes());
         name.as_bytes().iter().take(8).fold(0, |all, byte| all << 8 | u64::from(*byte))
     }
 }

@@ -22,8 +22,8 @@ use use3d_files::beside;
 use crate::cache::files;
 use crate::cache::leftovers;
 use crate::cache::manifest::{FORMAT as ARTIFACT, FileRecord, MANIFEST};
-use crate::digest::Digest;
 use crate::error::FileError;
+use use3d_code::digest::Digest;
 
 /// The format line of the record of a stage that was run by hand.
 const FORMAT: &str = "use3d result";

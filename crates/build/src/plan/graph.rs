@@ -11,12 +11,12 @@ use std::sync::Arc;
 use serde_json::{Map, Value};
 
 use crate::cache::canonical;
-use crate::digest::{Digest, Encoder};
 use crate::error::{BuildError, ParameterError};
 use crate::stage::definition::{Scope, Source};
 pub use crate::stage::inputs::External;
 use crate::stage::inputs::{AllParameters, Named};
 use crate::stage::registry::Registry;
+use use3d_code::digest::{Digest, Encoder};
 
 /// Parameters given for stages, by stage; a parameter that is not given has the stage's default.
 pub type Overrides = Map<String, Value>;

@@ -9,9 +9,9 @@ use serde::{Deserialize, Serialize};
 use crate::cache::artifacts::Cache;
 use crate::cache::files;
 use crate::cache::key::{Ingredients, Key};
-use crate::digest::Digest;
 use crate::error::FileError;
 use crate::plan::graph::Node;
+use use3d_code::digest::Digest;
 
 /// An artifact that a node once had.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

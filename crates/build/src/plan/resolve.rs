@@ -7,11 +7,11 @@ use crate::cache::artifacts::{Artifact, Cache};
 use crate::cache::canonical;
 use crate::cache::content::Content;
 use crate::cache::key::{Ingredients, InputDigest, Key};
-use crate::digest::{Digest, Encoder};
 use crate::plan::graph::{From, Graph, InputCell, Node, NodeInput};
 use crate::stage::definition::{Scope, Stage};
 use crate::stage::inputs::StageInput;
 use crate::stage::registry::Registry;
+use use3d_code::digest::{Digest, Encoder};
 
 /// State of a node's artifact while a batch is planned or run.
 #[derive(Clone, Debug)]

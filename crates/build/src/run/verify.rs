@@ -15,7 +15,6 @@ use crate::cache::artifacts::{Artifact, Cache, Lookup, first_difference};
 use crate::cache::files;
 use crate::cache::key::Ingredients;
 use crate::cache::manifest::{MANIFEST, content_digest};
-use crate::digest::Encoder;
 use crate::error::{BuildError, FileError, StageError};
 use crate::plan::builder::Builder;
 use crate::plan::graph::Graph;
@@ -24,6 +23,7 @@ use crate::run::runner::RunOptions;
 use crate::share::lease::RunLease;
 use crate::stage::agree::{self, ArtifactFolder, Verdict};
 use crate::stage::events::{Event, Listener};
+use use3d_code::digest::Encoder;
 
 /// An artifact that differs from its manifest, or that is not reproduced.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]

@@ -72,7 +72,7 @@ mod tests {
     fn what_was_not_enough_is_asked_for_and_half_as_much_again() {
         let dir = tempfile::tempdir().unwrap();
         let cache = Cache::open(dir.path(), false).unwrap();
-        let key = crate::digest::Digest::of(b"key");
+        let key = use3d_code::digest::Digest::of(b"key");
         let task = ClusterTask {
             scheduler: "slurm".into(),
             cluster: String::new(),

@@ -4,8 +4,9 @@
 //! Leases only save time. Results are right without them, because publishing is atomic and the first process
 //! wins. So a lease that cannot be written is no error, a lease whose holder has ended is taken over, and
 //! nobody ever has to remove one by hand. A holder on this machine is checked by process id and start time. A
-//! holder on another machine writes its [pulse](crate::share::pulse) every few seconds. A process that waits for it
-//! checks by its own steady clock that the file *changes*; the clocks of two machines are never compared.
+//! holder on another machine writes its [pulse](crate::share::pulse) every few seconds. A process that waits
+//! for it checks by its own steady clock that the file *changes*; the clocks of two machines are never
+//! compared.
 //! Removing a lease announces its artifact. A holder that gives up keeps the file and marks it abandoned.
 
 use std::collections::BTreeSet;
@@ -21,9 +22,9 @@ use crate::cache::key::Key;
 use crate::cache::machine::ProcessId;
 use crate::cache::node::Node;
 use crate::cache::task::ClusterTask;
-use crate::digest::Digest;
 use crate::share::killed::Killed;
 use crate::share::pulse::{self, Beat, Progress};
+use use3d_code::digest::Digest;
 
 /// Time between two renewals by a holder.
 pub(crate) const HEARTBEAT: Duration = Duration::from_secs(10);

@@ -1,7 +1,7 @@
-//! Several processes on one cache, and several caches on one store.
+//! The sharing of one cache by several processes, and of one store by several caches.
 //!
-//! A lease tells other processes that a key is being computed; its pulse tells that the holder is alive. A
-//! remote store holds artifacts for other machines.
+//! A lease marks a key that is being computed, and its pulse shows that the holder is alive. A remote store
+//! has artifacts for machines without a common cache.
 
 pub(crate) mod killed;
 pub(crate) mod lease;

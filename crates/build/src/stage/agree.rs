@@ -154,7 +154,7 @@ fn collect(json: &Value, steps: &[&str], found: &mut Vec<f64>) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::digest::Digest;
+    use use3d_code::digest::Digest;
 
     fn compare_figures(figures: &'static [Figure], made: &Path, again: &Path) -> Verdict {
         let folder = |path| ArtifactFolder { path, files: &[] };

@@ -5,9 +5,9 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use crate::digest::Digest;
 use crate::stage::inputs::StageInput;
 use crate::stage::result::RanNode;
+use use3d_code::digest::Digest;
 
 /// An event of a run.
 #[derive(Clone, Copy, Debug)]

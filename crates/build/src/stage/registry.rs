@@ -3,9 +3,9 @@
 use std::collections::BTreeMap;
 
 use crate::cache::canonical;
-use crate::code::{CodeTable, StageCode};
 use crate::error::BuildError;
 use crate::stage::definition::{Scope, Source, Stage};
+use use3d_code::{CodeTable, StageCode};
 
 /// The stages in the order in which data flows through them.
 #[derive(Clone, Debug)]

@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::time::SystemTime;
 
 use super::Stat;
-use crate::digest::Digest;
+use use3d_code::digest::Digest;
 
 /// The files of an external input that a stage reads.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

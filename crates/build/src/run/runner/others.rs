@@ -5,11 +5,11 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use super::{Phase, Runner};
-use crate::digest::Digest;
 use crate::plan::resolve::{self, Resolved};
 use crate::run::summary::Became;
 use crate::share::lease::{self, HEARTBEAT};
 use crate::stage::events::Event;
+use use3d_code::digest::Digest;
 
 /// The last part of a run's limit is for writing checkpoints: a tenth, at most this long.
 pub(super) const LEAVING: Duration = Duration::from_secs(120);

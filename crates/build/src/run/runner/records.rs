@@ -4,11 +4,11 @@ use super::Runner;
 use crate::cache::artifacts::Artifact;
 use crate::cache::key::{Ingredients, Key};
 use crate::cache::machine;
-use crate::digest::Digest;
 use crate::plan::history::{Failure, Made, Record};
 use crate::plan::resolve::Outcome;
 use crate::run::summary::Became;
 use crate::stage::events::Event;
+use use3d_code::digest::Digest;
 
 /// The parts of a node's record that matter during a run. The whole record is read only to change it.
 #[derive(Clone, Copy, Debug, Default)]

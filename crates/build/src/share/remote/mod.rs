@@ -24,8 +24,8 @@ use std::io::{self, Read, Write};
 use std::time::SystemTime;
 
 use crate::cache::key::Key;
-use crate::digest::Digest;
 use crate::error::FileError;
+use use3d_code::digest::Digest;
 
 pub use folder::FolderStore;
 pub use memory::Memory;

@@ -5,7 +5,7 @@ use std::path::{Component, Path};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::cache::manifest::{FileRecord, MANIFEST, Manifest};
-use crate::digest::Digest;
+use use3d_code::digest::Digest;
 
 /// Receives the bytes of a file and refuses more bytes than expected.
 pub(super) struct Receiver<'a, W> {

@@ -15,7 +15,7 @@ use super::{RemoteError, RemoteStore, manifest};
 use crate::cache::key::Key;
 use crate::cache::machine;
 use crate::cache::manifest::Manifest;
-use crate::digest::Digest;
+use use3d_code::digest::Digest;
 
 /// The age before a file without a manifest is removed; a cleaning of younger artifacts waits an hour. A transfer sends the files first and the
 /// manifest last, so a young file may belong to a transfer in progress.

@@ -14,8 +14,8 @@ use crate::cache::artifacts::{Artifact, Cache, Published, first_difference};
 use crate::cache::files;
 use crate::cache::key::Key;
 use crate::cache::manifest::{FileRecord, Manifest};
-use crate::digest::Digest;
 use crate::error::FileError;
+use use3d_code::digest::Digest;
 
 /// Number of attempts for an operation that may succeed when it is repeated.
 const TRIES: u32 = 4;
