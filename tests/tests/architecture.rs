@@ -21,9 +21,9 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("capture", &["numerics"]),
     ("golden", &["capture", "numerics"]),
     ("code", &[]),
-    ("build", &["capture", "code", "files"]),
-    ("cluster", &["build"]),
-    ("store", &["build"]),
+    ("workflow", &["capture", "code", "files"]),
+    ("cluster", &["workflow"]),
+    ("store", &["workflow"]),
     ("io-image", &["capture", "files"]),
     ("survey", &["capture", "numerics"]),
     ("io-colmap", &["capture", "files", "io-image", "survey"]),
@@ -333,7 +333,7 @@ fn no_more_than_two_files_of_a_crate_use_each_other_in_a_circle() {
 
 /// The rooms of crates that have some: a room uses only the rooms before it. Files outside the rooms use no
 /// room, except the root.
-const ROOMS: &[(&str, &[&str])] = &[("build", &["cache", "share", "stage", "plan", "run"])];
+const ROOMS: &[(&str, &[&str])] = &[("workflow", &["cache", "share", "stage", "plan", "run"])];
 
 #[test]
 fn arrows_between_rooms_point_one_way() {

@@ -9,7 +9,7 @@ use use3d_code::{CodeError, CodeRules, CodeTable};
 const RULES: CodeRules = CodeRules {
     by_file: "pipeline",
     not_followed: &["src/config/"],
-    crates_not_followed: &["use3d-build"],
+    crates_not_followed: &["use3d-workflow"],
     absent: &["use3d-nets"],
 };
 
@@ -42,12 +42,12 @@ fn tree(root: &Path) {
     package("use3d-ubaf", "use3d-numerics.workspace = true\nrayon.workspace = true\n");
     package("use3d-splat", "use3d-numerics.workspace = true\n");
     package("use3d-enhance", "use3d-ubaf.workspace = true\n");
-    package("use3d-build", "");
+    package("use3d-workflow", "");
     package(
         "use3d-pipeline",
-        "use3d-enhance = { path = \"../enhance\" }\nuse3d-build = { path = \"../build\" }\n",
+        "use3d-enhance = { path = \"../enhance\" }\nuse3d-workflow = { path = \"../workflow\" }\n",
     );
-    for name in ["numerics", "splat", "enhance", "build"] {
+    for name in ["numerics", "splat", "enhance", "workflow"] {
         write(
             root,
             &format!("crates/{name}/src/lib.rs"),
@@ -65,7 +65,7 @@ fn tree(root: &Path) {
     write(
         root,
         "crates/pipeline/src/stages/report.rs",
-        "use crate::config::read; pub fn stage() { use3d_build::build(); read() }\n",
+        "use crate::config::read; pub fn stage() { use3d_workflow::workflow(); read() }\n",
     );
     write(root, "crates/pipeline/src/config/mod.rs", "pub fn read() {}\n");
     let package = |name: &str, version: &str, dependencies: &str| {
@@ -75,7 +75,7 @@ fn tree(root: &Path) {
         )
     };
     let mut lock = "version = 4\n".to_string();
-    for name in ["numerics", "ubaf", "splat", "enhance", "pipeline", "build"] {
+    for name in ["numerics", "ubaf", "splat", "enhance", "pipeline", "workflow"] {
         lock.push_str(&format!("[[package]]\nname = \"use3d-{name}\"\nversion = \"0.1.0\"\n"));
     }
     lock.push_str(&package("glam", "0.34.2", "\"serde\""));
@@ -119,7 +119,7 @@ fn a_token_reaches_exactly_the_stages_that_contain_it() {
         ("crates/ubaf/src/field.rs", "{ 2.0 * x }", "{\n    2.0   *x\n}", &none),
         ("crates/ubaf/src/tests.rs", "fn t() {}", "fn t() { assert!(true) }", &none),
         ("crates/pipeline/src/config/mod.rs", "read()", "take()", &none),
-        ("crates/build/src/lib.rs", "build()", "built()", &none),
+        ("crates/workflow/src/lib.rs", "workflow()", "work()", &none),
         ("crates/ubaf/src/field.rs", "2.0 * x", "x + x", &vec![1, 2]),
         ("crates/ubaf/src/lib.rs", "field::twice(x)", "field::twice(x + 1.0)", &vec![1, 2]),
         ("crates/numerics/src/lib.rs", "1.0", "1.5", &vec![0, 1, 2, 3]),

@@ -2,7 +2,7 @@
 
 use std::sync::OnceLock;
 
-use use3d_build::code::{CodeRules, CodeTable};
+use use3d_workflow::code::{CodeRules, CodeTable};
 
 /// The files of this crate count one by one. The reader of pipeline files does not count, because it writes
 /// no byte of an artifact. The choice of an engine does not count either, because a key already holds the
@@ -10,7 +10,7 @@ use use3d_build::code::{CodeRules, CodeTable};
 pub const RULES: CodeRules = CodeRules {
     by_file: "pipeline",
     not_followed: &["src/config/", "src/engines/"],
-    crates_not_followed: &["use3d-build"],
+    crates_not_followed: &["use3d-workflow"],
     absent: if cfg!(feature = "nets") { &[] } else { &["use3d-nets"] },
 };
 

@@ -3,11 +3,11 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use use3d_build::gc::{CleanOptions, parse_age, parse_bytes};
-use use3d_build::machine::bytes;
-use use3d_build::place::parent;
-use use3d_build::{Cache, RunOptions};
 use use3d_pipeline::config::default_cache;
+use use3d_workflow::gc::{CleanOptions, parse_age, parse_bytes};
+use use3d_workflow::machine::bytes;
+use use3d_workflow::place::parent;
+use use3d_workflow::{Cache, RunOptions};
 
 use crate::App;
 use crate::args::{CacheArgs, GcArgs, PipelineArgs, VerifyArgs};

@@ -2,14 +2,14 @@
 
 use std::path::Path;
 
-use use3d_build::error::nearest;
-use use3d_build::place;
 use use3d_capture::{Camera, FileName, path, stem};
 use use3d_import::read_cameras;
 use use3d_io_image::{write_exr, write_exr_map, write_png, write_png_map};
 use use3d_pipeline::Drawn;
 use use3d_render::{Film, FilmError, Mode, Rendering, SceneRenderer, cover, focus, picture};
 use use3d_scene::{Origin, Scene};
+use use3d_workflow::error::nearest;
+use use3d_workflow::place;
 
 use crate::args::{CameraPath, FrameFormat, RenderArgs};
 use crate::error::{CliError, Done};

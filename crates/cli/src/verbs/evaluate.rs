@@ -3,12 +3,12 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use use3d_build::machine::{available_memory, bytes};
 use use3d_capture::{Image, shown};
 use use3d_io_image::{image_size, read_image};
 use use3d_pipeline::judge::scores::{Method, SceneScores, Score, Scores};
 use use3d_pipeline::judge::scoring::Judges;
 use use3d_pipeline::stages::{evaluate::SCORES, read_json};
+use use3d_workflow::machine::{available_memory, bytes};
 
 use crate::App;
 use crate::args::{EvaluateArgs, TableFormat};

@@ -7,7 +7,7 @@
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
-use use3d_build::{Digest, Summary, machine};
+use use3d_workflow::{Digest, Summary, machine};
 
 use crate::args::PipelineArgs;
 use crate::destination::{path_text, word};

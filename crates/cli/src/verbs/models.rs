@@ -8,8 +8,8 @@ use crate::error::{CliError, Done};
 
 #[cfg(feature = "nets")]
 pub(crate) fn run(args: &ModelsArgs) -> Done {
-    use use3d_build::machine::bytes;
     use use3d_nets::models::DigestCheck;
+    use use3d_workflow::machine::bytes;
 
     use crate::interrupt;
 

@@ -2,8 +2,8 @@
 //! has no folder `pipelines/` beside it, so the files are parts of the program.
 
 use serde::Serialize;
-use use3d_build::BuildError;
 use use3d_pipeline::config::schema_text;
+use use3d_workflow::BuildError;
 
 use crate::args::PipelinesArgs;
 use crate::error::{CliError, Done};

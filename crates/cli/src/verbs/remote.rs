@@ -3,10 +3,10 @@
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-use use3d_build::Transferred;
-use use3d_build::gc::parse_age;
-use use3d_build::place::parent;
-use use3d_build::remote::{RemoteError, RemoteStore};
+use use3d_workflow::Transferred;
+use use3d_workflow::gc::parse_age;
+use use3d_workflow::place::parent;
+use use3d_workflow::remote::{RemoteError, RemoteStore};
 
 use crate::App;
 use crate::args::{PipelineArgs, PushArgs, RemoteArgs, StoreGcArgs, StoreLsArgs, TransferArgs};

@@ -3,13 +3,13 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use use3d_build::machine::bytes;
-use use3d_build::{Event, place};
 use use3d_capture::{Camera, FileName};
 use use3d_pipeline::Drawn;
 use use3d_reconstruct::EngineChoice;
 use use3d_render::{Mode, picture};
 use use3d_scene::Scene;
+use use3d_workflow::machine::bytes;
+use use3d_workflow::{Event, place};
 
 use crate::App;
 use crate::args::{CameraPath, FrameFormat, RenderArgs};

@@ -3,11 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
-use use3d_build::cache::Lookup;
-use use3d_build::{Cache, machine};
 use use3d_pipeline::judge::scores::{Method, SceneScores};
 use use3d_pipeline::stages::evaluate::SCORES;
 use use3d_pipeline::stages::read_json;
+use use3d_workflow::cache::Lookup;
+use use3d_workflow::{Cache, machine};
 
 use crate::App;
 use crate::args::ResultsArgs;
@@ -66,7 +66,7 @@ pub(crate) fn artifact(record: &RunRecord, stage: &str) -> Option<PathBuf> {
 }
 
 /// The folder of a run's artifact by its key, if it is still in the cache.
-pub(crate) fn found(record: &RunRecord, stage: &str, key: &use3d_build::Digest) -> Option<PathBuf> {
+pub(crate) fn found(record: &RunRecord, stage: &str, key: &use3d_workflow::Digest) -> Option<PathBuf> {
     if !record.cache.is_dir() {
         return None;
     }

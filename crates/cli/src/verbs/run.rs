@@ -5,13 +5,13 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-use use3d_build::machine::seconds;
-use use3d_build::place;
-use use3d_build::plan::{PlannedNode, State};
-use use3d_build::status::{Row, Standing};
-use use3d_build::{Event, Graph, Listener, PATIENCE, Plan, RunOptions, Summary, picture};
 use use3d_cluster::quote;
 use use3d_pipeline::results::{Delivered, Results};
+use use3d_workflow::machine::seconds;
+use use3d_workflow::place;
+use use3d_workflow::plan::{PlannedNode, State};
+use use3d_workflow::status::{Row, Standing};
+use use3d_workflow::{Event, Graph, Listener, PATIENCE, Plan, RunOptions, Summary, picture};
 
 use crate::App;
 use crate::args::{
@@ -80,7 +80,7 @@ pub(crate) fn status(args: &StatusArgs) -> Done {
     for name in &args.scene {
         let known = || loaded.pipeline.batch.scenes.iter().map(|s| s.name.as_str());
         if !known().any(|scene| scene == name) {
-            return Err(CliError::input(use3d_build::BuildError::unknown("scene", name, known())));
+            return Err(CliError::input(use3d_workflow::BuildError::unknown("scene", name, known())));
         }
     }
     status.rows.retain(|row| {
@@ -264,7 +264,7 @@ fn only(graph: &Graph, named: &[String]) -> Result<Option<Vec<(String, String)>>
         let known: Vec<String> =
             cells.iter().map(|(s, v)| if v.is_empty() { s.clone() } else { format!("{s}@{v}") }).collect();
         let known = known.iter().map(String::as_str);
-        Err(CliError::input(use3d_build::BuildError::unknown("scene and variant", name, known)))
+        Err(CliError::input(use3d_workflow::BuildError::unknown("scene and variant", name, known)))
     };
     let found: Vec<(String, String)> = named.iter().map(find).collect::<Result<_, _>>()?;
     Ok((!found.is_empty()).then_some(found))

@@ -6,11 +6,11 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use serde_json::Value;
-use use3d_build::machine::{bytes, seconds};
-use use3d_build::{Alone, Event, Registry, Stage, StageError, leftovers};
 use use3d_pipeline::config::stage_parameters;
 use use3d_pipeline::stages::{CALIBRATOR, TARGETS};
 use use3d_scene::Origin;
+use use3d_workflow::machine::{bytes, seconds};
+use use3d_workflow::{Alone, Event, Registry, Stage, StageError, leftovers};
 
 use crate::App;
 use crate::args::{
@@ -446,7 +446,7 @@ pub(crate) fn enhance(app: &App, args: &EnhanceArgs) -> Done {
 
 #[cfg(test)]
 mod tests {
-    use use3d_build::Silent;
+    use use3d_workflow::Silent;
 
     use super::*;
 

@@ -10,10 +10,10 @@ use std::time::Duration;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use use3d_build::code::{CodeRules, CodeTable};
-use use3d_build::files::{Disk, Files};
-use use3d_build::run::RunOptions;
-use use3d_build::{
+use use3d_workflow::code::{CodeRules, CodeTable};
+use use3d_workflow::files::{Disk, Files};
+use use3d_workflow::run::RunOptions;
+use use3d_workflow::{
     Batch, BatchScene, Builder, Cache, Event, Graph, Listener, Registry, Scope, Stage, StageContext,
     StageError, Summary,
 };
@@ -249,8 +249,12 @@ pub(crate) fn stages(delay: u64) -> Vec<Stage> {
     ]
 }
 
-const RULES: CodeRules =
-    CodeRules { by_file: "pipeline", not_followed: &[], crates_not_followed: &["use3d-build"], absent: &[] };
+const RULES: CodeRules = CodeRules {
+    by_file: "pipeline",
+    not_followed: &[],
+    crates_not_followed: &["use3d-workflow"],
+    absent: &[],
+};
 
 /// The code of this workspace, whose crates the stages name.
 pub(crate) fn code() -> &'static CodeTable {

@@ -6,11 +6,11 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, SystemTime};
 
 use serde_json::json;
-use use3d_build::gc::CleanOptions;
-use use3d_build::plan::State;
-use use3d_build::run::{Became, RunOptions};
-use use3d_build::status::Standing;
-use use3d_build::{Graph, Variant};
+use use3d_workflow::gc::CleanOptions;
+use use3d_workflow::plan::State;
+use use3d_workflow::run::{Became, RunOptions};
+use use3d_workflow::status::Standing;
+use use3d_workflow::{Graph, Variant};
 
 use super::stages::{STEPS, batch, builder, code, payload, run, run_with};
 
@@ -199,7 +199,7 @@ fn variants_share_what_they_do_not_change() {
     );
     let plan = builder.plan(&graph, None);
     assert_eq!((plan.to_run(), plan.status().count(Standing::Cached)), (0, 4 * 6 + 1));
-    assert!(use3d_build::picture::mermaid(&graph, &plan).contains(":::cached"));
+    assert!(use3d_workflow::picture::mermaid(&graph, &plan).contains(":::cached"));
 }
 
 #[test]
@@ -304,7 +304,7 @@ fn a_sample_is_computed_again_and_compared() {
     let builder = builder(&dir.path().join("cache"));
     run(&builder, &batch);
     let graph = Graph::new(&builder.registry, &batch).expect("graph");
-    let listener: std::sync::Arc<dyn use3d_build::Listener> = std::sync::Arc::new(use3d_build::Silent);
+    let listener: std::sync::Arc<dyn use3d_workflow::Listener> = std::sync::Arc::new(use3d_workflow::Silent);
     let all = builder.verify_sample(&graph, 1.0, &RunOptions::default(), &listener).expect("sample");
     assert_eq!((all.recomputed, all.problems.len()), (Some(7), 0), "{all}");
     let one = builder.verify_sample(&graph, 0.0, &RunOptions::default(), &listener).expect("sample");
@@ -313,7 +313,7 @@ fn a_sample_is_computed_again_and_compared() {
 
 #[test]
 fn a_stage_that_is_not_deterministic_raises_an_alarm() {
-    use use3d_build::{Builder, Cache, Registry, Scope, Stage};
+    use use3d_workflow::{Builder, Cache, Registry, Scope, Stage};
     let dir = tempfile::tempdir().expect("folder");
     let batch = batch(&dir.path().join("data"), &["reef"]);
     let draw = std::sync::atomic::AtomicU64::new(0);
@@ -326,7 +326,7 @@ fn a_stage_that_is_not_deterministic_raises_an_alarm() {
     let builder = Builder::new(Registry::new(vec![stage], code()).expect("table"), cache);
     let (first, ..) = run(&builder, &batch);
     let graph = Graph::new(&builder.registry, &batch).expect("graph");
-    let listener: std::sync::Arc<dyn use3d_build::Listener> = std::sync::Arc::new(use3d_build::Silent);
+    let listener: std::sync::Arc<dyn use3d_workflow::Listener> = std::sync::Arc::new(use3d_workflow::Silent);
     let found = builder.verify_sample(&graph, 1.0, &RunOptions::default(), &listener).expect("sample");
     assert!(found.problems[0].what.contains("number comes out different"), "{found}");
     fs::remove_dir_all(&first.artifact("reef", "", "dice").expect("there").path).expect("removed");
@@ -342,9 +342,9 @@ fn an_interrupted_run_says_so_and_goes_on() {
     let options = RunOptions::default();
     let graph = Graph::new(&builder.registry, &batch).expect("graph");
     let stop = options.stop.clone();
-    let listener: std::sync::Arc<dyn use3d_build::Listener> =
-        std::sync::Arc::new(move |event: &use3d_build::Event<'_>| {
-            if let use3d_build::Event::Done { label, .. } = event {
+    let listener: std::sync::Arc<dyn use3d_workflow::Listener> =
+        std::sync::Arc::new(move |event: &use3d_workflow::Event<'_>| {
+            if let use3d_workflow::Event::Done { label, .. } = event {
                 stop.fetch_or(label.contains("targets"), Ordering::Relaxed);
             }
         });
@@ -360,7 +360,7 @@ fn an_interrupted_run_says_so_and_goes_on() {
 
 #[test]
 fn an_input_that_changes_while_it_is_read_makes_no_artifact() {
-    use use3d_build::{Registry, Scope, Stage};
+    use use3d_workflow::{Registry, Scope, Stage};
     let dir = tempfile::tempdir().expect("folder");
     let batch = batch(&dir.path().join("data"), &["reef"]);
     let stage = Stage::new("reader", Scope::Scene, |context, _: &super::stages::Strength| {
@@ -383,7 +383,7 @@ fn an_input_that_changes_while_it_is_read_makes_no_artifact() {
 
 #[test]
 fn one_stage_runs_by_itself_with_the_same_result() {
-    use use3d_build::{Alone, Listener, Silent};
+    use use3d_workflow::{Alone, Listener, Silent};
     let dir = tempfile::tempdir().expect("folder");
     let batch = batch(&dir.path().join("data"), &["reef"]);
     let builder = builder(&dir.path().join("cache"));
@@ -420,7 +420,7 @@ fn artifacts_of_another_class_are_compared_as_their_stage_says() {
     use std::sync::Arc;
     use std::sync::atomic::AtomicU64;
 
-    use use3d_build::{Builder, Cache, DeviceClass, Digest, Figure, Registry, Scope, Stage};
+    use use3d_workflow::{Builder, Cache, DeviceClass, Digest, Figure, Registry, Scope, Stage};
 
     const FIGURES: [Figure; 1] = [Figure { file: "score.json", at: "/psnr", within: 0.1 }];
     let dir = tempfile::tempdir().expect("folder");
@@ -462,7 +462,7 @@ fn artifacts_of_another_class_are_compared_as_their_stage_says() {
     assert!(class("train").ends_with(&class("judge")), "{} {}", class("train"), class("judge"));
 
     let graph = Graph::new(&tolerant.registry, &batch).expect("graph");
-    let listener: Arc<dyn use3d_build::Listener> = Arc::new(use3d_build::Silent);
+    let listener: Arc<dyn use3d_workflow::Listener> = Arc::new(use3d_workflow::Silent);
     let verify = |builder: &Builder, noise: u64| {
         off.store(noise, Ordering::Relaxed);
         builder.verify_sample(&graph, 1.0, &RunOptions::default(), &listener).expect("sample")

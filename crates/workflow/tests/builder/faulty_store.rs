@@ -2,7 +2,7 @@
 
 use std::io::{Read, Write};
 
-use use3d_build::remote::{Listed, Memory, Remote, RemoteError};
+use use3d_workflow::remote::{Listed, Memory, Remote, RemoteError};
 
 /// The faults of a store.
 #[derive(Clone, Copy, Debug, PartialEq)]

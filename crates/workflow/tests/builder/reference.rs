@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
-use use3d_build::{Batch, BatchScene, Builder, Cache, Registry, Scope, Stage, Variant};
+use use3d_workflow::{Batch, BatchScene, Builder, Cache, Registry, Scope, Stage, Variant};
 
 use super::stages::{Fast, code, run};
 

@@ -8,10 +8,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
-use use3d_build::content::Choice;
-use use3d_build::files::Files;
-use use3d_build::run::RunOptions;
-use use3d_build::{Batch, Builder, Cache, Graph, Listener, Registry, Scope, Silent, Stage};
+use use3d_workflow::content::Choice;
+use use3d_workflow::files::Files;
+use use3d_workflow::run::RunOptions;
+use use3d_workflow::{Batch, Builder, Cache, Graph, Listener, Registry, Scope, Silent, Stage};
 
 use super::stages::{Fast, ImportParameters, batch, code, registry, run};
 

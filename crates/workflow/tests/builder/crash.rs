@@ -5,8 +5,8 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use use3d_build::run::RunOptions;
-use use3d_build::{Builder, Cache};
+use use3d_workflow::run::RunOptions;
+use use3d_workflow::{Builder, Cache};
 
 use super::stages::{batch, payload, registry, run, run_with};
 

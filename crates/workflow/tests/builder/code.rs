@@ -4,15 +4,15 @@
 use std::fs;
 use std::path::Path;
 
-use use3d_build::code::{CodeError, CodeRules, CodeTable};
-use use3d_build::{BuildError, Digest, Registry};
+use use3d_workflow::code::{CodeError, CodeRules, CodeTable};
+use use3d_workflow::{BuildError, Digest, Registry};
 
 use super::stages::{code as workspace, stages};
 
 const RULES: CodeRules = CodeRules {
     by_file: "pipeline",
     not_followed: &["src/config/"],
-    crates_not_followed: &["use3d-build"],
+    crates_not_followed: &["use3d-workflow"],
     absent: &["use3d-nets"],
 };
 
@@ -63,10 +63,14 @@ fn a_token_in_ubaf_makes_the_second_training_stale_and_leaves_the_first_alone() 
     builder.registry = registry(&before);
     super::stages::run(&builder, &batch);
     builder.registry = registry(&after);
-    let graph = use3d_build::Graph::new(&builder.registry, &batch).expect("graph");
+    let graph = use3d_workflow::Graph::new(&builder.registry, &batch).expect("graph");
     let plan = builder.plan(&graph, None);
-    let stale: Vec<&str> =
-        plan.nodes.iter().filter(|n| n.state != use3d_build::plan::State::Cached).map(|n| n.stage).collect();
+    let stale: Vec<&str> = plan
+        .nodes
+        .iter()
+        .filter(|n| n.state != use3d_workflow::plan::State::Cached)
+        .map(|n| n.stage)
+        .collect();
     assert_eq!(stale, ["enhance", "evaluate", "report"]);
     assert!(plan.to_string().contains("code use3d-ubaf"), "{plan}");
     // The bytes come out the same, so no stage below it runs.

@@ -7,9 +7,9 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
 
-use use3d_build::files::Files;
-use use3d_build::plan::State;
-use use3d_build::{Builder, Cache, Graph, Registry, Variant};
+use use3d_workflow::files::Files;
+use use3d_workflow::plan::State;
+use use3d_workflow::{Builder, Cache, Graph, Registry, Variant};
 
 use super::stages::{Fast, batch, builder, code, payload, registry, run, stages};
 

@@ -8,9 +8,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 
 use serde_json::json;
-use use3d_build::gc::CleanOptions;
-use use3d_build::run::{Became, RunOptions};
-use use3d_build::{Batch, Builder, Event, Graph, Listener, Summary};
+use use3d_workflow::gc::CleanOptions;
+use use3d_workflow::run::{Became, RunOptions};
+use use3d_workflow::{Batch, Builder, Event, Graph, Listener, Summary};
 
 use super::stages::{batch, builder, payload, run};
 

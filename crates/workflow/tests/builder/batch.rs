@@ -6,9 +6,9 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use serde_json::json;
-use use3d_build::run::{Became, RunOptions};
-use use3d_build::status::Standing;
-use use3d_build::{Graph, Listener, Registry, Scope, Silent, Stage};
+use use3d_workflow::run::{Became, RunOptions};
+use use3d_workflow::status::Standing;
+use use3d_workflow::{Graph, Listener, Registry, Scope, Silent, Stage};
 
 use super::stages::{Strength, batch, builder, code, run_with, scene};
 
@@ -240,7 +240,7 @@ trait Label {
     fn label_for_test(&self) -> String;
 }
 
-impl Label for use3d_build::StageContext {
+impl Label for use3d_workflow::StageContext {
     fn label_for_test(&self) -> String {
         let input = &self.inputs()[0].path;
         let words = fs::read_to_string(input.join("images/words.txt"))

@@ -13,8 +13,8 @@
 //!
 //! ```
 //! use std::sync::Arc;
-//! use use3d_build::code::CodeTable;
-//! use use3d_build::{
+//! use use3d_workflow::code::CodeTable;
+//! use use3d_workflow::{
 //!     Batch, Cache, Builder, Graph, Listener, Registry, RunOptions, BatchScene, Scope, Silent, Stage
 //! };
 //!
