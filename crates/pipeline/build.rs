@@ -1,15 +1,9 @@
-//! Writes the table of code digests (`code.json`) of the workspace that is being built; see the module `code`
-//! of the crate `build`.
+//! Writes the table of code digests (`code.json`) of the workspace that is being built; see the crate `code`.
 
 use std::path::{Path, PathBuf};
 use std::{env, fs};
 
-#[path = "../build/src/code/tokens.rs"]
-mod tokens;
-#[path = "../build/src/code/tree.rs"]
-mod tree;
-#[path = "../build/src/code/uses.rs"]
-mod uses;
+use use3d_code::tree;
 
 fn main() -> Result<(), String> {
     let here = PathBuf::from(env::var("CARGO_MANIFEST_DIR").map_err(|e| e.to_string())?);

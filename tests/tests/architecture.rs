@@ -1,12 +1,16 @@
 //! Enforces the dependencies of the architecture: a crate may depend only on crates below it and only on
 //! crates that it uses, and heavy or delicate third-party crates stay in the crates that own them. The tests
 //! read `cargo metadata`, so a forbidden dependency fails here at once. A type's name belongs to at most two
-//! files of the workspace.
+//! files of the workspace. Inside a crate, at most two files use each other in a circle.
+
+#[path = "architecture/circles.rs"]
+mod circles;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use circles::{Arrows, ModulePath};
 use serde_json::Value;
 
 /// The permitted direct dependencies of each crate. ARCHITECTURE.md draws the same picture.
@@ -16,9 +20,10 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("files", &[]),
     ("capture", &["numerics"]),
     ("golden", &["capture", "numerics"]),
-    ("build", &["capture", "files"]),
-    ("cluster", &["build"]),
-    ("store", &["build"]),
+    ("code", &[]),
+    ("workflow", &["capture", "code", "files"]),
+    ("cluster", &["workflow"]),
+    ("store", &["workflow"]),
     ("io-image", &["capture", "files"]),
     ("survey", &["capture", "numerics"]),
     ("io-colmap", &["capture", "files", "io-image", "survey"]),
@@ -203,14 +208,7 @@ fn every_declared_dependency_is_used() {
         let manifest = PathBuf::from(package["manifest_path"].as_str().expect("a path"));
         let folder = manifest.parent().expect("a folder");
         let everywhere = source(folder, &["src", "tests", "examples", "benches"]);
-        let (shipped, mut build) = (source(folder, &["src"]), source(folder, &["build.rs", "src"]));
-        // A build script may take modules of another crate by their path.
-        let taken: Vec<String> = build
-            .split("#[path = \"")
-            .skip(1)
-            .filter_map(|rest| Some(rest.split('"').next()?.into()))
-            .collect();
-        build += &source(folder, &taken.iter().map(String::as_str).collect::<Vec<_>>());
+        let (shipped, build) = (source(folder, &["src"]), source(folder, &["build.rs", "src"]));
         for dependency in package["dependencies"].as_array().expect("dependencies") {
             let name = dependency["rename"].as_str().or(dependency["name"].as_str()).expect("a name");
             let text = match dependency["kind"].as_str() {
@@ -295,4 +293,64 @@ fn a_type_name_stands_in_at_most_two_files() {
         .filter(|(name, places)| !CONVENTIONAL.contains(&name.as_str()) && places.len() > 2)
         .collect();
     assert!(repeated.is_empty(), "rename these types so that at most two files share a name: {repeated:#?}");
+}
+
+/// The name and the folder `src` of every package.
+fn sources() -> Vec<(String, PathBuf)> {
+    let packages = metadata()["packages"].as_array().expect("packages").clone();
+    let source = |package: &Value| {
+        let name = package["name"].as_str().expect("a name");
+        let manifest = PathBuf::from(package["manifest_path"].as_str().expect("a path"));
+        let name = name.strip_prefix("use3d-").unwrap_or(name).to_string();
+        (name, manifest.parent().expect("a folder").join("src"))
+    };
+    packages.iter().map(source).filter(|(_, folder)| folder.is_dir()).collect()
+}
+
+fn file_name(path: &ModulePath) -> String {
+    if path.is_empty() { "(root)".to_string() } else { path.join("/") }
+}
+
+/// Whoever reads one file of a circle must read all of them.
+#[test]
+fn no_more_than_two_files_of_a_crate_use_each_other_in_a_circle() {
+    let (mut found, mut arrows) = (Vec::new(), 0);
+    for (name, folder) in sources() {
+        let uses = Arrows::of(&folder);
+        arrows += uses.uses.values().map(BTreeSet::len).sum::<usize>();
+        for circle in uses.circles(3) {
+            let inside = |path: &&ModulePath| circle.contains(path);
+            let lines = circle.iter().map(|path| {
+                let to: Vec<String> = uses.uses[*path].iter().filter(inside).map(file_name).collect();
+                format!("{} → {}", file_name(path), to.join(", "))
+            });
+            found.push(format!("{name}: {} files: {}", circle.len(), lines.collect::<Vec<_>>().join("; ")));
+        }
+    }
+    assert!(arrows > 1500, "a reader that finds little proves little: {arrows} arrows");
+    assert!(found.is_empty(), "move what several files need into a file of its own: {found:#?}");
+}
+
+/// The rooms of crates that have some: a room uses only the rooms before it. Files outside the rooms use no
+/// room, except the root.
+const ROOMS: &[(&str, &[&str])] = &[("workflow", &["cache", "share", "stage", "plan", "run"])];
+
+#[test]
+fn arrows_between_rooms_point_one_way() {
+    let folders: BTreeMap<String, PathBuf> = sources().into_iter().collect();
+    for (name, rooms) in ROOMS {
+        let uses = Arrows::of(&folders[*name]).uses;
+        let room = |path: &ModulePath| rooms.iter().position(|room| path.first().is_some_and(|p| p == room));
+        for number in 0..rooms.len() {
+            assert!(
+                uses.keys().any(|path| room(path) == Some(number)),
+                "`{name}` has no `{}`",
+                rooms[number]
+            );
+        }
+        for (from, to) in uses.iter().flat_map(|(from, all)| all.iter().map(move |to| (from, to))) {
+            let wrong = !from.is_empty() && room(to) > room(from);
+            assert!(!wrong, "`{name}`: {} must not use {}", file_name(from), file_name(to));
+        }
+    }
 }

@@ -4,15 +4,15 @@ use std::path::{Path, PathBuf};
 
 use use3d_atc::calibrator::{Calibrator, Dataset};
 use use3d_atc::consensus::Targets;
-use use3d_build::key::Key;
-use use3d_build::manifest::Manifest;
-use use3d_build::place::{self, Look, Standing};
 use use3d_capture::Appearance;
 use use3d_import::load_prepared;
 use use3d_pipeline::judge::scores::{Method, SceneScores};
 use use3d_scene::Scene;
 use use3d_web::SavedViews;
 use use3d_web::path::CameraPath;
+use use3d_workflow::key::Key;
+use use3d_workflow::manifest::Manifest;
+use use3d_workflow::place::{self, Look, Standing};
 
 fn exhibit(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("museum").join(name)

@@ -1,14 +1,14 @@
 //! The destinations of results: checks, before any work is done, that a result can be written there.
 //!
-//! Folders follow the rules of [`use3d_build::place`]. A file is replaced only with `--force`, and only if it
-//! is a regular file: never a folder, a device or a symbolic link.
+//! Folders follow the rules of [`use3d_workflow::place`]. A file is replaced only with `--force`, and only if
+//! it is a regular file: never a folder, a device or a symbolic link.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
-use use3d_build::place::{self, PlaceError};
 use use3d_capture::name::shown;
+use use3d_workflow::place::{self, PlaceError};
 
 use crate::error::{CliError, Done};
 

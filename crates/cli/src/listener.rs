@@ -7,9 +7,9 @@ use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
-use use3d_build::machine::seconds;
-use use3d_build::{Event, Listener};
 use use3d_capture::name::{shown, shown_lines};
+use use3d_workflow::machine::seconds;
+use use3d_workflow::{Event, Listener};
 
 /// Time between two plain lines when stderr is not a terminal.
 const PLAIN_INTERVAL: Duration = Duration::from_secs(10);

@@ -34,7 +34,7 @@ pub(crate) fn start(verbose: u8, quiet: bool) {
     ];
     let mut filter = String::from(default);
     if !quiet && verbose == 0 {
-        for name in ours.iter().chain(&["build", "pipeline", "scene", "render", "training"]) {
+        for name in ours.iter().chain(&["workflow", "pipeline", "scene", "render", "training"]) {
             filter.push_str(&format!(",use3d_{name}=info"));
         }
     }

@@ -19,7 +19,7 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use use3d_build::Listener;
+use use3d_workflow::Listener;
 
 use args::{Bench, Store, Synth, Verb};
 use error::{CliError, Done};

@@ -17,8 +17,8 @@ use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use use3d_build::plan::{Plan, State};
-use use3d_build::{Event, Graph, Listener};
+use use3d_workflow::plan::{Plan, State};
+use use3d_workflow::{Event, Graph, Listener};
 
 /// The least time between two updates of the bar.
 const INTERVAL: Duration = Duration::from_millis(500);

@@ -225,7 +225,7 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
     let (_, by) = written.rsplit_once("<!-- of ").and_then(|(_, rest)| rest.split_once(" by ")).unwrap();
     let other = written.replace(by.split(' ').next().unwrap(), "another");
     let stamp = other.rfind("<!-- written by use3d, blake3 ").unwrap();
-    let digest = use3d_build::Digest::of(&other.as_bytes()[..stamp]);
+    let digest = use3d_workflow::Digest::of(&other.as_bytes()[..stamp]);
     let other = format!("{}<!-- written by use3d, blake3 {digest} -->\n", &other[..stamp]);
     std::fs::write(&view, other).unwrap();
     let second = run(&[]);

@@ -14,10 +14,10 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-use use3d_build::gc::parse_bytes;
-use use3d_build::plan::{PlannedNode, State};
-use use3d_build::task::Killed;
-use use3d_build::{Plan, Registry, Scope};
+use use3d_workflow::Killed;
+use use3d_workflow::gc::parse_bytes;
+use use3d_workflow::plan::{PlannedNode, State};
+use use3d_workflow::{Plan, Registry, Scope};
 
 use super::ClusterError;
 use super::site::{Needs, SHORTEST, Site, WORKERS};

@@ -1,6 +1,6 @@
 //! Converts a plan to jobs of a cluster's scheduler (Slurm or HyperQueue).
 //!
-//! The inputs are a plan of the crate `build` and a description of the site. The outputs are the scheduler's
+//! The inputs are a plan of the crate `workflow` and a description of the site. The outputs are the scheduler's
 //! files, and the jobs that its own command submits. This crate computes no stage, and it does not watch the
 //! jobs.
 //!
@@ -41,7 +41,7 @@ pub enum ClusterError {
     },
     /// A file that cannot be written or read.
     #[error(transparent)]
-    File(#[from] use3d_build::FileError),
+    File(#[from] use3d_workflow::FileError),
     /// The scheduler's command failed.
     #[error("{command}: {reason}")]
     Command {

@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize, de};
-use use3d_build::error::plain;
-use use3d_build::gc::parse_bytes;
+use use3d_workflow::error::plain;
+use use3d_workflow::gc::parse_bytes;
 
 use super::ClusterError;
 use super::time;

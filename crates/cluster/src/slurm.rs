@@ -12,9 +12,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
-use use3d_build::FileError;
-use use3d_build::files::{Disk, write_atomic};
-use use3d_build::task::{ClusterTask, IsOver};
+use use3d_workflow::FileError;
+use use3d_workflow::files::{Disk, write_atomic};
+use use3d_workflow::task::{ClusterTask, IsOver};
 
 use super::ClusterError;
 use super::jobs::{After, Job};

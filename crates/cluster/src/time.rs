@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use use3d_build::gc::parse_age;
+use use3d_workflow::gc::parse_age;
 
 /// Parses `90min`, `3h`, `1.5d`, or hours, minutes and seconds as `3:50:00`.
 ///

@@ -7,15 +7,15 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use use3d_build::code::CodeTable;
-use use3d_build::history::Forecast;
-use use3d_build::plan::{PlannedNode, State};
-use use3d_build::task::Killed;
-use use3d_build::{Plan, Registry, Scope, Stage};
 use use3d_cluster::jobs::{self, After, Job, Layout};
 use use3d_cluster::site::Site;
 use use3d_cluster::slurm::{self, Submission};
 use use3d_cluster::{ClusterError, hyperqueue};
+use use3d_workflow::Killed;
+use use3d_workflow::code::CodeTable;
+use use3d_workflow::history::Forecast;
+use use3d_workflow::plan::{PlannedNode, State};
+use use3d_workflow::{Plan, Registry, Scope, Stage};
 
 #[derive(Default, serde::Serialize, serde::Deserialize, schemars::JsonSchema)]
 struct Nothing {}

@@ -14,7 +14,7 @@ use use3d_training::EngineError;
 use crate::buffer::Array;
 use crate::device::Gpu;
 use crate::kernel::{Access, Kernel, ROWS, Spec, bound, submit};
-use crate::scene::Float4;
+use crate::rows::Float4;
 use crate::stage1::ViewWork;
 
 /// Threads of a workgroup.

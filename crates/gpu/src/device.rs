@@ -10,7 +10,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use use3d_training::EngineError;
 
 use crate::profile::{self, Clock, Timed};
-use crate::scene::{COLORS, Float4, SPLAT};
+use crate::rows::{COLORS, Float4, SPLAT};
 use crate::variant::Variant;
 
 /// The engine's name in messages.

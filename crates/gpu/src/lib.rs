@@ -68,6 +68,7 @@ mod losses;
 mod profile;
 mod raster;
 mod rebuild;
+mod rows;
 mod scene;
 mod sort;
 mod stage1;

@@ -16,7 +16,8 @@ use crate::device::{Gpu, NAME};
 use crate::kernel::{Access, Binding, Grid, Kernel, ROWS, Spec, bound, read, submit, write};
 use crate::lists::{ListKernels, Lists};
 use crate::raster::{Outputs, RasterKernels, RasterPlanes};
-use crate::scene::{Float4, Parameters};
+use crate::rows::Float4;
+use crate::scene::Parameters;
 use crate::stage2::colors_backward;
 
 /// Number of threads of the kernels over Gaussians.

@@ -17,7 +17,8 @@ use crate::chunks::CHUNK;
 use crate::constants::{CONSTANTS, CONSTANTS_BINDING, StepConstants, TILE, counts};
 use crate::device::Gpu;
 use crate::kernel::{Access, Binding, Constant, Grid, Kernel, ROWS, Spec, U32S, bound, read};
-use crate::scene::{Float4, Parameters, SPLAT};
+use crate::rows::{Float4, SPLAT};
+use crate::scene::Parameters;
 use crate::sort::{Items, Sort, SortKernels};
 
 /// Threads of a workgroup.

@@ -14,7 +14,7 @@ use crate::constants::{CONSTANTS, CONSTANTS_BINDING, StepConstants};
 use crate::device::Gpu;
 use crate::kernel::{Access, Binding, Constant, Grid, Kernel, ROWS, Spec, U32S, bound, read, write};
 use crate::lists::ViewLists;
-use crate::scene::Float4;
+use crate::rows::Float4;
 use crate::variant::{EACH, Variant, WIDTHS};
 
 /// Number of threads of the forward pass: the pixels of a tile.

@@ -15,7 +15,8 @@ use crate::buffer::Array;
 use crate::chunks::Piece;
 use crate::device::Gpu;
 use crate::kernel::{Access, Constant, Kernel, Spec, U32S, submit};
-use crate::scene::{COLORS, DeviceScene, Float4, GEOMETRY, Parameters};
+use crate::rows::{COLORS, Float4, GEOMETRY};
+use crate::scene::{DeviceScene, Parameters};
 
 /// The bit of an origin that marks a twin or a child.
 const BORN: u32 = 1 << 31;

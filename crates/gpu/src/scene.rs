@@ -7,15 +7,7 @@ use use3d_training::EngineError;
 use crate::buffer::Array;
 use crate::chunks::Chunked;
 use crate::device::{Gpu, NAME};
-
-/// Four floats.
-pub(crate) type Float4 = [f32; 4];
-/// Number of rows of geometry per Gaussian.
-pub(crate) const GEOMETRY: usize = 3;
-/// Number of floats of colour per Gaussian.
-pub(crate) const COLORS: usize = 48;
-/// Number of rows of a splat, the largest data of every Gaussian that must fit into one binding.
-pub(crate) const SPLAT: usize = 3;
+use crate::rows::{COLORS, Float4, GEOMETRY, SPLAT};
 
 /// The parameters of N Gaussians, or one of their moments.
 #[derive(Debug)]

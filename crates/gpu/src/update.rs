@@ -13,7 +13,8 @@ use crate::constants::{CONSTANTS, CONSTANTS_BINDING, StepConstants, counts};
 use crate::device::Gpu;
 use crate::kernel::{Access, Grid, Kernel, ROWS, Spec, bound, write};
 use crate::lists::{HARMONICS, Lists, PROJECTION};
-use crate::scene::{DeviceScene, Float4};
+use crate::rows::Float4;
+use crate::scene::DeviceScene;
 
 /// Threads of a workgroup.
 const THREADS: u32 = 128;

@@ -25,9 +25,10 @@ use use3d_io_colmap::{Model, ModelForm, read_model, read_model_as};
 use use3d_survey::Survey;
 
 use crate::error::ImportError;
+use crate::folder::is_prepared;
 use crate::layout::find_models;
 use crate::params::ImportParams;
-use crate::prepared::{MODEL, from_row_major, is_prepared};
+use crate::prepared::{MODEL, from_row_major};
 use crate::undistort::{choose_pinhole, is_pinhole};
 
 /// Reads cameras with their names, in COLMAP's frame.

@@ -13,9 +13,9 @@ use use3d_io_realityscan::{is_cameras_table, is_sidecar, parse_sidecars, read_si
 use use3d_survey::Survey;
 
 use crate::error::ImportError;
+use crate::folder::{IMAGE_DIRS, MANIFEST, SourceFolder, may_hold_photographs, subfolders};
 use crate::labels;
-use crate::layout::{DEPTH_DIRS, FoundModel, IMAGE_DIRS, MASK_DIRS, SourceFolder, find_colmap, subfolders};
-use crate::prepared::{MANIFEST, is_prepared};
+use crate::layout::{FoundModel, find_colmap};
 
 /// A format of models.
 #[derive(Debug)]
@@ -238,13 +238,6 @@ fn places_of_photographs(dir: &Path) -> Vec<String> {
     places.extend(others.filter(|name| !IMAGE_DIRS.contains(&name.as_str())));
     places.push(".".into());
     places
-}
-
-/// False for a folder of a capture that holds other images of the same names: masks, depth priors, the truth
-/// of a synthetic capture, and captures that an import wrote.
-pub(crate) fn may_hold_photographs(dir: &Path, name: &str) -> bool {
-    let other = MASK_DIRS.contains(&name) || DEPTH_DIRS.contains(&name) || name == "truth";
-    !other && !is_prepared(&dir.join(name))
 }
 
 fn no_metashape(names: &[String]) -> Option<&'static str> {

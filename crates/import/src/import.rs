@@ -16,8 +16,9 @@ use use3d_io_image::{ImageInfo, image_info};
 use use3d_survey::{PosedImage, Survey, SurveyPoint};
 
 use crate::error::ImportError;
+use crate::folder::{DEPTH_DIRS, MASK_DIRS, SourceFolder, is_prepared};
 use crate::geometry::Geometry;
-use crate::layout::{DEPTH_DIRS, FoundModel, MASK_DIRS, SourceFolder, find_extra, find_images, find_models};
+use crate::layout::{FoundModel, find_extra, find_images, find_models};
 use crate::metres;
 use crate::normalise;
 use crate::params::{ImportParams, WhiteBalance};
@@ -103,7 +104,7 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
         let source = std::io::Error::new(std::io::ErrorKind::NotFound, what);
         return Err(ImportError::File { path: dir.to_path_buf(), source });
     }
-    if prepared::is_prepared(dir) {
+    if is_prepared(dir) {
         let mut imported = prepared::load_prepared(dir)?;
         if *params != ImportParams::default() {
             let note = "this capture is already imported; the parameters of that import are used, not the \

@@ -11,8 +11,7 @@ use use3d_capture::FileName;
 use use3d_survey::Survey;
 
 use crate::error::ImportError;
-use crate::formats::may_hold_photographs;
-use crate::layout::{IMAGE_EXTENSIONS, SourceFolder};
+use crate::folder::{IMAGE_EXTENSIONS, SourceFolder, may_hold_photographs};
 
 /// The outcome for one label.
 enum Fit {

@@ -35,6 +35,7 @@
 
 mod cameras;
 mod error;
+mod folder;
 mod formats;
 mod geometry;
 mod import;
@@ -55,10 +56,11 @@ mod white_balance;
 
 pub use cameras::{camera_list, read_cameras, read_images_txt};
 pub use error::ImportError;
+pub use folder::is_prepared;
 pub use import::{Imported, capture_name, import};
 pub use layout::{check_layout, has_depth_folder, holds_no_model};
 pub use load::{load_depth_prior, load_mask, load_pixels};
 pub use params::{ImageSize, ImportParams, SplitOrder, SplitParams, WhiteBalance};
 pub use prepare::{PreparedView, Progress, prepare};
-pub use prepared::{Extent, is_prepared, load_prepared, prepared_extent, prepared_world};
+pub use prepared::{Extent, load_prepared, prepared_extent, prepared_world};
 pub use report::{CameraReport, ImportReport};

@@ -26,7 +26,7 @@ use use3d_survey::{
 };
 
 use crate::error::ImportError;
-use crate::layout::SourceFolder;
+use crate::folder::SourceFolder;
 
 const LENGTHS: &str = "lengths.csv";
 const POSITIONS: &str = "positions.csv";

@@ -7,7 +7,6 @@
 //! transformed by the frame. `capture.json` is written last: a folder without it was not finished.
 
 use std::collections::BTreeMap;
-use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -18,15 +17,12 @@ use use3d_io_colmap::read_model;
 use use3d_survey::{Survey, World};
 
 use crate::error::ImportError;
+use crate::folder::{FORMAT, MANIFEST, SourceFolder};
 use crate::geometry::Geometry;
 use crate::import::{Imported, Plan, capture_name, sparse_points};
-use crate::layout::SourceFolder;
 use crate::params::WhiteBalance;
 use crate::report::ImportReport;
 
-/// The manifest's name.
-pub(crate) const MANIFEST: &str = "capture.json";
-const FORMAT: &str = "3d-use capture";
 const VERSION: u32 = 1;
 /// The folder of the model.
 pub(crate) const MODEL: &str = "sparse/0";
@@ -81,14 +77,6 @@ pub(crate) fn row_major(m: &DMat3) -> [f64; 9] {
 /// A matrix from its row-major entries.
 pub(crate) fn from_row_major(m: &[f64; 9]) -> DMat3 {
     DMat3::from_cols_array(m).transpose()
-}
-
-/// True if [`crate::prepare`] finished this folder.
-pub fn is_prepared(dir: &Path) -> bool {
-    // Another tool may write a file of that name, so its first bytes are checked.
-    let Ok(file) = std::fs::File::open(dir.join(MANIFEST)) else { return false };
-    let mut head = Vec::new();
-    file.take(200).read_to_end(&mut head).is_ok() && String::from_utf8_lossy(&head).contains(FORMAT)
 }
 
 /// Writes the manifest; paths in the capture must be below `dir`.

@@ -14,9 +14,9 @@ use std::path::Path;
 
 use use3d_capture::FileName;
 
+use crate::camera::ModelCamera;
 use crate::error::ModelError;
 use crate::lens::LensModel;
-use crate::model::ModelCamera;
 use crate::{Keypoint, ModelImage, ModelPoint};
 
 /// The unread rest of a file.

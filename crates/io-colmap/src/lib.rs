@@ -8,16 +8,18 @@
 //! `import`.
 
 pub mod binary;
+mod camera;
 mod error;
 mod lens;
 mod model;
 mod survey;
 pub mod text;
 
+pub use camera::ModelCamera;
 pub use error::ModelError;
 pub use lens::LensModel;
 pub use model::{
-    Model, ModelCamera, ModelForm, count_images, fits_single, form_of, read_model, read_model_as,
-    write_model_binary, write_model_text,
+    Model, ModelForm, count_images, fits_single, form_of, read_model, read_model_as, write_model_binary,
+    write_model_text,
 };
 pub use use3d_survey::{Keypoint, Lens, PosedImage as ModelImage, SurveyPoint as ModelPoint};

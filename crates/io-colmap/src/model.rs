@@ -9,44 +9,11 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use use3d_survey::{Lens, PosedImage as ModelImage, SurveyPoint as ModelPoint};
+use use3d_survey::{PosedImage as ModelImage, SurveyPoint as ModelPoint};
 
+use crate::camera::ModelCamera;
 use crate::error::ModelError;
-use crate::lens::LensModel;
 use crate::{binary, text};
-
-/// A camera: a lens model with parameters, and the size of its images.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ModelCamera {
-    /// The id that images refer to.
-    pub id: u32,
-    /// The lens model.
-    pub model: LensModel,
-    /// Image width, pixels.
-    pub width: usize,
-    /// Image height, pixels.
-    pub height: usize,
-    /// Parameters in COLMAP's order.
-    pub parameters: Vec<f64>,
-}
-
-impl ModelCamera {
-    /// A pinhole camera (`PINHOLE`) of these intrinsics.
-    pub fn pinhole(id: u32, k: &use3d_capture::Intrinsics) -> Self {
-        Self {
-            id,
-            model: LensModel::Pinhole,
-            width: k.width,
-            height: k.height,
-            parameters: vec![k.fx, k.fy, k.cx, k.cy],
-        }
-    }
-
-    /// The lens; `None` if the number of parameters is wrong (never for a model that was read).
-    pub fn lens(&self) -> Option<Lens> {
-        self.model.lens(&self.parameters)
-    }
-}
 
 /// A model.
 #[derive(Clone, Debug, Default, PartialEq)]

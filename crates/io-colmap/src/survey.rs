@@ -8,9 +8,10 @@ use std::path::Path;
 
 use use3d_survey::{Lens, Projection, Survey, SurveyCamera};
 
+use crate::camera::ModelCamera;
 use crate::error::ModelError;
 use crate::lens::LensModel;
-use crate::model::{Model, ModelCamera};
+use crate::model::Model;
 
 use LensModel as M;
 

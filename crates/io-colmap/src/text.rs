@@ -16,9 +16,9 @@ use std::str::{FromStr, SplitAsciiWhitespace};
 
 use use3d_capture::{FileName, shown};
 
+use crate::camera::ModelCamera;
 use crate::error::ModelError;
 use crate::lens::LensModel;
-use crate::model::ModelCamera;
 use crate::{Keypoint, ModelImage, ModelPoint};
 
 type Result<T> = std::result::Result<T, ModelError>;

@@ -4,7 +4,7 @@
 use use3d_capture::{Camera, Lattice, MediumMaps};
 
 use crate::directional::{self, initial_coefficients};
-use crate::kinds::{Harmonics, Medium, MediumStart};
+use crate::medium::{Harmonics, Medium, MediumStart};
 use crate::tensors::{self, Put, Tensors};
 use crate::{Coefficients, MediumError, Role};
 

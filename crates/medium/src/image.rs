@@ -8,7 +8,7 @@
 
 use use3d_capture::{Camera, Formation, Lattice, MediumMaps};
 
-use crate::kinds::{Harmonics, Medium, MediumStart};
+use crate::medium::{Harmonics, Medium, MediumStart};
 use crate::tensors::{Put, Tensors};
 use crate::{Coefficients, MediumError, MediumGlobal, Role};
 

@@ -21,7 +21,7 @@ use use3d_numerics::rows::{self, LANES};
 use use3d_numerics::spherical_harmonics::basis_lanes;
 
 use crate::directional::{Rays, STRIP, planes, strips};
-use crate::kinds::{Medium, MediumStart};
+use crate::medium::{Medium, MediumStart};
 use crate::tensors::{self, Put, Tensors};
 use crate::{MediumError, Role};
 

@@ -17,7 +17,7 @@ use use3d_capture::{Camera, Lattice, MediumMaps};
 use use3d_numerics::math;
 
 use crate::directional::{self, CoefficientGradients, Coefficients, initial_coefficients};
-use crate::kinds::{Anchors, Harmonics, Medium, MediumStart};
+use crate::medium::{Anchors, Harmonics, Medium, MediumStart};
 use crate::tensors::{self, MOST_ANCHORS, Put, Tensors};
 use crate::{MediumError, Role};
 

@@ -2,14 +2,15 @@
 
 use std::sync::OnceLock;
 
-use use3d_build::code::{CodeRules, CodeTable};
+use use3d_workflow::code::{CodeRules, CodeTable};
 
 /// The files of this crate count one by one. The reader of pipeline files does not count, because it writes
 /// no byte of an artifact. The choice of an engine does not count either, because a key already holds the
-/// numeric class of its engine.
+/// numeric class of its engine. The build system writes no byte of an artifact either.
 pub const RULES: CodeRules = CodeRules {
     by_file: "pipeline",
     not_followed: &["src/config/", "src/engines/"],
+    crates_not_followed: &["use3d-workflow"],
     absent: if cfg!(feature = "nets") { &[] } else { &["use3d-nets"] },
 };
 

@@ -4,7 +4,7 @@
 //! results folder. The losses and gradients of the method are in other crates; this one connects their
 //! functions.
 //!
-//! The crate `build` defines stages and decides when one must run. [`stages`] is the table of the method's
+//! The crate `workflow` defines stages and decides when one must run. [`stages`] is the table of the method's
 //! stages, [`code`] is the table of the source code that they are made of, and [`config`] reads pipeline
 //! files. [`judge`] compares, times and tabulates. [`results`] copies the results to the results folder, with
 //! a [page per scene](scene_page) for a browser and a record of the settings behind them (`made_by`).

@@ -11,9 +11,9 @@ use std::path::Path;
 use serde_json::{Value, json};
 use use3d_atc::calibrator::{METHOD_PAIRS, Provenance};
 use use3d_atc::consensus::TargetsReport;
-use use3d_build::Summary;
-use use3d_build::run::RanNode;
 use use3d_import::load_prepared;
+use use3d_workflow::Summary;
+use use3d_workflow::run::RanNode;
 
 use crate::config::preset_values;
 use crate::judge::configuration::Configuration;

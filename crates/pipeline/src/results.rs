@@ -11,12 +11,12 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use serde::Serialize;
-use use3d_build::delivered::{MadeOf, Notes};
-use use3d_build::place::{self, Look, PlaceError, Standing};
-use use3d_build::run::{Became, RanNode};
-use use3d_build::{Artifact, Cache, Digest, Graph, Summary};
 use use3d_files::write_atomically;
 use use3d_scene::White;
+use use3d_workflow::delivered::{MadeOf, Notes};
+use use3d_workflow::place::{self, Look, PlaceError, Standing};
+use use3d_workflow::run::{Became, RanNode};
+use use3d_workflow::{Artifact, Cache, Digest, Graph, Summary};
 
 use crate::judge::configuration::Configuration;
 use crate::judge::report::{StageRow, shortened, with_configurations, with_costs, with_tables, with_views};
@@ -586,8 +586,12 @@ fn rows(summary: &Summary) -> Vec<StageRow> {
         Some(StageRow {
             scene,
             stage: node.stage.to_string(),
-            state: if matches!(node.result, use3d_build::run::Became::Done) { "computed" } else { "cached" }
-                .into(),
+            state: if matches!(node.result, use3d_workflow::run::Became::Done) {
+                "computed"
+            } else {
+                "cached"
+            }
+            .into(),
             seconds: manifest.full_seconds(),
             memory: (manifest.peak_memory > 0).then(|| mib(manifest.peak_memory)),
             size: mib(manifest.bytes()),

@@ -20,8 +20,8 @@
 use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
-use use3d_build::{Digest, Registry, canonical};
 use use3d_pipeline::stages::registry;
+use use3d_workflow::{Digest, Registry, canonical};
 
 /// The pages for tables of figures.
 const FIGURES: [&str; 2] = ["docs/science/results.md", "docs/science/performance.md"];

@@ -12,7 +12,7 @@ use use3d_pipeline::stages::registry;
 const NOT_FOLLOWED: [&str; 2] = ["src/config/", "src/engines/"];
 /// Crates that write no byte of an artifact either: the build system, and the code for cards, which the
 /// numeric class covers.
-const CRATES_NOT_FOLLOWED: [&str; 2] = ["use3d-build", "use3d-gpu"];
+const CRATES_NOT_FOLLOWED: [&str; 2] = ["use3d-workflow", "use3d-gpu"];
 
 fn pipeline() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).to_path_buf()

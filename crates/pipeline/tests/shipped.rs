@@ -3,9 +3,9 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-use use3d_build::Graph;
 use use3d_pipeline::config::{LoadOptions, from_text, load, parameters, presets, schema_text};
 use use3d_pipeline::stages::registry;
+use use3d_workflow::Graph;
 
 fn folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../pipelines")
@@ -118,9 +118,9 @@ fn without_depth_is_there_as_the_authors_ran_it_and_with_the_prior_alone_off() {
 #[cfg(feature = "nets")]
 #[test]
 fn depth_priors_are_made_where_the_weights_are_and_the_capture_has_none() {
-    use use3d_build::plan::State;
-    use use3d_build::{Builder, Cache};
     use use3d_pipeline::config::for_capture;
+    use use3d_workflow::plan::State;
+    use use3d_workflow::{Builder, Cache};
 
     let dir = tempfile::tempdir().expect("folder");
     let at = |name: &str| {

@@ -8,12 +8,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use serde_json::{Value, json};
-use use3d_build::code::CodeTable;
-use use3d_build::{
-    Batch, BatchScene, Builder, Cache, Graph, Listener, Registry, RunOptions, Silent, Variant,
-};
 use use3d_pipeline::code::{RULES, built_in};
 use use3d_pipeline::stages::registry;
+use use3d_workflow::code::CodeTable;
+use use3d_workflow::{
+    Batch, BatchScene, Builder, Cache, Graph, Listener, Registry, RunOptions, Silent, Variant,
+};
 
 fn table() -> Registry {
     registry().expect("the stage table")
@@ -103,8 +103,8 @@ fn every_stage_is_made_of_the_files_it_uses_and_of_no_others() {
         ("evaluate", "use3d-reconstruct"),
         ("evaluate", "use3d-enhance"),
         // The code that decides if a stage runs is no part of its result.
-        ("import", "use3d-build"),
-        ("report", "use3d-build"),
+        ("import", "use3d-workflow"),
+        ("report", "use3d-workflow"),
     ] {
         assert!(!has(stage, unused), "{stage} needs not be made of {unused}");
     }
@@ -219,7 +219,7 @@ fn a_token_in_any_file_makes_every_stage_stale_that_reaches_it() {
         let (krate, file) = path.split_once('/').expect("a crate");
         match krate {
             // The numeric class covers the results of a graphics card: it contains the digest of the kernels.
-            "cli" | "cluster" | "golden" | "build" | "store" | "web" | "viewer" | "gpu" => true,
+            "cli" | "cluster" | "code" | "golden" | "workflow" | "store" | "web" | "viewer" | "gpu" => true,
             // They end before the first stage: one makes captures, the other only speaks about them.
             "prepare" | "check" => true,
             "pipeline" => WITHOUT_ARTIFACTS.iter().any(|known| file.starts_with(known)),
@@ -433,7 +433,7 @@ fn one_seed_moves_every_stage_that_draws() {
         Variant { name: "seed-7".into(), seed: Some(7), ..Variant::default() },
     ];
     let graph = Graph::new(&table, &batch).expect("a graph");
-    let other = |n: &&use3d_build::graph::Node| n.variant == "seed-7";
+    let other = |n: &&use3d_workflow::graph::Node| n.variant == "seed-7";
     let shared: Vec<&str> =
         graph.nodes.iter().filter(other).filter(|n| n.same_as.is_some()).map(|n| n.stage_name).collect();
     assert_eq!(shared, ["import"]);
@@ -480,7 +480,7 @@ fn forecasts_of_memory_follow_the_size_of_the_pictures_and_change_no_key() {
         let externals = [("capture".into(), Ok(capture))].into();
         batch.scenes.push(BatchScene { name: format!("reef-{side}"), externals, ..BatchScene::default() });
         let graph = Graph::new(&builder.registry, &batch).expect("a graph");
-        let of = |plan: &use3d_build::Plan| -> BTreeMap<&'static str, Option<u64>> {
+        let of = |plan: &use3d_workflow::Plan| -> BTreeMap<&'static str, Option<u64>> {
             plan.nodes.iter().map(|n| (n.stage, n.memory)).collect()
         };
         let before = of(&builder.plan(&graph, None));

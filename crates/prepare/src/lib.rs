@@ -31,9 +31,9 @@ mod work;
 
 pub use error::PrepareError;
 pub use params::{Mapper, Matching, PrepareParams};
-pub use prepare::{CAPTURE, Input, PREPARED, Prepared, check, key_of, prepare, work_folder};
+pub use prepare::{CAPTURE, Input, Prepared, check, key_of, prepare, work_folder};
 pub use process::{StepProgress, StepWatch};
 pub use recipes::{Recipe, RecipeScene, RecipeWork, balance, publish};
-pub use sources::{Sources, holds_inputs, is_film, is_photograph};
+pub use sources::{PREPARED, Sources, holds_inputs, is_film, is_photograph};
 pub use tools::{Finder, Program, Programs};
 pub use verdict::{CameraVerdict, Grade};

@@ -17,13 +17,11 @@ use crate::params::{FEWEST, PrepareParams};
 use crate::photographs;
 use crate::process::{StepProgress, StepWatch};
 use crate::sfm::{FEATURES_DB, IMAGES, MATCHES_DB, MODELS, Sfm, groups};
-use crate::sources::{BESIDE, Sources};
+use crate::sources::{BESIDE, PREPARED, Sources};
 use crate::tools::{Finder, Program, Programs};
 use crate::verdict::{CameraVerdict, Grade, ModelContext, judge, models, remedies};
 use crate::work::{Step, Work, hash};
 
-/// The record of a preparation, in the capture's folder.
-pub const PREPARED: &str = "prepare.json";
 /// The finished capture, in the folder of the work.
 pub const CAPTURE: &str = "capture";
 /// Changes when images are chosen or written in another way.

@@ -9,7 +9,9 @@ use use3d_capture::FileName;
 use use3d_io_image::{FileFormat, image_info, read_exif};
 
 use crate::error::PrepareError;
-use crate::prepare::PREPARED;
+
+/// The record of a preparation, in the capture's folder.
+pub const PREPARED: &str = "prepare.json";
 
 const FILMS: [&str; 14] =
     ["mp4", "mov", "avi", "mkv", "webm", "m4v", "mts", "m2ts", "mpg", "mpeg", "wmv", "3gp", "lrv", "insv"];

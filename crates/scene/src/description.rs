@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use use3d_capture::{Appearance, Frame, KeptWater, World, shown};
 use use3d_medium::MediumKind;
 
+use crate::files::MediumEntry;
 use crate::{Origin, Scene, SceneError, files};
 
 /// The file's name.
@@ -43,17 +44,6 @@ pub(crate) struct FrameRows {
     scale: f64,
     rotation: [f64; 9],
     translation: [f64; 3],
-}
-
-#[derive(Debug, Serialize, Deserialize)]
-pub(crate) struct MediumEntry {
-    pub(crate) kind: String,
-    #[serde(default)]
-    pub(crate) file: Option<String>,
-    #[serde(default)]
-    pub(crate) top_k: Option<usize>,
-    #[serde(default)]
-    pub(crate) sh_degree: Option<usize>,
 }
 
 #[derive(Debug, Serialize, Deserialize)]

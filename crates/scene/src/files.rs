@@ -5,6 +5,7 @@ use std::fs::File;
 use std::io::{BufReader, BufWriter, Read, Write};
 use std::path::Path;
 
+use serde::{Deserialize, Serialize};
 use use3d_capture::shown;
 use use3d_medium::{MediumKind, MediumModel, Tensor, Tensors};
 use use3d_splat::{Gaussians, ply};
@@ -12,7 +13,6 @@ use use3d_tensors::{TensorError, TensorFile, TensorWriter};
 use use3d_ubaf::Enhancement;
 
 use crate::SceneError;
-use crate::description::MediumEntry;
 
 pub(crate) const GAUSSIANS: &str = "gaussians.ply";
 pub(crate) const MEDIUM: &str = "medium.safetensors";
@@ -20,6 +20,18 @@ pub(crate) const ENHANCEMENT: &str = "ubaf.safetensors";
 /// Largest size of a tensor file, bytes. A medium or an enhancement has a few hundred kilobytes; a larger
 /// file must be something else.
 const MOST_TENSOR_BYTES: u64 = 1 << 28;
+
+/// The part of `scene.json` that names the file of the water.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct MediumEntry {
+    pub(crate) kind: String,
+    #[serde(default)]
+    pub(crate) file: Option<String>,
+    #[serde(default)]
+    pub(crate) top_k: Option<usize>,
+    #[serde(default)]
+    pub(crate) sh_degree: Option<usize>,
+}
 
 fn io(path: &Path) -> impl Fn(std::io::Error) -> SceneError + '_ {
     move |source| SceneError::Io { path: path.into(), source }

@@ -12,7 +12,7 @@ use object_store::{
     PutPayload, RetryConfig,
 };
 use tokio::runtime::Runtime;
-use use3d_build::remote::{Listed, Remote, RemoteError};
+use use3d_workflow::remote::{Listed, Remote, RemoteError};
 
 /// Larger objects are uploaded in parts of this size, in bytes.
 const PART: u64 = 16 << 20;

@@ -1,7 +1,7 @@
 //! Opens a store beside the cache by its address: a folder's path, `file:///…`, or `s3://BUCKET/PREFIX`.
 //!
 //! The input is an address, and the output is a [`Remote`], which defines the operations of a store.
-//! `use3d_build::remote` sends artifacts to one and fetches them. The program uses a network only here, only
+//! `use3d_workflow::remote` sends artifacts to one and fetches them. The program uses a network only here, only
 //! with the feature `s3`, and only for the given address.
 
 #[cfg(feature = "s3")]
@@ -10,7 +10,7 @@ mod bucket;
 use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
-use use3d_build::remote::{FolderStore, Remote};
+use use3d_workflow::remote::{FolderStore, Remote};
 
 /// The folder of an address, if the address is one of a folder.
 pub fn folder(address: &str) -> Option<PathBuf> {

@@ -22,9 +22,9 @@ use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
 
 use faults::{Fault, Proxy};
-use use3d_build::code::CodeTable;
-use use3d_build::remote::{Remote, RemoteError, RemoteStore};
-use use3d_build::{
+use use3d_workflow::code::CodeTable;
+use use3d_workflow::remote::{Remote, RemoteError, RemoteStore};
+use use3d_workflow::{
     Batch, BatchScene, Builder, Cache, Graph, Listener, Registry, RunOptions, Scope, Silent, Stage,
 };
 

@@ -11,12 +11,13 @@ use use3d_numerics::math;
 
 use crate::covariance::{Covariance, covariance};
 use crate::data::Data;
-use crate::estimate::{ChannelWater, Measured, WaterParams};
 use crate::formation::{ATTENUATION, BACKSCATTER, Channel, GAIN, VEIL};
 use crate::noise::{Noise, square};
 use crate::open::Open;
+use crate::params::WaterParams;
 use crate::solve::{CAUCHY, ChannelFit, Prior, fit, loss};
 use crate::verdict::Verdict;
+use crate::water::{ChannelWater, Measured};
 
 /// The veil that is assumed beforehand, display range, and the width of its logarithm.
 const VEIL_PRIOR: (f64, f64) = (0.35, 0.6);

@@ -4,10 +4,10 @@
 use glam::DVec3;
 
 use crate::blocks::blocks;
-use crate::estimate::WaterParams;
 use crate::formation::Channel;
 use crate::observe::{Observation, Sights};
 use crate::open::{Open, OpenWater};
+use crate::params::WaterParams;
 
 /// The data that all channels share.
 pub(crate) struct Data {

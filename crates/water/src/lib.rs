@@ -33,13 +33,17 @@ mod jerlov;
 mod noise;
 mod observe;
 mod open;
+mod params;
 mod patch;
 mod solve;
 mod verdict;
+mod water;
 
 pub use air::{Glance, glances, shows_air};
-pub use estimate::{ChannelWater, Measured, Water, WaterParams, estimate, estimate_sizes};
+pub use estimate::{estimate, estimate_sizes};
 pub use jerlov::JERLOV;
 pub use observe::{Observation, ObserveError, Sights, observe, observe_sizes};
 pub use open::OpenWater;
+pub use params::WaterParams;
 pub use verdict::Verdict;
+pub use water::{ChannelWater, Measured, Water};

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use crate::estimate::ChannelWater;
+use crate::water::ChannelWater;
 
 /// The knowledge of one channel's water that the capture allows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -18,6 +18,7 @@ mod dataset;
 mod evaluate;
 mod head;
 mod mlp;
+mod params;
 mod product;
 mod released;
 mod statistics;
@@ -40,10 +41,11 @@ pub use dataset::{Dataset, PairExample, PairImages, Skipped};
 pub use evaluate::{ErrorChange, HeldOutReport, TransitionErrors, evaluate, held_out};
 pub use head::Head;
 pub use mlp::{Linear, Mlp};
+pub use params::{CalibratorParams, LastLayer, METHOD_PAIRS, Scales};
 pub use released::ReleasedConfig;
 pub use statistics::{CONDITION_FLOOR, RANGE_FLOOR, SCALE_FLOOR, Statistics};
 pub use stopping::train;
-pub use training::{CalibratorParams, LastLayer, METHOD_PAIRS, Scales, fit};
+pub use training::fit;
 
 /// Conditions of the global head: descriptor 18, proposal 12.
 pub const GLOBAL_CONDITION: usize = GLOBAL_DESCRIPTOR + 12;

@@ -24,8 +24,7 @@ pub(crate) use check::CheckArgs;
 pub(crate) use cluster::{CancelArgs, Submit, SubmitArgs, SubmitLayout};
 pub(crate) use pictures::{CameraPath, ExportArgs, ExportFrame, ExportWhat, FrameFormat, RenderArgs};
 pub(crate) use pipelines::{
-    CompareArgs, DemoArgs, DemoSize, GraphArgs, GraphFormat, PlanArgs, ResultsArgs, RunArgs, StatusArgs,
-    WhyArgs,
+    CompareArgs, DemoArgs, DemoSize, PlanArgs, ResultsArgs, RunArgs, StatusArgs, WhyArgs,
 };
 pub(crate) use prepare::{PrepareArgs, usual_programs};
 pub(crate) use remote::{PushArgs, RemoteArgs, Store, StoreGcArgs, StoreLsArgs, TransferArgs};
@@ -160,9 +159,9 @@ pub(crate) enum Verb {
     /// Show which ingredient of a stage's key changed, with its old and new value.
     #[command(after_help = "Example:\n  use3d why pipelines/seathru4.toml Panama enhance")]
     Why(WhyArgs),
-    /// Print the pipeline's graph with its states, as Mermaid or SVG.
-    #[command(after_help = "Example:\n  use3d graph pipelines/seathru4.toml --format svg > graph.svg")]
-    Graph(GraphArgs),
+    /// Print the pipeline's graph with its states, as Mermaid text that many web pages display.
+    #[command(after_help = "Example:\n  use3d graph pipelines/seathru4.toml > graph.mmd")]
+    Graph(PipelineArgs),
     /// Make a capture from films or photographs: choose frames, and find the cameras with COLMAP.
     #[command(after_help = "Examples:\n  use3d prepare dive.mp4 --out my-reef/\n  \
         use3d prepare photos/ --out my-reef/ --matching exhaustive\n  \

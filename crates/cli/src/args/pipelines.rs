@@ -173,21 +173,3 @@ pub(crate) struct WhyArgs {
     #[arg(long)]
     pub(crate) json: bool,
 }
-
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-pub(crate) enum GraphFormat {
-    /// Text that many web pages display as a graph.
-    #[default]
-    Mermaid,
-    /// A picture.
-    Svg,
-}
-
-#[derive(Debug, Args)]
-pub(crate) struct GraphArgs {
-    #[command(flatten)]
-    pub(crate) pipeline: PipelineArgs,
-    /// The output format.
-    #[arg(long, value_enum, default_value_t)]
-    pub(crate) format: GraphFormat,
-}

@@ -4,9 +4,6 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use serde_json::Value;
-use use3d_build::machine::seconds;
-use use3d_build::plan::State;
-use use3d_build::{Builder, Cache, Event, Graph, Plan, RunOptions, Summary, place};
 use use3d_pipeline::bench::captures::{Capture, named};
 use use3d_pipeline::bench::figures::{FORMAT, Scored, TruthFigures, of_capture};
 use use3d_pipeline::bench::output;
@@ -16,14 +13,18 @@ use use3d_pipeline::config::{LoadOptions, Pipeline, from_text};
 use use3d_pipeline::judge::scores::SceneScores;
 use use3d_pipeline::judge::truth::Truth;
 use use3d_pipeline::stages::{ProposerChoice, evaluate::SCORES, open_proposer, read_json};
+use use3d_workflow::machine::seconds;
+use use3d_workflow::plan::State;
+use use3d_workflow::{Builder, Cache, Event, Graph, Plan, RunOptions, Summary, place};
 
 use crate::App;
 use crate::args::{Baselines, BenchTruthArgs};
 use crate::destination::path_text;
 use crate::error::{CliError, Done};
 use crate::size::parse_size;
-use crate::verbs::run::json;
-use crate::verbs::stages::{scratch, stages};
+use crate::verbs::json::json;
+use crate::verbs::loaded::stages;
+use crate::verbs::stages::scratch;
 use crate::verbs::synth::keep_capture;
 
 /// Seconds of a training step per pixel, on two cores, if no earlier run gives a better value: 8 ms at

@@ -8,9 +8,9 @@ use crate::error::{CliError, Done};
 pub(crate) fn gpu(app: &App, args: &BenchGpuArgs) -> Done {
     use std::io::Write;
 
-    use use3d_build::machine::seconds;
     use use3d_gpu::Gpu;
     use use3d_gpu::bench::{BenchPlan, BenchRecord, bench};
+    use use3d_workflow::machine::seconds;
 
     use crate::destination::{check_file, path_text, write_file};
     use crate::size::parse_size;

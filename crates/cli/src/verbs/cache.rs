@@ -3,18 +3,19 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use use3d_build::gc::{CleanOptions, parse_age, parse_bytes};
-use use3d_build::machine::bytes;
-use use3d_build::place::parent;
-use use3d_build::{Cache, RunOptions};
 use use3d_pipeline::config::default_cache;
+use use3d_workflow::gc::{CleanOptions, parse_age, parse_bytes};
+use use3d_workflow::machine::bytes;
+use use3d_workflow::place::parent;
+use use3d_workflow::{Cache, RunOptions};
 
 use crate::App;
 use crate::args::{CacheArgs, GcArgs, PipelineArgs, VerifyArgs};
 use crate::destination::path_text;
 use crate::error::{CliError, Done};
-use crate::verbs::run::{json, open};
-use crate::verbs::stages::stages;
+use crate::verbs::json::json;
+use crate::verbs::loaded::open;
+use crate::verbs::loaded::stages;
 
 fn cache(args: &CacheArgs) -> Result<Cache, CliError> {
     let folder = match &args.cache {
@@ -25,7 +26,7 @@ fn cache(args: &CacheArgs) -> Result<Cache, CliError> {
         let folder = path_text(&folder);
         return Err(CliError::Input(format!("--cache {folder}: there is no such folder; expected a cache")));
     }
-    Ok(Cache::open(&folder, args.rehash).map_err(CliError::input)?.with_promises(&stages()?))
+    Ok(Cache::open(&folder, args.rehash).map_err(CliError::input)?.with_promises(stages()?.promises()))
 }
 
 pub(crate) fn gc(args: &GcArgs) -> Done {

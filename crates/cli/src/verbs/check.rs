@@ -18,7 +18,8 @@ use crate::args::CheckArgs;
 use crate::destination::{check_file, path_text, word, write_file};
 use crate::error::{CliError, Done};
 use crate::interrupt;
-use crate::verbs::stages::{imported, parameters, scratch, stages};
+use crate::verbs::loaded::stages;
+use crate::verbs::stages::{imported, parameters, scratch};
 
 /// The longer side of a small picture, pixels.
 const SMALL: usize = 320;
@@ -84,7 +85,7 @@ pub(crate) fn run(app: &App, args: &CheckArgs) -> Done {
         write_file("--html", file, |writer| writer.write_all(html.as_bytes()))?;
     }
     if args.json {
-        return crate::verbs::run::json(&report);
+        return crate::verbs::json::json(&report);
     }
     print!("{report}");
     if let (Some(file), false) = (&args.html, app.quiet) {

@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
-use use3d_build::manifest::MANIFEST;
 use use3d_io_image::read_image;
 use use3d_pipeline::judge::report::{Page, Picture, SceneSection, ViewSection};
 use use3d_pipeline::judge::scores::{Method, SceneScores};
@@ -13,6 +12,7 @@ use use3d_pipeline::judge::verdict::{Sentence, Tone};
 use use3d_pipeline::stages::evaluate::SCORES;
 use use3d_pipeline::stages::read_json;
 use use3d_pipeline::stages::report::best_method;
+use use3d_workflow::manifest::MANIFEST;
 
 use crate::App;
 use crate::args::CompareArgs;

@@ -8,9 +8,9 @@ use crate::error::Done;
 #[cfg(feature = "gpu")]
 pub(crate) fn run(args: &DevicesArgs) -> Done {
     use serde_json::json;
-    use use3d_build::machine::bytes;
     use use3d_gpu::bench::AdapterRecord;
     use use3d_gpu::{AdapterReport, DeviceError, checked_adapters};
+    use use3d_workflow::machine::bytes;
 
     /// An adapter with the result of its check.
     #[derive(serde::Serialize)]
@@ -35,7 +35,7 @@ pub(crate) fn run(args: &DevicesArgs) -> Done {
                 refusal: said.as_ref().err().map(ToString::to_string),
             })
             .collect();
-        return crate::verbs::run::json(&json!({ "adapters": adapters }));
+        return crate::verbs::json::json(&json!({ "adapters": adapters }));
     }
     if all.is_empty() {
         println!("{}", DeviceError::None);

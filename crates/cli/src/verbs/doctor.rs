@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 use serde::Serialize;
-use use3d_build::machine::{self, bytes};
+use use3d_workflow::machine::{self, bytes};
 
 use crate::args::DoctorArgs;
 use crate::destination::path_text;
@@ -83,7 +83,7 @@ pub(crate) fn run(args: &DoctorArgs) -> Done {
         cards: cards(),
     };
     if args.json {
-        return crate::verbs::run::json(&report);
+        return crate::verbs::json::json(&report);
     }
     println!("use3d {}", version::WHOLE);
     let groups = [
@@ -127,7 +127,7 @@ fn this_machine(args: &DoctorArgs) -> Vec<Finding> {
     for (name, folder) in [("cache", cache), ("results", std::env::current_dir().ok())] {
         let Some(folder) = folder else { continue };
         let place = existing(&folder);
-        let writable = use3d_build::place::check_writable(&folder).is_ok();
+        let writable = use3d_workflow::place::check_writable(&folder).is_ok();
         let free = free_space(place).map_or_else(String::new, |free| format!(", {} free", bytes(free)));
         let refused = if writable { "" } else { ", cannot be written" };
         findings.push(Finding::new(name, writable, format!("{}{free}{refused}", path_text(&folder)), ""));

@@ -3,18 +3,19 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use use3d_build::machine::{available_memory, bytes};
 use use3d_capture::{Image, shown};
 use use3d_io_image::{image_size, read_image};
 use use3d_pipeline::judge::scores::{Method, SceneScores, Score, Scores};
 use use3d_pipeline::judge::scoring::Judges;
 use use3d_pipeline::stages::{evaluate::SCORES, read_json};
+use use3d_workflow::machine::{available_memory, bytes};
 
 use crate::App;
 use crate::args::{EvaluateArgs, TableFormat};
 use crate::error::{CliError, Done};
 use crate::interrupt;
-use crate::verbs::stages::{check_origin, imported, parameters, run_stage, scratch, stages};
+use crate::verbs::loaded::stages;
+use crate::verbs::stages::{check_origin, imported, parameters, run_stage, scratch};
 
 /// A named row of scores.
 struct ScoreRow {
@@ -196,7 +197,7 @@ fn print(rows: &[ScoreRow], format: TableFormat) -> Done {
                 .iter()
                 .map(|r| serde_json::json!({ "method": r.method, "image": r.image, "scores": r.scores }))
                 .collect();
-            return crate::verbs::run::json(&list);
+            return crate::verbs::json::json(&list);
         }
         TableFormat::Csv => {
             let quote = |text: &str| {

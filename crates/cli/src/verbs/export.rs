@@ -8,7 +8,6 @@ use std::path::Path;
 
 use clap::ValueEnum;
 use glam::{DMat3, DVec3};
-use use3d_build::machine::bytes;
 use use3d_capture::{Camera, Frame, stem};
 use use3d_import::read_cameras;
 use use3d_pipeline::baked::difference;
@@ -19,6 +18,7 @@ use use3d_render::{InWater, Look, Mode, bake_in_water};
 use use3d_scene::{Origin, Scene, similarity};
 use use3d_splat::{Gaussians, ply};
 use use3d_web::foreign::{NO_WATER, compressed_ply, glb, spz};
+use use3d_workflow::machine::bytes;
 
 use crate::App;
 use crate::args::{ExportArgs, ExportFrame, ExportWhat};

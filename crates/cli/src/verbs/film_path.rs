@@ -2,8 +2,6 @@
 
 use std::path::Path;
 
-use use3d_build::machine::bytes;
-use use3d_build::{Event, place};
 use use3d_capture::FileName;
 use use3d_import::read_images_txt;
 use use3d_pipeline::Drawn;
@@ -11,6 +9,8 @@ use use3d_render::{Mode, SceneRenderer, picture};
 use use3d_scene::Scene;
 use use3d_scene::white::Gains;
 use use3d_web::path::CameraPath;
+use use3d_workflow::machine::bytes;
+use use3d_workflow::{Event, place};
 
 use crate::App;
 use crate::args::{FrameFormat, RenderArgs};
@@ -18,7 +18,7 @@ use crate::destination::{check_file, path_text};
 use crate::error::{CliError, Done};
 use crate::interrupt;
 use crate::size::parse_size;
-use crate::verbs::render::{film, modes, not_filmed, write};
+use crate::verbs::drawing::{film, modes, not_filmed, write};
 use crate::verbs::web::text_of;
 
 /// The folder for frames with the path's own looks.

@@ -71,7 +71,7 @@ pub(crate) fn capture_in(given: &Path) -> Option<PathBuf> {
 mod tests {
     use std::sync::Arc;
 
-    use use3d_build::Silent;
+    use use3d_workflow::Silent;
 
     use super::*;
 

@@ -7,12 +7,12 @@
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
-use use3d_build::{Digest, Summary, machine};
+use use3d_workflow::{Digest, Summary, machine};
 
 use crate::args::PipelineArgs;
 use crate::destination::{path_text, word};
 use crate::error::CliError;
-use crate::verbs::run::Loaded;
+use crate::verbs::loaded::Loaded;
 
 const FORMAT: &str = "3d-use run";
 const VERSION: u32 = 1;

@@ -8,8 +8,8 @@ use crate::error::{CliError, Done};
 
 #[cfg(feature = "nets")]
 pub(crate) fn run(args: &ModelsArgs) -> Done {
-    use use3d_build::machine::bytes;
     use use3d_nets::models::DigestCheck;
+    use use3d_workflow::machine::bytes;
 
     use crate::interrupt;
 
@@ -41,7 +41,7 @@ pub(crate) fn run(args: &ModelsArgs) -> Done {
         _ => Ok(()),
     };
     if args.json {
-        crate::verbs::run::json(&status)?;
+        crate::verbs::json::json(&status)?;
         return complete();
     }
     let absent = if dir.is_dir() { "" } else { " (not there; name yours with --dir or USE3D_MODELS)" };

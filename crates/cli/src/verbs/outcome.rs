@@ -3,11 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
-use use3d_build::Summary;
-use use3d_build::place::PlaceError;
 use use3d_pipeline::judge::scores::{Method, MethodScores, SceneScores, Scores};
 use use3d_pipeline::results::Delivered;
 use use3d_pipeline::stages::{evaluate::SCORES, read_json, report::best_method};
+use use3d_workflow::Summary;
+use use3d_workflow::place::PlaceError;
 
 /// The document of `run --json`.
 #[derive(Serialize)]

@@ -4,8 +4,8 @@ use use3d_pipeline::config::parameters;
 
 use crate::args::ParamsArgs;
 use crate::error::{CliError, Done};
-use crate::verbs::run::json;
-use crate::verbs::stages::stages;
+use crate::verbs::json::json;
+use crate::verbs::loaded::stages;
 
 pub(crate) fn run(args: &ParamsArgs) -> Done {
     let stages =

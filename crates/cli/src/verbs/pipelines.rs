@@ -2,13 +2,13 @@
 //! has no folder `pipelines/` beside it, so the files are parts of the program.
 
 use serde::Serialize;
-use use3d_build::BuildError;
 use use3d_pipeline::config::schema_text;
+use use3d_workflow::BuildError;
 
 use crate::args::PipelinesArgs;
 use crate::error::{CliError, Done};
-use crate::verbs::run::json;
-use crate::verbs::stages::stages;
+use crate::verbs::json::json;
+use crate::verbs::loaded::stages;
 
 /// Each file's name, and its text.
 const FILES: [(&str, &str); 7] = [

@@ -4,11 +4,11 @@
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
-use use3d_build::{Digest, Event, place};
 use use3d_prepare::{
     CAPTURE, Grade, Input, PREPARED, PrepareError, PrepareParams, Prepared, Programs, Recipe, RecipeScene,
     RecipeWork, Sources, StepProgress, StepWatch, balance, check, key_of, prepare, publish, work_folder,
 };
+use use3d_workflow::{Digest, Event, place};
 
 use crate::App;
 use crate::args::{PrepareArgs, usual_programs};

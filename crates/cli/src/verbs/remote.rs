@@ -3,15 +3,17 @@
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-use use3d_build::gc::parse_age;
-use use3d_build::place::parent;
-use use3d_build::remote::{RemoteError, RemoteStore, Transferred};
+use use3d_workflow::Transferred;
+use use3d_workflow::gc::parse_age;
+use use3d_workflow::place::parent;
+use use3d_workflow::remote::{RemoteError, RemoteStore};
 
 use crate::App;
 use crate::args::{PipelineArgs, PushArgs, RemoteArgs, StoreGcArgs, StoreLsArgs, TransferArgs};
 use crate::destination::path_text;
 use crate::error::{CliError, Done};
-use crate::verbs::run::{Loaded, json, open};
+use crate::verbs::json::json;
+use crate::verbs::loaded::{Loaded, open};
 
 /// The store at an address.
 fn store(address: &str) -> Result<RemoteStore, CliError> {

@@ -3,17 +3,18 @@
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
-use use3d_build::cache::Lookup;
-use use3d_build::{Cache, machine};
 use use3d_pipeline::judge::scores::{Method, SceneScores};
 use use3d_pipeline::stages::evaluate::SCORES;
 use use3d_pipeline::stages::read_json;
+use use3d_workflow::cache::Lookup;
+use use3d_workflow::{Cache, machine};
 
 use crate::App;
 use crate::args::ResultsArgs;
 use crate::destination::{path_text, word};
 use crate::error::{CliError, Done};
 use crate::verbs::history::{self, RunRecord};
+use crate::verbs::json::json;
 use crate::verbs::run;
 
 /// The default folder of results.
@@ -65,7 +66,7 @@ pub(crate) fn artifact(record: &RunRecord, stage: &str) -> Option<PathBuf> {
 }
 
 /// The folder of a run's artifact by its key, if it is still in the cache.
-pub(crate) fn found(record: &RunRecord, stage: &str, key: &use3d_build::Digest) -> Option<PathBuf> {
+pub(crate) fn found(record: &RunRecord, stage: &str, key: &use3d_workflow::Digest) -> Option<PathBuf> {
     if !record.cache.is_dir() {
         return None;
     }
@@ -119,7 +120,7 @@ pub(crate) fn run(app: &App, args: &ResultsArgs) -> Done {
             .iter()
             .map(|(results, runs)| serde_json::json!({ "results": results, "runs": runs }))
             .collect();
-        return run::json(&documents);
+        return json(&documents);
     }
     for (results, runs) in &documents {
         println!("{}", path_text(results));

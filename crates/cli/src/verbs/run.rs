@@ -5,105 +5,33 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-use serde::Serialize;
-use use3d_build::machine::seconds;
-use use3d_build::place;
-use use3d_build::plan::{PlannedNode, State};
-use use3d_build::status::{Row, Standing};
-use use3d_build::{
-    Builder, Cache, Event, Graph, Listener, PATIENCE, Plan, Registry, RunOptions, Summary, picture,
-};
-use use3d_cluster::{quote, slurm};
-use use3d_pipeline::config::{LoadOptions, Pipeline, for_capture, load};
+use use3d_cluster::quote;
 use use3d_pipeline::results::{Delivered, Results};
+use use3d_workflow::machine::seconds;
+use use3d_workflow::place;
+use use3d_workflow::plan::{PlannedNode, State};
+use use3d_workflow::status::{Row, Standing};
+use use3d_workflow::{Event, Graph, Listener, PATIENCE, Plan, RunOptions, Summary, picture};
 
 use crate::App;
 use crate::args::{
-    CacheArgs, DemoArgs, DemoSize, GraphArgs, GraphFormat, PipelineArgs, PlanArgs, RunArgs, Settings,
-    StatusArgs, WhiteChoice, WhyArgs, as_typed,
+    CacheArgs, DemoArgs, DemoSize, PipelineArgs, PlanArgs, RunArgs, Settings, StatusArgs, WhiteChoice,
+    WhyArgs,
 };
 use crate::destination::path_text;
 use crate::error::{CliError, Done};
 use crate::verbs::check;
 use crate::verbs::history::{self, RunRecord};
+use crate::verbs::json::json;
+use crate::verbs::loaded::{Loaded, open, real};
 use crate::verbs::outcome::{self, Outcome};
 use crate::verbs::prepare;
 use crate::verbs::remote::of_run;
-use crate::verbs::stages::{scratch, stages};
+use crate::verbs::stages::scratch;
 use crate::verbs::synth::keep_capture;
 use crate::verbs::view::Watched;
 use crate::verbs::white;
 use crate::whole_run::WholeRun;
-
-/// A pipeline with the builder and graph to work on it.
-pub(crate) struct Loaded {
-    pub(crate) pipeline: Pipeline,
-    pub(crate) builder: Builder,
-    pub(crate) graph: Graph,
-}
-
-impl Loaded {
-    /// Fails, before anything is computed, if the run would have to fail: weights, pairs or a calibrator are
-    /// missing, or settings conflict.
-    pub(crate) fn nothing_lacks(&self, until: Option<&[String]>, only: Option<&[(String, String)]>) -> Done {
-        let gaps = self.builder.gaps(&self.graph, until, only);
-        if gaps.is_empty() { Ok(()) } else { Err(CliError::input(gaps)) }
-    }
-}
-
-/// Loads a pipeline file, or makes a pipeline for a capture folder, and opens its cache.
-pub(crate) fn open(args: &PipelineArgs, scenes: &[String]) -> Result<Loaded, CliError> {
-    let registry = stages()?;
-    let pipeline = read(&registry, args, scenes)?;
-    outside_captures(&pipeline)?;
-    let cache = Cache::open(&pipeline.cache, args.cache.rehash).map_err(CliError::input)?;
-    let graph = Graph::new(&registry, &pipeline.batch).map_err(CliError::input)?;
-    Ok(Loaded { pipeline, builder: Builder::new(registry, cache.asking(slurm::is_over())), graph })
-}
-
-/// Loads a pipeline file, or makes a pipeline for a capture folder. The cache is not touched.
-pub(crate) fn read(
-    registry: &Registry,
-    args: &PipelineArgs,
-    scenes: &[String],
-) -> Result<Pipeline, CliError> {
-    let PipelineArgs { target, calibration, cache, .. } = args;
-    let options = LoadOptions {
-        sets: args.sets(),
-        cache: cache.cache.clone(),
-        models: cache.models.clone(),
-        scenes: scenes.to_vec(),
-        pairs: calibration.pairs(),
-        calibrator: calibration.calibrator.clone(),
-    };
-    let pipeline = if target.is_dir() {
-        for_capture(registry, target, &options)
-    } else if target.is_file() {
-        if let Some(what) = no_pipeline(target) {
-            return Err(CliError::Input(format!("{}: {what}", target.display())));
-        }
-        load(registry, target, &options)
-    } else {
-        let what = "there is no such pipeline file (.toml) or capture folder";
-        return Err(CliError::Input(format!("{}: {what}", target.display())));
-    };
-    pipeline.map_err(|error| CliError::Input(as_typed(&error.to_string(), &args.spelled())))
-}
-
-/// Refuses a cache inside the folder of a capture. It would lie beside the photographs, and in a prepared
-/// capture, where every file counts, it would change the input of its own results.
-fn outside_captures(pipeline: &Pipeline) -> Done {
-    let cache = real(&pipeline.cache);
-    let captures = pipeline.batch.scenes.iter().filter_map(|s| s.externals.get("capture")?.as_ref().ok());
-    match captures.into_iter().find(|capture| cache.starts_with(real(capture))) {
-        None => Ok(()),
-        Some(capture) => Err(CliError::Input(format!(
-            "--cache {}: it would lie in the capture {}; choose a folder outside",
-            path_text(&pipeline.cache),
-            path_text(capture)
-        ))),
-    }
-}
 
 /// Refuses a folder of results inside the cache.
 fn outside_the_cache(out: &Path, cache: &Path) -> Done {
@@ -115,52 +43,6 @@ fn outside_the_cache(out: &Path, cache: &Path) -> Done {
         path_text(out),
         path_text(cache)
     )))
-}
-
-/// Returns an absolute path without links in the part of it that exists.
-fn real(path: &Path) -> PathBuf {
-    let path = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
-    let there = path.ancestors().find_map(|part| Some((part, part.canonicalize().ok()?)));
-    match there {
-        Some((part, real)) => path.strip_prefix(part).map_or(real.clone(), |rest| real.join(rest)),
-        None => path,
-    }
-}
-
-/// Names the kind of a file that is no pipeline file or capture folder, and the next step for it.
-fn no_pipeline(file: &Path) -> Option<&'static str> {
-    let extension = file.extension()?.to_string_lossy().to_lowercase();
-    Some(match extension.as_str() {
-        "mp4" | "mov" | "avi" | "mkv" | "webm" | "m4v" => {
-            "a film is not a capture yet: `use3d run FILM` or `use3d prepare FILM --out CAPTURE_DIR` makes one of it"
-        }
-        "png" | "jpg" | "jpeg" | "tif" | "tiff" | "exr" | "webp" | "heic" | "bmp" | "gif" => {
-            "one picture is not a capture: give the folder with the images and their COLMAP model"
-        }
-        "json" if file.file_name().is_some_and(|name| name == "transforms.json") => {
-            "give the folder that transforms.json (nerfstudio) lies in, not the file (docs/guide/other-programs.md)"
-        }
-        "xml" | "psx" | "psz" => {
-            "give a folder with Metashape's exported cameras (File > Export > Export Cameras, Agisoft XML) and the photographs \
-             (docs/guide/other-programs.md)"
-        }
-        "rcproj" => {
-            "a project file of RealityScan (RealityCapture) is not read: export its cameras as CSV or XMP and its points \
-             as PLY beside the photographs, and give that folder (docs/guide/other-programs.md)"
-        }
-        "json" => {
-            "this is not a pipeline file (.toml): give the capture's folder, with images and a COLMAP model \
-             (docs/guide/captures.md)"
-        }
-        _ => return None,
-    })
-}
-
-/// Prints one JSON document.
-pub(crate) fn json(value: &impl Serialize) -> Done {
-    let text = serde_json::to_string_pretty(value).map_err(CliError::failed)?;
-    println!("{text}");
-    Ok(())
 }
 
 fn planned(args: &PlanArgs) -> Result<(Loaded, Plan), CliError> {
@@ -198,7 +80,7 @@ pub(crate) fn status(args: &StatusArgs) -> Done {
     for name in &args.scene {
         let known = || loaded.pipeline.batch.scenes.iter().map(|s| s.name.as_str());
         if !known().any(|scene| scene == name) {
-            return Err(CliError::input(use3d_build::BuildError::unknown("scene", name, known())));
+            return Err(CliError::input(use3d_workflow::BuildError::unknown("scene", name, known())));
         }
     }
     status.rows.retain(|row| {
@@ -232,13 +114,10 @@ pub(crate) fn why(args: &WhyArgs) -> Done {
     Ok(())
 }
 
-pub(crate) fn graph(args: &GraphArgs) -> Done {
-    let loaded = open(&resolved(&args.pipeline).0, &[])?;
+pub(crate) fn graph(pipeline: &PipelineArgs) -> Done {
+    let loaded = open(&resolved(pipeline).0, &[])?;
     let plan = loaded.builder.plan(&loaded.graph, None);
-    match args.format {
-        GraphFormat::Mermaid => print!("{}", picture::mermaid(&loaded.graph, &plan)),
-        GraphFormat::Svg => print!("{}", picture::svg(&loaded.graph, &plan)),
-    }
+    print!("{}", picture::mermaid(&loaded.graph, &plan));
     Ok(())
 }
 
@@ -385,7 +264,7 @@ fn only(graph: &Graph, named: &[String]) -> Result<Option<Vec<(String, String)>>
         let known: Vec<String> =
             cells.iter().map(|(s, v)| if v.is_empty() { s.clone() } else { format!("{s}@{v}") }).collect();
         let known = known.iter().map(String::as_str);
-        Err(CliError::input(use3d_build::BuildError::unknown("scene and variant", name, known)))
+        Err(CliError::input(use3d_workflow::BuildError::unknown("scene and variant", name, known)))
     };
     let found: Vec<(String, String)> = named.iter().map(find).collect::<Result<_, _>>()?;
     Ok((!found.is_empty()).then_some(found))

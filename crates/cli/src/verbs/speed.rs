@@ -11,8 +11,8 @@ use crate::App;
 use crate::args::RenderArgs;
 use crate::error::{CliError, Done};
 use crate::interrupt;
-use crate::verbs::render::{cameras, held_out, renderer};
-use crate::verbs::run::json;
+use crate::verbs::drawing::{cameras, held_out, renderer};
+use crate::verbs::json::json;
 
 /// The figures and the conditions of the measurement.
 #[derive(Serialize)]

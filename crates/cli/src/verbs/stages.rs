@@ -6,11 +6,11 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use serde_json::Value;
-use use3d_build::machine::{bytes, seconds};
-use use3d_build::{Alone, Event, Registry, Stage, StageError, leftovers};
 use use3d_pipeline::config::stage_parameters;
-use use3d_pipeline::stages::{CALIBRATOR, TARGETS, registry};
+use use3d_pipeline::stages::{CALIBRATOR, TARGETS};
 use use3d_scene::Origin;
+use use3d_workflow::machine::{bytes, seconds};
+use use3d_workflow::{Alone, Event, Registry, Stage, StageError, leftovers};
 
 use crate::App;
 use crate::args::{
@@ -18,6 +18,7 @@ use crate::args::{
 };
 use crate::destination::{check_file, check_folder, copy_file, copy_folder, path_text, word};
 use crate::error::{CliError, Done};
+use crate::verbs::loaded::stages;
 use crate::verbs::view::Watched;
 use crate::verbs::web::scene_name;
 
@@ -26,11 +27,6 @@ pub(crate) fn scratch() -> Result<leftovers::Scratch, CliError> {
     leftovers::scratch().map_err(|e| {
         CliError::Failed(format!("cannot make a temporary folder: {e}; set TMPDIR to one with space"))
     })
-}
-
-/// The table of stages.
-pub(crate) fn stages() -> Result<Registry, CliError> {
-    registry().map_err(CliError::failed)
 }
 
 /// A result that is kept: its path, and permission to replace an earlier one.
@@ -450,7 +446,7 @@ pub(crate) fn enhance(app: &App, args: &EnhanceArgs) -> Done {
 
 #[cfg(test)]
 mod tests {
-    use use3d_build::Silent;
+    use use3d_workflow::Silent;
 
     use super::*;
 

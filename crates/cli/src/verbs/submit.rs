@@ -4,21 +4,21 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use use3d_build::Plan;
-use use3d_build::machine::seconds;
-use use3d_build::plan::State;
 use use3d_cluster::jobs::{self, Job, Layout};
 use use3d_cluster::site::{Scheduler, Site};
 use use3d_cluster::slurm::{self, Submission, Submitted};
 use use3d_cluster::{ClusterError, hyperqueue, quote, time};
 use use3d_pipeline::config::Pipeline;
 use use3d_pipeline::results::Results;
+use use3d_workflow::Plan;
+use use3d_workflow::machine::seconds;
+use use3d_workflow::plan::State;
 
 use crate::App;
 use crate::args::{CacheArgs, CancelArgs, PipelineArgs, Submit, SubmitArgs, SubmitLayout};
 use crate::error::{CliError, Done};
-use crate::verbs::run::{Loaded, open, read};
-use crate::verbs::stages::stages;
+use crate::verbs::loaded::stages;
+use crate::verbs::loaded::{Loaded, open, read};
 
 /// All decisions before anything is written.
 struct Ready {

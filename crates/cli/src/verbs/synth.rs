@@ -4,13 +4,13 @@ use std::ops::ControlFlow;
 use std::path::Path;
 
 use serde::de::DeserializeOwned;
-use use3d_build::place::{self, Look, Standing};
-use use3d_build::{Digest, Event};
 use use3d_pipeline::code::built_in;
 use use3d_synth::{
     CaptureParams, Development, Location, PairsParams, Physics, SynthError, WaterType, write_capture,
     write_pairs,
 };
+use use3d_workflow::place::{self, Look, Standing};
+use use3d_workflow::{Digest, Event};
 
 use crate::App;
 use crate::args::{SynthCaptureArgs, SynthPairsArgs};

@@ -8,7 +8,8 @@ use crate::App;
 use crate::args::WaterArgs;
 use crate::error::{CliError, Done};
 use crate::interrupt;
-use crate::verbs::stages::{imported, parameters, scratch, stages};
+use crate::verbs::loaded::stages;
+use crate::verbs::stages::{imported, parameters, scratch};
 
 pub(crate) fn run(app: &App, args: &WaterArgs) -> Done {
     let registry = stages()?;
@@ -26,7 +27,7 @@ pub(crate) fn run(app: &App, args: &WaterArgs) -> Done {
     let name = capture_name(&args.capture);
     let report = WaterReport { capture: name, ..WaterReport::new(&capture, &water, judgement) };
     if args.json {
-        return crate::verbs::run::json(&report);
+        return crate::verbs::json::json(&report);
     }
     print!("{report}");
     Ok(())

@@ -2,12 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
-use use3d_build::machine::bytes;
 use use3d_capture::Frame;
 use use3d_import::{ImportParams, capture_name, import, read_cameras};
 use use3d_pipeline::scene_page;
 use use3d_scene::{Origin, Scene, White};
 use use3d_web::{Page, PageView, SavedViews};
+use use3d_workflow::machine::bytes;
 
 use crate::App;
 use crate::args::ExportArgs;

@@ -3,13 +3,13 @@
 
 use std::path::Path;
 
-use use3d_build::error::nearest;
 use use3d_capture::Camera;
 use use3d_import::read_cameras;
 use use3d_render::SceneRenderer;
 use use3d_render::white::{Surfaces, gains_of_patches, patch};
 use use3d_scene::white::{Click, Gains, Method};
 use use3d_scene::{Scene, White};
+use use3d_workflow::error::nearest;
 
 use crate::App;
 use crate::args::{KeepWhiteArgs, Place, WhiteArgs, WhiteChoice};
@@ -240,7 +240,7 @@ pub(crate) fn run(app: &App, args: &KeepWhiteArgs) -> Done {
         (white, args.out.clone().unwrap_or_else(|| White::place(&folder)))
     };
     if args.json {
-        return crate::verbs::run::json(&white);
+        return crate::verbs::json::json(&white);
     }
     match &white {
         Some(white) => {

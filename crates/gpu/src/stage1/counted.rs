@@ -6,7 +6,7 @@ use use3d_training::EngineError;
 use super::Stage1;
 use crate::buffer::read_together;
 use crate::constants::{TILE, counts};
-use crate::scene::SPLAT;
+use crate::rows::SPLAT;
 
 /// Sizes of a view, and its pairs of pixel and Gaussian.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -27,7 +27,7 @@ use crate::buffer::Array;
 use crate::device::Gpu;
 use crate::kernel::{Grid, bound};
 use crate::raster::{RasterPlanes, WaterPlanes};
-use crate::scene::Float4;
+use crate::rows::Float4;
 
 /// Largest number of blocks of the sums over lookups.
 const BLOCKS: usize = 256;

@@ -18,7 +18,8 @@ use crate::device::Gpu;
 use crate::kernel::{Grid, Kernel, bound, submit};
 use crate::lists::{ListKernels, Lists, ViewLists};
 use crate::raster::{Outputs, RasterKernels, RasterPlanes, WaterPlanes};
-use crate::scene::{Float4, Parameters};
+use crate::rows::Float4;
+use crate::scene::Parameters;
 
 /// The frozen water of a view as planes, which the field recolours.
 #[derive(Debug)]

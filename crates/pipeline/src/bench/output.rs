@@ -2,16 +2,16 @@
 //!
 //! `captures/` and `cache/` may be in the same folder, so the folder as a whole has no record. Each of the
 //! two files carries the digest of its own text, which proves that this program wrote it and that it is
-//! unchanged. The pictures have a record like any result folder ([`use3d_build::place`]). Anything that this
+//! unchanged. The pictures have a record like any result folder ([`use3d_workflow::place`]). Anything that this
 //! program did not write is refused.
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-use use3d_build::Digest;
-use use3d_build::place::{self, PlaceError};
 use use3d_files::write_atomically;
 use use3d_io_image::write_png;
+use use3d_workflow::Digest;
+use use3d_workflow::place::{self, PlaceError};
 
 use super::figures::TruthFigures;
 use super::page::markdown;

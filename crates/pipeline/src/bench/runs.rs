@@ -158,7 +158,7 @@ mod tests {
     use crate::bench::captures::CAPTURES;
     use crate::config::{LoadOptions, from_text};
     use crate::stages::registry;
-    use use3d_build::Graph;
+    use use3d_workflow::Graph;
 
     fn recipe(baselines: bool) -> Recipe {
         Recipe {

@@ -9,7 +9,7 @@ use serde_json::{Map, Number, Value};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use use3d_build::error::{ParameterError, nearest};
+use use3d_workflow::error::{ParameterError, nearest};
 
 /// A parsed pipeline file.
 #[derive(Clone, Debug)]

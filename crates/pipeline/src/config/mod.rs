@@ -33,9 +33,9 @@ use std::path::{Path, PathBuf};
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 
-use use3d_build::error::nearest;
-use use3d_build::graph::{External, Overrides};
-use use3d_build::{Batch, BatchScene, ParameterError, Registry, Variant, canonical};
+use use3d_workflow::error::nearest;
+use use3d_workflow::graph::{External, Overrides};
+use use3d_workflow::{Batch, BatchScene, ParameterError, Registry, Variant, canonical};
 
 mod document;
 mod file;

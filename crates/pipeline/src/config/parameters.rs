@@ -3,7 +3,7 @@
 
 use serde::Serialize;
 use serde_json::{Value, json};
-use use3d_build::Registry;
+use use3d_workflow::Registry;
 
 use super::presets::preset_values;
 use super::schema::{resolved, schema, shortest};
@@ -75,7 +75,7 @@ pub(super) fn homes(registry: &Registry, name: &str) -> Vec<(&'static str, Strin
     if !exact.is_empty() {
         return exact;
     }
-    let near = use3d_build::error::nearest(name, all.iter().map(|(_, p)| p.as_str())).map(String::from);
+    let near = use3d_workflow::error::nearest(name, all.iter().map(|(_, p)| p.as_str())).map(String::from);
     all.into_iter().filter(|(_, p)| near.as_ref() == Some(p)).collect()
 }
 

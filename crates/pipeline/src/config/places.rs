@@ -4,8 +4,8 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use serde_json::{Map, Value};
-use use3d_build::graph::{External, Overrides};
-use use3d_build::{Batch, Registry};
+use use3d_workflow::graph::{External, Overrides};
+use use3d_workflow::{Batch, Registry};
 
 use super::LEARNING;
 use super::document::ConfigError;

@@ -7,7 +7,7 @@
 use std::path::Path;
 
 use schemars::{Schema, SchemaGenerator, json_schema};
-use use3d_build::graph::Overrides;
+use use3d_workflow::graph::Overrides;
 
 use super::did_you_mean;
 use super::document::{ConfigError, Document};

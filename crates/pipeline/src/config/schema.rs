@@ -3,7 +3,7 @@
 use schemars::SchemaGenerator;
 use schemars::generate::SchemaSettings;
 use serde_json::{Map, Value, json};
-use use3d_build::{Registry, Scope, canonical};
+use use3d_workflow::{Registry, Scope, canonical};
 
 use super::file::{PipelineFile, SceneEntry, VariantEntry};
 

@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use serde_json::{Map, Value};
-use use3d_build::error::BuildError;
-use use3d_build::graph::Overrides;
-use use3d_build::{Batch, ParameterError, Registry, Source, Stage};
+use use3d_workflow::error::BuildError;
+use use3d_workflow::graph::Overrides;
+use use3d_workflow::{Batch, ParameterError, Registry, Source, Stage};
 
 use super::document::{ConfigError, loose_value};
 use super::parameters::homes;

@@ -5,7 +5,6 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use use3d_atc::AtcError;
 use use3d_atc::consensus::Adjoint;
-use use3d_build::{DeviceClass, Digest};
 use use3d_capture::{Camera, Lattice};
 use use3d_enhance::engine::FieldEngine;
 use use3d_enhance::{EnhanceError, EnhanceParams, EnhanceView, Guidance};
@@ -15,6 +14,7 @@ use use3d_render::{Composer, Composition, RenderError};
 use use3d_scene::Scene;
 use use3d_splat::{Gaussians, Rendered, view_colors};
 use use3d_training::{EngineError, Observer};
+use use3d_workflow::{DeviceClass, Digest};
 
 use crate::code;
 

@@ -14,7 +14,6 @@ mod drawing;
 pub use drawing::Drawn;
 
 use use3d_atc::consensus::Lift;
-use use3d_build::DeviceClass;
 use use3d_capture::Formation;
 use use3d_enhance::engine::{CpuFieldEngine, FieldEngine};
 use use3d_enhance::{EnhanceError, EnhanceParams, EnhanceView, Guidance};
@@ -24,6 +23,7 @@ use use3d_scene::Scene;
 use use3d_splat::Gaussians;
 pub(crate) use use3d_training::EngineChoice;
 use use3d_training::{EngineError, Observer};
+use use3d_workflow::DeviceClass;
 
 #[cfg(not(feature = "gpu"))]
 mod cards {

@@ -2,7 +2,7 @@
 
 use use3d_atc::calibrator::{Calibrator, CalibratorParams, Dataset, METHOD_PAIRS, train};
 use use3d_atc::progress::LoopPosition;
-use use3d_build::{Scope, Stage, StageContext, StageError};
+use use3d_workflow::{Scope, Stage, StageContext, StageError};
 
 use super::calibrated::is_calibrated;
 use super::common::{out_of_range, read_json, write_json};

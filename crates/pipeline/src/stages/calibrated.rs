@@ -2,7 +2,7 @@
 //!
 //! This is a file of its own, so that the code of the proposers is not part of the calibrator's key.
 
-use use3d_build::AllParameters;
+use use3d_workflow::AllParameters;
 
 /// True if a calibrator corrects the proposals.
 pub(super) fn is_calibrated(all: &AllParameters) -> bool {

@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use use3d_atc::calibrator::Calibrator;
-use use3d_build::StageError;
+use use3d_workflow::StageError;
 
 use super::names::CALIBRATOR;
 

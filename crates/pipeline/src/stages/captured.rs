@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use use3d_build::{StageContext, StageError};
 use use3d_capture::{Camera, Capture};
 use use3d_import::camera_list;
+use use3d_workflow::{StageContext, StageError};
 
 use super::common::write_json;
 use super::names::CAMERAS;

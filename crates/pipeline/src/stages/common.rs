@@ -5,8 +5,8 @@ use std::path::Path;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use use3d_build::StageError;
 use use3d_numerics::range::OutOfRange;
+use use3d_workflow::StageError;
 
 /// A value out of range as the error of a stage's parameter check: the path and a message.
 pub(super) fn out_of_range(wrong: OutOfRange) -> (String, String) {

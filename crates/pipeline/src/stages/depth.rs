@@ -6,10 +6,10 @@ use std::path::Path;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use use3d_build::{AllParameters, Named, Scope, Stage, StageContext, StageError};
 use use3d_import::{ImportParams, has_depth_folder, load_pixels};
 use use3d_io_image::write_png_map16;
 use use3d_nets::{DepthAnythingSize, Models, Network};
+use use3d_workflow::{AllParameters, Named, Scope, Stage, StageContext, StageError};
 
 use super::captured::capture;
 

@@ -1,7 +1,7 @@
 //! Prepares a stage's scene for drawing on the processor or on a graphics card.
 
-use use3d_build::{StageContext, StageError};
 use use3d_scene::Scene;
+use use3d_workflow::{StageContext, StageError};
 
 use crate::engines::{Drawn, EngineChoice};
 

@@ -3,7 +3,6 @@
 use std::path::Path;
 
 use use3d_atc::consensus::Targets;
-use use3d_build::{Figure, Scope, Stage, StageContext, StageError};
 use use3d_capture::{Appearance, Image, View};
 use use3d_enhance::losses::TERMS;
 use use3d_enhance::{
@@ -12,6 +11,7 @@ use use3d_enhance::{
 };
 use use3d_import::load_pixels;
 use use3d_scene::{Origin, Scene};
+use use3d_workflow::{Figure, Scope, Stage, StageContext, StageError};
 
 use super::captured::{capture, write_cameras};
 use super::common::{out_of_range, write_json, write_text};

@@ -19,14 +19,14 @@ use std::path::Path;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_atc::proposers::Proposer;
-use use3d_build::content::Choice;
-use use3d_build::{Figure, Scope, Stage, StageContext, StageError, machine};
 use use3d_capture::{Appearance, Camera, Capture, Frame, Image, Map, View, path};
 use use3d_import::{load_mask, load_pixels};
 use use3d_io_image::write_png;
 use use3d_metrics::{Mask, mask_of};
 use use3d_render::{Mode, Rendering, SceneRenderer};
 use use3d_scene::Scene;
+use use3d_workflow::content::Choice;
+use use3d_workflow::{Figure, Scope, Stage, StageContext, StageError, machine};
 
 use super::captured::capture;
 use super::choices::choice_sources;

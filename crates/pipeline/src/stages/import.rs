@@ -4,11 +4,11 @@
 use std::path::{Component, Path, PathBuf};
 
 use serde_json::Value;
-use use3d_build::content::Choice;
-use use3d_build::{Scope, Stage, StageContext, StageError};
 use use3d_import::{ImportError, ImportParams, Imported, import, prepare};
 use use3d_io_colmap::ModelError;
 use use3d_io_image::ImageError;
+use use3d_workflow::content::Choice;
+use use3d_workflow::{Scope, Stage, StageContext, StageError};
 
 use super::choices::choice_sources;
 use super::common::{out_of_range, write_json};

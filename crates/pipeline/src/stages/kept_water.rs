@@ -5,9 +5,9 @@ use std::path::Path;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_atc::kept_water::{Depths, Trust, shares};
-use use3d_build::{StageContext, StageError};
 use use3d_capture::{KeptWater, View};
 use use3d_scene::{KnownViews, Scene};
+use use3d_workflow::{StageContext, StageError};
 
 use super::common::read_json;
 use super::names::WATER;

@@ -19,9 +19,9 @@
 use std::path::Path;
 
 use serde_json::Value;
-use use3d_build::{Stage, StageInput};
 use use3d_import::{Extent, prepared_extent};
 use use3d_reconstruct::{CaptureSize, ReconstructParams, memory_need};
+use use3d_workflow::{Stage, StageInput};
 
 use super::weights::{judge_files, proposer_files};
 

@@ -50,7 +50,7 @@ pub use names::{CALIBRATED, CALIBRATOR, CAMERAS, CHOICES, TARGETS};
 pub use proposer::{ProposerChoice, open as open_proposer};
 pub use reconstruct::Choices;
 
-use use3d_build::{BuildError, Registry};
+use use3d_workflow::{BuildError, Registry};
 
 use crate::code::built_in;
 

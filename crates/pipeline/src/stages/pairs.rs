@@ -9,9 +9,9 @@ use serde::{Deserialize, Serialize};
 use use3d_atc::calibrator::{Dataset, PairImages};
 use use3d_atc::extractor::ExtractorSettings;
 use use3d_atc::progress::LoopPosition;
-use use3d_build::{Scope, Stage, StageContext, StageError, leftovers};
 use use3d_capture::Image;
 use use3d_io_image::read_image;
+use use3d_workflow::{Scope, Stage, StageContext, StageError, leftovers};
 
 use super::calibrated::is_calibrated;
 use super::common::{out_of_range, write_json};

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use use3d_capture::View;
 
-use use3d_build::AllParameters;
+use use3d_workflow::AllParameters;
 
 /// True if stage 1 learns from proposals.
 pub(super) fn asked_for(all: &AllParameters) -> bool {

@@ -6,9 +6,9 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use use3d_build::{Scope, Stage, StageContext, StageError};
 use use3d_import::load_pixels;
 use use3d_io_image::write_png;
+use use3d_workflow::{Scope, Stage, StageContext, StageError};
 
 use super::captured::capture;
 use super::proposals::{asked_for, file};

@@ -1,7 +1,6 @@
 //! Stage 1: reconstructs the scene with its water.
 
 use serde::{Deserialize, Serialize};
-use use3d_build::{Figure, Scope, Stage, StageContext, StageError};
 use use3d_capture::{Capture, View};
 use use3d_import::{Imported, load_depth_prior, load_mask, load_pixels};
 use use3d_io_image::write_png;
@@ -12,6 +11,7 @@ use use3d_reconstruct::{
 };
 use use3d_scene::{Origin, Scene};
 use use3d_water::WaterParams;
+use use3d_workflow::{Figure, Scope, Stage, StageContext, StageError};
 
 use super::captured::{capture, write_cameras};
 use super::common::{out_of_range, write_json, write_text};

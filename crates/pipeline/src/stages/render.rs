@@ -5,11 +5,11 @@ use std::path::Path;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use use3d_build::{AlikeFiles, Scope, Stage, StageContext, StageError};
 use use3d_capture::Raster;
 use use3d_import::load_pixels;
 use use3d_io_image::{read_image, read_map, write_exr_map, write_png, write_png8};
 use use3d_render::{Mode, Rendering, picture};
+use use3d_workflow::{AlikeFiles, Scope, Stage, StageContext, StageError};
 
 use super::captured::capture;
 use super::common::folder;

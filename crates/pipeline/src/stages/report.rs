@@ -6,13 +6,13 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_atc::calibrator::{Calibrator, METHOD_PAIRS};
 use use3d_atc::consensus::TargetsReport;
-use use3d_build::{Scope, Stage, StageContext, StageError, StageInput};
 use use3d_capture::{Appearance, Camera, Image, flat_stem, shown};
 use use3d_enhance::EnhanceParams;
 use use3d_io_image::read_image;
 use use3d_reconstruct::ReconstructParams;
 use use3d_render::{Mode, WaterSample, medium_along, medium_profile};
 use use3d_scene::Scene;
+use use3d_workflow::{Scope, Stage, StageContext, StageError, StageInput};
 
 use super::calibrator::read_calibrator;
 use super::common::{folder, read_json, write_json, write_text};

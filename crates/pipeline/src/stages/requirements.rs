@@ -12,7 +12,7 @@ use std::path::Path;
 use std::sync::Mutex;
 
 use serde_json::Value;
-use use3d_build::{AllParameters, Checks, Lacking, Named, Stage};
+use use3d_workflow::{AllParameters, Checks, Lacking, Named, Stage};
 
 use super::calibrated::is_calibrated;
 use super::calibrator::read_calibrator;

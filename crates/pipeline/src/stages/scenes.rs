@@ -2,7 +2,7 @@
 
 use use3d_scene::Scene;
 
-use use3d_build::{StageContext, StageError};
+use use3d_workflow::{StageContext, StageError};
 
 /// Loads the scene of an input role.
 pub(super) fn scene(context: &StageContext, role: &str) -> Result<Scene, StageError> {

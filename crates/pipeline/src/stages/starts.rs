@@ -6,10 +6,10 @@ use use3d_atc::calibrator::Calibrator;
 use use3d_atc::consensus::{Proposals, ViewInput};
 use use3d_atc::extractor::ExtractorSettings;
 use use3d_atc::proposers::{Proposer, ProposerId, SceneFindings, SceneProposer, SceneSurvey, SceneView};
-use use3d_build::{StageContext, StageError};
 use use3d_capture::{Appearance, Image, KeptWater, View};
 use use3d_import::load_pixels;
 use use3d_scene::{KnownView, KnownViews, Scene};
+use use3d_workflow::{StageContext, StageError};
 
 use super::calibrator::read_calibrator;
 use super::kept_water::{self, KeptWaterChoice};

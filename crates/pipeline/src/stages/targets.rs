@@ -5,10 +5,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_atc::consensus::{Preview, Recorder, TargetsParams, targets_from_records};
 use use3d_atc::progress::LoopPosition;
-use use3d_build::{Figure, Scope, Stage, StageContext, StageError};
 use use3d_capture::{Capture, View};
 use use3d_io_image::{write_png, write_png_map};
 use use3d_splat::Rasterizer;
+use use3d_workflow::{Figure, Scope, Stage, StageContext, StageError};
 
 use super::calibrated::is_calibrated;
 use super::captured::capture;

@@ -2,7 +2,7 @@
 
 use use3d_training::{Observer, Snapshot, TrainingProgress};
 
-use use3d_build::StageContext;
+use use3d_workflow::StageContext;
 
 /// A training loop's observer that reports to the stage's context.
 pub(super) struct Watch<'a> {

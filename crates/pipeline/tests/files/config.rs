@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use serde_json::json;
-use use3d_build::Graph;
 use use3d_pipeline::config::{LoadOptions, from_text, schema, schema_text, stage_parameters};
+use use3d_workflow::Graph;
 
 use super::stages::registry;
 

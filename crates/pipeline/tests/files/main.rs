@@ -3,6 +3,6 @@
 mod config;
 mod named;
 mod shipped;
-#[path = "../../../build/tests/builder/stages.rs"]
+#[path = "../../../workflow/tests/builder/stages.rs"]
 #[allow(dead_code, reason = "the build system's own tests use the rest")]
 mod stages;

@@ -4,10 +4,10 @@
 use std::fs;
 use std::path::Path;
 
-use use3d_build::plan::State;
-use use3d_build::run::{Became, RunOptions};
-use use3d_build::{Batch, Builder, Cache, Graph, Registry, Scope, Stage, StageContext, Variant};
 use use3d_pipeline::config::{LoadOptions, from_text};
+use use3d_workflow::plan::State;
+use use3d_workflow::run::{Became, RunOptions};
+use use3d_workflow::{Batch, Builder, Cache, Graph, Registry, Scope, Stage, StageContext, Variant};
 
 use super::stages::{Strength, batch, builder, code, registry, run, run_with};
 

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use serde_json::{Map, Value};
-use use3d_build::{Graph, Registry, Scope, Stage};
 use use3d_pipeline::config::{LoadOptions, Pipeline, load};
+use use3d_workflow::{Graph, Registry, Scope, Stage};
 
 /// Stages with the names of the real ones that accept any parameter; the real ones check theirs in another
 /// test.

@@ -19,7 +19,7 @@ use crate::App;
 use crate::args::{PipelineArgs, Settings, ViewArgs};
 use crate::destination::path_text;
 use crate::error::{CliError, Done};
-use crate::verbs::run::{Loaded, open};
+use crate::verbs::loaded::{Loaded, open};
 use crate::verbs::web::{saved_views, scene_name};
 
 /// Time between two checks of the files.

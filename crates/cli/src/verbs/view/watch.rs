@@ -4,11 +4,11 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use use3d_build::{Event, Listener};
 use use3d_import::load_prepared;
 use use3d_scene::Scene;
 use use3d_viewer::{Live, Shown};
 use use3d_web::PageView;
+use use3d_workflow::{Event, Listener};
 
 use super::{Serving, Told, places, serve};
 use crate::App;

@@ -1,0 +1,226 @@
+//! Folders of a capture: their usual names, and the lookup of files by names that never leave the folder.
+
+use std::io::Read;
+use std::path::{Component, Path, PathBuf};
+
+use use3d_capture::{FileName, NameError};
+
+use crate::error::ImportError;
+
+/// Image folders, tried in this order.
+pub(crate) const IMAGE_DIRS: [&str; 4] = ["images", "images_wb", "Images_wb", "input"];
+/// Depth-prior folders, tried in this order.
+pub(crate) const DEPTH_DIRS: [&str; 3] = ["depth", "depths", "depthAnythingV2_u16"];
+/// Mask folder.
+pub(crate) const MASK_DIRS: [&str; 1] = ["masks"];
+
+pub(crate) const IMAGE_EXTENSIONS: [&str; 12] =
+    ["png", "jpg", "jpeg", "tif", "tiff", "exr", "PNG", "JPG", "JPEG", "TIF", "TIFF", "EXR"];
+const MASK_EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "tif", "tiff", "npy", "exr"];
+const DEPTH_EXTENSIONS: [&str; 5] = ["png", "npy", "tif", "tiff", "exr"];
+
+/// The manifest's name.
+pub(crate) const MANIFEST: &str = "capture.json";
+/// The format that the manifest names.
+pub(crate) const FORMAT: &str = "3d-use capture";
+
+/// True if [`crate::prepare`] finished this folder.
+pub fn is_prepared(dir: &Path) -> bool {
+    // Another tool may write a file of that name, so its first bytes are checked.
+    let Ok(file) = std::fs::File::open(dir.join(MANIFEST)) else { return false };
+    let mut head = Vec::new();
+    file.take(200).read_to_end(&mut head).is_ok() && String::from_utf8_lossy(&head).contains(FORMAT)
+}
+
+/// False for a folder of a capture that holds other images of the same names: masks, depth priors, the truth
+/// of a synthetic capture, and captures that an import wrote.
+pub(crate) fn may_hold_photographs(dir: &Path, name: &str) -> bool {
+    let other = MASK_DIRS.contains(&name) || DEPTH_DIRS.contains(&name) || name == "truth";
+    !other && !is_prepared(&dir.join(name))
+}
+
+/// Names of the folders in a folder: numbers first and by value, then the rest by name.
+pub(crate) fn subfolders(dir: &Path) -> Vec<String> {
+    let Ok(entries) = std::fs::read_dir(dir) else { return Vec::new() };
+    let mut names: Vec<String> = entries
+        .filter_map(Result::ok)
+        .filter(|e| e.path().is_dir())
+        .filter_map(|e| e.file_name().into_string().ok())
+        .collect();
+    names.sort_by_key(|name| (name.parse::<u64>().unwrap_or(u64::MAX), name.clone()));
+    names
+}
+
+/// A folder in which files are looked up by names from a model or a manifest.
+#[derive(Clone, Debug)]
+pub(crate) struct SourceFolder {
+    /// The path that is shown to the user, relative to the capture.
+    pub(crate) relative: String,
+    /// The real path, with symbolic links resolved.
+    real: PathBuf,
+    /// True if files in it may be links to places outside. That is allowed in a user's own capture, which is
+    /// only read, and never in a folder whose manifest lists its files.
+    links: bool,
+}
+
+/// The kind of the last part of a path below a real folder; `None` if a part before it is a link or a step
+/// upwards.
+fn kind_without_links(folder: &Path, path: &Path) -> std::io::Result<Option<std::fs::FileType>> {
+    let mut place = folder.to_path_buf();
+    let mut kind: Option<std::fs::FileType> = None;
+    for part in path.strip_prefix(folder).into_iter().flat_map(Path::components) {
+        if kind.is_some_and(|kind| kind.is_symlink()) || !matches!(part, Component::Normal(_)) {
+            return Ok(None);
+        }
+        place.push(part);
+        kind = Some(std::fs::symlink_metadata(&place)?.file_type());
+    }
+    Ok(kind)
+}
+
+impl SourceFolder {
+    /// Opens a folder; `None` if it does not exist. Its files may not be links to places outside.
+    pub(crate) fn open(root: &Path, relative: &str) -> Option<Self> {
+        let real = root.join(relative).canonicalize().ok().filter(|p| p.is_dir())?;
+        Some(Self { relative: relative.to_string(), real, links: false })
+    }
+
+    /// Like [`open`](Self::open), for a user's own folder, whose files may be links to places outside.
+    pub(crate) fn open_own(root: &Path, relative: &str) -> Option<Self> {
+        Some(Self { links: true, ..Self::open(root, relative)? })
+    }
+
+    pub(crate) fn path(&self) -> &Path {
+        &self.real
+    }
+
+    /// The file of that name; `None` if it does not exist, an error if it is outside the folder and links are
+    /// not allowed.
+    pub(crate) fn file(&self, name: &FileName) -> Result<Option<PathBuf>, ImportError> {
+        let here = name.below(&self.real);
+        // Without a link on the way, the path is the real one. This costs one look at each part of the name,
+        // and not one at each part of the whole path.
+        match kind_without_links(&self.real, &here) {
+            Ok(Some(kind)) if !kind.is_symlink() => return Ok(kind.is_file().then_some(here)),
+            Ok(_) => {}
+            Err(_) => return Ok(None),
+        }
+        let Ok(real) = here.canonicalize() else { return Ok(None) };
+        if !real.starts_with(&self.real) {
+            if self.links {
+                // The path keeps the link's own name, because stores of linked files often name the targets
+                // by their digests.
+                return Ok(real.is_file().then_some(here));
+            }
+            return Err(ImportError::Name {
+                name: name.clone(),
+                reason: "is a symbolic link to a place outside (copy the file in)".into(),
+                folder: self.real.clone(),
+            });
+        }
+        Ok(real.is_file().then_some(real))
+    }
+
+    /// The first of `names` that exists; an invalid name (too long with its extension) counts as missing.
+    fn first(
+        &self,
+        names: impl IntoIterator<Item = Result<FileName, NameError>>,
+    ) -> Result<Option<PathBuf>, ImportError> {
+        for name in names.into_iter().flatten() {
+            if let Some(path) = self.file(&name)? {
+                return Ok(Some(path));
+            }
+        }
+        Ok(None)
+    }
+
+    /// An image by its name in the model, or else by its stem with another extension.
+    pub(crate) fn image(&self, name: &FileName) -> Result<Option<PathBuf>, ImportError> {
+        match self.file(name)? {
+            Some(path) => Ok(Some(path)),
+            None => self.first(IMAGE_EXTENSIONS.iter().map(|e| name.with_extension(e))),
+        }
+    }
+
+    /// A mask of an image: `a.jpg.png` (COLMAP's convention), `a.png`, or `a_mask.png` (Metashape's).
+    pub(crate) fn mask(&self, name: &FileName) -> Result<Option<PathBuf>, ImportError> {
+        let by_stem = MASK_EXTENSIONS.iter().map(|e| name.with_extension(e));
+        let marked = MASK_EXTENSIONS.iter().map(|e| FileName::new(&format!("{}_mask.{e}", name.stem())));
+        self.first(std::iter::once(FileName::new(&format!("{name}.png"))).chain(by_stem).chain(marked))
+    }
+
+    /// A depth prior of an image, by its stem.
+    pub(crate) fn depth(&self, name: &FileName) -> Result<Option<PathBuf>, ImportError> {
+        self.first(DEPTH_EXTENSIONS.iter().map(|e| name.with_extension(e)))
+    }
+
+    /// Names of the image files below the folder, sorted, with `/` between parts. Hidden files are left out.
+    pub(crate) fn images(&self) -> Vec<String> {
+        let hidden =
+            |e: &walkdir::DirEntry| e.depth() > 0 && e.file_name().to_string_lossy().starts_with('.');
+        walkdir::WalkDir::new(&self.real)
+            .sort_by_file_name()
+            .into_iter()
+            .filter_entry(|e| !hidden(e))
+            .filter_map(Result::ok)
+            .filter(|e| !e.file_type().is_dir())
+            .filter_map(|e| {
+                let name = e.path().strip_prefix(&self.real).ok()?.to_str()?.to_string();
+                let extension = Path::new(&name).extension()?.to_str()?.to_string();
+                IMAGE_EXTENSIONS.contains(&extension.as_str()).then_some(name)
+            })
+            .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn links_never_escape_and_names_are_found_by_their_stem() {
+        let dir = tempfile::tempdir().unwrap();
+        let outside = dir.path().join("outside.png");
+        std::fs::write(&outside, b"x").unwrap();
+        let images = dir.path().join("images");
+        std::fs::create_dir_all(images.join("sub")).unwrap();
+        std::fs::write(images.join("sub/a b.png"), b"x").unwrap();
+        let folder = SourceFolder::open(dir.path(), "images").unwrap();
+        let name = |text: &str| FileName::new(text).unwrap();
+        #[cfg(unix)]
+        {
+            std::os::unix::fs::symlink(&outside, images.join("link.png")).unwrap();
+            let message = folder.file(&name("link.png")).unwrap_err().to_string();
+            assert!(message.contains("symbolic link"), "{message}");
+            std::os::unix::fs::symlink(images.join("sub/a b.png"), images.join("inside.png")).unwrap();
+            assert!(folder.file(&name("inside.png")).unwrap().is_some());
+            // A user's own folder may hold links to files, under their own names, but links to folders do not
+            // count.
+            let own = SourceFolder::open_own(dir.path(), "images").unwrap();
+            let found = own.file(&name("link.png")).unwrap().unwrap();
+            assert_eq!(found, images.canonicalize().unwrap().join("link.png"));
+            std::os::unix::fs::symlink(dir.path(), images.join("folder.png")).unwrap();
+            assert!(own.file(&name("folder.png")).unwrap().is_none());
+            // A link on the way leads outside, too.
+            std::os::unix::fs::symlink(dir.path(), images.join("away")).unwrap();
+            let message = folder.file(&name("away/outside.png")).unwrap_err().to_string();
+            assert!(message.contains("symbolic link"), "{message}");
+        }
+        assert!(folder.file(&name("sub\\a b.png")).unwrap().is_some());
+        assert!(folder.file(&name("sub/none.png")).unwrap().is_none());
+        assert!(folder.image(&name("sub/a b.JPG")).unwrap().is_some(), "another extension");
+        assert!(folder.file(&name("sub")).unwrap().is_none(), "a folder is no image");
+        // The name has the greatest valid length: with another extension it is invalid, and so counts as
+        // missing.
+        assert!(folder.mask(&name(&"x".repeat(250))).unwrap().is_none());
+    }
+
+    #[test]
+    fn folders_are_counted_by_number_then_by_name() {
+        let dir = tempfile::tempdir().unwrap();
+        for name in ["text", "10", "2", "binary"] {
+            std::fs::create_dir(dir.path().join(name)).unwrap();
+        }
+        assert_eq!(subfolders(dir.path()), ["2", "10", "binary", "text"]);
+    }
+}

@@ -1,0 +1,481 @@
+//! The cache on disk.
+//!
+//! ```text
+//! <folder>/CACHEDIR.TAG                                  makes backup programs skip the folder
+//! <folder>/v1/artifacts/<stage>/<key>/…, manifest.json   complete or absent
+//! <folder>/v1/checkpoints/<stage>/<key without length>/  from which long stages resume
+//! <folder>/v1/history/<pipeline>/<scene>/<variant>/<stage>.json   the last record of a node
+//! <folder>/v1/logs/…  timings/<machine>.jsonl            logs, durations for forecasts
+//! <folder>/v1/stat-table                                 stored digests of input files
+//! <folder>/v1/leases/<key>  run-…                        leases of keys and of runs
+//! <folder>/v1/fetched/<key>                              marks an artifact that came from a store
+//! <folder>/v1/killed/<key>.json                         notes about processes that were killed
+//! <folder>/v1/delivered/<results folder>/<part>.json     the sources of the files in a results folder
+//! <folder>/v1/tmp/  damaged/                             unfinished folders; damaged artifacts
+//! ```
+//!
+//! An artifact is made in `tmp`, its files synced, its manifest written last, and the folder renamed into
+//! place, so a crash at any moment leaves either no artifact or a whole one. Several processes, also of
+//! several machines, may share a cache: the first to publish a key wins, and another one's different bytes
+//! raise an alarm. There is no lock to remove by hand, and no lock of the file system is used.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, SystemTime};
+
+use rayon::prelude::*;
+
+use crate::cache::content::Contents;
+use crate::cache::files::{self, Disk, Files};
+use crate::cache::key::{Ingredients, Key};
+use crate::cache::manifest::{self, Circumstances, FileRecord, MANIFEST, Manifest};
+use crate::cache::node::Node;
+use crate::cache::task::IsOver;
+use crate::cache::watch::Watch;
+use crate::error::FileError;
+use use3d_code::digest::Digest;
+
+/// The longest time for which a network file system may hide a name that exists: clients cache for a minute
+/// that a name did not exist.
+const LATE: Duration = Duration::from_secs(90);
+
+const TAG: &str = "Signature: 8a477f597d28d172789f06886806bc55\n\
+    # This folder holds results of use3d that can be computed again.\n";
+
+/// A cache folder.
+#[derive(Clone)]
+pub struct Cache {
+    root: PathBuf,
+    files: Arc<dyn Files>,
+    contents: Arc<Contents>,
+    verified: Arc<Mutex<BTreeSet<Key>>>,
+    leases: Arc<Watch>,
+    node: Arc<Node>,
+    /// The files that stages promise, by stage.
+    promises: Arc<BTreeMap<&'static str, &'static [&'static str]>>,
+}
+
+/// An artifact that exists in the cache.
+#[derive(Clone, Debug)]
+pub struct Artifact {
+    /// Its folder, which is read only by convention.
+    pub path: PathBuf,
+    /// Its manifest.
+    pub manifest: Manifest,
+}
+
+/// Result of looking up a key.
+#[derive(Clone, Debug)]
+pub enum Lookup {
+    /// There is nothing.
+    Missing,
+    /// The complete artifact.
+    Whole(Arc<Artifact>),
+    /// An artifact that differs from its manifest, with the reason.
+    Damaged(String),
+}
+
+/// Result of publishing a folder.
+#[derive(Debug)]
+pub(crate) enum Published {
+    /// The folder is the artifact now.
+    Now(Artifact),
+    /// Another process published the same bytes first.
+    Already(Artifact),
+    /// Another process published other bytes first: the stage is not deterministic.
+    Differs(Artifact, String),
+}
+
+impl Cache {
+    /// Opens the cache in `folder` and creates it where it is missing. `rehash` reads all inputs again.
+    pub fn open(folder: &Path, rehash: bool) -> Result<Self, FileError> {
+        Self::with_files(folder, rehash, Arc::new(Disk))
+    }
+
+    /// Like [`open`](Self::open), with other file operations; for tests.
+    pub fn with_files(folder: &Path, rehash: bool, files: Arc<dyn Files>) -> Result<Self, FileError> {
+        let root = folder.join("v1");
+        files::at(&root, "create", files.create_dir_all(&root))?;
+        let folder = files::at(folder, "open", std::fs::canonicalize(folder))?;
+        let tag = folder.join("CACHEDIR.TAG");
+        if !tag.exists() {
+            files::write_atomic(files.as_ref(), &tag, TAG.as_bytes())?;
+        }
+        let root = folder.join("v1");
+        for part in ["artifacts", "checkpoints", "history", "logs", "leases", "tmp"] {
+            let path = root.join(part);
+            if !path.is_dir() {
+                files::at(&path, "create", files.create_dir_all(&path))?;
+            }
+        }
+        let contents = Arc::new(Contents::open(files.clone(), root.join("stat-table"), rehash));
+        let node = Arc::new(Node::this());
+        Ok(Self {
+            root,
+            files,
+            contents,
+            verified: Arc::default(),
+            leases: Arc::default(),
+            node,
+            promises: Arc::default(),
+        })
+    }
+
+    /// The same cache, used as if by another process or machine that shares it; for tests.
+    #[must_use]
+    pub fn as_node(self, node: Node) -> Self {
+        Self { node: Arc::new(node), ..self }
+    }
+
+    /// Returns the same cache with a function that asks a scheduler about the tasks that leases name.
+    #[must_use]
+    pub fn asking(self, is_over: IsOver) -> Self {
+        let node = self.node().clone().asking(is_over);
+        self.as_node(node)
+    }
+
+    /// Returns the same cache with the files that stages promise, by stage. In it, an artifact without a file
+    /// that its stage promises is damaged.
+    #[must_use]
+    pub fn with_promises(self, promises: BTreeMap<&'static str, &'static [&'static str]>) -> Self {
+        Self { promises: Arc::new(promises), ..self }
+    }
+
+    /// Returns a clause that names a promised file that the manifest does not list.
+    pub(crate) fn unkept(&self, manifest: &Manifest) -> Option<String> {
+        let stage = manifest.ingredients.stage.as_str();
+        if manifest.files.is_empty() {
+            return Some("lists no files".to_string());
+        }
+        let names = manifest.files.iter().map(|file| file.path.as_str());
+        let missing = manifest::unkept(self.promises.get(stage)?, &names)?;
+        Some(format!("lists no {missing}, which every result of {stage} has"))
+    }
+
+    /// The identity and clock with which this process uses the cache.
+    pub(crate) fn node(&self) -> &Node {
+        &self.node
+    }
+
+    /// The versioned folder.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// The observations of leases by this process.
+    pub(crate) fn leases(&self) -> &Watch {
+        &self.leases
+    }
+
+    pub(crate) fn files(&self) -> &dyn Files {
+        self.files.as_ref()
+    }
+
+    /// Digests of inputs.
+    pub fn contents(&self) -> &Contents {
+        &self.contents
+    }
+
+    /// The folder of a key's artifact, whether or not it exists.
+    pub fn artifact_path(&self, stage: &str, key: &Key) -> PathBuf {
+        self.root.join("artifacts").join(stage).join(key.to_string())
+    }
+
+    /// The folder for the checkpoints of a resumable stage.
+    pub fn checkpoint_path(&self, stage: &str, key: &Digest) -> PathBuf {
+        self.root.join("checkpoints").join(stage).join(key.to_string())
+    }
+
+    /// Looks up a key: checks the manifest, and every file's size. A file whose times changed since it was
+    /// last read is read again.
+    pub fn lookup(&self, stage: &str, key: &Key) -> Result<Lookup, FileError> {
+        let path = self.artifact_path(stage, key);
+        let manifest_path = path.join(MANIFEST);
+        let bytes = match self.files.read(&manifest_path) {
+            Ok(bytes) => bytes,
+            Err(e)
+                if matches!(e.kind(), std::io::ErrorKind::NotFound | std::io::ErrorKind::NotADirectory) =>
+            {
+                // If the folder appeared between the two checks, its manifest is there: a folder is published
+                // with it.
+                if !matches!(self.files.exists(&path), Ok(true)) {
+                    return Ok(Lookup::Missing);
+                }
+                match self.files.read(&manifest_path) {
+                    Ok(bytes) => bytes,
+                    Err(_) => return Ok(Lookup::Damaged(format!("{MANIFEST} is missing"))),
+                }
+            }
+            Err(source) => return Err(FileError { path: manifest_path, doing: "read", source }),
+        };
+        let manifest = match Manifest::parse(&bytes, *key) {
+            Ok(manifest) => manifest,
+            Err(reason) => return Ok(Lookup::Damaged(reason)),
+        };
+        if let Some(missing) = self.unkept(&manifest) {
+            return Ok(Lookup::Damaged(format!("{MANIFEST} {missing}")));
+        }
+        let wrong = manifest.files.par_iter().find_map_first(|file| {
+            let found = self.contents.of_file(&path.join(&file.path));
+            wrong_file(file, found.map(|c| (c.bytes, c.digest)))
+        });
+        Ok(match wrong {
+            Some(reason) => Lookup::Damaged(reason),
+            None => Lookup::Whole(Arc::new(Artifact { path, manifest })),
+        })
+    }
+
+    /// Like [`lookup`](Self::lookup), after making the file system refresh its list of names.
+    pub(crate) fn lookup_again(&self, stage: &str, key: &Key) -> Result<Lookup, FileError> {
+        let path = self.artifact_path(stage, key);
+        path.ancestors().skip(1).take(2).for_each(|folder| self.files.look_again(folder));
+        self.lookup(stage, key)
+    }
+
+    /// Looks up an artifact that another machine has made, again and again, until it is found, `enough`
+    /// returns true, or more time has passed than a network file system can hide it.
+    pub(crate) fn lookup_patiently(
+        &self,
+        stage: &str,
+        key: &Key,
+        enough: &dyn Fn() -> bool,
+    ) -> Result<Lookup, FileError> {
+        let clock = self.node.clock;
+        let start = clock.now();
+        let mut wait = Duration::from_millis(100);
+        loop {
+            let found = self.lookup_again(stage, key)?;
+            if matches!(found, Lookup::Whole(_)) || enough() || clock.now() - start > LATE {
+                return Ok(found);
+            }
+            std::thread::sleep(clock.wait_for(wait));
+            wait = (2 * wait).min(Duration::from_secs(5));
+        }
+    }
+
+    /// Reads every byte of an artifact and compares; the error is the first difference. The bytes are read
+    /// once per process and key, unless `again` is true; the presence and sizes of the files are checked
+    /// every time.
+    pub fn verify(&self, artifact: &Artifact, again: bool) -> Result<(), String> {
+        let key = artifact.manifest.key;
+        if !again && self.verified.lock().unwrap_or_else(PoisonError::into_inner).contains(&key) {
+            let there = artifact.manifest.files.iter().all(|file| {
+                std::fs::metadata(artifact.path.join(&file.path)).is_ok_and(|found| found.len() == file.size)
+            });
+            if there && artifact.path.join(MANIFEST).is_file() {
+                return Ok(());
+            }
+        }
+        let wrong = artifact.manifest.files.par_iter().find_map_first(|file| {
+            let path = artifact.path.join(&file.path);
+            let size = files::at(&path, "read", std::fs::metadata(&path)).map(|m| m.len());
+            let found = size.and_then(|size| Ok((size, self.contents.read_digest(&path)?)));
+            wrong_file(file, found)
+        });
+        match wrong {
+            Some(reason) => {
+                self.verified.lock().unwrap_or_else(PoisonError::into_inner).remove(&key);
+                Err(reason)
+            }
+            None => {
+                self.verified.lock().unwrap_or_else(PoisonError::into_inner).insert(key);
+                Ok(())
+            }
+        }
+    }
+
+    /// Moves the folder in a key's place to `damaged/`.
+    pub(crate) fn set_aside(&self, stage: &str, key: &Key) -> Result<PathBuf, FileError> {
+        let from = self.artifact_path(stage, key);
+        let to = self.root.join("damaged").join(format!("{stage}-{}-{}", key.short(), files::unique()));
+        let parent = self.root.join("damaged");
+        files::at(&parent, "create", self.files.create_dir_all(&parent))?;
+        files::at(&from, "move aside", files::rename(self.files(), &from, &to))?;
+        self.forget_fetched(key);
+        self.verified.lock().unwrap_or_else(PoisonError::into_inner).remove(key);
+        Ok(to)
+    }
+
+    /// A new folder in `tmp`, owned by this process.
+    pub(crate) fn scratch(&self) -> Result<PathBuf, FileError> {
+        let folder = self.root.join("tmp").join(files::unique());
+        files::at(&folder, "create", self.files.create_dir_all(&folder))?;
+        Ok(folder)
+    }
+
+    /// Syncs all files of a finished folder and returns their records with digests, computed in parallel.
+    pub(crate) fn seal(&self, folder: &Path) -> Result<Vec<FileRecord>, FileError> {
+        let listed = files::list(folder)?;
+        let sealed: Vec<Result<FileRecord, FileError>> = listed
+            .into_par_iter()
+            .map(|(path, size)| {
+                let file = folder.join(&path);
+                files::at(&file, "sync", self.files.sync(&file))?;
+                Ok(FileRecord { digest: self.contents.read_digest(&file)?, path, size })
+            })
+            .collect();
+        let sealed = sealed.into_iter().collect::<Result<Vec<_>, _>>()?;
+        for entry in walkdir::WalkDir::new(folder).into_iter().filter_map(Result::ok) {
+            if entry.file_type().is_dir() {
+                files::at(entry.path(), "sync", self.files.sync(entry.path()))?;
+            }
+        }
+        Ok(sealed)
+    }
+
+    /// Makes the finished `folder` (in `tmp`) the artifact of `ingredients`.
+    pub(crate) fn publish(
+        &self,
+        folder: &Path,
+        ingredients: Ingredients,
+        how: Circumstances,
+    ) -> Result<Published, FileError> {
+        let sealed = self.seal(folder)?;
+        let manifest = Manifest::new(ingredients, sealed, how);
+        // An earlier artifact of this key, which is gone, may have come from a store.
+        self.forget_fetched(&manifest.key);
+        self.put_in_place(folder, manifest)
+    }
+
+    fn fetched_mark(&self, key: &Key) -> PathBuf {
+        self.root.join("fetched").join(key.to_string())
+    }
+
+    /// Removes the mark that the artifact of a key came from a store, because a computed one replaces it.
+    pub(crate) fn forget_fetched(&self, key: &Key) {
+        let _ = self.files.remove_file(&self.fetched_mark(key));
+    }
+
+    /// Returns true if the artifact of a key came from a store.
+    pub(crate) fn was_fetched(&self, key: &Key) -> bool {
+        matches!(self.files.exists(&self.fetched_mark(key)), Ok(true))
+    }
+
+    /// Makes the `folder` (in `tmp`), which holds the files of a manifest from a store, the artifact of that
+    /// manifest.
+    pub(crate) fn adopt(&self, folder: &Path, manifest: Manifest) -> Result<Published, FileError> {
+        let mut named = manifest.files.clone();
+        named.sort_by(|a, b| a.path.cmp(&b.path));
+        let sealed = self.seal(folder)?;
+        if sealed != named {
+            let what = first_difference(&sealed, &named);
+            let source =
+                std::io::Error::other(format!("{what} differs from what was written; check the disk"));
+            return Err(FileError { path: folder.to_path_buf(), doing: "publish", source });
+        }
+        // The mark comes first, so no process finds the artifact without it.
+        let mark = self.fetched_mark(&manifest.key);
+        if let Some(folder) = mark.parent() {
+            files::at(folder, "create", self.files.create_dir_all(folder))?;
+        }
+        let marked = self.files.create_new(&mark, b"").or_else(|e| match e.kind() {
+            ErrorKind::AlreadyExists => Ok(()),
+            _ => Err(e),
+        });
+        files::at(&mark, "write", marked)?;
+        self.put_in_place(folder, manifest)
+    }
+
+    fn put_in_place(&self, folder: &Path, manifest: Manifest) -> Result<Published, FileError> {
+        let bytes = serde_json::to_vec_pretty(&manifest).map_err(|e| FileError {
+            path: folder.join(MANIFEST),
+            doing: "write",
+            source: std::io::Error::other(e),
+        })?;
+        let record = folder.join(MANIFEST);
+        files::at(&record, "write", self.files.write(&record, &bytes))?;
+        files::at(folder, "sync", self.files.sync(folder))?;
+        let stage = manifest.ingredients.stage.clone();
+        let place = self.artifact_path(&stage, &manifest.key);
+        let parent = self.root.join("artifacts").join(&stage);
+        files::at(&parent, "create", self.files.create_dir_all(&parent))?;
+        if let Err(source) = self.files.rename(folder, &place) {
+            // Another process was first, something damaged is in the way, or the rename succeeded and its
+            // reply was lost.
+            let taken = |e: &std::io::Error| {
+                matches!(e.kind(), ErrorKind::AlreadyExists | ErrorKind::DirectoryNotEmpty)
+            };
+            let found = if taken(&source) || matches!(self.files.exists(folder), Ok(false)) {
+                self.lookup_patiently(&stage, &manifest.key, &|| false)?
+            } else {
+                self.lookup_again(&stage, &manifest.key)?
+            };
+            return match found {
+                Lookup::Whole(first) if first.manifest.content == manifest.content => {
+                    Ok(Published::Already(Arc::unwrap_or_clone(first)))
+                }
+                Lookup::Whole(first) => {
+                    let which = first_difference(&first.manifest.files, &manifest.files);
+                    Ok(Published::Differs(Arc::unwrap_or_clone(first), which))
+                }
+                Lookup::Damaged(_) => {
+                    self.set_aside(&stage, &manifest.key)?;
+                    files::at(&place, "publish", files::rename(self.files(), folder, &place))?;
+                    self.finish_publish(&parent, place, manifest)
+                }
+                Lookup::Missing => Err(FileError { path: place, doing: "publish", source }),
+            };
+        }
+        self.finish_publish(&parent, place, manifest)
+    }
+
+    fn finish_publish(
+        &self,
+        parent: &Path,
+        place: PathBuf,
+        manifest: Manifest,
+    ) -> Result<Published, FileError> {
+        files::at(parent, "sync", self.files.sync(parent))?;
+        for file in &manifest.files {
+            self.contents.remember_own(&place.join(&file.path), file.digest);
+        }
+        self.verified.lock().unwrap_or_else(PoisonError::into_inner).insert(manifest.key);
+        Ok(Published::Now(Artifact { path: place, manifest }))
+    }
+
+    /// Marks an artifact as used now, which sets its order in cleaning up. A failure is harmless.
+    pub(crate) fn touch(&self, artifact: &Path) {
+        if let Ok(folder) = std::fs::File::open(artifact) {
+            let _ = folder.set_modified(SystemTime::now());
+        }
+    }
+
+    /// Lists every artifact folder as stage, key and path, sorted.
+    pub fn artifacts(&self) -> Vec<(String, Key, PathBuf)> {
+        let mut out = Vec::new();
+        let list = |path: &Path| std::fs::read_dir(path).into_iter().flatten().filter_map(Result::ok);
+        for stage in list(&self.root.join("artifacts")) {
+            for entry in list(&stage.path()) {
+                if let Ok(key) = entry.file_name().to_string_lossy().parse() {
+                    out.push((stage.file_name().to_string_lossy().into_owned(), key, entry.path()));
+                }
+            }
+        }
+        out.sort();
+        out
+    }
+}
+
+fn wrong_file(file: &FileRecord, found: Result<(u64, Digest), FileError>) -> Option<String> {
+    match found {
+        Err(error) if error.source.kind() == std::io::ErrorKind::NotFound => {
+            Some(format!("{} is missing", file.path))
+        }
+        Err(error) => Some(error.to_string()),
+        Ok((size, _)) if size != file.size => {
+            Some(format!("{} has {size} bytes, {} were written", file.path, file.size))
+        }
+        Ok((_, digest)) if digest != file.digest => Some(format!("the bytes of {} have changed", file.path)),
+        Ok(_) => None,
+    }
+}
+
+/// Returns the path of the first file in which two artifacts differ.
+pub(crate) fn first_difference(a: &[FileRecord], b: &[FileRecord]) -> String {
+    let paths: BTreeSet<&str> = a.iter().chain(b).map(|f| f.path.as_str()).collect();
+    let of = |files: &[FileRecord], path: &str| files.iter().find(|f| f.path == path).cloned();
+    let differs = paths.into_iter().find(|path| of(a, path) != of(b, path));
+    differs.map_or_else(|| "nothing".to_string(), String::from)
+}

@@ -1,0 +1,278 @@
+//! Errors, whose messages include the next step for the user.
+
+use std::error::Error;
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use use3d_code::CodeError;
+
+/// An invalid parameter of a stage.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ParameterError {
+    /// Dotted path of the parameter; empty for the whole.
+    pub path: String,
+    /// The problem, and the expected value.
+    pub message: String,
+    /// The unknown name (of a key or a choice), if that is the problem.
+    pub unknown: Option<String>,
+    /// The known names.
+    pub known: Vec<String>,
+}
+
+impl ParameterError {
+    /// Converts a deserialisation error together with its path.
+    pub fn from_path(error: &serde_path_to_error::Error<serde_json::Error>) -> Self {
+        let path = error.path().to_string();
+        let mut this = Self::from_serde(error.inner());
+        this.path = if path == "." { String::new() } else { path };
+        // An unknown field is reported at its own path by some containers and at its parent's by others.
+        if let Some(unknown) = this.unknown.as_deref().filter(|_| this.message.starts_with("unknown field")) {
+            let own = this.path == unknown || this.path.ends_with(&format!(".{unknown}"));
+            if !own {
+                let parent = this.path.trim_end_matches('?').trim_end_matches('.');
+                this.path =
+                    if parent.is_empty() { unknown.to_string() } else { format!("{parent}.{unknown}") };
+            }
+        }
+        this
+    }
+
+    /// Converts a deserialisation error.
+    pub(crate) fn from_serde(error: &serde_json::Error) -> Self {
+        let message = error.to_string();
+        let mut quoted = message.split('`').skip(1).step_by(2).map(String::from);
+        let names = message.starts_with("unknown field") || message.starts_with("unknown variant");
+        let unknown = if names { quoted.next() } else { None };
+        let known = if names { quoted.collect() } else { Vec::new() };
+        let message = if message.starts_with("unknown field") { message } else { plain(&message) };
+        Self { path: String::new(), message, unknown, known }
+    }
+
+    /// The known name nearest to the unknown one, if any is near.
+    pub fn suggestion(&self) -> Option<&str> {
+        nearest(self.unknown.as_deref()?, self.known.iter().map(String::as_str))
+    }
+}
+
+impl fmt::Display for ParameterError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if !self.path.is_empty() {
+            // A message about a value continues the sentence that begins with its name.
+            let joint = if self.message.starts_with("is ") { " " } else { ": " };
+            write!(f, "`{}`{joint}", self.path)?;
+        }
+        f.write_str(&self.message)?;
+        match self.suggestion() {
+            Some(near) => write!(f, "; did you mean `{near}`?"),
+            None => Ok(()),
+        }
+    }
+}
+
+impl Error for ParameterError {}
+
+/// Rephrases a deserialiser's message, such as `invalid type: integer `-5`, expected u64`, in plain words.
+pub fn plain(message: &str) -> String {
+    if let Some(rest) = message.strip_prefix("unknown variant ") {
+        return rest.replacen(", expected ", " is not known here; expected ", 1);
+    }
+    let wrong = ["invalid type: ", "invalid value: "].iter().find_map(|p| message.strip_prefix(p));
+    let Some((found, expected)) = wrong.and_then(|rest| rest.rsplit_once(", expected ")) else {
+        return message.to_string();
+    };
+    let kinds = ["integer ", "floating point ", "boolean ", "string "];
+    let found = match found {
+        "null" => "nothing".to_string(),
+        "map" => "a table".to_string(),
+        "sequence" => "a list".to_string(),
+        _ => kinds.iter().find_map(|k| found.strip_prefix(k)).unwrap_or(found).replace('`', ""),
+    };
+    let expected = match expected {
+        "u8" | "u16" | "u32" | "u64" | "usize" => "a whole number, 0 or more",
+        "i8" | "i16" | "i32" | "i64" | "isize" => "a whole number",
+        "f32" | "f64" => "a number",
+        "a boolean" => "true or false",
+        "a string" | "string" => "text",
+        other if other.starts_with("struct ") => "a table",
+        other if other.starts_with("a sequence") => "a list",
+        other => other,
+    };
+    format!("expected {expected}, found {found}")
+}
+
+/// The name nearest to `wrong`, or `None` if all names differ too much.
+pub fn nearest<'n>(wrong: &str, names: impl IntoIterator<Item = &'n str>) -> Option<&'n str> {
+    let lower = wrong.to_lowercase();
+    names
+        .into_iter()
+        .map(|name| (strsim::jaro_winkler(&lower, &name.to_lowercase()), name))
+        .filter(|(score, _)| *score > 0.75)
+        .max_by(|a, b| a.0.total_cmp(&b.0))
+        .map(|(_, name)| name)
+}
+
+/// The reason why a stage did not fill its folder.
+///
+/// Any error converts with `?`. (This type is itself not a `std::error::Error`, which makes that conversion
+/// possible.)
+#[derive(Debug)]
+pub enum StageError {
+    /// The stage was stopped; its checkpoints are on disk.
+    Cancelled,
+    /// The stage failed.
+    Failed(Box<dyn Error + Send + Sync>),
+}
+
+impl StageError {
+    /// A failure from an error.
+    pub fn failed(error: impl Error + Send + Sync + 'static) -> Self {
+        Self::Failed(Box::new(error))
+    }
+
+    /// A failure with a message.
+    pub fn message(text: impl Into<String>) -> Self {
+        Self::Failed(text.into().into())
+    }
+
+    /// A failure caused by the stage's inputs, not by the stage's own work.
+    pub fn bad_input(error: impl Error + Send + Sync + 'static) -> Self {
+        Self::failed(BadInput(Box::new(error)))
+    }
+
+    /// The same with a message.
+    pub fn bad_input_message(text: impl Into<String>) -> Self {
+        Self::Failed(Box::new(BadInput(text.into().into())))
+    }
+
+    /// Returns true if the inputs caused the failure.
+    pub fn is_bad_input(&self) -> bool {
+        matches!(self, Self::Failed(error) if error.is::<BadInput>())
+    }
+
+    /// A failure to read or write a file.
+    pub fn io(path: &Path, source: std::io::Error) -> Self {
+        Self::failed(FileError { path: path.to_path_buf(), doing: "use", source })
+    }
+}
+
+/// Marks an error as caused by the input; the text is the inner error's.
+#[derive(Debug)]
+struct BadInput(Box<dyn Error + Send + Sync>);
+
+impl fmt::Display for BadInput {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+impl Error for BadInput {
+    fn source(&self) -> Option<&(dyn Error + 'static)> {
+        self.0.source()
+    }
+}
+
+impl<E: Error + Send + Sync + 'static> From<E> for StageError {
+    fn from(error: E) -> Self {
+        Self::failed(error)
+    }
+}
+
+impl fmt::Display for StageError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Cancelled => f.write_str("interrupted"),
+            Self::Failed(error) => f.write_str(&chain(error.as_ref())),
+        }
+    }
+}
+
+/// An error and its causes in one line.
+pub fn chain(error: &dyn Error) -> String {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(inner) = cause {
+        let inner_text = inner.to_string();
+        if !text.contains(&inner_text) {
+            text = format!("{text}: {inner_text}");
+        }
+        cause = inner.source();
+    }
+    text
+}
+
+/// A file operation that failed.
+#[derive(Debug, thiserror::Error)]
+#[error("cannot {doing} {}: {source}{}", path.display(), advice(source))]
+pub struct FileError {
+    /// The file or folder.
+    pub path: PathBuf,
+    /// The operation that was tried, as a verb.
+    pub doing: &'static str,
+    /// The system's error.
+    pub source: std::io::Error,
+}
+
+fn advice(error: &std::io::Error) -> &'static str {
+    use std::io::ErrorKind as Kind;
+    match error.kind() {
+        Kind::StorageFull | Kind::QuotaExceeded => {
+            " (the disk is full: free some space, run `use3d gc`, or choose another folder with --cache; nothing finished is lost)"
+        }
+        Kind::ReadOnlyFilesystem | Kind::PermissionDenied => {
+            " (choose a folder that can be written: --out for results, --cache or USE3D_CACHE for the cache)"
+        }
+        _ => "",
+    }
+}
+
+/// The errors that stop the builder as a whole.
+#[derive(Debug, thiserror::Error)]
+pub enum BuildError {
+    /// A file operation failed.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// A stage names code that does not exist.
+    #[error("stage `{stage}`: {source}")]
+    Code {
+        /// The stage.
+        stage: String,
+        /// The problem.
+        source: CodeError,
+    },
+    /// The stages do not fit together. This is a mistake in the program, found when the registry is built.
+    #[error("stage table: {0}")]
+    Registry(String),
+    /// A name that does not exist.
+    #[error("no {kind} `{name}`{}; there are: {known}", suggestion.as_ref().map(|s| format!(" (did you mean `{s}`?)")).unwrap_or_default())]
+    Unknown {
+        /// The kind of the name, such as a scene or stage.
+        kind: &'static str,
+        /// The name that was given.
+        name: String,
+        /// The nearest known one.
+        suggestion: Option<String>,
+        /// The known names.
+        known: String,
+    },
+    /// Invalid parameters of a stage.
+    #[error("{place}: {error}")]
+    Parameters {
+        /// The place where they are written.
+        place: String,
+        /// The problem.
+        error: ParameterError,
+    },
+}
+
+impl BuildError {
+    /// An unknown name, with the nearest known one.
+    pub fn unknown<'n>(kind: &'static str, name: &str, known: impl IntoIterator<Item = &'n str>) -> Self {
+        let known: Vec<&str> = known.into_iter().collect();
+        Self::Unknown {
+            kind,
+            name: name.to_string(),
+            suggestion: nearest(name, known.iter().copied()).map(String::from),
+            known: known.join(", "),
+        }
+    }
+}

@@ -1,0 +1,41 @@
+//! The stages, and the places of their artifacts.
+
+use std::sync::Arc;
+
+use crate::cache::artifacts::Cache;
+use crate::cache::key;
+use crate::share::remote::RemoteStore;
+use crate::stage::registry::Registry;
+
+/// Stages and the cache they work on.
+#[derive(Clone)]
+pub struct Builder {
+    /// The stages.
+    pub registry: Registry,
+    /// The cache.
+    pub cache: Cache,
+    pub(crate) numeric_class: String,
+    pub(crate) remote: Option<Arc<RemoteStore>>,
+}
+
+impl Builder {
+    /// A builder on this machine.
+    pub fn new(registry: Registry, cache: Cache) -> Self {
+        let cache = cache.with_promises(registry.promises());
+        Self { registry, cache, numeric_class: key::numeric_class(), remote: None }
+    }
+
+    /// The same builder, which looks in a store for artifacts that the cache lacks before it computes them,
+    /// and uploads the artifacts that it has computed.
+    #[must_use]
+    pub fn with_remote(self, remote: Arc<RemoteStore>) -> Self {
+        Self { remote: Some(remote), ..self }
+    }
+
+    /// The same builder as if on a machine with another class of arithmetic.
+    #[must_use]
+    pub fn with_numeric_class(mut self, class: &str) -> Self {
+        self.numeric_class = class.to_string();
+        self
+    }
+}

@@ -1,0 +1,672 @@
+//! The static graph of a batch: every stage of every scene and variant, with its parameters and the sources
+//! of its inputs.
+//!
+//! Variants that change nothing up to a stage share that stage's node. Such nodes are found before any
+//! content is read, by an identity made of stage, parameters, seed and the identities of the inputs. They
+//! point to the first node with the same identity.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::sync::Arc;
+
+use serde_json::{Map, Value};
+
+use crate::cache::canonical;
+use crate::error::{BuildError, ParameterError};
+use crate::stage::definition::{Scope, Source};
+pub use crate::stage::inputs::External;
+use crate::stage::inputs::{AllParameters, Named};
+use crate::stage::registry::Registry;
+use use3d_code::digest::{Digest, Encoder};
+
+/// Parameters given for stages, by stage; a parameter that is not given has the stage's default.
+pub type Overrides = Map<String, Value>;
+
+/// The work of a batch: scenes × stages × variants.
+#[derive(Clone, Debug, Default)]
+pub struct Batch {
+    /// The pipeline's name, for records and logs.
+    pub name: String,
+    /// The seed.
+    pub seed: u64,
+    /// Parameters for all scenes. They win only over the stages' own defaults.
+    pub preset: Overrides,
+    /// The preset's name, for messages only; empty for none.
+    pub preset_name: String,
+    /// Parameters for all scenes.
+    pub defaults: Overrides,
+    /// Parameters that win over everything: those of the command line.
+    pub forced: Overrides,
+    /// Files and folders for all scenes, by name.
+    pub externals: BTreeMap<String, External>,
+    /// The places where the user named them, by name: `` `calibrator.file` in reefs.toml ``. For messages
+    /// only.
+    pub named: BTreeMap<String, String>,
+    /// The scenes.
+    pub scenes: Vec<BatchScene>,
+    /// The variants; an empty list means one variant without a name.
+    pub variants: Vec<Variant>,
+}
+
+/// One scene of a batch.
+#[derive(Clone, Debug, Default)]
+pub struct BatchScene {
+    /// Its name, unique in the batch.
+    pub name: String,
+    /// The group in whose mean the scene counts.
+    pub group: String,
+    /// Its files and folders, by name.
+    pub externals: BTreeMap<String, External>,
+    /// The places where the user named them, by name. For messages only.
+    pub named: BTreeMap<String, String>,
+    /// Parameters for this scene only.
+    pub overrides: Overrides,
+    /// Parameters for this scene only that win over all others.
+    pub forced: Overrides,
+}
+
+impl BatchScene {
+    /// Names a file or folder of this scene; `by` is the place where the user named it, for messages.
+    pub fn name_external(&mut self, name: &str, place: External, by: impl Into<String>) {
+        self.externals.insert(name.to_string(), place);
+        self.named.insert(name.to_string(), by.into());
+    }
+}
+
+/// A named set of changes; every scene is computed with it.
+#[derive(Clone, Debug, Default)]
+pub struct Variant {
+    /// Its name, unique in the batch.
+    pub name: String,
+    /// The variant's own seed.
+    pub seed: Option<u64>,
+    /// The preset used in place of the batch's.
+    pub preset: Option<Overrides>,
+    /// The preset's name, for messages only.
+    pub preset_name: Option<String>,
+    /// Its files and folders, by name; they win over a scene's.
+    pub externals: BTreeMap<String, External>,
+    /// The places where the user named them, by name. For messages only.
+    pub named: BTreeMap<String, String>,
+    /// Parameters for this variant only.
+    pub overrides: Overrides,
+    /// Parameters for this variant only that win over all but a scene's forced ones.
+    pub forced: Overrides,
+}
+
+impl Variant {
+    /// Names a file or folder of this variant; `by` is the place where the user named it, for messages.
+    pub fn name_external(&mut self, name: &str, place: External, by: impl Into<String>) {
+        self.externals.insert(name.to_string(), place);
+        self.named.insert(name.to_string(), by.into());
+    }
+}
+
+impl Batch {
+    /// Names a file or folder for all scenes; `by` is the place where the user named it, for messages.
+    pub fn name_external(&mut self, name: &str, place: External, by: impl Into<String>) {
+        self.externals.insert(name.to_string(), place);
+        self.named.insert(name.to_string(), by.into());
+    }
+
+    /// Keeps only the named scenes.
+    pub fn keep_scenes(&mut self, names: &[String]) -> Result<(), BuildError> {
+        for name in names {
+            if !self.scenes.iter().any(|s| &s.name == name) {
+                return Err(BuildError::unknown("scene", name, self.scenes.iter().map(|s| s.name.as_str())));
+            }
+        }
+        self.scenes.retain(|s| names.contains(&s.name));
+        Ok(())
+    }
+}
+
+/// The source of a node's input.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum From {
+    Node(usize),
+    External(External),
+}
+
+#[derive(Clone, Debug)]
+pub(crate) struct NodeInput {
+    pub(crate) role: &'static str,
+    pub(crate) from: From,
+    /// The place where the user named it; empty for a stage's artifact.
+    pub(crate) named: String,
+    /// The input's place in the stage's list.
+    pub(crate) index: usize,
+    /// The scene that it belongs to, for a stage over the whole batch. Other stages have none, and a large
+    /// batch has many inputs.
+    pub(crate) cell: Option<Box<InputCell>>,
+}
+
+/// The scene, its group and the variant of an input of a stage over the whole batch.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct InputCell {
+    pub(crate) scene: String,
+    pub(crate) group: String,
+    pub(crate) variant: String,
+}
+
+/// The settings of a scene in a variant: the parameters of all stages, and the files from outside.
+#[derive(Debug)]
+pub(crate) struct Place {
+    pub(crate) all: Arc<AllParameters>,
+    pub(crate) named: Named,
+}
+
+/// One stage of one scene and variant.
+#[derive(Clone, Debug)]
+pub struct Node {
+    pub(crate) stage: usize,
+    /// The stage's name.
+    pub stage_name: &'static str,
+    /// The scene's name; empty for a stage over all scenes.
+    pub scene: String,
+    /// The variant's name; empty where there are none.
+    pub variant: String,
+    /// Its parameters, defaults filled in. Nodes with equal parameters share them.
+    pub parameters: Arc<Value>,
+    /// The name of the preset below its parameters; empty for none. For people only.
+    pub preset: String,
+    /// The seed of its random draws; `None` for a stage without random draws.
+    pub seed: Option<u64>,
+    pub(crate) place: Arc<Place>,
+    pub(crate) inputs: Vec<NodeInput>,
+    pub(crate) identity: Digest,
+    /// The first node with the same work, if this is not the first.
+    pub same_as: Option<usize>,
+}
+
+impl NodeInput {
+    /// The scene that it belongs to; empty where there is none.
+    pub(crate) fn cell(&self) -> InputCell {
+        self.cell.as_deref().cloned().unwrap_or_default()
+    }
+
+    /// The node whose artifact it is; `None` for an input from outside.
+    pub(crate) fn node(&self) -> Option<usize> {
+        match self.from {
+            From::Node(node) => Some(node),
+            From::External(_) => None,
+        }
+    }
+}
+
+impl Node {
+    /// Scene, variant and stage, for display.
+    pub fn label(&self) -> String {
+        let parts: Vec<&str> =
+            [&self.scene, &self.variant].into_iter().map(String::as_str).filter(|p| !p.is_empty()).collect();
+        if parts.is_empty() {
+            self.stage_name.to_string()
+        } else {
+            format!("{} · {}", parts.join(" · "), self.stage_name)
+        }
+    }
+}
+
+/// The nodes, ordered so that inputs come before the nodes that read them.
+#[derive(Clone, Debug)]
+pub struct Graph {
+    /// The pipeline's name.
+    pub name: String,
+    /// The nodes.
+    pub nodes: Vec<Node>,
+}
+
+impl Graph {
+    /// Builds the graph of `batch` over the stages of `registry`. Fails on parameters that a stage refuses
+    /// and on unknown stages.
+    pub fn new(registry: &Registry, batch: &Batch) -> Result<Self, BuildError> {
+        check_names(registry, batch)?;
+        let unnamed = [Variant::default()];
+        let variants = if batch.variants.is_empty() { &unnamed[..] } else { &batch.variants };
+        // A list that grows copies itself, and needs three times its memory meanwhile.
+        let in_cells = registry.stages().iter().filter(|stage| stage.scope == Scope::Scene).count();
+        let most = batch.scenes.len().saturating_mul(variants.len()).saturating_mul(in_cells);
+        let mut builder = GraphBuilder {
+            registry,
+            batch,
+            nodes: Vec::with_capacity(most.saturating_add(registry.stages().len())),
+            place: HashMap::new(),
+            first: HashMap::new(),
+            merged: HashMap::new(),
+        };
+        // Scene by scene, so that results come early; shared stages first, stages over all scenes last.
+        for variant in variants {
+            builder.add(None, variant, None, Scope::Shared)?;
+        }
+        for scene in &batch.scenes {
+            // The reference variant comes first, at any position in the list.
+            let reference = builder.reference(scene, variants)?;
+            let others = variants.iter().enumerate().filter(|(i, _)| Some(*i) != reference);
+            let ordered = reference.map(|i| &variants[i]).into_iter().chain(others.map(|(_, v)| v));
+            for variant in ordered {
+                builder.add(Some(scene), variant, reference.map(|i| &variants[i]), Scope::Scene)?;
+            }
+        }
+        builder.add_batch_stages(variants)?;
+        Ok(Self { name: batch.name.clone(), nodes: builder.nodes })
+    }
+
+    /// Returns a digest of the batch: its stages with their code, the parameters that count, seeds and
+    /// inputs. Two processes with the same digest compute the same keys.
+    pub fn digest(&self, registry: &Registry) -> Digest {
+        let mut encoder = Encoder::new("use3d 2026 batch v2");
+        let stages: BTreeSet<usize> = self.nodes.iter().map(|node| node.stage).collect();
+        for place in stages {
+            encoder.text(registry.stages()[place].name);
+            for (name, digest) in &registry.code(place).ours {
+                encoder.text(name).bytes(digest.as_bytes());
+            }
+        }
+        for node in &self.nodes {
+            encoder.text(node.stage_name).text(&node.scene).text(&node.variant);
+            let stage = &registry.stages()[node.stage];
+            canonical::encode(&stage.key_parameters(&node.parameters), &mut encoder);
+            encoder.number(u64::from(node.seed.is_some())).number(node.seed.unwrap_or(0));
+            for input in &node.inputs {
+                encoder.text(input.role);
+                match &input.from {
+                    From::Node(node) => encoder.number(*node as u64),
+                    From::External(Ok(path)) => encoder.text(&path.to_string_lossy()),
+                    From::External(Err(reason)) => encoder.text(reason),
+                };
+            }
+        }
+        encoder.finish()
+    }
+
+    /// Finds the node of a stage in a scene (empty for stages over all scenes) and variant (empty for the
+    /// first).
+    pub fn find(&self, scene: &str, variant: &str, stage: &str) -> Option<usize> {
+        let fits = |n: &Node| n.stage_name == stage && (n.scene.is_empty() || n.scene == scene);
+        self.nodes
+            .iter()
+            .position(|n| fits(n) && (variant.is_empty() || n.variant == variant || n.variant.is_empty()))
+    }
+
+    /// Marks the named stages and all their inputs; `None` marks everything.
+    pub fn wanted(&self, until: Option<&[String]>) -> Vec<bool> {
+        self.wanted_of(until, None)
+    }
+
+    /// Like [`wanted`](Self::wanted), but marks stages only in these scenes and variants, and all their
+    /// inputs.
+    pub fn wanted_of(&self, until: Option<&[String]>, only: Option<&[(String, String)]>) -> Vec<bool> {
+        if until.is_none() && only.is_none() {
+            return vec![true; self.nodes.len()];
+        }
+        let asked = |n: &Node| {
+            until.is_none_or(|stages| stages.iter().any(|s| s == n.stage_name))
+                && only.is_none_or(|cells| cells.iter().any(|(s, v)| *s == n.scene && *v == n.variant))
+        };
+        let mut wanted: Vec<bool> = self.nodes.iter().map(asked).collect();
+        for i in (0..self.nodes.len()).rev().filter(|i| wanted[*i]).collect::<Vec<_>>() {
+            let mut open = vec![i];
+            while let Some(node) = open.pop() {
+                wanted[node] = true;
+                open.extend(self.parents(node).filter(|p| !wanted[*p]).collect::<Vec<_>>());
+            }
+        }
+        wanted
+    }
+
+    /// The nodes that must finish before a node can, each once. For a node that repeats the work of another,
+    /// this is that node alone.
+    pub(crate) fn needs(&self, node: usize) -> Vec<usize> {
+        let of = &self.nodes[node];
+        let mut needs = match of.same_as {
+            Some(first) => vec![first],
+            None => of.inputs.iter().filter_map(NodeInput::node).collect(),
+        };
+        needs.sort_unstable();
+        needs.dedup();
+        needs
+    }
+
+    /// The nodes whose artifacts a node reads, and for a node that repeats the work of another, also that
+    /// node.
+    pub(crate) fn parents(&self, node: usize) -> impl Iterator<Item = usize> + '_ {
+        let node = &self.nodes[node];
+        let inputs = node.inputs.iter().filter_map(|i| match i.from {
+            From::Node(parent) => Some(parent),
+            From::External(_) => None,
+        });
+        inputs.chain(node.same_as)
+    }
+}
+
+fn check_names(registry: &Registry, batch: &Batch) -> Result<(), BuildError> {
+    for scene in &batch.scenes {
+        for name in scene.overrides.keys().chain(scene.forced.keys()) {
+            let stage = registry.stage(name)?;
+            if stage.scope != Scope::Scene {
+                let message = format!("`{name}` is made once for all scenes; set it in [defaults.{name}]");
+                let error = ParameterError { path: name.clone(), message, unknown: None, known: Vec::new() };
+                return Err(BuildError::Parameters { place: format!("scene {}", scene.name), error });
+            }
+        }
+    }
+    let scenes = batch.scenes.iter().map(|s| &s.overrides);
+    let variants = batch.variants.iter().map(|v| &v.overrides);
+    for overrides in [&batch.preset, &batch.defaults, &batch.forced].into_iter().chain(scenes).chain(variants)
+    {
+        for stage in overrides.keys() {
+            registry.index(stage)?;
+        }
+    }
+    Ok(())
+}
+
+struct GraphBuilder<'a> {
+    registry: &'a Registry,
+    batch: &'a Batch,
+    nodes: Vec<Node>,
+    place: HashMap<(String, String, &'static str), usize>,
+    first: HashMap<Digest, usize>,
+    /// Merged parameters, by the settings of a scene and the name of a variant.
+    merged: HashMap<(Option<String>, String), Arc<Merged>>,
+}
+
+/// Parameters of all stages for a scene and variant.
+struct Merged {
+    all: Arc<AllParameters>,
+    /// The parameters of each stage, which nodes share, and their digests.
+    each: BTreeMap<&'static str, (Arc<Value>, Digest)>,
+}
+
+impl GraphBuilder<'_> {
+    /// Parameters of every stage for a scene and variant. The layers are preset, defaults, scene, variant and
+    /// command line, and then the forced parameters of the variant and of the scene; later layers win. Scenes
+    /// with the same settings share them.
+    fn parameters(
+        &mut self,
+        scene: Option<&BatchScene>,
+        variant: &Variant,
+    ) -> Result<Arc<Merged>, BuildError> {
+        let own = scene.map(|s| serde_json::to_string(&(&s.overrides, &s.forced)).unwrap_or_default());
+        let key = (own, variant.name.clone());
+        if let Some(known) = self.merged.get(&key) {
+            return Ok(known.clone());
+        }
+        let all = self.merge(scene, variant)?;
+        let shared = |stage: &crate::stage::definition::Stage| {
+            let value = all[stage.name].clone();
+            let mut encoder = Encoder::new("use3d 2026 node parameters v1");
+            canonical::encode(&value, &mut encoder);
+            (stage.name, (Arc::new(value), encoder.finish()))
+        };
+        let each = self.registry.stages().iter().map(shared).collect();
+        let merged = Arc::new(Merged { all: Arc::new(all), each });
+        self.merged.insert(key, merged.clone());
+        Ok(merged)
+    }
+
+    fn merge(&self, scene: Option<&BatchScene>, variant: &Variant) -> Result<AllParameters, BuildError> {
+        let mut all = AllParameters::new();
+        for stage in self.registry.stages() {
+            let scene = scene.filter(|_| stage.scope == Scope::Scene);
+            let variant = Some(variant).filter(|_| stage.scope != Scope::Batch);
+            let layers = [
+                Some(variant.and_then(|v| v.preset.as_ref()).unwrap_or(&self.batch.preset)),
+                Some(&self.batch.defaults),
+                scene.map(|s| &s.overrides),
+                variant.map(|v| &v.overrides),
+                Some(&self.batch.forced),
+                variant.map(|v| &v.forced),
+                scene.map(|s| &s.forced),
+            ];
+            let mut given = Value::Object(Map::new());
+            for layer in layers.into_iter().flatten().filter_map(|l| l.get(stage.name)) {
+                canonical::merge(&mut given, layer);
+            }
+            let parameters = stage.parameters(&given).map_err(|error| BuildError::Parameters {
+                place: place_label(scene, variant, stage.name),
+                error,
+            })?;
+            all.insert(stage.name.to_string(), parameters);
+        }
+        Ok(all)
+    }
+
+    /// The external files named for a scene in a variant. Without a scene: the files that are named for all
+    /// scenes, together or one by one.
+    fn named(&self, scene: Option<&BatchScene>, variant: &Variant) -> Named {
+        type Said<'a> = (&'a BTreeMap<String, External>, &'a BTreeMap<String, String>);
+        let of = |(places, named): Said<'_>, counts: &dyn Fn(&String) -> bool| -> Vec<_> {
+            let said = |name: &String| named.get(name).cloned().unwrap_or_default();
+            let each = places.iter().filter(|(name, _)| counts(name));
+            each.map(|(name, place)| (name.clone(), (place.clone(), said(name)))).collect()
+        };
+        let batch = of((&self.batch.externals, &self.batch.named), &|_| true);
+        let each = match (scene, self.batch.scenes.split_first()) {
+            (Some(scene), _) => of((&scene.externals, &scene.named), &|_| true),
+            (None, Some((first, others))) => {
+                let everywhere = |name: &String| others.iter().all(|s| s.externals.contains_key(name));
+                of((&first.externals, &first.named), &everywhere)
+            }
+            (None, None) => Vec::new(),
+        };
+        let variant = of((&variant.externals, &variant.named), &|_| true);
+        Named::new(batch.into_iter().chain(each).chain(variant))
+    }
+
+    /// The index of a scene's reference variant, if a stage declares a condition for it and a variant meets
+    /// that condition.
+    fn reference(&mut self, scene: &BatchScene, variants: &[Variant]) -> Result<Option<usize>, BuildError> {
+        let registry = self.registry;
+        let Some(fulfils) = registry.stages().iter().find_map(|s| s.reference.as_ref()) else {
+            return Ok(None);
+        };
+        for (i, variant) in variants.iter().enumerate() {
+            if fulfils(&self.parameters(Some(scene), variant)?.all) {
+                return Ok(Some(i));
+            }
+        }
+        Ok(None)
+    }
+
+    fn add(
+        &mut self,
+        scene: Option<&BatchScene>,
+        variant: &Variant,
+        reference: Option<&Variant>,
+        scope: Scope,
+    ) -> Result<(), BuildError> {
+        let merged = self.parameters(scene, variant)?;
+        let place = Arc::new(Place { all: merged.all.clone(), named: self.named(scene, variant) });
+        let (all, named): (&AllParameters, _) = (&place.all, &place.named);
+        let registry = self.registry;
+        for (index, stage) in registry.stages().iter().enumerate().filter(|(_, s)| s.scope == scope) {
+            if stage.condition.as_ref().is_some_and(|asked| !asked(all, named)) {
+                continue;
+            }
+            let mut inputs = Vec::new();
+            for (i, input) in stage.inputs.iter().enumerate() {
+                // Finds the entry that names an external file, in the order variant, scene, pipeline.
+                let namer = |name: &str| {
+                    let variant = [(&variant.externals, &variant.named)].into_iter();
+                    let scene = scene.map(|s| (&s.externals, &s.named));
+                    let batch = [(&self.batch.externals, &self.batch.named)];
+                    variant.chain(scene).chain(batch).find(|(externals, _)| externals.contains_key(name))
+                };
+                let outside = |name: &str| namer(name)?.0.get(name).cloned().map(From::External);
+                // The name of the external file to read: the input's own, or that of the file that replaces
+                // an artifact.
+                let external = match input.source {
+                    Source::External(name) => Some(name),
+                    Source::Stage(_) | Source::Reference(_) => {
+                        input.instead.filter(|name| outside(name).is_some())
+                    }
+                };
+                if external.is_none() && input.needed.as_ref().is_some_and(|needed| !needed(all)) {
+                    continue;
+                }
+                let scene_name = scene.map(|s| s.name.clone()).unwrap_or_default();
+                let made = |scene_name: String, variant: &Variant, stage: &'static str| {
+                    let node = self.place.get(&(scene_name, variant.name.clone(), stage));
+                    node.map(|node| From::Node(*node))
+                };
+                let found = match (external, &input.source) {
+                    (Some(name), _) => outside(name),
+                    (None, Source::External(_)) => None,
+                    (None, Source::Reference(stage)) => {
+                        reference.and_then(|reference| made(scene_name, reference, stage))
+                    }
+                    (None, Source::Stage(stage)) => {
+                        made(scene_name, variant, stage).or_else(|| made(String::new(), variant, stage))
+                    }
+                };
+                let from = match (found, input.optional) {
+                    (Some(from), _) => from,
+                    (None, true) => continue,
+                    (None, false) => From::External(Err(match input.source {
+                        Source::External(name) => format!("the pipeline does not say where `{name}` is"),
+                        Source::Stage(name) | Source::Reference(name) => {
+                            format!("it needs the stage `{name}`, which these parameters switch off")
+                        }
+                    })),
+                };
+                let said = external.and_then(|name| namer(name)?.1.get(name));
+                let named = said.cloned().unwrap_or_default();
+                inputs.push(NodeInput { role: input.role, from, named, index: i, cell: None });
+            }
+            let seed = stage.seeded.then(|| variant.seed.unwrap_or(self.batch.seed));
+            let scene_name = scene.map(|s| s.name.clone()).unwrap_or_default();
+            let name = variant.preset_name.as_ref().unwrap_or(&self.batch.preset_name).clone();
+            let cell = (scene_name, variant.name.clone(), place.clone());
+            self.push(index, cell, (&merged, name), seed, inputs);
+        }
+        Ok(())
+    }
+
+    fn add_batch_stages(&mut self, variants: &[Variant]) -> Result<(), BuildError> {
+        let merged = self.parameters(None, &Variant::default())?;
+        let place = Arc::new(Place { all: merged.all.clone(), named: self.named(None, &Variant::default()) });
+        let (all, named): (&AllParameters, _) = (&place.all, &place.named);
+        let registry = self.registry;
+        let groups: HashMap<&str, &str> =
+            self.batch.scenes.iter().map(|s| (s.name.as_str(), s.group.as_str())).collect();
+        for (index, stage) in registry.stages().iter().enumerate().filter(|(_, s)| s.scope == Scope::Batch) {
+            let given =
+                |v: &&Variant| v.overrides.contains_key(stage.name) || v.forced.contains_key(stage.name);
+            if let Some(variant) = variants.iter().find(given) {
+                return Err(BuildError::Parameters {
+                    place: format!("variant {}", variant.name),
+                    error: ParameterError {
+                        path: stage.name.to_string(),
+                        message: format!(
+                            "`{0}` is made once for all variants; set it in [defaults.{0}]",
+                            stage.name
+                        ),
+                        unknown: None,
+                        known: Vec::new(),
+                    },
+                });
+            }
+            if stage.condition.as_ref().is_some_and(|asked| !asked(all, named)) {
+                continue;
+            }
+            let mut inputs = Vec::new();
+            for (i, input) in stage.inputs.iter().enumerate() {
+                let base = NodeInput {
+                    role: input.role,
+                    from: From::External(Err(String::new())),
+                    named: String::new(),
+                    index: i,
+                    cell: None,
+                };
+                match input.source {
+                    Source::External(name) => match (self.batch.externals.get(name), input.optional) {
+                        (Some(external), _) => {
+                            let named = self.batch.named.get(name).cloned().unwrap_or_default();
+                            inputs.push(NodeInput { from: From::External(external.clone()), named, ..base });
+                        }
+                        (None, true) => {}
+                        (None, false) => {
+                            let reason = format!("the pipeline does not say where `{name}` is");
+                            inputs.push(NodeInput { from: From::External(Err(reason)), ..base });
+                        }
+                    },
+                    // A stage over all variants reads the artifacts of all of them.
+                    Source::Stage(name) | Source::Reference(name) => {
+                        if let Some((name, external)) =
+                            input.instead.and_then(|name| self.batch.externals.get_key_value(name))
+                        {
+                            let named = self.batch.named.get(name).cloned().unwrap_or_default();
+                            let from = From::External(external.clone());
+                            inputs.push(NodeInput { from, named, ..base.clone() });
+                        }
+                        for (n, node) in self.nodes.iter().enumerate().filter(|(_, n)| n.stage_name == name) {
+                            let group = groups.get(node.scene.as_str()).copied().unwrap_or_default();
+                            let cell = InputCell {
+                                scene: node.scene.clone(),
+                                group: group.to_string(),
+                                variant: node.variant.clone(),
+                            };
+                            let (from, cell) = (From::Node(n), Some(Box::new(cell)));
+                            inputs.push(NodeInput { from, cell, ..base.clone() });
+                        }
+                    }
+                }
+            }
+            let seed = stage.seeded.then_some(self.batch.seed);
+            let cell = (String::new(), String::new(), place.clone());
+            self.push(index, cell, (&merged, self.batch.preset_name.clone()), seed, inputs);
+        }
+        Ok(())
+    }
+
+    fn push(
+        &mut self,
+        stage: usize,
+        (scene, variant, place): (String, String, Arc<Place>),
+        (merged, preset): (&Merged, String),
+        seed: Option<u64>,
+        inputs: Vec<NodeInput>,
+    ) {
+        let name = self.registry.stages()[stage].name;
+        let mut identity = Encoder::new("use3d 2026 node identity v1");
+        let (parameters, digest) = &merged.each[name];
+        identity.text(name).bytes(digest.as_bytes());
+        identity.number(u64::from(seed.is_some())).number(seed.unwrap_or(0));
+        for input in &inputs {
+            let cell = input.cell();
+            identity.text(input.role).text(&cell.scene).text(&cell.variant);
+            match &input.from {
+                From::Node(node) => identity.bytes(self.nodes[*node].identity.as_bytes()),
+                From::External(Ok(path)) => identity.text(&path.to_string_lossy()),
+                // A missing file of one scene is not the same input as a missing file of another scene.
+                From::External(Err(reason)) => identity.text(reason).text(&scene),
+            };
+        }
+        let identity = identity.finish();
+        let id = self.nodes.len();
+        let same_as = self.first.get(&identity).copied();
+        self.first.entry(identity).or_insert(id);
+        self.place.insert((scene.clone(), variant.clone(), name), id);
+        self.nodes.push(Node {
+            stage,
+            stage_name: name,
+            scene,
+            variant,
+            parameters: parameters.clone(),
+            preset,
+            seed,
+            place,
+            inputs,
+            identity,
+            same_as,
+        });
+    }
+}
+
+fn place_label(scene: Option<&BatchScene>, variant: Option<&Variant>, stage: &str) -> String {
+    let mut parts = Vec::new();
+    parts.extend(scene.map(|s| format!("scene {}", s.name)));
+    parts.extend(variant.filter(|v| !v.name.is_empty()).map(|v| format!("variant {}", v.name)));
+    parts.push(format!("stage {stage}"));
+    parts.join(", ")
+}

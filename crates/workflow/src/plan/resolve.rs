@@ -1,0 +1,201 @@
+//! Computes the key of a node from its parameters and the artifacts of its inputs.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use crate::cache::artifacts::{Artifact, Cache};
+use crate::cache::canonical;
+use crate::cache::content::Content;
+use crate::cache::key::{Ingredients, InputDigest, Key};
+use crate::plan::graph::{From, Graph, InputCell, Node, NodeInput};
+use crate::stage::definition::{Scope, Stage};
+use crate::stage::inputs::StageInput;
+use crate::stage::registry::Registry;
+use use3d_code::digest::{Digest, Encoder};
+
+/// State of a node's artifact while a batch is planned or run.
+#[derive(Clone, Debug)]
+pub(crate) enum Outcome {
+    /// Not decided yet.
+    Open,
+    /// The artifact exists.
+    Ready(Arc<Artifact>),
+    /// It cannot be made; the text names the cause.
+    Unavailable(String),
+}
+
+/// The files of an external input that count; `None` for all of them.
+type Selected = Option<Arc<[PathBuf]>>;
+
+/// A node whose inputs all exist.
+#[derive(Clone, Debug)]
+pub(crate) struct Resolved {
+    pub(crate) ingredients: Ingredients,
+    pub(crate) key: Key,
+    /// The key of its checkpoints, for a stage with checkpoints.
+    pub(crate) checkpoints: Option<Key>,
+    pub(crate) inputs: Vec<StageInput>,
+    /// The artifacts among the inputs, with the nodes that made them.
+    pub(crate) artifacts: Vec<(usize, Arc<Artifact>)>,
+    /// The external inputs, with the files that count and the digest of their content.
+    pub(crate) externals: Vec<(PathBuf, Selected, Digest)>,
+    pub(crate) bytes: u64,
+}
+
+/// The reason why a node has no key yet.
+#[derive(Clone, Debug)]
+pub(crate) enum Unresolved {
+    /// These inputs are not made yet.
+    Waiting(Vec<usize>),
+    /// An input failed; the text is the label of the failed node.
+    Blocked(String),
+    /// An external input cannot be read, for this reason.
+    Input(String),
+}
+
+pub(crate) fn resolve(
+    registry: &Registry,
+    cache: &Cache,
+    numeric_class: &str,
+    graph: &Graph,
+    node: usize,
+    outcomes: &[Outcome],
+) -> Result<Resolved, Unresolved> {
+    let node = &graph.nodes[node];
+    let stage = &registry.stages()[node.stage];
+    let gathers = stage.scope == Scope::Batch;
+    let mut waiting = Vec::new();
+    let mut missing = Vec::new();
+    let mut list: Vec<(InputDigest, StageInput)> = Vec::new();
+    let mut artifacts = Vec::new();
+    let mut externals = Vec::new();
+    let mut bytes = 0;
+    for input in &node.inputs {
+        let (digest, path) = match &input.from {
+            From::Node(parent) => match &outcomes[*parent] {
+                Outcome::Open => {
+                    // One node may be several inputs: stage 1, for example, is both the scene and the
+                    // geometry for comparison.
+                    if !waiting.contains(parent) {
+                        waiting.push(*parent);
+                    }
+                    continue;
+                }
+                Outcome::Unavailable(_) if gathers => {
+                    missing.push(graph.nodes[*parent].label());
+                    continue;
+                }
+                Outcome::Unavailable(whose) => return Err(Unresolved::Blocked(whose.clone())),
+                Outcome::Ready(artifact) => {
+                    bytes += artifact.manifest.bytes();
+                    artifacts.push((*parent, artifact.clone()));
+                    (artifact.manifest.content, artifact.path.clone())
+                }
+            },
+            // An optional input need not be named; a named input must exist.
+            From::External(Err(reason)) => return Err(Unresolved::Input(input_error(input, reason))),
+            From::External(Ok(path)) => {
+                let found = external(registry, node, input, path, cache);
+                let (select, content) =
+                    found.map_err(|reason| Unresolved::Input(input_error(input, &reason)))?;
+                bytes += content.bytes;
+                externals.push((path.clone(), select, content.digest));
+                (content.digest, path.clone())
+            }
+        };
+        let InputCell { scene, group, variant } = input.cell();
+        let role = input.role.to_string();
+        let stage_input = StageInput {
+            role: role.clone(),
+            path,
+            scene: scene.clone(),
+            group: group.clone(),
+            variant: variant.clone(),
+        };
+        list.push((InputDigest { role, scene, group, variant, digest }, stage_input));
+    }
+    if !waiting.is_empty() {
+        return Err(Unresolved::Waiting(waiting));
+    }
+    if gathers && list.is_empty() && !missing.is_empty() {
+        return Err(Unresolved::Blocked(format!("all of {}", missing.join(", "))));
+    }
+    let code = registry.code(node.stage);
+    let mut digests: Vec<InputDigest> = list.iter().map(|(digest, _)| digest.clone()).collect();
+    digests.sort();
+    let ingredients = Ingredients {
+        stage: stage.name.to_string(),
+        version: stage.version,
+        code: code.ours.clone(),
+        third_party: code.third_party.clone(),
+        parameters: stage.key_parameters(&node.parameters),
+        seed: node.seed,
+        numeric_class: stage.numeric_class(numeric_class, &node.parameters),
+        inputs: digests,
+        missing,
+    };
+    let inputs = list.into_iter().map(|(_, input)| input).collect();
+    let checkpoints = (!stage.length_like.is_empty()).then(|| ingredients.checkpoint_key(stage.length_like));
+    Ok(Resolved { key: ingredients.key(), checkpoints, ingredients, inputs, artifacts, externals, bytes })
+}
+
+/// The inputs of a node that exist already, for forecasts.
+pub(crate) fn there(graph: &Graph, node: usize, outcomes: &[Outcome]) -> Vec<StageInput> {
+    let path = |input: &NodeInput| match &input.from {
+        From::Node(parent) => match &outcomes[*parent] {
+            Outcome::Ready(artifact) => Some(artifact.path.clone()),
+            Outcome::Open | Outcome::Unavailable(_) => None,
+        },
+        From::External(place) => place.clone().ok().filter(|path| path.exists()),
+    };
+    let given = |input: &NodeInput| {
+        let InputCell { scene, group, variant } = input.cell();
+        Some(StageInput { role: input.role.to_string(), path: path(input)?, scene, group, variant })
+    };
+    graph.nodes[node].inputs.iter().filter_map(given).collect()
+}
+
+fn external(
+    registry: &Registry,
+    node: &Node,
+    input: &NodeInput,
+    path: &Path,
+    cache: &Cache,
+) -> Result<(Selected, Content), String> {
+    if !path.exists() {
+        return Err(format!("{} does not exist; correct the path or put the data there", path.display()));
+    }
+    let select = match &registry.stages()[node.stage].inputs[input.index].select {
+        None => None,
+        Some(choose) => {
+            let who = who_chooses(registry, node, input);
+            Some(cache.contents().choice(who, path, || choose(&node.parameters, path))?)
+        }
+    };
+    let content = cache.contents().of(path, select.as_deref()).map_err(|e| e.to_string())?;
+    Ok((select, content))
+}
+
+/// A digest of the code that chooses files and of its parameters.
+fn who_chooses(registry: &Registry, node: &Node, input: &NodeInput) -> Digest {
+    let mut who = Encoder::new("use3d 2026 choice of files v1");
+    who.text(node.stage_name).text(input.role);
+    for (name, digest) in &registry.code(node.stage).ours {
+        who.text(name).bytes(digest.as_bytes());
+    }
+    canonical::encode(&node.parameters, &mut who);
+    who.finish()
+}
+
+fn input_error(input: &NodeInput, reason: &str) -> String {
+    if input.named.is_empty() {
+        return format!("input `{}`: {reason}", input.role);
+    }
+    format!("input `{}`, named by {}: {reason}", input.role, input.named)
+}
+
+/// The product of the parameters that set the length of a stage's work.
+pub(crate) fn length(stage: &Stage, node: &Node) -> f64 {
+    let of = |path: &&str| canonical::at(&node.parameters, path).and_then(serde_json::Value::as_f64);
+    stage.length_like.iter().filter_map(of).product()
+}

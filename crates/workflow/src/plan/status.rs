@@ -1,0 +1,241 @@
+//! The state of every node, and the changes since its last artifact: `status` and `why`.
+
+use std::collections::{BTreeMap, HashMap};
+
+use serde::Serialize;
+
+use crate::cache::key::{Difference, Key};
+use crate::error::BuildError;
+use crate::plan::builder::Builder;
+use crate::plan::graph::Graph;
+use crate::plan::planning::{Plan, PlannedNode, State};
+use crate::plan::resolve::Unresolved;
+use crate::plan::resolve::{self, Outcome};
+use crate::share::lease::Working;
+
+/// The state of a node.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Standing {
+    /// Its artifact exists and is up to date.
+    Cached,
+    /// It had an artifact, but something changed.
+    Stale,
+    /// It was never made.
+    Missing,
+    /// Its last run failed, and nothing changed since.
+    Failed,
+}
+
+impl Standing {
+    /// The state as one word.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Cached => "cached",
+            Self::Stale => "stale",
+            Self::Missing => "missing",
+            Self::Failed => "failed",
+        }
+    }
+}
+
+/// One cell of the table.
+#[derive(Clone, Debug, Serialize)]
+pub struct Cell {
+    /// The stage.
+    pub stage: &'static str,
+    /// Its state.
+    pub standing: Standing,
+    /// The reason, in one line; empty for a cached node.
+    pub reason: String,
+    /// The ingredients that changed, if they are known.
+    pub changes: Vec<Difference>,
+    /// The process that computes it now.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub working: Option<Working>,
+}
+
+impl Cell {
+    /// Its state as one word, with `running` for a node in work.
+    pub fn word(&self) -> &'static str {
+        if self.working.is_some() { "running" } else { self.standing.word() }
+    }
+}
+
+/// One row: a scene and variant, or the stages that all scenes share.
+#[derive(Clone, Debug, Serialize)]
+pub struct Row {
+    /// The scene; empty for stages over all scenes.
+    pub scene: String,
+    /// The variant; empty where there are none.
+    pub variant: String,
+    /// Its stages.
+    pub cells: Vec<Cell>,
+}
+
+/// The table of scenes × stages.
+#[derive(Clone, Debug, Serialize)]
+pub struct Status {
+    /// The pipeline's name.
+    pub pipeline: String,
+    /// The rows in the pipeline's order.
+    pub rows: Vec<Row>,
+}
+
+impl Plan {
+    /// The plan as a table.
+    pub fn status(&self) -> Status {
+        let mut rows: Vec<Row> = Vec::new();
+        let mut places: HashMap<(&str, &str), usize> = HashMap::new();
+        for node in self.nodes.iter().filter(|n| n.state != State::Unwanted) {
+            let cell = cell(node);
+            let place = *places.entry((&node.scene, &node.variant)).or_insert(rows.len());
+            if place == rows.len() {
+                let (scene, variant) = (node.scene.clone(), node.variant.clone());
+                rows.push(Row { scene, variant, cells: Vec::new() });
+            }
+            rows[place].cells.push(cell);
+        }
+        Status { pipeline: self.pipeline.clone(), rows }
+    }
+}
+
+/// The state of a planned node.
+pub(crate) fn cell(node: &PlannedNode) -> Cell {
+    let before = if node.had { Standing::Stale } else { Standing::Missing };
+    let killed = node.killed.as_ref().map(ToString::to_string);
+    let (standing, reason) = match (&node.state, node.failed.as_ref().or(killed.as_ref())) {
+        (State::Cached, _) => (Standing::Cached, String::new()),
+        (State::Run(_), Some(reason)) => (Standing::Failed, reason.clone()),
+        (State::Unavailable(reason), _) => (Standing::Failed, reason.clone()),
+        (State::Run(reason), None) => (before, reason.clone()),
+        (State::Waiting(parents), _) => (before, format!("waits for {}", parents.join(", "))),
+        (State::Blocked(by), _) => (before, format!("needs {by}")),
+        (State::Unwanted, _) => (before, "not requested".to_string()),
+    };
+    let (changes, working) = (node.changes.clone(), node.working.as_deref().cloned());
+    Cell { stage: node.stage, standing, reason, changes, working }
+}
+
+/// The number of cells by stage and state.
+#[derive(Clone, Debug, Serialize)]
+pub struct Counts {
+    /// The pipeline's name.
+    pub pipeline: String,
+    /// The stages in the order of the table, each with the states of its cells and their numbers.
+    pub stages: Vec<(&'static str, BTreeMap<&'static str, usize>)>,
+}
+
+impl Status {
+    /// Returns the number of cells by stage and state.
+    pub fn counts(&self) -> Counts {
+        let mut stages: Vec<(&'static str, BTreeMap<&'static str, usize>)> = Vec::new();
+        for cell in self.rows.iter().flat_map(|row| &row.cells) {
+            let at = stages.iter().position(|(stage, _)| *stage == cell.stage).unwrap_or(stages.len());
+            if at == stages.len() {
+                stages.push((cell.stage, BTreeMap::new()));
+            }
+            *stages[at].1.entry(cell.word()).or_default() += 1;
+        }
+        Counts { pipeline: self.pipeline.clone(), stages }
+    }
+
+    /// Number of cells in this state.
+    pub fn count(&self, standing: Standing) -> usize {
+        self.rows.iter().flat_map(|r| &r.cells).filter(|c| c.standing == standing).count()
+    }
+}
+
+/// The changes in a node.
+#[derive(Clone, Debug, Serialize)]
+pub struct Why {
+    /// Scene, variant and stage, for display.
+    pub label: String,
+    /// Its state.
+    pub standing: Standing,
+    /// The reason, in one line.
+    pub reason: String,
+    /// Its key now, if it is known.
+    pub key: Option<Key>,
+    /// The key of the record it is compared with.
+    pub earlier: Option<Key>,
+    /// Time of that record (UTC).
+    pub earlier_at: Option<String>,
+    /// The ingredients that differ; without a key, those of inputs that do not exist yet are left out.
+    pub changes: Vec<Difference>,
+    /// The nodes upstream that have to run first, each with its changes.
+    pub upstream: Vec<(String, Vec<Difference>)>,
+}
+
+impl Builder {
+    /// Compares a node's ingredients with those of its most recent earlier record, field by field.
+    pub fn why(&self, graph: &Graph, scene: &str, variant: &str, stage: &str) -> Result<Why, BuildError> {
+        self.registry.index(stage)?;
+        let node = match graph.find(scene, variant, stage) {
+            Some(node) => node,
+            None => {
+                let scenes = graph.nodes.iter().map(|n| n.scene.as_str()).filter(|s| !s.is_empty());
+                let mut known: Vec<&str> = scenes.collect();
+                known.dedup();
+                if known.contains(&scene) {
+                    let stages = graph.nodes.iter().filter(|n| n.scene == scene).map(|n| n.stage_name);
+                    return Err(BuildError::unknown("stage of this scene", stage, stages));
+                }
+                return Err(BuildError::unknown("scene", scene, known));
+            }
+        };
+        let plan = self.plan(graph, None);
+        let planned = &plan.nodes[node];
+        let record = self.cache.record(&graph.name, &graph.nodes[node]);
+        let Cell { standing, reason, mut changes, .. } = cell(planned);
+        let outcomes = self.outcomes(&plan);
+        let now = resolve::resolve(&self.registry, &self.cache, &self.numeric_class, graph, node, &outcomes);
+        let mut earlier = record.last.clone();
+        if let (Ok(now), Some(last)) = (&now, &record.last)
+            && last.key == now.key
+        {
+            earlier = record.before.clone();
+        }
+        if let (Ok(now), Some(earlier)) = (&now, &earlier) {
+            changes = earlier.ingredients.differences(&now.ingredients);
+        }
+        let mut upstream = Vec::new();
+        if let Err(Unresolved::Waiting(_)) = now {
+            let mut open: Vec<usize> = graph.parents(node).collect();
+            let mut seen = Vec::new();
+            while let Some(parent) = open.pop() {
+                if seen.contains(&parent) {
+                    continue;
+                }
+                seen.push(parent);
+                open.extend(graph.parents(parent));
+                if let State::Run(_) = plan.nodes[parent].state {
+                    upstream.push((graph.nodes[parent].label(), plan.nodes[parent].changes.clone()));
+                }
+            }
+        }
+        Ok(Why {
+            label: graph.nodes[node].label(),
+            standing,
+            reason,
+            key: planned.key,
+            earlier: earlier.as_ref().map(|e| e.key),
+            earlier_at: earlier.map(|e| e.at),
+            changes,
+            upstream,
+        })
+    }
+
+    /// The outcomes that a plan found in the cache, for resolving its nodes.
+    pub(crate) fn outcomes(&self, plan: &Plan) -> Vec<Outcome> {
+        let of = |node: &PlannedNode| match (&node.state, node.key) {
+            (State::Cached, Some(key)) => match self.cache.lookup(node.stage, &key) {
+                Ok(crate::cache::artifacts::Lookup::Whole(artifact)) => Outcome::Ready(artifact),
+                _ => Outcome::Open,
+            },
+            (State::Blocked(by) | State::Unavailable(by), _) => Outcome::Unavailable(by.clone()),
+            _ => Outcome::Open,
+        };
+        plan.nodes.iter().map(of).collect()
+    }
+}

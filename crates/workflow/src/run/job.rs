@@ -1,0 +1,432 @@
+//! The work of one node: take the lease, run the stage in a scratch folder, publish.
+
+use std::fs::File;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, mpsc};
+use std::time::{Duration, Instant};
+
+use crate::cache::artifacts::{Artifact, Lookup, Published};
+use crate::cache::files;
+use crate::cache::key::Key;
+use crate::cache::machine;
+use crate::cache::manifest::{self, Circumstances, MANIFEST, MadeFor};
+use crate::cache::node::Clock;
+use crate::error::{FileError, StageError};
+use crate::plan::builder::Builder;
+use crate::plan::graph::Node;
+use crate::plan::history::Timing;
+use crate::plan::resolve::{self, Resolved};
+use crate::share::lease::{Asked, HEARTBEAT, Lease};
+use crate::share::pulse::Progress;
+use crate::share::remote::{Fetched, RemoteError, RemoteStore, Sent};
+use crate::stage::context::{Log, StageContext};
+use crate::stage::events::{Event, Listener};
+
+/// Result of a job.
+pub(crate) enum Ended {
+    /// The artifact exists; `computed` is true if this process just computed it.
+    Ready { artifact: Arc<Artifact>, computed: bool, seconds: f64 },
+    /// The job failed.
+    Failed(String),
+    /// The job was stopped.
+    Cancelled,
+    /// Another process computes the node; the text names it. The resolved node waits.
+    Held(String, Box<Resolved>),
+    /// An input's artifact was damaged and has been moved aside; the number is the node that makes it.
+    DamagedInput(usize),
+}
+
+pub(crate) struct Job<'a> {
+    pub(crate) builder: &'a Builder,
+    pub(crate) pipeline: &'a str,
+    pub(crate) id: usize,
+    pub(crate) node: &'a Node,
+    pub(crate) resolved: Box<Resolved>,
+    pub(crate) threads: usize,
+    pub(crate) stop: Arc<AtomicBool>,
+    pub(crate) listener: Arc<dyn Listener>,
+}
+
+impl Job<'_> {
+    pub(crate) fn execute(self) -> Ended {
+        let label = self.node.label();
+        if let Some(parent) = self.damaged_input(&label) {
+            return Ended::DamagedInput(parent);
+        }
+        let lease = match self.turn() {
+            Ok(Turn::Ours(lease)) => lease,
+            Ok(Turn::Made(artifact)) => return Ended::Ready { artifact, computed: false, seconds: 0.0 },
+            Ok(Turn::Cancelled) => return Ended::Cancelled,
+            Ok(Turn::Held(holder)) => return Ended::Held(holder, self.resolved),
+            Err(error) => return Ended::Failed(error.to_string()),
+        };
+        let damaged_there = match self.fetch(&label, lease.as_deref()) {
+            Brought::Artifact(artifact) => {
+                if let Some(lease) = lease {
+                    lease.finish();
+                }
+                return Ended::Ready { artifact, computed: false, seconds: 0.0 };
+            }
+            Brought::Cancelled => return Ended::Cancelled,
+            Brought::Nothing { damaged } => damaged,
+        };
+        let start = Instant::now();
+        match self.compute(&label, lease.as_deref()) {
+            Ok(artifact) => {
+                if let Some(lease) = lease {
+                    lease.finish();
+                }
+                let seconds = start.elapsed().as_secs_f64();
+                self.send(&label, &artifact, damaged_there);
+                Ended::Ready { artifact: Arc::new(artifact), computed: true, seconds }
+            }
+            Err(StageError::Cancelled) => Ended::Cancelled,
+            // An error is no failure of the stage if one of its inputs was removed or damaged meanwhile.
+            Err(error) => {
+                match self.damaged_input(&label).or_else(|| self.unreadable_input(&label, &error)) {
+                    Some(parent) => Ended::DamagedInput(parent),
+                    None => Ended::Failed(error.to_string()),
+                }
+            }
+        }
+    }
+
+    /// Finds a damaged or missing input, reports it, moves it aside, and returns the node that makes it.
+    fn damaged_input(&self, label: &str) -> Option<usize> {
+        let cache = &self.builder.cache;
+        for (parent, artifact) in &self.resolved.artifacts {
+            if cache.verify(artifact, false).is_ok() {
+                continue;
+            }
+            // An artifact from another machine may be incomplete for a moment on a network file system.
+            [Some(artifact.path.as_path()), artifact.path.parent()]
+                .into_iter()
+                .flatten()
+                .for_each(|folder| cache.files().look_again(folder));
+            let Err(reason) = cache.verify(artifact, true) else { continue };
+            let stage = &artifact.manifest.ingredients.stage;
+            let text = if std::fs::symlink_metadata(&artifact.path).is_err() {
+                format!(
+                    "its input {stage} was removed from the cache ({}); computing it again",
+                    artifact.path.display()
+                )
+            } else {
+                let aside = cache.set_aside(stage, &artifact.manifest.key);
+                let place = aside.map_or_else(|e| e.to_string(), |p| format!("moved to {}", p.display()));
+                format!("its input {stage} is damaged: {reason}; {place}, computing it again")
+            };
+            self.listener.event(&Event::Warning { label, text: &text });
+            return Some(*parent);
+        }
+        None
+    }
+
+    /// Sets aside the fetched inputs of a stage that cannot read its input, and returns a node that makes
+    /// one.
+    ///
+    /// An artifact from a store has the bytes of its manifest, and may still be unusable. It is then computed
+    /// here. An input that was computed here is not suspected: the stage has failed.
+    fn unreadable_input(&self, label: &str, error: &StageError) -> Option<usize> {
+        if !error.is_bad_input() {
+            return None;
+        }
+        let cache = &self.builder.cache;
+        let fetched = |artifact: &Artifact| cache.was_fetched(&artifact.manifest.key);
+        let mut suspect = None;
+        for (parent, artifact) in self.resolved.artifacts.iter().filter(|(_, artifact)| fetched(artifact)) {
+            let (stage, key) = (&artifact.manifest.ingredients.stage, &artifact.manifest.key);
+            self.builder.remote.iter().for_each(|store| store.distrust(key));
+            let aside = cache.set_aside(stage, key);
+            let place = aside.map_or_else(|e| e.to_string(), |p| format!("moved to {}", p.display()));
+            let text =
+                format!("its input {stage} from the store cannot be used: {error}; {place}, computing it");
+            self.listener.event(&Event::Warning { label, text: &text });
+            suspect = Some(*parent);
+        }
+        suspect
+    }
+
+    fn turn(&self) -> Result<Turn, FileError> {
+        let (cache, stage, key) = (&self.builder.cache, self.node.stage_name, &self.resolved.key);
+        if self.stop.load(Ordering::Relaxed) {
+            return Ok(Turn::Cancelled);
+        }
+        let artifacts = self.resolved.artifacts.iter().map(|(_, a)| a.manifest.key);
+        let reads: Vec<Key> = artifacts.chain(self.resolved.checkpoints).collect();
+        let asked = Lease::ask(cache, key, &reads);
+        // Another process may have finished between the lookup before and the lease.
+        let found = match &asked {
+            Asked::Granted(Some(lease)) if lease.followed => {
+                cache.lookup_patiently(stage, key, &|| self.stop.load(Ordering::Relaxed))?
+            }
+            _ => cache.lookup_again(stage, key)?,
+        };
+        Ok(match (found, asked) {
+            (Lookup::Whole(artifact), asked) => {
+                if let Asked::Granted(Some(lease)) = asked {
+                    lease.finish();
+                }
+                Turn::Made(artifact)
+            }
+            (_, Asked::Granted(lease)) => {
+                if let Some(killed) = cache.killed(key) {
+                    let resumes = self.resolved.checkpoints.is_some();
+                    let next = if resumes { ", from its last checkpoint if it has one" } else { "" };
+                    let text = format!("{killed}; computing it again{next}");
+                    self.listener.event(&Event::Note { label: &self.node.label(), text: &text });
+                }
+                Turn::Ours(lease)
+            }
+            (_, Asked::Held(holder)) => Turn::Held(holder),
+        })
+    }
+
+    /// Fetches the artifact from the store, if there is one. If that fails, the artifact is computed.
+    fn fetch(&self, label: &str, lease: Option<&Lease>) -> Brought {
+        let nothing = Brought::Nothing { damaged: false };
+        let Some(store) = self.builder.remote.as_ref().filter(|s| s.is_worth_asking()) else {
+            return nothing;
+        };
+        let (cache, key) = (&self.builder.cache, &self.resolved.key);
+        let fetch = || store.fetch(cache, self.node.stage_name, key, &self.stop);
+        match watched(lease, &cache.node().clock, &Progress::default(), fetch).0 {
+            Ok(Fetched::Missing) => {
+                store.worked();
+                nothing
+            }
+            Ok(Fetched::Now(artifact)) => {
+                store.worked();
+                let text = format!("fetched, {}", machine::bytes(artifact.manifest.bytes()));
+                self.listener.event(&Event::Note { label, text: &text });
+                Brought::Artifact(artifact)
+            }
+            Ok(Fetched::Differs(artifact, file)) => {
+                self.alarm(label, &format!("the store has other bytes of {file}"));
+                Brought::Artifact(artifact)
+            }
+            Err(RemoteError::Stopped) => Brought::Cancelled,
+            Err(error) => {
+                self.without_store(label, store, &format!("cannot be fetched: {error}; computing it"));
+                Brought::Nothing { damaged: matches!(error, RemoteError::Wrong { .. }) }
+            }
+        }
+    }
+
+    /// Sends the computed artifact to the store, if there is one. `check` is true if the store's copy was
+    /// damaged.
+    fn send(&self, label: &str, artifact: &Artifact, check: bool) {
+        let store = self.builder.remote.as_ref().filter(|s| s.is_worth_asking() && s.takes());
+        let Some(store) = store else { return };
+        match store.send(&self.builder.cache, artifact, check, &self.stop) {
+            Ok(Sent::Now | Sent::Already) => store.worked(),
+            Ok(Sent::Differs(file)) => self.alarm(label, &format!("the store has other bytes of {file}")),
+            // `use3d push` sends it later.
+            Err(RemoteError::Stopped) => {}
+            Err(error) => {
+                self.without_store(
+                    label,
+                    store,
+                    &format!("cannot be sent: {error}; `use3d push` sends it later"),
+                );
+            }
+        }
+    }
+
+    fn without_store(&self, label: &str, store: &RemoteStore, text: &str) {
+        self.listener.event(&Event::Warning { label, text });
+        if store.failed() {
+            let text = format!("{} failed repeatedly: continuing without it", store.place());
+            self.listener.event(&Event::Warning { label, text: &text });
+        }
+    }
+
+    fn compute(&self, label: &str, lease: Option<&Lease>) -> Result<Artifact, StageError> {
+        let cache = &self.builder.cache;
+        let stage = &self.builder.registry.stages()[self.node.stage];
+        let log_path = cache.log_path(self.pipeline, self.node);
+        let log = open_log(&log_path)?;
+        log.line(&format!("{label}, key {}, {} threads", self.resolved.key, self.threads));
+        let scratch = Scratch { path: cache.scratch()?, cache };
+        let output = scratch.path.join("artifact");
+        files::at(&output, "create", cache.files().create_dir_all(&output))?;
+        let checkpoints = self.resolved.checkpoints.map(|key| cache.checkpoint_path(stage.name, &key));
+        if let Some(path) = &checkpoints {
+            files::at(path, "create", cache.files().create_dir_all(path))?;
+        }
+        let context = StageContext {
+            inputs: self.resolved.inputs.clone(),
+            missing: self.resolved.ingredients.missing.clone(),
+            output: output.clone(),
+            checkpoints,
+            seed: self.node.seed.unwrap_or(0),
+            threads: self.threads,
+            stop: self.stop.clone(),
+            node: self.id,
+            label: label.to_string(),
+            listener: self.listener.clone(),
+            log: log.clone(),
+            resumed: AtomicU64::new(0),
+            notes: Some(Mutex::default()),
+            reached: Arc::default(),
+        };
+        self.listener.event(&Event::Started {
+            node: self.id,
+            label,
+            key: self.resolved.key,
+            threads: self.threads,
+        });
+        let start = Instant::now();
+        let (ran, peak_memory) = watched(lease, &cache.node().clock, &context.reached, || {
+            in_pool(self.threads, || (stage.run)(&context, &self.node.parameters))
+        });
+        let seconds = start.elapsed().as_secs_f64();
+        if let Err(error) = ran {
+            log.line(&format!("failed: {error}"));
+            return Err(error);
+        }
+        if output.join(MANIFEST).exists() {
+            return Err(StageError::message(format!(
+                "the stage wrote `{MANIFEST}`, which is a reserved name"
+            )));
+        }
+        let listed = files::list(&output)?;
+        if listed.is_empty() {
+            return Err(StageError::message("the stage ended without an error but wrote nothing"));
+        }
+        if let Some(name) = manifest::unkept(stage.promises, &listed.iter().map(|(name, _)| name.as_str())) {
+            return Err(StageError::message(format!(
+                "the stage ended without an error but did not write {name}, which every result of it has"
+            )));
+        }
+        for (path, select, before) in &self.resolved.externals {
+            if cache.contents().of_now(path, select.as_deref())?.digest != *before {
+                let path = path.display();
+                return Err(StageError::message(format!(
+                    "{path} changed while it was being read; run again"
+                )));
+            }
+        }
+        let resumed = context.resumed.load(Ordering::Relaxed) as f64 / 1e6;
+        let made_for = MadeFor {
+            pipeline: self.pipeline.to_string(),
+            scene: self.node.scene.clone(),
+            variant: self.node.variant.clone(),
+        };
+        let notes = context.take_notes();
+        let how = Circumstances { seconds, resumed, threads: self.threads, peak_memory, made_for, notes };
+        let published = cache.publish(&output, self.resolved.ingredients.clone(), how)?;
+        let artifact = match published {
+            Published::Now(artifact) | Published::Already(artifact) => artifact,
+            Published::Differs(artifact, file) => {
+                self.alarm(label, &format!("another process computed other bytes of {file}"));
+                artifact
+            }
+        };
+        cache.forget_killed(&self.resolved.key);
+        log.line(&format!("done in {}", machine::seconds(seconds)));
+        cache.add_timing(&Timing {
+            stage: stage.name.to_string(),
+            scene: self.node.scene.clone(),
+            length: resolve::length(stage, self.node),
+            bytes: self.resolved.bytes,
+            seconds: artifact.manifest.full_seconds(),
+            peak_memory,
+            output: artifact.manifest.bytes(),
+            at: machine::now(),
+        });
+        Ok(artifact)
+    }
+
+    /// Reports that the same key has other bytes.
+    fn alarm(&self, label: &str, what: &str) {
+        let text = format!(
+            "determinism alarm: {what} for the same key {}; the first artifact is kept. A result must \
+             depend only on the ingredients of its key",
+            self.resolved.key.short()
+        );
+        self.listener.event(&Event::Warning { label, text: &text });
+    }
+}
+
+enum Turn {
+    Ours(Option<Box<Lease>>),
+    Made(Arc<Artifact>),
+    Held(String),
+    Cancelled,
+}
+
+/// Result of a fetch from the store.
+enum Brought {
+    Artifact(Arc<Artifact>),
+    Nothing { damaged: bool },
+    Cancelled,
+}
+
+/// A scratch folder that is removed when the job ends, in every case.
+struct Scratch<'a> {
+    path: PathBuf,
+    cache: &'a crate::cache::artifacts::Cache,
+}
+
+impl Drop for Scratch<'_> {
+    fn drop(&mut self) {
+        // If it cannot be removed now, a later run removes it.
+        let _ = self.cache.files().remove_dir_all(&self.path);
+    }
+}
+
+fn open_log(path: &std::path::Path) -> Result<Log, FileError> {
+    let parent = path.parent().unwrap_or(path);
+    files::at(parent, "create", std::fs::create_dir_all(parent))?;
+    let file = files::at(path, "create", File::create(path))?;
+    Ok(Log::new(Box::new(file)))
+}
+
+/// Runs `work` in a rayon pool of its own; a panic becomes an error.
+pub(crate) fn in_pool(
+    threads: usize,
+    work: impl FnOnce() -> Result<(), StageError> + Send,
+) -> Result<(), StageError> {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
+    catch_unwind(AssertUnwindSafe(|| pool.install(work))).unwrap_or_else(|panic| {
+        let text = panic.downcast_ref::<&str>().map(ToString::to_string);
+        let text = text.or_else(|| panic.downcast_ref::<String>().cloned());
+        let text = text.unwrap_or_else(|| "no message".to_string());
+        Err(StageError::message(format!("internal error, please report it: {text}")))
+    })
+}
+
+/// Runs `work` while a second thread renews the lease and measures the memory.
+fn watched<T>(
+    lease: Option<&Lease>,
+    clock: &Clock,
+    reached: &Progress,
+    work: impl FnOnce() -> T,
+) -> (T, u64) {
+    const SAMPLE: Duration = Duration::from_millis(200);
+    let peak = AtomicU64::new(machine::resident_memory().unwrap_or(0));
+    let (finished, wait) = mpsc::channel::<()>();
+    let result = std::thread::scope(|scope| {
+        let peak = &peak;
+        scope.spawn(move || {
+            lease.iter().for_each(|l| l.renew(reached));
+            let mut renewed = clock.now();
+            while let Err(mpsc::RecvTimeoutError::Timeout) = wait.recv_timeout(SAMPLE) {
+                let held = machine::resident_memory().unwrap_or(0);
+                peak.fetch_max(held, Ordering::Relaxed);
+                reached.note_memory(held);
+                if clock.now() - renewed > HEARTBEAT {
+                    lease.iter().for_each(|l| l.renew(reached));
+                    renewed = clock.now();
+                }
+            }
+        });
+        let result = work();
+        drop(finished);
+        result
+    });
+    peak.fetch_max(machine::resident_memory().unwrap_or(0), Ordering::Relaxed);
+    (result, peak.into_inner())
+}

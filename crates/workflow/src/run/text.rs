@@ -1,0 +1,331 @@
+//! Plans, summaries and tables as plain text for the command line.
+//!
+//! Names and paths come from outside: terminal control characters in them are escaped.
+
+use std::fmt::{self, Display, Formatter, Write};
+
+use use3d_capture::name::{shown, shown_lines};
+
+use crate::cache::machine::{bytes, seconds};
+use crate::plan::planning::{Plan, PlannedNode, State};
+use crate::plan::status::{Cell, Counts, Standing, Status, Why};
+use crate::run::gc::Cleaning;
+use crate::run::summary::{Became, Summary};
+use crate::run::verify::Verification;
+use crate::share::killed::Killed;
+use crate::share::lease::Working;
+
+/// Most items that a line names.
+const SHOWN: usize = 3;
+
+/// Prints the text that `fill` writes, with terminal control characters escaped.
+fn printable(f: &mut Formatter<'_>, fill: impl FnOnce(&mut String) -> fmt::Result) -> fmt::Result {
+    let mut text = String::new();
+    fill(&mut text)?;
+    f.write_str(&shown_lines(&text))
+}
+
+impl Display for Plan {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        printable(f, |f| {
+            for node in self.own().filter(|n| !matches!(n.state, State::Cached | State::Unwanted)) {
+                let (mark, text) = describe(node);
+                write!(f, "{mark:<8} {}: {text}", label(node))?;
+                if let Some(forecast) = &node.forecast {
+                    write!(f, " (about {})", seconds(forecast.seconds))?;
+                }
+                writeln!(f)?;
+            }
+            let shared = self.nodes.len() - self.own().count();
+            write!(f, "{}: {} to run, {} cached", self.pipeline, self.to_run(), self.cached())?;
+            if shared > 0 {
+                write!(f, ", {shared} shared between variants")?;
+            }
+            for (count, words) in
+                [(self.unavailable(), "cannot run"), (self.blocked(), "not run because of these")]
+            {
+                if count > 0 {
+                    write!(f, ", {count} {words}")?;
+                }
+            }
+            let (sum, without) = self.forecast();
+            if self.to_run() > without {
+                write!(f, "; about {}", seconds(sum))?;
+                let guessed = self.own().filter_map(|n| n.forecast.as_ref()).any(|forecast| !forecast.own);
+                if guessed {
+                    write!(f, ", estimated from other scenes of any size")?;
+                }
+                if without > 0 {
+                    write!(f, " plus {without} that never ran before")?;
+                }
+            } else if without > 0 {
+                write!(f, "; no earlier run to forecast the time from")?;
+            }
+            writeln!(f)
+        })
+    }
+}
+
+impl Plan {
+    /// One line, with the reason, for each stage that has results and runs again all the same.
+    pub fn reruns(&self) -> Vec<String> {
+        let again = self.own().filter(|node| node.had && matches!(node.state, State::Run(_)));
+        again.map(|node| format!("{}: runs again: {}", label(node), describe(node).1)).collect()
+    }
+}
+
+fn label(node: &PlannedNode) -> String {
+    let parts = [node.scene.as_str(), node.variant.as_str(), node.stage];
+    parts.into_iter().filter(|p| !p.is_empty()).collect::<Vec<_>>().join(" · ")
+}
+
+/// The first items, and the number of the others.
+fn few(all: &[impl Display], between: &str) -> String {
+    let mut named: Vec<String> = all.iter().take(SHOWN).map(ToString::to_string).collect();
+    if all.len() > SHOWN {
+        named.push(format!("and {} more", all.len() - SHOWN));
+    }
+    named.join(between)
+}
+
+fn describe(node: &PlannedNode) -> (&'static str, String) {
+    match &node.state {
+        State::Cached => ("cached", String::new()),
+        State::Unwanted => ("off", String::new()),
+        State::Run(reason) if node.changes.is_empty() => ("run", reason.clone()),
+        State::Run(_) => ("run", few(&node.changes, "; ")),
+        State::Waiting(parents) => {
+            let parents = few(parents, ", ");
+            // An earlier artifact stays valid unless something upstream changes.
+            let again = if node.had { "; runs again only if that result changes" } else { "" };
+            ("waits", format!("for {parents}{again}"))
+        }
+        State::Unavailable(reason) => ("cannot", reason.clone()),
+        State::Blocked(by) => ("blocked", format!("by {by}")),
+    }
+}
+
+impl Display for Summary {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        printable(f, |f| {
+            for node in self.failed() {
+                if let Became::Failed { reason, log } = &node.result {
+                    writeln!(f, "failed   {}: {reason}\n         log: {}", node.label, log.display())?;
+                }
+            }
+            let blocked = self.count(|r| matches!(r, Became::Blocked(_)));
+            let not_run = self.count(|r| *r == Became::NotRun);
+            write!(f, "{}: {} done, {} cached", self.pipeline, self.done(), self.cached())?;
+            for (count, word) in [
+                (self.failed().count(), "failed"),
+                (blocked, "not run because of these"),
+                (not_run, "not run"),
+                (self.missing().count(), "missing"),
+                (self.elsewhere(), "left to other processes"),
+            ] {
+                if count > 0 {
+                    write!(f, ", {count} {word}")?;
+                }
+            }
+            write!(f, ", in {}", seconds(self.seconds))?;
+            if self.left && not_run > 0 {
+                write!(f, "; time limit reached: run the same command to continue")?;
+            } else if self.interrupted && !self.left {
+                write!(f, "; interrupted: run the same command to continue")?;
+            }
+            writeln!(f)
+        })
+    }
+}
+
+impl Display for Status {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        printable(f, |f| {
+            let mut stages: Vec<&str> = Vec::new();
+            for cell in self.rows.iter().flat_map(|r| &r.cells) {
+                if !stages.contains(&cell.stage) {
+                    stages.push(cell.stage);
+                }
+            }
+            let name = |scene: &str, variant: &str| match (scene.is_empty(), variant.is_empty()) {
+                (true, true) => "(all scenes)".to_string(),
+                (true, false) => format!("(all scenes) · {variant}"),
+                (false, true) => scene.to_string(),
+                (false, false) => format!("{scene} · {variant}"),
+            };
+            let names: Vec<String> = self.rows.iter().map(|r| name(&r.scene, &r.variant)).collect();
+            let wide = names.iter().map(|n| n.chars().count()).max().unwrap_or(0).max(5);
+            write!(f, "{:<wide$}", "scene")?;
+            for stage in &stages {
+                write!(f, "  {stage:<w$}", w = stage.len().max(7))?;
+            }
+            writeln!(f)?;
+            for (row, name) in self.rows.iter().zip(&names) {
+                let mut line = format!("{name:<wide$}");
+                for stage in &stages {
+                    let word = row.cells.iter().find(|c| c.stage == *stage).map_or("", Cell::word);
+                    line.push_str(&format!("  {word:<w$}", w = stage.len().max(7)));
+                }
+                writeln!(f, "{}", line.trim_end())?;
+            }
+            for (row, name) in self.rows.iter().zip(&names) {
+                for cell in &row.cells {
+                    if let Some(working) = &cell.working {
+                        writeln!(f, "{name} · {}: {working}", cell.stage)?;
+                    } else if cell.standing == Standing::Failed {
+                        writeln!(f, "{name} · {}: {}", cell.stage, cell.reason)?;
+                    }
+                }
+            }
+            Ok(())
+        })
+    }
+}
+
+impl Display for Counts {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        const WORDS: [&str; 5] = ["cached", "running", "missing", "stale", "failed"];
+        write!(f, "{:<12}", "stage")?;
+        WORDS.iter().try_for_each(|word| write!(f, " {word:>8}"))?;
+        writeln!(f)?;
+        for (stage, counts) in &self.stages {
+            write!(f, "{stage:<12}")?;
+            for word in WORDS {
+                match counts.get(word) {
+                    Some(count) => write!(f, " {count:>8}")?,
+                    None => write!(f, " {:>8}", "-")?,
+                }
+            }
+            writeln!(f)?;
+        }
+        Ok(())
+    }
+}
+
+impl Display for Killed {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        let task = self.task.as_ref().map_or_else(String::new, |task| format!(", {task}"));
+        write!(f, "killed: process {} on {}{task} ended without a word", self.process, shown(&self.host))?;
+        write!(f, " after {}", seconds(self.seconds as f64))?;
+        if self.peak_memory > 0 {
+            write!(f, " with {} of memory", bytes(self.peak_memory))?;
+        }
+        match self.times {
+            0 | 1 => Ok(()),
+            times => write!(f, ", {times} times so far"),
+        }
+    }
+}
+
+impl Display for Working {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        let Self { host, process, done, total, unit, .. } = self;
+        write!(f, "on {} (process {process}", shown(host))?;
+        match &self.task {
+            Some(task) => write!(f, ", {task})")?,
+            None => write!(f, ")")?,
+        }
+        if *total > 0 {
+            write!(f, ", {done} of {total} {}", shown(unit))?;
+        }
+        let (running, silent) = (seconds(self.seconds as f64), seconds(self.silent as f64));
+        write!(f, ", running for {running}, last update {silent} ago")
+    }
+}
+
+impl Display for Why {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        printable(f, |f| {
+            write!(f, "{}: {}", self.label, self.standing.word())?;
+            if !self.reason.is_empty() {
+                write!(f, " ({})", self.reason)?;
+            }
+            writeln!(f)?;
+            match (&self.earlier_at, self.changes.is_empty()) {
+                (Some(at), false) => writeln!(f, "since the record of {at} UTC:")?,
+                (Some(at), true) if self.upstream.is_empty() => {
+                    writeln!(f, "no ingredient changed since {at} UTC")?;
+                }
+                (None, _) if self.standing != Standing::Cached => {
+                    writeln!(f, "there is no earlier record to compare with")?;
+                }
+                _ => {}
+            }
+            for change in &self.changes {
+                writeln!(f, "  {change}")?;
+            }
+            for (label, changes) in &self.upstream {
+                writeln!(f, "upstream {label} has to run:")?;
+                for change in changes {
+                    writeln!(f, "  {change}")?;
+                }
+                if changes.is_empty() {
+                    writeln!(f, "  never computed, or its artifact was removed")?;
+                }
+            }
+            Ok(())
+        })
+    }
+}
+
+impl Display for Cleaning {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        printable(f, |f| {
+            let verb = if self.dry_run { "would remove" } else { "removed" };
+            for item in &self.removed {
+                writeln!(
+                    f,
+                    "{verb} {:>9}  {}: {} ({})",
+                    bytes(item.bytes),
+                    item.kind,
+                    item.name,
+                    item.reason
+                )?;
+            }
+            for (name, reason) in &self.failed {
+                writeln!(f, "cannot remove {name}: {reason}")?;
+            }
+            let freed: u64 = self.removed.iter().map(|r| r.bytes).sum();
+            let state = if self.dry_run { "would be left" } else { "left" };
+            writeln!(
+                f,
+                "{verb} {} in {} items; {} {state}",
+                bytes(freed),
+                self.removed.len(),
+                bytes(self.left)
+            )
+        })
+    }
+}
+
+impl Display for Verification {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        printable(f, |f| {
+            for problem in &self.problems {
+                writeln!(f, "{}: {}", problem.name, problem.what)?;
+            }
+            write!(f, "{} artifacts, {} read and compared", self.artifacts, bytes(self.bytes))?;
+            if let Some(held) = self.held {
+                write!(f, "; of {} stages of this pipeline {} are in the cache", held.stages, held.cached)?;
+            }
+            if let Some(recomputed) = self.recomputed {
+                write!(f, ", {recomputed} computed again")?;
+            }
+            if self.agreed > 0 {
+                write!(f, " ({} in another numeric class: within their stage's tolerances)", self.agreed)?;
+            }
+            if self.not_compared > 0 {
+                write!(f, " ({} could not be compared: see above)", self.not_compared)?;
+            }
+            let aside =
+                if self.repaired > 0 { format!(", {} moved aside", self.repaired) } else { String::new() };
+            if self.interrupted {
+                write!(f, ", interrupted before the rest")?;
+            }
+            match self.problems.len() {
+                0 => writeln!(f, ": all as written"),
+                n => writeln!(f, ": {n} problem(s){aside}"),
+            }
+        })
+    }
+}

@@ -1,0 +1,509 @@
+//! A stage as data: its name, its code, its inputs, and the pure function that fills its folder.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use schemars::{JsonSchema, Schema, SchemaGenerator};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde_json::Value;
+
+use crate::cache::canonical;
+use crate::cache::content::Choice;
+use crate::cache::key::DeviceClass;
+use crate::error::{ParameterError, StageError};
+use crate::stage::agree::{Agreement, AlikeFiles, Figure};
+use crate::stage::context::StageContext;
+use crate::stage::inputs::{AllParameters, Named, StageInput};
+use crate::stage::require::{Checks, Lacking, Requires};
+
+/// The set over which a stage is made once.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Scope {
+    /// Once per scene (and variant).
+    Scene,
+    /// Once for all scenes, e.g. the calibrator.
+    Shared,
+    /// Once, from the artifacts of all scenes and variants, e.g. the report.
+    Batch,
+}
+
+/// The source of an input.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Source {
+    /// The artifact of a stage.
+    Stage(&'static str),
+    /// The artifact of a stage for the same scene in the batch's reference variant: the first one whose
+    /// parameters fulfil the condition given with [`Stage::reference_input`]. So all variants are compared
+    /// with the same artifact.
+    Reference(&'static str),
+    /// A file or folder named by the pipeline: `capture`, `models`, `pairs.input`, …
+    External(&'static str),
+}
+
+/// Chooses the files of an external input that a stage reads, relative to the input's path, from the
+/// parameters.
+pub type Select = Arc<dyn Fn(&Value, &Path) -> Result<Choice, String> + Send + Sync>;
+
+/// A condition on the parameters of all stages: true if an artifact is read.
+pub(super) type Needed = Arc<dyn Fn(&AllParameters) -> bool + Send + Sync>;
+
+/// One input.
+#[derive(Clone)]
+pub struct Input {
+    /// The role of the input; unique in the stage.
+    pub role: &'static str,
+    /// The source of the input.
+    pub source: Source,
+    /// True if the stage also runs without it: the pipeline names none, or the stage that makes it is not
+    /// requested. An input that is named but does not exist is an error and is never left out.
+    pub optional: bool,
+    /// The rule by which files count; `None` counts every file that is not hidden.
+    pub select: Option<Select>,
+    /// A file or folder that is read in place of the stage's artifact where the pipeline names it.
+    pub instead: Option<&'static str>,
+    /// The condition on the parameters for reading the stage's artifact; `None` reads it always.
+    pub needed: Option<Needed>,
+}
+
+/// Fills in the defaults of parameters, or returns the problem with them.
+type Canonicalise = Arc<dyn Fn(&Value) -> Result<Value, ParameterError> + Send + Sync>;
+type Condition = Arc<dyn Fn(&AllParameters, &Named) -> bool + Send + Sync>;
+/// Returns true if the other variants are compared with a variant of these parameters.
+type IsReference = Arc<dyn Fn(&AllParameters) -> bool + Send + Sync>;
+/// Bytes of memory, from the parameters and from the inputs that exist.
+type Memory = Arc<dyn Fn(&Value, &[StageInput]) -> Option<u64> + Send + Sync>;
+/// The device that the stage computes on, from its parameters.
+type Device = Arc<dyn Fn(&Value) -> Option<DeviceClass> + Send + Sync>;
+type Run = Arc<dyn Fn(&StageContext, &Value) -> Result<(), StageError> + Send + Sync>;
+
+/// A stage; see the [module documentation](super) for an example.
+#[derive(Clone)]
+pub struct Stage {
+    pub(crate) name: &'static str,
+    pub(crate) about: &'static str,
+    pub(crate) version: u32,
+    pub(crate) scope: Scope,
+    pub(crate) crates: &'static [&'static str],
+    pub(crate) sources: &'static [&'static str],
+    pub(crate) inputs: Vec<Input>,
+    pub(crate) seeded: bool,
+    pub(crate) length_like: &'static [&'static str],
+    pub(crate) without_effect: &'static [&'static str],
+    pub(crate) promises: &'static [&'static str],
+    pub(crate) device: Option<Device>,
+    pub(crate) agreement: Option<Agreement>,
+    pub(crate) cores: usize,
+    pub(crate) memory: u64,
+    pub(crate) memory_of: Option<Memory>,
+    pub(crate) condition: Option<Condition>,
+    pub(crate) requires: Option<Requires>,
+    pub(crate) reference: Option<IsReference>,
+    pub(crate) canonicalise: Canonicalise,
+    pub(crate) schema: fn(&mut SchemaGenerator) -> Schema,
+    pub(crate) run: Run,
+}
+
+impl Stage {
+    /// A stage of `scope` with parameters `P`, which fills its folder with `run`.
+    ///
+    /// `P`'s default values are the stage's; unknown fields are refused if `P` has `deny_unknown_fields`, as
+    /// it should.
+    pub fn new<P>(
+        name: &'static str,
+        scope: Scope,
+        run: impl Fn(&StageContext, &P) -> Result<(), StageError> + Send + Sync + 'static,
+    ) -> Self
+    where
+        P: Serialize + DeserializeOwned + JsonSchema + 'static,
+    {
+        Self {
+            name,
+            about: "",
+            version: 1,
+            scope,
+            crates: &[],
+            sources: &[],
+            inputs: Vec::new(),
+            seeded: false,
+            length_like: &[],
+            without_effect: &[],
+            promises: &[],
+            device: None,
+            agreement: None,
+            cores: 0,
+            memory: 0,
+            memory_of: None,
+            condition: None,
+            requires: None,
+            reference: None,
+            canonicalise: Arc::new(canonicalise::<P>),
+            schema: |generator| generator.subschema_for::<P>(),
+            run: Arc::new(move |context, value| {
+                let parameters: P = serde_path_to_error::deserialize(value).map_err(StageError::failed)?;
+                run(context, &parameters)
+            }),
+        }
+    }
+
+    /// Sets its description, one line.
+    #[must_use]
+    pub fn about(mut self, about: &'static str) -> Self {
+        self.about = about;
+        self
+    }
+
+    /// Sets the schema number of its artifact; raise it when the files change their meaning without a change
+    /// of code.
+    #[must_use]
+    pub fn version(mut self, version: u32) -> Self {
+        self.version = version;
+        self
+    }
+
+    /// Sets its code: crates of the workspace (with all crates they depend on), and files or folders of this
+    /// crate.
+    #[must_use]
+    pub fn made_of(mut self, crates: &'static [&'static str], sources: &'static [&'static str]) -> Self {
+        self.crates = crates;
+        self.sources = sources;
+        self
+    }
+
+    /// Reads the artifact of `stage` as `role`.
+    #[must_use]
+    pub fn input(self, role: &'static str, stage: &'static str) -> Self {
+        self.with_input(Input {
+            role,
+            source: Source::Stage(stage),
+            optional: false,
+            select: None,
+            instead: None,
+            needed: None,
+        })
+    }
+
+    /// Like [`input`](Self::input), but only if that stage is requested.
+    #[must_use]
+    pub fn optional_input(self, role: &'static str, stage: &'static str) -> Self {
+        self.with_input(Input {
+            role,
+            source: Source::Stage(stage),
+            optional: true,
+            select: None,
+            instead: None,
+            needed: None,
+        })
+    }
+
+    /// Reads, as `role`, the artifact that `stage` makes for the same scene in the reference variant, if
+    /// there is one: the first variant whose parameters fulfil `is_reference`. It is an input like any other,
+    /// so it is part of the key.
+    #[must_use]
+    pub fn reference_input(
+        mut self,
+        role: &'static str,
+        stage: &'static str,
+        is_reference: impl Fn(&AllParameters) -> bool + Send + Sync + 'static,
+    ) -> Self {
+        self.reference = Some(Arc::new(is_reference));
+        self.with_input(Input {
+            role,
+            source: Source::Reference(stage),
+            optional: true,
+            select: None,
+            instead: None,
+            needed: None,
+        })
+    }
+
+    /// Reads a file or folder that the pipeline names `name` as `role`.
+    #[must_use]
+    pub fn external(self, role: &'static str, name: &'static str) -> Self {
+        self.with_input(Input {
+            role,
+            source: Source::External(name),
+            optional: false,
+            select: None,
+            instead: None,
+            needed: None,
+        })
+    }
+
+    /// Like [`external`](Self::external), but only if the pipeline names it. If it is named and does not
+    /// exist, the stage fails.
+    #[must_use]
+    pub fn optional_external(self, role: &'static str, name: &'static str) -> Self {
+        self.with_input(Input {
+            role,
+            source: Source::External(name),
+            optional: true,
+            select: None,
+            instead: None,
+            needed: None,
+        })
+    }
+
+    /// Adds an input.
+    #[must_use]
+    pub fn with_input(mut self, input: Input) -> Self {
+        self.inputs.push(input);
+        self
+    }
+
+    /// Selects the files of the input added last that count, from the parameters (paths relative to the
+    /// input; folders count with everything below). A path that does not exist is skipped.
+    #[must_use]
+    pub fn select(
+        self,
+        choose: impl Fn(&Value, &Path) -> Result<Vec<PathBuf>, String> + Send + Sync + 'static,
+    ) -> Self {
+        self.select_by(move |parameters, input| choose(parameters, input).map(Choice::from))
+    }
+
+    /// Like [`select`](Self::select), for slow choices: the choice is stored and used as long as its sources
+    /// do not change.
+    #[must_use]
+    pub fn select_by(
+        mut self,
+        choose: impl Fn(&Value, &Path) -> Result<Choice, String> + Send + Sync + 'static,
+    ) -> Self {
+        if let Some(input) = self.inputs.last_mut() {
+            input.select = Some(Arc::new(choose));
+        }
+        self
+    }
+
+    /// Replaces the input added last, an artifact, by the file or folder `name` where the pipeline names it;
+    /// the stage that makes the artifact is then not needed for this input.
+    #[must_use]
+    pub fn or_external(mut self, name: &'static str) -> Self {
+        if let Some(input) = self.inputs.last_mut() {
+            input.instead = Some(name);
+        }
+        self
+    }
+
+    /// Reads the input added last, an artifact, only if `needed` returns true for the parameters of all
+    /// stages. A file that the pipeline names in its place is read in any case, so that the stage can report
+    /// that it does not use it.
+    #[must_use]
+    pub fn only_when(mut self, needed: impl Fn(&AllParameters) -> bool + Send + Sync + 'static) -> Self {
+        if let Some(input) = self.inputs.last_mut() {
+            input.needed = Some(Arc::new(needed));
+        }
+        self
+    }
+
+    /// Declares random draws: the pipeline's seed becomes part of its key.
+    #[must_use]
+    pub fn seeded(mut self) -> Self {
+        self.seeded = true;
+        self
+    }
+
+    /// Declares a long stage with checkpoints; the parameters at these dotted paths only set the length of
+    /// its work.
+    #[must_use]
+    pub fn resumable(mut self, length_like: &'static [&'static str]) -> Self {
+        self.length_like = length_like;
+        self
+    }
+
+    /// Declares parameters, by dotted path, that change the work but not one byte of the result, such as the
+    /// steps between checkpoints or a cache's size. They are no part of its key.
+    #[must_use]
+    pub fn without_effect(mut self, parameters: &'static [&'static str]) -> Self {
+        self.without_effect = parameters;
+        self
+    }
+
+    /// Sets the files that every artifact of the stage has, whatever its parameters and inputs. A name with
+    /// `/` at its end is a folder with at least one file. An artifact without one of them counts as damaged.
+    #[must_use]
+    pub fn promises(mut self, files: &'static [&'static str]) -> Self {
+        self.promises = files;
+        self
+    }
+
+    /// Sets the device it computes on with given parameters, or `None` for the processor alone. The device is
+    /// part of its class of arithmetic, and so of its key.
+    #[must_use]
+    pub fn computes_on<P: DeserializeOwned + 'static>(
+        mut self,
+        device: impl Fn(&P) -> Option<DeviceClass> + Send + Sync + 'static,
+    ) -> Self {
+        self.device = Some(Arc::new(move |value| device(&serde_json::from_value(value.clone()).ok()?)));
+        self
+    }
+
+    /// Declares that its bytes are the same within one class of arithmetic but not between two; between two,
+    /// these figures of its artifact agree.
+    #[must_use]
+    pub fn agrees_across_classes(mut self, figures: &'static [Figure]) -> Self {
+        self.agreement = (!figures.is_empty()).then_some(Agreement::Figures(figures));
+        self
+    }
+
+    /// Like [`Self::agrees_across_classes`], for an artifact whose files of these kinds are alike between two
+    /// classes of arithmetic, and all others equal.
+    #[must_use]
+    pub fn files_agree_across_classes(mut self, kinds: &'static [AlikeFiles]) -> Self {
+        self.agreement = (!kinds.is_empty()).then_some(Agreement::Files(kinds));
+        self
+    }
+
+    /// Sets the resources it can use: at most `cores` (0: all cores of the machine), and about `memory`
+    /// bytes.
+    #[must_use]
+    pub fn cost(mut self, cores: usize, memory: u64) -> Self {
+        self.cores = cores;
+        self.memory = memory;
+        self
+    }
+
+    /// Sets an estimate of its memory in bytes, from its parameters and from those of its inputs that exist
+    /// already (a plan knows some of them, a run all). Where the estimate is `None`, the memory of
+    /// [`cost`](Self::cost) counts. It affects only which stages run at the same time, never a result.
+    #[must_use]
+    pub fn memory<P: DeserializeOwned + 'static>(
+        mut self,
+        estimate: impl Fn(&P, &[StageInput]) -> Option<u64> + Send + Sync + 'static,
+    ) -> Self {
+        self.memory_of = Some(Arc::new(move |value, inputs| {
+            let parameters: P = serde_json::from_value(value.clone()).ok()?;
+            estimate(&parameters, inputs)
+        }));
+        self
+    }
+
+    /// Requests it only if this condition on the parameters of all stages is true.
+    #[must_use]
+    pub fn when(self, condition: impl Fn(&AllParameters) -> bool + Send + Sync + 'static) -> Self {
+        self.when_named(move |all, _| condition(all))
+    }
+
+    /// Like [`when`](Self::when), but the condition also depends on the files that the pipeline names outside
+    /// itself. Their presence decides, when a pipeline is planned, if the stage is requested; the stage's
+    /// result still follows from its inputs alone.
+    #[must_use]
+    pub fn when_named(
+        mut self,
+        condition: impl Fn(&AllParameters, &Named) -> bool + Send + Sync + 'static,
+    ) -> Self {
+        self.condition = Some(Arc::new(condition));
+        self
+    }
+
+    /// States its requirements from outside: `missing` lists the unmet ones, from the parameters of all
+    /// stages and from the files that the pipeline names. It is called before anything runs and does not
+    /// change any result. Checks that read much go through [`Checks`].
+    #[must_use]
+    pub fn requires(
+        mut self,
+        missing: impl Fn(&AllParameters, &Named, &Checks<'_>) -> Vec<Lacking> + Send + Sync + 'static,
+    ) -> Self {
+        self.requires = Some(Arc::new(missing));
+        self
+    }
+
+    /// Refuses parameters that parse but make no sense; the error names the field (dotted path) and the
+    /// expected value.
+    #[must_use]
+    pub fn check<P: DeserializeOwned + 'static>(
+        mut self,
+        check: impl Fn(&P) -> Result<(), (String, String)> + Send + Sync + 'static,
+    ) -> Self {
+        let inner = self.canonicalise;
+        self.canonicalise = Arc::new(move |value| {
+            let value = inner(value)?;
+            let parameters: P =
+                serde_json::from_value(value.clone()).map_err(|e| ParameterError::from_serde(&e))?;
+            check(&parameters).map_err(|(path, message)| ParameterError {
+                path,
+                message,
+                unknown: None,
+                known: vec![],
+            })?;
+            Ok(value)
+        });
+        self
+    }
+
+    /// The rule by which its artifacts of two classes of arithmetic agree; `None` promises the same bytes
+    /// everywhere.
+    pub fn agreement(&self) -> Option<Agreement> {
+        self.agreement
+    }
+
+    /// Returns true if it may compute on another device than the processor.
+    pub fn may_use_a_device(&self) -> bool {
+        self.device.is_some()
+    }
+
+    /// Its name.
+    pub fn name(&self) -> &'static str {
+        self.name
+    }
+
+    /// Its description, one line.
+    pub fn description(&self) -> &'static str {
+        self.about
+    }
+
+    /// The set over which it is made once.
+    pub fn scope(&self) -> Scope {
+        self.scope
+    }
+
+    /// Its inputs.
+    pub fn inputs(&self) -> &[Input] {
+        &self.inputs
+    }
+
+    /// The parameters that are part of the key: those with an effect on the result.
+    pub fn key_parameters(&self, parameters: &Value) -> Value {
+        let mut effective = parameters.clone();
+        self.without_effect.iter().for_each(|path| canonical::remove(&mut effective, path));
+        effective
+    }
+
+    /// The JSON schema of its parameters.
+    pub fn schema(&self, generator: &mut SchemaGenerator) -> Schema {
+        (self.schema)(generator)
+    }
+
+    /// Its class of arithmetic with these parameters on a machine of class `machine`.
+    pub fn numeric_class(&self, machine: &str, parameters: &Value) -> String {
+        let device = self.device.as_ref().and_then(|device| device(parameters));
+        device.map_or_else(|| machine.to_string(), |device| device.on(machine))
+    }
+
+    /// Returns true if the pipeline's seed is part of its key.
+    pub fn is_seeded(&self) -> bool {
+        self.seeded
+    }
+
+    /// Estimated memory with these parameters on these inputs, in bytes; 0 where there is no estimate.
+    pub(crate) fn memory_on(&self, parameters: &Value, inputs: &[StageInput]) -> u64 {
+        let known = self.memory_of.as_ref().and_then(|of| of(parameters, inputs));
+        known.unwrap_or(self.memory)
+    }
+
+    /// The given parameters with defaults filled in.
+    pub fn parameters(&self, given: &Value) -> Result<Value, ParameterError> {
+        (self.canonicalise)(given)
+    }
+}
+
+impl std::fmt::Debug for Stage {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Stage({})", self.name)
+    }
+}
+
+fn canonicalise<P: Serialize + DeserializeOwned>(given: &Value) -> Result<Value, ParameterError> {
+    let parameters: P = serde_path_to_error::deserialize(given).map_err(|e| ParameterError::from_path(&e))?;
+    serde_json::to_value(&parameters).map_err(|e| ParameterError::from_serde(&e))
+}

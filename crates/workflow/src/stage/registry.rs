@@ -1,0 +1,157 @@
+//! The table of stages, checked when it is built.
+
+use std::collections::BTreeMap;
+
+use crate::cache::canonical;
+use crate::error::BuildError;
+use crate::stage::definition::{Scope, Source, Stage};
+use use3d_code::{CodeTable, StageCode};
+
+/// The stages in the order in which data flows through them.
+#[derive(Clone, Debug)]
+pub struct Registry {
+    stages: Vec<Stage>,
+    code: Vec<StageCode>,
+    shorthands: Vec<Shorthand>,
+}
+
+/// A key of the pipeline file that is short for a parameter of a stage, e.g. a scene's `size` for
+/// `import.size`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shorthand {
+    /// The table that contains it: `scene`, `calibrator`, `models`, or empty for the top level.
+    pub place: &'static str,
+    /// The key in that table.
+    pub key: &'static str,
+    /// The stage.
+    pub stage: &'static str,
+    /// The parameter, dotted.
+    pub parameter: &'static str,
+}
+
+impl Registry {
+    /// Creates a table of these stages, with their code from `table`. A stage's inputs must come from stages
+    /// before it; its roles must be unique; a shared stage must read only shared ones; the code that a stage
+    /// names must exist.
+    ///
+    /// # Errors
+    /// Stages that do not fit together, or that name code that does not exist.
+    pub fn new(stages: Vec<Stage>, table: &CodeTable) -> Result<Self, BuildError> {
+        for (i, stage) in stages.iter().enumerate() {
+            check(stage, &stages[..i]).map_err(BuildError::Registry)?;
+            let external =
+                |s: &Stage| s.inputs.iter().any(|input| input.source == Source::External(stage.name));
+            if stages.iter().any(external) {
+                let name = stage.name;
+                return Err(BuildError::Registry(format!(
+                    "`{name}` names an input from outside and a stage"
+                )));
+            }
+        }
+        let code = stages.iter().map(|stage| {
+            table
+                .stage(stage.crates, stage.sources)
+                .map_err(|source| BuildError::Code { stage: stage.name.to_string(), source })
+        });
+        Ok(Self { code: code.collect::<Result<_, _>>()?, stages, shorthands: Vec::new() })
+    }
+
+    /// The files that every artifact of a stage has, by stage.
+    pub fn promises(&self) -> BTreeMap<&'static str, &'static [&'static str]> {
+        self.stages.iter().map(|stage| (stage.name, stage.promises)).collect()
+    }
+
+    /// Adds a shorthand. If several have the same place and key, the value sets all their parameters.
+    #[must_use]
+    pub fn shorthand(
+        mut self,
+        place: &'static str,
+        key: &'static str,
+        stage: &'static str,
+        parameter: &'static str,
+    ) -> Self {
+        self.shorthands.push(Shorthand { place, key, stage, parameter });
+        self
+    }
+
+    /// The stages.
+    pub fn stages(&self) -> &[Stage] {
+        &self.stages
+    }
+
+    /// The shorthands.
+    pub fn shorthands(&self) -> &[Shorthand] {
+        &self.shorthands
+    }
+
+    /// A stage by name.
+    pub fn stage(&self, name: &str) -> Result<&Stage, BuildError> {
+        Ok(&self.stages[self.index(name)?])
+    }
+
+    /// The index of a stage in the table.
+    pub(crate) fn index(&self, name: &str) -> Result<usize, BuildError> {
+        let found = self.stages.iter().position(|s| s.name == name);
+        found.ok_or_else(|| BuildError::unknown("stage", name, self.stages.iter().map(|s| s.name)))
+    }
+
+    /// The code of the stage of that name.
+    pub fn code_of(&self, name: &str) -> Result<&StageCode, BuildError> {
+        Ok(&self.code[self.index(name)?])
+    }
+
+    /// The code of a stage.
+    pub(crate) fn code(&self, index: usize) -> &StageCode {
+        &self.code[index]
+    }
+}
+
+fn check(stage: &Stage, before: &[Stage]) -> Result<(), String> {
+    let name = stage.name;
+    if name.is_empty() || !name.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'-') {
+        return Err(format!("`{name}`: a stage's name is lower-case letters, digits and hyphens"));
+    }
+    if ["scene", "variant", "defaults", "name", "group", "seed"].contains(&name) {
+        return Err(format!("`{name}` is a word of the pipeline file, not a name for a stage"));
+    }
+    if before.iter().any(|s| s.name == name) {
+        return Err(format!("two stages are called `{name}`"));
+    }
+    if let Ok(defaults) = stage.parameters(&serde_json::json!({})) {
+        let mut named = stage.without_effect.iter().chain(stage.length_like);
+        if let Some(path) = named.find(|path| canonical::at(&defaults, path).is_none()) {
+            return Err(format!("stage `{name}` has no parameter `{path}`"));
+        }
+    }
+    for (i, input) in stage.inputs.iter().enumerate() {
+        if stage.inputs[..i].iter().any(|other| other.role == input.role) {
+            return Err(format!("stage `{name}` has two inputs called `{}`", input.role));
+        }
+        let (Source::Stage(from) | Source::Reference(from)) = input.source else { continue };
+        let Some(from) = before.iter().find(|s| s.name == from) else {
+            return Err(format!("stage `{name}` reads `{from}`, which is not a stage before it"));
+        };
+        let fits = match stage.scope {
+            Scope::Shared => from.scope == Scope::Shared,
+            Scope::Scene => from.scope != Scope::Batch,
+            Scope::Batch => true,
+        };
+        if !fits {
+            return Err(format!(
+                "stage `{name}` is made once {} and cannot read `{}`, which is made once {}",
+                per(stage.scope),
+                from.name,
+                per(from.scope)
+            ));
+        }
+    }
+    Ok(())
+}
+
+fn per(scope: Scope) -> &'static str {
+    match scope {
+        Scope::Scene => "per scene",
+        Scope::Shared => "for all scenes",
+        Scope::Batch => "per batch",
+    }
+}

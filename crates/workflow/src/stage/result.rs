@@ -1,0 +1,67 @@
+//! The result of one node of a run, for events and summaries.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use serde::Serialize;
+
+use crate::cache::artifacts::Artifact;
+
+/// The result of a node.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "lowercase", tag = "result", content = "detail")]
+pub enum Became {
+    /// Computed in this run.
+    Done,
+    /// Found in the cache.
+    Cached,
+    /// Failed.
+    Failed {
+        /// The reason.
+        reason: String,
+        /// Its log.
+        log: PathBuf,
+    },
+    /// Not run because another node failed; the text names that node.
+    Blocked(String),
+    /// Not run because the run ended before it.
+    NotRun,
+    /// Missing, in a run that computes only stages over the whole batch.
+    Missing,
+    /// Left to another process, which computes it or its inputs; the text names that process.
+    Elsewhere(String),
+    /// Not requested.
+    Unwanted,
+}
+
+/// A node of a summary.
+#[derive(Clone, Debug, Serialize)]
+pub struct RanNode {
+    /// The stage.
+    pub stage: &'static str,
+    /// The scene; empty for stages over all scenes.
+    pub scene: String,
+    /// The variant; empty where there are none.
+    pub variant: String,
+    /// Scene, variant and stage, for display.
+    pub label: String,
+    /// Its result.
+    #[serde(flatten)]
+    pub result: Became,
+    /// Duration in seconds.
+    pub seconds: f64,
+    /// True if another node did its work.
+    pub shared: bool,
+    /// Its parameters, defaults filled in.
+    #[serde(skip)]
+    pub parameters: Arc<serde_json::Value>,
+    /// The name of the preset below its parameters; empty for none.
+    #[serde(skip)]
+    pub preset: String,
+    /// The seed of its random draws.
+    #[serde(skip)]
+    pub seed: Option<u64>,
+    /// Its artifact.
+    #[serde(skip)]
+    pub artifact: Option<Arc<Artifact>>,
+}

@@ -1,0 +1,14 @@
+//! The build system with synthetic stages: small, fast, and shaped like the real ones.
+
+mod batch;
+mod caching;
+mod code;
+mod crash;
+mod economy;
+mod faults;
+mod faulty_store;
+mod nodes;
+mod reference;
+mod remote;
+mod sharing;
+mod stages;
