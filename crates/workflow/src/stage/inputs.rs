@@ -1,5 +1,5 @@
-//! The things that a stage can depend on: the parameters of all stages, the files that the pipeline names, and
-//! the inputs that exist.
+//! The things that a stage can depend on: the parameters of all stages, the files that the pipeline names,
+//! and the inputs that exist.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
