@@ -1,8 +1,8 @@
 //! Converts a plan to jobs of a cluster's scheduler (Slurm or HyperQueue).
 //!
-//! The inputs are a plan of the crate `workflow` and a description of the site. The outputs are the scheduler's
-//! files, and the jobs that its own command submits. This crate computes no stage, and it does not watch the
-//! jobs.
+//! The inputs are a plan of the crate `workflow` and a description of the site. The outputs are the
+//! scheduler's files, and the jobs that its own command submits. This crate computes no stage, and it does
+//! not watch the jobs.
 //!
 //! The whole graph is submitted at once, and no process stays behind. A [`site::Site`] describes a cluster
 //! (account, partition, resources of a stage). [`jobs::of`] makes the few jobs that compute the missing

@@ -1,8 +1,8 @@
 //! Opens a store beside the cache by its address: a folder's path, `file:///…`, or `s3://BUCKET/PREFIX`.
 //!
 //! The input is an address, and the output is a [`Remote`], which defines the operations of a store.
-//! `use3d_workflow::remote` sends artifacts to one and fetches them. The program uses a network only here, only
-//! with the feature `s3`, and only for the given address.
+//! `use3d_workflow::remote` sends artifacts to one and fetches them. The program uses a network only here,
+//! only with the feature `s3`, and only for the given address.
 
 #[cfg(feature = "s3")]
 mod bucket;

@@ -58,7 +58,9 @@ impl Arrows {
             texts.iter().map(|(path, (_, text))| (path.clone(), parse(path, text))).collect();
         let tests: Vec<ModulePath> = parsed
             .iter()
-            .flat_map(|(path, file)| file.tests.iter().map(|name| [&path[..], &[name.clone()]].concat()))
+            .flat_map(|(path, file)| {
+                file.tests.iter().map(|name| [&path[..], std::slice::from_ref(name)].concat())
+            })
             .collect();
         let tested = |path: &ModulePath| {
             texts[path].1.trim_start().starts_with("#![cfg(test)]")
@@ -349,13 +351,14 @@ fn parse(own: &ModulePath, text: &str) -> Parsed {
                 }
                 continue;
             }
-            word if sign(i + 1) == "::" && (i == 0 || ![".", "::", "$"].contains(&sign(i - 1))) => {
-                if word.chars().all(|c| c.is_alphanumeric() || c == '_') {
-                    let scope = scope();
-                    let found = paths(&words, &mut i);
-                    file.named.extend(found.into_iter().map(|(path, _)| (scope.clone(), path)));
-                    continue;
-                }
+            word if sign(i + 1) == "::"
+                && (i == 0 || ![".", "::", "$"].contains(&sign(i - 1)))
+                && word.chars().all(|c| c.is_alphanumeric() || c == '_') =>
+            {
+                let scope = scope();
+                let found = paths(&words, &mut i);
+                file.named.extend(found.into_iter().map(|(path, _)| (scope.clone(), path)));
+                continue;
             }
             _ => {}
         }

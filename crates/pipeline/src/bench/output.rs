@@ -2,8 +2,8 @@
 //!
 //! `captures/` and `cache/` may be in the same folder, so the folder as a whole has no record. Each of the
 //! two files carries the digest of its own text, which proves that this program wrote it and that it is
-//! unchanged. The pictures have a record like any result folder ([`use3d_workflow::place`]). Anything that this
-//! program did not write is refused.
+//! unchanged. The pictures have a record like any result folder ([`use3d_workflow::place`]). Anything that
+//! this program did not write is refused.
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};

@@ -37,7 +37,7 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(5);
 /// The time after which a scheduler is asked if the holder's task is over: longer than a heartbeat.
 const ASKING: Duration = Duration::from_secs(12);
 /// The time for which a run waits for the work of other processes before it leaves that work to them. It is
-/// longer than [`EXPIRY`], so the work of a killed process is taken over.
+/// longer than the time after which a lease expires, so the work of a killed process is taken over.
 pub const PATIENCE: Duration = Duration::from_secs(150);
 /// The same limit for a file without a readable holder: it is being written at this moment, or a crash left
 /// it unfinished.

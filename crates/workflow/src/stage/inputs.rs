@@ -1,5 +1,5 @@
-//! The things that a stage can depend on: the parameters of all stages, the files that the pipeline names, and
-//! the inputs that exist.
+//! The things that a stage can depend on: the parameters of all stages, the files that the pipeline names,
+//! and the inputs that exist.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -9,8 +9,8 @@ use serde_json::{Map, Value};
 /// A path outside the pipeline, or the reason why it is not known.
 pub type External = Result<PathBuf, String>;
 
-/// The files that the pipeline names outside itself, for [`Stage::when_named`]: for one scene, or for all
-/// scenes in a stage that is made once.
+/// The files that the pipeline names outside itself, for [`Stage::when_named`](crate::Stage::when_named): for
+/// one scene, or for all scenes in a stage that is made once.
 #[derive(Clone, Debug, Default)]
 pub struct Named {
     places: BTreeMap<String, (External, String)>,
@@ -44,7 +44,7 @@ impl Named {
     }
 }
 
-/// The parameters of all stages of one scene and variant, by stage, for [`Stage::when`].
+/// The parameters of all stages of one scene and variant, by stage, for [`Stage::when`](crate::Stage::when).
 pub type AllParameters = Map<String, Value>;
 
 /// One input of a stage.

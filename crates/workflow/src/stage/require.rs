@@ -35,9 +35,9 @@ impl<'a> Checks<'a> {
         Self(contents)
     }
 
-    /// Returns the fault that `check` finds in files of `input`. If it found none before, and none of the files
-    /// that it read has changed since, it is not made again. `name` names the check and its rules; `check`
-    /// returns the files and folders that it read, relative to `input`.
+    /// Returns the fault that `check` finds in files of `input`. If it found none before, and none of the
+    /// files that it read has changed since, it is not made again. `name` names the check and its rules;
+    /// `check` returns the files and folders that it read, relative to `input`.
     pub fn once(
         &self,
         name: &str,

@@ -17,8 +17,9 @@ use crate::cache::machine;
 use crate::cache::manifest::Manifest;
 use use3d_code::digest::Digest;
 
-/// The age before a file without a manifest is removed; a cleaning of younger artifacts waits an hour. A transfer sends the files first and the
-/// manifest last, so a young file may belong to a transfer in progress.
+/// The age before a file without a manifest is removed; a cleaning of younger artifacts waits an hour. A
+/// transfer sends the files first and the manifest last, so a young file may belong to a transfer in
+/// progress.
 const BEING_SENT: Duration = Duration::from_secs(86_400);
 
 /// The objects of a store at the time of the list.
