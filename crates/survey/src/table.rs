@@ -55,12 +55,13 @@ impl TextTable {
         let columns = names.iter().map(name).collect();
         let body = rest.split_once('\n').map_or("", |(_, body)| body);
         let mut rows = Vec::new();
+        let mut place = Place { rest: body, byte: 0, line: first_line + 1 };
         for record in builder.comment(Some(b'#')).from_reader(body.as_bytes()).into_records() {
-            let line_of =
-                |position: Option<&csv::Position>| first_line + position.map_or(0, |p| p.line() as usize);
-            let fields = record.map_err(|e| (line_of(e.position()), e.to_string()))?;
+            let fields = record
+                .map_err(|e| (place.advance(e.position().map_or(0, csv::Position::byte)), e.to_string()))?;
+            let line = place.advance(fields.position().map_or(0, csv::Position::byte));
             if fields.iter().any(|field| !field.is_empty()) {
-                rows.push(TextRow { line: line_of(fields.position()), fields });
+                rows.push(TextRow { line, fields });
             }
         }
         Ok(Self { first_line, columns, rows })
@@ -69,6 +70,31 @@ impl TextTable {
     /// The place of a column with one of these names.
     pub fn column(&self, names: &[&str]) -> Option<usize> {
         self.columns.iter().position(|column| names.contains(&column.as_str()))
+    }
+}
+
+/// A place in a text, with the number of its line.
+struct Place<'t> {
+    rest: &'t str,
+    byte: u64,
+    line: usize,
+}
+
+impl Place<'_> {
+    /// Goes on to a byte and over the empty lines and comments there, which the reader counts to the record after
+    /// them. Returns the number of the line.
+    fn advance(&mut self, byte: u64) -> usize {
+        let passed = byte.saturating_sub(self.byte) as usize;
+        let (before, after) = self.rest.split_at_checked(passed).unwrap_or((self.rest, ""));
+        self.line += before.matches('\n').count();
+        (self.rest, self.byte) = (after, self.byte.max(byte));
+        while let Some((line, after)) = self.rest.split_once('\n')
+            && (line.trim().is_empty() || line.starts_with('#'))
+        {
+            self.byte += line.len() as u64 + 1;
+            (self.rest, self.line) = (after, self.line + 1);
+        }
+        self.line
     }
 }
 
