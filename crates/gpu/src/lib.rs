@@ -21,13 +21,16 @@
 //! | lists | E `u32` | entries by tile, and by depth within a tile |
 //! | starts | T + 1 `u32` | start of each tile's list |
 //! | records | E × 3 `vec4<f32>` | gradient of an entry, three rows, see below |
-//! | colour planes | 3 P `f32` | images of three planes, see below |
-//! | planes | P `f32` or `u32` | depth, accumulation, final transmittance, entry at which a pixel stopped |
+//! | colour planes | 3 P `f32` | the image, and its gradient |
+//! | water | 9 P `f32` | `c_m`, `k_a` and `k_b` |
+//! | depth | P `f32` | expected depth |
+//! | kept | 13 P `u32` | accumulation; three images, see below; final transmittance; entry at which a pixel stopped; depth |
 //!
 //! The rows of a splat are `x, y, shear, steepness`; `steepness_y, log2_opacity, z, reach_y`; colour, and 1
 //! if it is visible. Those of a record are ΣG, ΣGt, ΣGdy, ΣGt²; ΣGt·dy, ΣGdy², ∂z/ln 2, ∂r; ∂g, ∂b,
-//! Σ\|Gt\|, Σ\|Gv_y\|. A colour plane has its values at `c·P + y·W + x`; there is one for the image, its
-//! gradient, `Σ w e_b`, `Σ w z c e_a`, `Σ w z e_b`, and the water's `c_m`, `k_a` and `k_b`.
+//! Σ\|Gt\|, Σ\|Gv_y\|. Colour planes have their values at `c·P + y·W + x`. The three images that the forward
+//! pass keeps are `Σ w e_b`, `Σ w z c e_a` and `Σ w z e_b`. Floats among words are stored as their bits. Several
+//! quantities share a buffer where a kernel would otherwise bind more than ten: some devices have no more.
 //!
 //! The buffers of stage 2, for L lookups of the field (listed Gaussians, and with water the 16 rows of its
 //! table), rank R and n parameters:

@@ -12,7 +12,7 @@ use crate::constants::{StepConstants, counts};
 use crate::device::Gpu;
 use crate::kernel::submit;
 use crate::lists::{ListKernels, Lists};
-use crate::raster::{Outputs, RasterKernels, RasterPlanes, WaterPlanes};
+use crate::raster::{Outputs, RasterKernels, RasterPlanes, kept};
 use crate::scene::{DeviceScene, Float4};
 use crate::testing::{camera, cloud, elsewhere, relative, software, water};
 use crate::update::UpdateKernels;
@@ -148,7 +148,7 @@ impl ViewKernels {
         constants.set_rates(0, &RATES);
         constants.screen = [constants.size[0] as f32 * 0.5, constants.size[1] as f32 * 0.5, 0.0, 0.0];
         lists.prepare(gpu, &constants, &case.lattice).unwrap();
-        planes.grow(gpu, pixels).unwrap();
+        planes.grow(gpu, pixels, Outputs::Training).unwrap();
         let records = Array::<Float4>::new(gpu, "records", 3 * lists.capacity()).unwrap();
         lists.poison(gpu);
         planes.poison(gpu);
@@ -162,13 +162,8 @@ impl ViewKernels {
         let maps = case
             .water
             .as_ref()
-            .map(|maps| exponents(maps, case))
-            .map(|planes| planes.map(|plane| Array::from(gpu, "water", &plane).unwrap()));
-        let water = maps.as_ref().map(|[color, attenuation, backscatter]| WaterPlanes {
-            color,
-            attenuation,
-            backscatter,
-        });
+            .map(|maps| Array::from(gpu, "water", &exponents(maps, case).concat()).unwrap());
+        let water = maps.as_ref();
         submit(gpu, "view", |pass| {
             let tiles = constants.tiles();
             lists.record(&self.lists, pass, &uniform, n, tiles, &scene.values, &counts, Some(&records));
@@ -204,12 +199,16 @@ impl ViewKernels {
         }
         assert_eq!(told[counts::STOP], 0, "not finite: {:b}", told[counts::BAD]);
         let of = |array: &Array<f32>, n: usize| array.read(gpu, n).unwrap();
+        let values = planes.kept.read(gpu, kept::TRAINING * pixels).unwrap();
+        let part = |first: usize, count: usize| -> Vec<f32> {
+            values[first * pixels..(first + count) * pixels].iter().map(|v| f32::from_bits(*v)).collect()
+        };
         let order = lists.visible(gpu, n);
         ViewResult {
             image: of(&planes.image, 3 * pixels),
             depth: of(&planes.depth, pixels),
-            accumulation: of(&planes.accumulation, pixels),
-            along: [&planes.veil, &planes.object_moment, &planes.veil_moment].map(|p| of(p, 3 * pixels)),
+            accumulation: part(kept::ACCUMULATION, 1),
+            along: kept::SUMS.map(|first| part(first, 3)),
             first: scene.moments(gpu).unwrap().first,
             moved: scene.gaussians(gpu).unwrap(),
             statistics: scene.statistics(gpu).unwrap(),

@@ -42,6 +42,13 @@ fn compact(bits: u32) -> u32 {
 // Position in the tile of a pixel on the curve: (column, row).
 fn place_of(number: u32) -> vec2<u32> { return vec2<u32>(compact(number), compact(number >> 1u)); }
 
+// The three values of a section of the water.
+fn water_at(section: u32, pixel: u32) -> vec3<f32> {
+    let plane = constants.size.x * constants.size.y;
+    let first = section * plane + pixel;
+    return vec3<f32>(water[first], water[first + plane], water[first + 2u * plane]);
+}
+
 fn pixel_at(tile: u32, at: vec2<u32>) -> Pixel {
     let column = (tile % constants.size.z) * TILE + at.x;
     let row = (tile / constants.size.z) * TILE + at.y;
@@ -53,17 +60,16 @@ fn pixel_at(tile: u32, at: vec2<u32>) -> Pixel {
     let plane = constants.size.x * constants.size.y;
     let pixel = row * constants.size.x + column;
     p.pull = vec3<f32>(image_pull[pixel], image_pull[plane + pixel], image_pull[2u * plane + pixel]);
-    let sum = accumulations[pixel];
+    let sum = bitcast<f32>(kept[pixel]);
     p.by_depth = depth_pull[pixel] / max(sum, 1e-6f);
-    if (sum > 1e-6f) { p.by_weight = -(p.by_depth * depths[pixel]); }
+    if (sum > 1e-6f) { p.by_weight = -(p.by_depth * bitcast<f32>(kept[KEPT_DEPTH * plane + pixel])); }
     if (WATER) {
-        let color = vec3<f32>(water_color[pixel], water_color[plane + pixel], water_color[2u * plane + pixel]);
-        p.veiled_pull = -(p.pull * color);
-        p.ka = vec3<f32>(k_attenuation[pixel], k_attenuation[plane + pixel], k_attenuation[2u * plane + pixel]);
-        p.kb = vec3<f32>(k_backscatter[pixel], k_backscatter[plane + pixel], k_backscatter[2u * plane + pixel]);
+        p.veiled_pull = -(p.pull * water_at(0u, pixel));
+        p.ka = water_at(K_ATTENUATION, pixel);
+        p.kb = water_at(K_BACKSCATTER, pixel);
     }
-    p.left = transmittances[pixel];
-    p.end = stops[pixel];
+    p.left = bitcast<f32>(kept[KEPT_TRANSMITTANCE * plane + pixel]);
+    p.end = kept[KEPT_STOP * plane + pixel];
     return p;
 }
 
@@ -81,40 +87,43 @@ fn pass_by(
     let dy = (*p).y - a.y;
     let t = (*p).x - fma(a.z, -dy, a.x);
     let power = fma(t * a.w, -t, fma(b.x, -(dy * dy), b.y));
-    if (!(power >= -LOG2_255 && (*p).end > k)) { return false; }
-    let raw = exp2(power);
-    let alpha = min(raw, ALPHA_MAX);
-    let over = 1.0f / (1.0f - alpha);
-    let transmittance = (*p).left * over;
-    (*p).left = transmittance;
-    let w = transmittance * alpha;
-    let z = b.z;
-    var v = fma((*p).by_depth, z, (*p).by_weight);
-    var slope = 0.0f;
-    var by_color = (*p).pull;
-    if (WATER) {
-        by_color = (*p).pull * exp2(-((*p).ka * z));
-        let colored = by_color * color;
-        let veiled = (*p).veiled_pull * exp2(-((*p).kb * z));
-        v += colored.x + veiled.x;
-        v += colored.y + veiled.y;
-        v += colored.z + veiled.z;
-        slope = -(dot((*p).ka, colored) + dot((*p).kb, veiled)) * s_gradient;
-    } else {
-        v += dot((*p).pull, color);
+    let meets = power >= -LOG2_255 && (*p).end > k;
+    // There is no early return: the threads of a subgroup must be together again at its next operation.
+    if (meets) {
+        let raw = exp2(power);
+        let alpha = min(raw, ALPHA_MAX);
+        let over = 1.0f / (1.0f - alpha);
+        let transmittance = (*p).left * over;
+        (*p).left = transmittance;
+        let w = transmittance * alpha;
+        let z = b.z;
+        var v = fma((*p).by_depth, z, (*p).by_weight);
+        var slope = 0.0f;
+        var by_color = (*p).pull;
+        if (WATER) {
+            by_color = (*p).pull * exp2(-((*p).ka * z));
+            let colored = by_color * color;
+            let veiled = (*p).veiled_pull * exp2(-((*p).kb * z));
+            v += colored.x + veiled.x;
+            v += colored.y + veiled.y;
+            v += colored.z + veiled.z;
+            slope = -(dot((*p).ka, colored) + dot((*p).kb, veiled)) * s_gradient;
+        } else {
+            v += dot((*p).pull, color);
+        }
+        slope = fma((*p).by_depth, LOG2_E, slope);
+        let wv = w * v;
+        var pulled = fma(alpha * over, (*p).behind, wv);
+        (*p).behind -= wv;
+        if (!(raw <= ALPHA_MAX)) { pulled = 0.0f; }
+        let pt = pulled * t;
+        let py = pulled * dy;
+        let across = fma(t, a.z * (a.w * (2.0f * LN_2)), dy * (b.x * (2.0f * LN_2)));
+        (*r).r0 += vec4<f32>(pulled, pt, py, pt * t);
+        (*r).r1 += vec4<f32>(pt * dy, py * dy, w * slope, w * by_color.x);
+        (*r).r2 += vec4<f32>(w * by_color.yz, abs(pt), abs(pulled) * abs(across));
     }
-    slope = fma((*p).by_depth, LOG2_E, slope);
-    let wv = w * v;
-    var pulled = fma(alpha * over, (*p).behind, wv);
-    (*p).behind -= wv;
-    if (!(raw <= ALPHA_MAX)) { pulled = 0.0f; }
-    let pt = pulled * t;
-    let py = pulled * dy;
-    let across = fma(t, a.z * (a.w * (2.0f * LN_2)), dy * (b.x * (2.0f * LN_2)));
-    (*r).r0 += vec4<f32>(pulled, pt, py, pt * t);
-    (*r).r1 += vec4<f32>(pt * dy, py * dy, w * slope, w * by_color.x);
-    (*r).r2 += vec4<f32>(w * by_color.yz, abs(pt), abs(pulled) * abs(across));
-    return true;
+    return meets;
 }
 
 // Smallest square of a number in the interval [low, high].

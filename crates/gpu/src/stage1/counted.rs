@@ -6,6 +6,7 @@ use use3d_training::EngineError;
 use super::Stage1;
 use crate::buffer::read_together;
 use crate::constants::{TILE, counts};
+use crate::raster::kept;
 use crate::scene::SPLAT;
 
 /// Sizes of a view, and its pairs of pixel and Gaussian.
@@ -33,17 +34,18 @@ impl Stage1 {
         let [across, down] = [width.div_ceil(side), height.div_ceil(side)];
         let entries = self.counts.read(gpu, counts::WORDS)?[counts::ENTRIES] as usize;
         let drawn = self.lists.drawn();
-        let [splats, starts, lists, owners, stops, axes] = read_together(
+        let [splats, starts, lists, owners, values, axes] = read_together(
             gpu,
             [
                 (drawn.splats.raw(), 4 * SPLAT * n),
                 (drawn.starts.raw(), across * down + 1),
                 (drawn.lists.raw(), entries),
                 (drawn.owners.raw(), entries),
-                (self.planes.stop.raw(), pixels),
+                (self.planes.kept.raw(), (kept::STOP + 1) * pixels),
                 (drawn.axes.raw(), side * (across + down)),
             ],
         )?;
+        let stops = values.get(kept::STOP * pixels..).unwrap_or_default();
         let splats: &[f32] = bytemuck::cast_slice(&splats);
         let (columns, rows) = bytemuck::cast_slice::<u32, f32>(&axes).split_at(side * across);
         let splat = |i: u32| splats.get(4 * SPLAT * i as usize..)?.first_chunk::<12>();

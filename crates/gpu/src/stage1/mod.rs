@@ -32,7 +32,7 @@ use crate::device::{Gpu, NAME};
 use crate::kernel::submit;
 use crate::lists::{ListKernels, Lists};
 use crate::losses::{Gains, Losses};
-use crate::raster::{RasterKernels, RasterPlanes, WaterPlanes};
+use crate::raster::{RasterKernels, RasterPlanes};
 use crate::rebuild::RebuildKernel;
 use crate::scene::{DeviceScene, Float4};
 use crate::update::UpdateKernels;
@@ -138,12 +138,8 @@ impl Stage1 {
     }
 
     /// The water in the form that the compositor reads.
-    fn water_planes(&self) -> Option<WaterPlanes<'_>> {
-        self.water.as_ref().map(|water| WaterPlanes {
-            color: &water.color,
-            attenuation: &water.attenuation,
-            backscatter: &water.backscatter,
-        })
+    fn water_planes(&self) -> Option<&Array<f32>> {
+        self.water.as_ref().map(|water| &water.maps)
     }
 
     /// Makes room for one and a half times the entries of a view that needs `most`.

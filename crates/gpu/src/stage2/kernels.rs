@@ -32,6 +32,7 @@ const AFFINE: &str = include_str!("affine.wgsl");
 const SITES: &str = include_str!("sites.wgsl");
 const DECODER: &str = include_str!("decoder.wgsl");
 const TABLE: &str = include_str!("table.wgsl");
+const FROZEN_WATER: &str = include_str!("frozen_water.wgsl");
 const SUM_ROWS: &str = include_str!("sum_rows.wgsl");
 
 const FIELD_BINDING: Binding = (Access::Uniform, "field", "Field");
@@ -105,15 +106,10 @@ impl FieldRank {
             FIELD_BINDING,
             read("state"),
             read("grade"),
-            read("color"),
-            read("logs"),
-            read("attenuation"),
-            read("backscatter"),
-            write("new_color"),
-            write("new_attenuation"),
-            write("new_backscatter"),
+            raster::WATER,
+            write("enhanced"),
         ];
-        let parts = [FIELD, GUIDE, AFFINE, TABLE, include_str!("water.wgsl")];
+        let parts = [FIELD, GUIDE, AFFINE, TABLE, FROZEN_WATER, include_str!("water.wgsl")];
         self.spec("enhanced water", 64, &bindings, &parts)
     }
 
@@ -138,17 +134,12 @@ impl FieldRank {
             FIELD_BINDING,
             read("state"),
             read("grade"),
-            read("color"),
-            read("logs"),
-            read("attenuation"),
-            read("backscatter"),
+            raster::WATER,
             read("image_pull"),
-            read("veil"),
-            read("light_by_depth"),
-            read("veil_by_depth"),
+            (Access::Read, "kept", U32S),
             write("partial"),
         ];
-        let parts = [FIELD, GUIDE, AFFINE, TABLE, include_str!("water_back.wgsl")];
+        let parts = [FIELD, GUIDE, AFFINE, TABLE, FROZEN_WATER, include_str!("water_back.wgsl")];
         self.spec("enhanced water backward", 128, &bindings, &parts)
     }
 
@@ -213,7 +204,7 @@ impl FieldRank {
 }
 
 fn seen() -> Spec {
-    let more = [(Access::Read, "stops", U32S), (Access::Write, "seen", U32S)];
+    let more = [(Access::Read, "kept", U32S), (Access::Write, "seen", U32S)];
     Spec {
         name: "seen entries",
         threads: 64,
@@ -226,8 +217,8 @@ fn seen() -> Spec {
 /// The kernel for the gradient of the colours of a tile's Gaussians: one record per entry.
 pub(crate) fn colors(water: bool) -> Spec {
     let more = [
-        read("k_attenuation"),
-        (Access::Read, "stops", U32S),
+        raster::WATER,
+        (Access::Read, "kept", U32S),
         read("image_pull"),
         (Access::Write, "records", ROWS),
     ];

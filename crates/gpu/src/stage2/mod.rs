@@ -98,7 +98,7 @@ impl FieldDrawing {
     fn draw(&mut self, view: &FrozenView, plan: Option<&FieldPlan>) -> Result<[u32; 2], EngineError> {
         let Self { gpu, raster, planes, device, .. } = self;
         device.prepare(gpu, view, plan)?;
-        planes.grow(gpu, view.pixels())?;
+        planes.grow(gpu, view.pixels(), Outputs::Training)?;
         submit(gpu, "a view under the field", |pass| {
             device.record_forward(pass, view);
             let water = device.water(view);

@@ -198,7 +198,7 @@ fn the_field_is_the_processors_at_every_count_of_lookups() {
         assert!(scene.look_through(&camera, lattice, &mut maps));
         let center = camera.pose.center().as_vec3().to_array();
         WaterPass::new().forward(&field, center, &ViewWater::new(maps), 1.0, &mut enhanced);
-        let color = ours.drawing.device.color.read(&gpu, 3 * view.pixels()).unwrap();
+        let color = ours.drawing.device.water.read(&gpu, 3 * view.pixels()).unwrap();
         let error = relative(&color, enhanced.color.data());
         assert!(error <= 1e-5, "{n} lookups: the water's colour off by {error:.1e}");
     }
