@@ -169,10 +169,8 @@ impl Drawing {
         let n = width * height;
         let RasterPlanes { image, depth, kept: values, .. } = &self.planes;
         let planes = if view.layers { kept::LAYERS } else { kept::PICTURE };
-        let [image, depth, values] = read_together(
-            &self.gpu,
-            [(image.raw(), 3 * n), (depth.raw(), n), (values.raw(), planes * n)],
-        )?;
+        let [image, depth, values] =
+            read_together(&self.gpu, [(image.raw(), 3 * n), (depth.raw(), n), (values.raw(), planes * n)])?;
         let floats = |words: Vec<u32>| bytemuck::cast_vec::<u32, f32>(words);
         let picture =
             |words| Image::from_planes(width, height, floats(words)).unwrap_or_else(|| Image::new(0, 0));

@@ -72,9 +72,11 @@ mod profile;
 mod raster;
 mod rebuild;
 mod scene;
+mod selection;
 mod sort;
 mod stage1;
 mod stage2;
+mod subgroups;
 #[cfg(test)]
 mod testing;
 #[cfg(test)]
@@ -82,10 +84,11 @@ mod tests;
 pub mod twins;
 mod update;
 mod variant;
+mod vulkan;
 mod water;
 
 pub use check::{CheckError, check, checked_adapters, open_checked};
-pub use device::{AdapterReport, DeviceError, Gpu, adapters};
+pub use device::{AdapterReport, DeviceError, Gpu, adapters, environment_note};
 pub use drawing::{Drawing, DrawnView};
 pub use linear::LinearSplat;
 pub use profile::KernelTime;
@@ -102,6 +105,6 @@ pub fn kernel_sources() -> Vec<String> {
 /// Every kernel in every variant.
 fn specs() -> Vec<kernel::Spec> {
     let own = [sort::specs(), lists::specs(), raster::specs(), update::specs(), rebuild::specs()].concat();
-    let further = own.into_iter().chain(losses::specs()).chain(water::specs());
+    let further = own.into_iter().chain(subgroups::specs()).chain(losses::specs()).chain(water::specs());
     further.chain(stage1::specs()).chain(stage2::specs()).chain(linear::specs()).collect()
 }

@@ -86,11 +86,7 @@ pub(crate) enum Outputs {
 const OUTPUTS: [Outputs; 3] = [Outputs::Picture, Outputs::Training, Outputs::Layers];
 
 fn forward(water: bool, outputs: Outputs) -> Spec {
-    let more = [
-        write("image"),
-        write("depths"),
-        (Access::Write, "kept", U32S),
-    ];
+    let more = [write("image"), write("depths"), (Access::Write, "kept", U32S)];
     let switches =
         [("WATER", water), ("TRAIN", outputs == Outputs::Training), ("LAYERS", outputs == Outputs::Layers)];
     spec("forward", FORWARD, &more, &switches, include_str!("raster/forward.wgsl"))
@@ -127,6 +123,13 @@ pub(crate) fn specs() -> Vec<Spec> {
     let variants = [Variant::Portable].into_iter().chain(subgroups);
     specs.extend(variants.flat_map(|variant| both.map(|water| backward(water, variant))));
     specs
+}
+
+/// The kernels that a device of this variant uses.
+pub(crate) fn specs_of(variant: Variant) -> Vec<Spec> {
+    let both = [false, true];
+    let forward = both.iter().flat_map(|w| OUTPUTS.map(|k| forward(*w, k)));
+    forward.chain(both.map(|water| backward(water, variant))).collect()
 }
 
 /// The kernels. Both passes read the water as one buffer of [`WATER_PLANES`].

@@ -219,6 +219,10 @@ pub struct ViewRecord {
     pub tested_per_pixel: f64,
     /// Mean number of these that contribute to the pixel.
     pub live_per_pixel: f64,
+    /// Number of entries of the longest list of a tile.
+    pub longest_list: usize,
+    /// The largest number of Gaussians that a pixel tests.
+    pub deepest_pixel: usize,
 }
 
 impl From<&ViewWork> for ViewRecord {
@@ -229,6 +233,8 @@ impl From<&ViewWork> for ViewRecord {
             entries: work.entries,
             tested_per_pixel: per_pixel(work.tested),
             live_per_pixel: per_pixel(work.live),
+            longest_list: work.longest_list,
+            deepest_pixel: work.deepest_pixel,
         }
     }
 }

@@ -3,8 +3,12 @@
 // the tile.
 //
 // Gaussians are taken in rounds. In a round each team skips the Gaussians that miss its rectangle, and walks
-// over the others from the farthest to the nearest. One operation across a team's threads adds up their
-// gradients. The teams' sums are then added in the order of the teams.
+// over the others from the farthest to the nearest. The threads of a team add up their gradients by exchanging
+// halves of what they hold, in an order that this text fixes. The teams' sums are then added in the order of the
+// teams.
+//
+// The kernel is compiled for one width of a subgroup. If it runs with another one, it writes NaN, which the check
+// at the start notices.
 const TEAMS: u32 = WG / WIDTH;
 const ROUND: u32 = HALVES * WIDTH;
 const WORDS: u32 = (WIDTH + 31u) / 32u;
@@ -12,7 +16,8 @@ const WORDS: u32 = (WIDTH + 31u) / 32u;
 var<workgroup> near: array<vec4<f32>, ROUND>;
 var<workgroup> far: array<vec4<f32>, ROUND>;
 var<workgroup> tint: array<vec4<f32>, ROUND>;
-var<workgroup> parts: array<vec4<f32>, 3u * TEAMS * ROUND>;
+// The teams' sums: twelve numbers of each Gaussian of the round, team after team.
+var<workgroup> parts: array<f32, 12u * TEAMS * ROUND>;
 // Bit masks by team and by part of the round: the Gaussians that have a gradient there.
 var<workgroup> hits: array<u32, HALVES * TEAMS * WORDS>;
 var<workgroup> last: atomic<u32>;
@@ -126,6 +131,49 @@ fn pass_by(
     return meets;
 }
 
+fn four_of(place: u32) -> vec4<f32> {
+    return vec4<f32>(parts[place], parts[place + 1u], parts[place + 2u], parts[place + 3u]);
+}
+
+// Adds a record up over the threads of a team, and stores the twelve sums from `place` on. Two threads at a distance
+// exchange halves: each keeps one half of its numbers and adds to it what the other thread had there. So the
+// numbers of a thread halve with the distance, until each thread has one of sixteen sums; four are unused. The
+// threads that remain then add the same number.
+fn add_up(record: Record, lane: u32, place: u32) {
+    let upper = (lane & (WIDTH / 2u)) != 0u;
+    let none = vec4<f32>();
+    let rest = subgroupShuffleXor(select(none, record.r1, upper), WIDTH / 2u);
+    let far_half = subgroupShuffleXor(select(record.r2, record.r0, upper), WIDTH / 2u);
+    let first = select(record.r0, record.r2, upper) + far_half;
+    let second = select(record.r1, none, upper) + rest;
+    let right = (lane & (WIDTH / 4u)) != 0u;
+    var row = select(first, second, right) + subgroupShuffleXor(select(second, first, right), WIDTH / 4u);
+    var at = place + select(0u, 8u, upper) + select(0u, 4u, right);
+    var writes = !(upper && right);
+    if (WIDTH == 4u) {
+        if (writes) {
+            for (var c = 0u; c < 4u; c++) { parts[at + c] = row[c]; }
+        }
+        return;
+    }
+    let third = (lane & (WIDTH / 8u)) != 0u;
+    let pair = select(row.xy, row.zw, third) + subgroupShuffleXor(select(row.zw, row.xy, third), WIDTH / 8u);
+    at += select(0u, 2u, third);
+    if (WIDTH == 8u) {
+        if (writes) {
+            parts[at] = pair.x;
+            parts[at + 1u] = pair.y;
+        }
+        return;
+    }
+    let odd = (lane & (WIDTH / 16u)) != 0u;
+    var sum = select(pair.x, pair.y, odd) + subgroupShuffleXor(select(pair.y, pair.x, odd), WIDTH / 16u);
+    at += select(0u, 1u, odd);
+    for (var reach = WIDTH / 32u; reach > 0u; reach >>= 1u) { sum += subgroupShuffleXor(sum, reach); }
+    writes = writes && (lane & (WIDTH / 16u - 1u)) == 0u;
+    if (writes) { parts[at] = sum; }
+}
+
 // Smallest square of a number in the interval [low, high].
 fn least_square(low: f32, high: f32) -> f32 {
     let nearest = max(max(low, -high), 0.0f);
@@ -151,12 +199,18 @@ fn main(
     @builtin(local_invocation_index) lid: u32,
     @builtin(subgroup_id) team: u32,
     @builtin(subgroup_invocation_id) lane: u32,
+    @builtin(subgroup_size) width: u32,
 ) {
     let tile = group_of(wid, nwg);
     if (tile >= constants.size.z * constants.size.w) { return; }
     let first = starts[tile];
     let count = starts[tile + 1u] - first;
     if (count == 0u) { return; }
+    if (width != WIDTH) {
+        let nan = bitcast<f32>(0x7fc00000u | width);
+        for (var k = lid; k < count; k += WG) { records[3u * lists[first + k]] = vec4<f32>(nan); }
+        return;
+    }
     if (lid == 0u) { atomicStore(&last, 0u); }
     workgroupBarrier();
     // Uses the numbers of team and lane, since a device need not number subgroups in the order of threads.
@@ -230,15 +284,7 @@ fn main(
                     }
                     if (subgroupAny(met)) {
                         hit |= 1u << bit;
-                        let r0 = subgroupAdd(record.r0);
-                        let r1 = subgroupAdd(record.r1);
-                        let r2 = subgroupAdd(record.r2);
-                        if (lane == 0u) {
-                            let place = 3u * (team * ROUND + j);
-                            parts[place] = r0;
-                            parts[place + 1u] = r1;
-                            parts[place + 2u] = r2;
-                        }
+                        add_up(record, lane, 12u * (team * ROUND + j));
                     }
                 }
                 if (lane == 0u) { hits[(HALVES * team + half) * WORDS + word] = hit; }
@@ -251,10 +297,10 @@ fn main(
             var record = Record();
             for (var t = 0u; t < TEAMS; t++) {
                 if (((hits[(HALVES * t + half) * WORDS + at / 32u] >> (at % 32u)) & 1u) == 1u) {
-                    let place = 3u * (t * ROUND + lid);
-                    record.r0 += parts[place];
-                    record.r1 += parts[place + 1u];
-                    record.r2 += parts[place + 2u];
+                    let place = 12u * (t * ROUND + lid);
+                    record.r0 += four_of(place);
+                    record.r1 += four_of(place + 4u);
+                    record.r2 += four_of(place + 8u);
                 }
             }
             let entry = lists[first + end - 1u - base - lid];

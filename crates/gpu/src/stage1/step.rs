@@ -10,6 +10,7 @@ use crate::constants::{StepConstants, counts};
 use crate::kernel::submit;
 use crate::losses::{LossInput, LossOutput, LossPlan, VALUES};
 use crate::raster::Outputs;
+use crate::update::COLOR_PULL;
 
 /// Makes the report of a step from the numbers that the device wrote.
 pub(super) fn report(asked: &Asked, numbers: &[f32], has_prior: bool) -> StepReport {
@@ -50,6 +51,7 @@ impl Stage1 {
         if outputs == Outputs::Training {
             self.image_slope.grow(gpu, 3 * constants.pixels())?;
             self.depth_slope.grow(gpu, constants.pixels())?;
+            self.color_pull.grow(gpu, COLOR_PULL * constants.gaussians())?;
         }
         self.constants.write(gpu, 0, &[constants]);
         Ok(())
@@ -138,7 +140,15 @@ impl Stage1 {
                 &self.records,
             );
             let update = &self.kernels.update;
-            update.record(pass, &self.constants, &self.counts, &self.lists, &self.records, &self.scene);
+            update.record(
+                pass,
+                &self.constants,
+                &self.counts,
+                &self.lists,
+                &self.records,
+                &self.color_pull,
+                &self.scene,
+            );
             if let Some(water) = &self.water {
                 water.record_backward(pass, &self.image_slope, &self.planes.kept);
                 water.record_update(pass, &self.counts);

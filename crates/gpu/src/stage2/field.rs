@@ -292,15 +292,7 @@ impl DeviceField {
             k.water_back.dispatch(
                 pass,
                 Grid::groups(self.now.water_groups as usize),
-                bound![
-                    *constants,
-                    self.state,
-                    self.grade,
-                    *water,
-                    *image_pull,
-                    planes.kept,
-                    self.of_water,
-                ],
+                bound![*constants, self.state, self.grade, *water, *image_pull, planes.kept, self.of_water,],
             );
             total(pass, Of::Water, &self.of_water, &self.totals, WATER_SUMS);
             let buffers = bound![*constants, self.totals, self.grade, self.slopes];

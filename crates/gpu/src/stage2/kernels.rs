@@ -102,13 +102,7 @@ impl FieldRank {
     }
 
     fn water(&self) -> Spec {
-        let bindings = [
-            FIELD_BINDING,
-            read("state"),
-            read("grade"),
-            raster::WATER,
-            write("enhanced"),
-        ];
+        let bindings = [FIELD_BINDING, read("state"), read("grade"), raster::WATER, write("enhanced")];
         let parts = [FIELD, GUIDE, AFFINE, TABLE, FROZEN_WATER, include_str!("water.wgsl")];
         self.spec("enhanced water", 64, &bindings, &parts)
     }
@@ -216,12 +210,8 @@ fn seen() -> Spec {
 
 /// The kernel for the gradient of the colours of a tile's Gaussians: one record per entry.
 pub(crate) fn colors(water: bool) -> Spec {
-    let more = [
-        raster::WATER,
-        (Access::Read, "kept", U32S),
-        read("image_pull"),
-        (Access::Write, "records", ROWS),
-    ];
+    let more =
+        [raster::WATER, (Access::Read, "kept", U32S), read("image_pull"), (Access::Write, "records", ROWS)];
     Spec {
         name: "colours backward",
         threads: 64,

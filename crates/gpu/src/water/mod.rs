@@ -100,23 +100,11 @@ fn spec(
 pub(crate) fn specs() -> [Spec; 6] {
     [
         spec("mix", 256, &[WATER, read("parameters"), write("mixed")], &[], include_str!("mix.wgsl")),
-        spec(
-            "look",
-            256,
-            &[WATER, read("mixed"), write("maps")],
-            &[],
-            include_str!("look.wgsl"),
-        ),
+        spec("look", 256, &[WATER, read("mixed"), write("maps")], &[], include_str!("look.wgsl")),
         spec(
             "gather",
             128,
-            &[
-                WATER,
-                read("maps"),
-                read("image_slope"),
-                (Access::Read, "kept", U32S),
-                write("partial"),
-            ],
+            &[WATER, read("maps"), read("image_slope"), (Access::Read, "kept", U32S), write("partial")],
             &[],
             include_str!("gather.wgsl"),
         ),
