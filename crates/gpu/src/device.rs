@@ -150,9 +150,9 @@ pub struct AdapterReport {
     pub device: u32,
     /// Its PCI address, such as `0000:01:00.0`, if it has one.
     pub pci: Option<String>,
-    /// Its UUID, as the maker's programs print it, if its driver tells it.
+    /// Its UUID, as the maker's programs print it, if its driver reports it.
     pub uuid: Option<String>,
-    /// Bytes of its own memory, if its driver tells them.
+    /// Bytes of its own memory, if its driver reports them.
     pub memory: Option<u64>,
     /// Largest buffer that a kernel can bind, bytes.
     pub binding: u64,
@@ -242,7 +242,7 @@ fn enumerate() -> Vec<(AdapterReport, wgpu::Adapter)> {
     let mut all: Vec<_> = adapters.into_iter().map(|a| (AdapterReport::of(&a), a)).collect();
     all.sort_by_key(|(report, _)| report.rank());
     let mut reports: Vec<AdapterReport> = all.iter().map(|(report, _)| report.clone()).collect();
-    // If the variables cannot be followed, nothing is hidden; `environment_note` tells it.
+    // If the variables cannot be followed, nothing is hidden; `environment_note` has the reason.
     let _ = CudaVariables::read().hide(&mut reports);
     let kept = once(&reports);
     let with = all.into_iter().map(|(_, adapter)| adapter).zip(reports).enumerate();
@@ -433,7 +433,8 @@ impl Gpu {
         };
         let has = gpu.device.features().contains(wgpu::Features::SUBGROUP);
         let range = gpu.report.subgroup;
-        // A driver tells a range in most cases; a kernel finds the width. If that fails, the others are portable.
+        // A driver reports a range in most cases; a kernel finds the width. If that fails, the others are
+        // portable.
         gpu.width = match range {
             _ if !has => None,
             [least, most] if least == most => Some(least),

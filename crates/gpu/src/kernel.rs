@@ -29,7 +29,8 @@ const SIDE: u64 = 65_535;
 
 #[cfg(test)]
 thread_local! {
-    /// A smaller side for the grids that this thread makes, so that small scenes have grids of two dimensions.
+    /// A smaller side for the grids that this thread makes, so that small scenes have grids of two
+    /// dimensions.
     pub(crate) static SIDE_IN_TESTS: std::cell::Cell<u64> = const { std::cell::Cell::new(SIDE) };
 }
 
@@ -79,6 +80,8 @@ pub(crate) enum Constant {
     Count(u32),
     /// A boolean switch.
     Switch(bool),
+    /// A float, written so that its bits come back.
+    Real(f32),
 }
 
 /// The description of a kernel.
@@ -106,6 +109,7 @@ impl Spec {
             let _ = match value {
                 Constant::Count(v) => writeln!(text, "const {name}: u32 = {v}u;"),
                 Constant::Switch(v) => writeln!(text, "const {name}: bool = {v};"),
+                Constant::Real(v) => writeln!(text, "const {name}: f32 = {v:?}f;"),
             };
         }
         for (at, (access, name, kind)) in self.bindings.iter().enumerate() {
@@ -117,6 +121,8 @@ impl Spec {
             let _ = writeln!(text, "@group(0) @binding({at}) var<{space}> {name}: {kind};");
         }
         for part in &self.parts {
+            #[cfg(test)]
+            let part = &*crate::other_drivers::without_barrier(part);
             text.push_str(part);
             text.push('\n');
         }
@@ -203,6 +209,9 @@ impl CompiledKernels {
     }
 }
 
+/// Largest number of kernels that are compiled at the same time; a driver's compiler takes much memory.
+const COMPILERS: usize = 16;
+
 /// Compiles the kernels that are not compiled yet, each text once, on all processors.
 pub(crate) fn compile(gpu: &Gpu, specs: &[Spec]) -> Result<(), EngineError> {
     let mut missing: Vec<(String, &Spec)> = Vec::new();
@@ -213,7 +222,8 @@ pub(crate) fn compile(gpu: &Gpu, specs: &[Spec]) -> Result<(), EngineError> {
         }
     }
     let next = AtomicUsize::new(0);
-    let threads = std::thread::available_parallelism().map_or(1, usize::from).min(missing.len());
+    let processors = std::thread::available_parallelism().map_or(1, usize::from);
+    let threads = processors.min(COMPILERS).min(missing.len());
     std::thread::scope(|scope| {
         for _ in 0..threads {
             scope.spawn(|| {
@@ -230,16 +240,16 @@ pub(crate) fn compile(gpu: &Gpu, specs: &[Spec]) -> Result<(), EngineError> {
 }
 
 /// Creates the module of a kernel. A release leaves out the checks at run time that wgpu adds: a counter in
-/// every loop, and a comparison for every index. Builds with debug assertions, such as those of the tests, have
-/// them; divisions are guarded in both.
+/// every loop, and a comparison for every index. Builds with debug assertions, such as those of the tests,
+/// have them; divisions are guarded in both.
 #[expect(unsafe_code, reason = "wgpu has no safe function that leaves out the checks of its own programs")]
 fn module(device: &wgpu::Device, descriptor: wgpu::ShaderModuleDescriptor<'_>) -> wgpu::ShaderModule {
     let mut checks = wgpu::ShaderRuntimeChecks::checked();
     checks.bounds_checks = cfg!(debug_assertions);
     checks.force_loop_bounding = cfg!(debug_assertions);
-    // SAFETY: the texts are this program's own. Every loop ends after a number of rounds that is known when it
-    // begins. Indices stay within their arrays: the tests run every kernel with the checks, and compare it with
-    // the processor's function.
+    // SAFETY: the texts are this program's own. Every loop ends after a number of rounds that is known when
+    // it begins. Indices stay within their arrays: the tests run every kernel with the checks, and compare it
+    // with the processor's function.
     unsafe { device.create_shader_module_trusted(descriptor, checks) }
 }
 

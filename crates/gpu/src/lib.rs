@@ -24,13 +24,14 @@
 //! | colour planes | 3 P `f32` | the image, and its gradient |
 //! | water | 9 P `f32` | `c_m`, `k_a` and `k_b` |
 //! | depth | P `f32` | expected depth |
-//! | kept | 13 P `u32` | accumulation; three images, see below; final transmittance; entry at which a pixel stopped; depth |
+//! | kept | 13 P `u32` | accumulation, three images, transmittance, stop, depth: see below |
 //!
 //! The rows of a splat are `x, y, shear, steepness`; `steepness_y, log2_opacity, z, reach_y`; colour, and 1
-//! if it is visible. Those of a record are ΣG, ΣGt, ΣGdy, ΣGt²; ΣGt·dy, ΣGdy², ∂z/ln 2, ∂r; ∂g, ∂b,
-//! Σ\|Gt\|, Σ\|Gv_y\|. Colour planes have their values at `c·P + y·W + x`. The three images that the forward
-//! pass keeps are `Σ w e_b`, `Σ w z c e_a` and `Σ w z e_b`. Floats among words are stored as their bits. Several
-//! quantities share a buffer where a kernel would otherwise bind more than ten: some devices have no more.
+//! if it is visible. Those of a record are ΣG, ΣGt, ΣGdy, ΣGt²; ΣGt·dy, ΣGdy², ∂z/ln 2, ∂r; ∂g, ∂b, Σ\|Gt\|,
+//! Σ\|Gv_y\|. A stop is the entry at which a pixel stopped. Colour planes have their values at `c·P + y·W +
+//! x`. The three images that the forward pass keeps are `Σ w e_b`, `Σ w z c e_a` and `Σ w z e_b`. Floats
+//! among words are stored as their bits. Several quantities share a buffer where a kernel would otherwise
+//! bind more than ten: some devices have no more.
 //!
 //! The buffers of stage 2, for L lookups of the field (listed Gaussians, and with water the 16 rows of its
 //! table), rank R and n parameters:
@@ -68,6 +69,8 @@ mod kernel;
 mod linear;
 mod lists;
 mod losses;
+#[cfg(test)]
+mod other_drivers;
 mod profile;
 mod raster;
 mod rebuild;
@@ -100,6 +103,13 @@ pub use variant::Variant;
 /// and driver.
 pub fn kernel_sources() -> Vec<String> {
     specs().iter().map(kernel::Spec::source).collect()
+}
+
+/// The name and the text of every kernel in every variant, each text once.
+pub fn kernel_texts() -> Vec<(&'static str, String)> {
+    let mut seen = std::collections::HashSet::new();
+    let all = specs().into_iter().map(|spec| (spec.name, spec.source()));
+    all.filter(|(_, text)| seen.insert(text.clone())).collect()
 }
 
 /// Every kernel in every variant.

@@ -1,10 +1,10 @@
 //! The choice of an adapter: by name, number, PCI address or UUID; and the cards that the environment hides.
 //!
-//! A cluster gives a job some cards of a node by `CUDA_VISIBLE_DEVICES`. Vulkan does not know that variable and
-//! lists every card. So NVIDIA's cards that it leaves out are not used, unless a number, an address or a UUID
-//! names one of them. Numbers in the variable count NVIDIA's cards. Their order is that of the PCI addresses if
-//! all cards are of one kind, or if `CUDA_DEVICE_ORDER=PCI_BUS_ID` says so; otherwise only CUDA knows it, and the
-//! variable is ignored.
+//! A cluster gives a job some cards of a node by `CUDA_VISIBLE_DEVICES`. Vulkan does not know that variable
+//! and lists every card. So NVIDIA's cards that it leaves out are not used, unless a number, an address or a
+//! UUID names one of them. Numbers in the variable count NVIDIA's cards. Their order is that of the PCI
+//! addresses if all cards are of one kind, or if `CUDA_DEVICE_ORDER=PCI_BUS_ID` says so; otherwise only CUDA
+//! knows it, and the variable is ignored.
 
 use crate::device::{AdapterReport, DeviceError};
 
@@ -13,10 +13,11 @@ const NVIDIA: u32 = 0x10de;
 /// The fewest characters of a UUID that are taken for one.
 const FEWEST: usize = 8;
 
-/// The indices of the adapters that a name refers to, in the order in which they are tried. `#2` is the number of
-/// an adapter in the list, from 0. A PCI address or the beginning of a UUID names one card. Otherwise the names
-/// of the adapters count, in any case: those with exactly this name, else those that contain it. Without a name
-/// all that are not software are tried. Hidden cards are left out, except by number, address or UUID.
+/// The indices of the adapters that a name refers to, in the order in which they are tried. `#2` is the
+/// number of an adapter in the list, from 0. A PCI address or the beginning of a UUID names one card.
+/// Otherwise the names of the adapters count, in any case: those with exactly this name, else those that
+/// contain it. Without a name all that are not software are tried. Hidden cards are left out, except by
+/// number, address or UUID.
 pub(crate) fn order(reports: &[AdapterReport], name: Option<&str>) -> Result<Vec<usize>, DeviceError> {
     let found = || reports.iter().map(|report| report.name.clone()).collect::<Vec<_>>();
     let all = |fits: &dyn Fn(&AdapterReport) -> bool| {

@@ -1,7 +1,8 @@
 //! The width of the subgroups with which a device really runs kernels.
 //!
-//! Many drivers tell only a range. Without an extension that no kernel uses here, a kernel runs with one width,
-//! which a small kernel reads. A kernel for another width notices it itself, and its results fail the check.
+//! Many drivers report only a range. Without an extension that no kernel uses here, a kernel runs with one
+//! width, which a small kernel reads. A kernel for another width notices it itself, and its results fail the
+//! check.
 
 use use3d_training::EngineError;
 
@@ -43,7 +44,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_width_is_the_one_that_the_driver_tells() {
+    fn the_width_is_the_one_that_the_driver_reports() {
         let Some(gpu) = crate::testing::software() else { return };
         let [least, most] = gpu.adapter().subgroup;
         let found = width(&gpu).unwrap();

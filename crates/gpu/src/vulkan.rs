@@ -1,7 +1,7 @@
 //! Facts about a card that wgpu does not pass on: the size of its memory, and the number that identifies it
 //! among all cards. They are read from Vulkan.
 
-/// The facts; each is `None` if the card is used through another interface or does not tell it.
+/// The facts; each is `None` if the card is used through another interface or does not report it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct CardFacts {
     /// The bytes of the largest part of its own memory.

@@ -3,12 +3,12 @@
 // the tile.
 //
 // Gaussians are taken in rounds. In a round each team skips the Gaussians that miss its rectangle, and walks
-// over the others from the farthest to the nearest. The threads of a team add up their gradients by exchanging
-// halves of what they hold, in an order that this text fixes. The teams' sums are then added in the order of the
-// teams.
+// over the others from the farthest to the nearest. The threads of a team add up their gradients by
+// exchanging halves of what they hold, in an order that this text fixes. The teams' sums are then added in
+// the order of the teams.
 //
-// The kernel is compiled for one width of a subgroup. If it runs with another one, it writes NaN, which the check
-// at the start notices.
+// The kernel is compiled for one width of a subgroup. If it runs with another one, it writes NaN, which the
+// check at the start notices.
 const TEAMS: u32 = WG / WIDTH;
 const ROUND: u32 = HALVES * WIDTH;
 const WORDS: u32 = (WIDTH + 31u) / 32u;
@@ -135,10 +135,10 @@ fn four_of(place: u32) -> vec4<f32> {
     return vec4<f32>(parts[place], parts[place + 1u], parts[place + 2u], parts[place + 3u]);
 }
 
-// Adds a record up over the threads of a team, and stores the twelve sums from `place` on. Two threads at a distance
-// exchange halves: each keeps one half of its numbers and adds to it what the other thread had there. So the
-// numbers of a thread halve with the distance, until each thread has one of sixteen sums; four are unused. The
-// threads that remain then add the same number.
+// Adds a record up over the threads of a team, and stores the twelve sums from `place` on. Two threads at a
+// distance exchange halves: each keeps one half of its numbers and adds to it what the other thread had
+// there. So the numbers of a thread halve with the distance, until each thread has one of sixteen sums; four
+// are unused. The threads that remain then add the same number.
 fn add_up(record: Record, lane: u32, place: u32) {
     let upper = (lane & (WIDTH / 2u)) != 0u;
     let none = vec4<f32>();

@@ -1,5 +1,5 @@
-// The frozen water of a view. First planes of its sections: the colour c_m, k of attenuation and of backscatter,
-// and the signed logs of the colour.
+// The frozen water of a view. First planes of its sections: the colour c_m, k of attenuation and of
+// backscatter, and the signed logs of the colour.
 const COLOR: u32 = 0u;
 const ATTENUATION: u32 = 3u;
 const BACKSCATTER: u32 = 6u;

@@ -1,7 +1,7 @@
 //! Compares the reports of values that are not finite with those of the processor's engine.
 //!
-//! A compiler may assume that there are no such values, and remove the test for them. Then a training would go
-//! on with NaN, and nothing else would notice it. So the check at the start feeds such values.
+//! A compiler may assume that there are no such values, and remove the test for them. Then a training would
+//! go on with NaN, and nothing else would notice it. So the check at the start feeds such values.
 
 use use3d_reconstruct::engine::{CpuEngine, Engine, StepPlan, TrainingState};
 use use3d_training::{Drain, EngineError};
@@ -35,8 +35,8 @@ const SPOILT: [(&str, Spoil); 4] = [
     }),
 ];
 
-/// Does one step for each kind of value that is not finite. It agrees if the step's report names the same array
-/// and place as the processor's.
+/// Does one step for each kind of value that is not finite. It agrees if the step's report names the same
+/// array and place as the processor's.
 pub fn guards(engine: &mut dyn Engine, scene: &SceneSize) -> Result<Vec<Agreement>, EngineError> {
     let mut ours = CpuEngine::new();
     for view in scene.training_views()? {

@@ -80,8 +80,9 @@ impl Agreement {
     }
 }
 
-/// Runs every twin at a small size, a picture, a whole step of each stage, and a step at a size at which every
-/// loop of the kernels runs more than once; also feeds values that are not finite. This is the check at the start.
+/// Runs every twin at a small size, a picture, a whole step of each stage, and a step at a size at which
+/// every loop of the kernels runs more than once; also feeds values that are not finite. This is the check at
+/// the start.
 pub fn small(gpu: &Gpu) -> Result<Vec<Agreement>, EngineError> {
     let mut all =
         losses(gpu, &LossCase { width: 61, height: 47, seed: 1, mask: true, prior: true, gains: true })?;

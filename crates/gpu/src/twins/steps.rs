@@ -55,8 +55,8 @@ pub fn step(engine: &mut dyn Engine, scene: &SceneSize) -> Result<Vec<Agreement>
     Ok(all)
 }
 
-/// Compares one step of a scene in which the first `crowd` Gaussians are faint and lie behind one another, all in
-/// one tile.
+/// Compares one step of a scene in which the first `crowd` Gaussians are faint and lie behind one another,
+/// all in one tile.
 pub fn large_step(
     engine: &mut dyn Engine,
     scene: &SceneSize,

@@ -1,5 +1,5 @@
-// One step of Adam on one number. `bit` says which kind of number it is: it is set in `bad` if the number is not
-// finite afterwards.
+// One step of Adam on one number. `bit` says which kind of number it is: it is set in `bad` if the number is
+// not finite afterwards.
 var<private> bad: u32;
 
 fn adam(p: f32, g: f32, m: ptr<function, f32>, v: ptr<function, f32>, rate: f32, bit: u32) -> f32 {

@@ -1,6 +1,7 @@
-// The colours of the Gaussians of a chunk. Each thread computes the harmonics of one Gaussian. Then the workgroup
-// moves all colours of its Gaussians, row by row in the order of memory, so that its threads read neighbouring
-// rows. A row has four of a Gaussian's 48 numbers, which lie band by band in groups of three channels.
+// The colours of the Gaussians of a chunk. Each thread computes the harmonics of one Gaussian. Then the
+// workgroup moves all colours of its Gaussians, row by row in the order of memory, so that its threads read
+// neighbouring rows. A row has four of a Gaussian's 48 numbers, which lie band by band in groups of three
+// channels.
 const ROWS_OF_ONE: u32 = 12u;
 // Numbers between two Gaussians in workgroup memory: one more than there are, for different banks.
 const STRIDE: u32 = 17u;

@@ -1,6 +1,6 @@
-// One thread per entry. Sums the records of a Gaussian with more than one block of entries, block by block, so that
-// no thread of the update adds thousands of records one after another. The thread of the first entry of a block
-// sums it, and stores the sum in that entry's record.
+// One thread per entry. Sums the records of a Gaussian with more than one block of entries, block by block,
+// so that no thread of the update adds thousands of records one after another. The thread of the first entry
+// of a block sums it, and stores the sum in that entry's record.
 @compute @workgroup_size(WG)
 fn main(
     @builtin(workgroup_id) wid: vec3<u32>,

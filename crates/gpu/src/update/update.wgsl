@@ -1,6 +1,6 @@
-// One thread per Gaussian: adds its records in the order of its tiles, and carries the gradient back through the
-// projection to its geometry. Adam then moves the geometry; of the gradient only that of the colour is stored. A
-// Gaussian that was not seen has gradient zero, and its moments decay.
+// One thread per Gaussian: adds its records in the order of its tiles, and carries the gradient back through
+// the projection to its geometry. Adam then moves the geometry; of the gradient only that of the colour is
+// stored. A Gaussian that was not seen has gradient zero, and its moments decay.
 
 fn adam3(p: vec3<f32>, g: vec3<f32>, m: ptr<function, vec4<f32>>, v: ptr<function, vec4<f32>>, rate: f32, bit: u32) -> vec3<f32> {
     var out = p;
@@ -146,8 +146,8 @@ fn main(
     geometry_first[3u * i + 2u] = vec4<f32>(m.xyz, mw);
     geometry_second[3u * i + 2u] = vec4<f32>(v.xyz, vw);
 
-    // The colour has no gradient where it is clamped at black. The colours have a kernel of their own, which needs
-    // the direction from which the Gaussian was seen, before it moved.
+    // The colour has no gradient where it is clamped at black. The colours have a kernel of their own, which
+    // needs the direction from which the Gaussian was seen, before it moved.
     let by_color = vec3<f32>(sum[1].w, sum[2].xy) * vec3<f32>(splat2.xyz > vec3<f32>(0.0f));
     for (var c = 0u; c < 3u; c++) {
         color_pull[6u * i + c] = by_color[c];

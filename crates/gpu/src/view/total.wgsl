@@ -1,6 +1,7 @@
 // One workgroup: the first entry of every block, and the number of all entries. If there is no room for them,
-// the number is set to 0 and all following steps stop. A number that 32 bits cannot hold counts as the largest
-// number that they hold, so it never seems small: `high` sums the numbers without their last eight bits.
+// the number is set to 0 and all following steps stop. A number that 32 bits cannot hold counts as the
+// largest number that they hold, so it never seems small: `high` sums the numbers without their last eight
+// bits.
 const FULL: u32 = 0xffffffffu;
 // Below this the last eight bits of at most 65,536 blocks cannot reach 2^32.
 const HIGHEST: u32 = 0x00ff0000u;
