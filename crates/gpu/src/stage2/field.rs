@@ -23,10 +23,11 @@ use super::frozen::FrozenView;
 use super::kernels::{
     COLOR_SUMS, FieldKernels, GRADE, GUIDE_SUMS, LOOKUPS, NONE, Of, WATER_SPAN, WATER_SUMS,
 };
+use super::weights::{FrozenWeights, PairLists};
 use crate::buffer::Array;
 use crate::device::Gpu;
 use crate::kernel::{Grid, bound};
-use crate::raster::{RasterPlanes, WATER_PLANES};
+use crate::raster::{Outputs, RasterKernels, RasterPlanes, WATER_PLANES};
 use crate::scene::Float4;
 
 /// Largest number of blocks of the sums over lookups.
@@ -210,7 +211,7 @@ impl DeviceField {
     }
 
     /// The enhanced water of the prepared view, in the form that the compositor reads.
-    pub(super) fn water(&self, view: &FrozenView) -> Option<&Array<f32>> {
+    fn water(&self, view: &FrozenView) -> Option<&Array<f32>> {
         view.water.is_some().then_some(&self.water)
     }
 
@@ -244,6 +245,27 @@ impl DeviceField {
         }
     }
 
+    /// Records the image of a view and the sums along its rays, after [`DeviceField::record_forward`].
+    pub(super) fn record_image(
+        &self,
+        raster: &RasterKernels,
+        pass: &mut wgpu::ComputePass<'_>,
+        view: &FrozenView,
+        planes: &RasterPlanes,
+    ) {
+        if let Some(FrozenWeights { sizes, of_pixels: PairLists { firsts, pairs }, .. }) = &view.weights {
+            let forward = &self.kernels.frozen_forward[usize::from(view.water.is_some())];
+            forward.dispatch(
+                pass,
+                forward.grid(view.pixels()),
+                bound![*sizes, *firsts, *pairs, view.splats, self.water, planes.image, planes.kept],
+            );
+            return;
+        }
+        let (drawn, water, outputs) = (view.drawn(), self.water(view), Outputs::Training);
+        planes.record_forward(raster, pass, &view.constants, view.tiles, &drawn, water, outputs);
+    }
+
     /// Records the gradient, computed from the image's gradient and the values that the forward pass of the
     /// view left in `planes`.
     pub(super) fn record_backward(
@@ -253,10 +275,28 @@ impl DeviceField {
         planes: &RasterPlanes,
         image_pull: &Array<f32>,
     ) {
-        let mut buffers = view.drawn().buffers(&view.constants);
-        buffers.extend(bound![self.water, planes.kept, *image_pull, self.records]);
-        let colors = &self.kernels.colors[usize::from(view.water.is_some())];
-        colors.dispatch(pass, Grid::groups(view.tiles), buffers);
+        let wet = usize::from(view.water.is_some());
+        if let Some(FrozenWeights { sizes, of_entries: PairLists { firsts, pairs }, .. }) = &view.weights {
+            let colors = &self.kernels.frozen_colors[wet];
+            colors.dispatch(
+                pass,
+                colors.grid(view.entries),
+                bound![
+                    *sizes,
+                    *firsts,
+                    *pairs,
+                    view.owners,
+                    view.splats,
+                    self.water,
+                    *image_pull,
+                    self.records
+                ],
+            );
+        } else {
+            let mut buffers = view.drawn().buffers(&view.constants);
+            buffers.extend(bound![self.water, planes.kept, *image_pull, self.records]);
+            self.kernels.colors[wet].dispatch(pass, Grid::groups(view.tiles), buffers);
+        }
         self.record_from_records(pass, view, planes, image_pull);
     }
 

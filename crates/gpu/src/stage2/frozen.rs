@@ -12,6 +12,7 @@ use use3d_training::EngineError;
 use use3d_ubaf::{Field, Sites, water};
 
 use super::kernels::seen_kernel;
+use super::weights::{FrozenWeights, WeightKernels};
 use crate::buffer::{Array, read_together};
 use crate::constants::{StepConstants, TILE, counts};
 use crate::device::Gpu;
@@ -67,7 +68,7 @@ pub(super) struct FrozenView {
     axes: Array<f32>,
     starts: Array<u32>,
     lists: Array<u32>,
-    owners: Array<u32>,
+    pub(super) owners: Array<u32>,
     /// The splats, whose colours change with every step.
     pub(super) splats: Array<Float4>,
     /// The first entry and the number of entries of each Gaussian.
@@ -78,6 +79,8 @@ pub(super) struct FrozenView {
     pub(super) sites: Array<[u32; 4]>,
     /// The frozen water: see [`frozen_water`].
     pub(super) water: Option<Array<f32>>,
+    /// The weights of its pixels, unless there are too many.
+    pub(super) weights: Option<FrozenWeights>,
 }
 
 impl FrozenView {
@@ -96,7 +99,8 @@ impl FrozenView {
     pub(super) fn bytes(&self) -> usize {
         let lists = self.starts.size() + self.lists.size() + self.owners.size() + self.runs.size();
         let rows = self.splats.size() + self.base.size() + self.sites.size();
-        lists + rows + self.axes.size() + self.water.as_ref().map_or(0, Array::size)
+        let weights = self.weights.as_ref().map_or(0, FrozenWeights::bytes);
+        lists + rows + weights + self.axes.size() + self.water.as_ref().map_or(0, Array::size)
     }
 }
 
@@ -179,6 +183,7 @@ pub(super) struct Freezer<'a> {
     centred: Option<Vec<u32>>,
     kernels: ListKernels,
     seen_kernel: Kernel,
+    weights: WeightKernels,
     lists: Lists,
     seen: Array<u32>,
     counts: Array<u32>,
@@ -198,6 +203,7 @@ impl<'a> Freezer<'a> {
             centred,
             kernels: ListKernels::new(gpu)?,
             seen_kernel: seen_kernel(gpu)?,
+            weights: WeightKernels::new(gpu)?,
             lists: Lists::new(gpu)?,
             seen: Array::new(gpu, "seen entries", 1)?,
             counts: Array::new(gpu, "counts of a view", counts::WORDS)?,
@@ -257,7 +263,7 @@ impl<'a> Freezer<'a> {
             }
         }
         let axes = self.lists.axes.read(gpu, (TILE * (constants.size[2] + constants.size[3])) as usize)?;
-        let view = FrozenView {
+        let mut view = FrozenView {
             constants: Array::uniform(gpu, "constants of a view")?,
             size: (lattice.width(), lattice.height()),
             tiles,
@@ -273,8 +279,10 @@ impl<'a> Freezer<'a> {
             base: Array::from(gpu, "stage-1 colours", &base)?,
             sites: Array::from(gpu, "lookups", &sites)?,
             water,
+            weights: None,
         };
         view.constants.write(gpu, 0, &[constants]);
+        view.weights = self.weights.weights(gpu, &view, &trimmed.owners)?;
         Ok(view)
     }
 

@@ -221,6 +221,65 @@ pub(crate) fn colors(water: bool) -> Spec {
     }
 }
 
+/// A kernel that reads a view's lists, and counts or writes the weights of its pixels.
+fn weights(name: &'static str, more: &[Binding], writes: bool) -> Spec {
+    Spec {
+        name,
+        threads: 256,
+        bindings: [&raster::TILE[..], more].concat(),
+        constants: vec![("WRITE", Constant::Switch(writes))],
+        parts: vec![
+            CONSTANTS,
+            raster::SHARED,
+            if writes { "" } else { NO_PAIRS },
+            include_str!("weights.wgsl"),
+        ],
+    }
+}
+
+/// A stand-in for the pairs that the first run does not write.
+const NO_PAIRS: &str = "var<private> pairs: array<vec2<u32>, 1>;";
+const PAIRS: &str = "array<vec2<u32>>";
+
+/// The kernel that counts the weights of every pixel.
+pub(super) fn count_weights() -> Spec {
+    weights("numbers of weights", &[(Access::Write, "firsts", U32S)], false)
+}
+
+/// The kernel that writes them.
+pub(super) fn write_weights() -> Spec {
+    weights("weights", &[(Access::Write, "firsts", U32S), (Access::Write, "pairs", PAIRS)], true)
+}
+
+const SIZES: Binding = (Access::Uniform, "sizes", "vec4<u32>");
+const FIRSTS: Binding = (Access::Read, "firsts", U32S);
+const READ_PAIRS: Binding = (Access::Read, "pairs", PAIRS);
+const SPLATS: Binding = (Access::Read, "splats", ROWS);
+
+/// The kernel that composes a view from its weights.
+fn frozen_forward(water: bool) -> Spec {
+    let kept = (Access::Write, "kept", U32S);
+    Spec {
+        name: "frozen forward",
+        threads: 64,
+        bindings: vec![SIZES, FIRSTS, READ_PAIRS, SPLATS, raster::WATER, write("image"), kept],
+        constants: vec![("WATER", Constant::Switch(water))],
+        parts: vec![raster::SHARED, include_str!("frozen_forward.wgsl")],
+    }
+}
+
+/// The kernel for the gradient of the colours of a view with weights.
+fn frozen_colors(water: bool) -> Spec {
+    let (owners, records) = ((Access::Read, "owners", U32S), (Access::Write, "records", ROWS));
+    Spec {
+        name: "frozen colours backward",
+        threads: 64,
+        bindings: vec![SIZES, FIRSTS, READ_PAIRS, owners, SPLATS, raster::WATER, read("image_pull"), records],
+        constants: vec![("WATER", Constant::Switch(water))],
+        parts: vec![raster::SHARED, include_str!("frozen_colors.wgsl")],
+    }
+}
+
 /// All kernels of this module, for fields of the smallest, the method's and the largest rank.
 pub(crate) fn specs() -> Vec<Spec> {
     let of_rank = |rank| {
@@ -244,7 +303,8 @@ pub(crate) fn specs() -> Vec<Spec> {
         all
     };
     let mut specs: Vec<Spec> = [1, 8, 16].into_iter().flat_map(of_rank).collect();
-    specs.extend([seen(), colors(false), colors(true)]);
+    specs.extend([seen(), colors(false), colors(true), count_weights(), write_weights()]);
+    specs.extend([false, true].into_iter().flat_map(|water| [frozen_forward(water), frozen_colors(water)]));
     specs
 }
 
@@ -266,6 +326,9 @@ pub(super) struct FieldKernels {
     pub(super) gradient: [Kernel; 2],
     pub(super) learn: Kernel,
     pub(super) colors: [Kernel; 2],
+    /// Those for views with weights, in the same order.
+    pub(super) frozen_forward: [Kernel; 2],
+    pub(super) frozen_colors: [Kernel; 2],
 }
 
 impl FieldKernels {
@@ -288,6 +351,8 @@ impl FieldKernels {
             gradient: [kernel(v.gradient(false))?, kernel(v.gradient(true))?],
             learn: kernel(v.learn())?,
             colors: [kernel(colors(false))?, kernel(colors(true))?],
+            frozen_forward: [kernel(frozen_forward(false))?, kernel(frozen_forward(true))?],
+            frozen_colors: [kernel(frozen_colors(false))?, kernel(frozen_colors(true))?],
         })
     }
 

@@ -12,6 +12,7 @@ mod frozen;
 mod kernels;
 #[cfg(test)]
 mod tests;
+mod weights;
 
 use use3d_capture::{Appearance, Camera, Formation, Image, Lattice};
 use use3d_enhance::engine::{
@@ -101,16 +102,7 @@ impl FieldDrawing {
         planes.grow(gpu, view.pixels(), Outputs::Training)?;
         submit(gpu, "a view under the field", |pass| {
             device.record_forward(pass, view);
-            let water = device.water(view);
-            planes.record_forward(
-                raster,
-                pass,
-                &view.constants,
-                view.tiles,
-                &view.drawn(),
-                water,
-                Outputs::Training,
-            );
+            device.record_image(raster, pass, view, planes);
         })?;
         let parameters = self.field.parameters.len();
         let [pixels, values, status] = read_together(

@@ -333,3 +333,17 @@ fn bits_do_not_depend_on_threads_or_widths() {
         same_bits_elsewhere("stage2::tests::digest_of_a_few_steps");
     }
 }
+
+/// Composing from stored weights gives the bits of composing tile by tile, in water and without.
+#[test]
+fn stored_weights_change_no_bit() {
+    let Some(gpu) = software() else { return };
+    for kind in [MediumKind::Rbf, MediumKind::None] {
+        let scene = scene(300, kind);
+        let with = state_of(&gpu, &scene, 64);
+        super::weights::MOST_IN_TESTS.set(0);
+        let without = state_of(&gpu, &scene, 64);
+        super::weights::MOST_IN_TESTS.set(super::weights::MOST);
+        assert!(with.0 == without.0 && with.1 == without.1);
+    }
+}
