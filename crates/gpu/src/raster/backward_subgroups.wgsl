@@ -248,7 +248,7 @@ fn main(
     let s_gradient = f32(constants.flags.y);
     for (var base = 0u; base < end; base += ROUND) {
         let size = min(ROUND, end - base);
-        workgroupBarrier();
+        // The last round's Gaussians were read before its second barrier, so none is needed here.
         if (lid < size) {
             let i = owners[lists[first + end - 1u - base - lid]];
             near[lid] = splats[3u * i];
