@@ -88,6 +88,7 @@ const RESERVED: &[(&str, &[&str])] = &[
     ("roxmltree", &["io-metashape", "io-realityscan"]),
     ("bincode", &["training"]),
     ("wgpu", &["gpu"]),
+    ("ash", &["gpu"]),
     ("jpeg-encoder", &["viewer"]),
     ("object_store", &["store"]),
     ("tokio", &["store"]),

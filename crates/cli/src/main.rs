@@ -63,6 +63,8 @@ fn main() -> ExitCode {
         // A program that reads JSON gets one document in any case.
         println!("{}", serde_json::json!({ "error": error.text(), "exit_code": error.code() }));
     }
+    // A driver may end the process with an error if a device still exists when its library is unloaded.
+    use3d_pipeline::close_devices();
     done.map_or_else(|error| error.report(), |()| ExitCode::SUCCESS)
 }
 

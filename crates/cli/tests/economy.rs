@@ -23,7 +23,8 @@ const CALLS: &str = "trace=readlink,statx,openat";
 const COMPUTED: f64 = 600.0;
 /// The same for an artifact that a run finds. Its capture has eleven files, and the artifact seventeen.
 const FOUND: f64 = 85.0;
-/// The most bytes that a run without work reads for an artifact: 50 MB for 26 scenes of ten variants, which have about 900 artifacts.
+/// The most bytes that a run without work reads for an artifact: 50 MB for 26 scenes of ten variants, which
+/// have about 900 artifacts.
 const READ: f64 = 55_000.0;
 
 /// Captures that differ in one image each, and pipeline files for the first of them.

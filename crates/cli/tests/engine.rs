@@ -208,7 +208,8 @@ fn a_software_card_is_listed_and_measured_in_one_file() {
     let out = dir.path().join("card.json");
     let mut command = tiny::command();
     command.args(["bench", "gpu", "--device", "llvmpipe", "--sizes", "32x24", "--rounds", "2"]);
-    let output = command.args(["--gaussians", "100", "--steps", "3", "--out"]).arg(&out).output();
+    let output =
+        command.args(["--gaussians", "100", "--steps", "3", "--minutes", "60", "--out"]).arg(&out).output();
     let output = output.expect("the command starts");
     assert_eq!(output.status.code(), Some(0), "{}", said(&output));
     assert!(said(&output).contains("of the time idle"), "{}", said(&output));
@@ -217,4 +218,22 @@ fn a_software_card_is_listed_and_measured_in_one_file() {
     let training = &record["trainings"][0];
     assert!(record["complete"] == true && record["failed"] == serde_json::json!([]), "{record}");
     assert!(training["steps"] == 3 && training["busy_milliseconds_per_step"].is_f64(), "{training}");
+
+    let output = tiny::command().args(["bench", "gpu", "--read"]).arg(&out).output().expect("it starts");
+    let read = String::from_utf8_lossy(&output.stdout).into_owned();
+    for part in ["32 x 24, 100 Gaussians", "update of colours", "The card computes correctly"] {
+        assert!(output.status.success() && read.contains(part), "{part}: {read} {}", said(&output));
+    }
+    let kernels = dir.path().join("kernels");
+    let output =
+        tiny::command().args(["bench", "gpu", "--kernels"]).arg(&kernels).output().expect("it starts");
+    let texts = std::fs::read_dir(&kernels).expect("a folder").count();
+    assert!(output.status.success() && texts > 100, "{texts} texts: {}", said(&output));
+    let output =
+        tiny::command().args(["bench", "gpu", "--read"]).arg(dir.path()).output().expect("it starts");
+    assert!(
+        output.status.code() == Some(2) && said(&output).contains("--read: cannot read"),
+        "{}",
+        said(&output)
+    );
 }

@@ -5,9 +5,9 @@ use use3d_numerics::random::{Purpose, Stream};
 /// The number of random draws that one file may take.
 const DRAWS: u64 = 32;
 
-/// The mutation of `round` of a file: one to three bytes are overwritten, inserted or replaced by one of `marks`
-/// (characters with a meaning in the format), or a piece of the file is doubled, or its end is cut off. At least
-/// one byte is left. The same arguments give the same bytes.
+/// The mutation of `round` of a file: one to three bytes are overwritten, inserted or replaced by one of
+/// `marks` (characters with a meaning in the format), or a piece of the file is doubled, or its end is cut
+/// off. At least one byte is left. The same arguments give the same bytes.
 pub fn mutated(file: &[u8], marks: &[u8], round: u64) -> Vec<u8> {
     let stream = Stream::new(7, Purpose::new("mutated files"), 0);
     let mut draws = round * DRAWS..;

@@ -1,6 +1,6 @@
 //! Benchmarks an adapter in one run: its limits, the agreement of its kernels with the processor, the
 //! equality of their bits between runs, their times, and the number of training steps per second. It uses
-//! no network and takes minutes at most; the record is one document.
+//! no network; after a given time it begins no further part. The record is one document.
 //!
 //! A card may be available for a short time only, or hang in one kernel. So each failure is recorded and
 //! the other parts still run, and the record is passed on after every part. Only a lost device ends the
@@ -27,12 +27,13 @@ use crate::stage1::{Stage1, ViewWork};
 use crate::stage2::Stage2;
 use crate::twins::{self, Agreement, LossCase, SceneSize, WaterCase};
 pub use records::{
-    AdapterRecord, BenchRecord, CeilingsRecord, CheckRecord, DeterminismRecord, EnhancementRecord,
-    FailedRecord, KernelRecord, RooflineRecord, TimesRecord, TrainingRecord, TwinRecord, ViewRecord,
+    AdapterRecord, BenchRecord, CeilingsRecord, CheckRecord, CompiledRecord, DeterminismRecord,
+    EnhancementRecord, FailedRecord, KernelRecord, RooflineRecord, TimesRecord, TrainingRecord, TwinRecord,
+    ViewRecord,
 };
 
 /// The plan of a benchmark.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct BenchPlan {
     /// Sizes of views at which kernels are timed.
     pub sizes: Vec<(usize, usize)>,
@@ -47,9 +48,18 @@ pub struct BenchPlan {
     pub long: Option<u64>,
     /// Number of bytes copied at once to measure the copy rate; fewer if memory is short.
     pub copied: u64,
+    /// The seconds after which no further times or trainings are begun; `None` for no limit.
+    pub seconds: Option<f64>,
 }
 
 impl BenchPlan {
+    /// The scene of the step that is compared at full size: the largest view with the most Gaussians.
+    fn large(&self) -> Option<SceneSize> {
+        let (width, height) = self.sizes.iter().copied().max_by_key(|(width, height)| width * height)?;
+        let gaussians = self.gaussians.iter().copied().max()?;
+        Some(SceneSize { width, height, gaussians, views: 1, seed: 11 })
+    }
+
     /// The scenes of the trainings, with their numbers of steps.
     fn trainings(&self) -> Vec<(SceneSize, u64)> {
         let middle = (self.sizes.len() / 2, self.gaussians.len() / 2);
@@ -296,6 +306,28 @@ fn train(
     Ok(())
 }
 
+fn twin_record(case: String, agreement: Agreement) -> TwinRecord {
+    let holds = agreement.holds();
+    let Agreement { what, error, bar, .. } = agreement;
+    TwinRecord { case, what, error: error.is_finite().then_some(error), bar, holds }
+}
+
+/// The kernels compiled so far, and the seconds that this took, by name.
+fn compiled(gpu: &Gpu) -> BTreeMap<&'static str, CompiledRecord> {
+    let mut all = BTreeMap::new();
+    for (name, seconds) in gpu.kernels.times() {
+        let record: &mut CompiledRecord = all.entry(name).or_default();
+        record.texts += 1;
+        record.milliseconds += 1e3 * seconds;
+    }
+    all
+}
+
+/// The text in which NVIDIA's driver describes itself, if there is one.
+fn driver_text() -> Option<String> {
+    std::fs::read_to_string("/proc/driver/nvidia/version").ok().map(|text| text.trim().to_string())
+}
+
 /// A running benchmark.
 struct BenchRun<'a> {
     gpu: &'a Gpu,
@@ -303,6 +335,9 @@ struct BenchRun<'a> {
     started: Instant,
     /// True if the device is lost.
     lost: bool,
+    /// The seconds after which no further part of the rest is begun.
+    seconds: Option<f64>,
+    stop: &'a dyn Fn() -> bool,
     tell: &'a mut dyn FnMut(&str),
     keep: &'a mut dyn FnMut(&BenchRecord),
 }
@@ -314,6 +349,20 @@ impl BenchRun<'_> {
         (self.keep)(&self.record);
     }
 
+    /// True if nothing more can be done: the device is lost, or the user stopped the benchmark.
+    fn ended(&self) -> bool {
+        self.lost || (self.stop)()
+    }
+
+    /// True if there is time for this part; otherwise it is recorded as left out.
+    fn has_time(&mut self, name: &str) -> bool {
+        let has = self.seconds.is_none_or(|most| self.started.elapsed().as_secs_f64() < most);
+        if !has && !self.ended() {
+            self.record.left_out.push(name.to_string());
+        }
+        has
+    }
+
     fn fail(&mut self, section: &str, error: &EngineError) {
         self.lost |= matches!(error, EngineError::DeviceLost { .. });
         self.record.failed.push(FailedRecord { section: section.to_string(), why: error.to_string() });
@@ -321,7 +370,7 @@ impl BenchRun<'_> {
 
     /// Runs one part of it; `None` if it failed or the device is lost.
     fn section<T>(&mut self, name: &str, work: impl FnOnce(&Gpu) -> Result<T, EngineError>) -> Option<T> {
-        if self.lost {
+        if self.ended() {
             return None;
         }
         (self.tell)(name);
@@ -339,6 +388,17 @@ impl BenchRun<'_> {
             refusal: said.err().map(|e| e.to_string()),
             seconds: began.elapsed().as_secs_f64(),
         });
+        self.record.compiled = compiled(self.gpu);
+        self.hand_over();
+    }
+
+    /// Compares one step at full size.
+    fn large(&mut self, scene: &SceneSize) {
+        let SceneSize { width, height, gaussians, .. } = scene;
+        let name = format!("a step at {width} x {height} with {gaussians} Gaussians beside the processor's");
+        let found = self.section(&name, |gpu| twins::large_step(&mut Stage1::new(gpu)?, scene, 0));
+        let case = format!("{scene:?}");
+        self.record.twins.extend(found.into_iter().flatten().map(|found| twin_record(case.clone(), found)));
         self.hand_over();
     }
 
@@ -359,12 +419,7 @@ impl BenchRun<'_> {
             found.extend(further.map(|a| (format!("{scene:?}"), a)));
             Ok(())
         });
-        let record = |(case, agreement): (String, Agreement)| {
-            let holds = agreement.holds();
-            let Agreement { what, error, bar, .. } = agreement;
-            TwinRecord { case, what, error: error.is_finite().then_some(error), bar, holds }
-        };
-        self.record.twins = found.into_iter().map(record).collect();
+        self.record.twins = found.into_iter().map(|(case, found)| twin_record(case, found)).collect();
         self.hand_over();
     }
 
@@ -403,7 +458,11 @@ impl BenchRun<'_> {
 
     /// Times the kernels at one size.
     fn times(&mut self, (width, height): (usize, usize), rounds: usize) {
-        let kernels = self.section(&format!("times at {width} x {height}"), |gpu| {
+        let name = format!("times at {width} x {height}");
+        if !self.has_time(&name) {
+            return;
+        }
+        let kernels = self.section(&name, |gpu| {
             let timed = gpu.clone().timed();
             let mut kernels = BTreeMap::new();
             for round in 0..rounds.max(2) {
@@ -425,11 +484,11 @@ impl BenchRun<'_> {
     }
 
     fn training(&mut self, scene: &SceneSize, steps: u64, ceilings: Option<&Ceilings>) {
-        if self.lost {
-            return;
-        }
         let SceneSize { width, height, gaussians, .. } = *scene;
         let name = format!("{steps} steps at {width} x {height} with {gaussians} Gaussians");
+        if self.ended() || !self.has_time(&name) {
+            return;
+        }
         (self.tell)(&name);
         let mut record = TrainingRecord { size: [width, height], gaussians, ..TrainingRecord::default() };
         if let Err(error) = train(self.gpu, scene, steps, ceilings, &mut record) {
@@ -445,41 +504,53 @@ impl BenchRun<'_> {
 }
 
 /// Runs the whole benchmark. `tell` receives the name of each part, and `keep` the record after every part.
+/// No further part is begun once `stop` returns true.
 pub fn bench(
     gpu: &Gpu,
     plan: &BenchPlan,
+    stop: &dyn Fn() -> bool,
     mut tell: impl FnMut(&str),
     mut keep: impl FnMut(&BenchRecord),
 ) -> BenchRecord {
     let record = BenchRecord {
         format: "3d-use gpu bench",
-        version: 6,
+        version: 7,
         adapter: gpu.adapter().into(),
+        driver_text: driver_text(),
+        subgroup_width: gpu.subgroup_width(),
         variant: gpu.kernels(),
         check: None,
+        compiled: BTreeMap::new(),
         ceilings: None,
         twins: Vec::new(),
         determinism: Vec::new(),
         times: Vec::new(),
         trainings: Vec::new(),
         failed: Vec::new(),
+        left_out: Vec::new(),
         complete: false,
         seconds: 0.0,
     };
     let started = Instant::now();
-    let mut bench = BenchRun { gpu, record, started, lost: false, tell: &mut tell, keep: &mut keep };
+    let seconds = plan.seconds;
+    let mut bench =
+        BenchRun { gpu, record, started, lost: false, seconds, stop, tell: &mut tell, keep: &mut keep };
     bench.check();
     let ceilings = bench.section("what it does at best", |gpu| measure(gpu, plan.copied, LEAST));
     bench.record.ceilings = ceilings.map(Into::into);
     bench.twins();
-    bench.determinism();
-    for &size in &plan.sizes {
-        bench.times(size, plan.rounds);
+    if let Some(scene) = plan.large() {
+        bench.large(&scene);
     }
-    for (scene, steps) in plan.trainings() {
+    bench.determinism();
+    // The largest come first, because they may be the last for which there is time.
+    for (scene, steps) in plan.trainings().into_iter().rev() {
         bench.training(&scene, steps, ceilings.as_ref());
     }
-    bench.record.complete = !bench.lost;
+    for &size in plan.sizes.iter().rev() {
+        bench.times(size, plan.rounds);
+    }
+    bench.record.complete = !bench.ended();
     bench.hand_over();
     bench.record
 }
@@ -497,6 +568,7 @@ mod tests {
             steps: 2,
             long: None,
             copied: 1 << 20,
+            seconds: None,
         }
     }
 
@@ -517,7 +589,7 @@ mod tests {
             }
         };
         let mut kept = None;
-        let record = bench(&gpu, &plan(), lose, |record| kept = Some(record.clone()));
+        let record = bench(&gpu, &plan(), &|| false, lose, |record| kept = Some(record.clone()));
         assert!(record.check.is_some_and(|check| check.passed) && record.ceilings.is_some());
         let [failed] = &record.failed[..] else { panic!("{:?}", record.failed) };
         assert!(failed.section.contains("kernels beside") && failed.why.contains("lost"), "{failed:?}");
@@ -526,12 +598,25 @@ mod tests {
     }
 
     #[test]
+    fn after_its_time_or_a_signal_it_begins_nothing_more() {
+        let Some(gpu) = software() else { return };
+        let plan = BenchPlan { seconds: Some(0.0), ..plan() };
+        let record = bench(&gpu, &plan, &|| false, |_| (), |_| ());
+        assert!(record.complete && record.trainings.is_empty() && record.times.is_empty(), "{record:?}");
+        let expected = ["2 steps at 33 x 20 with 60 Gaussians", "times at 33 x 20"];
+        assert!(record.left_out == expected && !record.twins.is_empty(), "{record:?}");
+        let record = bench(&gpu, &plan, &|| true, |_| (), |_| ());
+        assert!(!record.complete && record.left_out.is_empty() && record.twins.is_empty(), "{record:?}");
+    }
+
+    #[test]
     fn a_record_has_all_its_parts() {
         let Some(gpu) = software() else { return };
         let plan = BenchPlan { long: Some(5), ..plan() };
         let (mut told, mut kept) = (Vec::new(), 0);
-        let record = bench(&gpu, &plan, |what| told.push(what.to_string()), |_| kept += 1);
-        assert!(record.failed.is_empty() && record.complete && kept == 6, "{kept} {record:?}");
+        let tell = |what: &str| told.push(what.to_string());
+        let record = bench(&gpu, &plan, &|| false, tell, |_| kept += 1);
+        assert!(record.failed.is_empty() && record.complete && kept == 7, "{kept} {record:?}");
         assert!(
             record.check.as_ref().is_some_and(|check| check.passed)
                 && record.determinism.iter().all(|runs| runs.same),
@@ -564,6 +649,8 @@ mod tests {
         let needs = &training.roofline;
         assert!(needs.contains_key("backward") && needs.values().all(|need| need.share > 0.0), "{needs:?}");
         assert!(training.dispatches_per_step.is_some_and(|n| n <= 60.0), "{training:?}");
-        assert!(told.len() == 7 && serde_json::to_string(&record).unwrap().contains("llvmpipe"));
+        assert!(record.left_out.is_empty() && record.compiled["update"].texts == 1, "{record:?}");
+        assert!(record.twins.iter().any(|twin| twin.what.contains("at 33 x 20, 60 Gaussians")), "{record:?}");
+        assert!(told.len() == 8 && serde_json::to_string(&record).unwrap().contains("llvmpipe"));
     }
 }

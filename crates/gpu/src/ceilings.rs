@@ -129,7 +129,7 @@ pub(crate) fn measure(gpu: &Gpu, bytes: u64, least: f64) -> Result<Ceilings, Eng
 /// The smallest work of a kernel in one step of stage 1 with all features on: bytes and operations. `None`
 /// for kernels of one workgroup, whose time is that of a launch.
 pub(crate) fn need(kernel: &str, work: &ViewWork) -> Option<[f64; 2]> {
-    let ViewWork { gaussians, visible, entries, tested, live, pixels, tile_passes } = *work;
+    let ViewWork { gaussians, visible, entries, tested, live, pixels, tile_passes, .. } = *work;
     let (n, seen, e, p) = (gaussians as f64, visible as f64, entries as f64, pixels as f64);
     let (tested, live) = (tested as f64, live as f64);
     // The depth has four digits, and the tile's number as many as it needs.
@@ -148,8 +148,13 @@ pub(crate) fn need(kernel: &str, work: &ViewWork) -> Option<[f64; 2]> {
         // Entry, owner and splat once per tile; water and sums of every pixel.
         "forward" => [56.0 * e + 100.0 * p, 10.0 * tested + 47.0 * live],
         "backward" => [104.0 * e + 68.0 * p, 10.0 * tested + 79.0 * live],
-        // Values and both moments of 60 numbers, read and written; splat, run, statistics; records.
-        "update" => [1512.0 * n + 48.0 * e, (59.0 * 12.0 + 300.0) * n + 12.0 * e],
+        // Owner and run of an entry; the records of long runs are few.
+        "sums of long runs" => [12.0 * e, 0.0],
+        // Values and both moments of twelve numbers, read and written; splat, run, statistics, the colour's
+        // gradient; records.
+        "update" => [384.0 * n + 48.0 * e, (11.0 * 12.0 + 300.0) * n + 12.0 * e],
+        // Values and both moments of 48 numbers, read and written; the colour's gradient.
+        "update of colours" => [1176.0 * n, (48.0 * 13.0 + 70.0) * n],
         "weigh" => [52.0 * p, 36.0 * p],
         "pool" => [24.0 * p * (1.0 + 1.0 / 4.0 + 1.0 / 4.0 + 1.0 / 16.0), 6.0 * p],
         // Two passes of eleven taps over four moments, the first with the margin of 26 × 16 for 16 × 16.

@@ -6,20 +6,31 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use use3d_training::EngineError;
 
+use crate::kernel::CompiledKernels;
 use crate::profile::{self, Clock, Timed};
 use crate::rows::{COLORS, Float4, SPLAT};
+use crate::selection::{CudaVariables, once, order};
+use crate::subgroups;
 use crate::variant::Variant;
+use crate::vulkan::{CardFacts, facts};
 
 /// The engine's name in messages.
 pub(crate) const NAME: &str = "gpu";
 
 /// The smallest limits that every adapter must offer.
-const STORAGE_BUFFERS: u32 = 16;
+const STORAGE_BUFFERS: u32 = 10;
 const WORKGROUP_BYTES: u32 = 20 * 1024;
 const BINDING_BYTES: u64 = 128 << 20;
+
+/// Largest number of bytes of photographs on a device whose memory is not known.
+const VIEWS: u64 = 3 << 29;
+
+/// Longest wait for a card. At most fifty steps are under way, each of milliseconds.
+const LONGEST_WAIT: Duration = Duration::from_secs(600);
 
 /// Largest number of bytes that wgpu allocates on a device when it is opened: a block of its allocator for
 /// buffers and one for data that passes through main memory.
@@ -46,6 +57,24 @@ pub enum DeviceError {
         name: String,
         /// The adapters' names.
         found: Vec<String>,
+    },
+    /// There is no adapter of this number.
+    #[error("`{name}` is no number of an adapter; there are: {}", numbered(.found))]
+    Number {
+        /// The requested number.
+        name: String,
+        /// The adapters' names.
+        found: Vec<String>,
+    },
+    /// The environment hides every card that would be used.
+    #[error(
+        "the card `{adapter}` is not used: {reason}; choose it by its number, PCI address or UUID (`use3d devices` lists them), or change that variable"
+    )]
+    Hidden {
+        /// The name of the first of these cards.
+        adapter: String,
+        /// The reason.
+        reason: String,
     },
     /// An adapter cannot run the kernels.
     #[error(
@@ -84,6 +113,15 @@ fn others(found: &[String]) -> String {
     if found.is_empty() { format!(": {NOTHING}") } else { format!("; there are: {}", found.join(", ")) }
 }
 
+/// The part of a message that lists the adapters with their numbers.
+fn numbered(found: &[String]) -> String {
+    if found.is_empty() {
+        return "none".into();
+    }
+    let each = found.iter().enumerate().map(|(at, name)| format!("#{at} {name}"));
+    each.collect::<Vec<_>>().join(", ")
+}
+
 /// A message with the reason why each of several adapters cannot be used.
 pub(crate) fn listed(refusals: &[impl std::fmt::Display]) -> String {
     let each = refusals.iter().zip(1..).map(|(refusal, at)| format!("({at}) {refusal}"));
@@ -106,6 +144,16 @@ pub struct AdapterReport {
     pub backend: String,
     /// Name and version of its driver.
     pub driver: String,
+    /// Number of its maker.
+    pub vendor: u32,
+    /// Number of its model.
+    pub device: u32,
+    /// Its PCI address, such as `0000:01:00.0`, if it has one.
+    pub pci: Option<String>,
+    /// Its UUID, as the maker's programs print it, if its driver reports it.
+    pub uuid: Option<String>,
+    /// Bytes of its own memory, if its driver reports them.
+    pub memory: Option<u64>,
     /// Largest buffer that a kernel can bind, bytes.
     pub binding: u64,
     /// Largest buffer, bytes.
@@ -116,6 +164,8 @@ pub struct AdapterReport {
     pub buffers: u32,
     /// Smallest and largest number of threads in a subgroup.
     pub subgroup: [u32; 2],
+    /// The reason why it is used only if its number, PCI address or UUID is given.
+    pub hidden: Option<String>,
     /// The reason why it cannot be used; `None` if it can.
     pub refusal: Option<DeviceError>,
 }
@@ -123,6 +173,8 @@ pub struct AdapterReport {
 impl AdapterReport {
     fn of(adapter: &wgpu::Adapter) -> Self {
         let (info, limits) = (adapter.get_info(), adapter.limits());
+        let CardFacts { memory, uuid } = facts(adapter);
+        let address = info.device_pci_bus_id;
         let kind = match info.device_type {
             wgpu::DeviceType::DiscreteGpu => "discrete",
             wgpu::DeviceType::IntegratedGpu => "integrated",
@@ -135,11 +187,17 @@ impl AdapterReport {
             kind,
             backend: info.backend.to_string(),
             driver: format!("{} {}", info.driver, info.driver_info).trim().to_string(),
+            vendor: info.vendor,
+            device: info.device,
+            pci: (!address.is_empty()).then_some(address),
+            uuid: uuid.map(uuid_text),
+            memory,
             binding: limits.max_storage_buffer_binding_size,
             buffer: limits.max_buffer_size,
             workgroup: limits.max_compute_workgroup_storage_size,
             buffers: limits.max_storage_buffers_per_shader_stage,
             subgroup: [info.subgroup_min_size, info.subgroup_max_size],
+            hidden: None,
             refusal: None,
         };
         report.refusal = report.check().err();
@@ -183,38 +241,28 @@ fn enumerate() -> Vec<(AdapterReport, wgpu::Adapter)> {
     let adapters = pollster::block_on(instance().enumerate_adapters(wgpu::Backends::all()));
     let mut all: Vec<_> = adapters.into_iter().map(|a| (AdapterReport::of(&a), a)).collect();
     all.sort_by_key(|(report, _)| report.rank());
-    all
+    let mut reports: Vec<AdapterReport> = all.iter().map(|(report, _)| report.clone()).collect();
+    // If the variables cannot be followed, nothing is hidden; `environment_note` has the reason.
+    let _ = CudaVariables::read().hide(&mut reports);
+    let kept = once(&reports);
+    let with = all.into_iter().map(|(_, adapter)| adapter).zip(reports).enumerate();
+    with.filter(|(at, _)| kept.contains(at)).map(|(_, (adapter, report))| (report, adapter)).collect()
+}
+
+/// The reason why the environment's choice of cards is ignored, if it is.
+pub fn environment_note() -> Option<String> {
+    CudaVariables::read().hide(&mut adapters()).err()
+}
+
+/// A UUID in the usual form.
+fn uuid_text(bytes: [u8; 16]) -> String {
+    let hex: String = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
+    format!("{}-{}-{}-{}-{}", &hex[..8], &hex[8..12], &hex[12..16], &hex[16..20], &hex[20..])
 }
 
 /// All adapters of this machine, the most suitable first.
 pub fn adapters() -> Vec<AdapterReport> {
     enumerate().into_iter().map(|(report, _)| report).collect()
-}
-
-/// The indices of the adapters that a name refers to, in the order in which they are tried: those with
-/// exactly this name in any case, else those whose name contains it; without a name, all that are not
-/// software.
-fn order(reports: &[AdapterReport], name: Option<&str>) -> Result<Vec<usize>, DeviceError> {
-    let found = || reports.iter().map(|report| report.name.clone()).collect::<Vec<_>>();
-    let all = |fits: &dyn Fn(&AdapterReport) -> bool| {
-        (0..reports.len()).filter(|at| fits(&reports[*at])).collect::<Vec<_>>()
-    };
-    let Some(name) = name else {
-        let cards = all(&|report| !report.is_software());
-        return match (cards.is_empty(), reports.is_empty()) {
-            (false, _) => Ok(cards),
-            (true, true) => Err(DeviceError::None),
-            (true, false) => Err(DeviceError::OnlySoftware { found: found() }),
-        };
-    };
-    let wanted = name.to_lowercase();
-    // Otherwise a card whose name is the beginning of another's could never be chosen.
-    let exact = all(&|report| report.name.to_lowercase() == wanted);
-    let fitting = if exact.is_empty() { all(&|r| r.name.to_lowercase().contains(&wanted)) } else { exact };
-    if fitting.is_empty() {
-        return Err(DeviceError::Named { name: name.to_string(), found: found() });
-    }
-    Ok(fitting)
 }
 
 /// Returns the first that can be opened, and the errors of those before it; all errors if none can.
@@ -275,6 +323,8 @@ pub struct Gpu {
     pub(crate) queue: wgpu::Queue,
     report: AdapterReport,
     trouble: Arc<Mutex<Trouble>>,
+    /// The kernels that were compiled for it.
+    pub(crate) kernels: Arc<CompiledKernels>,
     /// Counts freed buffers, so that no bindings to them are kept.
     generation: Arc<AtomicU64>,
     /// Times every dispatch or pass, if requested.
@@ -283,6 +333,8 @@ pub struct Gpu {
     submits: Arc<AtomicU64>,
     /// The variant of the kernels made for it.
     variant: Variant,
+    /// The width of its subgroups, if it has subgroup operations and one width.
+    width: Option<u32>,
     /// The reason why it has portable kernels although it supports others.
     fallback: Option<Arc<str>>,
     /// The reasons why adapters before it were not used.
@@ -318,8 +370,8 @@ fn lock(trouble: &Mutex<Trouble>) -> MutexGuard<'_, Trouble> {
 }
 
 impl Gpu {
-    /// Opens the first adapter that can be opened. Candidates are those with exactly this name in any case,
-    /// else those whose name contains it; without a name, all that are not software.
+    /// Opens the first adapter that can be opened. A candidate has this number (`#0`), PCI address, UUID or
+    /// name, or has it as a part of its name; without a name, all that are not software are candidates.
     pub fn open(name: Option<&str>) -> Result<Self, DeviceError> {
         take_first(name, Self::of, DeviceError::Several)
     }
@@ -368,14 +420,25 @@ impl Gpu {
             queue,
             report,
             trouble,
+            kernels: Arc::default(),
             generation: Arc::default(),
             clock: None,
             submits: Arc::default(),
             variant: Variant::Portable,
+            width: None,
             fallback: None,
             passed_over: Arc::from([]),
             held: Arc::default(),
             peak: Arc::default(),
+        };
+        let has = gpu.device.features().contains(wgpu::Features::SUBGROUP);
+        let range = gpu.report.subgroup;
+        // A driver reports a range in most cases; a kernel finds the width. If that fails, the others are
+        // portable.
+        gpu.width = match range {
+            _ if !has => None,
+            [least, most] if least == most => Some(least),
+            _ => subgroups::width(&gpu).ok().flatten(),
         };
         // Software adapters use the portable variant, whose bits do not depend on the vector width.
         if !gpu.report.is_software()
@@ -423,9 +486,13 @@ impl Gpu {
         [Variant::Portable].into_iter().chain(self.subgroups()).collect()
     }
 
+    /// The width of its subgroups, if it has subgroup operations and one width.
+    pub fn subgroup_width(&self) -> Option<u32> {
+        self.width
+    }
+
     fn subgroups(&self) -> Option<Variant> {
-        let has = self.device.features().contains(wgpu::Features::SUBGROUP);
-        Variant::of_subgroups(has, self.report.subgroup)
+        self.width.and_then(Variant::of_width)
     }
 
     /// The supported variants with every number of pixels per thread, for measurements on a card.
@@ -496,9 +563,11 @@ impl Gpu {
         self.submits.load(Ordering::Relaxed)
     }
 
-    /// Waits until all submitted work is done.
+    /// Waits until all submitted work is done. A card that does not answer for long hangs, and counts as
+    /// lost. Software may need longer, and cannot hang.
     pub(crate) fn wait(&self) -> Result<(), EngineError> {
-        let polled = self.device.poll(wgpu::PollType::wait_indefinitely());
+        let timeout = (!self.report.is_software()).then_some(LONGEST_WAIT);
+        let polled = self.device.poll(wgpu::PollType::Wait { submission_index: None, timeout });
         self.check()?;
         polled.map(|_| ()).map_err(|e| EngineError::DeviceLost { engine: NAME, reason: e.to_string() })
     }
@@ -519,6 +588,12 @@ impl Gpu {
     #[cfg(test)]
     pub(crate) fn peak(&self) -> u64 {
         self.peak.swap(self.held(), Ordering::Relaxed)
+    }
+
+    /// Largest number of bytes of photographs that are kept on the device: a quarter of its own memory, if
+    /// that is known. Those beyond it are sent again when they are needed.
+    pub(crate) fn view_bytes(&self) -> usize {
+        self.report.memory.map_or(VIEWS, |bytes| bytes / 4) as usize
     }
 
     /// Size in bytes of the largest buffer that a kernel can bind.
@@ -556,6 +631,13 @@ impl Gpu {
         self.generation.load(Ordering::Relaxed)
     }
 
+    /// The same device with kernels for subgroups of another width than it has.
+    #[cfg(test)]
+    pub(crate) fn of_width_in_tests(mut self, width: u32) -> Self {
+        self.variant = Variant::Subgroups { width, pixels: 2 };
+        self
+    }
+
     /// The same device with a smaller limit on the bytes of a binding.
     #[cfg(test)]
     pub(crate) fn binding(mut self, bytes: u64) -> Self {
@@ -579,21 +661,7 @@ impl Gpu {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn report(name: &str, kind: &'static str) -> AdapterReport {
-        AdapterReport {
-            name: name.into(),
-            kind,
-            backend: "vulkan".into(),
-            driver: "d 1".into(),
-            binding: 1 << 31,
-            buffer: 1 << 31,
-            workgroup: 32 << 10,
-            buffers: 32,
-            subgroup: [8, 8],
-            refusal: None,
-        }
-    }
+    use crate::selection::tests::report;
 
     #[test]
     fn software_is_taken_by_name_alone() {
@@ -654,7 +722,7 @@ mod tests {
                 "67108864 bytes in the largest binding",
                 "134217728",
             ),
-            (AdapterReport { buffers: 8, ..fits }, "8 storage buffers per kernel", "16"),
+            (AdapterReport { buffers: 8, ..fits }, "8 storage buffers per kernel", "10"),
         ] {
             let refusal = small.check().unwrap_err().to_string();
             assert!(refusal.contains(found) && refusal.contains(needed), "{refusal}");

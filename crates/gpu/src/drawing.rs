@@ -14,7 +14,7 @@ use crate::constants::{StepConstants, counts};
 use crate::device::{Gpu, NAME};
 use crate::kernel::submit;
 use crate::lists::{ListKernels, Lists};
-use crate::raster::{Outputs, RasterKernels, RasterPlanes, WaterPlanes};
+use crate::raster::{Outputs, RasterKernels, RasterPlanes, WATER_PLANES, kept};
 use crate::scene::Parameters;
 
 /// A view to draw.
@@ -46,7 +46,7 @@ pub struct Drawing {
     lists: Lists,
     planes: RasterPlanes,
     /// `c_m`, and `k` of attenuation and backscatter.
-    water: [Array<f32>; 3],
+    water: Array<f32>,
     constants: Array<StepConstants>,
     counts: Array<u32>,
 }
@@ -57,7 +57,6 @@ impl Drawing {
     /// # Errors
     /// There are more of them than it can hold, or the driver failed.
     pub fn new(gpu: &Gpu, gaussians: &Gaussians) -> Result<Self, EngineError> {
-        let plane = |what| Array::new(gpu, what, 1);
         Ok(Self {
             lists_kernels: ListKernels::new(gpu)?,
             raster_kernels: RasterKernels::new(gpu)?,
@@ -67,7 +66,7 @@ impl Drawing {
             given: Chunked::new(gpu, "colours of a view", 3, 1)?,
             lists: Lists::new(gpu)?,
             planes: RasterPlanes::new(gpu)?,
-            water: [plane("the water's colour")?, plane("attenuation")?, plane("backscatter")?],
+            water: Array::new(gpu, "the water of a picture", 1)?,
             constants: Array::uniform(gpu, "constants")?,
             counts: Array::new(gpu, "counts of a picture", counts::WORDS)?,
             gpu: gpu.clone(),
@@ -122,20 +121,19 @@ impl Drawing {
             let each = map.data().iter().zip(lengths.iter().cycle());
             each.map(|(beta, length)| beta * (length * std::f32::consts::LOG2_E)).collect()
         };
-        let [color, attenuation, backscatter] = &mut self.water;
-        for (to, from) in [(attenuation, k(&maps.attenuation)), (backscatter, k(&maps.backscatter))] {
-            to.grow(&self.gpu, from.len())?;
-            to.write(&self.gpu, 0, &from);
-        }
-        color.grow(&self.gpu, maps.color.data().len())?;
-        color.write(&self.gpu, 0, maps.color.data());
+        let color = maps.color.data();
+        self.water.grow(&self.gpu, WATER_PLANES / 3 * color.len())?;
+        self.water.write(&self.gpu, 0, color);
+        self.water.write(&self.gpu, color.len(), &k(&maps.attenuation));
+        self.water.write(&self.gpu, 2 * color.len(), &k(&maps.backscatter));
         Ok(())
     }
 
     /// Draws into the planes, and makes more room for entries if needed.
     fn compose(&mut self, view: &DrawnView<'_>) -> Result<(), EngineError> {
         let gpu = &self.gpu;
-        self.planes.grow(gpu, view.lattice.width() * view.lattice.height())?;
+        let outputs = if view.layers { Outputs::Layers } else { Outputs::Picture };
+        self.planes.grow(gpu, view.lattice.width() * view.lattice.height(), outputs)?;
         loop {
             let mut constants = StepConstants::on(
                 view.camera,
@@ -151,14 +149,12 @@ impl Drawing {
             self.constants.write(gpu, 0, &[constants]);
             self.counts.write(gpu, 0, &[0; counts::WORDS]);
             let (lists, constants_array, tiles) = (&self.lists, &self.constants, constants.tiles());
-            let [color, attenuation, backscatter] = &self.water;
-            let water = view.medium.map(|_| WaterPlanes { color, attenuation, backscatter });
+            let water = view.medium.map(|_| &self.water);
             submit(gpu, "picture", |pass| {
                 let kernels = &self.lists_kernels;
                 let (n, scene) = (self.count, &self.parameters);
                 lists.record(kernels, pass, constants_array, n, tiles, scene, &self.counts, None);
                 let (raster, drawn) = (&self.raster_kernels, lists.drawn());
-                let outputs = if view.layers { Outputs::Layers } else { Outputs::Picture };
                 self.planes.record_forward(raster, pass, constants_array, tiles, &drawn, water, outputs);
             })?;
             if self.lists.had_room(gpu, &self.counts)? {
@@ -171,28 +167,22 @@ impl Drawing {
     fn read(&self, view: &DrawnView<'_>, out: &mut Rendered) -> Result<(), EngineError> {
         let (width, height) = (view.lattice.width(), view.lattice.height());
         let n = width * height;
-        let RasterPlanes { image, depth, accumulation, veil, object_moment, veil_moment, .. } = &self.planes;
-        let parts = if view.layers { 3 * n } else { 0 };
-        let [image, depth, accumulation, object, clear, far] = read_together(
-            &self.gpu,
-            [
-                (image.raw(), 3 * n),
-                (depth.raw(), n),
-                (accumulation.raw(), n),
-                (veil.raw(), parts),
-                (object_moment.raw(), parts),
-                (veil_moment.raw(), parts),
-            ],
-        )?;
+        let RasterPlanes { image, depth, kept: values, .. } = &self.planes;
+        let planes = if view.layers { kept::LAYERS } else { kept::PICTURE };
+        let [image, depth, values] =
+            read_together(&self.gpu, [(image.raw(), 3 * n), (depth.raw(), n), (values.raw(), planes * n)])?;
         let floats = |words: Vec<u32>| bytemuck::cast_vec::<u32, f32>(words);
         let picture =
             |words| Image::from_planes(width, height, floats(words)).unwrap_or_else(|| Image::new(0, 0));
         let map = |words| Map::from_planes(width, height, floats(words)).unwrap_or_else(|| Map::new(0, 0));
+        let part = |first: usize, planes: usize| {
+            values.get(first * n..(first + planes) * n).map(<[u32]>::to_vec).unwrap_or_default()
+        };
         out.image = picture(image);
         out.depth = map(depth);
-        out.accumulation = map(accumulation);
+        out.accumulation = map(part(kept::ACCUMULATION, 1));
         out.layers = view.layers.then(|| {
-            let (object, far) = (picture(object), picture(far));
+            let [object, clear, far] = kept::SUMS.map(|first| picture(part(first, 3)));
             // `image = object + medium + far`; zero if there is no water.
             let mut medium = Image::new(width, height);
             if view.medium.is_some() {
@@ -203,7 +193,7 @@ impl Drawing {
             let lengths = ray_lengths(view.camera, view.lattice);
             let away = out.depth.data().iter().zip(&lengths).map(|(depth, length)| depth * length);
             let distance = Map::from_planes(width, height, away.collect()).unwrap_or_else(|| Map::new(0, 0));
-            Layers { object, medium, far, clear: picture(clear), distance }
+            Layers { object, medium, far, clear, distance }
         });
         Ok(())
     }
@@ -269,7 +259,7 @@ mod tests {
             let given: Vec<[f32; 3]> =
                 (0..n).map(|i| [0.01 * (i % 90) as f32, 0.4, 0.3 - 0.005 * (i % 70) as f32]).collect();
             let mut drawing = Drawing::new(&gpu, &gaussians).unwrap();
-            drawing.planes.grow(&gpu, 61 * 47).unwrap();
+            drawing.planes.grow(&gpu, 61 * 47, Outputs::Layers).unwrap();
             drawing.planes.poison(&gpu);
             let some = Lattice::subset(&[0, 3, 4, 17, 40], &[2, 5, 31]).unwrap();
             let (mut found, mut expected) = (Rendered::new(), Rendered::new());

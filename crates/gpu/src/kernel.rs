@@ -14,8 +14,11 @@
 //! is_bad(x) -> bool           true if a float is infinite or NaN, by its bits: WGSL may lose `x != x`
 //! ```
 
+use std::collections::HashMap;
 use std::fmt::Write as _;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
+use std::time::Instant;
 
 use use3d_training::EngineError;
 
@@ -23,6 +26,21 @@ use crate::device::Gpu;
 
 /// Largest number of workgroups in one dimension of a grid.
 const SIDE: u64 = 65_535;
+
+#[cfg(test)]
+thread_local! {
+    /// A smaller side for the grids that this thread makes, so that small scenes have grids of two
+    /// dimensions.
+    pub(crate) static SIDE_IN_TESTS: std::cell::Cell<u64> = const { std::cell::Cell::new(SIDE) };
+}
+
+/// See [`SIDE`].
+fn side() -> u64 {
+    #[cfg(test)]
+    return SIDE_IN_TESTS.get();
+    #[cfg(not(test))]
+    SIDE
+}
 
 /// The access of a kernel to a buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -62,6 +80,8 @@ pub(crate) enum Constant {
     Count(u32),
     /// A boolean switch.
     Switch(bool),
+    /// A float, written so that its bits come back.
+    Real(f32),
 }
 
 /// The description of a kernel.
@@ -89,6 +109,7 @@ impl Spec {
             let _ = match value {
                 Constant::Count(v) => writeln!(text, "const {name}: u32 = {v}u;"),
                 Constant::Switch(v) => writeln!(text, "const {name}: bool = {v};"),
+                Constant::Real(v) => writeln!(text, "const {name}: f32 = {v:?}f;"),
             };
         }
         for (at, (access, name, kind)) in self.bindings.iter().enumerate() {
@@ -100,6 +121,8 @@ impl Spec {
             let _ = writeln!(text, "@group(0) @binding({at}) var<{space}> {name}: {kind};");
         }
         for part in &self.parts {
+            #[cfg(test)]
+            let part = &*crate::other_drivers::without_barrier(part);
             text.push_str(part);
             text.push('\n');
         }
@@ -126,11 +149,11 @@ impl Grid {
     /// A grid of at least `count` workgroups: in rows of 65,535 if there are more, so that a kernel must
     /// ignore those beyond its end.
     pub(crate) fn groups(count: usize) -> Self {
-        let count = count as u64;
-        if count <= SIDE {
+        let (count, side) = (count as u64, side());
+        if count <= side {
             return Self { x: count as u32, y: 1 };
         }
-        Self { x: SIDE as u32, y: count.div_ceil(SIDE).min(SIDE) as u32 }
+        Self { x: side as u32, y: count.div_ceil(side).min(SIDE) as u32 }
     }
 
     /// A grid for `count` items, `threads` per workgroup.
@@ -149,27 +172,96 @@ struct Bindings {
 /// Largest number of bind groups that a kernel keeps.
 const KEPT: usize = 64;
 
-/// A kernel on a device.
-#[derive(Debug)]
-pub(crate) struct Kernel {
-    gpu: Gpu,
-    name: &'static str,
+/// A kernel's text, compiled for a device.
+#[derive(Clone, Debug)]
+struct CompiledText {
     pipeline: wgpu::ComputePipeline,
     layout: wgpu::BindGroupLayout,
-    bindings: Mutex<Bindings>,
-    threads: u32,
 }
 
-impl Kernel {
-    /// Compiles a spec.
-    pub(crate) fn new(gpu: &Gpu, spec: &Spec) -> Result<Self, EngineError> {
-        let device = &gpu.device;
-        let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
-            label: Some(spec.name),
-            source: wgpu::ShaderSource::Wgsl(spec.source().into()),
-        });
+/// The kernels that were compiled for a device, by their texts: every engine, picture and adjoint on it uses
+/// them again.
+#[derive(Debug, Default)]
+pub(crate) struct CompiledKernels {
+    texts: Mutex<HashMap<String, CompiledText>>,
+    /// The name of each, and the seconds that its compilation took.
+    times: Mutex<Vec<(&'static str, f64)>>,
+}
+
+impl CompiledKernels {
+    /// The names of the kernels, and the seconds that the compilation of each took.
+    pub(crate) fn times(&self) -> Vec<(&'static str, f64)> {
+        self.times.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    fn find(&self, text: &str) -> Option<CompiledText> {
+        self.texts.lock().unwrap_or_else(PoisonError::into_inner).get(text).cloned()
+    }
+
+    fn keep(&self, text: String, compiled: CompiledText, name: &'static str, seconds: f64) {
+        self.texts.lock().unwrap_or_else(PoisonError::into_inner).insert(text, compiled);
+        self.times.lock().unwrap_or_else(PoisonError::into_inner).push((name, seconds));
+    }
+
+    fn forget(&self, texts: &[(String, &Spec)]) {
+        let mut kept = self.texts.lock().unwrap_or_else(PoisonError::into_inner);
+        texts.iter().for_each(|(text, _)| drop(kept.remove(text)));
+    }
+}
+
+/// Largest number of kernels that are compiled at the same time; a driver's compiler takes much memory.
+const COMPILERS: usize = 16;
+
+/// Compiles the kernels that are not compiled yet, each text once, on all processors.
+pub(crate) fn compile(gpu: &Gpu, specs: &[Spec]) -> Result<(), EngineError> {
+    let mut missing: Vec<(String, &Spec)> = Vec::new();
+    for spec in specs {
+        let text = spec.source();
+        if gpu.kernels.find(&text).is_none() && missing.iter().all(|(other, _)| *other != text) {
+            missing.push((text, spec));
+        }
+    }
+    let next = AtomicUsize::new(0);
+    let processors = std::thread::available_parallelism().map_or(1, usize::from);
+    let threads = processors.min(COMPILERS).min(missing.len());
+    std::thread::scope(|scope| {
+        for _ in 0..threads {
+            scope.spawn(|| {
+                while let Some((text, spec)) = missing.get(next.fetch_add(1, Ordering::Relaxed)) {
+                    let started = Instant::now();
+                    let compiled = spec.compile(&gpu.device, text);
+                    gpu.kernels.keep(text.clone(), compiled, spec.name, started.elapsed().as_secs_f64());
+                }
+            });
+        }
+    });
+    // The device does not say which of them failed.
+    gpu.check().inspect_err(|_| gpu.kernels.forget(&missing))
+}
+
+/// Creates the module of a kernel. A release leaves out the checks at run time that wgpu adds: a counter in
+/// every loop, and a comparison for every index. Builds with debug assertions, such as those of the tests,
+/// have them; divisions are guarded in both.
+#[expect(unsafe_code, reason = "wgpu has no safe function that leaves out the checks of its own programs")]
+fn module(device: &wgpu::Device, descriptor: wgpu::ShaderModuleDescriptor<'_>) -> wgpu::ShaderModule {
+    let mut checks = wgpu::ShaderRuntimeChecks::checked();
+    checks.bounds_checks = cfg!(debug_assertions);
+    checks.force_loop_bounding = cfg!(debug_assertions);
+    // SAFETY: the texts are this program's own. Every loop ends after a number of rounds that is known when
+    // it begins. Indices stay within their arrays: the tests run every kernel with the checks, and compare it
+    // with the processor's function.
+    unsafe { device.create_shader_module_trusted(descriptor, checks) }
+}
+
+impl Spec {
+    fn compile(&self, device: &wgpu::Device, text: &str) -> CompiledText {
+        let descriptor = wgpu::ShaderModuleDescriptor {
+            label: Some(self.name),
+            source: wgpu::ShaderSource::Wgsl(text.into()),
+        };
+        let module = module(device, descriptor);
         let entries: Vec<wgpu::BindGroupLayoutEntry> = (0u32..)
-            .zip(&spec.bindings)
+            .zip(&self.bindings)
             .map(|(binding, (access, ..))| wgpu::BindGroupLayoutEntry {
                 binding,
                 visibility: wgpu::ShaderStages::COMPUTE,
@@ -186,16 +278,16 @@ impl Kernel {
             })
             .collect();
         let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-            label: Some(spec.name),
+            label: Some(self.name),
             entries: &entries,
         });
         let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: Some(spec.name),
+            label: Some(self.name),
             bind_group_layouts: &[Some(&layout)],
             immediate_size: 0,
         });
         let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-            label: Some(spec.name),
+            label: Some(self.name),
             layout: Some(&pipeline_layout),
             module: &module,
             entry_point: Some("main"),
@@ -206,15 +298,29 @@ impl Kernel {
             },
             cache: None,
         });
-        gpu.check()?;
-        Ok(Self {
-            gpu: gpu.clone(),
-            name: spec.name,
-            pipeline,
-            layout,
-            bindings: Mutex::default(),
-            threads: spec.threads,
-        })
+        CompiledText { pipeline, layout }
+    }
+}
+
+/// A kernel on a device.
+#[derive(Debug)]
+pub(crate) struct Kernel {
+    gpu: Gpu,
+    name: &'static str,
+    compiled: CompiledText,
+    bindings: Mutex<Bindings>,
+    threads: u32,
+}
+
+impl Kernel {
+    /// A spec's kernel, compiled now if it was not before.
+    pub(crate) fn new(gpu: &Gpu, spec: &Spec) -> Result<Self, EngineError> {
+        compile(gpu, std::slice::from_ref(spec))?;
+        let Some(compiled) = gpu.kernels.find(&spec.source()) else {
+            return Err(EngineError::Failed(format!("the kernel `{}` was not compiled", spec.name).into()));
+        };
+        let (gpu, bindings) = (gpu.clone(), Mutex::default());
+        Ok(Self { gpu, name: spec.name, compiled, bindings, threads: spec.threads })
     }
 
     /// A grid for this number of items.
@@ -228,7 +334,7 @@ impl Kernel {
         if grid.x == 0 || grid.y == 0 {
             return;
         }
-        pass.set_pipeline(&self.pipeline);
+        pass.set_pipeline(&self.compiled.pipeline);
         pass.set_bind_group(0, &self.bind(buffers), &[]);
         let clock = self.gpu.clock();
         let place = clock.and_then(|clock| clock.before(pass, self.name));
@@ -253,7 +359,7 @@ impl Kernel {
             .collect();
         let group = self.gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some(self.name),
-            layout: &self.layout,
+            layout: &self.compiled.layout,
             entries: &entries,
         });
         kept.groups.push((buffers, group.clone()));
@@ -303,7 +409,8 @@ pub(crate) mod tests {
             panic!("{}: {}", spec.name, e.emit_to_string(&source));
         }
         // The text for a device without subgroup operations must contain none of them.
-        let in_step = spec.constants.iter().any(|(name, _)| *name == "WIDTH");
+        let in_step =
+            spec.constants.iter().any(|(name, _)| *name == "WIDTH") || spec.name.contains("subgroups");
         assert_eq!(source.contains("subgroup"), in_step, "{}", spec.name);
         let entry = module.entry_points.iter().find(|e| e.name == "main");
         let entry = entry.unwrap_or_else(|| panic!("{} has no entry point `main`", spec.name));
@@ -316,7 +423,7 @@ pub(crate) mod tests {
             .sum();
         assert!(shared <= 20 * 1024, "{} shares {shared} bytes", spec.name);
         let buffers = spec.bindings.iter().filter(|b| b.0 != Access::Uniform).count();
-        assert!(buffers <= 16, "{} sees {buffers} buffers", spec.name);
+        assert!(buffers <= 10, "{} sees {buffers} buffers", spec.name);
     }
 
     #[test]

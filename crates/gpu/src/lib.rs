@@ -21,13 +21,17 @@
 //! | lists | E `u32` | entries by tile, and by depth within a tile |
 //! | starts | T + 1 `u32` | start of each tile's list |
 //! | records | E × 3 `vec4<f32>` | gradient of an entry, three rows, see below |
-//! | colour planes | 3 P `f32` | images of three planes, see below |
-//! | planes | P `f32` or `u32` | depth, accumulation, final transmittance, entry at which a pixel stopped |
+//! | colour planes | 3 P `f32` | the image, and its gradient |
+//! | water | 9 P `f32` | `c_m`, `k_a` and `k_b` |
+//! | depth | P `f32` | expected depth |
+//! | kept | 13 P `u32` | accumulation, three images, transmittance, stop, depth: see below |
 //!
 //! The rows of a splat are `x, y, shear, steepness`; `steepness_y, log2_opacity, z, reach_y`; colour, and 1
-//! if it is visible. Those of a record are ΣG, ΣGt, ΣGdy, ΣGt²; ΣGt·dy, ΣGdy², ∂z/ln 2, ∂r; ∂g, ∂b,
-//! Σ\|Gt\|, Σ\|Gv_y\|. A colour plane has its values at `c·P + y·W + x`; there is one for the image, its
-//! gradient, `Σ w e_b`, `Σ w z c e_a`, `Σ w z e_b`, and the water's `c_m`, `k_a` and `k_b`.
+//! if it is visible. Those of a record are ΣG, ΣGt, ΣGdy, ΣGt²; ΣGt·dy, ΣGdy², ∂z/ln 2, ∂r; ∂g, ∂b, Σ\|Gt\|,
+//! Σ\|Gv_y\|. A stop is the entry at which a pixel stopped. Colour planes have their values at `c·P + y·W +
+//! x`. The three images that the forward pass keeps are `Σ w e_b`, `Σ w z c e_a` and `Σ w z e_b`. Floats
+//! among words are stored as their bits. Several quantities share a buffer where a kernel would otherwise
+//! bind more than ten: some devices have no more.
 //!
 //! The buffers of stage 2, for L lookups of the field (listed Gaussians, and with water the 16 rows of its
 //! table), rank R and n parameters:
@@ -65,14 +69,18 @@ mod kernel;
 mod linear;
 mod lists;
 mod losses;
+#[cfg(test)]
+mod other_drivers;
 mod profile;
 mod raster;
 mod rebuild;
 mod rows;
 mod scene;
+mod selection;
 mod sort;
 mod stage1;
 mod stage2;
+mod subgroups;
 #[cfg(test)]
 mod testing;
 #[cfg(test)]
@@ -80,10 +88,11 @@ mod tests;
 pub mod twins;
 mod update;
 mod variant;
+mod vulkan;
 mod water;
 
 pub use check::{CheckError, check, checked_adapters, open_checked};
-pub use device::{AdapterReport, DeviceError, Gpu, adapters};
+pub use device::{AdapterReport, DeviceError, Gpu, adapters, environment_note};
 pub use drawing::{Drawing, DrawnView};
 pub use linear::LinearSplat;
 pub use profile::KernelTime;
@@ -97,9 +106,16 @@ pub fn kernel_sources() -> Vec<String> {
     specs().iter().map(kernel::Spec::source).collect()
 }
 
+/// The name and the text of every kernel in every variant, each text once.
+pub fn kernel_texts() -> Vec<(&'static str, String)> {
+    let mut seen = std::collections::HashSet::new();
+    let all = specs().into_iter().map(|spec| (spec.name, spec.source()));
+    all.filter(|(_, text)| seen.insert(text.clone())).collect()
+}
+
 /// Every kernel in every variant.
 fn specs() -> Vec<kernel::Spec> {
     let own = [sort::specs(), lists::specs(), raster::specs(), update::specs(), rebuild::specs()].concat();
-    let further = own.into_iter().chain(losses::specs()).chain(water::specs());
+    let further = own.into_iter().chain(subgroups::specs()).chain(losses::specs()).chain(water::specs());
     further.chain(stage1::specs()).chain(stage2::specs()).chain(linear::specs()).collect()
 }

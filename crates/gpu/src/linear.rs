@@ -122,7 +122,7 @@ impl LinearSplat {
     pub fn view(&mut self, camera: &Camera, lattice: &Lattice) -> Result<(), EngineError> {
         let gpu = &self.gpu;
         self.pixels = lattice.width() * lattice.height();
-        self.planes.grow(gpu, self.pixels)?;
+        self.planes.grow(gpu, self.pixels, Outputs::Training)?;
         loop {
             let constants = StepConstants::on(camera, lattice, self.count, 0, self.lists.capacity());
             self.tiles = constants.tiles();
@@ -206,7 +206,7 @@ impl LinearSplat {
         submit(&self.gpu, "adjoint of the linear splat", |pass| {
             for part in &self.parts {
                 let mut buffers = lists.drawn().buffers(constants);
-                buffers.extend(bound![self.nothing, self.planes.stop, part.planes, *records]);
+                buffers.extend(bound![self.nothing, self.planes.kept, part.planes, *records]);
                 self.adjoint.dispatch(pass, Grid::groups(self.tiles), buffers);
                 let buffers = bound![*constants, part.at, lists.runs, *records, part.values];
                 self.gather.dispatch(pass, self.gather.grid(self.count), buffers);
@@ -280,7 +280,7 @@ mod tests {
                 let camera = camera(61, 47);
                 let pixels = lattice.width() * lattice.height();
                 prepared.prepare(&gaussians, &camera, &lattice, Colors::Sh { degree: 0 });
-                linear.planes.grow(&gpu, pixels).unwrap();
+                linear.planes.grow(&gpu, pixels, Outputs::Training).unwrap();
                 linear.planes.poison(&gpu);
                 linear.records.poison(&gpu);
                 linear.view(&camera, &lattice).unwrap();

@@ -134,6 +134,20 @@ impl ListKernels {
     }
 }
 
+#[cfg(test)]
+impl ListKernels {
+    /// Records the sums over blocks of Gaussians alone.
+    pub(crate) fn record_total(
+        &self,
+        pass: &mut wgpu::ComputePass<'_>,
+        constants: &Array<StepConstants>,
+        counts: &Array<u32>,
+        partial: &Array<u32>,
+    ) {
+        self.total.dispatch(pass, Grid::groups(1), bound![*constants, *counts, *partial]);
+    }
+}
+
 /// A view's lists as the compositor reads them, from any source.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ViewLists<'a> {

@@ -36,8 +36,24 @@ pub(crate) const TILE: [Binding; 6] = [
     (Access::Read, "owners", U32S),
     (Access::Read, "splats", ROWS),
 ];
-/// The water in front of every pixel.
-const WATER: [Binding; 3] = [read("water_color"), read("k_attenuation"), read("k_backscatter")];
+/// The water in front of every pixel: see [`RasterKernels`].
+pub(crate) const WATER: Binding = read("water");
+/// Number of planes of the water: `c_m`, and `k` of attenuation and of backscatter with `e = 2^(−k z)`.
+pub(crate) const WATER_PLANES: usize = 9;
+
+/// The first plane of each section of [`RasterPlanes::kept`], and the number of its planes; as in
+/// `shared.wgsl`.
+pub(crate) mod kept {
+    pub(crate) const ACCUMULATION: usize = 0;
+    /// Three images of three planes each: `Σ w e_b`, `Σ w z c e_a`, `Σ w z e_b`; or object, clear and far.
+    pub(crate) const SUMS: [usize; 3] = [1, 4, 7];
+    /// The entry of its tile's list at which a pixel stopped; 2³¹ − 1 if it did not stop.
+    pub(crate) const STOP: usize = 11;
+    /// Number of planes for a picture, for one with layers, and for a training.
+    pub(crate) const PICTURE: usize = 1;
+    pub(crate) const LAYERS: usize = 10;
+    pub(crate) const TRAINING: usize = 13;
+}
 
 fn spec(
     name: &'static str,
@@ -49,7 +65,7 @@ fn spec(
     Spec {
         name,
         threads,
-        bindings: [&TILE[..], &WATER[..], more].concat(),
+        bindings: [&TILE[..], &[WATER], more].concat(),
         constants: switches.iter().map(|(name, on)| (*name, Constant::Switch(*on))).collect(),
         parts: vec![CONSTANTS, SHARED, body],
     }
@@ -70,16 +86,7 @@ pub(crate) enum Outputs {
 const OUTPUTS: [Outputs; 3] = [Outputs::Picture, Outputs::Training, Outputs::Layers];
 
 fn forward(water: bool, outputs: Outputs) -> Spec {
-    let more = [
-        write("image"),
-        write("depths"),
-        write("accumulations"),
-        write("transmittances"),
-        (Access::Write, "stops", U32S),
-        write("first_kept"),
-        write("second_kept"),
-        write("third_kept"),
-    ];
+    let more = [write("image"), write("depths"), (Access::Write, "kept", U32S)];
     let switches =
         [("WATER", water), ("TRAIN", outputs == Outputs::Training), ("LAYERS", outputs == Outputs::Layers)];
     spec("forward", FORWARD, &more, &switches, include_str!("raster/forward.wgsl"))
@@ -87,10 +94,7 @@ fn forward(water: bool, outputs: Outputs) -> Spec {
 
 fn backward(water: bool, variant: Variant) -> Spec {
     let more = [
-        read("depths"),
-        read("accumulations"),
-        read("transmittances"),
-        (Access::Read, "stops", U32S),
+        (Access::Read, "kept", U32S),
         read("image_pull"),
         read("depth_pull"),
         (Access::Write, "records", ROWS),
@@ -121,7 +125,14 @@ pub(crate) fn specs() -> Vec<Spec> {
     specs
 }
 
-/// The kernels.
+/// The kernels that a device of this variant uses.
+pub(crate) fn specs_of(variant: Variant) -> Vec<Spec> {
+    let both = [false, true];
+    let forward = both.iter().flat_map(|w| OUTPUTS.map(|k| forward(*w, k)));
+    forward.chain(both.map(|water| backward(water, variant))).collect()
+}
+
+/// The kernels. Both passes read the water as one buffer of [`WATER_PLANES`].
 #[derive(Debug)]
 pub(crate) struct RasterKernels {
     /// Indexed by water (without, with) and by [`Outputs`].
@@ -146,28 +157,15 @@ impl RasterKernels {
     }
 }
 
-/// The water in front of every pixel, colour planes: `c_m`, and `k` with `e = 2^(−k z)`.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct WaterPlanes<'a> {
-    pub(crate) color: &'a Array<f32>,
-    pub(crate) attenuation: &'a Array<f32>,
-    pub(crate) backscatter: &'a Array<f32>,
-}
-
 /// The values that the forward pass writes for every pixel.
 #[derive(Debug)]
 pub(crate) struct RasterPlanes {
     /// Colour planes.
     pub(crate) image: Array<f32>,
     pub(crate) depth: Array<f32>,
-    pub(crate) accumulation: Array<f32>,
-    pub(crate) transmittance: Array<f32>,
-    /// The entry of its tile's list at which a pixel stopped; 2³¹ − 1 if it did not stop.
-    pub(crate) stop: Array<u32>,
-    /// Colour planes: `Σ w e_b`, `Σ w z c e_a`, `Σ w z e_b`.
-    pub(crate) veil: Array<f32>,
-    pub(crate) object_moment: Array<f32>,
-    pub(crate) veil_moment: Array<f32>,
+    /// All other values of the pixels, in one buffer, because some devices bind only ten in a kernel. Its
+    /// sections ([`kept`]) lie one after another in planes of the view's pixels; floats as their bits.
+    pub(crate) kept: Array<u32>,
     /// A buffer that is bound instead of absent water.
     nothing: Array<f32>,
 }
@@ -177,76 +175,51 @@ impl RasterPlanes {
         Ok(Self {
             image: Array::new(gpu, "image", 1)?,
             depth: Array::new(gpu, "depth", 1)?,
-            accumulation: Array::new(gpu, "accumulation", 1)?,
-            transmittance: Array::new(gpu, "transmittance", 1)?,
-            stop: Array::new(gpu, "stops", 1)?,
-            veil: Array::new(gpu, "veil", 1)?,
-            object_moment: Array::new(gpu, "moments of the object", 1)?,
-            veil_moment: Array::new(gpu, "moments of the veil", 1)?,
+            kept: Array::new(gpu, "values of pixels", 1)?,
             nothing: Array::new(gpu, "no water", 1)?,
         })
     }
 
-    /// Makes room for this number of pixels.
-    pub(crate) fn grow(&mut self, gpu: &Gpu, pixels: usize) -> Result<(), EngineError> {
-        for colors in [&mut self.image, &mut self.veil, &mut self.object_moment, &mut self.veil_moment] {
-            colors.grow(gpu, 3 * pixels)?;
-        }
-        for values in [&mut self.depth, &mut self.accumulation, &mut self.transmittance] {
-            values.grow(gpu, pixels)?;
-        }
-        self.stop.grow(gpu, pixels)?;
+    /// Makes room for this number of pixels with these outputs.
+    pub(crate) fn grow(&mut self, gpu: &Gpu, pixels: usize, outputs: Outputs) -> Result<(), EngineError> {
+        let planes = match outputs {
+            Outputs::Picture => kept::PICTURE,
+            Outputs::Layers => kept::LAYERS,
+            Outputs::Training => kept::TRAINING,
+        };
+        self.image.grow(gpu, 3 * pixels)?;
+        self.depth.grow(gpu, pixels)?;
+        self.kept.grow(gpu, planes * pixels)?;
         Ok(())
     }
 
     /// Number of bytes on the device.
     pub(crate) fn size(&self) -> usize {
-        let floats = [
-            &self.image,
-            &self.depth,
-            &self.accumulation,
-            &self.transmittance,
-            &self.veil,
-            &self.object_moment,
-            &self.veil_moment,
-        ];
-        floats.into_iter().map(Array::size).sum::<usize>() + self.stop.size()
+        self.image.size() + self.depth.size() + self.kept.size()
     }
 
     /// Fills everything with NaN.
     #[cfg(test)]
     pub(crate) fn poison(&self, gpu: &Gpu) {
-        self.stop.poison(gpu);
-        for plane in [
-            &self.image,
-            &self.depth,
-            &self.accumulation,
-            &self.transmittance,
-            &self.veil,
-            &self.object_moment,
-            &self.veil_moment,
-        ] {
-            plane.poison(gpu);
-        }
+        self.image.poison(gpu);
+        self.depth.poison(gpu);
+        self.kept.poison(gpu);
     }
 
-    /// The first bindings of both passes: [`TILE`], then [`WATER`].
+    /// The first bindings of both passes: [`TILE`], then the water.
     fn tile(
         &self,
         constants: &Array<StepConstants>,
         drawn: &ViewLists<'_>,
-        water: Option<WaterPlanes<'_>>,
+        water: Option<&Array<f32>>,
     ) -> Vec<wgpu::Buffer> {
-        let none = &self.nothing;
-        let WaterPlanes { color, attenuation, backscatter } =
-            water.unwrap_or(WaterPlanes { color: none, attenuation: none, backscatter: none });
         let mut buffers = drawn.buffers(constants);
-        buffers.extend(bound![*color, *attenuation, *backscatter]);
+        buffers.extend(bound![*water.unwrap_or(&self.nothing)]);
         buffers
     }
 
-    /// Records the forward pass of `tiles` tiles. With [`Outputs::Layers`], object, clear and far are
-    /// written to `veil`, `object_moment` and `veil_moment`.
+    /// Records the forward pass of `tiles` tiles in this water ([`WATER_PLANES`]). There must be room for
+    /// the outputs.
     pub(crate) fn record_forward(
         &self,
         kernels: &RasterKernels,
@@ -254,21 +227,12 @@ impl RasterPlanes {
         constants: &Array<StepConstants>,
         tiles: usize,
         drawn: &ViewLists<'_>,
-        water: Option<WaterPlanes<'_>>,
+        water: Option<&Array<f32>>,
         outputs: Outputs,
     ) {
         let kernel = &kernels.forward[usize::from(water.is_some())][outputs as usize];
         let mut buffers = self.tile(constants, drawn, water);
-        buffers.extend(bound![
-            self.image,
-            self.depth,
-            self.accumulation,
-            self.transmittance,
-            self.stop,
-            self.veil,
-            self.object_moment,
-            self.veil_moment,
-        ]);
+        buffers.extend(bound![self.image, self.depth, self.kept]);
         kernel.dispatch(pass, Grid::groups(tiles), buffers);
     }
 
@@ -281,22 +245,14 @@ impl RasterPlanes {
         constants: &Array<StepConstants>,
         tiles: usize,
         drawn: &ViewLists<'_>,
-        water: Option<WaterPlanes<'_>>,
+        water: Option<&Array<f32>>,
         image_pull: &Array<f32>,
         depth_pull: &Array<f32>,
         records: &Array<Float4>,
     ) {
         let kernel = &kernels.backward[usize::from(water.is_some())];
         let mut buffers = self.tile(constants, drawn, water);
-        buffers.extend(bound![
-            self.depth,
-            self.accumulation,
-            self.transmittance,
-            self.stop,
-            *image_pull,
-            *depth_pull,
-            *records,
-        ]);
+        buffers.extend(bound![self.kept, *image_pull, *depth_pull, *records]);
         kernel.dispatch(pass, Grid::groups(tiles), buffers);
     }
 }

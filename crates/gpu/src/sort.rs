@@ -236,6 +236,25 @@ mod tests {
         (order.iter().map(|&i| keys[i as usize]).collect(), order)
     }
 
+    /// More blocks than a workgroup has threads, so that sums go on from one round to the next.
+    #[test]
+    fn more_than_a_million_pairs_are_sorted() {
+        let Some(gpu) = crate::testing::software() else { return };
+        let kernels = SortKernels::new(&gpu).unwrap();
+        let counts = Array::from(&gpu, "counts", &[0u32; 64]).unwrap();
+        for (n, bits) in [((1 << 20) + 1, 13), (2_100_000, 8)] {
+            let mut sort = Sort::new(&gpu, n).unwrap();
+            sort.poison(&gpu);
+            let keys = keys(n, bits);
+            sort.input().write(&gpu, 0, &keys);
+            sort.prepare(&gpu, Items::Fixed(n), bits);
+            submit(&gpu, "sort", |pass| sort.record(&kernels, pass, &counts, bits)).unwrap();
+            let (sorted, order) = sort.output(bits);
+            let found = (sorted.read(&gpu, n).unwrap(), order.read(&gpu, n).unwrap());
+            assert!(found == expected(&keys), "{n} items of {bits} bits");
+        }
+    }
+
     #[test]
     fn pairs_are_sorted_and_ties_keep_their_order() {
         let Some(gpu) = crate::testing::software() else { return };

@@ -12,11 +12,11 @@ use crate::constants::{StepConstants, counts};
 use crate::device::Gpu;
 use crate::kernel::submit;
 use crate::lists::{ListKernels, Lists};
-use crate::raster::{Outputs, RasterKernels, RasterPlanes, WaterPlanes};
+use crate::raster::{Outputs, RasterKernels, RasterPlanes, kept};
 use crate::rows::Float4;
-use crate::scene::DeviceScene;
+use crate::scene::{DeviceScene, Parameters};
 use crate::testing::{camera, cloud, elsewhere, relative, software, water};
-use crate::update::UpdateKernels;
+use crate::update::{COLOR_PULL, UpdateKernels};
 use crate::variant::Variant;
 
 const RATES: StepRates = StepRates {
@@ -149,7 +149,7 @@ impl ViewKernels {
         constants.set_rates(0, &RATES);
         constants.screen = [constants.size[0] as f32 * 0.5, constants.size[1] as f32 * 0.5, 0.0, 0.0];
         lists.prepare(gpu, &constants, &case.lattice).unwrap();
-        planes.grow(gpu, pixels).unwrap();
+        planes.grow(gpu, pixels, Outputs::Training).unwrap();
         let records = Array::<Float4>::new(gpu, "records", 3 * lists.capacity()).unwrap();
         lists.poison(gpu);
         planes.poison(gpu);
@@ -158,18 +158,15 @@ impl ViewKernels {
         let uniform = Array::uniform(gpu, "constants").unwrap();
         uniform.write(gpu, 0, &[constants]);
         let ends = Array::<[u32; 4]>::new(gpu, "ends", 4).unwrap();
+        let color_pull = Array::<f32>::new(gpu, "gradients of colours", COLOR_PULL * n).unwrap();
+        color_pull.poison(gpu);
         let image = Array::from(gpu, "image slopes", case.image.data()).unwrap();
         let depth = Array::from(gpu, "depth slopes", case.depth.data()).unwrap();
         let maps = case
             .water
             .as_ref()
-            .map(|maps| exponents(maps, case))
-            .map(|planes| planes.map(|plane| Array::from(gpu, "water", &plane).unwrap()));
-        let water = maps.as_ref().map(|[color, attenuation, backscatter]| WaterPlanes {
-            color,
-            attenuation,
-            backscatter,
-        });
+            .map(|maps| Array::from(gpu, "water", &exponents(maps, case).concat()).unwrap());
+        let water = maps.as_ref();
         submit(gpu, "view", |pass| {
             let tiles = constants.tiles();
             lists.record(&self.lists, pass, &uniform, n, tiles, &scene.values, &counts, Some(&records));
@@ -193,7 +190,7 @@ impl ViewKernels {
                 &depth,
                 &records,
             );
-            self.update.record(pass, &uniform, &counts, &lists, &records, &scene);
+            self.update.record(pass, &uniform, &counts, &lists, &records, &color_pull, &scene);
             self.update.record_finish(pass, &uniform, &counts, &ends);
         })
         .unwrap();
@@ -205,12 +202,16 @@ impl ViewKernels {
         }
         assert_eq!(told[counts::STOP], 0, "not finite: {:b}", told[counts::BAD]);
         let of = |array: &Array<f32>, n: usize| array.read(gpu, n).unwrap();
+        let values = planes.kept.read(gpu, kept::TRAINING * pixels).unwrap();
+        let part = |first: usize, count: usize| -> Vec<f32> {
+            values[first * pixels..(first + count) * pixels].iter().map(|v| f32::from_bits(*v)).collect()
+        };
         let order = lists.visible(gpu, n);
         ViewResult {
             image: of(&planes.image, 3 * pixels),
             depth: of(&planes.depth, pixels),
-            accumulation: of(&planes.accumulation, pixels),
-            along: [&planes.veil, &planes.object_moment, &planes.veil_moment].map(|p| of(p, 3 * pixels)),
+            accumulation: part(kept::ACCUMULATION, 1),
+            along: kept::SUMS.map(|first| part(first, 3)),
             first: scene.moments(gpu).unwrap().first,
             moved: scene.gaussians(gpu).unwrap(),
             statistics: scene.statistics(gpu).unwrap(),
@@ -362,4 +363,76 @@ fn subgroups_of_every_width_agree() {
             assert!(well && text.contains(&told), "{width}: {text}");
         }
     }
+}
+
+/// More Gaussians than one round of the sums over their blocks: the runs of their entries follow one another
+/// without gaps, and the lists of the tiles contain every entry once.
+#[test]
+fn the_entries_of_more_than_half_a_million_gaussians_are_numbered_without_gaps() {
+    let Some(gpu) = software() else { return };
+    let gpu = &gpu;
+    let case = Case::new(cloud(720_000, -7.5, 4.0), 64, 48, false);
+    let n = case.gaussians.len();
+    let (kernels, mut lists) = (ListKernels::new(gpu).unwrap(), Lists::new(gpu).unwrap());
+    lists.grow(gpu, 1 << 21).unwrap();
+    let constants = StepConstants::on(&case.camera, &case.lattice, n, case.degree, lists.capacity());
+    lists.prepare(gpu, &constants, &case.lattice).unwrap();
+    lists.poison(gpu);
+    let scene = Parameters::of(gpu, &case.gaussians).unwrap();
+    let counts = Array::from(gpu, "counts", &[0u32; counts::WORDS]).unwrap();
+    let uniform = Array::uniform(gpu, "constants").unwrap();
+    uniform.write(gpu, 0, &[constants]);
+    let tiles = constants.tiles();
+    submit(gpu, "lists", |pass| lists.record(&kernels, pass, &uniform, n, tiles, &scene, &counts, None))
+        .unwrap();
+    let told = counts.read(gpu, counts::WORDS).unwrap();
+    let entries = told[counts::ENTRIES];
+    let mut prepared = Prepared::new();
+    prepared.prepare(&case.gaussians, &case.camera, &case.lattice, Colors::Sh { degree: case.degree });
+    let expected = prepared.entries();
+    assert!(
+        prepared.visible().count() > 524_288 && (entries as usize).abs_diff(expected) <= expected / 500,
+        "{entries} {expected}"
+    );
+    let mut runs = lists.runs.read(gpu, n).unwrap();
+    runs.sort_unstable();
+    let mut next = 0;
+    for [first, count] in runs {
+        assert_eq!(first, next);
+        next += count;
+    }
+    assert_eq!(next, entries);
+    let mut listed = lists.entries().read(gpu, entries as usize).unwrap();
+    listed.sort_unstable();
+    assert!(listed.into_iter().eq(0..entries));
+}
+
+/// More entries than 32 bits can count are reported as too many.
+#[test]
+fn a_number_of_entries_that_32_bits_cannot_hold_is_too_many() {
+    let Some(gpu) = software() else { return };
+    let kernels = ListKernels::new(&gpu).unwrap();
+    // The sums wrap to a small number: 2^32 + 4.
+    for (sums, most) in [(vec![0x8000_0000u32, 0x8000_0004], u32::MAX), (vec![0x7000_0000, 5], 0x7000_0005)] {
+        let blocks = Array::from(&gpu, "partial sums", &sums).unwrap();
+        let counts = Array::from(&gpu, "counts", &[0u32; counts::WORDS]).unwrap();
+        let uniform = Array::uniform(&gpu, "constants").unwrap();
+        let case = Case::new(cloud(1, 0.0, 0.0), 16, 16, false);
+        let constants = StepConstants::on(&case.camera, &case.lattice, 4096, 3, 1000);
+        uniform.write(&gpu, 0, &[constants]);
+        submit(&gpu, "total", |pass| kernels.record_total(pass, &uniform, &counts, &blocks)).unwrap();
+        let told = counts.read(&gpu, counts::WORDS).unwrap();
+        assert_eq!((told[counts::STOP], told[counts::MOST]), (counts::OVERFLOW, most));
+    }
+}
+
+/// A kernel that runs with another width than it was compiled for writes NaN, which stops the training.
+#[test]
+fn a_kernel_of_another_width_is_noticed() {
+    let Some(gpu) = software() else { return };
+    let scene = crate::twins::SceneSize { width: 48, height: 32, gaussians: 150, views: 1, seed: 1 };
+    let wrong = gpu.clone().of_width_in_tests(if gpu.subgroup_width() == Some(16) { 32 } else { 16 });
+    let mut engine = crate::stage1::Stage1::new(&wrong).unwrap();
+    let found = crate::twins::step(&mut engine, &scene);
+    assert!(found.is_err() || found.unwrap().iter().any(|agreement| !agreement.holds()));
 }

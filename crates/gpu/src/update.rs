@@ -1,6 +1,13 @@
 //! Adam on the Gaussians, and all steps that lead to it: the sums of their records, the projection's
-//! derivative, and the statistics of density control. It is one kernel, so that no gradient is written to
-//! memory.
+//! derivative, and the statistics of density control.
+//!
+//! ```text
+//! sums of long runs ─▶ update of the geometry ─▶ update of the colours
+//! ```
+//!
+//! One thread sums the records of a Gaussian. A run of more than [`BLOCK`] records is summed block by block
+//! before. The colours are 48 of the 59 numbers of a Gaussian. They have a kernel of their own, which moves
+//! them in the order of memory; between the two lie the colour's gradient and the direction, six floats.
 
 use bytemuck::{Pod, Zeroable};
 use use3d_numerics::adam::Adam;
@@ -11,13 +18,18 @@ use crate::buffer::Array;
 use crate::chunks::CHUNK;
 use crate::constants::{CONSTANTS, CONSTANTS_BINDING, StepConstants, counts};
 use crate::device::Gpu;
-use crate::kernel::{Access, Grid, Kernel, ROWS, Spec, bound, write};
+use crate::kernel::{Access, Binding, Constant, Grid, Kernel, ROWS, Spec, U32S, bound, read, write};
 use crate::lists::{HARMONICS, Lists, PROJECTION};
 use crate::rows::Float4;
 use crate::scene::DeviceScene;
 
 /// Threads of a workgroup.
 const THREADS: u32 = 128;
+/// Number of records that are summed in one go.
+const BLOCK: u32 = 64;
+/// Number of floats between the two kernels per Gaussian: the colour's gradient, and the direction from which
+/// it was seen.
+pub(crate) const COLOR_PULL: usize = 6;
 
 fn update() -> Spec {
     Spec {
@@ -25,21 +37,55 @@ fn update() -> Spec {
         threads: THREADS,
         bindings: vec![
             CONSTANTS_BINDING,
-            CHUNK,
             counts::SHARED,
-            (Access::Read, "runs", "array<vec2<u32>>"),
+            RUNS,
             (Access::Read, "records", ROWS),
             (Access::Read, "splats", ROWS),
             (Access::Write, "geometry", ROWS),
-            write("colors"),
             (Access::Write, "geometry_first", ROWS),
-            write("colors_first"),
             (Access::Write, "geometry_second", ROWS),
-            write("colors_second"),
             (Access::Write, "statistics", "array<vec2<u32>>"),
+            write("color_pull"),
+        ],
+        constants: constants(),
+        parts: vec![CONSTANTS, HARMONICS, PROJECTION, ADAM, include_str!("update/update.wgsl")],
+    }
+}
+
+const RUNS: Binding = (Access::Read, "runs", "array<vec2<u32>>");
+const ADAM: &str = include_str!("update/adam.wgsl");
+
+fn constants() -> Vec<(&'static str, Constant)> {
+    let mut all = counts::constants();
+    all.push(("BLOCK", Constant::Count(BLOCK)));
+    all
+}
+
+fn long_runs() -> Spec {
+    Spec {
+        name: "sums of long runs",
+        threads: THREADS,
+        bindings: vec![counts::READ, RUNS, (Access::Read, "owners", U32S), (Access::Write, "records", ROWS)],
+        constants: constants(),
+        parts: vec![include_str!("update/long_runs.wgsl")],
+    }
+}
+
+fn colors() -> Spec {
+    Spec {
+        name: "update of colours",
+        threads: THREADS,
+        bindings: vec![
+            CONSTANTS_BINDING,
+            CHUNK,
+            counts::SHARED,
+            read("color_pull"),
+            (Access::Write, "colors", ROWS),
+            (Access::Write, "colors_first", ROWS),
+            (Access::Write, "colors_second", ROWS),
         ],
         constants: counts::constants(),
-        parts: vec![CONSTANTS, HARMONICS, PROJECTION, include_str!("update/update.wgsl")],
+        parts: vec![CONSTANTS, HARMONICS, ADAM, include_str!("update/colors.wgsl")],
     }
 }
 
@@ -73,7 +119,7 @@ fn limit() -> Spec {
 
 /// All kernels of this module.
 pub(crate) fn specs() -> Vec<Spec> {
-    vec![update(), finish(), limit()]
+    vec![update(), long_runs(), colors(), finish(), limit()]
 }
 
 /// The constants of the opacity ceiling.
@@ -89,6 +135,8 @@ struct Ceiling {
 #[derive(Debug)]
 pub(crate) struct UpdateKernels {
     update: Kernel,
+    long_runs: Kernel,
+    colors: Kernel,
     finish: Kernel,
     limit: Kernel,
     ceiling: Array<Ceiling>,
@@ -98,13 +146,15 @@ impl UpdateKernels {
     pub(crate) fn new(gpu: &Gpu) -> Result<Self, EngineError> {
         Ok(Self {
             update: Kernel::new(gpu, &update())?,
+            long_runs: Kernel::new(gpu, &long_runs())?,
+            colors: Kernel::new(gpu, &colors())?,
             finish: Kernel::new(gpu, &finish())?,
             limit: Kernel::new(gpu, &limit())?,
             ceiling: Array::uniform(gpu, "opacity ceiling")?,
         })
     }
 
-    /// Records one update of every Gaussian.
+    /// Records one update of every Gaussian. `color_pull` has room for [`COLOR_PULL`] floats of each.
     pub(crate) fn record(
         &self,
         pass: &mut wgpu::ComputePass<'_>,
@@ -112,29 +162,46 @@ impl UpdateKernels {
         counts: &Array<u32>,
         lists: &Lists,
         records: &Array<Float4>,
+        color_pull: &Array<f32>,
         scene: &DeviceScene,
     ) {
         let DeviceScene { values, first, second, statistics, .. } = scene;
         let n = scene.count;
+        let entries = if n == 0 { 0 } else { lists.capacity() };
+        self.long_runs.dispatch(
+            pass,
+            self.long_runs.grid(entries),
+            bound![*counts, lists.runs, lists.owners, *records],
+        );
+        self.update.dispatch(
+            pass,
+            self.update.grid(n),
+            bound![
+                *constants,
+                *counts,
+                lists.runs,
+                *records,
+                lists.splats,
+                values.geometry,
+                first.geometry,
+                second.geometry,
+                *statistics,
+                *color_pull,
+            ],
+        );
         let moments = first.colors.over(n).zip(second.colors.over(n));
-        for ((chunk, count), ((first_colors, _), (second_colors, _))) in values.colors.over(n).zip(moments) {
-            self.update.dispatch(
+        for ((chunk, count), ((first, _), (second, _))) in values.colors.over(n).zip(moments) {
+            self.colors.dispatch(
                 pass,
-                self.update.grid(count),
+                self.colors.grid(count),
                 bound![
                     *constants,
                     chunk.place,
                     *counts,
-                    lists.runs,
-                    *records,
-                    lists.splats,
-                    values.geometry,
+                    *color_pull,
                     chunk.floats,
-                    first.geometry,
-                    first_colors.floats,
-                    second.geometry,
-                    second_colors.floats,
-                    *statistics,
+                    first.floats,
+                    second.floats,
                 ],
             );
         }

@@ -24,10 +24,9 @@ pub(crate) const WIDTHS: [u32; 5] = [4, 8, 16, 32, 64];
 pub(crate) const EACH: [u32; 3] = [2, 1, 4];
 
 impl Variant {
-    /// B for a device that has subgroup operations and a fixed subgroup size; `None` for any other.
-    pub(crate) fn of_subgroups(has: bool, [least, most]: [u32; 2]) -> Option<Self> {
-        let able = has && least == most && WIDTHS.contains(&least);
-        able.then_some(Self::Subgroups { width: least, pixels: EACH[0] })
+    /// B for a device that runs with this width; `None` if there is no kernel for it.
+    pub(crate) fn of_width(width: u32) -> Option<Self> {
+        WIDTHS.contains(&width).then_some(Self::Subgroups { width, pixels: EACH[0] })
     }
 
     /// B with every number of pixels per thread, or A alone.
@@ -55,11 +54,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_width_that_varies_or_has_no_kernel_is_left_to_the_portable_one() {
+    fn a_width_without_a_kernel_is_left_to_the_portable_one() {
         let two = |width| Variant::Subgroups { width, pixels: 2 };
-        assert_eq!(Variant::of_subgroups(true, [32, 32]), Some(two(32)));
-        for (has, widths) in [(false, [32, 32]), (true, [32, 64]), (true, [1, 1]), (true, [128, 128])] {
-            assert_eq!(Variant::of_subgroups(has, widths), None, "{has} {widths:?}");
+        assert_eq!(Variant::of_width(32), Some(two(32)));
+        for width in [0, 1, 24, 128] {
+            assert_eq!(Variant::of_width(width), None, "{width}");
         }
         let names: Vec<String> = two(8).each().iter().map(Variant::to_string).collect();
         let expected =

@@ -271,8 +271,8 @@ fn lengths(
     Ok(Some(World::scaled(metres, format!("the measured lengths in {LENGTHS}"))))
 }
 
-/// The mark that is farthest from its marker, if it is absurdly far: the marker's label, the image, and pixels of
-/// the model.
+/// The mark that is farthest from its marker, if it is absurdly far: the marker's label, the image, and
+/// pixels of the model.
 fn misplaced_mark(survey: &Survey) -> Option<(String, String, f64)> {
     let mut worst: Option<(String, String, f64)> = None;
     for marker in &survey.markers {

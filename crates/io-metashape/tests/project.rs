@@ -465,8 +465,8 @@ fn points_are_taken_in_the_chunks_own_frame_and_in_the_worlds() {
     for (a, b) in survey.points.iter().zip(&local) {
         assert!((DVec3::from_array(a.position) - DVec3::from_array(b.position)).length() < 1e-9);
     }
-    // The world is on the earth: longitude, latitude and altitude are understood, and chunk coordinates are not
-    // taken for those of the world, in which they would lie in the earth's centre.
+    // The world is on the earth: longitude, latitude and altitude are understood, and chunk coordinates are
+    // not taken for those of the world, in which they would lie in the earth's centre.
     let kept = survey.world.clone();
     let turn = DMat3::from_axis_angle(DVec3::new(0.6, 0.0, 0.8), 1.1);
     let on_earth = World::of(0.8, &turn, PLACE.position(), "test".into());

@@ -131,8 +131,8 @@ pub fn parse_table(bytes: &[u8], path: &Path) -> Result<Registration> {
     Ok(registration)
 }
 
-/// True if positions look like longitudes and latitudes: within hundredths of a degree, and hundreds of times as
-/// far apart in height.
+/// True if positions look like longitudes and latitudes: within hundredths of a degree, and hundreds of times
+/// as far apart in height.
 fn in_degrees(registration: &Registration) -> bool {
     let centres = registration.shots.iter().map(|shot| shot.pose.center());
     let (low, high) = centres.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(l, h), c| (l.min(c), h.max(c)));

@@ -24,4 +24,4 @@ mod sights;
 pub mod stages;
 pub mod water;
 
-pub use engines::Drawn;
+pub use engines::{Drawn, close_devices};

@@ -11,9 +11,9 @@
 //!
 //! [`recipes`] names the files of data sets that others published, and the choices for them.
 //!
-//! All work is done in one folder, beside the result ([`work`]). Each finished step is noted there with the digest of
-//! its inputs and choices, so an interrupted run continues, and a changed choice repeats only the steps after
-//! it. Images are not undistorted: the import does that.
+//! All work is done in one folder, beside the result ([`work`]). Each finished step is noted there with the
+//! digest of its inputs and choices, so an interrupted run continues, and a changed choice repeats only the
+//! steps after it. Images are not undistorted: the import does that.
 
 mod choose;
 mod error;

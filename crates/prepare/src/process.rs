@@ -58,8 +58,8 @@ const LAST: usize = 12;
 /// Time between two looks at the caller's wish to stop.
 const LOOK: Duration = Duration::from_millis(100);
 
-/// Splits a stream into lines. `heard` gets each line, with true if a terminal would overwrite it with the next
-/// one, as programs do with their progress; it returns false to end the reading.
+/// Splits a stream into lines. `heard` gets each line, with true if a terminal would overwrite it with the
+/// next one, as programs do with their progress; it returns false to end the reading.
 fn split(stream: impl Read, mut heard: impl FnMut(String, bool) -> bool) {
     let mut line = Vec::new();
     let mut send = |line: &mut Vec<u8>, overwritten: bool| {

@@ -71,8 +71,8 @@ impl Sfm<'_> {
         self.program.name == "pycolmap"
     }
 
-    /// The threads of a step whose result depends on their number: also features, which are stored in the order
-    /// in which they are found.
+    /// The threads of a step whose result depends on their number: also features, which are stored in the
+    /// order in which they are found.
     fn deciding_threads(&self) -> usize {
         if self.params.repeatable { 1 } else { self.threads }
     }

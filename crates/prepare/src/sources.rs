@@ -223,7 +223,8 @@ impl Sources {
         self.films.len() + self.photographs.len()
     }
 
-    /// The files whose content is the input, with their names in the record: films and photographs come first.
+    /// The files whose content is the input, with their names in the record: films and photographs come
+    /// first.
     ///
     /// # Errors
     /// A folder cannot be read.

@@ -73,9 +73,9 @@ impl<'a> Work<'a> {
         Ok(Self { folder, log: folder.join(LOG), watch, finished, done: 0, _lock: lock })
     }
 
-    /// The result of the next step. It is kept from an earlier attempt if nothing that it depends on has changed
-    /// and its output is still there; else `make` does the step, and later steps are forgotten. A step that was
-    /// interrupted starts again, so that its result does not depend on the interruption.
+    /// The result of the next step. It is kept from an earlier attempt if nothing that it depends on has
+    /// changed and its output is still there; else `make` does the step, and later steps are forgotten. A
+    /// step that was interrupted starts again, so that its result does not depend on the interruption.
     ///
     /// # Errors
     /// The step fails or makes no output, or its state cannot be written.

@@ -77,7 +77,8 @@ impl Bucket {
             _ => "",
         };
         let (place, reason) = (self.place.clone(), format!("{error}{advice}"));
-        // The library has no error of its own for a bucket that does not exist; this is the name in S3's answer.
+        // The library has no error of its own for a bucket that does not exist; this is the name in S3's
+        // answer.
         if reason.contains("NoSuchBucket") {
             return RemoteError::NoStore { place, reason };
         }

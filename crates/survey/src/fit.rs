@@ -17,8 +17,8 @@ pub struct PositionsFit {
     pub error: f64,
 }
 
-/// The similarity that takes `(model, metres)` pairs onto each other with the least squares. `None` with fewer
-/// than three pairs and where they lie on one line.
+/// The similarity that takes `(model, metres)` pairs onto each other with the least squares. `None` with
+/// fewer than three pairs and where they lie on one line.
 ///
 /// The rotation is the unit quaternion with the largest eigenvalue of Horn's matrix of the correlations. The
 /// standard error counts the `3n − 7` coordinates that are left after a similarity's seven parameters.

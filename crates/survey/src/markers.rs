@@ -66,8 +66,8 @@ impl Survey {
         position.is_finite().then(|| position.to_array())
     }
 
-    /// Metres in one unit by the scale bars, the largest disagreement of one bar with their mean, as a share, and
-    /// the label of that bar; `None` without a bar whose ends are both known.
+    /// Metres in one unit by the scale bars, the largest disagreement of one bar with their mean, as a share,
+    /// and the label of that bar; `None` without a bar whose ends are both known.
     pub fn metres_by_scale_bars(&self) -> Option<(f64, f64, &str)> {
         let end = |id: u32| {
             let marker = self.markers.iter().find(|m| m.id == id)?;

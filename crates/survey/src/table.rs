@@ -81,8 +81,8 @@ struct Place<'t> {
 }
 
 impl Place<'_> {
-    /// Goes on to a byte and over the empty lines and comments there, which the reader counts to the record after
-    /// them. Returns the number of the line.
+    /// Goes on to a byte and over the empty lines and comments there, which the reader counts to the record
+    /// after them. Returns the number of the line.
     fn advance(&mut self, byte: u64) -> usize {
         let passed = byte.saturating_sub(self.byte) as usize;
         let (before, after) = self.rest.split_at_checked(passed).unwrap_or((self.rest, ""));

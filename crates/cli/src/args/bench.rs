@@ -22,7 +22,7 @@ pub(crate) enum Bench {
     Truth(BenchTruthArgs),
     /// Measure a graphics card into one file: limits, agreement with the processor, same bits, times.
     #[command(
-        after_help = "Examples:\n  use3d bench gpu --out card.json\n  use3d bench gpu --out software.json --device llvmpipe --sizes 96x64 --rounds 2 --gaussians 2000 --steps 20"
+        after_help = "Examples:\n  use3d bench gpu --out card.json\n  use3d bench gpu --read card.json                      what the file says, in words\n  use3d bench gpu --kernels kernels/                    the texts of all kernels\n  use3d bench gpu --out software.json --device llvmpipe --sizes 96x64 --rounds 2 --gaussians 2000 --steps 20"
     )]
     Gpu(BenchGpuArgs),
 }
@@ -30,10 +30,17 @@ pub(crate) enum Bench {
 #[derive(Debug, Args)]
 pub(crate) struct BenchGpuArgs {
     /// The file to write.
-    #[arg(short, long, value_name = "FILE.json")]
-    pub(crate) out: PathBuf,
-    /// Any part of an adapter's name, in any case; software adapters are used only if named here (default:
-    /// the best card).
+    #[arg(short, long, value_name = "FILE.json", required_unless_present_any = ["read", "kernels"])]
+    pub(crate) out: Option<PathBuf>,
+    /// Read such a file instead, from any machine, and print what it says: a table of the kernels, and a
+    /// verdict in words.
+    #[arg(long, value_name = "FILE.json", conflicts_with_all = ["out", "kernels"])]
+    pub(crate) read: Option<PathBuf>,
+    /// Write the text of every kernel into this folder instead, as drivers receive them; needs no card.
+    #[arg(long, value_name = "DIR", conflicts_with = "out")]
+    pub(crate) kernels: Option<PathBuf>,
+    /// An adapter: `#0` or another number of `use3d devices`, its PCI address, its UUID, or any part of its
+    /// name in any case; software adapters are used only if named here (default: the best card).
     #[arg(long, value_name = "NAME")]
     pub(crate) device: Option<String>,
     /// Sizes of views at which kernels are timed.
@@ -49,6 +56,9 @@ pub(crate) struct BenchGpuArgs {
     /// number of Gaussians; 10 on software).
     #[arg(long, value_name = "N", value_parser = count(1_000_000))]
     pub(crate) steps: Option<usize>,
+    /// Minutes after which no further times or trainings are begun; what is left out is named in the file.
+    #[arg(long, default_value_t = 2, value_name = "N", value_parser = count(10_000))]
+    pub(crate) minutes: usize,
     #[command(flatten)]
     pub(crate) replace: Replace,
 }

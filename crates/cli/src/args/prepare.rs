@@ -141,7 +141,8 @@ impl From<ProgramArgs> for Programs {
     }
 }
 
-/// The programs as `use3d prepare` without flags takes them: by the environment's variables, or the usual ones.
+/// The programs as `use3d prepare` without flags takes them: by the environment's variables, or the usual
+/// ones.
 pub(crate) fn usual_programs() -> Programs {
     #[derive(Parser)]
     struct NoFlags {

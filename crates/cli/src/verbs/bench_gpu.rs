@@ -15,7 +15,16 @@ pub(crate) fn gpu(app: &App, args: &BenchGpuArgs) -> Done {
     use crate::destination::{check_file, path_text, write_file};
     use crate::size::parse_size;
 
-    check_file("--out", &args.out, args.replace.force, &["json"])?;
+    if let Some(file) = &args.read {
+        return super::bench_read::read(file);
+    }
+    if let Some(folder) = &args.kernels {
+        return kernels(app, folder);
+    }
+    let Some(out) = &args.out else {
+        return Err(CliError::Input("give the file to write: --out FILE.json".into()));
+    };
+    check_file("--out", out, args.replace.force, &["json"])?;
     let sizes = args.sizes.iter().map(|text| parse_size(text)).collect::<Result<Vec<_>, _>>()?;
     let gpu = Gpu::open(args.device.as_deref()).map_err(CliError::input)?;
     let say = |text: &str| {
@@ -42,17 +51,22 @@ pub(crate) fn gpu(app: &App, args: &BenchGpuArgs) -> Done {
         long,
         // A size that every adapter can bind, and larger than its caches.
         copied: 128 << 20,
+        seconds: Some(60.0 * args.minutes as f64),
     };
     let write = |record: &BenchRecord| {
-        write_file("--out", &args.out, |writer| {
+        write_file("--out", out, |writer| {
             serde_json::to_writer_pretty(&mut *writer, record)?;
             writeln!(writer)
         })
     };
     // Each record so far is kept, whatever happens later; only the last write must succeed.
     let mut written = Ok(());
-    let record = bench(&gpu, &plan, say, |record| written = write(record));
+    let stop = || app.stop.load(std::sync::atomic::Ordering::Relaxed);
+    let record = bench(&gpu, &plan, &stop, say, |record| written = write(record));
     written?;
+    if stop() {
+        return Err(CliError::Interrupted);
+    }
     let wrong: Vec<String> = record
         .twins
         .iter()
@@ -89,7 +103,11 @@ pub(crate) fn gpu(app: &App, args: &BenchGpuArgs) -> Done {
             say(&format!("  of what the card does at best: {}", shares.join(", ")));
         }
     }
-    say(&format!("written to {} in {}", path_text(&args.out), seconds(record.seconds)));
+    if !record.left_out.is_empty() {
+        let left = record.left_out.join("; ");
+        say(&format!("left out after {} minutes (--minutes): {left}", args.minutes));
+    }
+    say(&format!("written to {} in {}", path_text(out), seconds(record.seconds)));
     if let Some(refusal) = record.check.and_then(|check| check.refusal) {
         return Err(CliError::Failed(refusal));
     }
@@ -107,6 +125,26 @@ pub(crate) fn gpu(app: &App, args: &BenchGpuArgs) -> Done {
     if let Some(runs) = record.determinism.iter().find(|runs| !runs.same) {
         let variant = &runs.variant;
         return Err(CliError::Failed(format!("three runs of the same work gave different bits ({variant})")));
+    }
+    Ok(())
+}
+
+/// Writes the text of every kernel into a folder. A file's name begins with the kernel's.
+#[cfg(feature = "gpu")]
+fn kernels(app: &App, folder: &std::path::Path) -> Done {
+    use crate::destination::path_text;
+
+    let failed = |error: std::io::Error| {
+        CliError::Failed(format!("--kernels: cannot write into {}: {error}", path_text(folder)))
+    };
+    std::fs::create_dir_all(folder).map_err(failed)?;
+    let texts = use3d_gpu::kernel_texts();
+    for (at, (name, text)) in texts.iter().enumerate() {
+        let plain = name.replace(|c: char| !c.is_ascii_alphanumeric(), "-").replace("--", "-");
+        std::fs::write(folder.join(format!("{plain}-{at:03}.wgsl")), text).map_err(failed)?;
+    }
+    if !app.quiet {
+        println!("{} texts written to {}", texts.len(), path_text(folder));
     }
     Ok(())
 }

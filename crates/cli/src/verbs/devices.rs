@@ -9,7 +9,7 @@ use crate::error::Done;
 pub(crate) fn run(args: &DevicesArgs) -> Done {
     use serde_json::json;
     use use3d_gpu::bench::AdapterRecord;
-    use use3d_gpu::{AdapterReport, DeviceError, checked_adapters};
+    use use3d_gpu::{AdapterReport, DeviceError, checked_adapters, environment_note};
     use use3d_workflow::machine::bytes;
 
     /// An adapter with the result of its check.
@@ -41,11 +41,24 @@ pub(crate) fn run(args: &DevicesArgs) -> Done {
         println!("{}", DeviceError::None);
         return Ok(());
     }
-    for (report, said) in &all {
+    if let Some(note) = environment_note() {
+        println!("{note}\n");
+    }
+    for (number, (report, said)) in all.iter().enumerate() {
         let AdapterReport { name, kind, backend, driver, binding, buffer, workgroup, buffers, .. } = report;
         let mark = if said.is_ok() { "passed " } else { "refused" };
-        println!("{mark}  {name} ({kind}, {backend})");
+        println!("{mark}  #{number} {name} ({kind}, {backend})");
         println!("         driver: {driver}");
+        let address = report.pci.as_ref().map(|address| format!("PCI address {address}"));
+        let uuid = report.uuid.as_ref().map(|uuid| format!("UUID {uuid}"));
+        let memory = report.memory.map(|memory| format!("memory {}", bytes(memory)));
+        let facts: Vec<String> = [address, uuid, memory].into_iter().flatten().collect();
+        if !facts.is_empty() {
+            println!("         {}", facts.join(", "));
+        }
+        if let Some(reason) = &report.hidden {
+            println!("         used only by its number, PCI address or UUID: {reason}");
+        }
         println!(
             "         largest binding {}, largest buffer {}, workgroup memory {}, {buffers} buffers per kernel",
             bytes(*binding),

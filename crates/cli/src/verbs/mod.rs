@@ -2,6 +2,7 @@
 
 pub(crate) mod bench;
 pub(crate) mod bench_gpu;
+mod bench_read;
 pub(crate) mod cache;
 pub(crate) mod check;
 pub(crate) mod compare;

@@ -17,10 +17,16 @@ pub struct BenchRecord {
     pub version: u32,
     /// The adapter.
     pub adapter: AdapterRecord,
+    /// The description of NVIDIA's driver by itself, if there is one.
+    pub driver_text: Option<String>,
+    /// The width of the subgroups with which kernels run; `None` if there is no such width.
+    pub subgroup_width: Option<u32>,
     /// The variant of the kernels that its trainings use.
     pub variant: String,
     /// The result of the check at the start.
     pub check: Option<CheckRecord>,
+    /// The kernels that the check compiled, by name.
+    pub compiled: BTreeMap<&'static str, CompiledRecord>,
     /// The highest rates of the device.
     pub ceilings: Option<CeilingsRecord>,
     /// Comparisons of kernels with the processor's functions, and of whole steps in every variant.
@@ -33,10 +39,22 @@ pub struct BenchRecord {
     pub trainings: Vec<TrainingRecord>,
     /// The parts that failed; if the device was lost, the last of these, after which nothing was tried.
     pub failed: Vec<FailedRecord>,
-    /// True if everything was tried; false in the file of a running or interrupted benchmark.
+    /// The parts for which there was no time.
+    pub left_out: Vec<String>,
+    /// True if everything was tried for which there was time; false in the file of a running or interrupted
+    /// benchmark.
     pub complete: bool,
     /// Duration of the whole run, seconds.
     pub seconds: f64,
+}
+
+/// The compilation of the kernels of one name.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct CompiledRecord {
+    /// Number of different texts.
+    pub texts: u32,
+    /// Time of all of them, each by the clock of its thread, milliseconds.
+    pub milliseconds: f64,
 }
 
 /// A part of the benchmark that failed.
@@ -113,6 +131,14 @@ pub struct AdapterRecord {
     pub backend: String,
     /// Name and version of its driver.
     pub driver: String,
+    /// Its PCI address.
+    pub pci_address: Option<String>,
+    /// Its UUID.
+    pub uuid: Option<String>,
+    /// Its own memory, bytes.
+    pub memory_bytes: Option<u64>,
+    /// The reason why it is used only if its number, PCI address or UUID is given.
+    pub hidden: Option<String>,
     /// Largest buffer that a kernel can bind, bytes.
     pub largest_binding_bytes: u64,
     /// Largest buffer, bytes.
@@ -132,6 +158,10 @@ impl From<&AdapterReport> for AdapterRecord {
             kind: report.kind,
             backend: report.backend.clone(),
             driver: report.driver.clone(),
+            pci_address: report.pci.clone(),
+            uuid: report.uuid.clone(),
+            memory_bytes: report.memory,
+            hidden: report.hidden.clone(),
             largest_binding_bytes: report.binding,
             largest_buffer_bytes: report.buffer,
             workgroup_memory_bytes: report.workgroup,
@@ -219,6 +249,10 @@ pub struct ViewRecord {
     pub tested_per_pixel: f64,
     /// Mean number of these that contribute to the pixel.
     pub live_per_pixel: f64,
+    /// Number of entries of the longest list of a tile.
+    pub longest_list: usize,
+    /// The largest number of Gaussians that a pixel tests.
+    pub deepest_pixel: usize,
 }
 
 impl From<&ViewWork> for ViewRecord {
@@ -229,6 +263,8 @@ impl From<&ViewWork> for ViewRecord {
             entries: work.entries,
             tested_per_pixel: per_pixel(work.tested),
             live_per_pixel: per_pixel(work.live),
+            longest_list: work.longest_list,
+            deepest_pixel: work.deepest_pixel,
         }
     }
 }

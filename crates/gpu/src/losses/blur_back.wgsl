@@ -4,6 +4,43 @@
 // Tile of the third quantity.
 var<workgroup> tile_c: array<f32, 676>;
 
+fn slopes_at(at: u32) -> vec3<f32> {
+    return vec3<f32>(tile_a[at], tile_b[at], tile_c[at]);
+}
+
+// The window along a row of the tile, from its last tap. The loop over its taps is written out, so that they
+// are constants.
+fn back_along_row(start: u32) -> vec3<f32> {
+    var sum = TAP0 * slopes_at(start);
+    sum = sum + TAP1 * slopes_at(start - 1u);
+    sum = sum + TAP2 * slopes_at(start - 2u);
+    sum = sum + TAP3 * slopes_at(start - 3u);
+    sum = sum + TAP4 * slopes_at(start - 4u);
+    sum = sum + TAP5 * slopes_at(start - 5u);
+    sum = sum + TAP4 * slopes_at(start - 6u);
+    sum = sum + TAP3 * slopes_at(start - 7u);
+    sum = sum + TAP2 * slopes_at(start - 8u);
+    sum = sum + TAP1 * slopes_at(start - 9u);
+    sum = sum + TAP0 * slopes_at(start - 10u);
+    return sum;
+}
+
+// The window along a column of the blurred rows.
+fn back_along_column(start: u32) -> vec4<f32> {
+    var sum = TAP0 * rows[start];
+    sum = sum + TAP1 * rows[start - 16u];
+    sum = sum + TAP2 * rows[start - 32u];
+    sum = sum + TAP3 * rows[start - 48u];
+    sum = sum + TAP4 * rows[start - 64u];
+    sum = sum + TAP5 * rows[start - 80u];
+    sum = sum + TAP4 * rows[start - 96u];
+    sum = sum + TAP3 * rows[start - 112u];
+    sum = sum + TAP2 * rows[start - 128u];
+    sum = sum + TAP1 * rows[start - 144u];
+    sum = sum + TAP0 * rows[start - 160u];
+    return sum;
+}
+
 @compute @workgroup_size(WG)
 fn main(
     @builtin(workgroup_id) wid: vec3<u32>,
@@ -35,21 +72,14 @@ fn main(
     workgroupBarrier();
     for (var cell = lane; cell < SIDE * 16u; cell = cell + 256u) {
         let start = (cell / 16u) * SIDE + cell % 16u + MARGIN;
-        var sum = vec4<f32>(0.0);
-        for (var k = 0u; k < 11u; k = k + 1u) {
-            sum = sum + tap(k) * vec4<f32>(tile_a[start - k], tile_b[start - k], tile_c[start - k], 0.0);
-        }
-        rows[cell] = sum;
+        rows[cell] = vec4<f32>(back_along_row(start), 0.0);
     }
     workgroupBarrier();
     let at = corner + local;
     if (at.x >= level.width || at.y >= level.height) {
         return;
     }
-    var d = vec4<f32>(0.0);
-    for (var k = 0u; k < 11u; k = k + 1u) {
-        d = d + tap(k) * rows[(local.y + MARGIN - k) * 16u + local.x];
-    }
+    let d = back_along_column((local.y + MARGIN) * 16u + local.x);
     let cell = tile.z * level.width * level.height + at.y * level.width + at.x;
     let a = x_plane[cell];
     let b = y_plane[cell];

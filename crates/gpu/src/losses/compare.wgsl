@@ -5,6 +5,45 @@
 const C1: f32 = 0.01 * 0.01;
 const C2: f32 = 0.03 * 0.03;
 
+// The two images, the sum of their squares, and their product.
+fn moments(at: u32) -> vec4<f32> {
+    let a = tile_a[at];
+    let b = tile_b[at];
+    return vec4<f32>(a, b, a * a + b * b, a * b);
+}
+
+// The window along a row of the tile. The loop over its taps is written out, so that they are constants.
+fn along_row(start: u32) -> vec4<f32> {
+    var sum = TAP0 * moments(start);
+    sum = sum + TAP1 * moments(start + 1u);
+    sum = sum + TAP2 * moments(start + 2u);
+    sum = sum + TAP3 * moments(start + 3u);
+    sum = sum + TAP4 * moments(start + 4u);
+    sum = sum + TAP5 * moments(start + 5u);
+    sum = sum + TAP4 * moments(start + 6u);
+    sum = sum + TAP3 * moments(start + 7u);
+    sum = sum + TAP2 * moments(start + 8u);
+    sum = sum + TAP1 * moments(start + 9u);
+    sum = sum + TAP0 * moments(start + 10u);
+    return sum;
+}
+
+// The window along a column of the blurred rows.
+fn along_column(start: u32) -> vec4<f32> {
+    var sum = TAP0 * rows[start];
+    sum = sum + TAP1 * rows[start + 16u];
+    sum = sum + TAP2 * rows[start + 32u];
+    sum = sum + TAP3 * rows[start + 48u];
+    sum = sum + TAP4 * rows[start + 64u];
+    sum = sum + TAP5 * rows[start + 80u];
+    sum = sum + TAP4 * rows[start + 96u];
+    sum = sum + TAP3 * rows[start + 112u];
+    sum = sum + TAP2 * rows[start + 128u];
+    sum = sum + TAP1 * rows[start + 144u];
+    sum = sum + TAP0 * rows[start + 160u];
+    return sum;
+}
+
 @compute @workgroup_size(WG)
 fn main(
     @builtin(workgroup_id) wid: vec3<u32>,
@@ -37,19 +76,10 @@ fn main(
     workgroupBarrier();
     for (var cell = lane; cell < SIDE * 16u; cell = cell + 256u) {
         let start = (cell / 16u) * SIDE + cell % 16u;
-        var sum = vec4<f32>(0.0);
-        for (var k = 0u; k < 11u; k = k + 1u) {
-            let a = tile_a[start + k];
-            let b = tile_b[start + k];
-            sum = sum + tap(k) * vec4<f32>(a, b, a * a + b * b, a * b);
-        }
-        rows[cell] = sum;
+        rows[cell] = along_row(start);
     }
     workgroupBarrier();
-    var m = vec4<f32>(0.0);
-    for (var k = 0u; k < 11u; k = k + 1u) {
-        m = m + tap(k) * rows[(local.y + k) * 16u + local.x];
-    }
+    let m = along_column(local.y * 16u + local.x);
     let spread = max(m.z - m.x * m.x - m.y * m.y, 0.0);
     let covariance = clamp(2.0 * (m.w - m.x * m.y), -spread, spread);
     let inverse = 1.0 / (spread + C2);

@@ -9,9 +9,6 @@ var<workgroup> tile_b: array<f32, 676>;
 // Blurred along rows: 26 rows × 16 columns.
 var<workgroup> rows: array<vec4<f32>, 416>;
 
-fn tap(k: u32) -> f32 {
-    return view.taps[k >> 2u][k & 3u];
-}
 
 // The tile of 16 × 16 positions and the channel that a workgroup owns: (tile column, tile row, channel).
 // `across` is the number of tiles per row, `all` the number of tiles per channel.

@@ -14,6 +14,7 @@ mod shape;
 #[cfg(test)]
 mod tests;
 
+use use3d_metrics::ms_ssim::window;
 use use3d_numerics::adam::Adam;
 use use3d_reconstruct::{ExposureStep, Exposures};
 use use3d_training::EngineError;
@@ -198,6 +199,9 @@ fn spec(name: &'static str, bindings: &[Binding], parts: &[&'static str]) -> Spe
     all.extend(parts);
     let mut constants = counts::constants();
     constants.extend([("BAD_GAINS", Constant::Count(1 << 6)), ("BAD_LOSS", Constant::Count(1 << 7))]);
+    // The window is symmetric, so six of its eleven taps suffice.
+    let taps = ["TAP0", "TAP1", "TAP2", "TAP3", "TAP4", "TAP5"];
+    constants.extend(taps.into_iter().zip(window().map(Constant::Real)));
     Spec { name, threads: 256, bindings: bindings.to_vec(), constants, parts: all }
 }
 

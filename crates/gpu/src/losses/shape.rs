@@ -1,7 +1,7 @@
 //! Sizes of a view and its levels, and their constants for the kernels.
 
 use bytemuck::{Pod, Zeroable};
-use use3d_metrics::ms_ssim::{RECONSTRUCTION_WEIGHTS, WINDOW, level_weights, window};
+use use3d_metrics::ms_ssim::{RECONSTRUCTION_WEIGHTS, WINDOW, level_weights};
 
 use crate::kernel::{Access, Binding};
 
@@ -36,7 +36,6 @@ pub(super) struct LossConstants {
     pub(super) level_slope: [f32; 4],
     pub(super) level_groups: [u32; 4],
     pub(super) level_first: [u32; 4],
-    pub(super) taps: [[f32; 4]; 3],
     pub(super) gains: [f32; 4],
     pub(super) step: u32,
     pub(super) report: u32,
@@ -124,9 +123,6 @@ impl ViewShape {
             groups: self.groups as u32,
             ..LossConstants::default()
         };
-        for (k, tap) in window().into_iter().enumerate() {
-            view.taps[k / 4][k % 4] = tap;
-        }
         let mut first = 0;
         for (l, level) in self.levels.iter().enumerate() {
             let places = level.valid() as f64;

@@ -25,8 +25,6 @@ struct LossConstants {
     // Per level: number of workgroups per channel, and index of the first sum.
     level_groups: vec4<u32>,
     level_first: vec4<u32>,
-    // The blur window, eleven taps.
-    taps: array<vec4<f32>, 3>,
     // Adam on the gains: step size, 1 / √(second bias correction), weight of the pull towards gain 1; one
     // spare.
     gains: vec4<f32>,

@@ -1,7 +1,7 @@
 // Computes the structure measure, and the factor of every level in the backward pass. One workgroup.
 // `factors` holds three channels per level; entry 9 is the measure.
 
-var<workgroup> level_means: array<f32, 12>;
+var<private> level_means: array<f32, 12>;
 
 @compute @workgroup_size(WG)
 fn main(@builtin(local_invocation_index) lane: u32) {
@@ -13,7 +13,7 @@ fn main(@builtin(local_invocation_index) lane: u32) {
             level_means[plane] = total * view.level_mean[level];
         }
     }
-    workgroupBarrier();
+    // The first thread alone writes the means and reads them, so no barrier is needed.
     if (lane == 0u) {
         var similarity = 0.0;
         for (var channel = 0u; channel < 3u; channel = channel + 1u) {

@@ -16,6 +16,13 @@ var<workgroup> centres: array<f32, 32>;
 var<workgroup> last: atomic<u32>;
 var<workgroup> last_entry: u32;
 
+// The three values of a section of the water.
+fn water_at(section: u32, pixel: u32) -> vec3<f32> {
+    let plane = constants.size.x * constants.size.y;
+    let first = section * plane + pixel;
+    return vec3<f32>(water[first], water[first + plane], water[first + 2u * plane]);
+}
+
 fn load(p: u32, tile: u32) {
     let column = (tile % constants.size.z) * TILE + p % TILE;
     let row = (tile / constants.size.z) * TILE + p / TILE;
@@ -26,22 +33,23 @@ fn load(p: u32, tile: u32) {
     let plane = constants.size.x * constants.size.y;
     let pixel = row * constants.size.x + column;
     let g = vec3<f32>(image_pull[pixel], image_pull[plane + pixel], image_pull[2u * plane + pixel]);
-    let sum = accumulations[pixel];
+    let sum = bitcast<f32>(kept[pixel]);
     let by_depth = depth_pull[pixel] / max(sum, 1e-6f);
     var by_weight = 0.0f;
-    if (sum > 1e-6f) { by_weight = -(by_depth * depths[pixel]); }
+    if (sum > 1e-6f) { by_weight = -(by_depth * bitcast<f32>(kept[KEPT_DEPTH * plane + pixel])); }
     pull[p] = vec4<f32>(g, by_depth);
     var gc = vec3<f32>();
     if (WATER) {
-        gc = -(g * vec3<f32>(water_color[pixel], water_color[plane + pixel], water_color[2u * plane + pixel]));
-        let ka = vec3<f32>(k_attenuation[pixel], k_attenuation[plane + pixel], k_attenuation[2u * plane + pixel]);
-        fog[p] = vec4<f32>(ka, k_backscatter[pixel]);
-        fog_rest[p] = vec2<f32>(k_backscatter[plane + pixel], k_backscatter[2u * plane + pixel]);
+        gc = -(g * water_at(0u, pixel));
+        let kb = water_at(K_BACKSCATTER, pixel);
+        fog[p] = vec4<f32>(water_at(K_ATTENUATION, pixel), kb.x);
+        fog_rest[p] = kb.yz;
     }
     veiled_pull[p] = vec4<f32>(gc, by_weight);
-    left[p] = transmittances[pixel];
-    ends[p] = stops[pixel];
-    atomicMax(&last, stops[pixel]);
+    left[p] = bitcast<f32>(kept[KEPT_TRANSMITTANCE * plane + pixel]);
+    let stop = kept[KEPT_STOP * plane + pixel];
+    ends[p] = stop;
+    atomicMax(&last, stop);
 }
 
 @compute @workgroup_size(WG)

@@ -5,6 +5,10 @@ var<workgroup> tint: array<vec4<f32>, 256>;
 var<workgroup> open: atomic<u32>;
 var<workgroup> any_open: u32;
 
+fn keep(section: u32, pixel: u32, value: f32) {
+    kept[section * constants.size.x * constants.size.y + pixel] = bitcast<u32>(value);
+}
+
 @compute @workgroup_size(WG)
 fn main(
     @builtin(workgroup_id) wid: vec3<u32>,
@@ -23,8 +27,10 @@ fn main(
     var ka = vec3<f32>();
     var kb = vec3<f32>();
     if (WATER && inside) {
-        ka = vec3<f32>(k_attenuation[pixel], k_attenuation[plane + pixel], k_attenuation[2u * plane + pixel]);
-        kb = vec3<f32>(k_backscatter[pixel], k_backscatter[plane + pixel], k_backscatter[2u * plane + pixel]);
+        for (var c = 0u; c < 3u; c++) {
+            ka[c] = water[(K_ATTENUATION + c) * plane + pixel];
+            kb[c] = water[(K_BACKSCATTER + c) * plane + pixel];
+        }
     }
     var transmittance = 1.0f;
     var object = vec3<f32>();
@@ -56,43 +62,45 @@ fn main(
         if (lid == 0u) { any_open = atomicLoad(&open); }
         if (workgroupUniformLoad(&any_open) == 0u) { break; }
         let count = min(WG, end - base);
-        if (!live) { continue; }
-        for (var j = 0u; j < count; j++) {
-            let a = near[j];
-            let b = far[j];
-            let dy = centre_y - a.y;
-            let t = centre_x - fma(a.z, -dy, a.x);
-            let power = fma(t * a.w, -t, fma(b.x, -(dy * dy), b.y));
-            if (!(power >= -LOG2_255)) { continue; }
-            let alpha = min(exp2(power), ALPHA_MAX);
-            let w = transmittance * alpha;
-            let rest = transmittance * (1.0f - alpha);
-            if (rest <= STOP_AT) {
-                stop = base + j - first;
-                live = false;
-                break;
-            }
-            transmittance = rest;
-            let z = b.z;
-            depth = fma(w, z, depth);
-            weight += w;
-            let color = tint[j].xyz;
-            if (LAYERS) {
-                clear = fma(vec3<f32>(w), color, clear);
-                last = z;
-            }
-            if (WATER) {
-                let seen = exp2(-(ka * z)) * color;
-                let veiled = exp2(-(kb * z));
-                object = fma(vec3<f32>(w), seen, object);
-                veil = fma(vec3<f32>(w), veiled, veil);
-                if (TRAIN) {
-                    let wz = w * z;
-                    object_moment = fma(vec3<f32>(wz), seen, object_moment);
-                    veil_moment = fma(vec3<f32>(wz), veiled, veil_moment);
+        // A pixel that has stopped still takes part in the barriers above.
+        if (live) {
+            for (var j = 0u; j < count; j++) {
+                let a = near[j];
+                let b = far[j];
+                let dy = centre_y - a.y;
+                let t = centre_x - fma(a.z, -dy, a.x);
+                let power = fma(t * a.w, -t, fma(b.x, -(dy * dy), b.y));
+                if (!(power >= -LOG2_255)) { continue; }
+                let alpha = min(exp2(power), ALPHA_MAX);
+                let w = transmittance * alpha;
+                let rest = transmittance * (1.0f - alpha);
+                if (rest <= STOP_AT) {
+                    stop = base + j - first;
+                    live = false;
+                    break;
                 }
-            } else {
-                object = fma(vec3<f32>(w), color, object);
+                transmittance = rest;
+                let z = b.z;
+                depth = fma(w, z, depth);
+                weight += w;
+                let color = tint[j].xyz;
+                if (LAYERS) {
+                    clear = fma(vec3<f32>(w), color, clear);
+                    last = z;
+                }
+                if (WATER) {
+                    let seen = exp2(-(ka * z)) * color;
+                    let veiled = exp2(-(kb * z));
+                    object = fma(vec3<f32>(w), seen, object);
+                    veil = fma(vec3<f32>(w), veiled, veil);
+                    if (TRAIN) {
+                        let wz = w * z;
+                        object_moment = fma(vec3<f32>(wz), seen, object_moment);
+                        veil_moment = fma(vec3<f32>(wz), veiled, veil_moment);
+                    }
+                } else {
+                    object = fma(vec3<f32>(w), color, object);
+                }
             }
         }
     }
@@ -100,26 +108,28 @@ fn main(
     for (var c = 0u; c < 3u; c++) {
         let at = c * plane + pixel;
         if (WATER) {
-            image[at] = fma(water_color[at], 1.0f - veil[c], object[c]);
+            image[at] = fma(water[at], 1.0f - veil[c], object[c]);
             if (TRAIN) {
-                first_kept[at] = veil[c];
-                second_kept[at] = object_moment[c];
-                third_kept[at] = veil_moment[c];
+                keep(KEPT_FIRST + c, pixel, veil[c]);
+                keep(KEPT_SECOND + c, pixel, object_moment[c]);
+                keep(KEPT_THIRD + c, pixel, veil_moment[c]);
             }
-            if (LAYERS) { third_kept[at] = transmittance * water_color[at] * exp2(-(kb[c] * last)); }
+            if (LAYERS) { keep(KEPT_THIRD + c, pixel, transmittance * water[at] * exp2(-(kb[c] * last))); }
         } else {
             image[at] = object[c];
-            if (LAYERS) { third_kept[at] = 0.0f; }
+            if (LAYERS) { keep(KEPT_THIRD + c, pixel, 0.0f); }
         }
         if (LAYERS) {
-            first_kept[at] = object[c];
-            second_kept[at] = clear[c];
+            keep(KEPT_FIRST + c, pixel, object[c]);
+            keep(KEPT_SECOND + c, pixel, clear[c]);
         }
     }
-    depths[pixel] = depth / max(weight, 1e-6f);
-    accumulations[pixel] = weight;
+    let mean_depth = depth / max(weight, 1e-6f);
+    depths[pixel] = mean_depth;
+    keep(0u, pixel, weight);
     if (TRAIN) {
-        transmittances[pixel] = transmittance;
-        stops[pixel] = stop;
+        keep(KEPT_DEPTH, pixel, mean_depth);
+        keep(KEPT_TRANSMITTANCE, pixel, transmittance);
+        kept[KEPT_STOP * plane + pixel] = stop;
     }
 }

@@ -6,6 +6,7 @@ fn main(
     @builtin(local_invocation_index) lid: u32,
 ) {
     let digit = group_of(wid, nwg);
+    if (digit >= DIGITS) { return; }
     var carry = 0u;
     for (var first = 0u; first < order.blocks; first += WG) {
         let block = first + lid;

@@ -6,20 +6,21 @@
 //! | per | bytes | use |
 //! |---|---|---|
 //! | Gaussian | 720 | parameters and both moments |
-//! | | 88 | statistics, splat, tiles, depth order, offsets, run |
+//! | | 112 | statistics, splat, tiles, depth order, offsets, run, gradient of the colour |
 //! | possible entry | 68 | records, owners, order by tile |
-//! | pixel of the largest view | 120 | image, gradients, sums along rays, water, photograph, mask, prior |
+//! | pixel of the largest view | 124 | image, gradients, sums along rays, water, photograph, mask, prior |
 //! | | 83 | three levels of the similarity |
 //!
 //! There is room for one and a half times as many entries as the fullest view needs. The views themselves
 //! are additional.
 
-/// Bytes of a Gaussian: parameters, moments, statistics, splat, and the data for the order by depth.
-const PER_GAUSSIAN: f64 = 3.0 * 240.0 + 8.0 + 48.0 + 4.0 + 16.0 + 4.0 + 8.0 + 0.3;
+/// Bytes of a Gaussian: parameters, moments, statistics, splat, the data for the order by depth, and the
+/// gradient of its colour.
+const PER_GAUSSIAN: f64 = 3.0 * 240.0 + 8.0 + 48.0 + 4.0 + 16.0 + 4.0 + 8.0 + 24.0 + 0.3;
 /// Bytes of an entry: record, owner, and the data for the order by tile.
 const PER_ENTRY: f64 = 48.0 + 4.0 + 16.0 + 0.3;
 /// Bytes of a pixel: forward pass, gradients, water, the photograph's floats with mask and prior.
-const PER_PIXEL: f64 = 64.0 + 16.0 + 36.0 + 20.0 + 0.6;
+const PER_PIXEL: f64 = 68.0 + 16.0 + 36.0 + 20.0 + 0.6;
 /// Bytes of a pixel in the levels of the similarity: in the first level, and in the later ones.
 const PER_LEVEL_PIXEL: f64 = 60.0 + 72.0 / 4.0 + 72.0 / 16.0 + 0.2;
 /// Bytes of tables, reports, and buffers that have some room from the start.

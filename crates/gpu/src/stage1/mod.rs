@@ -29,14 +29,15 @@ use use3d_training::{Drain, EngineError};
 use crate::buffer::Array;
 use crate::constants::{StepConstants, counts};
 use crate::device::{Gpu, NAME};
-use crate::kernel::submit;
+use crate::kernel::{Spec, compile, submit};
 use crate::lists::{ListKernels, Lists};
 use crate::losses::{Gains, Losses};
-use crate::raster::{RasterKernels, RasterPlanes, WaterPlanes};
+use crate::raster::{RasterKernels, RasterPlanes};
 use crate::rebuild::RebuildKernel;
 use crate::rows::Float4;
 use crate::scene::DeviceScene;
 use crate::update::UpdateKernels;
+use crate::variant::Variant;
 use crate::water::DeviceWater;
 pub(crate) use counted::ViewWork;
 pub use forecast::training_bytes;
@@ -59,6 +60,18 @@ struct StepKernels {
     raster: RasterKernels,
     update: UpdateKernels,
     rebuild: RebuildKernel,
+}
+
+/// Every kernel that a training on a device of this variant may use.
+fn all_specs(variant: Variant) -> Vec<Spec> {
+    let own = [crate::sort::specs(), crate::lists::specs(), crate::raster::specs_of(variant)].concat();
+    let further = [crate::update::specs(), crate::rebuild::specs()].concat();
+    own.into_iter()
+        .chain(further)
+        .chain(crate::losses::specs())
+        .chain(crate::water::specs())
+        .chain(specs())
+        .collect()
 }
 
 /// A step that was requested and not reported yet.
@@ -87,6 +100,8 @@ pub struct Stage1 {
     image_slope: Array<f32>,
     depth_slope: Array<f32>,
     records: Array<Float4>,
+    /// The gradients of the Gaussians' colours.
+    color_pull: Array<f32>,
     constants: Array<StepConstants>,
     counts: Array<u32>,
     /// The counts of renders, which do not stop the training.
@@ -103,6 +118,7 @@ pub struct Stage1 {
 impl Stage1 {
     /// An engine without views and with an empty scene.
     pub fn new(gpu: &Gpu) -> Result<Self, EngineError> {
+        compile(gpu, &all_specs(gpu.variant()))?;
         Ok(Self {
             kernels: StepKernels {
                 lists: ListKernels::new(gpu)?,
@@ -121,6 +137,7 @@ impl Stage1 {
             image_slope: Array::new(gpu, "slopes of the image", 1)?,
             depth_slope: Array::new(gpu, "slopes of depth", 1)?,
             records: Array::new(gpu, "records", 1)?,
+            color_pull: Array::new(gpu, "gradients of colours", 1)?,
             constants: Array::uniform(gpu, "constants")?,
             counts: Array::new(gpu, "counts", counts::WORDS)?,
             render_counts: Array::new(gpu, "counts of a render", counts::WORDS)?,
@@ -139,12 +156,8 @@ impl Stage1 {
     }
 
     /// The water in the form that the compositor reads.
-    fn water_planes(&self) -> Option<WaterPlanes<'_>> {
-        self.water.as_ref().map(|water| WaterPlanes {
-            color: &water.color,
-            attenuation: &water.attenuation,
-            backscatter: &water.backscatter,
-        })
+    fn water_planes(&self) -> Option<&Array<f32>> {
+        self.water.as_ref().map(|water| &water.maps)
     }
 
     /// Makes room for one and a half times the entries of a view that needs `most`.
@@ -358,7 +371,8 @@ impl Diagnostics for Stage1 {
         let slopes = self.image_slope.size() + self.depth_slope.size();
         let planes = self.planes.size() + self.unpacked.size() + slopes;
         let water = self.water.as_ref().map_or(0, DeviceWater::memory);
-        let step = self.lists.size() + self.records.size() + self.losses.memory() + water + planes;
+        let records = self.records.size() + self.color_pull.size();
+        let step = self.lists.size() + records + self.losses.memory() + water + planes;
         self.scene.size() + step + self.targets.size()
     }
 }

@@ -10,7 +10,7 @@ use crate::constants::{StepConstants, counts};
 use crate::kernel::submit;
 use crate::losses::{LossInput, LossOutput, LossPlan, VALUES};
 use crate::raster::Outputs;
-use crate::water::AlongRays;
+use crate::update::COLOR_PULL;
 
 /// Makes the report of a step from the numbers that the device wrote.
 pub(super) fn report(asked: &Asked, numbers: &[f32], has_prior: bool) -> StepReport {
@@ -38,13 +38,21 @@ pub(super) fn report(asked: &Asked, numbers: &[f32], has_prior: bool) -> StepRep
 }
 
 impl Stage1 {
-    /// Prepares everything for a view, and writes the constants.
-    fn prepare(&mut self, constants: StepConstants, lattice: &Lattice) -> Result<(), EngineError> {
+    /// Prepares everything for a view with these outputs, and writes the constants.
+    fn prepare(
+        &mut self,
+        constants: StepConstants,
+        lattice: &Lattice,
+        outputs: Outputs,
+    ) -> Result<(), EngineError> {
         let gpu = &self.gpu;
         self.lists.prepare(gpu, &constants, lattice)?;
-        self.planes.grow(gpu, constants.pixels())?;
-        self.image_slope.grow(gpu, 3 * constants.pixels())?;
-        self.depth_slope.grow(gpu, constants.pixels())?;
+        self.planes.grow(gpu, constants.pixels(), outputs)?;
+        if outputs == Outputs::Training {
+            self.image_slope.grow(gpu, 3 * constants.pixels())?;
+            self.depth_slope.grow(gpu, constants.pixels())?;
+            self.color_pull.grow(gpu, COLOR_PULL * constants.gaussians())?;
+        }
         self.constants.write(gpu, 0, &[constants]);
         Ok(())
     }
@@ -75,7 +83,7 @@ impl Stage1 {
             let scale = if reference == 0 { 1.0 } else { (pixels / reference as f64).sqrt() as f32 };
             constants.screen = [0.5 * scale * width as f32, 0.5 * scale * height as f32, 0.0, 0.0];
         }
-        self.prepare(constants, &lattice)?;
+        self.prepare(constants, &lattice, Outputs::Training)?;
         if let Some(water) = &mut self.water {
             let rates = [plan.rates.medium_constant, plan.rates.medium_directional];
             water.prepare(&self.gpu, &camera, plan.degrees.water, plan.step, rates)?;
@@ -109,7 +117,7 @@ impl Stage1 {
                 water.record_maps(pass);
             }
             if let Some(alpha) = alpha {
-                let color = self.water.as_ref().map(|w| &w.color);
+                let color = self.water.as_ref().map(|w| &w.maps);
                 self.losses.over_water(pass, photograph, alpha, color, gains);
             }
             self.record_view(pass, &constants, true);
@@ -132,14 +140,17 @@ impl Stage1 {
                 &self.records,
             );
             let update = &self.kernels.update;
-            update.record(pass, &self.constants, &self.counts, &self.lists, &self.records, &self.scene);
+            update.record(
+                pass,
+                &self.constants,
+                &self.counts,
+                &self.lists,
+                &self.records,
+                &self.color_pull,
+                &self.scene,
+            );
             if let Some(water) = &self.water {
-                let along = AlongRays {
-                    veil: &self.planes.veil,
-                    light_by_depth: &self.planes.object_moment,
-                    veil_by_depth: &self.planes.veil_moment,
-                };
-                water.record_backward(pass, &self.image_slope, &along);
+                water.record_backward(pass, &self.image_slope, &self.planes.kept);
                 water.record_update(pass, &self.counts);
             }
             if let Some(gains) = gains {
@@ -173,7 +184,7 @@ impl Stage1 {
             let mut constants =
                 StepConstants::on(camera, &lattice, self.scene.count, degree, self.lists.capacity());
             constants.flags[0] = u32::from(self.water.is_some());
-            self.prepare(constants, &lattice)?;
+            self.prepare(constants, &lattice, Outputs::Picture)?;
             if let Some(water) = &mut self.water {
                 water.prepare(&self.gpu, camera, degrees.water, 0, [0.0; 2])?;
             }

@@ -10,9 +10,6 @@ use super::stored::{Floats, StoredView, Unpacked};
 use crate::buffer::Array;
 use crate::device::Gpu;
 
-/// Largest number of bytes of photographs on the device; the oldest are dropped to make room for new ones.
-const KEPT: usize = 3 << 29;
-
 /// A view at a smaller size: means, stored as floats.
 #[derive(Debug)]
 pub(super) struct Reduced {
@@ -143,7 +140,8 @@ impl Targets {
         }
         let target = DeviceTarget::new(gpu, &self.views[view], divisor, &mut self.scratch)?;
         self.bytes += target.size();
-        while self.bytes > KEPT
+        // The oldest are dropped to make room for new ones.
+        while self.bytes > gpu.view_bytes()
             && let Some((_, old)) = self.kept.pop_front()
         {
             self.bytes -= old.size();

@@ -412,3 +412,54 @@ fn memory_is_what_was_forecast() {
 fn eight_megapixels_take_what_was_forecast() {
     assert_forecast(&SceneSize { width: 3264, height: 2448, gaussians: 2000, views: 1, seed: 2 });
 }
+
+/// Grids of two dimensions have more workgroups than there is work. The results are the same in every bit.
+#[test]
+fn grids_of_two_dimensions_give_the_same_bits() {
+    let Some(gpu) = software() else { return };
+    let scene = SceneSize { width: 96, height: 64, gaussians: 2000, views: 2, seed: 5 };
+    let run = || {
+        let mut digests = Vec::new();
+        for variant in gpu.variants() {
+            let mut engine = Stage1::new(&gpu.clone().with(variant)).unwrap();
+            let found = crate::twins::step(&mut engine, &scene).unwrap();
+            digests.extend(found.into_iter().map(|agreement| agreement.digest));
+        }
+        let further = crate::twins::pictures(&gpu, &scene).unwrap().into_iter();
+        let further = further.chain(crate::twins::field(&gpu, &scene).unwrap());
+        digests.extend(further.map(|agreement| agreement.digest));
+        digests
+    };
+    let expected = run();
+    crate::kernel::SIDE_IN_TESTS.set(7);
+    let found = run();
+    assert!(found == expected);
+}
+
+/// More pixels than one round of the sums over workgroups.
+#[test]
+fn large_views_agree_with_the_processor() {
+    let Some(gpu) = software() else { return };
+    let (width, height) = (650, 410);
+    let loss = crate::twins::LossCase { width, height, seed: 3, mask: true, prior: true, gains: true };
+    let water = crate::twins::WaterCase { width, height, seed: 3, anchors: 8, top_k: 4, degree: 3 };
+    let found = crate::twins::losses(&gpu, &loss).unwrap().into_iter();
+    for agreement in found.chain(crate::twins::water(&gpu, &water).unwrap()) {
+        assert!(agreement.holds(), "{agreement:?}");
+    }
+}
+
+/// A kernel is compiled once for each text, whatever uses it.
+#[test]
+fn every_text_is_compiled_once() {
+    let Some(gpu) = software() else { return };
+    let first = Stage1::new(&gpu).unwrap();
+    let compiled = gpu.kernels.times().len();
+    let second = Stage1::new(&gpu).unwrap();
+    assert_eq!(gpu.kernels.times().len(), compiled);
+    drop((first, second));
+    crate::check(&gpu).unwrap();
+    let names = gpu.kernels.times();
+    let texts: std::collections::BTreeSet<String> = crate::kernel_sources().into_iter().collect();
+    assert!(names.len() <= texts.len(), "{} kernels of {} texts", names.len(), texts.len());
+}

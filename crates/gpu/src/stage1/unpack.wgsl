@@ -14,7 +14,7 @@ fn short_at(section: u32, at: u32) -> u32 { return (stored[section + at / 2u] >>
 fn over_65535(v: u32) -> f32 {
     if (v == 0u) { return 0.0f; }
     let empty = countLeadingZeros(v) - 16u;
-    let digits = (v << 16u | v) << empty;
+    let digits = ((v << 16u) | v) << empty;
     // The digits that follow are never exactly half of the last digit, so there is no tie.
     var rounded = digits >> 8u;
     if ((digits & 0xffu) >= 0x80u) { rounded += 1u; }

@@ -20,10 +20,12 @@ fn load(p: u32, tile: u32) {
     let at = row * constants.size.x + column;
     pull[p] = vec4<f32>(image_pull[at], image_pull[plane + at], image_pull[2u * plane + at], 0.0f);
     if (WATER) {
-        fog[p] = vec4<f32>(k_attenuation[at], k_attenuation[plane + at], k_attenuation[2u * plane + at], 0.0f);
+        let k = K_ATTENUATION * plane + at;
+        fog[p] = vec4<f32>(water[k], water[k + plane], water[k + 2u * plane], 0.0f);
     }
-    ends[p] = stops[at];
-    atomicMax(&last, stops[at]);
+    let stop = kept[KEPT_STOP * plane + at];
+    ends[p] = stop;
+    atomicMax(&last, stop);
 }
 
 @compute @workgroup_size(WG)

@@ -19,14 +19,15 @@ use use3d_numerics::adam::Adam;
 use use3d_training::EngineError;
 use use3d_ubaf::{OUTPUTS, Shape, water};
 
-use super::frozen::{FrozenView, FrozenWater};
+use super::frozen::FrozenView;
 use super::kernels::{
     COLOR_SUMS, FieldKernels, GRADE, GUIDE_SUMS, LOOKUPS, NONE, Of, WATER_SPAN, WATER_SUMS,
 };
+use super::weights::{FrozenWeights, PairLists};
 use crate::buffer::Array;
 use crate::device::Gpu;
 use crate::kernel::{Grid, bound};
-use crate::raster::{RasterPlanes, WaterPlanes};
+use crate::raster::{Outputs, RasterKernels, RasterPlanes, WATER_PLANES};
 use crate::rows::Float4;
 
 /// Largest number of blocks of the sums over lookups.
@@ -124,9 +125,8 @@ pub(super) struct DeviceField {
     of_water: Array<f32>,
     of_guide: Array<f32>,
     of_parameters: Array<f32>,
-    pub(super) color: Array<f32>,
-    attenuation: Array<f32>,
-    backscatter: Array<f32>,
+    /// The enhanced water, in the form that the compositor reads.
+    pub(super) water: Array<f32>,
 }
 
 impl DeviceField {
@@ -154,9 +154,7 @@ impl DeviceField {
             of_water: floats("sums of the water", 1)?,
             of_guide: floats("sums of the guide", 1)?,
             of_parameters: floats("sums of parameters", 1)?,
-            color: floats("the enhanced water's colour", 1)?,
-            attenuation: floats("enhanced attenuation", 1)?,
-            backscatter: floats("enhanced backscatter", 1)?,
+            water: floats("the enhanced water", 1)?,
         })
     }
 
@@ -202,9 +200,7 @@ impl DeviceField {
             (&mut self.of_water, WATER_SUMS * water_groups),
             (&mut self.of_guide, GUIDE_SUMS * groups),
             (&mut self.of_parameters, width * blocks),
-            (&mut self.color, 3 * pixels),
-            (&mut self.attenuation, 3 * pixels),
-            (&mut self.backscatter, 3 * pixels),
+            (&mut self.water, WATER_PLANES * pixels),
         ] {
             array.grow(gpu, items)?;
         }
@@ -215,9 +211,8 @@ impl DeviceField {
     }
 
     /// The enhanced water of the prepared view, in the form that the compositor reads.
-    pub(super) fn water(&self, view: &FrozenView) -> Option<WaterPlanes<'_>> {
-        let Self { color, attenuation, backscatter, .. } = self;
-        view.water.is_some().then_some(WaterPlanes { color, attenuation, backscatter })
+    fn water(&self, view: &FrozenView) -> Option<&Array<f32>> {
+        view.water.is_some().then_some(&self.water)
     }
 
     /// Records the field at every lookup of a view, and the mean that is removed from it.
@@ -244,24 +239,31 @@ impl DeviceField {
             k.recolor.grid(view.listed),
             bound![*constants, self.state, self.raw, self.grade, view.base, view.splats],
         );
-        if let Some(FrozenWater { color, logs, attenuation, backscatter }) = &view.water {
-            k.water.dispatch(
-                pass,
-                k.water.grid(view.pixels()),
-                bound![
-                    *constants,
-                    self.state,
-                    self.grade,
-                    *color,
-                    *logs,
-                    *attenuation,
-                    *backscatter,
-                    self.color,
-                    self.attenuation,
-                    self.backscatter,
-                ],
-            );
+        if let Some(water) = &view.water {
+            let buffers = bound![*constants, self.state, self.grade, *water, self.water];
+            k.water.dispatch(pass, k.water.grid(view.pixels()), buffers);
         }
+    }
+
+    /// Records the image of a view and the sums along its rays, after [`DeviceField::record_forward`].
+    pub(super) fn record_image(
+        &self,
+        raster: &RasterKernels,
+        pass: &mut wgpu::ComputePass<'_>,
+        view: &FrozenView,
+        planes: &RasterPlanes,
+    ) {
+        if let Some(FrozenWeights { sizes, of_pixels: PairLists { firsts, pairs }, .. }) = &view.weights {
+            let forward = &self.kernels.frozen_forward[usize::from(view.water.is_some())];
+            forward.dispatch(
+                pass,
+                forward.grid(view.pixels()),
+                bound![*sizes, *firsts, *pairs, view.splats, self.water, planes.image, planes.kept],
+            );
+            return;
+        }
+        let (drawn, water, outputs) = (view.drawn(), self.water(view), Outputs::Training);
+        planes.record_forward(raster, pass, &view.constants, view.tiles, &drawn, water, outputs);
     }
 
     /// Records the gradient, computed from the image's gradient and the values that the forward pass of the
@@ -273,10 +275,28 @@ impl DeviceField {
         planes: &RasterPlanes,
         image_pull: &Array<f32>,
     ) {
-        let mut buffers = view.drawn().buffers(&view.constants);
-        buffers.extend(bound![self.attenuation, planes.stop, *image_pull, self.records]);
-        let colors = &self.kernels.colors[usize::from(view.water.is_some())];
-        colors.dispatch(pass, Grid::groups(view.tiles), buffers);
+        let wet = usize::from(view.water.is_some());
+        if let Some(FrozenWeights { sizes, of_entries: PairLists { firsts, pairs }, .. }) = &view.weights {
+            let colors = &self.kernels.frozen_colors[wet];
+            colors.dispatch(
+                pass,
+                colors.grid(view.entries),
+                bound![
+                    *sizes,
+                    *firsts,
+                    *pairs,
+                    view.owners,
+                    view.splats,
+                    self.water,
+                    *image_pull,
+                    self.records
+                ],
+            );
+        } else {
+            let mut buffers = view.drawn().buffers(&view.constants);
+            buffers.extend(bound![self.water, planes.kept, *image_pull, self.records]);
+            self.kernels.colors[wet].dispatch(pass, Grid::groups(view.tiles), buffers);
+        }
         self.record_from_records(pass, view, planes, image_pull);
     }
 
@@ -308,24 +328,11 @@ impl DeviceField {
             k.total(of).dispatch(pass, Grid::groups(width), bound![*constants, *sums, *to]);
         };
         total(pass, Of::Colors, &self.of_colors, &self.totals, COLOR_SUMS);
-        if let Some(FrozenWater { color, logs, attenuation, backscatter }) = &view.water {
+        if let Some(water) = &view.water {
             k.water_back.dispatch(
                 pass,
                 Grid::groups(self.now.water_groups as usize),
-                bound![
-                    *constants,
-                    self.state,
-                    self.grade,
-                    *color,
-                    *logs,
-                    *attenuation,
-                    *backscatter,
-                    *image_pull,
-                    planes.veil,
-                    planes.object_moment,
-                    planes.veil_moment,
-                    self.of_water,
-                ],
+                bound![*constants, self.state, self.grade, *water, *image_pull, planes.kept, self.of_water,],
             );
             total(pass, Of::Water, &self.of_water, &self.totals, WATER_SUMS);
             let buffers = bound![*constants, self.totals, self.grade, self.slopes];
@@ -389,9 +396,7 @@ impl DeviceField {
             &self.of_water,
             &self.of_guide,
             &self.of_parameters,
-            &self.color,
-            &self.attenuation,
-            &self.backscatter,
+            &self.water,
         ] {
             array.poison(gpu);
         }

@@ -12,62 +12,46 @@ use use3d_training::EngineError;
 use use3d_ubaf::{Field, Sites, water};
 
 use super::kernels::seen_kernel;
+use super::weights::{FrozenWeights, WeightKernels};
 use crate::buffer::{Array, read_together};
 use crate::constants::{StepConstants, TILE, counts};
 use crate::device::Gpu;
 use crate::kernel::{Grid, Kernel, bound, submit};
 use crate::lists::{ListKernels, Lists, ViewLists};
-use crate::raster::{Outputs, RasterKernels, RasterPlanes, WaterPlanes};
+use crate::raster::{Outputs, RasterKernels, RasterPlanes};
 use crate::rows::Float4;
 use crate::scene::Parameters;
 
-/// The frozen water of a view as planes, which the field recolours.
-#[derive(Debug)]
-pub(super) struct FrozenWater {
-    /// `c_m` and its signed logs.
-    pub(super) color: Array<f32>,
-    pub(super) logs: Array<f32>,
-    /// `k` with `e = 2^(−k z)`.
-    pub(super) attenuation: Array<f32>,
-    pub(super) backscatter: Array<f32>,
-}
-
-impl FrozenWater {
-    fn new(gpu: &Gpu, camera: &Camera, lattice: &Lattice, maps: MediumMaps) -> Result<Self, EngineError> {
-        let lens = &camera.intrinsics;
-        let away = |at: &f32, centre: f64, focal: f64| {
-            let slope = (f64::from(*at) - centre) / focal;
-            slope * slope
-        };
-        let across: Vec<f64> = lattice.columns().iter().map(|x| away(x, lens.cx, lens.fx)).collect();
-        let lengths: Vec<f32> = lattice
-            .rows()
-            .iter()
-            .map(|y| away(y, lens.cy, lens.fy))
-            .flat_map(|down| across.iter().map(move |across| (1.0 + across + down).sqrt() as f32))
-            .collect();
-        let k = |betas: &[f32]| -> Vec<f32> {
-            let each = betas.iter().zip(lengths.iter().cycle());
-            each.map(|(beta, length)| beta * length * std::f32::consts::LOG2_E).collect()
-        };
-        let water = water::ViewWater::new(maps);
-        Ok(Self {
-            color: Array::from(gpu, "the water's colour", water.maps.color.data())?,
-            logs: Array::from(gpu, "the guide of the water's colour", water.signed_logs().data())?,
-            attenuation: Array::from(gpu, "attenuation", &k(water.maps.attenuation.data()))?,
-            backscatter: Array::from(gpu, "backscatter", &k(water.maps.backscatter.data()))?,
-        })
-    }
-
-    /// The water in the form that the compositor reads.
-    fn planes(&self) -> WaterPlanes<'_> {
-        let Self { color, attenuation, backscatter, .. } = self;
-        WaterPlanes { color, attenuation, backscatter }
-    }
-
-    fn size(&self) -> usize {
-        [&self.color, &self.logs, &self.attenuation, &self.backscatter].map(Array::size).iter().sum()
-    }
+/// The frozen water of a view as planes, which the field recolours: the planes that the compositor reads
+/// (`c_m`, and `k` with `e = 2^(−k z)`), then the signed logs of `c_m`.
+fn frozen_water(
+    gpu: &Gpu,
+    camera: &Camera,
+    lattice: &Lattice,
+    maps: MediumMaps,
+) -> Result<Array<f32>, EngineError> {
+    let lens = &camera.intrinsics;
+    let away = |at: &f32, centre: f64, focal: f64| {
+        let slope = (f64::from(*at) - centre) / focal;
+        slope * slope
+    };
+    let across: Vec<f64> = lattice.columns().iter().map(|x| away(x, lens.cx, lens.fx)).collect();
+    let lengths: Vec<f32> = lattice
+        .rows()
+        .iter()
+        .map(|y| away(y, lens.cy, lens.fy))
+        .flat_map(|down| across.iter().map(move |across| (1.0 + across + down).sqrt() as f32))
+        .collect();
+    let k = |betas: &[f32]| -> Vec<f32> {
+        let each = betas.iter().zip(lengths.iter().cycle());
+        each.map(|(beta, length)| beta * length * std::f32::consts::LOG2_E).collect()
+    };
+    let water = water::ViewWater::new(maps);
+    let mut planes = water.maps.color.data().to_vec();
+    planes.extend(k(water.maps.attenuation.data()));
+    planes.extend(k(water.maps.backscatter.data()));
+    planes.extend(water.signed_logs().data());
+    Array::from(gpu, "the water of a view", &planes)
 }
 
 /// A view's constants on the device.
@@ -85,7 +69,7 @@ pub(super) struct FrozenView {
     axes: Array<f32>,
     starts: Array<u32>,
     lists: Array<u32>,
-    owners: Array<u32>,
+    pub(super) owners: Array<u32>,
     /// The splats, whose colours change with every step.
     pub(super) splats: Array<Float4>,
     /// The first entry and the number of entries of each Gaussian.
@@ -94,7 +78,10 @@ pub(super) struct FrozenView {
     pub(super) base: Array<Float4>,
     /// The field's lookups of the listed Gaussians; with water, followed by the rows of its table.
     pub(super) sites: Array<[u32; 4]>,
-    pub(super) water: Option<FrozenWater>,
+    /// The frozen water: see [`frozen_water`].
+    pub(super) water: Option<Array<f32>>,
+    /// The weights of its pixels, unless there are too many.
+    pub(super) weights: Option<FrozenWeights>,
 }
 
 impl FrozenView {
@@ -113,7 +100,8 @@ impl FrozenView {
     pub(super) fn bytes(&self) -> usize {
         let lists = self.starts.size() + self.lists.size() + self.owners.size() + self.runs.size();
         let rows = self.splats.size() + self.base.size() + self.sites.size();
-        lists + rows + self.axes.size() + self.water.as_ref().map_or(0, FrozenWater::size)
+        let weights = self.weights.as_ref().map_or(0, FrozenWeights::bytes);
+        lists + rows + weights + self.axes.size() + self.water.as_ref().map_or(0, Array::size)
     }
 }
 
@@ -196,6 +184,7 @@ pub(super) struct Freezer<'a> {
     centred: Option<Vec<u32>>,
     kernels: ListKernels,
     seen_kernel: Kernel,
+    weights: WeightKernels,
     lists: Lists,
     seen: Array<u32>,
     counts: Array<u32>,
@@ -215,6 +204,7 @@ impl<'a> Freezer<'a> {
             centred,
             kernels: ListKernels::new(gpu)?,
             seen_kernel: seen_kernel(gpu)?,
+            weights: WeightKernels::new(gpu)?,
             lists: Lists::new(gpu)?,
             seen: Array::new(gpu, "seen entries", 1)?,
             counts: Array::new(gpu, "counts of a view", counts::WORDS)?,
@@ -235,7 +225,7 @@ impl<'a> Freezer<'a> {
     ) -> Result<FrozenView, EngineError> {
         let mut maps = MediumMaps::zeros(0, 0);
         let water = if guidance.look_through(self.scene, camera, lattice, &mut maps) {
-            Some(FrozenWater::new(gpu, camera, lattice, maps)?)
+            Some(frozen_water(gpu, camera, lattice, maps)?)
         } else {
             None
         };
@@ -274,7 +264,7 @@ impl<'a> Freezer<'a> {
             }
         }
         let axes = self.lists.axes.read(gpu, (TILE * (constants.size[2] + constants.size[3])) as usize)?;
-        let view = FrozenView {
+        let mut view = FrozenView {
             constants: Array::uniform(gpu, "constants of a view")?,
             size: (lattice.width(), lattice.height()),
             tiles,
@@ -290,8 +280,10 @@ impl<'a> Freezer<'a> {
             base: Array::from(gpu, "stage-1 colours", &base)?,
             sites: Array::from(gpu, "lookups", &sites)?,
             water,
+            weights: None,
         };
         view.constants.write(gpu, 0, &[constants]);
+        view.weights = self.weights.weights(gpu, &view, &trimmed.owners)?;
         Ok(view)
     }
 
@@ -304,11 +296,11 @@ impl<'a> Freezer<'a> {
         planes: &mut RasterPlanes,
         camera: &Camera,
         lattice: &Lattice,
-        water: Option<&FrozenWater>,
+        water: Option<&Array<f32>>,
     ) -> Result<StepConstants, EngineError> {
         let (n, degree) = (self.scene.gaussians.len(), self.scene.gaussians.sh_degree);
         let constants_array = Array::uniform(gpu, "constants")?;
-        planes.grow(gpu, lattice.width() * lattice.height())?;
+        planes.grow(gpu, lattice.width() * lattice.height(), Outputs::Training)?;
         loop {
             let constants = StepConstants::on(camera, lattice, n, degree, self.lists.capacity());
             self.lists.prepare(gpu, &constants, lattice)?;
@@ -320,7 +312,6 @@ impl<'a> Freezer<'a> {
                 let (kernels, scene) = (&self.kernels, &self.parameters);
                 self.lists.record(kernels, pass, &constants_array, n, tiles, scene, &self.counts, None);
                 let drawn = self.lists.drawn();
-                let water = water.map(FrozenWater::planes);
                 planes.record_forward(
                     raster,
                     pass,
@@ -331,7 +322,7 @@ impl<'a> Freezer<'a> {
                     Outputs::Training,
                 );
                 let mut buffers = drawn.buffers(&constants_array);
-                buffers.extend(bound![planes.stop, self.seen]);
+                buffers.extend(bound![planes.kept, self.seen]);
                 self.seen_kernel.dispatch(pass, Grid::groups(tiles), buffers);
             })?;
             if self.lists.had_room(gpu, &self.counts)? {

@@ -32,6 +32,7 @@ const AFFINE: &str = include_str!("affine.wgsl");
 const SITES: &str = include_str!("sites.wgsl");
 const DECODER: &str = include_str!("decoder.wgsl");
 const TABLE: &str = include_str!("table.wgsl");
+const FROZEN_WATER: &str = include_str!("frozen_water.wgsl");
 const SUM_ROWS: &str = include_str!("sum_rows.wgsl");
 
 const FIELD_BINDING: Binding = (Access::Uniform, "field", "Field");
@@ -101,19 +102,8 @@ impl FieldRank {
     }
 
     fn water(&self) -> Spec {
-        let bindings = [
-            FIELD_BINDING,
-            read("state"),
-            read("grade"),
-            read("color"),
-            read("logs"),
-            read("attenuation"),
-            read("backscatter"),
-            write("new_color"),
-            write("new_attenuation"),
-            write("new_backscatter"),
-        ];
-        let parts = [FIELD, GUIDE, AFFINE, TABLE, include_str!("water.wgsl")];
+        let bindings = [FIELD_BINDING, read("state"), read("grade"), raster::WATER, write("enhanced")];
+        let parts = [FIELD, GUIDE, AFFINE, TABLE, FROZEN_WATER, include_str!("water.wgsl")];
         self.spec("enhanced water", 64, &bindings, &parts)
     }
 
@@ -138,17 +128,12 @@ impl FieldRank {
             FIELD_BINDING,
             read("state"),
             read("grade"),
-            read("color"),
-            read("logs"),
-            read("attenuation"),
-            read("backscatter"),
+            raster::WATER,
             read("image_pull"),
-            read("veil"),
-            read("light_by_depth"),
-            read("veil_by_depth"),
+            (Access::Read, "kept", U32S),
             write("partial"),
         ];
-        let parts = [FIELD, GUIDE, AFFINE, TABLE, include_str!("water_back.wgsl")];
+        let parts = [FIELD, GUIDE, AFFINE, TABLE, FROZEN_WATER, include_str!("water_back.wgsl")];
         self.spec("enhanced water backward", 128, &bindings, &parts)
     }
 
@@ -213,7 +198,7 @@ impl FieldRank {
 }
 
 fn seen() -> Spec {
-    let more = [(Access::Read, "stops", U32S), (Access::Write, "seen", U32S)];
+    let more = [(Access::Read, "kept", U32S), (Access::Write, "seen", U32S)];
     Spec {
         name: "seen entries",
         threads: 64,
@@ -225,18 +210,73 @@ fn seen() -> Spec {
 
 /// The kernel for the gradient of the colours of a tile's Gaussians: one record per entry.
 pub(crate) fn colors(water: bool) -> Spec {
-    let more = [
-        read("k_attenuation"),
-        (Access::Read, "stops", U32S),
-        read("image_pull"),
-        (Access::Write, "records", ROWS),
-    ];
+    let more =
+        [raster::WATER, (Access::Read, "kept", U32S), read("image_pull"), (Access::Write, "records", ROWS)];
     Spec {
         name: "colours backward",
         threads: 64,
         bindings: [&raster::TILE[..], &more[..]].concat(),
         constants: vec![("WATER", Constant::Switch(water))],
         parts: vec![CONSTANTS, raster::SHARED, include_str!("colors.wgsl")],
+    }
+}
+
+/// A kernel that reads a view's lists, and counts or writes the weights of its pixels.
+fn weights(name: &'static str, more: &[Binding], writes: bool) -> Spec {
+    Spec {
+        name,
+        threads: 256,
+        bindings: [&raster::TILE[..], more].concat(),
+        constants: vec![("WRITE", Constant::Switch(writes))],
+        parts: vec![
+            CONSTANTS,
+            raster::SHARED,
+            if writes { "" } else { NO_PAIRS },
+            include_str!("weights.wgsl"),
+        ],
+    }
+}
+
+/// A stand-in for the pairs that the first run does not write.
+const NO_PAIRS: &str = "var<private> pairs: array<vec2<u32>, 1>;";
+const PAIRS: &str = "array<vec2<u32>>";
+
+/// The kernel that counts the weights of every pixel.
+pub(super) fn count_weights() -> Spec {
+    weights("numbers of weights", &[(Access::Write, "firsts", U32S)], false)
+}
+
+/// The kernel that writes them.
+pub(super) fn write_weights() -> Spec {
+    weights("weights", &[(Access::Write, "firsts", U32S), (Access::Write, "pairs", PAIRS)], true)
+}
+
+const SIZES: Binding = (Access::Uniform, "sizes", "vec4<u32>");
+const FIRSTS: Binding = (Access::Read, "firsts", U32S);
+const READ_PAIRS: Binding = (Access::Read, "pairs", PAIRS);
+const SPLATS: Binding = (Access::Read, "splats", ROWS);
+
+/// The kernel that composes a view from its weights.
+fn frozen_forward(water: bool) -> Spec {
+    let kept = (Access::Write, "kept", U32S);
+    Spec {
+        name: "frozen forward",
+        threads: 64,
+        bindings: vec![SIZES, FIRSTS, READ_PAIRS, SPLATS, raster::WATER, write("image"), kept],
+        constants: vec![("WATER", Constant::Switch(water))],
+        parts: vec![raster::SHARED, include_str!("frozen_forward.wgsl")],
+    }
+}
+
+/// The kernel for the gradient of the colours of a view with weights.
+fn frozen_colors(water: bool) -> Spec {
+    let (owners, records) = ((Access::Read, "owners", U32S), (Access::Write, "records", ROWS));
+    Spec {
+        name: "frozen colours backward",
+        threads: 64,
+        bindings: vec![SIZES, FIRSTS, READ_PAIRS, owners, SPLATS, raster::WATER, read("image_pull"), records],
+        constants: vec![("WATER", Constant::Switch(water))],
+        parts: vec![raster::SHARED, include_str!("frozen_colors.wgsl")],
     }
 }
 
@@ -263,7 +303,8 @@ pub(crate) fn specs() -> Vec<Spec> {
         all
     };
     let mut specs: Vec<Spec> = [1, 8, 16].into_iter().flat_map(of_rank).collect();
-    specs.extend([seen(), colors(false), colors(true)]);
+    specs.extend([seen(), colors(false), colors(true), count_weights(), write_weights()]);
+    specs.extend([false, true].into_iter().flat_map(|water| [frozen_forward(water), frozen_colors(water)]));
     specs
 }
 
@@ -285,6 +326,9 @@ pub(super) struct FieldKernels {
     pub(super) gradient: [Kernel; 2],
     pub(super) learn: Kernel,
     pub(super) colors: [Kernel; 2],
+    /// Those for views with weights, in the same order.
+    pub(super) frozen_forward: [Kernel; 2],
+    pub(super) frozen_colors: [Kernel; 2],
 }
 
 impl FieldKernels {
@@ -307,6 +351,8 @@ impl FieldKernels {
             gradient: [kernel(v.gradient(false))?, kernel(v.gradient(true))?],
             learn: kernel(v.learn())?,
             colors: [kernel(colors(false))?, kernel(colors(true))?],
+            frozen_forward: [kernel(frozen_forward(false))?, kernel(frozen_forward(true))?],
+            frozen_colors: [kernel(frozen_colors(false))?, kernel(frozen_colors(true))?],
         })
     }
 

@@ -12,6 +12,7 @@ mod frozen;
 mod kernels;
 #[cfg(test)]
 mod tests;
+mod weights;
 
 use use3d_capture::{Appearance, Camera, Formation, Image, Lattice};
 use use3d_enhance::engine::{
@@ -98,19 +99,10 @@ impl FieldDrawing {
     fn draw(&mut self, view: &FrozenView, plan: Option<&FieldPlan>) -> Result<[u32; 2], EngineError> {
         let Self { gpu, raster, planes, device, .. } = self;
         device.prepare(gpu, view, plan)?;
-        planes.grow(gpu, view.pixels())?;
+        planes.grow(gpu, view.pixels(), Outputs::Training)?;
         submit(gpu, "a view under the field", |pass| {
             device.record_forward(pass, view);
-            let water = device.water(view);
-            planes.record_forward(
-                raster,
-                pass,
-                &view.constants,
-                view.tiles,
-                &view.drawn(),
-                water,
-                Outputs::Training,
-            );
+            device.record_image(raster, pass, view, planes);
         })?;
         let parameters = self.field.parameters.len();
         let [pixels, values, status] = read_together(

@@ -17,10 +17,11 @@ fn main(
     let top = (tile / constants.size.z) * TILE;
     let columns = min(TILE, constants.size.x - left);
     let rows = min(TILE, constants.size.y - top);
+    let stops = KEPT_STOP * constants.size.x * constants.size.y;
     for (var p = lid; p < PIXELS; p += WG) {
         let column = p % TILE;
         let row = p / TILE;
-        if (column < columns && row < rows) { ends[p] = stops[(top + row) * constants.size.x + left + column]; }
+        if (column < columns && row < rows) { ends[p] = kept[stops + (top + row) * constants.size.x + left + column]; }
     }
     workgroupBarrier();
     let first = starts[tile];

@@ -198,7 +198,7 @@ fn the_field_is_the_processors_at_every_count_of_lookups() {
         assert!(scene.look_through(&camera, lattice, &mut maps));
         let center = camera.pose.center().as_vec3().to_array();
         WaterPass::new().forward(&field, center, &ViewWater::new(maps), 1.0, &mut enhanced);
-        let color = ours.drawing.device.color.read(&gpu, 3 * view.pixels()).unwrap();
+        let color = ours.drawing.device.water.read(&gpu, 3 * view.pixels()).unwrap();
         let error = relative(&color, enhanced.color.data());
         assert!(error <= 1e-5, "{n} lookups: the water's colour off by {error:.1e}");
     }
@@ -331,5 +331,19 @@ fn digest_of_a_few_steps() {
 fn bits_do_not_depend_on_threads_or_widths() {
     if software().is_some() {
         same_bits_elsewhere("stage2::tests::digest_of_a_few_steps");
+    }
+}
+
+/// Composing from stored weights gives the bits of composing tile by tile, in water and without.
+#[test]
+fn stored_weights_change_no_bit() {
+    let Some(gpu) = software() else { return };
+    for kind in [MediumKind::Rbf, MediumKind::None] {
+        let scene = scene(300, kind);
+        let with = state_of(&gpu, &scene, 64);
+        super::weights::MOST_IN_TESTS.set(0);
+        let without = state_of(&gpu, &scene, 64);
+        super::weights::MOST_IN_TESTS.set(super::weights::MOST);
+        assert!(with.0 == without.0 && with.1 == without.1);
     }
 }

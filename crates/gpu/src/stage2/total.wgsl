@@ -13,7 +13,7 @@ fn main(
     if (OF == 2u) { groups = field.water_groups; width = WATER_SUMS; }
     if (OF == 3u) { groups = field.lookup_groups; width = 4u; }
     var own = 0.0f;
-    for (var group = lid; group < groups; group += WG) { own += partial[width * group + value]; }
+    for (var group = lid; group < groups && value < width; group += WG) { own += partial[width * group + value]; }
     let sum = sum_of_group(own, lid);
     if (lid == 0u && value < width) { totals[FIRST + value] = sum; }
 }

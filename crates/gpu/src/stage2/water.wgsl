@@ -8,12 +8,14 @@ fn main(
     let p = group_of(wid, nwg) * WG + lid;
     let n = field.pixels;
     if (p >= n) { return; }
-    let graded = graded_of(vec3<f32>(color[p], color[n + p], color[2u * n + p]));
-    let seen = table_at(guide_of(vec3<f32>(logs[p], logs[n + p], logs[2u * n + p])));
+    let graded = graded_of(three_at(COLOR, p));
+    let seen = table_at(guide_of(three_at(LOGS, p)));
     for (var c = 0u; c < 3u; c++) {
         let at = c * n + p;
-        new_color[at] = fma(seen.gain[c], graded[c], seen.bias[c]);
-        new_backscatter[at] = backscatter[at] * grade[GRADE_RATIOS];
-        new_attenuation[at] = attenuation[at] * grade[GRADE_RATIOS + 1u];
+        enhanced[at] = fma(seen.gain[c], graded[c], seen.bias[c]);
+        let backscatter = BACKSCATTER * n + at;
+        enhanced[backscatter] = water[backscatter] * grade[GRADE_RATIOS];
+        let attenuation = ATTENUATION * n + at;
+        enhanced[attenuation] = water[attenuation] * grade[GRADE_RATIOS + 1u];
     }
 }

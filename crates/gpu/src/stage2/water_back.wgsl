@@ -3,12 +3,16 @@
 //
 //   dc = g (1 - V)      dk_bs = g c MB ln 2      dk_attn = -g MA ln 2
 //
-// with V = sum w e_bs (`veil`), MB = sum w z e_bs (`veil_by_depth`), MA = sum w z c e_attn
-// (`light_by_depth`). A workgroup takes 256 pixels, 64 at a time; each of its threads computes one sum: 16 x
+// with V = sum w e_bs (`VEIL`), MB = sum w z e_bs (`VEIL_BY_DEPTH`), MA = sum w z c e_attn
+// (`LIGHT_BY_DEPTH`). A workgroup takes 256 pixels, 64 at a time; each of its threads computes one sum: 16 x
 // 6 for the table, 12 for the affine, 4 for the guide, 2 for the ratios.
 const LN_2: f32 = 0.69314718f;
 const SPAN: u32 = 256u;
 const AT_ONCE: u32 = 64u;
+// First planes of the sections of `kept`, whose words are the bits of floats.
+const VEIL: u32 = 1u;
+const LIGHT_BY_DEPTH: u32 = 4u;
+const VEIL_BY_DEPTH: u32 = 7u;
 
 struct Pixel {
     row: u32,
@@ -24,11 +28,15 @@ struct Pixel {
 
 var<workgroup> pixels: array<Pixel, 64>;
 
+fn along(section: u32, at: u32) -> f32 {
+    return bitcast<f32>(kept[section * field.pixels + at]);
+}
+
 fn pixel_at(p: u32) -> Pixel {
     let n = field.pixels;
     var out = Pixel();
-    out.color = vec3<f32>(color[p], color[n + p], color[2u * n + p]);
-    out.logs = vec3<f32>(logs[p], logs[n + p], logs[2u * n + p]);
+    out.color = three_at(COLOR, p);
+    out.logs = three_at(LOGS, p);
     let gamma = guide_of(out.logs);
     let seen = table_at(gamma);
     let graded = graded_of(out.color);
@@ -38,14 +46,14 @@ fn pixel_at(p: u32) -> Pixel {
     for (var c = 0u; c < 3u; c++) {
         let at = c * n + p;
         let g = image_pull[at];
-        let d = g * (1.0f - veil[at]);
+        let d = g * (1.0f - along(VEIL, at));
         let now = fma(seen.gain[c], graded[c], seen.bias[c]);
         out.by_bias[c] = d;
         out.by_gain[c] = d * graded[c];
         out.through[c] = d * seen.gain[c];
         rise += out.by_gain[c] * seen.gain_rise[c] + d * seen.bias_rise[c];
-        out.by_ratios.x += g * now * veil_by_depth[at] * backscatter[at];
-        out.by_ratios.y -= g * light_by_depth[at] * attenuation[at];
+        out.by_ratios.x += g * now * along(VEIL_BY_DEPTH, at) * water[BACKSCATTER * n + at];
+        out.by_ratios.y -= g * along(LIGHT_BY_DEPTH, at) * water[ATTENUATION * n + at];
     }
     out.by_ratios *= LN_2;
     out.by_guide = rise * (0.5f * f32(TABLE - 1u)) * (1.0f - gamma * gamma);

@@ -4,6 +4,7 @@
 //! some of them on the present adapter, so that a driver that computes wrongly is found before a training.
 
 mod field;
+mod guards;
 mod losses;
 mod pictures;
 mod scene;
@@ -20,13 +21,14 @@ pub(crate) use field::failed;
 pub use field::field;
 #[cfg(test)]
 pub(crate) use field::{Waves, groups, moved};
+pub use guards::guards;
 pub use losses::{LossCase, losses};
 #[cfg(test)]
 pub(crate) use pictures::compare as compare_pictures;
 pub use pictures::pictures;
 pub use scene::SceneSize;
 pub(crate) use scene::targets;
-pub use steps::step;
+pub use steps::{large_step, step};
 pub use water::{WaterCase, water};
 
 /// The agreement of a kernel's results with the processor's.
@@ -78,17 +80,26 @@ impl Agreement {
     }
 }
 
-/// Runs every twin at a small size, a picture, and a whole step of each stage: the check at the start.
+/// Runs every twin at a small size, a picture, a whole step of each stage, and a step at a size at which
+/// every loop of the kernels runs more than once; also feeds values that are not finite. This is the check at
+/// the start.
 pub fn small(gpu: &Gpu) -> Result<Vec<Agreement>, EngineError> {
     let mut all =
         losses(gpu, &LossCase { width: 61, height: 47, seed: 1, mask: true, prior: true, gains: true })?;
     all.extend(water(gpu, &WaterCase { width: 61, height: 47, seed: 1, anchors: 8, top_k: 4, degree: 3 })?);
     let scene = SceneSize { width: 48, height: 32, gaussians: 150, views: 1, seed: 1 };
     all.extend(step(&mut Stage1::new(gpu)?, &scene)?);
+    all.extend(guards(&mut Stage1::new(gpu)?, &scene)?);
+    all.extend(large_step(&mut Stage1::new(gpu)?, &LARGE, CROWD)?);
     all.extend(pictures(gpu, &scene)?);
     all.extend(field(gpu, &scene)?);
     Ok(all)
 }
+
+/// A scene with more than 256 tiles, whose numbers have two digits for the order by tile.
+const LARGE: SceneSize = SceneSize { width: 272, height: 256, gaussians: 700, views: 1, seed: 2 };
+/// Number of Gaussians behind one another: more than one round of every kernel that composes a tile.
+const CROWD: usize = 330;
 
 /// Uniform random draws for a twin.
 fn draws(what: &'static str, seed: u64) -> Stream {

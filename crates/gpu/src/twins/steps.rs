@@ -55,6 +55,39 @@ pub fn step(engine: &mut dyn Engine, scene: &SceneSize) -> Result<Vec<Agreement>
     Ok(all)
 }
 
+/// Compares one step of a scene in which the first `crowd` Gaussians are faint and lie behind one another,
+/// all in one tile.
+pub fn large_step(
+    engine: &mut dyn Engine,
+    scene: &SceneSize,
+    crowd: usize,
+) -> Result<Vec<Agreement>, EngineError> {
+    let (mut ours, mut state) = (CpuEngine::new(), scene.state());
+    for i in 0..crowd.min(scene.gaussians) {
+        let near = state.gaussians.means[i].map(|v| 0.01 * v);
+        state.gaussians.means[i] = [near[0], near[1], 2.0 + near[2]];
+        state.gaussians.opacity_logits[i] = -4.5;
+        state.gaussians.log_scales[i] = [-4.5; 3];
+    }
+    let plan = SceneSize::plan(0);
+    let mut all = Vec::new();
+    for engine in [&mut *engine, &mut ours as &mut dyn Engine] {
+        for view in scene.training_views()? {
+            engine.upload(view)?;
+        }
+        engine.load(state.clone())?;
+        engine.step(0, &plan)?;
+    }
+    let (expected, found) = (ours.drain(Drain::All)?, engine.drain(Drain::All)?);
+    if let (Some(expected), Some(found)) = (expected.first(), found.first()) {
+        all.push(Agreement::of_values("loss", found.loss, expected.loss, 1e-4 * expected.loss.abs()));
+    }
+    compare(engine.save()?.as_ref(), ours.save()?.as_ref(), &mut all);
+    let size = format!("{} x {}, {} Gaussians", scene.width, scene.height, scene.gaussians);
+    all.iter_mut().for_each(|agreement| agreement.what = format!("{} at {size}", agreement.what));
+    Ok(all)
+}
+
 /// Compares first moments, which are gradients times a constant; the second moments follow from them.
 fn compare(device: &TrainingState, ours: &TrainingState, all: &mut Vec<Agreement>) {
     let (d, o) = (&device.moments.first, &ours.moments.first);
@@ -74,6 +107,20 @@ fn compare(device: &TrainingState, ours: &TrainingState, all: &mut Vec<Agreement
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// The crowd of the check is in one tile, and no pixel stops before its end.
+    #[test]
+    fn a_crowd_is_in_one_tile_and_is_composed_to_its_end() {
+        let Some(gpu) = crate::testing::software() else { return };
+        let (scene, crowd) = (super::super::LARGE, super::super::CROWD);
+        let mut engine = crate::stage1::Stage1::new(&gpu).unwrap();
+        for found in large_step(&mut engine, &scene, crowd).unwrap() {
+            assert!(found.holds(), "{found:?}");
+        }
+        let work = engine.last_view([scene.width, scene.height]).unwrap();
+        assert!(work.longest_list > 256 && scene.width * scene.height > 256 * 256, "{work:?}");
+        assert!(work.deepest_pixel > 256 && scene.gaussians >= 600, "{work:?}");
+    }
 
     #[test]
     fn an_engine_agrees_with_itself() {

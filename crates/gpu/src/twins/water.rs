@@ -10,7 +10,8 @@ use crate::buffer::Array;
 use crate::constants::counts;
 use crate::device::Gpu;
 use crate::kernel::submit;
-use crate::water::{AlongRays, DeviceWater};
+use crate::raster::WATER_PLANES;
+use crate::water::DeviceWater;
 
 /// A view and its water to compare.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -93,33 +94,22 @@ pub fn water(gpu: &Gpu, case: &WaterCase) -> Result<Vec<Agreement>, EngineError>
     });
 
     device.prepare(gpu, &camera, degree, STEP, RATES)?;
-    for plane in [&device.color, &device.attenuation, &device.backscatter] {
-        plane.write(gpu, 0, &poison(3 * n));
-    }
-    let array = |what, values: &[f32]| Array::from(gpu, what, values);
-    let image_slope = array("slopes", &slopes)?;
-    let (veil, light_by_depth) = (array("veil", &veil)?, array("light by depth", &light)?);
-    let veil_by_depth = array("veil by depth", &veil_depth)?;
+    device.maps.write(gpu, 0, &poison(WATER_PLANES * n));
+    let image_slope = Array::from(gpu, "slopes", &slopes)?;
+    // The values that the forward pass keeps begin with the accumulation, which the water does not read.
+    let bits = [poison(n), veil, light, veil_depth].concat().into_iter().map(f32::to_bits);
+    let kept = Array::from(gpu, "sums along rays", &bits.collect::<Vec<u32>>())?;
     let counts = Array::from(gpu, "counts", &[0u32; counts::WORDS])?;
-    let along = AlongRays { veil: &veil, light_by_depth: &light_by_depth, veil_by_depth: &veil_by_depth };
     submit(gpu, "water", |pass| {
         device.record_maps(pass);
-        device.record_backward(pass, &image_slope, &along);
+        device.record_backward(pass, &image_slope, &kept);
     })?;
+    let found = device.maps.read(gpu, WATER_PLANES * n)?;
+    let [attenuation, backscatter] = [&maps.attenuation, &maps.backscatter].map(|map| exponent(map.data()));
     let mut all = vec![
-        Agreement::of("c_m", &device.color.read(gpu, 3 * n)?, maps.color.data(), 1e-5),
-        Agreement::of(
-            "exponents of attenuation",
-            &device.attenuation.read(gpu, 3 * n)?,
-            &exponent(maps.attenuation.data()),
-            1e-5,
-        ),
-        Agreement::of(
-            "exponents of backscatter",
-            &device.backscatter.read(gpu, 3 * n)?,
-            &exponent(maps.backscatter.data()),
-            1e-5,
-        ),
+        Agreement::of("c_m", &found[..3 * n], maps.color.data(), 1e-5),
+        Agreement::of("exponents of attenuation", &found[3 * n..6 * n], &attenuation, 1e-5),
+        Agreement::of("exponents of backscatter", &found[6 * n..], &backscatter, 1e-5),
     ];
     let (on_device, ours) = (device.slopes(gpu)?, gradient.flat());
     let parts = [("centres", 0, 3 * anchors), ("log widths", 3 * anchors, 4 * anchors)];

@@ -1,18 +1,6 @@
-// One thread per Gaussian of a chunk: adds its records in the order of its tiles, and carries the gradient
-// back through the projection to its parameters. Adam then moves the parameters; no gradient is stored. A
-// Gaussian that was not seen has gradient zero, and its moments decay.
-const BLOCK: u32 = 64u;
-
-var<private> bad: u32;
-
-fn adam(p: f32, g: f32, m: ptr<function, f32>, v: ptr<function, f32>, rate: f32, bit: u32) -> f32 {
-    let b = constants.adam;
-    *m = b.x * *m + (1.0f - b.x) * g;
-    *v = b.y * *v + (1.0f - b.y) * g * g;
-    let moved = p - rate * *m / (sqrt(*v) * b.z + b.w);
-    if (is_bad(moved)) { bad |= bit; }
-    return moved;
-}
+// One thread per Gaussian: adds its records in the order of its tiles, and carries the gradient back through
+// the projection to its geometry. Adam then moves the geometry; of the gradient only that of the colour is
+// stored. A Gaussian that was not seen has gradient zero, and its moments decay.
 
 fn adam3(p: vec3<f32>, g: vec3<f32>, m: ptr<function, vec4<f32>>, v: ptr<function, vec4<f32>>, rate: f32, bit: u32) -> vec3<f32> {
     var out = p;
@@ -28,16 +16,13 @@ fn adam3(p: vec3<f32>, g: vec3<f32>, m: ptr<function, vec4<f32>>, v: ptr<functio
 
 fn sum_of(first: u32, count: u32) -> array<vec4<f32>, 3> {
     var sum = array<vec4<f32>, 3>();
-    for (var base = 0u; base < count; base += BLOCK) {
-        var part = array<vec4<f32>, 3>();
-        let end = min(count, base + BLOCK);
-        for (var k = base; k < end; k++) {
-            let at = 3u * (first + k);
-            part[0] += records[at];
-            part[1] += records[at + 1u];
-            part[2] += records[at + 2u];
-        }
-        for (var r = 0u; r < 3u; r++) { sum[r] += part[r]; }
+    // The blocks of a long run were summed before; the first record of each has its sum.
+    let step = select(1u, BLOCK, count > BLOCK);
+    for (var k = 0u; k < count; k += step) {
+        let at = 3u * (first + k);
+        sum[0] += records[at];
+        sum[1] += records[at + 1u];
+        sum[2] += records[at + 2u];
     }
     return sum;
 }
@@ -116,9 +101,8 @@ fn main(
     @builtin(num_workgroups) nwg: vec3<u32>,
     @builtin(local_invocation_index) lid: u32,
 ) {
-    let own = group_of(wid, nwg) * WG + lid;
-    let i = chunk.x + own;
-    if (own >= chunk.y || i >= constants.counts.x || atomicLoad(&counts[STOP]) != 0u) { return; }
+    let i = group_of(wid, nwg) * WG + lid;
+    if (i >= constants.counts.x || atomicLoad(&counts[STOP]) != 0u) { return; }
     bad = 0u;
     var g0 = geometry[3u * i];
     var g1 = geometry[3u * i + 1u];
@@ -162,20 +146,12 @@ fn main(
     geometry_first[3u * i + 2u] = vec4<f32>(m.xyz, mw);
     geometry_second[3u * i + 2u] = vec4<f32>(v.xyz, vw);
 
-    // The colour has no gradient where it is clamped at black.
+    // The colour has no gradient where it is clamped at black. The colours have a kernel of their own, which
+    // needs the direction from which the Gaussian was seen, before it moved.
     let by_color = vec3<f32>(sum[1].w, sum[2].xy) * vec3<f32>(splat2.xyz > vec3<f32>(0.0f));
-    let bands = constants.counts.y;
-    var y = harmonics(bands, direction);
-    for (var k = 0u; k < bands; k++) {
-        let rate = select(constants.color_rates.y, constants.color_rates.x, k == 0u);
-        for (var c = 0u; c < 3u; c++) {
-            let at = 48u * own + 3u * k + c;
-            var first = colors_first[at];
-            var second = colors_second[at];
-            colors[at] = adam(colors[at], y[k] * by_color[c], &first, &second, rate, 16u);
-            colors_first[at] = first;
-            colors_second[at] = second;
-        }
+    for (var c = 0u; c < 3u; c++) {
+        color_pull[6u * i + c] = by_color[c];
+        color_pull[6u * i + 3u + c] = direction[c];
     }
     if (constants.flags.z != 0u && visible) {
         let a = splat0.w * (2.0f * LN_2);

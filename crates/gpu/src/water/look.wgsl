@@ -36,8 +36,8 @@ fn main(
     let to_exponent = LOG2_E * ray.length;
     for (var channel = 0u; channel < 3u; channel = channel + 1u) {
         let at = channel * water.pixels + pixel;
-        color[at] = max(raw[channel] + 0.5, 0.0);
-        backscatter[at] = softplus(raw[3u + channel]) * to_exponent;
-        attenuation[at] = softplus(raw[6u + channel]) * to_exponent;
+        maps[at] = max(raw[channel] + 0.5, 0.0);
+        maps[BACKSCATTER * water.pixels + at] = softplus(raw[3u + channel]) * to_exponent;
+        maps[ATTENUATION * water.pixels + at] = softplus(raw[6u + channel]) * to_exponent;
     }
 }

@@ -24,7 +24,8 @@ use use3d_training::EngineError;
 use crate::buffer::Array;
 use crate::constants::counts;
 use crate::device::{Gpu, NAME};
-use crate::kernel::{Access, Binding, Constant, Grid, Kernel, SUM, Spec, bound, read, write};
+use crate::kernel::{Access, Binding, Constant, Grid, Kernel, SUM, Spec, U32S, bound, read, write};
+use crate::raster::WATER_PLANES;
 
 /// Number of pixels that a workgroup sums.
 const SPAN: usize = 1024;
@@ -50,14 +51,6 @@ struct Uniform {
     adam: [f32; 4],
 }
 
-/// The sums of the forward pass along every ray, 3 P each: `Σ w e_bs`, `Σ w z c e_attn`, `Σ w z e_bs`.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct AlongRays<'a> {
-    pub(crate) veil: &'a Array<f32>,
-    pub(crate) light_by_depth: &'a Array<f32>,
-    pub(crate) veil_by_depth: &'a Array<f32>,
-}
-
 /// The water with all buffers of its kernels.
 #[derive(Debug)]
 pub(crate) struct DeviceWater {
@@ -74,12 +67,8 @@ pub(crate) struct DeviceWater {
     mixed: Array<f32>,
     by_mixed: Array<f32>,
     partial: Array<f32>,
-    /// `c_m`: 3 P.
-    pub(crate) color: Array<f32>,
-    /// `k` of attenuation: 3 P.
-    pub(crate) attenuation: Array<f32>,
-    /// `k` of backscatter: 3 P.
-    pub(crate) backscatter: Array<f32>,
+    /// `c_m`, and `k` of attenuation and of backscatter: 3 P each.
+    pub(crate) maps: Array<f32>,
     /// The model; its parameters equal the device's only after [`DeviceWater::read`].
     model: MediumModel,
     anchors: usize,
@@ -111,27 +100,11 @@ fn spec(
 pub(crate) fn specs() -> [Spec; 6] {
     [
         spec("mix", 256, &[WATER, read("parameters"), write("mixed")], &[], include_str!("mix.wgsl")),
-        spec(
-            "look",
-            256,
-            &[WATER, read("mixed"), write("color"), write("attenuation"), write("backscatter")],
-            &[],
-            include_str!("look.wgsl"),
-        ),
+        spec("look", 256, &[WATER, read("mixed"), write("maps")], &[], include_str!("look.wgsl")),
         spec(
             "gather",
             128,
-            &[
-                WATER,
-                read("color"),
-                read("attenuation"),
-                read("backscatter"),
-                read("image_slope"),
-                read("veil"),
-                read("light_by_depth"),
-                read("veil_by_depth"),
-                write("partial"),
-            ],
+            &[WATER, read("maps"), read("image_slope"), (Access::Read, "kept", U32S), write("partial")],
             &[],
             include_str!("gather.wgsl"),
         ),
@@ -182,7 +155,6 @@ impl DeviceWater {
         let state: Vec<f32> = values.iter().chain(moments[0]).chain(moments[1]).copied().collect();
         let [mix, look, gather, total, spread, learn] = specs();
         let kernel = |spec: &Spec| Kernel::new(gpu, spec);
-        let plane = |what| Array::new(gpu, what, 1);
         Ok(Some(Self {
             mix: kernel(&mix)?,
             look: kernel(&look)?,
@@ -196,9 +168,7 @@ impl DeviceWater {
             mixed: Array::new(gpu, "the water of a view", COEFFICIENTS + 2 * shared_by)?,
             by_mixed: Array::new(gpu, "slopes of the water of a view", COEFFICIENTS)?,
             partial: Array::new(gpu, "sums of the water", 1)?,
-            color: plane("the water's colour")?,
-            attenuation: plane("attenuation")?,
-            backscatter: plane("backscatter")?,
+            maps: Array::new(gpu, "the water's maps", 1)?,
             model: model.clone(),
             anchors,
             shared_by,
@@ -233,10 +203,7 @@ impl DeviceWater {
 
     /// Number of bytes on the device.
     pub(crate) fn memory(&self) -> usize {
-        [&self.state, &self.partial, &self.color, &self.attenuation, &self.backscatter]
-            .map(Array::size)
-            .iter()
-            .sum()
+        [&self.state, &self.partial, &self.maps].map(Array::size).iter().sum()
     }
 
     /// Writes the constants of a view and makes room for it. Called before its pass is recorded. `rates`
@@ -252,9 +219,7 @@ impl DeviceWater {
         let k = &camera.intrinsics;
         let pixels = k.width * k.height;
         let groups = pixels.div_ceil(SPAN);
-        for plane in [&mut self.color, &mut self.attenuation, &mut self.backscatter] {
-            plane.grow(gpu, 3 * pixels)?;
-        }
+        self.maps.grow(gpu, WATER_PLANES * pixels)?;
         self.partial.grow(gpu, COEFFICIENTS * groups)?;
         let to_world = camera.pose.rotation.transpose();
         let here = camera.pose.center().to_array().map(|v| v.clamp(-QUERY_LIMIT, QUERY_LIMIT));
@@ -284,35 +249,22 @@ impl DeviceWater {
     pub(crate) fn record_maps(&self, pass: &mut wgpu::ComputePass<'_>) {
         let grid = self.look.grid(self.constants.pixels as usize);
         self.mix.dispatch(pass, Grid::groups(1), bound![self.uniform, self.state, self.mixed]);
-        self.look.dispatch(
-            pass,
-            grid,
-            bound![self.uniform, self.mixed, self.color, self.attenuation, self.backscatter],
-        );
+        self.look.dispatch(pass, grid, bound![self.uniform, self.mixed, self.maps]);
     }
 
-    /// Records the gradients with respect to all parameters, computed from the image's gradient.
+    /// Records the gradients with respect to all parameters, computed from the image's gradient and the
+    /// values that the forward pass kept (`RasterPlanes::kept`).
     pub(crate) fn record_backward(
         &self,
         pass: &mut wgpu::ComputePass<'_>,
         image_slope: &Array<f32>,
-        along: &AlongRays<'_>,
+        kept: &Array<u32>,
     ) {
         let groups = Grid::groups(self.constants.groups as usize);
         self.gather.dispatch(
             pass,
             groups,
-            bound![
-                self.uniform,
-                self.color,
-                self.attenuation,
-                self.backscatter,
-                *image_slope,
-                *along.veil,
-                *along.light_by_depth,
-                *along.veil_by_depth,
-                self.partial
-            ],
+            bound![self.uniform, self.maps, *image_slope, *kept, self.partial],
         );
         let each = Grid::groups(COEFFICIENTS);
         self.total.dispatch(pass, each, bound![self.uniform, self.partial, self.by_mixed]);

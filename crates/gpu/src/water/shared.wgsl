@@ -26,6 +26,9 @@ struct Water {
 }
 
 const COEFFICIENTS: u32 = 144u;
+// First planes of the sections of `maps`: the colour, then k of attenuation and of backscatter.
+const ATTENUATION: u32 = 3u;
+const BACKSCATTER: u32 = 6u;
 
 struct Ray {
     direction: vec3<f32>,

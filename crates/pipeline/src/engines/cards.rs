@@ -22,10 +22,16 @@ use crate::code;
 #[derive(Clone)]
 pub(super) struct Card(Gpu);
 
+static OPENED: Mutex<BTreeMap<Option<String>, Result<Gpu, String>>> = Mutex::new(BTreeMap::new());
+
+/// Closes every card; a card that is still in use is closed afterwards.
+pub(super) fn close() {
+    OPENED.lock().unwrap_or_else(PoisonError::into_inner).clear();
+}
+
 /// Opens the best card whose name contains `name`; without a name, the best hardware card. Returns the reason
 /// if there is none.
 pub(super) fn open(name: Option<&str>) -> Result<Card, String> {
-    static OPENED: Mutex<BTreeMap<Option<String>, Result<Gpu, String>>> = Mutex::new(BTreeMap::new());
     let mut opened = OPENED.lock().unwrap_or_else(PoisonError::into_inner);
     let found = opened
         .entry(name.map(str::to_lowercase))

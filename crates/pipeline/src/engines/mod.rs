@@ -39,6 +39,8 @@ mod cards {
         Observer, Scene,
     };
 
+    pub(super) fn close() {}
+
     /// A type without values.
     pub(super) enum Card {}
 
@@ -100,6 +102,12 @@ mod cards {
 }
 
 use cards::{Card, open};
+
+/// Closes the graphics cards that were opened. Called at the end of the program; a later use opens them
+/// again.
+pub fn close_devices() {
+    cards::close();
+}
 
 /// True if cards have kernels for a water: one that is made of spherical harmonics and formed in front of
 /// every Gaussian, or no water.

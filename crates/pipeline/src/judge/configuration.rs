@@ -67,8 +67,8 @@ impl Configuration {
         ]
     }
 
-    /// The configurations of several scenes: names of fields with their values. The first field is the base and
-    /// has no name. A value that the scenes share is listed once.
+    /// The configurations of several scenes: names of fields with their values. The first field is the base
+    /// and has no name. A value that the scenes share is listed once.
     pub fn parts(all: &[&Self]) -> Vec<(&'static str, String)> {
         let Some(first) = all.first() else { return Vec::new() };
         let each: Vec<_> = all.iter().map(|c| c.fields()).collect();

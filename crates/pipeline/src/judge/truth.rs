@@ -99,8 +99,8 @@ pub fn files(capture: &Path) -> Vec<PathBuf> {
     files
 }
 
-/// Reads all files of a capture's truth, and returns them and their folders, relative to the capture. A truth of
-/// another form than this program's does not count as the truth of a capture, and nothing of it is read.
+/// Reads all files of a capture's truth, and returns them and their folders, relative to the capture. A truth
+/// of another form than this program's does not count as the truth of a capture, and nothing of it is read.
 ///
 /// # Errors
 /// The first file that cannot be read, and the reason.
@@ -114,8 +114,8 @@ pub fn check_readable(capture: &Path) -> Result<Vec<PathBuf>, String> {
     Ok(sources(&imported))
 }
 
-/// The files and folders that decide which images a truth has, and its images. Folders count because their times
-/// change when a file is added or removed.
+/// The files and folders that decide which images a truth has, and its images. Folders count because their
+/// times change when a file is added or removed.
 fn sources(imported: &Imported) -> Vec<PathBuf> {
     let views = &imported.capture.views;
     let images = views.iter().flat_map(|v| [Some(&v.image), v.mask.as_ref(), v.depth_prior.as_ref()]);
