@@ -5,8 +5,8 @@
 //! figures     rules        text      HTML with small pictures
 //! ```
 //!
-//! [`measure`] computes figures from the cameras, the tracks and, if pixels are at hand, the photographs;
-//! [`Reach`] says which parts of the pictures the tracks reach. Each rule of [`findings`] compares figures
+//! [`measure()`] computes figures from the cameras, the tracks and, if pixels are at hand, the photographs;
+//! [`Reach`] says which parts of the pictures the tracks reach. Each rule of `findings` compares figures
 //! with a limit. A [`CheckReport`] holds what the rules found, the gravest first. Nothing here changes a
 //! capture, and no result of a training depends on it.
 

@@ -5,13 +5,13 @@
 //! inputs       images/              steps    the model in words
 //! ```
 //!
-//! [`sources`] sorts the inputs. [`film`] takes the frames that [`choose`] picks by sharpness and overlap,
-//! and [`photographs`] copies photographs. [`sfm`] finds the cameras with the program `colmap` or the Python
-//! package `pycolmap`, in three steps: features, matches, mapping. [`verdict`] says how well this went.
+//! `sources` sorts the inputs. `film` takes the frames that `choose` picks by sharpness and overlap,
+//! and `photographs` copies photographs. `sfm` finds the cameras with the program `colmap` or the Python
+//! package `pycolmap`, in three steps: features, matches, mapping. `verdict` says how well this went.
 //!
-//! [`recipes`] names the files of data sets that others published, and the choices for them.
+//! `recipes` names the files of data sets that others published, and the choices for them.
 //!
-//! All work is done in one folder, beside the result ([`work`]). Each finished step is noted there with the
+//! All work is done in one folder, beside the result (`work`). Each finished step is noted there with the
 //! digest of its inputs and choices, so an interrupted run continues, and a changed choice repeats only the
 //! steps after it. Images are not undistorted: the import does that.
 
