@@ -168,7 +168,7 @@ fn recipes_make_a_capture_of_each_scene_and_name_what_is_missing() {
         assert!(output.status.success(), "{text}");
         assert!(text.contains(if again { "Panama: copied before" } else { "Panama: " }), "{text}");
         assert!(text.contains("not prepared: IUI3-RedSea, Curasao, JapaneseGradens-RedSea"), "{text}");
-        assert!(text.contains("export SEATHRU=") && text.contains("pipelines/seathru4.toml"), "{text}");
+        assert!(text.contains("export SEATHRU=") && text.contains("use3d run seathru4.toml"), "{text}");
     }
     assert!(Path::new(&place.at("captures/Panama/images_wb")).is_dir());
     // A folder of the recipe's name in the working folder is not taken for the recipe's data.

@@ -122,7 +122,7 @@ mod tests {
     fn separators_quotes_comments_and_empty_rows_are_understood() {
         for separator in [",", ";", "\t"] {
             let text = "\u{feff}# a reef\r\n\r\nImage, Depth ,note\r\na.jpg,1.5,\"x|y\"\r\n\r\n,,\r\n# b\r\nc.jpg,2\r\n";
-            let table = parsed(&text.replace(',', separator).replace('|', separator));
+            let table = parsed(&text.replace([',', '|'], separator));
             assert_eq!(
                 (table.first_line, &table.columns[..]),
                 (3, &["image", "depth", "note"].map(String::from)[..])

@@ -95,6 +95,15 @@ impl Many {
         all
     }
 
+    /// The files that only one of two sets of artifacts has, or that differ.
+    pub(crate) fn apart(
+        one: &BTreeMap<PathBuf, Vec<u8>>,
+        other: &BTreeMap<PathBuf, Vec<u8>>,
+    ) -> Vec<PathBuf> {
+        let names: std::collections::BTreeSet<&PathBuf> = one.keys().chain(other.keys()).collect();
+        names.into_iter().filter(|name| one.get(*name) != other.get(*name)).cloned().collect()
+    }
+
     /// A run of one process from an empty cache, the reference for all others.
     pub(crate) fn alone(&self) -> BTreeMap<PathBuf, Vec<u8>> {
         let mut command = self.command(&["-q", "run"], "alone");

@@ -221,7 +221,7 @@ struct MadeBy<'a> {
 impl<'a> MadeBy<'a> {
     fn new((name, parts): &'a (String, Vec<(&'static str, String)>)) -> Self {
         let value = |field| parts.iter().find(|(name, _)| *name == field).map_or("", |(_, text)| text);
-        let rest = parts.iter().filter(|(name, _)| !["", "steps"].contains(name));
+        let rest = parts.iter().filter(|(name, _)| !name.is_empty());
         Self { name, base: value(""), steps: value("steps"), parts: rest.collect() }
     }
 }
