@@ -14,7 +14,6 @@
 //! is_bad(x) -> bool           true if a float is infinite or NaN, by its bits: WGSL may lose `x != x`
 //! ```
 
-use std::collections::HashMap;
 use std::fmt::Write as _;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -22,6 +21,7 @@ use std::time::Instant;
 
 use use3d_training::EngineError;
 
+use crate::compiled::CompiledText;
 use crate::device::Gpu;
 
 /// Largest number of workgroups in one dimension of a grid.
@@ -172,43 +172,6 @@ struct Bindings {
 /// Largest number of bind groups that a kernel keeps.
 const KEPT: usize = 64;
 
-/// A kernel's text, compiled for a device.
-#[derive(Clone, Debug)]
-struct CompiledText {
-    pipeline: wgpu::ComputePipeline,
-    layout: wgpu::BindGroupLayout,
-}
-
-/// The kernels that were compiled for a device, by their texts: every engine, picture and adjoint on it uses
-/// them again.
-#[derive(Debug, Default)]
-pub(crate) struct CompiledKernels {
-    texts: Mutex<HashMap<String, CompiledText>>,
-    /// The name of each, and the seconds that its compilation took.
-    times: Mutex<Vec<(&'static str, f64)>>,
-}
-
-impl CompiledKernels {
-    /// The names of the kernels, and the seconds that the compilation of each took.
-    pub(crate) fn times(&self) -> Vec<(&'static str, f64)> {
-        self.times.lock().unwrap_or_else(PoisonError::into_inner).clone()
-    }
-
-    fn find(&self, text: &str) -> Option<CompiledText> {
-        self.texts.lock().unwrap_or_else(PoisonError::into_inner).get(text).cloned()
-    }
-
-    fn keep(&self, text: String, compiled: CompiledText, name: &'static str, seconds: f64) {
-        self.texts.lock().unwrap_or_else(PoisonError::into_inner).insert(text, compiled);
-        self.times.lock().unwrap_or_else(PoisonError::into_inner).push((name, seconds));
-    }
-
-    fn forget(&self, texts: &[(String, &Spec)]) {
-        let mut kept = self.texts.lock().unwrap_or_else(PoisonError::into_inner);
-        texts.iter().for_each(|(text, _)| drop(kept.remove(text)));
-    }
-}
-
 /// Largest number of kernels that are compiled at the same time; a driver's compiler takes much memory.
 const COMPILERS: usize = 16;
 
@@ -236,7 +199,7 @@ pub(crate) fn compile(gpu: &Gpu, specs: &[Spec]) -> Result<(), EngineError> {
         }
     });
     // The device does not say which of them failed.
-    gpu.check().inspect_err(|_| gpu.kernels.forget(&missing))
+    gpu.check().inspect_err(|_| gpu.kernels.forget(missing.iter().map(|(text, _)| text)))
 }
 
 /// Creates the module of a kernel. A release leaves out the checks at run time that wgpu adds: a counter in

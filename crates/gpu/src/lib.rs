@@ -57,11 +57,13 @@
 //! and no kernel adds floats atomically. So the same requests give the same bytes on the same adapter,
 //! driver, program and [`Variant`].
 
+mod adapter;
 pub mod bench;
 mod buffer;
 mod ceilings;
 mod check;
 mod chunks;
+mod compiled;
 mod constants;
 mod device;
 mod drawing;

@@ -7,7 +7,7 @@
 use use3d_training::EngineError;
 
 use crate::buffer::Array;
-use crate::device::Gpu;
+use crate::device::{AdapterChoice, DeviceError, Gpu, take_first};
 use crate::kernel::{Access, Grid, Kernel, Spec, U32S, bound, submit};
 
 /// Threads of a workgroup: as many as the backward pass has with two pixels per thread.
@@ -37,6 +37,35 @@ pub(crate) fn width(gpu: &Gpu) -> Result<Option<u32>, EngineError> {
     submit(gpu, "widths", |pass| kernel.dispatch(pass, Grid::groups(GROUPS), bound![found]))?;
     let found = found.read(gpu, GROUPS * THREADS as usize)?;
     Ok(found.first().copied().filter(|first| found.iter().all(|width| width == first)))
+}
+
+impl Gpu {
+    /// Opens the first adapter that can be opened. A candidate has this number (`#0`), PCI address, UUID or
+    /// name, or has it as a part of its name; without a name, all that are not software are candidates.
+    pub fn open(name: Option<&str>) -> Result<Self, DeviceError> {
+        take_first(name, Self::of, DeviceError::Several)
+    }
+
+    /// Opens an adapter, and chooses the kernels for the width of its subgroups.
+    pub(crate) fn of(choice: &AdapterChoice) -> Result<Self, DeviceError> {
+        let mut gpu = Self::opened(choice)?;
+        let has = gpu.device.features().contains(wgpu::Features::SUBGROUP);
+        let range = gpu.adapter().subgroup;
+        // A driver reports a range in most cases; a kernel finds the width. If that fails, the others are
+        // portable.
+        gpu.width = match range {
+            _ if !has => None,
+            [least, most] if least == most => Some(least),
+            _ => width(&gpu).ok().flatten(),
+        };
+        // Software adapters use the portable variant, whose bits do not depend on the vector width.
+        if !gpu.adapter().is_software()
+            && let Some(variant) = gpu.subgroups()
+        {
+            gpu.variant = variant;
+        }
+        Ok(gpu)
+    }
 }
 
 #[cfg(test)]

@@ -55,7 +55,7 @@ impl TextTable {
         let columns = names.iter().map(name).collect();
         let body = rest.split_once('\n').map_or("", |(_, body)| body);
         let mut rows = Vec::new();
-        let mut place = Place { rest: body, byte: 0, line: first_line + 1 };
+        let mut place = TextPlace { rest: body, byte: 0, line: first_line + 1 };
         for record in builder.comment(Some(b'#')).from_reader(body.as_bytes()).into_records() {
             let fields = record
                 .map_err(|e| (place.advance(e.position().map_or(0, csv::Position::byte)), e.to_string()))?;
@@ -74,13 +74,13 @@ impl TextTable {
 }
 
 /// A place in a text, with the number of its line.
-struct Place<'t> {
+struct TextPlace<'t> {
     rest: &'t str,
     byte: u64,
     line: usize,
 }
 
-impl Place<'_> {
+impl TextPlace<'_> {
     /// Goes on to a byte and over the empty lines and comments there, which the reader counts to the record
     /// after them. Returns the number of the line.
     fn advance(&mut self, byte: u64) -> usize {

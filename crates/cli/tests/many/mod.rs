@@ -95,13 +95,17 @@ impl Many {
         all
     }
 
-    /// The files that only one of two sets of artifacts has, or that differ.
+    /// The files of the reference that a cache lacks or has with other bytes, and files that the reference
+    /// lacks. A submission that was disturbed also leaves a report of the scenes that it had; such reports do
+    /// not count.
     pub(crate) fn apart(
-        one: &BTreeMap<PathBuf, Vec<u8>>,
-        other: &BTreeMap<PathBuf, Vec<u8>>,
+        cache: &BTreeMap<PathBuf, Vec<u8>>,
+        whole: &BTreeMap<PathBuf, Vec<u8>>,
     ) -> Vec<PathBuf> {
-        let names: std::collections::BTreeSet<&PathBuf> = one.keys().chain(other.keys()).collect();
-        names.into_iter().filter(|name| one.get(*name) != other.get(*name)).cloned().collect()
+        let wrong =
+            whole.iter().filter(|(name, bytes)| cache.get(*name) != Some(*bytes)).map(|(name, _)| name);
+        let more = cache.keys().filter(|name| !whole.contains_key(*name) && !name.starts_with("report"));
+        wrong.chain(more).cloned().collect()
     }
 
     /// A run of one process from an empty cache, the reference for all others.
