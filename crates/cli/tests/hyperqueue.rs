@@ -167,7 +167,7 @@ fn a_scene_that_cannot_be_done_keeps_the_others_from_nothing() {
         let finished = many.at(&format!("{out}-submit/logs/finish-0.log")).exists();
         assert_eq!(finished, layout == "workers", "{text}");
         if layout == "stages" {
-            assert!(text.contains("then: use3d run ") && text.contains(" --keep-going"), "{text}");
+            assert!(text.contains("then run: use3d run ") && text.contains(" --keep-going"), "{text}");
             let mut run = many.command(&["run", "--keep-going", "--out", &out], layout);
             assert_eq!(run.output().expect("the command starts").status.code(), Some(1));
         }
