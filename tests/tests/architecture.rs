@@ -312,7 +312,7 @@ fn file_name(path: &ModulePath) -> String {
     if path.is_empty() { "(root)".to_string() } else { path.join("/") }
 }
 
-/// Whoever reads one file of a circle must read all of them.
+/// A reader of one file of a circle must read all of its files.
 #[test]
 fn no_more_than_two_files_of_a_crate_use_each_other_in_a_circle() {
     let (mut found, mut arrows) = (Vec::new(), 0);

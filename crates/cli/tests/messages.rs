@@ -232,7 +232,9 @@ fn a_plan_prints_no_character_that_commands_the_terminal() {
     std::fs::write(&file, pipeline).unwrap();
     let cache = dir.path().join("cache").to_str().unwrap().to_string();
     for verb in ["plan", "status", "run"] {
-        let output = use3d(&[verb, file.to_str().unwrap(), "--cache", &cache]);
+        let out = dir.path().join("out");
+        let results = if verb == "run" { vec!["--out", out.to_str().unwrap()] } else { Vec::new() };
+        let output = use3d(&[&[verb, file.to_str().unwrap(), "--cache", &cache], &results[..]].concat());
         let said = text(&output.stdout) + &text(&output.stderr);
         assert!(!said.contains('\u{1b}'), "{verb}: {said:?}");
         assert!(verb == "status" || said.contains("ca\\u{1b}[31mp"), "{verb}: {said:?}");

@@ -8,7 +8,7 @@
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
@@ -264,12 +264,28 @@ pub fn cancel(numbers: &[String]) -> Result<(), ClusterError> {
     call("scancel", numbers, "").map(drop)
 }
 
+/// A value of Slurm's configuration; `None` if it does not say.
+fn configured(name: &str) -> Option<String> {
+    let said = call("scontrol", &["show".to_string(), "config".to_string()], "").ok()?;
+    value_in(&said, name)
+}
+
+/// The value of a name in a text of lines such as `ClusterName = reef`.
+fn value_in(config: &str, name: &str) -> Option<String> {
+    let mut values = config.lines().filter_map(|line| line.split_once('='));
+    values.find(|(key, _)| key.trim() == name).map(|(_, value)| value.trim().to_string())
+}
+
 /// The largest number of tasks in an array by Slurm's configuration; `None` if it does not say.
 pub fn largest_array() -> Option<usize> {
-    let said = call("scontrol", &["show".to_string(), "config".to_string()], "").ok()?;
-    let line = said.lines().find(|line| line.trim_start().starts_with("MaxArraySize"))?;
     // The largest task number is one less.
-    line.split_once('=')?.1.trim().parse::<usize>().ok()?.checked_sub(1).filter(|most| *most > 0)
+    configured("MaxArraySize")?.parse::<usize>().ok()?.checked_sub(1).filter(|most| *most > 0)
+}
+
+/// True if a task may be in the queue of the cluster `here`. Another cluster with the same cache has numbers of
+/// its own. A task without a cluster's name was started before these were stored.
+fn is_of(task: &ClusterTask, here: Option<&str>) -> bool {
+    task.scheduler == "slurm" && (task.cluster.is_empty() || here == Some(&task.cluster))
 }
 
 /// Returns the jobs that can never start, each with Slurm's reason.
@@ -340,11 +356,12 @@ const FRESH: Duration = Duration::from_secs(10);
 pub fn is_over() -> IsOver {
     type Said = HashMap<String, (Instant, Option<bool>)>;
     let said: Mutex<Said> = Mutex::default();
+    // Slurm sets the variable in its jobs only.
+    let here: OnceLock<Option<String>> = OnceLock::new();
+    let ask = || std::env::var("SLURM_CLUSTER_NAME").ok().or_else(|| configured("ClusterName"));
     Arc::new(move |task: &ClusterTask| {
-        // Another cluster with the same cache has numbers of its own.
-        let here = std::env::var("SLURM_CLUSTER_NAME").unwrap_or_default();
-        let elsewhere = !here.is_empty() && !task.cluster.is_empty() && here != task.cluster;
-        if task.scheduler != "slurm" || elsewhere {
+        let named = !task.cluster.is_empty();
+        if !is_of(task, named.then(|| here.get_or_init(ask).as_deref()).flatten()) {
             return None;
         }
         let mut said = said.lock().unwrap_or_else(PoisonError::into_inner);
@@ -389,4 +406,37 @@ pub(crate) fn create_logs(submission: &Submission) -> Result<(), ClusterError> {
 /// Replaces a file by another one. A shell that is reading the old file continues to read it.
 pub(crate) fn put(path: &Path, text: &str) -> Result<(), ClusterError> {
     Ok(write_atomic(&Disk, path, text.as_bytes())?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_task_is_looked_for_in_the_queue_of_its_own_cluster_only() {
+        let task = |scheduler: &str, cluster: &str| ClusterTask {
+            scheduler: scheduler.into(),
+            cluster: cluster.into(),
+            id: "17".into(),
+            attempt: 0,
+            memory: 0,
+        };
+        assert!(is_of(&task("slurm", "reef"), Some("reef")) && is_of(&task("slurm", ""), None));
+        for (other, here) in
+            [(task("slurm", "reef"), Some("wreck")), (task("slurm", "reef"), None), (task("hq", ""), None)]
+        {
+            assert!(!is_of(&other, here), "{other:?} {here:?}");
+        }
+    }
+
+    #[test]
+    fn values_are_found_in_a_configuration() {
+        let text =
+            "Configuration data as of 2026\nClusterName             = reef\nMaxArraySize            = 1001\n";
+        assert_eq!(value_in(text, "ClusterName").as_deref(), Some("reef"));
+        assert_eq!(
+            (value_in(text, "MaxArraySize").as_deref(), value_in(text, "Array")),
+            (Some("1001"), None)
+        );
+    }
 }

@@ -25,6 +25,12 @@ impl CompiledKernels {
         self.times.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
+    /// The number of texts that are compiled.
+    #[cfg(test)]
+    pub(crate) fn texts(&self) -> usize {
+        self.texts.lock().unwrap_or_else(PoisonError::into_inner).len()
+    }
+
     pub(crate) fn find(&self, text: &str) -> Option<CompiledText> {
         self.texts.lock().unwrap_or_else(PoisonError::into_inner).get(text).cloned()
     }

@@ -37,17 +37,18 @@ fn enumerate() -> Vec<(AdapterReport, wgpu::Adapter)> {
     let adapters = pollster::block_on(instance().enumerate_adapters(wgpu::Backends::all()));
     let mut all: Vec<_> = adapters.into_iter().map(|a| (AdapterReport::of(&a), a)).collect();
     all.sort_by_key(|(report, _)| report.rank());
-    let mut reports: Vec<AdapterReport> = all.iter().map(|(report, _)| report.clone()).collect();
+    let reports: Vec<AdapterReport> = all.iter().map(|(report, _)| report.clone()).collect();
+    let kept = once(&reports);
+    let all = all.into_iter().enumerate().filter(|(at, _)| kept.contains(at)).map(|(_, both)| both);
+    let (mut reports, adapters): (Vec<AdapterReport>, Vec<wgpu::Adapter>) = all.unzip();
     // If the variables cannot be followed, nothing is hidden; `environment_note` has the reason.
     let _ = CudaVariables::read().hide(&mut reports);
-    let kept = once(&reports);
-    let with = all.into_iter().map(|(_, adapter)| adapter).zip(reports).enumerate();
-    with.filter(|(at, _)| kept.contains(at)).map(|(_, (adapter, report))| (report, adapter)).collect()
+    reports.into_iter().zip(adapters).collect()
 }
 
-/// The reason why the environment's choice of cards is ignored, if it is.
-pub fn environment_note() -> Option<String> {
-    CudaVariables::read().hide(&mut adapters()).err()
+/// The reason why the environment's choice among these adapters is ignored, if it is.
+pub fn environment_note(reports: &[AdapterReport]) -> Option<String> {
+    CudaVariables::read().hide(&mut reports.to_vec()).err()
 }
 
 /// All adapters of this machine, the most suitable first.

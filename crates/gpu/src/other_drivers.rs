@@ -51,7 +51,7 @@ fn adapter() -> Option<Gpu> {
 }
 
 #[test]
-#[ignore = "runs in a process of its own, on another driver"]
+#[ignore = "not by itself: `swiftshader_passes_the_check_in_every_variant` runs it, with another driver"]
 fn an_adapter_passes_its_check() {
     let Some(gpu) = adapter() else { return };
     for variant in gpu.variants() {
@@ -69,7 +69,7 @@ fn swiftshader_passes_the_check_in_every_variant() {
 }
 
 #[test]
-#[ignore = "runs in a process of its own, with the validation layer"]
+#[ignore = "not by itself: the tests with the validation layer run it in a process of its own"]
 fn small_work_is_done_in_every_variant() {
     let Some(gpu) = adapter() else { return };
     let scene = SceneSize { width: 48, height: 32, gaussians: 150, views: 1, seed: 1 };
@@ -231,7 +231,7 @@ fn a_barrier_is_removed_from_one_part_alone() {
 /// are noticed. This takes half an hour on two cores. Barriers whose removal nothing notices are listed in
 /// `docs/science/gpu.md`.
 #[test]
-#[ignore = "half an hour"]
+#[ignore = "a measurement of half an hour, not a check: its result stands in docs/science/gpu.md"]
 fn removed_barriers_are_noticed() {
     let Some(layer) = library("libVkLayer_khronos_validation.so") else { return };
     let test = "other_drivers::small_work_is_done_in_every_variant";

@@ -10,7 +10,7 @@ use crate::device::{AdapterReport, DeviceError};
 
 /// PCI's number of the maker NVIDIA.
 const NVIDIA: u32 = 0x10de;
-/// The fewest characters of a UUID that are taken for one.
+/// The fewest characters that are taken for a UUID without `GPU-` before it.
 const FEWEST: usize = 8;
 
 /// The indices of the adapters that a name refers to, in the order in which they are tried. `#2` is the
@@ -72,13 +72,17 @@ fn has_address(report: &AdapterReport, wanted: &str) -> bool {
     address == wanted || address.split_once(':').is_some_and(|(_, rest)| rest == wanted)
 }
 
-/// True if a card's UUID begins so. NVIDIA's programs write `GPU-` before it.
+/// True if a card's UUID begins so. NVIDIA's programs write `GPU-` before it; without that, a few digits could be
+/// a part of a name.
 fn has_uuid(report: &AdapterReport, wanted: &str) -> bool {
     let Some(uuid) = &report.uuid else { return false };
     let wanted = wanted.to_lowercase();
     let digits = |text: &str| text.replace('-', "");
-    let start = digits(wanted.strip_prefix("gpu-").unwrap_or(&wanted));
-    start.len() >= FEWEST && digits(uuid).starts_with(&start)
+    let (start, fewest) = match wanted.strip_prefix("gpu-") {
+        Some(start) => (digits(start), 1),
+        None => (digits(&wanted), FEWEST),
+    };
+    start.len() >= fewest && digits(uuid).starts_with(&start)
 }
 
 /// The values of the two variables by which CUDA's programs choose cards.
@@ -201,12 +205,13 @@ pub(crate) mod tests {
             ("41:00.0", vec![2]),
             ("GPU-cccccccc-0000", vec![3]),
             ("CCCCCCCC", vec![3]),
+            ("GPU-cc", vec![3]),
             ("h200", vec![0, 1, 2, 3]),
         ] {
             assert_eq!(order(&node, Some(name)), Ok(expected), "{name}");
         }
         // Too few digits of a UUID are none.
-        assert!(matches!(order(&node, Some("GPU-cccc")), Err(DeviceError::Named { .. })));
+        assert!(matches!(order(&node, Some("cccc")), Err(DeviceError::Named { .. })));
         for name in ["#5", "#-1", "#x"] {
             let said = order(&node, Some(name)).unwrap_err().to_string();
             assert!(
@@ -223,6 +228,7 @@ pub(crate) mod tests {
             ("3, 0", vec![0, 1]),
             ("GPU-aaaaaaaa-0000-0000-0000-000000000001,2", vec![1, 3]),
             ("0,7,1", vec![1]),
+            ("GPU-bb", vec![2]),
         ] {
             let mut node = node();
             variables(visible, None).hide(&mut node).unwrap();
@@ -263,5 +269,13 @@ pub(crate) mod tests {
         assert_eq!(once(&[card.clone(), again.clone(), other]), [0, 2]);
         let old = AdapterReport { refusal: Some(DeviceError::None), ..card };
         assert_eq!(once(&[old, again]), [0, 1]);
+        // The numbers of CUDA count each card once.
+        let twice = |report: &AdapterReport| {
+            [report.clone(), AdapterReport { backend: "dx12".into(), ..report.clone() }]
+        };
+        let all: Vec<AdapterReport> = node()[..4].iter().flat_map(twice).collect();
+        let mut left: Vec<AdapterReport> = once(&all).into_iter().map(|at| all[at].clone()).collect();
+        variables("1", None).hide(&mut left).unwrap();
+        assert_eq!((left.len(), order(&left, None)), (4, Ok(vec![2])));
     }
 }

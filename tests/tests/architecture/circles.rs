@@ -24,7 +24,7 @@ type Named = (ModulePath, Vec<String>);
 #[derive(Default)]
 struct Parsed {
     named: Vec<Named>,
-    /// The names that `pub use` gives to paths, with the module that contains each.
+    /// The names that `use` gives to paths, with the module that contains each.
     exported: Vec<(ModulePath, String, Vec<String>)>,
     /// The modules that are compiled for tests only.
     tests: Vec<String>,
@@ -337,17 +337,15 @@ fn parse(own: &ModulePath, text: &str) -> Parsed {
             }
             "mod" if sign(i + 2) == ";" => i += 2,
             "use" => {
-                let public = i > 0 && (sign(i - 1) == "pub" || sign(i - 1) == ")");
+                // A `use` is an arrow of its file, and it gives the name to the file's children and, if it is
+                // public, to other files.
                 let scope = scope();
                 i += 1;
                 for (path, name) in paths(&words, &mut i) {
-                    if public {
-                        let last = path.len().saturating_sub(2);
-                        let name = if name == "self" { path[last].clone() } else { name };
-                        file.exported.push((scope.clone(), name, path));
-                    } else {
-                        file.named.push((scope.clone(), path));
-                    }
+                    let last = path.len().saturating_sub(2);
+                    let name = if name == "self" { path[last].clone() } else { name };
+                    file.exported.push((scope.clone(), name, path.clone()));
+                    file.named.push((scope.clone(), path));
                 }
                 continue;
             }

@@ -4,8 +4,16 @@ use crate::App;
 use crate::args::BenchGpuArgs;
 use crate::error::{CliError, Done};
 
-#[cfg(feature = "gpu")]
+/// Measures a card, or reads the file of such a measurement, which needs no card.
 pub(crate) fn gpu(app: &App, args: &BenchGpuArgs) -> Done {
+    match &args.read {
+        Some(file) => super::bench_read::read(file),
+        None => measured(app, args),
+    }
+}
+
+#[cfg(feature = "gpu")]
+fn measured(app: &App, args: &BenchGpuArgs) -> Done {
     use std::io::Write;
 
     use use3d_gpu::Gpu;
@@ -15,11 +23,8 @@ pub(crate) fn gpu(app: &App, args: &BenchGpuArgs) -> Done {
     use crate::destination::{check_file, path_text, write_file};
     use crate::size::parse_size;
 
-    if let Some(file) = &args.read {
-        return super::bench_read::read(file);
-    }
     if let Some(folder) = &args.kernels {
-        return kernels(app, folder);
+        return kernels(app, folder, args.replace.force);
     }
     let Some(out) = &args.out else {
         return Err(CliError::Input("give the file to write: --out FILE.json".into()));
@@ -131,8 +136,13 @@ pub(crate) fn gpu(app: &App, args: &BenchGpuArgs) -> Done {
 
 /// Writes the text of every kernel into a folder. A file's name begins with the kernel's.
 #[cfg(feature = "gpu")]
-fn kernels(app: &App, folder: &std::path::Path) -> Done {
+fn kernels(app: &App, folder: &std::path::Path, force: bool) -> Done {
     use crate::destination::path_text;
+
+    if !force && folder.read_dir().is_ok_and(|mut files| files.next().is_some()) {
+        let what = "the folder has files; pass --force to write into it, or choose another folder";
+        return Err(CliError::Input(format!("--kernels {}: {what}", path_text(folder))));
+    }
 
     let failed = |error: std::io::Error| {
         CliError::Failed(format!("--kernels: cannot write into {}: {error}", path_text(folder)))
@@ -150,7 +160,7 @@ fn kernels(app: &App, folder: &std::path::Path) -> Done {
 }
 
 #[cfg(not(feature = "gpu"))]
-pub(crate) fn gpu(_: &App, _: &BenchGpuArgs) -> Done {
+fn measured(_: &App, _: &BenchGpuArgs) -> Done {
     Err(CliError::Input(
         "this program was built without engines for graphics cards (cargo feature `gpu`)".into(),
     ))

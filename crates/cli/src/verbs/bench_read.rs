@@ -6,6 +6,7 @@
 use std::path::Path;
 
 use serde_json::Value;
+use use3d_capture::shown;
 
 use crate::destination::path_text;
 use crate::error::{CliError, Done};
@@ -58,6 +59,8 @@ fn report(record: &Value) -> Vec<String> {
     }
     lines.push(String::new());
     lines.extend(verdict(record));
+    // The text comes from a file of another machine.
+    lines.iter_mut().for_each(|line| *line = shown(line).into_owned());
     lines
 }
 
@@ -137,7 +140,7 @@ fn largest(record: &Value) -> Option<&Value> {
         .max_by(|a, b| work(a).total_cmp(&work(b)))
 }
 
-/// What the numbers mean, sentence by sentence: first what is wrong, then what limits the speed.
+/// Returns the verdict in sentences: the faults come first, and then the limits of the speed.
 fn verdict(record: &Value) -> Vec<String> {
     let mut said = Vec::new();
     match record["check"]["passed"].as_bool() {
@@ -154,7 +157,8 @@ fn verdict(record: &Value) -> Vec<String> {
         let (what, case) = (text(&twin["what"], "?"), text(&twin["case"], "?"));
         said.push(format!(
             "Wrong: {what} differ from the processor's by {}, at most {} is right ({case}).",
-            twin["error"], twin["bar"]
+            error(twin),
+            twin["bar"]
         ));
     }
     if wrong.len() > 5 {
@@ -169,7 +173,9 @@ fn verdict(record: &Value) -> Vec<String> {
     for failed in list(&record["failed"]) {
         said.push(format!("Failed: {}: {}.", text(&failed["section"], "?"), text(&failed["why"], "?")));
     }
-    if said.is_empty() {
+    if said.is_empty() && twins.is_empty() {
+        said.push("The card passed its check. The run ended before the comparisons.".into());
+    } else if said.is_empty() {
         let closest = twins.iter().filter_map(|twin| Some(twin["error"].as_f64()? / twin["bar"].as_f64()?));
         let worst = closest.filter(|share| share.is_finite()).fold(0.0, f64::max);
         said.push(format!(
@@ -187,6 +193,11 @@ fn verdict(record: &Value) -> Vec<String> {
         said.push(format!("There was no time for: {} (`--minutes` gives more).", left_out.join("; ")));
     }
     said
+}
+
+/// The error of a comparison. A file stores no number for one that is not finite.
+fn error(twin: &Value) -> String {
+    twin["error"].as_f64().map_or_else(|| "a value that is not finite".into(), |error| error.to_string())
 }
 
 fn speed(record: &Value) -> Vec<String> {
@@ -300,8 +311,24 @@ mod tests {
     }
 
     #[test]
+    fn nothing_is_called_correct_that_was_not_compared() {
+        let mut early = record();
+        early["twins"] = json!([]);
+        let said = verdict(&early);
+        assert!(said[0].contains("ended before the comparisons"), "{said:?}");
+        assert!(!said.iter().any(|line| line.contains("correctly")), "{said:?}");
+        let mut broken = record();
+        broken["twins"][0] =
+            json!({ "what": "loss", "case": "c", "error": null, "bar": 1e-5, "holds": false });
+        assert!(verdict(&broken)[0].contains("a value that is not finite"), "{:?}", verdict(&broken));
+    }
+
+    #[test]
     fn a_file_that_ends_early_is_read_as_far_as_it_goes() {
-        let said = report(&json!({ "format": FORMAT, "adapter": { "name": "Card" } })).join("\n");
-        assert!(said.contains("Card (no driver)") && said.contains("ended before the check"), "{said}");
+        let said = report(&json!({ "format": FORMAT, "adapter": { "name": "Card\u{1b}[2J" } })).join("\n");
+        assert!(
+            said.contains("Card\\u{1b}[2J (no driver)") && said.contains("ended before the check"),
+            "{said}"
+        );
     }
 }

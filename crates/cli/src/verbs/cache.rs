@@ -14,8 +14,7 @@ use crate::args::{CacheArgs, GcArgs, PipelineArgs, VerifyArgs};
 use crate::destination::path_text;
 use crate::error::{CliError, Done};
 use crate::verbs::json::json;
-use crate::verbs::loaded::open;
-use crate::verbs::loaded::stages;
+use crate::verbs::loaded::{open, stages};
 
 fn cache(args: &CacheArgs) -> Result<Cache, CliError> {
     let folder = match &args.cache {

@@ -25,6 +25,8 @@ pub(crate) fn run(args: &DevicesArgs) -> Done {
 
     let _ends_soon = crate::interrupt::ends_soon();
     let all = checked_adapters();
+    let reports: Vec<AdapterReport> = all.iter().map(|(report, _)| report.clone()).collect();
+    let note = environment_note(&reports);
     if args.json {
         let adapters: Vec<_> = all
             .iter()
@@ -35,13 +37,13 @@ pub(crate) fn run(args: &DevicesArgs) -> Done {
                 refusal: said.as_ref().err().map(ToString::to_string),
             })
             .collect();
-        return crate::verbs::json::json(&json!({ "adapters": adapters }));
+        return crate::verbs::json::json(&json!({ "adapters": adapters, "note": note }));
     }
     if all.is_empty() {
         println!("{}", DeviceError::None);
         return Ok(());
     }
-    if let Some(note) = environment_note() {
+    if let Some(note) = note {
         println!("{note}\n");
     }
     for (number, (report, said)) in all.iter().enumerate() {

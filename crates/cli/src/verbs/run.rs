@@ -328,6 +328,8 @@ fn execute(
         None => listener,
     };
     let summary = loaded.builder.run(&loaded.graph, options, &listener);
+    // The bar of the whole run ends before anything is printed.
+    drop(listener);
     // The finished results of an interrupted run were delivered scene by scene.
     let whole = !summary.interrupted && !summary.left;
     let mut delivered = match out {

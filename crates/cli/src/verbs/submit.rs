@@ -17,8 +17,7 @@ use use3d_workflow::plan::State;
 use crate::App;
 use crate::args::{CacheArgs, CancelArgs, PipelineArgs, Submit, SubmitArgs, SubmitLayout};
 use crate::error::{CliError, Done};
-use crate::verbs::loaded::stages;
-use crate::verbs::loaded::{Loaded, open, read};
+use crate::verbs::loaded::{Loaded, open, read, stages};
 
 /// All decisions before anything is written.
 struct Ready {

@@ -8,7 +8,7 @@
 //! | Gaussian | 720 | parameters and both moments |
 //! | | 112 | statistics, splat, tiles, depth order, offsets, run, gradient of the colour |
 //! | possible entry | 68 | records, owners, order by tile |
-//! | pixel of the largest view | 124 | image, gradients, sums along rays, water, photograph, mask, prior |
+//! | pixel of the largest view | 140 | image, gradients, sums along rays, water, photograph, mask, prior |
 //! | | 83 | three levels of the similarity |
 //!
 //! There is room for one and a half times as many entries as the fullest view needs. The views themselves

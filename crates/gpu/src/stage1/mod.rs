@@ -32,7 +32,7 @@ use crate::device::{Gpu, NAME};
 use crate::kernel::{Spec, compile, submit};
 use crate::lists::{ListKernels, Lists};
 use crate::losses::{Gains, Losses};
-use crate::raster::{RasterKernels, RasterPlanes};
+use crate::raster::{RasterKernels, RasterPlanes, kept};
 use crate::rebuild::RebuildKernel;
 use crate::rows::Float4;
 use crate::scene::DeviceScene;
@@ -242,6 +242,9 @@ impl Stage1 {
 impl Engine for Stage1 {
     fn upload(&mut self, view: TrainingView) -> Result<usize, EngineError> {
         self.gpu.check()?;
+        // The first steps may be smaller than the view, and the last ones are not.
+        let lens = &view.camera.intrinsics;
+        self.gpu.fits("values of pixels", (4 * kept::TRAINING * lens.width * lens.height) as u64)?;
         self.targets.views.push(view);
         Ok(self.targets.views.len() - 1)
     }

@@ -50,6 +50,14 @@ impl PairLists {
         })
     }
 
+    /// Lists for `count` pairs, which are written later.
+    fn empty(gpu: &Gpu, firsts: &[u32], count: usize) -> Result<Self, EngineError> {
+        Ok(Self {
+            firsts: Array::from(gpu, "first weights", firsts)?,
+            pairs: Array::new(gpu, "weights", count.max(1))?,
+        })
+    }
+
     fn bytes(&self) -> usize {
         self.firsts.size() + self.pairs.size()
     }
@@ -133,7 +141,7 @@ impl WeightKernels {
         if all > most() {
             return Ok(None);
         }
-        let written = PairLists::new(gpu, &firsts, &vec![[0; 2]; all.max(1)])?;
+        let written = PairLists::empty(gpu, &firsts, all)?;
         submit(gpu, "weights", |pass| {
             let mut buffers = view.drawn().buffers(&view.constants);
             buffers.extend(bound![written.firsts, written.pairs]);
@@ -143,11 +151,12 @@ impl WeightKernels {
         let (of_entries, sorted) = by_entry(&firsts, &pairs, owners.len());
         let gaussians: Vec<[u32; 2]> =
             pairs.iter().map(|[entry, weight]| [owners[*entry as usize], *weight]).collect();
+        written.pairs.write(gpu, 0, &gaussians);
         let sizes = Array::uniform(gpu, "sizes of a view")?;
         sizes.write(gpu, 0, &[[pixels as u32, owners.len() as u32, 0, 0]]);
         Ok(Some(FrozenWeights {
             sizes,
-            of_pixels: PairLists::new(gpu, &firsts, &gaussians)?,
+            of_pixels: written,
             of_entries: PairLists::new(gpu, &of_entries, &sorted)?,
         }))
     }

@@ -37,6 +37,9 @@ const SPOILT: [(&str, Spoil); 4] = [
 
 /// Does one step for each kind of value that is not finite. It agrees if the step's report names the same
 /// array and place as the processor's.
+///
+/// # Errors
+/// The engine's error, other than that of a value that is not finite.
 pub fn guards(engine: &mut dyn Engine, scene: &SceneSize) -> Result<Vec<Agreement>, EngineError> {
     let mut ours = CpuEngine::new();
     for view in scene.training_views()? {

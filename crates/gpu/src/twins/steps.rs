@@ -57,6 +57,9 @@ pub fn step(engine: &mut dyn Engine, scene: &SceneSize) -> Result<Vec<Agreement>
 
 /// Compares one step of a scene in which the first `crowd` Gaussians are faint and lie behind one another,
 /// all in one tile.
+///
+/// # Errors
+/// The engine's error.
 pub fn large_step(
     engine: &mut dyn Engine,
     scene: &SceneSize,

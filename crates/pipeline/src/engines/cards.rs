@@ -22,6 +22,7 @@ use crate::code;
 #[derive(Clone)]
 pub(super) struct Card(Gpu);
 
+/// The cards that were opened, by the name that was asked for.
 static OPENED: Mutex<BTreeMap<Option<String>, Result<Gpu, String>>> = Mutex::new(BTreeMap::new());
 
 /// Closes every card; a card that is still in use is closed afterwards.
@@ -29,8 +30,8 @@ pub(super) fn close() {
     OPENED.lock().unwrap_or_else(PoisonError::into_inner).clear();
 }
 
-/// Opens the best card whose name contains `name`; without a name, the best hardware card. Returns the reason
-/// if there is none.
+/// Opens the best card with this number (`#0`), PCI address, UUID or name, or with it as a part of its name;
+/// without a name, the best hardware card. Returns the reason if there is none.
 pub(super) fn open(name: Option<&str>) -> Result<Card, String> {
     let mut opened = OPENED.lock().unwrap_or_else(PoisonError::into_inner);
     let found = opened

@@ -264,10 +264,7 @@ fn last_step(log: &str) -> u64 {
 fn facts(parts: &Parts<'_>, pairs: usize, log: Option<&str>, targets: Option<&TargetsReport>) -> SceneFacts {
     let calibrated = targets.is_some_and(|targets| targets.calibrated);
     SceneFacts {
-        water: parts
-            .path("scene")
-            .map(|scene| water_sentence(scene) + &scale_sentence(scene))
-            .unwrap_or_default(),
+        water: parts.path("scene").map(water_sentences).unwrap_or_default(),
         steps: [
             log.map(|log| (last_step(log), ReconstructParams::default().iterations)),
             training_log(parts, "enhanced").map(|log| (last_step(&log), EnhanceParams::default().iterations)),
@@ -278,38 +275,34 @@ fn facts(parts: &Parts<'_>, pairs: usize, log: Option<&str>, targets: Option<&Ta
     }
 }
 
-/// A sentence on the water of stage 1. If the tracks were used, it has their estimate, in the same words as
-/// `use3d water`. Empty if the scene does not say it.
-fn water_sentence(scene: &Path) -> String {
-    if let Some(estimate) = water_from_tracks(scene) {
-        return estimate;
-    }
-    match read_json::<Choices>(&scene.join(CHOICES)) {
-        Ok(choices) if !choices.water.is_empty() => format!("{}.", capitalised(&choices.water)),
-        _ => String::new(),
-    }
+/// A sentence on the water of stage 1, in the same words as `use3d water` if the tracks were used, and one on the
+/// metres of a unit. Empty if the scene does not say it.
+fn water_sentences(scene: &Path) -> String {
+    let estimate: Option<serde_json::Value> = read_json(&scene.join(WATER)).ok();
+    let choices =
+        || read_json::<Choices>(&scene.join(CHOICES)).map(|choices| choices.water).unwrap_or_default();
+    let water = estimate.as_ref().and_then(water_from_tracks).unwrap_or_else(|| match choices() {
+        water if water.is_empty() => water,
+        water => format!("{}.", capitalised(&water)),
+    });
+    [water, scale_sentence(scene, estimate.as_ref())].join(" ").trim().to_string()
 }
 
-/// A sentence on the metres of a unit, with a space in front; empty if they are not known.
-fn scale_sentence(scene: &Path) -> String {
-    let description = read_json::<serde_json::Value>(&scene.join("scene.json")).unwrap_or_default();
-    let world = &description["world"];
-    let Some(metres) = world["metres_per_unit"].as_f64() else { return String::new() };
-    let source = shown(world["source"].as_str().unwrap_or_default());
-    // A note on the estimate has the water per metre.
-    let water: serde_json::Value = read_json(&scene.join(WATER)).unwrap_or_default();
-    let per_metre = water["metric"]["attenuation"].as_array().map_or_else(String::new, |values| {
+/// A sentence on the metres of a unit; empty if they are not known.
+fn scale_sentence(scene: &Path, estimate: Option<&serde_json::Value>) -> String {
+    let Ok(Some(world)) = Scene::world(scene) else { return String::new() };
+    let attenuation = estimate.and_then(|water| water["metric"]["attenuation"].as_array());
+    let per_metre = attenuation.map_or_else(String::new, |values| {
         let number =
             |v: &serde_json::Value| v["value"].as_f64().map_or_else(|| "–".into(), |v| format!("{v:.3}"));
         let values: Vec<String> = values.iter().map(number).collect();
         format!(" Attenuation per metre, red, green, blue: {}.", values.join(", "))
     });
-    format!(" One unit is {metres:.4} m, by {source}.{per_metre}")
+    format!("One unit is {:.4} m, by {}.{per_metre}", world.metres_per_unit, shown(&world.source))
 }
 
-/// The water estimated from the tracks; `None` if stage 1 did not use the tracks.
-fn water_from_tracks(scene: &Path) -> Option<String> {
-    let water: serde_json::Value = read_json(&scene.join(WATER)).ok()?;
+/// The water estimated from the tracks; `None` for an estimate of another form.
+fn water_from_tracks(water: &serde_json::Value) -> Option<String> {
     let judgement = capitalised(water["told"].as_str()?);
     let used = if water["judgement"] == "found" { "" } else { ", measured and not used" };
     let channels: Vec<(String, &str)> = water["channels"].as_array()?.iter().map(channel_in_words).collect();

@@ -55,8 +55,8 @@ impl ClusterTask {
 
     /// Returns true if this is a later attempt of the same task.
     pub(crate) fn follows(&self, earlier: &Self) -> bool {
-        let same = |task: &Self| (task.scheduler.clone(), task.cluster.clone(), task.id.clone());
-        same(self) == same(earlier) && self.attempt > earlier.attempt
+        (&self.scheduler, &self.cluster, &self.id) == (&earlier.scheduler, &earlier.cluster, &earlier.id)
+            && self.attempt > earlier.attempt
     }
 }
 

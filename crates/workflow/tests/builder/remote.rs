@@ -12,7 +12,7 @@ use std::time::Duration;
 use use3d_workflow::Transferred;
 use use3d_workflow::cache::Lookup;
 use use3d_workflow::manifest::{FileRecord, Manifest};
-use use3d_workflow::remote::{FolderStore, Memory, Remote, RemoteError, RemoteStore, Sent};
+use use3d_workflow::remote::{FolderStore, Listed, Memory, Remote, RemoteError, RemoteStore, Sent};
 use use3d_workflow::{Batch, Builder, Digest, Event, Graph, Listener, Silent};
 
 use super::faulty_store::{Fault, Faulty};
@@ -536,6 +536,65 @@ fn what_a_store_has_is_found_by_a_list_and_what_nobody_keeps_can_go() {
     let third = world.builder("third");
     let pulled = world.pull(&third, &store).expect("pulled");
     assert!(pulled.problems.is_empty() && pulled.missing > 0 && pulled.moved == swept.left, "{pulled:?}");
+}
+
+/// A store to which another machine sends every artifact again as soon as its manifest is removed. That machine
+/// finds the files still there.
+#[derive(Default)]
+struct Resending {
+    inner: Memory,
+    removed: Mutex<Vec<(String, Vec<u8>)>>,
+}
+
+impl Remote for Resending {
+    fn place(&self) -> String {
+        "resending".to_string()
+    }
+
+    fn get(&self, name: &str, to: &mut (dyn std::io::Write + Send)) -> Result<bool, RemoteError> {
+        self.inner.get(name, to)
+    }
+
+    fn size(&self, name: &str) -> Result<Option<u64>, RemoteError> {
+        self.inner.size(name)
+    }
+
+    fn put(&self, name: &str, from: &mut (dyn std::io::Read + Send), size: u64) -> Result<(), RemoteError> {
+        self.inner.put(name, from, size)
+    }
+
+    fn create(&self, name: &str, bytes: &[u8]) -> Result<bool, RemoteError> {
+        self.inner.create(name, bytes)
+    }
+
+    fn remove(&self, name: &str) -> Result<(), RemoteError> {
+        let bytes = self.inner.objects().get(name).cloned();
+        if let Some(bytes) = bytes.filter(|_| !name.starts_with("v1/blobs/")) {
+            self.removed.lock().expect("removed").push((name.to_string(), bytes));
+        }
+        self.inner.remove(name)
+    }
+
+    fn list(&self, prefix: &str) -> Result<Vec<Listed>, RemoteError> {
+        let again = std::mem::take(&mut *self.removed.lock().expect("removed"));
+        self.inner.objects().extend(again);
+        self.inner.list(prefix)
+    }
+}
+
+#[test]
+fn artifacts_that_are_sent_again_during_a_cleaning_keep_their_files() {
+    let world = World::new();
+    let remote = Arc::new(Resending::default());
+    let store = shared(&remote);
+    let pushed = world.push(&world.builder("alone"), &store, false).expect("pushed");
+    let stop = AtomicBool::new(false);
+    let swept = store.sweep(Duration::from_secs(86_400), &Default::default(), false, &stop).expect("swept");
+    assert_eq!((swept.artifacts, swept.files), (pushed.moved, 0));
+    let other = world.builder("other");
+    let pulled = world.pull(&other, &store).expect("pulled");
+    assert!(pulled.problems.is_empty() && pulled.moved == pushed.moved, "{pulled:?}");
+    assert!(payload(&other.cache) == world.whole);
 }
 
 #[test]

@@ -169,8 +169,9 @@ impl RemoteStore {
                 Ok(())
             })?;
             let now = self.shelf(stop)?;
-            let new: Vec<_> =
-                now.artifacts.keys().filter(|key| !shelf.artifacts.contains_key(*key)).collect();
+            // Also an artifact that was just removed may have been sent again.
+            let stayed: BTreeSet<&(String, Key)> = left.iter().copied().collect();
+            let new: Vec<_> = now.artifacts.keys().filter(|artifact| !stayed.contains(artifact)).collect();
             let used_again = self.named_by(&new, stop)?;
             let files: Vec<_> = files.iter().filter(|(digest, _)| !used_again.contains(*digest)).collect();
             each(&files, 32, |(digest, (size, _))| {
