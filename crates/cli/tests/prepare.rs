@@ -161,6 +161,8 @@ fn recipes_make_a_capture_of_each_scene_and_name_what_is_missing() {
     };
     // Published cameras are copied, under the names of the pipeline files.
     copy("tiny/images", &data.join("Panama/Images_wb"));
+    std::fs::create_dir(data.join("Panama/depth")).unwrap();
+    std::fs::write(data.join("Panama/test_list.txt"), "a.png\n").unwrap();
     copy("tiny/sparse/0", &data.join("Panama/sparse/0"));
     for again in [false, true] {
         let output = recipe("seathru");
@@ -171,6 +173,12 @@ fn recipes_make_a_capture_of_each_scene_and_name_what_is_missing() {
         assert!(text.contains("export SEATHRU=") && text.contains("use3d run seathru4.toml"), "{text}");
     }
     assert!(Path::new(&place.at("captures/Panama/images_wb")).is_dir());
+    // Files beside the photographs come along, and there is nothing to choose.
+    assert!(Path::new(&place.at("captures/Panama/test_list.txt")).is_file());
+    let mut command = tiny::command();
+    command.args(["prepare", "seathru", &place.at("data"), "--out", &place.at("captures")]);
+    let refused = alone(command.args(["--lens", "OPENCV"]), &place);
+    assert!(refused.status.code() == Some(2) && said(&refused).contains("nothing to choose"));
     // A folder of the recipe's name in the working folder is not taken for the recipe's data.
     std::fs::create_dir(place.at("seathru")).unwrap();
     let mut command = tiny::command();
@@ -188,4 +196,16 @@ fn recipes_make_a_capture_of_each_scene_and_name_what_is_missing() {
     assert!(!Path::new(&place.at("captures/.D3.balanced")).exists());
     let before = calls(&place);
     assert!(said(&recipe("d3d5")).contains("D3: prepared before") && calls(&place) == before);
+    // A scene that fails leaves the others.
+    std::fs::create_dir(data.join("D5")).unwrap();
+    std::fs::write(data.join("D5/a.png"), "no picture").unwrap();
+    let broken = recipe("d3d5");
+    let text = said(&broken);
+    assert!(broken.status.code() == Some(1) && text.contains("D3: prepared before"), "{text}");
+    assert!(text.contains("D5: ") && text.contains("a.png") && text.contains("not prepared: D5"), "{text}");
+    // The balanced photographs are not taken for the linear ones.
+    let mut command = tiny::command();
+    command.args(["prepare", &place.at("data/D3/linearPNG"), "--out", &place.at("captures/D3")]);
+    let plain = alone(&mut command, &place);
+    assert!(plain.status.code() == Some(2) && said(&plain).contains("other choices"), "{}", said(&plain));
 }

@@ -282,8 +282,8 @@ pub fn largest_array() -> Option<usize> {
     configured("MaxArraySize")?.parse::<usize>().ok()?.checked_sub(1).filter(|most| *most > 0)
 }
 
-/// True if a task may be in the queue of the cluster `here`. Another cluster with the same cache has numbers of
-/// its own. A task without a cluster's name was started before these were stored.
+/// True if a task may be in the queue of the cluster `here`. Another cluster with the same cache has numbers
+/// of its own. A task without a cluster's name was started before these were stored.
 fn is_of(task: &ClusterTask, here: Option<&str>) -> bool {
     task.scheduler == "slurm" && (task.cluster.is_empty() || here == Some(&task.cluster))
 }

@@ -82,9 +82,9 @@ pub fn check(gpu: &Gpu) -> Result<(), CheckError> {
     verdict(gpu, twins::small(gpu))
 }
 
-/// Opens the first adapter that passes its check. A candidate has this number (`#0`), PCI address, UUID or name,
-/// or has it as a part of its name; without a name, all that are not software are candidates. An adapter that computes wrongly with
-/// subgroup operations is used without them if it passes then.
+/// Opens the first adapter that passes its check. A candidate has this number (`#0`), PCI address, UUID or
+/// name, or has it as a part of its name; without a name, all that are not software are candidates. An
+/// adapter that computes wrongly with subgroup operations is used without them if it passes then.
 pub fn open_checked(name: Option<&str>) -> Result<Gpu, CheckError> {
     take_first(name, open_sound, CheckError::Several)
 }

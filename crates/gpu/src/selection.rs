@@ -72,8 +72,8 @@ fn has_address(report: &AdapterReport, wanted: &str) -> bool {
     address == wanted || address.split_once(':').is_some_and(|(_, rest)| rest == wanted)
 }
 
-/// True if a card's UUID begins so. NVIDIA's programs write `GPU-` before it; without that, a few digits could be
-/// a part of a name.
+/// True if a card's UUID begins so. NVIDIA's programs write `GPU-` before it; without that, a few digits
+/// could be a part of a name.
 fn has_uuid(report: &AdapterReport, wanted: &str) -> bool {
     let Some(uuid) = &report.uuid else { return false };
     let wanted = wanted.to_lowercase();

@@ -452,11 +452,11 @@ fn read_realityscan(found: &FoundModel) -> Result<ReadModel, ImportError> {
     let mut survey = registration.into_survey(&sizes, &found.path)?;
     // Points lie beside the table, or in the capture's folder above the photographs.
     let above = (found.path.is_dir() && base != ".").then(|| dir.parent()).flatten();
-    let (near, near_base) = above.map_or((dir, base.as_str()), |parent| (parent, parent_of(&base)));
+    let (near, near_base) = above.map_or_else(|| (dir, base.clone()), |parent| (parent, base_of(found)));
     if let Some(name) = points_beside(near, &mut survey.notes) {
         let path = near.join(&name);
         use3d_io_realityscan::add_points(&mut survey, &read_points(&path)?, &path)?;
-        files.push(PathBuf::from(inside(near_base, &name)));
+        files.push(PathBuf::from(inside(&near_base, &name)));
     }
     survey.notes.push(
         "RealityScan's files do not state the unit: if the project is in metres, a table beside the photographs says so"
@@ -464,11 +464,6 @@ fn read_realityscan(found: &FoundModel) -> Result<ReadModel, ImportError> {
     );
     let image_dirs = places.iter().map(|place| inside(&base, place)).collect();
     Ok(ReadModel { survey, files, base, image_dirs, labels: true })
-}
-
-/// The folder above a place, relative to the capture.
-fn parent_of(place: &str) -> &str {
-    place.rsplit_once('/').map_or(".", |(parent, _)| parent)
 }
 
 fn no_realityscan(names: &[String]) -> Option<&'static str> {

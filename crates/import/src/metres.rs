@@ -252,8 +252,9 @@ fn lengths(
     };
     if let Some((label, image, pixels)) = misplaced_mark(&measured) {
         notes.push(format!(
-            "{LENGTHS} does not give the metres: the end `{label}` in {image} is {pixels:.0} pixels away from where the \
-             other photographs put it; look for swapped ends and wrong pixels there"
+            "{LENGTHS} does not give the metres: the end `{label}` in {image} is {} where the other photographs put it; \
+             look for swapped ends and wrong pixels there",
+            if pixels.is_finite() { format!("{pixels:.0} pixels away from") } else { "not".into() }
         ));
         return Ok(None);
     }
@@ -370,7 +371,7 @@ fn depths(
     notes: &mut Vec<String>,
 ) -> Result<Option<World>, ImportError> {
     let Centres { mut pairs, .. } = centres(table, survey, |row| table.number(row, "depth"))?;
-    if pairs.iter().all(|(_, depth)| *depth <= 0.0) {
+    if pairs.iter().all(|(_, depth)| *depth <= 0.0) && pairs.iter().any(|(_, depth)| *depth < 0.0) {
         pairs.iter_mut().for_each(|(_, depth)| *depth = -*depth);
         notes.push(format!("the depths in {DEPTHS} are negative; they count as metres below the surface"));
     }

@@ -79,6 +79,9 @@ impl Default for PrepareParams {
 /// fits small pictures and plain scenes with cameras that are wrong.
 pub(crate) const LENS: &str = "RADIAL";
 
+/// Changes when linear photographs are balanced in another way.
+pub(crate) const BALANCE_RULES: u32 = 1;
+
 /// The fewest images that a model can be made from.
 pub(crate) const FEWEST: usize = 3;
 

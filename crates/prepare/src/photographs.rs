@@ -6,7 +6,7 @@ use use3d_io_image::straighten;
 
 use crate::error::PrepareError;
 use crate::process::{self, StepProgress, StepWatch};
-use crate::sources::Photograph;
+use crate::sources::{BESIDE, Photograph};
 use crate::tools::{self, Program};
 
 /// Copies the photographs into `folder`. WebP becomes PNG; a JPEG's orientation is set to "not turned".
@@ -67,4 +67,10 @@ pub(crate) fn copy_all(from: &Path, to: &Path) -> Result<(), PrepareError> {
         }
     }
     Ok(())
+}
+
+/// Copies the masks, depth maps and lists of a folder into a capture.
+pub(crate) fn copy_beside(origin: &Path, capture: &Path) -> Result<(), PrepareError> {
+    let there = BESIDE.iter().filter(|name| origin.join(name).exists());
+    there.into_iter().try_for_each(|name| copy_all(&origin.join(name), &capture.join(name)))
 }

@@ -13,11 +13,11 @@ use use3d_io_colmap::{Model, write_model_binary};
 
 use crate::error::PrepareError;
 use crate::film::{self, Choice};
-use crate::params::{FEWEST, PrepareParams};
+use crate::params::{BALANCE_RULES, FEWEST, PrepareParams};
 use crate::photographs;
 use crate::process::{StepProgress, StepWatch};
 use crate::sfm::{FEATURES_DB, IMAGES, MATCHES_DB, MODELS, Sfm, groups};
-use crate::sources::{BESIDE, PREPARED, Sources};
+use crate::sources::{PREPARED, Sources};
 use crate::tools::{Finder, Program, Programs};
 use crate::verdict::{CameraVerdict, Grade, ModelContext, judge, models, remedies};
 use crate::work::{Step, Work, hash};
@@ -61,6 +61,11 @@ fn record(capture: &Path) -> Option<PreparedRecord> {
     serde_json::from_slice(&bytes).ok()
 }
 
+/// The rules by which images are written. Those of linear photographs include the balance.
+fn rules(sources: &Sources) -> Value {
+    if sources.linear { json!([RULES, "balanced", BALANCE_RULES]) } else { json!(RULES) }
+}
+
 /// The digest of a preparation's inputs and choices, with the inputs, and true if the capture at `earlier`
 /// was made from the same. An input whose size and time have not changed since is not read again.
 ///
@@ -95,7 +100,8 @@ pub fn key_of(
         Finder::Colmap => "colmap",
         Finder::Pycolmap => "pycolmap",
     };
-    let key = hash(&json!({ "rules": RULES, "inputs": digests, "params": params, "program": program }));
+    let key =
+        hash(&json!({ "rules": rules(sources), "inputs": digests, "params": params, "program": program }));
     let reusable = earlier.is_some_and(|record| record.key == key);
     Ok((key, inputs, reusable))
 }
@@ -185,10 +191,13 @@ pub fn prepare(
 ) -> Result<Prepared, PrepareError> {
     let (ffmpeg, program) = needed(sources, params, programs)?;
     let mut work = Work::open(folder, watch)?;
+    let (log, program) = (work.log.clone(), &program);
+    let sfm = Sfm { program, params, work: folder, log: &log, threads, watch, images: 0 };
+    sfm.check_calibration()?;
     // Other inputs, such as masks, are copied after the last step.
     let digests: Vec<(&str, &str)> =
         inputs.iter().take(sources.count()).map(|i| (&*i.name, &*i.digest)).collect();
-    let choices = json!({ "rules": RULES, "inputs": digests, "frames": params.frames });
+    let choices = json!({ "rules": rules(sources), "inputs": digests, "frames": params.frames });
     let step = Step { name: "images", output: IMAGES, choices };
     let Images { taken, mut remarks, doubts } =
         work.step(step, |work| images(sources, params, ffmpeg.as_ref(), work, watch))?;
@@ -201,16 +210,14 @@ pub fn prepare(
         return Err(PrepareError::input(path, reason));
     }
 
-    let log = work.log.clone();
-    let (program, images) = (&program, taken.len());
-    let sfm = Sfm { program, params, work: folder, log: &log, threads, watch, images };
+    let images = taken.len();
+    let sfm = Sfm { images, ..sfm };
     let cameras: Vec<(String, String)> = taken.iter().map(|t| (t.image.clone(), t.camera.clone())).collect();
     let groups = groups(&cameras);
     if groups.len() > 1 && !params.calibration.is_empty() {
         let reason = format!("the images come from {} cameras, and one calibration was given", groups.len());
         return Err(PrepareError::Choice { flag: "--calibration", reason });
     }
-    sfm.check_calibration()?;
     let choices = json!({
         "program": program, "lens": params.lens, "calibration": params.calibration, "features": params.features,
         "repeatable": params.repeatable,
@@ -357,10 +364,5 @@ fn assemble(work: &Work<'_>, sources: &Sources, found: &[Model]) -> Result<(), P
         std::fs::create_dir_all(&folder).map_err(PrepareError::file(&folder))?;
         write_model_binary(&folder, model)?;
     }
-    if let Some(origin) = &sources.capture {
-        for name in BESIDE.iter().filter(|name| origin.join(name).exists()) {
-            photographs::copy_all(&origin.join(name), &capture.join(name))?;
-        }
-    }
-    Ok(())
+    sources.capture.as_ref().map_or(Ok(()), |origin| photographs::copy_beside(origin, &capture))
 }

@@ -13,10 +13,10 @@ use use3d_io_image::{ChannelHistogram, read_pixels, write_png16};
 
 use crate::error::PrepareError;
 use crate::params::{Matching, PrepareParams};
-use crate::photographs::copy_all;
+use crate::photographs::{copy_all, copy_beside};
 use crate::prepare::{CAPTURE, Input, write_record};
 use crate::process::{StepProgress, StepWatch};
-use crate::sources::{Sources, is_film};
+use crate::sources::{Sources, holds_inputs, is_film, walk};
 
 /// Frames of a film of DRUVA: two for each of its about sixty seconds.
 const DRUVA_FRAMES: usize = 120;
@@ -90,28 +90,31 @@ impl Recipe {
         }
     }
 
-    /// The choices for its scenes, where the given ones are the defaults.
-    pub fn choices(self, mut given: PrepareParams) -> PrepareParams {
-        if self == Self::Druva {
-            let usual = PrepareParams::default();
-            if given.frames == usual.frames {
-                given.frames = DRUVA_FRAMES;
-            }
-            if given.matching == Matching::Auto {
-                given.matching = Matching::Sequential;
-            }
+    /// The usual choices for its scenes.
+    pub fn choices(self) -> PrepareParams {
+        match self {
+            Self::Druva => PrepareParams {
+                frames: DRUVA_FRAMES,
+                matching: Matching::Sequential,
+                ..PrepareParams::default()
+            },
+            _ => PrepareParams::default(),
         }
-        given
+    }
+
+    /// True if a folder has files of one of its scenes.
+    pub fn is_in(self, folder: &Path) -> bool {
+        self.names().iter().any(|name| !matches!(self.work(folder, name), Ok(None)))
     }
 
     /// The scenes whose files are in a folder, and the names of the others.
     ///
     /// # Errors
-    /// None of them is there.
+    /// None of them is there, or a scene has two films.
     pub fn scenes(self, folder: &Path) -> Result<(Vec<RecipeScene>, Vec<String>), PrepareError> {
         let (mut found, mut missing) = (Vec::new(), Vec::new());
         for name in self.names() {
-            match self.work(folder, &name) {
+            match self.work(folder, &name)? {
                 Some(work) => found.push(RecipeScene { name, work }),
                 None => missing.push(name),
             }
@@ -122,36 +125,37 @@ impl Recipe {
         Ok((found, missing))
     }
 
-    fn work(self, folder: &Path, name: &str) -> Option<RecipeWork> {
+    fn work(self, folder: &Path, name: &str) -> Result<Option<RecipeWork>, PrepareError> {
         let scene = folder.join(name);
-        match self {
+        Ok(match self {
             Self::SeaThruNerf => {
                 let images =
-                    ["images_wb", "Images_wb"].map(|n| scene.join(n)).into_iter().find(|p| p.is_dir())?;
+                    ["images_wb", "Images_wb"].map(|n| scene.join(n)).into_iter().find(|p| p.is_dir());
                 let places = ["sparse/0", "colmap/sparse/0"].map(|n| scene.join(n));
-                let model = places.into_iter().find(|place| ModelForm::of(place).is_some())?;
-                Some(RecipeWork::Published { images, model })
+                let model = places.into_iter().find(|place| ModelForm::of(place).is_some());
+                images.zip(model).map(|(images, model)| RecipeWork::Published { images, model })
             }
             Self::SeaThru => {
                 // Some archives have raw files beside the folder of the linear photographs.
                 let linear = ["linearPNG", "linear", "png"].map(|n| scene.join(n));
                 let photographs = linear.into_iter().find(|path| path.is_dir()).unwrap_or(scene);
-                let sources = Sources::of(std::slice::from_ref(&photographs)).ok()?;
-                (!sources.has_films()).then_some(RecipeWork::Linear(photographs))
+                holds_inputs(&photographs).then_some(RecipeWork::Linear(photographs))
             }
             Self::Druva => {
                 let films = |dir: &Path| -> Vec<PathBuf> {
-                    let entries = std::fs::read_dir(dir).into_iter().flatten().filter_map(Result::ok);
-                    let mut films: Vec<PathBuf> = entries.map(|e| e.path()).filter(|p| is_film(p)).collect();
+                    let mut films: Vec<PathBuf> = walk(dir, 1).flatten().filter(|p| is_film(p)).collect();
                     films.sort();
                     films
                 };
                 let own = |p: &PathBuf| p.file_stem().is_some_and(|stem| stem.eq_ignore_ascii_case(name));
-                let film =
-                    films(folder).into_iter().find(own).or_else(|| films(&scene).into_iter().next())?;
-                Some(RecipeWork::Film(film))
+                let mut inside = films(&scene);
+                if inside.len() > 1 {
+                    let reason = "there are several films in this folder; keep the one of the scene";
+                    return Err(PrepareError::input(&scene, reason));
+                }
+                films(folder).into_iter().find(own).or_else(|| inside.pop()).map(RecipeWork::Film)
             }
-        }
+        })
     }
 
     /// The message for a folder without any scene: what was looked for, and where it comes from.
@@ -174,8 +178,8 @@ impl Recipe {
     }
 }
 
-/// Copies photographs and their model into the folder of the work, as a capture. `key` and `inputs` go into
-/// its record.
+/// Copies photographs, their model and the masks, depth maps and lists beside them into the folder of the
+/// work, as a capture. `key` and `inputs` go into its record.
 ///
 /// # Errors
 /// A file cannot be copied.
@@ -192,6 +196,7 @@ pub fn publish(
     std::fs::create_dir_all(&sparse).map_err(PrepareError::file(&sparse))?;
     copy_all(images, &capture.join("images_wb"))?;
     copy_all(model, &sparse.join("0"))?;
+    images.parent().map_or(Ok(()), |scene| copy_beside(scene, &capture))?;
     let record = json!({ "format": "use3d preparation", "schema": 1, "key": key, "inputs": inputs });
     write_record(&capture, &record)
 }
@@ -224,6 +229,10 @@ pub fn balance(sources: &Sources, folder: &Path, watch: &StepWatch<'_>) -> Resul
         };
         let name = format!("{}.png", photograph.name.stem());
         let path = folder.join(&name);
+        if path.exists() {
+            let reason = "another photograph has the same name with another ending; keep one of them";
+            return Err(PrepareError::input(&photograph.path, reason));
+        }
         if let Some(parent) = path.parent() {
             std::fs::create_dir_all(parent).map_err(PrepareError::file(parent))?;
         }
@@ -275,10 +284,14 @@ mod tests {
         let (scenes, missing) = Recipe::Druva.scenes(root).unwrap();
         assert_eq!((scenes[0].name.as_str(), scenes[1].name.as_str(), missing.len()), ("A3", "A7", 18));
         assert_eq!(scenes[0].work, RecipeWork::Film(root.join("a3.MP4")));
-        let choices = Recipe::Druva.choices(PrepareParams::default());
+        let choices = Recipe::Druva.choices();
         assert_eq!((choices.frames, choices.matching), (120, Matching::Sequential));
-        let own = PrepareParams { frames: 300, ..PrepareParams::default() };
-        assert_eq!(Recipe::Druva.choices(own).frames, 300);
+        // A camera's small copy is no film of its own.
+        std::fs::write(root.join("A7/GL01.LRV"), "film").unwrap();
+        assert_eq!(Recipe::Druva.scenes(root).unwrap().0[1].work, RecipeWork::Film(root.join("A7/GX01.mp4")));
+        std::fs::write(root.join("A7/GX02.mp4"), "film").unwrap();
+        let said = Recipe::Druva.scenes(root).unwrap_err().to_string();
+        assert!(said.contains("several films") && Recipe::Druva.is_in(root), "{said}");
     }
 
     #[test]

@@ -66,7 +66,7 @@ fn is_made(folder: &Path) -> bool {
 
 /// The films and photographs in a folder, to this depth of folders. Results of this program, and folders of a
 /// capture that hold other images of the same names, are left out.
-fn walk(root: &Path, depth: usize) -> impl Iterator<Item = Result<PathBuf, PrepareError>> {
+pub(crate) fn walk(root: &Path, depth: usize) -> impl Iterator<Item = Result<PathBuf, PrepareError>> {
     let visible = |entry: &walkdir::DirEntry| {
         let name = entry.file_name().to_string_lossy();
         let folder = entry.file_type().is_dir();
@@ -109,6 +109,8 @@ pub struct Sources {
     pub(crate) capture: Option<PathBuf>,
     /// Further folders and files whose content counts, with their names in the record.
     others: Vec<(String, PathBuf)>,
+    /// True for linear photographs, which are balanced and encoded before they are used.
+    pub(crate) linear: bool,
 }
 
 impl Sources {
@@ -146,9 +148,7 @@ impl Sources {
     fn folder(&mut self, folder: &Path, several: bool) -> Result<(), PrepareError> {
         let inner = IMAGES.iter().map(|name| folder.join(name)).find(|path| path.is_dir());
         if inner.is_some() && !several {
-            self.capture = Some(folder.to_path_buf());
-            let beside = BESIDE.iter().map(|name| (name.to_string(), folder.join(name)));
-            self.others.extend(beside.filter(|(_, path)| path.exists()));
+            self.add_beside(folder);
         }
         let root = inner.unwrap_or_else(|| folder.to_path_buf());
         let own = folder.file_name().map(|n| n.to_string_lossy().into_owned());
@@ -211,6 +211,27 @@ impl Sources {
     /// True if there are films.
     pub fn has_films(&self) -> bool {
         !self.films.is_empty()
+    }
+
+    /// Adds the masks, depth maps and lists in a folder. They come along, and their content counts.
+    pub fn add_beside(&mut self, folder: &Path) {
+        self.capture = Some(folder.to_path_buf());
+        let beside = BESIDE.iter().map(|name| (name.to_string(), folder.join(name)));
+        self.others.extend(beside.filter(|(_, path)| path.exists()));
+    }
+
+    /// Says that the photographs are linear, so that they are balanced and encoded before they are used.
+    pub fn set_linear(&mut self) {
+        self.linear = true;
+    }
+
+    /// The same inputs with the photographs of another folder, which were made of these.
+    ///
+    /// # Errors
+    /// The error of [`of`](Self::of).
+    pub fn made_in(&self, folder: &Path) -> Result<Self, PrepareError> {
+        let made = Self::of(&[folder.to_path_buf()])?;
+        Ok(Self { capture: self.capture.clone(), linear: self.linear, ..made })
     }
 
     /// Adds a folder or a file whose content counts.

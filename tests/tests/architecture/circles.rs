@@ -378,6 +378,7 @@ fn a_circle_of_three_files_is_found_also_through_a_re_export() {
         ("b", false, "fn f() -> crate::Third { let text = \"crate::a::First\"; crate::Third }"),
         ("c", false, "struct Third; mod inner { use super::*; fn f(x: super::super::a::First) {} }"),
         ("d", false, "use super::a::First;"),
+        ("e", false, "pub(crate) use crate::a::First; fn f(x: First) {}"),
     ];
     let arrows = Arrows::of_texts(&texts(&files));
     let circles = arrows.circles(3);
@@ -385,7 +386,9 @@ fn a_circle_of_three_files_is_found_also_through_a_re_export() {
         circles,
         [[&["a"], &["b"], &["c"]].map(|p| p.map(String::from).to_vec()).iter().collect::<Vec<_>>()]
     );
-    assert_eq!(arrows.uses[&vec!["d".to_string()]].len(), 1, "{arrows:?}");
+    for user in ["d", "e"] {
+        assert_eq!(arrows.uses[&vec![user.to_string()]].len(), 1, "{user}: {arrows:?}");
+    }
 }
 
 #[test]

@@ -16,9 +16,9 @@ pub(crate) struct PrepareArgs {
     /// The folder for the capture.
     #[arg(short, long, value_name = "CAPTURE_DIR")]
     pub(crate) out: PathBuf,
-    /// The most frames that are taken out of the films.
-    #[arg(long, value_name = "N", default_value_t = 200, value_parser = count(MAX_FRAMES))]
-    frames: usize,
+    /// The most frames that are taken out of the films (default: 200, and 120 for druva).
+    #[arg(long, value_name = "N", value_parser = count(MAX_FRAMES))]
+    frames: Option<usize>,
     /// COLMAP's name of the lens model, such as RADIAL, OPENCV or OPENCV_FISHEYE.
     #[arg(long, value_name = "MODEL", default_value = "RADIAL")]
     lens: String,
@@ -104,15 +104,15 @@ struct ProgramArgs {
 }
 
 impl PrepareArgs {
-    /// The choices.
-    pub(crate) fn params(&self) -> PrepareParams {
+    /// The choices; those without a flag are the usual ones.
+    pub(crate) fn params(&self, usual: &PrepareParams) -> PrepareParams {
         PrepareParams {
-            frames: self.frames,
+            frames: self.frames.unwrap_or(usual.frames),
             lens: self.lens.to_uppercase(),
             calibration: self.calibration.clone(),
             features: self.features,
             matching: match self.matching {
-                MatchingChoice::Auto => Matching::Auto,
+                MatchingChoice::Auto => usual.matching,
                 MatchingChoice::Sequential => Matching::Sequential,
                 MatchingChoice::Exhaustive => Matching::Exhaustive,
             },

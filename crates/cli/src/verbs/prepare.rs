@@ -4,6 +4,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
+use use3d_capture::name::shown_lines;
 use use3d_prepare::{
     CAPTURE, Grade, Input, PREPARED, PrepareError, PrepareParams, Prepared, Programs, Recipe, RecipeScene,
     RecipeWork, Sources, StepProgress, StepWatch, balance, check, key_of, prepare, publish, work_folder,
@@ -146,12 +147,12 @@ fn lines(prepared: &Prepared) -> Vec<String> {
 pub(crate) fn run(app: &App, args: &PrepareArgs) -> Done {
     // A folder of that name may be the captures of an earlier time.
     let recipe = args.inputs.first().and_then(|input| Recipe::named(input.to_str()?));
-    let is_data = |recipe: &Recipe| matches!(&args.inputs[..], [_, data] if recipe.scenes(data).is_ok());
+    let is_data = |recipe: &Recipe| matches!(&args.inputs[..], [_, data] if recipe.is_in(data));
     if let Some(recipe) = recipe.filter(|recipe| !args.inputs[0].exists() || is_data(recipe)) {
         return by_recipe(app, args, recipe);
     }
     let sources = Sources::of(&args.inputs)?;
-    let (params, programs) = (args.params(), args.programs());
+    let (params, programs) = (args.params(&PrepareParams::default()), args.programs());
     let job = Preparation { app, sources: &sources, params: &params, programs: &programs, out: &args.out };
     job.check(args.replace.force)?;
     match job.need()? {
@@ -196,35 +197,25 @@ fn by_recipe(app: &App, args: &PrepareArgs, recipe: Recipe) -> Done {
         let reason = "--json is for one capture: each scene of a data set has its own prepare.json";
         return Err(CliError::Input(reason.into()));
     }
+    let params = args.params(&recipe.choices());
+    if recipe == Recipe::SeaThruNerf && params != recipe.choices() {
+        let reason =
+            "this recipe copies published cameras, so there is nothing to choose; leave these flags out";
+        return Err(CliError::Input(reason.into()));
+    }
     let (scenes, missing) = recipe.scenes(folder)?;
-    let (params, programs) = (recipe.choices(args.params()), args.programs());
+    let data = DataSet { app, args, params: &params, programs: &args.programs() };
+    data.check(&scenes)?;
+    let mut failed = Vec::new();
     for RecipeScene { name, work } in &scenes {
-        let out = args.out.join(name);
-        let said = match work {
-            RecipeWork::Published { images, model } => {
-                copied(app, (images, model), &out, args.replace.force)?
+        match data.scene(name, work) {
+            Ok(said) => said.iter().for_each(|line| println!("{name}: {line}")),
+            Err(CliError::Interrupted) => return Err(CliError::Interrupted),
+            Err(error) => {
+                eprintln!("{name}: {}", shown_lines(error.text()));
+                failed.push(name.as_str());
             }
-            RecipeWork::Film(path) | RecipeWork::Linear(path) => {
-                let sources = Sources::of(std::slice::from_ref(path))?;
-                let job =
-                    Preparation { app, sources: &sources, params: &params, programs: &programs, out: &out };
-                job.check(args.replace.force)?;
-                match job.need()? {
-                    Need::Nothing => vec!["prepared before from the same files and choices".into()],
-                    Need::Work(key, inputs) if matches!(work, RecipeWork::Linear(_)) => {
-                        let shown = args.out.join(format!(".{name}.balanced"));
-                        job.watched(|watch| balance(&sources, &shown, watch))?;
-                        let sources = Sources::of(std::slice::from_ref(&shown))?;
-                        let job = Preparation { sources: &sources, ..job };
-                        let prepared = job.make(&key, &inputs, args.replace.force)?;
-                        let _ = std::fs::remove_dir_all(&shown);
-                        lines(&prepared)
-                    }
-                    Need::Work(key, inputs) => lines(&job.make(&key, &inputs, args.replace.force)?),
-                }
-            }
-        };
-        said.iter().for_each(|line| println!("{name}: {line}"));
+        }
     }
     if !missing.is_empty() {
         println!("not in {}, and not prepared: {}", path_text(folder), missing.join(", "));
@@ -241,7 +232,81 @@ fn by_recipe(app: &App, args: &PrepareArgs, recipe: Recipe) -> Done {
         let (out, name) = (word(&out), path_text(name));
         eprintln!("next: export {variable}={out}; {run} (docs/guide/datasets.md, recipe {name})");
     }
-    Ok(())
+    match failed.is_empty() {
+        true => Ok(()),
+        false => {
+            let names = failed.join(", ");
+            Err(CliError::Failed(format!(
+                "not prepared: {names}; the reasons are above, and the other scenes are there"
+            )))
+        }
+    }
+}
+
+/// The preparation of the scenes of a data set.
+struct DataSet<'a> {
+    app: &'a App,
+    args: &'a PrepareArgs,
+    params: &'a PrepareParams,
+    programs: &'a Programs,
+}
+
+impl DataSet<'_> {
+    fn out(&self, name: &str) -> PathBuf {
+        self.args.out.join(name)
+    }
+
+    /// Names a missing program once, and not for each scene that is left to do.
+    fn check(&self, scenes: &[RecipeScene]) -> Done {
+        let open = scenes.iter().filter(|scene| !self.out(&scene.name).join(PREPARED).is_file());
+        let path = open.filter_map(|scene| match &scene.work {
+            RecipeWork::Film(path) | RecipeWork::Linear(path) => Some(path.clone()),
+            RecipeWork::Published { .. } => None,
+        });
+        let sources = path.filter_map(|path| Sources::of(&[path]).ok()).next();
+        match sources.map(|sources| check(&sources, self.params, self.programs)) {
+            Some(Err(error @ PrepareError::Program(_))) => Err(error.into()),
+            _ => Ok(()),
+        }
+    }
+
+    /// Prepares a scene, and returns the lines about it.
+    fn scene(&self, name: &str, work: &RecipeWork) -> Result<Vec<String>, CliError> {
+        let (out, force) = (self.out(name), self.args.replace.force);
+        let (path, linear) = match work {
+            RecipeWork::Published { images, model } => return copied(self.app, (images, model), &out, force),
+            RecipeWork::Film(path) => (path, false),
+            RecipeWork::Linear(path) => (path, true),
+        };
+        let mut sources = Sources::of(std::slice::from_ref(path))?;
+        if linear && sources.has_films() {
+            let what = "the folder has films; this recipe takes linear photographs";
+            return Err(CliError::Input(format!("{}: {what}", path_text(path))));
+        }
+        if linear {
+            sources.set_linear();
+        }
+        let DataSet { app, params, programs, .. } = *self;
+        let job = Preparation { app, sources: &sources, params, programs, out: &out };
+        job.check(force)?;
+        let Need::Work(key, inputs) = job.need()? else {
+            return Ok(vec!["prepared before from the same files and choices".into()]);
+        };
+        if !linear {
+            return Ok(lines(&job.make(&key, &inputs, force)?));
+        }
+        check_folder(&out, force)?;
+        let folder = self.args.out.join(format!(".{name}.balanced"));
+        let balanced = job.watched(|watch| {
+            balance(&sources, &folder, watch)?;
+            sources.made_in(&folder)
+        });
+        let prepared = balanced
+            .map_err(CliError::from)
+            .and_then(|sources| Preparation { sources: &sources, ..job }.make(&key, &inputs, force));
+        let _ = std::fs::remove_dir_all(&folder);
+        Ok(lines(&prepared?))
+    }
 }
 
 /// Copies a published scene into a capture, unless this was done before.
@@ -253,6 +318,13 @@ fn copied(
 ) -> Result<Vec<String>, CliError> {
     let mut sources = Sources::of(&[images.to_path_buf()])?;
     sources.add("sparse/0", model);
+    if let Some(scene) = images.parent() {
+        sources.add_beside(scene);
+    }
+    // Reading all photographs takes long.
+    if !out.join(PREPARED).is_file() {
+        check_folder(out, force)?;
+    }
     let (params, programs) = (PrepareParams::default(), Programs::default());
     let job = Preparation { app, sources: &sources, params: &params, programs: &programs, out };
     let Need::Work(key, inputs) = job.need()? else {

@@ -275,8 +275,8 @@ fn facts(parts: &Parts<'_>, pairs: usize, log: Option<&str>, targets: Option<&Ta
     }
 }
 
-/// A sentence on the water of stage 1, in the same words as `use3d water` if the tracks were used, and one on the
-/// metres of a unit. Empty if the scene does not say it.
+/// A sentence on the water of stage 1, in the same words as `use3d water` if the tracks were used, and one on
+/// the metres of a unit. Empty if the scene does not say it.
 fn water_sentences(scene: &Path) -> String {
     let estimate: Option<serde_json::Value> = read_json(&scene.join(WATER)).ok();
     let choices =

@@ -538,8 +538,8 @@ fn what_a_store_has_is_found_by_a_list_and_what_nobody_keeps_can_go() {
     assert!(pulled.problems.is_empty() && pulled.missing > 0 && pulled.moved == swept.left, "{pulled:?}");
 }
 
-/// A store to which another machine sends every artifact again as soon as its manifest is removed. That machine
-/// finds the files still there.
+/// A store to which another machine sends every artifact again as soon as its manifest is removed. That
+/// machine finds the files still there.
 #[derive(Default)]
 struct Resending {
     inner: Memory,
