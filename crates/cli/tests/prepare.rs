@@ -99,8 +99,8 @@ fn missing_programs_are_named_with_the_commands_that_bring_them() {
     }
 }
 
-fn first_photograph(place: &Place) -> String {
-    let mut entries = std::fs::read_dir(place.at("other/photos")).unwrap();
+fn first_file(folder: &Path) -> String {
+    let mut entries = std::fs::read_dir(folder).unwrap();
     entries.next().unwrap().unwrap().file_name().into_string().unwrap()
 }
 
@@ -122,7 +122,8 @@ fn a_run_on_photographs_prepares_them_first_and_once() {
     // The capture of another folder of the same name is not replaced.
     std::fs::create_dir(place.at("other")).unwrap();
     std::fs::rename(place.at("photos"), place.at("other/photos")).unwrap();
-    std::fs::remove_file(place.at("other/photos/") + &first_photograph(&place)).unwrap();
+    std::fs::remove_file(place.at("other/photos/") + &first_file(Path::new(&place.at("other/photos"))))
+        .unwrap();
     let mut command = place.run_into("results/photos", "other/photos", "cache", &[]);
     let other = alone(command.args(["--until", "import"]), &place);
     let text = said(&other);
@@ -162,7 +163,8 @@ fn recipes_make_a_capture_of_each_scene_and_name_what_is_missing() {
     // Published cameras are copied, under the names of the pipeline files.
     copy("tiny/images", &data.join("Panama/Images_wb"));
     std::fs::create_dir(data.join("Panama/depth")).unwrap();
-    std::fs::write(data.join("Panama/test_list.txt"), "a.png\n").unwrap();
+    let held_out = first_file(&data.join("Panama/Images_wb"));
+    std::fs::write(data.join("Panama/test_list.txt"), held_out + "\n").unwrap();
     copy("tiny/sparse/0", &data.join("Panama/sparse/0"));
     for again in [false, true] {
         let output = recipe("seathru");

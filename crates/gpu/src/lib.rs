@@ -24,7 +24,7 @@
 //! | colour planes | 3 P `f32` | the image, and its gradient |
 //! | water | 9 P `f32` | `c_m`, `k_a` and `k_b` |
 //! | depth | P `f32` | expected depth |
-//! | colour gradients | 6 N `f32` | the gradient of a Gaussian's colour, and the direction from which it was seen |
+//! | colour gradients | 6 N `f32` | the gradient of a Gaussian's colour, and the view direction |
 //! | kept | 13 P `u32` | accumulation, three images, transmittance, stop, depth: see below |
 //!
 //! The rows of a splat are `x, y, shear, steepness`; `steepness_y, log2_opacity, z, reach_y`; colour, and 1

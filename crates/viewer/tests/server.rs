@@ -262,9 +262,21 @@ fn answers(server: &Server, stream: &mut TcpStream) -> bool {
         token(server)
     );
     stream.write_all(request.as_bytes()).unwrap();
-    let mut block = [0; 4096];
-    let read = stream.read(&mut block).unwrap();
-    String::from_utf8_lossy(&block[..read]).starts_with("HTTP/1.1 200")
+    // The whole answer is read, so that the next call does not begin in this one's body.
+    let (mut answer, mut block) = (String::new(), [0; 4096]);
+    loop {
+        let read = stream.read(&mut block).unwrap();
+        answer += &String::from_utf8_lossy(&block[..read]);
+        let whole = answer.split_once("\r\n\r\n").is_some_and(|(head, body)| {
+            let length = head
+                .lines()
+                .find_map(|line| line.to_lowercase().strip_prefix("content-length:")?.trim().parse().ok());
+            length.is_none_or(|length: usize| body.len() >= length)
+        });
+        if read == 0 || whole {
+            return answer.starts_with("HTTP/1.1 200");
+        }
+    }
 }
 
 #[test]

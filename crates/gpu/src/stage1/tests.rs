@@ -283,10 +283,17 @@ fn what_is_not_finite_is_named_and_stops_the_steps_after_it() {
 fn what_no_binding_holds_is_refused_with_its_size() {
     let Some(gpu) = software() else { return };
     let tight = gpu.clone().binding(100_000);
-    let mut ours = with_views(Stage1::new(&tight).unwrap());
-    let refused = ours.load(state(2600, 0.5)).unwrap_err().to_string();
+    let view = views().swap_remove(0);
+    let refused = Stage1::new(&tight).unwrap().upload(view).unwrap_err().to_string();
     assert!(
-        refused.contains("124800 bytes") && refused.contains("at most 100000: 2083 Gaussians"),
+        refused.contains("values of pixels would take") && refused.contains("at most 100000"),
+        "{refused}"
+    );
+    let tight = gpu.clone().binding(130_000);
+    let mut ours = with_views(Stage1::new(&tight).unwrap());
+    let refused = ours.load(state(2750, 0.5)).unwrap_err().to_string();
+    assert!(
+        refused.contains("132000 bytes") && refused.contains("at most 130000: 2708 Gaussians"),
         "{refused}"
     );
     let tight = gpu.binding(900_000);
