@@ -257,7 +257,7 @@ fn whoever_asks_for_json_gets_one_document_also_of_an_error() {
 fn parameters_completions_and_man_pages_can_be_had() {
     let dir = tempfile::tempdir().unwrap();
     let all = text(&use3d(&["params"]).stdout);
-    for part in ["reconstruct.iterations = 5000   (whole number)", "import.split.every = 8", "enhance: "] {
+    for part in ["reconstruct.iterations = 3000   (whole number)", "import.split.every = 8", "enhance: "] {
         assert!(all.contains(part), "{part:?} is not in\n{all}");
     }
     let json = use3d(&["params", "reconstruct", "--json"]).stdout;

@@ -4,7 +4,7 @@
 //! [`engine::Engine`] owns parameters, moments and buffers and does it. The caller chooses the engine:
 //! [`engine::CpuEngine`] is the reference, and any other crate may provide one. A step renders one training
 //! view through the water, compares it with the photograph ([`losses`]), and changes Gaussians and water by
-//! Adam. At intervals Gaussians are split, duplicated and removed (R9), and images grow from a quarter to
+//! Adam. At intervals Gaussians are split, duplicated and removed (R9), and images grow from half to
 //! full size (R11). Everything is a function of capture, parameters and seed: the same bits on any number
 //! of threads, and after any number of interruptions.
 

@@ -128,9 +128,9 @@ impl Default for LearningRates {
     fn default() -> Self {
         Self {
             means: Rate(1.6e-4, 5e-5),
-            sh_constant: Rate(2.5e-3, 2.5e-4),
-            sh_directional: Rate(1.25e-4, 1.25e-5),
-            opacity: Rate(0.05, 0.05),
+            sh_constant: Rate(5e-3, 5e-4),
+            sh_directional: Rate(1e-3, 1e-4),
+            opacity: Rate(0.1, 0.1),
             scales: Rate(5e-3, 5e-3),
             quaternions: Rate(1e-3, 1e-3),
             medium_constant: Rate(2.5e-3, 2.5e-4),
@@ -246,10 +246,10 @@ impl Default for Densify {
             enabled: true,
             strategy: Strategy::Authors,
             statistics_from: 100,
-            warm_up: 600,
-            every: 100,
-            period: 500,
-            pause: 250,
+            warm_up: 300,
+            every: 50,
+            period: 250,
+            pause: 125,
             until: 2.0 / 3.0,
             gradient_threshold: 8e-4,
             reference_pixels: 1400 * 933,
@@ -352,7 +352,7 @@ pub struct ReconstructParams {
 impl Default for ReconstructParams {
     fn default() -> Self {
         Self {
-            iterations: 5000,
+            iterations: 3000,
             schedule: 15_000,
             images: Images::Captured,
             medium: MediumKind::default(),
@@ -369,14 +369,14 @@ impl Default for ReconstructParams {
             structure_weight: 0.2,
             sh_degree: 3,
             sh_every: 1.0 / 15.0,
-            resolution_schedule: vec![(0.0, 4), (0.2, 2), (0.4, 1)],
+            resolution_schedule: vec![(0.0, 2), (0.2, 1)],
             initial_opacity: 0.1,
             start_points: StartPoints::Tracks,
             random_points: 10_000,
             learning_rates: LearningRates::default(),
             densify: Densify::default(),
             unseen: Unseen::default(),
-            unknown_below: 0.0,
+            unknown_below: 0.05,
             max_gaussians: 0,
             seed: 42,
             evaluate_every: 0,
@@ -566,17 +566,20 @@ mod tests {
 
     #[test]
     fn schedules_are_those_of_the_method_at_fifteen_thousand_steps() {
-        let p = ReconstructParams { iterations: 15_000, ..ReconstructParams::default() };
+        let resolution_schedule = vec![(0.0, 4), (0.2, 2), (0.4, 1)];
+        let p = ReconstructParams { iterations: 15_000, resolution_schedule, ..ReconstructParams::default() };
         p.validate().unwrap();
         let divisors = [0, 2999, 3000, 5999, 6000, 14_999].map(|s| p.divisor(s));
         assert_eq!(divisors, [4, 4, 2, 2, 1, 1]);
         assert_eq!([0, 999, 1000, 2000, 3000, 9000].map(|s| p.active_degree(s)), [0, 0, 1, 2, 3, 3]);
-        assert_eq!((p.densify_end(), p.warm_up()), (10_000, 600));
+        assert_eq!((p.densify_end(), p.warm_up()), (10_000, 300));
         let long = ReconstructParams { iterations: 20_000, ..p.clone() };
         assert_eq!((long.divisor(5999), long.divisor(6000), long.densify_end()), (2, 1, 10_000));
         let short = ReconstructParams { iterations: 1500, ..p };
         assert_eq!((short.divisor(299), short.divisor(300), short.active_degree(100)), (4, 2, 1));
-        assert_eq!((short.densify_end(), short.warm_up()), (1000, 375));
+        assert_eq!((short.densify_end(), short.warm_up()), (1000, 300));
+        let shorter = ReconstructParams { iterations: 600, ..short };
+        assert_eq!(shorter.warm_up(), 150);
     }
 
     #[test]

@@ -5,7 +5,7 @@ const STAGES: [&str; 7] = ["import", "reconstruct", "targets", "enhance", "rende
 
 fn default_run(started: Instant) -> WholeRun {
     let steps = |stage: &str| match stage {
-        "reconstruct" => 5000.0,
+        "reconstruct" => 3000.0,
         "enhance" => 1000.0,
         _ => 0.0,
     };
