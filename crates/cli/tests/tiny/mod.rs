@@ -76,7 +76,7 @@ pub(crate) fn command() -> Command {
     command
 }
 
-/// All files of a folder.
+/// All files of a folder. Leaves out a file that another process removed after it was listed.
 pub(crate) fn files(root: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut all = BTreeMap::new();
     let mut folders = vec![root.to_path_buf()];
@@ -87,7 +87,11 @@ pub(crate) fn files(root: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
                 folders.push(path);
             } else {
                 let name = path.strip_prefix(root).expect("inside").to_path_buf();
-                all.insert(name, std::fs::read(&path).expect("readable"));
+                match std::fs::read(&path) {
+                    Ok(bytes) => drop(all.insert(name, bytes)),
+                    Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
+                    Err(error) => panic!("{}: {error}", path.display()),
+                }
             }
         }
     }
