@@ -51,7 +51,7 @@ fn project() -> Spec {
         CHUNK,
         read("axes"),
         (Access::Read, "geometry", ROWS),
-        read("colors"),
+        (Access::Read, "colors", ROWS),
         (Access::Write, "splats", ROWS),
         (Access::Write, "keys", U32S),
         (Access::Write, "tiles", U32S),

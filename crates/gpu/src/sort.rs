@@ -15,8 +15,10 @@ use crate::kernel::{Access, Binding, Constant, Grid, Kernel, Spec, U32S, bound};
 
 /// Threads of a workgroup.
 const THREADS: u32 = 256;
+/// Number of items that a thread moves.
+const ITEMS: usize = 16;
 /// Number of items in a block.
-const BLOCK: usize = 16 * THREADS as usize;
+const BLOCK: usize = ITEMS * THREADS as usize;
 /// Number of digits in a pass.
 const DIGITS: usize = 256;
 /// Number of passes for the longest key.
@@ -39,7 +41,7 @@ fn spec(name: &'static str, body: &'static str, identity: bool, more: &[Binding]
         name,
         threads: THREADS,
         bindings: [&[ORDER, counts::READ], more].concat(),
-        constants: vec![("IDENTITY", Constant::Switch(identity))],
+        constants: vec![("IDENTITY", Constant::Switch(identity)), ("ITEMS", Constant::Count(ITEMS as u32))],
         parts: vec![include_str!("scan.wgsl"), include_str!("sort/shared.wgsl"), body],
     }
 }

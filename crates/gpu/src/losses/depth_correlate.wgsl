@@ -2,18 +2,16 @@
 
 @compute @workgroup_size(WG)
 fn main(@builtin(local_invocation_index) lane: u32) {
-    let dd = total_of(0u, view.groups, lane);
-    let pp = total_of(view.groups, view.groups, lane);
-    let dp = total_of(2u * view.groups, view.groups, lane);
+    let all = totals_of(0u, view.groups, view.groups, lane);
     if (lane == 0u) {
         let n = told[0];
         var own = 0.0;
         var other = 0.0;
         var loss = 0.0;
         if (n >= FEWEST_PIXELS) {
-            let variance_d = dd / n;
-            let product = sqrt(variance_d) * sqrt(pp / n);
-            let correlation = dp / n / max(product, DEVIATION_FLOOR);
+            let variance_d = all.x / n;
+            let product = sqrt(variance_d) * sqrt(all.y / n);
+            let correlation = all.z / n / max(product, DEVIATION_FLOOR);
             if (product > DEVIATION_FLOOR) {
                 own = view.slopes.z * correlation / (n * variance_d);
                 other = -view.slopes.z / (n * product);

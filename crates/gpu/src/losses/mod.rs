@@ -195,7 +195,7 @@ pub(crate) struct Losses {
 const VIEW: Binding = (Access::Uniform, "view", "LossConstants");
 
 fn spec(name: &'static str, bindings: &[Binding], parts: &[&'static str]) -> Spec {
-    let mut all = vec![SUM, include_str!("shared.wgsl")];
+    let mut all = vec![SUM, include_str!("sum_of_three.wgsl"), include_str!("shared.wgsl")];
     all.extend(parts);
     let mut constants = counts::constants();
     constants.extend([("BAD_GAINS", Constant::Count(1 << 6)), ("BAD_LOSS", Constant::Count(1 << 7))]);

@@ -4,11 +4,8 @@
 
 // Sum of a quantity over all channels.
 fn total_over(quantity: u32, lane: u32) -> f32 {
-    var total = 0.0;
-    for (var channel = 0u; channel < 3u; channel = channel + 1u) {
-        total = total + total_of(run_of(quantity) + channel * view.groups, view.groups, lane);
-    }
-    return total;
+    let channels = totals_of(run_of(quantity), view.groups, view.groups, lane);
+    return channels.x + channels.y + channels.z;
 }
 
 @compute @workgroup_size(WG)

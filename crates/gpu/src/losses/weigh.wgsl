@@ -37,12 +37,10 @@ fn main(
         }
     }
     let first = channel * view.groups + place.group;
-    let a = sum_of_group(absolute, lane);
-    let s = sum_of_group(squared, lane);
-    let c = sum_of_group(counted, lane);
+    let all = sum_of_three(vec3<f32>(absolute, squared, counted), lane);
     if (lane == 0u) {
-        sums[run_of(0u) + first] = a;
-        sums[run_of(1u) + first] = s;
-        sums[run_of(2u) + first] = c;
+        sums[run_of(0u) + first] = all.x;
+        sums[run_of(1u) + first] = all.y;
+        sums[run_of(2u) + first] = all.z;
     }
 }

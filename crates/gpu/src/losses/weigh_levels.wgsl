@@ -5,12 +5,13 @@ var<private> level_means: array<f32, 12>;
 
 @compute @workgroup_size(WG)
 fn main(@builtin(local_invocation_index) lane: u32) {
-    for (var plane = 0u; plane < 3u * view.levels; plane = plane + 1u) {
-        let level = plane / 3u;
-        let first = view.level_first[level] + (plane % 3u) * view.level_groups[level];
-        let total = total_of(first, view.level_groups[level], lane);
+    for (var level = 0u; level < view.levels; level = level + 1u) {
+        let groups = view.level_groups[level];
+        let means = totals_of(view.level_first[level], groups, groups, lane) * view.level_mean[level];
         if (lane == 0u) {
-            level_means[plane] = total * view.level_mean[level];
+            level_means[3u * level] = means.x;
+            level_means[3u * level + 1u] = means.y;
+            level_means[3u * level + 2u] = means.z;
         }
     }
     // The first thread alone writes the means and reads them, so no barrier is needed.

@@ -5,6 +5,11 @@ var<workgroup> tint: array<vec4<f32>, 256>;
 var<workgroup> open: atomic<u32>;
 var<workgroup> any_open: u32;
 
+// Takes every second bit of eight, beginning with the lowest.
+fn every_second_bit(bits: u32) -> u32 {
+    return (bits & 1u) | ((bits >> 1u) & 2u) | ((bits >> 2u) & 4u) | ((bits >> 3u) & 8u);
+}
+
 fn keep(section: u32, pixel: u32, value: f32) {
     kept[section * constants.size.x * constants.size.y + pixel] = bitcast<u32>(value);
 }
@@ -17,8 +22,10 @@ fn main(
 ) {
     let tile = group_of(wid, nwg);
     if (tile >= constants.size.z * constants.size.w) { return; }
-    let column = (tile % constants.size.z) * TILE + lid % TILE;
-    let row = (tile / constants.size.z) * TILE + lid / TILE;
+    // Pixels are numbered along a Z-curve. So those of threads that run in step form a rectangle that is about
+    // as wide as high, and fewer Gaussians concern only some of them.
+    let column = (tile % constants.size.z) * TILE + every_second_bit(lid);
+    let row = (tile / constants.size.z) * TILE + every_second_bit(lid >> 1u);
     let inside = column < constants.size.x && row < constants.size.y;
     let centre_x = axes[column];
     let centre_y = axes[constants.size.z * TILE + row];

@@ -3,7 +3,8 @@
 // digit's mask, and counts the bits below its own.
 const WORDS: u32 = WG / 32u;
 
-var<workgroup> masks: array<atomic<u32>, 2048>;
+// The masks of all digits, one word after another, so that neighbouring digits lie in neighbouring banks.
+var<workgroup> masks: array<atomic<u32>, DIGITS * WORDS>;
 var<workgroup> places: array<u32, 256>;
 
 @compute @workgroup_size(WG)
@@ -17,7 +18,7 @@ fn main(
     let before = exclusive(lid, totals[lid]).x;
     places[lid] = 0u;
     if (block < order.blocks) { places[lid] = before + table[lid * order.blocks + block]; }
-    for (var w = 0u; w < WORDS; w++) { atomicStore(&masks[lid * WORDS + w], 0u); }
+    for (var w = 0u; w < WORDS; w++) { atomicStore(&masks[w * DIGITS + lid], 0u); }
     for (var k = 0u; k < ITEMS; k++) {
         let i = (block * ITEMS + k) * WG + lid;
         var key = 0u;
@@ -27,13 +28,13 @@ fn main(
             digit = digit_of(key);
         }
         workgroupBarrier();
-        if (i < n) { atomicOr(&masks[digit * WORDS + lid / 32u], 1u << (lid % 32u)); }
+        if (i < n) { atomicOr(&masks[lid / 32u * DIGITS + digit], 1u << (lid % 32u)); }
         workgroupBarrier();
         if (i < n) {
             var rank = 0u;
-            for (var w = 0u; w < lid / 32u; w++) { rank += countOneBits(atomicLoad(&masks[digit * WORDS + w])); }
+            for (var w = 0u; w < lid / 32u; w++) { rank += countOneBits(atomicLoad(&masks[w * DIGITS + digit])); }
             let below = (1u << (lid % 32u)) - 1u;
-            rank += countOneBits(atomicLoad(&masks[digit * WORDS + lid / 32u]) & below);
+            rank += countOneBits(atomicLoad(&masks[lid / 32u * DIGITS + digit]) & below);
             let at = places[digit] + rank;
             sorted_keys[at] = key;
             if (IDENTITY) { sorted_values[at] = i; } else { sorted_values[at] = values[i]; }
@@ -41,8 +42,8 @@ fn main(
         workgroupBarrier();
         var found = 0u;
         for (var w = 0u; w < WORDS; w++) {
-            found += countOneBits(atomicLoad(&masks[lid * WORDS + w]));
-            atomicStore(&masks[lid * WORDS + w], 0u);
+            found += countOneBits(atomicLoad(&masks[w * DIGITS + lid]));
+            atomicStore(&masks[w * DIGITS + lid], 0u);
         }
         places[lid] += found;
     }

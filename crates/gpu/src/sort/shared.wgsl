@@ -1,4 +1,3 @@
-const ITEMS: u32 = 16u;
 const DIGITS: u32 = 256u;
 
 struct Pass {

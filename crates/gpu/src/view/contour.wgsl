@@ -19,38 +19,38 @@ fn down(t: u32) -> vec2<f32> {
     return vec2<f32>(axes[first], axes[first + TILE - 1u]);
 }
 
+// Centres lie at equal distances, except in a lattice of chosen pixels. So a search for a tile begins where
+// the tile would be at equal distances, and mostly ends there. Returns (first centre - bound) in tiles.
+fn tiles_to(bound: f32, first: f32, pitch: f32) -> f32 {
+    return clamp((bound - first) / max(pitch, 1e-6f), -1.0f, 65535.0f);
+}
+
 // Half-open range of tile columns with a pixel centre in [low, high].
 fn columns_meeting(low: f32, high: f32) -> vec2<u32> {
-    var a = 0u;
-    var b = constants.size.z;
-    while (a < b) {
-        let middle = (a + b) / 2u;
-        if (across(middle).y < low) { a = middle + 1u; } else { b = middle; }
-    }
-    let first = a;
-    b = constants.size.z;
-    while (a < b) {
-        let middle = (a + b) / 2u;
-        if (across(middle).x <= high) { a = middle + 1u; } else { b = middle; }
-    }
-    return vec2<u32>(first, a);
+    let n = constants.size.z;
+    let ends = across(0u);
+    let pitch = (across(n - 1u).x - ends.x) / f32(max(n, 2u) - 1u);
+    var a = min(u32(ceil(tiles_to(low, ends.y, pitch))), n);
+    while (a > 0u && across(a - 1u).y >= low) { a--; }
+    while (a < n && across(a).y < low) { a++; }
+    var b = clamp(u32(floor(tiles_to(high, ends.x, pitch)) + 1.0f), a, n);
+    while (b > a && across(b - 1u).x > high) { b--; }
+    while (b < n && across(b).x <= high) { b++; }
+    return vec2<u32>(a, b);
 }
 
 // Half-open range of tile rows with a pixel centre in [low, high].
 fn rows_meeting(low: f32, high: f32) -> vec2<u32> {
-    var a = 0u;
-    var b = constants.size.w;
-    while (a < b) {
-        let middle = (a + b) / 2u;
-        if (down(middle).y < low) { a = middle + 1u; } else { b = middle; }
-    }
-    let first = a;
-    b = constants.size.w;
-    while (a < b) {
-        let middle = (a + b) / 2u;
-        if (down(middle).x <= high) { a = middle + 1u; } else { b = middle; }
-    }
-    return vec2<u32>(first, a);
+    let n = constants.size.w;
+    let ends = down(0u);
+    let pitch = (down(n - 1u).x - ends.x) / f32(max(n, 2u) - 1u);
+    var a = min(u32(ceil(tiles_to(low, ends.y, pitch))), n);
+    while (a > 0u && down(a - 1u).y >= low) { a--; }
+    while (a < n && down(a).y < low) { a++; }
+    var b = clamp(u32(floor(tiles_to(high, ends.x, pitch)) + 1.0f), a, n);
+    while (b > a && down(b - 1u).x > high) { b--; }
+    while (b < n && down(b).x <= high) { b++; }
+    return vec2<u32>(a, b);
 }
 
 fn half_width(s: Contour, dy: f32) -> f32 {

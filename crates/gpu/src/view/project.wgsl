@@ -15,6 +15,9 @@ fn log2_1p(e: f32) -> f32 {
     return log2(1.0f + e);
 }
 
+// A number of the array of colours.
+fn number_at(place: u32) -> f32 { return colors[place / 4u][place % 4u]; }
+
 fn large(v: f32) -> bool { return !(abs(v) < 1e30f) || is_bad(v); }
 
 @compute @workgroup_size(WG)
@@ -60,13 +63,24 @@ fn main(
     let bands = constants.counts.y;
     var color: vec3<f32>;
     if (bands == 0u) {
-        color = vec3<f32>(colors[3u * own], colors[3u * own + 1u], colors[3u * own + 2u]);
+        let at = 3u * own;
+        color = vec3<f32>(number_at(at), number_at(at + 1u), number_at(at + 2u));
     } else {
+        // Four bands lie in three rows.
         var y = harmonics(bands, direction_to(g0.xyz));
         color = vec3<f32>(0.5f);
-        for (var k = 0u; k < bands; k++) {
-            let at = 48u * own + 3u * k;
-            color = fma(vec3<f32>(y[k]), vec3<f32>(colors[at], colors[at + 1u], colors[at + 2u]), color);
+        for (var four = 0u; four < 4u; four++) {
+            if (4u * four < bands) {
+                let a = colors[12u * own + 3u * four];
+                let b = colors[12u * own + 3u * four + 1u];
+                let c = colors[12u * own + 3u * four + 2u];
+                color = fma(vec3<f32>(y[4u * four]), a.xyz, color);
+                if (4u * four + 1u < bands) {
+                    color = fma(vec3<f32>(y[4u * four + 1u]), vec3<f32>(a.w, b.xy), color);
+                    color = fma(vec3<f32>(y[4u * four + 2u]), vec3<f32>(b.zw, c.x), color);
+                    color = fma(vec3<f32>(y[4u * four + 3u]), c.yzw, color);
+                }
+            }
         }
         color = max(color, vec3<f32>(0.0f));
     }

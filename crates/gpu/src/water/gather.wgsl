@@ -4,18 +4,25 @@
 //   ∂c = g (1 − V)      ∂β_bs = g c MB |d|      ∂β_attn = −g MA |d|
 //
 // with V = Σ w e_bs (`VEIL`), MB = Σ w z e_bs (`VEIL_BY_DEPTH`), MA = Σ w z c e_attn (`LIGHT_BY_DEPTH`). The
-// products of basis and gradient are summed over 1024 pixels per workgroup, 128 at a time. Each sum is
-// computed in one lane.
+// products of basis and gradient are summed over 1024 pixels per workgroup, 128 at a time. Each of 120 threads
+// sums the twelve products of four bands with the three channels of a quantity, over every tenth pixel. In the
+// end the ten parts of each sum are added.
 
 const LOG2_E: f32 = 1.4426950408889634;
 const SPAN: u32 = 1024u;
 const LANES: u32 = 128u;
-// Floats between rows in workgroup memory: one more than a row has, so that threads that read the same column
-// of several rows use different banks.
-const STRIDE: u32 = 129u;
+// Rows of four bands times quantities.
+const JOBS: u32 = 12u;
+// Parts of the pixels: as many as there are threads for.
+const PARTS: u32 = LANES / JOBS;
+// Rows between two groups of bands in workgroup memory: one more than there are, so that threads that read
+// the same pixel use different banks.
+const STRIDE: u32 = LANES + 1u;
 
-var<workgroup> bases: array<f32, 16u * STRIDE>;
-var<workgroup> slopes: array<f32, 9u * STRIDE>;
+// Four groups of four bands, pixel after pixel. Afterwards the threads' sums.
+var<workgroup> bases: array<vec4<f32>, 4u * STRIDE>;
+// Three channels of each quantity, pixel after pixel.
+var<workgroup> slopes: array<vec4<f32>, 3u * STRIDE>;
 
 // First planes of the sections of `kept`, whose words are the bits of floats.
 const VEIL: u32 = 1u;
@@ -38,23 +45,19 @@ fn softplus_slope(y: f32) -> f32 {
     return y * sum;
 }
 
-// One of the 144 sums, over the pixels in workgroup memory. Four interleaved partial sums are added.
-fn sum_of(index: u32) -> f32 {
-    let quantity = index / 48u;
-    let band = (index % 48u) / 3u;
-    let channel = index % 3u;
-    if (band >= water.bands) {
-        return 0.0;
-    }
-    let b = band * STRIDE;
-    let s = (3u * quantity + channel) * STRIDE;
-    var sum = vec4<f32>(0.0);
-    for (var k = 0u; k < LANES; k = k + 4u) {
-        sum = sum
-            + vec4<f32>(bases[b + k], bases[b + k + 1u], bases[b + k + 2u], bases[b + k + 3u])
-                * vec4<f32>(slopes[s + k], slopes[s + k + 1u], slopes[s + k + 2u], slopes[s + k + 3u]);
-    }
-    return (sum.x + sum.y) + (sum.z + sum.w);
+fn three_of(section: u32, pixel: u32) -> vec3<f32> {
+    let at = section * water.pixels + pixel;
+    return vec3<f32>(maps[at], maps[at + water.pixels], maps[at + 2u * water.pixels]);
+}
+
+fn sums_of(section: u32, pixel: u32) -> vec3<f32> {
+    let at = section * water.pixels + pixel;
+    return bitcast<vec3<f32>>(vec3<u32>(kept[at], kept[at + water.pixels], kept[at + 2u * water.pixels]));
+}
+
+fn softplus_slopes(k: vec3<f32>, to_value: f32) -> vec3<f32> {
+    let y = k * to_value;
+    return vec3<f32>(softplus_slope(y.x), softplus_slope(y.y), softplus_slope(y.z));
 }
 
 @compute @workgroup_size(WG)
@@ -67,50 +70,66 @@ fn main(
     if (own >= water.groups) {
         return;
     }
-    var first = 0.0;
-    var second = 0.0;
+    let job = lane % JOBS;
+    let part = lane / JOBS;
+    let band_row = (job % 4u) * STRIDE;
+    let quantity_row = (job / 4u) * STRIDE;
+    var red = vec4<f32>(0.0);
+    var green = vec4<f32>(0.0);
+    var blue = vec4<f32>(0.0);
     for (var start = 0u; start < SPAN; start = start + LANES) {
         let pixel = own * SPAN + start + lane;
+        var basis = Basis();
+        var by_color = vec3<f32>(0.0);
+        var by_backscatter = vec3<f32>(0.0);
+        var by_attenuation = vec3<f32>(0.0);
         if (pixel < water.pixels) {
             let ray = ray_of(pixel);
-            var basis = basis_of(ray.direction);
-            for (var band = 0u; band < 16u; band = band + 1u) {
-                bases[band * STRIDE + lane] = basis[band];
-            }
+            basis = basis_of(ray.direction);
             let to_value = 1.0 / (LOG2_E * ray.length);
-            for (var channel = 0u; channel < 3u; channel = channel + 1u) {
-                let at = channel * water.pixels + pixel;
-                let g = image_slope[at];
-                let c = maps[at];
-                var by_color = 0.0;
-                if (c > 0.0) {
-                    by_color = g * (1.0 - along(VEIL, at));
-                }
-                let by_backscatter = g * c * along(VEIL_BY_DEPTH, at) * ray.length;
-                let by_attenuation = -g * along(LIGHT_BY_DEPTH, at) * ray.length;
-                slopes[channel * STRIDE + lane] = by_color;
-                slopes[(3u + channel) * STRIDE + lane] =
-                    by_backscatter * softplus_slope(maps[BACKSCATTER * water.pixels + at] * to_value);
-                slopes[(6u + channel) * STRIDE + lane] =
-                    by_attenuation * softplus_slope(maps[ATTENUATION * water.pixels + at] * to_value);
-            }
-        } else {
-            for (var band = 0u; band < 16u; band = band + 1u) {
-                bases[band * STRIDE + lane] = 0.0;
-            }
-            for (var quantity = 0u; quantity < 9u; quantity = quantity + 1u) {
-                slopes[quantity * STRIDE + lane] = 0.0;
-            }
+            let n = water.pixels;
+            let g = vec3<f32>(image_slope[pixel], image_slope[n + pixel], image_slope[2u * n + pixel]);
+            let c = three_of(0u, pixel);
+            by_color = select(vec3<f32>(0.0), g * (1.0 - sums_of(VEIL, pixel)), c > vec3<f32>(0.0));
+            by_backscatter = g * c * sums_of(VEIL_BY_DEPTH, pixel) * ray.length
+                * softplus_slopes(three_of(BACKSCATTER, pixel), to_value);
+            by_attenuation = -g * sums_of(LIGHT_BY_DEPTH, pixel) * ray.length
+                * softplus_slopes(three_of(ATTENUATION, pixel), to_value);
         }
+        bases[lane] = basis.row0;
+        bases[STRIDE + lane] = basis.row1;
+        bases[2u * STRIDE + lane] = basis.row2;
+        bases[3u * STRIDE + lane] = basis.row3;
+        slopes[lane] = vec4<f32>(by_color, 0.0);
+        slopes[STRIDE + lane] = vec4<f32>(by_backscatter, 0.0);
+        slopes[2u * STRIDE + lane] = vec4<f32>(by_attenuation, 0.0);
         workgroupBarrier();
-        first = first + sum_of(lane);
-        if (lane < COEFFICIENTS - LANES) {
-            second = second + sum_of(LANES + lane);
+        if (part < PARTS) {
+            for (var k = part; k < LANES; k = k + PARTS) {
+                let basis_row = bases[band_row + k];
+                let slope = slopes[quantity_row + k];
+                red = red + basis_row * slope.x;
+                green = green + basis_row * slope.y;
+                blue = blue + basis_row * slope.z;
+            }
         }
         workgroupBarrier();
     }
-    partial[lane * water.groups + own] = first;
-    if (lane < COEFFICIENTS - LANES) {
-        partial[(LANES + lane) * water.groups + own] = second;
+    if (part < PARTS) {
+        bases[3u * lane] = red;
+        bases[3u * lane + 1u] = green;
+        bases[3u * lane + 2u] = blue;
+    }
+    workgroupBarrier();
+    for (var index = lane; index < COEFFICIENTS; index = index + LANES) {
+        let quantity = index / 48u;
+        let band = (index % 48u) / 3u;
+        let channel = index % 3u;
+        let first = 3u * (4u * quantity + band / 4u) + channel;
+        var sum = 0.0;
+        for (var p = 0u; p < PARTS; p = p + 1u) {
+            sum = sum + bases[first + 3u * JOBS * p][band % 4u];
+        }
+        partial[index * water.groups + own] = select(0.0, sum, band < water.bands);
     }
 }

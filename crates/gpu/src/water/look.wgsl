@@ -11,33 +11,57 @@ fn softplus(x: f32) -> f32 {
     return max(x, 0.0) + 2.0 * (s + s * q * series);
 }
 
+// The mixed coefficients of the active bands, four numbers to a row. Bands that are not active are zero.
+var<workgroup> rows: array<vec4<f32>, 36>;
+
+// Adds the products of four bands with the three channels of their coefficients.
+fn add_four(sum: vec3<f32>, basis: vec4<f32>, at: u32) -> vec3<f32> {
+    let a = rows[at];
+    let b = rows[at + 1u];
+    let c = rows[at + 2u];
+    var all = sum + basis.x * a.xyz;
+    all = all + basis.y * vec3<f32>(a.w, b.xy);
+    all = all + basis.z * vec3<f32>(b.zw, c.x);
+    return all + basis.w * c.yzw;
+}
+
+// The three channels of a quantity along a direction.
+fn channels_of(quantity: u32, basis: Basis) -> vec3<f32> {
+    let at = 12u * quantity;
+    let low = add_four(add_four(vec3<f32>(0.0), basis.row0, at), basis.row1, at + 3u);
+    return add_four(add_four(low, basis.row2, at + 6u), basis.row3, at + 9u);
+}
+
+// Writes the three channels of a section of the maps.
+fn write_maps(section: u32, pixel: u32, values: vec3<f32>) {
+    let at = section * water.pixels + pixel;
+    maps[at] = values.x;
+    maps[at + water.pixels] = values.y;
+    maps[at + 2u * water.pixels] = values.z;
+}
+
+fn exponents(raw: vec3<f32>, length: f32) -> vec3<f32> {
+    return vec3<f32>(softplus(raw.x), softplus(raw.y), softplus(raw.z)) * (LOG2_E * length);
+}
+
 @compute @workgroup_size(WG)
 fn main(
     @builtin(workgroup_id) wid: vec3<u32>,
     @builtin(num_workgroups) nwg: vec3<u32>,
     @builtin(local_invocation_index) lane: u32,
 ) {
+    if (lane < COEFFICIENTS) {
+        let is_active = lane % 48u < 3u * water.bands;
+        rows[lane / 4u][lane % 4u] = select(0.0, mixed[lane], is_active);
+    }
+    workgroupBarrier();
     let pixel = group_of(wid, nwg) * WG + lane;
     if (pixel >= water.pixels) {
         return;
     }
     let ray = ray_of(pixel);
-    var basis = basis_of(ray.direction);
-    var raw = array<f32, 9>();
-    for (var quantity = 0u; quantity < 3u; quantity = quantity + 1u) {
-        for (var channel = 0u; channel < 3u; channel = channel + 1u) {
-            var sum = 0.0;
-            for (var band = 0u; band < water.bands; band = band + 1u) {
-                sum = sum + basis[band] * mixed[48u * quantity + 3u * band + channel];
-            }
-            raw[3u * quantity + channel] = sum;
-        }
-    }
-    let to_exponent = LOG2_E * ray.length;
-    for (var channel = 0u; channel < 3u; channel = channel + 1u) {
-        let at = channel * water.pixels + pixel;
-        maps[at] = max(raw[channel] + 0.5, 0.0);
-        maps[BACKSCATTER * water.pixels + at] = softplus(raw[3u + channel]) * to_exponent;
-        maps[ATTENUATION * water.pixels + at] = softplus(raw[6u + channel]) * to_exponent;
-    }
+    let basis = basis_of(ray.direction);
+    write_maps(0u, pixel, max(channels_of(0u, basis) + 0.5, vec3<f32>(0.0)));
+    write_maps(BACKSCATTER, pixel, exponents(channels_of(1u, basis), ray.length));
+    write_maps(ATTENUATION, pixel, exponents(channels_of(2u, basis), ray.length));
 }

@@ -51,29 +51,41 @@ fn ray_of(pixel: u32) -> Ray {
     return Ray(world / length, length);
 }
 
-fn basis_of(d: vec3<f32>) -> array<f32, 16> {
+// The values of the harmonics at a direction, four bands to a row. They are no array, so that they stay in
+// registers.
+struct Basis {
+    row0: vec4<f32>,
+    row1: vec4<f32>,
+    row2: vec4<f32>,
+    row3: vec4<f32>,
+}
+
+fn basis_of(d: vec3<f32>) -> Basis {
     let x = d.x;
     let y = d.y;
     let z = d.z;
     let xx = x * x;
     let yy = y * y;
     let zz = z * z;
-    return array<f32, 16>(
-        0.2820948,
-        -0.4886025 * y,
-        0.4886025 * z,
-        -0.4886025 * x,
-        1.0925484 * (x * y),
-        -1.0925484 * (y * z),
-        0.31539157 * (2.0 * zz - xx - yy),
-        -1.0925484 * (x * z),
-        0.5462742 * (xx - yy),
-        -0.5900436 * y * (3.0 * xx - yy),
-        2.8906114 * (x * y) * z,
-        -0.4570458 * y * (4.0 * zz - xx - yy),
-        0.37317634 * z * (2.0 * zz - 3.0 * xx - 3.0 * yy),
-        -0.4570458 * x * (4.0 * zz - xx - yy),
-        1.4453057 * z * (xx - yy),
-        -0.5900436 * x * (xx - 3.0 * yy),
+    return Basis(
+        vec4<f32>(0.2820948, -0.4886025 * y, 0.4886025 * z, -0.4886025 * x),
+        vec4<f32>(
+            1.0925484 * (x * y),
+            -1.0925484 * (y * z),
+            0.31539157 * (2.0 * zz - xx - yy),
+            -1.0925484 * (x * z),
+        ),
+        vec4<f32>(
+            0.5462742 * (xx - yy),
+            -0.5900436 * y * (3.0 * xx - yy),
+            2.8906114 * (x * y) * z,
+            -0.4570458 * y * (4.0 * zz - xx - yy),
+        ),
+        vec4<f32>(
+            0.37317634 * z * (2.0 * zz - 3.0 * xx - 3.0 * yy),
+            -0.4570458 * x * (4.0 * zz - xx - yy),
+            1.4453057 * z * (xx - yy),
+            -0.5900436 * x * (xx - 3.0 * yy),
+        ),
     );
 }
