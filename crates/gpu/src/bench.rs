@@ -10,7 +10,7 @@ mod records;
 
 use std::collections::BTreeMap;
 use std::ops::Range;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use use3d_capture::Appearance;
 use use3d_enhance::engine::{FieldEngine, FieldPlan, FieldState, initial_field};
@@ -96,6 +96,8 @@ const VIEWS: usize = 4;
 const LEAST: f64 = 0.02;
 /// Number of steps whose kernels are timed by the device's clock.
 const PROFILED: u64 = 20;
+/// Time for which steps are done before those that are timed kernel by kernel.
+const WARM_UP: Duration = Duration::from_millis(100);
 /// Number of steps after which the clock of whole steps is read: half of its places, because steps may be
 /// done twice.
 const READ: usize = 1000;
@@ -275,7 +277,12 @@ fn train(
     let profile = |variant| {
         let timed = gpu.clone().with(variant).timed();
         let mut engine = begun(&timed, scene)?;
-        timed.read_times(&mut BTreeMap::new())?;
+        // A card that had nothing to do runs slowly at first.
+        let started = Instant::now();
+        while started.elapsed() < WARM_UP {
+            go_on(&mut engine, scene, views..views + 1)?;
+            timed.read_times(&mut BTreeMap::new())?;
+        }
         let mut times = BTreeMap::new();
         for step in views..views + profiled {
             go_on(&mut engine, scene, step..step + 1)?;

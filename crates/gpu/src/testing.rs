@@ -9,10 +9,11 @@ use use3d_splat::Gaussians;
 
 use crate::device::Gpu;
 
-/// Opens the software adapter, on a device of its own. Without one the test is skipped with a message, or
-/// fails if `USE3D_REQUIRE_GPU=1`.
+/// Opens the software adapter, or the adapter that `USE3D_TEST_CARD` names, on a device of its own. Without
+/// one the test is skipped with a message, or fails if `USE3D_REQUIRE_GPU=1`.
 pub(crate) fn software() -> Option<Gpu> {
-    match Gpu::open(Some("llvmpipe")) {
+    let card = std::env::var("USE3D_TEST_CARD");
+    match Gpu::open(Some(card.as_deref().unwrap_or("llvmpipe"))) {
         Ok(gpu) => Some(gpu),
         Err(error) => {
             let required = std::env::var_os("USE3D_REQUIRE_GPU").is_some_and(|v| v == "1");

@@ -55,8 +55,20 @@ pub fn step(engine: &mut dyn Engine, scene: &SceneSize) -> Result<Vec<Agreement>
     Ok(all)
 }
 
+/// In a scene with more Gaussians than this number, one of as many may differ because a pair of it and a pixel
+/// lies exactly at a threshold.
+const ONE_OF: usize = 1_000;
+/// The largest allowed error of the others, and of all with them.
+const TRIMMED: f64 = 2e-5;
+const WITH_ALL: f64 = 1e-3;
+
 /// Compares one step of a scene in which the first `crowd` Gaussians are faint and lie behind one another,
 /// all in one tile.
+///
+/// A pair of pixel and Gaussian exactly at a threshold may be decided otherwise than on the processor. Such a
+/// pair changes the gradient of its Gaussian by up to a part in a thousand of the norm of all. With hundreds of
+/// millions of pairs there are some. So in a scene with more than 1,000 Gaussians each gradient is compared
+/// twice: without the one Gaussian in 1,000 that differs most, and with all.
 ///
 /// # Errors
 /// The engine's error.
@@ -103,8 +115,31 @@ fn compare(device: &TrainingState, ours: &TrainingState, all: &mut Vec<Agreement
         ("gradients of the water", &device.medium_moments[0], &ours.medium_moments[0]),
         ("statistics", &device.statistics.norms, &ours.statistics.norms),
     ] {
-        all.push(Agreement::of(what, device, ours, 1e-4));
+        let (gaussians, numbers) = (o.means.len(), ours.len());
+        if gaussians <= ONE_OF || numbers % gaussians != 0 || device.len() != numbers {
+            all.push(Agreement::of(what, device, ours, 1e-4));
+            continue;
+        }
+        let (near, rest) = without_few(device, ours, numbers / gaussians, gaussians / ONE_OF);
+        all.push(Agreement::of(format!("{what} without 1 row of {ONE_OF}"), &near, &rest, TRIMMED));
+        all.push(Agreement::of(what, device, ours, WITH_ALL));
     }
+}
+
+/// Two arrays without the `few` rows that differ most.
+fn without_few(device: &[f32], ours: &[f32], width: usize, few: usize) -> (Vec<f32>, Vec<f32>) {
+    let difference = |row: usize| -> f64 {
+        let at = row * width..(row + 1) * width;
+        device[at.clone()].iter().zip(&ours[at]).map(|(d, o)| f64::from(d - o).powi(2)).sum()
+    };
+    let mut rows: Vec<usize> = (0..ours.len() / width).collect();
+    // A difference that is not a number is put last, so that it is never left out.
+    let worst_first = |row: &usize| Some(difference(*row)).filter(|d| !d.is_nan()).unwrap_or(-1.0);
+    rows.sort_by(|a, b| worst_first(b).total_cmp(&worst_first(a)));
+    let kept = |values: &[f32]| {
+        rows[few..].iter().flat_map(|row| values[row * width..(row + 1) * width].to_vec()).collect()
+    };
+    (kept(device), kept(ours))
 }
 
 #[cfg(test)]
@@ -123,6 +158,22 @@ mod tests {
         let work = engine.last_view([scene.width, scene.height]).unwrap();
         assert!(work.longest_list > 256 && scene.width * scene.height > 256 * 256, "{work:?}");
         assert!(work.deepest_pixel > 256 && scene.gaussians >= 600, "{work:?}");
+    }
+
+    /// A gradient without its worst rows is judged strictly, and one that is wrong everywhere fails.
+    #[test]
+    fn a_few_rows_may_differ_and_all_may_not() {
+        let ours: Vec<f32> = (0..6000).map(|i| 1.0 + (i % 7) as f32).collect();
+        let mut device = ours.clone();
+        device[3] += 0.5;
+        let (near, rest) = without_few(&device, &ours, 3, 2);
+        assert!(near == rest && near.len() == 5994);
+        device.iter_mut().for_each(|v| *v *= 1.0001);
+        let (near, rest) = without_few(&device, &ours, 3, 2);
+        assert!(!Agreement::of("all", &near, &rest, TRIMMED).holds());
+        device[1] = f32::NAN;
+        let (near, rest) = without_few(&device, &ours, 3, 2);
+        assert!(!Agreement::of("all", &near, &rest, 1e3).holds());
     }
 
     #[test]
