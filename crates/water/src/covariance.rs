@@ -4,7 +4,7 @@
 //! It stays valid if the errors are not those that the loss assumes, and if neighbouring points have common
 //! errors. The gains are included, so that the uncertainty they cause is counted.
 
-use crate::formation::{BACKSCATTER, Channel, GAIN, VEIL, normal};
+use crate::formation::{BACKSCATTER, Channel, GAIN, VEIL, all_terms, normal};
 use crate::noise::square;
 use crate::solve::{CAUCHY, ChannelFit, Prior};
 use use3d_numerics::cholesky::Factor;
@@ -36,7 +36,8 @@ pub(crate) fn covariance(
 ) -> Covariance {
     let n = channel.parameters();
     let mut scores = vec![vec![0.0; n]; count];
-    let system = normal(channel, &best.theta, &best.weights, prior.gain > 0.0, |p, index, part| {
+    let terms = all_terms(channel, &best.theta);
+    let system = normal(channel, &terms, &best.weights, prior.gain > 0.0, |p, index, part| {
         for (&k, value) in index.iter().zip(part) {
             scores[block[p]][k] += value;
         }

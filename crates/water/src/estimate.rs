@@ -71,8 +71,10 @@ pub fn estimate_sizes(
     views: usize,
     params: &WaterParams,
 ) -> Water {
-    let mut water = estimate(&sights[0], points, positions, views, params);
-    let half = estimate(&sights[1], points, positions, views, params);
+    let [mut water, half] = {
+        let of = |sights| estimate(sights, points, positions, views, params);
+        rayon::join(|| of(&sights[0]), || of(&sights[1])).into()
+    };
     let [_, median, far] = water.distances;
     for (c, h) in water.channels.iter_mut().zip(&half.channels) {
         let known = |c: &ChannelWater| c.verdict.usable() || c.verdict == Verdict::NotObservable;

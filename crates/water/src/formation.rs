@@ -23,6 +23,7 @@
 //!
 //! Distances are in units of the capture's median distance.
 
+use rayon::prelude::*;
 use use3d_numerics::math;
 
 /// Index of `ln β_a`.
@@ -148,27 +149,29 @@ pub(crate) fn radiance(observations: impl Iterator<Item = (f64, f64, f64)>) -> (
     (if below > 0.0 { (above / below).max(0.0) } else { 0.0 }, below)
 }
 
-/// Returns a point's radiance and `Σ w a²` at these parameters and weights; stores the terms of its
-/// observations in `seen`.
-fn point(channel: &Channel, shared: &Shared, weights: &[f64], p: usize, seen: &mut Vec<Terms>) -> (f64, f64) {
-    let range = channel.of_point(p);
-    seen.clear();
-    seen.extend(range.clone().map(|i| terms(channel, shared, i)));
-    let triple = |(i, t): (usize, &Terms)| (weights[i], t.left, channel.value[i] - t.added);
-    radiance(range.zip(&*seen).map(triple))
+/// Number of points of one task; the results do not depend on it.
+const CHUNK: usize = 128;
+
+/// Computes the terms of all observations. They depend on the parameters alone, so one computation serves the
+/// residuals and the normal equations for any weights.
+pub(crate) fn all_terms(channel: &Channel, theta: &[f64]) -> Vec<Terms> {
+    let shared = Shared::new(theta);
+    let observations = (0..channel.value.len()).into_par_iter().with_min_len(1024);
+    observations.map(|i| terms(channel, &shared, i)).collect()
+}
+
+/// Returns a point's radiance and `Σ w a²` for these weights.
+fn point(channel: &Channel, terms: &[Terms], weights: &[f64], p: usize) -> (f64, f64) {
+    radiance(channel.of_point(p).map(|i| (weights[i], terms[i].left, channel.value[i] - terms[i].added)))
 }
 
 /// Returns the residuals of all observations, with every point's radiance at its optimum for these weights.
-pub(crate) fn residuals(channel: &Channel, theta: &[f64], weights: &[f64]) -> Vec<f64> {
-    let shared = Shared::new(theta);
-    let mut all = vec![0.0; channel.value.len()];
-    let mut seen: Vec<Terms> = Vec::new();
-    for p in 0..channel.points() {
-        let range = channel.of_point(p);
-        let (j, _) = point(channel, &shared, weights, p, &mut seen);
-        for (i, t) in range.zip(&seen) {
-            all[i] = channel.value[i] - t.added - t.left * j;
-        }
+pub(crate) fn residuals(channel: &Channel, terms: &[Terms], weights: &[f64]) -> Vec<f64> {
+    let points = (0..channel.points()).into_par_iter().with_min_len(CHUNK);
+    let radiances: Vec<f64> = points.map(|p| point(channel, terms, weights, p).0).collect();
+    let mut all = Vec::with_capacity(channel.value.len());
+    for (p, j) in radiances.iter().enumerate() {
+        all.extend(channel.of_point(p).map(|i| channel.value[i] - terms[i].added - terms[i].left * j));
     }
     all
 }
@@ -181,71 +184,100 @@ pub(crate) struct Normal {
     pub(crate) matrix: Vec<f64>,
 }
 
+/// The part of the normal equations that a point adds, over the parameters that affect it: the shared ones,
+/// then one gain per observation (a view sees a point once). Appends the gradient, then the rows of the
+/// matrix's lower triangle.
+fn point_part(
+    channel: &Channel,
+    terms: &[Terms],
+    weights: &[f64],
+    gains: bool,
+    p: usize,
+    out: &mut Vec<f64>,
+) {
+    let range = channel.of_point(p);
+    let (j, below) = point(channel, terms, weights, p);
+    let k = GAIN + if gains { range.len() } else { 0 };
+    let first = out.len();
+    out.resize(first + k + k * (k + 1) / 2, 0.0);
+    let (part, triangle) = out[first..].split_at_mut(k);
+    let (mut u, mut v) = (vec![0.0; k], vec![0.0; k]);
+    for (o, i) in range.enumerate() {
+        let (w, t) = (weights[i], &terms[i]);
+        let r = channel.value[i] - t.added - t.left * j;
+        let x = t.derivative(j, &channel.direction[i]);
+        for e in 0..GAIN {
+            u[e] += w * t.left * x[e];
+            part[e] -= w * r * x[e];
+            let row = &mut triangle[e * (e + 1) / 2..][..=e];
+            row.iter_mut().zip(&x).for_each(|(sum, f)| *sum += w * x[e] * f);
+        }
+        v[ATTENUATION] -= w * r * t.attn * t.left;
+        if gains {
+            let e = GAIN + o;
+            u[e] += w * t.left * x[GAIN];
+            part[e] -= w * r * x[GAIN];
+            v[e] += w * r * t.left;
+            let row = &mut triangle[e * (e + 1) / 2..][..=e];
+            row.iter_mut().zip(&x[..GAIN]).for_each(|(sum, f)| *sum += w * x[GAIN] * f);
+            row[e] += w * x[GAIN] * x[GAIN];
+        }
+    }
+    // A radiance at its bound does not change with the parameters.
+    if j > 0.0 {
+        let mut at = 0;
+        for e in 0..k {
+            for f in 0..=e {
+                triangle[at] += (v[e] * v[f] - u[e] * u[f]) / below;
+                at += 1;
+            }
+        }
+    }
+}
+
 /// Sums the normal equations; `each` receives every point's index and its part of the gradient, as
 /// parameters and values. Without `gains` the entries of the gains stay 0, which saves most of the work.
 pub(crate) fn normal(
     channel: &Channel,
-    theta: &[f64],
+    terms: &[Terms],
     weights: &[f64],
     gains: bool,
     mut each: impl FnMut(usize, &[usize], &[f64]),
 ) -> Normal {
-    let (n, shared) = (channel.parameters(), Shared::new(theta));
+    let n = channel.parameters();
     let (mut gradient, mut matrix) = (vec![0.0; n], vec![0.0; n * n]);
-    let (mut index, mut local, mut u, mut v, mut part) =
-        (Vec::new(), Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    let mut seen: Vec<Terms> = Vec::new();
-    for p in 0..channel.points() {
-        let range = channel.of_point(p);
-        let (j, below) = point(channel, &shared, weights, p, &mut seen);
-        // The parameters that affect the point: the shared ones, then one gain per observation (a view sees
-        // a point once).
-        index.clear();
-        index.extend(0..GAIN);
-        if gains {
-            index.extend(range.clone().map(|i| GAIN + channel.view[i]));
+    let chunk_parts = |chunk: usize| {
+        let mut out = Vec::new();
+        for p in chunk * CHUNK..channel.points().min((chunk + 1) * CHUNK) {
+            point_part(channel, terms, weights, gains, p, &mut out);
         }
-        let k = index.len();
-        let last = if gains { GAIN + 1 } else { GAIN };
-        local.clear();
-        local.resize(k * k, 0.0);
-        for list in [&mut u, &mut v, &mut part] {
-            list.clear();
-            list.resize(k, 0.0);
-        }
-        for (o, (i, t)) in range.zip(&seen).enumerate() {
-            let w = weights[i];
-            let r = channel.value[i] - t.added - t.left * j;
-            let x = t.derivative(j, &channel.direction[i]);
-            let at = |e: usize| if e == GAIN { GAIN + o } else { e };
-            for e in 0..last {
-                u[at(e)] += w * t.left * x[e];
-                part[at(e)] -= w * r * x[e];
-                for f in 0..=e {
-                    local[at(e) * k + at(f)] += w * x[e] * x[f];
-                }
-            }
-            v[ATTENUATION] -= w * r * t.attn * t.left;
+        out
+    };
+    let chunks: Vec<Vec<f64>> =
+        (0..channel.points().div_ceil(CHUNK)).into_par_iter().map(chunk_parts).collect();
+    // The parts are added in the order of the points, so that the sums do not depend on the threads.
+    let mut index: Vec<usize> = Vec::new();
+    for (chunk, values) in chunks.iter().enumerate() {
+        let mut rest = &values[..];
+        for p in chunk * CHUNK..channel.points().min((chunk + 1) * CHUNK) {
+            index.clear();
+            index.extend(0..GAIN);
             if gains {
-                v[GAIN + o] += w * r * t.left;
+                index.extend(channel.of_point(p).map(|i| GAIN + channel.view[i]));
             }
-        }
-        // A radiance at its bound does not change with the parameters.
-        if j > 0.0 {
-            for e in 0..k {
-                for f in 0..=e {
-                    local[e * k + f] += (v[e] * v[f] - u[e] * u[f]) / below;
+            let (part, after) = rest.split_at(index.len());
+            let (triangle, after) = after.split_at(index.len() * (index.len() + 1) / 2);
+            rest = after;
+            let mut at = 0;
+            for (e, &row) in index.iter().enumerate() {
+                gradient[row] += part[e];
+                for &column in &index[..=e] {
+                    matrix[row.max(column) * n + row.min(column)] += triangle[at];
+                    at += 1;
                 }
             }
+            each(p, &index, part);
         }
-        for e in 0..k {
-            gradient[index[e]] += part[e];
-            for f in 0..=e {
-                let (row, column) = (index[e].max(index[f]), index[e].min(index[f]));
-                matrix[row * n + column] += local[e * k + f];
-            }
-        }
-        each(p, &index, &part);
     }
     for row in 0..n {
         for column in row + 1..n {

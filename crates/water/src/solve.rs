@@ -6,9 +6,10 @@
 //! lowers the loss. The loss's width c is narrowed in three rounds, so that outliers of the start do not
 //! decide the result.
 
+use rayon::prelude::*;
 use use3d_numerics::math;
 
-use crate::formation::{ATTENUATION, BACKSCATTER, Channel, GAIN, VEIL, normal, residuals};
+use crate::formation::{ATTENUATION, BACKSCATTER, Channel, GAIN, VEIL, all_terms, normal, residuals};
 use crate::noise::square;
 use crate::open::Open;
 use use3d_numerics::cholesky::Factor;
@@ -175,12 +176,14 @@ pub(crate) fn fit(
     let n = channel.parameters();
     let mut theta = theta.to_vec();
     let plain: Vec<f64> = sigmas.iter().map(|s| 1.0 / (s * s)).collect();
-    let mut r = residuals(channel, &theta, &plain);
+    let mut terms = all_terms(channel, &theta);
+    let mut r = residuals(channel, &terms, &plain);
     let mut w;
     for round in rounds {
         let c = CAUCHY * round;
         let total = |r: &[f64], theta: &[f64]| {
-            r.iter().zip(sigmas).map(|(r, s)| loss(*r, *s, c)).sum::<f64>() + prior.value(theta)
+            let each = r.par_iter().zip(sigmas).with_min_len(1024).map(|(r, s)| loss(*r, *s, c));
+            each.collect::<Vec<f64>>().iter().sum::<f64>() + prior.value(theta)
         };
         let mut cost = total(&r, &theta);
         let mut damping = 1e-3;
@@ -191,8 +194,8 @@ pub(crate) fn fit(
             let held = |r: &[f64], theta: &[f64]| {
                 0.5 * r.iter().zip(&w).map(|(r, w)| w * r * r).sum::<f64>() + prior.value(theta)
             };
-            let start = held(&residuals(channel, &theta, &w), &theta);
-            let mut system = normal(channel, &theta, &w, prior.gain > 0.0, |_, _, _| ());
+            let start = held(&residuals(channel, &terms, &w), &theta);
+            let mut system = normal(channel, &terms, &w, prior.gain > 0.0, |_, _, _| ());
             prior.add(&theta, &mut system.gradient, &mut system.matrix);
             let mut stepped = false;
             for _ in 0..12 {
@@ -200,9 +203,10 @@ pub(crate) fn fit(
                     damping *= 8.0;
                     continue;
                 };
-                let next_r = residuals(channel, &next, &w);
+                let next_terms = all_terms(channel, &next);
+                let next_r = residuals(channel, &next_terms, &w);
                 if held(&next_r, &next) <= start {
-                    (theta, r) = (next, next_r);
+                    (theta, terms, r) = (next, next_terms, next_r);
                     damping = (damping / 6.0).max(1e-9);
                     stepped = true;
                     break;
