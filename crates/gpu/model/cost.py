@@ -1,22 +1,25 @@
 #!/usr/bin/env python3
 """Estimates the time of a step of each stage on a graphics card, kernel by kernel, without a card.
 
-    python3 crates/gpu/model/cost.py [--card h200|4090] [--gaussians N] [--entries N]
+    python3 crates/gpu/model/cost.py [--card h100|h200|4090] [--gaussians N] [--entries N]
+    python3 crates/gpu/model/cost.py --measured card.json
 
 A kernel takes the longest of three times: its instructions at the rate at which the card issues them, its
 exchanges between threads at their rate, and its bytes at the rate of the memory. Two columns are printed: the
-kernels as they were when the model was made (`before`), and as they are (`now`). No card has confirmed the
-numbers; `use3d bench gpu --read FILE` shows what a card really takes.
+kernels as they were when the model was made (`before`), and as they are (`now`). With a file of `use3d bench
+gpu` the model is computed for the counts of its largest training, and a third column has the card's own times.
 
 The counts were measured on a trained reef (153,815 Gaussians, four views of 1400 x 788) and scaled to the load
 below. An instruction of a warp of 32 threads is a slot. The slots of a loop were counted in the kernels' texts.
 """
 
 import argparse
+import json
+import pathlib
 from dataclasses import dataclass
 
 # Multiprocessors, clock in Hz, bytes per second of the memory.
-CARDS = {"h200": (132, 1.98e9, 4.0e12), "4090": (128, 2.5e9, 0.95e12)}
+CARDS = {"h100": (132, 1.98e9, 2.7e12), "h200": (132, 1.98e9, 4.0e12), "4090": (128, 2.5e9, 0.95e12)}
 # Warp instructions that a multiprocessor issues per clock, and the share of them that such kernels reach.
 ISSUE = 4
 REACHED = 0.6
@@ -37,12 +40,15 @@ class Load:
     live: float = 50.0
     # The share of the Gaussians of a tile that concern a warp of the forward pass.
     concern: float = 0.57
-    # Pairs of a subgroup's rectangle and a Gaussian in it, per pixel.
-    hits: float = 1.45
 
     @property
     def pixels(self):
         return self.width * self.height
+
+    @property
+    def hits(self):
+        """Pairs of a subgroup's rectangle and a Gaussian in it, per pixel."""
+        return 0.029 * self.live
 
 
 class Card:
@@ -112,6 +118,62 @@ def stage2(card, gaussians, now):
     yield "recording, waits", 0.5
 
 
+# The parts of the model, and the kernels in a file of `use3d bench gpu`.
+MEASURED = {
+    "unpack, mix, look": ["unpack", "mix", "look"],
+    "project": ["project"],
+    "sorts and lists": [
+        "sort: histogram", "sort: spread", "sort: scatter", "reduce", "offsets", "emit", "starts",
+    ],
+    "forward": ["forward"],
+    "losses": [
+        "weigh", "pool", "compare", "weigh_levels", "blur_back", "pull", "tell", "gains", "depth_means",
+        "depth_take_means", "depth_deviations", "depth_correlate", "depth_slopes",
+    ],
+    "backward (subgroups of 32)": ["backward"],
+    "sums of long runs": ["sums of long runs"],
+    "update": ["update"],
+    "update of colours": ["update of colours"],
+    "gather of the water": ["gather"],
+}
+
+
+def largest(path):
+    """The training of a file with the most work: its load and the milliseconds of each part."""
+    record = json.loads(pathlib.Path(path).read_text())
+    done = [t for t in record["trainings"] if t.get("steps_per_second")]
+    training = max(done, key=lambda t: t["size"][0] * t["size"][1] * t["gaussians"])
+    view, (width, height) = training["view"], training["size"]
+    load = Load(
+        width, height, training["gaussians"], view["entries"], view["tested_per_pixel"], view["live_per_pixel"]
+    )
+    steps = training["kernels"]["finish"]["dispatches"]
+    times = {n: k["milliseconds"] * k["dispatches"] / steps for n, k in training["kernels"].items()}
+    parts = {part: sum(times.pop(name, 0.0) for name in names) for part, names in MEASURED.items()}
+    parts["other small kernels"] = sum(times.values())
+    return record["adapter"]["name"], load, parts, 1e3 / training["steps_per_second"]
+
+
+def joined(times):
+    """The model's two parts that the card's clock does not tell apart are one."""
+    out = {"sorts and lists": 0.0}
+    for name, time in times.items():
+        key = "sorts and lists" if name in ("sort by depth", "lists, sort by tile") else name
+        out[key] = out.get(key, 0.0) + time
+    return out
+
+
+def compare(card, path):
+    name, load, measured, step = largest(path)
+    model = joined(dict(kernels(card, load, True)))
+    print(f"{name}, {load.width} x {load.height}, {load.gaussians} Gaussians, {load.entries} entries")
+    print(f"\n{'milliseconds':<40} {'model':>8} {'card':>8}")
+    for part in sorted(measured, key=lambda part: -measured[part]):
+        print(f"{part:<40} {model.get(part, 0.0):>8.2f} {measured[part]:>8.2f}")
+    print(f"{'all kernels':<40} {sum(model.values()):>8.2f} {sum(measured.values()):>8.2f}")
+    print(f"{'a step':<40} {'':>8} {step:>8.2f}")
+
+
 def table(before, now, title):
     print(f"\n{'milliseconds':<40} {'before':>8} {'now':>8}")
     for name in list(before) + [name for name in now if name not in before]:
@@ -122,10 +184,13 @@ def table(before, now, title):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--card", choices=sorted(CARDS), default="h200")
+    parser.add_argument("--card", choices=sorted(CARDS), default="h100")
     parser.add_argument("--gaussians", type=int, default=Load.gaussians)
     parser.add_argument("--entries", type=int, default=Load.entries)
+    parser.add_argument("--measured", metavar="FILE", help="compare with a file of `use3d bench gpu`")
     args = parser.parse_args()
+    if args.measured:
+        return compare(Card(args.card), args.measured)
     card, load = Card(args.card), Load(gaussians=args.gaussians, entries=args.entries)
     before, now = (dict(kernels(card, load, now)) for now in (False, True))
     print(f"{args.card}, {load.width} x {load.height}, {load.gaussians} Gaussians, {load.entries} entries")
