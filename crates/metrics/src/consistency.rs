@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use use3d_capture::{Camera, Image, Map};
 use use3d_numerics::sums;
 
-use crate::ciede2000::ciede2000;
+use crate::ciede2000::ciede2000_where;
 use crate::error::{MetricError, finite, large_enough, same_size};
 use crate::mask::blacked_out;
 use crate::ms_ssim::WINDOW;
@@ -150,8 +150,9 @@ pub fn warped_delta_e(
     mask: &Mask,
 ) -> Result<Consistency, MetricError> {
     let carried = aligned(first, second, flow, mask)?;
-    let map = ciede2000(first, &carried)?;
-    Ok(mean_where(&map, |i| mask.data()[i] != 0))
+    let visible = |i: usize| mask.data()[i] != 0;
+    let map = ciede2000_where(first, &carried, visible)?;
+    Ok(mean_where(&map, visible))
 }
 
 /// `wSSIM`: mean SSIM over the windows whose pixels are all visible (see [`geometric_warp`]).

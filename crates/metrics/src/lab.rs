@@ -20,7 +20,8 @@ const WHITE: [f64; 3] = [0.950456, 1.0, 1.088754];
 const KNEE: f64 = 216.0 / 24389.0;
 
 fn decode(v: f64) -> f64 {
-    if v <= 0.04045 { v / 12.92 } else { math::powf((v + 0.055) / 1.055, 2.4) }
+    // Half as long as a power, with the same 15 digits.
+    if v <= 0.04045 { v / 12.92 } else { math::exp(2.4 * math::ln((v + 0.055) / 1.055)) }
 }
 
 fn lab_of_linear(rgb: [f64; 3], cube_root: impl Fn(f64) -> f64) -> [f64; 3] {
@@ -37,7 +38,8 @@ pub fn lab_of_srgb(rgb: [f32; 3]) -> [f64; 3] {
     lab_of_linear(rgb.map(|v| decode(f64::from(v.clamp(0.0, 1.0)))), math::cbrt)
 }
 
-/// Computes a difference of CIELAB colours per pixel of two display-range images (clamped to `[0, 1]`).
+/// Computes a difference of CIELAB colours per pixel of two display-range images (clamped to `[0, 1]`). It is
+/// zero at pixels that do not count.
 ///
 /// # Errors
 /// The images have different sizes, no pixels, or values that are not finite.
@@ -46,6 +48,7 @@ pub(crate) fn difference_of_lab(
     x: &Image,
     y: &Image,
     difference: impl Fn([f64; 3], [f64; 3]) -> f64 + Sync,
+    counts: impl Fn(usize) -> bool + Sync,
 ) -> Result<Map, MetricError> {
     same_size("the second image", x, y)?;
     large_enough(metric, x, 1)?;
@@ -56,7 +59,9 @@ pub(crate) fn difference_of_lab(
     map.data_mut().par_chunks_mut(width).enumerate().for_each(|(row, line)| {
         for (column, out) in line.iter_mut().enumerate() {
             let lab = |image: &Image| lab_of_srgb(image.pixel(column, row));
-            *out = difference(lab(x), lab(y)) as f32;
+            if counts(row * width + column) {
+                *out = difference(lab(x), lab(y)) as f32;
+            }
         }
     });
     Ok(map)
@@ -77,7 +82,7 @@ pub(crate) fn mean(map: &Map) -> f64 {
 pub fn mean_cie1976(x: &Image, y: &Image) -> Result<f64, MetricError> {
     let distance =
         |a: [f64; 3], b: [f64; 3]| (0..3).map(|i| (a[i] - b[i]) * (a[i] - b[i])).sum::<f64>().sqrt();
-    difference_of_lab("ΔE of 1976", x, y, distance).map(|map| mean(&map))
+    difference_of_lab("ΔE of 1976", x, y, distance, |_| true).map(|map| mean(&map))
 }
 
 /// Computes CIELAB of 8-bit pixels by tables: the decoded value of each code, and start values of cube

@@ -19,6 +19,7 @@ pub(super) mod pyramid;
 mod weights;
 mod white_balance;
 
+use rayon::prelude::*;
 use use3d_capture::{Image, Map};
 use use3d_numerics::math;
 use use3d_numerics::sums::sums;
@@ -68,14 +69,21 @@ impl Proposer for Fusion {
                 message: "the image has a value that is not finite".into(),
             });
         }
-        Ok(enhance(&image.map(|v| v.clamp(0.0, 1.0))))
+        Ok(enhance(&with_all(image, |v| v.clamp(0.0, 1.0))))
     }
+}
+
+/// A copy of the image with `f` applied to every value.
+fn with_all(image: &Image, f: impl Fn(f32) -> f32 + Sync) -> Image {
+    let mut out = image.clone();
+    out.data_mut().par_iter_mut().with_min_len(4096).for_each(|v| *v = f(*v));
+    out
 }
 
 fn enhance(image: &Image) -> Image {
     let balanced = white_balance::balance(image);
     let gamma = gamma(&balanced);
-    let inputs = [balanced.map(|v| math::powf(v, gamma)), sharpen(&balanced)];
+    let inputs = [with_all(&balanced, |v| math::powf(v, gamma)), sharpen(&balanced)];
     let mut maps = inputs.each_ref().map(weights::weights);
     normalise(&mut maps);
 
@@ -127,14 +135,14 @@ fn stretch(image: &Image) -> Image {
     let [r, g, b] = image.planes();
     let mut light: Vec<f32> =
         (0..image.pixels()).map(|p| 0.299 * r[p] + 0.587 * g[p] + 0.114 * b[p]).collect();
-    light.sort_unstable_by(f32::total_cmp);
+    light.par_sort_unstable_by(f32::total_cmp);
     let last = (light.len() - 1) as f64;
     let low = light[(CLIPPED[0] * last) as usize].max(0.0);
     let high = light[((1.0 - CLIPPED[1]) * last).ceil() as usize].min(1.0);
     let slope = (1.0 / (high - low).max(1e-3)).clamp(1.0, LARGEST_STRETCH);
     // The dark end moves to 0 only as far as the bounded slope brings the bright end to 1.
     let offset = (1.0 - slope * high).clamp(-slope * low, 0.0);
-    image.map(|v| (slope * v + offset).clamp(0.0, 1.0))
+    with_all(image, |v| (slope * v + offset).clamp(0.0, 1.0))
 }
 
 #[cfg(test)]
