@@ -55,8 +55,8 @@ pub fn step(engine: &mut dyn Engine, scene: &SceneSize) -> Result<Vec<Agreement>
     Ok(all)
 }
 
-/// In a scene with more Gaussians than this number, one of as many may differ because a pair of it and a pixel
-/// lies exactly at a threshold.
+/// In a scene with more Gaussians than this number, one of as many may differ because a pair of it and a
+/// pixel lies exactly at a threshold.
 const ONE_OF: usize = 1_000;
 /// The largest allowed error of the others, and of all with them.
 const TRIMMED: f64 = 2e-5;
@@ -65,10 +65,10 @@ const WITH_ALL: f64 = 1e-3;
 /// Compares one step of a scene in which the first `crowd` Gaussians are faint and lie behind one another,
 /// all in one tile.
 ///
-/// A pair of pixel and Gaussian exactly at a threshold may be decided otherwise than on the processor. Such a
-/// pair changes the gradient of its Gaussian by up to a part in a thousand of the norm of all. With hundreds of
-/// millions of pairs there are some. So in a scene with more than 1,000 Gaussians each gradient is compared
-/// twice: without the one Gaussian in 1,000 that differs most, and with all.
+/// A pair of pixel and Gaussian exactly at a threshold may be decided otherwise than on the processor. Such
+/// a pair changes the gradient of its Gaussian by up to a part in a thousand of the norm of all. With
+/// hundreds of millions of pairs there are some. So in a scene with more than 1,000 Gaussians each gradient
+/// is compared twice: without the one Gaussian in 1,000 that differs most, and with all.
 ///
 /// # Errors
 /// The engine's error.
