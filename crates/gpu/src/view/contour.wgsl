@@ -20,7 +20,7 @@ fn down(t: u32) -> vec2<f32> {
 }
 
 // Centres lie at equal distances, except in a lattice of chosen pixels. So a search for a tile begins where
-// the tile would be at equal distances, and mostly ends there. Returns (first centre - bound) in tiles.
+// the tile would be at equal distances, and mostly ends there. Returns (bound - first centre) in tiles.
 fn tiles_to(bound: f32, first: f32, pitch: f32) -> f32 {
     return clamp((bound - first) / max(pitch, 1e-6f), -1.0f, 65535.0f);
 }
@@ -30,7 +30,7 @@ fn columns_meeting(low: f32, high: f32) -> vec2<u32> {
     let n = constants.size.z;
     let ends = across(0u);
     let pitch = (across(n - 1u).x - ends.x) / f32(max(n, 2u) - 1u);
-    var a = min(u32(ceil(tiles_to(low, ends.y, pitch))), n);
+    var a = min(u32(max(ceil(tiles_to(low, ends.y, pitch)), 0.0f)), n);
     while (a > 0u && across(a - 1u).y >= low) { a--; }
     while (a < n && across(a).y < low) { a++; }
     var b = clamp(u32(floor(tiles_to(high, ends.x, pitch)) + 1.0f), a, n);
@@ -44,7 +44,7 @@ fn rows_meeting(low: f32, high: f32) -> vec2<u32> {
     let n = constants.size.w;
     let ends = down(0u);
     let pitch = (down(n - 1u).x - ends.x) / f32(max(n, 2u) - 1u);
-    var a = min(u32(ceil(tiles_to(low, ends.y, pitch))), n);
+    var a = min(u32(max(ceil(tiles_to(low, ends.y, pitch)), 0.0f)), n);
     while (a > 0u && down(a - 1u).y >= low) { a--; }
     while (a < n && down(a).y < low) { a++; }
     var b = clamp(u32(floor(tiles_to(high, ends.x, pitch)) + 1.0f), a, n);
