@@ -130,7 +130,7 @@ fn compare(device: &TrainingState, ours: &TrainingState, all: &mut Vec<Agreement
 fn without_few(device: &[f32], ours: &[f32], width: usize, few: usize) -> (Vec<f32>, Vec<f32>) {
     let difference = |row: usize| -> f64 {
         let at = row * width..(row + 1) * width;
-        device[at.clone()].iter().zip(&ours[at]).map(|(d, o)| f64::from(d - o).powi(2)).sum()
+        device[at.clone()].iter().zip(&ours[at]).map(|(d, o)| f64::from(d - o) * f64::from(d - o)).sum()
     };
     let mut rows: Vec<usize> = (0..ours.len() / width).collect();
     // A difference that is not a number is put last, so that it is never left out.
