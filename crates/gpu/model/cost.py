@@ -7,7 +7,7 @@
 A kernel takes the longest of three times: its instructions at the rate at which the card issues them, its
 exchanges between threads at their rate, and its bytes at the rate of the memory. Two columns are printed: the
 kernels as they were when the model was made (`before`), and as they are (`now`). With a file of `use3d bench
-gpu` the model is computed for the counts of its largest training, and a third column has the card's own times.
+gpu` the model is computed for the counts of its largest training, beside the card's own times.
 
 The counts were measured on a trained reef (153,815 Gaussians, four views of 1400 x 788) and scaled to the load
 below. An instruction of a warp of 32 threads is a slot. The slots of a loop were counted in the kernels' texts.
