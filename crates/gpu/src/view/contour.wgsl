@@ -12,45 +12,31 @@ struct Contour {
     reach_y: f32,
 }
 
-// Centres of a tile's first and last column; below, of its first and last row.
-fn across(t: u32) -> vec2<f32> { return vec2<f32>(axes[t * TILE], axes[t * TILE + TILE - 1u]); }
-fn down(t: u32) -> vec2<f32> {
-    let first = (constants.size.z + t) * TILE;
-    return vec2<f32>(axes[first], axes[first + TILE - 1u]);
+// Centres of the first and last pixel of a tile along an axis; tiles of columns come first, then those of rows.
+fn ends_of(t: u32) -> vec2<f32> { return vec2<f32>(axes[t * TILE], axes[t * TILE + TILE - 1u]); }
+fn down(row: u32) -> vec2<f32> { return ends_of(constants.size.z + row); }
+
+// Half-open range, among the `n` tiles from `start` on, of those with a pixel centre in [low, high]. Centres
+// lie at equal distances, except in a lattice of chosen pixels. So a search begins where the tile would be at
+// equal distances, and mostly ends there.
+fn tiles_meeting(start: u32, n: u32, low: f32, high: f32) -> vec2<u32> {
+    let ends = ends_of(start);
+    let pitch = max((ends_of(start + n - 1u).x - ends.x) / f32(max(n, 2u) - 1u), 1e-6f);
+    var a = min(u32(ceil(clamp((low - ends.y) / pitch, 0.0f, 65535.0f))), n);
+    while (a > 0u && ends_of(start + a - 1u).y >= low) { a--; }
+    while (a < n && ends_of(start + a).y < low) { a++; }
+    var b = clamp(u32(floor(clamp((high - ends.x) / pitch, -1.0f, 65535.0f)) + 1.0f), a, n);
+    while (b > a && ends_of(start + b - 1u).x > high) { b--; }
+    while (b < n && ends_of(start + b).x <= high) { b++; }
+    return vec2<u32>(a, b);
 }
 
-// Centres lie at equal distances, except in a lattice of chosen pixels. So a search for a tile begins where
-// the tile would be at equal distances, and mostly ends there. Returns (bound - first centre) in tiles.
-fn tiles_to(bound: f32, first: f32, pitch: f32) -> f32 {
-    return clamp((bound - first) / max(pitch, 1e-6f), -1.0f, 65535.0f);
-}
-
-// Half-open range of tile columns with a pixel centre in [low, high].
 fn columns_meeting(low: f32, high: f32) -> vec2<u32> {
-    let n = constants.size.z;
-    let ends = across(0u);
-    let pitch = (across(n - 1u).x - ends.x) / f32(max(n, 2u) - 1u);
-    var a = min(u32(max(ceil(tiles_to(low, ends.y, pitch)), 0.0f)), n);
-    while (a > 0u && across(a - 1u).y >= low) { a--; }
-    while (a < n && across(a).y < low) { a++; }
-    var b = clamp(u32(floor(tiles_to(high, ends.x, pitch)) + 1.0f), a, n);
-    while (b > a && across(b - 1u).x > high) { b--; }
-    while (b < n && across(b).x <= high) { b++; }
-    return vec2<u32>(a, b);
+    return tiles_meeting(0u, constants.size.z, low, high);
 }
 
-// Half-open range of tile rows with a pixel centre in [low, high].
 fn rows_meeting(low: f32, high: f32) -> vec2<u32> {
-    let n = constants.size.w;
-    let ends = down(0u);
-    let pitch = (down(n - 1u).x - ends.x) / f32(max(n, 2u) - 1u);
-    var a = min(u32(max(ceil(tiles_to(low, ends.y, pitch)), 0.0f)), n);
-    while (a > 0u && down(a - 1u).y >= low) { a--; }
-    while (a < n && down(a).y < low) { a++; }
-    var b = clamp(u32(floor(tiles_to(high, ends.x, pitch)) + 1.0f), a, n);
-    while (b > a && down(b - 1u).x > high) { b--; }
-    while (b < n && down(b).x <= high) { b++; }
-    return vec2<u32>(a, b);
+    return tiles_meeting(constants.size.z, constants.size.w, low, high);
 }
 
 fn half_width(s: Contour, dy: f32) -> f32 {
