@@ -59,7 +59,7 @@ pub fn delta_e_of_lab(first: [f64; 3], second: [f64; 3]) -> f64 {
 /// # Errors
 /// The images have different sizes, no pixels, or values that are not finite.
 pub fn ciede2000(x: &Image, y: &Image) -> Result<Map, MetricError> {
-    difference_of_lab("CIEDE2000", x, y, delta_e_of_lab, |_| true)
+    ciede2000_where(x, y, |_| true)
 }
 
 /// [`ciede2000`] at the pixels that count, and zero elsewhere.

@@ -20,7 +20,7 @@ const WHITE: [f64; 3] = [0.950456, 1.0, 1.088754];
 const KNEE: f64 = 216.0 / 24389.0;
 
 fn decode(v: f64) -> f64 {
-    // Half as long as a power, with the same 15 digits.
+    // Faster than a power, with the same 14 digits.
     if v <= 0.04045 { v / 12.92 } else { math::exp(2.4 * math::ln((v + 0.055) / 1.055)) }
 }
 
@@ -142,6 +142,15 @@ pub fn lab8_of_srgb8(image: &Image8) -> Image8 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_decoded_value_is_the_power() {
+        for i in 1..=1000 {
+            let v = f64::from(i) / 1000.0;
+            let power = if v <= 0.04045 { v / 12.92 } else { math::powf((v + 0.055) / 1.055, 2.4) };
+            assert!((decode(v) - power).abs() <= 1e-14 * power, "{v}");
+        }
+    }
 
     #[test]
     fn known_colours() {

@@ -193,6 +193,7 @@ fn point_part(
     weights: &[f64],
     gains: bool,
     p: usize,
+    [u, v]: &mut [Vec<f64>; 2],
     out: &mut Vec<f64>,
 ) {
     let range = channel.of_point(p);
@@ -201,7 +202,10 @@ fn point_part(
     let first = out.len();
     out.resize(first + k + k * (k + 1) / 2, 0.0);
     let (part, triangle) = out[first..].split_at_mut(k);
-    let (mut u, mut v) = (vec![0.0; k], vec![0.0; k]);
+    for sums in [&mut *u, &mut *v] {
+        sums.clear();
+        sums.resize(k, 0.0);
+    }
     for (o, i) in range.enumerate() {
         let (w, t) = (weights[i], &terms[i]);
         let r = channel.value[i] - t.added - t.left * j;
@@ -246,10 +250,11 @@ pub(crate) fn normal(
 ) -> Normal {
     let n = channel.parameters();
     let (mut gradient, mut matrix) = (vec![0.0; n], vec![0.0; n * n]);
+    let points_of = |chunk: usize| chunk * CHUNK..channel.points().min((chunk + 1) * CHUNK);
     let chunk_parts = |chunk: usize| {
-        let mut out = Vec::new();
-        for p in chunk * CHUNK..channel.points().min((chunk + 1) * CHUNK) {
-            point_part(channel, terms, weights, gains, p, &mut out);
+        let (mut scratch, mut out) = (Default::default(), Vec::new());
+        for p in points_of(chunk) {
+            point_part(channel, terms, weights, gains, p, &mut scratch, &mut out);
         }
         out
     };
@@ -259,7 +264,7 @@ pub(crate) fn normal(
     let mut index: Vec<usize> = Vec::new();
     for (chunk, values) in chunks.iter().enumerate() {
         let mut rest = &values[..];
-        for p in chunk * CHUNK..channel.points().min((chunk + 1) * CHUNK) {
+        for p in points_of(chunk) {
             index.clear();
             index.extend(0..GAIN);
             if gains {

@@ -128,16 +128,15 @@ fn compare(device: &TrainingState, ours: &TrainingState, all: &mut Vec<Agreement
 
 /// Two arrays without the `few` rows that differ most.
 fn without_few(device: &[f32], ours: &[f32], width: usize, few: usize) -> (Vec<f32>, Vec<f32>) {
-    let difference = |row: usize| -> f64 {
-        let at = row * width..(row + 1) * width;
-        device[at.clone()].iter().zip(&ours[at]).map(|(d, o)| f64::from(d - o) * f64::from(d - o)).sum()
-    };
-    let mut rows: Vec<usize> = (0..ours.len() / width).collect();
+    let square = |(d, o): (&f32, &f32)| f64::from(d - o) * f64::from(d - o);
+    let row = |(d, o): (&[f32], &[f32])| d.iter().zip(o).map(square).sum::<f64>();
+    let differences = device.chunks(width).zip(ours.chunks(width)).map(row);
     // A difference that is not a number is put last, so that it is never left out.
-    let worst_first = |row: &usize| Some(difference(*row)).filter(|d| !d.is_nan()).unwrap_or(-1.0);
-    rows.sort_by(|a, b| worst_first(b).total_cmp(&worst_first(a)));
+    let mut rows: Vec<(usize, f64)> =
+        differences.map(|d| if d.is_nan() { -1.0 } else { d }).enumerate().collect();
+    rows.sort_by(|a, b| b.1.total_cmp(&a.1));
     let kept = |values: &[f32]| {
-        rows[few..].iter().flat_map(|row| values[row * width..(row + 1) * width].to_vec()).collect()
+        rows[few..].iter().flat_map(|(row, _)| &values[row * width..(row + 1) * width]).copied().collect()
     };
     (kept(device), kept(ours))
 }
