@@ -2,7 +2,9 @@
 
 use std::io::IsTerminal;
 
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::filter::Targets;
+use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::util::SubscriberInitExt;
 
 /// Starts logging.
 pub(crate) fn start(verbose: u8, quiet: bool) {
@@ -43,15 +45,20 @@ pub(crate) fn start(verbose: u8, quiet: bool) {
         // itself.
         filter.push_str(",wgpu_core=off,wgpu_hal=off");
     }
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(filter));
+    let asked = std::env::var("RUST_LOG").ok().filter(|asked| !asked.is_empty());
+    let filter = asked.and_then(|asked| asked.parse().ok()).unwrap_or_else(|| targets(&filter));
     let color = std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
-    tracing_subscriber::fmt()
-        .with_env_filter(filter)
+    let lines = tracing_subscriber::fmt::layer()
         .with_writer(std::io::stderr)
         .with_ansi(color)
         .with_target(verbose > 1)
         .without_time()
         // A closed stderr must not cause a panic.
-        .log_internal_errors(false)
-        .init();
+        .log_internal_errors(false);
+    tracing_subscriber::registry().with(lines).with(filter).init();
+}
+
+/// The filter of a list of targets and levels that this file wrote.
+fn targets(list: &str) -> Targets {
+    list.parse().unwrap_or_default()
 }
