@@ -15,6 +15,7 @@ mod error;
 mod exposure;
 mod fingerprint;
 mod found;
+mod hidden;
 mod initialise;
 mod load;
 pub mod losses;

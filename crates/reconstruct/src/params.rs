@@ -7,6 +7,8 @@ use use3d_numerics::math;
 use use3d_numerics::range::{OutOfRange, at_least, not_negative, positive, within};
 use use3d_training::EngineChoice;
 
+use crate::engine::GradientScale;
+
 /// The largest divisor of the image pyramid.
 pub(crate) const MOST_DIVISOR: usize = 1024;
 
@@ -129,10 +131,10 @@ impl Default for LearningRates {
         Self {
             means: Rate(1.6e-4, 5e-5),
             sh_constant: Rate(5e-3, 5e-4),
-            sh_directional: Rate(1e-3, 1e-4),
+            sh_directional: Rate(5e-4, 5e-5),
             opacity: Rate(0.1, 0.1),
-            scales: Rate(5e-3, 5e-3),
-            quaternions: Rate(1e-3, 1e-3),
+            scales: Rate(1e-2, 5e-3),
+            quaternions: Rate(2e-3, 1e-3),
             medium_constant: Rate(2.5e-3, 2.5e-4),
             medium_directional: Rate(1.25e-4, 1.25e-5),
             medium_network: Rate(1e-3, 1.5e-4),
@@ -207,11 +209,14 @@ pub struct Densify {
     pub until: f64,
     /// Mean absolute screen gradient above which a Gaussian is split or duplicated.
     pub gradient_threshold: f64,
-    /// Pixels of the training images for which `gradient_threshold` is meant (the method's 1400×933). The
-    /// screen gradient of a Gaussian of a given size in pixels falls with the images' side; for other
-    /// images it is scaled by √(pixels / this), so that a scene grows to about as many Gaussians per pixel
-    /// at any size. 0: never scaled.
+    /// Pixels of the training images for which `gradient_threshold` is meant (the method's 1400×933). For
+    /// other images screen gradients are multiplied by (pixels / this) to the power of `size_exponent`. 0:
+    /// never.
     pub reference_pixels: u64,
+    /// The exponent of that scale, 0 to 1. With 1/2 a scene grows to about as many Gaussians per pixel at any
+    /// size. With less, larger images get fewer per pixel, because four times the pixels rarely show four
+    /// times the detail.
+    pub size_exponent: f64,
     /// Largest standard deviation up to which it is duplicated rather than split, scene units.
     pub split_scale: f64,
     /// Factor by which the children of a split are smaller.
@@ -251,10 +256,11 @@ impl Default for Densify {
             period: 250,
             pause: 125,
             until: 2.0 / 3.0,
-            gradient_threshold: 8e-4,
+            gradient_threshold: 2.05e-3,
             reference_pixels: 1400 * 933,
+            size_exponent: 0.2,
             split_scale: 1e-3,
-            shrink: 1.6,
+            shrink: 1.3,
             cull_opacity: 0.5,
             cull_opacity_late: 0.1,
             gentle_below: 2000,
@@ -266,6 +272,13 @@ impl Default for Densify {
             floor_share: 0.1,
             reset_medium: true,
         }
+    }
+}
+
+impl Densify {
+    /// The scale of screen gradients for the size of the images.
+    pub fn gradient_scale(&self) -> GradientScale {
+        GradientScale { reference_pixels: self.reference_pixels, exponent: self.size_exponent }
     }
 }
 
@@ -327,6 +340,9 @@ pub struct ReconstructParams {
     /// Transmission of the water, 0 to 1, at which half of a Gaussian's colour channel counts as known. Less
     /// known channels fade into the others after the last step, so that far red is no fog. 0: never.
     pub unknown_below: f64,
+    /// Gaussians of which masks hide all but less than this share, 0 to 1, from the training views are removed
+    /// after the last step: no photograph showed them. 0: never.
+    pub hidden_below: f64,
     /// Largest number of Gaussians, including the initial ones: of more sparse points a random choice is
     /// kept. 0: one for every eight pixels of the training views or four for every sparse point, whichever
     /// is more; from 250,000 to four million.
@@ -377,6 +393,7 @@ impl Default for ReconstructParams {
             densify: Densify::default(),
             unseen: Unseen::default(),
             unknown_below: 0.05,
+            hidden_below: 0.1,
             max_gaussians: 0,
             seed: 42,
             evaluate_every: 0,
@@ -453,6 +470,7 @@ impl ReconstructParams {
         share("densify.cull_opacity_late", d.cull_opacity_late)?;
         share("densify.floor_share", d.floor_share)?;
         positive("densify.gradient_threshold", d.gradient_threshold)?;
+        share("densify.size_exponent", d.size_exponent)?;
         positive("densify.split_scale", d.split_scale)?;
         positive("densify.shrink", d.shrink)?;
         positive("densify.cull_scale", d.cull_scale)?;
@@ -470,6 +488,7 @@ impl ReconstructParams {
         share("unseen.opacity", u.opacity)?;
         positive("unseen.opacity", u.opacity)?;
         share("unknown_below", self.unknown_below)?;
+        share("hidden_below", self.hidden_below)?;
         let r = &self.learning_rates;
         for (name, rate) in [
             ("means", r.means),
@@ -592,6 +611,18 @@ mod tests {
         p.validate().unwrap();
         assert_eq!([0, 599, 600, 2999].map(|s| p.divisor(s)), [2, 2, 1, 1]);
         assert_eq!((p.densify_end(), p.warm_up()), (2000, 300));
+    }
+
+    #[test]
+    fn screen_gradients_are_scaled_to_the_size_of_the_images() {
+        let d = Densify::default();
+        let of = |d: &Densify, width: u32, height: u32| d.gradient_scale().at(f64::from(width * height));
+        assert_eq!(of(&d, 1400, 933), 1.0);
+        // Half the side: the scale falls by a quarter, and by half in the rule per pixel.
+        assert!((of(&d, 700, 933 / 2) - math::powf(0.25f32, 0.2)).abs() < 1e-3);
+        let per_pixel = Densify { size_exponent: 0.5, ..d.clone() };
+        assert!((of(&per_pixel, 700, 933 / 2) - 0.5).abs() < 1e-3);
+        assert_eq!(of(&Densify { reference_pixels: 0, ..d }, 320, 180), 1.0);
     }
 
     #[test]

@@ -24,6 +24,7 @@ use crate::density::worth::Judges;
 use crate::density::{self, Draws, RefineSettings};
 use crate::engine::{Degrees, Engine, StepPlan, StepRates, TrainingState};
 use crate::fingerprint::fingerprint;
+use crate::hidden::Masks;
 use crate::load::load;
 use crate::profile::{StepPart, Stretch};
 use crate::report::{Evaluation, FittedScore, LogEntry, ViewScore, plot};
@@ -165,6 +166,10 @@ pub fn reconstruct_in(
         true => Witnesses::new(&cameras, &sparse, params.unseen.beyond),
         false => Witnesses::default(),
     };
+    let masks = match params.hidden_below > 0.0 {
+        true => Masks::new(&views.train),
+        false => Masks::default(),
+    };
     let judges = match params.densify.strategy {
         Strategy::Authors => Judges::default(),
         Strategy::Frugal => Judges::new(&views.train),
@@ -196,6 +201,7 @@ pub fn reconstruct_in(
         pixels: CaptureSize::from(capture).training,
         judges,
         witnesses,
+        masks,
         cameras,
         cap_told: false,
         growth: Vec::new(),
@@ -211,7 +217,7 @@ pub fn reconstruct_in(
     if let SessionEnd::Stopped { step, saved } = session.run(run.step, &mut run, observer)? {
         return Err(ReconstructError::Interrupted { step, steps: params.iterations, saved });
     }
-    run.finish(capture)
+    run.finish(capture, observer)
 }
 
 /// A run between its first and last step.
@@ -243,6 +249,8 @@ struct ReconstructRun<'a> {
     judges: Judges,
     /// The views that bound poorly seen Gaussians.
     witnesses: Witnesses,
+    /// The masks that hide Gaussians.
+    masks: Masks,
     /// The cameras of the training views.
     cameras: Vec<Camera>,
     cap_told: bool,
@@ -347,11 +355,16 @@ impl ReconstructRun<'_> {
     }
 
     /// Completes the run after the last step.
-    fn finish(mut self, capture: &Capture) -> Result<ReconstructOutcome, ReconstructError> {
+    fn finish(
+        mut self,
+        capture: &Capture,
+        observer: &mut dyn Observer,
+    ) -> Result<ReconstructOutcome, ReconstructError> {
         // This happens only here, after the last checkpoint: a longer run that continues from it still
         // collects data for this line, and bounds poorly seen Gaussians at its own steps.
         self.drain(Drain::All)?;
         self.hold_back()?;
+        self.remove_hidden(observer)?;
         self.fade_unknown()?;
         if self.window.steps > 0 {
             self.end_window()?;
@@ -442,7 +455,7 @@ impl ReconstructRun<'_> {
             gather: (params.densify.enabled
                 && step >= params.densify.statistics_from.min(params.warm_up())
                 && step < params.densify_end())
-            .then_some(params.densify.reference_pixels),
+            .then(|| params.densify.gradient_scale()),
         }
     }
 
@@ -512,6 +525,24 @@ impl ReconstructRun<'_> {
             self.drain(Drain::All)?;
             let witnesses = &self.witnesses;
             self.engine.amend(&mut |gaussians| witnesses.hold_back(gaussians, settings))?;
+        }
+        Ok(())
+    }
+
+    /// Removes Gaussians that masks hid from all training views.
+    fn remove_hidden(&mut self, observer: &mut dyn Observer) -> Result<(), ReconstructError> {
+        if self.masks.is_empty() {
+            return Ok(());
+        }
+        let rows = self.masks.shown(&self.engine.save()?.gaussians, self.params.hidden_below);
+        let removed = self.gaussians - rows.len();
+        if removed > 0 && !rows.is_empty() {
+            let draws = Draws { seed: self.params.seed, step: self.step, shrink: self.params.densify.shrink };
+            self.engine.rebuild(&rows, &draws)?;
+            self.gaussians = rows.len();
+            observer.notice(&format!(
+                "removed {removed} Gaussians that masks hide from all training views (`hidden_below`)"
+            ));
         }
         Ok(())
     }

@@ -428,7 +428,7 @@ const SCENE: &str = "reef";
 pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
     let started = Instant::now();
     let (views, width, height, iterations, steps) = match args.size {
-        DemoSize::Small => (40, 320, 180, 2000, 600),
+        DemoSize::Small => (40, 320, 180, 1100, 600),
         DemoSize::Full => (48, 640, 360, 3000, 1000),
     };
     // No depth priors: those of synthetic captures are made from the true depth, which a real diver does not

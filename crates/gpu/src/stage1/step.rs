@@ -77,10 +77,10 @@ impl Stage1 {
             slot as u32,
         ];
         constants.set_rates(plan.step, &plan.rates);
-        if let Some(reference) = plan.gather {
+        if let Some(scale) = plan.gather {
             // Scaled as on the processor.
             let pixels = (width * plan.divisor) as f64 * (height * plan.divisor) as f64;
-            let scale = if reference == 0 { 1.0 } else { (pixels / reference as f64).sqrt() as f32 };
+            let scale = scale.at(pixels);
             constants.screen = [0.5 * scale * width as f32, 0.5 * scale * height as f32, 0.0, 0.0];
         }
         self.prepare(constants, &lattice, Outputs::Training)?;

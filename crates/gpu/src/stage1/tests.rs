@@ -7,7 +7,7 @@ use use3d_capture::{FileName, Map, Pixels, Raster, View};
 use use3d_medium::{MediumKind, MediumModel, MediumStart};
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
-use use3d_reconstruct::engine::{CpuEngine, StepRates};
+use use3d_reconstruct::engine::{CpuEngine, GradientScale, StepRates};
 use use3d_reconstruct::{ExposureStep, LoadedView};
 
 use super::*;
@@ -84,7 +84,7 @@ fn plan(step: u64) -> StepPlan {
         weights: vec![0.8, 0.2, 0.1],
         depth_gradient: step % 4 != 3,
         exposure: Some(ExposureStep { rate: 1e-3, weight: 1e-2 }),
-        gather: (step % 3 != 2).then_some(1000),
+        gather: (step % 3 != 2).then_some(GradientScale { reference_pixels: 1000, exponent: 0.5 }),
     }
 }
 

@@ -163,7 +163,7 @@ impl SceneSize {
             weights: losses::weights(&params, step),
             depth_gradient: true,
             exposure: None,
-            gather: Some(params.densify.reference_pixels),
+            gather: Some(params.densify.gradient_scale()),
         }
     }
 }

@@ -10,7 +10,7 @@
 //! This is the absolute gradient of the loss with respect to the Gaussian's position on the screen, so that
 //! opposite gradients do not cancel. It is scaled to the image size for which the threshold is meant. Above
 //! the threshold, a Gaussian whose largest standard deviation exceeds a size is replaced by two drawn from
-//! it, 1.6 times smaller; a smaller one gets a twin. Faint and huge Gaussians are removed, but never below
+//! it, smaller by a factor; a smaller one gets a twin. Faint and huge Gaussians are removed, but never below
 //! a floor (the most opaque stay), and growth stops at a cap (the largest gradients first). New Gaussians
 //! start with zero moments.
 //!

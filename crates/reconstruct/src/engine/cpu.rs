@@ -227,14 +227,13 @@ impl CpuEngine {
             }
         }
         self.profile.lap(StepPart::Adam);
-        if let Some(reference) = plan.gather {
+        if let Some(scale) = plan.gather {
             let image = &self.buffers.rendered.image;
             let (width, height) = (image.width(), image.height());
             // Pixels are counted at full size for every divisor: the pyramid's larger gradients are part of
             // the method.
             let pixels = (width * plan.divisor) as f64 * (height * plan.divisor) as f64;
-            let scale = if reference == 0 { 1.0 } else { (pixels / reference as f64).sqrt() as f32 };
-            state.statistics.gather(&self.buffers.gradients, width, height, scale);
+            state.statistics.gather(&self.buffers.gradients, width, height, scale.at(pixels));
         }
         self.profile.lap(StepPart::Density);
         self.profile.steps += 1;

@@ -27,6 +27,7 @@ mod state;
 use std::borrow::Cow;
 
 use use3d_capture::{Camera, Image};
+use use3d_numerics::math;
 use use3d_splat::Gaussians;
 use use3d_training::{Drain, EngineError, Profile};
 
@@ -90,9 +91,27 @@ pub struct StepPlan {
     pub depth_gradient: bool,
     /// The settings by which the view's gain is learnt; `None` if every gain is one.
     pub exposure: Option<ExposureStep>,
-    /// The number of pixels for which the threshold of density control is meant (0: not scaled); `None` if
-    /// no screen gradients are gathered.
-    pub gather: Option<u64>,
+    /// The scale of screen gradients for the size of the images; `None` if none are gathered.
+    pub gather: Option<GradientScale>,
+}
+
+/// The scale of screen gradients for the size of the images: `(pixels / reference_pixels)^exponent`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GradientScale {
+    /// Number of pixels for which the threshold of density control is meant; 0: the scale is always 1.
+    pub reference_pixels: u64,
+    /// Its exponent, 0 to 1.
+    pub exponent: f64,
+}
+
+impl GradientScale {
+    /// The scale for an image with this many pixels.
+    pub fn at(&self, pixels: f64) -> f32 {
+        match self.reference_pixels {
+            0 => 1.0,
+            reference => math::powf(pixels / reference as f64, self.exponent) as f32,
+        }
+    }
 }
 
 /// The result of a step.
