@@ -340,8 +340,8 @@ pub struct ReconstructParams {
     /// Transmission of the water, 0 to 1, at which half of a Gaussian's colour channel counts as known. Less
     /// known channels fade into the others after the last step, so that far red is no fog. 0: never.
     pub unknown_below: f64,
-    /// Gaussians of which masks hide all but less than this share, 0 to 1, from the training views are removed
-    /// after the last step: no photograph showed them. 0: never.
+    /// After the last step Gaussians are removed of which the training views show less than this share, 0 to
+    /// 1, because masks hide the rest. 0: never.
     pub hidden_below: f64,
     /// Largest number of Gaussians, including the initial ones: of more sparse points a random choice is
     /// kept. 0: one for every eight pixels of the training views or four for every sparse point, whichever
@@ -620,7 +620,7 @@ mod tests {
         assert_eq!(of(&d, 1400, 933), 1.0);
         // Half the side: the scale falls by a quarter, and by half in the rule per pixel.
         assert!((of(&d, 700, 933 / 2) - math::powf(0.25f32, 0.2)).abs() < 1e-3);
-        let per_pixel = Densify { size_exponent: 0.5, ..d.clone() };
+        let per_pixel = Densify { size_exponent: 0.5, ..d };
         assert!((of(&per_pixel, 700, 933 / 2) - 0.5).abs() < 1e-3);
         assert_eq!(of(&Densify { reference_pixels: 0, ..d }, 320, 180), 1.0);
     }
