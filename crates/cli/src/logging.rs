@@ -46,7 +46,8 @@ pub(crate) fn start(verbose: u8, quiet: bool) {
         filter.push_str(",wgpu_core=off,wgpu_hal=off");
     }
     let asked = std::env::var("RUST_LOG").ok().filter(|asked| !asked.is_empty());
-    let filter = asked.and_then(|asked| asked.parse().ok()).unwrap_or_else(|| targets(&filter));
+    let filter: Targets =
+        asked.and_then(|asked| asked.parse().ok()).or_else(|| filter.parse().ok()).unwrap_or_default();
     let color = std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
     let lines = tracing_subscriber::fmt::layer()
         .with_writer(std::io::stderr)
@@ -56,9 +57,4 @@ pub(crate) fn start(verbose: u8, quiet: bool) {
         // A closed stderr must not cause a panic.
         .log_internal_errors(false);
     tracing_subscriber::registry().with(lines).with(filter).init();
-}
-
-/// The filter of a list of targets and levels that this file wrote.
-fn targets(list: &str) -> Targets {
-    list.parse().unwrap_or_default()
 }

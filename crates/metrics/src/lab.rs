@@ -28,6 +28,13 @@ fn decode(v: f64) -> f64 {
     if v <= LINE { v / 12.92 } else { math::powf((v + 0.055) / 1.055, 2.4) }
 }
 
+/// One step of Halley's iteration towards the cube root of `t`, from `y`.
+#[inline]
+fn halley(y: f64, t: f64) -> f64 {
+    let cube = y * y * y;
+    y * (cube + 2.0 * t) / (2.0 * cube + t)
+}
+
 /// The two curves of a colour, by tables. Powers and cube roots of the library take most of the time of a
 /// score; these have the same 13 digits.
 struct Curves {
@@ -73,12 +80,8 @@ impl Curves {
     /// The cube root of a value from the knee to about 1: two steps of Halley's iteration.
     #[inline]
     fn cube_root(&self, t: f64) -> f64 {
-        let mut y = self.roots[((t * Self::INTERVALS as f64) as usize).min(Self::INTERVALS)];
-        for _ in 0..2 {
-            let cube = y * y * y;
-            y *= (cube + 2.0 * t) / (2.0 * cube + t);
-        }
-        y
+        let near = self.roots[((t * Self::INTERVALS as f64) as usize).min(Self::INTERVALS)];
+        halley(halley(near, t), t)
     }
 }
 
@@ -168,9 +171,7 @@ impl LabTable {
     #[inline]
     fn cube_root(&self, t: f64) -> f64 {
         let index = ((t * Self::INTERVALS as f64) as usize).min(Self::INTERVALS);
-        let y = f64::from(self.roots[index]);
-        let cube = y * y * y;
-        y * (cube + 2.0 * t) / (2.0 * cube + t)
+        halley(f64::from(self.roots[index]), t)
     }
 
     #[inline]

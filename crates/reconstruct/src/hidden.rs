@@ -20,12 +20,8 @@ use use3d_splat::{Colors, Gaussians, Prepared, Rasterizer};
 
 use crate::Target;
 use crate::density::Origin;
+use crate::unknown::{MOST_VIEWS, SIDE};
 use crate::views::TrainingView;
-
-/// Largest number of views used, spread over the capture.
-const MOST_VIEWS: usize = 64;
-/// The longest side, in pixels, at which visibility is measured.
-const SIDE: usize = 400;
 
 /// The masks of a capture's training views.
 #[derive(Default)]
@@ -120,7 +116,7 @@ mod tests {
         // The discs stand at columns 14, 32 and 50. Both views hide the first, one view the second.
         let rows = masks(&[0..24, 0..42]).shown(&scene, 0.1);
         assert_eq!(rows, [Kept(1), Kept(2), Kept(3)]);
-        // A tenth of two views: the second view shows half of the second disc's weight, that is 0.5.
+        // One of two views shows the second disc, so its share is a half.
         assert_eq!(masks(&[0..24, 0..42]).shown(&scene, 0.6), [Kept(2), Kept(3)]);
         assert!(masks(&[0..0, 0..0]).is_empty(), "a mask in which every pixel counts is none");
     }

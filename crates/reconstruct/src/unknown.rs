@@ -30,9 +30,9 @@ use use3d_numerics::math;
 use use3d_splat::{Colors, Gaussians, Prepared, Rasterizer};
 
 /// Largest number of views used, spread over the capture.
-const MOST_VIEWS: usize = 64;
+pub(crate) const MOST_VIEWS: usize = 64;
 /// The longest side, in pixels, at which visibility is measured.
-const SIDE: usize = 400;
+pub(crate) const SIDE: usize = 400;
 /// Number of planes that are lifted together: attenuation in three channels, and ones.
 const PLANES: usize = 4;
 
