@@ -22,6 +22,7 @@ pub mod losses;
 mod params;
 mod peek;
 mod planes;
+mod plateau;
 mod profile;
 mod report;
 mod run;
@@ -36,7 +37,7 @@ pub use exposure::{ExposureStep, Exposures};
 pub use found::{FoundWater, Known};
 pub use params::{
     Densify, DepthPrior, Exposure, Images, LearningRates, MediumPrior, Rate, ReconstructParams, StartPoints,
-    Strategy, Unseen,
+    Stop, Strategy, Unseen,
 };
 pub use peek::scene_in_checkpoint;
 pub use profile::{StepPart, Stretch, growth};

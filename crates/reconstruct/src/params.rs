@@ -57,6 +57,18 @@ pub enum StartPoints {
     Planes,
 }
 
+/// The end of a training.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Stop {
+    /// After `iterations` steps, as in the paper.
+    #[default]
+    Fixed,
+    /// Earlier, once training no longer improves pixels of the training views that are held back for this:
+    /// one block of 16×16 pixels in 64.
+    Plateau,
+}
+
 /// Differences in exposure and white balance between the photographs of one scene.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
@@ -343,6 +355,8 @@ pub struct ReconstructParams {
     /// After the last step Gaussians are removed of which the training views show less than this share, 0 to
     /// 1, because masks hide the rest. 0: never.
     pub hidden_below: f64,
+    /// The end of a training.
+    pub stop: Stop,
     /// Largest number of Gaussians, including the initial ones: of more sparse points a random choice is
     /// kept. 0: one for every eight pixels of the training views or four for every sparse point, whichever
     /// is more; from 250,000 to four million.
@@ -394,6 +408,7 @@ impl Default for ReconstructParams {
             unseen: Unseen::default(),
             unknown_below: 0.05,
             hidden_below: 0.1,
+            stop: Stop::Fixed,
             max_gaussians: 0,
             seed: 42,
             evaluate_every: 0,

@@ -47,6 +47,13 @@ pub enum LogEntry {
         /// Number of steps done.
         step: u64,
     },
+    /// A comparison with the held-back pixels of training views.
+    HeldBack {
+        /// Number of steps done.
+        step: u64,
+        /// Mean PSNR over the views compared, dB; null if no view has such pixels.
+        psnr: Option<f64>,
+    },
     /// A held-out evaluation.
     Evaluation {
         /// Number of steps done.
@@ -149,7 +156,7 @@ pub fn plot(log: &[LogEntry]) -> String {
                 }
             }
             LogEntry::Evaluation { step, psnr, .. } => held_out.extend(psnr.map(|v| (*step as f64, v))),
-            LogEntry::Refine { .. } | LogEntry::Ceiling { .. } => {}
+            LogEntry::Refine { .. } | LogEntry::Ceiling { .. } | LogEntry::HeldBack { .. } => {}
         }
     }
     const WIDTH: f64 = 760.0;

@@ -26,13 +26,14 @@ use crate::engine::{Degrees, Engine, StepPlan, StepRates, TrainingState};
 use crate::fingerprint::fingerprint;
 use crate::hidden::Masks;
 use crate::load::load;
+use crate::plateau::{self, HeldBack};
 use crate::profile::{StepPart, Stretch};
 use crate::report::{Evaluation, FittedScore, LogEntry, ViewScore, plot};
 use crate::views::{TrainingView, ViewLoader};
 use crate::window::Window;
 use crate::{
-    Exposure, ExposureStep, FoundWater, Known, ReconstructError, ReconstructParams, StartPoints, Strategy,
-    initialise, losses, triangles, unknown,
+    Exposure, ExposureStep, FoundWater, Known, ReconstructError, ReconstructParams, StartPoints, Stop,
+    Strategy, initialise, losses, triangles, unknown,
 };
 
 /// The prefix of the names of this loop's checkpoints.
@@ -136,7 +137,7 @@ pub fn reconstruct_in(
     let most = most_gaussians(capture, params);
     let start = known.water.as_ref().and_then(|found| Some((found, found.model(params)?)));
     let found = start.as_ref().map(|(found, _)| *found);
-    let views = load(capture, loader, params, observer)?;
+    let mut views = load(capture, loader, params, observer)?;
     let sparse: Vec<_> = capture.points.iter().map(|p| p.position).filter(|p| p.is_finite()).collect();
     let between = match params.start_points {
         StartPoints::Tracks => Vec::new(),
@@ -154,6 +155,14 @@ pub fn reconstruct_in(
             ReconstructError::Parameter(OutOfRange::new("medium", params.medium.name(), wrong.to_string()))
         })?,
     };
+    let masks = match params.hidden_below > 0.0 {
+        true => Masks::new(&views.train),
+        false => Masks::default(),
+    };
+    let held_back = match params.stop {
+        Stop::Fixed => HeldBack::default(),
+        Stop::Plateau => HeldBack::take(&mut views.train, params.seed),
+    };
     let exposes = params.exposure == Exposure::PerView;
     let gains: Vec<[f64; 3]> = match known.gains.is_empty() {
         true => vec![[1.0; 3]; capture.split.train.len()],
@@ -165,10 +174,6 @@ pub fn reconstruct_in(
     let witnesses = match params.unseen.enabled {
         true => Witnesses::new(&cameras, &sparse, params.unseen.beyond),
         false => Witnesses::default(),
-    };
-    let masks = match params.hidden_below > 0.0 {
-        true => Masks::new(&views.train),
-        false => Masks::default(),
     };
     let judges = match params.densify.strategy {
         Strategy::Authors => Judges::default(),
@@ -202,6 +207,7 @@ pub fn reconstruct_in(
         judges,
         witnesses,
         masks,
+        held_back,
         cameras,
         cap_told: false,
         growth: Vec::new(),
@@ -251,6 +257,8 @@ struct ReconstructRun<'a> {
     witnesses: Witnesses,
     /// The masks that hide Gaussians.
     masks: Masks,
+    /// The pixels on which a plateau is recognised.
+    held_back: HeldBack,
     /// The cameras of the training views.
     cameras: Vec<Camera>,
     cap_told: bool,
@@ -275,11 +283,18 @@ impl Steps for ReconstructRun<'_> {
         if done.is_multiple_of(params.log_every) {
             self.end_window()?;
         }
+        if self.held_back.is_due(done, params.course(), params.densify_end()) {
+            self.compare_held_back(observer)?;
+        }
         let due = params.evaluate_every > 0 && done.is_multiple_of(params.evaluate_every);
         if due && done < params.iterations {
             self.evaluate()?;
         }
         Ok(())
+    }
+
+    fn has_settled(&self) -> bool {
+        plateau::reached(&self.log)
     }
 
     fn save(&mut self, done: u64, checkpoints: &Checkpoints) -> Result<(), ReconstructError> {
@@ -370,7 +385,7 @@ impl ReconstructRun<'_> {
             self.end_window()?;
         }
         let evaluation = self.evaluate()?;
-        let medium_degree = self.degrees(self.params.iterations.saturating_sub(1)).water;
+        let medium_degree = self.degrees(self.step.saturating_sub(1)).water;
         let (profile, memory) = (self.engine.profile(), self.engine.memory());
         let state = self.engine.save()?;
         let exposures = self.names.into_iter().zip(state.exposures.gains()).collect();
@@ -529,6 +544,23 @@ impl ReconstructRun<'_> {
         Ok(())
     }
 
+    /// Compares the scene with the held-back pixels, and reports a plateau.
+    fn compare_held_back(&mut self, observer: &mut dyn Observer) -> Result<(), ReconstructError> {
+        self.drain(Drain::All)?;
+        let (degrees, gains) = (self.degrees(self.step - 1), self.engine.save()?.exposures.gains());
+        let engine = &mut *self.engine;
+        let psnr = self.held_back.compare(&gains, |camera, out| engine.render(camera, degrees, out))?;
+        self.log.push(LogEntry::HeldBack { step: self.step, psnr });
+        if self.step < self.params.iterations && plateau::reached(&self.log) {
+            observer.notice(&format!(
+                "training stops after {} of {} steps: held-back pixels of the training views no longer improve \
+                 (`stop = \"plateau\"`)",
+                self.step, self.params.iterations
+            ));
+        }
+        Ok(())
+    }
+
     /// Removes Gaussians that masks hid from all training views.
     fn remove_hidden(&mut self, observer: &mut dyn Observer) -> Result<(), ReconstructError> {
         if self.masks.is_empty() {
@@ -551,7 +583,7 @@ impl ReconstructRun<'_> {
     fn fade_unknown(&mut self) -> Result<(), ReconstructError> {
         let below = self.params.unknown_below;
         if below > 0.0 {
-            let degree = self.degrees(self.params.iterations.saturating_sub(1)).water;
+            let degree = self.degrees(self.step.saturating_sub(1)).water;
             let water = self.engine.save()?.medium.clone();
             let cameras = &self.cameras;
             self.engine.amend(&mut |gaussians| unknown::fade(gaussians, &water, degree, cameras, below))?;

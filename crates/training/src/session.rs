@@ -35,6 +35,11 @@ pub trait Steps {
         steps.end.saturating_sub(steps.start) as f64
     }
 
+    /// True if further steps would not help: the run then ends as after its last step.
+    fn has_settled(&self) -> bool {
+        false
+    }
+
     /// A copy of the present trained state for an observer; `None` if there is nothing to show. It must not
     /// change later steps.
     fn view(&mut self) -> Result<Option<Snapshot>, Self::Error> {
@@ -49,7 +54,7 @@ pub trait Steps {
 /// The end of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SessionEnd {
-    /// The last step was done.
+    /// The last step was done, or further ones would not help.
     Done,
     /// The run was stopped on request.
     Stopped {
@@ -139,6 +144,9 @@ impl Session {
         let mut left = work.work(done..self.steps.max(done));
         let mut pace = Pace::start();
         let mut saved_at = Instant::now();
+        if work.has_settled() {
+            return Ok(SessionEnd::Done);
+        }
         for step in done..self.steps {
             work.step(step, observer)?;
             let done = step + 1;
@@ -157,7 +165,8 @@ impl Session {
             {
                 observer.view(view);
             }
-            let last = done == self.steps;
+            let settled = work.has_settled();
+            let last = done == self.steps || settled;
             let stop = !last && observer.should_stop();
             let due = done - *saved >= self.every_steps
                 || saved_at.elapsed().as_secs_f64() >= 60.0 * self.every_minutes;
@@ -169,6 +178,9 @@ impl Session {
             }
             if stop {
                 return Ok(SessionEnd::Stopped { step: done, saved: self.checkpoints.is_some() });
+            }
+            if settled {
+                break;
             }
         }
         Ok(SessionEnd::Done)
@@ -186,6 +198,7 @@ mod tests {
         steps: Vec<u64>,
         saved: Vec<u64>,
         fails_at: Option<u64>,
+        settles_at: Option<usize>,
     }
 
     impl Steps for Counter {
@@ -206,6 +219,9 @@ mod tests {
         }
         fn view(&mut self) -> Result<Option<Snapshot>, CheckpointError> {
             Ok(Some(std::sync::Arc::new(self.steps.clone())))
+        }
+        fn has_settled(&self) -> bool {
+            Some(self.steps.len()) == self.settles_at
         }
         fn shown(&self) -> TrainingProgress {
             TrainingProgress { loss: Some(0.5), ..TrainingProgress::default() }
@@ -236,6 +252,24 @@ mod tests {
         fn view(&mut self, view: Snapshot) {
             self.views.push(view);
         }
+    }
+
+    #[test]
+    fn a_run_that_has_settled_ends_and_does_not_go_on() {
+        let dir = tempfile::tempdir().unwrap();
+        let session = Session {
+            steps: 10,
+            checkpoints: Some(Checkpoints::new(dir.path(), "count", &[1; 32], 10)),
+            every_steps: 4,
+            every_minutes: f64::INFINITY,
+        };
+        let mut work = Counter { settles_at: Some(7), ..Counter::default() };
+        let mut observer = TestObserver::default();
+        assert_eq!(session.run(0, &mut work, &mut observer).unwrap(), SessionEnd::Done);
+        assert_eq!((work.steps.len(), &work.saved[..]), (7, &[4, 7][..]));
+        // The same command resumes from the last checkpoint and has nothing left to do.
+        assert_eq!(session.run(7, &mut work, &mut observer).unwrap(), SessionEnd::Done);
+        assert_eq!(work.steps.len(), 7);
     }
 
     #[test]
