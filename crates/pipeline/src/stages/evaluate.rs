@@ -233,7 +233,7 @@ struct Evaluation<'a> {
     capture: &'a Capture,
     judges: Judges,
     looker: Looker<'a>,
-    /// The reference variant's stage 1; if there is none, the scene's own is used.
+    /// The reference variant's stage 1; `None` if it is the scene's own.
     reference: Option<Reference<'a>>,
 }
 
@@ -377,7 +377,10 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let capture = capture(context)?;
     let role = if context.optional_input("enhanced").is_some() { "enhanced" } else { "scene" };
     let scene = scene(context, role)?;
-    let reference = context.optional_input("reference").map(Scene::load).transpose()?;
+    // The scored scene's own stage 1 is in memory already, and its looks are those of the scene.
+    let referred = context.optional_input("reference");
+    let other = referred.filter(|folder| Some(*folder) != context.optional_input("scene"));
+    let reference = other.map(Scene::load).transpose()?;
     let learnt = learnt_from(context);
     let models = context.optional_input("models");
     let proposer = open(params.proposer, models, &mut |line| context.log(line))
@@ -478,7 +481,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         held_out_views: views.len(),
         size,
         gaussians: scene.gaussians.len(),
-        warp: if reference.is_some() { Warp::Reference } else { Warp::Own },
+        warp: if referred.is_some() { Warp::Reference } else { Warp::Own },
         result: match scene.enhancement.as_ref().map(|e| e.appearance) {
             Some(Appearance::Clear) => Method::EnhancedClear,
             Some(Appearance::Water) | None => Method::Enhanced,
@@ -530,7 +533,20 @@ fn strip(
     let middle = held_out.get(held_out.len() / 2).copied().unwrap_or(capture.views.len() / 2);
     let first = middle.saturating_sub(1).min(capture.views.len().saturating_sub(3));
     let views: Vec<&View> = capture.views.iter().skip(first).take(3).collect();
-    let looks: Vec<Appearances> = views.iter().map(|view| looker.view(view)).collect::<Result<_, _>>()?;
+    let last = match scene.enhancement.as_ref().map(|e| e.appearance) {
+        Some(Appearance::Clear) => Method::EnhancedClear,
+        Some(Appearance::Water) => Method::Enhanced,
+        None => looker.learnt,
+    };
+    let shown = [Method::Captured, Method::Proposal, Method::ProposalOfRender, last];
+    // Large images of other methods are dropped at once.
+    let mut look = |view: &&View| -> Result<Appearances, StageError> {
+        let mut look = looker.view(view)?;
+        look.images.retain(|(method, _)| shown.contains(method));
+        look.water = None;
+        Ok(look)
+    };
+    let looks: Vec<Appearances> = views.iter().map(&mut look).collect::<Result<_, _>>()?;
     let seen = views.iter().zip(&looks).filter_map(|(view, look)| {
         Some(StripView { camera: &view.camera, depth: &look.depth, photograph: look.of(Method::Captured)? })
     });
@@ -538,12 +554,6 @@ fn strip(
         context.log("no spot is seen by three neighbouring views: no consistency strip");
         return Ok(());
     };
-    let last = match scene.enhancement.as_ref().map(|e| e.appearance) {
-        Some(Appearance::Clear) => Method::EnhancedClear,
-        Some(Appearance::Water) => Method::Enhanced,
-        None => looker.learnt,
-    };
-    let shown = [Method::Captured, Method::Proposal, Method::ProposalOfRender, last];
     let shown: Vec<Method> =
         shown.into_iter().filter(|m| looks.iter().all(|look| look.of(*m).is_some())).collect();
     let rows: Vec<Vec<&Image>> =

@@ -10,7 +10,7 @@ use crate::lists::{Prepared, TileRow};
 use crate::project::EntryGradient;
 
 /// Most entries whose records are in memory at once (one tile row alone may have more).
-const GROUP: usize = 1 << 20;
+const GROUP: usize = 1 << 19;
 
 /// The records of consecutive tile rows.
 struct Records<'a> {
@@ -48,6 +48,7 @@ pub(crate) fn in_groups<T: Strips>(
             last += 1;
         }
         if records.len() < entries {
+            records.reserve_exact(entries - records.len());
             records.resize(entries, [0.0; 12]);
         }
         let Some(rest) = strips.take() else { break };
