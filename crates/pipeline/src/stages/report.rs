@@ -141,7 +141,11 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         scenes,
         calibrator: calibrator.as_ref().map(calibrator_section),
         missing: context.missing().to_vec(),
-        footer: format!("use3d {}", env!("CARGO_PKG_VERSION")),
+        // The report of equal results has equal bytes, so the date is not in it.
+        made_with: format!(
+            "use3d {}; the folder `runs` beside this page has the date and the command of each run",
+            env!("CARGO_PKG_VERSION")
+        ),
     };
     write_json(&context.output().join("scores.json"), &scored)?;
     write_text(&context.output().join("index.html"), &page.html()?)
@@ -304,17 +308,18 @@ fn scale_sentence(scene: &Path, estimate: Option<&serde_json::Value>) -> String 
 /// The water estimated from the tracks; `None` for an estimate of another form.
 fn water_from_tracks(water: &serde_json::Value) -> Option<String> {
     let judgement = capitalised(water["told"].as_str()?);
-    let used = if water["judgement"] == "found" { "" } else { ", measured and not used" };
+    let used = match water["judgement"] == "found" {
+        true => "Attenuation per unit, from the tracks:",
+        false => "Attenuation per unit, from the tracks, which is not used:",
+    };
     let channels: Vec<(String, &str)> = water["channels"].as_array()?.iter().map(channel_in_words).collect();
-    let verdict = channels.first()?.1;
-    let alike = channels.iter().all(|(_, other)| *other == verdict);
-    let each = channels.iter().map(|(figures, verdict)| match alike {
-        true => figures.clone(),
-        false => format!("{figures} ({verdict})"),
+    // Neighbouring channels with the same verdict share a sentence.
+    let alike = channels.chunk_by(|(_, one), (_, other)| one == other);
+    let sentences = alike.map(|channels| {
+        let figures: Vec<&str> = channels.iter().map(|(figures, _)| &figures[..]).collect();
+        format!("{} ({}).", capitalised(&figures.join(", ")), channels[0].1)
     });
-    let each = each.collect::<Vec<_>>().join(", ");
-    let verdict = if alike { format!(" ({verdict})") } else { String::new() };
-    Some(format!("{judgement}. Attenuation per unit{used}: {each}{verdict}."))
+    Some(format!("{judgement}. {used} {}", sentences.collect::<Vec<_>>().join(" ")))
 }
 
 /// A channel's attenuation with its error, and its verdict.

@@ -39,8 +39,8 @@ pub struct Page {
     pub calibrator: Option<CalibratorSection>,
     /// Results that could not be made and are not on the page.
     pub missing: Vec<String>,
-    /// Last line: program and version.
-    pub footer: String,
+    /// The program, its version, and the place of date and command.
+    pub made_with: String,
 }
 
 /// The section on one scene.
@@ -177,7 +177,7 @@ struct PageTemplate<'a> {
     scenes: &'a [SceneSection],
     calibrator: &'a Option<CalibratorSection>,
     missing: &'a [String],
-    footer: &'a str,
+    made_with: &'a str,
 }
 
 /// Returns the page's content policy: it fetches nothing, and only its own script runs, whatever the names of
@@ -370,7 +370,7 @@ impl Page {
             scenes: &self.scenes,
             calibrator: &self.calibrator,
             missing: &self.missing,
-            footer: &self.footer,
+            made_with: &self.made_with,
         };
         Ok(template.render()?)
     }
