@@ -8,8 +8,8 @@
 //! {'descr': '<f4', 'fortran_order': False, 'shape': (480, 640), }
 //! ```
 //!
-//! `descr` is the byte order (`<` little, `>` big, `|` or `=` none said), the kind (`f`, `i`, `u`, `b`) and the
-//! bytes of an element. Only such plain types are read; records and Python objects are refused.
+//! `descr` is the byte order (`<` little, `>` big, `|` or `=` none said), the kind (`f`, `i`, `u`, `b`) and
+//! the bytes of an element. Only such plain types are read; records and Python objects are refused.
 
 use std::io::Read;
 use std::path::Path;
@@ -67,7 +67,7 @@ impl Header {
         Some(Self { descr: descr?, fortran_order: fortran_order?, shape: shape? })
     }
 
-    /// True for big-endian elements, their kind, and their size in bytes; `None` for types that are not plain.
+    /// True for big-endian elements, their kind, and their size in bytes; `None` for other types.
     fn element(&self) -> Option<(bool, char, u64)> {
         let mut letters = self.descr.chars();
         let big = match letters.next()? {

@@ -7,13 +7,13 @@
 //! q_k = mean over views v of PSNR(gain_v · render_v, photograph_v), over held-back pixels only
 //! ```
 //!
-//! in dB at full size, in at most [`MOST_VIEWS`] views. From the end of growth on, the run has reached a plateau
-//! if the best of the last [`PATIENCE`] values is less than [`LEAST_GAIN`] above the best one before them. Held-out
-//! views take no part in this.
+//! in dB at full size, in at most [`MOST_VIEWS`] views. From the end of growth on, the run has reached a
+//! plateau if the best of the last [`PATIENCE`] values is less than [`LEAST_GAIN`] above the best one before
+//! them. Held-out views take no part in this.
 //!
-//! Limits: the rates of a run are set for its full length, so a run that stops earlier ends with larger steps.
-//! Pixels of several views that show the same surface are held back independently, so an error that all views
-//! share is not seen.
+//! Limits: the rates of a run are set for its full length, so a run that stops earlier ends with larger
+//! steps. Pixels of several views that show the same surface are held back independently, so an error that
+//! all views share is not seen.
 
 use use3d_capture::{Camera, Image, Raster};
 use use3d_metrics::{mask_of, psnr};
