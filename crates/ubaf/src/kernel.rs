@@ -4,9 +4,8 @@
 //! A tile is 256 Gaussians. Its codes are gathered one Gaussian at a time (the rank is the vector) and
 //! transposed. In the forward pass, all hidden units run over sixteen Gaussians whose codes and outputs
 //! stay in registers. In the backward pass, each hidden unit runs over the whole tile with its weight
-//! gradients in registers. The logistic values of the hidden units, a third of the work, may be kept from
-//! the forward to the backward pass; otherwise the backward pass computes them again, with the same bits.
-//! Lane sums are f32 over a block of 2048 Gaussians, then f64.
+//! gradients in registers. The backward pass computes codes and hidden units again: reading them back from
+//! memory takes longer. Lane sums are f32 over a block of 2048 Gaussians, then f64.
 //!
 //! Ranks are padded with zero factors to 8 or 16; a zero code entry has no effect.
 
@@ -78,44 +77,27 @@ impl PackedField {
         self.output_bias.copy_from_slice(&p[shape.output_bias()]);
     }
 
-    /// Number of logistic values per lookup.
-    pub(crate) fn width(&self) -> usize {
-        self.shape.width
-    }
-
-    /// Computes the decoder's raw outputs for one tile of lookups. `kept` receives the logistic values,
-    /// [`PackedField::width`] per lookup, or is empty.
-    pub(crate) fn forward(
-        &self,
-        level: Level,
-        lookups: Lookups<'_>,
-        out: &mut TileOutputs,
-        kept: &mut [f32],
-    ) {
+    /// Computes the decoder's raw outputs for one tile of lookups.
+    pub(crate) fn forward(&self, level: Level, lookups: Lookups<'_>, out: &mut TileOutputs) {
         match self.rank {
-            8 => dispatch!(level, simd => forward_tile::<_, 8>(simd, self, lookups, out, kept)),
-            _ => dispatch!(level, simd => forward_tile::<_, 16>(simd, self, lookups, out, kept)),
+            8 => dispatch!(level, simd => forward_tile::<_, 8>(simd, self, lookups, out)),
+            _ => dispatch!(level, simd => forward_tile::<_, 16>(simd, self, lookups, out)),
         }
     }
 
-    /// Adds the tile's parameter gradients to `sums` and writes `∂L/∂γ`. Its inputs are `∂L/∂raw` (zero in
-    /// padding lanes) and the values that [`PackedField::forward`] kept, or nothing.
+    /// Adds the tile's parameter gradients to `sums` and writes `∂L/∂γ`, from `∂L/∂raw` (zero in padding
+    /// lanes).
     pub(crate) fn backward(
         &self,
         level: Level,
         lookups: Lookups<'_>,
         d_out: &TileOutputs,
-        kept: &[f32],
         sums: &mut Accumulator,
         d_gamma: &mut [f32; TILE],
     ) {
         match self.rank {
-            8 => {
-                dispatch!(level, simd => backward_tile::<_, 8>(simd, self, lookups, d_out, kept, sums, d_gamma));
-            }
-            _ => {
-                dispatch!(level, simd => backward_tile::<_, 16>(simd, self, lookups, d_out, kept, sums, d_gamma));
-            }
+            8 => dispatch!(level, simd => backward_tile::<_, 8>(simd, self, lookups, d_out, sums, d_gamma)),
+            _ => dispatch!(level, simd => backward_tile::<_, 16>(simd, self, lookups, d_out, sums, d_gamma)),
         }
     }
 }
@@ -225,24 +207,17 @@ fn forward_tile<S: Simd, const P: usize>(
     packed: &PackedField,
     lookups: Lookups<'_>,
     out: &mut TileOutputs,
-    kept: &mut [f32],
 ) {
     let z = codes::<P>(packed, lookups);
-    let keeps = !kept.is_empty();
     for at in (0..lookups.gamma.len()).step_by(LANES) {
         let z = lanes_at(simd, &z, at);
         let mut sums = [f32x16::splat(simd, 0.0); OUTPUTS];
         for o in 0..OUTPUTS {
             sums[o] = f32x16::splat(simd, packed.output_bias[o]);
         }
-        for (k, unit) in packed.units.chunks_exact(P + 1 + OUTPUTS).enumerate() {
+        for unit in packed.units.chunks_exact(P + 1 + OUTPUTS) {
             let pre = activation(simd, unit, &z);
-            let s = functions::logistic(simd, pre);
-            if keeps {
-                // Stored unit by unit, as the backward pass reads them.
-                s.store_slice(&mut kept[k * lookups.gamma.len() + at..][..LANES]);
-            }
-            let hidden = pre * s;
+            let hidden = pre * functions::logistic(simd, pre);
             for o in 0..OUTPUTS {
                 sums[o] = hidden.mul_add(f32x16::splat(simd, unit[P + 1 + o]), sums[o]);
             }
@@ -262,7 +237,6 @@ fn backward_tile<S: Simd, const P: usize>(
     packed: &PackedField,
     lookups: Lookups<'_>,
     d_out: &TileOutputs,
-    kept: &[f32],
     sums: &mut Accumulator,
     d_gamma: &mut Plane,
 ) {
@@ -273,14 +247,14 @@ fn backward_tile<S: Simd, const P: usize>(
     let whole = packed.shape.width / UNITS * UNITS;
     let (units, rest) = packed.units.split_at(whole * record);
     let (unit_sums, rest_sums) = sums.units.split_at_mut(whole * record * LANES);
-    let pass = BackwardInputs { z: &z, d_out, kept, count };
+    let pass = BackwardInputs { z: &z, d_out, count };
     let groups = units.chunks_exact(UNITS * record).zip(unit_sums.chunks_exact_mut(UNITS * record * LANES));
-    for (group, (units, sums)) in groups.enumerate() {
-        units_backward::<S, P, UNITS>(simd, &pass, group * UNITS, units, sums, &mut d_z);
+    for (units, sums) in groups {
+        units_backward::<S, P, UNITS>(simd, &pass, units, sums, &mut d_z);
     }
     let singles = rest.chunks_exact(record).zip(rest_sums.chunks_exact_mut(record * LANES));
-    for (k, (unit, sums)) in singles.enumerate() {
-        units_backward::<S, P, 1>(simd, &pass, whole + k, unit, sums, &mut d_z);
+    for (unit, sums) in singles {
+        units_backward::<S, P, 1>(simd, &pass, unit, sums, &mut d_z);
     }
     codes_backward(packed, lookups, &d_z, &mut sums.factors, d_gamma);
 }
@@ -293,17 +267,15 @@ const UNITS: usize = 4;
 struct BackwardInputs<'a, const P: usize> {
     z: &'a [Plane; P],
     d_out: &'a TileOutputs,
-    kept: &'a [f32],
     count: usize,
 }
 
-/// The backward pass of `U` hidden units, starting with `first`, over the whole tile. It consists of three
+/// The backward pass of `U` hidden units over the whole tile. It consists of three
 /// products with few operands each, so that sixteen registers suffice.
 #[inline(always)]
 fn units_backward<S: Simd, const P: usize, const U: usize>(
     simd: S,
     pass: &BackwardInputs<'_, P>,
-    first: usize,
     units: &[f32],
     sums: &mut [f32],
     d_z: &mut [Plane; P],
@@ -323,14 +295,10 @@ fn units_backward<S: Simd, const P: usize, const U: usize>(
             }
         }
         for u in 0..U {
-            let place = (first + u) * pass.count + at;
-            let s = match pass.kept.get(place..place + LANES) {
-                Some(s) => f32x16::from_slice(simd, s),
-                None => functions::logistic(simd, pre[u]),
-            };
+            let s = functions::logistic(simd, pre[u]);
             (pre[u] * s).store_slice(&mut hidden[u][at..at + LANES]);
             // silu' = s (1 + pre (1 - s)).
-            (s * pre[u].mul_add(one - s, one)).store_slice(&mut d_pre[u][at..at + LANES]);
+            pre[u] = s * pre[u].mul_add(one - s, one);
         }
         let mut d_hidden = [zero; U];
         for o in 0..OUTPUTS {
@@ -341,8 +309,7 @@ fn units_backward<S: Simd, const P: usize, const U: usize>(
             }
         }
         for u in 0..U {
-            let slope = f32x16::from_slice(simd, &d_pre[u][at..at + LANES]);
-            d_hidden[u] *= slope;
+            d_hidden[u] *= pre[u];
             d_hidden[u].store_slice(&mut d_pre[u][at..at + LANES]);
         }
         for r in 0..P {

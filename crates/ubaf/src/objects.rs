@@ -26,9 +26,6 @@ use crate::sites::{BLOCK, LANES, Sites};
 
 pub use crate::sites::guide_color;
 
-/// Largest number of bytes of kept logistic values: two million Gaussians at the method's width.
-const KEPT: usize = 512 << 20;
-
 /// The field evaluated at every Gaussian of a frozen scene, forward and backward.
 #[derive(Debug)]
 pub struct ObjectPass {
@@ -38,9 +35,6 @@ pub struct ObjectPass {
     /// For each block, six planes of [`BLOCK`] raw outputs.
     raw: Vec<f32>,
     mean: [f32; OUTPUTS],
-    /// For each block, the values that the kernel keeps from forward to backward; empty if they would
-    /// exceed [`KEPT`].
-    kept: Vec<f32>,
     /// `∂L/∂local`, then `∂L/∂raw`, in the layout of `raw`.
     d_raw: Vec<f32>,
     sums: Vec<BlockSums>,
@@ -99,7 +93,6 @@ impl ObjectPass {
         Self {
             level,
             raw: vec![0.0; blocks * OUTPUTS * BLOCK],
-            kept: Vec::new(),
             d_raw: Vec::new(),
             sums: vec![BlockSums::default(); blocks],
             partials: Vec::new(),
@@ -141,27 +134,13 @@ impl ObjectPass {
         self.prepare_scratch();
         let (level, sites, packed, scratch) = (self.level, &self.sites, &self.packed, &self.scratch);
         let guide = field.guide();
-        let width = packed.width();
-        let kept = self.sites.blocks() * BLOCK * width;
-        if kept * size_of::<f32>() > KEPT {
-            self.kept.clear();
-        } else if self.kept.len() < kept {
-            // The buffer never shrinks: lists differ from view to view, and growing again would write zeros
-            // over megabytes.
-            self.kept.resize(kept, 0.0);
-        }
-        // If there is no room to keep them, every block gets the empty slice.
-        let mut places = self.kept.chunks_mut(BLOCK * width);
-        let places: Vec<&mut [f32]> =
-            (0..self.sites.blocks()).map(|_| places.next().unwrap_or_default()).collect();
-        self.raw.par_chunks_mut(OUTPUTS * BLOCK).zip(&mut self.sums).zip(places).enumerate().for_each(
-            |(block, ((raw, sums), kept))| {
+        self.raw.par_chunks_mut(OUTPUTS * BLOCK).zip(&mut self.sums).enumerate().for_each(
+            |(block, (raw, sums))| {
                 with_scratch(scratch, |scratch| {
                     for tile in tiles(sites, block) {
                         dispatch!(level, simd => gammas(simd, &guide, sites, &tile, &mut scratch.gamma));
                         let lookups = tile.lookups(sites, &scratch.gamma);
-                        let kept = kept.get_mut(tile.kept(width)).unwrap_or_default();
-                        packed.forward(level, lookups, &mut scratch.outputs, kept);
+                        packed.forward(level, lookups, &mut scratch.outputs);
                         for (plane, values) in raw.chunks_exact_mut(BLOCK).zip(&scratch.outputs) {
                             plane[tile.offset..tile.offset + tile.padded]
                                 .copy_from_slice(&values[..tile.padded]);
@@ -259,7 +238,6 @@ impl ObjectPass {
         self.partials.resize(self.sites.blocks() * parameters, 0.0);
         let (level, sites, packed, scratch) = (self.level, &self.sites, &self.packed, &self.scratch);
         let guide = field.guide();
-        let (width, kept) = (packed.width(), &self.kept);
         self.partials
             .par_chunks_mut(parameters)
             .zip(self.d_raw.par_chunks(OUTPUTS * BLOCK))
@@ -281,9 +259,7 @@ impl ObjectPass {
                             values[tile.real..tile.padded].fill(0.0);
                         }
                         let lookups = tile.lookups(sites, gamma);
-                        let kept = kept.get(block * BLOCK * width..).unwrap_or_default();
-                        let kept = kept.get(tile.kept(width)).unwrap_or_default();
-                        packed.backward(level, lookups, outputs, kept, sums, d_gamma);
+                        packed.backward(level, lookups, outputs, sums, d_gamma);
                         for i in 0..tile.real {
                             let d = f64::from(d_gamma[i] * (1.0 - gamma[i] * gamma[i]));
                             for (g, h) in d_guide.iter_mut().zip(&sites.signed_logs) {
@@ -330,11 +306,6 @@ struct Tile {
 }
 
 impl Tile {
-    /// The range of the tile's logistic values in those of its block.
-    fn kept(&self, width: usize) -> std::ops::Range<usize> {
-        self.offset * width..(self.offset + self.padded) * width
-    }
-
     fn lookups<'a>(&self, sites: &'a Sites, gamma: &'a [f32; TILE]) -> Lookups<'a> {
         let range = self.first..self.first + self.padded;
         Lookups {

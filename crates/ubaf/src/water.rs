@@ -133,7 +133,7 @@ impl WaterPass {
         self.packed.pack(field);
         let (nodes, fractions) = camera_sites(field, camera);
         let lookups = Lookups { nodes: &nodes, fractions: &fractions, gamma: &rows() };
-        self.packed.forward(self.level, lookups, &mut self.raw, &mut []);
+        self.packed.forward(self.level, lookups, &mut self.raw);
         for o in 0..OUTPUTS {
             let column = &self.raw[o][..ROWS];
             let mean = (column.iter().map(|&v| f64::from(v)).sum::<f64>() / ROWS as f64) as f32;
@@ -255,7 +255,7 @@ impl WaterPass {
         let lookups = Lookups { nodes: &nodes, fractions: &fractions, gamma: &rows() };
         self.sums.clear(&self.packed);
         let mut unused = [0.0; TILE];
-        self.packed.backward(self.level, lookups, &self.raw, &[], &mut self.sums, &mut unused);
+        self.packed.backward(self.level, lookups, &self.raw, &mut self.sums, &mut unused);
         self.sums.add_to(&self.packed, &mut gradient.values);
     }
 }
