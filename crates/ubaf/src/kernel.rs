@@ -168,14 +168,33 @@ fn location(lookups: Lookups<'_>, i: usize, resolution: usize) -> [(usize, f32);
 
 /// Codes of a tile, one plane per rank.
 #[inline(always)]
-fn codes<const P: usize>(packed: &PackedField, lookups: Lookups<'_>) -> [[f32; TILE]; P] {
+fn codes<S: Simd, const P: usize>(simd: S, packed: &PackedField, lookups: Lookups<'_>) -> [[f32; TILE]; P] {
     let table = packed.factors.as_chunks::<P>().0;
     let mut z = [[0.0; TILE]; P];
-    for i in 0..lookups.gamma.len() {
-        let at = location(lookups, i, packed.shape.resolution);
-        let [x, y, w, g] = factor_rows(table, packed.shape.resolution, &at);
+    for start in (0..lookups.gamma.len()).step_by(LANES) {
+        let mut rows = [[0.0; P]; LANES];
+        for (i, row) in rows.iter_mut().enumerate() {
+            let at = location(lookups, start + i, packed.shape.resolution);
+            let [x, y, w, g] = factor_rows(table, packed.shape.resolution, &at);
+            for r in 0..P {
+                row[r] = x[r] * y[r] * w[r] * g[r];
+            }
+        }
+        // Each pass moves the lowest bit of the index (lookup, rank) to the top; `log₂ P` passes make it
+        // (rank, lookup).
+        let mut v = [f32x16::splat(simd, 0.0); P];
+        for (r, row) in rows.as_flattened().chunks_exact(LANES).enumerate() {
+            v[r] = f32x16::from_slice(simd, row);
+        }
+        for _ in 0..P.ilog2() {
+            let old = v;
+            for r in 0..P / 2 {
+                v[r] = old[2 * r].unzip_low(old[2 * r + 1]);
+                v[r + P / 2] = old[2 * r].unzip_high(old[2 * r + 1]);
+            }
+        }
         for r in 0..P {
-            z[r][i] = x[r] * y[r] * w[r] * g[r];
+            v[r].store_slice(&mut z[r][start..start + LANES]);
         }
     }
     z
@@ -208,7 +227,7 @@ fn forward_tile<S: Simd, const P: usize>(
     lookups: Lookups<'_>,
     out: &mut TileOutputs,
 ) {
-    let z = codes::<P>(packed, lookups);
+    let z = codes::<_, P>(simd, packed, lookups);
     for at in (0..lookups.gamma.len()).step_by(LANES) {
         let z = lanes_at(simd, &z, at);
         let mut sums = [f32x16::splat(simd, 0.0); OUTPUTS];
@@ -240,7 +259,7 @@ fn backward_tile<S: Simd, const P: usize>(
     sums: &mut Accumulator,
     d_gamma: &mut Plane,
 ) {
-    let z = codes::<P>(packed, lookups);
+    let z = codes::<_, P>(simd, packed, lookups);
     let count = lookups.gamma.len();
     let mut d_z = [[0.0f32; TILE]; P];
     let record = P + 1 + OUTPUTS;
@@ -256,7 +275,7 @@ fn backward_tile<S: Simd, const P: usize>(
     for (unit, sums) in singles {
         units_backward::<S, P, 1>(simd, &pass, unit, sums, &mut d_z);
     }
-    codes_backward(packed, lookups, &d_z, &mut sums.factors, d_gamma);
+    codes_backward(simd, packed, lookups, &d_z, &mut sums.factors, d_gamma);
 }
 
 /// Number of hidden units in one backward pass: their shared inputs are read once, and their sums fit the
@@ -378,7 +397,8 @@ fn add<S: Simd>(simd: S, d: f32x16<S>, sum: &mut [f32]) {
 
 /// `∂L/∂factors` and `∂L/∂γ` from `∂L/∂z`.
 #[inline(always)]
-fn codes_backward<const P: usize>(
+fn codes_backward<S: Simd, const P: usize>(
+    simd: S,
     packed: &PackedField,
     lookups: Lookups<'_>,
     d_z: &[[f32; TILE]; P],
@@ -389,13 +409,25 @@ fn codes_backward<const P: usize>(
     let table = packed.factors.as_chunks::<P>().0;
     let d_table = d_factors.as_chunks_mut::<P>().0;
     let slope = 0.5 * (resolution - 1) as f32;
+    let mut rows = [[0.0; P]; LANES];
     for i in 0..lookups.gamma.len() {
+        if i % LANES == 0 {
+            // The passes of `codes`, backward.
+            let mut v = lanes_at(simd, d_z, i);
+            for _ in 0..P.ilog2() {
+                let old = v;
+                for r in 0..P / 2 {
+                    v[2 * r] = old[r].zip_low(old[r + P / 2]);
+                    v[2 * r + 1] = old[r].zip_high(old[r + P / 2]);
+                }
+            }
+            for (row, v) in rows.as_flattened_mut().chunks_exact_mut(LANES).zip(v) {
+                v.store_slice(row);
+            }
+        }
         let at = location(lookups, i, resolution);
         let [x, y, w, g] = factor_rows(table, resolution, &at);
-        let mut d = [0.0; P];
-        for r in 0..P {
-            d[r] = d_z[r][i];
-        }
+        let d = rows[i % LANES];
         let (mut dx, mut dy, mut dw, mut dg) = ([0.0; P], [0.0; P], [0.0; P], [0.0; P]);
         for r in 0..P {
             let (xy, wg) = (d[r] * (x[r] * y[r]), d[r] * (w[r] * g[r]));
