@@ -267,7 +267,7 @@ pub(crate) fn run(app: &App, args: &CompareArgs) -> Done {
     let mut page = Page {
         title: format!("{} and {}", a.name, b.name),
         subtitle: format!("A is {}, B is {}", a.name, b.name),
-        footer: format!("use3d {}", crate::version::NUMBER),
+        made_with: format!("use3d {}", crate::version::NUMBER),
         ..Page::default()
     };
     for (name, sides) in pairs {
