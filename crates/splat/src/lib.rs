@@ -20,8 +20,8 @@
 //! `project` (a Gaussian seen by a camera), `lists` (the tiles that it meets), `compose` (light through
 //! them).
 //!
-//! The same inputs give the same bits on any number of threads, and on AVX2, AVX-512 and the scalar twin. Only the
-//! kept weights of a frozen view have no scalar twin: they agree with the lists within rounding.
+//! The same inputs give the same bits on any number of threads, and on AVX2, AVX-512 and the scalar twin.
+//! Only the kept weights of a frozen view have no scalar twin: they agree with the lists within rounding.
 
 #![deny(clippy::too_many_arguments)]
 
