@@ -58,7 +58,8 @@ pub(crate) fn in_groups<T: Strips, const N: usize>(
             last += 1;
         }
         if records.len() < entries {
-            records.reserve_exact(entries - records.len());
+            // At once for any group, because a buffer that grows leaves holes in memory.
+            records.reserve_exact(GROUP.max(entries) - records.len());
             records.resize(entries, [0.0; N]);
         }
         let Some(rest) = strips.take() else { break };
