@@ -21,7 +21,6 @@
 //! them).
 //!
 //! The same inputs give the same bits on any number of threads, and on AVX2, AVX-512 and the scalar twin.
-//! Only the kept weights of a frozen view have no scalar twin: they agree with the lists within rounding.
 
 #![deny(clippy::too_many_arguments)]
 
