@@ -254,15 +254,15 @@ mod tests {
         }
     }
 
+    /// Ten steps, with a checkpoint after every fourth.
+    fn ten_steps(checkpoints: Option<Checkpoints>) -> Session {
+        Session { steps: 10, checkpoints, every_steps: 4, every_minutes: f64::INFINITY }
+    }
+
     #[test]
     fn a_run_that_has_settled_ends_and_does_not_go_on() {
         let dir = tempfile::tempdir().unwrap();
-        let session = Session {
-            steps: 10,
-            checkpoints: Some(Checkpoints::new(dir.path(), "count", &[1; 32], 10)),
-            every_steps: 4,
-            every_minutes: f64::INFINITY,
-        };
+        let session = ten_steps(Some(Checkpoints::new(dir.path(), "count", &[1; 32], 10)));
         let mut work = Counter { settles_at: Some(7), ..Counter::default() };
         let mut observer = TestObserver::default();
         assert_eq!(session.run(0, &mut work, &mut observer).unwrap(), SessionEnd::Done);
@@ -275,12 +275,7 @@ mod tests {
     #[test]
     fn a_run_stops_where_it_is_asked_to_and_goes_on_from_there() {
         let dir = tempfile::tempdir().unwrap();
-        let session = Session {
-            steps: 10,
-            checkpoints: Some(Checkpoints::new(dir.path(), "count", &[1; 32], 10)),
-            every_steps: 4,
-            every_minutes: f64::INFINITY,
-        };
+        let session = ten_steps(Some(Checkpoints::new(dir.path(), "count", &[1; 32], 10)));
         let mut watcher = TestObserver { stop_at: Some(6), ..TestObserver::default() };
         assert!(session.furthest::<SavedStep>(&mut watcher).is_none());
         let mut first = Counter::default();
@@ -311,8 +306,6 @@ mod tests {
     #[test]
     fn a_run_that_fails_says_what_is_kept_of_it() {
         let dir = tempfile::tempdir().unwrap();
-        let session =
-            |checkpoints| Session { steps: 10, checkpoints, every_steps: 4, every_minutes: f64::INFINITY };
         let own = || Some(Checkpoints::new(dir.path(), "count", &[1; 32], 10));
         for (checkpoints, fails_at, expected) in [
             (own(), 3, "nothing was saved yet"),
@@ -321,7 +314,7 @@ mod tests {
         ] {
             let mut watcher = TestObserver::default();
             let mut work = Counter { fails_at: Some(fails_at), ..Counter::default() };
-            session(checkpoints).run(0, &mut work, &mut watcher).unwrap_err();
+            ten_steps(checkpoints).run(0, &mut work, &mut watcher).unwrap_err();
             assert!(
                 watcher.notices.len() == 1 && watcher.notices[0].contains(expected),
                 "{:?}",
@@ -331,7 +324,7 @@ mod tests {
         // A run that resumed and failed before its next checkpoint keeps the old one.
         let mut watcher = TestObserver::default();
         let mut work = Counter { fails_at: Some(5), ..Counter::default() };
-        session(own()).run(4, &mut work, &mut watcher).unwrap_err();
+        ten_steps(own()).run(4, &mut work, &mut watcher).unwrap_err();
         assert!(watcher.notices[0].contains("step 4 is kept"), "{:?}", watcher.notices);
     }
 
