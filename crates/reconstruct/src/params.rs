@@ -64,8 +64,8 @@ pub enum Stop {
     /// After `iterations` steps, as in the paper.
     #[default]
     Fixed,
-    /// Earlier, once training no longer improves pixels of the training views that are held back for this:
-    /// one block of 16×16 pixels in 64.
+    /// Earlier, once training no longer improves pixels of the training views that are withheld from it: one
+    /// block of 16×16 pixels in 64.
     Plateau,
 }
 

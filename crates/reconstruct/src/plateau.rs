@@ -1,18 +1,19 @@
 //! The end of a run on a plateau.
 //!
 //! With `stop = "plateau"` blocks of [`BLOCK`] × [`BLOCK`] pixels, one in [`ONE_IN`], are taken out of the
-//! losses of every training view. [`CHECKS`] times in a run the scene is compared with the photographs there:
+//! losses of every training view. After growth the scene is compared with the photographs there, once in
+//! every [`CHECKS`]th of the run:
 //!
 //! ```text
-//! q_k = mean over views v of PSNR(gain_v · render_v, photograph_v), over held-back pixels only
+//! q_k = mean over views v of PSNR(gain_v · render_v, photograph_v), over withheld pixels only
 //! ```
 //!
-//! in dB at full size, in at most [`MOST_VIEWS`] views. From the end of growth on, the run has reached a
-//! plateau if the best of the last [`PATIENCE`] values is less than [`LEAST_GAIN`] above the best one before
-//! them. Held-out views take no part in this.
+//! in dB at full size, in at most [`MOST_VIEWS`] views. The run has reached a plateau if the best of the last
+//! [`PATIENCE`] values is less than [`LEAST_GAIN`] above the best one before them. Held-out views take no
+//! part in this.
 //!
 //! Limits: the rates of a run are set for its full length, so a run that stops earlier ends with larger
-//! steps. Pixels of several views that show the same surface are held back independently, so an error that
+//! steps. Pixels of several views that show the same surface are withheld independently, so an error that
 //! all views share is not seen.
 
 use use3d_capture::{Camera, Image, Raster};
@@ -25,9 +26,9 @@ use crate::views::TrainingView;
 
 /// Side of a block, pixels.
 const BLOCK: usize = 16;
-/// One of so many blocks is held back.
+/// One of so many blocks is withheld.
 const ONE_IN: usize = 64;
-/// Number of comparisons in a full run.
+/// A run is divided into this many parts; a comparison ends each part after growth.
 const CHECKS: u64 = 30;
 /// Largest number of views compared, spread over the capture.
 const MOST_VIEWS: usize = 16;
@@ -36,22 +37,22 @@ const PATIENCE: usize = 3;
 /// The gain, in dB, below which a comparison shows no progress.
 const LEAST_GAIN: f64 = 0.02;
 
-/// The views that are compared: the index of each, and the view with only its held-back pixels.
+/// The views that are compared: the index of each, and the view with only its withheld pixels.
 #[derive(Default)]
-pub(crate) struct HeldBack(Vec<(usize, TrainingView)>);
+pub(crate) struct Withheld(Vec<(usize, TrainingView)>);
 
-impl HeldBack {
+impl Withheld {
     /// Takes the blocks out of the views' masks, and keeps the views that are compared.
     pub(crate) fn take(views: &mut [TrainingView], seed: u64) -> Self {
         let count = views.len().min(MOST_VIEWS);
         let compared: Vec<usize> = (0..count).map(|i| i * views.len() / count).collect();
         let mut kept = Vec::new();
         for (index, view) in views.iter_mut().enumerate() {
-            let blocks = Stream::new(seed, Purpose::new("held-back blocks"), index as u64);
+            let blocks = Stream::new(seed, Purpose::new("withheld blocks"), index as u64);
             let intrinsics = &view.camera.intrinsics;
             let (width, height) = (intrinsics.width, intrinsics.height);
             let across = width.div_ceil(BLOCK);
-            let held = |p: usize| {
+            let withheld = |p: usize| {
                 let (column, row) = (p % width / BLOCK, p / width / BLOCK);
                 blocks.below((row * across + column) as u64, ONE_IN) == 0
             };
@@ -63,19 +64,26 @@ impl HeldBack {
                 mask
             };
             if compared.contains(&index) {
-                kept.push((index, view.clone().with_mask(masked(&held))));
+                let mut only = view.clone();
+                only.set_mask(masked(&withheld));
+                kept.push((index, only));
             }
-            view.set_mask(masked(&|p| !held(p)));
+            view.set_mask(masked(&|p| !withheld(p)));
         }
         Self(kept)
     }
 
-    /// True if a comparison is due after `done` steps of a run of `steps`, which grows until `grown`.
-    pub(crate) fn is_due(&self, done: u64, steps: u64, grown: u64) -> bool {
-        !self.0.is_empty() && done >= grown && done.is_multiple_of(steps.div_ceil(CHECKS))
+    /// True if no pixels are withheld.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.0.is_empty()
     }
 
-    /// The mean PSNR over held-back pixels, dB; `None` if no view has such pixels or all are exact.
+    /// True if a comparison is due after `done` steps of a run of `steps`, which grows until `grown`.
+    pub(crate) fn is_due(&self, done: u64, steps: u64, grown: u64) -> bool {
+        !self.is_empty() && done >= grown && done.is_multiple_of(steps.div_ceil(CHECKS))
+    }
+
+    /// The mean PSNR over withheld pixels, dB; `None` if no view has such pixels or all are exact.
     pub(crate) fn compare<E>(
         &self,
         gains: &[[f32; 3]],
@@ -92,7 +100,7 @@ impl HeldBack {
                 plane.iter_mut().for_each(|v| *v = (*v * gain).clamp(0.0, 1.0));
             }
             let mask = target.mask.as_ref().map(mask_of);
-            // A view without held-back pixels has no score.
+            // A view without withheld pixels has no score.
             scores.extend(psnr(&rendered, &target.image, mask.as_ref()).ok().filter(|v| v.is_finite()));
         }
         let mean = scores.iter().sum::<f64>() / scores.len().max(1) as f64;
@@ -103,7 +111,7 @@ impl HeldBack {
 /// True if the comparisons in a log show a plateau.
 pub(crate) fn reached(log: &[LogEntry]) -> bool {
     let value = |entry: &LogEntry| match entry {
-        LogEntry::HeldBack { psnr, .. } => *psnr,
+        LogEntry::Withheld { psnr, .. } => *psnr,
         _ => None,
     };
     let values: Vec<f64> = log.iter().filter_map(value).collect();
@@ -130,11 +138,11 @@ mod tests {
     }
 
     #[test]
-    fn held_back_pixels_are_compared_and_not_learnt() {
+    fn withheld_pixels_are_compared_and_not_learnt() {
         let mut half = Map::filled(160, 96, 1.0);
         half.data_mut()[..160 * 48].fill(0.0);
         let mut views: Vec<_> = (0..40).map(|i| view(i, (i == 0).then(|| half.clone()))).collect();
-        let held = HeldBack::take(&mut views, 7);
+        let held = Withheld::take(&mut views, 7);
         assert_eq!(held.0.len(), MOST_VIEWS);
         let mut blocks = 0;
         for (index, kept) in &held.0 {
@@ -152,7 +160,7 @@ mod tests {
         let share = blocks as f64 / (16 * 160 * 96) as f64;
         assert!((0.005..0.03).contains(&share), "{share}");
 
-        // An error outside the held-back pixels does not count, and one inside does.
+        // An error outside the withheld pixels does not count, and one inside does.
         let compare = |inside: f32| {
             held.compare(&[], |camera, out| {
                 *out = Image::filled(camera.intrinsics.width, camera.intrinsics.height, inside);
@@ -173,7 +181,7 @@ mod tests {
     #[test]
     fn a_plateau_is_three_comparisons_without_a_gain() {
         let log = |values: &[f64]| -> Vec<LogEntry> {
-            let entry = |(i, v): (usize, &f64)| LogEntry::HeldBack { step: i as u64, psnr: Some(*v) };
+            let entry = |(i, v): (usize, &f64)| LogEntry::Withheld { step: i as u64, psnr: Some(*v) };
             values.iter().enumerate().map(entry).collect()
         };
         assert!(!reached(&log(&[])));
@@ -186,9 +194,9 @@ mod tests {
 
     #[test]
     fn comparisons_are_spread_over_the_part_after_growth() {
-        let held = HeldBack::take(&mut [view(0, None)], 1);
+        let held = Withheld::take(&mut [view(0, None)], 1);
         let due: Vec<u64> = (1..=3000).filter(|&done| held.is_due(done, 3000, 2000)).collect();
         assert_eq!((due.len(), due[0], due[10]), (11, 2000, 3000));
-        assert!(!HeldBack::default().is_due(3000, 3000, 0), "a run without held-back pixels");
+        assert!(!Withheld::default().is_due(3000, 3000, 0), "a run without withheld pixels");
     }
 }

@@ -47,8 +47,8 @@ pub enum LogEntry {
         /// Number of steps done.
         step: u64,
     },
-    /// A comparison with the held-back pixels of training views.
-    HeldBack {
+    /// A comparison with the withheld pixels of training views.
+    Withheld {
         /// Number of steps done.
         step: u64,
         /// Mean PSNR over the views compared, dB; null if no view has such pixels.
@@ -156,7 +156,7 @@ pub fn plot(log: &[LogEntry]) -> String {
                 }
             }
             LogEntry::Evaluation { step, psnr, .. } => held_out.extend(psnr.map(|v| (*step as f64, v))),
-            LogEntry::Refine { .. } | LogEntry::Ceiling { .. } | LogEntry::HeldBack { .. } => {}
+            LogEntry::Refine { .. } | LogEntry::Ceiling { .. } | LogEntry::Withheld { .. } => {}
         }
     }
     const WIDTH: f64 = 760.0;

@@ -26,7 +26,7 @@ use crate::engine::{Degrees, Engine, StepPlan, StepRates, TrainingState};
 use crate::fingerprint::fingerprint;
 use crate::hidden::Masks;
 use crate::load::load;
-use crate::plateau::{self, HeldBack};
+use crate::plateau::{self, Withheld};
 use crate::profile::{StepPart, Stretch};
 use crate::report::{Evaluation, FittedScore, LogEntry, ViewScore, plot};
 use crate::views::{TrainingView, ViewLoader};
@@ -159,9 +159,9 @@ pub fn reconstruct_in(
         true => Masks::new(&views.train),
         false => Masks::default(),
     };
-    let held_back = match params.stop {
-        Stop::Fixed => HeldBack::default(),
-        Stop::Plateau => HeldBack::take(&mut views.train, params.seed),
+    let withheld = match params.stop {
+        Stop::Fixed => Withheld::default(),
+        Stop::Plateau => Withheld::take(&mut views.train, params.seed),
     };
     let exposes = params.exposure == Exposure::PerView;
     let gains: Vec<[f64; 3]> = match known.gains.is_empty() {
@@ -207,7 +207,7 @@ pub fn reconstruct_in(
         judges,
         witnesses,
         masks,
-        held_back,
+        withheld,
         cameras,
         cap_told: false,
         growth: Vec::new(),
@@ -258,7 +258,7 @@ struct ReconstructRun<'a> {
     /// The masks that hide Gaussians.
     masks: Masks,
     /// The pixels on which a plateau is recognised.
-    held_back: HeldBack,
+    withheld: Withheld,
     /// The cameras of the training views.
     cameras: Vec<Camera>,
     cap_told: bool,
@@ -283,8 +283,8 @@ impl Steps for ReconstructRun<'_> {
         if done.is_multiple_of(params.log_every) {
             self.end_window()?;
         }
-        if self.held_back.is_due(done, params.course(), params.densify_end()) {
-            self.compare_held_back(observer)?;
+        if self.withheld.is_due(done, params.course(), params.densify_end()) {
+            self.compare_withheld(observer)?;
         }
         let due = params.evaluate_every > 0 && done.is_multiple_of(params.evaluate_every);
         if due && done < params.iterations {
@@ -294,7 +294,7 @@ impl Steps for ReconstructRun<'_> {
     }
 
     fn has_settled(&self) -> bool {
-        plateau::reached(&self.log)
+        !self.withheld.is_empty() && plateau::reached(&self.log)
     }
 
     fn save(&mut self, done: u64, checkpoints: &Checkpoints) -> Result<(), ReconstructError> {
@@ -544,16 +544,16 @@ impl ReconstructRun<'_> {
         Ok(())
     }
 
-    /// Compares the scene with the held-back pixels, and reports a plateau.
-    fn compare_held_back(&mut self, observer: &mut dyn Observer) -> Result<(), ReconstructError> {
+    /// Compares the scene with the withheld pixels, and reports a plateau.
+    fn compare_withheld(&mut self, observer: &mut dyn Observer) -> Result<(), ReconstructError> {
         self.drain(Drain::All)?;
         let (degrees, gains) = (self.degrees(self.step - 1), self.engine.save()?.exposures.gains());
         let engine = &mut *self.engine;
-        let psnr = self.held_back.compare(&gains, |camera, out| engine.render(camera, degrees, out))?;
-        self.log.push(LogEntry::HeldBack { step: self.step, psnr });
+        let psnr = self.withheld.compare(&gains, |camera, out| engine.render(camera, degrees, out))?;
+        self.log.push(LogEntry::Withheld { step: self.step, psnr });
         if self.step < self.params.iterations && plateau::reached(&self.log) {
             observer.notice(&format!(
-                "training stops after {} of {} steps: held-back pixels of the training views no longer improve \
+                "training stops after {} of {} steps: withheld pixels of the training views no longer improve \
                  (`stop = \"plateau\"`)",
                 self.step, self.params.iterations
             ));

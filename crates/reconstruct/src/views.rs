@@ -152,12 +152,6 @@ impl TrainingView {
         self.mask = Some(mask);
     }
 
-    /// The view with another mask.
-    pub(crate) fn with_mask(mut self, mask: Raster<u8, 1>) -> Self {
-        self.set_mask(mask);
-        self
-    }
-
     /// The depth prior, stretched to 1…65535, 0 where unknown; `None` if there is none.
     pub fn prior(&self) -> Option<&Raster<u16, 1>> {
         self.prior.as_ref()

@@ -108,7 +108,7 @@ fn a_plateau_ends_the_run_and_held_out_views_play_no_part() {
     }
     let compared = |outcome: &ReconstructOutcome| -> Vec<(u64, Option<f64>)> {
         let value = |e: &LogEntry| match e {
-            LogEntry::HeldBack { step, psnr } => Some((*step, *psnr)),
+            LogEntry::Withheld { step, psnr } => Some((*step, *psnr)),
             _ => None,
         };
         outcome.log.iter().filter_map(value).collect()
