@@ -143,7 +143,8 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         missing: context.missing().to_vec(),
         // The report of equal results has equal bytes, so the date is not in it.
         made_with: format!(
-            "use3d {}; the folder `runs` beside this page has the date and the command of each run",
+            "use3d {}. The results folder of this page has the 3D pages to which it links, and in `runs` the date and \
+             the command of each run.",
             env!("CARGO_PKG_VERSION")
         ),
     };
@@ -309,10 +310,13 @@ fn scale_sentence(scene: &Path, estimate: Option<&serde_json::Value>) -> String 
 fn water_from_tracks(water: &serde_json::Value) -> Option<String> {
     let judgement = capitalised(water["told"].as_str()?);
     let used = match water["judgement"] == "found" {
-        true => "Attenuation per unit, from the tracks:",
-        false => "Attenuation per unit, from the tracks, which is not used:",
+        true => "The tracks give these attenuations per unit.",
+        false => "The tracks give these attenuations per unit, which are not used.",
     };
     let channels: Vec<(String, &str)> = water["channels"].as_array()?.iter().map(channel_in_words).collect();
+    if channels.is_empty() {
+        return None;
+    }
     // Neighbouring channels with the same verdict share a sentence.
     let alike = channels.chunk_by(|(_, one), (_, other)| one == other);
     let sentences = alike.map(|channels| {
@@ -655,6 +659,26 @@ fn sheets(dir: &Path, report: &TargetsReport) -> Result<Vec<Picture>, StageError
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn channels_with_the_same_verdict_share_a_sentence() {
+        let channel = |name: &str, told: &str| {
+            serde_json::json!({
+                "channel": name, "told": told, "attenuation": {"value": 0.03, "error": 0.004}
+            })
+        };
+        let mut water = serde_json::json!({
+            "told": "water known in red", "judgement": "partly",
+            "channels": [channel("red", "found"), channel("green", "unseen"), channel("blue", "unseen")],
+        });
+        assert_eq!(
+            water_from_tracks(&water).expect("an estimate"),
+            "Water known in red. The tracks give these attenuations per unit, which are not used. Red 0.0300 ± 0.0040 \
+             (found). Green 0.0300 ± 0.0040, blue 0.0300 ± 0.0040 (unseen)."
+        );
+        water["channels"] = serde_json::json!([]);
+        assert_eq!(water_from_tracks(&water), None);
+    }
 
     #[test]
     fn only_a_sheet_whose_last_row_ends_early_has_a_blank_corner() {
