@@ -289,8 +289,8 @@ struct BackwardInputs<'a, const P: usize> {
     count: usize,
 }
 
-/// The backward pass of `U` hidden units over the whole tile. It consists of three
-/// products with few operands each, so that sixteen registers suffice.
+/// The backward pass of `U` hidden units over the whole tile. It consists of three products with few operands
+/// each, so that sixteen registers suffice.
 #[inline(always)]
 fn units_backward<S: Simd, const P: usize, const U: usize>(
     simd: S,
