@@ -238,7 +238,10 @@ fn a_page_that_asks_a_hundred_times_gets_its_newest_and_many_pages_share() {
     let silent = TcpStream::connect(("127.0.0.1", server.port())).unwrap();
     let mut deaf = TcpStream::connect(("127.0.0.1", server.port())).unwrap();
     let host = format!("localhost:{}", server.port());
-    let body = look(64, "clear").to_string();
+    // It is another page, because a newer request of the same page takes the place of ours.
+    let mut other = look(64, "clear");
+    other["page"] = json!("deaf");
+    let body = other.to_string();
     let request = format!(
         "POST /frame HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\nAuthorization: Bearer {}\r\nContent-Length: {}\r\n\r\n{body}",
         token(&server),

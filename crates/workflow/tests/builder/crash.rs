@@ -93,6 +93,8 @@ fn killed_again_and_again_it_ends_with_the_same_bytes() {
         if output.status.success() {
             assert_eq!(payload(&open()), expected);
             whole += 1;
+            // A wait that is longer than a run kills nothing.
+            reach = (reach / 2).max(56);
             std::fs::remove_dir_all(&folder).expect("from the start again");
         } else {
             assert!(output.status.code().is_none(), "{}", String::from_utf8_lossy(&output.stdout));
