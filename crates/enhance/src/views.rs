@@ -194,7 +194,7 @@ impl Listed {
 
 /// The large constants of a view: kept while the memory limit allows, otherwise made again for every step.
 pub(crate) struct Frozen {
-    /// Projection and trimmed tile lists; its colours change with every step.
+    /// Projection, trimmed tile lists and the pixels' weights; its colours change with every step.
     pub(crate) prepared: Prepared,
     /// The Gaussians whose appearance it needs.
     pub(crate) listed: Listed,

@@ -2,8 +2,9 @@
 //!
 //! `plain` defines the computation, and `lanes` computes the same bits on vectors. `tile` holds the data of
 //! one tile, `inputs` fills it and `outputs` writes its results. `strips`, `groups` and `sums` divide the
-//! work into `rows` of tiles. `per_image` adds water to an image that was composed without it. `rasterizer`
-//! and `linear` are the public interface.
+//! work into `rows` of tiles. `per_image` adds water to an image that was composed without it. `trim`
+//! shortens the lists of a frozen view, and `weighted` composes a small one from its kept weights.
+//! `rasterizer` and `linear` are the public interface.
 
 mod groups;
 mod inputs;
@@ -20,6 +21,7 @@ mod strips;
 mod sums;
 mod tile;
 mod trim;
+mod weighted;
 
 pub use pairs::Pairs;
 pub use rasterizer::Rasterizer;

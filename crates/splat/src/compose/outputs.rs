@@ -83,8 +83,8 @@ fn expected(sum: &Lanes, weight: &Lanes) -> Lanes {
 
 /// The strips of a rendered view: image, depth and accumulation.
 pub(crate) struct ImagePlanes<'a> {
-    image: PlanesMut<'a, f32, 3>,
-    maps: [PlanesMut<'a, f32, 1>; 2],
+    pub(super) image: PlanesMut<'a, f32, 3>,
+    pub(super) maps: [PlanesMut<'a, f32, 1>; 2],
 }
 
 impl<'a> ImagePlanes<'a> {

@@ -270,7 +270,7 @@ pub(crate) fn backward_colors<const WATER: bool>(
 /// One step of the transmittance: returns the weight of this Gaussian at lane `l`, or `None` if it does not
 /// contribute.
 #[inline(always)]
-fn weight(
+pub(super) fn weight(
     splat: &Splat,
     terms: crate::compose::tile::RowTerms,
     x: f32,

@@ -14,6 +14,7 @@ use super::per_image::Clear;
 use super::rows::{ForwardStrips, backward_row, forward_row};
 use super::strips::for_each;
 use super::sums::scatter;
+use super::weighted::Weighted;
 use super::{lanes, plain};
 use crate::lists::Prepared;
 use crate::project::{EntryGradient, SplatGradient, VisibleSplats, backward};
@@ -37,6 +38,7 @@ pub struct Rasterizer {
     clear: Clear,
     pub(crate) records: Vec<EntryGradient>,
     pub(crate) sums: Vec<EntryGradient>,
+    weighted: Weighted,
 }
 
 impl Default for Rasterizer {
@@ -68,6 +70,7 @@ impl Rasterizer {
             clear: Clear::default(),
             records: Vec::new(),
             sums: Vec::new(),
+            weighted: Weighted::default(),
         }
     }
 
@@ -76,6 +79,7 @@ impl Rasterizer {
         (self.records.capacity() + self.sums.capacity()) * size_of::<EntryGradient>()
             + self.saved.memory()
             + self.clear.memory()
+            + self.weighted.memory()
     }
 
     /// Renders the prepared view. `medium` has the size of the lattice and defines how images are formed in
@@ -94,11 +98,26 @@ impl Rasterizer {
             self.clear.form(self.kernels, prepared, water, out);
             return;
         }
+        if let Some(level) = self.weighted_level(prepared).filter(|_| !options.layers) {
+            match medium {
+                Some(_) => self.weighted.forward::<true>(level, prepared, medium, out),
+                None => self.weighted.forward::<false>(level, prepared, medium, out),
+            }
+            return;
+        }
         match (medium.is_some(), options.layers) {
             (false, false) => self.forward_tiles::<false, false>(prepared, medium, Some(out)),
             (false, true) => self.forward_tiles::<false, true>(prepared, medium, Some(out)),
             (true, false) => self.forward_tiles::<true, false>(prepared, medium, Some(out)),
             (true, true) => self.forward_tiles::<true, true>(prepared, medium, Some(out)),
+        }
+    }
+
+    /// The instruction set with which a view that keeps its weights is composed from them.
+    fn weighted_level(&self, prepared: &Prepared) -> Option<Level> {
+        match self.kernels {
+            Kernels::Lanes(level) if !prepared.weights.is_empty() => Some(level),
+            _ => None,
         }
     }
 
@@ -264,7 +283,10 @@ impl Rasterizer {
                 self.clear = clear;
             }
         }
-        scatter(prepared, &self.sums, color_grads, |sum| SplatGradient::of(sum).color);
+        match self.weighted_level(prepared) {
+            Some(_) => scatter(prepared, &self.weighted.d_colors, color_grads, |&[r, g, b, _]| [r, g, b]),
+            None => scatter(prepared, &self.sums, color_grads, |sum| SplatGradient::of(sum).color),
+        }
     }
 
     fn color_tiles<const WATER: bool>(
@@ -274,6 +296,10 @@ impl Rasterizer {
         image: &Image,
         medium_grads: Option<&mut MediumMaps>,
     ) {
+        if let Some(level) = self.weighted_level(prepared) {
+            self.weighted.backward::<WATER>(level, prepared, medium, image, medium_grads);
+            return;
+        }
         let kernels = self.kernels;
         let d_rendered = RenderGradients { image, depth: None, accumulation: None, clear: None };
         let read = BackwardRead { prepared, medium, d_rendered: &d_rendered, saved: None };

@@ -4,12 +4,13 @@
 //! An entry of a tile's list stays if some pixel of the tile is still being composed at that entry and lies
 //! within its 1/255 contour: it then adds to the pixel or ends it. The compositor skips all other entries
 //! anyway, so images and gradients keep every bit. On a sparse lattice (stage 2) most small Gaussians fall
-//! between the pixels of their tiles.
+//! between the pixels of their tiles. A small view then also keeps its weights (see `weighted`).
 
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
 use super::inputs::{input, row_splats};
+use super::weighted::weights;
 use crate::Rasterizer;
 use crate::lists::{Prepared, Span, TILE, TileRow};
 use crate::project::LOG2_255;
@@ -20,7 +21,8 @@ const MARGIN: f32 = 1e-3;
 
 impl Rasterizer {
     /// Drops the entries of `prepared` that no pixel sees, and the Gaussians without entries. Images and
-    /// gradients stay the same to the bit.
+    /// gradients stay the same to the bit. A view of at most 16384 pixels also keeps its weights, which
+    /// makes composing and [`Rasterizer::backward_colors`] faster and changes the last bits.
     pub fn trim(&mut self, prepared: &mut Prepared) {
         let stop = self.stops(prepared);
         let view = &*prepared;
@@ -31,6 +33,7 @@ impl Rasterizer {
             .map(|row| dispatch!(level, _simd => trimmed(view, stop, row)))
             .collect();
         prepared.replace_lists(rows);
+        prepared.weights = weights(prepared);
     }
 }
 
@@ -120,6 +123,7 @@ mod tests {
             for mut rasterizer in [Rasterizer::plain(), Rasterizer::new()] {
                 let mut trimmed = view.clone();
                 rasterizer.trim(&mut trimmed);
+                trimmed.weights.clear();
                 assert!(
                     trimmed.entries() * 4 < view.entries() * 3,
                     "{} {}",

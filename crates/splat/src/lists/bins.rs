@@ -3,6 +3,8 @@
 //! Binning has two levels. Each band of tile rows first collects the Gaussians that may meet it. Each tile
 //! row then takes from its band the Gaussians whose contour meets it, each with its range of tiles.
 
+use std::ops::Range;
+
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
@@ -38,7 +40,12 @@ pub(crate) struct TileRow {
 impl TileRow {
     /// Span positions of tile `column`, in depth order.
     pub(crate) fn list(&self, column: usize) -> &[u32] {
-        &self.entries[self.offsets[column] as usize..self.offsets[column + 1] as usize]
+        &self.entries[self.range(column)]
+    }
+
+    /// The positions of tile `column` among the entries.
+    pub(crate) fn range(&self, column: usize) -> Range<usize> {
+        self.offsets[column] as usize..self.offsets[column + 1] as usize
     }
 
     /// Makes the lists of `tiles` tiles from the spans.

@@ -5,9 +5,11 @@ mod axis;
 mod bins;
 mod prepared;
 mod sort;
+mod weights;
 
 pub(crate) use axis::TILE;
 pub(crate) use bins::{Span, TileRow};
 pub use prepared::Prepared;
 #[cfg(test)]
 pub(crate) use prepared::tests;
+pub(crate) use weights::RowWeights;

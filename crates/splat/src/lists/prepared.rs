@@ -23,6 +23,7 @@ use use3d_capture::{Camera, Lattice};
 use super::axis::Axis;
 use super::bins::{Span, TileRow, list};
 use super::sort;
+use super::weights::RowWeights;
 use crate::project::{ColorSource, HIDDEN, Projecting, Splat};
 use crate::{Colors, Gaussians};
 
@@ -52,6 +53,8 @@ pub struct Prepared {
     pub(crate) tile_rows: Vec<TileRow>,
     /// Position in depth order of every Gaussian, [`HIDDEN`] if it is not visible.
     pub(crate) ranks: Vec<u32>,
+    /// The weights of each tile row, if the view keeps them; otherwise empty.
+    pub(crate) weights: Vec<RowWeights>,
     projected: Vec<Splat>,
     keys: sort::Keys,
     bands: Vec<Vec<u32>>,
@@ -82,6 +85,7 @@ impl Prepared {
             splats: Vec::new(),
             tile_rows: Vec::new(),
             ranks: Vec::new(),
+            weights: Vec::new(),
             projected: Vec::new(),
             keys: sort::Keys::default(),
             bands: Vec::new(),
@@ -126,6 +130,7 @@ impl Prepared {
         (self.splats.capacity() + self.projected.capacity()) * size_of::<Splat>()
             + self.ranks.capacity() * 4
             + self.keys.memory()
+            + self.weights.iter().map(RowWeights::memory).sum::<usize>()
             + rows
             + bands
     }
@@ -156,6 +161,7 @@ impl Prepared {
                 (slope * slope) as f32
             }));
         }
+        self.weights.clear();
         self.project(gaussians, camera, colors);
         self.sort();
         list(&self.splats, [&self.columns, &self.rows], &mut self.bands, &mut self.tile_rows);
