@@ -47,8 +47,7 @@
 //! | records | E `vec4<f32>` | the gradient of an entry's colour |
 //!
 //! Photographs, opacities and masks are in their stored form, four values of 8 bits or two of 16 bits in a
-//! word; depth priors have 16 bits. A step's first kernel makes the floats of its view. Smaller sizes are
-//! stored as floats.
+//! word; depth priors have 16 bits. A step's first kernel makes the floats of its view at the step's size.
 //!
 //! The water in front of a pixel is given as `e = 2^(−k z)` with `k = β |d| log₂e`.
 //!

@@ -60,8 +60,7 @@ impl Stage1 {
     /// Submits a step.
     pub(super) fn ask(&mut self, view: usize, plan: StepPlan) -> Result<(), EngineError> {
         let weights = LossPlan::weights(&plan.weights)?;
-        let place = self.targets.place(&self.gpu, view, plan.divisor)?;
-        let camera = self.targets.at(place).camera;
+        let (camera, divisor) = self.targets.views[view].camera_over(plan.divisor);
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         let degree = plan.degrees.colors.min(self.scene.sh_degree);
         let lattice = Lattice::full(&camera.intrinsics);
@@ -89,9 +88,10 @@ impl Stage1 {
             water.prepare(&self.gpu, &camera, plan.degrees.water, plan.step, rates)?;
         }
         self.losses.resize(&self.gpu, width, height)?;
-        let target = self.targets.at(place);
-        target.prepare(&self.gpu, &mut self.unpacked)?;
-        let Floats { photograph, alpha, mask, prior } = target.floats(&self.unpacked);
+        let place = self.targets.place(&self.gpu, view)?;
+        let stored = self.targets.at(place);
+        self.unpacked.prepare(&self.gpu, stored, divisor)?;
+        let Floats { photograph, alpha, mask, prior } = self.unpacked.floats(stored);
         let (image, depth) = (&self.planes.image, &self.planes.depth);
         let seen = LossInput { image, depth, photograph, mask, prior };
         let exposed = plan.exposure.is_some();
@@ -107,12 +107,11 @@ impl Stage1 {
         let gains = exposed.then_some(&self.gains);
         let label = Some("step");
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label });
-        target.copy(&mut encoder, &self.unpacked);
         {
             let timestamp_writes = self.gpu.clock().and_then(|clock| clock.around("step"));
             let descriptor = wgpu::ComputePassDescriptor { label, timestamp_writes };
             let pass = &mut encoder.begin_compute_pass(&descriptor);
-            target.record(pass, &self.unpacked);
+            self.unpacked.record(pass, stored);
             if let Some(water) = &self.water {
                 water.record_maps(pass);
             }
