@@ -143,8 +143,8 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         missing: context.missing().to_vec(),
         // The report of equal results has equal bytes, so the date is not in it.
         made_with: format!(
-            "use3d {}. The results folder of this page has the 3D pages to which it links, and in `runs` the date and \
-             the command of each run.",
+            "Made by use3d {}. Links work in the results folder. Its folder “runs” has the date and the command of each \
+             run.",
             env!("CARGO_PKG_VERSION")
         ),
     };
