@@ -97,6 +97,7 @@ pub use check::{CheckError, check, checked_adapters, open_checked};
 pub use device::{AdapterReport, DeviceError, Gpu, adapters, environment_note};
 pub use drawing::{Drawing, DrawnView};
 pub use linear::LinearSplat;
+pub use losses::VALUES as LOSSES_WITH_KERNELS;
 pub use profile::KernelTime;
 pub use stage1::{Stage1, training_bytes};
 pub use stage2::Stage2;

@@ -62,7 +62,7 @@ fn every_stage_is_made_of_the_files_it_uses_and_of_no_others() {
     for (stage, used) in [
         ("import", "src/stages/common.rs"),
         ("reconstruct", "src/stages/common.rs"),
-        ("reconstruct", "src/stages/contact.rs"),
+        ("reconstruct", "src/stages/contact_sheet.rs"),
         ("reconstruct", "src/stages/proposals.rs"),
         ("reconstruct", "use3d-medium"),
         ("enhance", "src/judge/report/plot.rs"),

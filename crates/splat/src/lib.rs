@@ -20,9 +20,10 @@
 //! `project` (a Gaussian seen by a camera), `lists` (the tiles that it meets), `compose` (light through
 //! them).
 //!
-//! The same inputs give the same bits on any number of threads, and on AVX2, AVX-512 and the scalar twin. One
-//! exception: a small view of frozen geometry is composed from kept weights ([`Rasterizer::trim`]). These bits are
-//! the same on any number of threads and any instruction set, but the scalar twin walks the lists.
+//! The same inputs give the same bits on any number of threads, and on AVX2, AVX-512 and the scalar twin.
+//! A small view of frozen geometry is an exception: it is composed from kept weights
+//! ([`Rasterizer::trim`]). Its bits are the same on any number of threads and any instruction set, but the
+//! scalar twin walks the lists.
 
 #![deny(clippy::too_many_arguments)]
 

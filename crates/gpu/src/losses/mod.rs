@@ -25,8 +25,8 @@ use crate::device::{Gpu, NAME};
 use crate::kernel::{Access, Binding, Constant, Grid, Kernel, SUM, Spec, bound, read, write};
 use shape::{HALVING, Halving, LEVEL, LEVELS, Level, LossConstants, ViewShape};
 
-/// The values for which there are kernels, in the order of the table of terms.
-pub(crate) const VALUES: [&str; 3] = ["reg_l1", "reg_ms_ssim", "depth_loss"];
+/// The values of stage 1's loss for which there are kernels, in the order of the table of terms.
+pub const VALUES: [&str; 3] = ["reg_l1", "reg_ms_ssim", "depth_loss"];
 
 /// Number of floats that the losses write to a step's report: total, the three [`VALUES`], mean squared
 /// error, number of pixels that count.

@@ -8,8 +8,11 @@ use use3d_atc::consensus::Adjoint;
 use use3d_capture::{Camera, Lattice};
 use use3d_enhance::engine::FieldEngine;
 use use3d_enhance::{EnhanceError, EnhanceParams, EnhanceView, Guidance};
-use use3d_gpu::{Drawing, DrawnView, Gpu, LinearSplat, Stage1, Stage2, kernel_sources, open_checked};
+use use3d_gpu::{
+    Drawing, DrawnView, Gpu, LOSSES_WITH_KERNELS, LinearSplat, Stage1, Stage2, kernel_sources, open_checked,
+};
 use use3d_reconstruct::engine::Engine;
+use use3d_reconstruct::{ReconstructParams, losses};
 use use3d_render::{Composer, Composition, RenderError};
 use use3d_scene::Scene;
 use use3d_splat::{Gaussians, Rendered, view_colors};
@@ -38,6 +41,21 @@ pub(super) fn open(name: Option<&str>) -> Result<Card, String> {
         .entry(name.map(str::to_lowercase))
         .or_insert_with(|| open_checked(name).map_err(|error| error.to_string()));
     found.clone().map(Card)
+}
+
+/// The first value of stage 1's loss that has a weight at some step and no kernel.
+pub(super) fn loss_without_kernel(params: &ReconstructParams) -> Option<&'static str> {
+    let steps = [0, params.iterations / 2, params.iterations.saturating_sub(1)];
+    let weights = steps.map(|step| losses::weights(params, step));
+    let weighted = |at: usize| weights.iter().any(|of_step| of_step[at] != 0.0);
+    without_kernel(losses::names().enumerate().map(|(at, name)| (name, weighted(at))))
+}
+
+/// The first weighted name without a kernel.
+fn without_kernel(values: impl IntoIterator<Item = (&'static str, bool)>) -> Option<&'static str> {
+    values
+        .into_iter()
+        .find_map(|(name, weighted)| (weighted && !LOSSES_WITH_KERNELS.contains(&name)).then_some(name))
 }
 
 impl Card {
@@ -153,5 +171,18 @@ impl Composer for Painter<'_> {
         let mut drawing = self.drawing.lock().unwrap_or_else(PoisonError::into_inner);
         let drawn = drawing.draw(&DrawnView { camera, lattice, colors, medium, layers }, out);
         drawn.map_err(|error| RenderError::Device { device: self.device.clone(), problem: error.to_string() })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_a_loss_that_has_a_weight_and_no_kernel_is_refused() {
+        assert_eq!(loss_without_kernel(&ReconstructParams::default()), None);
+        let table = |weighted| [("reg_l1", true), ("opacity", weighted)];
+        assert_eq!(without_kernel(table(false)), None);
+        assert_eq!(without_kernel(table(true)), Some("opacity"));
     }
 }

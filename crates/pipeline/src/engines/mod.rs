@@ -36,10 +36,14 @@ mod cards {
 
     use super::{
         DeviceClass, Engine, EngineError, EnhanceError, EnhanceParams, EnhanceView, FieldEngine, Guidance,
-        Observer, Scene,
+        Observer, ReconstructParams, Scene,
     };
 
     pub(super) fn close() {}
+
+    pub(super) fn loss_without_kernel(_params: &ReconstructParams) -> Option<&'static str> {
+        None
+    }
 
     /// A type without values.
     pub(super) enum Card {}
@@ -137,13 +141,16 @@ impl ChoosesEngine for ReconstructParams {
     }
 
     fn beyond_cards(&self) -> Option<String> {
-        (!on_cards(self.medium)).then(|| {
-            format!(
+        if !on_cards(self.medium) {
+            return Some(format!(
                 "expected cpu for the water `{}`, which runs only on the processor; graphics cards have \
                  kernels for {}",
                 self.medium.name(),
                 Medium::names(on_cards)
-            )
+            ));
+        }
+        cards::loss_without_kernel(self).map(|loss| {
+            format!("expected cpu for the loss `{loss}`, for which graphics cards have no kernel")
         })
     }
 

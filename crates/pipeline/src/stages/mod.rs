@@ -19,7 +19,7 @@ mod calibrator;
 mod captured;
 mod choices;
 mod common;
-mod contact;
+mod contact_sheet;
 #[cfg(feature = "nets")]
 mod depth;
 mod drawn;

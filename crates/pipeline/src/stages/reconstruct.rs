@@ -15,7 +15,7 @@ use use3d_workflow::{Figure, Scope, Stage, StageContext, StageError};
 
 use super::captured::{capture, write_cameras};
 use super::common::{out_of_range, write_json, write_text};
-use super::contact::sheet;
+use super::contact_sheet::sheet;
 use super::names::{CHOICES, CONTACT, EVALUATION, WATER};
 use super::proposals;
 use super::watch::Watch;
