@@ -12,7 +12,9 @@ Prints the cost of each fit, b_a per unit of the model, and the relative error o
 independent). The observations are simpler than those of `use3d water`: bilinear samples of blurred photographs.
 
     pip install numpy scipy pillow
-    python3 crates/water/model/light.py CAPTURE...
+    python3 crates/water/model/light.py [--inverse-square] CAPTURE...
+
+With --inverse-square the coefficient of l is held near -2, and the other three with l near 0 (0.2 each).
 """
 
 import os
@@ -105,7 +107,7 @@ def points_with_range(rows):
     return np.concatenate(pieces), np.repeat(np.arange(len(pieces)), [len(p) for p in pieces])
 
 
-def fit(rows, point, with_light):
+def fit(rows, point, with_light, inverse_square):
     """Returns the cost, b_a per unit, and the relative error of b_a."""
     u, v, s, color = rows[:, 1], rows[:, 2], rows[:, 3], rows[:, 4:7]
     middle, n = np.median(s), point[-1] + 1
@@ -124,6 +126,8 @@ def fit(rows, point, with_light):
             out.append(counts * (y - a * np.maximum(radiance, 0)[point]) / NOISE)
         weight = 0.015 * np.sqrt(n)
         priors = [weight * (x[3:6] - x[:3]) / 0.5, weight * (x[6:9] - np.log(0.35)) / 0.6]
+        if with_light and inverse_square:
+            priors.append(0.3 * np.sqrt(n) * (x[14:] - [-2, 0, 0, 0]) / 0.2)
         return np.concatenate(out + priors)
 
     best = None
@@ -137,9 +141,11 @@ def fit(rows, point, with_light):
     return best.cost, np.exp(best.x[:3]) / middle, error[:3]
 
 
-for capture in sys.argv[1:]:
+arguments = sys.argv[1:]
+inverse_square = "--inverse-square" in arguments
+for capture in [a for a in arguments if not a.startswith("--")]:
     rows, point = points_with_range(observe(capture))
     for with_light in (False, True):
-        cost, attenuation, error = fit(rows, point, with_light)
+        cost, attenuation, error = fit(rows, point, with_light, inverse_square)
         values = ", ".join(f"{b:.4f} (± {100 * e:.0f} %)" for b, e in zip(attenuation, error))
         print(f"{capture}: {'with a light' if with_light else 'no light'}: cost {cost:.0f}, attenuation {values}")
