@@ -11,8 +11,12 @@ use use3d_reconstruct::TrainingView;
 use use3d_training::EngineError;
 
 use crate::buffer::Array;
-use crate::device::Gpu;
+use crate::device::{Gpu, NAME};
 use crate::kernel::{Access, Kernel, Spec, U32S, bound, write};
+
+/// Largest divisor on software adapters: llvmpipe ends the loops of a thread after 65,535 rounds without an
+/// error.
+const MOST_ON_SOFTWARE: usize = 64;
 
 /// The positions of the parts of a view, in words; the photograph is first, and 0 means that there is no
 /// such part.
@@ -29,7 +33,7 @@ struct Sections {
 /// A view at the size of a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
-struct Sized {
+struct StepView {
     sections: Sections,
     /// Pixels of the stored view, and of one of its rows.
     stored_pixels: u32,
@@ -50,7 +54,7 @@ fn unpack() -> Spec {
         name: "unpack",
         threads: 256,
         bindings: vec![
-            (Access::Uniform, "view", "Sized"),
+            (Access::Uniform, "view", "StepView"),
             (Access::Read, "stored", U32S),
             write("photograph"),
             write("alpha"),
@@ -60,7 +64,7 @@ fn unpack() -> Spec {
         constants: vec![],
         parts: vec![
             "struct Sections { deep: u32, alpha: u32, mask: u32, prior: u32 }\n\
-             struct Sized { sections: Sections, stored_pixels: u32, stored_columns: u32, pixels: u32, \
+             struct StepView { sections: Sections, stored_pixels: u32, stored_columns: u32, pixels: u32, \
              columns: u32, divisor: u32, from_bytes: f32, from_shorts: f32, pad: u32 }\n",
             include_str!("unpack.wgsl"),
         ],
@@ -75,7 +79,7 @@ pub(crate) fn specs() -> Vec<Spec> {
 /// A view on the device in its stored form.
 #[derive(Debug)]
 pub(super) struct StoredView {
-    size: (usize, usize),
+    width_and_height: (usize, usize),
     sections: Sections,
     words: Array<u32>,
 }
@@ -104,7 +108,7 @@ fn append_shorts(words: &mut Vec<u32>, values: &[u16]) -> u32 {
 impl StoredView {
     /// Copies a view to the device.
     pub(super) fn new(gpu: &Gpu, view: &TrainingView) -> Result<Self, EngineError> {
-        let size = view.pixels().size();
+        let width_and_height = view.pixels().size();
         let mut words = Vec::new();
         let deep = match view.pixels() {
             Pixels::Eight(raster) => {
@@ -122,7 +126,7 @@ impl StoredView {
         let (alpha, mask) = (map(view.alpha()), map(view.mask()));
         let prior = view.prior().map_or(0, |prior| append_shorts(&mut words, prior.data()));
         let sections = Sections { deep, alpha, mask, prior };
-        Ok(Self { size, sections, words: Array::from(gpu, "a stored view", &words)? })
+        Ok(Self { width_and_height, sections, words: Array::from(gpu, "a stored view", &words)? })
     }
 
     /// Number of bytes on the device.
@@ -135,7 +139,7 @@ impl StoredView {
 #[derive(Debug)]
 pub(super) struct Unpacked {
     kernel: Kernel,
-    sized: Array<Sized>,
+    step_view: Array<StepView>,
     pixels: usize,
     pub(super) photograph: Array<f32>,
     alpha: Array<f32>,
@@ -156,7 +160,7 @@ impl Unpacked {
     pub(super) fn new(gpu: &Gpu) -> Result<Self, EngineError> {
         Ok(Self {
             kernel: Kernel::new(gpu, &unpack())?,
-            sized: Array::uniform(gpu, "a view at the size of a step")?,
+            step_view: Array::uniform(gpu, "a view at the size of a step")?,
             pixels: 0,
             photograph: Array::new(gpu, "photograph of a step", 1)?,
             alpha: Array::new(gpu, "opacity of a step's photograph", 1)?,
@@ -166,13 +170,21 @@ impl Unpacked {
     }
 
     /// Makes room for the floats of a view whose size is divided by `divisor` (at most its shorter side).
+    /// Refuses a divisor that a software adapter may not sum.
     pub(super) fn prepare(
         &mut self,
         gpu: &Gpu,
         view: &StoredView,
         divisor: usize,
     ) -> Result<(), EngineError> {
-        let (width, height) = view.size;
+        let (width, height) = view.width_and_height;
+        if divisor > MOST_ON_SOFTWARE && gpu.adapter().is_software() {
+            let what = format!(
+                "software adapters end long loops, so views are divided by at most {MOST_ON_SOFTWARE} there, not \
+                 by {divisor}; use the engine cpu"
+            );
+            return Err(EngineError::Request { engine: NAME, what });
+        }
         let (columns, rows) = (width / divisor, height / divisor);
         let pixels = columns * rows;
         let Sections { alpha, mask, prior, .. } = view.sections;
@@ -182,7 +194,7 @@ impl Unpacked {
         }
         // Rounded as on the processor.
         let of_box = (divisor * divisor) as f32;
-        let sized = Sized {
+        let step_view = StepView {
             sections: view.sections,
             stored_pixels: (width * height) as u32,
             stored_columns: width as u32,
@@ -193,7 +205,7 @@ impl Unpacked {
             from_shorts: 1.0 / (65535.0 * of_box),
             pad: 0,
         };
-        self.sized.write(gpu, 0, &[sized]);
+        self.step_view.write(gpu, 0, &[step_view]);
         self.pixels = pixels;
         Ok(())
     }
@@ -202,7 +214,11 @@ impl Unpacked {
     pub(super) fn record(&self, pass: &mut wgpu::ComputePass<'_>, view: &StoredView) {
         let grid = self.kernel.grid(self.pixels);
         let Self { photograph, alpha, mask, prior, .. } = self;
-        self.kernel.dispatch(pass, grid, bound![self.sized, view.words, *photograph, *alpha, *mask, *prior]);
+        self.kernel.dispatch(
+            pass,
+            grid,
+            bound![self.step_view, view.words, *photograph, *alpha, *mask, *prior],
+        );
     }
 
     /// The floats of a view, after they are computed.
@@ -270,6 +286,9 @@ mod tests {
     fn stored_views_become_the_processors_floats_at_every_size() {
         let Some(gpu) = software() else { return };
         let mut unpacked = Unpacked::new(&gpu).unwrap();
+        let stored = StoredView::new(&gpu, &view(false, true)).unwrap();
+        let refused = unpacked.prepare(&gpu, &stored, 65).unwrap_err().to_string();
+        assert!(refused.contains("at most 64") && refused.contains("not by 65"), "{refused}");
         for (deep, parts) in [(false, true), (true, true), (true, false), (false, false)] {
             let view = view(deep, parts);
             let stored = StoredView::new(&gpu, &view).unwrap();
