@@ -524,6 +524,8 @@ mod tests {
         assert!(!html.contains("<b>") && html.contains("data:image/jpeg;base64,"));
         let at = |text: &str| html.find(text).unwrap_or_else(|| panic!("{text}"));
         assert!(at("class=\"lead\"") < at("alt=\"v: captured\""), "the leading pictures stand first");
+        assert!(at("A view that training did not see") < at("alt=\"v: captured\""));
+        assert!(!html.contains("More held-out views") && html.matches("data-view>").count() == 1);
         assert!(
             at("alt=\"v: captured\"") < at("class=\"strip\"")
                 && at("class=\"strip\"") < at("alt=\"v: depth\"")
