@@ -11,6 +11,7 @@ use use3d_files::write_atomically;
 use crate::decoded::{Decoded, Samples};
 use crate::error::{FileFormat, ImageError};
 use crate::limits::check_size;
+use crate::read::ByteSource;
 
 /// Names under which a single channel of interest is looked for, best first.
 const SINGLE: [&str; 5] = ["Z", "Y", "depth", "depth.Z", "A"];
@@ -18,7 +19,7 @@ const SINGLE: [&str; 5] = ["Z", "Y", "depth", "depth.Z", "A"];
 /// Width, height and channel names of the first flat layer, and the bytes per pixel of all flat layers; only
 /// the header is read.
 pub(crate) fn header(
-    reader: impl std::io::BufRead,
+    reader: &mut dyn ByteSource,
     path: &Path,
 ) -> std::result::Result<(u64, u64, Vec<String>, usize), ImageError> {
     let fail = |reason: String| ImageError::decode(path, FileFormat::Exr, reason);
@@ -59,8 +60,10 @@ pub(crate) fn pick(names: &[String], path: &Path) -> std::result::Result<Vec<usi
 }
 
 pub(crate) fn decode(bytes: &[u8], path: &Path) -> std::result::Result<Decoded, ImageError> {
-    let (width, height, _, bytes_per_pixel) = header(Cursor::new(bytes), path)?;
+    let (width, height, _, bytes_per_pixel) = header(&mut Cursor::new(bytes), path)?;
     check_size(path, FileFormat::Exr, width, height, bytes_per_pixel as u64, bytes.len() as u64)?;
+    let mut cursor = Cursor::new(bytes);
+    let source: &mut dyn ByteSource = &mut cursor;
     let image = read()
         .no_deep_data()
         .largest_resolution_level()
@@ -68,7 +71,7 @@ pub(crate) fn decode(bytes: &[u8], path: &Path) -> std::result::Result<Decoded, 
         .first_valid_layer()
         .all_attributes()
         .non_parallel()
-        .from_buffered(Cursor::new(bytes))
+        .from_buffered(source)
         .map_err(|e| ImageError::decode(path, FileFormat::Exr, e))?;
     let layer = &image.layer_data;
     let (width, height) = (layer.size.width(), layer.size.height());

@@ -30,6 +30,12 @@ pub struct ImageInfo {
     pub alpha: bool,
 }
 
+/// A file on disk or in memory. Decoders read from this one type, because each further type would compile all
+/// of them again.
+pub(crate) trait ByteSource: BufRead + Seek {}
+
+impl<T: BufRead + Seek> ByteSource for T {}
+
 fn open_error(path: &Path) -> impl Fn(std::io::Error) -> ImageError + '_ {
     |source| ImageError::Open { path: path.to_path_buf(), source }
 }
@@ -53,7 +59,7 @@ fn detect(start: &[u8]) -> Option<FileFormat> {
 pub fn image_info(path: &Path) -> Result<ImageInfo, ImageError> {
     let file = File::open(path).map_err(open_error(path))?;
     let length = file.metadata().map_err(open_error(path))?.len();
-    info(BufReader::new(file), length, path)
+    info(&mut BufReader::new(file), length, path)
 }
 
 /// Width and height from the header.
@@ -63,10 +69,10 @@ pub fn image_size(path: &Path) -> Result<(usize, usize), ImageError> {
 
 /// Like [`image_info`], for a file in memory; `path` is only for messages.
 pub fn info_of_bytes(bytes: &[u8], path: &Path) -> Result<ImageInfo, ImageError> {
-    info(Cursor::new(bytes), bytes.len() as u64, path)
+    info(&mut Cursor::new(bytes), bytes.len() as u64, path)
 }
 
-fn info(mut reader: impl BufRead + Seek, length: u64, path: &Path) -> Result<ImageInfo, ImageError> {
+fn info(mut reader: &mut dyn ByteSource, length: u64, path: &Path) -> Result<ImageInfo, ImageError> {
     let start = reader.fill_buf().map_err(open_error(path))?;
     if start.is_empty() {
         return Err(ImageError::Empty { path: path.to_path_buf() });
@@ -110,7 +116,11 @@ fn decoder_limits(pixels: u64) -> image::Limits {
     limits
 }
 
-fn photo_reader<R: BufRead + Seek>(reader: R, format: FileFormat, pixels: u64) -> ImageReader<R> {
+fn photo_reader(
+    reader: &mut dyn ByteSource,
+    format: FileFormat,
+    pixels: u64,
+) -> ImageReader<&mut dyn ByteSource> {
     let format = match format {
         FileFormat::Png => ImageFormat::Png,
         FileFormat::Jpeg => ImageFormat::Jpeg,
@@ -122,9 +132,9 @@ fn photo_reader<R: BufRead + Seek>(reader: R, format: FileFormat, pixels: u64) -
 }
 
 /// Width, height, bytes per pixel and alpha of a TIFF.
-fn tiff_header(mut reader: impl BufRead + Seek, path: &Path) -> Result<(u64, u64, u64, bool), ImageError> {
+fn tiff_header(reader: &mut dyn ByteSource, path: &Path) -> Result<(u64, u64, u64, bool), ImageError> {
     let format = FileFormat::Tiff;
-    if let Some((width, height)) = float_tiff_size(&mut reader, path)? {
+    if let Some((width, height)) = float_tiff_size(reader, path)? {
         return Ok((width, height, 8, false));
     }
     let decoder =
@@ -136,10 +146,7 @@ fn tiff_header(mut reader: impl BufRead + Seek, path: &Path) -> Result<(u64, u64
 
 /// The size of a one-channel TIFF of floats or wide integers, which `image` does not decode; `None` for other
 /// TIFFs. The reader is rewound.
-fn float_tiff_size(
-    reader: &mut (impl BufRead + Seek),
-    path: &Path,
-) -> Result<Option<(u64, u64)>, ImageError> {
+fn float_tiff_size(reader: &mut dyn ByteSource, path: &Path) -> Result<Option<(u64, u64)>, ImageError> {
     let fail = |e: tiff::TiffError| ImageError::decode(path, FileFormat::Tiff, e);
     let mut decoder = tiff::decoder::Decoder::new(&mut *reader).map_err(fail)?;
     let (width, height) = decoder.dimensions().map_err(fail)?;
@@ -162,7 +169,9 @@ fn decode_float_tiff(bytes: &[u8], width: usize, height: usize, path: &Path) -> 
     let mut limits = tiff::decoder::Limits::default();
     limits.decoding_buffer_size = width * height * 8;
     limits.intermediate_buffer_size = width * height * 8 + (1 << 20);
-    let mut decoder = tiff::decoder::Decoder::new(Cursor::new(bytes)).map_err(fail)?.with_limits(limits);
+    let mut cursor = Cursor::new(bytes);
+    let source: &mut dyn ByteSource = &mut cursor;
+    let mut decoder = tiff::decoder::Decoder::new(source).map_err(fail)?.with_limits(limits);
     let samples: Vec<f32> = match decoder.read_image().map_err(fail)? {
         DecodingResult::F32(v) => v,
         DecodingResult::F64(v) => v.into_iter().map(|x| x as f32).collect(),
@@ -209,7 +218,8 @@ pub fn decode(bytes: &[u8], path: &Path) -> Result<Decoded, ImageError> {
     }
     let pixels =
         if format == FileFormat::Png { png_file::without_metadata(bytes) } else { Cow::Borrowed(bytes) };
-    let reader = photo_reader(Cursor::new(pixels.as_ref()), format, (width * height) as u64);
+    let mut cursor = Cursor::new(pixels.as_ref());
+    let reader = photo_reader(&mut cursor, format, (width * height) as u64);
     let image = reader.decode().map_err(|e| fail(e.to_string()))?;
     let (width, height) = (image.width() as usize, image.height() as usize);
     let channels = usize::from(image.color().channel_count());
