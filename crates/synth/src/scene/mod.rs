@@ -26,15 +26,14 @@ pub(crate) use terrain::Terrain;
 use crate::geometry::bvh::{Bvh, Ray};
 use crate::geometry::mesh::Mesh;
 use crate::geometry::noise::Noise;
-use light::Daylight;
+use light::{Daylight, VertexLight};
 
 /// A scene that is ready to be rendered.
 pub(crate) struct MeshScene {
     mesh: Mesh,
     surfaces: Vec<Surface>,
     bvh: Bvh,
-    /// Openness and sun visibility per vertex.
-    baked: Vec<Vec2>,
+    light: VertexLight,
     daylight: Daylight,
     noise: Noise,
     /// The sea floor's shape, for the path of the swimmer.
@@ -63,7 +62,7 @@ pub(crate) struct Caustics {
 const FAR: f32 = 70.0;
 
 impl MeshScene {
-    /// Builds the scene and computes its light.
+    /// Builds the scene.
     pub(crate) fn new(layout: &Layout) -> Self {
         let (mesh, palette, terrain) = match layout.place {
             Location::Reef => layout::build(layout),
@@ -80,9 +79,9 @@ impl MeshScene {
             sun,
             strength: [Vec3::new(1.1, 1.06, 0.99), Vec3::new(0.40, 0.43, 0.46), Vec3::new(0.20, 0.19, 0.16)],
         };
-        let baked = light::bake(&mesh, &bvh, sun, layout.seed);
+        let light = VertexLight::new(mesh.positions.len(), sun, layout.seed);
         let noise = Noise::new(draws.bits());
-        Self { mesh, surfaces: palette.surfaces, bvh, baked, daylight, noise, terrain }
+        Self { mesh, surfaces: palette.surfaces, bvh, light, daylight, noise, terrain }
     }
 
     /// Unit vector towards the sun.
@@ -101,11 +100,11 @@ impl MeshScene {
         let triangle = hit.triangle as usize;
         let corners = self.mesh.triangles[triangle].map(|i| i as usize);
         let weights = [1.0 - hit.u - hit.v, hit.u, hit.v];
-        let (mut normal, mut parameter, mut baked) = (Vec3::ZERO, Vec2::ZERO, Vec2::ZERO);
+        let (mut normal, mut parameter, mut free) = (Vec3::ZERO, Vec2::ZERO, Vec2::ZERO);
         for (i, w) in corners.into_iter().zip(weights) {
             normal += w * self.mesh.normals[i];
             parameter += w * self.mesh.parameters[i];
-            baked += w * self.baked[i];
+            free += w * self.light.of(i, &self.mesh, &self.bvh);
         }
         let normal = normal.normalize_or(Vec3::Z);
         let point = ray.origin + hit.t * ray.direction;
@@ -113,13 +112,13 @@ impl MeshScene {
         let (albedo, bump) =
             self.surfaces[surface as usize].look(self.noise, point, parameter, spread * hit.t);
         let tilted = (normal - (bump - bump.dot(normal) * normal)).normalize_or(normal);
-        let mut sunlight = baked.y;
+        let mut sunlight = free.y;
         if caustics.strength > 0.0 {
             sunlight *=
                 (1.0 + caustics.strength * light::caustics(self.noise, point, caustics.time)).max(0.0);
         }
         let grey = self.is_grey(surface);
-        let light = self.daylight.at(tilted, baked.x, sunlight);
+        let light = self.daylight.at(tilted, free.x, sunlight);
         // A board of greys is lit by neutral light, whatever tint the daylight has.
         let light = if grey { Vec3::splat(light.dot(Vec3::splat(1.0 / 3.0))) } else { light };
         Some(SurfaceHit { t: hit.t, light: albedo * light, surface })
