@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use tiny::{TINY, command, files};
+use tiny::{TINY, command, files, synthesise};
 
 struct Batch {
     dir: tempfile::TempDir,
@@ -28,11 +28,7 @@ impl Batch {
         for scene in batch.scenes() {
             let out = batch.at(&scene);
             let seed = scene.trim_start_matches('s').to_string();
-            let mut synth = command();
-            synth.args(["-q", "synth", "capture", "--out"]).arg(&out);
-            synth.args(["--views", "9", "--size", "64x48", "--seed", &seed]);
-            let output = synth.output().expect("the command starts");
-            assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+            synthesise(&out, &["capture", "--views", "9", "--size", "64x48", "--seed", &seed]);
             text += &format!("[[scene]]\nname = \"{scene}\"\ncapture = \"{scene}\"\ngroup = \"Tiny\"\n");
         }
         std::fs::write(batch.at("many.toml"), text).expect("written");

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use crate::tiny::{TINY, command, files};
+use crate::tiny::{TINY, command, files, synthesise};
 
 pub(crate) struct Many {
     pub(crate) dir: tempfile::TempDir,
@@ -69,11 +69,8 @@ impl Many {
     }
 
     fn synth(&self, what: &str, name: &str, views: usize, size: &str, seed: usize) {
-        let mut synth = command();
-        synth.args(["-q", "synth", what, "--out"]).arg(self.at(name)).args(["--size", size]);
-        synth.args(["--views", &views.to_string(), "--seed", &seed.to_string()]);
-        let output = synth.output().expect("the command starts");
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let (views, seed) = (views.to_string(), seed.to_string());
+        synthesise(&self.at(name), &[what, "--views", &views, "--size", size, "--seed", &seed]);
     }
 
     pub(crate) fn at(&self, name: &str) -> PathBuf {

@@ -65,9 +65,38 @@ impl Place {
 
 /// Makes the tiny capture.
 pub(crate) fn capture(out: &str) {
-    let arguments = ["-q", "synth", "capture", "--out", out, "--views", "9", "--size", "96x64"];
-    let output = command().args(arguments).output().expect("the command starts");
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    synthesise(Path::new(out), &["capture", "--views", "9", "--size", "96x64"]);
+}
+
+/// Runs `use3d synth` with these arguments. The same program makes the same files, so they are made once and
+/// copied for every other test that asks for them.
+pub(crate) fn synthesise(out: &Path, arguments: &[&str]) {
+    let program = std::fs::metadata(env!("CARGO_BIN_EXE_use3d")).expect("the program");
+    let age = program.modified().expect("a time").duration_since(std::time::UNIX_EPOCH).expect("later");
+    let all = Path::new(env!("CARGO_TARGET_TMPDIR")).join("synthesised");
+    let of_program = all.join(age.as_nanos().to_string());
+    let made = of_program.join(arguments.join("_"));
+    if !made.is_dir() {
+        // Files of earlier programs are of no use any more.
+        for earlier in std::fs::read_dir(&all).into_iter().flatten().flatten() {
+            if earlier.path() != of_program {
+                let _ = std::fs::remove_dir_all(earlier.path());
+            }
+        }
+        std::fs::create_dir_all(&of_program).expect("a folder");
+        let working = tempfile::tempdir_in(&of_program).expect("a folder");
+        let mut synth = command();
+        synth.args(["-q", "synth"]).args(arguments).arg("--out").arg(working.path().join("made"));
+        let output = synth.output().expect("the command starts");
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        // Another test may have been faster; its files are equal.
+        let _ = std::fs::rename(working.path().join("made"), &made);
+    }
+    for (path, bytes) in files(&made) {
+        let to = out.join(path);
+        std::fs::create_dir_all(to.parent().expect("a folder")).expect("a folder");
+        std::fs::write(to, bytes).expect("written");
+    }
 }
 
 pub(crate) fn command() -> Command {
