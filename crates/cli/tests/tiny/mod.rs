@@ -72,9 +72,9 @@ pub(crate) fn capture(out: &str) {
 /// copied for every other test that asks for them.
 pub(crate) fn synthesise(out: &Path, arguments: &[&str]) {
     let program = std::fs::metadata(env!("CARGO_BIN_EXE_use3d")).expect("the program");
-    let age = program.modified().expect("a time").duration_since(std::time::UNIX_EPOCH).expect("later");
+    let changed = program.modified().expect("a time").duration_since(std::time::UNIX_EPOCH).expect("later");
     let all = Path::new(env!("CARGO_TARGET_TMPDIR")).join("synthesised");
-    let of_program = all.join(age.as_nanos().to_string());
+    let of_program = all.join(changed.as_nanos().to_string());
     let made = of_program.join(arguments.join("_"));
     if !made.is_dir() {
         // Files of earlier programs are of no use any more.
@@ -91,6 +91,7 @@ pub(crate) fn synthesise(out: &Path, arguments: &[&str]) {
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
         // Another test may have been faster; its files are equal.
         let _ = std::fs::rename(working.path().join("made"), &made);
+        assert!(made.is_dir(), "{} cannot be made", made.display());
     }
     for (path, bytes) in files(&made) {
         let to = out.join(path);
