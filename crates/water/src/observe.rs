@@ -110,7 +110,8 @@ pub fn observe_sizes<E: From<ObserveError>>(
     for view in 0..cameras.len() {
         if let Some((image, mask)) = load(view)? {
             whole.view(view, &image, mask.as_ref())?;
-            half.view(view, &halved(&image), mask.as_ref().map(halved).as_ref())?;
+            let (image, mask) = halved_view(&image, mask.as_ref());
+            half.view(view, &image, mask.as_ref())?;
         }
     }
     Ok([whole.done(), half.done()])
@@ -126,6 +127,12 @@ fn halved_tracks(tracks: &[Track]) -> Vec<Track> {
         (s.x, s.y) = (0.5 * s.x, 0.5 * s.y);
     }
     moved
+}
+
+/// A view at half of its size. It has no type parameters, so that its loops are compiled here: a caller may
+/// be a crate that is not optimised.
+fn halved_view(image: &Image, mask: Option<&Map>) -> (Image, Option<Map>) {
+    (halved(image), mask.map(halved))
 }
 
 /// The means of 2×2 pixels; an odd last row or column is left out.
