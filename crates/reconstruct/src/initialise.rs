@@ -7,10 +7,9 @@
 //! more points than Gaussians allowed, a random choice of them is kept. If `start_points` requests it,
 //! points [between tracked points](crate::triangles) are added, as many as there is room for.
 
-use std::num::NonZero;
-
 use glam::DVec3;
-use kiddo::{ImmutableKdTree, SquaredEuclidean};
+use kdtree::KdTree;
+use kdtree::distance::squared_euclidean;
 use rayon::prelude::*;
 use use3d_capture::{Camera, Capture};
 use use3d_numerics::math;
@@ -159,43 +158,25 @@ fn spacing(points: &[DVec3]) -> Vec<f64> {
     place_of.into_iter().map(|p| by_place[p]).collect()
 }
 
+/// The mean distance of each of several different places to the three nearest others.
 fn place_spacing(places: &[[f64; 3]]) -> Vec<f64> {
     let lone = 0.1;
-    if places.len() < 2 {
-        return vec![lone; places.len()];
+    let mut tree = KdTree::with_capacity(3, 32);
+    // A tree that grows by places in a random order is shallow; the order changes no distance.
+    for i in Stream::new(0, Purpose::new("order of places"), 0).permutation(places.len()) {
+        // An error would name a coordinate that is not finite; such points were left out before.
+        if tree.add(places[i], ()).is_err() {
+            return vec![lone; places.len()];
+        }
     }
-    let mean = |distances: &mut dyn Iterator<Item = f64>| {
-        let (sum, count) = distances.fold((0.0, 0), |(s, c), d| (s + d, c + 1));
-        if count == 0 { lone } else { sum / f64::from(count) }
+    let spacing = |place: &[f64; 3]| {
+        let nearest = tree.nearest(place, NEIGHBOURS + 1, &squared_euclidean).unwrap_or_default();
+        // The nearest is the place itself.
+        let others = nearest.get(1..).unwrap_or_default();
+        let sum: f64 = others.iter().map(|(d, ())| d.sqrt()).sum();
+        if others.is_empty() { lone } else { sum / others.len() as f64 }
     };
-    // The tree refuses some degenerate sets. Those are small or planar, so a plain search is fast enough.
-    match (NonZero::new(NEIGHBOURS + 1), ImmutableKdTree::<f64, 3>::new_from_slice(places)) {
-        (Some(count), Ok(tree)) => places
-            .par_iter()
-            .map(|p| {
-                let found = tree.query(p).nearest_n::<SquaredEuclidean<f64>>(count).execute();
-                let mut distances: Vec<f64> = found.iter().map(|n| n.distance).collect();
-                distances.sort_unstable_by(f64::total_cmp);
-                // The nearest is the point itself.
-                mean(&mut distances.iter().skip(1).map(|d| d.sqrt()))
-            })
-            .collect(),
-        _ => places
-            .par_iter()
-            .map(|p| {
-                let mut nearest = [f64::INFINITY; NEIGHBOURS + 1];
-                for q in places {
-                    let d: f64 = (0..3).map(|a| math::powi(p[a] - q[a], 2)).sum();
-                    let at = nearest.partition_point(|n| *n <= d);
-                    if at < nearest.len() {
-                        nearest[at..].rotate_right(1);
-                        nearest[at] = d;
-                    }
-                }
-                mean(&mut nearest.iter().skip(1).filter(|d| d.is_finite()).map(|d| d.sqrt()))
-            })
-            .collect(),
-    }
+    places.par_iter().map(spacing).collect()
 }
 
 #[cfg(test)]
