@@ -21,6 +21,9 @@ const WHITE: [f64; 3] = [0.950456, 1.0, 1.088754];
 /// The smallest argument of the cube root, (6/29)³.
 const KNEE: f64 = 216.0 / 24389.0;
 
+/// Pixels of one task.
+const PIXELS: usize = 1024;
+
 /// The largest display value that sRGB's curve decodes by a line.
 const LINE: f64 = 0.04045;
 
@@ -116,13 +119,14 @@ pub(crate) fn difference_of_lab(
     large_enough(metric, x, 1)?;
     finite("the first image", x)?;
     finite("the second image", y)?;
-    let width = x.width();
-    let mut map = Map::new(width, x.height());
-    map.data_mut().par_chunks_mut(width).enumerate().for_each(|(row, line)| {
-        for (column, out) in line.iter_mut().enumerate() {
-            let lab = |image: &Image| lab_of_srgb(image.pixel(column, row));
-            if counts(row * width + column) {
-                *out = difference(lab(x), lab(y)) as f32;
+    let mut map = Map::new(x.width(), x.height());
+    let planes = [x, y].map(|image| [0, 1, 2].map(|c| image.plane(c)));
+    // Not by rows: an image of chosen pixels is a single row.
+    map.data_mut().par_chunks_mut(PIXELS).enumerate().for_each(|(part, out)| {
+        for (p, out) in (part * PIXELS..).zip(out) {
+            if counts(p) {
+                let [x, y] = planes.map(|planes| lab_of_srgb(planes.map(|plane| plane[p])));
+                *out = difference(x, y) as f32;
             }
         }
     });
