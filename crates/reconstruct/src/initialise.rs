@@ -164,10 +164,8 @@ fn place_spacing(places: &[[f64; 3]]) -> Vec<f64> {
     let mut tree = KdTree::with_capacity(3, 32);
     // A tree that grows by places in a random order is shallow; the order changes no distance.
     for i in Stream::new(0, Purpose::new("order of places"), 0).permutation(places.len()) {
-        // An error would name a coordinate that is not finite; such points were left out before.
-        if tree.add(places[i], ()).is_err() {
-            return vec![lone; places.len()];
-        }
+        // The tree refuses only a place that is not finite. Such a place has no neighbours and is none.
+        tree.add(places[i], ()).ok();
     }
     let spacing = |place: &[f64; 3]| {
         let nearest = tree.nearest(place, NEIGHBOURS + 1, &squared_euclidean).unwrap_or_default();
