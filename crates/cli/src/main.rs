@@ -3,6 +3,8 @@
 #[macro_use]
 mod output;
 
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+mod allocator;
 mod args;
 mod c_functions;
 mod destination;
@@ -46,6 +48,8 @@ fn main() -> ExitCode {
     logging::start(cli.verbose, cli.quiet);
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let threads = cli.threads.unwrap_or(cores);
+    #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    allocator::share_arenas(threads);
     if let Err(error) = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global() {
         tracing::debug!("thread pool: {error}");
     }
