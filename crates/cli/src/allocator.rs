@@ -2,13 +2,13 @@
 //!
 //! glibc gives every thread an arena of its own. Memory that is freed in one arena does not serve threads of
 //! another, and most of it never goes back to the system. Several threads load and train the views, so a
-//! training of 1280×720 held a third more memory than it used. Few arenas for all threads end this.
+//! training of 1280×720 held a third more memory than with one arena. Few arenas for all threads end this.
 
 #![expect(unsafe_code, reason = "calling a function of the C library that takes two numbers")]
 
 use std::env;
 
-/// Threads that share one arena. Small pieces of memory never wait for an arena, and large ones wait briefly.
+/// Threads that share one arena. Small pieces of memory rarely wait for an arena; large ones wait briefly.
 const THREADS_PER_ARENA: usize = 4;
 
 /// Lets `threads` threads share few arenas, unless the user has set their number. It must run before the
