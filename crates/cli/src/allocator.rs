@@ -1,6 +1,6 @@
 //! The number of places from which the C library takes memory.
 //!
-//! glibc gives every thread an arena of its own. Memory that is freed in one arena does not serve threads of
+//! glibc gives threads arenas of their own. Memory that is freed in one arena does not serve threads of
 //! another, and most of it never goes back to the system. Several threads load and train the views, so a
 //! training of 1280×720 held a third more memory than with one arena. Few arenas for all threads end this.
 
