@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use use3d_numerics::math;
 use use3d_splat::Gaussians;
 
-use super::{NO_WATER, normalised, opacity};
+use super::{NO_WATER, normalised, opacity, write_words};
 
 /// Writes Gaussians. `turn` is the node's rotation, a quaternion xyzw: half a turn about x for COLMAP's
 /// frame, whose y points down.
@@ -77,13 +77,9 @@ pub fn write(gaussians: &Gaussians, comment: &str, turn: [f32; 4], mut writer: i
     let [Ok(whole), Ok(json), Ok(binary)] = sizes else {
         return Err(io::Error::other("more than 4 GiB: too large for a GLB file"));
     };
-    for word in [0x4654_6C67, 2, whole, json, 0x4E4F_534A] {
-        writer.write_all(&word.to_le_bytes())?;
-    }
+    write_words(&mut writer, &[0x4654_6C67, 2, whole, json, 0x4E4F_534A])?;
     writer.write_all(&text)?;
-    for word in [binary, 0x004E_4942] {
-        writer.write_all(&word.to_le_bytes())?;
-    }
+    write_words(&mut writer, &[binary, 0x004E_4942])?;
     writer.write_all(&bytes)?;
     writer.flush()
 }

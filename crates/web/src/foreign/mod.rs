@@ -14,6 +14,8 @@ pub mod compressed_ply;
 pub mod glb;
 pub mod spz;
 
+use std::io::{self, Write};
+
 use use3d_numerics::math;
 
 /// The note in every file whose format has room for text; SPZ has none.
@@ -23,6 +25,11 @@ pub const NO_WATER: &str = "colours alone: this format cannot hold the water its
 fn normalised(q: [f32; 4]) -> [f32; 4] {
     let norm = q.iter().map(|v| v * v).sum::<f32>().sqrt();
     if norm > 0.0 && norm.is_finite() { q.map(|v| v / norm) } else { [1.0, 0.0, 0.0, 0.0] }
+}
+
+/// Writes 32-bit words, the lowest byte first.
+fn write_words(mut out: impl Write, words: &[u32]) -> io::Result<()> {
+    words.iter().try_for_each(|word| out.write_all(&word.to_le_bytes()))
 }
 
 /// Opacity in `[0, 1]` from its logit.

@@ -20,7 +20,7 @@ use ruzstd::encoding::{CompressionLevel, compress_to_vec};
 use use3d_numerics::spherical_harmonics::bands;
 use use3d_splat::Gaussians;
 
-use super::{largest, normalised, opacity};
+use super::{largest, normalised, opacity, write_words};
 
 /// The version of the format that is written.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -66,34 +66,25 @@ pub fn write(gaussians: &Gaussians, version: Version, writer: impl Write) -> io:
 
 fn gzipped(count: u32, shape: [u8; 3], arrays: &[Vec<u8>], writer: impl Write) -> io::Result<()> {
     let mut out = GzEncoder::new(writer, Compression::default());
-    for word in [MAGIC, 3, count] {
-        out.write_all(&word.to_le_bytes())?;
-    }
+    write_words(&mut out, &[MAGIC, 3, count])?;
     out.write_all(&shape)?;
     out.write_all(&[0])?;
-    for array in arrays {
-        out.write_all(array)?;
-    }
+    arrays.iter().try_for_each(|array| out.write_all(array))?;
     out.finish()?.flush()
 }
 
 fn framed(count: u32, shape: [u8; 3], arrays: &[Vec<u8>], mut out: impl Write) -> io::Result<()> {
-    for word in [MAGIC, 4, count] {
-        out.write_all(&word.to_le_bytes())?;
-    }
+    write_words(&mut out, &[MAGIC, 4, count])?;
     out.write_all(&shape)?;
     out.write_all(&[arrays.len() as u8])?;
-    out.write_all(&HEAD.to_le_bytes())?;
-    out.write_all(&[0; 12])?;
+    write_words(&mut out, &[HEAD, 0, 0, 0])?;
     let frames: Vec<Vec<u8>> =
         arrays.iter().map(|array| compress_to_vec(array.as_slice(), CompressionLevel::Fastest)).collect();
     for (frame, array) in frames.iter().zip(arrays) {
         out.write_all(&(frame.len() as u64).to_le_bytes())?;
         out.write_all(&(array.len() as u64).to_le_bytes())?;
     }
-    for frame in &frames {
-        out.write_all(frame)?;
-    }
+    frames.iter().try_for_each(|frame| out.write_all(frame))?;
     out.flush()
 }
 

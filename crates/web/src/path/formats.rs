@@ -71,33 +71,20 @@ impl CameraPath {
         }
         let back = turn.inverse();
         let keys = path.camera_path.iter().enumerate().map(|(i, frame)| {
-            let m: [f64; 16] = frame.camera_to_world.as_slice().try_into().map_err(|_| {
-                format!(
-                    "camera_path[{i}].camera_to_world has {} numbers; expected 16",
-                    frame.camera_to_world.len()
-                )
+            let given = &frame.camera_to_world;
+            let m: [f64; 16] = given.as_slice().try_into().map_err(|_| {
+                format!("camera_path[{i}].camera_to_world has {} numbers; expected 16", given.len())
             })?;
             let column = |c: usize| back * DVec3::new(m[c], m[4 + c], m[8 + c]);
-            let (right, down, forward) = (column(0), -column(1), -column(2));
-            let unit = |v: DVec3| v.normalize_or_zero().to_array();
-            Ok(key(
-                i,
-                rate,
-                back * (DVec3::new(m[3], m[7], m[11]) / scale - shift),
-                [right, down, forward].map(unit),
-                frame.fov,
-            ))
+            let axes = [column(0), -column(1), -column(2)].map(|axis| axis.normalize_or_zero().to_array());
+            let center = back * (DVec3::new(m[3], m[7], m[11]) / scale - shift);
+            Ok(key(i, rate, center, axes, frame.fov))
         });
         let keys = keys.collect::<Result<Vec<Key>, String>>()?;
         // Errors in a key are reported with the names of the file's own fields.
-        if let Some(i) = keys
-            .iter()
-            .position(|k| !(k.shot.vertical_fov_degrees > 0.0 && k.shot.vertical_fov_degrees < 180.0))
-        {
-            return Err(format!(
-                "camera_path[{i}].fov is {}; expected more than 0 and less than 180",
-                keys[i].shot.vertical_fov_degrees
-            ));
+        let mut angles = keys.iter().map(|key| key.shot.vertical_fov_degrees).enumerate();
+        if let Some((i, fov)) = angles.find(|(_, fov)| !(*fov > 0.0 && *fov < 180.0)) {
+            return Err(format!("camera_path[{i}].fov is {fov}; expected more than 0 and less than 180"));
         }
         if let Some((i, what)) = keys.iter().enumerate().find_map(|(i, k)| Some((i, k.shot.check().err()?))) {
             return Err(format!("camera_path[{i}].camera_to_world is not a pose: {what}"));
