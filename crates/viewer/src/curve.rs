@@ -26,11 +26,7 @@ impl Curve {
         }
         self.points.push((step, value));
         if self.points.len() > MOST {
-            let mut index = 0;
-            self.points.retain(|_| {
-                index += 1;
-                index % 2 == 1
-            });
+            self.points = self.points.iter().copied().step_by(2).collect();
             let span = self.points.last().map_or(0, |p| p.0) - self.points.first().map_or(0, |p| p.0);
             self.apart = span / self.points.len().max(1) as u64;
         }

@@ -80,6 +80,7 @@ pub(crate) enum DrawingAnswer {
     Failed(String),
 }
 
+#[derive(Debug)]
 struct DrawingJob {
     page: String,
     wanted: DrawingRequest,
@@ -87,7 +88,7 @@ struct DrawingJob {
 }
 
 /// Requests, oldest page first.
-#[derive(Default)]
+#[derive(Debug, Default)]
 struct Queue {
     jobs: VecDeque<DrawingJob>,
     closed: bool,
@@ -95,6 +96,7 @@ struct Queue {
     rests_until: Option<Instant>,
 }
 
+#[derive(Debug)]
 pub(crate) struct Drawing {
     live: Arc<Live>,
     queue: Mutex<Queue>,
@@ -159,11 +161,11 @@ impl Drawing {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(1).thread_name(|_| "viewer".into()).build();
         let Ok(beside) = pool.inspect_err(|e| tracing::warn!("the viewer cannot draw: {e}")) else { return };
         let mut pace = Pace::default();
-        let mut next = self.next();
-        while let Some(job) = next {
+        // The request after the last drawing, if it needs another renderer.
+        let mut next = None;
+        while let Some(job) = next.take().or_else(|| self.next()) {
             let Some((shown, version)) = self.live.shown() else {
                 let _ = job.answer.send(DrawingAnswer::Failed("there is no scene yet".into()));
-                next = self.next();
                 continue;
             };
             let (strength, water) = amounts(&job.wanted);
@@ -174,13 +176,12 @@ impl Drawing {
                 Ok(renderer) => renderer,
                 Err(error) => {
                     let _ = job.answer.send(DrawingAnswer::Failed(error.to_string()));
-                    next = self.next();
                     continue;
                 }
             };
-            let mut now = Some(job);
+            next = Some(job);
             // The renderer is kept as long as the scene and the amounts stay the same.
-            while let Some(job) = now.take_if(|job| {
+            while let Some(job) = next.take_if(|job| {
                 (self.live.version(), amounts(&job.wanted)) == (version, (strength, water))
                     || matches!(job.wanted, DrawingRequest::Depth(_)) && self.live.version() == version
             }) {
@@ -191,19 +192,16 @@ impl Drawing {
                     DrawingRequest::Depth(camera) => depth(&mut renderer, camera),
                     DrawingRequest::Patch { camera, x, y, .. } => {
                         renderer.set_white(Gains::ONE);
-                        DrawingAnswer::Patch(patch(&mut renderer, camera, *x, *y).map_err(|e| e.to_string()))
+                        let found = patch(&mut renderer, camera, *x, *y).map_err(|e| e.to_string());
+                        Ok(DrawingAnswer::Patch(found))
                     }
                 });
-                let _ = job.answer.send(drawn);
+                let _ = job.answer.send(drawn.unwrap_or_else(DrawingAnswer::Failed));
                 let rest = self.live.rest(started.elapsed());
                 self.queue.lock().unwrap_or_else(PoisonError::into_inner).rests_until =
                     rest.map(|rest| Instant::now() + rest);
-                now = self.next();
-                if now.is_none() {
-                    return;
-                }
+                next = self.next();
             }
-            next = now;
         }
     }
 }
@@ -249,7 +247,7 @@ impl Pace {
         look: &PictureRequest,
         version: u64,
         trains: bool,
-    ) -> DrawingAnswer {
+    ) -> Result<DrawingAnswer, String> {
         let divisor = self.divisor(look, trains);
         let k = look.camera.intrinsics;
         let (width, height) = (k.width.div_ceil(divisor), k.height.div_ceil(divisor));
@@ -257,22 +255,16 @@ impl Pace {
         let camera = Camera { intrinsics: k.scaled(sx, sy, width, height), pose: look.camera.pose };
         let started = Instant::now();
         renderer.set_white(look.white);
-        let modes = match look.left {
-            Some((left, _)) => vec![look.mode, left],
-            None => vec![look.mode],
-        };
-        let image = match renderer.render(&camera, &modes) {
-            Ok(frames) => joined(look, &modes, &frames),
-            Err(error) => return DrawingAnswer::Failed(error.to_string()),
-        };
+        let mut modes = vec![look.mode];
+        modes.extend(look.left.map(|(left, _)| left));
+        let frames = renderer.render(&camera, &modes).map_err(|e| e.to_string())?;
+        let image = joined(look, &modes, &frames);
         let one = started.elapsed().as_secs_f64() / (width * height * modes.len()) as f64;
         let known = &mut self.per_pixel[usize::from(trains)];
         *known = Some(known.map_or(one, |known| 0.7 * known + 0.3 * one));
         let exact = divisor == 1 && !look.moving && !trains;
-        match encoded(&image, exact) {
-            Ok((bytes, kind)) => DrawingAnswer::Picture { bytes, kind, divisor, version },
-            Err(error) => DrawingAnswer::Failed(error),
-        }
+        let (bytes, kind) = encoded(&image, exact)?;
+        Ok(DrawingAnswer::Picture { bytes, kind, divisor, version })
     }
 }
 
@@ -309,19 +301,16 @@ fn encoded(image: &Image, exact: bool) -> Result<(Vec<u8>, &'static str), String
     Ok((bytes, "image/jpeg"))
 }
 
-fn depth(renderer: &mut SceneRenderer<'_>, camera: &Camera) -> DrawingAnswer {
-    let frames = match renderer.render(camera, &[Mode::Depth, Mode::Alpha]) {
-        Ok(frames) => frames,
-        Err(error) => return DrawingAnswer::Failed(error.to_string()),
-    };
+fn depth(renderer: &mut SceneRenderer<'_>, camera: &Camera) -> Result<DrawingAnswer, String> {
+    let frames = renderer.render(camera, &[Mode::Depth, Mode::Alpha]).map_err(|e| e.to_string())?;
     let [Rendering::Scalar(depth), Rendering::Scalar(alpha)] = &frames[..] else {
-        return DrawingAnswer::Depth(None);
+        return Ok(DrawingAnswer::Depth(None));
     };
     let there =
         depth.data().iter().zip(alpha.data()).filter(|(depth, alpha)| **depth > 0.0 && **alpha > 0.25);
     let mut depths: Vec<f32> = there.map(|(depth, _)| *depth).collect();
     depths.sort_unstable_by(f32::total_cmp);
-    DrawingAnswer::Depth(depths.get(depths.len() / 2).copied())
+    Ok(DrawingAnswer::Depth(depths.get(depths.len() / 2).copied()))
 }
 
 #[cfg(test)]
@@ -360,15 +349,7 @@ mod tests {
         };
         let medium = MediumModel::None;
         let scene = Scene { gaussians, frame: Frame::IDENTITY, medium, medium_degree: 0, enhancement: None };
-        live.show(Shown {
-            name: "reef".into(),
-            scene: Arc::new(scene),
-            views: Arc::default(),
-            metres_per_unit: None,
-            saved: None,
-            white: None,
-            step: None,
-        });
+        live.show(Shown::new("reef".into(), scene, Vec::new(), None));
         // Nothing is drawn yet, as if one large picture took all this time.
         let drawing = Drawing::new(live);
         let mut asked: Vec<_> =

@@ -8,7 +8,7 @@ use crate::http::{HttpRequest, Response};
 
 /// The secret at the end of the printed address.
 #[derive(Clone, Debug)]
-pub(crate) struct Token(String);
+pub(crate) struct Token(pub(crate) String);
 
 impl Token {
     /// 128 random bits in hexadecimal.
@@ -16,10 +16,6 @@ impl Token {
         let mut bits = [0u8; 16];
         getrandom::fill(&mut bits)?;
         Ok(Self(bits.iter().map(|b| format!("{b:02x}")).collect()))
-    }
-
-    pub(crate) fn text(&self) -> &str {
-        &self.0
     }
 
     /// Compares in a time that does not depend on the position of the first difference.

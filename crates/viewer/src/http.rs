@@ -67,9 +67,7 @@ impl Response {
     }
 }
 
-/// The bytes of a connection that were received but not yet parsed.
-#[derive(Debug, Default)]
-pub(crate) struct Pending(Vec<u8>);
+const TOO_LONG: NoRequest = NoRequest::Refused(431, "the request's head is too long");
 
 /// The end of a head, its request, and the length of the body.
 fn head(bytes: &[u8]) -> Result<Option<(usize, HttpRequest, usize)>, NoRequest> {
@@ -78,13 +76,11 @@ fn head(bytes: &[u8]) -> Result<Option<(usize, HttpRequest, usize)>, NoRequest> 
     let end = match parsed.parse(bytes) {
         Ok(httparse::Status::Complete(end)) => end,
         Ok(httparse::Status::Partial) if bytes.len() < HEAD => return Ok(None),
-        Ok(httparse::Status::Partial) | Err(httparse::Error::TooManyHeaders) => {
-            return Err(NoRequest::Refused(431, "the request's head is too long"));
-        }
+        Ok(httparse::Status::Partial) | Err(httparse::Error::TooManyHeaders) => return Err(TOO_LONG),
         Err(_) => return Err(NoRequest::Refused(400, "this is not an HTTP request")),
     };
     if end > HEAD {
-        return Err(NoRequest::Refused(431, "the request's head is too long"));
+        return Err(TOO_LONG);
     }
     let field = |name: &str| -> Result<Option<String>, NoRequest> {
         let named = parsed.headers.iter().filter(|f| f.name.eq_ignore_ascii_case(name));
@@ -114,27 +110,30 @@ fn head(bytes: &[u8]) -> Result<Option<(usize, HttpRequest, usize)>, NoRequest> 
     Ok(Some((end, request, length)))
 }
 
-/// Reads the next request of a connection.
-pub(crate) fn read(stream: &mut TcpStream, pending: &mut Pending) -> Result<HttpRequest, NoRequest> {
-    let mut begun = (!pending.0.is_empty()).then(Instant::now);
+/// Receives bytes, none if a signal interrupts it; `None` if nothing comes within `left`.
+fn receive(stream: &mut TcpStream, left: Duration, block: &mut [u8]) -> Option<usize> {
+    if left.is_zero() || stream.set_read_timeout(Some(left)).is_err() {
+        return None;
+    }
+    match stream.read(block) {
+        Ok(n) => (n > 0).then_some(n),
+        Err(e) => (e.kind() == ErrorKind::Interrupted).then_some(0),
+    }
+}
+
+/// Reads the next request of a connection. `bytes` are those that were received but not yet parsed.
+pub(crate) fn read(stream: &mut TcpStream, bytes: &mut Vec<u8>) -> Result<HttpRequest, NoRequest> {
+    let mut begun = (!bytes.is_empty()).then(Instant::now);
     let mut more = |bytes: &mut Vec<u8>| -> Result<(), NoRequest> {
         let left = begun.map_or(IDLE, |begun| PATIENCE.saturating_sub(begun.elapsed()));
-        if left.is_zero() || stream.set_read_timeout(Some(left)).is_err() {
-            return Err(NoRequest::Gone);
-        }
         let mut block = [0; 4096];
-        match stream.read(&mut block) {
-            Ok(0) => Err(NoRequest::Gone),
-            Ok(n) => {
-                begun.get_or_insert_with(Instant::now);
-                bytes.extend_from_slice(&block[..n]);
-                Ok(())
-            }
-            Err(e) if e.kind() == ErrorKind::Interrupted => Ok(()),
-            Err(_) => Err(NoRequest::Gone),
+        let n = receive(stream, left, &mut block).ok_or(NoRequest::Gone)?;
+        if n > 0 {
+            begun.get_or_insert_with(Instant::now);
         }
+        bytes.extend_from_slice(&block[..n]);
+        Ok(())
     };
-    let bytes = &mut pending.0;
     let (end, mut request, length) = loop {
         match head(bytes)? {
             Some(found) => break found,
@@ -198,18 +197,7 @@ pub(crate) fn refuse(stream: &mut TcpStream, response: &Response) {
         return;
     }
     let begun = Instant::now();
-    let mut block = [0; 4096];
-    loop {
-        let left = PATIENCE.saturating_sub(begun.elapsed());
-        if left.is_zero() || stream.set_read_timeout(Some(left)).is_err() {
-            return;
-        }
-        match stream.read(&mut block) {
-            Ok(0) => return,
-            Err(e) if e.kind() != ErrorKind::Interrupted => return,
-            _ => {}
-        }
-    }
+    while receive(stream, PATIENCE.saturating_sub(begun.elapsed()), &mut [0; 4096]).is_some() {}
 }
 
 #[cfg(test)]

@@ -47,6 +47,17 @@ pub struct Shown {
 }
 
 impl Shown {
+    /// A scene without metres, saved views and white balance.
+    pub fn new(
+        name: String,
+        scene: impl Into<Arc<Scene>>,
+        views: impl Into<Arc<Vec<PageView>>>,
+        step: Option<u64>,
+    ) -> Self {
+        let (scene, views) = (scene.into(), views.into());
+        Self { name, scene, views, metres_per_unit: None, saved: None, white: None, step }
+    }
+
     fn page(&self) -> Page<'_> {
         Page {
             name: &self.name,
@@ -119,8 +130,7 @@ impl Live {
     /// Starts without a scene. `stop` is the flag that ends the training with a checkpoint; without it the
     /// page cannot pause or stop anything.
     pub fn new(words: &str, stop: Option<Arc<AtomicBool>>) -> Self {
-        let state =
-            LiveState { words: words.into(), share: SHARE, header: Value::Null, ..LiveState::default() };
+        let state = LiveState { words: words.into(), share: SHARE, ..LiveState::default() };
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         Self { state: Mutex::new(state), changed: Condvar::new(), stop, cores }
     }

@@ -7,7 +7,7 @@ use std::thread;
 
 use crate::drawing::Drawing;
 use crate::guard::{Token, refusal};
-use crate::http::{self, NoRequest, Pending, Response};
+use crate::http::{self, NoRequest, Response};
 use crate::live::Live;
 use crate::site::Site;
 
@@ -44,16 +44,12 @@ pub struct Server {
     address: SocketAddr,
     token: Token,
     closing: Arc<AtomicBool>,
-    drawing: Ender,
+    drawing: Arc<Drawing>,
 }
 
-/// Ends the drawing thread.
-struct Ender(Arc<Drawing>);
-
-impl std::fmt::Debug for Ender {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str("Drawing")
-    }
+/// Starts a thread with a name.
+fn spawn(name: &str, work: impl FnOnce() + Send + 'static) -> std::io::Result<()> {
+    thread::Builder::new().name(name.into()).spawn(work).map(drop)
 }
 
 impl Server {
@@ -75,10 +71,7 @@ impl Server {
         let site = Arc::new(Site::new(live.clone(), drawing.clone()));
         let closing = Arc::new(AtomicBool::new(false));
         let drawer = drawing.clone();
-        thread::Builder::new()
-            .name("viewer drawing".into())
-            .spawn(move || drawer.work())
-            .map_err(|e| start(&e))?;
+        spawn("viewer drawing", move || drawer.work()).map_err(|e| start(&e))?;
         let accepting = Accepting {
             site,
             token: token.clone(),
@@ -86,16 +79,13 @@ impl Server {
             open: Arc::default(),
             guests: Arc::default(),
         };
-        thread::Builder::new()
-            .name("viewer".into())
-            .spawn(move || accepting.accept(&listener))
-            .map_err(|e| start(&e))?;
-        Ok(Self { address, token, closing, drawing: Ender(drawing) })
+        spawn("viewer", move || accepting.accept(&listener)).map_err(|e| start(&e))?;
+        Ok(Self { address, token, closing, drawing })
     }
 
     /// The address to open in a browser, with the token.
     pub fn address(&self) -> String {
-        format!("http://127.0.0.1:{}/#{}", self.port(), self.token.text())
+        format!("http://127.0.0.1:{}/#{}", self.port(), self.token.0)
     }
 
     /// The port.
@@ -107,7 +97,7 @@ impl Server {
 impl Drop for Server {
     fn drop(&mut self) {
         self.closing.store(true, Ordering::Relaxed);
-        self.drawing.0.close();
+        self.drawing.close();
         // Wakes the thread that accepts. If this fails, the thread ends with the next connection.
         let _ = TcpStream::connect(self.address);
     }
@@ -174,7 +164,7 @@ impl Accepting {
                 continue;
             }
             let this = self.clone();
-            let served = thread::Builder::new().name("viewer page".into()).spawn(move || {
+            let served = spawn("viewer page", move || {
                 let admitted = this.guests().admit(&stream);
                 if let Some(number) = admitted {
                     this.serve(&mut stream, number);
@@ -198,7 +188,7 @@ impl Accepting {
     /// Answers a connection's requests, one after another.
     fn serve(&self, stream: &mut TcpStream, number: u64) {
         let _ = stream.set_nodelay(true);
-        let mut pending = Pending::default();
+        let mut pending = Vec::new();
         while !self.closing.load(Ordering::Relaxed) {
             let request = match http::read(stream, &mut pending) {
                 Ok(request) => request,

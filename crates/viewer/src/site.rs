@@ -2,7 +2,6 @@
 //! JSON by `POST`.
 
 use std::sync::Arc;
-use std::sync::mpsc::Receiver;
 use std::time::Duration;
 
 use glam::{DMat3, DVec3};
@@ -138,41 +137,46 @@ impl Site {
             return page;
         }
         self.live.looked();
-        let answer = match request.path.as_str() {
-            "/scene" => Ok(Response::json(&self.live.beginning())),
-            "/state" => Ok(Response::json(&self.live.status())),
-            "/section" => words::<SectionWords>(request).map(|asked| match self.live.section(&asked.name) {
-                Some(bytes) => Response::new(200, "application/gzip", bytes),
-                None => Response::text(404, "the scene has no such part"),
-            }),
-            "/frame" => words::<LookWords>(request)
-                .and_then(|words| Ok((words.look()?, words.page)))
-                .map(|(look, page)| self.picture(&self.drawing.ask(&page, DrawingRequest::Picture(look)))),
-            "/depth" => words::<DepthWords>(request)
-                .and_then(|words| Ok((words.camera.camera()?, words.page)))
-                .map(|(camera, page)| self.picture(&self.drawing.ask(&page, DrawingRequest::Depth(camera)))),
-            "/patch" => words::<PatchWords>(request).and_then(|asked| {
-                if !(0.0..=1.0).contains(&asked.water) {
-                    return Err("water is 0 to 1".into());
-                }
-                let (camera, water) = (asked.camera.camera()?, asked.water);
-                let wanted = DrawingRequest::Patch { camera, x: asked.x, y: asked.y, water };
-                Ok(self.picture(&self.drawing.ask(&asked.page, wanted)))
-            }),
-            "/do" => words::<CommandWords>(request).and_then(|asked| {
-                if self.live.command(&asked.name, asked.share) {
-                    Ok(Response::json(&self.live.status()))
-                } else {
-                    Err("there is nothing of that kind to do here".into())
-                }
-            }),
-            _ => Ok(Response::text(404, "there is nothing here")),
-        };
-        answer.unwrap_or_else(|wrong| Response::text(400, &wrong))
+        self.data(request).unwrap_or_else(|wrong| Response::text(400, &wrong))
     }
 
-    fn picture(&self, drawn: &Receiver<DrawingAnswer>) -> Response {
-        match drawn.recv_timeout(PATIENCE) {
+    /// The answer to a `POST`, or the fault in it.
+    fn data(&self, request: &HttpRequest) -> Result<Response, String> {
+        Ok(match request.path.as_str() {
+            "/scene" => Response::json(&self.live.beginning()),
+            "/state" => Response::json(&self.live.status()),
+            "/section" => match self.live.section(&words::<SectionWords>(request)?.name) {
+                Some(bytes) => Response::new(200, "application/gzip", bytes),
+                None => Response::text(404, "the scene has no such part"),
+            },
+            "/frame" => {
+                let asked: LookWords = words(request)?;
+                self.drawn(&asked.page, DrawingRequest::Picture(asked.look()?))
+            }
+            "/depth" => {
+                let asked: DepthWords = words(request)?;
+                self.drawn(&asked.page, DrawingRequest::Depth(asked.camera.camera()?))
+            }
+            "/patch" => {
+                let PatchWords { page, camera, x, y, water } = words(request)?;
+                if !(0.0..=1.0).contains(&water) {
+                    return Err("water is 0 to 1".into());
+                }
+                self.drawn(&page, DrawingRequest::Patch { camera: camera.camera()?, x, y, water })
+            }
+            "/do" => {
+                let asked: CommandWords = words(request)?;
+                if !self.live.command(&asked.name, asked.share) {
+                    return Err("there is nothing of that kind to do here".into());
+                }
+                Response::json(&self.live.status())
+            }
+            _ => Response::text(404, "there is nothing here"),
+        })
+    }
+
+    fn drawn(&self, page: &str, wanted: DrawingRequest) -> Response {
+        match self.drawing.ask(page, wanted).recv_timeout(PATIENCE) {
             Ok(DrawingAnswer::Picture { bytes, kind, divisor, version }) => {
                 let mut response = Response::new(200, kind, bytes);
                 response.fields =
