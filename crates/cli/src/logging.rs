@@ -15,30 +15,12 @@ pub(crate) fn start(verbose: u8, quiet: bool) {
         (_, 2) => "debug",
         _ => "trace",
     };
-    let ours = [
-        "capture",
-        "io_image",
-        "survey",
-        "io_colmap",
-        "io_metashape",
-        "io_nerfstudio",
-        "io_opensfm",
-        "io_realityscan",
-        "import",
-        "prepare",
-        "splat",
-        "medium",
-        "atc",
-        "nets",
-        "synth",
-        "reconstruct",
-        "enhance",
-    ];
+    let ours = "capture io_image survey io_colmap io_metashape io_nerfstudio io_opensfm io_realityscan \
+                import prepare splat medium atc nets synth reconstruct enhance workflow pipeline scene \
+                render training";
     let mut filter = String::from(default);
     if !quiet && verbose == 0 {
-        for name in ours.iter().chain(&["workflow", "pipeline", "scene", "render", "training"]) {
-            filter.push_str(&format!(",use3d_{name}=info"));
-        }
+        ours.split(' ').for_each(|name| filter.push_str(&format!(",use3d_{name}=info")));
     }
     if verbose < 2 {
         // Drivers of graphics cards and their loader log many warnings; the engine reports real errors

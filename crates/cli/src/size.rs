@@ -6,19 +6,16 @@ use crate::error::CliError;
 
 /// Parses `WxH`. The program draws no picture with more pixels than it would read from a file.
 pub(crate) fn parse_size(text: &str) -> Result<(usize, usize), CliError> {
-    let sides = text.split_once(['x', 'X', '×']).and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
-    match sides {
-        Some((w, h)) if (1..=65_535).contains(&w) && (1..=65_535).contains(&h) => {
-            if (w * h) as u64 > MAX_PIXELS {
-                return Err(CliError::Input(format!(
-                    "size `{text}`: this is more than {MAX_PIXELS} pixels, the most that a picture may have; choose a smaller size"
-                )));
-            }
-            Ok((w, h))
-        }
-        _ => Err(CliError::Input(format!(
+    let sides: Option<(usize, usize)> =
+        text.split_once(['x', 'X', '×']).and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
+    match sides.filter(|(w, h)| (1..=65_535).contains(w) && (1..=65_535).contains(h)) {
+        None => Err(CliError::Input(format!(
             "size `{text}`: expected WIDTHxHEIGHT in pixels, 1 to 65535 each, e.g. 1400x933"
         ))),
+        Some((w, h)) if (w * h) as u64 > MAX_PIXELS => Err(CliError::Input(format!(
+            "size `{text}`: this is more than {MAX_PIXELS} pixels, the most that a picture may have; choose a smaller size"
+        ))),
+        Some(sides) => Ok(sides),
     }
 }
 

@@ -29,8 +29,7 @@ fn usual_cost(stage: &str, steps: f64) -> f64 {
     let (fixed, of_a_step) = match stage {
         "reconstruct" => (3.0, 0.0194),
         "enhance" => (0.5, 0.003),
-        "evaluate" => (5.0, 0.0),
-        "calibrate" => (5.0, 0.0),
+        "evaluate" | "calibrate" => (5.0, 0.0),
         "pairs" | "targets" => (1.5, 0.0),
         _ => (0.3, 0.0),
     };
@@ -156,11 +155,7 @@ impl WholeRun {
             }
             _ => return false,
         };
-        match self.parts.get_mut(node) {
-            Some(part) => part.turn = turn,
-            None => return false,
-        }
-        true
+        self.parts.get_mut(node).map(|part| part.turn = turn).is_some()
     }
 
     /// Takes a failed part away, with all parts that need its result.

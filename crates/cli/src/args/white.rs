@@ -34,6 +34,23 @@ pub(crate) struct Place {
 }
 
 impl Place {
+    /// Parses the form in which it is typed.
+    fn typed(text: &str) -> Option<Self> {
+        let (view, rest) = text.rsplit_once(':').filter(|(view, _)| !view.is_empty())?;
+        let (pixel, size) = match rest.split_once('@') {
+            Some((pixel, size)) => (pixel, Some(size.split_once('x')?)),
+            None => (rest, None),
+        };
+        let side = |text: &str| text.parse::<usize>().ok().filter(|n| *n > 0);
+        let size = match size {
+            Some((w, h)) => Some((side(w)?, side(h)?)),
+            None => None,
+        };
+        let (x, y) = pixel.split_once(',')?;
+        let number = |text: &str| text.trim().parse::<f64>().ok().filter(|v| v.is_finite() && *v >= 0.0);
+        Some(Self { view: view.into(), x: number(x)?, y: number(y)?, size })
+    }
+
     /// The form in which it is typed.
     pub(crate) fn text(&self) -> String {
         let size = self.size.map_or_else(String::new, |(w, h)| format!("@{w}x{h}"));
@@ -50,37 +67,15 @@ impl FromStr for WhiteChoice {
 
     fn from_str(text: &str) -> Result<Self, String> {
         match text {
-            "off" => return Ok(Self::Off),
-            "reef" => return Ok(Self::Reef),
-            "grey" | "gray" => return Ok(Self::Grey),
+            "off" => Ok(Self::Off),
+            "reef" => Ok(Self::Reef),
+            "grey" | "gray" => Ok(Self::Grey),
             "patch" => {
-                return Err(
-                    "give a pixel of a photograph that is grey or white, e.g. f_0001.jpg:812,430".into()
-                );
+                Err("give a pixel of a photograph that is grey or white, e.g. f_0001.jpg:812,430".into())
             }
-            _ => {}
+            file if file.to_lowercase().ends_with(".json") => Ok(Self::File(file.into())),
+            place => Place::typed(place).map(Self::Place).ok_or_else(|| EXPECTED.to_string()),
         }
-        if text.to_lowercase().ends_with(".json") {
-            return Ok(Self::File(text.into()));
-        }
-        let place = || {
-            let (view, rest) = text.rsplit_once(':')?;
-            let (pixel, size) =
-                rest.split_once('@').map_or((rest, None), |(pixel, size)| (pixel, Some(size)));
-            let (x, y) = pixel.split_once(',')?;
-            let side = |text: &str| text.parse::<usize>().ok().filter(|n| *n > 0);
-            let size = match size {
-                Some(size) => {
-                    let (w, h) = size.split_once('x')?;
-                    Some((side(w)?, side(h)?))
-                }
-                None => None,
-            };
-            let number = |text: &str| text.trim().parse::<f64>().ok().filter(|v| v.is_finite() && *v >= 0.0);
-            (!view.is_empty()).then_some(())?;
-            Some(Place { view: view.into(), x: number(x)?, y: number(y)?, size })
-        };
-        place().map(Self::Place).ok_or_else(|| EXPECTED.to_string())
     }
 }
 

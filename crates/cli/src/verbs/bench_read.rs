@@ -22,12 +22,11 @@ pub(super) fn read(path: &Path) -> Done {
     let name = path_text(path);
     let text = std::fs::read_to_string(path)
         .map_err(|error| CliError::Input(format!("--read: cannot read {name}: {error}")))?;
-    let record: Value = serde_json::from_str(&text).map_err(|error| {
-        CliError::Input(format!("--read: {name} is not a file of `use3d bench gpu`: {error}"))
-    })?;
+    let other =
+        |why: String| CliError::Input(format!("--read: {name} is not a file of `use3d bench gpu`: {why}"));
+    let record: Value = serde_json::from_str(&text).map_err(|error| other(error.to_string()))?;
     if record["format"] != FORMAT {
-        let what = format!("--read: {name} is not a file of `use3d bench gpu`: `format` is not \"{FORMAT}\"");
-        return Err(CliError::Input(what));
+        return Err(other(format!("`format` is not \"{FORMAT}\"")));
     }
     report(&record).iter().for_each(|line| println!("{line}"));
     Ok(())
@@ -44,14 +43,10 @@ fn list(value: &Value) -> &[Value] {
 /// All lines: the card, the trainings with their kernels, and the verdict.
 fn report(record: &Value) -> Vec<String> {
     let adapter = &record["adapter"];
-    let mut lines = vec![
-        format!(
-            "{} ({})",
-            text(&adapter["name"], "a card without a name"),
-            text(&adapter["driver"], "no driver")
-        ),
-        format!("kernels: {}", text(&record["variant"], "unknown")),
-    ];
+    let (name, driver) =
+        (text(&adapter["name"], "a card without a name"), text(&adapter["driver"], "no driver"));
+    let kernels = text(&record["variant"], "unknown");
+    let mut lines = vec![format!("{name} ({driver})"), format!("kernels: {kernels}")];
     lines.extend(compiled(record));
     for training in list(&record["trainings"]) {
         lines.push(String::new());
@@ -108,9 +103,8 @@ fn of_training(training: &Value) -> Vec<String> {
     let mut lines = Vec::new();
     match training["steps_per_second"].as_f64().filter(|rate| *rate > 0.0) {
         Some(rate) => {
-            let idle = training["idle_share"].as_f64();
-            let idle =
-                idle.map(|idle| format!(", {:.0} % of the time idle", 100.0 * idle)).unwrap_or_default();
+            let idle = training["idle_share"].as_f64().map(|idle| 100.0 * idle);
+            let idle = idle.map(|idle| format!(", {idle:.0} % of the time idle")).unwrap_or_default();
             lines.push(format!("{}: {rate:.1} steps a second{idle}", title(training)));
         }
         None => lines.push(format!("{}: {}", title(training), text(&training["refusal"], "not finished"))),
@@ -155,20 +149,20 @@ fn verdict(record: &Value) -> Vec<String> {
     let wrong: Vec<&Value> = twins.iter().filter(|twin| twin["holds"] == false).collect();
     for twin in wrong.iter().take(5) {
         let (what, case) = (text(&twin["what"], "?"), text(&twin["case"], "?"));
+        // A file stores no number for an error that is not finite.
+        let by =
+            twin["error"].as_f64().map_or("a value that is not finite".into(), |error| error.to_string());
+        let most = &twin["bar"];
         said.push(format!(
-            "Wrong: {what} differ from the processor's by {}, at most {} is right ({case}).",
-            error(twin),
-            twin["bar"]
+            "Wrong: {what} differ from the processor's by {by}, at most {most} is right ({case})."
         ));
     }
     if wrong.len() > 5 {
         said.push(format!("{} more comparisons do not hold.", wrong.len() - 5));
     }
     for runs in list(&record["determinism"]).iter().filter(|runs| runs["same"] == false) {
-        said.push(format!(
-            "Three runs of the same work gave different bits ({}).",
-            text(&runs["variant"], "?")
-        ));
+        let variant = text(&runs["variant"], "?");
+        said.push(format!("Three runs of the same work gave different bits ({variant})."));
     }
     for failed in list(&record["failed"]) {
         said.push(format!("Failed: {}: {}.", text(&failed["section"], "?"), text(&failed["why"], "?")));
@@ -193,11 +187,6 @@ fn verdict(record: &Value) -> Vec<String> {
         said.push(format!("There was no time for: {} (`--minutes` gives more).", left_out.join("; ")));
     }
     said
-}
-
-/// The error of a comparison. A file stores no number for one that is not finite.
-fn error(twin: &Value) -> String {
-    twin["error"].as_f64().map_or_else(|| "a value that is not finite".into(), |error| error.to_string())
 }
 
 fn speed(record: &Value) -> Vec<String> {

@@ -29,22 +29,18 @@ pub(super) fn scene(capture: &Capture) -> Result<Scene, String> {
     let mut far: Vec<f64> = places.iter().map(|p| (*p - middle).length()).collect();
     far.sort_unstable_by(f64::total_cmp);
     let size = (SIZE * far[count / 2]).max(1e-6);
-    let color = |rgb: [u8; 3]| rgb.map(|v| (f32::from(v) / 255.0 - 0.5) / C0);
+    let harmonics = |rgb: [u8; 3]| {
+        let mut sh = [[0.0; 3]; 16];
+        sh[0] = rgb.map(|v| (f32::from(v) / 255.0 - 0.5) / C0);
+        sh
+    };
     let gaussians = Gaussians {
         sh_degree: 0,
         means: places.iter().map(|p| p.as_vec3().to_array()).collect(),
         log_scales: vec![[use3d_numerics::math::ln(size) as f32; 3]; count],
         quaternions: vec![[1.0, 0.0, 0.0, 0.0]; count],
         opacity_logits: vec![OPACITY_LOGIT; count],
-        sh: capture
-            .points
-            .iter()
-            .map(|p| {
-                let mut sh = [[0.0; 3]; 16];
-                sh[0] = color(p.color);
-                sh
-            })
-            .collect(),
+        sh: capture.points.iter().map(|p| harmonics(p.color)).collect(),
     };
     Ok(Scene {
         gaussians,
