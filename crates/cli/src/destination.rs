@@ -1,13 +1,15 @@
-//! The destinations of results: checks, before any work is done, that a result can be written there.
+//! Paths that the user names, and the destinations of results: checks, before any work is done, that a result
+//! can be written there.
 //!
 //! Folders follow the rules of [`use3d_workflow::place`]. A file is replaced only with `--force`, and only if
 //! it is a regular file: never a folder, a device or a symbolic link.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use use3d_capture::name::shown;
+use use3d_workflow::Digest;
 use use3d_workflow::place::{self, PlaceError};
 
 use crate::error::{CliError, Done};
@@ -19,6 +21,22 @@ impl From<PlaceError> for CliError {
     }
 }
 
+/// An absolute form of a path; links stay in it.
+pub(crate) fn absolute(path: &Path) -> PathBuf {
+    std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf())
+}
+
+/// The paths of a folder's files and folders; none if it cannot be read.
+pub(crate) fn entries(folder: &Path) -> impl Iterator<Item = PathBuf> + use<> {
+    std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path())
+}
+
+/// The folder in which an unfinished training by hand keeps its checkpoints: beside its result, hidden.
+pub(crate) fn checkpoints_of(out: &Path) -> PathBuf {
+    let name = out.file_name().unwrap_or_default().to_string_lossy();
+    out.with_file_name(format!(".{name}.checkpoints"))
+}
+
 /// A path with control characters escaped, for printing.
 pub(crate) fn path_text(path: &Path) -> String {
     shown(&path.to_string_lossy()).into_owned()
@@ -26,17 +44,16 @@ pub(crate) fn path_text(path: &Path) -> String {
 
 /// Fails if a folder for a result is taken or cannot be written.
 pub(crate) fn check_folder(out: &Path, force: bool) -> Done {
-    let named = |e: PlaceError| match e {
-        PlaceError::Occupied { .. } => CliError::Input(format!("--out {e}")),
-        PlaceError::Io { .. } => e.into(),
-    };
     if out.file_name().is_none() {
         let what = "this folder is in use; choose another folder for the result";
         return Err(CliError::Input(format!("--out {}: {what}", path_text(out))));
     }
-    place::sweep(place::parent(out));
-    place::check(out, force).map_err(named)?;
-    place::check_writable(place::parent(out)).map_err(named)
+    let folder = place::parent(out);
+    place::sweep(folder);
+    place::check(out, force).and_then(|()| place::check_writable(folder)).map_err(|e| match e {
+        PlaceError::Occupied { .. } => CliError::Input(format!("--out {e}")),
+        PlaceError::Io { .. } => e.into(),
+    })
 }
 
 /// Fails if a file for a result is taken, has none of `extensions`, or cannot be written. `flag` is the flag
@@ -89,6 +106,11 @@ pub(crate) fn write_file(
     written.map_err(|e| CliError::Failed(format!("{flag} {}: cannot be written: {e}", path_text(path))))
 }
 
+/// Writes a text like [`write_file`].
+pub(crate) fn write_text(flag: &str, path: &Path, text: &str) -> Done {
+    write_file(flag, path, |writer| writer.write_all(text.as_bytes()))
+}
+
 /// Copies a finished file to the path that the user gave.
 pub(crate) fn copy_file(flag: &str, from: &Path, to: &Path) -> Done {
     write_file(flag, to, |writer| io::copy(&mut File::open(from)?, writer).map(|_| ()))
@@ -96,14 +118,24 @@ pub(crate) fn copy_file(flag: &str, from: &Path, to: &Path) -> Done {
 
 /// Copies a finished folder to the path that the user gave, with a record of its own.
 pub(crate) fn copy_folder(from: &Path, to: &Path, force: bool) -> Done {
+    put_folder(to, None, force, |made| place::copy_folder(from, made).map_err(CliError::failed))
+}
+
+/// Fills a new folder, and moves it to its place with a record of its own. An error leaves nothing behind.
+pub(crate) fn put_folder(
+    to: &Path,
+    key: Option<Digest>,
+    force: bool,
+    fill: impl FnOnce(&Path) -> Done,
+) -> Done {
     let made = place::sibling(to);
-    let placed = place::copy_folder(from, &made)
-        .and_then(|()| place::record(&made, None))
-        .and_then(|()| place::put(&made, to, force));
+    let placed = fill(&made)
+        .and_then(|()| place::record(&made, key).map_err(CliError::failed))
+        .and_then(|()| place::put(&made, to, force).map_err(CliError::failed));
     if placed.is_err() {
         let _ = std::fs::remove_dir_all(&made); // only our files; the first error is the one to report
     }
-    placed.map_err(CliError::failed)
+    placed
 }
 
 /// A path as a word of a command line, quoted if necessary.

@@ -21,7 +21,7 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use use3d_workflow::Listener;
+use use3d_workflow::{Event, Listener};
 
 use args::{Bench, Store, Synth, Verb};
 use error::{CliError, Done};
@@ -30,6 +30,7 @@ use error::{CliError, Done};
 const SEED: u64 = 42;
 
 /// The data that every verb gets.
+#[derive(Clone)]
 pub(crate) struct App {
     /// True if only errors are printed.
     pub(crate) quiet: bool,
@@ -43,8 +44,31 @@ pub(crate) struct App {
     pub(crate) listener: Arc<dyn Listener>,
 }
 
+impl App {
+    /// The same app, whose events `hear` gets too.
+    pub(crate) fn heard_by(&self, hear: impl Fn(&Event<'_>) + Send + Sync + 'static) -> Self {
+        let inner = self.listener.clone();
+        let listener = Arc::new(move |event: &Event<'_>| {
+            inner.event(event);
+            hear(event);
+        });
+        Self { listener, ..self.clone() }
+    }
+
+    /// Reports the progress of work that is no stage of a pipeline.
+    pub(crate) fn progress(&self, label: &str, done: u64, total: u64, unit: &str, message: &str) {
+        let event = Event::Progress { node: 0, label, done, total, unit, message, seconds_left: None };
+        self.listener.event(&event);
+    }
+
+    /// Reports the end of such work.
+    pub(crate) fn over(&self, label: &str) {
+        self.listener.event(&Event::Done { node: 0, label, cached: true, seconds: 0.0 });
+    }
+}
+
 fn main() -> ExitCode {
-    let cli = args::parse();
+    let (cli, wants_json) = args::parse();
     logging::start(cli.verbose, cli.quiet);
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let threads = cli.threads.unwrap_or(cores);
@@ -55,7 +79,6 @@ fn main() -> ExitCode {
     }
     let listener: Arc<dyn Listener> = Arc::new(listener::Terminal::new(cli.quiet));
     let app = App { quiet: cli.quiet, seed: SEED, threads, stop: interrupt::install(), listener };
-    let wants_json = cli.verb.wants_json();
     let done = run(&app, cli.verb).and_then(|()| match output::failure() {
         Some(reason) => Err(CliError::Failed(format!("cannot write to standard output: {reason}"))),
         None => Ok(()),

@@ -10,6 +10,10 @@ use std::io::{self, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 
+use serde::Serialize;
+
+use crate::error::{CliError, Done};
+
 /// The first failure to write to stdout; nothing is written after it.
 static FAILED: Mutex<Option<io::Error>> = Mutex::new(None);
 /// True if anything was written to stdout.
@@ -31,6 +35,11 @@ pub(crate) fn to_stdout(text: fmt::Arguments<'_>) {
 /// Writes a message; a message that cannot be written is dropped.
 pub(crate) fn to_stderr(text: fmt::Arguments<'_>) {
     let _ = io::stderr().lock().write_fmt(text);
+}
+
+/// A number with its noun: `1 stage`, `3 stages`.
+pub(crate) fn counted(n: usize, one: &str, many: &str) -> String {
+    format!("{n} {}", if n == 1 { one } else { many })
 }
 
 /// Returns true if anything was written to stdout.
@@ -59,6 +68,27 @@ macro_rules! println {
 macro_rules! eprintln {
     () => { $crate::output::to_stderr(format_args!("\n")) };
     ($($text:tt)*) => { $crate::output::to_stderr(format_args!("{}\n", format_args!($($text)*))) };
+}
+
+/// Prints a message on stderr, unless the app prints only errors.
+macro_rules! remark {
+    ($app:expr, $($text:tt)*) => { if !$app.quiet { eprintln!($($text)*) } };
+}
+
+/// Prints one JSON document.
+pub(crate) fn json(value: &impl Serialize) -> Done {
+    let text = serde_json::to_string_pretty(value).map_err(CliError::failed)?;
+    println!("{text}");
+    Ok(())
+}
+
+/// Prints a result as one JSON document, or as a text for people.
+pub(crate) fn show(value: &(impl Serialize + fmt::Display), as_json: bool) -> Done {
+    if as_json {
+        return json(value);
+    }
+    print!("{value}");
+    Ok(())
 }
 
 #[cfg(test)]

@@ -16,7 +16,7 @@ mod upkeep;
 mod view;
 mod white;
 
-use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, Subcommand};
 
 pub(crate) use bench::{Baselines, Bench, BenchGpuArgs, BenchTruthArgs};
 pub(crate) use captures::{Synth, SynthCaptureArgs, SynthPairsArgs, WaterArgs};
@@ -38,7 +38,7 @@ pub(crate) use upkeep::{
     CompletionsArgs, DevicesArgs, DoctorArgs, GcArgs, ManArgs, ModelsArgs, ParamsArgs, PipelinesArgs,
     VerifyArgs,
 };
-pub(crate) use view::{ViewArgs, ViewerArgs, WatchArgs};
+pub(crate) use view::{ViewArgs, WatchArgs};
 pub(crate) use white::{KeepWhiteArgs, Place, WhiteArgs, WhiteChoice};
 
 use shared::count;
@@ -77,11 +77,26 @@ pub(crate) struct Cli {
     pub(crate) threads: Option<usize>,
 }
 
-/// Reads the command line. An environment variable that is set but empty counts as unset, because scripts set
-/// `USE3D_CACHE=${SCRATCH}` on machines that may have no such variable.
-pub(crate) fn parse() -> Cli {
+/// Reads the command line, and finds out if the user expects one JSON document on stdout. An environment
+/// variable that is set but empty counts as unset, because scripts set `USE3D_CACHE=${SCRATCH}` on machines
+/// that may have no such variable.
+pub(crate) fn parse() -> (Cli, bool) {
     let matches = without_empty_variables(Cli::command()).get_matches();
-    Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit())
+    let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
+    (cli, wants_json(&matches))
+}
+
+/// Returns true if the innermost verb has the flag `--json`, or its equal `--format json`.
+fn wants_json(matches: &ArgMatches) -> bool {
+    match matches.subcommand() {
+        Some((_, verb)) => wants_json(verb),
+        None => {
+            matches.try_get_one::<bool>("json").is_ok_and(|json| json == Some(&true))
+                || matches
+                    .try_get_one::<TableFormat>("format")
+                    .is_ok_and(|format| format == Some(&TableFormat::Json))
+        }
+    }
 }
 
 fn without_empty_variables(command: clap::Command) -> clap::Command {
@@ -279,36 +294,4 @@ pub(crate) enum Verb {
     /// Write man pages of this command, one per verb, from the same texts as --help.
     #[command(after_help = "Example:\n  use3d man --out ~/.local/share/man/man1")]
     Man(ManArgs),
-}
-
-impl Verb {
-    /// Returns true if the user expects one JSON document on stdout.
-    pub(crate) fn wants_json(&self) -> bool {
-        match self {
-            Self::Run(args) => args.json,
-            Self::Prepare(args) => args.json,
-            Self::Check(args) => args.json,
-            Self::Push(args) => args.what.json,
-            Self::Pull(args) => args.json,
-            Self::Results(args) => args.json,
-            Self::Store { what: Store::Ls(args) } => args.json,
-            Self::Store { what: Store::Gc(args) } => args.sweep.json,
-            Self::Plan(args) => args.json,
-            Self::Status(args) => args.plan.json,
-            Self::Why(args) => args.json,
-            Self::Bench { what: Bench::Truth(args) } => args.json,
-            Self::Evaluate(args) => args.json || args.format == TableFormat::Json,
-            Self::Render(args) => args.json,
-            Self::Doctor(args) => args.json,
-            Self::White(args) => args.json,
-            Self::Models(args) => args.json,
-            Self::Devices(args) => args.json,
-            Self::Gc(args) => args.sweep.json,
-            Self::Verify(args) => args.json,
-            Self::Pipelines(args) => args.json && args.name.is_none(),
-            Self::Params(args) => args.json,
-            Self::Water(args) => args.json,
-            _ => false,
-        }
-    }
 }

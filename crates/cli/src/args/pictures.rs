@@ -20,6 +20,16 @@ pub(crate) enum FrameFormat {
     Exr,
 }
 
+impl FrameFormat {
+    /// The ending of its files.
+    pub(crate) fn extension(self) -> &'static str {
+        match self {
+            Self::Png => "png",
+            Self::Exr => "exr",
+        }
+    }
+}
+
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum CameraPath {
     /// Swim smoothly through the given cameras.

@@ -38,7 +38,7 @@ pub(crate) struct PrepareArgs {
     #[arg(long)]
     repeatable: bool,
     #[command(flatten)]
-    programs: ProgramArgs,
+    pub(crate) programs: ProgramArgs,
     #[command(flatten)]
     pub(crate) replace: Replace,
     /// One JSON document on stdout.
@@ -88,7 +88,7 @@ enum FinderChoice {
 
 /// The programs of others that find cameras and read films.
 #[derive(Clone, Debug, Args)]
-struct ProgramArgs {
+pub(crate) struct ProgramArgs {
     /// The program that finds the cameras.
     #[arg(long, value_enum, default_value_t)]
     with: FinderChoice,
@@ -122,11 +122,6 @@ impl PrepareArgs {
             },
             repeatable: self.repeatable,
         }
-    }
-
-    /// The programs.
-    pub(crate) fn programs(&self) -> Programs {
-        self.programs.clone().into()
     }
 }
 

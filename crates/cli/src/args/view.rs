@@ -7,17 +7,6 @@ use clap::Args;
 use super::shared::CacheArgs;
 use super::white::WhiteArgs;
 
-/// The address of the viewer for a browser.
-#[derive(Clone, Debug, Default, Args)]
-pub(crate) struct ViewerArgs {
-    /// The port on this machine (default: a free one).
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
-    pub(crate) port: Option<u16>,
-    /// Only print the address; open no browser.
-    #[arg(long)]
-    pub(crate) no_open: bool,
-}
-
 /// Watching a training.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct WatchArgs {
@@ -26,17 +15,10 @@ pub(crate) struct WatchArgs {
     pub(crate) view: bool,
     /// With --view: the port on this machine (default: a free one).
     #[arg(long, value_name = "N", requires = "view", value_parser = clap::value_parser!(u16).range(1..))]
-    port: Option<u16>,
+    pub(crate) port: Option<u16>,
     /// With --view: only print the address; open no browser.
     #[arg(long, requires = "view")]
-    no_open: bool,
-}
-
-impl WatchArgs {
-    /// The address options of the viewer.
-    pub(crate) fn viewer(&self) -> ViewerArgs {
-        ViewerArgs { port: self.port, no_open: self.no_open }
-    }
+    pub(crate) no_open: bool,
 }
 
 #[derive(Debug, Args)]
@@ -71,8 +53,12 @@ pub(crate) struct ViewArgs {
     pub(crate) set: Vec<String>,
     #[command(flatten)]
     pub(crate) white: WhiteArgs,
-    #[command(flatten)]
-    pub(crate) viewer: ViewerArgs,
+    /// The port on this machine (default: a free one).
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    pub(crate) port: Option<u16>,
+    /// Only print the address; open no browser.
+    #[arg(long)]
+    pub(crate) no_open: bool,
     #[command(flatten)]
     pub(crate) cache: CacheArgs,
 }

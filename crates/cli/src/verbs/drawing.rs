@@ -2,16 +2,19 @@
 
 use std::path::Path;
 
-use use3d_capture::{Camera, FileName, path, stem};
-use use3d_import::read_cameras;
+use use3d_capture::{Camera, FileName, Frame, path, stem};
+use use3d_import::{ImportParams, import, read_cameras};
 use use3d_io_image::{write_exr, write_exr_map, write_png, write_png_map};
 use use3d_pipeline::Drawn;
 use use3d_render::{Film, FilmError, Mode, Rendering, SceneRenderer, cover, focus, picture};
 use use3d_scene::{Origin, Scene};
 use use3d_workflow::error::nearest;
+use use3d_workflow::machine::bytes;
 use use3d_workflow::place;
 
+use crate::App;
 use crate::args::{CameraPath, FrameFormat, RenderArgs};
+use crate::destination::{check_file, path_text};
 use crate::error::{CliError, Done};
 use crate::size::parse_size;
 
@@ -34,37 +37,41 @@ pub(crate) fn renderer<'s>(args: &RenderArgs, drawn: &Drawn<'s>) -> Result<Scene
     renderer.with_water(args.water).map_err(CliError::input)
 }
 
+/// The cameras of a capture, a model or a list, in the frame of a scene.
+pub(crate) fn placed(cameras: &Path, frame: &Frame) -> Result<Vec<(FileName, Camera)>, CliError> {
+    let mut placed = read_cameras(cameras).map_err(CliError::input)?;
+    placed.iter_mut().for_each(|(_, camera)| camera.pose = frame.apply_pose(&camera.pose));
+    Ok(placed)
+}
+
+/// True if a scene was made from one of these views.
+pub(crate) fn any_known(origin: &Origin, cameras: &[(FileName, Camera)]) -> bool {
+    let known = |stem: &str| origin.train.iter().chain(&origin.held_out).any(|own| own == stem);
+    cameras.iter().any(|(name, _)| known(name.stem()))
+}
+
 /// The requested cameras, in the scene's frame.
 pub(crate) fn cameras(args: &RenderArgs, scene: &Scene) -> Result<Vec<(FileName, Camera)>, CliError> {
-    let from = args.cameras.as_deref().ok_or_else(|| {
-        let what = "give the cameras to render: --cameras with a capture, a COLMAP model or a list of \
-             cameras, or --path FILE";
-        CliError::Input(what.into())
-    })?;
-    let mut cameras = read_cameras(from).map_err(CliError::input)?;
-    for (_, camera) in &mut cameras {
-        camera.pose = scene.frame.apply_pose(&camera.pose);
-    }
+    let Some(from) = args.cameras.as_deref() else {
+        return Err(CliError::input(
+            "give the cameras to render: --cameras with a capture, a COLMAP model or a list of cameras, or \
+             --path FILE",
+        ));
+    };
+    let mut cameras = placed(from, &scene.frame)?;
     let origin = Origin::read(&args.scene).map_err(CliError::input)?;
-    if let Some(origin) = origin.as_ref().filter(|_| from.is_dir()) {
-        let known = |(name, _): &(FileName, Camera)| {
-            let stem = stem(name);
-            origin.train.iter().chain(&origin.held_out).any(|s| s == stem)
-        };
-        if !cameras.iter().any(known) {
-            eprintln!(
-                "warning: no camera of {} is a view that {} was made from: it may be another capture",
-                from.display(),
-                args.scene.display()
-            );
-        }
+    if from.is_dir() && origin.as_ref().is_some_and(|origin| !any_known(origin, &cameras)) {
+        eprintln!(
+            "warning: no camera of {} is a view that {} was made from: it may be another capture",
+            from.display(),
+            args.scene.display()
+        );
     }
     if args.held_out {
         match &origin {
             Some(origin) => cameras.retain(|(name, _)| origin.held_out.iter().any(|s| s == stem(name))),
             None => {
-                let split = use3d_import::import(from, &use3d_import::ImportParams::default());
-                let held_out = split.map_err(CliError::input)?.report.test;
+                let held_out = held_out(from)?;
                 cameras.retain(|(name, _)| held_out.iter().any(|held| name == held));
             }
         }
@@ -90,33 +97,84 @@ pub(crate) fn cameras(args: &RenderArgs, scene: &Scene) -> Result<Vec<(FileName,
     Ok(film.into_iter().enumerate().map(|(i, camera)| (FileName::frame(i), camera)).collect())
 }
 
-/// The names of the held-out views of a capture with default parameters; empty if the folder is not a
-/// capture.
-pub(crate) fn held_out(capture: &Path) -> Vec<String> {
-    use3d_import::import(capture, &use3d_import::ImportParams::default())
-        .map_or_else(|_| Vec::new(), |imported| imported.report.test)
+/// The names of the held-out views of a capture with default parameters.
+pub(crate) fn held_out(capture: &Path) -> Result<Vec<String>, CliError> {
+    Ok(import(capture, &ImportParams::default()).map_err(CliError::input)?.report.test)
 }
 
-/// A film at a path, as named by `--video`.
-pub(crate) fn film(path: &Path, frame_rate: u32) -> Result<(&Path, Film), CliError> {
-    let film = Film::create(path, place::sibling(path), frame_rate).map_err(|e| not_filmed(path, &e))?;
-    Ok((path, film))
+/// The frames that are written: pictures in folders, and the first mode as a film.
+pub(crate) struct Frames<'a> {
+    args: &'a RenderArgs,
+    /// The folder of all pictures; `None` if each mode has a folder of its own.
+    folder: Option<&'static str>,
+    film: Option<(&'a Path, Film)>,
+}
+
+impl<'a> Frames<'a> {
+    /// Fails, before anything is drawn, if an existing file would be overwritten.
+    pub(crate) fn create(
+        args: &'a RenderArgs,
+        folder: Option<&'static str>,
+        modes: &[Mode],
+        files: &[FileName],
+    ) -> Result<Self, CliError> {
+        let force = args.replace.force;
+        if let Some(video) = &args.video {
+            check_file("--video", video, force, &[])?;
+        }
+        if let Some(out) = &args.out {
+            place::check_writable(out)?;
+            let folders = modes.iter().map(|mode| out.join(folder.unwrap_or(mode.name())));
+            // Only an existing folder can hold pictures.
+            for folder in folders.filter(|folder| folder.exists()) {
+                files.iter().try_for_each(|file| check_file("--out", &file.below(&folder), force, &[]))?;
+            }
+        }
+        let film = args.video.as_deref().map(|path| {
+            let film = Film::create(path, place::sibling(path), args.frame_rate);
+            film.map(|film| (path, film)).map_err(|e| not_filmed(path, &e))
+        });
+        Ok(Self { args, folder, film: film.transpose()? })
+    }
+
+    /// Writes the pictures of one camera.
+    pub(crate) fn add(&mut self, file: &FileName, modes: &[Mode], frames: &[Rendering]) -> Done {
+        if let (Some((path, film)), Some(mode), Some(frame)) = (&mut self.film, modes.first(), frames.first())
+        {
+            film.push(&picture(*mode, frame).to_8bit()).map_err(|e| not_filmed(path, &e))?;
+        }
+        if let Some(out) = &self.args.out {
+            for (mode, frame) in modes.iter().zip(frames) {
+                write(&out.join(self.folder.unwrap_or(mode.name())), *mode, file, frame, self.args.format)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Ends the film, and names the written files; the words about film and folder follow their numbers of
+    /// frames.
+    pub(crate) fn finish(self, app: &App, count: usize, of_film: &str, of_folder: &str) -> Done {
+        app.over("render");
+        if let Some((path, film)) = self.film {
+            film.finish().map_err(|e| not_filmed(path, &e))?;
+            let size = std::fs::metadata(path).map_or(0, |m| m.len());
+            remark!(app, "{}: {count} frames{of_film}, {}", path_text(path), bytes(size));
+        }
+        if let Some(out) = &self.args.out {
+            remark!(app, "{}: {count} frames{of_folder}", path_text(out));
+        }
+        Ok(())
+    }
 }
 
 /// The error of a film that cannot be written.
-pub(crate) fn not_filmed(path: &Path, error: &FilmError) -> CliError {
+fn not_filmed(path: &Path, error: &FilmError) -> CliError {
     let message = format!("--video {}: {error}", path.display());
     if error.is_of_the_request() { CliError::Input(message) } else { CliError::Failed(message) }
 }
 
 /// Writes a frame as FOLDER/FILE.
-pub(crate) fn write(
-    folder: &Path,
-    mode: Mode,
-    file: &FileName,
-    frame: &Rendering,
-    format: FrameFormat,
-) -> Done {
+fn write(folder: &Path, mode: Mode, file: &FileName, frame: &Rendering, format: FrameFormat) -> Done {
     let path = file.below(folder);
     if let Some(parent) = path.parent() {
         std::fs::create_dir_all(parent)

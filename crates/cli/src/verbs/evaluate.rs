@@ -1,8 +1,10 @@
 //! Scores of a scene's held-out views, or of plain folders of images.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
+use serde::Serialize;
 use use3d_capture::{Image, shown};
 use use3d_io_image::{image_size, read_image};
 use use3d_pipeline::judge::scores::{Method, SceneScores, Score, Scores};
@@ -13,14 +15,15 @@ use use3d_workflow::machine::{available_memory, bytes};
 use crate::App;
 use crate::args::{EvaluateArgs, TableFormat};
 use crate::error::{CliError, Done};
-use crate::interrupt;
 use crate::verbs::loaded::stages;
 use crate::verbs::stages::{check_origin, imported, parameters, run_stage, scratch};
+use crate::{interrupt, output};
 
 /// A named row of scores.
+#[derive(Serialize)]
 struct ScoreRow {
-    method: String,
     image: String,
+    method: String,
     scores: Scores,
 }
 
@@ -28,7 +31,7 @@ pub(crate) fn run(app: &App, args: &EvaluateArgs) -> Done {
     let rows = match (&args.images, &args.scene, &args.capture) {
         (Some(images), _, _) => folders(images, args.reference.as_deref(), args.models.as_deref())?,
         (None, Some(scene), Some(capture)) => scene_rows(app, args, scene, capture)?,
-        _ => return Err(CliError::Input("evaluate needs SCENE_DIR and CAPTURE_DIR, or --images DIR".into())),
+        _ => return Err(CliError::input("evaluate needs SCENE_DIR and CAPTURE_DIR, or --images DIR")),
     };
     let format = if args.json { TableFormat::Json } else { args.format };
     print(&rows, format)
@@ -36,23 +39,22 @@ pub(crate) fn run(app: &App, args: &EvaluateArgs) -> Done {
 
 /// The images of a folder by stem; `flag` is the flag that named the folder.
 fn images(dir: &Path, flag: &str) -> Result<BTreeMap<String, PathBuf>, CliError> {
-    let failed = |e: std::io::Error| CliError::Input(format!("{flag} {}: {e}", dir.display()));
+    let refused = |what: &dyn Display| CliError::Input(format!("{flag} {}: {what}", dir.display()));
     if !dir.is_dir() {
-        return Err(CliError::Input(format!("{flag} {}: there is no such folder", dir.display())));
+        return Err(refused(&"there is no such folder"));
     }
     let mut found = BTreeMap::new();
-    for entry in std::fs::read_dir(dir).map_err(failed)? {
-        let path = entry.map_err(failed)?.path();
+    for entry in std::fs::read_dir(dir).map_err(|e| refused(&e))? {
+        let path = entry.map_err(|e| refused(&e))?.path();
         let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
-        if let (true, Some(stem)) =
-            (["png", "jpg", "jpeg", "tif", "tiff", "exr"].contains(&extension.as_str()), path.file_stem())
+        if ["png", "jpg", "jpeg", "tif", "tiff", "exr"].contains(&extension.as_str())
+            && let Some(stem) = path.file_stem()
         {
             found.insert(stem.to_string_lossy().into_owned(), path);
         }
     }
     if found.is_empty() {
-        let what = "no images here; PNG, JPEG, TIFF and EXR are read";
-        return Err(CliError::Input(format!("{flag} {}: {what}", dir.display())));
+        return Err(refused(&"no images here; PNG, JPEG, TIFF and EXR are read"));
     }
     Ok(found)
 }
@@ -62,12 +64,11 @@ fn folders(dir: &Path, reference: Option<&Path>, models: Option<&Path>) -> Resul
     let given = images(dir, "--images")?;
     let references = reference.map(|dir| images(dir, "--reference")).transpose()?;
     if let Some(references) = references.as_ref().filter(|r| given.keys().all(|stem| !r.contains_key(stem))) {
-        let (ours, theirs) = (given.keys().next(), references.keys().next());
+        let [ours, theirs] =
+            [&given, references].map(|images| images.keys().next().map_or("", String::as_str));
         return Err(CliError::Input(format!(
-            "no image of --images ({}, …) has a counterpart in --reference ({}, …); they are matched by the name \
-             without its extension",
-            ours.map_or("", String::as_str),
-            theirs.map_or("", String::as_str)
+            "no image of --images ({ours}, …) has a counterpart in --reference ({theirs}, …); they are matched by the name \
+             without its extension"
         )));
     }
     let mut rows = Vec::new();
@@ -75,30 +76,30 @@ fn folders(dir: &Path, reference: Option<&Path>, models: Option<&Path>) -> Resul
         interrupt::check()?;
         let image = read(&path, &judges, false)?;
         let mut scores = judges.alone(&image, None);
-        if let Some(references) = &references {
-            let Some(path) = references.get(&stem) else {
+        let name = shown(&stem).into_owned();
+        match references.as_ref().map(|references| references.get(&stem)) {
+            None => {}
+            Some(None) => {
                 eprintln!(
-                    "{}: the reference folder has no file of this stem; scored without a reference",
-                    shown(&stem)
+                    "{name}: the reference folder has no file of this stem; scored without a reference"
                 );
-                rows.push(ScoreRow { method: String::new(), image: shown(&stem).into_owned(), scores });
-                continue;
-            };
-            let reference = read(path, &judges, true)?;
-            if (image.width(), image.height()) != (reference.width(), reference.height()) {
-                return Err(CliError::Input(format!(
-                    "{stem}: the image is {}x{}, its reference {}x{}; scores need equal sizes",
-                    image.width(),
-                    image.height(),
-                    reference.width(),
-                    reference.height()
-                )));
             }
-            scores.extend(judges.against(&image, &reference, None));
+            Some(Some(path)) => {
+                let reference = read(path, &judges, true)?;
+                let [(w, h), (wide, high)] =
+                    [&image, &reference].map(|image| (image.width(), image.height()));
+                if (w, h) != (wide, high) {
+                    return Err(CliError::Input(format!(
+                        "{stem}: the image is {w}x{h}, its reference {wide}x{high}; scores need equal sizes"
+                    )));
+                }
+                scores.extend(judges.against(&image, &reference, None));
+            }
         }
-        rows.push(ScoreRow { method: String::new(), image: shown(&stem).into_owned(), scores });
+        rows.push(ScoreRow { method: String::new(), image: name, scores });
     }
-    let mean = mean(rows.iter().map(|r| &r.scores));
+    let mean = |name: &String| Score::mean(rows.iter().filter_map(|row| row.scores.get(name)));
+    let mean = names(&rows).into_iter().map(|name| (name.clone(), mean(name))).collect();
     rows.push(ScoreRow { method: String::new(), image: "mean".into(), scores: mean });
     Ok(rows)
 }
@@ -135,12 +136,9 @@ fn refuse_beyond(path: &Path, pixels: u64, bytes_per_pixel: u64, free: Option<u6
     }
 }
 
-fn mean<'a>(all: impl Iterator<Item = &'a Scores>) -> Scores {
-    let all: Vec<&Scores> = all.collect();
-    let mut names: Vec<&String> = all.iter().flat_map(|s| s.keys()).collect();
-    names.sort();
-    names.dedup();
-    names.into_iter().map(|n| (n.clone(), Score::mean(all.iter().filter_map(|s| s.get(n))))).collect()
+/// The names of all scores in the rows.
+fn names(rows: &[ScoreRow]) -> BTreeSet<&String> {
+    rows.iter().flat_map(|row| row.scores.keys()).collect()
 }
 
 fn scene_rows(
@@ -164,19 +162,15 @@ fn scene_rows(
     // A synthetic capture has its truth beside its images.
     inputs.push(("truth", capture.to_path_buf()));
     let out = scratch.path().join("evaluate");
-    let stage = registry.stage("evaluate").map_err(CliError::failed)?;
-    run_stage(app, stage, &parameters[0], inputs, &out)?;
+    run_stage(app, &registry, "evaluate", &parameters[0], inputs, &out)?;
     let scores: SceneScores = read_json(&out.join(SCORES)).map_err(CliError::failed)?;
     let mut rows = Vec::new();
     for method in Method::ALL {
         let Some(found) = scores.methods.iter().find(|m| m.method == method) else { continue };
         let label = method.name().to_string();
         for view in &found.views {
-            rows.push(ScoreRow {
-                method: label.clone(),
-                image: view.view.clone(),
-                scores: view.scores.clone(),
-            });
+            let (image, scores) = (view.view.clone(), view.scores.clone());
+            rows.push(ScoreRow { method: label.clone(), image, scores });
         }
         for pair in found.neighbours.iter().chain(&found.path) {
             let image = format!("{} → {}", pair.first, pair.second);
@@ -188,37 +182,21 @@ fn scene_rows(
 }
 
 fn print(rows: &[ScoreRow], format: TableFormat) -> Done {
-    let mut names: Vec<&String> = rows.iter().flat_map(|r| r.scores.keys()).collect();
-    names.sort();
-    names.dedup();
+    let names = names(rows);
     match format {
-        TableFormat::Json => {
-            let list: Vec<_> = rows
-                .iter()
-                .map(|r| serde_json::json!({ "method": r.method, "image": r.image, "scores": r.scores }))
-                .collect();
-            return crate::verbs::json::json(&list);
-        }
+        TableFormat::Json => return output::json(&rows),
         TableFormat::Csv => {
-            let quote = |text: &str| {
-                if text.contains([',', '"']) {
-                    format!("\"{}\"", text.replace('"', "\"\""))
-                } else {
-                    text.to_string()
-                }
+            let quote = |text: &str| match text.contains([',', '"']) {
+                true => format!("\"{}\"", text.replace('"', "\"\"")),
+                false => text.to_string(),
             };
             let heads: Vec<&str> = names.iter().map(|n| n.as_str()).collect();
             println!("method,image,{}", heads.join(","));
-            for row in rows {
-                let cells: Vec<String> = (names.iter())
-                    .map(|n| {
-                        row.scores
-                            .get(*n)
-                            .and_then(Score::value)
-                            .map_or_else(String::new, |v| format!("{v:.6}"))
-                    })
-                    .collect();
-                println!("{},{},{}", quote(&row.method), quote(&row.image), cells.join(","));
+            for ScoreRow { method, image, scores } in rows {
+                let values = names.iter().map(|name| scores.get(*name).and_then(Score::value));
+                let cells: Vec<String> =
+                    values.map(|value| value.map_or_else(String::new, |v| format!("{v:.6}"))).collect();
+                println!("{},{},{}", quote(method), quote(image), cells.join(","));
             }
         }
         TableFormat::Table => {

@@ -8,13 +8,13 @@ use std::path::Path;
 
 use clap::ValueEnum;
 use glam::{DMat3, DVec3};
-use use3d_capture::{Camera, Frame, stem};
-use use3d_import::read_cameras;
+use use3d_capture::{Camera, Frame};
 use use3d_pipeline::baked::difference;
 use use3d_pipeline::scene_page::is_held_out;
 use use3d_pipeline::stages::CAMERAS;
 use use3d_render::white::balanced;
 use use3d_render::{InWater, Look, Mode, bake_in_water};
+use use3d_scene::white::Gains;
 use use3d_scene::{Origin, Scene, similarity};
 use use3d_splat::{Gaussians, ply};
 use use3d_web::foreign::{NO_WATER, compressed_ply, glb, spz};
@@ -25,20 +25,22 @@ use crate::args::{ExportArgs, ExportFrame, ExportWhat};
 use crate::destination::{check_file, path_text, write_file};
 use crate::error::{CliError, Done};
 use crate::interrupt::ends_soon;
+use crate::verbs::drawing::placed;
 use crate::verbs::found::{capture_in, scene_in};
 use crate::verbs::{web, white};
 
 pub(crate) fn run(app: &App, args: &ExportArgs) -> Done {
-    for (format, path) in files(args) {
-        check_file(format.flag(), path, args.replace.force, &[format.extension()])?;
+    for OutputFile { flag, extension, path, .. } in files(args) {
+        check_file(flag, path, args.replace.force, &[extension])?;
     }
     if let Some(path) = &args.web {
-        web::check(path, args)?;
+        web::check_metres(args.metres_per_unit)?;
+        check_file("--web", path, args.replace.force, &["html"])?;
     }
     if args.web.is_none() && files(args).next().is_none() {
-        let what =
-            "choose an output: --web FILE.html, --ply FILE, --compressed-ply FILE, --glb FILE or --spz FILE";
-        return Err(CliError::Input(what.into()));
+        return Err(CliError::input(
+            "choose an output: --web FILE.html, --ply FILE, --compressed-ply FILE, --glb FILE or --spz FILE",
+        ));
     }
     let _ends_soon = ends_soon();
     let cameras = args.cameras.clone().or_else(|| capture_in(&args.scene));
@@ -52,17 +54,13 @@ pub(crate) fn run(app: &App, args: &ExportArgs) -> Done {
         return Ok(());
     }
     let (what, gaussians) = baked(app, args, &scene)?;
-    let gains = white::gains(white.as_ref());
-    let gains = Mode::from_name(&what).and_then(|mode| mode.gains(&gains));
-    let gaussians = match gains {
+    let gains = white.map_or(Gains::ONE, |white| white.gains);
+    let gaussians = match Mode::from_name(&what).and_then(|mode| mode.gains(&gains)) {
         Some(gains) => balanced(gaussians, gains),
         None => gaussians,
     };
     let gaussians = similarity::invert(&gaussians, &scene.frame);
-    for (format, path) in files(args) {
-        write(app, args, (format, path), (&what, &gaussians), &scene)?;
-    }
-    Ok(())
+    files(args).try_for_each(|file| write(app, args, &file, (&what, &gaussians), &scene))
 }
 
 /// A file for other viewers.
@@ -74,34 +72,25 @@ enum Format {
     Spz,
 }
 
-impl Format {
-    fn flag(self) -> &'static str {
-        match self {
-            Self::Ply => "--ply",
-            Self::CompressedPly => "--compressed-ply",
-            Self::Glb => "--glb",
-            Self::Spz => "--spz",
-        }
-    }
-
-    fn extension(self) -> &'static str {
-        match self {
-            Self::Ply | Self::CompressedPly => "ply",
-            Self::Glb => "glb",
-            Self::Spz => "spz",
-        }
-    }
+/// A requested file besides the page.
+struct OutputFile<'a> {
+    format: Format,
+    flag: &'static str,
+    extension: &'static str,
+    path: &'a Path,
 }
 
 /// The requested files besides the page.
-fn files(args: &ExportArgs) -> impl Iterator<Item = (Format, &Path)> {
+fn files(args: &ExportArgs) -> impl Iterator<Item = OutputFile<'_>> {
     let all = [
-        (Format::Ply, &args.ply),
-        (Format::CompressedPly, &args.compressed_ply),
-        (Format::Glb, &args.glb),
-        (Format::Spz, &args.spz),
+        (Format::Ply, "--ply", "ply", &args.ply),
+        (Format::CompressedPly, "--compressed-ply", "ply", &args.compressed_ply),
+        (Format::Glb, "--glb", "glb", &args.glb),
+        (Format::Spz, "--spz", "spz", &args.spz),
     ];
-    all.into_iter().filter_map(|(format, path)| Some((format, path.as_deref()?)))
+    all.into_iter().filter_map(|(format, flag, extension, path)| {
+        Some(OutputFile { format, flag, extension, path: path.as_deref()? })
+    })
 }
 
 /// The look with which a page of the scene opens; without its water if the scene is not enhanced.
@@ -128,7 +117,7 @@ fn baked(app: &App, args: &ExportArgs, scene: &Scene) -> Result<(String, Gaussia
         said(app, &dry);
         return Ok((name(&what), dry.gaussians));
     }
-    let Cameras { through, held_out } = cameras(args, scene)?;
+    let (through, held_out) = cameras(args, scene)?;
     let mut wet = bake_in_water(scene, look, args.water, &through).map_err(CliError::input)?;
     said(app, &wet);
     if !app.quiet {
@@ -157,8 +146,9 @@ fn baked(app: &App, args: &ExportArgs, scene: &Scene) -> Result<(String, Gaussia
 /// Prints the error of the spherical harmonics against the exact colours.
 fn said(app: &App, baked: &InWater) {
     let report = &baked.report;
-    if !app.quiet && report.max_error > 0.0 {
-        eprintln!(
+    if report.max_error > 0.0 {
+        remark!(
+            app,
             "baked: the colours of {:.2} % of the samples are clamped; mean colour error {:.5}, in clamped \
              samples {:.5}, at most {:.4}",
             100.0 * report.clamped_share,
@@ -169,16 +159,10 @@ fn said(app: &App, baked: &InWater) {
     }
 }
 
-/// Cameras in the scene's frame.
-struct Cameras {
-    /// Those through whose water the scene is baked.
-    through: Vec<Camera>,
-    /// The held-out views among the given cameras: the file is compared with the scene there, too.
-    held_out: Vec<Camera>,
-}
-
-/// The cameras for a look with water. Held-out views are not baked, unless no other cameras are given.
-fn cameras(args: &ExportArgs, scene: &Scene) -> Result<Cameras, CliError> {
+/// The cameras for a look with water, in the scene's frame: those through whose water the scene is baked, and
+/// the held-out views, at which the file is compared with the scene, too. Held-out views are not baked,
+/// unless no other cameras are given.
+fn cameras(args: &ExportArgs, scene: &Scene) -> Result<(Vec<Camera>, Vec<Camera>), CliError> {
     let own = args.scene.join(CAMERAS);
     let place = match &args.cameras {
         Some(place) => place.clone(),
@@ -191,17 +175,16 @@ fn cameras(args: &ExportArgs, scene: &Scene) -> Result<Cameras, CliError> {
             )));
         }
     };
-    let read = read_cameras(&place).map_err(CliError::input)?;
+    let cameras = placed(&place, &scene.frame)?;
     let origin = Origin::read(&args.scene).map_err(CliError::input)?;
     let (mut through, mut held_out) = (Vec::new(), Vec::new());
-    for (name, camera) in read {
-        let camera = Camera { pose: scene.frame.apply_pose(&camera.pose), ..camera };
-        if is_held_out(origin.as_ref(), stem(&name)) { &mut held_out } else { &mut through }.push(camera);
+    for (name, camera) in cameras {
+        if is_held_out(origin.as_ref(), name.stem()) { &mut held_out } else { &mut through }.push(camera);
     }
     if through.is_empty() {
         through.clone_from(&held_out);
     }
-    Ok(Cameras { through, held_out })
+    Ok((through, held_out))
 }
 
 /// Half a turn about x, xyzw: COLMAP's y points down and its z away from the viewer.
@@ -211,7 +194,7 @@ const HALF_TURN: [f32; 4] = [1.0, 0.0, 0.0, 0.0];
 fn write(
     app: &App,
     args: &ExportArgs,
-    (format, path): (Format, &Path),
+    &OutputFile { format, flag, path, .. }: &OutputFile<'_>,
     (what, colmap): (&str, &Gaussians),
     scene: &Scene,
 ) -> Done {
@@ -249,21 +232,18 @@ fn write(
     if format == Format::Ply {
         comments.push(NO_WATER.into());
     }
-    write_file(format.flag(), path, |writer| match format {
+    write_file(flag, path, |writer| match format {
         Format::Ply => ply::write_with_comments(gaussians, &comments, writer),
         Format::CompressedPly => compressed_ply::write(gaussians, &comments, writer),
         Format::Glb => glb::write(gaussians, &comments.join("; "), HALF_TURN, writer),
-        Format::Spz => spz::write(gaussians, spz_version(args), writer),
+        Format::Spz if args.spz_version == 4 => spz::write(gaussians, spz::Version::Four, writer),
+        Format::Spz => spz::write(gaussians, spz::Version::Three, writer),
     })?;
-    if !app.quiet {
-        let (what, frame) = (&comments[1], &comments[2]);
-        let size = std::fs::metadata(path).map_or(0, |m| m.len());
-        eprintln!("{}: {} Gaussians, {what}, {frame}, {}", path_text(path), gaussians.len(), bytes(size));
-        if let Some([x, y, z]) = offset {
-            eprintln!(
-                "positions lack the offset {x} {y} {z} metres: single precision would lose millimetres"
-            );
-        }
+    let (what, frame) = (&comments[1], &comments[2]);
+    let size = std::fs::metadata(path).map_or(0, |m| m.len());
+    remark!(app, "{}: {} Gaussians, {what}, {frame}, {}", path_text(path), gaussians.len(), bytes(size));
+    if let Some([x, y, z]) = offset {
+        remark!(app, "positions lack the offset {x} {y} {z} metres: single precision would lose millimetres");
     }
     Ok(())
 }
@@ -285,10 +265,6 @@ fn metric(scene: &Path) -> Result<(Frame, Option<[f64; 3]>), CliError> {
     let (scale, rotation) = (world.metres_per_unit, world.rotation());
     let similarity = Frame { scale, rotation, translation: translation - offset };
     Ok((similarity, (offset != DVec3::ZERO).then(|| offset.to_array())))
-}
-
-fn spz_version(args: &ExportArgs) -> spz::Version {
-    if args.spz_version == 4 { spz::Version::Four } else { spz::Version::Three }
 }
 
 /// A choice with its name on the command line.

@@ -5,20 +5,18 @@ use std::path::Path;
 use use3d_capture::FileName;
 use use3d_import::read_images_txt;
 use use3d_pipeline::Drawn;
-use use3d_render::{Mode, SceneRenderer, picture};
+use use3d_render::{Mode, SceneRenderer};
 use use3d_scene::Scene;
 use use3d_scene::white::Gains;
 use use3d_web::path::CameraPath;
-use use3d_workflow::machine::bytes;
-use use3d_workflow::{Event, place};
 
 use crate::App;
-use crate::args::{FrameFormat, RenderArgs};
-use crate::destination::{check_file, path_text};
+use crate::args::RenderArgs;
+use crate::destination::path_text;
 use crate::error::{CliError, Done};
 use crate::interrupt;
 use crate::size::parse_size;
-use crate::verbs::drawing::{film, modes, not_filmed, write};
+use crate::verbs::drawing::{Frames, modes};
 use crate::verbs::web::text_of;
 
 /// The folder for frames with the path's own looks.
@@ -27,7 +25,7 @@ const OWN: &str = "path";
 const SIZE: (usize, usize) = (1280, 720);
 
 /// Reads a path file of any supported program.
-fn read(args: &RenderArgs, file: &Path, quiet: bool) -> Result<CameraPath, String> {
+fn read(app: &App, args: &RenderArgs, file: &Path) -> Result<CameraPath, String> {
     if file.extension().is_some_and(|e| e.eq_ignore_ascii_case("txt")) {
         let cameras = read_images_txt(file).map_err(|e| e.to_string())?;
         return CameraPath::of_cameras(&cameras, f64::from(args.frame_rate));
@@ -42,8 +40,9 @@ fn read(args: &RenderArgs, file: &Path, quiet: bool) -> Result<CameraPath, Strin
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => None,
         Err(error) => return Err(format!("{}: {error}", beside.display())),
     };
-    if dataparser.is_none() && !quiet {
-        eprintln!(
+    if dataparser.is_none() {
+        remark!(
+            app,
             "{}: no dataparser_transforms.json beside it, so its positions are read in the frame of the \
              COLMAP model; if they are in nerfstudio's frame, copy that file of the nerfstudio model there",
             path_text(file)
@@ -61,7 +60,7 @@ pub(crate) fn run(
     file: &Path,
 ) -> Done {
     let wrong = |what: &str| CliError::Input(format!("--path {}: {what}", path_text(file)));
-    let path = read(args, file, app.quiet).map_err(|what| {
+    let path = read(app, args, file).map_err(|what| {
         wrong(&format!(
             "{what}; expected a camera path as the page saves it, nerfstudio's camera_path.json or COLMAP's images.txt (docs/guide/browser.md)"
         ))
@@ -70,7 +69,7 @@ pub(crate) fn run(
     let given = modes(&args.modes)?;
     let frames = path.frames(width, height);
     // The looks of the path's keys, or the requested modes instead; known before anything is drawn.
-    let mut looks = Vec::with_capacity(frames.len());
+    let mut looks: Vec<Vec<Mode>> = Vec::with_capacity(frames.len());
     for frame in &frames {
         let own = Mode::from_name(frame.mode).ok_or_else(|| {
             let known = Mode::ALL.map(Mode::name).join(", ");
@@ -85,41 +84,14 @@ pub(crate) fn run(
         }
         looks.push(shown);
     }
-    let extension = match args.format {
-        FrameFormat::Png => "png",
-        FrameFormat::Exr => "exr",
-    };
-    let names: Vec<FileName> = (0..frames.len())
-        .map(|i| FileName::frame(i).with_extension(extension).map_err(CliError::input))
-        .collect::<Result<_, _>>()?;
-    let folder = |mode: Mode| if given.is_empty() { OWN } else { mode.name() };
-    if let Some(out) = &args.out {
-        place::check_writable(out)?;
-        for mode in looks.first().into_iter().flatten() {
-            let below = out.join(folder(*mode));
-            if below.exists() {
-                names
-                    .iter()
-                    .try_for_each(|name| check_file("--out", &name.below(&below), args.replace.force, &[]))?;
-            }
-        }
-    }
-    if let Some(video) = &args.video {
-        check_file("--video", video, args.replace.force, &[])?;
-    }
-    let mut video = args.video.as_deref().map(|path| film(path, args.frame_rate)).transpose()?;
+    let name = |i| FileName::frame(i).with_extension(args.format.extension()).map_err(CliError::input);
+    let names: Vec<FileName> = (0..frames.len()).map(name).collect::<Result<_, _>>()?;
+    let first = looks.first().map_or(&[][..], Vec::as_slice);
+    let mut written = Frames::create(args, given.is_empty().then_some(OWN), first, &names)?;
     let mut renderer: Option<((f32, f32), SceneRenderer<'_>)> = None;
     for (i, ((frame, looks), name)) in frames.iter().zip(&looks).zip(&names).enumerate() {
         interrupt::check()?;
-        app.listener.event(&Event::Progress {
-            node: 0,
-            label: "render",
-            done: i as u64,
-            total: frames.len() as u64,
-            unit: "frames",
-            message: name,
-            seconds_left: None,
-        });
+        app.progress("render", i as u64, frames.len() as u64, "frames", name);
         // A renderer has one strength and one share of the water: a new one is made only when they change.
         let look = (frame.strength, frame.water);
         let ready = renderer.take().filter(|(made, _)| *made == look);
@@ -133,26 +105,7 @@ pub(crate) fn run(
         let mut camera = frame.camera;
         camera.pose = scene.frame.apply_pose(&camera.pose);
         let pictures = drawing.render(&camera, looks).map_err(CliError::failed)?;
-        if let (Some((path, video)), Some(mode), Some(shown)) = (&mut video, looks.first(), pictures.first())
-        {
-            video.push(&picture(*mode, shown).to_8bit()).map_err(|e| not_filmed(path, &e))?;
-        }
-        if let Some(out) = &args.out {
-            for (mode, shown) in looks.iter().zip(&pictures) {
-                write(&out.join(folder(*mode)), *mode, name, shown, args.format)?;
-            }
-        }
+        written.add(name, looks, &pictures)?;
     }
-    app.listener.event(&Event::Done { node: 0, label: "render", cached: true, seconds: 0.0 });
-    if let Some((path, video)) = video {
-        video.finish().map_err(|e| not_filmed(path, &e))?;
-        if !app.quiet {
-            let size = std::fs::metadata(path).map_or(0, |m| m.len());
-            eprintln!("{}: {} frames, {}", path_text(path), frames.len(), bytes(size));
-        }
-    }
-    if let Some(out) = args.out.as_ref().filter(|_| !app.quiet) {
-        eprintln!("{}: {} frames of {width}x{height}", path_text(out), frames.len());
-    }
-    Ok(())
+    written.finish(app, frames.len(), "", &format!(" of {width}x{height}"))
 }

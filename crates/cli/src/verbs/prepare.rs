@@ -1,8 +1,8 @@
 //! `use3d prepare`: makes a capture from films and photographs. `use3d run` does the same first if it is
 //! given a film, or a folder of photographs without a model.
 
+use std::cell::Cell;
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
 
 use use3d_capture::name::shown_lines;
 use use3d_prepare::{
@@ -13,7 +13,7 @@ use use3d_workflow::{Digest, Event, place};
 
 use crate::App;
 use crate::args::{PrepareArgs, usual_programs};
-use crate::destination::{check_folder, path_text, word};
+use crate::destination::{absolute, check_folder, path_text, word};
 use crate::error::{CliError, Done};
 
 impl From<PrepareError> for CliError {
@@ -26,49 +26,6 @@ impl From<PrepareError> for CliError {
     }
 }
 
-/// Forwards the progress of a preparation to the listener. Each step has a label of its own.
-struct Teller<'a> {
-    app: &'a App,
-    step: Mutex<Option<&'static str>>,
-}
-
-impl<'a> Teller<'a> {
-    fn new(app: &'a App) -> Self {
-        Self { app, step: Mutex::new(None) }
-    }
-
-    fn end(&self, next: Option<&'static str>) {
-        let mut step = self.step.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-        if *step == next {
-            return;
-        }
-        if let Some(label) = *step {
-            self.app.listener.event(&Event::Done { node: 0, label, cached: true, seconds: 0.0 });
-        }
-        *step = next;
-    }
-
-    fn progress(&self, StepProgress { step, done, total, unit }: StepProgress) {
-        self.end(Some(step));
-        let event =
-            Event::Progress { node: 0, label: step, done, total, unit, message: "", seconds_left: None };
-        self.app.listener.event(&event);
-    }
-
-    fn note(&self, text: &str) {
-        self.end(None);
-        self.app.listener.event(&Event::Note { label: "prepare", text });
-    }
-}
-
-/// The work that a capture needs.
-enum Need {
-    /// None: it was prepared from the same inputs with the same choices.
-    Nothing,
-    /// All of it; with the key and the inputs.
-    Work(String, Vec<Input>),
-}
-
 /// A preparation.
 struct Preparation<'a> {
     app: &'a App,
@@ -79,14 +36,27 @@ struct Preparation<'a> {
 }
 
 impl Preparation<'_> {
+    /// Does work whose progress the listener gets. Each step has a label of its own.
     fn watched<T>(
         &self,
         work: impl FnOnce(&StepWatch<'_>) -> Result<T, PrepareError>,
     ) -> Result<T, PrepareError> {
-        let teller = Teller::new(self.app);
-        let (progress, note) = (|p| teller.progress(p), |text: &str| teller.note(text));
+        let current = Cell::new(None);
+        let begin = |next: Option<&'static str>| {
+            if let Some(step) = current.replace(next).filter(|step| next != Some(*step)) {
+                self.app.over(step);
+            }
+        };
+        let progress = |StepProgress { step, done, total, unit }| {
+            begin(Some(step));
+            self.app.progress(step, done, total, unit, "");
+        };
+        let note = |text: &str| {
+            begin(None);
+            self.app.listener.event(&Event::Note { label: "prepare", text });
+        };
         let done = work(&StepWatch { stop: &self.app.stop, progress: &progress, note: &note });
-        teller.end(None);
+        begin(None);
         done
     }
 
@@ -100,12 +70,14 @@ impl Preparation<'_> {
         Ok(check(self.sources, self.params, self.programs)?)
     }
 
-    fn need(&self) -> Result<Need, CliError> {
+    /// The key and the inputs of the work that the capture needs; `None` if it was prepared from the same
+    /// inputs with the same choices.
+    fn need(&self) -> Result<Option<(String, Vec<Input>)>, CliError> {
         let (key, inputs, same) =
             self.watched(|watch| key_of(self.sources, self.params, self.programs.finder, self.out, watch))?;
         let whole =
             || matches!(place::look(self.out, place::Look::Quick), Ok(place::Standing::Ours(o)) if o.whole);
-        Ok(if same && whole() { Need::Nothing } else { Need::Work(key, inputs) })
+        Ok(if same && whole() { None } else { Some((key, inputs)) })
     }
 
     /// Does the work, and moves the capture to its place.
@@ -152,22 +124,22 @@ pub(crate) fn run(app: &App, args: &PrepareArgs) -> Done {
         return by_recipe(app, args, recipe);
     }
     let sources = Sources::of(&args.inputs)?;
-    let (params, programs) = (args.params(&PrepareParams::default()), args.programs());
+    let (params, programs) = (args.params(&PrepareParams::default()), Programs::from(args.programs.clone()));
     let job = Preparation { app, sources: &sources, params: &params, programs: &programs, out: &args.out };
     job.check(args.replace.force)?;
     match job.need()? {
-        Need::Nothing if !app.quiet && !args.json => {
+        None if !app.quiet && !args.json => {
             println!("{}: prepared before from the same files and choices", path_text(&args.out));
         }
-        Need::Nothing => {}
-        Need::Work(..) if args.out.join(PREPARED).is_file() && !args.replace.force => {
+        None => {}
+        Some(_) if args.out.join(PREPARED).is_file() && !args.replace.force => {
             return Err(CliError::Input(format!(
                 "--out {}: this capture was prepared from other files or with other choices, or was changed since; pass \
                  --force to replace it, or choose another folder",
                 path_text(&args.out)
             )));
         }
-        Need::Work(key, inputs) => {
+        Some((key, inputs)) => {
             let prepared = job.make(&key, &inputs, args.replace.force)?;
             if !args.json {
                 lines(&prepared).iter().for_each(|line| println!("{line}"));
@@ -179,8 +151,8 @@ pub(crate) fn run(app: &App, args: &PrepareArgs) -> Done {
         let text = std::fs::read_to_string(&path)
             .map_err(|e| CliError::Failed(format!("{}: {e}", path_text(&path))))?;
         print!("{text}");
-    } else if !app.quiet {
-        eprintln!("next: use3d run {}", word(&args.out));
+    } else {
+        remark!(app, "next: use3d run {}", word(&args.out));
     }
     Ok(())
 }
@@ -188,23 +160,23 @@ pub(crate) fn run(app: &App, args: &PrepareArgs) -> Done {
 /// Prepares the scenes of a data set, each into a capture of its name.
 fn by_recipe(app: &App, args: &PrepareArgs, recipe: Recipe) -> Done {
     let [name, folder] = args.inputs.as_slice() else {
-        let name = path_text(&args.inputs[0]);
-        let reason =
-            format!("`use3d prepare {name}` needs one folder, the unpacked data set: docs/guide/datasets.md");
-        return Err(CliError::Input(reason));
+        return Err(CliError::Input(format!(
+            "`use3d prepare {}` needs one folder, the unpacked data set: docs/guide/datasets.md",
+            path_text(&args.inputs[0])
+        )));
     };
     if args.json {
         let reason = "--json is for one capture: each scene of a data set has its own prepare.json";
-        return Err(CliError::Input(reason.into()));
+        return Err(CliError::input(reason));
     }
     let params = args.params(&recipe.choices());
     if recipe == Recipe::SeaThruNerf && params != recipe.choices() {
-        let reason =
-            "this recipe copies published cameras, so there is nothing to choose; leave these flags out";
-        return Err(CliError::Input(reason.into()));
+        return Err(CliError::input(
+            "this recipe copies published cameras, so there is nothing to choose; leave these flags out",
+        ));
     }
     let (scenes, missing) = recipe.scenes(folder)?;
-    let data = DataSet { app, args, params: &params, programs: &args.programs() };
+    let data = DataSet { app, args, params: &params, programs: &args.programs.clone().into() };
     data.check(&scenes)?;
     let mut failed = Vec::new();
     for RecipeScene { name, work } in &scenes {
@@ -223,24 +195,21 @@ fn by_recipe(app: &App, args: &PrepareArgs, recipe: Recipe) -> Done {
     if !app.quiet {
         let (variable, pipeline) = recipe.pipeline();
         // A pipeline file in another folder reads the variable, too.
-        let out = std::path::absolute(&args.out).unwrap_or_else(|_| args.out.clone());
+        let (out, name) = (word(&absolute(&args.out)), path_text(name));
         let file = format!("pipelines/{pipeline}.toml");
         let run = match Path::new(&file).is_file() {
             true => format!("use3d run {file}"),
             false => format!("use3d pipelines {pipeline} > {pipeline}.toml; use3d run {pipeline}.toml"),
         };
-        let (out, name) = (word(&out), path_text(name));
         eprintln!("next: export {variable}={out}; {run} (docs/guide/datasets.md, recipe {name})");
     }
-    match failed.is_empty() {
-        true => Ok(()),
-        false => {
-            let names = failed.join(", ");
-            Err(CliError::Failed(format!(
-                "not prepared: {names}; the reasons are above, and the other scenes are there"
-            )))
-        }
+    if failed.is_empty() {
+        return Ok(());
     }
+    let names = failed.join(", ");
+    Err(CliError::Failed(format!(
+        "not prepared: {names}; the reasons are above, and the other scenes are there"
+    )))
 }
 
 /// The preparation of the scenes of a data set.
@@ -252,19 +221,14 @@ struct DataSet<'a> {
 }
 
 impl DataSet<'_> {
-    fn out(&self, name: &str) -> PathBuf {
-        self.args.out.join(name)
-    }
-
     /// Names a missing program once, and not for each scene that is left to do.
     fn check(&self, scenes: &[RecipeScene]) -> Done {
-        let open = scenes.iter().filter(|scene| !self.out(&scene.name).join(PREPARED).is_file());
-        let path = open.filter_map(|scene| match &scene.work {
-            RecipeWork::Film(path) | RecipeWork::Linear(path) => Some(path.clone()),
+        let open = scenes.iter().filter(|scene| !self.args.out.join(&scene.name).join(PREPARED).is_file());
+        let mut sources = open.filter_map(|scene| match &scene.work {
+            RecipeWork::Film(path) | RecipeWork::Linear(path) => Sources::of(std::slice::from_ref(path)).ok(),
             RecipeWork::Published { .. } => None,
         });
-        let sources = path.filter_map(|path| Sources::of(&[path]).ok()).next();
-        match sources.map(|sources| check(&sources, self.params, self.programs)) {
+        match sources.next().map(|sources| check(&sources, self.params, self.programs)) {
             Some(Err(error @ PrepareError::Program(_))) => Err(error.into()),
             _ => Ok(()),
         }
@@ -272,7 +236,7 @@ impl DataSet<'_> {
 
     /// Prepares a scene, and returns the lines about it.
     fn scene(&self, name: &str, work: &RecipeWork) -> Result<Vec<String>, CliError> {
-        let (out, force) = (self.out(name), self.args.replace.force);
+        let (out, force) = (self.args.out.join(name), self.args.replace.force);
         let (path, linear) = match work {
             RecipeWork::Published { images, model } => return copied(self.app, (images, model), &out, force),
             RecipeWork::Film(path) => (path, false),
@@ -289,7 +253,7 @@ impl DataSet<'_> {
         let DataSet { app, params, programs, .. } = *self;
         let job = Preparation { app, sources: &sources, params, programs, out: &out };
         job.check(force)?;
-        let Need::Work(key, inputs) = job.need()? else {
+        let Some((key, inputs)) = job.need()? else {
             return Ok(vec!["prepared before from the same files and choices".into()]);
         };
         if !linear {
@@ -327,17 +291,16 @@ fn copied(
     }
     let (params, programs) = (PrepareParams::default(), Programs::default());
     let job = Preparation { app, sources: &sources, params: &params, programs: &programs, out };
-    let Need::Work(key, inputs) = job.need()? else {
+    let Some((key, inputs)) = job.need()? else {
         return Ok(vec!["copied before from the same photographs".into()]);
     };
     check_folder(out, force)?;
     let work = work_folder(out);
     publish((images, model), (&key, &inputs), &work)?;
-    let report = use3d_import::import(&work.join(CAPTURE), &use3d_import::ImportParams::default())
-        .map_err(CliError::input)?
-        .report;
+    let imported = use3d_import::import(&work.join(CAPTURE), &use3d_import::ImportParams::default());
+    let views = imported.map_err(CliError::input)?.report.views;
     put(&work, out, &key, force)?;
-    Ok(vec![format!("{} photographs and their cameras copied", report.views)])
+    Ok(vec![format!("{views} photographs and their cameras copied")])
 }
 
 /// The capture for the target of a run, prepared if it is not yet. `None` if the target needs no preparation.
@@ -359,15 +322,10 @@ pub(crate) fn capture_for(app: &App, target: &Path, out: Option<&Path>) -> Resul
     let capture = beside.join("captures").join(name);
     let (params, programs) = (PrepareParams::default(), usual_programs());
     let job = Preparation { app, sources: &sources, params: &params, programs: &programs, out: &capture };
-    let told = |text: &str| {
-        if !app.quiet {
-            eprintln!("{text}");
-        }
-    };
     job.check(false)?;
     match job.need()? {
-        Need::Nothing => told(&format!("the capture is {}, prepared before", path_text(&capture))),
-        Need::Work(..) if capture.exists() => {
+        None => remark!(app, "the capture is {}, prepared before", path_text(&capture)),
+        Some(_) if capture.exists() => {
             let (target, capture) = (word(target), word(&capture));
             return Err(CliError::Input(format!(
                 "{capture}: this capture was prepared from other files or with other choices, or was changed since; `use3d prepare {target} \
@@ -375,14 +333,15 @@ pub(crate) fn capture_for(app: &App, target: &Path, out: Option<&Path>) -> Resul
                  run that folder"
             )));
         }
-        Need::Work(key, inputs) => {
-            told(&format!(
+        Some((key, inputs)) => {
+            remark!(
+                app,
                 "{} has no cameras yet: preparing the capture {} (`use3d prepare` has more choices)",
                 path_text(target),
                 path_text(&capture)
-            ));
+            );
             let prepared = job.make(&key, &inputs, false)?;
-            lines(&prepared).iter().for_each(|line| told(line));
+            lines(&prepared).iter().for_each(|line| remark!(app, "{line}"));
         }
     }
     Ok(Some(capture))

@@ -6,18 +6,17 @@ use std::path::Path;
 use use3d_capture::{Camera, FileName};
 use use3d_pipeline::Drawn;
 use use3d_reconstruct::EngineChoice;
-use use3d_render::{Mode, picture};
+use use3d_render::Mode;
 use use3d_scene::Scene;
-use use3d_workflow::machine::bytes;
-use use3d_workflow::{Event, place};
+use use3d_scene::white::Gains;
 
 use crate::App;
 use crate::args::{CameraPath, FrameFormat, RenderArgs};
-use crate::destination::check_file;
 use crate::error::{CliError, Done};
 use crate::interrupt;
-use crate::verbs::drawing::{cameras, film, modes, not_filmed, renderer, write};
+use crate::verbs::drawing::{Frames, cameras, modes, renderer};
 use crate::verbs::found::{capture_in, scene_in};
+use crate::verbs::{film_path, speed, white};
 
 pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
     let capture = args.cameras.clone().or_else(|| capture_in(&args.scene));
@@ -44,57 +43,29 @@ pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
     let engine = args.engine.choice().unwrap_or_default();
     let drawn =
         Drawn::new(&scene, &engine).map_err(|what| CliError::Input(format!("--engine {engine}: {what}")))?;
-    if engine != EngineChoice::Cpu && !app.quiet {
-        eprintln!("engine: {}", drawn.told());
+    if engine != EngineChoice::Cpu {
+        remark!(app, "engine: {}", drawn.told());
     }
-    let white = super::white::of(app, &args.white, &args.scene, &scene, args.cameras.as_deref())?;
-    let gains = super::white::gains(white.as_ref());
+    let white = white::of(app, &args.white, &args.scene, &scene, args.cameras.as_deref())?;
+    let gains = white.map_or(Gains::ONE, |white| white.gains);
     if let Some(CameraPath::File(path)) = &args.path {
-        return super::film_path::run(app, args, (&scene, gains), &drawn, path);
+        return film_path::run(app, args, (&scene, gains), &drawn, path);
     }
     if args.fps {
-        return super::speed::run(app, args, &scene, &drawn);
+        return speed::run(app, args, &scene, &drawn);
     }
     let cameras = cameras(args, &scene)?;
     let files = files(&cameras, args.format)?;
-    check_places(args, &modes, &files)?;
+    let mut written = Frames::create(args, None, &modes, &files)?;
     let mut renderer = renderer(args, &drawn)?.with_white(gains);
-    let mut film = args.video.as_deref().map(|path| film(path, args.frame_rate)).transpose()?;
-    let total = cameras.len() as u64;
     for (i, ((name, camera), file)) in cameras.iter().zip(&files).enumerate() {
         interrupt::check()?;
-        let label = "render";
-        app.listener.event(&Event::Progress {
-            node: 0,
-            label,
-            done: i as u64,
-            total,
-            unit: "frames",
-            message: name,
-            seconds_left: None,
-        });
+        app.progress("render", i as u64, cameras.len() as u64, "frames", name);
         let frames = renderer.render(camera, &modes).map_err(CliError::failed)?;
-        if let (Some((path, film)), Some(frame), Some(mode)) = (&mut film, frames.first(), modes.first()) {
-            film.push(&picture(*mode, frame).to_8bit()).map_err(|e| not_filmed(path, &e))?;
-        }
-        if let Some(out) = &args.out {
-            for (mode, frame) in modes.iter().zip(&frames) {
-                write(&out.join(mode.name()), *mode, file, frame, args.format)?;
-            }
-        }
+        written.add(file, &modes, &frames)?;
     }
-    app.listener.event(&Event::Done { node: 0, label: "render", cached: true, seconds: 0.0 });
-    if let Some((path, film)) = film {
-        film.finish().map_err(|e| not_filmed(path, &e))?;
-        if !app.quiet {
-            let size = std::fs::metadata(path).map_or(0, |m| m.len());
-            eprintln!("{}: {total} frames of {}, {}", path.display(), names[0], bytes(size));
-        }
-    }
-    if let Some(out) = args.out.as_ref().filter(|_| !app.quiet) {
-        eprintln!("{}: {total} frames, modes {}", out.display(), names.join(", "));
-    }
-    Ok(())
+    let (first, all) = (format!(" of {}", names[0]), format!(", modes {}", names.join(", ")));
+    written.finish(app, cameras.len(), &first, &all)
 }
 
 /// The names of the files, one per camera.
@@ -102,13 +73,9 @@ pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
 /// # Errors
 /// Two cameras whose pictures would be one file.
 fn files(cameras: &[(FileName, Camera)], format: FrameFormat) -> Result<Vec<FileName>, CliError> {
-    let extension = match format {
-        FrameFormat::Png => "png",
-        FrameFormat::Exr => "exr",
-    };
     let mut taken = BTreeMap::new();
     let mut name = |(camera, _): &(FileName, Camera)| {
-        let file = camera.with_extension(extension).map_err(CliError::input)?;
+        let file = camera.with_extension(format.extension()).map_err(CliError::input)?;
         if let Some(first) = taken.insert(file.clone(), camera.clone()) {
             return Err(CliError::Input(format!(
                 "--cameras: {first} and {camera} would both be written as {file}; rename one of them"
@@ -130,22 +97,4 @@ fn files(cameras: &[(FileName, Camera)], format: FrameFormat) -> Result<Vec<File
         }
     }
     Ok(files)
-}
-
-/// Fails, before anything is drawn, if an existing file would be overwritten.
-fn check_places(args: &RenderArgs, modes: &[Mode], files: &[FileName]) -> Done {
-    let force = args.replace.force;
-    if let Some(video) = &args.video {
-        check_file("--video", video, force, &[])?;
-    }
-    let Some(out) = &args.out else { return Ok(()) };
-    place::check_writable(out)?;
-    for mode in modes {
-        let folder = out.join(mode.name());
-        // Only an existing folder can hold pictures.
-        if folder.exists() {
-            files.iter().try_for_each(|file| check_file("--out", &file.below(&folder), force, &[]))?;
-        }
-    }
-    Ok(())
 }

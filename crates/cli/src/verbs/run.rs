@@ -20,16 +20,16 @@ use crate::args::{
 };
 use crate::destination::path_text;
 use crate::error::{CliError, Done};
+use crate::output;
 use crate::verbs::check;
 use crate::verbs::history::{self, RunRecord};
-use crate::verbs::json::json;
 use crate::verbs::loaded::{Loaded, open, real};
 use crate::verbs::outcome::{self, Outcome};
 use crate::verbs::prepare;
 use crate::verbs::remote::of_run;
 use crate::verbs::stages::scratch;
 use crate::verbs::synth::keep_capture;
-use crate::verbs::view::Watched;
+use crate::verbs::view::watched;
 use crate::verbs::white;
 use crate::whole_run::WholeRun;
 
@@ -45,12 +45,6 @@ fn outside_the_cache(out: &Path, cache: &Path) -> Done {
     )))
 }
 
-fn planned(args: &PlanArgs) -> Result<(Loaded, Plan), CliError> {
-    let loaded = open(&resolved(&args.pipeline).0, &[])?;
-    let plan = loaded.builder.plan(&loaded.graph, None);
-    Ok((loaded, plan))
-}
-
 pub(crate) fn plan(args: &PlanArgs) -> Done {
     let loaded = open(&resolved(&args.pipeline).0, &[])?;
     loaded.nothing_lacks(None, None)?;
@@ -59,24 +53,19 @@ pub(crate) fn plan(args: &PlanArgs) -> Done {
 
 /// Prints a plan. If it cannot be carried out because an input is missing, it fails like the run would.
 fn show(plan: &Plan, as_json: bool) -> Done {
-    if as_json {
-        json(plan)?;
-    } else {
-        print!("{plan}");
-    }
+    output::show(plan, as_json)?;
     match plan.unavailable() {
         0 => Ok(()),
-        _ => Err(CliError::Failed(
+        _ => Err(CliError::failed(
             "inputs that the pipeline names are missing (see `cannot` above); the stages that need them \
-             would fail"
-                .into(),
+             would fail",
         )),
     }
 }
 
 pub(crate) fn status(args: &StatusArgs) -> Done {
-    let (loaded, plan) = planned(&args.plan)?;
-    let mut status = plan.status();
+    let loaded = open(&resolved(&args.plan.pipeline).0, &[])?;
+    let mut status = loaded.builder.plan(&loaded.graph, None).status();
     for name in &args.scene {
         let known = || loaded.pipeline.batch.scenes.iter().map(|s| s.name.as_str());
         if !known().any(|scene| scene == name) {
@@ -88,17 +77,9 @@ pub(crate) fn status(args: &StatusArgs) -> Done {
         let failed = |row: &Row| row.cells.iter().any(|cell| cell.standing == Standing::Failed);
         asked && (!args.failed || failed(row))
     });
-    match (args.summary, args.plan.json) {
-        (true, true) => json(&status.counts()),
-        (true, false) => {
-            print!("{}", status.counts());
-            Ok(())
-        }
-        (false, true) => json(&status),
-        (false, false) => {
-            print!("{status}");
-            Ok(())
-        }
+    match args.summary {
+        true => output::show(&status.counts(), args.plan.json),
+        false => output::show(&status, args.plan.json),
     }
 }
 
@@ -107,11 +88,7 @@ pub(crate) fn why(args: &WhyArgs) -> Done {
     // `SCENE` or `SCENE@VARIANT`.
     let (scene, variant) = args.scene.split_once('@').unwrap_or((&args.scene, ""));
     let why = loaded.builder.why(&loaded.graph, scene, variant, &args.stage).map_err(CliError::input)?;
-    if args.json {
-        return json(&why);
-    }
-    print!("{why}");
-    Ok(())
+    output::show(&why, args.json)
 }
 
 pub(crate) fn graph(pipeline: &PipelineArgs) -> Done {
@@ -124,17 +101,21 @@ pub(crate) fn graph(pipeline: &PipelineArgs) -> Done {
 pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     // A results folder stands for the pipeline that was run into it, and new results go there again.
     let (mut pipeline, results) = resolved(&args.pipeline);
-    if let Some(capture) = prepared(app, args, &pipeline.target)? {
+    let elsewhere = |set: &String| set.contains("model_dir");
+    // A film or a folder of photographs is prepared as a capture first.
+    if !args.dry_run
+        && !args.pipeline.sets().iter().any(elsewhere)
+        && let Some(capture) = prepare::capture_for(app, &pipeline.target, args.out.as_deref())?
+    {
         pipeline.target = capture;
     }
-    let elsewhere = |set: &String| set.contains("model_dir");
     if pipeline.target.is_dir()
         && !use3d_import::is_prepared(&pipeline.target)
         && !pipeline.sets().iter().any(elsewhere)
     {
         use3d_import::check_layout(&pipeline.target).map_err(CliError::input)?;
     }
-    let loaded = open(&pipeline, &args.scene)?;
+    let mut loaded = open(&pipeline, &args.scene)?;
     let until = args.until.clone().map(|stage| vec![stage]);
     if let Some(stage) = &args.until {
         loaded.builder.registry.stage(stage).map_err(CliError::input)?;
@@ -155,35 +136,29 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     }
     let choices = &args.white.choices[..];
     if !choices.is_empty() && !pipeline.target.is_dir() {
-        let what =
-            "--white works with one capture folder; for a pipeline, use `use3d white` on each of its scenes";
-        return Err(CliError::Input(what.into()));
+        return Err(CliError::input(
+            "--white works with one capture folder; for a pipeline, use `use3d white` on each of its scenes",
+        ));
     }
     white::check(choices, &pipeline.target)?;
     let named = || PathBuf::from("use3d-out").join(&loaded.pipeline.batch.name);
     let out = args.out.clone().or(results).unwrap_or_else(named);
-    let out = (!args.cache_only).then_some(out);
-    if let Some(out) = &out {
-        outside_the_cache(out, &loaded.pipeline.cache)?;
+    let mut results = None;
+    if !args.cache_only {
+        outside_the_cache(&out, &loaded.pipeline.cache)?;
+        let checked = Results::new(&out, &loaded.builder.cache);
+        checked.check(&loaded.graph, until.as_deref())?;
+        results = Some(Arc::new(checked));
     }
-    let results = out.map(|out| Arc::new(Results::new(&out, &loaded.builder.cache)));
-    if let Some(results) = &results {
-        results.check(&loaded.graph, until.as_deref())?;
+    if let Some(address) = &args.remote {
+        let store = of_run(app, address, args.remote_read_only)?;
+        loaded.builder = loaded.builder.with_remote(store);
     }
-    let loaded = match &args.remote {
-        Some(address) => {
-            let store = of_run(app, address, args.remote_read_only)?;
-            Loaded { builder: loaded.builder.with_remote(store), ..loaded }
-        }
-        None => loaded,
-    };
     let plan = (!app.quiet).then(|| loaded.builder.plan(&loaded.graph, until.as_deref()));
     if let Some(plan) = &plan {
         tell_faults(&loaded, plan, &pipeline.target);
         tell_why(plan);
     }
-    let watched = Watched::start(app, &args.watch, None)?;
-    let app = watched.as_ref().map_or(app, Watched::app);
     let options = RunOptions {
         jobs: args.jobs,
         keep_going: args.keep_going,
@@ -196,19 +171,8 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     };
     let white = (!choices.is_empty()).then_some((choices, pipeline.target.as_path()));
     let given = Given { pipeline: &pipeline, scenes: &args.scene, white, plan };
-    let done = execute(app, &loaded, &options, (results.as_ref(), &given), args.json);
-    if let Some(watched) = &watched {
-        watched.end(&done);
-    }
-    done
-}
-
-/// The capture that a film or a folder of photographs is prepared as; `None` for any other target.
-fn prepared(app: &App, args: &RunArgs, target: &Path) -> Result<Option<PathBuf>, CliError> {
-    if args.dry_run || args.pipeline.sets().iter().any(|set| set.contains("model_dir")) {
-        return Ok(None);
-    }
-    prepare::capture_for(app, target, args.out.as_deref())
+    let out = (results.as_ref(), &given);
+    watched(app, &args.watch, None, |app| execute(app, &loaded, &options, out, args.json))
 }
 
 /// The stage that reads a capture folder.
@@ -219,16 +183,13 @@ fn tell_faults(loaded: &Loaded, plan: &Plan, target: &Path) {
     let imports = |node: &&PlannedNode| node.stage == IMPORT && matches!(node.state, State::Run(_));
     let anew = target.is_dir() && plan.nodes.iter().any(|node| imports(&node) && !node.had);
     let node = loaded.graph.nodes.iter().find(|node| node.stage_name == IMPORT).filter(|_| anew);
-    for line in node.map_or_else(Vec::new, |node| check::before_run(target, &node.parameters)) {
-        eprintln!("{line}");
-    }
+    let lines = node.map_or_else(Vec::new, |node| check::before_run(target, &node.parameters));
+    lines.iter().for_each(|line| eprintln!("{line}"));
 }
 
 /// Prints why stages run again, and an estimate of the total time.
 fn tell_why(plan: &Plan) {
-    for line in plan.reruns() {
-        eprintln!("{line}");
-    }
+    plan.reruns().iter().for_each(|line| eprintln!("{line}"));
     let (forecast, unknown) = plan.forecast();
     if plan.to_run() > unknown {
         let besides =
@@ -249,12 +210,8 @@ fn of_app(app: &App) -> RunOptions {
 
 /// The scenes and variants of `--only`.
 fn only(graph: &Graph, named: &[String]) -> Result<Option<Vec<(String, String)>>, CliError> {
-    let cells: BTreeSet<(String, String)> = graph
-        .nodes
-        .iter()
-        .map(|n| (n.scene.clone(), n.variant.clone()))
-        .filter(|(s, _)| !s.is_empty())
-        .collect();
+    let of_scenes = graph.nodes.iter().filter(|n| !n.scene.is_empty());
+    let cells: BTreeSet<(String, String)> = of_scenes.map(|n| (n.scene.clone(), n.variant.clone())).collect();
     let find = |name: &String| {
         let (scene, variant) = name.split_once('@').unwrap_or((name, ""));
         let cell = (scene.to_string(), variant.to_string());
@@ -320,13 +277,11 @@ fn execute(
     (out, given): (Option<&Arc<Results>>, &Given<'_>),
     as_json: bool,
 ) -> Done {
-    let listener = out.map_or_else(|| app.listener.clone(), |out| delivering(app, out));
-    let listener = match &given.plan {
-        Some(plan) => {
-            WholeRun::new(plan, &loaded.graph, options.only.as_deref(), options.jobs).listener(listener)
-        }
-        None => listener,
-    };
+    let mut listener = out.map_or_else(|| app.listener.clone(), |out| delivering(app, out));
+    if let Some(plan) = &given.plan {
+        let whole = WholeRun::new(plan, &loaded.graph, options.only.as_deref(), options.jobs);
+        listener = whole.listener(listener);
+    }
     let summary = loaded.builder.run(&loaded.graph, options, &listener);
     // The bar of the whole run ends before anything is printed.
     drop(listener);
@@ -345,19 +300,20 @@ fn execute(
         }
     }
     if as_json {
-        json(&Outcome::new(&summary, &delivered))?;
+        output::json(&Outcome::new(&summary, &delivered))?;
     } else {
         print!("{summary}");
     }
     // The places were checked before, so an error here comes from the disk and not from the arguments.
     let delivered = delivered.map_err(CliError::failed)?;
-    if !app.quiet && !as_json {
+    let quiet = app.quiet || as_json;
+    if !quiet {
         outcome::tell(&delivered);
     }
     if let Some(out) = out.filter(|_| !delivered.is_empty()) {
         let until = options.until.as_deref();
         let record = RunRecord::of(given.pipeline, given.scenes, until, loaded, &summary, typed());
-        history::keep(out.folder(), record, app.quiet || as_json)?;
+        history::keep(out.folder(), record, quiet)?;
     }
     match summary.exit_code() {
         0 => Ok(()),
@@ -369,11 +325,7 @@ fn execute(
                 return Err(CliError::Failed(format!(
                     "{} missing: {}{}; `use3d submit` submits them again, `use3d run` without --gather \
                      computes them here",
-                    if missing.len() == 1 {
-                        "1 stage is".to_string()
-                    } else {
-                        format!("{} stages are", missing.len())
-                    },
+                    output::counted(missing.len(), "stage is", "stages are"),
                     missing[..missing.len().min(SHOWN)].join(", "),
                     if missing.len() > SHOWN { ", …" } else { "" }
                 )));
@@ -391,7 +343,7 @@ fn balance(app: &App, choices: &[WhiteChoice], capture: &Path, delivered: &[Deli
         let of_this = |other: &&Delivered| (&other.scene, &other.variant) == (&result.scene, &result.variant);
         let shown = result.what == "enhance" || !scene("enhance").any(|other| of_this(&other));
         if shown {
-            white::keep_for(choices, &result.path, capture, app.quiet)?;
+            white::keep_for(app, choices, &result.path, capture)?;
         }
     }
     Ok(())

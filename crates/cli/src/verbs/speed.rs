@@ -11,8 +11,8 @@ use crate::App;
 use crate::args::RenderArgs;
 use crate::error::{CliError, Done};
 use crate::interrupt;
+use crate::output::json;
 use crate::verbs::drawing::{cameras, held_out, renderer};
-use crate::verbs::json::json;
 
 /// The figures and the conditions of the measurement.
 #[derive(Serialize)]
@@ -38,7 +38,7 @@ const PROTOCOL: &str = "median over all timed views; 2 warm-up passes, then whol
 /// `use3d render --fps`.
 pub(crate) fn run(app: &App, args: &RenderArgs, scene: &Scene, drawn: &Drawn<'_>) -> Done {
     let given = cameras(args, scene)?;
-    let held_out = args.cameras.as_deref().map_or_else(Vec::new, held_out);
+    let held_out = args.cameras.as_deref().and_then(|capture| held_out(capture).ok()).unwrap_or_default();
     let is_held_out = |name: &FileName| held_out.iter().any(|held| name == held);
     let any = given.iter().any(|(name, _)| is_held_out(name));
     let chosen: Vec<Camera> =
@@ -50,9 +50,7 @@ pub(crate) fn run(app: &App, args: &RenderArgs, scene: &Scene, drawn: &Drawn<'_>
     }
     let mut speeds = Vec::new();
     for mode in modes {
-        if !app.quiet {
-            eprintln!("timing {} of {} views", mode.name(), chosen.len());
-        }
+        remark!(app, "timing {} of {} views", mode.name(), chosen.len());
         let speed = measure(&mut renderer, &chosen, mode, &interrupt::requested).map_err(CliError::failed)?;
         speeds.push(speed.ok_or(CliError::Stopped)?);
     }

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::time::Instant;
 
 use serde_json::Value;
@@ -10,16 +9,18 @@ use use3d_pipeline::config::stage_parameters;
 use use3d_pipeline::stages::{CALIBRATOR, TARGETS};
 use use3d_scene::Origin;
 use use3d_workflow::machine::{bytes, seconds};
-use use3d_workflow::{Alone, Event, Registry, Stage, StageError, leftovers};
+use use3d_workflow::{Alone, Event, Registry, StageError, leftovers};
 
 use crate::App;
 use crate::args::{
     CalibrateArgs, EngineArgs, EnhanceArgs, ImportArgs, ReconstructArgs, Spelled, TargetsArgs, as_typed,
 };
-use crate::destination::{check_file, check_folder, copy_file, copy_folder, path_text, word};
+use crate::destination::{
+    check_file, check_folder, checkpoints_of, copy_file, copy_folder, entries, path_text, word,
+};
 use crate::error::{CliError, Done};
 use crate::verbs::loaded::stages;
-use crate::verbs::view::Watched;
+use crate::verbs::view::watched;
 use crate::verbs::web::scene_name;
 
 /// Creates a folder that is removed at the end of the command.
@@ -29,9 +30,9 @@ pub(crate) fn scratch() -> Result<leftovers::Scratch, CliError> {
     })
 }
 
-/// A result that is kept: its path, and permission to replace an earlier one.
-struct Kept<'a> {
-    out: &'a Path,
+/// The rules for a result that is kept.
+struct Kept {
+    /// Permission to replace an earlier result.
     force: bool,
     checkpoints: Option<PathBuf>,
 }
@@ -39,32 +40,24 @@ struct Kept<'a> {
 /// Runs one stage of the table into `output`, a new folder that is removed at the end of the command.
 pub(crate) fn run_stage(
     app: &App,
-    stage: &Stage,
+    registry: &Registry,
+    stage: &str,
     parameters: &Value,
     inputs: Vec<(&str, PathBuf)>,
     output: &Path,
 ) -> Done {
-    run_alone(app, stage, parameters, inputs, output, None)
+    run_alone(app, registry, stage, parameters, inputs, output, None)
 }
 
-/// Runs one stage of the table and keeps its result.
-fn run_kept(
-    app: &App,
-    stage: &Stage,
-    parameters: &Value,
-    inputs: Vec<(&str, PathBuf)>,
-    kept: &Kept<'_>,
-) -> Done {
-    run_alone(app, stage, parameters, inputs, kept.out, Some(kept))
-}
-
+/// Runs one stage of the table; its result is kept if there are rules for it.
 fn run_alone(
     app: &App,
-    stage: &Stage,
+    registry: &Registry,
+    stage: &str,
     parameters: &Value,
     inputs: Vec<(&str, PathBuf)>,
     output: &Path,
-    kept: Option<&Kept<'_>>,
+    kept: Option<Kept>,
 ) -> Done {
     if let Some((role, path)) = inputs.iter().find(|(_, path)| !path.exists()) {
         // The name on the command line, and a hint for inputs that can be left out.
@@ -85,42 +78,35 @@ fn run_alone(
         inputs: inputs.into_iter().map(|(role, path)| (role.to_string(), path)).collect(),
         output,
         record: kept.is_some(),
-        replace: kept.is_some_and(|k| k.force),
-        checkpoints: kept.and_then(|k| k.checkpoints.clone()),
+        replace: kept.as_ref().is_some_and(|kept| kept.force),
+        checkpoints: kept.and_then(|kept| kept.checkpoints),
         seed: app.seed,
         threads: app.threads,
         stop: app.stop.clone(),
     };
-    let kept = alone.checkpoints.is_some();
+    let resumes = alone.checkpoints.is_some();
+    let stage = registry.stage(stage).map_err(CliError::failed)?;
     stage.run_alone(alone, &app.listener).map_err(|error| match error {
-        StageError::Cancelled if kept => CliError::Interrupted,
+        StageError::Cancelled if resumes => CliError::Interrupted,
         StageError::Cancelled => CliError::Stopped,
         StageError::Failed(_) if error.is_bad_input() => CliError::input(error),
         StageError::Failed(_) => CliError::failed(error),
     })
 }
 
-/// Returns true if a setting is `seed=N`, which belongs to no single stage.
-fn is_seed(set: &str) -> bool {
-    set.split_once('=').is_some_and(|(key, _)| key.trim() == "seed")
+/// The value of a setting `seed=N`, which belongs to no single stage.
+fn seed(set: &str) -> Option<&str> {
+    set.split_once('=').filter(|(key, _)| key.trim() == "seed").map(|(_, value)| value.trim())
 }
 
 /// The same app with the seed of the settings, if they contain one.
 fn seeded(app: &App, sets: &[String]) -> Result<App, CliError> {
-    let mut seed = app.seed;
-    for set in sets.iter().filter(|set| is_seed(set)) {
-        let value = set.split_once('=').map_or("", |(_, value)| value.trim());
-        seed = value
-            .parse()
-            .map_err(|_| CliError::Input(format!("--set {set}: the seed is a whole number, 0 or more")))?;
+    let mut app = app.clone();
+    for (set, value) in sets.iter().filter_map(|set| Some((set, seed(set)?))) {
+        let wrong = |_| CliError::Input(format!("--set {set}: the seed is a whole number, 0 or more"));
+        app.seed = value.parse().map_err(wrong)?;
     }
-    Ok(App {
-        quiet: app.quiet,
-        seed,
-        threads: app.threads,
-        stop: app.stop.clone(),
-        listener: app.listener.clone(),
-    })
+    Ok(app)
 }
 
 /// Assigns settings to the stages whose parameters they name: `STAGE.KEY`, or `KEY` of the first stage that
@@ -135,7 +121,7 @@ pub(crate) fn parameters(
     let defaults: Vec<Value> =
         stages.iter().map(|s| stage_parameters(s, &[]).map_err(CliError::input)).collect::<Result<_, _>>()?;
     let mut sorted: Vec<Vec<String>> = vec![Vec::new(); stages.len()];
-    for set in sets.iter().filter(|set| !is_seed(set)) {
+    for set in sets.iter().filter(|set| seed(set).is_none()) {
         let key = set.split(['=', '.']).next().unwrap_or_default().trim();
         let named = names.iter().position(|n| *n == key && set.trim_start()[key.len()..].starts_with('.'));
         let has = defaults.iter().position(|d| d.get(key).is_some());
@@ -145,20 +131,13 @@ pub(crate) fn parameters(
     stages.iter().zip(&sorted).map(|(s, sets)| stage_parameters(s, sets).map_err(CliError::input)).collect()
 }
 
-/// Rewrites the error about a setting so that it names the flag that was typed.
-fn typed(error: CliError, spelled: &[Spelled]) -> CliError {
-    match error {
-        CliError::Input(message) => CliError::Input(as_typed(&message, spelled)),
-        other => other,
-    }
-}
-
 /// The engine of a stage, as a setting.
 fn engine(args: &EngineArgs, stage: &'static str) -> Option<Spelled> {
     args.choice().map(|choice| Spelled::new("--engine", stage, "engine", choice))
 }
 
-/// The parameters of stages from flags that stand for settings, and from settings; the settings win.
+/// The parameters of stages from flags that stand for settings, and from settings; the settings win. An error
+/// names the flag that was typed.
 fn with_flags(
     registry: &Registry,
     names: &[&str],
@@ -166,27 +145,23 @@ fn with_flags(
     sets: &[String],
 ) -> Result<Vec<Value>, CliError> {
     let all: Vec<String> = flags.iter().map(Spelled::set).chain(sets.iter().cloned()).collect();
-    parameters(registry, names, &all).map_err(|error| typed(error, flags))
+    parameters(registry, names, &all).map_err(|error| match error {
+        CliError::Input(message) => CliError::Input(as_typed(&message, flags)),
+        other => other,
+    })
 }
 
 /// Prints the path of a result, its size, its duration, and the next step.
 fn finished(app: &App, out: &Path, started: Instant, next: &str) {
-    if app.quiet {
-        return;
-    }
-    let size = |path: &Path| -> u64 {
-        let below = walk(path);
-        below.iter().filter_map(|f| std::fs::metadata(f).ok()).map(|m| m.len()).sum()
-    };
-    let (size, time) = (bytes(size(out)), seconds(started.elapsed().as_secs_f64()));
-    eprintln!("{}: {size}, in {time}; next: {next}", path_text(out));
+    let time = seconds(started.elapsed().as_secs_f64());
+    remark!(app, "{}: {}, in {time}; next: {next}", path_text(out), bytes(size(out)));
 }
 
-/// The files of a folder, or the file itself.
-fn walk(path: &Path) -> Vec<PathBuf> {
+/// The bytes of a file, or of all files in a folder.
+fn size(path: &Path) -> u64 {
     match std::fs::read_dir(path) {
-        Ok(entries) => entries.filter_map(Result::ok).flat_map(|e| walk(&e.path())).collect(),
-        Err(_) => vec![path.to_path_buf()],
+        Ok(entries) => entries.filter_map(Result::ok).map(|entry| size(&entry.path())).sum(),
+        Err(_) => std::fs::metadata(path).map_or(0, |file| file.len()),
     }
 }
 
@@ -202,28 +177,22 @@ struct Checkpoints {
 
 impl Checkpoints {
     fn beside(out: &Path) -> Self {
-        let name = out.file_name().unwrap_or_default().to_string_lossy();
-        let mut this =
-            Self { folder: out.with_file_name(format!(".{name}.checkpoints")), before: BTreeSet::new() };
-        this.before = this.files().collect();
-        this
-    }
-
-    fn files(&self) -> impl Iterator<Item = PathBuf> {
-        std::fs::read_dir(&self.folder).into_iter().flatten().flatten().map(|entry| entry.path())
+        let folder = checkpoints_of(out);
+        Self { before: entries(&folder).collect(), folder }
     }
 
     /// Removes the checkpoints that are no longer needed; those of other trainings stay.
     fn forget(&self, app: &App) {
-        for path in self.files().filter(|path| !self.before.contains(path)) {
+        for path in entries(&self.folder).filter(|path| !self.before.contains(path)) {
             if let Err(error) = std::fs::remove_file(&path) {
                 tracing::warn!("{}: {error}; this checkpoint is no longer needed", path.display());
             }
         }
         // This succeeds only if the folder is empty.
         let gone = std::fs::remove_dir(&self.folder).is_ok();
-        if !gone && !app.quiet && self.files().next().is_some() {
-            eprintln!(
+        if !gone && entries(&self.folder).next().is_some() {
+            remark!(
+                app,
                 "{}: kept checkpoints of a run with other parameters or inputs; delete them if you will not \
                  resume it",
                 path_text(&self.folder)
@@ -244,8 +213,8 @@ pub(crate) fn imported(
         return Ok(capture.to_path_buf());
     }
     let folder = scratch.join("import");
-    let stage = registry.stage("import").map_err(CliError::failed)?;
-    run_stage(app, stage, parameters, vec![("capture", capture.to_path_buf())], &folder)?;
+    let inputs = vec![("capture", capture.to_path_buf())];
+    run_stage(app, registry, "import", parameters, inputs, &folder)?;
     Ok(folder)
 }
 
@@ -263,25 +232,21 @@ pub(crate) fn import(app: &App, args: &ImportArgs) -> Done {
     let force = args.replace.force;
     check_folder(&args.out, force)?;
     let registry = stages()?;
-    let spelled = args.size.spelled();
-    let parameters = with_flags(&registry, &["import"], &spelled, &args.settings.set)?;
-    let stage = registry.stage("import").map_err(CliError::failed)?;
-    let kept = Kept { out: &args.out, force, checkpoints: None };
-    run_kept(app, stage, &parameters[0], vec![("capture", args.capture.clone())], &kept)?;
+    let parameters = with_flags(&registry, &["import"], &args.size.spelled(), &args.settings.set)?;
+    let inputs = vec![("capture", args.capture.clone())];
+    let kept = Kept { force, checkpoints: None };
+    run_alone(app, &registry, "import", &parameters[0], inputs, &args.out, Some(kept))?;
     finished(app, &args.out, started, &format!("use3d reconstruct {} --out scene/", word(&args.out)));
     Ok(())
 }
 
 /// The same app, which also prints the time of each part of a stage on stdout.
 fn profiling(app: &App) -> App {
-    let inner = app.listener.clone();
-    let listener = Arc::new(move |event: &Event<'_>| {
-        inner.event(event);
+    app.heard_by(|event| {
         if let Event::Profile { text, .. } = event {
             print!("{text}");
         }
-    });
-    App { quiet: app.quiet, seed: app.seed, threads: app.threads, stop: app.stop.clone(), listener }
+    })
 }
 
 /// Returns true if depth priors must be made for a prepared capture.
@@ -316,32 +281,27 @@ pub(crate) fn reconstruct(app: &App, args: &ReconstructArgs) -> Done {
         let folder = scratch.path().join("proposals");
         let mut given = vec![("import", import)];
         given.extend(args.models.clone().map(|dir| ("models", dir)));
-        let stage = registry.stage("propose").map_err(CliError::failed)?;
-        run_stage(app, stage, &parameters[2], given, &folder)?;
+        run_stage(app, &registry, "propose", &parameters[2], given, &folder)?;
         inputs.push(("proposals", folder));
     }
     if depth_wanted(&parameters[0], parameters.get(3), &inputs[0].1, args.models.as_deref()) {
         let Some(models) = args.models.clone() else {
-            return Err(CliError::Input(
-                "depth_prior=depth-anything-v2 needs the network's weights: pass --models DIR, or set USE3D_MODELS (`use3d models` lists what is there)".into(),
+            return Err(CliError::input(
+                "depth_prior=depth-anything-v2 needs the network's weights: pass --models DIR, or set USE3D_MODELS (`use3d models` lists what is there)",
             ));
         };
         let folder = scratch.path().join("depth");
-        let stage = registry.stage("depth").map_err(CliError::failed)?;
         let given = vec![("import", inputs[0].1.clone()), ("models", models)];
-        run_stage(app, stage, parameters.get(3).unwrap_or(&Value::Null), given, &folder)?;
+        let depth = parameters.get(3).unwrap_or(&Value::Null);
+        run_stage(app, &registry, "depth", depth, given, &folder)?;
         inputs.push(("depth", folder));
     }
-    let stage = registry.stage("reconstruct").map_err(CliError::failed)?;
     let app = if args.profile { &profiling(app) } else { app };
-    let watched = Watched::start(app, &args.watch, Some(&scene_name(&args.out)))?;
     let saved = Checkpoints::beside(&args.out);
-    let kept = Kept { out: &args.out, force, checkpoints: Some(saved.folder.clone()) };
-    let done = run_kept(watched.as_ref().map_or(app, Watched::app), stage, &parameters[0], inputs, &kept);
-    if let Some(watched) = &watched {
-        watched.end(&done);
-    }
-    done?;
+    let kept = Kept { force, checkpoints: Some(saved.folder.clone()) };
+    watched(app, &args.watch, Some(&scene_name(&args.out)), |app| {
+        run_alone(app, &registry, "reconstruct", &parameters[0], inputs, &args.out, Some(kept))
+    })?;
     saved.forget(app);
     let (scene, capture) = (word(&args.out), word(&args.capture));
     let next =
@@ -356,25 +316,19 @@ pub(crate) fn calibrate(app: &App, args: &CalibrateArgs) -> Done {
     check_file("--out", &args.out, args.replace.force, &[])?;
     let registry = stages()?;
     let mut sets = args.settings.set.clone();
-    if let Some(proposer) = &args.proposer {
-        sets.push(format!("pairs.proposer={proposer}"));
-    }
+    sets.extend(args.proposer.iter().map(|proposer| format!("pairs.proposer={proposer}")));
     let parameters = parameters(&registry, &["calibrate", "pairs"], &sets)?;
     let scratch = scratch()?;
     let pairs = scratch.path().join("pairs");
     let mut inputs = vec![("input", args.input.clone()), ("target", args.target.clone())];
     inputs.extend(args.models.clone().map(|dir| ("models", dir)));
-    run_stage(app, registry.stage("pairs").map_err(CliError::failed)?, &parameters[1], inputs, &pairs)?;
+    run_stage(app, &registry, "pairs", &parameters[1], inputs, &pairs)?;
     let out = scratch.path().join("calibrate");
-    let stage = registry.stage("calibrate").map_err(CliError::failed)?;
-    run_stage(app, stage, &parameters[0], vec![("pairs", pairs)], &out)?;
+    run_stage(app, &registry, "calibrate", &parameters[0], vec![("pairs", pairs)], &out)?;
     copy_file("--out", &out.join(CALIBRATOR), &args.out)?;
-    finished(
-        app,
-        &args.out,
-        started,
-        &format!("use3d targets SCENE CAPTURE --calibrator {} --out targets.safetensors", word(&args.out)),
-    );
+    let calibrator = word(&args.out);
+    let next = format!("use3d targets SCENE CAPTURE --calibrator {calibrator} --out targets.safetensors");
+    finished(app, &args.out, started, &next);
     Ok(())
 }
 
@@ -392,9 +346,8 @@ pub(crate) fn targets(app: &App, args: &TargetsArgs) -> Done {
     }
     let parameters = with_flags(&registry, &["targets", "import"], &args.size.spelled(), &sets)?;
     if args.calibrator.is_none() && parameters[0]["calibrated"] == true {
-        return Err(CliError::Input(
-            "calibrated = true needs a calibrator: give --calibrator FILE (`use3d calibrate` makes one)"
-                .into(),
+        return Err(CliError::input(
+            "calibrated = true needs a calibrator: give --calibrator FILE (`use3d calibrate` makes one)",
         ));
     }
     let scratch = scratch()?;
@@ -404,7 +357,7 @@ pub(crate) fn targets(app: &App, args: &TargetsArgs) -> Done {
     inputs.extend(args.calibrator.clone().map(|file| ("calibrator", file)));
     inputs.extend(args.models.clone().map(|dir| ("models", dir)));
     let out = scratch.path().join("targets");
-    run_stage(app, registry.stage("targets").map_err(CliError::failed)?, &parameters[0], inputs, &out)?;
+    run_stage(app, &registry, "targets", &parameters[0], inputs, &out)?;
     if out.join("previews").is_dir() {
         copy_folder(&out.join("previews"), &previews, args.replace.force)?;
     }
@@ -432,10 +385,9 @@ pub(crate) fn enhance(app: &App, args: &EnhanceArgs) -> Done {
         vec![("import", import), ("scene", args.scene.clone()), ("targets", args.targets.clone())];
     inputs.extend(args.models.clone().map(|dir| ("models", dir)));
     let app = if args.profile { &profiling(app) } else { app };
-    let stage = registry.stage("enhance").map_err(CliError::failed)?;
     let saved = Checkpoints::beside(&args.out);
-    let kept = Kept { out: &args.out, force, checkpoints: Some(saved.folder.clone()) };
-    run_kept(app, stage, &parameters[0], inputs, &kept)?;
+    let kept = Kept { force, checkpoints: Some(saved.folder.clone()) };
+    run_alone(app, &registry, "enhance", &parameters[0], inputs, &args.out, Some(kept))?;
     saved.forget(app);
     let (scene, capture) = (word(&args.out), word(&args.capture));
     let next =
@@ -446,6 +398,8 @@ pub(crate) fn enhance(app: &App, args: &EnhanceArgs) -> Done {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use use3d_workflow::Silent;
 
     use super::*;

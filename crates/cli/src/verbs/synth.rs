@@ -9,37 +9,29 @@ use use3d_synth::{
     CaptureParams, Development, Location, PairsParams, Physics, SynthError, WaterType, write_capture,
     write_pairs,
 };
+use use3d_workflow::Digest;
 use use3d_workflow::place::{self, Look, Standing};
-use use3d_workflow::{Digest, Event};
 
 use crate::App;
 use crate::args::{SynthCaptureArgs, SynthPairsArgs};
+use crate::destination::put_folder;
 use crate::error::{CliError, Done};
 use crate::interrupt::{self, ends_soon};
 use crate::size::parse_size;
 
 /// Reports the progress, and returns whether to continue.
-pub(crate) fn tell<'a>(app: &'a App, label: &'a str) -> impl FnMut(usize, usize) -> ControlFlow<()> + 'a {
+fn tell<'a>(app: &'a App, label: &'a str) -> impl FnMut(usize, usize) -> ControlFlow<()> + 'a {
     move |done, total| {
-        let (done, total) = (done as u64, total as u64);
-        app.listener.event(&Event::Progress {
-            node: 0,
-            label,
-            done,
-            total,
-            unit: "images",
-            message: "",
-            seconds_left: None,
-        });
+        app.progress(label, done as u64, total as u64, "images", "");
         if done == total {
-            app.listener.event(&Event::Done { node: 0, label, cached: true, seconds: 0.0 });
+            app.over(label);
         }
         interrupt::go_on()
     }
 }
 
 /// Converts an error to a message for the user.
-pub(crate) fn error(error: SynthError) -> CliError {
+fn error(error: SynthError) -> CliError {
     match error {
         SynthError::Interrupted => CliError::Stopped,
         SynthError::Parameter(wrong) => {
@@ -83,9 +75,7 @@ fn capture_params(args: &SynthCaptureArgs) -> Result<CaptureParams, CliError> {
         // The usual behaviour of cameras under water with automatic settings.
         (params.auto_exposure, params.white_balance) = (1.0, 0.5);
     }
-    if let Some(views) = common.views {
-        params.views = views;
-    }
+    params.views = common.views.unwrap_or(params.views);
     if let Some(size) = &common.size {
         (params.width, params.height) = parse_size(size)?;
     }
@@ -94,14 +84,13 @@ fn capture_params(args: &SynthCaptureArgs) -> Result<CaptureParams, CliError> {
         Some(water) => params.water = named("--water", water, &WaterType::ALL.map(WaterType::name))?,
         None => {}
     }
-    let set = |field: &mut f32, given: Option<f32>| given.into_iter().for_each(|value| *field = value);
-    set(&mut params.depth, args.depth);
-    set(&mut params.white_balance, args.white_balance);
-    set(&mut params.noise, args.noise);
-    set(&mut params.auto_exposure, args.auto_exposure);
-    set(&mut params.lamps, args.lamps);
-    set(&mut params.snow, args.snow);
-    set(&mut params.backlight, args.backlight);
+    params.depth = args.depth.unwrap_or(params.depth);
+    params.white_balance = args.white_balance.unwrap_or(params.white_balance);
+    params.noise = args.noise.unwrap_or(params.noise);
+    params.auto_exposure = args.auto_exposure.unwrap_or(params.auto_exposure);
+    params.lamps = args.lamps.unwrap_or(params.lamps);
+    params.snow = args.snow.unwrap_or(params.snow);
+    params.backlight = args.backlight.unwrap_or(params.backlight);
     params.fish = args.fish.unwrap_or(params.fish);
     params.depth_priors = !args.no_depth_priors;
     Ok(params)
@@ -122,25 +111,17 @@ pub(crate) fn keep_capture(app: &App, params: &CaptureParams, out: &Path) -> Don
     place::check_writable(folder)?;
     std::fs::create_dir_all(folder)
         .map_err(|e| CliError::Input(format!("--out {}: {e}", folder.display())))?;
-    let made = place::sibling(out);
     let _ends_soon = ends_soon();
-    let placed = write_capture(params, &made, &mut tell(app, "synth capture"))
-        .map_err(error)
-        .and_then(|_| place::record(&made, Some(recipe)).map_err(CliError::failed))
-        .and_then(|()| place::put(&made, out, true).map_err(CliError::failed));
-    if placed.is_err() {
-        let _ = std::fs::remove_dir_all(&made); // only our files; the first error is the one to report
-    }
-    placed
+    put_folder(out, Some(recipe), true, |made| {
+        write_capture(params, made, &mut tell(app, "synth capture")).map(drop).map_err(error)
+    })
 }
 
 pub(crate) fn capture(app: &App, args: &SynthCaptureArgs) -> Done {
     let (params, out) = (capture_params(args)?, &args.common.out);
     let _ends_soon = ends_soon();
     write_capture(&params, out, &mut tell(app, "synth capture")).map_err(error)?;
-    if !app.quiet {
-        eprintln!("{}: {} views of {}x{}", out.display(), params.views, params.width, params.height);
-    }
+    remark!(app, "{}: {} views of {}x{}", out.display(), params.views, params.width, params.height);
     Ok(())
 }
 
@@ -148,16 +129,12 @@ pub(crate) fn pairs(app: &App, args: &SynthPairsArgs) -> Done {
     let physics = named("--physics", &args.physics, &Physics::ALL.map(Physics::name))?;
     let args = &args.common;
     let mut params = PairsParams { seed: args.seed, physics, ..PairsParams::default() };
-    if let Some(pairs) = args.views {
-        params.pairs = pairs;
-    }
+    params.pairs = args.views.unwrap_or(params.pairs);
     if let Some(size) = &args.size {
         (params.width, params.height) = parse_size(size)?;
     }
     let _ends_soon = ends_soon();
     write_pairs(&params, &args.out, &mut tell(app, "synth pairs")).map_err(error)?;
-    if !app.quiet {
-        eprintln!("{}: {} pairs of {}x{}", args.out.display(), params.pairs, params.width, params.height);
-    }
+    remark!(app, "{}: {} pairs of {}x{}", args.out.display(), params.pairs, params.width, params.height);
     Ok(())
 }

@@ -1,9 +1,9 @@
 //! Writes a scene as a page for a browser.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use use3d_capture::Frame;
-use use3d_import::{ImportParams, capture_name, import, read_cameras};
+use use3d_capture::{Camera, FileName, Frame};
+use use3d_import::{ImportParams, capture_name, import};
 use use3d_pipeline::scene_page;
 use use3d_scene::{Origin, Scene, White};
 use use3d_web::{Page, PageView, SavedViews};
@@ -11,15 +11,18 @@ use use3d_workflow::machine::bytes;
 
 use crate::App;
 use crate::args::ExportArgs;
-use crate::destination::{check_file, path_text, write_file};
+use crate::destination::{absolute, check_file, path_text, write_text};
 use crate::error::{CliError, Done};
+use crate::verbs::drawing::{any_known, placed};
 
-/// Fails, before the scene is read, if no page can be written.
-pub(crate) fn check(path: &Path, args: &ExportArgs) -> Done {
-    if let Some(metres) = args.metres_per_unit.filter(|m| !(m.is_finite() && *m > 0.0)) {
-        return Err(CliError::Input(format!("--metres-per-unit {metres}: expected a positive number")));
+/// Refuses a wrong value of `--metres-per-unit`.
+pub(crate) fn check_metres(given: Option<f64>) -> Done {
+    match given.filter(|metres| !(metres.is_finite() && *metres > 0.0)) {
+        None => Ok(()),
+        Some(metres) => {
+            Err(CliError::Input(format!("--metres-per-unit {metres}: expected a positive number")))
+        }
     }
-    check_file("--web", path, args.replace.force, &["html"])
 }
 
 /// The metres in one unit of a scene's model: those given, those saved with its views, or those of its world.
@@ -36,14 +39,12 @@ pub(crate) fn metres(
 
 /// Writes the page, and its parts into a folder beside it if it is too large for one file.
 pub(crate) fn write(app: &App, args: &ExportArgs, path: &Path, scene: &Scene, white: Option<&White>) -> Done {
-    let views = match &args.cameras {
-        Some(cameras) => views(cameras, &args.scene, scene)?,
-        None => Vec::new(),
-    };
+    let views = views(args.cameras.as_deref(), &args.scene, scene)?;
     let saved = saved_views(args.views.as_deref())?;
     let name = scene_name(&args.scene);
-    let folder = parts_folder(path);
-    let folder_name = folder.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    // The folder for the parts of a page: `reef_files` for `reef.html`.
+    let folder_name = format!("{}_files", path.file_stem().unwrap_or_default().to_string_lossy());
+    let folder = path.with_file_name(&folder_name);
     let page = Page {
         name: &name,
         scene,
@@ -56,28 +57,25 @@ pub(crate) fn write(app: &App, args: &ExportArgs, path: &Path, scene: &Scene, wh
     for (file, text) in &written.parts {
         let part = folder.join(file);
         check_file("--web", &part, args.replace.force, &["js"])?;
-        write_file("--web", &part, |writer| std::io::Write::write_all(writer, text.as_bytes()))?;
+        write_text("--web", &part, text)?;
     }
-    write_file("--web", path, |writer| std::io::Write::write_all(writer, written.html.as_bytes()))?;
-    if !app.quiet {
-        let photographs = page.views.iter().filter(|v| v.photograph.is_some()).count();
-        let less = if written.degree < scene.gaussians.sh_degree.min(3) {
-            format!(", harmonics to degree {} so that it stays one file", written.degree)
-        } else {
-            String::new()
-        };
-        let beside = if written.parts.is_empty() {
-            String::new()
-        } else {
-            format!(" with {} beside it", path_text(&folder))
-        };
-        eprintln!(
-            "{}{beside}: {} Gaussians, {photographs} photographs, {}{less}; open it in a browser",
-            path_text(path),
-            scene.gaussians.len(),
-            bytes(written.bytes() as u64)
-        );
-    }
+    write_text("--web", path, &written.html)?;
+    let photographs = page.views.iter().filter(|v| v.photograph.is_some()).count();
+    let less = match written.degree {
+        degree if degree == scene.gaussians.sh_degree.min(3) => String::new(),
+        degree => format!(", harmonics to degree {degree} so that it stays one file"),
+    };
+    let beside = match &written.parts[..] {
+        [] => String::new(),
+        _ => format!(" with {} beside it", path_text(&folder)),
+    };
+    remark!(
+        app,
+        "{}{beside}: {} Gaussians, {photographs} photographs, {}{less}; open it in a browser",
+        path_text(path),
+        scene.gaussians.len(),
+        bytes(written.bytes() as u64)
+    );
     Ok(())
 }
 
@@ -105,39 +103,11 @@ pub(crate) fn text_of(file: &Path) -> Result<String, String> {
 
 /// The name for a scene folder: `reef/enhanced-scene` has the name `reef`.
 pub(crate) fn scene_name(folder: &Path) -> String {
-    let place = std::path::absolute(folder).unwrap_or_else(|_| folder.to_path_buf());
+    let place = absolute(folder);
     match capture_name(&place).as_str() {
         "scene" | "enhanced-scene" => place.parent().map_or_else(|| capture_name(&place), capture_name),
         own => own.to_string(),
     }
-}
-
-/// The folder for the parts of a page: `reef_files` for `reef.html`.
-fn parts_folder(path: &Path) -> PathBuf {
-    let stem = path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
-    path.with_file_name(format!("{stem}_files"))
-}
-
-/// Refuses a capture of another place: one without any of the photographs from which the scene was made.
-fn check_capture(
-    origin: &Origin,
-    cameras: &Path,
-    folder: &Path,
-    placed: &[(use3d_capture::FileName, use3d_capture::Camera)],
-) -> Done {
-    let known = |(name, _): &(use3d_capture::FileName, use3d_capture::Camera)| {
-        let stem = use3d_capture::stem(name);
-        origin.train.iter().chain(&origin.held_out).any(|of_scene| of_scene == stem)
-    };
-    if placed.iter().any(known) {
-        return Ok(());
-    }
-    let example = origin.train.first().map_or_else(String::new, |stem| format!(" (`{stem}` is one of them)"));
-    Err(CliError::Input(format!(
-        "--cameras {}: it has none of the photographs that {} was made from{example}; give the capture of this scene",
-        path_text(cameras),
-        path_text(folder)
-    )))
 }
 
 /// Returns true if a scene's frame is the one in which a capture is imported, or COLMAP's own
@@ -154,11 +124,19 @@ fn same_place(scene: &Frame, capture: &Frame) -> bool {
 }
 
 /// The camera positions of a capture with its photographs; for other sources of cameras, the positions alone.
-pub(crate) fn views(cameras: &Path, folder: &Path, scene: &Scene) -> Result<Vec<PageView>, CliError> {
+/// A capture of another place is refused: one without any of the photographs from which the scene was made.
+pub(crate) fn views(cameras: Option<&Path>, folder: &Path, scene: &Scene) -> Result<Vec<PageView>, CliError> {
+    let Some(cameras) = cameras else { return Ok(Vec::new()) };
     let origin = Origin::read(folder).map_err(CliError::input)?;
-    let placed = read_cameras(cameras).map_err(CliError::input)?;
-    if let Some(origin) = origin.as_ref().filter(|_| cameras.is_dir()) {
-        check_capture(origin, cameras, folder, &placed)?;
+    let placed = placed(cameras, &scene.frame)?;
+    if let Some(origin) = origin.as_ref().filter(|origin| cameras.is_dir() && !any_known(origin, &placed)) {
+        let example = origin.train.first().map(|stem| format!(" (`{stem}` is one of them)"));
+        return Err(CliError::Input(format!(
+            "--cameras {}: it has none of the photographs that {} was made from{}; give the capture of this scene",
+            path_text(cameras),
+            path_text(folder),
+            example.unwrap_or_default()
+        )));
     }
     // A model without its images is no capture, but it has cameras.
     if cameras.is_dir()
@@ -177,10 +155,9 @@ pub(crate) fn views(cameras: &Path, folder: &Path, scene: &Scene) -> Result<Vec<
         }
         return scene_page::views(scene, origin.as_ref(), &imported).map_err(CliError::input);
     }
-    let place = |(name, mut camera): (use3d_capture::FileName, use3d_capture::Camera)| {
-        camera.pose = scene.frame.apply_pose(&camera.pose);
-        let name = use3d_capture::stem(&name).to_string();
+    let view = |(name, camera): (FileName, Camera)| {
+        let name = name.stem().to_string();
         PageView { held_out: scene_page::is_held_out(origin.as_ref(), &name), name, camera, photograph: None }
     };
-    Ok(placed.into_iter().map(place).collect())
+    Ok(placed.into_iter().map(view).collect())
 }

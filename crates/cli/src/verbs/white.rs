@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use use3d_capture::Camera;
+use use3d_capture::{Camera, FileName};
 use use3d_import::read_cameras;
 use use3d_render::SceneRenderer;
 use use3d_render::white::{Surfaces, gains_of_patches, patch};
@@ -15,23 +15,18 @@ use crate::App;
 use crate::args::{KeepWhiteArgs, Place, WhiteArgs, WhiteChoice};
 use crate::destination::{check_file, path_text, word};
 use crate::error::{CliError, Done};
+use crate::verbs::drawing::placed;
 use crate::verbs::found::{capture_in, scene_in};
 
 /// The cameras of a capture by name, in the frame of a scene.
-fn placed(cameras: Option<&Path>, scene: &Scene) -> Result<Vec<(String, Camera)>, CliError> {
-    let Some(cameras) = cameras else {
-        return Err(CliError::Input(
+fn cameras_of(capture: Option<&Path>, scene: &Scene) -> Result<Vec<(FileName, Camera)>, CliError> {
+    let Some(capture) = capture else {
+        return Err(CliError::input(
             "a white balance by pixels, reef or grey is measured in the photographs of the capture: name it \
-             with --cameras CAPTURE"
-                .into(),
+             with --cameras CAPTURE",
         ));
     };
-    let read = read_cameras(cameras).map_err(CliError::input)?;
-    let place = |(name, mut camera): (use3d_capture::FileName, Camera)| {
-        camera.pose = scene.frame.apply_pose(&camera.pose);
-        (name.to_string(), camera)
-    };
-    Ok(read.into_iter().map(place).collect())
+    placed(capture, &scene.frame)
 }
 
 /// Converts a pixel position in a picture of another size to the camera's own size. One picture is the other
@@ -48,8 +43,12 @@ fn rescaled(place: &Place, camera: &Camera) -> (f64, f64) {
 }
 
 /// The camera of the photograph of a place.
-fn camera_of<'c>(place: &Place, cameras: &'c [(String, Camera)]) -> Result<&'c (String, Camera), CliError> {
-    let named = |(name, _): &&(String, Camera)| *name == place.view || stem_of(name) == stem_of(&place.view);
+fn camera_of<'c>(
+    place: &Place,
+    cameras: &'c [(FileName, Camera)],
+) -> Result<&'c (FileName, Camera), CliError> {
+    let named =
+        |(name, _): &&(FileName, Camera)| *name == place.view || stem_of(name) == stem_of(&place.view);
     cameras.iter().find(named).ok_or_else(|| {
         let mut names = cameras.iter().map(|(name, _)| name.as_str());
         let near = nearest(&place.view, names.clone()).or(names.next()).unwrap_or("none");
@@ -61,17 +60,17 @@ fn camera_of<'c>(place: &Place, cameras: &'c [(String, Camera)]) -> Result<&'c (
 /// Measures the places that the user clicked on.
 fn by_places(
     places: &[&Place],
-    cameras: &[(String, Camera)],
+    cameras: &[(FileName, Camera)],
     scene: &Scene,
     renderer: &mut SceneRenderer<'_>,
 ) -> Result<White, CliError> {
     let (mut patches, mut clicks) = (Vec::new(), Vec::new());
     for place in places {
-        let wrong = |what: String| CliError::Input(format!("--white {}: {what}", place.text()));
         let (name, camera) = camera_of(place, cameras)?;
         let (x, y) = rescaled(place, camera);
-        let found = patch(renderer, camera, x, y).map_err(|error| wrong(error.to_string()))?;
-        clicks.push(Click { view: name.clone(), x, y, distance: Some(found.depth / scene.frame.scale) });
+        let found = patch(renderer, camera, x, y)
+            .map_err(|error| CliError::Input(format!("--white {}: {error}", place.text())))?;
+        clicks.push(Click { view: name.to_string(), x, y, distance: Some(found.depth / scene.frame.scale) });
         patches.push(found);
     }
     let gains = gains_of_patches(&patches, scene.enhancement.is_some()).map_err(|error| {
@@ -79,6 +78,14 @@ fn by_places(
         CliError::Input(format!("--white {}: {error}", typed.join(" ")))
     })?;
     Ok(White::new(Method::Patch, clicks, gains))
+}
+
+/// The pixels among the choices.
+fn places(choices: &[WhiteChoice]) -> Vec<&Place> {
+    choices
+        .iter()
+        .filter_map(|choice| if let WhiteChoice::Place(place) = choice { Some(place) } else { None })
+        .collect()
 }
 
 /// A name without the part after its last dot.
@@ -92,26 +99,23 @@ fn measured(
     scene: &Scene,
     cameras: Option<&Path>,
 ) -> Result<Option<White>, CliError> {
-    let places: Vec<&Place> = choices
-        .iter()
-        .filter_map(|choice| if let WhiteChoice::Place(place) = choice { Some(place) } else { None })
-        .collect();
+    let places = places(choices);
     if choices.len() > 1 && places.len() < choices.len() {
-        return Err(CliError::Input(
-            "--white: give several pixels, or only one of off, reef, grey and a file".into(),
+        return Err(CliError::input(
+            "--white: give several pixels, or only one of off, reef, grey and a file",
         ));
     }
     let renderer = || SceneRenderer::new(scene, 1.0).map_err(CliError::failed);
-    let all = |cameras: &[(String, Camera)]| cameras.iter().map(|(_, camera)| *camera).collect::<Vec<_>>();
     match &choices[0] {
         WhiteChoice::Off => Ok(None),
         WhiteChoice::File(path) => White::read(path).map(Some).map_err(CliError::input),
         WhiteChoice::Place(_) => {
-            by_places(&places, &placed(cameras, scene)?, scene, &mut renderer()?).map(Some)
+            by_places(&places, &cameras_of(cameras, scene)?, scene, &mut renderer()?).map(Some)
         }
         rule => {
-            let cameras = placed(cameras, scene)?;
-            let surfaces = Surfaces::seen_by(&mut renderer()?, &all(&cameras));
+            let cameras: Vec<Camera> =
+                cameras_of(cameras, scene)?.into_iter().map(|(_, camera)| camera).collect();
+            let surfaces = Surfaces::seen_by(&mut renderer()?, &cameras);
             let found = surfaces.and_then(|surfaces| match rule {
                 WhiteChoice::Reef => Ok((Method::Reef, surfaces.reef()?)),
                 _ => Ok((Method::Grey, surfaces.grey()?)),
@@ -132,9 +136,7 @@ pub(crate) fn of(
 ) -> Result<Option<White>, CliError> {
     if !args.choices.is_empty() {
         let white = measured(&args.choices, scene, cameras)?;
-        if let Some(white) = white.as_ref().filter(|_| !app.quiet) {
-            tell(white, scene);
-        }
+        white.iter().for_each(|white| tell(app, white, scene));
         return Ok(white);
     }
     let Some(white) = White::beside(folder).map_err(CliError::input)? else { return Ok(None) };
@@ -146,19 +148,12 @@ pub(crate) fn of(
         );
         return Ok(None);
     }
-    if !app.quiet {
-        eprintln!("white balance: {place} (--white off leaves the colours unchanged)");
-    }
+    remark!(app, "white balance: {place} (--white off leaves the colours unchanged)");
     Ok(Some(white))
 }
 
-/// The gains of a white balance, or gains of one.
-pub(crate) fn gains(white: Option<&White>) -> Gains {
-    white.map_or(Gains::ONE, |white| white.gains)
-}
-
 /// Prints the effect of a white balance, and its range.
-fn tell(white: &White, scene: &Scene) {
+fn tell(app: &App, white: &White, scene: &Scene) {
     let text = |[r, _, b]: [f32; 3]| format!("red ×{r:.2}, blue ×{b:.2}");
     let Gains { clear, enhanced, enhanced_clear } = white.gains;
     let mut looks = vec![format!("clear: {}", text(clear))];
@@ -166,11 +161,12 @@ fn tell(white: &White, scene: &Scene) {
         looks.push(format!("enhanced: {}", text(enhanced)));
         looks.push(format!("enhanced-clear: {}", text(enhanced_clear)));
     }
-    eprintln!("white balance by {}: {}", white.method.name(), looks.join("; "));
+    remark!(app, "white balance by {}: {}", white.method.name(), looks.join("; "));
     let distances: Vec<f64> = white.clicks.iter().filter_map(|click| click.distance).collect();
     if !distances.is_empty() {
         let distances: Vec<String> = distances.iter().map(|d| format!("{d:.2}")).collect();
-        eprintln!(
+        remark!(
+            app,
             "measured at a distance of {} units and correct there; nearer or farther surfaces may keep a \
              cast",
             distances.join(" and ")
@@ -180,28 +176,20 @@ fn tell(white: &White, scene: &Scene) {
 
 /// Fails, before anything is trained, if a place names a photograph that the capture does not have.
 pub(crate) fn check(choices: &[WhiteChoice], capture: &Path) -> Done {
-    let names = |choice: &&WhiteChoice| matches!(choice, WhiteChoice::Place(_));
-    if choices.iter().any(|choice| names(&choice)) {
-        let cameras = read_cameras(capture).map_err(CliError::input)?;
-        let cameras: Vec<(String, Camera)> =
-            cameras.into_iter().map(|(name, camera)| (name.to_string(), camera)).collect();
-        for choice in choices {
-            if let WhiteChoice::Place(place) = choice {
-                camera_of(place, &cameras)?;
-            }
-        }
+    let places = places(choices);
+    if places.is_empty() {
+        return Ok(());
     }
-    Ok(())
+    let cameras = read_cameras(capture).map_err(CliError::input)?;
+    places.into_iter().try_for_each(|place| camera_of(place, &cameras).map(drop))
 }
 
 /// Measures a scene of a run, and stores the result beside it.
-pub(crate) fn keep_for(choices: &[WhiteChoice], folder: &Path, capture: &Path, quiet: bool) -> Done {
+pub(crate) fn keep_for(app: &App, choices: &[WhiteChoice], folder: &Path, capture: &Path) -> Done {
     let scene = Scene::load(folder).map_err(CliError::input)?;
     let white = measured(choices, &scene, Some(capture))?;
     keep(white.as_ref(), folder)?;
-    if let Some(white) = white.as_ref().filter(|_| !quiet) {
-        tell(white, &scene);
-    }
+    white.iter().for_each(|white| tell(app, white, &scene));
     Ok(())
 }
 
@@ -232,25 +220,20 @@ pub(crate) fn run(app: &App, args: &KeepWhiteArgs) -> Done {
         let white = measured(&args.choices, &scene, cameras.as_deref())?;
         match (&args.out, &white) {
             (Some(out), Some(white)) => white.write(out).map_err(CliError::failed)?,
-            (Some(_), None) => {
-                return Err(CliError::Input("off writes no file: leave out --out".into()));
-            }
+            (Some(_), None) => return Err(CliError::input("off writes no file: leave out --out")),
             (None, white) => keep(white.as_ref(), &folder)?,
         }
         (white, args.out.clone().unwrap_or_else(|| White::place(&folder)))
     };
     if args.json {
-        return crate::verbs::json::json(&white);
+        return crate::output::json(&white);
     }
     match &white {
         Some(white) => {
             println!("{}", path_text(&place));
-            if !app.quiet {
-                tell(white, &scene);
-            }
+            tell(app, white, &scene);
         }
-        None if !app.quiet => eprintln!("no white balance: colours unchanged"),
-        None => {}
+        None => remark!(app, "no white balance: colours unchanged"),
     }
     Ok(())
 }

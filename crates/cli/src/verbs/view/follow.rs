@@ -17,7 +17,7 @@ use use3d_web::PageView;
 use super::{Told, WAIT, serve};
 use crate::App;
 use crate::args::{PipelineArgs, Settings, ViewArgs};
-use crate::destination::path_text;
+use crate::destination::{checkpoints_of, entries, path_text};
 use crate::error::{CliError, Done};
 use crate::verbs::loaded::{Loaded, open};
 use crate::verbs::web::{saved_views, scene_name};
@@ -49,11 +49,8 @@ struct Newest {
 /// `use3d view --follow`.
 pub(super) fn run(app: &App, args: &ViewArgs, target: &Path, live: &Arc<Live>) -> Done {
     let followed = followed(args, target)?;
-    let capture = args
-        .cameras
-        .as_ref()
-        .map(|path| import(path, &ImportParams::default()).map_err(CliError::input))
-        .transpose()?;
+    let capture = args.cameras.as_ref().map(|path| import(path, &ImportParams::default()));
+    let capture = capture.transpose().map_err(CliError::input)?;
     let name = match &followed {
         Followed::Pipeline { scene, .. } => scene.clone(),
         Followed::Scene { folder, .. } => scene_name(folder),
@@ -61,7 +58,7 @@ pub(super) fn run(app: &App, args: &ViewArgs, target: &Path, live: &Arc<Live>) -
     };
     let saved = saved_views(args.views.as_deref())?.map(Arc::new);
     live.wait_for(&format!("Waiting for the first checkpoint of {name}"));
-    let _server = serve(app, &args.viewer, live, Told::Result)?;
+    let _server = serve(app, args.port, args.no_open, live, Told::Result)?;
     if !app.quiet && newest(&followed).is_none() {
         let wanted = match &followed {
             Followed::Scene { folder, .. } => format!("a training whose --out is {}", path_text(folder)),
@@ -102,20 +99,10 @@ pub(super) fn run(app: &App, args: &ViewArgs, target: &Path, live: &Arc<Live>) -
             places = Some((newest.import.clone(), scene.frame, Arc::new(views.map_err(CliError::input)?)));
         }
         let Some((_, _, views)) = &places else { continue };
-        let state = Shown {
-            name: name.clone(),
-            scene: Arc::new(scene),
-            views: views.clone(),
-            metres_per_unit: args.metres_per_unit,
-            saved: saved.clone(),
-            white: None,
-            step,
-        };
-        if !app.quiet {
-            let what = step.map_or_else(|| "the finished scene".to_string(), |step| format!("step {step}"));
-            eprintln!("{name}: {what}, {} Gaussians", state.scene.gaussians.len());
-        }
-        live.show(state);
+        let what = step.map_or_else(|| "the finished scene".to_string(), |step| format!("step {step}"));
+        remark!(app, "{name}: {what}, {} Gaussians", scene.gaussians.len());
+        let state = Shown::new(name.clone(), scene, views.clone(), step);
+        live.show(Shown { metres_per_unit: args.metres_per_unit, saved: saved.clone(), ..state });
         shown = Some(newest);
     }
     Ok(())
@@ -124,11 +111,8 @@ pub(super) fn run(app: &App, args: &ViewArgs, target: &Path, live: &Arc<Live>) -
 /// Finds what a path names.
 fn followed(args: &ViewArgs, target: &Path) -> Result<Followed, CliError> {
     let is_checkpoint = |path: &Path| path.extension().is_some_and(|e| e == "checkpoint");
-    let beside = {
-        let name = target.file_name().unwrap_or_default().to_string_lossy();
-        target.with_file_name(format!(".{name}.checkpoints"))
-    };
-    if is_checkpoint(target) || target.is_dir() && files(target).any(|file| is_checkpoint(&file)) {
+    let beside = checkpoints_of(target);
+    if is_checkpoint(target) || target.is_dir() && entries(target).any(|file| is_checkpoint(&file)) {
         return Ok(Followed::Checkpoints(target.to_path_buf()));
     }
     // A training that has not begun yet may be waited for, but not below a folder that does not exist.
@@ -159,10 +143,6 @@ fn followed(args: &ViewArgs, target: &Path) -> Result<Followed, CliError> {
     Ok(Followed::Pipeline { loaded: Box::new(loaded), scene })
 }
 
-fn files(folder: &Path) -> impl Iterator<Item = PathBuf> {
-    std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path())
-}
-
 fn modified(path: &Path) -> Option<SystemTime> {
     std::fs::metadata(path).and_then(|m| m.modified()).ok()
 }
@@ -176,7 +156,7 @@ fn checkpoint(path: &Path) -> Option<PathBuf> {
         let name = file.file_name().unwrap_or_default().to_string_lossy();
         name.starts_with("reconstruct-") && name.ends_with(".checkpoint")
     };
-    files(path).filter(named).max_by_key(|file| modified(file))
+    entries(path).filter(named).max_by_key(|file| modified(file))
 }
 
 fn newest(followed: &Followed) -> Option<Newest> {

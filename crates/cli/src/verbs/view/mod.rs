@@ -5,7 +5,7 @@ mod follow;
 mod points;
 mod watch;
 
-pub(crate) use watch::Watched;
+pub(crate) use watch::watched;
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -21,10 +21,10 @@ use use3d_viewer::{Live, Server, Shown};
 use use3d_web::PageView;
 
 use crate::App;
-use crate::args::{ViewArgs, ViewerArgs};
+use crate::args::ViewArgs;
 use crate::error::{CliError, Done};
 use crate::verbs::found::{capture_in, scene_in};
-use crate::verbs::web::{metres, saved_views, scene_name, views};
+use crate::verbs::web::{check_metres, metres, saved_views, scene_name, views};
 use crate::verbs::white;
 
 /// Time between two checks of the stop flag while waiting.
@@ -32,19 +32,17 @@ const WAIT: Duration = Duration::from_millis(200);
 
 /// `use3d view`.
 pub(crate) fn run(app: &App, args: &ViewArgs) -> Done {
-    if let Some(metres) = args.metres_per_unit.filter(|m| !(m.is_finite() && *m > 0.0)) {
-        return Err(CliError::Input(format!("--metres-per-unit {metres}: expected a positive number")));
-    }
+    check_metres(args.metres_per_unit)?;
     let live = Arc::new(Live::new("Opening the scene…", None));
     if let Some(followed) = &args.follow {
         return follow::run(app, args, followed, &live);
     }
     let Some(target) = &args.target else {
-        return Err(CliError::Input("name what to show: a scene, a capture, or --follow FILE".into()));
+        return Err(CliError::input("name what to show: a scene, a capture, or --follow FILE"));
     };
     let cameras = args.cameras.clone().or_else(|| capture_in(target));
     let shown = shown(app, &scene_in(app, target)?, cameras.as_deref(), args)?;
-    let _server = serve(app, &args.viewer, &live, Told::Result)?;
+    let _server = serve(app, args.port, args.no_open, &live, Told::Result)?;
     live.hand_over(shown).map_err(CliError::input)?;
     while !app.stop.load(Ordering::Relaxed) {
         std::thread::sleep(WAIT);
@@ -57,22 +55,11 @@ fn shown(app: &App, target: &Path, cameras: Option<&Path>, args: &ViewArgs) -> R
     let saved = saved_views(args.views.as_deref())?.map(Arc::new);
     if Scene::is_scene(target) {
         let scene = Scene::load(target).map_err(CliError::input)?;
-        let views = match cameras {
-            Some(cameras) => views(cameras, target, &scene)?,
-            None => Vec::new(),
-        };
-        let name = scene_name(target);
+        let views = views(cameras, target, &scene)?;
         let metres_per_unit = metres(args.metres_per_unit, saved.as_deref(), target)?;
         let white = white::of(app, &args.white, target, &scene, cameras)?.map(Arc::new);
-        return Ok(Shown {
-            name,
-            scene: Arc::new(scene),
-            views: Arc::new(views),
-            metres_per_unit,
-            saved,
-            white,
-            step: None,
-        });
+        let shown = Shown::new(scene_name(target), scene, views, None);
+        return Ok(Shown { metres_per_unit, saved, white, ..shown });
     }
     if !target.is_dir() {
         let there = if target.exists() { "this is a file" } else { "there is no such folder" };
@@ -80,26 +67,17 @@ fn shown(app: &App, target: &Path, cameras: Option<&Path>, args: &ViewArgs) -> R
         return Err(CliError::Input(format!("{}: {what}", target.display())));
     }
     if args.cameras.is_some() {
-        return Err(CliError::Input("--cameras is for a scene; a capture has its own cameras".into()));
+        return Err(CliError::input("--cameras is for a scene; a capture has its own cameras"));
     }
     let imported = import(target, &ImportParams::default()).map_err(CliError::input)?;
     let scene = points::scene(&imported.capture)
         .map_err(|what| CliError::Input(format!("{}: {what}", target.display())))?;
     let origin = Origin::of(&imported.capture);
-    let views: Vec<PageView> =
-        scene_page::views(&scene, Some(&origin), &imported).map_err(CliError::input)?;
+    let views = scene_page::views(&scene, Some(&origin), &imported).map_err(CliError::input)?;
     let given = args.metres_per_unit.or_else(|| saved.as_ref()?.metres_per_unit);
     let known = imported.model().world.as_ref().map(|world| world.metres_per_unit);
-    let name = imported.capture.name;
-    Ok(Shown {
-        name,
-        scene: Arc::new(scene),
-        views: Arc::new(views),
-        metres_per_unit: given.or(known),
-        saved,
-        white: None,
-        step: None,
-    })
+    let shown = Shown::new(imported.capture.name, scene, views, None);
+    Ok(Shown { metres_per_unit: given.or(known), saved, ..shown })
 }
 
 /// The camera positions of an imported capture, held-out ones first: they show best how good a scene is.
@@ -125,8 +103,14 @@ struct Serving {
 }
 
 /// Starts the server, prints its address, and opens a browser if there is a screen.
-fn serve(app: &App, args: &ViewerArgs, live: &Arc<Live>, told: Told) -> Result<Serving, CliError> {
-    let server = Server::start(args.port, live).map_err(CliError::input)?;
+fn serve(
+    app: &App,
+    port: Option<u16>,
+    no_open: bool,
+    live: &Arc<Live>,
+    told: Told,
+) -> Result<Serving, CliError> {
+    let server = Server::start(port, live).map_err(CliError::input)?;
     let (address, port) = (server.address(), server.port());
     if told == Told::Result {
         println!("{address}");
@@ -135,13 +119,12 @@ fn serve(app: &App, args: &ViewerArgs, live: &Arc<Live>, told: Told) -> Result<S
     } else {
         eprintln!("{address}");
     }
-    if !app.quiet {
-        eprintln!(
-            "open this whole address in a browser (the part after # is the key); on another machine, first \
-             run `ssh -L {port}:localhost:{port} HOST` there; Ctrl-C ends the viewer"
-        );
-    }
-    let redirect = if args.no_open { None } else { open(&address) };
+    remark!(
+        app,
+        "open this whole address in a browser (the part after # is the key); on another machine, first \
+         run `ssh -L {port}:localhost:{port} HOST` there; Ctrl-C ends the viewer"
+    );
+    let redirect = if no_open { None } else { open(&address) };
     Ok(Serving { _server: server, _redirect: redirect })
 }
 
@@ -179,22 +162,12 @@ fn open(address: &str) -> Option<tempfile::NamedTempFile> {
     } else {
         return None;
     };
-    let page = match page_to(address) {
-        Ok(page) => page,
-        Err(error) => {
-            tracing::debug!("no page that leads a browser to the viewer: {error}");
-            return None;
-        }
-    };
-    let quiet = || Stdio::null();
-    let started = Command::new(program)
-        .args(arguments)
-        .arg(page.path())
-        .stdin(quiet())
-        .stdout(quiet())
-        .stderr(quiet())
-        .spawn();
-    match started {
+    let no_page =
+        |error: &std::io::Error| tracing::debug!("no page that leads a browser to the viewer: {error}");
+    let page = page_to(address).inspect_err(no_page).ok()?;
+    let mut command = Command::new(program);
+    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+    match command.args(arguments).arg(page.path()).spawn() {
         // A thread waits for the child, so that no zombie process is left.
         Ok(mut child) => drop(std::thread::spawn(move || child.wait())),
         Err(error) => tracing::debug!("{program}: {error}"),

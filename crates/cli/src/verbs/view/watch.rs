@@ -8,56 +8,38 @@ use use3d_import::load_prepared;
 use use3d_scene::Scene;
 use use3d_viewer::{Live, Shown};
 use use3d_web::PageView;
-use use3d_workflow::{Event, Listener};
+use use3d_workflow::Event;
 
-use super::{Serving, Told, places, serve};
+use super::{Told, places, serve};
 use crate::App;
 use crate::args::WatchArgs;
-use crate::error::CliError;
+use crate::error::Done;
 
-/// The app whose stages are shown, and the server, which lives as long as this value.
-pub(crate) struct Watched {
-    app: App,
-    live: Arc<Live>,
-    _server: Serving,
-}
-
-impl Watched {
-    /// Starts a viewer if the arguments request one. `name` is the scene's name if there is only one.
-    pub(crate) fn start(app: &App, args: &WatchArgs, name: Option<&str>) -> Result<Option<Self>, CliError> {
-        if !args.view {
-            return Ok(None);
+/// Runs stages by `work`, with an app whose stages are shown in a viewer if the arguments request one. `name`
+/// is the scene's name if there is only one.
+pub(crate) fn watched(
+    app: &App,
+    args: &WatchArgs,
+    name: Option<&str>,
+    work: impl FnOnce(&App) -> Done,
+) -> Done {
+    if !args.view {
+        return work(app);
+    }
+    let live = Arc::new(Live::new("Waiting for the training to begin", Some(app.stop.clone())));
+    let _server = serve(app, args.port, args.no_open, &live, Told::Remark)?;
+    let name = name.map(str::to_string);
+    let watcher = Arc::new(Watcher { live: live.clone(), name, known: Mutex::default() });
+    let done = work(&app.heard_by(move |event| watcher.hear(event)));
+    live.end(&match &done {
+        Ok(()) => "Done.".to_string(),
+        Err(_) if app.stop.load(Ordering::Relaxed) => {
+            "Stopped. Run the same command to continue from the checkpoint.".to_string()
         }
-        let live = Arc::new(Live::new("Waiting for the training to begin", Some(app.stop.clone())));
-        let server = serve(app, &args.viewer(), &live, Told::Remark)?;
-        let watcher =
-            Arc::new(Watcher { live: live.clone(), name: name.map(str::to_string), known: Mutex::default() });
-        let inner = app.listener.clone();
-        let listener: Arc<dyn Listener> = Arc::new(move |event: &Event<'_>| {
-            inner.event(event);
-            watcher.hear(event);
-        });
-        let app =
-            App { quiet: app.quiet, seed: app.seed, threads: app.threads, stop: app.stop.clone(), listener };
-        Ok(Some(Self { app, live, _server: server }))
-    }
-
-    /// The app to run the stages with.
-    pub(crate) fn app(&self) -> &App {
-        &self.app
-    }
-
-    /// Shows the end of the training on the page.
-    pub(crate) fn end<T>(&self, result: &Result<T, CliError>) {
-        self.live.end(&match result {
-            Ok(_) => "Done.".to_string(),
-            Err(_) if self.app.stop.load(Ordering::Relaxed) => {
-                "Stopped. Run the same command to continue from the checkpoint.".to_string()
-            }
-            Err(error) => format!("Failed: {}", error.text()),
-        });
-        self.live.let_them_know();
-    }
+        Err(error) => format!("Failed: {}", error.text()),
+    });
+    live.let_them_know();
+    done
 }
 
 /// The state of the stage that is shown.
@@ -145,15 +127,7 @@ impl Watcher {
         if let (Some(views), Some((scene, step))) = (known.views.clone(), known.scene.clone()) {
             let name = self.name.clone().unwrap_or_else(|| known.label.clone());
             drop(known);
-            self.live.show(Shown {
-                name,
-                scene,
-                views,
-                metres_per_unit: None,
-                saved: None,
-                white: None,
-                step: Some(step),
-            });
+            self.live.show(Shown::new(name, scene, views, Some(step)));
         }
     }
 }
