@@ -26,6 +26,11 @@ pub(crate) enum CliError {
 /// The return type of every verb.
 pub(crate) type Done = Result<(), CliError>;
 
+/// The refusal of a program without engines for graphics cards.
+#[cfg(not(feature = "gpu"))]
+pub(crate) const NO_GPU: &str =
+    "this program was built without engines for graphics cards (cargo feature `gpu`)";
+
 impl CliError {
     /// Bad input, from any error with a message.
     pub(crate) fn input(error: impl Display) -> Self {

@@ -124,15 +124,11 @@ pub(crate) struct CommonArgs {
 pub(super) const MAX_STEPS: u64 = 200_000_000;
 
 impl CommonArgs {
+    /// The settings that the flags stand for.
     pub(crate) fn spelled(&self) -> Vec<Spelled> {
         let steps = self.iterations.iter();
         let steps = steps.map(|n| Spelled::new("--iterations", "reconstruct", "iterations", n));
         steps.chain(self.size.spelled()).collect()
-    }
-
-    /// The settings that the flags stand for.
-    pub(crate) fn sets(&self) -> Vec<String> {
-        self.spelled().iter().map(Spelled::set).collect()
     }
 }
 
@@ -207,7 +203,7 @@ pub(crate) struct CacheArgs {
 }
 
 /// A pipeline, with its settings and folders.
-#[derive(Clone, Debug, Args)]
+#[derive(Clone, Debug, Default, Args)]
 pub(crate) struct PipelineArgs {
     /// A pipeline file (.toml) or a capture folder; for `run` also a film or a folder of photographs.
     #[arg(value_name = "PIPELINE.toml|CAPTURE_DIR")]
@@ -225,7 +221,7 @@ pub(crate) struct PipelineArgs {
 impl PipelineArgs {
     /// All settings in the form of `--set`; those given by `--set` itself come last, and so win.
     pub(crate) fn sets(&self) -> Vec<String> {
-        self.common.sets().into_iter().chain(self.settings.sets()).collect()
+        self.spelled().iter().map(Spelled::set).chain(self.settings.set.iter().cloned()).collect()
     }
 
     /// The settings that flags stand for.
@@ -235,13 +231,7 @@ impl PipelineArgs {
 
     /// A pipeline as in its file, with the given cache.
     pub(crate) fn of(target: &Path, cache: &CacheArgs) -> Self {
-        Self {
-            target: target.to_path_buf(),
-            common: CommonArgs::default(),
-            settings: Settings::default(),
-            calibration: CalibrationArgs::default(),
-            cache: cache.clone(),
-        }
+        Self { target: target.to_path_buf(), cache: cache.clone(), ..Self::default() }
     }
 }
 

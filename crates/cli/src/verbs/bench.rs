@@ -21,8 +21,8 @@ use crate::App;
 use crate::args::{Baselines, BenchTruthArgs};
 use crate::destination::path_text;
 use crate::error::{CliError, Done};
+use crate::output::json;
 use crate::size::parse_size;
-use crate::verbs::json::json;
 use crate::verbs::loaded::stages;
 use crate::verbs::stages::scratch;
 use crate::verbs::synth::keep_capture;
@@ -73,8 +73,9 @@ pub(crate) fn truth(app: &App, args: &BenchTruthArgs) -> Done {
             })?;
         }
     }
+    let cache = args.cache.cache.clone().unwrap_or_else(|| args.out.join("cache"));
     let ready: Vec<Seed> =
-        bench.seeds.iter().map(|&seed| bench.open(seed, &args.out)).collect::<Result<_, _>>()?;
+        bench.seeds.iter().map(|&seed| bench.load(seed, &args.out, &cache)).collect::<Result<_, _>>()?;
     let mut results = Results::default();
     let mut delivered = Vec::new();
     for (i, seed) in ready.iter().enumerate() {
@@ -172,11 +173,6 @@ impl<'a> Bench<'a> {
         let graph = Graph::new(&registry, &pipeline.batch).map_err(CliError::input)?;
         let cache = Cache::open(&pipeline.cache, self.args.cache.rehash).map_err(CliError::input)?;
         Ok(Seed { seed, text, pipeline, builder: Builder::new(registry, cache), graph })
-    }
-
-    fn open(&self, seed: u64, out: &Path) -> Result<Seed, CliError> {
-        let cache = self.args.cache.cache.clone().unwrap_or_else(|| out.join("cache"));
-        self.load(seed, out, &cache)
     }
 
     /// Prints an estimate of the time for the remaining seeds.

@@ -27,20 +27,16 @@ fn measured(app: &App, args: &BenchGpuArgs) -> Done {
         return kernels(app, folder, args.replace.force);
     }
     let Some(out) = &args.out else {
-        return Err(CliError::Input("give the file to write: --out FILE.json".into()));
+        return Err(CliError::input("give the file to write: --out FILE.json"));
     };
     check_file("--out", out, args.replace.force, &["json"])?;
     let sizes = args.sizes.iter().map(|text| parse_size(text)).collect::<Result<Vec<_>, _>>()?;
     let gpu = Gpu::open(args.device.as_deref()).map_err(CliError::input)?;
-    let say = |text: &str| {
-        if !app.quiet {
-            eprintln!("{text}");
-        }
-    };
-    say(&format!("{} ({})", gpu.adapter().name, gpu.adapter().driver));
-    say(&format!("kernels: {}", gpu.kernels()));
+    let say = |text: &str| remark!(app, "{text}");
+    remark!(app, "{} ({})", gpu.adapter().name, gpu.adapter().driver);
+    remark!(app, "kernels: {}", gpu.kernels());
     for refusal in gpu.refused_before() {
-        say(&format!("skipped: {refusal}"));
+        remark!(app, "skipped: {refusal}");
     }
     // A card needs minutes for all of it; software needs as long for a few steps.
     let (steps, long) = match (args.steps, gpu.adapter().is_software()) {
@@ -72,47 +68,43 @@ fn measured(app: &App, args: &BenchGpuArgs) -> Done {
     if stop() {
         return Err(CliError::Interrupted);
     }
-    let wrong: Vec<String> = record
-        .twins
-        .iter()
-        .filter(|twin| !twin.holds)
-        .map(|twin| format!("{}: {}", twin.case, twin.what))
-        .collect();
+    let wrong = record.twins.iter().filter(|twin| !twin.holds);
+    let wrong: Vec<String> = wrong.map(|twin| format!("{}: {}", twin.case, twin.what)).collect();
     for training in &record.trainings {
         let ([width, height], n, rate) = (training.size, training.gaussians, training.steps_per_second);
         if training.steps > 0 {
             let idle = training.idle_share.map(|idle| format!(", {:.0} % of the time idle", 100.0 * idle));
             let idle = idle.unwrap_or_default();
-            say(&format!("{width} x {height}, {n} Gaussians: {rate:.1} steps a second{idle}"));
+            remark!(app, "{width} x {height}, {n} Gaussians: {rate:.1} steps a second{idle}");
         }
         if let Some(time) = training.refinement_milliseconds {
-            say(&format!("  a refinement: {time:.1} ms"));
+            remark!(app, "  a refinement: {time:.1} ms");
         }
         if let Some(enhancement) = &training.enhancement {
-            say(&format!("  stage 2: {:.1} steps a second", enhancement.steps_per_second));
+            remark!(app, "  stage 2: {:.1} steps a second", enhancement.steps_per_second);
         }
         if let Some(refusal) = &training.refusal {
-            say(&format!("{width} x {height}, {n} Gaussians: {refusal}"));
+            remark!(app, "{width} x {height}, {n} Gaussians: {refusal}");
         }
         let each = &training.backward_milliseconds;
         let each: Vec<String> =
             each.iter().map(|(variant, time)| format!("{variant} {time:.2} ms")).collect();
         if !each.is_empty() {
-            say(&format!("  backward pass: {}", each.join(", ")));
+            remark!(app, "  backward pass: {}", each.join(", "));
         }
         let share = |name: &str| {
             training.roofline.get(name).map(|need| format!("{name} {:.0} %", 100.0 * need.share))
         };
         let shares: Vec<String> = ["forward", "backward", "update"].into_iter().filter_map(share).collect();
         if !shares.is_empty() {
-            say(&format!("  of what the card does at best: {}", shares.join(", ")));
+            remark!(app, "  of what the card does at best: {}", shares.join(", "));
         }
     }
     if !record.left_out.is_empty() {
         let left = record.left_out.join("; ");
-        say(&format!("left out after {} minutes (--minutes): {left}", args.minutes));
+        remark!(app, "left out after {} minutes (--minutes): {left}", args.minutes);
     }
-    say(&format!("written to {} in {}", path_text(out), seconds(record.seconds)));
+    remark!(app, "written to {} in {}", path_text(out), seconds(record.seconds));
     if let Some(refusal) = record.check.and_then(|check| check.refusal) {
         return Err(CliError::Failed(refusal));
     }
@@ -122,10 +114,8 @@ fn measured(app: &App, args: &BenchGpuArgs) -> Done {
         return Err(CliError::Failed(format!("not everything could be measured: {}", each.join("; "))));
     }
     if !wrong.is_empty() {
-        let what = wrong.join("; ");
-        return Err(CliError::Failed(format!(
-            "these results differ from the processor's by more than the tolerance: {what}"
-        )));
+        let what = "these results differ from the processor's by more than the tolerance";
+        return Err(CliError::Failed(format!("{what}: {}", wrong.join("; "))));
     }
     if let Some(runs) = record.determinism.iter().find(|runs| !runs.same) {
         let variant = &runs.variant;
@@ -161,7 +151,5 @@ fn kernels(app: &App, folder: &std::path::Path, force: bool) -> Done {
 
 #[cfg(not(feature = "gpu"))]
 fn measured(_: &App, _: &BenchGpuArgs) -> Done {
-    Err(CliError::Input(
-        "this program was built without engines for graphics cards (cargo feature `gpu`)".into(),
-    ))
+    Err(CliError::input(crate::error::NO_GPU))
 }

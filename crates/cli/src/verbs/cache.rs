@@ -13,27 +13,25 @@ use crate::App;
 use crate::args::{CacheArgs, GcArgs, PipelineArgs, VerifyArgs};
 use crate::destination::path_text;
 use crate::error::{CliError, Done};
-use crate::verbs::json::json;
+use crate::output::{counted, show};
 use crate::verbs::loaded::{open, stages};
 
 fn cache(args: &CacheArgs) -> Result<Cache, CliError> {
     let folder = match &args.cache {
+        Some(folder) if !folder.is_dir() => {
+            let what = "there is no such folder; expected a cache";
+            return Err(CliError::Input(format!("--cache {}: {what}", path_text(folder))));
+        }
         Some(folder) => folder.clone(),
         None => default_cache().map_err(CliError::input)?,
     };
-    if args.cache.is_some() && !folder.is_dir() {
-        let folder = path_text(&folder);
-        return Err(CliError::Input(format!("--cache {folder}: there is no such folder; expected a cache")));
-    }
     Ok(Cache::open(&folder, args.rehash).map_err(CliError::input)?.with_promises(stages()?.promises()))
 }
 
 pub(crate) fn gc(args: &GcArgs) -> Done {
-    let flag = |name: &str, error: String| CliError::Input(format!("{name}: {error}"));
-    let max_bytes =
-        args.max_bytes.as_deref().map(parse_bytes).transpose().map_err(|e| flag("--max-bytes", e))?;
-    let older_than =
-        args.older_than.as_deref().map(parse_age).transpose().map_err(|e| flag("--older-than", e))?;
+    let wrong = |flag: &'static str| move |error: String| CliError::Input(format!("{flag}: {error}"));
+    let max_bytes = args.max_bytes.as_deref().map(parse_bytes).transpose().map_err(wrong("--max-bytes"))?;
+    let older_than = args.older_than.as_deref().map(parse_age).transpose().map_err(wrong("--older-than"))?;
     let mut keep = BTreeSet::new();
     // Without --cache, the cache is the one named by the pipelines to keep.
     let mut named: Option<(&Path, Cache)> = None;
@@ -67,16 +65,12 @@ pub(crate) fn gc(args: &GcArgs) -> Done {
             bytes(limit)
         );
     }
-    if args.sweep.json {
-        json(&cleaning)?;
-    } else {
-        print!("{cleaning}");
-    }
+    show(&cleaning, args.sweep.json)?;
     match cleaning.failed.len() {
         0 => Ok(()),
         n => Err(CliError::Failed(format!(
             "{} could not be removed, see above; run gc as the user who owns {}, or make it writable",
-            if n == 1 { "1 item".to_string() } else { format!("{n} items") },
+            counted(n, "item", "items"),
             path_text(parent(cache.root()))
         ))),
     }
@@ -107,9 +101,9 @@ pub(crate) fn verify(app: &App, args: &VerifyArgs) -> Done {
                 let what = "name the pipeline file or capture whose stages should be computed again";
                 return Err(CliError::Input(format!("--sample {sample}: {what}")));
             }
-            if !(args.common.sets().is_empty() && args.settings.sets().is_empty()) {
+            if !(args.common.spelled().is_empty() && args.settings.sets().is_empty()) {
                 let what = "--set and --engine need a pipeline file or capture: name it too";
-                return Err(CliError::Input(what.into()));
+                return Err(CliError::input(what));
             }
             None
         }
@@ -128,25 +122,19 @@ pub(crate) fn verify(app: &App, args: &VerifyArgs) -> Done {
         found.problems.extend(again.problems);
         found.interrupted = again.interrupted;
     }
-    if args.json {
-        json(&found)?;
-    } else {
-        print!("{found}");
-    }
+    show(&found, args.json)?;
     if found.held.is_some_and(|held| held.cached == 0) && !found.interrupted {
-        return Err(CliError::Failed(
+        return Err(CliError::failed(
             "nothing of this pipeline is in the cache, so nothing was computed again; was it run with other settings \
-             (--set, --engine, --pairs, --calibrator) or into another --cache?"
-                .into(),
+             (--set, --engine, --pairs, --calibrator) or into another --cache?",
         ));
     }
     match (found.problems.is_empty(), found.interrupted, found.repaired) {
         (true, true, _) => Err(CliError::Stopped),
         (true, false, _) => Ok(()),
-        (false, _, 0) => Err(CliError::Failed("the cache has problems; nothing was moved or changed".into())),
-        (false, ..) => Err(CliError::Failed(
-            "the cache has problems; damaged results were moved aside, and the next run computes them again"
-                .into(),
+        (false, _, 0) => Err(CliError::failed("the cache has problems; nothing was moved or changed")),
+        (false, ..) => Err(CliError::failed(
+            "the cache has problems; damaged results were moved aside, and the next run computes them again",
         )),
     }
 }

@@ -1,10 +1,9 @@
 //! `use3d check`: says before a run what will go wrong with a capture, and what to do about it.
 
 use std::convert::Infallible;
-use std::io::Write;
 use std::path::Path;
 
-use use3d_capture::{Image, Map};
+use use3d_capture::{FileName, Map};
 use use3d_check::{CheckReport, Picture, WaterSight, examine, measure, page};
 use use3d_import::{
     ImportParams, Imported, capture_name, import, is_prepared, load_mask, load_pixels, load_prepared,
@@ -15,9 +14,10 @@ use use3d_water::WaterParams;
 
 use crate::App;
 use crate::args::CheckArgs;
-use crate::destination::{check_file, path_text, word, write_file};
+use crate::destination::{check_file, path_text, word, write_text};
 use crate::error::{CliError, Done};
 use crate::interrupt;
+use crate::output::show;
 use crate::verbs::loaded::stages;
 use crate::verbs::stages::{imported, parameters, scratch};
 
@@ -82,14 +82,11 @@ pub(crate) fn run(app: &App, args: &CheckArgs) -> Done {
     if let Some(file) = &args.html {
         let folder = args.capture.join(&listed.image_folder);
         let html = page(&report, &pictures(&report, &capture, &folder)?);
-        write_file("--html", file, |writer| writer.write_all(html.as_bytes()))?;
+        write_text("--html", file, &html)?;
     }
-    if args.json {
-        return crate::verbs::json::json(&report);
-    }
-    print!("{report}");
-    if let (Some(file), false) = (&args.html, app.quiet) {
-        eprintln!("the page: {}", path_text(file));
+    show(&report, args.json)?;
+    if let Some(file) = args.html.as_ref().filter(|_| !args.json) {
+        remark!(app, "the page: {}", path_text(file));
     }
     Ok(())
 }
@@ -110,24 +107,16 @@ pub(crate) fn before_run(capture: &Path, parameters: &serde_json::Value) -> Vec<
 
 /// Small pictures of the views that the page shows, and of photographs without a camera, from `folder`.
 fn pictures(report: &CheckReport, capture: &Imported, folder: &Path) -> Result<Vec<Picture>, CliError> {
-    let small = |name: &str, image: &Image| -> Result<Picture, CliError> {
-        let address = jpeg_address(&shrunk(image, SMALL), QUALITY).map_err(CliError::failed)?;
-        Ok(Picture { name: name.to_string(), address })
-    };
     let mut pictures = Vec::new();
     for name in report.pictured() {
-        match capture.capture.views.iter().find(|view| view.name == name) {
-            Some(view) => {
-                let image = load_pixels(view).map_err(CliError::input)?.to_image();
-                pictures.push(small(&name, &image)?);
-            }
+        let image = match capture.capture.views.iter().find(|view| view.name == name) {
+            Some(view) => Some(load_pixels(view).map_err(CliError::input)?.to_image()),
             // One that cannot be read, or is not there, is shown by its name alone.
-            None => {
-                let path = use3d_capture::FileName::new(&name).ok().map(|name| name.below(folder));
-                if let Some(image) = path.and_then(|path| read_image(&path).ok()) {
-                    pictures.push(small(&name, &image)?);
-                }
-            }
+            None => FileName::new(&name).ok().and_then(|name| read_image(&name.below(folder)).ok()),
+        };
+        if let Some(image) = image {
+            let address = jpeg_address(&shrunk(&image, SMALL), QUALITY).map_err(CliError::failed)?;
+            pictures.push(Picture { name, address });
         }
     }
     Ok(pictures)

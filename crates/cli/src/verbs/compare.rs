@@ -1,6 +1,6 @@
 //! `use3d compare`: two runs side by side in one page, with their scores and the parameters that differ.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
@@ -16,7 +16,7 @@ use use3d_workflow::manifest::MANIFEST;
 
 use crate::App;
 use crate::args::CompareArgs;
-use crate::destination::{check_file, path_text, write_file};
+use crate::destination::{check_file, entries, path_text, write_text};
 use crate::error::{CliError, Done};
 use crate::verbs::{history, results};
 
@@ -41,16 +41,19 @@ const METRICS: [(&str, &str, Better, usize); 7] = [
     ("truth_delta_e", "ΔE against the truth", Better::Lower, 2),
 ];
 
-/// One of the two runs: the folders of its stages for every scene.
+/// The folders of a scene's results, by stage.
+type Folders = BTreeMap<String, PathBuf>;
+
+/// One of the two runs: its folders for every scene.
 struct Side {
     name: String,
-    scenes: BTreeMap<String, BTreeMap<String, PathBuf>>,
+    scenes: BTreeMap<String, Folders>,
 }
 
 /// The results named by `given`: a results folder or its name, and `:N` for its run N.
 fn side(given: &str) -> Result<Side, CliError> {
     let numbered = given.rsplit_once(':').and_then(|(name, n)| Some((name, n.parse::<usize>().ok()?)));
-    let mut scenes: BTreeMap<String, BTreeMap<String, PathBuf>> = BTreeMap::new();
+    let mut scenes: BTreeMap<String, Folders> = BTreeMap::new();
     if let Some((name, number)) = numbered {
         let folder = results::folder(Path::new(name))?;
         let records = history::records(&folder);
@@ -59,7 +62,7 @@ fn side(given: &str) -> Result<Side, CliError> {
             return Err(CliError::Input(format!("{given}: {what}")));
         };
         for made in &record.artifacts {
-            if let Some(path) = results::found(record, &made.stage, &made.key) {
+            if let Some(path) = results::found(record, made) {
                 let scene = [made.scene.as_str(), made.variant.as_str()];
                 let scene: Vec<&str> = scene.into_iter().filter(|part| !part.is_empty()).collect();
                 scenes.entry(scene.join("@")).or_default().insert(made.stage.clone(), path);
@@ -73,15 +76,11 @@ fn side(given: &str) -> Result<Side, CliError> {
     } else {
         let below = Path::new("use3d-out").join(given);
         let folder = if Path::new(given).is_dir() { PathBuf::from(given) } else { below };
-        let stages_of = |folder: &Path| -> BTreeMap<String, PathBuf> {
-            let there = FOLDERS.iter().map(|(stage, name)| (stage.to_string(), folder.join(name)));
-            there.filter(|(_, path)| path.is_dir()).collect()
-        };
-        let entries = std::fs::read_dir(&folder).into_iter().flatten().flatten().map(|entry| entry.path());
-        let folders = entries.filter(|path| path.is_dir()).chain([folder]);
+        let folders = entries(&folder).filter(|path| path.is_dir()).chain([folder]);
         for path in folders.filter(|path| path.join("renders").is_dir()) {
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            scenes.insert(name, stages_of(&path));
+            let there = FOLDERS.iter().map(|(stage, name)| (stage.to_string(), path.join(name)));
+            scenes.insert(name, there.filter(|(_, path)| path.is_dir()).collect());
         }
         if scenes.is_empty() {
             return Err(CliError::Input(format!(
@@ -97,9 +96,7 @@ fn parameters(folder: &Path) -> BTreeMap<String, String> {
     let manifest: Value = read_json(&folder.join(MANIFEST)).unwrap_or_default();
     let mut all = BTreeMap::new();
     flatten("", &manifest["ingredients"]["parameters"], &mut all);
-    if let Some(seed) = manifest["ingredients"]["seed"].as_u64() {
-        all.insert("seed".into(), seed.to_string());
-    }
+    all.extend(manifest["ingredients"]["seed"].as_u64().map(|seed| ("seed".to_string(), seed.to_string())));
     all
 }
 
@@ -119,18 +116,13 @@ fn flatten(name: &str, value: &Value, all: &mut BTreeMap<String, String>) {
 }
 
 /// The parameters that differ between two results, for display.
-fn differing(a: &BTreeMap<String, PathBuf>, b: &BTreeMap<String, PathBuf>) -> Vec<String> {
+fn differing(a: &Folders, b: &Folders) -> Vec<String> {
     let mut lines = Vec::new();
     for (stage, of_a) in a {
         let Some(of_b) = b.get(stage) else { continue };
         let (a, b) = (parameters(of_a), parameters(of_b));
-        let mut keys: Vec<&String> = a.keys().chain(b.keys()).collect();
-        keys.sort();
-        keys.dedup();
-        for key in keys {
-            let text =
-                |all: &BTreeMap<String, String>| all.get(key).map_or("not set", String::as_str).to_string();
-            let (a, b) = (text(&a), text(&b));
+        for key in a.keys().chain(b.keys()).collect::<BTreeSet<_>>() {
+            let [a, b] = [&a, &b].map(|all| all.get(key).map_or("not set", String::as_str));
             if a != b {
                 lines.push(format!("{stage}.{key}: {a} in A, {b} in B"));
             }
@@ -139,12 +131,12 @@ fn differing(a: &BTreeMap<String, PathBuf>, b: &BTreeMap<String, PathBuf>) -> Ve
     lines
 }
 
-fn scores(stages: &BTreeMap<String, PathBuf>) -> Option<SceneScores> {
+fn scores(stages: &Folders) -> Option<SceneScores> {
     read_json(&stages.get("evaluate")?.join(SCORES)).ok()
 }
 
 /// The look that leads a result's report, among the scored ones.
-fn look(stages: &BTreeMap<String, PathBuf>) -> Method {
+fn look(stages: &Folders) -> Method {
     best_method(stages.get("enhance").map(PathBuf::as_path)).unwrap_or(Method::Clear)
 }
 
@@ -159,7 +151,7 @@ fn row(label: String, scores: Option<&SceneScores>, method: Method) -> Row {
 }
 
 /// The table of scores of both runs, without columns that are empty in both.
-fn table(name: &str, sides: [&BTreeMap<String, PathBuf>; 2]) -> Option<Table> {
+fn table(name: &str, sides: [&Folders; 2]) -> Option<Table> {
     let all = sides.map(scores);
     let mut rows = Vec::new();
     for (letter, (stages, scores)) in ["A", "B"].into_iter().zip(sides.into_iter().zip(&all)) {
@@ -179,7 +171,7 @@ fn table(name: &str, sides: [&BTreeMap<String, PathBuf>; 2]) -> Option<Table> {
 }
 
 /// The comparison in one sentence.
-fn sentence(sides: [&BTreeMap<String, PathBuf>; 2]) -> Option<Sentence> {
+fn sentence(sides: [&Folders; 2]) -> Option<Sentence> {
     let psnr = |stages| scores(stages)?.mean(Method::Reconstruction, "psnr")?.value();
     let [a, b] = [psnr(sides[0])?, psnr(sides[1])?];
     let (better, by) = if a >= b { ("A", a - b) } else { ("B", b - a) };
@@ -190,13 +182,12 @@ fn sentence(sides: [&BTreeMap<String, PathBuf>; 2]) -> Option<Sentence> {
 }
 
 /// The pictures of a scene in both runs.
-fn section(name: &str, sides: [&BTreeMap<String, PathBuf>; 2]) -> Result<SceneSection, CliError> {
+fn section(name: &str, sides: [&Folders; 2]) -> Result<SceneSection, CliError> {
     let renders = sides.map(|stages| stages["render"].clone());
     let stems = |folder: &Path| -> Vec<String> {
-        let entries = std::fs::read_dir(folder.join("captured")).into_iter().flatten().flatten();
-        let mut stems: Vec<String> = entries
-            .filter_map(|entry| Some(entry.path().file_stem()?.to_string_lossy().into_owned()))
-            .collect();
+        let pictures = entries(&folder.join("captured"));
+        let mut stems: Vec<String> =
+            pictures.filter_map(|path| Some(path.file_stem()?.to_string_lossy().into_owned())).collect();
         stems.sort();
         stems
     };
@@ -243,26 +234,15 @@ pub(crate) fn run(app: &App, args: &CompareArgs) -> Done {
     check_file("--out", &args.out, args.replace.force, &["html"])?;
     let (a, b) = (side(&args.a)?, side(&args.b)?);
     // If each run has one scene, the two are compared even with different names.
-    let pairs: Vec<(String, [&BTreeMap<String, PathBuf>; 2])> = match (a.scenes.len(), b.scenes.len()) {
-        (1, 1) => {
-            let firsts = a.scenes.iter().next().zip(b.scenes.values().next());
-            firsts.into_iter().map(|((name, a), b)| (name.clone(), [a, b])).collect()
-        }
-        _ => a
-            .scenes
-            .iter()
-            .filter_map(|(name, of_a)| Some((name.clone(), [of_a, b.scenes.get(name)?])))
-            .collect(),
+    let pairs: Vec<(&String, [&Folders; 2])> = if a.scenes.len() == 1 && b.scenes.len() == 1 {
+        a.scenes.iter().zip(b.scenes.values()).map(|((name, a), b)| (name, [a, b])).collect()
+    } else {
+        a.scenes.iter().filter_map(|(name, of_a)| Some((name, [of_a, b.scenes.get(name)?]))).collect()
     };
     if pairs.is_empty() {
         let names = |side: &Side| side.scenes.keys().cloned().collect::<Vec<_>>().join(", ");
-        return Err(CliError::Input(format!(
-            "the two have no scene in common: {} has {}, {} has {}",
-            a.name,
-            names(&a),
-            b.name,
-            names(&b)
-        )));
+        let [has_a, has_b] = [&a, &b].map(|side| format!("{} has {}", side.name, names(side)));
+        return Err(CliError::Input(format!("the two have no scene in common: {has_a}, {has_b}")));
     }
     let mut page = Page {
         title: format!("{} and {}", a.name, b.name),
@@ -271,15 +251,15 @@ pub(crate) fn run(app: &App, args: &CompareArgs) -> Done {
         ..Page::default()
     };
     for (name, sides) in pairs {
-        let section = section(&name, sides)?;
+        let section = section(name, sides)?;
         if section.views.is_empty() {
             page.missing.push(format!("{name}: the two runs held out no view in common"));
         }
-        page.tables.extend(table(&name, sides));
+        page.tables.extend(table(name, sides));
         page.scenes.push(section);
     }
     let html = page.html().map_err(CliError::failed)?;
-    write_file("--out", &args.out, |writer| std::io::Write::write_all(writer, html.as_bytes()))?;
+    write_text("--out", &args.out, &html)?;
     if !app.quiet {
         for line in page.scenes.iter().flat_map(|scene| &scene.verdict) {
             println!("{}", line.text);

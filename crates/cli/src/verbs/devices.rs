@@ -37,7 +37,7 @@ pub(crate) fn run(args: &DevicesArgs) -> Done {
                 refusal: said.as_ref().err().map(ToString::to_string),
             })
             .collect();
-        return crate::verbs::json::json(&json!({ "adapters": adapters, "note": note }));
+        return crate::output::json(&json!({ "adapters": adapters, "note": note }));
     }
     if all.is_empty() {
         println!("{}", DeviceError::None);
@@ -85,7 +85,5 @@ pub(crate) fn run(args: &DevicesArgs) -> Done {
 
 #[cfg(not(feature = "gpu"))]
 pub(crate) fn run(_: &DevicesArgs) -> Done {
-    Err(CliError::Input(
-        "this program was built without engines for graphics cards (cargo feature `gpu`)".into(),
-    ))
+    Err(CliError::input(crate::error::NO_GPU))
 }

@@ -83,7 +83,7 @@ pub(crate) fn run(args: &DoctorArgs) -> Done {
         cards: cards(),
     };
     if args.json {
-        return crate::verbs::json::json(&report);
+        return crate::output::json(&report);
     }
     println!("use3d {}", version::WHOLE);
     let groups = [
@@ -116,28 +116,20 @@ fn this_machine(args: &DoctorArgs) -> Vec<Finding> {
         let told = format!("{} free", bytes(memory));
         // The memory for a capture of some hundred photographs at full size.
         let enough = memory >= 4 << 30;
-        findings.push(Finding::new(
-            "memory",
-            enough,
-            told,
-            "about 4 GB are needed for a capture at full size",
-        ));
+        let purpose = "about 4 GB are needed for a capture at full size";
+        findings.push(Finding::new("memory", enough, told, purpose));
     }
     let cache = args.cache.clone().or_else(|| use3d_pipeline::config::default_cache().ok());
     for (name, folder) in [("cache", cache), ("results", std::env::current_dir().ok())] {
         let Some(folder) = folder else { continue };
-        let place = existing(&folder);
+        // The folder itself, or the nearest existing one above it.
+        let place = folder.ancestors().find(|above| above.is_dir()).unwrap_or(&folder);
         let writable = use3d_workflow::place::check_writable(&folder).is_ok();
         let free = free_space(place).map_or_else(String::new, |free| format!(", {} free", bytes(free)));
         let refused = if writable { "" } else { ", cannot be written" };
         findings.push(Finding::new(name, writable, format!("{}{free}{refused}", path_text(&folder)), ""));
     }
     findings
-}
-
-/// The folder itself, or the nearest existing one above it.
-fn existing(folder: &Path) -> &Path {
-    folder.ancestors().find(|above| above.is_dir()).unwrap_or(folder)
 }
 
 /// The free bytes in a folder's file system, from `df`; `None` if there is no `df`.

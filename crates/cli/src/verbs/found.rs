@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use use3d_scene::Scene;
 
 use crate::App;
-use crate::destination::path_text;
+use crate::destination::{entries, path_text};
 use crate::error::CliError;
 use crate::verbs::history;
 
@@ -19,8 +19,7 @@ fn own_scene(folder: &Path) -> Option<PathBuf> {
 
 /// Every scene below a results folder.
 fn scenes_below(folder: &Path) -> Vec<PathBuf> {
-    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
-    let mut found: Vec<PathBuf> = entries.filter_map(|entry| own_scene(&entry.path())).collect();
+    let mut found: Vec<PathBuf> = entries(folder).filter_map(|path| own_scene(&path)).collect();
     found.sort();
     found
 }
@@ -39,9 +38,7 @@ pub(crate) fn scene_in(app: &App, given: &Path) -> Result<PathBuf, CliError> {
     match &below[..] {
         [] => Ok(given.to_path_buf()),
         [scene] => {
-            if !app.quiet {
-                eprintln!("the scene is {}", path_text(scene));
-            }
+            remark!(app, "the scene is {}", path_text(scene));
             Ok(scene.clone())
         }
         several => {

@@ -9,8 +9,8 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use use3d_workflow::{Digest, Summary, machine};
 
-use crate::args::PipelineArgs;
-use crate::destination::{path_text, word};
+use crate::args::{CalibrationArgs, CommonArgs, EngineArgs, PipelineArgs};
+use crate::destination::{absolute, entries, path_text, word, write_text};
 use crate::error::CliError;
 use crate::verbs::loaded::Loaded;
 
@@ -65,10 +65,6 @@ pub(crate) struct DeliveredArtifact {
     pub(crate) key: Digest,
 }
 
-fn whole(path: &Path) -> PathBuf {
-    std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf())
-}
-
 impl RunRecord {
     /// Makes the record of a finished run.
     pub(crate) fn of(
@@ -89,14 +85,14 @@ impl RunRecord {
             version: VERSION,
             delivered: machine::now(),
             command,
-            target: whole(&args.target),
+            target: absolute(&args.target),
             sets: args.sets(),
             scenes: scenes.to_vec(),
             until: until.map(<[String]>::to_vec),
-            pairs: args.calibration.pairs().map(|(input, target)| (whole(&input), whole(&target))),
-            calibrator: args.calibration.calibrator.as_deref().map(whole),
-            cache: whole(&loaded.pipeline.cache),
-            models: args.cache.models.as_deref().map(whole),
+            pairs: args.calibration.pairs().map(|(input, target)| (absolute(&input), absolute(&target))),
+            calibrator: args.calibration.calibrator.as_deref().map(absolute),
+            cache: absolute(&loaded.pipeline.cache),
+            models: args.cache.models.as_deref().map(absolute),
             artifacts: made.collect(),
         }
     }
@@ -129,10 +125,9 @@ impl RunRecord {
         let mut args = more.clone();
         args.target.clone_from(&self.target);
         args.settings.set = [self.sets.clone(), more.sets()].concat();
-        args.settings.engine = crate::args::EngineArgs::default();
-        args.common = crate::args::CommonArgs::default();
+        (args.settings.engine, args.common) = (EngineArgs::default(), CommonArgs::default());
         if args.calibration.is_empty() {
-            args.calibration = crate::args::CalibrationArgs::of(self.pairs.clone(), self.calibrator.clone());
+            args.calibration = CalibrationArgs::of(self.pairs.clone(), self.calibrator.clone());
         }
         args.cache.cache.get_or_insert_with(|| self.cache.clone());
         if args.cache.models.is_none() {
@@ -145,20 +140,14 @@ impl RunRecord {
 /// The records of a results folder with their numbers, the oldest first. Unreadable files are left out with a
 /// warning.
 pub(crate) fn records(results: &Path) -> Vec<(usize, RunRecord)> {
-    let entries = std::fs::read_dir(results.join(FOLDER)).into_iter().flatten().flatten().take(MOST);
-    let mut found: Vec<(usize, RunRecord)> = entries
-        .filter_map(|entry| {
-            let path = entry.path();
-            let number = path.file_name()?.to_str()?.strip_suffix(".json")?.parse().ok()?;
-            match RunRecord::read(&path) {
-                Ok(record) => Some((number, record)),
-                Err(error) => {
-                    tracing::warn!("{}: {error}; this run is not listed", path.display());
-                    None
-                }
-            }
-        })
-        .collect();
+    let read = |path: PathBuf| {
+        let number = path.file_name()?.to_str()?.strip_suffix(".json")?.parse::<usize>().ok()?;
+        let record = RunRecord::read(&path)
+            .inspect_err(|error| tracing::warn!("{}: {error}; this run is not listed", path.display()));
+        Some((number, record.ok()?))
+    };
+    let mut found: Vec<(usize, RunRecord)> =
+        entries(&results.join(FOLDER)).take(MOST).filter_map(read).collect();
     found.sort_by_key(|(number, _)| *number);
     found
 }
@@ -194,11 +183,8 @@ pub(crate) fn keep(results: &Path, mut record: RunRecord, quiet: bool) -> Result
     }
     let number = same.map_or_else(|| known.last().map_or(1, |(last, _)| last + 1), |(number, _)| *number);
     let path = results.join(FOLDER).join(format!("{number:04}.json"));
-    let mut text = serde_json::to_string_pretty(&record).map_err(CliError::failed)?;
-    text.push('\n');
-    crate::destination::write_file("--out", &path, |writer| {
-        std::io::Write::write_all(writer, text.as_bytes())
-    })?;
+    let text = serde_json::to_string_pretty(&record).map_err(CliError::failed)? + "\n";
+    write_text("--out", &path, &text)?;
     if let Some((old, earlier)) = before.filter(|_| !quiet) {
         eprintln!(
             "these results replace those of run {old} ({}), which are still in the cache: `use3d results {} \

@@ -8,7 +8,7 @@ use use3d_pipeline::stages::registry;
 use use3d_workflow::{Builder, Cache, Graph, Registry};
 
 use crate::args::{PipelineArgs, as_typed};
-use crate::destination::path_text;
+use crate::destination::{absolute, path_text};
 use crate::error::{CliError, Done};
 
 /// The table of stages.
@@ -88,7 +88,7 @@ fn outside_captures(pipeline: &Pipeline) -> Done {
 
 /// Returns an absolute path without links in the part of it that exists.
 pub(crate) fn real(path: &Path) -> PathBuf {
-    let path = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
+    let path = absolute(path);
     let there = path.ancestors().find_map(|part| Some((part, part.canonicalize().ok()?)));
     match there {
         Some((part, real)) => path.strip_prefix(part).map_or(real.clone(), |rest| real.join(rest)),

@@ -15,7 +15,7 @@ pub(crate) mod film_path;
 pub(crate) mod found;
 pub(crate) mod generate;
 pub(crate) mod history;
-pub(crate) mod json;
+
 pub(crate) mod loaded;
 pub(crate) mod models;
 pub(crate) mod outcome;

@@ -41,7 +41,7 @@ pub(crate) fn run(args: &ModelsArgs) -> Done {
         _ => Ok(()),
     };
     if args.json {
-        crate::verbs::json::json(&status)?;
+        crate::output::json(&status)?;
         return complete();
     }
     let absent = if dir.is_dir() { "" } else { " (not there; name yours with --dir or USE3D_MODELS)" };

@@ -1,6 +1,6 @@
 //! The results that a run left in its folder, as lines for people or as one JSON document for programs.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use serde::Serialize;
 use use3d_pipeline::judge::scores::{Method, MethodScores, SceneScores, Scores};
@@ -8,6 +8,8 @@ use use3d_pipeline::results::Delivered;
 use use3d_pipeline::stages::{evaluate::SCORES, read_json, report::best_method};
 use use3d_workflow::Summary;
 use use3d_workflow::place::PlaceError;
+
+use crate::destination::absolute;
 
 /// The document of `run --json`.
 #[derive(Serialize)]
@@ -50,11 +52,11 @@ impl<'a> Outcome<'a> {
             Some(SceneMeans {
                 scene: result.scene.clone(),
                 variant: result.variant.clone(),
-                file: whole(&result.path.join(SCORES)),
+                file: absolute(&result.path.join(SCORES)),
                 methods: scores.methods.into_iter().map(means).collect(),
             })
         });
-        let results = all.iter().map(|r| Delivered { path: whole(&r.path), ..r.clone() });
+        let results = all.iter().map(|r| Delivered { path: absolute(&r.path), ..r.clone() });
         Self {
             summary,
             results: results.collect(),
@@ -64,17 +66,9 @@ impl<'a> Outcome<'a> {
     }
 }
 
-/// An absolute path.
-fn whole(path: &Path) -> PathBuf {
-    std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf())
-}
-
 /// The scores in a result, if it is one of an evaluation.
 fn scores(result: &Delivered) -> Option<SceneScores> {
-    if result.what != "evaluate" {
-        return None;
-    }
-    read_json(&result.path.join(SCORES)).ok()
+    (result.what == "evaluate").then(|| read_json(&result.path.join(SCORES)).ok()).flatten()
 }
 
 /// Prints the paths of the results, and the quality of the reconstructions.

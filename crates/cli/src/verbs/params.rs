@@ -4,7 +4,7 @@ use use3d_pipeline::config::parameters;
 
 use crate::args::ParamsArgs;
 use crate::error::{CliError, Done};
-use crate::verbs::json::json;
+use crate::output::json;
 use crate::verbs::loaded::stages;
 
 pub(crate) fn run(args: &ParamsArgs) -> Done {

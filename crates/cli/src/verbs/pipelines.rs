@@ -7,7 +7,7 @@ use use3d_workflow::BuildError;
 
 use crate::args::PipelinesArgs;
 use crate::error::{CliError, Done};
-use crate::verbs::json::json;
+use crate::output::json;
 use crate::verbs::loaded::stages;
 
 /// Each file's name, and its text.
@@ -33,12 +33,9 @@ struct PipelineFile {
 
 pub(crate) fn run(args: &PipelinesArgs) -> Done {
     let Some(name) = &args.name else {
-        let mut files: Vec<PipelineFile> =
-            FILES.iter().map(|(name, text)| PipelineFile { name, about: first_sentence(text) }).collect();
-        files.push(PipelineFile {
-            name: SCHEMA,
-            about: "The JSON schema of pipeline files, for editors.".to_string(),
-        });
+        let schema = (SCHEMA, "The JSON schema of pipeline files, for editors.".to_string());
+        let files = FILES.iter().map(|(name, text)| (*name, first_sentence(text))).chain([schema]);
+        let files: Vec<PipelineFile> = files.map(|(name, about)| PipelineFile { name, about }).collect();
         if args.json {
             return json(&files);
         }
@@ -51,16 +48,12 @@ pub(crate) fn run(args: &PipelinesArgs) -> Done {
         print!("{}", schema_text(&stages()?));
         return Ok(());
     }
-    match FILES.iter().find(|(known, _)| known == name) {
-        Some((_, text)) => {
-            print!("{text}");
-            Ok(())
-        }
-        None => {
-            let names = FILES.iter().map(|(name, _)| *name).chain([SCHEMA]);
-            Err(CliError::input(BuildError::unknown("pipeline", name, names)))
-        }
-    }
+    let Some((_, text)) = FILES.iter().find(|(known, _)| known == name) else {
+        let names = FILES.iter().map(|(name, _)| *name).chain([SCHEMA]);
+        return Err(CliError::input(BuildError::unknown("pipeline", name, names)));
+    };
+    print!("{text}");
+    Ok(())
 }
 
 /// The first sentence of the comment at the head of a pipeline file.

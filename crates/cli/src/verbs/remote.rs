@@ -12,7 +12,7 @@ use crate::App;
 use crate::args::{PipelineArgs, PushArgs, RemoteArgs, StoreGcArgs, StoreLsArgs, TransferArgs};
 use crate::destination::path_text;
 use crate::error::{CliError, Done};
-use crate::verbs::json::json;
+use crate::output::{counted, json, show};
 use crate::verbs::loaded::{Loaded, open};
 
 /// The store at an address.
@@ -21,18 +21,11 @@ fn store(address: &str) -> Result<RemoteStore, CliError> {
     Ok(RemoteStore::new(remote))
 }
 
-/// The store at an address, after a test that it works reliably.
-fn probed(app: &App, address: &str) -> Result<RemoteStore, CliError> {
-    let store = store(address)?;
-    store.probe(&app.stop).map_err(|e| CliError::Failed(format!("--remote: {e}")))?;
-    Ok(store)
-}
-
 /// The store of a run. A store that does not answer now may answer later, so it ends no run. Nothing is sent
 /// to it until a test has shown that it works reliably.
 pub(crate) fn of_run(app: &App, address: &str, read_only: bool) -> Result<Arc<RemoteStore>, CliError> {
     let store = store(address)?;
-    let tested = if read_only { None } else { Some(store.probe(&app.stop)) };
+    let tested = (!read_only).then(|| store.probe(&app.stop));
     let (writable, warning) = usable(tested)?;
     warning.iter().for_each(|text| eprintln!("warning: --remote: {text}"));
     Ok(Arc::new(if writable { store } else { store.read_only() }))
@@ -87,11 +80,7 @@ pub(crate) fn sweep(app: &App, args: &StoreGcArgs) -> Done {
     }
     let swept = store(&args.store.remote)?.sweep(older_than, &keep, args.sweep.dry_run, &app.stop);
     let swept = swept.map_err(CliError::failed)?;
-    if args.sweep.json {
-        json(&swept)?;
-    } else {
-        print!("{swept}");
-    }
+    show(&swept, args.sweep.json)?;
     if swept.interrupted { Err(CliError::Interrupted) } else { Ok(()) }
 }
 
@@ -106,62 +95,50 @@ fn existing(args: &RemoteArgs) -> Done {
     }
 }
 
-fn loaded(args: &TransferArgs) -> Result<Loaded, CliError> {
-    open(&args.pipeline, &[])
-}
-
 pub(crate) fn push(app: &App, args: &PushArgs) -> Done {
-    let Loaded { builder, graph, .. } = loaded(&args.what)?;
-    let store = probed(app, &args.what.store.remote)?;
-    let cache = &builder.cache;
+    let Loaded { builder, graph, .. } = open(&args.what.pipeline, &[])?;
+    let store = store(&args.what.store.remote)?;
+    store.probe(&app.stop).map_err(|e| CliError::Failed(format!("--remote: {e}")))?;
     let sent = builder.push(&graph, &store, args.check, &app.stop, &app.listener);
     let sent = sent.map_err(CliError::failed)?;
     let nothing = sent.moved + sent.already == 0 && sent.problems.is_empty() && !sent.interrupted;
-    if nothing && sent.missing > 0 && !app.quiet {
-        eprintln!(
+    if nothing && sent.missing > 0 {
+        remark!(
+            app,
             "warning: the cache at {} has no results of this pipeline; give the same --cache and --set as \
              in its run",
-            path_text(parent(cache.root()))
+            path_text(parent(builder.cache.root()))
         );
     }
     tell(&sent, &args.what)
 }
 
 pub(crate) fn pull(app: &App, args: &TransferArgs) -> Done {
-    let Loaded { builder, graph, .. } = loaded(args)?;
+    let Loaded { builder, graph, .. } = open(&args.pipeline, &[])?;
     // A user who only fetches may have no permission to write.
     let store = store(&args.store.remote)?;
     existing(&args.store)?;
-    let fetched = builder.pull(&graph, &store, &app.stop, &app.listener);
-    let done = fetched.map_err(CliError::failed)?;
-    if done.moved == 0 && done.missing > 0 && done.problems.is_empty() && !done.interrupted && !app.quiet {
-        eprintln!(
-            "warning: the store at {} has none of the missing results; check the address",
-            store.place()
-        );
+    let done = builder.pull(&graph, &store, &app.stop, &app.listener).map_err(CliError::failed)?;
+    if done.moved == 0 && done.missing > 0 && done.problems.is_empty() && !done.interrupted {
+        let place = store.place();
+        remark!(app, "warning: the store at {place} has none of the missing results; check the address");
     }
     tell(&done, args)
 }
 
 fn tell(done: &Transferred, args: &TransferArgs) -> Done {
-    if args.json {
-        json(done)?;
-    } else {
-        print!("{done}");
-    }
+    show(done, args.json)?;
     match (done.interrupted, done.problems.len()) {
         (true, _) => Err(CliError::Interrupted),
         (false, 0) if args.all_or_fail && done.missing > 0 => Err(CliError::Failed(format!(
             "{} missing, and --all-or-fail asks for all of the pipeline",
-            if done.missing == 1 {
-                "1 artifact is".to_string()
-            } else {
-                format!("{} artifacts are", done.missing)
-            }
+            counted(done.missing, "artifact is", "artifacts are")
         ))),
         (false, 0) => Ok(()),
-        (false, 1) => Err(CliError::Failed("1 artifact has a problem, see above".into())),
-        (false, n) => Err(CliError::Failed(format!("{n} artifacts have problems, see above"))),
+        (false, n) => {
+            let problems = counted(n, "artifact has a problem", "artifacts have problems");
+            Err(CliError::Failed(format!("{problems}, see above")))
+        }
     }
 }
 

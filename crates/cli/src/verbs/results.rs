@@ -11,10 +11,10 @@ use use3d_workflow::{Cache, machine};
 
 use crate::App;
 use crate::args::ResultsArgs;
-use crate::destination::{path_text, word};
+use crate::destination::{entries, path_text, word};
 use crate::error::{CliError, Done};
-use crate::verbs::history::{self, RunRecord};
-use crate::verbs::json::json;
+use crate::output::json;
+use crate::verbs::history::{self, DeliveredArtifact, RunRecord};
 use crate::verbs::run;
 
 /// The default folder of results.
@@ -53,34 +53,27 @@ pub(crate) fn folder(named: &Path) -> Result<PathBuf, CliError> {
 
 /// Every results folder below `./use3d-out`.
 fn all() -> Vec<PathBuf> {
-    let entries = std::fs::read_dir(OUT).into_iter().flatten().flatten().map(|entry| entry.path());
-    let mut found: Vec<PathBuf> = entries.filter(|path| !history::records(path).is_empty()).collect();
+    let mut found: Vec<PathBuf> =
+        entries(Path::new(OUT)).filter(|path| !history::records(path).is_empty()).collect();
     found.sort();
     found
 }
 
 /// The folder of a run's artifact, if it is still in the cache.
-pub(crate) fn artifact(record: &RunRecord, stage: &str) -> Option<PathBuf> {
-    let made = record.artifacts.iter().find(|made| made.stage == stage)?;
-    found(record, stage, &made.key)
-}
-
-/// The folder of a run's artifact by its key, if it is still in the cache.
-pub(crate) fn found(record: &RunRecord, stage: &str, key: &use3d_workflow::Digest) -> Option<PathBuf> {
-    if !record.cache.is_dir() {
-        return None;
-    }
-    let cache = Cache::open(&record.cache, false).ok()?;
-    match cache.lookup(stage, key) {
+pub(crate) fn found(record: &RunRecord, made: &DeliveredArtifact) -> Option<PathBuf> {
+    let cache = record.cache.is_dir().then(|| Cache::open(&record.cache, false).ok()).flatten()?;
+    match cache.lookup(&made.stage, &made.key) {
         Ok(Lookup::Whole(artifact)) => Some(artifact.path.clone()),
         _ => None,
     }
 }
 
 fn told(number: usize, record: &RunRecord, shown: bool) -> Told {
-    let scores =
-        artifact(record, "evaluate").and_then(|path| read_json::<SceneScores>(&path.join(SCORES)).ok());
-    let psnr = scores.and_then(|scores| scores.mean(Method::Reconstruction, "psnr")?.value());
+    let psnr = || {
+        let evaluated = record.artifacts.iter().find(|made| made.stage == "evaluate")?;
+        let scores: SceneScores = read_json(&found(record, evaluated)?.join(SCORES)).ok()?;
+        scores.mean(Method::Reconstruction, "psnr")?.value()
+    };
     let mut delivered = machine::utc(record.delivered);
     delivered.truncate("2026-01-01T00:00".len());
     Told {
@@ -89,8 +82,8 @@ fn told(number: usize, record: &RunRecord, shown: bool) -> Told {
         delivered: delivered.replace('T', " "),
         command: record.command.clone(),
         settings: record.settings(),
-        kept: record.artifacts.iter().all(|made| found(record, &made.stage, &made.key).is_some()),
-        psnr,
+        kept: record.artifacts.iter().all(|made| found(record, made).is_some()),
+        psnr: psnr(),
     }
 }
 

@@ -17,6 +17,7 @@ use use3d_workflow::plan::State;
 use crate::App;
 use crate::args::{CacheArgs, CancelArgs, PipelineArgs, Submit, SubmitArgs, SubmitLayout};
 use crate::error::{CliError, Done};
+use crate::output::counted;
 use crate::verbs::loaded::{Loaded, open, read, stages};
 
 /// All decisions before anything is written.
@@ -42,17 +43,59 @@ pub(crate) fn run(app: &App, what: &Submit) -> Done {
     let Some(ready) = prepare(app, scheduler, args)? else { return Ok(()) };
     let Ready { jobs, submission, site, missing } = &ready;
     for job in jobs {
-        let tasks = if job.count() == 1 { "1 task".to_string() } else { format!("{} tasks", job.count()) };
         println!(
-            "{:<12} {tasks}, {} processors, {} MB, up to {}",
+            "{:<12} {}, {} processors, {} MB, up to {}",
             job.name,
+            counted(job.count(), "task", "tasks"),
             job.asks.cpus,
             job.asks.memory.div_ceil(1_000_000),
             time::clock(job.asks.time)
         );
     }
-    match what {
-        Submit::Slurm(_) if args.dry_run => {
+    if args.dry_run {
+        show(scheduler, &ready);
+        return end(WITHOUT, *missing);
+    }
+    let last = Submitted::read(&submission.folder);
+    let submitted = match scheduler {
+        Scheduler::Slurm => {
+            refuse_twice(args, slurm::still_queued(last), "scancel")?;
+            slurm::write(jobs, submission, site).map_err(CliError::failed)?;
+            keep_pipeline(&args.pipeline.target, submission)?;
+            slurm::submit(jobs, submission)
+        }
+        Scheduler::HyperQueue => {
+            refuse_twice(args, hyperqueue::still_queued(last), "hq job cancel")?;
+            hyperqueue::write(jobs, submission, site).map_err(CliError::failed)?;
+            keep_pipeline(&args.pipeline.target, submission)?;
+            hyperqueue::submit(submission)
+        }
+    };
+    let submitted = submitted.map_err(CliError::failed)?;
+    for (name, id) in &submitted.jobs {
+        println!("submitted {name} as job {id}");
+    }
+    let command = |verb: &str, words: &[String]| format!("use3d {verb} {}", quote::words(words));
+    match scheduler {
+        Scheduler::Slurm => tell_stuck(&submitted.jobs),
+        Scheduler::HyperQueue if hyperqueue::ends_with_a_failure(jobs) => println!(
+            "if a task fails, HyperQueue starts no task that depends on it, not even `finish`; then \
+             run: {} --keep-going",
+            command("run", &[&submission.run[..], &submission.results].concat())
+        ),
+        Scheduler::HyperQueue => {}
+    }
+    println!("logs: {}", submission.folder.join("logs").display());
+    // All arguments that affect keys are included: other arguments would show the state of other work.
+    let own: Vec<String> = submission.run.iter().take_while(|word| *word != "--submitted").cloned().collect();
+    println!("to see their progress: {}", command("status", &own));
+    end(WITHOUT, *missing)
+}
+
+/// Prints the files that would be submitted.
+fn show(scheduler: Scheduler, Ready { jobs, submission, site, .. }: &Ready) {
+    match scheduler {
+        Scheduler::Slurm => {
             for (at, job) in jobs.iter().enumerate() {
                 let before: Vec<String> =
                     jobs[..at].iter().map(|job| format!("NUMBER_OF_{}", job.name)).collect();
@@ -63,50 +106,14 @@ pub(crate) fn run(app: &App, what: &Submit) -> Done {
                     println!("--- {}: {line}", submission.list_path(job).display());
                 }
             }
-            return end(WITHOUT, *missing);
         }
-        Submit::Hq(_) if args.dry_run => {
+        Scheduler::HyperQueue => {
             println!("\n--- {}", hyperqueue::script_path(submission).display());
             print!("{}", hyperqueue::script(submission, site));
             println!("\n--- hq job submit-file {}", hyperqueue::file_path(submission).display());
             print!("{}", hyperqueue::file(jobs, submission));
-            return end(WITHOUT, *missing);
-        }
-        Submit::Slurm(_) => {
-            refuse_twice(args, slurm::queued(submission), "scancel")?;
-            slurm::write(jobs, submission, site).map_err(CliError::failed)?;
-            keep_pipeline(&args.pipeline.target, submission)?;
-            let submitted = slurm::submit(jobs, submission).map_err(CliError::failed)?;
-            for (name, id) in &submitted.jobs {
-                println!("submitted {name} as job {id}");
-            }
-            tell_stuck(&submitted.jobs);
-        }
-        Submit::Hq(_) => {
-            refuse_twice(args, hyperqueue::queued(submission), "hq job cancel")?;
-            hyperqueue::write(jobs, submission, site).map_err(CliError::failed)?;
-            keep_pipeline(&args.pipeline.target, submission)?;
-            let submitted = hyperqueue::submit(submission).map_err(CliError::failed)?;
-            for (name, id) in &submitted.jobs {
-                println!("submitted {name} as job {id}");
-            }
-            if hyperqueue::ends_with_a_failure(jobs) {
-                let run =
-                    [&["use3d".to_string(), "run".to_string()][..], &submission.run, &submission.results];
-                println!(
-                    "if a task fails, HyperQueue starts no task that depends on it, not even `finish`; then \
-                     run: {} --keep-going",
-                    quote::words(&run.concat())
-                );
-            }
         }
     }
-    println!("logs: {}", submission.folder.join("logs").display());
-    // All arguments that affect keys are included: other arguments would show the state of other work.
-    let own: Vec<String> = submission.run.iter().take_while(|word| *word != "--submitted").cloned().collect();
-    let told = [&["use3d".to_string(), "status".to_string()][..], &own[..]];
-    println!("to see their progress: {}", quote::words(&told.concat()));
-    end(WITHOUT, *missing)
 }
 
 /// The time that Slurm needs to find that a job can never run.
@@ -188,11 +195,10 @@ const WITHOUT: &str = "the stages that need them are not submitted";
 
 /// Ends like the run would: with a failure if inputs are missing.
 fn end(what: &str, missing: usize) -> Done {
-    let are = match missing {
-        0 => return Ok(()),
-        1 => "1 input is".to_string(),
-        n => format!("{n} inputs are"),
-    };
+    if missing == 0 {
+        return Ok(());
+    }
+    let are = counted(missing, "input is", "inputs are");
     Err(CliError::Failed(format!("{what}: {are} missing, see above")))
 }
 
@@ -201,7 +207,7 @@ fn refuse_twice(
     args: &SubmitArgs,
     queued: Result<Vec<(String, String)>, ClusterError>,
     cancel: &str,
-) -> Result<(), CliError> {
+) -> Done {
     let queued = queued.map_err(CliError::failed)?;
     if queued.is_empty() || args.again {
         return Ok(());
@@ -228,16 +234,13 @@ fn site(app: &App, scheduler: Scheduler, args: &SubmitArgs, stages: &[&str]) -> 
     let Some(file) = &args.cluster else { return Ok(Site::default()) };
     let site = Site::read(file, stages).map_err(CliError::input)?;
     let unused = site.unused(scheduler);
-    if !unused.is_empty() && !app.quiet {
+    if !unused.is_empty() {
         let name = match scheduler {
             Scheduler::Slurm => "Slurm",
             Scheduler::HyperQueue => "HyperQueue",
         };
-        eprintln!(
-            "warning: {}: {name} has no setting for {}; they are not used",
-            file.display(),
-            unused.join(", ")
-        );
+        let (file, unused) = (file.display(), unused.join(", "));
+        remark!(app, "warning: {file}: {name} has no setting for {unused}; they are not used");
     }
     Ok(site)
 }
@@ -320,8 +323,8 @@ fn prepare(app: &App, scheduler: Scheduler, args: &SubmitArgs) -> Result<Option<
     let out = args.out.clone().unwrap_or_else(|| PathBuf::from("use3d-out").join(&pipeline.batch.name));
     Results::new(&out, &builder.cache).check(graph, None)?;
     let out = place.join(out);
-    let mut run =
-        vec![text(&args.pipeline.target)?, "--cache".to_string(), text(&absolute(&pipeline.cache)?)?];
+    let cache = std::path::absolute(&pipeline.cache).map_err(CliError::failed)?;
+    let mut run = vec![text(&args.pipeline.target)?, "--cache".to_string(), text(&cache)?];
     if let Some(models) = &args.pipeline.cache.models {
         run.extend(["--models".to_string(), text(models)?]);
     }
@@ -341,12 +344,7 @@ fn prepare(app: &App, scheduler: Scheduler, args: &SubmitArgs) -> Result<Option<
             "{word:?} has a control character in it; a script cannot hold it"
         )));
     }
-    let name: String = pipeline
-        .batch
-        .name
-        .chars()
-        .map(|c| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '-' })
-        .collect();
+    let name = pipeline.batch.name.replace(|c: char| !(c.is_alphanumeric() || "-_.".contains(c)), "-");
     let folder = folder_of(&out);
     let verb = match scheduler {
         Scheduler::Slurm => "slurm",
@@ -364,14 +362,9 @@ fn prepare(app: &App, scheduler: Scheduler, args: &SubmitArgs) -> Result<Option<
     Ok(Some(Ready { jobs, submission, site, missing }))
 }
 
-fn absolute(path: &Path) -> Result<PathBuf, CliError> {
-    std::path::absolute(path).map_err(CliError::failed)
-}
-
 /// A path as a word of a script.
 fn text(path: &Path) -> Result<String, CliError> {
-    let text = path.to_str().map(String::from);
-    text.ok_or_else(|| {
-        CliError::Input(format!("{}: a script cannot hold a path that is not UTF-8", path.display()))
-    })
+    let what = "a script cannot hold a path that is not UTF-8";
+    let text = path.to_str().ok_or_else(|| CliError::Input(format!("{}: {what}", path.display())));
+    text.map(String::from)
 }

@@ -8,6 +8,7 @@ use crate::App;
 use crate::args::WaterArgs;
 use crate::error::{CliError, Done};
 use crate::interrupt;
+use crate::output::show;
 use crate::verbs::loaded::stages;
 use crate::verbs::stages::{imported, parameters, scratch};
 
@@ -26,9 +27,5 @@ pub(crate) fn run(app: &App, args: &WaterArgs) -> Done {
     // An import does not store the name, because equal captures must give equal bytes.
     let name = capture_name(&args.capture);
     let report = WaterReport { capture: name, ..WaterReport::new(&capture, &water, judgement) };
-    if args.json {
-        return crate::verbs::json::json(&report);
-    }
-    print!("{report}");
-    Ok(())
+    show(&report, args.json)
 }
