@@ -15,7 +15,7 @@ use super::ClusterError;
 use super::jobs::{After, Job};
 use super::quote::{word, words};
 use super::site::Site;
-use super::slurm::{Submission, Submitted, create_logs, put};
+use super::slurm::{Submission, Submitted, create_logs, output_of, put};
 
 /// Number of times that a task is started again after its worker was lost.
 const CRASHES: u32 = 50;
@@ -62,26 +62,25 @@ const AFTER_ANY: &str = "afterany";
 
 /// The text of the script: the setup of the site, then `use3d` with the script's arguments after the first.
 pub fn script(submission: &Submission, site: &Site) -> String {
-    let mut lines = vec![
-        "#!/bin/bash".to_string(),
-        "# Every task of job.toml runs this script.".to_string(),
-        format!("# Written by `{}`. You may read and edit it.", submission.by),
-        format!(
-            "# Its first word: `{AFTER_OK}`, or `{AFTER_ANY}` if `finish` starts after the task in any case."
-        ),
-        "after=$1; shift".to_string(),
-        format!("cd {} || exit 1", word(&submission.place.to_string_lossy())),
-    ];
-    lines.extend(submission.exports());
-    lines.extend(site.setup.iter().cloned());
-    lines.push(r#"echo "$(date -u +%FT%TZ) $(hostname), attempt $((${HQ_INSTANCE_ID:-0} + 1))""#.to_string());
+    let (by, place) = (&submission.by, word(&submission.place.to_string_lossy()));
+    let setup = [submission.exports(), site.setup.clone()].concat().join("\n");
     let command = words(&site.command);
-    lines.push(format!(r#"[ "$after" = {AFTER_ANY} ] || exec {command} "$@""#));
-    lines.push(format!(r#"code=0; {command} "$@" || code=$?"#));
-    // No task must follow one that was interrupted.
-    lines.push(r#"if [ "$code" = 0 ] || [ "$code" = 130 ]; then exit "$code"; fi"#.to_string());
-    lines.push(r#"echo "ended with exit code $code; the task finish names what is missing" >&2"#.to_string());
-    lines.join("\n") + "\n"
+    // No task must follow one that was interrupted, which has the code 130.
+    format!(
+        r#"#!/bin/bash
+# Every task of job.toml runs this script.
+# Written by `{by}`. You may read and edit it.
+# Its first word: `{AFTER_OK}`, or `{AFTER_ANY}` if `finish` starts after the task in any case.
+after=$1; shift
+cd {place} || exit 1
+{setup}
+echo "$(date -u +%FT%TZ) $(hostname), attempt $((${{HQ_INSTANCE_ID:-0}} + 1))"
+[ "$after" = {AFTER_ANY} ] || exec {command} "$@"
+code=0; {command} "$@" || code=$?
+if [ "$code" = 0 ] || [ "$code" = 130 ]; then exit "$code"; fi
+echo "ended with exit code $code; the task finish names what is missing" >&2
+"#
+    )
 }
 
 /// Returns true if only the last job waits for this one, so that the last job may start even after a failure.
@@ -109,25 +108,24 @@ pub fn file(jobs: &[Job], submission: &Submission) -> String {
         for at in 0..job.count() {
             let own_number = job.tasks.as_ref().map(|tasks| tasks[at]);
             let id = tasks.len();
-            let deps = job.after.iter().flat_map(|after| match after {
-                After::Same(of) => numbers[*of]
-                    .iter()
-                    .filter(|(number, _)| *number == own_number)
-                    .map(|(_, id)| *id)
-                    .collect(),
-                // The workers of HyperQueue limit the concurrent jobs, so such a dependency is left out.
-                After::Over(_) if !job.delivers => Vec::new(),
-                After::Done(of) | After::Over(of) => {
-                    numbers[*of].iter().map(|(_, id)| *id).collect::<Vec<_>>()
-                }
-            });
-            let deps = deps.collect();
+            let mut deps = Vec::new();
+            for after in &job.after {
+                let (of, same) = match after {
+                    After::Same(of) => (*of, true),
+                    // The workers of HyperQueue limit the concurrent jobs, so such a dependency is left out.
+                    After::Over(_) if !job.delivers => continue,
+                    After::Done(of) | After::Over(of) => (*of, false),
+                };
+                let waits = |(number, _): &&(Option<usize>, usize)| !same || *number == own_number;
+                deps.extend(numbers[of].iter().filter(waits).map(|(_, id)| *id));
+            }
             let script = script_path(submission).to_string_lossy().into_owned();
             let mut command = vec!["bash".to_string(), script, after.to_string()];
             command.extend(["--threads".to_string(), job.asks.cpus.to_string()]);
             command.extend(submission.task(job));
-            command
-                .extend(job.cells.get(at).into_iter().flat_map(|cell| ["--only".to_string(), cell.clone()]));
+            if let Some(cell) = job.cells.get(at) {
+                command.extend(["--only".to_string(), cell.clone()]);
+            }
             let number = own_number.map_or_else(String::new, |number| format!("-{number}"));
             // Every start of a task has its own log.
             let log = format!("{}{number}-%{{INSTANCE_ID}}.log", job.name);
@@ -176,13 +174,14 @@ pub fn write(jobs: &[Job], submission: &Submission, site: &Site) -> Result<(), C
 pub fn submit(submission: &Submission) -> Result<Submitted, ClusterError> {
     let file = file_path(submission).to_string_lossy().into_owned();
     let scripts = format!("; the job file is {file}");
-    let said = call(&["job".to_string(), "submit-file".to_string(), file], &scripts)?;
+    let said = call(&["job", "submit-file", &file], &scripts)?;
     let number = said.trim();
     if number.is_empty() || !number.bytes().all(|b| b.is_ascii_digit()) {
-        return Err(wrong(format!(
+        let reason = format!(
             "expected the number of a job, but the answer was {number:?}; check with `hq job list` if the \
              job was submitted"
-        )));
+        );
+        return Err(ClusterError::Command { command: "hq".to_string(), reason });
     }
     let submitted =
         Submitted { scheduler: "hq".to_string(), jobs: vec![(submission.name.clone(), number.to_string())] };
@@ -195,17 +194,7 @@ pub fn submit(submission: &Submission) -> Result<Submitted, ClusterError> {
 /// # Errors
 /// There is no `hq`, or it refuses.
 pub fn cancel(numbers: &[String]) -> Result<(), ClusterError> {
-    let words = ["job".to_string(), "cancel".to_string(), numbers.join(",")];
-    call(&words, "").map(drop)
-}
-
-/// The job of the last submission from this folder, by name and number, if HyperQueue still has unfinished
-/// work of it.
-///
-/// # Errors
-/// `hq` does not exist or its server does not answer.
-pub fn queued(submission: &Submission) -> Result<Vec<(String, String)>, ClusterError> {
-    still_queued(submission.submitted())
+    call(&["job", "cancel", &numbers.join(",")], "").map(drop)
 }
 
 /// Returns the jobs of a submission that HyperQueue has not finished, by name and number.
@@ -213,31 +202,18 @@ pub fn queued(submission: &Submission) -> Result<Vec<(String, String)>, ClusterE
 /// # Errors
 /// `hq` does not exist or its server does not answer.
 pub fn still_queued(submitted: Submitted) -> Result<Vec<(String, String)>, ClusterError> {
-    let last = submitted.jobs;
-    if last.is_empty() {
+    if submitted.jobs.is_empty() {
         return Ok(Vec::new());
     }
     // There is one line for each unfinished job: its number and its state.
-    let said = call(&["job", "list"].map(String::from), "")?;
+    let said = call(&["job", "list"], "")?;
     let open: Vec<&str> = said.lines().filter_map(|line| line.split_whitespace().next()).collect();
-    Ok(last.into_iter().filter(|(_, number)| open.contains(&number.as_str())).collect())
-}
-
-fn wrong(reason: String) -> ClusterError {
-    ClusterError::Command { command: "hq".to_string(), reason }
+    Ok(submitted.jobs.into_iter().filter(|(_, number)| open.contains(&number.as_str())).collect())
 }
 
 /// Returns the output of `hq` in its mode for scripts. `more` is added to the error if there is no such
 /// command.
-fn call(arguments: &[String], more: &str) -> Result<String, ClusterError> {
-    let mut command = std::process::Command::new("hq");
-    command.args(["--output-mode", "quiet"]).args(arguments);
-    let output = command
-        .output()
-        .map_err(|e| wrong(format!("{e}; install HyperQueue and start `hq server start`{more}")))?;
-    if output.status.success() {
-        return Ok(String::from_utf8_lossy(&output.stdout).into_owned());
-    }
-    let said = String::from_utf8_lossy(&output.stderr);
-    Err(wrong(format!("{}: {}", words(arguments), said.trim())))
+fn call(arguments: &[&str], more: &str) -> Result<String, ClusterError> {
+    let hint = format!("install HyperQueue and start `hq server start`{more}");
+    output_of("hq", &["--output-mode", "quiet"], arguments, &hint)
 }

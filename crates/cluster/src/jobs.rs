@@ -103,20 +103,15 @@ pub fn of(
     layout: Layout,
     workers: Option<usize>,
 ) -> Result<Vec<Job>, ClusterError> {
-    let todo: Vec<&PlannedNode> = plan
-        .nodes
-        .iter()
-        .filter(|n| n.shared_with.is_none() && matches!(n.state, State::Run(_) | State::Waiting(_)))
-        .collect();
+    let todo: Vec<&PlannedNode> = plan.nodes.iter().filter(|n| is_todo(n)).collect();
     if todo.is_empty() {
         return Ok(Vec::new());
     }
     let cells = cells(&todo)?;
     let scope = |stage: &str| registry.stage(stage).map_or(Scope::Batch, |s| s.scope());
     let mut jobs = match layout {
-        Layout::Workers => {
-            workers_of(&todo, site, &cells, workers.unwrap_or(site.at_once), &|n| scope(n.stage))
-        }
+        Layout::Workers if todo.iter().all(|n| scope(n.stage) == Scope::Batch) => Vec::new(),
+        Layout::Workers => vec![workers_of(&todo, site, &cells, workers.unwrap_or(site.at_once))],
         Layout::Stages => stages_of(plan, registry, site),
     };
     let last: Vec<&PlannedNode> = todo.iter().copied().filter(|n| scope(n.stage) == Scope::Batch).collect();
@@ -134,6 +129,11 @@ pub fn of(
         asks: asks(&last, site, WORKERS, |nodes| nodes.iter().filter_map(|n| longest(n)).sum()),
     });
     Ok(jobs)
+}
+
+/// True if a node's artifact is missing and no other node makes it.
+fn is_todo(node: &PlannedNode) -> bool {
+    node.shared_with.is_none() && matches!(node.state, State::Run(_) | State::Waiting(_))
 }
 
 /// The scenes and variants with missing stages, in the plan's order.
@@ -166,17 +166,8 @@ fn cell(node: &PlannedNode) -> String {
     }
 }
 
-fn workers_of(
-    todo: &[&PlannedNode],
-    site: &Site,
-    cells: &[String],
-    most: usize,
-    scope: &dyn Fn(&PlannedNode) -> Scope,
-) -> Vec<Job> {
+fn workers_of(todo: &[&PlannedNode], site: &Site, cells: &[String], most: usize) -> Job {
     let tasks = most.clamp(1, cells.len().clamp(1, site.largest_array));
-    if todo.iter().all(|n| scope(n) == Scope::Batch) {
-        return Vec::new();
-    }
     // The longest chain is that of one scene; the rest of the work is shared.
     let time = |nodes: &[&PlannedNode]| {
         let sum: f64 = nodes.iter().filter_map(|n| longest(n)).sum();
@@ -186,7 +177,7 @@ fn workers_of(
         }
         chains.into_values().fold(sum / tasks as f64, f64::max)
     };
-    vec![Job {
+    Job {
         name: "workers".to_string(),
         about: format!(
             "{} the missing stages of {}.",
@@ -204,12 +195,17 @@ fn workers_of(
         words: ["--keep-going", "--until-empty", "--cache-only"].map(String::from).to_vec(),
         delivers: false,
         asks: asks(todo, site, WORKERS, time),
-    }]
+    }
 }
 
-/// The array of a task: its stage, its variant, the block of scene numbers, and the jobs it waits for. A
-/// scene with an input that exists already waits for fewer jobs than the others, in an array of its own.
-type ArrayPlace = (&'static str, String, usize, Vec<After>);
+/// An array of tasks of one stage. A scene with an input that exists already waits for fewer jobs than the
+/// others, in an array of its own.
+struct TaskArray<'a> {
+    variant: &'a str,
+    after: Vec<After>,
+    /// The number and the node of each task.
+    tasks: Vec<(usize, usize)>,
+}
 
 /// The tasks of all missing artifacts, in arrays no larger than the site allows.
 fn stages_of(plan: &Plan, registry: &Registry, site: &Site) -> Vec<Job> {
@@ -218,17 +214,15 @@ fn stages_of(plan: &Plan, registry: &Registry, site: &Site) -> Vec<Job> {
         let next = scenes.len();
         scenes.entry(&node.scene).or_insert(next);
     }
-    let is_todo = |n: &PlannedNode| matches!(n.state, State::Run(_) | State::Waiting(_));
-    let stages: Vec<_> = registry.stages().iter().filter(|s| s.scope() != Scope::Batch).collect();
+
     // The job of each node, if it has one. Inputs come first in a plan, and in the table of stages.
     let mut job_of: Vec<Option<usize>> = vec![None; plan.nodes.len()];
     let mut jobs: Vec<Job> = Vec::new();
-    for stage in stages {
-        let name = stage.name();
-        let mut arrays: Vec<(ArrayPlace, Vec<(usize, usize)>)> = Vec::new();
-        let mut known: BTreeMap<(String, usize, Vec<usize>), usize> = BTreeMap::new();
-        let own = plan.nodes.iter().enumerate().filter(|(_, n)| n.stage == name && n.shared_with.is_none());
-        for (i, node) in own.filter(|(_, n)| is_todo(n)) {
+    for stage in registry.stages().iter().filter(|s| s.scope() != Scope::Batch) {
+        let (name, in_array) = (stage.name(), stage.scope() == Scope::Scene);
+        let mut arrays: Vec<TaskArray<'_>> = Vec::new();
+        let mut known: BTreeMap<(&str, usize, Vec<usize>), usize> = BTreeMap::new();
+        for (i, node) in plan.nodes.iter().enumerate().filter(|(_, n)| n.stage == name && is_todo(n)) {
             // For a node that shares the work of another node, this is the other node.
             let maker = |need: &usize| match plan.nodes[*need].shared_with {
                 Some(_) => plan.nodes[*need].needs.first().copied().unwrap_or(*need),
@@ -239,23 +233,22 @@ fn stages_of(plan: &Plan, registry: &Registry, site: &Site) -> Vec<Job> {
             before.dedup();
             let number = scenes.get(node.scene.as_str()).copied().unwrap_or(0);
             let (part, number) = (number / site.largest_array, number % site.largest_array);
-            let at = *known.entry((node.variant.clone(), part, before.clone())).or_insert(arrays.len());
+            let at = *known.entry((node.variant.as_str(), part, before.clone())).or_insert(arrays.len());
             if at == arrays.len() {
-                let in_array = stage.scope() == Scope::Scene;
                 let after = |of: &usize| match jobs[*of].tasks {
                     Some(_) if in_array => After::Same(*of),
                     _ => After::Done(*of),
                 };
-                let place = (name, node.variant.clone(), part, before.iter().map(after).collect());
-                arrays.push((place, Vec::new()));
+                let after = before.iter().map(after).collect();
+                arrays.push(TaskArray { variant: &node.variant, after, tasks: Vec::new() });
             }
-            arrays[at].1.push((number, i));
+            arrays[at].tasks.push((number, i));
         }
         // All arrays of a stage together keep the limit of concurrent tasks.
-        let side_by_side = arrays.len().min(site.at_once).max(1);
-        let first = jobs.len();
-        for (k, ((_, variant, _, mut after), tasks)) in arrays.iter().cloned().enumerate() {
-            if k >= side_by_side && stage.scope() == Scope::Scene {
+        let (first, parts) = (jobs.len(), arrays.len());
+        let side_by_side = parts.min(site.at_once).max(1);
+        for (k, TaskArray { variant, mut after, tasks }) in arrays.into_iter().enumerate() {
+            if k >= side_by_side && in_array {
                 after.push(After::Over(first + k - side_by_side));
             }
             let nodes: Vec<&PlannedNode> = tasks.iter().map(|(_, i)| &plan.nodes[*i]).collect();
@@ -263,15 +256,14 @@ fn stages_of(plan: &Plan, registry: &Registry, site: &Site) -> Vec<Job> {
             words.extend(site.needs(name).arguments);
             let longest =
                 |nodes: &[&PlannedNode]| nodes.iter().filter_map(|n| longest(n)).fold(0.0, f64::max);
-            let which = match (variant.as_str(), arrays.len()) {
+            let which = match (variant, parts) {
                 (_, 1) => String::new(),
-                ("", _) => format!(", part {} of {}", k + 1, arrays.len()),
-                (variant, _) => format!(", variant {variant}, part {} of {}", k + 1, arrays.len()),
+                ("", _) => format!(", part {} of {parts}", k + 1),
+                (variant, _) => format!(", variant {variant}, part {} of {parts}", k + 1),
             };
-            let in_array = stage.scope() == Scope::Scene;
             tasks.iter().for_each(|(_, i)| job_of[*i] = Some(jobs.len()));
             jobs.push(Job {
-                name: if arrays.len() == 1 { name.to_string() } else { format!("{name}-{}", k + 1) },
+                name: if parts == 1 { name.to_string() } else { format!("{name}-{}", k + 1) },
                 about: if in_array {
                     format!("The stage `{name}`, a task for every scene with something to do{which}.")
                 } else {

@@ -10,8 +10,8 @@ pub fn word(text: &str) -> String {
 }
 
 /// Words with spaces between.
-pub fn words<'w>(words: impl IntoIterator<Item = &'w String>) -> String {
-    words.into_iter().map(|w| word(w)).collect::<Vec<_>>().join(" ")
+pub fn words(words: &[impl AsRef<str>]) -> String {
+    words.iter().map(|w| word(w.as_ref())).collect::<Vec<_>>().join(" ")
 }
 
 #[cfg(test)]

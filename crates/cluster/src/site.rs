@@ -89,6 +89,15 @@ impl Default for Site {
     }
 }
 
+/// A scheduler, because some fields of a site are not for all schedulers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scheduler {
+    /// Slurm.
+    Slurm,
+    /// HyperQueue.
+    HyperQueue,
+}
+
 impl Site {
     /// Reads a site file; `stages` are the names that `[stage.NAME]` may have.
     ///
@@ -120,20 +129,14 @@ impl Site {
     }
 
     fn check(&self, stages: &[&str]) -> Result<(), String> {
-        let positive = |field: &str, n: usize| {
-            if n == 0 { Err(format!("`{field}` is 0; expected 1 or more")) } else { Ok(()) }
+        let count = |field: &str, n: usize, most: usize| match n {
+            0 => Err(format!("`{field}` is 0; expected 1 or more")),
+            n if n > most => Err(format!("`{field}` is {n}; expected {most} or fewer")),
+            _ => Ok(()),
         };
-        let cpus = |field: &str, n: usize| {
-            positive(field, n)?;
-            if n > MOST_CPUS {
-                Err(format!("`{field}` is {n}; expected {MOST_CPUS} or fewer"))
-            } else {
-                Ok(())
-            }
-        };
-        cpus("cpus", self.cpus)?;
-        positive("at_once", self.at_once)?;
-        positive("largest_array", self.largest_array)?;
+        count("cpus", self.cpus, MOST_CPUS)?;
+        count("at_once", self.at_once, usize::MAX)?;
+        count("largest_array", self.largest_array, usize::MAX)?;
         let bytes = |field: &str, text: &str| match parse_bytes(text) {
             Ok(0) => Err(format!("`{field}` is 0; expected a size such as 8GB")),
             Ok(_) => Ok(()),
@@ -152,7 +155,7 @@ impl Site {
                 let known = stages.join(", ");
                 return Err(format!("`stage.{name}`: there is no such stage; there are: {known}, {WORKERS}"));
             }
-            needs.cpus.map_or(Ok(()), |n| cpus(&format!("stage.{name}.cpus"), n))?;
+            needs.cpus.map_or(Ok(()), |n| count(&format!("stage.{name}.cpus"), n, MOST_CPUS))?;
             needs.memory.as_ref().map_or(Ok(()), |m| bytes(&format!("stage.{name}.memory"), m))?;
             needs.time.as_ref().map_or(Ok(()), |t| long(&format!("stage.{name}.time"), t))?;
         }
@@ -202,44 +205,27 @@ impl Site {
     pub fn needs(&self, stage: &str) -> Needs {
         self.stage.get(stage).cloned().unwrap_or_default()
     }
-}
 
-/// A scheduler, because some fields of a site are not for all schedulers.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Scheduler {
-    /// Slurm.
-    Slurm,
-    /// HyperQueue.
-    HyperQueue,
-}
-
-impl Site {
     /// The fields that are set but that this scheduler does not support.
     pub fn unused(&self, scheduler: Scheduler) -> Vec<String> {
-        let usual = Self::default();
-        let of_all = [
-            ("account", self.account.is_some()),
-            ("partition", self.partition.is_some()),
-            ("options", !self.options.is_empty()),
-            ("requeues", self.requeues != usual.requeues),
-        ];
-        let slurms = of_all.into_iter().filter(|(_, said)| *said).map(|(field, _)| field.to_string());
-        let of_stages = self.stage.iter().flat_map(|(name, needs)| {
-            let fields = match scheduler {
-                Scheduler::Slurm => vec![("resources", !needs.resources.is_empty())],
-                Scheduler::HyperQueue => {
-                    vec![("partition", needs.partition.is_some()), ("options", !needs.options.is_empty())]
-                }
-            };
-            fields
-                .into_iter()
-                .filter(|(_, said)| *said)
-                .map(move |(field, _)| format!("stage.{name}.{field}"))
-        });
-        match scheduler {
-            Scheduler::Slurm => of_stages.collect(),
-            Scheduler::HyperQueue => slurms.chain(of_stages).collect(),
+        let mut fields = Vec::new();
+        let mut add = |field: String, is_set: bool| fields.extend(is_set.then_some(field));
+        if scheduler == Scheduler::HyperQueue {
+            add("account".into(), self.account.is_some());
+            add("partition".into(), self.partition.is_some());
+            add("options".into(), !self.options.is_empty());
+            add("requeues".into(), self.requeues != Self::default().requeues);
         }
+        for (name, needs) in &self.stage {
+            match scheduler {
+                Scheduler::Slurm => add(format!("stage.{name}.resources"), !needs.resources.is_empty()),
+                Scheduler::HyperQueue => {
+                    add(format!("stage.{name}.partition"), needs.partition.is_some());
+                    add(format!("stage.{name}.options"), !needs.options.is_empty());
+                }
+            }
+        }
+        fields
     }
 }
 

@@ -78,12 +78,7 @@ impl Submission {
         self.folder.join(format!("{}.tasks", job.name))
     }
 
-    /// The jobs of the last submission from this folder.
-    pub(crate) fn submitted(&self) -> Submitted {
-        Submitted::read(&self.folder)
-    }
-
-    /// Stores the submitted jobs, for [`Self::submitted`].
+    /// Stores the submitted jobs, for [`Submitted::read`].
     pub(crate) fn keep(&self, submitted: &Submitted) -> Result<(), ClusterError> {
         let text = serde_json::to_string_pretty(submitted).unwrap_or_default();
         put(&self.folder.join("submitted.json"), &text)
@@ -142,9 +137,11 @@ pub fn script(job: &Job, submission: &Submission, site: &Site) -> String {
     lines.extend(site.setup.iter().cloned());
     if !job.cells.is_empty() {
         let list = word(&submission.list_path(job).to_string_lossy());
-        lines.push("# The scene and variant of this task: the line of the list with its number.".to_string());
-        lines.push(format!(r#"cell=$(sed -n "s/^$SLURM_ARRAY_TASK_ID //p" {list})"#));
-        lines.push(r#"[ -n "$cell" ] || exit 0"#.to_string());
+        lines.push(format!(
+            r#"# The scene and variant of this task: the line of the list with its number.
+cell=$(sed -n "s/^$SLURM_ARRAY_TASK_ID //p" {list})
+[ -n "$cell" ] || exit 0"#
+        ));
     }
     lines.push(String::new());
     lines.push(ATTEMPT.to_string());
@@ -153,29 +150,27 @@ pub fn script(job: &Job, submission: &Submission, site: &Site) -> String {
     let task = words(&submission.task(job));
     let cell = if job.cells.is_empty() { "" } else { r#" --only "$cell""# };
     lines.push(format!("{} {threads} {task} --max-time {most}s{cell} &", words(&site.command)));
-    lines.push("child=$!".to_string());
-    lines.push(
-        "# Shortly before the time limit, and on cancellation: write a checkpoint, then end.".to_string(),
-    );
-    lines.push(r#"trap 'told=1; kill -USR1 "$child" 2>/dev/null' USR1"#.to_string());
-    lines.push("# Slurm also signals the command itself; two such signals at once count as one.".to_string());
-    lines.push(r#"trap 'told=1; kill -TERM "$child" 2>/dev/null' TERM"#.to_string());
-    lines.push(r#"told=0; wait "$child"; code=$?"#.to_string());
-    lines.push(r#"while [ "$told" = 1 ]; do told=0; wait "$child"; code=$?; done"#.to_string());
-    lines.push(format!(
-        r#"if [ "$code" = 75 ] && [ "${{SLURM_RESTART_COUNT:-0}}" -lt {} ]; then"#,
-        site.requeues
-    ));
-    lines.push("  # Time limit reached: queue the task again; it continues from the checkpoint.".to_string());
-    let own = if job.tasks.is_some() {
-        r#""${SLURM_ARRAY_JOB_ID}_${SLURM_ARRAY_TASK_ID}""#
-    } else {
-        r#""$SLURM_JOB_ID""#
+    let own = match job.tasks {
+        Some(_) => "${SLURM_ARRAY_JOB_ID}_${SLURM_ARRAY_TASK_ID}",
+        None => "$SLURM_JOB_ID",
     };
-    lines.push(format!("  scontrol requeue {own} && sleep 60"));
-    lines.push("fi".to_string());
-    lines.push(r#"exit "$code""#.to_string());
-    lines.join("\n") + "\n"
+    let requeues = site.requeues;
+    lines.push(format!(
+        r#"child=$!
+# Shortly before the time limit, and on cancellation: write a checkpoint, then end.
+trap 'told=1; kill -USR1 "$child" 2>/dev/null' USR1
+# Slurm also signals the command itself; two such signals at once count as one.
+trap 'told=1; kill -TERM "$child" 2>/dev/null' TERM
+told=0; wait "$child"; code=$?
+while [ "$told" = 1 ]; do told=0; wait "$child"; code=$?; done
+if [ "$code" = 75 ] && [ "${{SLURM_RESTART_COUNT:-0}}" -lt {requeues} ]; then
+  # Time limit reached: queue the task again; it continues from the checkpoint.
+  scontrol requeue "{own}" && sleep 60
+fi
+exit "$code"
+"#
+    ));
+    lines.join("\n")
 }
 
 /// Writes numbers in the form of Slurm: `0-3,7`.
@@ -195,10 +190,13 @@ fn ranges(numbers: &[usize]) -> String {
 
 /// The option of `sbatch` with the jobs, by Slurm's numbers, that this one waits for.
 pub fn dependency(job: &Job, numbers: &[String]) -> Option<String> {
-    let part = |after: &After| match after {
-        After::Done(of) => Some(format!("afterok:{}", numbers.get(*of)?)),
-        After::Same(of) => Some(format!("aftercorr:{}", numbers.get(*of)?)),
-        After::Over(of) => Some(format!("afterany:{}", numbers.get(*of)?)),
+    let part = |after: &After| {
+        let (kind, of) = match after {
+            After::Done(of) => ("afterok", of),
+            After::Same(of) => ("aftercorr", of),
+            After::Over(of) => ("afterany", of),
+        };
+        Some(format!("{kind}:{}", numbers.get(*of)?))
     };
     let parts: Vec<String> = job.after.iter().filter_map(part).collect();
     (!parts.is_empty()).then(|| format!("--dependency={}", parts.join(",")))
@@ -233,7 +231,7 @@ pub fn submit(jobs: &[Job], submission: &Submission) -> Result<Submitted, Cluste
     let scripts = format!("; the scripts lie in {}", submission.folder.display());
     // Half a batch would only wait for the rest. Jobs that could not be cancelled stay in the record.
     let give_up = |numbers: &[String], error: ClusterError| {
-        if !numbers.is_empty() && call("scancel", numbers, "").is_ok() {
+        if !numbers.is_empty() && cancel(numbers).is_ok() {
             let _ = submission.keep(&Submitted::default());
         }
         Err(error)
@@ -266,8 +264,7 @@ pub fn cancel(numbers: &[String]) -> Result<(), ClusterError> {
 
 /// A value of Slurm's configuration; `None` if it does not say.
 fn configured(name: &str) -> Option<String> {
-    let said = call("scontrol", &["show".to_string(), "config".to_string()], "").ok()?;
-    value_in(&said, name)
+    value_in(&call("scontrol", &["show", "config"], "").ok()?, name)
 }
 
 /// The value of a name in a text of lines such as `ClusterName = reef`.
@@ -298,8 +295,7 @@ pub fn never(numbers: &[String]) -> Vec<(String, String)> {
         "AccountNotAllowed",
         "QOSNotAllowed",
     ];
-    let arguments = ["--noheader", "--array-unique", "--format=%i %r", "--jobs"].map(String::from);
-    let arguments: Vec<String> = arguments.into_iter().chain([numbers.join(",")]).collect();
+    let arguments = ["--noheader", "--array-unique", "--format=%i %r", "--jobs", &numbers.join(",")];
     let said = call("squeue", &arguments, "").unwrap_or_default();
     let lines = said.lines().filter_map(|line| line.trim().split_once(' '));
     let stuck = lines.filter(|(_, reason)| FOR_EVER.iter().any(|known| reason.contains(known)));
@@ -321,16 +317,8 @@ fn number(said: &str) -> Result<String, ClusterError> {
     Err(ClusterError::Command { command: "sbatch".to_string(), reason })
 }
 
-/// The jobs of the last submission from this folder that are still in Slurm's queue, by name and number. A
-/// job that Slurm no longer knows has ended.
-///
-/// # Errors
-/// `squeue` does not exist.
-pub fn queued(submission: &Submission) -> Result<Vec<(String, String)>, ClusterError> {
-    still_queued(submission.submitted())
-}
-
-/// Returns the jobs of a submission that are still in Slurm's queue, by name and number.
+/// Returns the jobs of a submission that are still in Slurm's queue, by name and number. A job that Slurm no
+/// longer knows has ended.
 ///
 /// # Errors
 /// `squeue` does not exist.
@@ -338,8 +326,7 @@ pub fn still_queued(submitted: Submitted) -> Result<Vec<(String, String)>, Clust
     let mut found = Vec::new();
     for (name, number) in submitted.jobs {
         // One call for each job: an unknown number is an error of the whole call.
-        let arguments = ["--noheader", "--format=%i", "--jobs", &number].map(String::from);
-        match call("squeue", &arguments, "") {
+        match call("squeue", &["--noheader", "--format=%i", "--jobs", &number], "") {
             Ok(lines) if !lines.trim().is_empty() => found.push((name, number)),
             Ok(_) => {}
             Err(ClusterError::Command { reason, .. }) if reason.contains("Invalid job id") => {}
@@ -370,8 +357,7 @@ pub fn is_over() -> IsOver {
         {
             return *answer;
         }
-        let arguments = ["--noheader", "--format=%T", "--jobs", &task.id].map(String::from);
-        let answer = match call("squeue", &arguments, "") {
+        let answer = match call("squeue", &["--noheader", "--format=%T", "--jobs", &task.id], "") {
             // A task that waits for its next start is over too, because its process is gone.
             Ok(states) => Some(states.lines().all(|state| state.trim() == "PENDING")),
             Err(ClusterError::Command { reason, .. }) if reason.contains("Invalid job id") => Some(true),
@@ -383,12 +369,22 @@ pub fn is_over() -> IsOver {
 }
 
 /// Returns the output of a command of Slurm. `more` is added to the error if there is no such command.
-fn call(command: &str, arguments: &[String], more: &str) -> Result<String, ClusterError> {
+fn call(command: &str, arguments: &[impl AsRef<str>], more: &str) -> Result<String, ClusterError> {
+    let hint = format!("submit where Slurm's commands are, such as a login node{more}");
+    output_of(command, &[], arguments, &hint)
+}
+
+/// Returns the output of a scheduler's command. `hint` is added to the error if there is no such command;
+/// other errors name `arguments`, but not `options`.
+pub(crate) fn output_of(
+    command: &str,
+    options: &[&str],
+    arguments: &[impl AsRef<str>],
+    hint: &str,
+) -> Result<String, ClusterError> {
     let wrong = |reason: String| ClusterError::Command { command: command.to_string(), reason };
-    let output = Command::new(command)
-        .args(arguments)
-        .output()
-        .map_err(|e| wrong(format!("{e}; submit where Slurm's commands are, such as a login node{more}")))?;
+    let all = options.iter().copied().chain(arguments.iter().map(AsRef::as_ref));
+    let output = Command::new(command).args(all).output().map_err(|e| wrong(format!("{e}; {hint}")))?;
     if output.status.success() {
         return Ok(String::from_utf8_lossy(&output.stdout).into_owned());
     }
