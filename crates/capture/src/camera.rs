@@ -50,13 +50,8 @@ impl Intrinsics {
         if self.width == 0 || self.height == 0 {
             return Err(CameraError::EmptyImage { width: self.width, height: self.height });
         }
-        for (field, value) in [("fx", self.fx), ("fy", self.fy)] {
-            if !(value.is_finite() && value > 0.0) {
-                return Err(CameraError::Intrinsic { field, value });
-            }
-        }
-        for (field, value) in [("cx", self.cx), ("cy", self.cy)] {
-            if !value.is_finite() {
+        for (field, value) in [("fx", self.fx), ("fy", self.fy), ("cx", self.cx), ("cy", self.cy)] {
+            if !value.is_finite() || field.starts_with('f') && value <= 0.0 {
                 return Err(CameraError::Intrinsic { field, value });
             }
         }

@@ -25,7 +25,7 @@ const MOST_BYTES_IN_ALL: usize = 1000;
 /// It has one to 250 bytes in each component and at most 1000 in total; no empty component, no `..`, no drive
 /// letter, and no character that [`shown`] would have to escape, so it may be printed unchanged.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(try_from = "String", into = "String")]
+#[serde(try_from = "String")]
 pub struct FileName(String);
 
 /// The reason why a text is not accepted as a file name.
@@ -158,35 +158,15 @@ impl TryFrom<String> for FileName {
     }
 }
 
-impl std::str::FromStr for FileName {
-    type Err = NameError;
-
-    fn from_str(name: &str) -> Result<Self, NameError> {
-        Self::new(name)
-    }
-}
-
 impl From<FileName> for String {
     fn from(name: FileName) -> Self {
         name.0
     }
 }
 
-impl PartialEq<str> for FileName {
-    fn eq(&self, other: &str) -> bool {
-        self.0 == *other
-    }
-}
-
-impl PartialEq<&str> for FileName {
-    fn eq(&self, other: &&str) -> bool {
-        self.0 == **other
-    }
-}
-
-impl PartialEq<String> for FileName {
-    fn eq(&self, other: &String) -> bool {
-        self.0 == *other
+impl<T: AsRef<str> + ?Sized> PartialEq<T> for FileName {
+    fn eq(&self, other: &T) -> bool {
+        self.0 == other.as_ref()
     }
 }
 
@@ -220,9 +200,7 @@ fn escaped(text: &str, bad: impl Fn(char) -> bool) -> Cow<'_, str> {
         return Cow::Borrowed(text);
     }
     let mut out = String::with_capacity(text.len() + 16);
-    for c in text.chars() {
-        if bad(c) { out.extend(c.escape_unicode()) } else { out.push(c) }
-    }
+    text.chars().for_each(|c| if bad(c) { out.extend(c.escape_unicode()) } else { out.push(c) });
     Cow::Owned(out)
 }
 
