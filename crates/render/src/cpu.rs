@@ -51,7 +51,7 @@ impl<'s> Cpu<'s> {
     /// # Errors
     /// See [`Looking::on`].
     pub fn new(scene: &'s Scene, look: Look) -> Result<Self, RenderError> {
-        Self::on(Processor { scene, compositor: Compositor::new() }, scene, look)
+        Self::on(Processor { scene, compositor: Compositor::default() }, scene, look)
     }
 }
 

@@ -46,16 +46,11 @@ pub struct Compositor {
 
 impl Default for Compositor {
     fn default() -> Self {
-        Self::new()
+        Self { prepared: Prepared::new(), rasterizer: Rasterizer::new(), colors: Vec::new() }
     }
 }
 
 impl Compositor {
-    /// A compositor with empty buffers.
-    pub fn new() -> Self {
-        Self { prepared: Prepared::new(), rasterizer: Rasterizer::new(), colors: Vec::new() }
-    }
-
     /// Prepares a view for drawing, in stage-1 colours changed by `recolor`.
     pub fn prepare(
         &mut self,

@@ -110,7 +110,7 @@ impl Description {
             return Err(SceneError::NotAScene(dir.into()));
         }
         let bytes = files::read_bounded(&path, MOST_BYTES)?;
-        let wrong = |message: String| SceneError::Description { path: path.clone(), message };
+        let wrong = files::at::<String>(&path);
         let description: Self = serde_json::from_slice(&bytes).map_err(|e| wrong(e.to_string()))?;
         if description.format != FORMAT {
             return Err(wrong(format!("format is `{}`; expected `{FORMAT}`", shown(&description.format))));
@@ -150,8 +150,9 @@ impl Description {
                 world.metres_per_unit, world.transform
             )));
         }
-        let names = [Some(&description.gaussians), description.medium.file.as_ref()];
-        for name in names.into_iter().flatten().chain(description.enhancement.as_ref().map(|e| &e.file)) {
+        let enhancement = description.enhancement.as_ref().map(|e| &e.file);
+        let names = [Some(&description.gaussians), description.medium.file.as_ref(), enhancement];
+        for name in names.into_iter().flatten() {
             // A file name in a description never leads out of the folder.
             let mut parts = Path::new(name).components();
             if !matches!((parts.next(), parts.next()), (Some(Component::Normal(_)), None)) {
@@ -164,20 +165,6 @@ impl Description {
     }
 
     pub(crate) fn write(&self, dir: &Path) -> Result<(), SceneError> {
-        let path = dir.join(FILE);
-        let mut text = serde_json::to_string_pretty(self)
-            .map_err(|e| SceneError::Description { path: path.clone(), message: e.to_string() })?;
-        text.push('\n');
-        files::write_atomic(&path, text.as_bytes())
-    }
-
-    pub(crate) fn remove(dir: &Path) -> Result<(), SceneError> {
-        let path = dir.join(FILE);
-        match std::fs::remove_file(&path) {
-            Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
-                Err(SceneError::Io { path, source })
-            }
-            _ => Ok(()),
-        }
+        files::write_json(&dir.join(FILE), self)
     }
 }

@@ -1,6 +1,7 @@
 //! The payload files of a scene folder. They are written under a temporary name in the same folder and then
 //! renamed.
 
+use std::error::Error;
 use std::fs::File;
 use std::io::{BufReader, BufWriter, Read, Write};
 use std::path::Path;
@@ -9,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use use3d_capture::shown;
 use use3d_medium::{MediumKind, MediumModel, Tensor, Tensors};
 use use3d_splat::{Gaussians, ply};
-use use3d_tensors::{TensorError, TensorFile, TensorWriter};
+use use3d_tensors::{TensorFile, TensorWriter};
 use use3d_ubaf::Enhancement;
 
 use crate::SceneError;
@@ -33,18 +34,18 @@ pub(crate) struct MediumEntry {
     pub(crate) sh_degree: Option<usize>,
 }
 
-fn io(path: &Path) -> impl Fn(std::io::Error) -> SceneError + '_ {
-    move |source| SceneError::Io { path: path.into(), source }
+/// Adds the path to an error or a message.
+pub(crate) fn at<E: Into<Box<dyn Error + Send + Sync>>>(path: &Path) -> impl Fn(E) -> SceneError + '_ {
+    move |source| SceneError::File { path: path.into(), source: source.into() }
 }
 
 /// Reads a whole file, if it is not larger than `most` bytes.
 pub(crate) fn read_bounded(path: &Path, most: u64) -> Result<Vec<u8>, SceneError> {
     let mut bytes = Vec::new();
-    let file = File::open(path).map_err(io(path))?;
-    file.take(most + 1).read_to_end(&mut bytes).map_err(io(path))?;
+    let file = File::open(path).map_err(at(path))?;
+    file.take(most + 1).read_to_end(&mut bytes).map_err(at(path))?;
     if bytes.len() as u64 > most {
-        let message = format!("more than {most} bytes; this is not a file of a scene");
-        return Err(SceneError::Tensors { path: path.into(), message });
+        return Err(at(path)(format!("more than {most} bytes; this is not a file of a scene")));
     }
     Ok(bytes)
 }
@@ -59,23 +60,29 @@ fn write_with(
         writer.flush()?;
         writer.get_ref().sync_all()
     });
-    written.map_err(io(path))
+    written.map_err(at(path))
 }
 
-pub(crate) fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), SceneError> {
+fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), SceneError> {
     write_with(path, |writer| writer.write_all(bytes))
 }
 
-fn remove(path: &Path) -> Result<(), SceneError> {
+/// Writes a value as JSON with a line end after it.
+pub(crate) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), SceneError> {
+    let text = serde_json::to_string_pretty(value).map_err(at(path))?;
+    write_atomic(path, (text + "\n").as_bytes())
+}
+
+pub(crate) fn remove(path: &Path) -> Result<(), SceneError> {
     match std::fs::remove_file(path) {
-        Err(source) if source.kind() != std::io::ErrorKind::NotFound => Err(io(path)(source)),
+        Err(source) if source.kind() != std::io::ErrorKind::NotFound => Err(at(path)(source)),
         _ => Ok(()),
     }
 }
 
 pub(crate) fn read_gaussians(path: &Path) -> Result<Gaussians, SceneError> {
-    let file = File::open(path).map_err(io(path))?;
-    ply::read(BufReader::new(file)).map_err(|source| SceneError::Ply { path: path.into(), source })
+    let file = File::open(path).map_err(at(path))?;
+    ply::read(BufReader::new(file)).map_err(at(path))
 }
 
 pub(crate) fn write_gaussians(path: &Path, gaussians: &Gaussians) -> Result<(), SceneError> {
@@ -83,7 +90,7 @@ pub(crate) fn write_gaussians(path: &Path, gaussians: &Gaussians) -> Result<(), 
 }
 
 pub(crate) fn read_medium(dir: &Path, entry: &MediumEntry) -> Result<(MediumModel, usize), SceneError> {
-    let description = |message: String| SceneError::Description { path: dir.join("scene.json"), message };
+    let description = |message: String| at(&dir.join("scene.json"))(message);
     let kind = MediumKind::from_name(&entry.kind).ok_or_else(|| {
         let kinds = MediumKind::names(|_| true);
         description(format!("medium.kind is `{}`; expected {kinds}", shown(&entry.kind)))
@@ -101,7 +108,7 @@ pub(crate) fn read_medium(dir: &Path, entry: &MediumEntry) -> Result<(MediumMode
     let path = dir.join(name);
     let tensors = read_tensors(&path)?;
     let model = MediumModel::from_tensors(kind, entry.top_k.unwrap_or(4), &tensors);
-    Ok((model.map_err(|source| SceneError::Medium { path, source })?, degree))
+    Ok((model.map_err(at(&path))?, degree))
 }
 
 pub(crate) fn write_medium(dir: &Path, medium: &MediumModel) -> Result<(), SceneError> {
@@ -112,40 +119,29 @@ pub(crate) fn write_medium(dir: &Path, medium: &MediumModel) -> Result<(), Scene
     }
     let mut writer = TensorWriter::new();
     tensors.iter().for_each(|(name, tensor)| writer.f32(name, &tensor.shape, &tensor.values));
-    write_atomic(&path, &writer.finish().map_err(wrong(&path))?)
-}
-
-fn wrong(path: &Path) -> impl Fn(TensorError) -> SceneError + '_ {
-    move |error| SceneError::Tensors { path: path.into(), message: error.to_string() }
+    write_atomic(&path, &writer.finish().map_err(at(&path))?)
 }
 
 /// Reads every tensor of a file; the medium's kind checks them later.
 fn read_tensors(path: &Path) -> Result<Tensors, SceneError> {
     let bytes = read_bounded(path, MOST_TENSOR_BYTES)?;
-    let file = TensorFile::read(&bytes).map_err(wrong(path))?;
+    let file = TensorFile::read(&bytes).map_err(at(path))?;
     let mut tensors = Tensors::new();
     for name in file.names() {
-        let (shape, values) = file.narrowed(&name).map_err(wrong(path))?;
+        let (shape, values) = file.narrowed(&name).map_err(at(path))?;
         tensors.insert(name, Tensor { shape, values });
     }
     Ok(tensors)
 }
 
 pub(crate) fn read_enhancement(path: &Path) -> Result<Enhancement, SceneError> {
-    let bytes = read_bounded(path, MOST_TENSOR_BYTES)?;
-    Enhancement::from_safetensors(&bytes)
-        .map_err(|source| SceneError::Enhancement { path: path.into(), source })
+    Enhancement::from_safetensors(&read_bounded(path, MOST_TENSOR_BYTES)?).map_err(at(path))
 }
 
 pub(crate) fn write_enhancement(dir: &Path, enhancement: Option<&Enhancement>) -> Result<(), SceneError> {
     let path = dir.join(ENHANCEMENT);
     match enhancement {
         None => remove(&path),
-        Some(enhancement) => {
-            let bytes = enhancement
-                .to_safetensors()
-                .map_err(|source| SceneError::Enhancement { path: path.clone(), source })?;
-            write_atomic(&path, &bytes)
-        }
+        Some(enhancement) => write_atomic(&path, &enhancement.to_safetensors().map_err(at(&path))?),
     }
 }

@@ -38,7 +38,7 @@ impl<'s> KnownViews<'s> {
     pub fn new(scene: &'s Scene) -> Self {
         Self {
             scene,
-            compositor: Compositor::new(),
+            compositor: Compositor::default(),
             rendered: Rendered::new(),
             maps: MediumMaps::zeros(0, 0),
         }

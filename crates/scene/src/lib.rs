@@ -34,9 +34,11 @@ pub use white::White;
 use std::path::{Path, PathBuf};
 
 use use3d_capture::{Frame, World};
-use use3d_medium::{MediumError, MediumModel};
+use use3d_medium::MediumModel;
 use use3d_splat::Gaussians;
 use use3d_ubaf::Enhancement;
+
+use description::{Description, EnhancementEntry};
 
 /// A reconstructed, possibly enhanced scene.
 #[derive(Clone, Debug, PartialEq)]
@@ -59,90 +61,40 @@ pub enum SceneError {
     /// The folder has no description.
     #[error("{} is not a scene folder: it has no scene.json; `use3d reconstruct` makes one", .0.display())]
     NotAScene(PathBuf),
-    /// Reading or writing failed.
+    /// A file cannot be read or written, or its content is damaged or has another format.
     #[error("{}: {source}", path.display())]
-    Io {
-        /// The file.
+    File {
+        /// The file or folder.
         path: PathBuf,
-        /// The system's error.
-        source: std::io::Error,
-    },
-    /// The description does not have the format that this version reads.
-    #[error("{}: {message}", path.display())]
-    Description {
-        /// The file.
-        path: PathBuf,
-        /// The field, the value found and the value expected.
-        message: String,
-    },
-    /// The Gaussians' file is damaged.
-    #[error("{}: {source}", path.display())]
-    Ply {
-        /// The file.
-        path: PathBuf,
-        /// The error in the file.
-        source: use3d_splat::ply::PlyError,
-    },
-    /// A Gaussian is unusable.
-    #[error("{}: {source}", path.display())]
-    Gaussians {
-        /// The file.
-        path: PathBuf,
-        /// The first bad one.
-        source: use3d_splat::GaussiansError,
-    },
-    /// The medium's file is damaged.
-    #[error("{}: {source}", path.display())]
-    Medium {
-        /// The file.
-        path: PathBuf,
-        /// The error in the file.
-        source: MediumError,
-    },
-    /// A tensor file is damaged.
-    #[error("{}: {message}", path.display())]
-    Tensors {
-        /// The file.
-        path: PathBuf,
-        /// The error in the file.
-        message: String,
-    },
-    /// The enhancement's file is damaged.
-    #[error("{}: {source}", path.display())]
-    Enhancement {
-        /// The file.
-        path: PathBuf,
-        /// The error in the file.
-        source: use3d_ubaf::TensorError,
+        /// The system's error, or the wrong field with the value found and the value expected.
+        source: Box<dyn std::error::Error + Send + Sync>,
     },
 }
 
 impl Scene {
     /// Reads a scene folder; every number is checked.
     pub fn load(dir: &Path) -> Result<Self, SceneError> {
-        let description = description::Description::read(dir)?;
+        let description = Description::read(dir)?;
         let ply = dir.join(&description.gaussians);
         let gaussians = files::read_gaussians(&ply)?;
-        gaussians.validate().map_err(|source| SceneError::Gaussians { path: ply, source })?;
+        gaussians.validate().map_err(files::at(&ply))?;
         let (medium, medium_degree) = files::read_medium(dir, &description.medium)?;
-        let enhancement = match &description.enhancement {
-            Some(entry) => {
-                let read = files::read_enhancement(&dir.join(&entry.file))?;
-                Some(Enhancement { appearance: entry.appearance, kept_water: entry.kept_water, ..read })
-            }
-            None => None,
-        };
+        let mut enhancement = None;
+        if let Some(EnhancementEntry { file, appearance, kept_water }) = description.enhancement {
+            let read = files::read_enhancement(&dir.join(file))?;
+            enhancement = Some(Enhancement { appearance, kept_water, ..read });
+        }
         Ok(Self { gaussians, frame: description.frame.into(), medium, medium_degree, enhancement })
     }
 
     /// Writes the scene into `dir`, which is created if needed. Other files in it are not changed.
     pub fn save(&self, dir: &Path) -> Result<(), SceneError> {
-        std::fs::create_dir_all(dir).map_err(|source| SceneError::Io { path: dir.into(), source })?;
-        description::Description::remove(dir)?;
+        std::fs::create_dir_all(dir).map_err(files::at(dir))?;
+        files::remove(&dir.join(description::FILE))?;
         files::write_gaussians(&dir.join(files::GAUSSIANS), &self.gaussians)?;
         files::write_medium(dir, &self.medium)?;
         files::write_enhancement(dir, self.enhancement.as_ref())?;
-        description::Description::of(self).write(dir)
+        Description::of(self).write(dir)
     }
 
     /// Reads the world of a scene folder, from COLMAP's frame to metres; `None` if it is not known.
@@ -150,7 +102,7 @@ impl Scene {
     /// # Errors
     /// Fails if the folder is not a scene.
     pub fn world(dir: &Path) -> Result<Option<World>, SceneError> {
-        Ok(description::Description::read(dir)?.world)
+        Ok(Description::read(dir)?.world)
     }
 
     /// Records the world in a saved scene folder.
@@ -158,7 +110,7 @@ impl Scene {
     /// # Errors
     /// Fails if the folder is not a scene, or cannot be written.
     pub fn set_world(dir: &Path, world: &World) -> Result<(), SceneError> {
-        let mut description = description::Description::read(dir)?;
+        let mut description = Description::read(dir)?;
         description.world = Some(world.clone());
         description.write(dir)
     }

@@ -94,10 +94,6 @@ impl Gains {
     pub fn of_casts([clear, enhanced, enhanced_clear]: [[f64; 2]; 3]) -> Self {
         Self { clear: gains(clear), enhanced: gains(enhanced), enhanced_clear: gains(enhanced_clear) }
     }
-
-    fn all(&self) -> [[f32; 3]; 3] {
-        [self.clear, self.enhanced, self.enhanced_clear]
-    }
 }
 
 /// The cast `u = (ln R/G, ln B/G)` of a colour; `None` if a channel is not positive.
@@ -159,10 +155,7 @@ impl White {
     /// Fails if the file has another format.
     pub fn beside(scene: &Path) -> Result<Option<Self>, SceneError> {
         let place = Self::place(scene);
-        if !place.is_file() {
-            return Ok(None);
-        }
-        Self::read(&place).map(Some)
+        place.is_file().then(|| Self::read(&place)).transpose()
     }
 
     /// Reads a file with a white balance.
@@ -172,7 +165,7 @@ impl White {
     /// value.
     pub fn read(path: &Path) -> Result<Self, SceneError> {
         let bytes = files::read_bounded(path, MOST_BYTES)?;
-        let wrong = |message: String| SceneError::Description { path: path.into(), message };
+        let wrong = files::at::<String>(path);
         let white: Self = serde_json::from_slice(&bytes)
             .map_err(|e| wrong(format!("{e}; expected a white balance, as `use3d white` writes it")))?;
         white.check().map_err(wrong)?;
@@ -188,8 +181,9 @@ impl White {
         if self.version != VERSION {
             return Err(format!("version is {}; this program reads version {VERSION}", self.version));
         }
-        let [least, most] = GAINS;
-        if let Some(gain) = self.gains.all().as_flattened().iter().find(|g| !(least..=most).contains(*g)) {
+        let ([least, most], Gains { clear, enhanced, enhanced_clear }) = (GAINS, self.gains);
+        let all = [clear, enhanced, enhanced_clear];
+        if let Some(gain) = all.as_flattened().iter().find(|g| !(least..=most).contains(*g)) {
             return Err(format!("a gain is {gain}; expected {least} to {most}"));
         }
         if self.clicks.len() > MOST_CLICKS {
@@ -210,11 +204,8 @@ impl White {
     /// # Errors
     /// Fails for gains out of their range, or if the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), SceneError> {
-        let wrong = |message: String| SceneError::Description { path: path.into(), message };
-        self.check().map_err(wrong)?;
-        let mut text = serde_json::to_string_pretty(self).map_err(|e| wrong(e.to_string()))?;
-        text.push('\n');
-        files::write_atomic(path, text.as_bytes())
+        self.check().map_err(files::at(path))?;
+        files::write_json(path, self)
     }
 }
 

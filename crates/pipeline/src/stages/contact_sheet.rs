@@ -88,7 +88,7 @@ fn lay_out(pairs: &[[Image; 2]]) -> Image {
 
 /// The contact sheet of a capture and the scene made from it; `None` without views.
 pub(super) fn sheet(capture: &Capture, scene: &Scene) -> Result<Option<Image>, ImportError> {
-    let mut compositor = Compositor::new();
+    let mut compositor = Compositor::default();
     let pair = |view: &View| -> Result<[Image; 2], ImportError> {
         let captured = load_pixels(view)?.to_image();
         Ok([thumbnail(&captured), thumbnail(&draw(&mut compositor, scene, &view.camera))])
