@@ -74,6 +74,10 @@ struct Rules {
     views: usize,
 }
 
+fn serious_if(serious: bool) -> Severity {
+    if serious { Severity::Serious } else { Severity::Minor }
+}
+
 fn names(views: &[ViewFigures], those: impl Fn(&ViewFigures) -> bool) -> Vec<String> {
     views.iter().filter(|v| those(v)).map(|v| v.name.clone()).collect()
 }
@@ -83,11 +87,21 @@ impl Rules {
         &mut self,
         severity: Severity,
         subject: &'static str,
-        text: String,
+        text: impl Into<String>,
         remedy: &str,
         views: Vec<String>,
     ) {
-        self.found.push(Finding { severity, subject, text, remedy: remedy.into(), views });
+        let (text, remedy) = (text.into(), remedy.into());
+        self.found.push(Finding { severity, subject, text, remedy, views });
+    }
+
+    fn good(&mut self, subject: &'static str, text: impl Into<String>) {
+        self.add(Severity::Good, subject, text, "", Vec::new());
+    }
+
+    /// Adds a minor finding that is about no views.
+    fn minor(&mut self, subject: &'static str, text: impl Into<String>, remedy: &str) {
+        self.add(Severity::Minor, subject, text, remedy, Vec::new());
     }
 
     fn share(&self, part: usize) -> f64 {
@@ -101,53 +115,53 @@ impl Rules {
         if !import.extra.is_empty() {
             let text =
                 format!("For {} of {all} photographs no camera position is known.", import.extra.len());
-            let severity = if without > 1.0 / 3.0 { Severity::Serious } else { Severity::Minor };
             let remedy = "find the cameras again with `use3d prepare`, which says what helps, or take more photographs \
                 in between";
-            self.add(severity, "unplaced", text, remedy, import.extra.clone());
+            self.add(serious_if(without > 1.0 / 3.0), "unplaced", text, remedy, import.extra.clone());
         } else {
-            let text = format!("All {all} photographs have a camera position.");
-            self.add(Severity::Good, "unplaced", text, "", Vec::new());
+            self.good("unplaced", format!("All {all} photographs have a camera position."));
         }
         if !import.missing.is_empty() {
             let text =
                 format!("{} photographs that the model names are not in the folder.", import.missing.len());
-            let severity =
-                if import.missing.len() > self.views { Severity::Serious } else { Severity::Minor };
             let remedy = "put the missing files back, under the names that the model has";
-            self.add(severity, "missing", text, remedy, import.missing.clone());
+            self.add(
+                serious_if(import.missing.len() > self.views),
+                "missing",
+                text,
+                remedy,
+                import.missing.clone(),
+            );
         }
         if !import.other_models.is_empty() {
             let names: Vec<_> = import.other_models.iter().map(|name| shown(name)).collect();
             let text = format!("The folder has more models, which are not used: {}.", names.join(", "));
             let remedy = "if they show other parts of the dive, photograph the way between the parts, or run them as \
                 captures of their own";
-            self.add(Severity::Minor, "groups", text, remedy, Vec::new());
+            self.minor("groups", text, remedy);
         }
-        if self.views < 12 {
-            let text = format!("{} photographs are very few.", self.views);
-            let remedy = "take 30 to 200 photographs of one site";
-            self.add(Severity::Serious, "few", text, remedy, Vec::new());
-        } else if self.views < 24 {
-            let text = format!("{} photographs are few: new views between them will have holes.", self.views);
-            let remedy = "take 30 to 200 photographs of one site";
-            self.add(Severity::Minor, "few", text, remedy, Vec::new());
-        }
+        let few = match self.views {
+            0..12 => "are very few.",
+            12..24 => "are few: new views between them will have holes.",
+            _ => return,
+        };
+        let (text, remedy) =
+            (format!("{} photographs {few}", self.views), "take 30 to 200 photographs of one site");
+        self.add(serious_if(self.views < 12), "few", text, remedy, Vec::new());
     }
 
     fn split(&mut self, import: &ImportReport) {
         let (train, test) = (import.train.len(), import.test.len());
         if test == 0 {
             let remedy = "leave `split.every` at 8, unless you need every photograph for the scene";
-            let text = "No view is held out, so the report can have no honest scores.".to_string();
-            self.add(Severity::Minor, "split", text, remedy, Vec::new());
+            let text = "No view is held out, so the report can have no honest scores.";
+            self.minor("split", text, remedy);
         } else if train < 8 {
             let text = format!("Only {train} views are left for training, and {test} are held out.");
             let remedy = "hold out fewer views (`--set import.split.every=8`, or a shorter test_list.txt)";
             self.add(Severity::Serious, "split", text, remedy, import.test.clone());
         } else {
-            let text = format!("{test} of {} views are held out for the scores.", train + test);
-            self.add(Severity::Good, "split", text, "", Vec::new());
+            self.good("split", format!("{test} of {} views are held out for the scores.", train + test));
         }
     }
 
@@ -156,38 +170,28 @@ impl Rules {
         if sizes.len() > 1 {
             let list: Vec<String> = sizes.iter().map(|[w, h]| format!("{w}x{h}")).collect();
             let text = format!("The photographs have {} sizes: {}.", sizes.len(), list.join(", "));
-            self.add(
-                Severity::Minor,
-                "sizes",
-                text,
-                "make all of them one size with `--max-side` or `--size`",
-                Vec::new(),
-            );
+            self.minor("sizes", text, "make all of them one size with `--max-side` or `--size`");
         }
         let large = sizes.iter().flatten().copied().max().unwrap_or(0);
         if large > LARGE {
             let text =
                 format!("The photographs have {large} pixels on the longer side, so a run takes many hours.");
-            self.add(Severity::Minor, "large", text, "begin with `--max-side 1280`", Vec::new());
+            self.minor("large", text, "begin with `--max-side 1280`");
         }
-        let undistorted: Vec<f64> = import
-            .cameras
-            .iter()
-            .filter_map(|c| {
-                let [w, h] = c.undistorted_size?;
-                Some((w * h) as f64 / (c.file_size[0] * c.file_size[1]).max(1) as f64)
-            })
-            .collect();
-        if let Some(least) = undistorted.iter().copied().reduce(f64::min) {
+        let undistorted = import.cameras.iter().filter_map(|c| {
+            let [w, h] = c.undistorted_size?;
+            Some((w * h) as f64 / (c.file_size[0] * c.file_size[1]).max(1) as f64)
+        });
+        if let Some(least) = undistorted.reduce(f64::min) {
             let lens = import.cameras.first().map_or("", |c| &c.model);
             let text =
                 format!("The lens bends straight lines ({lens}), so the photographs are straightened here.");
             if least < 0.6 {
                 let text = format!("{text} {:.0} % of their pixels are left.", 100.0 * least);
                 let remedy = "check the lens model of the cameras; a fisheye loses its edges in any case";
-                self.add(Severity::Minor, "lens", text, remedy, Vec::new());
+                self.minor("lens", text, remedy);
             } else {
-                self.add(Severity::Good, "lens", text, "", Vec::new());
+                self.good("lens", text);
             }
         }
     }
@@ -196,12 +200,10 @@ impl Rules {
         let lonely = names(&figures.views, |v| v.points < LONELY.0 || v.neighbours < LONELY.1);
         if figures.track_length == 0.0 {
             let text = "The model has no tracks: it does not say which view sees which point, so the cameras and their \
-                overlap cannot be checked."
-                .to_string();
+                overlap cannot be checked.";
             // In air, nothing is lost by that, and some programs export no tracks.
             let dry = matches!(water, Some(WaterSight::None(_)));
             let never = WITHOUT_TRACKS.contains(&&*import.model_form);
-            let severity = if dry || never { Severity::Minor } else { Severity::Serious };
             let remedy = match &*import.model_form {
                 _ if never => {
                     "nothing: this program's files have no tracks, so the training learns the water from the \
@@ -213,7 +215,7 @@ impl Rules {
                     scratch"
                 }
             };
-            self.add(severity, "tracks", text, remedy, Vec::new());
+            self.add(serious_if(!(dry || never)), "tracks", text, remedy, Vec::new());
             return;
         }
         if figures.points < 1000 {
@@ -222,57 +224,45 @@ impl Rules {
             self.add(Severity::Serious, "points", text, remedy, Vec::new());
         }
         if !lonely.is_empty() {
-            let severity = if self.share(lonely.len()) > 0.1 { Severity::Serious } else { Severity::Minor };
+            let (count, all) = (lonely.len(), self.views);
             let text = format!(
-                "{} of {} views share few points with the others, so their camera positions are uncertain.",
-                lonely.len(),
-                self.views
+                "{count} of {all} views share few points with the others, so their camera positions are uncertain."
             );
             let remedy = "photograph the way to them more densely, or remove them from the folder of images";
-            self.add(severity, "lonely", text, remedy, lonely);
+            self.add(serious_if(self.share(lonely.len()) > 0.1), "lonely", text, remedy, lonely);
         }
-        match figures.error {
-            Some(error) if error > ERROR.0 => {
-                let severity = if error > ERROR.1 { Severity::Serious } else { Severity::Minor };
-                let text = format!(
-                    "Points land {error:.2} pixels beside their place on average (reprojection error): the lens model \
-                     fits badly."
-                );
+        if let Some(error) = figures.error {
+            let text =
+                format!("Points land {error:.2} pixels beside their place on average (reprojection error)");
+            if error > ERROR.0 {
+                let text = format!("{text}: the lens model fits badly.");
                 let remedy = "another lens model (`use3d prepare --lens`), zoom and stabilisation off, sharper \
                     photographs";
-                self.add(severity, "error", text, remedy, Vec::new());
+                self.add(serious_if(error > ERROR.1), "error", text, remedy, Vec::new());
+            } else {
+                self.good("error", format!("{text}."));
             }
-            Some(error) => {
-                let text = format!(
-                    "Points land {error:.2} pixels beside their place on average (reprojection error)."
-                );
-                self.add(Severity::Good, "error", text, "", Vec::new());
-            }
-            None => {}
         }
         if figures.track_length < 3.0 {
             let text = format!("A point is seen in {:.1} views only.", figures.track_length);
             let remedy = "let neighbouring photographs overlap by 70 % or more";
-            self.add(Severity::Minor, "overlap", text, remedy, Vec::new());
+            self.minor("overlap", text, remedy);
         }
         if let (Some(forward), Some(breadth)) = (figures.forward, figures.breadth)
             && forward > TUNNEL.0
             && breadth < TUNNEL.1
         {
-            let text =
-                "The camera moves along one line in its own viewing direction, so distances are hardly \
-                determined."
-                    .to_string();
+            let text = "The camera moves along one line in its own viewing direction, so distances are hardly \
+                determined.";
             self.add(Severity::Serious, "path", text, "swim sideways along the scene as well", Vec::new());
         }
     }
 
     /// Parts of the pictures that no track reaches.
     fn reach(&mut self, reaches: &[Reach]) {
-        let Some(worst) = reaches.iter().reduce(|a, b| if b.bare > a.bare { b } else { a }) else { return };
+        let Some(worst) = Reach::worst(reaches) else { return };
         if worst.bare < BARE.0 {
-            let text = "Points that were found again cover the pictures to their edges.".into();
-            self.add(Severity::Good, "reach", text, "", Vec::new());
+            self.good("reach", "Points that were found again cover the pictures to their edges.");
             return;
         }
         let share = 100.0 * worst.bare;
@@ -293,7 +283,7 @@ impl Rules {
             true => format!("About {share:.0} %"),
             false => sentence(&wide.iter().map(part).collect::<Vec<_>>().join(" and ")),
         };
-        let severity = if severe && worst.bare >= BARE.1 { Severity::Serious } else { Severity::Minor };
+        let severity = serious_if(severe && worst.bare >= BARE.1);
         let camera = match reaches.len() {
             1 => String::new(),
             _ => format!(" of the camera with {}x{} pixels", worst.size[0], worst.size[1]),
@@ -320,50 +310,37 @@ impl Rules {
         let (largest, list) = steps(|v| v.exposure_step, EXPOSURE);
         if !list.is_empty() {
             let often = self.share(list.len()) > 0.2;
-            let severity = if largest > EXPOSURE.1 || often { Severity::Serious } else { Severity::Minor };
             let text =
                 format!("The exposure changes between neighbouring views, by up to {largest:.1} stops.");
             let remedy = "`--set reconstruct.exposure=per-view`; lock the exposure on the next dive";
-            self.add(severity, "exposure", text, remedy, list);
+            self.add(serious_if(largest > EXPOSURE.1 || often), "exposure", text, remedy, list);
         } else if views.iter().any(|v| v.exposure_step.is_some()) {
-            self.add(Severity::Good, "exposure", "The exposure is steady.".into(), "", Vec::new());
+            self.good("exposure", "The exposure is steady.");
         }
         let (largest, list) = steps(|v| v.balance_step, BALANCE);
         if !list.is_empty() {
-            let severity = if largest > BALANCE.1 { Severity::Serious } else { Severity::Minor };
             let text = format!(
                 "The white balance changes between neighbouring views, by up to {:.0} %.",
                 100.0 * largest
             );
             let remedy = "`--set reconstruct.exposure=per-view`; set a fixed white balance on the next dive";
-            self.add(severity, "balance", text, remedy, list);
+            self.add(serious_if(largest > BALANCE.1), "balance", text, remedy, list);
         } else if views.iter().any(|v| v.balance_step.is_some()) {
-            self.add(Severity::Good, "balance", "The white balance is steady.".into(), "", Vec::new());
+            self.good("balance", "The white balance is steady.");
         }
+        let are = |count: usize| if count == 1 { "is" } else { "are" };
         let blurred = names(views, |v| v.sharpness.is_some_and(|s| s < BLURRED));
         if !blurred.is_empty() {
-            let severity = if self.share(blurred.len()) > 0.1 { Severity::Serious } else { Severity::Minor };
-            let text = format!(
-                "{} of {} views {} blurred, compared with the views around them.",
-                blurred.len(),
-                self.views,
-                if blurred.len() == 1 { "is" } else { "are" }
-            );
+            let (are, count, all) = (are(blurred.len()), blurred.len(), self.views);
+            let text = format!("{count} of {all} views {are} blurred, compared with the views around them.");
             let remedy = "remove them from the folder of images; swim slower, with 1/240 s or shorter";
-            self.add(severity, "blur", text, remedy, blurred);
+            self.add(serious_if(self.share(blurred.len()) > 0.1), "blur", text, remedy, blurred);
         } else {
-            self.add(
-                Severity::Good,
-                "blur",
-                "No view is much less sharp than its neighbours.".into(),
-                "",
-                Vec::new(),
-            );
+            self.good("blur", "No view is much less sharp than its neighbours.");
         }
         let dark = names(views, |v| v.brightness.is_some_and(|b| b < DARK));
         if !dark.is_empty() {
-            let are = if dark.len() == 1 { "is" } else { "are" };
-            let text = format!("{} of {} views {are} very dark.", dark.len(), self.views);
+            let text = format!("{} of {} views {} very dark.", dark.len(), self.views, are(dark.len()));
             self.add(Severity::Minor, "dark", text, "expose longer, or remove them", dark);
         }
     }
@@ -373,7 +350,7 @@ impl Rules {
         let share = format!("{:.0} % of the points are seen from near and from far.", 100.0 * ranged);
         match water {
             Some(WaterSight::Found(words)) => {
-                self.add(Severity::Good, "water", format!("{}. {share}", sentence(words)), "", Vec::new());
+                self.good("water", format!("{}. {share}", sentence(words)));
             }
             // A change of exposure hides the change with the distance.
             Some(WaterSight::None(_)) if self.light_changes() => {
@@ -381,16 +358,16 @@ impl Rules {
                     "No water was found, but exposure or white balance change so much that this says little.";
                 let remedy = "nothing for these photographs: the training learns the water from them; on the next dive lock \
                     exposure and white balance";
-                self.add(Severity::Minor, "water", text.into(), remedy, Vec::new());
+                self.minor("water", text, remedy);
             }
             Some(WaterSight::Lamps(words)) => {
                 let text = format!("{}. {share}", sentence(words));
                 let remedy = "nothing for these photographs: the training learns the water from them; in daylight leave the \
                     lamps off";
-                self.add(Severity::Minor, "water", text, remedy, Vec::new());
+                self.minor("water", text, remedy);
             }
             Some(WaterSight::None(words)) => {
-                self.add(Severity::Good, "water", format!("{}.", sentence(words)), "", Vec::new());
+                self.good("water", format!("{}.", sentence(words)));
             }
             // The finding on the tracks says it.
             Some(WaterSight::Unknown(_)) if figures.track_length == 0.0 => {}
@@ -400,18 +377,12 @@ impl Rules {
                 } else {
                     "`use3d water` shows each colour; lock exposure and white balance on the next dive"
                 };
-                self.add(
-                    Severity::Minor,
-                    "water",
-                    format!("{}. {share}", sentence(words)),
-                    remedy,
-                    Vec::new(),
-                );
+                self.minor("water", format!("{}. {share}", sentence(words)), remedy);
             }
             None if ranged < RANGED && figures.track_length > 0.0 => {
                 let text = format!("Only {share} The water can hardly be measured.");
                 let remedy = "photograph the same things from near and from far";
-                self.add(Severity::Minor, "water", text, remedy, Vec::new());
+                self.minor("water", text, remedy);
             }
             None => {}
         }
@@ -426,41 +397,32 @@ impl Rules {
     fn extras(&mut self, import: &ImportReport, figures: &Figures, metres: Option<f64>) {
         match metres {
             Some(metres) => {
-                let text = format!("The scale is known: one unit of the model is {metres:.4} m.");
-                self.add(Severity::Good, "scale", text, "", Vec::new());
+                self.good("scale", format!("The scale is known: one unit of the model is {metres:.4} m."));
             }
             None => {
-                let text =
-                    "The scale is not known: distances and the water are in units of the model.".into();
+                let text = "The scale is not known: distances and the water are in units of the model.";
                 let remedy = "nothing, if you need no metres; otherwise measure one length in the photographs \
                     (docs/guide/metres.md)";
-                self.add(Severity::Minor, "scale", text, remedy, Vec::new());
+                self.minor("scale", text, remedy);
             }
         }
         if import.depth_priors == 0 {
-            let text = "There are no depth maps to help the training.".into();
+            let text = "There are no depth maps to help the training.";
             let remedy = "put the weights of Depth Anything V2 into the models folder (`use3d models`), if you may use \
                 them";
-            self.add(Severity::Minor, "depth", text, remedy, Vec::new());
+            self.minor("depth", text, remedy);
         }
         let hidden = names(&figures.views, |v| v.unmasked.is_some_and(|share| share < UNMASKED));
         if !hidden.is_empty() {
-            let severity = if self.share(hidden.len()) > 0.1 { Severity::Serious } else { Severity::Minor };
-            let text =
-                format!("The masks of {} of {} views leave almost no pixel.", hidden.len(), self.views);
+            let (count, all) = (hidden.len(), self.views);
+            let text = format!("The masks of {count} of {all} views leave almost no pixel.");
             let remedy =
                 "masks are white where pixels count and black elsewhere: invert them, or remove them";
-            self.add(severity, "masks", text, remedy, hidden);
+            self.add(serious_if(self.share(hidden.len()) > 0.1), "masks", text, remedy, hidden);
         }
         if import.masks + import.alpha_masks == 0 {
-            let text = "There are no masks: fish and divers will leave ghosts, if there are any.".into();
-            self.add(
-                Severity::Minor,
-                "masks",
-                text,
-                "paint them black in masks/ (docs/guide/captures.md)",
-                Vec::new(),
-            );
+            let text = "There are no masks: fish and divers will leave ghosts, if there are any.";
+            self.minor("masks", text, "paint them black in masks/ (docs/guide/captures.md)");
         }
     }
 }

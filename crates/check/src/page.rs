@@ -26,17 +26,7 @@ const STYLE: &str = "body{font:16px/1.5 system-ui,sans-serif;max-width:56rem;mar
 const MOST: usize = 8;
 
 fn escaped(text: &str) -> String {
-    let mut out = String::with_capacity(text.len());
-    for c in text.chars() {
-        match c {
-            '&' => out.push_str("&amp;"),
-            '<' => out.push_str("&lt;"),
-            '>' => out.push_str("&gt;"),
-            '"' => out.push_str("&quot;"),
-            c => out.push(c),
-        }
-    }
-    out
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
 /// Text with commands between backquotes.
@@ -50,15 +40,10 @@ fn marked(text: &str) -> String {
     out
 }
 
-/// The names of the views that the page shows.
-fn wanted(report: &CheckReport) -> impl Iterator<Item = &String> {
-    report.faults().flat_map(|f| f.views.iter().take(MOST))
-}
-
 impl CheckReport {
     /// The names of the views whose pictures [`page`] shows, each once.
     pub fn pictured(&self) -> std::collections::BTreeSet<String> {
-        wanted(self).cloned().collect()
+        self.faults().flat_map(|f| f.views.iter().take(MOST)).cloned().collect()
     }
 }
 
@@ -98,8 +83,7 @@ pub fn page(report: &CheckReport, pictures: &[Picture]) -> String {
             let _ = writeln!(out, "<p>Do this: {}.</p>", marked(&finding.remedy));
         }
         if finding.subject == "reach" && finding.severity != Severity::Good {
-            let worst = report.figures.reach.iter().reduce(|a, b| if b.bare > a.bare { b } else { a });
-            out.push_str(&worst.map(drawing).unwrap_or_default());
+            out.push_str(&Reach::worst(&report.figures.reach).map(drawing).unwrap_or_default());
         }
         if finding.severity != Severity::Good {
             for name in finding.views.iter().take(MOST) {

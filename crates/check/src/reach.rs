@@ -5,7 +5,7 @@
 //! the scene cannot be learnt there.
 
 use serde::Serialize;
-use use3d_capture::{Capture, Track};
+use use3d_capture::{Capture, Track, View};
 
 /// Columns and rows of the grid.
 const GRID: [usize; 2] = [20, 12];
@@ -53,6 +53,11 @@ impl Reach {
         (self.cells[row][column] as f64) < (BARE * self.views as f64).max(1.0)
     }
 
+    /// The first with the largest bare share.
+    pub(crate) fn worst(reaches: &[Self]) -> Option<&Self> {
+        reaches.iter().reduce(|a, b| if b.bare > a.bare { b } else { a })
+    }
+
     fn new(size: [usize; 2], views: usize, cells: Vec<Vec<usize>>) -> Self {
         let mut reach = Self { size, views, cells, bare: 0.0, borders: Vec::new() };
         let [columns, rows] = GRID;
@@ -78,17 +83,14 @@ impl Reach {
 /// The reach of each camera that has enough views and sightings.
 pub(crate) fn reaches(capture: &Capture, tracks: &[Track]) -> Vec<Reach> {
     let mut cameras: Vec<use3d_capture::Intrinsics> = Vec::new();
-    let of_view: Vec<usize> = capture
-        .views
-        .iter()
-        .map(|view| {
-            let own = view.camera.intrinsics;
-            cameras.iter().position(|known| *known == own).unwrap_or_else(|| {
-                cameras.push(own);
-                cameras.len() - 1
-            })
+    let camera_of = |view: &View| {
+        let own = view.camera.intrinsics;
+        cameras.iter().position(|known| *known == own).unwrap_or_else(|| {
+            cameras.push(own);
+            cameras.len() - 1
         })
-        .collect();
+    };
+    let of_view: Vec<usize> = capture.views.iter().map(camera_of).collect();
     let [columns, rows] = GRID;
     let mut cells = vec![vec![vec![0; columns]; rows]; cameras.len()];
     for s in tracks.iter().flat_map(|track| &track.sightings) {
