@@ -45,16 +45,10 @@ pub struct CodeRules {
 }
 
 /// Digests of the workspace's code; see the module.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 pub struct CodeTable {
+    #[serde(skip)]
     rules: CodeRules,
-    crates: BTreeMap<String, CrateCode>,
-    files: BTreeMap<String, FileCode>,
-}
-
-/// The table as the build script writes it.
-#[derive(Deserialize)]
-struct Stored {
     crates: BTreeMap<String, CrateCode>,
     files: BTreeMap<String, FileCode>,
 }
@@ -115,9 +109,8 @@ impl CodeTable {
     /// # Errors
     /// The text is not such a table.
     pub fn stored(text: &str, rules: CodeRules) -> Result<Self, CodeError> {
-        let Stored { crates, files } =
-            serde_json::from_str(text).map_err(|e| CodeError::Tree(e.to_string()))?;
-        Ok(Self { rules, crates, files })
+        let table: Self = serde_json::from_str(text).map_err(|e| CodeError::Tree(e.to_string()))?;
+        Ok(Self { rules, ..table })
     }
 
     /// The table of the workspace at `root` (a folder with `Cargo.toml`, `Cargo.lock` and `crates/`).

@@ -36,18 +36,14 @@ pub(crate) fn module_files(file: &Path, module: &str) -> [PathBuf; 2] {
 }
 
 pub(crate) fn is_test_only_file(stream: &TokenStream) -> bool {
-    let mut tokens = stream.clone().into_iter();
-    while let Some(token) = tokens.next() {
-        let (TokenTree::Punct(hash), Some(TokenTree::Punct(bang))) = (&token, tokens.next()) else {
-            return false;
-        };
-        let Some(TokenTree::Group(group)) = tokens.next() else { return false };
-        if hash.as_char() != '#' || bang.as_char() != '!' {
-            return false;
-        }
+    let tokens: Vec<TokenTree> = stream.clone().into_iter().collect();
+    let mut i = 0;
+    // `#![…]` has three tokens, `#[…]` two.
+    while let Some((after, group)) = attribute(&tokens, i).filter(|(after, _)| *after == i + 3) {
         if is_cfg_test(&group.stream()) {
             return true;
         }
+        i = after;
     }
     false
 }
@@ -143,24 +139,15 @@ fn is_callee(before: &TokenTree) -> bool {
 
 /// Returns true if two adjacent characters begin an operator of the language.
 fn joins(first: char, second: char) -> bool {
-    matches!(
-        (first, second),
-        ('&', '&')
-            | ('|', '|')
-            | ('<', '<')
-            | ('>', '>')
-            | ('.', '.')
-            | (':', ':')
-            | ('-', '>')
-            | ('=', '>')
-            | ('<', '-')
-    ) || (second == '=' && "=!<>+-*/%^&|.".contains(first))
+    ["&&", "||", "<<", ">>", "..", "::", "->", "=>", "<-"]
+        .contains(&String::from_iter([first, second]).as_str())
+        || (second == '=' && "=!<>+-*/%^&|.".contains(first))
         || first == '\''
 }
 
 /// The index after `#[…]` or `#![…]` at `i`, and the brackets.
 pub(crate) fn attribute(tokens: &[TokenTree], i: usize) -> Option<(usize, &Group)> {
-    if !is_punct(&tokens[i], '#') {
+    if !is_punct(tokens.get(i)?, '#') {
         return None;
     }
     let bang = usize::from(tokens.get(i + 1).is_some_and(|t| is_punct(t, '!')));
@@ -175,7 +162,7 @@ pub(crate) fn attribute(tokens: &[TokenTree], i: usize) -> Option<(usize, &Group
 /// The index after the item that starts at `i`; `None` if it is not an item (a field, an arm, an expression),
 /// which is kept.
 pub(crate) fn item_end(tokens: &[TokenTree], mut i: usize, test_modules: &mut Vec<String>) -> Option<usize> {
-    while let Some((after, _)) = tokens.get(i).and_then(|_| attribute(tokens, i)) {
+    while let Some((after, _)) = attribute(tokens, i) {
         i = after;
     }
     if matches!(tokens.get(i), Some(TokenTree::Ident(name)) if name == "pub") {

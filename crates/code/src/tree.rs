@@ -11,11 +11,15 @@
 //! do not use all of its files.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
 use serde_json::{Map, Value, json};
 use walkdir::WalkDir;
 
+use crate::digest::{Digest, Encoder};
 use crate::tokens::{module_files, tokens_of};
 use crate::uses::{modules, uses_of};
 
@@ -30,14 +34,14 @@ const DEPENDENCY_TABLES: [&str; 2] = ["dependencies", "build-dependencies"];
 /// # Errors
 /// A source or manifest cannot be read, or a dependency comes from a path outside `crates/`.
 pub fn read(root: &Path, by_file: &str) -> Result<Value, String> {
-    let workspace = parse_toml(&root.join("Cargo.toml"))?;
+    let workspace: Value = parse_toml(&root.join("Cargo.toml"))?;
     let inherited = workspace.pointer("/workspace/dependencies").cloned().unwrap_or_default();
-    let lock = Lock::read(&root.join("Cargo.lock"))?;
+    let lock: Lock = parse_toml(&root.join("Cargo.lock"))?;
     let mut crates = Map::new();
     let mut files = Map::new();
     let mut manifests = BTreeMap::new();
     for folder in crate_folders(root)? {
-        let manifest = parse_toml(&folder.join("Cargo.toml"))?;
+        let manifest: Value = parse_toml(&folder.join("Cargo.toml"))?;
         if let Some(name) = manifest.pointer("/package/name").and_then(Value::as_str) {
             manifests.insert(name.to_string(), (folder, manifest));
         }
@@ -47,10 +51,9 @@ pub fn read(root: &Path, by_file: &str) -> Result<Value, String> {
         let dependencies = dependency_tables(manifest, &inherited);
         let names: BTreeSet<String> = dependencies.values().flat_map(|t| t.keys().cloned()).collect();
         let sources = source_digests(folder)?;
-        let mut tokens = blake3::Hasher::new_derive_key(CONTEXT);
+        let mut tokens = Encoder::new(CONTEXT);
         for (path, digest) in &sources {
-            field(&mut tokens, path.as_bytes());
-            field(&mut tokens, digest.as_bytes());
+            tokens.text(path).bytes(digest.as_bytes());
         }
         if folder.file_name().is_some_and(|n| n == by_file) {
             let specs: Map<String, Value> =
@@ -59,16 +62,15 @@ pub fn read(root: &Path, by_file: &str) -> Result<Value, String> {
                 files.insert(path.clone(), file_entry(folder, path, digest, &sources, &specs, &ours, &lock)?);
             }
         }
-        let mut tables = blake3::Hasher::new_derive_key(CONTEXT);
         let features = manifest.get("features").cloned().unwrap_or_default();
         let edition = manifest.pointer("/package/edition").cloned().unwrap_or_default();
-        field(&mut tables, json!([dependencies, features, edition]).to_string().as_bytes());
+        let tables = json!([dependencies, features, edition]).to_string();
         let third_party = lock.closure(names.iter().filter(|n| !ours(n)).map(String::as_str))?;
         crates.insert(
             name.clone(),
             json!({
-                "tokens": tokens.finalize().to_hex().as_str(),
-                "manifest": tables.finalize().to_hex().as_str(),
+                "tokens": tokens.finish(),
+                "manifest": Encoder::new(CONTEXT).text(&tables).finish(),
                 "workspace": names.iter().filter(|n| ours(n)).collect::<Vec<_>>(),
                 "third_party": third_party,
             }),
@@ -81,20 +83,20 @@ pub fn read(root: &Path, by_file: &str) -> Result<Value, String> {
 fn file_entry(
     folder: &Path,
     path: &str,
-    digest: &blake3::Hash,
-    sources: &BTreeMap<String, blake3::Hash>,
+    digest: &Digest,
+    sources: &BTreeMap<String, Digest>,
     dependencies: &Map<String, Value>,
     ours: &dyn Fn(&String) -> bool,
     lock: &Lock,
 ) -> Result<Value, String> {
     const TEMPLATES: &str = "templates/";
-    let mut tokens = blake3::Hasher::new_derive_key(CONTEXT);
-    field(&mut tokens, digest.as_bytes());
+    let mut tokens = Encoder::new(CONTEXT);
+    tokens.bytes(digest.as_bytes());
     let (mut used, mut crates) = (BTreeSet::new(), Vec::new());
     if path.starts_with("src/") && path.ends_with(".rs") {
         let file = folder.join(path);
-        let text = std::fs::read_to_string(&file).map_err(|e| format!("{}: {e}", file.display()))?;
-        let uses = uses_of(&text).map_err(|e| format!("{}: {e}", file.display()))?;
+        let text = std::fs::read_to_string(&file).map_err(|e| at(&file, e))?;
+        let uses = uses_of(&text).map_err(|e| at(&file, e))?;
         used = uses.files(path, &modules(sources.keys()));
         crates = uses.crates(dependencies.keys());
         // Files that the compiler includes are named by literals, relative to the templates or to the source.
@@ -109,11 +111,11 @@ fn file_entry(
     }
     // The requested features of a dependency may change its results.
     for name in &crates {
-        field(&mut tokens, json!([name, dependencies.get(name.as_str())]).to_string().as_bytes());
+        tokens.text(&json!([name, dependencies.get(name.as_str())]).to_string());
     }
     let third_party = lock.closure(crates.iter().filter(|n| !ours(n)).map(|n| n.as_str()))?;
     Ok(json!({
-        "tokens": tokens.finalize().to_hex().as_str(),
+        "tokens": tokens.finish(),
         "uses": used,
         "workspace": crates.iter().filter(|n| ours(n)).collect::<Vec<_>>(),
         "third_party": third_party,
@@ -126,25 +128,25 @@ fn file_entry(
 /// The folder cannot be read.
 pub fn crate_folders(root: &Path) -> Result<Vec<PathBuf>, String> {
     let crates = root.join("crates");
-    let entries = std::fs::read_dir(&crates).map_err(|e| format!("{}: {e}", crates.display()))?;
+    let entries = std::fs::read_dir(&crates).map_err(|e| at(&crates, e))?;
     let mut folders: Vec<PathBuf> =
         entries.filter_map(Result::ok).map(|e| e.path()).filter(|p| p.join("Cargo.toml").is_file()).collect();
     folders.sort();
     Ok(folders)
 }
 
-fn field(hasher: &mut blake3::Hasher, bytes: &[u8]) {
-    hasher.update(&(bytes.len() as u64).to_le_bytes());
-    hasher.update(bytes);
+/// Adds the path to an error.
+fn at(path: &Path, error: impl Display) -> String {
+    format!("{}: {error}", path.display())
 }
 
-fn parse_toml(path: &Path) -> Result<Value, String> {
-    let text = std::fs::read_to_string(path).map_err(|e| format!("{}: {e}", path.display()))?;
-    toml::from_str(&text).map_err(|e| format!("{}: {e}", path.display()))
+fn parse_toml<T: DeserializeOwned>(path: &Path) -> Result<T, String> {
+    let text = std::fs::read_to_string(path).map_err(|e| at(path, e))?;
+    toml::from_str(&text).map_err(|e| at(path, e))
 }
 
 /// Digest of every source file of a crate by its path with `/`, without test-only files.
-fn source_digests(folder: &Path) -> Result<BTreeMap<String, blake3::Hash>, String> {
+fn source_digests(folder: &Path) -> Result<BTreeMap<String, Digest>, String> {
     let mut sources = BTreeMap::new();
     let mut test_only = BTreeSet::new();
     let starts = [folder.join("src"), folder.join("templates"), folder.join("build.rs")];
@@ -154,31 +156,22 @@ fn source_digests(folder: &Path) -> Result<BTreeMap<String, blake3::Hash>, Strin
         if !path.is_file() || path.extension().is_some_and(|e| e == "md") {
             continue;
         }
-        let content = std::fs::read(path).map_err(|e| format!("{}: {e}", path.display()))?;
-        let mut hasher = blake3::Hasher::new_derive_key(CONTEXT);
+        let mut content = std::fs::read(path).map_err(|e| at(path, e))?;
         if path.extension().is_some_and(|e| e == "rs") {
-            let text = String::from_utf8(content).map_err(|e| format!("{}: {e}", path.display()))?;
-            let tokens = tokens_of(&text).map_err(|e| format!("{}: {e}", path.display()))?;
+            let text = String::from_utf8(content).map_err(|e| at(path, e))?;
+            let tokens = tokens_of(&text).map_err(|e| at(path, e))?;
             test_only.extend(tokens.test_modules.iter().flat_map(|m| module_files(path, m)));
-            field(&mut hasher, &tokens.bytes);
-        } else {
-            field(&mut hasher, &content);
+            content = tokens.bytes;
         }
-        sources.insert(path.to_path_buf(), hasher.finalize());
+        sources.insert(path.to_path_buf(), Encoder::new(CONTEXT).bytes(&content).finish());
     }
     // `#[cfg(test)] mod tests;` may name `tests.rs` or `tests/mod.rs`, which may have files of its own below.
+    let folder_below = |file: &PathBuf| match file.ends_with("mod.rs") {
+        true => file.parent().unwrap_or(file).to_path_buf(),
+        false => file.with_extension(""),
+    };
     let test_folders: Vec<PathBuf> =
-        test_only
-            .iter()
-            .filter(|p| sources.contains_key(*p))
-            .map(|p| {
-                if p.ends_with("mod.rs") {
-                    p.parent().unwrap_or(p).to_path_buf()
-                } else {
-                    p.with_extension("")
-                }
-            })
-            .collect();
+        test_only.iter().filter(|p| sources.contains_key(*p)).map(folder_below).collect();
     let relative = |path: &Path| {
         let parts = path.strip_prefix(folder).unwrap_or(path).components();
         parts.map(|c| c.as_os_str().to_string_lossy().into_owned()).collect::<Vec<_>>().join("/")
@@ -232,41 +225,32 @@ fn resolve(name: &str, spec: &Value, inherited: &Value) -> Value {
 }
 
 /// The lock file: the versions of the third-party crates of this tree.
+#[derive(Default, Deserialize)]
+#[serde(default)]
 struct Lock {
-    packages: Vec<Package>,
+    package: Vec<Package>,
 }
 
+#[derive(Default, Deserialize)]
+#[serde(default)]
 struct Package {
     name: String,
     version: String,
-    /// The origin that determines its contents: the start of the checksum, or the git address with the
-    /// commit; `None` for a path.
-    origin: Option<String>,
+    source: Option<String>,
+    checksum: Option<String>,
     dependencies: Vec<String>,
 }
 
-impl Lock {
-    fn read(path: &Path) -> Result<Self, String> {
-        let lock = parse_toml(path)?;
-        let text = |p: &Value, key: &str| p.get(key).and_then(Value::as_str).unwrap_or_default().to_string();
-        let packages = lock.get("package").and_then(Value::as_array).into_iter().flatten().map(|p| Package {
-            name: text(p, "name"),
-            version: text(p, "version"),
-            origin: p.get("source").and_then(Value::as_str).map(|source| match p.get("checksum") {
-                Some(_) => text(p, "checksum").chars().take(16).collect(),
-                None => source.to_string(),
-            }),
-            dependencies: p
-                .get("dependencies")
-                .and_then(Value::as_array)
-                .into_iter()
-                .flatten()
-                .filter_map(|d| d.as_str().map(String::from))
-                .collect(),
-        });
-        Ok(Self { packages: packages.collect() })
+impl Package {
+    /// The origin that determines its contents: the start of the checksum, or the git address with the
+    /// commit; `None` for a path.
+    fn origin(&self) -> Option<String> {
+        let source = self.source.as_ref()?;
+        Some(self.checksum.as_ref().map_or_else(|| source.clone(), |sum| sum.chars().take(16).collect()))
     }
+}
 
+impl Lock {
     /// Name → "version origin" of everything reachable from the named packages; several versions of one name
     /// are all listed.
     fn closure<'a>(&self, names: impl Iterator<Item = &'a str>) -> Result<BTreeMap<String, String>, String> {
@@ -276,15 +260,15 @@ impl Lock {
             let mut parts = entry.split(' ');
             let (name, version) = (parts.next().unwrap_or_default(), parts.next());
             let fits = |p: &&Package| p.name == name && version.is_none_or(|v| p.version == v);
-            for (index, package) in self.packages.iter().enumerate().filter(|(_, p)| fits(p)) {
+            for (index, package) in self.package.iter().enumerate().filter(|(_, p)| fits(p)) {
                 if seen.insert(index) {
                     open.extend(package.dependencies.iter().cloned());
                 }
             }
         }
         let mut closure: BTreeMap<String, Vec<String>> = BTreeMap::new();
-        for package in seen.into_iter().map(|i| &self.packages[i]) {
-            let origin = package.origin.as_ref().ok_or_else(|| {
+        for package in seen.into_iter().map(|i| &self.package[i]) {
+            let origin = package.origin().ok_or_else(|| {
                 format!(
                     "Cargo.lock: `{}` comes from a path outside crates/, so its code is in no stage's \
                      digest; move it below crates/, or use a registry or git",
