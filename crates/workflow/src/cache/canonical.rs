@@ -10,39 +10,30 @@ use serde_json::Value;
 use use3d_code::digest::Encoder;
 
 /// Appends `value` to `encoder` canonically.
-pub fn encode(value: &Value, encoder: &mut Encoder) {
+pub fn encode<'e>(value: &Value, encoder: &'e mut Encoder) -> &'e mut Encoder {
     match value {
-        Value::Null => {
-            encoder.number(0);
-        }
-        Value::Bool(yes) => {
-            encoder.number(1).number(u64::from(*yes));
-        }
+        Value::Null => encoder.number(0),
+        Value::Bool(yes) => encoder.number(1).number(u64::from(*yes)),
         Value::Number(number) => {
             if let Some(n) = number.as_u64() {
-                encoder.number(2).number(n);
+                encoder.number(2).number(n)
             } else if let Some(n) = number.as_i64() {
-                encoder.number(3).number(n.cast_unsigned());
+                encoder.number(3).number(n.cast_unsigned())
             } else {
                 let n = number.as_f64().unwrap_or(f64::NAN);
-                encoder.number(4).number(if n == 0.0 { 0 } else { n.to_bits() });
+                encoder.number(4).number(if n == 0.0 { 0 } else { n.to_bits() })
             }
         }
-        Value::String(text) => {
-            encoder.number(5).text(text);
-        }
+        Value::String(text) => encoder.number(5).text(text),
         Value::Array(items) => {
-            encoder.number(6).number(items.len() as u64);
-            items.iter().for_each(|item| encode(item, encoder));
+            let list = encoder.number(6).number(items.len() as u64);
+            items.iter().fold(list, |list, item| encode(item, list))
         }
         Value::Object(fields) => {
-            encoder.number(7).number(fields.len() as u64);
+            let table = encoder.number(7).number(fields.len() as u64);
             let mut sorted: Vec<_> = fields.iter().collect();
             sorted.sort_by_key(|(name, _)| name.as_str());
-            for (name, item) in sorted {
-                encoder.text(name);
-                encode(item, encoder);
-            }
+            sorted.into_iter().fold(table, |table, (name, item)| encode(item, table.text(name)))
         }
     }
 }
@@ -73,14 +64,9 @@ pub fn at<'v>(value: &'v Value, path: &str) -> Option<&'v Value> {
 /// Removes the value at a dotted path, if it is there.
 pub fn remove(value: &mut Value, path: &str) {
     let (parent, name) = path.rsplit_once('.').unwrap_or(("", path));
-    let mut here = value;
-    for part in parent.split('.').filter(|p| !p.is_empty()) {
-        match here.get_mut(part) {
-            Some(next) => here = next,
-            None => return,
-        }
-    }
-    if let Some(fields) = here.as_object_mut() {
+    let mut parts = parent.split('.').filter(|p| !p.is_empty());
+    let holder = parts.try_fold(value, |here, part| here.get_mut(part));
+    if let Some(fields) = holder.and_then(Value::as_object_mut) {
         fields.remove(name);
     }
 }
@@ -109,12 +95,7 @@ pub fn merge(base: &mut Value, over: &Value) {
     match (base, over) {
         (Value::Object(base), Value::Object(over)) => {
             for (name, item) in over {
-                match base.get_mut(name) {
-                    Some(slot) => merge(slot, item),
-                    None => {
-                        base.insert(name.clone(), item.clone());
-                    }
-                }
+                merge(base.entry(name).or_insert(Value::Null), item);
             }
         }
         (base, over) => *base = over.clone(),

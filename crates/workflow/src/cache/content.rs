@@ -11,14 +11,14 @@ mod choices;
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fs::Metadata;
-use std::io::Read;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::{Duration, SystemTime};
 
 use rayon::prelude::*;
 
 use crate::cache::files::{self, Files};
+use crate::cache::lock;
 use crate::error::FileError;
 pub use choices::Choice;
 use choices::Choices;
@@ -56,15 +56,10 @@ impl Stat {
         format!("{size} {modified} {changed} {inode}")
     }
 
-    fn parse(words: &str) -> Option<Self> {
-        let mut parts = words.split(' ');
+    fn parse<'w>(parts: &mut impl Iterator<Item = &'w str>) -> Option<Self> {
         let (size, modified) = (parts.next()?.parse().ok()?, parts.next()?.parse().ok()?);
         let (changed, inode) = (parts.next()?.parse().ok()?, parts.next()?.parse().ok()?);
         Some(Self { size, modified, changed, inode })
-    }
-
-    fn settled(&self) -> bool {
-        self.settled_before(SystemTime::now())
     }
 
     /// Returns true if the last change was so long before `time` that a later one would show.
@@ -151,9 +146,7 @@ impl Contents {
         if let Some(known) = self.lock().choices.asked.get(&whose) {
             return Ok(known.clone());
         }
-        let known = self.lock().choices.still_holds(&whose);
-        if let Some(files) = known {
-            self.lock().choices.asked.insert(whose, files.clone());
+        if let Some(files) = self.lock().choices.still_holds(&whose) {
             return Ok(files);
         }
         let before = SystemTime::now();
@@ -212,7 +205,7 @@ impl Contents {
         }
         drop(state);
         let digest = self.read_digest(path)?;
-        if stat.settled() {
+        if stat.settled_before(SystemTime::now()) {
             self.remember(path, stat, digest);
         }
         Ok(digest)
@@ -227,16 +220,10 @@ impl Contents {
 
     /// Reads a file and returns its digest, even where a digest is stored.
     pub(crate) fn read_digest(&self, path: &Path) -> Result<Digest, FileError> {
-        let mut reader = files::at(path, "open", self.files.open(path))?;
+        let reader = files::at(path, "open", self.files.open(path))?;
         let mut hasher = blake3::Hasher::new();
-        let mut buffer = vec![0; 1 << 17];
-        loop {
-            let read = files::at(path, "read", reader.read(&mut buffer))?;
-            if read == 0 {
-                return Ok(hasher.finalize().into());
-            }
-            hasher.update(&buffer[..read]);
-        }
+        files::at(path, "read", hasher.update_reader(reader))?;
+        Ok(hasher.finalize().into())
     }
 
     /// Stores the digest of a file that this program just wrote, synced and read, and that no other process
@@ -268,11 +255,7 @@ impl Contents {
             return Ok(());
         }
         let mut merged = self.files.read(&self.table_path).map(|bytes| parse(&bytes)).unwrap_or_default();
-        for path in &state.changed {
-            if let Some(entry) = state.table.get(path) {
-                merged.insert(path.clone(), *entry);
-            }
-        }
+        merged.extend(state.changed.iter().filter_map(|path| Some((path.clone(), *state.table.get(path)?))));
         let mut lines: Vec<String> = merged
             .iter()
             .filter_map(|(path, (stat, digest))| {
@@ -293,20 +276,17 @@ impl Contents {
         if state.choices.forget_missing() {
             let _ = self.files.remove_file(&self.table_path.with_file_name(CHOICES));
         }
-        let gone: Vec<PathBuf> = state.table.keys().filter(|p| !p.exists()).cloned().collect();
-        if gone.is_empty() {
-            return;
+        let before = state.table.len();
+        state.table.retain(|path, _| path.exists());
+        if state.table.len() < before {
+            // The table file is removed so that `save` merges into an empty one.
+            let _ = self.files.remove_file(&self.table_path);
+            state.changed = state.table.keys().cloned().collect();
         }
-        gone.iter().for_each(|path| {
-            state.table.remove(path);
-        });
-        // The table file is removed so that `save` merges into an empty one.
-        let _ = self.files.remove_file(&self.table_path);
-        state.changed = state.table.keys().cloned().collect();
     }
 
-    fn lock(&self) -> std::sync::MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> MutexGuard<'_, State> {
+        lock(&self.state)
     }
 }
 
@@ -322,17 +302,15 @@ fn parse(bytes: &[u8]) -> HashMap<PathBuf, (Stat, Digest)> {
 fn parse_line(line: &str) -> Option<(PathBuf, (Stat, Digest))> {
     let mut parts = line.splitn(6, ' ');
     let digest = parts.next()?.parse().ok()?;
-    let size = parts.next()?.parse().ok()?;
-    let modified = parts.next()?.parse().ok()?;
-    let changed = parts.next()?.parse().ok()?;
-    let inode = parts.next()?.parse().ok()?;
+    let stat = Stat::parse(&mut parts)?;
     let path: String = serde_json::from_str(parts.next()?).ok()?;
-    Some((PathBuf::from(path), (Stat { size, modified, changed, inode }, digest)))
+    Some((PathBuf::from(path), (stat, digest)))
 }
 
 #[cfg(test)]
 mod tests {
     use std::fs;
+    use std::io::Read;
     use std::sync::atomic::{AtomicUsize, Ordering};
 
     use super::*;

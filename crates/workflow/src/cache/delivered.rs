@@ -62,7 +62,7 @@ impl Notes {
         let read = || -> Option<MadeOf> {
             let bytes = self.cache.files().read(&self.note(part)).ok()?;
             let note: Note = serde_json::from_slice(&bytes).ok()?;
-            let same = note.format == FORMAT && self.looks(paths)?.digest == note.looks;
+            let same = note.format == FORMAT && self.looks(paths)?.0 == note.looks;
             same.then_some(note.made_of)
         };
         read().unwrap_or_default()
@@ -75,7 +75,7 @@ impl Notes {
     pub fn keep(&self, part: &str, paths: &[PathBuf], made_of: MadeOf) -> Result<(), FileError> {
         let path = self.note(part);
         files::at(&self.folder, "create", self.cache.files().create_dir_all(&self.folder))?;
-        if let Some(Looks { digest, newest: Some(newest) }) = self.looks(paths) {
+        if let Some((digest, Some(newest))) = self.looks(paths) {
             // A change within the same clock tick could not be distinguished from the delivery.
             let over = (0..TICK.1).any(|_| {
                 let over = newest < self.present(&path);
@@ -84,7 +84,7 @@ impl Notes {
                 }
                 over
             });
-            if over && self.looks(paths).is_some_and(|now| now.digest == digest) {
+            if over && self.looks(paths).is_some_and(|(now, _)| now == digest) {
                 let note = Note { format: FORMAT.to_string(), made_of, looks: digest };
                 let bytes = serde_json::to_vec(&note).unwrap_or_default();
                 return files::write_atomic(self.cache.files(), &path, &bytes);
@@ -104,8 +104,9 @@ impl Notes {
         now
     }
 
-    /// Returns the present state of files and folders; `None` if one of them cannot be read.
-    fn looks(&self, paths: &[PathBuf]) -> Option<Looks> {
+    /// Returns a digest of the present state of files and folders, and the time of the last change; `None` if
+    /// one of them cannot be read.
+    fn looks(&self, paths: &[PathBuf]) -> Option<(Digest, Option<SystemTime>)> {
         let mut encoder = Encoder::new("use3d 2026 looks of results v1");
         let mut newest = None;
         for path in paths {
@@ -133,13 +134,8 @@ impl Notes {
                 newest = newest.max(Some(modified));
             }
         }
-        Some(Looks { digest: encoder.finish(), newest })
+        Some((encoder.finish(), newest))
     }
-}
-
-struct Looks {
-    digest: Digest,
-    newest: Option<SystemTime>,
 }
 
 #[cfg(test)]

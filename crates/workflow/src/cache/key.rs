@@ -5,12 +5,12 @@
 //! counts. The ingredients are kept in readable form beside every artifact, so that two keys can be compared
 //! field by field.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::cache::canonical;
+use crate::cache::{canonical, joined};
 use use3d_code::digest::{Digest, Encoder};
 
 /// Schema number of the encoding below; a change makes every artifact stale.
@@ -41,9 +41,8 @@ pub struct InputDigest {
 impl InputDigest {
     /// Role, scene and variant, for display.
     pub fn label(&self) -> String {
-        let place: Vec<&str> =
-            [&self.scene, &self.variant].into_iter().map(String::as_str).filter(|p| !p.is_empty()).collect();
-        if place.is_empty() { self.role.clone() } else { format!("{} of {}", self.role, place.join(", ")) }
+        let place = joined(&[&self.scene, &self.variant], ", ");
+        if place.is_empty() { self.role.clone() } else { format!("{} of {place}", self.role) }
     }
 }
 
@@ -108,57 +107,44 @@ impl Ingredients {
             encoder.bytes(input.digest.as_bytes());
         }
         encoder.number(self.missing.len() as u64);
-        self.missing.iter().for_each(|name| {
+        for name in &self.missing {
             encoder.text(name);
-        });
+        }
         encoder.finish()
     }
 
     /// Lists the differences between an earlier record (`self`) and `now`, field by field, in a fixed order.
     pub fn differences(&self, now: &Self) -> Vec<Difference> {
         let mut out = Vec::new();
-        let mut add = |ingredient: String, old: Option<String>, new: Option<String>| {
-            if old != new {
-                out.push(Difference { ingredient, old, new });
+        for (old, new) in self.texts().iter().zip(&now.texts()) {
+            for name in old.keys().chain(new.keys()).collect::<BTreeSet<_>>() {
+                let (old, new) = (old.get(name).cloned(), new.get(name).cloned());
+                if old != new {
+                    out.push(Difference { ingredient: name.clone(), old, new });
+                }
             }
-        };
-        add("artifact schema".to_string(), Some(self.version.to_string()), Some(now.version.to_string()));
-        compare(&digests(&self.code), &digests(&now.code), |name, old, new| {
-            add(format!("code {name}"), old, new);
-        });
-        compare(&self.third_party, &now.third_party, |name, old, new| {
-            add(format!("third-party crate {name}"), old, new);
-        });
-        let shown = |value: &Value| -> BTreeMap<String, String> {
-            canonical::leaves(value).into_iter().map(|(name, v)| (name, canonical::display(v))).collect()
-        };
-        compare(&shown(&self.parameters), &shown(&now.parameters), |name, old, new| {
-            add(format!("parameter {name}"), old, new);
-        });
-        add("seed".to_string(), self.seed.map(|s| s.to_string()), now.seed.map(|s| s.to_string()));
-        add("numeric class".to_string(), Some(self.numeric_class.clone()), Some(now.numeric_class.clone()));
-        let inputs = |i: &Self| -> BTreeMap<String, String> {
-            i.inputs.iter().map(|input| (input.label(), input.digest.short())).collect()
-        };
-        compare(&inputs(self), &inputs(now), |name, old, new| add(format!("input {name}"), old, new));
-        let list = |names: &[String]| (!names.is_empty()).then(|| names.join(", "));
-        add("missing inputs".to_string(), list(&self.missing), list(&now.missing));
+        }
         out
     }
-}
 
-fn digests(code: &BTreeMap<String, Digest>) -> BTreeMap<String, String> {
-    code.iter().map(|(name, digest)| (name.clone(), digest.short())).collect()
-}
-
-fn compare(
-    old: &BTreeMap<String, String>,
-    new: &BTreeMap<String, String>,
-    mut add: impl FnMut(&str, Option<String>, Option<String>),
-) {
-    let names: std::collections::BTreeSet<&String> = old.keys().chain(new.keys()).collect();
-    for name in names {
-        add(name, old.get(name).cloned(), new.get(name).cloned());
+    /// The ingredients as texts by name, kind by kind.
+    fn texts(&self) -> [BTreeMap<String, String>; 8] {
+        let one =
+            |name: &str, text: Option<String>| text.map(|t| (name.to_string(), t)).into_iter().collect();
+        let parameters = canonical::leaves(&self.parameters).into_iter();
+        [
+            one("artifact schema", Some(self.version.to_string())),
+            self.code.iter().map(|(name, digest)| (format!("code {name}"), digest.short())).collect(),
+            self.third_party
+                .iter()
+                .map(|(name, v)| (format!("third-party crate {name}"), v.clone()))
+                .collect(),
+            parameters.map(|(name, v)| (format!("parameter {name}"), canonical::display(v))).collect(),
+            one("seed", self.seed.map(|seed| seed.to_string())),
+            one("numeric class", Some(self.numeric_class.clone())),
+            self.inputs.iter().map(|i| (format!("input {}", i.label()), i.digest.short())).collect(),
+            one("missing inputs", Some(self.missing.join(", ")).filter(|_| !self.missing.is_empty())),
+        ]
     }
 }
 

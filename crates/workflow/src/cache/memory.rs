@@ -6,7 +6,7 @@
 //! process's control groups (a container's limit, version 1 or 2) leave, and the rest that its address-space
 //! limit (`ulimit -v`) leaves.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use crate::cache::machine::bytes;
 
@@ -89,28 +89,19 @@ impl Version {
     /// In a container the path may be the host's; then only the mount folder itself exists.
     fn left(&self, root: &Path, path: &str) -> Option<u64> {
         let mount = root.join(self.mount);
-        let mut folder: PathBuf = mount.join(path.trim_start_matches('/'));
-        let mut least = None;
-        while folder.starts_with(&mount) {
-            least = [least, self.left_in(&folder)].into_iter().flatten().min();
-            if !folder.pop() {
-                break;
-            }
-        }
-        least
+        let folder = mount.join(path.trim_start_matches('/'));
+        let groups = folder.ancestors().take_while(|group| group.starts_with(&mount));
+        groups.filter_map(|group| self.left_in(group)).min()
     }
 
     /// Limit − used + the part of the page cache that is reclaimed first. No limit is written as `max` or as
     /// a number larger than any machine.
     fn left_in(&self, folder: &Path) -> Option<u64> {
-        let number = |file: &str| -> Option<u64> {
-            std::fs::read_to_string(folder.join(file)).ok()?.trim().parse().ok()
-        };
+        let number = |file: &str| std::fs::read_to_string(folder.join(file)).ok()?.trim().parse::<u64>().ok();
         let limit = number(self.limit).filter(|l| *l < 1 << 60)?;
         let statistics = std::fs::read_to_string(folder.join("memory.stat")).unwrap_or_default();
         let reclaimable = statistics.lines().find_map(|line| {
-            let (name, value) = line.split_once(' ')?;
-            (name == self.reclaimable).then(|| value.trim().parse::<u64>().ok())?
+            line.strip_prefix(self.reclaimable)?.strip_prefix(' ')?.trim().parse::<u64>().ok()
         });
         let used = number(self.used).unwrap_or(0).saturating_sub(reclaimable.unwrap_or(0));
         Some(limit.saturating_sub(used))

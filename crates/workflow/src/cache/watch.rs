@@ -5,10 +5,11 @@
 
 use std::collections::{BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 use std::time::{Duration, SystemTime};
 
 use crate::cache::key::Key;
+use crate::cache::lock;
 
 /// The lease files that this process has observed, each with the time of its last change.
 #[derive(Debug, Default)]
@@ -34,29 +35,27 @@ impl Watch {
         modified: Option<SystemTime>,
         now: Duration,
     ) -> Duration {
-        let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut seen = lock(&self.seen);
         match seen.get(path) {
             Some(s) if s.bytes == bytes && s.modified == modified => now.saturating_sub(s.since),
             _ => {
-                seen.insert(
-                    path.to_path_buf(),
-                    ObservedLease { bytes: bytes.to_vec(), modified, since: now },
-                );
+                let observed = ObservedLease { bytes: bytes.to_vec(), modified, since: now };
+                seen.insert(path.to_path_buf(), observed);
                 Duration::ZERO
             }
         }
     }
 
     pub(crate) fn forget(&self, path: &Path) {
-        self.seen.lock().unwrap_or_else(PoisonError::into_inner).remove(path);
+        lock(&self.seen).remove(path);
     }
 
     pub(crate) fn note_elsewhere(&self, key: &Key) {
-        self.elsewhere.lock().unwrap_or_else(PoisonError::into_inner).insert(*key);
+        lock(&self.elsewhere).insert(*key);
     }
 
     /// Returns true if another machine was observed to compute the key, and forgets it.
     pub(crate) fn was_elsewhere(&self, key: &Key) -> bool {
-        self.elsewhere.lock().unwrap_or_else(PoisonError::into_inner).remove(key)
+        lock(&self.elsewhere).remove(key)
     }
 }

@@ -59,10 +59,14 @@ impl Choices {
     }
 
     /// Returns the stored choice if none of its sources has changed.
-    pub(super) fn still_holds(&self, whose: &Whose) -> Option<Arc<[PathBuf]>> {
+    pub(super) fn still_holds(&mut self, whose: &Whose) -> Option<Arc<[PathBuf]>> {
         let made = self.table.get(whose)?;
-        let same = made.from.iter().all(|(path, known)| stat(&whose.1, path) == *known);
-        same.then(|| made.files.clone())
+        if made.from.iter().any(|(path, known)| stat(&whose.1, path) != *known) {
+            return None;
+        }
+        let files = made.files.clone();
+        self.asked.insert(whose.clone(), files.clone());
+        Some(files)
     }
 
     /// Stores a choice whose making began at `began`, unless one of its sources was changed since then or a
@@ -131,7 +135,9 @@ fn parse(line: &str) -> Option<(Whose, StoredChoice)> {
     if from.len() != stats.len() || from.is_empty() {
         return None;
     }
-    let stat = |words: &String| if words.is_empty() { Some(None) } else { Stat::parse(words).map(Some) };
+    let stat = |words: &String| {
+        if words.is_empty() { Some(None) } else { Stat::parse(&mut words.split(' ')).map(Some) }
+    };
     let stats: Vec<Option<Stat>> = stats.iter().map(stat).collect::<Option<_>>()?;
     let made = StoredChoice { files: files.into(), from: from.into_iter().zip(stats).collect() };
     Some(((who.parse().ok()?, input), made))
