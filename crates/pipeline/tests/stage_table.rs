@@ -42,10 +42,10 @@ const WITHOUT_ARTIFACTS: [&str; 14] = [
 fn every_stage_that_may_use_a_card_says_how_its_artifacts_agree_with_the_processors() {
     let table = table();
     let on_cards: Vec<&str> =
-        table.stages().iter().filter(|stage| stage.may_use_a_device()).map(|stage| stage.name()).collect();
+        table.stages().iter().filter(|stage| stage.device.is_some()).map(|stage| stage.name()).collect();
     assert_eq!(on_cards, ["reconstruct", "targets", "enhance", "render", "evaluate"]);
     for stage in table.stages() {
-        assert_eq!(stage.agreement().is_some(), stage.may_use_a_device(), "{}", stage.name());
+        assert_eq!(stage.agreement.is_some(), stage.device.is_some(), "{}", stage.name());
     }
 }
 
@@ -402,7 +402,7 @@ fn the_page_of_decisions_names_every_parameter_and_no_other() {
 #[test]
 fn one_seed_moves_every_stage_that_draws() {
     let table = table();
-    let seeded: Vec<&str> = table.stages().iter().filter(|s| s.is_seeded()).map(|s| s.name()).collect();
+    let seeded: Vec<&str> = table.stages().iter().filter(|s| s.seeded).map(|s| s.name()).collect();
     assert_eq!(seeded, ["pairs", "calibrate", "reconstruct", "targets", "enhance"]);
     // No stage has a seed of its own.
     fn seeds(value: &Value, place: &str, found: &mut Vec<String>) {

@@ -20,19 +20,23 @@ pub struct ParameterError {
 }
 
 impl ParameterError {
+    /// A problem with the parameter at a path.
+    pub(crate) fn new(path: impl Into<String>, message: String) -> Self {
+        Self { path: path.into(), message, unknown: None, known: Vec::new() }
+    }
+
     /// Converts a deserialisation error together with its path.
     pub fn from_path(error: &serde_path_to_error::Error<serde_json::Error>) -> Self {
         let path = error.path().to_string();
         let mut this = Self::from_serde(error.inner());
         this.path = if path == "." { String::new() } else { path };
         // An unknown field is reported at its own path by some containers and at its parent's by others.
-        if let Some(unknown) = this.unknown.as_deref().filter(|_| this.message.starts_with("unknown field")) {
-            let own = this.path == unknown || this.path.ends_with(&format!(".{unknown}"));
-            if !own {
-                let parent = this.path.trim_end_matches('?').trim_end_matches('.');
-                this.path =
-                    if parent.is_empty() { unknown.to_string() } else { format!("{parent}.{unknown}") };
-            }
+        if let Some(unknown) = this.unknown.as_deref().filter(|_| this.message.starts_with("unknown field"))
+            && this.path != unknown
+            && !this.path.ends_with(&format!(".{unknown}"))
+        {
+            let parent = this.path.trim_end_matches('?').trim_end_matches('.');
+            this.path = if parent.is_empty() { unknown.to_string() } else { format!("{parent}.{unknown}") };
         }
         this
     }
@@ -42,8 +46,8 @@ impl ParameterError {
         let message = error.to_string();
         let mut quoted = message.split('`').skip(1).step_by(2).map(String::from);
         let names = message.starts_with("unknown field") || message.starts_with("unknown variant");
-        let unknown = if names { quoted.next() } else { None };
-        let known = if names { quoted.collect() } else { Vec::new() };
+        let unknown = quoted.next().filter(|_| names);
+        let known = quoted.filter(|_| names).collect();
         let message = if message.starts_with("unknown field") { message } else { plain(&message) };
         Self { path: String::new(), message, unknown, known }
     }
@@ -62,10 +66,7 @@ impl fmt::Display for ParameterError {
             write!(f, "`{}`{joint}", self.path)?;
         }
         f.write_str(&self.message)?;
-        match self.suggestion() {
-            Some(near) => write!(f, "; did you mean `{near}`?"),
-            None => Ok(()),
-        }
+        self.suggestion().map_or(Ok(()), |near| write!(f, "; did you mean `{near}`?"))
     }
 }
 
@@ -156,20 +157,9 @@ impl StageError {
 }
 
 /// Marks an error as caused by the input; the text is the inner error's.
-#[derive(Debug)]
+#[derive(Debug, thiserror::Error)]
+#[error(transparent)]
 struct BadInput(Box<dyn Error + Send + Sync>);
-
-impl fmt::Display for BadInput {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.0.fmt(f)
-    }
-}
-
-impl Error for BadInput {
-    fn source(&self) -> Option<&(dyn Error + 'static)> {
-        self.0.source()
-    }
-}
 
 impl<E: Error + Send + Sync + 'static> From<E> for StageError {
     fn from(error: E) -> Self {
@@ -189,13 +179,11 @@ impl fmt::Display for StageError {
 /// An error and its causes in one line.
 pub fn chain(error: &dyn Error) -> String {
     let mut text = error.to_string();
-    let mut cause = error.source();
-    while let Some(inner) = cause {
-        let inner_text = inner.to_string();
-        if !text.contains(&inner_text) {
-            text = format!("{text}: {inner_text}");
+    for cause in std::iter::successors(error.source(), |&cause| cause.source()) {
+        let cause = cause.to_string();
+        if !text.contains(&cause) {
+            text = format!("{text}: {cause}");
         }
-        cause = inner.source();
     }
     text
 }

@@ -57,7 +57,7 @@ pub fn parameters(
             let values = stage.parameters(&given).unwrap_or(Value::Null);
             let mut parameters = Vec::new();
             list(&schema, table, [&defaults, &values], "", &mut parameters);
-            StageParameters { stage: stage.name(), about: stage.description(), parameters }
+            StageParameters { stage: stage.name(), about: stage.about, parameters }
         })
         .collect())
 }

@@ -16,7 +16,7 @@ pub fn schema(registry: &Registry) -> Value {
     let mut stages = Map::new();
     for stage in registry.stages() {
         let schema = stage.schema(&mut generator).to_value();
-        let schema = json!({ "description": stage.description(), "allOf": [schema] });
+        let schema = json!({ "description": stage.about, "allOf": [schema] });
         stages.insert(stage.name().to_string(), schema.clone());
         if stage.scope() == Scope::Scene {
             add(&mut scene, "properties", stage.name(), &schema);

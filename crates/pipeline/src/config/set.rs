@@ -182,7 +182,7 @@ fn place(
 /// the stage reads.
 fn folder_key(stage: &Stage, error: &ParameterError) -> Option<String> {
     let unknown = error.unknown.as_deref().filter(|_| error.message.starts_with("unknown field"))?;
-    let input = stage.inputs().iter().find(|i| i.role == unknown)?;
+    let input = stage.inputs.iter().find(|i| i.role == unknown)?;
     match input.source {
         Source::External(name) => {
             Some(format!("`{unknown}` is an input and not a parameter; give it with `{}`", key_of(name)))

@@ -10,9 +10,9 @@ use std::sync::Arc;
 
 use serde_json::{Map, Value};
 
-use crate::cache::canonical;
+use crate::cache::{canonical, joined};
 use crate::error::{BuildError, ParameterError};
-use crate::stage::definition::{Scope, Source};
+use crate::stage::definition::{Scope, Source, Stage};
 pub use crate::stage::inputs::External;
 use crate::stage::inputs::{AllParameters, Named};
 use crate::stage::registry::Registry;
@@ -196,13 +196,7 @@ impl NodeInput {
 impl Node {
     /// Scene, variant and stage, for display.
     pub fn label(&self) -> String {
-        let parts: Vec<&str> =
-            [&self.scene, &self.variant].into_iter().map(String::as_str).filter(|p| !p.is_empty()).collect();
-        if parts.is_empty() {
-            self.stage_name.to_string()
-        } else {
-            format!("{} · {}", parts.join(" · "), self.stage_name)
-        }
+        joined(&[&self.scene, &self.variant, self.stage_name], " · ")
     }
 }
 
@@ -330,11 +324,7 @@ impl Graph {
     /// node.
     pub(crate) fn parents(&self, node: usize) -> impl Iterator<Item = usize> + '_ {
         let node = &self.nodes[node];
-        let inputs = node.inputs.iter().filter_map(|i| match i.from {
-            From::Node(parent) => Some(parent),
-            From::External(_) => None,
-        });
-        inputs.chain(node.same_as)
+        node.inputs.iter().filter_map(NodeInput::node).chain(node.same_as)
     }
 }
 
@@ -344,7 +334,7 @@ fn check_names(registry: &Registry, batch: &Batch) -> Result<(), BuildError> {
             let stage = registry.stage(name)?;
             if stage.scope != Scope::Scene {
                 let message = format!("`{name}` is made once for all scenes; set it in [defaults.{name}]");
-                let error = ParameterError { path: name.clone(), message, unknown: None, known: Vec::new() };
+                let error = ParameterError::new(name, message);
                 return Err(BuildError::Parameters { place: format!("scene {}", scene.name), error });
             }
         }
@@ -392,11 +382,11 @@ impl GraphBuilder<'_> {
             return Ok(known.clone());
         }
         let all = self.merge(scene, variant)?;
-        let shared = |stage: &crate::stage::definition::Stage| {
+        let shared = |stage: &Stage| {
             let value = all[stage.name].clone();
-            let mut encoder = Encoder::new("use3d 2026 node parameters v1");
-            canonical::encode(&value, &mut encoder);
-            (stage.name, (Arc::new(value), encoder.finish()))
+            let digest =
+                canonical::encode(&value, &mut Encoder::new("use3d 2026 node parameters v1")).finish();
+            (stage.name, (Arc::new(value), digest))
         };
         let each = self.registry.stages().iter().map(shared).collect();
         let merged = Arc::new(Merged { all: Arc::new(all), each });
@@ -431,26 +421,32 @@ impl GraphBuilder<'_> {
         Ok(all)
     }
 
-    /// The external files named for a scene in a variant. Without a scene: the files that are named for all
-    /// scenes, together or one by one.
+    /// The external files named for a scene in a variant: those of the variant win over those of the scene and
+    /// of the batch.
+    fn given(&self, scene: Option<&BatchScene>, variant: &Variant) -> Named {
+        let maps = [
+            Some((&self.batch.externals, &self.batch.named)),
+            scene.map(|scene| (&scene.externals, &scene.named)),
+            Some((&variant.externals, &variant.named)),
+        ];
+        let mut places = BTreeMap::new();
+        for (externals, named) in maps.into_iter().flatten() {
+            let by = |name: &String| named.get(name).cloned().unwrap_or_default();
+            places.extend(externals.iter().map(|(name, place)| (name.clone(), (place.clone(), by(name)))));
+        }
+        Named { places }
+    }
+
+    /// Like [`given`](Self::given). Without a scene, the files that every scene names count, too.
     fn named(&self, scene: Option<&BatchScene>, variant: &Variant) -> Named {
-        type Said<'a> = (&'a BTreeMap<String, External>, &'a BTreeMap<String, String>);
-        let of = |(places, named): Said<'_>, counts: &dyn Fn(&String) -> bool| -> Vec<_> {
-            let said = |name: &String| named.get(name).cloned().unwrap_or_default();
-            let each = places.iter().filter(|(name, _)| counts(name));
-            each.map(|(name, place)| (name.clone(), (place.clone(), said(name)))).collect()
-        };
-        let batch = of((&self.batch.externals, &self.batch.named), &|_| true);
-        let each = match (scene, self.batch.scenes.split_first()) {
-            (Some(scene), _) => of((&scene.externals, &scene.named), &|_| true),
+        match (scene, self.batch.scenes.split_first()) {
             (None, Some((first, others))) => {
-                let everywhere = |name: &String| others.iter().all(|s| s.externals.contains_key(name));
-                of((&first.externals, &first.named), &everywhere)
+                let mut everywhere = first.clone();
+                everywhere.externals.retain(|name, _| others.iter().all(|s| s.externals.contains_key(name)));
+                self.given(Some(&everywhere), variant)
             }
-            (None, None) => Vec::new(),
-        };
-        let variant = of((&variant.externals, &variant.named), &|_| true);
-        Named::new(batch.into_iter().chain(each).chain(variant))
+            _ => self.given(scene, variant),
+        }
     }
 
     /// The index of a scene's reference variant, if a stage declares a condition for it and a variant meets
@@ -478,6 +474,7 @@ impl GraphBuilder<'_> {
         let merged = self.parameters(scene, variant)?;
         let place = Arc::new(Place { all: merged.all.clone(), named: self.named(scene, variant) });
         let (all, named): (&AllParameters, _) = (&place.all, &place.named);
+        let (given, scene_name) = (self.given(scene, variant), scene.map_or("", |s| s.name.as_str()));
         let registry = self.registry;
         for (index, stage) in registry.stages().iter().enumerate().filter(|(_, s)| s.scope == scope) {
             if stage.condition.as_ref().is_some_and(|asked| !asked(all, named)) {
@@ -485,58 +482,34 @@ impl GraphBuilder<'_> {
             }
             let mut inputs = Vec::new();
             for (i, input) in stage.inputs.iter().enumerate() {
-                // Finds the entry that names an external file, in the order variant, scene, pipeline.
-                let namer = |name: &str| {
-                    let variant = [(&variant.externals, &variant.named)].into_iter();
-                    let scene = scene.map(|s| (&s.externals, &s.named));
-                    let batch = [(&self.batch.externals, &self.batch.named)];
-                    variant.chain(scene).chain(batch).find(|(externals, _)| externals.contains_key(name))
-                };
-                let outside = |name: &str| namer(name)?.0.get(name).cloned().map(From::External);
-                // The name of the external file to read: the input's own, or that of the file that replaces
-                // an artifact.
+                // The external file to read: the input's own, or the one that replaces an artifact.
                 let external = match input.source {
                     Source::External(name) => Some(name),
-                    Source::Stage(_) | Source::Reference(_) => {
-                        input.instead.filter(|name| outside(name).is_some())
-                    }
+                    Source::Stage(_) | Source::Reference(_) => input.instead,
                 };
-                if external.is_none() && input.needed.as_ref().is_some_and(|needed| !needed(all)) {
-                    continue;
-                }
-                let scene_name = scene.map(|s| s.name.clone()).unwrap_or_default();
-                let made = |scene_name: String, variant: &Variant, stage: &'static str| {
-                    let node = self.place.get(&(scene_name, variant.name.clone(), stage));
-                    node.map(|node| From::Node(*node))
+                let made = |scene_name: &str, variant: &Variant, stage: &'static str| {
+                    let node = self.place.get(&(scene_name.to_string(), variant.name.clone(), stage))?;
+                    Some((From::Node(*node), String::new()))
                 };
-                let found = match (external, &input.source) {
-                    (Some(name), _) => outside(name),
+                let found = match (external.and_then(|name| given.places.get(name)), &input.source) {
+                    (Some((place, by)), _) => Some((From::External(place.clone()), by.clone())),
                     (None, Source::External(_)) => None,
-                    (None, Source::Reference(stage)) => {
-                        reference.and_then(|reference| made(scene_name, reference, stage))
-                    }
+                    _ if input.needed.as_ref().is_some_and(|needed| !needed(all)) => continue,
+                    (None, Source::Reference(stage)) => reference.and_then(|r| made(scene_name, r, stage)),
                     (None, Source::Stage(stage)) => {
-                        made(scene_name, variant, stage).or_else(|| made(String::new(), variant, stage))
+                        made(scene_name, variant, stage).or_else(|| made("", variant, stage))
                     }
                 };
-                let from = match (found, input.optional) {
-                    (Some(from), _) => from,
+                let (from, named) = match (found, input.optional) {
+                    (Some(found), _) => found,
                     (None, true) => continue,
-                    (None, false) => From::External(Err(match input.source {
-                        Source::External(name) => format!("the pipeline does not say where `{name}` is"),
-                        Source::Stage(name) | Source::Reference(name) => {
-                            format!("it needs the stage `{name}`, which these parameters switch off")
-                        }
-                    })),
+                    (None, false) => (missing(&input.source), String::new()),
                 };
-                let said = external.and_then(|name| namer(name)?.1.get(name));
-                let named = said.cloned().unwrap_or_default();
                 inputs.push(NodeInput { role: input.role, from, named, index: i, cell: None });
             }
             let seed = stage.seeded.then(|| variant.seed.unwrap_or(self.batch.seed));
-            let scene_name = scene.map(|s| s.name.clone()).unwrap_or_default();
             let name = variant.preset_name.as_ref().unwrap_or(&self.batch.preset_name).clone();
-            let cell = (scene_name, variant.name.clone(), place.clone());
+            let cell = (scene_name.to_string(), variant.name.clone(), place.clone());
             self.push(index, cell, (&merged, name), seed, inputs);
         }
         Ok(())
@@ -546,70 +519,43 @@ impl GraphBuilder<'_> {
         let merged = self.parameters(None, &Variant::default())?;
         let place = Arc::new(Place { all: merged.all.clone(), named: self.named(None, &Variant::default()) });
         let (all, named): (&AllParameters, _) = (&place.all, &place.named);
+        let given = self.given(None, &Variant::default());
         let registry = self.registry;
         let groups: HashMap<&str, &str> =
             self.batch.scenes.iter().map(|s| (s.name.as_str(), s.group.as_str())).collect();
         for (index, stage) in registry.stages().iter().enumerate().filter(|(_, s)| s.scope == Scope::Batch) {
-            let given =
+            let changes =
                 |v: &&Variant| v.overrides.contains_key(stage.name) || v.forced.contains_key(stage.name);
-            if let Some(variant) = variants.iter().find(given) {
-                return Err(BuildError::Parameters {
-                    place: format!("variant {}", variant.name),
-                    error: ParameterError {
-                        path: stage.name.to_string(),
-                        message: format!(
-                            "`{0}` is made once for all variants; set it in [defaults.{0}]",
-                            stage.name
-                        ),
-                        unknown: None,
-                        known: Vec::new(),
-                    },
-                });
+            if let Some(variant) = variants.iter().find(changes) {
+                let message =
+                    format!("`{0}` is made once for all variants; set it in [defaults.{0}]", stage.name);
+                let error = ParameterError::new(stage.name, message);
+                return Err(BuildError::Parameters { place: format!("variant {}", variant.name), error });
             }
             if stage.condition.as_ref().is_some_and(|asked| !asked(all, named)) {
                 continue;
             }
             let mut inputs = Vec::new();
             for (i, input) in stage.inputs.iter().enumerate() {
-                let base = NodeInput {
-                    role: input.role,
-                    from: From::External(Err(String::new())),
-                    named: String::new(),
-                    index: i,
-                    cell: None,
+                let (external, maker) = match input.source {
+                    Source::External(name) => (Some(name), None),
+                    Source::Stage(maker) | Source::Reference(maker) => (input.instead, Some(maker)),
                 };
-                match input.source {
-                    Source::External(name) => match (self.batch.externals.get(name), input.optional) {
-                        (Some(external), _) => {
-                            let named = self.batch.named.get(name).cloned().unwrap_or_default();
-                            inputs.push(NodeInput { from: From::External(external.clone()), named, ..base });
-                        }
-                        (None, true) => {}
-                        (None, false) => {
-                            let reason = format!("the pipeline does not say where `{name}` is");
-                            inputs.push(NodeInput { from: From::External(Err(reason)), ..base });
-                        }
-                    },
-                    // A stage over all variants reads the artifacts of all of them.
-                    Source::Stage(name) | Source::Reference(name) => {
-                        if let Some((name, external)) =
-                            input.instead.and_then(|name| self.batch.externals.get_key_value(name))
-                        {
-                            let named = self.batch.named.get(name).cloned().unwrap_or_default();
-                            let from = From::External(external.clone());
-                            inputs.push(NodeInput { from, named, ..base.clone() });
-                        }
-                        for (n, node) in self.nodes.iter().enumerate().filter(|(_, n)| n.stage_name == name) {
-                            let group = groups.get(node.scene.as_str()).copied().unwrap_or_default();
-                            let cell = InputCell {
-                                scene: node.scene.clone(),
-                                group: group.to_string(),
-                                variant: node.variant.clone(),
-                            };
-                            let (from, cell) = (From::Node(n), Some(Box::new(cell)));
-                            inputs.push(NodeInput { from, cell, ..base.clone() });
-                        }
+                let found = match external.and_then(|name| given.places.get(name)) {
+                    Some((place, by)) => Some((From::External(place.clone()), by.clone())),
+                    None if maker.is_none() && !input.optional => {
+                        Some((missing(&input.source), String::new()))
                     }
+                    None => None,
+                };
+                let make = |from, named, cell| NodeInput { role: input.role, from, named, index: i, cell };
+                inputs.extend(found.map(|(from, named)| make(from, named, None)));
+                // A stage over all variants reads the artifacts of all of them.
+                for (n, node) in self.nodes.iter().enumerate().filter(|(_, n)| maker == Some(n.stage_name)) {
+                    let group = groups.get(node.scene.as_str()).copied().unwrap_or_default().to_string();
+                    let (scene, variant) = (node.scene.clone(), node.variant.clone());
+                    let cell = Some(Box::new(InputCell { scene, group, variant }));
+                    inputs.push(make(From::Node(n), String::new(), cell));
                 }
             }
             let seed = stage.seeded.then_some(self.batch.seed);
@@ -663,10 +609,18 @@ impl GraphBuilder<'_> {
     }
 }
 
+/// The source of an input that is needed and cannot be found.
+fn missing(source: &Source) -> From {
+    From::External(Err(match source {
+        Source::External(name) => format!("the pipeline does not say where `{name}` is"),
+        Source::Stage(name) | Source::Reference(name) => {
+            format!("it needs the stage `{name}`, which these parameters switch off")
+        }
+    }))
+}
+
 fn place_label(scene: Option<&BatchScene>, variant: Option<&Variant>, stage: &str) -> String {
-    let mut parts = Vec::new();
-    parts.extend(scene.map(|s| format!("scene {}", s.name)));
-    parts.extend(variant.filter(|v| !v.name.is_empty()).map(|v| format!("variant {}", v.name)));
-    parts.push(format!("stage {stage}"));
-    parts.join(", ")
+    let scene = scene.map(|s| format!("scene {}, ", s.name)).unwrap_or_default();
+    let variant = variant.filter(|v| !v.name.is_empty()).map(|v| format!("variant {}, ", v.name));
+    format!("{scene}{}stage {stage}", variant.unwrap_or_default())
 }

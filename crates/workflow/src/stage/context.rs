@@ -3,20 +3,20 @@
 
 use std::any::Any;
 use std::fmt::Display;
-use std::io::{self, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 use use3d_capture::name::shown_lines;
 
 use crate::cache::manifest::Notes;
+use crate::cache::{lock, machine, memory};
 use crate::error::StageError;
 use crate::share::pulse::Progress;
 use crate::stage::events::{Event, Listener};
 use crate::stage::inputs::StageInput;
-use crate::{cache::machine, cache::memory};
 
 /// The data that a stage's function gets.
 pub struct StageContext {
@@ -92,11 +92,6 @@ impl StageContext {
     /// Returns true if the stage must stop: save a checkpoint and return [`StageError::Cancelled`].
     pub fn cancelled(&self) -> bool {
         self.stop.load(Ordering::Relaxed)
-    }
-
-    /// The flag behind [`cancelled`](Self::cancelled), for loops that take one.
-    pub fn stop_flag(&self) -> Arc<AtomicBool> {
-        self.stop.clone()
     }
 
     /// Returns [`StageError::Cancelled`] if the stage must stop: `context.alive()?` in loops.
@@ -190,26 +185,19 @@ impl StageContext {
     /// the results may include it.
     pub fn note(&self, name: &str, value: &impl serde::Serialize) {
         if let (Some(notes), Ok(value)) = (&self.notes, serde_json::to_value(value)) {
-            notes.lock().unwrap_or_else(PoisonError::into_inner).insert(name.to_string(), value);
+            lock(notes).insert(name.to_string(), value);
         }
     }
 
     /// Returns the notes and clears them.
     pub(crate) fn take_notes(&self) -> Notes {
-        let take =
-            |notes: &Mutex<Notes>| std::mem::take(&mut *notes.lock().unwrap_or_else(PoisonError::into_inner));
-        self.notes.as_ref().map(take).unwrap_or_default()
+        self.notes.as_ref().map(|notes| std::mem::take(&mut *lock(notes))).unwrap_or_default()
     }
 
     /// Writes the table of time per part to the log and sends it to the listeners.
     pub fn profile(&self, table: &str) {
         self.log.line(table);
         self.listener.event(&Event::Profile { label: &self.label, text: table });
-    }
-
-    /// The stage's log as a writer.
-    pub fn log_writer(&self) -> impl Write + Send + use<> {
-        LogWriter { log: self.log.clone(), rest: Vec::new() }
     }
 }
 
@@ -227,36 +215,8 @@ impl Log {
     }
 
     pub(crate) fn line(&self, line: &str) {
-        let mut sink = self.sink.lock().unwrap_or_else(PoisonError::into_inner);
         // People read logs on terminals, and lines may quote file contents: control characters are escaped.
-        let _ = writeln!(sink, "{:>9.2} {}", self.start.elapsed().as_secs_f64(), shown_lines(line));
-    }
-}
-
-struct LogWriter {
-    log: Log,
-    rest: Vec<u8>,
-}
-
-impl Write for LogWriter {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.rest.extend_from_slice(bytes);
-        while let Some(end) = self.rest.iter().position(|b| *b == b'\n') {
-            let line: Vec<u8> = self.rest.drain(..=end).collect();
-            self.log.line(String::from_utf8_lossy(&line[..end]).as_ref());
-        }
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
-    }
-}
-
-impl Drop for LogWriter {
-    fn drop(&mut self) {
-        if !self.rest.is_empty() {
-            self.log.line(String::from_utf8_lossy(&self.rest).as_ref());
-        }
+        let _ =
+            writeln!(lock(&self.sink), "{:>9.2} {}", self.start.elapsed().as_secs_f64(), shown_lines(line));
     }
 }

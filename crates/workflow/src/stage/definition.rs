@@ -82,18 +82,24 @@ type Run = Arc<dyn Fn(&StageContext, &Value) -> Result<(), StageError> + Send + 
 #[derive(Clone)]
 pub struct Stage {
     pub(crate) name: &'static str,
-    pub(crate) about: &'static str,
+    /// Its description, one line.
+    pub about: &'static str,
     pub(crate) version: u32,
     pub(crate) scope: Scope,
     pub(crate) crates: &'static [&'static str],
     pub(crate) sources: &'static [&'static str],
-    pub(crate) inputs: Vec<Input>,
-    pub(crate) seeded: bool,
+    /// Its inputs.
+    pub inputs: Vec<Input>,
+    /// True if the pipeline's seed is part of its key.
+    pub seeded: bool,
     pub(crate) length_like: &'static [&'static str],
     pub(crate) without_effect: &'static [&'static str],
     pub(crate) promises: &'static [&'static str],
-    pub(crate) device: Option<Device>,
-    pub(crate) agreement: Option<Agreement>,
+    /// The device that it may compute on besides the processor.
+    pub device: Option<Device>,
+    /// The rule by which its artifacts of two classes of arithmetic agree; `None` promises the same bytes
+    /// everywhere.
+    pub agreement: Option<Agreement>,
     pub(crate) cores: usize,
     pub(crate) memory: u64,
     pub(crate) memory_of: Option<Memory>,
@@ -149,52 +155,34 @@ impl Stage {
 
     /// Sets its description, one line.
     #[must_use]
-    pub fn about(mut self, about: &'static str) -> Self {
-        self.about = about;
-        self
+    pub fn about(self, about: &'static str) -> Self {
+        Self { about, ..self }
     }
 
     /// Sets the schema number of its artifact; raise it when the files change their meaning without a change
     /// of code.
     #[must_use]
-    pub fn version(mut self, version: u32) -> Self {
-        self.version = version;
-        self
+    pub fn version(self, version: u32) -> Self {
+        Self { version, ..self }
     }
 
     /// Sets its code: crates of the workspace (with all crates they depend on), and files or folders of this
     /// crate.
     #[must_use]
-    pub fn made_of(mut self, crates: &'static [&'static str], sources: &'static [&'static str]) -> Self {
-        self.crates = crates;
-        self.sources = sources;
-        self
+    pub fn made_of(self, crates: &'static [&'static str], sources: &'static [&'static str]) -> Self {
+        Self { crates, sources, ..self }
     }
 
     /// Reads the artifact of `stage` as `role`.
     #[must_use]
     pub fn input(self, role: &'static str, stage: &'static str) -> Self {
-        self.with_input(Input {
-            role,
-            source: Source::Stage(stage),
-            optional: false,
-            select: None,
-            instead: None,
-            needed: None,
-        })
+        self.with_input(role, Source::Stage(stage), false)
     }
 
     /// Like [`input`](Self::input), but only if that stage is requested.
     #[must_use]
     pub fn optional_input(self, role: &'static str, stage: &'static str) -> Self {
-        self.with_input(Input {
-            role,
-            source: Source::Stage(stage),
-            optional: true,
-            select: None,
-            instead: None,
-            needed: None,
-        })
+        self.with_input(role, Source::Stage(stage), true)
     }
 
     /// Reads, as `role`, the artifact that `stage` makes for the same scene in the reference variant, if
@@ -208,47 +196,32 @@ impl Stage {
         is_reference: impl Fn(&AllParameters) -> bool + Send + Sync + 'static,
     ) -> Self {
         self.reference = Some(Arc::new(is_reference));
-        self.with_input(Input {
-            role,
-            source: Source::Reference(stage),
-            optional: true,
-            select: None,
-            instead: None,
-            needed: None,
-        })
+        self.with_input(role, Source::Reference(stage), true)
     }
 
     /// Reads a file or folder that the pipeline names `name` as `role`.
     #[must_use]
     pub fn external(self, role: &'static str, name: &'static str) -> Self {
-        self.with_input(Input {
-            role,
-            source: Source::External(name),
-            optional: false,
-            select: None,
-            instead: None,
-            needed: None,
-        })
+        self.with_input(role, Source::External(name), false)
     }
 
     /// Like [`external`](Self::external), but only if the pipeline names it. If it is named and does not
     /// exist, the stage fails.
     #[must_use]
     pub fn optional_external(self, role: &'static str, name: &'static str) -> Self {
-        self.with_input(Input {
-            role,
-            source: Source::External(name),
-            optional: true,
-            select: None,
-            instead: None,
-            needed: None,
-        })
+        self.with_input(role, Source::External(name), true)
     }
 
-    /// Adds an input.
-    #[must_use]
-    pub fn with_input(mut self, input: Input) -> Self {
-        self.inputs.push(input);
+    fn with_input(mut self, role: &'static str, source: Source, optional: bool) -> Self {
+        self.inputs.push(Input { role, source, optional, select: None, instead: None, needed: None });
+        self
+    }
+
+    /// Changes the input added last.
+    fn with_last(mut self, change: impl FnOnce(&mut Input)) -> Self {
+        if let Some(input) = self.inputs.last_mut() {
+            change(input);
+        }
         self
     }
 
@@ -266,101 +239,84 @@ impl Stage {
     /// do not change.
     #[must_use]
     pub fn select_by(
-        mut self,
+        self,
         choose: impl Fn(&Value, &Path) -> Result<Choice, String> + Send + Sync + 'static,
     ) -> Self {
-        if let Some(input) = self.inputs.last_mut() {
-            input.select = Some(Arc::new(choose));
-        }
-        self
+        self.with_last(|input| input.select = Some(Arc::new(choose)))
     }
 
     /// Replaces the input added last, an artifact, by the file or folder `name` where the pipeline names it;
     /// the stage that makes the artifact is then not needed for this input.
     #[must_use]
-    pub fn or_external(mut self, name: &'static str) -> Self {
-        if let Some(input) = self.inputs.last_mut() {
-            input.instead = Some(name);
-        }
-        self
+    pub fn or_external(self, name: &'static str) -> Self {
+        self.with_last(|input| input.instead = Some(name))
     }
 
     /// Reads the input added last, an artifact, only if `needed` returns true for the parameters of all
     /// stages. A file that the pipeline names in its place is read in any case, so that the stage can report
     /// that it does not use it.
     #[must_use]
-    pub fn only_when(mut self, needed: impl Fn(&AllParameters) -> bool + Send + Sync + 'static) -> Self {
-        if let Some(input) = self.inputs.last_mut() {
-            input.needed = Some(Arc::new(needed));
-        }
-        self
+    pub fn only_when(self, needed: impl Fn(&AllParameters) -> bool + Send + Sync + 'static) -> Self {
+        self.with_last(|input| input.needed = Some(Arc::new(needed)))
     }
 
     /// Declares random draws: the pipeline's seed becomes part of its key.
     #[must_use]
-    pub fn seeded(mut self) -> Self {
-        self.seeded = true;
-        self
+    pub fn seeded(self) -> Self {
+        Self { seeded: true, ..self }
     }
 
     /// Declares a long stage with checkpoints; the parameters at these dotted paths only set the length of
     /// its work.
     #[must_use]
-    pub fn resumable(mut self, length_like: &'static [&'static str]) -> Self {
-        self.length_like = length_like;
-        self
+    pub fn resumable(self, length_like: &'static [&'static str]) -> Self {
+        Self { length_like, ..self }
     }
 
     /// Declares parameters, by dotted path, that change the work but not one byte of the result, such as the
     /// steps between checkpoints or a cache's size. They are no part of its key.
     #[must_use]
-    pub fn without_effect(mut self, parameters: &'static [&'static str]) -> Self {
-        self.without_effect = parameters;
-        self
+    pub fn without_effect(self, parameters: &'static [&'static str]) -> Self {
+        Self { without_effect: parameters, ..self }
     }
 
     /// Sets the files that every artifact of the stage has, whatever its parameters and inputs. A name with
     /// `/` at its end is a folder with at least one file. An artifact without one of them counts as damaged.
     #[must_use]
-    pub fn promises(mut self, files: &'static [&'static str]) -> Self {
-        self.promises = files;
-        self
+    pub fn promises(self, files: &'static [&'static str]) -> Self {
+        Self { promises: files, ..self }
     }
 
     /// Sets the device it computes on with given parameters, or `None` for the processor alone. The device is
     /// part of its class of arithmetic, and so of its key.
     #[must_use]
     pub fn computes_on<P: DeserializeOwned + 'static>(
-        mut self,
+        self,
         device: impl Fn(&P) -> Option<DeviceClass> + Send + Sync + 'static,
     ) -> Self {
-        self.device = Some(Arc::new(move |value| device(&serde_json::from_value(value.clone()).ok()?)));
-        self
+        let device = move |value: &Value| device(&serde_json::from_value(value.clone()).ok()?);
+        Self { device: Some(Arc::new(device)), ..self }
     }
 
     /// Declares that its bytes are the same within one class of arithmetic but not between two; between two,
     /// these figures of its artifact agree.
     #[must_use]
-    pub fn agrees_across_classes(mut self, figures: &'static [Figure]) -> Self {
-        self.agreement = (!figures.is_empty()).then_some(Agreement::Figures(figures));
-        self
+    pub fn agrees_across_classes(self, figures: &'static [Figure]) -> Self {
+        Self { agreement: (!figures.is_empty()).then_some(Agreement::Figures(figures)), ..self }
     }
 
     /// Like [`Self::agrees_across_classes`], for an artifact whose files of these kinds are alike between two
     /// classes of arithmetic, and all others equal.
     #[must_use]
-    pub fn files_agree_across_classes(mut self, kinds: &'static [AlikeFiles]) -> Self {
-        self.agreement = (!kinds.is_empty()).then_some(Agreement::Files(kinds));
-        self
+    pub fn files_agree_across_classes(self, kinds: &'static [AlikeFiles]) -> Self {
+        Self { agreement: (!kinds.is_empty()).then_some(Agreement::Files(kinds)), ..self }
     }
 
     /// Sets the resources it can use: at most `cores` (0: all cores of the machine), and about `memory`
     /// bytes.
     #[must_use]
-    pub fn cost(mut self, cores: usize, memory: u64) -> Self {
-        self.cores = cores;
-        self.memory = memory;
-        self
+    pub fn cost(self, cores: usize, memory: u64) -> Self {
+        Self { cores, memory, ..self }
     }
 
     /// Sets an estimate of its memory in bytes, from its parameters and from those of its inputs that exist
@@ -368,14 +324,13 @@ impl Stage {
     /// [`cost`](Self::cost) counts. It affects only which stages run at the same time, never a result.
     #[must_use]
     pub fn memory<P: DeserializeOwned + 'static>(
-        mut self,
+        self,
         estimate: impl Fn(&P, &[StageInput]) -> Option<u64> + Send + Sync + 'static,
     ) -> Self {
-        self.memory_of = Some(Arc::new(move |value, inputs| {
-            let parameters: P = serde_json::from_value(value.clone()).ok()?;
-            estimate(&parameters, inputs)
-        }));
-        self
+        let estimate = move |value: &Value, inputs: &[StageInput]| {
+            estimate(&serde_json::from_value(value.clone()).ok()?, inputs)
+        };
+        Self { memory_of: Some(Arc::new(estimate)), ..self }
     }
 
     /// Requests it only if this condition on the parameters of all stages is true.
@@ -389,11 +344,10 @@ impl Stage {
     /// result still follows from its inputs alone.
     #[must_use]
     pub fn when_named(
-        mut self,
+        self,
         condition: impl Fn(&AllParameters, &Named) -> bool + Send + Sync + 'static,
     ) -> Self {
-        self.condition = Some(Arc::new(condition));
-        self
+        Self { condition: Some(Arc::new(condition)), ..self }
     }
 
     /// States its requirements from outside: `missing` lists the unmet ones, from the parameters of all
@@ -401,11 +355,10 @@ impl Stage {
     /// change any result. Checks that read much go through [`Checks`].
     #[must_use]
     pub fn requires(
-        mut self,
+        self,
         missing: impl Fn(&AllParameters, &Named, &Checks<'_>) -> Vec<Lacking> + Send + Sync + 'static,
     ) -> Self {
-        self.requires = Some(Arc::new(missing));
-        self
+        Self { requires: Some(Arc::new(missing)), ..self }
     }
 
     /// Refuses parameters that parse but make no sense; the error names the field (dotted path) and the
@@ -420,26 +373,10 @@ impl Stage {
             let value = inner(value)?;
             let parameters: P =
                 serde_json::from_value(value.clone()).map_err(|e| ParameterError::from_serde(&e))?;
-            check(&parameters).map_err(|(path, message)| ParameterError {
-                path,
-                message,
-                unknown: None,
-                known: vec![],
-            })?;
+            check(&parameters).map_err(|(path, message)| ParameterError::new(path, message))?;
             Ok(value)
         });
         self
-    }
-
-    /// The rule by which its artifacts of two classes of arithmetic agree; `None` promises the same bytes
-    /// everywhere.
-    pub fn agreement(&self) -> Option<Agreement> {
-        self.agreement
-    }
-
-    /// Returns true if it may compute on another device than the processor.
-    pub fn may_use_a_device(&self) -> bool {
-        self.device.is_some()
     }
 
     /// Its name.
@@ -447,19 +384,9 @@ impl Stage {
         self.name
     }
 
-    /// Its description, one line.
-    pub fn description(&self) -> &'static str {
-        self.about
-    }
-
     /// The set over which it is made once.
     pub fn scope(&self) -> Scope {
         self.scope
-    }
-
-    /// Its inputs.
-    pub fn inputs(&self) -> &[Input] {
-        &self.inputs
     }
 
     /// The parameters that are part of the key: those with an effect on the result.
@@ -478,11 +405,6 @@ impl Stage {
     pub fn numeric_class(&self, machine: &str, parameters: &Value) -> String {
         let device = self.device.as_ref().and_then(|device| device(parameters));
         device.map_or_else(|| machine.to_string(), |device| device.on(machine))
-    }
-
-    /// Returns true if the pipeline's seed is part of its key.
-    pub fn is_seeded(&self) -> bool {
-        self.seeded
     }
 
     /// Estimated memory with these parameters on these inputs, in bytes; 0 where there is no estimate.

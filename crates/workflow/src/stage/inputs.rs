@@ -13,16 +13,11 @@ pub type External = Result<PathBuf, String>;
 /// one scene, or for all scenes in a stage that is made once.
 #[derive(Clone, Debug, Default)]
 pub struct Named {
-    places: BTreeMap<String, (External, String)>,
+    /// By name: the path (or the reason why it is not known), and the place where the user named it.
+    pub(crate) places: BTreeMap<String, (External, String)>,
 }
 
 impl Named {
-    /// Creates it from names, paths (or the reasons why a path is not known), and the places where the user
-    /// named them.
-    pub(crate) fn new(places: impl IntoIterator<Item = (String, (External, String))>) -> Self {
-        Self { places: places.into_iter().collect() }
-    }
-
     /// Returns true if the name is given, even if the file does not exist.
     pub fn has(&self, name: &str) -> bool {
         self.places.contains_key(name)
@@ -48,7 +43,7 @@ impl Named {
 pub type AllParameters = Map<String, Value>;
 
 /// One input of a stage.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct StageInput {
     /// The role of the input in the stage.
     pub role: String,

@@ -42,16 +42,13 @@ impl Registry {
             let external =
                 |s: &Stage| s.inputs.iter().any(|input| input.source == Source::External(stage.name));
             if stages.iter().any(external) {
-                let name = stage.name;
-                return Err(BuildError::Registry(format!(
-                    "`{name}` names an input from outside and a stage"
-                )));
+                let wrong = format!("`{}` names an input from outside and a stage", stage.name);
+                return Err(BuildError::Registry(wrong));
             }
         }
         let code = stages.iter().map(|stage| {
-            table
-                .stage(stage.crates, stage.sources)
-                .map_err(|source| BuildError::Code { stage: stage.name.to_string(), source })
+            let code = table.stage(stage.crates, stage.sources);
+            code.map_err(|source| BuildError::Code { stage: stage.name.to_string(), source })
         });
         Ok(Self { code: code.collect::<Result<_, _>>()?, stages, shorthands: Vec::new() })
     }
