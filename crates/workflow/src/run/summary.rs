@@ -37,14 +37,7 @@ impl Summary {
     pub fn of_scene(nodes: &[RanNode], scene: &str, variant: &str) -> Self {
         // A result for all scenes also belongs to this scene.
         let own = nodes.iter().filter(|n| n.variant == variant && (n.scene == scene || n.scene.is_empty()));
-        Self {
-            pipeline: String::new(),
-            nodes: own.cloned().collect(),
-            interrupted: false,
-            left: false,
-            seconds: 0.0,
-            lease: None,
-        }
+        Self::of_nodes(own.cloned().collect())
     }
 
     /// The exit code: 0 if all is done or left to other processes, 1 if something failed, 75 if the time was
@@ -57,9 +50,8 @@ impl Summary {
         if self.interrupted && !self.left {
             return 130;
         }
-        u8::from(any(|r| {
-            matches!(r, Became::Failed { .. } | Became::Blocked(_) | Became::NotRun | Became::Missing)
-        }))
+        use Became::{Blocked, Failed, Missing, NotRun};
+        u8::from(any(|r| matches!(r, Failed { .. } | Blocked(_) | NotRun | Missing)))
     }
 
     /// Number of nodes that were left to other processes.

@@ -6,10 +6,11 @@ use std::fmt::{self, Display, Formatter, Write};
 
 use use3d_capture::name::{shown, shown_lines};
 
+use crate::cache::joined;
 use crate::cache::machine::{bytes, seconds};
 use crate::plan::planning::{Plan, PlannedNode, State};
-use crate::plan::status::{Cell, Counts, Standing, Status, Why};
-use crate::run::gc::Cleaning;
+use crate::plan::status::{Cell, Counts, Row, Standing, Status, Why};
+use crate::run::gc::{Cleaning, Removed};
 use crate::run::summary::{Became, Summary};
 use crate::run::verify::Verification;
 use crate::share::killed::Killed;
@@ -25,6 +26,12 @@ fn printable(f: &mut Formatter<'_>, fill: impl FnOnce(&mut String) -> fmt::Resul
     f.write_str(&shown_lines(&text))
 }
 
+/// Prints the counts that are not 0.
+fn count(f: &mut String, counts: &[(usize, &str)]) -> fmt::Result {
+    let mut counts = counts.iter().filter(|(count, _)| *count > 0);
+    counts.try_for_each(|(count, words)| write!(f, ", {count} {words}"))
+}
+
 impl Display for Plan {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         printable(f, |f| {
@@ -38,16 +45,8 @@ impl Display for Plan {
             }
             let shared = self.nodes.len() - self.own().count();
             write!(f, "{}: {} to run, {} cached", self.pipeline, self.to_run(), self.cached())?;
-            if shared > 0 {
-                write!(f, ", {shared} shared between variants")?;
-            }
-            for (count, words) in
-                [(self.unavailable(), "cannot run"), (self.blocked(), "not run because of these")]
-            {
-                if count > 0 {
-                    write!(f, ", {count} {words}")?;
-                }
-            }
+            count(f, &[(shared, "shared between variants")])?;
+            count(f, &[(self.unavailable(), "cannot run"), (self.blocked(), "not run because of these")])?;
             let (sum, without) = self.forecast();
             if self.to_run() > without {
                 write!(f, "; about {}", seconds(sum))?;
@@ -75,8 +74,7 @@ impl Plan {
 }
 
 fn label(node: &PlannedNode) -> String {
-    let parts = [node.scene.as_str(), node.variant.as_str(), node.stage];
-    parts.into_iter().filter(|p| !p.is_empty()).collect::<Vec<_>>().join(" · ")
+    joined(&[&node.scene, &node.variant, node.stage], " · ")
 }
 
 /// The first items, and the number of the others.
@@ -116,17 +114,9 @@ impl Display for Summary {
             let blocked = self.count(|r| matches!(r, Became::Blocked(_)));
             let not_run = self.count(|r| *r == Became::NotRun);
             write!(f, "{}: {} done, {} cached", self.pipeline, self.done(), self.cached())?;
-            for (count, word) in [
-                (self.failed().count(), "failed"),
-                (blocked, "not run because of these"),
-                (not_run, "not run"),
-                (self.missing().count(), "missing"),
-                (self.elsewhere(), "left to other processes"),
-            ] {
-                if count > 0 {
-                    write!(f, ", {count} {word}")?;
-                }
-            }
+            let (failed, missing) = (self.failed().count(), self.missing().count());
+            count(f, &[(failed, "failed"), (blocked, "not run because of these"), (not_run, "not run")])?;
+            count(f, &[(missing, "missing"), (self.elsewhere(), "left to other processes")])?;
             write!(f, ", in {}", seconds(self.seconds))?;
             if self.left && not_run > 0 {
                 write!(f, "; time limit reached: run the same command to continue")?;
@@ -141,19 +131,12 @@ impl Display for Summary {
 impl Display for Status {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         printable(f, |f| {
-            let mut stages: Vec<&str> = Vec::new();
-            for cell in self.rows.iter().flat_map(|r| &r.cells) {
-                if !stages.contains(&cell.stage) {
-                    stages.push(cell.stage);
-                }
-            }
-            let name = |scene: &str, variant: &str| match (scene.is_empty(), variant.is_empty()) {
-                (true, true) => "(all scenes)".to_string(),
-                (true, false) => format!("(all scenes) · {variant}"),
-                (false, true) => scene.to_string(),
-                (false, false) => format!("{scene} · {variant}"),
+            let counts = self.counts();
+            let stages: Vec<&str> = counts.stages.iter().map(|(stage, _)| *stage).collect();
+            let name = |Row { scene, variant, .. }: &Row| {
+                joined(&[if scene.is_empty() { "(all scenes)" } else { scene }, variant], " · ")
             };
-            let names: Vec<String> = self.rows.iter().map(|r| name(&r.scene, &r.variant)).collect();
+            let names: Vec<String> = self.rows.iter().map(name).collect();
             let wide = names.iter().map(|n| n.chars().count()).max().unwrap_or(0).max(5);
             write!(f, "{:<wide$}", "scene")?;
             for stage in &stages {
@@ -191,10 +174,8 @@ impl Display for Counts {
         for (stage, counts) in &self.stages {
             write!(f, "{stage:<12}")?;
             for word in WORDS {
-                match counts.get(word) {
-                    Some(count) => write!(f, " {count:>8}")?,
-                    None => write!(f, " {:>8}", "-")?,
-                }
+                let count = counts.get(word).map_or_else(|| "-".to_string(), usize::to_string);
+                write!(f, " {count:>8}")?;
             }
             writeln!(f)?;
         }
@@ -221,10 +202,8 @@ impl Display for Working {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         let Self { host, process, done, total, unit, .. } = self;
         write!(f, "on {} (process {process}", shown(host))?;
-        match &self.task {
-            Some(task) => write!(f, ", {task})")?,
-            None => write!(f, ")")?,
-        }
+        let task = self.task.as_ref().map(|task| format!(", {task}")).unwrap_or_default();
+        write!(f, "{task})")?;
         if *total > 0 {
             write!(f, ", {done} of {total} {}", shown(unit))?;
         }
@@ -251,14 +230,10 @@ impl Display for Why {
                 }
                 _ => {}
             }
-            for change in &self.changes {
-                writeln!(f, "  {change}")?;
-            }
+            self.changes.iter().try_for_each(|change| writeln!(f, "  {change}"))?;
             for (label, changes) in &self.upstream {
                 writeln!(f, "upstream {label} has to run:")?;
-                for change in changes {
-                    writeln!(f, "  {change}")?;
-                }
+                changes.iter().try_for_each(|change| writeln!(f, "  {change}"))?;
                 if changes.is_empty() {
                     writeln!(f, "  never computed, or its artifact was removed")?;
                 }
@@ -273,27 +248,15 @@ impl Display for Cleaning {
         printable(f, |f| {
             let verb = if self.dry_run { "would remove" } else { "removed" };
             for item in &self.removed {
-                writeln!(
-                    f,
-                    "{verb} {:>9}  {}: {} ({})",
-                    bytes(item.bytes),
-                    item.kind,
-                    item.name,
-                    item.reason
-                )?;
+                let (size, Removed { kind, name, reason, .. }) = (bytes(item.bytes), item);
+                writeln!(f, "{verb} {size:>9}  {kind}: {name} ({reason})")?;
             }
             for (name, reason) in &self.failed {
                 writeln!(f, "cannot remove {name}: {reason}")?;
             }
-            let freed: u64 = self.removed.iter().map(|r| r.bytes).sum();
+            let (count, freed) = (self.removed.len(), bytes(self.removed.iter().map(|r| r.bytes).sum()));
             let state = if self.dry_run { "would be left" } else { "left" };
-            writeln!(
-                f,
-                "{verb} {} in {} items; {} {state}",
-                bytes(freed),
-                self.removed.len(),
-                bytes(self.left)
-            )
+            writeln!(f, "{verb} {freed} in {count} items; {} {state}", bytes(self.left))
         })
     }
 }
