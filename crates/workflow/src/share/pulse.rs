@@ -2,8 +2,10 @@
 //! of a fixed length after the holder's line, overwritten in place every few seconds. So a lease costs a
 //! shared file system one small write and no new names.
 
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Mutex, PoisonError};
+
+use crate::cache::lock;
 
 /// Most letters of a unit that are written.
 const UNIT: usize = 16;
@@ -78,7 +80,7 @@ impl Progress {
     pub(crate) fn note(&self, done: u64, total: u64, unit: &str) {
         self.done.store(done, Ordering::Relaxed);
         self.total.store(total, Ordering::Relaxed);
-        let mut known = self.unit.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut known = lock(&self.unit);
         if *known != unit {
             unit.clone_into(&mut known);
         }
@@ -94,7 +96,7 @@ impl Progress {
         beat.done = self.done.load(Ordering::Relaxed);
         beat.memory = self.memory.load(Ordering::Relaxed);
         beat.total = self.total.load(Ordering::Relaxed);
-        beat.unit.clone_from(&self.unit.lock().unwrap_or_else(PoisonError::into_inner));
+        beat.unit.clone_from(&lock(&self.unit));
     }
 }
 

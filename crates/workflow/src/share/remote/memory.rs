@@ -2,10 +2,11 @@
 
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard};
 use std::time::SystemTime;
 
 use super::{Listed, Remote, RemoteError};
+use crate::cache::lock;
 
 /// Objects in memory.
 #[derive(Debug, Default)]
@@ -16,7 +17,7 @@ pub struct Memory {
 impl Memory {
     /// The objects by name.
     pub fn objects(&self) -> MutexGuard<'_, BTreeMap<String, Vec<u8>>> {
-        self.objects.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.objects)
     }
 }
 

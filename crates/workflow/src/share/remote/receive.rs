@@ -4,6 +4,7 @@ use std::io::{self, Read, Write};
 use std::path::{Component, Path};
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use crate::cache::files;
 use crate::cache::manifest::{FileRecord, MANIFEST, Manifest};
 use use3d_code::digest::Digest;
 
@@ -98,9 +99,8 @@ pub(super) fn wrong_names(manifest: &Manifest) -> Option<String> {
     for (i, file) in manifest.files.iter().enumerate() {
         let path = Path::new(&file.path);
         let plain = path.components().all(|part| matches!(part, Component::Normal(_)));
-        let as_written =
-            path.components().map(|c| c.as_os_str().to_string_lossy()).collect::<Vec<_>>().join("/");
-        let odd = file.path.is_empty() || file.path.contains(['\0', '\\']) || as_written != file.path;
+        let as_written = files::relative_name(path).as_deref() == Some(file.path.as_str());
+        let odd = file.path.is_empty() || file.path.contains(['\0', '\\']) || !as_written;
         let taken = manifest.files[..i].iter().any(|other| {
             Path::new(&other.path).starts_with(path) || path.starts_with(Path::new(&other.path))
         });

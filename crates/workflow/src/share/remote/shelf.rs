@@ -2,9 +2,8 @@
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fmt;
-use std::sync::Mutex;
-use std::sync::PoisonError;
-use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::AtomicBool;
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, SystemTime};
 
 use serde::Serialize;
@@ -13,6 +12,7 @@ use use3d_capture::name::shown;
 use super::transfer::each;
 use super::{RemoteError, RemoteStore, manifest};
 use crate::cache::key::Key;
+use crate::cache::lock;
 use crate::cache::machine;
 use crate::cache::manifest::Manifest;
 use use3d_code::digest::Digest;
@@ -159,13 +159,12 @@ impl RemoteStore {
         if dry_run {
             return Ok(swept);
         }
-        let (artifacts_gone, files_gone, bytes_gone) =
-            (AtomicUsize::new(0), AtomicUsize::new(0), AtomicU64::new(0));
+        let gone_now = Mutex::new(Swept::default());
         let remove = |name: String| self.patiently(stop, || self.remote.remove(&name));
         let all = || -> Result<(), RemoteError> {
             each(&gone, 32, |((stage, key), _)| {
                 remove(manifest(stage, key))?;
-                artifacts_gone.fetch_add(1, Ordering::Relaxed);
+                lock(&gone_now).artifacts += 1;
                 Ok(())
             })?;
             let now = self.shelf(stop)?;
@@ -176,8 +175,9 @@ impl RemoteStore {
             let files: Vec<_> = files.iter().filter(|(digest, _)| !used_again.contains(*digest)).collect();
             each(&files, 32, |(digest, (size, _))| {
                 remove(super::blob(digest))?;
-                files_gone.fetch_add(1, Ordering::Relaxed);
-                bytes_gone.fetch_add(*size, Ordering::Relaxed);
+                let mut gone_now = lock(&gone_now);
+                gone_now.files += 1;
+                gone_now.bytes += size;
                 Ok(())
             })
         };
@@ -185,15 +185,8 @@ impl RemoteStore {
             Err(RemoteError::Stopped) => true,
             removed => removed.map(|()| false)?,
         };
-        let artifacts = artifacts_gone.into_inner();
-        Ok(Swept {
-            artifacts,
-            files: files_gone.into_inner(),
-            bytes: bytes_gone.into_inner(),
-            left: shelf.artifacts.len() - artifacts,
-            dry_run,
-            interrupted,
-        })
+        let gone_now = gone_now.into_inner().unwrap_or_else(PoisonError::into_inner);
+        Ok(Swept { left: shelf.artifacts.len() - gone_now.artifacts, interrupted, ..gone_now })
     }
 
     /// The files that the manifests of some artifacts name. An unreadable manifest names no usable file.
@@ -205,7 +198,7 @@ impl RemoteStore {
         let named: Mutex<BTreeSet<Digest>> = Mutex::default();
         each(artifacts, 32, |(stage, key)| match self.manifest(stage, key, stop) {
             Ok(Some(Manifest { files, .. })) => {
-                named.lock().unwrap_or_else(PoisonError::into_inner).extend(files.iter().map(|f| f.digest));
+                lock(&named).extend(files.iter().map(|f| f.digest));
                 Ok(())
             }
             Ok(None) | Err(RemoteError::Wrong { .. }) => Ok(()),
