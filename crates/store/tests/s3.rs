@@ -60,8 +60,9 @@ fn builder(folder: &Path) -> Builder {
     });
     let stages = vec![make.made_of(&[], &[]), copy.input("made", "make").made_of(&[], &[])];
     let registry = Registry::new(stages, &CodeTable::default()).expect("a table");
-    Builder::new(registry, Cache::open(folder, false).expect("a cache"))
-        .with_numeric_class(&format!("test {}", std::process::id()))
+    let mut builder = Builder::new(registry, Cache::open(folder, false).expect("a cache"));
+    builder.numeric_class = format!("test {}", std::process::id());
+    builder
 }
 
 #[test]

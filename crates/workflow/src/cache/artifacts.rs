@@ -22,20 +22,22 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, SystemTime};
 
 use rayon::prelude::*;
 
-use crate::cache::content::Contents;
+use crate::cache::content::{Content, Contents};
 use crate::cache::files::{self, Disk, Files};
 use crate::cache::key::{Ingredients, Key};
+use crate::cache::lock;
 use crate::cache::manifest::{self, Circumstances, FileRecord, MANIFEST, Manifest};
 use crate::cache::node::Node;
 use crate::cache::task::IsOver;
 use crate::cache::watch::Watch;
 use crate::error::FileError;
 use use3d_code::digest::Digest;
+use use3d_files::folder_of;
 
 /// The longest time for which a network file system may hide a name that exists: clients cache for a minute
 /// that a name did not exist.
@@ -49,10 +51,13 @@ const TAG: &str = "Signature: 8a477f597d28d172789f06886806bc55\n\
 pub struct Cache {
     root: PathBuf,
     files: Arc<dyn Files>,
-    contents: Arc<Contents>,
+    /// Digests of inputs.
+    pub(crate) contents: Arc<Contents>,
     verified: Arc<Mutex<BTreeSet<Key>>>,
-    leases: Arc<Watch>,
-    node: Arc<Node>,
+    /// The observations of leases by this process.
+    pub(crate) leases: Arc<Watch>,
+    /// The identity and clock with which this process uses the cache.
+    pub(crate) node: Arc<Node>,
     /// The files that stages promise, by stage.
     promises: Arc<BTreeMap<&'static str, &'static [&'static str]>>,
 }
@@ -111,16 +116,8 @@ impl Cache {
             }
         }
         let contents = Arc::new(Contents::open(files.clone(), root.join("stat-table"), rehash));
-        let node = Arc::new(Node::this());
-        Ok(Self {
-            root,
-            files,
-            contents,
-            verified: Arc::default(),
-            leases: Arc::default(),
-            node,
-            promises: Arc::default(),
-        })
+        let (node, promises) = (Arc::new(Node::this()), Arc::default());
+        Ok(Self { root, files, contents, verified: Arc::default(), leases: Arc::default(), node, promises })
     }
 
     /// The same cache, used as if by another process or machine that shares it; for tests.
@@ -132,7 +129,7 @@ impl Cache {
     /// Returns the same cache with a function that asks a scheduler about the tasks that leases name.
     #[must_use]
     pub fn asking(self, is_over: IsOver) -> Self {
-        let node = self.node().clone().asking(is_over);
+        let node = Node { is_over: Some(is_over), ..(*self.node).clone() };
         self.as_node(node)
     }
 
@@ -154,28 +151,13 @@ impl Cache {
         Some(format!("lists no {missing}, which every result of {stage} has"))
     }
 
-    /// The identity and clock with which this process uses the cache.
-    pub(crate) fn node(&self) -> &Node {
-        &self.node
-    }
-
     /// The versioned folder.
     pub fn root(&self) -> &Path {
         &self.root
     }
 
-    /// The observations of leases by this process.
-    pub(crate) fn leases(&self) -> &Watch {
-        &self.leases
-    }
-
     pub(crate) fn files(&self) -> &dyn Files {
         self.files.as_ref()
-    }
-
-    /// Digests of inputs.
-    pub fn contents(&self) -> &Contents {
-        &self.contents
     }
 
     /// The folder of a key's artifact, whether or not it exists.
@@ -194,21 +176,18 @@ impl Cache {
         let path = self.artifact_path(stage, key);
         let manifest_path = path.join(MANIFEST);
         let bytes = match self.files.read(&manifest_path) {
-            Ok(bytes) => bytes,
-            Err(e)
-                if matches!(e.kind(), std::io::ErrorKind::NotFound | std::io::ErrorKind::NotADirectory) =>
-            {
+            Err(e) if files::is_absence(&e) => {
                 // If the folder appeared between the two checks, its manifest is there: a folder is published
                 // with it.
                 if !matches!(self.files.exists(&path), Ok(true)) {
                     return Ok(Lookup::Missing);
                 }
-                match self.files.read(&manifest_path) {
-                    Ok(bytes) => bytes,
-                    Err(_) => return Ok(Lookup::Damaged(format!("{MANIFEST} is missing"))),
-                }
+                let Ok(bytes) = self.files.read(&manifest_path) else {
+                    return Ok(Lookup::Damaged(format!("{MANIFEST} is missing")));
+                };
+                bytes
             }
-            Err(source) => return Err(FileError { path: manifest_path, doing: "read", source }),
+            read => files::at(&manifest_path, "read", read)?,
         };
         let manifest = match Manifest::parse(&bytes, *key) {
             Ok(manifest) => manifest,
@@ -217,10 +196,10 @@ impl Cache {
         if let Some(missing) = self.unkept(&manifest) {
             return Ok(Lookup::Damaged(format!("{MANIFEST} {missing}")));
         }
-        let wrong = manifest.files.par_iter().find_map_first(|file| {
-            let found = self.contents.of_file(&path.join(&file.path));
-            wrong_file(file, found.map(|c| (c.bytes, c.digest)))
-        });
+        let wrong = manifest
+            .files
+            .par_iter()
+            .find_map_first(|file| wrong_file(file, self.contents.of_file(&path.join(&file.path))));
         Ok(match wrong {
             Some(reason) => Lookup::Damaged(reason),
             None => Lookup::Whole(Arc::new(Artifact { path, manifest })),
@@ -260,7 +239,7 @@ impl Cache {
     /// every time.
     pub fn verify(&self, artifact: &Artifact, again: bool) -> Result<(), String> {
         let key = artifact.manifest.key;
-        if !again && self.verified.lock().unwrap_or_else(PoisonError::into_inner).contains(&key) {
+        if !again && lock(&self.verified).contains(&key) {
             let there = artifact.manifest.files.iter().all(|file| {
                 std::fs::metadata(artifact.path.join(&file.path)).is_ok_and(|found| found.len() == file.size)
             });
@@ -270,31 +249,37 @@ impl Cache {
         }
         let wrong = artifact.manifest.files.par_iter().find_map_first(|file| {
             let path = artifact.path.join(&file.path);
-            let size = files::at(&path, "read", std::fs::metadata(&path)).map(|m| m.len());
-            let found = size.and_then(|size| Ok((size, self.contents.read_digest(&path)?)));
+            let found = files::at(&path, "read", std::fs::metadata(&path)).and_then(|metadata| {
+                Ok(Content { digest: self.contents.read_digest(&path)?, bytes: metadata.len() })
+            });
             wrong_file(file, found)
         });
+        let mut verified = lock(&self.verified);
         match wrong {
             Some(reason) => {
-                self.verified.lock().unwrap_or_else(PoisonError::into_inner).remove(&key);
+                verified.remove(&key);
                 Err(reason)
             }
             None => {
-                self.verified.lock().unwrap_or_else(PoisonError::into_inner).insert(key);
+                verified.insert(key);
                 Ok(())
             }
         }
     }
 
+    /// A new path in `damaged/` for what lies in a key's place.
+    pub(crate) fn new_damaged(&self, stage: &str, key: &Key) -> PathBuf {
+        self.root.join("damaged").join(format!("{stage}-{}-{}", key.short(), files::unique()))
+    }
+
     /// Moves the folder in a key's place to `damaged/`.
     pub(crate) fn set_aside(&self, stage: &str, key: &Key) -> Result<PathBuf, FileError> {
         let from = self.artifact_path(stage, key);
-        let to = self.root.join("damaged").join(format!("{stage}-{}-{}", key.short(), files::unique()));
-        let parent = self.root.join("damaged");
-        files::at(&parent, "create", self.files.create_dir_all(&parent))?;
+        let to = self.new_damaged(stage, key);
+        files::at(folder_of(&to), "create", self.files.create_dir_all(folder_of(&to)))?;
         files::at(&from, "move aside", files::rename(self.files(), &from, &to))?;
         self.forget_fetched(key);
-        self.verified.lock().unwrap_or_else(PoisonError::into_inner).remove(key);
+        lock(&self.verified).remove(key);
         Ok(to)
     }
 
@@ -361,31 +346,20 @@ impl Cache {
         let sealed = self.seal(folder)?;
         if sealed != named {
             let what = first_difference(&sealed, &named);
-            let source =
-                std::io::Error::other(format!("{what} differs from what was written; check the disk"));
-            return Err(FileError { path: folder.to_path_buf(), doing: "publish", source });
+            let wrong = format!("{what} differs from what was written; check the disk");
+            return files::at(folder, "publish", Err(std::io::Error::other(wrong)));
         }
         // The mark comes first, so no process finds the artifact without it.
         let mark = self.fetched_mark(&manifest.key);
-        if let Some(folder) = mark.parent() {
-            files::at(folder, "create", self.files.create_dir_all(folder))?;
-        }
-        let marked = self.files.create_new(&mark, b"").or_else(|e| match e.kind() {
-            ErrorKind::AlreadyExists => Ok(()),
-            _ => Err(e),
-        });
-        files::at(&mark, "write", marked)?;
+        files::at(folder_of(&mark), "create", self.files.create_dir_all(folder_of(&mark)))?;
+        files::at(&mark, "write", files::create_own(self.files(), &mark, b""))?;
         self.put_in_place(folder, manifest)
     }
 
     fn put_in_place(&self, folder: &Path, manifest: Manifest) -> Result<Published, FileError> {
-        let bytes = serde_json::to_vec_pretty(&manifest).map_err(|e| FileError {
-            path: folder.join(MANIFEST),
-            doing: "write",
-            source: std::io::Error::other(e),
-        })?;
         let record = folder.join(MANIFEST);
-        files::at(&record, "write", self.files.write(&record, &bytes))?;
+        let bytes = serde_json::to_vec_pretty(&manifest).map_err(std::io::Error::other);
+        files::at(&record, "write", bytes.and_then(|bytes| self.files.write(&record, &bytes)))?;
         files::at(folder, "sync", self.files.sync(folder))?;
         let stage = manifest.ingredients.stage.clone();
         let place = self.artifact_path(&stage, &manifest.key);
@@ -394,44 +368,32 @@ impl Cache {
         if let Err(source) = self.files.rename(folder, &place) {
             // Another process was first, something damaged is in the way, or the rename succeeded and its
             // reply was lost.
-            let taken = |e: &std::io::Error| {
-                matches!(e.kind(), ErrorKind::AlreadyExists | ErrorKind::DirectoryNotEmpty)
-            };
-            let found = if taken(&source) || matches!(self.files.exists(folder), Ok(false)) {
+            let taken = matches!(source.kind(), ErrorKind::AlreadyExists | ErrorKind::DirectoryNotEmpty);
+            let found = if taken || matches!(self.files.exists(folder), Ok(false)) {
                 self.lookup_patiently(&stage, &manifest.key, &|| false)?
             } else {
                 self.lookup_again(&stage, &manifest.key)?
             };
-            return match found {
+            match found {
                 Lookup::Whole(first) if first.manifest.content == manifest.content => {
-                    Ok(Published::Already(Arc::unwrap_or_clone(first)))
+                    return Ok(Published::Already(Arc::unwrap_or_clone(first)));
                 }
                 Lookup::Whole(first) => {
                     let which = first_difference(&first.manifest.files, &manifest.files);
-                    Ok(Published::Differs(Arc::unwrap_or_clone(first), which))
+                    return Ok(Published::Differs(Arc::unwrap_or_clone(first), which));
                 }
                 Lookup::Damaged(_) => {
                     self.set_aside(&stage, &manifest.key)?;
                     files::at(&place, "publish", files::rename(self.files(), folder, &place))?;
-                    self.finish_publish(&parent, place, manifest)
                 }
-                Lookup::Missing => Err(FileError { path: place, doing: "publish", source }),
-            };
+                Lookup::Missing => return files::at(&place, "publish", Err(source)),
+            }
         }
-        self.finish_publish(&parent, place, manifest)
-    }
-
-    fn finish_publish(
-        &self,
-        parent: &Path,
-        place: PathBuf,
-        manifest: Manifest,
-    ) -> Result<Published, FileError> {
-        files::at(parent, "sync", self.files.sync(parent))?;
+        files::at(&parent, "sync", self.files.sync(&parent))?;
         for file in &manifest.files {
             self.contents.remember_own(&place.join(&file.path), file.digest);
         }
-        self.verified.lock().unwrap_or_else(PoisonError::into_inner).insert(manifest.key);
+        lock(&self.verified).insert(manifest.key);
         Ok(Published::Now(Artifact { path: place, manifest }))
     }
 
@@ -445,9 +407,8 @@ impl Cache {
     /// Lists every artifact folder as stage, key and path, sorted.
     pub fn artifacts(&self) -> Vec<(String, Key, PathBuf)> {
         let mut out = Vec::new();
-        let list = |path: &Path| std::fs::read_dir(path).into_iter().flatten().filter_map(Result::ok);
-        for stage in list(&self.root.join("artifacts")) {
-            for entry in list(&stage.path()) {
+        for stage in files::entries(&self.root.join("artifacts")) {
+            for entry in files::entries(&stage.path()) {
                 if let Ok(key) = entry.file_name().to_string_lossy().parse() {
                     out.push((stage.file_name().to_string_lossy().into_owned(), key, entry.path()));
                 }
@@ -458,16 +419,16 @@ impl Cache {
     }
 }
 
-fn wrong_file(file: &FileRecord, found: Result<(u64, Digest), FileError>) -> Option<String> {
+fn wrong_file(file: &FileRecord, found: Result<Content, FileError>) -> Option<String> {
     match found {
         Err(error) if error.source.kind() == std::io::ErrorKind::NotFound => {
             Some(format!("{} is missing", file.path))
         }
         Err(error) => Some(error.to_string()),
-        Ok((size, _)) if size != file.size => {
-            Some(format!("{} has {size} bytes, {} were written", file.path, file.size))
+        Ok(Content { bytes, .. }) if bytes != file.size => {
+            Some(format!("{} has {bytes} bytes, {} were written", file.path, file.size))
         }
-        Ok((_, digest)) if digest != file.digest => Some(format!("the bytes of {} have changed", file.path)),
+        Ok(found) if found.digest != file.digest => Some(format!("the bytes of {} have changed", file.path)),
         Ok(_) => None,
     }
 }

@@ -18,30 +18,52 @@ pub(crate) const SIBLING: &str = ".tmp-";
 /// File operations of the cache. Stages write their own files into their output folders.
 pub trait Files: Send + Sync {
     /// Reads the whole file.
-    fn read(&self, path: &Path) -> io::Result<Vec<u8>>;
+    fn read(&self, path: &Path) -> io::Result<Vec<u8>> {
+        fs::read(path)
+    }
     /// Opens for reading in pieces.
-    fn open(&self, path: &Path) -> io::Result<Box<dyn Read>>;
+    fn open(&self, path: &Path) -> io::Result<Box<dyn Read>> {
+        Ok(Box::new(File::open(path)?))
+    }
     /// Creates or replaces a file and syncs it.
-    fn write(&self, path: &Path, bytes: &[u8]) -> io::Result<()>;
+    fn write(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        let mut file = File::create(path)?;
+        file.write_all(bytes)?;
+        file.sync_all()
+    }
     /// Appends to a file, creating it where it is missing.
-    fn append(&self, path: &Path, bytes: &[u8]) -> io::Result<()>;
+    fn append(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        File::options().append(true).create(true).open(path)?.write_all(bytes)
+    }
     /// Creates a file that must not exist yet.
-    fn create_new(&self, path: &Path, bytes: &[u8]) -> io::Result<()>;
+    fn create_new(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        File::options().write(true).create_new(true).open(path)?.write_all(bytes)
+    }
     /// Creates a folder and its parents.
-    fn create_dir_all(&self, path: &Path) -> io::Result<()>;
+    fn create_dir_all(&self, path: &Path) -> io::Result<()> {
+        fs::create_dir_all(path)
+    }
     /// Renames within a file system, replacing a file.
-    fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
+    fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
+        fs::rename(from, to)
+    }
     /// Syncs a file or folder.
-    fn sync(&self, path: &Path) -> io::Result<()>;
+    fn sync(&self, path: &Path) -> io::Result<()> {
+        if cfg!(unix) || path.is_file() { File::open(path)?.sync_all() } else { Ok(()) }
+    }
     /// Removes a file.
-    fn remove_file(&self, path: &Path) -> io::Result<()>;
+    fn remove_file(&self, path: &Path) -> io::Result<()> {
+        fs::remove_file(path)
+    }
     /// Removes a folder with everything below.
-    fn remove_dir_all(&self, path: &Path) -> io::Result<()>;
+    fn remove_dir_all(&self, path: &Path) -> io::Result<()> {
+        fs::remove_dir_all(path)
+    }
     /// Returns true if a file or folder of that name exists.
     fn exists(&self, path: &Path) -> io::Result<bool> {
         match fs::symlink_metadata(path) {
             Ok(_) => Ok(true),
-            Err(e) if matches!(e.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory) => Ok(false),
+            Err(e) if is_absence(&e) => Ok(false),
             Err(e) => Err(e),
         }
     }
@@ -62,48 +84,11 @@ pub trait Files: Send + Sync {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Disk;
 
-impl Files for Disk {
-    fn read(&self, path: &Path) -> io::Result<Vec<u8>> {
-        fs::read(path)
-    }
+impl Files for Disk {}
 
-    fn open(&self, path: &Path) -> io::Result<Box<dyn Read>> {
-        Ok(Box::new(File::open(path)?))
-    }
-
-    fn write(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
-        let mut file = File::create(path)?;
-        file.write_all(bytes)?;
-        file.sync_all()
-    }
-
-    fn append(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
-        File::options().append(true).create(true).open(path)?.write_all(bytes)
-    }
-
-    fn create_new(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
-        File::options().write(true).create_new(true).open(path)?.write_all(bytes)
-    }
-
-    fn create_dir_all(&self, path: &Path) -> io::Result<()> {
-        fs::create_dir_all(path)
-    }
-
-    fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
-        fs::rename(from, to)
-    }
-
-    fn sync(&self, path: &Path) -> io::Result<()> {
-        if cfg!(unix) || path.is_file() { File::open(path)?.sync_all() } else { Ok(()) }
-    }
-
-    fn remove_file(&self, path: &Path) -> io::Result<()> {
-        fs::remove_file(path)
-    }
-
-    fn remove_dir_all(&self, path: &Path) -> io::Result<()> {
-        fs::remove_dir_all(path)
-    }
+/// Returns true if an error says that there is no file or folder of a name.
+pub(crate) fn is_absence(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory)
 }
 
 /// Adds the path to an error.
@@ -118,9 +103,7 @@ pub(crate) fn at<T>(path: &Path, doing: &'static str, result: io::Result<T>) -> 
 pub fn write_atomic(files: &dyn Files, path: &Path, bytes: &[u8]) -> Result<(), FileError> {
     let parent = path.parent().unwrap_or(Path::new("."));
     at(parent, "create", files.create_dir_all(parent))?;
-    let mut name = path.file_name().unwrap_or_default().to_os_string();
-    name.push(format!("{SIBLING}{}", unique()));
-    let sibling = parent.join(name);
+    let sibling = sibling(path, &unique());
     let moved = files.write(&sibling, bytes).and_then(|()| rename(files, &sibling, path));
     let written = at(path, "write", moved);
     if written.is_err() {
@@ -128,6 +111,26 @@ pub fn write_atomic(files: &dyn Files, path: &Path, bytes: &[u8]) -> Result<(), 
         let _ = files.remove_file(&sibling);
     }
     written
+}
+
+/// The path of a temporary file beside a file.
+pub(crate) fn sibling(path: &Path, end: &str) -> PathBuf {
+    let mut name = path.file_name().unwrap_or_default().to_os_string();
+    name.push(format!("{SIBLING}{end}"));
+    path.with_file_name(name)
+}
+
+/// Creates a file under a unique name: if it is reported to exist already, this process created it.
+pub(crate) fn create_own(files: &dyn Files, path: &Path, bytes: &[u8]) -> io::Result<()> {
+    match files.create_new(path, bytes) {
+        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Ok(()),
+        other => other,
+    }
+}
+
+/// The entries of a folder that can be read.
+pub(crate) fn entries(folder: &Path) -> impl Iterator<Item = fs::DirEntry> + use<> {
+    fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok)
 }
 
 /// Renames a file or folder whose old and new name only this process uses. If a server's reply was lost, the

@@ -49,11 +49,6 @@ pub fn available_memory() -> Option<u64> {
     memory::available(Path::new("/"))
 }
 
-/// Memory this process holds, bytes.
-pub(crate) fn resident_memory() -> Option<u64> {
-    memory::resident()
-}
-
 /// Seconds since 1970.
 pub fn now() -> u64 {
     SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).map_or(0, |d| d.as_secs())

@@ -4,8 +4,9 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use crate::cache::joined;
 use crate::cache::key::{Ingredients, Key};
-use crate::cache::machine::Machine;
+use crate::cache::machine::{self, Machine};
 use use3d_code::digest::{Digest, Encoder};
 
 /// The manifest's file name; no payload file of an artifact has it.
@@ -41,9 +42,7 @@ pub struct MadeFor {
 
 impl std::fmt::Display for MadeFor {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let parts = [&self.pipeline, &self.scene, &self.variant];
-        let parts: Vec<&str> = parts.into_iter().map(String::as_str).filter(|p| !p.is_empty()).collect();
-        f.write_str(&parts.join(" · "))
+        f.write_str(&joined(&[&self.pipeline, &self.scene, &self.variant], " · "))
     }
 }
 
@@ -106,7 +105,7 @@ impl Manifest {
             content: content_digest(&files),
             files,
             tool: format!("use3d {}", env!("CARGO_PKG_VERSION")),
-            finished: crate::cache::machine::utc(crate::cache::machine::now()),
+            finished: machine::utc(machine::now()),
             seconds: how.seconds,
             resumed: how.resumed,
             threads: how.threads,
@@ -127,19 +126,11 @@ impl Manifest {
         if manifest.format != FORMAT || manifest.schema != 1 {
             return Err(format!("{MANIFEST} has format `{}` {}", manifest.format, manifest.schema));
         }
-        if manifest.key != key
-            || manifest.ingredients.key() != key
-            || manifest.content != manifest.content_of_files()
-        {
+        let (keys, content) = ([manifest.key, manifest.ingredients.key()], content_digest(&manifest.files));
+        if keys != [key; 2] || manifest.content != content {
             return Err(format!("{MANIFEST} does not fit its own digests"));
         }
         Ok(manifest)
-    }
-
-    /// The digest of all files together, computed from the list in this manifest; it equals
-    /// [`content`](Self::content) in a valid one.
-    pub fn content_of_files(&self) -> Digest {
-        content_digest(&self.files)
     }
 
     /// Bytes in all files together.
@@ -153,8 +144,8 @@ impl Manifest {
     }
 }
 
-/// The digest of an artifact's payload.
-pub(crate) fn content_digest(files: &[FileRecord]) -> Digest {
+/// The digest of an artifact's payload, which is the [`content`](Manifest::content) of its manifest.
+pub fn content_digest(files: &[FileRecord]) -> Digest {
     let mut encoder = Encoder::new(CONTEXT);
     encoder.number(files.len() as u64);
     for file in files {

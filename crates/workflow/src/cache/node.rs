@@ -44,7 +44,8 @@ pub struct Node {
     pub(crate) clock: Clock,
     /// The task of a scheduler that this process is.
     pub(crate) task: Option<ClusterTask>,
-    is_over: Option<IsOver>,
+    /// The function that asks a scheduler about tasks.
+    pub(crate) is_over: Option<IsOver>,
 }
 
 impl Node {
@@ -64,18 +65,6 @@ impl Node {
         let process =
             ProcessId { place: format!("{host} {:016x}", use3d_files::random()), pid: 1, started: 1 };
         Self { process, host: host.to_string(), clock, task: None, is_over: None }
-    }
-
-    /// Returns the same process as a task of a scheduler, for tests.
-    #[must_use]
-    pub fn as_task(self, task: ClusterTask) -> Self {
-        Self { task: Some(task), ..self }
-    }
-
-    /// Returns the same process with a function that asks a scheduler about tasks.
-    #[must_use]
-    pub fn asking(self, is_over: IsOver) -> Self {
-        Self { is_over: Some(is_over), ..self }
     }
 
     /// Returns true if this process is a later attempt of a task, so that the task is over.

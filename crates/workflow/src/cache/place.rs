@@ -18,6 +18,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use use3d_capture::name::shown;
 use use3d_files::beside;
+pub use use3d_files::folder_of as parent;
 
 use crate::cache::files;
 use crate::cache::leftovers;
@@ -136,9 +137,7 @@ fn look_once(folder: &Path, look: Look) -> Result<Standing, PlaceError> {
     let foreign = |why: &str| Ok(Standing::Foreign(why.to_string()));
     let kind = match fs::symlink_metadata(folder) {
         Ok(found) => found.file_type(),
-        Err(e) if matches!(e.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory) => {
-            return Ok(Standing::Free);
-        }
+        Err(e) if files::is_absence(&e) => return Ok(Standing::Free),
         Err(e) => return at(folder, "look at", Err(e)),
     };
     if kind.is_symlink() {
@@ -169,11 +168,9 @@ fn look_once(folder: &Path, look: Look) -> Result<Standing, PlaceError> {
         }
     }
     let Some(record_data) = found.get(MANIFEST) else {
-        return match fs::read_dir(folder) {
-            Ok(mut entries) => match entries.next() {
-                None => Ok(Standing::Free),
-                Some(_) => foreign("it is not empty and has no manifest.json of this program"),
-            },
+        return match fs::read_dir(folder).map(|mut entries| entries.next().is_none()) {
+            Ok(true) => Ok(Standing::Free),
+            Ok(false) => foreign("it is not empty and has no manifest.json of this program"),
             Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(Standing::Free),
             Err(e) => at(folder, "look at", Err(e)),
         };
@@ -220,10 +217,9 @@ fn digest(path: &Path) -> io::Result<Digest> {
 
 /// Writes the record of a finished folder, which makes it a result of this program.
 pub fn record(folder: &Path, key: Option<Digest>) -> Result<(), PlaceError> {
-    let listed: Vec<(String, u64)> =
-        files::list(folder)?.into_iter().filter(|(p, _)| p != MANIFEST).collect();
-    let files: Vec<FileRecord> = listed
+    let files: Vec<FileRecord> = files::list(folder)?
         .into_par_iter()
+        .filter(|(path, _)| path != MANIFEST)
         .map(|(path, size)| {
             let file = folder.join(&path);
             Ok(FileRecord { digest: at(&file, "read", digest(&file))?, path, size })
@@ -267,11 +263,6 @@ pub fn check_writable(folder: &Path) -> Result<(), PlaceError> {
         there = parent(there);
     }
     at(folder, "write", tempfile::tempfile_in(there).map(|_| ()))
-}
-
-/// The folder that contains `path`.
-pub fn parent(path: &Path) -> &Path {
-    use3d_files::folder_of(path)
 }
 
 /// The prefix of the names of unfinished results.
@@ -331,18 +322,11 @@ pub fn put(made: &Path, folder: &Path, replace: bool) -> Result<(), PlaceError> 
             Standing::Foreign(why) => return Err(not_ours(folder, &why)),
             Standing::Ours(_) if !replace => return Err(there(folder)),
             Standing::Free => {
+                let harmless = [io::ErrorKind::NotFound, io::ErrorKind::DirectoryNotEmpty];
                 match fs::remove_dir(folder) {
-                    Err(e)
-                        if !matches!(
-                            e.kind(),
-                            io::ErrorKind::NotFound | io::ErrorKind::DirectoryNotEmpty
-                        ) =>
-                    {
-                        return at(folder, "replace", Err(e));
-                    }
-                    _ => {}
+                    Err(e) if !harmless.contains(&e.kind()) => return at(folder, "replace", Err(e)),
+                    _ => None,
                 }
-                None
             }
             Standing::Ours(ours) => {
                 if let Some(name) = ours.extra.iter().find(|name| in_the_way(made, name)) {
@@ -358,13 +342,11 @@ pub fn put(made: &Path, folder: &Path, replace: bool) -> Result<(), PlaceError> 
                     other => at(folder, "replace", other)?,
                 }
                 // No other process knows this name, so the folder does not change any more.
-                match look_once(&aside, Look::Quick)? {
-                    Standing::Ours(ours) => Some((aside, ours)),
-                    _ => {
-                        at(folder, "put back", fs::rename(&aside, folder))?;
-                        continue;
-                    }
-                }
+                let Standing::Ours(ours) = look_once(&aside, Look::Quick)? else {
+                    at(folder, "put back", fs::rename(&aside, folder))?;
+                    continue;
+                };
+                Some((aside, ours))
             }
         };
         match (fs::rename(made, folder), old) {
@@ -398,11 +380,8 @@ fn in_the_way(made: &Path, name: &str) -> bool {
 /// Moves the user's files from an old result into the new one, and removes the old result's own files. A
 /// folder that is then not empty holds files that conflict there or were added since; it stays.
 fn retire(aside: &Path, ours: &Ours, folder: &Path) -> Result<(), PlaceError> {
-    for name in &ours.extra {
+    for name in ours.extra.iter().filter(|name| !in_the_way(folder, name)) {
         let to = folder.join(name);
-        if in_the_way(folder, name) {
-            continue;
-        }
         at(&to, "create the folder of", fs::create_dir_all(parent(&to)))?;
         at(&to, "keep", fs::rename(aside.join(name), &to))?;
     }

@@ -14,7 +14,8 @@ pub struct Builder {
     pub registry: Registry,
     /// The cache.
     pub cache: Cache,
-    pub(crate) numeric_class: String,
+    /// The class of arithmetic of this machine.
+    pub numeric_class: String,
     pub(crate) remote: Option<Arc<RemoteStore>>,
 }
 
@@ -30,12 +31,5 @@ impl Builder {
     #[must_use]
     pub fn with_remote(self, remote: Arc<RemoteStore>) -> Self {
         Self { remote: Some(remote), ..self }
-    }
-
-    /// The same builder as if on a machine with another class of arithmetic.
-    #[must_use]
-    pub fn with_numeric_class(mut self, class: &str) -> Self {
-        self.numeric_class = class.to_string();
-        self
     }
 }

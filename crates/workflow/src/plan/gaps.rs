@@ -86,7 +86,7 @@ impl Builder {
     /// Lists everything that the wanted nodes of a graph need and do not have. Computes nothing.
     pub fn gaps(&self, graph: &Graph, until: Option<&[String]>, only: Option<&[(String, String)]>) -> Gaps {
         let mut gaps = Gaps::default();
-        let checks = Checks::new(self.cache.contents());
+        let checks = Checks(&self.cache.contents);
         let wanted = graph.wanted_of(until, only);
         for (node, _) in graph.nodes.iter().zip(wanted).filter(|(_, wanted)| *wanted) {
             let Some(requires) = &self.registry.stages()[node.stage].requires else { continue };

@@ -57,24 +57,6 @@ impl Record {
     }
 }
 
-/// The records of a pipeline, for a reader that needs many of them.
-pub(crate) struct Records<'c> {
-    cache: &'c Cache,
-    pipeline: &'c str,
-    scenes: BTreeSet<String>,
-}
-
-impl Records<'_> {
-    /// Returns the record of a node.
-    pub(crate) fn of(&self, node: &Node) -> Record {
-        if self.scenes.contains(&safe(&node.scene)) {
-            self.cache.record(self.pipeline, node)
-        } else {
-            Record::default()
-        }
-    }
-}
-
 /// The folder of durations, with one file per machine.
 const TIMINGS: &str = "timings";
 
@@ -98,12 +80,15 @@ impl Cache {
         bytes.and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default()
     }
 
-    /// Returns the records of a pipeline's nodes. A scene without a folder has none.
-    pub(crate) fn records<'c>(&'c self, pipeline: &'c str) -> Records<'c> {
+    /// Returns a reader of the records of a pipeline's nodes. A scene without a folder has none.
+    pub(crate) fn records(&self, pipeline: &str) -> impl Fn(&Node) -> Record {
         let folder = self.root().join("history").join(safe(pipeline));
-        let list = std::fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok);
-        let scenes = list.filter_map(|entry| entry.file_name().into_string().ok()).collect();
-        Records { cache: self, pipeline, scenes }
+        let names = files::entries(&folder).filter_map(|entry| entry.file_name().into_string().ok());
+        let scenes: BTreeSet<String> = names.collect();
+        move |node| match scenes.contains(&safe(&node.scene)) {
+            true => self.record(pipeline, node),
+            false => Record::default(),
+        }
     }
 
     pub(crate) fn write_record(&self, pipeline: &str, node: &Node, record: &Record) -> Result<(), FileError> {
@@ -127,7 +112,7 @@ impl Cache {
             line.push(b'\n');
             // Appending is safe among the processes of one machine, but not between two machines on a network
             // file system. So every machine has a file of its own.
-            let path = self.root().join(TIMINGS).join(format!("{}.jsonl", self.node().machine()));
+            let path = self.root().join(TIMINGS).join(format!("{}.jsonl", self.node.machine()));
             let appended = self.files().append(&path, &line);
             if appended.is_err_and(|e| e.kind() == std::io::ErrorKind::NotFound)
                 && self.files().create_dir_all(&self.root().join(TIMINGS)).is_ok()
@@ -138,7 +123,7 @@ impl Cache {
     }
 
     pub(crate) fn timings(&self) -> Timings {
-        let list = std::fs::read_dir(self.root().join(TIMINGS)).into_iter().flatten().filter_map(Result::ok);
+        let list = files::entries(&self.root().join(TIMINGS));
         // The file of earlier versions comes first, because its lines are older.
         let mut paths: Vec<PathBuf> = list.map(|entry| entry.path()).collect();
         paths.sort();
@@ -169,11 +154,7 @@ fn safe(name: &str) -> String {
             || byte == b'-'
             || (byte == b'_' && name.len() > 1)
             || (byte == b'.' && i > 0);
-        if plain {
-            out.push(char::from(byte));
-        } else {
-            out.push_str(&format!("%{byte:02X}"));
-        }
+        out.push_str(&if plain { char::from(byte).to_string() } else { format!("%{byte:02X}") });
     }
     out
 }

@@ -18,7 +18,7 @@ use crate::share::killed::Killed;
 use crate::share::lease::Working;
 
 /// The planned state of a node.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase", tag = "state", content = "detail")]
 pub enum State {
     /// Its artifact is in the cache.
@@ -32,11 +32,12 @@ pub enum State {
     /// It cannot run because of another node.
     Blocked(String),
     /// It was not requested.
+    #[default]
     Unwanted,
 }
 
 /// A node of a plan.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct PlannedNode {
     /// The stage.
     pub stage: &'static str,
@@ -92,23 +93,27 @@ pub struct Plan {
 impl Plan {
     /// Number of nodes that would run or may have to, without those that share another's work.
     pub fn to_run(&self) -> usize {
-        self.own().filter(|n| matches!(n.state, State::Run(_) | State::Waiting(_))).count()
+        self.count(|state| matches!(state, State::Run(_) | State::Waiting(_)))
     }
 
     /// Number of cached nodes, without those that share another's work.
     pub fn cached(&self) -> usize {
-        self.own().filter(|n| n.state == State::Cached).count()
+        self.count(|state| *state == State::Cached)
     }
 
     /// Number of nodes that cannot run because an input that the pipeline names is missing or unreadable,
     /// without those that share another's work.
     pub fn unavailable(&self) -> usize {
-        self.own().filter(|n| matches!(n.state, State::Unavailable(_))).count()
+        self.count(|state| matches!(state, State::Unavailable(_)))
     }
 
     /// Number of nodes that cannot run because of other nodes, without those that share another's work.
     pub fn blocked(&self) -> usize {
-        self.own().filter(|n| matches!(n.state, State::Blocked(_))).count()
+        self.count(|state| matches!(state, State::Blocked(_)))
+    }
+
+    fn count(&self, which: impl Fn(&State) -> bool) -> usize {
+        self.own().filter(|node| which(&node.state)).count()
     }
 
     /// The sum of the forecasts, and the number of nodes to run without a forecast.
@@ -129,31 +134,21 @@ impl Builder {
     /// Plans the nodes of `graph` up to the named stages, or all nodes.
     pub fn plan(&self, graph: &Graph, until: Option<&[String]>) -> Plan {
         let start = std::time::Instant::now();
-        self.cache.contents().look_again();
+        self.cache.contents.look_again();
         let wanted = graph.wanted(until);
         let timings = self.cache.timings();
         let mut outcomes = vec![Outcome::Open; graph.nodes.len()];
         let records = self.cache.records(&graph.name);
         let mut nodes: Vec<PlannedNode> = Vec::with_capacity(graph.nodes.len());
         for (i, node) in graph.nodes.iter().enumerate() {
-            let record = records.of(node);
+            let record = records(node);
             let mut planned = PlannedNode {
                 stage: node.stage_name,
                 scene: node.scene.clone(),
                 variant: node.variant.clone(),
-                state: State::Unwanted,
-                key: None,
-                artifact: None,
-                checkpoints: None,
-                changes: Vec::new(),
-                forecast: None,
-                memory: None,
-                shared_with: None,
-                failed: None,
                 had: record.last.is_some(),
-                killed: None,
-                working: None,
                 needs: graph.needs(i),
+                ..PlannedNode::default()
             };
             if !wanted[i] {
                 outcomes[i] = Outcome::Unavailable(String::new());
@@ -161,17 +156,23 @@ impl Builder {
                 continue;
             }
             if let Some(first) = node.same_as {
-                let twin = &nodes[first];
-                planned.state = twin.state.clone();
-                planned.key = twin.key;
-                planned.artifact = twin.artifact.clone();
-                planned.checkpoints = twin.checkpoints;
-                planned.failed = twin.failed.clone();
-                planned.working = twin.working.clone();
-                planned.killed = twin.killed.clone();
-                planned.shared_with = Some(graph.nodes[first].label());
+                let PlannedNode { scene, variant, had, needs, .. } = planned;
+                let shared_with = Some(graph.nodes[first].label());
+                let (changes, forecast, memory) = (Vec::new(), None, None);
+                let twin = nodes[first].clone();
+                let twin = PlannedNode {
+                    scene,
+                    variant,
+                    had,
+                    needs,
+                    shared_with,
+                    changes,
+                    forecast,
+                    memory,
+                    ..twin
+                };
                 outcomes[i] = outcomes[first].clone();
-                nodes.push(planned);
+                nodes.push(twin);
                 continue;
             }
             outcomes[i] = self.plan_node(graph, i, &outcomes, &record, &mut planned);
@@ -183,7 +184,7 @@ impl Builder {
             }
             nodes.push(planned);
         }
-        if let Err(error) = self.cache.contents().save() {
+        if let Err(error) = self.cache.contents.save() {
             tracing::debug!("{error}");
         }
         Plan { pipeline: graph.name.clone(), nodes, seconds: start.elapsed().as_secs_f64() }
@@ -198,8 +199,7 @@ impl Builder {
         planned: &mut PlannedNode,
     ) -> Outcome {
         let label = || graph.nodes[i].label();
-        let resolved = resolve::resolve(&self.registry, &self.cache, &self.numeric_class, graph, i, outcomes);
-        let resolved = match resolved {
+        let resolved = match self.resolve(graph, i, outcomes) {
             Ok(resolved) => resolved,
             Err(Unresolved::Waiting(parents)) => {
                 planned.failed = record.failed(None).map(|f| f.reason.clone());
@@ -236,10 +236,9 @@ impl Builder {
             planned.killed = self.cache.killed_at(&resolved.key).map(Box::new);
         }
         planned.failed = record.failed(Some(resolved.key)).map(|f| f.reason.clone());
-        planned.changes = match &record.last {
-            Some(last) if last.key != resolved.key => last.ingredients.differences(&resolved.ingredients),
-            _ => Vec::new(),
-        };
+        if let Some(last) = record.last.as_ref().filter(|last| last.key != resolved.key) {
+            planned.changes = last.ingredients.differences(&resolved.ingredients);
+        }
         let killed = planned.killed.as_ref().map(ToString::to_string);
         planned.state =
             State::Run(reason.or(killed).unwrap_or_else(|| match (&record.last, &planned.failed) {

@@ -3,14 +3,14 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use crate::cache::artifacts::{Artifact, Cache};
+use crate::cache::artifacts::Artifact;
 use crate::cache::canonical;
 use crate::cache::content::Content;
 use crate::cache::key::{Ingredients, InputDigest, Key};
+use crate::plan::builder::Builder;
 use crate::plan::graph::{From, Graph, InputCell, Node, NodeInput};
 use crate::stage::definition::{Scope, Stage};
 use crate::stage::inputs::StageInput;
-use crate::stage::registry::Registry;
 use use3d_code::digest::{Digest, Encoder};
 
 /// State of a node's artifact while a batch is planned or run.
@@ -53,90 +53,115 @@ pub(crate) enum Unresolved {
     Input(String),
 }
 
-pub(crate) fn resolve(
-    registry: &Registry,
-    cache: &Cache,
-    numeric_class: &str,
-    graph: &Graph,
-    node: usize,
-    outcomes: &[Outcome],
-) -> Result<Resolved, Unresolved> {
-    let node = &graph.nodes[node];
-    let stage = &registry.stages()[node.stage];
-    let gathers = stage.scope == Scope::Batch;
-    let mut waiting = Vec::new();
-    let mut missing = Vec::new();
-    let mut list: Vec<(InputDigest, StageInput)> = Vec::new();
-    let mut artifacts = Vec::new();
-    let mut externals = Vec::new();
-    let mut bytes = 0;
-    for input in &node.inputs {
-        let (digest, path) = match &input.from {
-            From::Node(parent) => match &outcomes[*parent] {
-                Outcome::Open => {
-                    // One node may be several inputs: stage 1, for example, is both the scene and the
-                    // geometry for comparison.
-                    if !waiting.contains(parent) {
-                        waiting.push(*parent);
+impl Builder {
+    /// The key of a node, if all of its inputs exist.
+    pub(crate) fn resolve(
+        &self,
+        graph: &Graph,
+        node: usize,
+        outcomes: &[Outcome],
+    ) -> Result<Resolved, Unresolved> {
+        let node = &graph.nodes[node];
+        let stage = &self.registry.stages()[node.stage];
+        let gathers = stage.scope == Scope::Batch;
+        let mut waiting = Vec::new();
+        let mut missing = Vec::new();
+        let (mut inputs, mut digests) = (Vec::<StageInput>::new(), Vec::new());
+        let mut artifacts = Vec::new();
+        let mut externals = Vec::new();
+        let mut bytes = 0;
+        for input in &node.inputs {
+            let (digest, path) = match &input.from {
+                From::Node(parent) => match &outcomes[*parent] {
+                    Outcome::Open => {
+                        // One node may be several inputs: stage 1, for example, is both the scene and the
+                        // geometry for comparison.
+                        if !waiting.contains(parent) {
+                            waiting.push(*parent);
+                        }
+                        continue;
                     }
-                    continue;
+                    Outcome::Unavailable(_) if gathers => {
+                        missing.push(graph.nodes[*parent].label());
+                        continue;
+                    }
+                    Outcome::Unavailable(whose) => return Err(Unresolved::Blocked(whose.clone())),
+                    Outcome::Ready(artifact) => {
+                        bytes += artifact.manifest.bytes();
+                        artifacts.push((*parent, artifact.clone()));
+                        (artifact.manifest.content, artifact.path.clone())
+                    }
+                },
+                // An optional input need not be named; a named input must exist.
+                From::External(Err(reason)) => return Err(input_error(input, reason)),
+                From::External(Ok(path)) => {
+                    let found = self.external(node, input, path);
+                    let (select, content) = found.map_err(|reason| input_error(input, &reason))?;
+                    bytes += content.bytes;
+                    externals.push((path.clone(), select, content.digest));
+                    (content.digest, path.clone())
                 }
-                Outcome::Unavailable(_) if gathers => {
-                    missing.push(graph.nodes[*parent].label());
-                    continue;
-                }
-                Outcome::Unavailable(whose) => return Err(Unresolved::Blocked(whose.clone())),
-                Outcome::Ready(artifact) => {
-                    bytes += artifact.manifest.bytes();
-                    artifacts.push((*parent, artifact.clone()));
-                    (artifact.manifest.content, artifact.path.clone())
-                }
-            },
-            // An optional input need not be named; a named input must exist.
-            From::External(Err(reason)) => return Err(Unresolved::Input(input_error(input, reason))),
-            From::External(Ok(path)) => {
-                let found = external(registry, node, input, path, cache);
-                let (select, content) =
-                    found.map_err(|reason| Unresolved::Input(input_error(input, &reason)))?;
-                bytes += content.bytes;
-                externals.push((path.clone(), select, content.digest));
-                (content.digest, path.clone())
+            };
+            let InputCell { scene, group, variant } = input.cell();
+            let role = input.role.to_string();
+            inputs.push(StageInput { role, path, scene, group, variant });
+            digests.push(digest);
+        }
+        if !waiting.is_empty() {
+            return Err(Unresolved::Waiting(waiting));
+        }
+        if gathers && inputs.is_empty() && !missing.is_empty() {
+            return Err(Unresolved::Blocked(format!("all of {}", missing.join(", "))));
+        }
+        let code = self.registry.code(node.stage);
+        let digested = |(input, digest): (&StageInput, Digest)| {
+            let StageInput { role, scene, group, variant, .. } = input.clone();
+            InputDigest { role, scene, group, variant, digest }
+        };
+        let mut digests: Vec<InputDigest> = inputs.iter().zip(digests).map(digested).collect();
+        digests.sort();
+        let ingredients = Ingredients {
+            stage: stage.name.to_string(),
+            version: stage.version,
+            code: code.ours.clone(),
+            third_party: code.third_party.clone(),
+            parameters: stage.key_parameters(&node.parameters),
+            seed: node.seed,
+            numeric_class: stage.numeric_class(&self.numeric_class, &node.parameters),
+            inputs: digests,
+            missing,
+        };
+        let checkpoints =
+            (!stage.length_like.is_empty()).then(|| ingredients.checkpoint_key(stage.length_like));
+        Ok(Resolved { key: ingredients.key(), checkpoints, ingredients, inputs, artifacts, externals, bytes })
+    }
+
+    /// The files of an external input that count, and their content.
+    fn external(&self, node: &Node, input: &NodeInput, path: &Path) -> Result<(Selected, Content), String> {
+        if !path.exists() {
+            return Err(format!("{} does not exist; correct the path or put the data there", path.display()));
+        }
+        let contents = &self.cache.contents;
+        let select = match &self.registry.stages()[node.stage].inputs[input.index].select {
+            None => None,
+            Some(choose) => {
+                let who = self.who_chooses(node, input);
+                Some(contents.choice(who, path, || choose(&node.parameters, path))?)
             }
         };
-        let InputCell { scene, group, variant } = input.cell();
-        let role = input.role.to_string();
-        let stage_input = StageInput {
-            role: role.clone(),
-            path,
-            scene: scene.clone(),
-            group: group.clone(),
-            variant: variant.clone(),
-        };
-        list.push((InputDigest { role, scene, group, variant, digest }, stage_input));
+        let content = contents.of(path, select.as_deref()).map_err(|e| e.to_string())?;
+        Ok((select, content))
     }
-    if !waiting.is_empty() {
-        return Err(Unresolved::Waiting(waiting));
+
+    /// A digest of the code that chooses files and of its parameters.
+    fn who_chooses(&self, node: &Node, input: &NodeInput) -> Digest {
+        let mut who = Encoder::new("use3d 2026 choice of files v1");
+        who.text(node.stage_name).text(input.role);
+        for (name, digest) in &self.registry.code(node.stage).ours {
+            who.text(name).bytes(digest.as_bytes());
+        }
+        canonical::encode(&node.parameters, &mut who).finish()
     }
-    if gathers && list.is_empty() && !missing.is_empty() {
-        return Err(Unresolved::Blocked(format!("all of {}", missing.join(", "))));
-    }
-    let code = registry.code(node.stage);
-    let mut digests: Vec<InputDigest> = list.iter().map(|(digest, _)| digest.clone()).collect();
-    digests.sort();
-    let ingredients = Ingredients {
-        stage: stage.name.to_string(),
-        version: stage.version,
-        code: code.ours.clone(),
-        third_party: code.third_party.clone(),
-        parameters: stage.key_parameters(&node.parameters),
-        seed: node.seed,
-        numeric_class: stage.numeric_class(numeric_class, &node.parameters),
-        inputs: digests,
-        missing,
-    };
-    let inputs = list.into_iter().map(|(_, input)| input).collect();
-    let checkpoints = (!stage.length_like.is_empty()).then(|| ingredients.checkpoint_key(stage.length_like));
-    Ok(Resolved { key: ingredients.key(), checkpoints, ingredients, inputs, artifacts, externals, bytes })
 }
 
 /// The inputs of a node that exist already, for forecasts.
@@ -155,43 +180,9 @@ pub(crate) fn there(graph: &Graph, node: usize, outcomes: &[Outcome]) -> Vec<Sta
     graph.nodes[node].inputs.iter().filter_map(given).collect()
 }
 
-fn external(
-    registry: &Registry,
-    node: &Node,
-    input: &NodeInput,
-    path: &Path,
-    cache: &Cache,
-) -> Result<(Selected, Content), String> {
-    if !path.exists() {
-        return Err(format!("{} does not exist; correct the path or put the data there", path.display()));
-    }
-    let select = match &registry.stages()[node.stage].inputs[input.index].select {
-        None => None,
-        Some(choose) => {
-            let who = who_chooses(registry, node, input);
-            Some(cache.contents().choice(who, path, || choose(&node.parameters, path))?)
-        }
-    };
-    let content = cache.contents().of(path, select.as_deref()).map_err(|e| e.to_string())?;
-    Ok((select, content))
-}
-
-/// A digest of the code that chooses files and of its parameters.
-fn who_chooses(registry: &Registry, node: &Node, input: &NodeInput) -> Digest {
-    let mut who = Encoder::new("use3d 2026 choice of files v1");
-    who.text(node.stage_name).text(input.role);
-    for (name, digest) in &registry.code(node.stage).ours {
-        who.text(name).bytes(digest.as_bytes());
-    }
-    canonical::encode(&node.parameters, &mut who);
-    who.finish()
-}
-
-fn input_error(input: &NodeInput, reason: &str) -> String {
-    if input.named.is_empty() {
-        return format!("input `{}`: {reason}", input.role);
-    }
-    format!("input `{}`, named by {}: {reason}", input.role, input.named)
+fn input_error(input: &NodeInput, reason: &str) -> Unresolved {
+    let by = if input.named.is_empty() { String::new() } else { format!(", named by {}", input.named) };
+    Unresolved::Input(format!("input `{}`{by}: {reason}", input.role))
 }
 
 /// The product of the parameters that set the length of a stage's work.

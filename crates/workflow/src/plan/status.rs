@@ -4,13 +4,14 @@ use std::collections::{BTreeMap, HashMap};
 
 use serde::Serialize;
 
+use crate::cache::artifacts::Lookup;
 use crate::cache::key::{Difference, Key};
 use crate::error::BuildError;
 use crate::plan::builder::Builder;
 use crate::plan::graph::Graph;
+use crate::plan::history::Made;
 use crate::plan::planning::{Plan, PlannedNode, State};
-use crate::plan::resolve::Unresolved;
-use crate::plan::resolve::{self, Outcome};
+use crate::plan::resolve::{Outcome, Unresolved};
 use crate::share::lease::Working;
 
 /// The state of a node.
@@ -171,31 +172,24 @@ impl Builder {
     /// Compares a node's ingredients with those of its most recent earlier record, field by field.
     pub fn why(&self, graph: &Graph, scene: &str, variant: &str, stage: &str) -> Result<Why, BuildError> {
         self.registry.index(stage)?;
-        let node = match graph.find(scene, variant, stage) {
-            Some(node) => node,
-            None => {
-                let scenes = graph.nodes.iter().map(|n| n.scene.as_str()).filter(|s| !s.is_empty());
-                let mut known: Vec<&str> = scenes.collect();
-                known.dedup();
-                if known.contains(&scene) {
-                    let stages = graph.nodes.iter().filter(|n| n.scene == scene).map(|n| n.stage_name);
-                    return Err(BuildError::unknown("stage of this scene", stage, stages));
-                }
-                return Err(BuildError::unknown("scene", scene, known));
+        let Some(node) = graph.find(scene, variant, stage) else {
+            let scenes = graph.nodes.iter().map(|n| n.scene.as_str()).filter(|s| !s.is_empty());
+            let mut known: Vec<&str> = scenes.collect();
+            known.dedup();
+            if known.contains(&scene) {
+                let stages = graph.nodes.iter().filter(|n| n.scene == scene).map(|n| n.stage_name);
+                return Err(BuildError::unknown("stage of this scene", stage, stages));
             }
+            return Err(BuildError::unknown("scene", scene, known));
         };
         let plan = self.plan(graph, None);
         let planned = &plan.nodes[node];
         let record = self.cache.record(&graph.name, &graph.nodes[node]);
         let Cell { standing, reason, mut changes, .. } = cell(planned);
         let outcomes = self.outcomes(&plan);
-        let now = resolve::resolve(&self.registry, &self.cache, &self.numeric_class, graph, node, &outcomes);
-        let mut earlier = record.last.clone();
-        if let (Ok(now), Some(last)) = (&now, &record.last)
-            && last.key == now.key
-        {
-            earlier = record.before.clone();
-        }
+        let now = self.resolve(graph, node, &outcomes);
+        let is_now = |last: &Made| now.as_ref().is_ok_and(|now| last.key == now.key);
+        let earlier = if record.last.as_ref().is_some_and(is_now) { record.before } else { record.last };
         if let (Ok(now), Some(earlier)) = (&now, &earlier) {
             changes = earlier.ingredients.differences(&now.ingredients);
         }
@@ -230,7 +224,7 @@ impl Builder {
     pub(crate) fn outcomes(&self, plan: &Plan) -> Vec<Outcome> {
         let of = |node: &PlannedNode| match (&node.state, node.key) {
             (State::Cached, Some(key)) => match self.cache.lookup(node.stage, &key) {
-                Ok(crate::cache::artifacts::Lookup::Whole(artifact)) => Outcome::Ready(artifact),
+                Ok(Lookup::Whole(artifact)) => Outcome::Ready(artifact),
                 _ => Outcome::Open,
             },
             (State::Blocked(by) | State::Unavailable(by), _) => Outcome::Unavailable(by.clone()),

@@ -13,7 +13,7 @@ use crate::cache::place::{self, PlaceError};
 use crate::error::{BuildError, StageError};
 use crate::plan::builder::Builder;
 use crate::plan::graph::Graph;
-use crate::plan::resolve::{self, Outcome};
+use crate::plan::resolve::Outcome;
 use crate::run::job::in_pool;
 use crate::run::runner::RunOptions;
 use crate::stage::context::{Log, StageContext};
@@ -50,15 +50,9 @@ impl Stage {
         let sibling = place::sibling(alone.output);
         let created = std::fs::create_dir_all(&sibling);
         created.map_err(|source| PlaceError::Io { path: alone.output.into(), doing: "write", source })?;
-        let inputs = alone.inputs.into_iter().map(|(role, path)| StageInput {
-            role,
-            path,
-            scene: String::new(),
-            group: String::new(),
-            variant: String::new(),
-        });
+        let input = |(role, path)| StageInput { role, path, ..StageInput::default() };
         let context = StageContext {
-            inputs: inputs.collect(),
+            inputs: alone.inputs.into_iter().map(input).collect(),
             missing: Vec::new(),
             output: sibling.clone(),
             checkpoints: alone.checkpoints,
@@ -99,14 +93,12 @@ impl Builder {
         options: &RunOptions,
         listener: &Arc<dyn Listener>,
     ) -> Result<Result<Vec<FileRecord>, StageError>, BuildError> {
-        let resolved =
-            resolve::resolve(&self.registry, &self.cache, &self.numeric_class, graph, node, outcomes);
-        let Ok(resolved) = resolved else {
+        let Ok(resolved) = self.resolve(graph, node, outcomes) else {
             return Ok(Err(StageError::message("its inputs are missing")));
         };
         let stage = &self.registry.stages()[graph.nodes[node].stage];
         let output = scratch.join("artifact");
-        let checkpoints = if stage.length_like.is_empty() { None } else { Some(scratch.join("checkpoints")) };
+        let checkpoints = resolved.checkpoints.map(|_| scratch.join("checkpoints"));
         if let Some(path) = &checkpoints {
             files::at(path, "create", std::fs::create_dir_all(path))?;
         }
@@ -128,7 +120,6 @@ impl Builder {
             reached: Arc::default(),
         };
         let ran = in_pool(context.threads, || (stage.run)(&context, &graph.nodes[node].parameters));
-        let sealed = ran.and_then(|()| self.cache.seal(&output).map_err(StageError::failed));
-        Ok(sealed)
+        Ok(ran.and_then(|()| Ok(self.cache.seal(&output)?)))
     }
 }

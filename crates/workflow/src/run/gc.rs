@@ -102,10 +102,9 @@ impl Cache {
             } else if options.older_than.is_some_and(|limit| age > limit) {
                 format!("not used for {}", machine::seconds(age.as_secs_f64()))
             } else if options.max_bytes.is_some_and(|limit| total > limit) {
+                let seconds = machine::seconds(item.cost * item.bytes as f64);
                 match item.kind {
-                    "artifact" => {
-                        format!("takes {} to compute again", machine::seconds(item.cost * item.bytes as f64))
-                    }
+                    "artifact" => format!("takes {seconds} to compute again"),
                     _ => "only saves time".to_string(),
                 }
             } else {
@@ -130,8 +129,8 @@ impl Cache {
         }
         if !options.dry_run {
             self.sweep();
-            self.contents().forget_missing();
-            if let Err(error) = self.contents().save() {
+            self.contents.forget_missing();
+            if let Err(error) = self.contents.save() {
                 cleaning.failed.push(("stat table".to_string(), error.to_string()));
             }
         }
@@ -148,9 +147,9 @@ impl Cache {
             let manifest =
                 std::fs::read(path.join(MANIFEST)).ok().and_then(|b| Manifest::parse(&b, key).ok());
             let (bytes, used) = measure(&path);
+            let rank = if current.contains(&key) { 3 } else { 2 };
             let (rank, cost, name) = match &manifest {
                 Some(m) => {
-                    let rank = if current.contains(&key) { 3 } else { 2 };
                     (rank, m.full_seconds() / bytes.max(1) as f64, format!("{stage} of {}", m.made_for))
                 }
                 None => (0, 0.0, format!("{stage} {} (no whole manifest)", key.short())),
@@ -172,13 +171,13 @@ impl Cache {
             let (name, key) = (last(&path), path.file_stem().and_then(|stem| stem.to_str()?.parse().ok()));
             add("note of a killed process", 1, path, name, key);
         }
-        for folder in below(&self.root().join("delivered")) {
-            let name = last(&folder);
-            add("notes of delivered results", 1, folder, name, None);
-        }
-        for path in below(&self.root().join("damaged")) {
-            let name = last(&path);
-            add("damaged", 0, path, name, None);
+        for (folder, kind, rank) in
+            [("delivered", "notes of delivered results", 1), ("damaged", "damaged", 0)]
+        {
+            for path in below(&self.root().join(folder)) {
+                let name = last(&path);
+                add(kind, rank, path, name, None);
+            }
         }
         items
     }
@@ -187,17 +186,14 @@ impl Cache {
     fn discard(&self, path: &Path) -> Result<(), crate::error::FileError> {
         let scratch = self.scratch()?;
         let gone = scratch.join("gone");
-        if let Err(error) = files::at(path, "remove", files::rename(self.files(), path, &gone)) {
-            let _ = self.files().remove_dir_all(&scratch);
-            return Err(error);
-        }
-        files::at(&scratch, "remove", self.files().remove_dir_all(&scratch))
+        let renamed = files::at(path, "remove", files::rename(self.files(), path, &gone));
+        let removed = files::at(&scratch, "remove", self.files().remove_dir_all(&scratch));
+        renamed.and(removed)
     }
 }
 
 fn below(folder: &Path) -> Vec<PathBuf> {
-    let entries = std::fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok);
-    let mut paths: Vec<PathBuf> = entries.map(|e| e.path()).collect();
+    let mut paths: Vec<PathBuf> = files::entries(folder).map(|entry| entry.path()).collect();
     paths.sort();
     paths
 }

@@ -10,9 +10,9 @@ use std::time::{Duration, Instant};
 use crate::cache::artifacts::{Artifact, Lookup, Published};
 use crate::cache::files;
 use crate::cache::key::Key;
-use crate::cache::machine;
 use crate::cache::manifest::{self, Circumstances, MANIFEST, MadeFor};
 use crate::cache::node::Clock;
+use crate::cache::{machine, memory};
 use crate::error::{FileError, StageError};
 use crate::plan::builder::Builder;
 use crate::plan::graph::Node;
@@ -43,6 +43,7 @@ pub(crate) struct Job<'a> {
     pub(crate) pipeline: &'a str,
     pub(crate) id: usize,
     pub(crate) node: &'a Node,
+    pub(crate) label: String,
     pub(crate) resolved: Box<Resolved>,
     pub(crate) threads: usize,
     pub(crate) stop: Arc<AtomicBool>,
@@ -51,8 +52,7 @@ pub(crate) struct Job<'a> {
 
 impl Job<'_> {
     pub(crate) fn execute(self) -> Ended {
-        let label = self.node.label();
-        if let Some(parent) = self.damaged_input(&label) {
+        if let Some(parent) = self.damaged_input() {
             return Ended::DamagedInput(parent);
         }
         let lease = match self.turn() {
@@ -62,7 +62,7 @@ impl Job<'_> {
             Ok(Turn::Held(holder)) => return Ended::Held(holder, self.resolved),
             Err(error) => return Ended::Failed(error.to_string()),
         };
-        let damaged_there = match self.fetch(&label, lease.as_deref()) {
+        let damaged_there = match self.fetch(lease.as_deref()) {
             Brought::Artifact(artifact) => {
                 if let Some(lease) = lease {
                     lease.finish();
@@ -73,51 +73,44 @@ impl Job<'_> {
             Brought::Nothing { damaged } => damaged,
         };
         let start = Instant::now();
-        match self.compute(&label, lease.as_deref()) {
+        match self.compute(lease.as_deref()) {
             Ok(artifact) => {
                 if let Some(lease) = lease {
                     lease.finish();
                 }
                 let seconds = start.elapsed().as_secs_f64();
-                self.send(&label, &artifact, damaged_there);
+                self.send(&artifact, damaged_there);
                 Ended::Ready { artifact: Arc::new(artifact), computed: true, seconds }
             }
             Err(StageError::Cancelled) => Ended::Cancelled,
             // An error is no failure of the stage if one of its inputs was removed or damaged meanwhile.
-            Err(error) => {
-                match self.damaged_input(&label).or_else(|| self.unreadable_input(&label, &error)) {
-                    Some(parent) => Ended::DamagedInput(parent),
-                    None => Ended::Failed(error.to_string()),
-                }
-            }
+            Err(error) => match self.damaged_input().or_else(|| self.unreadable_input(&error)) {
+                Some(parent) => Ended::DamagedInput(parent),
+                None => Ended::Failed(error.to_string()),
+            },
         }
     }
 
     /// Finds a damaged or missing input, reports it, moves it aside, and returns the node that makes it.
-    fn damaged_input(&self, label: &str) -> Option<usize> {
+    fn damaged_input(&self) -> Option<usize> {
         let cache = &self.builder.cache;
         for (parent, artifact) in &self.resolved.artifacts {
             if cache.verify(artifact, false).is_ok() {
                 continue;
             }
             // An artifact from another machine may be incomplete for a moment on a network file system.
-            [Some(artifact.path.as_path()), artifact.path.parent()]
-                .into_iter()
-                .flatten()
-                .for_each(|folder| cache.files().look_again(folder));
+            artifact.path.ancestors().take(2).for_each(|folder| cache.files().look_again(folder));
             let Err(reason) = cache.verify(artifact, true) else { continue };
             let stage = &artifact.manifest.ingredients.stage;
             let text = if std::fs::symlink_metadata(&artifact.path).is_err() {
-                format!(
-                    "its input {stage} was removed from the cache ({}); computing it again",
-                    artifact.path.display()
-                )
+                let path = artifact.path.display();
+                format!("its input {stage} was removed from the cache ({path}); computing it again")
             } else {
                 let aside = cache.set_aside(stage, &artifact.manifest.key);
                 let place = aside.map_or_else(|e| e.to_string(), |p| format!("moved to {}", p.display()));
                 format!("its input {stage} is damaged: {reason}; {place}, computing it again")
             };
-            self.listener.event(&Event::Warning { label, text: &text });
+            self.warn(&text);
             return Some(*parent);
         }
         None
@@ -128,7 +121,7 @@ impl Job<'_> {
     ///
     /// An artifact from a store has the bytes of its manifest, and may still be unusable. It is then computed
     /// here. An input that was computed here is not suspected: the stage has failed.
-    fn unreadable_input(&self, label: &str, error: &StageError) -> Option<usize> {
+    fn unreadable_input(&self, error: &StageError) -> Option<usize> {
         if !error.is_bad_input() {
             return None;
         }
@@ -140,9 +133,9 @@ impl Job<'_> {
             self.builder.remote.iter().for_each(|store| store.distrust(key));
             let aside = cache.set_aside(stage, key);
             let place = aside.map_or_else(|e| e.to_string(), |p| format!("moved to {}", p.display()));
-            let text =
-                format!("its input {stage} from the store cannot be used: {error}; {place}, computing it");
-            self.listener.event(&Event::Warning { label, text: &text });
+            self.warn(&format!(
+                "its input {stage} from the store cannot be used: {error}; {place}, computing it"
+            ));
             suspect = Some(*parent);
         }
         suspect
@@ -174,8 +167,7 @@ impl Job<'_> {
                 if let Some(killed) = cache.killed(key) {
                     let resumes = self.resolved.checkpoints.is_some();
                     let next = if resumes { ", from its last checkpoint if it has one" } else { "" };
-                    let text = format!("{killed}; computing it again{next}");
-                    self.listener.event(&Event::Note { label: &self.node.label(), text: &text });
+                    self.note(&format!("{killed}; computing it again{next}"));
                 }
                 Turn::Ours(lease)
             }
@@ -184,31 +176,30 @@ impl Job<'_> {
     }
 
     /// Fetches the artifact from the store, if there is one. If that fails, the artifact is computed.
-    fn fetch(&self, label: &str, lease: Option<&Lease>) -> Brought {
+    fn fetch(&self, lease: Option<&Lease>) -> Brought {
         let nothing = Brought::Nothing { damaged: false };
         let Some(store) = self.builder.remote.as_ref().filter(|s| s.is_worth_asking()) else {
             return nothing;
         };
         let (cache, key) = (&self.builder.cache, &self.resolved.key);
         let fetch = || store.fetch(cache, self.node.stage_name, key, &self.stop);
-        match watched(lease, &cache.node().clock, &Progress::default(), fetch).0 {
+        match watched(lease, &cache.node.clock, &Progress::default(), fetch).0 {
             Ok(Fetched::Missing) => {
                 store.worked();
                 nothing
             }
             Ok(Fetched::Now(artifact)) => {
                 store.worked();
-                let text = format!("fetched, {}", machine::bytes(artifact.manifest.bytes()));
-                self.listener.event(&Event::Note { label, text: &text });
+                self.note(&format!("fetched, {}", machine::bytes(artifact.manifest.bytes())));
                 Brought::Artifact(artifact)
             }
             Ok(Fetched::Differs(artifact, file)) => {
-                self.alarm(label, &format!("the store has other bytes of {file}"));
+                self.alarm(&format!("the store has other bytes of {file}"));
                 Brought::Artifact(artifact)
             }
             Err(RemoteError::Stopped) => Brought::Cancelled,
             Err(error) => {
-                self.without_store(label, store, &format!("cannot be fetched: {error}; computing it"));
+                self.without_store(store, &format!("cannot be fetched: {error}; computing it"));
                 Brought::Nothing { damaged: matches!(error, RemoteError::Wrong { .. }) }
             }
         }
@@ -216,38 +207,41 @@ impl Job<'_> {
 
     /// Sends the computed artifact to the store, if there is one. `check` is true if the store's copy was
     /// damaged.
-    fn send(&self, label: &str, artifact: &Artifact, check: bool) {
-        let store = self.builder.remote.as_ref().filter(|s| s.is_worth_asking() && s.takes());
+    fn send(&self, artifact: &Artifact, check: bool) {
+        let store = self.builder.remote.as_ref().filter(|s| s.is_worth_asking() && !s.read_only);
         let Some(store) = store else { return };
-        match store.send(&self.builder.cache, artifact, check, &self.stop) {
+        match store.send(&self.builder.cache, artifact, None, check, &self.stop) {
             Ok(Sent::Now | Sent::Already) => store.worked(),
-            Ok(Sent::Differs(file)) => self.alarm(label, &format!("the store has other bytes of {file}")),
+            Ok(Sent::Differs(file)) => self.alarm(&format!("the store has other bytes of {file}")),
             // `use3d push` sends it later.
             Err(RemoteError::Stopped) => {}
             Err(error) => {
-                self.without_store(
-                    label,
-                    store,
-                    &format!("cannot be sent: {error}; `use3d push` sends it later"),
-                );
+                self.without_store(store, &format!("cannot be sent: {error}; `use3d push` sends it later"));
             }
         }
     }
 
-    fn without_store(&self, label: &str, store: &RemoteStore, text: &str) {
-        self.listener.event(&Event::Warning { label, text });
+    fn warn(&self, text: &str) {
+        self.listener.event(&Event::Warning { label: &self.label, text });
+    }
+
+    fn note(&self, text: &str) {
+        self.listener.event(&Event::Note { label: &self.label, text });
+    }
+
+    fn without_store(&self, store: &RemoteStore, text: &str) {
+        self.warn(text);
         if store.failed() {
-            let text = format!("{} failed repeatedly: continuing without it", store.place());
-            self.listener.event(&Event::Warning { label, text: &text });
+            self.warn(&format!("{} failed repeatedly: continuing without it", store.place()));
         }
     }
 
-    fn compute(&self, label: &str, lease: Option<&Lease>) -> Result<Artifact, StageError> {
+    fn compute(&self, lease: Option<&Lease>) -> Result<Artifact, StageError> {
         let cache = &self.builder.cache;
         let stage = &self.builder.registry.stages()[self.node.stage];
         let log_path = cache.log_path(self.pipeline, self.node);
         let log = open_log(&log_path)?;
-        log.line(&format!("{label}, key {}, {} threads", self.resolved.key, self.threads));
+        log.line(&format!("{}, key {}, {} threads", self.label, self.resolved.key, self.threads));
         let scratch = Scratch { path: cache.scratch()?, cache };
         let output = scratch.path.join("artifact");
         files::at(&output, "create", cache.files().create_dir_all(&output))?;
@@ -264,21 +258,17 @@ impl Job<'_> {
             threads: self.threads,
             stop: self.stop.clone(),
             node: self.id,
-            label: label.to_string(),
+            label: self.label.clone(),
             listener: self.listener.clone(),
             log: log.clone(),
             resumed: AtomicU64::new(0),
             notes: Some(Mutex::default()),
             reached: Arc::default(),
         };
-        self.listener.event(&Event::Started {
-            node: self.id,
-            label,
-            key: self.resolved.key,
-            threads: self.threads,
-        });
+        let (node, label, key, threads) = (self.id, self.label.as_str(), self.resolved.key, self.threads);
+        self.listener.event(&Event::Started { node, label, key, threads });
         let start = Instant::now();
-        let (ran, peak_memory) = watched(lease, &cache.node().clock, &context.reached, || {
+        let (ran, peak_memory) = watched(lease, &cache.node.clock, &context.reached, || {
             in_pool(self.threads, || (stage.run)(&context, &self.node.parameters))
         });
         let seconds = start.elapsed().as_secs_f64();
@@ -287,9 +277,8 @@ impl Job<'_> {
             return Err(error);
         }
         if output.join(MANIFEST).exists() {
-            return Err(StageError::message(format!(
-                "the stage wrote `{MANIFEST}`, which is a reserved name"
-            )));
+            let wrong = format!("the stage wrote `{MANIFEST}`, which is a reserved name");
+            return Err(StageError::message(wrong));
         }
         let listed = files::list(&output)?;
         if listed.is_empty() {
@@ -301,11 +290,9 @@ impl Job<'_> {
             )));
         }
         for (path, select, before) in &self.resolved.externals {
-            if cache.contents().of_now(path, select.as_deref())?.digest != *before {
-                let path = path.display();
-                return Err(StageError::message(format!(
-                    "{path} changed while it was being read; run again"
-                )));
+            if cache.contents.of_now(path, select.as_deref())?.digest != *before {
+                let wrong = format!("{} changed while it was being read; run again", path.display());
+                return Err(StageError::message(wrong));
             }
         }
         let resumed = context.resumed.load(Ordering::Relaxed) as f64 / 1e6;
@@ -320,7 +307,7 @@ impl Job<'_> {
         let artifact = match published {
             Published::Now(artifact) | Published::Already(artifact) => artifact,
             Published::Differs(artifact, file) => {
-                self.alarm(label, &format!("another process computed other bytes of {file}"));
+                self.alarm(&format!("another process computed other bytes of {file}"));
                 artifact
             }
         };
@@ -340,13 +327,12 @@ impl Job<'_> {
     }
 
     /// Reports that the same key has other bytes.
-    fn alarm(&self, label: &str, what: &str) {
-        let text = format!(
-            "determinism alarm: {what} for the same key {}; the first artifact is kept. A result must \
-             depend only on the ingredients of its key",
-            self.resolved.key.short()
-        );
-        self.listener.event(&Event::Warning { label, text: &text });
+    fn alarm(&self, what: &str) {
+        let key = self.resolved.key.short();
+        self.warn(&format!(
+            "determinism alarm: {what} for the same key {key}; the first artifact is kept. A result must \
+             depend only on the ingredients of its key"
+        ));
     }
 }
 
@@ -406,7 +392,7 @@ fn watched<T>(
     work: impl FnOnce() -> T,
 ) -> (T, u64) {
     const SAMPLE: Duration = Duration::from_millis(200);
-    let peak = AtomicU64::new(machine::resident_memory().unwrap_or(0));
+    let peak = AtomicU64::new(memory::resident().unwrap_or(0));
     let (finished, wait) = mpsc::channel::<()>();
     let result = std::thread::scope(|scope| {
         let peak = &peak;
@@ -414,7 +400,7 @@ fn watched<T>(
             lease.iter().for_each(|l| l.renew(reached));
             let mut renewed = clock.now();
             while let Err(mpsc::RecvTimeoutError::Timeout) = wait.recv_timeout(SAMPLE) {
-                let held = machine::resident_memory().unwrap_or(0);
+                let held = memory::resident().unwrap_or(0);
                 peak.fetch_max(held, Ordering::Relaxed);
                 reached.note_memory(held);
                 if clock.now() - renewed > HEARTBEAT {
@@ -427,6 +413,6 @@ fn watched<T>(
         drop(finished);
         result
     });
-    peak.fetch_max(machine::resident_memory().unwrap_or(0), Ordering::Relaxed);
+    peak.fetch_max(memory::resident().unwrap_or(0), Ordering::Relaxed);
     (result, peak.into_inner())
 }

@@ -31,7 +31,7 @@ use crate::error::FileError;
 use crate::plan::builder::Builder;
 use crate::plan::graph::Graph;
 use crate::plan::history::Timings;
-use crate::plan::resolve::{self, Outcome, Resolved, Unresolved};
+use crate::plan::resolve::{Outcome, Resolved, Unresolved};
 use crate::run::job::{Ended, Job};
 use crate::run::summary::{Became, RanNode, Summary};
 use crate::share::lease::RunLease;
@@ -93,7 +93,7 @@ impl Builder {
     /// Runs `graph`. Failures of stages are in the summary.
     pub fn run(&self, graph: &Graph, options: &RunOptions, listener: &Arc<dyn Listener>) -> Summary {
         let start = Instant::now();
-        self.cache.contents().look_again();
+        self.cache.contents.look_again();
         let swept = self.cache.sweep();
         if swept > 0 {
             let text = format!("removed {swept} unfinished result(s) of earlier runs that were cut off");
@@ -102,7 +102,7 @@ impl Builder {
         let mut runner = Runner::new(self, graph, options, listener);
         thread::scope(|scope| runner.drive(scope));
         let (nodes, lease, left) = (runner.nodes, runner.lease, runner.left);
-        if let Err(error) = self.cache.contents().save() {
+        if let Err(error) = self.cache.contents.save() {
             listener.event(&Event::Warning { label: &graph.name, text: &error.to_string() });
         }
         let interrupted = options.stop.load(Ordering::Relaxed);
@@ -122,13 +122,6 @@ enum Phase {
     Pending,
     Running,
     Over,
-}
-
-/// The possible start of a node.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Fits {
-    Now,
-    Later,
 }
 
 struct Running {
@@ -235,7 +228,7 @@ impl<'r> Runner<'r> {
         let (mut children, mut open) = (vec![Vec::new(); count], vec![0; count]);
         for (i, node) in graph.nodes.iter().enumerate().filter(|(i, _)| wanted[*i]) {
             // A node's last artifact is likely the one it needs now, also while its inputs are being made.
-            known[i] = LastResult::of(&records.of(node));
+            known[i] = LastResult::of(&records(node));
             lease.extend(known[i].last.map(|(key, _)| key));
             if !node.scene.is_empty() {
                 let place = *places.entry((&node.scene, &node.variant)).or_insert(scenes.len());
@@ -254,7 +247,8 @@ impl<'r> Runner<'r> {
         let scope = |i: &usize| builder.registry.stages()[graph.nodes[*i].stage].scope;
         let shared = (0..count).filter(|i| wanted[*i] && scope(i) == Scope::Shared).collect();
         lease.show();
-        let start = builder.cache.node().clock.now();
+        let unwanted = Outcome::Unavailable("nobody".to_string());
+        let start = builder.cache.node.clock.now();
         let leave_at = options.limit.map(|limit| start + limit - LEAVING.min(limit / 10));
         Self {
             due: (0..count).filter(|i| wanted[*i] && open[*i] == 0).map(|i| (i, i)).collect(),
@@ -278,10 +272,7 @@ impl<'r> Runner<'r> {
             options,
             listener,
             phase: wanted.iter().map(|w| if *w { Phase::Pending } else { Phase::Over }).collect(),
-            outcomes: wanted
-                .iter()
-                .map(|w| if *w { Outcome::Open } else { Outcome::Unavailable("nobody".to_string()) })
-                .collect(),
+            outcomes: wanted.iter().map(|w| if *w { Outcome::Open } else { unwanted.clone() }).collect(),
             nodes: nodes.collect(),
             running: HashMap::new(),
             memory: vec![None; count],
@@ -351,7 +342,7 @@ impl<'r> Runner<'r> {
         if self.phase[i] != Phase::Pending {
             return false;
         }
-        if self.fits(i, &resolved) != Fits::Now {
+        if !self.fits(i, &resolved) {
             return self.keep_waiting(i, resolved);
         }
         match self.look_up(i, &resolved.key, false) {
@@ -432,6 +423,10 @@ impl<'r> Runner<'r> {
         self.builder.registry.stages()[self.graph.nodes[i].stage].scope
     }
 
+    fn warn(&self, i: usize, text: &str) {
+        self.listener.event(&Event::Warning { label: &self.nodes[i].label, text });
+    }
+
     fn stopped(&self) -> bool {
         self.halted || self.options.stop.load(Ordering::Relaxed)
     }
@@ -444,16 +439,7 @@ impl<'r> Runner<'r> {
             }
             return;
         }
-        let builder = self.builder;
-        let resolved = resolve::resolve(
-            &builder.registry,
-            &builder.cache,
-            &builder.numeric_class,
-            self.graph,
-            i,
-            &self.outcomes,
-        );
-        let resolved = match resolved {
+        let resolved = match self.builder.resolve(self.graph, i, &self.outcomes) {
             Ok(resolved) => Box::new(resolved),
             // It is examined again when they exist.
             Err(Unresolved::Waiting(_)) => return,
@@ -506,8 +492,7 @@ impl<'r> Runner<'r> {
             Ok(Lookup::Damaged(reason)) => {
                 let aside = self.builder.cache.set_aside(self.graph.nodes[i].stage_name, &resolved.key);
                 let place = aside.map_or_else(|e| e.to_string(), |p| format!("moved to {}", p.display()));
-                let text = format!("its artifact is damaged: {reason}; {place}, computing it again");
-                self.listener.event(&Event::Warning { label: &self.nodes[i].label, text: &text });
+                self.warn(i, &format!("its artifact is damaged: {reason}; {place}, computing it again"));
             }
             Err(error) => {
                 self.fail(i, Some(resolved.key), error.to_string());
@@ -533,10 +518,7 @@ impl<'r> Runner<'r> {
                 }
             }
         }
-        match self.fits(i, &resolved) {
-            Fits::Now => self.start(i, resolved, scope),
-            Fits::Later => self.keep_waiting(i, resolved),
-        }
+        if self.fits(i, &resolved) { self.start(i, resolved, scope) } else { self.keep_waiting(i, resolved) }
     }
 
     /// Looks up a node's key. An unexpected result is checked a second time: on a network file system,
@@ -552,11 +534,11 @@ impl<'r> Runner<'r> {
         if suspect { cache.lookup_again(node.stage_name, key) } else { Ok(found) }
     }
 
-    /// Decides if a node can start now: there is room for it, and this process does not compute the same key
+    /// Returns true if a node can start now: there is room for it, and this process does not compute the same key
     /// already.
-    fn fits(&mut self, i: usize, resolved: &Resolved) -> Fits {
+    fn fits(&mut self, i: usize, resolved: &Resolved) -> bool {
         if !self.has_room() || self.running.values().any(|r| r.key == resolved.key) {
-            return Fits::Later;
+            return false;
         }
         let stage = &self.builder.registry.stages()[self.graph.nodes[i].stage];
         let memory = *self.memory[i]
@@ -564,7 +546,7 @@ impl<'r> Runner<'r> {
         let used: u64 = self.running.values().map(|r| r.memory).sum();
         let fits = used.saturating_add(memory) <= self.options.memory;
         // A job that needs more than all memory runs alone.
-        if (fits || self.running.is_empty()) && !self.comes_too_late(i) { Fits::Now } else { Fits::Later }
+        (fits || self.running.is_empty()) && !self.comes_too_late(i)
     }
 
     /// Starts a node.
@@ -573,12 +555,8 @@ impl<'r> Runner<'r> {
         let jobs = self.options.jobs.max(1);
         let memory = self.memory[i].unwrap_or(0);
         if memory > self.options.memory {
-            let text = format!(
-                "needs about {} of memory, {} are free: running it alone",
-                machine::bytes(memory),
-                machine::bytes(self.options.memory)
-            );
-            self.listener.event(&Event::Warning { label: &self.nodes[i].label, text: &text });
+            let [needs, free] = [memory, self.options.memory].map(machine::bytes);
+            self.warn(i, &format!("needs about {needs} of memory, {free} are free: running it alone"));
         }
         let used_cores: usize = self.running.values().map(|r| r.cores).sum();
         let share = self.options.cores.saturating_sub(used_cores) / (jobs - self.running.len());
@@ -593,6 +571,7 @@ impl<'r> Runner<'r> {
             pipeline: &self.graph.name,
             id: i,
             node: &self.graph.nodes[i],
+            label: self.nodes[i].label.clone(),
             resolved,
             threads,
             stop: self.options.stop.clone(),

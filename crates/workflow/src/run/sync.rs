@@ -3,13 +3,14 @@
 use std::collections::BTreeSet;
 use std::fmt;
 use std::sync::atomic::AtomicBool;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 use serde::Serialize;
 
 use crate::cache::artifacts::Lookup;
 use crate::cache::key::Key;
+use crate::cache::lock;
 use crate::cache::machine;
 use crate::cache::manifest::Manifest;
 use crate::plan::builder::Builder;
@@ -53,6 +54,10 @@ impl Transferred {
         let what = format!(
             "determinism alarm: the store and the cache have other bytes of {file} for one key; both are kept"
         );
+        self.add_problem(stage, key, what);
+    }
+
+    fn add_problem(&mut self, stage: &str, key: &Key, what: String) {
         self.problems.push(Problem { name: format!("{stage} {}", key.short()), what });
     }
 
@@ -60,16 +65,12 @@ impl Transferred {
     fn settle(&mut self, stage: &str, key: &Key, error: RemoteError) -> Result<(), RemoteError> {
         match error {
             RemoteError::Wrong { .. } | RemoteError::Damaged(_) => {
-                self.problems
-                    .push(Problem { name: format!("{stage} {}", key.short()), what: error.to_string() });
-                Ok(())
+                self.add_problem(stage, key, error.to_string());
             }
-            RemoteError::Stopped => {
-                self.interrupted = true;
-                Ok(())
-            }
-            other => Err(other),
+            RemoteError::Stopped => self.interrupted = true,
+            other => return Err(other),
         }
+        Ok(())
     }
 }
 
@@ -103,10 +104,6 @@ impl Rate {
         let rate = bytes as f64 / self.start.elapsed().as_secs_f64().max(1e-3);
         format!("{moved} of {}, {}/s", self.total.max(moved), machine::bytes(rate as u64))
     }
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Builder {
@@ -145,7 +142,7 @@ impl Builder {
                 lock(&done).missing += 1;
                 return Ok(());
             };
-            let sent = store.send_beside(&self.cache, &artifact, shelf.as_ref(), check, stop);
+            let sent = store.send(&self.cache, &artifact, shelf.as_ref(), check, stop);
             let mut done = lock(&done);
             match sent {
                 Ok(Sent::Now) => done.note(&artifact.manifest, "sent", &pace, listener),

@@ -14,11 +14,11 @@ use serde::Serialize;
 use crate::cache::artifacts::{Artifact, Cache, Lookup, first_difference};
 use crate::cache::files;
 use crate::cache::key::Ingredients;
-use crate::cache::manifest::{MANIFEST, content_digest};
+use crate::cache::manifest::{MANIFEST, Manifest, content_digest};
 use crate::error::{BuildError, FileError, StageError};
 use crate::plan::builder::Builder;
 use crate::plan::graph::Graph;
-use crate::plan::resolve::{self, Outcome};
+use crate::plan::resolve::Outcome;
 use crate::run::runner::RunOptions;
 use crate::share::lease::RunLease;
 use crate::stage::agree::{self, ArtifactFolder, Verdict};
@@ -103,9 +103,8 @@ impl Cache {
     /// take them for a part of the result.
     fn look_for_strangers(&self, artifact: &Artifact, name: &str, repair: bool, found: &mut Verification) {
         let listed: BTreeSet<&str> = artifact.manifest.files.iter().map(|f| f.path.as_str()).collect();
-        for entry in
-            walkdir::WalkDir::new(&artifact.path).sort_by_file_name().into_iter().filter_map(Result::ok)
-        {
+        let walk = walkdir::WalkDir::new(&artifact.path).sort_by_file_name();
+        for entry in walk.into_iter().filter_map(Result::ok) {
             let relative = entry.path().strip_prefix(&artifact.path).unwrap_or(entry.path());
             let path = files::relative_name(relative);
             let ours = path.as_deref().is_some_and(|p| p == MANIFEST || listed.contains(p));
@@ -124,12 +123,8 @@ impl Cache {
     }
 
     fn set_file_aside(&self, artifact: &Artifact, file: &Path) -> Result<(), FileError> {
-        let stage = &artifact.manifest.ingredients.stage;
-        let folder = self.root().join("damaged").join(format!(
-            "{stage}-{}-{}",
-            artifact.manifest.key.short(),
-            files::unique()
-        ));
+        let Manifest { ingredients, key, .. } = &artifact.manifest;
+        let folder = self.new_damaged(&ingredients.stage, key);
         files::at(&folder, "create", self.files().create_dir_all(&folder))?;
         let to = folder.join(file.file_name().unwrap_or_default());
         files::at(file, "move aside", files::rename(self.files(), file, &to))
@@ -164,14 +159,11 @@ impl Builder {
         let stages = graph.nodes.iter().filter(|node| node.same_as.is_none()).count();
         let held = Some(Held { cached: cached.len(), stages });
         let mut found = Verification { held, recomputed: Some(0), ..Verification::default() };
-        let mut chosen: Vec<(f64, RecomputableArtifact)> = Vec::new();
-        for made in cached {
-            let draw = Encoder::new("use3d 2026 verification sample v1")
-                .bytes(made.artifact.manifest.key.as_bytes())
-                .finish()
-                .fraction();
-            chosen.push((draw, made));
-        }
+        let draw = |made: &RecomputableArtifact| {
+            let mut sample = Encoder::new("use3d 2026 verification sample v1");
+            sample.bytes(made.artifact.manifest.key.as_bytes()).finish().fraction()
+        };
+        let mut chosen: Vec<_> = cached.into_iter().map(|made| (draw(&made), made)).collect();
         chosen.sort_by(|a, b| a.0.total_cmp(&b.0));
         let count = chosen.iter().filter(|(draw, _)| *draw < share).count().max(1);
         // The lease keeps the artifacts that are read here until they are compared.
@@ -231,20 +223,15 @@ impl Builder {
             if matches!(outcomes[i], Outcome::Unavailable(_)) {
                 continue;
             }
-            let resolved =
-                resolve::resolve(&self.registry, &self.cache, &self.numeric_class, graph, i, &outcomes);
-            let Ok(resolved) = resolved else { continue };
+            let Ok(resolved) = self.resolve(graph, i, &outcomes) else { continue };
             let artifact = match self.cache.lookup(node.stage_name, &resolved.key) {
                 Ok(Lookup::Whole(artifact)) => Some(artifact),
                 _ => self.cache.of_another_class(&resolved.ingredients),
             };
             let Some(artifact) = artifact else { continue };
             outcomes[i] = Outcome::Ready(artifact.clone());
-            cached.push(RecomputableArtifact {
-                node: i,
-                class: resolved.ingredients.numeric_class,
-                artifact,
-            });
+            let class = resolved.ingredients.numeric_class;
+            cached.push(RecomputableArtifact { node: i, class, artifact });
         }
         (cached, outcomes)
     }
@@ -270,9 +257,8 @@ impl Builder {
                 let agreement = self.registry.stages()[graph.nodes[made.node].stage].agreement;
                 let different = first_difference(&made.artifact.manifest.files, &files);
                 let Some(class) = made.in_another_class() else {
-                    return Again::Wrong(format!(
-                        "determinism alarm: computed again, {different} comes out different"
-                    ));
+                    let what = format!("determinism alarm: computed again, {different} comes out different");
+                    return Again::Wrong(what);
                 };
                 let as_what = format!("made as {class} and computed again as {}", made.class);
                 let Some(agreement) = agreement else {

@@ -19,6 +19,7 @@ use serde::{Deserialize, Serialize};
 use crate::cache::artifacts::Cache;
 use crate::cache::files::{self, Files};
 use crate::cache::key::Key;
+use crate::cache::lock;
 use crate::cache::machine::ProcessId;
 use crate::cache::node::Node;
 use crate::cache::task::ClusterTask;
@@ -94,7 +95,7 @@ enum Judged {
 }
 
 fn judge(cache: &Cache, path: &Path, now: Duration) -> Judged {
-    let (watch, node) = (cache.leases(), cache.node());
+    let (watch, node) = (&cache.leases, &cache.node);
     let bytes = match cache.files().read(path) {
         Ok(bytes) => bytes,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
@@ -104,8 +105,7 @@ fn judge(cache: &Cache, path: &Path, now: Duration) -> Judged {
         // An unreadable file counts as a file without a holder.
         Err(_) => Vec::new(),
     };
-    let modified = std::fs::metadata(path).and_then(|m| m.modified()).ok();
-    let unchanged = watch.unchanged(path, &bytes, modified, now);
+    let unchanged = watch.unchanged(path, &bytes, modified(path), now);
     let (limit, name, holder) = match Holder::parse(&bytes) {
         Some((_, Some(beat))) if beat.left => return Judged::Dead(bytes),
         Some((holder, _)) => {
@@ -148,49 +148,38 @@ pub(crate) enum Asked {
 impl Lease {
     /// Requests the lease of `key`.
     pub(crate) fn ask(cache: &Cache, key: &Key, reads: &[Key]) -> Asked {
-        Self::ask_at(cache, key, reads, cache.node().clock.now())
+        Self::ask_at(cache, key, reads, cache.node.clock.now())
     }
 
     fn ask_at(cache: &Cache, key: &Key, reads: &[Key], now: Duration) -> Asked {
         let path = folder(cache).join(key.to_string());
-        let mut lease = Self {
-            cache: cache.clone(),
-            path,
-            line: Holder::of(cache.node(), reads.to_vec()).line(),
-            beat: Mutex::new(Beat::default()),
-            since: now,
-            followed: false,
-        };
-        match create(cache.files(), &lease.path, &lease.bytes()) {
-            Created::Done => {
-                lease.followed = cache.leases().was_elsewhere(key);
-                Asked::Granted(Some(Box::new(lease)))
-            }
-            Created::Impossible => Asked::Granted(lease.never_held()),
-            Created::Taken => match judge(cache, &lease.path, now) {
+        let line = Holder::of(&cache.node, reads.to_vec()).line();
+        let bytes = [&line[..], &pulse::line(&Beat::default())].concat();
+        let (created, followed) = match create(cache.files(), &path, &bytes) {
+            Created::Done => (Created::Done, cache.leases.was_elsewhere(key)),
+            Created::Impossible => (Created::Impossible, false),
+            Created::Taken => match judge(cache, &path, now) {
                 Judged::Live(name, holder) => {
-                    if holder.is_some_and(|h| cache.node().is_alive(&h.process).is_none()) {
-                        cache.leases().note_elsewhere(key);
+                    if holder.is_some_and(|h| cache.node.is_alive(&h.process).is_none()) {
+                        cache.leases.note_elsewhere(key);
                     }
-                    lease.never_held();
-                    Asked::Held(name)
+                    return Asked::Held(name);
                 }
-                Judged::Absent => {
-                    lease.never_held();
-                    Asked::Held("a process that has just ended".to_string())
-                }
+                Judged::Absent => return Asked::Held("a process that has just ended".to_string()),
                 Judged::Dead(dead) => {
-                    cache.leases().was_elsewhere(key);
-                    take_over(lease, &dead, now)
+                    cache.leases.was_elsewhere(key);
+                    (take_over(cache, &path, &bytes, &dead, now), false)
                 }
             },
+        };
+        match created {
+            Created::Done => {
+                let (cache, beat) = (cache.clone(), Mutex::default());
+                Asked::Granted(Some(Box::new(Self { cache, path, line, beat, since: now, followed })))
+            }
+            Created::Impossible => Asked::Granted(None),
+            Created::Taken => Asked::Held("another process on this cache".to_string()),
         }
-    }
-
-    /// The content of the whole file.
-    fn bytes(&self) -> Vec<u8> {
-        let beat = self.beat.lock().unwrap_or_else(PoisonError::into_inner);
-        [&self.line[..], &pulse::line(&beat)].concat()
     }
 
     /// Returns true if the file is this lease's: another process may have taken it over while this one was
@@ -201,9 +190,9 @@ impl Lease {
 
     /// Writes a new pulse: the holder is alive, and this is its progress.
     pub(crate) fn renew(&self, progress: &Progress) {
-        let mut beat = self.beat.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut beat = lock(&self.beat);
         beat.number += 1;
-        beat.seconds = self.cache.node().clock.now().saturating_sub(self.since).as_secs();
+        beat.seconds = self.cache.node.clock.now().saturating_sub(self.since).as_secs();
         progress.read(&mut beat);
         if self.is_ours() {
             let _ = self.cache.files().overwrite(&self.path, self.line.len() as u64, &pulse::line(&beat));
@@ -216,12 +205,6 @@ impl Lease {
             let _ = self.cache.files().remove_file(&self.path);
         }
         self.line.clear();
-    }
-
-    /// Drops a lease that was never held, without marking the file as abandoned.
-    fn never_held(mut self) -> Option<Box<Self>> {
-        self.line.clear();
-        None
     }
 }
 
@@ -271,12 +254,12 @@ impl RunLease {
     pub(crate) fn new(cache: &Cache) -> Self {
         Self {
             cache: cache.clone(),
-            holder: Holder::of(cache.node(), Vec::new()),
+            holder: Holder::of(&cache.node, Vec::new()),
             parts: Vec::new(),
             keys: BTreeSet::new(),
             fresh: Vec::new(),
             beat: Beat::default(),
-            renewed: cache.node().clock.now(),
+            renewed: cache.node.clock.now(),
         }
     }
 
@@ -326,7 +309,7 @@ impl RunLease {
 
     /// Writes the pulse if it is due, so that other processes see that this one is alive.
     pub(crate) fn keep_alive(&mut self) {
-        let now = self.cache.node().clock.now();
+        let now = self.cache.node.clock.now();
         if now.saturating_sub(self.renewed) < HEARTBEAT {
             return;
         }
@@ -381,43 +364,40 @@ fn create(files: &dyn Files, path: &Path, bytes: &[u8]) -> Created {
     }
 }
 
-/// Replaces the lease of a holder that has ended by this one. If several processes try at once, one succeeds:
+/// Replaces the lease of a holder that has ended by `bytes`. If several processes try at once, one succeeds:
 /// the first that creates the claim file for these very bytes.
-fn take_over(lease: Lease, dead: &[u8], now: Duration) -> Asked {
-    let another = |lease: Lease| {
-        lease.never_held();
-        Asked::Held("another process on this cache".to_string())
-    };
-    let (cache, path) = (lease.cache.clone(), lease.path.clone());
+fn take_over(cache: &Cache, path: &Path, bytes: &[u8], dead: &[u8], now: Duration) -> Created {
     let files = cache.files();
-    let mut name = path.file_name().unwrap_or_default().to_os_string();
-    name.push(format!("{}claim-{}", files::SIBLING, Digest::of(dead).short()));
-    let claim = path.with_file_name(name);
+    let claim = files::sibling(path, &format!("claim-{}", Digest::of(dead).short()));
     match create(files, &claim, &[]) {
         Created::Done => {}
         Created::Taken => {
-            let modified = std::fs::metadata(&claim).and_then(|m| m.modified()).ok();
-            if cache.leases().unchanged(&claim, &[], modified, now) >= HALF {
+            if cache.leases.unchanged(&claim, &[], modified(&claim), now) >= HALF {
                 // The process that created the claim was killed before it finished.
                 let _ = files.remove_file(&claim);
             }
-            return another(lease);
+            return Created::Taken;
         }
-        Created::Impossible => return Asked::Granted(lease.never_held()),
+        Created::Impossible => return Created::Impossible,
     }
-    let asked = if files.read(&path).is_ok_and(|found| found == dead) {
-        match put(files, &path, &lease.bytes()) {
+    let created = if files.read(path).is_ok_and(|found| found == dead) {
+        match put(files, path, bytes) {
             Ok(()) => {
-                note_how_it_ended(&cache, &path, dead);
-                Asked::Granted(Some(Box::new(lease)))
+                note_how_it_ended(cache, path, dead);
+                Created::Done
             }
-            Err(_) => Asked::Granted(lease.never_held()),
+            Err(_) => Created::Impossible,
         }
     } else {
-        another(lease)
+        Created::Taken
     };
     let _ = files.remove_file(&claim);
-    asked
+    created
+}
+
+/// The time of a file's last change.
+fn modified(path: &Path) -> Option<SystemTime> {
+    std::fs::metadata(path).and_then(|found| found.modified()).ok()
 }
 
 /// Returns the end of a holder from its last lease; `None` if it gave up by itself.
@@ -444,30 +424,21 @@ fn note_how_it_ended(cache: &Cache, path: &Path, dead: &[u8]) {
 
 /// Writes a whole lease over the old file. It is not synced: after a power cut no process holds it.
 fn put(files: &dyn Files, path: &Path, bytes: &[u8]) -> std::io::Result<()> {
-    let mut name = path.file_name().unwrap_or_default().to_os_string();
-    name.push(format!("{}{}", files::SIBLING, files::unique()));
-    let sibling = path.with_file_name(name);
-    let written = create_own(files, &sibling, bytes).and_then(|()| files::rename(files, &sibling, path));
+    let sibling = files::sibling(path, &files::unique());
+    let written =
+        files::create_own(files, &sibling, bytes).and_then(|()| files::rename(files, &sibling, path));
     if written.is_err() {
         let _ = files.remove_file(&sibling);
     }
     written
 }
 
-/// Creates a file under a unique name: if it is reported to exist already, this process created it.
-fn create_own(files: &dyn Files, path: &Path, bytes: &[u8]) -> std::io::Result<()> {
-    match files.create_new(path, bytes) {
-        Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => Ok(()),
-        other => other,
-    }
-}
-
 /// The present time of the file system with the leases: the time it gives to a new file. Comparing two times
 /// of one file system compares no two clocks.
 fn file_time(cache: &Cache) -> Option<SystemTime> {
     let path = folder(cache).join(format!("now{}{}", files::SIBLING, files::unique()));
-    create_own(cache.files(), &path, b"now").ok()?;
-    let time = std::fs::metadata(&path).and_then(|m| m.modified()).ok();
+    files::create_own(cache.files(), &path, b"now").ok()?;
+    let time = modified(&path);
     let _ = cache.files().remove_file(&path);
     time
 }
@@ -477,19 +448,18 @@ fn file_time(cache: &Cache) -> Option<SystemTime> {
 pub(crate) fn in_use(cache: &Cache) -> BTreeSet<Key> {
     let mut keys = BTreeSet::new();
     let mut present = None;
-    let entries = std::fs::read_dir(folder(cache)).into_iter().flatten().filter_map(Result::ok);
-    for entry in entries {
+    for entry in files::entries(&folder(cache)) {
         let (path, name) = (entry.path(), entry.file_name());
         if name.to_string_lossy().contains(files::SIBLING) {
             continue;
         }
-        let live = match judge(cache, &path, cache.node().clock.now()) {
+        let live = match judge(cache, &path, cache.node.clock.now()) {
             Judged::Absent => continue,
             Judged::Dead(dead) => {
                 note_how_it_ended(cache, &path, &dead);
                 None
             }
-            Judged::Live(_, Some(holder)) if cache.node().is_alive(&holder.process) == Some(true) => {
+            Judged::Live(_, Some(holder)) if cache.node.is_alive(&holder.process) == Some(true) => {
                 Some(Some(holder))
             }
             Judged::Live(_, holder) => {
@@ -541,14 +511,13 @@ impl Cache {
         let path = folder(self).join(key.to_string());
         let (holder, beat) = Holder::parse(&self.files().read(&path).ok()?)?;
         let beat = beat.unwrap_or_default();
-        let alive = self.node().is_alive(&holder.process);
+        let alive = self.node.is_alive(&holder.process);
         if beat.left || alive == Some(false) {
             return None;
         }
-        let modified = std::fs::metadata(&path).and_then(|m| m.modified()).ok();
-        let silent = file_time(self).zip(modified).and_then(|(now, at)| now.duration_since(at).ok());
+        let silent = file_time(self).zip(modified(&path)).and_then(|(now, at)| now.duration_since(at).ok());
         let silent_long = silent.is_some_and(|silent| silent >= ASKING);
-        if alive.is_none() && silent_long && holder.task.as_ref().is_some_and(|t| self.node().is_over(t)) {
+        if alive.is_none() && silent_long && holder.task.as_ref().is_some_and(|t| self.node.is_over(t)) {
             // The next holder notes the end; until then the lease itself shows it.
             return None;
         }
@@ -563,19 +532,13 @@ impl Cache {
             task: holder.task,
         })
     }
-}
 
-impl Cache {
     /// Returns the process that was killed while it computed a key, from a note or from the lease it left.
     pub fn killed_at(&self, key: &Key) -> Option<Killed> {
-        let path = folder(self).join(key.to_string());
-        let left = || -> Option<Killed> {
-            let bytes = self.files().read(&path).ok()?;
+        let left = || {
+            let bytes = self.files().read(&folder(self).join(key.to_string())).ok()?;
             // The holder may still be at work.
-            if self.working_on(key).is_some() {
-                return None;
-            }
-            killed(&bytes)
+            killed(&bytes).filter(|_| self.working_on(key).is_none())
         };
         match (self.killed(key), left()) {
             (Some(noted), Some(left)) => Some(Killed {

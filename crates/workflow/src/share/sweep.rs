@@ -1,5 +1,7 @@
 //! Removes from a cache what processes that have ended left behind.
 
+use std::fs::DirEntry;
+
 use crate::cache::artifacts::Cache;
 use crate::cache::files;
 use crate::cache::machine::ProcessId;
@@ -11,32 +13,26 @@ impl Cache {
     pub fn sweep(&self) -> usize {
         in_use(self);
         for folder in [self.root().to_path_buf(), self.root().join("leases")] {
-            for entry in std::fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok) {
+            for entry in files::entries(&folder) {
                 let name = entry.file_name();
                 let Some((_, owner)) = name.to_str().and_then(|n| n.split_once(files::SIBLING)) else {
                     continue;
                 };
-                let changed = entry.metadata().ok().and_then(|m| m.modified().ok());
-                let old = || changed.and_then(|t| t.elapsed().ok()).is_some_and(|age| age.as_secs() > 3600);
-                if ProcessId::owner_is_alive(owner).map_or_else(old, |alive| !alive) {
+                if is_left(owner, &entry, 3600) {
                     let _ = self.files().remove_file(&entry.path());
                 }
             }
         }
-        let Ok(entries) = std::fs::read_dir(self.root().join("tmp")) else { return 0 };
-        let mut swept = 0;
-        for path in entries.filter_map(Result::ok).map(|e| e.path()) {
-            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            let old = || {
-                let changed = std::fs::metadata(&path).and_then(|m| m.modified()).ok();
-                let age = changed.and_then(|t| t.elapsed().ok());
-                age.is_some_and(|a| a.as_secs() > 7 * 86_400)
-            };
-            let gone = ProcessId::owner_is_alive(&name).map_or_else(old, |alive| !alive);
-            if gone && self.files().remove_dir_all(&path).is_ok() {
-                swept += 1;
-            }
-        }
-        swept
+        let folders = files::entries(&self.root().join("tmp"));
+        let left = folders.filter(|entry| is_left(&entry.file_name().to_string_lossy(), entry, 7 * 86_400));
+        left.filter(|entry| self.files().remove_dir_all(&entry.path()).is_ok()).count()
     }
+}
+
+/// Returns true if the owner of a file or folder has ended. For one of another machine, the age decides; `old`
+/// is in seconds.
+fn is_left(owner: &str, entry: &DirEntry, old: u64) -> bool {
+    let age = || entry.metadata().ok()?.modified().ok()?.elapsed().ok();
+    let is_old = || age().is_some_and(|age| age.as_secs() > old);
+    ProcessId::owner_is_alive(owner).map_or_else(is_old, |alive| !alive)
 }

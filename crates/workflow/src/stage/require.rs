@@ -27,14 +27,9 @@ pub(super) type Requires = Arc<dyn Fn(&AllParameters, &Named, &Checks<'_>) -> Ve
 
 /// Checks of files that are not made twice: a check without a fault is stored in the cache with the state of
 /// the files that it read.
-pub struct Checks<'a>(&'a Contents);
+pub struct Checks<'a>(pub(crate) &'a Contents);
 
-impl<'a> Checks<'a> {
-    /// Checks whose results are stored in `contents`.
-    pub(crate) fn new(contents: &'a Contents) -> Self {
-        Self(contents)
-    }
-
+impl Checks<'_> {
     /// Returns the fault that `check` finds in files of `input`. If it found none before, and none of the
     /// files that it read has changed since, it is not made again. `name` names the check and its rules;
     /// `check` returns the files and folders that it read, relative to `input`.

@@ -92,7 +92,8 @@ fn a_parameter_reruns_its_stage_and_what_reads_its_changed_output() {
     let mut seed = base.clone();
     seed.seed = 43;
     assert_eq!(run(&builder, &seed).1.len(), 6, "all that draw random numbers, and below");
-    let other = builder.with_numeric_class("another machine");
+    let mut other = builder;
+    other.numeric_class = "another machine".to_string();
     assert_eq!(run(&other, &base).1.len(), 7);
 }
 

@@ -11,6 +11,7 @@ use std::time::Duration;
 
 use use3d_workflow::Transferred;
 use use3d_workflow::cache::Lookup;
+use use3d_workflow::manifest::content_digest;
 use use3d_workflow::manifest::{FileRecord, Manifest};
 use use3d_workflow::remote::{FolderStore, Listed, Memory, Remote, RemoteError, RemoteStore, Sent};
 use use3d_workflow::{Batch, Builder, Digest, Event, Graph, Listener, Silent};
@@ -19,11 +20,17 @@ use super::faulty_store::{Fault, Faulty};
 use super::stages::{batch, builder, payload, run};
 
 fn store(remote: impl Remote + 'static) -> Arc<RemoteStore> {
-    Arc::new(RemoteStore::new(Arc::new(remote)).with_pause(Duration::from_millis(1)))
+    quick(Arc::new(remote))
 }
 
 fn shared(remote: &Arc<impl Remote + 'static>) -> Arc<RemoteStore> {
-    Arc::new(RemoteStore::new(remote.clone()).with_pause(Duration::from_millis(1)))
+    quick(remote.clone())
+}
+
+fn quick(remote: Arc<dyn Remote>) -> Arc<RemoteStore> {
+    let mut store = RemoteStore::new(remote);
+    store.pause = Duration::from_millis(1);
+    Arc::new(store)
 }
 
 /// A folder with captures, and the artifacts that a run of one machine makes of them.
@@ -264,7 +271,7 @@ fn a_manifest_from_elsewhere_cannot_write_outside_its_artifact_or_stand_for_anot
     let mut evil: use3d_workflow::manifest::Manifest = serde_json::from_str(&text).expect("a manifest");
     for path in ["../../escaped", "/escaped", "a/../../escaped", "words.txt/", "manifest.json", "", "a\\b"] {
         evil.files[0].path = path.to_string();
-        evil.content = evil.content_of_files();
+        evil.content = content_digest(&evil.files);
         remote.objects().insert(names[1].clone(), serde_json::to_vec(&evil).expect("json"));
         let builder = world.builder("cache");
         let pulled = world.pull(&builder, &shared(&remote)).expect("the store answers");
@@ -295,20 +302,20 @@ fn what_is_damaged_on_either_side_is_not_sent_and_a_check_repairs_the_store() {
         equal.clone().for_each(|f| fs::write(path.join(&f.path), bytes).expect("written"));
     };
     write(&vec![b'x'; right.len()]);
-    let error = store.send(&builder.cache, &artifact, false, &stop).expect_err("damaged");
+    let error = store.send(&builder.cache, &artifact, None, false, &stop).expect_err("damaged");
     // Several files are sent at a time, so whole ones may be in the store already. Each has the bytes of its
     // name, and no manifest names it.
     assert!(error.to_string().contains("damaged"), "{error}");
     let is_right = |(name, bytes): (&String, &Vec<u8>)| *name == format!("v1/blobs/{}", Digest::of(bytes));
     assert!(remote.objects().iter().all(is_right), "{error}");
     write(&right);
-    assert_eq!(store.send(&builder.cache, &artifact, false, &stop).expect("sent"), Sent::Now);
+    assert_eq!(store.send(&builder.cache, &artifact, None, false, &stop).expect("sent"), Sent::Now);
     // The store's disk rots; only `check` finds and repairs it.
     let whole = remote.objects().clone();
     let name = format!("v1/blobs/{}", artifact.manifest.files[0].digest);
     remote.objects().insert(name, vec![b'y'; right.len()]);
-    assert_eq!(store.send(&builder.cache, &artifact, false, &stop).expect("sent"), Sent::Already);
-    assert_eq!(store.send(&builder.cache, &artifact, true, &stop).expect("sent"), Sent::Now);
+    assert_eq!(store.send(&builder.cache, &artifact, None, false, &stop).expect("sent"), Sent::Already);
+    assert_eq!(store.send(&builder.cache, &artifact, None, true, &stop).expect("sent"), Sent::Now);
     assert!(*remote.objects() == whole);
     // A run that fetched damaged bytes repairs the store as well.
     let name = remote.objects().keys().find(|n| n.starts_with("v1/artifacts")).cloned().expect("a manifest");
@@ -389,7 +396,7 @@ fn forge(store: &Memory, stage: &str, change: impl FnOnce(&mut Manifest)) -> Str
         (name.clone(), serde_json::from_slice::<Manifest>(bytes).expect("a manifest"))
     };
     change(&mut manifest);
-    manifest.content = manifest.content_of_files();
+    manifest.content = content_digest(&manifest.files);
     store.objects().insert(name.clone(), serde_json::to_vec(&manifest).expect("JSON"));
     name
 }
@@ -427,7 +434,7 @@ fn an_artifact_without_the_files_that_its_stage_promises_is_none() {
         let file = path.join("manifest.json");
         let mut manifest: Manifest = serde_json::from_slice(&fs::read(&file).expect("read")).expect("JSON");
         change(&mut manifest);
-        manifest.content = manifest.content_of_files();
+        manifest.content = content_digest(&manifest.files);
         fs::write(&file, serde_json::to_vec(&manifest).expect("JSON")).expect("written");
         let problems = old.cache.verify_all(false).problems;
         assert!(problems.iter().any(|p| p.what.contains(words)), "{problems:?}");

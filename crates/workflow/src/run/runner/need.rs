@@ -1,6 +1,7 @@
 //! Decides if a shared node is still needed: a calibrator that no scene can use any more is not computed.
 
 use super::Runner;
+use crate::plan::graph::NodeInput;
 use crate::plan::resolve::Outcome;
 use crate::run::summary::Became;
 use crate::stage::definition::Scope;
@@ -51,7 +52,7 @@ impl Runner<'_> {
         let mut stands: Vec<Need> = Vec::with_capacity(nodes.len());
         let mut need = Need::Unasked;
         for i in 0..nodes.len() {
-            let parents = || nodes[i].inputs.iter().filter_map(|input| input.node());
+            let parents = || nodes[i].inputs.iter().filter_map(NodeInput::node);
             follows[i] = i == shared || parents().any(|p| follows[p]);
             let others = parents().filter(|p| !follows[*p]);
             let standing = match &self.outcomes[i] {

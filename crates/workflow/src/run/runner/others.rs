@@ -28,7 +28,7 @@ pub(super) struct Held {
 
 impl Runner<'_> {
     pub(super) fn now(&self) -> Duration {
-        self.builder.cache.node().clock.now()
+        self.builder.cache.node.clock.now()
     }
 
     /// Ends the run when its time limit is reached.
@@ -88,7 +88,7 @@ impl Runner<'_> {
 
     /// Waits until a job ends, the next request for a lease is due, or this run must write its pulse.
     pub(super) fn wait(&mut self) {
-        let (clock, now) = (self.builder.cache.node().clock, self.now());
+        let (clock, now) = (self.builder.cache.node.clock, self.now());
         let waits = self.held.values().filter(|held| held.resolved.is_some());
         let asks = waits.map(|held| held.again).filter(|_| self.has_room());
         let next = asks.chain(self.leave_at.filter(|_| !self.left)).min();
@@ -112,7 +112,7 @@ impl Runner<'_> {
     /// Puts back a node that another process computes: it is requested again later, and meanwhile this run
     /// works on other nodes.
     pub(super) fn put_back(&mut self, i: usize, holder: String, resolved: Box<Resolved>) {
-        let (now, node) = (self.now(), self.builder.cache.node());
+        let (now, node) = (self.now(), &self.builder.cache.node);
         let times = self.held.get(&i).map_or(0, |held| held.times);
         if times == 0 {
             let label = &self.nodes[i].label;
@@ -130,7 +130,7 @@ impl Runner<'_> {
         if std::mem::replace(&mut self.spread, true) {
             return;
         }
-        let number = self.builder.cache.node().number();
+        let number = self.builder.cache.node.number();
         let nodes = &self.graph.nodes;
         let place = |i: &usize| {
             let scene = &nodes[*i].scene;

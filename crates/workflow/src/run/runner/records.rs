@@ -66,7 +66,7 @@ impl Runner<'_> {
     fn write_record(&self, i: usize, record: &Record) {
         // The artifact counts; its record is not essential.
         if let Err(error) = self.builder.cache.write_record(&self.graph.name, &self.graph.nodes[i], record) {
-            self.listener.event(&Event::Warning { label: &self.nodes[i].label, text: &error.to_string() });
+            self.warn(i, &error.to_string());
         }
     }
 
@@ -75,8 +75,7 @@ impl Runner<'_> {
         let manifest = &artifact.manifest;
         let other = |(key, content)| key == manifest.key && content != manifest.content;
         if self.known[i].last.is_some_and(other) {
-            let text = "determinism alarm: computed again for the same key, it has other bytes";
-            self.listener.event(&Event::Warning { label: &self.nodes[i].label, text });
+            self.warn(i, "determinism alarm: computed again for the same key, it has other bytes");
         }
     }
 }

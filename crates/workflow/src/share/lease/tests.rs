@@ -24,7 +24,7 @@ fn key_of(text: &str) -> Key {
 fn a_lease_is_judged_by_whether_it_changes_and_not_by_its_time() {
     let dir = tempfile::tempdir().unwrap();
     let cache = Cache::open(dir.path(), false).unwrap();
-    let start = cache.node().clock.now();
+    let start = cache.node.clock.now();
     let hour = Duration::from_secs(3600);
     for (i, (bytes, limit)) in [(foreign(), EXPIRY), (Vec::new(), HALF)].into_iter().enumerate() {
         for (j, future) in [true, false].into_iter().enumerate() {
@@ -65,7 +65,7 @@ fn what_happens_on_another_machine_shows_in_the_lease() {
     let dir = tempfile::tempdir().unwrap();
     let [east, west] = two(dir.path());
     let key = key_of("key");
-    let at = |after: Duration| west.node().clock.now() + after;
+    let at = |after: Duration| west.node.clock.now() + after;
     let ask = |after: Duration| Lease::ask_at(&west, &key, &[], after);
     let Asked::Granted(Some(lease)) = Lease::ask(&east, &key, &[]) else { panic!("nobody has it") };
     let start = at(Duration::ZERO);
@@ -106,7 +106,7 @@ fn a_holder_that_was_taken_for_gone_does_not_disturb_the_next() {
     let [east, west] = two(dir.path());
     let key = key_of("key");
     let Asked::Granted(Some(stopped)) = Lease::ask(&east, &key, &[]) else { panic!("nobody has it") };
-    let now = west.node().clock.now();
+    let now = west.node.clock.now();
     assert!(matches!(Lease::ask_at(&west, &key, &[], now), Asked::Held(_)));
     let Asked::Granted(Some(next)) = Lease::ask_at(&west, &key, &[], now + EXPIRY) else {
         panic!("it has not changed")
@@ -225,14 +225,14 @@ fn a_task_that_is_known_to_be_over_is_waited_for_no_longer_and_how_it_ended_is_k
         Some(answer.load(std::sync::atomic::Ordering::Relaxed))
     }));
     let killed = |key: &Key| {
-        let cache = open().as_node(elsewhere("n1").as_task(task.clone()));
+        let cache = open().as_node(Node { task: Some(task.clone()), ..elsewhere("n1") });
         let Asked::Granted(Some(lease)) = Lease::ask(&cache, key, &[]) else { panic!("nobody has it") };
         let progress = Progress::default();
         progress.note_memory(3 << 30);
         lease.renew(&progress);
         std::mem::forget(lease); // it ends without a word
     };
-    let now = asking.node().clock.now();
+    let now = asking.node.clock.now();
     // The scheduler has the task at first, and later no longer.
     let key = key_of("first");
     killed(&key);
@@ -253,7 +253,8 @@ fn a_task_that_is_known_to_be_over_is_waited_for_no_longer_and_how_it_ended_is_k
     // A later attempt of the same task does not wait at all.
     let key = key_of("third");
     killed(&key);
-    let later = open().as_node(elsewhere("n2").as_task(ClusterTask { attempt: 1, ..task.clone() }));
+    let later =
+        open().as_node(Node { task: Some(ClusterTask { attempt: 1, ..task.clone() }), ..elsewhere("n2") });
     assert!(granted(&Lease::ask(&later, &key, &[])));
     // A holder that gives up was not killed.
     let key = key_of("fourth");

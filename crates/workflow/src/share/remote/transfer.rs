@@ -13,13 +13,13 @@ use super::{Remote, RemoteError, Shelf, blob, manifest};
 use crate::cache::artifacts::{Artifact, Cache, Published, first_difference};
 use crate::cache::files;
 use crate::cache::key::Key;
+use crate::cache::lock;
 use crate::cache::manifest::{FileRecord, Manifest};
-use crate::error::FileError;
 use use3d_code::digest::Digest;
 
 /// Number of attempts for an operation that may succeed when it is repeated.
 const TRIES: u32 = 4;
-/// The first pause between two attempts; each pause is four times the one before.
+/// The usual first pause between two attempts.
 const PAUSE: Duration = Duration::from_millis(500);
 /// Most files of one artifact in transfer at the same time.
 const FILES_AT_ONCE: usize = 4;
@@ -34,8 +34,9 @@ const ENOUGH: u32 = 3;
 pub struct RemoteStore {
     pub(super) remote: Arc<dyn Remote>,
     /// True if nothing may be sent.
-    read_only: bool,
-    pause: Duration,
+    pub(crate) read_only: bool,
+    /// The first pause between two attempts; each pause is four times the one before.
+    pub pause: Duration,
     /// Number of artifacts in a row that failed.
     failures: AtomicU32,
     /// Keys whose artifact in the store was unusable; runs compute them.
@@ -82,26 +83,19 @@ impl RemoteStore {
         }
     }
 
-    /// The same with another first pause between attempts, for tests.
-    #[must_use]
-    pub fn with_pause(self, pause: Duration) -> Self {
-        Self { pause, ..self }
-    }
-
     /// Returns the same store for reading only.
     #[must_use]
     pub fn read_only(self) -> Self {
         Self { read_only: true, ..self }
     }
 
-    /// Returns true if computed artifacts are sent to the store.
-    pub(crate) fn takes(&self) -> bool {
-        !self.read_only
-    }
-
     /// Its address, for display.
     pub fn place(&self) -> String {
         self.remote.place()
+    }
+
+    fn wrong(&self, name: &str, reason: String) -> RemoteError {
+        RemoteError::Wrong { place: self.place(), name: name.to_string(), reason }
     }
 
     /// Checks that the store can be written to, returns the bytes that were written, and lets a name be
@@ -137,8 +131,7 @@ impl RemoteStore {
             if there && found != bytes {
                 // Nobody wrote these bytes: they were changed in the transfer, and may be right the next
                 // time.
-                let reason = "comes back with other bytes than were written".to_string();
-                return Err(RemoteError::Wrong { place: self.place(), name: name.clone(), reason });
+                return Err(self.wrong(&name, "comes back with other bytes than were written".to_string()));
             }
             // A client that repeats a request by itself after a lost reply gets the error that the name
             // exists: its own first request created it.
@@ -211,14 +204,13 @@ impl RemoteStore {
                 }
                 wrong_names(&manifest).map_or(Ok(manifest), Err)
             });
-            let wrong = |reason| RemoteError::Wrong { place: self.place(), name: name.clone(), reason };
-            found.map(Some).map_err(wrong)
+            found.map(Some).map_err(|reason| self.wrong(&name, reason))
         })
     }
 
     /// Makes sure that the store is not asked for this key again, because its artifact was unusable.
     pub(crate) fn distrust(&self, key: &Key) {
-        self.distrusted.lock().unwrap_or_else(PoisonError::into_inner).insert(*key);
+        lock(&self.distrusted).insert(*key);
     }
 
     /// Fetches a key's artifact into the cache, if the store has it.
@@ -233,16 +225,12 @@ impl RemoteStore {
         key: &Key,
         stop: &AtomicBool,
     ) -> Result<Fetched, RemoteError> {
-        if self.distrusted.lock().unwrap_or_else(PoisonError::into_inner).contains(key) {
+        if lock(&self.distrusted).contains(key) {
             return Ok(Fetched::Missing);
         }
         let Some(manifest) = self.manifest(stage, key, stop)? else { return Ok(Fetched::Missing) };
         if let Some(reason) = cache.unkept(&manifest) {
-            return Err(RemoteError::Wrong {
-                place: self.place(),
-                name: super::manifest(stage, key),
-                reason,
-            });
+            return Err(self.wrong(&super::manifest(stage, key), reason));
         }
         let scratch = cache.scratch()?;
         let fetched = self.fetch_into(&scratch.join("artifact"), cache, manifest, stop);
@@ -287,35 +275,23 @@ impl RemoteStore {
                 Ok(true) => to.wrong(file),
                 Err(RemoteError::Local(_)) if to.overfull => to.wrong(file),
                 Err(RemoteError::Local(source)) => {
-                    return Err(FileError { path: path.to_path_buf(), doing: "write", source }.into());
+                    return files::at(path, "write", Err(source)).map_err(RemoteError::File);
                 }
                 Err(error) => return Err(error),
             };
             if let Some(reason) = reason {
-                return Err(RemoteError::Wrong { place: self.place(), name: blob(&file.digest), reason });
+                return Err(self.wrong(&blob(&file.digest), reason));
             }
             Ok(files::at(path, "write", to.into_inner().flush())?)
         })
     }
 
-    /// Sends an artifact to the store, its manifest last. `check` reads the objects that exist, and replaces
-    /// those that do not match.
+    /// Sends an artifact to the store, its manifest last. The files in `shelf`, a list of the store, are not
+    /// requested again. `check` reads the objects that exist, and replaces those that do not match.
     ///
     /// # Errors
     /// A store that does not answer or refuses the data; an artifact that is damaged here.
     pub fn send(
-        &self,
-        cache: &Cache,
-        artifact: &Artifact,
-        check: bool,
-        stop: &AtomicBool,
-    ) -> Result<Sent, RemoteError> {
-        self.send_beside(cache, artifact, None, check, stop)
-    }
-
-    /// Like [`send`](Self::send), for a store that was listed: the files in the list are not requested
-    /// again.
-    pub(crate) fn send_beside(
         &self,
         cache: &Cache,
         artifact: &Artifact,
@@ -353,8 +329,8 @@ impl RemoteStore {
             if !check && shelf.is_some_and(|shelf| shelf.has_file(&file.digest, file.size)) {
                 return Ok(());
             }
-            let hand = self.hand(file);
-            let mut checked = hand.lock().unwrap_or_else(PoisonError::into_inner);
+            let hand = lock(&self.in_hand).entry(file.digest).or_default().clone();
+            let mut checked = lock(&hand);
             if *checked {
                 return Ok(());
             }
@@ -380,11 +356,6 @@ impl RemoteStore {
             }
             _ => Sent::Now,
         })
-    }
-
-    fn hand(&self, file: &FileRecord) -> Arc<Mutex<bool>> {
-        let mut hands = self.in_hand.lock().unwrap_or_else(PoisonError::into_inner);
-        hands.entry(file.digest).or_default().clone()
     }
 
     /// Returns true if the store has a file, by its size, or by its bytes with `check`.
@@ -426,7 +397,7 @@ pub(crate) fn each<T: Sync>(
 ) -> Result<(), RemoteError> {
     let next = AtomicUsize::new(0);
     let failed: Mutex<Option<RemoteError>> = Mutex::default();
-    let failure = || failed.lock().unwrap_or_else(PoisonError::into_inner);
+    let failure = || lock(&failed);
     std::thread::scope(|scope| {
         for _ in 0..at_once.min(items.len()) {
             scope.spawn(|| {
