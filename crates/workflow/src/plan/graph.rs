@@ -421,8 +421,8 @@ impl GraphBuilder<'_> {
         Ok(all)
     }
 
-    /// The external files named for a scene in a variant: those of the variant win over those of the scene and
-    /// of the batch.
+    /// The external files named for a scene in a variant: those of the variant win over those of the scene,
+    /// and these over those of the batch.
     fn given(&self, scene: Option<&BatchScene>, variant: &Variant) -> Named {
         let maps = [
             Some((&self.batch.externals, &self.batch.named)),

@@ -24,8 +24,8 @@ pub fn mermaid(graph: &Graph, plan: &Plan) -> String {
     for (i, node) in graph.nodes.iter().enumerate().filter(|(_, n)| n.same_as.is_none()) {
         let label = node.label().replace('"', "'");
         let _ = writeln!(out, "  n{i}[\"{label}\"]:::{}", cell(&plan.nodes[i]).standing.word());
-        // A node that repeats the work of another is replaced by that one. An arrow is drawn once, even if the
-        // artifact is read in several roles.
+        // A node that repeats the work of another is replaced by that one. An arrow is drawn once, even if
+        // the artifact is read in several roles.
         let root = |parent: usize| graph.nodes[parent].same_as.unwrap_or(parent);
         for parent in graph.parents(i).map(root).collect::<BTreeSet<usize>>() {
             let _ = writeln!(out, "  n{parent} --> n{i}");

@@ -534,8 +534,8 @@ impl<'r> Runner<'r> {
         if suspect { cache.lookup_again(node.stage_name, key) } else { Ok(found) }
     }
 
-    /// Returns true if a node can start now: there is room for it, and this process does not compute the same key
-    /// already.
+    /// Returns true if a node can start now: there is room for it, and this process does not compute the same
+    /// key already.
     fn fits(&mut self, i: usize, resolved: &Resolved) -> bool {
         if !self.has_room() || self.running.values().any(|r| r.key == resolved.key) {
             return false;

@@ -29,8 +29,8 @@ impl Cache {
     }
 }
 
-/// Returns true if the owner of a file or folder has ended. For one of another machine, the age decides; `old`
-/// is in seconds.
+/// Returns true if the owner of a file or folder has ended. For one of another machine, the age decides;
+/// `old` is in seconds.
 fn is_left(owner: &str, entry: &DirEntry, old: u64) -> bool {
     let age = || entry.metadata().ok()?.modified().ok()?.elapsed().ok();
     let is_old = || age().is_some_and(|age| age.as_secs() > old);
