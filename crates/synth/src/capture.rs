@@ -25,7 +25,7 @@ use use3d_capture::{Camera, FileName, Frame, Map};
 use use3d_io_image::{write_exr_map, write_png_map, write_png_map16, write_png8};
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
-use use3d_numerics::range::OutOfRange;
+use use3d_numerics::range::{OutOfRange, within};
 
 use crate::error::{Answer, SynthError, check, whole_folder};
 use crate::geometry::noise::Noise;
@@ -141,22 +141,21 @@ impl Default for CaptureParams {
 impl CaptureParams {
     /// Checks every range.
     pub fn validate(&self) -> Result<(), OutOfRange> {
-        check("views", self.views, (2..=10_000).contains(&self.views), "2 to 10000")?;
+        within("views", self.views, 2, 10_000)?;
         for (field, side) in [("width", self.width), ("height", self.height)] {
             check(field, side, (16..=8192).contains(&side), "16 to 8192 pixels")?;
         }
         check("depth", self.depth, (0.0..=60.0).contains(&self.depth), "0 to 60 metres")?;
-        check("white_balance", self.white_balance, (0.0..=1.0).contains(&self.white_balance), "0 to 1")?;
-        check("noise", self.noise, (0.0..=0.2).contains(&self.noise), "0 to 0.2")?;
-        check("caustics", self.caustics, (0.0..=1.0).contains(&self.caustics), "0 to 1")?;
+        within("white_balance", self.white_balance, 0.0, 1.0)?;
+        within("noise", self.noise, 0.0, 0.2)?;
+        within("caustics", self.caustics, 0.0, 1.0)?;
         check("points", self.points, self.points <= 2_000_000, "at most 2000000")?;
-        check("detail", self.detail, (0.1..=1.0).contains(&self.detail), "0.1 to 1")?;
-        check("lamps", self.lamps, (0.0..=20.0).contains(&self.lamps), "0 to 20")?;
-        let share = (0.0..=1.0).contains(&self.auto_exposure);
-        check("auto_exposure", self.auto_exposure, share, "0 to 1")?;
-        check("snow", self.snow, (0.0..=1.0).contains(&self.snow), "0 to 1")?;
+        within("detail", self.detail, 0.1, 1.0)?;
+        within("lamps", self.lamps, 0.0, 20.0)?;
+        within("auto_exposure", self.auto_exposure, 0.0, 1.0)?;
+        within("snow", self.snow, 0.0, 1.0)?;
         check("fish", self.fish, self.fish <= 50, "at most 50")?;
-        check("backlight", self.backlight, (0.0..=1.0).contains(&self.backlight), "0 to 1")?;
+        within("backlight", self.backlight, 0.0, 1.0)?;
         let reef = "nothing but its default in a pool; boards of greys stand in the reef";
         check("greys", self.greys, !self.greys || self.place == Location::Reef, reef)?;
         if self.physics == Physics::Display {
@@ -281,12 +280,13 @@ impl Studio {
             }
             Physics::Spectral => {
                 let lamps = (params.lamps > 0.0).then_some(Lamps { strength: params.lamps });
-                let water = match params.air {
+                let mut water = match params.air {
                     true => Spectral::air(scene.sun()),
                     false => Spectral::new(params.water, params.depth, scene.sun(), lamps),
                 };
                 let reef = params.camera == Development::Action;
-                let water = water.with_reef_spectra(reef).against_light(params.backlight);
+                water.reef = reef;
+                let water = water.against_light(params.backlight);
                 let automatic = camera::Automatic {
                     white_balance: params.white_balance,
                     per_view: params.auto_exposure,
@@ -299,7 +299,8 @@ impl Studio {
                 // White light, without a veil that brightens the picture.
                 let white = Condition { light: Vec3::ONE, water: None };
                 let light = Vec3::splat(expose(&scene, &some, &white, 0.36));
-                let clean = Spectral::air(scene.sun()).with_reef_spectra(reef).without_sky();
+                let mut clean = Spectral::air(scene.sun());
+                (clean.reef, clean.background) = (reef, Vec3::ZERO);
                 (Between::Spectral { water: Box::new(water), clean: Box::new(clean), gains, middle }, light)
             }
         };
@@ -308,18 +309,14 @@ impl Studio {
     }
 
     fn truth(&self, params: &CaptureParams) -> CaptureTruth {
-        let water = match &self.between {
-            Between::Display(condition) => condition.water,
-            Between::Spectral { .. } => None,
-        };
-        let (effective, gains) = match &self.between {
-            Between::Display(_) => (None, Vec::new()),
+        let (water, effective, gains) = match &self.between {
+            Between::Display(condition) => (condition.water, None, Vec::new()),
             Between::Spectral { water, gains, .. } => {
                 let (near, far) = (water.white(0.0), water.white(5.0));
                 let views = gains.iter().enumerate();
                 let gains =
                     views.map(|(view, gains)| ViewGains { view: file(view), gains: gains.to_array() });
-                (Some(std::array::from_fn(|c| math::ln(near[c] / far[c]) / 5.0)), gains.collect())
+                (None, Some(std::array::from_fn(|c| math::ln(near[c] / far[c]) / 5.0)), gains.collect())
             }
         };
         CaptureTruth {
@@ -478,15 +475,13 @@ pub fn write_capture<A: Answer>(
     params.validate()?;
     whole_folder(out, |dir| {
         let studio = Studio::new(params);
-        tracing::debug!(triangles = studio.scene.triangles(), "built the scene");
+        tracing::debug!(triangles = studio.scene.mesh.triangles.len(), "built the scene");
         let mut corners = Vec::with_capacity(params.views);
         progress(0, params.views).go_on()?;
         while corners.len() < params.views {
-            let batch: Vec<_> = (corners.len()..(corners.len() + BATCH).min(params.views))
-                .into_par_iter()
-                .map(|view| studio.shoot(params, view, dir))
-                .collect();
-            for list in batch {
+            let batch = corners.len()..(corners.len() + BATCH).min(params.views);
+            let shot: Vec<_> = batch.into_par_iter().map(|view| studio.shoot(params, view, dir)).collect();
+            for list in shot {
                 corners.push(list?);
             }
             progress(corners.len(), params.views).go_on()?;

@@ -13,7 +13,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_capture::Image;
 use use3d_io_image::write_png;
-use use3d_numerics::range::OutOfRange;
+use use3d_numerics::range::{OutOfRange, within};
 
 use crate::error::{Answer, SynthError, check, whole_folder};
 use crate::physics::camera::{self as develop, Automatic};
@@ -64,12 +64,12 @@ impl Default for PairsParams {
 impl PairsParams {
     /// Checks every range.
     pub fn validate(&self) -> Result<(), OutOfRange> {
-        check("pairs", self.pairs, (1..=100_000).contains(&self.pairs), "1 to 100000")?;
+        within("pairs", self.pairs, 1, 100_000)?;
         for (field, side) in [("width", self.width), ("height", self.height)] {
             check(field, side, (16..=8192).contains(&side), "16 to 8192 pixels")?;
         }
-        check("noise", self.noise, (0.0..=0.2).contains(&self.noise), "0 to 0.2")?;
-        check("detail", self.detail, (0.1..=1.0).contains(&self.detail), "0.1 to 1")
+        within("noise", self.noise, 0.0, 0.2)?;
+        within("detail", self.detail, 0.1, 1.0)
     }
 }
 
@@ -153,12 +153,11 @@ fn write_pair(params: &PairsParams, scene: &MeshScene, pair: usize, dir: &Path) 
         Condition { light: expose(scene, &[camera], &unexposed, luminance) * tint, ..unexposed }
     };
     let wished = lit(Vec3::ONE, clear_water(scene.sun()), 0.45);
-    let still = Caustics { strength: 0.0, time: 0.0 };
     let mut shot = match params.physics {
         Physics::Display => {
             let tint = Vec3::from_array(Water::daylight_tint(kind, depth, white_balance));
             let seen = lit(tint, water, draws.range(0.28, 0.44));
-            let mut shot = render(scene, &camera, &[&seen, &wished], still);
+            let mut shot = render(scene, &camera, &[&seen, &wished], Caustics::OFF);
             add_noise(&mut shot.images[0], params.noise, params.seed, pair as u64);
             shot
         }
@@ -171,14 +170,10 @@ fn write_pair(params: &PairsParams, scene: &MeshScene, pair: usize, dir: &Path) 
                 development: Development::Plain,
             };
             let gains = develop::gains(scene, &[camera], &|_| Box::new(water), automatic);
-            let mut shot = render(scene, &camera, &[&water, &wished], still);
+            let mut shot = render(scene, &camera, &[&water, &wished], Caustics::OFF);
             let (middle, image) = (develop::middle_gain(&gains), &mut shot.images[0]);
-            let settings = develop::Settings {
-                gains: gains[0],
-                middle,
-                sigma: params.noise,
-                development: Development::Plain,
-            };
+            let (gains, sigma, development) = (gains[0], params.noise, automatic.development);
+            let settings = develop::Settings { gains, middle, sigma, development };
             develop::develop(image, settings, params.seed, pair as u64);
             shot
         }

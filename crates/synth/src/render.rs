@@ -34,18 +34,11 @@ impl RayColor for Condition {
     /// Returns display values.
     fn color(&self, seen: Option<SurfaceHit>, ray: &Ray) -> Vec3 {
         let per_t = ray.direction.length();
-        self.display(seen, per_t, ray.direction / per_t)
-    }
-}
-
-impl Condition {
-    fn display(&self, seen: Option<SurfaceHit>, distance_per_t: f32, direction: Vec3) -> Vec3 {
         let clean = seen.map_or(Vec3::ZERO, |s| display(s.light * self.light));
-        let distance = seen.map_or(f32::INFINITY, |s| s.t * distance_per_t);
-        match &self.water {
-            Some(water) => Vec3::from_array(water.seen_through(clean.to_array(), distance, direction)),
-            None => clean,
-        }
+        let distance = seen.map_or(f32::INFINITY, |s| s.t * per_t);
+        self.water.map_or(clean, |water| {
+            Vec3::from_array(water.seen_through(clean.to_array(), distance, ray.direction / per_t))
+        })
     }
 }
 
@@ -205,24 +198,13 @@ pub(crate) fn coarse_rays(camera: &Camera) -> Vec<Ray> {
 /// The exposure at which the cameras' views have this mean luminance on display (bisection on a coarse grid
 /// of rays).
 pub(crate) fn expose(scene: &MeshScene, cameras: &[Camera], condition: &Condition, luminance: f32) -> f32 {
-    let samples: Vec<(Option<SurfaceHit>, f32, Vec3)> = cameras
-        .iter()
-        .flat_map(coarse_rays)
-        .map(|ray| {
-            let per_t = ray.direction.length();
-            let caustics = Caustics { strength: 0.0, time: 0.0 };
-            (scene.look(&ray, 0.05, caustics), per_t, ray.direction / per_t)
-        })
-        .collect();
+    let rays: Vec<Ray> = cameras.iter().flat_map(coarse_rays).collect();
+    let seen: Vec<Option<SurfaceHit>> = rays.iter().map(|ray| scene.look(ray, 0.05, Caustics::OFF)).collect();
     let mean = |exposure: f32| {
         let lit = Condition { light: exposure * condition.light, water: condition.water };
-        let sum: f32 = samples
-            .iter()
-            .map(|&(seen, per_t, direction)| {
-                lit.display(seen, per_t, direction).dot(Vec3::new(0.299, 0.587, 0.114))
-            })
-            .sum();
-        sum / samples.len().max(1) as f32
+        let weights = Vec3::new(0.299, 0.587, 0.114);
+        let sum: f32 = seen.iter().zip(&rays).map(|(seen, ray)| lit.color(*seen, ray).dot(weights)).sum();
+        sum / rays.len().max(1) as f32
     };
     let (mut low, mut high) = (0.35f32, 1.9f32);
     for _ in 0..14 {

@@ -57,12 +57,8 @@ pub(crate) fn corners(image: &Image8, depth: &Map, seed: u64, view: usize, wante
         };
         let (gx, gy) = (luminance(x + 1, y) - luminance(x - 1, y), luminance(x, y + 1) - luminance(x, y - 1));
         if stream.uniform(3 * i + 2) < math::powi(math::hypot(gx, gy) / 50.0, 2) {
-            found.push(Corner {
-                u: x as f64 + 0.5,
-                v: y as f64 + 0.5,
-                depth: f64::from(z),
-                color: image.pixel(x, y),
-            });
+            let (u, v) = (x as f64 + 0.5, y as f64 + 0.5);
+            found.push(Corner { u, v, depth: f64::from(z), color: image.pixel(x, y) });
         }
     }
     found
@@ -167,10 +163,8 @@ fn add(model: &mut Model, cameras: &[Camera], frame: &Frame, color: [u8; 3], poi
     let id = model.points.len() as u64 + 1;
     let (mut error, mut track) = (0.0, Vec::new());
     for &(view, x, y) in &point.detections {
-        error += match cameras[view].project(point.position) {
-            Some((pixel, _)) => math::hypot(pixel.x - x, pixel.y - y),
-            None => 0.0,
-        };
+        let projected = cameras[view].project(point.position);
+        error += projected.map_or(0.0, |(pixel, _)| math::hypot(pixel.x - x, pixel.y - y));
         let image = &mut model.images[view];
         track.push((image.id, image.keypoints.len() as u32));
         image.keypoints.push(Keypoint { x, y, point: id });

@@ -24,17 +24,13 @@ use use3d_numerics::math;
 /// Jerlov's optical water types: I to III oceanic, clear to dull; 1C to 9C coastal, increasingly turbid and
 /// green.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "UPPERCASE")]
 #[allow(missing_docs, reason = "the variants are Jerlov's names")]
 pub enum WaterType {
-    #[serde(rename = "I")]
     I,
-    #[serde(rename = "IA")]
     Ia,
-    #[serde(rename = "IB")]
     Ib,
-    #[serde(rename = "II")]
     Ii,
-    #[serde(rename = "III")]
     Iii,
     #[serde(rename = "1C")]
     Coastal1,
@@ -75,22 +71,24 @@ impl WaterType {
 
     /// `K_d` of red, green and blue, 1/m: the attenuation of display values in this water.
     pub fn attenuation(self) -> [f32; 3] {
-        self.diffuse_attenuation().map(|[a, b]| 0.5 * (a + b))
+        let k = self.diffuse_attenuation();
+        // At 600 and 625, 525 and 550, 450 and 475 nm.
+        [(7, 8), (4, 5), (1, 2)].map(|(a, b)| 0.5 * (k[a] + k[b]))
     }
 
-    /// K_d in 1/m at 600, 625 | 525, 550 | 450, 475 nm.
-    fn diffuse_attenuation(self) -> [[f32; 2]; 3] {
+    /// K_d in 1/m at [`WAVELENGTHS`].
+    pub(crate) fn diffuse_attenuation(self) -> [f32; BANDS] {
         match self {
-            Self::I => [[0.235, 0.305], [0.043, 0.063], [0.019, 0.018]],
-            Self::Ia => [[0.24, 0.31], [0.048, 0.067], [0.026, 0.025]],
-            Self::Ib => [[0.245, 0.315], [0.054, 0.072], [0.036, 0.033]],
-            Self::Ii => [[0.26, 0.335], [0.076, 0.089], [0.068, 0.062]],
-            Self::Iii => [[0.295, 0.375], [0.116, 0.12], [0.135, 0.116]],
-            Self::Coastal1 => [[0.30, 0.37], [0.13, 0.12], [0.25, 0.17]],
-            Self::Coastal3 => [[0.33, 0.40], [0.20, 0.19], [0.39, 0.29]],
-            Self::Coastal5 => [[0.40, 0.48], [0.31, 0.30], [0.56, 0.43]],
-            Self::Coastal7 => [[0.48, 0.54], [0.49, 0.46], [0.89, 0.71]],
-            Self::Coastal9 => [[0.60, 0.65], [0.78, 0.63], [1.60, 1.23]],
+            Self::I => [0.022, 0.019, 0.018, 0.027, 0.043, 0.063, 0.089, 0.235, 0.305, 0.36],
+            Self::Ia => [0.031, 0.026, 0.025, 0.032, 0.048, 0.067, 0.094, 0.24, 0.31, 0.37],
+            Self::Ib => [0.042, 0.036, 0.033, 0.042, 0.054, 0.072, 0.099, 0.245, 0.315, 0.375],
+            Self::Ii => [0.081, 0.068, 0.062, 0.070, 0.076, 0.089, 0.115, 0.26, 0.335, 0.40],
+            Self::Iii => [0.160, 0.135, 0.116, 0.115, 0.116, 0.120, 0.148, 0.295, 0.375, 0.445],
+            Self::Coastal1 => [0.36, 0.25, 0.17, 0.14, 0.13, 0.12, 0.15, 0.30, 0.37, 0.45],
+            Self::Coastal3 => [0.54, 0.39, 0.29, 0.22, 0.20, 0.19, 0.21, 0.33, 0.40, 0.46],
+            Self::Coastal5 => [0.78, 0.56, 0.43, 0.36, 0.31, 0.30, 0.33, 0.40, 0.48, 0.54],
+            Self::Coastal7 => [1.20, 0.89, 0.71, 0.58, 0.49, 0.46, 0.46, 0.48, 0.54, 0.63],
+            Self::Coastal9 => [2.40, 1.60, 1.23, 0.99, 0.78, 0.63, 0.58, 0.60, 0.65, 0.76],
         }
     }
 }
@@ -109,6 +107,11 @@ impl std::str::FromStr for WaterType {
         found.ok_or_else(|| UnknownWaterType(name.to_string()))
     }
 }
+
+/// Wavelengths of Jerlov's table, nm.
+pub(crate) const WAVELENGTHS: [f32; BANDS] =
+    [425.0, 450.0, 475.0, 500.0, 525.0, 550.0, 575.0, 600.0, 625.0, 650.0];
+pub(crate) const BANDS: usize = 10;
 
 /// Scattering by particles relative to green: inversely proportional to the wavelength.
 const SCATTERING: [f32; 3] = [0.88, 1.0, 1.16];

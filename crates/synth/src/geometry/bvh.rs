@@ -117,17 +117,10 @@ fn build(items: &mut [Item]) -> Tree {
 /// Partitions at the cheapest of a few planes and returns the start of the second part (neither part is
 /// empty).
 fn split(items: &mut [Item]) -> usize {
-    let centers = items
-        .iter()
-        .fold(Bounds::NONE, |b, i| Bounds { min: b.min.min(i.center()), max: b.max.max(i.center()) });
+    let centers = items.iter().map(|i| Bounds { min: i.center(), max: i.center() });
+    let centers = centers.fold(Bounds::NONE, Bounds::union);
     let extent = centers.max - centers.min;
-    let axis = if extent.x >= extent.y && extent.x >= extent.z {
-        0
-    } else if extent.y >= extent.z {
-        1
-    } else {
-        2
-    };
+    let axis = extent.max_position();
     if extent[axis] <= 0.0 {
         return items.len() / 2;
     }
@@ -169,23 +162,17 @@ fn split(items: &mut [Item]) -> usize {
 impl Bvh {
     /// Builds the tree over triangles of `positions`.
     pub(crate) fn build(positions: &[Vec3], triangles: &[[u32; 3]]) -> Self {
-        let mut items: Vec<Item> = triangles
-            .iter()
-            .enumerate()
-            .map(|(t, corners)| {
-                let bounds = corners.iter().fold(Bounds::NONE, |b, &i| {
-                    let p = positions[i as usize];
-                    b.union(Bounds { min: p, max: p })
-                });
-                Item { bounds, triangle: t as u32 }
-            })
-            .collect();
+        let corners = |t: u32| triangles[t as usize].map(|i| positions[i as usize]);
+        let item = |triangle: u32| {
+            let bounds = corners(triangle).map(|p| Bounds { min: p, max: p });
+            Item { bounds: bounds.into_iter().fold(Bounds::NONE, Bounds::union), triangle }
+        };
+        let mut items: Vec<Item> = (0..triangles.len() as u32).map(item).collect();
         let mut bvh = Self::default();
         if items.is_empty() {
             return bvh;
         }
         let tree = build(&mut items);
-        let corners = |t: u32| triangles[t as usize].map(|i| positions[i as usize]);
         match tree {
             // The root is always a node.
             leaf @ Tree::Leaf(..) => bvh.add_node(vec![leaf], &corners),
@@ -257,7 +244,7 @@ impl Bvh {
         // A zero component is replaced by a tiny one: its reciprocal stays finite and 0 * infinity cannot
         // occur.
         let safe = |d: f32| if d.abs() < 1e-20 { 1e-20f32.copysign(d) } else { d };
-        let inverse = [1.0 / safe(ray.direction.x), 1.0 / safe(ray.direction.y), 1.0 / safe(ray.direction.z)];
+        let inverse = ray.direction.to_array().map(|d| 1.0 / safe(d));
         let origin = ray.origin.to_array();
         let mut best: Option<Hit> = None;
         let mut limit = far;

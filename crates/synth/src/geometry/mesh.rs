@@ -48,6 +48,16 @@ impl Mesh {
         self.triangle(a, c, d, surface);
     }
 
+    /// The quads over the vertices from `start` on, which are `rows + 1` lines of `columns + 1`.
+    fn grid(&mut self, start: u32, columns: usize, rows: usize, surface: u16) {
+        let index = |i: usize, j: usize| start + (j * (columns + 1) + i) as u32;
+        for j in 0..rows {
+            for i in 0..columns {
+                self.quad(index(i, j), index(i + 1, j), index(i + 1, j + 1), index(i, j + 1), surface);
+            }
+        }
+    }
+
     /// A closed surface `shape(direction)` over the unit sphere, made from a cube whose faces of `n × n`
     /// cells are projected onto the sphere. `shape` must also be defined slightly off the sphere's points;
     /// normals are computed from differences of it, so that seams are invisible.
@@ -75,13 +85,7 @@ impl Mesh {
                     self.vertex(position, n.normalize_or(d), parameter);
                 }
             }
-            let index = |i: usize, j: usize| start + (j * (n + 1) + i) as u32;
-            for j in 0..n {
-                for i in 0..n {
-                    let corners = [index(i, j), index(i + 1, j), index(i + 1, j + 1), index(i, j + 1)];
-                    self.quad(corners[0], corners[1], corners[2], corners[3], surface);
-                }
-            }
+            self.grid(start, n, n, surface);
         }
     }
 
@@ -114,12 +118,7 @@ impl Mesh {
                 self.vertex(point(k, s), normal, parameter);
             }
         }
-        let index = |k: usize, s: usize| start + (k * (sides + 1) + s) as u32;
-        for k in 0..rings.len() - 1 {
-            for s in 0..sides {
-                self.quad(index(k, s), index(k, s + 1), index(k + 1, s + 1), index(k + 1, s), surface);
-            }
-        }
+        self.grid(start, sides, rings.len() - 1, surface);
     }
 
     /// A round tube along a path, closed by a rounded tip; `radii` and `parameters` are per path point.
@@ -202,12 +201,7 @@ impl Mesh {
                 self.vertex(origin + u * across + v * up, normal, parameter);
             }
         }
-        let index = |i: usize, j: usize| first + (j * (columns + 1) + i) as u32;
-        for j in 0..rows {
-            for i in 0..columns {
-                self.quad(index(i, j), index(i + 1, j), index(i + 1, j + 1), index(i, j + 1), surface);
-            }
-        }
+        self.grid(first, columns, rows, surface);
     }
 
     /// A height field over the product of two ascending coordinate lists. `shape` gives height and texture
@@ -223,30 +217,19 @@ impl Mesh {
     ) {
         use rayon::prelude::*;
         let start = self.positions.len() as u32;
-        let rows: Vec<Vec<(Vec3, Vec3, Vec2)>> = ys
-            .par_iter()
-            .map(|&y| {
-                xs.iter()
-                    .map(|&x| {
-                        let h = 0.015;
-                        let slope_x = (smooth(x + h, y) - smooth(x - h, y)) / (2.0 * h);
-                        let slope_y = (smooth(x, y + h) - smooth(x, y - h)) / (2.0 * h);
-                        let (z, parameter) = shape(x, y);
-                        let normal = Vec3::new(-slope_x, -slope_y, 1.0).normalize();
-                        (Vec3::new(x, y, z), normal, parameter)
-                    })
-                    .collect()
-            })
-            .collect();
+        let vertex = |x: f32, y: f32| {
+            let h = 0.015;
+            let slope_x = (smooth(x + h, y) - smooth(x - h, y)) / (2.0 * h);
+            let slope_y = (smooth(x, y + h) - smooth(x, y - h)) / (2.0 * h);
+            let (z, parameter) = shape(x, y);
+            (Vec3::new(x, y, z), Vec3::new(-slope_x, -slope_y, 1.0).normalize(), parameter)
+        };
+        let row = |&y: &f32| xs.iter().map(|&x| vertex(x, y)).collect();
+        let rows: Vec<Vec<(Vec3, Vec3, Vec2)>> = ys.par_iter().map(row).collect();
         for (position, normal, parameter) in rows.into_iter().flatten() {
             self.vertex(position, normal, parameter);
         }
-        let index = |i: usize, j: usize| start + (j * xs.len() + i) as u32;
-        for j in 0..ys.len() - 1 {
-            for i in 0..xs.len() - 1 {
-                self.quad(index(i, j), index(i + 1, j), index(i + 1, j + 1), index(i, j + 1), surface);
-            }
-        }
+        self.grid(start, xs.len() - 1, ys.len() - 1, surface);
     }
 }
 

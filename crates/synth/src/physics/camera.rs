@@ -111,8 +111,7 @@ pub(crate) struct Automatic {
 /// Mean light of a view per channel, linear.
 fn mean_light(scene: &MeshScene, camera: &Camera, look: &dyn RayColor) -> Vec3 {
     let rays = coarse_rays(camera);
-    let still = Caustics { strength: 0.0, time: 0.0 };
-    let sum: Vec3 = rays.iter().map(|ray| look.color(scene.look(ray, 0.05, still), ray)).sum();
+    let sum: Vec3 = rays.iter().map(|ray| look.color(scene.look(ray, 0.05, Caustics::OFF), ray)).sum();
     sum / rays.len().max(1) as f32
 }
 

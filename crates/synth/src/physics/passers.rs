@@ -31,10 +31,9 @@ impl Canvas<'_> {
     /// Paints pixels around `centre` (pixels): `cover` gives a pixel's share from its offset, 0 to 1.
     fn paint(&mut self, centre: Vec2, reach: f32, z: f32, albedo: Vec3, cover: &dyn Fn(Vec2) -> f32) {
         let (w, h) = (self.image.width(), self.image.height());
-        let bounds = |c: f32, n: usize| span(c, reach, n);
         let rays = Rays::new(self.camera);
-        for y in bounds(centre.y, h) {
-            for x in bounds(centre.x, w) {
+        for y in span(centre.y, reach, h) {
+            for x in span(centre.x, reach, w) {
                 let hidden = self.depth.pixel(x, y)[0];
                 if hidden > 0.0 && hidden < z {
                     continue;
@@ -80,10 +79,8 @@ pub(crate) fn fish(canvas: &mut Canvas<'_>, count: usize, seed: u64, view: usize
         let z = draws.range(1.0, 3.4);
         let length = draws.range(0.10, 0.30) * canvas.camera.intrinsics.fx as f32 / z;
         let centre = Vec2::new(draws.range(0.0, w as f32), draws.range(0.1, 0.8) * h as f32);
-        let (sin, cos) = {
-            let turn = draws.about(0.35);
-            (turn, (1.0 - turn * turn).sqrt())
-        };
+        let sin = draws.about(0.35);
+        let cos = (1.0 - sin * sin).sqrt();
         let side = if draws.below(2) == 0 { 1.0 } else { -1.0 };
         let albedo = [Vec3::new(0.75, 0.78, 0.80), Vec3::new(0.85, 0.70, 0.10), Vec3::new(0.10, 0.18, 0.45)]
             [draws.below(3)];

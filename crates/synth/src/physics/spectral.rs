@@ -28,32 +28,13 @@ use use3d_numerics::math;
 use crate::geometry::bvh::Ray;
 use crate::render::RayColor;
 use crate::scene::SurfaceHit;
-use crate::water::WaterType;
+use crate::water::{BANDS, WAVELENGTHS, WaterType};
 
-/// Wavelengths, nm.
-const WAVELENGTHS: [f32; BANDS] = [425.0, 450.0, 475.0, 500.0, 525.0, 550.0, 575.0, 600.0, 625.0, 650.0];
-const BANDS: usize = 10;
 /// The index of 550 nm.
 const MIDDLE: usize = 5;
 
 /// A value for every wavelength.
 type Spectrum = [f32; BANDS];
-
-/// K in 1/m at [`WAVELENGTHS`].
-fn diffuse_attenuation(kind: WaterType) -> Spectrum {
-    match kind {
-        WaterType::I => [0.022, 0.019, 0.018, 0.027, 0.043, 0.063, 0.089, 0.235, 0.305, 0.36],
-        WaterType::Ia => [0.031, 0.026, 0.025, 0.032, 0.048, 0.067, 0.094, 0.24, 0.31, 0.37],
-        WaterType::Ib => [0.042, 0.036, 0.033, 0.042, 0.054, 0.072, 0.099, 0.245, 0.315, 0.375],
-        WaterType::Ii => [0.081, 0.068, 0.062, 0.070, 0.076, 0.089, 0.115, 0.26, 0.335, 0.40],
-        WaterType::Iii => [0.160, 0.135, 0.116, 0.115, 0.116, 0.120, 0.148, 0.295, 0.375, 0.445],
-        WaterType::Coastal1 => [0.36, 0.25, 0.17, 0.14, 0.13, 0.12, 0.15, 0.30, 0.37, 0.45],
-        WaterType::Coastal3 => [0.54, 0.39, 0.29, 0.22, 0.20, 0.19, 0.21, 0.33, 0.40, 0.46],
-        WaterType::Coastal5 => [0.78, 0.56, 0.43, 0.36, 0.31, 0.30, 0.33, 0.40, 0.48, 0.54],
-        WaterType::Coastal7 => [1.20, 0.89, 0.71, 0.58, 0.49, 0.46, 0.46, 0.48, 0.54, 0.63],
-        WaterType::Coastal9 => [2.40, 1.60, 1.23, 0.99, 0.78, 0.63, 0.58, 0.60, 0.65, 0.76],
-    }
-}
 
 /// The camera's relative response of a channel (red, green, blue), summing to 1 over the wavelengths.
 fn response(channel: usize) -> Spectrum {
@@ -116,9 +97,9 @@ pub(crate) struct Spectral {
     /// The picture's x axis, along which the lamps' arms extend.
     sideways: Vec3,
     /// The colour where no surface is seen: sky, or black (then only haze is seen).
-    background: Vec3,
-    /// True if surfaces have the spectra of reefs.
-    reef: bool,
+    pub(crate) background: Vec3,
+    /// True if surfaces have the spectra of reefs; grey ones keep smooth spectra.
+    pub(crate) reef: bool,
     /// Light of the sky ahead that the lens spreads over the picture, as a share of the sky's light.
     glare: f32,
     responses: [Spectrum; 3],
@@ -128,7 +109,7 @@ pub(crate) struct Spectral {
 impl Spectral {
     /// Water of a type whose surface is `depth` metres above height 0; `sun` points to the sun.
     pub(crate) fn new(kind: WaterType, depth: f32, sun: Vec3, lamps: Option<Lamps>) -> Self {
-        let diffuse = diffuse_attenuation(kind);
+        let diffuse = kind.diffuse_attenuation();
         let particles = 0.04 + 1.5 * (diffuse[MIDDLE] - 0.0565).max(0.0);
         let scattering: Spectrum = std::array::from_fn(|i| particles * WAVELENGTHS[MIDDLE] / WAVELENGTHS[i]);
         Self {
@@ -154,20 +135,10 @@ impl Spectral {
         Self { diffuse: none, beam: none, scattering: none, background: SKY, ..water }
     }
 
-    /// The same, with surfaces that have the spectra of reefs; grey ones keep smooth spectra.
-    pub(crate) fn with_reef_spectra(self, reef: bool) -> Self {
-        Self { reef, ..self }
-    }
-
     /// The same against the light: the sky is 1 + 3 `strength` times as bright, and the lens spreads a share
     /// of the visible sky's light over the whole picture.
     pub(crate) fn against_light(self, strength: f32) -> Self {
         Self { background: (1.0 + 3.0 * strength) * self.background, glare: 0.06 * strength, ..self }
-    }
-
-    /// The same without sky: black where there is no surface.
-    pub(crate) fn without_sky(self) -> Self {
-        Self { background: Vec3::ZERO, ..self }
     }
 
     /// The light that the lens spreads over a picture in which the sky fills this `share`.

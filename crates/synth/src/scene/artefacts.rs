@@ -10,32 +10,11 @@ use super::terrain::Terrain;
 use crate::geometry::mesh::{Mesh, Ring, rings_along};
 use crate::geometry::noise::Noise;
 
-/// sRGB values of a 24-patch colour chart, 8 bit, row by row.
-pub(crate) const CHART: [[u8; 3]; 24] = [
-    [115, 82, 68],
-    [194, 150, 130],
-    [98, 122, 157],
-    [87, 108, 67],
-    [133, 128, 177],
-    [103, 189, 170],
-    [214, 126, 44],
-    [80, 91, 166],
-    [193, 90, 99],
-    [94, 60, 108],
-    [157, 188, 64],
-    [224, 163, 46],
-    [56, 61, 150],
-    [70, 148, 73],
-    [175, 54, 60],
-    [231, 199, 31],
-    [187, 86, 149],
-    [8, 133, 161],
-    [243, 243, 242],
-    [200, 200, 200],
-    [160, 160, 160],
-    [122, 122, 121],
-    [85, 85, 85],
-    [52, 52, 52],
+/// sRGB values of a 24-patch colour chart, `0xRRGGBB`, row by row.
+const CHART: [u32; 24] = [
+    0x735244, 0xC29682, 0x627A9D, 0x576C43, 0x8580B1, 0x67BDAA, 0xD67E2C, 0x505BA6, 0xC15A63, 0x5E3C6C,
+    0x9DBC40, 0xE0A32E, 0x383D96, 0x469449, 0xAF363C, 0xE7C71F, 0xBB5695, 0x0885A1, 0xF3F3F2, 0xC8C8C8,
+    0xA0A0A0, 0x7A7A79, 0x555555, 0x343434,
 ];
 
 /// A board with 24 patches, `width` metres wide, leaning back so that a swimmer sees it.
@@ -50,21 +29,18 @@ pub(crate) fn chart(mesh: &mut Mesh, palette: &mut Palette, base: Vec3, turn: f3
     let center = base + 0.5 * height * up + 0.02 * Vec3::Z;
     mesh.beam(&[center - 0.5 * height * up, center + 0.5 * height * up], right, [0.5 * width, 0.008], board);
     let (cell, gap) = (width / 6.3, 0.16);
-    for (i, &color) in CHART.iter().enumerate() {
+    for (i, color) in CHART.into_iter().enumerate() {
+        let [_, red, green, blue] = color.to_be_bytes();
         let (column, row) = ((i % 6) as f32 - 2.5, 1.5 - (i / 6) as f32);
         let middle = center + cell * (column * right + row * up) + 0.010 * normal;
         let half = 0.5 * cell * (1.0 - gap);
-        let patch = palette.plain(color, 0.0);
+        let patch = palette.plain([red, green, blue], 0.0);
         mesh.beam(&[middle - half * up, middle + half * up], right, [half, 0.003], patch);
     }
     // A prop behind the board.
-    let metal = palette.metal();
-    mesh.beam(
-        &[center + 0.3 * height * up, base + 0.75 * height * back - 0.02 * Vec3::Z],
-        right,
-        [0.012, 0.006],
-        metal,
-    );
+    let metal = palette.add(Surface::Metal);
+    let prop = [center + 0.3 * height * up, base + 0.75 * height * back - 0.02 * Vec3::Z];
+    mesh.beam(&prop, right, [0.012, 0.006], metal);
 }
 
 /// Reflectances of a board's patches, left to right, top to bottom.
@@ -102,13 +78,8 @@ pub(crate) fn rope(
     let block = start.extend(ground + 0.05);
     let concrete = palette.stone([126, 122, 112]);
     let (sin, cos) = math::sin_cos(draws.about(0.6));
-    let along = Vec3::new(sin, cos, 0.0);
-    mesh.beam(
-        &[block - 0.17 * along, block + 0.17 * along],
-        Vec3::new(cos, -sin, 0.0),
-        [0.13, 0.11],
-        concrete,
-    );
+    let (along, across) = (Vec3::new(sin, cos, 0.0), Vec3::new(cos, -sin, 0.0));
+    mesh.beam(&[block - 0.17 * along, block + 0.17 * along], across, [0.13, 0.11], concrete);
     let radius = 0.017;
     let steps = 260;
     let swing = draws.range(0.35, 0.6);
@@ -126,16 +97,12 @@ pub(crate) fn rope(
             xy.extend(lifted.max(floor) + from_block * (knot - floor).max(0.0))
         })
         .collect();
-    let lengths: Vec<f32> = path
-        .iter()
-        .scan((0.0, path[0]), |(length, previous), &p| {
-            *length += p.distance(*previous);
-            *previous = p;
-            Some(*length)
-        })
-        .collect();
+    let mut lengths = vec![0.0];
+    for (k, part) in path.windows(2).enumerate() {
+        lengths.push(lengths[k] + part[1].distance(part[0]));
+    }
     let rings = rings_along(&path, &vec![radius; path.len()], &lengths);
-    let surface = palette.rope();
+    let surface = palette.add(Surface::Rope);
     mesh.sweep(&rings, 14, surface, |angle, k| 1.0 + 0.16 * math::cos(3.0 * angle - 70.0 * lengths[k]));
 }
 
@@ -147,7 +114,7 @@ pub(crate) fn wreck(
     base: Vec3,
     turn: f32,
 ) -> Vec3 {
-    let wood = palette.wood();
+    let wood = palette.add(Surface::Wood);
     let (sin, cos) = math::sin_cos(turn);
     let ahead = Vec3::new(-sin, cos, 0.0);
     let right = Vec3::new(cos, sin, 0.0);
@@ -161,12 +128,8 @@ pub(crate) fn wreck(
             + side * w * math::powf(math::sin(angle), 0.8) * right
             + h * (1.0 - math::cos(angle)) * Vec3::Z
     };
-    mesh.beam(
-        &[base - 0.3 * ahead, base + 0.5 * length * ahead, base + length * ahead],
-        right,
-        [0.10, 0.13],
-        wood,
-    );
+    let keel = [base - 0.3 * ahead, base + 0.5 * length * ahead, base + length * ahead];
+    mesh.beam(&keel, right, [0.10, 0.13], wood);
     let (_, bow) = hull(1.0);
     let stem: Vec<Vec3> = (0..=8)
         .map(|k| {
@@ -197,11 +160,8 @@ pub(crate) fn wreck(
         let side = if draws.below(3) == 0 { 1.0 } else { -1.0 };
         let height = draws.range(0.42, 0.9);
         let (from, span) = (draws.range(0.0, 0.55), draws.range(0.25, 0.5));
-        let path: Vec<Vec3> = (0..=10)
-            .map(|k| {
-                rib_point((from + span * k as f32 / 10.0).min(0.97), side, height) * 1.0 + 0.05 * side * right
-            })
-            .collect();
+        let point = |k: u8| rib_point((from + span * f32::from(k) / 10.0).min(0.97), side, height);
+        let path: Vec<Vec3> = (0..=10).map(|k| point(k) + 0.05 * side * right).collect();
         let up = (rib_point(from, side, height + 0.03) - rib_point(from, side, height - 0.03)).normalize();
         mesh.beam(&path, up, [0.085, 0.014], wood);
     }
@@ -232,7 +192,7 @@ pub(crate) fn drum(mesh: &mut Mesh, palette: &mut Palette, base: Vec3, turn: f32
         (0.88, 0.265),
         (0.88, 0.02),
     ];
-    revolve(mesh, base + 0.1 * Vec3::Z - 0.44 * axis, axis, 1.0, &profile, 32, palette.metal());
+    revolve(mesh, base + 0.1 * Vec3::Z - 0.44 * axis, axis, 1.0, &profile, 32, palette.add(Surface::Metal));
 }
 
 /// A clay jar with two handles lying on its side.

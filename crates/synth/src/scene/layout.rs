@@ -33,11 +33,7 @@ impl Location {
 
     /// Its name in parameter files.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Reef => "reef",
-            Self::Pool => "pool",
-            Self::VeilPool => "veil-pool",
-        }
+        ["reef", "pool", "veil-pool"][self as usize]
     }
 }
 
@@ -96,7 +92,7 @@ pub(crate) fn build(layout: &Layout) -> (Mesh, Palette, Terrain) {
         rock: linear([136, 120, 96]),
         algae: linear([120, 122, 66]),
         crust: linear([190, 112, 140]),
-        ripples: terrain.ripples(),
+        ripples: terrain.ripples,
     });
     terrain.add_to(&mut mesh, 0.055 / detail, ground);
     let mut taken: Vec<(Vec2, f32)> = Vec::new();
@@ -118,7 +114,8 @@ pub(crate) fn build(layout: &Layout) -> (Mesh, Palette, Terrain) {
         let keel = Vec2::new(terrain.channel_center(8.0) + 0.75, 7.6);
         let mut base = on_ground(keel);
         base.z = base.z.min(terrain.height(keel.x, keel.y + 2.0)) - 0.03;
-        let rib = artefacts::wreck(&mut mesh, &mut palette, &mut draws, base, wreck_heading(seed));
+        let heading = Draws::new(seed, "wreck", 0).range(-0.35, 0.05);
+        let rib = artefacts::wreck(&mut mesh, &mut palette, &mut draws, base, heading);
         for i in 0..7 {
             taken.push((keel + Vec2::new(0.0, 0.75 * i as f32), 1.35));
         }
@@ -140,11 +137,6 @@ pub(crate) fn build(layout: &Layout) -> (Mesh, Palette, Terrain) {
     plant.reef((150.0 * crowd) as u64);
     plant.sand((46.0 * crowd) as u64, (320.0 * detail * density) as u64);
     (mesh, palette, terrain)
-}
-
-/// The direction of the wreck.
-fn wreck_heading(seed: u64) -> f32 {
-    Draws::new(seed, "wreck", 0).range(-0.35, 0.05)
 }
 
 struct Planter<'a> {
@@ -179,6 +171,25 @@ impl Planter<'_> {
         (at, self.terrain.at(at.x, at.y).1)
     }
 
+    /// Takes a free place for an object of this size where the ground `fits`, by its share of reef. The
+    /// object keeps others away within `room` of its size.
+    fn settle(
+        &mut self,
+        draws: &mut Draws,
+        size: f32,
+        room: f32,
+        fits: impl Fn(f32) -> bool,
+    ) -> Option<Vec3> {
+        let place = (0..12).find_map(|_| {
+            let (at, reef) = self.spot(draws);
+            let free = fits(reef) && self.is_free(at, 0.4 * size) && self.clears_path(at, 0.8 * size);
+            free.then_some(at)
+        });
+        let at = place?;
+        self.taken.push((at, room * size));
+        Some(at.extend(self.terrain.height(at.x, at.y)))
+    }
+
     fn reef(&mut self, count: u64) {
         for number in 0..count {
             let draws = &mut Draws::new(self.seed, "reef", number);
@@ -191,17 +202,9 @@ impl Planter<'_> {
                 k if k < 0.86 => draws.range(0.35, 0.7),
                 _ => draws.range(0.4, 1.1),
             };
-            // Tries a few times to find a place on the reef.
-            let place = (0..12).find_map(|_| {
-                let (at, reef) = self.spot(draws);
-                (reef > 0.45 && self.is_free(at, 0.4 * size) && self.clears_path(at, 0.8 * size))
-                    .then_some(at)
-            });
-            let Some(at) = place else { continue };
-            self.taken.push((at, 0.4 * size));
-            let base = at.extend(self.terrain.height(at.x, at.y));
+            let Some(base) = self.settle(draws, size, 0.4, |reef| reef > 0.45) else { continue };
             // Distant organisms need fewer triangles.
-            let detail = self.detail * if at.y > 9.5 || at.x.abs() > 4.0 { 0.6 } else { 1.0 };
+            let detail = self.detail * if base.y > 9.5 || base.x.abs() > 4.0 { 0.6 } else { 1.0 };
             match kind {
                 k if k < 0.34 => self.branching(draws, base, size, detail),
                 k if k < 0.46 => self.brain(draws, base, size, detail),
@@ -257,21 +260,13 @@ impl Planter<'_> {
             let size = match kind {
                 k if k < 0.3 => draws.range(0.18, 0.34),
                 k if k < 0.62 => draws.range(0.2, 0.65),
-                k if k < 0.8 => draws.range(0.25, 0.5),
                 _ => draws.range(0.25, 0.5),
             };
-            let place = (0..12).find_map(|_| {
-                let (at, reef) = self.spot(draws);
-                (reef < 0.4 && self.is_free(at, 0.4 * size) && self.clears_path(at, 0.8 * size)).then_some(at)
-            });
-            let Some(at) = place else { continue };
-            self.taken.push((at, 0.45 * size));
-            let base = at.extend(self.terrain.height(at.x, at.y));
+            let Some(base) = self.settle(draws, size, 0.45, |reef| reef < 0.4) else { continue };
             match kind {
                 k if k < 0.3 => {
-                    let surface = self
-                        .palette
-                        .add(Surface::Starfish { color: linear(STARS[draws.below(STARS.len())]) });
+                    let color = linear(STARS[draws.below(STARS.len())]);
+                    let surface = self.palette.add(Surface::Starfish { color });
                     organisms::starfish(self.mesh, draws, base, size, self.detail, surface);
                 }
                 k if k < 0.62 => self.boulder(draws, base, size, self.detail),

@@ -30,7 +30,7 @@ use light::{Daylight, VertexLight};
 
 /// A scene that is ready to be rendered.
 pub(crate) struct MeshScene {
-    mesh: Mesh,
+    pub(crate) mesh: Mesh,
     surfaces: Vec<Surface>,
     bvh: Bvh,
     light: VertexLight,
@@ -56,6 +56,10 @@ pub(crate) struct SurfaceHit {
 pub(crate) struct Caustics {
     pub(crate) strength: f32,
     pub(crate) time: f32,
+}
+
+impl Caustics {
+    pub(crate) const OFF: Self = Self { strength: 0.0, time: 0.0 };
 }
 
 /// Surfaces beyond this distance are ignored, metres: no water is clear enough to show them.
@@ -89,11 +93,6 @@ impl MeshScene {
         self.daylight.sun
     }
 
-    /// Number of triangles in the scene.
-    pub(crate) fn triangles(&self) -> usize {
-        self.mesh.triangles.len()
-    }
-
     /// Casts a ray; `spread` is the width of a pixel at unit `t`, metres. `None` is open water.
     pub(crate) fn look(&self, ray: &Ray, spread: f32, caustics: Caustics) -> Option<SurfaceHit> {
         let hit = self.bvh.nearest(ray, FAR)?;
@@ -117,10 +116,11 @@ impl MeshScene {
             sunlight *=
                 (1.0 + caustics.strength * light::caustics(self.noise, point, caustics.time)).max(0.0);
         }
-        let grey = self.is_grey(surface);
-        let light = self.daylight.at(tilted, free.x, sunlight);
-        // A board of greys is lit by neutral light, whatever tint the daylight has.
-        let light = if grey { Vec3::splat(light.dot(Vec3::splat(1.0 / 3.0))) } else { light };
+        let mut light = self.daylight.at(tilted, free.x, sunlight);
+        if self.is_grey(surface) {
+            // A board of greys is lit by neutral light, whatever tint the daylight has.
+            light = Vec3::splat(light.dot(Vec3::splat(1.0 / 3.0)));
+        }
         Some(SurfaceHit { t: hit.t, light: albedo * light, surface })
     }
 

@@ -46,7 +46,7 @@ pub(crate) fn linear(rgb: [u8; 3]) -> Vec3 {
         let v = f32::from(v) / 255.0;
         if v <= 0.04045 { v / 12.92 } else { math::powf((v + 0.055) / 1.055, 2.4) }
     };
-    Vec3::new(decode(rgb[0]), decode(rgb[1]), decode(rgb[2]))
+    Vec3::from_array(rgb.map(decode))
 }
 
 /// Display value (sRGB) from linear light, with a soft shoulder instead of a clip: values stay below 1.
@@ -55,7 +55,7 @@ pub(crate) fn display(light: Vec3) -> Vec3 {
         let x = if x < 0.75 { x } else { 0.75 + 0.25 * (1.0 - math::exp(-(x - 0.75) / 0.25)) };
         if x <= 0.003_130_8 { 12.92 * x.max(0.0) } else { 1.055 * math::powf(x, 1.0 / 2.4) - 0.055 }
     };
-    Vec3::new(encode(light.x), encode(light.y), encode(light.z))
+    Vec3::from_array(light.to_array().map(encode))
 }
 
 /// The surfaces of a scene, by index.
@@ -76,18 +76,6 @@ impl Palette {
 
     pub(crate) fn stone(&mut self, rgb: [u8; 3]) -> u16 {
         self.add(Surface::Stone { color: linear(rgb) })
-    }
-
-    pub(crate) fn wood(&mut self) -> u16 {
-        self.add(Surface::Wood)
-    }
-
-    pub(crate) fn metal(&mut self) -> u16 {
-        self.add(Surface::Metal)
-    }
-
-    pub(crate) fn rope(&mut self) -> u16 {
-        self.add(Surface::Rope)
     }
 }
 

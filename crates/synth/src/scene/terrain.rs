@@ -17,7 +17,8 @@ pub(crate) struct Terrain {
     meander: [f32; 2],
     /// Height of the reef above the sand.
     reef: f32,
-    ripples: Ripples,
+    /// The ripples on its sand.
+    pub(crate) ripples: Ripples,
     /// True if the floor is that of a pool, at height 0 everywhere.
     flat: bool,
 }
@@ -74,11 +75,6 @@ impl Terrain {
     /// The x coordinate of the middle of the sand channel at `y`.
     pub(crate) fn channel_center(&self, y: f32) -> f32 {
         self.meander[0] * math::sin(0.42 * y + self.meander[1])
-    }
-
-    /// The ripples on its sand.
-    pub(crate) fn ripples(&self) -> Ripples {
-        self.ripples
     }
 
     /// Height of the floor without ripples, and the share of reef: 0 on sand to 1 on reef.
