@@ -13,6 +13,8 @@
 //! takes the sharpest frame of the last part of that way. If a film gives more frames than allowed, the
 //! target is lowered; if it gives only a few, it is raised.
 
+use std::collections::HashMap;
+
 /// Width of thumbnails, pixels.
 pub(crate) const THUMBNAIL: usize = 48;
 /// Radius of the mean that is subtracted from a thumbnail, pixels.
@@ -89,10 +91,10 @@ impl Thumbnail {
         let mut small = vec![0.0f32; small_width * small_height];
         for (i, value) in small.iter_mut().enumerate() {
             let (x, y) = (i % small_width, i / small_width);
-            let columns =
-                x * width / small_width..((x + 1) * width / small_width).max(x * width / small_width + 1);
-            let rows = y * height / small_height
-                ..((y + 1) * height / small_height).max(y * height / small_height + 1);
+            let part = |i: usize, side: usize, small: usize| {
+                i * side / small..((i + 1) * side / small).max(i * side / small + 1)
+            };
+            let (columns, rows) = (part(x, width, small_width), part(y, height, small_height));
             let count = (columns.len() * rows.len()) as f32;
             let sum: u32 =
                 rows.flat_map(|r| columns.clone().map(move |c| u32::from(grey[r * width + c]))).sum();
@@ -160,7 +162,7 @@ fn sharpest(frames: &[Frame], among: impl Iterator<Item = usize>) -> Option<usiz
 }
 
 /// The frames for one target.
-fn with_overlap(frames: &[Frame], target: f64, overlaps: &mut Overlaps) -> Vec<usize> {
+fn with_overlap(frames: &[Frame], target: f64, overlap: &mut dyn FnMut(usize, usize) -> f64) -> Vec<usize> {
     // The first frame is the sharpest of the first half second.
     let Some(first) = sharpest(frames, 0..frames.len().min(5)).or_else(|| sharpest(frames, 0..frames.len()))
     else {
@@ -168,9 +170,7 @@ fn with_overlap(frames: &[Frame], target: f64, overlaps: &mut Overlaps) -> Vec<u
     };
     let mut chosen = vec![first];
     let mut last = first;
-    loop {
-        let end = (last + 1..frames.len()).find(|&i| overlaps.of(frames, last, i) < target);
-        let Some(end) = end else { break };
+    while let Some(end) = (last + 1..frames.len()).find(|&i| overlap(last, i) < target) {
         let part = ((end - last) as f64 * LAST_PART) as usize;
         let next = sharpest(frames, (end - part).max(last + 1)..end + 1)
             .or_else(|| sharpest(frames, end..frames.len().min(end + 5)));
@@ -181,28 +181,22 @@ fn with_overlap(frames: &[Frame], target: f64, overlaps: &mut Overlaps) -> Vec<u
     chosen
 }
 
-/// Overlaps that were computed, since several targets ask for the same ones.
-#[derive(Default)]
-struct Overlaps(std::collections::HashMap<(usize, usize), f64>);
-
-impl Overlaps {
-    fn of(&mut self, frames: &[Frame], a: usize, b: usize) -> f64 {
-        *self.0.entry((a, b)).or_insert_with(|| frames[a].thumbnail.overlap(&frames[b].thumbnail))
-    }
-}
-
 /// The chosen frames, in order, with the overlap that neighbours have at least.
 pub(crate) fn choose(frames: &[Frame], most: usize) -> (Vec<usize>, f64) {
-    let mut overlaps = Overlaps::default();
+    // Several targets ask for the same overlaps.
+    let mut known: HashMap<(usize, usize), f64> = HashMap::new();
+    let mut overlap = |a: usize, b: usize| {
+        *known.entry((a, b)).or_insert_with(|| frames[a].thumbnail.overlap(&frames[b].thumbnail))
+    };
     let usual = TARGETS.iter().position(|&t| t == USUAL).unwrap_or(0);
     let mut at = usual;
-    let mut chosen = with_overlap(frames, TARGETS[at], &mut overlaps);
+    let mut chosen = with_overlap(frames, TARGETS[at], &mut overlap);
     while chosen.len() > most && at > 0 {
         at -= 1;
-        chosen = with_overlap(frames, TARGETS[at], &mut overlaps);
+        chosen = with_overlap(frames, TARGETS[at], &mut overlap);
     }
     while at >= usual && chosen.len() < ENOUGH.min(most) && at + 1 < TARGETS.len() {
-        let more = with_overlap(frames, TARGETS[at + 1], &mut overlaps);
+        let more = with_overlap(frames, TARGETS[at + 1], &mut overlap);
         if more.len() > most {
             break;
         }

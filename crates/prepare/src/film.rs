@@ -13,7 +13,7 @@ use use3d_capture::shown;
 
 use crate::choose::{Frame, choose};
 use crate::error::PrepareError;
-use crate::process::{self, Ended, ProgramEnd, StepProgress, StepWatch, spelled};
+use crate::process::{self, Ended, ProgramEnd, StepWatch};
 use crate::tools::{self, Program};
 
 /// Width of the grey frames, pixels.
@@ -155,8 +155,8 @@ fn line(reader: &mut impl Read) -> std::io::Result<Option<String>> {
 fn y4m_size(header: &str) -> Option<(usize, usize)> {
     let field = |letter: char| header.split(' ').skip(1).find_map(|f| f.strip_prefix(letter)?.parse().ok());
     let size: (usize, usize) = (field('W')?, field('H')?);
-    (header.starts_with("YUV4MPEG2 ") && (1..=MAX_SIDE).contains(&size.0) && (1..=MAX_SIDE).contains(&size.1))
-        .then_some(size)
+    let sides = [size.0, size.1].iter().all(|side| (1..=MAX_SIDE).contains(side));
+    (header.starts_with("YUV4MPEG2 ") && sides).then_some(size)
 }
 
 /// Looks at a film's frames, and chooses some.
@@ -174,18 +174,18 @@ pub(crate) fn look(
     let mut command = tools::command(&ffmpeg.path);
     command.args(["-v", "error", "-nostdin", "-i"]).arg(&film.path).args(["-an", "-sn", "-vf", &filter]);
     command.args(numbers_kept(&ffmpeg.version)).args(["-strict", "-1", "-f", "yuv4mpegpipe", "-"]);
-    let frames = grey_frames(&mut command, log, watch, step, film.seconds.map(|s| s * film.rate)).map_err(
-        |e| match e {
-            PrepareError::Step { reason, .. } => PrepareError::input(path, reason),
-            other => other,
-        },
-    )?;
+    let total = film.seconds.map(|s| s * film.rate);
+    let frames = grey_frames(&mut command, log, watch, step, total).map_err(|e| match e {
+        PrepareError::Step { reason, .. } => PrepareError::input(path, reason),
+        other => other,
+    })?;
     let (chosen, overlap) = choose(&frames, most);
     let looked_at = frames.len();
-    let chosen = chosen.into_iter().map(|i| &frames[i]);
-    let frames: Vec<Chosen> = chosen
-        .map(|f| Chosen { number: f.number, sharpness: f.sharpness, seconds: f.number as f64 / film.rate })
-        .collect();
+    let frame = |i: usize| {
+        let Frame { number, sharpness, .. } = frames[i];
+        Chosen { number, sharpness, seconds: number as f64 / film.rate }
+    };
+    let frames = chosen.into_iter().map(frame).collect();
     Ok(Choice { film, frames, looked_at, overlap })
 }
 
@@ -196,12 +196,8 @@ fn grey_frames(
     step: u64,
     total: Option<f64>,
 ) -> Result<Vec<Frame>, PrepareError> {
-    use std::io::Write;
-    let mut file = process::open_log(log)?;
-    writeln!(file, "$ {}", spelled(command).join(" ")).map_err(PrepareError::file(log))?;
-    let program = PathBuf::from(command.get_program());
-    let piped = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(file);
-    let mut child = Ended(piped.spawn().map_err(PrepareError::file(&program))?);
+    let file = process::open_log(log, command)?;
+    let mut child = Ended::spawn(command.stdout(Stdio::piped()).stderr(file))?;
     let Some(out) = child.0.stdout.take() else { return Ok(Vec::new()) };
     let mut reader = BufReader::with_capacity(1 << 20, out);
     let failed = |reason: String| PrepareError::Step { step: "frames", reason, log: log.to_path_buf() };
@@ -221,17 +217,12 @@ fn grey_frames(
             frames.push(Frame::new(frames.len() as u64 * step, width, height, &grey));
             watch.check()?;
             let done = frames.len() as u64;
-            (watch.progress)(StepProgress {
-                step: "frames",
-                done,
-                total: total.max(done),
-                unit: "frames looked at",
-            });
+            watch.tell("frames", (done, total.max(done)), "frames looked at");
         }
     }
     // With its stream closed, a program that still writes ends.
     drop(reader);
-    let status = child.0.wait().map_err(PrepareError::file(&program))?;
+    let status = child.0.wait().map_err(PrepareError::file(Path::new(command.get_program())))?;
     if status.code().is_none() {
         return Err(failed(process::reason(&ProgramEnd { status, last: Vec::new() })));
     }
@@ -274,7 +265,7 @@ pub(crate) fn write(
     let heard = |line: &str| {
         let done = line.rsplit("frame=").next().and_then(|rest| rest.split_whitespace().next()?.parse().ok());
         if let Some(done) = done.filter(|_| line.contains("frame=")) {
-            (watch.progress)(StepProgress { step: "frames", done, total, unit: "frames written" });
+            watch.tell("frames", (done, total), "frames written");
         }
     };
     let outcome = process::run(&mut command, log, watch.stop, heard)?;
@@ -290,17 +281,13 @@ pub(crate) fn write(
 }
 
 impl Film {
-    /// Remarks on the film for the user.
-    pub(crate) fn remarks(&self) -> Vec<String> {
+    /// A remark on the film for the user.
+    pub(crate) fn remark(&self) -> Option<String> {
         let name = self.path.file_name().unwrap_or_default().to_string_lossy();
         let name = shown(&name);
-        let mut remarks = Vec::new();
-        if self.hdr {
-            remarks.push(format!(
-                "{name} is an HDR film: its colours look pale here; film in standard colours (Rec. 709) next time"
-            ));
-        }
-        remarks
+        self.hdr.then(|| {
+            format!("{name} is an HDR film: its colours look pale here; film in standard colours (Rec. 709) next time")
+        })
     }
 }
 

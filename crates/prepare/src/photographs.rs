@@ -5,7 +5,7 @@ use std::path::Path;
 use use3d_io_image::straighten;
 
 use crate::error::PrepareError;
-use crate::process::{self, StepProgress, StepWatch};
+use crate::process::{self, StepWatch};
 use crate::sources::{BESIDE, Photograph};
 use crate::tools::{self, Program};
 
@@ -33,8 +33,8 @@ pub(crate) fn copy(
                 command.args(["-frames:v", "1", "-update", "1"]).arg(&to);
                 let outcome = process::run(&mut command, log, watch.stop, |_| {})?;
                 if !outcome.status.success() {
-                    let reason = format!("ffmpeg cannot convert it: {}", process::reason(&outcome));
-                    return Err(PrepareError::input(from, reason));
+                    let reason = process::reason(&outcome);
+                    return Err(PrepareError::input(from, format!("ffmpeg cannot convert it: {reason}")));
                 }
             }
             _ if photograph.orientation != 1 => {
@@ -46,8 +46,7 @@ pub(crate) fn copy(
                 std::fs::copy(from, &to).map_err(PrepareError::file(from))?;
             }
         }
-        let (done, total) = (done as u64 + 1, photographs.len() as u64);
-        (watch.progress)(StepProgress { step: "photographs", done, total, unit: "photographs" });
+        watch.tell("photographs", (done as u64 + 1, photographs.len() as u64), "photographs");
     }
     Ok(())
 }

@@ -15,7 +15,7 @@ use crate::error::PrepareError;
 use crate::film::{self, Choice};
 use crate::params::{BALANCE_RULES, FEWEST, PrepareParams};
 use crate::photographs;
-use crate::process::{StepProgress, StepWatch};
+use crate::process::StepWatch;
 use crate::sfm::{FEATURES_DB, IMAGES, MATCHES_DB, MODELS, Sfm, groups};
 use crate::sources::{PREPARED, Sources};
 use crate::tools::{Finder, Program, Programs};
@@ -94,16 +94,16 @@ pub fn key_of(
         };
         inputs.push(Input { name, bytes, modified, digest });
     }
-    let digests: Vec<(&str, &str)> = inputs.iter().map(|i| (&*i.name, &*i.digest)).collect();
-    let program = match finder {
-        Finder::Auto => "auto",
-        Finder::Colmap => "colmap",
-        Finder::Pycolmap => "pycolmap",
-    };
+    let digests = digests(&inputs);
     let key =
-        hash(&json!({ "rules": rules(sources), "inputs": digests, "params": params, "program": program }));
+        hash(&json!({ "rules": rules(sources), "inputs": digests, "params": params, "program": finder }));
     let reusable = earlier.is_some_and(|record| record.key == key);
     Ok((key, inputs, reusable))
+}
+
+/// The names of inputs with their digests.
+fn digests(inputs: &[Input]) -> Vec<(&str, &str)> {
+    inputs.iter().map(|i| (&*i.name, &*i.digest)).collect()
 }
 
 fn digest(path: &Path, watch: &StepWatch<'_>) -> Result<String, PrepareError> {
@@ -195,8 +195,7 @@ pub fn prepare(
     let sfm = Sfm { program, params, work: folder, log: &log, threads, watch, images: 0 };
     sfm.check_calibration()?;
     // Other inputs, such as masks, are copied after the last step.
-    let digests: Vec<(&str, &str)> =
-        inputs.iter().take(sources.count()).map(|i| (&*i.name, &*i.digest)).collect();
+    let digests = digests(&inputs[..sources.count().min(inputs.len())]);
     let choices = json!({ "rules": rules(sources), "inputs": digests, "frames": params.frames });
     let step = Step { name: "images", output: IMAGES, choices };
     let Images { taken, mut remarks, doubts } =
@@ -320,7 +319,7 @@ fn images(
                  the film into parts"
             ));
         }
-        remarks.extend(film.remarks());
+        remarks.extend(film.remark());
         let size = paths.first().map(|p| use3d_io_image::image_size(p)).transpose()?.unwrap_or_default();
         let camera = format!("film {}x{}", size.0, size.1);
         taken.extend(frames.iter().map(|f| Taken {
@@ -351,7 +350,7 @@ fn images(
     }
     taken.sort_by(|a, b| a.image.cmp(&b.image));
     let total = taken.len() as u64;
-    (watch.progress)(StepProgress { step: "images", done: total, total, unit: "images" });
+    watch.tell("images", (total, total), "images");
     Ok(Images { taken, remarks, doubts })
 }
 

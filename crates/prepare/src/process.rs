@@ -36,12 +36,29 @@ pub struct StepWatch<'a> {
 
 impl StepWatch<'_> {
     pub(crate) fn check(&self) -> Result<(), PrepareError> {
-        if self.stop.load(Ordering::Relaxed) { Err(PrepareError::Interrupted) } else { Ok(()) }
+        check(self.stop)
     }
+
+    /// Tells the progress of a step.
+    pub(crate) fn tell(&self, step: &'static str, (done, total): (u64, u64), unit: &'static str) {
+        (self.progress)(StepProgress { step, done, total, unit });
+    }
+}
+
+fn check(stop: &AtomicBool) -> Result<(), PrepareError> {
+    if stop.load(Ordering::Relaxed) { Err(PrepareError::Interrupted) } else { Ok(()) }
 }
 
 /// A child process that is ended when it is dropped.
 pub(crate) struct Ended(pub(crate) Child);
+
+impl Ended {
+    /// Starts a command without input.
+    pub(crate) fn spawn(command: &mut Command) -> Result<Self, PrepareError> {
+        let child = command.stdin(Stdio::null()).spawn();
+        child.map(Self).map_err(PrepareError::file(Path::new(command.get_program())))
+    }
+}
 
 impl Drop for Ended {
     fn drop(&mut self) {
@@ -113,8 +130,14 @@ pub(crate) fn spelled(command: &Command) -> Vec<String> {
     words.map(|word| word.to_string_lossy().into_owned()).collect()
 }
 
-pub(crate) fn open_log(log: &Path) -> Result<File, PrepareError> {
-    OpenOptions::new().create(true).append(true).open(log).map_err(PrepareError::file(log))
+/// The log file, with a command at its end.
+pub(crate) fn open_log(log: &Path, command: &Command) -> Result<File, PrepareError> {
+    let file = OpenOptions::new().create(true).append(true).open(log);
+    let written = file.and_then(|mut file| {
+        writeln!(file, "$ {}", spelled(command).join(" "))?;
+        Ok(file)
+    });
+    written.map_err(PrepareError::file(log))
 }
 
 /// Runs a command to its end. Each line goes to the log file and to `heard`.
@@ -124,12 +147,10 @@ pub(crate) fn run(
     stop: &AtomicBool,
     mut heard: impl FnMut(&str),
 ) -> Result<ProgramEnd, PrepareError> {
-    let mut file = open_log(log)?;
+    let mut file = open_log(log, command)?;
     let failed = PrepareError::file(log);
-    writeln!(file, "$ {}", spelled(command).join(" ")).map_err(&failed)?;
-    let child = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn();
-    let program = Path::new(command.get_program()).to_path_buf();
-    let mut child = Ended(child.map_err(PrepareError::file(&program))?);
+    let mut child = Ended::spawn(command.stdout(Stdio::piped()).stderr(Stdio::piped()))?;
+    let program = Path::new(command.get_program());
     let (sender, lines) = channel();
     if let Some(out) = child.0.stdout.take() {
         forward(out, sender.clone());
@@ -139,9 +160,7 @@ pub(crate) fn run(
     }
     let mut last: VecDeque<String> = VecDeque::new();
     loop {
-        if stop.load(Ordering::Relaxed) {
-            return Err(PrepareError::Interrupted);
-        }
+        check(stop)?;
         match lines.recv_timeout(LOOK) {
             Ok((line, true)) => heard(&line),
             Ok((line, false)) => {
@@ -154,23 +173,17 @@ pub(crate) fn run(
                     }
                 }
             }
-            Err(RecvTimeoutError::Timeout) => {
-                // A grandchild may keep the streams open after the program has ended.
-                if let Some(status) = child.0.try_wait().map_err(PrepareError::file(&program))? {
+            Err(end) => {
+                // A grandchild may keep the streams open after the program has ended, and a program may go on
+                // after it has closed them.
+                if let Some(status) = child.0.try_wait().map_err(PrepareError::file(program))? {
                     return Ok(ProgramEnd { status, last: last.into() });
                 }
+                if end == RecvTimeoutError::Disconnected {
+                    std::thread::sleep(LOOK);
+                }
             }
-            Err(RecvTimeoutError::Disconnected) => break,
         }
-    }
-    loop {
-        if let Some(status) = child.0.try_wait().map_err(PrepareError::file(&program))? {
-            return Ok(ProgramEnd { status, last: last.into() });
-        }
-        if stop.load(Ordering::Relaxed) {
-            return Err(PrepareError::Interrupted);
-        }
-        std::thread::sleep(LOOK);
     }
 }
 
@@ -193,8 +206,7 @@ pub(crate) fn reason(outcome: &ProgramEnd) -> String {
 
 /// The counts in a line of COLMAP: `[3/20]`, or `[2/3, 1/3]` for blocks.
 pub(crate) fn counts(line: &str) -> Option<(u64, u64)> {
-    let inside =
-        line.rsplit_once('[').and_then(|(_, rest)| rest.split_once(']')).map(|(inside, _)| inside)?;
+    let inside = line.rsplit_once('[')?.1.split_once(']')?.0;
     let part = |text: &str| -> Option<(u64, u64)> {
         let (a, b) = text.trim().split_once('/')?;
         Some((a.parse().ok()?, b.parse().ok()?))

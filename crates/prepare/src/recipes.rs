@@ -15,7 +15,7 @@ use crate::error::PrepareError;
 use crate::params::{Matching, PrepareParams};
 use crate::photographs::{copy_all, copy_beside};
 use crate::prepare::{CAPTURE, Input, write_record};
-use crate::process::{StepProgress, StepWatch};
+use crate::process::StepWatch;
 use crate::sources::{Sources, holds_inputs, is_film, walk};
 
 /// Frames of a film of DRUVA: two for each of its about sixty seconds.
@@ -92,13 +92,10 @@ impl Recipe {
 
     /// The usual choices for its scenes.
     pub fn choices(self) -> PrepareParams {
+        let usual = PrepareParams::default();
         match self {
-            Self::Druva => PrepareParams {
-                frames: DRUVA_FRAMES,
-                matching: Matching::Sequential,
-                ..PrepareParams::default()
-            },
-            _ => PrepareParams::default(),
+            Self::Druva => PrepareParams { frames: DRUVA_FRAMES, matching: Matching::Sequential, ..usual },
+            _ => usual,
         }
     }
 
@@ -213,7 +210,7 @@ pub fn balance(sources: &Sources, folder: &Path, watch: &StepWatch<'_>) -> Resul
     let total = 2 * sources.photographs.len() as u64;
     let mut histogram = ChannelHistogram::default();
     let tell = |done: u64| {
-        (watch.progress)(StepProgress { step: "white balance", done, total, unit: "photographs" });
+        watch.tell("white balance", (done, total), "photographs");
         watch.check()
     };
     for (done, photograph) in (1u64..).zip(&sources.photographs) {

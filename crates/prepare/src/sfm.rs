@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 
 use crate::error::PrepareError;
 use crate::params::{Mapper, Matching, PrepareParams};
-use crate::process::{self, ProgramEnd, StepProgress, StepWatch, counts, spelled};
+use crate::process::{self, ProgramEnd, StepWatch, counts, spelled};
 use crate::tools::{self, Program};
 
 /// The script for `pycolmap`.
@@ -158,8 +158,12 @@ impl Sfm<'_> {
         Ok((outcome, said))
     }
 
-    fn failed(&self, step: &'static str, outcome: &ProgramEnd) -> PrepareError {
-        PrepareError::Step { step, reason: process::reason(outcome), log: self.log.to_path_buf() }
+    /// Returns the error of a step if its command failed.
+    fn succeeded(&self, step: &'static str, outcome: &ProgramEnd) -> Result<(), PrepareError> {
+        if outcome.status.success() {
+            return Ok(());
+        }
+        Err(PrepareError::Step { step, reason: process::reason(outcome), log: self.log.to_path_buf() })
     }
 
     /// Finds the features of all images. Each group of images has one camera.
@@ -170,8 +174,7 @@ impl Sfm<'_> {
         let mut before = 0;
         let tell = |before: u64, line: &str| {
             if let Some((done, _)) = counts(line).filter(|_| line.contains("Processed file")) {
-                let done = before + done;
-                (self.watch.progress)(StepProgress { step: STEP, done, total, unit: "images" });
+                self.watch.tell(STEP, (before + done, total), "images");
             }
         };
         if self.is_package() {
@@ -182,7 +185,7 @@ impl Sfm<'_> {
                 "threads": self.deciding_threads(), "card": card,
             });
             let (outcome, commands) = self.script(STEP, &job, |line| tell(0, line))?;
-            return if outcome.status.success() { Ok(commands) } else { Err(self.failed(STEP, &outcome)) };
+            return self.succeeded(STEP, &outcome).map(|()| commands);
         }
         let mut commands = Vec::new();
         for (i, group) in groups.iter().enumerate() {
@@ -200,13 +203,11 @@ impl Sfm<'_> {
                 let numbers: Vec<String> = self.params.calibration.iter().map(f64::to_string).collect();
                 arguments.push(("--ImageReader.camera_params", numbers.join(",")));
             }
+            let threads = self.deciding_threads().to_string();
             let options: [(&[&str], String); 6] = [
                 (&["--ImageReader.default_focal_length_factor"], FOCAL.to_string()),
                 (&["--FeatureExtraction.use_gpu", "--SiftExtraction.use_gpu"], u8::from(card).to_string()),
-                (
-                    &["--FeatureExtraction.num_threads", "--SiftExtraction.num_threads"],
-                    self.deciding_threads().to_string(),
-                ),
+                (&["--FeatureExtraction.num_threads", "--SiftExtraction.num_threads"], threads),
                 (
                     &["--FeatureExtraction.max_image_size", "--SiftExtraction.max_image_size"],
                     SIDE.to_string(),
@@ -216,9 +217,7 @@ impl Sfm<'_> {
             ];
             let (outcome, said) =
                 self.verb("feature_extractor", &arguments, &options, |line| tell(before, line))?;
-            if !outcome.status.success() {
-                return Err(self.failed(STEP, &outcome));
-            }
+            self.succeeded(STEP, &outcome)?;
             before += group.len() as u64;
             commands.push(said);
         }
@@ -232,8 +231,7 @@ impl Sfm<'_> {
         let exhaustive = matching == Matching::Exhaustive;
         let tell = |line: &str| {
             if let Some((done, total)) = counts(line).filter(|_| !line.contains("Processed file")) {
-                let unit = if exhaustive { "blocks" } else { "images" };
-                (self.watch.progress)(StepProgress { step: STEP, done, total, unit });
+                self.watch.tell(STEP, (done, total), if exhaustive { "blocks" } else { "images" });
             }
         };
         let (outcome, commands) = if self.is_package() {
@@ -244,12 +242,10 @@ impl Sfm<'_> {
             self.script(STEP, &job, tell)?
         } else {
             let verb = if exhaustive { "exhaustive_matcher" } else { "sequential_matcher" };
+            let threads = self.deciding_threads().to_string();
             let options: [(&[&str], String); 5] = [
                 (&["--FeatureMatching.use_gpu", "--SiftMatching.use_gpu"], u8::from(card).to_string()),
-                (
-                    &["--FeatureMatching.num_threads", "--SiftMatching.num_threads"],
-                    self.deciding_threads().to_string(),
-                ),
+                (&["--FeatureMatching.num_threads", "--SiftMatching.num_threads"], threads),
                 (&["--SequentialMatching.overlap"], OVERLAP.to_string()),
                 (&["--SequentialMatching.quadratic_overlap"], "1".to_string()),
                 (&["--random_seed", "--default_random_seed"], "0".to_string()),
@@ -258,7 +254,7 @@ impl Sfm<'_> {
                 self.verb(verb, &[("--database_path", MATCHES_DB.to_string())], &options, tell)?;
             (outcome, vec![said])
         };
-        if outcome.status.success() { Ok(commands) } else { Err(self.failed(STEP, &outcome)) }
+        self.succeeded(STEP, &outcome).map(|()| commands)
     }
 
     /// Finds cameras and points. The models lie in folders of their own.
@@ -269,8 +265,7 @@ impl Sfm<'_> {
         let total = self.images as u64;
         let tell = |line: &str| {
             if let Some(done) = registered(line) {
-                let done = done.min(total);
-                (self.watch.progress)(StepProgress { step: STEP, done, total, unit: "images with a place" });
+                self.watch.tell(STEP, (done.min(total), total), "images with a place");
             }
         };
         let fixed = !self.params.calibration.is_empty();
@@ -313,13 +308,10 @@ impl Sfm<'_> {
             );
             return Err(PrepareError::Choice { flag: "--mapper global", reason });
         }
-        if outcome.status.success()
-            || none && outcome.status.code() == Some(1) && self.program.name == "colmap"
-        {
-            Ok(commands)
-        } else {
-            Err(self.failed(STEP, &outcome))
+        if !(none && outcome.status.code() == Some(1) && self.program.name == "colmap") {
+            self.succeeded(STEP, &outcome)?;
         }
+        Ok(commands)
     }
 }
 

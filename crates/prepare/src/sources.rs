@@ -110,7 +110,7 @@ pub struct Sources {
     /// Further folders and files whose content counts, with their names in the record.
     others: Vec<(String, PathBuf)>,
     /// True for linear photographs, which are balanced and encoded before they are used.
-    pub(crate) linear: bool,
+    pub linear: bool,
 }
 
 impl Sources {
@@ -185,26 +185,19 @@ impl Sources {
             if converted { format!("{}.png", use3d_capture::name::stem(name)) } else { name.to_string() };
         let bad = |e: use3d_capture::NameError| PrepareError::input(path, format!("its name {e}; rename it"));
         let name = FileName::new(&named).map_err(bad)?;
-        let mut photograph = Photograph {
-            path: path.to_path_buf(),
-            name,
-            converted,
-            camera: "converted".into(),
-            orientation: 1,
-        };
+        let (mut camera, mut orientation) = ("converted".to_string(), 1);
         if !converted {
             let info = image_info(path)?;
-            let size = (info.width, info.height);
             let mut taken = (String::new(), String::new(), 0);
             if info.format == FileFormat::Jpeg {
                 let found = read_exif(path).map_err(PrepareError::file(path))?;
-                (photograph.orientation, taken) = (found.orientation, found.camera);
+                (orientation, taken) = (found.orientation, found.camera);
             } else if !matches!(info.format, FileFormat::Png | FileFormat::Tiff) {
                 return Err(PrepareError::input(path, "expected a JPEG, PNG or TIFF"));
             }
-            photograph.camera = format!("{}x{} {} {} {}", size.0, size.1, taken.0, taken.1, taken.2);
+            camera = format!("{}x{} {} {} {}", info.width, info.height, taken.0, taken.1, taken.2);
         }
-        self.photographs.push(photograph);
+        self.photographs.push(Photograph { path: path.to_path_buf(), name, converted, camera, orientation });
         Ok(())
     }
 
@@ -218,11 +211,6 @@ impl Sources {
         self.capture = Some(folder.to_path_buf());
         let beside = BESIDE.iter().map(|name| (name.to_string(), folder.join(name)));
         self.others.extend(beside.filter(|(_, path)| path.exists()));
-    }
-
-    /// Says that the photographs are linear, so that they are balanced and encoded before they are used.
-    pub fn set_linear(&mut self) {
-        self.linear = true;
     }
 
     /// The same inputs with the photographs of another folder, which were made of these.

@@ -8,7 +8,8 @@ use serde::{Deserialize, Serialize};
 use crate::error::PrepareError;
 
 /// The program that finds the cameras.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Finder {
     /// `colmap` if it uses a graphics card, else `pycolmap`, which is newer and faster, else `colmap`.
     #[default]

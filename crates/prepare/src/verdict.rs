@@ -155,17 +155,8 @@ pub(crate) fn judge(models: &[Model], names: &[String], context: &ModelContext<'
             context.params.lens
         ));
     }
-    Some(CameraVerdict {
-        grade,
-        images: names.len(),
-        registered,
-        groups,
-        points,
-        error,
-        track_length,
-        missing,
-        words,
-    })
+    let images = names.len();
+    Some(CameraVerdict { grade, images, registered, groups, points, error, track_length, missing, words })
 }
 
 /// The changes of choices that give more images a place.

@@ -248,7 +248,7 @@ impl DataSet<'_> {
             return Err(CliError::Input(format!("{}: {what}", path_text(path))));
         }
         if linear {
-            sources.set_linear();
+            sources.linear = true;
         }
         let DataSet { app, params, programs, .. } = *self;
         let job = Preparation { app, sources: &sources, params, programs, out: &out };
