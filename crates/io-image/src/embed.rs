@@ -19,13 +19,9 @@ pub struct JpegError(#[from] image::ImageError);
 /// Fails for an image without pixels, or with a side above 65,535.
 pub fn jpeg_address(image: &Image8, quality: u8) -> Result<String, JpegError> {
     let (width, height) = (image.width() as u32, image.height() as u32);
-    let mut bytes = Vec::new();
-    JpegEncoder::new_with_quality(&mut bytes, quality).encode(
-        &image.to_interleaved(),
-        width,
-        height,
-        ExtendedColorType::Rgb8,
-    )?;
+    let (pixels, mut bytes) = (image.to_interleaved(), Vec::new());
+    let mut encoder = JpegEncoder::new_with_quality(&mut bytes, quality);
+    encoder.encode(&pixels, width, height, ExtendedColorType::Rgb8)?;
     Ok(format!("data:image/jpeg;base64,{}", STANDARD.encode(bytes)))
 }
 

@@ -3,7 +3,9 @@
 
 use std::io::{Cursor, Seek, Write};
 use std::path::Path;
+use std::result::Result;
 
+use exr::image::Image as Layers;
 use exr::prelude::*;
 use use3d_capture::{Image, Map};
 use use3d_files::write_atomically;
@@ -21,27 +23,21 @@ const SINGLE: [&str; 5] = ["Z", "Y", "depth", "depth.Z", "A"];
 pub(crate) fn header(
     reader: &mut dyn ByteSource,
     path: &Path,
-) -> std::result::Result<(u64, u64, Vec<String>, usize), ImageError> {
+) -> Result<(u64, u64, Vec<String>, usize), ImageError> {
     let fail = |reason: String| ImageError::decode(path, FileFormat::Exr, reason);
     let meta = exr::meta::MetaData::read_from_buffered(reader, false).map_err(|e| fail(e.to_string()))?;
-    let header = meta
-        .headers
-        .iter()
-        .find(|h| !h.deep)
-        .ok_or_else(|| fail("it has no flat layer (deep data is not supported)".into()))?;
+    let flat = meta.headers.iter().find(|h| !h.deep);
+    let header = flat.ok_or_else(|| fail("it has no flat layer (deep data is not supported)".into()))?;
     let names: Vec<String> = header.channels.list.iter().map(|c| c.name.to_string()).collect();
     let size = header.layer_size;
     // Every flat layer is decoded until one is valid, so all of them count.
-    let bytes_per_pixel: usize = meta
-        .headers
-        .iter()
-        .map(|h| h.channels.list.iter().map(|c| c.sample_type.bytes_per_sample()).sum::<usize>())
-        .sum();
+    let channels = meta.headers.iter().flat_map(|h| &h.channels.list);
+    let bytes_per_pixel = channels.map(|c| c.sample_type.bytes_per_sample()).sum();
     Ok((size.width() as u64, size.height() as u64, names, bytes_per_pixel))
 }
 
 /// The channels that form the picture: `R G B` (and `A`), or one that holds depth, brightness or coverage.
-pub(crate) fn pick(names: &[String], path: &Path) -> std::result::Result<Vec<usize>, ImageError> {
+pub(crate) fn pick(names: &[String], path: &Path) -> Result<Vec<usize>, ImageError> {
     let find = |name: &str| names.iter().position(|n| n == name);
     if let (Some(r), Some(g), Some(b)) = (find("R"), find("G"), find("B")) {
         return Ok([r, g, b].into_iter().chain(find("A")).collect());
@@ -59,7 +55,7 @@ pub(crate) fn pick(names: &[String], path: &Path) -> std::result::Result<Vec<usi
     })
 }
 
-pub(crate) fn decode(bytes: &[u8], path: &Path) -> std::result::Result<Decoded, ImageError> {
+pub(crate) fn decode(bytes: &[u8], path: &Path) -> Result<Decoded, ImageError> {
     let (width, height, _, bytes_per_pixel) = header(&mut Cursor::new(bytes), path)?;
     check_size(path, FileFormat::Exr, width, height, bytes_per_pixel as u64, bytes.len() as u64)?;
     let mut cursor = Cursor::new(bytes);
@@ -107,20 +103,18 @@ fn encode(
     };
     let layer =
         Layer::new((width, height), LayerAttributes::default(), encoding, AnyChannels::sort(channels));
-    Image_::from_layer(layer).write().non_parallel().to_buffered(writer).map_err(std::io::Error::other)
+    Layers::from_layer(layer).write().non_parallel().to_buffered(writer).map_err(std::io::Error::other)
 }
-
-use exr::image::Image as Image_;
 
 /// Writes an RGB image with unchanged values (not clamped); the channels are `B G R` in the file, as EXR
 /// sorts them.
-pub fn write_exr(path: &Path, image: &Image) -> std::result::Result<(), ImageError> {
+pub fn write_exr(path: &Path, image: &Image) -> Result<(), ImageError> {
     let [r, g, b] = image.planes();
     write_exr_channels(path, image.width(), image.height(), &[("R", r), ("G", g), ("B", b)])
 }
 
 /// Writes one channel under a name: `"Z"` for depth, `"A"` for alpha.
-pub fn write_exr_map(path: &Path, map: &Map, channel: &str) -> std::result::Result<(), ImageError> {
+pub fn write_exr_map(path: &Path, map: &Map, channel: &str) -> Result<(), ImageError> {
     write_exr_channels(path, map.width(), map.height(), &[(channel, map.data())])
 }
 
@@ -130,7 +124,7 @@ pub fn write_exr_channels(
     width: usize,
     height: usize,
     planes: &[(&str, &[f32])],
-) -> std::result::Result<(), ImageError> {
+) -> Result<(), ImageError> {
     if width == 0 || height == 0 || planes.is_empty() || planes.iter().any(|(_, p)| p.len() != width * height)
     {
         return Err(ImageError::write(path, format!("planes do not fill {width}x{height} pixels")));

@@ -46,14 +46,11 @@ pub(crate) fn frame(reader: &mut impl BufRead) -> Result<FrameHeader, String> {
         reader.read_exact(&mut body).map_err(ended)?;
         let is_frame = matches!(marker, 0xC0..=0xCF) && !matches!(marker, 0xC4 | 0xC8 | 0xCC);
         if is_frame {
-            if body.len() < 6 {
+            let &[_, h0, h1, w0, w1, components, ..] = &body[..] else {
                 return Err("its frame header is too short".into());
-            }
-            frame = Some(FrameHeader {
-                height: u64::from(u16::from_be_bytes([body[1], body[2]])),
-                width: u64::from(u16::from_be_bytes([body[3], body[4]])),
-                components: u64::from(body[5]),
-            });
+            };
+            let [height, width] = [[h0, h1], [w0, w1]].map(|side| u64::from(u16::from_be_bytes(side)));
+            frame = Some(FrameHeader { width, height, components: u64::from(components) });
         }
         if marker == 0xDA {
             return frame.ok_or_else(|| "a scan comes before its frame header".into());
@@ -65,9 +62,7 @@ pub(crate) fn frame(reader: &mut impl BufRead) -> Result<FrameHeader, String> {
 pub(crate) fn check_whole(bytes: &[u8]) -> Result<FrameHeader, String> {
     let mut rest = bytes;
     let found = frame(&mut rest)?;
-    if rest.windows(2).any(|w| w == [0xFF, 0xD9]) {
-        Ok(found)
-    } else {
-        Err("it ends before its end marker, so the lower part of the picture is missing".into())
-    }
+    let whole = rest.windows(2).any(|w| w == [0xFF, 0xD9]);
+    let missing = || "it ends before its end marker, so the lower part of the picture is missing".to_string();
+    whole.then_some(found).ok_or_else(missing)
 }

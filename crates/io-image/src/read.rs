@@ -165,14 +165,14 @@ fn float_tiff_size(reader: &mut dyn ByteSource, path: &Path) -> Result<Option<(u
 }
 
 fn decode_float_tiff(bytes: &[u8], width: usize, height: usize, path: &Path) -> Result<Decoded, ImageError> {
-    let fail = |e: tiff::TiffError| ImageError::decode(path, FileFormat::Tiff, e);
+    let fail = |e: &dyn std::fmt::Display| ImageError::decode(path, FileFormat::Tiff, e);
     let mut limits = tiff::decoder::Limits::default();
     limits.decoding_buffer_size = width * height * 8;
     limits.intermediate_buffer_size = width * height * 8 + (1 << 20);
     let mut cursor = Cursor::new(bytes);
     let source: &mut dyn ByteSource = &mut cursor;
-    let mut decoder = tiff::decoder::Decoder::new(source).map_err(fail)?.with_limits(limits);
-    let samples: Vec<f32> = match decoder.read_image().map_err(fail)? {
+    let mut decoder = tiff::decoder::Decoder::new(source).map_err(|e| fail(&e))?.with_limits(limits);
+    let samples: Vec<f32> = match decoder.read_image().map_err(|e| fail(&e))? {
         DecodingResult::F32(v) => v,
         DecodingResult::F64(v) => v.into_iter().map(|x| x as f32).collect(),
         DecodingResult::F16(v) => v.into_iter().map(f32::from).collect(),
@@ -180,20 +180,10 @@ fn decode_float_tiff(bytes: &[u8], width: usize, height: usize, path: &Path) -> 
         DecodingResult::I32(v) => v.into_iter().map(|x| x as f32).collect(),
         DecodingResult::U64(v) => v.into_iter().map(|x| x as f32).collect(),
         DecodingResult::I64(v) => v.into_iter().map(|x| x as f32).collect(),
-        _ => {
-            return Err(ImageError::decode(
-                path,
-                FileFormat::Tiff,
-                "its samples differ from what its header says",
-            ));
-        }
+        _ => return Err(fail(&"its samples differ from what its header says")),
     };
     if samples.len() != width * height {
-        return Err(ImageError::decode(
-            path,
-            FileFormat::Tiff,
-            "it holds fewer samples than its header says",
-        ));
+        return Err(fail(&"it holds fewer samples than its header says"));
     }
     Ok(Decoded { width, height, channels: 1, samples: Samples::Float(samples) })
 }

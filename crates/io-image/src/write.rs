@@ -9,17 +9,18 @@ use use3d_files::write_atomically;
 
 use crate::error::ImageError;
 
-fn write(
+/// Writes samples that have the size of a raster.
+fn write<T, const C: usize>(
     path: &Path,
-    (w, h): (usize, usize),
+    like: &Raster<T, C>,
     bytes: &[u8],
     color: ExtendedColorType,
 ) -> Result<(), ImageError> {
-    let side =
-        |n: usize| u32::try_from(n).map_err(|_| ImageError::write(path, format!("a side of {n} pixels")));
-    let (width, height) = (side(w)?, side(h)?);
+    let fail = |reason: &str| ImageError::write(path, reason);
+    let side = |n: usize| u32::try_from(n).map_err(|_| fail(&format!("a side of {n} pixels")));
+    let (width, height) = (side(like.width())?, side(like.height())?);
     if width == 0 || height == 0 {
-        return Err(ImageError::write(path, "the image has no pixels"));
+        return Err(fail("the image has no pixels"));
     }
     write_atomically(path, |writer| {
         PngEncoder::new_with_quality(writer, CompressionType::Fast, FilterType::Adaptive)
@@ -41,14 +42,12 @@ pub fn write_png(path: &Path, image: &Image) -> Result<(), ImageError> {
 
 /// Writes an 8-bit RGB PNG of 8-bit pixels.
 pub fn write_png8(path: &Path, image: &Image8) -> Result<(), ImageError> {
-    let size = (image.width(), image.height());
-    write(path, size, &image.to_interleaved(), ExtendedColorType::Rgb8)
+    write(path, image, &image.to_interleaved(), ExtendedColorType::Rgb8)
 }
 
 /// Writes an RGB PNG of 16-bit pixels, full scale 65535.
 pub fn write_png16(path: &Path, image: &Raster<u16, 3>) -> Result<(), ImageError> {
-    let size = (image.width(), image.height());
-    write(path, size, &native_bytes(&image.to_interleaved()), ExtendedColorType::Rgb16)
+    write(path, image, &native_bytes(&image.to_interleaved()), ExtendedColorType::Rgb16)
 }
 
 /// Writes pixels in their own precision: 8- or 16-bit.
@@ -62,11 +61,11 @@ pub fn write_png_pixels(path: &Path, pixels: &Pixels) -> Result<(), ImageError> 
 /// Writes a map in `[0, 1]` as an 8-bit grey PNG.
 pub fn write_png_map(path: &Path, map: &Map) -> Result<(), ImageError> {
     let bytes = map.map(|v| (v.clamp(0.0, 1.0) * 255.0 + 0.5).floor() as u8).into_data();
-    write(path, (map.width(), map.height()), &bytes, ExtendedColorType::L8)
+    write(path, map, &bytes, ExtendedColorType::L8)
 }
 
 /// Writes a map in `[0, 1]` as a 16-bit grey PNG.
 pub fn write_png_map16(path: &Path, map: &Map) -> Result<(), ImageError> {
     let values = map.map(|v| (v.clamp(0.0, 1.0) * 65535.0 + 0.5).floor() as u16).into_data();
-    write(path, (map.width(), map.height()), &native_bytes(&values), ExtendedColorType::L16)
+    write(path, map, &native_bytes(&values), ExtendedColorType::L16)
 }
