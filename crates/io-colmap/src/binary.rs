@@ -31,23 +31,17 @@ struct Cursor<'a> {
 type Result<T> = std::result::Result<T, ModelError>;
 
 impl<'a> Cursor<'a> {
-    fn new(bytes: &'a [u8], path: &'a Path) -> Self {
-        Self { rest: bytes, length: bytes.len(), path, record: "header".into() }
-    }
-
     fn fail<T>(&self, reason: String) -> Result<T> {
         let offset = self.length - self.rest.len();
         Err(ModelError::broken(self.path, format!("{}, byte {offset}", self.record), reason))
     }
 
     fn take<const N: usize>(&mut self) -> Result<[u8; N]> {
-        match self.rest.split_first_chunk::<N>() {
-            Some((head, rest)) => {
-                self.rest = rest;
-                Ok(*head)
-            }
-            None => self.fail(format!("the file ends here; {N} more bytes were expected")),
-        }
+        let Some((head, rest)) = self.rest.split_first_chunk::<N>() else {
+            return self.fail(format!("the file ends here; {N} more bytes were expected"));
+        };
+        self.rest = rest;
+        Ok(*head)
     }
 
     fn u32(&mut self) -> Result<u32> {
@@ -70,8 +64,13 @@ impl<'a> Cursor<'a> {
         Ok(out)
     }
 
-    /// A count of records of at least `smallest` bytes each.
-    fn count(&mut self, what: &str, smallest: usize) -> Result<usize> {
+    /// A count, and so many records of at least `smallest` bytes each.
+    fn list<R>(
+        &mut self,
+        what: &str,
+        smallest: usize,
+        mut read: impl FnMut(&mut Self, usize) -> Result<R>,
+    ) -> Result<Vec<R>> {
         let count = self.u64()?;
         let most = (self.rest.len() / smallest) as u64;
         if count > most {
@@ -80,7 +79,11 @@ impl<'a> Cursor<'a> {
                 self.rest.len()
             ));
         }
-        Ok(count as usize)
+        let mut out = Vec::with_capacity(count as usize);
+        for i in 0..count as usize {
+            out.push(read(self, i)?);
+        }
+        Ok(out)
     }
 
     fn name(&mut self) -> Result<FileName> {
@@ -88,92 +91,74 @@ impl<'a> Cursor<'a> {
             return self.fail("the image's name does not end".into());
         };
         let (name, rest) = self.rest.split_at(end);
-        match std::str::from_utf8(name) {
-            Ok(name) => match FileName::new(name) {
-                Ok(name) => {
-                    self.rest = &rest[1..];
-                    Ok(name)
-                }
-                Err(e) => self.fail(e.to_string()),
-            },
-            Err(_) => self.fail("the image's name is not UTF-8; rename the image".into()),
-        }
+        let Ok(name) = std::str::from_utf8(name) else {
+            return self.fail("the image's name is not UTF-8; rename the image".into());
+        };
+        let name = FileName::new(name).or_else(|e| self.fail(e.to_string()))?;
+        self.rest = &rest[1..];
+        Ok(name)
     }
+}
 
-    fn finish(self) -> Result<()> {
-        if self.rest.is_empty() {
-            return Ok(());
-        }
-        let left = self.rest.len();
-        self.fail(format!("{left} bytes are left after the last record that the header announces"))
+/// Parses a file of records of one kind, such as `camera`, of at least `smallest` bytes each.
+fn records<R>(
+    bytes: &[u8],
+    path: &Path,
+    kind: &str,
+    smallest: usize,
+    mut read: impl FnMut(&mut Cursor<'_>) -> Result<R>,
+) -> Result<Vec<R>> {
+    let mut cursor = Cursor { rest: bytes, length: bytes.len(), path, record: "header".into() };
+    let out = cursor.list(&format!("{kind}s"), smallest, |cursor, i| {
+        cursor.record = format!("{kind} record {i}");
+        read(cursor)
+    })?;
+    match cursor.rest.len() {
+        0 => Ok(out),
+        left => cursor.fail(format!("{left} bytes are left after the last record that the header announces")),
     }
 }
 
 /// Parses `cameras.bin`; `path` is for the messages only.
 pub fn cameras(bytes: &[u8], path: &Path) -> Result<Vec<ModelCamera>> {
-    let mut c = Cursor::new(bytes, path);
-    let count = c.count("cameras", 48)?;
-    let mut out = Vec::with_capacity(count);
-    for i in 0..count {
-        c.record = format!("camera record {i}");
+    records(bytes, path, "camera", 48, |c| {
         let id = c.u32()?;
         let code = c.take().map(i32::from_le_bytes)?;
         let Some(model) = LensModel::from_id(code) else {
-            return Err(ModelError::unknown_lens(path, c.record, &format!("id {code}"), code));
+            return Err(ModelError::unknown_lens(path, c.record.clone(), &format!("id {code}"), code));
         };
         let (width, height) = (c.u64()?, c.u64()?);
         let (Ok(width), Ok(height)) = (usize::try_from(width), usize::try_from(height)) else {
             return c.fail(format!("the camera's size is {width}x{height}"));
         };
         let parameters = (0..model.parameter_count()).map(|_| c.f64()).collect::<Result<_>>()?;
-        out.push(ModelCamera { id, model, width, height, parameters });
-    }
-    c.finish()?;
-    Ok(out)
+        Ok(ModelCamera { id, model, width, height, parameters })
+    })
 }
 
 /// Parses `images.bin`.
 pub fn images(bytes: &[u8], path: &Path) -> Result<Vec<ModelImage>> {
-    let mut c = Cursor::new(bytes, path);
-    let count = c.count("images", 73)?;
-    let mut out = Vec::with_capacity(count);
-    for i in 0..count {
-        c.record = format!("image record {i}");
+    records(bytes, path, "image", 73, |c| {
         let id = c.u32()?;
         let (quaternion, translation) = (c.f64s()?, c.f64s()?);
         let camera = c.u32()?;
         let name = c.name()?;
-        let keypoint_count = c.count("keypoints", 24)?;
-        let mut keypoints = Vec::with_capacity(keypoint_count);
-        for _ in 0..keypoint_count {
-            keypoints.push(Keypoint { x: c.f64()?, y: c.f64()?, point: c.u64()? });
-        }
-        out.push(ModelImage { id, quaternion, translation, camera, name, keypoints });
-    }
-    c.finish()?;
-    Ok(out)
+        let keypoint = |c: &mut Cursor<'_>, _| Ok(Keypoint { x: c.f64()?, y: c.f64()?, point: c.u64()? });
+        let keypoints = c.list("keypoints", 24, keypoint)?;
+        Ok(ModelImage { id, quaternion, translation, camera, name, keypoints })
+    })
 }
 
 /// Parses `points3D.bin`.
 pub fn points(bytes: &[u8], path: &Path) -> Result<Vec<ModelPoint>> {
-    let mut c = Cursor::new(bytes, path);
-    let count = c.count("points", 51)?;
-    let mut out = Vec::with_capacity(count);
-    for i in 0..count {
-        c.record = format!("point record {i}");
+    records(bytes, path, "point", 51, |c| {
         let id = c.u64()?;
         let position = c.f64s()?;
         let color = c.take()?;
         let error = c.f64()?;
-        let length = c.count("observations", 8)?;
-        let mut track = Vec::with_capacity(length);
-        for _ in 0..length {
-            track.push((c.u32()?, c.u32()?));
-        }
-        out.push(ModelPoint { id, position, color, error, track });
-    }
-    c.finish()?;
-    Ok(out)
+        let track = c.list("observations", 8, |c, _| Ok((c.u32()?, c.u32()?)))?;
+        Ok(ModelPoint { id, position, color, error, track })
+    })
 }
 
 fn put(w: &mut impl Write, values: &[f64]) -> io::Result<()> {

@@ -89,6 +89,10 @@ impl LensModel {
     /// The name and the id of COLMAP's model of panoramas, which is not supported as a lens.
     pub(crate) const PANORAMA: (&str, i32) = ("EQUIRECTANGULAR", 17);
 
+    fn row(self) -> &'static ModelRow {
+        &MODELS[self as usize]
+    }
+
     /// The id in binary files.
     pub fn id(self) -> i32 {
         self as i32
@@ -101,25 +105,7 @@ impl LensModel {
 
     /// The name in text files.
     pub fn name(self) -> &'static str {
-        match self {
-            M::SimplePinhole => "SIMPLE_PINHOLE",
-            M::Pinhole => "PINHOLE",
-            M::SimpleRadial => "SIMPLE_RADIAL",
-            M::Radial => "RADIAL",
-            M::OpenCv => "OPENCV",
-            M::OpenCvFisheye => "OPENCV_FISHEYE",
-            M::FullOpenCv => "FULL_OPENCV",
-            M::Fov => "FOV",
-            M::SimpleRadialFisheye => "SIMPLE_RADIAL_FISHEYE",
-            M::RadialFisheye => "RADIAL_FISHEYE",
-            M::ThinPrismFisheye => "THIN_PRISM_FISHEYE",
-            M::RadTanThinPrismFisheye => "RAD_TAN_THIN_PRISM_FISHEYE",
-            M::SimpleDivision => "SIMPLE_DIVISION",
-            M::Division => "DIVISION",
-            M::SimpleFisheye => "SIMPLE_FISHEYE",
-            M::Fisheye => "FISHEYE",
-            M::Eucm => "EUCM",
-        }
+        self.row().0
     }
 
     /// The model of that name.
@@ -129,29 +115,12 @@ impl LensModel {
 
     /// Number of its parameters.
     pub fn parameter_count(self) -> usize {
-        match self {
-            M::SimplePinhole | M::SimpleFisheye => 3,
-            M::Pinhole | M::SimpleRadial | M::SimpleRadialFisheye | M::SimpleDivision | M::Fisheye => 4,
-            M::Radial | M::Fov | M::RadialFisheye | M::Division => 5,
-            M::Eucm => 6,
-            M::OpenCv | M::OpenCvFisheye => 8,
-            M::FullOpenCv | M::ThinPrismFisheye => 12,
-            M::RadTanThinPrismFisheye => 16,
-        }
+        self.focal_lengths() + 2 + self.row().2
     }
 
-    /// True if one focal length serves both axes.
-    pub(crate) fn single_focal(self) -> bool {
-        matches!(
-            self,
-            M::SimplePinhole
-                | M::SimpleRadial
-                | M::Radial
-                | M::SimpleRadialFisheye
-                | M::RadialFisheye
-                | M::SimpleDivision
-                | M::SimpleFisheye
-        )
+    /// Number of its focal lengths: 1 if one serves both axes.
+    pub(crate) fn focal_lengths(self) -> usize {
+        self.row().1
     }
 
     /// The lens of this model with COLMAP's parameters, pixels; `None` if their number is wrong.
@@ -159,33 +128,24 @@ impl LensModel {
         if parameters.len() != self.parameter_count() {
             return None;
         }
-        let (focal, principal, k) = if self.single_focal() {
-            ([parameters[0]; 2], [parameters[1], parameters[2]], &parameters[3..])
-        } else {
-            ([parameters[0], parameters[1]], [parameters[2], parameters[3]], &parameters[4..])
-        };
-        let mut distortion = Distortion::default();
-        let d = &mut distortion;
+        let (focals, fisheye) = (self.focal_lengths(), self.row().3);
+        let (focal, rest) = parameters.split_at(focals);
+        let (principal, k) = rest.split_at(2);
         let projection = match self {
             M::Fov => Projection::FieldOfView { omega: k[0] },
             // As their parameter goes to 0, these models approach the perspective one.
             M::SimpleDivision | M::Division if k[0] != 0.0 => Projection::Division { k: k[0] },
             M::Eucm if k[0] != 0.0 => Projection::Unified { alpha: k[0], beta: k[1] },
-            M::OpenCvFisheye
-            | M::SimpleRadialFisheye
-            | M::RadialFisheye
-            | M::ThinPrismFisheye
-            | M::RadTanThinPrismFisheye
-            | M::SimpleFisheye
-            | M::Fisheye => Projection::Equidistant,
+            _ if fisheye => Projection::Equidistant,
             _ => Projection::Perspective,
         };
+        let mut d = Distortion::default();
         match self {
             M::SimplePinhole | M::Pinhole | M::Fov | M::SimpleFisheye | M::Fisheye => {}
             M::SimpleDivision | M::Division | M::Eucm => {}
-            M::SimpleRadial | M::SimpleRadialFisheye => d.numerator[0] = k[0],
-            M::Radial | M::RadialFisheye => d.numerator[..2].copy_from_slice(k),
-            M::OpenCvFisheye => d.numerator[..4].copy_from_slice(k),
+            M::SimpleRadial | M::Radial | M::SimpleRadialFisheye | M::RadialFisheye | M::OpenCvFisheye => {
+                d.numerator[..k.len()].copy_from_slice(k);
+            }
             M::OpenCv => {
                 d.numerator[..2].copy_from_slice(&k[..2]);
                 d.tangential.copy_from_slice(&k[2..]);
@@ -203,14 +163,40 @@ impl LensModel {
             M::RadTanThinPrismFisheye => {
                 d.numerator.copy_from_slice(&k[..6]);
                 // The parameter p0 belongs to x², like OpenCV's p2.
-                d.tangential.copy_from_slice(&[k[7], k[6]]);
-                d.prism.copy_from_slice(&[k[8], k[10]]);
+                d.tangential = [k[7], k[6]];
+                d.prism = [k[8], k[10]];
                 d.after_radial = Some([k[9], k[11]]);
             }
         }
-        Some(Lens { focal, principal, projection, distortion, ..Lens::default() })
+        let pinhole = Lens::pinhole([focal[0], focal[focals - 1]], [principal[0], principal[1]]);
+        Some(Lens { projection, distortion: d, ..pinhole })
     }
 }
+
+/// A model's name, the number of its focal lengths, the number of its parameters after the principal point,
+/// and true for a fisheye.
+type ModelRow = (&'static str, usize, usize, bool);
+
+/// The rows of all models, by id.
+const MODELS: [ModelRow; 17] = [
+    ("SIMPLE_PINHOLE", 1, 0, false),
+    ("PINHOLE", 2, 0, false),
+    ("SIMPLE_RADIAL", 1, 1, false),
+    ("RADIAL", 1, 2, false),
+    ("OPENCV", 2, 4, false),
+    ("OPENCV_FISHEYE", 2, 4, true),
+    ("FULL_OPENCV", 2, 8, false),
+    ("FOV", 2, 1, false),
+    ("SIMPLE_RADIAL_FISHEYE", 1, 1, true),
+    ("RADIAL_FISHEYE", 1, 2, true),
+    ("THIN_PRISM_FISHEYE", 2, 8, true),
+    ("RAD_TAN_THIN_PRISM_FISHEYE", 2, 12, true),
+    ("SIMPLE_DIVISION", 1, 1, false),
+    ("DIVISION", 2, 1, false),
+    ("SIMPLE_FISHEYE", 1, 0, true),
+    ("FISHEYE", 2, 0, true),
+    ("EUCM", 2, 2, false),
+];
 
 #[cfg(test)]
 #[path = "../tests/common/lenses.rs"]

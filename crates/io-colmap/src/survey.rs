@@ -1,19 +1,15 @@
-//! A model as a survey, and back.
+//! A model as a survey.
 //!
 //! Images, keypoints, points and tracks are the same in both. A camera becomes its lens under the name of its
-//! model. On the way back a lens takes the camera model of its name, or else the first that has exactly its
-//! parameters; lenses with skew, with a polynomial that COLMAP does not have, or equisolid ones have none.
+//! model.
 
 use std::path::Path;
 
-use use3d_survey::{Lens, Projection, Survey, SurveyCamera};
+use use3d_survey::{Survey, SurveyCamera};
 
 use crate::camera::ModelCamera;
 use crate::error::ModelError;
-use crate::lens::LensModel;
 use crate::model::Model;
-
-use LensModel as M;
 
 impl Model {
     /// The model as a survey; `path` is for the message only.
@@ -33,14 +29,25 @@ impl Model {
         let cameras = self.cameras.iter().map(camera).collect::<Result<_, ModelError>>()?;
         Ok(Survey { cameras, images: self.images, points: self.points, ..Survey::default() })
     }
+}
 
-    /// A survey as a model; `path` is for the message only.
-    ///
-    /// # Errors
-    /// A lens that none of COLMAP's camera models describes.
-    pub fn from_survey(survey: &Survey, path: &Path) -> Result<Self, ModelError> {
+#[cfg(test)]
+mod tests {
+    use use3d_capture::{FileName, Pose};
+    use use3d_survey::{Lens, PosedImage, Projection};
+
+    use super::*;
+    use crate::lens::LensModel;
+    use crate::lens::lenses::example;
+
+    use LensModel as M;
+
+    /// The way back: a lens takes the camera model of its name, or else the first that has exactly its
+    /// parameters. Lenses with skew, with a polynomial that COLMAP does not have, or equisolid ones have
+    /// none.
+    fn from_survey(survey: &Survey, path: &Path) -> Result<Model, ModelError> {
         let camera = |c: &SurveyCamera| {
-            let (model, parameters) = LensModel::of(&c.lens, &c.model).ok_or_else(|| {
+            let (model, parameters) = model_of(&c.lens, &c.model).ok_or_else(|| {
                 let place = format!("camera {} ({})", c.id, c.model);
                 let reason =
                     "no camera model of COLMAP describes its lens; undistort the images first".into();
@@ -49,28 +56,26 @@ impl Model {
             Ok(ModelCamera { id: c.id, model, width: c.width, height: c.height, parameters })
         };
         let cameras = survey.cameras.iter().map(camera).collect::<Result<_, ModelError>>()?;
-        Ok(Self { cameras, images: survey.images.clone(), points: survey.points.clone() })
+        Ok(Model { cameras, images: survey.images.clone(), points: survey.points.clone() })
     }
-}
 
-impl LensModel {
     /// The model and parameters that describe a lens exactly: the named one if it does, else the first.
-    fn of(lens: &Lens, name: &str) -> Option<(Self, Vec<f64>)> {
-        Self::from_name(name)
+    fn model_of(lens: &Lens, name: &str) -> Option<(LensModel, Vec<f64>)> {
+        LensModel::from_name(name)
             .into_iter()
-            .chain(Self::ALL)
-            .map(|model| (model, model.parameters_of(lens)))
+            .chain(LensModel::ALL)
+            .map(|model| (model, parameters_of(model, lens)))
             .find(|(model, parameters)| model.lens(parameters).as_ref() == Some(lens))
     }
 
     /// The parameters by which this model comes nearest to a lens, in COLMAP's order.
-    fn parameters_of(self, lens: &Lens) -> Vec<f64> {
+    fn parameters_of(model: LensModel, lens: &Lens) -> Vec<f64> {
         let ([fx, fy], [cx, cy]) = (lens.focal, lens.principal);
         let d = &lens.distortion;
         let ([n1, n2, n3, n4, n5, n6], [d1, d2, d3]) = (d.numerator, d.denominator);
         let ([p1, p2], [s1, s2]) = (d.tangential, d.prism);
-        let mut out = if self.single_focal() { vec![fx, cx, cy] } else { vec![fx, fy, cx, cy] };
-        match self {
+        let mut out = if model.focal_lengths() == 1 { vec![fx, cx, cy] } else { vec![fx, fy, cx, cy] };
+        match model {
             M::SimplePinhole | M::Pinhole | M::SimpleFisheye | M::Fisheye => {}
             M::SimpleRadial | M::SimpleRadialFisheye => out.push(n1),
             M::Radial | M::RadialFisheye => out.extend([n1, n2]),
@@ -95,15 +100,6 @@ impl LensModel {
         }
         out
     }
-}
-
-#[cfg(test)]
-mod tests {
-    use use3d_capture::{FileName, Pose};
-    use use3d_survey::PosedImage;
-
-    use super::*;
-    use crate::lens::lenses::example;
 
     #[test]
     fn every_camera_model_survives_the_way_through_a_survey() {
@@ -111,13 +107,13 @@ mod tests {
         for model in LensModel::ALL {
             for amount in [0.0, 1.0] {
                 let lens = example(model, amount);
-                let parameters = model.parameters_of(&lens);
+                let parameters = parameters_of(model, &lens);
                 let camera = ModelCamera { id: 3, model, width: 1000, height: 700, parameters };
                 let image = PosedImage::at(8, FileName::new("a.png").unwrap(), 3, &Pose::IDENTITY);
                 let before = Model { cameras: vec![camera], images: vec![image], points: vec![] };
                 let survey = before.clone().into_survey(path).unwrap();
                 assert_eq!((survey.cameras[0].lens, survey.cameras[0].model.as_str()), (lens, model.name()));
-                let mut after = Model::from_survey(&survey, path).unwrap();
+                let mut after = from_survey(&survey, path).unwrap();
                 if model == M::Eucm && amount == 0.0 {
                     // Without a sphere its second parameter has no meaning.
                     after.cameras[0].parameters[5] = before.cameras[0].parameters[5];
@@ -126,7 +122,7 @@ mod tests {
                 // Under a name that COLMAP does not have the first model that fits is taken.
                 let mut foreign = survey;
                 foreign.cameras[0].model = "frame".into();
-                let found = Model::from_survey(&foreign, path).unwrap();
+                let found = from_survey(&foreign, path).unwrap();
                 assert_eq!(found.cameras[0].lens(), Some(lens), "{model:?}");
             }
         }
@@ -138,7 +134,7 @@ mod tests {
         let lens = Lens { skew: 0.3, ..Lens::pinhole([500.0, 501.0], [320.0, 240.0]) };
         let model = "frame".to_string();
         survey.cameras.push(SurveyCamera { id: 5, model, label: None, width: 640, height: 480, lens });
-        let said = Model::from_survey(&survey, Path::new("out")).unwrap_err().to_string();
+        let said = from_survey(&survey, Path::new("out")).unwrap_err().to_string();
         assert!(said.contains("camera 5 (frame)") && said.contains("undistort"), "{said}");
     }
 }

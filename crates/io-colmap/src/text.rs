@@ -23,23 +23,29 @@ use crate::{Keypoint, ModelImage, ModelPoint};
 
 type Result<T> = std::result::Result<T, ModelError>;
 
-/// The words of one line.
+/// A line with its words.
 struct Line<'a> {
+    text: &'a str,
     words: SplitAsciiWhitespace<'a>,
     number: usize,
     path: &'a Path,
 }
 
-impl<'a> Line<'a> {
+impl Line<'_> {
+    /// True if the line is neither empty nor a comment.
+    fn has_data(&self) -> bool {
+        !self.text.is_empty() && !self.text.starts_with('#')
+    }
+
     fn fail<T>(&self, reason: String) -> Result<T> {
         Err(ModelError::broken(self.path, format!("line {}", self.number), reason))
     }
 
     fn next<T: FromStr>(&mut self, field: &str) -> Result<T> {
-        match self.words.next() {
-            None => self.fail(format!("it ends where {field} was expected")),
-            Some(word) => self.parse(word, field),
-        }
+        let Some(word) = self.words.next() else {
+            return self.fail(format!("it ends where {field} was expected"));
+        };
+        self.parse(word, field)
     }
 
     fn parse<T: FromStr>(&self, word: &str, field: &str) -> Result<T> {
@@ -58,49 +64,19 @@ impl<'a> Line<'a> {
     }
 }
 
-/// The lines of a file with their numbers.
-struct Lines<'a> {
-    lines: std::iter::Enumerate<std::str::Lines<'a>>,
-    path: &'a Path,
-}
-
-impl<'a> Lines<'a> {
-    fn new(bytes: &'a [u8], path: &'a Path) -> Result<Self> {
-        match std::str::from_utf8(bytes) {
-            Ok(text) => Ok(Self { lines: text.lines().enumerate(), path }),
-            Err(e) => {
-                Err(ModelError::broken(path, format!("byte {}", e.valid_up_to()), "it is not UTF-8".into()))
-            }
-        }
-    }
-
-    fn line(&self, number: usize, text: &'a str) -> Line<'a> {
-        Line { words: text.split_ascii_whitespace(), number: number + 1, path: self.path }
-    }
-
-    /// The next line with data, with its text.
-    fn data(&mut self) -> Option<(Line<'a>, &'a str)> {
-        loop {
-            let (number, text) = self.lines.next()?;
-            let text = text.trim();
-            if !text.is_empty() && !text.starts_with('#') {
-                return Some((self.line(number, text), text));
-            }
-        }
-    }
-
-    /// The next line, even if it is empty.
-    fn any(&mut self) -> Option<Line<'a>> {
-        let (number, text) = self.lines.next()?;
-        Some(self.line(number, text))
-    }
+/// The lines of a file.
+fn lines<'a>(bytes: &'a [u8], path: &'a Path) -> Result<impl Iterator<Item = Line<'a>>> {
+    let text = std::str::from_utf8(bytes).map_err(|e| {
+        ModelError::broken(path, format!("byte {}", e.valid_up_to()), "it is not UTF-8".into())
+    })?;
+    let lines = (1..).zip(text.lines().map(str::trim));
+    Ok(lines.map(move |(number, text)| Line { text, words: text.split_ascii_whitespace(), number, path }))
 }
 
 /// Parses `cameras.txt`; `path` is for the messages only.
 pub fn cameras(bytes: &[u8], path: &Path) -> Result<Vec<ModelCamera>> {
-    let mut lines = Lines::new(bytes, path)?;
     let mut out = Vec::new();
-    while let Some((mut line, _)) = lines.data() {
+    for mut line in lines(bytes, path)?.filter(Line::has_data) {
         let id = line.next("camera id")?;
         let name: String = line.next("camera model")?;
         let Some(model) = LensModel::from_name(&name) else {
@@ -110,13 +86,9 @@ pub fn cameras(bytes: &[u8], path: &Path) -> Result<Vec<ModelCamera>> {
         let (width, height) = (line.next("width")?, line.next("height")?);
         let parameters: Vec<f64> =
             line.words.clone().map(|w| line.parse(w, "camera parameter")).collect::<Result<_>>()?;
-        if parameters.len() != model.parameter_count() {
-            return line.fail(format!(
-                "{} parameters; {} has {}",
-                parameters.len(),
-                model.name(),
-                model.parameter_count()
-            ));
+        let (found, expected) = (parameters.len(), model.parameter_count());
+        if found != expected {
+            return line.fail(format!("{found} parameters; {} has {expected}", model.name()));
         }
         out.push(ModelCamera { id, model, width, height, parameters });
     }
@@ -135,20 +107,20 @@ fn after_words(text: &str, count: usize) -> &str {
 
 /// Parses `images.txt`.
 pub fn images(bytes: &[u8], path: &Path) -> Result<Vec<ModelImage>> {
-    let mut lines = Lines::new(bytes, path)?;
+    let mut lines = lines(bytes, path)?;
     let mut out = Vec::new();
-    while let Some((mut line, text)) = lines.data() {
+    while let Some(mut line) = lines.find(Line::has_data) {
         let id = line.next("image id")?;
         let quaternion = line.array("quaternion entry")?;
         let translation = line.array("translation entry")?;
         let camera = line.next("camera id")?;
-        let name = after_words(text, 9);
+        let name = after_words(line.text, 9);
         if name.is_empty() {
             return line.fail("it ends where the image's name was expected".into());
         }
         let name = FileName::new(name).or_else(|e| line.fail(e.to_string()))?;
         let mut keypoints = Vec::new();
-        if let Some(mut line) = lines.any() {
+        if let Some(mut line) = lines.next() {
             while let Some(word) = line.words.next() {
                 let x = line.parse(word, "keypoint x")?;
                 let y = line.next("keypoint y")?;
@@ -163,9 +135,8 @@ pub fn images(bytes: &[u8], path: &Path) -> Result<Vec<ModelImage>> {
 
 /// Parses `points3D.txt`.
 pub fn points(bytes: &[u8], path: &Path) -> Result<Vec<ModelPoint>> {
-    let mut lines = Lines::new(bytes, path)?;
     let mut out = Vec::new();
-    while let Some((mut line, _)) = lines.data() {
+    for mut line in lines(bytes, path)?.filter(Line::has_data) {
         let id = line.next("point id")?;
         let position = line.array("coordinate")?;
         let color = line.array("colour of 0 to 255")?;
@@ -220,11 +191,8 @@ pub fn write_images(w: &mut impl Write, images: &[ModelImage]) -> io::Result<()>
 
 /// Writes `points3D.txt`.
 pub fn write_points(w: &mut impl Write, points: &[ModelPoint]) -> io::Result<()> {
-    writeln!(
-        w,
-        "# {} points, one per line: POINT3D_ID X Y Z R G B ERROR (IMAGE_ID POINT2D_IDX)[]",
-        points.len()
-    )?;
+    let count = points.len();
+    writeln!(w, "# {count} points, one per line: POINT3D_ID X Y Z R G B ERROR (IMAGE_ID POINT2D_IDX)[]")?;
     for p in points {
         write!(w, "{}", p.id)?;
         put(w, &p.position)?;
