@@ -10,6 +10,6 @@ fuzz_target!(|data: &[u8]| {
     let at = data.iter().position(|b| *b == b'\t').unwrap_or(data.len());
     let (json, tracks) = data.split_at(at);
     let Ok(mut survey) = parse(json, Path::new("fuzzed.json")) else { return };
-    survey.check().expect("what was read is usable");
+    survey.check(Path::new("fuzzed.json"), "").expect("what was read is usable");
     let _ = add_tracks(&mut survey, tracks, Path::new("fuzzed.csv"));
 });

@@ -18,6 +18,6 @@ fuzz_target!(|data: &[u8]| {
     let Ok(found) = found else { return };
     let sizes: BTreeMap<_, _> = found.shots.iter().map(|shot| (shot.name.clone(), (64, 48))).collect();
     if let Ok(survey) = found.into_survey(&sizes, path) {
-        survey.check().expect("what was read is usable");
+        survey.check(path, "").expect("what was read is usable");
     }
 });

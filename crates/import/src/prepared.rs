@@ -241,7 +241,7 @@ pub fn load_prepared(dir: &Path) -> Result<Imported, ImportError> {
     }
     let points = sparse_points(&model.points, &frame);
     let model = Survey { world: manifest.world, ..model.into_survey(&dir.join(MODEL))? };
-    model.check().map_err(|e| bad(e.to_string()))?;
+    model.check(&path, "import the capture again")?;
     let split = Split { train: manifest.train, test: manifest.test };
     let name = if manifest.name.is_empty() { capture_name(dir) } else { manifest.name };
     let mut report = manifest.report;

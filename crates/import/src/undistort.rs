@@ -44,7 +44,7 @@ pub(crate) fn is_pinhole(lens: &Lens, width: usize, height: usize) -> bool {
     if lens.is_pinhole() {
         return true;
     }
-    let ([fx, fy], [cx, cy]) = lens.pinhole_part();
+    let ([fx, fy], [cx, cy]) = (lens.focal, lens.principal);
     (0..=32usize).all(|i| {
         (0..=32usize).all(|j| {
             let (x, y) = (width as f64 * i as f64 / 32.0, height as f64 * j as f64 / 32.0);
@@ -125,7 +125,7 @@ pub(crate) fn choose_pinhole(lens: &Lens, width: usize, height: usize) -> Result
         let down = dv / if dv < 0.0 { top - center.1 } else { bottom - center.1 };
         share = share.min(across.max(down));
     }
-    let ([fx, fy], [cx, cy]) = lens.pinhole_part();
+    let ([fx, fy], [cx, cy]) = (lens.focal, lens.principal);
     let side = |low: f64, high: f64, middle: f64, focal: f64, principal: f64, most: f64| {
         let middle = middle * focal + principal;
         let low = middle + share * (low * focal + principal - middle);

@@ -5,11 +5,11 @@
 //! `images` and `points3D`, all `.bin` (preferred if both exist) or all `.txt`. The additional files of newer
 //! versions (`rigs`, `frames`) are not needed.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use use3d_survey::{PosedImage as ModelImage, SurveyPoint as ModelPoint};
+use use3d_survey::{PosedImage as ModelImage, SurveyPoint as ModelPoint, check_records};
 
 use crate::camera::ModelCamera;
 use crate::error::ModelError;
@@ -167,7 +167,7 @@ const MAX_PIXELS: u64 = use3d_io_image::MAX_PIXELS;
 /// The largest coordinate or lens parameter. Training uses single precision, in which the square of a larger
 /// one overflows.
 const LARGEST: f64 = 1e15;
-const RANGE: &str = "expected numbers up to 1e15";
+const RANGE: &str = "; expected numbers up to 1e15";
 /// The shortest focal length, pixels: the square of a shorter one vanishes in single precision.
 const SHORTEST_FOCAL: f64 = 1e-3;
 
@@ -177,19 +177,14 @@ pub fn fits_single(value: f64) -> bool {
 }
 
 impl Model {
-    /// The camera of an id.
-    pub fn camera(&self, id: u32) -> Option<&ModelCamera> {
-        self.cameras.iter().find(|c| c.id == id)
-    }
-
     /// Checks conditions that involve more than one record or field: ids are unique and known, numbers
     /// finite, sizes sensible.
     pub fn check(&self, path: &Path) -> Result<(), ModelError> {
         let fail = |place: String, reason: String| Err(ModelError::broken(path, place, reason));
-        let mut cameras = BTreeMap::new();
+        let mut cameras = BTreeSet::new();
         for camera in &self.cameras {
             let place = || format!("camera {}", camera.id);
-            if cameras.insert(camera.id, camera).is_some() {
+            if !cameras.insert(camera.id) {
                 return fail(place(), "its id occurs twice".into());
             }
             let (w, h) = (camera.width as u64, camera.height as u64);
@@ -203,39 +198,12 @@ impl Model {
             if let Some(bad) = camera.parameters.iter().position(|p| !p.is_finite()) {
                 return fail(place(), format!("parameter {bad} is {}", camera.parameters[bad]));
             }
-            if lens.pinhole_part().0.iter().any(|f| *f <= 0.0) {
-                return fail(
-                    place(),
-                    format!("its focal length is {:?}; expected > 0", lens.pinhole_part().0),
-                );
+            if lens.focal.iter().any(|f| *f <= 0.0) {
+                return fail(place(), format!("its focal length is {:?}; expected > 0", lens.focal));
             }
         }
-        let (mut ids, mut names) = (BTreeSet::new(), BTreeSet::new());
-        for image in &self.images {
-            let place = || format!("image {} ({})", image.id, image.name);
-            if !ids.insert(image.id) {
-                return fail(place(), "its id occurs twice".into());
-            }
-            if !names.insert(image.name.as_str()) {
-                return fail(place(), "its name occurs twice".into());
-            }
-            if !cameras.contains_key(&image.camera) {
-                return fail(place(), format!("it refers to camera {}, which is not there", image.camera));
-            }
-            let norm = image.quaternion.iter().map(|v| v * v).sum::<f64>().sqrt();
-            if !(norm.is_finite() && norm > 1e-12) {
-                return fail(place(), format!("its quaternion is {:?}", image.quaternion));
-            }
-            if image.translation.iter().any(|v| !v.is_finite()) {
-                return fail(place(), format!("its translation is {:?}", image.translation));
-            }
-        }
-        for point in &self.points {
-            if point.position.iter().any(|v| !v.is_finite()) {
-                return fail(format!("point {}", point.id), format!("its position is {:?}", point.position));
-            }
-        }
-        Ok(())
+        check_records(&self.images, &self.points, |id| cameras.contains(&id), f64::is_finite, "")
+            .or_else(|(place, reason)| fail(place, reason))
     }
 
     /// Checks that every number used in training or rendering is usable in single precision.
@@ -247,38 +215,16 @@ impl Model {
         for camera in &self.cameras {
             let place = format!("camera {}", camera.id);
             if let Some(bad) = camera.parameters.iter().position(|p| !fits_single(*p)) {
-                return fail(place, format!("parameter {bad} is {:e}; {RANGE}", camera.parameters[bad]));
+                return fail(place, format!("parameter {bad} is {:e}{RANGE}", camera.parameters[bad]));
             }
-            let focal = camera.lens().map(|lens| lens.pinhole_part().0);
+            let focal = camera.lens().map(|lens| lens.focal);
             if let Some(focal) = focal.filter(|f| f.iter().any(|f| *f < SHORTEST_FOCAL)) {
                 let reason =
                     format!("its focal length is {focal:?}; expected {SHORTEST_FOCAL} pixels or more");
                 return fail(place, reason);
             }
         }
-        for image in &self.images {
-            if image.translation.iter().any(|v| !fits_single(*v)) {
-                let reason = format!("its translation is {:?}; {RANGE}", image.translation);
-                return fail(format!("image {} ({})", image.id, image.name), reason);
-            }
-        }
-        match self.points.iter().find(|p| p.position.iter().any(|v| !fits_single(*v))) {
-            Some(point) => {
-                fail(format!("point {}", point.id), format!("its position is {:?}; {RANGE}", point.position))
-            }
-            None => Ok(()),
-        }
-    }
-
-    /// Keeps the images for which `keep` returns true, and removes the others from the points' tracks.
-    pub fn retain_images(&mut self, keep: impl Fn(&ModelImage) -> bool) {
-        let before = self.images.len();
-        self.images.retain(keep);
-        if self.images.len() < before {
-            let kept: BTreeSet<u32> = self.images.iter().map(|i| i.id).collect();
-            for point in &mut self.points {
-                point.track.retain(|(image, _)| kept.contains(image));
-            }
-        }
+        check_records(&self.images, &self.points, |_| true, fits_single, RANGE)
+            .or_else(|(place, reason)| fail(place, reason))
     }
 }

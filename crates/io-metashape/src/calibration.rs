@@ -76,11 +76,8 @@ pub(crate) fn camera(sensor: Element<'_>) -> Result<SurveyCamera, ReadError> {
     let calibration = chosen(sensor)?;
     let kind = calibration.attribute("type").or(sensor.attribute("type")).unwrap_or("frame");
     let projection = projection(calibration, kind)?;
-    let size = match resolution(calibration)? {
-        Some(size) => Some(size),
-        None => resolution(sensor)?,
-    };
-    let Some((width, height)) = size else {
+    let stated = resolution(calibration)?;
+    let Some((width, height)) = stated.map_or_else(|| resolution(sensor), |size| Ok(Some(size)))? else {
         return sensor.fail("it has no <resolution>; export the cameras again");
     };
     for child in calibration.node.children().filter(roxmltree::Node::is_element) {
@@ -93,10 +90,8 @@ pub(crate) fn camera(sensor: Element<'_>) -> Result<SurveyCamera, ReadError> {
             ));
         }
     }
-    let optional = |name: &'static str| match calibration.child(name) {
-        Some(found) => found.numbers::<1>().map(|[v]| Some(v)),
-        None => Ok(None),
-    };
+    let number = |element: Element<'_>| element.numbers::<1>().map(|[v]| v);
+    let optional = |name: &'static str| calibration.child(name).map(number).transpose();
     let or_zero = |name: &'static str| optional(name).map(|v| v.unwrap_or(0.0));
     let (cx, cy) = (or_zero("cx")?, or_zero("cy")?);
     let (p1, p2) = (or_zero("p1")?, or_zero("p2")?);

@@ -18,7 +18,8 @@ use glam::{DMat3, DVec3};
 use roxmltree::Document;
 use use3d_capture::{FileName, Pose, shown};
 use use3d_survey::{
-    Mark, Marker, PosedImage, ReadError, RotationFault, ScaleBar, Survey, World, check_rotation, read_at_most,
+    Mark, Marker, PosedImage, ReadError, RotationFault, ScaleBar, Survey, World, check_rotation, first_bytes,
+    read_at_most, tidy_name,
 };
 
 use crate::calibration;
@@ -30,6 +31,8 @@ type Result<T> = std::result::Result<T, ReadError>;
 const LARGEST: u64 = 1 << 29;
 /// The newest version whose files are known.
 const NEWEST: u64 = 2;
+/// The next step for a survey that is not usable.
+pub(crate) const REMEDY: &str = "check the project in Metashape and export the cameras again";
 /// A rotation may be off orthonormal by this: files have eight digits after the point at least.
 const ORTHONORMAL: f64 = 1e-4;
 /// Scale bars and a transform may differ by this share before a note says so.
@@ -37,14 +40,7 @@ const AGREE: f64 = 0.01;
 
 /// True if a file's first bytes are those of a document of Metashape or PhotoScan.
 pub fn is_cameras_file(path: &Path) -> bool {
-    use std::io::Read;
-    let Ok(file) = std::fs::File::open(path) else { return false };
-    let mut head = Vec::new();
-    if file.take(4096).read_to_end(&mut head).is_err() {
-        return false;
-    }
-    let head = String::from_utf8_lossy(&head);
-    head.contains("<document")
+    first_bytes(path, 4096).is_some_and(|head| String::from_utf8_lossy(&head).contains("<document"))
 }
 
 /// Reads a cameras file.
@@ -74,14 +70,8 @@ pub fn parse(bytes: &[u8], path: &Path) -> Result<Survey> {
     let (chunk, others) = choose_chunk(root)?;
     let mut survey = read_chunk(chunk)?;
     survey.notes.extend(others);
-    check(&survey, path)?;
+    survey.check(path, REMEDY)?;
     Ok(survey)
-}
-
-/// Checks the survey as a whole; `path` is for messages.
-pub(crate) fn check(survey: &Survey, path: &Path) -> Result<()> {
-    let remedy = "check the project in Metashape and export the cameras again";
-    survey.check().map_err(|source| ReadError::Survey { path: path.to_path_buf(), source, remedy })
 }
 
 fn check_version(root: Element<'_>) -> Result<()> {
@@ -107,12 +97,9 @@ fn choose_chunk(root: Element<'_>) -> Result<(Element<'_>, Vec<String>)> {
     let aligned =
         |chunk: &Element<'_>| chunk.below("camera").filter(|c| c.child("transform").is_some()).count();
     let chunks: Vec<Element<'_>> = root.children("chunk").collect();
-    let best = chunks
-        .iter()
-        .map(|chunk| (chunk.flag("enabled", true), aligned(chunk), *chunk))
-        .rev()
-        .max_by_key(|(enabled, count, _)| (*enabled, *count));
-    let Some((_, _, best)) = best else {
+    // The first of equals.
+    let best = chunks.iter().rev().max_by_key(|chunk| (chunk.flag("enabled", true), aligned(chunk)));
+    let Some(&best) = best else {
         return root.fail(
             "it has no <chunk>; a project (.psx) holds no cameras: export them with File > Export > Export \
              Cameras, format Agisoft XML",
@@ -237,8 +224,7 @@ fn read_chunk(chunk: Element<'_>) -> Result<Survey> {
 /// World-to-camera from a camera's transform: sixteen numbers, row by row, camera to component.
 fn pose(transform: Element<'_>) -> Result<Pose> {
     let m: [f64; 16] = transform.numbers()?;
-    let owner = transform.node.parent_element().map(|node| Element { node, path: transform.path });
-    let owner = owner.unwrap_or(transform);
+    let owner = transform.owner();
     if m[12..].iter().zip([0.0, 0.0, 0.0, 1.0]).any(|(a, b)| (a - b).abs() > 1e-6) {
         return owner.fail(format!("the last row of its <transform> is {:?}; expected 0 0 0 1", &m[12..]));
     }
@@ -262,13 +248,6 @@ fn require_rotation(owner: Element<'_>, rotation: &DMat3) -> Result<()> {
     }
 }
 
-/// A path or label as a name: without a drive, leading separators, and parts that lead up.
-fn tidy(text: &str) -> String {
-    let slashed = text.replace('\\', "/");
-    let parts = slashed.split('/').filter(|p| !p.is_empty() && *p != "." && *p != ".." && !p.ends_with(':'));
-    parts.collect::<Vec<_>>().join("/")
-}
-
 /// A name for each camera, distinct from the others.
 fn file_names(chunk: Element<'_>, cameras: &[Aligned<'_>]) -> Result<Vec<FileName>> {
     // Frames of a project name the photographs; exported files mostly have labels alone.
@@ -283,9 +262,9 @@ fn file_names(chunk: Element<'_>, cameras: &[Aligned<'_>]) -> Result<Vec<FileNam
     }
     let plain: Vec<String> = cameras
         .iter()
-        .map(|camera| match photos.get(&camera.id) {
-            Some(path) => tidy(path),
-            None => tidy(camera.element.attribute("label").unwrap_or_default()),
+        .map(|camera| {
+            let label = || camera.element.attribute("label").unwrap_or_default();
+            tidy_name(photos.get(&camera.id).copied().unwrap_or_else(label))
         })
         .collect();
     let mut seen: BTreeMap<&str, usize> = BTreeMap::new();
@@ -299,7 +278,7 @@ fn file_names(chunk: Element<'_>, cameras: &[Aligned<'_>]) -> Result<Vec<FileNam
         if seen.get(name.as_str()).is_some_and(|count| *count > 1) {
             let groups = camera.element.node.ancestors().filter(|n| n.has_tag_name("group"));
             for label in groups.filter_map(|g| g.attribute("label")) {
-                full = format!("{}/{full}", tidy(label));
+                full = format!("{}/{full}", tidy_name(label));
             }
         }
         let parsed = FileName::new(&full).or_else(|e| {
@@ -332,16 +311,9 @@ fn read_markers(chunk: Element<'_>, survey: &mut Survey) -> Result<()> {
     }
     for marker in chunk.children("markers").flat_map(|m| m.below("marker")) {
         let id = marker.number("id")?;
-        let reference = match marker.child("reference") {
-            Some(r) if r.flag("enabled", true) => {
-                let [x, y, z] = ["x", "y", "z"].map(|axis| r.optional_number::<f64>(axis));
-                match (x?, y?, z?) {
-                    (Some(x), Some(y), Some(z)) => Some([x, y, z]),
-                    _ => None,
-                }
-            }
-            _ => None,
-        };
+        let place = marker.child("reference").filter(|r| r.flag("enabled", true));
+        let axis = |name: &str| place.map_or(Ok(None), |place| place.optional_number::<f64>(name));
+        let reference = axis("x")?.zip(axis("y")?).zip(axis("z")?).map(|((x, y), z)| [x, y, z]);
         let label = marker.attribute("label").unwrap_or_default().to_string();
         survey.markers.push(Marker { id, label, reference, marks: marks.remove(&id).unwrap_or_default() });
     }
@@ -390,9 +362,6 @@ fn read_world(chunk: Element<'_>, transform: Option<Element<'_>>, survey: &mut S
                 .fail("the unit of its <reference> has no factor to metres; choose metres and export again");
         };
         let metres = scale * unit;
-        let rows = (rotation.transpose() * metres).to_cols_array_2d();
-        let t = translation * unit;
-        let row = |i: usize| [rows[i][0], rows[i][1], rows[i][2], t[i]];
         let local = crs.as_deref().is_none_or(|text| text.starts_with("LOCAL_CS"));
         if scale == 1.0 && local {
             survey.notes.push(
@@ -407,28 +376,17 @@ fn read_world(chunk: Element<'_>, transform: Option<Element<'_>>, survey: &mut S
                  the transform (Reference > Update) and export again if the bars are right"
             ));
         }
-        survey.world = Some(World {
-            metres_per_unit: metres,
-            transform: [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]],
-            crs,
-            source: "Metashape chunk transform".into(),
-        });
-    } else if let Some(metres) = bars {
-        let row = |i: usize| std::array::from_fn(|j| if i == j { metres } else { 0.0 });
-        survey.world = Some(World {
-            metres_per_unit: metres,
-            transform: [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]],
-            crs: None,
-            source: "Metashape scale bars".into(),
-        });
+        let source = "Metashape chunk transform".into();
+        survey.world = Some(World { crs, ..World::of(metres, &rotation, translation * unit, source) });
+    } else {
+        survey.world = bars.map(|metres| World::scaled(metres, "Metashape scale bars".into()));
     }
     Ok(())
 }
 
 /// Scale, rotation and translation of a transform; `None` where it states no scale.
 fn similarity(transform: Element<'_>) -> Result<Option<(f64, DMat3, DVec3)>> {
-    let owner = transform.node.parent_element().map(|node| Element { node, path: transform.path });
-    let owner = owner.unwrap_or(transform);
+    let owner = transform.owner();
     let bad_scale = |scale: f64| {
         owner.fail(format!(
             "its <scale> is {scale}; expected above 0: set a scale bar or references, press Reference > Update, \

@@ -8,7 +8,7 @@ use std::path::Path;
 
 use use3d_survey::{EarthPlace, ReadError, Survey, World, ply};
 
-use crate::chunk::check;
+use crate::chunk::REMEDY;
 
 /// The number of points by which the reading is chosen.
 const TRIED: usize = 200;
@@ -44,8 +44,7 @@ impl Reading {
 /// # Errors
 /// A file that is no PLY file of points, and points that no camera sees in either reading.
 pub fn add_points(survey: &mut Survey, bytes: &[u8], path: &Path) -> Result<(), ReadError> {
-    let mut points =
-        ply::points(bytes).map_err(|source| ReadError::Points { path: path.to_path_buf(), source })?;
+    let mut points = ply::points(bytes, path)?;
     if points.is_empty() {
         survey.notes.push("the file of points is empty".into());
         return Ok(());
@@ -74,5 +73,5 @@ pub fn add_points(survey: &mut Survey, bytes: &[u8], path: &Path) -> Result<(), 
         point.position = reading.of(world, point.position).unwrap_or(point.position);
     }
     survey.points = points;
-    check(survey, path)
+    survey.check(path, REMEDY)
 }

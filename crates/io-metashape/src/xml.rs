@@ -40,6 +40,11 @@ impl<'a> Element<'a> {
         Self { node, path: self.path }
     }
 
+    /// The element that this one stands in, for messages.
+    pub(crate) fn owner(&self) -> Self {
+        self.node.parent_element().map_or(*self, |node| self.at(node))
+    }
+
     /// Children of a name.
     pub(crate) fn children(self, name: &'a str) -> impl Iterator<Item = Self> + 'a {
         self.node.children().filter(move |n| n.has_tag_name(name)).map(move |n| self.at(n))
@@ -61,15 +66,12 @@ impl<'a> Element<'a> {
 
     /// An attribute that must be there, as a number.
     pub(crate) fn number<T: FromStr>(&self, name: &str) -> Result<T> {
-        match self.attribute(name) {
-            None => self.fail(format!("the attribute `{name}` is missing; export the cameras again")),
-            Some(text) => match text.trim().parse() {
-                Ok(value) => Ok(value),
-                Err(_) => self.fail(format!(
-                    "the attribute `{name}` is {text:?}; expected a number: export the cameras again"
-                )),
-            },
-        }
+        let Some(text) = self.attribute(name) else {
+            return self.fail(format!("the attribute `{name}` is missing; export the cameras again"));
+        };
+        let reason =
+            || format!("the attribute `{name}` is {text:?}; expected a number: export the cameras again");
+        text.trim().parse().or_else(|_| self.fail(reason()))
     }
 
     /// A number that may be left out.

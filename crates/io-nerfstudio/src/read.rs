@@ -18,6 +18,8 @@ type Result<T> = std::result::Result<T, ReadError>;
 
 /// The largest file that is read, bytes: several 100,000 frames.
 const LARGEST: u64 = 1 << 28;
+/// The next step for a survey that is not usable.
+const REMEDY: &str = "write the file again with ns-process-data";
 /// A rotation may be off orthonormal by this: some writers keep single precision.
 const ORTHONORMAL: f64 = 1e-3;
 /// The camera models without a bend that no polynomial describes.
@@ -44,13 +46,12 @@ impl Transforms {
     /// # Errors
     /// A file that is no PLY file of points.
     pub fn add_points(&mut self, bytes: &[u8], path: &Path) -> Result<()> {
-        let mut points =
-            ply::points(bytes).map_err(|source| ReadError::Points { path: path.to_path_buf(), source })?;
+        let mut points = ply::points(bytes, path)?;
         for point in &mut points {
             point.position = self.applied.undo(DVec3::from_array(point.position)).to_array();
         }
         self.survey.points = points;
-        check(&self.survey, path)
+        self.survey.check(path, REMEDY)
     }
 }
 
@@ -103,7 +104,11 @@ pub fn parse(bytes: &[u8], path: &Path) -> Result<Transforms> {
         let Some(name) = fields.file("file_path")? else {
             return fields.fail("`file_path` is missing; expected the photograph's path");
         };
-        let (rotation, center) = matrix(&fields)?;
+        if !own.contains_key("transform_matrix") {
+            return fields.fail("`transform_matrix` is missing; expected 4 rows of 4 numbers");
+        }
+        // Camera-to-world rotation with OpenGL's axes, and the camera's centre.
+        let (rotation, center) = fields.transform("transform_matrix")?;
         let camera = camera(&fields)?;
         let next = cameras.len() as u32 + 1;
         let id = *cameras.entry(bits(&camera)).or_insert(next);
@@ -119,19 +124,12 @@ pub fn parse(bytes: &[u8], path: &Path) -> Result<Transforms> {
         }
     }
     if all.contains_key("train_filenames") || all.contains_key("test_filenames") {
-        survey.notes.push(
-            "the split in transforms.json is not used; put the names into train_list.txt and test_list.txt"
-                .into(),
-        );
+        let note =
+            "the split in transforms.json is not used; put the names into train_list.txt and test_list.txt";
+        survey.notes.push(note.into());
     }
-    check(&survey, path)?;
+    survey.check(path, REMEDY)?;
     Ok(Transforms { survey, points, applied })
-}
-
-/// Checks the survey as a whole; `path` is for messages.
-fn check(survey: &Survey, path: &Path) -> Result<()> {
-    let remedy = "write the file again with ns-process-data";
-    survey.check().map_err(|source| ReadError::Survey { path: path.to_path_buf(), source, remedy })
 }
 
 /// The ids of COLMAP where every frame has one and they are distinct, else 1, 2, 3 and so on.
@@ -173,12 +171,10 @@ impl Fields<'_> {
     }
 
     fn number(&self, name: &str) -> Result<Option<f64>> {
-        match self.get(name) {
-            None => Ok(None),
-            Some(value) => match value.as_f64().filter(|v| v.is_finite()) {
-                Some(number) => Ok(Some(number)),
-                None => self.fail(format!("`{name}` is {}; expected a finite number", short(value))),
-            },
+        let Some(value) = self.get(name) else { return Ok(None) };
+        match value.as_f64() {
+            Some(number) if number.is_finite() => Ok(Some(number)),
+            _ => self.fail(format!("`{name}` is {}; expected a finite number", short(value))),
         }
     }
 
@@ -207,35 +203,28 @@ impl Fields<'_> {
         let Some(text) = value.as_str() else {
             return self.fail(format!("`{name}` is {}; expected a path", short(value)));
         };
-        match FileName::new(text) {
-            Ok(file) => Ok(Some(file)),
-            Err(e) => self.fail(format!(
+        FileName::new(text).map(Some).or_else(|e| {
+            self.fail(format!(
                 "`{name}`: {e}; expected a path below the folder of transforms.json: put the file there"
-            )),
-        }
+            ))
+        })
     }
 
-    /// Rows of numbers: `rows` at least, of `columns` each.
-    fn rows(&self, name: &str, rows: usize, columns: usize) -> Result<Vec<Vec<f64>>> {
-        let shape =
-            || self.fail(format!("`{name}` is no matrix of {rows} or 4 rows of {columns} finite numbers"));
-        let Some(Value::Array(list)) = self.get(name) else { return shape() };
-        let row = |value: &Value| -> Option<Vec<f64>> {
-            let list = value.as_array().filter(|list| list.len() == columns)?;
-            list.iter().map(|v| v.as_f64().filter(|v| v.is_finite())).collect()
+    /// A matrix of 3 or 4 rows of 4 numbers: the rotation in its first three columns, checked, and the last
+    /// column.
+    fn transform(&self, name: &str) -> Result<(DMat3, DVec3)> {
+        let row = |value: &Value| -> Option<[f64; 4]> {
+            let numbers = value.as_array()?.iter().map(|v| v.as_f64().filter(|v| v.is_finite()));
+            numbers.collect::<Option<Vec<f64>>>()?.try_into().ok()
         };
-        match list.iter().map(row).collect::<Option<Vec<_>>>() {
-            Some(found) if found.len() == rows || found.len() == 4 => Ok(found),
-            _ => shape(),
-        }
-    }
-
-    /// The rotation of the first three columns, checked.
-    fn rotation(&self, name: &str, m: &[Vec<f64>]) -> Result<DMat3> {
+        let rows = self.get(name).and_then(Value::as_array).filter(|rows| matches!(rows.len(), 3 | 4));
+        let Some(m) = rows.and_then(|rows| rows.iter().map(row).collect::<Option<Vec<_>>>()) else {
+            return self.fail(format!("`{name}` is no matrix of 3 or 4 rows of 4 finite numbers"));
+        };
         let row = |i: usize| DVec3::new(m[i][0], m[i][1], m[i][2]);
         let rotation = DMat3::from_cols(row(0), row(1), row(2)).transpose();
         match check_rotation(&rotation, ORTHONORMAL) {
-            Ok(()) => Ok(rotation),
+            Ok(()) => Ok((rotation, DVec3::new(m[0][3], m[1][3], m[2][3]))),
             Err(RotationFault::NotOrthonormal(off)) => self.fail(format!(
                 "`{name}` has a rotation that is off orthonormal by {off:.1e}; expected no scale and no shear"
             )),
@@ -257,9 +246,7 @@ fn short(value: &Value) -> String {
 fn applied(whole: &Fields<'_>) -> Result<Applied> {
     let mut applied = Applied::NONE;
     if whole.get("applied_transform").is_some() {
-        let m = whole.rows("applied_transform", 3, 4)?;
-        applied.rotation = whole.rotation("applied_transform", &m)?;
-        applied.translation = DVec3::new(m[0][3], m[1][3], m[2][3]);
+        (applied.rotation, applied.translation) = whole.transform("applied_transform")?;
     }
     if let Some(scale) = whole.number("applied_scale")? {
         if scale <= 0.0 {
@@ -268,15 +255,6 @@ fn applied(whole: &Fields<'_>) -> Result<Applied> {
         applied.scale = scale;
     }
     Ok(applied)
-}
-
-/// Camera-to-world rotation with OpenGL's axes, and the camera's centre.
-fn matrix(fields: &Fields<'_>) -> Result<(DMat3, DVec3)> {
-    if !fields.own.contains_key("transform_matrix") {
-        return fields.fail("`transform_matrix` is missing; expected 4 rows of 4 numbers");
-    }
-    let m = fields.rows("transform_matrix", 3, 4)?;
-    Ok((fields.rotation("transform_matrix", &m)?, DVec3::new(m[0][3], m[1][3], m[2][3])))
 }
 
 fn camera(fields: &Fields<'_>) -> Result<SurveyCamera> {
@@ -295,19 +273,20 @@ fn camera(fields: &Fields<'_>) -> Result<SurveyCamera> {
         ));
     }
     let (width, height) = (fields.side("w")?, fields.side("h")?);
-    let by_angle = |angle: &str, side: usize| match fields.number(angle)? {
-        None => Ok(None),
-        Some(a) if a > 0.0 && a < std::f64::consts::PI => Ok(Some(0.5 * side as f64 / math::tan(0.5 * a))),
-        Some(a) => fields.fail(format!("`{angle}` is {a}; expected radians between 0 and π")),
+    let focal = |name: &str, angle: &str, side: usize| {
+        if let Some(stated) = fields.number(name)? {
+            return Ok(Some(stated));
+        }
+        match fields.number(angle)? {
+            None => Ok(None),
+            Some(a) if a > 0.0 && a < std::f64::consts::PI => {
+                Ok(Some(0.5 * side as f64 / math::tan(0.5 * a)))
+            }
+            Some(a) => fields.fail(format!("`{angle}` is {a}; expected radians between 0 and π")),
+        }
     };
-    let fx = match fields.number("fl_x")? {
-        Some(fx) => Some(fx),
-        None => by_angle("camera_angle_x", width)?,
-    };
-    let fy = match fields.number("fl_y")? {
-        Some(fy) => Some(fy),
-        None => by_angle("camera_angle_y", height)?,
-    };
+    let fx = focal("fl_x", "camera_angle_x", width)?;
+    let fy = focal("fl_y", "camera_angle_y", height)?;
     let (Some(fx), Some(fy)) = (fx.or(fy), fy.or(fx)) else {
         return fields
             .fail("the focal length is missing; expected `fl_x` (pixels) or `camera_angle_x` (radians)");

@@ -21,20 +21,16 @@ impl CameraFields<'_> {
 
     /// A number; `None` if it is not there.
     fn optional(&self, name: &str) -> Result<Option<f64>> {
-        match self.fields.get(name).filter(|value| !value.is_null()) {
-            None => Ok(None),
-            Some(value) => match value.as_f64().filter(|v| v.is_finite()) {
-                Some(number) => Ok(Some(number)),
-                None => self.fail(format!("`{name}` is {value}; expected a finite number")),
-            },
+        let Some(value) = self.fields.get(name).filter(|value| !value.is_null()) else { return Ok(None) };
+        match value.as_f64() {
+            Some(number) if number.is_finite() => Ok(Some(number)),
+            _ => self.fail(format!("`{name}` is {value}; expected a finite number")),
         }
     }
 
     fn number(&self, name: &str) -> Result<f64> {
-        match self.optional(name)? {
-            Some(number) => Ok(number),
-            None => self.fail(format!("`{name}` is missing; run OpenSfM's `reconstruct` again")),
-        }
+        let missing = || self.fail(format!("`{name}` is missing; run OpenSfM's `reconstruct` again"));
+        self.optional(name)?.map_or_else(missing, Ok)
     }
 
     fn or_zero(&self, names: &[&str]) -> Result<Vec<f64>> {

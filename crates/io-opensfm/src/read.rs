@@ -17,6 +17,9 @@ type Result<T> = std::result::Result<T, ReadError>;
 /// The largest file that is read, bytes: more than a million points.
 const LARGEST: u64 = 1 << 29;
 
+/// The next step for a survey that is not usable.
+pub(crate) const REMEDY: &str = "run OpenSfM's `reconstruct` again";
+
 /// A reconstruction as it is stored.
 #[derive(Deserialize)]
 struct StoredReconstruction {
@@ -106,35 +109,21 @@ pub fn parse(bytes: &[u8], path: &Path) -> Result<Survey> {
             }
         };
         let pose = Pose { rotation: turn(vector("rotation")?), translation: vector("translation")? };
-        let name = match FileName::new(name) {
-            Ok(name) => name,
-            Err(e) => return Err(broken(format!("{e}; expected the photograph's name in the image folder"))),
-        };
+        let name = FileName::new(name)
+            .map_err(|e| broken(format!("{e}; expected the photograph's name in the image folder")))?;
         survey.images.push(PosedImage::at(id, name, camera, &pose));
     }
     for (i, (id, point)) in (1u64..).zip(&stored.points) {
         // Ids are numbers in all versions; the tracks name points by them.
         let id = id.parse().unwrap_or(u64::MAX / 2 + i);
-        let color = point.color.map(|v| v.round().clamp(0.0, 255.0) as u8);
-        survey.points.push(SurveyPoint {
-            id,
-            position: point.coordinates,
-            color,
-            error: -1.0,
-            track: Vec::new(),
-        });
+        let (position, color) = (point.coordinates, point.color.map(|v| v.round().clamp(0.0, 255.0) as u8));
+        survey.points.push(SurveyPoint { id, position, color, error: -1.0, track: Vec::new() });
     }
     survey.points.sort_by_key(|p| p.id);
     survey.points.dedup_by_key(|p| p.id);
     survey.world = stored.reference_lla.and_then(|r| world(&r));
-    check(&survey, path)?;
+    survey.check(path, REMEDY)?;
     Ok(survey)
-}
-
-/// Checks the survey as a whole; `path` is for messages.
-pub(crate) fn check(survey: &Survey, path: &Path) -> Result<()> {
-    let remedy = "run OpenSfM's `reconstruct` again";
-    survey.check().map_err(|source| ReadError::Survey { path: path.to_path_buf(), source, remedy })
 }
 
 /// The rotation by an axis times an angle.
@@ -158,14 +147,9 @@ fn world(reference: &GeoReference) -> Option<World> {
     if latitude == 0.0 && longitude == 0.0 {
         return None;
     }
-    let row = |i: usize| std::array::from_fn(|j| if i == j { 1.0 } else { 0.0 });
-    Some(World {
-        metres_per_unit: 1.0,
-        transform: [row(0), row(1), row(2), row(3)],
-        crs: None,
-        source: format!(
-            "OpenSfM's GPS positions: metres east, north and up of latitude {latitude:.7}, longitude {longitude:.7}, \
-             altitude {altitude:.2} m"
-        ),
-    })
+    let source = format!(
+        "OpenSfM's GPS positions: metres east, north and up of latitude {latitude:.7}, longitude {longitude:.7}, \
+         altitude {altitude:.2} m"
+    );
+    Some(World::scaled(1.0, source))
 }

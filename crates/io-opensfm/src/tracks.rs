@@ -8,7 +8,7 @@ use std::path::Path;
 
 use use3d_survey::{Keypoint, ReadError, Survey, read_at_most};
 
-use crate::read::check;
+use crate::read::REMEDY;
 
 /// The largest file that is read, bytes.
 const LARGEST: u64 = 1 << 31;
@@ -19,11 +19,8 @@ const HEADER: &str = "OPENSFM_TRACKS_VERSION_v";
 /// # Errors
 /// A file that cannot be read, or is no file of tracks.
 pub fn read_tracks(survey: &mut Survey, path: &Path) -> Result<(), ReadError> {
-    add_tracks(
-        survey,
-        &read_at_most(path, LARGEST, "remove it; the points are used without their tracks")?,
-        path,
-    )
+    let bytes = read_at_most(path, LARGEST, "remove it; the points are used without their tracks")?;
+    add_tracks(survey, &bytes, path)
 }
 
 /// Adds the tracks of a file's bytes; `path` is for messages. Tracks of images and points that the survey
@@ -67,5 +64,5 @@ pub fn add_tracks(survey: &mut Survey, bytes: &[u8], path: &Path) -> Result<(), 
             "no line of tracks.csv is of these photographs and points: take the file of the same reconstruction".into(),
         );
     }
-    check(survey, path)
+    survey.check(path, REMEDY)
 }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use use3d_survey::{ReadError, Survey, ply};
 
-use crate::registration::check;
+use crate::registration::REMEDY;
 
 /// The number of points by which the coordinates are compared.
 const TRIED: usize = 200;
@@ -14,8 +14,7 @@ const TRIED: usize = 200;
 /// # Errors
 /// A file that is no PLY file of points, and points that the cameras do not see.
 pub fn add_points(survey: &mut Survey, bytes: &[u8], path: &Path) -> Result<(), ReadError> {
-    let points =
-        ply::points(bytes).map_err(|source| ReadError::Points { path: path.to_path_buf(), source })?;
+    let points = ply::points(bytes, path)?;
     let step = points.len().div_ceil(TRIED).max(1);
     let tried: Vec<[f64; 3]> = points.iter().step_by(step).map(|p| p.position).collect();
     let seen = survey.seen(&tried);
@@ -31,5 +30,5 @@ pub fn add_points(survey: &mut Survey, bytes: &[u8], path: &Path) -> Result<(), 
         survey.notes.push("the file of points is empty".into());
     }
     survey.points = points;
-    check(survey, path)
+    survey.check(path, REMEDY)
 }

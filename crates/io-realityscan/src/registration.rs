@@ -7,6 +7,9 @@ use std::path::Path;
 use use3d_capture::{FileName, Pose};
 use use3d_survey::{Distortion, Lens, PosedImage, Projection, ReadError, Survey, SurveyCamera};
 
+/// The next step for a survey that is not usable.
+pub(crate) const REMEDY: &str = "check the project in RealityScan and export the cameras again";
+
 /// A lens in shares of the longer side.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ShareLens {
@@ -110,20 +113,7 @@ impl Registration {
             });
             survey.images.push(PosedImage::at(id, shot.name, at as u32 + 1, &shot.pose));
         }
-        check(&survey, path)?;
+        survey.check(path, REMEDY)?;
         Ok(survey)
     }
-}
-
-/// Checks the survey as a whole; `path` is for messages.
-pub(crate) fn check(survey: &Survey, path: &Path) -> Result<(), ReadError> {
-    let remedy = "check the project in RealityScan and export the cameras again";
-    survey.check().map_err(|source| ReadError::Survey { path: path.to_path_buf(), source, remedy })
-}
-
-/// A path or name of a photograph: without a drive, leading separators, and parts that lead up.
-pub(crate) fn tidy(text: &str) -> String {
-    let parts = text.split(['/', '\\']);
-    let kept = parts.filter(|p| !p.is_empty() && *p != "." && *p != ".." && !p.ends_with(':'));
-    kept.collect::<Vec<_>>().join("/")
 }

@@ -5,9 +5,9 @@ use std::path::Path;
 use glam::{DMat3, DVec3};
 use use3d_capture::{FileName, Pose, shown};
 use use3d_numerics::math;
-use use3d_survey::{ReadError, TextTable, read_at_most};
+use use3d_survey::{ReadError, TextTable, first_bytes, read_at_most, tidy_name};
 
-use crate::registration::{RegisteredShot, Registration, ShareLens, tidy};
+use crate::registration::{RegisteredShot, Registration, ShareLens};
 
 type Result<T> = std::result::Result<T, ReadError>;
 
@@ -46,12 +46,7 @@ fn missing(table: &TextTable) -> Option<&'static str> {
 
 /// True if a file's first line names the columns of a table of cameras.
 pub fn is_cameras_table(path: &Path) -> bool {
-    use std::io::Read;
-    let Ok(file) = std::fs::File::open(path) else { return false };
-    let mut head = Vec::new();
-    if file.take(4096).read_to_end(&mut head).is_err() {
-        return false;
-    }
+    let Some(head) = first_bytes(path, 4096) else { return false };
     // The last line may be cut off within a character or a quoted field.
     let whole = head.iter().rposition(|b| *b == b'\n').map_or(&head[..], |end| &head[..end]);
     TextTable::parse(whole, COUNT).is_ok_and(|table| missing(&table).is_none())
@@ -100,7 +95,7 @@ pub fn parse_table(bytes: &[u8], path: &Path) -> Result<Registration> {
             })
         };
         let text = places[0].map_or("", |at| row.get(at));
-        let name = FileName::new(&tidy(text))
+        let name = FileName::new(&tidy_name(text))
             .map_err(|e| broken(format!("`name` is {:?}: {e}; export the cameras again", shown(text))))?;
         let centre = DVec3::new(value(1)?, value(2)?, value(3)?);
         let angles = [value(4)?, value(5)?, value(6)?];

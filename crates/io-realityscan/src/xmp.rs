@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use glam::{DMat3, DVec3};
 use roxmltree::{Document, Node};
 use use3d_capture::{FileName, Pose, shown};
-use use3d_survey::{ReadError, RotationFault, check_rotation, read_at_most};
+use use3d_survey::{ReadError, RotationFault, check_rotation, first_bytes, read_at_most};
 
 use crate::registration::{RegisteredShot, Registration, ShareLens};
 
@@ -45,10 +45,7 @@ pub fn read_sidecar(name: FileName, path: &Path) -> Result<Sidecar> {
 
 /// True if a file's first bytes have RealityScan's namespace.
 pub fn is_sidecar(path: &Path) -> bool {
-    use std::io::Read;
-    let Ok(file) = std::fs::File::open(path) else { return false };
-    let mut head = Vec::new();
-    file.take(1 << 16).read_to_end(&mut head).is_ok() && String::from_utf8_lossy(&head).contains(NAMESPACE)
+    first_bytes(path, 1 << 16).is_some_and(|head| String::from_utf8_lossy(&head).contains(NAMESPACE))
 }
 
 /// The values of one file.
@@ -76,14 +73,12 @@ impl Description<'_> {
             .take(N + 1)
             .map(|word| word.parse::<f64>().ok().filter(|v| v.is_finite()))
             .collect();
-        match words.and_then(|words| <[f64; N]>::try_from(words).ok()) {
-            Some(numbers) => Ok(Some(numbers)),
-            None => {
-                let count = if N == 1 { "one finite number".into() } else { format!("{N} finite numbers") };
-                let text: String = shown(text).chars().take(80).collect();
-                self.fail(name, format!("it is {text:?}; expected {count}: export the XMP files again"))
-            }
+        if let Some(numbers) = words.and_then(|words| words.try_into().ok()) {
+            return Ok(Some(numbers));
         }
+        let count = if N == 1 { "one finite number".into() } else { format!("{N} finite numbers") };
+        let text: String = shown(text).chars().take(80).collect();
+        self.fail(name, format!("it is {text:?}; expected {count}: export the XMP files again"))
     }
 
     fn number(&self, name: &str, default: f64) -> Result<f64> {
@@ -114,10 +109,9 @@ impl Description<'_> {
     fn lens(&self) -> Result<ShareLens> {
         let f = self.number("FocalLength35mm", 0.0)?;
         if f <= 0.0 {
-            return self.fail(
-                "FocalLength35mm",
-                format!("it is {f}; expected millimetres above 0: align the photographs and export again"),
-            );
+            let reason =
+                format!("it is {f}; expected millimetres above 0: align the photographs and export again");
+            return self.fail("FocalLength35mm", reason);
         }
         for (name, usual) in [("Skew", 0.0), ("AspectRatio", 1.0)] {
             let value = self.number(name, usual)?;
@@ -219,19 +213,16 @@ pub fn parse_sidecars(sidecars: &[Sidecar], folder: &Path) -> Result<Registratio
         );
         return Err(ReadError::broken(folder, "xcr:Position", reason));
     };
-    let mut registration = Registration::default();
+    let (mut used_shots, mut notes) = (Vec::new(), Vec::new());
     if without > 0 {
-        registration
-            .notes
-            .push(format!("{without} XMP files have no pose: their photographs are not aligned"));
+        notes.push(format!("{without} XMP files have no pose: their photographs are not aligned"));
     }
     for (i, shots) in components.into_values().enumerate() {
-        match i == used {
-            true => registration.shots = shots,
-            false => registration
-                .notes
-                .push(format!("{} cameras belong to another component and are not used", shots.len())),
+        if i == used {
+            used_shots = shots;
+        } else {
+            notes.push(format!("{} cameras belong to another component and are not used", shots.len()));
         }
     }
-    Ok(registration)
+    Ok(Registration { shots: used_shots, notes })
 }

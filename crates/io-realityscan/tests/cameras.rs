@@ -268,7 +268,7 @@ fn mutated_files_never_panic() {
         if let Ok(found) = found {
             let known = sizes(&found, (480, 360));
             if let Ok(survey) = found.into_survey(&known, Path::new(TABLE)) {
-                survey.check().unwrap();
+                survey.check(Path::new(TABLE), "").unwrap();
                 read[round % 2] += 1;
             }
         }

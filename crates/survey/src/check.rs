@@ -1,18 +1,10 @@
 //! The checks that every survey passes before it is used.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
+use std::path::Path;
 
-use crate::survey::Survey;
-
-/// A survey that cannot be used: the place in it, and the value with the expectation.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{place}: {reason}")]
-pub struct SurveyError {
-    /// The camera, image or point.
-    pub place: String,
-    /// The fault, with the value found and the expectation.
-    pub reason: String,
-}
+use crate::read::ReadError;
+use crate::survey::{PosedImage, Survey, SurveyPoint};
 
 /// The longest side of an image, pixels.
 const LONGEST_SIDE: usize = 1 << 20;
@@ -22,20 +14,62 @@ const LARGEST: f64 = 1e15;
 /// The shortest focal length, pixels: shorter ones vanish in single precision once they are squared.
 const SHORTEST_FOCAL: f64 = 1e-3;
 
+/// Checks that the ids and names of images are unique, their cameras `known` and their rotations usable, and
+/// that the coordinates of images and points all fit; `range` says which ones do.
+///
+/// # Errors
+/// The place of the first record that is not, and its fault.
+pub fn check_records(
+    images: &[PosedImage],
+    points: &[SurveyPoint],
+    known: impl Fn(u32) -> bool,
+    fits: impl Fn(f64) -> bool,
+    range: &str,
+) -> Result<(), (String, String)> {
+    let (mut ids, mut names) = (BTreeSet::new(), BTreeSet::new());
+    for image in images {
+        let fail = |fault: String| Err((format!("image {} ({})", image.id, image.name), fault));
+        if !ids.insert(image.id) {
+            return fail("its id occurs twice".into());
+        }
+        if !names.insert(image.name.as_str()) {
+            return fail("its name occurs twice".into());
+        }
+        if !known(image.camera) {
+            return fail(format!("it refers to camera {}, which is not there", image.camera));
+        }
+        let norm = image.quaternion.iter().map(|v| v * v).sum::<f64>().sqrt();
+        if !(norm.is_finite() && norm > 1e-12) {
+            return fail(format!("its quaternion is {:?}", image.quaternion));
+        }
+        if !image.translation.into_iter().all(&fits) {
+            return fail(format!("its translation is {:?}{range}", image.translation));
+        }
+    }
+    match points.iter().find(|point| !point.position.into_iter().all(&fits)) {
+        Some(SurveyPoint { id, position, .. }) => {
+            Err((format!("point {id}"), format!("its position is {position:?}{range}")))
+        }
+        None => Ok(()),
+    }
+}
+
 impl Survey {
     /// Checks that ids are unique and known, numbers finite and within single precision, rotations and sizes
-    /// sensible.
+    /// sensible. `path` is the file that the survey came from, and `remedy` the next step, for the message.
     ///
     /// # Errors
     /// The first record that is not, with the value found and the expectation.
-    pub fn check(&self) -> Result<(), SurveyError> {
-        let fail = |place: String, reason: String| Err(SurveyError { place, reason });
-        let fits = |v: &f64| v.abs() <= LARGEST;
-        let range = "expected numbers up to 1e15";
-        let mut sizes = BTreeMap::new();
+    pub fn check(&self, path: &Path, remedy: &str) -> Result<(), ReadError> {
+        let fail = |place: String, reason: String| {
+            Err(ReadError::broken(path, place, format!("{reason}; {remedy}")))
+        };
+        let fits = |v: f64| v.abs() <= LARGEST;
+        let range = "; expected numbers up to 1e15";
+        let mut ids = BTreeSet::new();
         for camera in &self.cameras {
             let place = format!("camera {}", camera.id);
-            if sizes.insert(camera.id, (camera.width, camera.height)).is_some() {
+            if !ids.insert(camera.id) {
                 return fail(place, "its id occurs twice".into());
             }
             let (w, h) = (camera.width, camera.height);
@@ -52,36 +86,13 @@ impl Survey {
             let mut numbers = lens.focal.iter().chain(&lens.principal).chain([&lens.skew]);
             let mut bends =
                 d.numerator.iter().chain(&d.denominator).chain(&d.tangential).chain(&d.tangential_growth);
-            if let Some(bad) = numbers.find(|v| !fits(v)).or_else(|| bends.find(|v| !fits(v))) {
-                return fail(place, format!("a parameter of its lens is {bad:e}; {range}"));
+            if let Some(bad) = numbers.find(|v| !fits(**v)).or_else(|| bends.find(|v| !fits(**v))) {
+                return fail(place, format!("a parameter of its lens is {bad:e}{range}"));
             }
         }
-        let (mut ids, mut names) = (BTreeSet::new(), BTreeSet::new());
-        for image in &self.images {
-            let place = || format!("image {} ({})", image.id, image.name);
-            if !ids.insert(image.id) {
-                return fail(place(), "its id occurs twice".into());
-            }
-            if !names.insert(image.name.as_str()) {
-                return fail(place(), "its name occurs twice".into());
-            }
-            if !sizes.contains_key(&image.camera) {
-                return fail(place(), format!("it refers to camera {}, which is not there", image.camera));
-            }
-            let norm = image.quaternion.iter().map(|v| v * v).sum::<f64>().sqrt();
-            if !(norm.is_finite() && norm > 1e-12) {
-                return fail(place(), format!("its quaternion is {:?}", image.quaternion));
-            }
-            if !image.translation.iter().all(fits) {
-                return fail(place(), format!("its translation is {:?}; {range}", image.translation));
-            }
-        }
-        for point in &self.points {
-            if !point.position.iter().all(fits) {
-                let reason = format!("its position is {:?}; {range}", point.position);
-                return fail(format!("point {}", point.id), reason);
-            }
-        }
+        let known = |camera| ids.contains(&camera);
+        let (images, points) = (&self.images, &self.points);
+        check_records(images, points, known, fits, range).or_else(|(place, reason)| fail(place, reason))?;
         if let Some(world) = &self.world
             && !world.is_valid()
         {
@@ -100,7 +111,7 @@ mod tests {
     use use3d_capture::{FileName, Pose};
 
     use super::*;
-    use crate::{Lens, PosedImage, SurveyCamera, SurveyPoint, World};
+    use crate::{Lens, SurveyCamera, World};
 
     fn good() -> Survey {
         let lens = Lens::pinhole([500.0, 500.0], [320.0, 240.0]);
@@ -136,7 +147,8 @@ mod tests {
 
     #[test]
     fn what_is_wrong_is_named() {
-        good().check().unwrap();
+        let check = |survey: &Survey| survey.check(Path::new("model"), "export it again");
+        check(&good()).unwrap();
         type Change = fn(&mut Survey);
         let cases: [(Change, &str); 14] = [
             (|s| s.cameras.push(s.cameras[0].clone()), "camera 1: its id occurs twice"),
@@ -157,8 +169,9 @@ mod tests {
         for (change, expected) in cases {
             let mut survey = good();
             change(&mut survey);
-            let said = survey.check().unwrap_err().to_string();
+            let said = check(&survey).unwrap_err().to_string();
             assert!(said.contains(expected), "{said} lacks {expected}");
+            assert!(said.starts_with("model: ") && said.ends_with("; export it again"), "{said}");
         }
     }
 }

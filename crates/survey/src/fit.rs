@@ -85,14 +85,11 @@ fn eigen<const N: usize>(mut a: [[f64; N]; N]) -> ([f64; N], [[f64; N]; N]) {
         let t = if theta >= 0.0 { 1.0 } else { -1.0 } / (theta.abs() + (theta * theta + 1.0).sqrt());
         let c = 1.0 / (t * t + 1.0).sqrt();
         let s = t * c;
-        for row in &mut a {
+        for row in a.iter_mut().chain(&mut v) {
             (row[p], row[q]) = (c * row[p] - s * row[q], s * row[p] + c * row[q]);
         }
         for k in 0..N {
             (a[p][k], a[q][k]) = (c * a[p][k] - s * a[q][k], s * a[p][k] + c * a[q][k]);
-        }
-        for row in &mut v {
-            (row[p], row[q]) = (c * row[p] - s * row[q], s * row[p] + c * row[q]);
         }
     }
     (std::array::from_fn(|i| a[i][i]), v)

@@ -1,7 +1,7 @@
 //! Numbers that carry their derivatives with respect to two inputs, so that each lens formula is written once
 //! and its Jacobian is exact.
 
-use std::ops::{Add, Div, Mul, Sub};
+use std::ops::{Add, Div, Mul};
 
 use use3d_numerics::math;
 
@@ -9,7 +9,6 @@ use use3d_numerics::math;
 pub(crate) trait Real:
     Copy
     + Add<Output = Self>
-    + Sub<Output = Self>
     + Mul<Output = Self>
     + Div<Output = Self>
     + Add<f64, Output = Self>
@@ -72,13 +71,6 @@ impl Add for Jet {
     type Output = Self;
     fn add(self, o: Self) -> Self {
         self.combine(o, self.value + o.value, 1.0, 1.0)
-    }
-}
-
-impl Sub for Jet {
-    type Output = Self;
-    fn sub(self, o: Self) -> Self {
-        self.combine(o, self.value - o.value, 1.0, -1.0)
     }
 }
 

@@ -123,11 +123,9 @@ impl Distortion {
             if norm <= goal {
                 break;
             }
-            let (ju, jv) = Jet::inputs(u, v);
-            let (a, b) = self.apply(ju, jv);
-            let det = a.by[0] * b.by[1] - a.by[1] * b.by[0];
-            let step_u = (b.by[1] * ru - a.by[1] * rv) / det;
-            let step_v = (a.by[0] * rv - b.by[0] * ru) / det;
+            let ([a, b], det) = self.jacobian(u, v);
+            let step_u = (b[1] * ru - a[1] * rv) / det;
+            let step_v = (a[0] * rv - b[0] * ru) / det;
             if !(step_u.is_finite() && step_v.is_finite()) {
                 return None;
             }
@@ -153,15 +151,16 @@ impl Distortion {
     fn accept(&self, u: f64, v: f64, residual: f64, goal: f64) -> Option<(f64, f64)> {
         let unfolded = (1..=16).all(|i| {
             let share = f64::from(i) / 16.0;
-            self.determinant(u * share, v * share) > 0.0
+            self.jacobian(u * share, v * share).1 > 0.0
         });
         (residual <= 1000.0 * goal && unfolded).then_some((u, v))
     }
 
-    fn determinant(&self, u: f64, v: f64) -> f64 {
+    /// The derivatives of both coordinates of the bent point, and their determinant.
+    fn jacobian(&self, u: f64, v: f64) -> ([[f64; 2]; 2], f64) {
         let (ju, jv) = Jet::inputs(u, v);
         let (a, b) = self.apply(ju, jv);
-        a.by[0] * b.by[1] - a.by[1] * b.by[0]
+        ([a.by, b.by], a.by[0] * b.by[1] - a.by[1] * b.by[0])
     }
 }
 
@@ -184,11 +183,6 @@ impl Lens {
     /// A pinhole.
     pub fn pinhole(focal: [f64; 2], principal: [f64; 2]) -> Self {
         Self { focal, principal, ..Self::default() }
-    }
-
-    /// Focal lengths `(fx, fy)` and principal point `(cx, cy)`, pixels.
-    pub fn pinhole_part(&self) -> ([f64; 2], [f64; 2]) {
-        (self.focal, self.principal)
     }
 
     /// The same lens on an image scaled by `sx`, `sy`.

@@ -11,7 +11,7 @@
 //! * Pixel (0, 0) is the image's top-left corner; pixel centres lie at +0.5.
 //! * Positions are `f64` in the program's own unit. [`World::transform`] takes them to metres.
 //!
-//! Only [`read_at_most`] opens a file.
+//! Only [`read_at_most`] and [`first_bytes`] open a file.
 
 mod check;
 mod fit;
@@ -24,13 +24,12 @@ mod read;
 mod survey;
 mod table;
 
-pub use check::SurveyError;
+pub use check::check_records;
 pub use fit::{PositionsFit, fit_depths, fit_positions};
 pub use geo::EarthPlace;
 pub use lens::{Distortion, Lens, Projection};
 pub use markers::{Mark, Marker, ScaleBar};
-pub use ply::PlyError;
-pub use read::{ReadError, RotationFault, check_rotation, read_at_most};
+pub use read::{ReadError, RotationFault, check_rotation, first_bytes, read_at_most, tidy_name};
 pub use survey::{ImageFiles, Keypoint, PosedImage, Survey, SurveyCamera, SurveyPoint};
 pub use table::{TextRow, TextTable};
 pub use use3d_capture::World;

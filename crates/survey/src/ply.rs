@@ -5,6 +5,9 @@
 //! `[0, 1]`; without them a point is grey. Every count is checked against the bytes that are left before
 //! memory is set aside.
 
+use std::path::Path;
+
+use crate::read::ReadError;
 use crate::survey::SurveyPoint;
 
 /// The longest header, bytes.
@@ -12,18 +15,11 @@ const HEADER: usize = 1 << 16;
 /// The most points of a file. A dense cloud is larger and no start for a reconstruction.
 const MOST: u64 = 50_000_000;
 
-/// A PLY file that has no usable points.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{place}: {reason}")]
-pub struct PlyError {
-    /// The line of the header, or the vertex.
-    pub place: String,
-    /// The fault, with the value found and the expectation.
-    pub reason: String,
-}
+/// A line of the header or a vertex, and its fault with the value found and the expectation.
+type PlyFault = (String, String);
 
-fn fail<T>(place: impl Into<String>, reason: impl Into<String>) -> Result<T, PlyError> {
-    Err(PlyError { place: place.into(), reason: reason.into() })
+fn fail<T>(place: impl Into<String>, reason: impl Into<String>) -> Result<T, PlyFault> {
+    Err((place.into(), reason.into()))
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -153,7 +149,7 @@ fn least(properties: &[(String, Kind)], form: Form) -> usize {
     properties.iter().map(|(_, kind)| of(kind)).sum()
 }
 
-fn header(bytes: &[u8]) -> Result<(Form, Vec<Element>, &[u8]), PlyError> {
+fn header(bytes: &[u8]) -> Result<(Form, Vec<Element>, &[u8]), PlyFault> {
     let (mut form, mut elements, mut rest) = (None, Vec::<Element>::new(), bytes);
     for number in 1.. {
         let place = format!("line {number} of the header");
@@ -206,11 +202,16 @@ fn header(bytes: &[u8]) -> Result<(Form, Vec<Element>, &[u8]), PlyError> {
     fail("header", "it does not end")
 }
 
-/// Reads the points of a PLY file; ids count from 1, tracks are empty, errors unknown.
+/// Reads the points of a PLY file; ids count from 1, tracks are empty, errors unknown. `path` is for
+/// messages.
 ///
 /// # Errors
 /// A file without points, cut short, or with coordinates that are not finite.
-pub fn points(bytes: &[u8]) -> Result<Vec<SurveyPoint>, PlyError> {
+pub fn points(bytes: &[u8], path: &Path) -> Result<Vec<SurveyPoint>, ReadError> {
+    find_points(bytes).map_err(|(place, reason)| ReadError::broken(path, place, reason))
+}
+
+fn find_points(bytes: &[u8]) -> Result<Vec<SurveyPoint>, PlyFault> {
     let (form, elements, rest) = header(bytes)?;
     let mut body = Body { rest, form };
     for element in &elements {
@@ -239,11 +240,11 @@ pub fn points(bytes: &[u8]) -> Result<Vec<SurveyPoint>, PlyError> {
     fail("header", "the file has no element `vertex`; export the points again as PLY")
 }
 
-fn vertices<E: Fn(u64) -> Result<Vec<SurveyPoint>, PlyError>>(
+fn vertices(
     body: &mut Body<'_>,
     element: &Element,
-    short: E,
-) -> Result<Vec<SurveyPoint>, PlyError> {
+    short: impl Fn(u64) -> Result<Vec<SurveyPoint>, PlyFault>,
+) -> Result<Vec<SurveyPoint>, PlyFault> {
     if element.count > MOST {
         let reason = format!(
             "{} points, more than the {MOST} that are read; export the tie points (sparse cloud), not the dense cloud",
@@ -289,15 +290,11 @@ fn vertices<E: Fn(u64) -> Result<Vec<SurveyPoint>, PlyError>>(
 /// An ascii PLY file of points, with 17 significant digits, so that positions read back to the same bits.
 pub fn write(points: &[SurveyPoint]) -> String {
     use std::fmt::Write;
-    let mut out = String::from("ply\nformat ascii 1.0\n");
-    let _ = writeln!(out, "element vertex {}", points.len());
-    for axis in ["x", "y", "z"] {
-        let _ = writeln!(out, "property double {axis}");
-    }
-    for color in ["red", "green", "blue"] {
-        let _ = writeln!(out, "property uchar {color}");
-    }
-    out.push_str("end_header\n");
+    let mut out = format!(
+        "ply\nformat ascii 1.0\nelement vertex {}\nproperty double x\nproperty double y\nproperty double z\n\
+         property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n",
+        points.len()
+    );
     for point in points {
         let ([x, y, z], [r, g, b]) = (point.position, point.color);
         let _ = writeln!(out, "{x} {y} {z} {r} {g} {b}");
@@ -308,6 +305,10 @@ pub fn write(points: &[SurveyPoint]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn points(bytes: &[u8]) -> Result<Vec<SurveyPoint>, ReadError> {
+        super::points(bytes, Path::new("points.ply"))
+    }
 
     fn header(form: &str, count: u64, more: &str) -> Vec<u8> {
         format!(

@@ -1,12 +1,11 @@
 //! The ground that readers of files share: files of bounded size, and errors that each name the file, the
 //! field, the expectation and the next step.
 
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use glam::DMat3;
 use use3d_capture::shown;
-
-use crate::{PlyError, SurveyError};
 
 /// A file of a photogrammetry program that cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -24,28 +23,10 @@ pub enum ReadError {
     Broken {
         /// The file.
         path: PathBuf,
-        /// The element, frame or field.
+        /// The element, frame, field, line, vertex or record.
         place: String,
         /// The fault, the expectation, and the next step.
         reason: String,
-    },
-    /// A survey that is not usable as a whole.
-    #[error("{}: {source}; {remedy}", path.display())]
-    Survey {
-        /// The file.
-        path: PathBuf,
-        /// The record.
-        source: SurveyError,
-        /// The next step.
-        remedy: &'static str,
-    },
-    /// A file of points that is not one, or is cut short.
-    #[error("{}: {source}", path.display())]
-    Points {
-        /// The file.
-        path: PathBuf,
-        /// The place in it.
-        source: PlyError,
     },
 }
 
@@ -69,6 +50,20 @@ pub fn read_at_most(path: &Path, most: u64, remedy: &str) -> Result<Vec<u8>, Rea
         return Err(ReadError::broken(path, "file", reason));
     }
     std::fs::read(path).map_err(open)
+}
+
+/// The first bytes of a file, at most `most`; `None` if it cannot be read.
+pub fn first_bytes(path: &Path, most: u64) -> Option<Vec<u8>> {
+    let mut head = Vec::new();
+    std::fs::File::open(path).ok()?.take(most).read_to_end(&mut head).ok()?;
+    Some(head)
+}
+
+/// A path or label of a photograph as a name: without a drive, leading separators, and parts that lead up.
+pub fn tidy_name(text: &str) -> String {
+    let parts = text.split(['/', '\\']);
+    let kept = parts.filter(|p| !p.is_empty() && *p != "." && *p != ".." && !p.ends_with(':'));
+    kept.collect::<Vec<_>>().join("/")
 }
 
 /// The reason why a matrix is no rotation.
