@@ -3,12 +3,12 @@
 
 use std::sync::Arc;
 
-use use3d_capture::{Intrinsics, Map, Pixels};
+use use3d_capture::{Image, Intrinsics, Map, Pixels, Raster};
 use use3d_survey::SurveyCamera;
 
 use crate::error::ImportError;
 use crate::params::ImportParams;
-use crate::resample::{Resize, with_pixels};
+use crate::resample::Resize;
 use crate::undistort::{Undistortion, is_pinhole};
 
 /// The sizes of image files and of the model may differ by a whole factor of at most this, in either
@@ -59,13 +59,9 @@ impl Geometry {
         })?;
         let bad = |reason: String| ImportError::Lens { camera: camera.id, reason };
         let lens = camera.lens.scaled(scale.0, scale.1);
-        let (undistortion, pinhole) = if is_pinhole(&lens, file.0, file.1) {
-            (None, lens.intrinsics(file.0, file.1))
-        } else {
-            let undistortion = Undistortion::new(lens, file.0, file.1).map_err(bad)?;
-            let pinhole = undistortion.pinhole;
-            (Some(undistortion), pinhole)
-        };
+        let bent = !is_pinhole(&lens, file.0, file.1);
+        let undistortion = bent.then(|| Undistortion::new(lens, file.0, file.1)).transpose().map_err(bad)?;
+        let pinhole = undistortion.as_ref().map_or_else(|| lens.intrinsics(file.0, file.1), |u| u.pinhole);
         let from = (pinhole.width, pinhole.height);
         let resize = if let Some(size) = params.size {
             Some(Resize::cover(from, size.width, size.height))
@@ -101,17 +97,24 @@ impl Geometry {
 
     /// The view's pixels from the file's, multiplied by `gains`, in the file's precision.
     pub(crate) fn pixels(&self, pixels: &Pixels, gains: [f32; 3]) -> Pixels {
-        macro_rules! chain {
-            () => {
-                |p| match (&self.undistortion, &self.resize) {
-                    (Some(u), Some(r)) => r.apply(&u.apply(p)),
-                    (Some(u), None) => u.apply(p),
-                    (None, Some(r)) => r.apply(p),
-                    (None, None) => p.map(crate::resample::Sample::to_f32),
-                }
-            };
+        // The casts saturate.
+        match pixels {
+            Pixels::Eight(p) => Pixels::Eight(self.colors(p, gains).map(|v| (v + 0.5).floor() as u8)),
+            Pixels::Sixteen(p) => Pixels::Sixteen(self.colors(p, gains).map(|v| (v + 0.5).floor() as u16)),
         }
-        with_pixels(pixels, gains, chain!(), chain!())
+    }
+
+    fn colors<T: Copy + Default + Into<f32>>(&self, from: &Raster<T, 3>, gains: [f32; 3]) -> Image {
+        let mut out = match (&self.undistortion, &self.resize) {
+            (Some(u), Some(r)) => r.apply(&u.apply(from)),
+            (Some(u), None) => u.apply(from),
+            (None, Some(r)) => r.apply(from),
+            (None, None) => from.map(T::into),
+        };
+        for (c, gain) in gains.into_iter().enumerate() {
+            out.plane_mut(c).iter_mut().for_each(|v| *v *= gain);
+        }
+        out
     }
 
     /// The view's mask from one of the file's size.

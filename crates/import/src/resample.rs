@@ -5,44 +5,7 @@
 //! enlarging interpolates linearly; both are separable and in f32. Shrinking depths averages only known
 //! (positive) values; enlarging them takes the nearest pixel.
 
-use use3d_capture::{Intrinsics, Map, Pixels, Raster};
-
-/// An element of a stored raster.
-pub(crate) trait Sample: Copy + Default + Send + Sync {
-    fn to_f32(self) -> f32;
-    /// The stored element nearest to a value on the same scale.
-    fn from_f32(value: f32) -> Self;
-}
-
-impl Sample for u8 {
-    fn to_f32(self) -> f32 {
-        f32::from(self)
-    }
-
-    fn from_f32(value: f32) -> Self {
-        (value + 0.5).floor() as u8 // the cast saturates
-    }
-}
-
-impl Sample for u16 {
-    fn to_f32(self) -> f32 {
-        f32::from(self)
-    }
-
-    fn from_f32(value: f32) -> Self {
-        (value + 0.5).floor() as u16
-    }
-}
-
-impl Sample for f32 {
-    fn to_f32(self) -> f32 {
-        self
-    }
-
-    fn from_f32(value: f32) -> Self {
-        value
-    }
-}
+use use3d_capture::{Intrinsics, Map, Raster};
 
 /// A scale and a crop.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -87,7 +50,7 @@ impl Resize {
         k.scaled(self.sx, self.sy, k.width, k.height).cropped(self.left, self.top, self.width, self.height)
     }
 
-    pub(crate) fn apply<T: Sample, const C: usize>(&self, source: &Raster<T, C>) -> Raster<f32, C> {
+    pub(crate) fn apply<T: Copy + Into<f32>, const C: usize>(&self, source: &Raster<T, C>) -> Raster<f32, C> {
         let columns = Taps::new(source.width(), self.width, self.sx, self.left);
         let rows = Taps::new(source.height(), self.height, self.sy, self.top);
         let (w, h) = (source.width(), source.height());
@@ -99,7 +62,7 @@ impl Resize {
                 let row = source.row(c, y);
                 debug_assert_eq!(row.len(), w);
                 for x in 0..self.width {
-                    squeezed[y * self.width + x] = columns.read(x, |i| row[i].to_f32());
+                    squeezed[y * self.width + x] = columns.read(x, |i| row[i].into());
                 }
             }
             let plane = out.plane_mut(c);
@@ -194,30 +157,6 @@ impl Taps {
     fn read(&self, i: usize, value: impl Fn(usize) -> f32) -> f32 {
         let (start, weights) = self.at(i);
         weights.iter().enumerate().map(|(k, w)| w * value(start + k)).sum()
-    }
-}
-
-/// Converts back to the pixels' own precision; `gains` multiply the three colours first.
-pub(crate) fn quantise<T: Sample>(image: &Raster<f32, 3>, gains: [f32; 3]) -> Raster<T, 3> {
-    let mut out = Raster::<T, 3>::new(image.width(), image.height());
-    for (c, gain) in gains.into_iter().enumerate() {
-        for (o, v) in out.plane_mut(c).iter_mut().zip(image.plane(c)) {
-            *o = T::from_f32(v * gain);
-        }
-    }
-    out
-}
-
-/// Applies a function of float rasters to pixels of either precision.
-pub(crate) fn with_pixels(
-    pixels: &Pixels,
-    gains: [f32; 3],
-    eight: impl FnOnce(&Raster<u8, 3>) -> Raster<f32, 3>,
-    sixteen: impl FnOnce(&Raster<u16, 3>) -> Raster<f32, 3>,
-) -> Pixels {
-    match pixels {
-        Pixels::Eight(p) => Pixels::Eight(quantise(&eight(p), gains)),
-        Pixels::Sixteen(p) => Pixels::Sixteen(quantise(&sixteen(p), gains)),
     }
 }
 

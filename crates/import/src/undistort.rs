@@ -20,8 +20,6 @@ use use3d_io_colmap::LensModel;
 use use3d_numerics::math;
 use use3d_survey::Lens;
 
-use crate::resample::Sample;
-
 const DIRECTIONS: usize = 720;
 const STEPS: usize = 256;
 /// Rays at a larger angle to the image centre's ray than this are not shown.
@@ -180,25 +178,17 @@ impl Undistortion {
     /// Calls `write(p, x, y)` for every pinhole pixel `p` with the position to read.
     fn for_each_position(&self, mut write: impl FnMut(usize, f32, f32)) {
         let (w, h) = (self.pinhole.width, self.pinhole.height);
-        let compute = || (0..w * h).map(|p| self.position(p % w, p / w)).collect::<Vec<_>>();
-        match &self.table {
-            Some(table) => {
-                for (p, &[x, y]) in table.get_or_init(compute).iter().enumerate() {
-                    write(p, x, y);
-                }
-            }
-            None => {
-                for p in 0..w * h {
-                    let [x, y] = self.position(p % w, p / w);
-                    write(p, x, y);
-                }
-            }
+        let at = |p: usize| self.position(p % w, p / w);
+        let table = self.table.as_ref().map(|table| table.get_or_init(|| (0..w * h).map(at).collect()));
+        for p in 0..w * h {
+            let [x, y] = table.map_or_else(|| at(p), |table| table[p]);
+            write(p, x, y);
         }
     }
 
     /// Reads bilinearly; beyond the outermost pixel centres the edge values continue. `source` must have the
     /// lens's image size.
-    pub(crate) fn apply<T: Sample, const C: usize>(&self, source: &Raster<T, C>) -> Raster<f32, C> {
+    pub(crate) fn apply<T: Copy + Into<f32>, const C: usize>(&self, source: &Raster<T, C>) -> Raster<f32, C> {
         debug_assert_eq!((source.width(), source.height()), self.source);
         let (w, h) = (source.width(), source.height());
         let mut out = Raster::<f32, C>::new(self.pinhole.width, self.pinhole.height);
@@ -212,7 +202,7 @@ impl Undistortion {
             let (fx, fy) = (x - x0 as f32, y - y0 as f32);
             let (x1, y1) = ((x0 + 1).min(w - 1), (y0 + 1).min(h - 1));
             for c in 0..C {
-                let at = |x: usize, y: usize| planes[c][y * w + x].to_f32();
+                let at = |x: usize, y: usize| -> f32 { planes[c][y * w + x].into() };
                 let top = at(x0, y0) + fx * (at(x1, y0) - at(x0, y0));
                 let bottom = at(x0, y1) + fx * (at(x1, y1) - at(x0, y1));
                 data[c * n + p] = top + fy * (bottom - top);
