@@ -33,13 +33,17 @@ pub fn load_mask(view: &View) -> Result<Option<Map>, ImportError> {
     if !image_info(&view.image)?.alpha {
         return Ok(mask);
     }
-    let alpha = read(&view.image)?.alpha();
+    Ok(times_alpha(mask, read(&view.image)?.alpha()))
+}
+
+/// The weights of a mask times those of an alpha channel of the same size, where both are there.
+pub(crate) fn times_alpha(mask: Option<Map>, alpha: Option<Map>) -> Option<Map> {
     match (mask, alpha) {
         (Some(mut mask), Some(alpha)) if alpha.data().len() == mask.data().len() => {
             mask.data_mut().iter_mut().zip(alpha.data()).for_each(|(m, a)| *m *= a);
-            Ok(Some(mask))
+            Some(mask)
         }
-        (mask, alpha) => Ok(mask.or(alpha)),
+        (mask, alpha) => mask.or(alpha),
     }
 }
 
@@ -59,11 +63,8 @@ fn read_shaped(path: &Path, size: (usize, usize), what: &str) -> Result<Map, Imp
              that image",
             size.0, size.1
         );
-        return Err(ImportError::Size {
-            path: path.to_path_buf(),
-            found: (map.width(), map.height()),
-            expected,
-        });
+        let (path, found) = (path.to_path_buf(), (map.width(), map.height()));
+        return Err(ImportError::Size { path, found, expected });
     }
     Ok(map)
 }

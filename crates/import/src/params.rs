@@ -103,10 +103,10 @@ pub struct ImageSize {
     pub height: usize,
 }
 
-impl std::str::FromStr for ImageSize {
-    type Err = String;
+impl TryFrom<String> for ImageSize {
+    type Error = String;
 
-    fn from_str(text: &str) -> Result<Self, String> {
+    fn try_from(text: String) -> Result<Self, String> {
         let sides = text.split_once(['x', 'X', '×']).and_then(|(w, h)| {
             let side = |s: &str| s.trim().parse::<usize>().ok().filter(|n| *n > 0);
             Some((side(w)?, side(h)?))
@@ -121,23 +121,9 @@ impl std::str::FromStr for ImageSize {
     }
 }
 
-impl TryFrom<String> for ImageSize {
-    type Error = String;
-
-    fn try_from(text: String) -> Result<Self, String> {
-        text.parse()
-    }
-}
-
-impl std::fmt::Display for ImageSize {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{}x{}", self.width, self.height)
-    }
-}
-
 impl From<ImageSize> for String {
     fn from(size: ImageSize) -> Self {
-        size.to_string()
+        format!("{}x{}", size.width, size.height)
     }
 }
 
@@ -155,7 +141,7 @@ impl ImportParams {
             return Err(OutOfRange::new("max_side", self.max_side, expected));
         }
         let ways = [
-            ("size", self.size.map(|s| s.to_string())),
+            ("size", self.size.map(String::from)),
             ("max_side", (self.max_side > 0).then(|| self.max_side.to_string())),
             ("downscale", (self.downscale > 1).then(|| self.downscale.to_string())),
         ];
@@ -181,9 +167,10 @@ mod tests {
 
     #[test]
     fn sizes_are_written_as_people_write_them() {
-        assert_eq!("1400x933".parse(), Ok(ImageSize { width: 1400, height: 933 }));
+        let parsed = |text: &str| ImageSize::try_from(text.to_string());
+        assert_eq!(parsed("1400x933"), Ok(ImageSize { width: 1400, height: 933 }));
         for bad in ["1400", "0x3", "x", "ax3", "-1x3", "99999999999x99999999999"] {
-            assert!(bad.parse::<ImageSize>().is_err(), "{bad}");
+            assert!(parsed(bad).is_err(), "{bad}");
         }
     }
 

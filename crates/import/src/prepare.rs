@@ -5,14 +5,14 @@
 //! by the requested threads and by a memory budget, so memory does not grow with the folder's size. Outputs
 //! do not depend on the number of workers.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use use3d_capture::{Capture, FileName, Map, Pixels, View};
 use use3d_files::write_atomically;
-use use3d_io_colmap::{Keypoint, Model, ModelCamera, write_model_binary};
+use use3d_io_colmap::{Model, ModelCamera, ModelImage, write_model_binary};
 use use3d_io_image::{
     image_size, read_pixels, read_pixels_with_alpha, write_exr_map, write_png_map, write_png_pixels,
 };
@@ -21,7 +21,7 @@ use use3d_survey::Survey;
 use crate::error::ImportError;
 use crate::geometry::Geometry;
 use crate::import::{Imported, Plan, sparse_points};
-use crate::load::{read_depth_at, read_mask_at};
+use crate::load::{read_depth_at, read_mask_at, times_alpha};
 use crate::params::WhiteBalance;
 use crate::prepared::{MODEL, save};
 use crate::white_balance;
@@ -53,12 +53,8 @@ pub fn prepare(
     let done = AtomicUsize::new(0);
     let tick = || progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);
 
-    let gains = if balanced {
-        let paths: Vec<&Path> = views.iter().map(|v| v.image.as_path()).collect();
-        Some(white_balance::set_percentile_gains(&paths, workers, &tick)?)
-    } else {
-        None
-    };
+    let paths: Vec<&Path> = views.iter().map(|v| v.image.as_path()).collect();
+    let gains = balanced.then(|| white_balance::set_percentile_gains(&paths, workers, &tick)).transpose()?;
     let names = output_names(imported, gains.is_some())?;
     let prepared: Vec<View> = in_parallel(views.len(), workers, |i| {
         let view = prepare_view(&views[i], &imported.plans[i], &names[i], gains, out)?;
@@ -69,11 +65,10 @@ pub fn prepare(
     write_model_binary(&out.join(MODEL), &model)?;
     let mut report = imported.report.clone();
     report.white_balance = gains.or(report.white_balance);
-    let renamed: std::collections::BTreeMap<&str, &str> =
-        views.iter().map(|v| v.name.as_str()).zip(names.iter().map(FileName::as_str)).collect();
+    let renamed: BTreeMap<&str, &FileName> = views.iter().map(|v| v.name.as_str()).zip(&names).collect();
     for name in report.train.iter_mut().chain(&mut report.test) {
         if let Some(new) = renamed.get(name.as_str()) {
-            *name = (*new).to_string();
+            *name = new.to_string();
         }
     }
     let capture = Capture {
@@ -85,12 +80,12 @@ pub fn prepare(
     };
     let world = imported.model.world.clone();
     save(out, &capture, &report, world.as_ref())?;
-    let plans = imported.plans.iter().zip(&cameras).zip(&capture.views).map(|((plan, &camera), view)| Plan {
+    let plan = |((plan, camera), view): ((&Plan, u32), &View)| Plan {
         geometry: Arc::new(Geometry::identity(view.camera.intrinsics)),
         alpha: plan.alpha && !changes(plan, gains),
         camera,
-    });
-    let plans = plans.collect();
+    };
+    let plans = imported.plans.iter().zip(cameras).zip(&capture.views).map(plan).collect();
     let model = Survey { world, ..model.into_survey(out)? };
     let model_files = Vec::new();
     Ok(Imported { capture, report, plans, model, model_files, white_balance: WhiteBalance::None })
@@ -183,13 +178,7 @@ fn resample(view: &View, plan: &Plan, gains: [f32; 3]) -> Result<PreparedView, I
     let result =
         if geometry.resamples() || gains != [1.0; 3] { geometry.pixels(&pixels, gains) } else { pixels };
     let mask = view.mask.as_ref().map(|path| read_mask_at(path, geometry.file)).transpose()?;
-    let mask = match (mask, alpha) {
-        (Some(mut mask), Some(alpha)) => {
-            mask.data_mut().iter_mut().zip(alpha.data()).for_each(|(m, a)| *m *= a);
-            Some(mask)
-        }
-        (mask, alpha) => mask.or(alpha),
-    };
+    let mask = times_alpha(mask, alpha);
     let depth = view.depth_prior.as_ref().map(|path| read_depth_at(path, geometry.file)).transpose()?;
     Ok(PreparedView {
         pixels: result,
@@ -247,41 +236,32 @@ fn pinhole_model(imported: &Imported, names: &[FileName]) -> (Model, Vec<u32>) {
     let mut ids = Vec::with_capacity(names.len());
     for (view, plan) in imported.capture.views.iter().zip(&imported.plans) {
         let wanted = ModelCamera::pinhole(plan.camera, &view.camera.intrinsics);
-        let same = |c: &&ModelCamera| {
-            c.width == wanted.width && c.height == wanted.height && c.parameters == wanted.parameters
-        };
+        let same = |c: &&ModelCamera| ModelCamera { id: c.id, ..wanted.clone() } == **c;
         // A camera whose files have several sizes becomes several cameras.
-        let id = match model.cameras.iter().find(|c| c.id == wanted.id) {
-            Some(camera) if same(&camera) => wanted.id,
-            None => {
-                model.cameras.push(wanted);
-                plan.camera
+        let taken = model.cameras.iter().any(|c| c.id == wanted.id && !same(&c));
+        let id = match model.cameras.iter().find(same).filter(|_| taken) {
+            Some(camera) => camera.id,
+            None if taken => {
+                next = next.wrapping_add(1);
+                next
             }
-            Some(_) => match model.cameras.iter().find(same) {
-                Some(camera) => camera.id,
-                None => {
-                    next = next.wrapping_add(1);
-                    model.cameras.push(ModelCamera { id: next, ..wanted });
-                    next
-                }
-            },
+            None => wanted.id,
         };
+        if model.cameras.iter().all(|c| c.id != id) {
+            model.cameras.push(ModelCamera { id, ..wanted });
+        }
         ids.push(id);
     }
-    let by_id: std::collections::BTreeMap<u32, usize> =
+    let by_id: BTreeMap<u32, usize> =
         imported.capture.views.iter().enumerate().map(|(i, v)| (v.id, i)).collect();
     for image in &imported.model.images {
         let Some(&i) = by_id.get(&image.id) else { continue };
-        let mut image = image.clone();
-        image.name = names[i].clone();
-        image.camera = ids[i];
+        let mut image = ModelImage { name: names[i].clone(), camera: ids[i], ..image.clone() };
         for keypoint in &mut image.keypoints {
             // A keypoint that the lens cannot have seen stays in the list, so that the indices in the tracks
             // remain valid.
-            let (x, y) =
-                imported.plans[i].geometry.point(keypoint.x, keypoint.y).unwrap_or((f64::NAN, f64::NAN));
-            let Keypoint { point, .. } = *keypoint;
-            *keypoint = Keypoint { x, y, point };
+            let moved = imported.plans[i].geometry.point(keypoint.x, keypoint.y);
+            (keypoint.x, keypoint.y) = moved.unwrap_or((f64::NAN, f64::NAN));
         }
         model.images.push(image);
     }

@@ -135,21 +135,14 @@ impl fmt::Display for ImportReport {
             let folder = shown(folder);
             writeln!(f, "  depth priors: {} of {} views, from {folder}", self.depth_priors, self.views)?;
         }
-        writeln!(
-            f,
-            "  split: {}: {} train, {} test ({})",
-            shown(&self.split_rule),
-            self.train.len(),
-            self.test.len(),
-            some(&self.test)
-        )?;
-        match self.normalised {
-            true => {
-                let unit =
-                    if form == "binary" || form == "text" { "COLMAP unit" } else { "unit of the model" };
-                writeln!(f, "  frame: normalised, 1 {unit} is {:.6}", self.scale)?;
-            }
-            false => writeln!(f, "  frame: as in the model")?,
+        let (rule, train, test) = (shown(&self.split_rule), self.train.len(), self.test.len());
+        writeln!(f, "  split: {rule}: {train} train, {test} test ({})", some(&self.test))?;
+        if self.normalised {
+            let colmap = form == "binary" || form == "text";
+            let unit = if colmap { "COLMAP unit" } else { "unit of the model" };
+            writeln!(f, "  frame: normalised, 1 {unit} is {:.6}", self.scale)?;
+        } else {
+            writeln!(f, "  frame: as in the model")?;
         }
         if let Some([r, g, b]) = self.white_balance {
             writeln!(f, "  white balance: R x {r:.3}, G x {g:.3}, B x {b:.3}")?;

@@ -285,7 +285,7 @@ fn resizing_moves_pixels_masks_depths_and_keypoints_together() {
     }
     write_png_map(&fixture.path("masks").join(format!("{name}.png")), &mask).unwrap();
     write_exr_map(&fixture.path("depths").join(name.replace(".png", ".exr")), &depth, "Z").unwrap();
-    let params = ImportParams { size: Some("40x40".parse().unwrap()), ..ImportParams::default() };
+    let params = ImportParams { size: Some(ImageSize { width: 40, height: 40 }), ..ImportParams::default() };
     let imported = fixture.import(&params).unwrap();
     assert!(imported.needs_preparation());
     assert_eq!((imported.report.masks, imported.report.depth_priors), (1, 1));
@@ -326,7 +326,7 @@ fn tracks_are_pixels_of_the_views_before_and_after_preparation() {
     model.points[0].track.extend([(7, 0), (99, 17)]);
     write_model_binary(&fixture.path("sparse/0"), &model).unwrap();
     std::fs::remove_file(fixture.path("images").join(&fixture.names[1])).unwrap();
-    let params = ImportParams { size: Some("40x40".parse().unwrap()), ..ImportParams::default() };
+    let params = ImportParams { size: Some(ImageSize { width: 40, height: 40 }), ..ImportParams::default() };
     let imported = fixture.import(&params).unwrap();
     let [track] = &imported.tracks()[..] else { panic!("one point, one track") };
     assert_eq!(track.position, imported.capture.points[0].position);
@@ -423,7 +423,7 @@ fn alpha_is_a_mask_and_multiplies_mask_files() {
     write_png_map(&fixture.path("masks").join(&fixture.names[0]), &file).unwrap();
     for params in [
         ImportParams::default(),
-        ImportParams { size: Some("240x160".parse().unwrap()), ..ImportParams::default() },
+        ImportParams { size: Some(ImageSize { width: 240, height: 160 }), ..ImportParams::default() },
     ] {
         let imported = fixture.import(&params).unwrap();
         let prepared =
@@ -604,7 +604,7 @@ fn the_full_size_of_a_scaled_import_is_that_of_its_files() {
     let whole = import(fixture.dir.path(), &ImportParams::default()).unwrap();
     for params in [
         ImportParams { max_side: 50, ..ImportParams::default() },
-        ImportParams { size: Some("40x40".parse().unwrap()), ..ImportParams::default() },
+        ImportParams { size: Some(ImageSize { width: 40, height: 40 }), ..ImportParams::default() },
         ImportParams { downscale: 3, ..ImportParams::default() },
     ] {
         let scaled = import(fixture.dir.path(), &params).unwrap();
