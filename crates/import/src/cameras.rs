@@ -38,9 +38,8 @@ pub fn read_cameras(path: &Path) -> Result<Vec<(FileName, Camera)>, ImportError>
     }
     if !path.is_dir() {
         let reason =
-            "there is no such file or folder; expected a COLMAP model folder, a capture, or a JSON list"
-                .into();
-        return Err(ImportError::CameraList { path: path.to_path_buf(), reason });
+            "there is no such file or folder; expected a COLMAP model folder, a capture, or a JSON list";
+        return Err(ImportError::List { path: path.to_path_buf(), reason: reason.into() });
     }
     let model = if is_prepared(path) {
         read_model(&path.join(MODEL))?
@@ -134,7 +133,7 @@ const EXPECTED: &str = "expected a list of cameras such as {\"width\": 640, \"he
 
 fn read_list(path: &Path) -> Result<Vec<(FileName, Camera)>, ImportError> {
     let bytes = std::fs::read(path).map_err(ImportError::file(path))?;
-    let bad = |reason: String| ImportError::CameraList { path: path.to_path_buf(), reason };
+    let bad = |reason: String| ImportError::List { path: path.to_path_buf(), reason };
     let json: Value = serde_json::from_slice(&bytes).map_err(|e| bad(format!("it is not JSON: {e}")))?;
     let (list, width, height) = match json {
         Value::Array(list) => (list, None, None),
@@ -155,9 +154,8 @@ fn read_list(path: &Path) -> Result<Vec<(FileName, Camera)>, ImportError> {
     if entries.is_empty() {
         return Err(bad("the list has no cameras".into()));
     }
+    let entries = entries.into_iter().enumerate();
     entries
-        .into_iter()
-        .enumerate()
         .map(|(i, entry)| {
             let name = match &entry.name {
                 Some(name) => FileName::new(name).map_err(|e| bad(format!("camera {i}: {e}")))?,
@@ -171,18 +169,15 @@ fn read_list(path: &Path) -> Result<Vec<(FileName, Camera)>, ImportError> {
 
 impl Entry {
     fn camera(&self, width: Option<usize>, height: Option<usize>) -> Result<Camera, String> {
-        let need = |v: Option<f64>, field: &str| v.ok_or_else(|| format!("`{field}` is missing"));
-        let side = |v: Option<usize>, all: Option<usize>, f: &str| {
-            v.or(all).ok_or_else(|| format!("`{f}` is missing"))
-        };
-        let (width, height) = (side(self.width, width, "width")?, side(self.height, height, "height")?);
+        fn need<T>(value: Option<T>, field: &str) -> Result<T, String> {
+            value.ok_or_else(|| format!("`{field}` is missing"))
+        }
+        let (width, height) = (need(self.width.or(width), "width")?, need(self.height.or(height), "height")?);
         if (width as u64).saturating_mul(height as u64) > use3d_io_image::MAX_PIXELS {
             return Err(format!("its size {width}x{height} is beyond {} pixels", use3d_io_image::MAX_PIXELS));
         }
         let (fx, fy, cx, cy) = match &self.matrix {
-            Some(k) if k[0][1] != 0.0 || k[1][0] != 0.0 => {
-                return Err("`K` has skew; expected a plain pinhole".into());
-            }
+            Some(k) if k[0][1] != 0.0 || k[1][0] != 0.0 => Err("`K` has skew; expected a plain pinhole")?,
             Some(k) => (k[0][0], k[1][1], k[0][2], k[1][2]),
             None => (need(self.fx, "fx")?, need(self.fy, "fy")?, need(self.cx, "cx")?, need(self.cy, "cy")?),
         };
@@ -197,11 +192,7 @@ impl Entry {
             (None, Some(r), Some(t)) => {
                 Pose { rotation: from_row_major(r), translation: DVec3::from_array(*t) }
             }
-            _ => {
-                return Err(
-                    "it has no pose; expected `rotation` and `translation`, or `world_to_camera`".into()
-                );
-            }
+            _ => Err("it has no pose; expected `rotation` and `translation`, or `world_to_camera`")?,
         };
         let camera = Camera { intrinsics: Intrinsics { width, height, fx, fy, cx, cy }, pose };
         camera.validate().map_err(|e| e.to_string())?;

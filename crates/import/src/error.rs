@@ -103,22 +103,12 @@ pub enum ImportError {
         /// The problem, and the expected value.
         reason: String,
     },
-    /// A split list that does not fit the capture.
+    /// A list that cannot be read: of cameras, or one of names that does not fit the capture.
     #[error("{}: {reason}", path.display())]
-    SplitList {
+    List {
         /// The list.
         path: PathBuf,
-        /// The problem, and the remedy.
-        reason: String,
-    },
-    /// A table beside the photographs that cannot be used.
-    #[error("{}: line {line}: {reason}", path.display())]
-    Table {
-        /// The table.
-        path: PathBuf,
-        /// The number of the line.
-        line: usize,
-        /// The problem, and the expected value.
+        /// The problem, and the expected form or the remedy.
         reason: String,
     },
     /// A prepared capture that cannot be read back.
@@ -127,14 +117,6 @@ pub enum ImportError {
         /// The file.
         path: PathBuf,
         /// The problem.
-        reason: String,
-    },
-    /// A list of cameras that cannot be read.
-    #[error("{}: {reason}", path.display())]
-    CameraList {
-        /// The file.
-        path: PathBuf,
-        /// The problem, and the expected form.
         reason: String,
     },
     /// A file that cannot be read or written.

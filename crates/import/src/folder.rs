@@ -1,9 +1,9 @@
 //! Folders of a capture: their usual names, and the lookup of files by names that never leave the folder.
 
-use std::io::Read;
 use std::path::{Component, Path, PathBuf};
 
 use use3d_capture::{FileName, NameError};
+use use3d_survey::first_bytes;
 
 use crate::error::ImportError;
 
@@ -27,9 +27,8 @@ pub(crate) const FORMAT: &str = "3d-use capture";
 /// True if [`crate::prepare`] finished this folder.
 pub fn is_prepared(dir: &Path) -> bool {
     // Another tool may write a file of that name, so its first bytes are checked.
-    let Ok(file) = std::fs::File::open(dir.join(MANIFEST)) else { return false };
-    let mut head = Vec::new();
-    file.take(200).read_to_end(&mut head).is_ok() && String::from_utf8_lossy(&head).contains(FORMAT)
+    let head = first_bytes(&dir.join(MANIFEST), 200);
+    head.is_some_and(|head| String::from_utf8_lossy(&head).contains(FORMAT))
 }
 
 /// False for a folder of a capture that holds other images of the same names: masks, depth priors, the truth
@@ -39,14 +38,43 @@ pub(crate) fn may_hold_photographs(dir: &Path, name: &str) -> bool {
     !other && !is_prepared(&dir.join(name))
 }
 
+/// The last part of a name with `/` between its parts.
+pub(crate) fn last_part(name: &str) -> &str {
+    name.rsplit('/').next().unwrap_or(name)
+}
+
+/// True if a name has one of these extensions, in small or large letters.
+pub(crate) fn has_extension(name: &str, extensions: &[&str]) -> bool {
+    let own = Path::new(name).extension();
+    own.is_some_and(|own| extensions.iter().any(|known| own.eq_ignore_ascii_case(known)))
+}
+
+/// True if one of the names has one of these extensions.
+pub(crate) fn any_has(names: &[String], extensions: &[&str]) -> bool {
+    names.iter().any(|name| has_extension(name, extensions))
+}
+
+/// Names of the entries of a folder that are of a kind, such as `Path::is_dir`.
+pub(crate) fn names_in(dir: &Path, kind: impl Fn(&Path) -> bool) -> Vec<String> {
+    let entries = std::fs::read_dir(dir).into_iter().flatten().filter_map(Result::ok);
+    entries.filter(|e| kind(&e.path())).filter_map(|e| e.file_name().into_string().ok()).collect()
+}
+
+/// The visible files below a folder, to this depth of folders, sorted, with their names relative to it.
+pub(crate) fn visible_files(dir: &Path, depth: usize) -> impl Iterator<Item = (String, PathBuf)> {
+    let hidden = |e: &walkdir::DirEntry| e.depth() > 0 && e.file_name().to_string_lossy().starts_with('.');
+    let dir = dir.to_path_buf();
+    let entries = walkdir::WalkDir::new(&dir).max_depth(depth).sort_by_file_name().into_iter();
+    entries.filter_entry(move |e| !hidden(e)).filter_map(move |entry| {
+        let entry = entry.ok().filter(|e| !e.file_type().is_dir())?;
+        let name = entry.path().strip_prefix(&dir).ok()?.to_str()?.to_string();
+        Some((name, entry.into_path()))
+    })
+}
+
 /// Names of the folders in a folder: numbers first and by value, then the rest by name.
 pub(crate) fn subfolders(dir: &Path) -> Vec<String> {
-    let Ok(entries) = std::fs::read_dir(dir) else { return Vec::new() };
-    let mut names: Vec<String> = entries
-        .filter_map(Result::ok)
-        .filter(|e| e.path().is_dir())
-        .filter_map(|e| e.file_name().into_string().ok())
-        .collect();
+    let mut names = names_in(dir, Path::is_dir);
     names.sort_by_key(|name| (name.parse::<u64>().unwrap_or(u64::MAX), name.clone()));
     names
 }
@@ -57,7 +85,7 @@ pub(crate) struct SourceFolder {
     /// The path that is shown to the user, relative to the capture.
     pub(crate) relative: String,
     /// The real path, with symbolic links resolved.
-    real: PathBuf,
+    pub(crate) path: PathBuf,
     /// True if files in it may be links to places outside. That is allowed in a user's own capture, which is
     /// only read, and never in a folder whose manifest lists its files.
     links: bool,
@@ -81,8 +109,8 @@ fn kind_without_links(folder: &Path, path: &Path) -> std::io::Result<Option<std:
 impl SourceFolder {
     /// Opens a folder; `None` if it does not exist. Its files may not be links to places outside.
     pub(crate) fn open(root: &Path, relative: &str) -> Option<Self> {
-        let real = root.join(relative).canonicalize().ok().filter(|p| p.is_dir())?;
-        Some(Self { relative: relative.to_string(), real, links: false })
+        let path = root.join(relative).canonicalize().ok().filter(|p| p.is_dir())?;
+        Some(Self { relative: relative.to_string(), path, links: false })
     }
 
     /// Like [`open`](Self::open), for a user's own folder, whose files may be links to places outside.
@@ -90,23 +118,19 @@ impl SourceFolder {
         Some(Self { links: true, ..Self::open(root, relative)? })
     }
 
-    pub(crate) fn path(&self) -> &Path {
-        &self.real
-    }
-
     /// The file of that name; `None` if it does not exist, an error if it is outside the folder and links are
     /// not allowed.
     pub(crate) fn file(&self, name: &FileName) -> Result<Option<PathBuf>, ImportError> {
-        let here = name.below(&self.real);
+        let here = name.below(&self.path);
         // Without a link on the way, the path is the real one. This costs one look at each part of the name,
         // and not one at each part of the whole path.
-        match kind_without_links(&self.real, &here) {
+        match kind_without_links(&self.path, &here) {
             Ok(Some(kind)) if !kind.is_symlink() => return Ok(kind.is_file().then_some(here)),
             Ok(_) => {}
             Err(_) => return Ok(None),
         }
         let Ok(real) = here.canonicalize() else { return Ok(None) };
-        if !real.starts_with(&self.real) {
+        if !real.starts_with(&self.path) {
             if self.links {
                 // The path keeps the link's own name, because stores of linked files often name the targets
                 // by their digests.
@@ -115,7 +139,7 @@ impl SourceFolder {
             return Err(ImportError::Name {
                 name: name.clone(),
                 reason: "is a symbolic link to a place outside (copy the file in)".into(),
-                folder: self.real.clone(),
+                folder: self.path.clone(),
             });
         }
         Ok(real.is_file().then_some(real))
@@ -136,10 +160,8 @@ impl SourceFolder {
 
     /// An image by its name in the model, or else by its stem with another extension.
     pub(crate) fn image(&self, name: &FileName) -> Result<Option<PathBuf>, ImportError> {
-        match self.file(name)? {
-            Some(path) => Ok(Some(path)),
-            None => self.first(IMAGE_EXTENSIONS.iter().map(|e| name.with_extension(e))),
-        }
+        let others = IMAGE_EXTENSIONS.iter().map(|e| name.with_extension(e));
+        self.first(std::iter::once(Ok(name.clone())).chain(others))
     }
 
     /// A mask of an image: `a.jpg.png` (COLMAP's convention), `a.png`, or `a_mask.png` (Metashape's).
@@ -156,20 +178,9 @@ impl SourceFolder {
 
     /// Names of the image files below the folder, sorted, with `/` between parts. Hidden files are left out.
     pub(crate) fn images(&self) -> Vec<String> {
-        let hidden =
-            |e: &walkdir::DirEntry| e.depth() > 0 && e.file_name().to_string_lossy().starts_with('.');
-        walkdir::WalkDir::new(&self.real)
-            .sort_by_file_name()
-            .into_iter()
-            .filter_entry(|e| !hidden(e))
-            .filter_map(Result::ok)
-            .filter(|e| !e.file_type().is_dir())
-            .filter_map(|e| {
-                let name = e.path().strip_prefix(&self.real).ok()?.to_str()?.to_string();
-                let extension = Path::new(&name).extension()?.to_str()?.to_string();
-                IMAGE_EXTENSIONS.contains(&extension.as_str()).then_some(name)
-            })
-            .collect()
+        let known = |own: &std::ffi::OsStr| IMAGE_EXTENSIONS.iter().any(|known| own == *known);
+        let names = visible_files(&self.path, usize::MAX).map(|(name, _)| name);
+        names.filter(|name| Path::new(name).extension().is_some_and(known)).collect()
     }
 }
 

@@ -9,11 +9,15 @@ use std::path::{Path, PathBuf};
 use use3d_capture::FileName;
 use use3d_io_colmap::{ModelForm, count_images, form_of, read_model_as};
 use use3d_io_image::image_size;
+use use3d_io_metashape::is_cameras_file;
 use use3d_io_realityscan::{is_cameras_table, is_sidecar, parse_sidecars, read_sidecar, read_table};
 use use3d_survey::Survey;
 
 use crate::error::ImportError;
-use crate::folder::{IMAGE_DIRS, MANIFEST, SourceFolder, may_hold_photographs, subfolders};
+use crate::folder::{
+    IMAGE_DIRS, MANIFEST, SourceFolder, any_has, has_extension, may_hold_photographs, names_in, subfolders,
+    visible_files,
+};
 use crate::labels;
 use crate::layout::{FoundModel, find_colmap};
 
@@ -111,15 +115,14 @@ fn inside(base: &str, name: &str) -> String {
     }
 }
 
-fn has_extension(name: &str, extension: &str) -> bool {
-    Path::new(name).extension().is_some_and(|e| e.eq_ignore_ascii_case(extension))
+/// A model at a place of the capture, in the format of this index. Its images are not counted.
+fn found_at(format: usize, place: &str, path: PathBuf, form: &str) -> FoundModel {
+    FoundModel { format: &FORMATS[format], relative: place.into(), path, form: form.into(), images: 0 }
 }
 
 /// Names of the files in a folder, sorted.
 fn files_in(dir: &Path) -> Vec<String> {
-    let Ok(entries) = std::fs::read_dir(dir) else { return Vec::new() };
-    let files = entries.filter_map(Result::ok).filter(|e| e.path().is_file());
-    let mut names: Vec<String> = files.filter_map(|e| e.file_name().into_string().ok()).collect();
+    let mut names = names_in(dir, Path::is_file);
     names.sort();
     names
 }
@@ -139,8 +142,7 @@ fn colmap_at(root: &Path, place: &str) -> Result<Option<FoundModel>, ImportError
     let path = root.join(place);
     let Some(form) = ModelForm::of(&path) else { return Ok(None) };
     let images = count_images(&path, form)?;
-    let (relative, form) = (place.to_string(), form.to_string());
-    Ok(Some(FoundModel { format: &FORMATS[0], relative, path, form, images }))
+    Ok(Some(FoundModel { images, ..found_at(0, place, path, &form.to_string()) }))
 }
 
 fn read_colmap(found: &FoundModel) -> Result<ReadModel, ImportError> {
@@ -156,8 +158,7 @@ fn read_colmap(found: &FoundModel) -> Result<ReadModel, ImportError> {
 }
 
 fn no_colmap(names: &[String]) -> Option<&'static str> {
-    let films = ["mp4", "mov", "avi", "mkv"];
-    names.iter().any(|n| films.iter().any(|e| has_extension(n, e))).then_some(
+    any_has(names, &["mp4", "mov", "avi", "mkv"]).then_some(
         "it has a film and no model: `use3d prepare FILM --out CAPTURE_DIR` makes a capture of it, and `use3d run FILM` \
          does so first",
     )
@@ -172,14 +173,8 @@ fn metashape_at(root: &Path, place: &str) -> Option<FoundModel> {
         let relative = format!("{place}/{}", inside.relative);
         return Some(FoundModel { relative, ..inside });
     }
-    let cameras = path.is_file() && has_extension(place, "xml") && use3d_io_metashape::is_cameras_file(&path);
-    cameras.then(|| FoundModel {
-        format: &FORMATS[1],
-        relative: place.into(),
-        path,
-        form: "Agisoft XML".into(),
-        images: 0,
-    })
+    let cameras = path.is_file() && has_extension(place, &["xml"]) && is_cameras_file(&path);
+    cameras.then(|| found_at(1, place, path, "Agisoft XML"))
 }
 
 fn find_metashape(root: &Path) -> Vec<FoundModel> {
@@ -192,29 +187,22 @@ fn find_metashape(root: &Path) -> Vec<FoundModel> {
 
 /// The file of points beside a cameras file: the only one, or the one that is called after tie points.
 fn points_beside(dir: &Path, notes: &mut Vec<String>) -> Option<String> {
-    let clouds: Vec<String> = files_in(dir).into_iter().filter(|n| has_extension(n, "ply")).collect();
-    let named = |name: &&String| {
+    let mut clouds = files_in(dir);
+    clouds.retain(|name| has_extension(name, &["ply"]));
+    let named = |name: &String| {
         let name = name.to_lowercase();
         name == "points.ply" || name.contains("tie") || name.contains("sparse")
     };
-    match clouds.as_slice() {
-        [] => {
-            notes.push(
-                "no points: export the tie points as PLY into the same folder, and the scene starts from them"
-                    .into(),
-            );
-            None
-        }
-        [one] => Some(one.clone()),
-        several => {
-            let chosen = several.iter().find(named).cloned();
-            if chosen.is_none() {
-                let list = several.join(", ");
-                notes.push(format!("several files of points, none used ({list}): call one points.ply"));
-            }
-            chosen
-        }
+    let chosen = clouds.iter().find(|name| clouds.len() == 1 || named(name));
+    if clouds.is_empty() {
+        let note =
+            "no points: export the tie points as PLY into the same folder, and the scene starts from them";
+        notes.push(note.into());
+    } else if chosen.is_none() {
+        let list = clouds.join(", ");
+        notes.push(format!("several files of points, none used ({list}): call one points.ply"));
     }
+    chosen.cloned()
 }
 
 fn read_metashape(found: &FoundModel) -> Result<ReadModel, ImportError> {
@@ -241,14 +229,13 @@ fn places_of_photographs(dir: &Path) -> Vec<String> {
 }
 
 fn no_metashape(names: &[String]) -> Option<&'static str> {
-    let has = |e: &str| names.iter().any(|n| has_extension(n, e));
-    if has("psx") || has("psz") {
+    if any_has(names, &["psx", "psz"]) {
         return Some(
             "a project of Metashape is not read itself: choose File > Export > Export Cameras, format Agisoft XML, \
              and put that file beside the photographs",
         );
     }
-    has("xml").then_some(
+    any_has(names, &["xml"]).then_some(
         "the XML file here is no cameras file of Metashape: choose File > Export > Export Cameras, format Agisoft \
          XML, and put that file beside the photographs",
     )
@@ -261,13 +248,8 @@ const TRANSFORMS: &str = "transforms.json";
 fn nerfstudio_at(root: &Path, place: &str) -> Option<FoundModel> {
     let path = root.join(place);
     let other = place.ends_with(MANIFEST) || place.ends_with(RECONSTRUCTION);
-    (path.is_file() && has_extension(place, "json") && !other).then(|| FoundModel {
-        format: &FORMATS[2],
-        relative: place.into(),
-        path,
-        form: TRANSFORMS.into(),
-        images: 0,
-    })
+    let ours = path.is_file() && has_extension(place, &["json"]) && !other;
+    ours.then(|| found_at(2, place, path, TRANSFORMS))
 }
 
 fn read_nerfstudio(found: &FoundModel) -> Result<ReadModel, ImportError> {
@@ -295,28 +277,17 @@ fn read_nerfstudio(found: &FoundModel) -> Result<ReadModel, ImportError> {
         );
     }
     // The photographs' common folder is the image folder, as with other formats.
-    let parents: Vec<Vec<&str>> = survey
-        .images
-        .iter()
-        .map(|image| {
-            let mut parts: Vec<&str> = image.name.as_str().split('/').collect();
-            parts.pop();
-            parts
-        })
-        .collect();
-    let shared = parents.iter().skip(1).fold(parents.first().map_or(0, Vec::len), |shared, parts| {
-        parents[0].iter().zip(parts).take(shared).take_while(|(a, b)| a == b).count()
+    let parents = survey.images.iter().map(|image| {
+        let folder = image.name.rsplit_once('/').map(|(folder, _)| folder);
+        folder.map_or_else(Vec::new, |folder| folder.split('/').collect())
     });
-    let common = parents.first().map_or_else(Vec::new, |p| p[..shared].to_vec());
+    let alike = |(a, b): &(&str, &str)| a == b;
+    let common = parents.reduce(|a, b| a.into_iter().zip(b).take_while(alike).map(|(a, _)| a).collect());
+    let common = common.unwrap_or_default();
     let folder = if common.is_empty() { ".".to_string() } else { common.join("/") };
     let skipped = if common.is_empty() { 0 } else { folder.len() + 1 };
-    let names: Vec<FileName> = survey
-        .images
-        .iter()
-        .map(|image| FileName::new(&image.name.as_str()[skipped..]))
-        .collect::<Result<_, _>>()?;
-    for (image, name) in survey.images.iter_mut().zip(names) {
-        image.name = name;
+    for image in &mut survey.images {
+        image.name = FileName::new(&image.name[skipped..])?;
     }
     // The file names its masks, wherever they lie.
     let masks = survey.files.values().filter_map(|f| f.mask.as_ref());
@@ -333,13 +304,7 @@ const TRACKS: &str = "tracks.csv";
 
 fn opensfm_at(root: &Path, place: &str) -> Option<FoundModel> {
     let path = root.join(place);
-    (path.is_file() && place.ends_with(RECONSTRUCTION)).then(|| FoundModel {
-        format: &FORMATS[3],
-        relative: place.into(),
-        path,
-        form: "OpenSfM".into(),
-        images: 0,
-    })
+    (path.is_file() && place.ends_with(RECONSTRUCTION)).then(|| found_at(3, place, path, "OpenSfM"))
 }
 
 fn find_opensfm(root: &Path, place: &str) -> Option<FoundModel> {
@@ -388,34 +353,24 @@ const XMP_DEPTH: usize = 4;
 
 /// RealityScan's XMP files below a folder, sorted, with their names relative to it.
 fn sidecars_below(dir: &Path) -> impl Iterator<Item = (String, PathBuf)> {
-    let hidden = |e: &walkdir::DirEntry| e.depth() > 0 && e.file_name().to_string_lossy().starts_with('.');
-    let dir = dir.to_path_buf();
-    walkdir::WalkDir::new(&dir)
-        .max_depth(XMP_DEPTH)
-        .sort_by_file_name()
-        .into_iter()
-        .filter_entry(move |e| !hidden(e))
-        .filter_map(move |entry| {
-            let path = entry.ok()?.into_path();
-            let name = path.strip_prefix(&dir).ok()?.to_str()?.replace('\\', "/");
-            (has_extension(&name, "xmp") && is_sidecar(&path)).then_some((name, path))
-        })
+    let files = visible_files(dir, XMP_DEPTH).map(|(name, path)| (name.replace('\\', "/"), path));
+    files.filter(|(name, path)| has_extension(name, &["xmp"]) && is_sidecar(path))
 }
 
 fn realityscan_at(root: &Path, place: &str) -> Option<FoundModel> {
     let path = root.join(place);
-    let table = path.is_file() && has_extension(place, "csv") && is_cameras_table(&path);
+    let table = path.is_file() && has_extension(place, &["csv"]) && is_cameras_table(&path);
     let form = match table {
         true => "RealityScan CSV",
         false if path.is_dir() && sidecars_below(&path).next().is_some() => "RealityScan XMP",
         false => return None,
     };
-    Some(FoundModel { format: &FORMATS[4], relative: place.into(), path, form: form.into(), images: 0 })
+    Some(found_at(4, place, path, form))
 }
 
 fn realityscan_tables(root: &Path) -> Vec<FoundModel> {
-    let tables = files_in(root).into_iter().filter(|name| has_extension(name, "csv"));
-    tables.filter_map(|name| realityscan_at(root, &name)).collect()
+    let files = files_in(root);
+    files.iter().filter(|n| has_extension(n, &["csv"])).filter_map(|n| realityscan_at(root, n)).collect()
 }
 
 fn realityscan_sidecars(root: &Path) -> Option<FoundModel> {
@@ -441,14 +396,11 @@ fn read_realityscan(found: &FoundModel) -> Result<ReadModel, ImportError> {
     let names: Vec<&FileName> = registration.shots.iter().map(|shot| &shot.name).collect();
     let folders = places.iter().filter_map(|place| SourceFolder::open_own(dir, place));
     // The first of those with the most photographs.
-    let photographs = folders.map(|folder| labels::photographs(&names, &folder)).fold(
-        std::collections::BTreeMap::new(),
-        |best, more| if more.len() > best.len() { more } else { best },
-    );
-    let mut sizes = std::collections::BTreeMap::new();
-    for (name, path) in photographs {
-        sizes.insert(name, image_size(&path)?);
-    }
+    let photographs = folders
+        .map(|folder| labels::photographs(&names, &folder))
+        .reduce(|best, more| if more.len() > best.len() { more } else { best });
+    let size = |(name, path): (FileName, PathBuf)| Ok((name, image_size(&path)?));
+    let sizes = photographs.into_iter().flatten().map(size).collect::<Result<_, ImportError>>()?;
     let mut survey = registration.into_survey(&sizes, &found.path)?;
     // Points lie beside the table, or in the capture's folder above the photographs.
     let above = (found.path.is_dir() && base != ".").then(|| dir.parent()).flatten();
@@ -467,14 +419,13 @@ fn read_realityscan(found: &FoundModel) -> Result<ReadModel, ImportError> {
 }
 
 fn no_realityscan(names: &[String]) -> Option<&'static str> {
-    let has = |e: &str| names.iter().any(|n| has_extension(n, e));
     if names.iter().any(|name| name.eq_ignore_ascii_case("cameras.csv")) {
         return Some(
             "cameras.csv is no table of RealityScan with the columns name, x, y, alt, heading, pitch, roll and f: export \
              the registration as \"Internal/External camera parameters\" in the coordinate system `Grid plane`",
         );
     }
-    (has("rcproj") || has("rsproj")).then_some(
+    any_has(names, &["rcproj", "rsproj"]).then_some(
         "a project of RealityScan (RealityCapture) is not read itself: export the registration as \
          \"Internal/External camera parameters\" (CSV) and the points as PLY, and put both files beside the photographs",
     )

@@ -4,7 +4,7 @@
 //! Only the headers of the images are read. [`crate::prepare`] reads the pixels, and only if they must
 //! change.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use use3d_capture::{Camera, Capture, CaptureError, Frame, Intrinsics, SparsePoint, View};
 use use3d_io_colmap::fits_single;
 use use3d_io_image::{ImageInfo, image_info};
-use use3d_survey::{PosedImage, Survey, SurveyPoint};
+use use3d_survey::{PosedImage, Survey, SurveyPoint, World};
 
 use crate::error::ImportError;
 use crate::folder::{DEPTH_DIRS, MASK_DIRS, SourceFolder, is_prepared};
@@ -27,7 +27,7 @@ use crate::report::{CameraReport, ImportReport};
 use crate::split;
 
 /// An imported capture, with the changes that its pixels still need.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Imported {
     /// The capture. Its cameras are those of the pixels after preparation.
     pub capture: Capture,
@@ -35,10 +35,11 @@ pub struct Imported {
     pub report: ImportReport,
     /// The changes to each view's file.
     pub(crate) plans: Vec<Plan>,
-    /// The model without the images that are missing, in its own frame.
-    pub(crate) model: Survey,
-    /// Files and folders, relative to the capture, whose content makes the model.
-    pub(crate) model_files: Vec<PathBuf>,
+    /// The model that the capture came from, in its own frame, without the missing images.
+    pub model: Survey,
+    /// Files and folders, relative to the capture, whose content makes the model; empty for a prepared
+    /// capture.
+    pub model_files: Vec<PathBuf>,
     pub(crate) white_balance: WhiteBalance,
 }
 
@@ -62,29 +63,15 @@ impl Imported {
     /// The same capture before its pixels are scaled and cropped: undistorted, at the size of its files.
     pub fn full_size(&self) -> Self {
         let mut shared: BTreeMap<*const Geometry, Arc<Geometry>> = BTreeMap::new();
-        let mut capture = self.capture.clone();
-        let plans = self.plans.iter().zip(&mut capture.views).map(|(plan, view)| {
+        let mut full = self.clone();
+        for (plan, view) in full.plans.iter_mut().zip(&mut full.capture.views) {
             let geometry = shared
                 .entry(Arc::as_ptr(&plan.geometry))
                 .or_insert_with(|| Arc::new(plan.geometry.full_size()));
             view.camera.intrinsics = geometry.intrinsics;
-            Plan { geometry: Arc::clone(geometry), ..*plan }
-        });
-        let plans = plans.collect();
-        let (report, model) = (self.report.clone(), self.model.clone());
-        let model_files = self.model_files.clone();
-        Self { capture, report, plans, model, model_files, white_balance: self.white_balance }
-    }
-
-    /// The model that the capture came from, in its own frame, without the missing images.
-    pub fn model(&self) -> &Survey {
-        &self.model
-    }
-
-    /// Files and folders, relative to the capture, whose content makes the model; empty for a prepared
-    /// capture.
-    pub fn model_files(&self) -> &[PathBuf] {
-        &self.model_files
+            plan.geometry = Arc::clone(geometry);
+        }
+        full
     }
 }
 
@@ -171,21 +158,18 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
     }
     views.sort_by(|a, b| a.0.name.cmp(&b.0.name));
     report.missing.sort();
-    let kept: std::collections::BTreeSet<u32> = views.iter().map(|(v, _)| v.id).collect();
-    let used: std::collections::BTreeSet<_> = views.iter().map(|(v, _)| v.image.clone()).collect();
+    let kept: BTreeSet<u32> = views.iter().map(|(v, _)| v.id).collect();
+    let used: BTreeSet<&PathBuf> = views.iter().map(|(v, _)| &v.image).collect();
     report.extra = folder.images();
-    report.extra.retain(|name| !used.contains(&folder.path().join(name)));
+    report.extra.retain(|name| !used.contains(&folder.path.join(name)));
     let renamed = views.iter().filter(|(v, _)| !v.image.ends_with(v.name.as_str())).count();
     if renamed > 0 {
         report.notes.push(format!("{renamed} images were found with another extension than in the model"));
     }
     model.retain_images(|image| kept.contains(&image.id));
     report.notes.append(&mut model.notes);
-    if let Some(world) = &model.world {
-        report
-            .notes
-            .push(format!("1 unit of the model is {:.6} m ({})", world.metres_per_unit, world.source));
-    }
+    let metres = |w: &World| format!("1 unit of the model is {:.6} m ({})", w.metres_per_unit, w.source);
+    report.notes.extend(model.world.as_ref().map(metres));
 
     let infos: Vec<ImageInfo> =
         views.par_iter().map(|(view, _)| image_info(&view.image)).collect::<Result<_, _>>()?;
@@ -209,11 +193,8 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
     report.depth_priors = views.iter().filter(|v| v.depth_prior.is_some()).count();
 
     let points = sparse_points(&model.points, &frame);
-    let beyond = points
-        .iter()
-        .zip(&model.points)
-        .find(|(p, _)| p.position.to_array().iter().any(|v| !fits_single(*v)));
-    if let Some((point, of)) = beyond {
+    let fits = |p: &SparsePoint| p.position.to_array().into_iter().all(fits_single);
+    if let Some((point, of)) = points.iter().zip(&model.points).find(|(p, _)| !fits(p)) {
         let reason = format!(
             "point {} lies at {:?} after the scene is scaled by {:e}: too far for single precision; remove \
              it from the model, or set `normalise = false`",

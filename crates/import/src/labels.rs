@@ -11,7 +11,7 @@ use use3d_capture::FileName;
 use use3d_survey::Survey;
 
 use crate::error::ImportError;
-use crate::folder::{IMAGE_EXTENSIONS, SourceFolder, may_hold_photographs};
+use crate::folder::{IMAGE_EXTENSIONS, SourceFolder, last_part, may_hold_photographs};
 
 /// The outcome for one label.
 enum Fit {
@@ -38,38 +38,32 @@ impl Photographs {
         let mut by_stem: BTreeMap<String, Vec<String>> = BTreeMap::new();
         let mut allowed: BTreeMap<String, bool> = BTreeMap::new();
         for path in folder.images() {
-            let (first, last) = (path.split_once('/'), path.rsplit('/').next().unwrap_or(&path));
-            let usable = first.is_none_or(|(first, _)| {
+            let usable = path.split_once('/').is_none_or(|(first, _)| {
                 let known = allowed.entry(first.into());
-                *known.or_insert_with(|| may_hold_photographs(folder.path(), first))
+                *known.or_insert_with(|| may_hold_photographs(&folder.path, first))
             });
             if usable {
-                by_stem.entry(stem(last).to_lowercase()).or_default().push(path.clone());
+                by_stem.entry(stem(last_part(&path)).to_lowercase()).or_default().push(path);
             }
         }
         Self { by_stem }
     }
 
     fn fit(&self, label: &str) -> Fit {
-        let last = label.rsplit('/').next().unwrap_or(label);
-        let none = Vec::new();
-        let whole = self.by_stem.get(&last.to_lowercase()).unwrap_or(&none);
-        let stemmed = match stem(last) {
-            shorter if shorter.len() < last.len() => {
-                self.by_stem.get(&shorter.to_lowercase()).unwrap_or(&none)
-            }
-            _ => &none,
-        };
+        let last = last_part(label);
+        let mut stems = vec![last.to_lowercase(), stem(last).to_lowercase()];
+        stems.dedup();
         let alike = |path: &str| {
             let folders = |text: &str| -> Vec<String> {
                 text.to_lowercase().rsplit('/').skip(1).map(String::from).collect()
             };
             let shared = folders(path).iter().zip(&folders(label)).take_while(|(a, b)| a == b).count();
-            let file = path.rsplit('/').next().unwrap_or(path);
+            let file = last_part(path);
             // Folders first, then the same file name, then the same one but for case.
             (shared, file == last, file.eq_ignore_ascii_case(last), stem(file) == stem(last))
         };
-        let mut fitting: Vec<&String> = whole.iter().chain(stemmed).collect();
+        let mut fitting: Vec<&String> =
+            stems.iter().filter_map(|stem| self.by_stem.get(stem)).flatten().collect();
         fitting.sort_by_key(|path| std::cmp::Reverse(alike(path)));
         match fitting.as_slice() {
             [] => Fit::None,
@@ -85,7 +79,7 @@ impl Photographs {
 pub(crate) fn photographs(labels: &[&FileName], folder: &SourceFolder) -> BTreeMap<FileName, PathBuf> {
     let photographs = Photographs::of(folder);
     let found = labels.iter().filter_map(|label| match photographs.fit(label) {
-        Fit::One(path) => Some(((*label).clone(), folder.path().join(path))),
+        Fit::One(path) => Some(((*label).clone(), folder.path.join(path))),
         Fit::None | Fit::Several(..) => None,
     });
     found.collect()
@@ -104,7 +98,7 @@ pub(crate) fn count(survey: &Survey, folder: &SourceFolder) -> usize {
 pub(crate) fn resolve(survey: &mut Survey, folder: &SourceFolder) -> Result<(), ImportError> {
     let photographs = Photographs::of(folder);
     let fail = |reason: String| {
-        let (path, looked) = (folder.path().to_path_buf(), folder.relative.clone());
+        let (path, looked) = (folder.path.clone(), folder.relative.clone());
         Err(ImportError::NoImages { path, reason, looked })
     };
     let mut taken = BTreeSet::new();
@@ -135,7 +129,7 @@ mod tests {
     fn fit(files: &[&str], label: &str) -> String {
         let mut by_stem: BTreeMap<String, Vec<String>> = BTreeMap::new();
         for file in files {
-            let key = stem(file.rsplit('/').next().unwrap()).to_lowercase();
+            let key = stem(last_part(file)).to_lowercase();
             by_stem.entry(key).or_default().push((*file).into());
         }
         match (Photographs { by_stem }).fit(label) {

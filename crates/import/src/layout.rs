@@ -2,11 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
-use use3d_io_colmap::{ModelError, ModelForm, count_images, form_of};
+use use3d_io_colmap::{ModelError, ModelForm, form_of};
 use use3d_survey::Survey;
 
 use crate::error::ImportError;
-use crate::folder::{DEPTH_DIRS, IMAGE_DIRS, SourceFolder, is_prepared, subfolders};
+use crate::folder::{DEPTH_DIRS, IMAGE_DIRS, SourceFolder, any_has, is_prepared, names_in, subfolders};
 use crate::formats::{FORMATS, Format, ReadModel};
 use crate::labels;
 use crate::params::ImportParams;
@@ -83,14 +83,8 @@ fn colmap_places(root: &Path) -> Vec<String> {
 pub(crate) fn find_colmap(root: &Path) -> Result<Vec<FoundModel>, ImportError> {
     let mut found: Vec<FoundModel> = Vec::new();
     for relative in &colmap_places(root) {
-        let dir = root.join(relative);
-        if found.iter().any(|f| f.relative == *relative) {
-            continue;
-        }
-        if let Some(form) = ModelForm::of(&dir) {
-            let images = count_images(&dir, form)?;
-            let (relative, form) = (relative.clone(), form.to_string());
-            found.push(FoundModel { format: &FORMATS[0], relative, path: dir, form, images });
+        if found.iter().all(|f| f.relative != *relative) {
+            found.extend((FORMATS[0].at)(root, relative)?);
         }
     }
     // A stable sort keeps the order of places among equals.
@@ -107,22 +101,10 @@ pub fn check_layout(root: &Path) -> Result<(), ImportError> {
     find_models(root, &ImportParams::default()).map(|_| ())
 }
 
-/// The names in a folder.
-fn names_in(root: &Path) -> Vec<String> {
-    let entries = std::fs::read_dir(root);
-    entries
-        .map_or_else(|_| Vec::new(), |e| e.filter_map(|e| e.ok()?.file_name().into_string().ok()).collect())
-}
-
-fn ends(names: &[String], extensions: &[&str]) -> bool {
-    let of = |n: &String| Path::new(n).extension().map(|e| e.to_string_lossy().to_lowercase());
-    names.iter().any(|n| of(n).is_some_and(|e| extensions.contains(&e.as_str())))
-}
-
 /// True if a folder, or its image folder, has photographs.
 fn holds_pictures(root: &Path, names: &[String]) -> bool {
     const PHOTOGRAPHS: [&str; 5] = ["png", "jpg", "jpeg", "tif", "tiff"];
-    ends(names, &PHOTOGRAPHS) || IMAGE_DIRS.iter().any(|name| root.join(name).is_dir())
+    any_has(names, &PHOTOGRAPHS) || IMAGE_DIRS.iter().any(|name| root.join(name).is_dir())
 }
 
 /// A model in the folder above.
@@ -135,14 +117,17 @@ fn has_usual_model(folder: &Path) -> bool {
     ["sparse/0", "sparse", "colmap/sparse/0"].iter().any(|d| ModelForm::of(&folder.join(d)).is_some())
 }
 
+/// True if these are the names of a scene's files.
+fn is_scene(names: &[String]) -> bool {
+    ["scene.json", "gaussians.ply"].iter().all(|file| names.iter().any(|name| name == file))
+}
+
 /// True if a folder has no sign of a model: no model here, above or in its folders, no project of another
 /// program, and no scene.
 pub fn holds_no_model(root: &Path) -> bool {
-    let names = names_in(root);
-    let has = |name: &str| names.iter().any(|n| n == name);
+    let names = names_in(root, |_| true);
     let project = FORMATS[1..].iter().any(|format| (format.instead)(&names).is_some());
-    let scene = has("scene.json") && has("gaussians.ply");
-    if project || scene || is_prepared(root) || model_above(root).is_some() {
+    if project || is_scene(&names) || is_prepared(root) || model_above(root).is_some() {
         return false;
     }
     let inside = subfolders(root).iter().any(|name| has_usual_model(&root.join(name)));
@@ -151,24 +136,20 @@ pub fn holds_no_model(root: &Path) -> bool {
 
 /// The remedy for a folder without a model, depending on its content.
 fn instead_of_a_model(root: &Path) -> String {
-    let names = names_in(root);
-    let has = |name: &str| names.iter().any(|n| n == name);
+    let names = names_in(root, |_| true);
     // A message names this many entries of a list.
     const SHOWN: usize = 3;
     if let Some(parent) = model_above(root) {
         return format!("the parent folder contains a model: did you mean {}?", parent.display());
     }
-    if has("scene.json") && has("gaussians.ply") {
+    if is_scene(&names) {
         return "this is a scene; give the capture that it was made from".into();
     }
     if let Some(hint) = FORMATS.iter().rev().find_map(|format| (format.instead)(&names)) {
         return hint.into();
     }
-    let holding: Vec<String> = subfolders(root)
-        .into_iter()
-        .filter(|name| has_usual_model(&root.join(name)))
-        .take(SHOWN + 1)
-        .collect();
+    let mut holding = subfolders(root);
+    holding.retain(|name| has_usual_model(&root.join(name)));
     if let Some(first) = holding.first() {
         let more = if holding.len() > SHOWN { ", …" } else { "" };
         let shown = holding[..holding.len().min(SHOWN)].join(", ");
@@ -212,40 +193,36 @@ pub(crate) fn find_images(
         return fail(&format!("there is no image folder; name yours with {set}"), looked);
     }
     for folder in &folders {
-        std::fs::read_dir(folder.path()).map_err(ImportError::file(&root.join(&folder.relative)))?;
+        std::fs::read_dir(&folder.path).map_err(ImportError::file(&root.join(&folder.relative)))?;
     }
-    let mut best: Option<(usize, &SourceFolder)> = None;
+    let (mut most, mut best) = (0, None);
     for folder in &folders {
         let count = match model.labels {
             true => labels::count(&model.survey, folder),
             false => count_named(&model.survey, folder)?,
         };
-        if best.is_none_or(|(most, _)| count > most) {
-            best = Some((count, folder));
+        if count > most {
+            (most, best) = (count, Some(folder));
         }
     }
-    match best {
-        Some((count, folder)) if count > 0 => {
-            // The capture's folder itself is above the others.
-            let others = folders.iter().filter(|f| f.path() != folder.path() && f.relative != ".");
-            let others = others.map(|f| f.relative.clone()).collect();
-            if model.labels {
-                labels::resolve(&mut model.survey, folder)?;
+    let Some(folder) = best else {
+        let wanted = model.survey.images.first().map_or("", |i| i.name.as_str());
+        let remedy = match folders.iter().find_map(|f| unread(&f.path)) {
+            Some(format) => {
+                format!("its {format} images are not read: convert them to PNG under the same names")
             }
-            Ok((folder.clone(), others))
-        }
-        _ => {
-            let wanted = model.survey.images.first().map_or("", |i| i.name.as_str());
-            let mut why = format!("none of the model's images ({wanted:?}, …) is in the image folder");
-            match folders.iter().find_map(|f| unread(f.path())) {
-                Some(format) => why.push_str(&format!(
-                    "; its {format} images are not read: convert them to PNG under the same names"
-                )),
-                None => why.push_str(&format!("; name the right one with {set}")),
-            }
-            fail(&why, looked)
-        }
+            None => format!("name the right one with {set}"),
+        };
+        let why = format!("none of the model's images ({wanted:?}, …) is in the image folder; {remedy}");
+        return fail(&why, looked);
+    };
+    // The capture's folder itself is above the others.
+    let others = folders.iter().filter(|f| f.path != folder.path && f.relative != ".");
+    let others = others.map(|f| f.relative.clone()).collect();
+    if model.labels {
+        labels::resolve(&mut model.survey, folder)?;
     }
+    Ok((folder.clone(), others))
 }
 
 /// The number of a survey's images that a folder holds under their own names.
@@ -277,16 +254,14 @@ pub(crate) fn find_extra(
     field: &'static str,
     defaults: &[&str],
 ) -> Result<Option<SourceFolder>, ImportError> {
-    match asked {
-        None => Ok(defaults.iter().find_map(|dir| SourceFolder::open_own(root, dir))),
-        Some(dir) => match SourceFolder::open_own(root, dir) {
-            Some(folder) => Ok(Some(folder)),
-            None => {
-                let reason = format!("there is no folder {}", root.join(dir).display());
-                Err(ImportError::Parameter { field, reason })
-            }
-        },
-    }
+    let Some(dir) = asked else {
+        return Ok(defaults.iter().find_map(|dir| SourceFolder::open_own(root, dir)));
+    };
+    let found = SourceFolder::open_own(root, dir).ok_or_else(|| {
+        let reason = format!("there is no folder {}", root.join(dir).display());
+        ImportError::Parameter { field, reason }
+    });
+    found.map(Some)
 }
 
 /// True if a capture folder has a folder of depth priors: the one that the parameters name, or one of the

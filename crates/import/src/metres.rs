@@ -21,12 +21,12 @@ use use3d_capture::World;
 use use3d_io_image::{GpsPosition, image_size, read_exif};
 use use3d_numerics::math;
 use use3d_survey::{
-    EarthPlace, Mark, Marker, PosedImage, PositionsFit, ScaleBar, Survey, TextRow, TextTable, fit_depths,
-    fit_positions, read_at_most,
+    EarthPlace, Mark, Marker, PosedImage, PositionsFit, ReadError, ScaleBar, Survey, TextRow, TextTable,
+    fit_depths, fit_positions, read_at_most,
 };
 
 use crate::error::ImportError;
-use crate::folder::SourceFolder;
+use crate::folder::{SourceFolder, last_part};
 
 const LENGTHS: &str = "lengths.csv";
 const POSITIONS: &str = "positions.csv";
@@ -40,6 +40,14 @@ const CERTAIN: f64 = 0.1;
 
 /// Marks farther from their marker than this share of the image's longer side are wrong.
 const MISPLACED: f64 = 0.03;
+
+/// The world by a source of metres, or a note on the reason why it gives none.
+type FoundWorld = Result<World, String>;
+
+/// Adds the note of a source that gives no world to the others.
+fn kept(found: FoundWorld, notes: &mut Vec<String>) -> Option<World> {
+    found.map_err(|note| notes.push(note)).ok()
+}
 
 /// A table beside the photographs.
 struct MetresTable {
@@ -55,18 +63,18 @@ impl MetresTable {
             return Ok(None);
         }
         let bytes = read_at_most(&path, LARGEST, "keep the rows of this capture alone")?;
-        let fail = |line, reason| ImportError::Table { path: path.clone(), line, reason };
+        let fail = |line: usize, reason: String| ReadError::broken(&path, format!("line {line}"), reason);
         let table = TextTable::parse(&bytes, "#").map_err(|(line, reason)| fail(line, reason))?;
         if let Some(missing) = needed.iter().find(|name| table.column(&[name]).is_none()) {
             let expected = needed.join(",");
             let reason = format!("there is no column `{missing}`; expected this line to be {expected}");
-            return Err(fail(table.first_line, reason));
+            return Err(fail(table.first_line, reason).into());
         }
         Ok(Some(Self { path, table }))
     }
 
     fn fail(&self, row: &TextRow, reason: &str) -> ImportError {
-        ImportError::Table { path: self.path.clone(), line: row.line, reason: reason.into() }
+        ReadError::broken(&self.path, format!("line {}", row.line), reason).into()
     }
 
     fn text<'a>(&self, row: &'a TextRow, name: &str) -> Result<&'a str, ImportError> {
@@ -94,7 +102,7 @@ impl<'a> Names<'a> {
         let mut names: BTreeMap<String, Vec<&PosedImage>> = BTreeMap::new();
         for image in &survey.images {
             let whole = image.name.as_str().to_lowercase();
-            let file = whole.rsplit('/').next().unwrap_or(&whole).to_string();
+            let file = last_part(&whole).to_string();
             let stem = use3d_capture::stem(&file).to_string();
             let mut forms = vec![whole, file, stem];
             forms.dedup();
@@ -107,7 +115,7 @@ impl<'a> Names<'a> {
 
     fn find(&self, name: &str) -> Option<&'a PosedImage> {
         let name = name.replace('\\', "/").to_lowercase();
-        let file = name.rsplit('/').next().unwrap_or(&name);
+        let file = last_part(&name);
         let forms = [name.as_str(), file, use3d_capture::stem(file)];
         forms.iter().find_map(|form| match self.0.get(*form).map(Vec::as_slice) {
             Some(&[one]) => Some(one),
@@ -130,15 +138,18 @@ pub(crate) fn read(
         MetresTable::read(dir, LENGTHS, &["length", "metres", "image", "x1", "y1", "x2", "y2"])?
     {
         files.push(LENGTHS.into());
-        found.extend(lengths(&table, images, survey, (&mut markers, &mut bars), &mut notes)?);
+        let world = lengths(&table, images, survey, (&mut markers, &mut bars), &mut notes)?;
+        found.extend(kept(world, &mut notes));
     }
     if let Some(table) = MetresTable::read(dir, POSITIONS, &["image", "x", "y", "z"])? {
         files.push(POSITIONS.into());
-        found.extend(positions(&table, survey, &mut notes)?);
+        let world = positions(&table, survey, &mut notes)?;
+        found.extend(kept(world, &mut notes));
     }
     if let Some(table) = MetresTable::read(dir, DEPTHS, &["image", "depth"])? {
         files.push(DEPTHS.into());
-        found.extend(depths(&table, survey, &mut notes)?);
+        let world = depths(&table, survey, &mut notes)?;
+        found.extend(kept(world, &mut notes));
     }
     notes.extend(unread_tables(dir, images));
     survey.markers.append(&mut markers);
@@ -165,7 +176,7 @@ pub(crate) fn read(
 /// A remark on each file that is meant as a table and is not read: in another folder, or under another name.
 fn unread_tables(dir: &Path, images: &SourceFolder) -> Vec<String> {
     let mut remarks = Vec::new();
-    for folder in [dir, images.path()] {
+    for folder in [dir, &images.path] {
         for entry in std::fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok) {
             let name = entry.file_name().to_string_lossy().into_owned();
             let table = [LENGTHS, POSITIONS, DEPTHS].into_iter().find(|table| {
@@ -194,7 +205,7 @@ fn lengths(
     survey: &Survey,
     (markers, bars): (&mut Vec<Marker>, &mut Vec<ScaleBar>),
     notes: &mut Vec<String>,
-) -> Result<Option<World>, ImportError> {
+) -> Result<FoundWorld, ImportError> {
     let names = Names::of(survey);
     let first = survey.markers.iter().map(|m| m.id).max().map_or(0, |id| id.saturating_add(1));
     let mut known: BTreeMap<&str, (usize, f64)> = BTreeMap::new();
@@ -245,31 +256,28 @@ fn lengths(
         ..Survey::default()
     };
     let Some((metres, worst, label)) = measured.metres_by_scale_bars() else {
-        notes.push(format!(
+        return Ok(Err(format!(
             "{LENGTHS} gives no metres: mark both ends of a length in two photographs at least, from different places"
-        ));
-        return Ok(None);
+        )));
     };
     if let Some((label, image, pixels)) = misplaced_mark(&measured) {
-        notes.push(format!(
+        return Ok(Err(format!(
             "{LENGTHS} does not give the metres: the end `{label}` in {image} is {} where the other photographs put it; \
              look for swapped ends and wrong pixels there",
             if pixels.is_finite() { format!("{pixels:.0} pixels away from") } else { "not".into() }
-        ));
-        return Ok(None);
+        )));
     }
     if worst > CERTAIN {
-        notes.push(format!(
+        return Ok(Err(format!(
             "{LENGTHS} does not give the metres: its lengths disagree, and `{label}` is off by {:.0} % of their mean; \
              look for a wrong length, or for ends that are swapped in one photograph",
             100.0 * worst
-        ));
-        return Ok(None);
+        )));
     }
     if worst > AGREE {
         notes.push(format!("the lengths in {LENGTHS} disagree by up to {:.1} % (`{label}`)", 100.0 * worst));
     }
-    Ok(Some(World::scaled(metres, format!("the measured lengths in {LENGTHS}"))))
+    Ok(Ok(World::scaled(metres, format!("the measured lengths in {LENGTHS}"))))
 }
 
 /// The mark that is farthest from its marker, if it is absurdly far: the marker's label, the image, and
@@ -327,12 +335,12 @@ fn positions(
     table: &MetresTable,
     survey: &Survey,
     notes: &mut Vec<String>,
-) -> Result<Option<World>, ImportError> {
+) -> Result<FoundWorld, ImportError> {
     let Centres { pairs, names, unknown } = centres(table, survey, |row| {
         Ok(DVec3::new(table.number(row, "x")?, table.number(row, "y")?, table.number(row, "z")?))
     })?;
     let lacking = if unknown > 0 { format!(", {unknown} others have no camera") } else { String::new() };
-    match fit_positions(&pairs, format!("the positions in {POSITIONS}")) {
+    Ok(match fit_positions(&pairs, format!("the positions in {POSITIONS}")) {
         Some(PositionsFit { world, left, error }) if error > CERTAIN => {
             let off = |(at, metres): &(DVec3, DVec3)| {
                 DVec3::from_array(world.apply(at.to_array())).distance(*metres)
@@ -340,67 +348,50 @@ fn positions(
             let worst = pairs.iter().map(off).fold(0.0, f64::max);
             let farthest = pairs.iter().zip(&names).find(|(pair, _)| off(pair) == worst);
             let name = farthest.map_or("", |(_, name)| name);
-            notes.push(format!(
+            Err(format!(
                 "{POSITIONS} does not give the metres: its positions fit the cameras to {left:.3} m only, so the metres \
                  would be off by {:.0} %; {name} is farthest off, by {worst:.3} m",
                 100.0 * error
-            ));
-            Ok(None)
+            ))
         }
         Some(PositionsFit { world, left, .. }) => {
-            notes.push(format!(
-                "{} positions in {POSITIONS} fit the cameras to {left:.3} m{lacking}",
-                pairs.len()
-            ));
-            Ok(Some(world))
+            let count = pairs.len();
+            notes.push(format!("{count} positions in {POSITIONS} fit the cameras to {left:.3} m{lacking}"));
+            Ok(world)
         }
-        None => {
-            notes.push(format!(
-                "{POSITIONS} gives no metres: {} of its images have a camera{lacking}; expected three or more that are \
-                 not on one line",
-                pairs.len()
-            ));
-            Ok(None)
-        }
-    }
+        None => Err(format!(
+            "{POSITIONS} gives no metres: {} of its images have a camera{lacking}; expected three or more that are not \
+             on one line",
+            pairs.len()
+        )),
+    })
 }
 
-fn depths(
-    table: &MetresTable,
-    survey: &Survey,
-    notes: &mut Vec<String>,
-) -> Result<Option<World>, ImportError> {
+fn depths(table: &MetresTable, survey: &Survey, notes: &mut Vec<String>) -> Result<FoundWorld, ImportError> {
     let Centres { mut pairs, .. } = centres(table, survey, |row| table.number(row, "depth"))?;
     if pairs.iter().all(|(_, depth)| *depth <= 0.0) && pairs.iter().any(|(_, depth)| *depth < 0.0) {
         pairs.iter_mut().for_each(|(_, depth)| *depth = -*depth);
         notes.push(format!("the depths in {DEPTHS} are negative; they count as metres below the surface"));
     }
     let remedy = "swim at different depths, or measure a length";
-    match fit_depths(&pairs, format!("the depths in {DEPTHS}")) {
+    Ok(match fit_depths(&pairs, format!("the depths in {DEPTHS}")) {
         Some((world, error)) if error <= CERTAIN => {
+            let (count, percent) = (pairs.len(), 100.0 * error);
             notes.push(format!(
-                "{} depths in {DEPTHS} give the metres to {:.1} %, one standard error",
-                pairs.len(),
-                100.0 * error
+                "{count} depths in {DEPTHS} give the metres to {percent:.1} %, one standard error"
             ));
-            Ok(Some(world))
+            Ok(world)
         }
-        Some((_, error)) => {
-            notes.push(format!(
-                "{DEPTHS} does not give the metres: they would be off by {:.0} %; {remedy}",
-                100.0 * error
-            ));
-            Ok(None)
-        }
-        None => {
-            notes.push(format!(
-                "{DEPTHS} gives no metres: {} of its images have a camera; expected five or more that are not in one \
-                 plane; {remedy}",
-                pairs.len()
-            ));
-            Ok(None)
-        }
-    }
+        Some((_, error)) => Err(format!(
+            "{DEPTHS} does not give the metres: they would be off by {:.0} %; {remedy}",
+            100.0 * error
+        )),
+        None => Err(format!(
+            "{DEPTHS} gives no metres: {} of its images have a camera; expected five or more that are not in one plane; \
+             {remedy}",
+            pairs.len()
+        )),
+    })
 }
 
 /// Metres by the GPS positions in the photographs themselves. If the first and the last photograph have none,
@@ -425,16 +416,20 @@ fn gps(
     for image in photographs.iter().filter(|_| any) {
         found.extend(place(image)?.map(|gps| (image.pose().center(), gps)));
     }
+    if found.is_empty() {
+        return Ok(None);
+    }
+    let world = by_gps(&found, notes);
+    Ok(kept(world, notes))
+}
+
+fn by_gps(found: &[(DVec3, GpsPosition)], notes: &mut Vec<String>) -> FoundWorld {
     let places = found.iter().filter_map(|(at, gps)| {
         Some((*at, EarthPlace { latitude: gps.latitude, longitude: gps.longitude, altitude: gps.altitude? }))
     });
     let places: Vec<(DVec3, EarthPlace)> = places.collect();
     let Some(&(_, first)) = places.first() else {
-        if !found.is_empty() {
-            notes
-                .push("the GPS positions of the photographs have no altitude, so they give no metres".into());
-        }
-        return Ok(None);
+        return Err("the GPS positions of the photographs have no altitude, so they give no metres".into());
     };
     let pairs: Vec<(DVec3, DVec3)> = places.iter().map(|(at, place)| (*at, first.metres_to(place))).collect();
     let remedy = "measure a length";
@@ -442,26 +437,22 @@ fn gps(
         "the photographs' GPS positions: metres east, north and up of latitude {:.7}, longitude {:.7}, altitude {:.2} m",
         first.latitude, first.longitude, first.altitude
     );
+    let count = pairs.len();
     let Some(PositionsFit { world, left, error }) = fit_positions(&pairs, source) else {
-        notes.push(format!(
-            "the GPS positions of {} photographs give no metres: expected three or more that are not on one line; {remedy}",
-            pairs.len()
+        return Err(format!(
+            "the GPS positions of {count} photographs give no metres: expected three or more that are not on one line; \
+             {remedy}"
         ));
-        return Ok(None);
     };
+    let percent = 100.0 * error;
     if error > CERTAIN {
-        notes.push(format!(
-            "the GPS positions of {} photographs do not give the metres: they would be off by {:.0} %; {remedy}",
-            pairs.len(),
-            100.0 * error
+        return Err(format!(
+            "the GPS positions of {count} photographs do not give the metres: they would be off by {percent:.0} %; {remedy}"
         ));
-        return Ok(None);
     }
     notes.push(format!(
-        "the GPS positions of {} photographs fit the cameras to {left:.2} m and give the metres to {:.1} %, one standard \
-         error",
-        pairs.len(),
-        100.0 * error
+        "the GPS positions of {count} photographs fit the cameras to {left:.2} m and give the metres to {percent:.1} %, \
+         one standard error"
     ));
-    Ok(Some(world))
+    Ok(world)
 }

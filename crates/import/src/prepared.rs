@@ -59,12 +59,8 @@ struct ViewEntry {
     image: FileName,
     mask: Option<FileName>,
     depth_prior: Option<FileName>,
-    width: usize,
-    height: usize,
-    fx: f64,
-    fy: f64,
-    cx: f64,
-    cy: f64,
+    #[serde(flatten)]
+    intrinsics: Intrinsics,
     rotation: [f64; 9],
     translation: [f64; 3],
 }
@@ -94,19 +90,14 @@ pub(crate) fn save(
         FileName::new(below).map_err(|e| bad(e.to_string()))
     };
     let entry = |v: &View| {
-        let (k, pose) = (&v.camera.intrinsics, &v.camera.pose);
+        let Camera { intrinsics, pose } = v.camera;
         Ok(ViewEntry {
             name: v.name.clone(),
             id: v.id,
             image: relative(&v.image)?,
             mask: v.mask.as_ref().map(relative).transpose()?,
             depth_prior: v.depth_prior.as_ref().map(relative).transpose()?,
-            width: k.width,
-            height: k.height,
-            fx: k.fx,
-            fy: k.fy,
-            cx: k.cx,
-            cy: k.cy,
+            intrinsics,
             rotation: row_major(&pose.rotation),
             translation: pose.translation.to_array(),
         })
@@ -167,7 +158,7 @@ pub struct Extent {
 pub fn prepared_extent(dir: &Path) -> Result<Extent, ImportError> {
     let manifest = manifest(dir)?;
     Ok(Extent {
-        sizes: manifest.views.iter().map(|v| (v.width, v.height)).collect(),
+        sizes: manifest.views.iter().map(|v| (v.intrinsics.width, v.intrinsics.height)).collect(),
         train: manifest.train,
         points: manifest.report.points,
     })
@@ -205,8 +196,7 @@ pub fn load_prepared(dir: &Path) -> Result<Imported, ImportError> {
         if let Some(first) = results.insert(v.name.flat_stem(), &v.name) {
             return Err(bad(format!("the results of its views {first} and {} would have one name", v.name)));
         }
-        let intrinsics =
-            Intrinsics { width: v.width, height: v.height, fx: v.fx, fy: v.fy, cx: v.cx, cy: v.cy };
+        let intrinsics = v.intrinsics;
         let pose =
             Pose { rotation: from_row_major(&v.rotation), translation: DVec3::from_array(v.translation) };
         let camera = Camera { intrinsics, pose };

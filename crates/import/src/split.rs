@@ -7,6 +7,7 @@ use std::path::Path;
 use use3d_capture::{Split, View, stem};
 
 use crate::error::ImportError;
+use crate::folder::last_part;
 use crate::params::{SplitOrder, SplitParams};
 
 /// The split, with a text on the rule by which it was made.
@@ -64,7 +65,7 @@ impl List {
             return Ok(None);
         }
         let bytes = std::fs::read(path).map_err(ImportError::file(path))?;
-        let text = String::from_utf8(bytes).map_err(|_| ImportError::SplitList {
+        let text = String::from_utf8(bytes).map_err(|_| ImportError::List {
             path: path.to_path_buf(),
             reason: "it is not UTF-8 text; expected one image name per line".into(),
         })?;
@@ -87,23 +88,16 @@ impl List {
         skipped: &[String],
         notes: &mut Vec<String>,
     ) -> Result<Vec<usize>, ImportError> {
-        fn last(name: &str) -> &str {
-            name.rsplit('/').next().unwrap_or(name)
-        }
-        let keys: [fn(&str) -> &str; 4] = [|n| n, stem, last, |n| stem(last(n))];
+        let keys: [fn(&str) -> &str; 4] = [|n| n, stem, last_part, |n| stem(last_part(n))];
         // A key that two views share identifies neither of them.
-        let tables: Vec<BTreeMap<&str, Option<usize>>> = keys
-            .iter()
-            .map(|key| {
-                let mut table = BTreeMap::new();
-                for (i, view) in views.iter().enumerate() {
-                    table.entry(key(&view.name)).and_modify(|v| *v = None).or_insert(Some(i));
-                }
-                table
-            })
-            .collect();
-        let mut indices = Vec::new();
-        let mut unknown = Vec::new();
+        let tables = keys.map(|key| {
+            let mut table: BTreeMap<&str, Option<usize>> = BTreeMap::new();
+            for (i, view) in views.iter().enumerate() {
+                table.entry(key(&view.name)).and_modify(|v| *v = None).or_insert(Some(i));
+            }
+            table
+        });
+        let (mut indices, mut unknown) = (Vec::new(), Vec::new());
         for name in &self.names {
             let found =
                 keys.iter().zip(&tables).find_map(|(key, table)| table.get(key(name)).copied().flatten());
@@ -113,14 +107,12 @@ impl List {
             }
         }
         if indices.is_empty() && !self.names.is_empty() {
-            return Err(ImportError::SplitList {
-                path: self.file.clone(),
-                reason: format!(
-                    "none of its {} names is an image of this capture (the first is {:?}); expected one image name per line",
-                    self.names.len(),
-                    self.names[0]
-                ),
-            });
+            let reason = format!(
+                "none of its {} names is an image of this capture (the first is {:?}); expected one image name per line",
+                self.names.len(),
+                self.names[0]
+            );
+            return Err(ImportError::List { path: self.file.clone(), reason });
         }
         if !unknown.is_empty() {
             let missing = unknown.iter().filter(|n| skipped.iter().any(|s| s == *n)).count();
@@ -155,12 +147,10 @@ fn from_lists(
         (None, None) => Split::default(),
     };
     if let Some(&both) = split.train.iter().find(|i| split.test.binary_search(i).is_ok()) {
-        return Err(ImportError::SplitList {
+        let name = &views[both].name;
+        return Err(ImportError::List {
             path: test.map(|t| t.file.clone()).unwrap_or_default(),
-            reason: format!(
-                "{:?} is in train_list.txt too; a view can be in one of them only",
-                views[both].name
-            ),
+            reason: format!("{name:?} is in train_list.txt too; a view can be in one of them only"),
         });
     }
     let unused = views.len() - split.train.len() - split.test.len();

@@ -194,8 +194,8 @@ fn missing_images_are_skipped_and_said() {
     assert_eq!(imported.capture.frame, before.capture.frame, "the frame is that of all registered images");
     // The prepared model is consistent.
     let prepared = prepare_all(&imported, &fixture.path("out"));
-    let kept: Vec<u32> = prepared.model().images.iter().map(|i| i.id).collect();
-    assert!(prepared.model().points[0].track.iter().all(|(id, _)| kept.contains(id)));
+    let kept: Vec<u32> = prepared.model.images.iter().map(|i| i.id).collect();
+    assert!(prepared.model.points[0].track.iter().all(|(id, _)| kept.contains(id)));
     for name in &fixture.names {
         let _ = std::fs::remove_file(fixture.path("images").join(name));
     }
@@ -310,7 +310,7 @@ fn resizing_moves_pixels_masks_depths_and_keypoints_together() {
     assert_eq!(depth.pixel(5, 3), [0.0]);
     assert!((depth.pixel(5, 30)[0] - (0.2 + 0.01 * 15.0)).abs() < 1e-6, "{:?}", depth.pixel(5, 30));
     assert!(load_mask(&prepared.capture.views[1]).unwrap().is_none());
-    let keypoint = prepared.model().images[0].keypoints[0];
+    let keypoint = prepared.model.images[0].keypoints[0];
     assert_eq!((keypoint.x, keypoint.y, keypoint.point), (30.0 / 2.0 - 10.0, 10.0, 5));
     // The result in memory equals the one from disk.
     let direct = imported.view(0).unwrap();
@@ -480,7 +480,7 @@ fn stems_that_collide_and_cameras_of_two_sizes_are_kept_apart() {
     let prepared = prepare_all(&imported, &fixture.path("out"));
     let names: Vec<&str> = prepared.capture.views.iter().map(|v| v.name.as_str()).collect();
     assert_eq!(names[..2], ["a.png", "a.tif.png"]);
-    assert_eq!(prepared.model().cameras.len(), 2);
+    assert_eq!(prepared.model.cameras.len(), 2);
     let loaded = load_prepared(&fixture.path("out")).unwrap();
     assert_eq!(loaded.capture.views[1].camera.intrinsics.width, 30);
     for view in &loaded.capture.views {

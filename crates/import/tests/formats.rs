@@ -156,7 +156,7 @@ fn dots_come_out_of_a_metashape_export_where_they_are_and_in_metres() {
     let report = &imported.report;
     assert_eq!((report.model.as_str(), report.image_folder.as_str()), ("cameras.xml", "photos"));
     assert_eq!((report.views, report.points, report.missing.len()), (4, 35, 0));
-    assert_eq!(imported.model_files(), [Path::new("cameras.xml"), Path::new("points.ply")]);
+    assert_eq!(imported.model_files, [Path::new("cameras.xml"), Path::new("points.ply")]);
     let said = report.to_string();
     for expected in [
         "Agisoft XML",
@@ -168,12 +168,12 @@ fn dots_come_out_of_a_metashape_export_where_they_are_and_in_metres() {
         assert!(said.contains(expected), "{said} lacks {expected}");
     }
     // The points came back from the earth's frame.
-    for (point, dot) in imported.model().points.iter().zip(dots()) {
+    for (point, dot) in imported.model.points.iter().zip(dots()) {
         assert!((DVec3::from_array(point.position) - dot).length() < 1e-8);
     }
     let prepared = hold_to_a_tenth_of_a_pixel(&imported, &dir.path().join("out"));
-    assert_eq!(prepared.model().world, imported.model().world);
-    assert_eq!(prepared.model().world.as_ref().unwrap().metres_per_unit, 2.5);
+    assert_eq!(prepared.model.world, imported.model.world);
+    assert_eq!(prepared.model.world.as_ref().unwrap().metres_per_unit, 2.5);
     assert_eq!(prepared.capture.views[2].name, "GOPR2.png");
     // The cameras alone, for drawing, are the same.
     let cameras = read_cameras(dir.path()).unwrap();
@@ -274,7 +274,7 @@ fn dots_come_out_of_a_nerfstudio_folder_where_they_are() {
     assert_eq!((report.model.as_str(), report.image_folder.as_str()), ("transforms.json", "images/dive"));
     assert_eq!((report.views, report.points, report.masks), (4, 35, 1));
     let files: Vec<&Path> = ["transforms.json", "sparse_pc.ply", "people/f0.png"].map(Path::new).to_vec();
-    assert_eq!(imported.model_files(), files);
+    assert_eq!(imported.model_files, files);
     assert!(report.to_string().contains("depth_file_path is not used"));
     let prepared = hold_to_a_tenth_of_a_pixel(&imported, &dir.path().join("out"));
     assert!(load_mask(&prepared.capture.views[0]).unwrap().is_some());
@@ -355,7 +355,7 @@ fn dots_come_out_of_a_webodm_project_where_they_are_with_their_tracks() {
     );
     assert_eq!((report.views, report.points, report.missing.len()), (4, 35, 0));
     let files = ["opensfm/reconstruction.json", "opensfm/tracks.csv"].map(Path::new);
-    assert_eq!(imported.model_files(), files);
+    assert_eq!(imported.model_files, files);
     assert!(report.to_string().contains("metres east, north and up of latitude 12.1"), "{report}");
     assert!(imported.tracks().iter().all(|track| track.sightings.len() == VIEWS as usize));
     let prepared = hold_to_a_tenth_of_a_pixel(&imported, &dir.path().join("out"));
@@ -443,8 +443,8 @@ fn dots_come_out_of_a_realityscan_export_where_they_are() {
         assert_eq!((report.model.as_str(), report.image_folder.as_str()), (model, "images"));
         assert_eq!((report.views, report.points, report.missing.len()), (4, 35, 0), "{report}");
         let first = if xmp { "images/dive/IMG_0.xmp" } else { "reef.csv" };
-        assert_eq!(imported.model_files()[0], Path::new(first));
-        assert_eq!(imported.model_files().last().unwrap(), Path::new("points.ply"));
+        assert_eq!(imported.model_files[0], Path::new(first));
+        assert_eq!(imported.model_files.last().unwrap(), Path::new("points.ply"));
         assert!(report.to_string().contains("brown3t2"), "{report}");
         let prepared = hold_to_a_tenth_of_a_pixel(&imported, &dir.path().join("out"));
         assert_eq!(prepared.capture.views[1].name, "dive/IMG_1.png");

@@ -60,14 +60,14 @@ fn golden_scene_imports_identically_from_text_and_binary() {
                     "{name} centre"
                 );
             }
-            let observed = imported.model().images.iter().find(|i| i.name == name).unwrap();
+            let observed = imported.model.images.iter().find(|i| i.name == name).unwrap();
             let count = observed.keypoints.iter().filter(|k| k.point != Keypoint::NONE).count();
             assert!(truth["observations"][name].as_u64().unwrap() as usize >= count);
         }
         both.push(imported);
     }
     let (text, binary) = (&both[0], &both[1]);
-    assert_eq!(text.model(), binary.model());
+    assert_eq!(text.model, binary.model);
     assert_eq!(text.capture.views, binary.capture.views);
     assert_eq!(text.capture.points, binary.capture.points);
     assert_eq!(text.capture.split.test, [0, 8]);

@@ -70,21 +70,21 @@ fn two_points_marked_in_photographs_give_metres_to_half_a_percent() {
     for shrink in [1, 2] {
         let dir = tempfile::tempdir().unwrap();
         project(dir.path(), shrink);
-        assert!(read(dir.path()).unwrap().model().world.is_none());
+        assert!(read(dir.path()).unwrap().model.world.is_none());
         let table = lengths(ENDS, &[1, 3, 6], shrink as f64, length);
         std::fs::write(dir.path().join("lengths.csv"), table).unwrap();
         let imported = read(dir.path()).unwrap();
-        let world = imported.model().world.clone().unwrap();
+        let world = imported.model.world.clone().unwrap();
         let off = world.metres_per_unit / METRES - 1.0;
         println!("photographs of {} pixels: off by {:.3} %", SIZE.0 / shrink, 100.0 * off);
         assert!(off.abs() < 0.005, "{off}");
         let said = imported.report.to_string();
         assert!(said.contains("1 unit of the model is 0.73") && said.contains("lengths.csv"), "{said}");
         // The table is part of the capture's content, and its metres stay with the prepared capture.
-        assert!(imported.model_files().iter().any(|f| f == Path::new("lengths.csv")));
+        assert!(imported.model_files.iter().any(|f| f == Path::new("lengths.csv")));
         let out = dir.path().join("out");
         prepare(&imported, &out, 1, &|_, _| true).unwrap();
-        assert_eq!(load_prepared(&out).unwrap().model().world, Some(world.clone()));
+        assert_eq!(load_prepared(&out).unwrap().model.world, Some(world.clone()));
         assert_eq!(prepared_world(&out).unwrap(), Some(world));
     }
 }
@@ -129,20 +129,20 @@ fn a_log_of_depths_gives_metres_and_says_how_certain_they_are() {
     let true_depth = |i: u32| METRES * down.dot(pose(i).center()) + 8.0;
     std::fs::write(dir.path().join("depths.csv"), table(0.01, &true_depth)).unwrap();
     let imported = read(dir.path()).unwrap();
-    let world = imported.model().world.clone().unwrap();
+    let world = imported.model.world.clone().unwrap();
     assert!((world.metres_per_unit / METRES - 1.0).abs() < 0.03, "{}", world.metres_per_unit);
     assert!(imported.report.to_string().contains("one standard error"), "{}", imported.report);
     // A gauge that moves by whole metres does not determine them, and nothing is claimed.
     std::fs::write(dir.path().join("depths.csv"), table(1.0, &true_depth)).unwrap();
     let imported = read(dir.path()).unwrap();
-    assert!(imported.model().world.is_none());
+    assert!(imported.model.world.is_none());
     assert!(imported.report.to_string().contains("does not give the metres"), "{}", imported.report);
     // A measured length comes first, and the difference is said.
     std::fs::write(dir.path().join("depths.csv"), table(0.01, &true_depth)).unwrap();
     let length = 1.1 * METRES * (ENDS[0] - ENDS[1]).length();
     std::fs::write(dir.path().join("lengths.csv"), lengths(ENDS, &[0, 4], 8.0, length)).unwrap();
     let imported = read(dir.path()).unwrap();
-    assert!(imported.model().world.as_ref().unwrap().source.contains("lengths.csv"));
+    assert!(imported.model.world.as_ref().unwrap().source.contains("lengths.csv"));
     assert!(imported.report.to_string().contains("the latter is used"), "{}", imported.report);
 }
 
@@ -154,7 +154,7 @@ fn tables_that_contradict_the_cameras_give_no_metres_and_name_the_photograph() {
         std::fs::write(dir.path().join(file), text).unwrap();
         let imported = read(dir.path()).unwrap();
         let said = imported.report.to_string();
-        assert!(imported.model().world.is_none(), "{said}");
+        assert!(imported.model.world.is_none(), "{said}");
         assert!(parts.iter().all(|part| said.contains(part)), "{said}");
         std::fs::remove_file(dir.path().join(file)).unwrap();
     };
@@ -191,7 +191,7 @@ fn negative_depths_are_metres_below_the_surface() {
     std::fs::write(dir.path().join("depths.csv"), table).unwrap();
     let imported = read(dir.path()).unwrap();
     assert!(imported.report.to_string().contains("depths in depths.csv are negative"), "{}", imported.report);
-    let world = imported.model().world.clone().unwrap();
+    let world = imported.model.world.unwrap();
     let height = |i: u32| world.apply(pose(i).center().to_array())[2];
     assert!((0..VIEWS).all(|i| height(i) < 0.0), "the cameras are below the surface");
 }
@@ -226,7 +226,7 @@ fn tables_that_are_wrong_say_the_line_and_what_is_expected() {
     std::fs::write(dir.path().join("lengths.csv"), format!("{header}a,1,IMG_0001.png,10,20,30,40\n"))
         .unwrap();
     let imported = read(dir.path()).unwrap();
-    assert!(imported.model().world.is_none());
+    assert!(imported.model.world.is_none());
     assert!(imported.report.to_string().contains("two photographs at least"), "{}", imported.report);
 }
 
@@ -294,14 +294,14 @@ fn gps_positions_in_photographs_give_metres_if_they_are_far_enough_apart() {
         let said = imported.report.to_string();
         match expected {
             Ok(()) => {
-                let world = imported.model().world.clone().unwrap();
+                let world = imported.model.world.clone().unwrap();
                 assert!((world.metres_per_unit / reach - 1.0).abs() < 0.03, "{world:?}");
                 assert!(
                     said.contains("GPS positions of 7 photographs fit") && said.contains("latitude 20.3"),
                     "{said}"
                 );
             }
-            Err(expected) => assert!(imported.model().world.is_none() && said.contains(expected), "{said}"),
+            Err(expected) => assert!(imported.model.world.is_none() && said.contains(expected), "{said}"),
         }
         // Positions without altitudes do not count.
         for i in 0..VIEWS {
@@ -309,7 +309,7 @@ fn gps_positions_in_photographs_give_metres_if_they_are_far_enough_apart() {
             std::fs::write(path, photograph_at(latitude, longitude + f64::from(i) * 0.001, None)).unwrap();
         }
         let flat = read(dir.path()).unwrap();
-        assert!(flat.model().world.is_none() && flat.report.to_string().contains("have no altitude"));
+        assert!(flat.model.world.is_none() && flat.report.to_string().contains("have no altitude"));
         // A measured length comes first.
         let length = (ENDS[0] - ENDS[1]).length() * METRES;
         std::fs::write(
@@ -317,7 +317,7 @@ fn gps_positions_in_photographs_give_metres_if_they_are_far_enough_apart() {
             lengths(ENDS, &[1, 3, 6], 8.0, length).replace(".png", ""),
         )
         .unwrap();
-        let world = read(dir.path()).unwrap().model().world.clone().unwrap();
+        let world = read(dir.path()).unwrap().model.world.clone().unwrap();
         assert!(
             (world.metres_per_unit / METRES - 1.0).abs() < 0.02 && world.source.contains("lengths"),
             "{world:?}"
@@ -369,7 +369,7 @@ fn a_scale_bar_of_a_metashape_project_gives_metres_to_half_a_percent() {
     );
     std::fs::write(dir.path().join("cameras.xml"), xml).unwrap();
     let imported = read(dir.path()).unwrap();
-    let world = imported.model().world.clone().unwrap();
+    let world = imported.model.world.clone().unwrap();
     let off = world.metres_per_unit / METRES - 1.0;
     println!("off by {:.3} %", 100.0 * off);
     assert!(off.abs() < 0.005 && world.source == "Metashape scale bars", "{world:?}");

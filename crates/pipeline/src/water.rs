@@ -305,7 +305,7 @@ impl WaterReport {
         let channels: Vec<ChannelReport> = (water.channels.iter().zip(names).enumerate())
             .map(|(c, (w, name))| channel(name, w, radiance(water, |p| p[c].value), frame))
             .collect();
-        let world = imported.model().world.as_ref();
+        let world = imported.model.world.as_ref();
         Self {
             format: "3d-use water",
             version: 1,

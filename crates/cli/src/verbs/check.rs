@@ -28,7 +28,7 @@ const QUALITY: u8 = 80;
 
 /// The length of one unit of a capture's model in metres, if it is known.
 fn metres(imported: &Imported) -> Option<f64> {
-    imported.model().world.as_ref().map(|world| world.metres_per_unit)
+    imported.model.world.as_ref().map(|world| world.metres_per_unit)
 }
 
 pub(crate) fn run(app: &App, args: &CheckArgs) -> Done {

@@ -123,7 +123,7 @@ fn sources(imported: &Imported) -> Vec<PathBuf> {
     let folders: Vec<PathBuf> =
         sources.iter().filter_map(|path| Some(path.parent()?.to_path_buf())).collect();
     sources.extend(folders);
-    sources.extend(imported.model_files().iter().cloned());
+    sources.extend(imported.model_files.iter().cloned());
     sources.extend(["truth", CLEAN, DEPTH, GREYS].map(PathBuf::from));
     sources.into_iter().collect()
 }

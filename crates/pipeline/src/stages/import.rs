@@ -40,7 +40,7 @@ fn files(parameters: &Value, capture: &Path) -> Result<Vec<PathBuf>, String> {
         paths.extend(files.into_iter().filter(|file| has_hidden_part(file)));
         return Ok(paths); // the whole folder, with its sights
     }
-    let mut paths = imported.model_files().to_vec();
+    let mut paths = imported.model_files.to_vec();
     let report = &imported.report;
     let masks = params.mask_dir.unwrap_or_else(|| "masks".into());
     let folders = [Some(&report.image_folder), Some(&masks), report.depth_folder.as_ref()];

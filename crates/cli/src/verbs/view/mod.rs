@@ -75,7 +75,7 @@ fn shown(app: &App, target: &Path, cameras: Option<&Path>, args: &ViewArgs) -> R
     let origin = Origin::of(&imported.capture);
     let views = scene_page::views(&scene, Some(&origin), &imported).map_err(CliError::input)?;
     let given = args.metres_per_unit.or_else(|| saved.as_ref()?.metres_per_unit);
-    let known = imported.model().world.as_ref().map(|world| world.metres_per_unit);
+    let known = imported.model.world.as_ref().map(|world| world.metres_per_unit);
     let shown = Shown::new(imported.capture.name, scene, views, None);
     Ok(Shown { metres_per_unit: given.or(known), saved, ..shown })
 }
