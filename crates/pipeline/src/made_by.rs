@@ -6,7 +6,6 @@
 //! where the stages recorded them.
 
 use std::collections::BTreeMap;
-use std::path::Path;
 
 use serde_json::{Value, json};
 use use3d_atc::calibrator::{METHOD_PAIRS, Provenance};
@@ -15,7 +14,7 @@ use use3d_import::load_prepared;
 use use3d_workflow::Summary;
 use use3d_workflow::run::RanNode;
 
-use crate::config::preset_values;
+use crate::config::{join, preset_values};
 use crate::judge::configuration::Configuration;
 use crate::stages::{CALIBRATED, CHOICES, Choices, read_json, registry};
 
@@ -24,15 +23,14 @@ const COMPLETE: &str = "paper";
 /// The import's text for views that were counted in the authors' order.
 const AUTHORS_SPLIT: &str = "one view in 8 is held out, counted by COLMAP image id from the first";
 
-/// Collects the dotted paths and the values of some parameters.
-fn leaves(value: &Value, place: &str, found: &mut BTreeMap<String, Value>) {
+/// The dotted paths and the values of some parameters.
+fn leaves(value: &Value, place: &str) -> BTreeMap<String, Value> {
     match value {
-        Value::Object(fields) => fields.iter().for_each(|(key, inner)| {
-            leaves(inner, &if place.is_empty() { key.clone() } else { format!("{place}.{key}") }, found);
-        }),
-        _ => {
-            found.insert(place.to_string(), value.clone());
+        Value::Object(fields) => {
+            let inner = |(key, value): (&String, &Value)| leaves(value, &join(place, key));
+            fields.iter().flat_map(inner).collect()
         }
+        _ => BTreeMap::from([(place.to_string(), value.clone())]),
     }
 }
 
@@ -48,14 +46,11 @@ fn changes(nodes: &[&RanNode]) -> Vec<String> {
         let (Ok(stage), Some(counted)) = (registry.stage(node.stage), complete.get(node.stage)) else {
             continue;
         };
-        let preset = if node.preset.is_empty() { None } else { preset_values(&node.preset).ok() };
-        let given = preset.and_then(|mut p| p.remove(node.stage)).unwrap_or_else(|| json!({}));
+        let mut preset = preset_values(&node.preset).unwrap_or_default();
+        let given = preset.remove(node.stage).unwrap_or_else(|| json!({}));
         let Ok(base) = stage.parameters(&given) else { continue };
-        let [mut counts, mut was, mut is] = [const { BTreeMap::new() }; 3];
-        leaves(counted, "", &mut counts);
-        leaves(&base, "", &mut was);
-        leaves(&node.parameters, "", &mut is);
-        for name in counts.keys() {
+        let [was, is] = [&base, &node.parameters].map(|values| leaves(values, ""));
+        for name in leaves(counted, "").keys() {
             if let (Some(was), Some(is)) = (was.get(name), is.get(name))
                 && was != is
             {
@@ -71,10 +66,6 @@ fn node<'s>(summary: &'s Summary, scene: &str, variant: &str, stage: &str) -> Op
     let of = |n: &&RanNode| n.stage == stage && n.variant == variant;
     let own = summary.nodes.iter().find(|n| of(n) && n.scene == scene);
     own.or_else(|| summary.nodes.iter().find(|n| of(n) && n.scene.is_empty()))
-}
-
-fn artifact<'s>(summary: &'s Summary, scene: &str, variant: &str, stage: &str) -> Option<&'s Path> {
-    Some(node(summary, scene, variant, stage)?.artifact.as_ref()?.path.as_path())
 }
 
 /// A text with the calibrator's pairs and shares. The flag is true for a finished calibrator, and for one
@@ -100,18 +91,15 @@ pub(crate) fn configuration(summary: &Summary, scene: &str, variant: &str) -> Op
         ["import", "depth", "pairs", "calibrate", "propose", "reconstruct", "targets", "enhance", "evaluate"];
     let found = |stage: &&str| node(summary, scene, variant, stage);
     let nodes: Vec<&RanNode> = STAGES.iter().filter_map(found).collect();
-    let at = |stage: &str| artifact(summary, scene, variant, stage);
-    let first = node(summary, scene, variant, "reconstruct")?;
-    let number =
-        |stage: &str| node(summary, scene, variant, stage).map(|n| n.parameters["iterations"].clone());
+    let node = |stage: &str| nodes.iter().find(|node| node.stage == stage);
+    let at = |stage: &str| Some(node(stage)?.artifact.as_ref()?.path.as_path());
+    let first = node("reconstruct")?;
+    let steps = |stage: &str| Some(node(stage)?.parameters["iterations"].to_string());
+    let steps = [steps("reconstruct"), steps("enhance")];
     let mut made = Configuration {
         preset: first.preset.clone(),
         changed: changes(&nodes),
-        steps: match (number("reconstruct"), number("enhance")) {
-            (Some(one), Some(two)) => format!("{one} + {two}"),
-            (Some(one), None) => one.to_string(),
-            (None, _) => String::new(),
-        },
+        steps: steps.into_iter().flatten().collect::<Vec<_>>().join(" + "),
         seed: first.seed.map(|seed| seed.to_string()).unwrap_or_default(),
         ..Configuration::default()
     };
@@ -133,7 +121,7 @@ pub(crate) fn configuration(summary: &Summary, scene: &str, variant: &str) -> Op
             let provenance = read_json::<Provenance>(&targets.join(CALIBRATED)).unwrap_or_default();
             (made.calibrator, papers_pairs) = calibrator(&provenance, report.calibrated);
         }
-    } else if let Some(proposed) = node(summary, scene, variant, "propose") {
+    } else if let Some(proposed) = node("propose") {
         made.proposer = format!("{}, on every photograph", text(&proposed.parameters["proposer"]));
     }
     made.data_of_the_paper = papers_split && papers_pairs;

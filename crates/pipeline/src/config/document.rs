@@ -12,13 +12,12 @@ use toml::de::{DeTable, DeValue};
 use use3d_workflow::error::{ParameterError, nearest};
 
 /// A parsed pipeline file.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub(crate) struct Document {
     file: PathBuf,
     text: String,
     pub(crate) value: Value,
-    /// Maps a path (`scene[0].reconstruct.iterations`) to the byte ranges of its key and of its value.
-    spans: BTreeMap<String, (Range<usize>, Range<usize>)>,
+    spans: Spans,
 }
 
 /// An error in a pipeline file, or in the command-line options that extend it.
@@ -64,29 +63,20 @@ impl Document {
     pub(crate) fn read(file: &Path) -> Result<Self, ConfigError> {
         let text = std::fs::read_to_string(file).map_err(|e| ConfigError {
             file: Some(file.to_path_buf()),
-            place: None,
-            message: format!("cannot read the pipeline file: {e}"),
-            excerpt: None,
+            ..ConfigError::plain(format!("cannot read the pipeline file: {e}"))
         })?;
         Self::parse(file, text)
     }
 
     pub(crate) fn parse(file: &Path, text: String) -> Result<Self, ConfigError> {
-        let mut this = Self {
-            file: file.to_path_buf(),
-            text: String::new(),
-            value: Value::Null,
-            spans: BTreeMap::new(),
-        };
-        let parsed = DeTable::parse(&text).map_err(|e| {
-            let span = e.span().unwrap_or(0..0);
-            let probe = Self { text: text.clone(), ..this.clone() };
-            probe.error_in(&span, format!("this is not TOML: {}", e.message()))
-        })?;
-        let value = table("", parsed.get_ref(), &mut this.spans).map_err(|(span, message)| {
-            Self { text: text.clone(), ..this.clone() }.error_in(&span, message)
-        })?;
-        Ok(Self { text, value, ..this })
+        let mut this = Self { file: file.to_path_buf(), text, value: Value::Null, spans: Spans::new() };
+        let parsed = DeTable::parse(&this.text)
+            .map_err(|e| (e.span().unwrap_or(0..0), format!("this is not TOML: {}", e.message())))
+            .and_then(|parsed| table("", parsed.get_ref(), &mut this.spans));
+        match parsed {
+            Ok(value) => Ok(Self { value, ..this }),
+            Err((span, message)) => Err(this.error_in(&span, message)),
+        }
     }
 
     /// An error about the value at a path, or about the nearest value above it if there is none at the path.
@@ -104,9 +94,8 @@ impl Document {
         let path = join(base, &error.path);
         match &error.unknown {
             Some(unknown) if error.message.starts_with("unknown field") => {
-                let known: Vec<&str> =
-                    error.known.iter().map(String::as_str).chain(more.iter().copied()).collect();
-                self.key_error(&path, unknown_key(unknown, &known))
+                let known = error.known.iter().map(String::as_str).chain(more.iter().copied());
+                self.key_error(&path, unknown_key(unknown, known))
             }
             _ => self.error(&path, error.to_string()),
         }
@@ -146,10 +135,10 @@ impl Document {
 }
 
 /// The message "unknown key `x`; did you mean `y`?", or the list of valid keys if none is similar.
-pub(crate) fn unknown_key(unknown: &str, known: &[&str]) -> String {
-    match nearest(unknown, known.iter().copied()) {
+pub(crate) fn unknown_key<'k>(unknown: &str, known: impl Iterator<Item = &'k str> + Clone) -> String {
+    match nearest(unknown, known.clone()) {
         Some(near) => format!("unknown key `{unknown}`; did you mean `{near}`?"),
-        None => format!("unknown key `{unknown}`; known here: {}", known.join(", ")),
+        None => format!("unknown key `{unknown}`; known here: {}", Vec::from_iter(known).join(", ")),
     }
 }
 
@@ -161,6 +150,7 @@ pub(crate) fn join(base: &str, path: &str) -> String {
     }
 }
 
+/// Maps a path (`scene[0].reconstruct.iterations`) to the byte ranges of its key and of its value.
 type Spans = BTreeMap<String, (Range<usize>, Range<usize>)>;
 type Wrong = (Range<usize>, String);
 

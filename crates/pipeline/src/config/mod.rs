@@ -46,12 +46,13 @@ mod schema;
 mod set;
 
 pub use document::ConfigError;
-use document::{Document, join, unknown_key};
+pub(crate) use document::join;
+use document::{Document, unknown_key};
 use file::{Calibrator, PipelineFile, SceneEntry, VariantEntry};
 pub use parameters::{Parameter, StageParameters, parameters};
 use places::{
-    calibrate_where_named, check_learning, check_pairs, expand, home, key_of, one_proposer_for_all,
-    say_instead,
+    calibrate_where_named, check_learning, check_pairs, expand, folder_in, home, key_of,
+    one_proposer_for_all, say_instead,
 };
 pub use presets::{preset_values, presets};
 pub use schema::{schema, schema_text};
@@ -161,12 +162,8 @@ fn parse(
         let entry: SceneEntry = reader.typed(&base, &rest, &reader.words("scene"))?;
         reader.unique(&base, &entry.name, batch.scenes.iter().map(|s| &s.name))?;
         let said = |key: &str| format!("`{key}` of scene {} in {}", entry.name, file.display());
-        let mut scene = BatchScene {
-            name: entry.name.clone(),
-            group: entry.group.clone(),
-            overrides,
-            ..BatchScene::default()
-        };
+        let (name, group) = (entry.name.clone(), entry.group.clone());
+        let mut scene = BatchScene { name, group, overrides, ..BatchScene::default() };
         scene.name_external("capture", expand(&entry.capture, folder), said("capture"));
         if let Some(own) = &entry.calibrator {
             scene.name_external("calibrator", expand(&own.file, folder), said(key_of("calibrator")));
@@ -246,8 +243,7 @@ fn finish(
 
 /// The default cache folder: `$XDG_CACHE_HOME/use3d` or `~/.cache/use3d`.
 pub fn default_cache() -> Result<PathBuf, ConfigError> {
-    let set = |name: &str| std::env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
-    let base = set("XDG_CACHE_HOME").or_else(|| home().map(|h| h.join(".cache")));
+    let base = folder_in("XDG_CACHE_HOME").or_else(|| home().map(|h| h.join(".cache")));
     base.map(|b| b.join("use3d")).ok_or_else(|| {
         ConfigError::plain("there is no home folder for the cache; name a folder with --cache or USE3D_CACHE")
     })
@@ -283,8 +279,8 @@ impl Reader<'_> {
         for (name, given) in &tables {
             let path = join(base, name);
             let Ok(stage) = self.registry.stage(name) else {
-                let known: Vec<&str> = self.registry.stages().iter().map(|s| s.name()).collect();
-                return Err(self.document.key_error(&path, unknown_key(name, &known)));
+                let known = self.registry.stages().iter().map(|s| s.name());
+                return Err(self.document.key_error(&path, unknown_key(name, known)));
             };
             if !given.is_object() {
                 return Err(self.document.error(&path, format!("the parameters of `{name}` are a table")));
@@ -315,9 +311,7 @@ impl Reader<'_> {
             })?;
             merge_into(into, short.stage, &given, false);
         }
-        used.into_iter().for_each(|key| {
-            fields.remove(key);
-        });
+        fields.retain(|key, _| !used.contains(&key.as_str()));
         Ok(())
     }
 
@@ -335,8 +329,7 @@ impl Reader<'_> {
     /// The key words that a place accepts in addition to its own keys.
     fn words(&self, place: &str) -> Vec<&'static str> {
         let stages = self.registry.stages().iter().map(|s| s.name());
-        let short = self.registry.shorthands().iter().filter(|s| s.place == place).map(|s| s.key);
-        stages.chain(short).collect()
+        stages.chain(self.short_words(place)).collect()
     }
 
     fn typed<T: DeserializeOwned>(&self, base: &str, value: &Value, more: &[&str]) -> Result<T, ConfigError> {
@@ -369,11 +362,9 @@ impl Reader<'_> {
                 return self.document.key_error(&join(base, &error.path), message);
             }
             let mut tables = ["calibrator", "models"].into_iter().filter(|_| base.is_empty());
-            let calibrator = tables.find(|p| error.path.starts_with(&format!("{p}.")));
-            match calibrator {
-                Some(place) => self.document.parameter_error(base, &error, &self.short_words(place)),
-                None => self.document.parameter_error(base, &error, more),
-            }
+            let inner =
+                tables.find(|p| error.path.starts_with(&format!("{p}."))).map(|p| self.short_words(p));
+            self.document.parameter_error(base, &error, inner.as_deref().unwrap_or(more))
         })
     }
 
@@ -391,13 +382,11 @@ impl Reader<'_> {
         let short = || self.registry.shorthands().iter().filter(|s| s.place == "calibrator");
         let elsewhere = |key: &str| short().any(|s| s.key == key && !LEARNING.contains(&s.stage));
         let useless = short().map(|s| s.key).find(|key| calibrator.get(key).is_some() && !elsewhere(key));
-        match useless {
-            None => Ok(()),
-            Some(key) => Err(self.document.key_error(
-                &format!("calibrator.{key}"),
-                format!("`file` is a finished calibrator: nothing is learnt, so `{key}` has no effect; leave one of them out"),
-            )),
-        }
+        let Some(key) = useless else { return Ok(()) };
+        let message = format!(
+            "`file` is a finished calibrator: nothing is learnt, so `{key}` has no effect; leave one of them out"
+        );
+        Err(self.document.key_error(&format!("calibrator.{key}"), message))
     }
 
     fn short_words(&self, place: &str) -> Vec<&'static str> {
@@ -412,8 +401,8 @@ impl Reader<'_> {
         batch: &mut Batch,
     ) -> Result<(), ConfigError> {
         if given.pairs.is_some() && given.file.is_some() {
-            let message = "`file` is a finished calibrator and `pairs` are for making one; give only one of \
-                 them";
+            let message =
+                "`file` is a finished calibrator and `pairs` are for making one; give only one of them";
             return Err(self.document.key_error("calibrator.file", message));
         }
         let pairs = given.pairs.iter();
@@ -432,14 +421,13 @@ impl Reader<'_> {
 
     fn name(&self, path: &str, name: &str) -> Result<(), ConfigError> {
         let bad = |c: char| c.is_control() || "/\\:*?\"<>|".contains(c);
-        if name.is_empty() || name.starts_with('.') || name.contains(bad) {
-            let message = format!(
-                "`{name}` is also the name of a folder: use only letters, digits, spaces, `-`, `_` and \
-                 inner `.`"
-            );
-            return Err(self.document.error(path, message));
+        if !name.is_empty() && !name.starts_with('.') && !name.contains(bad) {
+            return Ok(());
         }
-        Ok(())
+        let message = format!(
+            "`{name}` is also the name of a folder: use only letters, digits, spaces, `-`, `_` and inner `.`"
+        );
+        Err(self.document.error(path, message))
     }
 
     fn unique<'n>(
@@ -451,9 +439,8 @@ impl Reader<'_> {
         let path = join(base, "name");
         self.name(&path, name)?;
         if before.any(|other| other == name) {
-            return Err(self
-                .document
-                .error(&path, format!("the name `{name}` is used twice; names must be unique")));
+            let message = format!("the name `{name}` is used twice; names must be unique");
+            return Err(self.document.error(&path, message));
         }
         Ok(())
     }

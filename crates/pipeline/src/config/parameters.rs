@@ -3,8 +3,9 @@
 
 use serde::Serialize;
 use serde_json::{Value, json};
-use use3d_workflow::Registry;
+use use3d_workflow::{Registry, Stage};
 
+use super::document::join;
 use super::presets::preset_values;
 use super::schema::{resolved, schema, shortest};
 
@@ -49,17 +50,16 @@ pub fn parameters(
     let preset = preset.map(preset_values).transpose()?.unwrap_or_default();
     let schema = schema(registry);
     let chosen = registry.stages().iter().filter(|s| stage.is_none_or(|name| s.name() == name));
-    Ok(chosen
-        .map(|stage| {
-            let table = &schema["properties"]["defaults"]["properties"][stage.name()]["allOf"][0];
-            let defaults = stage.parameters(&json!({})).unwrap_or(Value::Null);
-            let given = preset.get(stage.name()).cloned().unwrap_or_else(|| json!({}));
-            let values = stage.parameters(&given).unwrap_or(Value::Null);
-            let mut parameters = Vec::new();
-            list(&schema, table, [&defaults, &values], "", &mut parameters);
-            StageParameters { stage: stage.name(), about: stage.about, parameters }
-        })
-        .collect())
+    let of = |stage: &Stage| {
+        let table = &schema["properties"]["defaults"]["properties"][stage.name()]["allOf"][0];
+        let defaults = stage.parameters(&json!({})).unwrap_or(Value::Null);
+        let given = preset.get(stage.name()).cloned().unwrap_or_else(|| json!({}));
+        let values = stage.parameters(&given).unwrap_or(Value::Null);
+        let mut parameters = Vec::new();
+        list(&schema, table, [&defaults, &values], "", &mut parameters);
+        StageParameters { stage: stage.name(), about: stage.about, parameters }
+    };
+    Ok(chosen.map(of).collect())
 }
 
 /// The stage parameters that a name without a stage may mean, as (stage, parameter) pairs: the parameters of
@@ -94,7 +94,7 @@ pub(super) fn meant<'k>(
 fn list(schema: &Value, table: &Value, values: [&Value; 2], base: &str, into: &mut Vec<Parameter>) {
     let Some(properties) = resolved(schema, table)["properties"].as_object() else { return };
     for (key, entry) in properties {
-        let name = if base.is_empty() { key.clone() } else { format!("{base}.{key}") };
+        let name = join(base, key);
         let what = resolved(schema, entry);
         if what["properties"].is_object() {
             list(schema, entry, values.map(|v| &v[key]), &name, into);
@@ -109,16 +109,13 @@ fn list(schema: &Value, table: &Value, values: [&Value; 2], base: &str, into: &m
 
 /// The accepted values of a parameter, as text.
 fn kind(entry: &Value) -> String {
-    let choices = |list: &Value, of: fn(&Value) -> &Value| -> Vec<String> {
-        let list = list.as_array().map(Vec::as_slice).unwrap_or_default();
-        list.iter().filter_map(|c| of(c).as_str().map(String::from)).collect()
-    };
-    let mut named = choices(&entry["oneOf"], |c| &c["const"]);
-    // Choices without a comment of their own are listed together in an `enum`.
-    for group in entry["oneOf"].as_array().map(Vec::as_slice).unwrap_or_default() {
-        named.extend(choices(&group["enum"], |c| c));
+    fn items(list: &Value) -> &[Value] {
+        list.as_array().map(Vec::as_slice).unwrap_or_default()
     }
-    named.extend(choices(&entry["enum"], |c| c));
+    // Choices without a comment of their own are listed together in an `enum`.
+    let alone = items(&entry["oneOf"]).iter().map(|choice| &choice["const"]);
+    let together = items(&entry["oneOf"]).iter().chain([entry]).flat_map(|group| items(&group["enum"]));
+    let named: Vec<&str> = alone.chain(together).filter_map(Value::as_str).collect();
     if !named.is_empty() {
         return named.join(" | ");
     }

@@ -56,7 +56,7 @@ pub(super) fn say_instead(batch: &mut Batch, external: &str, place: External, by
 ///
 /// The value goes into the weakest layer, so that every setting of a file or a command overrides it.
 pub(super) fn calibrate_where_named(batch: &mut Batch) {
-    if gives_calibrated(&batch.defaults) {
+    if of_targets(&batch.defaults, "calibrated").is_some() {
         return;
     }
     let everywhere = ["pairs.input", "calibrator"].iter().any(|name| batch.externals.contains_key(*name))
@@ -69,7 +69,7 @@ pub(super) fn calibrate_where_named(batch: &mut Batch) {
     for scene in &mut batch.scenes {
         let own =
             scene.externals.contains_key("calibrator") || learns(&scene.overrides) || learns(&scene.forced);
-        if own && !gives_calibrated(&preset) {
+        if own && of_targets(&preset, "calibrated").is_none() {
             set_calibrated(&mut scene.overrides);
         }
     }
@@ -85,17 +85,13 @@ pub(super) fn calibrate_where_named(batch: &mut Batch) {
 
 /// True if parameters of the stages that learn a calibrator are given.
 fn learns(overrides: &Overrides) -> bool {
-    LEARNING
-        .iter()
-        .any(|stage| overrides.get(*stage).and_then(Value::as_object).is_some_and(|p| !p.is_empty()))
+    let given = |stage: &str| overrides.get(stage).and_then(Value::as_object).is_some_and(|p| !p.is_empty());
+    LEARNING.into_iter().any(given)
 }
 
-fn says_proposer(overrides: &Overrides) -> bool {
-    overrides.get("targets").is_some_and(|targets| targets.get("proposer").is_some())
-}
-
-fn gives_calibrated(overrides: &Overrides) -> bool {
-    overrides.get("targets").is_some_and(|targets| targets.get("calibrated").is_some())
+/// The value that is given for a parameter of the targets.
+fn of_targets<'o>(overrides: &'o Overrides, parameter: &str) -> Option<&'o Value> {
+    overrides.get("targets")?.get(parameter)
 }
 
 /// Sets `targets.calibrated = true` if it has no value yet.
@@ -115,7 +111,7 @@ pub(super) fn check_learning(batch: &Batch) -> Result<(), ConfigError> {
     for stage in LEARNING {
         let Some(Value::Object(given)) = batch.forced.get(stage) else { continue };
         // `calibrator.proposer` also sets the proposer of the targets.
-        let of_both = says_proposer(&batch.forced);
+        let of_both = of_targets(&batch.forced, "proposer").is_some();
         if let Some(name) = given.keys().find(|name| !(of_both && *name == "proposer")) {
             return Err(ConfigError::plain(format!(
                 "--set {stage}.{name}: {by} names a finished calibrator: nothing is learnt, so this has no effect; leave one of them out"
@@ -134,8 +130,8 @@ pub(super) fn one_proposer_for_all(batch: &mut Batch, registry: &Registry) {
     // Pairs are shared by all scenes.
     let of_scenes: Vec<&str> = all.iter().copied().filter(|stage| *stage != "pairs").collect();
     let follow = |layer: &mut Overrides, stages: &[&str]| {
-        let said = layer.get("targets").and_then(|targets| targets.get("proposer")).cloned();
-        let Some(proposer) = said.filter(|p| p != "scene") else { return };
+        let given = of_targets(layer, "proposer").cloned();
+        let Some(proposer) = given.filter(|p| p != "scene") else { return };
         for stage in stages {
             let parameters = layer.entry(*stage).or_insert_with(|| Value::Object(Map::new()));
             if let Some(parameters) = parameters.as_object_mut() {
@@ -169,12 +165,14 @@ pub(super) fn check_pairs(batch: &Batch) -> Result<(), ConfigError> {
     Ok(())
 }
 
+/// The folder that an environment variable names.
+pub(super) fn folder_in(variable: &str) -> Option<PathBuf> {
+    std::env::var_os(variable).filter(|v| !v.is_empty()).map(PathBuf::from)
+}
+
 /// The home folder.
 pub(super) fn home() -> Option<PathBuf> {
-    ["HOME", "USERPROFILE"]
-        .iter()
-        .find_map(|n| std::env::var_os(n).filter(|v| !v.is_empty()))
-        .map(PathBuf::from)
+    ["HOME", "USERPROFILE"].into_iter().find_map(folder_in)
 }
 
 /// The environment variables that the texts of a document or of the command line refer to.

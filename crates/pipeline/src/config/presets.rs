@@ -10,7 +10,7 @@ use schemars::{Schema, SchemaGenerator, json_schema};
 use use3d_workflow::graph::Overrides;
 
 use super::did_you_mean;
-use super::document::{ConfigError, Document};
+use super::document::Document;
 
 /// Names and file contents of the presets.
 const PRESETS: &[(&str, &str)] = &[
@@ -28,12 +28,10 @@ pub fn presets() -> impl Iterator<Item = &'static str> + Clone {
 /// The parameters of a preset, by stage. The error is a message for the user.
 pub fn preset_values(name: &str) -> Result<Overrides, String> {
     let Some((_, text)) = PRESETS.iter().find(|(known, _)| *known == name) else {
-        let known: Vec<&str> = presets().collect();
-        let near = did_you_mean(name, known.iter().copied());
-        return Err(format!("no preset `{name}`; there are {}{near}", known.join(", ")));
+        let near = did_you_mean(name, presets());
+        return Err(format!("no preset `{name}`; there are {}{near}", Vec::from_iter(presets()).join(", ")));
     };
-    let document = Document::parse(Path::new(name), (*text).to_string());
-    let document = document.map_err(|e: ConfigError| e.to_string())?;
+    let document = Document::parse(Path::new(name), (*text).to_string()).map_err(|e| e.to_string())?;
     Ok(document.value.as_object().cloned().unwrap_or_default())
 }
 

@@ -1,6 +1,6 @@
 //! The JSON schema of the pipeline file, for editors: the file's own tables and every stage's parameters.
 
-use schemars::SchemaGenerator;
+use schemars::JsonSchema;
 use schemars::generate::SchemaSettings;
 use serde_json::{Map, Value, json};
 use use3d_workflow::{Registry, Scope, canonical};
@@ -10,43 +10,41 @@ use super::file::{PipelineFile, SceneEntry, VariantEntry};
 /// The schema for the stages of `registry`.
 pub fn schema(registry: &Registry) -> Value {
     let mut generator = SchemaSettings::draft2020_12().into_generator();
-    let mut top = plain::<PipelineFile>(&mut generator);
-    let mut scene = plain::<SceneEntry>(&mut generator);
-    let mut variant = plain::<VariantEntry>(&mut generator);
+    let mut top = PipelineFile::json_schema(&mut generator).to_value();
+    let mut scene = SceneEntry::json_schema(&mut generator).to_value();
+    let mut variant = VariantEntry::json_schema(&mut generator).to_value();
     let mut stages = Map::new();
     for stage in registry.stages() {
         let schema = stage.schema(&mut generator).to_value();
         let schema = json!({ "description": stage.about, "allOf": [schema] });
         stages.insert(stage.name().to_string(), schema.clone());
         if stage.scope() == Scope::Scene {
-            add(&mut scene, "properties", stage.name(), &schema);
+            add(&mut scene, stage.name(), &schema);
         }
         if stage.scope() != Scope::Batch {
-            add(&mut variant, "properties", stage.name(), &schema);
+            add(&mut variant, stage.name(), &schema);
         }
     }
     let mut definitions = generator.take_definitions(true);
     for short in registry.shorthands() {
         let entry = json!({ "description": format!("Stands for `{}.{}`.", short.stage, short.parameter) });
-        match short.place {
-            "scene" => add(&mut scene, "properties", short.key, &entry),
-            "variant" => add(&mut variant, "properties", short.key, &entry),
-            "" => add(&mut top, "properties", short.key, &entry),
-            place => {
-                let name = place[..1].to_uppercase() + &place[1..];
-                if let Some(table) = definitions.get_mut(&name) {
-                    add(table, "properties", short.key, &entry);
-                }
-            }
+        let table = match short.place {
+            "scene" => Some(&mut scene),
+            "variant" => Some(&mut variant),
+            "" => Some(&mut top),
+            place => definitions.get_mut(&(place[..1].to_uppercase() + &place[1..])),
+        };
+        if let Some(table) = table {
+            add(table, short.key, &entry);
         }
     }
     let defaults = json!({
         "type": "object", "description": "Parameters of the stages, for all scenes.",
         "properties": stages, "additionalProperties": false
     });
-    add(&mut top, "properties", "defaults", &defaults);
-    add(&mut top, "properties", "scene", &json!({ "type": "array", "minItems": 1, "items": scene }));
-    add(&mut top, "properties", "variant", &json!({ "type": "array", "items": variant }));
+    add(&mut top, "defaults", &defaults);
+    add(&mut top, "scene", &json!({ "type": "array", "minItems": 1, "items": scene }));
+    add(&mut top, "variant", &json!({ "type": "array", "items": variant }));
     if let Some(required) = top.get_mut("required").and_then(Value::as_array_mut) {
         required.push(json!("scene"));
     }
@@ -114,10 +112,6 @@ pub fn schema_text(registry: &Registry) -> String {
     text
 }
 
-fn plain<T: schemars::JsonSchema>(generator: &mut SchemaGenerator) -> Value {
-    T::json_schema(generator).to_value()
-}
-
-fn add(schema: &mut Value, table: &str, name: &str, entry: &Value) {
-    canonical::merge(schema, &json!({ table: { name: entry } }));
+fn add(schema: &mut Value, name: &str, entry: &Value) {
+    canonical::merge(schema, &json!({ "properties": { name: entry } }));
 }

@@ -3,7 +3,6 @@
 use std::path::Path;
 
 use serde_json::{Map, Value};
-use use3d_workflow::error::BuildError;
 use use3d_workflow::graph::Overrides;
 use use3d_workflow::{Batch, ParameterError, Registry, Source, Stage};
 
@@ -30,68 +29,65 @@ pub(super) fn apply(registry: &Registry, batch: &mut Batch, setting: &str) -> Re
     let (key, text, value) = split(setting)?;
     let wrong = |message: String| ConfigError::plain(format!("--set {setting}: {message}"));
     // Paths on the command line are relative to the current folder.
-    let path = || match &value {
-        Value::String(text) => expand(text, Path::new("")),
-        other => expand(&other.to_string(), Path::new("")),
-    };
+    let path = || expand(&value.as_str().map_or_else(|| value.to_string(), String::from), Path::new(""));
     let by = format!("--set {key}");
     if let Some(external) = external_of(key) {
         say_instead(batch, external, path(), &by);
         return Ok(());
     }
+    let preset = || {
+        let name = value.as_str().unwrap_or(text);
+        preset_values(name).map(|values| (name.to_string(), values)).map_err(wrong)
+    };
+    let set = |top: &str, key: &str, into: &mut Overrides| {
+        place(registry, top, key, (&value, text), into).map_err(wrong)
+    };
     if let Some(rest) = key.strip_prefix("scene.") {
-        let names: Vec<String> = batch.scenes.iter().map(|s| s.name.clone()).collect();
-        let (index, rest) = named("scene", rest, &names).map_err(wrong)?;
+        let (index, rest) = named("scene", rest, batch.scenes.iter().map(|s| &*s.name)).map_err(wrong)?;
+        let scene = &mut batch.scenes[index];
         if let Some(external) = ["capture", "calibrator"].into_iter().find(|e| key_of(e) == rest) {
-            batch.scenes[index].name_external(external, path(), by);
+            scene.name_external(external, path(), by);
             return Ok(());
         }
-        return place(registry, "scene", rest, (&value, text), &mut batch.scenes[index].forced)
-            .map_err(wrong);
+        return set("scene", rest, &mut scene.forced);
     }
     if let Some(rest) = key.strip_prefix("variant.") {
-        let names: Vec<String> = batch.variants.iter().map(|v| v.name.clone()).collect();
-        let (index, rest) = named("variant", rest, &names).map_err(wrong)?;
+        let (index, rest) = named("variant", rest, batch.variants.iter().map(|v| &*v.name)).map_err(wrong)?;
+        let variant = &mut batch.variants[index];
         if rest == "preset" {
-            let name = value.as_str().unwrap_or(text);
-            batch.variants[index].preset = Some(preset_values(name).map_err(wrong)?);
-            batch.variants[index].preset_name = Some(name.to_string());
+            let (name, values) = preset()?;
+            (variant.preset_name, variant.preset) = (Some(name), Some(values));
             return Ok(());
         }
         if rest == key_of("calibrator") {
-            batch.variants[index].name_external("calibrator", path(), by);
+            variant.name_external("calibrator", path(), by);
             return Ok(());
         }
-        return place(registry, "variant", rest, (&value, text), &mut batch.variants[index].forced)
-            .map_err(wrong);
+        return set("variant", rest, &mut variant.forced);
     }
     if key == "preset" {
-        let name = value.as_str().unwrap_or(text);
-        batch.preset = preset_values(name).map_err(wrong)?;
-        batch.preset_name = name.to_string();
+        (batch.preset_name, batch.preset) = preset()?;
         return Ok(());
     }
     if key == "seed" {
-        batch.seed =
-            value.as_u64().ok_or_else(|| wrong("the seed is a whole number, 0 or more".to_string()))?;
+        let seed = value.as_u64().ok_or_else(|| wrong("the seed is a whole number, 0 or more".into()));
+        batch.seed = seed?;
         return Ok(());
     }
     let key = key.strip_prefix("defaults.").unwrap_or(key);
     let (top, rest) = key.split_once('.').unwrap_or(("", key));
-    let short = registry.shorthands().iter().any(|s| s.place == top && s.key == rest);
-    let scene_short =
-        top.is_empty() && registry.shorthands().iter().any(|s| s.place == "scene" && s.key == rest);
-    if !short && top == "calibrator" {
+    let is_short = |top: &str| registry.shorthands().iter().any(|s| s.place == top && s.key == rest);
+    if is_short(top) {
+        return set(top, rest, &mut batch.forced);
+    }
+    if top == "calibrator" {
         let own = ["pairs.input", "pairs.target", "calibrator"].map(key_of).map(str::to_string);
         let words = registry.shorthands().iter().filter(|s| s.place == top);
         let known: Vec<String> = own.into_iter().chain(words.map(|s| format!("{top}.{}", s.key))).collect();
         return Err(wrong(format!("no such setting of the calibrator; there are: {}", known.join(", "))));
     }
-    match (short, scene_short) {
-        (true, _) => place(registry, top, rest, (&value, text), &mut batch.forced).map_err(wrong),
-        (_, true) => place(registry, "scene", rest, (&value, text), &mut batch.forced).map_err(wrong),
-        _ => place(registry, "", key, (&value, text), &mut batch.forced).map_err(wrong),
-    }
+    let top = if top.is_empty() && is_short("scene") { "scene" } else { "" };
+    set(top, key, &mut batch.forced)
 }
 
 /// The parameters of a single stage: its defaults, changed by `KEY=VALUE` settings whose keys are the stage's
@@ -121,25 +117,29 @@ fn split(setting: &str) -> Result<(&str, &str, Value), ConfigError> {
 
 /// The index of the scene or variant whose name `rest` starts with, and the remaining text. The name may
 /// contain dots, and upper and lower case are not distinguished.
-fn named<'k>(kind: &str, rest: &'k str, names: &[String]) -> Result<(usize, &'k str), String> {
-    let after = |name: &String, exact: bool| {
+fn named<'k, 'n>(
+    kind: &str,
+    rest: &'k str,
+    names: impl Iterator<Item = &'n str> + Clone,
+) -> Result<(usize, &'k str), String> {
+    let after = |name: &str, exact: bool| {
         let head = rest.get(..name.len())?;
         let same = if exact { head == name } else { head.eq_ignore_ascii_case(name) };
         if same { rest[name.len()..].strip_prefix('.') } else { None }
     };
     for exact in [true, false] {
-        let found = names.iter().enumerate().find_map(|(i, name)| after(name, exact).map(|rest| (i, rest)));
-        if let Some(found) = found {
+        let mut each = names.clone().enumerate();
+        if let Some(found) = each.find_map(|(i, name)| Some((i, after(name, exact)?))) {
             return Ok(found);
         }
     }
-    if let Some(name) = names.iter().find(|n| n.eq_ignore_ascii_case(rest)) {
+    if let Some(name) = names.clone().find(|n| n.eq_ignore_ascii_case(rest)) {
         return Err(format!(
             "a parameter is missing: give one, as in `{kind}.{name}.reconstruct.iterations=3000`"
         ));
     }
     let wrong = rest.split('.').next().unwrap_or(rest);
-    Err(format!("no {kind} `{wrong}`{}", did_you_mean(wrong, names.iter().map(String::as_str))))
+    Err(format!("no {kind} `{wrong}`{}", did_you_mean(wrong, names)))
 }
 
 fn place(
@@ -149,29 +149,22 @@ fn place(
     (value, text): (&Value, &str),
     into: &mut Overrides,
 ) -> Result<(), String> {
-    let mut targets: Vec<(&str, String)> = registry
-        .shorthands()
-        .iter()
-        .filter(|s| s.place == place && s.key == key)
-        .map(|s| (s.stage, s.parameter.to_string()))
-        .collect();
+    let shorthands = registry.shorthands().iter().filter(|s| s.place == place && s.key == key);
+    let mut targets: Vec<(&str, &str)> = shorthands.map(|s| (s.stage, s.parameter)).collect();
     if targets.is_empty() {
-        let (stage, parameter) = key.split_once('.').ok_or_else(|| {
+        targets.push(key.split_once('.').ok_or_else(|| {
             let homes = homes(registry, key);
             let known: Vec<String> = homes.iter().map(|(stage, name)| format!("`{stage}.{name}`")).collect();
-            let hint = if known.is_empty() {
-                "`use3d params` lists them".to_string()
-            } else {
-                format!("did you mean {}?", known.join(" or "))
+            let hint = match known.is_empty() {
+                true => "`use3d params` lists them".to_string(),
+                false => format!("did you mean {}?", known.join(" or ")),
             };
             format!("a key is STAGE.PARAMETER; {hint}")
-        })?;
-        let stage = registry.stage(stage).map_err(|e: BuildError| e.to_string())?;
-        targets.push((stage.name(), parameter.to_string()));
+        })?);
     }
     for (stage, parameter) in targets {
         let stage = registry.stage(stage).map_err(|e| e.to_string())?;
-        let given = typed(stage, &parameter, value, text)
+        let given = typed(stage, parameter, value, text)
             .map_err(|e| folder_key(stage, &e).unwrap_or_else(|| words(&e)))?;
         merge_into(into, stage.name(), &given, true);
     }
@@ -183,19 +176,14 @@ fn place(
 fn folder_key(stage: &Stage, error: &ParameterError) -> Option<String> {
     let unknown = error.unknown.as_deref().filter(|_| error.message.starts_with("unknown field"))?;
     let input = stage.inputs.iter().find(|i| i.role == unknown)?;
-    match input.source {
-        Source::External(name) => {
-            Some(format!("`{unknown}` is an input and not a parameter; give it with `{}`", key_of(name)))
-        }
-        Source::Stage(_) | Source::Reference(_) => None,
-    }
+    let Source::External(name) = input.source else { return None };
+    Some(format!("`{unknown}` is an input and not a parameter; give it with `{}`", key_of(name)))
 }
 
 fn words(error: &ParameterError) -> String {
     match &error.unknown {
         Some(unknown) if error.message.starts_with("unknown field") => {
-            let known: Vec<&str> = error.known.iter().map(String::as_str).collect();
-            super::unknown_key(unknown, &known)
+            super::unknown_key(unknown, error.known.iter().map(String::as_str))
         }
         _ => error.to_string(),
     }
