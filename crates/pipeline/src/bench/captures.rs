@@ -92,9 +92,9 @@ pub const CAPTURES: [Capture; 14] = [
 /// # Errors
 /// Returns a message that lists the known names if one is unknown.
 pub fn named(names: &[String]) -> Result<Vec<Capture>, String> {
-    let known = || CAPTURES.map(|c| c.name).join(", ");
     if let Some(wrong) = names.iter().find(|n| !CAPTURES.iter().any(|c| c.name.eq_ignore_ascii_case(n))) {
-        return Err(format!("no capture `{wrong}`; expected some of {}", known()));
+        let known = CAPTURES.map(|c| c.name).join(", ");
+        return Err(format!("no capture `{wrong}`; expected some of {known}"));
     }
     let asked = |c: &Capture| names.is_empty() || names.iter().any(|n| c.name.eq_ignore_ascii_case(n));
     Ok(CAPTURES.into_iter().filter(asked).collect())

@@ -8,6 +8,7 @@ use std::fmt::Write;
 
 use super::figures::{CaptureFigures, Figure, Figures, TruthFigures};
 use super::picture::Sheet;
+use crate::judge::names::distinct;
 use crate::judge::tables::Better;
 
 /// A column: metric, head, decimals, factor, and the better direction.
@@ -27,6 +28,10 @@ const fn percent(metric: &'static str, head: &'static str) -> Column {
     Column { metric, head, decimals: 1, factor: 100.0, better: Better::Lower }
 }
 
+const fn both(psnr: &'static str, delta_e: &'static str) -> [Column; 2] {
+    [column(psnr, "", 1, Better::Higher), column(delta_e, "", 1, Better::Lower)]
+}
+
 /// The columns of a capture's table.
 const ROWS: [Column; 11] = [
     column("truth_psnr_raw", "PSNR", 2, Better::Higher),
@@ -44,24 +49,9 @@ const ROWS: [Column; 11] = [
 
 /// The summaries over captures: two metrics share a cell.
 const SUMMARIES: [(&str, [Column; 2]); 3] = [
-    (
-        "Against the true clean scene, as it is: PSNR (dB) / ΔE₀₀",
-        [column("truth_psnr_raw", "", 1, Better::Higher), column("truth_delta_e_raw", "", 1, Better::Lower)],
-    ),
-    (
-        "After one gain per channel and image: PSNR (dB) / ΔE₀₀",
-        [
-            column("truth_psnr_channel", "", 1, Better::Higher),
-            column("truth_delta_e_channel", "", 1, Better::Lower),
-        ],
-    ),
-    (
-        "After one affine map of colours (3×4) per image: PSNR (dB) / ΔE₀₀",
-        [
-            column("truth_psnr_affine", "", 1, Better::Higher),
-            column("truth_delta_e_affine", "", 1, Better::Lower),
-        ],
-    ),
+    ("Against the true clean scene, as it is", both("truth_psnr_raw", "truth_delta_e_raw")),
+    ("After one gain per channel and image", both("truth_psnr_channel", "truth_delta_e_channel")),
+    ("After one affine map of colours (3×4) per image", both("truth_psnr_affine", "truth_delta_e_affine")),
 ];
 
 /// The columns of the table of stage 1.
@@ -112,38 +102,26 @@ impl Column {
     }
 }
 
-/// A Markdown table.
-fn table(heads: &[String], rows: &[Vec<String>]) -> String {
+/// A Markdown table; its first column has no head.
+fn table<'h>(heads: impl Iterator<Item = &'h str>, rows: &[Vec<String>]) -> String {
     let line = |cells: &[String]| {
         let cells: Vec<String> = cells.iter().map(|c| c.replace('|', "\\|")).collect();
         format!("| {} |\n", cells.join(" | "))
     };
-    let rule = "---:|".repeat(heads.len().saturating_sub(1));
+    let heads: Vec<String> = std::iter::once("").chain(heads).map(String::from).collect();
+    let rule = "---:|".repeat(heads.len() - 1);
     let body: String = rows.iter().map(|row| line(row)).collect();
-    format!("{}|---|{rule}\n{body}", line(heads))
+    format!("{}|---|{rule}\n{body}", line(&heads))
 }
 
 /// A table of labelled rows, with the best cell of each column in bold.
-fn ranked(first: &str, columns: &[Column], rows: &[(String, &Figures)], seeds: usize) -> String {
-    let heads: Vec<String> =
-        std::iter::once(first).chain(columns.iter().map(|c| c.head)).map(String::from).collect();
+fn ranked(columns: &[Column], rows: &[(String, &Figures)], seeds: usize) -> String {
     let best: Vec<Option<f64>> = columns.iter().map(|c| c.best(rows.iter().map(|(_, f)| Some(*f)))).collect();
     let line = |(label, figures): &(String, &Figures)| {
         let cells = columns.iter().zip(&best).map(|(c, best)| c.cell(Some(figures), seeds, *best));
         std::iter::once(label.clone()).chain(cells).collect()
     };
-    table(&heads, &rows.iter().map(line).collect::<Vec<Vec<String>>>())
-}
-
-/// The labels of all rows, in the order of the first capture that has them.
-fn labels(captures: &[CaptureFigures]) -> Vec<&str> {
-    let mut labels: Vec<&str> = Vec::new();
-    for row in captures.iter().flat_map(|c| &c.rows) {
-        if !labels.contains(&row.label.as_str()) {
-            labels.push(&row.label);
-        }
-    }
-    labels
+    table(columns.iter().map(|c| c.head), &rows.iter().map(line).collect::<Vec<Vec<String>>>())
 }
 
 fn row<'f>(capture: &'f CaptureFigures, label: &str) -> Option<&'f Figures> {
@@ -152,9 +130,8 @@ fn row<'f>(capture: &'f CaptureFigures, label: &str) -> Option<&'f Figures> {
 
 /// One summary: a row per compared method, a column per capture.
 fn summary(columns: &[Column; 2], captures: &[CaptureFigures], seeds: usize) -> String {
-    let heads: Vec<String> =
-        std::iter::once(String::new()).chain(captures.iter().map(|c| c.name.clone())).collect();
-    let labels = labels(captures);
+    // The rows stand in the order of the first capture that has them.
+    let labels = distinct(captures.iter().flat_map(|c| &c.rows).map(|row| row.label.as_str()));
     let cell = |capture: &CaptureFigures, label: &str| {
         let of = columns.each_ref().map(|column| {
             let best = column.best(labels.iter().map(|l| row(capture, l)));
@@ -165,7 +142,7 @@ fn summary(columns: &[Column; 2], captures: &[CaptureFigures], seeds: usize) -> 
     let rows = labels.iter().map(|label| {
         std::iter::once((*label).to_string()).chain(captures.iter().map(|c| cell(c, label))).collect()
     });
-    table(&heads, &rows.collect::<Vec<Vec<String>>>())
+    table(captures.iter().map(|c| c.name.as_str()), &rows.collect::<Vec<Vec<String>>>())
 }
 
 /// The page: the file `truth.md`.
@@ -193,7 +170,7 @@ pub fn markdown(figures: &TruthFigures, pictures: &[Sheet]) -> String {
     }
     let captures = &figures.captures;
     for (title, columns) in &SUMMARIES {
-        let _ = write!(out, "\n## {title}\n\n{}", summary(columns, captures, seeds));
+        let _ = write!(out, "\n## {title}: PSNR (dB) / ΔE₀₀\n\n{}", summary(columns, captures, seeds));
     }
     let scenes: Vec<(String, &Figures)> = captures
         .iter()
@@ -201,12 +178,12 @@ pub fn markdown(figures: &TruthFigures, pictures: &[Sheet]) -> String {
         .collect();
     // No best cell is marked, because the captures differ.
     let plain = SCENES.map(|c| Column { better: Better::Neither, ..c });
-    let _ = write!(out, "\n## Stage 1 and its water\n\n{}", ranked("", &plain, &scenes, seeds));
+    let _ = write!(out, "\n## Stage 1 and its water\n\n{}", ranked(&plain, &scenes, seeds));
     for capture in captures {
         let _ = write!(out, "\n## {}\n\n{}.\n\n", capture.name, capture.about);
         let rows: Vec<(String, &Figures)> =
             capture.rows.iter().map(|r| (r.label.clone(), &r.figures)).collect();
-        out.push_str(&ranked("", &ROWS, &rows, seeds));
+        out.push_str(&ranked(&ROWS, &rows, seeds));
         if let Some(sheet) = pictures.iter().find(|s| s.capture == capture.name) {
             let _ = write!(
                 out,

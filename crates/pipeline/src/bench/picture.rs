@@ -79,9 +79,8 @@ pub fn sheet(
     clean: &mut Clean<'_>,
 ) -> Result<Sheet, PictureError> {
     let captured = renders.join("captured");
-    let failed = |e| PictureError::Folder(captured.clone(), e);
-    let entries: Vec<_> =
-        std::fs::read_dir(&captured).and_then(Iterator::collect::<Result<Vec<_>, _>>).map_err(failed)?;
+    let entries = std::fs::read_dir(&captured).and_then(Iterator::collect::<Result<Vec<_>, _>>);
+    let entries = entries.map_err(|e| PictureError::Folder(captured.clone(), e))?;
     let mut names: Vec<String> =
         entries.iter().map(|e| e.file_name().to_string_lossy().into_owned()).collect();
     names.sort_unstable();

@@ -6,6 +6,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::names::distinct;
+
 /// The preset whose results may be shown next to the published ones.
 const PAPER: &str = "paper";
 /// Up to this many different values of one field are listed one by one.
@@ -46,10 +48,7 @@ impl Configuration {
 
     /// The preset and the changes to it.
     pub fn base(&self) -> String {
-        let base = match self.preset.as_str() {
-            "" => "defaults".to_string(),
-            name => format!("preset {name}"),
-        };
+        let base = if self.preset.is_empty() { "defaults".into() } else { format!("preset {}", self.preset) };
         if self.changed.is_empty() { base } else { format!("{base}, changed: {}", self.changed.join(", ")) }
     }
 
@@ -73,12 +72,8 @@ impl Configuration {
         let Some(first) = all.first() else { return Vec::new() };
         let each: Vec<_> = all.iter().map(|c| c.fields()).collect();
         let parts = first.fields().into_iter().enumerate().filter_map(|(k, (name, _))| {
-            let mut values: Vec<&str> = Vec::new();
-            for (_, value) in each.iter().map(|fields| &fields[k]) {
-                if !value.is_empty() && !values.contains(&value.as_str()) {
-                    values.push(value);
-                }
-            }
+            let values = each.iter().map(|fields| fields[k].1.as_str());
+            let values = distinct(values.filter(|value| !value.is_empty()));
             let text = match values.len() {
                 0 => return None,
                 1..=SHOWN => values.join(" or "),

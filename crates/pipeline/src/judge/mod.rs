@@ -6,6 +6,7 @@
 //! sentences about them, and [`report`] is the page.
 
 pub mod configuration;
+pub(crate) mod names;
 pub mod report;
 pub mod scores;
 pub mod scoring;

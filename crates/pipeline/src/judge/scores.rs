@@ -1,7 +1,7 @@
 //! The scores that `evaluate` writes and tables are made from: per view, per pair of neighbouring views, and
 //! per scene.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
@@ -52,29 +52,24 @@ impl Method {
 
     /// The name in tables.
     pub fn label(self) -> &'static str {
-        match self {
-            Self::Captured => "Captured (raw input)",
-            Self::Proposal => "2D enhancer on photographs",
-            Self::ProposalOfRender => "2D enhancer on stage-1 renders",
-            Self::Reconstruction => "Stage 1",
-            Self::Clear => "Stage 1, clear render",
-            Self::Enhanced => "3D-USE, this program",
-            Self::EnhancedClear => "3D-USE, enhanced-clear",
-            Self::EnhanceThenReconstruct => "Enhance, then reconstruct",
-        }
+        self.names().1
     }
 
     /// The name of its folders and report pictures.
     pub fn name(self) -> &'static str {
+        self.names().0
+    }
+
+    fn names(self) -> (&'static str, &'static str) {
         match self {
-            Self::Captured => "captured",
-            Self::Proposal => "proposal",
-            Self::ProposalOfRender => "proposal-of-render",
-            Self::Reconstruction => "reconstruction",
-            Self::Clear => "clear",
-            Self::Enhanced => "enhanced",
-            Self::EnhancedClear => "enhanced-clear",
-            Self::EnhanceThenReconstruct => "enhance-then-reconstruct",
+            Self::Captured => ("captured", "Captured (raw input)"),
+            Self::Proposal => ("proposal", "2D enhancer on photographs"),
+            Self::ProposalOfRender => ("proposal-of-render", "2D enhancer on stage-1 renders"),
+            Self::Reconstruction => ("reconstruction", "Stage 1"),
+            Self::Clear => ("clear", "Stage 1, clear render"),
+            Self::Enhanced => ("enhanced", "3D-USE, this program"),
+            Self::EnhancedClear => ("enhanced-clear", "3D-USE, enhanced-clear"),
+            Self::EnhanceThenReconstruct => ("enhance-then-reconstruct", "Enhance, then reconstruct"),
         }
     }
 }
@@ -132,10 +127,7 @@ impl MethodScores {
         ];
         let (mut mean, mut left_out) = (Scores::new(), BTreeMap::new());
         for list in &lists {
-            let mut names: Vec<&String> = list.iter().flat_map(|s| s.keys()).collect();
-            names.sort();
-            names.dedup();
-            for name in names {
+            for name in list.iter().flat_map(|s| s.keys()).collect::<BTreeSet<_>>() {
                 let of: Vec<&Score> = list.iter().filter_map(|s| s.get(name)).collect();
                 let undefined = of.iter().filter(|s| matches!(s, Score::Undefined(_))).count();
                 if undefined > 0 {

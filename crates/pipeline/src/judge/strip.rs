@@ -149,11 +149,8 @@ fn movement(images: &[&Image], corners: &[(usize, usize)], side: usize) -> f64 {
 /// returns the movement of the mean colour of each row.
 pub fn sheet(rows: &[Vec<&Image>], corners: &[(usize, usize)], side: usize) -> (Image, Vec<f64>) {
     let pitch = side * ZOOM + GAP;
-    let mut out = Image::filled(
-        (corners.len() * pitch).saturating_sub(GAP),
-        (rows.len() * pitch).saturating_sub(GAP),
-        1.0,
-    );
+    let [width, height] = [corners.len(), rows.len()].map(|count| (count * pitch).saturating_sub(GAP));
+    let mut out = Image::filled(width, height, 1.0);
     for (r, row) in rows.iter().enumerate() {
         for (c, (image, (left, top))) in row.iter().zip(corners).enumerate() {
             for y in 0..side * ZOOM {

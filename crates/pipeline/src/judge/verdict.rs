@@ -5,8 +5,10 @@
 //! is unfavourable to the enhanced scene, the sentence says so.
 
 use use3d_capture::flat_stem;
+use use3d_metrics::Score;
 
-use super::scores::{Method, SceneScores};
+use super::names::distinct;
+use super::scores::{Method, SceneScores, ViewScores};
 
 /// The tone of a sentence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,8 +52,8 @@ const WEAK: f64 = 2.0;
 /// PSNR from which a reconstruction is good, and below which it is bad, dB.
 const PSNR: [f64; 2] = [30.0, 22.0];
 
-fn sentence(tone: Tone, text: String) -> Sentence {
-    Sentence { tone, text }
+fn plain(text: String) -> Sentence {
+    Sentence { tone: Tone::Plain, text }
 }
 
 fn mean(scores: &SceneScores, method: Method, metric: &str) -> Option<f64> {
@@ -60,17 +62,18 @@ fn mean(scores: &SceneScores, method: Method, metric: &str) -> Option<f64> {
 
 /// The sentences of a scene whose enhanced look is `best`.
 pub fn verdict(scores: &SceneScores, best: Method, facts: &SceneFacts) -> Vec<Sentence> {
-    let mut out = Vec::new();
-    out.extend(reconstruction(scores));
-    out.extend(training(facts));
-    out.extend((!facts.water.is_empty()).then(|| sentence(Tone::Plain, facts.water.clone())));
-    out.extend(learning(facts));
-    out.extend(against_truth(scores, best));
-    out.extend(consistency(scores, best));
-    out.extend(without_reference(scores, best));
-    out.extend(not_measured(scores));
-    out.push(next_steps(scores, facts));
-    out
+    let sentences = [
+        reconstruction(scores),
+        training(facts),
+        (!facts.water.is_empty()).then(|| plain(facts.water.clone())),
+        learning(facts),
+        against_truth(scores, best),
+        consistency(scores, best),
+        without_reference(scores, best),
+        not_measured(scores),
+        Some(next_steps(scores, facts)),
+    ];
+    sentences.into_iter().flatten().collect()
 }
 
 /// A sentence on a training that was shorter than usual.
@@ -81,10 +84,7 @@ fn training(facts: &SceneFacts) -> Option<Sentence> {
     });
     let short: Vec<String> = short.collect();
     (!short.is_empty()).then(|| {
-        sentence(
-            Tone::Plain,
-            format!("Training: {}. This is a first look; a full run is sharper.", short.join(", ")),
-        )
+        plain(format!("Training: {}. This is a first look; a full run is sharper.", short.join(", ")))
     })
 }
 
@@ -92,14 +92,13 @@ fn training(facts: &SceneFacts) -> Option<Sentence> {
 fn learning(facts: &SceneFacts) -> Option<Sentence> {
     if facts.unchanged {
         let text = "Enhancement: none. The scene has no water, so its colours stay as photographed.";
-        return Some(sentence(Tone::Plain, text.into()));
+        return Some(plain(text.into()));
     }
     let (pairs, recommended) = facts.pairs.filter(|(pairs, recommended)| pairs < recommended)?;
-    let text = format!(
+    Some(plain(format!(
         "Pairs: the enhancement was learnt from {pairs} pairs. {recommended} are recommended; with fewer it may \
          not fit your water."
-    );
-    Some(sentence(Tone::Plain, text))
+    )))
 }
 
 /// One to three things that the reader can do now.
@@ -128,21 +127,17 @@ fn next_steps(scores: &SceneScores, facts: &SceneFacts) -> Sentence {
     if !facts.unchanged && !facts.calibrated {
         steps.push("for other colours, learn them from pairs with `--pairs`".into());
     }
-    sentence(Tone::Plain, format!("Next: {}.", steps.join("; ")))
+    plain(format!("Next: {}.", steps.join("; ")))
 }
 
 fn reconstruction(scores: &SceneScores) -> Option<Sentence> {
     let views = &scores.method(Method::Reconstruction)?.views;
     let Some(psnr) = mean(scores, Method::Reconstruction, "psnr") else {
-        return Some(sentence(
-            Tone::Plain,
-            "No photograph was held out, so the quality of the reconstruction is not known. Hold some out \
-             with `import.split.every`."
-                .into(),
-        ));
+        let text = "No photograph was held out, so the quality of the reconstruction is not known. Hold some out \
+             with `import.split.every`.";
+        return Some(plain(text.into()));
     };
-    let of =
-        |view: &super::scores::ViewScores| Some((view.scores.get("psnr")?.value()?, flat_stem(&view.view)));
+    let of = |view: &ViewScores| Some((view.scores.get("psnr")?.value()?, flat_stem(&view.view)));
     let worst = views.iter().filter_map(of).min_by(|a, b| a.0.total_cmp(&b.0));
     let ssim =
         mean(scores, Method::Reconstruction, "ssim").map_or_else(String::new, |v| format!(", SSIM {v:.3}"));
@@ -161,10 +156,8 @@ fn reconstruction(scores: &SceneScores) -> Option<Sentence> {
         1 => "the held-out photograph is".to_string(),
         n => format!("the {n} held-out photographs are"),
     };
-    Some(sentence(
-        tone,
-        format!("Reconstruction: {count} reproduced at {psnr:.1} dB PSNR{ssim} ({meaning}).{weak}"),
-    ))
+    let text = format!("Reconstruction: {count} reproduced at {psnr:.1} dB PSNR{ssim} ({meaning}).{weak}");
+    Some(Sentence { tone, text })
 }
 
 /// A comparison such as `1.2 dB more than the photographs`.
@@ -184,11 +177,15 @@ const OTHERS: [(Method, &str); 3] = [
     (Method::ProposalOfRender, "the 2D enhancer on each render of stage 1"),
 ];
 
+/// A mean score of those of them that have one, with their names.
+fn others(scores: &SceneScores, metric: &str) -> Vec<(f64, &'static str)> {
+    OTHERS.iter().filter_map(|(method, name)| Some((mean(scores, *method, metric)?, *name))).collect()
+}
+
 fn against_truth(scores: &SceneScores, best: Method) -> Option<Sentence> {
     let metric = "truth_psnr";
     let ours = mean(scores, best, metric)?;
-    let others: Vec<(f64, &str)> =
-        OTHERS.iter().filter_map(|(method, name)| Some((mean(scores, *method, metric)?, *name))).collect();
+    let others = others(scores, metric);
     let texts: Vec<String> =
         others.iter().map(|(other, name)| compared(ours, *other, " dB", 1, name, ["more", "less"])).collect();
     let tone = if others.iter().any(|(other, _)| *other > ours) { Tone::Bad } else { Tone::Good };
@@ -200,17 +197,15 @@ fn against_truth(scores: &SceneScores, best: Method) -> Option<Sentence> {
         format!(" Closer still is {}, with {value:.1} dB.", look.name())
     });
     let texts = if texts.is_empty() { String::new() } else { format!(" That is {}.", texts.join(", ")) };
-    Some(sentence(
-        tone,
-        format!("Against the true scene without water, {} reaches {ours:.1} dB.{texts}{better}", best.name()),
-    ))
+    let text =
+        format!("Against the true scene without water, {} reaches {ours:.1} dB.{texts}{better}", best.name());
+    Some(Sentence { tone, text })
 }
 
 fn consistency(scores: &SceneScores, best: Method) -> Option<Sentence> {
     let metric = "w_delta_e";
     let ours = mean(scores, best, metric)?;
-    let others: Vec<(f64, &str)> =
-        OTHERS.iter().filter_map(|(method, name)| Some((mean(scores, *method, metric)?, *name))).collect();
+    let others = others(scores, metric);
     let texts: Vec<String> = others.iter().map(|(other, name)| format!("{other:.1} for {name}")).collect();
     // A picture with stronger colours also varies more; so the tone depends on the comparison with the 2D
     // enhancer, which sees one picture at a time. Photographs have noise that no render has, so its result
@@ -223,14 +218,11 @@ fn consistency(scores: &SceneScores, best: Method) -> Option<Sentence> {
     };
     let beside =
         if texts.is_empty() { String::new() } else { format!(" The figure is {}.", texts.join(" and ")) };
-    Some(sentence(
-        tone,
-        format!(
-            "Consistency: between neighbouring views the colours of {} change by ΔE {ours:.1}; less is \
-             better.{beside}",
-            best.name()
-        ),
-    ))
+    let text = format!(
+        "Consistency: between neighbouring views the colours of {} change by ΔE {ours:.1}; less is better.{beside}",
+        best.name()
+    );
+    Some(Sentence { tone, text })
 }
 
 fn without_reference(scores: &SceneScores, best: Method) -> Option<Sentence> {
@@ -241,48 +233,39 @@ fn without_reference(scores: &SceneScores, best: Method) -> Option<Sentence> {
     };
     let both: Vec<String> = [text("uciqe", "UCIQE"), text("uiqm", "UIQM")].into_iter().flatten().collect();
     (!both.is_empty()).then(|| {
-        let what = both.join(", ");
-        sentence(
-            Tone::Plain,
-            format!(
-                "Scores without a reference: {what}. They rise with contrast and saturation even when \
-                 colours are wrong; do not rank by them alone."
-            ),
-        )
+        plain(format!(
+            "Scores without a reference: {}. They rise with contrast and saturation even when colours are wrong; do \
+             not rank by them alone.",
+            both.join(", ")
+        ))
     })
 }
 
 fn not_measured(scores: &SceneScores) -> Option<Sentence> {
-    let mut names: Vec<&str> = Vec::new();
-    let mut reason = None;
-    for (metric, score) in scores.methods.iter().flat_map(|m| &m.mean) {
-        if let use3d_metrics::Score::NotAvailable(why) = score {
-            // The share of pixels that flow covers is not a score by itself: it is missing together with
-            // wLPIPS.
-            let name = match metric.strip_prefix("path_").unwrap_or(metric) {
-                "flow_coverage" => "wLPIPS",
-                "lpips" => "LPIPS",
-                "musiq" => "MUSIQ",
-                "uranker" => "URanker",
-                "wlpips" => "wLPIPS",
-                other => other,
-            };
-            if !names.contains(&name) {
-                names.push(name);
-            }
-            reason.get_or_insert(why.as_str());
-        }
-    }
+    let scores = scores.methods.iter().flat_map(|m| &m.mean);
+    let missing = scores.filter_map(|(metric, score)| match score {
+        Score::NotAvailable(why) => Some((metric.strip_prefix("path_").unwrap_or(metric), why)),
+        _ => None,
+    });
+    let missing: Vec<(&str, &String)> = missing.collect();
+    let (_, reason) = missing.first()?;
+    let mut names = distinct(missing.iter().map(|(metric, _)| match *metric {
+        // The share of pixels that flow covers is not a score by itself: it is missing together with wLPIPS.
+        "flow_coverage" | "wlpips" => "wLPIPS",
+        "lpips" => "LPIPS",
+        "musiq" => "MUSIQ",
+        "uranker" => "URanker",
+        other => other,
+    }));
     names.sort_unstable();
-    let why = reason?.strip_prefix("not available: ").unwrap_or(reason?);
-    Some(sentence(Tone::Plain, format!("Not measured: {} ({why}).", names.join(", "))))
+    let why = reason.strip_prefix("not available: ").unwrap_or(reason);
+    Some(plain(format!("Not measured: {} ({why}).", names.join(", "))))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::judge::scores::{FORMAT, MethodScores, Scores, VERSION, ViewScores, Warp};
-    use use3d_metrics::Score;
+    use crate::judge::scores::{FORMAT, MethodScores, Scores, VERSION, Warp};
 
     fn scene(methods: &[(Method, &[(&str, f64)])]) -> SceneScores {
         let view = |name: &str, scores: &[(&str, f64)], off: f64| ViewScores {

@@ -29,30 +29,22 @@ pub fn overall(results: &[(&str, &str)], sections: &[SceneSection], missing: &[S
     let results = if variants { "results" } else { "scenes" };
     if sections.len() > 1 {
         let judged = sections.iter().filter(|scene| !scene.verdict.is_empty()).count();
-        let bad: Vec<&str> = sections
-            .iter()
-            .filter(|scene| scene.verdict.iter().any(|sentence| sentence.tone == Tone::Bad))
-            .map(|scene| scene.name.as_str())
-            .collect();
-        let text = match (judged, bad.len()) {
-            (0, _) => format!("None of the {results} was scored."),
+        let is_bad = |scene: &&SceneSection| scene.verdict.iter().any(|sentence| sentence.tone == Tone::Bad);
+        let bad: Vec<&str> = sections.iter().filter(is_bad).map(|scene| scene.name.as_str()).collect();
+        let (tone, text) = match (judged, bad.len()) {
+            (0, _) => (Tone::Plain, format!("None of the {results} was scored.")),
             (n, 0) => {
-                format!(
-                    "{n} {results} were scored. No comparison is unfavourable to the method in any of them."
-                )
+                let text = "No comparison is unfavourable to the method in any of them.";
+                (Tone::Good, format!("{n} {results} were scored. {text}"))
             }
-            (n, k) => format!(
-                "{n} {results} were scored. In {k} of them a comparison is unfavourable to the method: {}. The \
-                 sections below give the details.",
-                bad.join(", ")
+            (n, k) => (
+                Tone::Bad,
+                format!(
+                    "{n} {results} were scored. In {k} of them a comparison is unfavourable to the method: {}. The \
+                     sections below give the details.",
+                    bad.join(", ")
+                ),
             ),
-        };
-        let tone = if judged == 0 {
-            Tone::Plain
-        } else if bad.is_empty() {
-            Tone::Good
-        } else {
-            Tone::Bad
         };
         out.push(Sentence { tone, text });
     }

@@ -14,6 +14,7 @@ use sha2::{Digest, Sha256};
 use use3d_capture::Image;
 use use3d_io_image::{JpegError, jpeg_address, shrunk};
 
+use crate::judge::names::{distinct, in_variant};
 use crate::judge::tables::{Cell, Rank, Table, marked};
 use crate::judge::verdict::{Sentence, Tone};
 
@@ -167,17 +168,11 @@ impl Picture {
 #[derive(Template)]
 #[template(path = "report.html")]
 struct PageTemplate<'a> {
-    policy: &'a str,
-    title: &'a str,
-    subtitle: &'a str,
+    page: &'a Page,
+    policy: String,
     verdict: String,
     verdicts: Vec<String>,
-    has_tables: bool,
-    tables_section: &'a str,
-    scenes: &'a [SceneSection],
-    calibrator: &'a Option<CalibratorSection>,
-    missing: &'a [String],
-    made_with: &'a str,
+    tables_section: String,
 }
 
 /// Returns the page's content policy: it fetches nothing, and only its own script runs, whatever the names of
@@ -291,36 +286,23 @@ fn measured(table: &Table) -> Table {
 
 /// The columns without any number, and the reasons for empty cells.
 fn not_measured(table: &Table) -> Vec<String> {
-    let plain = |reason: &str| reason.strip_prefix("not available: ").unwrap_or(reason).to_string();
-    let mut reasons: Vec<(String, Vec<&str>)> =
-        table.missing().into_iter().map(|reason| (plain(reason), Vec::new())).collect();
-    for (k, column) in table.columns.iter().enumerate() {
-        for row in &table.rows {
-            let Some(Cell::NotAvailable { reason }) = row.cells.get(k) else { continue };
-            let of = plain(reason);
-            if let Some((_, names)) = reasons.iter_mut().find(|(known, _)| *known == of)
-                && !names.contains(&column.name.as_str())
-            {
-                names.push(&column.name);
-            }
-        }
+    fn plain(reason: &str) -> &str {
+        reason.strip_prefix("not available: ").unwrap_or(reason)
     }
-    reasons.into_iter().map(|(reason, names)| format!("{}: {reason}", names.join(", "))).collect()
+    let line = |reason: &str| {
+        let is_reason =
+            |cell: &Cell| matches!(cell, Cell::NotAvailable { reason: own } if plain(own) == reason);
+        let lacks = |k: usize| table.rows.iter().any(|row| row.cells.get(k).is_some_and(is_reason));
+        let columns = table.columns.iter().enumerate().filter(|(k, _)| lacks(*k));
+        let names = distinct(columns.map(|(_, column)| column.name.as_str()));
+        format!("{}: {reason}", names.join(", "))
+    };
+    distinct(table.missing().into_iter().map(plain)).into_iter().map(line).collect()
 }
 
 impl TableView {
     fn new(whole: &Table) -> Self {
         let table = &measured(whole);
-        let mut spans: Vec<(String, usize)> = Vec::new();
-        for column in &table.columns {
-            match spans.last_mut() {
-                Some((group, count)) if *group == column.group => *count += 1,
-                _ => spans.push((column.group.clone(), 1)),
-            }
-        }
-        if spans.iter().all(|(group, _)| group.is_empty()) {
-            spans.clear();
-        }
         let cell = |cell: &Cell, rank: Rank, decimals: usize| match cell {
             Cell::Number { value, source } => CellView {
                 text: format!("{value:.decimals$}"),
@@ -347,7 +329,7 @@ impl TableView {
         });
         Self {
             caption: table.caption.clone(),
-            spans,
+            spans: table.spans().into_iter().map(|(group, count)| (group.to_string(), count)).collect(),
             heads: table.columns.iter().map(|c| format!("{}{}", c.name, c.better.arrow())).collect(),
             rows: rows.collect(),
             made: made.map(|(place, text)| (marked(place), text.to_string())).collect(),
@@ -360,17 +342,11 @@ impl Page {
     /// The page as HTML.
     pub fn html(&self) -> Result<String, ReportError> {
         let template = PageTemplate {
-            policy: &policy(),
-            title: &self.title,
-            subtitle: &self.subtitle,
+            page: self,
+            policy: policy(),
             verdict: verdict(&self.verdict)?,
             verdicts: self.scenes.iter().map(|scene| verdict(&scene.verdict)).collect::<Result<_, _>>()?,
-            has_tables: !self.tables.is_empty(),
-            tables_section: &TablesTemplate::new(&self.tables).render()?,
-            scenes: &self.scenes,
-            calibrator: &self.calibrator,
-            missing: &self.missing,
-            made_with: &self.made_with,
+            tables_section: TablesTemplate::new(&self.tables).render()?,
         };
         Ok(template.render()?)
     }
@@ -437,19 +413,11 @@ pub fn with_configurations(html: &str, made: &[(String, Vec<(&'static str, Strin
 pub fn with_views<'a>(html: &str, views: impl Iterator<Item = (&'a str, &'a str, String)>) -> String {
     views.fold(html.to_string(), |html, (scene, variant, address)| {
         // The section's name, as the template escapes it.
-        let name = if variant.is_empty() { scene.to_string() } else { format!("{scene} · {variant}") };
-        let link = ViewLink {
-            name: &name,
-            address: &address,
-            folder: address.rsplit_once('/').map_or("", |(folder, _)| folder),
-        };
-        match link.render() {
-            Ok(filled) => {
-                let mark = filled.lines().next().unwrap_or_default();
-                html.replacen(&format!("{mark}\n"), &filled, 1)
-            }
-            Err(_) => html,
-        }
+        let name = &in_variant(scene, variant);
+        let folder = address.rsplit_once('/').map_or("", |(folder, _)| folder);
+        let Ok(filled) = (ViewLink { name, address: &address, folder }).render() else { return html };
+        let mark = filled.lines().next().unwrap_or_default();
+        html.replacen(&format!("{mark}\n"), &filled, 1)
     })
 }
 

@@ -8,6 +8,7 @@
 use super::published::{self, Published};
 use super::{Better, Cell, Column, Row, Table};
 use crate::judge::configuration::Configuration;
+use crate::judge::names::{distinct, in_variant};
 use crate::judge::scores::{Method, SceneScores, Score, ScoredScene};
 
 /// A quantity: its key in the scores, its name in heads, its better direction, its decimals.
@@ -31,7 +32,7 @@ const OF_PHOTOGRAPHS: [Method; 2] = [Method::Captured, Method::Proposal];
 pub(super) struct Batch<'a> {
     pub(super) scenes: &'a [ScoredScene],
     /// Distinct groups (a scene without one forms its own), in order of appearance.
-    pub(super) groups: Vec<String>,
+    pub(super) groups: Vec<&'a str>,
     /// Distinct variants, in order of appearance.
     pub(super) variants: Vec<&'a str>,
 }
@@ -43,22 +44,14 @@ pub(super) fn group_of(scene: &ScoredScene) -> &str {
 
 impl<'a> Batch<'a> {
     pub(super) fn new(scenes: &'a [ScoredScene]) -> Self {
-        let (mut groups, mut variants): (Vec<String>, Vec<&str>) = (Vec::new(), Vec::new());
-        for scene in scenes {
-            if !groups.iter().any(|g| g == group_of(scene)) {
-                groups.push(group_of(scene).to_string());
-            }
-            if !variants.contains(&scene.variant.as_str()) {
-                variants.push(&scene.variant);
-            }
-        }
+        let mut groups = distinct(scenes.iter().map(group_of));
         if groups.len() > 1 {
-            groups.push(ALL.into());
+            groups.push(ALL);
         }
-        Self { scenes, groups, variants }
+        Self { scenes, groups, variants: distinct(scenes.iter().map(|s| s.variant.as_str())) }
     }
 
-    /// The scenes of a group in a variant.
+    /// The scenes of a group, or of [`ALL`] groups, in a variant.
     pub(super) fn of_group(&self, group: &str, variant: &str) -> Vec<&'a ScoredScene> {
         let fits = |s: &&ScoredScene| (group == ALL || group_of(s) == group) && s.variant == variant;
         self.scenes.iter().filter(fits).collect()
@@ -82,8 +75,8 @@ impl<'a> Batch<'a> {
 
     pub(super) fn every_group_is_one_scene(&self) -> bool {
         let variants = self.variants.len();
-        let of = |g: &String| self.scenes.iter().filter(|s| group_of(s) == g).count();
-        self.groups.iter().filter(|g| *g != ALL).all(|g| of(g) <= variants)
+        let of = |g: &str| self.scenes.iter().filter(|s| group_of(s) == g).count();
+        self.groups.iter().filter(|g| **g != ALL).all(|g| of(g) <= variants)
     }
 
     /// One row per variant and method. Rows with equal numbers stay, so that a variant with the same numbers
@@ -109,32 +102,23 @@ impl<'a> Batch<'a> {
     }
 
     /// The configuration behind the numbers of a variant.
-    pub(super) fn made_by(&self, variant: &str) -> String {
-        let scenes = self.scenes.iter().filter(|s| s.variant == variant);
+    fn made_by(&self, variant: &str) -> String {
+        let scenes = self.of_group(ALL, variant).into_iter();
         let all: Vec<&Configuration> = scenes.filter_map(|s| s.configuration.as_ref()).collect();
         Configuration::told(&all)
     }
 
     /// The look in which the enhancement of a variant was learnt; it is the variant's result.
-    pub(super) fn result(&self, variant: &str) -> Method {
-        let first = self.scenes.iter().find(|s| s.variant == variant);
-        first.map_or(Method::Enhanced, |s| s.scores.result)
+    fn result(&self, variant: &str) -> Method {
+        self.of_group(ALL, variant).first().map_or(Method::Enhanced, |s| s.scores.result)
     }
 
     /// Stage 1's row of the second ablation, from the first variant that learnt from photographs.
     pub(super) fn before_stage2(&self, quantities: &[Quantity]) -> Option<Row> {
         self.variants.iter().find_map(|variant| {
-            let scenes: Vec<&ScoredScene> = self.scenes.iter().filter(|s| s.variant == **variant).collect();
-            let cells: Vec<Cell> = (quantities.iter())
-                .map(|(key, ..)| macro_mean(&scenes, Method::Reconstruction, key))
-                .collect();
+            let cells = means(&self.of_group(ALL, variant), Method::Reconstruction, quantities);
             let known = cells.iter().any(|c| *c != Cell::Blank);
-            known.then(|| Row {
-                label: Method::Reconstruction.label().into(),
-                published: false,
-                made_by: self.made_by(variant),
-                cells,
-            })
+            known.then(|| self.own_row(Method::Reconstruction.label().into(), variant, cells))
         })
     }
 
@@ -145,57 +129,28 @@ impl<'a> Batch<'a> {
             (Method::Enhanced, Method::EnhancedClear) => "3D-USE, enhanced",
             _ => method.label(),
         };
-        if variant.is_empty() { name.into() } else { format!("{name} · {variant}") }
+        in_variant(name, variant)
     }
 
     /// The program's name in a variant, for a row about the whole program.
     pub(super) fn program(variant: &str) -> String {
-        let name = Method::Enhanced.label();
-        if variant.is_empty() { name.into() } else { format!("{name} · {variant}") }
+        in_variant(Method::Enhanced.label(), variant)
+    }
+
+    /// A row of this program's own numbers.
+    pub(super) fn own_row(&self, label: String, variant: &str, cells: Vec<Cell>) -> Row {
+        Row { label, published: false, made_by: self.made_by(variant), cells }
     }
 
     pub(super) fn row(&self, method: Method, variant: &str, quantities: &[Quantity]) -> Row {
-        let cells = self.groups.iter().flat_map(|group| {
-            let scenes = self.of_group(group, variant);
-            quantities.iter().map(move |(key, ..)| macro_mean(&scenes, method, key))
-        });
-        Row {
-            label: self.label(method, variant),
-            published: false,
-            made_by: self.made_by(variant),
-            cells: cells.collect(),
-        }
-    }
-
-    pub(super) fn columns(&self, quantities: &[Quantity]) -> Vec<Column> {
-        let column = |group: &str, q: &Quantity| Column::new(group, q.1, q.2, q.3);
-        self.groups.iter().flat_map(|g| quantities.iter().map(move |q| column(g, q))).collect()
+        let of = |group: &&str| means(&self.of_group(group, variant), method, quantities);
+        self.own_row(self.label(method, variant), variant, self.groups.iter().flat_map(of).collect())
     }
 
     /// Published rows over our groups; groups that are not in the paper stay blank.
     pub(super) fn published_rows(&self, source: &[Published], quantities: &[Quantity]) -> Vec<Row> {
-        let mut methods: Vec<&str> = Vec::new();
-        for row in source.iter().filter(|r| self.groups.iter().any(|g| g == r.group && self.is_published(g)))
-        {
-            if !methods.contains(&row.method) {
-                methods.push(row.method);
-            }
-        }
-        let rows = methods.into_iter().map(|method| {
-            let cells = self.groups.iter().flat_map(|group| {
-                let found = source
-                    .iter()
-                    .find(|r| r.method == method && r.group == group && self.is_published(group));
-                quantities.iter().enumerate().map(move |(q, (key, ..))| {
-                    published_cell(match *key {
-                        "wlpips" => self.published_wlpips(method, group),
-                        _ => found.and_then(|r| r.values.get(q).copied()),
-                    })
-                })
-            });
-            Row::published(method, cells.collect())
-        });
-        rows.collect()
+        let known: Vec<&Published> = source.iter().filter(|r| self.is_published(r.group)).collect();
+        published_over(&self.groups, &known, quantities, |method, group| self.published_wlpips(method, group))
     }
 
     /// The paper's wLPIPS of a method for one of our groups, if its numbers may be shown next to ours.
@@ -218,47 +173,23 @@ impl<'a> Batch<'a> {
         methods: &[Method],
         source: &[Published],
     ) -> Table {
-        let mut names: Vec<&str> = Vec::new();
-        for scene in self.scenes {
-            if !names.contains(&scene.scene.as_str()) {
-                names.push(&scene.scene);
-            }
-        }
-        let columns =
-            names.iter().flat_map(|n| quantities.iter().map(move |q| Column::new(n, q.1, q.2, q.3)));
-        let mut rows: Vec<Row> = Vec::new();
-        let mut published_methods: Vec<&str> = Vec::new();
+        let names = distinct(self.scenes.iter().map(|s| s.scene.as_str()));
         let papers = |name: &str| self.scenes.iter().any(|s| s.scene == name && is_the_papers(s));
-        for row in source.iter().filter(|r| names.contains(&r.group) && papers(r.group)) {
-            if !published_methods.contains(&row.method) {
-                published_methods.push(row.method);
-            }
-        }
-        for method in published_methods {
-            let cells = names.iter().flat_map(|name| {
-                let found = source.iter().find(|r| r.method == method && r.group == *name && papers(name));
-                (0..quantities.len())
-                    .map(move |q| published_cell(found.and_then(|r| r.values.get(q).copied())))
-            });
-            rows.push(Row::published(method, cells.collect()));
-        }
+        let known: Vec<&Published> = source.iter().filter(|r| papers(r.group)).collect();
+        let mut rows = published_over(&names, &known, quantities, |_, _| None);
         for variant in &self.variants {
             for &method in methods {
                 let cells = names.iter().flat_map(|name| {
-                    let found: Vec<&ScoredScene> =
-                        self.scenes.iter().filter(|s| s.scene == *name && s.variant == **variant).collect();
-                    quantities.iter().map(move |(key, ..)| macro_mean(&found, method, key))
+                    let mut found = self.of_group(ALL, variant);
+                    found.retain(|s| s.scene == *name);
+                    means(&found, method, quantities)
                 });
                 let alone = methods.len() == 1;
-                rows.push(Row {
-                    label: if alone { Self::program(variant) } else { self.label(method, variant) },
-                    published: false,
-                    made_by: self.made_by(variant),
-                    cells: cells.collect(),
-                });
+                let label = if alone { Self::program(variant) } else { self.label(method, variant) };
+                rows.push(self.own_row(label, variant, cells.collect()));
             }
         }
-        Table { name: name.into(), caption: caption.into(), columns: columns.collect(), rows }
+        Table { name: name.into(), caption: caption.into(), columns: columns(&names, quantities), rows }
     }
 
     /// One row per variant, averaged over all scenes of the run, of the first of these methods that the
@@ -271,31 +202,57 @@ impl<'a> Batch<'a> {
         methods: &[Method],
         source: &[Published],
     ) -> Table {
-        let columns = quantities.iter().map(|q| Column::new("", q.1, q.2, q.3)).collect();
-        let mut rows = Vec::new();
-        if self.groups.len() == 1 && self.groups[0] == "SeaThru-4" && self.is_published(&self.groups[0]) {
-            rows.extend(source.iter().map(|r| {
-                let cells = (0..quantities.len()).map(|q| published_cell(r.values.get(q).copied()));
-                Row::published(r.method, cells.collect())
-            }));
-        }
+        let of_one = self.groups == ["SeaThru-4"] && self.is_published(self.groups[0]);
+        let known: Vec<&Published> = source.iter().filter(|_| of_one).collect();
+        let mut rows = published_over(&self.groups, &known, quantities, |_, _| None);
         for variant in &self.variants {
-            let scenes: Vec<&ScoredScene> = self.scenes.iter().filter(|s| s.variant == **variant).collect();
-            let has =
-                |m: &&Method| quantities.iter().any(|(key, ..)| macro_mean(&scenes, **m, key) != Cell::Blank);
+            let scenes = self.of_group(ALL, variant);
+            let has = |m: &Method| means(&scenes, *m, quantities).iter().any(|cell| *cell != Cell::Blank);
             // The result of a variant comes first; if it was learnt without water, that is `enhanced-clear`.
             let result = self.result(variant);
             let in_order = [result].into_iter().filter(|m| methods.contains(m));
-            let Some(method) = in_order.chain(methods.iter().copied()).find(|m| has(&m)) else { continue };
-            rows.push(Row {
-                label: if variant.is_empty() { "full model".into() } else { (*variant).into() },
-                published: false,
-                made_by: self.made_by(variant),
-                cells: quantities.iter().map(|(key, ..)| macro_mean(&scenes, method, key)).collect(),
-            });
+            let Some(method) = in_order.chain(methods.iter().copied()).find(has) else { continue };
+            let label = if variant.is_empty() { "full model" } else { variant };
+            rows.push(self.own_row(label.into(), variant, means(&scenes, method, quantities)));
         }
-        Table { name: name.into(), caption: caption.into(), columns, rows }
+        Table { name: name.into(), caption: caption.into(), columns: columns(&[""], quantities), rows }
     }
+}
+
+/// Columns of some quantities for each of some groups or scenes.
+pub(super) fn columns(groups: &[&str], quantities: &[Quantity]) -> Vec<Column> {
+    let column = |group: &str, q: &Quantity| Column::new(group, q.1, q.2, q.3);
+    groups.iter().flat_map(|g| quantities.iter().map(move |q| column(g, q))).collect()
+}
+
+/// Published rows over some groups or scenes, one per method that has a number there. `wlpips` gives the
+/// wLPIPS of a method and a group, which is in no row of the paper's.
+fn published_over(
+    groups: &[&str],
+    known: &[&Published],
+    quantities: &[Quantity],
+    wlpips: impl Fn(&str, &str) -> Option<f64>,
+) -> Vec<Row> {
+    let there = known.iter().filter(|r| groups.contains(&r.group));
+    let rows = distinct(there.map(|r| r.method)).into_iter().map(|method| {
+        let mut cells = Vec::new();
+        for group in groups {
+            let found = known.iter().find(|r| r.method == method && r.group == *group);
+            cells.extend(quantities.iter().enumerate().map(|(q, (key, ..))| {
+                published_cell(match *key {
+                    "wlpips" => wlpips(method, group),
+                    _ => found.and_then(|r| r.values.get(q).copied()),
+                })
+            }));
+        }
+        Row::published(method, cells)
+    });
+    rows.collect()
+}
+
+/// The means of a method's scores over some scenes, one per quantity.
+pub(super) fn means(scenes: &[&ScoredScene], method: Method, quantities: &[Quantity]) -> Vec<Cell> {
+    quantities.iter().map(|(key, ..)| macro_mean(scenes, method, key)).collect()
 }
 
 /// A published number, or a blank.

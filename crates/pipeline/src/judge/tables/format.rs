@@ -11,11 +11,10 @@ const MISSING: &str = "n/a";
 impl Table {
     fn text(&self, cell: &Cell, column: usize) -> String {
         match cell {
-            Cell::Number { .. } => match cell.value() {
-                Some(value) => format!("{value:.*}", self.columns[column].decimals),
-                None => MISSING.into(),
-            },
-            Cell::NotAvailable { .. } => MISSING.into(),
+            Cell::Number { value, .. } if value.is_finite() => {
+                format!("{value:.*}", self.columns[column].decimals)
+            }
+            Cell::Number { .. } | Cell::NotAvailable { .. } => MISSING.into(),
             Cell::Blank => BLANK.into(),
         }
     }
@@ -75,23 +74,15 @@ impl Table {
         };
         let mut out = String::from("method,published,made by");
         for column in &self.columns {
-            let name = if column.group.is_empty() {
-                column.name.clone()
-            } else {
-                format!("{} {}", column.group, column.name)
-            };
-            let _ = write!(out, ",{}", quote(&name));
+            let name = format!("{} {}", column.group, column.name);
+            let _ = write!(out, ",{}", quote(if column.group.is_empty() { &column.name } else { &name }));
         }
         out.push('\n');
         for row in &self.rows {
             let _ = write!(out, "{},{},{}", quote(&row.label), row.published, quote(&row.made_by));
             for (c, cell) in row.cells.iter().enumerate() {
-                match cell.value() {
-                    Some(_) => {
-                        let _ = write!(out, ",{}", self.text(cell, c));
-                    }
-                    None => out.push(','),
-                }
+                let text = cell.value().map(|_| self.text(cell, c));
+                let _ = write!(out, ",{}", text.unwrap_or_default());
             }
             out.push('\n');
         }
@@ -105,10 +96,7 @@ impl Table {
             let mut out = String::new();
             for c in text.chars() {
                 match c {
-                    '&' | '%' | '$' | '#' | '_' | '{' | '}' => {
-                        out.push('\\');
-                        out.push(c);
-                    }
+                    '&' | '%' | '$' | '#' | '_' | '{' | '}' => out.extend(['\\', c]),
                     '–' => out.push_str("--"),
                     'Δ' => out.push_str("$\\Delta$"),
                     'β' => out.push_str("$\\beta$"),
@@ -124,14 +112,8 @@ impl Table {
         let mut out = format!(
             "\\begin{{table}}[t]\n\\centering\\small\n\\begin{{tabular}}{{@{{}}l*{{{n}}}{{c}}@{{}}}}\n\\toprule\n"
         );
-        let mut spans: Vec<(&str, usize)> = Vec::new();
-        for column in &self.columns {
-            match spans.last_mut() {
-                Some((group, count)) if *group == column.group => *count += 1,
-                _ => spans.push((&column.group, 1)),
-            }
-        }
-        if spans.iter().any(|(group, _)| !group.is_empty()) {
+        let spans = self.spans();
+        if !spans.is_empty() {
             let mut rules = String::new();
             let mut start = 2;
             for (group, count) in spans {

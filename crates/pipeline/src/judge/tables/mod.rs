@@ -13,6 +13,8 @@ mod truth;
 use serde::Serialize;
 use use3d_numerics::math;
 
+use crate::judge::names::distinct;
+
 /// The better direction of a quantity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
@@ -157,13 +159,11 @@ impl Table {
             }
             values.sort_unstable();
             values.dedup();
-            for (r, row) in self.rows.iter().enumerate() {
-                if let Some(value) = printed(row) {
-                    if value == values[0] {
-                        ranks[r][c] = Rank::Best;
-                    } else if values.get(1) == Some(&value) {
-                        ranks[r][c] = Rank::Second;
-                    }
+            for (row, ranks) in self.rows.iter().zip(&mut ranks) {
+                match printed(row).and_then(|value| values.binary_search(&value).ok()) {
+                    Some(0) => ranks[c] = Rank::Best,
+                    Some(1) => ranks[c] = Rank::Second,
+                    _ => {}
                 }
             }
         }
@@ -172,13 +172,7 @@ impl Table {
 
     /// The configurations behind the rows, each text once, in order of appearance.
     pub fn made_by(&self) -> Vec<&str> {
-        let mut made: Vec<&str> = Vec::new();
-        for row in self.rows.iter().filter(|row| !row.made_by.is_empty()) {
-            if !made.contains(&row.made_by.as_str()) {
-                made.push(&row.made_by);
-            }
-        }
-        made
+        distinct(self.rows.iter().map(|row| row.made_by.as_str()).filter(|made| !made.is_empty()))
     }
 
     /// The mark after a row's name that refers to its configuration: a, b, …; empty if the configuration is
@@ -190,15 +184,18 @@ impl Table {
 
     /// The distinct reasons for missing cells, in order of appearance.
     pub fn missing(&self) -> Vec<&str> {
-        let mut reasons: Vec<&str> = Vec::new();
-        for cell in self.rows.iter().flat_map(|r| &r.cells) {
-            if let Cell::NotAvailable { reason } = cell
-                && !reasons.contains(&reason.as_str())
-            {
-                reasons.push(reason);
-            }
-        }
-        reasons
+        let cells = self.rows.iter().flat_map(|row| &row.cells);
+        distinct(cells.filter_map(|cell| match cell {
+            Cell::NotAvailable { reason } => Some(reason.as_str()),
+            _ => None,
+        }))
+    }
+
+    /// The heads over several columns, each with the number of its columns; empty if no column has one.
+    pub(crate) fn spans(&self) -> Vec<(&str, usize)> {
+        let alike = self.columns.chunk_by(|a, b| a.group == b.group);
+        let spans: Vec<(&str, usize)> = alike.map(|span| (&*span[0].group, span.len())).collect();
+        if spans.iter().all(|(group, _)| group.is_empty()) { Vec::new() } else { spans }
     }
 }
 

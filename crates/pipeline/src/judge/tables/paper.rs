@@ -3,9 +3,10 @@
 
 use use3d_metrics::UciqeVariant;
 
-use super::batch::{Batch, Quantity, published_cell};
+use super::batch::{ALL, Batch, Quantity, columns, published_cell};
 use super::published;
 use super::{Better, Cell, Column, Row, Table};
+use crate::judge::names::distinct;
 use crate::judge::scores::{Method, ScoredScene, Warp};
 
 const RECONSTRUCTION: [Quantity; 3] = [
@@ -94,7 +95,7 @@ pub fn tables(scenes: &[ScoredScene]) -> Vec<Table> {
 
 impl Batch<'_> {
     fn reconstruction(&self) -> Table {
-        let mut columns = self.columns(&RECONSTRUCTION);
+        let mut columns = columns(&self.groups, &RECONSTRUCTION);
         let mut rows = self.published_rows(published::RECONSTRUCTION, &RECONSTRUCTION);
         let timed = !rows.is_empty() || self.scenes.iter().any(|s| s.speed.is_some());
         if timed {
@@ -107,17 +108,14 @@ impl Batch<'_> {
         for variant in &self.variants {
             let mut row = self.row(Method::Reconstruction, variant, &RECONSTRUCTION);
             row.label = Self::program(variant);
-            let speeds: Vec<f64> = (self.scenes.iter().filter(|s| s.variant == **variant))
-                .filter_map(|s| Some(s.speed.as_ref()?.fps.get()))
-                .collect();
+            let scenes = self.of_group(ALL, variant).into_iter();
+            let speeds: Vec<f64> = scenes.filter_map(|s| Some(s.speed.as_ref()?.fps.get())).collect();
             if timed {
                 row.cells.push(if speeds.is_empty() {
                     Cell::NotAvailable { reason: NOT_TIMED.into() }
                 } else {
-                    Cell::Number {
-                        value: speeds.iter().sum::<f64>() / speeds.len() as f64,
-                        source: self.hardware(),
-                    }
+                    let value = speeds.iter().sum::<f64>() / speeds.len() as f64;
+                    Cell::Number { value, source: self.hardware() }
                 });
             }
             rows.push(row);
@@ -138,14 +136,8 @@ impl Batch<'_> {
 
     /// The processors or cards that our frames per second were measured on, with the image sizes.
     fn hardware(&self) -> String {
-        let mut seen: Vec<String> = Vec::new();
-        for speed in self.scenes.iter().filter_map(|s| s.speed.as_ref()) {
-            let text = speed.to_string();
-            if !seen.contains(&text) {
-                seen.push(text);
-            }
-        }
-        seen.join(", ")
+        let speeds = self.scenes.iter().filter_map(|s| s.speed.as_ref());
+        distinct(speeds.map(ToString::to_string)).join(", ")
     }
 
     fn enhancement(&self) -> Table {
@@ -158,7 +150,7 @@ impl Batch<'_> {
                 UciqeVariant::default().name(),
                 self.pairs_compared()
             ),
-            columns: self.columns(&ENHANCEMENT),
+            columns: columns(&self.groups, &ENHANCEMENT),
             rows,
         }
     }
@@ -204,7 +196,7 @@ impl Batch<'_> {
         } else {
             ". Some scenes were compared by their own depth: not comparable with others"
         };
-        Table { name: "consistency".into(), caption, columns: self.columns(&CONSISTENCY), rows }
+        Table { name: "consistency".into(), caption, columns: columns(&self.groups, &CONSISTENCY), rows }
     }
 }
 

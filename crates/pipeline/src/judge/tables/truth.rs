@@ -1,8 +1,9 @@
 //! Tables against the truth, for captures that bring one: appearances against the true clean images, and
 //! depth and water next to the true ones.
 
-use super::batch::{Batch, Quantity, group_of, macro_mean};
-use super::{Better, Cell, Column, Row, Table};
+use super::batch::{ALL, Batch, Quantity, columns, group_of, macro_mean, means};
+use super::{Better, Cell, Row, Table};
+use crate::judge::names::{distinct, in_variant};
 use crate::judge::scores::{Method, ScoredScene};
 
 /// Quantities against the truth of synthetic captures.
@@ -24,34 +25,25 @@ impl Batch<'_> {
     /// Appearances against the true clean images, over the groups that have them.
     pub(super) fn truth(&self) -> Option<Table> {
         let known = |s: &&ScoredScene| CLEAN.iter().any(|m| s.scores.mean(*m, TRUTH[0].0).is_some());
-        let groups: Vec<&String> = self
-            .groups
-            .iter()
-            .filter(|g| self.scenes.iter().filter(known).any(|s| group_of(s) == *g))
-            .collect();
+        let there = |group: &str| self.scenes.iter().filter(known).any(|s| group_of(s) == group);
+        let groups: Vec<&str> = self.groups.iter().copied().filter(|g| there(g)).collect();
         if groups.is_empty() {
             return None;
         }
         let rows = self.variants.iter().flat_map(|variant| {
             CLEAN.map(|method| {
-                let cells = groups.iter().flat_map(|group| {
-                    let scenes: Vec<&ScoredScene> =
-                        self.of_group(group, variant).into_iter().filter(known).collect();
-                    TRUTH.map(|(key, ..)| macro_mean(&scenes, method, key))
-                });
-                Row {
-                    label: self.label(method, variant),
-                    published: false,
-                    made_by: self.made_by(variant),
-                    cells: cells.collect(),
-                }
+                let of = |group: &&str| {
+                    let mut scenes = self.of_group(group, variant);
+                    scenes.retain(known);
+                    means(&scenes, method, &TRUTH)
+                };
+                self.own_row(self.label(method, variant), variant, groups.iter().flat_map(of).collect())
             })
         });
-        let columns = groups.iter().flat_map(|g| TRUTH.map(|q| Column::new(g, q.1, q.2, q.3)));
         Some(Table {
             name: "truth".into(),
             caption: "Against the truth (synthetic captures): held-out views against the true clean images, where they show a surface, after one least-squares gain per image".into(),
-            columns: columns.collect(),
+            columns: columns(&groups, &TRUTH),
             rows: rows.collect(),
         })
     }
@@ -59,25 +51,14 @@ impl Batch<'_> {
     /// Recovered and true water and the depth error, scene by scene.
     pub(super) fn recovered(&self) -> Option<Table> {
         const DEPTH: &str = "depth_error";
-        let mut names: Vec<&str> = Vec::new();
-        for scene in self.scenes {
-            let known = scene.scores.mean(Method::Reconstruction, DEPTH).is_some();
-            if known && !names.contains(&scene.scene.as_str()) {
-                names.push(&scene.scene);
-            }
-        }
+        let known = |s: &&ScoredScene| s.scores.mean(Method::Reconstruction, DEPTH).is_some();
+        let names = distinct(self.scenes.iter().filter(known).map(|s| s.scene.as_str()));
         let first = |name: &str| self.scenes.iter().find(|s| s.scene == name && s.scores.water.is_some());
-        let row = |label: String, made_by: String, cells: &dyn Fn(&str) -> Vec<Cell>| Row {
-            label,
-            published: false,
-            made_by,
-            cells: names.iter().flat_map(|name| cells(name)).collect(),
-        };
         let numbers = |values: [[f64; 3]; 2], source: &str| -> Vec<Cell> {
             let cell = |value| Cell::Number { value, source: source.into() };
             values.into_iter().flatten().map(cell).collect()
         };
-        let mut rows = vec![row("Truth".into(), String::new(), &|name| {
+        let truth = names.iter().flat_map(|name| {
             let mut cells = vec![Cell::Blank];
             cells.extend(match first(name).and_then(|s| s.scores.water) {
                 Some(w) => {
@@ -86,37 +67,39 @@ impl Batch<'_> {
                 None => vec![Cell::Blank; 6],
             });
             cells
-        })];
+        });
+        let mut rows = vec![Row {
+            label: "Truth".into(),
+            published: false,
+            made_by: String::new(),
+            cells: truth.collect(),
+        }];
         for variant in &self.variants {
-            let label =
-                if variant.is_empty() { "Recovered".into() } else { format!("Recovered · {variant}") };
-            rows.push(row(label, self.made_by(variant), &|name| {
-                let found: Vec<&ScoredScene> =
-                    self.scenes.iter().filter(|s| s.scene == name && s.variant == **variant).collect();
+            let cells = names.iter().flat_map(|name| {
+                let mut found = self.of_group(ALL, variant);
+                found.retain(|s| s.scene == *name);
                 let mut cells = vec![macro_mean(&found, Method::Reconstruction, DEPTH)];
                 cells.extend(match found.first().and_then(|s| Some((s, s.scores.water?))) {
                     Some((s, w)) => numbers([w.attenuation, w.backscatter], &s.source),
                     None => vec![Cell::Blank; 6],
                 });
                 cells
-            }));
+            });
+            rows.push(self.own_row(in_variant("Recovered", variant), variant, cells.collect()));
         }
-        let quantities: [(&str, Better); 7] = [
-            ("depth error", Better::Lower),
-            ("β_attn R", Better::Neither),
-            ("β_attn G", Better::Neither),
-            ("β_attn B", Better::Neither),
-            ("β_bs R", Better::Neither),
-            ("β_bs G", Better::Neither),
-            ("β_bs B", Better::Neither),
+        let quantities: [Quantity; 7] = [
+            (DEPTH, "depth error", Better::Lower, 4),
+            ("", "β_attn R", Better::Neither, 4),
+            ("", "β_attn G", Better::Neither, 4),
+            ("", "β_attn B", Better::Neither, 4),
+            ("", "β_bs R", Better::Neither, 4),
+            ("", "β_bs G", Better::Neither, 4),
+            ("", "β_bs B", Better::Neither, 4),
         ];
-        let columns =
-            names.iter().flat_map(|n| quantities.map(|(name, better)| Column::new(n, name, better, 4)));
-        let columns: Vec<Column> = columns.collect();
         (!names.is_empty()).then(|| Table {
             name: "truth-scene".into(),
             caption: "Against the truth (synthetic captures): median relative error of stage 1's depth, and the water's coefficients in 1/m, means over the rays of held-out views".into(),
-            columns,
+            columns: columns(&names, &quantities),
             rows,
         })
     }
