@@ -23,50 +23,63 @@ const SAME_SURFACE: f64 = 0.02;
 #[cfg(feature = "nets")]
 const LONGEST_SIDE: usize = 1024;
 
+/// A network that measures the distance of two pictures.
+type Distance = dyn Fn(&Image, &Image) -> Result<f64, String>;
+/// A network that judges the quality of a picture.
+type Quality = dyn Fn(&Image) -> Result<f64, String>;
+/// A network that finds the flow from one picture to the next.
+type Motion = dyn Fn(&Image, &Image) -> Result<Flow, String>;
+
 /// The quality networks, each opened once, or the reason why it is missing.
 pub struct Judges {
-    #[cfg(feature = "nets")]
-    lpips: Result<use3d_nets::Lpips, String>,
-    #[cfg(feature = "nets")]
-    uranker: Result<use3d_nets::URanker, String>,
-    #[cfg(feature = "nets")]
-    musiq: Result<use3d_nets::Musiq, String>,
-    #[cfg(feature = "nets")]
-    raft: Result<use3d_nets::Raft, String>,
+    lpips: Result<Box<Distance>, String>,
+    uranker: Result<Box<Quality>, String>,
+    musiq: Result<Box<Quality>, String>,
+    raft: Result<Box<Motion>, String>,
 }
-
-#[cfg(not(feature = "nets"))]
-const WITHOUT: &str = "not available: this program was built without networks (cargo feature `nets`)";
 
 impl Judges {
     /// Opens the networks that are in the models folder.
     #[cfg(feature = "nets")]
     pub fn open(models: Option<&Path>) -> Self {
+        use use3d_nets::{NetError, limit_long_side};
         let Some(dir) = models else {
-            let none =
-                || "not available: no models folder; name one with --models or USE3D_MODELS".to_string();
-            return Self { lpips: Err(none()), uranker: Err(none()), musiq: Err(none()), raft: Err(none()) };
+            return Self::without("not available: no models folder; name one with --models or USE3D_MODELS");
         };
         let models = use3d_nets::Models::open(dir);
+        let text = |error: NetError| error.to_string();
+        let small = |image: &Image| limit_long_side(image, LONGEST_SIDE);
         Self {
-            lpips: models.lpips().map_err(|e| e.to_string()),
-            uranker: models.uranker().map_err(|e| e.to_string()),
-            musiq: models.musiq().map_err(|e| e.to_string()),
-            raft: models.raft().map_err(|e| e.to_string()),
+            lpips: models.lpips().map_err(text).map(|net| -> Box<Distance> {
+                Box::new(move |a: &Image, b: &Image| net.distance(a, b).map_err(text))
+            }),
+            uranker: models.uranker().map_err(text).map(|net| -> Box<Quality> {
+                Box::new(move |image: &Image| net.score(&small(image)).map_err(text))
+            }),
+            musiq: models.musiq().map_err(text).map(|net| -> Box<Quality> {
+                Box::new(move |image: &Image| net.score(&small(image)).map_err(text))
+            }),
+            raft: models.raft().map_err(text).map(|net| -> Box<Motion> {
+                Box::new(move |a: &Image, b: &Image| net.flow(a, b).map_err(text))
+            }),
         }
     }
 
     /// A build without networks opens none.
     #[cfg(not(feature = "nets"))]
     pub fn open(_: Option<&Path>) -> Self {
-        Self {}
+        Self::without("not available: this program was built without networks (cargo feature `nets`)")
+    }
+
+    fn without(reason: &str) -> Self {
+        let none = || reason.to_string();
+        Self { lpips: Err(none()), uranker: Err(none()), musiq: Err(none()), raft: Err(none()) }
     }
 
     /// Fails if a network is missing, with its reason.
     ///
     /// # Errors
     /// Returns the reason why the first missing network is missing.
-    #[cfg(feature = "nets")]
     pub fn complete(&self) -> Result<(), String> {
         let missing = [
             self.lpips.as_ref().err(),
@@ -77,15 +90,6 @@ impl Judges {
         missing.into_iter().flatten().next().map_or(Ok(()), |reason| Err(reason.clone()))
     }
 
-    /// A build without networks is never complete.
-    ///
-    /// # Errors
-    /// Always fails.
-    #[cfg(not(feature = "nets"))]
-    pub fn complete(&self) -> Result<(), String> {
-        Err(WITHOUT.into())
-    }
-
     /// Approximate memory, in bytes per pixel, that [`alone`](Self::alone) or (with `compared`)
     /// [`against`](Self::against) needs in addition to the images. It holds without masks, and for images
     /// within display range. The memory of networks that scale a picture down to at most 1024 pixels is the
@@ -93,9 +97,12 @@ impl Judges {
     pub fn bytes_per_pixel(&self, compared: bool) -> u64 {
         /// Eight bits of every channel, and of its CIELAB (UCIQE).
         const COLOURS: u64 = 6;
+        /// Measured memory that LPIPS needs for two images (docs/science/networks.md).
+        const LPIPS: u64 = 92;
         match compared {
             false => COLOURS,
-            true => self.lpips_bytes_per_pixel(),
+            true if self.lpips.is_ok() => LPIPS,
+            true => 0,
         }
     }
 
@@ -103,21 +110,19 @@ impl Judges {
     /// Both are clamped to the display range.
     pub fn against(&self, image: &Image, reference: &Image, mask: Option<&Mask>) -> Scores {
         let (image, reference) = (clamped(image), clamped(reference));
-        let mut scores = Scores::new();
-        scores.insert("psnr".into(), Score::measured(psnr(&image, &reference, mask)));
-        scores.insert("ssim".into(), Score::measured(ssim(&image, &reference, mask)));
         let lpips = match (whole(&image, mask), whole(&reference, mask)) {
             (Ok(image), Ok(reference)) => {
                 let share = mask.map_or(1.0, |m| counted(m) as f64 / m.pixels().max(1) as f64);
-                match self.lpips(&image, &reference) {
+                match measured(&self.lpips, |net| net(&image, &reference)) {
                     Score::Value(distance) => Score::of(distance.get() / share),
                     reason => reason,
                 }
             }
             (Err(e), _) | (_, Err(e)) => Score::measured(Err(e)),
         };
-        scores.insert("lpips".into(), lpips);
-        scores
+        let psnr = Score::measured(psnr(&image, &reference, mask));
+        let ssim = Score::measured(ssim(&image, &reference, mask));
+        Scores::from([("psnr".into(), psnr), ("ssim".into(), ssim), ("lpips".into(), lpips)])
     }
 
     /// UCIQE, UIQM, URanker and MUSIQ of an image, over the pixels of the mask.
@@ -128,66 +133,25 @@ impl Judges {
             None => uciqe(&image, variant),
             Some(mask) => only_counted(&image, mask).and_then(|colours| uciqe(&colours, variant)),
         };
-        let mut scores = Scores::from([("uciqe".to_string(), Score::measured(uciqe.map(|u| u.score)))]);
+        let uciqe = Score::measured(uciqe.map(|u| u.score));
         let whole = whole(&image, mask);
         let of = |measure: &dyn Fn(&Image) -> Score| match &whole {
             Ok(image) => measure(image),
             Err(e) => Score::measured(Err(e.clone())),
         };
-        scores.insert("uiqm".into(), of(&|image| Score::measured(uiqm(image).map(|u| u.score))));
-        scores.insert("uranker".into(), of(&|image| self.uranker(image)));
-        scores.insert("musiq".into(), of(&|image| self.musiq(image)));
-        scores
-    }
-
-    /// Measured memory that LPIPS needs for two images (docs/science/networks.md).
-    #[cfg(feature = "nets")]
-    fn lpips_bytes_per_pixel(&self) -> u64 {
-        if self.lpips.is_ok() { 92 } else { 0 }
-    }
-
-    #[cfg(not(feature = "nets"))]
-    fn lpips_bytes_per_pixel(&self) -> u64 {
-        0
-    }
-
-    #[cfg(feature = "nets")]
-    fn lpips(&self, a: &Image, b: &Image) -> Score {
-        network(&self.lpips, |net| net.distance(a, b))
-    }
-
-    #[cfg(feature = "nets")]
-    fn uranker(&self, image: &Image) -> Score {
-        network(&self.uranker, |net| net.score(&use3d_nets::limit_long_side(image, LONGEST_SIDE)))
-    }
-
-    #[cfg(feature = "nets")]
-    fn musiq(&self, image: &Image) -> Score {
-        network(&self.musiq, |net| net.score(&use3d_nets::limit_long_side(image, LONGEST_SIDE)))
-    }
-
-    #[cfg(not(feature = "nets"))]
-    fn lpips(&self, _: &Image, _: &Image) -> Score {
-        Score::NotAvailable(WITHOUT.into())
-    }
-
-    #[cfg(not(feature = "nets"))]
-    fn uranker(&self, _: &Image) -> Score {
-        Score::NotAvailable(WITHOUT.into())
-    }
-
-    #[cfg(not(feature = "nets"))]
-    fn musiq(&self, _: &Image) -> Score {
-        Score::NotAvailable(WITHOUT.into())
+        let uiqm = of(&|image| Score::measured(uiqm(image).map(|u| u.score)));
+        let uranker = of(&|image| measured(&self.uranker, |net| net(image)));
+        let musiq = of(&|image| measured(&self.musiq, |net| net(image)));
+        let scores = [("uciqe", uciqe), ("uiqm", uiqm), ("uranker", uranker), ("musiq", musiq)];
+        scores.map(|(name, score)| (name.to_string(), score)).into()
     }
 }
 
-#[cfg(feature = "nets")]
-fn network<N>(net: &Result<N, String>, score: impl FnOnce(&N) -> Result<f64, use3d_nets::NetError>) -> Score {
-    match net.as_ref().map(score) {
-        Ok(Ok(value)) => Score::of(value),
-        Ok(Err(error)) => Score::NotAvailable(error.to_string()),
-        Err(reason) => Score::NotAvailable(reason.clone()),
+/// The score that a network gives, or the reason why there is none.
+fn measured<N: ?Sized>(net: &Result<Box<N>, String>, score: impl FnOnce(&N) -> Result<f64, String>) -> Score {
+    match net.as_deref().map_err(String::clone).and_then(score) {
+        Ok(value) => Score::of(value),
+        Err(reason) => Score::NotAvailable(reason),
     }
 }
 
@@ -242,10 +206,9 @@ impl Pairing {
         let geometry =
             geometric_warp(first.geometry(), second.geometry(), SAME_SURFACE).map_err(|e| e.to_string());
         let among = |found: Correspondence| {
-            found.map(|(flow, mask)| {
-                let mask = counting(&flow, mask, first.mask, second.mask);
-                (flow, mask)
-            })
+            let (flow, mask) = found?;
+            let mask = counting(&flow, mask, first.mask, second.mask);
+            Ok((flow, mask))
         };
         Self { geometry: among(geometry), flow: among(judges.flow(first.raw, second.raw)) }
     }
@@ -315,45 +278,26 @@ fn counting(flow: &Flow, mut mask: Mask, first: Option<&Mask>, second: Option<&M
     mask
 }
 
-#[cfg(feature = "nets")]
 impl Judges {
     fn flow(&self, a: &Image, b: &Image) -> Correspondence {
         let raft = self.raft.as_ref().map_err(Clone::clone)?;
-        let forward = raft.flow(a, b).map_err(|e| e.to_string())?;
-        let backward = raft.flow(b, a).map_err(|e| e.to_string())?;
+        let (forward, backward) = (raft(a, b)?, raft(b, a)?);
         let both = use3d_metrics::forward_backward(&forward, &backward).map_err(|e| e.to_string())?;
         let mask = both.relative_mask(0.01, 0.5);
         Ok((forward, mask))
     }
 
     fn warped_lpips(&self, a: &Image, b: &Image, flow: &Flow, mask: &Mask) -> Score {
-        let lpips = match &self.lpips {
-            Ok(lpips) => lpips,
-            Err(reason) => return Score::NotAvailable(reason.clone()),
-        };
-        let distance = use3d_metrics::warped_distance(a, b, flow, mask, |x, y| {
-            lpips.distance(x, y).map_err(|e| Reason(e.to_string()))
-        });
-        distance.map_or_else(|e| Score::NotAvailable(e.0), Score::of)
-    }
-}
-
-#[cfg(not(feature = "nets"))]
-impl Judges {
-    fn flow(&self, _: &Image, _: &Image) -> Correspondence {
-        Err(WITHOUT.into())
-    }
-
-    fn warped_lpips(&self, _: &Image, _: &Image, _: &Flow, _: &Mask) -> Score {
-        Score::NotAvailable(WITHOUT.into())
+        measured(&self.lpips, |lpips| {
+            let between = |x: &_, y: &_| lpips(x, y).map_err(Reason);
+            use3d_metrics::warped_distance(a, b, flow, mask, between).map_err(|e| e.0)
+        })
     }
 }
 
 /// The message of an error, from any crate.
-#[cfg(feature = "nets")]
 struct Reason(String);
 
-#[cfg(feature = "nets")]
 impl From<MetricError> for Reason {
     fn from(error: MetricError) -> Self {
         Self(error.to_string())
