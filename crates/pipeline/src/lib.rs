@@ -23,5 +23,6 @@ pub mod scene_page;
 mod sights;
 pub mod stages;
 pub mod water;
+mod written;
 
 pub use engines::{Drawn, close_devices};

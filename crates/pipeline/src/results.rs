@@ -6,12 +6,11 @@
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fs;
-use std::io::{self, Write};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use serde::Serialize;
-use use3d_files::write_atomically;
 use use3d_scene::White;
 use use3d_workflow::delivered::{MadeOf, Notes};
 use use3d_workflow::place::{self, Look, PlaceError, Standing};
@@ -19,6 +18,7 @@ use use3d_workflow::run::{Became, RanNode};
 use use3d_workflow::{Artifact, Cache, Digest, Graph, Summary};
 
 use crate::judge::configuration::Configuration;
+use crate::judge::names::in_variant;
 use crate::judge::report::{StageRow, shortened, with_configurations, with_costs, with_tables, with_views};
 use crate::judge::scores::ScoredScene;
 use crate::judge::tables::{Table, paper};
@@ -26,6 +26,7 @@ use crate::made_by;
 use crate::scene_page;
 use crate::stages::evaluate::{SCORES, SPEED};
 use crate::stages::report::write_tables;
+use crate::written::{Sealed, at, put_folder};
 
 /// The page and the tables over all scenes.
 const PAGE: &str = "report.html";
@@ -34,8 +35,9 @@ const TABLES: &str = "tables";
 /// file.
 const VIEW: &str = "view.html";
 const VIEW_PARTS: &str = "view_files";
-/// The text before the digest in the last line of a page.
-const STAMP: &str = "<!-- written by use3d, blake3 ";
+/// A page has its digest in its last line.
+const STAMPED: Sealed =
+    Sealed { around: ["<!-- written by use3d, blake3 ", " -->\n"], words: ["page", "program"] };
 
 /// The place of a stage's result below the results folder; `None` for stages whose results stay in the cache.
 fn place_of(stage: &str, scene: &str, variant: &str) -> Option<PathBuf> {
@@ -47,10 +49,7 @@ fn place_of(stage: &str, scene: &str, variant: &str) -> Option<PathBuf> {
         "evaluate" => "scores",
         _ => return None,
     };
-    if scene.is_empty() {
-        return None;
-    }
-    Some(folder_of(scene, variant).join(folder))
+    (!scene.is_empty()).then(|| folder_of(scene, variant).join(folder))
 }
 
 /// The folder of all results of a scene in a variant, below the results folder.
@@ -61,7 +60,8 @@ fn folder_of(scene: &str, variant: &str) -> PathBuf {
 /// A results folder and the notes about its parts. A part is the folder of a scene, or the page and the
 /// tables.
 pub struct Results {
-    out: PathBuf,
+    /// The path of the folder.
+    pub out: PathBuf,
     notes: Notes,
     /// The sources of each part that is as it was delivered.
     standing: Mutex<BTreeMap<String, MadeOf>>,
@@ -81,27 +81,14 @@ impl Results {
         Self { out: out.to_path_buf(), notes: Notes::of(cache, out), standing: Mutex::default() }
     }
 
-    /// The path of the folder.
-    pub fn folder(&self) -> &Path {
-        &self.out
-    }
-
     fn standing(&self) -> MutexGuard<'_, BTreeMap<String, MadeOf>> {
         self.standing.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Returns true if a part is as it was delivered. Its files are examined once.
-    fn stands(&self, part: &str) -> bool {
-        let mut standing = self.standing();
-        if !standing.contains_key(part) {
-            standing.insert(part.to_string(), self.notes.standing(part, &paths_of(part)));
-        }
-        !standing[part].is_empty()
-    }
-
-    /// The sources of a part that is as it was delivered; empty if it is not.
+    /// The sources of a part that is as it was delivered; empty if it is not. Its files are examined once.
     fn made_of(&self, part: &str) -> MadeOf {
-        self.standing().get(part).cloned().unwrap_or_default()
+        let examine = || self.notes.standing(part, &paths_of(part));
+        self.standing().entry(part.to_string()).or_insert_with(examine).clone()
     }
 
     /// Notes the sources of a part that was just delivered.
@@ -133,9 +120,9 @@ impl Results {
             if let Some(place) = place_of(node.stage_name, &node.scene, &node.variant)
                 && let Some(other) = places.insert(place.clone(), node.label())
             {
+                let own = node.label();
                 let reason = format!(
-                    "the results of `{other}` and `{}` would both go there; rename a scene or a variant",
-                    node.label()
+                    "the results of `{other}` and `{own}` would both go there; rename a scene or a variant"
                 );
                 return Err(PlaceError::Occupied { path: out.join(place), reason });
             }
@@ -146,19 +133,19 @@ impl Results {
                 }
                 "report" => {
                     places.insert(TABLES.into(), node.label());
-                    (PathBuf::from(OVER_ALL), PathBuf::from(PAGE))
+                    (OVER_ALL.into(), PAGE.into())
                 }
                 _ => continue,
             };
-            let stands = self.stands(&part.to_string_lossy());
+            let stands = !self.made_of(&part.to_string_lossy()).is_empty();
             examined.insert(part, stands);
             if !stands {
-                check_page(&out.join(page))?;
+                STAMPED.check(&out.join(page))?;
             }
         }
         let part_of = |place: &Path| match place.parent() {
             Some(folder) if place != Path::new(TABLES) => folder.to_path_buf(),
-            _ => PathBuf::from(OVER_ALL),
+            _ => OVER_ALL.into(),
         };
         let unknown = places.keys().filter(|place| examined.get(&part_of(place)) != Some(&true));
         let mut swept = BTreeSet::new();
@@ -203,41 +190,38 @@ impl Results {
         let folder = folder_of(scene, variant);
         let part = folder.to_string_lossy().into_owned();
         let mut wanted = MadeOf::new();
-        let mut delivered = Vec::new();
-        for node in &own.nodes {
-            let Some(artifact) = &node.artifact else { continue };
-            let Some(place) = place_of(node.stage, scene, variant) else { continue };
+        let placed = own.nodes.iter().filter_map(|node| {
+            let place = self.out.join(place_of(node.stage, scene, variant)?);
+            Some((node.stage, node.artifact.as_deref()?, place))
+        });
+        let placed: Vec<(&str, &Artifact, PathBuf)> = placed.collect();
+        for (stage, artifact, _) in &placed {
             let key = artifact.manifest.key;
             // The scores also name the configuration, which follows from all nodes of the scene.
             let source =
-                if node.stage == "evaluate" { format!("{key} {}", own.sources()) } else { key.to_string() };
-            wanted.insert(node.stage.to_string(), source);
-            let (scene, variant, path) = (scene.into(), variant.into(), self.out.join(place));
-            delivered.push(Delivered { what: node.stage.to_string(), scene, variant, path });
+                if *stage == "evaluate" { format!("{key} {}", own.sources()) } else { key.to_string() };
+            wanted.insert((*stage).to_string(), source);
         }
+        let delivered = placed.iter().map(|(stage, _, path)| Delivered::new(stage, scene, variant, path));
+        let mut delivered: Vec<Delivered> = delivered.collect();
         let shown = own.artifact("reconstruct").and_then(|scene| own.artifact("enhance").or(Some(scene)));
-        let page = self.out.join(&folder).join(VIEW);
-        let page =
-            Delivered { what: "view".into(), scene: scene.into(), variant: variant.into(), path: page };
+        let page = Delivered::new("view", scene, variant, &self.out.join(&folder).join(VIEW));
         if let Some(shown) = shown {
             wanted.insert(VIEW.to_string(), view_of(shown));
         }
-        let standing = if self.stands(&part) { self.made_of(&part) } else { MadeOf::new() };
+        let standing = self.made_of(&part);
         if wanted.iter().all(|(place, source)| standing.get(place) == Some(source)) {
             delivered.extend(shown.map(|_| page));
             return Ok(delivered);
         }
-        for node in &own.nodes {
-            let Some(artifact) = &node.artifact else { continue };
-            let Some(place) = place_of(node.stage, scene, variant) else { continue };
-            let target = self.out.join(place);
-            let configuration = if node.stage == "evaluate" { own.configuration() } else { None };
+        for (stage, artifact, target) in &placed {
+            let configuration = if *stage == "evaluate" { own.configuration() } else { None };
             match configuration {
-                Some(configuration) => scores(artifact, &configuration, &target)?,
+                Some(configuration) => scores(artifact, &configuration, target)?,
                 // The artifact's manifest is the record of the folder.
                 None => {
                     let fill = |made: &Path| place::copy_folder(&artifact.path, made);
-                    put(Some(artifact.manifest.key), &target, fill)?;
+                    put(Some(artifact.manifest.key), target, fill)?;
                 }
             }
         }
@@ -263,8 +247,8 @@ impl Results {
     ) -> Result<Vec<Delivered>, PlaceError> {
         let (page, tables) = (self.out.join(PAGE), self.out.join(TABLES));
         let has_tables = report.manifest.files.iter().any(|file| file.path.starts_with("tables/"));
-        let mut delivered = vec![Delivered::over_all("report", page.clone())];
-        delivered.extend(has_tables.then(|| Delivered::over_all("tables", tables.clone())));
+        let mut delivered = vec![Delivered::new("report", "", "", &page)];
+        delivered.extend(has_tables.then(|| Delivered::new("tables", "", "", &tables)));
         let mut sources = sources_of(summary.nodes.iter());
         sources.update(made_by_program().as_bytes());
         for view in views {
@@ -272,32 +256,25 @@ impl Results {
         }
         let wanted = MadeOf::from([(PAGE.to_string(), Digest::from(sources.finalize()).to_string())]);
         let computed = summary.nodes.iter().any(|n| matches!(n.result, Became::Done));
-        if !computed && self.stands(OVER_ALL) && self.made_of(OVER_ALL) == wanted {
+        if !computed && self.made_of(OVER_ALL) == wanted {
             return Ok(delivered);
         }
         let made = configurations(summary);
         let source = report.path.join("index.html");
         let html = at(&source, "read", fs::read_to_string(&source))?;
-        check_page(&page)?;
         let timed = timed_tables(summary, &made, &report.path);
         let html = timed.as_ref().map_or_else(|| html.clone(), |tables| with_tables(&html, tables));
         let html = with_configurations(&html, &told(&made));
         let html = with_costs(&html, &rows(summary), &written(summary, command), &parameters(summary));
-        let links =
-            views.iter().map(|view| (view.scene.as_str(), view.variant.as_str(), view.path.as_path()));
-        let links = links.map(|(scene, variant, path)| (scene, variant, relative(path, &self.out)));
-        let html = with_views(&html, links);
-        write(&page, stamped(&html).as_bytes())?;
+        let links = views.iter().map(|view| (&*view.scene, &*view.variant, relative(&view.path, &self.out)));
+        STAMPED.write(&page, &with_views(&html, links))?;
         if has_tables {
             // Drawing speeds do not follow from a key, so the tables are written with every new page.
             put(None, &tables, |made| {
                 place::copy_folder(&report.path.join(TABLES), made)?;
                 if let Some(timed) = &timed {
-                    at(
-                        made,
-                        "write",
-                        write_tables(made, timed).map_err(|e| io::Error::other(e.to_string())),
-                    )?;
+                    let tables = write_tables(made, timed).map_err(|e| io::Error::other(e.to_string()));
+                    at(made, "write", tables)?;
                 }
                 place::record(made, None)
             })?;
@@ -394,8 +371,8 @@ pub struct Delivered {
 }
 
 impl Delivered {
-    fn over_all(what: &str, path: PathBuf) -> Self {
-        Self { what: what.into(), scene: String::new(), variant: String::new(), path }
+    fn new(what: &str, scene: &str, variant: &str, path: &Path) -> Self {
+        Self { what: what.into(), scene: scene.into(), variant: variant.into(), path: path.into() }
     }
 }
 
@@ -408,7 +385,7 @@ fn write_view(own: &DeliveredCell<'_>, shown: &Artifact, page: &Path) -> Result<
     let white = white_of(folder, shown.manifest.key);
     let balanced = white.as_ref().map_or_else(String::new, |(_, digest)| format!(", white {digest}"));
     let source = format!("<!-- {}{balanced} -->\n", view_of(shown));
-    check_page(page)?;
+    STAMPED.check(page)?;
     if fs::read_to_string(page).is_ok_and(|text| text.contains(&source)) {
         return Ok(true);
     }
@@ -433,7 +410,7 @@ fn write_view(own: &DeliveredCell<'_>, shown: &Artifact, page: &Path) -> Result<
             place::record(parts, None)
         })?;
     }
-    write(page, stamped(&format!("{}{source}", made.html)).as_bytes())?;
+    STAMPED.write(page, &format!("{}{source}", made.html))?;
     Ok(true)
 }
 
@@ -441,10 +418,9 @@ fn write_view(own: &DeliveredCell<'_>, shown: &Artifact, page: &Path) -> Result<
 fn white_of(folder: &Path, key: Digest) -> Option<(White, Digest)> {
     for name in ["enhanced-scene", "scene"] {
         let scene = folder.join(name);
-        let ours =
-            matches!(place::look(&scene, Look::Quick), Ok(Standing::Ours(ours)) if ours.key == Some(key));
-        if !ours {
-            continue;
+        match place::look(&scene, Look::Quick) {
+            Ok(Standing::Ours(ours)) if ours.key == Some(key) => {}
+            _ => continue,
         }
         match White::beside(&scene) {
             Ok(Some(white)) if !white.is_outdated(&scene) => {
@@ -475,17 +451,14 @@ fn timed_tables(
 ) -> Option<Vec<Table>> {
     let mut scored: Vec<ScoredScene> =
         serde_json::from_slice(&fs::read(report.join("scores.json")).ok()?).ok()?;
-    let evaluated: HashMap<(&str, &str), &RanNode> = summary
-        .nodes
-        .iter()
-        .filter(|n| n.stage == "evaluate")
-        .map(|n| ((n.scene.as_str(), n.variant.as_str()), n))
-        .collect();
+    let evaluated = summary.nodes.iter().filter(|n| n.stage == "evaluate");
+    let evaluated: HashMap<(&str, &str), &RanNode> =
+        evaluated.map(|n| ((&*n.scene, &*n.variant), n)).collect();
     for scene in &mut scored {
-        let node = evaluated.get(&(scene.scene.as_str(), scene.variant.as_str()));
-        let artifact = node.and_then(|n| n.artifact.as_deref());
+        let place = (&*scene.scene, &*scene.variant);
+        let artifact = evaluated.get(&place).and_then(|node| node.artifact.as_deref());
         let note = artifact.and_then(|a| a.manifest.notes.get(SPEED).cloned());
-        scene.configuration = made.get(&(scene.scene.as_str(), scene.variant.as_str())).cloned();
+        scene.configuration = made.get(&place).cloned();
         scene.speed = note.and_then(|note| serde_json::from_value(note).ok());
         if let Some(artifact) = artifact {
             // The key as the table of costs shows it, shortened.
@@ -505,15 +478,11 @@ fn configurations(summary: &Summary) -> BTreeMap<(&str, &str), Configuration> {
 
 /// The configurations as the top of the report shows them: the parts for all scenes of a variant.
 fn told(made: &BTreeMap<(&str, &str), Configuration>) -> Vec<(String, Vec<(&'static str, String)>)> {
-    let mut variants: Vec<&str> = made.keys().map(|(_, variant)| *variant).collect();
-    variants.sort_unstable();
-    variants.dedup();
-    let of = |variant: &str| {
-        let all: Vec<&Configuration> =
-            made.iter().filter(|((_, v), _)| *v == variant).map(|(_, c)| c).collect();
-        (variant.to_string(), Configuration::parts(&all))
-    };
-    variants.into_iter().map(of).collect()
+    let mut variants: BTreeMap<&str, Vec<&Configuration>> = BTreeMap::new();
+    for ((_, variant), configuration) in made {
+        variants.entry(variant).or_default().push(configuration);
+    }
+    variants.into_iter().map(|(variant, all)| (variant.to_string(), Configuration::parts(&all))).collect()
 }
 
 /// Delivers the scores of a scene, with the configuration behind them.
@@ -537,16 +506,14 @@ fn scores(artifact: &Artifact, configuration: &Configuration, target: &Path) -> 
 /// One line with the pipeline, the time, the machines and the command that wrote the results.
 fn written(summary: &Summary, command: &str) -> String {
     let manifests = || summary.nodes.iter().filter_map(|n| Some(&n.artifact.as_ref()?.manifest));
-    let mut machines: Vec<String> = manifests()
+    let machines: BTreeSet<String> = manifests()
         .map(|m| format!("{} ({}, {} cores)", m.machine.host, m.machine.system, m.machine.cores))
         .collect();
-    machines.sort();
-    machines.dedup();
     let last = manifests().map(|m| m.finished.as_str()).max().unwrap_or("?");
     format!(
         "Pipeline {}. The last stage was finished at {last}; computed on {}. This page was written by {command}",
         summary.pipeline,
-        machines.join(", ")
+        Vec::from_iter(machines).join(", ")
     )
 }
 
@@ -560,9 +527,9 @@ fn parameters(summary: &Summary) -> String {
         let seed = ingredients.seed.map_or_else(String::new, |seed| format!(" (seed {seed})"));
         let values = serde_json::to_string_pretty(&ingredients.parameters).unwrap_or_default();
         let text = format!("{}{seed} {values}", node.stage);
-        let place = [node.scene.as_str(), node.variant.as_str()];
-        let place: Vec<&str> = place.into_iter().filter(|p| !p.is_empty()).collect();
-        let place = if place.is_empty() { "all scenes".to_string() } else { place.join(" · ") };
+        let place = [&*node.scene, &*node.variant].into_iter().filter(|p| !p.is_empty());
+        let place = place.collect::<Vec<_>>().join(" · ");
+        let place = if place.is_empty() { "all scenes".into() } else { place };
         let at = *known.entry(text.clone()).or_insert(groups.len());
         if at == groups.len() {
             groups.push((text, Vec::new()));
@@ -578,20 +545,15 @@ fn rows(summary: &Summary) -> Vec<StageRow> {
     let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
     let rows = summary.nodes.iter().filter(|n| !n.shared).filter_map(|node| {
         let manifest = &node.artifact.as_ref()?.manifest;
-        let scene = match (node.scene.is_empty(), node.variant.is_empty()) {
-            (true, _) => "all scenes".to_string(),
-            (false, true) => node.scene.clone(),
-            (false, false) => format!("{} · {}", node.scene, node.variant),
+        let scene = match &*node.scene {
+            "" => "all scenes".into(),
+            scene => in_variant(scene, &node.variant),
         };
+        let state = if matches!(node.result, Became::Done) { "computed" } else { "cached" };
         Some(StageRow {
             scene,
             stage: node.stage.to_string(),
-            state: if matches!(node.result, use3d_workflow::run::Became::Done) {
-                "computed"
-            } else {
-                "cached"
-            }
-            .into(),
+            state: state.into(),
             seconds: manifest.full_seconds(),
             memory: (manifest.peak_memory > 0).then(|| mib(manifest.peak_memory)),
             size: mib(manifest.bytes()),
@@ -617,66 +579,5 @@ fn put(
     }
     let folder = place::parent(target);
     at(folder, "create", fs::create_dir_all(folder))?;
-    let made = place::sibling(target);
-    let placed = fill(&made).and_then(|()| place::put(&made, target, true));
-    if placed.is_err() {
-        // The unfinished folder belongs to this process alone and is of no further use.
-        let _ = fs::remove_dir_all(&made);
-    }
-    placed
-}
-
-/// A page with its digest in a last line. The digest proves that this program wrote the page and that it is
-/// unchanged.
-fn stamped(html: &str) -> String {
-    format!("{html}{STAMP}{} -->\n", Digest::of(html.as_bytes()))
-}
-
-/// Refuses to replace a page that this program did not write, or that was changed since.
-fn check_page(page: &Path) -> Result<(), PlaceError> {
-    let found = match fs::symlink_metadata(page) {
-        Err(e) if matches!(e.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory) => return Ok(()),
-        found => at(page, "look at", found)?,
-    };
-    let ours = |text: &str| text.rfind(STAMP).is_some_and(|end| stamped(&text[..end]) == *text);
-    if found.is_file()
-        && ours(&at(page, "read", fs::read(page).map(|b| String::from_utf8_lossy(&b).into_owned()))?)
-    {
-        return Ok(());
-    }
-    let reason = "this page was not written by this program, or was changed since; move it away, or choose another --out";
-    Err(PlaceError::Occupied { path: page.to_path_buf(), reason: reason.into() })
-}
-
-fn write(path: &Path, bytes: &[u8]) -> Result<(), PlaceError> {
-    at(path, "write", write_atomically(path, |writer| writer.write_all(bytes)))
-}
-
-fn at<T>(path: &Path, doing: &'static str, result: io::Result<T>) -> Result<T, PlaceError> {
-    result.map_err(|source| PlaceError::Io { path: path.to_path_buf(), doing, source })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_page_is_replaced_only_as_it_was_written() {
-        let dir = tempfile::tempdir().unwrap();
-        let page = dir.path().join(PAGE);
-        check_page(&page).unwrap();
-        for (text, ours) in [
-            (stamped("<html>"), true),
-            (stamped(&stamped("<html>")), true),
-            (stamped("<html>").replace("<html>", "<html>my notes"), false),
-            (format!("{}my notes", stamped("<html>")), false),
-            ("<html>my own page".to_string(), false),
-        ] {
-            fs::write(&page, &text).unwrap();
-            assert_eq!(check_page(&page).is_ok(), ours, "{text}");
-        }
-        fs::remove_file(&page).unwrap();
-        fs::create_dir(&page).unwrap();
-        assert!(check_page(&page).is_err());
-    }
+    put_folder(target, fill)
 }

@@ -313,7 +313,7 @@ fn execute(
     if let Some(out) = out.filter(|_| !delivered.is_empty()) {
         let until = options.until.as_deref();
         let record = RunRecord::of(given.pipeline, given.scenes, until, loaded, &summary, typed());
-        history::keep(out.folder(), record, quiet)?;
+        history::keep(&out.out, record, quiet)?;
     }
     match summary.exit_code() {
         0 => Ok(()),

@@ -1,72 +1,31 @@
 //! The folder of a benchmark: `truth.md`, `truth.json`, `pictures/`.
 //!
 //! `captures/` and `cache/` may be in the same folder, so the folder as a whole has no record. Each of the
-//! two files carries the digest of its own text, which proves that this program wrote it and that it is
-//! unchanged. The pictures have a record like any result folder ([`use3d_workflow::place`]). Anything that
-//! this program did not write is refused.
+//! two files carries the digest of its own text. Anything that this program did not write is refused.
 
-use std::io::{self, Write};
+use std::io;
 use std::path::{Path, PathBuf};
 
-use use3d_files::write_atomically;
 use use3d_io_image::write_png;
-use use3d_workflow::Digest;
 use use3d_workflow::place::{self, PlaceError};
 
 use super::figures::TruthFigures;
 use super::page::markdown;
 use super::picture::Sheet;
+use crate::written::{Sealed, at, put_folder};
 
 const PICTURES: &str = "pictures";
 
-/// A file that ends with the digest of the text before it.
-struct Sealed {
-    name: &'static str,
-    /// The text before and after the digest.
-    around: [&'static str; 2],
+/// The two files.
+const PAGE: (&str, Sealed) = ("truth.md", sealed(["\n<!-- written by use3d, blake3 ", " -->\n"]));
+const FIGURES: (&str, Sealed) = ("truth.json", sealed([",\n  \"digest\": \"", "\"\n}\n"]));
+
+const fn sealed(around: [&'static str; 2]) -> Sealed {
+    Sealed { around, words: ["file", "command"] }
 }
 
-const PAGE: Sealed = Sealed { name: "truth.md", around: ["\n<!-- written by use3d, blake3 ", " -->\n"] };
-const FIGURES: Sealed = Sealed { name: "truth.json", around: [",\n  \"digest\": \"", "\"\n}\n"] };
-
-impl Sealed {
-    fn seal(&self, text: &str) -> String {
-        let [before, after] = self.around;
-        format!("{text}{before}{}{after}", Digest::of(text.as_bytes()))
-    }
-
-    fn is_sealed(&self, text: &str) -> bool {
-        text.rfind(self.around[0]).is_some_and(|end| self.seal(&text[..end]) == text)
-    }
-
-    /// Refuses to replace a file that this program did not write, or that was changed since.
-    fn check(&self, out: &Path) -> Result<PathBuf, PlaceError> {
-        let path = out.join(self.name);
-        let found = match std::fs::symlink_metadata(&path) {
-            Err(e) if matches!(e.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory) => {
-                return Ok(path);
-            }
-            found => at(&path, "look at", found)?,
-        };
-        let ours = found.is_file()
-            && self.is_sealed(&String::from_utf8_lossy(&at(&path, "read", std::fs::read(&path))?));
-        if ours {
-            return Ok(path);
-        }
-        let reason = "this file was not written by this command, or was changed since; move it away, or choose another --out";
-        Err(PlaceError::Occupied { path, reason: reason.into() })
-    }
-
-    fn write(&self, out: &Path, text: &str) -> Result<PathBuf, PlaceError> {
-        let path = self.check(out)?;
-        let written = write_atomically(&path, |file| file.write_all(self.seal(text).as_bytes()));
-        at(&path, "write", written)?;
-        Ok(path)
-    }
-}
-
-fn at<T>(path: &Path, doing: &'static str, result: io::Result<T>) -> Result<T, PlaceError> {
-    result.map_err(|source| PlaceError::Io { path: path.to_path_buf(), doing, source })
+fn check_files(out: &Path) -> Result<(), PlaceError> {
+    [PAGE, FIGURES].iter().try_for_each(|(name, sealed)| sealed.check(&out.join(name)))
 }
 
 /// Checks, before anything is computed, that a benchmark can be written to `out`.
@@ -76,8 +35,7 @@ fn at<T>(path: &Path, doing: &'static str, result: io::Result<T>) -> Result<T, P
 /// is changed.
 pub fn check(out: &Path) -> Result<(), PlaceError> {
     place::check_writable(out)?;
-    PAGE.check(out)?;
-    FIGURES.check(out)?;
+    check_files(out)?;
     place::sweep(out);
     place::check(&out.join(PICTURES), true)
 }
@@ -90,29 +48,21 @@ pub fn check(out: &Path) -> Result<(), PlaceError> {
 pub fn deliver(figures: &TruthFigures, pictures: &[Sheet], out: &Path) -> Result<Vec<PathBuf>, PlaceError> {
     at(out, "create", std::fs::create_dir_all(out))?;
     // Nothing is changed if one of the files cannot be replaced.
-    PAGE.check(out)?;
-    FIGURES.check(out)?;
-    let folder = out.join(PICTURES);
-    let made = place::sibling(&folder);
-    let fill = || {
-        at(&made, "create", std::fs::create_dir_all(&made))?;
+    check_files(out)?;
+    let [folder, page, path] = [PICTURES, PAGE.0, FIGURES.0].map(|name| out.join(name));
+    put_folder(&folder, |made| {
+        at(made, "create", std::fs::create_dir_all(made))?;
         for sheet in pictures {
             let path = made.join(format!("{}.png", sheet.capture));
             at(&path, "write", write_png(&path, &sheet.image).map_err(io::Error::other))?;
         }
-        place::record(&made, None)
-    };
-    let placed = fill().and_then(|()| place::put(&made, &folder, true));
-    if placed.is_err() {
-        let _ = std::fs::remove_dir_all(&made); // it belongs to this process alone; the first error is the one to report
-    }
-    placed?;
-    let page = PAGE.write(out, &markdown(figures, pictures))?;
-    let path = out.join(FIGURES.name);
+        place::record(made, None)
+    })?;
+    PAGE.1.write(&page, &markdown(figures, pictures))?;
     let text = at(&path, "write", serde_json::to_string_pretty(figures).map_err(io::Error::other))?;
     // The digest becomes the object's last field.
-    let open = text.strip_suffix("\n}").unwrap_or(&text);
-    Ok(vec![page, FIGURES.write(out, open)?, folder])
+    FIGURES.1.write(&path, text.strip_suffix("\n}").unwrap_or(&text))?;
+    Ok(vec![page, path, folder])
 }
 
 #[cfg(test)]
