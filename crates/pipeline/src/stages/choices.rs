@@ -12,12 +12,10 @@ pub(super) fn choice_sources(capture: &Path) -> Vec<PathBuf> {
     for entry in walkdir::WalkDir::new(capture).follow_links(true).sort_by_file_name() {
         // An unreadable entry may become readable later, so such a choice is made again each time.
         let Ok(entry) = entry else { return Vec::new() };
-        let names_images = |path: &Path| {
-            let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
-            extension
-                .is_some_and(|e| ["bin", "txt", "json", "xml", "ply", "csv", "xmp"].contains(&e.as_str()))
-        };
-        if entry.file_type().is_dir() || names_images(entry.path()) {
+        let extension = entry.path().extension().map(|e| e.to_string_lossy().to_lowercase());
+        let endings = ["bin", "txt", "json", "xml", "ply", "csv", "xmp"];
+        let names_images = extension.is_some_and(|extension| endings.contains(&&*extension));
+        if entry.file_type().is_dir() || names_images {
             found.push(entry.path().strip_prefix(capture).unwrap_or(entry.path()).to_path_buf());
         }
         if found.len() > MOST_COMPARED {

@@ -44,15 +44,17 @@ impl Encoder {
         }
     }
 
+    fn networks(self) -> Vec<Network> {
+        self.candidates().iter().map(|(network, _)| *network).collect()
+    }
+
     /// The best network whose weights are in the models folder, or a message that names the files to put
     /// there.
     fn found(self, models: &Path) -> Result<(Network, DepthAnythingSize), String> {
         let folder = Models::open(models);
         let found = self.candidates().iter().find(|(network, _)| folder.has(*network));
-        found.copied().ok_or_else(|| {
-            let networks: Vec<Network> = self.candidates().iter().map(|(network, _)| *network).collect();
-            super::weights::not_there("Depth Anything V2", &networks, models)
-        })
+        let missing = || super::weights::not_there("Depth Anything V2", &self.networks(), models);
+        found.copied().ok_or_else(missing)
     }
 }
 
@@ -67,7 +69,7 @@ pub(super) struct Params {
 /// The networks that fit these parameters, the best first.
 pub(super) fn networks(parameters: &Value) -> Vec<Network> {
     let params: Params = serde_json::from_value(parameters.clone()).unwrap_or_default();
-    params.encoder.candidates().iter().map(|(network, _)| *network).collect()
+    params.encoder.networks()
 }
 
 pub(super) fn stage() -> Stage {
@@ -89,12 +91,8 @@ pub(super) fn stage() -> Stage {
 fn asked_for(all: &AllParameters, named: &Named) -> bool {
     let of = |stage: &str| all.get(stage).cloned().unwrap_or_default();
     let import = serde_json::from_value(of("import")).unwrap_or_default();
-    wanted(
-        &of("reconstruct"),
-        &of("depth"),
-        named.path("capture").map(|c| (c, &import)),
-        named.path("models"),
-    )
+    let capture = named.path("capture").map(|capture| (capture, &import));
+    wanted(&of("reconstruct"), &of("depth"), capture, named.path("models"))
 }
 
 /// True if priors are to be made for a capture (with the parameters of its import), by the parameters of
@@ -133,9 +131,8 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         let mut sorted: Vec<f32> =
             disparity.data().iter().copied().filter(|v| v.is_finite() && *v > 1e-8).collect();
         sorted.sort_unstable_by(f32::total_cmp);
-        let at = |share: f64| {
-            sorted.get((sorted.len().saturating_sub(1) as f64 * share) as usize).copied().unwrap_or(0.0)
-        };
+        let last = sorted.len().saturating_sub(1) as f64;
+        let at = |share: f64| sorted.get((last * share) as usize).copied().unwrap_or(0.0);
         let (low, high) = (at(0.01), at(0.99));
         let scale = 1.0 / (high - low).max(1e-12);
         for v in disparity.data_mut() {

@@ -40,14 +40,18 @@ impl Default for KeptWaterChoice {
 }
 
 impl KeptWaterChoice {
+    /// The given shares; `None` for `"auto"`.
+    pub(super) fn given(&self) -> Option<KeptWater> {
+        match *self {
+            Self::Auto(_) => None,
+            Self::Same(k) => Some(KeptWater([k; 3])),
+            Self::Channels(k) => Some(KeptWater(k)),
+        }
+    }
+
     /// Refuses shares outside `[0, 1]`, as the error of the parameter `kept_water`.
     pub(super) fn check(&self) -> Result<(), (String, String)> {
-        let shares = match *self {
-            Self::Auto(_) => return Ok(()),
-            Self::Same(k) => KeptWater([k; 3]),
-            Self::Channels(k) => KeptWater(k),
-        };
-        if shares.is_valid() {
+        if self.given().is_none_or(|shares| shares.is_valid()) {
             return Ok(());
         }
         let given = serde_json::to_string(self).unwrap_or_default();
@@ -71,12 +75,8 @@ pub(super) fn choose(
     let mut depths = Depths::default();
     for (i, view) in views.iter().enumerate() {
         context.alive()?;
-        context.progress_with(
-            i as u64,
-            views.len() as u64,
-            "views",
-            "measuring the water in front of surfaces",
-        );
+        let doing = "measuring the water in front of surfaces";
+        context.progress_with(i as u64, views.len() as u64, "views", doing);
         let looked = known.view(&view.camera.no_larger_than(SIDE));
         depths.add(&looked.accumulation, &looked.arriving);
     }

@@ -16,7 +16,7 @@
 //! 320x180, 640x360 and 1280x720; eight and two hundred thousand Gaussians). Stage 2 keeps some data of each
 //! view, up to `cache_mib`.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 use use3d_import::{Extent, prepared_extent};
@@ -45,26 +45,26 @@ pub(super) fn with_forecast(stage: Stage) -> Stage {
             Some(PROGRAM + 110 * largest(inputs)? + weights * 14 / 10 + (128 << 20))
         }),
         "propose" => stage.memory(|_: &Value, inputs| {
-            let network = networks(inputs, proposer_files, NETWORK_PER_PIXEL);
-            Some(PROGRAM + 120 * largest(inputs)? + network.on(largest(inputs)?))
+            let pixels = largest(inputs)?;
+            Some(PROGRAM + 120 * pixels + networks(inputs, proposer_files, NETWORK_PER_PIXEL * pixels))
         }),
         "targets" => stage.memory(|_: &Value, inputs| {
             let network = networks(inputs, proposer_files, 0);
-            Some(PROGRAM + 135 * largest(inputs)? + 700 * gaussians(inputs)? + network.on(0))
+            Some(PROGRAM + 135 * largest(inputs)? + 700 * gaussians(inputs)? + network)
         }),
         "enhance" => stage.memory(|p: &Value, inputs| {
             let (gaussians, views) = (gaussians(inputs)?, extent(inputs)?.train.len() as u64);
             let kept = (views * (85 * gaussians + (1 << 20))).min(p["cache_mib"].as_u64()? << 20);
             let network = networks(inputs, proposer_files, 0);
-            Some(PROGRAM + kept + 30 * largest(inputs)? + 400 * gaussians + network.on(0))
+            Some(PROGRAM + kept + 30 * largest(inputs)? + 400 * gaussians + network)
         }),
         "render" => stage
             .memory(|_: &Value, inputs| Some(PROGRAM + 270 * largest(inputs)? + 600 * gaussians(inputs)?)),
         // The memory holds the scene, the reference's scene, and three views in all their appearances.
         "evaluate" => stage.memory(|_: &Value, inputs| {
-            let network = networks(inputs, judge_files, NETWORK_PER_PIXEL);
             let pixels = largest(inputs)?;
-            Some(PROGRAM + 650 * pixels + 1200 * gaussians(inputs)? + network.on(pixels))
+            let network = networks(inputs, judge_files, NETWORK_PER_PIXEL * pixels);
+            Some(PROGRAM + 650 * pixels + 1200 * gaussians(inputs)? + network)
         }),
         // The import has a memory budget of its own, independent of the size. The other stages use no scene.
         _ => stage,
@@ -92,39 +92,23 @@ fn size(extent: &Extent) -> CaptureSize {
 /// The number of Gaussians of the scene that is read; else the likely number for this capture.
 fn gaussians(inputs: &[StageInput]) -> Option<u64> {
     let scene = ["enhanced", "scene"].into_iter().find_map(|role| input(inputs, role));
-    let file = scene.and_then(|scene| std::fs::metadata(scene.join("gaussians.ply")).ok());
-    match file {
+    match scene.and_then(|scene| std::fs::metadata(scene.join("gaussians.ply")).ok()) {
         Some(file) => Some(file.len() / STORED_GAUSSIAN),
         None => Some(size(&extent(inputs)?).likely(&ReconstructParams::default()) as u64),
     }
 }
 
-/// The memory of the networks whose weights are in the models folder.
-struct Networks {
-    weights: u64,
-    per_pixel: u64,
-}
-
-impl Networks {
-    /// Bytes needed for a picture of this many pixels.
-    fn on(&self, pixels: u64) -> u64 {
-        match self.weights {
-            0 => 0,
-            weights => weights + (self.per_pixel * pixels).max(NETWORK_AT_384),
-        }
-    }
-}
-
-fn networks(
-    inputs: &[StageInput],
-    files: impl Fn(&Path) -> Vec<std::path::PathBuf>,
-    per_pixel: u64,
-) -> Networks {
+/// The memory of the networks whose weights are in the models folder. They need `bytes` for a picture, but at
+/// least those of Nu2Net at 384 pixels.
+fn networks(inputs: &[StageInput], files: impl Fn(&Path) -> Vec<PathBuf>, bytes: u64) -> u64 {
     let length = |models: &Path| {
         let each = files(models).into_iter().filter_map(|file| std::fs::metadata(models.join(file)).ok());
         each.map(|file| file.len()).sum()
     };
-    Networks { weights: input(inputs, "models").map_or(0, length), per_pixel }
+    match input(inputs, "models").map_or(0, length) {
+        0 => 0,
+        weights => weights + bytes.max(NETWORK_AT_384),
+    }
 }
 
 /// The largest file of a models folder. It is an upper bound: the size of the network is chosen later.

@@ -6,6 +6,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_atc::proposers::{Fusion, Proposer};
 
+#[cfg(feature = "nets")]
+use super::weights::NU2NET;
+
 /// The proposer (R25).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
@@ -76,12 +79,8 @@ mod network {
         }
 
         fn enhance(&self, image: &Image) -> Result<Image, AtcError> {
-            let policy = if image.width().max(image.height()) > LONGEST {
-                InputPolicy::LongSide(LONGEST)
-            } else {
-                InputPolicy::MultiplesOf16
-            };
-            self.with(image, policy)
+            let large = image.width().max(image.height()) > LONGEST;
+            self.with(image, if large { InputPolicy::LongSide(LONGEST) } else { InputPolicy::MultiplesOf16 })
         }
     }
 }
@@ -94,20 +93,19 @@ pub fn open(
     say: &mut dyn FnMut(&str),
 ) -> Result<Box<dyn Proposer>, String> {
     choice.for_photographs().map_err(|(_, message)| message)?;
-    let network = if choice == ProposerChoice::Fusion { Err("not asked for".into()) } else { nu2net(models) };
-    match (choice, network) {
-        (ProposerChoice::Fusion, _) => Ok(Box::new(Fusion)),
-        (_, Ok(network)) => {
+    if choice == ProposerChoice::Fusion {
+        return Ok(Box::new(Fusion));
+    }
+    match nu2net(models) {
+        Ok(network) => {
             say("proposer: nu2net");
             Ok(network)
         }
-        (ProposerChoice::Auto, Err(reason)) => {
+        Err(reason) if choice == ProposerChoice::Auto => {
             say(&format!("proposer: fusion (nu2net is not available: {reason})"));
             Ok(Box::new(Fusion))
         }
-        (ProposerChoice::Nu2net | ProposerChoice::Scene, Err(reason)) => {
-            Err(format!("proposer nu2net: {reason}"))
-        }
+        Err(reason) => Err(format!("proposer nu2net: {reason}")),
     }
 }
 
@@ -154,12 +152,10 @@ pub(super) fn by_name(name: &str, models: Option<&Path>) -> Result<Box<dyn Propo
 
 #[cfg(feature = "nets")]
 fn nu2net(models: Option<&Path>) -> Result<Box<dyn Proposer>, String> {
-    use use3d_nets::{Models, Network};
     let dir = models.ok_or("there is no models folder; name one with --models or USE3D_MODELS")?;
-    let models = Models::open(dir);
+    let models = use3d_nets::Models::open(dir);
     let net = models.nu2net().map_err(|e| e.to_string())?;
-    let found = [Network::Nu2NetReleased, Network::Nu2Net].into_iter().find_map(|n| models.find(n));
-    let path = found.ok_or("its file is missing")?;
+    let path = NU2NET.into_iter().find_map(|n| models.find(n)).ok_or("its file is missing")?;
     let bytes = std::fs::read(&path).map_err(|e| format!("{}: {e}", path.display()))?;
     Ok(Box::new(network::Network { net, digest: blake3::hash(&bytes).to_hex().to_string() }))
 }

@@ -12,6 +12,8 @@ use std::path::Path;
 use std::sync::Mutex;
 
 use serde_json::Value;
+#[cfg(feature = "nets")]
+use use3d_nets::{Models, Network};
 use use3d_workflow::{AllParameters, Checks, Lacking, Named, Stage};
 
 use super::calibrated::is_calibrated;
@@ -21,6 +23,8 @@ use super::depth;
 use super::pairs;
 use super::proposer::{ProposerChoice, of_calibrator};
 use super::targets;
+#[cfg(feature = "nets")]
+use super::weights::NU2NET;
 use crate::judge::truth;
 
 /// Fewest pairs that show how transitions vary.
@@ -32,24 +36,27 @@ const PAIRS: &str = "UIEB, LSUI or EUVP, docs/guide/datasets.md says where they 
 pub(super) fn with_requirements(stage: Stage) -> Stage {
     match stage.name() {
         "pairs" => stage.requires(|all, named, _| {
-            let mut missing: Vec<Lacking> = weights(all, named, "pairs").into_iter().collect();
-            missing.extend(of_pairs(all, named));
-            missing
+            weights(all, named, "pairs").into_iter().chain(of_pairs(all, named)).collect()
         }),
         "propose" => stage.requires(|all, named, _| weights(all, named, "propose").into_iter().collect()),
         #[cfg(feature = "nets")]
         "depth" => stage.requires(|all, named, _| of_depth(all, named).into_iter().collect()),
+        // A build without networks has no stage that makes the priors.
+        #[cfg(not(feature = "nets"))]
         "reconstruct" => stage.requires(|all, _, _| of_reconstruct(all).into_iter().collect()),
         "targets" => stage.requires(|all, named, _| of_targets(all, named).into_iter().collect()),
         "enhance" => stage.requires(|all, _, _| of_enhance(all).into_iter().collect()),
         "evaluate" => stage.requires(|all, named, checks| {
-            let mut missing: Vec<Lacking> = weights(all, named, "evaluate").into_iter().collect();
-            missing.extend(of_scores(all, named));
-            missing.extend(named.path("capture").and_then(|capture| of_truth(capture, checks)));
-            missing
+            let truth = named.path("capture").and_then(|capture| of_truth(capture, checks));
+            let network = weights(all, named, "evaluate");
+            network.into_iter().chain(of_scores(all, named)).chain(truth).collect()
         }),
         _ => stage,
     }
+}
+
+fn lacking(what: impl Into<String>, remedy: impl Into<String>, without: impl Into<String>) -> Lacking {
+    Lacking { what: what.into(), remedy: remedy.into(), without: without.into() }
 }
 
 fn text<'a>(all: &'a AllParameters, stage: &str, parameter: &str) -> &'a str {
@@ -75,9 +82,13 @@ fn weights(all: &AllParameters, named: &Named, stage: &str) -> Option<Lacking> {
 
 #[cfg(feature = "nets")]
 fn has_nu2net(named: &Named) -> bool {
-    use use3d_nets::Network::{Nu2Net, Nu2NetReleased};
-    let folder = named.path("models").filter(|dir| dir.is_dir()).map(use3d_nets::Models::open);
-    folder.is_some_and(|folder| [Nu2NetReleased, Nu2Net].iter().any(|network| folder.has(*network)))
+    folder(named).is_some_and(|folder| NU2NET.iter().any(|network| folder.has(*network)))
+}
+
+/// The models folder, if it exists.
+#[cfg(feature = "nets")]
+fn folder(named: &Named) -> Option<Models> {
+    named.path("models").filter(|dir| dir.is_dir()).map(Models::open)
 }
 
 #[cfg(not(feature = "nets"))]
@@ -87,26 +98,24 @@ fn has_nu2net(_: &Named) -> bool {
 
 #[cfg(feature = "nets")]
 fn nu2net(all: &AllParameters, named: &Named, stage: &str) -> Option<Lacking> {
-    use use3d_nets::Network::{Nu2Net, Nu2NetReleased};
     let what = "the weights of Nu2Net, the 2D enhancer of the paper";
-    network(named, what, &[Nu2NetReleased, Nu2Net], without_nu2net(all, stage))
+    network(named, what, &NU2NET, &without_nu2net(all, stage))
 }
 
 #[cfg(not(feature = "nets"))]
 fn nu2net(all: &AllParameters, _: &Named, stage: &str) -> Option<Lacking> {
-    Some(no_networks("Nu2Net, the 2D enhancer of the paper", without_nu2net(all, stage)))
+    Some(no_networks("Nu2Net, the 2D enhancer of the paper", &without_nu2net(all, stage)))
 }
 
 #[cfg(not(feature = "nets"))]
-fn no_networks(what: &str, without: String) -> Lacking {
-    let remedy = "this program was built without networks (cargo feature `nets`)".into();
-    Lacking { what: what.into(), remedy, without }
+fn no_networks(what: &str, without: &str) -> Lacking {
+    lacking(what, "this program was built without networks (cargo feature `nets`)", without)
 }
 
 /// The reason why the file of a network cannot be used. A file is checked once, for all scenes, until it
 /// changes.
 #[cfg(feature = "nets")]
-fn unusable(folder: &use3d_nets::Models, network: use3d_nets::Network) -> Option<String> {
+fn unusable(folder: &Models, network: Network) -> Option<String> {
     type File = (std::path::PathBuf, u64, Option<std::time::SystemTime>);
     static CHECKED: Mutex<BTreeMap<File, Option<String>>> = Mutex::new(BTreeMap::new());
     let path = folder.find(network)?;
@@ -119,23 +128,19 @@ fn unusable(folder: &use3d_nets::Models, network: use3d_nets::Network) -> Option
 
 /// The missing weights of a network that is available in several files; `None` if one of them is present.
 #[cfg(feature = "nets")]
-fn network(named: &Named, what: &str, networks: &[use3d_nets::Network], without: String) -> Option<Lacking> {
-    let models = named.path("models");
-    let folder = models.filter(|dir| dir.is_dir()).map(use3d_nets::Models::open);
-    let present = folder.and_then(|folder| {
-        let network = networks.iter().find(|network| folder.has(**network))?;
-        Some(unusable(&folder, *network).map(|reason| {
-            let remedy =
-                format!("{reason}; put the file there that is published at {}", network.known().origin);
-            Lacking { what: format!("{what}, in a file that can be used"), remedy, without: without.clone() }
-        }))
-    });
-    if let Some(found) = present {
-        return found;
+fn network(named: &Named, what: &str, networks: &[Network], without: &str) -> Option<Lacking> {
+    if let Some(folder) = folder(named)
+        && let Some(network) = networks.iter().find(|network| folder.has(**network))
+    {
+        return unusable(&folder, *network).map(|reason| {
+            let origin = network.known().origin;
+            let remedy = format!("{reason}; put the file there that is published at {origin}");
+            lacking(format!("{what}, in a file that can be used"), remedy, without)
+        });
     }
-    let known: Vec<_> = networks.iter().map(|network| network.known()).collect();
-    let files = known.iter().map(|k| format!("{} (published at {})", k.files[0], k.origin));
-    let place = match models {
+    let files = networks.iter().map(|network| network.known());
+    let files = files.map(|k| format!("{} (published at {})", k.files[0], k.origin));
+    let place = match named.path("models") {
         Some(dir) => format!("into {}", dir.display()),
         None => "into a folder, and name that with --models or USE3D_MODELS".into(),
     };
@@ -143,7 +148,7 @@ fn network(named: &Named, what: &str, networks: &[use3d_nets::Network], without:
     if let Some(reason) = named.problem("models") {
         remedy += &format!("; the models folder cannot be found: {reason}");
     }
-    Some(Lacking { what: what.into(), remedy, without })
+    Some(lacking(what, remedy, without))
 }
 
 /// The reason why a named file cannot be used; `None` if it exists.
@@ -159,24 +164,18 @@ fn unfound(named: &Named, external: &str) -> Option<String> {
 }
 
 fn of_pairs(all: &AllParameters, named: &Named) -> Vec<Lacking> {
-    let without = "--set pairs.stand_in=true";
-    let lacking = |what: &str, remedy: String, without: &str| Lacking {
-        what: what.into(),
-        remedy,
-        without: without.into(),
-    };
+    let what = "the pairs of images that the calibrator learns from";
     if !named.has("pairs.input") {
         let stands_in = all.get("pairs").is_none_or(|p| p["stand_in"] != Value::Bool(false));
         if stands_in {
             return Vec::new();
         }
         let remedy = format!("name two folders with --pairs INPUT TARGET or `calibrator.pairs` ({PAIRS})");
-        return vec![lacking("the pairs of images that the calibrator learns from", remedy, without)];
+        return vec![lacking(what, remedy, "--set pairs.stand_in=true")];
     }
     let unfound: Vec<String> =
         ["pairs.input", "pairs.target"].iter().filter_map(|name| unfound(named, name)).collect();
     if !unfound.is_empty() {
-        let what = "the pairs of images that the calibrator learns from";
         return vec![lacking(what, format!("{} ({PAIRS})", unfound.join("; ")), "")];
     }
     let (Some(input), Some(target)) = (named.path("pairs.input"), named.path("pairs.target")) else {
@@ -204,32 +203,23 @@ fn of_depth(all: &AllParameters, named: &Named) -> Option<Lacking> {
     }
     let networks = depth::networks(all.get("depth").unwrap_or(&Value::Null));
     let what = "the weights of Depth Anything V2, the depth prior of the paper";
-    network(named, what, &networks, "--set reconstruct.depth_prior=off".into())
+    network(named, what, &networks, "--set reconstruct.depth_prior=off")
 }
 
-#[cfg(feature = "nets")]
-fn of_reconstruct(_: &AllParameters) -> Option<Lacking> {
-    None
-}
-
-/// A build without networks has no stage that makes the priors.
 #[cfg(not(feature = "nets"))]
 fn of_reconstruct(all: &AllParameters) -> Option<Lacking> {
     let asked = text(all, "reconstruct", "depth_prior") == "depth-anything-v2";
-    let without = "--set reconstruct.depth_prior=off".to_string();
-    asked.then(|| no_networks("Depth Anything V2, the depth prior of the paper", without))
+    let what = "Depth Anything V2, the depth prior of the paper";
+    asked.then(|| no_networks(what, "--set reconstruct.depth_prior=off"))
 }
 
 /// Checks that the calibrator of the targets was fitted for the requested proposer.
 fn of_targets(all: &AllParameters, named: &Named) -> Option<Lacking> {
-    let choice = all.get("targets").map(|p| p["proposer"].clone()).unwrap_or_default();
-    let choice: ProposerChoice = serde_json::from_value(choice).unwrap_or_default();
-    let lacking = |what: &str, remedy: String, without: &str| {
-        Some(Lacking { what: what.into(), remedy, without: without.into() })
-    };
+    let given = all.get("targets").cloned().unwrap_or_default();
+    let choice: ProposerChoice = serde_json::from_value(given["proposer"].clone()).unwrap_or_default();
     if named.has("calibrator") {
         if let Some(problem) = unfound(named, "calibrator") {
-            return lacking("the calibrator", problem, "");
+            return Some(lacking("the calibrator", problem, ""));
         }
         if choice == ProposerChoice::Scene {
             let remedy = format!(
@@ -237,11 +227,11 @@ fn of_targets(all: &AllParameters, named: &Named) -> Option<Lacking> {
                  photographs; leave one of the two out",
                 named.by("calibrator")
             );
-            return lacking("a pipeline without a calibrator", remedy, "--set targets.proposer=auto");
+            return Some(lacking("a pipeline without a calibrator", remedy, "--set targets.proposer=auto"));
         }
         let calibrator = match read_calibrator(named.path("calibrator")?) {
             Ok(calibrator) => calibrator,
-            Err(error) => return lacking("a calibrator that can be read", error.to_string(), ""),
+            Err(error) => return Some(lacking("a calibrator that can be read", error.to_string(), "")),
         };
         let models = named.path("models").filter(|dir| dir.is_dir());
         if calibrator.proposer.name == "nu2net"
@@ -253,12 +243,11 @@ fn of_targets(all: &AllParameters, named: &Named) -> Option<Lacking> {
         }
         let opened = of_calibrator(choice, &calibrator.proposer.name, models)
             .and_then(|p| calibrator.proposer.require(&p.id()).map_err(|e| e.to_string()));
-        return opened.err().and_then(|problem| lacking("a calibrator for the proposer in use", problem, ""));
+        return opened.err().map(|problem| lacking("a calibrator for the proposer in use", problem, ""));
     }
-    let parameters =
-        all.get("targets").and_then(|p| serde_json::from_value::<targets::Params>(p.clone()).ok());
+    let parameters = serde_json::from_value::<targets::Params>(given).ok();
     if let Some((problem, without)) = parameters.and_then(|parameters| parameters.conflict()) {
-        return lacking("parameters of the targets that go together", problem, without);
+        return Some(lacking("parameters of the targets that go together", problem, without));
     }
     if !is_calibrated(all) {
         return None;
@@ -278,30 +267,29 @@ fn of_targets(all: &AllParameters, named: &Named) -> Option<Lacking> {
     let remedy = format!(
         "the calibrator is fitted for `pairs.proposer`, which is `{fitted}` here, and `targets.proposer` is `{asked}`; give both the same"
     );
-    lacking("a calibrator for the proposer in use", remedy, &format!("--set targets.proposer={fitted}"))
+    let without = format!("--set targets.proposer={fitted}");
+    Some(lacking("a calibrator for the proposer in use", remedy, without))
 }
 
 fn of_enhance(all: &AllParameters) -> Option<Lacking> {
     let labels = text(all, "enhance", "objective") == "pseudo-labels";
     let own = text(all, "targets", "proposer") == "scene";
-    (labels && own).then(|| Lacking {
-        what: "a 2D enhancer for `enhance.objective = \"pseudo-labels\"`".into(),
-        remedy: "that objective learns from photographs that a 2D enhancer enhanced, and `targets.proposer` is `scene`".into(),
-        without: "--set targets.proposer=auto".into(),
-    })
+    let remedy = "that objective learns from photographs that a 2D enhancer enhanced, and `targets.proposer` is `scene`";
+    let what = "a 2D enhancer for `enhance.objective = \"pseudo-labels\"`";
+    (labels && own).then(|| lacking(what, remedy, "--set targets.proposer=auto"))
 }
 
 /// The missing networks of the paper's scores, if all scores are required.
 #[cfg(feature = "nets")]
 fn of_scores(all: &AllParameters, named: &Named) -> Vec<Lacking> {
-    use use3d_nets::Network::{AlexNet, LpipsHeads, Musiq, RaftLarge, URanker};
+    use Network::{AlexNet, LpipsHeads, Musiq, RaftLarge, URanker};
     if text(all, "evaluate", "scores") != "all" {
         return Vec::new();
     }
     let each = [LpipsHeads, AlexNet, RaftLarge, URanker, Musiq].into_iter().filter_map(|net| {
         let known = net.known();
         let what = format!("the weights of {} ({})", known.title, known.used_for);
-        network(named, &what, &[net], "--set evaluate.scores=available".into())
+        network(named, &what, &[net], "--set evaluate.scores=available")
     });
     each.collect()
 }
@@ -309,8 +297,7 @@ fn of_scores(all: &AllParameters, named: &Named) -> Vec<Lacking> {
 #[cfg(not(feature = "nets"))]
 fn of_scores(all: &AllParameters, _: &Named) -> Vec<Lacking> {
     let wanted = text(all, "evaluate", "scores") == "all";
-    let networks =
-        || no_networks("the networks of the paper's scores", "--set evaluate.scores=available".into());
+    let networks = || no_networks("the networks of the paper's scores", "--set evaluate.scores=available");
     wanted.then(networks).into_iter().collect()
 }
 
@@ -318,9 +305,8 @@ fn of_scores(all: &AllParameters, _: &Named) -> Vec<Lacking> {
 fn of_truth(capture: &Path, checks: &Checks<'_>) -> Option<Lacking> {
     // Reading all images of a truth takes long.
     let fault = checks.once("a truth is readable, 1", capture, || truth::check_readable(capture));
-    fault.map(|reason| Lacking {
-        what: "the truth beside a capture".into(),
-        remedy: format!("{reason}; write that file again, or rename the truth/ folder"),
-        without: String::new(),
+    fault.map(|reason| {
+        let remedy = format!("{reason}; write that file again, or rename the truth/ folder");
+        lacking("the truth beside a capture", remedy, "")
     })
 }

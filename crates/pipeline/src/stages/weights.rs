@@ -7,10 +7,14 @@ use serde_json::Value;
 #[cfg(feature = "nets")]
 use use3d_nets::{Models, Network};
 
+/// The networks that have the weights of Nu2Net: one of them is enough.
+#[cfg(feature = "nets")]
+pub(super) const NU2NET: [Network; 2] = [Network::Nu2NetReleased, Network::Nu2Net];
+
 /// The files in a models folder that a proposer reads, relative to it.
 pub(super) fn proposer_files(models: &Path) -> Vec<PathBuf> {
     #[cfg(feature = "nets")]
-    return model_files(models, &[Network::Nu2NetReleased, Network::Nu2Net]);
+    return model_files(models, &NU2NET);
     #[cfg(not(feature = "nets"))]
     no_files(models)
 }
@@ -24,7 +28,7 @@ pub(super) fn files_of_proposer(parameters: &Value, models: &Path) -> Result<Vec
     let files = proposer_files(models);
     #[cfg(feature = "nets")]
     if files.is_empty() && parameters["proposer"] == "nu2net" {
-        return Err(not_there("Nu2Net", &[Network::Nu2NetReleased, Network::Nu2Net], models));
+        return Err(not_there("Nu2Net", &NU2NET, models));
     }
     Ok(files)
 }
@@ -43,18 +47,11 @@ pub(super) fn not_there(what: &str, networks: &[Network], models: &Path) -> Stri
 /// The files in a models folder that the evaluation reads, relative to it.
 pub(super) fn judge_files(models: &Path) -> Vec<PathBuf> {
     #[cfg(feature = "nets")]
-    return model_files(
-        models,
-        &[
-            Network::Nu2NetReleased,
-            Network::Nu2Net,
-            Network::LpipsHeads,
-            Network::AlexNet,
-            Network::RaftLarge,
-            Network::URanker,
-            Network::Musiq,
-        ],
-    );
+    {
+        use Network::{AlexNet, LpipsHeads, Musiq, RaftLarge, URanker};
+        let [released, trained] = NU2NET;
+        model_files(models, &[released, trained, LpipsHeads, AlexNet, RaftLarge, URanker, Musiq])
+    }
     #[cfg(not(feature = "nets"))]
     no_files(models)
 }
