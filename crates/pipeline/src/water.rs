@@ -100,6 +100,8 @@ impl fmt::Display for Judgement {
     }
 }
 
+/// The names of the channels.
+const CHANNELS: [&str; 3] = ["red", "green", "blue"];
 /// Largest change of the optical depth of far points by two standard errors of an attenuation: a third of
 /// their radiance.
 const SMALL: f64 = 0.3;
@@ -283,11 +285,8 @@ pub(crate) fn by_verdict(channels: &[ChannelReport]) -> String {
         }
     }
     let line = |(names, told): &(Vec<&str>, &str)| {
-        let told = told.replace(';', ",");
-        match names.len() == channels.len() {
-            true => format!("all colours: {told}"),
-            false => format!("{}: {told}", names.join(" and ")),
-        }
+        let names = if names.len() == channels.len() { "all colours".into() } else { names.join(" and ") };
+        format!("{names}: {}", told.replace(';', ","))
     };
     groups.iter().map(line).collect::<Vec<_>>().join("; ")
 }
@@ -297,12 +296,11 @@ impl WaterReport {
     pub fn new(imported: &Imported, water: &Water, judgement: Judgement) -> Self {
         let capture = &imported.capture;
         let frame = &capture.frame;
-        let names = ["red", "green", "blue"];
         let gains = (capture.views.iter().zip(&water.gains))
             .filter(|_| water.gains.iter().flatten().any(|g| *g != 1.0))
             .map(|(view, gains)| (view.name.to_string(), *gains))
             .collect();
-        let channels: Vec<ChannelReport> = (water.channels.iter().zip(names).enumerate())
+        let channels: Vec<ChannelReport> = (water.channels.iter().zip(CHANNELS).enumerate())
             .map(|(c, (w, name))| channel(name, w, radiance(water, |p| p[c].value), frame))
             .collect();
         let world = imported.model.world.as_ref();
@@ -321,9 +319,7 @@ impl WaterReport {
             gains,
         }
     }
-}
 
-impl WaterReport {
     /// The attenuation of all channels with its standard errors, in words: per metre, with the backscatter,
     /// if the metres are known.
     pub fn attenuation(&self) -> String {
@@ -332,24 +328,16 @@ impl WaterReport {
             let channel = |(name, v): (&str, &ValueReport)| {
                 format!("{name} {} ± {}", number(Some(v.value)), number(v.error))
             };
-            ["red", "green", "blue"].into_iter().zip(values).map(channel).collect::<Vec<_>>().join(", ")
+            CHANNELS.into_iter().zip(values).map(channel).collect::<Vec<_>>().join(", ")
         };
-        match &self.metric {
-            Some(metric) => {
-                let like = metric.nearest.map_or_else(String::new, |(name, _)| {
-                    format!("; Jerlov's water type {name} is the most similar")
-                });
-                format!(
-                    "attenuation {} per metre, backscatter {} per metre{like}",
-                    listed(&metric.attenuation),
-                    listed(&metric.backscatter)
-                )
-            }
-            None => {
-                let values: Vec<ValueReport> = self.channels.iter().map(|c| c.attenuation).collect();
-                format!("attenuation {} per COLMAP unit", listed(&values))
-            }
-        }
+        let Some(MetricWater { attenuation, backscatter, nearest, .. }) = &self.metric else {
+            let values: Vec<ValueReport> = self.channels.iter().map(|c| c.attenuation).collect();
+            return format!("attenuation {} per COLMAP unit", listed(&values));
+        };
+        let like = nearest.map(|(name, _)| format!("; Jerlov's water type {name} is the most similar"));
+        let (attenuation, backscatter) = (listed(attenuation), listed(backscatter));
+        let like = like.unwrap_or_default();
+        format!("attenuation {attenuation} per metre, backscatter {backscatter} per metre{like}")
     }
 }
 
@@ -362,11 +350,9 @@ fn channel(channel: &'static str, water: &ChannelWater, radiance: [f64; 3], fram
         channel,
         verdict: water.verdict.name(),
         usable: water.verdict.usable(),
-        told: match (water.veil_assumed, water.verdict.usable()) {
-            (true, true) => {
-                format!("{}; veil assumed, because open water is clipped to black", water.verdict)
-            }
-            _ => water.verdict.to_string(),
+        told: match water.veil_assumed && water.verdict.usable() {
+            true => format!("{}; veil assumed, because open water is clipped to black", water.verdict),
+            false => water.verdict.to_string(),
         },
         attenuation: told(water.attenuation, frame.scale),
         backscatter: told(water.backscatter, frame.scale),
@@ -410,29 +396,22 @@ impl fmt::Display for WaterReport {
         if let Some(metric) = &self.metric {
             let MetricWater { metres_per_unit, source, attenuation, backscatter, nearest } = metric;
             writeln!(f, "per metre (1 unit is {metres_per_unit:.4} m, by {source}):")?;
-            for (c, name) in ["red", "green", "blue"].into_iter().enumerate() {
+            for (c, name) in CHANNELS.into_iter().enumerate() {
                 let cells = [attenuation[c], backscatter[c]].map(|v| v.to_string());
                 writeln!(f, "{name:6} {:>20} {:>20}", cells[0], cells[1])?;
             }
             if let Some((kind, [r, g, b])) = nearest {
-                writeln!(
-                    f,
-                    "Jerlov's water type {kind} is the most similar: attenuation {r:.2}, {g:.2}, {b:.2} per metre"
-                )?;
+                write!(f, "Jerlov's water type {kind} is the most similar: ")?;
+                writeln!(f, "attenuation {r:.2}, {g:.2}, {b:.2} per metre")?;
             }
         }
         writeln!(f, "{}", self.told)?;
         if self.grey {
-            writeln!(
-                f,
-                "all colours fade at the same rate: haze, lamps or exposure can cause that; clear water \
-                 absorbs red first"
-            )?;
+            write!(f, "all colours fade at the same rate: haze, lamps or exposure can cause that; ")?;
+            writeln!(f, "clear water absorbs red first")?;
         }
         let values = |c: usize| self.gains.iter().map(move |(_, g)| g[c]);
-        for (c, name) in
-            ["red", "green", "blue"].iter().enumerate().filter(|(c, _)| values(*c).any(|g| g != 1.0))
-        {
+        for (c, name) in CHANNELS.iter().enumerate().filter(|(c, _)| values(*c).any(|g| g != 1.0)) {
             let (low, high) = values(c).fold((f64::INFINITY, 0.0f64), |(l, h), g| (l.min(g), h.max(g)));
             writeln!(f, "exposure changes in {name}: gains {low:.2} to {high:.2}")?;
         }
