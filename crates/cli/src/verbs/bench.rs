@@ -250,7 +250,7 @@ impl<'a> Bench<'a> {
         let folder = self.folder(capture, seed.seed);
         let mut clean = |stem: &str, size: (usize, usize)| {
             let truth = Truth::open(&folder, size, &mut |_| {})?;
-            Some(truth.view(stem).ok()??.clean().clone())
+            Some(truth.view(stem).ok()??.clean)
         };
         let sheet = sheet(capture.name, &renders.path, proposer.as_ref(), &mut clean);
         sheet.map(Some).map_err(CliError::failed)

@@ -44,7 +44,7 @@ pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
     let drawn =
         Drawn::new(&scene, &engine).map_err(|what| CliError::Input(format!("--engine {engine}: {what}")))?;
     if engine != EngineChoice::Cpu {
-        remark!(app, "engine: {}", drawn.told());
+        remark!(app, "engine: {}", drawn.told);
     }
     let white = white::of(app, &args.white, &args.scene, &scene, args.cameras.as_deref())?;
     let gains = white.map_or(Gains::ONE, |white| white.gains);

@@ -3,7 +3,7 @@
 use serde::Serialize;
 use use3d_capture::{Camera, FileName};
 use use3d_pipeline::Drawn;
-use use3d_pipeline::judge::speed::{Speed, measure};
+use use3d_pipeline::judge::speed::{SHORTEST, Speed, measure};
 use use3d_render::Mode;
 use use3d_scene::Scene;
 
@@ -51,12 +51,13 @@ pub(crate) fn run(app: &App, args: &RenderArgs, scene: &Scene, drawn: &Drawn<'_>
     let mut speeds = Vec::new();
     for mode in modes {
         remark!(app, "timing {} of {} views", mode.name(), chosen.len());
-        let speed = measure(&mut renderer, &chosen, mode, &interrupt::requested).map_err(CliError::failed)?;
+        let speed = measure(&mut renderer, &chosen, mode, SHORTEST, &interrupt::requested);
+        let speed = speed.map_err(CliError::failed)?;
         speeds.push(speed.ok_or(CliError::Stopped)?);
     }
     let size = chosen.first().map_or((0, 0), |c| (c.intrinsics.width, c.intrinsics.height));
     let measured = Measured {
-        engine: drawn.told(),
+        engine: &drawn.told,
         width: size.0,
         height: size.1,
         one_size: chosen.iter().all(|c| (c.intrinsics.width, c.intrinsics.height) == size),

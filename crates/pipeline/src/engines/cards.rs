@@ -13,17 +13,14 @@ use use3d_gpu::{
 };
 use use3d_reconstruct::engine::Engine;
 use use3d_reconstruct::{ReconstructParams, losses};
-use use3d_render::{Composer, Composition, RenderError};
+use use3d_render::{Composer, Composition, Looking, RenderError, Renderer};
 use use3d_scene::Scene;
 use use3d_splat::{Gaussians, Rendered, view_colors};
 use use3d_training::{EngineError, Observer};
 use use3d_workflow::{DeviceClass, Digest};
 
+use super::{Card, OpenCard, Renderers};
 use crate::code;
-
-/// An open card that passed its check.
-#[derive(Clone)]
-pub(super) struct Card(Gpu);
 
 /// The cards that were opened, by the name that was asked for.
 static OPENED: Mutex<BTreeMap<Option<String>, Result<Gpu, String>>> = Mutex::new(BTreeMap::new());
@@ -35,12 +32,12 @@ pub(super) fn close() {
 
 /// Opens the best card with this number (`#0`), PCI address, UUID or name, or with it as a part of its name;
 /// without a name, the best hardware card. Returns the reason if there is none.
-pub(super) fn open(name: Option<&str>) -> Result<Card, String> {
+pub(super) fn open(name: Option<&str>) -> Result<OpenCard, String> {
     let mut opened = OPENED.lock().unwrap_or_else(PoisonError::into_inner);
     let found = opened
         .entry(name.map(str::to_lowercase))
         .or_insert_with(|| open_checked(name).map_err(|error| error.to_string()));
-    found.clone().map(Card)
+    found.clone().map(|gpu| -> OpenCard { Box::new(gpu) })
 }
 
 /// The first value of stage 1's loss that has a weight at some step and no kernel.
@@ -58,48 +55,42 @@ fn without_kernel(values: impl IntoIterator<Item = (&'static str, bool)>) -> Opt
         .find_map(|(name, weighted)| (weighted && !LOSSES_WITH_KERNELS.contains(&name)).then_some(name))
 }
 
-impl Card {
-    /// The class of arithmetic of its results: the adapter, its driver, the way its kernels add up, and the
-    /// code of the GPU crate with its kernels and all crates below it.
-    pub(super) fn class(&self) -> DeviceClass {
-        let adapter = self.0.adapter();
+impl Card for Gpu {
+    /// The class contains the adapter, its driver, the way its kernels add up, and the code of the GPU crate
+    /// with its kernels and all crates below it.
+    fn class(&self) -> DeviceClass {
+        let adapter = self.adapter();
         let host = code::built_in().stage(&["use3d-gpu"], &[]).map(|code| code.digest().to_string());
         let kernels = kernel_sources().join("\n") + &host.unwrap_or_default();
         DeviceClass {
-            engine: format!("gpu ({})", self.0.variant()),
+            engine: format!("gpu ({})", self.variant()),
             adapter: adapter.name.clone(),
             driver: format!("{} ({})", adapter.driver, adapter.backend),
             kernels: Digest::of(kernels.as_bytes()),
         }
     }
 
-    /// The adapter's name.
-    pub(super) fn name(&self) -> String {
-        self.0.adapter().name.clone()
+    fn name(&self) -> String {
+        self.adapter().name.clone()
     }
 
-    /// A description of the adapter for the user: its kernels, and the reasons why other cards were passed
-    /// over.
-    pub(super) fn told(&self) -> String {
-        let passed_over = match self.0.refused_before() {
+    fn told(&self) -> String {
+        let passed_over = match self.refused_before() {
             [] => String::new(),
             refusals => format!("; skipped: {}", refusals.join("; ")),
         };
-        format!("{} (kernels: {}){passed_over}", self.name(), self.0.kernels())
+        format!("{} (kernels: {}){passed_over}", self.name(), self.kernels())
     }
 
-    /// Largest number of Gaussians that it can hold.
-    pub(super) fn most_gaussians(&self) -> usize {
-        self.0.most_gaussians()
+    fn most_gaussians(&self) -> usize {
+        Gpu::most_gaussians(self)
     }
 
-    /// The engine of stage 1 on this card.
-    pub(super) fn stage1(&self) -> Result<Box<dyn Engine>, EngineError> {
-        Ok(Box::new(Stage1::new(&self.0)?))
+    fn stage1(&self) -> Result<Box<dyn Engine>, EngineError> {
+        Ok(Box::new(Stage1::new(self)?))
     }
 
-    /// The engine of stage 2 on this card.
-    pub(super) fn stage2<'a>(
+    fn stage2<'a>(
         &self,
         scene: &'a Scene,
         views: &[EnhanceView],
@@ -107,18 +98,18 @@ impl Card {
         params: &EnhanceParams,
         observer: &mut dyn Observer,
     ) -> Result<Box<dyn FieldEngine + 'a>, EnhanceError> {
-        Ok(Box::new(Stage2::new(&self.0, scene, views, guidance, params, observer)?))
+        Ok(Box::new(Stage2::new(self, scene, views, guidance, params, observer)?))
     }
 
-    /// A scene's Gaussians on this card, for drawing.
-    pub(super) fn painter<'s>(&self, gaussians: &'s Gaussians) -> Result<Painter<'s>, EngineError> {
-        let drawing = Arc::new(Mutex::new(Drawing::new(&self.0, gaussians)?));
-        Ok(Painter { device: self.name(), gaussians, drawing, colors: Vec::new() })
+    fn renderers<'s>(&self, scene: &'s Scene) -> Result<Renderers<'s>, EngineError> {
+        let gaussians = &scene.gaussians;
+        let drawing = Arc::new(Mutex::new(Drawing::new(self, gaussians)?));
+        let painter = Painter { device: self.name(), gaussians, drawing, colors: Vec::new() };
+        Ok(Box::new(move |look| Ok(Renderer::on(Box::new(Looking::on(painter.clone(), scene, look)?)))))
     }
 
-    /// The adjoint of a scene's linear splat on this card.
-    pub(super) fn adjoint(&self, gaussians: &Gaussians) -> Result<Box<dyn Adjoint>, EngineError> {
-        let splat = LinearSplat::new(&self.0, gaussians)?;
+    fn adjoint(&self, gaussians: &Gaussians) -> Result<Box<dyn Adjoint>, EngineError> {
+        let splat = LinearSplat::new(self, gaussians)?;
         Ok(Box::new(Lifting { device: self.name(), gaussians: gaussians.len(), splat }))
     }
 }
@@ -151,7 +142,7 @@ impl Adjoint for Lifting {
 
 /// Draws Gaussians that are stored on a card. Clones share them.
 #[derive(Clone)]
-pub(super) struct Painter<'s> {
+struct Painter<'s> {
     device: String,
     gaussians: &'s Gaussians,
     drawing: Arc<Mutex<Drawing>>,

@@ -3,17 +3,20 @@
 
 use use3d_capture::Formation;
 use use3d_reconstruct::EngineChoice;
-use use3d_render::{Look, Looking, RenderError, Renderer, SceneRenderer};
+use use3d_render::{Look, RenderError, SceneRenderer};
 use use3d_scene::Scene;
 
-use super::cards::{Card, Painter, open};
+use super::{Renderers, open};
 
 /// A scene on the engine that draws it. Renderers made from it share the data on the card.
 pub struct Drawn<'s> {
-    scene: &'s Scene,
-    painter: Option<Painter<'s>>,
-    card: Option<String>,
-    told: String,
+    /// The scene.
+    pub scene: &'s Scene,
+    renderers: Option<Renderers<'s>>,
+    /// The name of the card that draws; `None` for the processor.
+    pub card: Option<String>,
+    /// A description of the engine that draws, with the reason if `auto` found no card.
+    pub told: String,
 }
 
 impl<'s> Drawn<'s> {
@@ -32,7 +35,7 @@ impl<'s> Drawn<'s> {
             (EngineChoice::Gpu(_), Some(why)) => return Err(format!("{why}; use `--engine cpu`")),
             (EngineChoice::Gpu(name), None) => Some(open(name.as_deref())?),
         };
-        let name = card.as_ref().map(Card::name);
+        let name = card.as_ref().map(|card| card.name());
         let told = match (&card, engine) {
             (Some(card), _) => format!("gpu, {}", card.told()),
             (None, EngineChoice::Auto) => {
@@ -41,24 +44,9 @@ impl<'s> Drawn<'s> {
             }
             (None, _) => "cpu".into(),
         };
-        let painter =
-            card.map(|card| card.painter(&scene.gaussians)).transpose().map_err(|error| error.to_string())?;
-        Ok(Self { scene, painter, card: name, told })
-    }
-
-    /// The scene.
-    pub fn scene(&self) -> &'s Scene {
-        self.scene
-    }
-
-    /// A description of the engine that draws, with the reason if `auto` found no card.
-    pub fn told(&self) -> &str {
-        &self.told
-    }
-
-    /// The name of the card that draws; `None` for the processor.
-    pub fn card(&self) -> Option<&str> {
-        self.card.as_deref()
+        let renderers =
+            card.map(|card| card.renderers(scene)).transpose().map_err(|error| error.to_string())?;
+        Ok(Self { scene, renderers, card: name, told })
     }
 
     /// A renderer of every mode, with this strength of the enhancement.
@@ -66,10 +54,7 @@ impl<'s> Drawn<'s> {
     /// # Errors
     /// Fails for a strength outside `[0, 1]`.
     pub fn renderer(&self, strength: f32) -> Result<SceneRenderer<'s>, RenderError> {
-        let Some(painter) = &self.painter else { return SceneRenderer::new(self.scene, strength) };
-        let on = |look| -> Result<Renderer<'s>, RenderError> {
-            Ok(Renderer::on(Box::new(Looking::on(painter.clone(), self.scene, look)?)))
-        };
+        let Some(on) = &self.renderers else { return SceneRenderer::new(self.scene, strength) };
         let enhanced = match self.scene.enhancement {
             Some(_) => Some(on(Look::Enhanced { strength })?),
             None => None,
@@ -143,9 +128,9 @@ mod tests {
     fn every_mode_is_drawn_on_a_card_as_on_the_processor() {
         let scene = scene();
         let Some(card) = on_card(&scene) else { return };
-        assert!(card.told().contains("gpu, llvmpipe"), "{}", card.told());
+        assert!(card.told.contains("gpu, llvmpipe"), "{}", card.told);
         let cpu = Drawn::new(&scene, &EngineChoice::Cpu).unwrap();
-        assert_eq!(cpu.told(), "cpu");
+        assert_eq!(cpu.told, "cpu");
         let intrinsics = Intrinsics { width: 72, height: 50, fx: 60.0, fy: 62.0, cx: 35.0, cy: 26.0 };
         let camera = Camera { intrinsics, pose: Pose::IDENTITY };
         let values = |frame: &Rendering| match frame {
@@ -175,7 +160,7 @@ mod tests {
         let water = MediumModel::Image(use3d_medium::MediumImage::default());
         let scene = Scene { medium: water, enhancement: None, ..scene() };
         let told = Drawn::new(&scene, &EngineChoice::Auto).unwrap();
-        assert!(told.told().contains("cpu (the water `image`"), "{}", told.told());
+        assert!(told.told.contains("cpu (the water `image`"), "{}", told.told);
         let said = Drawn::new(&scene, &EngineChoice::Gpu(None)).err().unwrap();
         assert!(said.contains("`image`") && said.contains("--engine cpu"), "{said}");
     }

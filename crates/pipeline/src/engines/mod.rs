@@ -13,12 +13,13 @@ mod drawing;
 
 pub use drawing::Drawn;
 
-use use3d_atc::consensus::Lift;
+use use3d_atc::consensus::{Adjoint, Lift};
 use use3d_capture::Formation;
 use use3d_enhance::engine::{CpuFieldEngine, FieldEngine};
 use use3d_enhance::{EnhanceError, EnhanceParams, EnhanceView, Guidance};
 use use3d_reconstruct::engine::{CpuEngine, Engine};
 use use3d_reconstruct::{Medium, ReconstructParams};
+use use3d_render::{Look, RenderError, Renderer};
 use use3d_scene::Scene;
 use use3d_splat::Gaussians;
 pub(crate) use use3d_training::EngineChoice;
@@ -27,17 +28,7 @@ use use3d_workflow::DeviceClass;
 
 #[cfg(not(feature = "gpu"))]
 mod cards {
-    use std::convert::Infallible;
-    use std::marker::PhantomData;
-
-    use use3d_atc::consensus::Adjoint;
-    use use3d_render::{Composer, Composition, RenderError};
-    use use3d_splat::{Gaussians, Rendered};
-
-    use super::{
-        DeviceClass, Engine, EngineError, EnhanceError, EnhanceParams, EnhanceView, FieldEngine, Guidance,
-        Observer, ReconstructParams, Scene,
-    };
+    use super::{OpenCard, ReconstructParams};
 
     pub(super) fn close() {}
 
@@ -45,67 +36,53 @@ mod cards {
         None
     }
 
-    /// A type without values.
-    pub(super) enum Card {}
-
-    pub(super) fn open(_name: Option<&str>) -> Result<Card, String> {
+    pub(super) fn open(_name: Option<&str>) -> Result<OpenCard, String> {
         Err("this program was built without engines for graphics cards (cargo feature `gpu`); use `cpu`"
             .into())
     }
-
-    impl Card {
-        pub(super) fn class(&self) -> DeviceClass {
-            match *self {}
-        }
-
-        pub(super) fn name(&self) -> String {
-            match *self {}
-        }
-
-        pub(super) fn told(&self) -> String {
-            match *self {}
-        }
-
-        pub(super) fn most_gaussians(&self) -> usize {
-            match *self {}
-        }
-
-        pub(super) fn stage1(&self) -> Result<Box<dyn Engine>, EngineError> {
-            match *self {}
-        }
-
-        pub(super) fn stage2<'a>(
-            &self,
-            _scene: &'a Scene,
-            _views: &[EnhanceView],
-            _guidance: Guidance<'a>,
-            _params: &EnhanceParams,
-            _observer: &mut dyn Observer,
-        ) -> Result<Box<dyn FieldEngine + 'a>, EnhanceError> {
-            match *self {}
-        }
-
-        pub(super) fn painter<'s>(&self, _gaussians: &'s Gaussians) -> Result<Painter<'s>, EngineError> {
-            match *self {}
-        }
-
-        pub(super) fn adjoint(&self, _gaussians: &Gaussians) -> Result<Box<dyn Adjoint>, EngineError> {
-            match *self {}
-        }
-    }
-
-    /// A type without values.
-    #[derive(Clone)]
-    pub(super) struct Painter<'s>(Infallible, PhantomData<&'s Gaussians>);
-
-    impl Composer for Painter<'_> {
-        fn compose(&mut self, _view: &Composition<'_>, _out: &mut Rendered) -> Result<(), RenderError> {
-            match self.0 {}
-        }
-    }
 }
 
-use cards::{Card, open};
+use cards::open;
+
+type OpenCard = Box<dyn Card>;
+
+/// Makes renderers of a scene that is stored on a card.
+type Renderers<'s> = Box<dyn Fn(Look) -> Result<Renderer<'s>, RenderError> + 's>;
+
+/// An open graphics card that passed its check.
+trait Card {
+    /// The class of arithmetic of its results.
+    fn class(&self) -> DeviceClass;
+
+    /// The adapter's name.
+    fn name(&self) -> String;
+
+    /// A description of the adapter for the user: its kernels, and the reasons why other cards were passed
+    /// over.
+    fn told(&self) -> String;
+
+    /// Largest number of Gaussians that it can hold.
+    fn most_gaussians(&self) -> usize;
+
+    /// The engine of stage 1 on this card.
+    fn stage1(&self) -> Result<Box<dyn Engine>, EngineError>;
+
+    /// The engine of stage 2 on this card.
+    fn stage2<'a>(
+        &self,
+        scene: &'a Scene,
+        views: &[EnhanceView],
+        guidance: Guidance<'a>,
+        params: &EnhanceParams,
+        observer: &mut dyn Observer,
+    ) -> Result<Box<dyn FieldEngine + 'a>, EnhanceError>;
+
+    /// Stores a scene on this card, for drawing.
+    fn renderers<'s>(&self, scene: &'s Scene) -> Result<Renderers<'s>, EngineError>;
+
+    /// The adjoint of a scene's linear splat on this card.
+    fn adjoint(&self, gaussians: &Gaussians) -> Result<Box<dyn Adjoint>, EngineError>;
+}
 
 /// Closes the graphics cards that were opened. Called at the end of the program; a later use opens them
 /// again.
@@ -159,15 +136,15 @@ impl ChoosesEngine for ReconstructParams {
     }
 }
 
-/// The water is frozen in stage 2, so every kind is possible.
-impl ChoosesEngine for EnhanceParams {
+/// The choice alone, of a stage that cards can do with all of its parameters.
+impl ChoosesEngine for EngineChoice {
     fn engine(&self) -> &EngineChoice {
-        &self.engine
+        self
     }
 }
 
 /// Opens the card of a name if it can do what the parameters request.
-fn able(params: &impl ChoosesEngine, name: Option<&str>) -> Result<Card, String> {
+fn able(params: &impl ChoosesEngine, name: Option<&str>) -> Result<OpenCard, String> {
     if let Some(expected) = params.beyond_cards() {
         return Err(expected);
     }
@@ -183,7 +160,7 @@ fn able(params: &impl ChoosesEngine, name: Option<&str>) -> Result<Card, String>
 }
 
 /// The card that a stage uses; `None` for the processor.
-fn card(params: &impl ChoosesEngine) -> Result<Option<Card>, String> {
+fn card(params: &impl ChoosesEngine) -> Result<Option<OpenCard>, String> {
     match params.engine() {
         EngineChoice::Cpu => Ok(None),
         EngineChoice::Auto => Ok(able(params, None).ok()),
@@ -192,7 +169,7 @@ fn card(params: &impl ChoosesEngine) -> Result<Option<Card>, String> {
 }
 
 /// Chooses the card at the start of a training; also returns the message to show.
-fn chosen(params: &impl ChoosesEngine) -> Result<(Option<Card>, Option<String>), EngineError> {
+fn chosen(params: &impl ChoosesEngine) -> Result<(Option<OpenCard>, Option<String>), EngineError> {
     let card = card(params).map_err(|what| EngineError::Request { engine: "gpu", what })?;
     let said = match &card {
         Some(card) => Some(format!("engine: gpu, {}", card.told())),
@@ -224,7 +201,7 @@ pub(crate) fn stage1(
     let (card, said) = chosen(params)?;
     // The number of Gaussians is known only during the training, and the key already names the card. So a
     // card that may be too small is only reported here.
-    let room = card.as_ref().map_or(usize::MAX, Card::most_gaussians);
+    let room = card.as_ref().map_or(usize::MAX, |card| card.most_gaussians());
     let said = said.map(|said| said + &narrow(most, room));
     let engine = match card {
         Some(card) => card.stage1()?,
@@ -252,7 +229,8 @@ pub(crate) fn stage2<'a>(
     params: &EnhanceParams,
     observer: &mut dyn Observer,
 ) -> Result<(Box<dyn FieldEngine + 'a>, Option<String>), EnhanceError> {
-    let (card, said) = chosen(params)?;
+    // The water is frozen in stage 2, so every kind is possible.
+    let (card, said) = chosen(&params.engine)?;
     let engine: Box<dyn FieldEngine + 'a> = match card {
         Some(card) => card.stage2(scene, views, guidance, params, observer)?,
         None => Box::new(CpuFieldEngine::new(scene, views, guidance, params, observer)?),
@@ -263,9 +241,9 @@ pub(crate) fn stage2<'a>(
 /// The lift from views to a scene's Gaussians, and the message to show about the choice.
 pub(crate) fn lift<'s>(
     gaussians: &'s Gaussians,
-    params: &impl ChoosesEngine,
+    engine: &EngineChoice,
 ) -> Result<(Lift<'s>, Option<String>), EngineError> {
-    let (card, said) = chosen(params)?;
+    let (card, said) = chosen(engine)?;
     let lift = match card {
         Some(card) => Lift::by(card.adjoint(gaussians)?),
         None => Lift::new(gaussians),
@@ -329,11 +307,14 @@ mod tests {
         let stage2 =
             EnhanceParams { engine: "gpu:no such card".parse().unwrap(), ..EnhanceParams::default() };
         for (at, what) in
-            [check(&asking("gpu:no such card", Medium::Rbf)).unwrap_err(), check(&stage2).unwrap_err()]
+            [check(&asking("gpu:no such card", Medium::Rbf)).unwrap_err(), check(&stage2.engine).unwrap_err()]
         {
             assert_eq!(at, "engine");
             assert!(what.contains("no such card") || what.contains("cargo feature `gpu`"), "{what}");
         }
-        assert_eq!((check(&EnhanceParams::default()), class(&EnhanceParams::default())), (Ok(()), None));
+        assert_eq!(
+            (check(&EnhanceParams::default().engine), class(&EnhanceParams::default().engine)),
+            (Ok(()), None)
+        );
     }
 }

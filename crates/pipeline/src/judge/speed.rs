@@ -19,7 +19,7 @@ const WARM_UP: usize = 2;
 /// Fewest passes that count.
 const PASSES: usize = 3;
 /// Shortest total time of the passes that count.
-const SHORTEST: Duration = Duration::from_secs(5);
+pub const SHORTEST: Duration = Duration::from_secs(5);
 
 /// The measured times.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -38,33 +38,12 @@ pub struct Speed {
     pub passes: usize,
 }
 
-/// Times the drawing of every camera's view. `None` without cameras, or when `stop` returned true.
+/// Times the drawing of every camera's view, for at least the time `shortest`: [`SHORTEST`] for a benchmark,
+/// zero for a figure in a table. `None` without cameras, or when `stop` returned true.
 ///
 /// # Errors
 /// Returns the errors of the renderer's device.
 pub fn measure(
-    renderer: &mut SceneRenderer<'_>,
-    cameras: &[Camera],
-    mode: Mode,
-    stop: &dyn Fn() -> bool,
-) -> Result<Option<Speed>, RenderError> {
-    measure_for(renderer, cameras, mode, SHORTEST, stop)
-}
-
-/// As [`measure`], but without the minimum time: for a figure in a table rather than a benchmark.
-///
-/// # Errors
-/// Returns the errors of the renderer's device.
-pub fn measure_briefly(
-    renderer: &mut SceneRenderer<'_>,
-    cameras: &[Camera],
-    mode: Mode,
-    stop: &dyn Fn() -> bool,
-) -> Result<Option<Speed>, RenderError> {
-    measure_for(renderer, cameras, mode, Duration::ZERO, stop)
-}
-
-fn measure_for(
     renderer: &mut SceneRenderer<'_>,
     cameras: &[Camera],
     mode: Mode,
@@ -135,7 +114,7 @@ mod tests {
         let camera = Camera { intrinsics, pose: Pose::IDENTITY };
         let scene = scene();
         let mut renderer = SceneRenderer::new(&scene, 1.0).unwrap();
-        let speed = measure_for(&mut renderer, &[camera; 2], Mode::Reconstruction, Duration::ZERO, &|| false)
+        let speed = measure(&mut renderer, &[camera; 2], Mode::Reconstruction, Duration::ZERO, &|| false)
             .unwrap()
             .unwrap();
         assert_eq!((speed.mode, speed.passes), ("reconstruction", PASSES));
@@ -144,7 +123,10 @@ mod tests {
         let drawn = renderer.draw(&camera, Mode::Reconstruction).unwrap().clone();
         assert_eq!(drawn, renderer.color(&camera, Mode::Reconstruction).unwrap());
         assert!(drawn.data().iter().any(|v| *v > 0.1), "the Gaussian is in the picture");
-        assert_eq!(measure(&mut renderer, &[camera], Mode::Reconstruction, &|| true).unwrap(), None);
-        assert_eq!(measure(&mut renderer, &[], Mode::Reconstruction, &|| false).unwrap(), None);
+        assert_eq!(
+            measure(&mut renderer, &[camera], Mode::Reconstruction, SHORTEST, &|| true).unwrap(),
+            None
+        );
+        assert_eq!(measure(&mut renderer, &[], Mode::Reconstruction, SHORTEST, &|| false).unwrap(), None);
     }
 }

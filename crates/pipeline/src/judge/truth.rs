@@ -154,20 +154,14 @@ impl Truth {
             }
             return None;
         }
-        let imported = match import(capture, &parameters(capture, Some(ImageSize { width, height }))) {
-            Ok(imported) => imported,
-            Err(error) => {
-                say(format!("the capture's truth/ folder is not used: {error}; {FORM}"));
-                return None;
-            }
-        };
-        let water = match read_water(&capture.join(WATER)) {
-            Ok(water) => water,
-            Err(reason) => {
-                say(format!("{WATER} of the capture is not used: {reason}; {FORM}"));
-                None
-            }
-        };
+        let imported = import(capture, &parameters(capture, Some(ImageSize { width, height })));
+        let imported = imported
+            .inspect_err(|error| say(format!("the capture's truth/ folder is not used: {error}; {FORM}")))
+            .ok()?;
+        let water = read_water(&capture.join(WATER)).unwrap_or_else(|reason| {
+            say(format!("{WATER} of the capture is not used: {reason}; {FORM}"));
+            None
+        });
         let [knows_depth, knows_greys] = [DEPTH, GREYS].map(|folder| capture.join(folder).is_dir());
         Some(Self { imported, water, knows_depth, knows_greys })
     }
@@ -277,7 +271,8 @@ impl Fit {
 
 /// The truth of one view.
 pub struct TrueView {
-    clean: Image,
+    /// The true clean image.
+    pub clean: Image,
     /// z-depth, COLMAP units; 0 is open water.
     depth: Option<Map>,
     /// 1 inside grey patches.
@@ -307,11 +302,6 @@ impl TrueView {
             }
         }
         row
-    }
-
-    /// The true clean image.
-    pub fn clean(&self) -> &Image {
-        &self.clean
     }
 
     /// `truth_psnr`, `truth_delta_e` and `truth_delta_e_1976` of an image after each of the
@@ -346,51 +336,34 @@ impl TrueView {
         let far = |z: f64| z >= NEAR_AND_FAR[1];
         let ranges: [(&str, &dyn Fn(f64) -> bool); 2] = [("grey_near", &near), ("grey_far", &far)];
         for (name, within) in ranges {
-            let counts = |p: &usize| {
-                let z = f64::from(depth.data()[*p]) * metres;
-                greys.data()[*p] > 0.999 && within(z)
-            };
-            let colors = (0..image.pixels()).filter(|p| same && counts(p)).map(|p| {
-                let planes = image.planes();
-                [0, 1, 2].map(|c| planes[c][p])
-            });
+            let counts = |p: &usize| greys.data()[*p] > 0.999 && within(f64::from(depth.data()[*p]) * metres);
+            let pixels = (0..image.pixels()).filter(|p| same && counts(p));
+            let colors = pixels.map(|p| image.planes().map(|plane| plane[p]));
             scores.insert(name.into(), angle_to_grey(colors));
         }
         scores
     }
 
     /// The true depth, if it is known and has the size of `map`.
-    fn depth_as(&self, map: &Map) -> Result<&Map, Score> {
-        match &self.depth {
-            Some(truth) if (truth.width(), truth.height()) == (map.width(), map.height()) => Ok(truth),
-            _ => Err(Score::NotAvailable(format!("the capture has no true depth of this view in {DEPTH}"))),
-        }
+    fn depth_as(&self, map: &Map) -> Option<&Map> {
+        self.depth.as_ref().filter(|truth| (truth.width(), truth.height()) == (map.width(), map.height()))
     }
 
     /// `holes` of a rendered accumulation.
     pub fn holes(&self, accumulation: &Map) -> Score {
-        let truth = match self.depth_as(accumulation) {
-            Ok(truth) => truth,
-            Err(score) => return score,
-        };
-        let (mut surface, mut holes) = (0.0, 0.0);
-        for (a, _) in accumulation.data().iter().zip(truth.data()).filter(|(_, z)| **z > 0.0) {
-            surface += 1.0;
-            holes += if *a < SEEN { 1.0 } else { 0.0 };
+        let Some(truth) = self.depth_as(accumulation) else { return no_depth() };
+        let surface = accumulation.data().iter().zip(truth.data()).filter(|(_, z)| **z > 0.0);
+        let surface: Vec<f32> = surface.map(|(a, _)| *a).collect();
+        if surface.is_empty() {
+            return Score::Undefined("the view shows no surface".into());
         }
-        if surface > 0.0 {
-            Score::of(holes / surface)
-        } else {
-            Score::Undefined("the view shows no surface".into())
-        }
+        let holes = surface.iter().filter(|a| **a < SEEN).count();
+        Score::of(holes as f64 / surface.len() as f64)
     }
 
     /// `depth_error` of a rendered z-depth in normalised units; `scale` is the recorded frame's.
     pub fn depth_error(&self, depth: &Map, scale: f64) -> Score {
-        let truth = match self.depth_as(depth) {
-            Ok(truth) => truth,
-            Err(score) => return score,
-        };
+        let Some(truth) = self.depth_as(depth) else { return no_depth() };
         let pairs = depth.data().iter().zip(truth.data());
         let mut errors: Vec<f64> = pairs
             .map(|(z, t)| (f64::from(*z), scale * f64::from(*t)))
@@ -403,6 +376,11 @@ impl TrueView {
             None => Score::Undefined("no pixel has both a rendered and a true depth".into()),
         }
     }
+}
+
+/// The score of a view whose true depth is not known.
+fn no_depth() -> Score {
+    Score::NotAvailable(format!("the capture has no true depth of this view in {DEPTH}"))
 }
 
 /// Angle in degrees between grey and the sum of display colours, each converted to linear light and to length

@@ -177,7 +177,7 @@ const OTHERS: [(Method, &str); 3] = [
     (Method::ProposalOfRender, "the 2D enhancer on each render of stage 1"),
 ];
 
-/// A mean score of those of them that have one, with their names.
+/// A mean score of each method of [`OTHERS`] that has one, with its name.
 fn others(scores: &SceneScores, metric: &str) -> Vec<(f64, &'static str)> {
     OTHERS.iter().filter_map(|(method, name)| Some((mean(scores, *method, metric)?, *name))).collect()
 }

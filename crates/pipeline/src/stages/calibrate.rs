@@ -5,7 +5,7 @@ use use3d_atc::progress::LoopPosition;
 use use3d_workflow::{Scope, Stage, StageContext, StageError};
 
 use super::calibrated::is_calibrated;
-use super::common::{out_of_range, read_json, write_json};
+use super::common::{go_on, out_of_range, read_json, write, write_json};
 use super::names::{CALIBRATOR, DATASET};
 
 pub(super) fn stage() -> Stage {
@@ -36,17 +36,12 @@ fn run(context: &StageContext, params: &CalibratorParams) -> Result<(), StageErr
             last = step;
             context.progress_with(step, steps, "steps", &format!("loss {loss:.4}"));
         }
-        if context.cancelled() {
-            std::ops::ControlFlow::Break(())
-        } else {
-            std::ops::ControlFlow::Continue(())
-        }
+        go_on(context)
     });
     context.alive()?;
     let calibrator = calibrator?;
     tell(context, &calibrator, &params, &dataset);
-    let path = context.output().join(CALIBRATOR);
-    std::fs::write(&path, calibrator.to_bytes()?).map_err(|e| StageError::io(&path, e))?;
+    write(&context.output().join(CALIBRATOR), calibrator.to_bytes()?)?;
     write_json(&context.output().join("report.json"), &calibrator.provenance)
 }
 

@@ -6,6 +6,7 @@ use std::path::Path;
 use use3d_atc::calibrator::Calibrator;
 use use3d_workflow::StageError;
 
+use super::common::read;
 use super::names::CALIBRATOR;
 
 /// Far more bytes than any calibrator has; a larger file must be something else.
@@ -20,7 +21,7 @@ pub(super) fn read_calibrator(path: &Path) -> Result<Calibrator, StageError> {
     if size > LARGEST_FILE {
         return Err(wrong(format!("{size} bytes are more than any calibrator has; is this the right file?")));
     }
-    let bytes = std::fs::read(&file).map_err(|e| StageError::io(&file, e))?;
+    let bytes = read(&file)?;
     if Calibrator::is_own_file(&bytes) {
         return Calibrator::from_bytes(&bytes).map_err(|e| wrong(e.to_string()));
     }

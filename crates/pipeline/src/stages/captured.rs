@@ -3,17 +3,22 @@
 use std::path::Path;
 
 use use3d_capture::{Camera, Capture};
-use use3d_import::camera_list;
+use use3d_import::{Imported, camera_list};
 use use3d_workflow::{StageContext, StageError};
 
 use super::common::write_json;
 use super::names::CAMERAS;
 
+/// Loads what the import stage prepared: the capture with the tracks of its points.
+pub(super) fn imported(context: &StageContext) -> Result<Imported, StageError> {
+    use3d_import::load_prepared(context.input("import")?).map_err(StageError::bad_input)
+}
+
 /// Loads the capture that the import stage prepared, and checks it.
 pub(super) fn capture(context: &StageContext) -> Result<Capture, StageError> {
-    let imported = use3d_import::load_prepared(context.input("import")?).map_err(StageError::bad_input)?;
-    imported.capture.validate().map_err(StageError::bad_input)?;
-    Ok(imported.capture)
+    let capture = imported(context)?.capture;
+    capture.validate().map_err(StageError::bad_input)?;
+    Ok(capture)
 }
 
 /// Writes the training cameras beside a scene, as a list in COLMAP's frame for `use3d render --cameras`.

@@ -1,12 +1,13 @@
 //! File operations that every stage needs.
 
+use std::ops::ControlFlow;
 use std::path::Path;
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use use3d_numerics::range::OutOfRange;
-use use3d_workflow::StageError;
+use use3d_workflow::{StageContext, StageError};
 
 /// A value out of range as the error of a stage's parameter check: the path and a message.
 pub(super) fn out_of_range(wrong: OutOfRange) -> (String, String) {
@@ -18,21 +19,30 @@ pub(super) fn out_of_range(wrong: OutOfRange) -> (String, String) {
 pub fn write_json(path: &Path, value: &impl Serialize) -> Result<(), StageError> {
     let mut text = serde_json::to_string_pretty(value)?;
     text.push('\n');
-    std::fs::write(path, text).map_err(|e| StageError::io(path, e))
+    write(path, text)
 }
 
 /// Reads JSON.
 pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, StageError> {
-    let text = std::fs::read(path).map_err(|e| StageError::io(path, e))?;
-    serde_json::from_slice(&text).map_err(|e| StageError::message(format!("{}: {e}", path.display())))
+    serde_json::from_slice(&read(path)?).map_err(|e| StageError::message(format!("{}: {e}", path.display())))
 }
 
-/// Writes a text file.
-pub(super) fn write_text(path: &Path, text: &str) -> Result<(), StageError> {
-    std::fs::write(path, text).map_err(|e| StageError::io(path, e))
+/// Reads a file.
+pub(super) fn read(path: &Path) -> Result<Vec<u8>, StageError> {
+    std::fs::read(path).map_err(|e| StageError::io(path, e))
+}
+
+/// Writes a file.
+pub(super) fn write(path: &Path, content: impl AsRef<[u8]>) -> Result<(), StageError> {
+    std::fs::write(path, content).map_err(|e| StageError::io(path, e))
 }
 
 /// Creates a folder in the output, with its parents.
 pub(super) fn folder(path: &Path) -> Result<(), StageError> {
     std::fs::create_dir_all(path).map_err(|e| StageError::io(path, e))
+}
+
+/// Ends a loop of another crate if the stage must stop.
+pub(super) fn go_on(context: &StageContext) -> ControlFlow<()> {
+    if context.cancelled() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
 }

@@ -14,7 +14,7 @@ pub(super) fn drawn<'s>(
 ) -> Result<Drawn<'s>, StageError> {
     let drawn = Drawn::new(scene, engine).map_err(StageError::message)?;
     if *engine != EngineChoice::Cpu {
-        context.say(format_args!("engine: {}", drawn.told()));
+        context.say(format_args!("engine: {}", drawn.told));
     }
     Ok(drawn)
 }

@@ -14,7 +14,7 @@ use use3d_scene::{Origin, Scene};
 use use3d_workflow::{Figure, Scope, Stage, StageContext, StageError};
 
 use super::captured::{capture, write_cameras};
-use super::common::{out_of_range, write_json, write_text};
+use super::common::{out_of_range, read, write, write_json};
 use super::names::TARGETS;
 use super::proposals::asked_for;
 use super::proposer::by_name;
@@ -40,8 +40,8 @@ pub(super) fn stage() -> Stage {
         .made_of(&[], &["src/stages/enhance.rs"])
         .promises(&["scene.json", "gaussians.ply", REPORT])
         .check(|p: &EnhanceParams| p.validate().map_err(out_of_range))
-        .check(engines::check::<EnhanceParams>)
-        .computes_on(engines::class::<EnhanceParams>)
+        .check(|p: &EnhanceParams| engines::check(&p.engine))
+        .computes_on(|p: &EnhanceParams| engines::class(&p.engine))
         .when(|all| !asked_for(all))
         .input("import", "import")
         .input("scene", "reconstruct")
@@ -58,8 +58,8 @@ pub(super) fn stage() -> Stage {
 /// Reads targets from their file or from the folder that holds them.
 fn read_targets(path: &Path) -> Result<Targets, StageError> {
     let file = if path.is_dir() { path.join(TARGETS) } else { path.to_path_buf() };
-    let bytes = std::fs::read(&file).map_err(|e| StageError::io(&file, e))?;
-    Targets::from_bytes(&bytes).map_err(|e| StageError::bad_input_message(format!("{}: {e}", file.display())))
+    Targets::from_bytes(&read(&file)?)
+        .map_err(|e| StageError::bad_input_message(format!("{}: {e}", file.display())))
 }
 
 /// The 2D enhancer's images of the training views.
@@ -111,16 +111,10 @@ const CURVES: [&str; 4] = ["#0b7285", "#e8590c", "#845ef7", "#2b8a3e"];
 /// The curves of the terms that measure the distance of views from their targets.
 fn curves(log: &[LogEntry]) -> Vec<Series> {
     let terms = TERMS.iter().enumerate().filter(|(_, row)| row.is_of_views());
-    terms
-        .zip(CURVES.iter().cycle())
-        .map(|((at, row), &color)| Series {
-            label: row.title.into(),
-            color,
-            points: log.iter().map(|e| (e.step as f64, e.terms[at].loss)).collect(),
-            dots: false,
-            names: Vec::new(),
-        })
-        .collect()
+    let curves = terms.zip(CURVES.iter().cycle()).map(|((at, row), &color)| {
+        Series::line(row.title, color, log.iter().map(|e| (e.step as f64, e.terms[at].loss)).collect())
+    });
+    curves.collect()
 }
 
 fn run(context: &StageContext, params: &EnhanceParams) -> Result<(), StageError> {
@@ -146,13 +140,11 @@ fn run(context: &StageContext, params: &EnhanceParams) -> Result<(), StageError>
     } else {
         Guidance::Targets(&targets)
     };
-    let watch = &mut Watch::new(context);
+    let watch = &mut Watch(context);
     let outcome = {
         // The engine and the constants of the views are dropped at the end of this block.
         let (mut engine, chosen) = engines::stage2(&scene, &views, guidance, &params, watch)?;
-        if let Some(chosen) = chosen {
-            context.say(chosen);
-        }
+        chosen.into_iter().for_each(|chosen| context.say(chosen));
         enhance(&scene, &views, guidance, &params, engine.as_mut(), context.checkpoints(), watch)
     };
     let outcome = match outcome {
@@ -176,7 +168,7 @@ fn run(context: &StageContext, params: &EnhanceParams) -> Result<(), StageError>
     if let Some(world) = Scene::world(context.input("scene")?)? {
         Scene::set_world(out, &world)?;
     }
-    write_text(&out.join("training.jsonl"), &outcome.log_lines())?;
+    write(&out.join("training.jsonl"), outcome.log_lines())?;
     write_json(&out.join(REPORT), &outcome.report)?;
     write_cameras(out, &capture)?;
     let plot = Plot {
@@ -185,7 +177,7 @@ fn run(context: &StageContext, params: &EnhanceParams) -> Result<(), StageError>
         log_y: true,
         series: curves(&outcome.log),
     };
-    write_text(&out.join("training.svg"), &plot.svg())
+    write(&out.join("training.svg"), plot.svg())
 }
 
 #[cfg(test)]

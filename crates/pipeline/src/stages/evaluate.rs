@@ -14,7 +14,9 @@
 //! a film of the scene. Depth, masks and raw inputs come from the reference variant's stage 1. They are the
 //! same for all variants of a scene, so that no variant is judged by its own geometry.
 
+use std::collections::BTreeMap;
 use std::path::Path;
+use std::time::Duration;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -23,6 +25,7 @@ use use3d_capture::{Appearance, Camera, Capture, Frame, Image, Map, View, path};
 use use3d_import::{load_mask, load_pixels};
 use use3d_io_image::write_png;
 use use3d_metrics::{Mask, mask_of};
+use use3d_numerics::range::within;
 use use3d_render::{Mode, Rendering, SceneRenderer};
 use use3d_scene::Scene;
 use use3d_workflow::content::Choice;
@@ -30,14 +33,14 @@ use use3d_workflow::{Figure, Scope, Stage, StageContext, StageError, machine};
 
 use super::captured::capture;
 use super::choices::choice_sources;
-use super::common::{folder, read_json, write_json};
+use super::common::{folder, out_of_range, read_json, write_json};
 use super::drawn::drawn;
 use super::names::{ENHANCED_IN_2D, EVALUATION, TRUE_VIEWS};
 pub use super::names::{SCORES, SPEED, STRIP};
 use super::proposals::{asked_for, file};
 use super::proposer::{ProposerChoice, open};
-use super::scenes::scene;
-use crate::engines::{self, ChoosesEngine, Drawn, EngineChoice};
+use super::scenes::shown_scene;
+use crate::engines::{self, Drawn, EngineChoice};
 use crate::judge::scores::{
     self, Finite, Method, MethodScores, PairScores, SceneScores, SceneSpeed, Scores, ViewScores, Warp,
 };
@@ -90,12 +93,6 @@ impl Default for Params {
     }
 }
 
-impl ChoosesEngine for Params {
-    fn engine(&self) -> &EngineChoice {
-        &self.engine
-    }
-}
-
 /// The largest difference between the scores of one scene drawn in two classes of arithmetic: below the
 /// printed decimals.
 const FIGURES: [Figure; 2] = [
@@ -105,18 +102,11 @@ const FIGURES: [Figure; 2] = [
 
 impl Params {
     fn check(&self) -> Result<(), (String, String)> {
-        const MOST: usize = 10_000;
         self.proposer.for_photographs()?;
-        for (name, value, least) in [
-            ("neighbour_pairs", self.neighbour_pairs, 0),
-            ("path_pairs", self.path_pairs, 0),
-            ("path_steps", self.path_steps, 1),
-        ] {
-            if !(least..=MOST).contains(&value) {
-                return Err((name.into(), format!("is {value}; expected {least} to {MOST}")));
-            }
-        }
-        Ok(())
+        let within = |name, value, least| within(name, value, least, 10_000).map_err(out_of_range);
+        within("neighbour_pairs", self.neighbour_pairs, 0)?;
+        within("path_pairs", self.path_pairs, 0)?;
+        within("path_steps", self.path_steps, 1)
     }
 }
 
@@ -126,8 +116,8 @@ pub(super) fn stage() -> Stage {
         .made_of(&[], &["src/stages/evaluate.rs"])
         .promises(&[SCORES])
         .check(Params::check)
-        .check(engines::check::<Params>)
-        .computes_on(engines::class::<Params>)
+        .check(|p: &Params| engines::check(&p.engine))
+        .computes_on(|p: &Params| engines::class(&p.engine))
         .without_effect(&["engine"])
         .agrees_across_classes(&FIGURES)
         .input("import", "import")
@@ -224,8 +214,8 @@ fn mask(view: &View) -> Result<Option<Mask>, StageError> {
     Ok(load_mask(view)?.map(|weights| mask_of(&weights)).filter(|m| m.data().contains(&0)))
 }
 
-/// Lists by method, in the order in which methods appear.
-type Lists<T> = Vec<(Method, Vec<T>)>;
+/// Lists by method.
+type Lists<T> = BTreeMap<Method, Vec<T>>;
 
 /// Data that all parts of an evaluation use.
 struct Evaluation<'a> {
@@ -265,7 +255,7 @@ impl Evaluation<'_> {
             let place = format!("{first} and {second}");
             let scores = pairing.scores(&self.judges, image, other, prefix);
             let scores = scores.into_iter().map(|(name, score)| (name, score.named(&place))).collect();
-            entry(lists, *method).push(PairScores { first, second, scores });
+            lists.entry(*method).or_default().push(PairScores { first, second, scores });
         }
     }
 
@@ -275,13 +265,8 @@ impl Evaluation<'_> {
         let views = &self.capture.views;
         let chosen = evenly(views.len().saturating_sub(1), most);
         for (done, &i) in chosen.iter().enumerate() {
-            self.context.progress_with(
-                done as u64,
-                chosen.len() as u64,
-                "neighbouring pairs",
-                &views[i].name,
-            );
             let (a, b) = (&views[i], &views[i + 1]);
+            self.context.progress_with(done as u64, chosen.len() as u64, "neighbouring pairs", &a.name);
             let ends = [self.station(&a.camera, Some(a))?, self.station(&b.camera, Some(b))?];
             self.pair(&ends, &[a.name.to_string(), b.name.to_string()], "", &mut lists);
         }
@@ -347,36 +332,31 @@ struct Reference<'a> {
 
 impl<'a> Reference<'a> {
     fn new(reference: &Drawn<'a>, scored: &Scene) -> Result<Self, StageError> {
-        let [from, to] = [scored.frame, reference.scene().frame];
+        let [from, to] = [scored.frame, reference.scene.frame];
         Ok(Self { renderer: reference.renderer(1.0)?, between: (from != to).then_some([from, to]) })
     }
 
     /// Depth, in units of the scored scene, and the rendering at one of the scored scene's cameras.
     fn look(&mut self, camera: &Camera) -> Result<(Map, Image), StageError> {
-        let mut camera = *camera;
-        let mut unit = None;
+        let (mut camera, mut unit) = (*camera, 1.0);
         if let Some([scored, reference]) = &self.between {
             camera.pose = reference.apply_pose(&scored.invert_pose(&camera.pose));
-            unit = Some((scored.scale / reference.scale) as f32);
+            unit = (scored.scale / reference.scale) as f32;
         }
         let (mut depth, mut image) = (Map::new(0, 0), Image::new(0, 0));
         for frame in self.renderer.render(&camera, &[Mode::Depth, Mode::Reconstruction])? {
             match frame {
-                Rendering::Scalar(map) => depth = map,
+                Rendering::Scalar(map) => depth = map.map(|z| unit * z),
                 Rendering::Color(rendered) => image = rendered,
             }
         }
-        Ok(match unit {
-            Some(unit) => (depth.map(|z| unit * z), image),
-            None => (depth, image),
-        })
+        Ok((depth, image))
     }
 }
 
 fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let capture = capture(context)?;
-    let role = if context.optional_input("enhanced").is_some() { "enhanced" } else { "scene" };
-    let scene = scene(context, role)?;
+    let scene = shown_scene(context)?;
     // The scored scene's own stage 1 is in memory already, and its looks are those of the scene.
     let referred = context.optional_input("reference");
     let other = referred.filter(|folder| Some(*folder) != context.optional_input("scene"));
@@ -386,8 +366,8 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let proposer = open(params.proposer, models, &mut |line| context.log(line))
         .map_err(StageError::bad_input_message)?;
     let shown = drawn(context, &scene, &params.engine)?;
-    let reference_shown = reference.as_ref().map(|scene| Drawn::new(scene, &params.engine));
-    let reference_shown = reference_shown.transpose().map_err(StageError::message)?;
+    let reference_shown = reference.as_ref().map(|scene| Drawn::new(scene, &params.engine)).transpose();
+    let reference_shown = reference_shown.map_err(StageError::message)?;
     let judges = Judges::open(models);
     if params.scores == Wanted::All {
         judges.complete().map_err(StageError::bad_input_message)?;
@@ -418,7 +398,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
 
     let enhanced_in_2d = context.output().join(ENHANCED_IN_2D);
     folder(&enhanced_in_2d)?;
-    let mut per_view: Lists<ViewScores> = Vec::new();
+    let mut per_view: Lists<ViewScores> = Lists::new();
     for (i, view) in views.iter().enumerate() {
         context.alive()?;
         context.progress_with(i as u64, views.len() as u64, "views", &view.name);
@@ -432,7 +412,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         if let Some(truth) = &true_view {
             let true_views = context.output().join(TRUE_VIEWS);
             folder(&true_views)?;
-            write_png(&file(&true_views, view), truth.clean())?;
+            write_png(&file(&true_views, view), &truth.clean)?;
         }
         for (method, image) in &now.images {
             let mut scores: Scores = judges.alone(image, mask.as_ref());
@@ -451,7 +431,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
                 }
             }
             let scores = scores.into_iter().map(|(name, score)| (name, score.named(&view.name))).collect();
-            entry(&mut per_view, *method).push(ViewScores { view: view.name.to_string(), scores });
+            per_view.entry(*method).or_default().push(ViewScores { view: view.name.to_string(), scores });
         }
         for (sum, map) in water.iter_mut().zip(now.water.iter().flatten()) {
             let means = channel_means(map);
@@ -461,18 +441,14 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let mut neighbours = evaluation.neighbours(params.neighbour_pairs)?;
     let mut path = evaluation.path(params.path_pairs, params.path_steps)?;
     strip(context, &capture, &scene, &mut evaluation.looker)?;
-    time(context, &views, &mut evaluation.looker.renderer, shown.card())?;
+    time(context, &views, &mut evaluation.looker.renderer, shown.card.as_deref())?;
 
-    let take = |lists: &mut Lists<PairScores>, method| {
-        lists.iter_mut().find(|(m, _)| *m == method).map(|(_, p)| std::mem::take(p)).unwrap_or_default()
-    };
     let methods = Method::ALL.into_iter().filter_map(|method| {
-        let views = per_view.iter_mut().find(|(m, _)| *m == method).map(|(_, v)| std::mem::take(v));
-        let (neighbours, path) = (take(&mut neighbours, method), take(&mut path, method));
-        if views.is_none() && neighbours.is_empty() && path.is_empty() {
-            return None;
-        }
-        Some(MethodScores::new(method, views.unwrap_or_default(), neighbours, path))
+        let views = per_view.remove(&method);
+        let pairs = [neighbours.remove(&method), path.remove(&method)];
+        let known = views.is_some() || pairs.iter().any(Option::is_some);
+        let [neighbours, path] = pairs.map(Option::unwrap_or_default);
+        known.then(|| MethodScores::new(method, views.unwrap_or_default(), neighbours, path))
     });
     let scores = SceneScores {
         format: scores::FORMAT.into(),
@@ -507,7 +483,7 @@ fn time(
     }
     let cameras: Vec<Camera> = views.iter().take(4).map(|v| v.camera).collect();
     let mode = if renderer.is_enhanced() { Mode::Enhanced } else { Mode::Reconstruction };
-    let measured = speed::measure_briefly(renderer, &cameras, mode, &|| context.cancelled())?;
+    let measured = speed::measure(renderer, &cameras, mode, Duration::ZERO, &|| context.cancelled())?;
     let (Some(measured), Some(camera)) = (measured, cameras.first()) else { return Ok(()) };
     let Some(fps) = Finite::new(measured.fps) else { return Ok(()) };
     let size = (camera.intrinsics.width, camera.intrinsics.height);
@@ -540,13 +516,13 @@ fn strip(
     };
     let shown = [Method::Captured, Method::Proposal, Method::ProposalOfRender, last];
     // Large images of other methods are dropped at once.
-    let mut look = |view: &&View| -> Result<Appearances, StageError> {
+    let look = |view: &&View| {
         let mut look = looker.view(view)?;
         look.images.retain(|(method, _)| shown.contains(method));
         look.water = None;
         Ok(look)
     };
-    let looks: Vec<Appearances> = views.iter().map(&mut look).collect::<Result<_, _>>()?;
+    let looks = views.iter().map(look).collect::<Result<Vec<Appearances>, StageError>>()?;
     let seen = views.iter().zip(&looks).filter_map(|(view, look)| {
         Some(StripView { camera: &view.camera, depth: &look.depth, photograph: look.of(Method::Captured)? })
     });
@@ -554,26 +530,14 @@ fn strip(
         context.log("no spot is seen by three neighbouring views: no consistency strip");
         return Ok(());
     };
-    let shown: Vec<Method> =
-        shown.into_iter().filter(|m| looks.iter().all(|look| look.of(*m).is_some())).collect();
-    let rows: Vec<Vec<&Image>> =
-        shown.iter().map(|method| looks.iter().filter_map(|l| l.of(*method)).collect()).collect();
+    let row = |method: Method| -> Option<Vec<&Image>> { looks.iter().map(|look| look.of(method)).collect() };
+    let rows = shown.into_iter().filter_map(|method| Some((method, row(method)?)));
+    let (shown, rows): (Vec<Method>, Vec<Vec<&Image>>) = rows.unzip();
     let (picture, moved) = sheet(&rows, &corners, side);
     write_png(&context.output().join(STRIP.0), &picture)?;
     let rows = shown.iter().map(|m| m.label().to_string()).zip(moved).collect();
     let strip = Strip { views: views.iter().map(|v| v.name.to_string()).collect(), rows, side, corners };
     write_json(&context.output().join(STRIP.1), &strip)
-}
-
-fn entry<T>(lists: &mut Vec<(Method, Vec<T>)>, method: Method) -> &mut Vec<T> {
-    let place = match lists.iter().position(|(m, _)| *m == method) {
-        Some(place) => place,
-        None => {
-            lists.push((method, Vec::new()));
-            lists.len() - 1
-        }
-    };
-    &mut lists[place].1
 }
 
 #[cfg(test)]

@@ -11,7 +11,7 @@ use use3d_workflow::content::Choice;
 use use3d_workflow::{Scope, Stage, StageContext, StageError};
 
 use super::choices::choice_sources;
-use super::common::{out_of_range, write_json};
+use super::common::{out_of_range, read, write, write_json};
 use crate::sights::{CaptureSights, SIGHTS, SightsError};
 
 pub(super) fn stage() -> Stage {
@@ -32,13 +32,12 @@ pub(super) fn stage() -> Stage {
 fn files(parameters: &Value, capture: &Path) -> Result<Vec<PathBuf>, String> {
     let params: ImportParams = serde_json::from_value(parameters.clone()).map_err(|e| e.to_string())?;
     let imported = import(capture, &params).map_err(|e| e.to_string())?;
-    let views = &imported.capture.views;
+    let views = imported.capture.views.iter();
+    let read =
+        || views.clone().flat_map(|v| [Some(&v.image), v.mask.as_ref(), v.depth_prior.as_ref()]).flatten();
     if use3d_import::is_prepared(capture) {
-        let read = views.iter().flat_map(|v| [Some(&v.image), v.mask.as_ref(), v.depth_prior.as_ref()]);
-        let mut paths = vec![PathBuf::from(".")];
-        let files = below(read.flatten(), capture, "");
-        paths.extend(files.into_iter().filter(|file| has_hidden_part(file)));
-        return Ok(paths); // the whole folder, with its sights
+        let hidden = below(read(), capture, "").into_iter().filter(|file| has_hidden_part(file));
+        return Ok([PathBuf::from(".")].into_iter().chain(hidden).collect()); // the whole folder, with its sights
     }
     let mut paths = imported.model_files.to_vec();
     let report = &imported.report;
@@ -47,8 +46,7 @@ fn files(parameters: &Value, capture: &Path) -> Result<Vec<PathBuf>, String> {
     // The files are listed one by one: other files of these folders, which the model does not name, are not
     // part of the capture.
     for folder in folders.into_iter().flatten() {
-        let read = views.iter().flat_map(|v| [Some(&v.image), v.mask.as_ref(), v.depth_prior.as_ref()]);
-        paths.extend(below(read.flatten(), capture, folder));
+        paths.extend(below(read(), capture, folder));
     }
     paths.extend(["train_list.txt", "test_list.txt"].map(PathBuf::from));
     paths.retain(|p| capture.join(p).exists());
@@ -93,18 +91,16 @@ fn run(context: &StageContext, params: &ImportParams) -> Result<(), StageError> 
         context.progress(done as u64, total as u64, "views");
         !context.cancelled()
     });
-    if context.cancelled() {
-        return Err(StageError::Cancelled);
-    }
+    context.alive()?;
     let prepared = prepared.map_err(|error| match error {
         // A failed write is not an error of the capture.
-        ImportError::File { .. } | ImportError::Image(ImageError::Write { .. }) => StageError::failed(error),
-        ImportError::Model(ModelError::Write { .. }) => StageError::failed(error),
+        ImportError::File { .. }
+        | ImportError::Image(ImageError::Write { .. })
+        | ImportError::Model(ModelError::Write { .. }) => StageError::failed(error),
         error => StageError::bad_input(error),
     })?;
-    let out = context.output();
     keep_sights(context, &imported, prepared.report.white_balance)?;
-    write_json(&out.join("report.json"), &prepared.report)
+    write_json(&context.output().join("report.json"), &prepared.report)
 }
 
 /// Keeps the measurements of the water in the photographs at their full size, because scenes may be learnt at
@@ -116,7 +112,7 @@ fn keep_sights(
 ) -> Result<(), StageError> {
     let (before, after) = (context.input("capture")?.join(SIGHTS), context.output().join(SIGHTS));
     let bytes = if use3d_import::is_prepared(context.input("capture")?) && before.is_file() {
-        std::fs::read(&before).map_err(|e| StageError::io(&before, e))?
+        read(&before)?
     } else {
         let seen = CaptureSights::of_files(imported, balance, || !context.cancelled());
         let seen = seen.map_err(|error| match error {
@@ -125,7 +121,7 @@ fn keep_sights(
         })?;
         seen.bytes().map_err(StageError::failed)?
     };
-    std::fs::write(&after, bytes).map_err(|e| StageError::io(&after, e))
+    write(&after, bytes)
 }
 
 #[cfg(test)]

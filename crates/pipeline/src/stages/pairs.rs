@@ -1,7 +1,7 @@
 //! The paired images in operator space: the extractor's operators for each pair and for the proposal for its
 //! input image.
 
-use std::ops::ControlFlow;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use schemars::JsonSchema;
@@ -14,7 +14,7 @@ use use3d_io_image::read_image;
 use use3d_workflow::{Scope, Stage, StageContext, StageError, leftovers};
 
 use super::calibrated::is_calibrated;
-use super::common::{out_of_range, write_json};
+use super::common::{go_on, out_of_range, write_json};
 use super::names::DATASET;
 use super::proposer::{ProposerChoice, open};
 
@@ -80,16 +80,15 @@ fn run(context: &StageContext, params: &PairsParams) -> Result<(), StageError> {
             let synthetic = use3d_synth::PairsParams { seed: context.seed(), ..params.synthetic.clone() };
             let written = use3d_synth::write_pairs(&synthetic, &dir, &mut |done, total| {
                 context.progress(done as u64, total as u64, "synthetic pairs");
-                if context.cancelled() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+                go_on(context)
             });
             context.alive()?;
             written?;
             (dir.join("input"), dir.join("reference"))
         }
         _ => {
-            return Err(StageError::bad_input_message(
-                "pairs need both `input` and `target`; only one was given",
-            ));
+            let problem = "pairs need both `input` and `target`; only one was given";
+            return Err(StageError::bad_input_message(problem));
         }
     };
     let pairs = list(&input, &target)?;
@@ -111,7 +110,7 @@ fn run(context: &StageContext, params: &PairsParams) -> Result<(), StageError> {
         if let LoopPosition::Pair { index, name } = progress {
             context.progress_with(index as u64, total as u64, "pairs", name);
         }
-        if context.cancelled() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        go_on(context)
     });
     context.alive()?;
     let mut dataset = dataset?;
@@ -157,26 +156,23 @@ fn is_duller(image: &Image, other: &Image) -> bool {
 
 /// Pairs of image files with equal stems, in name order.
 pub(super) fn list(input: &Path, target: &Path) -> Result<Vec<(String, PathBuf, PathBuf)>, StageError> {
-    let images = |dir: &Path| -> Result<std::collections::BTreeMap<String, PathBuf>, StageError> {
-        let mut found = std::collections::BTreeMap::new();
-        for entry in std::fs::read_dir(dir)
-            .map_err(|e| StageError::bad_input_message(format!("{}: {e}", dir.display())))?
-        {
+    let images = |dir: &Path| -> Result<BTreeMap<String, PathBuf>, StageError> {
+        let entries = std::fs::read_dir(dir)
+            .map_err(|e| StageError::bad_input_message(format!("{}: {e}", dir.display())))?;
+        let mut found = BTreeMap::new();
+        for entry in entries {
             let path = entry.map_err(|e| StageError::io(dir, e))?.path();
             let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
-            if let (true, Some(stem)) =
-                (["png", "jpg", "jpeg", "tif", "tiff"].contains(&extension.as_str()), path.file_stem())
-            {
+            let is_image = ["png", "jpg", "jpeg", "tif", "tiff"].contains(&extension.as_str());
+            if let Some(stem) = path.file_stem().filter(|_| is_image) {
                 found.insert(stem.to_string_lossy().into_owned(), path);
             }
         }
         Ok(found)
     };
     let mut targets = images(target)?;
-    Ok(images(input)?
-        .into_iter()
-        .filter_map(|(stem, a)| targets.remove(&stem).map(|b| (stem, a, b)))
-        .collect())
+    let pair = |(stem, a): (String, PathBuf)| targets.remove(&stem).map(|b| (stem, a, b));
+    Ok(images(input)?.into_iter().filter_map(pair).collect())
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 use use3d_capture::{Capture, View};
-use use3d_import::{Imported, load_depth_prior, load_mask, load_pixels};
+use use3d_import::{ImportError, load_depth_prior, load_mask, load_pixels};
 use use3d_io_image::write_png;
 use use3d_metrics::Score;
 use use3d_reconstruct::{
@@ -13,8 +13,8 @@ use use3d_scene::{Origin, Scene};
 use use3d_water::WaterParams;
 use use3d_workflow::{Figure, Scope, Stage, StageContext, StageError};
 
-use super::captured::{capture, write_cameras};
-use super::common::{out_of_range, write_json, write_text};
+use super::captured::{capture, imported, write_cameras};
+use super::common::{out_of_range, write, write_json};
 use super::contact_sheet::sheet;
 use super::names::{CHOICES, CONTACT, EVALUATION, WATER};
 use super::proposals;
@@ -71,14 +71,9 @@ pub(super) fn stage() -> Stage {
 
 /// Loads a view's files at the size of its camera. The pixels are those of `pixels`, another image of the
 /// same view.
-fn load(view: &View, pixels: &View) -> Result<LoadedView, String> {
-    let mask = load_mask(view).map_err(|e| e.to_string())?;
-    Ok(LoadedView {
-        pixels: load_pixels(pixels).map_err(|e| e.to_string())?,
-        alpha: None,
-        mask,
-        depth_prior: load_depth_prior(view).map_err(|e| e.to_string())?,
-    })
+fn load(view: &View, pixels: &View) -> Result<LoadedView, ImportError> {
+    let mask = load_mask(view)?;
+    Ok(LoadedView { pixels: load_pixels(pixels)?, alpha: None, mask, depth_prior: load_depth_prior(view)? })
 }
 
 /// A sentence on the depth prior in force, with the reason (R14).
@@ -108,11 +103,6 @@ fn prior_in_force(params: &ReconstructParams, capture: &Capture, made: bool) -> 
         ),
         (_, false, with) => format!("depth prior: the capture's own files, {with} of {total} training views"),
     }
-}
-
-/// The capture with the tracks of its points.
-fn imported(context: &StageContext) -> Result<Imported, StageError> {
-    use3d_import::load_prepared(context.input("import")?).map_err(StageError::bad_input)
 }
 
 /// The water that a training starts from.
@@ -152,24 +142,19 @@ fn known_from_tracks(context: &StageContext) -> Result<Start, StageError> {
     Ok(Start { known, dry: judgement.no_water(), said, attenuation: report.attenuation() })
 }
 
-/// The start of the water if tracks are not used.
-fn water_learnt(params: &ReconstructParams) -> &'static str {
-    if params.medium == Medium::None { "none" } else { "learnt from the first step on" }
-}
-
 /// `exposures.json`: the gain of every training view, learnt with the scene. Renders show the scene without
 /// the gains.
 #[derive(Serialize)]
-struct Exposures {
+struct Exposures<'a> {
     format: &'static str,
     version: u32,
-    views: Vec<ViewExposure>,
+    views: Vec<ViewExposure<'a>>,
 }
 
 /// One view's gain for red, green and blue. The geometric mean of the gains over the views is 1.
 #[derive(Serialize)]
-struct ViewExposure {
-    view: String,
+struct ViewExposure<'a> {
+    view: &'a str,
     gain: [f32; 3],
 }
 
@@ -192,14 +177,11 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
     }
     let load = |view: &View| {
         let pixels = learnt_from.views.iter().find(|v| v.name == view.name);
-        load(view, pixels.unwrap_or(view))
+        load(view, pixels.unwrap_or(view)).map_err(|e| e.to_string())
     };
     let need = memory_need(&(&capture).into(), &params);
-    context.needs_memory(
-        need.start,
-        need.most,
-        "lower `reconstruct.max_gaussians`, or `import.size` for smaller images",
-    )?;
+    let lower = "lower `reconstruct.max_gaussians`, or `import.size` for smaller images";
+    context.needs_memory(need.start, need.most, lower)?;
     let Start { known, dry, said: told, attenuation } = if params.asks_tracks() {
         known_from_tracks(context)?
     } else {
@@ -208,35 +190,30 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
             StartPoints::Tracks => Vec::new(),
         };
         let known = Known { tracks, ..Known::default() };
-        Start { known, said: water_learnt(&params).to_string(), ..Start::default() }
+        let learnt = params.medium != Medium::None;
+        let said = if learnt { "learnt from the first step on" } else { "none" };
+        Start { known, said: said.into(), ..Start::default() }
     };
     if dry {
         (params.medium, params.medium_prior) = (Medium::None, MediumPrior::Off);
     }
-    let watch = &mut Watch::new(context);
+    let watch = &mut Watch(context);
     let outcome = {
         // The engine is dropped at the end of this block: the drawing and writing below needs no moments,
         // views or buffers.
         let (mut engine, chosen) =
             engines::stage1(&params, most_gaussians(&capture, &params)).map_err(StageError::failed)?;
-        if let Some(chosen) = chosen {
-            context.say(chosen);
-        }
+        chosen.into_iter().for_each(|chosen| context.say(chosen));
         reconstruct_in(&capture, &known, &load, &params, engine.as_mut(), context.checkpoints(), watch)
     };
-    let outcome = match outcome {
-        Ok(outcome) => outcome,
-        Err(ReconstructError::Interrupted { .. }) => return Err(StageError::Cancelled),
-        Err(
-            error @ (ReconstructError::NonFinite(_)
-            | ReconstructError::Checkpoint(_)
-            | ReconstructError::Engine(_)),
-        ) => {
-            return Err(StageError::failed(error));
+    let outcome = outcome.map_err(|error| match error {
+        ReconstructError::Interrupted { .. } => StageError::Cancelled,
+        ReconstructError::NonFinite(_) | ReconstructError::Checkpoint(_) | ReconstructError::Engine(_) => {
+            StageError::failed(error)
         }
         // Every other error is caused by the capture or the parameters.
-        Err(error) => return Err(StageError::bad_input(error)),
-    };
+        _ => StageError::bad_input(error),
+    })?;
     if let Some(evaluation) = &outcome.evaluation {
         let against = match params.images {
             Images::Captured => "",
@@ -246,18 +223,13 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
             Some(value) => format!("{value:.decimals$}{unit}"),
             None => format!("none ({})", score.reason().unwrap_or_default()),
         };
-        context.say(format_args!(
-            "held-out views{against}: PSNR {}, SSIM {}, {} Gaussians",
-            text(&evaluation.psnr, " dB", 2),
-            text(&evaluation.ssim, "", 4),
-            outcome.scene.gaussians.len()
-        ));
+        let (psnr, ssim) = (text(&evaluation.psnr, " dB", 2), text(&evaluation.ssim, "", 4));
+        let count = outcome.scene.gaussians.len();
+        context.say(format_args!("held-out views{against}: PSNR {psnr}, SSIM {ssim}, {count} Gaussians"));
         if let Some(fitted) = &evaluation.fitted {
+            let (psnr, ssim) = (text(&fitted.psnr, " dB", 2), text(&fitted.ssim, "", 4));
             context.say(format_args!(
-                "held-out views{against}, after gains fitted on the other half of each view: PSNR {}, SSIM \
-                 {}",
-                text(&fitted.psnr, " dB", 2),
-                text(&fitted.ssim, "", 4)
+                "held-out views{against}, after gains fitted on the other half of each view: PSNR {psnr}, SSIM {ssim}"
             ));
         }
     }
@@ -270,9 +242,8 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
     let with_errors = if attenuation.is_empty() { water.clone() } else { format!("{water}; {attenuation}") };
     write_json(&out.join(CHOICES), &Choices { depth_prior, water })?;
     if params.exposure == Exposure::PerView {
-        let views =
-            outcome.exposures.iter().map(|(view, gain)| ViewExposure { view: view.clone(), gain: *gain });
-        let exposures = Exposures { format: "3d-use exposures", version: 1, views: views.collect() };
+        let views = outcome.exposures.iter().map(|(view, gain)| ViewExposure { view, gain: *gain }).collect();
+        let exposures = Exposures { format: "3d-use exposures", version: 1, views };
         write_json(&out.join(EXPOSURES), &exposures)?;
     }
     Origin { water: Some(with_errors), ..Origin::of(&capture) }.write(out)?;
@@ -284,7 +255,7 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
     if let Some(sheet) = sheet(&learnt_from, &outcome.scene)? {
         write_png(&out.join(CONTACT), &sheet)?;
     }
-    write_text(&out.join("training.jsonl"), &outcome.log_lines())?;
-    write_text(&out.join("training.svg"), &outcome.plot())?;
+    write(&out.join("training.jsonl"), outcome.log_lines())?;
+    write(&out.join("training.svg"), outcome.plot())?;
     write_json(&out.join(EVALUATION), &HeldOut { learnt_from: params.images, held_out: &outcome.evaluation })
 }

@@ -8,14 +8,15 @@ use serde::{Deserialize, Serialize};
 use use3d_capture::Raster;
 use use3d_import::load_pixels;
 use use3d_io_image::{read_image, read_map, write_exr_map, write_png, write_png8};
+use use3d_numerics::range::within;
 use use3d_render::{Mode, Rendering, picture};
 use use3d_workflow::{AlikeFiles, Scope, Stage, StageContext, StageError};
 
 use super::captured::capture;
-use super::common::folder;
+use super::common::{folder, out_of_range};
 use super::drawn::drawn;
-use super::scenes::scene;
-use crate::engines::{self, ChoosesEngine, EngineChoice};
+use super::scenes::shown_scene;
+use crate::engines::{self, EngineChoice};
 
 /// The largest difference between two drawings of one scene in two classes of arithmetic: the last bits of a
 /// kernel's results, and occasionally a pixel on an edge.
@@ -47,27 +48,15 @@ impl Default for Params {
     }
 }
 
-impl ChoosesEngine for Params {
-    fn engine(&self) -> &EngineChoice {
-        &self.engine
-    }
-}
-
 pub(super) fn stage() -> Stage {
     Stage::new("render", Scope::Scene, run)
         .about("pictures of the held-out views")
         .made_of(&[], &["src/stages/render.rs"])
         .promises(&["captured/"])
-        .check(|p: &Params| {
-            for (name, value) in [("strength", p.strength), ("water", p.water)] {
-                if !(0.0..=1.0).contains(&value) {
-                    return Err((name.into(), format!("is {value}; expected 0 to 1")));
-                }
-            }
-            Ok(())
-        })
-        .check(engines::check::<Params>)
-        .computes_on(engines::class::<Params>)
+        .check(|p: &Params| within("strength", p.strength, 0.0, 1.0).map_err(out_of_range))
+        .check(|p: &Params| within("water", p.water, 0.0, 1.0).map_err(out_of_range))
+        .check(|p: &Params| engines::check(&p.engine))
+        .computes_on(|p: &Params| engines::class(&p.engine))
         .files_agree_across_classes(&ALIKE)
         .without_effect(&["engine"])
         .input("import", "import")
@@ -92,9 +81,8 @@ fn depths_apart(a: &Path, b: &Path) -> Result<f64, String> {
 
 /// The mean absolute difference of the values of two rasters of one size.
 fn difference<const C: usize>(a: &Raster<f32, C>, b: &Raster<f32, C>) -> Result<f64, String> {
-    if (a.width(), a.height()) != (b.width(), b.height()) {
-        let [made, again] =
-            [(a.width(), a.height()), (b.width(), b.height())].map(|(w, h)| format!("{w} by {h}"));
+    let [made, again] = [a, b].map(|raster| format!("{} by {}", raster.width(), raster.height()));
+    if made != again {
         return Err(format!("{made} pixels, and again {again}"));
     }
     Ok(mean(a.data().iter().zip(b.data()).map(|(a, b)| f64::from((a - b).abs()))))
@@ -107,8 +95,7 @@ fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
 
 fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let capture = capture(context)?;
-    let role = if context.optional_input("enhanced").is_some() { "enhanced" } else { "scene" };
-    let scene = scene(context, role)?;
+    let scene = shown_scene(context)?;
     let drawn = drawn(context, &scene, &params.engine)?;
     let mut renderer = drawn.renderer(params.strength)?.with_water(params.water)?;
     let mut modes = vec![Mode::Reconstruction, Mode::Clear, Mode::Depth];

@@ -1,9 +1,10 @@
 //! The page and the tables of a whole batch.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 use use3d_atc::calibrator::{Calibrator, METHOD_PAIRS};
 use use3d_atc::consensus::TargetsReport;
 use use3d_capture::{Appearance, Camera, Image, flat_stem, shown};
@@ -15,13 +16,16 @@ use use3d_scene::Scene;
 use use3d_workflow::{Scope, Stage, StageContext, StageError, StageInput};
 
 use super::calibrator::read_calibrator;
-use super::common::{folder, read_json, write_json, write_text};
+use super::common::{folder, read, read_json, write, write_json};
 use super::names::{CHOICES, CONTACT, ENHANCED_IN_2D, SCORES, STRIP, TRUE_VIEWS, WATER};
 use super::proposer::NO_PROPOSER;
 use super::reconstruct::Choices;
+use crate::judge::names::in_variant;
 use crate::judge::report::batch::{head, overall};
 use crate::judge::report::plot::{Plot, RGB, Series};
-use crate::judge::report::{CalibratorSection, Page, Picture, PlotFigure, SceneSection, ViewSection};
+use crate::judge::report::{
+    CalibratorSection, Page, Picture, PlotFigure, SceneSection, ViewSection, shortened,
+};
 use crate::judge::scores::{Method, MethodScores, SceneScores, ScoredScene};
 use crate::judge::strip::Strip;
 use crate::judge::tables::{Table, paper};
@@ -73,11 +77,7 @@ impl Parts<'_> {
     }
 
     fn name(&self) -> String {
-        if self.variant.is_empty() {
-            self.scene.to_string()
-        } else {
-            format!("{} · {}", self.scene, self.variant)
-        }
+        in_variant(self.scene, self.variant)
     }
 }
 
@@ -107,19 +107,16 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         context.alive()?;
         context.progress_with(i as u64, all.len() as u64, "scenes", parts.scene);
         let scores = parts.path("scores").map(read_scores).transpose()?;
-        scenes.push(section(parts, scores.as_ref(), params, pairs)?);
-        if let (Some(scores), Some(path)) = (scores, parts.path("scores")) {
-            let bytes = std::fs::read(path.join(SCORES)).map_err(|e| StageError::io(path, e))?;
-            scored.push(ScoredScene {
-                scene: parts.scene.into(),
-                group: parts.group.into(),
-                variant: parts.variant.into(),
-                source: format!("{} {}", parts.name(), &blake3::hash(&bytes).to_hex()[..12]),
-                scores,
-                configuration: None,
-                speed: None,
-            });
-        }
+        scenes.push(section(parts, scores.as_ref().map(|(scores, _)| scores), params, pairs)?);
+        scored.extend(scores.map(|(scores, digest)| ScoredScene {
+            scene: parts.scene.into(),
+            group: parts.group.into(),
+            variant: parts.variant.into(),
+            source: format!("{} {digest}", parts.name()),
+            scores,
+            configuration: None,
+            speed: None,
+        }));
     }
     let results: Vec<(&str, &str)> = all.iter().map(|parts| (parts.scene, parts.variant)).collect();
     let tables = paper::tables(&scored);
@@ -149,13 +146,16 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         ),
     };
     write_json(&context.output().join("scores.json"), &scored)?;
-    write_text(&context.output().join("index.html"), &page.html()?)
+    write(&context.output().join("index.html"), page.html()?)
 }
 
-fn read_scores(folder: &Path) -> Result<SceneScores, StageError> {
+/// The scores in a folder, and the first characters of the digest of their file.
+fn read_scores(folder: &Path) -> Result<(SceneScores, String), StageError> {
     let path = folder.join(SCORES);
-    let bytes = std::fs::read(&path).map_err(|e| StageError::io(&path, e))?;
-    SceneScores::parse(&bytes).map_err(|e| StageError::message(format!("{}: {e}", path.display())))
+    let bytes = read(&path)?;
+    let scores = SceneScores::parse(&bytes);
+    let scores = scores.map_err(|e| StageError::message(format!("{}: {e}", path.display())))?;
+    Ok((scores, shortened(&blake3::hash(&bytes).to_hex())))
 }
 
 /// Writes the tables in all their formats into a folder.
@@ -163,9 +163,9 @@ pub fn write_tables(dir: &Path, tables: &[Table]) -> Result<(), StageError> {
     folder(dir)?;
     for table in tables {
         let file = |extension: &str| dir.join(format!("{}.{extension}", table.name));
-        write_text(&file("md"), &table.markdown())?;
-        write_text(&file("csv"), &table.csv())?;
-        write_text(&file("tex"), &table.latex())?;
+        write(&file("md"), table.markdown())?;
+        write(&file("csv"), table.csv())?;
+        write(&file("tex"), table.latex())?;
         write_json(&file("json"), &table.json())?;
     }
     Ok(())
@@ -173,19 +173,16 @@ pub fn write_tables(dir: &Path, tables: &[Table]) -> Result<(), StageError> {
 
 fn calibrator_section(calibrator: &Calibrator) -> CalibratorSection {
     let provenance = &calibrator.provenance;
+    let plain = |summary| CalibratorSection { summary, rows: Vec::new() };
     if calibrator.corrects() == [false; 2] {
-        let summary = format!(
+        return plain(format!(
             "The proposals are not corrected. The scales of the errors come from {} pairs; {}.",
             provenance.pairs, provenance.data
-        );
-        return CalibratorSection { summary, rows: Vec::new() };
+        ));
     }
     if provenance.pairs == 0 {
         // A calibrator that records no fit is the authors' file.
-        return CalibratorSection {
-            summary: format!("A finished calibrator: {}.", provenance.data),
-            rows: Vec::new(),
-        };
+        return plain(format!("A finished calibrator: {}.", provenance.data));
     }
     let rows = provenance.held_out.iter().flat_map(|held_out| {
         let e = &held_out.errors;
@@ -236,9 +233,8 @@ fn section(
         section.views = views(renders, parts.path("scores"), scores, best, params.views)?;
     }
     section.plots.extend(log.iter().flat_map(|log| stage_1(log)));
-    if let Some(svg) =
-        parts.path("enhanced").and_then(|p| std::fs::read_to_string(p.join("training.svg")).ok())
-    {
+    let plot = parts.path("enhanced").map(|folder| folder.join("training.svg"));
+    if let Some(svg) = plot.and_then(|path| std::fs::read_to_string(path).ok()) {
         let caption = "Stage 2: the distance of the scene from its targets, as a whole (global) and surface \
              by surface (local). Both should fall.";
         section.plots.push(PlotFigure { svg: inline(&svg), caption: caption.into() });
@@ -260,7 +256,7 @@ fn training_log(parts: &Parts<'_>, role: &str) -> Option<String> {
 
 /// The last step of a training log; 0 for a log without steps.
 fn last_step(log: &str) -> u64 {
-    let entries = log.lines().filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok());
+    let entries = log.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());
     entries.filter_map(|entry| entry["step"].as_u64()).max().unwrap_or(0)
 }
 
@@ -283,31 +279,27 @@ fn facts(parts: &Parts<'_>, pairs: usize, log: Option<&str>, targets: Option<&Ta
 /// A sentence on the water of stage 1, in the same words as `use3d water` if the tracks were used, and one on
 /// the metres of a unit. Empty if the scene does not say it.
 fn water_sentences(scene: &Path) -> String {
-    let estimate: Option<serde_json::Value> = read_json(&scene.join(WATER)).ok();
-    let choices =
-        || read_json::<Choices>(&scene.join(CHOICES)).map(|choices| choices.water).unwrap_or_default();
-    let water = estimate.as_ref().and_then(water_from_tracks).unwrap_or_else(|| match choices() {
-        water if water.is_empty() => water,
-        water => format!("{}.", capitalised(&water)),
+    let estimate: Option<Value> = read_json(&scene.join(WATER)).ok();
+    let water = estimate.as_ref().and_then(water_from_tracks).unwrap_or_else(|| {
+        let water = read_json::<Choices>(&scene.join(CHOICES)).unwrap_or_default().water;
+        if water.is_empty() { water } else { format!("{}.", capitalised(&water)) }
     });
     [water, scale_sentence(scene, estimate.as_ref())].join(" ").trim().to_string()
 }
 
 /// A sentence on the metres of a unit; empty if they are not known.
-fn scale_sentence(scene: &Path, estimate: Option<&serde_json::Value>) -> String {
+fn scale_sentence(scene: &Path, estimate: Option<&Value>) -> String {
     let Ok(Some(world)) = Scene::world(scene) else { return String::new() };
     let attenuation = estimate.and_then(|water| water["metric"]["attenuation"].as_array());
     let per_metre = attenuation.map_or_else(String::new, |values| {
-        let number =
-            |v: &serde_json::Value| v["value"].as_f64().map_or_else(|| "–".into(), |v| format!("{v:.3}"));
-        let values: Vec<String> = values.iter().map(number).collect();
+        let values: Vec<String> = values.iter().map(|v| number(&v["value"], 3)).collect();
         format!(" Attenuation per metre, red, green, blue: {}.", values.join(", "))
     });
     format!("One unit is {:.4} m, by {}.{per_metre}", world.metres_per_unit, shown(&world.source))
 }
 
 /// The water estimated from the tracks; `None` for an estimate of another form.
-fn water_from_tracks(water: &serde_json::Value) -> Option<String> {
+fn water_from_tracks(water: &Value) -> Option<String> {
     let judgement = capitalised(water["told"].as_str()?);
     let used = match water["judgement"] == "found" {
         true => "The tracks give these attenuations per unit.",
@@ -327,12 +319,15 @@ fn water_from_tracks(water: &serde_json::Value) -> Option<String> {
 }
 
 /// A channel's attenuation with its error, and its verdict.
-fn channel_in_words(channel: &serde_json::Value) -> (String, &str) {
+fn channel_in_words(channel: &Value) -> (String, &str) {
     let attenuation = &channel["attenuation"];
-    let number = |v: &serde_json::Value| v.as_f64().map_or_else(|| "–".into(), |v| format!("{v:.4}"));
-    let (value, error) = (number(&attenuation["value"]), number(&attenuation["error"]));
+    let (value, error) = (number(&attenuation["value"], 4), number(&attenuation["error"], 4));
     let name = channel["channel"].as_str().unwrap_or_default();
     (format!("{name} {value} ± {error}"), channel["told"].as_str().unwrap_or_default())
+}
+
+fn number(value: &Value, decimals: usize) -> String {
+    value.as_f64().map_or_else(|| "–".into(), |value| format!("{value:.decimals$}"))
 }
 
 fn capitalised(text: &str) -> String {
@@ -342,13 +337,12 @@ fn capitalised(text: &str) -> String {
 
 /// The plots of stage 1's training, from its log.
 fn stage_1(log: &str) -> Vec<PlotFigure> {
-    let entries: Vec<serde_json::Value> =
-        log.lines().filter_map(|line| serde_json::from_str(line).ok()).collect();
+    let entries: Vec<Value> = log.lines().filter_map(|line| serde_json::from_str(line).ok()).collect();
     let curve = |name: &str, color: &'static str, label: &str, evaluated: bool| {
         let event = if evaluated { "evaluation" } else { "steps" };
         let points = entries.iter().filter(|e| e["event"] == event);
         let points = points.filter_map(|e| Some((e["step"].as_f64()?, e[name].as_f64()?))).collect();
-        Series { label: label.into(), color, points, dots: evaluated, names: Vec::new() }
+        Series { dots: evaluated, ..Series::line(label, color, points) }
     };
     let plot = |title: &str, log_y: bool, series: Vec<Series>, caption: &str| {
         let plot = Plot { title: title.into(), x_label: "step".into(), log_y, series };
@@ -383,16 +377,12 @@ fn stage_1(log: &str) -> Vec<PlotFigure> {
 /// Notes on images and pairs that a mean leaves out because they have no such score.
 fn left_out(scores: &SceneScores) -> Vec<String> {
     let of = |m: &MethodScores| {
-        let counts: Vec<String> = (m.left_out.iter())
-            .map(|(metric, count)| format!("{metric} {count} of {}", count + m.counted(metric)))
-            .collect();
-        (!counts.is_empty()).then(|| {
-            format!(
-                "{}: these scores have no value, so the means leave them out: {}.",
-                m.method.label(),
-                counts.join(", ")
-            )
-        })
+        let count =
+            |(metric, count): (&String, &usize)| format!("{metric} {count} of {}", count + m.counted(metric));
+        let counts = m.left_out.iter().map(count).collect::<Vec<_>>().join(", ");
+        let method = m.method.label();
+        let note = || format!("{method}: these scores have no value, so the means leave them out: {counts}.");
+        (!counts.is_empty()).then(note)
     };
     scores.methods.iter().filter_map(of).collect()
 }
@@ -429,6 +419,10 @@ pub fn best_method(enhanced: Option<&Path>) -> Result<Method, StageError> {
     best_look(enhanced).map(scored_as)
 }
 
+/// The pictures of a view after those that come first.
+const OTHERS: [Mode; 6] =
+    [Mode::Clear, Mode::Enhanced, Mode::EnhancedClear, Mode::Reconstruction, Mode::Depth, Mode::Medium];
+
 /// The held-out views. The captured photograph, the 2D enhancer's image and the scene's best look come first,
 /// the other pictures follow.
 fn views(
@@ -445,45 +439,29 @@ fn views(
         .collect();
     stems.sort();
     let count = stems.len().min(most);
-    let chosen: Vec<String> = (0..count).map(|k| stems[k * stems.len() / count.max(1)].clone()).collect();
     let mut sections = Vec::new();
-    for stem in chosen {
-        let file = |folder: &Path| folder.join(format!("{stem}.png"));
+    for stem in (0..count).map(|k| &stems[k * stems.len() / count]) {
         let picture = |label: &str, folder: &Path| -> Result<Option<Picture>, StageError> {
-            let path = file(folder);
+            let path = folder.join(format!("{stem}.png"));
             if !path.is_file() {
                 return Ok(None);
             }
             Ok(Some(Picture::embed(label, "", &read_image(&path)?)?))
         };
         let rendered = |mode: Mode| picture(mode.name(), &renders.join(mode.name()));
-        let proposal = match evaluated {
-            Some(evaluated) => picture("2D enhancer", &evaluated.join(ENHANCED_IN_2D))?,
-            None => None,
+        let of_scores = |label: &str, name: &str| match evaluated {
+            Some(evaluated) => picture(label, &evaluated.join(name)),
+            None => Ok(None),
         };
+        let proposal = of_scores("2D enhancer", ENHANCED_IN_2D)?;
         // A synthetic capture knows the true appearance without water.
-        let truth = match evaluated {
-            Some(evaluated) => picture("truth", &evaluated.join(TRUE_VIEWS))?,
-            None => None,
-        };
+        let truth = of_scores("truth", TRUE_VIEWS)?;
         let lead = [picture("captured", &captured)?, proposal, rendered(best)?, truth];
-        let others = [
-            Mode::Clear,
-            Mode::Enhanced,
-            Mode::EnhancedClear,
-            Mode::Reconstruction,
-            Mode::Depth,
-            Mode::Medium,
-        ];
-        let images = others.into_iter().filter(|mode| *mode != best).map(rendered);
+        let images = OTHERS.into_iter().filter(|mode| *mode != best).map(rendered);
         let images = images.collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect();
         let lead = lead.into_iter().flatten().collect();
-        sections.push(ViewSection {
-            scores: view_scores(&stem, scores, scored_as(best)),
-            name: stem,
-            lead,
-            images,
-        });
+        let scores = view_scores(stem, scores, scored_as(best));
+        sections.push(ViewSection { name: stem.clone(), lead, images, scores });
     }
     Ok(sections)
 }
@@ -511,9 +489,8 @@ fn view_scores(stem: &str, scores: Option<&SceneScores>, best: Method) -> Vec<St
 /// The water by direction (along the horizontal axis of the first training view) and by position (along the
 /// training cameras, in one direction).
 fn water(parts: &Parts<'_>) -> Result<Vec<PlotFigure>, StageError> {
-    let (Some(scene), Some(import)) = (parts.path("scene"), parts.path("import")) else {
-        return Ok(Vec::new());
-    };
+    let paths = parts.path("scene").zip(parts.path("import"));
+    let Some((scene, import)) = paths else { return Ok(Vec::new()) };
     let scene = Scene::load(scene)?;
     let capture = use3d_import::load_prepared(import)?.capture;
     let cameras: Vec<Camera> = capture.training_views().map(|v| v.camera).collect();
@@ -523,13 +500,8 @@ fn water(parts: &Parts<'_>) -> Result<Vec<PlotFigure>, StageError> {
     let (Some(by_direction), Some(by_position)) = (by_direction, by_position) else { return Ok(Vec::new()) };
     let figure =
         |samples: &[WaterSample], title: String, x_label: &str, meaning: &str, place: &str, pick: Pick| {
-            let series = (0..3).map(|c| Series {
-                label: ["red", "green", "blue"][c].into(),
-                color: RGB[c],
-                points: samples.iter().map(|s| (s.at, f64::from(pick(s)[c]))).collect(),
-                dots: false,
-                names: Vec::new(),
-            });
+            let points = |c: usize| samples.iter().map(|s| (s.at, f64::from(pick(s)[c]))).collect();
+            let series = (0..3).map(|c| Series::line(["red", "green", "blue"][c], RGB[c], points(c)));
             let plot = Plot { title, x_label: x_label.into(), log_y: false, series: series.collect() };
             PlotFigure { svg: plot.svg(), caption: format!("{meaning}, {place}.") }
         };
@@ -596,12 +568,8 @@ fn strip(scores: &Path) -> Result<Option<Picture>, StageError> {
         rows.join(", "),
         strip.views.join(", ")
     );
-    Ok(Some(Picture::embed_wide(
-        "Consistency of neighbouring views",
-        &caption,
-        &read_image(&picture)?,
-        1600,
-    )?))
+    let sheet = read_image(&picture)?;
+    Ok(Some(Picture::embed_wide("Consistency of neighbouring views", &caption, &sheet, 1600)?))
 }
 
 fn dispersion(report: &TargetsReport) -> PlotFigure {
@@ -611,7 +579,7 @@ fn dispersion(report: &TargetsReport) -> PlotFigure {
         title: "Distance of each view from the consensus".into(),
         x_label: "training view".into(),
         log_y: false,
-        series: vec![Series { label: String::new(), color: "#0b7285", points, dots: true, names }],
+        series: vec![Series { dots: true, names, ..Series::line("", "#0b7285", points) }],
     };
     let made = match (report.appearance, report.calibrated) {
         (Appearance::Clear, false) => {
@@ -647,13 +615,11 @@ fn sheets(dir: &Path, report: &TargetsReport) -> Result<Vec<Picture>, StageError
     let Ok(entries) = std::fs::read_dir(dir) else { return Ok(Vec::new()) };
     let mut paths: Vec<_> = entries.filter_map(|e| Some(e.ok()?.path())).collect();
     paths.sort();
-    paths
-        .iter()
-        .map(|path| {
-            let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-            Ok(Picture::embed_wide(&format!("Consensus on {stem}"), caption, &read_image(path)?, 1600)?)
-        })
-        .collect()
+    let sheet = |path: &PathBuf| {
+        let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+        Ok(Picture::embed_wide(&format!("Consensus on {stem}"), caption, &read_image(path)?, 1600)?)
+    };
+    paths.iter().map(sheet).collect()
 }
 
 #[cfg(test)]

@@ -12,7 +12,7 @@ use use3d_scene::{KnownView, KnownViews, Scene};
 use use3d_workflow::{StageContext, StageError};
 
 use super::calibrator::read_calibrator;
-use super::kept_water::{self, KeptWaterChoice};
+use super::kept_water;
 use super::proposer::{NO_PROPOSER, ProposerChoice, of_calibrator, open};
 use super::targets::{Params, Source};
 
@@ -58,28 +58,20 @@ impl<'s> Starts<'s> {
                  `--set targets.proposer=fusion` enhances them all the same",
             );
             let id = ProposerId { name: NO_PROPOSER.into(), digest: String::new() };
-            let calibrator = Calibrator::uncalibrated(ExtractorSettings::default(), id.clone());
-            return Ok(Self { pictures: Pictures::InAir, calibrator, proposer: id });
+            return Ok(Self::uncalibrated(Pictures::InAir, id));
         }
         let (calibrator, proposer) = Self::two_dimensional(context, params)?;
         let id = proposer.id();
-        let shown = match params.source {
-            Source::Photographs => KeptWater::ALL,
-            Source::Clear => KeptWater([0.0; 3]),
-            Source::Renders => match params.kept_water {
-                KeptWaterChoice::Same(k) => KeptWater([k; 3]),
-                KeptWaterChoice::Channels(k) => KeptWater(k),
-                KeptWaterChoice::Auto(_) => kept_water::choose(context, scene, views)?,
-            },
+        let shown = match (params.source, params.kept_water.given()) {
+            (Source::Photographs, _) => Some(KeptWater::ALL),
+            (Source::Clear, _) => None,
+            (Source::Renders, Some(kept)) => Some(kept),
+            (Source::Renders, None) => Some(kept_water::choose(context, scene, views)?),
         };
-        let pictures = match params.source {
-            Source::Clear if !in_air => {
-                Pictures::Renders { views: Box::new(KnownViews::new(scene)), shown: None, proposer }
-            }
-            Source::Renders if !shown.is_all() && !in_air => {
-                Pictures::Renders { views: Box::new(KnownViews::new(scene)), shown: Some(shown), proposer }
-            }
-            _ => Pictures::Photographs(proposer),
+        let pictures = if in_air || shown.is_some_and(|kept| kept.is_all()) {
+            Pictures::Photographs(proposer)
+        } else {
+            Pictures::Renders { views: Box::new(KnownViews::new(scene)), shown, proposer }
         };
         let starts = Self { pictures, calibrator, proposer: id };
         context.say(starts.message(context));
@@ -146,9 +138,12 @@ impl<'s> Starts<'s> {
         }
         let proposer = survey.finish();
         context.say(grade_message(proposer.findings()));
-        let id = SceneProposer::id();
-        let calibrator = Calibrator::uncalibrated(ExtractorSettings::default(), id.clone());
-        Ok(Self { pictures: Pictures::Known(Box::new((known, proposer))), calibrator, proposer: id })
+        Ok(Self::uncalibrated(Pictures::Known(Box::new((known, proposer))), SceneProposer::id()))
+    }
+
+    fn uncalibrated(pictures: Pictures<'s>, proposer: ProposerId) -> Self {
+        let calibrator = Calibrator::uncalibrated(ExtractorSettings::default(), proposer.clone());
+        Self { pictures, calibrator, proposer }
     }
 
     /// The appearance of the pictures, and the share of the water in them.

@@ -5,21 +5,21 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_atc::consensus::{Preview, Recorder, TargetsParams, targets_from_records};
 use use3d_atc::progress::LoopPosition;
-use use3d_capture::{Capture, View};
+use use3d_capture::View;
 use use3d_io_image::{write_png, write_png_map};
 use use3d_splat::Rasterizer;
 use use3d_workflow::{Figure, Scope, Stage, StageContext, StageError};
 
 use super::calibrated::is_calibrated;
 use super::captured::capture;
-use super::common::{folder, write_json};
+use super::common::{folder, go_on, write, write_json};
 use super::kept_water::KeptWaterChoice;
 use super::names::{CALIBRATED, TARGETS};
 use super::proposals::asked_for;
 use super::proposer::ProposerChoice;
 use super::scenes::scene;
 use super::starts::Starts;
-use crate::engines::{self, ChoosesEngine, EngineChoice};
+use crate::engines::{self, EngineChoice};
 
 /// The pictures that transitions start from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -75,33 +75,23 @@ impl Default for Params {
 }
 
 impl Params {
-    fn check(&self) -> Result<(), (String, String)> {
-        self.kept_water.check()
-    }
-
     /// The problem of parameters that contradict each other, and the setting that solves it.
-    pub(super) fn conflict(&self) -> Option<(String, &'static str)> {
+    pub(super) fn conflict(&self) -> Option<(&'static str, &'static str)> {
         if self.proposer == ProposerChoice::Scene && self.source != Source::Clear {
             let problem =
                 "`proposer = \"scene\"` grades the scene without its water; add `source = \"clear\"`";
-            return Some((problem.into(), "--set targets.source=clear"));
+            return Some((problem, "--set targets.source=clear"));
         }
         if self.proposer == ProposerChoice::Scene && self.calibrated {
             let problem =
                 "`proposer = \"scene\"`, which has no calibrator, and `calibrated = true` do not go together";
-            return Some((problem.into(), "--set targets.calibrated=false"));
+            return Some((problem, "--set targets.calibrated=false"));
         }
         if self.source != Source::Renders && self.kept_water != KeptWaterChoice::default() {
             let problem = "`kept_water` is the share of the water in renders; add `source = \"renders\"`";
-            return Some((problem.into(), "--set targets.source=renders"));
+            return Some((problem, "--set targets.source=renders"));
         }
         None
-    }
-}
-
-impl ChoosesEngine for Params {
-    fn engine(&self) -> &EngineChoice {
-        &self.engine
     }
 }
 
@@ -123,16 +113,16 @@ pub(super) fn stage() -> Stage {
         .optional_external("models", "models")
         .select(super::weights::files_of_proposer)
         .seeded()
-        .check(Params::check)
-        .check(engines::check::<Params>)
-        .computes_on(engines::class::<Params>)
+        .check(|p: &Params| p.kept_water.check())
+        .check(|p: &Params| engines::check(&p.engine))
+        .computes_on(|p: &Params| engines::class(&p.engine))
         .without_effect(&["engine"])
         .agrees_across_classes(&FIGURES)
         .cost(0, 2 << 30)
 }
 
 fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
-    let capture: Capture = capture(context)?;
+    let capture = capture(context)?;
     let scene = scene(context, "scene")?;
     let views: Vec<&View> = capture.training_views().collect();
     let mut starts = Starts::open(context, params, &scene, &views)?;
@@ -146,10 +136,8 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         records.push(recorder.record(&input, starts.proposals(), &starts.calibrator)?);
     }
     let consensus = TargetsParams { seed: context.seed(), ..params.consensus.clone() };
-    let (mut lift, chosen) = engines::lift(&scene.gaussians, params).map_err(StageError::failed)?;
-    if let Some(chosen) = chosen {
-        context.say(chosen);
-    }
+    let (mut lift, chosen) = engines::lift(&scene.gaussians, &params.engine).map_err(StageError::failed)?;
+    chosen.into_iter().for_each(|chosen| context.say(chosen));
     let built = targets_from_records(
         &mut lift,
         &records,
@@ -159,18 +147,10 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         &consensus,
         &mut |progress| {
             if let LoopPosition::Lift { index, .. } = progress {
-                context.progress_with(
-                    (views.len() + index) as u64,
-                    total,
-                    "views",
-                    "lifting to the Gaussians",
-                );
+                let done = (views.len() + index) as u64;
+                context.progress_with(done, total, "views", "lifting to the Gaussians");
             }
-            if context.cancelled() {
-                std::ops::ControlFlow::Break(())
-            } else {
-                std::ops::ControlFlow::Continue(())
-            }
+            go_on(context)
         },
     );
     context.alive()?;
@@ -188,8 +168,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
             100.0 * order.within_tenth, order.compared, order.percentile_95
         ));
     }
-    let path = context.output().join(TARGETS);
-    std::fs::write(&path, targets.to_bytes()?).map_err(|e| StageError::io(&path, e))?;
+    write(&context.output().join(TARGETS), targets.to_bytes()?)?;
     write_json(&context.output().join("report.json"), &report)?;
     write_json(&context.output().join(CALIBRATED), &starts.calibrator.provenance)?;
     if let Some(findings) = starts.findings() {
@@ -206,15 +185,10 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
             context.alive()?;
             let i = k * views.len() / shown;
             let input = starts.view(views[i])?;
-            let preview = Preview::new(
-                &scene.gaussians,
-                &input,
-                &records[i],
-                starts.proposals(),
-                &starts.calibrator,
-                &targets,
-                &mut rasterizer,
-            )?;
+            let (gaussians, record, proposals) = (&scene.gaussians, &records[i], starts.proposals());
+            let calibrator = &starts.calibrator;
+            let preview =
+                Preview::new(gaussians, &input, record, proposals, calibrator, &targets, &mut rasterizer)?;
             let name = format!("{}.png", views[i].flat_stem());
             write_png(&sheets.join(&name), &preview.sheet())?;
             write_png_map(&support.join(&name), &preview.support)?;

@@ -20,6 +20,13 @@ pub struct Series {
     pub names: Vec<String>,
 }
 
+impl Series {
+    /// A curve.
+    pub fn line(label: &str, color: &'static str, points: Vec<(f64, f64)>) -> Self {
+        Self { label: label.into(), color, points, dots: false, names: Vec::new() }
+    }
+}
+
 /// A plot.
 #[derive(Clone, Debug)]
 pub struct Plot {
@@ -54,14 +61,9 @@ impl Plot {
             (x0, x1) = (x0.min(p.0), x1.max(p.0));
             (y0, y1) = (y0.min(y_of(p.1)), y1.max(y_of(p.1)));
         }
+        let title = escape(&self.title);
         let mut out = format!(
-            "<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" xmlns=\"http://www.w3.org/2000/svg\" font-family=\"system-ui,sans-serif\" font-size=\"11\" fill=\"currentColor\"><title>{}</title>",
-            escape(&self.title)
-        );
-        let _ = write!(
-            out,
-            "<text x=\"{LEFT}\" y=\"16\" font-size=\"13\" font-weight=\"600\">{}</text>",
-            escape(&self.title)
+            "<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" xmlns=\"http://www.w3.org/2000/svg\" font-family=\"system-ui,sans-serif\" font-size=\"11\" fill=\"currentColor\"><title>{title}</title><text x=\"{LEFT}\" y=\"16\" font-size=\"13\" font-weight=\"600\">{title}</text>"
         );
         if x0 > x1 {
             let _ = write!(out, "<text x=\"{LEFT}\" y=\"{}\">no data</text></svg>", HEIGHT / 2.0);
@@ -75,66 +77,52 @@ impl Plot {
         let px = |x: f64| LEFT + (x - x0) / (x1 - x0) * (WIDTH - LEFT - RIGHT);
         let py = |y: f64| HEIGHT - BOTTOM - (y - y0) / (y1 - y0) * (HEIGHT - TOP - BOTTOM);
 
+        let (right, below, edge) = (WIDTH - RIGHT, HEIGHT - BOTTOM + 15.0, LEFT - 6.0);
         for value in if self.log_y { log_ticks(y0, y1) } else { ticks(y0, y1, 5) } {
-            let y = py(y_of(value));
+            let (y, value) = (py(y_of(value)), short(value));
+            let base = y + 4.0;
             let _ = write!(
                 out,
-                "<line x1=\"{LEFT}\" x2=\"{}\" y1=\"{y:.1}\" y2=\"{y:.1}\" stroke=\"currentColor\" stroke-opacity=\".15\"/><text x=\"{}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>",
-                WIDTH - RIGHT,
-                LEFT - 6.0,
-                y + 4.0,
-                short(value)
+                "<line x1=\"{LEFT}\" x2=\"{right}\" y1=\"{y:.1}\" y2=\"{y:.1}\" stroke=\"currentColor\" stroke-opacity=\".15\"/><text x=\"{edge}\" y=\"{base:.1}\" text-anchor=\"end\">{value}</text>"
             );
         }
         for tick in ticks(x0, x1, 6) {
-            let _ = write!(
-                out,
-                "<text x=\"{:.1}\" y=\"{}\" text-anchor=\"middle\">{}</text>",
-                px(tick),
-                HEIGHT - BOTTOM + 15.0,
-                short(tick)
-            );
+            let (x, tick) = (px(tick), short(tick));
+            let _ = write!(out, "<text x=\"{x:.1}\" y=\"{below}\" text-anchor=\"middle\">{tick}</text>");
         }
+        let (bottom, label) = (HEIGHT - 5.0, escape(&self.x_label));
         let _ = write!(
             out,
-            "<text x=\"{}\" y=\"{}\" text-anchor=\"end\" fill-opacity=\".7\">{}</text>",
-            WIDTH - RIGHT,
-            HEIGHT - 5.0,
-            escape(&self.x_label)
+            "<text x=\"{right}\" y=\"{bottom}\" text-anchor=\"end\" fill-opacity=\".7\">{label}</text>"
         );
         let mut legend = LEFT;
         for series in &self.series {
-            let points: Vec<(f64, f64)> =
-                series.points.iter().filter(usable).map(|p| (px(p.0), py(y_of(p.1)))).collect();
+            let color = series.color;
+            let shown = series.points.iter().enumerate().filter(|(_, point)| usable(point));
             if series.dots {
-                let shown = series.points.iter().enumerate().filter(|(_, point)| usable(point));
-                for ((x, y), (i, (at, value))) in points.iter().zip(shown) {
+                for (i, (at, value)) in shown.clone() {
+                    let (x, y) = (px(*at), py(y_of(*value)));
                     let place = || format!("{} {}", self.x_label, short(*at));
-                    let name = series.names.get(i).cloned().unwrap_or_else(place);
+                    let name = escape(&series.names.get(i).cloned().unwrap_or_else(place));
+                    let value = short(*value);
                     let _ = write!(
                         out,
-                        "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"2.6\" fill=\"{}\" fill-opacity=\".75\"><title>{}: {}</title></circle>",
-                        series.color,
-                        escape(&name),
-                        short(*value)
+                        "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"2.6\" fill=\"{color}\" fill-opacity=\".75\"><title>{name}: {value}</title></circle>"
                     );
                 }
             } else {
-                let path: String = points.iter().map(|(x, y)| format!("{x:.1},{y:.1} ")).collect();
+                let place = |(_, p): (usize, &(f64, f64))| format!("{:.1},{:.1}", px(p.0), py(y_of(p.1)));
+                let path = shown.clone().map(place).collect::<Vec<_>>().join(" ");
                 let _ = write!(
                     out,
-                    "<polyline points=\"{}\" fill=\"none\" stroke=\"{}\" stroke-width=\"1.6\" stroke-linejoin=\"round\"/>",
-                    path.trim_end(),
-                    series.color
+                    "<polyline points=\"{path}\" fill=\"none\" stroke=\"{color}\" stroke-width=\"1.6\" stroke-linejoin=\"round\"/>"
                 );
             }
-            if !series.label.is_empty() && !points.is_empty() {
+            if !series.label.is_empty() && shown.count() > 0 {
+                let (text, label) = (legend + 14.0, escape(&series.label));
                 let _ = write!(
                     out,
-                    "<rect x=\"{legend}\" y=\"25\" width=\"10\" height=\"10\" rx=\"2\" fill=\"{}\"/><text x=\"{}\" y=\"34\">{}</text>",
-                    series.color,
-                    legend + 14.0,
-                    escape(&series.label)
+                    "<rect x=\"{legend}\" y=\"25\" width=\"10\" height=\"10\" rx=\"2\" fill=\"{color}\"/><text x=\"{text}\" y=\"34\">{label}</text>"
                 );
                 legend += 26.0 + 6.2 * series.label.chars().count() as f64;
             }
