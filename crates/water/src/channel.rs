@@ -127,12 +127,7 @@ impl Work {
     /// Fits again with the noise and design effect that the residuals show.
     fn settle(&mut self, rounds: usize) {
         for _ in 0..rounds {
-            self.noise = self.noise.estimate(
-                &self.channel,
-                &self.best.theta,
-                &self.best.weights,
-                &self.best.residuals,
-            );
+            self.noise = self.noise.estimate(&self.channel, &self.best);
             self.prior.strength = self.errors.design_effect;
             let sigmas = self.sigmas();
             self.best = fit(&self.channel, &sigmas, &self.prior, &self.best.theta, &[1.0]);
@@ -229,12 +224,7 @@ impl Work {
         }
         (self.prior, self.best) = (prior, freed);
         for _ in 0..ROUNDS {
-            self.noise = self.noise.estimate(
-                &self.channel,
-                &self.best.theta,
-                &self.best.weights,
-                &self.best.residuals,
-            );
+            self.noise = self.noise.estimate(&self.channel, &self.best);
             self.prior.gain = gain_width(&self.channel, &self.best, &self.prior);
             self.best = fit(&self.channel, &self.sigmas(), &self.prior, &self.best.theta, &[1.0]);
             center_gains(&mut self.best.theta);
@@ -338,7 +328,7 @@ fn start(data: &Data, c: usize, prior: &Prior) -> (Vec<f64>, Noise) {
     let best = fits.into_iter().reduce(|a, b| if b.cost < a.cost { b } else { a });
     match best {
         Some(best) => {
-            let noise = Noise::START.estimate(&channel, &best.theta, &best.weights, &best.residuals);
+            let noise = Noise::START.estimate(&channel, &best);
             (best.theta, noise)
         }
         None => (vec![0.0; channel.parameters()], Noise::START),
@@ -355,23 +345,22 @@ fn outermost(directions: &(impl Iterator<Item = [f64; 3]> + Clone)) -> Vec<[f64;
         let r = (1.0 - z * z).sqrt();
         DVec3::new(r * cos, r * sin, z)
     });
-    let mut found: Vec<[f64; 3]> = Vec::with_capacity(ALONG);
-    for axis in along {
+    let farthest = |axis: DVec3| {
         let reach = |d: &[f64; 3]| axis.dot(DVec3::from_array(*d));
         // Ties are broken by coordinates, so that the order of the views does not matter.
-        let far = directions.clone().reduce(|a, b| {
-            let further = reach(&b).total_cmp(&reach(&a));
-            let further = further.then_with(|| order(&b, &a));
+        directions.clone().reduce(|a, b| {
+            let further = reach(&b).total_cmp(&reach(&a)).then_with(|| order(&b, &a));
             if further.is_gt() { b } else { a }
-        });
-        found.extend(far);
-    }
+        })
+    };
+    let mut found: Vec<[f64; 3]> = along.filter_map(farthest).collect();
     found.sort_by(order);
     found.dedup();
     found
 }
 
-fn order(a: &[f64; 3], b: &[f64; 3]) -> std::cmp::Ordering {
+/// The order of two points by their coordinates.
+pub(crate) fn order(a: &[f64; 3], b: &[f64; 3]) -> std::cmp::Ordering {
     a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])).then(a[2].total_cmp(&b[2]))
 }
 

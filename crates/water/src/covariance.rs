@@ -6,7 +6,7 @@
 
 use crate::formation::{BACKSCATTER, Channel, GAIN, VEIL, all_terms, normal};
 use crate::noise::square;
-use crate::solve::{CAUCHY, ChannelFit, Prior};
+use crate::solve::{CAUCHY, ChannelFit, Prior, submatrix};
 use use3d_numerics::cholesky::Factor;
 
 /// Errors of the shared parameters.
@@ -89,14 +89,7 @@ fn sandwich(
     let mut full: Vec<f64> = matrix.iter().map(|v| v * curvature).collect();
     prior.add(&best.theta, &mut vec![0.0; n], &mut full);
     let free: Vec<usize> = (0..n).filter(|&k| prior.free(k)).collect();
-    let m = free.len();
-    let mut small = vec![0.0; m * m];
-    for (a, &i) in free.iter().enumerate() {
-        for (b, &j) in free.iter().enumerate() {
-            small[a * m + b] = full[i * n + j];
-        }
-    }
-    let factor = Factor::new(small, m)?;
+    let factor = Factor::new(submatrix(&full, n, &free), free.len())?;
     // H⁻¹ times every block's gradient; the penalty's gradient balances the blocks' mean.
     let count = scores.len() as f64;
     let mean: Vec<f64> = free.iter().map(|&k| scores.iter().map(|s| s[k]).sum::<f64>() / count).collect();

@@ -4,6 +4,7 @@
 use glam::DVec3;
 
 use crate::blocks::blocks;
+use crate::channel;
 use crate::formation::Channel;
 use crate::observe::{Observation, Sights};
 use crate::open::{Open, OpenWater};
@@ -49,11 +50,9 @@ impl Data {
         sorted.dedup_by_key(|o| (o.point, o.view));
         let mut ranges = vec![0..0; points];
         let mut first = 0;
-        while first < sorted.len() {
-            let point = sorted[first].point;
-            let count = sorted[first..].iter().take_while(|o| o.point == point).count();
-            ranges[point] = first..first + count;
-            first += count;
+        for views in sorted.chunk_by(|a, b| a.point == b.point) {
+            ranges[views[0].point] = first..first + views.len();
+            first += views.len();
         }
         let ratio = |range: &std::ops::Range<usize>| {
             let all = sorted[range.clone()].iter().map(|o| o.distance);
@@ -66,10 +65,7 @@ impl Data {
         // the gains.
         let mut order: Vec<usize> =
             (0..points).filter(|p| ranges[*p].len() >= 3 && ratio(&ranges[*p]) >= 1.1).collect();
-        order.sort_by(|a, b| {
-            let (a, b) = (positions[*a], positions[*b]);
-            a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)).then(a.z.total_cmp(&b.z))
-        });
+        order.sort_by(|a, b| channel::order(&positions[*a].to_array(), &positions[*b].to_array()));
         let places: Vec<DVec3> = order.iter().map(|p| positions[*p]).collect();
         let (of_order, blocks) = blocks(&places);
         let mut block = vec![0; points];

@@ -13,10 +13,10 @@
 //! `docs/science/water.md` explains the whole method: its approximations, its accuracy, and the cases in
 //! which it cannot work.
 //!
-//! [`observe`] looks tracks up in the images and finds open water; [`estimate`] turns these [`Sights`] into
-//! a [`Water`] with standard errors and a [`Verdict`] per channel. Reading order: `patch` (the colour of a
-//! surface piece in a view), `open` (cells without a surface), `formation` (the equation and its
-//! derivative), `solve` (the robust fit), `noise` (expected errors), `covariance` (errors of the result),
+//! [`observe_sizes`] looks tracks up in the images and finds open water; [`estimate`] turns these
+//! [`Sights`] into a [`Water`] with standard errors and a [`Verdict`] per channel. Reading order: `patch`
+//! (the colour of a surface piece in a view), `open` (cells without a surface), `formation` (the equation and
+//! its derivative), `solve` (the robust fit), `noise` (expected errors), `covariance` (errors of the result),
 //! `estimate` (all together), `verdict`.
 //!
 //! Everything is f64 and summed in a fixed order: the same observations give the same bits on any number of
@@ -42,7 +42,7 @@ mod water;
 pub use air::{Glance, glances, shows_air};
 pub use estimate::{estimate, estimate_sizes};
 pub use jerlov::JERLOV;
-pub use observe::{Observation, ObserveError, Sights, observe, observe_sizes};
+pub use observe::{Observation, ObserveError, Sights, observe_sizes};
 pub use open::OpenWater;
 pub use params::WaterParams;
 pub use verdict::Verdict;

@@ -12,6 +12,7 @@
 //! counts of t, then a line through their squares.
 
 use crate::formation::{Channel, Shared, terms};
+use crate::solve::ChannelFit;
 
 /// `σ_0` and `κ`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,18 +44,13 @@ impl Noise {
         channel.spread.iter().map(|t| self.sigma(*t)).collect()
     }
 
-    /// Computes the values from the residuals of a fit with `weights`; keeps the old values if there are
+    /// Computes the values from the residuals of a fit; keeps the old values if there are
     /// too few residuals.
-    pub(crate) fn estimate(
-        self,
-        channel: &Channel,
-        theta: &[f64],
-        weights: &[f64],
-        residuals: &[f64],
-    ) -> Self {
+    pub(crate) fn estimate(self, channel: &Channel, fit: &ChannelFit) -> Self {
+        let (weights, residuals) = (&fit.weights, &fit.residuals);
         // Pairs of (unevenness, absolute residual / √(1 − leverage)).
         let mut pairs: Vec<(f64, f64)> = Vec::with_capacity(residuals.len());
-        let shared = Shared::new(theta);
+        let shared = Shared::new(&fit.theta);
         for p in 0..channel.points() {
             let range = channel.of_point(p);
             let left: Vec<f64> = range.clone().map(|i| terms(channel, &shared, i).left).collect();

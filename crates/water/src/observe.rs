@@ -72,40 +72,26 @@ struct PatchQuery {
     direction: DVec3,
 }
 
-/// Looks every track up in the views. `load` returns a view's image and mask (1 counts), or `None` to leave
-/// the view out. It is called once per view, in order, so that one image is in memory at a time.
+/// Looks every track up in the views, in the images at their own size and at half of it. The difference
+/// between the two shows the effect of sharpness, compression and keypoints on an estimate, which is not
+/// water.
+///
+/// `load` returns a view's image and mask (1 counts), or `None` to leave the view out. It is called once per
+/// view, in order, so that one image is in memory at a time.
 ///
 /// Points seen by fewer than two views, sightings behind a camera, and second sightings by the same view
 /// are left out.
 ///
 /// # Errors
 /// The errors of `load`, and [`ObserveError`] if tracks, cameras and images do not belong together.
-pub fn observe<E: From<ObserveError>>(
-    cameras: &[Camera],
-    tracks: &[Track],
-    mut load: impl FnMut(usize) -> Result<Option<(Image, Option<Map>)>, E>,
-) -> Result<Sights, E> {
-    let mut look = Lookup::new(cameras, tracks)?;
-    for view in 0..cameras.len() {
-        if let Some((image, mask)) = load(view)? {
-            look.view(view, &image, mask.as_ref())?;
-        }
-    }
-    Ok(look.done())
-}
-
-/// Like [`observe`], in the images at their own size and at half of it. The difference between the two
-/// shows the effect of sharpness, compression and keypoints on an estimate, which is not water.
-///
-/// # Errors
-/// See [`observe`].
 pub fn observe_sizes<E: From<ObserveError>>(
     cameras: &[Camera],
     tracks: &[Track],
     mut load: impl FnMut(usize) -> Result<Option<(Image, Option<Map>)>, E>,
 ) -> Result<[Sights; 2], E> {
     let mut whole = Lookup::new(cameras, tracks)?;
-    let (smaller, moved) = (halved_cameras(cameras), halved_tracks(tracks));
+    let smaller: Vec<Camera> = cameras.iter().map(|camera| camera.downscaled(2)).collect();
+    let moved = halved_tracks(tracks);
     let mut half = Lookup::new(&smaller, &moved)?;
     for view in 0..cameras.len() {
         if let Some((image, mask)) = load(view)? {
@@ -115,10 +101,6 @@ pub fn observe_sizes<E: From<ObserveError>>(
         }
     }
     Ok([whole.done(), half.done()])
-}
-
-fn halved_cameras(cameras: &[Camera]) -> Vec<Camera> {
-    cameras.iter().map(|camera| camera.downscaled(2)).collect()
 }
 
 fn halved_tracks(tracks: &[Track]) -> Vec<Track> {

@@ -17,6 +17,7 @@
 use glam::DVec3;
 use use3d_capture::{Camera, Image, Map};
 
+use crate::channel::order;
 use crate::noise::square;
 use crate::solve::CAUCHY;
 use use3d_numerics::cholesky::Factor;
@@ -40,8 +41,9 @@ const FEWEST: usize = 12;
 const FEWEST_VIEWS: usize = 3;
 /// Largest number of cells used; more cells add no information.
 const MOST: usize = 2000;
-/// Expected error of the veil that is linear in the direction, display range.
-const WIDTH: f64 = 0.03;
+/// Expected error of the veil that is linear in the direction, display range: the standard deviation of a
+/// cell of weight 1.
+pub(crate) const WIDTH: f64 = 0.03;
 /// Largest number of cells that count as independent: a veil that is not linear in the direction, or far
 /// walls among the cells, shift many cells in the same way.
 const INDEPENDENT: f64 = 4.0;
@@ -165,16 +167,9 @@ impl Open {
             o.view < views && o.direction.is_finite() && o.value.iter().all(|v| v.is_finite())
         };
         let mut cells: Vec<OpenWater> = cells.iter().filter(finite).copied().collect();
-        let order = |o: &OpenWater| [o.direction.x, o.direction.y, o.direction.z];
-        cells.sort_by(|a, b| {
-            let directions = order(a).into_iter().zip(order(b));
-            a.view.cmp(&b.view).then_with(|| {
-                directions
-                    .map(|(a, b)| a.total_cmp(&b))
-                    .find(|o| o.is_ne())
-                    .unwrap_or(std::cmp::Ordering::Equal)
-            })
-        });
+        let by_direction =
+            |a: &OpenWater, b: &OpenWater| order(&a.direction.to_array(), &b.direction.to_array());
+        cells.sort_by(|a, b| a.view.cmp(&b.view).then_with(|| by_direction(a, b)));
         let mut seen: Vec<usize> = cells.iter().map(|o| o.view).collect();
         seen.dedup();
         if cells.len() < FEWEST || seen.len() < FEWEST_VIEWS {
@@ -208,9 +203,6 @@ impl Open {
         cells.iter_mut().for_each(|cell| cell.3 *= share);
         Self { cells }
     }
-
-    /// Standard deviation of a cell of weight 1.
-    pub(crate) const WIDTH: f64 = WIDTH;
 }
 
 /// The weighted least-squares plane `v = p_0 + p·d`; its slope is 0 for directions that hardly vary.

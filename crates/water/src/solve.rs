@@ -11,7 +11,7 @@ use use3d_numerics::math;
 
 use crate::formation::{ATTENUATION, BACKSCATTER, Channel, GAIN, VEIL, all_terms, normal, residuals};
 use crate::noise::square;
-use crate::open::Open;
+use crate::open::{self, Open};
 use use3d_numerics::cholesky::Factor;
 
 /// Cauchy's constant: 95 % efficiency on normal errors.
@@ -103,7 +103,7 @@ impl Prior {
                 let gain = math::exp(theta[GAIN + view]);
                 let slope: f64 = (0..3).map(|k| theta[VEIL + 1 + k] * d[k]).sum();
                 let (level, seen) = (gain * constant, gain * constant * (1.0 + slope));
-                let width = Open::WIDTH / weight.sqrt();
+                let width = open::WIDTH / weight.sqrt();
                 let mut coefficients = [(VEIL, seen); 5];
                 for k in 0..3 {
                     coefficients[1 + k] = (VEIL + 1 + k, level * d[k]);
@@ -227,6 +227,11 @@ pub(crate) fn fit(
     ChannelFit { theta, cost, weights: w, residuals: r }
 }
 
+/// The rows and columns `free` of a matrix with `n` columns.
+pub(crate) fn submatrix(matrix: &[f64], n: usize, free: &[usize]) -> Vec<f64> {
+    free.iter().flat_map(|&i| free.iter().map(move |&j| matrix[i * n + j])).collect()
+}
+
 /// Computes a damped step; `None` if the damped system is not positive definite.
 fn step(
     gradient: &[f64],
@@ -238,11 +243,8 @@ fn step(
 ) -> Option<Vec<f64>> {
     let free: Vec<usize> = (0..n).filter(|&k| prior.free(k)).collect();
     let m = free.len();
-    let mut small = vec![0.0; m * m];
+    let mut small = submatrix(matrix, n, &free);
     for (a, &i) in free.iter().enumerate() {
-        for (b, &j) in free.iter().enumerate() {
-            small[a * m + b] = matrix[i * n + j];
-        }
         small[a * m + a] += damping * matrix[i * n + i].max(1e-12);
     }
     let rhs: Vec<f64> = free.iter().map(|&i| -gradient[i]).collect();

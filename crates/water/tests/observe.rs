@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3};
 use use3d_capture::{Camera, Image, Intrinsics, Map, Pose, Sighting, Track};
-use use3d_water::{Observation, ObserveError, observe, observe_sizes};
+use use3d_water::{Observation, ObserveError, Sights, observe_sizes};
 
 const LENS: Intrinsics = Intrinsics { width: 80, height: 60, fx: 70.0, fy: 70.0, cx: 40.0, cy: 30.0 };
 
@@ -38,8 +38,17 @@ fn disc(view: usize) -> Image {
     image
 }
 
+/// The observations in the images at their own size.
+fn observe(
+    cameras: &[Camera],
+    tracks: &[Track],
+    load: impl FnMut(usize) -> Result<Option<(Image, Option<Map>)>, ObserveError>,
+) -> Result<Sights, ObserveError> {
+    observe_sizes(cameras, tracks, load).map(|[whole, _]| whole)
+}
+
 fn look(tracks: &[Track]) -> Vec<Observation> {
-    observe::<ObserveError>(&cameras(), tracks, |view| Ok(Some((disc(view), None)))).unwrap().points
+    observe(&cameras(), tracks, |view| Ok(Some((disc(view), None)))).unwrap().points
 }
 
 #[test]
@@ -61,11 +70,11 @@ fn views_may_be_left_out_and_lonely_or_impossible_sightings_are() {
     let outside = track(vec![Sighting { x: -3.0, ..sighting(0) }, Sighting { y: f64::NAN, ..sighting(1) }]);
     let twice = track(vec![sighting(0), sighting(0)]);
     assert_eq!(look(&[behind, outside, twice, track(vec![])]), []);
-    let some = observe::<ObserveError>(&cameras(), &[track(vec![sighting(0), sighting(1)])], |view| {
+    let some = observe(&cameras(), &[track(vec![sighting(0), sighting(1)])], |view| {
         Ok((view == 1).then(|| (disc(view), None)))
     });
     assert_eq!(some.unwrap().points.iter().map(|o| o.view).collect::<Vec<_>>(), [1]);
-    let masked = observe::<ObserveError>(&cameras(), &[track(vec![sighting(0), sighting(1)])], |view| {
+    let masked = observe(&cameras(), &[track(vec![sighting(0), sighting(1)])], |view| {
         Ok(Some((disc(view), Some(Map::filled(80, 60, view as f32)))))
     });
     assert_eq!(masked.unwrap().points.iter().map(|o| o.view).collect::<Vec<_>>(), [1]);
@@ -77,8 +86,7 @@ fn tracks_and_images_of_another_capture_are_refused_by_name() {
     let error = observe(&cameras(), &[track(vec![sighting(5)])], none).unwrap_err();
     assert_eq!(error, ObserveError::View { track: 0, view: 5, views: 2 });
     let both = [track(vec![sighting(0), sighting(1)])];
-    let error =
-        observe::<ObserveError>(&cameras(), &both, |_| Ok(Some((Image::new(8, 8), None)))).unwrap_err();
+    let error = observe(&cameras(), &both, |_| Ok(Some((Image::new(8, 8), None)))).unwrap_err();
     assert!(error.to_string().contains("8x8") && error.to_string().contains("80x60"), "{error}");
 }
 

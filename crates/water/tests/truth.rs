@@ -4,7 +4,7 @@
 use use3d_capture::{Image, Map};
 use use3d_import::{ImportParams, import, load_pixels};
 use use3d_synth::{CaptureParams, write_capture};
-use use3d_water::{ObserveError, Verdict, Water, WaterParams, estimate, observe};
+use use3d_water::{ObserveError, Verdict, Water, WaterParams, estimate, observe_sizes};
 
 fn solve(dir: &std::path::Path, images: &str) -> Water {
     let imported = import(dir, &ImportParams::default()).unwrap();
@@ -15,7 +15,7 @@ fn solve(dir: &std::path::Path, images: &str) -> Water {
         view.image = dir.join(images).join(&view.name);
         Ok(Some((load_pixels(&view).unwrap().to_image(), None)))
     };
-    let observations = observe(&cameras, &tracks, load).unwrap();
+    let [observations, _] = observe_sizes(&cameras, &tracks, load).unwrap();
     let positions: Vec<_> = tracks.iter().map(|t| t.position).collect();
     let mut water = estimate(&observations, tracks.len(), &positions, cameras.len(), &WaterParams::default());
     for w in &mut water.channels {
