@@ -15,7 +15,7 @@ fn media(c: &mut Criterion) {
     group.sample_size(10);
     for model in [
         MediumModel::Rbf(MediumRbf::new(8, 4)),
-        MediumModel::Global(MediumGlobal::new()),
+        MediumModel::Global(MediumGlobal::default()),
         MediumModel::Mlp(MediumMlp::new(1)),
     ] {
         let mut maps = MediumMaps::zeros(640, 360);

@@ -37,6 +37,16 @@ pub(crate) fn initial_coefficients() -> Coefficients {
     coefficients
 }
 
+/// All numbers of one set of coefficients, or of gradients with respect to them, in order.
+pub(crate) fn numbers<T>(coefficients: &[[[T; 3]; 16]; 3]) -> &[T] {
+    coefficients.as_flattened().as_flattened()
+}
+
+/// The mutable form of [`numbers`].
+pub(crate) fn numbers_mut<T>(coefficients: &mut [[[T; 3]; 16]; 3]) -> &mut [T] {
+    coefficients.as_flattened_mut().as_flattened_mut()
+}
+
 /// Number of floats in one quantity's 16 bands, and in its constant band.
 const QUANTITY: usize = 48;
 const CONSTANT: usize = 3;

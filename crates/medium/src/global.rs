@@ -3,7 +3,7 @@
 
 use use3d_capture::{Camera, Lattice, MediumMaps};
 
-use crate::directional::{self, initial_coefficients};
+use crate::directional::{self, initial_coefficients, numbers, numbers_mut};
 use crate::medium::{Harmonics, Medium, MediumStart};
 use crate::tensors::{self, Put, Tensors};
 use crate::{Coefficients, MediumError, Role};
@@ -15,16 +15,10 @@ pub struct MediumGlobal {
     pub coefficients: Coefficients,
 }
 
-impl MediumGlobal {
-    /// The initial state of [`MediumRbf::new`](crate::MediumRbf::new), without anchors.
-    pub fn new() -> Self {
-        Self { coefficients: initial_coefficients() }
-    }
-}
-
 impl Default for MediumGlobal {
+    /// The initial state of [`MediumRbf::new`](crate::MediumRbf::new), without anchors.
     fn default() -> Self {
-        Self::new()
+        Self { coefficients: initial_coefficients() }
     }
 }
 
@@ -32,7 +26,7 @@ impl Medium for MediumGlobal {
     const FROM_HARMONICS: bool = true;
 
     fn start(_start: &MediumStart) -> Result<Self, MediumError> {
-        Ok(Self::new())
+        Ok(Self::default())
     }
 
     fn set_harmonics(&mut self, coefficients: &Coefficients) {
@@ -53,25 +47,21 @@ impl Medium for MediumGlobal {
         gradient: &mut Self,
     ) {
         let sums = directional::backward(camera, lattice, degree, maps, d_maps);
-        for (q, quantity) in sums.iter().enumerate() {
-            for (b, band) in quantity.iter().enumerate() {
-                for (c, &value) in band.iter().enumerate() {
-                    gradient.coefficients[q][b][c] += value as f32;
-                }
-            }
+        for (gradient, &sum) in numbers_mut(&mut gradient.coefficients).iter_mut().zip(numbers(&sums)) {
+            *gradient += sum as f32;
         }
     }
 
     fn groups(&self) -> Vec<(Role, &[f32])> {
-        directional::runs(bytemuck::cast_slice(&self.coefficients))
+        directional::runs(numbers(&self.coefficients))
     }
 
     fn groups_mut(&mut self) -> Vec<(Role, &mut [f32])> {
-        directional::runs_mut(bytemuck::cast_slice_mut(&mut self.coefficients))
+        directional::runs_mut(numbers_mut(&mut self.coefficients))
     }
 
     fn write(&self, put: Put<'_>) {
-        put("coefficients", &[3, 16, 3], bytemuck::cast_slice(&self.coefficients));
+        put("coefficients", &[3, 16, 3], numbers(&self.coefficients));
     }
 
     fn read(_top_k: usize, tensors: &Tensors) -> Result<Self, MediumError> {

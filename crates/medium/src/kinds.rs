@@ -1,6 +1,6 @@
 //! The one table of media. A medium is a file that implements [`Medium`], and a row of this table. The row
-//! defines its name in files and parameters, its variant of the enum of models, and the dispatch of every
-//! call.
+//! defines its name in files and parameters, the way in which images are formed in it, its variant of the
+//! enum of models, and the dispatch of every call.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -8,12 +8,12 @@ use use3d_capture::{Camera, Formation, Lattice, MediumMaps};
 
 use crate::medium::{Anchors, Harmonics, Medium, MediumStart};
 use crate::tensors::{Tensor, Tensors};
-use crate::{Coefficients, MediumError, MediumGlobal, MediumImage, MediumMlp, MediumRbf, Role};
+use crate::{Coefficients, MediumError, MediumGlobal, MediumMlp, MediumRbf, Role};
 
 /// Makes models, kinds and calls from the table's rows. There is no row for no water: it has no parameters
 /// and nothing to compute.
 macro_rules! media {
-    ($($(#[$doc:meta])* $kind:ident($model:ty) = $name:literal;)+) => {
+    ($($(#[$doc:meta])* $kind:ident($model:ty, $formation:ident) = $name:literal;)+) => {
         /// A model of the water.
         #[allow(clippy::large_enum_variant, reason = "a scene has one, so its size on the stack does not matter")]
         #[derive(Clone, Debug, PartialEq)]
@@ -48,7 +48,7 @@ macro_rules! media {
             /// The way in which images are formed in water of this kind.
             pub fn formation(self) -> Formation {
                 match self {
-                    $(Self::$kind => <$model as Medium>::FORMATION,)+
+                    $(Self::$kind => Formation::$formation,)+
                     Self::None => Formation::default(),
                 }
             }
@@ -186,14 +186,14 @@ macro_rules! media {
 
 media! {
     /// Anchored spherical harmonics: the method's own.
-    Rbf(MediumRbf) = "rbf";
+    Rbf(MediumRbf, PerGaussian) = "rbf";
     /// A network of the viewing direction (WaterSplatting's water).
-    Mlp(MediumMlp) = "mlp";
+    Mlp(MediumMlp, PerGaussian) = "mlp";
     /// One set of spherical harmonics (Plenodium's water).
-    Global(MediumGlobal) = "global";
+    Global(MediumGlobal, PerGaussian) = "global";
     /// One set of spherical harmonics, applied to the finished image at its depth (SeaSplat's and 3D-UIR's
     /// formation).
-    Image(MediumImage) = "image";
+    Image(MediumGlobal, PerImage) = "image";
 }
 
 impl MediumKind {

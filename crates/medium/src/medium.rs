@@ -1,6 +1,6 @@
 //! The interface of a model of the water, and the types that it shares with its users.
 
-use use3d_capture::{Camera, Formation, Lattice, MediumMaps};
+use use3d_capture::{Camera, Lattice, MediumMaps};
 
 use crate::tensors::{Put, Tensors};
 use crate::{Coefficients, MediumError, Role};
@@ -41,9 +41,6 @@ pub struct Anchors<'a> {
 pub(crate) trait Medium: Sized {
     /// True if the model can start from given spherical harmonics.
     const FROM_HARMONICS: bool = false;
-
-    /// The way in which images are formed in this water.
-    const FORMATION: Formation = Formation::PerGaussian;
 
     /// The initial state.
     fn start(start: &MediumStart) -> Result<Self, MediumError>;

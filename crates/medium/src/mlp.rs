@@ -58,6 +58,31 @@ impl MediumMlp {
         };
         Self { weights: [draw(0), draw(1), draw(2)], biases: SHAPES.map(|(_, outputs)| vec![0.0; outputs]) }
     }
+
+    /// Zeros for the sums of one task, with the last layer padded.
+    fn padded_zeros() -> Self {
+        let outputs = [HIDDEN, HIDDEN, PADDED];
+        Self {
+            weights: std::array::from_fn(|l| vec![0.0; SHAPES[l].0 * outputs[l]]),
+            biases: outputs.map(|n| vec![0.0; n]),
+        }
+    }
+
+    /// Weights and biases of a layer.
+    #[inline(always)]
+    fn layer(&mut self, layer: usize) -> (&mut [f32], &mut [f32]) {
+        (&mut self.weights[layer], &mut self.biases[layer])
+    }
+
+    /// Adds `other`, whose padding is left out if this network has none.
+    fn add(&mut self, other: &Self) {
+        let sums = self.weights.iter_mut().chain(&mut self.biases);
+        for (sum, more) in sums.zip(other.weights.iter().chain(&other.biases)) {
+            for (s, m) in sum.iter_mut().zip(more) {
+                *s += m;
+            }
+        }
+    }
 }
 
 impl Medium for MediumMlp {
@@ -103,10 +128,10 @@ impl Medium for MediumMlp {
         let network = Padded::new(self);
         let (maps, d_maps) = (planes(maps), planes(d_maps));
         let rows_per_task = STRIP * STRIPS_PER_TASK;
-        let partial: Vec<Gradients> = (0..lattice.height().div_ceil(rows_per_task))
+        let partial: Vec<Self> = (0..lattice.height().div_ceil(rows_per_task))
             .into_par_iter()
             .map(|task| {
-                let mut sums = Gradients::new();
+                let mut sums = Self::padded_zeros();
                 let mut block = PixelBlock::new();
                 let width = rays.width();
                 for row in task * rows_per_task..((task + 1) * rows_per_task).min(lattice.height()) {
@@ -124,16 +149,11 @@ impl Medium for MediumMlp {
                 sums
             })
             .collect();
-        let mut total = Gradients::new();
+        let mut total = Self::padded_zeros();
         for task in &partial {
             total.add(task);
         }
-        let targets = gradient.weights.iter_mut().chain(gradient.biases.iter_mut());
-        for (target, sum) in targets.zip(total.weights.iter().chain(&total.biases)) {
-            for (t, s) in target.iter_mut().zip(sum) {
-                *t += s;
-            }
-        }
+        gradient.add(&total);
     }
 
     fn groups(&self) -> Vec<(Role, &[f32])> {
@@ -215,7 +235,7 @@ impl Padded {
         maps: &[&[f32]; 9],
         d_maps: &[&[f32]; 9],
         block: &mut PixelBlock,
-        sums: &mut Gradients,
+        sums: &mut MediumMlp,
     ) {
         let zero = f32x16::splat(simd, 0.0);
         for v in (0..BLOCK).step_by(LANES) {
@@ -265,37 +285,6 @@ impl PixelBlock {
             raw: zeros(PADDED),
             d_hidden: zeros(HIDDEN),
             turned: zeros(HIDDEN),
-        }
-    }
-}
-
-/// Sums of one task, with the last layer padded.
-struct Gradients {
-    weights: [Vec<f32>; 3],
-    biases: [Vec<f32>; 3],
-}
-
-impl Gradients {
-    fn new() -> Self {
-        let outputs = [HIDDEN, HIDDEN, PADDED];
-        Self {
-            weights: std::array::from_fn(|l| vec![0.0; SHAPES[l].0 * outputs[l]]),
-            biases: outputs.map(|n| vec![0.0; n]),
-        }
-    }
-
-    /// Weights and biases of a layer.
-    #[inline(always)]
-    fn layer(&mut self, layer: usize) -> (&mut [f32], &mut [f32]) {
-        (&mut self.weights[layer], &mut self.biases[layer])
-    }
-
-    fn add(&mut self, other: &Self) {
-        let sums = self.weights.iter_mut().chain(self.biases.iter_mut());
-        for (sum, more) in sums.zip(other.weights.iter().chain(&other.biases)) {
-            for (s, m) in sum.iter_mut().zip(more) {
-                *s += m;
-            }
         }
     }
 }

@@ -16,7 +16,9 @@
 use use3d_capture::{Camera, Lattice, MediumMaps};
 use use3d_numerics::math;
 
-use crate::directional::{self, CoefficientGradients, Coefficients, initial_coefficients};
+use crate::directional::{
+    self, CoefficientGradients, Coefficients, initial_coefficients, numbers, numbers_mut,
+};
 use crate::medium::{Anchors, Harmonics, Medium, MediumStart};
 use crate::tensors::{self, MOST_ANCHORS, Put, Tensors};
 use crate::{MediumError, Role};
@@ -60,31 +62,13 @@ impl MediumRbf {
         }
     }
 
-    /// Number of anchors.
-    pub fn len(&self) -> usize {
-        self.centers.len()
-    }
-
-    /// True if there is no anchor (the water is then that of all-zero coefficients).
-    pub fn is_empty(&self) -> bool {
-        self.centers.is_empty()
-    }
-
-    /// The share of each anchor in the water around a camera: at most `K` shares are not zero, and they sum
-    /// to 1.
-    pub fn weights(&self, camera: &Camera) -> Vec<f64> {
-        let mut weights = vec![0.0; self.len()];
-        for (k, w) in self.selection(camera) {
-            weights[k] = w;
-        }
-        weights
-    }
-
     /// The aggregated coefficients `A` of a view.
     pub fn aggregate(&self, camera: &Camera) -> Coefficients {
         let mut sum = [[[0.0f64; 3]; 16]; 3];
         for (k, w) in self.selection(camera) {
-            for_each(&self.coefficients[k], |q, b, c, a| sum[q][b][c] += w * f64::from(a));
+            for (sum, &a) in numbers_mut(&mut sum).iter_mut().zip(numbers(&self.coefficients[k])) {
+                *sum += w * f64::from(a);
+            }
         }
         sum.map(|quantity| quantity.map(|band| band.map(|v| v as f32)))
     }
@@ -103,19 +87,15 @@ impl MediumRbf {
         let d_weights: Vec<f64> = selection
             .iter()
             .map(|&(k, _)| {
-                let mut dot = 0.0;
-                for_each(&self.coefficients[k], |q, b, c, a| dot += aggregate[q][b][c] * f64::from(a));
-                dot
+                let pairs = numbers(aggregate).iter().zip(numbers(&self.coefficients[k]));
+                pairs.fold(0.0, |dot, (d, &a)| dot + d * f64::from(a))
             })
             .collect();
         let mean: f64 = selection.iter().zip(&d_weights).map(|(&(_, w), d)| w * d).sum();
         for (&(k, w), d_weight) in selection.iter().zip(&d_weights) {
-            for q in 0..3 {
-                for b in 0..16 {
-                    for c in 0..3 {
-                        gradient.coefficients[k][q][b][c] += (w * aggregate[q][b][c]) as f32;
-                    }
-                }
+            for (gradient, d) in numbers_mut(&mut gradient.coefficients[k]).iter_mut().zip(numbers(aggregate))
+            {
+                *gradient += (w * d) as f32;
             }
             let d_affinity = w * (d_weight - mean);
             let (sigma, floored) = self.sigma(k);
@@ -137,9 +117,9 @@ impl MediumRbf {
     }
 
     /// The `K` anchors of highest affinity with their softmax weights, best first.
-    fn selection(&self, camera: &Camera) -> Vec<(usize, f64)> {
+    pub(crate) fn selection(&self, camera: &Camera) -> Vec<(usize, f64)> {
         let o = query(camera);
-        let mut scored: Vec<(usize, f64)> = (0..self.len())
+        let mut scored: Vec<(usize, f64)> = (0..self.centers.len())
             .map(|k| {
                 let (sigma, _) = self.sigma(k);
                 let squared: f64 = (0..3).map(|a| math::powi(o[a] - f64::from(self.centers[k][a]), 2)).sum();
@@ -205,9 +185,10 @@ impl Medium for MediumRbf {
     }
 
     fn write(&self, put: Put<'_>) {
-        put("centers", &[self.len(), 3], bytemuck::cast_slice(&self.centers));
-        put("log_widths", &[self.len()], &self.log_widths);
-        put("coefficients", &[self.len(), 3, 16, 3], bytemuck::cast_slice(&self.coefficients));
+        let anchors = self.centers.len();
+        put("centers", &[anchors, 3], bytemuck::cast_slice(&self.centers));
+        put("log_widths", &[anchors], &self.log_widths);
+        put("coefficients", &[anchors, 3, 16, 3], bytemuck::cast_slice(&self.coefficients));
     }
 
     fn read(top_k: usize, tensors: &Tensors) -> Result<Self, MediumError> {
@@ -244,14 +225,4 @@ fn check(anchors: usize, top_k: usize) -> Result<(), MediumError> {
 /// The camera's position, clamped (R4).
 fn query(camera: &Camera) -> [f64; 3] {
     camera.pose.center().to_array().map(|v| v.clamp(-QUERY_LIMIT, QUERY_LIMIT))
-}
-
-fn for_each(coefficients: &Coefficients, mut f: impl FnMut(usize, usize, usize, f32)) {
-    for (q, quantity) in coefficients.iter().enumerate() {
-        for (b, band) in quantity.iter().enumerate() {
-            for (c, &value) in band.iter().enumerate() {
-                f(q, b, c, value);
-            }
-        }
-    }
 }

@@ -4,7 +4,7 @@ mod common;
 
 use common::{draw, mini, taught};
 use use3d_capture::{Camera, Lattice, MediumMaps, Pose};
-use use3d_medium::{MediumGlobal, MediumImage, MediumModel};
+use use3d_medium::{MediumGlobal, MediumModel};
 use use3d_numerics::math;
 use use3d_render::{Look, RenderError, Renderer, bake, bake_in_water};
 use use3d_scene::{KnownViews, Scene};
@@ -366,7 +366,7 @@ fn what_stage_1_knows_of_a_view_is_what_its_layers_say() {
 #[test]
 fn water_over_the_image_is_graded_and_thinned_as_any_other() {
     let (scene, views) = mini();
-    let over = Scene { medium: MediumModel::Image(MediumImage::default()), ..scene.clone() };
+    let over = Scene { medium: MediumModel::Image(MediumGlobal::default()), ..scene.clone() };
     let front = Scene { medium: MediumModel::Global(MediumGlobal::default()), ..scene };
     let (teacher, camera) = (taught(&over), &views[3].camera);
     let plain = draw(&over, Look::Reconstruction, camera);

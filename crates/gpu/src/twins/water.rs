@@ -39,7 +39,7 @@ pub fn water(gpu: &Gpu, case: &WaterCase) -> Result<Vec<Agreement>, EngineError>
     let stream = draws("twin of the water", seed);
     let normal = |run: u64, i: usize| stream.normal(run * 100_000_000 + i as u64) as f32;
     let mut model = match anchors {
-        0 => MediumModel::Global(MediumGlobal::new()),
+        0 => MediumModel::Global(MediumGlobal::default()),
         n => MediumModel::Rbf(MediumRbf::new(n, top_k)),
     };
     let start: Vec<f32> = model.flat().iter().enumerate().map(|(i, v)| v + 0.2 * normal(0, i)).collect();

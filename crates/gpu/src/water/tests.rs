@@ -1,6 +1,6 @@
 //! Compares the water on the device with that of the processor.
 
-use use3d_medium::{MediumImage, MediumMlp, MediumRbf};
+use use3d_medium::{MediumGlobal, MediumMlp, MediumRbf};
 
 use super::*;
 use crate::testing::software;
@@ -28,7 +28,7 @@ fn the_water_is_that_of_the_processor() {
 fn no_water_needs_nothing_and_a_network_is_refused_by_name() {
     let Some(gpu) = software() else { return };
     assert!(DeviceWater::new(&gpu, &MediumModel::None, [&[], &[]]).unwrap().is_none());
-    let (network, over) = (MediumModel::Mlp(MediumMlp::new(1)), MediumModel::Image(MediumImage::default()));
+    let (network, over) = (MediumModel::Mlp(MediumMlp::new(1)), MediumModel::Image(MediumGlobal::default()));
     for (model, name) in [(network, "`mlp`"), (over, "`image`")] {
         let moments = vec![0.0; model.parameter_count()];
         let error = DeviceWater::new(&gpu, &model, [&moments, &moments]).unwrap_err().to_string();

@@ -157,7 +157,7 @@ mod tests {
 
     #[test]
     fn water_over_finished_images_is_drawn_by_the_processor() {
-        let water = MediumModel::Image(use3d_medium::MediumImage::default());
+        let water = MediumModel::Image(use3d_medium::MediumGlobal::default());
         let scene = Scene { medium: water, enhancement: None, ..scene() };
         let told = Drawn::new(&scene, &EngineChoice::Auto).unwrap();
         assert!(told.told.contains("cpu (the water `image`"), "{}", told.told);

@@ -250,7 +250,7 @@ mod tests {
         rbf.log_widths[4] = 0.125;
         let waters = [
             MediumModel::None,
-            MediumModel::Global(MediumGlobal::new()),
+            MediumModel::Global(MediumGlobal::default()),
             MediumModel::Rbf(rbf),
             MediumModel::Mlp(MediumMlp::new(9)),
         ];
@@ -265,7 +265,7 @@ mod tests {
 
     #[test]
     fn a_state_that_does_not_agree_is_refused_by_what_is_wrong() {
-        let good = state(MediumModel::Global(MediumGlobal::new()));
+        let good = state(MediumModel::Global(MediumGlobal::default()));
         type Change = (&'static str, fn(&mut TrainingState));
         let changes: [Change; 6] = [
             ("version 1, expected 2", |s| s.version = 1),

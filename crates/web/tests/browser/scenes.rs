@@ -67,7 +67,7 @@ pub(crate) fn water(kind: &str) -> MediumModel {
     };
     match kind {
         "global" => {
-            let mut global = MediumGlobal::new();
+            let mut global = MediumGlobal::default();
             wild(&mut global.coefficients);
             MediumModel::Global(global)
         }
