@@ -4,7 +4,7 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use use3d_capture::Image;
-use use3d_metrics::ms_ssim::{MsSsim, STANDARD_WEIGHTS};
+use use3d_metrics::ms_ssim::{MsSsim, RECONSTRUCTION_WEIGHTS};
 use use3d_metrics::{UciqeVariant, mean_ciede2000, psnr, ssim, uciqe, uiqm};
 use use3d_numerics::math;
 
@@ -41,8 +41,11 @@ fn main() {
     let known = "bench images are finite and of one size";
     time("PSNR", || psnr(&x, &y, None).expect(known));
     time("SSIM", || ssim(&x, &y, None).expect(known));
-    let mut measure = MsSsim::new();
-    time("MS-SSIM", || measure.value(&x, &y, &STANDARD_WEIGHTS));
+    let mut measure = MsSsim::default();
+    let mut gradient = x.clone();
+    time("MS-SSIM and its gradient", || {
+        measure.value_and_gradient(&x, &y, 0.0, &RECONSTRUCTION_WEIGHTS, &mut gradient)
+    });
     for variant in UciqeVariant::ALL {
         time(&format!("UCIQE {}", variant.name()), || uciqe(&x, variant).expect(known).score);
     }

@@ -11,7 +11,7 @@
 use use3d_capture::Image;
 use use3d_numerics::sums;
 
-use crate::error::{MetricError, finite, large_enough, same_size};
+use crate::error::{MetricError, comparable};
 
 /// Directions with a variance below this share of the largest channel's count as constant: f32 values have
 /// 24 bits.
@@ -25,10 +25,7 @@ pub type ColourMap = [[f64; 4]; 3];
 /// # Errors
 /// The images have different sizes, no pixels, or values that are not finite.
 pub fn affine_fit(x: &Image, y: &Image) -> Result<ColourMap, MetricError> {
-    same_size("the second image", x, y)?;
-    large_enough("an affine map", x, 1)?;
-    finite("the first image", x)?;
-    finite("the second image", y)?;
+    comparable("an affine map", x, y, 1)?;
     let n = x.pixels();
     let value = |image: &Image, c: usize, i: usize| f64::from(image.plane(c)[i]);
     let mean = |image: &Image| {

@@ -59,16 +59,7 @@ pub fn delta_e_of_lab(first: [f64; 3], second: [f64; 3]) -> f64 {
 /// # Errors
 /// The images have different sizes, no pixels, or values that are not finite.
 pub fn ciede2000(x: &Image, y: &Image) -> Result<Map, MetricError> {
-    ciede2000_where(x, y, |_| true)
-}
-
-/// [`ciede2000`] at the pixels that count, and zero elsewhere.
-pub(crate) fn ciede2000_where(
-    x: &Image,
-    y: &Image,
-    counts: impl Fn(usize) -> bool + Sync,
-) -> Result<Map, MetricError> {
-    difference_of_lab("CIEDE2000", x, y, delta_e_of_lab, counts)
+    difference_of_lab("CIEDE2000", x, y, delta_e_of_lab, |_| true)
 }
 
 /// The mean of [`ciede2000`] over all pixels.

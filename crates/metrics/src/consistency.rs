@@ -15,8 +15,9 @@ use rayon::prelude::*;
 use use3d_capture::{Camera, Image, Map};
 use use3d_numerics::sums;
 
-use crate::ciede2000::ciede2000_where;
+use crate::ciede2000::delta_e_of_lab;
 use crate::error::{MetricError, finite, large_enough, same_size};
+use crate::lab::difference_of_lab;
 use crate::mask::blacked_out;
 use crate::ms_ssim::WINDOW;
 use crate::ssim::ssim_map;
@@ -151,7 +152,7 @@ pub fn warped_delta_e(
 ) -> Result<Consistency, MetricError> {
     let carried = aligned(first, second, flow, mask)?;
     let visible = |i: usize| mask.data()[i] != 0;
-    let map = ciede2000_where(first, &carried, visible)?;
+    let map = difference_of_lab("CIEDE2000", first, &carried, delta_e_of_lab, visible)?;
     Ok(mean_where(&map, visible))
 }
 

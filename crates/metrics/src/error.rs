@@ -1,6 +1,6 @@
 //! The reasons why a measure cannot be computed.
 
-use use3d_capture::Raster;
+use use3d_capture::{Image, Raster};
 
 /// An error in images that cannot be compared or measured.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -81,16 +81,22 @@ pub(crate) fn finite<const C: usize>(what: &'static str, image: &Raster<f32, C>)
     // Folding over blocks vectorises and a search does not, so the search runs only if there is something
     // to find.
     let suspicious = image.data().chunks(4096).any(|c| c.iter().fold(false, |s, v| s | !v.is_finite()));
-    if !suspicious {
-        return Ok(());
-    }
-    match image.data().iter().position(|v| !v.is_finite()) {
-        Some(i) => {
-            let p = i % image.pixels();
-            Err(MetricError::NotFinite { what, x: p % image.width(), y: p / image.width() })
-        }
-        None => Ok(()),
-    }
+    let bad = suspicious.then(|| image.data().iter().position(|v| !v.is_finite())).flatten();
+    let Some(p) = bad.map(|i| i % image.pixels()) else { return Ok(()) };
+    Err(MetricError::NotFinite { what, x: p % image.width(), y: p / image.width() })
+}
+
+/// Fails unless two images have one size with sides of at least `least` pixels, and finite values.
+pub(crate) fn comparable(
+    measure: &'static str,
+    x: &Image,
+    y: &Image,
+    least: usize,
+) -> Result<(), MetricError> {
+    same_size("the second image", x, y)?;
+    large_enough(measure, x, least)?;
+    finite("the first image", x)?;
+    finite("the second image", y)
 }
 
 /// Fails if a side is shorter than `least`.
@@ -109,7 +115,6 @@ pub(crate) fn large_enough<T, const C: usize>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use use3d_capture::Image;
 
     #[test]
     fn the_place_of_a_bad_value_is_named() {

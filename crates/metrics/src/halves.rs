@@ -8,7 +8,7 @@
 use use3d_capture::Image;
 use use3d_numerics::sums;
 
-use crate::error::{MetricError, finite, large_enough, same_size};
+use crate::error::{MetricError, comparable, same_size};
 use crate::warp::Mask;
 
 /// Multiplies each half of `x` by the gains per channel that bring the other half nearest to `y`, fitted on
@@ -18,10 +18,7 @@ use crate::warp::Mask;
 /// The images have different sizes, are narrower than two pixels or have values that are not finite, or the
 /// mask has another size.
 pub fn fitted_on_other_half(x: &Image, y: &Image, mask: Option<&Mask>) -> Result<Image, MetricError> {
-    same_size("the second image", x, y)?;
-    large_enough("a gain per half", x, 2)?;
-    finite("the first image", x)?;
-    finite("the second image", y)?;
+    comparable("a gain per half", x, y, 2)?;
     if let Some(mask) = mask {
         same_size("the mask", x, mask)?;
     }

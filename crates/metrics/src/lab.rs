@@ -7,10 +7,10 @@
 use std::sync::LazyLock;
 
 use rayon::prelude::*;
-use use3d_capture::{Image, Image8, Map};
+use use3d_capture::{Image, Map};
 use use3d_numerics::math;
 
-use crate::error::{MetricError, finite, large_enough, same_size};
+use crate::error::{MetricError, comparable};
 
 /// Linear sRGB to XYZ.
 const TO_XYZ: [[f64; 3]; 3] =
@@ -115,10 +115,7 @@ pub(crate) fn difference_of_lab(
     difference: impl Fn([f64; 3], [f64; 3]) -> f64 + Sync,
     counts: impl Fn(usize) -> bool + Sync,
 ) -> Result<Map, MetricError> {
-    same_size("the second image", x, y)?;
-    large_enough(metric, x, 1)?;
-    finite("the first image", x)?;
-    finite("the second image", y)?;
+    comparable(metric, x, y, 1)?;
     let mut map = Map::new(x.width(), x.height());
     let planes = [x, y].map(|image| [0, 1, 2].map(|c| image.plane(c)));
     // Not by rows: an image of chosen pixels is a single row.
@@ -189,18 +186,6 @@ impl LabTable {
 #[inline]
 pub(crate) fn quantise(lab: [f64; 3]) -> [u8; 3] {
     [lab[0] * 2.55, lab[1] + 128.0, lab[2] + 128.0].map(|v| v.round_ties_even().clamp(0.0, 255.0) as u8)
-}
-
-/// 8-bit CIELAB of an 8-bit image.
-pub fn lab8_of_srgb8(image: &Image8) -> Image8 {
-    let table = LabTable::new();
-    let mut out = Image8::new(image.width(), image.height());
-    for y in 0..image.height() {
-        for x in 0..image.width() {
-            out.set_pixel(x, y, quantise(table.lab(image.pixel(x, y))));
-        }
-    }
-    out
 }
 
 #[cfg(test)]

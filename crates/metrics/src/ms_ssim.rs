@@ -32,9 +32,10 @@ use use3d_numerics::math;
 
 /// Level weights of the reconstruction loss (R12).
 pub const RECONSTRUCTION_WEIGHTS: [f64; 3] = [0.6, 0.3, 0.1];
-/// Level weights of the original paper.
-pub const STANDARD_WEIGHTS: [f64; 5] = [0.0448, 0.2856, 0.3001, 0.2363, 0.1333];
 
+/// Level weights of the original paper.
+#[cfg(test)]
+pub(crate) const STANDARD_WEIGHTS: [f64; 5] = [0.0448, 0.2856, 0.3001, 0.2363, 0.1333];
 /// Number of taps of the window.
 pub const WINDOW: usize = 11;
 const MARGIN: usize = WINDOW - 1;
@@ -82,18 +83,6 @@ pub struct MsSsim {
 }
 
 impl MsSsim {
-    /// A measure without scratch memory yet.
-    pub fn new() -> Self {
-        Self::default()
-    }
-
-    /// MS-SSIM of two images of one size, data range 1.
-    pub fn value(&mut self, x: &Image, y: &Image, weights: &[f64]) -> f64 {
-        // Display range centred on zero leaves a quarter of the cancellation.
-        let centred = |image: &Image| image.map(|v| v - 0.5);
-        self.evaluate(&centred(x), &centred(y), 0.5, weights, None)
-    }
-
     /// Computes MS-SSIM and its gradient with respect to `x`. Both images are passed minus `offset`: the
     /// measure is that of `x + offset` and `y + offset`. `gradient` is resized and overwritten.
     pub fn value_and_gradient(
@@ -104,26 +93,11 @@ impl MsSsim {
         weights: &[f64],
         gradient: &mut Image,
     ) -> f64 {
-        self.evaluate(x, y, offset, weights, Some(gradient))
-    }
-
-    fn evaluate(
-        &mut self,
-        x: &Image,
-        y: &Image,
-        offset: f32,
-        weights: &[f64],
-        mut gradient: Option<&mut Image>,
-    ) -> f64 {
         assert_eq!((x.width(), x.height()), (y.width(), y.height()), "MS-SSIM compares images of one size");
         let weights = level_weights(weights, x.width(), x.height());
-        if let Some(gradient) = gradient.as_deref_mut() {
-            gradient.resize(x.width(), x.height());
-            if weights.is_empty() {
-                gradient.data_mut().fill(0.0);
-            }
-        }
+        gradient.resize(x.width(), x.height());
         if weights.is_empty() {
+            gradient.data_mut().fill(0.0);
             return 1.0;
         }
         let deeper = weights.len() - 1;
@@ -141,37 +115,28 @@ impl MsSsim {
         for l in 0..weights.len() {
             let (x, y) = if l == 0 { (x, y) } else { (&self.x[l - 1], &self.y[l - 1]) };
             let level = LevelPass { x, y, offset, last: l == deeper };
-            let target = match (&mut gradient, l) {
-                (None, _) => None,
-                (Some(gradient), 0) => Some(&mut **gradient),
-                (Some(_), _) => {
-                    self.gradients[l - 1].resize(x.width(), x.height());
-                    Some(&mut self.gradients[l - 1])
-                }
-            };
+            let target = if l == 0 { &mut *gradient } else { &mut self.gradients[l - 1] };
+            target.resize(x.width(), x.height());
             means[l] = level.run(target);
         }
 
         let per_channel: [f64; 3] = std::array::from_fn(|c| {
             means.iter().zip(&weights).map(|(m, w)| math::powf(m[c].max(0.0), *w)).product()
         });
-        if let Some(gradient) = gradient {
-            // d value / d mean of a level; a channel with a mean at or below 0 has value 0 and gradient 0.
-            let factor = |l: usize, c: usize| -> f32 {
-                let (x, mean) = (if l == 0 { x } else { &self.x[l - 1] }, means[l][c]);
-                if per_channel[c] <= 0.0 {
-                    return 0.0;
-                }
-                let count = ((x.width() - MARGIN) * (x.height() - MARGIN)) as f64;
-                (per_channel[c] * weights[l] / (mean * 3.0 * count)) as f32
-            };
-            let factors: Vec<[f32; 3]> =
-                (0..weights.len()).map(|l| std::array::from_fn(|c| factor(l, c))).collect();
-            for l in (0..weights.len()).rev() {
-                let (finer, coarser) = self.gradients.split_at_mut(l);
-                let coarser = (l < deeper).then(|| &coarser[0]);
-                combine(if l == 0 { gradient } else { &mut finer[l - 1] }, factors[l], coarser);
+        // d value / d mean of a level; a channel with a mean at or below 0 has value 0 and gradient 0.
+        let factor = |l: usize, c: usize| -> f32 {
+            let (x, mean) = (if l == 0 { x } else { &self.x[l - 1] }, means[l][c]);
+            if per_channel[c] <= 0.0 {
+                return 0.0;
             }
+            let count = ((x.width() - MARGIN) * (x.height() - MARGIN)) as f64;
+            (per_channel[c] * weights[l] / (mean * 3.0 * count)) as f32
+        };
+        for l in (0..weights.len()).rev() {
+            let (finer, coarser) = self.gradients.split_at_mut(l);
+            let coarser = (l < deeper).then(|| &coarser[0]);
+            let target = if l == 0 { &mut *gradient } else { &mut finer[l - 1] };
+            combine(target, std::array::from_fn(|c| factor(l, c)), coarser);
         }
         per_channel.iter().sum::<f64>() / 3.0
     }
@@ -268,37 +233,24 @@ impl Rows {
 }
 
 impl LevelPass<'_> {
-    /// Returns the means of the three channels; computes the gradient of the *sums* if requested.
-    fn run(&self, gradient: Option<&mut Image>) -> [f64; 3] {
+    /// Returns the means of the three channels; computes the gradient of the *sums*.
+    fn run(&self, gradient: &mut Image) -> [f64; 3] {
         let (w, h) = (self.x.width(), self.x.height());
         let level = Level::new();
         let taps = window();
         let strips = h.div_ceil(STRIP);
-        let sums: Vec<f64> = match gradient {
-            Some(gradient) => {
-                let tasks: Vec<&mut [f32]> =
-                    gradient.data_mut().chunks_mut(w * h).flat_map(|plane| plane.chunks_mut(w * STRIP)).collect();
-                tasks
-                    .into_par_iter()
-                    .enumerate()
-                    .map_init(
-                        || Rows::new(w),
-                        |rows, (task, out)| {
-                            dispatch!(level, simd => self.strip(simd, &taps, task / strips, task % strips, rows, Some(out)))
-                        },
-                    )
-                    .collect()
-            }
-            None => (0..3 * strips)
-                .into_par_iter()
-                .map_init(
-                    || Rows::new(w),
-                    |rows, task| {
-                        dispatch!(level, simd => self.strip(simd, &taps, task / strips, task % strips, rows, None))
-                    },
-                )
-                .collect(),
-        };
+        let tasks: Vec<&mut [f32]> =
+            gradient.data_mut().chunks_mut(w * h).flat_map(|plane| plane.chunks_mut(w * STRIP)).collect();
+        let sums: Vec<f64> = tasks
+            .into_par_iter()
+            .enumerate()
+            .map_init(
+                || Rows::new(w),
+                |rows, (task, out)| {
+                    dispatch!(level, simd => self.strip(simd, &taps, task / strips, task % strips, rows, out))
+                },
+            )
+            .collect();
         let count = ((w - MARGIN) * (h - MARGIN)) as f64;
         std::array::from_fn(|c| sums[c * strips..(c + 1) * strips].iter().sum::<f64>() / count)
     }
@@ -313,15 +265,13 @@ impl LevelPass<'_> {
         channel: usize,
         strip: usize,
         rows: &mut Rows,
-        mut out: Option<&mut [f32]>,
+        out: &mut [f32],
     ) -> f64 {
         let (w, h) = (self.x.width(), self.x.height());
         let valid = h - MARGIN;
         let first = strip * STRIP;
         let end = (first + STRIP).min(h);
-        // Without a gradient, only the strip's own valid rows are needed.
-        let reach = if out.is_some() { MARGIN } else { 0 };
-        let start = first.saturating_sub(reach);
+        let start = first.saturating_sub(MARGIN);
         let mut next_input = start;
         let mut sum = 0.0;
         for row in start..end {
@@ -330,14 +280,12 @@ impl LevelPass<'_> {
                     self.blur_row(simd, taps, channel, next_input, rows);
                     next_input += 1;
                 }
-                let row_sum = self.valid_row(simd, taps, row, rows, out.is_some());
+                let row_sum = self.valid_row(simd, taps, row, rows);
                 if row >= first {
                     sum += row_sum;
                 }
             }
-            if let Some(out) = out.as_deref_mut()
-                && row >= first
-            {
+            if row >= first {
                 let line = &mut out[(row - first) * w..][..w];
                 self.gradient_row(simd, taps, channel, row, rows, line);
             }
@@ -372,14 +320,7 @@ impl LevelPass<'_> {
 
     /// Returns the sum over one valid row; blurs its derivatives back along the row into the ring.
     #[inline(always)]
-    fn valid_row<S: Simd>(
-        &self,
-        simd: S,
-        taps: &[f32; WINDOW],
-        row: usize,
-        rows: &mut Rows,
-        differentiate: bool,
-    ) -> f64 {
+    fn valid_row<S: Simd>(&self, simd: S, taps: &[f32; WINDOW], row: usize, rows: &mut Rows) -> f64 {
         let w = self.x.width();
         let columns = w - MARGIN;
         let zero = f32x16::splat(simd, 0.0);
@@ -421,22 +362,18 @@ impl LevelPass<'_> {
                 d_product *= inside;
             }
             sum += value;
-            if differentiate {
-                for (q, d) in [d_mean, d_square, d_product].into_iter().enumerate() {
-                    d.store_slice(&mut rows.derivatives[q][LANES + i..][..LANES]);
-                }
+            for (q, d) in [d_mean, d_square, d_product].into_iter().enumerate() {
+                d.store_slice(&mut rows.derivatives[q][LANES + i..][..LANES]);
             }
         }
-        if differentiate {
-            let slot = (row % WINDOW) * rows.stride;
-            for (derivative, ring) in rows.derivatives.iter().zip(&mut rows.spread) {
-                for i in (0..w).step_by(LANES) {
-                    let mut spread = at(simd, derivative, LANES + i) * taps[0];
-                    for k in 1..WINDOW {
-                        spread = at(simd, derivative, LANES + i - k).mul_add(taps[k], spread);
-                    }
-                    spread.store_slice(&mut ring[slot + i..][..LANES]);
+        let slot = (row % WINDOW) * rows.stride;
+        for (derivative, ring) in rows.derivatives.iter().zip(&mut rows.spread) {
+            for i in (0..w).step_by(LANES) {
+                let mut spread = at(simd, derivative, LANES + i) * taps[0];
+                for k in 1..WINDOW {
+                    spread = at(simd, derivative, LANES + i - k).mul_add(taps[k], spread);
                 }
+                spread.store_slice(&mut ring[slot + i..][..LANES]);
             }
         }
         f64::from(sum.as_slice().iter().sum::<f32>())
@@ -577,11 +514,9 @@ mod tests {
         ] {
             let (x, y) = pair(1, w, h);
             let exact = plain(&x, &y, weights);
-            let mut measure = MsSsim::new();
-            assert!((measure.value(&x, &y, weights) - exact).abs() < 2e-5, "{w}x{h}");
             let (xs, ys) = (x.map(|v| v - 0.5), y.map(|v| v - 0.5));
             let mut gradient = Image::new(1, 1);
-            let shifted = measure.value_and_gradient(&xs, &ys, 0.5, weights, &mut gradient);
+            let shifted = MsSsim::default().value_and_gradient(&xs, &ys, 0.5, weights, &mut gradient);
             assert!((shifted - exact).abs() < 1e-5, "{w}x{h}: {shifted} against {exact}");
         }
     }
@@ -592,7 +527,7 @@ mod tests {
             let (x, y) = pair(seed, w, h);
             let stream = Stream::new(seed, Purpose::new("ms-ssim probes"), 0);
             let mut gradient = Image::new(1, 1);
-            MsSsim::new().value_and_gradient(
+            MsSsim::default().value_and_gradient(
                 &x.map(|v| v - 0.5),
                 &y.map(|v| v - 0.5),
                 0.5,
@@ -626,7 +561,7 @@ mod tests {
             pool.install(|| {
                 let mut gradient = Image::new(1, 1);
                 let value =
-                    MsSsim::new().value_and_gradient(&x, &y, 0.0, &RECONSTRUCTION_WEIGHTS, &mut gradient);
+                    MsSsim::default().value_and_gradient(&x, &y, 0.0, &RECONSTRUCTION_WEIGHTS, &mut gradient);
                 (value.to_bits(), gradient)
             })
         };
@@ -640,13 +575,15 @@ mod tests {
         // A negative picture has structure of the opposite sign, so the value is 0.
         let y = x.map(|v| 1.0 - v);
         let mut gradient = Image::new(1, 1);
-        let mut measure = MsSsim::new();
+        let mut measure = MsSsim::default();
         assert_eq!(measure.value_and_gradient(&x, &y, 0.0, &RECONSTRUCTION_WEIGHTS, &mut gradient), 0.0);
         assert!(gradient.data().iter().all(|&g| g == 0.0));
         let (x, y) = pair(6, 10, 40);
         assert_eq!(measure.value_and_gradient(&x, &y, 0.0, &RECONSTRUCTION_WEIGHTS, &mut gradient), 1.0);
         assert!(gradient.data().len() == 1200 && gradient.data().iter().all(|&g| g == 0.0));
         let (x, _) = pair(6, 40, 40);
-        assert!((measure.value(&x, &x, &STANDARD_WEIGHTS) - 1.0).abs() < 1e-6);
+        let centred = x.map(|v| v - 0.5);
+        let same = measure.value_and_gradient(&centred, &centred, 0.5, &STANDARD_WEIGHTS, &mut gradient);
+        assert!((same - 1.0).abs() < 1e-6);
     }
 }

@@ -12,7 +12,7 @@ use use3d_capture::Image;
 use use3d_numerics::math;
 use use3d_numerics::sums;
 
-use crate::error::{MetricError, finite, large_enough, same_size};
+use crate::error::{MetricError, comparable, same_size};
 use crate::mask::counted;
 use crate::warp::Mask;
 
@@ -25,21 +25,13 @@ pub enum ExposureFit {
     PerChannel,
 }
 
-fn check(x: &Image, y: &Image) -> Result<(), MetricError> {
-    same_size("the second image", x, y)?;
-    large_enough("PSNR", x, 1)?;
-    finite("the first image", x)?;
-    finite("the second image", y)
-}
-
-/// Mean square error of values clipped to `[0, 1]`, over the pixels of the mask (all pixels without a
-/// mask).
+/// PSNR in dB over the pixels of the mask (all pixels without a mask).
 ///
 /// # Errors
 /// The images have different sizes, no pixels or values that are not finite, or the mask has another size
-/// or no pixel.
-pub fn mean_square_error(x: &Image, y: &Image, mask: Option<&Mask>) -> Result<f64, MetricError> {
-    check(x, y)?;
+/// or no pixel; [`MetricError::Equal`] for images without a difference.
+pub fn psnr(x: &Image, y: &Image, mask: Option<&Mask>) -> Result<f64, MetricError> {
+    comparable("PSNR", x, y, 1)?;
     let count = match mask {
         None => x.pixels(),
         Some(mask) => {
@@ -50,7 +42,7 @@ pub fn mean_square_error(x: &Image, y: &Image, mask: Option<&Mask>) -> Result<f6
     if count == 0 {
         return Err(MetricError::NothingCounts);
     }
-    Ok(square_error(x, y, [1.0; 3], mask) / (3 * count) as f64)
+    decibels(square_error(x, y, [1.0; 3], mask) / (3 * count) as f64)
 }
 
 /// `Σ (clip(g x) - clip(y))²` over the pixels of the mask.
@@ -82,20 +74,12 @@ pub fn decibels(mean_square: f64) -> Result<f64, MetricError> {
     }
 }
 
-/// PSNR in dB over the pixels of the mask (all pixels without a mask).
-///
-/// # Errors
-/// See [`mean_square_error`]; [`MetricError::Equal`] for images without a difference.
-pub fn psnr(x: &Image, y: &Image, mask: Option<&Mask>) -> Result<f64, MetricError> {
-    decibels(mean_square_error(x, y, mask)?)
-}
-
 /// The gains g that minimise `Σ (g x - y)²`; 1 where x is black.
 ///
 /// # Errors
-/// See [`mean_square_error`].
+/// The images have different sizes, no pixels or values that are not finite.
 pub fn exposure_gain(x: &Image, y: &Image, fit: ExposureFit) -> Result<[f64; 3], MetricError> {
-    check(x, y)?;
+    comparable("PSNR", x, y, 1)?;
     let mut totals = [[0.0; 2]; 3];
     for (c, total) in totals.iter_mut().enumerate() {
         let (a, b) = (x.plane(c), y.plane(c));

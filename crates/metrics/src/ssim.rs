@@ -19,7 +19,7 @@ use rayon::prelude::*;
 use use3d_capture::{Image, Map};
 
 use crate::consistency::{mean_where, whole_windows};
-use crate::error::{MetricError, finite, large_enough, same_size};
+use crate::error::{MetricError, comparable, same_size};
 use crate::mask::counted;
 use crate::ms_ssim::{WINDOW, window};
 use crate::warp::Mask;
@@ -38,7 +38,7 @@ const STRIP: usize = 64;
 /// The images have different sizes, a side below 11 pixels or values that are not finite, or the mask has
 /// another size or no whole window.
 pub fn ssim(x: &Image, y: &Image, mask: Option<&Mask>) -> Result<f64, MetricError> {
-    check(x, y)?;
+    comparable("SSIM", x, y, WINDOW)?;
     if let Some(mask) = mask {
         same_size("the mask", x, mask)?;
         let (map, whole) = (ssim_map(x, y)?, whole_windows(mask));
@@ -70,7 +70,7 @@ pub fn ssim(x: &Image, y: &Image, mask: Option<&Mask>) -> Result<f64, MetricErro
 /// # Errors
 /// See [`ssim`].
 pub fn ssim_map(x: &Image, y: &Image) -> Result<Map, MetricError> {
-    check(x, y)?;
+    comparable("SSIM", x, y, WINDOW)?;
     let (columns, rows) = (x.width() + 1 - WINDOW, x.height() + 1 - WINDOW);
     let mut map = Map::new(columns, rows);
     map.data_mut().par_chunks_mut(columns * STRIP).enumerate().for_each(|(s, out)| {
@@ -83,13 +83,6 @@ pub fn ssim_map(x: &Image, y: &Image) -> Result<Map, MetricError> {
         }
     });
     Ok(map)
-}
-
-fn check(x: &Image, y: &Image) -> Result<(), MetricError> {
-    same_size("the second image", x, y)?;
-    large_enough("SSIM", x, WINDOW)?;
-    finite("the first image", x)?;
-    finite("the second image", y)
 }
 
 /// Computes the map rows of one strip of one channel and passes each, with its index within the strip, to

@@ -149,23 +149,15 @@ pub fn forward_backward(f12: &Flow, f21: &Flow) -> Result<ForwardBackward, Metri
 }
 
 impl ForwardBackward {
-    fn mask(&self, good: impl Fn(f32, f32) -> bool) -> Mask {
-        let mut mask = self.inside.clone();
-        for (p, m) in mask.data_mut().iter_mut().enumerate() {
-            *m &= u8::from(good(self.error_squared.data()[p], self.magnitude_squared.data()[p]));
-        }
-        mask
-    }
-
     /// The mask of targets inside with `|e|² ≤ relative (|f12|² + |f21|²) + absolute`; the usual values are
     /// 0.01 and 0.5.
     pub fn relative_mask(&self, relative: f32, absolute: f32) -> Mask {
-        self.mask(|error, magnitude| error <= relative * magnitude + absolute)
-    }
-
-    /// The mask of targets inside with `|e| ≤ limit` pixels; the usual value is 1.
-    pub fn absolute_mask(&self, limit: f32) -> Mask {
-        self.mask(|error, _| error <= limit * limit)
+        let mut mask = self.inside.clone();
+        let pairs = self.error_squared.data().iter().zip(self.magnitude_squared.data());
+        for (m, (error, magnitude)) in mask.data_mut().iter_mut().zip(pairs) {
+            *m &= u8::from(*error <= relative * magnitude + absolute);
+        }
+        mask
     }
 }
 
@@ -194,7 +186,7 @@ mod tests {
         let check = forward_backward(&flow, &back).unwrap();
         assert_eq!(check.relative_mask(0.01, 0.5), warped.inside);
         let wrong = forward_backward(&flow, &flow).unwrap();
-        assert_eq!(wrong.absolute_mask(1.0).data().iter().map(|&v| u32::from(v)).sum::<u32>(), 0);
+        assert_eq!(wrong.relative_mask(0.0, 1.0).data().iter().map(|&v| u32::from(v)).sum::<u32>(), 0);
         assert!(forward_backward(&flow, &Flow::new(3, 3)).is_err());
         flow.plane_mut(0)[5] = f32::NAN;
         assert!(backward_warp(&image, &flow).is_err());

@@ -79,7 +79,7 @@ impl PhotometricLoss {
         Self {
             shares: [1.0 - lambda, lambda],
             weights: weights.to_vec(),
-            measure: MsSsim::new(),
+            measure: MsSsim::default(),
             prediction: Image::new(0, 0),
             target: Image::new(0, 0),
             squared_error: 0.0,
