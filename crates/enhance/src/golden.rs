@@ -10,8 +10,7 @@ use use3d_capture::{Appearance, Formation, Image, MediumMaps};
 use use3d_golden::{Case, CaseGaussians, Part};
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_splat::{Colors, Gaussians, Options, Prepared, Rasterizer, Rendered, view_colors};
-use use3d_ubaf::objects::guide_color;
-use use3d_ubaf::{Field, FieldBox, Level, ObjectPass, Shape, ViewWater};
+use use3d_ubaf::{Field, FieldBox, ObjectPass, Shape, ViewWater};
 
 use crate::engine::{Goals, Step};
 use crate::losses::{TERMS, named};
@@ -76,8 +75,7 @@ impl Example {
         let corners = case.rows::<3>("in.box");
         let field = Field::from_parameters(shape, FieldBox { low: corners[0], high: corners[1] }, parameters)
             .unwrap();
-        let guides = gaussians.sh.iter().map(|sh| guide_color(sh[0]));
-        let objects = ObjectPass::with_guides(Level::new(), &field, &gaussians.means, guides);
+        let objects = ObjectPass::new(&field, &gaussians.means, gaussians.sh.iter().map(|sh| sh[0]));
         let lambdas = case.config()["lam"].as_array().expect("three weights");
         let lambda = |i: usize| lambdas[i].as_f64().expect("a number");
         let goals = Goals {

@@ -160,7 +160,7 @@ impl Steps for EnhanceRun<'_> {
         let g = &self.scene.gaussians;
         let mut pass = ObjectPass::new(&field, &g.means, g.sh.iter().map(|sh| sh[0]));
         pass.forward(&field);
-        let centre = pass.mean();
+        let centre = pass.mean;
         let enhancement = self.enhancement(field, centre);
         Ok(Some(Arc::new(Scene { enhancement: Some(enhancement), ..self.scene.clone() })))
     }

@@ -58,7 +58,7 @@ fn water(c: &mut Criterion) {
         *v = draw.uniform(i as u64) as f32;
     }
     let water = ViewWater::new(maps.clone());
-    let mut pass = WaterPass::new();
+    let mut pass = WaterPass::default();
     let mut out = MediumMaps::zeros(0, 0);
     let mut gradient = Gradient::new(field.shape());
     c.bench_function("water 768x512, forward and backward", |b| {

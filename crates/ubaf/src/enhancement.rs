@@ -83,25 +83,15 @@ impl Enhancement {
         self.kept_water.at_strength(strength).thin(&mut maps);
         let water = ViewWater::new(maps);
         let mut out = MediumMaps::zeros(0, 0);
-        WaterPass::new().forward(&self.field, camera, &water, strength, &mut out);
+        WaterPass::default().forward(&self.field, camera, &water, strength, &mut out);
         out
     }
 }
 
 impl ObjectGrades {
-    /// Number of Gaussians.
-    pub fn len(&self) -> usize {
-        self.grades.len()
-    }
-
-    /// True if there are no Gaussians.
-    pub fn is_empty(&self) -> bool {
-        self.grades.is_empty()
-    }
-
     /// Turns the stage-1 colours of a view into enhanced colours, in place. One colour per Gaussian.
     pub fn apply(&self, colors: &mut [[f32; 3]]) {
-        assert_eq!(colors.len(), self.len(), "one colour per Gaussian");
+        assert_eq!(colors.len(), self.grades.len(), "one colour per Gaussian");
         let (level, affine) = (Level::new(), &self.affine);
         colors.par_chunks_mut(CHUNK).zip(self.grades.par_chunks(CHUNK)).for_each(|(colors, grades)| {
             dispatch!(level, simd => regrade(simd, affine, grades, colors));
@@ -150,7 +140,7 @@ mod tests {
         let mut pass = ObjectPass::new(&field, &means, dc.iter().copied());
         pass.forward(&field);
         let enhancement = Enhancement {
-            centre: pass.mean(),
+            centre: pass.mean,
             field,
             appearance: Appearance::Water,
             kept_water: KeptWater::ALL,

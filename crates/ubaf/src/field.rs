@@ -140,7 +140,8 @@ fn after(previous: Range<usize>, length: usize) -> Range<usize> {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Field {
     shape: Shape,
-    bounds: FieldBox,
+    /// The box by which positions are normalised.
+    pub bounds: FieldBox,
     /// All trainable numbers, in the layout of [`Shape`].
     pub parameters: Vec<f32>,
 }
@@ -179,11 +180,6 @@ impl Field {
     /// The sizes.
     pub fn shape(&self) -> Shape {
         self.shape
-    }
-
-    /// The box by which positions are normalised.
-    pub fn bounds(&self) -> &FieldBox {
-        &self.bounds
     }
 
     /// `w_r, w_g, w_b, b`.
@@ -241,16 +237,9 @@ impl Gradient {
         }
     }
 
-    pub(crate) fn add_affine(&mut self, affine: &[f64; 12]) {
-        let range = self.shape.affine();
-        for (g, a) in self.values[range].iter_mut().zip(affine) {
-            *g += a;
-        }
-    }
-
-    pub(crate) fn add_guide(&mut self, guide: &[f64; 4]) {
-        let range = self.shape.guide();
-        for (g, d) in self.values[range].iter_mut().zip(guide) {
+    /// Adds derivatives to those in a range.
+    pub(crate) fn add(&mut self, range: Range<usize>, derivatives: &[f64]) {
+        for (g, d) in self.values[range].iter_mut().zip(derivatives) {
             *g += d;
         }
     }

@@ -15,6 +15,8 @@
 pub mod enhancement;
 pub mod field;
 pub mod field_box;
+#[cfg(test)]
+mod golden;
 mod guide;
 mod kernel;
 pub mod objects;
@@ -29,7 +31,6 @@ pub mod variation;
 pub mod water;
 
 pub use enhancement::Enhancement;
-pub use fearless_simd::Level;
 pub use field::{Field, FieldError, Gradient, Shape};
 pub use field_box::FieldBox;
 pub use objects::ObjectPass;

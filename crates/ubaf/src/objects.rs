@@ -22,19 +22,18 @@ use crate::field::{Field, Gradient};
 use crate::guide;
 use crate::kernel::{Accumulator, Lookups, PackedField, TILE, TileOutputs};
 use crate::recolor::{self, BlockSums, plane_sums, total};
-use crate::sites::{BLOCK, LANES, Sites};
-
-pub use crate::sites::guide_color;
+use crate::sites::{BLOCK, LANES, Sites, guide_color};
 
 /// The field evaluated at every Gaussian of a frozen scene, forward and backward.
 #[derive(Debug)]
 pub struct ObjectPass {
-    level: Level,
+    pub(crate) level: Level,
     sites: Arc<Sites>,
     packed: PackedField,
     /// For each block, six planes of [`BLOCK`] raw outputs.
     raw: Vec<f32>,
-    mean: [f32; OUTPUTS],
+    /// The removed mean, which [`crate::Enhancement`] stores when training ends.
+    pub mean: [f32; OUTPUTS],
     /// `∂L/∂local`, then `∂L/∂raw`, in the layout of `raw`.
     d_raw: Vec<f32>,
     sums: Vec<BlockSums>,
@@ -66,32 +65,21 @@ impl ObjectPass {
     /// A pass for Gaussians at `means` with guide colours from their SH band 0 (`sh_dc`, equal length), on
     /// the best instruction set.
     pub fn new(field: &Field, means: &[[f32; 3]], sh_dc: impl ExactSizeIterator<Item = [f32; 3]>) -> Self {
-        Self::with_level(Level::new(), field, means, sh_dc)
+        Self::with_guides(field, means, sh_dc.map(guide_color))
     }
 
-    /// Like [`ObjectPass::new`], on a given instruction set.
-    pub fn with_level(
-        level: Level,
-        field: &Field,
-        means: &[[f32; 3]],
-        sh_dc: impl ExactSizeIterator<Item = [f32; 3]>,
-    ) -> Self {
-        Self::with_guides(level, field, means, sh_dc.map(guide_color))
-    }
-
-    /// Like [`ObjectPass::with_level`], with the guide colours `c̄` themselves.
-    pub fn with_guides(
-        level: Level,
+    /// Like [`ObjectPass::new`], with the guide colours `c̄` themselves.
+    pub(crate) fn with_guides(
         field: &Field,
         means: &[[f32; 3]],
         guides: impl ExactSizeIterator<Item = [f32; 3]>,
     ) -> Self {
         assert_eq!(means.len(), guides.len(), "one guide colour per Gaussian");
         let points = means.iter().copied().zip(guides);
-        let sites = Arc::new(Sites::new(points, field.bounds(), field.shape().resolution));
+        let sites = Arc::new(Sites::new(points, &field.bounds, field.shape().resolution));
         let blocks = sites.blocks();
         Self {
-            level,
+            level: Level::new(),
             raw: vec![0.0; blocks * OUTPUTS * BLOCK],
             d_raw: Vec::new(),
             sums: vec![BlockSums::default(); blocks],
@@ -118,20 +106,13 @@ impl ObjectPass {
         self.sums.resize(sites.blocks(), BlockSums::default());
     }
 
-    /// Number of Gaussians.
-    pub fn len(&self) -> usize {
-        self.sites.len()
-    }
-
-    /// True if there are no Gaussians.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
-
     /// Evaluates the field at every site, and computes its mean.
     pub fn forward(&mut self, field: &Field) {
         self.packed.pack(field);
-        self.prepare_scratch();
+        let threads = rayon::current_num_threads();
+        if self.scratch.len() < threads {
+            self.scratch.resize_with(threads, Mutex::default);
+        }
         let (level, sites, packed, scratch) = (self.level, &self.sites, &self.packed, &self.scratch);
         let guide = field.guide();
         self.raw.par_chunks_mut(OUTPUTS * BLOCK).zip(&mut self.sums).enumerate().for_each(
@@ -147,24 +128,19 @@ impl ObjectPass {
                         }
                     }
                 });
-                let centred = sites.centred().saturating_sub(block * BLOCK).min(BLOCK);
+                let centred = sites.centred.saturating_sub(block * BLOCK).min(BLOCK);
                 sums.outputs = plane_sums(raw, centred);
             },
         );
-        let n = self.sites.centred().max(1) as f64;
+        let n = self.sites.centred.max(1) as f64;
         let totals = total(&self.sums);
         self.mean = totals.outputs.map(|t| (t / n) as f32);
     }
 
-    /// The removed mean, which [`crate::Enhancement`] stores when training ends.
-    pub fn mean(&self) -> [f32; OUTPUTS] {
-        self.mean
-    }
-
-    /// `raw - centre` of each Gaussian: log-gain RGB, bias RGB. With `centre = self.mean()` this is the
+    /// `raw - centre` of each Gaussian: log-gain RGB, bias RGB. With `centre = self.mean` this is the
     /// field's local part.
     pub fn locals(&self, centre: [f32; OUTPUTS]) -> Vec<[f32; OUTPUTS]> {
-        (0..self.len())
+        (0..self.sites.len())
             .map(|i| {
                 let (block, at) = (i / BLOCK, i % BLOCK);
                 std::array::from_fn(|o| self.raw[(block * OUTPUTS + o) * BLOCK + at] - centre[o])
@@ -174,7 +150,7 @@ impl ObjectPass {
 
     /// Enhanced colours `c⁺` of Gaussians whose Stage-1 colours in a view are `base`.
     pub fn colors(&self, field: &Field, base: &[[f32; 3]], out: &mut Vec<[f32; 3]>) {
-        assert_eq!(base.len(), self.len(), "one colour per Gaussian");
+        assert_eq!(base.len(), self.sites.len(), "one colour per Gaussian");
         out.resize(base.len(), [0.0; 3]);
         let (level, affine, centre) = (self.level, field.affine(), self.mean);
         out.par_chunks_mut(BLOCK)
@@ -194,7 +170,8 @@ impl ObjectPass {
         d_colors: &[[f32; 3]],
         gradient: &mut Gradient,
     ) {
-        assert_eq!((base.len(), d_colors.len()), (self.len(), self.len()), "one colour per Gaussian");
+        let n = self.sites.len();
+        assert_eq!((base.len(), d_colors.len()), (n, n), "one colour per Gaussian");
         let (level, affine, centre) = (self.level, field.affine(), self.mean);
         self.d_raw.resize(self.raw.len(), 0.0);
         self.d_raw
@@ -207,13 +184,19 @@ impl ObjectPass {
                     simd, &affine, &centre, raw, base, d, d_raw
                 ));
             });
-        gradient.add_affine(&total(&self.sums).affine);
+        gradient.add(field.shape().affine(), &total(&self.sums).affine);
         self.backward_raw(field, gradient);
     }
 
     /// Like [`ObjectPass::backward`], from `∂L/∂local` directly.
-    pub fn backward_locals(&mut self, field: &Field, d_locals: &[[f32; OUTPUTS]], gradient: &mut Gradient) {
-        assert_eq!(d_locals.len(), self.len(), "one local per Gaussian");
+    #[cfg(test)]
+    pub(crate) fn backward_locals(
+        &mut self,
+        field: &Field,
+        d_locals: &[[f32; OUTPUTS]],
+        gradient: &mut Gradient,
+    ) {
+        assert_eq!(d_locals.len(), self.sites.len(), "one local per Gaussian");
         self.d_raw.resize(self.raw.len(), 0.0);
         let blocks = self.d_raw.chunks_exact_mut(OUTPUTS * BLOCK).zip(d_locals.chunks(BLOCK));
         for ((d_raw, d_locals), sums) in blocks.zip(&mut self.sums) {
@@ -232,7 +215,7 @@ impl ObjectPass {
     fn backward_raw(&mut self, field: &Field, gradient: &mut Gradient) {
         let shape = field.shape();
         let parameters = shape.parameters();
-        let n = self.sites.centred().max(1) as f64;
+        let n = self.sites.centred.max(1) as f64;
         let mean = total(&self.sums).outputs.map(|t| (t / n) as f32);
         self.partials.clear();
         self.partials.resize(self.sites.blocks() * parameters, 0.0);
@@ -254,7 +237,7 @@ impl ObjectPass {
                         {
                             values[..tile.padded]
                                 .copy_from_slice(&plane[tile.offset..tile.offset + tile.padded]);
-                            let centred = sites.centred().saturating_sub(tile.first).min(tile.padded);
+                            let centred = sites.centred.saturating_sub(tile.first).min(tile.padded);
                             values[..centred].iter_mut().for_each(|v| *v -= mean[o]);
                             values[tile.real..tile.padded].fill(0.0);
                         }
@@ -276,13 +259,6 @@ impl ObjectPass {
             for (g, p) in gradient.values.iter_mut().zip(partial) {
                 *g += p;
             }
-        }
-    }
-
-    fn prepare_scratch(&mut self) {
-        let threads = rayon::current_num_threads();
-        if self.scratch.len() < threads {
-            self.scratch.resize_with(threads, Mutex::default);
         }
     }
 }
@@ -316,12 +292,8 @@ impl Tile {
     }
 }
 
-fn real(sites: &Sites, block: usize) -> usize {
-    BLOCK.min(sites.len() - block * BLOCK)
-}
-
 fn tiles(sites: &Sites, block: usize) -> impl Iterator<Item = Tile> {
-    let count = real(sites, block);
+    let count = BLOCK.min(sites.len() - block * BLOCK);
     (0..count).step_by(TILE).map(move |offset| {
         let real = TILE.min(count - offset);
         Tile { first: block * BLOCK + offset, offset, real, padded: real.div_ceil(LANES) * LANES }

@@ -54,7 +54,7 @@ pub(crate) struct Exact {
 impl Exact {
     pub(crate) fn new(field: &Field) -> Self {
         let parameters = field.parameters.iter().map(|&p| f64::from(p)).collect();
-        Self { shape: field.shape(), bounds: *field.bounds(), parameters }
+        Self { shape: field.shape(), bounds: field.bounds, parameters }
     }
 
     fn coordinates(&self, position: [f32; 3]) -> [f64; 3] {

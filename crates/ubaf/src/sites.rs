@@ -22,7 +22,8 @@ pub(crate) const BLOCK: usize = 2048;
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sites {
     len: usize,
-    centred: usize,
+    /// Number of sites, from the first, that define the mean.
+    pub(crate) centred: usize,
     /// Lower node on the x, y, z grids.
     pub(crate) nodes: Vec<[u8; 3]>,
     /// Fraction towards the next node, `[0, 1]`.
@@ -93,11 +94,6 @@ impl Sites {
         self.len == 0
     }
 
-    /// Number of sites, from the first, that define the mean.
-    pub fn centred(&self) -> usize {
-        self.centred
-    }
-
     /// The data of site `i`: its lower nodes on the x, y, z grids, the fractions towards the next nodes in
     /// `[0, 1]`, and the signed logs of its guide colour. An engine on another device copies them.
     ///
@@ -122,6 +118,6 @@ impl Sites {
 
 /// The guide colour of a Gaussian: `c̄ = 0.5 + C₀ · (SH band 0)`, unclamped.
 #[inline]
-pub fn guide_color(sh_dc: [f32; 3]) -> [f32; 3] {
+pub(crate) fn guide_color(sh_dc: [f32; 3]) -> [f32; 3] {
     sh_dc.map(|v| C0.mul_add(v, 0.5))
 }

@@ -65,7 +65,7 @@ fn groups(shape: Shape) -> [Group; 8] {
 impl Enhancement {
     /// The bytes of the file.
     pub fn to_safetensors(&self) -> Result<Vec<u8>, TensorError> {
-        let corners = [self.field.bounds().low, self.field.bounds().high];
+        let corners = [self.field.bounds.low, self.field.bounds.high];
         let mut writer = TensorWriter::new();
         for (name, range, shape) in groups(self.field.shape()) {
             writer.f32(name, &shape, &self.field.parameters[range]);

@@ -7,8 +7,8 @@ use use3d_capture::{Image, MediumMaps};
 use use3d_numerics::random::{Purpose, Stream};
 
 use crate::guide::{gamma_scalar, signed_log};
-use crate::objects::guide_color;
 use crate::plain::{self, Exact};
+use crate::sites::guide_color;
 use crate::water::ViewWater;
 use crate::{Field, FieldBox, Gradient, ObjectPass, Shape, WaterPass, variation};
 
@@ -78,9 +78,11 @@ impl Example {
 
     fn gradient(&self, level: Level) -> Gradient {
         let (d_colors, d_maps) = self.derivatives();
-        let mut objects = ObjectPass::with_level(level, &self.field, &self.means, self.sh_dc.iter().copied());
+        let mut objects = ObjectPass::new(&self.field, &self.means, self.sh_dc.iter().copied());
+        objects.level = level;
         let water = ViewWater::new(self.maps.clone());
-        let mut pass = WaterPass::with_level(level);
+        let mut pass = WaterPass::default();
+        pass.level = level;
         let mut out = MediumMaps::zeros(0, 0);
         let mut gradient = Gradient::new(self.field.shape());
         // Runs twice, so that state left over from a step would change the result.
@@ -120,7 +122,7 @@ fn the_kernel_has_the_bits_of_its_scalar_twin() {
         let mut pass = ObjectPass::new(&e.field, &e.means, e.sh_dc.iter().copied());
         pass.forward(&e.field);
         for (i, local) in pass.locals([0.0; 6]).iter().enumerate() {
-            let [x, y, z] = e.field.bounds().normalise(e.means[i]);
+            let [x, y, z] = e.field.bounds.normalise(e.means[i]);
             let gamma = gamma_scalar(&e.field.guide(), guide_color(e.sh_dc[i]).map(signed_log));
             let twin = plain::raw(&e.field, [x, y, z, gamma]);
             if fuses(Level::new()) {
@@ -223,12 +225,12 @@ fn chosen_sites_do_what_all_do() {
     let sites = std::sync::Arc::new(some.sites().select(&listed, centred));
     some.move_to(&sites);
     some.forward(&e.field);
-    assert_eq!(some.len(), listed.len());
+    assert_eq!(some.sites().len(), listed.len());
     let mean: [f64; 6] = std::array::from_fn(|o| {
         listed[..centred].iter().map(|&i| f64::from(raw[i as usize][o])).sum::<f64>() / centred as f64
     });
     for (o, m) in mean.iter().enumerate() {
-        assert!((f64::from(some.mean()[o]) - m).abs() < 1e-6);
+        assert!((f64::from(some.mean[o]) - m).abs() < 1e-6);
     }
     for (local, &i) in some.locals([0.0; 6]).iter().zip(&listed) {
         assert_eq!(*local, raw[i as usize]);
@@ -268,7 +270,7 @@ fn the_output_bias_shifts_nothing() {
         pass.colors(field, &e.base, &mut out);
         let water = ViewWater::new(e.maps.clone());
         let mut maps = MediumMaps::zeros(0, 0);
-        WaterPass::new().forward(field, e.camera, &water, 1.0, &mut maps);
+        WaterPass::default().forward(field, e.camera, &water, 1.0, &mut maps);
         (out, maps)
     };
     let ((a, am), (b, bm)) = (colors(&e.field), colors(&shifted));
@@ -303,7 +305,7 @@ fn a_scene_without_gaussians_has_no_gradient_and_no_nan() {
     let e = Example::new(10, Shape::default(), 0, (3, 2));
     let mut pass = ObjectPass::new(&e.field, &[], [].into_iter());
     pass.forward(&e.field);
-    assert_eq!(pass.mean(), [0.0; 6]);
+    assert_eq!(pass.mean, [0.0; 6]);
     assert!(e.gradient(Level::new()).values.iter().all(|g| g.is_finite()));
 }
 

@@ -37,7 +37,8 @@ const BLOCK: usize = 4096;
 pub struct ViewWater {
     /// The frozen medium's maps.
     pub maps: MediumMaps,
-    signed_logs: Image,
+    /// `h(c_m)` of every pixel, the input of the guide.
+    pub signed_logs: Image,
 }
 
 impl ViewWater {
@@ -45,11 +46,6 @@ impl ViewWater {
     pub fn new(maps: MediumMaps) -> Self {
         let signed_logs = maps.color.map(signed_log);
         Self { maps, signed_logs }
-    }
-
-    /// `h(c_m)` of every pixel, the input of the guide.
-    pub fn signed_logs(&self) -> &Image {
-        &self.signed_logs
     }
 
     /// Number of bytes held.
@@ -64,7 +60,7 @@ pub type Table = [[f32; OUTPUTS]; ROWS];
 /// Reusable state of the water's forward and backward passes.
 #[derive(Debug)]
 pub struct WaterPass {
-    level: Level,
+    pub(crate) level: Level,
     packed: PackedField,
     raw: Box<TileOutputs>,
     table: Table,
@@ -86,8 +82,16 @@ const ZERO_SUMS: PixelSums =
     PixelSums { table: [[0.0; OUTPUTS]; ROWS], affine: [0.0; 12], guide: [0.0; 4], transport: [0.0; 2] };
 
 impl Default for WaterPass {
+    /// A pass on the best instruction set of this machine.
     fn default() -> Self {
-        Self::new()
+        Self {
+            level: Level::new(),
+            packed: PackedField::default(),
+            raw: Box::new([[0.0; TILE]; OUTPUTS]),
+            table: [[0.0; OUTPUTS]; ROWS],
+            sums: Accumulator::default(),
+            partials: Vec::new(),
+        }
     }
 }
 
@@ -99,40 +103,17 @@ pub fn rows() -> [f32; ROWS] {
 /// The position part of the table's lookups, equal in all rows: lower nodes on x, y, z and fractions
 /// towards the next.
 pub fn camera_site(field: &Field, camera: [f32; 3]) -> ([u8; 3], [f32; 3]) {
-    let at = field.bounds().normalise(camera).map(|u| locate(u, field.shape().resolution));
+    let at = field.bounds.normalise(camera).map(|u| locate(u, field.shape().resolution));
     (at.map(|(node, _)| node as u8), at.map(|(_, fraction)| fraction))
 }
 
-/// [`camera_site`] repeated for every row.
-fn camera_sites(field: &Field, camera: [f32; 3]) -> ([[u8; 3]; ROWS], [[f32; 3]; ROWS]) {
-    let (nodes, fractions) = camera_site(field, camera);
-    ([nodes; ROWS], [fractions; ROWS])
-}
-
 impl WaterPass {
-    /// A pass on the best instruction set of this machine.
-    pub fn new() -> Self {
-        Self::with_level(Level::new())
-    }
-
-    /// A pass on a given instruction set.
-    pub fn with_level(level: Level) -> Self {
-        Self {
-            level,
-            packed: PackedField::default(),
-            raw: Box::new([[0.0; TILE]; OUTPUTS]),
-            table: [[0.0; OUTPUTS]; ROWS],
-            sums: Accumulator::default(),
-            partials: Vec::new(),
-        }
-    }
-
     /// Computes the guide table at a camera centre, with log-gains and biases scaled by `strength` (1 in
     /// training).
     pub fn table(&mut self, field: &Field, camera: [f32; 3], strength: f32) -> Table {
         self.packed.pack(field);
-        let (nodes, fractions) = camera_sites(field, camera);
-        let lookups = Lookups { nodes: &nodes, fractions: &fractions, gamma: &rows() };
+        let (nodes, fractions) = camera_site(field, camera);
+        let lookups = Lookups { nodes: &[nodes; ROWS], fractions: &[fractions; ROWS], gamma: &rows() };
         self.packed.forward(self.level, lookups, &mut self.raw);
         for o in 0..OUTPUTS {
             let column = &self.raw[o][..ROWS];
@@ -223,9 +204,10 @@ impl WaterPass {
             }
         });
         let sums = total(&self.partials);
-        gradient.add_affine(&sums.affine);
-        gradient.add_guide(&sums.guide);
-        let at = gradient.shape().transport().start;
+        let shape = field.shape();
+        gradient.add(shape.affine(), &sums.affine);
+        gradient.add(shape.guide(), &sums.guide);
+        let at = shape.transport().start;
         for (k, (u, ratio)) in field.transport().into_iter().zip(ratios(field, 1.0)).enumerate() {
             let tanh = math::tanh(f64::from(u));
             let slope = f64::from(ratio) * f64::from(LOG_RATIO_BOUND) * (1.0 - tanh * tanh);
@@ -251,8 +233,8 @@ impl WaterPass {
                 *raw = (d - mean) as f32;
             }
         }
-        let (nodes, fractions) = camera_sites(field, camera);
-        let lookups = Lookups { nodes: &nodes, fractions: &fractions, gamma: &rows() };
+        let (nodes, fractions) = camera_site(field, camera);
+        let lookups = Lookups { nodes: &[nodes; ROWS], fractions: &[fractions; ROWS], gamma: &rows() };
         self.sums.clear(&self.packed);
         let mut unused = [0.0; TILE];
         self.packed.backward(self.level, lookups, &self.raw, &mut self.sums, &mut unused);

@@ -11,7 +11,6 @@ use use3d_scene::Scene;
 use use3d_splat::{Options, Rasterizer, Rendered};
 use use3d_training::guard::first_non_finite;
 use use3d_training::{Drain, EngineError, Observer, Profile};
-use use3d_ubaf::objects::guide_color;
 use use3d_ubaf::{Field, Gradient, OUTPUTS, ObjectPass, WaterPass};
 
 use super::{
@@ -49,7 +48,7 @@ impl Step {
     pub(crate) fn new(field: &Field, objects: ObjectPass) -> Self {
         Self {
             objects,
-            water: WaterPass::new(),
+            water: WaterPass::default(),
             enhanced_water: MediumMaps::zeros(0, 0),
             colors: Vec::new(),
             placed: Vec::new(),
@@ -159,9 +158,8 @@ impl<'a> CpuFieldEngine<'a> {
     ) -> Result<Self, EnhanceError> {
         check_inputs(scene, views, guidance, params)?;
         let field = initial_field(scene, guidance, params)?;
-        let guides = scene.gaussians.sh.iter().map(|sh| guide_color(sh[0]));
-        let objects =
-            ObjectPass::with_guides(use3d_ubaf::Level::new(), &field, &scene.gaussians.means, guides);
+        let g = &scene.gaussians;
+        let objects = ObjectPass::new(&field, &g.means, g.sh.iter().map(|sh| sh[0]));
         let lookups = Lookups::new(objects.sites().clone(), params.centre_sample);
         let mut preparer = Preparer::new(scene, guidance, lookups.clone(), params.sample_side);
         let mut room = params.cache_mib.saturating_mul(1 << 20);
@@ -328,7 +326,7 @@ impl FieldEngine for CpuFieldEngine<'_> {
     fn centre(&mut self) -> Result<[f32; OUTPUTS], EngineError> {
         self.step.objects.move_to(&self.store.lookups.centre());
         self.step.objects.forward(&self.field);
-        Ok(self.step.objects.mean())
+        Ok(self.step.objects.mean)
     }
 
     fn coverage(&self) -> Coverage {

@@ -50,7 +50,7 @@ fn frozen_water(
     let mut planes = water.maps.color.data().to_vec();
     planes.extend(k(water.maps.attenuation.data()));
     planes.extend(k(water.maps.backscatter.data()));
-    planes.extend(water.signed_logs().data());
+    planes.extend(water.signed_logs.data());
     Array::from(gpu, "the water of a view", &planes)
 }
 

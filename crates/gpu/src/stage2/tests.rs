@@ -193,13 +193,13 @@ fn the_field_is_the_processors_at_every_count_of_lookups() {
         let error = relative(&raw, expected.as_flattened());
         assert!(error <= 1e-5, "{n} lookups: outputs off by {error:.1e}");
         let mean = ours.drawing.device.grade.read(&gpu, 6).unwrap();
-        assert!(relative(&mean, &pass.mean()) <= 1e-5, "{n} lookups: {mean:?} {:?}", pass.mean());
+        assert!(relative(&mean, &pass.mean) <= 1e-5, "{n} lookups: {mean:?} {:?}", pass.mean);
         let camera = views[1].camera;
         let lattice: &Lattice = &ours.views[1].lattice;
         let (mut maps, mut enhanced) = (MediumMaps::zeros(0, 0), MediumMaps::zeros(0, 0));
         assert!(scene.look_through(&camera, lattice, &mut maps));
         let center = camera.pose.center().as_vec3().to_array();
-        WaterPass::new().forward(&field, center, &ViewWater::new(maps), 1.0, &mut enhanced);
+        WaterPass::default().forward(&field, center, &ViewWater::new(maps), 1.0, &mut enhanced);
         let color = ours.drawing.device.water.read(&gpu, 3 * view.pixels()).unwrap();
         let error = relative(&color, enhanced.color.data());
         assert!(error <= 1e-5, "{n} lookups: the water's colour off by {error:.1e}");

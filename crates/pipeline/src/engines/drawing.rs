@@ -98,7 +98,7 @@ mod tests {
         let mut pass = ObjectPass::new(&field, &gaussians.means, gaussians.sh.iter().map(|sh| sh[0]));
         pass.forward(&field);
         let enhancement = Enhancement {
-            centre: pass.mean(),
+            centre: pass.mean,
             field,
             appearance: Appearance::Water,
             kept_water: KeptWater::ALL,

@@ -93,7 +93,7 @@ pub(crate) fn taught(scene: &Scene) -> Scene {
     let mut pass = ObjectPass::new(&field, &scene.gaussians.means, scene.gaussians.sh.iter().map(|sh| sh[0]));
     pass.forward(&field);
     let enhancement =
-        Enhancement { centre: pass.mean(), field, appearance: Appearance::Water, kept_water: KeptWater::ALL };
+        Enhancement { centre: pass.mean, field, appearance: Appearance::Water, kept_water: KeptWater::ALL };
     Scene { enhancement: Some(enhancement), ..scene.clone() }
 }
 

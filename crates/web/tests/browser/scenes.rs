@@ -99,7 +99,7 @@ pub(crate) fn scene(kind: &str, degree: usize) -> Scene {
     let mut pass = ObjectPass::new(&field, &gaussians.means, gaussians.sh.iter().map(|sh| sh[0]));
     pass.forward(&field);
     let enhancement = Some(Enhancement {
-        centre: pass.mean(),
+        centre: pass.mean,
         field,
         appearance: Appearance::Water,
         kept_water: KeptWater::ALL,

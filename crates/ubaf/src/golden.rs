@@ -2,8 +2,8 @@
 
 use use3d_capture::{Formation, Image, MediumMaps};
 use use3d_golden::{Case, Part};
-use use3d_ubaf::water::ViewWater;
-use use3d_ubaf::{Field, FieldBox, Gradient, ObjectPass, Shape, WaterPass, variation};
+
+use crate::{Field, FieldBox, Gradient, ObjectPass, Shape, ViewWater, WaterPass, variation};
 
 fn field(case: &Case<'_>) -> Field {
     let factors = case.shape("in.factors").to_vec();
@@ -53,11 +53,10 @@ fn golden_field_outputs_and_gradients() {
         let field = field(&case);
         let (means, guides) = (case.rows::<3>("in.means"), case.rows::<3>("in.c_bar"));
         let base = case.rows::<3>("in.colors");
-        let mut objects =
-            ObjectPass::with_guides(fearless_simd::Level::new(), &field, &means, guides.iter().copied());
+        let mut objects = ObjectPass::with_guides(&field, &means, guides.iter().copied());
         objects.forward(&field);
-        case.check("out.mode", &objects.mean());
-        case.check("out.local", objects.locals(objects.mean()).as_flattened());
+        case.check("out.mode", &objects.mean);
+        case.check("out.local", objects.locals(objects.mean).as_flattened());
         let mut colors = Vec::new();
         objects.colors(&field, &base, &mut colors);
         case.check("out.colors_plus", colors.as_flattened());
@@ -69,7 +68,7 @@ fn golden_field_outputs_and_gradients() {
             attenuation: image(&case, "in.beta_attn"),
             formation: Formation::default(),
         });
-        let mut pass = WaterPass::new();
+        let mut pass = WaterPass::default();
         let mut maps = MediumMaps::zeros(0, 0);
         pass.forward(&field, camera, &water, 1.0, &mut maps);
         case.check("out.table", pass.table(&field, camera, 1.0).as_flattened());
