@@ -1,7 +1,5 @@
 //! The devices on which a scene is drawn.
 
-use std::fmt;
-
 use use3d_capture::{Camera, Lattice, MediumMaps};
 use use3d_splat::Rendered;
 
@@ -37,14 +35,6 @@ pub struct Composition<'r> {
     pub medium: Option<&'r MediumMaps>,
     /// True if the image's parts are requested.
     pub layers: bool,
-}
-
-impl fmt::Debug for Composition<'_> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let size = (self.lattice.width(), self.lattice.height());
-        let (recolored, wet, layers) = (self.recolor.is_some(), self.medium.is_some(), self.layers);
-        write!(f, "Composition {{ {size:?}, recolored: {recolored}, wet: {wet}, layers: {layers} }}")
-    }
 }
 
 /// Composes the Gaussians of a scene on some device: the part of a [`Backend`] without looks and shares of

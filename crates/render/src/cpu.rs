@@ -69,19 +69,14 @@ impl<'s, C: Composer> Looking<'s, C> {
         let (maps, thinned) = (MediumMaps::zeros(0, 0), MediumMaps::zeros(0, 0));
         Ok(Self { scene, grades, composer, maps, thinned })
     }
-
-    /// Computes the full water in front of a camera, in this look.
-    fn look_through(&mut self, camera: &Camera, lattice: &Lattice) {
-        let strength = self.grades.as_ref().map(|(_, strength)| *strength);
-        look_through(self.scene, strength, camera, lattice, &mut self.maps);
-    }
 }
 
 impl<C: Composer> Backend for Looking<'_, C> {
     fn draw(&mut self, request: &Request<'_>, out: &mut Rendered) -> Result<(), RenderError> {
         let Request { camera, lattice, water, layers } = *request;
         if water.is_some() {
-            self.look_through(camera, lattice);
+            let strength = self.grades.as_ref().map(|(_, strength)| *strength);
+            look_through(self.scene, strength, camera, lattice, &mut self.maps);
         }
         let water = water.unwrap_or(0.0);
         let graded =

@@ -125,7 +125,8 @@ pub enum Rendering {
 pub struct SceneRenderer<'a> {
     plain: Renderer<'a>,
     enhanced: Option<Renderer<'a>>,
-    gains: Gains,
+    /// Gains of a white balance, from the next picture on.
+    pub gains: Gains,
     rendered: Rendered,
 }
 
@@ -136,10 +137,8 @@ impl<'a> SceneRenderer<'a> {
     /// # Errors
     /// The strength is outside that range.
     pub fn new(scene: &'a Scene, strength: f32) -> Result<Self, RenderError> {
-        let enhanced = match scene.enhancement {
-            Some(_) => Some(Renderer::new(scene, Look::Enhanced { strength })?),
-            None => None,
-        };
+        let look = scene.enhancement.as_ref().map(|_| Look::Enhanced { strength });
+        let enhanced = look.map(|look| Renderer::new(scene, look)).transpose()?;
         Ok(Self::on(Renderer::new(scene, Look::Reconstruction)?, enhanced))
     }
 
@@ -163,13 +162,8 @@ impl<'a> SceneRenderer<'a> {
     /// Multiplies the colours of `clear`, `enhanced` and `enhanced-clear` with the gains of a white balance.
     #[must_use]
     pub fn with_white(mut self, gains: Gains) -> Self {
-        self.set_white(gains);
-        self
-    }
-
-    /// Sets the gains of a white balance from the next picture on.
-    pub fn set_white(&mut self, gains: Gains) {
         self.gains = gains;
+        self
     }
 
     /// True if the scene can show [`Mode::Enhanced`] and [`Mode::EnhancedClear`].

@@ -20,10 +20,7 @@ pub fn picture(mode: Mode, frame: &Rendering) -> Image {
 /// A map as a grey image.
 pub(crate) fn spread(map: &Map) -> Image {
     let mut image = Image::new(map.width(), map.height());
-    let n = map.pixels();
-    for c in 0..3 {
-        image.data_mut()[c * n..(c + 1) * n].copy_from_slice(map.data());
-    }
+    image.data_mut().copy_from_slice(&map.data().repeat(3));
     image
 }
 

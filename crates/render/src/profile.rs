@@ -18,6 +18,15 @@ pub struct WaterSample {
     pub attenuation: [f32; 3],
 }
 
+impl WaterSample {
+    /// The water in the first row of `maps`.
+    fn of(maps: &MediumMaps, column: usize, at: f64) -> Self {
+        let [color, backscatter, attenuation] =
+            [&maps.color, &maps.backscatter, &maps.attenuation].map(|map| map.pixel(column, 0));
+        Self { at, color, backscatter, attenuation }
+    }
+}
+
 /// The water along the rays of the row through an image's middle; `None` for a scene without water.
 pub fn medium_profile(medium: &MediumModel, degree: usize, camera: &Camera) -> Option<Vec<WaterSample>> {
     if medium.is_none() {
@@ -29,12 +38,8 @@ pub fn medium_profile(medium: &MediumModel, degree: usize, camera: &Camera) -> O
     let lattice = Lattice::subset(&columns, &[k.height / 2])?;
     let mut maps = MediumMaps::zeros(0, 0);
     medium.maps(camera, &lattice, degree, &mut maps);
-    let samples = lattice.columns().iter().enumerate().map(|(i, &u)| WaterSample {
-        at: math::atan((f64::from(u) - k.cx) / k.fx).to_degrees(),
-        color: maps.color.pixel(i, 0),
-        backscatter: maps.backscatter.pixel(i, 0),
-        attenuation: maps.attenuation.pixel(i, 0),
-    });
+    let angle = |u: f32| math::atan((f64::from(u) - k.cx) / k.fx).to_degrees();
+    let samples = lattice.columns().iter().enumerate().map(|(i, &u)| WaterSample::of(&maps, i, angle(u)));
     Some(samples.collect())
 }
 
@@ -51,12 +56,7 @@ pub fn medium_along(medium: &MediumModel, degree: usize, cameras: &[Camera]) -> 
     let samples = cameras.iter().enumerate().map(|(i, camera)| {
         let pose = Pose::from_center(first.pose.rotation, camera.pose.center());
         medium.maps(&Camera { intrinsics: *k, pose }, &lattice, degree, &mut maps);
-        WaterSample {
-            at: i as f64,
-            color: maps.color.pixel(0, 0),
-            backscatter: maps.backscatter.pixel(0, 0),
-            attenuation: maps.attenuation.pixel(0, 0),
-        }
+        WaterSample::of(&maps, 0, i as f64)
     });
     Some(samples.collect())
 }

@@ -44,6 +44,8 @@ const DARK: f64 = 0.02;
 /// The looks that have gains, in the order of [`Gains::of_casts`].
 const LOOKS: [Mode; 3] = [Mode::Clear, Mode::Enhanced, Mode::EnhancedClear];
 
+/// The modes that measure a place: the looks, its distance and its solid share.
+const MODES: [Mode; 5] = [LOOKS[0], LOOKS[1], LOOKS[2], Mode::Depth, Mode::Alpha];
 /// Number of pixels along the longer side of a picture from which surfaces are taken.
 const SMALL: usize = 160;
 /// Largest number of views from which surfaces are taken.
@@ -149,8 +151,7 @@ pub fn patch(renderer: &mut SceneRenderer<'_>, camera: &Camera, x: f64, y: f64) 
     let rows = around(y, h as f64 / height as f64, h);
     let outside = WhiteError::Outside { x, y, width, height };
     let lattice = Lattice::subset(&columns, &rows).ok_or(outside)?;
-    let modes = [LOOKS[0], LOOKS[1], LOOKS[2], Mode::Depth, Mode::Alpha];
-    let frames = renderer.render_on(&small, &lattice, &modes)?;
+    let frames = renderer.render_on(&small, &lattice, &MODES)?;
     let mean = |frame: &Rendering| -> [f64; 3] {
         let (data, pixels) = match frame {
             Rendering::Color(image) => (image.data(), image.pixels()),
@@ -232,8 +233,7 @@ impl Surfaces {
         let mut points: Vec<(DVec3, f64, [[f64; 3]; 3])> = Vec::new();
         for k in 0..count {
             let camera = at_most(&cameras[k * cameras.len() / count], SMALL);
-            let modes = [LOOKS[0], LOOKS[1], LOOKS[2], Mode::Depth, Mode::Alpha];
-            let frames = renderer.render(&camera, &modes)?;
+            let frames = renderer.render(&camera, &MODES)?;
             let [
                 Rendering::Color(a),
                 Rendering::Color(b),
@@ -253,11 +253,7 @@ impl Surfaces {
                         continue;
                     }
                     let z = f64::from(z);
-                    let ray = DVec3::new(
-                        (x as f64 + 0.5 - intrinsics.cx) / intrinsics.fx,
-                        (y as f64 + 0.5 - intrinsics.cy) / intrinsics.fy,
-                        1.0,
-                    );
+                    let ray = camera.ray(x as f64 + 0.5, y as f64 + 0.5);
                     let place = camera.pose.center() + to_world * (z * ray);
                     let colors = [a, b, c].map(|image| image.pixel(x, y).map(f64::from));
                     points.push((place, z * ray.length(), colors));

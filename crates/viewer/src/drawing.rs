@@ -191,7 +191,7 @@ impl Drawing {
                     DrawingRequest::Picture(look) => pace.draw(&mut renderer, look, version, trains),
                     DrawingRequest::Depth(camera) => depth(&mut renderer, camera),
                     DrawingRequest::Patch { camera, x, y, .. } => {
-                        renderer.set_white(Gains::ONE);
+                        renderer.gains = Gains::ONE;
                         let found = patch(&mut renderer, camera, *x, *y).map_err(|e| e.to_string());
                         Ok(DrawingAnswer::Patch(found))
                     }
@@ -254,7 +254,7 @@ impl Pace {
         let (sx, sy) = (width as f64 / k.width as f64, height as f64 / k.height as f64);
         let camera = Camera { intrinsics: k.scaled(sx, sy, width, height), pose: look.camera.pose };
         let started = Instant::now();
-        renderer.set_white(look.white);
+        renderer.gains = look.white;
         let mut modes = vec![look.mode];
         modes.extend(look.left.map(|(left, _)| left));
         let frames = renderer.render(&camera, &modes).map_err(|e| e.to_string())?;

@@ -47,7 +47,7 @@ use use3d_numerics::spherical_harmonics::{C0, bands, basis};
 use use3d_scene::Scene;
 use use3d_splat::{Colors, Gaussians, Prepared, Rasterizer};
 
-use super::{BakeReport, bake_maps};
+use super::{BakeReport, bake_maps, color, mapped};
 use crate::RenderError;
 use crate::cpu::{grades, look_through, thin};
 use crate::renderer::Look;
@@ -103,9 +103,10 @@ pub fn bake_in_water(
     if cameras.is_empty() {
         return Err(RenderError::NoCameras);
     }
-    let seen = WaterEffect::through(scene, strength, water, cameras);
+    let look = WaterLook { scene, strength, water, cameras };
+    let effects = look.effects();
     let in_water = |i: usize| {
-        let (arriving, veil) = seen.of(i);
+        let WaterEffect { arriving, veil, .. } = effects[i];
         let mut rows = matrix(i);
         for (c, row) in rows.iter_mut().enumerate() {
             *row = row.map(|v| arriving[c] * v);
@@ -114,8 +115,8 @@ pub fn bake_in_water(
         rows
     };
     let (mut gaussians, report) = bake_maps(&scene.gaussians, in_water);
-    fit(scene, strength, water, cameras, matrix, &mut gaussians);
-    let backdrop = backdrop(scene, strength, water, cameras);
+    look.fit(matrix, &mut gaussians);
+    let backdrop = look.backdrop();
     gaussians.extend(&backdrop);
     Ok(InWater { gaussians, backdrop: backdrop.len(), report })
 }
@@ -123,86 +124,160 @@ pub fn bake_in_water(
 /// The colour map that changes nothing.
 const IDENTITY: [[f32; 4]; 3] = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
 
-/// `t_i` and `b_i` of every Gaussian.
+/// `t_i` and `b_i` of a Gaussian, and the sum of its visibilities.
+#[derive(Clone, Copy, Default)]
 struct WaterEffect {
-    arriving: Vec<[f32; 3]>,
-    veil: Vec<[f32; 3]>,
+    arriving: [f32; 3],
+    veil: [f32; 3],
+    weight: f32,
 }
 
-impl WaterEffect {
-    fn of(&self, gaussian: usize) -> ([f32; 3], [f32; 3]) {
-        (self.arriving[gaussian], self.veil[gaussian])
+/// A look with a share of its water, and the cameras that see it.
+struct WaterLook<'a> {
+    scene: &'a Scene,
+    strength: Option<f32>,
+    water: f32,
+    cameras: &'a [Camera],
+}
+
+impl WaterLook<'_> {
+    /// Computes the remaining water in front of a camera; `whole` is working memory.
+    fn maps(&self, camera: &Camera, lattice: &Lattice, whole: &mut MediumMaps, maps: &mut MediumMaps) {
+        look_through(self.scene, self.strength, camera, lattice, whole);
+        thin(whole, self.water, maps);
     }
 
-    fn through(scene: &Scene, strength: Option<f32>, water: f32, cameras: &[Camera]) -> Self {
-        let n = scene.gaussians.len();
-        let (mut arriving, mut veil, mut weight) =
-            (vec![[0.0f32; 3]; n], vec![[0.0f32; 3]; n], vec![0.0f32; n]);
+    /// The effect of the water on every Gaussian.
+    fn effects(&self) -> Vec<WaterEffect> {
+        let means = &self.scene.gaussians.means;
+        let mut effects = vec![WaterEffect::default(); means.len()];
         // The mean water over all pixels, for Gaussians that no camera saw.
         let mut mean = [0.0f64; 9];
-        each_camera(scene, strength, water, cameras, |center, planes, sums| {
+        self.each_camera(|center, planes, sums| {
             let pixels = planes.len() / PLANES;
             for (m, plane) in mean.iter_mut().zip(planes.chunks_exact(pixels)) {
-                *m += plane.iter().map(|v| f64::from(*v)).sum::<f64>() / (pixels * cameras.len()) as f64;
+                *m += plane.iter().map(|v| f64::from(*v)).sum::<f64>() / (pixels * self.cameras.len()) as f64;
             }
-            arriving
-                .par_iter_mut()
-                .zip(&mut veil)
-                .zip(&mut weight)
-                .zip(sums.par_chunks_exact(PLANES))
-                .zip(&scene.gaussians.means)
-                .for_each(|((((arriving, veil), weight), sums), at)| {
+            effects.par_iter_mut().zip(sums.par_chunks_exact(PLANES)).zip(means).for_each(
+                |((effect, sums), at)| {
                     let Some((visible, t, b)) = seen_through(sums, *at, center) else { return };
                     for c in 0..3 {
-                        arriving[c] += visible * t[c];
-                        veil[c] += visible * b[c];
+                        effect.arriving[c] += visible * t[c];
+                        effect.veil[c] += visible * b[c];
                     }
-                    *weight += visible;
-                });
+                    effect.weight += visible;
+                },
+            );
         });
-        let centers: Vec<[f32; 3]> = cameras.iter().map(|c| c.pose.center().as_vec3().to_array()).collect();
+        let centers: Vec<[f32; 3]> =
+            self.cameras.iter().map(|c| c.pose.center().as_vec3().to_array()).collect();
         let mean = mean.map(|m| m as f32);
-        arriving.par_iter_mut().zip(&mut veil).zip(&weight).zip(&scene.gaussians.means).for_each(
-            |(((arriving, veil), &weight), at)| {
-                if weight > 0.0 {
-                    *arriving = arriving.map(|v| v / weight);
-                    *veil = veil.map(|v| v / weight);
-                } else {
-                    let near = centers.iter().map(|c| distance(*at, *c)).fold(f32::INFINITY, f32::min);
-                    (*arriving, *veil) = through(&mean, near);
+        effects.par_iter_mut().zip(means).for_each(|(WaterEffect { arriving, veil, weight }, at)| {
+            if *weight > 0.0 {
+                *arriving = arriving.map(|v| v / *weight);
+                *veil = veil.map(|v| v / *weight);
+            } else {
+                let near = centers.iter().map(|c| distance(*at, *c)).fold(f32::INFINITY, f32::min);
+                (*arriving, *veil) = through(&mean, near);
+            }
+        });
+        effects
+    }
+
+    /// Calls `visit` for each camera with its centre, the planes of its water (`β_attn`, `β_bs` and `c_m`
+    /// with three channels each, and ones), and the sums of these planes over each Gaussian's pixels,
+    /// weighted by visibility.
+    fn each_camera(&self, mut visit: impl FnMut([f32; 3], &[f32], &[f32])) {
+        let gaussians = &self.scene.gaussians;
+        let (mut whole, mut maps) = (MediumMaps::zeros(0, 0), MediumMaps::zeros(0, 0));
+        let (mut rasterizer, mut prepared) = (Rasterizer::new(), Prepared::new());
+        let (mut planes, mut sums) = (Vec::new(), vec![0.0f32; PLANES * gaussians.len()]);
+        for camera in self.cameras {
+            let camera = camera.no_larger_than(SIDE);
+            let lattice = Lattice::full(&camera.intrinsics);
+            self.maps(&camera, &lattice, &mut whole, &mut maps);
+            planes.clear();
+            for image in [&maps.attenuation, &maps.backscatter, &maps.color] {
+                planes.extend_from_slice(image.data());
+            }
+            planes.resize(PLANES * lattice.width() * lattice.height(), 1.0);
+            prepared.prepare(gaussians, &camera, &lattice, Colors::Sh { degree: 0 });
+            rasterizer.splat_adjoint(&prepared, PLANES, &planes, &mut sums);
+            visit(camera.pose.center().as_vec3().to_array(), &planes, &sums);
+        }
+    }
+
+    /// Fits bands 0 to 2 of `baked` to the colours in which each camera saw a Gaussian (module
+    /// documentation).
+    fn fit(&self, matrix: impl Fn(usize) -> [[f32; 4]; 3] + Sync, baked: &mut Gaussians) {
+        let gaussians = &self.scene.gaussians;
+        let degree = baked.sh_degree.min(3);
+        let used = bands(degree).min(FITTED);
+        let mut normals = vec![Normal::ZERO; baked.len()];
+        self.each_camera(|center, _, sums| {
+            normals.par_iter_mut().zip(sums.par_chunks_exact(PLANES)).enumerate().for_each(
+                |(i, (normal, sums))| {
+                    let at = gaussians.means[i];
+                    let Some((visible, t, b)) = seen_through(sums, at, center) else { return };
+                    let s = distance(at, center).max(f32::MIN_POSITIVE);
+                    let y = basis(degree, std::array::from_fn(|k| (at[k] - center[k]) / s));
+                    let [own, shown] = [&gaussians.sh[i], &baked.sh[i]].map(|sh| color(sh, &y, degree));
+                    let enhanced = mapped(&matrix(i), own.map(|v| v.max(0.0)));
+                    let residual = std::array::from_fn(|c| t[c] * enhanced[c] + b[c] - shown[c]);
+                    normal.add(visible, &y, residual);
+                },
+            );
+        });
+        baked.sh.par_iter_mut().zip(&normals).filter(|(_, normal)| normal.weight > 0.0).for_each(
+            |(sh, normal)| {
+                for (band, change) in sh.iter_mut().zip(normal.solve(used)).take(used) {
+                    *band = std::array::from_fn(|c| band[c] + change[c]);
                 }
             },
         );
-        Self { arriving, veil }
     }
-}
 
-/// Calls `visit` for each camera with its centre, the planes of its water (`β_attn`, `β_bs` and `c_m` with
-/// three channels each, and ones), and the sums of these planes over each Gaussian's pixels, weighted by
-/// visibility.
-fn each_camera(
-    scene: &Scene,
-    strength: Option<f32>,
-    water: f32,
-    cameras: &[Camera],
-    mut visit: impl FnMut([f32; 3], &[f32], &[f32]),
-) {
-    let (mut whole, mut maps) = (MediumMaps::zeros(0, 0), MediumMaps::zeros(0, 0));
-    let (mut rasterizer, mut prepared) = (Rasterizer::new(), Prepared::new());
-    let (mut planes, mut sums) = (Vec::new(), vec![0.0f32; PLANES * scene.gaussians.len()]);
-    for camera in cameras {
-        let camera = camera.no_larger_than(SIDE);
-        let lattice = Lattice::full(&camera.intrinsics);
-        look_through(scene, strength, &camera, &lattice, &mut whole);
-        thin(&whole, water, &mut maps);
-        planes.clear();
-        for image in [&maps.attenuation, &maps.backscatter, &maps.color] {
-            planes.extend_from_slice(image.data());
+    /// A sphere of Gaussians around the scene, in the colours of open water.
+    fn backdrop(&self) -> Gaussians {
+        let (gaussians, cameras) = (&self.scene.gaussians, self.cameras);
+        let count = cameras.len() as f64;
+        let middle = cameras.iter().map(|c| c.pose.center()).sum::<glam::DVec3>() / count;
+        let middle_f32 = middle.as_vec3().to_array();
+        let mut distances: Vec<f32> = gaussians.means.iter().map(|m| distance(*m, middle_f32)).collect();
+        let farthest_camera =
+            cameras.iter().map(|c| (c.pose.center() - middle).length()).fold(0.0, f64::max) as f32;
+        let most = distances.len().saturating_sub(1) * 995 / 1000;
+        let reach = if distances.is_empty() {
+            1.0
+        } else {
+            *distances.select_nth_unstable_by(most, f32::total_cmp).1
+        };
+        let radius = BEYOND * reach.max(4.0 * farthest_camera).max(1e-3);
+        let mut out = Gaussians::empty(gaussians.sh_degree);
+        // Golden-angle spiral: every Gaussian represents the same area of the sphere.
+        let turn = std::f64::consts::PI * (3.0 - 5f64.sqrt());
+        let spacing = (4.0 * std::f64::consts::PI / BACKDROP as f64).sqrt() as f32;
+        let (mut whole, mut maps) = (MediumMaps::zeros(0, 0), MediumMaps::zeros(0, 0));
+        let lens = Intrinsics { width: 1, height: 1, fx: 1.0, fy: 1.0, cx: 0.5, cy: 0.5 };
+        for k in 0..BACKDROP {
+            let z = 1.0 - (2.0 * k as f64 + 1.0) / BACKDROP as f64;
+            let (r, phi) = ((1.0 - z * z).sqrt(), k as f64 * turn);
+            let direction = glam::DVec3::new(r * math::cos(phi), r * math::sin(phi), z);
+            let up = if direction.y.abs() < 0.9 { glam::DVec3::Y } else { glam::DVec3::X };
+            let camera = Camera { intrinsics: lens, pose: Pose::look_at(middle, middle + direction, up) };
+            self.maps(&camera, &Lattice::full(&lens), &mut whole, &mut maps);
+            // `Renderer` dims open water by the same share.
+            let color = maps.color.pixel(0, 0).map(|v| self.water * v);
+            let at = (middle + f64::from(radius) * direction).as_vec3().to_array();
+            out.means.push(at);
+            out.log_scales.push([math::ln(radius * spacing); 3]);
+            out.quaternions.push([1.0, 0.0, 0.0, 0.0]);
+            out.opacity_logits.push(6.0);
+            let mut sh = [[0.0; 3]; 16];
+            sh[0] = color.map(|v| (v.max(0.0) - 0.5) / C0);
+            out.sh.push(sh);
         }
-        planes.resize(PLANES * lattice.width() * lattice.height(), 1.0);
-        prepared.prepare(&scene.gaussians, &camera, &lattice, Colors::Sh { degree: 0 });
-        rasterizer.splat_adjoint(&prepared, PLANES, &planes, &mut sums);
-        visit(camera.pose.center().as_vec3().to_array(), &planes, &sums);
+        out
     }
 }
 
@@ -262,47 +337,6 @@ impl Normal {
     }
 }
 
-/// Fits bands 0 to 2 of `baked` to the colours in which each camera saw a Gaussian (module documentation).
-fn fit(
-    scene: &Scene,
-    strength: Option<f32>,
-    water: f32,
-    cameras: &[Camera],
-    matrix: impl Fn(usize) -> [[f32; 4]; 3] + Sync,
-    baked: &mut Gaussians,
-) {
-    let degree = baked.sh_degree.min(3);
-    let used = bands(degree).min(FITTED);
-    let mut normals = vec![Normal::ZERO; baked.len()];
-    each_camera(scene, strength, water, cameras, |center, _, sums| {
-        normals.par_iter_mut().zip(sums.par_chunks_exact(PLANES)).enumerate().for_each(
-            |(i, (normal, sums))| {
-                let at = scene.gaussians.means[i];
-                let Some((visible, t, b)) = seen_through(sums, at, center) else { return };
-                let s = distance(at, center).max(f32::MIN_POSITIVE);
-                let y = basis(degree, std::array::from_fn(|k| (at[k] - center[k]) / s));
-                let of = |sh: &[[f32; 3]; 16]| -> [f32; 3] {
-                    std::array::from_fn(|c| 0.5 + (0..bands(degree)).map(|k| y[k] * sh[k][c]).sum::<f32>())
-                };
-                let (own, shown) = (of(&scene.gaussians.sh[i]).map(|v| v.max(0.0)), of(&baked.sh[i]));
-                let m = matrix(i);
-                let residual = std::array::from_fn(|c| {
-                    let enhanced = m[c][0] * own[0] + m[c][1] * own[1] + m[c][2] * own[2] + m[c][3];
-                    t[c] * enhanced + b[c] - shown[c]
-                });
-                normal.add(visible, &y, residual);
-            },
-        );
-    });
-    baked.sh.par_iter_mut().zip(&normals).filter(|(_, normal)| normal.weight > 0.0).for_each(
-        |(sh, normal)| {
-            for (band, change) in sh.iter_mut().zip(normal.solve(used)).take(used) {
-                *band = std::array::from_fn(|c| band[c] + change[c]);
-            }
-        },
-    );
-}
-
 /// `(e^{−β_attn s}, c_m (1 − e^{−β_bs s}))` of water `[β_attn, β_bs, c_m]` at a distance.
 fn through(water: &[f32; 9], s: f32) -> ([f32; 3], [f32; 3]) {
     (
@@ -313,46 +347,6 @@ fn through(water: &[f32; 9], s: f32) -> ([f32; 3], [f32; 3]) {
 
 fn distance(a: [f32; 3], b: [f32; 3]) -> f32 {
     (0..3).map(|k| (a[k] - b[k]) * (a[k] - b[k])).sum::<f32>().sqrt()
-}
-
-/// A sphere of Gaussians around the scene, in the colours of open water.
-fn backdrop(scene: &Scene, strength: Option<f32>, water: f32, cameras: &[Camera]) -> Gaussians {
-    let count = cameras.len() as f64;
-    let middle = cameras.iter().map(|c| c.pose.center()).sum::<glam::DVec3>() / count;
-    let middle_f32 = middle.as_vec3().to_array();
-    let mut distances: Vec<f32> = scene.gaussians.means.iter().map(|m| distance(*m, middle_f32)).collect();
-    let farthest_camera =
-        cameras.iter().map(|c| (c.pose.center() - middle).length()).fold(0.0, f64::max) as f32;
-    let most = distances.len().saturating_sub(1) * 995 / 1000;
-    let reach =
-        if distances.is_empty() { 1.0 } else { *distances.select_nth_unstable_by(most, f32::total_cmp).1 };
-    let radius = BEYOND * reach.max(4.0 * farthest_camera).max(1e-3);
-    let mut out = Gaussians::empty(scene.gaussians.sh_degree);
-    // Golden-angle spiral: every Gaussian represents the same area of the sphere.
-    let turn = std::f64::consts::PI * (3.0 - 5f64.sqrt());
-    let spacing = (4.0 * std::f64::consts::PI / BACKDROP as f64).sqrt() as f32;
-    let (mut whole, mut maps) = (MediumMaps::zeros(0, 0), MediumMaps::zeros(0, 0));
-    let lens = Intrinsics { width: 1, height: 1, fx: 1.0, fy: 1.0, cx: 0.5, cy: 0.5 };
-    for k in 0..BACKDROP {
-        let z = 1.0 - (2.0 * k as f64 + 1.0) / BACKDROP as f64;
-        let (r, phi) = ((1.0 - z * z).sqrt(), k as f64 * turn);
-        let direction = glam::DVec3::new(r * math::cos(phi), r * math::sin(phi), z);
-        let up = if direction.y.abs() < 0.9 { glam::DVec3::Y } else { glam::DVec3::X };
-        let camera = Camera { intrinsics: lens, pose: Pose::look_at(middle, middle + direction, up) };
-        look_through(scene, strength, &camera, &Lattice::full(&lens), &mut whole);
-        thin(&whole, water, &mut maps);
-        // `Renderer` dims open water by the same share.
-        let color = maps.color.pixel(0, 0).map(|v| water * v);
-        let at = (middle + f64::from(radius) * direction).as_vec3().to_array();
-        out.means.push(at);
-        out.log_scales.push([math::ln(radius * spacing); 3]);
-        out.quaternions.push([1.0, 0.0, 0.0, 0.0]);
-        out.opacity_logits.push(6.0);
-        let mut sh = [[0.0; 3]; 16];
-        sh[0] = color.map(|v| (v.max(0.0) - 0.5) / C0);
-        out.sh.push(sh);
-    }
-    out
 }
 
 #[cfg(test)]

@@ -73,6 +73,16 @@ fn bake_maps(
     (baked, report)
 }
 
+/// The colour of harmonics in a direction whose basis functions are `y`, not clamped.
+fn color(sh: &[[f32; 3]; 16], y: &[f32; 16], degree: usize) -> [f32; 3] {
+    std::array::from_fn(|c| 0.5 + (0..bands(degree)).map(|k| y[k] * sh[k][c]).sum::<f32>())
+}
+
+/// `M c + m` of rows `(M | m)`.
+fn mapped(rows: &[[f32; 4]; 3], c: [f32; 3]) -> [f32; 3] {
+    rows.map(|row| row[0] * c[0] + row[1] * c[1] + row[2] * c[2] + row[3])
+}
+
 fn compare(
     before: &Gaussians,
     after: &Gaussians,
@@ -86,20 +96,12 @@ fn compare(
             basis(degree, [(r * math::cos(phi)) as f32, (r * math::sin(phi)) as f32, z as f32])
         })
         .collect();
-    let color = |sh: &[[f32; 3]; 16], y: &[f32; 16]| -> [f32; 3] {
-        std::array::from_fn(|c| 0.5 + (0..bands(degree)).map(|k| y[k] * sh[k][c]).sum::<f32>())
-    };
     // For each sample: the errors of the channels, true if the clamp of any channel is active, and the
     // number of clamped channels.
     let errors = |i: usize, y: &[f32; 16]| -> ([f64; 3], bool, usize) {
-        let raw = color(&before.sh[i], y);
-        let base = raw.map(|v| v.max(0.0));
-        let m = matrix(i);
-        let shown = color(&after.sh[i], y);
-        let error = std::array::from_fn(|c| {
-            let exact = m[c][0] * base[0] + m[c][1] * base[1] + m[c][2] * base[2] + m[c][3];
-            f64::from((exact.max(0.0) - shown[c].max(0.0)).abs())
-        });
+        let [raw, shown] = [&before.sh[i], &after.sh[i]].map(|sh| color(sh, y, degree));
+        let exact = mapped(&matrix(i), raw.map(|v| v.max(0.0)));
+        let error = std::array::from_fn(|c| f64::from((exact[c].max(0.0) - shown[c].max(0.0)).abs()));
         let clamped = raw.iter().filter(|&&v| v < 0.0).count();
         (error, clamped > 0, clamped)
     };
