@@ -53,7 +53,7 @@ fn view(index: usize) -> ViewInput {
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let calibrator = Calibrator::identity(ExtractorSettings::default(), Fusion.id());
     let gaussians = scene();
-    let (mut recorder, mut records) = (Recorder::new(), Vec::new());
+    let (mut recorder, mut records) = (Recorder::default(), Vec::new());
     let mut proposing = 0.0;
     for index in 0..VIEWS {
         let view = view(index);

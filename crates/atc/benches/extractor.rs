@@ -16,15 +16,15 @@ fn image(width: usize, height: usize, phase: f32) -> Image {
 
 fn extractor(criterion: &mut Criterion) {
     let geometry = Arc::new(Geometry::new(1400, 933, &ExtractorSettings::default()).expect("good settings"));
-    let (w, h) = (geometry.columns().len(), geometry.rows().len());
+    let (w, h) = (geometry.columns.len(), geometry.rows.len());
     let source = SourceImage::on_lattice(&geometry, &image(w, h, 0.0)).expect("finite");
     let target = image(w, h, 0.4);
-    let mut workspace = Workspace::new();
+    let mut workspace = Workspace::default();
     let mut gradient = Image::new(0, 0);
     criterion.bench_function("forward, 1400x933 lattice", |b| {
         b.iter(|| source.forward_on_lattice(black_box(&target), &mut workspace).expect("same size").global);
     });
-    let local = vec![[0.1; 6]; workspace.transition().local.len()];
+    let local = vec![[0.1; 6]; workspace.transition.local.len()];
     criterion.bench_function("forward and backward, 1400x933 lattice", |b| {
         b.iter(|| {
             source.forward_on_lattice(black_box(&target), &mut workspace).expect("same size");

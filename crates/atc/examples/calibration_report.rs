@@ -53,7 +53,7 @@ fn dataset(dir: &Path, params: &CalibratorParams) -> Result<Dataset, Anyhow> {
         "{}: {} pairs, {} cells, {} left out, {:.1} s",
         dir.display(),
         dataset.examples.len(),
-        dataset.cell_count(),
+        dataset.examples.iter().map(|e| e.cells.len()).sum::<usize>(),
         dataset.skipped.len(),
         started.elapsed().as_secs_f64()
     );

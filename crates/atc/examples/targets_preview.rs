@@ -78,7 +78,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     let started = Instant::now();
     let proposals = Proposals::From(&Fusion);
-    let mut recorder = Recorder::new();
+    let mut recorder = Recorder::default();
     let mut records: Vec<ViewRecord> = Vec::new();
     for view in &views {
         records.push(recorder.record(&load(view)?, proposals, &calibrator)?);

@@ -2,8 +2,6 @@
 
 use use3d_numerics::range::OutOfRange;
 
-use crate::extractor::Form;
-
 /// An error of Appearance Transition Consensus.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum AtcError {
@@ -118,14 +116,9 @@ pub enum AtcError {
         /// Its error message.
         problem: String,
     },
-    /// Two parts of the method use different local forms.
-    #[error("the local operators are in {found} form, but {expected} form is needed")]
-    Form {
-        /// Form expected.
-        expected: Form,
-        /// Form found.
-        found: Form,
-    },
+    /// The local operators are in log form, but those of the released calibrator are linear.
+    #[error("the local operators are in log form, but linear form is needed")]
+    Form,
 }
 
 impl AtcError {

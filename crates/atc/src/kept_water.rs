@@ -31,16 +31,6 @@ pub enum Trust {
     Learnt,
 }
 
-impl Trust {
-    /// The largest gain `G` of far light, and the smallest share `k_least` that is kept.
-    fn bounds(self) -> (f64, f64) {
-        match self {
-            Self::Measured => (2.0, 0.4),
-            Self::Learnt => (1.4, 0.7),
-        }
-    }
-}
-
 /// Number of bins per unit of optical depth.
 const FINE: f64 = 100.0;
 /// Index of the last bin; all larger optical depths share it.
@@ -94,7 +84,11 @@ impl Depths {
 
 /// The share of the water that the enhanced scene keeps.
 pub fn shares(depths: &Depths, trust: Trust) -> KeptWater {
-    let (gain, least) = trust.bounds();
+    // The largest gain `G` of far light, and the smallest share `k_least` that is kept.
+    let (gain, least) = match trust {
+        Trust::Measured => (2.0, 0.4),
+        Trust::Learnt => (1.4, 0.7),
+    };
     let far = (0..3).map(|c| depths.far(c)).fold(0.0, f64::max);
     let kept = if far > 0.0 { (1.0 - math::ln(gain) / far).max(least) } else { 1.0 };
     KeptWater([kept as f32; 3])

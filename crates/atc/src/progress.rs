@@ -23,13 +23,6 @@ pub enum LoopPosition<'a> {
         /// Loss of this step, interquartile units.
         loss: f64,
     },
-    /// The loop is about to extract the transition of a view.
-    View {
-        /// Its index, from 0.
-        index: usize,
-        /// Its name.
-        name: &'a str,
-    },
     /// The loop is about to lift the local operators of a view to the Gaussians.
     Lift {
         /// Its index, from 0.
@@ -48,8 +41,5 @@ pub fn unwatched(_: LoopPosition<'_>) -> ControlFlow<()> {
 }
 
 pub(crate) fn report(watch: &mut ProgressCallback<'_>, progress: LoopPosition<'_>) -> Result<(), AtcError> {
-    match watch(progress) {
-        ControlFlow::Continue(()) => Ok(()),
-        ControlFlow::Break(()) => Err(AtcError::Stopped),
-    }
+    if watch(progress).is_break() { Err(AtcError::Stopped) } else { Ok(()) }
 }

@@ -1,19 +1,9 @@
 //! Files of this crate; every error contains the file's name.
 
-use serde::Serialize;
 use serde::de::DeserializeOwned;
-use use3d_tensors::{TensorError, TensorFile, TensorWriter};
+use use3d_tensors::{TensorError, TensorFile};
 
 use crate::error::AtcError;
-
-/// The bytes of a file with these tensors and this document; `what` is its name in errors.
-pub(crate) fn finish(
-    writer: &TensorWriter,
-    what: &str,
-    document: &impl Serialize,
-) -> Result<Vec<u8>, AtcError> {
-    writer.finish_with(document).map_err(|e| AtcError::artifact(what, e.to_string()))
-}
 
 /// A parsed file.
 pub(crate) struct Reader<'a> {

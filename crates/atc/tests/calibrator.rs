@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 
 use use3d_atc::AtcError;
 use use3d_atc::calibrator::{
-    Calibrator, CalibratorParams, Dataset, LastLayer, PairImages, Scales, Statistics, evaluate, fit, train,
+    Calibrator, CalibratorParams, Dataset, LastLayer, PairImages, Scales, Statistics, evaluate, train,
 };
 use use3d_atc::extractor::{ExtractorSettings, SourceImage, Workspace, affine_apply};
 use use3d_atc::progress::{LoopPosition, unwatched};
@@ -97,8 +97,8 @@ fn training_brings_held_out_transitions_nearer_and_is_deterministic() {
 fn an_identity_calibrator_returns_the_proposal_exactly() {
     let (water, _) = pair(3);
     let source = SourceImage::from_image(&water, &ExtractorSettings::default()).unwrap();
-    let mut workspace = Workspace::new();
-    let proposal = source.forward(&Fusion.propose(source.image()).unwrap(), &mut workspace).unwrap().clone();
+    let mut workspace = Workspace::default();
+    let proposal = source.forward(&Fusion.propose(&source.image).unwrap(), &mut workspace).unwrap().clone();
     let calibrator = Calibrator::identity(ExtractorSettings::default(), Fusion.id());
     let descriptors = source.descriptors();
     assert_eq!(calibrator.calibrate_global(&descriptors.global, &proposal.global), proposal.global);
@@ -242,6 +242,12 @@ fn an_affine_pair_has_that_affine_as_its_target() {
     assert!(direction / (norm(&found.target) * norm(&t)) > 0.9);
 }
 
+/// Fits a calibrator to all pairs of a data set with the whole recipe: nothing is held out.
+fn fit(dataset: &Dataset, params: &CalibratorParams) -> Calibrator {
+    let params = CalibratorParams { held_out: 0.0, ..params.clone() };
+    train(dataset, &params, "", &mut unwatched).unwrap()
+}
+
 /// The paper scales errors by the ranges of the paired operators, the release by those of the residuals
 /// (R19). The paper does not specify a head's start, and the release starts its last layer at random (R18).
 #[test]
@@ -249,7 +255,7 @@ fn the_scales_and_the_start_of_the_last_layer_can_be_chosen() {
     let dataset = Dataset::build(pairs(9), &Timid, &ExtractorSettings::default(), &mut unwatched).unwrap();
     let fitted = |scales, last_layer| {
         let params = CalibratorParams { steps: 0, scales, last_layer, ..quick() };
-        fit(&dataset, &params, &mut unwatched).unwrap()
+        fit(&dataset, &params)
     };
     let ranges = |of: &dyn Fn(usize, usize) -> f64| {
         let rows = (0..dataset.examples.len()).flat_map(|e| (0..12).map(move |k| (e, k)));
@@ -268,6 +274,6 @@ fn the_scales_and_the_start_of_the_last_layer_can_be_chosen() {
     assert!(silent(&usual) && !silent(&fitted(Scales::Operators, LastLayer::Random)));
     // With any scales, the fit brings the pairs nearer to their targets.
     let params = CalibratorParams { scales: Scales::Operators, last_layer: LastLayer::Random, ..quick() };
-    let errors = evaluate(&fit(&dataset, &params, &mut unwatched).unwrap(), &dataset.examples);
+    let errors = evaluate(&fit(&dataset, &params), &dataset.examples);
     assert!(errors.global.ratio() < 0.6, "{errors:?}");
 }

@@ -1,16 +1,16 @@
 //! Compares the consensus with the golden cases, and checks its exact properties.
 
 use glam::DVec3;
+use use3d_atc::AtcError;
 use use3d_atc::calibrator::Calibrator;
 use use3d_atc::consensus::{
-    Lift, LocalConsensus, Proposals, Targets, TargetsParams, ViewInput, build_targets, fuse_views,
-    global_consensus, order_effect, refit, response, support_map, view_target,
+    Lift, LocalConsensus, Proposals, Recorder, Targets, TargetsParams, TargetsReport, ViewInput, fuse_views,
+    global_consensus, order_effect, refit, response, support_map, targets_from_records, view_target,
 };
 use use3d_atc::extractor::{Affine, ExtractorSettings};
 use use3d_atc::progress::unwatched;
 use use3d_atc::proposers::{Fusion, Proposer, ProposerId};
-use use3d_atc::{AtcError, consensus};
-use use3d_capture::{Camera, Image, Intrinsics, Pose};
+use use3d_capture::{Appearance, Camera, Image, Intrinsics, KeptWater, Pose};
 use use3d_golden::{Case, CaseGaussians, Part};
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
@@ -266,6 +266,25 @@ fn inputs(cameras: &[Camera]) -> impl Iterator<Item = Result<ViewInput, AtcError
     })
 }
 
+/// Builds the targets of a scene from photographs.
+fn build_targets(
+    gaussians: &Gaussians,
+    views: impl IntoIterator<Item = Result<ViewInput, AtcError>>,
+    proposals: Proposals<'_>,
+    calibrator: &Calibrator,
+    params: &TargetsParams,
+) -> Result<(Targets, TargetsReport), AtcError> {
+    calibrator.proposer.require(&proposals.id())?;
+    let mut recorder = Recorder::default();
+    let mut records = Vec::new();
+    for view in views {
+        records.push(recorder.record(&view?, proposals, calibrator)?);
+    }
+    let lift = &mut Lift::new(gaussians);
+    let shown = (Appearance::Water, KeptWater::ALL);
+    targets_from_records(lift, &records, shown, proposals.id(), calibrator, params, &mut unwatched)
+}
+
 #[test]
 fn targets_of_a_small_scene_are_whole_deterministic_and_survive_their_file() {
     let (gaussians, cameras) = wall(300, 5, (96, 64));
@@ -275,8 +294,7 @@ fn targets_of_a_small_scene_are_whole_deterministic_and_survive_their_file() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
             let proposals = Proposals::From(&Fusion);
-            build_targets(&gaussians, inputs(&cameras), proposals, &calibrator, &params, &mut unwatched)
-                .unwrap()
+            build_targets(&gaussians, inputs(&cameras), proposals, &calibrator, &params).unwrap()
         })
     };
     let (targets, report) = run(1);
@@ -302,7 +320,7 @@ fn targets_of_a_small_scene_are_whole_deterministic_and_survive_their_file() {
 fn the_same_order_has_no_order_effect_and_another_has_one() {
     let (gaussians, cameras) = wall(200, 5, (96, 64));
     let calibrator = Calibrator::identity(ExtractorSettings::default(), Fusion.id());
-    let mut recorder = consensus::Recorder::new();
+    let mut recorder = Recorder::default();
     let records: Vec<_> = inputs(&cameras)
         .map(|view| recorder.record(&view.unwrap(), Proposals::From(&Fusion), &calibrator).unwrap())
         .collect();
@@ -325,7 +343,7 @@ fn what_does_not_fit_is_named() {
     let calibrator = Calibrator::identity(ExtractorSettings::default(), other.clone());
     let build = |views: Vec<Result<ViewInput, AtcError>>, proposals: Proposals<'_>| {
         let params = TargetsParams::default();
-        build_targets(&gaussians, views, proposals, &calibrator, &params, &mut unwatched).unwrap_err()
+        build_targets(&gaussians, views, proposals, &calibrator, &params).unwrap_err()
     };
     let mismatch = build(inputs(&cameras).collect(), Proposals::From(&Fusion)).to_string();
     assert!(mismatch.contains("nu2net") && mismatch.contains("fusion"), "{mismatch}");

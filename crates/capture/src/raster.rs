@@ -3,7 +3,7 @@
 /// A planar raster: `C` planes of `width × height` elements, row-major, plane after plane.
 ///
 /// The value of channel `c` at column `x`, row `y` is `data()[(c * height + y) * width + x]`.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Raster<T, const C: usize> {
     width: usize,
     height: usize,

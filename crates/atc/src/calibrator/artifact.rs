@@ -12,7 +12,7 @@ use super::{Calibrator, GLOBAL_CONDITION, Head, LOCAL_CONDITION, Linear, Mlp, Pr
 use crate::error::AtcError;
 use crate::extractor::ExtractorSettings;
 use crate::proposers::ProposerId;
-use crate::tensors::{Reader, finish};
+use crate::tensors::Reader;
 
 const WHAT: &str = "calibrator";
 const FORMAT: &str = "3d-use calibrator";
@@ -50,7 +50,7 @@ impl Calibrator {
             proposer: self.proposer.clone(),
             provenance: self.provenance.clone(),
         };
-        finish(&writer, WHAT, &header)
+        writer.finish_with(&header).map_err(|e| AtcError::artifact(WHAT, e.to_string()))
     }
 
     /// True if these bytes, complete or not, were written by this program; false for the authors'

@@ -127,7 +127,7 @@ impl Dataset {
     ) -> Result<Self, AtcError> {
         extractor.validate()?;
         let mut dataset = Self::new(extractor.clone(), proposer.id());
-        let mut workspace = Workspace::new();
+        let mut workspace = Workspace::default();
         for (index, pair) in pairs.into_iter().enumerate() {
             report(watch, LoopPosition::Pair { index, name: &pair.name })?;
             match example(&pair, proposer, extractor, &mut workspace) {
@@ -149,11 +149,6 @@ impl Dataset {
             ..Self::new(self.extractor.clone(), self.proposer.clone())
         }
     }
-
-    /// Number of cells in all examples.
-    pub fn cell_count(&self) -> usize {
-        self.examples.iter().map(|e| e.cells.len()).sum()
-    }
 }
 
 fn example(
@@ -166,7 +161,7 @@ fn example(
     check_shapes(source, target)?;
     let said = |e: AtcError| e.to_string();
     let source = SourceImage::from_image(source, extractor).map_err(said)?;
-    let proposal = proposer.propose(source.image()).map_err(said)?;
+    let proposal = proposer.propose(&source.image).map_err(said)?;
     PairExample::extract(&pair.name, &source, target, &proposal, workspace).map_err(said)
 }
 

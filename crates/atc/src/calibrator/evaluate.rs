@@ -8,8 +8,7 @@
 use serde::{Deserialize, Serialize};
 use use3d_numerics::random::{Purpose, Stream};
 
-use super::mlp::Trace;
-use super::{Calibrator, CalibratorParams, Dataset, LOCAL_CONDITION, PairExample, push_local_condition};
+use super::{Calibrator, CalibratorParams, Dataset, PairExample};
 use crate::extractor::center;
 
 /// An error before and after calibration, interquartile units.
@@ -107,25 +106,9 @@ pub fn evaluate<'a>(
             let error = (0..12).map(|k| (operator[k] - example.target[k]).abs() / s_g[k]);
             means[0][which].add(1.0, error);
         }
-        let mut conditions = Vec::with_capacity(LOCAL_CONDITION * example.cells.len());
-        for cell in &example.cells {
-            push_local_condition(
-                &mut conditions,
-                &cell.descriptor,
-                &example.descriptor,
-                &example.proposal,
-                &cell.proposal,
-                &calibrated,
-            );
-        }
-        let mut trace = Trace::default();
-        calibrator.local.run(&mut conditions, &mut trace);
+        let cells = example.cells.iter().map(|cell| (&cell.descriptor, &cell.proposal));
+        let predicted = calibrator.corrected(&example.descriptor, &example.proposal, cells, &calibrated);
         let proposed: Vec<[f64; 6]> = example.cells.iter().map(|c| c.proposal).collect();
-        let predicted: Vec<[f64; 6]> = proposed
-            .iter()
-            .zip(trace.output.as_chunks::<6>().0)
-            .map(|(p, out)| std::array::from_fn(|k| p[k] + calibrator.local.residual_of(k, out[k])))
-            .collect();
         let wanted: Vec<[f64; 6]> = example.cells.iter().map(|c| c.target).collect();
         for (row, centered) in [(1, false), (2, true)] {
             let view = |cells: &[[f64; 6]]| {

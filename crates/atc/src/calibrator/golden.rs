@@ -92,7 +92,7 @@ fn golden_heads_values_losses_and_gradients() {
         ] {
             head.condition.normalise(conditions);
             let mut gradients =
-                Mlp::zeros(head.mlp.inputs(), head.mlp.layers[0].outputs(), head.mlp.outputs());
+                Mlp::zeros(head.mlp.layers[0].inputs(), head.mlp.layers[0].outputs(), head.mlp.outputs());
             let (proposals, targets) = (case.f32(proposal), case.f32(target));
             let batch = HeadBatch {
                 conditions,

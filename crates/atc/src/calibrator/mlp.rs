@@ -119,11 +119,6 @@ impl Mlp {
         mlp
     }
 
-    /// Number of inputs.
-    pub fn inputs(&self) -> usize {
-        self.layers[0].inputs()
-    }
-
     /// Number of outputs.
     pub fn outputs(&self) -> usize {
         self.layers[2].outputs()

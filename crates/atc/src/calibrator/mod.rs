@@ -45,7 +45,6 @@ pub use params::{CalibratorParams, LastLayer, METHOD_PAIRS, Scales};
 pub use released::ReleasedConfig;
 pub use statistics::{CONDITION_FLOOR, RANGE_FLOOR, SCALE_FLOOR, Statistics};
 pub use stopping::train;
-pub use training::fit;
 
 /// Conditions of the global head: descriptor 18, proposal 12.
 pub const GLOBAL_CONDITION: usize = GLOBAL_DESCRIPTOR + 12;
@@ -158,25 +157,29 @@ impl Calibrator {
                 ),
             ));
         }
-        let mut conditions = Vec::with_capacity(LOCAL_CONDITION * proposal.local.len());
-        for (cell, operator) in descriptors.local.iter().zip(&proposal.local) {
-            push_local_condition(
-                &mut conditions,
-                cell,
-                &descriptors.global,
-                &proposal.global,
-                operator,
-                scene,
-            );
+        let cells = descriptors.local.iter().zip(&proposal.local);
+        Ok(self.corrected(&descriptors.global, &proposal.global, cells, scene))
+    }
+
+    /// The calibrated local operators of cells, each with its descriptor and the proposal's operator.
+    fn corrected<'a>(
+        &self,
+        descriptor: &[f64; GLOBAL_DESCRIPTOR],
+        proposal: &Affine,
+        cells: impl Iterator<Item = (&'a [f64; LOCAL_DESCRIPTOR], &'a [f64; 6])> + Clone,
+        global: &Affine,
+    ) -> Vec<[f64; 6]> {
+        let mut conditions = Vec::new();
+        for (cell, operator) in cells.clone() {
+            push_local_condition(&mut conditions, cell, descriptor, proposal, operator, global);
         }
         let mut trace = Trace::default();
         self.local.run(&mut conditions, &mut trace);
-        Ok(proposal
-            .local
-            .iter()
-            .zip(trace.output.as_chunks::<6>().0)
-            .map(|(p, out)| std::array::from_fn(|k| p[k] + self.local.residual_of(k, out[k])))
-            .collect())
+        let outputs = trace.output.as_chunks::<6>().0;
+        cells
+            .zip(outputs)
+            .map(|((_, p), out)| std::array::from_fn(|k| p[k] + self.local.residual_of(k, out[k])))
+            .collect()
     }
 }
 

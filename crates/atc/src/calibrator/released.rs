@@ -44,6 +44,10 @@ impl Default for ReleasedConfig {
     }
 }
 
+fn wrong(problem: String) -> AtcError {
+    AtcError::artifact(WHAT, problem)
+}
+
 type ReleasedTensors = BTreeMap<String, (Vec<usize>, Vec<f32>)>;
 
 impl Calibrator {
@@ -55,29 +59,23 @@ impl Calibrator {
         config: &ReleasedConfig,
     ) -> Result<Self, AtcError> {
         if !config.schema.is_empty() && config.schema != SCHEMA {
-            return Err(AtcError::artifact(
-                WHAT,
-                format!("its schema is `{}`, expected `{SCHEMA}`", config.schema),
-            ));
+            return Err(wrong(format!("its schema is `{}`, expected `{SCHEMA}`", config.schema)));
         }
         if config.schema_version != SCHEMA_VERSION {
-            return Err(AtcError::artifact(
-                WHAT,
-                format!("its schema version is {}, only {SCHEMA_VERSION} is read", config.schema_version),
-            ));
+            return Err(wrong(format!(
+                "its schema version is {}, only {SCHEMA_VERSION} is read",
+                config.schema_version
+            )));
         }
         if config.extractor.form != Form::Linear {
-            return Err(AtcError::Form { expected: Form::Linear, found: config.extractor.form });
+            return Err(AtcError::Form);
         }
         config.extractor.validate()?;
         tensors.retain(|name, _| !name.contains("support_"));
         let global = take_head(&mut tensors, "global", GLOBAL_CONDITION, 12)?;
         let local = take_head(&mut tensors, "local", LOCAL_CONDITION, 6)?;
         if let Some(extra) = tensors.keys().next() {
-            return Err(AtcError::artifact(
-                WHAT,
-                format!("it has a tensor `{extra}` that schema {SCHEMA_VERSION} does not"),
-            ));
+            return Err(wrong(format!("it has a tensor `{extra}` that schema {SCHEMA_VERSION} does not")));
         }
         Ok(Self {
             extractor: config.extractor.clone(),
@@ -93,17 +91,13 @@ impl Calibrator {
 }
 
 fn take(tensors: &mut ReleasedTensors, name: &str, shape: &[usize]) -> Result<Vec<f32>, AtcError> {
-    let (found, values) = tensors
-        .remove(name)
-        .ok_or_else(|| AtcError::artifact(WHAT, format!("the tensor `{name}` is missing")))?;
+    let (found, values) =
+        tensors.remove(name).ok_or_else(|| wrong(format!("the tensor `{name}` is missing")))?;
     if found != shape || values.len() != shape.iter().product::<usize>() {
-        return Err(AtcError::artifact(
-            WHAT,
-            format!("the tensor `{name}` has shape {found:?}, expected {shape:?}"),
-        ));
+        return Err(wrong(format!("the tensor `{name}` has shape {found:?}, expected {shape:?}")));
     }
     if let Some(i) = values.iter().position(|v| !v.is_finite()) {
-        return Err(AtcError::artifact(WHAT, format!("element {i} of the tensor `{name}` is not finite")));
+        return Err(wrong(format!("element {i} of the tensor `{name}` is not finite")));
     }
     Ok(values)
 }
@@ -118,12 +112,9 @@ fn take_head(
     let hidden = match tensors.get(&first).map(|(shape, _)| shape.as_slice()) {
         Some([hidden]) if *hidden > 0 => *hidden,
         Some(shape) => {
-            return Err(AtcError::artifact(
-                WHAT,
-                format!("the tensor `{first}` has shape {shape:?}, expected one side"),
-            ));
+            return Err(wrong(format!("the tensor `{first}` has shape {shape:?}, expected one side")));
         }
-        None => return Err(AtcError::artifact(WHAT, format!("the tensor `{first}` is missing"))),
+        None => return Err(wrong(format!("the tensor `{first}` is missing"))),
     };
     let mut layer = |position: usize, inputs: usize, outputs: usize| -> Result<Linear, AtcError> {
         let name = format!("{which}_head.{position}");

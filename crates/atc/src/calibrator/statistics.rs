@@ -4,6 +4,8 @@
 //! statistics. The range has a floor of 10⁻³, so that division by the range of a constant column is
 //! harmless.
 
+use crate::extractor::descriptors::quantile;
+
 /// Smallest interquartile range that is stored.
 pub const RANGE_FLOOR: f64 = 1e-3;
 /// Floor of the range where it is used in normalised conditions and errors.
@@ -36,14 +38,8 @@ impl Statistics {
                 *v = row[c];
             }
             column.sort_unstable_by(f32::total_cmp);
-            let quantile = |q: f64| {
-                let position = q * (count - 1) as f64;
-                let low = position.floor() as usize;
-                let (a, b) = (f64::from(column[low]), f64::from(column[(low + 1).min(count - 1)]));
-                a + (b - a) * (position - low as f64)
-            };
             out.median[c] = column[(count - 1) / 2];
-            out.range[c] = (quantile(0.75) - quantile(0.25)).max(RANGE_FLOOR) as f32;
+            out.range[c] = (quantile(&column, 0.75) - quantile(&column, 0.25)).max(RANGE_FLOOR) as f32;
         }
         out
     }

@@ -25,6 +25,7 @@ const FEWEST_PAIRS: usize = 2;
 const STATISTICS_CELLS: usize = 100_000;
 
 /// The data set as flat rows.
+#[derive(Default)]
 struct DatasetRows {
     /// `[pairs][30]`, raw.
     global_conditions: Vec<f32>,
@@ -41,16 +42,9 @@ struct DatasetRows {
 
 impl DatasetRows {
     fn new(dataset: &Dataset) -> Self {
-        let mut rows = Self {
-            global_conditions: Vec::new(),
-            global_proposals: Vec::new(),
-            global_targets: Vec::new(),
-            local_conditions: Vec::with_capacity(LOCAL_CONDITION * dataset.cell_count()),
-            local_proposals: Vec::new(),
-            local_targets: Vec::new(),
-            confidence: Vec::new(),
-            pair: Vec::new(),
-        };
+        let cells: usize = dataset.examples.iter().map(|e| e.cells.len()).sum();
+        let local_conditions = Vec::with_capacity(LOCAL_CONDITION * cells);
+        let mut rows = Self { local_conditions, ..Self::default() };
         let extend = |to: &mut Vec<f32>, from: &[f64]| to.extend(from.iter().map(|&v| v as f32));
         for (index, example) in dataset.examples.iter().enumerate() {
             extend(&mut rows.global_conditions, &example.descriptor);
@@ -109,7 +103,8 @@ struct Moments {
 
 impl Moments {
     fn of(mlp: &Mlp) -> Self {
-        let zeros = Mlp::zeros(mlp.inputs(), mlp.layers[0].outputs(), mlp.outputs());
+        let mut zeros = mlp.clone();
+        clear(&mut zeros);
         Self { first: zeros.clone(), second: zeros }
     }
 
@@ -140,50 +135,38 @@ fn clip(limit: f64, global: &mut Mlp, local: &mut Mlp) {
 /// Computes the statistics and the initial weights of both heads.
 fn initial_heads(rows: &DatasetRows, params: &CalibratorParams) -> (Head, Head) {
     let seed = params.seed;
-    let mut global = Head {
-        mlp: Mlp::random(
-            GLOBAL_CONDITION,
-            params.global_hidden,
-            12,
-            seed,
-            Purpose::new("calibrator global head"),
-        ),
-        condition: Statistics::of(&rows.global_conditions, GLOBAL_CONDITION),
-        residual: Statistics::of(&difference(&rows.global_targets, &rows.global_proposals), 12),
+    let head = |[inputs, hidden, outputs]: [usize; 3], purpose, conditions: &[f32], residuals: &[f32]| Head {
+        mlp: Mlp::random(inputs, hidden, outputs, seed, purpose),
+        condition: Statistics::of(conditions, inputs),
+        residual: Statistics::of(residuals, outputs),
     };
+    let sizes = [GLOBAL_CONDITION, params.global_hidden, 12];
+    let residuals = difference(&rows.global_targets, &rows.global_proposals);
+    let purpose = Purpose::new("calibrator global head");
+    let mut global = head(sizes, purpose, &rows.global_conditions, &residuals);
     let purpose = Purpose::new("calibrator statistics");
     let sample = draw(seed, purpose, 0, STATISTICS_CELLS, rows.cells());
-    let residual = difference(&rows.local_targets, &rows.local_proposals);
-    let mut conditions = Vec::new();
-    gather(&rows.local_conditions, LOCAL_CONDITION, &sample, &mut conditions);
-    let mut residuals = Vec::new();
-    gather(&residual, 6, &sample, &mut residuals);
-    let mut local = Head {
-        mlp: Mlp::random(
-            LOCAL_CONDITION,
-            params.local_hidden,
-            6,
-            seed,
-            Purpose::new("calibrator local head"),
-        ),
-        condition: Statistics::of(&conditions, LOCAL_CONDITION),
-        residual: Statistics::of(&residuals, 6),
+    let sampled = |rows: &[f32], columns: usize| {
+        let mut out = Vec::new();
+        gather(rows, columns, &sample, &mut out);
+        out
     };
+    let sizes = [LOCAL_CONDITION, params.local_hidden, 6];
+    let residuals = sampled(&difference(&rows.local_targets, &rows.local_proposals), 6);
+    let conditions = sampled(&rows.local_conditions, LOCAL_CONDITION);
+    let mut local = head(sizes, Purpose::new("calibrator local head"), &conditions, &residuals);
     if params.scales == Scales::Operators {
-        let mut operators = Vec::new();
-        gather(&rows.local_targets, 6, &sample, &mut operators);
         global.residual.range = Statistics::of(&rows.global_targets, 12).range;
-        local.residual.range = Statistics::of(&operators, 6).range;
+        local.residual.range = Statistics::of(&sampled(&rows.local_targets, 6), 6).range;
     }
-    if params.last_layer == LastLayer::Random {
-        return (global, local);
-    }
-    // Both heads begin as the best constant, the median residual. With a few dozen pairs, the output of a
-    // random last layer on other pairs is noise from which the fit may never recover.
-    for head in [&mut global, &mut local] {
-        let last = &mut head.mlp.layers[2];
-        last.weight.fill(0.0);
-        last.bias.fill(0.0);
+    if params.last_layer == LastLayer::Zero {
+        // Both heads begin as the best constant, the median residual. With a few dozen pairs, the output of a
+        // random last layer on other pairs is noise from which the fit may never recover.
+        for head in [&mut global, &mut local] {
+            let last = &mut head.mlp.layers[2];
+            last.weight.fill(0.0);
+            last.bias.fill(0.0);
+        }
     }
     (global, local)
 }
@@ -211,28 +194,24 @@ pub(super) fn scales_only(dataset: &Dataset, params: &CalibratorParams) -> Resul
     let mut calibrator = Calibrator::identity(dataset.extractor.clone(), dataset.proposer.clone());
     calibrator.global.residual.range = global.residual.range;
     calibrator.local.residual.range = local.residual.range;
-    calibrator.provenance = Provenance {
-        pairs: dataset.examples.len(),
-        cells: rows.cells(),
-        seed: params.seed,
-        tool: env!("CARGO_PKG_VERSION").to_string(),
-        ..Provenance::default()
-    };
+    calibrator.provenance = provenance(dataset, &rows, params, 0);
     Ok(calibrator)
 }
 
-/// Fits a calibrator to all pairs of a data set with the whole recipe: nothing is held out, and every step
-/// is taken.
-pub fn fit(
-    dataset: &Dataset,
-    params: &CalibratorParams,
-    watch: &mut ProgressCallback<'_>,
-) -> Result<Calibrator, AtcError> {
-    fit_until(dataset, params, Stop::never(params), watch, &mut |_, _| {})
+/// The provenance of a fit of some steps, without its loss and the origin of the pairs.
+fn provenance(dataset: &Dataset, rows: &DatasetRows, params: &CalibratorParams, steps: u64) -> Provenance {
+    Provenance {
+        pairs: dataset.examples.len(),
+        cells: rows.cells(),
+        steps,
+        seed: params.seed,
+        tool: env!("CARGO_PKG_VERSION").to_string(),
+        ..Provenance::default()
+    }
 }
 
-/// Like [`fit`], but each head is trained only up to its own last step; `look` receives the calibrator
-/// after every step.
+/// Fits a calibrator to all pairs of a data set; nothing is held out. Each head is trained only up to its own
+/// last step; `look` receives the calibrator after every step.
 pub(super) fn fit_until(
     dataset: &Dataset,
     params: &CalibratorParams,
@@ -252,14 +231,7 @@ pub(super) fn fit_until(
         proposer: dataset.proposer.clone(),
         global,
         local,
-        provenance: Provenance {
-            pairs,
-            cells: rows.cells(),
-            steps: params.steps.min(stop.last()),
-            seed: params.seed,
-            tool: env!("CARGO_PKG_VERSION").to_string(),
-            ..Provenance::default()
-        },
+        provenance: provenance(dataset, &rows, params, params.steps.min(stop.last())),
     };
     let mut global_gradients = global_moments.first.clone();
     let mut local_gradients = local_moments.first.clone();

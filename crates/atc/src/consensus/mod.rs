@@ -27,7 +27,6 @@ use serde::{Deserialize, Serialize};
 use use3d_capture::{Appearance, KeptWater};
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
-use use3d_splat::Gaussians;
 
 use crate::calibrator::Calibrator;
 use crate::error::AtcError;
@@ -93,31 +92,8 @@ pub struct TargetsReport {
     pub calibrated: bool,
 }
 
-/// Builds the targets of a scene from photographs. `views` are the training views in capture order; each is
-/// dropped before the next is read.
-pub fn build_targets(
-    gaussians: &Gaussians,
-    views: impl IntoIterator<Item = Result<ViewInput, AtcError>>,
-    proposals: Proposals<'_>,
-    calibrator: &Calibrator,
-    params: &TargetsParams,
-    watch: &mut ProgressCallback<'_>,
-) -> Result<(Targets, TargetsReport), AtcError> {
-    calibrator.proposer.require(&proposals.id())?;
-    let mut recorder = Recorder::new();
-    let mut records = Vec::new();
-    for (index, view) in views.into_iter().enumerate() {
-        let view = view?;
-        report(watch, LoopPosition::View { index, name: &view.name })?;
-        records.push(recorder.record(&view, proposals, calibrator)?);
-    }
-    let lift = &mut Lift::new(gaussians);
-    let shown = (Appearance::Water, KeptWater::ALL);
-    targets_from_records(lift, &records, shown, proposals.id(), calibrator, params, watch)
-}
-
-/// The second half of [`build_targets`], for a caller that keeps the records and chooses the [`Lift`].
-/// `appearance` and `kept_water` describe the water in the images of the records.
+/// Builds the targets of a scene from records of its views, in capture order. `appearance` and `kept_water`
+/// describe the water in the images of the records.
 pub fn targets_from_records(
     lift: &mut Lift<'_>,
     records: &[ViewRecord],

@@ -47,7 +47,7 @@ impl Preview {
             (Some(proposal), _) => proposal.clone(),
             (None, Proposals::From(proposer)) => {
                 let settings: &ExtractorSettings = &calibrator.extractor;
-                proposer.propose(SourceImage::from_image(&view.image, settings)?.image())?
+                proposer.propose(&SourceImage::from_image(&view.image, settings)?.image)?
             }
             (None, Proposals::Given(id)) => return Err(proposals.missing(&view.name, id)),
         };

@@ -15,7 +15,7 @@ use super::{LocalConsensus, ViewTarget, view_target};
 use crate::error::AtcError;
 use crate::extractor::{Affine, ExtractorSettings};
 use crate::proposers::ProposerId;
-use crate::tensors::{Reader, finish};
+use crate::tensors::Reader;
 
 const WHAT: &str = "targets";
 const FORMAT: &str = "3d-use targets";
@@ -118,7 +118,7 @@ impl Targets {
             dispersion: self.dispersion,
             views: self.views.iter().map(|(name, _)| name.clone()).collect(),
         };
-        finish(&writer, WHAT, &header)
+        writer.finish_with(&header).map_err(|e| AtcError::artifact(WHAT, e.to_string()))
     }
 
     /// Reads targets from the bytes of a file.

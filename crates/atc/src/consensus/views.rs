@@ -80,11 +80,6 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// A new recorder.
-    pub fn new() -> Self {
-        Self::default()
-    }
-
     /// Proposes (unless the view contains a proposal), extracts and calibrates one view.
     pub fn record(
         &mut self,
@@ -102,7 +97,7 @@ impl Recorder {
                 found.0, found.1, size.0, size.1
             )));
         }
-        let geometry = match self.geometries.iter().find(|g| g.size() == size) {
+        let geometry = match self.geometries.iter().find(|g| g.size == size) {
             Some(geometry) => geometry.clone(),
             None => {
                 let geometry = Arc::new(Geometry::new(size.0, size.1, &calibrator.extractor)?);
@@ -115,7 +110,7 @@ impl Recorder {
         let proposal = match (&view.proposal, proposals) {
             (Some(proposal), _) => proposal,
             (None, Proposals::From(proposer)) => {
-                computed = proposer.propose(source.image()).map_err(|e| fail(e.to_string()))?;
+                computed = proposer.propose(&source.image).map_err(|e| fail(e.to_string()))?;
                 &computed
             }
             (None, Proposals::Given(id)) => {
@@ -132,7 +127,7 @@ impl Recorder {
         Ok(ViewRecord {
             name: view.name.clone(),
             camera: view.camera,
-            grid: geometry.grid(),
+            grid: geometry.grid,
             descriptors,
             proposal: transition,
             candidate,

@@ -80,17 +80,20 @@ fn describe_image(image: &Image) -> [f64; GLOBAL_DESCRIPTOR] {
     out
 }
 
-/// The 0.1, 0.5 and 0.9 quantiles, linearly interpolated between order statistics.
+/// The 0.1, 0.5 and 0.9 quantiles.
 fn quantiles_of(values: &[f32]) -> [f64; 3] {
     let mut sorted = values.to_vec();
     sorted.sort_unstable_by(f32::total_cmp);
-    [0.1, 0.5, 0.9].map(|q| {
-        let position = q * (sorted.len() - 1) as f64;
-        let low = position.floor() as usize;
-        let high = (low + 1).min(sorted.len() - 1);
-        let (a, b) = (f64::from(sorted[low]), f64::from(sorted[high]));
-        a + (b - a) * (position - low as f64)
-    })
+    [0.1, 0.5, 0.9].map(|q| quantile(&sorted, q))
+}
+
+/// A quantile of ascending values, linearly interpolated between order statistics.
+pub(crate) fn quantile(ascending: &[f32], q: f64) -> f64 {
+    let last = ascending.len() - 1;
+    let position = q * last as f64;
+    let low = position.floor() as usize;
+    let (a, b) = (f64::from(ascending[low]), f64::from(ascending[(low + 1).min(last)]));
+    a + (b - a) * (position - low as f64)
 }
 
 fn describe_cells(image: &Image, cells: &Pooling) -> Vec<[f64; LOCAL_DESCRIPTOR]> {

@@ -117,12 +117,8 @@ impl Ridge {
         self.times_inverse(&correlation)
     }
 
-    /// `K` of the module's header: the gradient with respect to the operator times `(A + λ I)⁻¹`.
-    pub(crate) fn backward(&self, d_operator: &Affine) -> Affine {
-        self.times_inverse(d_operator)
-    }
-
-    fn times_inverse(&self, rows: &Affine) -> Affine {
+    /// `rows (A + λ I)⁻¹`: `K` of the module's header for the gradient with respect to the operator.
+    pub(crate) fn times_inverse(&self, rows: &Affine) -> Affine {
         std::array::from_fn(|i| {
             let (c, j) = (i / 4, i % 4);
             (0..4).map(|k| rows[4 * c + k] * self.inverse[k][j]).sum()

@@ -6,23 +6,21 @@
 //! (`global`, `local`), so `E(I, I)` is exactly zero. Colours are display-encoded and unclamped.
 //!
 //! All quantities that depend on the source alone are in [`SourceImage`] (per image) and [`Geometry`] (per
-//! size). [`SourceImage::forward`] and [`SourceImage::backward`] compute the rest, value and exact gradient
-//! with respect to the target, without allocating. The source is a constant of the method (R15). The
-//! gradient passes through the resize, through the local fit and, because the local fit uses `M x̃`, through
-//! the global fit.
+//! size). [`SourceImage::forward`] and [`SourceImage::backward_on_lattice`] compute the rest, value and exact
+//! gradient with respect to the target, without allocating. The source is a constant of the method (R15).
+//! The gradient passes through the resize, through the local fit and, because the local fit uses `M x̃`,
+//! through the global fit.
 //!
 //! Both images are resized to a long side of at most 384 pixels (R17) by a bilinear resize that reads at
 //! most four pixels per output pixel. Only the pixels at [`Geometry::columns`] and [`Geometry::rows`] are
 //! read; a caller that can render just those uses [`SourceImage::forward_on_lattice`] and gets the same bits.
 
-mod descriptors;
+pub(crate) mod descriptors;
 pub(crate) mod global;
 mod local;
 mod pooling;
 pub(crate) mod resize;
 mod source;
-
-use std::fmt;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -59,15 +57,6 @@ pub enum Form {
     Log,
     /// `gain − 1`: the form of the calibrator that the paper's authors released.
     Linear,
-}
-
-impl fmt::Display for Form {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Log => "log",
-            Self::Linear => "linear",
-        })
-    }
 }
 
 /// The extractor's settings. A calibrator records those it was fitted with, and the scene follows (R17).
@@ -121,12 +110,18 @@ impl ExtractorSettings {
 /// Everything in the extractor that depends on the image size alone. All views of one size share it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Geometry {
-    settings: ExtractorSettings,
-    size: (usize, usize),
-    working: (usize, usize),
-    grid: (usize, usize),
-    columns: Vec<usize>,
-    rows: Vec<usize>,
+    /// The settings.
+    pub settings: ExtractorSettings,
+    /// `(width, height)` of the images, pixels.
+    pub size: (usize, usize),
+    /// `(width, height)` at which operators are fitted.
+    pub working: (usize, usize),
+    /// `(columns, rows)` of the grid of local operators.
+    pub grid: (usize, usize),
+    /// The pixel columns that the resize reads, ascending.
+    pub columns: Vec<usize>,
+    /// The pixel rows that the resize reads, ascending.
+    pub rows: Vec<usize>,
     resize: Resize,
     lattice_resize: Resize,
     samples: Pooling,
@@ -157,36 +152,6 @@ impl Geometry {
         })
     }
 
-    /// The settings.
-    pub fn settings(&self) -> &ExtractorSettings {
-        &self.settings
-    }
-
-    /// `(width, height)` of the images, pixels.
-    pub fn size(&self) -> (usize, usize) {
-        self.size
-    }
-
-    /// `(width, height)` at which operators are fitted.
-    pub fn working_size(&self) -> (usize, usize) {
-        self.working
-    }
-
-    /// `(columns, rows)` of the grid of local operators.
-    pub fn grid(&self) -> (usize, usize) {
-        self.grid
-    }
-
-    /// The pixel columns that the resize reads, ascending.
-    pub fn columns(&self) -> &[usize] {
-        &self.columns
-    }
-
-    /// The pixel rows that the resize reads, ascending.
-    pub fn rows(&self) -> &[usize] {
-        &self.rows
-    }
-
     /// A sampled form of the same view: the pixels nearest to those of an image of at most `long_side`
     /// pixels, and the geometry that extracts operators over the same grid from them. `None` if pixels
     /// would repeat or the grid would differ (very small images).
@@ -210,7 +175,7 @@ impl Geometry {
 }
 
 /// An appearance transition: the value of `E(source, target)`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Transition {
     /// The global operator minus the identity.
     pub global: Affine,

@@ -3,6 +3,8 @@
 //! Bin `k` of `n` over an axis of length `L` covers the indices `⌊k L / n⌋ … ⌈(k + 1) L / n⌉ − 1`. Bins
 //! overlap by one index where `L / n` is not an integer, and repeat indices where `n > L`.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
 /// The bins of one axis.
@@ -10,8 +12,8 @@ use rayon::prelude::*;
 pub(crate) struct Bins {
     start: Vec<usize>,
     end: Vec<usize>,
-    /// For each index of the axis, the first bin that covers it, and one past the last.
-    covering: Vec<(usize, usize)>,
+    /// The bins that cover each index of the axis.
+    pub(crate) covering: Vec<Range<usize>>,
 }
 
 impl Bins {
@@ -20,7 +22,7 @@ impl Bins {
         let start: Vec<usize> = (0..n).map(|k| k * length / n).collect();
         let end: Vec<usize> = (0..n).map(|k| ((k + 1) * length).div_ceil(n)).collect();
         let covering = (0..length)
-            .map(|i| (end.partition_point(|&e| e <= i), start.partition_point(|&s| s <= i)))
+            .map(|i| end.partition_point(|&e| e <= i)..start.partition_point(|&s| s <= i))
             .collect();
         Self { start, end, covering }
     }
@@ -56,11 +58,6 @@ impl Pooling {
         Self { x: Bins::new(size.0, to.0), y: Bins::new(size.1, to.1) }
     }
 
-    /// Length of the working memory for [`Pooling::forward`].
-    fn scratch_len(&self, planes: usize) -> usize {
-        planes * self.y.len() * self.x.length()
-    }
-
     /// Computes the means over the bins, accumulated in f64. `column_sums` is working memory.
     pub(crate) fn forward<T: Copy + Into<f64> + Sync>(
         &self,
@@ -71,7 +68,7 @@ impl Pooling {
     ) {
         let (w, h, columns) = (self.x.length(), self.y.length(), self.x.len());
         debug_assert_eq!(image.len(), planes * w * h);
-        column_sums.resize(self.scratch_len(planes), 0.0);
+        column_sums.resize(planes * self.y.len() * w, 0.0);
         pooled.par_chunks_mut(columns).zip(column_sums.par_chunks_mut(w)).enumerate().for_each(
             |(index, (out, sums))| {
                 let (k, plane) = (index / planes, index % planes);
@@ -89,8 +86,8 @@ impl Pooling {
     }
 
     /// First half of the adjoint: the gradient of each pooled row (`[rows][P][columns]`) is divided by its
-    /// bins' sizes and spread over the columns, `[rows][P][w]`. The second half is
-    /// [`Pooling::covering_rows`].
+    /// bins' sizes and spread over the columns, `[rows][P][w]`. In the second half, the adjoint at an image
+    /// row is the sum of the spread rows that cover it.
     pub(crate) fn spread(&self, planes: usize, d_pooled: &[f64], wide: &mut [f32]) {
         let (w, columns) = (self.x.length(), self.x.len());
         wide.par_chunks_mut(w).zip(d_pooled.par_chunks(columns)).enumerate().for_each(
@@ -105,11 +102,6 @@ impl Pooling {
                 }
             },
         );
-    }
-
-    /// The pooled rows that read image row `y`: the adjoint there is the sum of their spread rows.
-    pub(crate) fn covering_rows(&self, y: usize) -> std::ops::Range<usize> {
-        self.y.covering[y].0..self.y.covering[y].1
     }
 }
 
@@ -129,15 +121,15 @@ mod tests {
     fn bins_are_those_of_adaptive_pooling() {
         let bins = Bins::new(10, 4);
         assert_eq!((bins.start.clone(), bins.end.clone()), (vec![0, 2, 5, 7], vec![3, 5, 8, 10]));
-        assert_eq!(bins.covering[2], (0, 2));
+        assert_eq!(bins.covering[2], 0..2);
         let repeat = Bins::new(3, 7);
         assert_eq!(repeat.start, [0, 0, 0, 1, 1, 2, 2]);
         assert_eq!(repeat.end, [1, 1, 2, 2, 3, 3, 3]);
         for bins in [Bins::new(10, 4), Bins::new(3, 7), Bins::new(35, 16), Bins::new(8, 8)] {
-            for (i, &(from, to)) in bins.covering.iter().enumerate() {
+            for (i, covering) in bins.covering.iter().enumerate() {
                 for k in 0..bins.len() {
                     let covers = bins.start[k] <= i && i < bins.end[k];
-                    assert_eq!(covers, (from..to).contains(&k));
+                    assert_eq!(covers, covering.contains(&k));
                 }
             }
         }
@@ -157,7 +149,7 @@ mod tests {
             let forward: f64 = pooled.iter().zip(&d_pooled).map(|(a, b)| a * b).sum();
             let mut backward = 0.0;
             for y in 0..h {
-                for k in pooling.covering_rows(y) {
+                for k in pooling.y.covering[y].clone() {
                     for x in 0..w {
                         backward += f64::from(wide[k * w + x]) * f64::from(image[y * w + x]);
                     }

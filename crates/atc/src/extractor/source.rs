@@ -19,19 +19,22 @@ use crate::vectorized::vectorized;
 /// It takes about 20 bytes per working pixel, 2 MB at 384 × 256.
 #[derive(Clone, Debug)]
 pub struct SourceImage {
-    geometry: Arc<Geometry>,
-    image: Image,
+    /// The geometry.
+    pub geometry: Arc<Geometry>,
+    /// The source at the working resolution.
+    pub image: Image,
     weights: Map,
     ridge: Ridge,
     /// `[8 rows][3][8 columns]` means of the resized source.
     samples: Vec<f64>,
 }
 
-/// Working memory of [`SourceImage::forward`] and [`SourceImage::backward`], and the last transition. One
-/// workspace can be used for many steps.
-#[derive(Clone, Debug)]
+/// Working memory of [`SourceImage::forward`] and [`SourceImage::backward_on_lattice`], and the last
+/// transition. One workspace can be used for many steps.
+#[derive(Clone, Debug, Default)]
 pub struct Workspace {
-    transition: Transition,
+    /// The transition of the last [`SourceImage::forward`].
+    pub transition: Transition,
     target: Image,
     samples: Vec<f64>,
     d_samples: Vec<f64>,
@@ -41,35 +44,6 @@ pub struct Workspace {
     wide: Vec<f32>,
     d_target: Image,
     resize_scratch: Vec<f32>,
-}
-
-impl Default for Workspace {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
-impl Workspace {
-    /// An empty workspace; it grows on first use.
-    pub fn new() -> Self {
-        Self {
-            transition: Transition { global: [0.0; 12], local: Vec::new() },
-            target: Image::new(0, 0),
-            samples: Vec::new(),
-            d_samples: Vec::new(),
-            column_sums: Vec::new(),
-            row_sums: Vec::new(),
-            band_sums: Vec::new(),
-            wide: Vec::new(),
-            d_target: Image::new(0, 0),
-            resize_scratch: Vec::new(),
-        }
-    }
-
-    /// The transition of the last [`SourceImage::forward`].
-    pub fn transition(&self) -> &Transition {
-        &self.transition
-    }
 }
 
 fn check_size(image: &Image, (width, height): (usize, usize)) -> Result<(), AtcError> {
@@ -110,16 +84,6 @@ impl SourceImage {
         let mut samples = vec![0.0; 3 * SIDE * SIDE * geometry.grid.0 * geometry.grid.1];
         geometry.samples.forward(3, working.data(), &mut samples, &mut Vec::new());
         Ok(Self { geometry: geometry.clone(), image: working, weights, ridge, samples })
-    }
-
-    /// The geometry.
-    pub fn geometry(&self) -> &Arc<Geometry> {
-        &self.geometry
-    }
-
-    /// The source at the working resolution.
-    pub fn image(&self) -> &Image {
-        &self.image
     }
 
     /// The descriptors of the source. They are computed on every call, which takes tens of milliseconds.
@@ -195,40 +159,15 @@ impl SourceImage {
         out
     }
 
-    /// Computes the gradient with respect to the target of the last [`SourceImage::forward`], of the
-    /// geometry's size, from the gradients of the global operator and of the local ones (not centred: see
+    /// Computes the gradient with respect to the target of the last [`SourceImage::forward`], on the
+    /// geometry's lattice, from the gradients of the global operator and of the local ones (not centred: see
     /// [`super::center`]). `gradient` is overwritten.
-    pub fn backward(
-        &self,
-        global: &Affine,
-        local: &[[f64; 6]],
-        workspace: &mut Workspace,
-        gradient: &mut Image,
-    ) -> Result<(), AtcError> {
-        self.working_gradient(global, local, workspace)?;
-        self.geometry.resize.backward(&workspace.d_target, gradient, &mut workspace.resize_scratch);
-        Ok(())
-    }
-
-    /// Like [`SourceImage::backward`], with the gradient on the lattice.
     pub fn backward_on_lattice(
         &self,
         global: &Affine,
         local: &[[f64; 6]],
-        workspace: &mut Workspace,
-        gradient: &mut Image,
-    ) -> Result<(), AtcError> {
-        self.working_gradient(global, local, workspace)?;
-        self.geometry.lattice_resize.backward(&workspace.d_target, gradient, &mut workspace.resize_scratch);
-        Ok(())
-    }
-
-    /// Computes the gradient at the working resolution, into `ws.d_target`.
-    fn working_gradient(
-        &self,
-        global: &Affine,
-        local: &[[f64; 6]],
         ws: &mut Workspace,
+        gradient: &mut Image,
     ) -> Result<(), AtcError> {
         let (w, h) = self.geometry.working;
         let (columns, rows) = self.geometry.grid;
@@ -259,7 +198,7 @@ impl SourceImage {
                 *o += s;
             }
         }
-        let k = self.ridge.backward(&d_operator).map(|v| v as f32);
+        let k = self.ridge.times_inverse(&d_operator).map(|v| v as f32);
 
         let pooling = &self.geometry.samples;
         ws.wide.resize(3 * SIDE * rows * w, 0.0);
@@ -271,11 +210,12 @@ impl SourceImage {
             let x: [&[f32]; 3] = std::array::from_fn(|j| self.image.row(j, y));
             let k = [k[4 * c], k[4 * c + 1], k[4 * c + 2], k[4 * c + 3]];
             vectorized!(affine_row(out, x, self.weights.row(0, y), k));
-            for band in pooling.covering_rows(y) {
+            for band in pooling.y.covering[y].clone() {
                 let spread = &wide[(band * 3 + c) * w..][..w];
                 vectorized!(add_row(out, spread));
             }
         });
+        self.geometry.lattice_resize.backward(&ws.d_target, gradient, &mut ws.resize_scratch);
         Ok(())
     }
 }

@@ -207,11 +207,6 @@ impl SceneFindings {
 }
 
 impl SceneSurvey {
-    /// A survey without views.
-    pub fn new() -> Self {
-        Self::default()
-    }
-
     /// Adds one training view.
     pub fn add(&mut self, view: &SceneView) -> Result<(), AtcError> {
         view.check()?;
@@ -403,18 +398,14 @@ fn balance(mean: [f64; 3], error: f64) -> ([f64; 3], f64) {
 /// The grade of one scene, to be applied to each of its views.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SceneProposer {
-    findings: SceneFindings,
+    /// The findings about the scene.
+    pub findings: SceneFindings,
 }
 
 impl SceneProposer {
     /// The proposer's identity, which depends on its formula and not on the scene.
     pub fn id() -> ProposerId {
         ProposerId { name: NAME.into(), digest: VERSION.into() }
-    }
-
-    /// The findings about the scene.
-    pub fn findings(&self) -> &SceneFindings {
-        &self.findings
     }
 
     /// The enhanced clear radiance of a view, in its size; display range, not clamped.

@@ -66,7 +66,7 @@ pub struct Measure {
 impl Default for Measure {
     fn default() -> Self {
         Self {
-            workspace: Workspace::new(),
+            workspace: Workspace::default(),
             d_operators: Transition { global: [0.0; 12], local: Vec::new() },
             d_pixels: Image::new(0, 0),
         }
@@ -124,6 +124,6 @@ impl Measure {
     /// The transition that the last [`Measure::losses`] extracted from a render.
     #[cfg(test)]
     pub(crate) fn transition(&self) -> &Transition {
-        self.workspace.transition()
+        &self.workspace.transition
     }
 }

@@ -32,7 +32,7 @@ pub(crate) fn targets(scene: &Scene, taught: &Scene, views: &[EnhanceView]) -> T
         let before = draw(scene, Look::Reconstruction, &view.camera);
         let after = draw(taught, Look::Enhanced { strength: 1.0 }, &view.camera);
         let source = SourceImage::from_image(&before, &settings).unwrap();
-        let mut workspace = Workspace::new();
+        let mut workspace = Workspace::default();
         let global = source.forward(&after, &mut workspace).unwrap().global;
         for (o, g) in operator.iter_mut().zip(global) {
             *o += g / views.len() as f64;

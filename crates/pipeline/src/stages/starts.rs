@@ -130,14 +130,14 @@ impl<'s> Starts<'s> {
             ));
         }
         let mut known = KnownViews::new(scene);
-        let mut survey = SceneSurvey::new();
+        let mut survey = SceneSurvey::default();
         for (i, view) in views.iter().enumerate() {
             context.alive()?;
             context.progress_with(i as u64, views.len() as u64, "views", "surveying the clear scene");
             survey.add(&scene_view(&mut known, view))?;
         }
         let proposer = survey.finish();
-        context.say(grade_message(proposer.findings()));
+        context.say(grade_message(&proposer.findings));
         Ok(Self::uncalibrated(Pictures::Known(Box::new((known, proposer))), SceneProposer::id()))
     }
 
@@ -158,7 +158,7 @@ impl<'s> Starts<'s> {
     /// The findings of the survey of the scene, if there was one.
     pub(super) fn findings(&self) -> Option<&SceneFindings> {
         match &self.pictures {
-            Pictures::Known(known) => Some(known.1.findings()),
+            Pictures::Known(known) => Some(&known.1.findings),
             _ => None,
         }
     }

@@ -127,7 +127,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let views: Vec<&View> = capture.training_views().collect();
     let mut starts = Starts::open(context, params, &scene, &views)?;
     let total = 2 * views.len() as u64;
-    let mut recorder = Recorder::new();
+    let mut recorder = Recorder::default();
     let mut records = Vec::with_capacity(views.len());
     for (i, view) in views.iter().enumerate() {
         context.alive()?;

@@ -111,13 +111,11 @@ fn gamma(image: &Image) -> f32 {
 
 fn sharpen(image: &Image) -> Image {
     let soft = pyramid::expand(&pyramid::reduce(&pyramid::blur(image)), image.width(), image.height());
-    let data = image
-        .data()
-        .iter()
-        .zip(soft.data())
-        .map(|(&v, &s)| (v + SHARPENING * (v - s)).clamp(0.0, 1.0))
-        .collect();
-    Image::from_planes(image.width(), image.height(), data).unwrap_or_else(|| image.clone())
+    let mut out = image.clone();
+    for (v, s) in out.data_mut().iter_mut().zip(soft.data()) {
+        *v = (*v + SHARPENING * (*v - s)).clamp(0.0, 1.0);
+    }
+    out
 }
 
 fn normalise(maps: &mut [Map; 2]) {

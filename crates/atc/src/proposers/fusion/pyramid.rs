@@ -10,14 +10,18 @@ use use3d_capture::Raster;
 
 /// Computes the next coarser level.
 pub(in crate::proposers) fn reduce<const C: usize>(image: &Raster<f32, C>) -> Raster<f32, C> {
+    binomial(image, 2)
+}
+
+/// The 5 × 5 binomial blur at every `step`-th pixel of every `step`-th row.
+fn binomial<const C: usize>(image: &Raster<f32, C>, step: usize) -> Raster<f32, C> {
     let (w, h) = (image.width(), image.height());
-    let (half_w, half_h) = (w.div_ceil(2), h.div_ceil(2));
-    let narrow = horizontal(image, half_w, |row, x| {
-        let at = |i: isize| row[(2 * x as isize + i).clamp(0, w as isize - 1) as usize];
+    let narrow = horizontal(image, w.div_ceil(step), |row, x| {
+        let at = |i: isize| row[((step * x) as isize + i).clamp(0, w as isize - 1) as usize];
         (at(-2) + at(2) + 4.0 * (at(-1) + at(1)) + 6.0 * at(0)) / 16.0
     });
-    vertical(&narrow, half_h, |at, y| {
-        let row = |i: isize| at((2 * y as isize + i).clamp(0, h as isize - 1) as usize);
+    vertical(&narrow, h.div_ceil(step), |at, y| {
+        let row = |i: isize| at(((step * y) as isize + i).clamp(0, h as isize - 1) as usize);
         let rows = [row(-2), row(-1), row(0), row(1), row(2)];
         move |x| (rows[0][x] + rows[4][x] + 4.0 * (rows[1][x] + rows[3][x]) + 6.0 * rows[2][x]) / 16.0
     })
@@ -49,16 +53,7 @@ pub(in crate::proposers) fn expand<const C: usize>(
 
 /// The 5 × 5 binomial blur, same size.
 pub(super) fn blur<const C: usize>(image: &Raster<f32, C>) -> Raster<f32, C> {
-    let (w, h) = (image.width(), image.height());
-    let narrow = horizontal(image, w, |row, x| {
-        let at = |i: isize| row[(x as isize + i).clamp(0, w as isize - 1) as usize];
-        (at(-2) + at(2) + 4.0 * (at(-1) + at(1)) + 6.0 * at(0)) / 16.0
-    });
-    vertical(&narrow, h, |at, y| {
-        let row = |i: isize| at((y as isize + i).clamp(0, h as isize - 1) as usize);
-        let rows = [row(-2), row(-1), row(0), row(1), row(2)];
-        move |x| (rows[0][x] + rows[4][x] + 4.0 * (rows[1][x] + rows[3][x]) + 6.0 * rows[2][x]) / 16.0
-    })
+    binomial(image, 1)
 }
 
 fn horizontal<const C: usize>(
@@ -119,24 +114,14 @@ pub(super) fn gaussian<const C: usize>(image: Raster<f32, C>, levels: usize) -> 
 pub(super) fn add_laplacian(sum: &mut [Raster<f32, 3>], image: &[Raster<f32, 3>], weight: &[Raster<f32, 1>]) {
     for level in 0..sum.len() {
         let (w, h) = (image[level].width(), image[level].height());
-        let below = image.get(level + 1).map(|next| expand(next, w, h));
-        let weights = weight[level].data();
-        let n = w * h;
+        let below = image.get(level + 1).map_or_else(|| Raster::new(w, h), |next| expand(next, w, h));
         for c in 0..3 {
-            let values = image[level].plane(c);
-            let out = sum[level].plane_mut(c);
-            match &below {
-                Some(below) => {
-                    let below = below.plane(c);
-                    for p in 0..n {
-                        out[p] += weights[p] * (values[p] - below[p]);
-                    }
-                }
-                None => {
-                    for p in 0..n {
-                        out[p] += weights[p] * values[p];
-                    }
-                }
+            let differences =
+                image[level].plane(c).iter().zip(below.plane(c)).map(|(value, below)| value - below);
+            for ((out, weight), difference) in
+                sum[level].plane_mut(c).iter_mut().zip(weight[level].data()).zip(differences)
+            {
+                *out += weight * difference;
             }
         }
     }

@@ -12,15 +12,6 @@ use use3d_numerics::sums::sums;
 
 use super::pyramid::blur;
 
-fn luminance(image: &Image) -> Map {
-    let [r, g, b] = image.planes();
-    let mut out = Map::new(image.width(), image.height());
-    for (p, v) in out.data_mut().iter_mut().enumerate() {
-        *v = 0.299 * r[p] + 0.587 * g[p] + 0.114 * b[p];
-    }
-    out
-}
-
 /// Luminance, red against green, and yellow against blue.
 fn opponent(image: &Image) -> Image {
     let [r, g, b] = image.planes();
@@ -37,8 +28,8 @@ fn opponent(image: &Image) -> Image {
 /// The sum of the three maps, ≥ 0.
 pub(super) fn weights(image: &Image) -> Map {
     let (w, h) = (image.width(), image.height());
-    let light = luminance(image);
-    let smooth = blur(&opponent(image));
+    let opponent = opponent(image);
+    let smooth = blur(&opponent);
     let count = image.pixels().max(1) as f64;
     let mean = sums::<3>(image.pixels(), |p, t| {
         for c in 0..3 {
@@ -48,7 +39,7 @@ pub(super) fn weights(image: &Image) -> Map {
     .map(|s| (s / count) as f32);
     let mut out = Map::new(w, h);
     out.data_mut().par_chunks_mut(w).enumerate().for_each(|(y, row)| {
-        let line = |y: usize| light.row(0, y);
+        let line = |y: usize| opponent.row(0, y);
         let (above, here, below) = (line(y.saturating_sub(1)), line(y), line((y + 1).min(h - 1)));
         for (x, o) in row.iter_mut().enumerate() {
             let (left, right) = (x.saturating_sub(1), (x + 1).min(w - 1));

@@ -27,7 +27,7 @@ fn view(seed: u64, colour: impl Fn([f64; 3]) -> [f64; 3], t: impl Fn(f64) -> f64
 }
 
 fn survey(views: &[SceneView]) -> SceneProposer {
-    let mut survey = SceneSurvey::new();
+    let mut survey = SceneSurvey::default();
     views.iter().for_each(|v| survey.add(v).unwrap());
     survey.finish()
 }
@@ -54,26 +54,26 @@ fn several(colour: impl Fn([f64; 3]) -> [f64; 3]) -> Vec<SceneView> {
 fn grey_stays_grey_and_usual_colours_are_left_alone() {
     let grey = several(|u| [0.1 + 0.7 * u[0]; 3]);
     let proposer = survey(&grey);
-    assert_eq!(proposer.findings().balance, [1.0; 3]);
+    assert_eq!(proposer.findings.balance, [1.0; 3]);
     let out = proposer.propose(&grey[0]).unwrap();
     let spread = |p: usize| {
         let x: [f32; 3] = std::array::from_fn(|c| out.plane(c)[p]);
         (x[0] - x[1]).abs().max((x[2] - x[1]).abs())
     };
     assert!((0..out.pixels()).all(|p| spread(p) < 1e-5));
-    assert_eq!(survey(&several(warm)).findings().balance, [1.0; 3]);
+    assert_eq!(survey(&several(warm)).findings.balance, [1.0; 3]);
 }
 
 #[test]
 fn a_cast_of_all_sure_pixels_is_mostly_taken_off_within_bounds() {
     for by in [[-0.3, 0.05, 0.25], [-0.2, 0.25, -0.05], [0.3, -0.3, 0.0]] {
-        let found = *survey(&several(cast(by))).findings();
+        let found = survey(&several(cast(by))).findings;
         let left: [f64; 3] = std::array::from_fn(|c| by[c] + math::ln(found.balance[c]));
         assert!(dot(left, left).sqrt() < 0.55 * dot(by, by).sqrt(), "{by:?}: {found:?}");
         // The geometric mean of the gains is one, because white balance must not change brightness.
         assert!(found.balance.iter().map(|g| math::ln(*g)).sum::<f64>().abs() < 1e-9);
     }
-    let strong = *survey(&several(cast([-1.2, 0.4, 0.8]))).findings();
+    let strong = survey(&several(cast([-1.2, 0.4, 0.8]))).findings;
     assert!(strong.balance.iter().all(|g| (1.0 / 1.5 - 1e-9..=1.5 + 1e-9).contains(g)), "{strong:?}");
     assert!(strong.balance[0] > 1.4, "{strong:?}");
 }
@@ -86,9 +86,9 @@ fn the_colour_of_a_scene_of_one_surface_is_no_cast() {
         let (light, line) = (0.2 + 0.6 * u[0], u[1] < 0.06);
         if line { [light; 3] } else { blue.map(|b| light * math::exp(b)) }
     };
-    let found = *survey(&several(tiles)).findings();
+    let found = survey(&several(tiles)).findings;
     assert!(found.kinds < 1.3 && found.balance == [1.0; 3], "{found:?}");
-    let varied = *survey(&several(cast(blue))).findings();
+    let varied = survey(&several(cast(blue))).findings;
     assert!(varied.kinds > KINDS && varied.trusted > 0.8, "{varied:?}");
 }
 
@@ -134,7 +134,7 @@ fn brightness_brings_the_bright_end_up_and_does_not_clip() {
             [light * 1.0, light * 0.9, light * 0.8]
         });
         let proposer = survey(&views);
-        let found = proposer.findings();
+        let found = &proposer.findings;
         assert!((BRIGHTNESS[0]..=BRIGHTNESS[1]).contains(&found.brightness), "{found:?}");
         let (mut over, mut all, mut bright) = (0, 0, 0.0f32);
         for view in &views {
@@ -160,12 +160,12 @@ fn brightness_brings_the_bright_end_up_and_does_not_clip() {
 fn a_scene_without_water_keeps_its_light() {
     let dim = |u: [f64; 3]| [0.3 + 0.1 * u[0]; 3];
     let mut views = several(dim);
-    let under_water = *survey(&views).findings();
+    let under_water = survey(&views).findings;
     assert!(under_water.brightness > 1.4 && under_water.contrast > 1.1, "{under_water:?}");
     for view in &mut views {
         view.arriving = Image::filled(SIZE.0, SIZE.1, 1.0);
     }
-    let in_air = *survey(&views).findings();
+    let in_air = survey(&views).findings;
     assert_eq!((in_air.brightness, in_air.contrast), (1.0, 1.0));
 }
 
@@ -182,13 +182,13 @@ fn what_is_not_sure_does_not_darken() {
             view
         })
         .collect();
-    assert_eq!(survey(&views).findings().brightness, 1.0);
+    assert_eq!(survey(&views).findings.brightness, 1.0);
 }
 
 #[test]
 fn contrast_is_for_flat_scenes_only() {
     let range =
-        |low: f64, high: f64| survey(&several(move |u| [low + (high - low) * u[0]; 3])).findings().contrast;
+        |low: f64, high: f64| survey(&several(move |u| [low + (high - low) * u[0]; 3])).findings.contrast;
     assert_eq!(range(0.05, 0.9), 1.0);
     let mild = range(0.2, 0.62);
     assert!(mild > 1.0 && mild < CONTRAST.1, "{mild}");
@@ -209,7 +209,7 @@ fn far_noisy_pixels_do_not_steer_the_balance() {
             }
         }
     }
-    let (one, other) = (*survey(&honest).findings(), *survey(&noisy).findings());
+    let (one, other) = (survey(&honest).findings, survey(&noisy).findings);
     for c in 0..3 {
         assert!((one.balance[c] - other.balance[c]).abs() < 0.01, "{one:?} {other:?}");
         assert!((one.mean_colour[c] - other.mean_colour[c]).abs() < 0.01, "{one:?} {other:?}");
@@ -218,7 +218,7 @@ fn far_noisy_pixels_do_not_steer_the_balance() {
     for view in &mut noisy {
         view.arriving = Image::filled(SIZE.0, SIZE.1, 0.8);
     }
-    assert!(survey(&noisy).findings().balance[0] > one.balance[0] + 0.05);
+    assert!(survey(&noisy).findings.balance[0] > one.balance[0] + 0.05);
 }
 
 /// The false colour that a wrong attenuation of red causes far away is replaced by the scene's mean. Near
@@ -299,7 +299,7 @@ fn bits_do_not_depend_on_threads_and_sizes_are_free() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
             let proposer = survey(&views);
-            (*proposer.findings(), proposer.propose(&views[2]).unwrap())
+            (proposer.findings, proposer.propose(&views[2]).unwrap())
         })
     };
     assert_eq!(run(1), run(3));
@@ -318,12 +318,12 @@ fn bits_do_not_depend_on_threads_and_sizes_are_free() {
 fn nothing_sure_is_nothing_changed_and_nonsense_is_named() {
     let mut blind = view(1, cast([-0.5, 0.1, 0.4]), |_| 0.0);
     let proposer = survey(std::slice::from_ref(&blind));
-    assert_eq!(*proposer.findings(), SceneFindings::NONE);
-    assert_eq!(survey(&[]).findings().balance, [1.0; 3]);
+    assert_eq!(proposer.findings, SceneFindings::NONE);
+    assert_eq!(survey(&[]).findings.balance, [1.0; 3]);
     blind.accumulation = Map::new(3, 3);
-    assert!(SceneSurvey::new().add(&blind).unwrap_err().to_string().contains("(3, 3)"));
+    assert!(SceneSurvey::default().add(&blind).unwrap_err().to_string().contains("(3, 3)"));
     let mut broken = view(1, warm, |_| 0.5);
     broken.clear.set_pixel(3, 3, [f32::NAN; 3]);
     assert!(proposer.propose(&broken).unwrap_err().to_string().contains("not finite"));
-    assert!(SceneSurvey::new().add(&SceneView { clear: Image::new(0, 0), ..broken }).is_err());
+    assert!(SceneSurvey::default().add(&SceneView { clear: Image::new(0, 0), ..broken }).is_err());
 }
