@@ -69,7 +69,7 @@ pub enum Formation {
 
 /// The water seen through each pixel of a lattice: the output of a medium model and an input of the
 /// compositor.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct MediumMaps {
     /// `c_m`, the colour of infinitely deep water along the ray, display range, ≥ 0.
     pub color: Image,

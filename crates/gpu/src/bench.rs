@@ -16,7 +16,7 @@ use use3d_capture::Appearance;
 use use3d_enhance::engine::{FieldEngine, FieldPlan, FieldState, initial_field};
 use use3d_enhance::{EnhanceParams, Guidance};
 use use3d_reconstruct::density::{Draws, Origin};
-use use3d_reconstruct::engine::{Diagnostics, Engine, TrainingState};
+use use3d_reconstruct::engine::{Engine, TrainingState};
 use use3d_training::{Drain, EngineError, Silent};
 
 use crate::ceilings::{Ceilings, measure, need};

@@ -9,7 +9,7 @@ use std::time::Instant;
 use use3d_capture::{Lattice, MediumMaps, View};
 use use3d_import::{ImportParams, import, load_depth_prior, load_mask, load_pixels};
 use use3d_reconstruct::engine::CpuEngine;
-use use3d_reconstruct::{LoadedView, ReconstructParams, reconstruct};
+use use3d_reconstruct::{Known, LoadedView, ReconstructParams, plot, reconstruct};
 use use3d_splat::{Colors, Options, Prepared, Rasterizer, Rendered};
 use use3d_training::{Observer, TrainingProgress};
 
@@ -83,7 +83,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     );
     let started = Instant::now();
     let mut lines = Lines { last: started, started };
-    let outcome = reconstruct(capture, &load, &params, &mut CpuEngine::new(), None, &mut lines)?;
+    let outcome =
+        reconstruct(capture, &Known::default(), &load, &params, &mut CpuEngine::default(), None, &mut lines)?;
     println!("{:.1} s", started.elapsed().as_secs_f64());
     print!("{}", outcome.profile.table());
     println!(
@@ -102,7 +103,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let out = Path::new(&out);
     std::fs::create_dir_all(out)?;
     std::fs::write(out.join("log.jsonl"), outcome.log_lines())?;
-    std::fs::write(out.join("plot.svg"), outcome.plot())?;
+    std::fs::write(out.join("plot.svg"), plot(&outcome.log))?;
     let (mut prepared, mut rasterizer, mut rendered) = (Prepared::new(), Rasterizer::new(), Rendered::new());
     let mut maps = MediumMaps::zeros(0, 0);
     let scene = &outcome.scene;

@@ -46,7 +46,7 @@ pub(crate) fn fingerprint(
         hasher.update(bytemuck::bytes_of(&point.color));
     }
     if let Some(found) = found {
-        found.fingerprint(&mut hasher);
+        hasher.update(format!("{found:?}").as_bytes());
     }
     if let Some(gains) = gains {
         hasher.update(bytemuck::cast_slice(gains.as_flattened()));

@@ -101,11 +101,6 @@ impl FoundWater {
             if value.is_finite() && sure.is_finite() { sure } else { 0.0 }
         })
     }
-
-    /// Adds all values from which training starts to a checkpoint's fingerprint.
-    pub(crate) fn fingerprint(&self, hasher: &mut blake3::Hasher) {
-        hasher.update(format!("{self:?}").as_bytes());
-    }
 }
 
 #[cfg(test)]

@@ -30,7 +30,7 @@ pub(crate) struct Masks(Vec<(Camera, Option<Map>)>);
 impl Masks {
     /// Stores the masks, smaller; nothing if no view has one.
     pub(crate) fn new(views: &[TrainingView]) -> Self {
-        if views.iter().all(|view| view.mask().is_none()) {
+        if views.iter().all(|view| view.mask.is_none()) {
             return Self::default();
         }
         let count = views.len().min(MOST_VIEWS);

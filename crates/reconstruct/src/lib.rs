@@ -42,10 +42,10 @@ pub use params::{
 pub use peek::scene_in_checkpoint;
 pub use profile::{StepPart, Stretch, growth};
 pub use report::{Evaluation, FittedScore, LogEntry, ViewScore, plot};
-pub use run::{ReconstructOutcome, reconstruct, reconstruct_in};
+pub use run::{ReconstructOutcome, reconstruct};
 pub use use3d_medium::MediumKind as Medium;
 pub use use3d_training::EngineChoice;
-pub use views::{Dropped, LoadedView, Target, TrainingView, ViewLoader};
+pub use views::{LoadedView, Target, TrainingView, ViewLoader};
 
 #[cfg(test)]
 mod tests;

@@ -3,7 +3,7 @@
 use use3d_capture::{Capture, View};
 use use3d_training::Observer;
 
-use crate::views::{Dropped, TrainingView, ViewLoader};
+use crate::views::{TrainingView, ViewLoader};
 use crate::{DepthPrior, ReconstructError, ReconstructParams};
 
 /// A capture's views in memory.
@@ -15,23 +15,18 @@ pub(crate) struct Views {
 /// Loads every view once; reports priors without information.
 pub(crate) fn load(
     capture: &Capture,
-    loader: &dyn ViewLoader,
+    loader: &ViewLoader<'_>,
     params: &ReconstructParams,
     observer: &mut dyn Observer,
 ) -> Result<Views, ReconstructError> {
     let mut one = |view: &View, training: bool| -> Result<TrainingView, ReconstructError> {
-        let mut loaded = loader
-            .load(view)
+        let mut loaded = loader(view)
             .map_err(|message| ReconstructError::Load { view: view.name.to_string(), message })?;
         if params.depth_prior == DepthPrior::Off || !training {
             loaded.depth_prior = None;
         }
         let (packed, dropped) = TrainingView::new(view, loaded)?;
-        if let Some(dropped) = dropped {
-            let why = match dropped {
-                Dropped::EmptyPrior => "has no finite positive pixel",
-                Dropped::ConstantPrior => "is the same everywhere",
-            };
+        if let Some(why) = dropped {
             observer.notice(&format!(
                 "view `{}`: its depth prior {why}; it is left out of the depth term",
                 view.name
@@ -42,7 +37,7 @@ pub(crate) fn load(
     let train = capture.training_views().map(|v| one(v, true)).collect::<Result<Vec<_>, _>>()?;
     let test = capture.test_views().map(|v| one(v, false)).collect::<Result<Vec<_>, _>>()?;
     check_masks(&train, &test, observer)?;
-    let with_prior = train.iter().filter(|v| v.has_prior()).count();
+    let with_prior = train.iter().filter(|v| v.prior.is_some()).count();
     // Without any prior the stage says why the depth term is off.
     if params.depth_prior != DepthPrior::Off
         && params.depth_weight > 0.0

@@ -56,7 +56,7 @@ impl Withheld {
                 let (column, row) = (p % width / BLOCK, p / width / BLOCK);
                 blocks.below((row * across + column) as u64, ONE_IN) == 0
             };
-            let before = view.mask().cloned().unwrap_or_else(|| Raster::filled(width, height, 255));
+            let before = view.mask.clone().unwrap_or_else(|| Raster::filled(width, height, 255));
             let masked = |keep: &dyn Fn(usize) -> bool| {
                 let mut mask = before.clone();
                 let pixels = mask.data_mut().iter_mut().enumerate();
@@ -65,10 +65,10 @@ impl Withheld {
             };
             if compared.contains(&index) {
                 let mut only = view.clone();
-                only.set_mask(masked(&withheld));
+                only.mask = Some(masked(&withheld));
                 kept.push((index, only));
             }
-            view.set_mask(masked(&|p| !withheld(p)));
+            view.mask = Some(masked(&|p| !withheld(p)));
         }
         Self(kept)
     }
@@ -146,7 +146,8 @@ mod tests {
         assert_eq!(held.0.len(), MOST_VIEWS);
         let mut blocks = 0;
         for (index, kept) in &held.0 {
-            let pairs = kept.mask().unwrap().data().iter().zip(views[*index].mask().unwrap().data());
+            let pairs =
+                kept.mask.as_ref().unwrap().data().iter().zip(views[*index].mask.as_ref().unwrap().data());
             let upper_half = |p: usize| *index == 0 && p < 160 * 48;
             for (p, pair) in pairs.enumerate() {
                 match pair {

@@ -28,7 +28,7 @@ use crate::hidden::Masks;
 use crate::load::load;
 use crate::plateau::{self, Withheld};
 use crate::profile::{StepPart, Stretch};
-use crate::report::{Evaluation, FittedScore, LogEntry, ViewScore, plot};
+use crate::report::{Evaluation, FittedScore, LogEntry, ViewScore};
 use crate::views::{TrainingView, ViewLoader};
 use crate::window::Window;
 use crate::{
@@ -72,11 +72,6 @@ impl ReconstructOutcome {
     pub fn log_lines(&self) -> String {
         self.log.iter().map(|entry| entry.to_json() + "\n").collect()
     }
-
-    /// Loss, PSNR and number of Gaussians over the steps, as SVG.
-    pub fn plot(&self) -> String {
-        plot(&self.log)
-    }
 }
 
 /// Everything a checkpoint holds.
@@ -102,6 +97,9 @@ impl Resumable for RunState<'_> {
 
 /// Reconstructs an underwater scene from a capture with an engine that has no views yet.
 ///
+/// The water starts from known water, is held for `medium_hold` of the run, and is then learnt at
+/// `medium_release` of its rates. Gains start from known gains.
+///
 /// Views are loaded once, through `loader`, at the size of their cameras. With a `checkpoint_dir` the run
 /// writes checkpoints there and continues from the furthest one that belongs to the same capture and
 /// parameters, even if a run of another length wrote it; the result is the same to the last bit.
@@ -109,21 +107,8 @@ impl Resumable for RunState<'_> {
 /// the caller stores the outcome and then removes the folder.
 pub fn reconstruct(
     capture: &Capture,
-    loader: &dyn ViewLoader,
-    params: &ReconstructParams,
-    engine: &mut dyn Engine,
-    checkpoint_dir: Option<&Path>,
-    observer: &mut dyn Observer,
-) -> Result<ReconstructOutcome, ReconstructError> {
-    reconstruct_in(capture, &Known::default(), loader, params, engine, checkpoint_dir, observer)
-}
-
-/// Like [`reconstruct`], with prior knowledge. The water starts from known water, is held for `medium_hold`
-/// of the run, and is then learnt at `medium_release` of its rates. Gains start from known gains.
-pub fn reconstruct_in(
-    capture: &Capture,
     known: &Known,
-    loader: &dyn ViewLoader,
+    loader: &ViewLoader<'_>,
     params: &ReconstructParams,
     engine: &mut dyn Engine,
     checkpoint_dir: Option<&Path>,
@@ -139,12 +124,10 @@ pub fn reconstruct_in(
     let found = start.as_ref().map(|(found, _)| *found);
     let mut views = load(capture, loader, params, observer)?;
     let sparse: Vec<_> = capture.points.iter().map(|p| p.position).filter(|p| p.is_finite()).collect();
+    let beyond = params.start_points == StartPoints::Planes;
     let between = match params.start_points {
         StartPoints::Tracks => Vec::new(),
-        chosen @ (StartPoints::Triangles | StartPoints::Planes) => {
-            let beyond = chosen == StartPoints::Planes;
-            triangles::between(&views.train, &capture.split.train, known, &sparse, beyond)
-        }
+        _ => triangles::between(&views.train, &capture.split.train, known, &sparse, beyond),
     };
     let gaussians =
         initialise::gaussians(capture, found, &between, params, most, |message| observer.notice(message))?;
@@ -155,30 +138,17 @@ pub fn reconstruct_in(
             ReconstructError::Parameter(OutOfRange::new("medium", params.medium.name(), wrong.to_string()))
         })?,
     };
-    let masks = match params.hidden_below > 0.0 {
-        true => Masks::new(&views.train),
-        false => Masks::default(),
-    };
-    let withheld = match params.stop {
-        Stop::Fixed => Withheld::default(),
-        Stop::Plateau => Withheld::take(&mut views.train, params.seed),
-    };
+    let masks = if params.hidden_below > 0.0 { Masks::new(&views.train) } else { Masks::default() };
+    let withheld = (params.stop == Stop::Plateau).then(|| Withheld::take(&mut views.train, params.seed));
     let exposes = params.exposure == Exposure::PerView;
-    let gains: Vec<[f64; 3]> = match known.gains.is_empty() {
-        true => vec![[1.0; 3]; capture.split.train.len()],
-        false => capture.split.train.iter().map(|view| known.gains[*view]).collect(),
-    };
+    let gain = |view: &usize| known.gains.get(*view).copied().unwrap_or([1.0; 3]);
+    let gains: Vec<[f64; 3]> = capture.split.train.iter().map(gain).collect();
     let gains_used = exposes.then_some(&gains);
     let fingerprint = fingerprint(capture, found, gains_used, &between, params, &views);
     let cameras: Vec<_> = views.train.iter().map(|v| v.camera).collect();
-    let witnesses = match params.unseen.enabled {
-        true => Witnesses::new(&cameras, &sparse, params.unseen.beyond),
-        false => Witnesses::default(),
-    };
-    let judges = match params.densify.strategy {
-        Strategy::Authors => Judges::default(),
-        Strategy::Frugal => Judges::new(&views.train),
-    };
+    let unseen = &params.unseen;
+    let witnesses = unseen.enabled.then(|| Witnesses::new(&cameras, &sparse, unseen.beyond));
+    let judges = (params.densify.strategy == Strategy::Frugal).then(|| Judges::new(&views.train));
     let names: Vec<String> = views.train.iter().map(|v| v.name.clone()).collect();
     for (index, view) in views.train.into_iter().enumerate() {
         if engine.upload(view)? != index {
@@ -204,10 +174,10 @@ pub fn reconstruct_in(
         window: Window::default(),
         most,
         pixels: CaptureSize::from(capture).training,
-        judges,
-        witnesses,
+        judges: judges.unwrap_or_default(),
+        witnesses: witnesses.unwrap_or_default(),
         masks,
-        withheld,
+        withheld: withheld.unwrap_or_default(),
         cameras,
         cap_told: false,
         growth: Vec::new(),

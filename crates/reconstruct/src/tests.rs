@@ -28,7 +28,7 @@ use crate::{
 /// Reconstructs on the processor.
 fn reconstruct(
     capture: &Capture,
-    loader: &dyn ViewLoader,
+    loader: &ViewLoader<'_>,
     params: &ReconstructParams,
     checkpoints: Option<&Path>,
     observer: &mut dyn Observer,
@@ -40,12 +40,12 @@ fn reconstruct(
 fn reconstruct_in(
     capture: &Capture,
     known: &Known,
-    loader: &dyn ViewLoader,
+    loader: &ViewLoader<'_>,
     params: &ReconstructParams,
     checkpoints: Option<&Path>,
     observer: &mut dyn Observer,
 ) -> Result<ReconstructOutcome, ReconstructError> {
-    crate::reconstruct_in(capture, known, loader, params, &mut CpuEngine::new(), checkpoints, observer)
+    crate::reconstruct(capture, known, loader, params, &mut CpuEngine::default(), checkpoints, observer)
 }
 
 const NO_RATES: StepRates = StepRates {
@@ -85,7 +85,7 @@ fn golden_stage1_step() {
             coefficients: bytemuck::cast_slice(&coefficients).to_vec(),
             top_k: case.count("top_k"),
         };
-        let mut engine = CpuEngine::new();
+        let mut engine = CpuEngine::default();
         let (w, h, target) = case.planes("in.target");
         let (_, _, prior) = case.planes("in.prior");
         let view = TrainingView::exact(
@@ -290,7 +290,7 @@ fn a_short_run_learns_the_scene_and_its_water() {
     assert!(wet.log.iter().any(|e| matches!(e, LogEntry::Ceiling { .. })));
     assert_eq!(wet.evaluation.as_ref().unwrap().views.len(), 2);
     wet.scene.gaussians.validate().unwrap();
-    assert!(wet.log_lines().lines().count() == wet.log.len() && wet.plot().contains("</svg>"));
+    assert!(wet.log_lines().lines().count() == wet.log.len() && crate::plot(&wet.log).contains("</svg>"));
     for medium in [Medium::Global, Medium::Image, Medium::Mlp] {
         let other = run(medium, 40);
         let first = |o: &ReconstructOutcome| {

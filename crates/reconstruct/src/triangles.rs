@@ -302,7 +302,7 @@ fn barycentric(corners: &[DVec2; 3], at: DVec2) -> Option<[f64; 3]> {
 /// The colour of a 3×3 window around a pixel position, display range; `None` if one of its pixels does not
 /// count.
 fn shown(view: &TrainingView, at: DVec2) -> Option<[f64; 3]> {
-    let (width, height) = view.pixels().size();
+    let (width, height) = view.pixels.size();
     let window = |v: f64, size: usize| {
         let middle = (v.floor().max(0.0) as usize).min(size - 1);
         middle.saturating_sub(1)..(middle + 2).min(size)
@@ -310,11 +310,11 @@ fn shown(view: &TrainingView, at: DVec2) -> Option<[f64; 3]> {
     let (mut sum, mut count) = ([0.0; 3], 0.0);
     for y in window(at.y, height) {
         for x in window(at.x, width) {
-            let counts = |map: Option<&Raster<u8, 1>>| map.is_none_or(|m| m.pixel(x, y)[0] >= 128);
-            if !counts(view.mask()) || !counts(view.alpha()) {
+            let counts = |map: &Option<Raster<u8, 1>>| map.as_ref().is_none_or(|m| m.pixel(x, y)[0] >= 128);
+            if !counts(&view.mask) || !counts(&view.alpha) {
                 return None;
             }
-            let color = match view.pixels() {
+            let color = match &view.pixels {
                 Pixels::Eight(raster) => raster.pixel(x, y).map(|v| f64::from(v) / 255.0),
                 Pixels::Sixteen(raster) => raster.pixel(x, y).map(|v| f64::from(v) / 65_535.0),
             };

@@ -22,17 +22,9 @@ pub struct LoadedView {
     pub depth_prior: Option<Map>,
 }
 
-/// Reads views, so that the loop does not depend on file formats.
-pub trait ViewLoader: Sync {
-    /// The view's photograph, mask and prior; the error is a message for the user.
-    fn load(&self, view: &View) -> Result<LoadedView, String>;
-}
-
-impl<F: Fn(&View) -> Result<LoadedView, String> + Sync> ViewLoader for F {
-    fn load(&self, view: &View) -> Result<LoadedView, String> {
-        self(view)
-    }
-}
+/// Reads a view's photograph, mask and prior, so that the loop does not depend on file formats; the error is
+/// a message for the user.
+pub type ViewLoader<'a> = dyn Fn(&View) -> Result<LoadedView, String> + Sync + 'a;
 
 /// A training view in memory.
 #[derive(Clone, Debug)]
@@ -41,16 +33,20 @@ pub struct TrainingView {
     pub name: String,
     /// Its camera at full size.
     pub camera: Camera,
-    pixels: Pixels,
-    alpha: Option<Raster<u8, 1>>,
-    mask: Option<Raster<u8, 1>>,
-    prior: Option<Raster<u16, 1>>,
+    /// The photograph in its stored form, at full size.
+    pub pixels: Pixels,
+    /// Its opacity, 255 is opaque; `None` if it is opaque everywhere.
+    pub alpha: Option<Raster<u8, 1>>,
+    /// Its mask, 255 counts fully; `None` if every pixel counts.
+    pub mask: Option<Raster<u8, 1>>,
+    /// The depth prior, stretched to 1…65535, 0 where unknown; `None` if there is none.
+    pub prior: Option<Raster<u16, 1>>,
     #[cfg(test)]
     exact: Option<(Image, Map)>,
 }
 
 /// The target of a step for a view; its memory is reused from step to step.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Target {
     /// The photograph at the step's size.
     pub image: Image,
@@ -62,24 +58,10 @@ pub struct Target {
     pub prior: Option<Map>,
 }
 
-impl Default for Target {
-    fn default() -> Self {
-        Self { image: Image::new(0, 0), alpha: None, mask: None, prior: None }
-    }
-}
-
-/// Data that [`TrainingView::new`] left out, for a message to the user.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Dropped {
-    /// The prior has no valid pixel.
-    EmptyPrior,
-    /// The prior is the same everywhere.
-    ConstantPrior,
-}
-
 impl TrainingView {
-    /// Checks sizes and camera, and packs the data. A prior without information is dropped.
-    pub fn new(view: &View, loaded: LoadedView) -> Result<(Self, Option<Dropped>), ReconstructError> {
+    /// Checks sizes and camera, and packs the data. A prior without information is dropped; the reason is
+    /// returned.
+    pub fn new(view: &View, loaded: LoadedView) -> Result<(Self, Option<&'static str>), ReconstructError> {
         let camera = view.camera;
         camera
             .validate()
@@ -102,12 +84,10 @@ impl TrainingView {
             }
         }
         let byte = |m: &Map| m.map(|v| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8);
-        let (prior, dropped) = match &loaded.depth_prior {
+        let (prior, dropped) = match loaded.depth_prior.as_ref().map(pack_prior) {
             None => (None, None),
-            Some(map) => match pack_prior(map) {
-                Ok(prior) => (Some(prior), None),
-                Err(dropped) => (None, Some(dropped)),
-            },
+            Some(Ok(prior)) => (Some(prior), None),
+            Some(Err(reason)) => (None, Some(reason)),
         };
         let view = Self {
             name: view.name.to_string(),
@@ -132,44 +112,9 @@ impl TrainingView {
         Self { name: "exact".into(), camera, pixels, alpha: None, mask: None, prior: None, exact }
     }
 
-    /// The photograph in its stored form, at full size.
-    pub fn pixels(&self) -> &Pixels {
-        &self.pixels
-    }
-
-    /// Its opacity, 255 is opaque; `None` if it is opaque everywhere.
-    pub fn alpha(&self) -> Option<&Raster<u8, 1>> {
-        self.alpha.as_ref()
-    }
-
-    /// Its mask, 255 counts fully; `None` if every pixel counts.
-    pub fn mask(&self) -> Option<&Raster<u8, 1>> {
-        self.mask.as_ref()
-    }
-
-    /// Replaces the mask, which has the camera's size.
-    pub(crate) fn set_mask(&mut self, mask: Raster<u8, 1>) {
-        self.mask = Some(mask);
-    }
-
-    /// The depth prior, stretched to 1…65535, 0 where unknown; `None` if there is none.
-    pub fn prior(&self) -> Option<&Raster<u16, 1>> {
-        self.prior.as_ref()
-    }
-
-    /// True if it has a depth prior.
-    pub fn has_prior(&self) -> bool {
-        self.prior.is_some()
-    }
-
     /// True if its mask leaves no pixel.
     pub fn counts_nothing(&self) -> bool {
         self.mask.as_ref().is_some_and(|m| m.data().iter().all(|v| *v == 0))
-    }
-
-    /// The photograph at full size.
-    pub fn image(&self) -> Image {
-        self.pixels.to_image()
     }
 
     /// Number of bytes held.
@@ -244,8 +189,8 @@ impl TrainingView {
 }
 
 /// The prior stretched to 1…65535 (the loss ignores scale and shift), 0 where it is not finite or not
-/// positive.
-fn pack_prior(map: &Map) -> Result<Raster<u16, 1>, Dropped> {
+/// positive; the error is the reason why it has no information.
+fn pack_prior(map: &Map) -> Result<Raster<u16, 1>, &'static str> {
     let known = |v: f32| v.is_finite() && v > 0.0;
     let (mut low, mut high) = (f32::INFINITY, 0.0f32);
     for &v in map.data() {
@@ -254,10 +199,10 @@ fn pack_prior(map: &Map) -> Result<Raster<u16, 1>, Dropped> {
         }
     }
     if high == 0.0 {
-        return Err(Dropped::EmptyPrior);
+        return Err("has no finite positive pixel");
     }
     if high - low <= 1e-6 * high {
-        return Err(Dropped::ConstantPrior);
+        return Err("is the same everywhere");
     }
     let scale = 65534.0 / f64::from(high - low);
     Ok(map.map(|v| if known(v) { (f64::from(v - low) * scale + 1.5) as u16 } else { 0 }))
@@ -348,7 +293,7 @@ mod tests {
     fn targets_are_box_means_of_the_stored_values() {
         let (view, dropped) = TrainingView::new(&view(7, 5), loaded(7, 5)).unwrap();
         assert_eq!(dropped, None);
-        let full = view.image();
+        let full = view.pixels.to_image();
         let mut target = Target::default();
         view.target(1, &mut target);
         for (a, b) in target.image.data().iter().zip(full.data()) {
@@ -402,8 +347,8 @@ mod tests {
         }
         let with = |prior: Map| LoadedView { depth_prior: Some(prior), ..loaded(4, 2) };
         let dropped = |prior| TrainingView::new(&view(4, 2), with(prior)).unwrap().1;
-        assert_eq!(dropped(Map::filled(4, 2, 0.7)), Some(Dropped::ConstantPrior));
-        assert_eq!(dropped(Map::filled(4, 2, f32::NAN)), Some(Dropped::EmptyPrior));
+        assert_eq!(dropped(Map::filled(4, 2, 0.7)), Some("is the same everywhere"));
+        assert_eq!(dropped(Map::filled(4, 2, f32::NAN)), Some("has no finite positive pixel"));
         let error = TrainingView::new(&view(4, 2), with(Map::new(9, 9))).unwrap_err().to_string();
         assert!(error.contains("depth prior"), "{error}");
         let mut skewed = view(4, 2);

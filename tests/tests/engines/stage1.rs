@@ -11,10 +11,11 @@ use use3d_capture::{
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_reconstruct::density::{self, Draws, Origin, Survey};
 use use3d_reconstruct::engine::{
-    CpuEngine, Degrees, Diagnostics, Engine, Moments, Statistics, StepPlan, StepReport, TrainingState,
+    CpuEngine, Degrees, Engine, Moments, Statistics, StepPlan, StepReport, TrainingState,
 };
 use use3d_reconstruct::{
-    Exposure, LoadedView, ReconstructError, ReconstructOutcome, ReconstructParams, TrainingView, reconstruct,
+    Exposure, Known, LoadedView, ReconstructError, ReconstructOutcome, ReconstructParams, TrainingView,
+    reconstruct,
 };
 use use3d_training::{Drain, EngineError, Observer, Silent};
 
@@ -36,7 +37,7 @@ struct Late {
 impl Late {
     fn new(left: u64) -> Self {
         let (asked, reports) = (VecDeque::new(), Vec::new());
-        Self { inner: CpuEngine::new(), pixels: 0, asked, reports, left, most: 0 }
+        Self { inner: CpuEngine::default(), pixels: 0, asked, reports, left, most: 0 }
     }
 
     /// Does the requested steps until `keep` are left.
@@ -52,18 +53,19 @@ impl Late {
     }
 }
 
-impl Diagnostics for Late {}
-
 impl Engine for Late {
     fn upload(&mut self, view: TrainingView) -> Result<usize, EngineError> {
         // The data that a device would copy: pixels as they are stored, with masks and priors.
-        let values = match view.pixels() {
+        let values = match &view.pixels {
             Pixels::Eight(raster) => raster.data().len(),
             Pixels::Sixteen(raster) => 2 * raster.data().len(),
         };
-        let maps =
-            [view.alpha(), view.mask()].into_iter().flatten().map(|map| map.data().len()).sum::<usize>();
-        self.pixels += values + maps + view.prior().map_or(0, |prior| 2 * prior.data().len());
+        let maps = [view.alpha.as_ref(), view.mask.as_ref()]
+            .into_iter()
+            .flatten()
+            .map(|map| map.data().len())
+            .sum::<usize>();
+        self.pixels += values + maps + view.prior.as_ref().map_or(0, |prior| 2 * prior.data().len());
         self.inner.upload(view)
     }
 
@@ -209,7 +211,7 @@ pub(crate) fn run(
 ) -> Result<ReconstructOutcome, ReconstructError> {
     let (capture, loaded) = capture();
     let load = |view: &View| Ok(loaded[view.id as usize].clone());
-    reconstruct(&capture, &load, &params(), engine, dir, observer)
+    reconstruct(&capture, &Known::default(), &load, &params(), engine, dir, observer)
 }
 
 fn same(a: &ReconstructOutcome, b: &ReconstructOutcome) {
@@ -221,7 +223,7 @@ fn same(a: &ReconstructOutcome, b: &ReconstructOutcome) {
 
 #[test]
 fn another_engine_trains_the_same_bytes() {
-    let cpu = run(&mut CpuEngine::new(), None, &mut Silent).unwrap();
+    let cpu = run(&mut CpuEngine::default(), None, &mut Silent).unwrap();
     assert!(cpu.log_lines().contains("\"event\":\"refine\"") && cpu.log_lines().contains("ceiling"));
     assert_ne!(cpu.scene.gaussians.len(), cpu.initial_gaussians);
     let mut late = Late::new(u64::MAX);
@@ -234,9 +236,9 @@ fn another_engine_trains_the_same_bytes() {
 
 #[test]
 fn a_run_goes_on_with_another_engine_where_one_was_stopped_or_lost() {
-    let whole = run(&mut CpuEngine::new(), None, &mut Silent).unwrap();
+    let whole = run(&mut CpuEngine::default(), None, &mut Silent).unwrap();
     let dir = tempfile::tempdir().unwrap();
-    let stopped = run(&mut CpuEngine::new(), Some(dir.path()), &mut Watcher::new(13)).unwrap_err();
+    let stopped = run(&mut CpuEngine::default(), Some(dir.path()), &mut Watcher::new(13)).unwrap_err();
     assert!(matches!(stopped, ReconstructError::Interrupted { step: 13, saved: true, .. }), "{stopped}");
     // Ten steps later a checkpoint is written; the device is lost between that checkpoint and the next.
     let mut told = Watcher::new(u64::MAX);
@@ -246,6 +248,6 @@ fn a_run_goes_on_with_another_engine_where_one_was_stopped_or_lost() {
     let kept = "the checkpoint of step 23 is kept; run the same command to continue from there";
     assert_eq!(told.notices.last().map(String::as_str), Some(kept));
     let mut watcher = Watcher::new(u64::MAX);
-    same(&whole, &run(&mut CpuEngine::new(), Some(dir.path()), &mut watcher).unwrap());
+    same(&whole, &run(&mut CpuEngine::default(), Some(dir.path()), &mut watcher).unwrap());
     assert!(watcher.notices.contains(&"resuming from step 23 of 40".to_string()), "{:?}", watcher.notices);
 }

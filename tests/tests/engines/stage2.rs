@@ -86,7 +86,7 @@ impl FieldEngine for Late<'_> {
 
 /// A trained scene, its training views, and targets without meaning.
 fn problem() -> (Scene, Vec<EnhanceView>, Targets) {
-    let scene = stage1::run(&mut CpuEngine::new(), None, &mut Silent).unwrap().scene;
+    let scene = stage1::run(&mut CpuEngine::default(), None, &mut Silent).unwrap().scene;
     let views: Vec<EnhanceView> = stage1::capture().0.training_views().map(EnhanceView::from).collect();
     let n = scene.gaussians.len();
     let operator = std::array::from_fn(|i| 0.02 * (i as f64 - 5.0));

@@ -20,7 +20,7 @@ use std::collections::VecDeque;
 use use3d_capture::{Camera, Image};
 use use3d_medium::MediumModel;
 use use3d_reconstruct::density::{self, Draws, Origin, Survey};
-use use3d_reconstruct::engine::{Degrees, Diagnostics, Engine, StepPlan, StepReport, TrainingState};
+use use3d_reconstruct::engine::{Degrees, Engine, StepPlan, StepReport, TrainingState};
 use use3d_reconstruct::{Exposures, TrainingView};
 use use3d_splat::Gaussians;
 use use3d_training::guard::first_non_finite;
@@ -183,7 +183,7 @@ impl Stage1 {
                     break;
                 }
                 let numbers = &reports[REPORT * asked.slot..][..REPORT];
-                let mut report = step::report(asked, numbers, self.targets.views[asked.view].has_prior());
+                let mut report = step::report(asked, numbers, self.targets.views[asked.view].prior.is_some());
                 if stop != 0 {
                     report.non_finite = Some(self.not_finite(bad)?);
                     // The steps requested after it changed nothing.
@@ -367,9 +367,7 @@ impl Engine for Stage1 {
         out.data_mut().copy_from_slice(&planes);
         Ok(())
     }
-}
 
-impl Diagnostics for Stage1 {
     fn memory(&self) -> usize {
         let slopes = self.image_slope.size() + self.depth_slope.size();
         let planes = self.planes.size() + self.unpacked.size() + slopes;

@@ -108,9 +108,9 @@ fn append_shorts(words: &mut Vec<u32>, values: &[u16]) -> u32 {
 impl StoredView {
     /// Copies a view to the device.
     pub(super) fn new(gpu: &Gpu, view: &TrainingView) -> Result<Self, EngineError> {
-        let width_and_height = view.pixels().size();
+        let width_and_height = view.pixels.size();
         let mut words = Vec::new();
-        let deep = match view.pixels() {
+        let deep = match &view.pixels {
             Pixels::Eight(raster) => {
                 append(&mut words, raster.data());
                 0
@@ -123,8 +123,8 @@ impl StoredView {
         let mut map = |map: Option<&_>| {
             map.map_or(0, |map: &use3d_capture::Raster<u8, 1>| append(&mut words, map.data()))
         };
-        let (alpha, mask) = (map(view.alpha()), map(view.mask()));
-        let prior = view.prior().map_or(0, |prior| append_shorts(&mut words, prior.data()));
+        let (alpha, mask) = (map(view.alpha.as_ref()), map(view.mask.as_ref()));
+        let prior = view.prior.as_ref().map_or(0, |prior| append_shorts(&mut words, prior.data()));
         let sections = Sections { deep, alpha, mask, prior };
         Ok(Self { width_and_height, sections, words: Array::from(gpu, "a stored view", &words)? })
     }

@@ -117,7 +117,7 @@ fn compare(step: u64, gpu: &TrainingState, cpu: &TrainingState, bar: f64) {
 #[test]
 fn every_step_from_the_same_state_is_the_processors() {
     let Some(gpu) = software() else { return };
-    let (mut ours, mut cpu) = (with_views(Stage1::new(&gpu).unwrap()), with_views(CpuEngine::new()));
+    let (mut ours, mut cpu) = (with_views(Stage1::new(&gpu).unwrap()), with_views(CpuEngine::default()));
     let mut state = state(300, -2.5);
     for step in 0..10 {
         let view = (step % 3) as usize;
@@ -143,7 +143,7 @@ fn every_step_from_the_same_state_is_the_processors() {
 #[test]
 fn many_steps_on_its_own_go_where_the_processors_go_and_runs_change_engines() {
     let Some(gpu) = software() else { return };
-    let (mut ours, mut cpu) = (with_views(Stage1::new(&gpu).unwrap()), with_views(CpuEngine::new()));
+    let (mut ours, mut cpu) = (with_views(Stage1::new(&gpu).unwrap()), with_views(CpuEngine::default()));
     ours.load(state(200, -2.5)).unwrap();
     cpu.load(state(200, -2.5)).unwrap();
     let mean = |reports: &[StepReport]| reports.iter().map(|r| r.loss).sum::<f64>() / reports.len() as f64;
@@ -168,7 +168,7 @@ fn many_steps_on_its_own_go_where_the_processors_go_and_runs_change_engines() {
 #[test]
 fn requests_between_steps_are_the_processors() {
     let Some(gpu) = software() else { return };
-    let (mut ours, mut cpu) = (with_views(Stage1::new(&gpu).unwrap()), with_views(CpuEngine::new()));
+    let (mut ours, mut cpu) = (with_views(Stage1::new(&gpu).unwrap()), with_views(CpuEngine::default()));
     cpu.load(state(150, -2.5)).unwrap();
     for step in 0..3 {
         cpu.step(step as usize, &plan(step)).unwrap();
@@ -224,7 +224,7 @@ fn what_a_survey_read_counts_for_nothing_once_the_scene_is_another() {
 #[test]
 fn steps_that_found_no_room_are_done_again() {
     let Some(gpu) = software() else { return };
-    let (mut ours, mut cpu) = (with_views(Stage1::new(&gpu).unwrap()), with_views(CpuEngine::new()));
+    let (mut ours, mut cpu) = (with_views(Stage1::new(&gpu).unwrap()), with_views(CpuEngine::default()));
     let state = state(2600, 0.5);
     ours.load(state.clone()).unwrap();
     cpu.load(state).unwrap();

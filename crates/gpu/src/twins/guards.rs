@@ -41,7 +41,7 @@ const SPOILT: [(&str, Spoil); 4] = [
 /// # Errors
 /// The engine's error, other than that of a value that is not finite.
 pub fn guards(engine: &mut dyn Engine, scene: &SceneSize) -> Result<Vec<Agreement>, EngineError> {
-    let mut ours = CpuEngine::new();
+    let mut ours = CpuEngine::default();
     for view in scene.training_views()? {
         ours.upload(view.clone())?;
         engine.upload(view)?;
@@ -69,7 +69,7 @@ mod tests {
     #[test]
     fn the_processor_reports_each_of_them() {
         let scene = SceneSize { width: 48, height: 32, gaussians: 150, views: 1, seed: 1 };
-        let found = guards(&mut CpuEngine::new(), &scene).unwrap();
+        let found = guards(&mut CpuEngine::default(), &scene).unwrap();
         assert!(found.len() == SPOILT.len() && found.iter().all(Agreement::holds), "{found:?}");
     }
 
@@ -77,7 +77,6 @@ mod tests {
     #[test]
     fn an_engine_that_reports_nothing_fails() {
         struct Blind(CpuEngine);
-        impl use3d_reconstruct::engine::Diagnostics for Blind {}
         impl Engine for Blind {
             fn upload(&mut self, view: use3d_reconstruct::TrainingView) -> Result<usize, EngineError> {
                 self.0.upload(view)
@@ -128,7 +127,7 @@ mod tests {
             }
         }
         let scene = SceneSize { width: 48, height: 32, gaussians: 150, views: 1, seed: 1 };
-        let found = guards(&mut Blind(CpuEngine::new()), &scene).unwrap();
+        let found = guards(&mut Blind(CpuEngine::default()), &scene).unwrap();
         assert!(found.iter().all(|agreement| !agreement.holds()), "{found:?}");
     }
 }

@@ -11,7 +11,7 @@ use super::{Agreement, SceneSize};
 /// gradients, from zero), statistics. At the end it compares rows of every kind, moved and made, to the
 /// bit.
 pub fn step(engine: &mut dyn Engine, scene: &SceneSize) -> Result<Vec<Agreement>, EngineError> {
-    let mut ours = CpuEngine::new();
+    let mut ours = CpuEngine::default();
     let state = scene.state();
     for view in scene.training_views()? {
         ours.upload(view.clone())?;
@@ -77,7 +77,7 @@ pub fn large_step(
     scene: &SceneSize,
     crowd: usize,
 ) -> Result<Vec<Agreement>, EngineError> {
-    let (mut ours, mut state) = (CpuEngine::new(), scene.state());
+    let (mut ours, mut state) = (CpuEngine::default(), scene.state());
     for i in 0..crowd.min(scene.gaussians) {
         let near = state.gaussians.means[i].map(|v| 0.01 * v);
         state.gaussians.means[i] = [near[0], near[1], 2.0 + near[2]];
@@ -178,7 +178,7 @@ mod tests {
     #[test]
     fn an_engine_agrees_with_itself() {
         let scene = SceneSize { width: 48, height: 32, gaussians: 150, views: 2, seed: 1 };
-        let found = step(&mut CpuEngine::new(), &scene).unwrap();
+        let found = step(&mut CpuEngine::default(), &scene).unwrap();
         assert_eq!(found.len(), 19);
         assert!(found.iter().all(|agreement| agreement.error == 0.0), "{found:?}");
         // The compared scene is not empty.

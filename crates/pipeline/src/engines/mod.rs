@@ -205,7 +205,7 @@ pub(crate) fn stage1(
     let said = said.map(|said| said + &narrow(most, room));
     let engine = match card {
         Some(card) => card.stage1()?,
-        None => Box::new(CpuEngine::new()),
+        None => Box::new(CpuEngine::default()),
     };
     Ok((engine, said))
 }

@@ -7,7 +7,7 @@ use use3d_io_image::write_png;
 use use3d_metrics::Score;
 use use3d_reconstruct::{
     DepthPrior, Evaluation, Exposure, Images, Known, LoadedView, Medium, MediumPrior, ReconstructError,
-    ReconstructParams, StartPoints, growth, memory_need, most_gaussians, reconstruct_in,
+    ReconstructParams, StartPoints, growth, memory_need, most_gaussians, plot, reconstruct,
 };
 use use3d_scene::{Origin, Scene};
 use use3d_water::WaterParams;
@@ -204,7 +204,7 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
         let (mut engine, chosen) =
             engines::stage1(&params, most_gaussians(&capture, &params)).map_err(StageError::failed)?;
         chosen.into_iter().for_each(|chosen| context.say(chosen));
-        reconstruct_in(&capture, &known, &load, &params, engine.as_mut(), context.checkpoints(), watch)
+        reconstruct(&capture, &known, &load, &params, engine.as_mut(), context.checkpoints(), watch)
     };
     let outcome = outcome.map_err(|error| match error {
         ReconstructError::Interrupted { .. } => StageError::Cancelled,
@@ -256,6 +256,6 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
         write_png(&out.join(CONTACT), &sheet)?;
     }
     write(&out.join("training.jsonl"), outcome.log_lines())?;
-    write(&out.join("training.svg"), outcome.plot())?;
+    write(&out.join("training.svg"), plot(&outcome.log))?;
     write_json(&out.join(EVALUATION), &HeldOut { learnt_from: params.images, held_out: &outcome.evaluation })
 }

@@ -60,8 +60,8 @@ impl Witnesses {
     /// The views with these cameras, of a scene with these sparse points.
     pub(crate) fn new(cameras: &[Camera], sparse: &[DVec3], beyond: f64) -> Self {
         let count = cameras.len().min(MOST_VIEWS);
-        let some: Vec<Camera> = (0..count).map(|i| cameras[i * cameras.len() / count]).collect();
-        let witness = |camera: &Camera| {
+        let witness = |i: usize| {
+            let camera = &cameras[i * cameras.len() / count];
             let mut depths: Vec<f64> = sparse.iter().filter_map(|p| depth(camera, *p)).collect();
             depths.sort_unstable_by(f64::total_cmp);
             let last = depths.get((LAST * depths.len() as f64) as usize).copied();
@@ -71,7 +71,7 @@ impl Witnesses {
                 far: last.map_or(f64::INFINITY, |z| beyond * z),
             }
         };
-        Self(some.par_iter().map(witness).collect())
+        Self((0..count).into_par_iter().map(witness).collect())
     }
 
     /// Lowers sizes and opacities to the bounds.

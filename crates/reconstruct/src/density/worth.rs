@@ -54,7 +54,7 @@ pub(crate) struct Judges {
     prepared: Prepared,
     rasterizer: Rasterizer,
     rendered: Rendered,
-    maps: Option<MediumMaps>,
+    maps: MediumMaps,
 }
 
 impl Judges {
@@ -84,15 +84,15 @@ impl Judges {
         for &view in &asked {
             let judge = &self.views[view];
             let lattice = Lattice::full(&judge.camera.intrinsics);
-            let maps = self.maps.get_or_insert_with(|| MediumMaps::zeros(0, 0));
             let water = !state.medium.is_none();
             if water {
-                state.medium.maps(&judge.camera, &lattice, degrees.water, maps);
+                state.medium.maps(&judge.camera, &lattice, degrees.water, &mut self.maps);
             }
             let colors = Colors::Sh { degree: degrees.colors };
             self.prepared.prepare(&state.gaussians, &judge.camera, &lattice, colors);
             let options = Options { depth_gradient: false, layers: false };
-            self.rasterizer.forward(&self.prepared, water.then_some(&*maps), &options, &mut self.rendered);
+            let maps = water.then_some(&self.maps);
+            self.rasterizer.forward(&self.prepared, maps, &options, &mut self.rendered);
             let planes = judge.planes(&self.rendered, state.exposures.gain(view));
             let count = planes.len() / 2;
             errors += planes[..count].iter().map(|e| f64::from(*e)).sum::<f64>();

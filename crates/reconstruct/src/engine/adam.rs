@@ -5,7 +5,7 @@
 //! moments yet, so they are not touched. The same pass checks on the bits that all values are finite, so
 //! that the check vectorises with the rest.
 
-use fearless_simd::{Level, Simd, dispatch};
+use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 use use3d_numerics::adam::{Adam, AdamScalars};
 use use3d_numerics::spherical_harmonics::bands;
@@ -19,6 +19,20 @@ const CHUNK: usize = 1024;
 const COEFFICIENTS: usize = 48;
 const CONSTANT: usize = 3;
 
+/// The names of the arrays in messages, in the order of [`numbers`].
+const NAMES: [&str; 5] = ["means", "log scales", "quaternions", "opacity logits", "colour coefficients"];
+
+/// The numbers of all Gaussians, array by array.
+fn numbers(gaussians: &mut Gaussians) -> [&mut [f32]; 5] {
+    [
+        gaussians.means.as_flattened_mut(),
+        gaussians.log_scales.as_flattened_mut(),
+        gaussians.quaternions.as_flattened_mut(),
+        &mut gaussians.opacity_logits,
+        gaussians.sh.as_flattened_mut().as_flattened_mut(),
+    ]
+}
+
 impl Moments {
     /// Updates all arrays once; returns the first array with a value that is not finite, and the index.
     pub(crate) fn update(
@@ -27,49 +41,38 @@ impl Moments {
         rates: &StepRates,
         degree: usize,
         parameters: &mut Gaussians,
-        gradients: &GaussianGradients,
+        g: &GaussianGradients,
     ) -> Option<(&'static str, Option<usize>)> {
+        let level = Level::new();
         let scalars = |rate: f64| Adam::SPLATTING.scalars(step + 1, rate);
-        let (m, v) = (&mut self.first, &mut self.second);
+        let plain = [rates.means, rates.scales, rates.quaternions, rates.opacity].map(scalars);
+        let coefficients = [rates.sh_constant, rates.sh_directional].map(scalars);
+        let active = 3 * bands(degree.min(3));
+        let gradients = [
+            g.means.as_flattened(),
+            g.log_scales.as_flattened(),
+            g.quaternions.as_flattened(),
+            &g.opacity_logits,
+            g.sh.as_flattened().as_flattened(),
+        ];
+        let moments = numbers(&mut self.first).into_iter().zip(numbers(&mut self.second));
+        let arrays = numbers(parameters).into_iter().zip(gradients).zip(moments).zip(NAMES);
         let mut bad = None;
-        let mut note = |name: &'static str, values: &[f32], found: bool| {
-            if found && bad.is_none() {
-                bad = Some((name, use3d_training::guard::first_non_finite(values)));
+        for (k, (((p, g), (m, v)), name)) in arrays.enumerate() {
+            let chunk = if k < plain.len() { 4 * CHUNK } else { COEFFICIENTS * CHUNK };
+            let found = p
+                .par_chunks_mut(chunk)
+                .zip(g.par_chunks(chunk))
+                .zip(m.par_chunks_mut(chunk).zip(v.par_chunks_mut(chunk)))
+                .map(|((p, g), (m, v))| match plain.get(k) {
+                    Some(scalars) => dispatch!(level, _simd => run(scalars, p, g, m, v)),
+                    None => dispatch!(level, _simd => rows(&coefficients, active, p, g, m, v)),
+                })
+                .reduce(|| 0, |a, b| a | b);
+            if found != 0 && bad.is_none() {
+                bad = Some((name, use3d_training::guard::first_non_finite(p)));
             }
-        };
-        macro_rules! plain {
-            ($field:ident, $rate:expr, $name:literal) => {
-                let found = flat(
-                    &scalars($rate),
-                    parameters.$field.as_flattened_mut(),
-                    gradients.$field.as_flattened(),
-                    m.$field.as_flattened_mut(),
-                    v.$field.as_flattened_mut(),
-                );
-                note($name, parameters.$field.as_flattened(), found);
-            };
         }
-        plain!(means, rates.means, "means");
-        plain!(log_scales, rates.scales, "log scales");
-        plain!(quaternions, rates.quaternions, "quaternions");
-        let found = flat(
-            &scalars(rates.opacity),
-            &mut parameters.opacity_logits,
-            &gradients.opacity_logits,
-            &mut m.opacity_logits,
-            &mut v.opacity_logits,
-        );
-        note("opacity logits", &parameters.opacity_logits, found);
-        let found = coefficients(
-            &scalars(rates.sh_constant),
-            &scalars(rates.sh_directional),
-            3 * bands(degree.min(3)),
-            &mut parameters.sh,
-            &gradients.sh,
-            &mut m.sh,
-            &mut v.sh,
-        );
-        note("colour coefficients", parameters.sh.as_flattened().as_flattened(), found);
         bad
     }
 }
@@ -91,64 +94,8 @@ fn run(scalars: &AdamScalars, p: &mut [f32], g: &[f32], m: &mut [f32], v: &mut [
 }
 
 #[inline(always)]
-fn run_dispatched<S: Simd>(
-    _simd: S,
-    scalars: &AdamScalars,
-    p: &mut [f32],
-    g: &[f32],
-    m: &mut [f32],
-    v: &mut [f32],
-) -> u32 {
-    run(scalars, p, g, m, v)
-}
-
-fn flat(scalars: &AdamScalars, p: &mut [f32], g: &[f32], m: &mut [f32], v: &mut [f32]) -> bool {
-    let level = Level::new();
-    let chunk = CHUNK * 4;
-    p.par_chunks_mut(chunk)
-        .zip(g.par_chunks(chunk))
-        .zip(m.par_chunks_mut(chunk).zip(v.par_chunks_mut(chunk)))
-        .map(|((p, g), (m, v))| dispatch!(level, simd => run_dispatched(simd, scalars, p, g, m, v)))
-        .reduce(|| 0, |a, b| a | b)
-        != 0
-}
-
-type Coefficients = [[f32; 3]; 16];
-
-fn coefficients(
-    constant: &AdamScalars,
-    directional: &AdamScalars,
-    active: usize,
-    p: &mut [Coefficients],
-    g: &[Coefficients],
-    m: &mut [Coefficients],
-    v: &mut [Coefficients],
-) -> bool {
-    let level = Level::new();
-    p.par_chunks_mut(CHUNK)
-        .zip(g.par_chunks(CHUNK))
-        .zip(m.par_chunks_mut(CHUNK).zip(v.par_chunks_mut(CHUNK)))
-        .map(|((p, g), (m, v))| {
-            dispatch!(level, simd => rows(
-                simd,
-                constant,
-                directional,
-                active,
-                p.as_flattened_mut().as_flattened_mut(),
-                g.as_flattened().as_flattened(),
-                m.as_flattened_mut().as_flattened_mut(),
-                v.as_flattened_mut().as_flattened_mut(),
-            ))
-        })
-        .reduce(|| 0, |a, b| a | b)
-        != 0
-}
-
-#[inline(always)]
-fn rows<S: Simd>(
-    _simd: S,
-    constant: &AdamScalars,
-    directional: &AdamScalars,
+fn rows(
+    [constant, directional]: &[AdamScalars; 2],
     active: usize,
     p: &mut [f32],
     g: &[f32],

@@ -11,7 +11,7 @@ use use3d_splat::{
 };
 use use3d_training::{Drain, EngineError, Profile};
 
-use super::{Degrees, Diagnostics, Engine, Statistics, StepPlan, StepReport, TrainingState};
+use super::{Degrees, Engine, Statistics, StepPlan, StepReport, TrainingState};
 use crate::density::{self, Draws, Origin, Survey};
 use crate::exposure::{expose, expose_backward};
 use crate::losses::{Loss, LossTerm, Losses, Observation, TERMS, ViewGradients};
@@ -28,38 +28,35 @@ pub struct CpuEngine {
     views: Vec<TrainingView>,
     /// Reports that were not drained yet.
     reports: Vec<StepReport>,
+    losses: Losses,
+    medium_gradient: MediumModel,
     buffers: Buffers,
     profile: Profile<StepPart>,
 }
 
 /// Intermediate results of a step; the memory is reused from step to step.
+#[derive(Default)]
 struct Buffers {
     target: Target,
     maps: MediumMaps,
     prepared: Prepared,
     rasterizer: Rasterizer,
     rendered: Rendered,
-    losses: Losses,
     /// The rendered image with the view's gain.
     exposed: Image,
     exposure_gradient: [f64; 3],
     gradients: GaussianGradients,
     map_gradients: MediumMaps,
-    medium_gradient: MediumModel,
 }
 
 impl Default for CpuEngine {
+    /// An engine without views and with an empty scene.
     fn default() -> Self {
-        Self::new()
+        Self::with_terms(TERMS)
     }
 }
 
 impl CpuEngine {
-    /// An engine without views and with an empty scene.
-    pub fn new() -> Self {
-        Self::with_terms(TERMS)
-    }
-
     /// An engine that minimises other terms: a plan needs one weight for each of their values, in this
     /// order.
     pub fn with_terms(terms: &[LossTerm]) -> Self {
@@ -67,19 +64,9 @@ impl CpuEngine {
             state: TrainingState::new(Gaussians::empty(0), MediumModel::None, &[]),
             views: Vec::new(),
             reports: Vec::new(),
-            buffers: Buffers {
-                target: Target::default(),
-                maps: MediumMaps::zeros(0, 0),
-                prepared: Prepared::new(),
-                rasterizer: Rasterizer::new(),
-                rendered: Rendered::new(),
-                losses: Losses::new(terms),
-                exposed: Image::new(0, 0),
-                exposure_gradient: [0.0; 3],
-                gradients: GaussianGradients::new(0),
-                map_gradients: MediumMaps::zeros(0, 0),
-                medium_gradient: MediumModel::None,
-            },
+            losses: Losses::new(terms),
+            medium_gradient: MediumModel::None,
+            buffers: Buffers::default(),
             profile: Profile::default(),
         }
     }
@@ -95,7 +82,7 @@ impl CpuEngine {
     /// Computes the loss of one view and stores all gradients in the buffers.
     pub(crate) fn differentiate(&mut self, view: usize, plan: &StepPlan) -> Result<Loss, EngineError> {
         self.view(view)?;
-        let (given, needed) = (plan.weights.len(), self.buffers.losses.values());
+        let (given, needed) = (plan.weights.len(), self.losses.values());
         if given != needed {
             let what = format!("the plan has {given} weights of the loss, expected {needed}");
             return Err(EngineError::Request { engine: NAME, what });
@@ -128,7 +115,7 @@ impl CpuEngine {
             }
             None => &b.rendered.image,
         };
-        let loss = b.losses.evaluate(
+        let loss = self.losses.evaluate(
             &Observation {
                 step: plan.step,
                 camera: &camera,
@@ -140,7 +127,7 @@ impl CpuEngine {
             },
             &plan.weights,
         );
-        let ViewGradients { image, depth, accumulation, .. } = &mut b.losses.gradients;
+        let ViewGradients { image, depth, accumulation, .. } = &mut self.losses.gradients;
         let image = image.or_zeros(shown.width(), shown.height());
         if let Some(gain) = gain {
             b.exposure_gradient = expose_backward(&b.exposed, gain, image);
@@ -158,15 +145,15 @@ impl CpuEngine {
         );
         profile.lap(StepPart::ComposeBackward);
         if water {
-            b.losses.gradients.add_water(&mut b.map_gradients);
-            b.medium_gradient.clear();
+            self.losses.gradients.add_water(&mut b.map_gradients);
+            self.medium_gradient.clear();
             state.medium.backward(
                 &camera,
                 &lattice,
                 plan.degrees.water,
                 &b.maps,
                 &b.map_gradients,
-                &mut b.medium_gradient,
+                &mut self.medium_gradient,
             );
         }
         profile.lap(StepPart::WaterBackward);
@@ -176,7 +163,7 @@ impl CpuEngine {
     /// The gradients that [`CpuEngine::differentiate`] computed.
     #[cfg(test)]
     pub(crate) fn gradients(&self) -> (&GaussianGradients, &MediumModel) {
-        (&self.buffers.gradients, &self.buffers.medium_gradient)
+        (&self.buffers.gradients, &self.medium_gradient)
     }
 
     /// The view that [`CpuEngine::differentiate`] rendered.
@@ -189,7 +176,7 @@ impl CpuEngine {
         let rates = &plan.rates;
         let TrainingState { medium, medium_moments: [first, second], .. } = &mut self.state;
         let mut finite = true;
-        medium.update(&self.buffers.medium_gradient, |role, offset, values, gradient| {
+        medium.update(&self.medium_gradient, |role, offset, values, gradient| {
             let rate = match role {
                 Role::Constant => rates.medium_constant,
                 Role::Directional | Role::Anchor => rates.medium_directional,
@@ -259,7 +246,7 @@ impl Engine for CpuEngine {
 
     fn load(&mut self, state: TrainingState) -> Result<(), EngineError> {
         state.check(self.views.len())?;
-        self.buffers.medium_gradient = state.medium.zeros_like();
+        self.medium_gradient = state.medium.zeros_like();
         self.state = state;
         self.reports.clear();
         Ok(())
@@ -355,9 +342,7 @@ impl Engine for CpuEngine {
         out.clone_from(&b.rendered.image);
         Ok(())
     }
-}
 
-impl Diagnostics for CpuEngine {
     fn contributing_pairs(
         &mut self,
         view: usize,

@@ -134,7 +134,7 @@ pub struct StepReport {
 }
 
 /// The work of training stage 1. See the [module](self) for the order of calls.
-pub trait Engine: Diagnostics {
+pub trait Engine {
     /// Adds a training view: its camera and its stored pixels. Views count from 0, in this order.
     fn upload(&mut self, view: TrainingView) -> Result<usize, EngineError>;
 
@@ -179,11 +179,10 @@ pub trait Engine: Diagnostics {
 
     /// Renders a camera with the present state, without gains.
     fn render(&mut self, camera: &Camera, degrees: Degrees, out: &mut Image) -> Result<(), EngineError>;
-}
 
-/// Optional information on an engine's work. Nothing here enters a result; an engine without this
-/// information keeps the defaults.
-pub trait Diagnostics {
+    // Optional information on the work follows. Nothing of it enters a result; an engine without this
+    // information keeps the defaults.
+
     /// Approximate number of (pixel, Gaussian) pairs that contribute to an uploaded view with the present
     /// state; `None` if they are not counted.
     fn contributing_pairs(

@@ -3,18 +3,12 @@
 use use3d_capture::{MediumMaps, Raster};
 
 /// The gradient with respect to one raster; absent until a term adds one.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Slot<const C: usize> {
     sum: Raster<f32, C>,
     /// Buffer that a later term fills before it is added.
     own: Raster<f32, C>,
     given: bool,
-}
-
-impl<const C: usize> Default for Slot<C> {
-    fn default() -> Self {
-        Self { sum: Raster::new(0, 0), own: Raster::new(0, 0), given: false }
-    }
 }
 
 impl<const C: usize> Slot<C> {

@@ -60,7 +60,7 @@ pub struct PhotometricLoss {
     /// Weights of Reg-L1 and of Reg-MS-SSIM.
     shares: [f64; 2],
     /// Weights of the structure measure's levels.
-    weights: Vec<f64>,
+    pub(super) weights: Vec<f64>,
     measure: MsSsim,
     /// `W Î − 1` and `W I − 1`.
     prediction: Image,
@@ -71,14 +71,9 @@ pub struct PhotometricLoss {
 impl PhotometricLoss {
     /// The loss with structure weight `lambda` and the method's three levels.
     pub fn new(lambda: f64) -> Self {
-        Self::with_levels(lambda, &RECONSTRUCTION_WEIGHTS)
-    }
-
-    /// The loss with other level weights.
-    pub fn with_levels(lambda: f64, weights: &[f64]) -> Self {
         Self {
             shares: [1.0 - lambda, lambda],
-            weights: weights.to_vec(),
+            weights: RECONSTRUCTION_WEIGHTS.to_vec(),
             measure: MsSsim::default(),
             prediction: Image::new(0, 0),
             target: Image::new(0, 0),

@@ -28,6 +28,13 @@ fn weights(case: &Case<'_>) -> Vec<f64> {
     if same { use3d_metrics::ms_ssim::RECONSTRUCTION_WEIGHTS.to_vec() } else { listed }
 }
 
+/// The loss with other level weights.
+fn with_levels(lambda: f64, weights: &[f64]) -> PhotometricLoss {
+    let mut loss = PhotometricLoss::new(lambda);
+    loss.weights = weights.to_vec();
+    loss
+}
+
 #[test]
 fn golden_losses() {
     let part = Part::math("losses");
@@ -43,8 +50,7 @@ fn golden_losses() {
         let levels = weights(&case);
         let mut gradient = Image::new(1, 1);
         let mut depth_gradient = Map::new(1, 1);
-        let value =
-            PhotometricLoss::with_levels(lambda, &levels).evaluate(&prediction, &target, None, &mut gradient);
+        let value = with_levels(lambda, &levels).evaluate(&prediction, &target, None, &mut gradient);
         let depth_loss = DepthPriorLoss.evaluate(&depth, &prior, 1.0, &mut depth_gradient);
         case.check_f64("out.reg_l1", &[value.reg_l1]);
         case.check_f64("out.reg_ms_ssim", &[value.reg_ms_ssim]);
@@ -65,7 +71,7 @@ fn golden_losses() {
                 "total" => (lambda, 1.0, depth_weight),
                 other => panic!("unknown pull {other}"),
             };
-            PhotometricLoss::with_levels(lambda, &levels).evaluate(&prediction, &target, None, &mut gradient);
+            with_levels(lambda, &levels).evaluate(&prediction, &target, None, &mut gradient);
             let scaled = gradient.map(|g| (f64::from(g) * d_output * photometric) as f32);
             case.check_planes(&format!("grad.{pull}.pred"), scaled.data());
             DepthPriorLoss.evaluate(&depth, &prior, depth_factor * d_output, &mut depth_gradient);

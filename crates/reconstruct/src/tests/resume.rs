@@ -6,7 +6,7 @@ use use3d_training::{Drain, EngineError};
 
 use super::*;
 use crate::density::{Draws, Origin, Survey};
-use crate::engine::{Diagnostics, StepReport};
+use crate::engine::StepReport;
 
 /// An engine that does some steps and then loses its device: from then on every call fails.
 struct Mortal {
@@ -22,8 +22,6 @@ impl Mortal {
         Err(EngineError::DeviceLost { engine: "mortal", reason: "it was pulled out".into() })
     }
 }
-
-impl Diagnostics for Mortal {}
 
 impl Engine for Mortal {
     fn upload(&mut self, view: TrainingView) -> Result<usize, EngineError> {
@@ -68,11 +66,11 @@ fn a_lost_device_ends_the_run_with_a_word_and_its_checkpoints_are_gone_on_from()
     let (capture, loaded) = tiny_capture(6);
     let params = ReconstructParams { checkpoint_steps: 8, ..tiny_params(40) };
     let dir = tempfile::tempdir().unwrap();
-    let mut mortal = Mortal { engine: CpuEngine::new(), steps: 27 };
+    let mut mortal = Mortal { engine: CpuEngine::default(), steps: 27 };
     let known = Known::default();
     let (place, loader) = (Some(dir.path()), loader(&loaded));
     let mut told = StoppingObserver::default();
-    let lost = crate::reconstruct_in(&capture, &known, &loader, &params, &mut mortal, place, &mut told);
+    let lost = crate::reconstruct(&capture, &known, &loader, &params, &mut mortal, place, &mut told);
     let said = lost.map(|_| ()).unwrap_err().to_string();
     assert!(said.ends_with("lost its device (it was pulled out)"), "{said}");
     assert!(told.notices.iter().any(|n| n.contains("is kept; run the same command")), "{:?}", told.notices);
