@@ -13,8 +13,9 @@ use use3d_splat::{Colors, Gaussians, Options, Prepared, Rasterizer, Rendered, vi
 use use3d_ubaf::{Field, FieldBox, ObjectPass, Shape, ViewWater};
 
 use crate::engine::{Goals, Step};
-use crate::losses::{TERMS, named};
+use crate::losses::TERMS;
 use crate::params::PixelLoss;
+use crate::report::ViewErrors;
 use crate::views::{Frozen, Listed, Lookups, Reference, ViewConstants};
 
 struct Example {
@@ -149,7 +150,7 @@ fn golden_whole_steps() {
         case.check_f64("out.delta", realised.local.as_flattened());
         let oracle = [("global", "l_global"), ("local", "l_local"), ("variation", "l_tv")];
         for (name, output) in oracle {
-            case.check_f64(&format!("out.{output}"), &[named(&losses.values, name).unwrap().loss]);
+            case.check_f64(&format!("out.{output}"), &[ViewErrors(losses.values).of(name).unwrap().loss]);
         }
         case.check_f64("out.total", &[losses.total]);
         let weights = e.goals.weights;

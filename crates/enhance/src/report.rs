@@ -6,7 +6,7 @@ use use3d_numerics::math;
 use use3d_scene::Scene;
 use use3d_training::Profile;
 
-use crate::losses::{COUNT, Realised, TERMS, Values, named};
+use crate::losses::{COUNT, Realised, TERMS, Values};
 use crate::profile::StepPart;
 
 /// Means over a window of steps.
@@ -43,7 +43,8 @@ pub struct ViewErrors(pub Values);
 impl ViewErrors {
     /// The value of the term with this name.
     pub fn of(&self, term: &str) -> Option<Realised> {
-        named(&self.0, term)
+        let rows = TERMS.iter().zip(&self.0);
+        rows.filter(|(row, _)| row.name == term).find_map(|(_, value)| *value)
     }
 }
 

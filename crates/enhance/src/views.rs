@@ -36,30 +36,29 @@ pub enum Guidance<'a> {
     Labels(&'a PseudoLabels),
 }
 
-impl Guidance<'_> {
+impl<'a> Guidance<'a> {
+    /// The transition targets; `None` for labels.
+    pub(crate) fn targets(self) -> Option<&'a Targets> {
+        match self {
+            Self::Targets(targets) => Some(targets),
+            Self::Labels(_) => None,
+        }
+    }
+
     /// The appearance that is compared. Targets define it; labels are enhanced photographs, which show the
     /// water.
     pub fn appearance(&self) -> Appearance {
-        match self {
-            Self::Targets(targets) => targets.appearance,
-            Self::Labels(_) => Appearance::Water,
-        }
+        self.targets().map_or(Appearance::Water, |targets| targets.appearance)
     }
 
     /// The share of the stage-1 water in the compared images; all of it in photographs, and so in labels.
     pub fn kept_water(&self) -> KeptWater {
-        match self {
-            Self::Targets(targets) => targets.kept_water,
-            Self::Labels(_) => KeptWater::ALL,
-        }
+        self.targets().map_or(KeptWater::ALL, |targets| targets.kept_water)
     }
 
     /// True if the identity is the answer, as in a scene in air whose colours stay as photographed.
     pub fn asks_for_no_change(&self) -> bool {
-        match self {
-            Self::Targets(targets) => targets.ask_for_no_change(),
-            Self::Labels(_) => false,
-        }
+        self.targets().is_some_and(Targets::ask_for_no_change)
     }
 
     /// Computes the stage-1 water in front of a camera for the comparison of views: thinned to the kept
@@ -293,10 +292,7 @@ impl<'a> References<'a> {
     /// weighs.
     pub fn new(scene: &'a Scene, guidance: Guidance<'a>, sample_side: usize) -> Self {
         // Pseudo-labels are compared on the pixels that the default extractor would read.
-        let settings = match guidance {
-            Guidance::Targets(targets) => targets.extractor.clone(),
-            Guidance::Labels(_) => ExtractorSettings::default(),
-        };
+        let settings = guidance.targets().map(|targets| targets.extractor.clone()).unwrap_or_default();
         let samplings = Samplings::new(settings, sample_side);
         Self { scene, guidance, samplings, rasterizer: Rasterizer::new() }
     }

@@ -6,7 +6,7 @@ mod common;
 use common::{Labels, draw, mini, quick, targets, taught};
 use use3d_atc::consensus::Targets;
 use use3d_capture::{Appearance, KeptWater, Lattice};
-use use3d_enhance::engine::{CpuFieldEngine, FieldEngine, Reading};
+use use3d_enhance::engine::{CpuFieldEngine, FieldEngine, FieldState, Reading};
 use use3d_enhance::losses::TERMS;
 use use3d_enhance::{
     EnhanceError, EnhanceOutcome, EnhanceParams, EnhanceView, Guidance, LogEntry, Objective, PixelLoss,
@@ -223,7 +223,7 @@ fn a_mean_over_some_gaussians_teaches_the_same() {
     let params = EnhanceParams { sample_side: 0, centre_sample: scene.gaussians.len() / 3, ..quick(1) };
     let mut engine =
         CpuFieldEngine::new(&scene, &views, Guidance::Targets(&wanted), &params, &mut Silent).unwrap();
-    *engine.field_mut() = some.scene.enhancement.as_ref().unwrap().field.clone();
+    engine.load(FieldState::new(&some.scene.enhancement.as_ref().unwrap().field)).unwrap();
     engine.evaluate(1, Reading::Sampled).unwrap();
     let drawn = draw(&some.scene, Look::Enhanced { strength: 1.0 }, &views[1].camera);
     for (a, b) in engine.rendered().image.data().iter().zip(drawn.data()) {

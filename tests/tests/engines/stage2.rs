@@ -8,7 +8,7 @@ use use3d_atc::extractor::ExtractorSettings;
 use use3d_atc::proposers::ProposerId;
 use use3d_capture::{Appearance, KeptWater};
 use use3d_enhance::engine::{
-    Coverage, CpuFieldEngine, FieldDiagnostics, FieldEngine, FieldPlan, FieldReport, FieldState, Reading,
+    Coverage, CpuFieldEngine, FieldEngine, FieldPlan, FieldReport, FieldState, Reading,
 };
 use use3d_enhance::{
     EnhanceError, EnhanceOutcome, EnhanceParams, EnhanceView, Guidance, Start, ViewErrors, enhance,
@@ -42,8 +42,6 @@ impl Late<'_> {
         Ok(())
     }
 }
-
-impl FieldDiagnostics for Late<'_> {}
 
 impl FieldEngine for Late<'_> {
     fn load(&mut self, state: FieldState) -> Result<(), EngineError> {

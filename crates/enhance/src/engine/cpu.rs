@@ -14,8 +14,8 @@ use use3d_training::{Drain, EngineError, Observer, Profile};
 use use3d_ubaf::{Field, Gradient, OUTPUTS, ObjectPass, WaterPass};
 
 use super::{
-    Coverage, FieldDiagnostics, FieldEngine, FieldPlan, FieldReport, FieldState, Goals, Measure, Reading,
-    StepLosses, check_inputs, initial_field,
+    Coverage, FieldEngine, FieldPlan, FieldReport, FieldState, Goals, Measure, Reading, StepLosses,
+    check_inputs, initial_field,
 };
 use crate::profile::StepPart;
 use crate::report::ViewErrors;
@@ -201,11 +201,6 @@ impl<'a> CpuFieldEngine<'a> {
         })
     }
 
-    /// The field, for changes between steps.
-    pub fn field_mut(&mut self) -> &mut Field {
-        &mut self.field
-    }
-
     /// The render of the last step or evaluation, on the view's lattice.
     pub fn rendered(&self) -> &Rendered {
         &self.step.rendered
@@ -253,24 +248,21 @@ impl<'a> CpuFieldEngine<'a> {
         first_non_finite(&self.field.parameters).map(|at| ("parameter", Some(at)))
     }
 
-    /// Measures the distance of view `index` from its reference, on the pixels of the steps.
-    fn evaluate_sampled(&mut self, index: usize) -> Result<ViewErrors, EnhanceError> {
-        let view = &self.views[index];
-        let frozen = self.store.of(index, view, &mut self.step.rasterizer);
+    /// Measures the distance of view `index` from its reference: on every pixel that the extractor weighs, or
+    /// on the pixels of the steps.
+    fn measure(&mut self, index: usize, whole: bool) -> Result<ViewErrors, EnhanceError> {
+        let kept = &self.views[index];
+        let mut made;
+        let (view, frozen) = if whole {
+            let (scene, guidance, lookups) = (self.store.scene, self.guidance, &self.store.lookups);
+            let whole = self.whole.get_or_insert_with(|| Preparer::new(scene, guidance, lookups.clone(), 0));
+            made = whole.view(index, &self.list[index], Some(&kept.reference), false)?;
+            (&made.0, &mut made.1)
+        } else {
+            (kept, self.store.of(index, kept, &mut self.step.rasterizer))
+        };
         self.step.render(&self.field, view, frozen);
-        let losses = self.step.losses(view, &self.goals, false)?;
-        Ok(ViewErrors(losses.values))
-    }
-
-    /// Measures the distance of view `index` from its targets, on every pixel that the extractor weighs.
-    fn evaluate_whole(&mut self, index: usize) -> Result<ViewErrors, EnhanceError> {
-        let known = &self.views[index].reference;
-        let (scene, guidance, lookups) = (self.store.scene, self.guidance, &self.store.lookups);
-        let whole = self.whole.get_or_insert_with(|| Preparer::new(scene, guidance, lookups.clone(), 0));
-        let (constants, mut frozen) = whole.view(index, &self.list[index], Some(known), false)?;
-        self.step.render(&self.field, &constants, &mut frozen);
-        let losses = self.step.losses(&constants, &self.goals, false)?;
-        Ok(ViewErrors(losses.values))
+        Ok(ViewErrors(self.step.losses(view, &self.goals, false)?.values))
     }
 
     /// Returns an error if there is no such view.
@@ -284,9 +276,8 @@ impl<'a> CpuFieldEngine<'a> {
 impl FieldEngine for CpuFieldEngine<'_> {
     fn load(&mut self, state: FieldState) -> Result<(), EngineError> {
         state.check(self.field.parameters.len())?;
-        let FieldState { version: _, parameters, first, second } = state;
-        self.field.parameters = parameters;
-        self.moments = [first, second];
+        self.field.parameters = state.parameters;
+        self.moments = [state.first, state.second];
         self.reports.clear();
         Ok(())
     }
@@ -315,12 +306,9 @@ impl FieldEngine for CpuFieldEngine<'_> {
 
     fn evaluate(&mut self, view: usize, reading: Reading) -> Result<ViewErrors, EngineError> {
         self.know(view)?;
-        match (reading, self.guidance) {
-            (Reading::Whole, Guidance::Targets(_)) => self.evaluate_whole(view),
-            // Labels keep their sample, because the values before and after must use the same pixels.
-            _ => self.evaluate_sampled(view),
-        }
-        .map_err(failed)
+        // Labels keep their sample, because the values before and after must use the same pixels.
+        let whole = reading == Reading::Whole && self.guidance.targets().is_some();
+        self.measure(view, whole).map_err(failed)
     }
 
     fn centre(&mut self) -> Result<[f32; OUTPUTS], EngineError> {
@@ -337,9 +325,7 @@ impl FieldEngine for CpuFieldEngine<'_> {
         }
         Coverage { views_in_memory: self.store.kept.iter().flatten().count(), rendered_share: rendered / all }
     }
-}
 
-impl FieldDiagnostics for CpuFieldEngine<'_> {
     fn profile(&self) -> Profile<StepPart> {
         self.step.profile.clone()
     }

@@ -28,10 +28,9 @@ pub struct Goals {
 impl Goals {
     /// The goals that follow from guidance and parameters.
     pub fn new(guidance: Guidance<'_>, params: &EnhanceParams) -> Self {
-        let (operator, global_scales, local_scales) = match guidance {
-            Guidance::Targets(t) => (t.scene, t.global_scales, t.local_scales),
-            Guidance::Labels(_) => ([0.0; 12], [1.0; 12], [1.0; 6]),
-        };
+        let none = ([0.0; 12], [1.0; 12], [1.0; 6]);
+        let (operator, global_scales, local_scales) =
+            guidance.targets().map_or(none, |t| (t.scene, t.global_scales, t.local_scales));
         let weights = TERMS.map(|row| (row.weight)(params));
         Self { operator, global_scales, local_scales, pixel_loss: params.pixel_loss, weights }
     }
@@ -56,21 +55,11 @@ impl Goals {
 }
 
 /// Compares renders with their references; its working memory is reused.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Measure {
     workspace: Workspace,
     d_operators: Transition,
     d_pixels: Image,
-}
-
-impl Default for Measure {
-    fn default() -> Self {
-        Self {
-            workspace: Workspace::default(),
-            d_operators: Transition { global: [0.0; 12], local: Vec::new() },
-            d_pixels: Image::new(0, 0),
-        }
-    }
 }
 
 impl Measure {

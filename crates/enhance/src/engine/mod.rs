@@ -80,7 +80,7 @@ pub struct Coverage {
 }
 
 /// The work of training stage 2. See the [module](self) for the order of calls.
-pub trait FieldEngine: FieldDiagnostics {
+pub trait FieldEngine {
     /// Sets the state from which the next step starts: a [new](FieldState::new) one or one that any engine
     /// saved. The state of [another field](FieldState::check) is refused.
     fn load(&mut self, state: FieldState) -> Result<(), EngineError>;
@@ -102,12 +102,9 @@ pub trait FieldEngine: FieldDiagnostics {
 
     /// The share of the views that it keeps in memory and renders.
     fn coverage(&self) -> Coverage;
-}
 
-/// Optional information on an engine's work. Nothing here enters a result; an engine without this
-/// information keeps the default.
-pub trait FieldDiagnostics {
-    /// Time spent per part of a step.
+    /// Time spent per part of a step. It never enters a result; an engine that does not measure it keeps the
+    /// default.
     fn profile(&self) -> Profile<StepPart> {
         Profile::default()
     }
@@ -145,26 +142,22 @@ pub fn check_inputs(
     if views.is_empty() {
         return Err(EnhanceError::NoViews);
     }
-    if let Guidance::Targets(targets) = guidance {
+    if let Some(targets) = guidance.targets() {
         targets.check_scene(&scene.gaussians)?;
     }
     Ok(())
 }
 
 fn check_guidance(guidance: Guidance<'_>, objective: Objective) -> Result<(), EnhanceError> {
-    let (objective, needed, fits) = match objective {
-        Objective::Full => ("full", "transition targets", matches!(guidance, Guidance::Targets(_))),
-        Objective::GlobalOnly => {
-            ("global-only", "transition targets", matches!(guidance, Guidance::Targets(_)))
-        }
-        Objective::LocalOnly => {
-            ("local-only", "transition targets", matches!(guidance, Guidance::Targets(_)))
-        }
-        Objective::PseudoLabels => (
-            "pseudo-labels",
-            "enhanced images of the training views",
-            matches!(guidance, Guidance::Labels(_)),
-        ),
+    let (objective, by_labels) = match objective {
+        Objective::Full => ("full", false),
+        Objective::GlobalOnly => ("global-only", false),
+        Objective::LocalOnly => ("local-only", false),
+        Objective::PseudoLabels => ("pseudo-labels", true),
     };
-    if fits { Ok(()) } else { Err(EnhanceError::Guidance { objective, needed }) }
+    if by_labels == guidance.targets().is_none() {
+        return Ok(());
+    }
+    let needed = if by_labels { "enhanced images of the training views" } else { "transition targets" };
+    Err(EnhanceError::Guidance { objective, needed })
 }

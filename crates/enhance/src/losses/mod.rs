@@ -110,11 +110,6 @@ impl StepLosses {
     }
 }
 
-/// The value of the term with this name.
-pub fn named(values: &Values, name: &str) -> Option<Realised> {
-    TERMS.iter().zip(values).find(|(row, _)| row.name == name).and_then(|(_, value)| *value)
-}
-
 /// The input of a term of operators.
 #[derive(Clone, Copy, Debug)]
 pub struct Operators<'a> {

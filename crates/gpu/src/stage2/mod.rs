@@ -16,8 +16,8 @@ mod weights;
 
 use use3d_capture::{Appearance, Camera, Formation, Image, Lattice};
 use use3d_enhance::engine::{
-    Coverage, FieldDiagnostics, FieldEngine, FieldPlan, FieldReport, FieldState, Goals, Measure, Reading,
-    Reference, References, centred, check_inputs, initial_field,
+    Coverage, FieldEngine, FieldPlan, FieldReport, FieldState, Goals, Measure, Reading, Reference,
+    References, centred, check_inputs, initial_field,
 };
 use use3d_enhance::{EnhanceError, EnhanceParams, EnhanceView, Guidance, ViewErrors};
 use use3d_scene::Scene;
@@ -391,8 +391,6 @@ impl FieldEngine for Stage2<'_> {
         Coverage { views_in_memory, rendered_share: rendered / all }
     }
 }
-
-impl FieldDiagnostics for Stage2<'_> {}
 
 fn failed(error: EnhanceError) -> EngineError {
     match error {
