@@ -242,8 +242,8 @@ impl StepConstants {
     pub(crate) fn set_rates(&mut self, step: u64, rates: &StepRates) {
         let Adam { beta1, beta2, epsilon, .. } = Adam::SPLATTING;
         let scalars = |rate| Adam::SPLATTING.scalars(step + 1, rate);
-        let size = |rate| scalars(rate).step_size();
-        self.adam = [beta1 as f32, beta2 as f32, scalars(0.0).root(), epsilon as f32];
+        let size = |rate| scalars(rate).step_size;
+        self.adam = [beta1 as f32, beta2 as f32, scalars(0.0).root, epsilon as f32];
         self.rates = [rates.means, rates.scales, rates.quaternions, rates.opacity].map(size);
         self.color_rates = [size(rates.sh_constant), size(rates.sh_directional), 0.0, 0.0];
     }

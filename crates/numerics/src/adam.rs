@@ -75,24 +75,16 @@ impl Adam {
 pub struct AdamScalars {
     beta1: f32,
     beta2: f32,
-    step_size: f32,
-    root: f32,
+    /// The learning rate over the first moment's correction, `lr / (1-β₁ᵗ)`, for code that does the update
+    /// without [`AdamScalars::apply`].
+    pub step_size: f32,
+    /// One over the root of the second moment's correction, `1 / √(1-β₂ᵗ)`.
+    pub root: f32,
     epsilon: f32,
     keep: f32,
 }
 
 impl AdamScalars {
-    /// The learning rate over the first moment's correction, `lr / (1-β₁ᵗ)`, for code that does the update
-    /// without [`AdamScalars::apply`].
-    pub fn step_size(&self) -> f32 {
-        self.step_size
-    }
-
-    /// One over the root of the second moment's correction, `1 / √(1-β₂ᵗ)`.
-    pub fn root(&self) -> f32 {
-        self.root
-    }
-
     /// The updated parameter; moments are updated in place.
     #[inline(always)]
     pub fn apply(&self, parameter: f32, gradient: f32, m: &mut f32, v: &mut f32) -> f32 {
@@ -139,7 +131,7 @@ mod tests {
         for step in [1u64, 7, 15_000] {
             let scalars = Adam::SPLATTING.scalars(step, 2e-3);
             let (c1, c2) = (1.0 - math::powi(0.9f64, step as i32), 1.0 - math::powi(0.999f64, step as i32));
-            assert_eq!((scalars.step_size(), scalars.root()), ((2e-3 / c1) as f32, (1.0 / c2.sqrt()) as f32));
+            assert_eq!((scalars.step_size, scalars.root), ((2e-3 / c1) as f32, (1.0 / c2.sqrt()) as f32));
         }
     }
 

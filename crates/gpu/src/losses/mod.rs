@@ -472,7 +472,7 @@ impl Losses {
             let adam = Adam::SPLATTING.scalars(*count, step.rate);
             view.row = row as u32;
             view.views = gains.steps.len() as u32;
-            view.gains = [adam.step_size(), adam.root(), step.weight as f32, 0.0];
+            view.gains = [adam.step_size, adam.root, step.weight as f32, 0.0];
         }
         view.has = has;
         let count = 3.0 * (shape.width * shape.height) as f64;

@@ -70,7 +70,7 @@ impl Constants {
         let adam = plan.map_or([0.0; 4], |plan| {
             let scalars = |rate| Adam::SPLATTING.scalars(plan.step + 1, rate);
             let (field, ratios) = (scalars(plan.rate), scalars(plan.transport_rate));
-            [field.step_size(), ratios.step_size(), field.root(), 0.0]
+            [field.step_size, ratios.step_size, field.root, 0.0]
         });
         Self {
             resolution: word(shape.resolution),

@@ -239,7 +239,7 @@ impl DeviceWater {
             parameters: self.model.parameter_count() as u32,
             to_world: [row(0), row(1), row(2)],
             lens: [(1.0 / k.fx) as f32, (1.0 / k.fy) as f32, k.cx as f32, k.cy as f32],
-            adam: [constant.step_size(), directional.step_size(), constant.root(), 0.0],
+            adam: [constant.step_size, directional.step_size, constant.root, 0.0],
         };
         self.uniform.write(gpu, 0, &[self.constants]);
         Ok(())
