@@ -27,7 +27,7 @@ const HIGHEST: f32 = 127.0;
 /// `log₂ e` as the sum of two floats.
 const LOG2_E: [f32; 2] = [std::f32::consts::LOG2_E, 1.925_963e-8];
 
-/// The largest absolute value of the argument of [`exp2_small`].
+/// The largest absolute value of the argument of the cubic of [`SMALL_COEFFICIENTS`].
 pub const SMALL: f32 = 0.09;
 
 #[inline(always)]
@@ -55,21 +55,8 @@ pub fn exp2_unclamped(x: f32) -> f32 {
     scale(polynomial(f), shifted)
 }
 
-/// `2^(a b)` for `a b` in `[-126, 127]`, without rounding the product; elsewhere an unspecified number.
-#[inline(always)]
-pub fn exp2_product_unclamped(a: f32, b: f32) -> f32 {
-    let shifted = a.mul_add(b, MAGIC);
-    let f = a.mul_add(b, -(shifted - MAGIC));
-    scale(polynomial(f), shifted)
-}
-
-/// `2^x` for `|x| ≤` [`SMALL`]: a cubic without range reduction, relative error 1.7e-7.
-#[inline(always)]
-pub fn exp2_small(x: f32) -> f32 {
-    Q[2].mul_add(x, Q[1]).mul_add(x, Q[0]).mul_add(x, 1.0)
-}
-
-/// The coefficients `[1, q₁, q₂, q₃]` of [`exp2_small`], for callers that fold a factor into them.
+/// The coefficients `[1, q₁, q₂, q₃]` of a cubic for `2^x` with `|x| ≤` [`SMALL`], which needs no range
+/// reduction and has a relative error of 1.7e-7. Callers fold a factor into them.
 pub const SMALL_COEFFICIENTS: [f32; 4] = [1.0, Q[0], Q[1], Q[2]];
 
 /// `e^x`.
@@ -110,22 +97,6 @@ pub fn exp2_unclamped_lanes<S: Simd>(simd: S, x: f32x16<S>) -> f32x16<S> {
     scale_lanes(polynomial_lanes(simd, f), shifted)
 }
 
-/// [`exp2_product_unclamped`] of 16 lanes.
-#[inline(always)]
-pub fn exp2_product_unclamped_lanes<S: Simd>(simd: S, a: f32x16<S>, b: f32x16<S>) -> f32x16<S> {
-    let magic = f32x16::splat(simd, MAGIC);
-    let shifted = a.mul_add(b, magic);
-    let f = a.mul_add(b, magic - shifted);
-    scale_lanes(polynomial_lanes(simd, f), shifted)
-}
-
-/// [`exp2_small`] of 16 lanes.
-#[inline(always)]
-pub fn exp2_small_lanes<S: Simd>(simd: S, x: f32x16<S>) -> f32x16<S> {
-    let c = |v: f32| f32x16::splat(simd, v);
-    c(Q[2]).mul_add(x, c(Q[1])).mul_add(x, c(Q[0])).mul_add(x, c(1.0))
-}
-
 /// [`exp`] of 16 lanes.
 #[inline(always)]
 pub fn exp_lanes<S: Simd>(simd: S, x: f32x16<S>) -> f32x16<S> {
@@ -160,6 +131,12 @@ mod tests {
         values.iter().map(|&x| (f64::from(f(x)) / exact(f64::from(x)) - 1.0).abs()).fold(0.0, f64::max)
     }
 
+    /// The cubic of [`SMALL_COEFFICIENTS`].
+    fn exp2_small(x: f32) -> f32 {
+        let k = SMALL_COEFFICIENTS;
+        k[3].mul_add(x, k[2]).mul_add(x, k[1]).mul_add(x, k[0])
+    }
+
     #[test]
     fn errors_are_as_stated() {
         for x in [samples(-126.0, 127.0), samples(-2.0, 2.0)] {
@@ -168,8 +145,6 @@ mod tests {
         }
         assert!(worst(&samples(-87.0, 87.0), exp, math::exp) < 2.5e-7);
         assert!(worst(&samples(-0.09, 0.09), exp2_small, math::exp2) < 1.9e-7);
-        let product = |x: f32| exp2_product_unclamped(x, 1.7);
-        assert!(worst(&samples(-70.0, 70.0), product, |x| math::exp2(x * f64::from(1.7f32))) < 2.5e-7);
     }
 
     #[test]
@@ -186,15 +161,9 @@ mod tests {
     }
 
     #[inline(always)]
-    fn all_lanes<S: Simd>(simd: S, x: &[f32; 16]) -> [[f32; 16]; 4] {
+    fn all_lanes<S: Simd>(simd: S, x: &[f32; 16]) -> [[f32; 16]; 2] {
         let v = f32x16::load_array_ref(simd, x);
-        let half = f32x16::splat(simd, 0.37);
-        [
-            exp2_lanes(simd, v).to_array(),
-            exp_lanes(simd, v).to_array(),
-            exp2_product_unclamped_lanes(simd, v, half).to_array(),
-            exp2_small_lanes(simd, v * f32x16::splat(simd, 0.001)).to_array(),
-        ]
+        [exp2_lanes(simd, v).to_array(), exp_lanes(simd, v).to_array()]
     }
 
     #[test]
@@ -205,8 +174,8 @@ mod tests {
                 let x: [f32; 16] = chunk.try_into().unwrap();
                 let lanes = dispatch!(level, simd => all_lanes(simd, &x));
                 for (i, &v) in x.iter().enumerate() {
-                    let twin = [exp2(v), exp(v), exp2_product_unclamped(v, 0.37), exp2_small(v * 0.001)];
-                    for k in 0..4 {
+                    let twin = [exp2(v), exp(v)];
+                    for k in 0..2 {
                         if tolerance == 0.0 {
                             assert_eq!(lanes[k][i].to_bits(), twin[k].to_bits(), "form {k} at {v}");
                         } else {

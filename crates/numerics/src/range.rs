@@ -41,6 +41,16 @@ impl fmt::Display for OutOfRange {
 
 impl Error for OutOfRange {}
 
+/// Returns the error for the parameter at `path` unless `good`.
+fn check(
+    good: bool,
+    path: impl Into<String>,
+    found: impl fmt::Display,
+    expected: impl Into<String>,
+) -> Result<(), OutOfRange> {
+    if good { Ok(()) } else { Err(OutOfRange::new(path, found, expected)) }
+}
+
 /// Checks that `value` lies in `[least, most]`.
 pub fn within<T: Copy + PartialOrd + fmt::Display>(
     path: impl Into<String>,
@@ -48,34 +58,22 @@ pub fn within<T: Copy + PartialOrd + fmt::Display>(
     least: T,
     most: T,
 ) -> Result<(), OutOfRange> {
-    if value >= least && value <= most {
-        Ok(())
-    } else {
-        Err(OutOfRange::new(path, value, format!("{least} to {most}")))
-    }
+    check(value >= least && value <= most, path, value, format!("{least} to {most}"))
 }
 
 /// Checks that `value` is at least `least`.
 pub fn at_least(path: impl Into<String>, value: u64, least: u64) -> Result<(), OutOfRange> {
-    if value >= least { Ok(()) } else { Err(OutOfRange::new(path, value, format!("at least {least}"))) }
+    check(value >= least, path, value, format!("at least {least}"))
 }
 
 /// Checks that `value` is finite and above 0.
 pub fn positive(path: impl Into<String>, value: f64) -> Result<(), OutOfRange> {
-    if value.is_finite() && value > 0.0 {
-        Ok(())
-    } else {
-        Err(OutOfRange::new(path, value, "a positive number"))
-    }
+    check(value.is_finite() && value > 0.0, path, value, "a positive number")
 }
 
 /// Checks that `value` is finite and not below 0.
 pub fn not_negative(path: impl Into<String>, value: f64) -> Result<(), OutOfRange> {
-    if value.is_finite() && value >= 0.0 {
-        Ok(())
-    } else {
-        Err(OutOfRange::new(path, value, "a finite number, 0 or more"))
-    }
+    check(value.is_finite() && value >= 0.0, path, value, "a finite number, 0 or more")
 }
 
 #[cfg(test)]
