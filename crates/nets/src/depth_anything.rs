@@ -44,7 +44,7 @@ pub enum DepthAnythingSize {
 struct NetworkWidths {
     width: usize,
     heads: usize,
-    blocks: usize,
+    /// The blocks whose tokens the head gets; the last one is the network's last.
     taken: [usize; 4],
     features: usize,
     channels: [usize; 4],
@@ -56,7 +56,6 @@ impl DepthAnythingSize {
             Self::Small => NetworkWidths {
                 width: 384,
                 heads: 6,
-                blocks: 12,
                 taken: [2, 5, 8, 11],
                 features: 64,
                 channels: [48, 96, 192, 384],
@@ -64,7 +63,6 @@ impl DepthAnythingSize {
             Self::Base => NetworkWidths {
                 width: 768,
                 heads: 12,
-                blocks: 12,
                 taken: [2, 5, 8, 11],
                 features: 128,
                 channels: [96, 192, 384, 768],
@@ -72,7 +70,6 @@ impl DepthAnythingSize {
             Self::Large => NetworkWidths {
                 width: 1024,
                 heads: 16,
-                blocks: 24,
                 taken: [4, 11, 17, 23],
                 features: 256,
                 channels: [256, 512, 1024, 1024],
@@ -126,8 +123,9 @@ impl DepthAnythingV2 {
                 positions.data[c * GRID * GRID + t] = *v;
             }
         }
-        let blocks =
-            (0..shape.blocks).map(|i| TransformerBlock::read(i, width, weights)).collect::<Result<_, _>>()?;
+        let blocks = (0..=shape.taken[3])
+            .map(|i| TransformerBlock::read(i, width, weights))
+            .collect::<Result<_, _>>()?;
         Ok(Self {
             heads: shape.heads,
             taken: shape.taken,

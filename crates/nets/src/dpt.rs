@@ -44,33 +44,23 @@ impl DptHead {
         channels: [usize; 4],
         weights: &mut dyn Weights,
     ) -> Result<Self, NetError> {
-        let none = Padding::same(0);
-        let same = Padding::same(1);
         let mut projects = Vec::new();
         let mut levels = Vec::new();
         for (i, &c) in channels.iter().enumerate() {
-            projects.push(weights.convolution(
-                &format!("depth_head.projects.{i}"),
-                [c, width, 1, 1],
-                1,
-                none,
-            )?);
-            levels.push(weights.convolution_without_bias(
-                &format!("depth_head.scratch.layer{}_rn", i + 1),
-                [features, c, 3, 3],
-                1,
-                same,
-            )?);
+            projects.push(weights.same_convolution(&format!("depth_head.projects.{i}"), [c, width], 1)?);
+            let shape = [features, c, 3, 3];
+            let values = weights.tensor(&format!("depth_head.scratch.layer{}_rn.weight", i + 1), &shape)?;
+            levels.push(Convolution::new(shape, &values, None, 1, Padding::same(1)));
         }
         let mut upsampling = |i: usize, kernel: usize| -> Result<BlockUpsampling, NetError> {
             let (name, c) = (format!("depth_head.resize_layers.{i}"), channels[i]);
-            let values = weights.tensor(&format!("{name}.weight"), &[c, c, kernel, kernel])?;
-            let bias = weights.tensor(&format!("{name}.bias"), &[c])?;
+            let (values, bias) = weights.parameters(&name, &[c, c, kernel, kernel])?;
             Ok(BlockUpsampling::new(c, c, kernel, &values, &bias))
         };
         let (upsample4, upsample2) = (upsampling(0, 4)?, upsampling(1, 2)?);
         let coarse = channels[3];
-        let halve = weights.convolution("depth_head.resize_layers.3", [coarse, coarse, 3, 3], 2, same)?;
+        let shape = [coarse, coarse, 3, 3];
+        let halve = weights.convolution("depth_head.resize_layers.3", shape, 2, Padding::same(1))?;
         let fusions =
             (1..=4).map(|level| Fusion::read(level, features, weights)).collect::<Result<_, _>>()?;
         let scratch = |part: &str| format!("depth_head.scratch.{part}");
@@ -81,10 +71,10 @@ impl DptHead {
             halve,
             levels,
             fusions,
-            reduce: weights.convolution(&scratch("output_conv1"), [features / 2, features, 3, 3], 1, same)?,
+            reduce: weights.same_convolution(&scratch("output_conv1"), [features / 2, features], 3)?,
             output: [
-                weights.convolution(&scratch("output_conv2.0"), [32, features / 2, 3, 3], 1, same)?,
-                weights.convolution(&scratch("output_conv2.2"), [1, 32, 1, 1], 1, none)?,
+                weights.same_convolution(&scratch("output_conv2.0"), [32, features / 2], 3)?,
+                weights.same_convolution(&scratch("output_conv2.2"), [1, 32], 1)?,
             ],
         })
     }
@@ -135,20 +125,14 @@ impl Fusion {
         let name = |part: &str| format!("depth_head.scratch.refinenet{level}.{part}");
         let mut residual = |unit: usize| -> Result<Residual, NetError> {
             let mut conv = |i: usize| {
-                let name = name(&format!("resConfUnit{unit}.conv{i}"));
-                weights.convolution(&name, [features, features, 3, 3], 1, Padding::same(1))
+                weights.same_convolution(&name(&format!("resConfUnit{unit}.conv{i}")), [features; 2], 3)
             };
             Ok(Residual([conv(1)?, conv(2)?]))
         };
         Ok(Self {
             skip: if level == 4 { None } else { Some(residual(1)?) },
             refine: residual(2)?,
-            output: weights.convolution(
-                &name("out_conv"),
-                [features, features, 1, 1],
-                1,
-                Padding::same(0),
-            )?,
+            output: weights.same_convolution(&name("out_conv"), [features; 2], 1)?,
         })
     }
 
@@ -168,12 +152,11 @@ impl Fusion {
 }
 
 impl Residual {
-    fn forward(&self, x: Planes) -> Planes {
+    fn forward(&self, mut x: Planes) -> Planes {
         let mut positive = x.clone();
         activation::apply(Activation::Relu, &mut positive.data);
         let inner = self.0[0].forward(&positive, Activation::Relu);
         drop(positive);
-        let mut x = x;
         self.0[1].add_to(&inner, &mut x);
         x
     }

@@ -17,7 +17,7 @@
 use use3d_capture::{Image, Image8};
 
 use crate::engine::activation::Activation;
-use crate::engine::convolution::{Convolution, Padding};
+use crate::engine::convolution::Convolution;
 use crate::engine::normalise;
 use crate::engine::planes::Planes;
 use crate::engine::pool;
@@ -53,23 +53,21 @@ pub struct Nu2Net {
 impl Nu2Net {
     /// Reads the ten convolutions.
     pub fn from_weights(weights: &mut dyn Weights) -> Result<Self, NetError> {
-        let pad = Padding::same(1);
-        let mut block =
-            |name: String, outputs, inputs| weights.convolution(&name, [outputs, inputs, 3, 3], 1, pad);
-        let first = block("encoder.e_stage1.0".into(), 64, 3)?;
+        let mut block = |name: &str, outputs, inputs| weights.same_convolution(name, [outputs, inputs], 3);
+        let first = block("encoder.e_stage1.0", 64, 3)?;
         let encoder = [
-            block("encoder.e_stage1.1.out.0".into(), 64, 64)?,
-            block("encoder.e_stage2.1.out.0".into(), 128, 64)?,
-            block("encoder.e_stage3.1.out.0".into(), 256, 128)?,
-            block("encoder.e_stage4.1.out.0".into(), 512, 256)?,
+            block("encoder.e_stage1.1.out.0", 64, 64)?,
+            block("encoder.e_stage2.1.out.0", 128, 64)?,
+            block("encoder.e_stage3.1.out.0", 256, 128)?,
+            block("encoder.e_stage4.1.out.0", 512, 256)?,
         ];
         let decoder = [
-            block("decoder.d_stage1.0.out.0".into(), 16, 64)?,
-            block("decoder.d_stage2.0.out.0".into(), 64, 128)?,
-            block("decoder.d_stage3.0.out.0".into(), 128, 256)?,
-            block("decoder.d_stage4.0.out.0".into(), 256, 512)?,
+            block("decoder.d_stage1.0.out.0", 16, 64)?,
+            block("decoder.d_stage2.0.out.0", 64, 128)?,
+            block("decoder.d_stage3.0.out.0", 128, 256)?,
+            block("decoder.d_stage4.0.out.0", 256, 512)?,
         ];
-        let output = weights.convolution("decoder.output.0", [3, 16, 1, 1], 1, Padding::same(0))?;
+        let output = weights.same_convolution("decoder.output.0", [3, 16], 1)?;
         Ok(Self { first, encoder, decoder, output })
     }
 

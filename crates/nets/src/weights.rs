@@ -3,6 +3,8 @@
 //!
 //! A network reads every tensor by its name in the official checkpoint, with the exact shape.
 
+use use3d_numerics::random;
+
 use crate::engine::convolution::{Convolution, Padding};
 use crate::engine::normalise::Affine;
 use crate::error::NetError;
@@ -15,6 +17,12 @@ pub trait Weights {
 
 /// Layers by their name in the checkpoint: `<name>.weight` and `<name>.bias`.
 pub(crate) trait Layers: Weights {
+    /// Weights of this shape, whose first side is the number of outputs, and one bias per output.
+    fn parameters(&mut self, name: &str, shape: &[usize]) -> Result<(Vec<f32>, Vec<f32>), NetError> {
+        let weights = self.tensor(&format!("{name}.weight"), shape)?;
+        Ok((weights, self.tensor(&format!("{name}.bias"), &shape[..1])?))
+    }
+
     fn convolution(
         &mut self,
         name: &str,
@@ -22,25 +30,22 @@ pub(crate) trait Layers: Weights {
         stride: usize,
         padding: Padding,
     ) -> Result<Convolution, NetError> {
-        let weights = self.tensor(&format!("{name}.weight"), &shape)?;
-        let bias = self.tensor(&format!("{name}.bias"), &shape[..1])?;
+        let (weights, bias) = self.parameters(name, &shape)?;
         Ok(Convolution::new(shape, &weights, Some(bias), stride, padding))
     }
 
-    fn convolution_without_bias(
+    /// A convolution with a square kernel of odd size that keeps the size of its input.
+    fn same_convolution(
         &mut self,
         name: &str,
-        shape: [usize; 4],
-        stride: usize,
-        padding: Padding,
+        [outputs, inputs]: [usize; 2],
+        kernel: usize,
     ) -> Result<Convolution, NetError> {
-        let weights = self.tensor(&format!("{name}.weight"), &shape)?;
-        Ok(Convolution::new(shape, &weights, None, stride, padding))
+        self.convolution(name, [outputs, inputs, kernel, kernel], 1, Padding::same(kernel / 2))
     }
 
     fn linear(&mut self, name: &str, outputs: usize, inputs: usize) -> Result<Convolution, NetError> {
-        let weights = self.tensor(&format!("{name}.weight"), &[outputs, inputs])?;
-        let bias = self.tensor(&format!("{name}.bias"), &[outputs])?;
+        let (weights, bias) = self.parameters(name, &[outputs, inputs])?;
         Ok(Convolution::linear(outputs, inputs, &weights, Some(bias)))
     }
 
@@ -52,8 +57,7 @@ pub(crate) trait Layers: Weights {
         inputs: usize,
         scale: &[f32],
     ) -> Result<Convolution, NetError> {
-        let mut weights = self.tensor(&format!("{name}.weight"), &[outputs, inputs])?;
-        let mut bias = self.tensor(&format!("{name}.bias"), &[outputs])?;
+        let (mut weights, mut bias) = self.parameters(name, &[outputs, inputs])?;
         for (o, row) in weights.chunks_exact_mut(inputs).enumerate() {
             row.iter_mut().for_each(|w| *w *= scale[o]);
             bias[o] *= scale[o];
@@ -62,10 +66,8 @@ pub(crate) trait Layers: Weights {
     }
 
     fn affine(&mut self, name: &str, channels: usize) -> Result<Affine, NetError> {
-        Ok(Affine {
-            scale: self.tensor(&format!("{name}.weight"), &[channels])?,
-            shift: self.tensor(&format!("{name}.bias"), &[channels])?,
-        })
+        let (scale, shift) = self.parameters(name, &[channels])?;
+        Ok(Affine { scale, shift })
     }
 }
 
@@ -79,26 +81,14 @@ impl<W: Weights + ?Sized> Layers for W {}
 #[derive(Clone, Copy, Debug, Default)]
 pub struct StandIn;
 
-impl StandIn {
-    /// The FNV-1a hash of a name.
-    fn hash(name: &str) -> u64 {
-        name.bytes()
-            .fold(0xcbf2_9ce4_8422_2325, |h, b| (h ^ u64::from(b)).wrapping_mul(0x0000_0100_0000_01b3))
-    }
-
-    /// The number `i` of a name's sequence, in `[−1, 1)`, exact in f32.
-    fn unit(hash: u64, i: u64) -> f32 {
-        let mut z = hash.wrapping_add(i).wrapping_add(0x9e37_79b9_7f4a_7c15);
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^= z >> 31;
-        (z >> 40) as f32 * (1.0 / 8_388_608.0) - 1.0
-    }
-}
-
 impl Weights for StandIn {
     fn tensor(&mut self, name: &str, shape: &[usize]) -> Result<Vec<f32>, NetError> {
-        let hash = Self::hash(name);
+        let hash = random::fnv1a(name);
+        // The number `i` of the name's sequence, exact in f32.
+        let unit = |i: u64| {
+            let bits = random::mix(hash.wrapping_add(i).wrapping_add(random::GOLDEN));
+            (bits >> 40) as f32 * (1.0 / 8_388_608.0) - 1.0
+        };
         let last = name.rsplit('.').next().unwrap_or(name);
         let fan_in: usize = shape.iter().skip(1).product();
         let spread = (3.0 / fan_in as f64).sqrt() as f32;
@@ -122,7 +112,7 @@ impl Weights for StandIn {
             Box::new(|u| 0.1 * u)
         };
         let n: usize = shape.iter().product();
-        Ok((0..n as u64).map(|i| value(Self::unit(hash, i))).collect())
+        Ok((0..n as u64).map(|i| value(unit(i))).collect())
     }
 }
 

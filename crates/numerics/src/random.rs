@@ -13,14 +13,19 @@ pub struct Purpose(u64);
 impl Purpose {
     /// A purpose from its name, e.g. `Purpose::new("split Gaussians")`.
     pub const fn new(name: &str) -> Self {
-        // FNV-1a over the name; it only has to distinguish a few dozen names.
-        let (bytes, mut hash, mut i) = (name.as_bytes(), 0xcbf2_9ce4_8422_2325u64, 0);
-        while i < bytes.len() {
-            hash = (hash ^ bytes[i] as u64).wrapping_mul(0x0000_0100_0000_01b3);
-            i += 1;
-        }
-        Self(hash)
+        // The hash only has to distinguish a few dozen names.
+        Self(fnv1a(name))
     }
+}
+
+/// The FNV-1a hash of a text.
+pub const fn fnv1a(text: &str) -> u64 {
+    let (bytes, mut hash, mut i) = (text.as_bytes(), 0xcbf2_9ce4_8422_2325u64, 0);
+    while i < bytes.len() {
+        hash = (hash ^ bytes[i] as u64).wrapping_mul(0x0000_0100_0000_01b3);
+        i += 1;
+    }
+    hash
 }
 
 /// The stream of one (seed, purpose, step).
@@ -29,13 +34,15 @@ pub struct Stream {
     key: u64,
 }
 
-const fn mix(mut z: u64) -> u64 {
+/// The finaliser of SplitMix64.
+pub const fn mix(mut z: u64) -> u64 {
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
     z ^ (z >> 31)
 }
 
-const GOLDEN: u64 = 0x9e37_79b9_7f4a_7c15;
+/// The increment of SplitMix64.
+pub const GOLDEN: u64 = 0x9e37_79b9_7f4a_7c15;
 
 impl Stream {
     /// The stream for `purpose` at `step` under `seed`.

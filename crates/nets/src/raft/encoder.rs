@@ -44,34 +44,31 @@ struct Residual {
 
 impl RaftEncoder {
     pub(crate) fn read(name: &str, norm: Norm, weights: &mut dyn Weights) -> Result<Self, NetError> {
-        let mut normed = |part: String, norm_part: String, shape: [usize; 4], stride: usize| {
-            let padding = Padding::same(shape[2] / 2);
-            let (part, norm_part) = (format!("{name}.{part}"), format!("{name}.{norm_part}"));
-            Normed::read(&part, &norm_part, norm, shape, stride, padding, weights)
+        let mut normed = |part: &str, shape: [usize; 4], stride: usize| {
+            Normed::read(&format!("{name}.{part}"), norm, shape, stride, weights)
         };
-        let first = normed("convnormrelu.0".into(), "convnormrelu.1".into(), [64, 3, 7, 7], 2)?;
+        let first = normed("convnormrelu", [64, 3, 7, 7], 2)?;
         let mut blocks = Vec::new();
         let mut inputs = 64;
         for (stage, width) in [(1, 64), (2, 96), (3, 128)] {
             for block in 0..2 {
                 let stride = if stage > 1 && block == 0 { 2 } else { 1 };
-                let mut unit = |i: usize, inputs: usize, stride: usize| {
-                    let part = format!("layer{stage}.{block}.convnormrelu{i}");
-                    normed(format!("{part}.0"), format!("{part}.1"), [width, inputs, 3, 3], stride)
+                let mut unit = |part: &str, shape, stride| {
+                    normed(&format!("layer{stage}.{block}.{part}"), shape, stride)
                 };
-                let convolutions = [unit(1, inputs, stride)?, unit(2, width, 1)?];
-                let part = format!("layer{stage}.{block}.downsample");
+                let convolutions = [
+                    unit("convnormrelu1", [width, inputs, 3, 3], stride)?,
+                    unit("convnormrelu2", [width, width, 3, 3], 1)?,
+                ];
                 let shortcut = match stride {
                     1 => None,
-                    _ => {
-                        Some(normed(format!("{part}.0"), format!("{part}.1"), [width, inputs, 1, 1], stride)?)
-                    }
+                    _ => Some(unit("downsample", [width, inputs, 1, 1], stride)?),
                 };
                 blocks.push(Residual { convolutions, shortcut });
                 inputs = width;
             }
         }
-        let last = weights.convolution(&format!("{name}.conv"), [256, 128, 1, 1], 1, Padding::same(0))?;
+        let last = weights.same_convolution(&format!("{name}.conv"), [256, 128], 1)?;
         Ok(Self { first, blocks, last })
     }
 
@@ -93,22 +90,22 @@ impl RaftEncoder {
 }
 
 impl Normed {
+    /// Reads the convolution `<part>.0` and, if it is a batch's, the normalisation `<part>.1`.
     fn read(
-        name: &str,
-        norm_name: &str,
+        part: &str,
         norm: Norm,
         shape: [usize; 4],
         stride: usize,
-        padding: Padding,
         weights: &mut dyn Weights,
     ) -> Result<Self, NetError> {
+        let (name, norm_name, padding) =
+            (format!("{part}.0"), format!("{part}.1"), Padding::same(shape[2] / 2));
         if norm == Norm::Instance {
-            let convolution = weights.convolution(name, shape, stride, padding)?;
+            let convolution = weights.convolution(&name, shape, stride, padding)?;
             return Ok(Self { convolution, norm });
         }
-        let mut values = weights.tensor(&format!("{name}.weight"), &shape)?;
-        let mut bias = weights.tensor(&format!("{name}.bias"), &shape[..1])?;
-        let affine = weights.affine(norm_name, shape[0])?;
+        let (mut values, mut bias) = weights.parameters(&name, &shape)?;
+        let affine = weights.affine(&norm_name, shape[0])?;
         let mean = weights.tensor(&format!("{norm_name}.running_mean"), &shape[..1])?;
         let variance = weights.tensor(&format!("{norm_name}.running_var"), &shape[..1])?;
         let per_output = shape[1..].iter().product();

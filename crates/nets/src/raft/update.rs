@@ -48,8 +48,7 @@ pub(crate) struct ContextPart([[Planes; 2]; 2]);
 impl Update {
     pub(crate) fn read(weights: &mut dyn Weights) -> Result<Self, NetError> {
         let mut conv = |name: &str, outputs, inputs, kernel: usize| {
-            let name = format!("update_block.{name}");
-            weights.convolution(&name, [outputs, inputs, kernel, kernel], 1, Padding::same(kernel / 2))
+            weights.same_convolution(&format!("update_block.{name}"), [outputs, inputs], kernel)
         };
         let correlation = [
             conv("motion_encoder.convcorr1.0", 256, CHANNELS, 1)?,
@@ -119,15 +118,15 @@ impl Split {
         let padding = Padding::of(kernel.0 / 2, kernel.1 / 2);
         let (mut context, mut rest, mut bias) = (Vec::new(), Vec::new(), Vec::new());
         for name in names {
-            let shape = [HIDDEN, 3 * HIDDEN, kernel.0, kernel.1];
-            for output in weights.tensor(&format!("{name}.weight"), &shape)?.chunks_exact(3 * HIDDEN * area) {
+            let (values, biases) = weights.parameters(name, &[HIDDEN, 3 * HIDDEN, kernel.0, kernel.1])?;
+            for output in values.chunks_exact(3 * HIDDEN * area) {
                 let (hidden, others) = output.split_at(HIDDEN * area);
                 let (of_context, motion) = others.split_at(HIDDEN * area);
                 context.extend_from_slice(of_context);
                 rest.extend_from_slice(hidden);
                 rest.extend_from_slice(motion);
             }
-            bias.extend(weights.tensor(&format!("{name}.bias"), &shape[..1])?);
+            bias.extend(biases);
         }
         let conv = |inputs, values: &[f32], bias| {
             Convolution::new([names.len() * HIDDEN, inputs, kernel.0, kernel.1], values, bias, 1, padding)
@@ -146,13 +145,8 @@ pub(crate) struct Upsampler {
 impl Upsampler {
     pub(crate) fn read(weights: &mut dyn Weights) -> Result<Self, NetError> {
         Ok(Self {
-            hidden: weights.convolution(
-                "mask_predictor.convrelu.0",
-                [256, HIDDEN, 3, 3],
-                1,
-                Padding::same(1),
-            )?,
-            output: weights.convolution("mask_predictor.conv", [576, 256, 1, 1], 1, Padding::same(0))?,
+            hidden: weights.same_convolution("mask_predictor.convrelu.0", [256, HIDDEN], 3)?,
+            output: weights.same_convolution("mask_predictor.conv", [576, 256], 1)?,
         })
     }
 

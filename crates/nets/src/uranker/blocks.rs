@@ -58,22 +58,18 @@ impl RelativePosition {
         let n = v.area();
         let mut first = 0;
         for group in &self.0 {
-            let rows = first..first + group.channels();
+            let end = first + group.channels();
             let mut filtered = vec![0.0; group.channels() * n];
-            group.forward(&v.data[rows.start * n..rows.end * n], v.height, v.width, &mut filtered);
+            group.forward(&v.data[first * n..end * n], v.height, v.width, &mut filtered);
             let stride = n + EXTRA;
-            let (q, out) = (
-                &q[rows.start * stride..rows.end * stride],
-                &mut out.data[rows.start * stride..rows.end * stride],
-            );
-            for ((out, q), f) in
-                out.chunks_exact_mut(stride).zip(q.chunks_exact(stride)).zip(filtered.chunks_exact(n))
-            {
+            let rows = first * stride..end * stride;
+            let pairs = out.data[rows.clone()].chunks_exact_mut(stride).zip(q[rows].chunks_exact(stride));
+            for ((out, q), f) in pairs.zip(filtered.chunks_exact(n)) {
                 for i in 0..n {
                     out[EXTRA + i] += q[EXTRA + i] * f[i];
                 }
             }
-            first = rows.end;
+            first = end;
         }
     }
 }
@@ -84,8 +80,8 @@ fn depthwise(
     kernel: usize,
     weights: &mut dyn Weights,
 ) -> Result<Depthwise, NetError> {
-    let values = weights.tensor(&format!("{name}.weight"), &[channels, 1, kernel, kernel])?;
-    Ok(Depthwise::new(kernel, values, weights.tensor(&format!("{name}.bias"), &[channels])?))
+    let (values, bias) = weights.parameters(name, &[channels, 1, kernel, kernel])?;
+    Ok(Depthwise::new(kernel, values, bias))
 }
 
 /// Factorised attention.
