@@ -41,17 +41,16 @@ pub(crate) fn check(network: &'static str, image: &Image, side: usize) -> Result
 pub(crate) fn check_pair(network: &'static str, a: &Image, b: &Image, side: usize) -> Result<(), NetError> {
     check(network, a, side)?;
     check(network, b, side)?;
-    if (a.width(), a.height()) != (b.width(), b.height()) {
-        let problem = format!(
-            "the two pictures differ in size: {}x{} and {}x{}",
-            a.width(),
-            a.height(),
-            b.width(),
-            b.height()
-        );
-        return Err(NetError::Input { network, problem });
+    same_size(network, [a, b].map(|image| (image.width(), image.height())))
+}
+
+/// Refuses two pictures of these sizes if they differ.
+pub(crate) fn same_size(network: &'static str, [a, b]: [(usize, usize); 2]) -> Result<(), NetError> {
+    if a == b {
+        return Ok(());
     }
-    Ok(())
+    let problem = format!("the two pictures differ in size: {}x{} and {}x{}", a.0, a.1, b.0, b.1);
+    Err(NetError::Input { network, problem })
 }
 
 /// The planes of an image.
@@ -80,7 +79,7 @@ pub(crate) fn map(planes: Planes) -> Result<Map, NetError> {
 
 /// A larger picture with the border pixels repeated outwards.
 pub(crate) fn pad_edges(input: &Planes, top: usize, left: usize, height: usize, width: usize) -> Planes {
-    padded(input, height, width, |plane, y, x| {
+    arranged(input, height, width, |plane, y, x| {
         let y = y.saturating_sub(top).min(input.height - 1);
         let x = x.saturating_sub(left).min(input.width - 1);
         plane[y * input.width + x]
@@ -89,13 +88,14 @@ pub(crate) fn pad_edges(input: &Planes, top: usize, left: usize, height: usize, 
 
 /// A larger picture with zeros outside.
 pub(crate) fn pad_zeros(input: &Planes, top: usize, left: usize, height: usize, width: usize) -> Planes {
-    padded(input, height, width, |plane, y, x| {
+    arranged(input, height, width, |plane, y, x| {
         let (y, x) = (y.wrapping_sub(top), x.wrapping_sub(left));
         if y < input.height && x < input.width { plane[y * input.width + x] } else { 0.0 }
     })
 }
 
-fn padded(
+/// A picture of this size with the values `value(plane, y, x)`.
+fn arranged(
     input: &Planes,
     height: usize,
     width: usize,
@@ -115,13 +115,7 @@ fn padded(
 
 /// The part of size `height × width` at (`top`, `left`).
 pub(crate) fn crop(input: &Planes, top: usize, left: usize, height: usize, width: usize) -> Planes {
-    let mut out = Planes::new(input.channels, height, width);
-    for (c, plane) in out.data.chunks_exact_mut(height * width).enumerate() {
-        for (y, row) in plane.chunks_exact_mut(width).enumerate() {
-            row.copy_from_slice(&input.plane(c)[(top + y) * input.width + left..][..width]);
-        }
-    }
-    out
+    arranged(input, height, width, |plane, y, x| plane[(top + y) * input.width + left + x])
 }
 
 #[cfg(test)]

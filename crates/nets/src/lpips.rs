@@ -72,7 +72,7 @@ impl Lpips {
 
     /// The distance of two pictures by their features.
     pub fn compare(&self, a: &Features, b: &Features) -> Result<f64, NetError> {
-        same_size(a, b)?;
+        images::same_size(NAME, [a, b].map(|features| (features.width, features.height)))?;
         Ok(self.layer_distances(a, b).iter().sum())
     }
 
@@ -106,21 +106,9 @@ impl Lpips {
         let mean = |map: &Planes| {
             use3d_numerics::sums::sum(map.data.len(), |i| f64::from(map.data[i])) / map.data.len() as f64
         };
-        self.heads
-            .iter()
-            .enumerate()
-            .map(|(l, head)| mean(&difference(&a.taps[l], &b.taps[l], head)))
-            .collect()
+        let layers = self.heads.iter().zip(a.taps.iter().zip(&b.taps));
+        layers.map(|(head, (a, b))| mean(&difference(a, b, head))).collect()
     }
-}
-
-fn same_size(a: &Features, b: &Features) -> Result<(), NetError> {
-    if (a.width, a.height) == (b.width, b.height) {
-        return Ok(());
-    }
-    let problem =
-        format!("the two pictures differ in size: {}x{} and {}x{}", a.width, a.height, b.width, b.height);
-    Err(NetError::Input { network: NAME, problem })
 }
 
 /// Maps [0, 1] to [−1, 1] and standardises.

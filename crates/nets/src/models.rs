@@ -59,9 +59,9 @@ pub struct CheckpointInfo {
     pub used_for: &'static str,
     /// The file names to look for, in this order; each also with the ending `.safetensors`.
     pub files: &'static [&'static str],
-    /// SHA-256 of official files whose name does not contain it: name and digest.
+    /// SHA-256 of the official file, if it is published; some names of files end with its first digits.
     #[serde(skip)]
-    digests: &'static [(&'static str, &'static str)],
+    sha256: Option<&'static str>,
     /// Size of the weights in bytes (files may hold more).
     pub bytes: u64,
     /// Licence of the weights.
@@ -79,7 +79,7 @@ pub const KNOWN: [CheckpointInfo; 11] = [
         title: "Nu2Net (3D-USE release)",
         used_for: "proposer",
         files: &["uie_proposer.pth"],
-        digests: &[],
+        sha256: None,
         bytes: 12_583_692,
         licence: "CC BY-NC 4.0",
         origin: "https://github.com/bilityniu/3D-USE (weights/uie_proposer.pth)",
@@ -89,7 +89,7 @@ pub const KNOWN: [CheckpointInfo; 11] = [
         title: "Nu2Net",
         used_for: "proposer",
         files: &["NU2Net_ckpt.pth"],
-        digests: &[],
+        sha256: None,
         bytes: 12_583_692,
         licence: "CC BY-NC 4.0",
         origin: UNDERWATER_RANKER,
@@ -99,7 +99,7 @@ pub const KNOWN: [CheckpointInfo; 11] = [
         title: "Depth Anything V2 Small",
         used_for: "depth prior",
         files: &["depth_anything_v2_vits.pth"],
-        digests: &[],
+        sha256: None,
         bytes: 99_140_356,
         licence: "Apache-2.0",
         origin: "https://huggingface.co/depth-anything/Depth-Anything-V2-Small",
@@ -109,7 +109,7 @@ pub const KNOWN: [CheckpointInfo; 11] = [
         title: "Depth Anything V2 Base",
         used_for: "depth prior",
         files: &["depth_anything_v2_vitb.pth"],
-        digests: &[],
+        sha256: None,
         bytes: 389_883_140,
         licence: "CC BY-NC 4.0",
         origin: "https://huggingface.co/depth-anything/Depth-Anything-V2-Base",
@@ -119,7 +119,7 @@ pub const KNOWN: [CheckpointInfo; 11] = [
         title: "Depth Anything V2 Large",
         used_for: "depth prior",
         files: &["depth_anything_v2_vitl.pth"],
-        digests: &[],
+        sha256: None,
         bytes: 1_341_262_596,
         licence: "CC BY-NC 4.0",
         origin: "https://huggingface.co/depth-anything/Depth-Anything-V2-Large",
@@ -129,11 +129,7 @@ pub const KNOWN: [CheckpointInfo; 11] = [
         title: "LPIPS 0.1 heads",
         used_for: "LPIPS, wLPIPS",
         files: &["alex.pth", "lpips_alex_v0.1.pth", "lpips/weights/v0.1/alex.pth"],
-        digests: &[
-            ("alex.pth", LPIPS_HEADS_SHA256),
-            ("lpips_alex_v0.1.pth", LPIPS_HEADS_SHA256),
-            ("lpips/weights/v0.1/alex.pth", LPIPS_HEADS_SHA256),
-        ],
+        sha256: Some(LPIPS_HEADS_SHA256),
         bytes: 4_608,
         licence: "BSD-2-Clause",
         origin: "https://github.com/richzhang/PerceptualSimilarity (lpips/weights/v0.1/alex.pth)",
@@ -143,7 +139,7 @@ pub const KNOWN: [CheckpointInfo; 11] = [
         title: "AlexNet",
         used_for: "LPIPS, wLPIPS",
         files: &["alexnet-owt-7be5be79.pth", "alexnet-owt-4df8aa71.pth"],
-        digests: &[],
+        sha256: None,
         bytes: 244_403_360,
         licence: "BSD-3-Clause",
         origin: "https://download.pytorch.org/models/alexnet-owt-7be5be79.pth",
@@ -164,7 +160,7 @@ pub const KNOWN: [CheckpointInfo; 11] = [
             "raft-kitti.pth",
             "raft-chairs.pth",
         ],
-        digests: &[],
+        sha256: None,
         bytes: 21_041_724,
         licence: "BSD-3-Clause",
         origin: "https://download.pytorch.org/models/raft_large_C_T_SKHT_V2-ff5fadd5.pth",
@@ -174,7 +170,7 @@ pub const KNOWN: [CheckpointInfo; 11] = [
         title: "URanker",
         used_for: "quality score",
         files: &["URanker_ckpt.pth", "URanker_ckpt-450eb36d.pth"],
-        digests: &[],
+        sha256: None,
         bytes: 86_355_292,
         licence: "CC BY-NC 4.0",
         origin: UNDERWATER_RANKER,
@@ -184,10 +180,7 @@ pub const KNOWN: [CheckpointInfo; 11] = [
         title: "MUSIQ (KonIQ)",
         used_for: "quality score",
         files: &["musiq_koniq_ckpt-e95806b9.pth"],
-        digests: &[(
-            "musiq_koniq_ckpt-e95806b9.pth",
-            "e95806b9eae5f3814c410f574ba8e552362bd5bc63d758ed5b97860f5d6185aa",
-        )],
+        sha256: Some("e95806b9eae5f3814c410f574ba8e552362bd5bc63d758ed5b97860f5d6185aa"),
         bytes: 108_503_300,
         licence: "Apache-2.0 (original), PolyForm Noncommercial 1.0.0 (torch port)",
         origin: "https://huggingface.co/chaofengc/IQA-PyTorch-Weights",
@@ -197,7 +190,7 @@ pub const KNOWN: [CheckpointInfo; 11] = [
         title: "Calibrator (3D-USE release)",
         used_for: "calibrator, where [calibrator] file or --calibrator names it",
         files: &["transition_calibrator.pth"],
-        digests: &[],
+        sha256: None,
         bytes: 414_584,
         licence: "Pi-Lab License 1.0 (non-commercial)",
         origin: "https://github.com/bilityniu/3D-USE (weights/transition_calibrator.pth)",
@@ -298,14 +291,12 @@ impl Models {
 
     /// The file of a network, if it exists.
     pub fn find(&self, network: Network) -> Option<PathBuf> {
-        let candidates = network.known().files.iter().flat_map(|file| {
-            let path = self.dir.join(file);
-            [path.with_extension("safetensors"), path]
-        });
         // The official file comes first, then the safetensors file of the same name.
-        let mut paths: Vec<PathBuf> = candidates.collect();
-        paths.chunks_exact_mut(2).for_each(|pair| pair.swap(0, 1));
-        paths.into_iter().find(|path| path.is_file())
+        let mut paths = network.known().files.iter().flat_map(|file| {
+            let path = self.dir.join(file);
+            [path.clone(), path.with_extension("safetensors")]
+        });
+        paths.find(|path| path.is_file())
     }
 
     /// Opens the checkpoint of a network. A file whose digest differs from the published one is refused.
@@ -417,13 +408,11 @@ impl Models {
 /// first eight digits.
 fn expected_digest(known: &CheckpointInfo, path: &Path) -> Option<String> {
     let name = path.file_name()?.to_str()?;
-    if let Some((_, digest)) =
-        known.digests.iter().find(|(file, _)| Path::new(file).file_name() == path.file_name())
-    {
-        return Some((*digest).to_string());
-    }
     if !known.files.iter().any(|file| Path::new(file).file_name() == path.file_name()) {
         return None;
+    }
+    if let Some(digest) = known.sha256 {
+        return Some(digest.to_string());
     }
     let (_, digits) = name.strip_suffix(".pth")?.rsplit_once('-')?;
     let hexadecimal = digits.len() == 8 && digits.bytes().all(|b| b.is_ascii_hexdigit());

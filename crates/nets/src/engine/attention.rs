@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::activation;
 use super::planes::Planes;
-use super::product::{LANES, Packed, fill_from_rows, multiply_panel};
+use super::product::{LANES, Packed, fill_from_rows, multiply_panels};
 
 /// The score of masked pairs before the softmax, in place of their own.
 const MASKED: f32 = -1000.0;
@@ -51,14 +51,14 @@ pub(crate) fn attention(
             |(panel, scores, sums), (block, mut rows)| {
                 fill_from_rows(queries, tokens, block * LANES, panel);
                 scores.fill(0.0);
-                multiply_panel(level, &packed_keys, panel, scores);
+                multiply_panels(level, &packed_keys, panel, scores, 1);
                 let (scores, _) = scores[..tokens * LANES].as_chunks_mut::<LANES>();
                 if let Some(valid) = valid {
                     mask(scores, valid, block * LANES);
                 }
                 let reciprocals = activation::softmax_columns(level, scores);
                 sums.fill(0.0);
-                multiply_panel(level, &packed_values, scores.as_flattened(), sums);
+                multiply_panels(level, &packed_values, scores.as_flattened(), sums, 1);
                 for (row, sums) in rows.iter_mut().zip(sums.chunks_exact(LANES)) {
                     for (i, o) in row.iter_mut().enumerate() {
                         *o = sums[i] * reciprocals[i];

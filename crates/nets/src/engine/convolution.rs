@@ -69,7 +69,7 @@ impl Convolution {
 
     /// Output channels.
     pub(crate) fn outputs(&self) -> usize {
-        self.weights.rows()
+        self.weights.rows
     }
 
     /// Height and width of the output for an input of `height × width`.
@@ -271,14 +271,8 @@ impl BlockUpsampling {
         let rows = outputs * block;
         let packed = Packed::new(rows, inputs, |row, k| weights[k * rows + row]);
         let bias = (0..rows).map(|row| bias[row / block]).collect();
-        let weights = Convolution {
-            weights: packed,
-            bias: Some(bias),
-            inputs,
-            kernel: (1, 1),
-            stride: 1,
-            padding: Padding::same(0),
-        };
+        let (bias, padding) = (Some(bias), Padding::same(0));
+        let weights = Convolution { weights: packed, bias, inputs, kernel: (1, 1), stride: 1, padding };
         Self { weights, kernel }
     }
 

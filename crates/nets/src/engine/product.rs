@@ -24,9 +24,9 @@ const TILE: usize = ROWS * LANES;
 const DEPTH: usize = 192;
 
 /// A matrix `[rows, inner]` in panels of [`ROWS`] rows; the last panel is padded with zeros.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(crate) struct Packed {
-    rows: usize,
+    pub(crate) rows: usize,
     inner: usize,
     panels: Vec<f32>,
 }
@@ -34,37 +34,21 @@ pub(crate) struct Packed {
 impl Packed {
     /// Packs `value(row, k)`.
     pub(crate) fn new(rows: usize, inner: usize, value: impl Fn(usize, usize) -> f32) -> Self {
-        let mut packed = Self::default();
-        packed.refill(rows, inner, value);
-        packed
-    }
-
-    /// Packs another matrix into the same allocation.
-    pub(crate) fn refill(&mut self, rows: usize, inner: usize, value: impl Fn(usize, usize) -> f32) {
-        self.rows = rows;
-        self.inner = inner;
-        self.panels.clear();
-        self.panels.resize(rows.next_multiple_of(ROWS) * inner, 0.0);
-        for (panel, values) in self.panels.chunks_exact_mut(ROWS * inner.max(1)).enumerate() {
+        let mut panels = vec![0.0; rows.next_multiple_of(ROWS) * inner];
+        for (panel, values) in panels.chunks_exact_mut(ROWS * inner.max(1)).enumerate() {
             for (k, at_k) in values.chunks_exact_mut(ROWS).enumerate() {
-                for (r, v) in at_k.iter_mut().enumerate() {
-                    let row = panel * ROWS + r;
-                    if row < rows {
-                        *v = value(row, k);
-                    }
+                for (v, row) in at_k.iter_mut().zip(panel * ROWS..rows) {
+                    *v = value(row, k);
                 }
             }
         }
+        Self { rows, inner, panels }
     }
 
     /// Packs a row-major matrix.
     pub(crate) fn from_row_major(rows: usize, inner: usize, values: &[f32]) -> Self {
         assert_eq!(values.len(), rows * inner);
         Self::new(rows, inner, |row, k| values[row * inner + k])
-    }
-
-    pub(crate) fn rows(&self) -> usize {
-        self.rows
     }
 
     fn padded_rows(&self) -> usize {
@@ -119,12 +103,9 @@ fn tile_kernel<S: Simd, const R: usize>(simd: S, a: &[f32], b: &[f32], sums: &mu
     }
 }
 
-/// Adds `a · b` to a stack of tiles, `[padded rows][LANES]`, for one panel of `b` (`[inner][LANES]`).
-pub(crate) fn multiply_panel(level: Level, a: &Packed, b: &[f32], tiles: &mut [f32]) {
-    multiply_panels(level, a, b, tiles, 1);
-}
-
-fn multiply_panels(level: Level, a: &Packed, b: &[f32], tiles: &mut [f32], count: usize) {
+/// Adds `a · b` to stacks of tiles, `[padded rows][LANES]` each, for `count` panels of `b` (`[inner][LANES]`
+/// each).
+pub(crate) fn multiply_panels(level: Level, a: &Packed, b: &[f32], tiles: &mut [f32], count: usize) {
     let height = a.padded_rows() * LANES;
     let stride = a.inner * LANES;
     for k in (0..a.inner).step_by(DEPTH) {

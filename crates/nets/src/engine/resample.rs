@@ -182,19 +182,12 @@ pub(crate) fn pillow_bilinear(image: &Image8, width: usize, height: usize) -> Im
 const FRACTION_BITS: u32 = 22;
 
 fn pillow_runs(input: usize, output: usize) -> Vec<(usize, Vec<i64>)> {
-    (0..output)
-        .map(|i| {
-            let scale = input as f64 / output as f64;
-            let (centre, half) = ((i as f64 + 0.5) * scale, scale.max(1.0));
-            let first = (centre - half + 0.5).max(0.0) as usize;
-            let end = ((centre + half + 0.5) as usize).min(input).max(first + 1);
-            let raw: Vec<f64> =
-                (first..end).map(|x| (1.0 - ((x as f64 - centre + 0.5) / half).abs()).max(0.0)).collect();
-            let total: f64 = raw.iter().sum();
-            let one = f64::from(1u32 << FRACTION_BITS);
-            (first, raw.iter().map(|w| (w / total * one + 0.5).floor() as i64).collect())
-        })
-        .collect()
+    let one = f64::from(1u32 << FRACTION_BITS);
+    let run = |i| {
+        let (first, weights) = Rule::BilinearAntialiased.taps(i, input, output);
+        (first as usize, weights.into_iter().map(|w| (w * one + 0.5).floor() as i64).collect())
+    };
+    (0..output).map(run).collect()
 }
 
 fn fixed_point<'a>(weights: &[i64], values: impl Iterator<Item = &'a u8>) -> u8 {
