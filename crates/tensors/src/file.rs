@@ -35,22 +35,20 @@ impl<'a> TensorFile<'a> {
 
     /// The header's document; its `format` and `version` are checked first.
     pub fn document<D: DeserializeOwned>(&self, format: &str, version: u64) -> Result<D, TensorError> {
-        let text = self.document.as_ref().ok_or_else(|| {
-            TensorError::Document(format!(
-                "its header has no `{KEY}` entry, so it was not written by this tool"
-            ))
-        })?;
+        let Some(text) = &self.document else {
+            let problem = format!("its header has no `{KEY}` entry, so it was not written by this tool");
+            return Err(TensorError::Document(problem));
+        };
         let broken = |e: serde_json::Error| TensorError::Document(format!("its header: {e}"));
         let value: serde_json::Value = serde_json::from_str(text).map_err(broken)?;
-        if value["format"] != format {
-            let found = &value["format"];
+        let found = &value["format"];
+        if *found != format {
             return Err(TensorError::Document(format!("its format is {found}, expected \"{format}\"")));
         }
-        if value["version"] != version {
-            return Err(TensorError::Document(format!(
-                "its version is {}, this tool reads version {version}; make it again with this tool",
-                value["version"]
-            )));
+        let found = &value["version"];
+        if *found != version {
+            let expected = format!("this tool reads version {version}; make it again with this tool");
+            return Err(TensorError::Document(format!("its version is {found}, {expected}")));
         }
         serde_json::from_value(value).map_err(broken)
     }
@@ -142,13 +140,9 @@ fn doubles(bytes: &[u8]) -> Vec<f64> {
     bytes.as_chunks::<8>().0.iter().map(|b| f64::from_le_bytes(*b)).collect()
 }
 
-fn finite(name: &str, mut values: impl Iterator<Item = f64> + Clone) -> Result<(), TensorError> {
-    let mut again = values.clone();
-    match values.position(|v| !v.is_finite()) {
+fn finite(name: &str, values: impl Iterator<Item = f64>) -> Result<(), TensorError> {
+    match values.enumerate().find(|(_, value)| !value.is_finite()) {
         None => Ok(()),
-        Some(index) => {
-            let value = again.nth(index).unwrap_or(f64::NAN);
-            Err(TensorError::NotFinite { name: name.into(), index, value })
-        }
+        Some((index, value)) => Err(TensorError::NotFinite { name: name.into(), index, value }),
     }
 }

@@ -13,23 +13,14 @@ pub trait Part: Copy + PartialEq + 'static {
 pub struct Profile<P> {
     /// Number of steps measured.
     pub steps: u64,
-    parts: std::marker::PhantomData<P>,
-    spent: Vec<Duration>,
+    spent: Vec<(P, Duration)>,
     last: Option<Instant>,
-}
-
-fn place<P: Part>(part: P) -> Option<usize> {
-    P::ALL.iter().position(|(known, _)| *known == part)
 }
 
 impl<P: Part> Default for Profile<P> {
     fn default() -> Self {
-        Self {
-            steps: 0,
-            parts: std::marker::PhantomData,
-            spent: vec![Duration::ZERO; P::ALL.len()],
-            last: None,
-        }
+        let spent = P::ALL.iter().map(|(part, _)| (*part, Duration::ZERO)).collect();
+        Self { steps: 0, spent, last: None }
     }
 }
 
@@ -43,8 +34,8 @@ impl<P: Part> Profile<P> {
     pub fn lap(&mut self, part: P) {
         if let Some(last) = &mut self.last {
             let now = Instant::now();
-            if let Some(at) = place(part) {
-                self.spent[at] += now - *last;
+            if let Some((_, spent)) = self.spent.iter_mut().find(|(known, _)| *known == part) {
+                *spent += now - *last;
             }
             *last = now;
         }
@@ -57,13 +48,13 @@ impl<P: Part> Profile<P> {
 
     /// Time of all parts, summed over steps.
     pub fn spent(&self) -> Duration {
-        self.spent.iter().sum()
+        self.spent.iter().map(|(_, spent)| spent).sum()
     }
 
     /// Seconds per step of a part.
     pub fn seconds(&self, part: P) -> f64 {
-        let spent = place(part).map_or(Duration::ZERO, |at| self.spent[at]);
-        spent.as_secs_f64() / self.steps.max(1) as f64
+        let spent = self.spent.iter().find(|(known, _)| *known == part);
+        spent.map_or(Duration::ZERO, |(_, spent)| *spent).as_secs_f64() / self.steps.max(1) as f64
     }
 
     /// Seconds per step of all parts.
@@ -109,7 +100,7 @@ mod tests {
         profile.stop();
         profile.lap(Half::First);
         assert!(profile.seconds(Half::First) == 0.0 && profile.seconds(Half::Second) >= 5e-3);
-        assert_eq!(profile.spent(), profile.spent[1]);
+        assert_eq!(profile.spent(), profile.spent[1].1);
         assert!(profile.table().contains("second"), "{}", profile.table());
     }
 }
