@@ -34,7 +34,7 @@ impl Default for Options {
 }
 
 /// A rendered view.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Rendered {
     /// The underwater image (without a medium: the Gaussians on black), display range, unclamped.
     pub image: Image,
@@ -47,7 +47,7 @@ pub struct Rendered {
 }
 
 /// The parts of an underwater image: `image = object + medium + far`.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Layers {
     /// Attenuated object radiance, `Σ w c e^{-β_a s}`.
     pub object: Image,
@@ -61,16 +61,10 @@ pub struct Layers {
     pub distance: Map,
 }
 
-impl Default for Rendered {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
 impl Rendered {
     /// An empty view; [`Rasterizer::forward`](crate::Rasterizer::forward) sets the sizes.
     pub fn new() -> Self {
-        Self { image: Image::new(0, 0), depth: Map::new(0, 0), accumulation: Map::new(0, 0), layers: None }
+        Self::default()
     }
 
     pub(crate) fn resize(&mut self, width: usize, height: usize, layers: bool) {
@@ -81,13 +75,7 @@ impl Rendered {
             self.layers = None;
             return;
         }
-        let layers = self.layers.get_or_insert_with(|| Layers {
-            object: Image::new(0, 0),
-            medium: Image::new(0, 0),
-            far: Image::new(0, 0),
-            clear: Image::new(0, 0),
-            distance: Map::new(0, 0),
-        });
+        let layers = self.layers.get_or_insert_default();
         for image in [&mut layers.object, &mut layers.medium, &mut layers.far, &mut layers.clear] {
             image.resize(width, height);
         }

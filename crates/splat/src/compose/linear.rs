@@ -8,31 +8,14 @@ use fearless_simd::dispatch;
 
 use super::groups::in_groups;
 use super::inputs::{input, row_splats};
+use super::pixels::put;
 use super::rasterizer::{Kernels, Rasterizer};
-use super::strips::{Strips, for_each};
+use super::strips::{PlanesMut, for_each};
 use super::sums::scatter;
 use super::tile::{CHANNELS, ForwardTile, Lanes, Sink};
 use super::{lanes, plain};
 use crate::lists::{Prepared, TILE};
 use crate::project::EntryGradient;
-
-/// The planes of some channels of a planar raster, cut at tile rows.
-struct ChannelPlanes<'a> {
-    planes: [&'a mut [f32]; CHANNELS],
-    width: usize,
-}
-
-impl Strips for ChannelPlanes<'_> {
-    fn cut(self, tile_rows: usize, _at: usize) -> (Self, Self) {
-        let width = self.width;
-        let (mut a, mut b): ([&mut [f32]; CHANNELS], [&mut [f32]; CHANNELS]) = Default::default();
-        for (c, plane) in self.planes.into_iter().enumerate() {
-            let middle = (tile_rows * TILE * width).min(plane.len());
-            (a[c], b[c]) = plane.split_at_mut(middle);
-        }
-        (Self { planes: a, width }, Self { planes: b, width })
-    }
-}
 
 impl Rasterizer {
     /// `S_v`: splats `values` (`[N][channels]`, in the order of the Gaussians) into `out`
@@ -48,16 +31,12 @@ impl Rasterizer {
         }
         for (group, planes) in out.chunks_mut(pixels * CHANNELS).enumerate() {
             let (first, count) = (group * CHANNELS, planes.len() / pixels);
-            let mut slots: [&mut [f32]; CHANNELS] = Default::default();
-            for (slot, plane) in slots.iter_mut().zip(planes.chunks_mut(pixels)) {
-                *slot = plane;
-            }
-            let strips = ChannelPlanes { planes: slots, width: prepared.width };
+            let strips = PlanesMut::of([planes], prepared.width, prepared.height);
             let of = |index: u32| -> [f32; CHANNELS] {
                 let row = &values[index as usize * channels + first..][..count];
                 std::array::from_fn(|c| row.get(c).copied().unwrap_or(0.0))
             };
-            for_each(0..prepared.rows.tiles(), strips, &|row, mut strips: ChannelPlanes<'_>| {
+            for_each(0..prepared.rows.tiles(), strips, &|row, mut strips: PlanesMut<'_, f32, CHANNELS>| {
                 let splats = row_splats(prepared, row);
                 for column in 0..prepared.columns.tiles() {
                     let input = input(prepared, &splats, row, column);
@@ -73,11 +52,10 @@ impl Rasterizer {
                             });
                         }
                     }
+                    let columns = column * TILE..column * TILE + input.filled_columns;
                     for (r, from) in tile[..input.filled_rows].iter().enumerate() {
-                        let start = r * strips.width + column * TILE;
-                        for (plane, lanes) in strips.planes[..count].iter_mut().zip(from) {
-                            plane[start..start + input.filled_columns]
-                                .copy_from_slice(&lanes[..input.filled_columns]);
+                        for (c, lanes) in from[..count].iter().enumerate() {
+                            put(strips.row(c, r, columns.clone()), lanes);
                         }
                     }
                 }
@@ -106,15 +84,7 @@ impl Rasterizer {
                         let input = input(prepared, &splats, row, column);
                         let mut state = ForwardTile::new(input.filled_rows, input.filled_columns);
                         let mut tile = [[[0.0; TILE]; CHANNELS]; TILE];
-                        load(
-                            prepared,
-                            planes,
-                            row,
-                            column,
-                            input.filled_rows,
-                            input.filled_columns,
-                            &mut tile,
-                        );
+                        load(planes, prepared, row, column, &mut tile);
                         let mut sink = Sink { records: &mut *records, column: column as u32 };
                         match kernels {
                             Kernels::Plain => plain::splat_adjoint(&input, &tile, &mut state, &mut sink),
@@ -140,14 +110,13 @@ impl Rasterizer {
 
 /// Copies one tile of some planes.
 fn load(
-    prepared: &Prepared,
     planes: &[f32],
+    prepared: &Prepared,
     row: usize,
     column: usize,
-    rows: usize,
-    columns: usize,
     tile: &mut [[Lanes; CHANNELS]; TILE],
 ) {
+    let (rows, columns) = (prepared.rows.filled(row), prepared.columns.filled(column));
     for (c, plane) in planes.chunks_exact((prepared.width * prepared.height).max(1)).enumerate() {
         for (r, out) in tile[..rows].iter_mut().enumerate() {
             let start = (row * TILE + r) * prepared.width + column * TILE;

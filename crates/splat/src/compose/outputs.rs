@@ -8,7 +8,7 @@ use use3d_capture::{Image, Map, MediumMaps};
 use use3d_numerics::lanes::exp2;
 
 use super::pixels::{each, get, put, ray_lengths};
-use super::strips::{PlanesMut, Strips};
+use super::strips::PlanesMut;
 use super::tile::{BackwardTile, ForwardTile, Lanes, TileInput, TileWater};
 use crate::lists::{Prepared, TILE};
 use crate::view::Layers;
@@ -20,21 +20,13 @@ pub(crate) struct Saved {
     stamp: u64,
     /// Planes: final transmittance, expected depth, accumulation.
     pub(super) values: Vec<f32>,
+    /// For each pixel, the entry of its tile's list at which compositing stopped; `NEVER` where it did not
+    /// stop.
     pub(super) stop: Vec<i32>,
 }
 
-/// The strips of [`Saved`].
-pub(crate) struct SavedPlanes<'a> {
-    values: PlanesMut<'a, f32, 3>,
-    stop: PlanesMut<'a, i32, 1>,
-}
-
-impl Strips for SavedPlanes<'_> {
-    fn cut(self, tile_rows: usize, at: usize) -> (Self, Self) {
-        let (values, stop) = (self.values.cut(tile_rows, at), self.stop.cut(tile_rows, at));
-        (Self { values: values.0, stop: stop.0 }, Self { values: values.1, stop: stop.1 })
-    }
-}
+/// The strips of [`Saved`]: values and stop.
+pub(crate) type SavedPlanes<'a> = (PlanesMut<'a, f32, 3>, PlanesMut<'a, i32, 1>);
 
 impl Saved {
     pub(crate) fn planes(&mut self, prepared: &Prepared) -> SavedPlanes<'_> {
@@ -42,20 +34,11 @@ impl Saved {
         self.stamp = prepared.stamp;
         self.values.resize(3 * w * h, 0.0);
         self.stop.resize(w * h, 0);
-        SavedPlanes {
-            values: PlanesMut::of(&mut self.values, w, h),
-            stop: PlanesMut::of(&mut self.stop, w, h),
-        }
+        (PlanesMut::of([&mut self.values[..]], w, h), PlanesMut::of([&mut self.stop[..]], w, h))
     }
 
     pub(crate) fn is_of(&self, prepared: &Prepared) -> bool {
         self.stamp == prepared.stamp && self.stop.len() == prepared.width * prepared.height
-    }
-
-    /// For each pixel, the entry of its tile's list at which compositing stopped; `NEVER` where it did not
-    /// stop.
-    pub(crate) fn stop(&self) -> &[i32] {
-        &self.stop
     }
 
     pub(crate) fn memory(&self) -> usize {
@@ -63,15 +46,19 @@ impl Saved {
     }
 }
 
-impl SavedPlanes<'_> {
-    #[inline(always)]
-    pub(crate) fn store(&mut self, input: &TileInput<'_>, tile: &ForwardTile, columns: Range<usize>) {
-        for (r, row) in tile.rows[..input.filled_rows].iter().enumerate() {
-            put(self.values.row(0, r, columns.clone()), &row.transmittance);
-            put(self.values.row(1, r, columns.clone()), &expected(&row.depth, &row.accumulation));
-            put(self.values.row(2, r, columns.clone()), &row.accumulation);
-            put(self.stop.row(0, r, columns.clone()), &row.stop);
-        }
+/// Stores the values of a tile.
+#[inline(always)]
+pub(crate) fn store_saved(
+    columns: Range<usize>,
+    input: &TileInput<'_>,
+    tile: &ForwardTile,
+    (values, stop): &mut SavedPlanes<'_>,
+) {
+    for (r, row) in tile.rows[..input.filled_rows].iter().enumerate() {
+        put(values.row(0, r, columns.clone()), &row.transmittance);
+        put(values.row(1, r, columns.clone()), &expected(&row.depth, &row.accumulation));
+        put(values.row(2, r, columns.clone()), &row.accumulation);
+        put(stop.row(0, r, columns.clone()), &row.stop);
     }
 }
 
@@ -81,35 +68,17 @@ fn expected(sum: &Lanes, weight: &Lanes) -> Lanes {
     each(|l| sum[l] / weight[l].max(1e-6))
 }
 
-/// The strips of a rendered view: image, depth and accumulation.
-pub(crate) struct ImagePlanes<'a> {
-    pub(super) image: PlanesMut<'a, f32, 3>,
-    pub(super) maps: [PlanesMut<'a, f32, 1>; 2],
-}
+/// The strips of a rendered view: the image (three planes), depth and accumulation.
+pub(crate) type ImagePlanes<'a> = PlanesMut<'a, f32, 5>;
 
-impl<'a> ImagePlanes<'a> {
-    pub(crate) fn of(image: &'a mut Image, depth: &'a mut Map, accumulation: &'a mut Map) -> Self {
-        let (w, h) = (image.width(), image.height());
-        let maps = [PlanesMut::of(depth.data_mut(), w, h), PlanesMut::of(accumulation.data_mut(), w, h)];
-        Self { image: PlanesMut::of(image.data_mut(), w, h), maps }
-    }
-
-    pub(crate) fn absent(width: usize) -> Self {
-        Self { image: PlanesMut::absent(width), maps: [PlanesMut::absent(width), PlanesMut::absent(width)] }
-    }
-
-    pub(crate) fn present(&self) -> bool {
-        self.image.present()
-    }
-}
-
-impl Strips for ImagePlanes<'_> {
-    fn cut(self, tile_rows: usize, at: usize) -> (Self, Self) {
-        let (i0, i1) = self.image.cut(tile_rows, at);
-        let [depth, accumulation] = self.maps;
-        let ((d0, d1), (a0, a1)) = (depth.cut(tile_rows, at), accumulation.cut(tile_rows, at));
-        (Self { image: i0, maps: [d0, a0] }, Self { image: i1, maps: [d1, a1] })
-    }
+/// The strips of these results.
+pub(crate) fn image_planes<'a>(
+    image: &'a mut Image,
+    depth: &'a mut Map,
+    accumulation: &'a mut Map,
+) -> ImagePlanes<'a> {
+    let (w, h) = (image.width(), image.height());
+    PlanesMut::of([image.data_mut(), depth.data_mut(), accumulation.data_mut()], w, h)
 }
 
 /// Writes image, depth and accumulation of a tile.
@@ -132,49 +101,24 @@ pub(crate) fn store_images<const WATER: bool>(
                 }
                 _ => from.object[c],
             };
-            put(out.image.row(c, r, columns.clone()), &lanes);
+            put(out.row(c, r, columns.clone()), &lanes);
         }
-        put(out.maps[0].row(0, r, columns.clone()), &expected(&from.depth, &from.accumulation));
-        put(out.maps[1].row(0, r, columns.clone()), &from.accumulation);
+        put(out.row(3, r, columns.clone()), &expected(&from.depth, &from.accumulation));
+        put(out.row(4, r, columns.clone()), &from.accumulation);
     }
 }
 
 /// The strips of the layers: object, medium, far, clear (three planes each) and distance.
-pub(crate) struct LayerPlanes<'a> {
-    images: [PlanesMut<'a, f32, 3>; 4],
-    distance: PlanesMut<'a, f32, 1>,
-}
+pub(crate) type LayerPlanes<'a> = PlanesMut<'a, f32, 13>;
 
-impl<'a> LayerPlanes<'a> {
-    pub(crate) fn of(layers: &'a mut Layers) -> Self {
-        let (w, h) = (layers.object.width(), layers.object.height());
-        let images = [&mut layers.object, &mut layers.medium, &mut layers.far, &mut layers.clear];
-        Self {
-            images: images.map(|image| PlanesMut::of(image.data_mut(), w, h)),
-            distance: PlanesMut::of(layers.distance.data_mut(), w, h),
-        }
-    }
-
-    pub(crate) fn absent(width: usize) -> Self {
-        Self { images: std::array::from_fn(|_| PlanesMut::absent(width)), distance: PlanesMut::absent(width) }
-    }
-}
-
-impl LayerPlanes<'_> {
-    pub(crate) fn present(&self) -> bool {
-        self.distance.present()
-    }
-}
-
-impl Strips for LayerPlanes<'_> {
-    fn cut(self, tile_rows: usize, at: usize) -> (Self, Self) {
-        let [a, b, c, d] = self.images.map(|image| image.cut(tile_rows, at));
-        let (near, rest) = self.distance.cut(tile_rows, at);
-        (
-            Self { images: [a.0, b.0, c.0, d.0], distance: near },
-            Self { images: [a.1, b.1, c.1, d.1], distance: rest },
-        )
-    }
+/// The strips of the layers; absent without layers.
+pub(crate) fn layer_planes(layers: &mut Option<Layers>, width: usize) -> LayerPlanes<'_> {
+    let Some(Layers { object, medium, far, clear, distance }) = layers else {
+        return PlanesMut::absent(width);
+    };
+    let height = object.height();
+    let images = [object, medium, far, clear].map(Image::data_mut);
+    PlanesMut::of(images.into_iter().chain([distance.data_mut()]), width, height)
 }
 
 /// A tile after the forward pass, with the inputs of that pass.
@@ -208,47 +152,29 @@ pub(crate) fn store_layers<const WATER: bool>(
                     each(|l| from.transmittance[l] * color[l] * exp2((deviation[l] + centre) * from.last[l]));
                 interval = each(|l| color[l].mul_add(1.0 - from.veil[c][l], -far[l]));
             }
-            for (image, lanes) in
-                out.images.iter_mut().zip([&from.object[c], &interval, &far, &from.clear[c]])
-            {
-                put(image.row(c, r, columns.clone()), lanes);
+            for (k, lanes) in [&from.object[c], &interval, &far, &from.clear[c]].into_iter().enumerate() {
+                put(out.row(3 * k + c, r, columns.clone()), lanes);
             }
         }
         let ray = ray_lengths(prepared, y, column);
         let depth = expected(&from.depth, &from.accumulation);
-        put(out.distance.row(0, r, columns.clone()), &each(|l| depth[l] * ray[l]));
+        put(out.row(12, r, columns.clone()), &each(|l| depth[l] * ray[l]));
     }
 }
 
-/// The strips of the medium's gradient: colour, backscatter, attenuation.
-pub(crate) struct MediumPlanes<'a> {
-    pub(super) maps: [PlanesMut<'a, f32, 3>; 3],
-}
+/// The strips of the medium's gradient: colour, backscatter, attenuation (three planes each).
+pub(crate) type MediumPlanes<'a> = PlanesMut<'a, f32, 9>;
 
-impl<'a> MediumPlanes<'a> {
-    pub(crate) fn of(grads: Option<&'a mut MediumMaps>, prepared: &Prepared) -> Self {
-        let (w, h) = (prepared.width, prepared.height);
-        let maps = match grads {
-            Some(grads) => {
-                grads.resize(w, h);
-                [&mut grads.color, &mut grads.backscatter, &mut grads.attenuation]
-                    .map(|image| PlanesMut::of(image.data_mut(), w, h))
-            }
-            None => std::array::from_fn(|_| PlanesMut::absent(w)),
-        };
-        Self { maps }
-    }
-
-    pub(crate) fn present(&self) -> bool {
-        self.maps[0].present()
-    }
-}
-
-impl Strips for MediumPlanes<'_> {
-    fn cut(self, tile_rows: usize, at: usize) -> (Self, Self) {
-        let [a, b, c] = self.maps.map(|map| map.cut(tile_rows, at));
-        (Self { maps: [a.0, b.0, c.0] }, Self { maps: [a.1, b.1, c.1] })
-    }
+/// The strips of these gradients, which get the view's size; absent without them.
+pub(crate) fn medium_planes<'a>(grads: Option<&'a mut MediumMaps>, prepared: &Prepared) -> MediumPlanes<'a> {
+    let (w, h) = (prepared.width, prepared.height);
+    let Some(grads) = grads else { return PlanesMut::absent(w) };
+    grads.resize(w, h);
+    PlanesMut::of(
+        [&mut grads.color, &mut grads.backscatter, &mut grads.attenuation].map(Image::data_mut),
+        w,
+        h,
+    )
 }
 
 /// Writes the medium's gradient of a tile: `∂c_m = g (1 − Σ w E_b)`,
@@ -268,9 +194,9 @@ pub(crate) fn store_medium_gradient<const WATER: bool>(
         for c in 0..3 {
             let color =
                 if WATER { each(|l| from.image[c][l] * (1.0 - from.veil[c][l])) } else { [0.0; TILE] };
-            put(out.maps[0].row(c, r, columns.clone()), &color);
-            put(out.maps[1].row(c, r, columns.clone()), &each(|l| -from.veil_moment[c][l] * ray[l]));
-            put(out.maps[2].row(c, r, columns.clone()), &each(|l| -from.object_moment[c][l] * ray[l]));
+            put(out.row(c, r, columns.clone()), &color);
+            put(out.row(3 + c, r, columns.clone()), &each(|l| -from.veil_moment[c][l] * ray[l]));
+            put(out.row(6 + c, r, columns.clone()), &each(|l| -from.object_moment[c][l] * ray[l]));
         }
     }
 }

@@ -21,7 +21,7 @@ use fearless_simd::dispatch;
 use use3d_capture::{Image, Map, MediumMaps};
 use use3d_numerics::lanes::exp;
 
-use super::outputs::MediumPlanes;
+use super::outputs::{ImagePlanes, LayerPlanes, MediumPlanes, image_planes, layer_planes, medium_planes};
 use super::pixels::{each, get, put, ray_lengths};
 use super::rasterizer::Kernels;
 use super::strips::{PlanesMut, for_each};
@@ -30,7 +30,7 @@ use crate::lists::{Prepared, TILE};
 use crate::view::{Options, RenderGradients, Rendered};
 
 /// A view composed without water, and the derivatives with respect to it.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct Clear {
     geometry: u64,
     colors: u64,
@@ -40,24 +40,10 @@ pub(crate) struct Clear {
     pub(super) d_accumulation: Map,
 }
 
-impl Default for Clear {
-    fn default() -> Self {
-        Self {
-            geometry: 0,
-            colors: 0,
-            composed: Rendered::new(),
-            d_image: Image::new(0, 0),
-            d_depth: Map::new(0, 0),
-            d_accumulation: Map::new(0, 0),
-        }
-    }
-}
-
 /// The strips that forming an image writes: the image, and the layers object, medium and far.
-type Formed<'a> =
-    (PlanesMut<'a, f32, 3>, PlanesMut<'a, f32, 3>, PlanesMut<'a, f32, 3>, PlanesMut<'a, f32, 3>);
+type Formed<'a> = (PlanesMut<'a, f32, 3>, LayerPlanes<'a>);
 /// The strips that its derivative writes: the gradients of clear image, depth, accumulation and water.
-type Derived<'a> = (PlanesMut<'a, f32, 3>, PlanesMut<'a, f32, 1>, PlanesMut<'a, f32, 1>, MediumPlanes<'a>);
+type Derived<'a> = (ImagePlanes<'a>, MediumPlanes<'a>);
 
 /// One row of a tile: the inputs of the formula for sixteen pixels that are the same in all channels.
 struct Surface {
@@ -155,18 +141,10 @@ impl Clear {
         self.composed.depth.clone_from(&out.depth);
         self.composed.accumulation.clone_from(&out.accumulation);
         self.mark(prepared);
-        let w = prepared.width;
+        let (w, h) = (prepared.width, prepared.height);
         let read = Read { prepared, water, composed: &self.composed };
-        let strips: Formed<'_> = match &mut out.layers {
-            Some(layers) => {
-                let [object, medium, far] =
-                    [&mut layers.object, &mut layers.medium, &mut layers.far].map(planes);
-                (planes(&mut out.image), object, medium, far)
-            }
-            None => {
-                (planes(&mut out.image), PlanesMut::absent(w), PlanesMut::absent(w), PlanesMut::absent(w))
-            }
-        };
+        let image = PlanesMut::of([out.image.data_mut()], w, h);
+        let strips = (image, layer_planes(&mut out.layers, w));
         for_each(0..prepared.rows.tiles(), strips, &|row, strips: Formed<'_>| match kernels {
             Kernels::Plain => form_row(read, row, strips),
             Kernels::Lanes(level) => dispatch!(level, _simd => form_row(read, row, strips)),
@@ -188,12 +166,8 @@ impl Clear {
         self.d_depth.resize(w, h);
         self.d_accumulation.resize(w, h);
         let read = Read { prepared, water, composed: &self.composed };
-        let strips: Derived<'_> = (
-            PlanesMut::of(self.d_image.data_mut(), w, h),
-            PlanesMut::of(self.d_depth.data_mut(), w, h),
-            PlanesMut::of(self.d_accumulation.data_mut(), w, h),
-            MediumPlanes::of(grads, prepared),
-        );
+        let images = image_planes(&mut self.d_image, &mut self.d_depth, &mut self.d_accumulation);
+        let strips = (images, medium_planes(grads, prepared));
         for_each(0..prepared.rows.tiles(), strips, &|row, strips: Derived<'_>| match kernels {
             Kernels::Plain => differentiate_row(read, row, wanted, strips),
             Kernels::Lanes(level) => dispatch!(level, _simd => differentiate_row(read, row, wanted, strips)),
@@ -201,14 +175,9 @@ impl Clear {
     }
 }
 
-fn planes(image: &mut Image) -> PlanesMut<'_, f32, 3> {
-    let (w, h) = (image.width(), image.height());
-    PlanesMut::of(image.data_mut(), w, h)
-}
-
 /// Forms a row of tiles. Always inlined, so that it is compiled for the instruction set.
 #[inline(always)]
-fn form_row(read: Read<'_>, row: usize, (mut image, mut object, mut medium, mut far): Formed<'_>) {
+fn form_row(read: Read<'_>, row: usize, (mut image, mut layers): Formed<'_>) {
     read.for_each(row, |y, r, column, columns| {
         let surface = read.surface(y, column, columns.len());
         let weight = &surface.accumulation;
@@ -218,14 +187,12 @@ fn form_row(read: Read<'_>, row: usize, (mut image, mut object, mut medium, mut 
             let shown = each(|l| light[l] * a[l]);
             let hidden = each(|l| weight[l] * b[l]);
             put(image.row(c, r, columns.clone()), &each(|l| color[l].mul_add(1.0 - hidden[l], shown[l])));
-            if object.present() {
+            if layers.present() {
                 let behind = each(|l| (1.0 - weight[l]) * color[l] * b[l]);
-                put(object.row(c, r, columns.clone()), &shown);
-                put(
-                    medium.row(c, r, columns.clone()),
-                    &each(|l| color[l].mul_add(1.0 - hidden[l], -behind[l])),
-                );
-                put(far.row(c, r, columns.clone()), &behind);
+                let medium = each(|l| color[l].mul_add(1.0 - hidden[l], -behind[l]));
+                for (k, lanes) in [shown, medium, behind].iter().enumerate() {
+                    put(layers.row(3 * k + c, r, columns.clone()), lanes);
+                }
             }
         }
     });
@@ -237,7 +204,7 @@ fn differentiate_row(
     read: Read<'_>,
     row: usize,
     (d_rendered, options): (&RenderGradients<'_>, &Options),
-    (mut d_image, mut d_depth, mut d_accumulation, mut d_water): Derived<'_>,
+    (mut d_images, mut d_water): Derived<'_>,
 ) {
     read.for_each(row, |y, r, column, columns| {
         let (x, n) = (columns.start, columns.len());
@@ -255,19 +222,18 @@ fn differentiate_row(
             d_weight = each(|l| d_weight[l] - veiled[l]);
             d_distance =
                 each(|l| d_distance[l] + (weight[l] * backscatter[l] * veiled[l] - attenuation[l] * lit[l]));
-            put(d_image.row(c, r, columns.clone()), &shown);
+            put(d_images.row(c, r, columns.clone()), &shown);
             if d_water.present() {
-                let [d_color, d_backscatter, d_attenuation] = &mut d_water.maps;
-                put(d_color.row(c, r, columns.clone()), &each(|l| g[l] * (1.0 - weight[l] * b[l])));
-                put(d_backscatter.row(c, r, columns.clone()), &each(|l| weight[l] * s[l] * veiled[l]));
-                put(d_attenuation.row(c, r, columns.clone()), &each(|l| -(s[l] * lit[l])));
+                put(d_water.row(c, r, columns.clone()), &each(|l| g[l] * (1.0 - weight[l] * b[l])));
+                put(d_water.row(3 + c, r, columns.clone()), &each(|l| weight[l] * s[l] * veiled[l]));
+                put(d_water.row(6 + c, r, columns.clone()), &each(|l| -(s[l] * lit[l])));
             }
         }
         let mut depth = own(d_rendered.depth);
         if options.depth_gradient {
             depth = each(|l| depth[l] + ray[l] * d_distance[l]);
         }
-        put(d_depth.row(0, r, columns.clone()), &depth);
-        put(d_accumulation.row(0, r, columns), &d_weight);
+        put(d_images.row(3, r, columns.clone()), &depth);
+        put(d_images.row(4, r, columns), &d_weight);
     });
 }

@@ -9,10 +9,10 @@ use use3d_capture::{Formation, Image, MediumMaps};
 
 use super::groups::in_groups;
 use super::inputs::BackwardRead;
-use super::outputs::{ImagePlanes, LayerPlanes, MediumPlanes, Saved};
+use super::outputs::{MediumPlanes, Saved, image_planes, layer_planes, medium_planes};
 use super::per_image::Clear;
 use super::rows::{ForwardStrips, backward_row, forward_row};
-use super::strips::for_each;
+use super::strips::{PlanesMut, for_each};
 use super::sums::scatter;
 use super::weighted::Weighted;
 use super::{lanes, plain};
@@ -132,25 +132,23 @@ impl Rasterizer {
         let saved = self.saved.planes(prepared);
         let (images, layers) = match out {
             Some(Rendered { image, depth, accumulation, layers }) => {
-                let layers = layers.as_mut().map_or_else(|| LayerPlanes::absent(w), LayerPlanes::of);
-                (ImagePlanes::of(image, depth, accumulation), layers)
+                (image_planes(image, depth, accumulation), layer_planes(layers, w))
             }
-            None => (ImagePlanes::absent(w), LayerPlanes::absent(w)),
+            None => (PlanesMut::absent(w), PlanesMut::absent(w)),
         };
-        for_each(0..prepared.rows.tiles(), (saved, images, layers), &|row, strips: ForwardStrips<'_>| {
-            match kernels {
-                Kernels::Plain => {
-                    forward_row::<WATER>(prepared, medium, row, strips, plain::forward::<WATER, LAYERS>);
-                }
-                Kernels::Lanes(level) => dispatch!(level, simd => forward_row::<WATER>(
-                    prepared,
-                    medium,
-                    row,
-                    strips,
-                    #[inline(always)]
-                    |input, water, tile| lanes::forward::<_, WATER, LAYERS>(simd, input, water, tile),
-                )),
+        let strips = (saved, (images, layers));
+        for_each(0..prepared.rows.tiles(), strips, &|row, strips: ForwardStrips<'_>| match kernels {
+            Kernels::Plain => {
+                forward_row::<WATER>(prepared, medium, row, strips, plain::forward::<WATER, LAYERS>);
             }
+            Kernels::Lanes(level) => dispatch!(level, simd => forward_row::<WATER>(
+                prepared,
+                medium,
+                row,
+                strips,
+                #[inline(always)]
+                |input, water, tile| lanes::forward::<_, WATER, LAYERS>(simd, input, water, tile),
+            )),
         });
     }
 
@@ -159,7 +157,7 @@ impl Rasterizer {
         if !self.saved.is_of(prepared) {
             self.forward_tiles::<false, false>(prepared, None, None);
         }
-        self.saved.stop()
+        &self.saved.stop
     }
 
     /// Computes the gradient of a loss with respect to every parameter of the Gaussians and to the medium's
@@ -229,7 +227,7 @@ impl Rasterizer {
     ) {
         let kernels = self.kernels;
         let read = BackwardRead { saved: Some(&self.saved), ..read };
-        let planes = MediumPlanes::of(medium_grads, read.prepared);
+        let planes = medium_planes(medium_grads, read.prepared);
         in_groups(
             read.prepared,
             &mut self.records,
@@ -303,7 +301,7 @@ impl Rasterizer {
         let kernels = self.kernels;
         let d_rendered = RenderGradients { image, depth: None, accumulation: None, clear: None };
         let read = BackwardRead { prepared, medium, d_rendered: &d_rendered, saved: None };
-        let planes = MediumPlanes::of(medium_grads, prepared);
+        let planes = medium_planes(medium_grads, prepared);
         in_groups(
             prepared,
             &mut self.records,

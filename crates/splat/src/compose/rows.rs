@@ -5,14 +5,14 @@ use use3d_capture::MediumMaps;
 use super::inputs::{BackwardRead, input, load_derivatives, load_water, row_splats};
 use super::outputs::{
     Composed, ImagePlanes, LayerPlanes, MediumPlanes, SavedPlanes, store_images, store_layers,
-    store_medium_gradient,
+    store_medium_gradient, store_saved,
 };
 use super::tile::{BackwardTile, ForwardTile, Sink, TileInput, TileWater};
 use crate::lists::{Prepared, TILE};
 use crate::project::EntryGradient;
 
 /// The strips that the forward pass writes.
-pub(super) type ForwardStrips<'a> = (SavedPlanes<'a>, ImagePlanes<'a>, LayerPlanes<'a>);
+pub(super) type ForwardStrips<'a> = (SavedPlanes<'a>, (ImagePlanes<'a>, LayerPlanes<'a>));
 
 /// Composes a tile row with `compose`. Always inlined, so that the loops around the kernel are compiled for
 /// its instruction set too.
@@ -21,7 +21,7 @@ pub(super) fn forward_row<const WATER: bool>(
     prepared: &Prepared,
     medium: Option<&MediumMaps>,
     row: usize,
-    (mut saved, mut images, mut layers): ForwardStrips<'_>,
+    (mut saved, (mut images, mut layers)): ForwardStrips<'_>,
     compose: impl Fn(&TileInput<'_>, &TileWater, &mut ForwardTile),
 ) {
     let mut water = TileWater::default();
@@ -34,7 +34,7 @@ pub(super) fn forward_row<const WATER: bool>(
         let mut tile = ForwardTile::new(input.filled_rows, input.filled_columns);
         compose(&input, &water, &mut tile);
         let columns = column * TILE..column * TILE + input.filled_columns;
-        saved.store(&input, &tile, columns.clone());
+        store_saved(columns.clone(), &input, &tile, &mut saved);
         if images.present() {
             store_images::<WATER>(medium, row, columns, &input, &tile, &mut images);
         }

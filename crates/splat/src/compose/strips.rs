@@ -17,15 +17,11 @@ pub(crate) struct PlanesMut<'a, T, const N: usize> {
 }
 
 impl<'a, T, const N: usize> PlanesMut<'a, T, N> {
-    /// `N` planes of `width × height` that lie one after another in `data`.
-    pub(crate) fn of(data: &'a mut [T], width: usize, height: usize) -> Self {
-        let mut rest = data;
-        let planes = std::array::from_fn(|_| {
-            let (plane, tail) = std::mem::take(&mut rest).split_at_mut(width * height);
-            rest = tail;
-            plane
-        });
-        Self { planes, width }
+    /// `N` planes of `width × height` that lie one after another in `buffers`.
+    pub(crate) fn of(buffers: impl IntoIterator<Item = &'a mut [T]>, width: usize, height: usize) -> Self {
+        let size = (width * height).max(1);
+        let mut planes = buffers.into_iter().flat_map(|buffer| buffer.chunks_exact_mut(size));
+        Self { planes: std::array::from_fn(|_| planes.next().unwrap_or_default()), width }
     }
 
     /// Planes without pixels.
@@ -49,32 +45,21 @@ impl<'a, T, const N: usize> PlanesMut<'a, T, N> {
 impl<T: Send, const N: usize> Strips for PlanesMut<'_, T, N> {
     fn cut(self, tile_rows: usize, _at: usize) -> (Self, Self) {
         let width = self.width;
-        let mut second: [&mut [T]; N] = std::array::from_fn(|_| Default::default());
-        let mut first: [&mut [T]; N] = std::array::from_fn(|_| Default::default());
+        let (mut first, mut second) = (Self::absent(width), Self::absent(width));
         for (c, plane) in self.planes.into_iter().enumerate() {
             let middle = (tile_rows * TILE * width).min(plane.len());
-            (first[c], second[c]) = plane.split_at_mut(middle);
+            (first.planes[c], second.planes[c]) = plane.split_at_mut(middle);
         }
-        (Self { planes: first, width }, Self { planes: second, width })
+        (first, second)
     }
 }
 
-macro_rules! strips_of_tuples {
-    ($($name:ident),+) => {
-        impl<$($name: Strips),+> Strips for ($($name,)+) {
-            #[allow(non_snake_case, reason = "one binding per type parameter")]
-            fn cut(self, tile_rows: usize, at: usize) -> (Self, Self) {
-                let ($($name,)+) = self;
-                $(let $name = $name.cut(tile_rows, at);)+
-                (($($name.0,)+), ($($name.1,)+))
-            }
-        }
-    };
+impl<A: Strips, B: Strips> Strips for (A, B) {
+    fn cut(self, tile_rows: usize, at: usize) -> (Self, Self) {
+        let (a, b) = (self.0.cut(tile_rows, at), self.1.cut(tile_rows, at));
+        ((a.0, b.0), (a.1, b.1))
+    }
 }
-strips_of_tuples!(A, B);
-strips_of_tuples!(A, B, C);
-strips_of_tuples!(A, B, C, D);
-strips_of_tuples!(A, B, C, D, E);
 
 impl Strips for () {
     fn cut(self, _tile_rows: usize, _at: usize) -> (Self, Self) {
@@ -106,7 +91,8 @@ mod tests {
     fn every_row_gets_its_own_pixels() {
         let (width, height) = (3, 40);
         let mut data = vec![0u32; 2 * width * height];
-        let strips = (PlanesMut::<u32, 2>::of(&mut data, width, height), PlanesMut::<f32, 1>::absent(width));
+        let strips =
+            (PlanesMut::<u32, 2>::of([&mut data[..]], width, height), PlanesMut::<f32, 1>::absent(width));
         for_each(0..3, strips, &|row, (mut planes, absent)| {
             assert!(planes.present() && !absent.present());
             let rows = planes.planes[0].len() / width;

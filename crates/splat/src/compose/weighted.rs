@@ -24,7 +24,7 @@ use use3d_numerics::lanes::{exp2_lanes, sum};
 
 use super::groups::{Records, in_groups};
 use super::inputs::{input, row_splats};
-use super::outputs::{ImagePlanes, MediumPlanes};
+use super::outputs::{ImagePlanes, MediumPlanes, image_planes, medium_planes};
 use super::pixels::{each, get, put, ray_lengths};
 use super::plain;
 use super::strips::for_each;
@@ -88,7 +88,7 @@ impl Weighted {
     ) {
         self.load_colors(prepared);
         let colors = Records::of(&mut self.colors, prepared);
-        let images = ImagePlanes::of(&mut out.image, &mut out.depth, &mut out.accumulation);
+        let images = image_planes(&mut out.image, &mut out.depth, &mut out.accumulation);
         for_each(0..prepared.rows.tiles(), (colors, images), &|row, strips| {
             dispatch!(level, simd => forward_row::<_, WATER>(simd, prepared, medium, row, strips));
         });
@@ -106,7 +106,7 @@ impl Weighted {
         self.load_colors(prepared);
         let Self { colors, sums, records, d_colors, .. } = self;
         let scratch = (Records::of(colors, prepared), Records::of(sums, prepared));
-        let strips = (scratch, MediumPlanes::of(d_medium, prepared));
+        let strips = (scratch, medium_planes(d_medium, prepared));
         in_groups(prepared, records, d_colors, strips, &|row, records: &mut [Channels], strips| {
             dispatch!(level, simd => backward_row::<_, WATER>(
                 simd, prepared, (medium, d_image), row, records, strips
@@ -300,10 +300,10 @@ fn forward_row<S: Simd, const WATER: bool>(
                     let color = get(medium.color.row(q, y), x, n);
                     object[q] = each(|l| color[l].mul_add(1.0 - veil[q][l], object[q][l]));
                 }
-                put(images.image.row(q, r, x..x + n), &object[q]);
+                put(images.row(q, r, x..x + n), &object[q]);
             }
-            put(images.maps[0].row(0, r, x..x + n), &depth);
-            put(images.maps[1].row(0, r, x..x + n), &accumulation);
+            put(images.row(3, r, x..x + n), &depth);
+            put(images.row(4, r, x..x + n), &accumulation);
         }
     }
 }
@@ -381,8 +381,8 @@ fn backward_row<S: Simd, const WATER: bool>(
                         each(|l| -object_moment[q][l] * ray[l]),
                     ];
                 }
-                for (planes, d) in d_medium.maps.iter_mut().zip(&d) {
-                    put(planes.row(q, r, x..x + n), d);
+                for (k, d) in d.iter().enumerate() {
+                    put(d_medium.row(3 * k + q, r, x..x + n), d);
                 }
             }
         }
