@@ -172,27 +172,6 @@ impl GaussianGradients {
         self.screen.resize(n, [0.0; 2]);
         self.visible.resize(n, false);
     }
-
-    /// Sets everything to zero.
-    pub fn clear(&mut self) {
-        self.means.fill([0.0; 3]);
-        self.log_scales.fill([0.0; 3]);
-        self.quaternions.fill([0.0; 4]);
-        self.opacity_logits.fill(0.0);
-        self.sh.fill([[0.0; 3]; 16]);
-        self.screen.fill([0.0; 2]);
-        self.visible.fill(false);
-    }
-
-    /// Number of Gaussians.
-    pub fn len(&self) -> usize {
-        self.means.len()
-    }
-
-    /// True if there are no Gaussians.
-    pub fn is_empty(&self) -> bool {
-        self.means.is_empty()
-    }
 }
 
 #[cfg(test)]

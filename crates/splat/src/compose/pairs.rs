@@ -3,7 +3,8 @@
 use rayon::prelude::*;
 
 use super::inputs::{input, row_splats};
-use super::tile::{ForwardTile, NEVER};
+use super::plain;
+use super::tile::{ForwardTile, NEVER, TileWater};
 use crate::lists::{Prepared, TILE};
 use crate::project::{LOG2_255, Splat};
 
@@ -40,8 +41,7 @@ impl Prepared {
         let input = input(self, splats, row, column);
         let (rows, columns) = (input.filled_rows, input.filled_columns);
         let mut state = ForwardTile::new(rows, columns);
-        let nothing = crate::compose::tile::TileWater::default();
-        crate::compose::plain::forward::<false, false>(&input, &nothing, &mut state);
+        plain::forward::<false, false>(&input, &TileWater::default(), &mut state);
         let mut pairs = Pairs { entries: input.list.len() as u64, ..Pairs::default() };
         for k in 0..input.list.len() {
             let splat = input.entry(k).1;

@@ -31,8 +31,8 @@
 use use3d_numerics::lanes::{SMALL_COEFFICIENTS, exp2, exp2_unclamped, sum};
 
 use super::tile::{
-    ALPHA_MAX, BackwardTile, CHANNELS, ColumnSums, ForwardTile, Lanes, STOP, Sink, TileInput, TileWater,
-    moments,
+    ALPHA_MAX, BackwardTile, CHANNELS, ColumnSums, ForwardRow, ForwardTile, Lanes, RowTerms, STOP, Sink,
+    TileInput, TileWater, moments,
 };
 use crate::lists::TILE;
 use crate::project::{EntryGradient, LOG2_255, Splat, SplatGradient};
@@ -69,7 +69,7 @@ impl Decay {
 
 /// Returns `log₂ α` before the clamp at a pixel column, and `t`.
 #[inline(always)]
-fn log2_alpha(splat: &Splat, row: crate::compose::tile::RowTerms, x: f32) -> (f32, f32) {
+fn log2_alpha(splat: &Splat, row: RowTerms, x: f32) -> (f32, f32) {
     let t = x - row.peak;
     ((t * splat.steepness).mul_add(-t, row.power), t)
 }
@@ -86,20 +86,7 @@ pub(crate) fn forward<const WATER: bool, const LAYERS: bool>(
         for r in 0..input.filled_rows {
             let (terms, row, water) = (splat.row(input.rows[r]), &mut tile.rows[r], &water.rows[r]);
             for l in 0..TILE {
-                let (power, _) = log2_alpha(splat, terms, input.columns[l]);
-                let live = power >= row.threshold[l];
-                if !live {
-                    continue;
-                }
-                let alpha = exp2_unclamped(power).min(ALPHA_MAX);
-                let w = row.transmittance[l] * alpha;
-                let rest = row.transmittance[l] * (1.0 - alpha);
-                if rest <= STOP {
-                    row.threshold[l] = f32::INFINITY;
-                    row.stop[l] = k as i32;
-                    continue;
-                }
-                row.transmittance[l] = rest;
+                let Some(w) = weight(splat, terms, input.columns[l], row, l, k) else { continue };
                 row.depth[l] = w.mul_add(splat.z, row.depth[l]);
                 row.accumulation[l] += w;
                 for c in 0..3 {
@@ -272,9 +259,9 @@ pub(crate) fn backward_colors<const WATER: bool>(
 #[inline(always)]
 pub(super) fn weight(
     splat: &Splat,
-    terms: crate::compose::tile::RowTerms,
+    terms: RowTerms,
     x: f32,
-    row: &mut crate::compose::tile::ForwardRow,
+    row: &mut ForwardRow,
     l: usize,
     k: usize,
 ) -> Option<f32> {

@@ -6,27 +6,28 @@ pub(crate) const TILE: usize = 16;
 /// masked and never drawn).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Axis {
-    centres: Vec<f32>,
+    /// The centres of each tile.
+    centres: Vec<[f32; TILE]>,
     length: usize,
 }
 
 impl Axis {
     pub(crate) fn set(&mut self, centres: &[f32]) {
         self.length = centres.len();
-        self.centres.clear();
-        self.centres.extend_from_slice(centres);
         let last = centres.last().copied().unwrap_or(0.0);
-        self.centres.resize(centres.len().div_ceil(TILE) * TILE, last);
+        self.centres.clear();
+        self.centres.resize(centres.len().div_ceil(TILE), [last; TILE]);
+        self.centres.as_flattened_mut()[..centres.len()].copy_from_slice(centres);
     }
 
     /// All centres, including padding.
     pub(crate) fn centres(&self) -> &[f32] {
-        &self.centres
+        self.centres.as_flattened()
     }
 
     /// Number of tiles.
     pub(crate) fn tiles(&self) -> usize {
-        self.centres.len() / TILE
+        self.centres.len()
     }
 
     /// Pixels of tile `t` that are not padding.
@@ -36,38 +37,26 @@ impl Axis {
 
     /// The first and last centre of tile `t`.
     pub(crate) fn tile(&self, t: usize) -> (f32, f32) {
-        (self.centres[t * TILE], self.centres[t * TILE + TILE - 1])
+        (self.centres[t][0], self.centres[t][TILE - 1])
     }
 
     /// The 16 centres of tile `t`.
     pub(crate) fn lanes(&self, t: usize) -> &[f32; TILE] {
-        self.centres[t * TILE..].first_chunk().expect("the axis is padded to whole tiles")
+        &self.centres[t]
     }
 
     /// The first and last centre; an empty range if there are no centres.
     pub(crate) fn range(&self) -> [f32; 2] {
         match (self.centres.first(), self.centres.last()) {
-            (Some(&first), Some(&last)) => [first, last],
+            (Some(first), Some(last)) => [first[0], last[TILE - 1]],
             _ => [f32::INFINITY, f32::NEG_INFINITY],
         }
     }
 
     /// The half-open range of tiles with a centre between `low` and `high` (widened to whole tiles).
     pub(crate) fn tiles_meeting(&self, low: f32, high: f32) -> (usize, usize) {
-        let (mut a, mut b) = (0, self.tiles());
-        // The first tile whose last centre is not below `low`.
-        while a < b {
-            let middle = (a + b) / 2;
-            if self.tile(middle).1 < low { a = middle + 1 } else { b = middle }
-        }
-        let first = a;
-        let mut b = self.tiles();
-        // The first tile whose first centre is above `high`.
-        while a < b {
-            let middle = (a + b) / 2;
-            if self.tile(middle).0 <= high { a = middle + 1 } else { b = middle }
-        }
-        (first, a)
+        let first = self.centres.partition_point(|tile| tile[TILE - 1] < low);
+        (first, self.centres.partition_point(|tile| tile[0] <= high).max(first))
     }
 }
 

@@ -32,7 +32,7 @@ const CHUNK: usize = 1024;
 
 /// Projected Gaussians with their tile lists for one camera and lattice. They can be reused while the
 /// geometry is frozen; the buffers are kept from one [`Prepared::prepare`] to the next.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Prepared {
     /// A number unique to one `prepare`; equal stamps mean equal geometry.
     pub(crate) stamp: u64,
@@ -60,36 +60,12 @@ pub struct Prepared {
     bands: Vec<Vec<u32>>,
 }
 
-impl Default for Prepared {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
 static STAMP: AtomicU64 = AtomicU64::new(1);
 
 impl Prepared {
     /// An empty view: a 0×0 lattice.
     pub fn new() -> Self {
-        Self {
-            stamp: 0,
-            colors: 0,
-            width: 0,
-            height: 0,
-            gaussians: 0,
-            columns: Axis::default(),
-            rows: Axis::default(),
-            ray_x2: Vec::new(),
-            ray_y2: Vec::new(),
-            color_source: ColorSource::Given,
-            splats: Vec::new(),
-            tile_rows: Vec::new(),
-            ranks: Vec::new(),
-            weights: Vec::new(),
-            projected: Vec::new(),
-            keys: sort::Keys::default(),
-            bands: Vec::new(),
-        }
+        Self::default()
     }
 
     /// Width of the lattice that the view was prepared for.

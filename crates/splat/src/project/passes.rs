@@ -17,9 +17,10 @@ const CHUNK: usize = 512;
 pub(crate) const HIDDEN: u32 = u32::MAX;
 
 /// The source of a view's colours, stored for the backward pass.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) enum ColorSource {
     Harmonics(usize),
+    #[default]
     Given,
 }
 
