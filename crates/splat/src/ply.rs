@@ -80,65 +80,43 @@ pub enum PlyError {
     },
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Scalar {
-    I8,
-    U8,
-    I16,
-    U16,
-    I32,
-    U32,
-    F32,
-    F64,
+/// A type of numbers.
+#[derive(Clone, Copy, Debug)]
+struct Scalar {
+    /// Number of bytes.
+    size: usize,
+    /// The value of the first `size` bytes, little-endian or big-endian.
+    decode: fn([u8; 8], bool) -> f64,
 }
 
 impl Scalar {
     fn parse(name: &str) -> Option<Self> {
+        macro_rules! of {
+            ($ty:ty) => {{
+                const SIZE: usize = size_of::<$ty>();
+                let decode = |b: [u8; 8], big: bool| {
+                    let mut bytes = [0; SIZE];
+                    bytes.copy_from_slice(&b[..SIZE]);
+                    if big { <$ty>::from_be_bytes(bytes) as f64 } else { <$ty>::from_le_bytes(bytes) as f64 }
+                };
+                Self { size: SIZE, decode }
+            }};
+        }
         Some(match name {
-            "char" | "int8" => Self::I8,
-            "uchar" | "uint8" => Self::U8,
-            "short" | "int16" => Self::I16,
-            "ushort" | "uint16" => Self::U16,
-            "int" | "int32" => Self::I32,
-            "uint" | "uint32" => Self::U32,
-            "float" | "float32" => Self::F32,
-            "double" | "float64" => Self::F64,
+            "char" | "int8" => of!(i8),
+            "uchar" | "uint8" => of!(u8),
+            "short" | "int16" => of!(i16),
+            "ushort" | "uint16" => of!(u16),
+            "int" | "int32" => of!(i32),
+            "uint" | "uint32" => of!(u32),
+            "float" | "float32" => of!(f32),
+            "double" | "float64" => of!(f64),
             _ => return None,
         })
     }
-
-    fn size(self) -> usize {
-        match self {
-            Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
-            Self::I32 | Self::U32 | Self::F32 => 4,
-            Self::F64 => 8,
-        }
-    }
-
-    /// The value of the first [`Scalar::size`] bytes of `b`.
-    fn decode(self, b: [u8; 8], big: bool) -> f64 {
-        macro_rules! of {
-            ($ty:ty) => {{
-                let mut bytes = [0; size_of::<$ty>()];
-                bytes.copy_from_slice(&b[..size_of::<$ty>()]);
-                if big { <$ty>::from_be_bytes(bytes) as f64 } else { <$ty>::from_le_bytes(bytes) as f64 }
-            }};
-        }
-        match self {
-            Self::I8 => of!(i8),
-            Self::U8 => of!(u8),
-            Self::I16 => of!(i16),
-            Self::U16 => of!(u16),
-            Self::I32 => of!(i32),
-            Self::U32 => of!(u32),
-            Self::F32 => of!(f32),
-            Self::F64 => of!(f64),
-        }
-    }
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug)]
 enum Kind {
     One(Scalar),
     List { count: Scalar, item: Scalar },
@@ -228,8 +206,8 @@ impl<R: BufRead> Numbers<R> {
         match self.format {
             PlyEncoding::Binary { big } => {
                 let mut bytes = [0; 8];
-                self.reader.read_exact(&mut bytes[..scalar.size()])?;
-                Ok(Ok(scalar.decode(bytes, big)))
+                self.reader.read_exact(&mut bytes[..scalar.size])?;
+                Ok(Ok((scalar.decode)(bytes, big)))
             }
             PlyEncoding::Ascii => {
                 let token = self.token()?;
@@ -316,13 +294,8 @@ fn vertices(numbers: &mut Numbers<impl BufRead>, element: &PlyElement) -> Result
     let mut slots = vec![None; element.properties.len()];
     let mut place = |name: String, slot: usize| {
         let found = element.properties.iter().position(|(n, k)| *n == name && matches!(k, Kind::One(_)));
-        match found {
-            Some(i) => {
-                slots[i] = Some(slot);
-                Ok(())
-            }
-            None => Err(PlyError::Missing(name)),
-        }
+        slots[found.ok_or(PlyError::Missing(name))?] = Some(slot);
+        Ok::<_, PlyError>(())
     };
     for (slot, name) in ["x", "y", "z", "opacity"].into_iter().enumerate() {
         place(name.to_string(), slot)?;
