@@ -1,5 +1,7 @@
 //! The adapters of this machine in words, and the reasons why one cannot be used.
 
+use serde::Serialize;
+
 use crate::vulkan::{CardFacts, facts};
 
 /// The smallest limits that every adapter must offer.
@@ -109,7 +111,7 @@ fn first_word(names: &[String]) -> &str {
 }
 
 /// The description of an adapter for the user.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct AdapterReport {
     /// Its name.
     pub name: String,
@@ -120,28 +122,38 @@ pub struct AdapterReport {
     /// Name and version of its driver.
     pub driver: String,
     /// Number of its maker.
+    #[serde(skip)]
     pub vendor: u32,
     /// Number of its model.
+    #[serde(skip)]
     pub device: u32,
     /// Its PCI address, such as `0000:01:00.0`, if it has one.
+    #[serde(rename = "pci_address")]
     pub pci: Option<String>,
     /// Its UUID, as the maker's programs print it, if its driver reports it.
     pub uuid: Option<String>,
     /// Bytes of its own memory, if its driver reports them.
+    #[serde(rename = "memory_bytes")]
     pub memory: Option<u64>,
-    /// Largest buffer that a kernel can bind, bytes.
-    pub binding: u64,
-    /// Largest buffer, bytes.
-    pub buffer: u64,
-    /// Memory that the threads of a workgroup share, bytes.
-    pub workgroup: u32,
-    /// Number of buffers that a kernel can bind.
-    pub buffers: u32,
-    /// Smallest and largest number of threads in a subgroup.
-    pub subgroup: [u32; 2],
     /// The reason why it is used only if its number, PCI address or UUID is given.
     pub hidden: Option<String>,
+    /// Largest buffer that a kernel can bind, bytes.
+    #[serde(rename = "largest_binding_bytes")]
+    pub binding: u64,
+    /// Largest buffer, bytes.
+    #[serde(rename = "largest_buffer_bytes")]
+    pub buffer: u64,
+    /// Memory that the threads of a workgroup share, bytes.
+    #[serde(rename = "workgroup_memory_bytes")]
+    pub workgroup: u32,
+    /// Number of buffers that a kernel can bind.
+    #[serde(rename = "buffers_per_kernel")]
+    pub buffers: u32,
+    /// Smallest and largest number of threads in a subgroup.
+    #[serde(rename = "subgroup_threads")]
+    pub subgroup: [u32; 2],
     /// The reason why it cannot be used; `None` if it can.
+    #[serde(skip)]
     pub refusal: Option<DeviceError>,
 }
 
@@ -172,8 +184,7 @@ impl AdapterReport {
             workgroup: limits.max_compute_workgroup_storage_size,
             buffers: limits.max_storage_buffers_per_shader_stage,
             subgroup: [info.subgroup_min_size, info.subgroup_max_size],
-            hidden: None,
-            refusal: None,
+            ..Self::default()
         };
         report.refusal = report.check().err();
         report

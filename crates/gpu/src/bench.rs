@@ -27,9 +27,8 @@ use crate::stage1::{Stage1, ViewWork};
 use crate::stage2::Stage2;
 use crate::twins::{self, Agreement, LossCase, SceneSize, WaterCase};
 pub use records::{
-    AdapterRecord, BenchRecord, CeilingsRecord, CheckRecord, CompiledRecord, DeterminismRecord,
-    EnhancementRecord, FailedRecord, KernelRecord, RooflineRecord, TimesRecord, TrainingRecord, TwinRecord,
-    ViewRecord,
+    BenchRecord, CeilingsRecord, CheckRecord, CompiledRecord, DeterminismRecord, EnhancementRecord,
+    FailedRecord, KernelRecord, RooflineRecord, TimesRecord, TrainingRecord, TwinRecord, ViewRecord,
 };
 
 /// The plan of a benchmark.
@@ -119,12 +118,10 @@ fn go_on(engine: &mut Stage1, scene: &SceneSize, steps: Range<u64>) -> Result<Ve
         engine.step((step % scene.views.max(1) as u64) as usize, &SceneSize::plan(step))?;
     }
     let reports = engine.drain(Drain::All)?;
-    match reports.iter().find_map(|report| report.non_finite) {
-        Some((what, _)) => {
-            Err(EngineError::Failed(format!("{what} of a packed scene are not finite").into()))
-        }
-        None => Ok(reports.into_iter().map(|report| report.loss).collect()),
+    if let Some((what, _)) = reports.iter().find_map(|report| report.non_finite) {
+        return Err(EngineError::Failed(format!("{what} of a packed scene are not finite").into()));
     }
+    Ok(reports.into_iter().map(|report| report.loss).collect())
 }
 
 /// Computes a digest of the bits of a training's whole state.
@@ -166,18 +163,12 @@ fn roofline(
     ceilings: &Ceilings,
 ) -> BTreeMap<&'static str, RooflineRecord> {
     let record = |(name, kernel): (&&'static str, &KernelRecord)| {
-        let needed = need(name, work)?;
-        let least = 1e3 * ceilings.least(needed);
+        let [bytes, flops] = need(name, work)?;
+        let least_milliseconds = 1e3 * ceilings.least([bytes, flops]);
         let taken = kernel.milliseconds * kernel.dispatches as f64 / steps.max(1) as f64;
-        let [bytes, flops] = needed;
-        let share = if taken > 0.0 { least / taken } else { 0.0 };
-        let record = RooflineRecord {
-            megabytes: 1e-6 * bytes,
-            megaflops: 1e-6 * flops,
-            least_milliseconds: least,
-            share,
-        };
-        Some((*name, record))
+        let share = if taken > 0.0 { least_milliseconds / taken } else { 0.0 };
+        let (megabytes, megaflops) = (1e-6 * bytes, 1e-6 * flops);
+        Some((*name, RooflineRecord { megabytes, megaflops, least_milliseconds, share }))
     };
     kernels.iter().filter_map(record).collect()
 }
@@ -298,7 +289,15 @@ fn train(
     record.kernels = kernel_records(times);
     if dispatches > 0 {
         record.dispatches_per_step = Some(dispatches as f64 / profiled.max(1) as f64);
-        record.view = Some((&work).into());
+        let per_pixel = |pairs: u64| pairs as f64 / work.pixels.max(1) as f64;
+        record.view = Some(ViewRecord {
+            visible: work.visible,
+            entries: work.entries,
+            tested_per_pixel: per_pixel(work.tested),
+            live_per_pixel: per_pixel(work.live),
+            longest_list: work.longest_list,
+            deepest_pixel: work.deepest_pixel,
+        });
     }
     if let Some(ceilings) = ceilings {
         record.roofline = roofline(&record.kernels, profiled, &work, ceilings);
@@ -474,14 +473,9 @@ impl BenchRun<'_> {
             let mut kernels = BTreeMap::new();
             for round in 0..rounds.max(2) {
                 run_twins(&timed, (width, height))?;
-                let mut own = BTreeMap::new();
-                timed.read_times(&mut own)?;
-                if round > 0 {
-                    for (name, time) in own {
-                        let all: &mut KernelTime = kernels.entry(name).or_default();
-                        all.dispatches += time.dispatches;
-                        all.seconds += time.seconds;
-                    }
+                timed.read_times(&mut kernels)?;
+                if round == 0 {
+                    kernels.clear();
                 }
             }
             Ok(kernel_records(kernels))
@@ -522,21 +516,11 @@ pub fn bench(
     let record = BenchRecord {
         format: "3d-use gpu bench",
         version: 7,
-        adapter: gpu.adapter().into(),
+        adapter: gpu.adapter().clone(),
         driver_text: driver_text(),
         subgroup_width: gpu.subgroup_width(),
         variant: gpu.kernels(),
-        check: None,
-        compiled: BTreeMap::new(),
-        ceilings: None,
-        twins: Vec::new(),
-        determinism: Vec::new(),
-        times: Vec::new(),
-        trainings: Vec::new(),
-        failed: Vec::new(),
-        left_out: Vec::new(),
-        complete: false,
-        seconds: 0.0,
+        ..BenchRecord::default()
     };
     let started = Instant::now();
     let seconds = plan.seconds;
@@ -544,7 +528,11 @@ pub fn bench(
         BenchRun { gpu, record, started, lost: false, seconds, stop, tell: &mut tell, keep: &mut keep };
     bench.check();
     let ceilings = bench.section("what it does at best", |gpu| measure(gpu, plan.copied, LEAST));
-    bench.record.ceilings = ceilings.map(Into::into);
+    bench.record.ceilings = ceilings.map(|Ceilings { bytes, flops, copied }| CeilingsRecord {
+        copy_gigabytes_per_second: 1e-9 * bytes,
+        multiply_add_gigaflops: 1e-9 * flops,
+        copied_bytes: copied,
+    });
     bench.twins();
     if let Some(scene) = plan.large() {
         bench.large(&scene);

@@ -8,7 +8,6 @@ use crate::error::Done;
 #[cfg(feature = "gpu")]
 pub(crate) fn run(args: &DevicesArgs) -> Done {
     use serde_json::json;
-    use use3d_gpu::bench::AdapterRecord;
     use use3d_gpu::{AdapterReport, DeviceError, checked_adapters, environment_note};
     use use3d_workflow::machine::bytes;
 
@@ -16,7 +15,7 @@ pub(crate) fn run(args: &DevicesArgs) -> Done {
     #[derive(serde::Serialize)]
     struct Checked {
         #[serde(flatten)]
-        adapter: AdapterRecord,
+        adapter: AdapterReport,
         passed: bool,
         /// The summary of its kernels, if it passed.
         kernels: Option<String>,
@@ -31,7 +30,7 @@ pub(crate) fn run(args: &DevicesArgs) -> Done {
         let adapters: Vec<_> = all
             .iter()
             .map(|(report, said)| Checked {
-                adapter: report.into(),
+                adapter: report.clone(),
                 passed: said.is_ok(),
                 kernels: said.as_ref().ok().cloned(),
                 refusal: said.as_ref().err().map(ToString::to_string),

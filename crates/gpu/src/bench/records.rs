@@ -4,19 +4,17 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
-use crate::ceilings::Ceilings;
 use crate::device::AdapterReport;
-use crate::stage1::ViewWork;
 
 /// The record.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct BenchRecord {
     /// The name of the file's format.
     pub format: &'static str,
     /// The version of the format.
     pub version: u32,
     /// The adapter.
-    pub adapter: AdapterRecord,
+    pub adapter: AdapterReport,
     /// The description of NVIDIA's driver by itself, if there is one.
     pub driver_text: Option<String>,
     /// The width of the subgroups with which kernels run; `None` if there is no such width.
@@ -120,57 +118,6 @@ pub struct EnhancementRecord {
     pub loss: [f64; 2],
 }
 
-/// An adapter and its limits.
-#[derive(Clone, Debug, Serialize)]
-pub struct AdapterRecord {
-    /// Its name.
-    pub name: String,
-    /// `discrete`, `integrated`, `virtual`, `software` or `other`.
-    pub kind: &'static str,
-    /// The interface through which it is used.
-    pub backend: String,
-    /// Name and version of its driver.
-    pub driver: String,
-    /// Its PCI address.
-    pub pci_address: Option<String>,
-    /// Its UUID.
-    pub uuid: Option<String>,
-    /// Its own memory, bytes.
-    pub memory_bytes: Option<u64>,
-    /// The reason why it is used only if its number, PCI address or UUID is given.
-    pub hidden: Option<String>,
-    /// Largest buffer that a kernel can bind, bytes.
-    pub largest_binding_bytes: u64,
-    /// Largest buffer, bytes.
-    pub largest_buffer_bytes: u64,
-    /// Memory that the threads of a workgroup share, bytes.
-    pub workgroup_memory_bytes: u32,
-    /// Number of buffers that a kernel can bind.
-    pub buffers_per_kernel: u32,
-    /// Smallest and largest number of threads in a subgroup.
-    pub subgroup_threads: [u32; 2],
-}
-
-impl From<&AdapterReport> for AdapterRecord {
-    fn from(report: &AdapterReport) -> Self {
-        Self {
-            name: report.name.clone(),
-            kind: report.kind,
-            backend: report.backend.clone(),
-            driver: report.driver.clone(),
-            pci_address: report.pci.clone(),
-            uuid: report.uuid.clone(),
-            memory_bytes: report.memory,
-            hidden: report.hidden.clone(),
-            largest_binding_bytes: report.binding,
-            largest_buffer_bytes: report.buffer,
-            workgroup_memory_bytes: report.workgroup,
-            buffers_per_kernel: report.buffers,
-            subgroup_threads: report.subgroup,
-        }
-    }
-}
-
 /// The check at the start.
 #[derive(Clone, Debug, Serialize)]
 pub struct CheckRecord {
@@ -228,16 +175,6 @@ pub struct CeilingsRecord {
     pub copied_bytes: u64,
 }
 
-impl From<Ceilings> for CeilingsRecord {
-    fn from(Ceilings { bytes, flops, copied }: Ceilings) -> Self {
-        Self {
-            copy_gigabytes_per_second: 1e-9 * bytes,
-            multiply_add_gigaflops: 1e-9 * flops,
-            copied_bytes: copied,
-        }
-    }
-}
-
 /// The amount of work in a view.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct ViewRecord {
@@ -253,20 +190,6 @@ pub struct ViewRecord {
     pub longest_list: usize,
     /// The largest number of Gaussians that a pixel tests.
     pub deepest_pixel: usize,
-}
-
-impl From<&ViewWork> for ViewRecord {
-    fn from(work: &ViewWork) -> Self {
-        let per_pixel = |pairs: u64| pairs as f64 / work.pixels.max(1) as f64;
-        Self {
-            visible: work.visible,
-            entries: work.entries,
-            tested_per_pixel: per_pixel(work.tested),
-            live_per_pixel: per_pixel(work.live),
-            longest_list: work.longest_list,
-            deepest_pixel: work.deepest_pixel,
-        }
-    }
 }
 
 /// A kernel's smallest possible time, and the share of its measured time.
