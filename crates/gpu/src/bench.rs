@@ -22,7 +22,7 @@ use use3d_training::{Drain, EngineError, Silent};
 use crate::ceilings::{Ceilings, measure, need};
 use crate::check::{CheckError, check};
 use crate::device::Gpu;
-use crate::profile::KernelTime;
+use crate::profile::{KernelTime, Timed};
 use crate::stage1::{Stage1, ViewWork};
 use crate::stage2::Stage2;
 use crate::twins::{self, Agreement, LossCase, SceneSize, WaterCase};
@@ -183,7 +183,7 @@ fn ends(losses: &[f64], scene: &SceneSize) -> [f64; 2] {
 /// Times the steps of a packed scene by the processor's clock, and every whole step by the device's.
 fn race(gpu: &Gpu, scene: &SceneSize, steps: u64, record: &mut TrainingRecord) -> Result<(), EngineError> {
     let views = scene.views as u64;
-    let gpu = &gpu.clone().timed_steps();
+    let gpu = &gpu.clone().timed(Timed::Passes);
     let mut engine = begun(gpu, scene)?;
     gpu.read_times(&mut BTreeMap::new())?;
     let (mut times, mut losses) = (BTreeMap::new(), Vec::new());
@@ -266,7 +266,7 @@ fn train(
     let views = scene.views as u64;
     let profiled = steps.min(PROFILED);
     let profile = |variant| {
-        let timed = gpu.clone().with(variant).timed();
+        let timed = gpu.clone().with(variant).timed(Timed::Dispatches);
         let mut engine = begun(&timed, scene)?;
         // A card that had nothing to do runs slowly at first.
         let started = Instant::now();
@@ -281,7 +281,7 @@ fn train(
         }
         Ok::<_, EngineError>((times, engine))
     };
-    let (times, mut engine) = profile(gpu.variant())?;
+    let (times, mut engine) = profile(gpu.variant)?;
     let work = engine.last_view([scene.width, scene.height])?;
     record.refinement_milliseconds = Some(refine(&mut engine, scene)?);
     drop(engine);
@@ -303,7 +303,7 @@ fn train(
         record.roofline = roofline(&record.kernels, profiled, &work, ceilings);
     }
     for variant in gpu.trials() {
-        let own = if variant == gpu.variant() { None } else { Some(kernel_records(profile(variant)?.0)) };
+        let own = if variant == gpu.variant { None } else { Some(kernel_records(profile(variant)?.0)) };
         if let Some(kernel) = own.as_ref().unwrap_or(&record.kernels).get("backward") {
             record.backward_milliseconds.insert(variant.to_string(), kernel.milliseconds);
         }
@@ -469,7 +469,7 @@ impl BenchRun<'_> {
             return;
         }
         let kernels = self.section(&name, |gpu| {
-            let timed = gpu.clone().timed();
+            let timed = gpu.clone().timed(Timed::Dispatches);
             let mut kernels = BTreeMap::new();
             for round in 0..rounds.max(2) {
                 run_twins(&timed, (width, height))?;
@@ -516,9 +516,9 @@ pub fn bench(
     let record = BenchRecord {
         format: "3d-use gpu bench",
         version: 7,
-        adapter: gpu.adapter().clone(),
+        adapter: gpu.adapter.clone(),
         driver_text: driver_text(),
-        subgroup_width: gpu.subgroup_width(),
+        subgroup_width: gpu.width,
         variant: gpu.kernels(),
         ..BenchRecord::default()
     };

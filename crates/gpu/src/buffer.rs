@@ -42,7 +42,7 @@ fn create(
 }
 
 /// Copies the first bytes of buffers to main memory, in one submit with a single wait.
-fn fetch(gpu: &Gpu, wanted: &mut [(&wgpu::Buffer, &mut [u8])]) -> Result<(), EngineError> {
+pub(crate) fn fetch(gpu: &Gpu, wanted: &mut [(&wgpu::Buffer, &mut [u8])]) -> Result<(), EngineError> {
     let padded = |bytes: &[u8]| bytes.len().next_multiple_of(16) as u64;
     let size = wanted.iter().map(|(_, bytes)| padded(bytes)).sum();
     if size == 0 {
@@ -216,7 +216,7 @@ mod tests {
     #[test]
     fn a_buffer_that_no_kernel_could_see_is_refused_with_its_size() {
         let Some(gpu) = crate::testing::software() else { return };
-        let most = gpu.adapter().binding;
+        let most = gpu.adapter.binding;
         let error = Array::<u32>::new(&gpu, "records", (most / 4 + 4) as usize).unwrap_err().to_string();
         assert!(error.contains("records") && error.contains(&most.to_string()), "{error}");
         let held = gpu.held();

@@ -14,6 +14,7 @@ use use3d_training::EngineError;
 use crate::buffer::Array;
 use crate::device::Gpu;
 use crate::kernel::{Access, Kernel, ROWS, Spec, bound, submit};
+use crate::profile::Timed;
 use crate::rows::Float4;
 use crate::stage1::ViewWork;
 
@@ -104,7 +105,7 @@ fn pair(gpu: &Gpu, mut rows: usize) -> Result<[Array<Float4>; 2], EngineError> {
 
 /// Measures a device with buffers of `bytes`; a measurement takes at least `least` seconds.
 pub(crate) fn measure(gpu: &Gpu, bytes: u64, least: f64) -> Result<Ceilings, EngineError> {
-    let gpu = &gpu.clone().timed();
+    let gpu = &gpu.clone().timed(Timed::Dispatches);
     let (copy, multiply) = (Kernel::new(gpu, &copy())?, Kernel::new(gpu, &multiply())?);
     let rows = (bytes.min(gpu.longest()) as usize / size_of::<Float4>()).max(1);
     let [from, to] = pair(gpu, rows)?;

@@ -65,7 +65,7 @@ impl CheckError {
 
 /// Returns an error for the first comparison that fails.
 fn verdict(gpu: &Gpu, found: Result<Vec<Agreement>, EngineError>) -> Result<(), CheckError> {
-    let (adapter, driver) = (gpu.adapter().name.clone(), gpu.adapter().driver.clone());
+    let (adapter, driver) = (gpu.adapter.name.clone(), gpu.adapter.driver.clone());
     match found {
         Err(error) => Err(CheckError::Failed { adapter, driver, error }),
         Ok(all) => match all.into_iter().find(|agreement| !agreement.holds()) {
@@ -102,7 +102,7 @@ fn sound(
     let gpu = open()?;
     match test(&gpu) {
         Ok(()) => Ok(gpu),
-        Err(wrong) if gpu.variant() == Variant::Portable => Err(wrong),
+        Err(wrong) if gpu.variant == Variant::Portable => Err(wrong),
         Err(wrong) => {
             let gpu = open()?.fallen_back(&wrong.reason());
             test(&gpu).map(|()| gpu)
@@ -138,13 +138,13 @@ mod tests {
     fn a_device_passes_in_each_of_its_variants() {
         let Some(gpu) = software() else { return };
         let variants = gpu.variants();
-        assert!(variants.len() == 2 && gpu.variant() == Variant::Portable, "{variants:?}");
+        assert!(variants.len() == 2 && gpu.variant == Variant::Portable, "{variants:?}");
         for variant in variants {
             let gpu = sound(|| Ok(gpu.clone().with(variant)), check).unwrap();
-            assert_eq!((gpu.variant(), gpu.kernels()), (variant, variant.to_string()));
+            assert_eq!((gpu.variant, gpu.kernels()), (variant, variant.to_string()));
         }
         assert_eq!(
-            gpu.with(Variant::Subgroups { width: 64, pixels: 2 }).variant(),
+            gpu.with(Variant::Subgroups { width: 64, pixels: 2 }).variant,
             Variant::Portable,
             "not its width"
         );
@@ -154,7 +154,7 @@ mod tests {
     fn a_device_that_fails_with_subgroups_alone_says_so() {
         let Some(gpu) = software() else { return };
         let wide = gpu.variants().pop().unwrap();
-        let test = |gpu: &Gpu| match gpu.variant() {
+        let test = |gpu: &Gpu| match gpu.variant {
             Variant::Portable => Ok(()),
             Variant::Subgroups { .. } => {
                 let error = EngineError::Failed("the driver does not compile them".into());
@@ -175,7 +175,7 @@ mod tests {
         assert!(verdict(&gpu, Ok(vec![agreement(1e-6), agreement(1e-5)])).is_ok());
         for error in [2e-5, f64::INFINITY, f64::NAN] {
             let said = verdict(&gpu, Ok(vec![agreement(1e-6), agreement(error)])).unwrap_err().to_string();
-            assert!(said.contains("slopes of the image") && said.contains(&gpu.adapter().driver), "{said}");
+            assert!(said.contains("slopes of the image") && said.contains(&gpu.adapter.driver), "{said}");
         }
         let named = open_checked(Some("no such card")).unwrap_err().to_string();
         assert!(named.contains("no such card") && named.contains("llvmpipe"), "{named}");

@@ -33,7 +33,8 @@ fn instance() -> wgpu::Instance {
     wgpu::Instance::new(descriptor)
 }
 
-fn enumerate() -> Vec<(AdapterReport, wgpu::Adapter)> {
+/// All adapters of this machine, the most suitable first.
+pub(crate) fn found() -> Vec<AdapterChoice> {
     let adapters = pollster::block_on(instance().enumerate_adapters(wgpu::Backends::all()));
     let mut all: Vec<_> = adapters.into_iter().map(|a| (AdapterReport::of(&a), a)).collect();
     all.sort_by_key(|(report, _)| report.rank());
@@ -43,7 +44,7 @@ fn enumerate() -> Vec<(AdapterReport, wgpu::Adapter)> {
     let (mut reports, adapters): (Vec<AdapterReport>, Vec<wgpu::Adapter>) = all.unzip();
     // If the variables cannot be followed, nothing is hidden; `environment_note` has the reason.
     let _ = CudaVariables::read().hide(&mut reports);
-    reports.into_iter().zip(adapters).collect()
+    reports.into_iter().zip(adapters).map(|(report, adapter)| AdapterChoice { report, adapter }).collect()
 }
 
 /// The reason why the environment's choice among these adapters is ignored, if it is.
@@ -53,7 +54,7 @@ pub fn environment_note(reports: &[AdapterReport]) -> Option<String> {
 
 /// All adapters of this machine, the most suitable first.
 pub fn adapters() -> Vec<AdapterReport> {
-    enumerate().into_iter().map(|(report, _)| report).collect()
+    found().into_iter().map(|choice| choice.report).collect()
 }
 
 /// Returns the first that can be opened, and the errors of those before it; all errors if none can.
@@ -78,11 +79,6 @@ pub(crate) struct AdapterChoice {
     adapter: wgpu::Adapter,
 }
 
-/// All adapters of this machine, the most suitable first.
-pub(crate) fn found() -> Vec<AdapterChoice> {
-    enumerate().into_iter().map(|(report, adapter)| AdapterChoice { report, adapter }).collect()
-}
-
 /// Returns the first of the adapters with this `name` for which `take` succeeds, together with the errors
 /// of those before it. If none succeeds, returns the single error, or `several` of all errors.
 pub(crate) fn take_first<E: From<DeviceError> + std::fmt::Display>(
@@ -93,7 +89,10 @@ pub(crate) fn take_first<E: From<DeviceError> + std::fmt::Display>(
     let all = found();
     let reports: Vec<AdapterReport> = all.iter().map(|found| found.report.clone()).collect();
     match first(order(&reports, name)?, |at| take(&all[at])) {
-        Ok((gpu, refusals)) => Ok(gpu.passed_over(refusals.iter().map(ToString::to_string).collect())),
+        Ok((mut gpu, refusals)) => {
+            gpu.refused_before = refusals.iter().map(ToString::to_string).collect();
+            Ok(gpu)
+        }
         Err(mut refusals) if refusals.len() == 1 => Err(refusals.remove(0)),
         Err(refusals) => Err(several(refusals)),
     }
@@ -112,24 +111,25 @@ struct Trouble {
 pub struct Gpu {
     pub(crate) device: wgpu::Device,
     pub(crate) queue: wgpu::Queue,
-    report: AdapterReport,
+    /// The adapter.
+    pub adapter: AdapterReport,
     trouble: Arc<Mutex<Trouble>>,
     /// The kernels that were compiled for it.
     pub(crate) kernels: Arc<CompiledKernels>,
     /// Counts freed buffers, so that no bindings to them are kept.
     generation: Arc<AtomicU64>,
     /// Times every dispatch or pass, if requested.
-    clock: Option<Arc<Clock>>,
+    pub(crate) clock: Option<Arc<Clock>>,
     /// Counts the submits.
     submits: Arc<AtomicU64>,
     /// The variant of the kernels made for it.
-    pub(crate) variant: Variant,
+    pub variant: Variant,
     /// The width of its subgroups, if it has subgroup operations and one width.
     pub(crate) width: Option<u32>,
     /// The reason why it has portable kernels although it supports others.
     fallback: Option<Arc<str>>,
-    /// The reasons why adapters before it were not used.
-    passed_over: Arc<[String]>,
+    /// The reasons why adapters that were tried before it were not used.
+    pub refused_before: Arc<[String]>,
     /// Number of bytes of the existing buffers.
     held: Arc<AtomicU64>,
     /// The largest number of bytes of buffers so far.
@@ -200,10 +200,10 @@ impl Gpu {
             };
             place.get_or_insert(error.to_string());
         }));
-        let gpu = Self {
+        Ok(Self {
             device,
             queue,
-            report,
+            adapter: report,
             trouble,
             kernels: Arc::default(),
             generation: Arc::default(),
@@ -212,16 +212,10 @@ impl Gpu {
             variant: Variant::Portable,
             width: None,
             fallback: None,
-            passed_over: Arc::from([]),
+            refused_before: Arc::from([]),
             held: Arc::default(),
             peak: Arc::default(),
-        };
-        Ok(gpu)
-    }
-
-    /// The variant of the kernels made for this device.
-    pub fn variant(&self) -> Variant {
-        self.variant
+        })
     }
 
     /// The same device with portable kernels, because those of its variant failed.
@@ -230,16 +224,6 @@ impl Gpu {
         let mut gpu = self.with(Variant::Portable);
         gpu.fallback = Some(why.into());
         gpu
-    }
-
-    fn passed_over(mut self, refusals: Vec<String>) -> Self {
-        self.passed_over = refusals.into();
-        self
-    }
-
-    /// The reasons why adapters that were tried before it were not used.
-    pub fn refused_before(&self) -> &[String] {
-        &self.passed_over
     }
 
     /// The variant of its kernels for the user; with the reason if they are portable although it supports
@@ -254,11 +238,6 @@ impl Gpu {
     /// The variants that this device supports, the portable one first.
     pub fn variants(&self) -> Vec<Variant> {
         [Variant::Portable].into_iter().chain(self.subgroups()).collect()
-    }
-
-    /// The width of its subgroups, if it has subgroup operations and one width.
-    pub fn subgroup_width(&self) -> Option<u32> {
-        self.width
     }
 
     pub(crate) fn subgroups(&self) -> Option<Variant> {
@@ -277,30 +256,12 @@ impl Gpu {
         self
     }
 
-    /// The adapter.
-    pub fn adapter(&self) -> &AdapterReport {
-        &self.report
-    }
-
-    /// The same device, which times every dispatch of kernels made for it if it can.
-    pub(crate) fn timed(self) -> Self {
-        self.with_clock(Timed::Dispatches)
-    }
-
-    /// The same device, which times every step's pass as a whole if it can.
-    pub(crate) fn timed_steps(self) -> Self {
-        self.with_clock(Timed::Passes)
-    }
-
-    fn with_clock(mut self, timed: Timed) -> Self {
+    /// The same device, which times the work of kernels made for it if it can.
+    pub(crate) fn timed(mut self, timed: Timed) -> Self {
         if self.device.features().contains(timed.features()) {
             self.clock = Some(Arc::new(Clock::new(&self.device, timed)));
         }
         self
-    }
-
-    pub(crate) fn clock(&self) -> Option<&Clock> {
-        self.clock.as_deref()
     }
 
     /// Returns an error if the device reported one since the last call.
@@ -336,7 +297,7 @@ impl Gpu {
     /// Waits until all submitted work is done. A card that does not answer for long hangs, and counts as
     /// lost. Software may need longer, and cannot hang.
     pub(crate) fn wait(&self) -> Result<(), EngineError> {
-        let timeout = (!self.report.is_software()).then_some(LONGEST_WAIT);
+        let timeout = (!self.adapter.is_software()).then_some(LONGEST_WAIT);
         let polled = self.device.poll(wgpu::PollType::Wait { submission_index: None, timeout });
         self.check()?;
         polled.map(|_| ()).map_err(|e| EngineError::DeviceLost { engine: NAME, reason: e.to_string() })
@@ -363,12 +324,12 @@ impl Gpu {
     /// Largest number of bytes of photographs that are kept on the device: a quarter of its own memory, if
     /// that is known. Those beyond it are sent again when they are needed.
     pub(crate) fn view_bytes(&self) -> usize {
-        self.report.memory.map_or(VIEWS, |bytes| bytes / 4) as usize
+        self.adapter.memory.map_or(VIEWS, |bytes| bytes / 4) as usize
     }
 
     /// Size in bytes of the largest buffer that a kernel can bind.
     pub(crate) fn longest(&self) -> u64 {
-        self.report.binding.min(self.report.buffer)
+        self.adapter.binding.min(self.adapter.buffer)
     }
 
     /// Largest number of Gaussians whose splats fit into one binding.
@@ -387,7 +348,7 @@ impl Gpu {
         if bytes <= most {
             return Ok(());
         }
-        let name = &self.report.name;
+        let name = &self.adapter.name;
         let what = format!("{what} would take {bytes} bytes, `{name}` binds at most {most}");
         Err(EngineError::OutOfMemory { engine: NAME, what })
     }
@@ -411,7 +372,7 @@ impl Gpu {
     /// The same device with a smaller limit on the bytes of a binding.
     #[cfg(test)]
     pub(crate) fn binding(mut self, bytes: u64) -> Self {
-        self.report.binding = bytes;
+        self.adapter.binding = bytes;
         self
     }
 

@@ -299,7 +299,7 @@ impl Kernel {
         }
         pass.set_pipeline(&self.compiled.pipeline);
         pass.set_bind_group(0, &self.bind(buffers), &[]);
-        let clock = self.gpu.clock();
+        let clock = self.gpu.clock.as_deref();
         let place = clock.and_then(|clock| clock.before(pass, self.name));
         pass.dispatch_workgroups(grid.x, grid.y, 1);
         if let Some(clock) = clock {

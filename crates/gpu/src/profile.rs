@@ -6,6 +6,7 @@ use std::sync::{Mutex, PoisonError};
 
 use use3d_training::EngineError;
 
+use crate::buffer::fetch;
 use crate::device::Gpu;
 
 /// Number of times that one reading holds: two per dispatch.
@@ -25,7 +26,6 @@ pub struct KernelTime {
 pub(crate) struct Clock {
     set: wgpu::QuerySet,
     resolved: wgpu::Buffer,
-    staging: wgpu::Buffer,
     /// The kernel or pass of every pair of places.
     names: Mutex<Vec<&'static str>>,
     timed: Timed,
@@ -58,20 +58,15 @@ pub(crate) fn features() -> wgpu::Features {
 impl Clock {
     /// A clock of a device that has the features for it.
     pub(crate) fn new(device: &wgpu::Device, timed: Timed) -> Self {
-        let size = 8 * u64::from(PLACES);
-        let buffer = |usage| {
-            let label = Some("times");
-            device.create_buffer(&wgpu::BufferDescriptor { label, size, usage, mapped_at_creation: false })
-        };
-        use wgpu::BufferUsages as Usage;
+        let (label, ty, count) = (Some("times"), wgpu::QueryType::Timestamp, PLACES);
         Self {
-            set: device.create_query_set(&wgpu::QuerySetDescriptor {
-                label: Some("times"),
-                ty: wgpu::QueryType::Timestamp,
-                count: PLACES,
+            set: device.create_query_set(&wgpu::QuerySetDescriptor { label, ty, count }),
+            resolved: device.create_buffer(&wgpu::BufferDescriptor {
+                label,
+                size: 8 * u64::from(PLACES),
+                usage: wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC,
+                mapped_at_creation: false,
             }),
-            resolved: buffer(Usage::QUERY_RESOLVE | Usage::COPY_SRC),
-            staging: buffer(Usage::MAP_READ | Usage::COPY_DST),
             names: Mutex::default(),
             timed,
         }
@@ -111,36 +106,6 @@ impl Clock {
             pass.write_timestamp(&self.set, place);
         }
     }
-
-    /// Waits for the device and adds the times recorded since the last reading to `times`.
-    fn read(&self, gpu: &Gpu, times: &mut BTreeMap<&'static str, KernelTime>) -> Result<(), EngineError> {
-        let names = std::mem::take(&mut *self.names.lock().unwrap_or_else(PoisonError::into_inner));
-        if names.is_empty() {
-            return Ok(());
-        }
-        let count = 2 * names.len() as u32;
-        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        encoder.resolve_query_set(&self.set, 0..count, &self.resolved, 0);
-        encoder.copy_buffer_to_buffer(&self.resolved, 0, &self.staging, 0, 8 * u64::from(count));
-        gpu.submit(encoder);
-        let slice = self.staging.slice(..8 * u64::from(count));
-        // The read below reports an error, so the result is not needed here.
-        slice.map_async(wgpu::MapMode::Read, |_| ());
-        gpu.wait()?;
-        {
-            let view = slice.get_mapped_range().map_err(|e| EngineError::Failed(Box::new(e)))?;
-            let ticks: Vec<u64> =
-                view.chunks_exact(8).map(|b| b.iter().rev().fold(0, |v, b| v << 8 | u64::from(*b))).collect();
-            let tick = f64::from(gpu.queue.get_timestamp_period()) * 1e-9;
-            for (name, pair) in names.into_iter().zip(ticks.chunks_exact(2)) {
-                let time = times.entry(name).or_default();
-                time.dispatches += 1;
-                time.seconds += pair[1].saturating_sub(pair[0]) as f64 * tick;
-            }
-        }
-        self.staging.unmap();
-        Ok(())
-    }
 }
 
 impl Gpu {
@@ -150,10 +115,23 @@ impl Gpu {
         &self,
         times: &mut BTreeMap<&'static str, KernelTime>,
     ) -> Result<(), EngineError> {
-        match self.clock() {
-            Some(clock) => clock.read(self, times),
-            None => Ok(()),
+        let Some(clock) = &self.clock else { return Ok(()) };
+        let names = std::mem::take(&mut *clock.names.lock().unwrap_or_else(PoisonError::into_inner));
+        if names.is_empty() {
+            return Ok(());
         }
+        let mut ticks = vec![[0u64; 2]; names.len()];
+        let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        encoder.resolve_query_set(&clock.set, 0..2 * names.len() as u32, &clock.resolved, 0);
+        self.submit(encoder);
+        fetch(self, &mut [(&clock.resolved, bytemuck::cast_slice_mut(&mut ticks))])?;
+        let tick = f64::from(self.queue.get_timestamp_period()) * 1e-9;
+        for (name, [began, ended]) in names.into_iter().zip(ticks) {
+            let time = times.entry(name).or_default();
+            time.dispatches += 1;
+            time.seconds += ended.saturating_sub(began) as f64 * tick;
+        }
+        Ok(())
     }
 }
 
@@ -166,8 +144,8 @@ mod tests {
     #[test]
     fn every_dispatch_is_timed_once() {
         let Some(gpu) = software() else { return };
-        let gpu = gpu.timed();
-        assert!(gpu.clock().is_some(), "the software adapter has a clock");
+        let gpu = gpu.timed(Timed::Dispatches);
+        assert!(gpu.clock.is_some(), "the software adapter has a clock");
         let case = LossCase { width: 61, height: 47, seed: 1, mask: true, prior: true, gains: true };
         crate::twins::losses(&gpu, &case).unwrap();
         let mut times = BTreeMap::new();

@@ -150,7 +150,7 @@ impl RasterKernels {
         Ok(Self {
             forward: [each(false)?, each(true)?],
             backward: [false, true]
-                .map(|water| Kernel::new(gpu, &backward(water, gpu.variant())))
+                .map(|water| Kernel::new(gpu, &backward(water, gpu.variant)))
                 .into_iter()
                 .collect::<Result<Vec<_>, _>>()?,
         })

@@ -120,7 +120,7 @@ impl DeviceScene {
         if n <= most {
             return Ok(());
         }
-        let (name, bytes) = (&gpu.adapter().name, SPLAT * size_of::<Float4>() * n);
+        let (name, bytes) = (&gpu.adapter.name, SPLAT * size_of::<Float4>() * n);
         let what = format!(
             "the splats of {n} Gaussians would take {bytes} bytes in one piece, `{name}` binds at most {}: {most} Gaussians (`max_gaussians`)",
             gpu.longest()

@@ -50,7 +50,7 @@ impl Gpu {
     pub(crate) fn of(choice: &AdapterChoice) -> Result<Self, DeviceError> {
         let mut gpu = Self::opened(choice)?;
         let has = gpu.device.features().contains(wgpu::Features::SUBGROUP);
-        let range = gpu.adapter().subgroup;
+        let range = gpu.adapter.subgroup;
         // A driver reports a range in most cases; a kernel finds the width. If that fails, the others are
         // portable.
         gpu.width = match range {
@@ -59,7 +59,7 @@ impl Gpu {
             _ => width(&gpu).ok().flatten(),
         };
         // Software adapters use the portable variant, whose bits do not depend on the vector width.
-        if !gpu.adapter().is_software()
+        if !gpu.adapter.is_software()
             && let Some(variant) = gpu.subgroups()
         {
             gpu.variant = variant;
@@ -75,7 +75,7 @@ mod tests {
     #[test]
     fn the_width_is_the_one_that_the_driver_reports() {
         let Some(gpu) = crate::testing::software() else { return };
-        let [least, most] = gpu.adapter().subgroup;
+        let [least, most] = gpu.adapter.subgroup;
         let found = width(&gpu).unwrap();
         assert!(least == most && found == Some(least), "{found:?} of {least} to {most}");
     }

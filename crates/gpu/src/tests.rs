@@ -233,7 +233,7 @@ fn exponents(maps: &MediumMaps, case: &Case) -> [Vec<f32>; 3] {
 
 /// Compares the device's view with the processor's.
 fn agree(bench: &ViewKernels, case: &Case, room: usize, what: &str) -> ViewResult {
-    let what = &format!("{what}, {}", bench.gpu.variant());
+    let what = &format!("{what}, {}", bench.gpu.variant);
     let drawn = bench.draw(case, room);
     let (prepared, rendered, gradients, maps) = case.cpu();
     let close = |name: &str, a: &[f32], b: &[f32], bar: f64| {
@@ -346,7 +346,7 @@ fn the_same_view_is_the_same_bytes() {
 fn subgroups_of_this_width_agree() {
     for bench in ViewKernels::of(Gpu::trials) {
         agree(&bench, &Case::new(cloud(600, -2.5, 0.5), 75, 58, true), 1, "600");
-        println!("\nagrees with {}.", bench.gpu.variant());
+        println!("\nagrees with {}.", bench.gpu.variant);
     }
 }
 
@@ -431,7 +431,7 @@ fn a_number_of_entries_that_32_bits_cannot_hold_is_too_many() {
 fn a_kernel_of_another_width_is_noticed() {
     let Some(gpu) = software() else { return };
     let scene = crate::twins::SceneSize { width: 48, height: 32, gaussians: 150, views: 1, seed: 1 };
-    let wrong = gpu.clone().of_width_in_tests(if gpu.subgroup_width() == Some(16) { 32 } else { 16 });
+    let wrong = gpu.clone().of_width_in_tests(if gpu.width == Some(16) { 32 } else { 16 });
     let mut engine = crate::stage1::Stage1::new(&wrong).unwrap();
     let found = crate::twins::step(&mut engine, &scene);
     assert!(found.is_err() || found.unwrap().iter().any(|agreement| !agreement.holds()));

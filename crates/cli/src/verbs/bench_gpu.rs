@@ -33,13 +33,13 @@ fn measured(app: &App, args: &BenchGpuArgs) -> Done {
     let sizes = args.sizes.iter().map(|text| parse_size(text)).collect::<Result<Vec<_>, _>>()?;
     let gpu = Gpu::open(args.device.as_deref()).map_err(CliError::input)?;
     let say = |text: &str| remark!(app, "{text}");
-    remark!(app, "{} ({})", gpu.adapter().name, gpu.adapter().driver);
+    remark!(app, "{} ({})", gpu.adapter.name, gpu.adapter.driver);
     remark!(app, "kernels: {}", gpu.kernels());
-    for refusal in gpu.refused_before() {
+    for refusal in gpu.refused_before.iter() {
         remark!(app, "skipped: {refusal}");
     }
     // A card needs minutes for all of it; software needs as long for a few steps.
-    let (steps, long) = match (args.steps, gpu.adapter().is_software()) {
+    let (steps, long) = match (args.steps, gpu.adapter.is_software()) {
         (Some(steps), _) => (steps as u64, None),
         (None, false) => (200, Some(1000)),
         (None, true) => (10, None),

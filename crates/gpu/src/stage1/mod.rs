@@ -118,7 +118,7 @@ pub struct Stage1 {
 impl Stage1 {
     /// An engine without views and with an empty scene.
     pub fn new(gpu: &Gpu) -> Result<Self, EngineError> {
-        compile(gpu, &all_specs(gpu.variant()))?;
+        compile(gpu, &all_specs(gpu.variant))?;
         Ok(Self {
             kernels: StepKernels {
                 lists: ListKernels::new(gpu)?,

@@ -108,7 +108,7 @@ impl Stage1 {
         let label = Some("step");
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label });
         {
-            let timestamp_writes = self.gpu.clock().and_then(|clock| clock.around("step"));
+            let timestamp_writes = self.gpu.clock.as_deref().and_then(|clock| clock.around("step"));
             let descriptor = wgpu::ComputePassDescriptor { label, timestamp_writes };
             let pass = &mut encoder.begin_compute_pass(&descriptor);
             self.unpacked.record(pass, stored);

@@ -178,7 +178,7 @@ impl Unpacked {
         divisor: usize,
     ) -> Result<(), EngineError> {
         let (width, height) = view.width_and_height;
-        if divisor > MOST_ON_SOFTWARE && gpu.adapter().is_software() {
+        if divisor > MOST_ON_SOFTWARE && gpu.adapter.is_software() {
             let what = format!(
                 "software adapters end long loops, so views are divided by at most {MOST_ON_SOFTWARE} there, not \
                  by {divisor}; use the engine cpu"

@@ -11,6 +11,7 @@ use use3d_reconstruct::engine::{CpuEngine, GradientScale, StepRates};
 use use3d_reconstruct::{ExposureStep, LoadedView};
 
 use super::*;
+use crate::profile::Timed;
 use crate::testing::{camera, cloud, relative, same_bits_elsewhere, software};
 use crate::twins::SceneSize;
 
@@ -246,7 +247,7 @@ fn steps_that_found_no_room_are_done_again() {
 #[test]
 fn a_step_is_one_submit_of_at_most_sixty_dispatches() {
     let Some(gpu) = software() else { return };
-    let gpu = gpu.timed();
+    let gpu = gpu.timed(Timed::Dispatches);
     let mut ours = with_views(Stage1::new(&gpu).unwrap());
     ours.load(state(60, -2.5)).unwrap();
     for (step, view) in [0, 1, 2, 0, 1, 2].into_iter().enumerate() {

@@ -59,11 +59,11 @@ impl Card for Gpu {
     /// The class contains the adapter, its driver, the way its kernels add up, and the code of the GPU crate
     /// with its kernels and all crates below it.
     fn class(&self) -> DeviceClass {
-        let adapter = self.adapter();
+        let adapter = &self.adapter;
         let host = code::built_in().stage(&["use3d-gpu"], &[]).map(|code| code.digest().to_string());
         let kernels = kernel_sources().join("\n") + &host.unwrap_or_default();
         DeviceClass {
-            engine: format!("gpu ({})", self.variant()),
+            engine: format!("gpu ({})", self.variant),
             adapter: adapter.name.clone(),
             driver: format!("{} ({})", adapter.driver, adapter.backend),
             kernels: Digest::of(kernels.as_bytes()),
@@ -71,11 +71,11 @@ impl Card for Gpu {
     }
 
     fn name(&self) -> String {
-        self.adapter().name.clone()
+        self.adapter.name.clone()
     }
 
     fn told(&self) -> String {
-        let passed_over = match self.refused_before() {
+        let passed_over = match &self.refused_before[..] {
             [] => String::new(),
             refusals => format!("; skipped: {}", refusals.join("; ")),
         };
