@@ -112,16 +112,13 @@ pub(crate) fn measure(gpu: &Gpu, bytes: u64, least: f64) -> Result<Ceilings, Eng
     let (rows, copied) = (from.capacity(), from.size() as u64);
     // The number of dispatches is limited by the clock's places.
     let bytes = best(least, 1024, |size| {
-        let time = seconds(gpu, |pass| {
-            (0..size).for_each(|_| copy.dispatch(pass, copy.grid(rows), bound![from, to]));
-        })?;
+        let time = seconds(gpu, |pass| (0..size).for_each(|_| copy.record(pass, rows, bound![from, to])))?;
         Ok((2.0 * (rows * size_of::<Float4>()) as f64 * f64::from(size), time))
     })?;
     let (rounds, sums) = (Array::uniform(gpu, "rounds")?, Array::<Float4>::new(gpu, "sums", MULTIPLIERS)?);
     let flops = best(least, 1 << 20, |size| {
         rounds.write(gpu, 0, &[[size, 0.999f32.to_bits(), 0.001f32.to_bits(), 0]]);
-        let time =
-            seconds(gpu, |pass| multiply.dispatch(pass, multiply.grid(MULTIPLIERS), bound![rounds, sums]))?;
+        let time = seconds(gpu, |pass| multiply.record(pass, MULTIPLIERS, bound![rounds, sums]))?;
         Ok((PER_ROUND * MULTIPLIERS as f64 * f64::from(size), time))
     })?;
     Ok(Ceilings { bytes, flops, copied })

@@ -10,12 +10,9 @@ use use3d_training::EngineError;
 
 use crate::buffer::{Array, read_together};
 use crate::chunks::Chunked;
-use crate::constants::{StepConstants, counts};
 use crate::device::{Gpu, NAME};
-use crate::kernel::submit;
-use crate::lists::{ListKernels, Lists};
-use crate::raster::{Outputs, RasterKernels, RasterPlanes, WATER_PLANES, kept};
-use crate::scene::Parameters;
+use crate::drawn::DrawnScene;
+use crate::raster::{DeviceCompositor, Outputs, WATER_PLANES, kept};
 
 /// A view to draw.
 #[derive(Clone, Copy, Debug)]
@@ -35,20 +32,13 @@ pub struct DrawnView<'a> {
 /// Gaussians on a device, ready to be drawn.
 #[derive(Debug)]
 pub struct Drawing {
-    gpu: Gpu,
-    lists_kernels: ListKernels,
-    raster_kernels: RasterKernels,
-    parameters: Parameters,
-    count: usize,
+    scene: DrawnScene,
     sh_degree: usize,
     /// Colours of a view that the caller gives.
     given: Chunked,
-    lists: Lists,
-    planes: RasterPlanes,
+    compositor: DeviceCompositor,
     /// `c_m`, and `k` of attenuation and backscatter.
     water: Array<f32>,
-    constants: Array<StepConstants>,
-    counts: Array<u32>,
 }
 
 impl Drawing {
@@ -58,18 +48,11 @@ impl Drawing {
     /// There are more of them than it can hold, or the driver failed.
     pub fn new(gpu: &Gpu, gaussians: &Gaussians) -> Result<Self, EngineError> {
         Ok(Self {
-            lists_kernels: ListKernels::new(gpu)?,
-            raster_kernels: RasterKernels::new(gpu)?,
-            parameters: Parameters::of(gpu, gaussians)?,
-            count: gaussians.len(),
+            scene: DrawnScene::new(gpu, gaussians, "counts of a picture")?,
             sh_degree: gaussians.sh_degree,
             given: Chunked::new(gpu, "colours of a view", 3, 1)?,
-            lists: Lists::new(gpu)?,
-            planes: RasterPlanes::new(gpu)?,
+            compositor: DeviceCompositor::new(gpu)?,
             water: Array::new(gpu, "the water of a picture", 1)?,
-            constants: Array::uniform(gpu, "constants")?,
-            counts: Array::new(gpu, "counts of a picture", counts::WORDS)?,
-            gpu: gpu.clone(),
         })
     }
 
@@ -81,9 +64,9 @@ impl Drawing {
         let pixels = view.lattice.width() * view.lattice.height();
         let refused = |what: String| Err(EngineError::Request { engine: NAME, what });
         if let Some(colors) = view.colors
-            && colors.len() != self.count
+            && colors.len() != self.scene.count
         {
-            return refused(format!("{} colours of {} Gaussians", colors.len(), self.count));
+            return refused(format!("{} colours of {} Gaussians", colors.len(), self.scene.count));
         }
         if view.medium.is_some_and(|maps| maps.formation == Formation::PerImage) {
             return refused("water that is laid over finished images is drawn on the processor alone".into());
@@ -94,83 +77,48 @@ impl Drawing {
             return refused(format!("water of {} pixels for a view of {pixels}", maps.color.pixels()));
         }
         if let Some(maps) = view.medium {
-            self.write_water(view.camera, view.lattice, maps)?;
+            self.write_water(view, maps)?;
         }
+        let Self { scene, given, compositor, water, .. } = self;
         if let Some(colors) = view.colors {
-            self.given.grow(&self.gpu, self.count)?;
-            self.given.write(&self.gpu, colors.as_flattened());
-            std::mem::swap(&mut self.given, &mut self.parameters.colors);
+            given.grow(&scene.gpu, scene.count)?;
+            given.write(&scene.gpu, colors.as_flattened());
+            std::mem::swap(given, &mut scene.parameters.colors);
         }
-        let drawn = self.compose(view);
+        let degree = view.colors.is_none().then_some(self.sh_degree);
+        let water = view.medium.map(|_| &*water);
+        let outputs = if view.layers { Outputs::Layers } else { Outputs::Picture };
+        let drawn = scene.draw(compositor, (view.camera, view.lattice), degree, water, None, outputs);
         if view.colors.is_some() {
-            std::mem::swap(&mut self.given, &mut self.parameters.colors);
+            std::mem::swap(given, &mut scene.parameters.colors);
         }
         drawn?;
         self.read(view, out)
     }
 
     /// Writes the water in the form that the kernels read: `e = 2^(−k z)`.
-    fn write_water(
-        &mut self,
-        camera: &Camera,
-        lattice: &Lattice,
-        maps: &MediumMaps,
-    ) -> Result<(), EngineError> {
-        let lengths = ray_lengths(camera, lattice);
+    fn write_water(&mut self, view: &DrawnView<'_>, maps: &MediumMaps) -> Result<(), EngineError> {
+        let lengths = ray_lengths(view.camera, view.lattice);
         let k = |map: &Image| -> Vec<f32> {
             let each = map.data().iter().zip(lengths.iter().cycle());
             each.map(|(beta, length)| beta * (length * std::f32::consts::LOG2_E)).collect()
         };
-        let color = maps.color.data();
-        self.water.grow(&self.gpu, WATER_PLANES / 3 * color.len())?;
-        self.water.write(&self.gpu, 0, color);
-        self.water.write(&self.gpu, color.len(), &k(&maps.attenuation));
-        self.water.write(&self.gpu, 2 * color.len(), &k(&maps.backscatter));
+        let (gpu, color) = (&self.scene.gpu, maps.color.data());
+        self.water.grow(gpu, WATER_PLANES / 3 * color.len())?;
+        self.water.write(gpu, 0, color);
+        self.water.write(gpu, color.len(), &k(&maps.attenuation));
+        self.water.write(gpu, 2 * color.len(), &k(&maps.backscatter));
         Ok(())
-    }
-
-    /// Draws into the planes, and makes more room for entries if needed.
-    fn compose(&mut self, view: &DrawnView<'_>) -> Result<(), EngineError> {
-        let gpu = &self.gpu;
-        let outputs = if view.layers { Outputs::Layers } else { Outputs::Picture };
-        self.planes.grow(gpu, view.lattice.width() * view.lattice.height(), outputs)?;
-        loop {
-            let mut constants = StepConstants::on(
-                view.camera,
-                view.lattice,
-                self.count,
-                self.sh_degree,
-                self.lists.capacity(),
-            );
-            if view.colors.is_some() {
-                constants.counts[1] = 0;
-            }
-            self.lists.prepare(gpu, &constants, view.lattice)?;
-            self.constants.write(gpu, 0, &[constants]);
-            self.counts.write(gpu, 0, &[0; counts::WORDS]);
-            let (lists, constants_array, tiles) = (&self.lists, &self.constants, constants.tiles());
-            let water = view.medium.map(|_| &self.water);
-            submit(gpu, "picture", |pass| {
-                let kernels = &self.lists_kernels;
-                let (n, scene) = (self.count, &self.parameters);
-                lists.record(kernels, pass, constants_array, n, tiles, scene, &self.counts, None);
-                let (raster, drawn) = (&self.raster_kernels, lists.drawn());
-                self.planes.record_forward(raster, pass, constants_array, tiles, &drawn, water, outputs);
-            })?;
-            if self.lists.had_room(gpu, &self.counts)? {
-                return Ok(());
-            }
-        }
     }
 
     /// Copies the result to main memory.
     fn read(&self, view: &DrawnView<'_>, out: &mut Rendered) -> Result<(), EngineError> {
         let (width, height) = (view.lattice.width(), view.lattice.height());
         let n = width * height;
-        let RasterPlanes { image, depth, kept: values, .. } = &self.planes;
+        let DeviceCompositor { image, depth, kept: values, .. } = &self.compositor;
         let planes = if view.layers { kept::LAYERS } else { kept::PICTURE };
-        let [image, depth, values] =
-            read_together(&self.gpu, [(image.raw(), 3 * n), (depth.raw(), n), (values.raw(), planes * n)])?;
+        let wanted = [(image.raw(), 3 * n), (depth.raw(), n), (values.raw(), planes * n)];
+        let [image, depth, values] = read_together(&self.scene.gpu, wanted)?;
         let floats = |words: Vec<u32>| bytemuck::cast_vec::<u32, f32>(words);
         let picture =
             |words| Image::from_planes(width, height, floats(words)).unwrap_or_else(|| Image::new(0, 0));
@@ -200,7 +148,7 @@ impl Drawing {
 }
 
 /// The lengths of the rays at z = 1 through a lattice's pixels.
-fn ray_lengths(camera: &Camera, lattice: &Lattice) -> Vec<f32> {
+pub(crate) fn ray_lengths(camera: &Camera, lattice: &Lattice) -> Vec<f32> {
     let lens = &camera.intrinsics;
     let squared = |at: &f32, centre: f64, focal: f64| {
         let slope = (f64::from(*at) - centre) / focal;
@@ -259,8 +207,8 @@ mod tests {
             let given: Vec<[f32; 3]> =
                 (0..n).map(|i| [0.01 * (i % 90) as f32, 0.4, 0.3 - 0.005 * (i % 70) as f32]).collect();
             let mut drawing = Drawing::new(&gpu, &gaussians).unwrap();
-            drawing.planes.grow(&gpu, 61 * 47, Outputs::Layers).unwrap();
-            drawing.planes.poison(&gpu);
+            drawing.compositor.grow(&gpu, 61 * 47, Outputs::Layers).unwrap();
+            drawing.compositor.poison(&gpu);
             let some = Lattice::subset(&[0, 3, 4, 17, 40], &[2, 5, 31]).unwrap();
             let (mut found, mut expected) = (Rendered::new(), Rendered::new());
             let (mut prepared, mut rasterizer) = (Prepared::new(), Rasterizer::new());

@@ -10,7 +10,7 @@
 //!
 //! ```text
 //! WG                          threads of a workgroup
-//! group_of(wid, nwg) -> u32   number of the workgroup in a grid that may have two dimensions ([`Grid`])
+//! group_of(wid, nwg) -> u32   number of the workgroup in a grid that may have two dimensions ([`grid`])
 //! is_bad(x) -> bool           true if a float is infinite or NaN, by its bits: WGSL may lose `x != x`
 //! ```
 
@@ -138,28 +138,11 @@ fn is_bad(x: f32) -> bool { return (bitcast<u32>(x) & 0x7f800000u) == 0x7f800000
 /// The text of `sum_of_group(value, lane)`: a sum over the workgroup in a fixed order.
 pub(crate) const SUM: &str = include_str!("sum.wgsl");
 
-/// The workgroups of a dispatch.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Grid {
-    x: u32,
-    y: u32,
-}
-
-impl Grid {
-    /// A grid of at least `count` workgroups: in rows of 65,535 if there are more, so that a kernel must
-    /// ignore those beyond its end.
-    pub(crate) fn groups(count: usize) -> Self {
-        let (count, side) = (count as u64, side());
-        if count <= side {
-            return Self { x: count as u32, y: 1 };
-        }
-        Self { x: side as u32, y: count.div_ceil(side).min(SIDE) as u32 }
-    }
-
-    /// A grid for `count` items, `threads` per workgroup.
-    pub(crate) fn items(count: usize, threads: u32) -> Self {
-        Self::groups(count.div_ceil(threads as usize))
-    }
+/// The sides of a grid of at least `groups` workgroups: in rows of 65,535 if there are more, so that a kernel
+/// must ignore those beyond its end.
+fn grid(groups: usize) -> [u32; 2] {
+    let (groups, side) = (groups as u64, side());
+    if groups <= side { [groups as u32, 1] } else { [side as u32, groups.div_ceil(side).min(SIDE) as u32] }
 }
 
 /// The bind groups of a kernel by their buffers, and the generation of these buffers.
@@ -286,22 +269,34 @@ impl Kernel {
         Ok(Self { gpu, name: spec.name, compiled, bindings, threads: spec.threads })
     }
 
-    /// A grid for this number of items.
-    pub(crate) fn grid(&self, items: usize) -> Grid {
-        Grid::items(items, self.threads)
+    /// The kernels of these specs, in their order.
+    pub(crate) fn all<const N: usize>(gpu: &Gpu, specs: &[Spec; N]) -> Result<[Self; N], EngineError> {
+        let kernels: Vec<Self> = specs.iter().map(|spec| Self::new(gpu, spec)).collect::<Result<_, _>>()?;
+        kernels.try_into().map_err(|_| EngineError::Failed("a kernel was not compiled".into()))
     }
 
-    /// Records a dispatch. The buffers are in the order of the spec's bindings; an empty grid records
-    /// nothing.
-    pub(crate) fn dispatch(&self, pass: &mut wgpu::ComputePass<'_>, grid: Grid, buffers: Vec<wgpu::Buffer>) {
-        if grid.x == 0 || grid.y == 0 {
+    /// Records a dispatch for this number of items. The buffers are in the order of the spec's bindings;
+    /// without items nothing is recorded.
+    pub(crate) fn record(&self, pass: &mut wgpu::ComputePass<'_>, items: usize, buffers: Vec<wgpu::Buffer>) {
+        self.record_groups(pass, items.div_ceil(self.threads as usize), buffers);
+    }
+
+    /// Like [`Kernel::record`], for this number of workgroups.
+    pub(crate) fn record_groups(
+        &self,
+        pass: &mut wgpu::ComputePass<'_>,
+        groups: usize,
+        buffers: Vec<wgpu::Buffer>,
+    ) {
+        if groups == 0 {
             return;
         }
         pass.set_pipeline(&self.compiled.pipeline);
         pass.set_bind_group(0, &self.bind(buffers), &[]);
         let clock = self.gpu.clock.as_deref();
         let place = clock.and_then(|clock| clock.before(pass, self.name));
-        pass.dispatch_workgroups(grid.x, grid.y, 1);
+        let [across, down] = grid(groups);
+        pass.dispatch_workgroups(across, down, 1);
         if let Some(clock) = clock {
             clock.after(pass, place);
         }
@@ -399,9 +394,9 @@ pub(crate) mod tests {
     #[test]
     fn grids_cover_their_items() {
         for count in [0usize, 1, 255, 256, 257, 65_535 * 256, 65_535 * 256 + 1, 40_000_000] {
-            let grid = Grid::items(count, 256);
-            let groups = u64::from(grid.x) * u64::from(grid.y);
-            assert!(groups * 256 >= count as u64 && u64::from(grid.x) <= SIDE, "{count}");
+            let [x, y] = grid(count.div_ceil(256)).map(u64::from);
+            let groups = x * y;
+            assert!(groups * 256 >= count as u64 && x <= SIDE, "{count}");
             assert!(groups < (count as u64).div_ceil(256) + SIDE, "{count}");
         }
     }

@@ -67,6 +67,7 @@ mod compiled;
 mod constants;
 mod device;
 mod drawing;
+mod drawn;
 mod kernel;
 mod linear;
 mod lists;
@@ -118,7 +119,17 @@ pub fn kernel_texts() -> Vec<(&'static str, String)> {
 
 /// Every kernel in every variant.
 fn specs() -> Vec<kernel::Spec> {
-    let own = [sort::specs(), lists::specs(), raster::specs(), update::specs(), rebuild::specs()].concat();
-    let further = own.into_iter().chain(subgroups::specs()).chain(losses::specs()).chain(water::specs());
-    further.chain(stage1::specs()).chain(stage2::specs()).chain(linear::specs()).collect()
+    [
+        &sort::specs()[..],
+        &lists::specs(),
+        &raster::specs(),
+        &update::specs(),
+        &[rebuild::gather(), subgroups::widths()],
+        &losses::specs(),
+        &water::specs(),
+        &[stage1::unpack()],
+        &stage2::specs(),
+        &linear::specs(),
+    ]
+    .concat()
 }

@@ -11,13 +11,12 @@ use use3d_splat::Gaussians;
 use use3d_training::EngineError;
 
 use crate::buffer::Array;
-use crate::constants::{CONSTANTS, CONSTANTS_BINDING, StepConstants, counts};
+use crate::constants::{CONSTANTS, CONSTANTS_BINDING};
 use crate::device::{Gpu, NAME};
-use crate::kernel::{Access, Binding, Grid, Kernel, ROWS, Spec, bound, read, submit, write};
-use crate::lists::{ListKernels, Lists};
-use crate::raster::{Outputs, RasterKernels, RasterPlanes};
+use crate::drawn::DrawnScene;
+use crate::kernel::{Access, Binding, Kernel, ROWS, Spec, bound, read, submit, write};
+use crate::raster::{DeviceCompositor, Outputs};
 use crate::rows::Float4;
-use crate::scene::Parameters;
 use crate::stage2::colors_backward;
 
 /// Number of threads of the kernels over Gaussians.
@@ -49,8 +48,8 @@ fn gather() -> Spec {
 }
 
 /// All kernels of this module.
-pub(crate) fn specs() -> Vec<Spec> {
-    vec![tint(), gather()]
+pub(crate) fn specs() -> [Spec; 2] {
+    [tint(), gather()]
 }
 
 /// A group of three channels, or fewer at the end.
@@ -68,18 +67,11 @@ struct LinearBuffers {
 /// Gaussians on a device, and one view of them at a time.
 #[derive(Debug)]
 pub struct LinearSplat {
-    gpu: Gpu,
-    lists_kernels: ListKernels,
-    raster_kernels: RasterKernels,
+    scene: DrawnScene,
+    compositor: DeviceCompositor,
     tint: Kernel,
     adjoint: Kernel,
     gather: Kernel,
-    parameters: Parameters,
-    count: usize,
-    lists: Lists,
-    planes: RasterPlanes,
-    constants: Array<StepConstants>,
-    counts: Array<u32>,
     tiles: usize,
     pixels: usize,
     parts: Vec<LinearBuffers>,
@@ -95,23 +87,16 @@ impl LinearSplat {
     /// There are more of them than it can hold, or the driver failed.
     pub fn new(gpu: &Gpu, gaussians: &Gaussians) -> Result<Self, EngineError> {
         Ok(Self {
-            lists_kernels: ListKernels::new(gpu)?,
-            raster_kernels: RasterKernels::new(gpu)?,
+            scene: DrawnScene::new(gpu, gaussians, "counts of a view")?,
+            compositor: DeviceCompositor::new(gpu)?,
             tint: Kernel::new(gpu, &tint())?,
             adjoint: Kernel::new(gpu, &colors_backward(false))?,
             gather: Kernel::new(gpu, &gather())?,
-            parameters: Parameters::of(gpu, gaussians)?,
-            count: gaussians.len(),
-            lists: Lists::new(gpu)?,
-            planes: RasterPlanes::new(gpu)?,
-            constants: Array::uniform(gpu, "constants")?,
-            counts: Array::new(gpu, "counts of a view", counts::WORDS)?,
             tiles: 0,
             pixels: 0,
             parts: Vec::new(),
             records: Array::new(gpu, "records", 1)?,
             nothing: Array::new(gpu, "no water", 1)?,
-            gpu: gpu.clone(),
         })
     }
 
@@ -120,37 +105,13 @@ impl LinearSplat {
     /// # Errors
     /// The driver failed.
     pub fn view(&mut self, camera: &Camera, lattice: &Lattice) -> Result<(), EngineError> {
-        let gpu = &self.gpu;
         self.pixels = lattice.width() * lattice.height();
-        self.planes.grow(gpu, self.pixels, Outputs::Training)?;
-        loop {
-            let constants = StepConstants::on(camera, lattice, self.count, 0, self.lists.capacity());
-            self.tiles = constants.tiles();
-            self.lists.prepare(gpu, &constants, lattice)?;
-            self.records.grow(gpu, self.lists.capacity())?;
-            self.constants.write(gpu, 0, &[constants]);
-            self.counts.write(gpu, 0, &[0; counts::WORDS]);
-            let (lists, planes, tiles) = (&self.lists, &self.planes, self.tiles);
-            submit(gpu, "view", |pass| {
-                let (kernels, n, scene) = (&self.lists_kernels, self.count, &self.parameters);
-                lists.record(
-                    kernels,
-                    pass,
-                    &self.constants,
-                    n,
-                    tiles,
-                    scene,
-                    &self.counts,
-                    Some(&self.records),
-                );
-                // The entry at which each pixel stops.
-                let (raster, drawn) = (&self.raster_kernels, lists.drawn());
-                planes.record_forward(raster, pass, &self.constants, tiles, &drawn, None, Outputs::Training);
-            })?;
-            if self.lists.had_room(gpu, &self.counts)? {
-                return Ok(());
-            }
-        }
+        let (records, outputs) = (Some(&mut self.records), Outputs::Training);
+        // The forward pass finds the entry at which each pixel stops.
+        let constants =
+            self.scene.draw(&mut self.compositor, (camera, lattice), Some(0), None, records, outputs)?;
+        self.tiles = constants.tiles();
+        Ok(())
     }
 
     /// `S_v`: splats `values` (`[N][channels]`, in the order of the Gaussians) into `out`
@@ -164,29 +125,22 @@ impl LinearSplat {
         for (part, first) in self.parts.iter().zip((0..channels).step_by(TOGETHER)) {
             let rows = values.chunks_exact(channels);
             let own: Vec<f32> = rows.flat_map(|row| &row[first..first + part.channels]).copied().collect();
-            part.values.write(&self.gpu, 0, &own);
+            part.values.write(&self.scene.gpu, 0, &own);
         }
-        let Self { lists, planes, parts, constants, .. } = self;
-        submit(&self.gpu, "linear splat", |pass| {
+        let Self { scene, compositor, parts, .. } = self;
+        let DrawnScene { gpu, count, lists, constants, .. } = scene;
+        submit(gpu, "linear splat", |pass| {
             for part in &mut *parts {
                 let buffers = bound![*constants, part.at, part.values, lists.splats];
-                self.tint.dispatch(pass, self.tint.grid(self.count), buffers);
-                std::mem::swap(&mut planes.image, &mut part.planes);
-                let drawn = lists.drawn();
-                planes.record_forward(
-                    &self.raster_kernels,
-                    pass,
-                    constants,
-                    self.tiles,
-                    &drawn,
-                    None,
-                    Outputs::Picture,
-                );
-                std::mem::swap(&mut planes.image, &mut part.planes);
+                self.tint.record(pass, *count, buffers);
+                std::mem::swap(&mut compositor.image, &mut part.planes);
+                let outputs = Outputs::Picture;
+                compositor.record_forward(pass, constants, self.tiles, &lists.drawn(), None, outputs);
+                std::mem::swap(&mut compositor.image, &mut part.planes);
             }
         })?;
         for (part, out) in parts.iter().zip(out.chunks_mut((TOGETHER * self.pixels).max(1))) {
-            out.copy_from_slice(&part.planes.read(&self.gpu, out.len())?);
+            out.copy_from_slice(&part.planes.read(gpu, out.len())?);
         }
         Ok(())
     }
@@ -200,20 +154,20 @@ impl LinearSplat {
         self.check(channels, out.len(), planes.len())?;
         self.prepare(channels)?;
         for (part, planes) in self.parts.iter().zip(planes.chunks((TOGETHER * self.pixels).max(1))) {
-            part.planes.write(&self.gpu, 0, planes);
+            part.planes.write(&self.scene.gpu, 0, planes);
         }
-        let Self { lists, constants, records, .. } = &*self;
-        submit(&self.gpu, "adjoint of the linear splat", |pass| {
+        let DrawnScene { gpu, count, lists, constants, .. } = &self.scene;
+        submit(gpu, "adjoint of the linear splat", |pass| {
             for part in &self.parts {
                 let mut buffers = lists.drawn().buffers(constants);
-                buffers.extend(bound![self.nothing, self.planes.kept, part.planes, *records]);
-                self.adjoint.dispatch(pass, Grid::groups(self.tiles), buffers);
-                let buffers = bound![*constants, part.at, lists.runs, *records, part.values];
-                self.gather.dispatch(pass, self.gather.grid(self.count), buffers);
+                buffers.extend(bound![self.nothing, self.compositor.kept, part.planes, self.records]);
+                self.adjoint.record_groups(pass, self.tiles, buffers);
+                let buffers = bound![*constants, part.at, lists.runs, self.records, part.values];
+                self.gather.record(pass, *count, buffers);
             }
         })?;
         for (part, first) in self.parts.iter().zip((0..channels).step_by(TOGETHER)) {
-            let own = part.values.read(&self.gpu, part.channels * self.count)?;
+            let own = part.values.read(gpu, part.channels * count)?;
             for (row, own) in out.chunks_exact_mut(channels).zip(own.chunks_exact(part.channels)) {
                 row[first..first + part.channels].copy_from_slice(own);
             }
@@ -224,18 +178,19 @@ impl LinearSplat {
     /// Returns an error unless there is one value per channel and Gaussian, and one per channel and pixel.
     fn check(&self, channels: usize, values: usize, planes: usize) -> Result<(), EngineError> {
         let refuse = |what: String| Err(EngineError::Request { engine: NAME, what });
-        if values != channels * self.count {
-            return refuse(format!("{values} values of {channels} channels for {} Gaussians", self.count));
+        let (count, pixels) = (self.scene.count, self.pixels);
+        if values != channels * count {
+            return refuse(format!("{values} values of {channels} channels for {count} Gaussians"));
         }
-        if planes != channels * self.pixels {
-            return refuse(format!("{planes} values of {channels} channels for a view of {}", self.pixels));
+        if planes != channels * pixels {
+            return refuse(format!("{planes} values of {channels} channels for a view of {pixels}"));
         }
         Ok(())
     }
 
     /// Makes room for this number of channels of the view.
     fn prepare(&mut self, channels: usize) -> Result<(), EngineError> {
-        let gpu = &self.gpu;
+        let DrawnScene { gpu, count, .. } = &self.scene;
         let parts = channels.div_ceil(TOGETHER);
         self.parts.truncate(parts);
         while self.parts.len() < parts {
@@ -247,7 +202,7 @@ impl LinearSplat {
             part.channels = TOGETHER.min(channels - first);
             part.at.write(gpu, 0, &[[part.channels as u32, 0, 0, 0]]);
             part.planes.grow(gpu, TOGETHER * self.pixels)?;
-            part.values.grow(gpu, part.channels * self.count)?;
+            part.values.grow(gpu, part.channels * count)?;
         }
         Ok(())
     }
@@ -280,8 +235,8 @@ mod tests {
                 let camera = camera(61, 47);
                 let pixels = lattice.width() * lattice.height();
                 prepared.prepare(&gaussians, &camera, &lattice, Colors::Sh { degree: 0 });
-                linear.planes.grow(&gpu, pixels, Outputs::Training).unwrap();
-                linear.planes.poison(&gpu);
+                linear.compositor.grow(&gpu, pixels, Outputs::Training).unwrap();
+                linear.compositor.poison(&gpu);
                 linear.records.poison(&gpu);
                 linear.view(&camera, &lattice).unwrap();
 

@@ -16,10 +16,10 @@ use crate::buffer::Array;
 use crate::chunks::CHUNK;
 use crate::constants::{CONSTANTS, CONSTANTS_BINDING, StepConstants, TILE, counts};
 use crate::device::Gpu;
-use crate::kernel::{Access, Binding, Constant, Grid, Kernel, ROWS, Spec, U32S, bound, read};
+use crate::kernel::{Access, Binding, Constant, Kernel, ROWS, Spec, U32S, bound, read};
 use crate::rows::{Float4, SPLAT};
 use crate::scene::Parameters;
-use crate::sort::{Items, Sort, SortKernels};
+use crate::sort::{self, Items, Sort, SortKernels};
 
 /// Threads of a workgroup.
 const THREADS: u32 = 256;
@@ -103,39 +103,12 @@ fn starts() -> Spec {
 }
 
 /// All kernels of this module.
-pub(crate) fn specs() -> Vec<Spec> {
-    vec![project(), reduce(), total(), offsets(), emit(false), emit(true), starts()]
-}
-
-/// The kernels.
-#[derive(Debug)]
-pub(crate) struct ListKernels {
-    sort: SortKernels,
-    project: Kernel,
-    reduce: Kernel,
-    total: Kernel,
-    offsets: Kernel,
-    /// The variant without records, and the one with them.
-    emit: [Kernel; 2],
-    starts: Kernel,
-}
-
-impl ListKernels {
-    pub(crate) fn new(gpu: &Gpu) -> Result<Self, EngineError> {
-        Ok(Self {
-            sort: SortKernels::new(gpu)?,
-            project: Kernel::new(gpu, &project())?,
-            reduce: Kernel::new(gpu, &reduce())?,
-            total: Kernel::new(gpu, &total())?,
-            offsets: Kernel::new(gpu, &offsets())?,
-            emit: [Kernel::new(gpu, &emit(false))?, Kernel::new(gpu, &emit(true))?],
-            starts: Kernel::new(gpu, &starts())?,
-        })
-    }
+pub(crate) fn specs() -> [Spec; 7] {
+    [project(), reduce(), total(), offsets(), emit(false), emit(true), starts()]
 }
 
 #[cfg(test)]
-impl ListKernels {
+impl Lists {
     /// Records the sums over blocks of Gaussians alone.
     pub(crate) fn record_total(
         &self,
@@ -144,7 +117,8 @@ impl ListKernels {
         counts: &Array<u32>,
         partial: &Array<u32>,
     ) {
-        self.total.dispatch(pass, Grid::groups(1), bound![*constants, *counts, *partial]);
+        let [_, _, total, ..] = &self.kernels;
+        total.record_groups(pass, 1, bound![*constants, *counts, *partial]);
     }
 }
 
@@ -167,9 +141,12 @@ impl ViewLists<'_> {
     }
 }
 
-/// The buffers of a view's lists.
+/// The buffers of a view's lists, and the kernels that fill them.
 #[derive(Debug)]
 pub(crate) struct Lists {
+    sort: SortKernels,
+    /// In the order of [`specs`].
+    kernels: [Kernel; 7],
     /// Pixel centres of columns, then of rows, each padded to whole tiles with the last centre.
     pub(crate) axes: Array<f32>,
     /// The lattice of the axes.
@@ -193,6 +170,8 @@ const FIRST_ENTRIES: usize = 1 << 14;
 impl Lists {
     pub(crate) fn new(gpu: &Gpu) -> Result<Self, EngineError> {
         Ok(Self {
+            sort: Kernel::all(gpu, &sort::specs())?,
+            kernels: Kernel::all(gpu, &specs())?,
             axes: Array::new(gpu, "pixel centres", 1)?,
             lattice: None,
             splats: Array::new(gpu, "splats", 1)?,
@@ -274,7 +253,6 @@ impl Lists {
     /// zeroed.
     pub(crate) fn record(
         &self,
-        kernels: &ListKernels,
         pass: &mut wgpu::ComputePass<'_>,
         constants: &Array<StepConstants>,
         n: usize,
@@ -285,36 +263,28 @@ impl Lists {
     ) {
         let Self { axes, splats, tiles: met, by_depth, partial, offsets, runs, owners, by_tile, .. } = self;
         let Parameters { geometry, colors } = scene;
-        let k = kernels;
+        let [project, reduce, total, set_offsets, emit, emit_records, find_starts] = &self.kernels;
         let keys = by_depth.input();
         for (chunk, count) in colors.over(n) {
-            k.project.dispatch(
-                pass,
-                k.project.grid(count),
-                bound![*constants, chunk.place, *axes, *geometry, chunk.floats, *splats, *keys, *met],
-            );
+            let floats = &chunk.floats;
+            let buffers = bound![*constants, chunk.place, *axes, *geometry, *floats, *splats, *keys, *met];
+            project.record(pass, count, buffers);
         }
-        by_depth.record(&k.sort, pass, counts, DEPTH_BITS);
+        by_depth.record(&self.sort, pass, counts, DEPTH_BITS);
         let (_, order) = by_depth.output(DEPTH_BITS);
-        let blocks = Grid::groups(n.div_ceil((ITEMS * THREADS) as usize));
-        k.reduce.dispatch(pass, blocks, bound![*constants, *order, *met, *partial]);
-        k.total.dispatch(pass, Grid::groups(1), bound![*constants, *counts, *partial]);
-        k.offsets.dispatch(
-            pass,
-            blocks,
-            bound![*constants, *counts, *order, *met, *partial, *offsets, *runs],
-        );
-        let emit = &k.emit[usize::from(records.is_some())];
+        let blocks = n.div_ceil((ITEMS * THREADS) as usize);
+        reduce.record_groups(pass, blocks, bound![*constants, *order, *met, *partial]);
+        total.record_groups(pass, 1, bound![*constants, *counts, *partial]);
+        let buffers = bound![*constants, *counts, *order, *met, *partial, *offsets, *runs];
+        set_offsets.record_groups(pass, blocks, buffers);
+        let emit = if records.is_some() { emit_records } else { emit };
         let (keys, records) = (by_tile.input(), records.unwrap_or(&self.nothing));
         let places = if n == 0 { 0 } else { self.capacity() };
-        emit.dispatch(
-            pass,
-            emit.grid(places),
-            bound![*constants, *counts, *axes, *splats, *order, *offsets, *keys, *owners, *records],
-        );
-        by_tile.record(&k.sort, pass, counts, self.tile_bits);
+        let buffers = bound![*constants, *counts, *axes, *splats, *order, *offsets, *keys, *owners, *records];
+        emit.record(pass, places, buffers);
+        by_tile.record(&self.sort, pass, counts, self.tile_bits);
         let (keys, _) = by_tile.output(self.tile_bits);
-        k.starts.dispatch(pass, k.starts.grid(tiles + 1), bound![*constants, *counts, *keys, self.starts]);
+        find_starts.record(pass, tiles + 1, bound![*constants, *counts, *keys, self.starts]);
     }
 
     /// The lists as the compositor reads them, after [`Lists::record`].
@@ -330,14 +300,9 @@ impl Lists {
 
     /// Number of bytes on the device.
     pub(crate) fn size(&self) -> usize {
-        let small = self.axes.size() + self.partial.size() + self.offsets.size() + self.starts.size();
-        small
-            + self.splats.size()
-            + self.tiles.size()
-            + self.runs.size()
-            + self.owners.size()
-            + self.by_depth.size()
-            + self.by_tile.size()
+        let words = [&self.tiles, &self.partial, &self.offsets, &self.owners, &self.starts];
+        let rows = self.axes.size() + self.splats.size() + self.runs.size();
+        rows + words.map(Array::size).iter().sum::<usize>() + self.by_depth.size() + self.by_tile.size()
     }
 
     /// Waits and returns the Gaussians that reach the lattice, nearest first.

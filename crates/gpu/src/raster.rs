@@ -12,7 +12,7 @@ use use3d_training::EngineError;
 use crate::buffer::Array;
 use crate::constants::{CONSTANTS, CONSTANTS_BINDING, StepConstants};
 use crate::device::Gpu;
-use crate::kernel::{Access, Binding, Constant, Grid, Kernel, ROWS, Spec, U32S, bound, read, write};
+use crate::kernel::{Access, Binding, Constant, Kernel, ROWS, Spec, U32S, bound, read, write};
 use crate::lists::ViewLists;
 use crate::rows::Float4;
 use crate::variant::{EACH, Variant, WIDTHS};
@@ -36,12 +36,12 @@ pub(crate) const TILE: [Binding; 6] = [
     (Access::Read, "owners", U32S),
     (Access::Read, "splats", ROWS),
 ];
-/// The water in front of every pixel: see [`RasterKernels`].
+/// The water in front of every pixel: see [`DeviceCompositor`].
 pub(crate) const WATER: Binding = read("water");
 /// Number of planes of the water: `c_m`, and `k` of attenuation and of backscatter with `e = 2^(−k z)`.
 pub(crate) const WATER_PLANES: usize = 9;
 
-/// The first plane of each section of [`RasterPlanes::kept`], and the number of its planes; as in
+/// The first plane of each section of [`DeviceCompositor::kept`], and the number of its planes; as in
 /// `shared.wgsl`.
 pub(crate) mod kept {
     pub(crate) const ACCUMULATION: usize = 0;
@@ -117,49 +117,25 @@ fn backward(water: bool, variant: Variant) -> Spec {
 
 /// All kernels of this module.
 pub(crate) fn specs() -> Vec<Spec> {
-    let both = [false, true];
-    let mut specs: Vec<Spec> = both.iter().flat_map(|w| OUTPUTS.map(|k| forward(*w, k))).collect();
     let subgroups = WIDTHS.iter().flat_map(|&width| EACH.map(|pixels| Variant::Subgroups { width, pixels }));
-    let variants = [Variant::Portable].into_iter().chain(subgroups);
-    specs.extend(variants.flat_map(|variant| both.map(|water| backward(water, variant))));
-    specs
+    specs_of([Variant::Portable].into_iter().chain(subgroups))
 }
 
-/// The kernels that a device of this variant uses.
-pub(crate) fn specs_of(variant: Variant) -> Vec<Spec> {
+/// The kernels that devices of these variants use.
+pub(crate) fn specs_of(variants: impl IntoIterator<Item = Variant>) -> Vec<Spec> {
     let both = [false, true];
     let forward = both.iter().flat_map(|w| OUTPUTS.map(|k| forward(*w, k)));
-    forward.chain(both.map(|water| backward(water, variant))).collect()
+    forward.chain(variants.into_iter().flat_map(|variant| both.map(|w| backward(w, variant)))).collect()
 }
 
-/// The kernels. Both passes read the water as one buffer of [`WATER_PLANES`].
+/// The kernels, and the values that the forward pass writes for every pixel. Both passes read the water as
+/// one buffer of [`WATER_PLANES`].
 #[derive(Debug)]
-pub(crate) struct RasterKernels {
+pub(crate) struct DeviceCompositor {
     /// Indexed by water (without, with) and by [`Outputs`].
     forward: [[Kernel; 3]; 2],
     /// Indexed by water (without, with), in the device's variant.
-    backward: Vec<Kernel>,
-}
-
-impl RasterKernels {
-    pub(crate) fn new(gpu: &Gpu) -> Result<Self, EngineError> {
-        let each = |water| {
-            let [a, b, c] = OUTPUTS.map(|outputs| Kernel::new(gpu, &forward(water, outputs)));
-            Ok::<_, EngineError>([a?, b?, c?])
-        };
-        Ok(Self {
-            forward: [each(false)?, each(true)?],
-            backward: [false, true]
-                .map(|water| Kernel::new(gpu, &backward(water, gpu.variant)))
-                .into_iter()
-                .collect::<Result<Vec<_>, _>>()?,
-        })
-    }
-}
-
-/// The values that the forward pass writes for every pixel.
-#[derive(Debug)]
-pub(crate) struct RasterPlanes {
+    backward: [Kernel; 2],
     /// Colour planes.
     pub(crate) image: Array<f32>,
     pub(crate) depth: Array<f32>,
@@ -170,9 +146,12 @@ pub(crate) struct RasterPlanes {
     nothing: Array<f32>,
 }
 
-impl RasterPlanes {
+impl DeviceCompositor {
     pub(crate) fn new(gpu: &Gpu) -> Result<Self, EngineError> {
+        let forward = |water| Kernel::all(gpu, &OUTPUTS.map(|outputs| forward(water, outputs)));
         Ok(Self {
+            forward: [forward(false)?, forward(true)?],
+            backward: Kernel::all(gpu, &[false, true].map(|water| backward(water, gpu.variant)))?,
             image: Array::new(gpu, "image", 1)?,
             depth: Array::new(gpu, "depth", 1)?,
             kept: Array::new(gpu, "values of pixels", 1)?,
@@ -222,7 +201,6 @@ impl RasterPlanes {
     /// the outputs.
     pub(crate) fn record_forward(
         &self,
-        kernels: &RasterKernels,
         pass: &mut wgpu::ComputePass<'_>,
         constants: &Array<StepConstants>,
         tiles: usize,
@@ -230,17 +208,16 @@ impl RasterPlanes {
         water: Option<&Array<f32>>,
         outputs: Outputs,
     ) {
-        let kernel = &kernels.forward[usize::from(water.is_some())][outputs as usize];
+        let kernel = &self.forward[usize::from(water.is_some())][outputs as usize];
         let mut buffers = self.tile(constants, drawn, water);
         buffers.extend(bound![self.image, self.depth, self.kept]);
-        kernel.dispatch(pass, Grid::groups(tiles), buffers);
+        kernel.record_groups(pass, tiles, buffers);
     }
 
     /// Records the backward pass: computes every entry's record from the loss's gradients with respect to
     /// image and depth.
     pub(crate) fn record_backward(
         &self,
-        kernels: &RasterKernels,
         pass: &mut wgpu::ComputePass<'_>,
         constants: &Array<StepConstants>,
         tiles: usize,
@@ -250,9 +227,9 @@ impl RasterPlanes {
         depth_pull: &Array<f32>,
         records: &Array<Float4>,
     ) {
-        let kernel = &kernels.backward[usize::from(water.is_some())];
+        let kernel = &self.backward[usize::from(water.is_some())];
         let mut buffers = self.tile(constants, drawn, water);
         buffers.extend(bound![self.kept, *image_pull, *depth_pull, *records]);
-        kernel.dispatch(pass, Grid::groups(tiles), buffers);
+        kernel.record_groups(pass, tiles, buffers);
     }
 }

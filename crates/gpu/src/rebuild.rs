@@ -6,7 +6,6 @@
 //! else is copied between the two. An array is gathered into a new one and then freed, so that for a moment
 //! the largest array exists twice: 192 bytes per Gaussian.
 
-use bytemuck::{Pod, Zeroable};
 use use3d_reconstruct::density::{Draws, Origin};
 use use3d_splat::Gaussians;
 use use3d_training::EngineError;
@@ -22,9 +21,13 @@ use crate::scene::{DeviceScene, Parameters};
 const BORN: u32 = 1 << 31;
 /// The type of an array in the kernel.
 const WORDS: &str = "array<vec4<u32>>";
+/// The part that one dispatch gathers: the first Gaussian of the new buffer and the number of Gaussians in
+/// it, the same of the old buffer, and the number of rows of four per Gaussian. If `inherited` is 1, twins
+/// and children copy their source; otherwise they get zeros.
 const PART: &str = "struct Part { first: u32, count: u32, source: u32, sources: u32, width: u32, inherited: u32, pad0: u32, pad1: u32 }";
 
-fn gather() -> Spec {
+/// The kernel of this module.
+pub(crate) fn gather() -> Spec {
     Spec {
         name: "rebuild",
         threads: 256,
@@ -39,35 +42,11 @@ fn gather() -> Spec {
     }
 }
 
-/// All kernels of this module.
-pub(crate) fn specs() -> Vec<Spec> {
-    vec![gather()]
-}
-
-/// The part that one dispatch gathers.
-#[derive(Clone, Copy, Debug, Pod, Zeroable)]
-#[repr(C)]
-struct GatherRange {
-    /// First Gaussian of the new buffer.
-    first: u32,
-    /// Number of Gaussians in it.
-    count: u32,
-    /// First Gaussian of the old buffer.
-    source: u32,
-    /// Number of Gaussians in it.
-    sources: u32,
-    /// Number of rows of four per Gaussian.
-    width: u32,
-    /// True if twins and children copy their source; otherwise they get zeros.
-    inherited: u32,
-    pad: [u32; 2],
-}
-
 /// The kernel.
 #[derive(Debug)]
 pub(crate) struct RebuildKernel {
     gather: Kernel,
-    part: Array<GatherRange>,
+    part: Array<[u32; 8]>,
 }
 
 impl RebuildKernel {
@@ -90,21 +69,11 @@ impl RebuildKernel {
     ) -> Result<(), EngineError> {
         for &(to, first, count) in made {
             for &(from, source, sources) in old {
-                let [first, count, source, sources, width] =
-                    [first, count, source, sources, floats / 4].map(|v| v as u32);
-                let part = GatherRange {
-                    first,
-                    count,
-                    source,
-                    sources,
-                    width,
-                    inherited: inherited.into(),
-                    pad: [0; 2],
-                };
-                self.part.write(gpu, 0, &[part]);
+                let width = floats / 4;
+                let part = [first, count, source, sources, width, inherited.into(), 0, 0];
+                self.part.write(gpu, 0, &[part.map(|v| v as u32)]);
                 let buffers = vec![self.part.raw().clone(), origins.raw().clone(), from.clone(), to.clone()];
-                let grid = self.gather.grid((count * width) as usize);
-                submit(gpu, "rebuild", |pass| self.gather.dispatch(pass, grid, buffers))?;
+                submit(gpu, "rebuild", |pass| self.gather.record(pass, count * width, buffers))?;
             }
         }
         gpu.wait()

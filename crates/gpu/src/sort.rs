@@ -11,7 +11,7 @@ use use3d_training::EngineError;
 use crate::buffer::Array;
 use crate::constants::counts;
 use crate::device::Gpu;
-use crate::kernel::{Access, Binding, Constant, Grid, Kernel, Spec, U32S, bound};
+use crate::kernel::{Access, Binding, Constant, Kernel, Spec, U32S, bound};
 
 /// Threads of a workgroup.
 const THREADS: u32 = 256;
@@ -69,29 +69,12 @@ fn scatter(identity: bool) -> Spec {
 }
 
 /// All kernels of the sort.
-pub(crate) fn specs() -> Vec<Spec> {
-    vec![histogram(), spread(), scatter(false), scatter(true)]
+pub(crate) fn specs() -> [Spec; 4] {
+    [histogram(), spread(), scatter(false), scatter(true)]
 }
 
-/// The kernels; shared by all sorts of a device.
-#[derive(Debug)]
-pub(crate) struct SortKernels {
-    histogram: Kernel,
-    spread: Kernel,
-    scatter: Kernel,
-    scatter_first: Kernel,
-}
-
-impl SortKernels {
-    pub(crate) fn new(gpu: &Gpu) -> Result<Self, EngineError> {
-        Ok(Self {
-            histogram: Kernel::new(gpu, &histogram())?,
-            spread: Kernel::new(gpu, &spread())?,
-            scatter: Kernel::new(gpu, &scatter(false))?,
-            scatter_first: Kernel::new(gpu, &scatter(true))?,
-        })
-    }
-}
+/// The kernels in the order of [`specs`]; shared by several sorts.
+pub(crate) type SortKernels = [Kernel; 4];
 
 /// The number of items of a sort.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -183,26 +166,23 @@ impl Sort {
     /// Records the prepared sort.
     pub(crate) fn record(
         &self,
-        kernels: &SortKernels,
+        [histogram, spread, scatter, scatter_first]: &SortKernels,
         pass: &mut wgpu::ComputePass<'_>,
         counts: &Array<u32>,
         bits: u32,
     ) {
-        let blocks = Grid::groups(self.written[0].blocks as usize);
+        let blocks = self.written[0].blocks as usize;
         for (at, order) in self.passes.iter().enumerate().take(Self::passes(bits)) {
             let (from, to) = (at % 2, (at + 1) % 2);
             let (keys, values) = (&self.keys[from], &self.values[from]);
             let (table, totals) = (&self.table, &self.totals);
-            kernels.histogram.dispatch(pass, blocks, bound![*order, *counts, *keys, *table]);
-            let digits = if self.written[0].blocks == 0 { Grid::groups(0) } else { Grid::groups(DIGITS) };
-            kernels.spread.dispatch(pass, digits, bound![*order, *counts, *table, *totals]);
-            let scatter = if at == 0 { &kernels.scatter_first } else { &kernels.scatter };
-            let (keys_to, values_to) = (&self.keys[to], &self.values[to]);
-            scatter.dispatch(
-                pass,
-                blocks,
-                bound![*order, *counts, *keys, *values, *table, *totals, *keys_to, *values_to],
-            );
+            histogram.record_groups(pass, blocks, bound![*order, *counts, *keys, *table]);
+            let digits = if blocks == 0 { 0 } else { DIGITS };
+            spread.record_groups(pass, digits, bound![*order, *counts, *table, *totals]);
+            let scatter = if at == 0 { scatter_first } else { scatter };
+            let (to_keys, to_values) = (&self.keys[to], &self.values[to]);
+            let buffers = bound![*order, *counts, *keys, *values, *table, *totals, *to_keys, *to_values];
+            scatter.record_groups(pass, blocks, buffers);
         }
     }
 
@@ -242,7 +222,7 @@ mod tests {
     #[test]
     fn more_than_a_million_pairs_are_sorted() {
         let Some(gpu) = crate::testing::software() else { return };
-        let kernels = SortKernels::new(&gpu).unwrap();
+        let kernels = Kernel::all(&gpu, &specs()).unwrap();
         let counts = Array::from(&gpu, "counts", &[0u32; 64]).unwrap();
         for (n, bits) in [((1 << 20) + 1, 13), (2_100_000, 8)] {
             let mut sort = Sort::new(&gpu, n).unwrap();
@@ -260,7 +240,7 @@ mod tests {
     #[test]
     fn pairs_are_sorted_and_ties_keep_their_order() {
         let Some(gpu) = crate::testing::software() else { return };
-        let kernels = SortKernels::new(&gpu).unwrap();
+        let kernels = Kernel::all(&gpu, &specs()).unwrap();
         let counts = Array::from(&gpu, "counts", &[0u32; 64]).unwrap();
         let mut sort = Sort::new(&gpu, 1).unwrap();
         for (n, bits) in

@@ -8,14 +8,15 @@ use use3d_training::EngineError;
 
 use crate::buffer::Array;
 use crate::device::{AdapterChoice, DeviceError, Gpu, take_first};
-use crate::kernel::{Access, Grid, Kernel, Spec, U32S, bound, submit};
+use crate::kernel::{Access, Kernel, Spec, U32S, bound, submit};
 
 /// Threads of a workgroup: as many as the backward pass has with two pixels per thread.
 const THREADS: u32 = 128;
 /// Number of workgroups.
 const GROUPS: usize = 8;
 
-fn widths() -> Spec {
+/// The kernel that reads widths.
+pub(crate) fn widths() -> Spec {
     Spec {
         name: "widths of subgroups",
         threads: THREADS,
@@ -25,16 +26,11 @@ fn widths() -> Spec {
     }
 }
 
-/// The text of the kernel that reads widths.
-pub(crate) fn specs() -> Vec<Spec> {
-    vec![widths()]
-}
-
 /// Returns the width with which the threads of several workgroups run; `None` if they differ.
 pub(crate) fn width(gpu: &Gpu) -> Result<Option<u32>, EngineError> {
     let kernel = Kernel::new(gpu, &widths())?;
     let found = Array::<u32>::new(gpu, "widths", GROUPS * THREADS as usize)?;
-    submit(gpu, "widths", |pass| kernel.dispatch(pass, Grid::groups(GROUPS), bound![found]))?;
+    submit(gpu, "widths", |pass| kernel.record_groups(pass, GROUPS, bound![found]))?;
     let found = found.read(gpu, GROUPS * THREADS as usize)?;
     Ok(found.first().copied().filter(|first| found.iter().all(|width| width == first)))
 }

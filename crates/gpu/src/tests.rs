@@ -11,8 +11,8 @@ use crate::buffer::Array;
 use crate::constants::{StepConstants, counts};
 use crate::device::Gpu;
 use crate::kernel::submit;
-use crate::lists::{ListKernels, Lists};
-use crate::raster::{Outputs, RasterKernels, RasterPlanes, kept};
+use crate::lists::Lists;
+use crate::raster::{DeviceCompositor, Outputs, kept};
 use crate::rows::Float4;
 use crate::scene::{DeviceScene, Parameters};
 use crate::testing::{camera, cloud, elsewhere, relative, software, water};
@@ -34,8 +34,6 @@ const RATES: StepRates = StepRates {
 /// The buffers and kernels for one view, outside an engine.
 struct ViewKernels {
     gpu: Gpu,
-    lists: ListKernels,
-    raster: RasterKernels,
     update: UpdateKernels,
 }
 
@@ -123,12 +121,7 @@ impl ViewKernels {
         let Some(gpu) = software() else { return Vec::new() };
         let with = |variant| {
             let gpu = gpu.clone().with(variant);
-            Self {
-                lists: ListKernels::new(&gpu).unwrap(),
-                raster: RasterKernels::new(&gpu).unwrap(),
-                update: UpdateKernels::new(&gpu).unwrap(),
-                gpu,
-            }
+            Self { update: UpdateKernels::new(&gpu).unwrap(), gpu }
         };
         variants(&gpu).into_iter().map(with).collect()
     }
@@ -140,7 +133,7 @@ impl ViewKernels {
         let mut scene = DeviceScene::new(gpu).unwrap();
         let (moments, statistics) = (Moments::new(&case.gaussians), Statistics::new(n));
         scene.write(gpu, &case.gaussians, &moments, &statistics).unwrap();
-        let (mut lists, mut planes) = (Lists::new(gpu).unwrap(), RasterPlanes::new(gpu).unwrap());
+        let (mut lists, mut planes) = (Lists::new(gpu).unwrap(), DeviceCompositor::new(gpu).unwrap());
         lists.grow(gpu, room).unwrap();
         let degree = case.degree.min(case.gaussians.sh_degree);
         let mut constants = StepConstants::on(&case.camera, &case.lattice, n, degree, lists.capacity());
@@ -169,27 +162,10 @@ impl ViewKernels {
         let water = maps.as_ref();
         submit(gpu, "view", |pass| {
             let tiles = constants.tiles();
-            lists.record(&self.lists, pass, &uniform, n, tiles, &scene.values, &counts, Some(&records));
-            planes.record_forward(
-                &self.raster,
-                pass,
-                &uniform,
-                tiles,
-                &lists.drawn(),
-                water,
-                Outputs::Training,
-            );
-            planes.record_backward(
-                &self.raster,
-                pass,
-                &uniform,
-                tiles,
-                &lists.drawn(),
-                water,
-                &image,
-                &depth,
-                &records,
-            );
+            lists.record(pass, &uniform, n, tiles, &scene.values, &counts, Some(&records));
+            let drawn = lists.drawn();
+            planes.record_forward(pass, &uniform, tiles, &drawn, water, Outputs::Training);
+            planes.record_backward(pass, &uniform, tiles, &drawn, water, &image, &depth, &records);
             self.update.record(pass, &uniform, &counts, &lists, &records, &color_pull, &scene);
             self.update.record_finish(pass, &uniform, &counts, &ends);
         })
@@ -373,7 +349,7 @@ fn the_entries_of_more_than_half_a_million_gaussians_are_numbered_without_gaps()
     let gpu = &gpu;
     let case = Case::new(cloud(720_000, -7.5, 4.0), 64, 48, false);
     let n = case.gaussians.len();
-    let (kernels, mut lists) = (ListKernels::new(gpu).unwrap(), Lists::new(gpu).unwrap());
+    let mut lists = Lists::new(gpu).unwrap();
     lists.grow(gpu, 1 << 21).unwrap();
     let constants = StepConstants::on(&case.camera, &case.lattice, n, case.degree, lists.capacity());
     lists.prepare(gpu, &constants, &case.lattice).unwrap();
@@ -383,8 +359,7 @@ fn the_entries_of_more_than_half_a_million_gaussians_are_numbered_without_gaps()
     let uniform = Array::uniform(gpu, "constants").unwrap();
     uniform.write(gpu, 0, &[constants]);
     let tiles = constants.tiles();
-    submit(gpu, "lists", |pass| lists.record(&kernels, pass, &uniform, n, tiles, &scene, &counts, None))
-        .unwrap();
+    submit(gpu, "lists", |pass| lists.record(pass, &uniform, n, tiles, &scene, &counts, None)).unwrap();
     let told = counts.read(gpu, counts::WORDS).unwrap();
     let entries = told[counts::ENTRIES];
     let mut prepared = Prepared::new();
@@ -411,7 +386,7 @@ fn the_entries_of_more_than_half_a_million_gaussians_are_numbered_without_gaps()
 #[test]
 fn a_number_of_entries_that_32_bits_cannot_hold_is_too_many() {
     let Some(gpu) = software() else { return };
-    let kernels = ListKernels::new(&gpu).unwrap();
+    let lists = Lists::new(&gpu).unwrap();
     // The sums wrap to a small number: 2^32 + 4.
     for (sums, most) in [(vec![0x8000_0000u32, 0x8000_0004], u32::MAX), (vec![0x7000_0000, 5], 0x7000_0005)] {
         let blocks = Array::from(&gpu, "partial sums", &sums).unwrap();
@@ -420,7 +395,7 @@ fn a_number_of_entries_that_32_bits_cannot_hold_is_too_many() {
         let case = Case::new(cloud(1, 0.0, 0.0), 16, 16, false);
         let constants = StepConstants::on(&case.camera, &case.lattice, 4096, 3, 1000);
         uniform.write(&gpu, 0, &[constants]);
-        submit(&gpu, "total", |pass| kernels.record_total(pass, &uniform, &counts, &blocks)).unwrap();
+        submit(&gpu, "total", |pass| lists.record_total(pass, &uniform, &counts, &blocks)).unwrap();
         let told = counts.read(&gpu, counts::WORDS).unwrap();
         assert_eq!((told[counts::STOP], told[counts::MOST]), (counts::OVERFLOW, most));
     }

@@ -9,7 +9,6 @@
 //! before. The colours are 48 of the 59 numbers of a Gaussian. They have a kernel of their own, which moves
 //! them in the order of memory; between the two lie the colour's gradient and the direction, six floats.
 
-use bytemuck::{Pod, Zeroable};
 use use3d_numerics::adam::Adam;
 use use3d_reconstruct::engine::StepRates;
 use use3d_training::EngineError;
@@ -18,7 +17,7 @@ use crate::buffer::Array;
 use crate::chunks::CHUNK;
 use crate::constants::{CONSTANTS, CONSTANTS_BINDING, StepConstants, counts};
 use crate::device::Gpu;
-use crate::kernel::{Access, Binding, Constant, Grid, Kernel, ROWS, Spec, U32S, bound, read, write};
+use crate::kernel::{Access, Binding, Constant, Kernel, ROWS, Spec, U32S, bound, read, write};
 use crate::lists::{HARMONICS, Lists, PROJECTION};
 use crate::rows::Float4;
 use crate::scene::DeviceScene;
@@ -118,40 +117,22 @@ fn limit() -> Spec {
 }
 
 /// All kernels of this module.
-pub(crate) fn specs() -> Vec<Spec> {
-    vec![update(), long_runs(), colors(), finish(), limit()]
-}
-
-/// The constants of the opacity ceiling.
-#[derive(Clone, Copy, Debug, Pod, Zeroable)]
-#[repr(C)]
-struct Ceiling {
-    count: u32,
-    logit: f32,
-    pad: [u32; 2],
+pub(crate) fn specs() -> [Spec; 5] {
+    [update(), long_runs(), colors(), finish(), limit()]
 }
 
 /// The kernels.
 #[derive(Debug)]
 pub(crate) struct UpdateKernels {
-    update: Kernel,
-    long_runs: Kernel,
-    colors: Kernel,
-    finish: Kernel,
-    limit: Kernel,
-    ceiling: Array<Ceiling>,
+    /// In the order of [`specs`].
+    kernels: [Kernel; 5],
+    /// The constants of the opacity ceiling: the number of Gaussians, and the bits of the logit.
+    ceiling: Array<[u32; 4]>,
 }
 
 impl UpdateKernels {
     pub(crate) fn new(gpu: &Gpu) -> Result<Self, EngineError> {
-        Ok(Self {
-            update: Kernel::new(gpu, &update())?,
-            long_runs: Kernel::new(gpu, &long_runs())?,
-            colors: Kernel::new(gpu, &colors())?,
-            finish: Kernel::new(gpu, &finish())?,
-            limit: Kernel::new(gpu, &limit())?,
-            ceiling: Array::uniform(gpu, "opacity ceiling")?,
-        })
+        Ok(Self { kernels: Kernel::all(gpu, &specs())?, ceiling: Array::uniform(gpu, "opacity ceiling")? })
     }
 
     /// Records one update of every Gaussian. `color_pull` has room for [`COLOR_PULL`] floats of each.
@@ -166,44 +147,19 @@ impl UpdateKernels {
         scene: &DeviceScene,
     ) {
         let DeviceScene { values, first, second, statistics, .. } = scene;
+        let [update, long_runs, update_colors, ..] = &self.kernels;
         let n = scene.count;
         let entries = if n == 0 { 0 } else { lists.capacity() };
-        self.long_runs.dispatch(
-            pass,
-            self.long_runs.grid(entries),
-            bound![*counts, lists.runs, lists.owners, *records],
-        );
-        self.update.dispatch(
-            pass,
-            self.update.grid(n),
-            bound![
-                *constants,
-                *counts,
-                lists.runs,
-                *records,
-                lists.splats,
-                values.geometry,
-                first.geometry,
-                second.geometry,
-                *statistics,
-                *color_pull,
-            ],
-        );
+        let Lists { runs, splats, owners, .. } = lists;
+        long_runs.record(pass, entries, bound![*counts, *runs, *owners, *records]);
+        let mut buffers = bound![*constants, *counts, *runs, *records, *splats];
+        buffers.extend(bound![values.geometry, first.geometry, second.geometry, *statistics, *color_pull]);
+        update.record(pass, n, buffers);
         let moments = first.colors.over(n).zip(second.colors.over(n));
         for ((chunk, count), ((first, _), (second, _))) in values.colors.over(n).zip(moments) {
-            self.colors.dispatch(
-                pass,
-                self.colors.grid(count),
-                bound![
-                    *constants,
-                    chunk.place,
-                    *counts,
-                    *color_pull,
-                    chunk.floats,
-                    first.floats,
-                    second.floats,
-                ],
-            );
+            let mut buffers = bound![*constants, chunk.place, *counts, *color_pull];
+            buffers.extend(bound![chunk.floats, first.floats, second.floats]);
+            update_colors.record(pass, count, buffers);
         }
     }
 
@@ -216,7 +172,8 @@ impl UpdateKernels {
         counts: &Array<u32>,
         ends: &Array<[u32; 4]>,
     ) {
-        self.finish.dispatch(pass, Grid::groups(1), bound![*constants, *counts, *ends]);
+        let [_, _, _, finish, _] = &self.kernels;
+        finish.record_groups(pass, 1, bound![*constants, *counts, *ends]);
     }
 
     /// Records the kernel that lowers opacities to a logit.
@@ -227,13 +184,11 @@ impl UpdateKernels {
         scene: &DeviceScene,
         logit: f32,
     ) {
-        self.ceiling.write(gpu, 0, &[Ceiling { count: scene.count as u32, logit, pad: [0; 2] }]);
+        self.ceiling.write(gpu, 0, &[[scene.count as u32, logit.to_bits(), 0, 0]]);
         let DeviceScene { values, first, second, .. } = scene;
-        self.limit.dispatch(
-            pass,
-            self.limit.grid(scene.count),
-            bound![self.ceiling, values.geometry, first.geometry, second.geometry],
-        );
+        let [.., limit] = &self.kernels;
+        let buffers = bound![self.ceiling, values.geometry, first.geometry, second.geometry];
+        limit.record(pass, scene.count, buffers);
     }
 }
 

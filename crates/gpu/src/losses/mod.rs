@@ -22,7 +22,7 @@ use use3d_training::EngineError;
 use crate::buffer::Array;
 use crate::constants::counts;
 use crate::device::{Gpu, NAME};
-use crate::kernel::{Access, Binding, Constant, Grid, Kernel, SUM, Spec, bound, read, write};
+use crate::kernel::{Access, Binding, Constant, Kernel, SUM, Spec, bound, read, write};
 use shape::{HALVING, Halving, LEVEL, LEVELS, Level, LossConstants, ViewShape};
 
 /// The values of stage 1's loss for which there are kernels, in the order of the table of terms.
@@ -141,25 +141,6 @@ impl Gains {
     }
 }
 
-/// The compiled kernels.
-#[derive(Debug)]
-struct LossKernels {
-    over_water: Kernel,
-    weigh: Kernel,
-    pool: Kernel,
-    compare: Kernel,
-    weigh_levels: Kernel,
-    blur_back: Kernel,
-    pull: Kernel,
-    depth_means: Kernel,
-    depth_take_means: Kernel,
-    depth_deviations: Kernel,
-    depth_correlate: Kernel,
-    depth_slopes: Kernel,
-    tell: Kernel,
-    gains: Kernel,
-}
-
 /// The buffers of one level of the structure measure.
 #[derive(Debug)]
 struct LevelBuffers {
@@ -179,7 +160,8 @@ struct LevelBuffers {
 /// The losses of views of one size, with their buffers.
 #[derive(Debug)]
 pub(crate) struct Losses {
-    kernels: LossKernels,
+    /// In the order of [`specs`].
+    kernels: [Kernel; 14],
     view: Array<LossConstants>,
     levels: Vec<LevelBuffers>,
     sums: Array<f32>,
@@ -326,44 +308,6 @@ pub(crate) fn specs() -> [Spec; 14] {
     ]
 }
 
-impl LossKernels {
-    fn new(gpu: &Gpu) -> Result<Self, EngineError> {
-        let [
-            over_water,
-            weigh,
-            pool,
-            compare,
-            weigh_levels,
-            blur_back,
-            pull,
-            depth_means,
-            depth_take_means,
-            depth_deviations,
-            depth_correlate,
-            depth_slopes,
-            tell,
-            gains,
-        ] = specs();
-        let of = |spec: &Spec| Kernel::new(gpu, spec);
-        Ok(Self {
-            over_water: of(&over_water)?,
-            weigh: of(&weigh)?,
-            pool: of(&pool)?,
-            compare: of(&compare)?,
-            weigh_levels: of(&weigh_levels)?,
-            blur_back: of(&blur_back)?,
-            pull: of(&pull)?,
-            depth_means: of(&depth_means)?,
-            depth_take_means: of(&depth_take_means)?,
-            depth_deviations: of(&depth_deviations)?,
-            depth_correlate: of(&depth_correlate)?,
-            depth_slopes: of(&depth_slopes)?,
-            tell: of(&tell)?,
-            gains: of(&gains)?,
-        })
-    }
-}
-
 impl LevelBuffers {
     fn new(gpu: &Gpu) -> Result<Self, EngineError> {
         let planes = |what| Array::new(gpu, what, 1);
@@ -380,16 +324,11 @@ impl LevelBuffers {
     }
 }
 
-/// A grid of one workgroup.
-fn one() -> Grid {
-    Grid::groups(1)
-}
-
 impl Losses {
     /// The losses without a size.
     pub(crate) fn new(gpu: &Gpu) -> Result<Self, EngineError> {
         Ok(Self {
-            kernels: LossKernels::new(gpu)?,
+            kernels: Kernel::all(gpu, &specs())?,
             view: Array::uniform(gpu, "a view's constants")?,
             levels: (0..LEVELS).map(|_| LevelBuffers::new(gpu)).collect::<Result<_, _>>()?,
             sums: Array::new(gpu, "sums of the loss", 1)?,
@@ -452,29 +391,22 @@ impl Losses {
         water: bool,
     ) {
         let shape = &self.shape;
-        let mut has = 0;
         let mut view = shape.view();
-        if seen.mask.is_some() {
-            has |= WITH_MASK;
-        }
-        if seen.prior.is_some() && plan.weights[2] != 0.0 {
-            has |= WITH_PRIOR;
-        }
-        if water {
-            has |= OVER_WATER;
+        let with_prior = seen.prior.is_some() && plan.weights[2] != 0.0;
+        for (has, bit) in [(seen.mask.is_some(), WITH_MASK), (with_prior, WITH_PRIOR), (water, OVER_WATER)] {
+            view.has |= if has { bit } else { 0 };
         }
         if let (Some((row, step)), Some(gains)) = (plan.gains, gains)
             && row < gains.steps.len()
         {
             let count = &mut gains.steps[row];
-            has |= WITH_GAINS;
+            view.has |= WITH_GAINS;
             *count += 1;
             let adam = Adam::SPLATTING.scalars(*count, step.rate);
             view.row = row as u32;
             view.views = gains.steps.len() as u32;
             view.gains = [adam.step_size, adam.root, step.weight as f32, 0.0];
         }
-        view.has = has;
         let count = 3.0 * (shape.width * shape.height) as f64;
         let [difference, structure, depth] = plan.weights;
         view.slopes = [(difference / count) as f32, -structure as f32, depth as f32, 0.0];
@@ -495,8 +427,9 @@ impl Losses {
     ) {
         let gains = gains.map_or(&self.nothing, |g| &g.state);
         let color = color.unwrap_or(&self.nothing);
-        let grid = Grid::groups(3 * self.shape.groups);
-        self.kernels.over_water.dispatch(pass, grid, bound![self.view, *alpha, *color, *gains, *photograph]);
+        let [over_water, ..] = &self.kernels;
+        let buffers = bound![self.view, *alpha, *color, *gains, *photograph];
+        over_water.record_groups(pass, 3 * self.shape.groups, buffers);
     }
 
     /// Records values and gradients of one view.
@@ -507,76 +440,53 @@ impl Losses {
         gains: Option<&Gains>,
         told: &LossOutput<'_>,
     ) {
-        let (k, shape, view) = (&self.kernels, &self.shape, &self.view);
+        let (shape, view, k) = (&self.shape, &self.view, &self.kernels);
+        let [_, weigh, pool, compare, weigh_levels, blur_back, pull, ..] = k;
+        let [.., depth_means, depth_take_means, depth_deviations, depth_correlate, depth_slopes, tell, _] = k;
         let gains = gains.map_or(&self.nothing, |g| &g.state);
         let mask = seen.mask.unwrap_or(&self.nothing);
-        let per_plane = Grid::groups(3 * shape.groups);
-        let finest = &self.levels[0];
-        k.weigh.dispatch(
-            pass,
-            per_plane,
-            bound![*view, *seen.image, *seen.photograph, *mask, *gains, finest.x, finest.y, self.sums],
-        );
+        let per_plane = 3 * shape.groups;
+        let LevelBuffers { x, y, .. } = &self.levels[0];
+        let buffers = bound![*view, *seen.image, *seen.photograph, *mask, *gains, *x, *y, self.sums];
+        weigh.record_groups(pass, per_plane, buffers);
         let levels = &self.levels[..shape.levels.len()];
-        for ((fine, coarse), size) in
-            levels.iter().zip(levels.iter().skip(1)).zip(shape.levels.iter().skip(1))
-        {
-            let grid = k.pool.grid(3 * size.width * size.height);
-            k.pool.dispatch(pass, grid, bound![*view, coarse.halving, fine.x, fine.y, coarse.x, coarse.y]);
+        for (pair, size) in levels.windows(2).zip(shape.levels.iter().skip(1)) {
+            let [fine, coarse] = [&pair[0], &pair[1]];
+            let buffers = bound![*view, coarse.halving, fine.x, fine.y, coarse.x, coarse.y];
+            pool.record(pass, 3 * size.width * size.height, buffers);
         }
         for (buffers, level) in levels.iter().zip(&shape.levels) {
             let LevelBuffers { level: constants, x, y, by_mean, by_square, by_product, .. } = buffers;
             let to = bound![*view, *constants, *x, *y, *by_mean, *by_square, *by_product, self.level_sums];
-            k.compare.dispatch(pass, Grid::groups(3 * level.groups), to);
+            compare.record_groups(pass, 3 * level.groups, to);
         }
-        k.weigh_levels.dispatch(pass, one(), bound![*view, self.level_sums, self.factors]);
+        weigh_levels.record_groups(pass, 1, bound![*view, self.level_sums, self.factors]);
         for (at, (buffers, level)) in levels.iter().zip(&shape.levels).enumerate().rev() {
             let LevelBuffers { level: constants, x, y, by_mean, by_square, by_product, slope, .. } = buffers;
             let slope = if at == 0 { told.image } else { slope };
             let coarse = levels.get(at + 1).map_or(&self.nothing, |coarse| &coarse.slope);
-            let grid = Grid::groups(3 * level.tiles());
-            let factors = &self.factors;
-            k.blur_back.dispatch(
-                pass,
-                grid,
-                bound![
-                    *view,
-                    *constants,
-                    *x,
-                    *y,
-                    *by_mean,
-                    *by_square,
-                    *by_product,
-                    *factors,
-                    *coarse,
-                    *slope
-                ],
-            );
+            let mut buffers = bound![*view, *constants, *x, *y, *by_mean, *by_square, *by_product];
+            buffers.extend(bound![self.factors, *coarse, *slope]);
+            blur_back.record_groups(pass, 3 * level.tiles(), buffers);
         }
-        k.pull.dispatch(
-            pass,
-            per_plane,
-            bound![*view, *seen.image, *mask, *gains, finest.x, finest.y, self.sums, *told.image],
-        );
-        let plane = Grid::groups(shape.groups);
-        let (sums, depth_told) = (&self.depth_sums, &self.depth_told);
+        let buffers = bound![*view, *seen.image, *mask, *gains, *x, *y, self.sums, *told.image];
+        pull.record_groups(pass, per_plane, buffers);
+        let (depth, sums, found) = (seen.depth, &self.depth_sums, &self.depth_told);
         if let Some(prior) = seen.prior {
-            k.depth_means.dispatch(pass, plane, bound![*view, *seen.depth, *prior, *sums]);
-            k.depth_take_means.dispatch(pass, one(), bound![*view, *sums, *depth_told]);
-            k.depth_deviations.dispatch(pass, plane, bound![*view, *seen.depth, *prior, *depth_told, *sums]);
-            k.depth_correlate.dispatch(pass, one(), bound![*view, *sums, *depth_told]);
+            depth_means.record_groups(pass, shape.groups, bound![*view, *depth, *prior, *sums]);
+            depth_take_means.record_groups(pass, 1, bound![*view, *sums, *found]);
+            depth_deviations.record_groups(pass, shape.groups, bound![*view, *depth, *prior, *found, *sums]);
+            depth_correlate.record_groups(pass, 1, bound![*view, *sums, *found]);
         }
         let prior = seen.prior.unwrap_or(&self.nothing);
-        k.depth_slopes.dispatch(pass, plane, bound![*view, *seen.depth, *prior, *depth_told, *told.depth]);
-        k.tell.dispatch(
-            pass,
-            one(),
-            bound![*view, self.sums, self.factors, *depth_told, *told.reports, *told.counts],
-        );
+        depth_slopes.record_groups(pass, shape.groups, bound![*view, *depth, *prior, *found, *told.depth]);
+        let buffers = bound![*view, self.sums, self.factors, *found, *told.reports, *told.counts];
+        tell.record_groups(pass, 1, buffers);
     }
 
     /// Records the update of the view's gain, after [`Losses::record`].
     pub(crate) fn learn_gains(&self, pass: &mut wgpu::ComputePass<'_>, gains: &Gains, counts: &Array<u32>) {
-        self.kernels.gains.dispatch(pass, one(), bound![self.view, self.sums, gains.state, *counts]);
+        let [.., learn] = &self.kernels;
+        learn.record_groups(pass, 1, bound![self.view, self.sums, gains.state, *counts]);
     }
 }

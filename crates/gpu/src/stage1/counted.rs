@@ -45,7 +45,7 @@ impl Stage1 {
                 (drawn.starts.raw(), across * down + 1),
                 (drawn.lists.raw(), entries),
                 (drawn.owners.raw(), entries),
-                (self.planes.kept.raw(), (kept::STOP + 1) * pixels),
+                (self.compositor.kept.raw(), (kept::STOP + 1) * pixels),
                 (drawn.axes.raw(), side * (across + down)),
             ],
         )?;

@@ -30,9 +30,9 @@ use crate::buffer::Array;
 use crate::constants::{StepConstants, counts};
 use crate::device::{Gpu, NAME};
 use crate::kernel::{Spec, compile, submit};
-use crate::lists::{ListKernels, Lists};
+use crate::lists::Lists;
 use crate::losses::{Gains, Losses};
-use crate::raster::{RasterKernels, RasterPlanes, kept};
+use crate::raster::{DeviceCompositor, kept};
 use crate::rebuild::RebuildKernel;
 use crate::rows::Float4;
 use crate::scene::DeviceScene;
@@ -42,7 +42,7 @@ use crate::water::DeviceWater;
 pub(crate) use counted::ViewWork;
 pub use forecast::training_bytes;
 use stored::Unpacked;
-pub(crate) use stored::specs;
+pub(crate) use stored::unpack;
 use targets::Targets;
 
 /// Number of reports for which there is room on the device.
@@ -53,25 +53,19 @@ const UNDER_WAY: usize = 50;
 /// Number of floats of a report.
 const REPORT: usize = 16;
 
-/// The kernels of a step, except those of losses and water.
-#[derive(Debug)]
-struct StepKernels {
-    lists: ListKernels,
-    raster: RasterKernels,
-    update: UpdateKernels,
-    rebuild: RebuildKernel,
-}
-
 /// Every kernel that a training on a device of this variant may use.
 fn all_specs(variant: Variant) -> Vec<Spec> {
-    let own = [crate::sort::specs(), crate::lists::specs(), crate::raster::specs_of(variant)].concat();
-    let further = [crate::update::specs(), crate::rebuild::specs()].concat();
-    own.into_iter()
-        .chain(further)
-        .chain(crate::losses::specs())
-        .chain(crate::water::specs())
-        .chain(specs())
-        .collect()
+    [
+        &crate::sort::specs()[..],
+        &crate::lists::specs(),
+        &crate::raster::specs_of([variant]),
+        &crate::update::specs(),
+        &[crate::rebuild::gather()],
+        &crate::losses::specs(),
+        &crate::water::specs(),
+        &[unpack()],
+    ]
+    .concat()
 }
 
 /// A step that was requested and not reported yet.
@@ -87,11 +81,12 @@ struct Asked {
 #[derive(Debug)]
 pub struct Stage1 {
     gpu: Gpu,
-    kernels: StepKernels,
+    update: UpdateKernels,
+    rebuild: RebuildKernel,
     targets: Targets,
     scene: DeviceScene,
     lists: Lists,
-    planes: RasterPlanes,
+    compositor: DeviceCompositor,
     losses: Losses,
     water: Option<DeviceWater>,
     gains: Gains,
@@ -120,16 +115,12 @@ impl Stage1 {
     pub fn new(gpu: &Gpu) -> Result<Self, EngineError> {
         compile(gpu, &all_specs(gpu.variant))?;
         Ok(Self {
-            kernels: StepKernels {
-                lists: ListKernels::new(gpu)?,
-                raster: RasterKernels::new(gpu)?,
-                update: UpdateKernels::new(gpu)?,
-                rebuild: RebuildKernel::new(gpu)?,
-            },
+            update: UpdateKernels::new(gpu)?,
+            rebuild: RebuildKernel::new(gpu)?,
             targets: Targets::default(),
             scene: DeviceScene::new(gpu)?,
             lists: Lists::new(gpu)?,
-            planes: RasterPlanes::new(gpu)?,
+            compositor: DeviceCompositor::new(gpu)?,
             losses: Losses::new(gpu)?,
             water: None,
             gains: Gains::new(gpu, &Exposures::default())?,
@@ -330,14 +321,11 @@ impl Engine for Stage1 {
             self.scene.forget_statistics(&self.gpu);
             return self.gpu.check();
         }
-        let shapes = match shapes {
-            Some(shapes) => shapes,
-            None => self.scene.shapes(&self.gpu)?,
-        };
+        let shapes = shapes.map_or_else(|| self.scene.shapes(&self.gpu), Ok)?;
         DeviceScene::refuse_more(&self.gpu, rows.len())?;
         // The records of a step are no longer needed: their memory is used to move the rows.
         self.records.let_go(&self.gpu);
-        self.scene.rebuild(&self.gpu, &self.kernels.rebuild, &shapes, rows, draws)?;
+        self.scene.rebuild(&self.gpu, &self.rebuild, &shapes, rows, draws)?;
         self.records.grow(&self.gpu, 3 * self.lists.capacity())?;
         self.gpu.check()
     }
@@ -345,9 +333,8 @@ impl Engine for Stage1 {
     fn limit_opacity(&mut self, ceiling: f64) -> Result<(), EngineError> {
         self.settle()?;
         self.surveyed = None;
-        let (update, scene, gpu) = (&self.kernels.update, &self.scene, &self.gpu);
-        let logit = density::logit(ceiling);
-        submit(gpu, "opacity ceiling", |pass| update.record_limit(gpu, pass, scene, logit))
+        let (gpu, logit) = (&self.gpu, density::logit(ceiling));
+        submit(gpu, "opacity ceiling", |pass| self.update.record_limit(gpu, pass, &self.scene, logit))
     }
 
     fn forget_water_moments(&mut self) -> Result<(), EngineError> {
@@ -362,7 +349,7 @@ impl Engine for Stage1 {
         self.settle()?;
         self.draw(camera, degrees)?;
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-        let planes = self.planes.image.read(&self.gpu, 3 * width * height)?;
+        let planes = self.compositor.image.read(&self.gpu, 3 * width * height)?;
         out.resize(width, height);
         out.data_mut().copy_from_slice(&planes);
         Ok(())
@@ -370,7 +357,7 @@ impl Engine for Stage1 {
 
     fn memory(&self) -> usize {
         let slopes = self.image_slope.size() + self.depth_slope.size();
-        let planes = self.planes.size() + self.unpacked.size() + slopes;
+        let planes = self.compositor.size() + self.unpacked.size() + slopes;
         let water = self.water.as_ref().map_or(0, DeviceWater::memory);
         let records = self.records.size() + self.color_pull.size();
         let step = self.lists.size() + records + self.losses.memory() + water + planes;

@@ -47,7 +47,7 @@ impl Stage1 {
     ) -> Result<(), EngineError> {
         let gpu = &self.gpu;
         self.lists.prepare(gpu, &constants, lattice)?;
-        self.planes.grow(gpu, constants.pixels(), outputs)?;
+        self.compositor.grow(gpu, constants.pixels(), outputs)?;
         if outputs == Outputs::Training {
             self.image_slope.grow(gpu, 3 * constants.pixels())?;
             self.depth_slope.grow(gpu, constants.pixels())?;
@@ -92,7 +92,7 @@ impl Stage1 {
         let stored = self.targets.at(place);
         self.unpacked.prepare(&self.gpu, stored, divisor)?;
         let Floats { photograph, alpha, mask, prior } = self.unpacked.floats(stored);
-        let (image, depth) = (&self.planes.image, &self.planes.depth);
+        let (image, depth) = (&self.compositor.image, &self.compositor.depth);
         let seen = LossInput { image, depth, photograph, mask, prior };
         let exposed = plan.exposure.is_some();
         let loss = LossPlan {
@@ -116,8 +116,7 @@ impl Stage1 {
                 water.record_maps(pass);
             }
             if let Some(alpha) = alpha {
-                let color = self.water.as_ref().map(|w| &w.maps);
-                self.losses.over_water(pass, photograph, alpha, color, gains);
+                self.losses.over_water(pass, photograph, alpha, self.water_planes(), gains);
             }
             self.record_view(pass, &constants, true);
             let told = LossOutput {
@@ -127,8 +126,7 @@ impl Stage1 {
                 counts: &self.counts,
             };
             self.losses.record(pass, &seen, gains, &told);
-            self.planes.record_backward(
-                &self.kernels.raster,
+            self.compositor.record_backward(
                 pass,
                 &self.constants,
                 constants.tiles(),
@@ -138,24 +136,16 @@ impl Stage1 {
                 &self.depth_slope,
                 &self.records,
             );
-            let update = &self.kernels.update;
-            update.record(
-                pass,
-                &self.constants,
-                &self.counts,
-                &self.lists,
-                &self.records,
-                &self.color_pull,
-                &self.scene,
-            );
+            let Self { update, constants, counts, lists, records, color_pull, scene, .. } = &*self;
+            update.record(pass, constants, counts, lists, records, color_pull, scene);
             if let Some(water) = &self.water {
-                water.record_backward(pass, &self.image_slope, &self.planes.kept);
-                water.record_update(pass, &self.counts);
+                water.record_backward(pass, &self.image_slope, &self.compositor.kept);
+                water.record_update(pass, counts);
             }
             if let Some(gains) = gains {
-                self.losses.learn_gains(pass, gains, &self.counts);
+                self.losses.learn_gains(pass, gains, counts);
             }
-            update.record_finish(pass, &self.constants, &self.counts, &self.ends);
+            update.record_finish(pass, constants, counts, &self.ends);
         }
         self.gpu.submit(encoder);
         self.asked.push_back(Asked { view, plan, slot });
@@ -167,12 +157,10 @@ impl Stage1 {
         let counts = if train { &self.counts } else { &self.render_counts };
         let (n, tiles) = (constants.gaussians(), constants.tiles());
         let records = train.then_some(&self.records);
-        let (lists, values) = (&self.kernels.lists, &self.scene.values);
-        self.lists.record(lists, pass, &self.constants, n, tiles, values, counts, records);
-        let water = self.water_planes();
-        let (raster, drawn) = (&self.kernels.raster, self.lists.drawn());
+        self.lists.record(pass, &self.constants, n, tiles, &self.scene.values, counts, records);
+        let (water, drawn) = (self.water_planes(), self.lists.drawn());
         let outputs = if train { Outputs::Training } else { Outputs::Picture };
-        self.planes.record_forward(raster, pass, &self.constants, tiles, &drawn, water, outputs);
+        self.compositor.record_forward(pass, &self.constants, tiles, &drawn, water, outputs);
     }
 
     /// Draws a camera into the planes, and makes more room for entries if needed.
@@ -194,11 +182,10 @@ impl Stage1 {
                 }
                 self.record_view(pass, &constants, false);
             })?;
-            let told = self.render_counts.read(&self.gpu, counts::WORDS)?;
-            if told[counts::STOP] == 0 {
+            if self.lists.had_room(&self.gpu, &self.render_counts)? {
                 return Ok(());
             }
-            self.make_room(told[counts::MOST] as usize)?;
+            self.records.grow(&self.gpu, 3 * self.lists.capacity())?;
         }
     }
 }

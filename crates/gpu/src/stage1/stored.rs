@@ -49,7 +49,8 @@ struct StepView {
     pad: u32,
 }
 
-fn unpack() -> Spec {
+/// The kernel of this module.
+pub(crate) fn unpack() -> Spec {
     Spec {
         name: "unpack",
         threads: 256,
@@ -69,11 +70,6 @@ fn unpack() -> Spec {
             include_str!("unpack.wgsl"),
         ],
     }
-}
-
-/// All kernels of this module.
-pub(crate) fn specs() -> Vec<Spec> {
-    vec![unpack()]
 }
 
 /// A view on the device in its stored form.
@@ -110,16 +106,11 @@ impl StoredView {
     pub(super) fn new(gpu: &Gpu, view: &TrainingView) -> Result<Self, EngineError> {
         let width_and_height = view.pixels.size();
         let mut words = Vec::new();
-        let deep = match &view.pixels {
-            Pixels::Eight(raster) => {
-                append(&mut words, raster.data());
-                0
-            }
-            Pixels::Sixteen(raster) => {
-                append_shorts(&mut words, raster.data());
-                1
-            }
+        match &view.pixels {
+            Pixels::Eight(raster) => append(&mut words, raster.data()),
+            Pixels::Sixteen(raster) => append_shorts(&mut words, raster.data()),
         };
+        let deep = u32::from(matches!(view.pixels, Pixels::Sixteen(_)));
         let mut map = |map: Option<&_>| {
             map.map_or(0, |map: &use3d_capture::Raster<u8, 1>| append(&mut words, map.data()))
         };
@@ -212,13 +203,9 @@ impl Unpacked {
 
     /// Records the computation of a view's floats, after [`Unpacked::prepare`].
     pub(super) fn record(&self, pass: &mut wgpu::ComputePass<'_>, view: &StoredView) {
-        let grid = self.kernel.grid(self.pixels);
         let Self { photograph, alpha, mask, prior, .. } = self;
-        self.kernel.dispatch(
-            pass,
-            grid,
-            bound![self.step_view, view.words, *photograph, *alpha, *mask, *prior],
-        );
+        let buffers = bound![self.step_view, view.words, *photograph, *alpha, *mask, *prior];
+        self.kernel.record(pass, self.pixels, buffers);
     }
 
     /// The floats of a view, after they are computed.

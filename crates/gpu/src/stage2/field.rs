@@ -26,8 +26,8 @@ use super::kernels::{
 use super::weights::{FrozenWeights, PairLists};
 use crate::buffer::Array;
 use crate::device::Gpu;
-use crate::kernel::{Grid, bound};
-use crate::raster::{Outputs, RasterKernels, RasterPlanes, WATER_PLANES};
+use crate::kernel::bound;
+use crate::raster::{DeviceCompositor, Outputs, WATER_PLANES};
 use crate::rows::Float4;
 
 /// Largest number of blocks of the sums over lookups.
@@ -210,94 +210,66 @@ impl DeviceField {
         Ok(())
     }
 
-    /// The enhanced water of the prepared view, in the form that the compositor reads.
-    fn water(&self, view: &FrozenView) -> Option<&Array<f32>> {
-        view.water.is_some().then_some(&self.water)
-    }
-
     /// Records the field at every lookup of a view, and the mean that is removed from it.
     pub(super) fn record_lookup(&self, pass: &mut wgpu::ComputePass<'_>, view: &FrozenView) {
         let (k, constants) = (&self.kernels, &self.constants);
-        k.lookup.dispatch(
-            pass,
-            Grid::groups(self.now.lookup_groups as usize),
-            bound![*constants, self.state, view.sites, self.raw, self.of_mean],
-        );
-        k.grade.dispatch(
-            pass,
-            Grid::groups(1),
-            bound![*constants, self.state, self.raw, self.of_mean, self.grade],
-        );
+        let buffers = bound![*constants, self.state, view.sites, self.raw, self.of_mean];
+        k.lookup.record_groups(pass, self.now.lookup_groups as usize, buffers);
+        let buffers = bound![*constants, self.state, self.raw, self.of_mean, self.grade];
+        k.grade.record_groups(pass, 1, buffers);
     }
 
     /// Records the colours and the water of a view under the present field.
     pub(super) fn record_forward(&self, pass: &mut wgpu::ComputePass<'_>, view: &FrozenView) {
         self.record_lookup(pass, view);
         let (k, constants) = (&self.kernels, &self.constants);
-        k.recolor.dispatch(
-            pass,
-            k.recolor.grid(view.listed),
-            bound![*constants, self.state, self.raw, self.grade, view.base, view.splats],
-        );
+        let buffers = bound![*constants, self.state, self.raw, self.grade, view.base, view.splats];
+        k.recolor.record(pass, view.listed, buffers);
         if let Some(water) = &view.water {
             let buffers = bound![*constants, self.state, self.grade, *water, self.water];
-            k.water.dispatch(pass, k.water.grid(view.pixels()), buffers);
+            k.water.record(pass, view.pixels(), buffers);
         }
     }
 
     /// Records the image of a view and the sums along its rays, after [`DeviceField::record_forward`].
     pub(super) fn record_image(
         &self,
-        raster: &RasterKernels,
         pass: &mut wgpu::ComputePass<'_>,
         view: &FrozenView,
-        planes: &RasterPlanes,
+        compositor: &DeviceCompositor,
     ) {
         if let Some(FrozenWeights { sizes, of_pixels: PairLists { firsts, pairs }, .. }) = &view.weights {
             let forward = &self.kernels.frozen_forward[usize::from(view.water.is_some())];
-            forward.dispatch(
-                pass,
-                forward.grid(view.pixels()),
-                bound![*sizes, *firsts, *pairs, view.splats, self.water, planes.image, planes.kept],
-            );
+            let DeviceCompositor { image, kept, .. } = compositor;
+            let buffers = bound![*sizes, *firsts, *pairs, view.splats, self.water, *image, *kept];
+            forward.record(pass, view.pixels(), buffers);
             return;
         }
-        let (drawn, water, outputs) = (view.drawn(), self.water(view), Outputs::Training);
-        planes.record_forward(raster, pass, &view.constants, view.tiles, &drawn, water, outputs);
+        let water = view.water.is_some().then_some(&self.water);
+        let (drawn, outputs) = (view.drawn(), Outputs::Training);
+        compositor.record_forward(pass, &view.constants, view.tiles, &drawn, water, outputs);
     }
 
     /// Records the gradient, computed from the image's gradient and the values that the forward pass of the
-    /// view left in `planes`.
+    /// view left in `kept`.
     pub(super) fn record_backward(
         &self,
         pass: &mut wgpu::ComputePass<'_>,
         view: &FrozenView,
-        planes: &RasterPlanes,
+        kept: &Array<u32>,
         image_pull: &Array<f32>,
     ) {
         let wet = usize::from(view.water.is_some());
         if let Some(FrozenWeights { sizes, of_entries: PairLists { firsts, pairs }, .. }) = &view.weights {
-            let colors = &self.kernels.frozen_colors[wet];
-            colors.dispatch(
-                pass,
-                colors.grid(view.entries),
-                bound![
-                    *sizes,
-                    *firsts,
-                    *pairs,
-                    view.owners,
-                    view.splats,
-                    self.water,
-                    *image_pull,
-                    self.records
-                ],
-            );
+            let mut buffers = bound![*sizes, *firsts, *pairs, view.owners, view.splats];
+            buffers.extend(bound![self.water, *image_pull, self.records]);
+            self.kernels.frozen_colors[wet].record(pass, view.entries, buffers);
         } else {
             let mut buffers = view.drawn().buffers(&view.constants);
-            buffers.extend(bound![self.water, planes.kept, *image_pull, self.records]);
-            self.kernels.colors[wet].dispatch(pass, Grid::groups(view.tiles), buffers);
+            buffers.extend(bound![self.water, *kept, *image_pull, self.records]);
+            self.kernels.colors[wet].record_groups(pass, view.tiles, buffers);
         }
-        self.record_from_records(pass, view, planes, image_pull);
+        self.record_from_records(pass, view, kept, image_pull);
     }
 
     /// Records the gradient starting from the colours' records.
@@ -305,80 +277,37 @@ impl DeviceField {
         &self,
         pass: &mut wgpu::ComputePass<'_>,
         view: &FrozenView,
-        planes: &RasterPlanes,
+        kept: &Array<u32>,
         image_pull: &Array<f32>,
     ) {
-        let (k, constants) = (&self.kernels, &self.constants);
-        k.recolor_back.dispatch(
-            pass,
-            k.recolor_back.grid(view.listed),
-            bound![
-                *constants,
-                self.state,
-                self.raw,
-                self.grade,
-                view.base,
-                view.runs,
-                self.records,
-                self.slopes,
-                self.of_colors,
-            ],
-        );
+        let Self { kernels: k, constants, state, raw, grade, records, slopes, totals, .. } = self;
+        let mut buffers = bound![*constants, *state, *raw, *grade, view.base, view.runs];
+        buffers.extend(bound![*records, *slopes, self.of_colors]);
+        k.recolor_back.record(pass, view.listed, buffers);
         let total = |pass: &mut wgpu::ComputePass<'_>, of, sums: &Array<f32>, to: &Array<f32>, width| {
-            k.total(of).dispatch(pass, Grid::groups(width), bound![*constants, *sums, *to]);
+            k.total(of).record_groups(pass, width, bound![*constants, *sums, *to]);
         };
-        total(pass, Of::Colors, &self.of_colors, &self.totals, COLOR_SUMS);
+        total(pass, Of::Colors, &self.of_colors, totals, COLOR_SUMS);
+        let now = &self.now;
         if let Some(water) = &view.water {
-            k.water_back.dispatch(
-                pass,
-                Grid::groups(self.now.water_groups as usize),
-                bound![*constants, self.state, self.grade, *water, *image_pull, planes.kept, self.of_water,],
-            );
-            total(pass, Of::Water, &self.of_water, &self.totals, WATER_SUMS);
-            let buffers = bound![*constants, self.totals, self.grade, self.slopes];
-            k.table_back.dispatch(pass, Grid::groups(1), buffers);
+            let buffers = bound![*constants, *state, *grade, *water, *image_pull, *kept, self.of_water];
+            k.water_back.record_groups(pass, now.water_groups as usize, buffers);
+            total(pass, Of::Water, &self.of_water, totals, WATER_SUMS);
+            k.table_back.record_groups(pass, 1, bound![*constants, *totals, *grade, *slopes]);
         }
-        k.lookup_back.dispatch(
-            pass,
-            Grid::groups(self.now.lookup_groups as usize),
-            bound![
-                *constants,
-                self.state,
-                view.sites,
-                self.totals,
-                self.slopes,
-                self.codes,
-                self.by_codes,
-                self.of_guide,
-            ],
-        );
-        total(pass, Of::Guide, &self.of_guide, &self.totals, GUIDE_SUMS);
-        let Constants { blocks, unit_groups, node_groups, output_bias, parameters, .. } = self.now;
-        k.units.dispatch(
-            pass,
-            Grid::groups((blocks * unit_groups) as usize),
-            bound![*constants, self.state, self.slopes, self.codes, self.of_parameters],
-        );
-        k.nodes.dispatch(
-            pass,
-            Grid::groups((blocks * node_groups) as usize),
-            bound![*constants, self.state, view.sites, self.by_codes, self.of_parameters],
-        );
-        total(pass, Of::Parameters, &self.of_parameters, &self.gradient, output_bias as usize);
+        let mut buffers = bound![*constants, *state, view.sites, *totals, *slopes];
+        buffers.extend(bound![self.codes, self.by_codes, self.of_guide]);
+        k.lookup_back.record_groups(pass, now.lookup_groups as usize, buffers);
+        total(pass, Of::Guide, &self.of_guide, totals, GUIDE_SUMS);
+        let buffers = bound![*constants, *state, *slopes, self.codes, self.of_parameters];
+        k.units.record_groups(pass, (now.blocks * now.unit_groups) as usize, buffers);
+        let buffers = bound![*constants, *state, view.sites, self.by_codes, self.of_parameters];
+        k.nodes.record_groups(pass, (now.blocks * now.node_groups) as usize, buffers);
+        total(pass, Of::Parameters, &self.of_parameters, &self.gradient, now.output_bias as usize);
         let gradient = &k.gradient[usize::from(view.water.is_some())];
-        gradient.dispatch(
-            pass,
-            gradient.grid(parameters as usize),
-            bound![
-                *constants,
-                self.state,
-                self.totals,
-                self.grade,
-                self.of_field,
-                self.gradient,
-                self.status,
-            ],
-        );
+        let mut buffers = bound![*constants, *state, *totals, *grade];
+        buffers.extend(bound![self.of_field, self.gradient, self.status]);
+        gradient.record(pass, now.parameters as usize, buffers);
     }
 
     /// Fills everything that a step writes with NaN.
@@ -407,7 +336,7 @@ impl DeviceField {
     /// Records Adam's step with the gradient.
     pub(super) fn record_update(&self, pass: &mut wgpu::ComputePass<'_>) {
         let learn = &self.kernels.learn;
-        let grid = learn.grid(self.shape.parameters());
-        learn.dispatch(pass, grid, bound![self.constants, self.gradient, self.state, self.status]);
+        let buffers = bound![self.constants, self.gradient, self.state, self.status];
+        learn.record(pass, self.shape.parameters(), buffers);
     }
 }

@@ -11,16 +11,17 @@ use use3d_scene::Scene;
 use use3d_training::EngineError;
 use use3d_ubaf::{Field, Sites, water};
 
-use super::kernels::seen_kernel;
+use super::kernels;
 use super::weights::{FrozenWeights, WeightKernels};
 use crate::buffer::{Array, read_together};
 use crate::constants::{StepConstants, TILE, counts};
 use crate::device::Gpu;
-use crate::kernel::{Grid, Kernel, bound, submit};
-use crate::lists::{ListKernels, Lists, ViewLists};
-use crate::raster::{Outputs, RasterKernels, RasterPlanes};
+use crate::drawing::ray_lengths;
+use crate::drawn::DrawnScene;
+use crate::kernel::{Kernel, bound, submit};
+use crate::lists::ViewLists;
+use crate::raster::{DeviceCompositor, Outputs};
 use crate::rows::Float4;
-use crate::scene::Parameters;
 
 /// The frozen water of a view as planes, which the field recolours: the planes that the compositor reads
 /// (`c_m`, and `k` with `e = 2^(−k z)`), then the signed logs of `c_m`.
@@ -30,18 +31,7 @@ fn frozen_water(
     lattice: &Lattice,
     maps: MediumMaps,
 ) -> Result<Array<f32>, EngineError> {
-    let lens = &camera.intrinsics;
-    let away = |at: &f32, centre: f64, focal: f64| {
-        let slope = (f64::from(*at) - centre) / focal;
-        slope * slope
-    };
-    let across: Vec<f64> = lattice.columns().iter().map(|x| away(x, lens.cx, lens.fx)).collect();
-    let lengths: Vec<f32> = lattice
-        .rows()
-        .iter()
-        .map(|y| away(y, lens.cy, lens.fy))
-        .flat_map(|down| across.iter().map(move |across| (1.0 + across + down).sqrt() as f32))
-        .collect();
+    let lengths = ray_lengths(camera, lattice);
     let k = |betas: &[f32]| -> Vec<f32> {
         let each = betas.iter().zip(lengths.iter().cycle());
         each.map(|(beta, length)| beta * length * std::f32::consts::LOG2_E).collect()
@@ -178,16 +168,13 @@ impl DeviceLists<'_> {
 #[derive(Debug)]
 pub(super) struct Freezer<'a> {
     scene: &'a Scene,
-    parameters: Parameters,
+    drawn: DrawnScene,
     /// The sites at which its Gaussians look the field up.
     sites: std::sync::Arc<Sites>,
     centred: Option<Vec<u32>>,
-    kernels: ListKernels,
     seen_kernel: Kernel,
     weights: WeightKernels,
-    lists: Lists,
     seen: Array<u32>,
-    counts: Array<u32>,
 }
 
 impl<'a> Freezer<'a> {
@@ -199,51 +186,46 @@ impl<'a> Freezer<'a> {
     ) -> Result<Self, EngineError> {
         Ok(Self {
             scene,
-            parameters: Parameters::of(gpu, &scene.gaussians)?,
+            drawn: DrawnScene::new(gpu, &scene.gaussians, "counts of a view")?,
             sites,
             centred,
-            kernels: ListKernels::new(gpu)?,
-            seen_kernel: seen_kernel(gpu)?,
+            seen_kernel: Kernel::new(gpu, &kernels::seen())?,
             weights: WeightKernels::new(gpu)?,
-            lists: Lists::new(gpu)?,
             seen: Array::new(gpu, "seen entries", 1)?,
-            counts: Array::new(gpu, "counts of a view", counts::WORDS)?,
         })
     }
 
-    /// Makes a view's constants; afterwards `planes` hold its stage-1 render, in the water in which
+    /// Makes a view's constants; afterwards `compositor` has its stage-1 render, in the water in which
     /// `guidance` compares. `field` defines the position at which the water's table is looked up.
     pub(super) fn freeze(
         &mut self,
-        gpu: &Gpu,
-        raster: &RasterKernels,
-        planes: &mut RasterPlanes,
+        compositor: &mut DeviceCompositor,
         field: &Field,
         camera: &Camera,
         lattice: &Lattice,
         guidance: Guidance<'_>,
     ) -> Result<FrozenView, EngineError> {
+        let gpu = &self.drawn.gpu;
         let mut maps = MediumMaps::zeros(0, 0);
         let water = if guidance.look_through(self.scene, camera, lattice, &mut maps) {
             Some(frozen_water(gpu, camera, lattice, maps)?)
         } else {
             None
         };
-        let constants = self.draw(gpu, raster, planes, camera, lattice, water.as_ref())?;
-        let (n, tiles) = (self.scene.gaussians.len(), constants.tiles());
-        let starts = self.lists.starts.read(gpu, tiles + 1)?;
+        let constants = self.draw(compositor, camera, lattice, water.as_ref())?;
+        let DrawnScene { gpu, count: n, lists, counts, .. } = &self.drawn;
+        let (n, tiles) = (*n, constants.tiles());
+        let starts = lists.starts.read(gpu, tiles + 1)?;
         let entries = starts.last().map_or(0, |&end| end as usize);
-        let told = self.counts.read(gpu, counts::WORDS)?[counts::ENTRIES] as usize;
-        let [splats, owners, lists, seen] = read_together(
-            gpu,
-            [
-                (self.lists.splats.raw(), 12 * n),
-                (self.lists.owners.raw(), told),
-                (self.lists.entries().raw(), entries),
-                (self.seen.raw(), entries),
-            ],
-        )?;
-        let found = DeviceLists { owners: &owners, lists: &lists, seen: &seen, starts: &starts };
+        let told = counts.read(gpu, counts::WORDS)?[counts::ENTRIES] as usize;
+        let wanted = [
+            (lists.splats.raw(), 12 * n),
+            (lists.owners.raw(), told),
+            (lists.entries().raw(), entries),
+            (self.seen.raw(), entries),
+        ];
+        let [splats, owners, listed, seen] = read_together(gpu, wanted)?;
+        let found = DeviceLists { owners: &owners, lists: &listed, seen: &seen, starts: &starts };
         let trimmed = found.trimmed(n, self.centred.as_deref());
         let rows: &[[u32; 4]] = splats.as_chunks().0;
         let row = |words: [u32; 4]| words.map(f32::from_bits);
@@ -263,7 +245,7 @@ impl<'a> Freezer<'a> {
                 sites.extend([position(nodes, fractions), with([gamma, 0.0, 0.0], 1)]);
             }
         }
-        let axes = self.lists.axes.read(gpu, (TILE * (constants.size[2] + constants.size[3])) as usize)?;
+        let axes = lists.axes.read(gpu, (TILE * (constants.size[2] + constants.size[3])) as usize)?;
         let mut view = FrozenView {
             constants: Array::uniform(gpu, "constants of a view")?,
             size: (lattice.width(), lattice.height()),
@@ -287,48 +269,24 @@ impl<'a> Freezer<'a> {
         Ok(view)
     }
 
-    /// Draws the scene of stage 1, with more room for entries if needed, and finds the entries that are
-    /// seen.
+    /// Draws the scene of stage 1, and finds the entries that are seen.
     fn draw(
         &mut self,
-        gpu: &Gpu,
-        raster: &RasterKernels,
-        planes: &mut RasterPlanes,
+        compositor: &mut DeviceCompositor,
         camera: &Camera,
         lattice: &Lattice,
         water: Option<&Array<f32>>,
     ) -> Result<StepConstants, EngineError> {
-        let (n, degree) = (self.scene.gaussians.len(), self.scene.gaussians.sh_degree);
-        let constants_array = Array::uniform(gpu, "constants")?;
-        planes.grow(gpu, lattice.width() * lattice.height(), Outputs::Training)?;
-        loop {
-            let constants = StepConstants::on(camera, lattice, n, degree, self.lists.capacity());
-            self.lists.prepare(gpu, &constants, lattice)?;
-            self.seen.grow(gpu, self.lists.capacity())?;
-            constants_array.write(gpu, 0, &[constants]);
-            self.counts.write(gpu, 0, &[0; counts::WORDS]);
-            let tiles = constants.tiles();
-            submit(gpu, "a view", |pass| {
-                let (kernels, scene) = (&self.kernels, &self.parameters);
-                self.lists.record(kernels, pass, &constants_array, n, tiles, scene, &self.counts, None);
-                let drawn = self.lists.drawn();
-                planes.record_forward(
-                    raster,
-                    pass,
-                    &constants_array,
-                    tiles,
-                    &drawn,
-                    water,
-                    Outputs::Training,
-                );
-                let mut buffers = drawn.buffers(&constants_array);
-                buffers.extend(bound![planes.kept, self.seen]);
-                self.seen_kernel.dispatch(pass, Grid::groups(tiles), buffers);
-            })?;
-            if self.lists.had_room(gpu, &self.counts)? {
-                return Ok(constants);
-            }
-        }
+        let (degree, outputs) = (Some(self.scene.gaussians.sh_degree), Outputs::Training);
+        let constants = self.drawn.draw(compositor, (camera, lattice), degree, water, None, outputs)?;
+        let DrawnScene { gpu, lists, constants: uniform, .. } = &self.drawn;
+        self.seen.grow(gpu, lists.capacity())?;
+        submit(gpu, "a view", |pass| {
+            let mut buffers = lists.drawn().buffers(uniform);
+            buffers.extend(bound![compositor.kept, self.seen]);
+            self.seen_kernel.record_groups(pass, constants.tiles(), buffers);
+        })?;
+        Ok(constants)
     }
 }
 

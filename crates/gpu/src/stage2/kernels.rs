@@ -197,7 +197,8 @@ impl FieldRank {
     }
 }
 
-fn seen() -> Spec {
+/// The kernel that finds the entries that some pixel sees.
+pub(super) fn seen() -> Spec {
     let more = [(Access::Read, "kept", U32S), (Access::Write, "seen", U32S)];
     Spec {
         name: "seen entries",
@@ -359,9 +360,4 @@ impl FieldKernels {
     pub(super) fn total(&self, of: Of) -> &Kernel {
         &self.totals[of as usize]
     }
-}
-
-/// The kernel that finds the entries that some pixel sees.
-pub(super) fn seen_kernel(gpu: &Gpu) -> Result<Kernel, EngineError> {
-    Kernel::new(gpu, &seen())
 }

@@ -27,7 +27,7 @@ use use3d_ubaf::{Field, Gradient, OUTPUTS, ObjectPass};
 use crate::buffer::{Array, read_together};
 use crate::device::{Gpu, NAME};
 use crate::kernel::submit;
-use crate::raster::{Outputs, RasterKernels, RasterPlanes};
+use crate::raster::{DeviceCompositor, Outputs};
 use field::DeviceField;
 use frozen::{Freezer, FrozenView};
 use kernels::{BAD_GRADIENT, BAD_PARAMETER, NONE};
@@ -60,8 +60,7 @@ impl Kept {
 #[derive(Debug)]
 struct FieldDrawing {
     gpu: Gpu,
-    raster: RasterKernels,
-    planes: RasterPlanes,
+    compositor: DeviceCompositor,
     /// The gradient of the image.
     pull: Array<f32>,
     device: DeviceField,
@@ -83,9 +82,9 @@ impl FieldDrawing {
         lattice: &Lattice,
         guidance: Guidance<'_>,
     ) -> Result<FrozenView, EngineError> {
-        let Self { gpu, raster, planes, field, .. } = self;
-        let view = freezer.freeze(gpu, raster, planes, field, camera, lattice, guidance)?;
-        let pixels = self.planes.image.read(&self.gpu, 3 * view.pixels())?;
+        let Self { gpu, compositor, field, .. } = self;
+        let view = freezer.freeze(compositor, field, camera, lattice, guidance)?;
+        let pixels = compositor.image.read(gpu, 3 * view.pixels())?;
         self.take(&view, &pixels);
         Ok(view)
     }
@@ -97,22 +96,16 @@ impl FieldDrawing {
 
     /// Draws a view, reads render and parameters, and returns the status of the step before.
     fn draw(&mut self, view: &FrozenView, plan: Option<&FieldPlan>) -> Result<[u32; 2], EngineError> {
-        let Self { gpu, raster, planes, device, .. } = self;
+        let Self { gpu, compositor, device, .. } = self;
         device.prepare(gpu, view, plan)?;
-        planes.grow(gpu, view.pixels(), Outputs::Training)?;
+        compositor.grow(gpu, view.pixels(), Outputs::Training)?;
         submit(gpu, "a view under the field", |pass| {
             device.record_forward(pass, view);
-            device.record_image(raster, pass, view, planes);
+            device.record_image(pass, view, compositor);
         })?;
-        let parameters = self.field.parameters.len();
-        let [pixels, values, status] = read_together(
-            gpu,
-            [
-                (planes.image.raw(), 3 * view.pixels()),
-                (device.state.raw(), parameters),
-                (device.status.raw(), 2),
-            ],
-        )?;
+        let image = (compositor.image.raw(), 3 * view.pixels());
+        let parameters = (device.state.raw(), self.field.parameters.len());
+        let [pixels, values, status] = read_together(gpu, [image, parameters, (device.status.raw(), 2)])?;
         self.take(view, bytemuck::cast_slice(&pixels));
         self.field.parameters.copy_from_slice(bytemuck::cast_slice(&values));
         Ok([status[0], status[1]])
@@ -121,7 +114,7 @@ impl FieldDrawing {
     /// Computes the gradient of the field from that of the last drawn render, adds that of the terms that
     /// read the field itself, and runs Adam's step.
     fn learn(&mut self, view: &FrozenView, goals: &Goals, d_image: &Image) -> Result<(), EngineError> {
-        let Self { gpu, planes, device, pull, field, of_field, rounded, .. } = self;
+        let Self { gpu, compositor, device, pull, field, of_field, rounded, .. } = self;
         of_field.clear();
         goals.field_backward(field, of_field);
         of_field.round_into(rounded);
@@ -129,7 +122,7 @@ impl FieldDrawing {
         pull.grow(gpu, d_image.data().len())?;
         pull.write(gpu, 0, d_image.data());
         submit(gpu, "the field's step", |pass| {
-            device.record_backward(pass, view, planes, pull);
+            device.record_backward(pass, view, &compositor.kept, pull);
             device.record_update(pass);
         })
     }
@@ -188,8 +181,7 @@ impl<'a> Stage2<'a> {
             freezer: Freezer::new(gpu, scene, sites, centred(g.len(), params.centre_sample))?,
             drawing: FieldDrawing {
                 gpu: gpu.clone(),
-                raster: RasterKernels::new(gpu)?,
-                planes: RasterPlanes::new(gpu)?,
+                compositor: DeviceCompositor::new(gpu)?,
                 pull: Array::new(gpu, "slopes of the image", 1)?,
                 device,
                 of_field: Gradient::new(field.shape()),

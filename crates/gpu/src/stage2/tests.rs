@@ -102,7 +102,7 @@ fn teacher_forced(scene: &Scene, guidance: Guidance<'_>, params: &EnhanceParams)
         cpu.load(start.clone()).unwrap();
         ours.load(start.clone()).unwrap();
         ours.drawing.device.poison(&gpu);
-        ours.drawing.planes.poison(&gpu);
+        ours.drawing.compositor.poison(&gpu);
         cpu.step(view, &plan(step)).unwrap();
         ours.step(view, &plan(step)).unwrap();
         assert!(relative(ours.drawing.image.data(), cpu.rendered().image.data()) <= 1e-5);

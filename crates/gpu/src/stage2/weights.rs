@@ -15,7 +15,7 @@ use super::frozen::FrozenView;
 use super::kernels::{count_weights, write_weights};
 use crate::buffer::Array;
 use crate::device::Gpu;
-use crate::kernel::{Grid, Kernel, bound, submit};
+use crate::kernel::{Kernel, bound, submit};
 
 /// Most pairs of pixel and Gaussian that are stored for a view: 64 MiB.
 pub(super) const MOST: usize = 4 << 20;
@@ -43,19 +43,10 @@ pub(super) struct PairLists {
 }
 
 impl PairLists {
-    fn new(gpu: &Gpu, firsts: &[u32], pairs: &[[u32; 2]]) -> Result<Self, EngineError> {
-        Ok(Self {
-            firsts: Array::from(gpu, "first weights", firsts)?,
-            pairs: Array::from(gpu, "weights", pairs)?,
-        })
-    }
-
     /// Lists for `count` pairs, which are written later.
-    fn empty(gpu: &Gpu, firsts: &[u32], count: usize) -> Result<Self, EngineError> {
-        Ok(Self {
-            firsts: Array::from(gpu, "first weights", firsts)?,
-            pairs: Array::new(gpu, "weights", count.max(1))?,
-        })
+    fn new(gpu: &Gpu, firsts: &[u32], count: usize) -> Result<Self, EngineError> {
+        let firsts = Array::from(gpu, "first weights", firsts)?;
+        Ok(Self { firsts, pairs: Array::new(gpu, "weights", count)? })
     }
 
     fn bytes(&self) -> usize {
@@ -129,36 +120,33 @@ impl WeightKernels {
         owners: &[u32],
     ) -> Result<Option<FrozenWeights>, EngineError> {
         let pixels = view.pixels();
-        let tiles = Grid::groups(view.tiles);
         let counts = Array::<u32>::new(gpu, "numbers of weights", pixels)?;
         submit(gpu, "numbers of weights", |pass| {
             let mut buffers = view.drawn().buffers(&view.constants);
             buffers.extend(bound![counts]);
-            self.count.dispatch(pass, tiles, buffers);
+            self.count.record_groups(pass, view.tiles, buffers);
         })?;
         let firsts = firsts_of(counts.read(gpu, pixels)?.into_iter());
         let all = firsts.last().map_or(0, |all| *all as usize);
         if all > most() {
             return Ok(None);
         }
-        let written = PairLists::empty(gpu, &firsts, all)?;
+        let of_pixels = PairLists::new(gpu, &firsts, all)?;
         submit(gpu, "weights", |pass| {
             let mut buffers = view.drawn().buffers(&view.constants);
-            buffers.extend(bound![written.firsts, written.pairs]);
-            self.write.dispatch(pass, tiles, buffers);
+            buffers.extend(bound![of_pixels.firsts, of_pixels.pairs]);
+            self.write.record_groups(pass, view.tiles, buffers);
         })?;
-        let pairs = written.pairs.read(gpu, all)?;
-        let (of_entries, sorted) = by_entry(&firsts, &pairs, owners.len());
+        let pairs = of_pixels.pairs.read(gpu, all)?;
+        let (firsts_of_entries, sorted) = by_entry(&firsts, &pairs, owners.len());
         let gaussians: Vec<[u32; 2]> =
             pairs.iter().map(|[entry, weight]| [owners[*entry as usize], *weight]).collect();
-        written.pairs.write(gpu, 0, &gaussians);
+        of_pixels.pairs.write(gpu, 0, &gaussians);
+        let of_entries = PairLists::new(gpu, &firsts_of_entries, all)?;
+        of_entries.pairs.write(gpu, 0, &sorted);
         let sizes = Array::uniform(gpu, "sizes of a view")?;
         sizes.write(gpu, 0, &[[pixels as u32, owners.len() as u32, 0, 0]]);
-        Ok(Some(FrozenWeights {
-            sizes,
-            of_pixels: written,
-            of_entries: PairLists::new(gpu, &of_entries, &sorted)?,
-        }))
+        Ok(Some(FrozenWeights { sizes, of_pixels, of_entries }))
     }
 }
 

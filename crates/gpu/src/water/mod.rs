@@ -24,7 +24,7 @@ use use3d_training::EngineError;
 use crate::buffer::Array;
 use crate::constants::counts;
 use crate::device::{Gpu, NAME};
-use crate::kernel::{Access, Binding, Constant, Grid, Kernel, SUM, Spec, U32S, bound, read, write};
+use crate::kernel::{Access, Binding, Constant, Kernel, SUM, Spec, U32S, bound, read, write};
 use crate::raster::WATER_PLANES;
 
 /// Number of pixels that a workgroup sums.
@@ -54,12 +54,8 @@ struct Uniform {
 /// The water with all buffers of its kernels.
 #[derive(Debug)]
 pub(crate) struct DeviceWater {
-    mix: Kernel,
-    look: Kernel,
-    gather: Kernel,
-    total: Kernel,
-    spread: Kernel,
-    learn: Kernel,
+    /// In the order of [`specs`].
+    kernels: [Kernel; 6],
     uniform: Array<Uniform>,
     /// Parameters, first and second moments.
     state: Array<f32>,
@@ -153,15 +149,8 @@ impl DeviceWater {
             return Err(EngineError::State(what));
         }
         let state: Vec<f32> = values.iter().chain(moments[0]).chain(moments[1]).copied().collect();
-        let [mix, look, gather, total, spread, learn] = specs();
-        let kernel = |spec: &Spec| Kernel::new(gpu, spec);
         Ok(Some(Self {
-            mix: kernel(&mix)?,
-            look: kernel(&look)?,
-            gather: kernel(&gather)?,
-            total: kernel(&total)?,
-            spread: kernel(&spread)?,
-            learn: kernel(&learn)?,
+            kernels: Kernel::all(gpu, &specs())?,
             uniform: Array::uniform(gpu, "the water's constants")?,
             state: Array::from(gpu, "the water", &state)?,
             slope: Array::from(gpu, "the water's slopes", &vec![0.0; n])?,
@@ -247,38 +236,32 @@ impl DeviceWater {
 
     /// Records the maps of the view.
     pub(crate) fn record_maps(&self, pass: &mut wgpu::ComputePass<'_>) {
-        let grid = self.look.grid(self.constants.pixels as usize);
-        self.mix.dispatch(pass, Grid::groups(1), bound![self.uniform, self.state, self.mixed]);
-        self.look.dispatch(pass, grid, bound![self.uniform, self.mixed, self.maps]);
+        let [mix, look, ..] = &self.kernels;
+        mix.record_groups(pass, 1, bound![self.uniform, self.state, self.mixed]);
+        look.record(pass, self.constants.pixels as usize, bound![self.uniform, self.mixed, self.maps]);
     }
 
     /// Records the gradients with respect to all parameters, computed from the image's gradient and the
-    /// values that the forward pass kept (`RasterPlanes::kept`).
+    /// values that the forward pass kept (`DeviceCompositor::kept`).
     pub(crate) fn record_backward(
         &self,
         pass: &mut wgpu::ComputePass<'_>,
         image_slope: &Array<f32>,
         kept: &Array<u32>,
     ) {
-        let groups = Grid::groups(self.constants.groups as usize);
-        self.gather.dispatch(
-            pass,
-            groups,
-            bound![self.uniform, self.maps, *image_slope, *kept, self.partial],
-        );
-        let each = Grid::groups(COEFFICIENTS);
-        self.total.dispatch(pass, each, bound![self.uniform, self.partial, self.by_mixed]);
-        self.spread.dispatch(
-            pass,
-            Grid::groups(1),
-            bound![self.uniform, self.mixed, self.by_mixed, self.state, self.slope],
-        );
+        let [_, _, gather, total, spread, _] = &self.kernels;
+        let buffers = bound![self.uniform, self.maps, *image_slope, *kept, self.partial];
+        gather.record_groups(pass, self.constants.groups as usize, buffers);
+        total.record_groups(pass, COEFFICIENTS, bound![self.uniform, self.partial, self.by_mixed]);
+        let buffers = bound![self.uniform, self.mixed, self.by_mixed, self.state, self.slope];
+        spread.record_groups(pass, 1, buffers);
     }
 
     /// Records Adam's step, which reads the gradients and sets them to zero.
     pub(crate) fn record_update(&self, pass: &mut wgpu::ComputePass<'_>, counts: &Array<u32>) {
-        let grid = self.learn.grid(self.model.parameter_count());
-        self.learn.dispatch(pass, grid, bound![self.uniform, self.slope, self.state, *counts]);
+        let [.., learn] = &self.kernels;
+        let buffers = bound![self.uniform, self.slope, self.state, *counts];
+        learn.record(pass, self.model.parameter_count(), buffers);
     }
 
     /// Waits and reads the gradients with respect to all parameters, before [`DeviceWater::record_update`].
