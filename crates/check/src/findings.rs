@@ -42,6 +42,8 @@ const DARK: f64 = 0.06;
 const LARGE: usize = 2000;
 /// Shares of a picture without any track that lose something, and that spoil the scene.
 const BARE: (f64, f64) = (0.1, 0.25);
+/// An angle of view, degrees, above which bare parts of the pictures may come from a wrong lens.
+const WIDE: f64 = 90.0;
 /// A mask that leaves less than this share of a picture leaves nothing to learn from.
 const UNMASKED: f64 = 0.01;
 /// Steps along the sight and breadth of the positions at which distances are hardly determined.
@@ -293,9 +295,24 @@ impl Rules {
              views. The scene cannot be learnt there and will look like fog.",
             worst.views
         );
-        let remedy = "nothing, if only open water or sky is there; otherwise find the cameras again from the whole \
-            pictures, without masks (`use3d prepare`), or cut that part off all pictures";
-        self.add(severity, "reach", text, remedy, Vec::new());
+        let mut remedy = String::from(
+            "nothing, if only open water or sky is there; otherwise find the cameras again from the whole pictures, \
+             without masks (`use3d prepare`), or cut that part off all pictures",
+        );
+        // A path along the scene hardly determines the lens. A wrong one fits a part of the pictures only, and
+        // is often too wide.
+        if severe && worst.angle > WIDE {
+            let [width, height] = worst.size;
+            remedy += &format!(
+                ". By this model the camera sees {:.0}° from left to right. If it sees less, give its focal length \
+                 F in pixels, which is about {width} for a usual lens: `use3d prepare PHOTOS --lens SIMPLE_PINHOLE \
+                 --calibration F,{},{}`",
+                worst.angle,
+                width / 2,
+                height / 2
+            );
+        }
+        self.add(severity, "reach", text, &remedy, Vec::new());
     }
 
     fn pixels(&mut self, views: &[ViewFigures]) {

@@ -5,7 +5,8 @@
 //! the scene cannot be learnt there.
 
 use serde::Serialize;
-use use3d_capture::{Capture, Track, View};
+use use3d_capture::{Capture, Intrinsics, Track, View};
+use use3d_numerics::math;
 
 /// Columns and rows of the grid.
 const GRID: [usize; 2] = [20, 12];
@@ -37,6 +38,8 @@ pub enum Side {
 pub struct Reach {
     /// Width and height of the pictures, pixels.
     pub size: [usize; 2],
+    /// The horizontal angle of view, degrees: `2 atan(width / (2 f_x))`.
+    pub angle: f64,
     /// The number of views.
     pub views: usize,
     /// Sightings in each cell, row by row from the top.
@@ -58,8 +61,10 @@ impl Reach {
         reaches.iter().reduce(|a, b| if b.bare > a.bare { b } else { a })
     }
 
-    fn new(size: [usize; 2], views: usize, cells: Vec<Vec<usize>>) -> Self {
-        let mut reach = Self { size, views, cells, bare: 0.0, borders: Vec::new() };
+    fn new(camera: &Intrinsics, views: usize, cells: Vec<Vec<usize>>) -> Self {
+        let size = [camera.width, camera.height];
+        let angle = 2.0 * math::atan(size[0] as f64 / (2.0 * camera.fx)).to_degrees();
+        let mut reach = Self { size, angle, views, cells, bare: 0.0, borders: Vec::new() };
         let [columns, rows] = GRID;
         let count = (0..rows).flat_map(|r| (0..columns).map(move |c| (c, r)));
         reach.bare = count.filter(|&(c, r)| reach.is_bare(c, r)).count() as f64 / (columns * rows) as f64;
@@ -82,7 +87,7 @@ impl Reach {
 
 /// The reach of each camera that has enough views and sightings.
 pub(crate) fn reaches(capture: &Capture, tracks: &[Track]) -> Vec<Reach> {
-    let mut cameras: Vec<use3d_capture::Intrinsics> = Vec::new();
+    let mut cameras: Vec<Intrinsics> = Vec::new();
     let camera_of = |view: &View| {
         let own = view.camera.intrinsics;
         cameras.iter().position(|known| *known == own).unwrap_or_else(|| {
@@ -106,7 +111,7 @@ pub(crate) fn reaches(capture: &Capture, tracks: &[Track]) -> Vec<Reach> {
         let views = of_view.iter().filter(|&&c| c == i).count();
         let mean = cells.iter().flatten().sum::<usize>() as f64 / (columns * rows) as f64;
         let enough = views >= VIEWS && mean >= ENOUGH * (BARE * views as f64).max(1.0);
-        enough.then(|| Reach::new([camera.width, camera.height], views, cells))
+        enough.then(|| Reach::new(camera, views, cells))
     });
     found.collect()
 }
@@ -119,18 +124,22 @@ mod tests {
         (0..GRID[1]).map(|r| (0..GRID[0]).map(|c| if reached(c, r) { 9 } else { 0 }).collect()).collect()
     }
 
+    const CAMERA: Intrinsics =
+        Intrinsics { width: 200, height: 120, fx: 100.0, fy: 100.0, cx: 100.0, cy: 60.0 };
+
     #[test]
     fn bare_borders_are_found_the_widest_first() {
-        let all = Reach::new([200, 120], 10, cells(|_, _| true));
+        let all = Reach::new(&CAMERA, 10, cells(|_, _| true));
         assert_eq!((all.bare, all.borders), (0.0, Vec::new()));
-        let right = Reach::new([200, 120], 10, cells(|c, r| c < 12 && r > 0));
+        assert!((all.angle - 90.0).abs() < 1e-9, "{}", all.angle);
+        let right = Reach::new(&CAMERA, 10, cells(|c, r| c < 12 && r > 0));
         assert_eq!(right.borders, [(Side::Right, 0.4), (Side::Top, 1.0 / 12.0)]);
         assert!((right.bare - (0.4 + 0.6 / 12.0)).abs() < 1e-12, "{}", right.bare);
-        let bottom = Reach::new([200, 120], 10, cells(|_, r| r < 9));
+        let bottom = Reach::new(&CAMERA, 10, cells(|_, r| r < 9));
         assert_eq!(bottom.borders, [(Side::Bottom, 0.25)]);
         // One stray sighting in many views leaves a cell bare.
         let mut stray = cells(|c, _| c > 9);
         stray[5][0] = 1;
-        assert_eq!(Reach::new([200, 120], 30, stray).borders, [(Side::Left, 0.5)]);
+        assert_eq!(Reach::new(&CAMERA, 30, stray).borders, [(Side::Left, 0.5)]);
     }
 }

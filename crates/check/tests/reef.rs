@@ -129,6 +129,30 @@ fn blurred_and_dark_views_are_named() {
 }
 
 #[test]
+fn a_wide_lens_is_suspected_where_a_side_has_no_points() {
+    let mut reef = Reef::new();
+    reef.tracks.iter_mut().for_each(|t| t.sightings.retain(|s| s.x < 0.6 * W as f64));
+    let remedy = |reef: &Reef| {
+        let found = reef.examine().findings.into_iter().find(|f| f.subject == "reach");
+        found.map(|f| (f.severity, f.remedy)).unwrap()
+    };
+    // 62° from left to right are usual for a lens.
+    let (severity, usual) = remedy(&reef);
+    assert!(severity == Severity::Serious && !usual.contains("--calibration"), "{usual}");
+    for view in &mut reef.capture.views {
+        view.camera.intrinsics.fx = 40.0;
+    }
+    let (severity, wide) = remedy(&reef);
+    assert!(severity == Severity::Serious && wide.starts_with(&usual), "{wide}");
+    assert!(wide.contains("100° from left to right") && wide.contains("--calibration F,48,32"), "{wide}");
+    // Open water above says nothing about the lens.
+    let mut above = Reef::new();
+    above.tracks.iter_mut().for_each(|t| t.sightings.retain(|s| s.y > 0.4 * H as f64));
+    above.capture.views.iter_mut().for_each(|view| view.camera.intrinsics.fx = 40.0);
+    assert!(!remedy(&above).1.contains("--calibration"));
+}
+
+#[test]
 fn the_water_is_not_called_absent_while_the_exposure_jumps() {
     let mut reef = Reef::new();
     let dry = |reef: &Reef| {
