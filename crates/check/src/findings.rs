@@ -299,8 +299,8 @@ impl Rules {
             "nothing, if only open water or sky is there; otherwise find the cameras again from the whole pictures, \
              without masks (`use3d prepare`), or cut that part off all pictures",
         );
-        // A path along the scene hardly determines the lens. A wrong one fits a part of the pictures only, and
-        // is often too wide.
+        // A path along the scene hardly determines the lens. A wrong one fits a part of the pictures only,
+        // and is often too wide.
         if severe && worst.angle > WIDE {
             let [width, height] = worst.size;
             remedy += &format!(

@@ -88,6 +88,7 @@ mod subgroups;
 mod testing;
 #[cfg(test)]
 mod tests;
+mod times;
 pub mod twins;
 mod update;
 mod variant;

@@ -1,13 +1,7 @@
 //! The time that kernels take: the device's clock is read before and after every dispatch, if the device
 //! supports it.
 
-use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
-
-use use3d_training::EngineError;
-
-use crate::buffer::fetch;
-use crate::device::Gpu;
 
 /// Number of times that one reading holds: two per dispatch.
 const PLACES: u32 = 4096;
@@ -24,10 +18,10 @@ pub struct KernelTime {
 /// Times that were recorded and not yet read.
 #[derive(Debug)]
 pub(crate) struct Clock {
-    set: wgpu::QuerySet,
-    resolved: wgpu::Buffer,
+    pub(crate) set: wgpu::QuerySet,
+    pub(crate) resolved: wgpu::Buffer,
     /// The kernel or pass of every pair of places.
-    names: Mutex<Vec<&'static str>>,
+    pub(crate) names: Mutex<Vec<&'static str>>,
     timed: Timed,
 }
 
@@ -108,35 +102,10 @@ impl Clock {
     }
 }
 
-impl Gpu {
-    /// Adds the kernels' times since the last call to `times`, after all submitted work is done. Does
-    /// nothing if the device has no clock.
-    pub(crate) fn read_times(
-        &self,
-        times: &mut BTreeMap<&'static str, KernelTime>,
-    ) -> Result<(), EngineError> {
-        let Some(clock) = &self.clock else { return Ok(()) };
-        let names = std::mem::take(&mut *clock.names.lock().unwrap_or_else(PoisonError::into_inner));
-        if names.is_empty() {
-            return Ok(());
-        }
-        let mut ticks = vec![[0u64; 2]; names.len()];
-        let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        encoder.resolve_query_set(&clock.set, 0..2 * names.len() as u32, &clock.resolved, 0);
-        self.submit(encoder);
-        fetch(self, &mut [(&clock.resolved, bytemuck::cast_slice_mut(&mut ticks))])?;
-        let tick = f64::from(self.queue.get_timestamp_period()) * 1e-9;
-        for (name, [began, ended]) in names.into_iter().zip(ticks) {
-            let time = times.entry(name).or_default();
-            time.dispatches += 1;
-            time.seconds += ended.saturating_sub(began) as f64 * tick;
-        }
-        Ok(())
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
     use super::*;
     use crate::testing::software;
     use crate::twins::LossCase;

@@ -1,7 +1,7 @@
 //! Files and folders of results that only this program replaces.
 //!
-//! A folder has a record ([`use3d_workflow::place`]). A [`Sealed`] file ends with the digest of the text before
-//! it, which proves that this program wrote it and that it is unchanged.
+//! A folder has a record ([`use3d_workflow::place`]). A [`Sealed`] file ends with the digest of the text
+//! before it, which proves that this program wrote it and that it is unchanged.
 
 use std::fs;
 use std::io::{self, Write};

@@ -9,6 +9,11 @@ const BLOCKS: usize = 48;
 /// Fewest points in a block, if there are enough points.
 const SMALLEST: usize = 8;
 
+/// The order of two points by their coordinates.
+pub(crate) fn order(a: &[f64; 3], b: &[f64; 3]) -> std::cmp::Ordering {
+    a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])).then(a[2].total_cmp(&b[2]))
+}
+
 /// Returns the block of every point and the number of blocks. The points' box is halved repeatedly at the
 /// median of its longest side.
 pub(crate) fn blocks(positions: &[DVec3]) -> (Vec<usize>, usize) {

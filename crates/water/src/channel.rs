@@ -9,10 +9,11 @@ use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 use use3d_numerics::math;
 
+use crate::blocks::order;
 use crate::covariance::{Covariance, covariance};
 use crate::data::Data;
-use crate::formation::{ATTENUATION, BACKSCATTER, Channel, GAIN, VEIL};
-use crate::noise::{Noise, square};
+use crate::formation::{ATTENUATION, BACKSCATTER, Channel, GAIN, VEIL, square};
+use crate::noise::Noise;
 use crate::open::Open;
 use crate::params::WaterParams;
 use crate::solve::{CAUCHY, ChannelFit, Prior, fit, loss};
@@ -357,11 +358,6 @@ fn outermost(directions: &(impl Iterator<Item = [f64; 3]> + Clone)) -> Vec<[f64;
     found.sort_by(order);
     found.dedup();
     found
-}
-
-/// The order of two points by their coordinates.
-pub(crate) fn order(a: &[f64; 3], b: &[f64; 3]) -> std::cmp::Ordering {
-    a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])).then(a[2].total_cmp(&b[2]))
 }
 
 /// The loss of a fit.

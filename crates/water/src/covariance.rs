@@ -4,8 +4,7 @@
 //! It stays valid if the errors are not those that the loss assumes, and if neighbouring points have common
 //! errors. The gains are included, so that the uncertainty they cause is counted.
 
-use crate::formation::{BACKSCATTER, Channel, GAIN, VEIL, all_terms, normal};
-use crate::noise::square;
+use crate::formation::{BACKSCATTER, Channel, GAIN, VEIL, all_terms, normal, square};
 use crate::solve::{CAUCHY, ChannelFit, Prior, submatrix};
 use use3d_numerics::cholesky::Factor;
 

@@ -3,8 +3,7 @@
 
 use glam::DVec3;
 
-use crate::blocks::blocks;
-use crate::channel;
+use crate::blocks::{self, blocks};
 use crate::formation::Channel;
 use crate::observe::{Observation, Sights};
 use crate::open::{Open, OpenWater};
@@ -65,7 +64,7 @@ impl Data {
         // the gains.
         let mut order: Vec<usize> =
             (0..points).filter(|p| ranges[*p].len() >= 3 && ratio(&ranges[*p]) >= 1.1).collect();
-        order.sort_by(|a, b| channel::order(&positions[*a].to_array(), &positions[*b].to_array()));
+        order.sort_by(|a, b| blocks::order(&positions[*a].to_array(), &positions[*b].to_array()));
         let places: Vec<DVec3> = order.iter().map(|p| positions[*p]).collect();
         let (of_order, blocks) = blocks(&places);
         let mut block = vec![0; points];

@@ -6,8 +6,8 @@ use use3d_numerics::math;
 
 use crate::channel::{Against, Work, dry};
 use crate::data::Data;
-use crate::formation::{Channel, Shared, radiance, terms};
-use crate::noise::{Noise, square};
+use crate::formation::{Channel, Shared, radiance, square, terms};
+use crate::noise::Noise;
 use crate::observe::{Observation, Sights};
 use crate::open::OpenWater;
 use crate::params::WaterParams;

@@ -239,6 +239,11 @@ fn point_part(
     }
 }
 
+/// `x²`.
+pub(crate) fn square(x: f64) -> f64 {
+    x * x
+}
+
 /// Sums the normal equations; `each` receives every point's index and its part of the gradient, as
 /// parameters and values. Without `gains` the entries of the gains stay 0, which saves most of the work.
 pub(crate) fn normal(

@@ -11,7 +11,7 @@
 //! `√(1 − leverage)`, because each point's radiance was fitted to few observations) in classes of equal
 //! counts of t, then a line through their squares.
 
-use crate::formation::{Channel, Shared, terms};
+use crate::formation::{Channel, Shared, square, terms};
 use crate::solve::ChannelFit;
 
 /// `σ_0` and `κ`.
@@ -27,10 +27,6 @@ const CLASSES: usize = 16;
 const NORMAL: f64 = 1.4826;
 /// The smallest error of any camera: half a step of 8 bits.
 const FLOOR: f64 = 0.5 / 255.0;
-
-pub(crate) fn square(x: f64) -> f64 {
-    x * x
-}
 
 impl Noise {
     /// The values before any residuals are known.

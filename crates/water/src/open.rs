@@ -17,8 +17,8 @@
 use glam::DVec3;
 use use3d_capture::{Camera, Image, Map};
 
-use crate::channel::order;
-use crate::noise::square;
+use crate::blocks::order;
+use crate::formation::square;
 use crate::solve::CAUCHY;
 use use3d_numerics::cholesky::Factor;
 

@@ -9,8 +9,7 @@
 use rayon::prelude::*;
 use use3d_numerics::math;
 
-use crate::formation::{ATTENUATION, BACKSCATTER, Channel, GAIN, VEIL, all_terms, normal, residuals};
-use crate::noise::square;
+use crate::formation::{ATTENUATION, BACKSCATTER, Channel, GAIN, VEIL, all_terms, normal, residuals, square};
 use crate::open::{self, Open};
 use use3d_numerics::cholesky::Factor;
 
