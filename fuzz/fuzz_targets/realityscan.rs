@@ -5,12 +5,13 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use libfuzzer_sys::fuzz_target;
+use use3d_capture::FileName;
 use use3d_io_realityscan::{Sidecar, parse_sidecars, parse_table};
 
 fuzz_target!(|data: &[u8]| {
     let path = Path::new("fuzzed");
     let found = if data.starts_with(b"<") {
-        let name = "fuzzed".parse().expect("a name");
+        let name = FileName::new("fuzzed").expect("a name");
         parse_sidecars(&[Sidecar { name, path: path.into(), bytes: data.to_vec() }], path)
     } else {
         parse_table(data, path)
