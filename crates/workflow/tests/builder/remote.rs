@@ -9,12 +9,10 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use use3d_workflow::Transferred;
 use use3d_workflow::cache::Lookup;
-use use3d_workflow::manifest::content_digest;
-use use3d_workflow::manifest::{FileRecord, Manifest};
+use use3d_workflow::manifest::{FileRecord, Manifest, content_digest};
 use use3d_workflow::remote::{FolderStore, Listed, Memory, Remote, RemoteError, RemoteStore, Sent};
-use use3d_workflow::{Batch, Builder, Digest, Event, Graph, Listener, Silent};
+use use3d_workflow::{Batch, Builder, Digest, Event, Graph, Listener, Silent, Transferred};
 
 use super::faulty_store::{Fault, Faulty};
 use super::stages::{batch, builder, payload, run};
@@ -268,7 +266,7 @@ fn a_manifest_from_elsewhere_cannot_write_outside_its_artifact_or_stand_for_anot
     remote.objects().insert(names[0].clone(), good[&names[1]].clone());
     // Its digests are right, but the file it names is outside the folder.
     let text = String::from_utf8(good[&names[1]].clone()).expect("text");
-    let mut evil: use3d_workflow::manifest::Manifest = serde_json::from_str(&text).expect("a manifest");
+    let mut evil: Manifest = serde_json::from_str(&text).expect("a manifest");
     for path in ["../../escaped", "/escaped", "a/../../escaped", "words.txt/", "manifest.json", "", "a\\b"] {
         evil.files[0].path = path.to_string();
         evil.content = content_digest(&evil.files);
