@@ -30,7 +30,8 @@ const LEAST: f64 = 1e-4;
 pub struct Known {
     /// The capture's water; `None` if it is not known.
     pub water: Option<FoundWater>,
-    /// Gains of all views of the capture, red, green, blue, all positive; empty if they are not known.
+    /// Gains of all views of the capture, red, green, blue, all positive; empty if they are not known. A view
+    /// beyond the end has the gain 1.
     pub gains: Vec<[f64; 3]>,
     /// Tracks of all points of the capture, in the order of its points; their views are those of the
     /// capture. Empty if there are none. Start points are placed between them (`start_points`).

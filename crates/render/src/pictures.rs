@@ -20,7 +20,9 @@ pub fn picture(mode: Mode, frame: &Rendering) -> Image {
 /// A map as a grey image.
 pub(crate) fn spread(map: &Map) -> Image {
     let mut image = Image::new(map.width(), map.height());
-    image.data_mut().copy_from_slice(&map.data().repeat(3));
+    for plane in image.data_mut().chunks_exact_mut(map.pixels().max(1)) {
+        plane.copy_from_slice(map.data());
+    }
     image
 }
 
