@@ -302,14 +302,11 @@ impl Rules {
         // A path along the scene hardly determines the lens. A wrong one fits a part of the pictures only,
         // and is often too wide.
         if severe && worst.angle > WIDE {
-            let [width, height] = worst.size;
             remedy += &format!(
-                ". By this model the camera sees {:.0}° from left to right. If it sees less, give its focal length \
-                 F in pixels, which is about {width} for a usual lens: `use3d prepare PHOTOS --lens SIMPLE_PINHOLE \
-                 --calibration F,{},{}`",
-                worst.angle,
-                width / 2,
-                height / 2
+                ". By this model the camera sees {:.0}° from left to right. If it sees less, give its focal length F \
+                 and the centre CX,CY of the photographs, in pixels: `use3d prepare PHOTOS --lens SIMPLE_PINHOLE \
+                 --calibration F,CX,CY`. For a usual lens F is about the width of the photographs",
+                worst.angle
             );
         }
         self.add(severity, "reach", text, &remedy, Vec::new());

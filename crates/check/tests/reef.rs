@@ -144,7 +144,7 @@ fn a_wide_lens_is_suspected_where_a_side_has_no_points() {
     }
     let (severity, wide) = remedy(&reef);
     assert!(severity == Severity::Serious && wide.starts_with(&usual), "{wide}");
-    assert!(wide.contains("100° from left to right") && wide.contains("--calibration F,48,32"), "{wide}");
+    assert!(wide.contains("100° from left to right") && wide.contains("--calibration F,CX,CY"), "{wide}");
     // Open water above says nothing about the lens.
     let mut above = Reef::new();
     above.tracks.iter_mut().for_each(|t| t.sightings.retain(|s| s.y > 0.4 * H as f64));

@@ -148,8 +148,8 @@ fn instead_of_a_model(root: &Path) -> String {
     if let Some(hint) = FORMATS.iter().rev().find_map(|format| (format.instead)(&names)) {
         return hint.into();
     }
-    let mut holding = subfolders(root);
-    holding.retain(|name| has_usual_model(&root.join(name)));
+    let holding = subfolders(root).into_iter().filter(|name| has_usual_model(&root.join(name)));
+    let holding: Vec<String> = holding.take(SHOWN + 1).collect();
     if let Some(first) = holding.first() {
         let more = if holding.len() > SHOWN { ", …" } else { "" };
         let shown = holding[..holding.len().min(SHOWN)].join(", ");

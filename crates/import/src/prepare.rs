@@ -239,9 +239,9 @@ fn pinhole_model(imported: &Imported, names: &[FileName]) -> (Model, Vec<u32>) {
         let same = |c: &&ModelCamera| ModelCamera { id: c.id, ..wanted.clone() } == **c;
         // A camera whose files have several sizes becomes several cameras.
         let taken = model.cameras.iter().any(|c| c.id == wanted.id && !same(&c));
-        let id = match model.cameras.iter().find(same).filter(|_| taken) {
-            Some(camera) => camera.id,
-            None if taken => {
+        let id = match taken.then(|| model.cameras.iter().find(same)) {
+            Some(Some(camera)) => camera.id,
+            Some(None) => {
                 next = next.wrapping_add(1);
                 next
             }

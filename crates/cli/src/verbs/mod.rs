@@ -15,7 +15,6 @@ pub(crate) mod film_path;
 pub(crate) mod found;
 pub(crate) mod generate;
 pub(crate) mod history;
-
 pub(crate) mod loaded;
 pub(crate) mod models;
 pub(crate) mod outcome;

@@ -346,6 +346,7 @@ impl<'a> Reference<'a> {
         let (mut depth, mut image) = (Map::new(0, 0), Image::new(0, 0));
         for frame in self.renderer.render(&camera, &[Mode::Depth, Mode::Reconstruction])? {
             match frame {
+                Rendering::Scalar(map) if unit == 1.0 => depth = map,
                 Rendering::Scalar(map) => depth = map.map(|z| unit * z),
                 Rendering::Color(rendered) => image = rendered,
             }
