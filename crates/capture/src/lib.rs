@@ -19,6 +19,7 @@ mod lattice;
 pub mod name;
 pub mod path;
 mod raster;
+mod reach;
 mod track;
 mod world;
 
@@ -29,5 +30,6 @@ pub use kept_water::KeptWater;
 pub use lattice::{Formation, Lattice, MediumMaps, world_direction};
 pub use name::{FileName, NameError, flat_stem, shown, stem};
 pub use raster::{Image, Image8, Map, Raster};
+pub use reach::{Reach, Side, reaches};
 pub use track::{Sighting, Track};
 pub use world::World;

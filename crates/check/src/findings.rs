@@ -1,10 +1,9 @@
 //! The rules: each compares a figure with a limit and says what it means and what to do.
 
-use use3d_capture::shown;
+use use3d_capture::{Reach, Side, shown};
 use use3d_import::ImportReport;
 
 use crate::measure::{Figures, ViewFigures};
-use crate::reach::{Reach, Side};
 use crate::report::{CheckReport, Finding, Severity};
 
 /// The result of the estimate of the water, in its own words.
@@ -42,8 +41,6 @@ const DARK: f64 = 0.06;
 const LARGE: usize = 2000;
 /// Shares of a picture without any track that lose something, and that spoil the scene.
 const BARE: (f64, f64) = (0.1, 0.25);
-/// An angle of view, degrees, above which bare parts of the pictures may come from a wrong lens.
-const WIDE: f64 = 90.0;
 /// A mask that leaves less than this share of a picture leaves nothing to learn from.
 const UNMASKED: f64 = 0.01;
 /// Steps along the sight and breadth of the positions at which distances are hardly determined.
@@ -268,10 +265,9 @@ impl Rules {
             return;
         }
         let share = 100.0 * worst.bare;
-        // Open water and sky are usually at the top, and have no points anywhere.
         let wide: Vec<(Side, f64)> =
             worst.borders.iter().copied().filter(|(_, width)| *width >= BARE.0).collect();
-        let severe = wide.iter().any(|(side, _)| *side != Side::Top);
+        let severe = worst.has_bare_side(BARE.0);
         let part = |(side, width): &(Side, f64)| {
             let name = match side {
                 Side::Left => "left",
@@ -299,9 +295,7 @@ impl Rules {
             "nothing, if only open water or sky is there; otherwise find the cameras again from the whole pictures, \
              without masks (`use3d prepare`), or cut that part off all pictures",
         );
-        // A path along the scene hardly determines the lens. A wrong one fits a part of the pictures only,
-        // and is often too wide.
-        if severe && worst.angle > WIDE {
+        if worst.is_too_wide() {
             remedy += &format!(
                 ". By this model the camera sees {:.0}° from left to right. If it sees less, give its focal length F \
                  and the centre CX,CY of the photographs, in pixels: `use3d prepare PHOTOS --lens SIMPLE_PINHOLE \

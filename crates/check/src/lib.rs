@@ -6,18 +6,16 @@
 //! ```
 //!
 //! [`measure()`] computes figures from the cameras, the tracks and, if pixels are at hand, the photographs;
-//! [`Reach`] says which parts of the pictures the tracks reach. Each rule of `findings` compares figures
-//! with a limit. A [`CheckReport`] holds what the rules found, the gravest first. Nothing here changes a
-//! capture, and no result of a training depends on it.
+//! [`Reach`](use3d_capture::Reach) says which parts of the pictures the tracks reach. Each rule of
+//! `findings` compares figures with a limit. A [`CheckReport`] holds what the rules found, the gravest
+//! first. Nothing here changes a capture, and no result of a training depends on it.
 
 mod findings;
 mod measure;
 mod page;
-mod reach;
 mod report;
 
 pub use findings::{WaterSight, examine};
 pub use measure::{Figures, ViewFigures, measure};
 pub use page::{Picture, page};
-pub use reach::{Reach, Side};
 pub use report::{CheckReport, Finding, Severity};

@@ -9,11 +9,9 @@ use std::collections::BTreeMap;
 
 use glam::DVec3;
 use serde::Serialize;
-use use3d_capture::{Capture, Image, Track};
+use use3d_capture::{Capture, Image, Intrinsics, Reach, Track, View, reaches};
 use use3d_io_image::shrunk;
 use use3d_numerics::math;
-
-use crate::reach::{Reach, reaches};
 
 /// The longer side of the pictures in which sharpness is measured, pixels.
 const SIDE: usize = 640;
@@ -111,7 +109,7 @@ pub fn measure<E>(
     let errors: Vec<f64> = capture.points.iter().map(|p| p.error).filter(|e| *e >= 0.0).collect();
     figures.error = (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64);
     (figures.forward, figures.breadth) = motion(capture);
-    figures.reach = reaches(capture, tracks);
+    figures.reach = reaches_of(capture, tracks);
 
     let neighbours = neighbours(tracks, count);
     for (i, view) in capture.views.iter().enumerate() {
@@ -148,6 +146,21 @@ fn neighbours(tracks: &[Track], count: usize) -> Vec<usize> {
         found[b] += 1;
     }
     found
+}
+
+/// The reach of the tracks for each camera: views with the same intrinsics share one.
+fn reaches_of(capture: &Capture, tracks: &[Track]) -> Vec<Reach> {
+    let mut cameras: Vec<Intrinsics> = Vec::new();
+    let camera_of = |view: &View| {
+        let own = view.camera.intrinsics;
+        cameras.iter().position(|known| *known == own).unwrap_or_else(|| {
+            cameras.push(own);
+            cameras.len() - 1
+        })
+    };
+    let of_view: Vec<usize> = capture.views.iter().map(camera_of).collect();
+    let sightings = tracks.iter().flat_map(|track| &track.sightings).map(|s| (s.view, [s.x, s.y]));
+    reaches(&cameras, &of_view, sightings)
 }
 
 /// The share of the motion along the sight, and the breadth of the positions.

@@ -3,7 +3,8 @@
 
 use std::fmt::Write;
 
-use crate::reach::Reach;
+use use3d_capture::Reach;
+
 use crate::report::{CheckReport, Severity};
 
 /// A small picture of a view.

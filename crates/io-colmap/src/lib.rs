@@ -22,4 +22,4 @@ pub use model::{
     Model, ModelForm, count_images, fits_single, form_of, read_model, read_model_as, write_model_binary,
     write_model_text,
 };
-pub use use3d_survey::{Keypoint, Lens, PosedImage as ModelImage, SurveyPoint as ModelPoint};
+pub use use3d_survey::{Keypoint, Lens, PosedImage as ModelImage, Projection, SurveyPoint as ModelPoint};

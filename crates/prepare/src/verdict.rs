@@ -4,7 +4,8 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
-use use3d_io_colmap::{Model, ModelForm, read_model};
+use use3d_capture::{Intrinsics, Reach, reaches};
+use use3d_io_colmap::{Keypoint, Model, ModelForm, Projection, read_model};
 
 use crate::error::PrepareError;
 use crate::params::{LENS, Matching, PrepareParams};
@@ -112,8 +113,10 @@ pub(crate) fn judge(models: &[Model], names: &[String], context: &ModelContext<'
         let [fx, fy] = lens.focal;
         (fx / fy).max(fy / fx).ge(&SQUARE).then_some(fx / fy)
     });
+    let wide = too_wide(used);
     let grade = match share {
         _ if odd.is_some() => Grade::Poor,
+        s if s >= SHARES.1 && wide.is_some() => Grade::Usable,
         s if s >= SHARES.0 && error <= ERROR => Grade::Good,
         s if s >= SHARES.1 => Grade::Usable,
         _ => Grade::Poor,
@@ -138,6 +141,15 @@ pub(crate) fn judge(models: &[Model], names: &[String], context: &ModelContext<'
              cameras are wrong: take a lens model with less freedom (--lens RADIAL), or more and sharper images."
         ));
     }
+    if let Some(reach) = wide {
+        words.push(format!(
+            "The model's camera sees {:.0}° from left to right, and a side of the images has no points. So the lens is \
+             probably too wide: a path along the scene hardly determines it. Give its focal length F and the centre CX,CY \
+             of the images, in pixels: --lens SIMPLE_PINHOLE --calibration F,CX,CY. For a usual lens F is about the width \
+             of the images. `use3d check` shows the bare side.",
+            reach.angle
+        ));
+    }
     if share < SHARES.0 {
         words.push(format!("To give more images a place: {}.", remedies(context).join("; ")));
     }
@@ -157,6 +169,27 @@ pub(crate) fn judge(models: &[Model], names: &[String], context: &ModelContext<'
     }
     let images = names.len();
     Some(CameraVerdict { grade, images, registered, groups, points, error, track_length, missing, words })
+}
+
+/// The widest part of the images without points, of a camera whose lens is probably too wide.
+fn too_wide(model: &Model) -> Option<Reach> {
+    // For other projections the angle of view does not follow from the focal length alone.
+    let straight = model.cameras.iter().filter_map(|camera| {
+        let lens = camera.lens().filter(|lens| lens.projection == Projection::Perspective)?;
+        let ([fx, fy], [cx, cy]) = (lens.focal, lens.principal);
+        Some((camera.id, Intrinsics { width: camera.width, height: camera.height, fx, fy, cx, cy }))
+    });
+    let (ids, cameras): (Vec<u32>, Vec<Intrinsics>) = straight.unzip();
+    let of_image: Vec<Option<usize>> =
+        model.images.iter().map(|image| ids.iter().position(|id| *id == image.camera)).collect();
+    let seen: Vec<_> =
+        model.images.iter().zip(&of_image).filter_map(|(image, c)| Some((image, (*c)?))).collect();
+    let of_view: Vec<usize> = seen.iter().map(|(_, camera)| *camera).collect();
+    let sightings = seen.iter().enumerate().flat_map(|(view, (image, _))| {
+        image.keypoints.iter().filter(|k| k.point != Keypoint::NONE).map(move |k| (view, [k.x, k.y]))
+    });
+    let found = reaches(&cameras, &of_view, sightings);
+    found.into_iter().filter(Reach::is_too_wide).reduce(|a, b| if b.bare > a.bare { b } else { a })
 }
 
 /// The changes of choices that give more images a place.
@@ -215,6 +248,49 @@ mod tests {
             let verdict = judged(fy);
             assert_eq!(verdict.grade, Grade::Poor);
             assert!(verdict.words[1].contains("--lens RADIAL"), "{:?}", verdict.words);
+        }
+    }
+
+    #[test]
+    fn a_wide_lens_with_a_bare_side_makes_the_cameras_usable_at_best() {
+        let names: Vec<String> = (0..4).map(|i| format!("f_{i}.jpg")).collect();
+        let judged = |lens: LensModel, focal: f64, seen: usize| {
+            // Points everywhere in the left `seen` pixels.
+            let place = |k: usize| ((2 * k % seen) as f64, (5 + 10 * (2 * k / seen)) as f64);
+            let keypoints: Vec<Keypoint> = (0..seen * 18 / 2)
+                .map(|k| Keypoint { x: place(k).0, y: place(k).1, point: k as u64 })
+                .collect();
+            let image = |(i, name): (usize, &String)| {
+                let pose = use3d_capture::Pose::IDENTITY;
+                let name = use3d_capture::FileName::new(name).unwrap();
+                ModelImage { keypoints: keypoints.clone(), ..ModelImage::at(i as u32, name, 7, &pose) }
+            };
+            let parameters = match lens {
+                LensModel::SimplePinhole => vec![focal, 160.0, 90.0],
+                _ => vec![focal, focal, 160.0, 90.0, 0.0, 0.0, 0.0, 0.0],
+            };
+            let camera = ModelCamera { id: 7, model: lens, width: 320, height: 180, parameters };
+            let images = names.iter().enumerate().map(image).collect();
+            let model = Model { cameras: vec![camera], images, points: Vec::new() };
+            let params = PrepareParams::default();
+            let context = ModelContext {
+                params: &params,
+                matching: Matching::Exhaustive,
+                films: false,
+                features: 3000,
+            };
+            judge(&[model], &names, &context).unwrap()
+        };
+        let wrong = judged(LensModel::SimplePinhole, 108.0, 192);
+        assert_eq!(wrong.grade, Grade::Usable);
+        assert!(wrong.words[1].contains("sees 112°") && wrong.words[1].contains("--calibration F,CX,CY"));
+        for (lens, focal, seen) in [
+            (LensModel::SimplePinhole, 304.0, 192),
+            (LensModel::SimplePinhole, 108.0, 320),
+            (LensModel::OpenCvFisheye, 108.0, 192),
+        ] {
+            let verdict = judged(lens, focal, seen);
+            assert_eq!((verdict.grade, verdict.words.len()), (Grade::Good, 1), "{lens:?} {focal} {seen}");
         }
     }
 

@@ -5,8 +5,9 @@
 //! the scene cannot be learnt there.
 
 use serde::Serialize;
-use use3d_capture::{Capture, Intrinsics, Track, View};
 use use3d_numerics::math;
+
+use crate::Intrinsics;
 
 /// Columns and rows of the grid.
 const GRID: [usize; 2] = [20, 12];
@@ -18,6 +19,10 @@ const WHOLE: f64 = 0.9;
 const VIEWS: usize = 3;
 /// Fewer sightings per cell, as a multiple of the number that makes a cell bare, say nothing either.
 const ENOUGH: f64 = 5.0;
+/// An angle of view, degrees, above which bare parts of the pictures may come from a wrong lens.
+const WIDE: f64 = 90.0;
+/// A bare side of at least this share of the picture is a sign of a wrong lens.
+const SIDE: f64 = 0.1;
 
 /// A side of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -56,8 +61,21 @@ impl Reach {
         (self.cells[row][column] as f64) < (BARE * self.views as f64).max(1.0)
     }
 
+    /// True if a border other than the upper one is bare over at least the share `width` of the picture. Open
+    /// water and sky are usually at the top, and have no points anywhere.
+    pub fn has_bare_side(&self, width: f64) -> bool {
+        self.borders.iter().any(|(side, bare)| *bare >= width && *side != Side::Top)
+    }
+
+    /// True if the lens is probably too wide: the angle of view is above 90 degrees, and at least a tenth of
+    /// the picture is bare at a side. A path along the scene hardly determines the lens, and a wrong one fits
+    /// a part of the pictures only.
+    pub fn is_too_wide(&self) -> bool {
+        self.angle > WIDE && self.has_bare_side(SIDE)
+    }
+
     /// The first with the largest bare share.
-    pub(crate) fn worst(reaches: &[Self]) -> Option<&Self> {
+    pub fn worst(reaches: &[Self]) -> Option<&Self> {
         reaches.iter().reduce(|a, b| if b.bare > a.bare { b } else { a })
     }
 
@@ -85,26 +103,22 @@ impl Reach {
     }
 }
 
-/// The reach of each camera that has enough views and sightings.
-pub(crate) fn reaches(capture: &Capture, tracks: &[Track]) -> Vec<Reach> {
-    let mut cameras: Vec<Intrinsics> = Vec::new();
-    let camera_of = |view: &View| {
-        let own = view.camera.intrinsics;
-        cameras.iter().position(|known| *known == own).unwrap_or_else(|| {
-            cameras.push(own);
-            cameras.len() - 1
-        })
-    };
-    let of_view: Vec<usize> = capture.views.iter().map(camera_of).collect();
+/// The reach of each camera that has enough views and sightings. `of_view` has the index of each view's
+/// camera. A sighting is the index of its view with its place in the picture, `x` and `y` in pixels.
+pub fn reaches(
+    cameras: &[Intrinsics],
+    of_view: &[usize],
+    sightings: impl Iterator<Item = (usize, [f64; 2])>,
+) -> Vec<Reach> {
     let [columns, rows] = GRID;
     let mut cells = vec![vec![vec![0; columns]; rows]; cameras.len()];
-    for s in tracks.iter().flat_map(|track| &track.sightings) {
-        let Some(&camera) = of_view.get(s.view) else { continue };
+    for (view, [x, y]) in sightings {
+        let Some(&camera) = of_view.get(view) else { continue };
         let (w, h) = (cameras[camera].width as f64, cameras[camera].height as f64);
-        if s.x >= 0.0 && s.y >= 0.0 && s.x < w && s.y < h {
+        if x >= 0.0 && y >= 0.0 && x < w && y < h {
             let cell =
                 |at: f64, side: f64, count: usize| ((at / side * count as f64) as usize).min(count - 1);
-            cells[camera][cell(s.y, h, rows)][cell(s.x, w, columns)] += 1;
+            cells[camera][cell(y, h, rows)][cell(x, w, columns)] += 1;
         }
     }
     let found = cameras.iter().zip(cells).enumerate().filter_map(|(i, (camera, cells))| {
@@ -141,5 +155,32 @@ mod tests {
         let mut stray = cells(|c, _| c > 9);
         stray[5][0] = 1;
         assert_eq!(Reach::new(&CAMERA, 30, stray).borders, [(Side::Left, 0.5)]);
+    }
+
+    #[test]
+    fn only_a_wide_angle_with_a_bare_side_is_too_wide() {
+        let wide = Intrinsics { fx: 80.0, fy: 80.0, ..CAMERA };
+        let of = |camera, reached: fn(usize, usize) -> bool| Reach::new(camera, 10, cells(reached));
+        assert!(of(&wide, |c, _| c < 12).is_too_wide());
+        assert!(!of(&CAMERA, |c, _| c < 12).is_too_wide());
+        assert!(!of(&wide, |_, r| r > 4).is_too_wide(), "open water is above");
+        assert!(!of(&wide, |c, _| c < 19).is_too_wide(), "a narrow border");
+    }
+
+    #[test]
+    fn sightings_count_for_the_camera_of_their_view() {
+        let cameras = [CAMERA, Intrinsics { width: 400, ..CAMERA }];
+        let of_view = [0, 0, 0, 1, 1, 1];
+        let all = (0..6).flat_map(|view| {
+            let width = cameras[of_view[view]].width;
+            // The second camera sees nothing in its right half.
+            let seen = if view < 3 { width } else { width / 2 };
+            (0..seen * 12).map(move |k| (view, [(k % seen) as f64, 10.0 * (k / seen) as f64 + 5.0]))
+        });
+        let stray = [(6, [1.0, 1.0]), (0, [-1.0, 5.0]), (0, [200.0, 5.0])];
+        let found = reaches(&cameras, &of_view, all.chain(stray));
+        assert_eq!(found.iter().map(|reach| reach.views).collect::<Vec<_>>(), [3, 3]);
+        assert_eq!((found[0].bare, found[1].borders.clone()), (0.0, vec![(Side::Right, 0.5)]));
+        assert_eq!(found[0].cells[0][0], 30);
     }
 }
