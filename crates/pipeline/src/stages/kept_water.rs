@@ -84,11 +84,32 @@ pub(super) fn choose(
 }
 
 /// The reliability of the water: measured before training, or only learnt. It is read from stage 1's record.
+/// An estimate that stage 1 did not start from, as under lamps, says nothing of the water it learnt.
 fn trust(scene: &Path) -> Trust {
-    let Ok(report) = read_json::<serde_json::Value>(&scene.join(WATER)) else { return Trust::Learnt };
-    let measured = |channel: &serde_json::Value| {
-        channel["verdict"] == "found" || channel["verdict"] == "veil-not-separable"
-    };
-    let channels = report["channels"].as_array().map_or(&[][..], Vec::as_slice);
-    if channels.len() == 3 && channels.iter().all(measured) { Trust::Measured } else { Trust::Learnt }
+    match read_json::<serde_json::Value>(&scene.join(WATER)) {
+        Ok(report) if report["judgement"] == "found" => Trust::Measured,
+        _ => Trust::Learnt,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_an_estimate_that_training_started_from_counts_as_measured() {
+        let folder = tempfile::tempdir().unwrap();
+        assert_eq!(trust(folder.path()), Trust::Learnt, "no estimate at all");
+        for (judgement, expected) in [
+            ("found", Trust::Measured),
+            ("lamps", Trust::Learnt),
+            ("not-known", Trust::Learnt),
+            ("no-water", Trust::Learnt),
+        ] {
+            let found = serde_json::json!({ "verdict": "found" });
+            let report = serde_json::json!({ "judgement": judgement, "channels": [found, found, found] });
+            std::fs::write(folder.path().join(WATER), report.to_string()).unwrap();
+            assert_eq!(trust(folder.path()), expected, "{judgement}");
+        }
+    }
 }
