@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use use3d_capture::{Intrinsics, Reach, reaches};
-use use3d_io_colmap::{Keypoint, Model, ModelForm, Projection, read_model};
+use use3d_io_colmap::{Keypoint, Model, ModelForm, ModelImage, Projection, read_model};
 
 use crate::error::PrepareError;
 use crate::params::{LENS, Matching, PrepareParams};
@@ -113,7 +113,8 @@ pub(crate) fn judge(models: &[Model], names: &[String], context: &ModelContext<'
         let [fx, fy] = lens.focal;
         (fx / fy).max(fy / fx).ge(&SQUARE).then_some(fx / fy)
     });
-    let wide = too_wide(used);
+    // A lens that was given is taken as it is.
+    let wide = if context.params.calibration.is_empty() { too_wide(used) } else { None };
     let grade = match share {
         _ if odd.is_some() => Grade::Poor,
         s if s >= SHARES.1 && wide.is_some() => Grade::Usable,
@@ -180,16 +181,16 @@ fn too_wide(model: &Model) -> Option<Reach> {
         Some((camera.id, Intrinsics { width: camera.width, height: camera.height, fx, fy, cx, cy }))
     });
     let (ids, cameras): (Vec<u32>, Vec<Intrinsics>) = straight.unzip();
-    let of_image: Vec<Option<usize>> =
-        model.images.iter().map(|image| ids.iter().position(|id| *id == image.camera)).collect();
-    let seen: Vec<_> =
-        model.images.iter().zip(&of_image).filter_map(|(image, c)| Some((image, (*c)?))).collect();
+    let camera_of = |image: &ModelImage| ids.iter().position(|id| *id == image.camera);
+    let seen: Vec<(&ModelImage, usize)> =
+        model.images.iter().filter_map(|image| Some((image, camera_of(image)?))).collect();
     let of_view: Vec<usize> = seen.iter().map(|(_, camera)| *camera).collect();
     let sightings = seen.iter().enumerate().flat_map(|(view, (image, _))| {
         image.keypoints.iter().filter(|k| k.point != Keypoint::NONE).map(move |k| (view, [k.x, k.y]))
     });
-    let found = reaches(&cameras, &of_view, sightings);
-    found.into_iter().filter(Reach::is_too_wide).reduce(|a, b| if b.bare > a.bare { b } else { a })
+    let found: Vec<Reach> =
+        reaches(&cameras, &of_view, sightings).into_iter().filter(Reach::is_too_wide).collect();
+    Reach::worst(&found).cloned()
 }
 
 /// The changes of choices that give more images a place.
@@ -218,7 +219,7 @@ pub(crate) fn remedies(context: &ModelContext<'_>) -> Vec<String> {
 
 #[cfg(test)]
 mod tests {
-    use use3d_io_colmap::{LensModel, ModelCamera, ModelImage};
+    use use3d_io_colmap::{LensModel, ModelCamera};
 
     use super::*;
 
@@ -254,7 +255,7 @@ mod tests {
     #[test]
     fn a_wide_lens_with_a_bare_side_makes_the_cameras_usable_at_best() {
         let names: Vec<String> = (0..4).map(|i| format!("f_{i}.jpg")).collect();
-        let judged = |lens: LensModel, focal: f64, seen: usize| {
+        let judged_with = |calibration: &[f64], lens: LensModel, focal: f64, seen: usize| {
             // Points everywhere in the left `seen` pixels.
             let place = |k: usize| ((2 * k % seen) as f64, (5 + 10 * (2 * k / seen)) as f64);
             let keypoints: Vec<Keypoint> = (0..seen * 18 / 2)
@@ -272,7 +273,7 @@ mod tests {
             let camera = ModelCamera { id: 7, model: lens, width: 320, height: 180, parameters };
             let images = names.iter().enumerate().map(image).collect();
             let model = Model { cameras: vec![camera], images, points: Vec::new() };
-            let params = PrepareParams::default();
+            let params = PrepareParams { calibration: calibration.to_vec(), ..PrepareParams::default() };
             let context = ModelContext {
                 params: &params,
                 matching: Matching::Exhaustive,
@@ -281,9 +282,12 @@ mod tests {
             };
             judge(&[model], &names, &context).unwrap()
         };
+        let judged = |lens, focal, seen| judged_with(&[], lens, focal, seen);
         let wrong = judged(LensModel::SimplePinhole, 108.0, 192);
         assert_eq!(wrong.grade, Grade::Usable);
         assert!(wrong.words[1].contains("sees 112°") && wrong.words[1].contains("--calibration F,CX,CY"));
+        let given = judged_with(&[108.0, 160.0, 90.0], LensModel::SimplePinhole, 108.0, 192);
+        assert_eq!(given.grade, Grade::Good, "a lens that was given");
         for (lens, focal, seen) in [
             (LensModel::SimplePinhole, 304.0, 192),
             (LensModel::SimplePinhole, 108.0, 320),
