@@ -172,7 +172,7 @@ pub(crate) fn judge(models: &[Model], names: &[String], context: &ModelContext<'
     Some(CameraVerdict { grade, images, registered, groups, points, error, track_length, missing, words })
 }
 
-/// The widest part of the images without points, of a camera whose lens is probably too wide.
+/// The reach of the camera with the largest bare share, among those whose lens is probably too wide.
 fn too_wide(model: &Model) -> Option<Reach> {
     // For other projections the angle of view does not follow from the focal length alone.
     let straight = model.cameras.iter().filter_map(|camera| {
@@ -223,30 +223,40 @@ mod tests {
 
     use super::*;
 
+    /// Judges four images of 320x180 pixels by one camera, each with a point at every place of `seen`.
+    fn judged(
+        calibration: &[f64],
+        lens: LensModel,
+        parameters: &[f64],
+        seen: impl Iterator<Item = [f64; 2]>,
+    ) -> CameraVerdict {
+        let names: Vec<String> = (0..4).map(|i| format!("f_{i}.jpg")).collect();
+        let keypoints: Vec<Keypoint> =
+            seen.zip(0..).map(|([x, y], point)| Keypoint { x, y, point }).collect();
+        let image = |(i, name): (usize, &String)| {
+            let name = use3d_capture::FileName::new(name).unwrap();
+            let image = ModelImage::at(i as u32, name, 7, &use3d_capture::Pose::IDENTITY);
+            ModelImage { keypoints: keypoints.clone(), ..image }
+        };
+        let images = names.iter().enumerate().map(image).collect();
+        let parameters = parameters.to_vec();
+        let camera = ModelCamera { id: 7, model: lens, width: 320, height: 180, parameters };
+        let model = Model { cameras: vec![camera], images, points: Vec::new() };
+        let params = PrepareParams { calibration: calibration.to_vec(), ..PrepareParams::default() };
+        let matching = Matching::Exhaustive;
+        let context = ModelContext { params: &params, matching, films: false, features: 3000 };
+        judge(&[model], &names, &context).unwrap()
+    }
+
     #[test]
     fn a_lens_that_no_camera_has_makes_the_cameras_poor() {
-        let names: Vec<String> = (0..4).map(|i| format!("f_{i}.jpg")).collect();
-        let judged = |fy: f64| {
-            let image = |(i, name): (usize, &String)| {
-                let pose = use3d_capture::Pose::IDENTITY;
-                ModelImage::at(i as u32, use3d_capture::FileName::new(name).unwrap(), 1, &pose)
-            };
-            let parameters = vec![254.0, fy, 160.0, 90.0, 0.1, 0.0, 0.0, 0.0];
-            let camera = ModelCamera { id: 1, model: LensModel::OpenCv, width: 320, height: 180, parameters };
-            let images = names.iter().enumerate().map(image).collect();
-            let model = Model { cameras: vec![camera], images, points: Vec::new() };
-            let params = PrepareParams::default();
-            let context = ModelContext {
-                params: &params,
-                matching: Matching::Exhaustive,
-                films: false,
-                features: 3000,
-            };
-            judge(&[model], &names, &context).unwrap()
+        let of = |fy: f64| {
+            let parameters = [254.0, fy, 160.0, 90.0, 0.1, 0.0, 0.0, 0.0];
+            judged(&[], LensModel::OpenCv, &parameters, std::iter::empty())
         };
-        assert_eq!(judged(250.0).grade, Grade::Good);
+        assert_eq!(of(250.0).grade, Grade::Good);
         for fy in [148.7, 400.0] {
-            let verdict = judged(fy);
+            let verdict = of(fy);
             assert_eq!(verdict.grade, Grade::Poor);
             assert!(verdict.words[1].contains("--lens RADIAL"), "{:?}", verdict.words);
         }
@@ -254,47 +264,23 @@ mod tests {
 
     #[test]
     fn a_wide_lens_with_a_bare_side_makes_the_cameras_usable_at_best() {
-        let names: Vec<String> = (0..4).map(|i| format!("f_{i}.jpg")).collect();
-        let judged_with = |calibration: &[f64], lens: LensModel, focal: f64, seen: usize| {
-            // Points everywhere in the left `seen` pixels.
-            let place = |k: usize| ((2 * k % seen) as f64, (5 + 10 * (2 * k / seen)) as f64);
-            let keypoints: Vec<Keypoint> = (0..seen * 18 / 2)
-                .map(|k| Keypoint { x: place(k).0, y: place(k).1, point: k as u64 })
-                .collect();
-            let image = |(i, name): (usize, &String)| {
-                let pose = use3d_capture::Pose::IDENTITY;
-                let name = use3d_capture::FileName::new(name).unwrap();
-                ModelImage { keypoints: keypoints.clone(), ..ModelImage::at(i as u32, name, 7, &pose) }
-            };
-            let parameters = match lens {
-                LensModel::SimplePinhole => vec![focal, 160.0, 90.0],
-                _ => vec![focal, focal, 160.0, 90.0, 0.0, 0.0, 0.0, 0.0],
-            };
-            let camera = ModelCamera { id: 7, model: lens, width: 320, height: 180, parameters };
-            let images = names.iter().enumerate().map(image).collect();
-            let model = Model { cameras: vec![camera], images, points: Vec::new() };
-            let params = PrepareParams { calibration: calibration.to_vec(), ..PrepareParams::default() };
-            let context = ModelContext {
-                params: &params,
-                matching: Matching::Exhaustive,
-                films: false,
-                features: 3000,
-            };
-            judge(&[model], &names, &context).unwrap()
+        // Points everywhere in the left `width` pixels.
+        let left = |width: usize| {
+            let rows = (0..18).map(|row| 10.0 * f64::from(row) + 5.0);
+            rows.flat_map(move |y| (0..width).step_by(2).map(move |x| [x as f64, y]))
         };
-        let judged = |lens, focal, seen| judged_with(&[], lens, focal, seen);
-        let wrong = judged(LensModel::SimplePinhole, 108.0, 192);
+        let pinhole = |focal: f64| [focal, 160.0, 90.0];
+        let wrong = judged(&[], LensModel::SimplePinhole, &pinhole(108.0), left(192));
         assert_eq!(wrong.grade, Grade::Usable);
         assert!(wrong.words[1].contains("sees 112°") && wrong.words[1].contains("--calibration F,CX,CY"));
-        let given = judged_with(&[108.0, 160.0, 90.0], LensModel::SimplePinhole, 108.0, 192);
-        assert_eq!(given.grade, Grade::Good, "a lens that was given");
-        for (lens, focal, seen) in [
-            (LensModel::SimplePinhole, 304.0, 192),
-            (LensModel::SimplePinhole, 108.0, 320),
-            (LensModel::OpenCvFisheye, 108.0, 192),
+        let fisheye = [108.0, 108.0, 160.0, 90.0, 0.0, 0.0, 0.0, 0.0];
+        for (verdict, why) in [
+            (judged(&pinhole(108.0), LensModel::SimplePinhole, &pinhole(108.0), left(192)), "a given lens"),
+            (judged(&[], LensModel::SimplePinhole, &pinhole(304.0), left(192)), "a usual lens"),
+            (judged(&[], LensModel::SimplePinhole, &pinhole(108.0), left(320)), "no bare side"),
+            (judged(&[], LensModel::OpenCvFisheye, &fisheye, left(192)), "a fisheye"),
         ] {
-            let verdict = judged(lens, focal, seen);
-            assert_eq!((verdict.grade, verdict.words.len()), (Grade::Good, 1), "{lens:?} {focal} {seen}");
+            assert_eq!((verdict.grade, verdict.words.len()), (Grade::Good, 1), "{why}");
         }
     }
 
