@@ -11,6 +11,7 @@ use use3d_workflow::{StageContext, StageError};
 
 use super::common::read_json;
 use super::names::WATER;
+use crate::water::Judgement;
 
 /// `"auto"`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -87,7 +88,7 @@ pub(super) fn choose(
 /// An estimate that stage 1 did not start from, as under lamps, says nothing of the water it learnt.
 fn trust(scene: &Path) -> Trust {
     match read_json::<serde_json::Value>(&scene.join(WATER)) {
-        Ok(report) if report["judgement"] == "found" => Trust::Measured,
+        Ok(report) if report["judgement"] == Judgement::Found.name() => Trust::Measured,
         _ => Trust::Learnt,
     }
 }
