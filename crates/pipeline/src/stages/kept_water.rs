@@ -11,7 +11,7 @@ use use3d_workflow::{StageContext, StageError};
 
 use super::common::read_json;
 use super::names::WATER;
-use crate::water::Judgement;
+use crate::water::judgement::Judgement;
 
 /// `"auto"`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
