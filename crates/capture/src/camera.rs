@@ -2,6 +2,7 @@
 
 use glam::{DMat3, DVec2, DVec3};
 use serde::{Deserialize, Serialize};
+use use3d_numerics::math;
 
 /// Pinhole intrinsics in pixels; the image's top-left corner is (0, 0), pixel centres are at +0.5.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -45,6 +46,11 @@ pub enum CameraError {
 }
 
 impl Intrinsics {
+    /// The horizontal angle of view, degrees: `2 atan(width / (2 f_x))`.
+    pub fn angle(&self) -> f64 {
+        2.0 * math::atan(self.width as f64 / (2.0 * self.fx)).to_degrees()
+    }
+
     /// Checks that the intrinsics describe a usable pinhole.
     pub fn validate(&self) -> Result<(), CameraError> {
         if self.width == 0 || self.height == 0 {

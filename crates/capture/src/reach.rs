@@ -5,7 +5,6 @@
 //! the scene cannot be learnt there.
 
 use serde::Serialize;
-use use3d_numerics::math;
 
 use crate::Intrinsics;
 
@@ -43,7 +42,7 @@ pub enum Side {
 pub struct Reach {
     /// Width and height of the pictures, pixels.
     pub size: [usize; 2],
-    /// The horizontal angle of view, degrees: `2 atan(width / (2 f_x))`.
+    /// The horizontal [angle of view](Intrinsics::angle), degrees.
     pub angle: f64,
     /// The number of views.
     pub views: usize,
@@ -81,8 +80,7 @@ impl Reach {
 
     fn new(camera: &Intrinsics, views: usize, cells: Vec<Vec<usize>>) -> Self {
         let size = [camera.width, camera.height];
-        let angle = 2.0 * math::atan(size[0] as f64 / (2.0 * camera.fx)).to_degrees();
-        let mut reach = Self { size, angle, views, cells, bare: 0.0, borders: Vec::new() };
+        let mut reach = Self { size, angle: camera.angle(), views, cells, bare: 0.0, borders: Vec::new() };
         let [columns, rows] = GRID;
         let count = (0..rows).flat_map(|r| (0..columns).map(move |c| (c, r)));
         reach.bare = count.filter(|&(c, r)| reach.is_bare(c, r)).count() as f64 / (columns * rows) as f64;

@@ -16,6 +16,8 @@ const SHARES: (f64, f64) = (0.9, 2.0 / 3.0);
 const SQUARE: f64 = 1.2;
 /// A mean reprojection error above which the lens model does not fit, pixels.
 const ERROR: f64 = 1.5;
+/// An angle of view, degrees, above which a lens without the fisheye's projection is rare under water.
+const RARE: f64 = 100.0;
 
 /// The grade of a preparation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -114,7 +116,9 @@ pub(crate) fn judge(models: &[Model], names: &[String], context: &ModelContext<'
         (fx / fy).max(fy / fx).ge(&SQUARE).then_some(fx / fy)
     });
     // A lens that was given is taken as it is.
-    let wide = if context.params.calibration.is_empty() { too_wide(used) } else { None };
+    let given = !context.params.calibration.is_empty();
+    let wide = if given { None } else { too_wide(used) };
+    let rare = if given || wide.is_some() { None } else { rare_angle(used) };
     let grade = match share {
         _ if odd.is_some() => Grade::Poor,
         s if s >= SHARES.1 && wide.is_some() => Grade::Usable,
@@ -145,10 +149,14 @@ pub(crate) fn judge(models: &[Model], names: &[String], context: &ModelContext<'
     if let Some(reach) = wide {
         words.push(format!(
             "The model's camera sees {:.0}° from left to right, and a side of the images has no points. So the lens is \
-             probably too wide: a path along the scene hardly determines it. Give its focal length F and the centre CX,CY \
-             of the images, in pixels: --lens SIMPLE_PINHOLE --calibration F,CX,CY. For a usual lens F is about the width \
-             of the images. `use3d check` shows the bare side.",
+             probably too wide: a path along the scene hardly determines it. {GIVE_LENS} `use3d check` shows the bare side.",
             reach.angle
+        ));
+    }
+    if let Some(angle) = rare {
+        words.push(format!(
+            "The model's camera sees {angle:.0}° from left to right. Few cameras see that much under water, and a short path \
+             along the scene can give a wrong lens with a small error. If yours sees less: {GIVE_LENS}"
         ));
     }
     if share < SHARES.0 {
@@ -172,15 +180,27 @@ pub(crate) fn judge(models: &[Model], names: &[String], context: &ModelContext<'
     Some(CameraVerdict { grade, images, registered, groups, points, error, track_length, missing, words })
 }
 
-/// The reach of the camera with the largest bare share, among those whose lens is probably too wide.
-fn too_wide(model: &Model) -> Option<Reach> {
-    // For other projections the angle of view does not follow from the focal length alone.
-    let straight = model.cameras.iter().filter_map(|camera| {
+/// The advice for a lens that the images do not determine.
+const GIVE_LENS: &str = "Give its focal length F and the centre CX,CY of the images, in pixels: --lens SIMPLE_PINHOLE \
+                         --calibration F,CX,CY. For a usual lens F is about the width of the images.";
+
+/// The cameras whose angle of view follows from the focal length alone, with their numbers.
+fn perspective(model: &Model) -> impl Iterator<Item = (u32, Intrinsics)> {
+    model.cameras.iter().filter_map(|camera| {
         let lens = camera.lens().filter(|lens| lens.projection == Projection::Perspective)?;
         let ([fx, fy], [cx, cy]) = (lens.focal, lens.principal);
         Some((camera.id, Intrinsics { width: camera.width, height: camera.height, fx, fy, cx, cy }))
-    });
-    let (ids, cameras): (Vec<u32>, Vec<Intrinsics>) = straight.unzip();
+    })
+}
+
+/// The widest angle of view, degrees, if it is rare.
+fn rare_angle(model: &Model) -> Option<f64> {
+    perspective(model).map(|(_, camera)| camera.angle()).filter(|angle| *angle > RARE).max_by(f64::total_cmp)
+}
+
+/// The reach of the camera with the largest bare share, among those whose lens is probably too wide.
+fn too_wide(model: &Model) -> Option<Reach> {
+    let (ids, cameras): (Vec<u32>, Vec<Intrinsics>) = perspective(model).unzip();
     let camera_of = |image: &ModelImage| ids.iter().position(|id| *id == image.camera);
     let seen: Vec<(&ModelImage, usize)> =
         model.images.iter().filter_map(|image| Some((image, camera_of(image)?))).collect();
@@ -277,11 +297,15 @@ mod tests {
         for (verdict, why) in [
             (judged(&pinhole(108.0), LensModel::SimplePinhole, &pinhole(108.0), left(192)), "a given lens"),
             (judged(&[], LensModel::SimplePinhole, &pinhole(304.0), left(192)), "a usual lens"),
-            (judged(&[], LensModel::SimplePinhole, &pinhole(108.0), left(320)), "no bare side"),
+            (judged(&[], LensModel::SimplePinhole, &pinhole(140.0), left(320)), "no bare side"),
             (judged(&[], LensModel::OpenCvFisheye, &fisheye, left(192)), "a fisheye"),
         ] {
             assert_eq!((verdict.grade, verdict.words.len()), (Grade::Good, 1), "{why}");
         }
+        // A wrong lens can have points everywhere and a small error.
+        let rare = judged(&[], LensModel::SimplePinhole, &pinhole(108.0), left(320));
+        assert_eq!((rare.grade, rare.words.len()), (Grade::Good, 2), "no bare side, and a rare angle");
+        assert!(rare.words[1].contains("sees 112°") && rare.words[1].contains("--calibration F,CX,CY"));
     }
 
     #[test]
