@@ -139,8 +139,8 @@ fn is_callee(before: &TokenTree) -> bool {
 
 /// Returns true if two adjacent characters begin an operator of the language.
 fn joins(first: char, second: char) -> bool {
-    ["&&", "||", "<<", ">>", "..", "::", "->", "=>", "<-"]
-        .contains(&String::from_iter([first, second]).as_str())
+    let pairs = ["&&", "||", "<<", ">>", "..", "::", "->", "=>", "<-"];
+    pairs.iter().any(|pair| pair.chars().eq([first, second]))
         || (second == '=' && "=!<>+-*/%^&|.".contains(first))
         || first == '\''
 }
