@@ -78,8 +78,8 @@ pub(crate) struct TargetsArgs {
     /// The capture it was made from.
     #[arg(value_name = "CAPTURE_DIR")]
     pub(crate) capture: PathBuf,
-    /// A calibrator: the 2D enhancer's proposals for the photographs are corrected with it. Without one,
-    /// proposals for stage 1's renders are used as they are.
+    /// Correct the 2D enhancer's proposals with this calibrator. Without one, they are used as they are.
+    /// `source` chooses the pictures that they are made for.
     #[arg(long, value_name = "FILE")]
     pub(crate) calibrator: Option<PathBuf>,
     /// The targets file.
