@@ -2,12 +2,16 @@
 //!
 //! Photographs stay in their stored form (8 or 16 bits), priors and masks as 16 and 8 bits, so that
 //! hundreds of views fit in memory. A step's target is computed when it is needed: `divisor × divisor`
-//! means of the stored values (R11).
+//! means of the stored values (R11), over the pixels that count if there is a mask. A pixel counts if its
+//! mask is at least one half, and a box if at least half of its pixels count (R30).
 
 use rayon::prelude::*;
 use use3d_capture::{Camera, Image, Map, Pixels, Raster, View};
 
 use crate::ReconstructError;
+
+/// Smallest mask of a pixel that counts.
+const COUNTS: f32 = 0.5;
 
 /// A view's files after reading. All sizes must be that of the view's camera.
 #[derive(Clone, Debug)]
@@ -16,7 +20,7 @@ pub struct LoadedView {
     pub pixels: Pixels,
     /// Its opacity in `[0, 1]`, if it has any: transparent pixels take the water's colour.
     pub alpha: Option<Map>,
-    /// Weight of each pixel, in `[0, 1]`.
+    /// Mask, in `[0, 1]`: pixels of at least one half count.
     pub mask: Option<Map>,
     /// Disparity-like prior: larger is nearer, 0 is unknown.
     pub depth_prior: Option<Map>,
@@ -37,7 +41,7 @@ pub struct TrainingView {
     pub pixels: Pixels,
     /// Its opacity, 255 is opaque; `None` if it is opaque everywhere.
     pub alpha: Option<Raster<u8, 1>>,
-    /// Its mask, 255 counts fully; `None` if every pixel counts.
+    /// Its mask: 255 counts, 0 does not; `None` if every pixel counts.
     pub mask: Option<Raster<u8, 1>>,
     /// The depth prior, stretched to 1…65535, 0 where unknown; `None` if there is none.
     pub prior: Option<Raster<u16, 1>>,
@@ -52,7 +56,7 @@ pub struct Target {
     pub image: Image,
     /// Its opacity.
     pub alpha: Option<Map>,
-    /// Weight of each pixel.
+    /// 1 for pixels that count, else 0.
     pub mask: Option<Map>,
     /// The depth prior, 0 where it is unknown or the pixel does not count.
     pub prior: Option<Map>,
@@ -84,18 +88,27 @@ impl TrainingView {
             }
         }
         let byte = |m: &Map| m.map(|v| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8);
-        let (prior, dropped) = match loaded.depth_prior.as_ref().map(pack_prior) {
+        // NaN does not count.
+        let mask = loaded
+            .mask
+            .as_ref()
+            .map(|m| m.map(|v| if v >= COUNTS { 255 } else { 0 }))
+            .filter(|m| m.data().contains(&0));
+        let (mut prior, dropped) = match loaded.depth_prior.as_ref().map(pack_prior) {
             None => (None, None),
             Some(Ok(prior)) => (Some(prior), None),
             Some(Err(reason)) => (None, Some(reason)),
         };
+        if let (Some(prior), Some(mask)) = (&mut prior, &mask) {
+            let hidden = prior.data_mut().iter_mut().zip(mask.data()).filter(|(_, counts)| **counts == 0);
+            hidden.for_each(|(prior, _)| *prior = 0);
+        }
         let view = Self {
             name: view.name.to_string(),
             camera,
             pixels: loaded.pixels,
             alpha: loaded.alpha.as_ref().filter(|a| a.data().iter().any(|&v| v < 1.0)).map(byte),
-            // NaN does not count.
-            mask: loaded.mask.as_ref().filter(|m| m.data().iter().any(|&v| v < 1.0 || v.is_nan())).map(byte),
+            mask,
             prior,
             #[cfg(test)]
             exact: None,
@@ -130,7 +143,10 @@ impl TrainingView {
 
     /// Adds all data on which training depends to a digest.
     pub(crate) fn fingerprint(&self, hasher: &mut blake3::Hasher) {
+        hasher.update(&(self.name.len() as u64).to_le_bytes());
         hasher.update(self.name.as_bytes());
+        let there = [self.alpha.is_some(), self.mask.is_some(), self.prior.is_some()];
+        hasher.update(&there.map(u8::from));
         match &self.pixels {
             Pixels::Eight(r) => hasher.update(r.data()),
             Pixels::Sixteen(r) => hasher.update(bytemuck::cast_slice(r.data())),
@@ -161,15 +177,20 @@ impl TrainingView {
             (out.image, out.prior) = (image.clone(), Some(prior.clone()));
             return camera;
         }
+        let mask = self.mask.as_ref();
         match &self.pixels {
-            Pixels::Eight(r) => means(r, divisor, w, h, 255.0, &mut out.image),
-            Pixels::Sixteen(r) => means(r, divisor, w, h, 65535.0, &mut out.image),
+            Pixels::Eight(r) => means(r, mask, divisor, w, h, 255.0, &mut out.image),
+            Pixels::Sixteen(r) => means(r, mask, divisor, w, h, 65535.0, &mut out.image),
         }
         for (from, to) in [(&self.alpha, &mut out.alpha), (&self.mask, &mut out.mask)] {
-            match from {
-                Some(raster) => means(raster, divisor, w, h, 255.0, to.get_or_insert_with(|| Map::new(0, 0))),
-                None => *to = None,
-            }
+            let Some(raster) = from else {
+                *to = None;
+                continue;
+            };
+            means(raster, None, divisor, w, h, 255.0, to.get_or_insert_with(|| Map::new(0, 0)));
+        }
+        if let Some(mask) = &mut out.mask {
+            mask.data_mut().iter_mut().for_each(|v| *v = if *v >= COUNTS { 1.0 } else { 0.0 });
         }
         match &self.prior {
             Some(raster) => {
@@ -179,7 +200,7 @@ impl TrainingView {
         }
         if let (Some(prior), Some(mask)) = (&mut out.prior, &out.mask) {
             for (prior, counts) in prior.data_mut().iter_mut().zip(mask.data()) {
-                if *counts < 0.5 {
+                if *counts == 0.0 {
                     *prior = 0.0;
                 }
             }
@@ -208,9 +229,11 @@ fn pack_prior(map: &Map) -> Result<Raster<u16, 1>, &'static str> {
     Ok(map.map(|v| if known(v) { (f64::from(v - low) * scale + 1.5) as u16 } else { 0 }))
 }
 
-/// Computes `divisor × divisor` means over `fine`, per plane.
+/// Computes `divisor × divisor` means over `fine`, per plane; only over pixels that count if there is a mask,
+/// and 0 where none does.
 fn means<T: Copy + Into<i32> + Sync, const C: usize>(
     fine: &Raster<T, C>,
+    mask: Option<&Raster<u8, 1>>,
     divisor: usize,
     w: usize,
     h: usize,
@@ -225,6 +248,23 @@ fn means<T: Copy + Into<i32> + Sync, const C: usize>(
     out.data_mut().par_chunks_mut(w).enumerate().for_each(|(line, out)| {
         let (c, j) = (line / h, line % h);
         let rows = &fine.data()[(c * fh + j * divisor) * fw..(c * fh + (j + 1) * divisor) * fw];
+        if let Some(mask) = mask {
+            let mask = &mask.data()[j * divisor * fw..(j + 1) * divisor * fw];
+            for (i, o) in out.iter_mut().enumerate() {
+                let (mut sum, mut count) = (0i64, 0usize);
+                for (row, counts) in rows.chunks_exact(fw).zip(mask.chunks_exact(fw)) {
+                    let of_box = i * divisor..(i + 1) * divisor;
+                    for (&v, _) in row[of_box.clone()].iter().zip(&counts[of_box]).filter(|(_, m)| **m > 0) {
+                        sum += i64::from(Into::<i32>::into(v));
+                        count += 1;
+                    }
+                }
+                // A full box has the same bits as without a mask.
+                let full_box = count == divisor * divisor;
+                *o = if full_box { sum as f32 * scale } else { sum as f32 / (full * count.max(1) as f32) };
+            }
+            return;
+        }
         if divisor == 1 {
             for (o, &v) in out.iter_mut().zip(rows) {
                 *o = Into::<i32>::into(v) as f32 * scale;
@@ -337,6 +377,30 @@ mod tests {
         view.target(2, &mut target);
         let prior = target.prior.unwrap();
         assert!((prior.pixel(0, 0)[0] - 1.0).abs() < 1e-3 && (prior.pixel(1, 0)[0] - 0.75).abs() < 1e-3);
+    }
+
+    #[test]
+    fn pixels_that_do_not_count_are_in_no_mean() {
+        let mut mask = Map::filled(4, 2, 1.0);
+        // One pixel of the first box is hidden, and three of the second.
+        for (x, y, v) in [(1, 0, 0.0), (0, 0, 0.5), (2, 0, 0.49), (3, 0, f32::NAN), (2, 1, 0.0)] {
+            mask.set_pixel(x, y, [v]);
+        }
+        let masked = LoadedView { mask: Some(mask), ..loaded(4, 2) };
+        let (view, _) = TrainingView::new(&view(4, 2), masked).unwrap();
+        let full = view.pixels.to_image();
+        let mut target = Target::default();
+        view.target(2, &mut target);
+        let mask = target.mask.as_ref().unwrap();
+        assert_eq!((mask.pixel(0, 0), mask.pixel(1, 0)), ([1.0], [0.0]));
+        for c in 0..3 {
+            let mean = [(0, 0), (0, 1), (1, 1)].map(|(x, y)| full.pixel(x, y)[c]).iter().sum::<f32>() / 3.0;
+            assert!((target.image.pixel(0, 0)[c] - mean).abs() < 1e-6);
+            assert!((target.image.pixel(1, 0)[c] - full.pixel(3, 1)[c]).abs() < 1e-6);
+        }
+        view.target(1, &mut target);
+        let counts = target.mask.as_ref().unwrap().data();
+        assert_eq!(counts, [1.0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 1.0]);
     }
 
     #[test]
