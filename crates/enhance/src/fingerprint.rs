@@ -41,6 +41,8 @@ pub(crate) fn fingerprint(
     hash.update(bytemuck::cast_slice(&g.opacity_logits));
     hash.update(bytemuck::cast_slice(&g.sh));
     hash.update(bytemuck::cast_slice(&scene.medium.flat()));
+    let top_k = scene.medium.anchors().map_or(0, |anchors| anchors.top_k);
+    hash.update(&(top_k as u64).to_le_bytes());
     for view in views {
         hash.update(&(view.name.len() as u64).to_le_bytes());
         hash.update(view.name.as_bytes());

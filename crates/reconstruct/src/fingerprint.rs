@@ -33,9 +33,13 @@ pub(crate) fn fingerprint(
         ..params.clone()
     };
     hasher.update(format!("{params:?}").as_bytes());
-    for view in views.train.iter().chain(&views.test) {
-        hasher.update(format!("{:?}", view.camera).as_bytes());
-        view.fingerprint(&mut hasher);
+    for views in [&views.train, &views.test] {
+        // A view that is moved from training to the held-out ones changes the digest.
+        hasher.update(&(views.len() as u64).to_le_bytes());
+        for view in views {
+            hasher.update(format!("{:?}", view.camera).as_bytes());
+            view.fingerprint(&mut hasher);
+        }
     }
     for point in &capture.points {
         hasher.update(bytemuck::bytes_of(&point.position.to_array()));
