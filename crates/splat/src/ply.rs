@@ -228,6 +228,10 @@ impl<R: BufRead> Numbers<R> {
                 _ => break,
             }
         }
+        // A longer token is no number; its rest must not be read as the next one.
+        if token.len() == TOKEN && self.reader.read(&mut byte)? == 1 && !byte[0].is_ascii_whitespace() {
+            token.extend("…".bytes());
+        }
         Ok(String::from_utf8_lossy(&token).into_owned())
     }
 
