@@ -6,7 +6,7 @@ use use3d_numerics::range::OutOfRange;
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum AtcError {
     /// An image without pixels.
-    #[error("the {role} image is {width}x{height}; both sides must be at least 1 pixel")]
+    #[error("the {role} image is {width}x{height}; both sides must be at least 1 pixel; check the file")]
     EmptyImage {
         /// Source, target or proposal.
         role: &'static str,
@@ -19,7 +19,9 @@ pub enum AtcError {
     #[error("the source image has a value that is not finite; check how the image was made")]
     NonFiniteSource,
     /// An image has another size than the extractor's geometry.
-    #[error("the image is {found_width}x{found_height}, but the extractor was set up for {width}x{height}")]
+    #[error(
+        "the image is {found_width}x{found_height}, but the extractor was set up for {width}x{height}; scale the image"
+    )]
     Size {
         /// Width found.
         found_width: usize,
@@ -71,7 +73,7 @@ pub enum AtcError {
         first_problem: Option<String>,
     },
     /// Training reached a number that is not finite.
-    #[error("calibrator training diverged at step {step}: the loss is {loss}")]
+    #[error("calibrator training diverged at step {step}: the loss is {loss}; lower `learning_rate`")]
     Diverged {
         /// Step, from 1.
         step: u64,
@@ -117,7 +119,9 @@ pub enum AtcError {
         problem: String,
     },
     /// The local operators are in log form, but those of the released calibrator are linear.
-    #[error("the local operators are in log form, but linear form is needed")]
+    #[error(
+        "the local operators are in log form, but linear form is needed: set `extractor.form` to \"linear\""
+    )]
     Form,
 }
 

@@ -192,7 +192,8 @@ impl Medium for MediumRbf {
     }
 
     fn read(top_k: usize, tensors: &Tensors) -> Result<Self, MediumError> {
-        let anchors = tensors.get("log_widths").map_or(0, |t| t.values.len());
+        let widths = tensors.get("log_widths");
+        let anchors = widths.ok_or_else(|| MediumError::Missing { name: "log_widths".into() })?.values.len();
         check(anchors, top_k)?;
         let centers = tensors::get(tensors, "centers", &[anchors, 3])?;
         let log_widths = tensors::get(tensors, "log_widths", &[anchors])?.to_vec();

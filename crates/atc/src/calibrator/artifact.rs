@@ -63,7 +63,7 @@ impl Calibrator {
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, AtcError> {
         let reader = Reader::new(WHAT, bytes)?;
         let header: CalibratorHeader = reader.header(FORMAT, VERSION)?;
-        header.extractor.validate()?;
+        header.extractor.validate().map_err(|e| reader.error(format!("extractor: {e}")))?;
         Ok(Self {
             extractor: header.extractor,
             proposer: header.proposer,

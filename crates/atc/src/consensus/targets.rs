@@ -125,7 +125,7 @@ impl Targets {
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, AtcError> {
         let reader = Reader::new(WHAT, bytes)?;
         let header: TargetsHeader = reader.header(FORMAT, VERSION)?;
-        header.extractor.validate()?;
+        header.extractor.validate().map_err(|e| reader.error(format!("extractor: {e}")))?;
         if !header.kept_water.is_valid() {
             return Err(reader.error("kept_water is not three numbers from 0 to 1"));
         }

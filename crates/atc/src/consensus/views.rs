@@ -97,14 +97,15 @@ impl Recorder {
                 found.0, found.1, size.0, size.1
             )));
         }
-        let geometry = match self.geometries.iter().find(|g| g.size == size) {
-            Some(geometry) => geometry.clone(),
-            None => {
-                let geometry = Arc::new(Geometry::new(size.0, size.1, &calibrator.extractor)?);
-                self.geometries.push(geometry.clone());
-                geometry
-            }
-        };
+        let geometry =
+            match self.geometries.iter().find(|g| g.size == size && g.settings == calibrator.extractor) {
+                Some(geometry) => geometry.clone(),
+                None => {
+                    let geometry = Arc::new(Geometry::new(size.0, size.1, &calibrator.extractor)?);
+                    self.geometries.push(geometry.clone());
+                    geometry
+                }
+            };
         let source = SourceImage::new(&geometry, &view.image).map_err(|e| fail(e.to_string()))?;
         let computed;
         let proposal = match (&view.proposal, proposals) {
