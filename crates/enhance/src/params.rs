@@ -46,7 +46,8 @@ pub enum Start {
     Operator,
 }
 
-/// Parameters of stage 2. The defaults are the paper's, but for a fifth of its steps and the start.
+/// Parameters of stage 2. The defaults are the paper's except for a fifth of its steps, the start, and the
+/// sampling (`sample_side`, `centre_sample`).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct EnhanceParams {

@@ -7,7 +7,7 @@ use use3d_training::Part;
 pub enum StepPart {
     /// The view's constants, if they do not stay in memory.
     Prepare,
-    /// The field at all Gaussians, and their colours.
+    /// The field at the Gaussians of the step, and their colours.
     Field,
     /// The water's maps.
     Water,

@@ -5,7 +5,8 @@
 //! Equal points count as one neighbour, so that a heap of duplicates does not make Gaussians of size zero.
 //! A capture with fewer than 100 points gets random ones in the space that its cameras see. If there are
 //! more points than Gaussians allowed, a random choice of them is kept. If `start_points` requests it,
-//! points [between tracked points](crate::triangles) are added, as many as there is room for.
+//! points [between tracked points](crate::triangles) are added: at most 20,000 or twice the number of points,
+//! whichever is more, and no more than the limit allows.
 
 use glam::DVec3;
 use kdtree::KdTree;
@@ -76,7 +77,7 @@ pub(crate) fn gaussians(
     let spacing = spacing(&positions);
     let stream = Stream::new(params.seed, Purpose::new("initial rotations"), 0);
     let mut gaussians = Gaussians::empty(params.sh_degree);
-    let logit = math::ln(params.initial_opacity / (1.0 - params.initial_opacity)) as f32;
+    let logit = crate::density::logit(params.initial_opacity);
     for (i, ((position, color), spacing)) in points.iter().zip(&spacing).enumerate() {
         let mut sh = [[0.0; 3]; 16];
         sh[0] = color.map(|c| ((c - 0.5) / f64::from(C0)) as f32);
@@ -164,7 +165,7 @@ fn place_spacing(places: &[[f64; 3]]) -> Vec<f64> {
     let mut tree = KdTree::with_capacity(3, 32);
     // A tree that grows by places in a random order is shallow; the order changes no distance.
     for i in Stream::new(0, Purpose::new("order of places"), 0).permutation(places.len()) {
-        // The tree refuses only a place that is not finite. Such a place has no neighbours and is none.
+        // The tree refuses only a place that is not finite. All places here are finite.
         tree.add(places[i], ()).ok();
     }
     let spacing = |place: &[f64; 3]| {

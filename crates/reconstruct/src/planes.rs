@@ -5,7 +5,7 @@
 //!
 //! ```text
 //! 1/z_i ≈ a + b·(u_i − p)         u_i pixels, z_i depths; a, b by weighted least squares, NEAREST points
-//! w_i = r_i / (|u_i − p|² + s²)   s one cell of the grid; r_i a Cauchy weight at the scale of the residuals
+//! w_i = r_i / (|u_i − p|²/s² + 1) s one cell of the grid; r_i a Cauchy weight at the scale of the residuals
 //! σ_a² = σ² (Xᵀ W X)⁻¹₀₀          σ² the weighted mean square residual
 //! ```
 //!

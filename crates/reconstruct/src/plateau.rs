@@ -26,7 +26,7 @@ use crate::views::TrainingView;
 
 /// Side of a block, pixels.
 const BLOCK: usize = 16;
-/// One of so many blocks is withheld.
+/// One block in this many is withheld.
 const ONE_IN: usize = 64;
 /// A run is divided into this many parts; a comparison ends each part after growth.
 const CHECKS: u64 = 30;

@@ -179,7 +179,7 @@ pub fn reconstruct(
         masks,
         withheld: withheld.unwrap_or_default(),
         cameras,
-        cap_told: false,
+        cap_reported: false,
         growth: Vec::new(),
     };
     let session = Session {
@@ -231,7 +231,7 @@ struct ReconstructRun<'a> {
     withheld: Withheld,
     /// The cameras of the training views.
     cameras: Vec<Camera>,
-    cap_told: bool,
+    cap_reported: bool,
     growth: Vec<Stretch>,
 }
 
@@ -414,8 +414,8 @@ impl ReconstructRun<'_> {
         // gradient. So a compressed run takes longer steps to get as far, within reason. (The Gaussians
         // start near their final state.)
         let compressed = (params.schedule as f64 / params.course() as f64).min(MOST_COMPRESSED);
-        let let_go = if self.holds_water { params.water_release(step) } else { 1.0 };
-        let water = |rate: crate::Rate| let_go * compressed * rate.at(step, params.course());
+        let release = if self.holds_water { params.water_release(step) } else { 1.0 };
+        let water = |rate: crate::Rate| release * compressed * rate.at(step, params.course());
         StepPlan {
             step,
             divisor: params.divisor(step),
@@ -447,12 +447,12 @@ impl ReconstructRun<'_> {
     /// Ends a stretch of the run at this step.
     fn look_at_pace(&mut self, view: usize) -> Result<(), ReconstructError> {
         let (divisor, degree) = (self.params.divisor(self.step), self.params.active_degree(self.step));
-        let told: u64 = self.growth.iter().map(|s| s.steps).sum();
+        let reported: u64 = self.growth.iter().map(|s| s.steps).sum();
         let before: Duration = self.growth.iter().map(|s| s.spent).sum();
         let pairs = self.engine.contributing_pairs(view, divisor, degree)?;
         self.growth.push(Stretch {
             step: self.step + 1,
-            steps: self.step + 1 - self.first - told,
+            steps: self.step + 1 - self.first - reported,
             divisor,
             gaussians: self.gaussians,
             pairs: 1e-6 * pairs.unwrap_or(0.0),
@@ -597,8 +597,8 @@ impl ReconstructRun<'_> {
         if d.reset_medium && growing {
             self.engine.forget_water_moments()?;
         }
-        if report.held_back > 0 && settings.most == self.most && !self.cap_told {
-            self.cap_told = true;
+        if report.held_back > 0 && settings.most == self.most && !self.cap_reported {
+            self.cap_reported = true;
             observer.notice(&format!(
                 "step {}: the scene has reached its cap of {} Gaussians (`max_gaussians`); only the strongest {} of {} candidates were split or duplicated",
                 self.step,

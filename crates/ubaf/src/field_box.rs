@@ -21,8 +21,8 @@ impl FieldBox {
     /// `[-1, 1]³`: coordinates equal positions.
     pub const UNIT: Self = Self { low: [-1.0; 3], high: [1.0; 3] };
 
-    /// The box of a scene: `means` are the Gaussian centres, `anchors` the medium's. Points with a
-    /// non-finite coordinate are ignored; without any point the box is [`FieldBox::UNIT`].
+    /// The box of a scene: `means` are the Gaussian centres, `anchors` the medium's. Coordinates that
+    /// are not finite are ignored; if an axis has no other, the box is [`FieldBox::UNIT`].
     pub fn of_scene(means: &[[f32; 3]], anchors: &[[f32; 3]]) -> Self {
         let mut out = Self::UNIT;
         let mut values = Vec::with_capacity(means.len() + anchors.len());

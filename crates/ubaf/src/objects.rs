@@ -4,7 +4,8 @@
 //! grade belongs to the affine alone, and `c_i⁺ = exp(a_i) ⊙ (c_i + δA c_i + b_g) + b_i` with
 //! `(a_i, b_i) = local_i`. Here `c_i` is the clamped view-dependent stage-1 colour; `c_i⁺` is not clamped.
 //! Gradients flow through the mean: with `g_i = ∂L/∂local_i`, `∂L/∂raw_i = g_i - (1/N) Σ_j g_j` for these N
-//! Gaussians, so they matter in every step, visible or not. For the others it is `g_i` alone.
+//! Gaussians, where j runs over all listed Gaussians. So they matter in every step, visible or not. For the
+//! others it is `g_i` alone.
 //!
 //! Training takes the mean over some Gaussians, evenly chosen, and looks the others up only in views that
 //! see them ([`ObjectPass::move_to`]); a drawing of the scene uses that mean.
@@ -24,7 +25,7 @@ use crate::kernel::{Accumulator, Lookups, PackedField, TILE, TileOutputs};
 use crate::recolor::{self, BlockSums, plane_sums, total};
 use crate::sites::{BLOCK, LANES, Sites, guide_color};
 
-/// The field evaluated at every Gaussian of a frozen scene, forward and backward.
+/// The field evaluated at the listed Gaussians of a frozen scene, forward and backward.
 #[derive(Debug)]
 pub struct ObjectPass {
     pub(crate) level: Level,

@@ -259,7 +259,7 @@ impl Work {
         if self.assumed {
             relative[VEIL] = VEIL_CLIPPED.1;
         }
-        let [significance, explained] = against.told();
+        let [significance, explained] = against.significance_and_share();
         ChannelWater {
             verdict: Verdict::NoWater,
             attenuation: Measured { value: a, error: a * relative[ATTENUATION] },
@@ -300,7 +300,7 @@ impl Against {
 
     /// The t statistic over blocks of the fall in loss due to water, and the share of the loss that water
     /// explains.
-    pub(crate) fn told(&self) -> [f64; 2] {
+    pub(crate) fn significance_and_share(&self) -> [f64; 2] {
         let n = self.gains.len() as f64;
         let mean = self.gains.iter().sum::<f64>() / n;
         let variance = self.gains.iter().map(|g| square(g - mean)).sum::<f64>() / (n - 1.0).max(1.0);

@@ -121,20 +121,20 @@ impl Data {
                 work.assume_veil(green);
             }
         });
-        let told: Vec<Option<Against>> =
+        let comparisons: Vec<Option<Against>> =
             works.par_iter_mut().map(|work| work.as_mut().map(|work| work.gains(params))).collect();
         // There is one body of water, so all channels together decide whether there is any.
         let [significance, explained] =
-            Against::sum(told.iter().flatten()).map_or([0.0; 2], |all| all.told());
+            Against::sum(comparisons.iter().flatten()).map_or([0.0; 2], |all| all.significance_and_share());
         let mut gains = vec![[1.0; 3]; self.views];
         let mut solved = Vec::with_capacity(3);
         let mut channels = [0, 1, 2].map(|_| ChannelWater::none(Verdict::TooFewPoints));
-        for (c, (work, told)) in works.into_iter().zip(told).enumerate() {
-            let (Some(work), Some(told)) = (work, told) else {
+        for (c, (work, comparison)) in works.into_iter().zip(comparisons).enumerate() {
+            let (Some(work), Some(comparison)) = (work, comparison) else {
                 solved.push(Solved { theta: dry(self.views), noise: Noise::START });
                 continue;
             };
-            channels[c] = work.describe(self, &told);
+            channels[c] = work.describe(self, &comparison);
             for (gain, log) in gains.iter_mut().zip(&work.best.theta[crate::formation::GAIN..]) {
                 gain[c] = math::exp(*log);
             }

@@ -1,9 +1,10 @@
 //! The global term, for the scene's operator: the mean over its 12 parameters of `φ((t - t̄)/s_g)`, with
 //! `φ` the Smooth-L1. In f64.
 
+use use3d_atc::calibrator::SCALE_FLOOR;
 use use3d_atc::extractor::{Affine, Transition};
 
-use super::{LossTerm, Operators, Reads, Realised, SCALE_FLOOR, smooth_l1};
+use super::{LossTerm, Operators, Reads, Realised, smooth_l1};
 
 /// The term's row of the table.
 pub(super) const TERM: LossTerm = LossTerm {

@@ -2,9 +2,10 @@
 //! mean over all cells, `Σ_p W_p mean_q φ((Δ̃_pq - Δ̄_pq)/s_q) / max(Σ_p W_p, 1e-6)`, `φ` the Smooth-L1;
 //! the target is not centred again. Without support the loss is 0. In f64.
 
+use use3d_atc::calibrator::SCALE_FLOOR;
 use use3d_atc::extractor::{Transition, center};
 
-use super::{LossTerm, Operators, Reads, Realised, SCALE_FLOOR, smooth_l1};
+use super::{LossTerm, Operators, Reads, Realised, smooth_l1};
 
 /// Smallest divisor of the loss.
 const SUPPORT_FLOOR: f64 = 1e-6;

@@ -33,9 +33,6 @@ pub const TERMS: [LossTerm; 4] = [global::TERM, local::TERM, pixels::TERM, varia
 /// Number of terms.
 pub const COUNT: usize = TERMS.len();
 
-/// Smallest scale used as a divisor of errors.
-const SCALE_FLOOR: f64 = 1e-4;
-
 /// A row of the table.
 #[derive(Clone, Copy, Debug)]
 pub struct LossTerm {

@@ -13,7 +13,7 @@ use use3d_splat::{GaussianGradients, Gaussians};
 
 use super::{Moments, StepRates};
 
-/// Gaussians per task.
+/// A task gets this many Gaussians' coefficients, or four times as many floats of another array.
 const CHUNK: usize = 1024;
 /// Number of floats of one Gaussian's coefficients, and of its constant band.
 const COEFFICIENTS: usize = 48;

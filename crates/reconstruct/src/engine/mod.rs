@@ -165,7 +165,7 @@ pub trait Engine {
     /// Lowers opacities to a ceiling and zeroes their moments.
     fn limit_opacity(&mut self, ceiling: f64) -> Result<(), EngineError>;
 
-    /// Changes means, sizes, rotations and opacities in place, after the reports of all steps were drained.
+    /// Changes any parameters of the Gaussians in place, after the reports of all steps were drained.
     /// The number of Gaussians, their moments and statistics stay. An engine whose state is not in main
     /// memory copies it there and back.
     fn amend(&mut self, change: &mut dyn FnMut(&mut Gaussians)) -> Result<(), EngineError> {

@@ -19,9 +19,9 @@ impl<const C: usize> Slot<C> {
             self.given = true;
             return write(&mut self.sum);
         }
-        let told = write(&mut self.own);
+        let result = write(&mut self.own);
         add(&mut self.sum, &self.own);
-        told
+        result
     }
 
     /// The sum of the terms' gradients; `None` if no term added one.

@@ -29,7 +29,7 @@ impl<'a, const N: usize> Records<'a, N> {
 }
 
 impl<const N: usize> Strips for Records<'_, N> {
-    fn cut(self, tile_rows: usize, _at: usize) -> (Self, Self) {
+    fn cut(self, tile_rows: usize) -> (Self, Self) {
         let (first, second) = self.rows.split_at(tile_rows);
         let entries = first.iter().map(|row| row.entries.len()).sum();
         let (a, b) = self.records.split_at_mut(entries);
@@ -63,7 +63,7 @@ pub(crate) fn in_groups<T: Strips, const N: usize>(
             records.resize(entries, [0.0; N]);
         }
         let Some(rest) = strips.take() else { break };
-        let (here, rest) = rest.cut(last - first, last);
+        let (here, rest) = rest.cut(last - first);
         strips = Some(rest);
         let group = Records { rows: &rows[first..last], records: &mut records[..entries] };
         for_each(first..last, (group, here), &|row, (group, strips): (Records<'_, N>, T)| {

@@ -6,8 +6,8 @@ use crate::lists::TILE;
 
 /// A value that can be cut after a number of tile rows.
 pub(crate) trait Strips: Sized + Send {
-    /// Returns the first `tile_rows` tile rows, and the rest. `at` is the absolute tile row of the cut.
-    fn cut(self, tile_rows: usize, at: usize) -> (Self, Self);
+    /// Returns the first `tile_rows` tile rows, and the rest.
+    fn cut(self, tile_rows: usize) -> (Self, Self);
 }
 
 /// Mutable planes of one width; an absent plane is empty, and so are all its strips.
@@ -43,7 +43,7 @@ impl<'a, T, const N: usize> PlanesMut<'a, T, N> {
 }
 
 impl<T: Send, const N: usize> Strips for PlanesMut<'_, T, N> {
-    fn cut(self, tile_rows: usize, _at: usize) -> (Self, Self) {
+    fn cut(self, tile_rows: usize) -> (Self, Self) {
         let width = self.width;
         let (mut first, mut second) = (Self::absent(width), Self::absent(width));
         for (c, plane) in self.planes.into_iter().enumerate() {
@@ -55,14 +55,14 @@ impl<T: Send, const N: usize> Strips for PlanesMut<'_, T, N> {
 }
 
 impl<A: Strips, B: Strips> Strips for (A, B) {
-    fn cut(self, tile_rows: usize, at: usize) -> (Self, Self) {
-        let (a, b) = (self.0.cut(tile_rows, at), self.1.cut(tile_rows, at));
+    fn cut(self, tile_rows: usize) -> (Self, Self) {
+        let (a, b) = (self.0.cut(tile_rows), self.1.cut(tile_rows));
         ((a.0, b.0), (a.1, b.1))
     }
 }
 
 impl Strips for () {
-    fn cut(self, _tile_rows: usize, _at: usize) -> (Self, Self) {
+    fn cut(self, _tile_rows: usize) -> (Self, Self) {
         ((), ())
     }
 }
@@ -74,7 +74,7 @@ pub(crate) fn for_each<T: Strips>(rows: Range<usize>, strips: T, work: &(impl Fn
         1 => work(rows.start, strips),
         n => {
             let middle = rows.start + n / 2;
-            let (first, second) = strips.cut(n / 2, middle);
+            let (first, second) = strips.cut(n / 2);
             rayon::join(
                 || for_each(rows.start..middle, first, work),
                 || for_each(middle..rows.end, second, work),

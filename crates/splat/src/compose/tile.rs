@@ -270,7 +270,7 @@ impl Splat {
     }
 }
 
-/// A Gaussian's gradient summed over the rows of a tile, column by column. `G = ∂L/∂log₂ α` of a pixel; `η`
+/// A Gaussian's gradient summed over the rows of a tile, column by column. `G = α ∂L/∂α` of a pixel; `η`
 /// is the pixel's row measured from the origin of the sums. `V` holds the 16 columns.
 #[derive(Clone, Copy)]
 pub(crate) struct ColumnSums<V> {
