@@ -25,6 +25,7 @@ mod embed;
 mod error;
 mod exif;
 mod exr_file;
+mod folder;
 mod histogram;
 mod jpeg;
 mod limits;
@@ -38,6 +39,7 @@ pub use embed::{JpegError, jpeg_address, shrunk};
 pub use error::{FileFormat, ImageError};
 pub use exif::{Exif, GpsPosition, exif_of_bytes, read_exif, straighten};
 pub use exr_file::{write_exr, write_exr_channels, write_exr_map};
+pub use folder::{FolderError, images_by_stem};
 pub use histogram::ChannelHistogram;
 pub use limits::MAX_PIXELS;
 pub use read::{

@@ -1,12 +1,11 @@
 //! Scores of a scene's held-out views, or of plain folders of images.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 use use3d_capture::{Image, shown};
-use use3d_io_image::{image_size, read_image};
+use use3d_io_image::{image_size, images_by_stem, read_image};
 use use3d_pipeline::judge::scores::{Method, SceneScores, Score, Scores};
 use use3d_pipeline::judge::scoring::Judges;
 use use3d_pipeline::stages::{evaluate::SCORES, read_json};
@@ -39,22 +38,14 @@ pub(crate) fn run(app: &App, args: &EvaluateArgs) -> Done {
 
 /// The images of a folder by stem; `flag` is the flag that named the folder.
 fn images(dir: &Path, flag: &str) -> Result<BTreeMap<String, PathBuf>, CliError> {
-    let refused = |what: &dyn Display| CliError::Input(format!("{flag} {}: {what}", dir.display()));
+    let refused = |what: &str| CliError::Input(format!("{flag} {}: {what}", dir.display()));
     if !dir.is_dir() {
-        return Err(refused(&"there is no such folder"));
+        return Err(refused("there is no such folder"));
     }
-    let mut found = BTreeMap::new();
-    for entry in std::fs::read_dir(dir).map_err(|e| refused(&e))? {
-        let path = entry.map_err(|e| refused(&e))?.path();
-        let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
-        if ["png", "jpg", "jpeg", "tif", "tiff", "exr"].contains(&extension.as_str())
-            && let Some(stem) = path.file_stem()
-        {
-            found.insert(stem.to_string_lossy().into_owned(), path);
-        }
-    }
+    let found = images_by_stem(dir, &["png", "jpg", "jpeg", "tif", "tiff", "exr"])
+        .map_err(|error| CliError::Input(format!("{flag} {error}")))?;
     if found.is_empty() {
-        return Err(refused(&"no images here; PNG, JPEG, TIFF and EXR are read"));
+        return Err(refused("no images here; PNG, JPEG, TIFF and EXR are read"));
     }
     Ok(found)
 }

@@ -1,7 +1,6 @@
 //! The paired images in operator space: the extractor's operators for each pair and for the proposal for its
 //! input image.
 
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use schemars::JsonSchema;
@@ -10,7 +9,7 @@ use use3d_atc::calibrator::{Dataset, PairImages};
 use use3d_atc::extractor::ExtractorSettings;
 use use3d_atc::progress::LoopPosition;
 use use3d_capture::Image;
-use use3d_io_image::read_image;
+use use3d_io_image::{images_by_stem, read_image};
 use use3d_workflow::{Scope, Stage, StageContext, StageError, leftovers};
 
 use super::calibrated::is_calibrated;
@@ -156,19 +155,8 @@ fn is_duller(image: &Image, other: &Image) -> bool {
 
 /// Pairs of image files with equal stems, in name order.
 pub(super) fn list(input: &Path, target: &Path) -> Result<Vec<(String, PathBuf, PathBuf)>, StageError> {
-    let images = |dir: &Path| -> Result<BTreeMap<String, PathBuf>, StageError> {
-        let entries = std::fs::read_dir(dir)
-            .map_err(|e| StageError::bad_input_message(format!("{}: {e}", dir.display())))?;
-        let mut found = BTreeMap::new();
-        for entry in entries {
-            let path = entry.map_err(|e| StageError::io(dir, e))?.path();
-            let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
-            let is_image = ["png", "jpg", "jpeg", "tif", "tiff"].contains(&extension.as_str());
-            if let Some(stem) = path.file_stem().filter(|_| is_image) {
-                found.insert(stem.to_string_lossy().into_owned(), path);
-            }
-        }
-        Ok(found)
+    let images = |dir: &Path| {
+        images_by_stem(dir, &["png", "jpg", "jpeg", "tif", "tiff"]).map_err(StageError::bad_input)
     };
     let mut targets = images(target)?;
     let pair = |(stem, a): (String, PathBuf)| targets.remove(&stem).map(|b| (stem, a, b));
