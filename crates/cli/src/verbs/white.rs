@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use use3d_capture::{Camera, FileName};
+use use3d_capture::{Camera, FileName, stem};
 use use3d_import::read_cameras;
 use use3d_render::SceneRenderer;
 use use3d_render::white::{Surfaces, gains_of_patches, patch};
@@ -42,19 +42,28 @@ fn rescaled(place: &Place, camera: &Camera) -> (f64, f64) {
     (inside(along(place.x, width as f64, w), w), inside(along(place.y, height as f64, h), h))
 }
 
-/// The camera of the photograph of a place.
+/// The camera of the photograph of a place: the one of exactly this name, or else the only one of this name
+/// apart from the extension.
 fn camera_of<'c>(
     place: &Place,
     cameras: &'c [(FileName, Camera)],
 ) -> Result<&'c (FileName, Camera), CliError> {
-    let named =
-        |(name, _): &&(FileName, Camera)| *name == place.view || stem_of(name) == stem_of(&place.view);
-    cameras.iter().find(named).ok_or_else(|| {
-        let mut names = cameras.iter().map(|(name, _)| name.as_str());
-        let near = nearest(&place.view, names.clone()).or(names.next()).unwrap_or("none");
-        let what = "there is no photograph of this name";
-        CliError::Input(format!("--white {}: {what}; did you mean {near}?", place.text()))
-    })
+    let refused = |what: String| CliError::Input(format!("--white {}: {what}", place.text()));
+    if let Some(found) = cameras.iter().find(|(name, _)| *name == place.view) {
+        return Ok(found);
+    }
+    let mut fitting = cameras.iter().filter(|(name, _)| name.stem() == stem(&place.view));
+    match (fitting.next(), fitting.next()) {
+        (Some(found), None) => Ok(found),
+        (Some((first, _)), Some((second, _))) => {
+            Err(refused(format!("{first} and {second} are both meant; give the whole name")))
+        }
+        (None, _) => {
+            let mut names = cameras.iter().map(|(name, _)| name.as_str());
+            let near = nearest(&place.view, names.clone()).or(names.next()).unwrap_or("none");
+            Err(refused(format!("there is no photograph of this name; did you mean {near}?")))
+        }
+    }
 }
 
 /// Measures the places that the user clicked on.
@@ -86,11 +95,6 @@ fn places(choices: &[WhiteChoice]) -> Vec<&Place> {
         .iter()
         .filter_map(|choice| if let WhiteChoice::Place(place) = choice { Some(place) } else { None })
         .collect()
-}
-
-/// A name without the part after its last dot.
-fn stem_of(name: &str) -> &str {
-    name.rsplit_once('.').map_or(name, |(stem, _)| stem)
 }
 
 /// The gains of the choices, measured if necessary; `None` for `off`.
@@ -214,7 +218,17 @@ pub(crate) fn run(app: &App, args: &KeepWhiteArgs) -> Done {
     }
     let scene = Scene::load(&folder).map_err(CliError::input)?;
     let (white, place) = if args.choices.is_empty() {
-        (White::beside(&folder).map_err(CliError::input)?, White::place(&folder))
+        let stored = White::beside(&folder).map_err(CliError::input)?;
+        match (&args.out, &stored) {
+            (Some(out), Some(white)) => white.write(out).map_err(CliError::failed)?,
+            (Some(_), None) => {
+                return Err(CliError::input(
+                    "--out: the scene has no white balance to write; give a choice, such as VIEW:X,Y",
+                ));
+            }
+            (None, _) => {}
+        }
+        (stored, args.out.clone().unwrap_or_else(|| White::place(&folder)))
     } else {
         let cameras = args.cameras.clone().or_else(|| capture_in(&args.scene));
         let white = measured(&args.choices, &scene, cameras.as_deref())?;
@@ -257,5 +271,28 @@ mod tests {
         assert_eq!(rescaled(&place(0.0, 0.0, Some((10, 10))), &camera(40, 20)), (10.5, 0.5));
         // The inverse.
         assert_eq!(rescaled(&place(10.5, 0.5, Some((40, 20))), &camera(10, 10)), (0.0, 0.0));
+    }
+
+    #[test]
+    fn a_photograph_is_the_one_that_was_named() {
+        let camera = Camera {
+            intrinsics: Intrinsics { width: 8, height: 8, fx: 1.0, fy: 1.0, cx: 1.0, cy: 1.0 },
+            pose: Pose::IDENTITY,
+        };
+        let names = ["reef.jpg", "reef.png", "cam.1/a", "cam.1/b", "f_1.jpg"];
+        let cameras: Vec<_> =
+            names.iter().map(|name| (FileName::new(name).unwrap(), camera.clone())).collect();
+        let found = |view: &str| {
+            let place = Place { view: view.into(), x: 0.0, y: 0.0, size: None };
+            camera_of(&place, &cameras).map(|(name, _)| name.to_string()).map_err(|error| match error {
+                CliError::Input(message) => message,
+                _ => String::new(),
+            })
+        };
+        assert_eq!(found("reef.png").as_deref(), Ok("reef.png"));
+        assert_eq!(found("cam.1/b").as_deref(), Ok("cam.1/b"));
+        assert_eq!(found("f_1").as_deref(), Ok("f_1.jpg"), "the page names photographs without an extension");
+        assert!(found("reef").unwrap_err().contains("reef.jpg and reef.png"));
+        assert!(found("f_2").unwrap_err().contains("did you mean f_1.jpg"));
     }
 }
