@@ -104,6 +104,9 @@ fn opening_look(scene: &Scene) -> ExportWhat {
 
 /// The Gaussians in the colours of the look, with the look's name.
 fn baked(app: &App, args: &ExportArgs, scene: &Scene) -> Result<(String, Gaussians), CliError> {
+    if !(0.0..=1.0).contains(&args.water) {
+        return Err(CliError::Input(format!("--water {}: expected 0 to 1", args.water)));
+    }
     let what = args.what.unwrap_or_else(|| opening_look(scene));
     let look = match what {
         ExportWhat::Reconstruction | ExportWhat::Clear => Look::Reconstruction,

@@ -54,10 +54,12 @@ pub(crate) fn write(app: &App, args: &ExportArgs, path: &Path, scene: &Scene, wh
         white,
     };
     let written = use3d_web::write(&page, &folder_name).map_err(CliError::input)?;
+    // Nothing is written if one of the parts may not be replaced.
+    for (file, _) in &written.parts {
+        check_file("--web", &folder.join(file), args.replace.force, &["js"])?;
+    }
     for (file, text) in &written.parts {
-        let part = folder.join(file);
-        check_file("--web", &part, args.replace.force, &["js"])?;
-        write_text("--web", &part, text)?;
+        write_text("--web", &folder.join(file), text)?;
     }
     write_text("--web", path, &written.html)?;
     let photographs = page.views.iter().filter(|v| v.photograph.is_some()).count();
