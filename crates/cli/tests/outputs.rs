@@ -194,6 +194,12 @@ fn pictures_films_and_splats_replace_only_what_is_meant() {
         arguments.extend(force.then_some("--force"));
         place.expect(code, &arguments)
     };
+    for water in ["-0.5", "nan", "1.5"] {
+        let said = place.expect(2, &["export", &scene(), "--ply", "a.ply", &format!("--water={water}")]);
+        assert!(said.contains("--water") && said.contains("expected 0 to 1"), "{said}");
+    }
+    let said = place.expect(2, &["white", &scene(), "--out", "white.json"]);
+    assert!(said.contains("no white balance to write"), "{said}");
     assert!(export(0, "no/such/dir/a.ply", false).contains("no/such/dir/a.ply: "));
     assert!(export(2, "no/such/dir/a.ply", false).contains("--force"));
     export(0, "no/such/dir/a.ply", true);
@@ -285,6 +291,11 @@ fn a_run_replaces_its_own_results_and_refuses_what_others_put_there() {
         all.into_iter().filter(|(path, _)| !path.starts_with(place.at("cache"))).collect()
     };
     assert!(without_cache(place.all()) == before);
+
+    // The tables of all scenes would lie among the results of this one.
+    place.capture("tables");
+    let said = place.expect(2, &["run", "tables", "--cache", "cache", "--out", "dl"]);
+    assert!(said.contains("rename the scene") && !said.contains("import: started"), "{said}");
 
     std::fs::remove_dir_all(place.at("dl/cap/scene")).expect("removed");
     run(0, "reconstruct.iterations=2");

@@ -117,6 +117,14 @@ impl Results {
         // A part that is as it was delivered is ours.
         let mut examined: BTreeMap<PathBuf, bool> = BTreeMap::new();
         for (node, _) in graph.nodes.iter().zip(graph.wanted(until)).filter(|(_, wanted)| *wanted) {
+            let folder = folder_of(&node.scene, &node.variant);
+            if [PAGE, TABLES].iter().any(|own| folder == Path::new(own)) {
+                let reason = format!(
+                    "the results of the scene `{}` would go there, beside those of all scenes; rename the scene",
+                    node.scene
+                );
+                return Err(PlaceError::Occupied { path: out.join(folder), reason });
+            }
             if let Some(place) = place_of(node.stage_name, &node.scene, &node.variant)
                 && let Some(other) = places.insert(place.clone(), node.label())
             {
