@@ -128,8 +128,9 @@ fn named<'k, 'n>(
         if same { rest[name.len()..].strip_prefix('.') } else { None }
     };
     for exact in [true, false] {
-        let mut each = names.clone().enumerate();
-        if let Some(found) = each.find_map(|(i, name)| Some((i, after(name, exact)?))) {
+        let fitting = names.clone().enumerate().filter_map(|(i, name)| Some((i, after(name, exact)?)));
+        // Of `a` and `a.b`, the longer name is meant by `a.b.reconstruct.iterations`.
+        if let Some(found) = fitting.min_by_key(|(_, remaining)| remaining.len()) {
             return Ok(found);
         }
     }
@@ -192,4 +193,19 @@ fn words(error: &ParameterError) -> String {
 /// Nests a value: `split.every`, 8 → `{split: {every: 8}}`.
 pub(super) fn nested(path: &str, value: Value) -> Value {
     path.rsplit('.').fold(value, |inner, name| Value::Object(Map::from_iter([(name.to_string(), inner)])))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn of_two_names_that_fit_the_longer_one_is_meant() {
+        for names in [["a", "a.b"], ["a.b", "a"]] {
+            let found = named("scene", "a.b.reconstruct.iterations", names.into_iter()).unwrap();
+            assert_eq!((names[found.0], found.1), ("a.b", "reconstruct.iterations"));
+            let found = named("scene", "A.reconstruct.iterations", names.into_iter()).unwrap();
+            assert_eq!((names[found.0], found.1), ("a", "reconstruct.iterations"));
+        }
+    }
 }
