@@ -142,8 +142,13 @@ impl Cache {
     }
 }
 
+/// Largest number of bytes of a folder's name; file systems allow 255.
+const MOST_BYTES: usize = 200;
+/// Number of bytes that a longer name keeps before its digest.
+const KEPT_BYTES: usize = 150;
+
 /// Converts a name to a folder name: every byte but letters, digits, `-`, `_` and inner dots becomes `%` and
-/// two hexadecimal digits.
+/// two hexadecimal digits. The end of a long name is replaced by its digest.
 fn safe(name: &str) -> String {
     if name.is_empty() {
         return "_".to_string();
@@ -155,6 +160,10 @@ fn safe(name: &str) -> String {
             || (byte == b'_' && name.len() > 1)
             || (byte == b'.' && i > 0);
         out.push_str(&if plain { char::from(byte).to_string() } else { format!("%{byte:02X}") });
+    }
+    if out.len() > MOST_BYTES {
+        out.truncate(KEPT_BYTES);
+        out.push_str(&format!("-{}", Digest::of(name.as_bytes()).short()));
     }
     out
 }
@@ -236,6 +245,9 @@ mod tests {
         {
             assert_eq!(safe(name), expected);
         }
+        // File systems refuse folders with longer names.
+        let [one, other] = ["ы".repeat(60) + "a", "ы".repeat(60) + "b"].map(|name| safe(&name));
+        assert!(one.len() < 255 && other.len() < 255 && one != other, "{one} {other}");
     }
 
     #[test]
