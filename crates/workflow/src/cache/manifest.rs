@@ -133,9 +133,9 @@ impl Manifest {
         Ok(manifest)
     }
 
-    /// Bytes in all files together.
+    /// Bytes in all files together. A manifest from elsewhere may announce any sizes.
     pub fn bytes(&self) -> u64 {
-        self.files.iter().map(|f| f.size).sum()
+        self.files.iter().fold(0, |sum, file| sum.saturating_add(file.size))
     }
 
     /// The duration of the stage without checkpoints to start from, in seconds.

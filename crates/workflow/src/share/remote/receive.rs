@@ -96,17 +96,19 @@ impl<R: Read> Read for Sender<'_, R> {
 /// The problem with the file names in a manifest from elsewhere, if there is one: all files must lie in one
 /// folder and nowhere else.
 pub(super) fn wrong_names(manifest: &Manifest) -> Option<String> {
-    for (i, file) in manifest.files.iter().enumerate() {
+    let refused = |name: &str| Some(format!("names a file {name:?}, which no artifact has"));
+    for file in &manifest.files {
         let path = Path::new(&file.path);
         let plain = path.components().all(|part| matches!(part, Component::Normal(_)));
         let as_written = files::relative_name(path).as_deref() == Some(file.path.as_str());
         let odd = file.path.is_empty() || file.path.contains(['\0', '\\']) || !as_written;
-        let taken = manifest.files[..i].iter().any(|other| {
-            Path::new(&other.path).starts_with(path) || path.starts_with(Path::new(&other.path))
-        });
-        if !plain || odd || taken || file.path == MANIFEST {
-            return Some(format!("names a file {:?}, which no artifact has", file.path));
+        if !plain || odd || file.path == MANIFEST {
+            return refused(&file.path);
         }
     }
-    None
+    // Paths are compared by components, so a file that is also a folder comes just before what it holds.
+    let mut paths: Vec<&Path> = manifest.files.iter().map(|file| Path::new(&file.path)).collect();
+    paths.sort();
+    let twice = paths.windows(2).find(|pair| pair[1].starts_with(pair[0]))?;
+    refused(&twice[1].to_string_lossy())
 }
