@@ -482,7 +482,7 @@ fn stages_by_hand_make_the_same_scene_and_export_opens_again() {
     let (scene, choices) = (read("scene.json"), read("choices.json"));
     let (started, chosen) = (scene["origin"]["water"].as_str().unwrap(), choices["water"].as_str().unwrap());
     assert!(started.starts_with(chosen) && started.contains("attenuation red "), "{started}");
-    assert!(started.contains(" ± ") && started.ends_with(" per COLMAP unit"), "{started}");
+    assert!(started.contains(" ± ") && started.ends_with(" per unit of the model"), "{started}");
     let ply = at("scene.ply");
     expect(0, &["export", &one, "--ply", &ply]);
     let exported =

@@ -210,12 +210,13 @@ fn what_is_no_capture_is_said_with_the_next_step() {
     let dir = tempfile::tempdir().unwrap();
     let reef = capture(dir.path());
     let at = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
-    for name in ["dive.mp4", "photo.png", "transforms.json"] {
+    for name in ["dive.mp4", "dive.MTS", "photo.png", "transforms.json"] {
         std::fs::write(at(name), [0xFF, 0xFE, 0x00]).unwrap();
     }
     let images = Path::new(&reef).join("images").to_str().unwrap().to_string();
     check(&[
         (&["plan", &at("dive.mp4")], 2, &["use3d prepare FILM", "use3d run FILM"]),
+        (&["plan", &at("dive.MTS")], 2, &["use3d prepare FILM", "use3d run FILM"]),
         (&["run", &at("photo.png")], 2, &["one picture is not a capture"]),
         (&["run", &at("transforms.json")], 2, &["nerfstudio", "give the folder"]),
         (&["import", &at("dive.mp4"), "--out", &at("out")], 2, &["this is a file"]),

@@ -101,8 +101,12 @@ pub(crate) fn verify(app: &App, args: &VerifyArgs) -> Done {
                 let what = "name the pipeline file or capture whose stages should be computed again";
                 return Err(CliError::Input(format!("--sample {sample}: {what}")));
             }
-            if !(args.common.spelled().is_empty() && args.settings.sets().is_empty()) {
-                let what = "--set and --engine need a pipeline file or capture: name it too";
+            let none = args.common.spelled().is_empty()
+                && args.settings.sets().is_empty()
+                && args.calibration.is_empty();
+            if !none {
+                let what =
+                    "--set, --engine, --pairs and --calibrator need a pipeline file or capture: name it too";
                 return Err(CliError::input(what));
             }
             None

@@ -140,10 +140,17 @@ fn free_space(folder: &Path) -> Option<u64> {
     text.lines().nth(1)?.split_whitespace().nth(3)?.parse::<u64>().ok()?.checked_mul(1024)
 }
 
-/// Starts a program and reads the first line of its output.
+/// Starts a program and reads the first line of its output. A program that fails, for example because a
+/// library is missing, counts as missing.
 fn program([name, argument, purpose, origin]: &[&str; 4]) -> Finding {
-    let said = Command::new(name).arg(argument).stdin(Stdio::null()).stderr(Stdio::null()).output();
+    let said = Command::new(name).arg(argument).stdin(Stdio::null()).output();
     match said {
+        Ok(output) if !output.status.success() => {
+            let text = String::from_utf8_lossy(&output.stderr).into_owned();
+            let why = text.lines().find(|line| !line.trim().is_empty()).unwrap_or("it fails").trim();
+            let why: String = why.chars().take(90).collect();
+            Finding::new(name, false, format!("cannot run: {}", use3d_capture::name::shown(&why)), purpose)
+        }
         Ok(output) => {
             let text = String::from_utf8_lossy(&output.stdout).into_owned();
             let line = text.lines().find(|line| !line.trim().is_empty()).unwrap_or("found").trim();

@@ -2,7 +2,7 @@
 //!
 //! A run replaces the results of the run before in its folder; the work itself stays in the cache. The record
 //! stores the arguments of the run and the artifacts it delivered. So `use3d results` can distinguish runs
-//! and restore one, and a results folder can be used where a capture or a pipeline is expected.
+//! and restore one, and `use3d run` takes a results folder in place of a capture or a pipeline.
 
 use std::path::{Path, PathBuf};
 
@@ -174,14 +174,15 @@ pub(crate) fn keep(results: &Path, mut record: RunRecord, quiet: bool) -> Result
     }
     // Times are whole seconds; results that replace others within one second get the next second.
     if let Some((_, old)) = before {
-        record.delivered = record.delivered.max(old.delivered + 1);
+        record.delivered = record.delivered.max(old.delivered.saturating_add(1));
     }
     let same = known.iter().rfind(|(_, old)| old.artifacts == record.artifacts);
     if let Some((_, old)) = same {
         // A restored run keeps its own record.
         record = RunRecord { delivered: record.delivered, ..old.clone() };
     }
-    let number = same.map_or_else(|| known.last().map_or(1, |(last, _)| last + 1), |(number, _)| *number);
+    let number = same
+        .map_or_else(|| known.last().map_or(1, |(last, _)| last.saturating_add(1)), |(number, _)| *number);
     let path = results.join(FOLDER).join(format!("{number:04}.json"));
     let text = serde_json::to_string_pretty(&record).map_err(CliError::failed)? + "\n";
     write_text("--out", &path, &text)?;

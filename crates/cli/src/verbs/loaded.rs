@@ -98,11 +98,13 @@ pub(crate) fn real(path: &Path) -> PathBuf {
 
 /// Names the kind of a file that is no pipeline file or capture folder, and the next step for it.
 fn no_pipeline(file: &Path) -> Option<&'static str> {
+    if use3d_prepare::is_film(file) {
+        return Some(
+            "a film is not a capture yet: `use3d run FILM` or `use3d prepare FILM --out CAPTURE_DIR` makes one of it",
+        );
+    }
     let extension = file.extension()?.to_string_lossy().to_lowercase();
     Some(match extension.as_str() {
-        "mp4" | "mov" | "avi" | "mkv" | "webm" | "m4v" => {
-            "a film is not a capture yet: `use3d run FILM` or `use3d prepare FILM --out CAPTURE_DIR` makes one of it"
-        }
         "png" | "jpg" | "jpeg" | "tif" | "tiff" | "exr" | "webp" | "heic" | "bmp" | "gif" => {
             "one picture is not a capture: give the folder with the images and their COLMAP model"
         }

@@ -75,11 +75,11 @@ fn told(number: usize, record: &RunRecord, shown: bool) -> Told {
         scores.mean(Method::Reconstruction, "psnr")?.value()
     };
     let mut delivered = machine::utc(record.delivered);
-    delivered.truncate("2026-01-01T00:00".len());
+    delivered.truncate("2026-01-01 00:00".len());
     Told {
         run: number,
         shown,
-        delivered: delivered.replace('T', " "),
+        delivered,
         command: record.command.clone(),
         settings: record.settings(),
         kept: record.artifacts.iter().all(|made| found(record, made).is_some()),

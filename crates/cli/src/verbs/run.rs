@@ -401,7 +401,7 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
     // empty folder that has the capture's name.
     let probe = scratch()?;
     let empty = probe.path().join(SCENE);
-    std::fs::create_dir(&empty).map_err(CliError::failed)?;
+    std::fs::create_dir(&empty).map_err(|e| CliError::Failed(format!("{}: {e}", empty.display())))?;
     let settings = Settings { set: sets, ..Settings::default() };
     let throwaway = CacheArgs { cache: Some(probe.path().join("cache")), ..args.cache.clone() };
     let probed =

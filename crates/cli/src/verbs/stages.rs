@@ -120,6 +120,12 @@ pub(crate) fn parameters(
         names.iter().map(|n| registry.stage(n).map_err(CliError::failed)).collect::<Result<Vec<_>, _>>()?;
     let defaults: Vec<Value> =
         stages.iter().map(|s| stage_parameters(s, &[]).map_err(CliError::input)).collect::<Result<_, _>>()?;
+    if let Some(set) = sets.iter().find(|set| seed(set).is_some())
+        && !stages.iter().any(|stage| stage.seeded)
+    {
+        let what = "this command draws no random numbers, so it has no seed; leave it out";
+        return Err(CliError::Input(format!("--set {set}: {what}")));
+    }
     let mut sorted: Vec<Vec<String>> = vec![Vec::new(); stages.len()];
     for set in sets.iter().filter(|set| seed(set).is_none()) {
         let key = set.split(['=', '.']).next().unwrap_or_default().trim();
@@ -417,5 +423,9 @@ mod tests {
         assert_eq!(seed(&["steps=3", "seed=7"]), Some(7));
         assert_eq!(seed(&["seed=x"]), None);
         assert_eq!(seed(&["calibrate.seed=7"]), None, "no stage has a seed of its own");
+        let registry = stages().ok().unwrap();
+        let refused = parameters(&registry, &["evaluate", "import"], &["seed=7".into()]);
+        let Err(CliError::Input(message)) = refused else { panic!("a seed without effect") };
+        assert!(message.contains("draws no random numbers"), "{message}");
     }
 }

@@ -144,7 +144,7 @@ fn keep_pipeline(target: &Path, submission: &Submission) -> Done {
     if !target.is_file() {
         return Ok(());
     }
-    let text = std::fs::read(target).map_err(CliError::failed)?;
+    let text = std::fs::read(target).map_err(|e| CliError::Failed(format!("{}: {e}", target.display())))?;
     let kept = submission.folder.join("pipeline.toml");
     use3d_files::write_atomically(&kept, |writer| std::io::Write::write_all(writer, &text))
         .map_err(|e| CliError::Failed(format!("{}: {e}", kept.display())))
@@ -319,11 +319,12 @@ fn prepare(app: &App, scheduler: Scheduler, args: &SubmitArgs) -> Result<Option<
         };
         println!("{}: {} to run, {} cached; {about}", plan.pipeline, plan.to_run(), plan.cached());
     }
-    let place = std::env::current_dir().map_err(CliError::failed)?;
     let out = args.out.clone().unwrap_or_else(|| PathBuf::from("use3d-out").join(&pipeline.batch.name));
     Results::new(&out, &builder.cache).check(graph, None)?;
+    let place = std::env::current_dir()
+        .map_err(|e| CliError::Failed(format!("the current folder cannot be found: {e}")))?;
     let out = place.join(out);
-    let cache = std::path::absolute(&pipeline.cache).map_err(CliError::failed)?;
+    let cache = place.join(&pipeline.cache);
     let mut run = vec![text(&args.pipeline.target)?, "--cache".to_string(), text(&cache)?];
     if let Some(models) = &args.pipeline.cache.models {
         run.extend(["--models".to_string(), text(models)?]);

@@ -101,7 +101,7 @@ pub enum Event<'a> {
         scene: &'a str,
         /// The variant; empty where there are none.
         variant: &'a str,
-        /// All nodes of the run with their present states.
+        /// The nodes of the scene, and the shared ones of its variant, with their present states.
         nodes: &'a [RanNode],
     },
     /// A stage failed.
