@@ -287,7 +287,7 @@ impl WaterReport {
         };
         let Some(MetricWater { attenuation, backscatter, nearest, .. }) = &self.metric else {
             let values: Vec<ValueReport> = self.channels.iter().map(|c| c.attenuation).collect();
-            return format!("attenuation {} per COLMAP unit", listed(&values));
+            return format!("attenuation {} per unit of the model", listed(&values));
         };
         let like = nearest.map(|(name, _)| format!("; Jerlov's water type {name} is the most similar"));
         let (attenuation, backscatter) = (listed(attenuation), listed(backscatter));
@@ -337,7 +337,7 @@ impl fmt::Display for WaterReport {
         let [near, _, far] = self.distances;
         write!(f, "water of {}: {} points seen from different distances", self.capture, self.points)?;
         if self.points > 0 {
-            write!(f, ", {near:.2} to {far:.2} COLMAP units away")?;
+            write!(f, ", {near:.2} to {far:.2} units of the model away")?;
         }
         writeln!(f)?;
         if self.open_water > 0 {
