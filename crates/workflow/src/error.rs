@@ -206,6 +206,9 @@ fn advice(error: &std::io::Error) -> &'static str {
         Kind::StorageFull | Kind::QuotaExceeded => {
             " (the disk is full: free some space, run `use3d gc`, or choose another folder with --cache; nothing finished is lost)"
         }
+        Kind::NotADirectory | Kind::AlreadyExists => {
+            " (this is a file or lies below one: give a folder with --cache or --out)"
+        }
         Kind::ReadOnlyFilesystem | Kind::PermissionDenied => {
             " (choose a folder that can be written: --out for results, --cache or USE3D_CACHE for the cache)"
         }

@@ -57,7 +57,7 @@ pub(crate) struct SweepArgs {
 
 #[derive(Debug, Args)]
 pub(crate) struct GcArgs {
-    /// Keep the cache below this size, e.g. 50GB.
+    /// Keep the cache below this size: a number with a unit, e.g. 50GB.
     #[arg(long, value_name = "SIZE")]
     pub(crate) max_bytes: Option<String>,
     /// Remove items that were not used for this long, e.g. 30d.

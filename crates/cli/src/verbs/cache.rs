@@ -22,6 +22,12 @@ fn cache(args: &CacheArgs) -> Result<Cache, CliError> {
             let what = "there is no such folder; expected a cache";
             return Err(CliError::Input(format!("--cache {}: {what}", path_text(folder))));
         }
+        // Looking at a cache must not make one of another folder.
+        Some(folder) if !folder.join("v1").is_dir() => {
+            let what =
+                "this folder is no cache of use3d, because it has no folder v1; give the folder of a cache";
+            return Err(CliError::Input(format!("--cache {}: {what}", path_text(folder))));
+        }
         Some(folder) => folder.clone(),
         None => default_cache().map_err(CliError::input)?,
     };

@@ -94,7 +94,11 @@ pub(crate) enum Published {
 }
 
 impl Cache {
-    /// Opens the cache in `folder` and creates it where it is missing. `rehash` reads all inputs again.
+    /// Opens the cache in `folder`, and creates it if the folder is missing or empty. `rehash` reads all inputs
+    /// again.
+    ///
+    /// # Errors
+    /// Fails if the folder cannot be written, or holds other files: its tag makes backup programs skip it.
     pub fn open(folder: &Path, rehash: bool) -> Result<Self, FileError> {
         Self::with_files(folder, rehash, Arc::new(Disk))
     }
@@ -102,6 +106,12 @@ impl Cache {
     /// Like [`open`](Self::open), with other file operations; for tests.
     pub fn with_files(folder: &Path, rehash: bool, files: Arc<dyn Files>) -> Result<Self, FileError> {
         let root = folder.join("v1");
+        if !root.is_dir() && files::entries(folder).next().is_some() {
+            let other = std::io::Error::other(
+                "the folder holds other files; a cache (--cache, USE3D_CACHE) needs a folder of its own, new or empty",
+            );
+            return files::at(folder, "make a cache of", Err(other));
+        }
         files::at(&root, "create", files.create_dir_all(&root))?;
         let folder = files::at(folder, "open", std::fs::canonicalize(folder))?;
         let tag = folder.join("CACHEDIR.TAG");

@@ -215,12 +215,16 @@ fn measure(path: &Path) -> (u64, SystemTime) {
     (bytes, used)
 }
 
-/// Parses a size such as `50GB`, `1.5 TB`, `800MiB` or `1000`.
+/// Parses a size such as `50GB`, `1.5 TB`, `800MiB` or `0`. Other numbers need a unit: somebody who writes 5
+/// means gigabytes, and 5 bytes would remove everything.
 pub fn parse_bytes(text: &str) -> Result<u64, String> {
     let wrong =
         || format!("`{text}` is not a size: a number and B, kB, MB, GB, TB, KiB, MiB, GiB or TiB, e.g. 50GB");
     let (number, unit) = split_unit(text).ok_or_else(wrong)?;
     let factor = match unit.to_lowercase().as_str() {
+        "" if number > 0.0 => {
+            return Err(format!("{text} has no unit: write {text}GB, {text}MB, or {text}B for bytes"));
+        }
         "" | "b" => 1.0,
         "k" | "kb" => 1e3,
         "m" | "mb" => 1e6,
@@ -265,7 +269,8 @@ mod tests {
     fn sizes_and_ages() {
         assert_eq!(parse_bytes("50GB"), Ok(50_000_000_000));
         assert_eq!(parse_bytes("1.5 MiB"), Ok(1_572_864));
-        assert_eq!(parse_bytes("1000"), Ok(1000));
+        assert_eq!((parse_bytes("1000B"), parse_bytes("0")), (Ok(1000), Ok(0)));
+        assert!(parse_bytes("5").unwrap_err().contains("5GB"));
         assert_eq!(parse_age("30d"), Ok(Duration::from_secs(30 * 86_400)));
         assert_eq!(parse_age("1.5h"), Ok(Duration::from_secs(5400)));
         for wrong in ["", "GB", "5 parrots", "-3GB", "1..2"] {
