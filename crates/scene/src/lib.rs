@@ -59,7 +59,7 @@ pub struct Scene {
 #[derive(Debug, thiserror::Error)]
 pub enum SceneError {
     /// The folder has no description.
-    #[error("{} is not a scene folder: it has no scene.json; `use3d reconstruct` makes one", .0.display())]
+    #[error("{}", not_a_scene(.0))]
     NotAScene(PathBuf),
     /// A file cannot be read or written, or its content is damaged or has another format.
     #[error("{}: {source}", path.display())]
@@ -69,6 +69,19 @@ pub enum SceneError {
         /// The system's error, or the wrong field with the value found and the value expected.
         source: Box<dyn std::error::Error + Send + Sync>,
     },
+}
+
+/// The reason why a path is no scene, and the next step.
+fn not_a_scene(path: &Path) -> String {
+    let shown = path.display();
+    let expected = "expected a scene folder, or the results folder of a run";
+    if path.is_dir() {
+        format!("{shown} is not a scene folder: it has no scene.json; `use3d reconstruct` makes one")
+    } else if path.exists() {
+        format!("{shown}: this is a file; {expected}")
+    } else {
+        format!("{shown}: there is no such folder; {expected}")
+    }
 }
 
 impl Scene {

@@ -59,7 +59,7 @@ pub enum PlyError {
     )]
     Rest(usize),
     /// The file ends inside the vertices or before them.
-    #[error("the file ends at {element} {index} of {count}")]
+    #[error("the file is cut off: it ends at {element} {index} of {count}; copy it or make it again")]
     Truncated {
         /// The element.
         element: String,
