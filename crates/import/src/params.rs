@@ -147,7 +147,7 @@ impl ImportParams {
         ];
         let mut given = ways.iter().filter_map(|(name, way)| Some((*name, way.as_ref()?)));
         if let (Some(_), Some((path, value))) = (given.next(), given.next()) {
-            let expected = "no such value, as at most one of `size`, `downscale` and `max_side` may be given";
+            let expected = "only one of `size`, `downscale` and `max_side`; leave the others out";
             return Err(OutOfRange::new(path, value, expected));
         }
         Ok(())

@@ -156,10 +156,10 @@ impl CaptureParams {
         within("snow", self.snow, 0.0, 1.0)?;
         check("fish", self.fish, self.fish <= 50, "at most 50")?;
         within("backlight", self.backlight, 0.0, 1.0)?;
-        let reef = "nothing but its default in a pool; boards of greys stand in the reef";
+        let reef = "its default in a pool, because boards of greys stand only in the reef";
         check("greys", self.greys, !self.greys || self.place == Location::Reef, reef)?;
         if self.physics == Physics::Display {
-            let only = "nothing but its default with physics = \"display\"; ask for physics = \"spectral\"";
+            let only = "its default, because it works only with physics = \"spectral\"";
             check("air", self.air, !self.air, only)?;
             check("lamps", self.lamps, self.lamps == 0.0, only)?;
             check("auto_exposure", self.auto_exposure, self.auto_exposure == 0.0, only)?;

@@ -211,7 +211,7 @@ pub(crate) enum Verb {
     Enhance(EnhanceArgs),
     /// Score a scene on its held-out views, or plain folders of images.
     #[command(
-        after_help = "Examples:\n  use3d evaluate enhanced-scene/ my-reef/\n  use3d evaluate --images renders/ --reference photos/ --format csv"
+        after_help = "Examples:\n  use3d evaluate enhanced-scene/ my-reef/\n  use3d evaluate --images renders/enhanced/ --reference photos/ --format csv"
     )]
     Evaluate(EvaluateArgs),
     /// Render a scene from given cameras.

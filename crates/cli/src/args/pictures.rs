@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use clap::{Args, ValueEnum};
 
-use super::shared::{EngineArgs, Replace, count};
+use super::shared::{EngineArgs, Replace, count, fraction};
 use super::white::WhiteArgs;
 
 /// Eleven hours of film at 25 frames per second.
@@ -102,21 +102,26 @@ pub(crate) struct RenderArgs {
     #[arg(long, conflicts_with_all = ["out", "video", "path", "modes", "held_out"])]
     pub(crate) fps: bool,
     /// With --fps: one JSON document on stdout.
-    #[arg(long, requires = "fps")]
+    #[arg(long, requires = "fps", conflicts_with_all = ["out", "video"])]
     pub(crate) json: bool,
     #[command(flatten)]
     pub(crate) engine: EngineArgs,
     /// Share of the enhancement to apply, 0 (reconstruction) to 1.
-    #[arg(long, default_value_t = 1.0, value_name = "0..1")]
+    #[arg(long, default_value_t = 1.0, value_name = "0..1", value_parser = fraction, allow_negative_numbers = true)]
     pub(crate) strength: f32,
     /// Share of the water to keep in reconstruction and enhanced, 0 (the same as clear and enhanced-clear) to
     /// 1.
-    #[arg(long, default_value_t = 1.0, value_name = "0..1")]
+    #[arg(long, default_value_t = 1.0, value_name = "0..1", value_parser = fraction, allow_negative_numbers = true)]
     pub(crate) water: f32,
     #[command(flatten)]
     pub(crate) white: WhiteArgs,
     #[command(flatten)]
     pub(crate) replace: Replace,
+}
+
+/// A version of SPZ.
+fn spz_version(text: &str) -> Result<u8, String> {
+    text.parse().ok().filter(|version| matches!(version, 3 | 4)).ok_or_else(|| "expected 3 or 4".to_string())
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -161,7 +166,7 @@ pub(crate) struct ExportArgs {
     #[arg(long, value_name = "FILE.spz")]
     pub(crate) spz: Option<PathBuf>,
     /// Version of the SPZ file: every viewer with SPZ reads 3, newer ones 4 too.
-    #[arg(long, value_name = "3|4", requires = "spz", default_value_t = 3, value_parser = clap::value_parser!(u8).range(3..=4))]
+    #[arg(long, value_name = "3|4", requires = "spz", default_value_t = 3, value_parser = spz_version)]
     pub(crate) spz_version: u8,
     /// A compressed PLY, for PlayCanvas and SuperSplat.
     #[arg(long, value_name = "FILE.ply")]
@@ -180,21 +185,21 @@ pub(crate) struct ExportArgs {
     #[arg(long, value_name = "FILE.json", requires = "web")]
     pub(crate) views: Option<PathBuf>,
     /// With --web: metres per unit of the COLMAP model; the page then measures in metres.
-    #[arg(long, value_name = "M", requires = "web")]
+    #[arg(long, value_name = "M", requires = "web", allow_negative_numbers = true)]
     pub(crate) metres_per_unit: Option<f64>,
     /// The look of files other than the page, with the names of `use3d render --modes`. Default: the look
     /// that the page opens with.
     #[arg(long, value_enum)]
     pub(crate) what: Option<ExportWhat>,
     /// Share of the look's water to keep, 0 to 1.
-    #[arg(long, value_name = "SHARE", default_value_t = 1.0)]
+    #[arg(long, value_name = "SHARE", default_value_t = 1.0, value_parser = fraction, allow_negative_numbers = true)]
     pub(crate) water: f32,
     /// Leave out the sphere of Gaussians that shows open water behind the scene.
     #[arg(long)]
     pub(crate) no_backdrop: bool,
-    /// The frame of a PLY or compressed PLY. GLB and SPZ always have their own upright frame.
-    #[arg(long, value_enum, default_value_t)]
-    pub(crate) frame: ExportFrame,
+    /// The frame of a PLY or compressed PLY (default: colmap). GLB and SPZ always have their own upright frame.
+    #[arg(long, value_enum)]
+    pub(crate) frame: Option<ExportFrame>,
     #[command(flatten)]
     pub(crate) white: WhiteArgs,
     #[command(flatten)]

@@ -30,7 +30,7 @@ pub(crate) struct DemoArgs {
     #[arg(long, value_enum, default_value_t)]
     pub(crate) size: DemoSize,
     /// Steps of stage 1 (the same as `--set reconstruct.iterations=N`).
-    #[arg(long, value_name = "N", visible_alias = "steps", value_parser = count(MAX_STEPS))]
+    #[arg(long, value_name = "N", visible_alias = "steps", value_parser = count(MAX_STEPS), allow_negative_numbers = true)]
     pub(crate) iterations: Option<usize>,
     #[command(flatten)]
     pub(crate) settings: Settings,

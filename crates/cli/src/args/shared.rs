@@ -33,7 +33,7 @@ pub(crate) struct SizeArgs {
     #[arg(long, value_name = "WxH", conflicts_with = "max_side")]
     size: Option<String>,
     /// Work with photographs whose longer side has at most N pixels (the same as `--set import.max_side=N`).
-    #[arg(long, value_name = "N", value_parser = count(MAX_SIDE))]
+    #[arg(long, value_name = "N", value_parser = count(MAX_SIDE), allow_negative_numbers = true)]
     max_side: Option<usize>,
 }
 
@@ -114,7 +114,7 @@ impl Settings {
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct CommonArgs {
     /// Steps of stage 1 (the same as `--set reconstruct.iterations=N`).
-    #[arg(long, value_name = "N", visible_alias = "steps", value_parser = count(MAX_STEPS))]
+    #[arg(long, value_name = "N", visible_alias = "steps", value_parser = count(MAX_STEPS), allow_negative_numbers = true)]
     pub(crate) iterations: Option<usize>,
     #[command(flatten)]
     pub(crate) size: SizeArgs,
@@ -158,8 +158,8 @@ pub(crate) struct StageSettings {
 /// The source of the meaning of "enhanced", on the command line.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct CalibrationArgs {
-    /// Learn from these pairs: two folders of images with equal file stems (they replace those of the
-    /// pipeline file).
+    /// Learn from these pairs: two folders of images with equal names, apart from the extension (they replace
+    /// those of the pipeline file).
     #[arg(long, num_args = 2, value_names = ["INPUT", "TARGET"], conflicts_with = "calibrator")]
     pairs: Vec<PathBuf>,
     /// Use this finished calibrator: from `use3d calibrate`, or the authors' transition_calibrator.pth.
@@ -250,6 +250,17 @@ pub(crate) fn count(most: u64) -> impl Fn(&str) -> Result<usize, String> + Clone
         let number = text.parse::<usize>().ok().filter(|n| *n >= 1 && *n as u64 <= most);
         number.ok_or_else(|| format!("expected a whole number from 1 to {most}"))
     }
+}
+
+/// A number; its range is checked where it is used.
+pub(crate) fn fraction(text: &str) -> Result<f32, String> {
+    text.parse().map_err(|_| "expected a number, such as 0.5".to_string())
+}
+
+/// A port of this machine.
+pub(crate) fn port(text: &str) -> Result<u16, String> {
+    let port = text.parse::<u16>().ok().filter(|port| *port > 0);
+    port.ok_or_else(|| "expected a whole number from 1 to 65535".to_string())
 }
 
 /// Parses a time above zero, such as `90min`, `3h` or `3:50:00`.

@@ -119,7 +119,7 @@ pub(crate) struct EnhanceArgs {
     #[command(flatten)]
     pub(crate) engine: EngineArgs,
     /// Steps of stage 2 (the same as `--set iterations=N`).
-    #[arg(long, value_name = "N", visible_alias = "steps", value_parser = count(MAX_STEPS))]
+    #[arg(long, value_name = "N", visible_alias = "steps", value_parser = count(MAX_STEPS), allow_negative_numbers = true)]
     pub(crate) iterations: Option<usize>,
     #[command(flatten)]
     pub(crate) size: SizeArgs,
@@ -153,10 +153,10 @@ pub(crate) struct EvaluateArgs {
     #[arg(long, value_name = "SCENE_DIR", conflicts_with = "images")]
     pub(crate) warp_by: Option<PathBuf>,
     /// Score a plain folder of images instead.
-    #[arg(long, value_name = "DIR", conflicts_with = "scene")]
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["scene", "size", "max_side", "set"])]
     pub(crate) images: Option<PathBuf>,
-    /// The images to compare with, by equal file stems.
-    #[arg(long, value_name = "DIR", requires = "images")]
+    /// The images to compare with, by equal names apart from the extension.
+    #[arg(long, value_name = "DIR", requires = "images", conflicts_with = "scene")]
     pub(crate) reference: Option<PathBuf>,
     /// The models folder.
     #[arg(long, env = "USE3D_MODELS", value_name = "DIR")]
@@ -165,7 +165,7 @@ pub(crate) struct EvaluateArgs {
     #[arg(long, value_enum, default_value_t)]
     pub(crate) format: TableFormat,
     /// The same as `--format json`.
-    #[arg(long)]
+    #[arg(long, conflicts_with = "format")]
     pub(crate) json: bool,
     #[command(flatten)]
     pub(crate) size: SizeArgs,

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::shared::CacheArgs;
+use super::shared::{CacheArgs, port};
 use super::white::WhiteArgs;
 
 /// Watching a training.
@@ -14,7 +14,7 @@ pub(crate) struct WatchArgs {
     #[arg(long)]
     pub(crate) view: bool,
     /// With --view: the port on this machine (default: a free one).
-    #[arg(long, value_name = "N", requires = "view", value_parser = clap::value_parser!(u16).range(1..))]
+    #[arg(long, value_name = "N", requires = "view", value_parser = port)]
     pub(crate) port: Option<u16>,
     /// With --view: only print the address; open no browser.
     #[arg(long, requires = "view")]
@@ -36,7 +36,7 @@ pub(crate) struct ViewArgs {
     #[arg(long, value_name = "PIPELINE.toml|CAPTURE|SCENE_DIR|FILE")]
     pub(crate) follow: Option<PathBuf>,
     /// With --follow of a pipeline: the scene to follow (default: the first).
-    #[arg(long, value_name = "NAME", requires = "follow")]
+    #[arg(long, value_name = "NAME", requires = "follow", conflicts_with = "target")]
     pub(crate) scene: Option<String>,
     /// The capture whose photographs and camera positions the page offers (or cameras alone, as for
     /// `use3d render`).
@@ -46,15 +46,20 @@ pub(crate) struct ViewArgs {
     #[arg(long, value_name = "FILE.json")]
     pub(crate) views: Option<PathBuf>,
     /// Metres per unit of the COLMAP model; the page then measures in metres.
-    #[arg(long, value_name = "M")]
+    #[arg(long, value_name = "M", allow_negative_numbers = true)]
     pub(crate) metres_per_unit: Option<f64>,
     /// With --follow of a pipeline: the settings of its run.
-    #[arg(long = "set", value_name = "STAGE.PARAMETER=VALUE", requires = "follow")]
+    #[arg(
+        long = "set",
+        value_name = "STAGE.PARAMETER=VALUE",
+        requires = "follow",
+        conflicts_with = "target"
+    )]
     pub(crate) set: Vec<String>,
     #[command(flatten)]
     pub(crate) white: WhiteArgs,
     /// The port on this machine (default: a free one).
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    #[arg(long, value_name = "N", value_parser = port)]
     pub(crate) port: Option<u16>,
     /// Only print the address; open no browser.
     #[arg(long)]

@@ -74,13 +74,17 @@ fn side(given: &str) -> Result<Side, CliError> {
             return Err(CliError::Input(format!("{given}: {what}: {}", record.command)));
         }
     } else {
-        let below = Path::new("use3d-out").join(given);
-        let folder = if Path::new(given).is_dir() { PathBuf::from(given) } else { below };
-        let folders = entries(&folder).filter(|path| path.is_dir()).chain([folder]);
-        for path in folders.filter(|path| path.join("renders").is_dir()) {
-            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            let there = FOLDERS.iter().map(|(stage, name)| (stage.to_string(), path.join(name)));
-            scenes.insert(name, there.filter(|(_, path)| path.is_dir()).collect());
+        // A capture often has the name of its results below ./use3d-out.
+        for folder in [PathBuf::from(given), Path::new("use3d-out").join(given)] {
+            if !scenes.is_empty() {
+                break;
+            }
+            let folders = entries(&folder).filter(|path| path.is_dir()).chain([folder]);
+            for path in folders.filter(|path| path.join("renders").is_dir()) {
+                let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+                let there = FOLDERS.iter().map(|(stage, name)| (stage.to_string(), path.join(name)));
+                scenes.insert(name, there.filter(|(_, path)| path.is_dir()).collect());
+            }
         }
         if scenes.is_empty() {
             return Err(CliError::Input(format!(

@@ -17,8 +17,11 @@ use crate::version;
 struct Finding {
     /// Its name.
     name: String,
-    /// True if it is there.
+    /// True if it is there and can be used.
     found: bool,
+    /// The word for it where it cannot be used.
+    #[serde(skip)]
+    otherwise: &'static str,
     /// The version or place that was found, or the way to get it.
     told: String,
     /// Its use.
@@ -28,7 +31,12 @@ struct Finding {
 
 impl Finding {
     fn new(name: &str, found: bool, told: impl Into<String>, purpose: &str) -> Self {
-        Self { name: name.into(), found, told: told.into(), purpose: purpose.into() }
+        Self { name: name.into(), found, otherwise: "missing", told: told.into(), purpose: purpose.into() }
+    }
+
+    /// The same with another word for what is there and cannot be used.
+    fn otherwise(self, word: &'static str) -> Self {
+        Self { otherwise: word, ..self }
     }
 }
 
@@ -97,9 +105,9 @@ pub(crate) fn run(args: &DoctorArgs) -> Done {
     ];
     for (title, findings) in groups {
         println!("\n{title}");
-        for Finding { name, found, told, purpose } in findings {
-            let mark = if *found { "ok     " } else { "missing" };
-            println!("  {mark}  {name}: {told}");
+        for Finding { name, found, otherwise, told, purpose } in findings {
+            let mark = if *found { "ok" } else { otherwise };
+            println!("  {mark:<7}  {name}: {told}");
             if !purpose.is_empty() {
                 println!("           {purpose}");
             }
@@ -117,7 +125,7 @@ fn this_machine(args: &DoctorArgs) -> Vec<Finding> {
         // The memory for a capture of some hundred photographs at full size.
         let enough = memory >= 4 << 30;
         let purpose = "about 4 GB are needed for a capture at full size";
-        findings.push(Finding::new("memory", enough, told, purpose));
+        findings.push(Finding::new("memory", enough, told, purpose).otherwise("little"));
     }
     let cache = args.cache.clone().or_else(|| use3d_pipeline::config::default_cache().ok());
     for (name, folder) in [("cache", cache), ("results", std::env::current_dir().ok())] {
@@ -126,8 +134,13 @@ fn this_machine(args: &DoctorArgs) -> Vec<Finding> {
         let place = folder.ancestors().find(|above| above.is_dir()).unwrap_or(&folder);
         let writable = use3d_workflow::place::check_writable(&folder).is_ok();
         let free = free_space(place).map_or_else(String::new, |free| format!(", {} free", bytes(free)));
-        let refused = if writable { "" } else { ", cannot be written" };
-        findings.push(Finding::new(name, writable, format!("{}{free}{refused}", path_text(&folder)), ""));
+        let refused = match (writable, name) {
+            (true, _) => "",
+            (false, "cache") => ", cannot be written; choose another with --cache or USE3D_CACHE",
+            (false, _) => ", cannot be written; choose another with --out",
+        };
+        let told = format!("{}{free}{refused}", path_text(&folder));
+        findings.push(Finding::new(name, writable, told, "").otherwise("problem"));
     }
     findings
 }
@@ -149,7 +162,8 @@ fn program([name, argument, purpose, origin]: &[&str; 4]) -> Finding {
             let text = String::from_utf8_lossy(&output.stderr).into_owned();
             let why = text.lines().find(|line| !line.trim().is_empty()).unwrap_or("it fails").trim();
             let why: String = why.chars().take(90).collect();
-            Finding::new(name, false, format!("cannot run: {}", use3d_capture::name::shown(&why)), purpose)
+            let told = format!("cannot run: {}", use3d_capture::name::shown(&why));
+            Finding::new(name, false, told, purpose).otherwise("problem")
         }
         Ok(output) => {
             let text = String::from_utf8_lossy(&output.stdout).into_owned();
@@ -189,10 +203,12 @@ fn cards() -> Vec<Finding> {
             Ok(_) if report.is_software() => {
                 let told =
                     "passes its check, but is a software adapter on the processor; it is used only by name";
-                Finding::new(&report.name, false, told, "")
+                Finding::new(&report.name, false, told, "").otherwise("unused")
             }
             Ok(_) => Finding::new(&report.name, true, "passes its check", purpose),
-            Err(refusal) => Finding::new(&report.name, false, refusal.to_string(), purpose),
+            Err(refusal) => {
+                Finding::new(&report.name, false, refusal.to_string(), purpose).otherwise("problem")
+            }
         })
         .collect();
     if found.is_empty() {

@@ -67,6 +67,7 @@ pub(crate) fn cameras(args: &RenderArgs, scene: &Scene) -> Result<Vec<(FileName,
             args.scene.display()
         );
     }
+    let all = cameras.len();
     if args.held_out {
         match &origin {
             Some(origin) => cameras.retain(|(name, _)| origin.held_out.iter().any(|s| s == stem(name))),
@@ -75,6 +76,13 @@ pub(crate) fn cameras(args: &RenderArgs, scene: &Scene) -> Result<Vec<(FileName,
                 cameras.retain(|(name, _)| held_out.iter().any(|held| name == held));
             }
         }
+    }
+    if cameras.is_empty() && all > 0 {
+        return Err(CliError::Input(format!(
+            "--cameras {}: none of its {all} cameras is a held-out view of the scene; leave out --held-out, or give the \
+             capture that the scene was made from",
+            from.display()
+        )));
     }
     if cameras.is_empty() {
         return Err(CliError::Input(format!("--cameras {}: no cameras to render from", from.display())));

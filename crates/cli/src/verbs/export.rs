@@ -42,6 +42,16 @@ pub(crate) fn run(app: &App, args: &ExportArgs) -> Done {
             "choose an output: --web FILE.html, --ply FILE, --compressed-ply FILE, --glb FILE or --spz FILE",
         ));
     }
+    if let Some(frame) = &args.frame
+        && args.ply.is_none()
+        && args.compressed_ply.is_none()
+    {
+        return Err(CliError::Input(format!(
+            "--frame {}: only a PLY has a choice of frames (GLB and SPZ have y up, in units of the model); leave it out, \
+             or write a PLY",
+            name(frame)
+        )));
+    }
     let _ends_soon = ends_soon();
     let cameras = args.cameras.clone().or_else(|| capture_in(&args.scene));
     let args = &ExportArgs { scene: scene_in(app, &args.scene)?, cameras, ..args.clone() };
@@ -203,7 +213,7 @@ fn write(
 ) -> Done {
     // glTF gets y up by a rotation of its node, SPZ by its definition.
     let frame = match format {
-        Format::Ply | Format::CompressedPly => args.frame,
+        Format::Ply | Format::CompressedPly => args.frame.unwrap_or_default(),
         Format::Glb => ExportFrame::Colmap,
         Format::Spz => ExportFrame::YUp,
     };

@@ -45,6 +45,26 @@ fn outside_the_cache(out: &Path, cache: &Path) -> Done {
     )))
 }
 
+/// Folders of a capture that the import reads.
+const READ: [&str; 4] = ["images", "masks", "depth", "sparse"];
+
+/// Fails if results would lie among the files of a capture, where the next run would take them for photographs.
+fn outside_the_captures(out: &Path, loaded: &Loaded) -> Done {
+    let out = real(out);
+    let captures = loaded.pipeline.batch.scenes.iter().filter_map(|scene| scene.externals.get("capture"));
+    for capture in captures.filter_map(|place| place.as_ref().ok()) {
+        let Ok(below) = out.strip_prefix(real(capture)) else { continue };
+        if below.components().next().is_some_and(|first| READ.iter().any(|read| first.as_os_str() == *read)) {
+            return Err(CliError::Input(format!(
+                "--out {}: this is inside the files of the capture {}; choose a folder outside it",
+                path_text(&out),
+                path_text(capture)
+            )));
+        }
+    }
+    Ok(())
+}
+
 pub(crate) fn plan(args: &PlanArgs) -> Done {
     let loaded = open(&resolved(&args.pipeline).0, &[])?;
     loaded.nothing_lacks(None, None)?;
@@ -146,6 +166,7 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     let mut results = None;
     if !args.cache_only {
         outside_the_cache(&out, &loaded.pipeline.cache)?;
+        outside_the_captures(&out, &loaded)?;
         let checked = Results::new(&out, &loaded.builder.cache);
         checked.check(&loaded.graph, until.as_deref())?;
         results = Some(Arc::new(checked));

@@ -129,6 +129,10 @@ pub(crate) fn parameters(
     let mut sorted: Vec<Vec<String>> = vec![Vec::new(); stages.len()];
     for set in sets.iter().filter(|set| seed(set).is_none()) {
         let key = set.split(['=', '.']).next().unwrap_or_default().trim();
+        if registry.stage(key).is_ok() && !names.contains(&key) && set.contains('.') {
+            let what = format!("this command does not run the stage `{key}`; give this to `use3d run`");
+            return Err(CliError::Input(format!("--set {set}: {what}")));
+        }
         let named = names.iter().position(|n| *n == key && set.trim_start()[key.len()..].starts_with('.'));
         let has = defaults.iter().position(|d| d.get(key).is_some());
         // The first stage reports a key that no stage has, and suggests the nearest one.

@@ -112,7 +112,7 @@ fn measured(
     let renderer = || SceneRenderer::new(scene, 1.0).map_err(CliError::failed);
     match &choices[0] {
         WhiteChoice::Off => Ok(None),
-        WhiteChoice::File(path) => White::read(path).map(Some).map_err(CliError::input),
+        WhiteChoice::File(path) => read(path).map(Some),
         WhiteChoice::Place(_) => {
             by_places(&places, &cameras_of(cameras, scene)?, scene, &mut renderer()?).map(Some)
         }
@@ -178,8 +178,20 @@ fn tell(app: &App, white: &White, scene: &Scene) {
     }
 }
 
-/// Fails, before anything is trained, if a place names a photograph that the capture does not have.
+/// Reads a file with a white balance.
+fn read(path: &Path) -> Result<White, CliError> {
+    let next = "expected a white balance that `use3d white SCENE --out FILE.json` wrote";
+    White::read(path).map_err(|error| CliError::Input(format!("--white {error}; {next}")))
+}
+
+/// Fails, before anything is trained, if a place names a photograph that the capture does not have, or if a
+/// file with a white balance cannot be read.
 pub(crate) fn check(choices: &[WhiteChoice], capture: &Path) -> Done {
+    for choice in choices {
+        if let WhiteChoice::File(path) = choice {
+            read(path)?;
+        }
+    }
     let places = places(choices);
     if places.is_empty() {
         return Ok(());

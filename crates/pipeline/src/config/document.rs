@@ -63,7 +63,13 @@ impl Document {
     pub(crate) fn read(file: &Path) -> Result<Self, ConfigError> {
         let text = std::fs::read_to_string(file).map_err(|e| ConfigError {
             file: Some(file.to_path_buf()),
-            ..ConfigError::plain(format!("cannot read the pipeline file: {e}"))
+            ..ConfigError::plain(match e.kind() {
+                std::io::ErrorKind::InvalidData => {
+                    "this is no text: expected a pipeline file (.toml), a film, or a folder with photographs"
+                        .into()
+                }
+                _ => format!("cannot read the pipeline file: {e}"),
+            })
         })?;
         Self::parse(file, text)
     }
