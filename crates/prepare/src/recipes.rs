@@ -5,6 +5,7 @@
 //! docs/guide/datasets.md says so.
 
 use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
 
 use serde_json::json;
 use use3d_capture::{Pixels, Raster};
@@ -16,7 +17,8 @@ use crate::params::{Matching, PrepareParams};
 use crate::photographs::{copy_all, copy_beside};
 use crate::prepare::{CAPTURE, Input, write_record};
 use crate::process::StepWatch;
-use crate::sources::{Sources, holds_inputs, is_film, walk};
+use crate::sources::{BALANCED, Sources, holds_inputs, is_film, walk};
+use crate::work::Work;
 
 /// Frames of a film of DRUVA: two for each of its about sixty seconds.
 const DRUVA_FRAMES: usize = 120;
@@ -179,16 +181,17 @@ impl Recipe {
 /// work, as a capture. `key` and `inputs` go into its record.
 ///
 /// # Errors
-/// A file cannot be copied.
+/// Another process uses the folder, or a file cannot be copied.
 pub fn publish(
     (images, model): (&Path, &Path),
     (key, inputs): (&str, &[Input]),
-    work: &Path,
+    folder: &Path,
 ) -> Result<(), PrepareError> {
-    let capture = work.join(CAPTURE);
-    if capture.exists() {
-        std::fs::remove_dir_all(&capture).map_err(PrepareError::file(&capture))?;
-    }
+    let stop = AtomicBool::new(false);
+    let watch = StepWatch { stop: &stop, progress: &|_| (), note: &|_| () };
+    let work = Work::open(folder, &watch)?;
+    work.remove(CAPTURE)?;
+    let capture = folder.join(CAPTURE);
     let sparse = capture.join("sparse");
     std::fs::create_dir_all(&sparse).map_err(PrepareError::file(&sparse))?;
     copy_all(images, &capture.join("images_wb"))?;
@@ -199,14 +202,16 @@ pub fn publish(
 }
 
 /// Writes linear photographs as pictures for screens: each channel is divided by its 99.8 % quantile over all
-/// of them, and encoded as sRGB, with 16 bits.
+/// of them, and encoded as sRGB, with 16 bits. They lie in a folder of the work, where [`Sources::made_in`]
+/// finds them. It should be the [`work_folder`](crate::work_folder) of the capture, whose lock
+/// [`prepare`](fn@crate::prepare) takes next.
 ///
 /// # Errors
-/// A photograph cannot be read or written.
+/// Another process uses the folder of the work, or a photograph cannot be read or written.
 pub fn balance(sources: &Sources, folder: &Path, watch: &StepWatch<'_>) -> Result<(), PrepareError> {
-    if folder.exists() {
-        std::fs::remove_dir_all(folder).map_err(PrepareError::file(folder))?;
-    }
+    let work = Work::open(folder, watch)?;
+    work.remove(BALANCED)?;
+    let folder = folder.join(BALANCED);
     let total = 2 * sources.photographs.len() as u64;
     let mut histogram = ChannelHistogram::default();
     let tell = |done: u64| {
@@ -305,16 +310,47 @@ mod tests {
             write_png16(&linear.join(name), &image).unwrap();
         }
         let sources = Sources::of(&[linear]).unwrap();
-        let stop = std::sync::atomic::AtomicBool::new(false);
+        let stop = AtomicBool::new(false);
         let watch = StepWatch { stop: &stop, progress: &|_| (), note: &|_| () };
-        let out = dir.path().join("shown");
-        balance(&sources, &out, &watch).unwrap();
+        let work = dir.path().join(".D3.preparing");
+        balance(&sources, &work, &watch).unwrap();
+        let made = sources.made_in(&work).unwrap();
+        let names: Vec<String> = made.photographs.iter().map(|p| p.name.to_string()).collect();
+        assert_eq!(names, ["a.png", "b.png"]);
         let value = |name: &str| {
-            let Pixels::Sixteen(image) = read_pixels(&out.join(name)).unwrap() else { panic!("16 bits") };
+            let path = work.join(BALANCED).join(name);
+            let Pixels::Sixteen(image) = read_pixels(&path).unwrap() else { panic!("16 bits") };
             [0, 32, 64].map(|at| f64::from(image.data()[at]) / 65535.0)
         };
         // The brighter one is white, and half of its light is 0.735 on a screen.
         assert!(value("b.png").iter().all(|v| (v - 1.0).abs() < 1e-3), "{:?}", value("b.png"));
         assert!(value("a.png").iter().all(|v| (v - 0.7354).abs() < 1e-3), "{:?}", value("a.png"));
+    }
+    #[test]
+    fn a_folder_that_another_process_uses_keeps_its_files() {
+        let dir = tempfile::tempdir().unwrap();
+        let (images, model) = (dir.path().join("images_wb"), dir.path().join("sparse"));
+        write_png16(&images.join("a.png"), &Raster::<u16, 3>::new(8, 4)).unwrap();
+        std::fs::create_dir(&model).unwrap();
+        let stop = AtomicBool::new(false);
+        let watch = StepWatch { stop: &stop, progress: &|_| (), note: &|_| () };
+        let folder = dir.path().join(".D3.preparing");
+        let other = Work::open(&folder, &watch).unwrap();
+        let theirs = [CAPTURE, BALANCED].map(|name| folder.join(name).join("theirs.png"));
+        for path in &theirs {
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            std::fs::write(path, "theirs").unwrap();
+        }
+        let sources = Sources::of(std::slice::from_ref(&images)).unwrap();
+        for refused in [publish((&images, &model), ("key", &[]), &folder), balance(&sources, &folder, &watch)]
+        {
+            assert!(matches!(refused, Err(PrepareError::Busy { .. })), "{refused:?}");
+        }
+        assert!(theirs.iter().all(|path| path.is_file()), "the other process has lost files");
+        drop(other);
+        publish((&images, &model), ("key", &[]), &folder).unwrap();
+        balance(&sources, &folder, &watch).unwrap();
+        assert!(theirs.iter().all(|path| !path.exists()), "files of an earlier attempt are left");
+        assert!(folder.join(CAPTURE).join("images_wb/a.png").is_file());
     }
 }

@@ -12,6 +12,8 @@ use crate::error::PrepareError;
 
 /// The record of a preparation, in the capture's folder.
 pub const PREPARED: &str = "prepare.json";
+/// The pictures that were made of linear photographs, in the folder of the work.
+pub(crate) const BALANCED: &str = "balanced";
 
 const FILMS: [&str; 14] =
     ["mp4", "mov", "avi", "mkv", "webm", "m4v", "mts", "m2ts", "mpg", "mpeg", "wmv", "3gp", "lrv", "insv"];
@@ -213,12 +215,13 @@ impl Sources {
         self.others.extend(beside.filter(|(_, path)| path.exists()));
     }
 
-    /// The same inputs with the photographs of another folder, which were made of these.
+    /// The same inputs with the photographs that [`balance`](crate::balance) made of these in a folder of the
+    /// work.
     ///
     /// # Errors
     /// The error of [`of`](Self::of).
     pub fn made_in(&self, folder: &Path) -> Result<Self, PrepareError> {
-        let made = Self::of(&[folder.to_path_buf()])?;
+        let made = Self::of(&[folder.join(BALANCED)])?;
         Ok(Self { capture: self.capture.clone(), linear: self.linear, ..made })
     }
 
