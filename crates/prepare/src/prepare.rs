@@ -200,6 +200,7 @@ pub fn prepare(
     let step = Step { name: "images", output: IMAGES, choices };
     let Images { taken, mut remarks, doubts } =
         work.step(step, |work| images(sources, params, ffmpeg.as_ref(), work, watch))?;
+    remarks.extend(sources.remark());
     if taken.len() < FEWEST {
         let path = sources.films.first().map_or(folder, |p| p.as_path());
         let reason = format!(

@@ -5,7 +5,7 @@ use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use use3d_capture::FileName;
+use use3d_capture::{FileName, shown};
 use use3d_io_image::{FileFormat, image_info, read_exif};
 
 use crate::error::PrepareError;
@@ -36,6 +36,12 @@ const CACHE_TAG: &str = "CACHEDIR.TAG";
 
 fn has(path: &Path, extensions: &[&str]) -> bool {
     path.extension().is_some_and(|e| extensions.iter().any(|known| e.eq_ignore_ascii_case(known)))
+}
+
+/// The masks, depth maps and lists that are in a folder, with their names.
+fn beside(folder: &Path) -> impl Iterator<Item = (String, PathBuf)> {
+    let all = BESIDE.iter().map(|name| (name.to_string(), folder.join(name)));
+    all.filter(|(_, path)| path.exists())
 }
 
 /// True if a file's name ends like a film's.
@@ -111,6 +117,8 @@ pub struct Sources {
     pub(crate) capture: Option<PathBuf>,
     /// Further folders and files whose content counts, with their names in the record.
     others: Vec<(String, PathBuf)>,
+    /// Masks, depth maps and lists beside the photographs of several inputs, which are not copied.
+    left: BTreeSet<PathBuf>,
     /// True for linear photographs, which are balanced and encoded before they are used.
     pub linear: bool,
 }
@@ -133,6 +141,7 @@ impl Sources {
             } else {
                 let name = input.file_name().unwrap_or_default().to_string_lossy().into_owned();
                 sources.photograph(input, &name)?;
+                sources.left.extend(beside(input.parent().unwrap_or(Path::new(""))).map(|(_, path)| path));
             }
         }
         sources.photographs.sort_by(|a, b| a.name.cmp(&b.name));
@@ -149,7 +158,10 @@ impl Sources {
 
     fn folder(&mut self, folder: &Path, several: bool) -> Result<(), PrepareError> {
         let inner = IMAGES.iter().map(|name| folder.join(name)).find(|path| path.is_dir());
-        if inner.is_some() && !several {
+        if several {
+            // Two inputs can have masks of the same names.
+            self.left.extend(beside(folder).map(|(_, path)| path));
+        } else {
             self.add_beside(folder);
         }
         let root = inner.unwrap_or_else(|| folder.to_path_buf());
@@ -211,8 +223,20 @@ impl Sources {
     /// Adds the masks, depth maps and lists in a folder. They come along, and their content counts.
     pub fn add_beside(&mut self, folder: &Path) {
         self.capture = Some(folder.to_path_buf());
-        let beside = BESIDE.iter().map(|name| (name.to_string(), folder.join(name)));
-        self.others.extend(beside.filter(|(_, path)| path.exists()));
+        self.others.extend(beside(folder));
+    }
+
+    /// A remark on the masks, depth maps and lists that are not copied.
+    pub(crate) fn remark(&self) -> Option<String> {
+        let left: Vec<String> =
+            self.left.iter().map(|path| shown(&path.to_string_lossy()).into_owned()).collect();
+        (!left.is_empty()).then(|| {
+            format!(
+                "not copied: {}. Masks, depth maps and lists are only taken from a folder that is the single input; put \
+                 the photographs into one folder, with masks/ and the like in it, and give that folder",
+                left.join(", ")
+            )
+        })
     }
 
     /// The same inputs with the photographs that [`balance`](crate::balance) made of these in a folder of the
@@ -317,6 +341,33 @@ mod tests {
         sources.add("sparse/0", &dir.path().join("masks"));
         assert_eq!(names(&sources), ["a.png", "masks/left/a.png", "train_list.txt", "sparse/0/left/a.png"]);
         assert_eq!(sources.count(), 1);
+        assert_eq!(sources.remark(), None);
+    }
+
+    #[test]
+    fn masks_count_where_photographs_lie_directly_in_the_folder_and_are_named_where_they_are_left() {
+        let dir = folder(&[
+            ("dive/a.png", ""),
+            ("dive/masks/a.png", ""),
+            ("dive/test_list.txt", "a.png"),
+            ("more/b.png", ""),
+            ("more/masks/b.png", ""),
+        ]);
+        let [dive, more] = ["dive", "more"].map(|name| dir.path().join(name));
+        let one = Sources::of(std::slice::from_ref(&dive)).unwrap();
+        assert_eq!(names(&one), ["a.png", "masks/a.png", "test_list.txt"]);
+        assert_eq!((one.capture.as_ref(), one.remark()), (Some(&dive), None));
+        // Two folders, and files by their names, as a shell expands `dive/*`.
+        for inputs in [[dive.clone(), more.clone()], [dive.join("a.png"), more.join("b.png")]] {
+            let sources = Sources::of(&inputs).unwrap();
+            assert_eq!((names(&sources).len(), sources.capture.as_ref()), (2, None));
+            let said = sources.remark().unwrap();
+            for left in
+                ["masks", "test_list.txt"].map(|name| dive.join(name)).iter().chain([&more.join("masks")])
+            {
+                assert!(said.contains(&left.display().to_string()), "{said}");
+            }
+        }
     }
 
     #[test]

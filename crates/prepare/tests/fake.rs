@@ -52,6 +52,11 @@ impl Place {
 
     /// The script finds these images in its model of that number, with this reprojection error.
     fn found(&self, number: usize, images: impl Iterator<Item = usize>, error: f64) {
+        self.found_as(number, images.map(|i| (i, name(i))), error);
+    }
+
+    /// The same for images with names of their own.
+    fn found_as(&self, number: usize, images: impl Iterator<Item = (usize, FileName)>, error: f64) {
         let camera = ModelCamera {
             id: 1,
             model: LensModel::SimpleRadial,
@@ -60,9 +65,9 @@ impl Place {
             parameters: vec![20.0, 8.0, 6.0, 0.0],
         };
         let images: Vec<ModelImage> = images
-            .map(|i| ModelImage {
+            .map(|(i, name)| ModelImage {
                 id: i as u32 + 1,
-                name: name(i),
+                name,
                 camera: 1,
                 quaternion: [1.0, 0.0, 0.0, 0.0],
                 translation: [i as f64, 0.0, 4.0],
@@ -230,6 +235,24 @@ fn masks_beside_the_photographs_count_and_are_copied() {
     std::fs::rename(first.work.join(CAPTURE), place.at("reef")).unwrap();
     mask(255);
     assert!(!prepare().reusable);
+}
+
+#[test]
+fn masks_of_several_inputs_are_not_copied_and_the_remarks_say_so() {
+    let place = Place::new();
+    std::fs::create_dir_all(place.at("photos/masks")).unwrap();
+    let below = |folder: &str, i| (i, FileName::new(&format!("{folder}/{}", name(i))).unwrap());
+    place.found_as(0, (0..10).map(|i| below("photos", i)), 0.5);
+    std::fs::create_dir(place.at("more")).unwrap();
+    std::fs::copy(place.at("photos/p_00.png"), place.at("more/p_00.png")).unwrap();
+    let programs = Programs { colmap: place.at("colmap"), finder: Finder::Colmap, ..Programs::default() };
+    let inputs = [place.at("photos"), place.at("more")];
+    let Attempt { done, work, .. } =
+        attempt(&inputs, &PrepareParams::default(), &programs, &place.at("reef"));
+    let remarks = done.unwrap().remarks.join("\n");
+    let masks = place.at("photos/masks").display().to_string();
+    assert!(remarks.contains(&format!("not copied: {masks}.")), "{remarks}");
+    assert!(!work.join(CAPTURE).join("masks").exists());
 }
 
 #[test]
