@@ -91,8 +91,8 @@ impl PrepareParams {
         if self.frames < FEWEST {
             return bad("--frames", format!("{} is too few; expected {FEWEST} or more", self.frames));
         }
-        if self.features.is_some_and(|n| !(100..=100_000).contains(&n)) {
-            return bad("--features", "expected a number from 100 to 100000".into());
+        if let Some(n) = self.features.filter(|n| !(100..=100_000).contains(n)) {
+            return bad("--features", format!("{n} is out of range; expected 100 to 100000"));
         }
         let Some(model) = use3d_io_colmap::LensModel::from_name(&self.lens) else {
             let reason = format!(
@@ -111,8 +111,13 @@ impl PrepareParams {
             let reason = "the global mapper does not keep a known lens; leave out `--mapper global`, or the calibration";
             return bad("--calibration", reason.into());
         }
-        if self.calibration.iter().any(|v| !v.is_finite()) {
-            return bad("--calibration", "expected finite numbers".into());
+        if let Some(v) = self.calibration.iter().find(|v| !v.is_finite()) {
+            return bad("--calibration", format!("{v} is not usable; expected finite numbers"));
+        }
+        let focal = model.lens(&self.calibration).map(|lens| lens.focal);
+        if let Some(f) = focal.iter().flatten().find(|f| **f <= 0.0) {
+            let reason = format!("the focal length {f} is out of range; expected pixels above 0");
+            return bad("--calibration", reason);
         }
         Ok(())
     }

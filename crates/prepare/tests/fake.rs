@@ -289,7 +289,14 @@ fn wrong_inputs_and_choices_are_refused_before_any_work() {
     };
     assert!(with(|p| p.lens = "WIDE".into()).contains("--lens: WIDE is no lens model"));
     assert!(with(|p| p.calibration = vec![1.0]).contains("has 5 parameters"));
-    assert!(with(|p| p.features = Some(3)).contains("--features"));
+    assert!(
+        with(|p| p.calibration = vec![20.0, 8.0, f64::NAN, 0.0, 0.0]).contains("--calibration: NaN is not")
+    );
+    assert!(
+        with(|p| p.calibration = vec![-20.0, 8.0, 6.0, 0.0, 0.0])
+            .contains("--calibration: the focal length -20 is")
+    );
+    assert!(with(|p| p.features = Some(3)).contains("--features: 3 is out of range; expected 100 to 100000"));
     let write = |name: &str, bytes: &[u8]| {
         std::fs::write(place.at(name), bytes).unwrap();
         place.at(name)
