@@ -18,7 +18,7 @@ use crate::tools::{self, Program};
 
 /// Width of the grey frames, pixels.
 const WIDTH: usize = 480;
-/// The most frames of one second that are looked at.
+/// About how many frames of one second are looked at.
 const RATE: f64 = 10.0;
 /// The largest side of a grey frame that is accepted from ffmpeg, pixels.
 const MAX_SIDE: usize = 1 << 13;
@@ -273,9 +273,24 @@ pub(crate) fn write(
         let (step, log) = ("frames", log.to_path_buf());
         return Err(PrepareError::Step { step, reason: process::reason(&outcome), log });
     }
-    for (i, name) in names.iter().enumerate() {
-        let part = folder.join(format!("part-{:06}.jpg", i + 1));
-        std::fs::rename(&part, name).map_err(PrepareError::file(&part))?;
+    take_parts(folder, names, log)
+}
+
+/// Gives the frames that ffmpeg wrote into a folder their names.
+fn take_parts(folder: &Path, names: &[PathBuf], log: &Path) -> Result<(), PrepareError> {
+    let parts: Vec<PathBuf> =
+        (1..=names.len()).map(|number| folder.join(format!("part-{number:06}.jpg"))).collect();
+    // ffmpeg can also end well if it could not read the whole film.
+    let written = parts.iter().take_while(|part| part.is_file()).count();
+    if written < names.len() {
+        let reason = format!(
+            "ffmpeg wrote {written} of the {} frames that were chosen; the film may be damaged",
+            names.len()
+        );
+        return Err(PrepareError::Step { step: "frames", reason, log: log.to_path_buf() });
+    }
+    for (part, name) in parts.iter().zip(names) {
+        std::fs::rename(part, name).map_err(PrepareError::file(part))?;
     }
     Ok(())
 }
@@ -382,6 +397,21 @@ mod tests {
             let message = read(rest).unwrap_err().to_string();
             assert!(message.contains(part), "{rest}: {message}");
         }
+    }
+
+    #[test]
+    fn frames_that_ffmpeg_did_not_write_are_counted() {
+        let dir = tempfile::tempdir().unwrap();
+        let names = ["f_3.jpg", "f_8.jpg", "f_9.jpg"].map(|name| dir.path().join(name));
+        for number in 1..=2 {
+            std::fs::write(dir.path().join(format!("part-{number:06}.jpg")), "frame").unwrap();
+        }
+        let said = take_parts(dir.path(), &names, Path::new("log.txt")).unwrap_err().to_string();
+        let part = "ffmpeg wrote 2 of the 3 frames that were chosen; the film may be damaged";
+        assert!(said.contains(part) && said.contains("log.txt"), "{said}");
+        std::fs::write(dir.path().join("part-000003.jpg"), "frame").unwrap();
+        take_parts(dir.path(), &names, Path::new("log.txt")).unwrap();
+        assert!(names.iter().all(|name| name.is_file()));
     }
 
     #[test]
