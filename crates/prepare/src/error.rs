@@ -59,10 +59,41 @@ pub enum PrepareError {
         /// The folder of the work.
         path: PathBuf,
     },
-    /// A file that cannot be read or written.
-    #[error("{}: {source}", path.display())]
-    File {
-        /// The file.
+    /// A file that cannot be opened or read.
+    #[error("{}: cannot be read ({source}); check that it is there and may be read", path.display())]
+    Read {
+        /// The file or folder.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// A file that cannot be written or removed.
+    #[error("{}: cannot be written ({source}); check that the folder is writable and has space", path.display())]
+    Write {
+        /// The file or folder.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// A file that cannot be copied. The system does not say which of the two files is the reason.
+    #[error(
+        "{} cannot be copied to {} ({source}); check that the file may be read, and that the other folder is \
+         writable and has space",
+        from.display(),
+        to.display()
+    )]
+    Copy {
+        /// The file that exists.
+        from: PathBuf,
+        /// Its copy.
+        to: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// A program that cannot be started.
+    #[error("{}: cannot be started ({source}); check that the program is there and may be started", path.display())]
+    Run {
+        /// The program.
         path: PathBuf,
         /// The system's error.
         source: std::io::Error,
@@ -73,8 +104,16 @@ pub enum PrepareError {
 }
 
 impl PrepareError {
-    pub(crate) fn file(path: &Path) -> impl Fn(std::io::Error) -> Self + '_ {
-        |source| Self::File { path: path.to_path_buf(), source }
+    pub(crate) fn read(path: &Path) -> impl Fn(std::io::Error) -> Self + '_ {
+        |source| Self::Read { path: path.to_path_buf(), source }
+    }
+
+    pub(crate) fn write(path: &Path) -> impl Fn(std::io::Error) -> Self + '_ {
+        |source| Self::Write { path: path.to_path_buf(), source }
+    }
+
+    pub(crate) fn run(path: &Path) -> impl Fn(std::io::Error) -> Self + '_ {
+        |source| Self::Run { path: path.to_path_buf(), source }
     }
 
     pub(crate) fn input(path: &Path, reason: impl Into<String>) -> Self {

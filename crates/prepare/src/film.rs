@@ -98,7 +98,7 @@ fn understand(path: &Path, text: &str) -> Result<Film, PrepareError> {
 fn probe(ffmpeg: &Program, path: &Path) -> Result<Film, PrepareError> {
     let mut command = tools::command(&ffmpeg.path);
     command.args(["-hide_banner", "-i"]).arg(path).stdin(Stdio::null());
-    let output = command.output().map_err(PrepareError::file(&ffmpeg.path))?;
+    let output = command.output().map_err(PrepareError::run(&ffmpeg.path))?;
     understand(path, &String::from_utf8_lossy(&output.stderr))
 }
 
@@ -167,7 +167,7 @@ pub(crate) fn look(
     log: &Path,
     watch: &StepWatch<'_>,
 ) -> Result<Choice, PrepareError> {
-    let absolute = std::path::absolute(path).map_err(PrepareError::file(path))?;
+    let absolute = std::path::absolute(path).map_err(PrepareError::read(path))?;
     let film = probe(ffmpeg, &absolute)?;
     let step = (film.rate / RATE).round().max(1.0) as u64;
     let filter = format!("select=not(mod(n\\,{step})),scale=w=min({WIDTH}\\,iw):h=-2,format=gray");
@@ -222,7 +222,7 @@ fn grey_frames(
     }
     // With its stream closed, a program that still writes ends.
     drop(reader);
-    let status = child.0.wait().map_err(PrepareError::file(Path::new(command.get_program())))?;
+    let status = child.0.wait().map_err(PrepareError::run(Path::new(command.get_program())))?;
     if status.code().is_none() {
         return Err(failed(process::reason(&ProgramEnd { status, last: Vec::new() })));
     }
@@ -253,8 +253,8 @@ pub(crate) fn write(
     );
     // As an argument the filter of many frames could be too long.
     let script = log.with_file_name(FILTER);
-    std::fs::write(&script, filter).map_err(PrepareError::file(&script))?;
-    let script = std::path::absolute(&script).map_err(PrepareError::file(&script))?;
+    std::fs::write(&script, filter).map_err(PrepareError::write(&script))?;
+    let script = std::path::absolute(&script).map_err(PrepareError::read(&script))?;
     let mut command = tools::command(&ffmpeg.path);
     command.args(["-v", "error", "-stats", "-nostdin", "-y", "-i"]).arg(&film.path).args(["-an", "-sn"]);
     command.arg(filter_from_file(&ffmpeg.version)).arg(script);
@@ -290,7 +290,7 @@ fn take_parts(folder: &Path, names: &[PathBuf], log: &Path) -> Result<(), Prepar
         return Err(PrepareError::Step { step: "frames", reason, log: log.to_path_buf() });
     }
     for (part, name) in parts.iter().zip(names) {
-        std::fs::rename(part, name).map_err(PrepareError::file(part))?;
+        std::fs::rename(part, name).map_err(PrepareError::write(name))?;
     }
     Ok(())
 }

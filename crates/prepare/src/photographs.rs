@@ -21,12 +21,12 @@ pub(crate) fn copy(
         watch.check()?;
         let to = photograph.name.below(folder);
         if let Some(parent) = to.parent() {
-            std::fs::create_dir_all(parent).map_err(PrepareError::file(parent))?;
+            std::fs::create_dir_all(parent).map_err(PrepareError::write(parent))?;
         }
         let from = &photograph.path;
         match ffmpeg {
             Some(ffmpeg) if photograph.converted => {
-                let source = std::path::absolute(from).map_err(PrepareError::file(from))?;
+                let source = std::path::absolute(from).map_err(PrepareError::read(from))?;
                 let mut command = tools::command(&ffmpeg.path);
                 command.args(["-v", "error", "-y", "-i"]).arg(source);
                 // With `update` a percent sign in the path is no pattern for numbers.
@@ -38,31 +38,35 @@ pub(crate) fn copy(
                 }
             }
             _ if photograph.orientation != 1 => {
-                let mut bytes = std::fs::read(from).map_err(PrepareError::file(from))?;
+                let mut bytes = std::fs::read(from).map_err(PrepareError::read(from))?;
                 straighten(&mut bytes);
-                std::fs::write(&to, bytes).map_err(PrepareError::file(&to))?;
+                std::fs::write(&to, bytes).map_err(PrepareError::write(&to))?;
             }
-            _ => {
-                std::fs::copy(from, &to).map_err(PrepareError::file(from))?;
-            }
+            _ => copy_file(from, &to)?,
         }
         watch.tell("photographs", (done as u64 + 1, photographs.len() as u64), "photographs");
     }
     Ok(())
 }
 
+/// Copies a file.
+pub(crate) fn copy_file(from: &Path, to: &Path) -> Result<(), PrepareError> {
+    let copied = std::fs::copy(from, to).map(|_| ());
+    copied.map_err(|source| PrepareError::Copy { from: from.to_path_buf(), to: to.to_path_buf(), source })
+}
+
 /// Copies a file or a folder of plain files.
 pub(crate) fn copy_all(from: &Path, to: &Path) -> Result<(), PrepareError> {
     if from.is_file() {
-        return std::fs::copy(from, to).map(|_| ()).map_err(PrepareError::file(from));
+        return copy_file(from, to);
     }
     for entry in walkdir::WalkDir::new(from).follow_links(true) {
         let entry = entry.map_err(|e| PrepareError::input(from, e.to_string()))?;
         let target = to.join(entry.path().strip_prefix(from).unwrap_or(entry.path()));
         if entry.file_type().is_dir() {
-            std::fs::create_dir_all(&target).map_err(PrepareError::file(&target))?;
+            std::fs::create_dir_all(&target).map_err(PrepareError::write(&target))?;
         } else {
-            std::fs::copy(entry.path(), &target).map_err(PrepareError::file(entry.path()))?;
+            copy_file(entry.path(), &target)?;
         }
     }
     Ok(())
@@ -72,4 +76,20 @@ pub(crate) fn copy_all(from: &Path, to: &Path) -> Result<(), PrepareError> {
 pub(crate) fn copy_beside(origin: &Path, capture: &Path) -> Result<(), PrepareError> {
     let there = BESIDE.iter().filter(|name| origin.join(name).exists());
     there.into_iter().try_for_each(|name| copy_all(&origin.join(name), &capture.join(name)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_copy_that_fails_names_both_files() {
+        let dir = tempfile::tempdir().unwrap();
+        let (from, to) = (dir.path().join("a.jpg"), dir.path().join("nowhere/a.jpg"));
+        std::fs::write(&from, "picture").unwrap();
+        let said = copy_all(&from, &to).unwrap_err().to_string();
+        for part in [from.display().to_string(), format!("to {}", to.display()), "has space".into()] {
+            assert!(said.contains(&part), "{said} lacks {part}");
+        }
+    }
 }

@@ -83,7 +83,7 @@ pub fn key_of(
     let known: BTreeMap<&str, &Input> = known.collect();
     let mut inputs = Vec::new();
     for (name, path) in sources.files()? {
-        let bad = PrepareError::file(&path);
+        let bad = PrepareError::read(&path);
         let data = std::fs::metadata(&path).map_err(&bad)?;
         let since = data.modified().ok().and_then(|t| t.duration_since(UNIX_EPOCH).ok());
         let (bytes, modified) = (data.len(), since.map_or(0, |t| t.as_nanos() as u64));
@@ -107,7 +107,7 @@ fn digests(inputs: &[Input]) -> Vec<(&str, &str)> {
 }
 
 fn digest(path: &Path, watch: &StepWatch<'_>) -> Result<String, PrepareError> {
-    let bad = PrepareError::file(path);
+    let bad = PrepareError::read(path);
     let mut file = File::open(path).map_err(&bad)?;
     let (mut hasher, mut part) = (blake3::Hasher::new(), vec![0; 1 << 20]);
     loop {
@@ -231,7 +231,7 @@ pub fn prepare(
     let choices = json!([matching, params.repeatable]);
     let matches = work.step(Step { name: "matches", output: MATCHES_DB, choices }, |_| {
         let (from, to) = (folder.join(FEATURES_DB), folder.join(MATCHES_DB));
-        std::fs::copy(&from, &to).map_err(PrepareError::file(&from))?;
+        photographs::copy_file(&from, &to)?;
         let commands = sfm.matches(matching)?;
         (watch.note)("matches: the images are compared");
         Ok(commands)
@@ -273,7 +273,7 @@ pub fn prepare(
 /// Writes the record of a preparation into its capture.
 pub(crate) fn write_record(capture: &Path, record: &Value) -> Result<(), PrepareError> {
     let path = capture.join(PREPARED);
-    std::fs::write(&path, format!("{record:#}\n")).map_err(PrepareError::file(&path))
+    std::fs::write(&path, format!("{record:#}\n")).map_err(PrepareError::write(&path))
 }
 
 /// The images of a capture.
@@ -296,7 +296,7 @@ fn images(
 ) -> Result<Images, PrepareError> {
     work.remove(CAPTURE)?;
     let folder = work.folder.join(IMAGES);
-    std::fs::create_dir_all(&folder).map_err(PrepareError::file(&folder))?;
+    std::fs::create_dir_all(&folder).map_err(PrepareError::write(&folder))?;
     let (mut taken, mut remarks, mut doubts) = (Vec::new(), Vec::new(), Vec::new());
     let several = sources.films.len() + usize::from(!sources.photographs.is_empty()) > 1;
     for (number, path) in sources.films.iter().enumerate() {
@@ -306,7 +306,7 @@ fn images(
         let choice = film::look(ffmpeg, path, most, &work.log, watch)?;
         let prefix = if several { format!("film-{}/", number + 1) } else { String::new() };
         let own = folder.join(&prefix);
-        std::fs::create_dir_all(&own).map_err(PrepareError::file(&own))?;
+        std::fs::create_dir_all(&own).map_err(PrepareError::write(&own))?;
         let name = |number: u64| format!("{prefix}f_{number:06}.jpg");
         let paths: Vec<PathBuf> = choice.frames.iter().map(|f| folder.join(name(f.number))).collect();
         film::write(ffmpeg, &choice, (&own, &paths), &work.log, watch)?;
@@ -361,7 +361,7 @@ fn assemble(work: &Work<'_>, sources: &Sources, found: &[Model]) -> Result<(), P
     work.remove(&format!("{CAPTURE}/sparse"))?;
     for (i, model) in found.iter().enumerate() {
         let folder = capture.join("sparse").join(i.to_string());
-        std::fs::create_dir_all(&folder).map_err(PrepareError::file(&folder))?;
+        std::fs::create_dir_all(&folder).map_err(PrepareError::write(&folder))?;
         write_model_binary(&folder, model)?;
     }
     sources.capture.as_ref().map_or(Ok(()), |origin| photographs::copy_beside(origin, &capture))

@@ -56,7 +56,7 @@ impl Ended {
     /// Starts a command without input.
     pub(crate) fn spawn(command: &mut Command) -> Result<Self, PrepareError> {
         let child = command.stdin(Stdio::null()).spawn();
-        child.map(Self).map_err(PrepareError::file(Path::new(command.get_program())))
+        child.map(Self).map_err(PrepareError::run(Path::new(command.get_program())))
     }
 }
 
@@ -137,7 +137,7 @@ pub(crate) fn open_log(log: &Path, command: &Command) -> Result<File, PrepareErr
         writeln!(file, "$ {}", spelled(command).join(" "))?;
         Ok(file)
     });
-    written.map_err(PrepareError::file(log))
+    written.map_err(PrepareError::write(log))
 }
 
 /// Runs a command to its end. Each line goes to the log file and to `heard`.
@@ -148,7 +148,7 @@ pub(crate) fn run(
     mut heard: impl FnMut(&str),
 ) -> Result<ProgramEnd, PrepareError> {
     let mut file = open_log(log, command)?;
-    let failed = PrepareError::file(log);
+    let failed = PrepareError::write(log);
     let mut child = Ended::spawn(command.stdout(Stdio::piped()).stderr(Stdio::piped()))?;
     let program = Path::new(command.get_program());
     let (sender, lines) = channel();
@@ -176,7 +176,7 @@ pub(crate) fn run(
             Err(end) => {
                 // A grandchild may keep the streams open after the program has ended, and a program may go on
                 // after it has closed them.
-                if let Some(status) = child.0.try_wait().map_err(PrepareError::file(program))? {
+                if let Some(status) = child.0.try_wait().map_err(PrepareError::run(program))? {
                     return Ok(ProgramEnd { status, last: last.into() });
                 }
                 if end == RecvTimeoutError::Disconnected {

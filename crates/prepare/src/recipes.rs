@@ -193,7 +193,7 @@ pub fn publish(
     work.remove(CAPTURE)?;
     let capture = folder.join(CAPTURE);
     let sparse = capture.join("sparse");
-    std::fs::create_dir_all(&sparse).map_err(PrepareError::file(&sparse))?;
+    std::fs::create_dir_all(&sparse).map_err(PrepareError::write(&sparse))?;
     copy_all(images, &capture.join("images_wb"))?;
     copy_all(model, &sparse.join("0"))?;
     images.parent().map_or(Ok(()), |scene| copy_beside(scene, &capture))?;
@@ -236,7 +236,7 @@ pub fn balance(sources: &Sources, folder: &Path, watch: &StepWatch<'_>) -> Resul
             return Err(PrepareError::input(&photograph.path, reason));
         }
         if let Some(parent) = path.parent() {
-            std::fs::create_dir_all(parent).map_err(PrepareError::file(parent))?;
+            std::fs::create_dir_all(parent).map_err(PrepareError::write(parent))?;
         }
         write_png16(&path, &shown)?;
         tell(done)?;

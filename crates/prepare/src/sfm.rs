@@ -94,7 +94,7 @@ impl Sfm<'_> {
         heard: impl FnMut(&str),
     ) -> Result<(ProgramEnd, Commands), PrepareError> {
         let path = self.work.join(JOB);
-        std::fs::write(&path, job.to_string()).map_err(PrepareError::file(&path))?;
+        std::fs::write(&path, job.to_string()).map_err(PrepareError::write(&path))?;
         let mut command = self.command();
         command.args(["-c", SCRIPT, step, JOB]);
         let outcome = process::run(&mut command, self.log, self.watch.stop, heard)?;
@@ -105,7 +105,7 @@ impl Sfm<'_> {
     /// The help of a verb of `colmap`.
     fn help(&self, verb: &str) -> Result<String, PrepareError> {
         let help = self.command().args([verb, "-h"]).stdin(Stdio::null()).output();
-        let help = help.map_err(PrepareError::file(&self.program.path))?;
+        let help = help.map_err(PrepareError::run(&self.program.path))?;
         Ok(String::from_utf8_lossy(&[help.stdout, help.stderr].concat()).into_owned())
     }
 
@@ -191,7 +191,7 @@ impl Sfm<'_> {
         for (i, group) in groups.iter().enumerate() {
             let list = format!("group-{i}.txt");
             let path = self.work.join(&list);
-            std::fs::write(&path, group.join("\n") + "\n").map_err(PrepareError::file(&path))?;
+            std::fs::write(&path, group.join("\n") + "\n").map_err(PrepareError::write(&path))?;
             let mut arguments = vec![
                 ("--database_path", FEATURES_DB.to_string()),
                 ("--image_path", IMAGES.to_string()),
@@ -261,7 +261,7 @@ impl Sfm<'_> {
     pub(crate) fn map(&self) -> Result<Commands, PrepareError> {
         const STEP: &str = "cameras";
         let models = self.work.join(MODELS);
-        std::fs::create_dir_all(&models).map_err(PrepareError::file(&models))?;
+        std::fs::create_dir_all(&models).map_err(PrepareError::write(&models))?;
         let total = self.images as u64;
         let tell = |line: &str| {
             if let Some(done) = registered(line) {

@@ -204,7 +204,7 @@ impl Sources {
             let info = image_info(path)?;
             let mut taken = (String::new(), String::new(), 0);
             if info.format == FileFormat::Jpeg {
-                let found = read_exif(path).map_err(PrepareError::file(path))?;
+                let found = read_exif(path).map_err(PrepareError::read(path))?;
                 (orientation, taken) = (found.orientation, found.camera);
             } else if !matches!(info.format, FileFormat::Png | FileFormat::Tiff) {
                 return Err(PrepareError::input(path, "expected a JPEG, PNG or TIFF"));

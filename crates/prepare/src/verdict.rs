@@ -56,7 +56,7 @@ pub struct CameraVerdict {
 
 /// Reads the models below a folder, the one with the most images first.
 pub(crate) fn models(folder: &Path) -> Result<Vec<Model>, PrepareError> {
-    let entries = std::fs::read_dir(folder).map_err(PrepareError::file(folder))?;
+    let entries = std::fs::read_dir(folder).map_err(PrepareError::read(folder))?;
     let mut paths: Vec<PathBuf> = entries.filter_map(|e| Some(e.ok()?.path())).collect();
     paths.push(folder.to_path_buf());
     // Numbers in names have at most a few digits: `10` comes after `9`.

@@ -57,8 +57,8 @@ impl<'a> Work<'a> {
     /// # Errors
     /// Another process uses it, or it cannot be written.
     pub(crate) fn open(folder: &'a Path, watch: &'a StepWatch<'a>) -> Result<Self, PrepareError> {
-        std::fs::create_dir_all(folder).map_err(PrepareError::file(folder))?;
-        let lock = File::create(folder.join("lock")).map_err(PrepareError::file(folder))?;
+        std::fs::create_dir_all(folder).map_err(PrepareError::write(folder))?;
+        let lock = File::create(folder.join("lock")).map_err(PrepareError::write(folder))?;
         // A program that another thread has just started may hold a copy of an old lock until it runs, so one
         // refusal says little. A file system without locks is no reason to refuse.
         let taken = |attempt: u64| {
@@ -102,7 +102,7 @@ impl<'a> Work<'a> {
             return Err(PrepareError::Step { step: name, reason, log: self.log.clone() });
         }
         let value = serde_json::to_value(&result)
-            .map_err(|e| PrepareError::file(&self.folder.join(STATE))(std::io::Error::other(e)))?;
+            .map_err(|e| PrepareError::write(&self.folder.join(STATE))(std::io::Error::other(e)))?;
         self.finished.push(FinishedStep { key, result: value });
         self.done += 1;
         self.store()?;
@@ -128,7 +128,7 @@ impl<'a> Work<'a> {
         let removed =
             if path.is_dir() { std::fs::remove_dir_all(&path) } else { std::fs::remove_file(&path) };
         match removed {
-            Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(PrepareError::file(&path)(e)),
+            Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(PrepareError::write(&path)(e)),
             _ => Ok(()),
         }
     }
@@ -140,6 +140,6 @@ impl<'a> Work<'a> {
     fn store(&self) -> Result<(), PrepareError> {
         let path = self.folder.join(STATE);
         use3d_files::write_atomically(&path, |w| serde_json::to_writer(w, &self.finished).map_err(Into::into))
-            .map_err(PrepareError::file(&path))
+            .map_err(PrepareError::write(&path))
     }
 }
