@@ -112,7 +112,7 @@ fn pycolmap(programs: &Programs) -> Option<Program> {
 }
 
 impl Programs {
-    /// The program that takes frames out of films.
+    /// The program that takes frames out of films and converts WebP photographs.
     ///
     /// # Errors
     /// Neither `ffmpeg` nor the Python package `imageio-ffmpeg` is installed.
@@ -127,8 +127,8 @@ impl Programs {
         };
         of(self.ffmpeg.clone()).or_else(packaged).ok_or_else(|| {
             PrepareError::Program(format!(
-                "ffmpeg is needed to take frames out of a film, and it was not found; one of these commands installs \
-                 what is needed:\n{INSTALL}"
+                "ffmpeg is needed to take frames out of films and to convert WebP photographs, and it was not found; one \
+                 of these commands installs what is needed:\n{INSTALL}"
             ))
         })
     }
@@ -202,8 +202,9 @@ mod tests {
             python: nowhere,
             finder: Finder::Auto,
         };
-        for message in [programs.film().unwrap_err().to_string(), programs.cameras().unwrap_err().to_string()]
-        {
+        let film = programs.film().unwrap_err().to_string();
+        assert!(film.contains("ffmpeg is needed to take frames out of films and to convert WebP"), "{film}");
+        for message in [film, programs.cameras().unwrap_err().to_string()] {
             for part in ["apt install colmap ffmpeg", "pip install pycolmap imageio-ffmpeg"] {
                 assert!(message.contains(part), "{message}");
             }
