@@ -69,7 +69,9 @@ impl List {
             path: path.to_path_buf(),
             reason: "it is not UTF-8 text; expected one image name per line".into(),
         })?;
+        // Some editors of Windows begin a file with a byte order mark.
         let names = text
+            .trim_start_matches('\u{feff}')
             .lines()
             .map(|l| l.trim().replace('\\', "/"))
             .filter(|l| !l.is_empty() && !l.starts_with('#'))
@@ -208,6 +210,9 @@ mod tests {
         let chosen = choose(&params).unwrap();
         assert_eq!((chosen.split.train, chosen.split.test), (vec![0], vec![1, 3]));
         assert!(chosen.notes.iter().any(|n| n.contains("1 views are in neither")), "{:?}", chosen.notes);
+        write("train_list.txt", "\u{feff}l/a.png\nr/a.png\n");
+        let chosen = choose(&params).unwrap();
+        assert_eq!((chosen.split.train, chosen.notes.len()), (vec![0, 2], 1), "{:?}", chosen.notes);
         write("train_list.txt", "l/b.png\n");
         assert!(choose(&params).err().unwrap().to_string().contains("l/b.png"));
         // The name is ambiguous without its folder.
