@@ -1,6 +1,6 @@
 //! From a `reconstruction.json` to a survey.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use glam::{DMat3, DVec3};
@@ -113,14 +113,20 @@ pub fn parse(bytes: &[u8], path: &Path) -> Result<Survey> {
             .map_err(|e| broken(format!("{e}; expected the photograph's name in the image folder")))?;
         survey.images.push(PosedImage::at(id, name, camera, &pose));
     }
-    for (i, (id, point)) in (1u64..).zip(&stored.points) {
+    let mut ids = BTreeSet::new();
+    for (name, point) in &stored.points {
         // Ids are numbers in all versions; the tracks name points by them.
-        let id = id.parse().unwrap_or(u64::MAX / 2 + i);
+        let broken = |reason: String| ReadError::broken(path, format!("point {name}"), reason);
+        let id: u64 = name.parse().map_err(|_| {
+            broken(format!("its id is no whole number; expected 0, 1, 2 and so on: {REMEDY}"))
+        })?;
+        if !ids.insert(id) {
+            return Err(broken(format!("the id {id} occurs twice; expected each once: {REMEDY}")));
+        }
         let (position, color) = (point.coordinates, point.color.map(|v| v.round().clamp(0.0, 255.0) as u8));
         survey.points.push(SurveyPoint { id, position, color, error: -1.0, track: Vec::new() });
     }
     survey.points.sort_by_key(|p| p.id);
-    survey.points.dedup_by_key(|p| p.id);
     survey.world = stored.reference_lla.and_then(|r| world(&r));
     survey.check(path, REMEDY)?;
     Ok(survey)

@@ -174,6 +174,8 @@ fn faults_are_named() {
         ("a.jpg", "../a.jpg", "shot ../a.jpg"),
         ("\"coordinates\": [1, 2, 3]", "\"coordinates\": [1, 2]", "no reconstruction of OpenSfM"),
         ("\"coordinates\": [1, 2, 3]", "\"coordinates\": [1, 2, 3e40]", "point 7"),
+        ("{\"7\": ", "{\"p7\": ", "point p7: its id is no whole number"),
+        ("{\"7\": ", "{\"07\": {\"coordinates\": [0, 0, 1]}, \"7\": ", "point 7: the id 7 occurs twice"),
         ("[{\"cameras\"", "{\"cameras\"", "no reconstruction of OpenSfM"),
     ] {
         let text = small().replacen(from, to, 1);
