@@ -19,7 +19,7 @@ use roxmltree::Document;
 use use3d_capture::{FileName, Pose, shown};
 use use3d_survey::{
     Mark, Marker, PosedImage, ReadError, RotationFault, ScaleBar, Survey, World, check_rotation, first_bytes,
-    read_at_most, tidy_name,
+    is_last_row, read_at_most, tidy_name,
 };
 
 use crate::calibration;
@@ -225,14 +225,22 @@ fn read_chunk(chunk: Element<'_>) -> Result<Survey> {
 fn pose(transform: Element<'_>) -> Result<Pose> {
     let m: [f64; 16] = transform.numbers()?;
     let owner = transform.owner();
-    if m[12..].iter().zip([0.0, 0.0, 0.0, 1.0]).any(|(a, b)| (a - b).abs() > 1e-6) {
-        return owner.fail(format!("the last row of its <transform> is {:?}; expected 0 0 0 1", &m[12..]));
-    }
+    require_last_row(owner, &m)?;
     let row = |i: usize| DVec3::new(m[4 * i], m[4 * i + 1], m[4 * i + 2]);
     // The rows of camera-to-world are the columns of world-to-camera.
     let rotation = DMat3::from_cols(row(0), row(1), row(2));
     require_rotation(owner, &rotation)?;
     Ok(Pose::from_center(rotation, DVec3::new(m[3], m[7], m[11])))
+}
+
+fn require_last_row(owner: Element<'_>, matrix: &[f64; 16]) -> Result<()> {
+    let last = &matrix[12..];
+    if is_last_row(last) {
+        return Ok(());
+    }
+    owner.fail(format!(
+        "the last row of its <transform> is {last:?}; expected 0 0 0 1: export the cameras again with Metashape"
+    ))
 }
 
 fn require_rotation(owner: Element<'_>, rotation: &DMat3) -> Result<()> {
@@ -395,6 +403,7 @@ fn similarity(transform: Element<'_>) -> Result<Option<(f64, DMat3, DVec3)>> {
     };
     let (scale, rotation, translation) = if transform.node.has_children() && !transform.text().is_empty() {
         let m: [f64; 16] = transform.numbers()?;
+        require_last_row(owner, &m)?;
         let row = |i: usize| DVec3::new(m[4 * i], m[4 * i + 1], m[4 * i + 2]);
         let scale = row(0).length();
         if !scale.is_finite() || scale <= 0.0 {

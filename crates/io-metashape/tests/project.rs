@@ -338,6 +338,9 @@ fn the_world_is_read_in_every_spelling() {
     }
     let said = complaint(&simple(&cameras, &matrix.replace('4', "0")));
     assert!(said.contains("<scale>"), "{said}");
+    // Transposed, the matrix has its translation in the last row.
+    let said = complaint(&simple(&cameras, "<transform>0 4 0 0 -4 0 0 0 0 0 4 0 1 2 3 1</transform>"));
+    assert!(said.contains("the last row of its <transform> is [1.0, 2.0, 3.0, 1.0]"), "{said}");
 }
 
 #[test]

@@ -9,7 +9,7 @@ use use3d_capture::FileName;
 use use3d_numerics::math;
 use use3d_survey::{
     Distortion, ImageFiles, Lens, PosedImage, Projection, ReadError, RotationFault, Survey, SurveyCamera,
-    check_rotation, ply, read_at_most,
+    check_rotation, is_last_row, ply, read_at_most,
 };
 
 use crate::frame::Applied;
@@ -221,6 +221,12 @@ impl Fields<'_> {
         let Some(m) = rows.and_then(|rows| rows.iter().map(row).collect::<Option<Vec<_>>>()) else {
             return self.fail(format!("`{name}` is no matrix of 3 or 4 rows of 4 finite numbers"));
         };
+        if let Some(last) = m.get(3).filter(|row| !is_last_row(&row[..])) {
+            return self.fail(format!(
+                "the last row of `{name}` is {last:?}; expected 0, 0, 0, 1: write the matrix row by row, with the \
+                 translation in its last column"
+            ));
+        }
         let row = |i: usize| DVec3::new(m[i][0], m[i][1], m[i][2]);
         let rotation = DMat3::from_cols(row(0), row(1), row(2)).transpose();
         match check_rotation(&rotation, ORTHONORMAL) {

@@ -325,6 +325,11 @@ fn what_is_wrong_is_named() {
         ("\"file_path\": \"images/b.png\"", "\"file_path\": 3", "expected a path"),
         ("[0,-1,0,4]", "[0,-1,0]", "frame 1 (images/b.png): `transform_matrix`"),
         ("[0,-1,0,4]", "[0,-1,0,null]", "finite numbers"),
+        (
+            "[[1,0,0,1],[0,1,0,2],[0,0,1,3],[0,0,0,1]]",
+            "[[1,0,0,0],[0,1,0,0],[0,0,1,0],[1,2,3,1]]",
+            "frame 0 (./images/a.png): the last row of `transform_matrix` is [1.0, 2.0, 3.0, 1.0]; expected 0, 0, 0, 1",
+        ),
         ("[0,-1,0,4]", "[0,1,0,4]", "mirrors the axes"),
         ("[0,-1,0,4]", "[0,-2,0,4]", "off orthonormal"),
         ("[0,-1,0,4]", "[0,-1,0,1e300]", "translation"),

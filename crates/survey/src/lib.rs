@@ -29,7 +29,7 @@ pub use fit::{PositionsFit, fit_depths, fit_positions};
 pub use geo::EarthPlace;
 pub use lens::{Distortion, Lens, Projection};
 pub use markers::{Mark, Marker, ScaleBar};
-pub use read::{ReadError, RotationFault, check_rotation, first_bytes, read_at_most, tidy_name};
+pub use read::{ReadError, RotationFault, check_rotation, first_bytes, is_last_row, read_at_most, tidy_name};
 pub use survey::{ImageFiles, Keypoint, PosedImage, Survey, SurveyCamera, SurveyPoint};
 pub use table::{TextRow, TextTable};
 pub use use3d_capture::World;

@@ -66,6 +66,9 @@ pub fn tidy_name(text: &str) -> String {
     kept.collect::<Vec<_>>().join("/")
 }
 
+/// The last row of a matrix may be off by this: some writers invert matrices to get their poses.
+const LAST_ROW: f64 = 1e-6;
+
 /// The reason why a matrix is no rotation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum RotationFault {
@@ -98,6 +101,13 @@ pub fn check_rotation(rotation: &DMat3, tolerance: f64) -> Result<(), RotationFa
     if rotation.determinant() < 0.0 { Err(RotationFault::Mirrored) } else { Ok(()) }
 }
 
+/// True if these numbers are the last row of a pose or a similarity: 0 0 0 1, up to rounding. In a transposed
+/// matrix, the translation is there.
+pub fn is_last_row(row: &[f64]) -> bool {
+    let expected = [0.0, 0.0, 0.0, 1.0];
+    row.len() == expected.len() && row.iter().zip(expected).all(|(a, b)| (a - b).abs() <= LAST_ROW)
+}
+
 #[cfg(test)]
 mod tests {
     use glam::DVec3;
@@ -119,6 +129,16 @@ mod tests {
         assert!(
             matches!(check_rotation(&broken, 1e-3), Err(RotationFault::NotOrthonormal(off)) if off.is_nan())
         );
+    }
+
+    #[test]
+    fn the_last_row_may_be_rounded_and_holds_no_translation() {
+        assert!(is_last_row(&[0.0, -1e-9, 0.0, 1.0 + 1e-9]));
+        for bad in
+            [&[0.0, 0.0, 0.2, 1.0][..], &[0.0, 0.0, 0.0, 2.0], &[f64::NAN, 0.0, 0.0, 1.0], &[0.0, 0.0, 1.0]]
+        {
+            assert!(!is_last_row(bad), "{bad:?}");
+        }
     }
 
     #[test]
