@@ -14,8 +14,8 @@ pub(crate) const DEPTH_DIRS: [&str; 3] = ["depth", "depths", "depthAnythingV2_u1
 /// Mask folder.
 pub(crate) const MASK_DIRS: [&str; 1] = ["masks"];
 
-pub(crate) const IMAGE_EXTENSIONS: [&str; 12] =
-    ["png", "jpg", "jpeg", "tif", "tiff", "exr", "PNG", "JPG", "JPEG", "TIF", "TIFF", "EXR"];
+/// Extensions of images. Names are compared without case.
+pub(crate) const IMAGE_EXTENSIONS: [&str; 6] = ["png", "jpg", "jpeg", "tif", "tiff", "exr"];
 const MASK_EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "tif", "tiff", "npy", "exr"];
 const DEPTH_EXTENSIONS: [&str; 5] = ["png", "npy", "tif", "tiff", "exr"];
 
@@ -47,6 +47,12 @@ pub(crate) fn last_part(name: &str) -> &str {
 pub(crate) fn has_extension(name: &str, extensions: &[&str]) -> bool {
     let own = Path::new(name).extension();
     own.is_some_and(|own| extensions.iter().any(|known| own.eq_ignore_ascii_case(known)))
+}
+
+/// A word with a capital first letter.
+fn capitalised(word: &str) -> String {
+    let mut letters = word.chars();
+    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
 }
 
 /// True if one of the names has one of these extensions.
@@ -160,7 +166,10 @@ impl SourceFolder {
 
     /// An image by its name in the model, or else by its stem with another extension.
     pub(crate) fn image(&self, name: &FileName) -> Result<Option<PathBuf>, ImportError> {
-        let others = IMAGE_EXTENSIONS.iter().map(|e| name.with_extension(e));
+        let spellings: [fn(&str) -> String; 3] = [str::to_string, str::to_uppercase, capitalised];
+        let others = spellings.iter().flat_map(|spell| {
+            IMAGE_EXTENSIONS.iter().map(|extension| name.with_extension(&spell(extension)))
+        });
         self.first(std::iter::once(Ok(name.clone())).chain(others))
     }
 
@@ -178,9 +187,8 @@ impl SourceFolder {
 
     /// Names of the image files below the folder, sorted, with `/` between parts. Hidden files are left out.
     pub(crate) fn images(&self) -> Vec<String> {
-        let known = |own: &std::ffi::OsStr| IMAGE_EXTENSIONS.iter().any(|known| own == *known);
         let names = visible_files(&self.path, usize::MAX).map(|(name, _)| name);
-        names.filter(|name| Path::new(name).extension().is_some_and(known)).collect()
+        names.filter(|name| has_extension(name, &IMAGE_EXTENSIONS)).collect()
     }
 }
 
@@ -220,6 +228,9 @@ mod tests {
         assert!(folder.file(&name("sub\\a b.png")).unwrap().is_some());
         assert!(folder.file(&name("sub/none.png")).unwrap().is_none());
         assert!(folder.image(&name("sub/a b.JPG")).unwrap().is_some(), "another extension");
+        std::fs::write(images.join("sub/c.Jpg"), b"x").unwrap();
+        assert!(folder.images().contains(&"sub/c.Jpg".to_string()), "{:?}", folder.images());
+        assert!(folder.image(&name("sub/c.png")).unwrap().is_some(), "another extension in other case");
         assert!(folder.file(&name("sub")).unwrap().is_none(), "a folder is no image");
         // The name has the greatest valid length: with another extension it is invalid, and so counts as
         // missing.

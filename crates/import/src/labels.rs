@@ -11,7 +11,7 @@ use use3d_capture::FileName;
 use use3d_survey::Survey;
 
 use crate::error::ImportError;
-use crate::folder::{IMAGE_EXTENSIONS, SourceFolder, last_part, may_hold_photographs};
+use crate::folder::{IMAGE_EXTENSIONS, SourceFolder, has_extension, last_part, may_hold_photographs};
 
 /// The outcome for one label.
 enum Fit {
@@ -28,7 +28,7 @@ struct Photographs {
 /// A file name without the extension of an image.
 fn stem(name: &str) -> &str {
     match name.rsplit_once('.') {
-        Some((stem, extension)) if !stem.is_empty() && IMAGE_EXTENSIONS.contains(&extension) => stem,
+        Some((stem, _)) if !stem.is_empty() && has_extension(name, &IMAGE_EXTENSIONS) => stem,
         _ => name,
     }
 }
@@ -144,6 +144,8 @@ mod tests {
         for (files, label, expected) in [
             (&["a.jpg", "b.jpg"][..], "a", "a.jpg"),
             (&["A.JPG"], "a.jpg", "A.JPG"),
+            (&["IMG_1.Jpg"], "IMG_1", "IMG_1.Jpg"),
+            (&["IMG_1.png"], "IMG_1.Jpg", "IMG_1.png"),
             (&["a.tif", "a.jpg"], "a.jpg", "a.jpg"),
             (&["DJI.0001.jpg", "DJI.0002.jpg"], "DJI.0002", "DJI.0002.jpg"),
             (&["left/1.png", "right/1.png"], "dive/right/1", "right/1.png"),
