@@ -157,7 +157,8 @@ impl Rules {
             self.minor("split", text, remedy);
         } else if train < 8 {
             let text = format!("Only {train} views are left for training, and {test} are held out.");
-            let remedy = "hold out fewer views (`--set import.split.every=8`, or a shorter test_list.txt)";
+            let remedy = "take more photographs, or hold none out (`--set import.split.every=0`; the report then has no \
+                honest scores), or shorten test_list.txt";
             self.add(Severity::Serious, "split", text, remedy, import.test.clone());
         } else {
             self.good("split", format!("{test} of {} views are held out for the scores.", train + test));

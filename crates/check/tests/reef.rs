@@ -129,6 +129,20 @@ fn blurred_and_dark_views_are_named() {
 }
 
 #[test]
+fn few_views_for_training_get_advice_that_changes_something() {
+    let mut reef = Reef::new();
+    reef.report.train.truncate(7);
+    let report = reef.examine();
+    let found = report.findings.iter().find(|f| f.subject == "split").unwrap();
+    assert_eq!(found.severity, Severity::Serious);
+    for advice in ["take more photographs", "`--set import.split.every=0`", "shorten test_list.txt"] {
+        assert!(found.remedy.contains(advice), "{}", found.remedy);
+    }
+    // One view in 8 is held out without any setting.
+    assert!(!found.remedy.contains("every=8"), "{}", found.remedy);
+}
+
+#[test]
 fn a_wide_lens_is_suspected_where_a_side_has_no_points() {
     let mut reef = Reef::new();
     reef.tracks.iter_mut().for_each(|t| t.sightings.retain(|s| s.x < 0.6 * W as f64));
