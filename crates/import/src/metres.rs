@@ -310,6 +310,13 @@ struct Centres<T> {
     unknown: usize,
 }
 
+impl<T> Centres<T> {
+    /// The rows whose images have no camera, for the end of a sentence on the others.
+    fn lacking(&self) -> String {
+        if self.unknown > 0 { format!(", {} others have no camera", self.unknown) } else { String::new() }
+    }
+}
+
 /// The centres of the named images with the values of their rows.
 fn centres<T>(
     table: &MetresTable,
@@ -336,10 +343,11 @@ fn positions(
     survey: &Survey,
     notes: &mut Vec<String>,
 ) -> Result<FoundWorld, ImportError> {
-    let Centres { pairs, names, unknown } = centres(table, survey, |row| {
+    let centres = centres(table, survey, |row| {
         Ok(DVec3::new(table.number(row, "x")?, table.number(row, "y")?, table.number(row, "z")?))
     })?;
-    let lacking = if unknown > 0 { format!(", {unknown} others have no camera") } else { String::new() };
+    let lacking = centres.lacking();
+    let Centres { pairs, names, .. } = centres;
     Ok(match fit_positions(&pairs, format!("the positions in {POSITIONS}")) {
         Some(PositionsFit { world, left, error }) if error > CERTAIN => {
             let off = |(at, metres): &(DVec3, DVec3)| {
@@ -368,7 +376,9 @@ fn positions(
 }
 
 fn depths(table: &MetresTable, survey: &Survey, notes: &mut Vec<String>) -> Result<FoundWorld, ImportError> {
-    let Centres { mut pairs, .. } = centres(table, survey, |row| table.number(row, "depth"))?;
+    let centres = centres(table, survey, |row| table.number(row, "depth"))?;
+    let lacking = centres.lacking();
+    let Centres { mut pairs, .. } = centres;
     if pairs.iter().all(|(_, depth)| *depth <= 0.0) && pairs.iter().any(|(_, depth)| *depth < 0.0) {
         pairs.iter_mut().for_each(|(_, depth)| *depth = -*depth);
         notes.push(format!("the depths in {DEPTHS} are negative; they count as metres below the surface"));
@@ -378,7 +388,7 @@ fn depths(table: &MetresTable, survey: &Survey, notes: &mut Vec<String>) -> Resu
         Some((world, error)) if error <= CERTAIN => {
             let (count, percent) = (pairs.len(), 100.0 * error);
             notes.push(format!(
-                "{count} depths in {DEPTHS} give the metres to {percent:.1} %, one standard error"
+                "{count} depths in {DEPTHS} give the metres to {percent:.1} %, one standard error{lacking}"
             ));
             Ok(world)
         }
@@ -387,8 +397,8 @@ fn depths(table: &MetresTable, survey: &Survey, notes: &mut Vec<String>) -> Resu
             100.0 * error
         )),
         None => Err(format!(
-            "{DEPTHS} gives no metres: {} of its images have a camera; expected five or more that are not in one plane; \
-             {remedy}",
+            "{DEPTHS} gives no metres: {} of its images have a camera{lacking}; expected five or more that are not in one \
+             plane; {remedy}",
             pairs.len()
         )),
     })

@@ -131,7 +131,12 @@ fn a_log_of_depths_gives_metres_and_says_how_certain_they_are() {
     let imported = read(dir.path()).unwrap();
     let world = imported.model.world.clone().unwrap();
     assert!((world.metres_per_unit / METRES - 1.0).abs() < 0.03, "{}", world.metres_per_unit);
-    assert!(imported.report.to_string().contains("one standard error"), "{}", imported.report);
+    assert!(imported.report.to_string().contains("one standard error\n"), "{}", imported.report);
+    // Rows of photographs without a camera are counted.
+    let more = table(0.01, &true_depth) + "IMG_9998.png,8.1\nIMG_9999.png,8.2\n";
+    std::fs::write(dir.path().join("depths.csv"), more).unwrap();
+    let said = read(dir.path()).unwrap().report.to_string();
+    assert!(said.contains("one standard error, 2 others have no camera"), "{said}");
     // A gauge that moves by whole metres does not determine them, and nothing is claimed.
     std::fs::write(dir.path().join("depths.csv"), table(1.0, &true_depth)).unwrap();
     let imported = read(dir.path()).unwrap();
