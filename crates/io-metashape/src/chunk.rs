@@ -346,10 +346,15 @@ fn read_markers(chunk: Element<'_>, survey: &mut Survey) -> Result<()> {
     Ok(())
 }
 
+/// True for the reference system of a project that is on no place of the earth, in either of its spellings.
+fn is_local(crs: &str) -> bool {
+    ["LOCAL_CS", "ENGCRS"].iter().any(|head| crs.starts_with(head))
+}
+
 /// The factor from a local system's unit to metres; 1 for systems on the earth, whose transforms are in
 /// metres from its centre.
 fn metres_of_unit(crs: &str) -> Option<f64> {
-    if !crs.starts_with("LOCAL_CS") && !crs.starts_with("ENGCRS") {
+    if !is_local(crs) {
         return Some(1.0);
     }
     let Some(at) = crs.rfind("UNIT[") else { return Some(1.0) };
@@ -370,7 +375,7 @@ fn read_world(chunk: Element<'_>, transform: Option<Element<'_>>, survey: &mut S
                 .fail("the unit of its <reference> has no factor to metres; choose metres and export again");
         };
         let metres = scale * unit;
-        let local = crs.as_deref().is_none_or(|text| text.starts_with("LOCAL_CS"));
+        let local = crs.as_deref().is_none_or(is_local);
         if scale == 1.0 && local {
             survey.notes.push(
                 "the chunk's scale is exactly 1: unless the project has a scale bar or references, its unit \

@@ -325,7 +325,13 @@ fn the_world_is_read_in_every_spelling() {
         assert_eq!(take(&simple(&cameras, &rest)).unwrap().world, None);
     }
     let one = scaled.replace("<scale>4", "<scale>1");
-    assert!(take(&simple(&cameras, &one)).unwrap().notes.join("").contains("exactly 1"));
+    let engineering = "<reference>ENGCRS[\"Local\",EDATUM[\"x\"],LENGTHUNIT[\"metre\",1]]</reference>";
+    for (reference, local) in
+        [("", true), (local("\"metre\",1").as_str(), true), (engineering, true), (earth, false)]
+    {
+        let notes = take(&simple(&cameras, &format!("{one}{reference}"))).unwrap().notes.join("");
+        assert_eq!(notes.contains("exactly 1"), local, "{reference}: {notes}");
+    }
     for (from, to, expected) in [
         ("<scale>4</scale>", "<scale>0</scale>", "its <scale> is 0; expected above 0"),
         ("<scale>4</scale>", "<scale>-2</scale>", "Reference > Update"),
