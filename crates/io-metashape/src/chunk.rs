@@ -193,7 +193,11 @@ fn read_chunk(chunk: Element<'_>) -> Result<Survey> {
     note(without.len(), format!("cameras are not aligned and not used: {}", names(&without)));
     note(disabled.len(), format!("cameras are disabled and not used: {}", names(&disabled)));
     note(elsewhere, "cameras belong to other components and are not used".into());
-    note(rigs, "of these follow a master camera; rigs are not read, export each sensor's poses".into());
+    note(
+        rigs,
+        "cameras without a pose of their own follow a master camera; rigs are not read: export each sensor's poses"
+            .into(),
+    );
     note(shutters, "cameras have a rolling-shutter correction, which is not applied".into());
 
     // Sensors that a used camera refers to.
