@@ -55,6 +55,9 @@ pub fn read_cameras(path: &Path) -> Result<Vec<(FileName, Camera)>, ImportError>
 
 /// The pinhole cameras of one `images.txt`, in its order, with the lenses of the `cameras.txt` in its folder.
 /// Points are not needed, so a path of cameras can consist of these two files.
+///
+/// # Errors
+/// A file that cannot be read, and a name that occurs twice.
 pub fn read_images_txt(path: &Path) -> Result<Vec<Camera>, ImportError> {
     let read = |path: &Path| std::fs::read(path).map_err(ImportError::file(path));
     let lenses = path.with_file_name("cameras.txt");

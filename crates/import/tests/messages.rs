@@ -188,6 +188,19 @@ fn normalising_a_tiny_swim_cannot_push_points_out_of_single_precision() {
 }
 
 #[test]
+fn cameras_of_a_text_file_need_names_of_their_own() {
+    let dir = tempfile::tempdir().unwrap();
+    write_model_text(dir.path(), &model()).unwrap();
+    let path = dir.path().join("images.txt");
+    assert_eq!(read_images_txt(&path).unwrap().len(), 3);
+    let text = std::fs::read_to_string(&path).unwrap();
+    std::fs::write(&path, text.replace("c.png", "a.png")).unwrap();
+    let said = read_images_txt(&path).unwrap_err().to_string();
+    // Two lines of comments come first, and each image has two lines.
+    assert!(said.contains("images.txt: line 7: its name occurs twice (a.png)"), "{said}");
+}
+
+#[test]
 fn lists_of_cameras_are_explained() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("scene.json");

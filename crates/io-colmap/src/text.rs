@@ -10,6 +10,7 @@
 //! A name is the rest of its line, so it may contain spaces. Numbers are written in the shortest form that
 //! reads back to the same bits.
 
+use std::collections::BTreeSet;
 use std::io::{self, Write};
 use std::path::Path;
 use std::str::{FromStr, SplitAsciiWhitespace};
@@ -108,7 +109,7 @@ fn after_words(text: &str, count: usize) -> &str {
 /// Parses `images.txt`.
 pub fn images(bytes: &[u8], path: &Path) -> Result<Vec<ModelImage>> {
     let mut lines = lines(bytes, path)?;
-    let mut out = Vec::new();
+    let (mut out, mut names) = (Vec::new(), BTreeSet::new());
     while let Some(mut line) = lines.find(Line::has_data) {
         let id = line.next("image id")?;
         let quaternion = line.array("quaternion entry")?;
@@ -119,6 +120,9 @@ pub fn images(bytes: &[u8], path: &Path) -> Result<Vec<ModelImage>> {
             return line.fail("it ends where the image's name was expected".into());
         }
         let name = FileName::new(name).or_else(|e| line.fail(e.to_string()))?;
+        if !names.insert(name.clone()) {
+            return line.fail(format!("its name occurs twice ({name}); expected each image once"));
+        }
         let mut keypoints = Vec::new();
         if let Some(mut line) = lines.next() {
             while let Some(word) = line.words.next() {

@@ -217,6 +217,9 @@ fn text_errors_name_the_line() {
     assert!(message.contains("name"), "{message}");
     let message = text::images(b"1 1 0 0 0 0 0 0 1 a.png\n1.0 2.0\n", path).unwrap_err().to_string();
     assert!(message.contains("line 2") && message.contains("point id"), "{message}");
+    let twice = b"1 1 0 0 0 0 0 0 1 a.png\n\n2 1 0 0 0 0 0 1 1 a.png\n\n";
+    let message = text::images(twice, path).unwrap_err().to_string();
+    assert!(message.contains("line 3") && message.contains("its name occurs twice (a.png)"), "{message}");
     let message = text::points(b"1 0 0 0 256 0 0 0\n", path).unwrap_err().to_string();
     assert!(message.contains("256"), "{message}");
     let message = text::points(b"\xff\xfe", path).unwrap_err().to_string();
