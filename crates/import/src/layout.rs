@@ -43,7 +43,16 @@ pub(crate) fn find_models(root: &Path, params: &ImportParams) -> Result<Vec<Foun
                 return Ok(vec![found]);
             }
         }
-        form_of(&root.join(place))?; // the reason why it is none of COLMAP's either
+        let path = root.join(place);
+        if let Err(error @ ModelError::Incomplete { .. }) = form_of(&path) {
+            return Err(error.into());
+        }
+        let reason = format!(
+            "it names {}, which is no model of COLMAP, Metashape (.xml), nerfstudio (transforms.json), OpenSfM \
+             (reconstruction.json) or RealityScan (.csv, .xmp); correct `model_dir`, or leave it out",
+            path.display()
+        );
+        return Err(ImportError::Parameter { field: "model_dir", reason });
     }
     // The formats' own order: what lies beside the first one is reported as not used.
     let mut found = Vec::new();
@@ -189,6 +198,11 @@ pub(crate) fn find_images(
     let looked = names.join(", ");
     let folders: Vec<SourceFolder> = names.iter().filter_map(|n| SourceFolder::open_own(root, n)).collect();
     let set = "`--set image_dir=DIR` (`--set import.image_dir=DIR` in `use3d run`)";
+    if let (true, Some(dir)) = (folders.is_empty(), &params.image_dir) {
+        let reason =
+            format!("the folder {} is not there; correct it, or leave it out", root.join(dir).display());
+        return Err(ImportError::Parameter { field: "image_dir", reason });
+    }
     if folders.is_empty() {
         return fail(&format!("there is no image folder; name yours with {set}"), looked);
     }

@@ -229,10 +229,22 @@ fn what_cannot_be_imported_is_explained() {
     let fixture = Fixture::new(3, pinhole(1));
     let complaint = |p: ImportParams| fixture.complaint(&p);
     let base = ImportParams::default;
-    assert!(complaint(ImportParams { image_dir: Some("photos".into()), ..base() }).contains("photos"));
+    let message = complaint(ImportParams { image_dir: Some("photos".into()), ..base() });
+    let missing = fixture.path("photos").display().to_string();
     assert!(
-        complaint(ImportParams { model_dir: Some("x".into()), ..base() }).contains("no COLMAP model here")
+        message.contains("image_dir") && message.contains(&format!("{missing} is not there")),
+        "{message}"
     );
+    for place in ["x", "images"] {
+        let message = complaint(ImportParams { model_dir: Some(place.into()), ..base() });
+        let named =
+            format!("names {}, which is no model of COLMAP, Metashape", fixture.path(place).display());
+        assert!(message.contains("`model_dir`") && message.contains(&named), "{message}");
+    }
+    std::fs::create_dir(fixture.path("half")).unwrap();
+    std::fs::write(fixture.path("half/images.bin"), b"").unwrap();
+    let message = complaint(ImportParams { model_dir: Some("half".into()), ..base() });
+    assert!(message.contains("half") && message.contains("lacks cameras.bin"), "{message}");
     assert!(complaint(ImportParams { mask_dir: Some("m".into()), ..base() }).contains("mask_dir"));
     assert!(complaint(ImportParams { downscale: 0, ..base() }).contains("downscale"));
     assert!(
