@@ -107,7 +107,7 @@ impl fmt::Display for ImportReport {
         let (model, form) = (shown(&self.model), shown(&self.model_form));
         write!(f, "  model {model} ({form}), {} images listed", self.registered)?;
         if !self.other_models.is_empty() {
-            write!(f, "; the largest, not used: {}", list(&self.other_models))?;
+            write!(f, "; other models, not used: {}", list(&self.other_models))?;
         }
         write!(f, "\n  images from {}", shown(&self.image_folder))?;
         if !self.other_image_folders.is_empty() {
@@ -171,6 +171,14 @@ impl fmt::Display for CameraReport {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn models_that_are_not_used_are_not_called_the_largest() {
+        let other_models = vec!["sparse/1 (3 images)".into(), "cameras.xml (Metashape)".into()];
+        let text = ImportReport { other_models, ..ImportReport::default() }.to_string();
+        let part = "; other models, not used: sparse/1 (3 images), cameras.xml (Metashape)\n";
+        assert!(text.contains(part), "{text}");
+    }
 
     #[test]
     fn one_file_is_not_called_many() {
