@@ -61,6 +61,14 @@ pub enum ImportError {
         /// The folder.
         folder: PathBuf,
     },
+    /// A file of a capture whose name is not accepted.
+    #[error("{}: {source}, and export the cameras again", path.display())]
+    FileName {
+        /// The file.
+        path: PathBuf,
+        /// The problem, and the remedy.
+        source: NameError,
+    },
     /// A result that cannot be named after its image.
     #[error("an image's result: {0}")]
     ResultName(#[from] NameError),
@@ -133,6 +141,10 @@ pub enum ImportError {
 }
 
 impl ImportError {
+    pub(crate) fn file_name(path: &Path) -> impl Fn(NameError) -> Self + '_ {
+        |source| Self::FileName { path: path.to_path_buf(), source }
+    }
+
     pub(crate) fn file(path: &Path) -> impl Fn(std::io::Error) -> Self + '_ {
         |source| Self::File { path: path.to_path_buf(), source }
     }

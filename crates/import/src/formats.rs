@@ -287,7 +287,8 @@ fn read_nerfstudio(found: &FoundModel) -> Result<ReadModel, ImportError> {
     let folder = if common.is_empty() { ".".to_string() } else { common.join("/") };
     let skipped = if common.is_empty() { 0 } else { folder.len() + 1 };
     for image in &mut survey.images {
-        image.name = FileName::new(&image.name[skipped..])?;
+        let short = FileName::new(&image.name[skipped..]);
+        image.name = short.map_err(ImportError::file_name(&image.name.below(dir)))?;
     }
     // The file names its masks, wherever they lie.
     let masks = survey.files.values().filter_map(|f| f.mask.as_ref());
@@ -383,7 +384,9 @@ fn read_realityscan(found: &FoundModel) -> Result<ReadModel, ImportError> {
     let (registration, dir, base, places) = if found.path.is_dir() {
         let mut sidecars = Vec::new();
         for (name, path) in sidecars_below(&found.path) {
-            sidecars.push(read_sidecar(FileName::new(use3d_capture::stem(&name))?, &path)?);
+            let photograph =
+                FileName::new(use3d_capture::stem(&name)).map_err(ImportError::file_name(&path))?;
+            sidecars.push(read_sidecar(photograph, &path)?);
             files.push(PathBuf::from(inside(&found.relative, &name)));
         }
         let registration = parse_sidecars(&sidecars, &found.path)?;

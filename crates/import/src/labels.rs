@@ -117,7 +117,7 @@ pub(crate) fn resolve(survey: &mut Survey, folder: &SourceFolder) -> Result<(), 
         if !taken.insert(path.clone()) {
             return fail(format!("two cameras have the photograph {path}; rename one in the project"));
         }
-        image.name = FileName::new(&path)?;
+        image.name = FileName::new(&path).map_err(ImportError::file_name(&folder.path.join(path)))?;
     }
     Ok(())
 }

@@ -461,3 +461,24 @@ fn dots_come_out_of_a_realityscan_export_where_they_are() {
         assert!(said.contains("none of its 4 photographs") && said.contains(model), "{said}");
     }
 }
+
+#[test]
+fn files_whose_names_are_not_accepted_are_named_with_their_folder() {
+    let refused = |dir: &Path, from: &str, to: &str| {
+        std::fs::create_dir_all(dir.join(to).parent().unwrap()).unwrap();
+        std::fs::rename(dir.join(from), dir.join(to)).unwrap();
+        let said = import(dir, &ImportParams::default()).unwrap_err().to_string();
+        for part in [dir.join(to).display().to_string().as_str(), "shorten it, and export the cameras again"]
+        {
+            assert!(said.contains(part), "{said} lacks {part}");
+        }
+    };
+    // File systems take names that are longer than those of images may be.
+    let (long, deep) = ("x".repeat(251), vec!["x".repeat(200); 5].join("/"));
+    let dir = tempfile::tempdir().unwrap();
+    realityscan(dir.path(), true);
+    refused(dir.path(), "images/dive/IMG_1.xmp", &format!("images/dive/{long}.xmp"));
+    let dir = tempfile::tempdir().unwrap();
+    metashape(dir.path());
+    refused(dir.path(), "photos/GOPR1.png", &format!("photos/{deep}/GOPR1.png"));
+}
