@@ -30,7 +30,7 @@ pub enum ImportError {
     },
     /// No model in any of the usual places.
     #[error(
-        "{}: no COLMAP model found (looked in {looked}); {hint}",
+        "{}: no model of COLMAP or another program found (looked in {looked}); {hint}",
         path.display()
     )]
     NoModel {
@@ -87,7 +87,7 @@ pub enum ImportError {
         "camera {camera} of the model: {reason}; calibrate it again, or undistort the images with COLMAP"
     )]
     Lens {
-        /// COLMAP's camera id.
+        /// The camera's id in the model.
         camera: u32,
         /// The problem.
         reason: String,

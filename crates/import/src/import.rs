@@ -75,7 +75,8 @@ impl Imported {
     }
 }
 
-/// Imports a capture folder: a COLMAP model and its images, or a folder that [`crate::prepare`] wrote.
+/// Imports a capture folder: a model of COLMAP or another program with its images, or a folder that
+/// [`crate::prepare`] wrote.
 ///
 /// # Errors
 /// Returns any problem that makes the capture unusable with these parameters. Missing images are no errors:
@@ -84,7 +85,8 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
     params.validate()?;
     if !dir.is_dir() {
         let what = if dir.exists() {
-            "this is a file; a capture is a folder with images and a COLMAP model; `use3d prepare` makes one of a film"
+            "this is a file; a capture is a folder with images and a model of COLMAP or another program; `use3d prepare` \
+             makes one of a film"
         } else {
             "there is no such folder"
         };

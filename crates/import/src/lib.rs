@@ -1,8 +1,8 @@
 //! Converts a folder with pictures and a model of their cameras to a capture.
 //!
-//! The input is a folder with images and a COLMAP model. The outputs are a
-//! [`Capture`](use3d_capture::Capture), an [`ImportReport`], and the pixels of single views. The crate
-//! estimates no cameras: the model must exist.
+//! The input is a folder with images and a model of COLMAP or another program: Metashape, nerfstudio, OpenSfM
+//! or RealityScan. The outputs are a [`Capture`](use3d_capture::Capture), an [`ImportReport`], and the pixels
+//! of single views. The crate estimates no cameras: the model must exist.
 //!
 //! ```text
 //! layout ─▶ import ─▶ prepare ─▶ prepared ─▶ load

@@ -12,8 +12,8 @@ pub struct ImportParams {
     /// The image folder, relative to the capture. Default: `images`, `images_wb`, `Images_wb` or `input`,
     /// whichever holds most of the model's images.
     pub image_dir: Option<String>,
-    /// The model's folder, relative to the capture. Default: the largest of `sparse/0`, `sparse`,
-    /// `colmap/sparse/0`, `sparse/*`.
+    /// The model's folder or file, relative to the capture. Default: the largest model of COLMAP in
+    /// `sparse/0`, `sparse`, `colmap/sparse/0` or `sparse/*`, or else the file of another program.
     pub model_dir: Option<String>,
     /// The mask folder, relative to the capture. Default: `masks` if it exists. Pixels of value 0 are
     /// ignored, white ones count fully.
@@ -77,7 +77,7 @@ pub enum SplitOrder {
     /// By file name.
     #[default]
     Name,
-    /// By COLMAP's image id.
+    /// By the image's id in the model.
     ColmapId,
 }
 

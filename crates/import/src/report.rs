@@ -14,9 +14,9 @@ pub struct ImportReport {
     /// The capture's name, which is its folder's name. Not stored.
     #[serde(skip_serializing, default)]
     pub name: String,
-    /// The model's folder, relative to the capture.
+    /// The model's folder or file, relative to the capture.
     pub model: String,
-    /// `binary` or `text`.
+    /// `binary` or `text` for a model of COLMAP, or else the form of another program, such as `Agisoft XML`.
     pub model_form: String,
     /// Other models in the capture that are not used, with their numbers of images. Not stored.
     #[serde(skip_serializing, default)]
@@ -66,9 +66,9 @@ pub struct ImportReport {
 /// One camera of the model with one size of image file.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct CameraReport {
-    /// COLMAP's camera id.
+    /// The camera's id in the model.
     pub id: u32,
-    /// COLMAP's camera model.
+    /// The lens model, by the name that the program has for it.
     pub model: String,
     /// Number of views taken with it.
     pub views: usize,

@@ -260,7 +260,7 @@ fn what_cannot_be_imported_is_explained() {
     std::fs::write(fixture.path("images").join(&fixture.names[1]), b"junk").unwrap();
     assert!(complaint(base()).contains("f01.png"));
     assert!(import(&fixture.path("nowhere"), &base()).unwrap_err().to_string().contains("no such folder"));
-    assert!(import(&fixture.path("images"), &base()).unwrap_err().to_string().contains("no COLMAP model"));
+    assert!(import(&fixture.path("images"), &base()).unwrap_err().to_string().contains("no model of COLMAP"));
 }
 
 #[test]
