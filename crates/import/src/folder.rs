@@ -16,6 +16,9 @@ pub(crate) const MASK_DIRS: [&str; 1] = ["masks"];
 
 /// Extensions of images. Names are compared without case.
 pub(crate) const IMAGE_EXTENSIONS: [&str; 6] = ["png", "jpg", "jpeg", "tif", "tiff", "exr"];
+/// Extensions of films. `use3d_prepare` has the same list, because neither crate uses the other.
+const FILM_EXTENSIONS: [&str; 14] =
+    ["mp4", "mov", "avi", "mkv", "webm", "m4v", "mts", "m2ts", "mpg", "mpeg", "wmv", "3gp", "lrv", "insv"];
 const MASK_EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "tif", "tiff", "npy", "exr"];
 const DEPTH_EXTENSIONS: [&str; 5] = ["png", "npy", "tif", "tiff", "exr"];
 
@@ -36,6 +39,11 @@ pub fn is_prepared(dir: &Path) -> bool {
 pub(crate) fn may_hold_photographs(dir: &Path, name: &str) -> bool {
     let other = MASK_DIRS.contains(&name) || DEPTH_DIRS.contains(&name) || name == "truth";
     !other && !is_prepared(&dir.join(name))
+}
+
+/// True if a file's name ends like a film's.
+pub fn is_film(path: &Path) -> bool {
+    path.to_str().is_some_and(|name| has_extension(name, &FILM_EXTENSIONS))
 }
 
 /// The last part of a name with `/` between its parts.

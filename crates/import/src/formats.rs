@@ -15,8 +15,8 @@ use use3d_survey::Survey;
 
 use crate::error::ImportError;
 use crate::folder::{
-    IMAGE_DIRS, MANIFEST, SourceFolder, any_has, has_extension, may_hold_photographs, names_in, subfolders,
-    visible_files,
+    IMAGE_DIRS, MANIFEST, SourceFolder, any_has, has_extension, is_film, may_hold_photographs, names_in,
+    subfolders, visible_files,
 };
 use crate::labels;
 use crate::layout::{FoundModel, find_colmap};
@@ -158,7 +158,7 @@ fn read_colmap(found: &FoundModel) -> Result<ReadModel, ImportError> {
 }
 
 fn no_colmap(names: &[String]) -> Option<&'static str> {
-    any_has(names, &["mp4", "mov", "avi", "mkv"]).then_some(
+    names.iter().any(|name| is_film(Path::new(name))).then_some(
         "it has a film and no model: `use3d prepare FILM --out CAPTURE_DIR` makes a capture of it, and `use3d run FILM` \
          does so first",
     )

@@ -250,8 +250,9 @@ fn count_named(survey: &Survey, folder: &SourceFolder) -> Result<usize, ImportEr
 
 /// The format of images that are in a folder and cannot be read.
 fn unread(dir: &Path) -> Option<String> {
-    const NOT_READ: [&str; 14] = [
+    const NOT_READ: [&str; 16] = [
         "webp", "heic", "heif", "avif", "jxl", "bmp", "gif", "dng", "cr2", "cr3", "nef", "arw", "orf", "raf",
+        "rw2", "gpr",
     ];
     let entries = walkdir::WalkDir::new(dir).sort_by_file_name().into_iter().filter_map(Result::ok);
     entries

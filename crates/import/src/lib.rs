@@ -56,7 +56,7 @@ mod white_balance;
 
 pub use cameras::{camera_list, read_cameras, read_images_txt};
 pub use error::ImportError;
-pub use folder::is_prepared;
+pub use folder::{is_film, is_prepared};
 pub use import::{Imported, capture_name, import};
 pub use layout::{check_layout, has_depth_folder, holds_no_model};
 pub use load::{load_depth_prior, load_mask, load_pixels};

@@ -45,10 +45,11 @@ fn complaint(change: impl FnOnce(&Path)) -> String {
 fn what_lies_there_instead_of_a_model_is_said_with_the_next_step() {
     let without = |dir: &Path| std::fs::remove_dir_all(dir.join("sparse")).unwrap();
     type Change = fn(&Path);
-    let cases: [(&str, Change); 9] = [
+    let cases: [(&str, Change); 10] = [
         ("no cameras file of Metashape", |d| std::fs::write(d.join("notes.xml"), "<html/>").unwrap()),
         ("Internal/External camera parameters", |d| std::fs::write(d.join("reef.RCPROJ"), "x").unwrap()),
         ("use3d prepare FILM", |d| std::fs::write(d.join("Dive.MP4"), "x").unwrap()),
+        ("use3d prepare FILM", |d| std::fs::write(d.join("00001.MTS"), "x").unwrap()),
         ("this is a scene", |d| {
             std::fs::write(d.join("scene.json"), "{}").unwrap();
             std::fs::write(d.join("gaussians.ply"), "ply").unwrap();
@@ -106,13 +107,16 @@ fn a_model_that_lacks_a_file_or_is_cut_short_is_said_by_file() {
 
 #[test]
 fn images_that_are_not_read_are_said_by_their_format() {
-    let said = complaint(|dir| {
-        for name in NAMES {
-            let from = dir.join("images").join(name);
-            std::fs::rename(&from, from.with_extension("webp")).unwrap();
-        }
-    });
-    assert!(said.contains("WEBP images are not read") && said.contains("a.png"), "{said}");
+    for format in ["webp", "gpr"] {
+        let said = complaint(|dir| {
+            for name in NAMES {
+                let from = dir.join("images").join(name);
+                std::fs::rename(&from, from.with_extension(format)).unwrap();
+            }
+        });
+        let part = format!("{} images are not read", format.to_uppercase());
+        assert!(said.contains(&part) && said.contains("a.png"), "{said}");
+    }
 }
 
 #[cfg(unix)]
