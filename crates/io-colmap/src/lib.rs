@@ -19,7 +19,8 @@ pub use camera::ModelCamera;
 pub use error::ModelError;
 pub use lens::LensModel;
 pub use model::{
-    Model, ModelForm, count_images, fits_single, form_of, read_model, read_model_as, write_model_binary,
-    write_model_text,
+    Model, ModelForm, count_images, form_of, read_model, read_model_as, write_model_binary, write_model_text,
 };
-pub use use3d_survey::{Keypoint, Lens, PosedImage as ModelImage, Projection, SurveyPoint as ModelPoint};
+pub use use3d_survey::{
+    Keypoint, Lens, PosedImage as ModelImage, Projection, SurveyPoint as ModelPoint, fits_single,
+};

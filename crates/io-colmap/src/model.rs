@@ -9,7 +9,10 @@ use std::collections::BTreeSet;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use use3d_survey::{PosedImage as ModelImage, SurveyPoint as ModelPoint, check_records};
+use use3d_survey::{
+    PosedImage as ModelImage, SHORTEST_FOCAL, SINGLE_RANGE, SurveyPoint as ModelPoint, check_records,
+    fits_single,
+};
 
 use crate::camera::ModelCamera;
 use crate::error::ModelError;
@@ -164,18 +167,6 @@ fn write(
 /// The largest image that a camera may announce: the limit of the image readers.
 const MAX_PIXELS: u64 = use3d_io_image::MAX_PIXELS;
 
-/// The largest coordinate or lens parameter. Training uses single precision, in which the square of a larger
-/// one overflows.
-const LARGEST: f64 = 1e15;
-const RANGE: &str = "; expected numbers up to 1e15";
-/// The shortest focal length, pixels: the square of a shorter one vanishes in single precision.
-const SHORTEST_FOCAL: f64 = 1e-3;
-
-/// True if a coordinate can be used in single precision.
-pub fn fits_single(value: f64) -> bool {
-    value.abs() <= LARGEST
-}
-
 impl Model {
     /// Checks conditions that involve more than one record or field: ids are unique and known, numbers
     /// finite, sizes sensible.
@@ -215,7 +206,7 @@ impl Model {
         for camera in &self.cameras {
             let place = format!("camera {}", camera.id);
             if let Some(bad) = camera.parameters.iter().position(|p| !fits_single(*p)) {
-                return fail(place, format!("parameter {bad} is {:e}{RANGE}", camera.parameters[bad]));
+                return fail(place, format!("parameter {bad} is {:e}{SINGLE_RANGE}", camera.parameters[bad]));
             }
             let focal = camera.lens().map(|lens| lens.focal);
             if let Some(focal) = focal.filter(|f| f.iter().any(|f| *f < SHORTEST_FOCAL)) {
@@ -224,7 +215,7 @@ impl Model {
                 return fail(place, reason);
             }
         }
-        check_records(&self.images, &self.points, |_| true, fits_single, RANGE)
+        check_records(&self.images, &self.points, |_| true, fits_single, SINGLE_RANGE)
             .or_else(|(place, reason)| fail(place, reason))
     }
 }

@@ -8,11 +8,18 @@ use crate::survey::{PosedImage, Survey, SurveyPoint};
 
 /// The longest side of an image, pixels.
 const LONGEST_SIDE: usize = 1 << 20;
-/// The largest coordinate or lens parameter. Training is done in single precision, where the square of a
-/// larger one is no number any more.
+/// The largest coordinate or lens parameter. Training uses single precision, in which the square of a larger
+/// one overflows.
 const LARGEST: f64 = 1e15;
-/// The shortest focal length, pixels: shorter ones vanish in single precision once they are squared.
-const SHORTEST_FOCAL: f64 = 1e-3;
+/// The end of a message about a number that [`fits_single`] refuses.
+pub const SINGLE_RANGE: &str = "; expected numbers up to 1e15";
+/// The shortest focal length, pixels: the square of a shorter one vanishes in single precision.
+pub const SHORTEST_FOCAL: f64 = 1e-3;
+
+/// True if a coordinate or a parameter of a lens can be used in single precision.
+pub fn fits_single(value: f64) -> bool {
+    value.abs() <= LARGEST
+}
 
 /// Checks that the ids and names of images are unique, their cameras `known` and their rotations usable, and
 /// that the coordinates of images and points all fit; `range` says which ones do.
@@ -64,8 +71,6 @@ impl Survey {
         let fail = |place: String, reason: String| {
             Err(ReadError::broken(path, place, format!("{reason}; {remedy}")))
         };
-        let fits = |v: f64| v.abs() <= LARGEST;
-        let range = "; expected numbers up to 1e15";
         let mut ids = BTreeSet::new();
         for camera in &self.cameras {
             let place = format!("camera {}", camera.id);
@@ -86,13 +91,16 @@ impl Survey {
             let mut numbers = lens.focal.iter().chain(&lens.principal).chain([&lens.skew]);
             let mut bends =
                 d.numerator.iter().chain(&d.denominator).chain(&d.tangential).chain(&d.tangential_growth);
-            if let Some(bad) = numbers.find(|v| !fits(**v)).or_else(|| bends.find(|v| !fits(**v))) {
-                return fail(place, format!("a parameter of its lens is {bad:e}{range}"));
+            if let Some(bad) =
+                numbers.find(|v| !fits_single(**v)).or_else(|| bends.find(|v| !fits_single(**v)))
+            {
+                return fail(place, format!("a parameter of its lens is {bad:e}{SINGLE_RANGE}"));
             }
         }
         let known = |camera| ids.contains(&camera);
         let (images, points) = (&self.images, &self.points);
-        check_records(images, points, known, fits, range).or_else(|(place, reason)| fail(place, reason))?;
+        check_records(images, points, known, fits_single, SINGLE_RANGE)
+            .or_else(|(place, reason)| fail(place, reason))?;
         if let Some(world) = &self.world
             && !world.is_valid()
         {

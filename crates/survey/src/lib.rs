@@ -24,7 +24,7 @@ mod read;
 mod survey;
 mod table;
 
-pub use check::check_records;
+pub use check::{SHORTEST_FOCAL, SINGLE_RANGE, check_records, fits_single};
 pub use fit::{PositionsFit, fit_depths, fit_positions};
 pub use geo::EarthPlace;
 pub use lens::{Distortion, Lens, Projection};
