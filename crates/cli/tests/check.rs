@@ -143,5 +143,8 @@ fn no_capture_no_check() {
     let dir = tempfile::tempdir().unwrap();
     let output = use3d(&["check", &dir.path().to_string_lossy()]);
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(output.status.code() == Some(2) && said.contains("no COLMAP model"), "{said}");
+    assert!(
+        output.status.code() == Some(2) && said.contains("no model of COLMAP or another program"),
+        "{said}"
+    );
 }

@@ -106,7 +106,7 @@ fn no_pipeline(file: &Path) -> Option<&'static str> {
     let extension = file.extension()?.to_string_lossy().to_lowercase();
     Some(match extension.as_str() {
         "png" | "jpg" | "jpeg" | "tif" | "tiff" | "exr" | "webp" | "heic" | "bmp" | "gif" => {
-            "one picture is not a capture: give the folder with the images and their COLMAP model"
+            "one picture is not a capture: give the folder with the images and their cameras' model"
         }
         "json" if file.file_name().is_some_and(|name| name == "transforms.json") => {
             "give the folder that transforms.json (nerfstudio) lies in, not the file (docs/guide/other-programs.md)"
@@ -120,7 +120,7 @@ fn no_pipeline(file: &Path) -> Option<&'static str> {
              as PLY beside the photographs, and give that folder (docs/guide/other-programs.md)"
         }
         "json" => {
-            "this is not a pipeline file (.toml): give the capture's folder, with images and a COLMAP model \
+            "this is not a pipeline file (.toml): give the capture's folder, with images and a model of their cameras \
              (docs/guide/captures.md)"
         }
         _ => return None,

@@ -260,16 +260,13 @@ impl DataSet<'_> {
             return Ok(lines(&job.make(&key, &inputs, force)?));
         }
         check_folder(&out, force)?;
-        let folder = self.args.out.join(format!(".{name}.balanced"));
+        let folder = work_folder(&out);
         let balanced = job.watched(|watch| {
             balance(&sources, &folder, watch)?;
             sources.made_in(&folder)
         });
-        let prepared = balanced
-            .map_err(CliError::from)
-            .and_then(|sources| Preparation { sources: &sources, ..job }.make(&key, &inputs, force));
-        let _ = std::fs::remove_dir_all(&folder);
-        Ok(lines(&prepared?))
+        let sources = balanced.map_err(CliError::from)?;
+        Ok(lines(&Preparation { sources: &sources, ..job }.make(&key, &inputs, force)?))
     }
 }
 

@@ -1,4 +1,4 @@
-//! Converts a COLMAP folder into a prepared capture: pinhole cameras, pixels at their size, a normalised
+//! Converts a capture folder into a prepared capture: pinhole cameras, pixels at their size, a normalised
 //! frame and a split.
 
 use std::path::{Component, Path, PathBuf};
@@ -16,7 +16,7 @@ use crate::sights::{CaptureSights, SIGHTS, SightsError};
 
 pub(super) fn stage() -> Stage {
     Stage::new("import", Scope::Scene, run)
-        .about("read a COLMAP folder: find model and images, undistort, resize, normalise, split")
+        .about("read a capture folder: find model and images, undistort, resize, normalise, split")
         .made_of(&[], &["src/stages/import.rs"])
         .promises(&["capture.json", "report.json", "images/"])
         .check(|p: &ImportParams| p.validate().map_err(out_of_range))
