@@ -174,7 +174,7 @@ fn a_stage_that_fails_by_hand_exits_with_1_and_bad_input_with_2() {
     check(&[
         (&["import", &reef, "--out", &at("out")], 2, &["lacks points3D.bin"]),
         (&["reconstruct", &reef, "--out", &at("out")], 2, &["lacks points3D.bin"]),
-        (&["export", &at("nowhere"), "--ply", &at("x.ply")], 2, &["scene.json"]),
+        (&["export", &at("nowhere"), "--ply", &at("x.ply")], 2, &["there is no such folder", "a scene folder"]),
     ]);
     let help = use3d(&["--help"]);
     assert!(text(&help.stdout).contains("Exit codes: 0 done; 1 a stage failed; 2 wrong usage"));
@@ -203,6 +203,42 @@ fn settings_are_explained() {
     let demo = dir.path().join("demo").to_str().unwrap().to_string();
     check(&[(&["demo", "--out", &demo, "--set", "iterations=100"], 2, &["`reconstruct.iterations`"])]);
     assert!(!Path::new(&demo).exists());
+}
+
+#[test]
+fn what_would_have_no_effect_or_lose_something_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let reef = capture(dir.path());
+    let at = |name: &str| dir.path().join(name).to_str().unwrap().to_string();
+    let (cache, images) = (at("cache"), at("reef/images/out"));
+    let with_cache = |arguments: &[&str]| -> Vec<String> {
+        arguments.iter().chain(&["--cache", &cache]).map(ToString::to_string).collect()
+    };
+    check(&[
+        (&["evaluate", "a", "b", "--reference", "c"], 2, &["--reference", "cannot be used with"]),
+        (&["evaluate", "--images", "a", "--set", "x=1"], 2, &["--set", "cannot be used with"]),
+        (&["view", "a", "--scene", "b"], 2, &["--scene", "cannot be used with"]),
+        (&["render", "a", "--out", "b", "--json"], 2, &["--json", "cannot be used with"]),
+        (&["render", "a", "--out", "b", "--water", "50%"], 2, &["expected a number, such as 0.5"]),
+        (&["export", "a", "--glb", &at("a.glb"), "--frame", "metric"], 2, &["only a PLY", "--frame metric"]),
+        (&["gc", "--max-bytes", "5"], 2, &["5 has no unit", "5GB"]),
+        (&["verify", "--cache", &reef], 2, &["no cache of use3d"]),
+        (&["plan", &reef, "--cache", &at("")], 2, &["holds other files", "--cache"]),
+        (&["plan", &reef, "--iterations", "-1"], 2, &["expected a whole number from 1"]),
+        (
+            &["enhance", "a", "b", "--targets", "c", "--out", &at("d"), "--set", "render.modes=x"],
+            2,
+            &["`render`"],
+        ),
+    ]);
+    let borrowed = |arguments: Vec<String>, parts: &[&str]| {
+        let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+        check(&[(&arguments, 2, parts)]);
+    };
+    let white = at("nowhere.json");
+    borrowed(with_cache(&["run", &reef, "--white", &white]), &["nowhere.json", "expected a white balance"]);
+    borrowed(with_cache(&["run", &reef, "--out", &images]), &["inside the files of the capture"]);
+    assert!(!Path::new(&reef).join("v1").exists() && !Path::new(&reef).join("CACHEDIR.TAG").exists());
 }
 
 #[test]
