@@ -174,7 +174,11 @@ fn a_stage_that_fails_by_hand_exits_with_1_and_bad_input_with_2() {
     check(&[
         (&["import", &reef, "--out", &at("out")], 2, &["lacks points3D.bin"]),
         (&["reconstruct", &reef, "--out", &at("out")], 2, &["lacks points3D.bin"]),
-        (&["export", &at("nowhere"), "--ply", &at("x.ply")], 2, &["there is no such folder", "a scene folder"]),
+        (
+            &["export", &at("nowhere"), "--ply", &at("x.ply")],
+            2,
+            &["there is no such folder", "a scene folder"],
+        ),
     ]);
     let help = use3d(&["--help"]);
     assert!(text(&help.stdout).contains("Exit codes: 0 done; 1 a stage failed; 2 wrong usage"));

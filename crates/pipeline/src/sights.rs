@@ -15,14 +15,14 @@
 //! | `SIZE/values` | n × 6, f32 | mean and spread of the surface's R, G, B, display range; −1: clipped |
 //! | `SIZE/open_views` | m, u32 | view |
 //! | `SIZE/open` | m × 6, f64 | unit direction x, y, z in the capture's frame, mean colour R, G, B |
-//! | `glances` | k × 4, f32 | distance in the capture's frame, colour R, G, B; only without tracks |
+//! | `point_colors` | k × 4, f32 | distance in the capture's frame, colour R, G, B; only without tracks |
 
 use std::path::{Path, PathBuf};
 
 use use3d_capture::{Image, Map};
 use use3d_import::{ImportError, Imported, load_mask, load_pixels};
 use use3d_tensors::{TensorError, TensorFile, TensorWriter};
-use use3d_water::{Glance, Observation, ObserveError, OpenWater, Sights, glances, observe_sizes};
+use use3d_water::{Observation, ObserveError, OpenWater, PointColor, Sights, observe_sizes, point_colors};
 
 /// The file's name, in the import's folder.
 pub(crate) const SIGHTS: &str = "sights.safetensors";
@@ -30,16 +30,16 @@ pub(crate) const SIGHTS: &str = "sights.safetensors";
 /// The stored value of a channel that the camera clipped.
 const CLIPPED: f32 = -1.0;
 
-/// Glances of one view are thinned to about this many.
-const GLANCES: usize = 4000;
+/// Point colours of one view are thinned to about this many.
+const POINT_COLORS: usize = 4000;
 
 /// The measurements in a capture's photographs.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct CaptureSights {
     /// Those in the photographs at their own size, and at half that size.
     pub(crate) sizes: [Sights; 2],
-    /// Glances of views at points; only if the model has no tracks.
-    pub(crate) glances: Vec<Glance>,
+    /// Colours of views at points; only if the model has no tracks.
+    pub(crate) point_colors: Vec<PointColor>,
 }
 
 /// The error of measuring a capture.
@@ -96,13 +96,13 @@ impl CaptureSights {
         if tracks.iter().any(|track| track.sightings.len() > 1) {
             let sizes =
                 observe_sizes::<SightsError>(&cameras, &tracks, |v| trains(v).then(|| view(v)).transpose())?;
-            return Ok(Self { sizes, glances: Vec::new() });
+            return Ok(Self { sizes, point_colors: Vec::new() });
         }
         let mut seen = Self::default();
         for v in (0..cameras.len()).filter(|v| trains(*v)) {
             let (image, mask) = view(v)?;
-            let found = glances(&cameras[v], &capture.points, &image, mask.as_ref());
-            seen.glances.extend(found.iter().step_by(found.len().div_ceil(GLANCES).max(1)));
+            let found = point_colors(&cameras[v], &capture.points, &image, mask.as_ref());
+            seen.point_colors.extend(found.iter().step_by(found.len().div_ceil(POINT_COLORS).max(1)));
         }
         Ok(seen)
     }
@@ -166,9 +166,9 @@ impl CaptureSights {
             let open = sights.open.iter().flat_map(|o| o.direction.to_array().into_iter().chain(o.value));
             file.f64(&format!("{size}/open"), &[m, 6], &open.collect::<Vec<_>>());
         }
-        let glances = self.glances.iter().flat_map(|g| std::iter::once(g.distance).chain(g.value));
-        let glances: Vec<f32> = glances.map(|v| v as f32).collect();
-        file.f32("glances", &[self.glances.len(), 4], &glances);
+        let point_colors = self.point_colors.iter().flat_map(|g| std::iter::once(g.distance).chain(g.value));
+        let point_colors: Vec<f32> = point_colors.map(|v| v as f32).collect();
+        file.f32("point_colors", &[self.point_colors.len(), 4], &point_colors);
         file.finish()
     }
 
@@ -181,11 +181,14 @@ impl CaptureSights {
         for (sights, size) in seen.sizes.iter_mut().zip(["whole", "half"]) {
             *sights = sights_of(&file, size, imported, path)?;
         }
-        let [k, _] = file.sides("glances", "k x 4").map_err(of_file)?;
-        let rows = file.f32("glances", &[k, 4]).map_err(of_file)?;
-        seen.glances = rows
+        let [k, _] = file.sides("point_colors", "k x 4").map_err(of_file)?;
+        let rows = file.f32("point_colors", &[k, 4]).map_err(of_file)?;
+        seen.point_colors = rows
             .chunks_exact(4)
-            .map(|row| Glance { distance: f64::from(row[0]), value: [1, 2, 3].map(|c| f64::from(row[c])) })
+            .map(|row| PointColor {
+                distance: f64::from(row[0]),
+                value: [1, 2, 3].map(|c| f64::from(row[c])),
+            })
             .collect();
         Ok(seen)
     }
@@ -263,7 +266,7 @@ mod tests {
         let (whole, scaled) = (imported(0), imported(32));
         let seen = CaptureSights::of_files(&whole, None, || true).unwrap();
         let [full, half] = &seen.sizes;
-        assert!(full.points.len() > 100 && half.points.len() > 50 && seen.glances.is_empty());
+        assert!(full.points.len() > 100 && half.points.len() > 50 && seen.point_colors.is_empty());
         let bytes = seen.bytes().unwrap();
         let again = CaptureSights::of_files(&scaled, None, || true).unwrap();
         assert_eq!(again.bytes().unwrap(), bytes, "whatever the size of training");

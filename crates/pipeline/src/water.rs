@@ -33,7 +33,7 @@ pub fn from_tracks(
     let views = imported.capture.views.len();
     let mut water = estimate_sizes(&seen.sizes, positions.len(), &positions, views, params);
     let untold = water.channels.iter().all(|c| c.verdict == Verdict::TooFewPoints);
-    let judgement = if untold && shows_air(&seen.glances) {
+    let judgement = if untold && shows_air(&seen.point_colors) {
         water.channels.iter_mut().for_each(|c| c.verdict = Verdict::NoWater);
         Judgement::Air
     } else {

@@ -19,8 +19,8 @@ use use3d_training::{
 };
 
 use crate::bounds::{CaptureSize, most_gaussians};
-use crate::density::unseen::Witnesses;
-use crate::density::worth::Judges;
+use crate::density::unseen::BoundingViews;
+use crate::density::worth::WorthViews;
 use crate::density::{self, Draws, RefineSettings};
 use crate::engine::{Degrees, Engine, StepPlan, StepRates, TrainingState};
 use crate::fingerprint::fingerprint;
@@ -147,8 +147,8 @@ pub fn reconstruct(
     let fingerprint = fingerprint(capture, found, gains_used, &between, params, &views);
     let cameras: Vec<_> = views.train.iter().map(|v| v.camera).collect();
     let unseen = &params.unseen;
-    let witnesses = unseen.enabled.then(|| Witnesses::new(&cameras, &sparse, unseen.beyond));
-    let judges = (params.densify.strategy == Strategy::Frugal).then(|| Judges::new(&views.train));
+    let bounding_views = unseen.enabled.then(|| BoundingViews::new(&cameras, &sparse, unseen.beyond));
+    let worth_views = (params.densify.strategy == Strategy::Frugal).then(|| WorthViews::new(&views.train));
     let names: Vec<String> = views.train.iter().map(|v| v.name.clone()).collect();
     for (index, view) in views.train.into_iter().enumerate() {
         if engine.upload(view)? != index {
@@ -174,8 +174,8 @@ pub fn reconstruct(
         window: Window::default(),
         most,
         pixels: CaptureSize::from(capture).training,
-        judges: judges.unwrap_or_default(),
-        witnesses: witnesses.unwrap_or_default(),
+        worth_views: worth_views.unwrap_or_default(),
+        bounding_views: bounding_views.unwrap_or_default(),
         masks,
         withheld: withheld.unwrap_or_default(),
         cameras,
@@ -222,9 +222,9 @@ struct ReconstructRun<'a> {
     /// Number of pixels of the training views.
     pixels: u64,
     /// The views that the `frugal` strategy uses.
-    judges: Judges,
+    worth_views: WorthViews,
     /// The views that bound poorly seen Gaussians.
-    witnesses: Witnesses,
+    bounding_views: BoundingViews,
     /// The masks that hide Gaussians.
     masks: Masks,
     /// The pixels on which a plateau is recognised.
@@ -508,8 +508,8 @@ impl ReconstructRun<'_> {
         let settings = &self.params.unseen;
         if settings.enabled {
             self.drain(Drain::All)?;
-            let witnesses = &self.witnesses;
-            self.engine.amend(&mut |gaussians| witnesses.hold_back(gaussians, settings))?;
+            let bounding_views = &self.bounding_views;
+            self.engine.amend(&mut |gaussians| bounding_views.hold_back(gaussians, settings))?;
         }
         Ok(())
     }
@@ -587,7 +587,7 @@ impl ReconstructRun<'_> {
         let worth = if frugal && growing {
             let degrees = self.degrees(self.step);
             let state = self.engine.save()?;
-            Some(self.judges.worth(&state, degrees, self.step / d.every))
+            Some(self.worth_views.worth(&state, degrees, self.step / d.every))
         } else {
             None
         };

@@ -33,15 +33,20 @@ const BLACK: f64 = 0.06;
 
 /// One view of one point: its distance and colour.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Glance {
+pub struct PointColor {
     /// Distance from the camera centre, any unit.
     pub distance: f64,
     /// R, G, B, display range.
     pub value: [f64; 3],
 }
 
-/// Returns a view's glances at the points that lie in it; `mask` is 1 where pixels count.
-pub fn glances(camera: &Camera, points: &[SparsePoint], image: &Image, mask: Option<&Map>) -> Vec<Glance> {
+/// Returns the colours of a view at the points that lie in it; `mask` is 1 where pixels count.
+pub fn point_colors(
+    camera: &Camera,
+    points: &[SparsePoint],
+    image: &Image,
+    mask: Option<&Map>,
+) -> Vec<PointColor> {
     let mut found = Vec::new();
     for point in points {
         let Some((at, depth)) = camera.project(point.position) else { continue };
@@ -54,28 +59,28 @@ pub fn glances(camera: &Camera, points: &[SparsePoint], image: &Image, mask: Opt
         let value = image.pixel(x, y).map(f64::from);
         let same = value.iter().zip(point.color).all(|(v, c)| (v - f64::from(c) / 255.0).abs() <= SAME);
         if counts && same {
-            found.push(Glance { distance: (point.position - camera.pose.center()).length(), value });
+            found.push(PointColor { distance: (point.position - camera.pose.center()).length(), value });
         }
     }
     found
 }
 
-/// True if the glances show air. `false` does not mean water: the scene may simply have nothing dark.
-pub fn shows_air(glances: &[Glance]) -> bool {
-    let whole = |g: &&Glance| g.distance.is_finite() && g.value.iter().all(|v| v.is_finite());
-    let mut sorted: Vec<&Glance> = glances.iter().filter(whole).collect();
+/// True if these colours of points show air. `false` does not mean water: the scene may simply have nothing dark.
+pub fn shows_air(point_colors: &[PointColor]) -> bool {
+    let whole = |g: &&PointColor| g.distance.is_finite() && g.value.iter().all(|v| v.is_finite());
+    let mut sorted: Vec<&PointColor> = point_colors.iter().filter(whole).collect();
     sorted.sort_by(|a, b| a.distance.total_cmp(&b.distance));
     let n = sorted.len() / CLASSES;
     if n < FEWEST {
         return false;
     }
-    let classes: Vec<&[&Glance]> = sorted.chunks_exact(n).take(CLASSES).collect();
-    let middle = |class: &[&Glance]| class[class.len() / 2].distance;
+    let classes: Vec<&[&PointColor]> = sorted.chunks_exact(n).take(CLASSES).collect();
+    let middle = |class: &[&PointColor]| class[class.len() / 2].distance;
     if middle(classes[CLASSES - 1]) < RANGE * middle(classes[0]) {
         return false;
     }
     (0..3).all(|c| {
-        let at = |class: &[&Glance], q: f64| {
+        let at = |class: &[&PointColor], q: f64| {
             let mut values: Vec<f64> = class.iter().map(|g| g.value[c]).collect();
             values.sort_by(f64::total_cmp);
             values[((q * n as f64) as usize).min(n - 1)]

@@ -39,7 +39,7 @@ mod solve;
 mod verdict;
 mod water;
 
-pub use air::{Glance, glances, shows_air};
+pub use air::{PointColor, point_colors, shows_air};
 pub use estimate::{estimate, estimate_sizes};
 pub use jerlov::JERLOV;
 pub use observe::{Observation, ObserveError, Sights, observe_sizes};

@@ -5,7 +5,8 @@ use glam::DVec3;
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_water::{
-    Glance, Observation, OpenWater, Sights, Verdict, Water, WaterParams, estimate, estimate_sizes, shows_air,
+    Observation, OpenWater, PointColor, Sights, Verdict, Water, WaterParams, estimate, estimate_sizes,
+    shows_air,
 };
 
 /// The water and the views of a test.
@@ -405,26 +406,26 @@ fn a_veil_that_is_nearly_white_in_all_channels_is_a_sky() {
 }
 
 /// Points of every brightness, 1 to 6 units away, seen through `attenuation` and `veil`.
-fn glances(darkest: f64, attenuation: f64, veil: f64) -> Vec<Glance> {
+fn point_colors(darkest: f64, attenuation: f64, veil: f64) -> Vec<PointColor> {
     (0..3000)
         .map(|i| {
             let d = Stream::new(11, Purpose::new("glance"), i);
             let distance = 1.0 + 5.0 * d.uniform(0);
             let left = math::exp(-attenuation * distance);
             let color = |c: u64| (darkest + (0.95 - darkest) * d.uniform(c)) * left + veil * (1.0 - left);
-            Glance { distance, value: [1, 2, 3].map(color) }
+            PointColor { distance, value: [1, 2, 3].map(color) }
         })
         .collect()
 }
 
 #[test]
 fn air_is_told_without_tracks_by_the_darkest_and_the_brightest_points() {
-    assert!(shows_air(&glances(0.0, 0.0, 0.0)));
-    assert!(!shows_air(&glances(0.0, 0.15, 0.4)), "far points are lit by a veil");
-    assert!(!shows_air(&glances(0.0, 0.3, 0.0)), "dark water takes light away");
-    assert!(!shows_air(&glances(0.2, 0.0, 0.0)), "nothing is dark: not known");
-    assert!(!shows_air(&glances(0.0, 0.0, 0.0)[..600]), "too few");
-    let mut alike = glances(0.0, 0.0, 0.0);
+    assert!(shows_air(&point_colors(0.0, 0.0, 0.0)));
+    assert!(!shows_air(&point_colors(0.0, 0.15, 0.4)), "far points are lit by a veil");
+    assert!(!shows_air(&point_colors(0.0, 0.3, 0.0)), "dark water takes light away");
+    assert!(!shows_air(&point_colors(0.2, 0.0, 0.0)), "nothing is dark: not known");
+    assert!(!shows_air(&point_colors(0.0, 0.0, 0.0)[..600]), "too few");
+    let mut alike = point_colors(0.0, 0.0, 0.0);
     alike.iter_mut().for_each(|g| g.distance = 3.0 + 0.1 * g.distance);
     assert!(!shows_air(&alike), "all as far");
     alike[7].value[1] = f64::NAN;

@@ -174,7 +174,7 @@ impl SourceImage {
         check_size(&ws.target, (w, h))?;
         if local.len() != columns * rows {
             return Err(AtcError::artifact(
-                "derivative by the local operators",
+                "gradient with respect to the local operators",
                 format!("{} cells, the grid has {columns}x{rows}", local.len()),
             ));
         }

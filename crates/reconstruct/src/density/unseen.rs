@@ -37,9 +37,9 @@ const FEW: u32 = 3;
 /// The share of sparse points that define a view's far depth.
 const LAST: f64 = 0.99;
 
-/// The part of a training view that is used here.
+/// A training view that bounds Gaussians: the part of it that is used here.
 #[derive(Clone, Copy, Debug)]
-struct Witness {
+struct BoundingView {
     camera: Camera,
     center: DVec3,
     /// z_far.
@@ -48,7 +48,7 @@ struct Witness {
 
 /// The training views that decide which part of the scene can have been seen.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Witnesses(Vec<Witness>);
+pub(crate) struct BoundingViews(Vec<BoundingView>);
 
 /// The bounded parameters of one Gaussian.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -57,22 +57,22 @@ struct Bounded {
     opacity_logit: f32,
 }
 
-impl Witnesses {
+impl BoundingViews {
     /// The views with these cameras, of a scene with these sparse points.
     pub(crate) fn new(cameras: &[Camera], sparse: &[DVec3], beyond: f64) -> Self {
         let count = cameras.len().min(MOST_VIEWS);
-        let witness = |i: usize| {
+        let view = |i: usize| {
             let camera = &cameras[i * cameras.len() / count];
             let mut depths: Vec<f64> = sparse.iter().filter_map(|p| depth(camera, *p)).collect();
             depths.sort_unstable_by(f64::total_cmp);
             let last = depths.get((LAST * depths.len() as f64) as usize).copied();
-            Witness {
+            BoundingView {
                 camera: *camera,
                 center: camera.pose.center(),
                 far: last.map_or(f64::INFINITY, |z| beyond * z),
             }
         };
-        Self((0..count).into_par_iter().map(witness).collect())
+        Self((0..count).into_par_iter().map(view).collect())
     }
 
     /// Lowers sizes and opacities to the bounds.
@@ -89,12 +89,12 @@ impl Witnesses {
         let mut log_scales = gaussians.log_scales[i];
         let mut opacity_logit = gaussians.opacity_logits[i];
         let (mut sum, mut views, mut beyond, mut nearest) = (DVec3::ZERO, 0, true, f64::INFINITY);
-        for witness in &self.0 {
-            let Some(z) = depth(&witness.camera, mean) else { continue };
-            sum += (witness.center - mean).normalize_or_zero();
+        for view in &self.0 {
+            let Some(z) = depth(&view.camera, mean) else { continue };
+            sum += (view.center - mean).normalize_or_zero();
             views += 1;
-            beyond &= z > witness.far;
-            let k = &witness.camera.intrinsics;
+            beyond &= z > view.far;
+            let k = &view.camera.intrinsics;
             nearest = nearest.min(z * k.width as f64 / k.fx);
         }
         if views == 0 || beyond {
@@ -179,9 +179,9 @@ mod tests {
 
     fn held(cameras: &[Camera], mut g: Gaussians) -> ([f32; 3], f32, bool) {
         let settings = Unseen::default();
-        let witnesses = Witnesses::new(cameras, &sparse(), settings.beyond);
+        let bounding_views = BoundingViews::new(cameras, &sparse(), settings.beyond);
         let before = g.clone();
-        witnesses.hold_back(&mut g, &settings);
+        bounding_views.hold_back(&mut g, &settings);
         let same = before.log_scales == g.log_scales && before.opacity_logits == g.opacity_logits;
         let opacity = 1.0 / (1.0 + math::exp(-g.opacity_logits[0]));
         (g.log_scales[0].map(math::exp), opacity, !same)
@@ -235,7 +235,7 @@ mod tests {
         let mut g = one([0.0, 0.0, 90.0], [2.0, 0.1, 2.0]);
         let settings = Unseen::default();
         let before = g.clone();
-        Witnesses::new(&in_a_row(30.0), &[], settings.beyond).hold_back(&mut g, &settings);
+        BoundingViews::new(&in_a_row(30.0), &[], settings.beyond).hold_back(&mut g, &settings);
         assert_eq!((g.log_scales, g.opacity_logits), (before.log_scales, before.opacity_logits));
     }
 
@@ -243,16 +243,16 @@ mod tests {
     fn the_second_time_changes_nothing_more() {
         let cameras = in_a_row(0.05);
         let settings = Unseen::default();
-        let witnesses = Witnesses::new(&cameras, &sparse(), settings.beyond);
+        let bounding_views = BoundingViews::new(&cameras, &sparse(), settings.beyond);
         // The second one is a needle that is tilted by a tenth of a turn.
         let half = 0.1 * std::f32::consts::PI;
         for quaternion in [[2.0, 0.0, 0.0, 0.0], [math::cos(half), math::sin(half), 0.0, 0.0]] {
             let mut g = one([0.0, 0.0, 3.0], [0.01, 0.02, 0.5]);
             g.quaternions[0] = quaternion;
-            witnesses.hold_back(&mut g, &settings);
+            bounding_views.hold_back(&mut g, &settings);
             let once = g.clone();
             assert!(once.log_scales[0][2] < math::ln(0.1), "{:?}", once.log_scales);
-            witnesses.hold_back(&mut g, &settings);
+            bounding_views.hold_back(&mut g, &settings);
             let off = (g.log_scales[0][2] - once.log_scales[0][2]).abs();
             assert!(off < 1e-5, "{off}");
         }

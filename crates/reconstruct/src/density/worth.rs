@@ -9,11 +9,11 @@
 //!
 //! ```text
 //! m_iv = Σ_p w_iv(p)              pixels that Gaussian i fills in view v
-//! c_iv = Σ_p w_iv(p) e_v(p)       the error that it is answerable for
+//! c_iv = Σ_p w_iv(p) e_v(p)       the error at the pixels that it fills
 //! ē    = Σ_v Σ_p e_v(p) / Σ_v Σ_p 1
 //!
-//! view v complains of i   ⇔   m_iv ≥ 1/2  and  c_iv ≥ ē m_iv
-//! worth_i = Σ_v c_iv  if two views at least complain (one where there is only one), else 0
+//! view v has a large error at i   ⇔   m_iv ≥ 1/2  and  c_iv ≥ ē m_iv
+//! worth_i = Σ_v c_iv  if at least two views have one (one where there is only one view), else 0
 //! ```
 //!
 //! `m` and `c` are the adjoint `S_vᵀ` of the linear splat, applied to ones and to errors. Views are stored
@@ -40,7 +40,7 @@ const FILLED: f32 = 0.5;
 const AGREEING: u32 = 2;
 
 /// A training view at half its size.
-struct Judge {
+struct HalfSizeView {
     camera: Camera,
     photograph: Image8,
     /// The pixels that count; `None` if all do.
@@ -49,15 +49,15 @@ struct Judge {
 
 /// The views used for the worth, and working memory.
 #[derive(Default)]
-pub(crate) struct Judges {
-    views: Vec<Judge>,
+pub(crate) struct WorthViews {
+    views: Vec<HalfSizeView>,
     prepared: Prepared,
     rasterizer: Rasterizer,
     rendered: Rendered,
     maps: MediumMaps,
 }
 
-impl Judges {
+impl WorthViews {
     /// Stores the views at half their size.
     pub(crate) fn new(views: &[TrainingView]) -> Self {
         let views = views.iter().map(|view| {
@@ -70,7 +70,7 @@ impl Judges {
                 }
                 (mask, alpha) => mask.or(alpha),
             };
-            Judge { camera, photograph: target.image.to_8bit(), mask }
+            HalfSizeView { camera, photograph: target.image.to_8bit(), mask }
         });
         Self { views: views.collect(), ..Self::default() }
     }
@@ -82,18 +82,18 @@ impl Judges {
         let (mut errors, mut pixels) = (0.0f64, 0.0f64);
         let mut of_views = Vec::with_capacity(asked.len());
         for &view in &asked {
-            let judge = &self.views[view];
-            let lattice = Lattice::full(&judge.camera.intrinsics);
+            let half = &self.views[view];
+            let lattice = Lattice::full(&half.camera.intrinsics);
             let water = !state.medium.is_none();
             if water {
-                state.medium.maps(&judge.camera, &lattice, degrees.water, &mut self.maps);
+                state.medium.maps(&half.camera, &lattice, degrees.water, &mut self.maps);
             }
             let colors = Colors::Sh { degree: degrees.colors };
-            self.prepared.prepare(&state.gaussians, &judge.camera, &lattice, colors);
+            self.prepared.prepare(&state.gaussians, &half.camera, &lattice, colors);
             let options = Options { depth_gradient: false, layers: false };
             let maps = water.then_some(&self.maps);
             self.rasterizer.forward(&self.prepared, maps, &options, &mut self.rendered);
-            let planes = judge.planes(&self.rendered, state.exposures.gain(view));
+            let planes = half.planes(&self.rendered, state.exposures.gain(view));
             let count = planes.len() / 2;
             errors += planes[..count].iter().map(|e| f64::from(*e)).sum::<f64>();
             pixels += planes[count..].iter().map(|e| f64::from(*e)).sum::<f64>();
@@ -106,19 +106,19 @@ impl Judges {
         (0..n)
             .into_par_iter()
             .map(|i| {
-                let (mut complaints, mut sum) = (0, 0.0);
+                let (mut large, mut sum) = (0, 0.0);
                 for sums in &of_views {
                     let (error, filled) = (sums[2 * i], sums[2 * i + 1]);
-                    complaints += u32::from(filled >= FILLED && error >= mean * filled);
+                    large += u32::from(filled >= FILLED && error >= mean * filled);
                     sum += error;
                 }
-                if complaints >= agreeing { sum } else { 0.0 }
+                if large >= agreeing { sum } else { 0.0 }
             })
             .collect()
     }
 }
 
-impl Judge {
+impl HalfSizeView {
     /// Two planes: the error of every pixel, and its weight in the mask.
     fn planes(&self, rendered: &Rendered, gain: [f32; 3]) -> Vec<f32> {
         let count = self.photograph.pixels();
@@ -211,7 +211,7 @@ mod tests {
             TrainingView::new(&view, LoadedView { pixels, alpha: None, mask, depth_prior: None }).unwrap().0
         });
         let loaded: Vec<TrainingView> = loaded.collect();
-        Judges::new(&loaded).worth(&state, DEGREES, 0)
+        WorthViews::new(&loaded).worth(&state, DEGREES, 0)
     }
 
     #[test]

@@ -128,9 +128,9 @@ fn moments(depth: &[f32], prior: &[f32]) -> [f64; 6] {
 fn backward(gradient: &mut [f32], depth: &[f32], prior: &[f32], [own, mean_d, other, mean_p]: [f32; 4]) {
     for ((g, &depth), &prior) in gradient.iter_mut().zip(depth).zip(prior) {
         let d = disparity(depth);
-        let by_disparity = own * (d - mean_d) + other * (prior - mean_p);
+        let d_disparity = own * (d - mean_d) + other * (prior - mean_p);
         // d d / d D = −10 d²; zero below the floor.
-        let slope = if depth > DEPTH_FLOOR { -DEPTH_SCALE * d * d } else { 0.0 };
-        *g = if counts(depth, prior) { by_disparity * slope } else { 0.0 };
+        let d_depth = if depth > DEPTH_FLOOR { -DEPTH_SCALE * d * d } else { 0.0 };
+        *g = if counts(depth, prior) { d_disparity * d_depth } else { 0.0 };
     }
 }

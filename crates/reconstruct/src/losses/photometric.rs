@@ -129,9 +129,9 @@ impl PhotometricLoss {
             self.measure.value_and_gradient(&self.prediction, &self.target, 1.0, &self.weights, gradient);
         let reg_ms_ssim = 1.0 - similarity;
 
-        let [by_difference, by_structure] = self.shares;
-        let absolute = (by_difference / count) as f32;
-        let structure = -by_structure as f32;
+        let [l1_weight, structure_weight] = self.shares;
+        let absolute = (l1_weight / count) as f32;
+        let structure = -structure_weight as f32;
         gradient
             .data_mut()
             .par_chunks_mut(n.max(1))
@@ -145,7 +145,7 @@ impl PhotometricLoss {
                         dispatch!(level, simd => backward(simd, x, y, mask, absolute, structure, g));
                     });
             });
-        let total = by_difference * reg_l1 + by_structure * reg_ms_ssim;
+        let total = l1_weight * reg_l1 + structure_weight * reg_ms_ssim;
         self.squared_error = squared_error;
         PhotometricValue { total, reg_l1, reg_ms_ssim, squared_error }
     }

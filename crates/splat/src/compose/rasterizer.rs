@@ -173,7 +173,12 @@ impl Rasterizer {
         grads: Gradients<'_>,
     ) {
         check_medium(prepared, medium);
-        check_size(prepared, "derivative by the image", d_rendered.image.width(), d_rendered.image.height());
+        check_size(
+            prepared,
+            "gradient with respect to the image",
+            d_rendered.image.width(),
+            d_rendered.image.height(),
+        );
         if let Some(water) = over_the_image(medium) {
             let mut clear = self.clear_of(prepared);
             clear.differentiate(self.kernels, prepared, water, (d_rendered, options), grads.medium);
@@ -264,7 +269,7 @@ impl Rasterizer {
         medium_grads: &mut MediumMaps,
     ) {
         check_medium(prepared, medium);
-        check_size(prepared, "derivative by the image", d_image.width(), d_image.height());
+        check_size(prepared, "gradient with respect to the image", d_image.width(), d_image.height());
         assert_eq!(color_grads.len(), prepared.gaussians, "one colour gradient per Gaussian");
         match (medium, over_the_image(medium)) {
             (None, _) => self.color_tiles::<false>(prepared, medium, d_image, Some(medium_grads)),
