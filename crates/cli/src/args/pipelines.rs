@@ -106,7 +106,7 @@ pub(crate) struct ResultsArgs {
     #[arg(value_name = "NAME|RESULTS_DIR")]
     pub(crate) name: Option<PathBuf>,
     /// Restore the results of this run. Nothing is computed.
-    #[arg(value_name = "N")]
+    #[arg(value_name = "N", value_parser = count(1_000_000))]
     pub(crate) run: Option<usize>,
     /// One JSON document on stdout.
     #[arg(long)]

@@ -204,16 +204,19 @@ pub(crate) fn check(choices: &[WhiteChoice], capture: &Path) -> Done {
 pub(crate) fn keep_for(app: &App, choices: &[WhiteChoice], folder: &Path, capture: &Path) -> Done {
     let scene = Scene::load(folder).map_err(CliError::input)?;
     let white = measured(choices, &scene, Some(capture))?;
-    keep(white.as_ref(), folder)?;
+    keep(app, white.as_ref(), folder)?;
     white.iter().for_each(|white| tell(app, white, &scene));
     Ok(())
 }
 
 /// Stores a white balance beside a scene, or removes the stored one. Nothing else is ever replaced.
-fn keep(white: Option<&White>, folder: &Path) -> Done {
+fn keep(app: &App, white: Option<&White>, folder: &Path) -> Done {
     let place = White::place(folder);
     let there = White::beside(folder)
         .map_err(|error| CliError::Input(format!("{error}; this file is not replaced: move it away")))?;
+    if let (Some(_), Some(there)) = (white, &there) {
+        remark!(app, "the earlier white balance by {} is replaced", there.method.name());
+    }
     match (white, there) {
         (Some(white), _) => white.clone().of_scene(folder).write(&place).map_err(CliError::failed),
         (None, Some(_)) => std::fs::remove_file(&place)
@@ -247,7 +250,7 @@ pub(crate) fn run(app: &App, args: &KeepWhiteArgs) -> Done {
         match (&args.out, &white) {
             (Some(out), Some(white)) => white.write(out).map_err(CliError::failed)?,
             (Some(_), None) => return Err(CliError::input("off writes no file: leave out --out")),
-            (None, white) => keep(white.as_ref(), &folder)?,
+            (None, white) => keep(app, white.as_ref(), &folder)?,
         }
         (white, args.out.clone().unwrap_or_else(|| White::place(&folder)))
     };
