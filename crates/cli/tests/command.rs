@@ -47,7 +47,7 @@ fn wrong_usage_exits_with_2_and_names_the_next_step() {
     let (_, err) = expect(2, &["reconstruct", &missing, "--out", &out, "--set", "itertions=3"]);
     assert!(err.contains("did you mean `iterations`"), "{err}");
     let (_, err) = expect(2, &["render", &missing, "--cameras", &missing, "--out", &out]);
-    assert!(err.contains("scene.json"), "{err}");
+    assert!(err.contains("there is no such folder"), "{err}");
     let (_, err) = expect(2, &["run", &missing]);
     assert!(err.contains("no such pipeline file"), "{err}");
     expect(2, &["no-such-verb"]);

@@ -308,6 +308,6 @@ mod tests {
         assert_eq!(found("cam.1/b").as_deref(), Ok("cam.1/b"));
         assert_eq!(found("f_1").as_deref(), Ok("f_1.jpg"), "the page names photographs without an extension");
         assert!(found("reef").unwrap_err().contains("reef.jpg and reef.png"));
-        assert!(found("f_2").unwrap_err().contains("did you mean f_1.jpg"));
+        assert!(found("g_1.jpg").unwrap_err().contains("did you mean f_1.jpg"));
     }
 }
