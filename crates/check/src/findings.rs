@@ -429,7 +429,17 @@ impl Rules {
                 "masks are white where pixels count and black elsewhere: invert them, or remove them";
             self.add(serious_if(self.share(hidden.len()) > 0.1), "masks", text, remedy, hidden);
         }
-        if import.masks + import.alpha_masks == 0 {
+        if let Some(text) = import.misnamed_masks() {
+            let remedy = "give each mask the name of its photograph (docs/guide/captures.md)";
+            self.add(Severity::Serious, "misnamed", text, remedy, Vec::new());
+        } else if !import.unmasked.is_empty() {
+            let (count, all) = (import.unmasked.len(), self.views);
+            let have = if count == 1 { "has" } else { "have" };
+            let text = format!("{count} of {all} views {have} no mask, so all of their pixels count.");
+            let remedy =
+                "give them a mask too, with the name of the photograph, if a fish or a diver is in them";
+            self.add(Severity::Minor, "unmasked", text, remedy, import.unmasked.clone());
+        } else if import.masks + import.alpha_masks == 0 {
             let text = "There are no masks: fish and divers will leave ghosts, if there are any.";
             self.minor("masks", text, "paint them black in masks/ (docs/guide/captures.md)");
         }

@@ -57,7 +57,7 @@ pub struct CheckReport {
 }
 
 /// Subjects that a picture does not suffer from.
-const LIGHT: [&str; 4] = ["scale", "depth", "masks", "split"];
+const LIGHT: [&str; 5] = ["scale", "depth", "masks", "unmasked", "split"];
 
 /// The names of views that a line of text holds.
 const NAMES: usize = 6;

@@ -208,6 +208,37 @@ fn masks_that_leave_nothing_and_formats_without_tracks_are_said() {
 }
 
 #[test]
+fn masks_with_other_names_than_the_photographs_and_views_without_a_mask_are_said() {
+    let mut reef = Reef::new();
+    reef.report.unmasked = vec!["v_04.png".into(), "v_09.png".into()];
+    let report = reef.examine();
+    assert_eq!(of(&report, "unmasked").0, Severity::Minor);
+    let text = report.to_string();
+    assert!(
+        text.contains("2 of 24 views have no mask") && text.contains("views: v_04.png, v_09.png"),
+        "{text}"
+    );
+    assert!(report.gravest(3).is_empty(), "a picture does not suffer from it");
+
+    reef.report.unmasked.clear();
+    reef.report.masks = 0;
+    reef.report.mask_folder = Some("masks".into());
+    reef.report.stray_masks = (0..8).map(|i| format!("fish_{i}.png")).collect();
+    let report = reef.examine();
+    assert_eq!(of(&report, "misnamed").0, Severity::Serious);
+    assert!(report.findings.iter().all(|f| f.subject != "masks"), "{report}");
+    let said = report.gravest(3).join("\n");
+    for part in [
+        "masks/ holds 8 files (fish_0.png, ",
+        "and 2 more)",
+        "none of them has the name of a photograph (such as v_00.png)",
+        "give each mask the name of its photograph",
+    ] {
+        assert!(said.contains(part), "{said} lacks {part}");
+    }
+}
+
+#[test]
 fn changes_of_exposure_and_white_balance_are_measured_on_shared_points() {
     let mut reef = Reef::new();
     let step = 2.0f32.sqrt();

@@ -195,8 +195,17 @@ impl SourceFolder {
 
     /// Names of the image files below the folder, sorted, with `/` between parts. Hidden files are left out.
     pub(crate) fn images(&self) -> Vec<String> {
+        self.names_with(&IMAGE_EXTENSIONS)
+    }
+
+    /// The same for the files that may be masks.
+    pub(crate) fn masks(&self) -> Vec<String> {
+        self.names_with(&MASK_EXTENSIONS)
+    }
+
+    fn names_with(&self, extensions: &[&str]) -> Vec<String> {
         let names = visible_files(&self.path, usize::MAX).map(|(name, _)| name);
-        names.filter(|name| has_extension(name, &IMAGE_EXTENSIONS)).collect()
+        names.filter(|name| has_extension(name, extensions)).collect()
     }
 }
 

@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 use glam::DVec3;
 use rayon::prelude::*;
-use use3d_capture::{Camera, Capture, CaptureError, Frame, Intrinsics, SparsePoint, View};
+use use3d_capture::{Camera, Capture, CaptureError, FileName, Frame, Intrinsics, SparsePoint, View};
 use use3d_io_colmap::fits_single;
 use use3d_io_image::{ImageInfo, image_info};
 use use3d_survey::{PosedImage, Survey, SurveyPoint, World};
@@ -192,6 +192,14 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
     report.points = model.points.len();
     report.masks = views.iter().filter(|v| v.mask.is_some()).count();
     report.alpha_masks = plans.iter().filter(|p| p.alpha).count();
+    if let Some(masks) = &masks {
+        report_masks(&mut report, masks, &views)?;
+    }
+    let has_mask = |(view, plan): &(&View, &Plan)| view.mask.is_some() || plan.alpha;
+    if report.masks + report.alpha_masks > 0 {
+        let unmasked = views.iter().zip(&plans).filter(|pair| !has_mask(pair));
+        report.unmasked = unmasked.map(|(view, _)| view.name.to_string()).collect();
+    }
     report.depth_priors = views.iter().filter(|v| v.depth_prior.is_some()).count();
 
     let points = sparse_points(&model.points, &frame);
@@ -209,6 +217,19 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
     capture.validate().map_err(bad_capture)?;
     let model_files = read.files;
     Ok(Imported { capture, report, plans, model, model_files, white_balance: params.white_balance })
+}
+
+/// Names the files of the mask folder that are masks of no photograph. A photograph without a camera may have
+/// a mask.
+fn report_masks(report: &mut ImportReport, folder: &SourceFolder, views: &[View]) -> Result<(), ImportError> {
+    let mut known: BTreeSet<PathBuf> = views.iter().filter_map(|v| v.mask.clone()).collect();
+    for name in report.extra.iter().chain(&report.missing).filter_map(|name| FileName::new(name).ok()) {
+        known.extend(folder.mask(&name)?);
+    }
+    report.mask_folder = Some(folder.relative.clone());
+    report.stray_masks = folder.masks();
+    report.stray_masks.retain(|name| !known.contains(&folder.path.join(name)));
+    Ok(())
 }
 
 /// Returns the reasons why no training can learn from a capture whose numbers are all valid.

@@ -43,6 +43,15 @@ pub struct ImportReport {
     pub masks: usize,
     /// Number of views whose alpha channel serves as a mask.
     pub alpha_masks: usize,
+    /// The mask folder, relative to the capture, if there is one. Not stored.
+    #[serde(skip_serializing, default)]
+    pub mask_folder: Option<String>,
+    /// Files in the mask folder that are masks of no photograph. Not stored.
+    #[serde(skip_serializing, default)]
+    pub stray_masks: Vec<String>,
+    /// Views without a mask, if other views have one. Not stored.
+    #[serde(skip_serializing, default)]
+    pub unmasked: Vec<String>,
     /// Number of views with a depth prior.
     pub depth_priors: usize,
     /// The folder of the depth priors, if there is one.
@@ -101,6 +110,26 @@ fn counted(count: usize, one: &str, several: &str) -> String {
     format!("{count} {}", if count == 1 { one } else { several })
 }
 
+impl ImportReport {
+    /// A sentence on the files in the mask folder, if they are masks of no photograph and so have no effect.
+    pub fn misnamed_masks(&self) -> Option<String> {
+        if self.masks > 0 || self.stray_masks.is_empty() {
+            return None;
+        }
+        let folder = shown(self.mask_folder.as_deref().unwrap_or_default());
+        let (files, none) = match self.stray_masks.len() {
+            1 => ("1 file".into(), "it does not have"),
+            count => (format!("{count} files"), "none of them has"),
+        };
+        let masks = some(&self.stray_masks);
+        let name = self.train.iter().chain(&self.test).min().map_or("", String::as_str);
+        Some(format!(
+            "{folder}/ holds {files} ({masks}), and {none} the name of a photograph (such as {}).",
+            shown(name)
+        ))
+    }
+}
+
 impl fmt::Display for ImportReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, "capture {}: {} views, {} sparse points", shown(&self.name), self.views, self.points)?;
@@ -130,6 +159,13 @@ impl fmt::Display for ImportReport {
         }
         if self.masks + self.alpha_masks > 0 {
             writeln!(f, "  masks: {} files, {} alpha channels", self.masks, self.alpha_masks)?;
+        }
+        if !self.unmasked.is_empty() {
+            let count = counted(self.unmasked.len(), "view has", "views have");
+            writeln!(f, "  note: {count} no mask: {}", some(&self.unmasked))?;
+        }
+        if let Some(misnamed) = self.misnamed_masks() {
+            writeln!(f, "  note: {misnamed} Give each mask the name of its photograph")?;
         }
         if let Some(folder) = &self.depth_folder {
             let folder = shown(folder);

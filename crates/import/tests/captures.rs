@@ -450,6 +450,36 @@ fn alpha_is_a_mask_and_multiplies_mask_files() {
 }
 
 #[test]
+fn masks_without_effect_and_views_without_a_mask_are_noted() {
+    let fixture = Fixture::new(4, pinhole(1));
+    let mask = |name: &str| {
+        let white = Map::filled(SIZE.0, SIZE.1, 1.0);
+        write_png_map(&fixture.path("masks").join(name), &white).unwrap();
+    };
+    let said = || fixture.import(&ImportParams::default()).unwrap().report.to_string();
+    assert!(!said().contains("mask"), "{}", said());
+    mask("fish.png");
+    let text = said();
+    for part in [
+        "note: masks/ holds 1 file (fish.png), and it does not have the name of a photograph",
+        "dive 0/f00.png",
+    ] {
+        assert!(text.contains(part), "{text} lacks {part}");
+    }
+    // A mask of a photograph without a camera has a right name.
+    std::fs::remove_file(fixture.path("masks/fish.png")).unwrap();
+    write_png8(&fixture.path("images/extra.png"), &picture(SIZE.0, SIZE.1, 0.0)).unwrap();
+    mask("extra.png");
+    assert!(!said().contains("mask"), "{}", said());
+    fixture.names[1..].iter().for_each(|name| mask(name));
+    let report = fixture.import(&ImportParams::default()).unwrap().report;
+    assert_eq!((&report.unmasked, report.misnamed_masks()), (&vec![fixture.names[0].clone()], None));
+    assert!(report.to_string().contains("note: 1 view has no mask: dive 0/f00.png\n"), "{report}");
+    let stored = serde_json::to_string(&report).unwrap();
+    assert!(!stored.contains("extra.png") && !stored.contains("unmasked"), "{stored}");
+}
+
+#[test]
 fn priors_and_masks_of_another_shape_are_refused() {
     let fixture = Fixture::new(3, pinhole(1));
     write_png_map(&fixture.path("depth").join(&fixture.names[0]), &Map::filled(50, 50, 0.5)).unwrap();
