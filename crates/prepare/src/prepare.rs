@@ -223,8 +223,8 @@ pub fn prepare(
         "repeatable": params.repeatable,
     });
     let features = work.step(Step { name: "features", output: FEATURES_DB, choices }, |_| {
-        let commands = sfm.features(&groups)?;
-        (watch.note)(&format!("features: found in {images} images"));
+        let (commands, words) = sfm.features(&groups)?;
+        (watch.note)(&words);
         Ok(commands)
     })?;
     let matching = params.matching.settle(images, sources.has_films());

@@ -15,6 +15,7 @@ use crate::error::PrepareError;
 use crate::params::{Mapper, Matching, PrepareParams};
 use crate::process::{self, ProgramEnd, StepWatch, counts, spelled};
 use crate::tools::{self, Program};
+use crate::verdict::some;
 
 /// The script for `pycolmap`.
 pub(crate) const SCRIPT: &str = include_str!("sfm.py");
@@ -166,13 +167,15 @@ impl Sfm<'_> {
         Err(PrepareError::Step { step, reason: process::reason(outcome), log: self.log.to_path_buf() })
     }
 
-    /// Finds the features of all images. Each group of images has one camera.
-    pub(crate) fn features(&self, groups: &[Vec<String>]) -> Result<Commands, PrepareError> {
+    /// Finds the features of all images. Each group of images has one camera. The second result says in how
+    /// many images there are some.
+    pub(crate) fn features(&self, groups: &[Vec<String>]) -> Result<(Commands, String), PrepareError> {
         const STEP: &str = "features";
         let (card, count) = (self.program.card, self.feature_count());
         let total = self.images as u64;
-        let mut before = 0;
-        let tell = |before: u64, line: &str| {
+        let (mut before, mut featured) = (0, Featured::default());
+        let mut tell = |before: u64, line: &str| {
+            featured.hear(line);
             if let Some((done, _)) = counts(line).filter(|_| line.contains("Processed file")) {
                 self.watch.tell(STEP, (before + done, total), "images");
             }
@@ -185,7 +188,7 @@ impl Sfm<'_> {
                 "threads": self.deciding_threads(), "card": card,
             });
             let (outcome, commands) = self.script(STEP, &job, |line| tell(0, line))?;
-            return self.succeeded(STEP, &outcome).map(|()| commands);
+            return self.succeeded(STEP, &outcome).map(|()| (commands, featured.words(self.images)));
         }
         let mut commands = Vec::new();
         for (i, group) in groups.iter().enumerate() {
@@ -221,7 +224,7 @@ impl Sfm<'_> {
             before += group.len() as u64;
             commands.push(said);
         }
-        Ok(commands)
+        Ok((commands, featured.words(self.images)))
     }
 
     /// Compares images. The database of features has been copied to that of matches.
@@ -315,6 +318,40 @@ impl Sfm<'_> {
     }
 }
 
+/// The images with and without features, from the program's lines.
+#[derive(Default)]
+struct Featured {
+    /// The image that the lines are about, until its features are counted.
+    image: Option<String>,
+    with: usize,
+    without: Vec<String>,
+}
+
+impl Featured {
+    fn hear(&mut self, line: &str) {
+        if line.contains("Processed file") {
+            // An image that cannot be read has an error in the place of its count.
+            self.without.extend(self.image.take());
+        } else if let Some((_, name)) = line.split_once("Name:") {
+            self.image = Some(name.trim().into());
+        } else if let Some((_, count)) = line.split_once("Features:")
+            && count.split_whitespace().next().and_then(|n| n.parse().ok()).is_some_and(|n: u64| n > 0)
+            && self.image.take().is_some()
+        {
+            self.with += 1;
+        }
+    }
+
+    /// The result in words. Without a line for every image nothing is known about single ones.
+    fn words(mut self, images: usize) -> String {
+        self.without.extend(self.image.take());
+        if self.without.is_empty() || self.with + self.without.len() != images {
+            return format!("features: found in {images} image{}", if images == 1 { "" } else { "s" });
+        }
+        format!("features: found in {} of {images} images, and none in {}", self.with, some(&self.without))
+    }
+}
+
 /// True if a help lists an option.
 fn lists(help: &str, option: &str) -> bool {
     help.split_whitespace().any(|word| word == option)
@@ -350,6 +387,24 @@ mod tests {
         assert_eq!(registered("Registering image #27 (6)"), Some(6));
         assert_eq!(registered("I2 x.cc:620] Registering image #36 (num_reg_frames=34)"), Some(34));
         assert_eq!(registered("  => Image sees 20 / 30 points"), None);
+    }
+
+    #[test]
+    fn images_without_features_are_counted_and_named() {
+        let lines = "Processed file [1/3]\n  Name:            a.png\n  Features:        1645\n\
+                     I2 x.cc:9] Processed file [2/3]\nI2 x.cc:9]   Name:            left/b c.png\n\
+                     I2 x.cc:9]   Features:        0\n\
+                     Processed file [3/3]\n  Name:            d.png\n  ERROR: Failed to read image file format.";
+        let heard = |lines: &str, images: usize| {
+            let mut featured = Featured::default();
+            lines.lines().for_each(|line| featured.hear(line));
+            featured.words(images)
+        };
+        assert_eq!(heard(lines, 3), "features: found in 1 of 3 images, and none in left/b c.png, d.png");
+        let first: Vec<&str> = lines.lines().take(3).collect();
+        assert_eq!(heard(&first.join("\n"), 1), "features: found in 1 image");
+        // A program that says nothing of single images.
+        assert_eq!(heard("done", 3), "features: found in 3 images");
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::fs::File;
-use std::io::Read;
+use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use use3d_capture::{FileName, shown};
@@ -94,6 +94,26 @@ pub fn holds_inputs(folder: &Path) -> bool {
     walk(folder, 2).any(|found| found.is_ok())
 }
 
+/// The bytes before the end of a photograph in which the mark of its end is searched.
+const TAIL: u64 = 16 << 10;
+
+/// True if a photograph ends before the mark of its end. Only one without the mark near its end, which other
+/// data may follow, is read and decoded. The end of a TIFF has no mark.
+fn is_cut_off(path: &Path, format: FileFormat) -> std::io::Result<bool> {
+    let mark: &[u8] = match format {
+        FileFormat::Png => b"IEND",
+        FileFormat::Jpeg => b"\xFF\xD9",
+        _ => return Ok(false),
+    };
+    let mut file = File::open(path)?;
+    let length = file.metadata()?.len();
+    file.seek(SeekFrom::Start(length.saturating_sub(TAIL)))?;
+    let mut tail = Vec::new();
+    file.take(TAIL).read_to_end(&mut tail)?;
+    let marked = tail.windows(mark.len()).any(|bytes| bytes == mark);
+    Ok(!marked && use3d_io_image::read(path).is_err())
+}
+
 /// A photograph.
 #[derive(Clone, Debug)]
 pub(crate) struct Photograph {
@@ -124,7 +144,7 @@ pub struct Sources {
 }
 
 impl Sources {
-    /// Sorts the inputs. Only the heads of photographs are read.
+    /// Sorts the inputs. Only the heads and the ends of photographs are read.
     ///
     /// # Errors
     /// Returns the first input that is missing or not usable.
@@ -208,6 +228,10 @@ impl Sources {
                 (orientation, taken) = (found.orientation, found.camera);
             } else if !matches!(info.format, FileFormat::Png | FileFormat::Tiff) {
                 return Err(PrepareError::input(path, "expected a JPEG, PNG or TIFF"));
+            }
+            if is_cut_off(path, info.format).map_err(PrepareError::read(path))? {
+                let reason = "it cannot be read, because the file is cut off; copy it again, or remove it";
+                return Err(PrepareError::input(path, reason));
             }
             camera = format!("{}x{} {} {} {}", info.width, info.height, taken.0, taken.1, taken.2);
         }
@@ -366,6 +390,46 @@ mod tests {
                 ["masks", "test_list.txt"].map(|name| dive.join(name)).iter().chain([&more.join("masks")])
             {
                 assert!(said.contains(&left.display().to_string()), "{said}");
+            }
+        }
+    }
+
+    /// The bytes behind a base64 text.
+    fn base64(text: &str) -> Vec<u8> {
+        const DIGITS: &[u8] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+        let (mut bits, mut count, mut bytes) = (0u32, 0, Vec::new());
+        for digit in text.bytes().filter_map(|b| DIGITS.iter().position(|d| *d == b)) {
+            (bits, count) = (bits << 6 | digit as u32, count + 6);
+            if count >= 8 {
+                count -= 8;
+                bytes.push((bits >> count) as u8);
+            }
+        }
+        bytes
+    }
+
+    #[test]
+    fn photographs_that_are_cut_off_are_refused_and_data_after_the_end_is_allowed() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut image = Raster::<u8, 3>::filled(40, 30, 90);
+        image.data_mut().iter_mut().enumerate().for_each(|(i, v)| *v = (i * 7919 % 251) as u8);
+        let png = dir.path().join("b.png");
+        use3d_io_image::write_png8(&png, &image).unwrap();
+        let address = use3d_io_image::jpeg_address(&image, 90).unwrap();
+        let jpeg = base64(address.rsplit(',').next().unwrap());
+        for (name, bytes) in [("b.png", std::fs::read(&png).unwrap()), ("b.jpg", jpeg)] {
+            let (root, path) = (dir.path().join(name.replace('.', "-")), dir.path().join(name));
+            std::fs::create_dir(&root).unwrap();
+            let path = root.join(path.file_name().unwrap());
+            let said = |bytes: &[u8]| {
+                std::fs::write(&path, bytes).unwrap();
+                Sources::of(std::slice::from_ref(&root)).map(|_| ()).map_err(|e| e.to_string())
+            };
+            assert_eq!(said(&bytes), Ok(()), "{name}");
+            assert_eq!(said(&[bytes.clone(), vec![0; 40_000]].concat()), Ok(()), "{name}");
+            let cut = said(&bytes[..bytes.len() * 3 / 4]).unwrap_err();
+            for part in [name, "the file is cut off", "copy it again, or remove it"] {
+                assert!(cut.contains(part), "{cut} lacks {part}");
             }
         }
     }

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
-use use3d_capture::{Intrinsics, Reach, reaches};
+use use3d_capture::{Intrinsics, Reach, reaches, shown};
 use use3d_io_colmap::{Keypoint, Model, ModelForm, ModelImage, Projection, read_model};
 
 use crate::error::PrepareError;
@@ -52,6 +52,16 @@ pub struct CameraVerdict {
     pub missing: Vec<String>,
     /// The judgement in words, with the next steps.
     pub words: Vec<String>,
+}
+
+/// The first names of a list, and the number of the others.
+pub(crate) fn some(names: &[String]) -> String {
+    const SHOWN: usize = 6;
+    let first: Vec<_> = names.iter().take(SHOWN).map(|name| shown(name)).collect();
+    match names.len().saturating_sub(SHOWN) {
+        0 => first.join(", "),
+        more => format!("{} and {more} more", first.join(", ")),
+    }
 }
 
 /// Reads the models below a folder, the one with the most images first.
@@ -132,6 +142,9 @@ pub(crate) fn judge(models: &[Model], names: &[String], context: &ModelContext<'
         names.len(),
         100.0 * share
     )];
+    if !missing.is_empty() {
+        words.push(format!("No place was found for {}.", some(&missing)));
+    }
     if !groups.is_empty() {
         let list: Vec<String> = groups.iter().map(usize::to_string).collect();
         words.push(format!(

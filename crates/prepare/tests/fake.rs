@@ -176,6 +176,16 @@ fn few_images_and_several_groups_are_said_in_words() {
     assert_eq!(verdict.grade, Grade::Poor);
     assert!(verdict.words.iter().any(|w| w.contains("More than a third")), "{:?}", verdict.words);
     assert_eq!(verdict.missing.len(), 6);
+    let named = "No place was found for p_04.png, p_05.png, p_06.png, p_07.png, p_08.png, p_09.png.";
+    assert_eq!(verdict.words[1], named);
+    let place = Place::new();
+    place.found(0, 0..9, 0.4);
+    let verdict = place.attempt(&PrepareParams::default()).done.unwrap().verdict;
+    assert_eq!((verdict.grade, &*verdict.words[1]), (Grade::Good, "No place was found for p_09.png."));
+    let place = Place::new();
+    place.found(0, 0..3, 0.4);
+    let verdict = place.attempt(&PrepareParams::default()).done.unwrap().verdict;
+    assert!(verdict.words[1].ends_with("p_08.png and 1 more."), "{}", verdict.words[1]);
 }
 
 #[test]
