@@ -145,7 +145,35 @@ impl ImportError {
         |source| Self::FileName { path: path.to_path_buf(), source }
     }
 
+    /// The error of a folder that cannot be listed.
+    pub(crate) fn folder(path: &Path) -> impl Fn(std::io::Error) -> Self + '_ {
+        |source| {
+            // The same words as in `use3d_prepare`, because neither crate uses the other.
+            let words = "you have no right to read this folder; change its rights (chmod), or ask its owner";
+            let source = match source.kind() {
+                kind @ std::io::ErrorKind::PermissionDenied => std::io::Error::new(kind, words),
+                _ => source,
+            };
+            Self::File { path: path.to_path_buf(), source }
+        }
+    }
+
     pub(crate) fn file(path: &Path) -> impl Fn(std::io::Error) -> Self + '_ {
         |source| Self::File { path: path.to_path_buf(), source }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_without_the_right_to_read_it_is_said_in_words() {
+        let of = |kind: std::io::ErrorKind| ImportError::folder(Path::new("dive"))(kind.into()).to_string();
+        let said = of(std::io::ErrorKind::PermissionDenied);
+        let expected =
+            "dive: you have no right to read this folder; change its rights (chmod), or ask its owner";
+        assert_eq!(said, expected);
+        assert!(!of(std::io::ErrorKind::NotADirectory).contains("chmod"));
     }
 }

@@ -65,6 +65,13 @@ pub(crate) fn find_models(root: &Path, params: &ImportParams) -> Result<Vec<Foun
     if !found.is_empty() {
         return Ok(found);
     }
+    // A folder that cannot be listed seems empty, and a model in it is not found.
+    for place in std::iter::once(".").chain(colmap_places(root).iter().map(String::as_str)) {
+        let folder = if place == "." { root.to_path_buf() } else { root.join(place) };
+        if folder.is_dir() {
+            std::fs::read_dir(&folder).map_err(ImportError::folder(&folder))?;
+        }
+    }
     // A model that lacks a file is what is meant, whatever else there is.
     let incomplete = colmap_places(root).iter().map(|p| root.join(p)).find_map(|dir| {
         let error = form_of(&dir).err()?;
@@ -207,7 +214,7 @@ pub(crate) fn find_images(
         return fail(&format!("there is no image folder; name yours with {set}"), looked);
     }
     for folder in &folders {
-        std::fs::read_dir(&folder.path).map_err(ImportError::file(&root.join(&folder.relative)))?;
+        std::fs::read_dir(&folder.path).map_err(ImportError::folder(&root.join(&folder.relative)))?;
     }
     let (mut most, mut best) = (0, None);
     for folder in &folders {

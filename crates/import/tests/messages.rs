@@ -94,6 +94,32 @@ fn what_lies_there_instead_of_a_model_is_said_with_the_next_step() {
     assert!(said.contains("the parent folder contains a model"), "{said}");
 }
 
+#[cfg(unix)]
+#[test]
+fn folders_that_may_not_be_read_are_not_called_empty() {
+    use std::os::unix::fs::PermissionsExt;
+    for place in ["", "sparse", "sparse/0", "images"] {
+        let dir = tempfile::tempdir().unwrap();
+        write_model_binary(&dir.path().join("sparse/0"), &model()).unwrap();
+        for name in NAMES {
+            write_png(&dir.path().join("images").join(name), &Image::filled(24, 16, 0.5)).unwrap();
+        }
+        let folder = if place.is_empty() { dir.path().to_path_buf() } else { dir.path().join(place) };
+        let rights = |mode| std::fs::set_permissions(&folder, std::fs::Permissions::from_mode(mode)).unwrap();
+        rights(0o000);
+        // The system's administrator may read every folder.
+        let free = std::fs::read_dir(&folder).is_ok();
+        let imported = import(dir.path(), &ImportParams::default());
+        rights(0o755);
+        if free {
+            return;
+        }
+        let said = imported.map(|i| i.report.to_string()).unwrap_err().to_string();
+        let expected = format!("{}: you have no right to read this folder", folder.display());
+        assert!(said.starts_with(&expected), "{said}");
+    }
+}
+
 #[test]
 fn a_model_that_lacks_a_file_or_is_cut_short_is_said_by_file() {
     let said = complaint(|dir| std::fs::remove_file(dir.join("sparse/0/points3D.bin")).unwrap());

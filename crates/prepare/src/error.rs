@@ -116,6 +116,20 @@ impl PrepareError {
         |source| Self::Run { path: path.to_path_buf(), source }
     }
 
+    /// The error of a walk through the folder `root`.
+    pub(crate) fn walk(root: &Path, error: &walkdir::Error) -> Self {
+        let path = error.path().unwrap_or(root);
+        match error.io_error().map(std::io::Error::kind) {
+            // The same words as in `use3d_import`, because neither crate uses the other.
+            Some(std::io::ErrorKind::PermissionDenied) => Self::input(
+                path,
+                "you have no right to read this folder; change its rights (chmod), or ask its owner",
+            ),
+            Some(kind) => Self::read(path)(kind.into()),
+            None => Self::input(path, error.to_string()),
+        }
+    }
+
     pub(crate) fn input(path: &Path, reason: impl Into<String>) -> Self {
         Self::Input { path: path.to_path_buf(), reason: reason.into() }
     }

@@ -61,7 +61,7 @@ pub(crate) fn copy_all(from: &Path, to: &Path) -> Result<(), PrepareError> {
         return copy_file(from, to);
     }
     for entry in walkdir::WalkDir::new(from).follow_links(true) {
-        let entry = entry.map_err(|e| PrepareError::input(from, e.to_string()))?;
+        let entry = entry.map_err(|e| PrepareError::walk(from, &e))?;
         let target = to.join(entry.path().strip_prefix(from).unwrap_or(entry.path()));
         if entry.file_type().is_dir() {
             std::fs::create_dir_all(&target).map_err(PrepareError::write(&target))?;

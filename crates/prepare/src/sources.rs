@@ -85,7 +85,7 @@ pub(crate) fn walk(root: &Path, depth: usize) -> impl Iterator<Item = Result<Pat
     let entries = walkdir::WalkDir::new(root).max_depth(depth).follow_links(true);
     entries.into_iter().filter_entry(visible).filter_map(move |entry| match entry {
         Ok(entry) => is_input(entry.path()).then(|| Ok(entry.into_path())),
-        Err(e) => Some(Err(PrepareError::input(e.path().unwrap_or(Path::new(".")), e.to_string()))),
+        Err(e) => Some(Err(PrepareError::walk(root, &e))),
     })
 }
 
@@ -297,7 +297,7 @@ impl Sources {
         let mut files: Vec<(String, PathBuf)> = self.films.iter().map(film).chain(photographs).collect();
         for (name, path) in &self.others {
             for entry in walkdir::WalkDir::new(path).follow_links(true).sort_by_file_name() {
-                let entry = entry.map_err(|e| PrepareError::input(path, e.to_string()))?;
+                let entry = entry.map_err(|e| PrepareError::walk(path, &e))?;
                 if entry.file_type().is_file() {
                     let relative = entry.path().strip_prefix(path).unwrap_or(entry.path());
                     let relative = Path::new(name).join(relative).to_string_lossy().replace('\\', "/");
@@ -446,6 +446,31 @@ mod tests {
             ("masks/a.jpg", false),
         ] {
             assert_eq!(holds_inputs(folder(&[(file, "x")]).path()), expected, "{file}");
+        }
+    }
+
+    #[test]
+    fn folders_that_cannot_be_walked_are_named_with_the_reason() {
+        let root = Path::new("/nowhere/dive");
+        let missing = walkdir::WalkDir::new(root).into_iter().next().unwrap().unwrap_err();
+        let said = PrepareError::walk(root, &missing).to_string();
+        assert!(said.starts_with("/nowhere/dive: cannot be read ("), "{said}");
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::PermissionsExt;
+            let dir = folder(&[("a.png", ""), ("left/b.png", "")]);
+            let left = dir.path().join("left");
+            let rights =
+                |mode| std::fs::set_permissions(&left, std::fs::Permissions::from_mode(mode)).unwrap();
+            rights(0o000);
+            // The system's administrator may read every folder.
+            let free = std::fs::read_dir(&left).is_ok();
+            let found = Sources::of(&[dir.path().to_path_buf()]);
+            rights(0o755);
+            if !free {
+                let expected = format!("{}: you have no right to read this folder;", left.display());
+                assert!(found.unwrap_err().to_string().starts_with(&expected));
+            }
         }
     }
 
