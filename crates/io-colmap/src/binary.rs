@@ -31,14 +31,23 @@ struct Cursor<'a> {
 type Result<T> = std::result::Result<T, ModelError>;
 
 impl<'a> Cursor<'a> {
+    fn place(&self) -> String {
+        format!("{}, byte {}", self.record, self.length - self.rest.len())
+    }
+
     fn fail<T>(&self, reason: String) -> Result<T> {
-        let offset = self.length - self.rest.len();
-        Err(ModelError::broken(self.path, format!("{}, byte {offset}", self.record), reason))
+        Err(ModelError::broken(self.path, self.place(), reason))
+    }
+
+    fn cut_off<T>(&self, reason: String) -> Result<T> {
+        Err(ModelError::CutOff { path: self.path.to_path_buf(), place: self.place(), reason })
     }
 
     fn take<const N: usize>(&mut self) -> Result<[u8; N]> {
         let Some((head, rest)) = self.rest.split_first_chunk::<N>() else {
-            return self.fail(format!("the file ends here; {N} more bytes were expected"));
+            let left = self.rest.len();
+            let bytes = if left == 1 { "byte" } else { "bytes" };
+            return self.cut_off(format!("the next number has {N} bytes, but {left} {bytes} are left"));
         };
         self.rest = rest;
         Ok(*head)
@@ -64,20 +73,19 @@ impl<'a> Cursor<'a> {
         Ok(out)
     }
 
-    /// A count, and so many records of at least `smallest` bytes each.
+    /// A count, and so many records of one kind, such as `camera`, of at least `smallest` bytes each.
     fn list<R>(
         &mut self,
-        what: &str,
+        kind: &str,
         smallest: usize,
         mut read: impl FnMut(&mut Self, usize) -> Result<R>,
     ) -> Result<Vec<R>> {
         let count = self.u64()?;
         let most = (self.rest.len() / smallest) as u64;
         if count > most {
-            return self.fail(format!(
-                "{count} {what} are announced, but the {} bytes that follow hold at most {most}",
-                self.rest.len()
-            ));
+            let plural = if count == 1 { "" } else { "s" };
+            return self
+                .cut_off(format!("it announces {count} {kind}{plural}, but its data is enough for {most}"));
         }
         let mut out = Vec::with_capacity(count as usize);
         for i in 0..count as usize {
@@ -88,7 +96,7 @@ impl<'a> Cursor<'a> {
 
     fn name(&mut self) -> Result<FileName> {
         let Some(end) = self.rest.iter().position(|&b| b == 0) else {
-            return self.fail("the image's name does not end".into());
+            return self.cut_off("the image's name does not end".into());
         };
         let (name, rest) = self.rest.split_at(end);
         let Ok(name) = std::str::from_utf8(name) else {
@@ -109,7 +117,7 @@ fn records<R>(
     mut read: impl FnMut(&mut Cursor<'_>) -> Result<R>,
 ) -> Result<Vec<R>> {
     let mut cursor = Cursor { rest: bytes, length: bytes.len(), path, record: "header".into() };
-    let out = cursor.list(&format!("{kind}s"), smallest, |cursor, i| {
+    let out = cursor.list(kind, smallest, |cursor, i| {
         cursor.record = format!("{kind} record {i}");
         read(cursor)
     })?;
@@ -144,7 +152,7 @@ pub fn images(bytes: &[u8], path: &Path) -> Result<Vec<ModelImage>> {
         let camera = c.u32()?;
         let name = c.name()?;
         let keypoint = |c: &mut Cursor<'_>, _| Ok(Keypoint { x: c.f64()?, y: c.f64()?, point: c.u64()? });
-        let keypoints = c.list("keypoints", 24, keypoint)?;
+        let keypoints = c.list("keypoint", 24, keypoint)?;
         Ok(ModelImage { id, quaternion, translation, camera, name, keypoints })
     })
 }
@@ -156,7 +164,7 @@ pub fn points(bytes: &[u8], path: &Path) -> Result<Vec<ModelPoint>> {
         let position = c.f64s()?;
         let color = c.take()?;
         let error = c.f64()?;
-        let track = c.list("observations", 8, |c, _| Ok((c.u32()?, c.u32()?)))?;
+        let track = c.list("observation", 8, |c, _| Ok((c.u32()?, c.u32()?)))?;
         Ok(ModelPoint { id, position, color, error, track })
     })
 }

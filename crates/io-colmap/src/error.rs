@@ -55,6 +55,19 @@ pub enum ModelError {
         /// The problem.
         reason: String,
     },
+    /// A file that ends before the data that it announces.
+    #[error(
+        "{}: {place}: the file is cut off: {reason}; copy it again, or export the model again with COLMAP",
+        path.display()
+    )]
+    CutOff {
+        /// The file.
+        path: PathBuf,
+        /// The record and the byte.
+        place: String,
+        /// The missing data.
+        reason: String,
+    },
     /// A file cannot be written; the old content is untouched.
     #[error("{}: cannot be written ({source}); check that the folder is writable and has space", path.display())]
     Write {

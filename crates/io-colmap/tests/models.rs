@@ -187,6 +187,26 @@ fn counts_of_2_to_the_60_are_lies() {
 }
 
 #[test]
+fn a_file_that_is_cut_off_is_said_with_the_next_step() {
+    let path = Path::new("cameras.bin");
+    let of = |count: u64, bytes: usize| {
+        let file = [&count.to_le_bytes()[..], &vec![0; bytes][..]].concat();
+        binary::cameras(&file, path).unwrap_err().to_string()
+    };
+    assert_eq!(
+        of(1, 32),
+        "cameras.bin: header, byte 8: the file is cut off: it announces 1 camera, but its data is enough \
+         for 0; copy it again, or export the model again with COLMAP"
+    );
+    assert!(of(3, 2 * 48).contains("announces 3 cameras, but its data is enough for 2"), "{}", of(3, 96));
+    let message = binary::cameras(&[1, 0, 0], path).unwrap_err().to_string();
+    assert!(
+        message.contains("the file is cut off: the next number has 8 bytes, but 3 bytes are left"),
+        "{message}"
+    );
+}
+
+#[test]
 fn every_truncation_is_an_error_and_so_is_a_tail() {
     let dir = tempfile::tempdir().unwrap();
     write_model_binary(dir.path(), &example()).unwrap();
