@@ -77,6 +77,15 @@ impl From<Frame> for FrameRows {
     }
 }
 
+/// The words for a file that is no description.
+fn damaged(error: &serde_json::Error) -> String {
+    let (line, text) = (error.line(), error.to_string());
+    let place = format!(" at line {line} column {}", error.column());
+    let reason =
+        if error.is_eof() { "the file ends here" } else { text.strip_suffix(&place).unwrap_or(&text) };
+    format!("it is damaged or cut off (line {line}: {}); {}", shown(reason), files::AGAIN)
+}
+
 impl Description {
     /// The description that `save` writes for a scene.
     pub(crate) fn of(scene: &Scene) -> Self {
@@ -111,7 +120,7 @@ impl Description {
         }
         let bytes = files::read_bounded(&path, MOST_BYTES)?;
         let wrong = files::at::<String>(&path);
-        let description: Self = serde_json::from_slice(&bytes).map_err(|e| wrong(e.to_string()))?;
+        let description: Self = serde_json::from_slice(&bytes).map_err(|e| wrong(damaged(&e)))?;
         if description.format != FORMAT {
             return Err(wrong(format!("format is `{}`; expected `{FORMAT}`", shown(&description.format))));
         }

@@ -39,10 +39,27 @@ pub(crate) fn at<E: Into<Box<dyn Error + Send + Sync>>>(path: &Path) -> impl Fn(
     move |source| SceneError::File { path: path.into(), source: source.into() }
 }
 
+/// The remedy for a scene folder with missing or damaged files.
+pub(crate) const AGAIN: &str = "copy the scene folder again, or make it again with `use3d run`";
+
+/// Opens a file that the description names.
+fn open(path: &Path) -> Result<File, SceneError> {
+    File::open(path).map_err(|error| match (error.kind(), path.parent(), path.file_name()) {
+        (std::io::ErrorKind::NotFound, Some(folder), Some(name)) => {
+            let name = name.to_string_lossy();
+            at(folder)(format!("the scene folder is not complete: {} is missing; {AGAIN}", shown(&name)))
+        }
+        _ => at(path)(error),
+    })
+}
+
 /// Reads a whole file, if it is not larger than `most` bytes.
 pub(crate) fn read_bounded(path: &Path, most: u64) -> Result<Vec<u8>, SceneError> {
+    bounded(File::open(path).map_err(at(path))?, path, most)
+}
+
+fn bounded(file: File, path: &Path, most: u64) -> Result<Vec<u8>, SceneError> {
     let mut bytes = Vec::new();
-    let file = File::open(path).map_err(at(path))?;
     file.take(most + 1).read_to_end(&mut bytes).map_err(at(path))?;
     if bytes.len() as u64 > most {
         return Err(at(path)(format!("more than {most} bytes; this is not a file of a scene")));
@@ -81,8 +98,7 @@ pub(crate) fn remove(path: &Path) -> Result<(), SceneError> {
 }
 
 pub(crate) fn read_gaussians(path: &Path) -> Result<Gaussians, SceneError> {
-    let file = File::open(path).map_err(at(path))?;
-    ply::read(BufReader::new(file)).map_err(at(path))
+    ply::read(BufReader::new(open(path)?)).map_err(at(path))
 }
 
 pub(crate) fn write_gaussians(path: &Path, gaussians: &Gaussians) -> Result<(), SceneError> {
@@ -124,7 +140,7 @@ pub(crate) fn write_medium(dir: &Path, medium: &MediumModel) -> Result<(), Scene
 
 /// Reads every tensor of a file; the medium's kind checks them later.
 fn read_tensors(path: &Path) -> Result<Tensors, SceneError> {
-    let bytes = read_bounded(path, MOST_TENSOR_BYTES)?;
+    let bytes = bounded(open(path)?, path, MOST_TENSOR_BYTES)?;
     let file = TensorFile::read(&bytes).map_err(at(path))?;
     let mut tensors = Tensors::new();
     for name in file.names() {
@@ -135,7 +151,7 @@ fn read_tensors(path: &Path) -> Result<Tensors, SceneError> {
 }
 
 pub(crate) fn read_enhancement(path: &Path) -> Result<Enhancement, SceneError> {
-    Enhancement::from_safetensors(&read_bounded(path, MOST_TENSOR_BYTES)?).map_err(at(path))
+    Enhancement::from_safetensors(&bounded(open(path)?, path, MOST_TENSOR_BYTES)?).map_err(at(path))
 }
 
 pub(crate) fn write_enhancement(dir: &Path, enhancement: Option<&Enhancement>) -> Result<(), SceneError> {

@@ -152,3 +152,29 @@ fn truncated_payloads_are_errors_and_name_the_file() {
         }
     }
 }
+
+#[test]
+fn a_folder_that_is_not_complete_and_a_description_that_is_cut_off_are_said_with_the_next_step() {
+    let again = "copy the scene folder again, or make it again with `use3d run`";
+    let dir = tempfile::tempdir().unwrap();
+    let said = || Scene::load(dir.path()).unwrap_err().to_string();
+    for name in ["gaussians.ply", "medium.safetensors", "ubaf.safetensors"] {
+        sample().save(dir.path()).unwrap();
+        fs::remove_file(dir.path().join(name)).unwrap();
+        let folder = dir.path().display();
+        let expected = format!("{folder}: the scene folder is not complete: {name} is missing; {again}");
+        assert_eq!(said(), expected);
+    }
+    sample().save(dir.path()).unwrap();
+    let path = dir.path().join("scene.json");
+    let text = fs::read_to_string(&path).unwrap();
+    let cut: String = text.split_inclusive('\n').take(6).collect();
+    fs::write(&path, cut.trim_end()).unwrap();
+    let expected =
+        format!("{}: it is damaged or cut off (line 6: the file ends here); {again}", path.display());
+    assert_eq!(said(), expected);
+    fs::write(&path, text.replace("\"version\": 1,", "")).unwrap();
+    let lines = text.lines().count();
+    let expected = format!("it is damaged or cut off (line {lines}: missing field `version`); {again}");
+    assert!(said().ends_with(&expected), "{}", said());
+}
