@@ -138,12 +138,24 @@ fn is_scene(names: &[String]) -> bool {
     ["scene.json", "gaussians.ply"].iter().all(|file| names.iter().any(|name| name == file))
 }
 
+/// True if `use3d run` wrote a folder with these names in it: it keeps a numbered record of each run. A
+/// folder of photographs may hold the results of its own run.
+fn is_results(root: &Path, names: &[String]) -> bool {
+    if holds_pictures(root, names) {
+        return false;
+    }
+    let records = names_in(&root.join("runs"), Path::is_file);
+    let numbered = |name: &str| name.len() >= 4 && name.bytes().all(|b| b.is_ascii_digit());
+    records.iter().any(|record| record.strip_suffix(".json").is_some_and(numbered))
+}
+
 /// True if a folder has no sign of a model: no model here, above or in its folders, no project of another
-/// program, and no scene.
+/// program, no scene, and no results of a run.
 pub fn holds_no_model(root: &Path) -> bool {
     let names = names_in(root, |_| true);
     let project = FORMATS[1..].iter().any(|format| (format.instead)(&names).is_some());
-    if project || is_scene(&names) || is_prepared(root) || model_above(root).is_some() {
+    let made = is_scene(&names) || is_results(root, &names) || is_prepared(root);
+    if project || made || model_above(root).is_some() {
         return false;
     }
     let inside = subfolders(root).iter().any(|name| has_usual_model(&root.join(name)));
@@ -160,6 +172,9 @@ fn instead_of_a_model(root: &Path) -> String {
     }
     if is_scene(&names) {
         return "this is a scene; give the capture that it was made from".into();
+    }
+    if is_results(root, &names) {
+        return "these are the results of a run; give the capture that they were made from".into();
     }
     if let Some(hint) = FORMATS.iter().rev().find_map(|format| (format.instead)(&names)) {
         return hint.into();

@@ -45,7 +45,7 @@ fn complaint(change: impl FnOnce(&Path)) -> String {
 fn what_lies_there_instead_of_a_model_is_said_with_the_next_step() {
     let without = |dir: &Path| std::fs::remove_dir_all(dir.join("sparse")).unwrap();
     type Change = fn(&Path);
-    let cases: [(&str, Change); 10] = [
+    let cases: [(&str, Change); 11] = [
         ("no cameras file of Metashape", |d| std::fs::write(d.join("notes.xml"), "<html/>").unwrap()),
         ("Internal/External camera parameters", |d| std::fs::write(d.join("reef.RCPROJ"), "x").unwrap()),
         ("use3d prepare FILM", |d| std::fs::write(d.join("Dive.MP4"), "x").unwrap()),
@@ -53,6 +53,12 @@ fn what_lies_there_instead_of_a_model_is_said_with_the_next_step() {
         ("this is a scene", |d| {
             std::fs::write(d.join("scene.json"), "{}").unwrap();
             std::fs::write(d.join("gaussians.ply"), "ply").unwrap();
+        }),
+        ("these are the results of a run; give the capture that they were made from", |d| {
+            std::fs::remove_dir_all(d.join("images")).unwrap();
+            std::fs::create_dir(d.join("runs")).unwrap();
+            std::fs::write(d.join("runs/0001.json"), "{}").unwrap();
+            std::fs::write(d.join("report.html"), "<html/>").unwrap();
         }),
         ("--set model_dir=DIR", |_| ()),
         ("--set import.model_dir=DIR", |_| ()),
