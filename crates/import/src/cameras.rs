@@ -31,15 +31,17 @@ use crate::params::ImportParams;
 use crate::prepared::{MODEL, from_row_major};
 use crate::undistort::{choose_pinhole, is_pinhole};
 
+/// The places that cameras are read from.
+const PLACES: &str = "expected a COLMAP model folder, a capture folder, or a JSON list of cameras";
+
 /// Reads cameras with their names, in COLMAP's frame.
 pub fn read_cameras(path: &Path) -> Result<Vec<(FileName, Camera)>, ImportError> {
     if path.is_file() {
         return read_list(path);
     }
     if !path.is_dir() {
-        let reason =
-            "there is no such file or folder; expected a COLMAP model folder, a capture, or a JSON list";
-        return Err(ImportError::List { path: path.to_path_buf(), reason: reason.into() });
+        let reason = format!("there is no such file or folder; {PLACES}");
+        return Err(ImportError::List { path: path.to_path_buf(), reason });
     }
     let model = if is_prepared(path) {
         read_model(&path.join(MODEL))?
@@ -137,7 +139,8 @@ const EXPECTED: &str = "expected a list of cameras such as {\"width\": 640, \"he
 fn read_list(path: &Path) -> Result<Vec<(FileName, Camera)>, ImportError> {
     let bytes = std::fs::read(path).map_err(ImportError::file(path))?;
     let bad = |reason: String| ImportError::List { path: path.to_path_buf(), reason };
-    let json: Value = serde_json::from_slice(&bytes).map_err(|e| bad(format!("it is not JSON: {e}")))?;
+    let other = |e: serde_json::Error| bad(format!("{PLACES}; this file is not JSON (line {})", e.line()));
+    let json: Value = serde_json::from_slice(&bytes).map_err(other)?;
     let (list, width, height) = match json {
         Value::Array(list) => (list, None, None),
         Value::Object(mut object) => {

@@ -248,6 +248,11 @@ fn lists_of_cameras_are_explained() {
         ("7", "it is not a list"),
         ("[{\"width\": \"wide\"}]", "camera 0"),
         ("nonsense", "not JSON"),
+        (
+            "[\n\"a\",",
+            "expected a COLMAP model folder, a capture folder, or a JSON list of cameras; this file is not \
+             JSON (line 2)",
+        ),
     ] {
         std::fs::write(&path, json).unwrap();
         let said = read_cameras(&path).unwrap_err().to_string();
