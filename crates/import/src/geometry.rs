@@ -7,7 +7,7 @@ use use3d_capture::{Image, Intrinsics, Map, Pixels, Raster};
 use use3d_survey::SurveyCamera;
 
 use crate::error::ImportError;
-use crate::params::ImportParams;
+use crate::params::{ImportParams, LEAST_SIDE};
 use crate::resample::Resize;
 use crate::undistort::{Undistortion, is_pinhole};
 
@@ -66,6 +66,16 @@ impl Geometry {
         let resize = if let Some(size) = params.size {
             Some(Resize::cover(from, size.width, size.height))
         } else if params.downscale > 1 {
+            let longer = from.0.max(from.1) / params.downscale;
+            if longer < LEAST_SIDE {
+                let reason = format!(
+                    "divided by {}, the longer side of {} has {longer} pixels left; expected at least \
+                     {LEAST_SIDE}: take a smaller number",
+                    params.downscale,
+                    path.display()
+                );
+                return Err(ImportError::Parameter { field: "downscale", reason });
+            }
             Some(Resize::fraction(from, params.downscale))
         } else if params.max_side > 0 && from.0.max(from.1) > params.max_side {
             let s = params.max_side as f64 / from.0.max(from.1) as f64;

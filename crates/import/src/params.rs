@@ -128,7 +128,7 @@ impl From<ImageSize> for String {
 }
 
 /// No scene can be learnt from photographs whose longer side is smaller.
-const LEAST_SIDE: usize = 16;
+pub(crate) const LEAST_SIDE: usize = 16;
 
 impl ImportParams {
     /// Checks a condition that the types cannot express: at most one way of resizing.
@@ -139,6 +139,10 @@ impl ImportParams {
         if (1..LEAST_SIDE).contains(&self.max_side) {
             let expected = format!("0, which leaves the size as it is, or at least {LEAST_SIDE} pixels");
             return Err(OutOfRange::new("max_side", self.max_side, expected));
+        }
+        if let Some(size) = self.size.filter(|size| size.width.max(size.height) < LEAST_SIDE) {
+            let expected = format!("at least {LEAST_SIDE} pixels on the longer side");
+            return Err(OutOfRange::new("size", String::from(size), expected));
         }
         let ways = [
             ("size", self.size.map(String::from)),
@@ -163,6 +167,13 @@ mod tests {
         let of = |max_side| ImportParams { max_side, ..ImportParams::default() }.validate();
         assert!(of(0).is_ok() && of(16).is_ok());
         assert!(of(1).unwrap_err().to_string().contains("at least 16 pixels"));
+        let of = |width, height| {
+            let size = Some(ImageSize { width, height });
+            ImportParams { size, ..ImportParams::default() }.validate().map_err(|e| e.to_string())
+        };
+        assert!(of(16, 9).is_ok() && of(9, 16).is_ok());
+        let expected = "`size` is 10x10; expected at least 16 pixels on the longer side";
+        assert_eq!(of(10, 10), Err(expected.into()));
     }
 
     #[test]

@@ -247,6 +247,10 @@ fn what_cannot_be_imported_is_explained() {
     assert!(message.contains("half") && message.contains("lacks cameras.bin"), "{message}");
     assert!(complaint(ImportParams { mask_dir: Some("m".into()), ..base() }).contains("mask_dir"));
     assert!(complaint(ImportParams { downscale: 0, ..base() }).contains("downscale"));
+    let message = complaint(ImportParams { downscale: 8, ..base() });
+    assert!(
+        message.contains("`downscale`: divided by 8, the longer side of ") && message.contains("15 pixels")
+    );
     assert!(
         complaint(ImportParams { split: SplitParams { every: 1, ..SplitParams::default() }, ..base() })
             .contains("no training views")
