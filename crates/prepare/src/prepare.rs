@@ -161,8 +161,16 @@ fn needed(
     if let (false, [first, ..]) = (sources.has_films(), &sources.photographs[..])
         && sources.photographs.len() < FEWEST
     {
-        let reason = format!("a scene needs {FEWEST} photographs at least, better 30 to 200");
-        return Err(PrepareError::input(&first.path, reason));
+        let (count, were) = match sources.photographs.len() {
+            1 => ("1 photograph".to_string(), "was"),
+            count => (format!("{count} photographs"), "were"),
+        };
+        let (path, found) = match &sources.capture {
+            Some(folder) => (folder, format!("it has {count}")),
+            None => (&first.path, format!("{count} {were} given")),
+        };
+        let reason = format!("{found}; a scene needs at least {FEWEST} photographs, better 30 to 200");
+        return Err(PrepareError::input(path, reason));
     }
     if !params.repeatable {
         return Ok((ffmpeg, programs.cameras()?));

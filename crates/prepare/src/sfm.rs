@@ -394,7 +394,8 @@ mod tests {
         let lines = "Processed file [1/3]\n  Name:            a.png\n  Features:        1645\n\
                      I2 x.cc:9] Processed file [2/3]\nI2 x.cc:9]   Name:            left/b c.png\n\
                      I2 x.cc:9]   Features:        0\n\
-                     Processed file [3/3]\n  Name:            d.png\n  ERROR: Failed to read image file format.";
+                     Processed file [3/3]\n  Name:            d.png\n  \
+                     ERROR: Failed to read image file format.";
         let heard = |lines: &str, images: usize| {
             let mut featured = Featured::default();
             lines.lines().for_each(|line| featured.hear(line));

@@ -312,6 +312,15 @@ fn wrong_inputs_and_choices_are_refused_before_any_work() {
         place.at(name)
     };
     std::fs::create_dir(place.at("empty")).unwrap();
+    std::fs::create_dir(place.at("one")).unwrap();
+    std::fs::copy(place.at("photos/p_01.png"), place.at("one/p_01.png")).unwrap();
+    let one = format!(
+        "{}: it has 1 photograph; a scene needs at least 3 photographs, better 30 to 200",
+        place.at("one").display()
+    );
+    assert_eq!(refused(&[place.at("one")], &usual), one);
+    let two = [place.at("photos/p_01.png"), place.at("photos/p_02.png")];
+    assert!(refused(&two, &usual).contains("2 photographs were given; a scene needs at least 3"));
     for (input, part) in [
         (place.at("nothing.mp4"), "no such file"),
         (place.at("empty"), "no films or photographs"),
