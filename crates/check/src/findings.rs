@@ -77,6 +77,10 @@ fn serious_if(serious: bool) -> Severity {
     if serious { Severity::Serious } else { Severity::Minor }
 }
 
+fn are(count: usize) -> &'static str {
+    if count == 1 { "is" } else { "are" }
+}
+
 fn names(views: &[ViewFigures], those: impl Fn(&ViewFigures) -> bool) -> Vec<String> {
     views.iter().filter(|v| those(v)).map(|v| v.name.clone()).collect()
 }
@@ -121,8 +125,10 @@ impl Rules {
             self.good("unplaced", format!("All {all} photographs have a camera position."));
         }
         if !import.missing.is_empty() {
+            let count = import.missing.len();
+            let s = if count == 1 { "" } else { "s" };
             let text =
-                format!("{} photographs that the model names are not in the folder.", import.missing.len());
+                format!("{count} photograph{s} that the model names {} not in the folder.", are(count));
             let remedy = "put the missing files back, under the names that the model has";
             self.add(
                 serious_if(import.missing.len() > self.views),
@@ -156,12 +162,14 @@ impl Rules {
             let text = "No view is held out, so the report can have no honest scores.";
             self.minor("split", text, remedy);
         } else if train < 8 {
-            let text = format!("Only {train} views are left for training, and {test} are held out.");
+            let left = if train == 1 { "view is" } else { "views are" };
+            let text = format!("Only {train} {left} left for training, and {test} {} held out.", are(test));
             let remedy = "take more photographs, or hold none out (`--set import.split.every=0`; the report then has no \
                 honest scores), or shorten test_list.txt";
             self.add(Severity::Serious, "split", text, remedy, import.test.clone());
         } else {
-            self.good("split", format!("{test} of {} views are held out for the scores.", train + test));
+            let text = format!("{test} of {} views {} held out for the scores.", train + test, are(test));
+            self.good("split", text);
         }
     }
 
@@ -225,9 +233,15 @@ impl Rules {
         }
         if !lonely.is_empty() {
             let (count, all) = (lonely.len(), self.views);
-            let text = format!(
-                "{count} of {all} views share few points with the others, so their camera positions are uncertain."
-            );
+            let text = match count {
+                1 => format!(
+                    "1 of {all} views shares few points with the others, so its camera position is uncertain."
+                ),
+                _ => format!(
+                    "{count} of {all} views share few points with the others, so their camera positions are \
+                     uncertain."
+                ),
+            };
             let remedy = "photograph the way to them more densely, or remove them from the folder of images";
             self.add(serious_if(self.share(lonely.len()) > 0.1), "lonely", text, remedy, lonely);
         }
@@ -337,11 +351,13 @@ impl Rules {
         } else if views.iter().any(|v| v.balance_step.is_some()) {
             self.good("balance", "The white balance is steady.");
         }
-        let are = |count: usize| if count == 1 { "is" } else { "are" };
         let blurred = names(views, |v| v.sharpness.is_some_and(|s| s < BLURRED));
         if !blurred.is_empty() {
-            let (are, count, all) = (are(blurred.len()), blurred.len(), self.views);
-            let text = format!("{count} of {all} views {are} blurred, compared with the views around them.");
+            let (count, all) = (blurred.len(), self.views);
+            let text = format!(
+                "{count} of {all} views {} blurred, compared with the views around them.",
+                are(count)
+            );
             let remedy = "remove them from the folder of images; swim slower, with 1/240 s or shorter";
             self.add(serious_if(self.share(blurred.len()) > 0.1), "blur", text, remedy, blurred);
         } else {

@@ -138,6 +138,19 @@ fn few_views_for_training_get_advice_that_changes_something() {
     for advice in ["take more photographs", "`--set import.split.every=0`", "shorten test_list.txt"] {
         assert!(found.remedy.contains(advice), "{}", found.remedy);
     }
+    reef.report.test.truncate(1);
+    let said = reef.examine().to_string();
+    assert!(said.contains("Only 7 views are left for training, and 1 is held out."), "{said}");
+    let mut reef = Reef::new();
+    reef.report.test.truncate(1);
+    reef.report.missing = vec!["v_99.png".into()];
+    let said = reef.examine().to_string();
+    for part in [
+        "1 of 22 views is held out for the scores.",
+        "1 photograph that the model names is not in the folder.",
+    ] {
+        assert!(said.contains(part), "{said} lacks {part}");
+    }
     // One view in 8 is held out without any setting.
     assert!(!found.remedy.contains("every=8"), "{}", found.remedy);
 }
