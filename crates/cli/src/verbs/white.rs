@@ -295,8 +295,7 @@ mod tests {
             pose: Pose::IDENTITY,
         };
         let names = ["reef.jpg", "reef.png", "cam.1/a", "cam.1/b", "f_1.jpg"];
-        let cameras: Vec<_> =
-            names.iter().map(|name| (FileName::new(name).unwrap(), camera.clone())).collect();
+        let cameras: Vec<_> = names.iter().map(|name| (FileName::new(name).unwrap(), camera)).collect();
         let found = |view: &str| {
             let place = Place { view: view.into(), x: 0.0, y: 0.0, size: None };
             camera_of(&place, &cameras).map(|(name, _)| name.to_string()).map_err(|error| match error {

@@ -139,7 +139,7 @@ fn shorten(log_scales: &mut [f32; 3], q: [f32; 4], direction: DVec3, stretch: f6
     let others = || (0..3).filter(|k| *k != axis);
     let across = others().map(|k| scales[k] * (1.0 - d[k] * d[k]).max(0.0).sqrt()).fold(0.0, f64::max);
     let of_others = others().map(|k| along[k] * along[k]).sum::<f64>();
-    let most = (stretch * across).powi(2);
+    let most = (stretch * across) * (stretch * across);
     if along[axis] * along[axis] + of_others > most {
         let longest = others().map(|k| scales[k]).fold(0.0, f64::max);
         let shortened = ((most - of_others).max(0.0).sqrt() / d[axis].abs()).max(longest).min(scales[axis]);
