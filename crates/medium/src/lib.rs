@@ -5,8 +5,8 @@
 //! `β_attn` (1 / scene unit), each per RGB channel. The compositor does the rest. Models are rows of one
 //! table (`kinds`): [`MediumRbf`] (the method's), one set of spherical harmonics for the whole scene
 //! ([`MediumGlobal`], as in Plenodium), a network of the direction ([`MediumMlp`], as in WaterSplatting).
-//! The kind `none` has no row and no parameters. The water of all of these lies in front of every Gaussian. A further row applies the
-//! water of [`MediumGlobal`] to the finished image, as in SeaSplat and 3D-UIR.
+//! The kind `none` has no row and no parameters. The water of all of these lies in front of every Gaussian. A
+//! further row applies the water of [`MediumGlobal`] to the finished image, as in SeaSplat and 3D-UIR.
 //!
 //! `backward` is the exact adjoint of `maps` and adds to a gradient that has the model's own type.
 //! For optimisers, every model is a flat vector of parameters in a fixed order with a [`Role`]

@@ -65,7 +65,8 @@ pub fn point_colors(
     found
 }
 
-/// True if these colours of points show air. `false` does not mean water: the scene may simply have nothing dark.
+/// True if these colours of points show air. `false` does not mean water: the scene may simply have nothing
+/// dark.
 pub fn shows_air(point_colors: &[PointColor]) -> bool {
     let whole = |g: &&PointColor| g.distance.is_finite() && g.value.iter().all(|v| v.is_finite());
     let mut sorted: Vec<&PointColor> = point_colors.iter().filter(whole).collect();

@@ -3,8 +3,8 @@
 //!
 //! The fit minimises `Σ (c²/2) ln(1 + (r/σ_i)²/c²) + ½ Σ (θ − prior)²/width²`. With fixed weights
 //! `w_i = 1/(σ_i² + r_i²/c²)`, `½ Σ w r²` touches the loss from above, so every step that lowers it also
-//! lowers the loss. A fit begins with a wider loss, two or three times c, and then narrows it, so that outliers
-//! of the start do not decide the result.
+//! lowers the loss. A fit begins with a wider loss, two or three times c, and then narrows it, so that
+//! outliers of the start do not decide the result.
 
 use rayon::prelude::*;
 use use3d_numerics::math;

@@ -197,7 +197,8 @@ pub(crate) struct ExportArgs {
     /// Leave out the sphere of Gaussians that shows open water behind the scene.
     #[arg(long)]
     pub(crate) no_backdrop: bool,
-    /// The frame of a PLY or compressed PLY (default: colmap). GLB and SPZ always have their own upright frame.
+    /// The frame of a PLY or compressed PLY (default: colmap). GLB and SPZ always have their own upright
+    /// frame.
     #[arg(long, value_enum)]
     pub(crate) frame: Option<ExportFrame>,
     #[command(flatten)]

@@ -94,8 +94,8 @@ pub(crate) enum Published {
 }
 
 impl Cache {
-    /// Opens the cache in `folder`, and creates it if the folder is missing or empty. `rehash` reads all inputs
-    /// again.
+    /// Opens the cache in `folder`, and creates it if the folder is missing or empty. `rehash` reads all
+    /// inputs again.
     ///
     /// # Errors
     /// Fails if the folder cannot be written, or holds other files: its tag makes backup programs skip it.
