@@ -6,8 +6,8 @@
 //! the colours do. Water that is known beforehand (from the capture's tracks) therefore has three effects:
 //!
 //! * every anchor starts from it: `c_m(d) = v + g·d` in the bands of degree 0 and 1, `β` in the constant
-//!   band through the inverse of softplus. The water's active degree is at least 1 from the first step on (0 if
-//!   `sh_degree` is 0; the slope is then not used);
+//!   band through the inverse of softplus. The water's active degree is at least 1 from the first step on
+//!   (0 if `sh_degree` is 0; the slope is then not used);
 //! * Gaussians start with the radiance J behind the water where tracks determine it, weighted by its
 //!   certainty: `(w J + (1-w) I)` with `w = σ₀² / (σ₀² + σ_J²)`, σ₀ = 0.2 of display range, I the point's
 //!   colour in the photographs;

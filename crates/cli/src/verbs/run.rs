@@ -48,7 +48,8 @@ fn outside_the_cache(out: &Path, cache: &Path) -> Done {
 /// Folders of a capture that the import reads.
 const READ: [&str; 4] = ["images", "masks", "depth", "sparse"];
 
-/// Fails if results would lie among the files of a capture, where the next run would take them for photographs.
+/// Fails if results would lie among the files of a capture, where the next run would take them for
+/// photographs.
 fn outside_the_captures(out: &Path, loaded: &Loaded) -> Done {
     let out = real(out);
     let captures = loaded.pipeline.batch.scenes.iter().filter_map(|scene| scene.externals.get("capture"));

@@ -81,7 +81,8 @@ pub(crate) struct Pairs {
 pub(crate) struct SceneEntry {
     /// Its name, unique in the file.
     pub(crate) name: String,
-    /// Its capture folder: images, and a model of COLMAP or another program. `${NAME}` stands for an environment variable.
+    /// Its capture folder: images, and a model of COLMAP or another program. `${NAME}` stands for an
+    /// environment variable.
     pub(crate) capture: String,
     /// The group whose mean includes this scene.
     #[serde(default)]

@@ -106,7 +106,10 @@ impl Cache {
     /// Like [`open`](Self::open), with other file operations; for tests.
     pub fn with_files(folder: &Path, rehash: bool, files: Arc<dyn Files>) -> Result<Self, FileError> {
         let root = folder.join("v1");
-        if !root.is_dir() && files::entries(folder).next().is_some() {
+        // A new disk may have these.
+        let of_the_system = |name: &str| name.starts_with('.') || name == "lost+found";
+        let others = |entry: &std::fs::DirEntry| !of_the_system(&entry.file_name().to_string_lossy());
+        if !root.is_dir() && files::entries(folder).any(|entry| others(&entry)) {
             let other = std::io::Error::other(
                 "the folder holds other files; a cache (--cache, USE3D_CACHE) needs a folder of its own, new or empty",
             );
