@@ -195,8 +195,10 @@ fn pictures_films_and_splats_replace_only_what_is_meant() {
         place.expect(code, &arguments)
     };
     for water in ["-0.5", "nan", "1.5"] {
-        let said = place.expect(2, &["export", &scene(), "--ply", "a.ply", &format!("--water={water}")]);
+        let water = format!("--water={water}");
+        let said = place.expect(2, &["export", &scene(), "--web", "a.html", "--ply", "a.ply", &water]);
         assert!(said.contains("--water") && said.contains("expected 0 to 1"), "{said}");
+        assert!(!place.at("a.html").exists(), "nothing is written before the check");
     }
     let said = place.expect(2, &["white", &scene(), "--out", "white.json"]);
     assert!(said.contains("no white balance to write"), "{said}");

@@ -42,6 +42,9 @@ pub(crate) fn run(app: &App, args: &ExportArgs) -> Done {
             "choose an output: --web FILE.html, --ply FILE, --compressed-ply FILE, --glb FILE or --spz FILE",
         ));
     }
+    if !(0.0..=1.0).contains(&args.water) {
+        return Err(CliError::Input(format!("--water {}: expected 0 to 1", args.water)));
+    }
     if let Some(frame) = &args.frame
         && args.ply.is_none()
         && args.compressed_ply.is_none()
@@ -114,9 +117,6 @@ fn opening_look(scene: &Scene) -> ExportWhat {
 
 /// The Gaussians in the colours of the look, with the look's name.
 fn baked(app: &App, args: &ExportArgs, scene: &Scene) -> Result<(String, Gaussians), CliError> {
-    if !(0.0..=1.0).contains(&args.water) {
-        return Err(CliError::Input(format!("--water {}: expected 0 to 1", args.water)));
-    }
     let what = args.what.unwrap_or_else(|| opening_look(scene));
     let look = match what {
         ExportWhat::Reconstruction | ExportWhat::Clear => Look::Reconstruction,
