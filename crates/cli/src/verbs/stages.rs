@@ -129,11 +129,12 @@ pub(crate) fn parameters(
     let mut sorted: Vec<Vec<String>> = vec![Vec::new(); stages.len()];
     for set in sets.iter().filter(|set| seed(set).is_none()) {
         let key = set.split(['=', '.']).next().unwrap_or_default().trim();
-        if registry.stage(key).is_ok() && !names.contains(&key) && set.contains('.') {
+        let of_a_stage = set.trim_start()[key.len()..].starts_with('.');
+        if of_a_stage && !names.contains(&key) && registry.stage(key).is_ok() {
             let what = format!("this command does not run the stage `{key}`; give this to `use3d run`");
             return Err(CliError::Input(format!("--set {set}: {what}")));
         }
-        let named = names.iter().position(|n| *n == key && set.trim_start()[key.len()..].starts_with('.'));
+        let named = names.iter().position(|n| of_a_stage && *n == key);
         let has = defaults.iter().position(|d| d.get(key).is_some());
         // The first stage reports a key that no stage has, and suggests the nearest one.
         sorted[named.or(has).unwrap_or(0)].push(set.clone());
