@@ -23,7 +23,7 @@ fn cache(args: &CacheArgs) -> Result<Cache, CliError> {
             return Err(CliError::Input(format!("--cache {}: {what}", path_text(folder))));
         }
         // Looking at a cache must not make one of another folder.
-        Some(folder) if !folder.join("v1").is_dir() => {
+        Some(folder) if !Cache::is_cache(folder) => {
             let what =
                 "this folder is no cache of use3d, because it has no folder v1; give the folder of a cache";
             return Err(CliError::Input(format!("--cache {}: {what}", path_text(folder))));

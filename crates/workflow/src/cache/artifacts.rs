@@ -43,6 +43,9 @@ use use3d_files::folder_of;
 /// that a name did not exist.
 const LATE: Duration = Duration::from_secs(90);
 
+/// The folder of this version in the cache folder.
+const ROOT: &str = "v1";
+
 const TAG: &str = "Signature: 8a477f597d28d172789f06886806bc55\n\
     # This folder holds results of use3d that can be computed again.\n";
 
@@ -94,6 +97,11 @@ pub(crate) enum Published {
 }
 
 impl Cache {
+    /// True if there is a cache in `folder`.
+    pub fn is_cache(folder: &Path) -> bool {
+        folder.join(ROOT).is_dir()
+    }
+
     /// Opens the cache in `folder`, and creates it if the folder is missing or empty. `rehash` reads all
     /// inputs again.
     ///
@@ -105,11 +113,11 @@ impl Cache {
 
     /// Like [`open`](Self::open), with other file operations; for tests.
     pub fn with_files(folder: &Path, rehash: bool, files: Arc<dyn Files>) -> Result<Self, FileError> {
-        let root = folder.join("v1");
+        let root = folder.join(ROOT);
         // A new disk may have these.
         let of_the_system = |name: &str| name.starts_with('.') || name == "lost+found";
         let others = |entry: &std::fs::DirEntry| !of_the_system(&entry.file_name().to_string_lossy());
-        if !root.is_dir() && files::entries(folder).any(|entry| others(&entry)) {
+        if !Self::is_cache(folder) && files::entries(folder).any(|entry| others(&entry)) {
             let other = std::io::Error::other(
                 "the folder holds other files; a cache (--cache, USE3D_CACHE) needs a folder of its own, new or empty",
             );
@@ -121,7 +129,7 @@ impl Cache {
         if !tag.exists() {
             files::write_atomic(files.as_ref(), &tag, TAG.as_bytes())?;
         }
-        let root = folder.join("v1");
+        let root = folder.join(ROOT);
         for part in ["artifacts", "checkpoints", "history", "logs", "leases", "tmp"] {
             let path = root.join(part);
             if !path.is_dir() {
