@@ -8,6 +8,8 @@ use std::io::Read;
 use std::ops::Range;
 use std::path::Path;
 
+use crate::tiff_structure::TiffStructure;
+
 /// A position by GPS.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GpsPosition {
@@ -33,39 +35,10 @@ pub struct Exif {
 }
 
 /// The bytes of a JPEG that are read to find its EXIF data, which stand at the beginning.
-const HEAD: u64 = 1 << 18;
+pub(crate) const HEAD: u64 = 1 << 18;
 
-/// A TIFF structure inside a file.
-struct Tiff<'a> {
-    bytes: &'a [u8],
-    big: bool,
-}
-
-impl Tiff<'_> {
-    fn number(&self, at: usize, size: usize) -> Option<u64> {
-        let bytes = self.bytes.get(at..at.checked_add(size)?)?;
-        let fold = |n: u64, b: &u8| n << 8 | u64::from(*b);
-        Some(if self.big { bytes.iter().fold(0, fold) } else { bytes.iter().rev().fold(0, fold) })
-    }
-
-    fn short(&self, at: usize) -> Option<u64> {
-        self.number(at, 2)
-    }
-
-    fn long(&self, at: usize) -> Option<usize> {
-        usize::try_from(self.number(at, 4)?).ok()
-    }
-
-    /// The positions of the entries of a directory, by tag.
-    fn entries(&self, at: usize) -> impl Iterator<Item = (u64, usize)> + '_ {
-        let count = self.short(at).unwrap_or(0) as usize;
-        let position = move |i: usize| at.checked_add(2)?.checked_add(i * 12);
-        (0..count).map_while(move |i| {
-            let here = position(i)?;
-            Some((self.short(here)?, here))
-        })
-    }
-
+/// The values of EXIF directories.
+impl TiffStructure<'_> {
     fn text(&self, entry: usize) -> Option<String> {
         let count = self.long(entry.checked_add(4)?)?;
         let at = if count <= 4 { entry + 8 } else { self.long(entry.checked_add(8)?)? };
@@ -161,21 +134,21 @@ pub fn exif_of_bytes(bytes: &[u8]) -> Exif {
     let plain = Exif { orientation: 1, ..Exif::default() };
     let Some(range) = segment(bytes) else { return plain };
     let start = range.start;
-    let body = &bytes[range];
-    let big = match body.get(..4) {
-        Some(b"MM\0*") => true,
-        Some(b"II*\0") => false,
-        _ => return plain,
-    };
-    let tiff = Tiff { bytes: body, big };
-    let Some(first) = tiff.long(4) else { return plain };
-    let mut exif = plain;
+    let exif = exif_of_block(&bytes[range]);
+    Exif { orientation_at: exif.orientation_at.map(|(at, big)| (start + at, big)), ..exif }
+}
+
+/// Reads EXIF data without the JPEG around them; the default if they are broken.
+pub(crate) fn exif_of_block(block: &[u8]) -> Exif {
+    let mut exif = Exif { orientation: 1, ..Exif::default() };
+    let Some(tiff) = TiffStructure::of(block).filter(|tiff| !tiff.wide) else { return exif };
+    let (big, Some(first)) = (tiff.big, tiff.first()) else { return exif };
     for (tag, entry) in tiff.entries(first) {
         match tag {
             0x0112 => {
                 let value = tiff.short(entry + 8).unwrap_or(1);
                 if (1..=8).contains(&value) {
-                    (exif.orientation, exif.orientation_at) = (value as u16, Some((start + entry + 8, big)));
+                    (exif.orientation, exif.orientation_at) = (value as u16, Some((entry + 8, big)));
                 }
             }
             0x010F => exif.camera.0 = tiff.text(entry).unwrap_or_default(),

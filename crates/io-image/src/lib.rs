@@ -5,6 +5,9 @@
 //! bytes, not by the name. Values are display-referred (a PNG value over 255) and never linearised; EXR files
 //! hold the same values unclamped.
 //!
+//! [`Photograph`] reads a photograph with all of its metadata and writes new pixels into a file of the same
+//! format (JPEG, PNG, TIFF, EXR).
+//!
 //! [`read_exif`] reads orientation, camera and GPS position of a JPEG.
 //!
 //! Every size is checked before memory is allocated (at most [`MAX_PIXELS`], and never more than the file's
@@ -30,8 +33,10 @@ mod histogram;
 mod jpeg;
 mod limits;
 mod npy;
+mod photograph;
 mod png_file;
 mod read;
+mod tiff_structure;
 mod write;
 
 pub use decoded::{Decoded, Samples};
@@ -42,6 +47,7 @@ pub use exr_file::{write_exr, write_exr_channels, write_exr_map};
 pub use folder::{FolderError, images_by_stem};
 pub use histogram::ChannelHistogram;
 pub use limits::MAX_PIXELS;
+pub use photograph::{Photograph, PhotographInfo, Rgb, photograph_info};
 pub use read::{
     ImageInfo, decode, image_info, image_size, info_of_bytes, read, read_image, read_map, read_pixels,
     read_pixels_with_alpha,

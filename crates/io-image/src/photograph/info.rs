@@ -1,0 +1,96 @@
+//! The properties of a photograph that its header gives.
+
+use std::fs::File;
+use std::io::{BufReader, Read, SeekFrom};
+use std::path::Path;
+
+use tiff::tags::Tag;
+
+use crate::error::{FileFormat, ImageError};
+use crate::exif::{exif_of_block, exif_of_bytes};
+use crate::read::{ByteSource, image_info};
+
+/// The properties of a photograph by its header.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PhotographInfo {
+    /// Width, pixels, as stored.
+    pub width: usize,
+    /// Height, pixels, as stored.
+    pub height: usize,
+    /// The format by the first bytes: JPEG, PNG, TIFF or EXR.
+    pub format: FileFormat,
+    /// Bits per sample of the file: 8, 16 or 32. Fewer than 8 count as 8, because they are written as 8. 32
+    /// are floats; 16 in an EXR are half floats.
+    pub bits: u8,
+    /// The orientation tag by EXIF or TIFF, 1 to 8; 1 if there is none.
+    pub orientation: u16,
+    /// True if there is an alpha channel.
+    pub alpha: bool,
+}
+
+/// The largest `eXIf` chunk that is read for its orientation.
+const LARGEST_EXIF: u32 = 1 << 20;
+
+/// Bits per sample and orientation of a PNG.
+fn png(reader: &mut dyn ByteSource) -> std::io::Result<(u8, u16)> {
+    let mut start = [0; 8 + 8 + 13 + 4];
+    reader.read_exact(&mut start)?;
+    let bits = if start[24] == 16 { 16 } else { 8 };
+    let mut head = [0; 8];
+    while reader.read_exact(&mut head).is_ok() && &head[4..] != b"IEND" {
+        let length = u32::from_be_bytes([head[0], head[1], head[2], head[3]]);
+        if &head[4..] == b"eXIf" && length <= LARGEST_EXIF {
+            let mut body = Vec::new();
+            reader.take(u64::from(length)).read_to_end(&mut body)?;
+            let block = body.strip_prefix(b"Exif\0\0").unwrap_or(&body);
+            return Ok((bits, exif_of_block(block).orientation));
+        }
+        reader.seek(SeekFrom::Current(i64::from(length) + 4))?;
+    }
+    Ok((bits, 1))
+}
+
+/// Bits per sample and orientation of a TIFF.
+fn tiff_file(reader: &mut dyn ByteSource) -> Result<(u8, u16), tiff::TiffError> {
+    let mut decoder = tiff::decoder::Decoder::new(reader)?;
+    let bits = decoder.find_tag_unsigned_vec::<u16>(Tag::BitsPerSample)?.and_then(|b| b.first().copied());
+    let bits = match bits.unwrap_or(1) {
+        0..=8 => 8,
+        9..=16 => 16,
+        _ => 32,
+    };
+    // An orientation that cannot be read counts as none.
+    let orientation = decoder.find_tag_unsigned::<u16>(Tag::Orientation).ok().flatten();
+    Ok((bits, orientation.filter(|o| (1..=8).contains(o)).unwrap_or(1)))
+}
+
+/// Bits of the colours of an EXR.
+fn exr_file(reader: &mut dyn ByteSource) -> exr::error::Result<u8> {
+    let meta = exr::meta::MetaData::read_from_buffered(reader, false)?;
+    let mut channels = meta.headers.iter().flat_map(|h| &h.channels.list);
+    let half = channels.any(|c| c.name.eq("R") && c.sample_type == exr::meta::attribute::SampleType::F16);
+    Ok(if half { 16 } else { 32 })
+}
+
+/// Size, format, bits, orientation and alpha of a photograph, from its header.
+///
+/// # Errors
+/// The file cannot be read, is of no known format, has a header that is damaged or announces an impossible
+/// size, or is an NPY array.
+pub fn photograph_info(path: &Path) -> Result<PhotographInfo, ImageError> {
+    let crate::read::ImageInfo { width, height, format, alpha } = image_info(path)?;
+    let open = |source| ImageError::Open { path: path.to_path_buf(), source };
+    let mut reader = BufReader::new(File::open(path).map_err(open)?);
+    let (bits, orientation) = match format {
+        FileFormat::Jpeg => {
+            let mut head = Vec::new();
+            reader.take(crate::exif::HEAD).read_to_end(&mut head).map_err(open)?;
+            (8, exif_of_bytes(&head).orientation)
+        }
+        FileFormat::Png => png(&mut reader).map_err(open)?,
+        FileFormat::Tiff => tiff_file(&mut reader).map_err(|e| ImageError::decode(path, format, e))?,
+        FileFormat::Exr => (exr_file(&mut reader).map_err(|e| ImageError::decode(path, format, e))?, 1),
+        FileFormat::Npy => return Err(super::no_photograph(path)),
+    };
+    Ok(PhotographInfo { width, height, format, bits, orientation, alpha })
+}
