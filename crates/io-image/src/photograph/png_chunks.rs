@@ -11,7 +11,7 @@
 use std::io::{self, Write};
 
 use png::chunk::ChunkType;
-use png::{BitDepth, ColorType, Compression, Encoder, Filter};
+use png::{BitDepth, ColorType, DeflateCompression, Encoder, Filter};
 
 use super::exif_block;
 use super::history::one_line;
@@ -20,6 +20,9 @@ use crate::exif::exif_of_block;
 
 const SIGNATURE: usize = 8;
 const EXIF: &[u8] = b"Exif\0\0";
+/// Level of DEFLATE, 1 to 9: files are as long as those of cameras and programs, and level 6 takes 5 times as
+/// long to make them a tenth shorter.
+const LEVEL: u8 = 2;
 /// Chunks to keep although their names do not mark them as safe to copy.
 const DESCRIPTIONS: [&[u8; 4]; 14] = [
     b"cHRM", b"gAMA", b"iCCP", b"sRGB", b"cICP", b"mDCV", b"cLLI", b"sBIT", b"bKGD", b"oFFs", b"pCAL",
@@ -137,7 +140,7 @@ impl PngTags {
         let mut encoder = Encoder::new(out, rows.width, rows.height);
         encoder.set_color(if rows.has_alpha() { ColorType::Rgba } else { ColorType::Rgb });
         encoder.set_depth(if rows.bytes_per_sample() == 2 { BitDepth::Sixteen } else { BitDepth::Eight });
-        encoder.set_compression(Compression::Fast);
+        encoder.set_deflate_compression(DeflateCompression::Level(LEVEL));
         encoder.set_filter(Filter::Adaptive);
         let mut writer = encoder.write_header()?;
         let put = |writer: &mut png::Writer<_>, chunks: &[NamedChunk]| -> io::Result<()> {

@@ -65,8 +65,8 @@ fn every_depth_stays_in_both_orders_of_bytes_and_every_compression() {
     }
 }
 
-/// The file with the strips of another compression, as this program writes it.
-fn recompressed(bits: u16, big: bool, code: u16, predictor: u16) -> Vec<u8> {
+/// A picture of 8 or 16 bits, by the number of a compression and of a predictor.
+fn recompressed(bits: u16, code: u16, predictor: u16) -> Vec<u8> {
     use tiff::encoder::{Compression, Predictor, TiffEncoder, colortype};
     let mut bytes = std::io::Cursor::new(Vec::new());
     let compression = match code {
@@ -76,8 +76,8 @@ fn recompressed(bits: u16, big: bool, code: u16, predictor: u16) -> Vec<u8> {
         _ => Compression::Uncompressed,
     };
     let difference = if predictor == 2 { Predictor::Horizontal } else { Predictor::None };
-    let encoder = if big { TiffEncoder::new(&mut bytes) } else { TiffEncoder::new(&mut bytes) };
-    let mut encoder = encoder.unwrap().with_compression(compression).with_predictor(difference);
+    let encoder = TiffEncoder::new(&mut bytes).unwrap();
+    let mut encoder = encoder.with_compression(compression).with_predictor(difference);
     let values: Vec<u16> = (0..1800).map(|i| (i * 37 % 65536) as u16).collect();
     if bits == 8 {
         let low: Vec<u8> = values.iter().map(|v| *v as u8).collect();
@@ -92,12 +92,12 @@ fn recompressed(bits: u16, big: bool, code: u16, predictor: u16) -> Vec<u8> {
 fn the_compression_and_the_predictor_stay() {
     for bits in [8, 16] {
         for (code, predictor) in [(1, 1), (5, 1), (5, 2), (8, 1), (8, 2), (32773, 1)] {
-            let original = recompressed(bits, false, code, predictor);
+            let original = recompressed(bits, code, predictor);
             let (photograph, written) = inverted(&original, "a.tif");
             assert!(photograph.notes.is_empty(), "{:?}", photograph.notes);
             assert_eq!(tag(&written, 259).unwrap().into_u16().unwrap(), code);
-            let written = tag(&written, 317).map_or(1, |v| v.into_u16().unwrap());
-            assert_eq!(written, predictor, "compression {code}, {bits} bits");
+            let used = tag(&written, 317).map_or(1, |v| v.into_u16().unwrap());
+            assert_eq!(used, predictor, "compression {code}, {bits} bits");
         }
     }
 }
