@@ -17,6 +17,7 @@ use super::tiff_write::WriteSeek;
 use crate::decoded::{Decoded, Samples};
 use crate::error::{FileFormat, ImageError};
 use crate::exr_file::pick;
+use crate::limits::check_size;
 use crate::read::ByteSource;
 
 /// The attribute with the history, one line after the other.
@@ -49,22 +50,43 @@ fn take(data: &mut FlatSamples) -> Vec<f32> {
     values
 }
 
-/// The program that a file names, and the history so far.
-fn text_attribute(attributes: &LayerAttributes) -> Option<String> {
+/// The history so far.
+fn earlier_history(attributes: &LayerAttributes) -> Option<String> {
     match attributes.other.get(&Text::new_or_none(HISTORY)?) {
         Some(AttributeValue::Text(text)) => Some(text.to_string()),
         _ => None,
     }
 }
 
+/// Checks the sizes of all layers together, because all of them are decoded.
+fn check_layers(bytes: &[u8], path: &Path) -> Result<(), ImageError> {
+    let (format, length) = (FileFormat::Exr, bytes.len() as u64);
+    let mut cursor = Cursor::new(bytes);
+    let source: &mut dyn ByteSource = &mut cursor;
+    let meta = exr::meta::MetaData::read_from_buffered(source, false)
+        .map_err(|e| ImageError::decode(path, format, e))?;
+    let mut before = 0u64;
+    for header in &meta.headers {
+        let (width, height) = (header.layer_size.width() as u64, header.layer_size.height() as u64);
+        let pixels = width.saturating_mul(height).max(1);
+        let per_pixel: usize = header.channels.list.iter().map(|c| c.sample_type.bytes_per_sample()).sum();
+        // Bytes of the layers before it count as if they were this layer's.
+        let per_pixel = per_pixel as u64 + before.div_ceil(pixels);
+        check_size(path, format, width, height, per_pixel, length)?;
+        before = pixels.saturating_mul(per_pixel);
+    }
+    Ok(())
+}
+
 impl ExrTags {
-    /// Decodes a file, the size of which was checked.
+    /// Decodes a file; its pixels come without their metadata.
     pub(crate) fn read(
         bytes: &[u8],
         path: &Path,
         notes: &mut Vec<String>,
     ) -> Result<(Self, Decoded), ImageError> {
         let fail = |e: &dyn std::fmt::Display| ImageError::decode(path, FileFormat::Exr, e);
+        check_layers(bytes, path)?;
         let mut cursor = Cursor::new(bytes);
         let source: &mut dyn ByteSource = &mut cursor;
         let mut image: FlatImage = read()
@@ -127,7 +149,7 @@ impl ExrTags {
         {
             line = format!("{line} (Software before: {before})");
         }
-        if let Some(earlier) = text_attribute(&picture.attributes) {
+        if let Some(earlier) = earlier_history(&picture.attributes) {
             line = format!("{earlier}; {line}");
         }
         picture.attributes.software_name = Some(text(software));

@@ -3,16 +3,18 @@
 //!
 //! | convention | reason |
 //! |---|---|
-//! | same format, size and bit depth: JPEG 8; PNG 8, 16; TIFF 8, 16, float; EXR half, float | the file takes the original's place in other programs |
+//! | same format, size and bit depth | the file takes the original's place in other programs |
 //! | JPEG with quality 95 and 4:4:4 | a second compression must not be seen |
 //! | pixels are not turned, the orientation tag is copied | other programs store points in unturned pixels |
-//! | values are used as stored, the ICC profile is copied | the colours mean the same as in the original |
+//! | values are used as stored, the ICC profile is copied | colours mean the same as in the original |
 //! | grey, palette and CMYK become RGB, and the notes say so | enhanced pixels have colours |
-//! | an ICC profile for grey or CMYK is left out then, and the notes say so | it would give wrong colours |
+//! | an ICC profile for grey or CMYK is left out then | it would give wrong colours |
 //! | EXIF, GPS, XMP, IPTC and comments are copied as bytes | surveys need positions, dates and names |
-//! | only `Software` and one line of history are added | the file says that its pixels are not the camera's |
-//! | thumbnails, previews and layers with the old pixels are left out where they are easily found | file browsers would show the old colours |
-//! | damaged metadata are copied unchanged or left out, and the notes say so | the picture is worth more than a tag |
+//! | only `Software` and one line of history are added | the pixels are no longer the camera's |
+//! | thumbnails, previews and layers of the old pixels are left out | file browsers show their colours |
+//! | damaged metadata are copied or left out, and the notes say so | a picture is worth more than a tag |
+//!
+//! Depths: JPEG 8 bits; PNG 8 and 16; TIFF 8, 16 and 32-bit float; EXR half and float.
 //!
 //! Some thumbnails stay: those in XMP, in Photoshop's resources, and in maker notes.
 //!
@@ -197,6 +199,65 @@ impl Photograph {
             (Tags::Tiff(tags), _) => tiff_write::write(out, tags, &rows, software, history),
             (Tags::Exr(tags), Samples::Float(_)) => tags.write(out, &rows, software, history),
             _ => Err(io::Error::other(format!("{} files hold no such samples", self.format))),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::{Cursor, Seek, SeekFrom, Write};
+
+    use image::{DynamicImage, ImageFormat};
+
+    use super::*;
+
+    /// A disk that is full after some bytes.
+    struct FullDisk(usize);
+
+    impl Write for FullDisk {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            if self.0 == 0 {
+                return Err(io::ErrorKind::StorageFull.into());
+            }
+            let taken = bytes.len().min(self.0);
+            self.0 -= taken;
+            Ok(taken)
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    impl Seek for FullDisk {
+        fn seek(&mut self, _: SeekFrom) -> io::Result<u64> {
+            Ok(0)
+        }
+    }
+
+    #[test]
+    fn a_full_disk_is_an_error_of_every_format() {
+        let picture = image::RgbImage::from_fn(64, 48, |x, y| image::Rgb([x as u8, y as u8, (x * y) as u8]));
+        let mut files = Vec::new();
+        for format in [ImageFormat::Jpeg, ImageFormat::Png, ImageFormat::Tiff] {
+            let mut bytes = Cursor::new(Vec::new());
+            DynamicImage::ImageRgb8(picture.clone()).write_to(&mut bytes, format).unwrap();
+            files.push(bytes.into_inner());
+        }
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.exr");
+        crate::write_exr(&path, &crate::decode(&files[1], Path::new("p")).unwrap().to_image()).unwrap();
+        files.push(std::fs::read(&path).unwrap());
+        for bytes in files {
+            let photograph = Photograph::of_bytes(bytes, Path::new("a")).unwrap();
+            let mut whole = Cursor::new(Vec::new());
+            photograph.encode(&mut whole, "3D-USE", "test").unwrap();
+            let length = whole.into_inner().len();
+            for room in [0, 1, 20, 100, length / 2, length - 1] {
+                let result = photograph.encode(&mut FullDisk(room), "3D-USE", "test");
+                let said = result.unwrap_err().to_string();
+                assert!(said.contains("no storage space"), "{} after {room}: {said}", photograph.format);
+            }
         }
     }
 }

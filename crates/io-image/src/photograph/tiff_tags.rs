@@ -5,9 +5,9 @@
 //! for EXIF, GPS and interoperability with all their tags. The file keeps its order of bytes, so no value
 //! changes. Maker notes contain places in the file, so they keep their own place.
 //!
-//! Left out, with a sentence in the notes: further pages and previews, the layers of Photoshop (they show the
-//! old pixels), and an ICC profile that is not for RGB. A camera's raw file, which is also a TIFF, is refused:
-//! its first picture is only a preview.
+//! Left out, with a sentence in the notes: further pages and previews, the layers of Photoshop (they show
+//! the old pixels), and an ICC profile that is not for RGB. A camera's raw file, which is also a TIFF, is
+//! refused: its first picture is only a preview.
 
 use crate::tiff_structure::{TagValue, TiffStructure};
 

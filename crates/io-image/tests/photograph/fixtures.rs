@@ -133,7 +133,10 @@ pub(crate) fn profile(space: &[u8; 4], length: usize) -> Vec<u8> {
     icc
 }
 
-pub(crate) const XMP: &[u8] = b"<x:xmpmeta xmlns:x='adobe:ns:meta/'><rdf:RDF xmlns:rdf='http://www.w3.org/1999/02/22-rdf-syntax-ns#'><rdf:Description xmlns:dc='http://purl.org/dc/elements/1.1/' dc:source='transect 7'/></rdf:RDF></x:xmpmeta>";
+pub(crate) const XMP: &[u8] = b"<x:xmpmeta xmlns:x='adobe:ns:meta/'>\
+<rdf:RDF xmlns:rdf='http://www.w3.org/1999/02/22-rdf-syntax-ns#'>\
+<rdf:Description xmlns:dc='http://purl.org/dc/elements/1.1/' dc:source='transect 7'/>\
+</rdf:RDF></x:xmpmeta>";
 
 /// Photoshop's resource block with an IPTC record: the keyword `coral`.
 pub(crate) fn iptc() -> Vec<u8> {

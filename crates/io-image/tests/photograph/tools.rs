@@ -40,8 +40,8 @@ fn written(folder: &Path) -> Vec<(PathBuf, PathBuf)> {
     files.iter().map(place).collect()
 }
 
-/// ExifTool's lines for a file, without those that may differ: places, sizes and times of the file itself, the
-/// storage of the pixels, and the two texts.
+/// ExifTool's lines for a file, without those that may differ: places, sizes and times of the file itself,
+/// the storage of the pixels, and the two texts.
 fn tags(path: &Path) -> Option<Vec<String>> {
     let text = output("exiftool", &["-a", "-G1", "-s", "-n", "-u", path.to_str()?])?;
     let differs = [
@@ -105,7 +105,8 @@ for path in sys.argv[1:]:
     with Image.open(path) as im:
         exif = im.getexif()
         icc = im.info.get('icc_profile')
-        print(path[-5:], im.format, im.mode, sorted(im.size), exif.get(274), exif.get(305), icc and len(icc), exif.get_ifd(0x8825).get(1))
+        tags = exif.get(274), exif.get(305), icc and len(icc), exif.get_ifd(0x8825).get(1)
+        print(path[-5:], im.format, im.mode, sorted(im.size), *tags)
         im.load()
 ";
 
