@@ -28,7 +28,8 @@ use crate::error::ImportError;
 use crate::folder::is_prepared;
 use crate::layout::find_models;
 use crate::params::ImportParams;
-use crate::prepared::{MODEL, from_row_major};
+use crate::prepared::MODEL;
+use crate::rows::from_row_major;
 use crate::undistort::{choose_pinhole, is_pinhole};
 
 /// The places that cameras are read from.

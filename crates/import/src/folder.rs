@@ -163,17 +163,23 @@ impl SourceFolder {
     fn first(
         &self,
         names: impl IntoIterator<Item = Result<FileName, NameError>>,
-    ) -> Result<Option<PathBuf>, ImportError> {
+    ) -> Result<Option<(FileName, PathBuf)>, ImportError> {
         for name in names.into_iter().flatten() {
             if let Some(path) = self.file(&name)? {
-                return Ok(Some(path));
+                return Ok(Some((name, path)));
             }
         }
         Ok(None)
     }
 
-    /// An image by its name in the model, or else by its stem with another extension.
+    /// The path of [`named_image`](Self::named_image).
     pub(crate) fn image(&self, name: &FileName) -> Result<Option<PathBuf>, ImportError> {
+        Ok(self.named_image(name)?.map(|(_, path)| path))
+    }
+
+    /// An image by its name in the model, or else by its stem with another extension; and the name under
+    /// which it was found.
+    pub(crate) fn named_image(&self, name: &FileName) -> Result<Option<(FileName, PathBuf)>, ImportError> {
         let spellings: [fn(&str) -> String; 3] = [str::to_string, str::to_uppercase, capitalised];
         let others = spellings.iter().flat_map(|spell| {
             IMAGE_EXTENSIONS.iter().map(|extension| name.with_extension(&spell(extension)))
@@ -185,12 +191,13 @@ impl SourceFolder {
     pub(crate) fn mask(&self, name: &FileName) -> Result<Option<PathBuf>, ImportError> {
         let by_stem = MASK_EXTENSIONS.iter().map(|e| name.with_extension(e));
         let marked = MASK_EXTENSIONS.iter().map(|e| FileName::new(&format!("{}_mask.{e}", name.stem())));
-        self.first(std::iter::once(FileName::new(&format!("{name}.png"))).chain(by_stem).chain(marked))
+        let names = std::iter::once(FileName::new(&format!("{name}.png"))).chain(by_stem).chain(marked);
+        Ok(self.first(names)?.map(|(_, path)| path))
     }
 
     /// A depth prior of an image, by its stem.
     pub(crate) fn depth(&self, name: &FileName) -> Result<Option<PathBuf>, ImportError> {
-        self.first(DEPTH_EXTENSIONS.iter().map(|e| name.with_extension(e)))
+        Ok(self.first(DEPTH_EXTENSIONS.iter().map(|e| name.with_extension(e)))?.map(|(_, path)| path))
     }
 
     /// Names of the image files below the folder, sorted, with `/` between parts. Hidden files are left out.

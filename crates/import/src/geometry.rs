@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use use3d_capture::{Image, Intrinsics, Map, Pixels, Raster};
-use use3d_survey::SurveyCamera;
+use use3d_survey::{Lens, SurveyCamera};
 
 use crate::error::ImportError;
 use crate::params::{ImportParams, LEAST_SIDE};
@@ -21,6 +21,8 @@ pub(crate) struct Geometry {
     /// The file's size over the model's.
     pub(crate) scale: (f64, f64),
     pub(crate) file: (usize, usize),
+    /// The lens that took the file, at the file's size.
+    pub(crate) lens: Lens,
     pub(crate) undistortion: Option<Arc<Undistortion>>,
     pub(crate) resize: Option<Resize>,
     /// The intrinsics of the pixels before they are scaled and cropped.
@@ -86,13 +88,16 @@ impl Geometry {
         };
         let resize = resize.filter(|r| !r.is_identity(from));
         let intrinsics = resize.map_or(pinhole, |r| r.intrinsics(&pinhole));
-        Ok(Self { scale, file, undistortion: undistortion.map(Arc::new), resize, pinhole, intrinsics })
+        let undistortion = undistortion.map(Arc::new);
+        Ok(Self { scale, file, lens, undistortion, resize, pinhole, intrinsics })
     }
 
     /// The geometry for files that are used unchanged.
     pub(crate) fn identity(intrinsics: Intrinsics) -> Self {
         let file = (intrinsics.width, intrinsics.height);
-        Self { scale: (1.0, 1.0), file, undistortion: None, resize: None, pinhole: intrinsics, intrinsics }
+        let Intrinsics { fx, fy, cx, cy, .. } = intrinsics;
+        let (lens, pinhole) = (Lens::pinhole([fx, fy], [cx, cy]), intrinsics);
+        Self { scale: (1.0, 1.0), file, lens, undistortion: None, resize: None, pinhole, intrinsics }
     }
 
     /// The same geometry without scale and crop.

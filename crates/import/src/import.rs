@@ -21,6 +21,7 @@ use crate::geometry::Geometry;
 use crate::layout::{FoundModel, find_extra, find_images, find_models};
 use crate::metres;
 use crate::normalise;
+use crate::originals::Originals;
 use crate::params::{ImportParams, WhiteBalance};
 use crate::prepared;
 use crate::report::{CameraReport, ImportReport};
@@ -41,6 +42,19 @@ pub struct Imported {
     /// capture.
     pub model_files: Vec<PathBuf>,
     pub(crate) white_balance: WhiteBalance,
+    /// The folder of the photographs, relative to the capture.
+    pub(crate) image_folder: String,
+    /// The photographs of the first import, for a capture that is already imported.
+    pub(crate) originals: Option<Originals>,
+}
+
+/// A view whose file was found, until its plan is made.
+struct Found {
+    view: View,
+    /// The id of its camera in the model.
+    camera: u32,
+    /// The file's name in the image folder.
+    file: FileName,
 }
 
 /// The changes to one view's file.
@@ -51,6 +65,8 @@ pub(crate) struct Plan {
     pub(crate) alpha: bool,
     /// The id of its camera in the model.
     pub(crate) camera: u32,
+    /// The file's name in the image folder.
+    pub(crate) file: FileName,
 }
 
 impl Imported {
@@ -141,7 +157,7 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
     let mut views = Vec::new();
     for image in &model.images {
         let name = image.name.clone();
-        let Some(path) = folder.image(&name)? else {
+        let Some((file, path)) = folder.named_image(&name)? else {
             report.missing.push(name.into());
             continue;
         };
@@ -156,15 +172,16 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
             name,
             camera: Camera { intrinsics: PENDING, pose: frame.apply_pose(&image.pose()) },
         };
-        views.push((view, image.camera));
+        views.push(Found { view, camera: image.camera, file });
     }
-    views.sort_by(|a, b| a.0.name.cmp(&b.0.name));
+    views.sort_by(|a, b| a.view.name.cmp(&b.view.name));
     report.missing.sort();
-    let kept: BTreeSet<u32> = views.iter().map(|(v, _)| v.id).collect();
-    let used: BTreeSet<&PathBuf> = views.iter().map(|(v, _)| &v.image).collect();
+    let kept: BTreeSet<u32> = views.iter().map(|found| found.view.id).collect();
+    let used: BTreeSet<&PathBuf> = views.iter().map(|found| &found.view.image).collect();
     report.extra = folder.images();
     report.extra.retain(|name| !used.contains(&folder.path.join(name)));
-    let renamed = views.iter().filter(|(v, _)| !v.image.ends_with(v.name.as_str())).count();
+    let renamed =
+        views.iter().map(|found| &found.view).filter(|v| !v.image.ends_with(v.name.as_str())).count();
     if renamed > 0 {
         report.notes.push(format!("{renamed} images were found with another extension than in the model"));
     }
@@ -174,9 +191,9 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
     report.notes.extend(model.world.as_ref().map(metres));
 
     let infos: Vec<ImageInfo> =
-        views.par_iter().map(|(view, _)| image_info(&view.image)).collect::<Result<_, _>>()?;
+        views.par_iter().map(|found| image_info(&found.view.image)).collect::<Result<_, _>>()?;
     let plans = plan(&mut views, &infos, &model, params, &mut report)?;
-    let views: Vec<View> = views.into_iter().map(|(view, _)| view).collect();
+    let views: Vec<View> = views.into_iter().map(|found| found.view).collect();
     for view in &views {
         let bad = |source| ImportError::Camera { name: view.name.clone(), source };
         view.camera.validate().map_err(bad)?;
@@ -216,7 +233,8 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
     report.notes.extend(useless(&capture));
     capture.validate().map_err(bad_capture)?;
     let model_files = read.files;
-    Ok(Imported { capture, report, plans, model, model_files, white_balance: params.white_balance })
+    let (white_balance, image_folder) = (params.white_balance, folder.relative);
+    Ok(Imported { capture, report, plans, model, model_files, white_balance, image_folder, originals: None })
 }
 
 /// Names the files of the mask folder that are masks of no photograph. A photograph without a camera may have
@@ -264,22 +282,22 @@ const PENDING: Intrinsics = Intrinsics { width: 0, height: 0, fx: 0.0, fy: 0.0, 
 
 /// Makes one geometry per camera and file size, and sets the views' intrinsics.
 fn plan(
-    views: &mut [(View, u32)],
+    views: &mut [Found],
     infos: &[ImageInfo],
     model: &Survey,
     params: &ImportParams,
     report: &mut ImportReport,
 ) -> Result<Vec<Plan>, ImportError> {
     let mut groups: BTreeMap<(u32, usize, usize), Vec<usize>> = BTreeMap::new();
-    for (i, ((_, camera), info)) in views.iter().zip(infos).enumerate() {
-        groups.entry((*camera, info.width, info.height)).or_default().push(i);
+    for (i, (found, info)) in views.iter().zip(infos).enumerate() {
+        groups.entry((found.camera, info.width, info.height)).or_default().push(i);
     }
     let built: Vec<Geometry> = groups
         .par_iter()
         .map(|(&(id, width, height), members)| {
             let camera =
                 model.camera(id).ok_or(ImportError::Lens { camera: id, reason: "it is not there".into() })?;
-            Geometry::new(camera, (width, height), &views[members[0]].0.image, params)
+            Geometry::new(camera, (width, height), &views[members[0]].view.image, params)
         })
         .collect::<Result<_, _>>()?;
     // A table of positions is useful if a camera took several images, and only a few tables may be kept at
@@ -303,9 +321,9 @@ fn plan(
         });
         let geometry = Arc::new(geometry);
         for &i in members {
-            views[i].0.camera.intrinsics = geometry.intrinsics;
-            let alpha = infos[i].alpha;
-            plans[i] = Some(Plan { geometry: Arc::clone(&geometry), alpha, camera: id });
+            views[i].view.camera.intrinsics = geometry.intrinsics;
+            let (alpha, file) = (infos[i].alpha, views[i].file.clone());
+            plans[i] = Some(Plan { geometry: Arc::clone(&geometry), alpha, camera: id, file });
         }
     }
     Ok(plans.into_iter().flatten().collect())

@@ -15,6 +15,9 @@
 //! streams them into a self-contained folder that [`load_prepared`] reads back exactly. [`load_pixels`],
 //! [`load_mask`] and [`load_depth_prior`] load one view at its camera's size.
 //!
+//! [`Originals`] keeps the photographs as they came: their files, and their cameras before undistortion and
+//! scaling.
+//!
 //! [`Imported::tracks`] gives the views and the pixels in which each sparse point was seen. [`read_cameras`]
 //! reads the cameras of a model, a capture or a JSON list.
 //!
@@ -44,11 +47,13 @@ mod layout;
 mod load;
 mod metres;
 mod normalise;
+mod originals;
 mod params;
 mod prepare;
 mod prepared;
 mod report;
 mod resample;
+mod rows;
 mod split;
 mod tracks;
 mod undistort;
@@ -60,6 +65,7 @@ pub use folder::{is_film, is_prepared};
 pub use import::{Imported, capture_name, import};
 pub use layout::{check_layout, has_depth_folder, holds_no_model};
 pub use load::{load_depth_prior, load_mask, load_pixels};
+pub use originals::{Original, Originals};
 pub use params::{ImageSize, ImportParams, SplitOrder, SplitParams, WhiteBalance};
 pub use prepare::{PreparedView, Progress, prepare};
 pub use prepared::{Extent, load_prepared, prepared_extent, prepared_world};

@@ -22,8 +22,9 @@ use crate::error::ImportError;
 use crate::geometry::Geometry;
 use crate::import::{Imported, Plan, sparse_points};
 use crate::load::{read_depth_at, read_mask_at, times_alpha};
+use crate::originals::{Original, Originals, in_capture};
 use crate::params::WhiteBalance;
-use crate::prepared::{MODEL, save};
+use crate::prepared::{IMAGES, MODEL, save};
 use crate::white_balance;
 
 /// Memory that the views in progress may use together, bytes.
@@ -66,6 +67,14 @@ pub fn prepare(
     let mut report = imported.report.clone();
     report.white_balance = gains.or(report.white_balance);
     let renamed: BTreeMap<&str, &FileName> = views.iter().map(|v| v.name.as_str()).zip(&names).collect();
+    let mut originals = Originals::of(imported);
+    originals.gains = gains.or(originals.gains);
+    for original in &mut originals.photographs {
+        if let Some(new) = renamed.get(original.name.as_str()) {
+            original.name = FileName::clone(new);
+        }
+    }
+    originals.write(out)?;
     for name in report.train.iter_mut().chain(&mut report.test) {
         if let Some(new) = renamed.get(name.as_str()) {
             *name = new.to_string();
@@ -84,11 +93,49 @@ pub fn prepare(
         geometry: Arc::new(Geometry::identity(view.camera.intrinsics)),
         alpha: plan.alpha && !changes(plan, gains),
         camera,
+        file: view.name.clone(),
     };
     let plans = imported.plans.iter().zip(cameras).zip(&capture.views).map(plan).collect();
     let model = Survey { world, ..model.into_survey(out)? };
     let model_files = Vec::new();
-    Ok(Imported { capture, report, plans, model, model_files, white_balance: WhiteBalance::None })
+    let (white_balance, image_folder) = (WhiteBalance::None, IMAGES.to_string());
+    let originals = Some(originals);
+    Ok(Imported { capture, report, plans, model, model_files, white_balance, image_folder, originals })
+}
+
+impl Originals {
+    /// The photographs of an import. Before [`prepare`] they have the names of the model's images; an import of
+    /// a prepared capture keeps those of the first import. A file that two images of the model name stands
+    /// there once.
+    pub fn of(imported: &Imported) -> Self {
+        if let Some(first) = &imported.originals {
+            return first.clone();
+        }
+        let Capture { views, split, .. } = &imported.capture;
+        let mut files = BTreeSet::new();
+        let new = |index: usize| {
+            let (view, plan) = (&views[index], &imported.plans[index]);
+            files.insert(&plan.file).then(|| Original {
+                name: view.name.clone(),
+                file: in_capture(&imported.image_folder, &plan.file),
+                relative: plan.file.clone(),
+                width: plan.geometry.file.0,
+                height: plan.geometry.file.1,
+                lens: plan.geometry.lens,
+                pose: view.camera.pose,
+                camera: view.camera.intrinsics,
+                train: split.train.contains(&index),
+                held_out: split.test.contains(&index),
+                mask: view.mask.is_some() || plan.alpha,
+            })
+        };
+        Self {
+            image_folder: imported.image_folder.clone(),
+            gains: None,
+            photographs: (0..views.len()).filter_map(new).collect(),
+            missing: imported.report.missing.clone(),
+        }
+    }
 }
 
 fn changes(plan: &Plan, gains: Option<[f32; 3]>) -> bool {
@@ -195,7 +242,7 @@ fn prepare_view(
     gains: Option<[f32; 3]>,
     out: &Path,
 ) -> Result<View, ImportError> {
-    let image = name.below(&out.join("images"));
+    let image = name.below(&out.join(IMAGES));
     let mut result = View { name: name.clone(), image, mask: None, depth_prior: None, ..view.clone() };
     if !changes(plan, gains) {
         // The file is decoded all the same: so a damaged file is reported now, with its own name, and not

@@ -1,5 +1,5 @@
-//! A prepared capture on disk: `capture.json`, `images/`, `masks/`, `depth/`, and a pinhole COLMAP model in
-//! `sparse/0`.
+//! A prepared capture on disk: `capture.json`, `originals.json`, `images/`, `masks/`, `depth/`, and a pinhole
+//! COLMAP model in `sparse/0`.
 //!
 //! The folder is itself a capture that other tools can read. `capture.json` holds the views with their
 //! cameras in the normalised frame, the frame, the split and the import's report. Numbers are written so that
@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use use3d_capture::{Camera, Capture, FileName, Frame, Intrinsics, Pose, Split, View};
 use use3d_io_colmap::read_model;
@@ -20,12 +20,16 @@ use crate::error::ImportError;
 use crate::folder::{FORMAT, MANIFEST, SourceFolder};
 use crate::geometry::Geometry;
 use crate::import::{Imported, Plan, capture_name, sparse_points};
+use crate::originals::Originals;
 use crate::params::WhiteBalance;
 use crate::report::ImportReport;
+use crate::rows::{from_row_major, row_major};
 
 const VERSION: u32 = 1;
 /// The folder of the model.
 pub(crate) const MODEL: &str = "sparse/0";
+/// The folder of the images.
+pub(crate) const IMAGES: &str = "images";
 
 #[derive(Serialize, Deserialize)]
 struct Manifest {
@@ -63,16 +67,6 @@ struct ViewEntry {
     intrinsics: Intrinsics,
     rotation: [f64; 9],
     translation: [f64; 3],
-}
-
-/// Row-major entries.
-pub(crate) fn row_major(m: &DMat3) -> [f64; 9] {
-    m.transpose().to_cols_array()
-}
-
-/// A matrix from its row-major entries.
-pub(crate) fn from_row_major(m: &[f64; 9]) -> DMat3 {
-    DMat3::from_cols_array(m).transpose()
 }
 
 /// Writes the manifest; paths in the capture must be below `dir`.
@@ -172,6 +166,12 @@ pub fn prepared_world(dir: &Path) -> Result<Option<World>, ImportError> {
     Ok(manifest(dir)?.world)
 }
 
+/// The name of an image in the image folder; `None` if it lies elsewhere.
+fn in_images(image: &FileName) -> Option<FileName> {
+    let (folder, name) = image.split_once('/')?;
+    FileName::new(name).ok().filter(|_| folder == IMAGES)
+}
+
 /// Reads a prepared capture exactly as it was: the same cameras, points and split to the last bit.
 pub fn load_prepared(dir: &Path) -> Result<Imported, ImportError> {
     let path = dir.join(MANIFEST);
@@ -212,7 +212,8 @@ pub fn load_prepared(dir: &Path) -> Result<Imported, ImportError> {
         let alpha = use3d_io_image::image_info(&view.image)?.alpha;
         let id = cameras.get(&v.id).copied();
         let camera = id.ok_or_else(|| bad(format!("the model has no image {}", v.id)))?;
-        plans.push(Plan { geometry: Arc::new(Geometry::identity(intrinsics)), alpha, camera });
+        let file = in_images(&v.image).unwrap_or_else(|| v.image.clone());
+        plans.push(Plan { geometry: Arc::new(Geometry::identity(intrinsics)), alpha, camera, file });
         views.push(view);
     }
     let sorted =
@@ -238,6 +239,16 @@ pub fn load_prepared(dir: &Path) -> Result<Imported, ImportError> {
     report.name.clone_from(&name);
     let capture = Capture { name, views, split, points, frame };
     capture.validate().map_err(|source| ImportError::Capture { path: dir.to_path_buf(), source })?;
-    let model_files = Vec::new();
-    Ok(Imported { capture, report, plans, model, model_files, white_balance: WhiteBalance::None })
+    let originals = Originals::read(dir)?;
+    if let Some(originals) = &originals {
+        originals.check_views(&capture.views, dir)?;
+    }
+    // Without that file the pictures of this folder are the photographs.
+    let all = manifest.views.iter().all(|v| in_images(&v.image).is_some());
+    if !all {
+        plans.iter_mut().zip(&manifest.views).for_each(|(plan, v)| plan.file = v.image.clone());
+    }
+    let image_folder = if all { IMAGES } else { "." }.to_string();
+    let (model_files, white_balance) = (Vec::new(), WhiteBalance::None);
+    Ok(Imported { capture, report, plans, model, model_files, white_balance, image_folder, originals })
 }

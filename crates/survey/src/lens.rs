@@ -26,13 +26,15 @@
 //! Limit: rays at 90° or more from the axis (`z ≤ 0`) have no point on the plane; no pinhole could show them
 //! either.
 
+use serde::{Deserialize, Serialize};
 use use3d_capture::Intrinsics;
 use use3d_numerics::math;
 
 use crate::jet::{Jet, Real};
 
 /// The rule by which a ray's point is moved before the distortion.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Projection {
     /// `r' = r`: every pinhole and every lens that keeps straight lines nearly straight.
     #[default]
@@ -61,7 +63,8 @@ pub enum Projection {
 }
 
 /// `u·(1 + n1 r² + n2 r⁴ + … + n6 r¹²) / (1 + d1 r² + d2 r⁴ + d3 r⁶)` and the tangential and prism terms.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Distortion {
     /// `n1` to `n6`: the radial polynomial's coefficients of `r²` to `r¹²`.
     pub numerator: [f64; 6],
@@ -165,7 +168,8 @@ impl Distortion {
 }
 
 /// A lens, ready to bend rays. Lengths in pixels of the image that it belongs to.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Lens {
     /// Focal lengths `fx`, `fy`.
     pub focal: [f64; 2],
@@ -390,6 +394,34 @@ mod tests {
         assert_eq!(plain.unproject(500.0 + end + 0.1, 350.0), None);
         assert_eq!(plain.unproject(2000.0, 350.0), None);
         assert_eq!(plain.unproject(500.0, 350.0), Some((0.0, 0.0)));
+    }
+
+    #[test]
+    fn json_keeps_every_bit_and_refuses_unknown_fields() {
+        let mut lenses = examples(0.7).to_vec();
+        let thirds = |n: f64| n / 3.0;
+        for projection in [
+            Projection::Equidistant,
+            Projection::FieldOfView { omega: thirds(2.0) },
+            Projection::Division { k: -thirds(0.1) },
+            Projection::Unified { alpha: thirds(1.0), beta: thirds(4.0) },
+        ] {
+            let distortion = Distortion {
+                denominator: [thirds(0.1), 1e-300, -0.0],
+                prism: [thirds(1e-7), -thirds(1e-9)],
+                after_radial: Some([thirds(1.0), thirds(-5.0)]),
+                ..Distortion::default()
+            };
+            lenses.push(Lens { projection, distortion, ..lenses[0] });
+        }
+        for lens in lenses {
+            let json = serde_json::to_string(&lens).unwrap();
+            assert_eq!(serde_json::from_str::<Lens>(&json).unwrap(), lens, "{json}");
+            for field in ["focal", "projection", "numerator"] {
+                let unknown = json.replacen(&format!("\"{field}\""), &format!("\"x\":0,\"{field}\""), 1);
+                assert!(serde_json::from_str::<Lens>(&unknown).is_err(), "{unknown}");
+            }
+        }
     }
 
     proptest! {

@@ -9,7 +9,7 @@ use use3d_enhance::{
     EnhanceError, EnhanceParams, EnhanceView, Guidance, LabelSource, LogEntry, Objective, PseudoLabels,
     Report, enhance,
 };
-use use3d_import::load_pixels;
+use use3d_import::{Originals, load_pixels};
 use use3d_scene::{Origin, Scene};
 use use3d_workflow::{Figure, Scope, Stage, StageContext, StageError};
 
@@ -168,6 +168,7 @@ fn run(context: &StageContext, params: &EnhanceParams) -> Result<(), StageError>
     if let Some(world) = Scene::world(context.input("scene")?)? {
         Scene::set_world(out, &world)?;
     }
+    Originals::hand_on(context.input("import")?, out).map_err(StageError::bad_input)?;
     write(&out.join("training.jsonl"), outcome.log_lines())?;
     write_json(&out.join(REPORT), &outcome.report)?;
     write_cameras(out, &capture)?;

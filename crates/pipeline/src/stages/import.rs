@@ -18,7 +18,7 @@ pub(super) fn stage() -> Stage {
     Stage::new("import", Scope::Scene, run)
         .about("read a capture folder: find model and images, undistort, resize, normalise, split")
         .made_of(&[], &["src/stages/import.rs"])
-        .promises(&["capture.json", "report.json", "images/"])
+        .promises(&["capture.json", "originals.json", "report.json", "images/"])
         .check(|p: &ImportParams| p.validate().map_err(out_of_range))
         .external("capture", "capture")
         .select_by(|parameters, capture| {

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 use use3d_capture::{Capture, View};
-use use3d_import::{ImportError, load_depth_prior, load_mask, load_pixels};
+use use3d_import::{ImportError, Originals, load_depth_prior, load_mask, load_pixels};
 use use3d_io_image::write_png;
 use use3d_metrics::Score;
 use use3d_reconstruct::{
@@ -251,6 +251,7 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
     if let Some(world) = world {
         Scene::set_world(out, &world)?;
     }
+    Originals::hand_on(context.input("import")?, out).map_err(StageError::bad_input)?;
     write_cameras(out, &capture)?;
     if let Some(sheet) = sheet(&learnt_from, &outcome.scene)? {
         write_png(&out.join(CONTACT), &sheet)?;
