@@ -50,7 +50,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("check", &["capture", "numerics", "io-image", "import"]),
     ("metrics", &["capture", "numerics"]),
     ("nets", &["capture", "numerics"]),
-    ("synth", &["capture", "files", "numerics", "io-image", "io-colmap"]),
+    ("synth", &["capture", "files", "numerics", "io-image", "io-colmap", "survey"]),
     ("splat", &["capture", "numerics"]),
     ("medium", &["capture", "numerics"]),
     ("water", &["capture", "numerics"]),

@@ -6,11 +6,15 @@
 //! depth/frame_0001.png …       16-bit depth priors: nearer is larger, monotone but not linear in disparity,
 //!                              0 is unknown
 //! truth/clean/frame_0001.png   J: the same pictures without water and noise; black where there is only water
+//! truth/pinhole/frame_0001.png the same as clean, through the pinhole of the lens; only with a distorting lens
 //! truth/depth/frame_0001.exr   z-depth in COLMAP units, channel Z; 0 where there is only water
 //! truth/water.json             coefficients, veiling light, frame, each view's gains (`CaptureTruth`)
 //! truth/greys/frame_0001.png … white counts: the inside of grey patches; only if there are boards of greys
 //! masks/frame_0001.png …       white counts, 0 is a fish; only if there are fish
 //! ```
+//!
+//! With a distorting [`Optics`] every file has the pixels of the photographs, through the lens, except
+//! `truth/pinhole`. Keypoints are distorted pixels, and depths are still along the optical axis.
 //!
 //! With [`Physics::Spectral`] the photographs follow [`crate::physics`], and `truth/clean` is the scene under
 //! white light with one exposure for the whole capture.
@@ -19,158 +23,24 @@ use std::path::Path;
 
 use glam::{DMat3, DVec3, Vec3};
 use rayon::prelude::*;
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use use3d_capture::{Camera, FileName, Frame, Map};
+use use3d_capture::{Camera, FileName, Frame, Image, Map};
+use use3d_io_colmap::ModelCamera;
 use use3d_io_image::{write_exr_map, write_png_map, write_png_map16, write_png8};
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
-use use3d_numerics::range::{OutOfRange, within};
+use use3d_survey::Lens;
 
-use crate::error::{Answer, SynthError, check, whole_folder};
-use crate::geometry::noise::Noise;
+use crate::error::{Answer, SynthError, whole_folder};
+use crate::params::CaptureParams;
 use crate::physics::spectral::{Lamps, Spectral};
 use crate::physics::{Development, Physics, camera, passers, sideways};
+use crate::prior::depth_prior;
 use crate::render::{Condition, RayColor, Shot, add_noise, expose, render};
-use crate::scene::{Caustics, Draws, Layout, Location, MeshScene, linear};
+use crate::scene::{Caustics, Draws, Layout, MeshScene, linear};
 use crate::sparse::{self, Corner};
 use crate::swim;
-use crate::water::{Water, WaterType};
-
-/// The scene to photograph, and the properties of the camera.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct CaptureParams {
-    /// The seed of all random numbers.
-    pub seed: u64,
-    /// Number of photographs, at least 2.
-    pub views: usize,
-    /// Image width, pixels, 16 to 8192.
-    pub width: usize,
-    /// Image height, pixels, 16 to 8192.
-    pub height: usize,
-    /// Jerlov's water type.
-    pub water: WaterType,
-    /// Depth below the surface, metres, 0 to 60: sets the colour of the daylight.
-    pub depth: f32,
-    /// Share of the colour cast that the camera removes, 0 to 1: the cast of the daylight (display), or of
-    /// the picture's mean (spectral).
-    pub white_balance: f32,
-    /// Sensor noise of a middle tone, standard deviation in display range, 0 to 0.2.
-    pub noise: f32,
-    /// Strength of the moving light pattern on the ground, 0 (off) to 1. It violates the assumption that the
-    /// scene does not change.
-    pub caustics: f32,
-    /// Approximate number of sparse points.
-    pub points: usize,
-    /// Write depth priors.
-    pub depth_priors: bool,
-    /// Triangle density of the scene, 0.1 to 1: a lower density is built faster.
-    pub detail: f32,
-    /// The place of the photographs.
-    #[serde(skip_serializing_if = "is_default")]
-    pub place: Location,
-    /// The image formation.
-    #[serde(skip_serializing_if = "is_default")]
-    pub physics: Physics,
-    /// No water: the scene in air. Spectral physics only.
-    #[serde(skip_serializing_if = "is_default")]
-    pub air: bool,
-    /// Light of two lamps at the camera on a white surface one metre ahead, in units of daylight at the
-    /// surface, 0 (off) to 20. Spectral physics only.
-    #[serde(skip_serializing_if = "is_default")]
-    pub lamps: f32,
-    /// Degree to which exposure and white balance are set for each view separately, 0 (one setting for all)
-    /// to 1. Spectral physics only.
-    #[serde(skip_serializing_if = "is_default")]
-    pub auto_exposure: f32,
-    /// Particles in front of the lens, 0 (none) to 1. Spectral physics only.
-    #[serde(skip_serializing_if = "is_default")]
-    pub snow: f32,
-    /// The camera's development of its sensor's light. Spectral physics only, unless `plain`.
-    #[serde(skip_serializing_if = "is_default")]
-    pub camera: Development,
-    /// Strength of the sky's light behind the scene, 0 (none) to 1: a bright sky and its glare. Spectral
-    /// physics only; only a scene in air has a sky.
-    #[serde(skip_serializing_if = "is_default")]
-    pub backlight: f32,
-    /// Boards of grey patches near and far. Not in a pool.
-    #[serde(skip_serializing_if = "is_default")]
-    pub greys: bool,
-    /// Number of fish in every view, at different places in each, hidden by masks; at most 50. Spectral
-    /// physics only.
-    #[serde(skip_serializing_if = "is_default")]
-    pub fish: usize,
-}
-
-/// True if a value is its type's default: such fields are not written, so that files keep their bytes when a
-/// field is added.
-pub(crate) fn is_default<T: Default + PartialEq>(value: &T) -> bool {
-    *value == T::default()
-}
-
-impl Default for CaptureParams {
-    fn default() -> Self {
-        Self {
-            seed: 42,
-            views: 48,
-            width: 640,
-            height: 360,
-            water: WaterType::Iii,
-            depth: 8.0,
-            white_balance: 0.8,
-            noise: 0.008,
-            caustics: 0.0,
-            points: 8000,
-            depth_priors: true,
-            detail: 1.0,
-            place: Location::Reef,
-            physics: Physics::Display,
-            air: false,
-            lamps: 0.0,
-            auto_exposure: 0.0,
-            snow: 0.0,
-            fish: 0,
-            camera: Development::Plain,
-            backlight: 0.0,
-            greys: false,
-        }
-    }
-}
-
-impl CaptureParams {
-    /// Checks every range.
-    pub fn validate(&self) -> Result<(), OutOfRange> {
-        within("views", self.views, 2, 10_000)?;
-        for (field, side) in [("width", self.width), ("height", self.height)] {
-            check(field, side, (16..=8192).contains(&side), "16 to 8192 pixels")?;
-        }
-        check("depth", self.depth, (0.0..=60.0).contains(&self.depth), "0 to 60 metres")?;
-        within("white_balance", self.white_balance, 0.0, 1.0)?;
-        within("noise", self.noise, 0.0, 0.2)?;
-        within("caustics", self.caustics, 0.0, 1.0)?;
-        check("points", self.points, self.points <= 2_000_000, "at most 2000000")?;
-        within("detail", self.detail, 0.1, 1.0)?;
-        within("lamps", self.lamps, 0.0, 20.0)?;
-        within("auto_exposure", self.auto_exposure, 0.0, 1.0)?;
-        within("snow", self.snow, 0.0, 1.0)?;
-        check("fish", self.fish, self.fish <= 50, "at most 50")?;
-        within("backlight", self.backlight, 0.0, 1.0)?;
-        let reef = "its default in a pool, because boards of greys stand only in the reef";
-        check("greys", self.greys, !self.greys || self.place == Location::Reef, reef)?;
-        if self.physics == Physics::Display {
-            let only = "its default, because it works only with physics = \"spectral\"";
-            check("air", self.air, !self.air, only)?;
-            check("lamps", self.lamps, self.lamps == 0.0, only)?;
-            check("auto_exposure", self.auto_exposure, self.auto_exposure == 0.0, only)?;
-            check("snow", self.snow, self.snow == 0.0, only)?;
-            check("fish", self.fish, self.fish == 0, only)?;
-            check("camera", self.camera.name(), self.camera == Development::Plain, only)?;
-            check("backlight", self.backlight, self.backlight == 0.0, only)?;
-        }
-        Ok(())
-    }
-}
+use crate::water::Water;
 
 /// The truth of a synthetic capture (`truth/water.json`). All values except `*_per_metre` are in COLMAP's
 /// frame and unit.
@@ -248,6 +118,10 @@ enum Between {
 struct Studio {
     scene: MeshScene,
     cameras: Vec<Camera>,
+    /// The camera of the model.
+    camera: ModelCamera,
+    /// Its lens, if it is no pinhole.
+    lens: Option<Lens>,
     between: Between,
     clean: Condition,
     frame: Frame,
@@ -265,8 +139,11 @@ impl Studio {
             veil: veil_tiles(params),
         };
         let scene = MeshScene::new(&layout);
-        let lens = swim::lens(params.width, params.height, &mut Draws::new(params.seed, "lens", 0));
-        let cameras = swim::path(&scene.terrain, params.seed, params.views, &lens);
+        let pinhole = swim::lens(params.width, params.height, &mut Draws::new(params.seed, "lens", 0));
+        let camera = params.lens.camera(&pinhole, params.seed);
+        let lens = camera.lens().filter(|lens| !lens.is_pinhole());
+        let pinhole = lens.map_or(pinhole, |lens| lens.intrinsics(params.width, params.height));
+        let cameras = swim::path(&scene.terrain, params.seed, params.views, &pinhole);
         let every = params.views.div_ceil(12);
         let some: Vec<Camera> = cameras.iter().copied().step_by(every).collect();
         let (between, light) = match params.physics {
@@ -305,7 +182,7 @@ impl Studio {
             }
         };
         let frame = colmap_frame(params.seed);
-        Self { scene, cameras, between, clean: Condition { light, water: None }, frame }
+        Self { scene, cameras, camera, lens, between, clean: Condition { light, water: None }, frame }
     }
 
     fn truth(&self, params: &CaptureParams) -> CaptureTruth {
@@ -337,11 +214,11 @@ impl Studio {
 
     /// A view's photograph and clean picture in display values, its depth, and the mask of fish.
     fn photograph(&self, params: &CaptureParams, view: usize) -> (Shot, Option<Map>) {
-        let camera = &self.cameras[view];
+        let (camera, lens) = (&self.cameras[view], self.lens.as_ref());
         let caustics = Caustics { strength: params.caustics, time: 0.5 * view as f32 };
         match &self.between {
             Between::Display(underwater) => {
-                let mut shot = render(&self.scene, camera, &[underwater, &self.clean], caustics);
+                let mut shot = render(&self.scene, camera, lens, &[underwater, &self.clean], caustics);
                 add_noise(&mut shot.images[0], params.noise, params.seed, view as u64);
                 (shot, None)
             }
@@ -351,9 +228,9 @@ impl Studio {
                 // picture.
                 let action = params.camera == Development::Action;
                 let clean: &dyn RayColor = if action { clean.as_ref() } else { &self.clean };
-                let mut shot = render(&self.scene, camera, &[&water, clean], caustics);
+                let mut shot = render(&self.scene, camera, lens, &[&water, clean], caustics);
                 let image = &mut shot.images[0];
-                let mut canvas = passers::Canvas { image, depth: &shot.depth, camera, water: &water };
+                let mut canvas = passers::Canvas { image, depth: &shot.depth, camera, lens, water: &water };
                 let mask =
                     (params.fish > 0).then(|| passers::fish(&mut canvas, params.fish, params.seed, view));
                 passers::snow(&mut canvas, params.snow, params.seed, view);
@@ -372,12 +249,33 @@ impl Studio {
                 };
                 camera::develop(&mut shot.images[0], settings, params.seed, view as u64);
                 if action {
-                    let gains = self.clean.light;
-                    let settings = camera::Settings { gains, sigma: 0.0, ..settings };
-                    camera::develop(&mut shot.images[1], settings, params.seed, view as u64);
+                    self.develop_clean(&mut shot.images[1], *middle, params, view);
                 }
                 (shot, mask)
             }
+        }
+    }
+
+    /// Develops the picture of the scene in air by an action camera.
+    fn develop_clean(&self, image: &mut Image, middle: f32, params: &CaptureParams, view: usize) {
+        let (gains, development) = (self.clean.light, params.camera);
+        let settings = camera::Settings { gains, middle, sigma: 0.0, development };
+        camera::develop(image, settings, params.seed, view as u64);
+    }
+
+    /// A view's clean picture through the pinhole with the focal lengths and the principal point of the lens.
+    fn straight(&self, params: &CaptureParams, view: usize) -> Option<Image> {
+        let camera = &self.cameras[view];
+        let caustics = Caustics { strength: params.caustics, time: 0.5 * view as f32 };
+        let action = params.camera == Development::Action;
+        match &self.between {
+            Between::Spectral { clean, middle, .. } if action => {
+                let mut image =
+                    render(&self.scene, camera, None, &[clean.as_ref()], caustics).images.pop()?;
+                self.develop_clean(&mut image, *middle, params, view);
+                Some(image)
+            }
+            _ => render(&self.scene, camera, None, &[&self.clean], caustics).images.pop(),
         }
     }
 
@@ -404,6 +302,9 @@ impl Studio {
         let picture = shot.images[0].to_8bit();
         write_png8(&dir.join(format!("images/{stem}.png")), &picture)?;
         write_png8(&dir.join(format!("truth/clean/{stem}.png")), &shot.images[1].to_8bit())?;
+        if let Some(straight) = self.lens.and_then(|_| self.straight(params, view)) {
+            write_png8(&dir.join(format!("truth/pinhole/{stem}.png")), &straight.to_8bit())?;
+        }
         let scale = self.frame.scale as f32;
         let depth = shot.depth.map(|z| scale * z);
         write_exr_map(&dir.join(format!("truth/depth/{stem}.exr")), &depth, "Z")?;
@@ -441,26 +342,6 @@ fn file(view: usize) -> String {
     format!("{}.png", stem(view))
 }
 
-/// A prior like that of a monocular network: disparity up to an unknown scale and a power, with a slowly
-/// varying error and a little noise.
-fn depth_prior(depth: &Map, seed: u64, view: usize) -> Map {
-    let nearest = depth.data().iter().filter(|&&z| z > 0.0).fold(f32::INFINITY, |m, &z| m.min(z));
-    let mut draws = Draws::new(seed, "depth prior", view as u64);
-    let (power, gain) = (draws.range(0.75, 0.95), draws.range(0.8, 0.92));
-    let wobble = Noise::new(draws.bits());
-    let grain = Stream::new(seed, Purpose::new("depth prior grain"), view as u64);
-    let (w, h) = (depth.width(), depth.height());
-    let mut prior = Map::new(w, h);
-    for (p, (out, &z)) in prior.data_mut().iter_mut().zip(depth.data()).enumerate() {
-        if z > 0.0 {
-            let at = Vec3::new(3.0 * (p % w) as f32 / w as f32, 3.0 * (p / w) as f32 / w as f32, 0.5);
-            let error = 1.0 + 0.04 * wobble.value(at) + 0.004 * grain.normal(p as u64) as f32;
-            *out = (0.03 + gain * math::powf(nearest / z, power) * error).clamp(1.0 / 65535.0, 1.0);
-        }
-    }
-    prior
-}
-
 /// Writes a synthetic capture to `out`, a folder that must not exist (or be empty). `progress` is called with
 /// the number of finished views and the total; its result can stop the work.
 ///
@@ -488,8 +369,9 @@ pub fn write_capture<A: Answer>(
         }
         let names: Vec<FileName> =
             (0..params.views).map(|i| FileName::new(&file(i))).collect::<Result<_, _>>()?;
-        let mut model =
-            sparse::model(&studio.scene, &studio.cameras, &names, &studio.frame, &corners, params.seed);
+        let Studio { scene, cameras, lens, frame, .. } = &studio;
+        let swimmer = sparse::Swimmer { scene, cameras, lens: lens.as_ref() };
+        let mut model = sparse::model(&swimmer, &studio.camera, &names, frame, &corners, params.seed);
         sparse::keep(&mut model, params.points);
         let folder = dir.join("sparse/0");
         std::fs::create_dir_all(&folder).map_err(SynthError::io(&folder))?;

@@ -16,22 +16,29 @@
 //! depth, lamps, a camera that sets itself for every view, fish and marine snow. Known limits: opaque
 //! surfaces, no forward scattering (blur).
 //!
+//! A distorting lens ([`Optics`]) bends the rays of the photographs, and the COLMAP model has the same lens.
+//!
 //! The results are deterministic: a function of the parameters, independent of the number of threads.
 
 mod capture;
 mod error;
 mod geometry;
+mod lens;
 mod pairs;
+mod params;
 mod physics;
+mod prior;
 mod render;
 mod scene;
 mod sparse;
 mod swim;
 mod water;
 
-pub use capture::{CaptureParams, CaptureTruth, ViewGains, write_capture};
+pub use capture::{CaptureTruth, ViewGains, write_capture};
 pub use error::{Answer, SynthError};
+pub use lens::Optics;
 pub use pairs::{PairsParams, write_pairs};
+pub use params::CaptureParams;
 pub use physics::{Development, Physics};
 pub use scene::Location;
 pub use water::{UnknownWaterType, Water, WaterType};

@@ -43,7 +43,7 @@ pub struct PairsParams {
     pub detail: f32,
     /// The image formation of the inputs; `spectral` has a camera that exposes and balances every picture
     /// separately.
-    #[serde(skip_serializing_if = "crate::capture::is_default")]
+    #[serde(skip_serializing_if = "crate::params::is_default")]
     pub physics: Physics,
 }
 
@@ -157,7 +157,7 @@ fn write_pair(params: &PairsParams, scene: &MeshScene, pair: usize, dir: &Path) 
         Physics::Display => {
             let tint = Vec3::from_array(Water::daylight_tint(kind, depth, white_balance));
             let seen = lit(tint, water, draws.range(0.28, 0.44));
-            let mut shot = render(scene, &camera, &[&seen, &wished], Caustics::OFF);
+            let mut shot = render(scene, &camera, None, &[&seen, &wished], Caustics::OFF);
             add_noise(&mut shot.images[0], params.noise, params.seed, pair as u64);
             shot
         }
@@ -170,7 +170,7 @@ fn write_pair(params: &PairsParams, scene: &MeshScene, pair: usize, dir: &Path) 
                 development: Development::Plain,
             };
             let gains = develop::gains(scene, &[camera], &|_| Box::new(water), automatic);
-            let mut shot = render(scene, &camera, &[&water, &wished], Caustics::OFF);
+            let mut shot = render(scene, &camera, None, &[&water, &wished], Caustics::OFF);
             let (middle, image) = (develop::middle_gain(&gains), &mut shot.images[0]);
             let (gains, sigma, development) = (gains[0], params.noise, automatic.development);
             let settings = develop::Settings { gains, middle, sigma, development };

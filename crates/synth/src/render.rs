@@ -9,6 +9,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 use use3d_capture::{Camera, Image, Map};
 use use3d_numerics::random::{Purpose, Stream};
+use use3d_survey::Lens;
 
 use crate::geometry::bvh::Ray;
 use crate::scene::{Caustics, MeshScene, SurfaceHit, display};
@@ -58,22 +59,31 @@ pub(crate) struct Rays {
     origin: Vec3,
     columns: [Vec3; 3],
     lens: [f32; 4],
+    bent: Option<Lens>,
 }
 
 impl Rays {
-    pub(crate) fn new(camera: &Camera) -> Self {
+    /// The rays of a pinhole, or of the lens in front of it.
+    pub(crate) fn new(camera: &Camera, lens: Option<&Lens>) -> Self {
         let back = camera.pose.rotation.transpose();
         let k = &camera.intrinsics;
         Self {
             origin: camera.pose.center().as_vec3(),
             columns: [back.x_axis.as_vec3(), back.y_axis.as_vec3(), back.z_axis.as_vec3()],
             lens: [k.fx as f32, k.fy as f32, k.cx as f32, k.cy as f32],
+            bent: lens.copied(),
         }
     }
 
     pub(crate) fn through(&self, u: f32, v: f32) -> Ray {
         let [fx, fy, cx, cy] = self.lens;
-        let direction = (u - cx) / fx * self.columns[0] + (v - cy) / fy * self.columns[1] + self.columns[2];
+        let straight = ((u - cx) / fx, (v - cy) / fy);
+        let (x, y) = self.bent.map_or(straight, |lens| {
+            // The lenses of this crate have a ray for every pixel.
+            let ray = lens.unproject(f64::from(u), f64::from(v));
+            ray.map_or(straight, |(x, y)| (x as f32, y as f32))
+        });
+        let direction = x * self.columns[0] + y * self.columns[1] + self.columns[2];
         Ray { origin: self.origin, direction }
     }
 }
@@ -82,11 +92,12 @@ impl Rays {
 pub(crate) fn render(
     scene: &MeshScene,
     camera: &Camera,
+    lens: Option<&Lens>,
     conditions: &[&dyn RayColor],
     caustics: Caustics,
 ) -> Shot {
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-    let rays = Rays::new(camera);
+    let rays = Rays::new(camera, lens);
     let spread = 1.0 / rays.lens[0];
     let colors = |u: f32, v: f32, out: &mut [Vec3]| {
         let ray = rays.through(u, v);
@@ -186,9 +197,9 @@ fn blur(image: &mut Image) {
     }
 }
 
-/// Rays evenly over a picture, 24 by 16: enough to measure its exposure.
+/// Rays evenly over a picture, 24 by 16: enough to measure its exposure, without the bend of a lens.
 pub(crate) fn coarse_rays(camera: &Camera) -> Vec<Ray> {
-    let rays = Rays::new(camera);
+    let rays = Rays::new(camera, None);
     let (w, h) = (camera.intrinsics.width as f32, camera.intrinsics.height as f32);
     (0..24 * 16)
         .map(|i| rays.through((0.5 + (i % 24) as f32) / 24.0 * w, (0.5 + (i / 24) as f32) / 16.0 * h))
@@ -232,6 +243,11 @@ pub(crate) fn add_noise(image: &mut Image, sigma: f32, seed: u64, view: u64) {
 
 /// The distance to the nearest surface along the ray through pixel coordinates `(u, v)`, as z-depth in
 /// metres.
-pub(crate) fn depth_at(scene: &MeshScene, camera: &Camera, u: f64, v: f64) -> Option<f32> {
-    scene.distance(&Rays::new(camera).through(u as f32, v as f32))
+pub(crate) fn depth_at(
+    scene: &MeshScene,
+    camera: &Camera,
+    lens: Option<&Lens>,
+    (u, v): (f64, f64),
+) -> Option<f32> {
+    scene.distance(&Rays::new(camera, lens).through(u as f32, v as f32))
 }

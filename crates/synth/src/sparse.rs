@@ -7,11 +7,12 @@
 //! error along the ray of about `σ_px z² / (f b)`, with b the baseline of the track, and sideways of `σ_px z
 //! / f`. A small share of the points are mismatches: two detections that agree on a wrong position.
 
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 use use3d_capture::{Camera, FileName, Frame, Image8, Map};
 use use3d_io_colmap::{Keypoint, Model, ModelCamera, ModelImage, ModelPoint};
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
+use use3d_survey::Lens;
 
 use crate::render::depth_at;
 use crate::scene::MeshScene;
@@ -64,27 +65,55 @@ pub(crate) fn corners(image: &Image8, depth: &Map, seed: u64, view: usize, wante
     found
 }
 
-/// The COLMAP model of the capture. `cameras` are in metres; `frame` converts them and the points to COLMAP's
+/// The cameras of a swim in its scene.
+#[derive(Clone, Copy)]
+pub(crate) struct Swimmer<'a> {
+    pub(crate) scene: &'a MeshScene,
+    /// In metres.
+    pub(crate) cameras: &'a [Camera],
+    /// The lens, if it is no pinhole.
+    pub(crate) lens: Option<&'a Lens>,
+}
+
+impl Swimmer<'_> {
+    /// The ray of a pixel in its camera's frame, with unit depth.
+    fn ray(&self, camera: &Camera, u: f64, v: f64) -> Option<DVec3> {
+        match self.lens {
+            None => Some(camera.ray(u, v)),
+            Some(lens) => lens.unproject(u, v).map(|(x, y)| DVec3::new(x, y, 1.0)),
+        }
+    }
+
+    /// The pixel and the depth of a point; `None` at or behind the camera.
+    fn project(&self, camera: &Camera, point: DVec3) -> Option<(DVec2, f64)> {
+        let (pixel, z) = camera.project(point)?;
+        let bent = self.lens.map(|lens| {
+            let at = camera.pose.rotation * point + camera.pose.translation;
+            DVec2::from(lens.project(at.x / at.z, at.y / at.z))
+        });
+        Some((bent.unwrap_or(pixel), z))
+    }
+}
+
+/// The COLMAP model of the capture, whose camera is `camera`. `frame` converts cameras and points to COLMAP's
 /// frame.
 pub(crate) fn model(
-    scene: &MeshScene,
-    cameras: &[Camera],
+    swimmer: &Swimmer<'_>,
+    camera: &ModelCamera,
     names: &[FileName],
     frame: &Frame,
     corners: &[Vec<Corner>],
     seed: u64,
 ) -> Model {
-    let mut model = Model::default();
-    let Some(first) = cameras.first() else { return model };
-    model.cameras.push(ModelCamera::pinhole(1, &first.intrinsics));
-    for (i, (camera, name)) in cameras.iter().zip(names).enumerate() {
+    let mut model = Model { cameras: vec![camera.clone()], ..Model::default() };
+    for (i, (camera, name)) in swimmer.cameras.iter().zip(names).enumerate() {
         model.images.push(ModelImage::at(i as u32 + 1, name.clone(), 1, &frame.apply_pose(&camera.pose)));
     }
     for (home, list) in corners.iter().enumerate() {
         for (number, corner) in list.iter().enumerate() {
             let stream = Stream::new(seed, Purpose::new("track"), ((home as u64) << 32) | number as u64);
-            if let Some(point) = track(scene, cameras, home, corner, &stream) {
-                add(&mut model, cameras, frame, corner.color, &point);
+            if let Some(point) = track(swimmer, home, corner, &stream) {
+                add(&mut model, swimmer, frame, corner.color, &point);
             }
         }
     }
@@ -97,21 +126,16 @@ struct Tracked {
     detections: Vec<(usize, f64, f64)>,
 }
 
-fn track(
-    scene: &MeshScene,
-    cameras: &[Camera],
-    home: usize,
-    corner: &Corner,
-    stream: &Stream,
-) -> Option<Tracked> {
+fn track(swimmer: &Swimmer<'_>, home: usize, corner: &Corner, stream: &Stream) -> Option<Tracked> {
+    let cameras = swimmer.cameras;
     let camera = &cameras[home];
     let exact = camera.pose.center()
-        + camera.pose.rotation.transpose() * (corner.depth * camera.ray(corner.u, corner.v));
+        + camera.pose.rotation.transpose() * (corner.depth * swimmer.ray(camera, corner.u, corner.v)?);
     let mismatch = stream.uniform(0) < MISMATCHED;
     let mut detections = Vec::new();
     for (i, other) in cameras.iter().enumerate() {
         let draw = 8 + 8 * i as u64;
-        let Some((pixel, z)) = other.project(exact) else { continue };
+        let Some((pixel, z)) = swimmer.project(other, exact) else { continue };
         let (w, h) = (other.intrinsics.width as f64, other.intrinsics.height as f64);
         let inside = pixel.x > 1.0 && pixel.y > 1.0 && pixel.x < w - 1.0 && pixel.y < h - 1.0;
         // Detectors lose features with distance in water, and with changes of scale and angle.
@@ -122,7 +146,7 @@ fn track(
         if !inside || !detected || enough {
             continue;
         }
-        let seen = depth_at(scene, other, pixel.x, pixel.y);
+        let seen = depth_at(swimmer.scene, other, swimmer.lens, (pixel.x, pixel.y));
         if seen.is_some_and(|seen| (f64::from(seen) / z - 1.0).abs() < 0.02) {
             let off = |k: u64| DETECTION * stream.normal(draw + 1 + k);
             detections.push((i, pixel.x + off(0), pixel.y + off(1)));
@@ -139,7 +163,7 @@ fn track(
         // The detections agree with the wrong position, because otherwise it would not have been
         // triangulated.
         for (i, x, y) in &mut detections {
-            let (pixel, _) = cameras[*i].project(wrong)?;
+            let (pixel, _) = swimmer.project(&cameras[*i], wrong)?;
             let off = |k: u64| DETECTION * stream.normal(4_000_000 + 2 * *i as u64 + k);
             (*x, *y) = (pixel.x + off(0), pixel.y + off(1));
         }
@@ -159,11 +183,11 @@ fn track(
     Some(Tracked { position, detections })
 }
 
-fn add(model: &mut Model, cameras: &[Camera], frame: &Frame, color: [u8; 3], point: &Tracked) {
+fn add(model: &mut Model, swimmer: &Swimmer<'_>, frame: &Frame, color: [u8; 3], point: &Tracked) {
     let id = model.points.len() as u64 + 1;
     let (mut error, mut track) = (0.0, Vec::new());
     for &(view, x, y) in &point.detections {
-        let projected = cameras[view].project(point.position);
+        let projected = swimmer.project(&swimmer.cameras[view], point.position);
         error += projected.map_or(0.0, |(pixel, _)| math::hypot(pixel.x - x, pixel.y - y));
         let image = &mut model.images[view];
         track.push((image.id, image.keypoints.len() as u32));

@@ -89,6 +89,10 @@ pub(crate) struct SynthCaptureArgs {
     /// Spectral, in air: amount of backlight from the sky, 0 to 1.
     #[arg(long, value_name = "AMOUNT")]
     pub(crate) backlight: Option<f32>,
+    /// The lens: `pinhole`; `radial` (pincushion, as behind a flat port), `opencv` (barrel) or `fisheye` (100
+    /// degrees) distort photographs, truth and model alike.
+    #[arg(long, value_name = "NAME", default_value = "pinhole")]
+    pub(crate) lens: String,
     /// Boards with grey patches near and far, listed in truth/greys/.
     #[arg(long)]
     pub(crate) greys: bool,

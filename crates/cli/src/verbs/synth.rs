@@ -6,7 +6,7 @@ use std::path::Path;
 use serde::de::DeserializeOwned;
 use use3d_pipeline::code::built_in;
 use use3d_synth::{
-    CaptureParams, Development, Location, PairsParams, Physics, SynthError, WaterType, write_capture,
+    CaptureParams, Development, Location, Optics, PairsParams, Physics, SynthError, WaterType, write_capture,
     write_pairs,
 };
 use use3d_workflow::Digest;
@@ -63,11 +63,13 @@ fn capture_params(args: &SynthCaptureArgs) -> Result<CaptureParams, CliError> {
     let physics = named("--physics", &args.physics, &Physics::ALL.map(Physics::name))?;
     let place = named("--place", &args.place, &Location::ALL.map(Location::name))?;
     let camera = named("--camera", &args.camera, &Development::ALL.map(Development::name))?;
+    let lens = named("--lens", &args.lens, &Optics::ALL.map(Optics::name))?;
     let mut params = CaptureParams {
         seed: common.seed,
         place,
         physics,
         camera,
+        lens,
         greys: args.greys,
         ..CaptureParams::default()
     };

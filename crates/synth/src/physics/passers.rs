@@ -7,6 +7,7 @@
 use glam::{Vec2, Vec3};
 use use3d_capture::{Camera, Image, Map};
 use use3d_numerics::math;
+use use3d_survey::Lens;
 
 use super::spectral::Spectral;
 use crate::render::Rays;
@@ -24,6 +25,8 @@ pub(crate) struct Canvas<'a> {
     /// z-depth, metres; 0 is open water.
     pub(crate) depth: &'a Map,
     pub(crate) camera: &'a Camera,
+    /// The lens, if it is no pinhole.
+    pub(crate) lens: Option<&'a Lens>,
     pub(crate) water: &'a Spectral,
 }
 
@@ -31,7 +34,7 @@ impl Canvas<'_> {
     /// Paints pixels around `centre` (pixels): `cover` gives a pixel's share from its offset, 0 to 1.
     fn paint(&mut self, centre: Vec2, reach: f32, z: f32, albedo: Vec3, cover: &dyn Fn(Vec2) -> f32) {
         let (w, h) = (self.image.width(), self.image.height());
-        let rays = Rays::new(self.camera);
+        let rays = Rays::new(self.camera, self.lens);
         for y in span(centre.y, reach, h) {
             for x in span(centre.x, reach, w) {
                 let hidden = self.depth.pixel(x, y)[0];
