@@ -159,6 +159,15 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
     ] {
         assert!(Path::new(&out).join(file).exists(), "{file} is missing");
     }
+    // Both scenes know the photographs that they were made from.
+    let originals = |scene: &str| {
+        let scene = Path::new(&out).join(scene);
+        use3d_import::Originals::read(&scene).unwrap().expect("a scene knows its photographs")
+    };
+    let known = originals("tiny/scene");
+    assert_eq!(known, originals("tiny/enhanced-scene"));
+    assert!(known.photographs.iter().all(|o| o.file == format!("images/{}", o.relative)), "{known:?}");
+    assert!(known.photographs.iter().any(|o| o.held_out) && known.photographs.iter().any(|o| o.train));
     // The capture is synthetic: every view and the water were compared with the truth.
     let text = std::fs::read_to_string(Path::new(&out).join("tiny/scores/scores.json")).unwrap();
     let scores: use3d_pipeline::judge::scores::SceneScores = serde_json::from_str(&text).unwrap();

@@ -104,8 +104,8 @@ pub fn prepare(
 }
 
 impl Originals {
-    /// The photographs of an import. Before [`prepare`] they have the names of the model's images; an import of
-    /// a prepared capture keeps those of the first import. A file that two images of the model name stands
+    /// The photographs of an import. Before [`prepare`] they have the names of the model's images; an import
+    /// of a prepared capture keeps those of the first import. A file that two images of the model name stands
     /// there once.
     pub fn of(imported: &Imported) -> Self {
         if let Some(first) = &imported.originals {

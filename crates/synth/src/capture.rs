@@ -6,7 +6,7 @@
 //! depth/frame_0001.png …       16-bit depth priors: nearer is larger, monotone but not linear in disparity,
 //!                              0 is unknown
 //! truth/clean/frame_0001.png   J: the same pictures without water and noise; black where there is only water
-//! truth/pinhole/frame_0001.png the same as clean, through the pinhole of the lens; only with a distorting lens
+//! truth/pinhole/frame_0001.png the same as clean, through a pinhole; only with a distorting lens
 //! truth/depth/frame_0001.exr   z-depth in COLMAP units, channel Z; 0 where there is only water
 //! truth/water.json             coefficients, veiling light, frame, each view's gains (`CaptureTruth`)
 //! truth/greys/frame_0001.png … white counts: the inside of grey patches; only if there are boards of greys

@@ -8,7 +8,7 @@
 //! | kind | COLMAP's model | like |
 //! |---|---|---|
 //! | `radial` | `RADIAL`, k1 0.2 to 0.36, k2 0.17 to 0.23 | an action camera behind a flat port: pincushion |
-//! | `opencv` | `OPENCV`, k1 −0.25 to −0.18, k2 0.05 to 0.08, small p1, p2 | a wide lens behind a dome: barrel |
+//! | `opencv` | `OPENCV`, k1 −0.25 to −0.18, k2 0.05 to 0.08, small p1, p2 | a wide lens: barrel |
 //! | `fisheye` | `OPENCV_FISHEYE`, 100 degrees along the longer side | a fisheye |
 
 use schemars::JsonSchema;

@@ -1,5 +1,5 @@
-//! Captures through distorting lenses: photographs, model and truth agree to a tenth of a pixel, and an import
-//! straightens them to what a pinhole would have seen.
+//! Captures through distorting lenses: photographs, model and truth agree to a tenth of a pixel, and an
+//! import straightens them to the pictures of a pinhole.
 
 use std::path::Path;
 
