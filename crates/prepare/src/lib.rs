@@ -18,6 +18,7 @@
 mod choose;
 mod error;
 mod film;
+mod footage;
 mod params;
 mod photographs;
 mod prepare;
@@ -30,6 +31,7 @@ mod verdict;
 mod work;
 
 pub use error::PrepareError;
+pub use footage::{FilmPath, FilmPose, LARGEST_GAP, pose_at};
 pub use params::{Mapper, Matching, PrepareParams};
 pub use prepare::{CAPTURE, Input, Prepared, check, key_of, prepare, work_folder};
 pub use process::{StepProgress, StepWatch};
