@@ -26,6 +26,8 @@ const MAX_SIDE: usize = 1 << 13;
 const SUM: usize = 16;
 /// The file with the filter, in the folder of the work.
 const FILTER: &str = "filter.txt";
+/// The file with the time stamps of the written frames, in their folder while they are written.
+const STAMPS: &str = "stamps.txt";
 
 /// The properties of a film.
 #[derive(Clone, Debug, PartialEq)]
@@ -48,8 +50,11 @@ pub(crate) struct Chosen {
     pub(crate) number: u64,
     /// Its sharpness, on small grey frames.
     pub(crate) sharpness: f32,
-    /// Its time in the film, seconds.
+    /// Its time in the film, seconds from the file's begin. Until the frame is written, it is computed from
+    /// its number and the mean rate.
     pub(crate) seconds: f64,
+    /// True if the time is the frame's own time stamp.
+    pub(crate) stamped: bool,
 }
 
 /// The frames of one film.
@@ -103,13 +108,13 @@ fn probe(ffmpeg: &Program, path: &Path) -> Result<Film, PrepareError> {
 }
 
 /// The first two numbers of a version such as `5.1.8-0+deb12u1` or `n7.1`.
-fn numbers(version: &str) -> (Option<u32>, Option<u32>) {
+pub(crate) fn numbers(version: &str) -> (Option<u32>, Option<u32>) {
     let mut parts = version.trim_start_matches('n').split(['.', '-']).map(|p| p.parse().ok());
     (parts.next().flatten(), parts.next().flatten())
 }
 
 /// The argument that keeps every frame's number: ffmpeg 5.1 renamed it.
-fn numbers_kept(version: &str) -> [&'static str; 2] {
+pub(crate) fn numbers_kept(version: &str) -> [&'static str; 2] {
     match numbers(version) {
         (Some(0..=4), _) | (Some(5), Some(0)) => ["-vsync", "0"],
         _ => ["-fps_mode", "passthrough"],
@@ -183,7 +188,7 @@ pub(crate) fn look(
     let looked_at = frames.len();
     let frame = |i: usize| {
         let Frame { number, sharpness, .. } = frames[i];
-        Chosen { number, sharpness, seconds: number as f64 / film.rate }
+        Chosen { number, sharpness, seconds: number as f64 / film.rate, stamped: false }
     };
     let frames = chosen.into_iter().map(frame).collect();
     Ok(Choice { film, frames, looked_at, overlap })
@@ -232,10 +237,21 @@ fn grey_frames(
     Ok(frames)
 }
 
-/// Writes the chosen frames as `names`, which has a path for each.
+/// The time stamps in the words of ffmpeg's filter `metadata`: `frame:0 pts:80000 pts_time:0.08` for each
+/// frame, and other lines. The unit of `pts` is a microsecond.
+fn stamps(text: &str) -> Vec<Option<f64>> {
+    let lines = text.lines().filter(|l| l.starts_with("frame:"));
+    let pts = |line: &str| -> Option<f64> {
+        let stamp: i64 = line.split_whitespace().find_map(|word| word.strip_prefix("pts:"))?.parse().ok()?;
+        Some(stamp as f64 / 1e6)
+    };
+    lines.map(pts).collect()
+}
+
+/// Writes the chosen frames as `names`, which has a path for each, and gives them their time stamps.
 pub(crate) fn write(
     ffmpeg: &Program,
-    choice: &Choice,
+    choice: &mut Choice,
     (folder, names): (&Path, &[PathBuf]),
     log: &Path,
     watch: &StepWatch<'_>,
@@ -247,7 +263,7 @@ pub(crate) fn write(
     let wanted: Vec<u64> = frames.iter().map(|f| f.number).collect();
     let matrix = film.matrix.map_or_else(String::new, |m| format!("in_color_matrix={m}:"));
     let filter = format!(
-        "select={},scale={matrix}out_color_matrix=bt601:out_range=pc:flags=bicubic+accurate_rnd+full_chroma_int,\
+        "select={},settb=AVTB,metadata=add:key=use3d:value=1,metadata=print:file={STAMPS},scale={matrix}out_color_matrix=bt601:out_range=pc:flags=bicubic+accurate_rnd+full_chroma_int,\
          format=yuvj420p",
         expression(&wanted)
     );
@@ -273,7 +289,16 @@ pub(crate) fn write(
         let (step, log) = ("frames", log.to_path_buf());
         return Err(PrepareError::Step { step, reason: process::reason(&outcome), log });
     }
-    take_parts(folder, names, log)
+    take_parts(folder, names, log)?;
+    let path = folder.join(STAMPS);
+    let stamps = stamps(&std::fs::read_to_string(&path).unwrap_or_default());
+    // A film without time stamps keeps the computed times.
+    if stamps.len() == choice.frames.len() {
+        for (frame, stamp) in choice.frames.iter_mut().zip(stamps) {
+            (frame.seconds, frame.stamped) = stamp.map_or((frame.seconds, false), |stamp| (stamp, true));
+        }
+    }
+    std::fs::remove_file(&path).map_err(PrepareError::write(&path))
 }
 
 /// Gives the frames that ffmpeg wrote into a folder their names.
@@ -412,6 +437,13 @@ mod tests {
         std::fs::write(dir.path().join("part-000003.jpg"), "frame").unwrap();
         take_parts(dir.path(), &names, Path::new("log.txt")).unwrap();
         assert!(names.iter().all(|name| name.is_file()));
+    }
+
+    #[test]
+    fn time_stamps_are_read_in_microseconds() {
+        let text = "frame:0    pts:-40000  pts_time:-0.04\nuse3d=1\nframe:1 pts:NOPTS pts_time:NOPTS\nuse3d=1\n\
+            frame:12 pts:3600033367 pts_time:3600.03\n";
+        assert_eq!(stamps(text), [Some(-0.04), None, Some(3600.033367)]);
     }
 
     #[test]

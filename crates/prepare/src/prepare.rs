@@ -106,7 +106,7 @@ fn digests(inputs: &[Input]) -> Vec<(&str, &str)> {
     inputs.iter().map(|i| (&*i.name, &*i.digest)).collect()
 }
 
-fn digest(path: &Path, watch: &StepWatch<'_>) -> Result<String, PrepareError> {
+pub(crate) fn digest(path: &Path, watch: &StepWatch<'_>) -> Result<String, PrepareError> {
     let bad = PrepareError::read(path);
     let mut file = File::open(path).map_err(&bad)?;
     let (mut hasher, mut part) = (blake3::Hasher::new(), vec![0; 1 << 20]);
@@ -136,6 +136,9 @@ struct Taken {
     frame: Option<u64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     seconds: Option<f64>,
+    /// True if `seconds` is the frame's own time stamp. Older versions computed it from number and mean rate.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    stamped: bool,
     #[serde(skip_serializing_if = "Option::is_none")]
     sharpness: Option<f32>,
     camera: String,
@@ -311,13 +314,13 @@ fn images(
         let Some(ffmpeg) = ffmpeg else { break };
         // Each film gets an equal part of the frames.
         let most = (params.frames / sources.films.len()).max(FEWEST);
-        let choice = film::look(ffmpeg, path, most, &work.log, watch)?;
+        let mut choice = film::look(ffmpeg, path, most, &work.log, watch)?;
         let prefix = if several { format!("film-{}/", number + 1) } else { String::new() };
         let own = folder.join(&prefix);
         std::fs::create_dir_all(&own).map_err(PrepareError::write(&own))?;
         let name = |number: u64| format!("{prefix}f_{number:06}.jpg");
         let paths: Vec<PathBuf> = choice.frames.iter().map(|f| folder.join(name(f.number))).collect();
-        film::write(ffmpeg, &choice, (&own, &paths), &work.log, watch)?;
+        film::write(ffmpeg, &mut choice, (&own, &paths), &work.log, watch)?;
         let Choice { film, frames, looked_at, overlap } = choice;
         let file = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let said = shown(&file);
@@ -336,6 +339,7 @@ fn images(
             film: Some(file.clone()),
             frame: Some(f.number),
             seconds: Some(f.seconds),
+            stamped: f.stamped,
             sharpness: Some(f.sharpness),
             camera: camera.clone(),
         }));
@@ -355,7 +359,8 @@ fn images(
             camera = format!("{w}x{h} converted");
         }
         let image = photograph.name.to_string();
-        taken.push(Taken { image, film: None, frame: None, seconds: None, sharpness: None, camera });
+        let (film, frame, seconds, sharpness) = (None, None, None, None);
+        taken.push(Taken { image, film, frame, seconds, stamped: false, sharpness, camera });
     }
     taken.sort_by(|a, b| a.image.cmp(&b.image));
     let total = taken.len() as u64;
