@@ -46,7 +46,8 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "io-realityscan",
         ],
     ),
-    ("prepare", &["capture", "files", "numerics", "io-image", "io-colmap"]),
+    // It reads a table of times with the reader of tables in `survey`.
+    ("prepare", &["capture", "files", "numerics", "io-image", "survey", "io-colmap"]),
     ("check", &["capture", "numerics", "io-image", "import"]),
     ("metrics", &["capture", "numerics"]),
     ("nets", &["capture", "numerics"]),

@@ -332,6 +332,10 @@ impl Film {
 }
 
 #[cfg(test)]
+#[path = "film_times_tests.rs"]
+mod times_tests;
+
+#[cfg(test)]
 mod tests {
     use super::*;
 

@@ -31,7 +31,10 @@ mod verdict;
 mod work;
 
 pub use error::PrepareError;
-pub use footage::{FilmPath, FilmPose, LARGEST_GAP, pose_at};
+pub use footage::{
+    ColourTags, DisplayMatrix, FilmChoices, FilmFrame, FilmInfo, FilmPath, FilmPose, FilmReader, FilmWriter,
+    FilmWritten, Fraction, KnownFrame, LARGEST_GAP, TIMES, known_frames, pose_at, stored_camera,
+};
 pub use params::{Mapper, Matching, PrepareParams};
 pub use prepare::{CAPTURE, Input, Prepared, check, key_of, prepare, work_folder};
 pub use process::{StepProgress, StepWatch};

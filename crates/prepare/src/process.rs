@@ -114,7 +114,8 @@ fn split(stream: impl Read, mut heard: impl FnMut(String, bool) -> bool) {
     }
 }
 
-fn forward(stream: impl Read + Send + 'static, lines: Sender<(String, bool)>) {
+/// Sends the lines of a stream from a thread of its own.
+pub(crate) fn forward(stream: impl Read + Send + 'static, lines: Sender<(String, bool)>) {
     std::thread::spawn(move || split(stream, |line, overwritten| lines.send((line, overwritten)).is_ok()));
 }
 

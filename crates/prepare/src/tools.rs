@@ -83,6 +83,12 @@ fn version_after(text: &str, word: &str) -> Option<String> {
     Some(rest.split_whitespace().next()?.trim_end_matches(',').to_string())
 }
 
+/// A program of ffmpeg, if it can be started.
+pub(crate) fn of_ffmpeg(name: &str, path: &std::path::Path) -> Option<Program> {
+    let version = version_after(&output(path, &["-version"])?, &format!("{name} version"))?;
+    Some(Program { name: name.into(), version, card: false, path: path.to_path_buf() })
+}
+
 fn colmap(programs: &Programs) -> Option<Program> {
     let text = output(&programs.colmap, &["help"])?;
     let version = version_after(&text, "COLMAP")?;
@@ -117,15 +123,11 @@ impl Programs {
     /// # Errors
     /// Neither `ffmpeg` nor the Python package `imageio-ffmpeg` is installed.
     pub(crate) fn film(&self) -> Result<Program, PrepareError> {
-        let of = |path: PathBuf| {
-            let version = version_after(&output(&path, &["-version"])?, "ffmpeg version")?;
-            Some(Program { name: "ffmpeg".into(), version, card: false, path })
-        };
         let packaged = || {
             let text = output(&self.python, &["-c", ASK_FFMPEG])?;
-            of(PathBuf::from(text.lines().next()?))
+            of_ffmpeg("ffmpeg", std::path::Path::new(text.lines().next()?))
         };
-        of(self.ffmpeg.clone()).or_else(packaged).ok_or_else(|| {
+        of_ffmpeg("ffmpeg", &self.ffmpeg).or_else(packaged).ok_or_else(|| {
             PrepareError::Program(format!(
                 "ffmpeg is needed to take frames out of films and to convert WebP photographs, and it was not found; one \
                  of these commands installs what is needed:\n{INSTALL}"

@@ -1,7 +1,7 @@
 //! The pose of the camera at any time of a film, between the frames whose poses are known.
 //!
-//! Known: times `t_k` (seconds, rising), centres `c_k` (scene units) and world-to-camera rotations `q_k` (unit
-//! quaternions). For `t_k ≤ t < t_{k+1}`, with `x_i` the centre or the rotation of frame `i`:
+//! Known: times `t_k` (seconds, rising), centres `c_k` (scene units) and world-to-camera rotations `q_k`
+//! (unit quaternions). For `t_k ≤ t < t_{k+1}`, with `x_i` the centre or the rotation of frame `i`:
 //!
 //! ```text
 //! A_i(t) = mix(x_i, x_{i+1}, (t - t_i) / (t_{i+1} - t_i))            i = k-1, k, k+1
@@ -9,10 +9,10 @@
 //! x(t)   = mix(B_k, B_{k+1}, (t - t_k) / (t_{k+1} - t_k))
 //! ```
 //!
-//! `mix(a, b, s)` is `a + s (b - a)` for centres and `a exp(s log(a⁻¹ b))` for rotations, the slerp. This is a
-//! Catmull–Rom curve whose knots are the times, on SE(3) as the product of its two parts. It passes through
-//! every known pose. Its velocity is continuous, also with uneven spacing. A camera that moves and turns evenly
-//! is met exactly. A rigid motion of the world moves the curve with it.
+//! `mix(a, b, s)` is `a + s (b - a)` for centres and `a exp(s log(a⁻¹ b))` for rotations, the slerp. This is
+//! a Catmull–Rom curve whose knots are the times, on SE(3) as the product of its two parts. It passes through
+//! every known pose. Its velocity is continuous, also with uneven spacing. A camera that moves and turns
+//! evenly is met exactly. A rigid motion of the world moves the curve with it.
 //!
 //! At an end, the missing neighbour is the mirrored one: `x_{k-1} = mix(x_{k+1}, x_k, 2)` at
 //! `2 t_k - t_{k+1}`. A gap above the limit is an end, too. Nothing is extrapolated.
@@ -107,9 +107,9 @@ pub struct FilmPath {
 }
 
 impl FilmPath {
-    /// The curve through these poses, each with its time in seconds, in any order. Poses with a number that is
-    /// not finite are left out, and so are all but the first at one time. In a gap of more than `largest_gap`
-    /// seconds there is no pose; `None` stands for [`default_gap`](Self::default_gap).
+    /// The curve through these poses, each with its time in seconds, in any order. Poses with a number that
+    /// is not finite are left out, and so are all but the first at one time. In a gap of more than
+    /// `largest_gap` seconds there is no pose; `None` stands for [`default_gap`](Self::default_gap).
     pub fn new(known: &[(f64, Pose)], largest_gap: Option<f64>) -> Self {
         let usable = known.iter().filter(|(seconds, pose)| seconds.is_finite() && pose.validate().is_ok());
         let mut knots: Vec<Knot> = usable.map(|(seconds, pose)| Knot::new(*seconds, *pose)).collect();
@@ -120,7 +120,8 @@ impl FilmPath {
     }
 
     /// The largest gap by default, seconds: [`LARGEST_GAP`], or one and a half median spacings if the known
-    /// frames are farther apart. So one sparse film keeps its poses, and loses those where a frame is missing.
+    /// frames are farther apart. So one sparse film keeps its poses, and loses those where a frame is
+    /// missing.
     pub fn default_gap(times: &[f64]) -> f64 {
         let mut spacings: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
         spacings.sort_by(f64::total_cmp);

@@ -135,7 +135,8 @@ fn large_gaps_have_no_pose_and_bend_nothing() {
 }
 
 mod measured {
-    //! The error on real captures, in pixels. Known poses are left out, computed from the others, and compared.
+    //! The error on real captures, in pixels. Known poses are left out, computed from the others, and
+    //! compared.
 
     use std::path::Path;
 
