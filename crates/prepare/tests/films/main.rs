@@ -108,7 +108,7 @@ fn same(a: &Path, b: &Path) -> f64 {
     for (x, y) in a.iter().zip(&b) {
         assert!((x.seconds - y.seconds).abs() < 1e-9, "{}: {} {}", x.number, x.seconds, y.seconds);
         let (psnr, means) = difference(x, y);
-        assert!(means.iter().all(|m| m.abs() < 1.0), "{}: {means:?}", x.number);
+        assert!(means.iter().all(|m| m.abs() < 1.2), "{}: {means:?}", x.number);
         least = least.min(psnr);
     }
     least
