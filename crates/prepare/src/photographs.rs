@@ -6,12 +6,12 @@ use use3d_io_image::straighten;
 
 use crate::error::PrepareError;
 use crate::process::{self, StepWatch};
-use crate::sources::{BESIDE, Photograph};
+use crate::sources::{BESIDE, SourcePhotograph};
 use crate::tools::{self, Program};
 
 /// Copies the photographs into `folder`. WebP becomes PNG; a JPEG's orientation is set to "not turned".
 pub(crate) fn copy(
-    photographs: &[Photograph],
+    photographs: &[SourcePhotograph],
     folder: &Path,
     ffmpeg: Option<&Program>,
     log: &Path,

@@ -116,7 +116,7 @@ fn is_cut_off(path: &Path, format: FileFormat) -> std::io::Result<bool> {
 
 /// A photograph.
 #[derive(Clone, Debug)]
-pub(crate) struct Photograph {
+pub(crate) struct SourcePhotograph {
     pub(crate) path: PathBuf,
     /// Its name in the image folder.
     pub(crate) name: FileName,
@@ -132,7 +132,7 @@ pub(crate) struct Photograph {
 #[derive(Clone, Debug, Default)]
 pub struct Sources {
     pub(crate) films: Vec<PathBuf>,
-    pub(crate) photographs: Vec<Photograph>,
+    pub(crate) photographs: Vec<SourcePhotograph>,
     /// A folder with masks, depth maps or lists beside its photographs.
     pub(crate) capture: Option<PathBuf>,
     /// Further folders and files whose content counts, with their names in the record.
@@ -235,7 +235,13 @@ impl Sources {
             }
             camera = format!("{}x{} {} {} {}", info.width, info.height, taken.0, taken.1, taken.2);
         }
-        self.photographs.push(Photograph { path: path.to_path_buf(), name, converted, camera, orientation });
+        self.photographs.push(SourcePhotograph {
+            path: path.to_path_buf(),
+            name,
+            converted,
+            camera,
+            orientation,
+        });
         Ok(())
     }
 
