@@ -58,6 +58,20 @@ pub trait Backend: Send {
     /// [`RenderError::Device`]; the backend must not be used afterwards.
     fn draw(&mut self, request: &Request<'_>, out: &mut Rendered) -> Result<(), RenderError>;
 
+    /// Draws the light of surfaces alone, without a veil: the answer of this look to a unit of stage-1
+    /// radiance on every Gaussian, `Σ w t g`. With `channel`, the unit is light of that channel and `g` is
+    /// the graded column of each Gaussian; without, `g = 1`, which is the share of light that arrives. Only
+    /// camera, lattice and water of the request count.
+    ///
+    /// # Errors
+    /// [`RenderError::Device`]; the backend must not be used afterwards.
+    fn respond(
+        &mut self,
+        request: &Request<'_>,
+        channel: Option<usize>,
+        out: &mut Rendered,
+    ) -> Result<(), RenderError>;
+
     /// The full water of the last drawing with water, for any share that was drawn: `c_m`, `β_bs`, `β_attn`
     /// on its lattice. `None` in a scene without water.
     fn medium(&self) -> Option<&MediumMaps>;

@@ -43,6 +43,8 @@ pub struct Looking<'s, C> {
     maps: MediumMaps,
     /// `maps` with the coefficients of the remaining water.
     thinned: MediumMaps,
+    /// The camera and the lattice of `maps`, which are costly to compute.
+    seen: Option<(Camera, Lattice)>,
 }
 
 impl<'s> Cpu<'s> {
@@ -67,7 +69,19 @@ impl<'s, C: Composer> Looking<'s, C> {
             Look::Enhanced { strength } => Some((grades(scene, strength)?, strength)),
         };
         let (maps, thinned) = (MediumMaps::zeros(0, 0), MediumMaps::zeros(0, 0));
-        Ok(Self { scene, grades, composer, maps, thinned })
+        Ok(Self { scene, grades, composer, maps, thinned, seen: None })
+    }
+}
+
+impl<C> Looking<'_, C> {
+    /// Computes `maps` for a camera, unless they are there.
+    fn look_through(&mut self, camera: &Camera, lattice: &Lattice) {
+        if self.seen.as_ref().is_some_and(|(c, l)| c == camera && l == lattice) {
+            return;
+        }
+        let strength = self.grades.as_ref().map(|(_, strength)| *strength);
+        look_through(self.scene, strength, camera, lattice, &mut self.maps);
+        self.seen = Some((*camera, lattice.clone()));
     }
 }
 
@@ -75,8 +89,7 @@ impl<C: Composer> Backend for Looking<'_, C> {
     fn draw(&mut self, request: &Request<'_>, out: &mut Rendered) -> Result<(), RenderError> {
         let Request { camera, lattice, water, layers } = *request;
         if water.is_some() {
-            let strength = self.grades.as_ref().map(|(_, strength)| *strength);
-            look_through(self.scene, strength, camera, lattice, &mut self.maps);
+            self.look_through(camera, lattice);
         }
         let water = water.unwrap_or(0.0);
         let graded =
@@ -97,6 +110,33 @@ impl<C: Composer> Backend for Looking<'_, C> {
             dim_open_water(&self.maps.color, water, out);
         }
         Ok(())
+    }
+
+    fn respond(
+        &mut self,
+        request: &Request<'_>,
+        channel: Option<usize>,
+        out: &mut Rendered,
+    ) -> Result<(), RenderError> {
+        let Request { camera, lattice, water, .. } = *request;
+        let share = water.unwrap_or(0.0);
+        let wet = share > 0.0 && !self.scene.medium.is_none();
+        if wet {
+            self.look_through(camera, lattice);
+            thin(&self.maps, share, &mut self.thinned);
+            self.thinned.color.data_mut().fill(0.0);
+        }
+        let grades = self.grades.as_ref().map(|(grades, _)| grades);
+        let recolor = |colors: &mut [[f32; 3]]| match (channel, grades) {
+            (None, _) => colors.fill([1.0; 3]),
+            (Some(j), None) => colors.fill(std::array::from_fn(|i| if i == j { 1.0 } else { 0.0 })),
+            (Some(j), Some(grades)) => {
+                colors.iter_mut().enumerate().for_each(|(i, c)| *c = grades.matrix(i).map(|row| row[j]));
+            }
+        };
+        let medium = wet.then_some(&self.thinned);
+        let view = Composition { camera, lattice, recolor: Some(&recolor), medium, layers: false };
+        self.composer.compose(&view, out)
     }
 
     fn medium(&self) -> Option<&MediumMaps> {

@@ -10,7 +10,7 @@
 //! [`Look`] with a share of the water, a [`SceneRenderer`] every [`Mode`] from one camera at a time.
 //! [`picture`] turns a mode's numbers into colours, [`cover`] and [`focus`] frame cameras, [`Film`] writes
 //! frames one after another. [`bake`] and [`bake_in_water`] write a look into spherical harmonics for
-//! viewers without enhancement and water, [`white`] measures grey colours, and [`medium_profile`] and
+//! viewers without enhancement and water, [`Response`] is the answer of a look to a change of light, [`white`] measures grey colours, and [`medium_profile`] and
 //! [`medium_along`] evaluate the water alone.
 //!
 //! This crate does not train, and no training uses it: a change of the pictures changes no trained byte,
@@ -26,6 +26,7 @@ mod modes;
 mod pictures;
 mod profile;
 mod renderer;
+mod response;
 pub mod white;
 
 pub use backend::{Backend, Composer, Composition, Recolor, Request};
@@ -38,3 +39,4 @@ pub use modes::{Mode, Rendering, SceneRenderer};
 pub use pictures::{coefficient_picture, depth_picture, picture};
 pub use profile::{WaterSample, medium_along, medium_profile};
 pub use renderer::{Look, Renderer};
+pub use response::Response;

@@ -255,6 +255,32 @@ impl<'a> SceneRenderer<'a> {
         })
     }
 
+    /// The share of light that arrives through all of the stage-1 water, per channel: `τ` of
+    /// [`Response`](crate::Response).
+    ///
+    /// # Errors
+    /// The error of the backend's device.
+    pub fn arriving(&mut self, camera: &Camera, lattice: &Lattice) -> Result<Image, RenderError> {
+        self.plain.arriving((camera, lattice), &mut self.rendered)?;
+        Ok(self.rendered.image.clone())
+    }
+
+    /// One column of the answer to light of a look, before its white balance.
+    pub(crate) fn column(
+        &mut self,
+        place: (&Camera, &Lattice),
+        enhanced: bool,
+        dry: bool,
+        channel: usize,
+    ) -> Result<&mut Image, RenderError> {
+        let renderer = match &mut self.enhanced {
+            Some(renderer) if enhanced => renderer,
+            _ => &mut self.plain,
+        };
+        renderer.respond(place, dry, Some(channel), &mut self.rendered)?;
+        Ok(&mut self.rendered.image)
+    }
+
     fn frame(&self, mode: Mode) -> Rendering {
         let rendered = &self.rendered;
         let none = || Image::new(rendered.image.width(), rendered.image.height());

@@ -103,6 +103,29 @@ impl<'s> Renderer<'s> {
         self.backend.draw(&Request { camera, lattice, water: None, layers: false }, out)
     }
 
+    /// The answer of this look to a unit of stage-1 radiance, in its own share of the water or without
+    /// water: see [`Backend::respond`].
+    pub(crate) fn respond(
+        &mut self,
+        (camera, lattice): (&Camera, &Lattice),
+        dry: bool,
+        channel: Option<usize>,
+        out: &mut Rendered,
+    ) -> Result<(), RenderError> {
+        let water = (!dry).then_some(self.water);
+        self.backend.respond(&Request { camera, lattice, water, layers: false }, channel, out)
+    }
+
+    /// The share of light that arrives through all of this look's water.
+    pub(crate) fn arriving(
+        &mut self,
+        (camera, lattice): (&Camera, &Lattice),
+        out: &mut Rendered,
+    ) -> Result<(), RenderError> {
+        let request = Request { camera, lattice, water: Some(1.0), layers: false };
+        self.backend.respond(&request, None, out)
+    }
+
     /// The full water of the last [`Renderer::render`], for any share that was drawn: c_m, β_bs, β_attn.
     /// `None` in a scene without water.
     pub fn medium(&self) -> Option<&MediumMaps> {

@@ -24,6 +24,15 @@ impl Backend for Lent<'_> {
         self.cpu.draw(request, out)
     }
 
+    fn respond(
+        &mut self,
+        request: &Request<'_>,
+        channel: Option<usize>,
+        out: &mut Rendered,
+    ) -> Result<(), RenderError> {
+        self.cpu.respond(request, channel, out)
+    }
+
     fn medium(&self) -> Option<&MediumMaps> {
         self.cpu.medium()
     }
