@@ -1,0 +1,254 @@
+//! The change of colours of one photograph, at the size at which the scene was drawn, and its use on the
+//! photograph at full size.
+//!
+//! The smooth factors are read between their pixel centres (bilinear); all detail comes from the photograph
+//! itself, which is never resampled. With `P` the photograph's pixel,
+//!
+//! ```text
+//! P⁺ = M P + b
+//! ```
+//!
+//! where `M` (3 × 3) and `b` are per pixel of the small grid, display range. Noise is left out before
+//! ([`crate::quiet`]), and highlights then run to white ([`crate::highlights`]).
+
+use rayon::prelude::*;
+
+use crate::boxes::AFFINE;
+use crate::highlights::calm;
+use crate::quiet::Quiet;
+
+/// The change of colours of one photograph. See the [module](self).
+#[derive(Clone, Debug)]
+pub struct ColourMap {
+    pub(crate) width: usize,
+    pub(crate) height: usize,
+    /// The map of the photograph's colours: planes `A_ij`, then `b_i`.
+    pub(crate) first: Vec<f32>,
+    /// The calm picture and the share of the photograph's detail that is shown; `None` if all of it is.
+    pub(crate) quiet: Option<Quiet>,
+}
+
+/// A sample of a photograph's file.
+pub trait Sample: Copy + Send + Sync {
+    /// Its value in display range.
+    fn value(self) -> f32;
+    /// The sample of a value in display range: rounded and clamped, unless samples are floats.
+    fn of(value: f32) -> Self;
+}
+
+impl Sample for u8 {
+    fn value(self) -> f32 {
+        f32::from(self) * (1.0 / 255.0)
+    }
+    fn of(value: f32) -> Self {
+        (value * 255.0 + 0.5) as u8 // the cast saturates
+    }
+}
+
+impl Sample for u16 {
+    fn value(self) -> f32 {
+        f32::from(self) * (1.0 / 65535.0)
+    }
+    fn of(value: f32) -> Self {
+        (value * 65535.0 + 0.5) as u16
+    }
+}
+
+impl Sample for f32 {
+    fn value(self) -> f32 {
+        self
+    }
+    fn of(value: f32) -> Self {
+        value
+    }
+}
+
+/// The two small pixels between which a pixel of a large row lies, and the share of the second one.
+#[derive(Clone, Copy)]
+struct Between {
+    first: usize,
+    second: usize,
+    share: f32,
+}
+
+/// For each of `large` pixels: its place among `small` ones.
+fn places(large: usize, small: usize) -> Vec<Between> {
+    let scale = small as f64 / large as f64;
+    let place = |i: usize| {
+        let at = ((i as f64 + 0.5) * scale - 0.5).clamp(0.0, (small - 1) as f64);
+        let first = at as usize;
+        Between { first, second: (first + 1).min(small - 1), share: (at - first as f64) as f32 }
+    };
+    (0..large).map(place).collect()
+}
+
+/// Planes of [`Quiet`].
+const QUIET: usize = 4;
+
+/// Work buffers of a thread: rows of the factors.
+#[derive(Default)]
+struct Rows {
+    small: Vec<f32>,
+    large: Vec<f32>,
+}
+
+impl ColourMap {
+    /// The size of the grid of its factors, pixels.
+    pub fn size(&self) -> (usize, usize) {
+        (self.width, self.height)
+    }
+
+    /// The same change for photographs that were not multiplied by these gains before.
+    #[must_use]
+    pub fn after(mut self, gains: [f32; 3]) -> Self {
+        let n = (self.width * self.height).max(1);
+        for (k, plane) in self.first.chunks_exact_mut(n).take(9).enumerate() {
+            plane.iter_mut().for_each(|v| *v *= gains[k % 3]);
+        }
+        if let Some(quiet) = &mut self.quiet {
+            for (plane, gain) in quiet.base.chunks_exact_mut(n).zip(gains) {
+                plane.iter_mut().for_each(|v| *v /= gain.max(1e-6));
+            }
+        }
+        self
+    }
+
+    /// All factor planes.
+    fn planes(&self) -> impl Iterator<Item = &[f32]> {
+        let n = (self.width * self.height).max(1);
+        let (base, share) = self.quiet.as_ref().map_or((&[][..], &[][..]), |q| (&q.base[..], &q.share[..]));
+        [&self.first[..], base, share].into_iter().flat_map(move |all| all.chunks_exact(n))
+    }
+
+    /// Changes the colours of interleaved RGB pixels of `width` columns in place. Pixels outside the display
+    /// range stay outside in a file of floats. Sums of a pixel do not depend on the threads.
+    pub fn apply<T: Sample>(&self, pixels: &mut [T], width: usize) {
+        if width == 0 || pixels.is_empty() || self.width == 0 || self.height == 0 {
+            return;
+        }
+        let height = pixels.len() / (3 * width);
+        let (columns, rows) = (places(width, self.width), places(height, self.height));
+        pixels.par_chunks_exact_mut(3 * width).zip(&rows).with_min_len(8).for_each_init(
+            Rows::default,
+            |buffers, (line, row)| {
+                self.spread(&columns, *row, buffers);
+                let own = if self.quiet.is_some() { QUIET } else { 0 };
+                let (factors, calm) = buffers.large.split_at(buffers.large.len() - own * width);
+                affine(line, factors, calm);
+            },
+        );
+    }
+
+    /// Fills `buffers.large` with one row of every factor, plane after plane.
+    fn spread(&self, columns: &[Between], row: Between, buffers: &mut Rows) {
+        let (w, width) = (self.width, columns.len());
+        buffers.small.resize(w, 0.0);
+        let count = AFFINE + if self.quiet.is_some() { QUIET } else { 0 };
+        buffers.large.resize(count * width, 0.0);
+        for (plane, large) in self.planes().zip(buffers.large.chunks_exact_mut(width)) {
+            let (a, b) = (&plane[row.first * w..][..w], &plane[row.second * w..][..w]);
+            for ((s, a), b) in buffers.small.iter_mut().zip(a).zip(b) {
+                *s = a + row.share * (b - a);
+            }
+            for (v, at) in large.iter_mut().zip(columns) {
+                let (a, b) = (buffers.small[at.first], buffers.small[at.second]);
+                *v = a + at.share * (b - a);
+            }
+        }
+    }
+}
+
+/// Row `k` of the factors.
+fn row(factors: &[f32], width: usize, k: usize) -> &[f32] {
+    &factors[k * width..(k + 1) * width]
+}
+
+/// An affine map at pixel `x`, from rows of factors that begin at `first`.
+#[inline(always)]
+fn mapped(rows: &[&[f32]], x: usize, p: [f32; 3]) -> [f32; 3] {
+    std::array::from_fn(|i| {
+        let sum = rows[3 * i][x].mul_add(p[0], rows[9 + i][x]);
+        rows[3 * i + 2][x].mul_add(p[2], rows[3 * i + 1][x].mul_add(p[1], sum))
+    })
+}
+
+/// A pixel with the share of its detail that is shown; `calm` is empty or has the rows of [`Quiet`].
+#[inline(always)]
+fn shown<T: Sample>(pixel: &[T], calm: &[f32], x: usize, width: usize) -> [f32; 3] {
+    let p = [pixel[0].value(), pixel[1].value(), pixel[2].value()];
+    if calm.is_empty() {
+        return p;
+    }
+    let share = calm[3 * width + x];
+    std::array::from_fn(|c| {
+        let base = calm[c * width + x];
+        base + share * (p[c] - base)
+    })
+}
+
+/// The map on a row of pixels.
+fn affine<T: Sample>(line: &mut [T], factors: &[f32], quiet: &[f32]) {
+    let width = line.len() / 3;
+    let rows: Vec<&[f32]> = (0..AFFINE).map(|k| row(factors, width, k)).collect();
+    for (x, pixel) in line.chunks_exact_mut(3).enumerate() {
+        let p = shown(pixel, quiet, x, width);
+        let out = calm(mapped(&rows, x, p), p);
+        (0..3).for_each(|c| pixel[c] = T::of(out[c]));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn constant(width: usize, height: usize, values: &[f32]) -> Vec<f32> {
+        values.iter().flat_map(|v| std::iter::repeat_n(*v, width * height)).collect()
+    }
+
+    const IDENTITY: [f32; AFFINE] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0];
+
+    #[test]
+    fn the_identity_changes_no_sample_of_any_depth() {
+        let map = ColourMap { width: 3, height: 2, first: constant(3, 2, &IDENTITY), quiet: None };
+        let mut eight: Vec<u8> = (0..=255).cycle().take(3 * 10 * 8).collect();
+        let before = eight.clone();
+        map.apply(&mut eight, 10);
+        assert_eq!(eight, before);
+        let mut sixteen: Vec<u16> = (0..240).map(|i| i * 273).collect();
+        let before = sixteen.clone();
+        map.apply(&mut sixteen, 10);
+        assert_eq!(sixteen, before);
+    }
+
+    #[test]
+    fn off_diagonal_terms_mix_channels_and_factors_are_read_between_their_centres() {
+        let mut first = constant(2, 1, &IDENTITY);
+        // Red takes 0.25 of green in the left pixel and 0.75 in the right one.
+        (first[2], first[3]) = (0.25, 0.75);
+        let map = ColourMap { width: 2, height: 1, first, quiet: None };
+        let mut line: Vec<f32> = [0.1, 0.4, 0.2].repeat(4);
+        map.apply(&mut line, 4);
+        // Centres of four pixels lie at −0.25, 0.25, 0.75 and 1.25 among two.
+        for (x, share) in [0.25f32, 0.375, 0.625, 0.75].into_iter().enumerate() {
+            assert!((line[3 * x] - (0.1 + share * 0.4)).abs() < 1e-6, "{x}");
+            assert_eq!(&line[3 * x + 1..3 * x + 3], &[0.4, 0.2]);
+        }
+    }
+
+    #[test]
+    fn a_row_does_not_depend_on_the_others() {
+        let (w, h) = (5usize, 4usize);
+        let wave = |n: usize| (0..n).map(|i| 0.3 + 0.2 * ((i * 37 % 17) as f32 / 17.0)).collect::<Vec<f32>>();
+        let map = ColourMap {
+            width: w,
+            height: h,
+            first: wave(AFFINE * w * h),
+            quiet: Some(Quiet { base: wave(3 * w * h), share: wave(w * h) }),
+        };
+        let mut all: Vec<u8> = (0..3 * 40 * 33).map(|i| (i * 7 % 256) as u8).collect();
+        let mut again = all.clone();
+        map.apply(&mut all, 40);
+        rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap().install(|| map.apply(&mut again, 40));
+        assert_eq!(all, again);
+    }
+}
