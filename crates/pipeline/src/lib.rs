@@ -8,6 +8,7 @@
 //! stages, [`code`] is the table of the source code that they are made of, and [`config`] reads pipeline
 //! files. [`judge`] compares, times and tabulates. [`results`] copies the results to the results folder, with
 //! a [page per scene](scene_page) for a browser and a record of the settings behind them (`made_by`).
+//! [`photographs`] gives the diver's own photographs back, enhanced by a scene.
 //! [`water`] estimates a capture's water before any stage runs. [`mod@bench`] does all of this on captures
 //! whose truth is known.
 
@@ -18,6 +19,7 @@ pub mod config;
 mod engines;
 pub mod judge;
 mod made_by;
+pub mod photographs;
 pub mod results;
 pub mod scene_page;
 mod sights;

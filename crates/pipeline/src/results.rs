@@ -45,6 +45,7 @@ fn place_of(stage: &str, scene: &str, variant: &str) -> Option<PathBuf> {
         "reconstruct" => "scene",
         "enhance" => "enhanced-scene",
         "render" => "renders",
+        "photographs" => "photographs-held-out",
         "targets" => "targets",
         "evaluate" => "scores",
         _ => return None,

@@ -317,6 +317,7 @@ fn a_value_out_of_range_is_pointed_at_in_every_stage() {
         ("propose", "proposer = \"scene\"", "choose auto, nu2net or fusion here"),
         ("targets", "proposer = \"nowhere\"", "`proposer`"),
         ("targets", "kept_water = 1.5", "expected \"auto\", or shares from 0 to 1"),
+        ("photographs", "keep_light = 1.5", "`keep_light` is 1.5; expected 0 to 1"),
         ("evaluate", "path_steps = 0", "`path_steps` is 0; expected 1 to 10000"),
         ("report", "views = -1", "`views`"),
         ("reconstruct", "iterations = 0", "`iterations` is 0; expected 1 to"),

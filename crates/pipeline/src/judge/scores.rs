@@ -22,6 +22,8 @@ pub enum Method {
     Captured,
     /// The 2D enhancer applied to each photograph on its own.
     Proposal,
+    /// The photograph in the light and colours of the enhanced scene.
+    Photograph,
     /// The 2D enhancer applied to each rendering of stage 1 on its own: possible at any camera without a
     /// second stage.
     ProposalOfRender,
@@ -39,9 +41,10 @@ pub enum Method {
 
 impl Method {
     /// All methods, in the order of tables.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Captured,
         Self::Proposal,
+        Self::Photograph,
         Self::Reconstruction,
         Self::Clear,
         Self::ProposalOfRender,
@@ -64,6 +67,7 @@ impl Method {
         match self {
             Self::Captured => ("captured", "Captured (raw input)"),
             Self::Proposal => ("proposal", "2D enhancer on photographs"),
+            Self::Photograph => ("photograph", "Photographs, enhanced by the scene"),
             Self::ProposalOfRender => ("proposal-of-render", "2D enhancer on stage-1 renders"),
             Self::Reconstruction => ("reconstruction", "Stage 1"),
             Self::Clear => ("clear", "Stage 1, clear render"),

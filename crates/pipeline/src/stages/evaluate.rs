@@ -23,7 +23,7 @@ use serde::{Deserialize, Serialize};
 use use3d_atc::proposers::Proposer;
 use use3d_capture::{Appearance, Camera, Capture, Frame, Image, Map, View, path};
 use use3d_import::{load_mask, load_pixels};
-use use3d_io_image::write_png;
+use use3d_io_image::{read_image, write_png};
 use use3d_metrics::{Mask, mask_of};
 use use3d_numerics::range::within;
 use use3d_render::{Mode, Rendering, SceneRenderer};
@@ -124,6 +124,7 @@ pub(super) fn stage() -> Stage {
         .input("scene", "reconstruct")
         .optional_input("proposals", "propose")
         .optional_input("enhanced", "enhance")
+        .optional_input("photographs", "photographs")
         .reference_input("reference", "reconstruct", |all| !asked_for(all))
         .optional_external("models", "models")
         .select(|_, models| Ok(super::weights::judge_files(models)))
@@ -363,6 +364,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let other = referred.filter(|folder| Some(*folder) != context.optional_input("scene"));
     let reference = other.map(Scene::load).transpose()?;
     let learnt = learnt_from(context);
+    let photographs = context.optional_input("photographs");
     let models = context.optional_input("models");
     let proposer = open(params.proposer, models, &mut |line| context.log(line))
         .map_err(StageError::bad_input_message)?;
@@ -403,7 +405,10 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     for (i, view) in views.iter().enumerate() {
         context.alive()?;
         context.progress_with(i as u64, views.len() as u64, "views", &view.name);
-        let now = evaluation.looker.view(view)?;
+        let mut now = evaluation.looker.view(view)?;
+        if let Some(folder) = photographs {
+            now.images.push((Method::Photograph, read_image(&file(folder, view))?));
+        }
         if let Some(proposal) = now.of(Method::Proposal) {
             write_png(&file(&enhanced_in_2d, view), proposal)?;
         }

@@ -58,6 +58,8 @@ pub(super) fn with_forecast(stage: Stage) -> Stage {
             let network = networks(inputs, proposer_files, 0);
             Some(PROGRAM + kept + 30 * largest(inputs)? + 400 * gaussians + network)
         }),
+        "photographs" => stage
+            .memory(|_: &Value, inputs| Some(PROGRAM + 900 * largest(inputs)? + 600 * gaussians(inputs)?)),
         "render" => stage
             .memory(|_: &Value, inputs| Some(PROGRAM + 270 * largest(inputs)? + 600 * gaussians(inputs)?)),
         // The memory holds the scene, the reference's scene, and three views in all their appearances.

@@ -30,6 +30,7 @@ mod kept_water;
 mod memory;
 mod names;
 mod pairs;
+mod photographs;
 mod proposals;
 mod propose;
 mod proposer;
@@ -66,6 +67,7 @@ pub fn registry() -> Result<Registry, BuildError> {
         reconstruct::stage(),
         targets::stage(),
         enhance::stage(),
+        photographs::stage(),
         render::stage(),
         evaluate::stage(),
         report::stage(),

@@ -59,6 +59,7 @@ pub(super) fn stage() -> Stage {
         .input("scene", "reconstruct")
         .optional_input("targets", "targets")
         .optional_input("enhanced", "enhance")
+        .optional_input("photographs", "photographs")
         .optional_input("renders", "render")
         .optional_input("scores", "evaluate")
 }
@@ -230,7 +231,12 @@ fn section(
         section.verdict = verdict(scores, scored_as(best), &facts);
     }
     if let Some(renders) = parts.path("renders") {
-        section.views = views(renders, parts.path("scores"), scores, best, params.views)?;
+        section.views = views(
+            [Some(renders), parts.path("scores"), parts.path("photographs")],
+            scores,
+            best,
+            params.views,
+        )?;
     }
     section.plots.extend(log.iter().flat_map(|log| stage_1(log)));
     let plot = parts.path("enhanced").map(|folder| folder.join("training.svg"));
@@ -423,15 +429,16 @@ pub fn best_method(enhanced: Option<&Path>) -> Result<Method, StageError> {
 const OTHERS: [Mode; 6] =
     [Mode::Clear, Mode::Enhanced, Mode::EnhancedClear, Mode::Reconstruction, Mode::Depth, Mode::Medium];
 
-/// The held-out views. The captured photograph, the 2D enhancer's image and the scene's best look come first,
-/// the other pictures follow.
+/// The held-out views. The captured photograph comes first, then the same photograph enhanced by the scene,
+/// the scene's best look and the 2D enhancer's image; the other pictures follow. The three folders are those
+/// of `render`, `evaluate` and `photographs`.
 fn views(
-    renders: &Path,
-    evaluated: Option<&Path>,
+    [renders, evaluated, photographs]: [Option<&Path>; 3],
     scores: Option<&SceneScores>,
     best: Mode,
     most: usize,
 ) -> Result<Vec<ViewSection>, StageError> {
+    let Some(renders) = renders else { return Ok(Vec::new()) };
     let captured = renders.join("captured");
     let mut stems: Vec<String> = std::fs::read_dir(&captured)
         .map_err(|e| StageError::io(&captured, e))?
@@ -456,7 +463,9 @@ fn views(
         let proposal = of_scores("2D enhancer", ENHANCED_IN_2D)?;
         // A synthetic capture knows the true appearance without water.
         let truth = of_scores("truth", TRUE_VIEWS)?;
-        let lead = [picture("captured", &captured)?, proposal, rendered(best)?, truth];
+        let enhanced =
+            photographs.map(|folder| picture("photograph, enhanced", folder)).transpose()?.flatten();
+        let lead = [picture("captured", &captured)?, enhanced, rendered(best)?, proposal, truth];
         let images = OTHERS.into_iter().filter(|mode| *mode != best).map(rendered);
         let images = images.collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect();
         let lead = lead.into_iter().flatten().collect();

@@ -22,6 +22,7 @@ fn registry() -> Registry {
         stage("reconstruct", Scope::Scene).input("capture", "import"),
         stage("targets", Scope::Scene).input("scene", "reconstruct").input("calibrator", "calibrate"),
         stage("enhance", Scope::Scene).input("scene", "reconstruct").input("calibrator", "calibrate"),
+        stage("photographs", Scope::Scene).input("scene", "enhance"),
         stage("render", Scope::Scene).input("scene", "enhance"),
         stage("evaluate", Scope::Scene).input("scene", "enhance"),
     ];

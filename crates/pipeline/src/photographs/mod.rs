@@ -1,0 +1,390 @@
+//! All photographs of a scene as files: the originals, enhanced at full size, as they were named.
+//!
+//! ```text
+//! scene folder (originals.json) + the folder of the photographs ─▶ OUT/<relative path>, OUT/photographs.csv
+//! ```
+//!
+//! A photograph is read, graded on its small grid through its own lens ([`use3d_photographs`]), and written in
+//! its own format with its own metadata ([`use3d_io_image::Photograph`]). Photographs without a camera are
+//! changed by the mean of the views, so that none is missing. Nothing is stored twice: a record in the folder
+//! says which photographs are finished, and an interrupted run continues with the others ([`record`]).
+
+pub mod appearance;
+pub mod record;
+mod table;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use use3d_capture::{Camera, FileName, Image, Map};
+use use3d_import::{Original, Originals};
+use use3d_io_image::{Photograph, Samples, photograph_info, write_png_map};
+use use3d_photographs::{ColourMap, Graded, Grid, Photographer, ViewMap, shrink, small_size};
+use use3d_render::Mode;
+use use3d_scene::Scene;
+
+use crate::engines::Drawn;
+pub use appearance::Appearance;
+pub use record::{Entry, Record};
+pub use table::{TABLE, write_table};
+
+/// The program's name in the files that it writes.
+pub const SOFTWARE: &str = concat!("3D-USE ", env!("CARGO_PKG_VERSION"));
+
+/// Longer side of the small grid, pixels. Factors are smooth, so a larger grid shows nothing more.
+pub const SIDE: usize = 960;
+
+/// Below this share of knowledge a pixel counts as unknown.
+const UNKNOWN: f32 = 0.5;
+
+/// The names of the files.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Layout {
+    /// The names of the originals.
+    #[default]
+    Same,
+    /// A folder `.texture` beside the place of the originals, as RealityScan reads texture layers.
+    Texture,
+}
+
+impl Layout {
+    /// The file of a photograph below the folder of results.
+    pub fn place(self, relative: &FileName) -> PathBuf {
+        let own = Path::new(relative.as_str());
+        match (self, own.parent(), own.file_name()) {
+            (Self::Texture, Some(folder), Some(name)) => folder.join(".texture").join(name),
+            _ => own.to_path_buf(),
+        }
+    }
+}
+
+/// A set of photographs to enhance.
+pub struct Work<'a, 's> {
+    /// The scene.
+    pub scene: &'a Drawn<'s>,
+    /// Metres per scene unit; `None` if they are not known.
+    pub metres: Option<f64>,
+    /// The photographs of the scene.
+    pub originals: &'a Originals,
+    /// The folder with their files, at their relative names.
+    pub folder: &'a Path,
+    /// Names in that folder of photographs without a camera.
+    pub without_camera: &'a [FileName],
+    /// The folder of the results.
+    pub out: &'a Path,
+    /// The way they are shown.
+    pub appearance: Appearance,
+    /// The names of the results.
+    pub layout: Layout,
+    /// A folder for masks of the unknown; white is known.
+    pub unknown: Option<&'a Path>,
+    /// A text that differs between settings with different results: the scene's digest and the flags.
+    pub settings: String,
+    /// True if results with other settings, and files of others, may be replaced.
+    pub force: bool,
+}
+
+/// A photograph that cannot be enhanced, or a folder that cannot be written.
+#[derive(Debug, thiserror::Error)]
+pub enum WorkError {
+    /// The input is wrong: file, expectation, next step.
+    #[error("{0}")]
+    Input(String),
+    /// A result cannot be written, or the scene cannot be drawn.
+    #[error("{0}")]
+    Failed(String),
+    /// The caller stopped the work; finished photographs stay.
+    #[error("interrupted")]
+    Stopped,
+}
+
+/// The numbers of a finished set.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Totals {
+    /// Photographs that were written now.
+    pub written: usize,
+    /// Photographs that were finished before.
+    pub kept: usize,
+    /// Photographs among them without a camera.
+    pub without_camera: usize,
+    /// Photographs of the scene whose file is not there.
+    pub missing: usize,
+}
+
+/// One photograph of a set.
+enum Job<'a> {
+    /// With a camera, and its place among the training views.
+    Posed(&'a Original, Option<usize>),
+    /// Without a camera.
+    Mean(&'a FileName),
+}
+
+impl Job<'_> {
+    fn relative(&self) -> &FileName {
+        match self {
+            Self::Posed(original, _) => &original.relative,
+            Self::Mean(name) => name,
+        }
+    }
+}
+
+impl Work<'_, '_> {
+    /// Enhances all photographs that are not finished yet. `progress` gets the number of finished photographs,
+    /// their total and a name before each one; `false` stops. `say` gets sentences for the user.
+    ///
+    /// # Errors
+    /// The first photograph that cannot be read, graded or written. Those before it stay, and the same call
+    /// continues.
+    pub fn run(
+        &self,
+        progress: &mut dyn FnMut(usize, usize, &str) -> bool,
+        say: &mut dyn FnMut(&str),
+    ) -> Result<Totals, WorkError> {
+        let failed = |e: &dyn std::fmt::Display| WorkError::Failed(e.to_string());
+        let mut trained = 0;
+        let jobs = self.originals.photographs.iter().map(|original| {
+            let own = original.train.then_some(trained);
+            trained += usize::from(original.train);
+            Job::Posed(original, own)
+        });
+        let jobs: Vec<Job<'_>> = jobs.chain(self.without_camera.iter().map(Job::Mean)).collect();
+        std::fs::create_dir_all(self.out)
+            .map_err(|e| WorkError::Failed(format!("{}: cannot be made: {e}", self.out.display())))?;
+        let mut record = Record::open(self.out, &self.settings, self.force)?;
+        let mut totals = Totals::default();
+        let mut open = Vec::new();
+        for job in jobs {
+            let source = job.relative().below(self.folder);
+            if !source.is_file() {
+                totals.missing += 1;
+                let missing =
+                    format!("{} is not in {}; it is left out", job.relative(), self.folder.display());
+                say(&missing);
+                continue;
+            }
+            totals.without_camera += usize::from(matches!(job, Job::Mean(_)));
+            let target = self.out.join(self.layout.place(job.relative()));
+            if record.has(job.relative(), &source, &target) {
+                totals.kept += 1;
+                continue;
+            }
+            record.check(job.relative(), &source, &target)?;
+            open.push((job, source, target));
+        }
+        if totals.missing == self.originals.photographs.len() {
+            return Err(WorkError::Input(format!(
+                "{}: none of the {} photographs of the scene is there (the first one is {}); give the folder of \
+                 the original photographs with --images",
+                self.folder.display(),
+                totals.missing,
+                self.originals.photographs.first().map_or_else(String::new, |o| o.relative.to_string())
+            )));
+        }
+        let total = totals.kept + open.len();
+        let training: Vec<Camera> = self
+            .originals
+            .photographs
+            .iter()
+            .filter(|original| original.train)
+            .map(|original| Camera { intrinsics: original.camera, pose: original.pose })
+            .collect();
+        let mut photographer = None;
+        let mut grids: BTreeMap<String, Option<Grid>> = BTreeMap::new();
+        for (job, source, target) in open {
+            let name = job.relative().to_string();
+            if !progress(totals.kept + totals.written, total, &name) {
+                write_table(self.out, &record, self.metres).map_err(|e| failed(&e))?;
+                return Err(WorkError::Stopped);
+            }
+            let photographer = match &mut photographer {
+                Some(photographer) => photographer,
+                empty => {
+                    let made = self.appearance.photographer(self.scene, &training);
+                    empty.insert(made.map_err(WorkError::Failed)?)
+                }
+            };
+            let entry = match &job {
+                Job::Posed(original, own) => {
+                    self.posed(photographer, &mut grids, (original, *own), &source, &target)?
+                }
+                Job::Mean(name) => {
+                    let views: Vec<ViewMap> = record.entries().filter_map(Entry::view_map).collect();
+                    self.by_mean(ViewMap::mean(&views), name, &source, &target)?
+                }
+            };
+            for note in &entry.notes {
+                say(&format!("{name}: {note}"));
+            }
+            record.add(entry, &source, &target)?;
+            totals.written += 1;
+        }
+        write_table(self.out, &record, self.metres).map_err(|e| failed(&e))?;
+        Ok(totals)
+    }
+
+    /// Enhances a photograph with a camera.
+    fn posed(
+        &self,
+        photographer: &mut Photographer<'_>,
+        grids: &mut BTreeMap<String, Option<Grid>>,
+        (original, own): (&Original, Option<usize>),
+        source: &Path,
+        target: &Path,
+    ) -> Result<Entry, WorkError> {
+        let info = photograph_info(source).map_err(|e| WorkError::Input(e.to_string()))?;
+        let file = (original.width, original.height);
+        if (info.width, info.height) != file {
+            return Err(WorkError::Input(format!(
+                "{}: it has {} x {} pixels, and the scene was made from a photograph of {} x {}; give the original \
+                 photographs with --images, or run the scene again with these",
+                source.display(),
+                info.width,
+                info.height,
+                file.0,
+                file.1
+            )));
+        }
+        // Photographs of one camera share the rays of its lens.
+        let key = format!("{:?} {file:?}", original.lens);
+        let grid = grids.entry(key).or_insert_with(|| Grid::new(&original.lens, file, original.pose, SIDE));
+        let grid = grid.as_ref().map(|grid| grid.at(original.pose)).ok_or_else(|| {
+            WorkError::Input(format!(
+                "{}: no ray of its lens lies in front of the camera; import the capture again",
+                original.relative
+            ))
+        })?;
+        let mut photograph = Photograph::read(source).map_err(|e| WorkError::Input(e.to_string()))?;
+        let gains = self.originals.gains.unwrap_or([1.0; 3]);
+        let small = balanced(small_of(&photograph), gains);
+        let graded = photographer
+            .grade(&small, &grid, own, None)
+            .map_err(|e| WorkError::Failed(format!("{}: {e}", original.relative)))?;
+        let entry = self.entry(&original.relative, &photograph, &graded);
+        change(&mut photograph, &graded.grade.map.clone().after(gains));
+        if let Some(folder) = self.unknown {
+            let mask =
+                original.relative.with_extension("png").map_err(|e| WorkError::Input(e.to_string()))?;
+            let known = large(&graded.grade.known, file);
+            write_png_map(&mask.below(folder), &known).map_err(|e| WorkError::Failed(e.to_string()))?;
+        }
+        self.write(&photograph, target)?;
+        Ok(entry)
+    }
+
+    /// Changes a photograph without a camera by the mean of the views.
+    fn by_mean(
+        &self,
+        mean: ViewMap,
+        name: &FileName,
+        source: &Path,
+        target: &Path,
+    ) -> Result<Entry, WorkError> {
+        let mut photograph = Photograph::read(source).map_err(|e| WorkError::Input(e.to_string()))?;
+        let gains = self.originals.gains.unwrap_or([1.0; 3]);
+        let small = balanced(small_of(&photograph), gains);
+        change(&mut photograph, &mean.grade(&small).after(gains));
+        self.write(&photograph, target)?;
+        Ok(Entry::without_camera(name, &photograph))
+    }
+
+    fn write(&self, photograph: &Photograph, target: &Path) -> Result<(), WorkError> {
+        let failed = |e: &dyn std::fmt::Display| WorkError::Failed(e.to_string());
+        if let Some(folder) = target.parent() {
+            std::fs::create_dir_all(folder)
+                .map_err(|e| WorkError::Failed(format!("{}: cannot be made: {e}", folder.display())))?;
+        }
+        let history = format!(
+            "colours changed by {SOFTWARE}: look {}, strength {}, water {}, keep-light {}",
+            self.appearance.mode.name(),
+            self.appearance.strength,
+            self.appearance.water,
+            self.appearance.keep_light
+        );
+        photograph.write(target, SOFTWARE, &history).map_err(|e| failed(&e))
+    }
+
+    /// The row of a graded photograph in the record.
+    fn entry(&self, name: &FileName, photograph: &Photograph, graded: &Graded) -> Entry {
+        let known = &graded.grade.known;
+        let unknown = known.data().iter().filter(|k| **k < UNKNOWN).count() as f64;
+        let distances = distances(&graded.depth);
+        let scale = self.scene.scene.frame.scale;
+        let mut entry = Entry::without_camera(name, photograph);
+        entry.unknown = Some(unknown / known.data().len().max(1) as f64);
+        entry.distances = distances.map(|d| d.map(|v| v / scale));
+        entry.view = Some(graded.grade.own.rows);
+        entry
+    }
+}
+
+/// The median and the 90 % quantile of the distances along the axis, scene units; `None` without a surface.
+fn distances(depth: &Map) -> Option<[f64; 2]> {
+    let mut known: Vec<f32> = depth.data().iter().copied().filter(|d| *d > 0.0).collect();
+    if known.is_empty() {
+        return None;
+    }
+    known.sort_unstable_by(f32::total_cmp);
+    Some([0.5, 0.9].map(|q| f64::from(known[((known.len() - 1) as f64 * q) as usize])))
+}
+
+/// A photograph at the size of its small grid.
+pub fn small_of(photograph: &Photograph) -> Image {
+    let size = small_size((photograph.width, photograph.height), SIDE);
+    match &photograph.pixels {
+        Samples::Eight(pixels) => shrink(pixels, photograph.width, size),
+        Samples::Sixteen(pixels) => shrink(pixels, photograph.width, size),
+        Samples::Float(pixels) => shrink(pixels, photograph.width, size),
+    }
+}
+
+/// Changes the colours of a photograph.
+pub fn change(photograph: &mut Photograph, map: &ColourMap) {
+    match &mut photograph.pixels {
+        Samples::Eight(pixels) => map.apply(pixels, photograph.width),
+        Samples::Sixteen(pixels) => map.apply(pixels, photograph.width),
+        Samples::Float(pixels) => map.apply(pixels, photograph.width),
+    }
+}
+
+/// An image multiplied by the gains of the import's white balance.
+fn balanced(mut image: Image, gains: [f32; 3]) -> Image {
+    for (c, gain) in gains.into_iter().enumerate().filter(|(_, gain)| *gain != 1.0) {
+        image.plane_mut(c).iter_mut().for_each(|v| *v *= gain);
+    }
+    image
+}
+
+/// A map at a larger size, each pixel the nearest small one.
+fn large(map: &Map, size: (usize, usize)) -> Map {
+    let mut out = Map::new(size.0, size.1);
+    for y in 0..size.1 {
+        let v = (y * map.height() / size.1).min(map.height().saturating_sub(1));
+        for x in 0..size.0 {
+            let u = (x * map.width() / size.0).min(map.width().saturating_sub(1));
+            out.set_pixel(x, y, map.pixel(u, v));
+        }
+    }
+    out
+}
+
+/// The default look of a scene for photographs: enhanced if it has an enhancement, else the reconstruction,
+/// which makes exposure and balance even.
+pub fn default_mode(scene: &Scene) -> Mode {
+    Mode::opening(scene)
+}
+
+/// A digest of the files of a scene folder that the photographs depend on.
+///
+/// # Errors
+/// A file cannot be read.
+pub fn scene_digest(scene: &Path) -> std::io::Result<String> {
+    let mut digest = blake3::Hasher::new();
+    for name in ["scene.json", "gaussians.ply", "medium.safetensors", "ubaf.safetensors", Originals::FILE] {
+        // A scene without water or enhancement has fewer files.
+        if let Ok(mut file) = std::fs::File::open(scene.join(name)) {
+            digest.update(name.as_bytes());
+            digest.update_reader(&mut file)?;
+        }
+    }
+    Ok(digest.finalize().to_hex().to_string())
+}

@@ -1,0 +1,255 @@
+//! The record of finished photographs, in the folder of the results.
+//!
+//! One line of JSON for each photograph, written when its file is complete: the file's size and time, those of
+//! the original, and what the table shows. A line that was cut off by a kill is ignored, and that photograph is
+//! made again. The first line names the settings, because photographs with other settings are other results.
+
+use std::collections::BTreeMap;
+use std::fs::OpenOptions;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::time::UNIX_EPOCH;
+
+use serde::{Deserialize, Serialize};
+use use3d_capture::FileName;
+use use3d_io_image::{Photograph, Samples};
+use use3d_photographs::ViewMap;
+
+use super::WorkError;
+
+/// The record's name in the folder of the results.
+const FILE: &str = ".photographs.jsonl";
+const FORMAT: &str = "3d-use photographs 1";
+
+/// The first line.
+#[derive(Serialize, Deserialize)]
+struct Head {
+    format: String,
+    settings: String,
+}
+
+/// Size in bytes and time of change of a file.
+type Stamp = (u64, u128);
+
+/// A finished photograph.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Entry {
+    /// Its relative name.
+    pub name: String,
+    /// Width, pixels.
+    pub width: usize,
+    /// Height, pixels.
+    pub height: usize,
+    /// Bits of a sample.
+    pub bits: u8,
+    /// The share of pixels that the scene does not know; `None` without a camera.
+    pub unknown: Option<f64>,
+    /// Median and 90 % quantile of the distance, units of the model; `None` if there is no surface.
+    pub distances: Option<[f64; 2]>,
+    /// The change of the whole view.
+    pub(super) view: Option<[[f32; 4]; 3]>,
+    /// Sentences for the user.
+    pub notes: Vec<String>,
+    #[serde(default)]
+    original: Option<Stamp>,
+    #[serde(default)]
+    result: Option<Stamp>,
+}
+
+impl Entry {
+    /// The row of a photograph that was changed by the mean of the views.
+    pub(super) fn without_camera(name: &FileName, photograph: &Photograph) -> Self {
+        let bits = match photograph.pixels {
+            Samples::Eight(_) => 8,
+            Samples::Sixteen(_) => 16,
+            Samples::Float(_) => 32,
+        };
+        Self {
+            name: name.to_string(),
+            width: photograph.width,
+            height: photograph.height,
+            bits,
+            unknown: None,
+            distances: None,
+            view: None,
+            notes: photograph.notes.clone(),
+            original: None,
+            result: None,
+        }
+    }
+
+    /// The change of the whole view; `None` without a camera.
+    pub fn view_map(&self) -> Option<ViewMap> {
+        self.view.map(|rows| ViewMap { rows })
+    }
+
+    /// The mean gain of the whole view for grey, per channel.
+    pub fn gains(&self) -> Option<[f32; 3]> {
+        self.view.map(|rows| rows.map(|row| row[0] + row[1] + row[2] + row[3] / 0.5))
+    }
+}
+
+/// The finished photographs of a folder.
+#[derive(Debug)]
+pub struct Record {
+    path: PathBuf,
+    entries: BTreeMap<String, Entry>,
+    force: bool,
+}
+
+fn stamp(path: &Path) -> Option<Stamp> {
+    let data = std::fs::metadata(path).ok().filter(std::fs::Metadata::is_file)?;
+    let time = data.modified().ok()?.duration_since(UNIX_EPOCH).ok()?;
+    Some((data.len(), time.as_nanos()))
+}
+
+impl Record {
+    /// Opens the record of a folder for these settings.
+    ///
+    /// # Errors
+    /// The folder holds photographs with other settings and `force` is false, or it cannot be written.
+    pub(super) fn open(folder: &Path, settings: &str, force: bool) -> Result<Self, WorkError> {
+        let path = folder.join(FILE);
+        let failed =
+            |e: std::io::Error| WorkError::Failed(format!("{}: cannot be written: {e}", path.display()));
+        let text = std::fs::read_to_string(&path).unwrap_or_default();
+        let mut lines = text.lines();
+        let head: Option<Head> = lines.next().and_then(|line| serde_json::from_str(line).ok());
+        let head = head.filter(|head| head.format == FORMAT);
+        let mut entries = BTreeMap::new();
+        if head.as_ref().is_some_and(|head| head.settings == settings) {
+            for entry in lines.filter_map(|line| serde_json::from_str::<Entry>(line).ok()) {
+                entries.insert(entry.name.clone(), entry);
+            }
+            // A line that was cut off must not swallow the next one.
+            if !text.ends_with('\n') {
+                let file = OpenOptions::new().append(true).open(&path);
+                file.and_then(|mut file| file.write_all(b"\n")).map_err(failed)?;
+            }
+            return Ok(Self { path, entries, force });
+        }
+        if head.is_some() && !force {
+            return Err(WorkError::Input(format!(
+                "{}: this folder holds photographs that were made with other settings or by another scene; pass \
+                 --force to replace them, or choose another folder",
+                folder.display()
+            )));
+        }
+        let head = Head { format: FORMAT.into(), settings: settings.into() };
+        let line = serde_json::to_string(&head).map_err(|e| WorkError::Failed(e.to_string()))? + "\n";
+        use3d_files::write_atomically(&path, |w| w.write_all(line.as_bytes())).map_err(failed)?;
+        // Old files of this program may be replaced, because the record said that they are its own.
+        Ok(Self { path, entries, force })
+    }
+
+    /// True if a photograph is finished: neither its original nor its result changed since.
+    pub(super) fn has(&self, name: &FileName, source: &Path, target: &Path) -> bool {
+        self.entries.get(name.as_str()).is_some_and(|entry| {
+            entry.result.is_some() && entry.result == stamp(target) && entry.original == stamp(source)
+        })
+    }
+
+    /// Checks that a photograph may be written.
+    ///
+    /// # Errors
+    /// The place of the result is the original itself, or holds a file that this program did not write.
+    pub(super) fn check(&self, name: &FileName, source: &Path, target: &Path) -> Result<(), WorkError> {
+        let same = source.canonicalize().ok();
+        if same.is_some() && same == target.canonicalize().ok() {
+            return Err(WorkError::Input(format!(
+                "{}: the result would replace the original photograph; choose another folder with --out",
+                target.display()
+            )));
+        }
+        let own = self.entries.get(name.as_str());
+        if target.exists() && !self.force && own.and_then(|entry| entry.result) != stamp(target) {
+            return Err(WorkError::Input(format!(
+                "{}: the file exists and is not a finished result; pass --force to replace it, or choose another \
+                 folder",
+                target.display()
+            )));
+        }
+        Ok(())
+    }
+
+    /// Adds a finished photograph.
+    ///
+    /// # Errors
+    /// The record cannot be written.
+    pub(super) fn add(&mut self, mut entry: Entry, source: &Path, target: &Path) -> Result<(), WorkError> {
+        (entry.original, entry.result) = (stamp(source), stamp(target));
+        let line = serde_json::to_string(&entry).map_err(|e| WorkError::Failed(e.to_string()))? + "\n";
+        let file = OpenOptions::new().append(true).open(&self.path);
+        file.and_then(|mut file| file.write_all(line.as_bytes()))
+            .map_err(|e| WorkError::Failed(format!("{}: cannot be written: {e}", self.path.display())))?;
+        self.entries.insert(entry.name.clone(), entry);
+        Ok(())
+    }
+
+    /// The finished photographs, by name.
+    pub fn entries(&self) -> impl Iterator<Item = &Entry> {
+        self.entries.values()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn entry(name: &str) -> Entry {
+        Entry {
+            name: name.into(),
+            width: 4,
+            height: 3,
+            bits: 8,
+            unknown: Some(0.25),
+            distances: Some([1.0, 2.0]),
+            view: None,
+            notes: Vec::new(),
+            original: None,
+            result: None,
+        }
+    }
+
+    #[test]
+    fn finished_photographs_are_known_until_a_file_changes() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        let (source, target) = (at("original.jpg"), at("result.jpg"));
+        std::fs::write(&source, "original").unwrap();
+        let name = FileName::new("result.jpg").unwrap();
+        let mut record = Record::open(dir.path(), "a", false).unwrap();
+        assert!(!record.has(&name, &source, &target));
+        record.check(&name, &source, &target).unwrap();
+        std::fs::write(&target, "result").unwrap();
+        record.add(entry("result.jpg"), &source, &target).unwrap();
+        // A line that a kill cut off is ignored, and the next one is not lost.
+        let path = at(FILE);
+        let mut text = std::fs::read_to_string(&path).unwrap();
+        text.push_str("{\"name\": \"ha");
+        std::fs::write(&path, &text).unwrap();
+        let mut record = Record::open(dir.path(), "a", false).unwrap();
+        assert!(record.has(&name, &source, &target));
+        record.add(entry("other.jpg"), &source, &target).unwrap();
+        let record = Record::open(dir.path(), "a", false).unwrap();
+        assert_eq!(record.entries().count(), 2);
+        std::fs::write(&target, "another result").unwrap();
+        assert!(!record.has(&name, &source, &target));
+        let refused = record.check(&name, &source, &target).unwrap_err().to_string();
+        assert!(refused.contains("--force"), "{refused}");
+    }
+
+    #[test]
+    fn other_settings_and_the_original_itself_are_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        let original = dir.path().join("a.jpg");
+        std::fs::write(&original, "original").unwrap();
+        let name = FileName::new("a.jpg").unwrap();
+        let record = Record::open(dir.path(), "a", true).unwrap();
+        let refused = record.check(&name, &original, &original).unwrap_err().to_string();
+        assert!(refused.contains("original photograph"), "{refused}");
+        let refused = Record::open(dir.path(), "b", false).unwrap_err().to_string();
+        assert!(refused.contains("other settings"), "{refused}");
+        assert_eq!(Record::open(dir.path(), "b", true).unwrap().entries().count(), 0);
+    }
+}
