@@ -119,6 +119,7 @@ fn run(app: &App, verb: Verb) -> Done {
         Verb::Enhance(args) => verbs::stages::enhance(app, &args),
         Verb::Evaluate(args) => verbs::evaluate::run(app, &args),
         Verb::Render(args) => verbs::render::run(app, &args),
+        Verb::Photographs(args) => verbs::photographs::run(app, &args),
         Verb::View(args) => verbs::view::run(app, &args),
         Verb::White(args) => verbs::white::run(app, &args),
         Verb::Export(args) => verbs::export::run(app, &args),

@@ -30,7 +30,7 @@ fn usual_cost(stage: &str, steps: f64) -> f64 {
         "reconstruct" => (3.0, 0.0194),
         "enhance" => (0.5, 0.003),
         "evaluate" | "calibrate" => (5.0, 0.0),
-        "pairs" | "targets" => (1.5, 0.0),
+        "pairs" | "targets" | "photographs" => (1.5, 0.0),
         _ => (0.3, 0.0),
     };
     fixed + of_a_step * steps

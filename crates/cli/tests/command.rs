@@ -142,7 +142,7 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
         expect(0, &arguments).0
     };
     let first = run(&[]);
-    assert!(first.contains("9 done, 0 cached"), "{first}");
+    assert!(first.contains("10 done, 0 cached"), "{first}");
     for file in [
         "report.html",
         "tables/reconstruction.md",
@@ -172,8 +172,14 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
     let text = std::fs::read_to_string(Path::new(&out).join("tiny/scores/scores.json")).unwrap();
     let scores: use3d_pipeline::judge::scores::SceneScores = serde_json::from_str(&text).unwrap();
     use use3d_pipeline::judge::scores::Method;
-    for method in [Method::Captured, Method::Proposal, Method::Clear, Method::Enhanced, Method::EnhancedClear]
-    {
+    for method in [
+        Method::Captured,
+        Method::Proposal,
+        Method::Photograph,
+        Method::Clear,
+        Method::Enhanced,
+        Method::EnhancedClear,
+    ] {
         for metric in ["truth_psnr", "truth_delta_e"] {
             let value = scores.mean(method, metric).and_then(|s| s.value()).unwrap();
             assert!(value > 0.0 && value < 60.0, "{method:?} {metric}: {value}");
@@ -214,8 +220,16 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
         "pictures come before tables"
     );
     let label = |name: &str| page.find(&format!("data-label=\"{name}\"")).unwrap_or_else(|| panic!("{name}"));
-    let order =
-        ["captured", "2D enhancer", "enhanced", "clear", "enhanced-clear", "reconstruction"].map(label);
+    let order = [
+        "captured",
+        "photograph, enhanced",
+        "enhanced",
+        "2D enhancer",
+        "clear",
+        "enhanced-clear",
+        "reconstruction",
+    ]
+    .map(label);
     assert!(order.is_sorted(), "the page leads with what is asked for: {order:?}");
     one_word_for_each_look(&path(&[Path::new(&out), Path::new("tiny/enhanced-scene")]), &capture, dir.path());
     let depth = scores.mean(Method::Reconstruction, "depth_error").and_then(|s| s.value()).unwrap();
@@ -239,7 +253,7 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
     std::fs::write(&view, other).unwrap();
     let second = run(&[]);
     assert_eq!(std::fs::read_to_string(&view).unwrap(), written, "by this program again");
-    assert!(second.contains("0 done, 9 cached"), "{second}");
+    assert!(second.contains("0 done, 10 cached"), "{second}");
     // The printed summary uses the look that leads the report.
     let mut aloud = vec!["run", &capture, "--cache", &cache, "--out", &out];
     TINY.iter().for_each(|set| aloud.extend(["--set", set]));
@@ -252,7 +266,7 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
     }
     // For programs: one document with the path and the scores of everything.
     let told: serde_json::Value = serde_json::from_str(&run(&["--json"])).unwrap();
-    assert_eq!(told["nodes"].as_array().unwrap().len(), 9);
+    assert_eq!(told["nodes"].as_array().unwrap().len(), 10);
     for (what, scene, place) in [
         ("report", "", "report.html"),
         ("tables", "", "tables"),
@@ -285,9 +299,12 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
         assert_eq!(mean, scores.method(method).unwrap().mean, "{method:?}");
     }
     let changed = run(&["--set", "enhance.lambda_variation=0.001"]);
-    assert!(changed.contains("4 done, 5 cached"), "enhance, render, evaluate, report: {changed}");
+    assert!(
+        changed.contains("5 done, 5 cached"),
+        "enhance, photographs, render, evaluate, report: {changed}"
+    );
     let threads = run(&["--threads", "1"]);
-    assert!(threads.contains("0 done, 9 cached"), "{threads}");
+    assert!(threads.contains("0 done, 10 cached"), "{threads}");
 }
 
 /// The name of a look means the same pictures in `render`, in `export` and at every share of water.

@@ -111,8 +111,8 @@ fn the_26_scenes_run_from_end_to_end_and_every_row_says_what_made_it() {
     let mut run = vec!["-q", "run", &file, "--models", "models", "--out", "out"];
     TINY.iter().chain(&WITHOUT_WEIGHTS).for_each(|set| run.extend(["--set", set]));
     let said = expect(0, at, &run);
-    // Pairs and calibrator once, seven stages except the report for each scene, one report.
-    assert!(said.contains(&format!("use26: {} done", 2 + 26 * 6 + 1)), "{said}");
+    // Pairs and calibrator once, the stages of a scene except the report for each scene, one report.
+    assert!(said.contains(&format!("use26: {} done", 2 + 26 * 7 + 1)), "{said}");
     let told = [
         "preset paper, changed: ",
         "reconstruct.iterations = 12",

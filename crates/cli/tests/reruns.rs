@@ -38,7 +38,7 @@ fn without_pairs_proposals_stay_as_they_are() {
     let sets: Vec<&str> = TINY.iter().filter(|s| !s.contains("trust")).flat_map(|s| ["--set", s]).collect();
     let (code, said) = verify(&sets);
     assert_eq!(code, Some(0), "{said}");
-    assert!(said.contains("of 9 stages of this pipeline 2 are in the cache, 1 computed again"), "{said}");
+    assert!(said.contains("of 10 stages of this pipeline 2 are in the cache, 1 computed again"), "{said}");
     let (code, said) = verify(&["--set", "import.downscale=2", "--set", "pairs.synthetic.pairs=7"]);
     assert_eq!(code, Some(1), "{said}");
     assert!(said.contains("nothing of this pipeline is in the cache"), "{said}");
@@ -47,10 +47,10 @@ fn without_pairs_proposals_stay_as_they_are() {
 #[test]
 fn a_change_reruns_its_stage_and_what_reads_the_changed_output() {
     let place = Place::new();
-    assert_eq!(place.computed(&[]).len(), 9);
+    assert_eq!(place.computed(&[]).len(), 10);
     assert!(place.computed(&[]).is_empty(), "a second run computes nothing");
-    let after_enhance = ["enhance", "evaluate", "render", "report"];
-    let after_targets = ["enhance", "evaluate", "render", "report", "targets"];
+    let after_enhance = ["enhance", "evaluate", "photographs", "render", "report"];
+    let after_targets = ["enhance", "evaluate", "photographs", "render", "report", "targets"];
     let with = |first: &[&str], rest: &[&str]| {
         let mut all: Vec<String> = first.iter().chain(rest).map(|s| s.to_string()).collect();
         all.sort();
@@ -63,6 +63,7 @@ fn a_change_reruns_its_stage_and_what_reads_the_changed_output() {
         ("reconstruct.iterations=31", with(&["reconstruct"], &after_targets)),
         ("targets.consensus.measure_order=true", with(&["targets"], &after_enhance)),
         ("enhance.lambda_variation=0.001", with(&[], &after_enhance)),
+        ("photographs.keep_light=0.5", with(&["photographs", "evaluate", "report"], &[])),
         ("render.strength=0.5", with(&["render", "report"], &[])),
         ("render.water=0.5", with(&["render", "report"], &[])),
         ("report.views=1", with(&["report"], &[])),
@@ -90,5 +91,5 @@ fn a_change_reruns_its_stage_and_what_reads_the_changed_output() {
     std::fs::rename(place.dir.path().join("tiny"), place.dir.path().join("elsewhere/tiny")).expect("moved");
     let moved = place.run("elsewhere/tiny", "cache", &[]).args(["--threads", "1"]).output().expect("runs");
     let text = String::from_utf8_lossy(&moved.stdout);
-    assert!(moved.status.success() && text.contains("0 done, 9 cached"), "{text}");
+    assert!(moved.status.success() && text.contains("0 done, 10 cached"), "{text}");
 }

@@ -6,6 +6,7 @@ mod check;
 mod cluster;
 #[cfg(test)]
 mod documents;
+mod photographs;
 mod pictures;
 mod pipelines;
 mod prepare;
@@ -22,6 +23,7 @@ pub(crate) use bench::{Baselines, Bench, BenchGpuArgs, BenchTruthArgs};
 pub(crate) use captures::{Synth, SynthCaptureArgs, SynthPairsArgs, WaterArgs};
 pub(crate) use check::CheckArgs;
 pub(crate) use cluster::{CancelArgs, Submit, SubmitArgs, SubmitLayout};
+pub(crate) use photographs::{PhotographLayout, PhotographLook, PhotographsArgs};
 pub(crate) use pictures::{CameraPath, ExportArgs, ExportFrame, ExportWhat, FrameFormat, RenderArgs};
 pub(crate) use pipelines::{
     CompareArgs, DemoArgs, DemoSize, PlanArgs, ResultsArgs, RunArgs, StatusArgs, WhyArgs,
@@ -223,6 +225,15 @@ pub(crate) enum Verb {
         use3d render enhanced-scene/ --cameras my-reef/ --fps"
     )]
     Render(RenderArgs),
+    /// Give the diver's own photographs back, enhanced by the scene: full size, as they were named.
+    #[command(
+        visible_alias = "photos",
+        after_help = "Examples:\n  use3d photographs use3d-out/my-reef --out corrected/\n  \
+        use3d photographs use3d-out/my-reef --out even/ --look reconstruction\n  \
+        use3d photographs scene/ --out corrected/ --images /data/dive-7/photos\n\n\
+        Names, size, lens, bit depth and metadata stay. After an interruption, the same command continues."
+    )]
+    Photographs(PhotographsArgs),
     /// Look at a scene or a capture in a browser, or follow a training.
     #[command(
         after_help = "Examples:\n  use3d view enhanced-scene/ --cameras my-reef/\n  use3d view my-reef/                          cameras and sparse points\n  \

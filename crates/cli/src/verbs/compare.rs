@@ -23,10 +23,11 @@ use crate::verbs::{history, results};
 /// Most views of a scene that the page shows.
 const VIEWS: usize = 12;
 /// The folder of a stage's result among results.
-const FOLDERS: [(&str, &str); 5] = [
+const FOLDERS: [(&str, &str); 6] = [
     ("reconstruct", "scene"),
     ("enhance", "enhanced-scene"),
     ("targets", "targets"),
+    ("photographs", "photographs-held-out"),
     ("render", "renders"),
     ("evaluate", "scores"),
 ];

@@ -19,6 +19,7 @@ pub(crate) mod loaded;
 pub(crate) mod models;
 pub(crate) mod outcome;
 pub(crate) mod params;
+pub(crate) mod photographs;
 pub(crate) mod pipelines;
 pub(crate) mod prepare;
 pub(crate) mod remote;

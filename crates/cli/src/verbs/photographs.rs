@@ -1,0 +1,158 @@
+//! The photographs of a scene, enhanced at full size.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
+
+use use3d_import::Originals;
+use use3d_pipeline::Drawn;
+use use3d_pipeline::photographs::{
+    Appearance, Layout, TABLE, Totals, Work, WorkError, default_mode, scene_digest,
+};
+use use3d_reconstruct::EngineChoice;
+use use3d_render::Mode;
+use use3d_scene::Scene;
+use use3d_scene::white::Gains;
+
+use crate::App;
+use crate::args::{PhotographLayout, PhotographLook, PhotographsArgs};
+use crate::destination::path_text;
+use crate::error::{CliError, Done};
+use crate::output::counted;
+use crate::verbs::found::{capture_in, scene_in};
+use crate::verbs::white;
+
+pub(crate) fn run(app: &App, args: &PhotographsArgs) -> Done {
+    for (flag, value) in
+        [("--strength", args.strength), ("--water", args.water), ("--keep-light", args.keep_light)]
+    {
+        if !(0.0..=1.0).contains(&value) {
+            return Err(CliError::Input(format!("{flag} {value}: expected 0 to 1")));
+        }
+    }
+    let capture = capture_in(&args.scene);
+    let folder = scene_in(app, &args.scene)?;
+    let scene = Scene::load(&folder).map_err(CliError::input)?;
+    let originals = Originals::read(&folder).map_err(CliError::input)?.ok_or_else(|| {
+        CliError::Input(format!(
+            "{}: this scene does not know its photographs, because an older version made it; run it again with \
+             `use3d run CAPTURE`",
+            path_text(&folder)
+        ))
+    })?;
+    let mode = mode(args.look, &scene, &folder)?;
+    let gains = white::of(app, &args.white, &folder, &scene, capture.as_deref())?;
+    let appearance = Appearance {
+        mode,
+        strength: args.strength,
+        water: args.water,
+        gains: gains.map_or(Gains::ONE, |white| white.gains),
+        keep_light: args.keep_light,
+    };
+    let images = images(args, capture.as_deref(), &originals)?;
+    // Other photographs of the same cameras may lie elsewhere, so only the capture's own folder is searched.
+    let without_camera = match (&capture, &args.images) {
+        (Some(capture), None) => originals.without_camera(capture).map_err(CliError::input)?,
+        _ => Vec::new(),
+    };
+    let engine = args.engine.choice().unwrap_or_default();
+    let drawn =
+        Drawn::new(&scene, &engine).map_err(|what| CliError::Input(format!("--engine {engine}: {what}")))?;
+    if engine != EngineChoice::Cpu {
+        remark!(app, "engine: {}", drawn.told);
+    }
+    let scale = Scene::world(&folder).map_err(CliError::input)?.map(|world| world.metres_per_unit);
+    let work = Work {
+        scene: &drawn,
+        metres: scale,
+        originals: &originals,
+        folder: &images,
+        without_camera: &without_camera,
+        out: &args.out,
+        appearance,
+        layout: match args.layout {
+            PhotographLayout::Same => Layout::Same,
+            PhotographLayout::Texture => Layout::Texture,
+        },
+        unknown: args.unknown.as_deref(),
+        settings: format!(
+            "{} {appearance:?} {:?}",
+            scene_digest(&folder).map_err(CliError::failed)?,
+            args.layout
+        ),
+        force: args.replace.force,
+    };
+    let mut progress = |done: usize, total: usize, name: &str| {
+        app.progress("photographs", done as u64, total as u64, "photographs", name);
+        !app.stop.load(Ordering::Relaxed)
+    };
+    let mut lines = Vec::new();
+    let totals = work.run(&mut progress, &mut |line| lines.push(line.to_string()));
+    app.over("photographs");
+    lines.iter().for_each(|line| remark!(app, "{line}"));
+    let totals = totals.map_err(|error| match error {
+        WorkError::Input(message) => CliError::Input(message),
+        WorkError::Failed(message) => CliError::Failed(message),
+        WorkError::Stopped => CliError::Interrupted,
+    })?;
+    tell(app, &args.out, &totals);
+    Ok(())
+}
+
+/// The look as a mode of the scene.
+fn mode(look: Option<PhotographLook>, scene: &Scene, folder: &Path) -> Result<Mode, CliError> {
+    match look {
+        None => Ok(default_mode(scene)),
+        Some(PhotographLook::Clear) => Ok(Mode::Clear),
+        Some(PhotographLook::Reconstruction) => Ok(Mode::Reconstruction),
+        Some(PhotographLook::Enhanced) if scene.enhancement.is_none() => Err(CliError::Input(format!(
+            "--look enhanced: {} has no enhancement; make one with `use3d enhance`",
+            path_text(folder)
+        ))),
+        Some(PhotographLook::Enhanced) => Ok(default_mode(scene)),
+    }
+}
+
+/// The folder with the files of the photographs.
+fn images(
+    args: &PhotographsArgs,
+    capture: Option<&Path>,
+    originals: &Originals,
+) -> Result<PathBuf, CliError> {
+    let folder = match (&args.images, capture) {
+        (Some(folder), _) => folder.clone(),
+        (None, Some(capture)) => capture.join(&originals.image_folder),
+        (None, None) => {
+            return Err(CliError::input(
+                "the place of the original photographs is not known: give their folder with --images",
+            ));
+        }
+    };
+    if !folder.is_dir() {
+        return Err(CliError::Input(format!(
+            "{}: there is no such folder; give the folder of the original photographs with --images",
+            path_text(&folder)
+        )));
+    }
+    Ok(folder)
+}
+
+fn tell(app: &App, out: &Path, totals: &Totals) {
+    let Totals { written, kept, without_camera, missing } = *totals;
+    remark!(
+        app,
+        "{}: {} written{}, {TABLE}",
+        path_text(out),
+        counted(written, "photograph", "photographs"),
+        if kept > 0 { format!(", {kept} finished before") } else { String::new() }
+    );
+    if without_camera > 0 {
+        remark!(
+            app,
+            "{} without a camera: changed by the mean of the others",
+            counted(without_camera, "photograph", "photographs")
+        );
+    }
+    if missing > 0 {
+        remark!(app, "{} of the scene missing in the folder", counted(missing, "photograph", "photographs"));
+    }
+}
