@@ -87,7 +87,7 @@ mod tests {
         let mut image = Image::new(w, h);
         for y in 0..h {
             for x in 0..w {
-                let v = if ((x + shift) / 5 + y / 4) % 2 == 0 { 0.35 } else { 0.6 };
+                let v = if ((x + shift) / 5 + y / 4).is_multiple_of(2) { 0.35 } else { 0.6 };
                 image.set_pixel(x, y, [v, 0.9 * v, 0.8 * v]);
             }
         }

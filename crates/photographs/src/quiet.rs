@@ -84,7 +84,7 @@ mod tests {
         for y in 0..h {
             for x in 0..w {
                 // A faint wall on the right, which the render shows.
-                let wall = if x >= 110 && (x / 4 + y / 4) % 2 == 0 { 0.02 } else { 0.0 };
+                let wall = if x >= 110 && (x / 4 + y / 4).is_multiple_of(2) { 0.02 } else { 0.0 };
                 let grain = 0.006 * draw.normal((y * w + x) as u64) as f32;
                 photograph.set_pixel(x, y, [0.3 + wall + grain; 3]);
                 render.set_pixel(x, y, [0.3 + wall; 3]);
