@@ -5,7 +5,7 @@
 //! `Δ = P − R`.
 //!
 //! **The light of the single shot** is the low frequency of `Δ` that is not an object: with
-//! `v = k / (1 + (|Δ| / 0.15)²)`, where `k` is how well the scene knows a pixel ([`mod@crate::known`]),
+//! `v = k / (1 + (|Δ| / 0.15)²)`, where `k` is how well the scene knows a pixel (`known.rs`),
 //!
 //! ```text
 //! L = blur(v Δ) / blur(v),      blur: two box means of radius 4 % of the width
@@ -130,7 +130,7 @@ pub fn grade(seen: &Seen<'_>, keep_light: f32) -> Grade {
     Grade { map, known, own }
 }
 
-/// Lowers bright places: see [`crate::highlights`].
+/// Lowers bright places: see `highlights.rs`.
 fn lower_highlights(map: &mut ColourMap, photograph: &Image) {
     let (w, h, n) = (photograph.width(), photograph.height(), photograph.pixels());
     let p = photograph.data();

@@ -17,7 +17,7 @@ use crate::boxes::AFFINE;
 use crate::highlights::calm;
 use crate::quiet::Quiet;
 
-/// The change of colours of one photograph. See the [module](self).
+/// The change of colours of one photograph: `P⁺ = M P + b`, with factors on a small grid.
 #[derive(Clone, Debug)]
 pub struct ColourMap {
     pub(crate) width: usize,
