@@ -60,7 +60,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("training", &["files", "numerics"]),
     ("scene", &["capture", "files", "numerics", "tensors", "splat", "medium", "ubaf"]),
     ("render", &["capture", "numerics", "splat", "medium", "ubaf", "scene"]),
-    ("photographs", &["capture", "numerics", "survey", "scene", "render"]),
+    ("photographs", &["capture", "numerics", "survey", "render"]),
     ("reconstruct", &["capture", "numerics", "splat", "medium", "metrics", "training", "scene"]),
     ("web", &["capture", "numerics", "io-image", "splat", "medium", "ubaf", "scene"]),
     ("viewer", &["capture", "scene", "render", "web"]),

@@ -1,7 +1,8 @@
 //! How many training views saw the surface that a pixel shows.
 //!
 //! A surface that one view alone saw is no more than that view's own picture, and one that no view saw is a
-//! guess. A point `x` at the expected depth of a pixel counts as seen by a training view if it lies inside its
+//! guess. A point `x` at the expected depth of a pixel counts as seen by a training view if it lies inside
+//! its
 //! picture and is not hidden there:
 //!
 //! ```text
@@ -9,7 +10,8 @@
 //! ```
 //!
 //! with the depth `z_v` of the point in the view and the view's own expected depth `d_v`. Pixels without a
-//! surface (open water) count as covered: structure and colour decide there. `c` is averaged over regions, and
+//! surface (open water) count as covered: structure and colour decide there. `c` is averaged over regions,
+//! and
 //! a region counts in part from 30 %, and fully from 80 %, of covered pixels.
 
 use rayon::prelude::*;

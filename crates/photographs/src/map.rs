@@ -65,19 +65,19 @@ impl Sample for f32 {
 
 /// The two small pixels between which a pixel of a large row lies, and the share of the second one.
 #[derive(Clone, Copy)]
-struct Between {
+struct Neighbours {
     first: usize,
     second: usize,
     share: f32,
 }
 
 /// For each of `large` pixels: its place among `small` ones.
-fn places(large: usize, small: usize) -> Vec<Between> {
+fn places(large: usize, small: usize) -> Vec<Neighbours> {
     let scale = small as f64 / large as f64;
     let place = |i: usize| {
         let at = ((i as f64 + 0.5) * scale - 0.5).clamp(0.0, (small - 1) as f64);
         let first = at as usize;
-        Between { first, second: (first + 1).min(small - 1), share: (at - first as f64) as f32 }
+        Neighbours { first, second: (first + 1).min(small - 1), share: (at - first as f64) as f32 }
     };
     (0..large).map(place).collect()
 }
@@ -87,7 +87,7 @@ const QUIET: usize = 4;
 
 /// Work buffers of a thread: rows of the factors.
 #[derive(Default)]
-struct Rows {
+struct FactorRows {
     small: Vec<f32>,
     large: Vec<f32>,
 }
@@ -129,7 +129,7 @@ impl ColourMap {
         let height = pixels.len() / (3 * width);
         let (columns, rows) = (places(width, self.width), places(height, self.height));
         pixels.par_chunks_exact_mut(3 * width).zip(&rows).with_min_len(8).for_each_init(
-            Rows::default,
+            FactorRows::default,
             |buffers, (line, row)| {
                 self.spread(&columns, *row, buffers);
                 let own = if self.quiet.is_some() { QUIET } else { 0 };
@@ -140,7 +140,7 @@ impl ColourMap {
     }
 
     /// Fills `buffers.large` with one row of every factor, plane after plane.
-    fn spread(&self, columns: &[Between], row: Between, buffers: &mut Rows) {
+    fn spread(&self, columns: &[Neighbours], row: Neighbours, buffers: &mut FactorRows) {
         let (w, width) = (self.width, columns.len());
         buffers.small.resize(w, 0.0);
         let count = AFFINE + if self.quiet.is_some() { QUIET } else { 0 };

@@ -49,7 +49,8 @@ pub struct Photographer<'s> {
 }
 
 impl<'s> Photographer<'s> {
-    /// A photographer for the look `mode`. `plain` draws the scene in all of its water; `look` draws the look.
+    /// A photographer for the look `mode`. `plain` draws the scene in all of its water; `look` draws the
+    /// look.
     pub fn new(plain: SceneRenderer<'s>, look: SceneRenderer<'s>, mode: Mode) -> Self {
         Self { plain, look, mode, keep_light: 0.0, coverage: None }
     }

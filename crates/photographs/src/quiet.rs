@@ -11,7 +11,8 @@
 //! g  = 1 / (1 + (e / 4 ν)²)              the detail is as weak as noise: energy e = mean f_P², noise ν
 //! ```
 //!
-//! `ν` is the tenth part, by size, of the energies of the photograph itself. So a faint far wall that the scene
+//! `ν` is the tenth part, by size, of the energies of the photograph itself. So a faint far wall that the
+//! scene
 //! knows stays, and empty water becomes calm. Display range; radii as in [`mod@crate::known`].
 
 use use3d_capture::Image;

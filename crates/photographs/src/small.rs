@@ -5,7 +5,8 @@ use use3d_capture::Image;
 
 use crate::map::Sample;
 
-/// One pixel of a small line: the range of large pixels that it covers, with the shares of the first and last.
+/// One pixel of a small line: the range of large pixels that it covers, with the shares of the first and
+/// last.
 struct Span {
     first: usize,
     shares: Vec<f32>,

@@ -36,7 +36,8 @@ pub(crate) struct PhotographsArgs {
     /// The folder for the photographs. Originals are never replaced.
     #[arg(short, long, value_name = "DIR")]
     pub(crate) out: PathBuf,
-    /// The folder of the original photographs (default: that of the capture which the results were made from).
+    /// The folder of the original photographs (default: that of the capture which the results were made
+    /// from).
     #[arg(long, value_name = "DIR")]
     pub(crate) images: Option<PathBuf>,
     /// The look. Default: enhanced, or reconstruction for a scene without enhancement.

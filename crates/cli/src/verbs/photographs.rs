@@ -6,7 +6,7 @@ use std::sync::atomic::Ordering;
 use use3d_import::Originals;
 use use3d_pipeline::Drawn;
 use use3d_pipeline::photographs::{
-    Appearance, Layout, TABLE, Totals, Work, WorkError, default_mode, scene_digest,
+    Appearance, FileLayout, PhotographWork, TABLE, Totals, WorkError, default_mode, scene_digest,
 };
 use use3d_reconstruct::EngineChoice;
 use use3d_render::Mode;
@@ -61,7 +61,7 @@ pub(crate) fn run(app: &App, args: &PhotographsArgs) -> Done {
         remark!(app, "engine: {}", drawn.told);
     }
     let scale = Scene::world(&folder).map_err(CliError::input)?.map(|world| world.metres_per_unit);
-    let work = Work {
+    let work = PhotographWork {
         scene: &drawn,
         metres: scale,
         originals: &originals,
@@ -70,8 +70,8 @@ pub(crate) fn run(app: &App, args: &PhotographsArgs) -> Done {
         out: &args.out,
         appearance,
         layout: match args.layout {
-            PhotographLayout::Same => Layout::Same,
-            PhotographLayout::Texture => Layout::Texture,
+            PhotographLayout::Same => FileLayout::Same,
+            PhotographLayout::Texture => FileLayout::Texture,
         },
         unknown: args.unknown.as_deref(),
         settings: format!(

@@ -4,7 +4,8 @@
 //! scene folder (originals.json) + the folder of the photographs ─▶ OUT/<relative path>, OUT/photographs.csv
 //! ```
 //!
-//! A photograph is read, graded on its small grid through its own lens ([`use3d_photographs`]), and written in
+//! A photograph is read, graded on its small grid through its own lens ([`use3d_photographs`]), and written
+//! in
 //! its own format with its own metadata ([`use3d_io_image::Photograph`]). Photographs without a camera are
 //! changed by the mean of the views, so that none is missing. Nothing is stored twice: a record in the folder
 //! says which photographs are finished, and an interrupted run continues with the others ([`record`]).
@@ -25,7 +26,7 @@ use use3d_scene::Scene;
 
 use crate::engines::Drawn;
 pub use appearance::Appearance;
-pub use record::{Entry, Record};
+pub use record::{FinishedPhotograph, Record};
 pub use table::{TABLE, write_table};
 
 /// The program's name in the files that it writes.
@@ -39,7 +40,7 @@ const UNKNOWN: f32 = 0.5;
 
 /// The names of the files.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Layout {
+pub enum FileLayout {
     /// The names of the originals.
     #[default]
     Same,
@@ -47,7 +48,7 @@ pub enum Layout {
     Texture,
 }
 
-impl Layout {
+impl FileLayout {
     /// The file of a photograph below the folder of results.
     pub fn place(self, relative: &FileName) -> PathBuf {
         let own = Path::new(relative.as_str());
@@ -59,7 +60,7 @@ impl Layout {
 }
 
 /// A set of photographs to enhance.
-pub struct Work<'a, 's> {
+pub struct PhotographWork<'a, 's> {
     /// The scene.
     pub scene: &'a Drawn<'s>,
     /// Metres per scene unit; `None` if they are not known.
@@ -75,7 +76,7 @@ pub struct Work<'a, 's> {
     /// The way they are shown.
     pub appearance: Appearance,
     /// The names of the results.
-    pub layout: Layout,
+    pub layout: FileLayout,
     /// A folder for masks of the unknown; white is known.
     pub unknown: Option<&'a Path>,
     /// A text that differs between settings with different results: the scene's digest and the flags.
@@ -112,14 +113,14 @@ pub struct Totals {
 }
 
 /// One photograph of a set.
-enum Job<'a> {
+enum PhotographJob<'a> {
     /// With a camera, and its place among the training views.
     Posed(&'a Original, Option<usize>),
     /// Without a camera.
     Mean(&'a FileName),
 }
 
-impl Job<'_> {
+impl PhotographJob<'_> {
     fn relative(&self) -> &FileName {
         match self {
             Self::Posed(original, _) => &original.relative,
@@ -128,8 +129,9 @@ impl Job<'_> {
     }
 }
 
-impl Work<'_, '_> {
-    /// Enhances all photographs that are not finished yet. `progress` gets the number of finished photographs,
+impl PhotographWork<'_, '_> {
+    /// Enhances all photographs that are not finished yet. `progress` gets the number of finished
+    /// photographs,
     /// their total and a name before each one; `false` stops. `say` gets sentences for the user.
     ///
     /// # Errors
@@ -145,9 +147,10 @@ impl Work<'_, '_> {
         let jobs = self.originals.photographs.iter().map(|original| {
             let own = original.train.then_some(trained);
             trained += usize::from(original.train);
-            Job::Posed(original, own)
+            PhotographJob::Posed(original, own)
         });
-        let jobs: Vec<Job<'_>> = jobs.chain(self.without_camera.iter().map(Job::Mean)).collect();
+        let jobs: Vec<PhotographJob<'_>> =
+            jobs.chain(self.without_camera.iter().map(PhotographJob::Mean)).collect();
         std::fs::create_dir_all(self.out)
             .map_err(|e| WorkError::Failed(format!("{}: cannot be made: {e}", self.out.display())))?;
         let mut record = Record::open(self.out, &self.settings, self.force)?;
@@ -162,7 +165,7 @@ impl Work<'_, '_> {
                 say(&missing);
                 continue;
             }
-            totals.without_camera += usize::from(matches!(job, Job::Mean(_)));
+            totals.without_camera += usize::from(matches!(job, PhotographJob::Mean(_)));
             let target = self.out.join(self.layout.place(job.relative()));
             if record.has(job.relative(), &source, &target) {
                 totals.kept += 1;
@@ -204,11 +207,12 @@ impl Work<'_, '_> {
                 }
             };
             let entry = match &job {
-                Job::Posed(original, own) => {
+                PhotographJob::Posed(original, own) => {
                     self.posed(photographer, &mut grids, (original, *own), &source, &target)?
                 }
-                Job::Mean(name) => {
-                    let views: Vec<ViewMap> = record.entries().filter_map(Entry::view_map).collect();
+                PhotographJob::Mean(name) => {
+                    let views: Vec<ViewMap> =
+                        record.entries().filter_map(FinishedPhotograph::view_map).collect();
                     self.by_mean(ViewMap::mean(&views), name, &source, &target)?
                 }
             };
@@ -230,7 +234,7 @@ impl Work<'_, '_> {
         (original, own): (&Original, Option<usize>),
         source: &Path,
         target: &Path,
-    ) -> Result<Entry, WorkError> {
+    ) -> Result<FinishedPhotograph, WorkError> {
         let info = photograph_info(source).map_err(|e| WorkError::Input(e.to_string()))?;
         let file = (original.width, original.height);
         if (info.width, info.height) != file {
@@ -278,13 +282,13 @@ impl Work<'_, '_> {
         name: &FileName,
         source: &Path,
         target: &Path,
-    ) -> Result<Entry, WorkError> {
+    ) -> Result<FinishedPhotograph, WorkError> {
         let mut photograph = Photograph::read(source).map_err(|e| WorkError::Input(e.to_string()))?;
         let gains = self.originals.gains.unwrap_or([1.0; 3]);
         let small = balanced(small_of(&photograph), gains);
         change(&mut photograph, &mean.grade(&small).after(gains));
         self.write(&photograph, target)?;
-        Ok(Entry::without_camera(name, &photograph))
+        Ok(FinishedPhotograph::without_camera(name, &photograph))
     }
 
     fn write(&self, photograph: &Photograph, target: &Path) -> Result<(), WorkError> {
@@ -304,12 +308,12 @@ impl Work<'_, '_> {
     }
 
     /// The row of a graded photograph in the record.
-    fn entry(&self, name: &FileName, photograph: &Photograph, graded: &Graded) -> Entry {
+    fn entry(&self, name: &FileName, photograph: &Photograph, graded: &Graded) -> FinishedPhotograph {
         let known = &graded.grade.known;
         let unknown = known.data().iter().filter(|k| **k < UNKNOWN).count() as f64;
         let distances = distances(&graded.depth);
         let scale = self.scene.scene.frame.scale;
-        let mut entry = Entry::without_camera(name, photograph);
+        let mut entry = FinishedPhotograph::without_camera(name, photograph);
         entry.unknown = Some(unknown / known.data().len().max(1) as f64);
         entry.distances = distances.map(|d| d.map(|v| v / scale));
         entry.view = Some(graded.grade.own.rows);

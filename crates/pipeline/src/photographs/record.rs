@@ -1,7 +1,9 @@
 //! The record of finished photographs, in the folder of the results.
 //!
-//! One line of JSON for each photograph, written when its file is complete: the file's size and time, those of
-//! the original, and what the table shows. A line that was cut off by a kill is ignored, and that photograph is
+//! One line of JSON for each photograph, written when its file is complete: the file's size and time, those
+//! of
+//! the original, and what the table shows. A line that was cut off by a kill is ignored, and that photograph
+//! is
 //! made again. The first line names the settings, because photographs with other settings are other results.
 
 use std::collections::BTreeMap;
@@ -33,7 +35,7 @@ type Stamp = (u64, u128);
 
 /// A finished photograph.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Entry {
+pub struct FinishedPhotograph {
     /// Its relative name.
     pub name: String,
     /// Width, pixels.
@@ -56,7 +58,7 @@ pub struct Entry {
     result: Option<Stamp>,
 }
 
-impl Entry {
+impl FinishedPhotograph {
     /// The row of a photograph that was changed by the mean of the views.
     pub(super) fn without_camera(name: &FileName, photograph: &Photograph) -> Self {
         let bits = match photograph.pixels {
@@ -93,7 +95,7 @@ impl Entry {
 #[derive(Debug)]
 pub struct Record {
     path: PathBuf,
-    entries: BTreeMap<String, Entry>,
+    entries: BTreeMap<String, FinishedPhotograph>,
     force: bool,
 }
 
@@ -118,7 +120,7 @@ impl Record {
         let head = head.filter(|head| head.format == FORMAT);
         let mut entries = BTreeMap::new();
         if head.as_ref().is_some_and(|head| head.settings == settings) {
-            for entry in lines.filter_map(|line| serde_json::from_str::<Entry>(line).ok()) {
+            for entry in lines.filter_map(|line| serde_json::from_str::<FinishedPhotograph>(line).ok()) {
                 entries.insert(entry.name.clone(), entry);
             }
             // A line that was cut off must not swallow the next one.
@@ -176,7 +178,12 @@ impl Record {
     ///
     /// # Errors
     /// The record cannot be written.
-    pub(super) fn add(&mut self, mut entry: Entry, source: &Path, target: &Path) -> Result<(), WorkError> {
+    pub(super) fn add(
+        &mut self,
+        mut entry: FinishedPhotograph,
+        source: &Path,
+        target: &Path,
+    ) -> Result<(), WorkError> {
         (entry.original, entry.result) = (stamp(source), stamp(target));
         let line = serde_json::to_string(&entry).map_err(|e| WorkError::Failed(e.to_string()))? + "\n";
         let file = OpenOptions::new().append(true).open(&self.path);
@@ -187,7 +194,7 @@ impl Record {
     }
 
     /// The finished photographs, by name.
-    pub fn entries(&self) -> impl Iterator<Item = &Entry> {
+    pub fn entries(&self) -> impl Iterator<Item = &FinishedPhotograph> {
         self.entries.values()
     }
 }
@@ -196,8 +203,8 @@ impl Record {
 mod tests {
     use super::*;
 
-    fn entry(name: &str) -> Entry {
-        Entry {
+    fn entry(name: &str) -> FinishedPhotograph {
+        FinishedPhotograph {
             name: name.into(),
             width: 4,
             height: 3,

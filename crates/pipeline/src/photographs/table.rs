@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::path::Path;
 
-use super::record::{Entry, Record};
+use super::record::{FinishedPhotograph, Record};
 
 /// The table's name in the folder of the results.
 pub const TABLE: &str = "photographs.csv";
@@ -28,7 +28,7 @@ fn quoted(text: &str) -> String {
     if text.contains([',', '"', '\n']) { format!("\"{}\"", text.replace('"', "\"\"")) } else { text.into() }
 }
 
-fn row(entry: &Entry, metres: Option<f64>) -> String {
+fn row(entry: &FinishedPhotograph, metres: Option<f64>) -> String {
     let number = |v: Option<f64>, digits: usize| v.map_or_else(String::new, |v| format!("{v:.digits$}"));
     let scale = metres.unwrap_or(1.0);
     let [median, far] = [0, 1].map(|k| number(entry.distances.map(|d| scale * d[k]), 3));

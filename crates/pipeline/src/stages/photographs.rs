@@ -1,6 +1,7 @@
 //! The held-out photographs in the light and colours of the enhanced scene, at the size of the training.
 //!
-//! The same photographs at full size are written by [`crate::photographs`], straight to the folder of results.
+//! The same photographs at full size are written by [`crate::photographs`], straight to the folder of
+//! results.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -25,7 +26,8 @@ use crate::photographs::appearance::Appearance;
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub(super) struct Params {
-    /// Share of each photograph's own exposure, white balance and light that stays, 0 (the light of the scene)
+    /// Share of each photograph's own exposure, white balance and light that stays, 0 (the light of the
+    /// scene)
     /// to 1.
     pub(super) keep_light: f32,
 }
