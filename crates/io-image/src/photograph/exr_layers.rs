@@ -12,7 +12,7 @@ use exr::image::FlatImage;
 use exr::prelude::*;
 
 use super::history::one_line;
-use super::interleaved::Rows;
+use super::interleaved::SampleRows;
 use super::tiff_write::WriteSeek;
 use crate::decoded::{Decoded, Samples};
 use crate::error::{FileFormat, ImageError};
@@ -137,7 +137,7 @@ impl ExrTags {
     pub(crate) fn write(
         &self,
         out: &mut dyn WriteSeek,
-        rows: &Rows<'_>,
+        rows: &SampleRows<'_>,
         software: &str,
         history: &str,
     ) -> io::Result<()> {

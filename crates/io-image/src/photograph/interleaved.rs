@@ -1,11 +1,11 @@
-//! Rows of pixels as bytes: RGB and alpha side by side, in either order of bytes.
+//! SampleRows of pixels as bytes: RGB and alpha side by side, in either order of bytes.
 //!
-//! Rows are made one at a time, so no second copy of the picture is in memory.
+//! SampleRows are made one at a time, so no second copy of the picture is in memory.
 
 use crate::decoded::{Decoded, Samples};
 
 /// The pixels of one picture, `[height, width, 3]`, and its alpha, `[height, width]`, of the same type.
-pub(crate) struct Rows<'a> {
+pub(crate) struct SampleRows<'a> {
     pub(crate) width: u32,
     pub(crate) height: u32,
     pub(crate) pixels: &'a Samples,
@@ -45,7 +45,7 @@ fn append<T: Copy, const N: usize>(
     }
 }
 
-impl Rows<'_> {
+impl SampleRows<'_> {
     pub(crate) fn has_alpha(&self) -> bool {
         self.alpha.is_some()
     }

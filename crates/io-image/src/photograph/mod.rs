@@ -46,7 +46,7 @@ use crate::error::{FileFormat, ImageError};
 use crate::exif::exif_of_bytes;
 use crate::read::{decode, image_info};
 use exr_layers::ExrTags;
-use interleaved::{Rows, rgb_and_alpha};
+use interleaved::{SampleRows, rgb_and_alpha};
 use jpeg_segments::JpegTags;
 use png_chunks::PngTags;
 use tiff_tags::TiffTags;
@@ -173,7 +173,7 @@ impl Photograph {
     }
 
     /// The pixels by rows, if they have the number and type that the file needs.
-    fn rows(&self) -> io::Result<Rows<'_>> {
+    fn rows(&self) -> io::Result<SampleRows<'_>> {
         let wrong = |what: &str| io::Error::other(format!("{what} of {}x{} pixels", self.width, self.height));
         let count = self.width * self.height;
         let side = |n: usize| u32::try_from(n).map_err(|_| wrong("a side that is too long"));
@@ -184,7 +184,7 @@ impl Photograph {
         if alpha.is_some_and(|a| a.count() != count || !a.same_type(&self.pixels)) {
             return Err(wrong("alpha that does not fit a picture"));
         }
-        Ok(Rows { width: side(self.width)?, height: side(self.height)?, pixels: &self.pixels, alpha })
+        Ok(SampleRows { width: side(self.width)?, height: side(self.height)?, pixels: &self.pixels, alpha })
     }
 
     fn encode(&self, out: &mut dyn WriteSeek, software: &str, history: &str) -> io::Result<()> {

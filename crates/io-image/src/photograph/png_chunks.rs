@@ -15,7 +15,7 @@ use png::{BitDepth, ColorType, DeflateCompression, Encoder, Filter};
 
 use super::exif_block;
 use super::history::one_line;
-use super::interleaved::Rows;
+use super::interleaved::SampleRows;
 use crate::exif::exif_of_block;
 
 const SIGNATURE: usize = 8;
@@ -133,7 +133,7 @@ impl PngTags {
     pub(crate) fn write(
         &self,
         out: &mut dyn Write,
-        rows: &Rows<'_>,
+        rows: &SampleRows<'_>,
         software: &str,
         history: &str,
     ) -> io::Result<()> {

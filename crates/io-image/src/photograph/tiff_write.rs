@@ -13,7 +13,7 @@ use std::io::{self, Seek, SeekFrom, Write};
 use tiff::encoder::compression::{CompressionAlgorithm, Deflate, DeflateLevel, Lzw, Packbits};
 
 use super::history::{self, IMAGE_HISTORY, SOFTWARE};
-use super::interleaved::Rows;
+use super::interleaved::SampleRows;
 use super::tiff_tags::{EXIF, GPS, INTEROPERABILITY, Packing, TiffTags};
 use crate::decoded::Samples;
 use crate::tiff_structure::TagValue;
@@ -173,7 +173,7 @@ fn packed(packing: Packing, strip: Vec<u8>) -> io::Result<Vec<u8>> {
 fn strips(
     file: &mut TiffFile<'_>,
     tags: &TiffTags,
-    rows: &Rows<'_>,
+    rows: &SampleRows<'_>,
 ) -> io::Result<(u64, Vec<u64>, Vec<u64>)> {
     let (samples, height) = (rows.samples_per_pixel(), rows.height as usize);
     let row_bytes = rows.width as usize * samples * rows.bytes_per_sample();
@@ -210,7 +210,7 @@ fn strips(
 pub(crate) fn write(
     out: &mut dyn WriteSeek,
     tags: &TiffTags,
-    rows: &Rows<'_>,
+    rows: &SampleRows<'_>,
     software: &str,
     history: &str,
 ) -> io::Result<()> {
