@@ -1,4 +1,4 @@
-//! How many training views saw the surface that a pixel shows.
+//! The number of training views that saw the surface of a pixel.
 //!
 //! A surface that one view alone saw is no more than that view's own picture, and one that no view saw is a
 //! guess. A point `x` at the expected depth of a pixel counts as seen by a training view if it lies inside

@@ -55,7 +55,7 @@ const SIGMA: f32 = 0.12;
 /// Radius of the windows of the smooth factors, as a share of the width, and the ridge of their fits.
 const SMOOTH: (f64, f32) = (0.01, 1e-2);
 
-/// What is known of one view, at the size of the small grid.
+/// The pictures of one view, at the size of the small grid.
 #[derive(Clone, Copy, Debug)]
 pub struct Seen<'a> {
     /// The photograph `P`.
@@ -75,7 +75,7 @@ pub struct Seen<'a> {
 pub struct Grade {
     /// The change.
     pub map: ColourMap,
-    /// How well the scene knows each pixel, `[0, 1]`.
+    /// The scene's knowledge of each pixel, `[0, 1]`.
     pub known: Map,
     /// The change of the whole view.
     pub own: ViewMap,
@@ -221,7 +221,7 @@ fn own_map(render: &Image, look: &Image, known: &[f32]) -> [[f32; 4]; 3] {
     })
 }
 
-/// How well each pixel is known, the view's own map, and the light of the shot.
+/// The knowledge of each pixel, the view's own map, and the light of the shot.
 type Basis<'a> = (&'a [f32], &'a [[f32; 4]; 3], &'a [f32]);
 
 /// The photograph in the look, before highlights and noise.

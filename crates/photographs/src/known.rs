@@ -1,4 +1,4 @@
-//! Where the scene knows a photograph.
+//! The scene's knowledge of a photograph, pixel by pixel.
 //!
 //! Colours of the scene are only right where the scene shows the surface that the photograph shows. Two
 //! signs decide, over regions and never over single pixels (radius `n`, [`REGION`] of the width):
@@ -42,7 +42,7 @@ pub(crate) fn luma(image: &Image) -> Vec<f32> {
     r.iter().zip(g).zip(b).map(mix).collect()
 }
 
-/// How well the scene knows each pixel of a photograph, `[0, 1]`, smooth. `coverage` has the same size.
+/// The scene's knowledge of each pixel of a photograph, `[0, 1]`, smooth. `coverage` has the same size.
 pub(crate) fn known(photograph: &Image, render: &Image, coverage: Option<&Map>) -> Vec<f32> {
     let (w, h) = (photograph.width(), photograph.height());
     let (n, region, detail) = (w * h, radius(w, REGION, 3), radius(w, DETAIL, 2));

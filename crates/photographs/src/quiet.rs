@@ -1,6 +1,6 @@
 //! Noise that is not made visible.
 //!
-//! Where little light arrives, a look multiplies what is left of it, and the grain and the blocks of a
+//! A look multiplies the little light that arrives from far away, and with it the grain and the blocks of a
 //! photograph with it. There the detail of the photograph is shown only as far as it is structure:
 //!
 //! ```text

@@ -79,8 +79,8 @@ pub struct Photograph {
     pub pixels: Rgb,
     /// `width * height` samples of the same type, if there is an alpha channel. They are written again.
     pub alpha: Option<Samples>,
-    /// What differs between the original and the file that is written, besides the pixels: sentences for
-    /// users.
+    /// Sentences for users on every difference between the original and the written file, besides the
+    /// pixels.
     pub notes: Vec<String>,
     orientation: u16,
     tags: Tags,

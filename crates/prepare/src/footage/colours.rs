@@ -26,7 +26,7 @@ pub struct ColourTags {
 
 /// The smallest number of lines of a film that has BT.709 if it names no matrix.
 const HIGH_DEFINITION: usize = 720;
-/// How the scaler resamples colours and rounds.
+/// The scaler's way to resample colours and to round.
 const EXACT: &str = "flags=bicubic+accurate_rnd+full_chroma_int+full_chroma_inp";
 
 impl ColourTags {
