@@ -43,6 +43,7 @@ use crate::highlights::lowering;
 use crate::known::{known, radius};
 use crate::map::ColourMap;
 use crate::quiet::quiet;
+use crate::structure::Structure;
 
 /// Scale of the light of a shot, as a share of the width.
 const LIGHT: f64 = 0.04;
@@ -120,14 +121,15 @@ impl ViewMap {
 pub fn grade(seen: &Seen<'_>, keep_light: f32) -> Grade {
     let photograph = seen.photograph;
     let (w, h) = (photograph.width(), photograph.height());
-    let known = known(photograph, seen.render, seen.coverage);
+    let structure = Structure::of(photograph, seen.render);
+    let known = known(photograph, seen.render, &structure, seen.coverage);
     let rows = own_map(seen.render, seen.look, &known);
     let light = light(photograph, seen.render, &known);
     let basis = (&known[..], &rows, &light[..]);
     let mut map = through_scene(seen, basis, keep_light);
     let own = ViewMap { rows };
     lower_highlights(&mut map, photograph);
-    map.quiet = quiet(photograph, seen.render, &seen.response.arriving);
+    map.quiet = quiet(photograph, &structure, &seen.response.arriving);
     let known = Map::from_planes(w, h, known).unwrap_or_else(|| Map::new(w, h));
     Grade { map, known, own }
 }

@@ -17,7 +17,8 @@
 use use3d_capture::{Image, Map};
 use use3d_numerics::lanes::exp;
 
-use crate::boxes::{mean, means};
+use crate::boxes::mean;
+use crate::structure::Structure;
 
 /// Radius of a region, as a share of the width.
 pub(crate) const REGION: f64 = 0.03;
@@ -43,30 +44,26 @@ pub(crate) fn luma(image: &Image) -> Vec<f32> {
 }
 
 /// The scene's knowledge of each pixel of a photograph, `[0, 1]`, smooth. `coverage` has the same size.
-pub(crate) fn known(photograph: &Image, render: &Image, coverage: Option<&Map>) -> Vec<f32> {
-    let (w, h) = (photograph.width(), photograph.height());
-    let (n, region, detail) = (w * h, radius(w, REGION, 3), radius(w, DETAIL, 2));
-    let fine = |image: &Image| {
-        let own = luma(image);
-        let mut smooth = own.clone();
-        mean(&mut smooth, w, detail);
-        own.iter().zip(&smooth).map(|(a, b)| a - b).collect::<Vec<f32>>()
-    };
-    let (p, r) = (fine(photograph), fine(render));
-    let mut sums = vec![0.0f32; 4 * n];
-    let noise = NOISE * NOISE;
-    for i in 0..n {
-        (sums[i], sums[n + i], sums[2 * n + i]) = (p[i] * p[i], r[i] * r[i], p[i] * r[i]);
+pub(crate) fn known(
+    photograph: &Image,
+    render: &Image,
+    structure: &Structure,
+    coverage: Option<&Map>,
+) -> Vec<f32> {
+    let (w, n) = (photograph.width(), photograph.pixels());
+    let (region, noise) = (radius(w, REGION, 3), NOISE * NOISE);
+    let difference = |i: usize| {
         let apart = |c: usize| (photograph.data()[c * n + i] - render.data()[c * n + i]).abs();
-        sums[3 * n + i] = (apart(0) + apart(1) + apart(2)) / 3.0;
-    }
-    means(&mut sums, w, h, region);
+        (apart(0) + apart(1) + apart(2)) / 3.0
+    };
+    let mut differences: Vec<f32> = (0..n).map(difference).collect();
+    mean(&mut differences, w, region);
     let ramp = |x: f32| x.clamp(0.0, 1.0);
     let mut out: Vec<f32> = (0..n)
         .map(|i| {
-            let (pp, rr, pr) = (sums[i].max(0.0), sums[n + i].max(0.0), sums[2 * n + i]);
+            let (pp, rr, pr) = structure.at(i);
             let agreement = pr / ((pp + noise) * (rr + noise)).sqrt();
-            let apart = sums[3 * n + i] / NEAR;
+            let apart = differences[i] / NEAR;
             let near = exp(-apart * apart);
             ramp((agreement.max(near * noise / (pp + noise)) - 0.25) / 0.35) * ramp(near / 0.4)
         })
@@ -81,6 +78,11 @@ pub(crate) fn known(photograph: &Image, render: &Image, coverage: Option<&Map>) 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// The knowledge of a photograph from its own structure.
+    fn known(photograph: &Image, render: &Image, coverage: Option<&Map>) -> Vec<f32> {
+        super::known(photograph, render, &Structure::of(photograph, render), coverage)
+    }
 
     /// Bricks with a colour; `shift` moves them.
     fn bricks(w: usize, h: usize, shift: usize) -> Image {

@@ -39,6 +39,7 @@ mod map;
 mod photographer;
 mod quiet;
 mod small;
+mod structure;
 
 pub use coverage::Coverage;
 pub use grade::{Grade, Seen, ViewMap, grade};

@@ -18,7 +18,8 @@
 use use3d_capture::Image;
 
 use crate::boxes::{mean, means};
-use crate::known::{DETAIL, REGION, luma, radius};
+use crate::known::{DETAIL, radius};
+use crate::structure::Structure;
 
 /// Transmission at which noise and signal count alike.
 const SIGMA: f32 = 0.35;
@@ -33,22 +34,10 @@ pub(crate) struct Quiet {
 }
 
 /// The share of detail for each pixel; `None` where all of it stays.
-pub(crate) fn quiet(photograph: &Image, render: &Image, arriving: &Image) -> Option<Quiet> {
+pub(crate) fn quiet(photograph: &Image, structure: &Structure, arriving: &Image) -> Option<Quiet> {
     let (w, h, n) = (photograph.width(), photograph.height(), photograph.pixels());
-    let (detail, region) = (radius(w, DETAIL, 2), radius(w, REGION, 3));
-    let fine = |image: &Image| {
-        let own = luma(image);
-        let mut smooth = own.clone();
-        mean(&mut smooth, w, detail);
-        own.iter().zip(&smooth).map(|(a, b)| a - b).collect::<Vec<f32>>()
-    };
-    let (p, r) = (fine(photograph), fine(render));
-    let mut sums = vec![0.0f32; 3 * n];
-    for i in 0..n {
-        (sums[i], sums[n + i], sums[2 * n + i]) = (p[i] * p[i], r[i] * r[i], p[i] * r[i]);
-    }
-    means(&mut sums, w, h, region);
-    let mut energies: Vec<f32> = sums[..n].iter().step_by(7).map(|e| e.max(0.0)).collect();
+    let detail = radius(w, DETAIL, 2);
+    let mut energies: Vec<f32> = structure.photograph().iter().step_by(7).map(|e| e.max(0.0)).collect();
     if energies.is_empty() {
         return None;
     }
@@ -56,12 +45,13 @@ pub(crate) fn quiet(photograph: &Image, render: &Image, arriving: &Image) -> Opt
     let noise = energies.select_nth_unstable_by(tenth, f32::total_cmp).1.max(LEAST);
     let mut share = vec![1.0f32; n];
     for i in 0..n {
-        let (pp, rr, pr) = (sums[i].max(0.0), sums[n + i].max(0.0), sums[2 * n + i].max(0.0));
+        let (pp, rr, pr) = structure.at(i);
+        let pr = pr.max(0.0);
         let tau = arriving.data()[n + i].min(arriving.data()[2 * n + i]).max(0.0);
         let light = tau * tau / (tau * tau + SIGMA * SIGMA);
-        let structure = pr * pr / ((pp + LEAST) * (rr + LEAST));
+        let shown = pr * pr / ((pp + LEAST) * (rr + LEAST));
         let weak = pp / (4.0 * noise);
-        share[i] = 1.0 - (1.0 - light) * (1.0 - structure) / (1.0 + weak * weak);
+        share[i] = 1.0 - (1.0 - light) * (1.0 - shown) / (1.0 + weak * weak);
     }
     mean(&mut share, w, detail);
     if share.iter().all(|f| *f > 0.97) {
@@ -91,11 +81,12 @@ mod tests {
                 render.set_pixel(x, y, [0.3 + wall; 3]);
             }
         }
+        let structure = Structure::of(&photograph, &render);
         let dark = Image::filled(w, h, 0.05);
-        let found = quiet(&photograph, &render, &dark).expect("there is noise");
+        let found = quiet(&photograph, &structure, &dark).expect("there is noise");
         assert!(found.share[60 * w + 40] < 0.3, "{}", found.share[60 * w + 40]);
         assert!(found.share[60 * w + 160] > 0.7, "{}", found.share[60 * w + 160]);
         // Where light arrives, all of the photograph is shown.
-        assert!(quiet(&photograph, &render, &Image::filled(w, h, 3.0)).is_none());
+        assert!(quiet(&photograph, &structure, &Image::filled(w, h, 3.0)).is_none());
     }
 }
