@@ -2,8 +2,7 @@
 //!
 //! A surface that one view alone saw is no more than that view's own picture, and one that no view saw is a
 //! guess. A point `x` at the expected depth of a pixel counts as seen by a training view if it lies inside
-//! its
-//! picture and is not hidden there:
+//! its picture and is not hidden there:
 //!
 //! ```text
 //! z_v(x) ≤ (1 + [`SLACK`]) d_v(π_v(x))          c = min(1, views / [`ENOUGH`])
@@ -11,8 +10,7 @@
 //!
 //! with the depth `z_v` of the point in the view and the view's own expected depth `d_v`. Pixels without a
 //! surface (open water) count as covered: structure and colour decide there. `c` is averaged over regions,
-//! and
-//! a region counts in part from 30 %, and fully from 80 %, of covered pixels.
+//! and a region counts in part from 30 %, and fully from 80 %, of covered pixels.
 
 use rayon::prelude::*;
 use use3d_capture::{Camera, Map};

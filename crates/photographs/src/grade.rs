@@ -24,13 +24,11 @@
 //! rule. `M` and `E − M R` are smoothed by a guided filter whose guide is the photograph, so that no texture
 //! of the render is left in them. A photograph equal to its render gives the look; `E = R`, `M = 1`, `κ = 1`
 //! gives the photograph. Without water and enhancement between them, `E = J` and `M = 1 / t`: the inversion
-//! of
-//! the water by the scene's own distances.
+//! of the water by the scene's own distances.
 //!
 //! **Where the scene knows nothing it has no say.** There the view's own map counts, the affine map of least
 //! squares `E ≈ V R + v` over the known pixels; it keeps the light of the shot. Both are mixed by `k`, which
-//! is
-//! smooth, so there is no seam.
+//! is smooth, so there is no seam.
 //!
 //! A second form was measured and gained nothing: detail from a 2D enhancer's picture of the photograph,
 //! carried to the scene's light by a smooth factor (docs/science/results.md, "Photographs").

@@ -11,8 +11,7 @@
 //!
 //! Before that, places that are bright as a whole are lowered as a whole, so that their texture stays. On the
 //! small grid, with the mean colour `m` of the changed photograph over windows, the brightest channel `u` of
-//! a
-//! pixel, and `e = mean(u) + 1.5 sd(u)`,
+//! a pixel, and `e = mean(u) + 1.5 sd(u)`,
 //!
 //! ```text
 //! l = h(e) / e,       h(e) = k' + (1 − k') (1 − e^{−(e − k') / (1 − k')})      above k' = [`PLACE`]

@@ -12,8 +12,7 @@
 //! ```
 //!
 //! `ν` is the tenth part, by size, of the energies of the photograph itself. So a faint far wall that the
-//! scene
-//! knows stays, and empty water becomes calm. Display range; radii as in [`mod@crate::known`].
+//! scene knows stays, and empty water becomes calm. Display range; radii as in [`mod@crate::known`].
 
 use use3d_capture::Image;
 

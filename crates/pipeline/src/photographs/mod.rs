@@ -5,8 +5,7 @@
 //! ```
 //!
 //! A photograph is read, graded on its small grid through its own lens ([`use3d_photographs`]), and written
-//! in
-//! its own format with its own metadata ([`use3d_io_image::Photograph`]). Photographs without a camera are
+//! in its own format with its own metadata ([`use3d_io_image::Photograph`]). Photographs without a camera are
 //! changed by the mean of the views, so that none is missing. Nothing is stored twice: a record in the folder
 //! says which photographs are finished, and an interrupted run continues with the others ([`record`]).
 
@@ -131,8 +130,7 @@ impl PhotographJob<'_> {
 
 impl PhotographWork<'_, '_> {
     /// Enhances all photographs that are not finished yet. `progress` gets the number of finished
-    /// photographs,
-    /// their total and a name before each one; `false` stops. `say` gets sentences for the user.
+    /// photographs, their total and a name before each one; `false` stops. `say` gets sentences for the user.
     ///
     /// # Errors
     /// The first photograph that cannot be read, graded or written. Those before it stay, and the same call

@@ -1,10 +1,9 @@
 //! The record of finished photographs, in the folder of the results.
 //!
 //! One line of JSON for each photograph, written when its file is complete: the file's size and time, those
-//! of
-//! the original, and what the table shows. A line that was cut off by a kill is ignored, and that photograph
-//! is
-//! made again. The first line names the settings, because photographs with other settings are other results.
+//! of the original, and what the table shows. A line that was cut off by a kill is ignored, and that
+//! photograph is made again. The first line names the settings, because photographs with other settings are
+//! other results.
 
 use std::collections::BTreeMap;
 use std::fs::OpenOptions;

@@ -27,8 +27,7 @@ use crate::photographs::appearance::Appearance;
 #[serde(deny_unknown_fields, default)]
 pub(super) struct Params {
     /// Share of each photograph's own exposure, white balance and light that stays, 0 (the light of the
-    /// scene)
-    /// to 1.
+    /// scene) to 1.
     pub(super) keep_light: f32,
 }
 
