@@ -15,21 +15,10 @@ pub(crate) fn mean(plane: &mut [f32], width: usize, radius: usize) {
         return;
     }
     let height = plane.len() / width;
-    let mut line = vec![0.0f32; width];
-    for row in plane.chunks_exact_mut(width) {
-        line.copy_from_slice(row);
-        let mut sum: f64 = line.iter().take(radius).map(|v| f64::from(*v)).sum();
-        for (x, v) in row.iter_mut().enumerate() {
-            if let Some(next) = line.get(x + radius) {
-                sum += f64::from(*next);
-            }
-            if x > radius {
-                sum -= f64::from(line[x - radius - 1]);
-            }
-            let count = (x + radius + 1).min(width) - x.saturating_sub(radius);
-            *v = (sum / count as f64) as f32;
-        }
-    }
+    // Sums of four rows at once do not wait for each other.
+    let mut rows = plane.chunks_exact_mut(4 * width);
+    rows.by_ref().for_each(|rows| along_rows::<4>(rows, width, radius));
+    rows.into_remainder().chunks_exact_mut(width).for_each(|row| along_rows::<1>(row, width, radius));
     let source = plane.to_vec();
     let row = |y: usize| &source[y * width..(y + 1) * width];
     let mut sums = vec![0.0f64; width];
@@ -49,112 +38,137 @@ pub(crate) fn mean(plane: &mut [f32], width: usize, radius: usize) {
     }
 }
 
+/// Means along `N` rows.
+#[inline(always)]
+fn along_rows<const N: usize>(rows: &mut [f32], width: usize, radius: usize) {
+    let source = rows.to_vec();
+    let column = |x: usize| -> [f64; N] { std::array::from_fn(|k| f64::from(source[k * width + x])) };
+    let mut sums = [0.0f64; N];
+    let add = |sums: &mut [f64; N], x: usize| sums.iter_mut().zip(column(x)).for_each(|(s, v)| *s += v);
+    (0..radius.min(width)).for_each(|x| add(&mut sums, x));
+    for x in 0..width {
+        if x + radius < width {
+            add(&mut sums, x + radius);
+        }
+        if x > radius {
+            sums.iter_mut().zip(column(x - radius - 1)).for_each(|(s, v)| *s -= v);
+        }
+        let count = (x + radius + 1).min(width) - x.saturating_sub(radius);
+        let share = 1.0 / count as f64;
+        (0..N).for_each(|k| rows[k * width + x] = (sums[k] * share) as f32);
+    }
+}
+
 /// [`mean`] of every plane of `data`.
 pub(crate) fn means(data: &mut [f32], width: usize, height: usize, radius: usize) {
     data.par_chunks_mut((width * height).max(1)).for_each(|plane| mean(plane, width, radius));
 }
 
-/// An affine map of three values to three values for every pixel: planes `3 i + j` are the slopes `A_ij`,
-/// planes `9 + i` are the constants `b_i`.
-pub(crate) const AFFINE: usize = 12;
-
 /// The guided filter with a colour guide (K. He, J. Sun and X. Tang, "Guided Image Filtering", IEEE TPAMI
-/// 35(6), 2013), with weights: in every window the affine map `q ≈ A I + b` of least squares
+/// 35(6), 2013), with weights: in every window the affine map `q ≈ a · I + b` of least squares
 ///
 /// ```text
-/// Σ w |A I + b − q|² + ε Σ w |A − A₀|²,     A₀ = prior · identity
+/// Σ w (a · I + b − q)² + ε Σ w |a|²
 /// ```
 ///
-/// and then the means of `A` and `b` over the windows of a pixel. `guide` (I) and `values` (q) have three
-/// planes each, `weights` (w) one plane, ≥ 0. Returns the [`AFFINE`] planes. Where all weights of a window
-/// are 0, `A = A₀` and `b = 0`.
-pub(crate) fn guided(
-    (width, height): (usize, usize),
-    guide: [&[f32]; 3],
-    values: [&[f32]; 3],
-    weights: &[f32],
-    (radius, epsilon, prior): (usize, f32, f32),
-) -> Vec<f32> {
-    let n = width * height;
-    // Weight, w I, w q, w I I (six), w I q (nine).
-    let mut moments = vec![0.0f32; 22 * n];
-    moments.par_chunks_mut(n.max(1)).enumerate().for_each(|(k, plane)| {
-        let fill = |plane: &mut [f32], f: &(dyn Fn(usize) -> f32 + Sync)| {
-            plane.iter_mut().enumerate().for_each(|(p, v)| *v = weights[p] * f(p));
-        };
-        match k {
-            0 => plane.copy_from_slice(weights),
-            1..=3 => fill(plane, &|p| guide[k - 1][p]),
-            4..=6 => fill(plane, &|p| values[k - 4][p]),
-            7..=12 => {
-                let (i, j) = PAIRS[k - 7];
-                fill(plane, &|p| guide[i][p] * guide[j][p]);
-            }
-            _ => {
-                let (i, j) = ((k - 13) / 3, (k - 13) % 3);
-                fill(plane, &|p| values[i][p] * guide[j][p]);
-            }
-        }
-        mean(plane, width, radius);
-    });
-    let mut out = vec![0.0f32; AFFINE * n];
-    let rows = rows_of(&mut out, width, n);
-    rows.into_par_iter().enumerate().for_each(|(y, mut planes)| {
-        for x in 0..width {
-            let at = |k: usize| moments[k * n + y * width + x];
-            let map = fit(&at, epsilon, prior);
-            planes.iter_mut().zip(map).for_each(|(plane, v)| plane[x] = v);
-        }
-    });
-    means(&mut out, width, height, radius);
-    out
+/// then the means of `a` and `b` over the windows of a pixel, and `a · I + b` there. Where all weights of a
+/// window are 0, `a = 0` and `b = 0`. What depends on the guide alone is computed once.
+pub(crate) struct Guide<'a> {
+    guide: [&'a [f32]; 3],
+    weights: &'a [f32],
+    size: (usize, usize),
+    radius: usize,
+    /// Means of `w`, then weighted means of the guide: four planes.
+    means: Vec<f32>,
+    /// The inverse of the guide's covariance plus `ε`: six planes, as [`PAIRS`].
+    inverse: Vec<f32>,
 }
 
 /// The entries of a symmetric matrix: of rows and columns (0,0), (0,1), (0,2), (1,1), (1,2), (2,2).
 const PAIRS: [(usize, usize); 6] = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)];
+/// The least weight of a window that has a map.
+const LEAST: f32 = 1e-9;
 
-/// Splits planes into rows: item `y` holds row `y` of every plane.
-pub(crate) fn rows_of(data: &mut [f32], width: usize, pixels: usize) -> Vec<Vec<&mut [f32]>> {
-    let mut rows: Vec<Vec<&mut [f32]>> = Vec::new();
-    for plane in data.chunks_exact_mut(pixels.max(1)) {
-        for (y, row) in plane.chunks_exact_mut(width.max(1)).enumerate() {
-            match rows.get_mut(y) {
-                Some(list) => list.push(row),
-                None => rows.push(vec![row]),
+impl<'a> Guide<'a> {
+    /// A guide of three planes with one plane of weights, ≥ 0. `radius` in pixels; `epsilon` is `ε`.
+    pub(crate) fn new(
+        size: (usize, usize),
+        guide: [&'a [f32]; 3],
+        weights: &'a [f32],
+        (radius, epsilon): (usize, f32),
+    ) -> Self {
+        let n = size.0 * size.1;
+        let mut means = vec![0.0f32; 4 * n];
+        let mut inverse = vec![0.0f32; 6 * n];
+        let all = means.par_chunks_mut(n.max(1)).chain(inverse.par_chunks_mut(n.max(1)));
+        all.enumerate().for_each(|(k, plane)| {
+            let factor = |p: usize| match k {
+                0 => 1.0,
+                1..=3 => guide[k - 1][p],
+                _ => guide[PAIRS[k - 4].0][p] * guide[PAIRS[k - 4].1][p],
+            };
+            plane.iter_mut().enumerate().for_each(|(p, v)| *v = weights[p] * factor(p));
+            mean(plane, size.0, radius);
+        });
+        for p in 0..n {
+            let weight = f64::from(means[p].max(LEAST));
+            let centre: [f64; 3] = std::array::from_fn(|k| f64::from(means[(1 + k) * n + p]) / weight);
+            let mut c = [[0.0f64; 3]; 3];
+            for (k, (i, j)) in PAIRS.into_iter().enumerate() {
+                let v = f64::from(inverse[k * n + p]) / weight - centre[i] * centre[j];
+                (c[i][j], c[j][i]) = (v, v);
             }
+            (0..3).for_each(|i| c[i][i] = c[i][i].max(0.0) + f64::from(epsilon));
+            let c = symmetric_inverse(&c);
+            PAIRS.into_iter().enumerate().for_each(|(k, (i, j))| inverse[k * n + p] = c[i][j] as f32);
+            (0..3).for_each(|k| means[(1 + k) * n + p] = centre[k] as f32);
+        }
+        Self { guide, weights, size, radius, means, inverse }
+    }
+
+    /// The filter on one plane, in place.
+    pub(crate) fn smooth(&self, values: &mut [f32]) {
+        let n = values.len();
+        let mut map = vec![0.0f32; 4 * n];
+        for (j, plane) in map.chunks_exact_mut(n.max(1)).enumerate() {
+            let weighted = |p: usize| self.weights[p] * values[p];
+            match j {
+                3 => plane.iter_mut().enumerate().for_each(|(p, v)| *v = weighted(p)),
+                _ => plane.iter_mut().enumerate().for_each(|(p, v)| *v = weighted(p) * self.guide[j][p]),
+            }
+            mean(plane, self.size.0, self.radius);
+        }
+        for p in 0..n {
+            let fit = self.fit(p, std::array::from_fn(|k| map[k * n + p]));
+            (0..4).for_each(|k| map[k * n + p] = fit[k]);
+        }
+        map.chunks_exact_mut(n.max(1)).for_each(|plane| mean(plane, self.size.0, self.radius));
+        for (p, value) in values.iter_mut().enumerate() {
+            let sum: f32 = (0..3).map(|j| map[j * n + p] * self.guide[j][p]).sum();
+            *value = sum + map[3 * n + p];
         }
     }
-    rows
-}
 
-/// The affine map of one window from its means: see [`guided`].
-fn fit(at: &impl Fn(usize) -> f32, epsilon: f32, prior: f32) -> [f32; AFFINE] {
-    let mut map = [0.0; AFFINE];
-    (0..3).for_each(|i| map[4 * i] = prior);
-    let weight = at(0);
-    if weight < 1e-9 {
-        return map;
+    /// `a` and `b` of the window of pixel `p`, from the means of `w q I` and `w q`.
+    #[inline(always)]
+    fn fit(&self, p: usize, moments: [f32; 4]) -> [f32; 4] {
+        let n = self.weights.len();
+        let weight = self.means[p];
+        if weight < LEAST {
+            return [0.0; 4];
+        }
+        let [x, y, z, q] = moments.map(|v| f64::from(v) / f64::from(weight));
+        let centre: [f64; 3] = std::array::from_fn(|j| f64::from(self.means[(1 + j) * n + p]));
+        let k = [x - q * centre[0], y - q * centre[1], z - q * centre[2]];
+        let c: [f64; 6] = std::array::from_fn(|e| f64::from(self.inverse[e * n + p]));
+        let a = [
+            c[0] * k[0] + c[1] * k[1] + c[2] * k[2],
+            c[1] * k[0] + c[3] * k[1] + c[4] * k[2],
+            c[2] * k[0] + c[4] * k[1] + c[5] * k[2],
+        ];
+        let b = q - a[0] * centre[0] - a[1] * centre[1] - a[2] * centre[2];
+        [a[0] as f32, a[1] as f32, a[2] as f32, b as f32]
     }
-    let w = f64::from(weight);
-    let mean_i: [f64; 3] = std::array::from_fn(|j| f64::from(at(1 + j)) / w);
-    let mean_q: [f64; 3] = std::array::from_fn(|i| f64::from(at(4 + i)) / w);
-    let mut c = [[0.0f64; 3]; 3];
-    for (k, (i, j)) in PAIRS.into_iter().enumerate() {
-        let v = f64::from(at(7 + k)) / w - mean_i[i] * mean_i[j];
-        (c[i][j], c[j][i]) = (v, v);
-    }
-    (0..3).for_each(|i| c[i][i] = c[i][i].max(0.0) + f64::from(epsilon));
-    let inverse = symmetric_inverse(&c);
-    for i in 0..3 {
-        let k: [f64; 3] = std::array::from_fn(|j| {
-            let own = if i == j { f64::from(epsilon * prior) } else { 0.0 };
-            f64::from(at(13 + 3 * i + j)) / w - mean_q[i] * mean_i[j] + own
-        });
-        let row: [f64; 3] = std::array::from_fn(|j| (0..3).map(|l| k[l] * inverse[l][j]).sum());
-        (0..3).for_each(|j| map[3 * i + j] = row[j] as f32);
-        map[9 + i] = (mean_q[i] - (0..3).map(|j| row[j] * mean_i[j]).sum::<f64>()) as f32;
-    }
-    map
 }
 
 /// The inverse of a symmetric positive definite matrix.
@@ -202,33 +216,28 @@ mod tests {
     }
 
     #[test]
-    fn an_affine_map_is_found_and_the_prior_stands_where_nothing_is_known() {
+    fn an_affine_map_of_the_guide_is_found_and_nothing_stands_where_nothing_weighs() {
         let (w, h) = (24, 20);
         let n = w * h;
         let guide: Vec<Vec<f32>> = (0..3).map(|k| noise(n, 10 + k)).collect();
-        let a = [[0.9, 0.2, -0.1], [0.0, 1.1, 0.3], [-0.2, 0.1, 0.7]];
-        let b = [0.05, -0.02, 0.1];
-        let values: Vec<Vec<f32>> = (0..3)
-            .map(|i| (0..n).map(|p| b[i] + (0..3).map(|j| a[i][j] * guide[j][p]).sum::<f32>()).collect())
-            .collect();
-        let planes = |v: &'_ [Vec<f32>]| -> [Vec<f32>; 3] { [v[0].clone(), v[1].clone(), v[2].clone()] };
-        let (g, q) = (planes(&guide), planes(&values));
-        let weights: Vec<f32> = noise(n, 30);
-        let map = guided((w, h), [&g[0], &g[1], &g[2]], [&q[0], &q[1], &q[2]], &weights, (4, 1e-9, 1.0));
-        for p in 0..n {
-            for i in 0..3 {
-                for j in 0..3 {
-                    assert!((map[(3 * i + j) * n + p] - a[i][j]).abs() < 1e-3);
-                }
-                assert!((map[(9 + i) * n + p] - b[i]).abs() < 1e-3);
-            }
-        }
+        let guide = [&guide[0][..], &guide[1], &guide[2]];
+        let (a, b) = ([0.9, 0.2, -0.1], 0.05);
+        let values: Vec<f32> = (0..n).map(|p| b + (0..3).map(|j| a[j] * guide[j][p]).sum::<f32>()).collect();
+        let weights = noise(n, 30);
+        let mut found = values.clone();
+        Guide::new((w, h), guide, &weights, (4, 1e-9)).smooth(&mut found);
+        assert!(found.iter().zip(&values).all(|(f, v)| (f - v).abs() < 1e-3));
+        // A strong ridge leaves the mean over windows of windows.
+        let mut flat = values.clone();
+        let one = vec![1.0; n];
+        Guide::new((w, h), guide, &one, (4, 1e6)).smooth(&mut flat);
+        let mut twice = values.clone();
+        (0..2).for_each(|_| mean(&mut twice, w, 4));
+        assert!(flat.iter().zip(&twice).all(|(f, v)| (f - v).abs() < 1e-4));
         let none = vec![0.0; n];
-        let map = guided((w, h), [&g[0], &g[1], &g[2]], [&q[0], &q[1], &q[2]], &none, (4, 1e-3, 0.5));
-        for p in 0..n {
-            let at: Vec<f32> = (0..AFFINE).map(|k| map[k * n + p]).collect();
-            assert_eq!(at, [0.5, 0.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0]);
-        }
+        let mut nothing = values.clone();
+        Guide::new((w, h), guide, &none, (4, 1e-3)).smooth(&mut nothing);
+        assert!(nothing.iter().all(|v| *v == 0.0));
     }
 
     #[test]

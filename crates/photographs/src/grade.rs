@@ -33,13 +33,14 @@
 //! A second form was measured and gained nothing: detail from a 2D enhancer's picture of the photograph,
 //! carried to the scene's light by a smooth factor (docs/science/results.md, "Photographs").
 
+use rayon::prelude::*;
 use use3d_capture::{Image, Map};
 use use3d_render::Response;
 
-use crate::boxes::{AFFINE, guided, means, symmetric_inverse};
+use crate::boxes::{Guide, means, symmetric_inverse};
 use crate::highlights::lowering;
 use crate::known::{known, radius};
-use crate::map::ColourMap;
+use crate::map::{AFFINE, ColourMap};
 use crate::quiet::quiet;
 use crate::structure::Structure;
 
@@ -263,23 +264,14 @@ fn through_scene(seen: &Seen<'_>, basis: Basis<'_>, keep: f32) -> ColourMap {
     ColourMap { width: w, height: h, first, quiet: None }
 }
 
-/// Smooths the factors with the photograph as guide, three planes at a time.
+/// Smooths the factors with the photograph as guide.
 fn smooth(first: &mut [f32], seen: &Seen<'_>, known: &[f32]) {
     let (w, h, n) = (seen.photograph.width(), seen.photograph.height(), seen.photograph.pixels());
-    let guide = seen.photograph.planes();
     let weights: Vec<f32> = (0..n)
         .map(|p| (known[p] + 1e-3) * robust(apart(seen.photograph, seen.render, p), STRANGER))
         .collect();
-    for planes in first.chunks_exact_mut(3 * n.max(1)) {
-        let values = [&planes[..n], &planes[n..2 * n], &planes[2 * n..]];
-        let map = guided((w, h), guide, values, &weights, (radius(w, SMOOTH.0, 1), SMOOTH.1, 0.0));
-        for p in 0..n {
-            for i in 0..3 {
-                let sum: f32 = (0..3).map(|j| map[(3 * i + j) * n + p] * guide[j][p]).sum();
-                planes[i * n + p] = sum + map[(9 + i) * n + p];
-            }
-        }
-    }
+    let guide = Guide::new((w, h), seen.photograph.planes(), &weights, (radius(w, SMOOTH.0, 1), SMOOTH.1));
+    first.par_chunks_exact_mut(n.max(1)).for_each(|plane| guide.smooth(plane));
 }
 
 #[cfg(test)]

@@ -132,29 +132,36 @@ impl Grid {
         self.field.as_ref()
     }
 
-    /// The pixels of the grid from a picture of its camera.
+    /// The pixels of the grid from a picture of its camera, which may be smaller than the camera's own.
     pub fn read<const C: usize>(&self, drawn: &Raster<f32, C>) -> Raster<f32, C> {
-        let Some(table) = &self.table else { return drawn.clone() };
         let (w, h) = (drawn.width(), drawn.height());
+        let k = &self.camera.intrinsics;
+        if self.table.is_none() && (w, h) == self.size {
+            return drawn.clone();
+        }
         let mut out = Raster::<f32, C>::new(self.size.0, self.size.1);
-        if w == 0 || h == 0 {
+        if w == 0 || h == 0 || out.pixels() == 0 {
             return out;
         }
-        let n = table.len().max(1);
-        for (plane, out) in drawn.planes().into_iter().zip(out.data_mut().chunks_exact_mut(n)) {
-            for (v, [x, y]) in out.iter_mut().zip(table) {
-                let along = |at: f32, side: usize| {
-                    let at = if at.is_nan() { 0.0 } else { (at - 0.5).clamp(0.0, (side - 1) as f32) };
-                    let first = at as usize;
-                    (first, (first + 1).min(side - 1), at - first as f32)
-                };
-                let ((x0, x1, fx), (y0, y1, fy)) = (along(*x, w), along(*y, h));
+        let (across, down) = (w as f32 / k.width as f32, h as f32 / k.height as f32);
+        let along = |at: f32, side: usize| {
+            let at = if at.is_nan() { 0.0 } else { (at - 0.5).clamp(0.0, (side - 1) as f32) };
+            let first = at as usize;
+            (first, (first + 1).min(side - 1), at - first as f32)
+        };
+        let n = out.pixels();
+        let place = |i: usize| match &self.table {
+            Some(table) => table[i],
+            None => [(i % self.size.0) as f32 + 0.5, (i / self.size.0) as f32 + 0.5],
+        };
+        for i in 0..n {
+            let [x, y] = place(i);
+            let ((x0, x1, fx), (y0, y1, fy)) = (along(x * across, w), along(y * down, h));
+            for (plane, out) in drawn.planes().into_iter().zip(out.data_mut().chunks_exact_mut(n)) {
                 let at = |x: usize, y: usize| plane[y * w + x];
-                let (top, bottom) = (
-                    at(x0, y0) + fx * (at(x1, y0) - at(x0, y0)),
-                    at(x0, y1) + fx * (at(x1, y1) - at(x0, y1)),
-                );
-                *v = top + fy * (bottom - top);
+                let top = at(x0, y0) + fx * (at(x1, y0) - at(x0, y0));
+                let bottom = at(x0, y1) + fx * (at(x1, y1) - at(x0, y1));
+                out[i] = top + fy * (bottom - top);
             }
         }
         out
@@ -216,6 +223,14 @@ mod tests {
         assert_eq!((grid.camera.intrinsics.width, grid.camera.intrinsics.fx), (320, 250.0));
         let map = Map::from_planes(320, 240, (0..320 * 240).map(|i| i as f32).collect()).expect("a map");
         assert_eq!(grid.read(&map), map);
+        // A picture at half the size is read between its pixels.
+        let slope = |w: usize, h: usize| (0..w * h).map(|i| ((i % w) as f32 + 0.5) / w as f32).collect();
+        let (full, half) =
+            (Map::from_planes(320, 240, slope(320, 240)), Map::from_planes(160, 120, slope(160, 120)));
+        let (full, read) = (full.expect("a map"), grid.read(&half.expect("a map")));
+        for x in 1..319 {
+            assert!((read.pixel(x, 100)[0] - full.pixel(x, 100)[0]).abs() < 1e-6);
+        }
     }
 
     #[test]

@@ -11,9 +11,10 @@
 //! where `M` (3 × 3) and `b` are per pixel of the small grid, display range. Noise is left out before
 //! ([`crate::quiet`]), and highlights then run to white ([`crate::highlights`]).
 
+use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
+use use3d_capture::Image;
 
-use crate::boxes::AFFINE;
 use crate::highlights::calm;
 use crate::quiet::Quiet;
 
@@ -30,34 +31,59 @@ pub struct ColourMap {
 
 /// A sample of a photograph's file.
 pub trait Sample: Copy + Send + Sync {
+    /// [`ColourMap::apply`] for these samples, compiled in this crate, whose build is optimised.
+    fn change(map: &ColourMap, pixels: &mut [Self], width: usize);
+    /// [`crate::shrink`] for these samples.
+    fn shrink(pixels: &[Self], width: usize, size: (usize, usize)) -> Image;
     /// Its value in display range.
     fn value(self) -> f32;
     /// The sample of a value in display range: rounded and clamped, unless samples are floats.
     fn of(value: f32) -> Self;
 }
 
+/// The methods of [`Sample`] that are more than a number.
+macro_rules! in_this_crate {
+    () => {
+        fn change(map: &ColourMap, pixels: &mut [Self], width: usize) {
+            map.change(pixels, width);
+        }
+        fn shrink(pixels: &[Self], width: usize, size: (usize, usize)) -> Image {
+            crate::small::areas(pixels, width, size)
+        }
+    };
+}
+
 impl Sample for u8 {
+    in_this_crate!();
+    #[inline(always)]
     fn value(self) -> f32 {
         f32::from(self) * (1.0 / 255.0)
     }
+    #[inline(always)]
     fn of(value: f32) -> Self {
         (value * 255.0 + 0.5) as u8 // the cast saturates
     }
 }
 
 impl Sample for u16 {
+    in_this_crate!();
+    #[inline(always)]
     fn value(self) -> f32 {
         f32::from(self) * (1.0 / 65535.0)
     }
+    #[inline(always)]
     fn of(value: f32) -> Self {
         (value * 65535.0 + 0.5) as u16
     }
 }
 
 impl Sample for f32 {
+    in_this_crate!();
+    #[inline(always)]
     fn value(self) -> f32 {
         self
     }
+    #[inline(always)]
     fn of(value: f32) -> Self {
         value
     }
@@ -82,15 +108,13 @@ fn places(large: usize, small: usize) -> Vec<Neighbours> {
     (0..large).map(place).collect()
 }
 
-/// Planes of [`Quiet`].
-const QUIET: usize = 4;
+/// An affine map of three values to three values for every pixel: planes `3 i + j` are the slopes `A_ij`,
+/// planes `9 + i` are the constants `b_i`.
+pub(crate) const AFFINE: usize = 12;
 
-/// Work buffers of a thread: rows of the factors.
-#[derive(Default)]
-struct FactorRows {
-    small: Vec<f32>,
-    large: Vec<f32>,
-}
+/// The factors of one pixel, as four columns `A_·0, A_·1, A_·2, b`; the last value of each is one of
+/// [`Quiet`]: the calm picture, then the share of the detail.
+type Factors = [[f32; 4]; 4];
 
 impl ColourMap {
     /// The size of the grid of its factors, pixels.
@@ -113,86 +137,70 @@ impl ColourMap {
         self
     }
 
-    /// All factor planes.
-    fn planes(&self) -> impl Iterator<Item = &[f32]> {
-        let n = (self.width * self.height).max(1);
-        let (base, share) = self.quiet.as_ref().map_or((&[][..], &[][..]), |q| (&q.base[..], &q.share[..]));
-        [&self.first[..], base, share].into_iter().flat_map(move |all| all.chunks_exact(n))
+    /// The factors of a row of the large picture at the pixels of the small one.
+    #[inline(always)]
+    fn row(&self, row: Neighbours, out: &mut Vec<Factors>) {
+        let (w, n) = (self.width, self.width * self.height);
+        out.resize(w, [[0.0, 0.0, 0.0, 1.0]; 4]);
+        let mut put = |plane: &[f32], column: usize, value: usize| {
+            let (a, b) = (&plane[row.first * w..][..w], &plane[row.second * w..][..w]);
+            for ((out, a), b) in out.iter_mut().zip(a).zip(b) {
+                out[column][value] = a + row.share * (b - a);
+            }
+        };
+        for i in 0..3 {
+            (0..3).for_each(|j| put(&self.first[(3 * i + j) * n..], j, i));
+            put(&self.first[(9 + i) * n..], 3, i);
+        }
+        if let Some(quiet) = &self.quiet {
+            (0..3).for_each(|c| put(&quiet.base[c * n..], c, 3));
+            put(&quiet.share, 3, 3);
+        }
     }
 
     /// Changes the colours of interleaved RGB pixels of `width` columns in place. Pixels outside the display
     /// range stay outside in a file of floats. Sums of a pixel do not depend on the threads.
     pub fn apply<T: Sample>(&self, pixels: &mut [T], width: usize) {
+        T::change(self, pixels, width);
+    }
+
+    fn change<T: Sample>(&self, pixels: &mut [T], width: usize) {
         if width == 0 || pixels.is_empty() || self.width == 0 || self.height == 0 {
             return;
         }
         let height = pixels.len() / (3 * width);
         let (columns, rows) = (places(width, self.width), places(height, self.height));
+        let level = Level::new();
         pixels.par_chunks_exact_mut(3 * width).zip(&rows).with_min_len(8).for_each_init(
-            FactorRows::default,
-            |buffers, (line, row)| {
-                self.spread(&columns, *row, buffers);
-                let own = if self.quiet.is_some() { QUIET } else { 0 };
-                let (factors, calm) = buffers.large.split_at(buffers.large.len() - own * width);
-                affine(line, factors, calm);
+            Vec::new,
+            |factors, (line, row)| {
+                dispatch!(level, _simd => {
+                    self.row(*row, factors);
+                    affine(line, factors, &columns);
+                });
             },
         );
     }
+}
 
-    /// Fills `buffers.large` with one row of every factor, plane after plane.
-    fn spread(&self, columns: &[Neighbours], row: Neighbours, buffers: &mut FactorRows) {
-        let (w, width) = (self.width, columns.len());
-        buffers.small.resize(w, 0.0);
-        let count = AFFINE + if self.quiet.is_some() { QUIET } else { 0 };
-        buffers.large.resize(count * width, 0.0);
-        for (plane, large) in self.planes().zip(buffers.large.chunks_exact_mut(width)) {
-            let (a, b) = (&plane[row.first * w..][..w], &plane[row.second * w..][..w]);
-            for ((s, a), b) in buffers.small.iter_mut().zip(a).zip(b) {
-                *s = a + row.share * (b - a);
-            }
-            for (v, at) in large.iter_mut().zip(columns) {
-                let (a, b) = (buffers.small[at.first], buffers.small[at.second]);
-                *v = a + at.share * (b - a);
-            }
+/// The map on a row of pixels. Where all detail is shown, the share is 1 and the calm picture does not count.
+#[inline(always)]
+fn affine<T: Sample>(line: &mut [T], factors: &[Factors], columns: &[Neighbours]) {
+    for (pixel, at) in line.chunks_exact_mut(3).zip(columns) {
+        let (a, b) = (&factors[at.first], &factors[at.second]);
+        let mut f = *a;
+        for (f, b) in f.as_flattened_mut().iter_mut().zip(b.as_flattened()) {
+            *f += at.share * (b - *f);
         }
-    }
-}
-
-/// Row `k` of the factors.
-fn row(factors: &[f32], width: usize, k: usize) -> &[f32] {
-    &factors[k * width..(k + 1) * width]
-}
-
-/// An affine map at pixel `x`, from rows of factors that begin at `first`.
-#[inline(always)]
-fn mapped(rows: &[&[f32]], x: usize, p: [f32; 3]) -> [f32; 3] {
-    std::array::from_fn(|i| {
-        let sum = rows[3 * i][x].mul_add(p[0], rows[9 + i][x]);
-        rows[3 * i + 2][x].mul_add(p[2], rows[3 * i + 1][x].mul_add(p[1], sum))
-    })
-}
-
-/// A pixel with the share of its detail that is shown; `calm` is empty or has the rows of [`Quiet`].
-#[inline(always)]
-fn shown<T: Sample>(pixel: &[T], calm: &[f32], x: usize, width: usize) -> [f32; 3] {
-    let p = [pixel[0].value(), pixel[1].value(), pixel[2].value()];
-    if calm.is_empty() {
-        return p;
-    }
-    let share = calm[3 * width + x];
-    std::array::from_fn(|c| {
-        let base = calm[c * width + x];
-        base + share * (p[c] - base)
-    })
-}
-
-/// The map on a row of pixels.
-fn affine<T: Sample>(line: &mut [T], factors: &[f32], quiet: &[f32]) {
-    let width = line.len() / 3;
-    let rows: Vec<&[f32]> = (0..AFFINE).map(|k| row(factors, width, k)).collect();
-    for (x, pixel) in line.chunks_exact_mut(3).enumerate() {
-        let p = shown(pixel, quiet, x, width);
-        let out = calm(mapped(&rows, x, p), p);
+        let mut p = [pixel[0].value(), pixel[1].value(), pixel[2].value()];
+        if f[3][3] != 1.0 {
+            (0..3).for_each(|c| p[c] = f[c][3] + f[3][3] * (p[c] - f[c][3]));
+        }
+        let mut out = f[3];
+        for (column, p) in f[..3].iter().zip(p) {
+            out.iter_mut().zip(column).for_each(|(out, slope)| *out = slope.mul_add(p, *out));
+        }
+        let out = calm([out[0], out[1], out[2]], p);
         (0..3).for_each(|c| pixel[c] = T::of(out[c]));
     }
 }

@@ -7,6 +7,10 @@ use crate::coverage::Coverage;
 use crate::grade::{Grade, Seen, grade};
 use crate::grid::Grid;
 
+/// Longer side of the pictures of the answer to light, pixels. They are smooth, and the photograph guides them
+/// to its edges.
+const FACTORS: usize = 480;
+
 /// A photograph that cannot be graded.
 #[derive(Debug, thiserror::Error)]
 pub enum PhotographError {
@@ -92,13 +96,15 @@ impl<'s> Photographer<'s> {
         if found != grid.size() {
             return Err(PhotographError::Size { found, expected: grid.size() });
         }
-        let (camera, lattice) = (&grid.camera, Lattice::full(&grid.camera.intrinsics));
+        let camera = &grid.camera;
         let [render, depth] = pair(self.plain.render(camera, &[Mode::Reconstruction, Mode::Depth])?);
         let (render, drawn) = (grid.read(&color(render)), scalar(depth));
         let look = grid.read(&self.look.color(camera, self.mode)?);
         let covered = self.coverage.as_ref().map(|coverage| grid.read(&coverage.of(camera, &drawn, own)));
         let coverage = times(times(covered, grid.field()), mask);
-        let mut response = self.look.response(camera, &lattice, self.mode)?;
+        let coarse = camera.no_larger_than(FACTORS);
+        let lattice = Lattice::full(&coarse.intrinsics);
+        let mut response = self.look.response(&coarse, &lattice, self.mode)?;
         response.arriving = grid.read(&response.arriving);
         response.columns = response.columns.map(|column| grid.read(&column));
         let seen = Seen {

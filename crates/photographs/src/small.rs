@@ -30,6 +30,10 @@ fn spans(large: usize, small: usize) -> Vec<Span> {
 /// The mean of interleaved RGB pixels of `width` columns over the areas of a smaller picture, display range.
 /// The same size gives the pixels themselves.
 pub fn shrink<T: Sample>(pixels: &[T], width: usize, size: (usize, usize)) -> Image {
+    T::shrink(pixels, width, size)
+}
+
+pub(crate) fn areas<T: Sample>(pixels: &[T], width: usize, size: (usize, usize)) -> Image {
     let height = if width == 0 { 0 } else { pixels.len() / (3 * width) };
     let mut out = Image::new(size.0, size.1);
     if height == 0 || size.0 == 0 || size.1 == 0 {
