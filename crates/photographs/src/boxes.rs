@@ -6,18 +6,24 @@
 //!
 //! Windows end at the edge of the image. Running sums are in f64, so a window costs the same at any radius.
 
+use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
 /// The mean over windows of radius `radius` (pixels) of one plane of `width` columns, in place. Rows are
 /// summed first, then columns.
 pub(crate) fn mean(plane: &mut [f32], width: usize, radius: usize) {
+    dispatch!(Level::new(), _simd => mean_of(plane, width, radius));
+}
+
+#[inline(always)]
+fn mean_of(plane: &mut [f32], width: usize, radius: usize) {
     if radius == 0 || width == 0 || plane.is_empty() {
         return;
     }
     let height = plane.len() / width;
-    // Sums of four rows at once do not wait for each other.
-    let mut rows = plane.chunks_exact_mut(4 * width);
-    rows.by_ref().for_each(|rows| along_rows::<4>(rows, width, radius));
+    // Sums of eight rows at once do not wait for each other.
+    let mut rows = plane.chunks_exact_mut(8 * width);
+    rows.by_ref().for_each(|rows| along_rows::<8>(rows, width, radius));
     rows.into_remainder().chunks_exact_mut(width).for_each(|row| along_rows::<1>(row, width, radius));
     let source = plane.to_vec();
     let row = |y: usize| &source[y * width..(y + 1) * width];
@@ -41,8 +47,12 @@ pub(crate) fn mean(plane: &mut [f32], width: usize, radius: usize) {
 /// Means along `N` rows.
 #[inline(always)]
 fn along_rows<const N: usize>(rows: &mut [f32], width: usize, radius: usize) {
-    let source = rows.to_vec();
-    let column = |x: usize| -> [f64; N] { std::array::from_fn(|k| f64::from(source[k * width + x])) };
+    // Rows side by side: the values of a column follow each other.
+    let mut source = vec![[0.0f32; N]; width];
+    for (k, row) in rows.chunks_exact(width).enumerate() {
+        source.iter_mut().zip(row).for_each(|(column, v)| column[k] = *v);
+    }
+    let column = |x: usize| source[x].map(f64::from);
     let mut sums = [0.0f64; N];
     let add = |sums: &mut [f64; N], x: usize| sums.iter_mut().zip(column(x)).for_each(|(s, v)| *s += v);
     (0..radius.min(width)).for_each(|x| add(&mut sums, x));
@@ -128,6 +138,11 @@ impl<'a> Guide<'a> {
 
     /// The filter on one plane, in place.
     pub(crate) fn smooth(&self, values: &mut [f32]) {
+        dispatch!(Level::new(), _simd => self.smooth_plane(values));
+    }
+
+    #[inline(always)]
+    fn smooth_plane(&self, values: &mut [f32]) {
         let n = values.len();
         let mut map = vec![0.0f32; 4 * n];
         for (j, plane) in map.chunks_exact_mut(n.max(1)).enumerate() {
@@ -136,13 +151,13 @@ impl<'a> Guide<'a> {
                 3 => plane.iter_mut().enumerate().for_each(|(p, v)| *v = weighted(p)),
                 _ => plane.iter_mut().enumerate().for_each(|(p, v)| *v = weighted(p) * self.guide[j][p]),
             }
-            mean(plane, self.size.0, self.radius);
+            mean_of(plane, self.size.0, self.radius);
         }
         for p in 0..n {
             let fit = self.fit(p, std::array::from_fn(|k| map[k * n + p]));
             (0..4).for_each(|k| map[k * n + p] = fit[k]);
         }
-        map.chunks_exact_mut(n.max(1)).for_each(|plane| mean(plane, self.size.0, self.radius));
+        map.chunks_exact_mut(n.max(1)).for_each(|plane| mean_of(plane, self.size.0, self.radius));
         for (p, value) in values.iter_mut().enumerate() {
             let sum: f32 = (0..3).map(|j| map[j * n + p] * self.guide[j][p]).sum();
             *value = sum + map[3 * n + p];
@@ -235,7 +250,7 @@ mod tests {
         (0..2).for_each(|_| mean(&mut twice, w, 4));
         assert!(flat.iter().zip(&twice).all(|(f, v)| (f - v).abs() < 1e-4));
         let none = vec![0.0; n];
-        let mut nothing = values.clone();
+        let mut nothing = values;
         Guide::new((w, h), guide, &none, (4, 1e-3)).smooth(&mut nothing);
         assert!(nothing.iter().all(|v| *v == 0.0));
     }

@@ -32,7 +32,7 @@ pub use table::{TABLE, write_table};
 pub const SOFTWARE: &str = concat!("3D-USE ", env!("CARGO_PKG_VERSION"));
 
 /// Longer side of the small grid, pixels. Factors are smooth, so a larger grid shows nothing more.
-pub const SIDE: usize = 960;
+pub const SIDE: usize = 640;
 
 /// Below this share of knowledge a pixel counts as unknown.
 const UNKNOWN: f32 = 0.5;
