@@ -8,7 +8,7 @@
 //! `v = k / (1 + (|Δ| / 0.15)²)`, where `k` is how well the scene knows a pixel (`known.rs`),
 //!
 //! ```text
-//! L = blur(v Δ) / blur(v),      blur: two box means of radius 4 % of the width
+//! L = blur(v Δ) / blur(v),      blur: two box means of radius 0.7 % of the width, at least 4 pixels
 //! ```
 //!
 //! A share `κ` (`keep_light`) of it stays. Fish and divers differ much, so they weigh little and keep their
@@ -27,8 +27,13 @@
 //! of the water by the scene's own distances.
 //!
 //! **Where the scene knows nothing it has no say.** There the view's own map counts, the affine map of least
-//! squares `E ≈ V R + v` over the known pixels; it keeps the light of the shot. Both are mixed by `k`, which
-//! is smooth, so there is no seam.
+//! squares `E ≈ V R + v` over the known pixels, without the mean light of the shot,
+//!
+//! ```text
+//! P⁺ = V (P − (1 − κ) L̄) + v,       L̄ = Σ k L / Σ (k + [`FEW`])
+//! ```
+//!
+//! Both are mixed by `k`, which is smooth, so there is no seam.
 //!
 //! A second form was measured and gained nothing: detail from a 2D enhancer's picture of the photograph,
 //! carried to the scene's light by a smooth factor (docs/science/results.md, "Photographs").
@@ -45,7 +50,9 @@ use crate::quiet::quiet;
 use crate::structure::Structure;
 
 /// Scale of the light of a shot, as a share of the width.
-const LIGHT: f64 = 0.04;
+const LIGHT: f64 = 0.007;
+/// Share of known pixels at which half of the mean light of a shot is believed.
+const FEW: f32 = 0.02;
 /// Sum over the channels of the difference at which a pixel counts half for the light of a shot.
 const OBJECT: f32 = 0.15;
 /// The same for the smooth factors.
@@ -122,8 +129,12 @@ pub fn grade(seen: &Seen<'_>, keep_light: f32) -> Grade {
     let (w, h) = (photograph.width(), photograph.height());
     let structure = Structure::of(photograph, seen.render);
     let known = known(photograph, seen.render, &structure, seen.coverage);
-    let rows = own_map(seen.render, seen.look, &known);
+    let mut rows = own_map(seen.render, seen.look, &known);
     let light = light(photograph, seen.render, &known);
+    let mean = mean_light(&light, &known);
+    for row in &mut rows {
+        row[3] -= (1.0 - keep_light) * (0..3).map(|j| row[j] * mean[j]).sum::<f32>();
+    }
     let basis = (&known[..], &rows, &light[..]);
     let mut map = through_scene(seen, basis, keep_light);
     let own = ViewMap { rows };
@@ -171,7 +182,7 @@ fn light(photograph: &Image, render: &Image, known: &[f32]) -> Vec<f32> {
             sums[c * n + i] = weight * (photograph.data()[c * n + i] - render.data()[c * n + i]);
         }
     }
-    let r = radius(w, LIGHT, 1);
+    let r = radius(w, LIGHT, 4);
     means(&mut sums, w, h, r);
     means(&mut sums, w, h, r);
     let (light, weights) = sums.split_at_mut(3 * n);
@@ -179,6 +190,17 @@ fn light(photograph: &Image, render: &Image, known: &[f32]) -> Vec<f32> {
         plane.iter_mut().zip(weights.iter()).for_each(|(v, weight)| *v /= weight.max(1e-9));
     }
     light.to_vec()
+}
+
+/// The mean light of the shot over the known pixels; it fades where hardly any is known.
+fn mean_light(light: &[f32], known: &[f32]) -> [f32; 3] {
+    let n = known.len();
+    let weight: f64 = known.iter().map(|k| f64::from(*k)).sum::<f64>() + f64::from(FEW) * n as f64;
+    std::array::from_fn(|c| {
+        let plane = &light[c * n..(c + 1) * n];
+        let sum: f64 = plane.iter().zip(known).map(|(l, k)| f64::from(*l) * f64::from(*k)).sum();
+        (sum / weight.max(1e-9)) as f32
+    })
 }
 
 /// The view's own map: the affine map of least squares from render to look over the known pixels, with a

@@ -18,7 +18,9 @@
 //! m' = l m,           m'' = m' + s' (max m' − m'),     s' = min([`WHITE`], [`BLEACH`] (1 − l))
 //! ```
 //!
-//! and `m'' − m` is added to the changed photograph: detail keeps its size.
+//! and `p (m'' − m)` is added to the changed photograph: detail keeps its size. `p` rises from 0 to 1 while the
+//! brightest channel of the pixel rises from [`DARK`] to [`BRIGHT`] of `e`: dark things beside a bright one
+//! are no part of its place.
 //!
 //! A pixel that was not lifted stays as it is, to the bit, and so does one of a float file that was above 1
 //! before. All values are in display range.
@@ -34,6 +36,10 @@ const PLACE: f32 = 0.72;
 const SPREAD: f32 = 1.5;
 /// Share of white of a lowered place, per share that it is lowered.
 const BLEACH: f32 = 2.5;
+/// Brightness over that of its place below which a pixel is no part of it, and above which it is one.
+const DARK: f32 = 0.4;
+/// See [`DARK`].
+const BRIGHT: f32 = 0.75;
 /// Radius of the windows of places, as a share of the width.
 const WINDOW: f64 = 0.012;
 /// Display value above which lifted pixels are compressed.
@@ -58,8 +64,9 @@ pub(crate) fn lowering(changed: Vec<f32>, before: &[f32], size: (usize, usize)) 
     let middle = smooth(tops.clone());
     let spread = smooth(tops.iter().zip(&middle).map(|(u, m)| (u - m) * (u - m)).collect());
     let room = 1.0 - PLACE;
+    let brightness = |i: usize| middle[i] + SPREAD * spread[i].max(0.0).sqrt();
     let factor = |i: usize| {
-        let e = middle[i] + SPREAD * spread[i].max(0.0).sqrt();
+        let e = brightness(i);
         if e <= PLACE {
             return 1.0;
         }
@@ -74,7 +81,10 @@ pub(crate) fn lowering(changed: Vec<f32>, before: &[f32], size: (usize, usize)) 
         let lowered = place.map(|v| factor * v);
         let white = lowered[0].max(lowered[1]).max(lowered[2]);
         let share = (BLEACH * (1.0 - factor)).clamp(0.0, WHITE);
-        (0..3).for_each(|c| shift[c * n + i] = lowered[c] + share * (white - lowered[c]) - place[c]);
+        let part = ((tops[i] / brightness(i).max(1e-3) - DARK) / (BRIGHT - DARK)).clamp(0.0, 1.0);
+        (0..3).for_each(|c| {
+            shift[c * n + i] = part * (lowered[c] + share * (white - lowered[c]) - place[c]);
+        });
     }
     shift
 }
