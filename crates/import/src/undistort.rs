@@ -140,6 +140,18 @@ pub(crate) fn choose_pinhole(lens: &Lens, width: usize, height: usize) -> Result
     Ok(Intrinsics { width: out_w as usize, height: out_h as usize, fx, fy, cx: out_cx, cy: out_cy })
 }
 
+/// The pinhole to which photographs of `width × height` pixels taken through a lens are undistorted: the
+/// lens's own if it bends nothing.
+///
+/// # Errors
+/// A message if the lens leaves no usable field.
+pub fn pinhole_of(lens: &Lens, width: usize, height: usize) -> Result<Intrinsics, String> {
+    if is_pinhole(lens, width, height) {
+        return Ok(lens.intrinsics(width, height));
+    }
+    choose_pinhole(lens, width, height)
+}
+
 /// A lens, its images' size, and the pinhole they are resampled to.
 #[derive(Debug)]
 pub(crate) struct Undistortion {

@@ -47,6 +47,13 @@ impl Grid {
         Self { size, camera, table: None, field: None }
     }
 
+    /// The grid for files of a pinhole, with at most `side` pixels along its longer side.
+    pub fn straight(file: &Intrinsics, pose: Pose, side: usize) -> Self {
+        let (w, h) = small_size((file.width, file.height), side);
+        let (sx, sy) = (w as f64 / file.width as f64, h as f64 / file.height as f64);
+        Self::pinhole(Camera { intrinsics: file.scaled(sx, sy, w, h), pose })
+    }
+
     /// The grid for files of `file` pixels taken through `lens` (in pixels of the file), with at most `side`
     /// pixels along its longer side. `None` if no ray of the lens lies in front of the camera.
     pub fn new(lens: &Lens, file: (usize, usize), pose: Pose, side: usize) -> Option<Self> {

@@ -10,7 +10,7 @@
 //!
 //! ([`mod@grade`] has the symbols.) All factors are smooth, so they are computed on a small [`Grid`] through
 //! the photograph's own lens, and [`ColourMap::apply`] reads them between its pixels. The photograph is never
-//! resampled: names, size, lens and detail stay. Colours are display-referred, `[0, 1]`.
+//! resampled (but by [`straight()`], for programs that know no distortion): names, size, lens and detail stay. Colours are display-referred, `[0, 1]`.
 //!
 //! [`Photographer`] draws a view and grades its photograph. Limits: a developed JPEG is no albedo, and where
 //! hardly any red arrives, red is a guess; where the scene knows nothing, it has no say.
@@ -39,6 +39,7 @@ mod map;
 mod photographer;
 mod quiet;
 mod small;
+mod straight;
 mod structure;
 
 pub use coverage::Coverage;
@@ -47,3 +48,4 @@ pub use grid::{Grid, small_size};
 pub use map::{ColourMap, Sample};
 pub use photographer::{Graded, PhotographError, Photographer};
 pub use small::shrink;
+pub use straight::straight;

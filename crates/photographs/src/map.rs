@@ -13,7 +13,8 @@
 
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
-use use3d_capture::Image;
+use use3d_capture::{Image, Intrinsics};
+use use3d_survey::Lens;
 
 use crate::highlights::calm;
 use crate::quiet::Quiet;
@@ -35,6 +36,13 @@ pub trait Sample: Copy + Send + Sync {
     fn change(map: &ColourMap, pixels: &mut [Self], width: usize);
     /// [`crate::shrink`] for these samples.
     fn shrink(pixels: &[Self], width: usize, size: (usize, usize)) -> Image;
+    /// [`crate::straight`] for these samples.
+    fn straight(
+        pixels: (&[Self], usize),
+        size: (usize, usize),
+        lens: &Lens,
+        pinhole: &Intrinsics,
+    ) -> Vec<Self>;
     /// Its value in display range.
     fn value(self) -> f32;
     /// The sample of a value in display range: rounded and clamped, unless samples are floats.
@@ -49,6 +57,14 @@ macro_rules! in_this_crate {
         }
         fn shrink(pixels: &[Self], width: usize, size: (usize, usize)) -> Image {
             crate::small::areas(pixels, width, size)
+        }
+        fn straight(
+            pixels: (&[Self], usize),
+            size: (usize, usize),
+            lens: &Lens,
+            pinhole: &Intrinsics,
+        ) -> Vec<Self> {
+            crate::straight::read(pixels, size, lens, pinhole)
         }
     };
 }

@@ -1,6 +1,6 @@
 //! The arguments of `photographs`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 
@@ -58,6 +58,10 @@ pub(crate) struct PhotographsArgs {
     /// The names of the files.
     #[arg(long, value_enum, default_value_t)]
     pub(crate) layout: PhotographLayout,
+    /// Resample the photographs to pinhole cameras, for programs that know no distortion. Those without a
+    /// camera are left out.
+    #[arg(long)]
+    pub(crate) undistorted: bool,
     /// Also write a mask for each photograph, black where the scene does not know it, into this folder.
     #[arg(long, value_name = "DIR2")]
     pub(crate) unknown: Option<PathBuf>,
@@ -65,4 +69,25 @@ pub(crate) struct PhotographsArgs {
     pub(crate) engine: EngineArgs,
     #[command(flatten)]
     pub(crate) replace: Replace,
+}
+
+impl PhotographsArgs {
+    /// The arguments for all photographs of a scene as the program shows them by itself.
+    pub(crate) fn of(scene: &Path, out: PathBuf) -> Self {
+        Self {
+            scene: scene.to_path_buf(),
+            out,
+            images: None,
+            look: None,
+            keep_light: 0.0,
+            strength: 1.0,
+            water: 1.0,
+            white: WhiteArgs::default(),
+            layout: PhotographLayout::Same,
+            undistorted: false,
+            unknown: None,
+            engine: EngineArgs::default(),
+            replace: Replace::default(),
+        }
+    }
 }

@@ -91,6 +91,10 @@ pub(crate) struct RunArgs {
     /// files there are never replaced.
     #[arg(short, long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
+    /// Also write all photographs at full size, in the light and colours of the scene, into
+    /// RESULTS/SCENE/photographs (`use3d photographs` has more choices).
+    #[arg(long, conflicts_with_all = ["cache_only", "until"])]
+    pub(crate) photographs: bool,
     #[command(flatten)]
     pub(crate) white: WhiteArgs,
     #[command(flatten)]

@@ -6,7 +6,7 @@ use std::sync::atomic::Ordering;
 use use3d_import::Originals;
 use use3d_pipeline::Drawn;
 use use3d_pipeline::photographs::{
-    Appearance, FileLayout, PhotographWork, TABLE, Totals, WorkError, default_mode, scene_digest,
+    Appearance, FileLayout, Overwrite, PhotographWork, TABLE, Totals, WorkError, default_mode, scene_digest,
 };
 use use3d_reconstruct::EngineChoice;
 use use3d_render::Mode;
@@ -21,6 +21,9 @@ use crate::output::counted;
 use crate::verbs::found::{capture_in, scene_in};
 use crate::verbs::white;
 
+/// The folder of a run's photographs, beside its scene.
+pub(crate) const FOLDER: &str = "photographs";
+
 pub(crate) fn run(app: &App, args: &PhotographsArgs) -> Done {
     for (flag, value) in
         [("--strength", args.strength), ("--water", args.water), ("--keep-light", args.keep_light)]
@@ -31,16 +34,33 @@ pub(crate) fn run(app: &App, args: &PhotographsArgs) -> Done {
     }
     let capture = capture_in(&args.scene);
     let folder = scene_in(app, &args.scene)?;
-    let scene = Scene::load(&folder).map_err(CliError::input)?;
-    let originals = Originals::read(&folder).map_err(CliError::input)?.ok_or_else(|| {
+    let overwrite = if args.replace.force { Overwrite::All } else { Overwrite::Nothing };
+    write_all(app, args, (&folder, capture.as_deref()), overwrite)
+}
+
+/// Writes all photographs of a scene in the results of a run into `photographs` beside it.
+pub(crate) fn of_run(app: &App, scene: &Path, capture: Option<&Path>) -> Done {
+    let args = PhotographsArgs::of(scene, scene.parent().unwrap_or(scene).join(FOLDER));
+    write_all(app, &args, (scene, capture), Overwrite::Own)
+}
+
+/// Writes all photographs of the scene in `folder`, whose capture may be known.
+fn write_all(
+    app: &App,
+    args: &PhotographsArgs,
+    (folder, capture): (&Path, Option<&Path>),
+    overwrite: Overwrite,
+) -> Done {
+    let scene = Scene::load(folder).map_err(CliError::input)?;
+    let originals = Originals::read(folder).map_err(CliError::input)?.ok_or_else(|| {
         CliError::Input(format!(
             "{}: this scene does not know its photographs, because an older version made it; run it again with \
              `use3d run CAPTURE`",
-            path_text(&folder)
+            path_text(folder)
         ))
     })?;
-    let mode = mode(args.look, &scene, &folder)?;
-    let gains = white::of(app, &args.white, &folder, &scene, capture.as_deref())?;
+    let mode = mode(args.look, &scene, folder)?;
+    let gains = white::of(app, &args.white, folder, &scene, capture)?;
     let appearance = Appearance {
         mode,
         strength: args.strength,
@@ -48,10 +68,12 @@ pub(crate) fn run(app: &App, args: &PhotographsArgs) -> Done {
         gains: gains.map_or(Gains::ONE, |white| white.gains),
         keep_light: args.keep_light,
     };
-    let images = images(args, capture.as_deref(), &originals)?;
+    let images = images(args, capture, &originals)?;
     // Other photographs of the same cameras may lie elsewhere, so only the capture's own folder is searched.
-    let without_camera = match (&capture, &args.images) {
-        (Some(capture), None) => originals.without_camera(capture).map_err(CliError::input)?,
+    let without_camera = match (capture, &args.images) {
+        (Some(capture), None) if !args.undistorted => {
+            originals.without_camera(capture).map_err(CliError::input)?
+        }
         _ => Vec::new(),
     };
     let engine = args.engine.choice().unwrap_or_default();
@@ -60,7 +82,7 @@ pub(crate) fn run(app: &App, args: &PhotographsArgs) -> Done {
     if engine != EngineChoice::Cpu {
         remark!(app, "engine: {}", drawn.told);
     }
-    let scale = Scene::world(&folder).map_err(CliError::input)?.map(|world| world.metres_per_unit);
+    let scale = Scene::world(folder).map_err(CliError::input)?.map(|world| world.metres_per_unit);
     let work = PhotographWork {
         scene: &drawn,
         metres: scale,
@@ -73,13 +95,15 @@ pub(crate) fn run(app: &App, args: &PhotographsArgs) -> Done {
             PhotographLayout::Same => FileLayout::Same,
             PhotographLayout::Texture => FileLayout::Texture,
         },
+        undistorted: args.undistorted,
         unknown: args.unknown.as_deref(),
         settings: format!(
-            "{} {appearance:?} {:?}",
-            scene_digest(&folder).map_err(CliError::failed)?,
-            args.layout
+            "{} {appearance:?} {:?} {}",
+            scene_digest(folder).map_err(CliError::failed)?,
+            args.layout,
+            args.undistorted
         ),
-        force: args.replace.force,
+        overwrite,
     };
     let mut progress = |done: usize, total: usize, name: &str| {
         app.progress("photographs", done as u64, total as u64, "photographs", name);

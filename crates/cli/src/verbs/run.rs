@@ -25,6 +25,7 @@ use crate::verbs::check;
 use crate::verbs::history::{self, RunRecord};
 use crate::verbs::loaded::{Loaded, open, real};
 use crate::verbs::outcome::{self, Outcome};
+use crate::verbs::photographs;
 use crate::verbs::prepare;
 use crate::verbs::remote::of_run;
 use crate::verbs::stages::scratch;
@@ -192,7 +193,8 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
         ..of_app(app)
     };
     let white = (!choices.is_empty()).then_some((choices, pipeline.target.as_path()));
-    let given = Given { pipeline: &pipeline, scenes: &args.scene, white, plan };
+    let given =
+        Given { pipeline: &pipeline, scenes: &args.scene, white, plan, photographs: args.photographs };
     let out = (results.as_ref(), &given);
     watched(app, &args.watch, None, |app| execute(app, &loaded, &options, out, args.json))
 }
@@ -258,6 +260,8 @@ struct Given<'a> {
     white: Option<(&'a [WhiteChoice], &'a Path)>,
     /// The plan, if the progress of the whole run is shown.
     plan: Option<Plan>,
+    /// Whether all photographs are written, too.
+    photographs: bool,
 }
 
 /// The pipeline of a target. If the target is a results folder, this is the pipeline that was run into it,
@@ -286,7 +290,8 @@ pub(crate) fn again(app: &App, record: &RunRecord, results: &Path) -> Done {
         )));
     }
     let options = RunOptions { until: record.until.clone(), ..of_app(app) };
-    let given = Given { pipeline: &args, scenes: &record.scenes, white: None, plan: None };
+    let given =
+        Given { pipeline: &args, scenes: &record.scenes, white: None, plan: None, photographs: false };
     let results = Arc::new(Results::new(results, &loaded.builder.cache));
     execute(app, &loaded, &options, (Some(&results), &given), false)
 }
@@ -338,6 +343,7 @@ fn execute(
         history::keep(&out.out, record, quiet)?;
     }
     match summary.exit_code() {
+        0 if given.photographs => photographs(app, loaded, &delivered),
         0 => Ok(()),
         75 => Err(CliError::OutOfTime),
         130 => Err(CliError::Interrupted),
@@ -358,15 +364,26 @@ fn execute(
     }
 }
 
-/// Measures the white balance of every scene in the results, of the enhanced one if there are two.
-fn balance(app: &App, choices: &[WhiteChoice], capture: &Path, delivered: &[Delivered]) -> Done {
+/// The scenes in the results: the enhanced ones if there are two.
+fn scenes_of(delivered: &[Delivered]) -> impl Iterator<Item = &Delivered> {
     let scene = |what: &'static str| delivered.iter().filter(move |result| result.what == what);
-    for result in scene("enhance").chain(scene("reconstruct")) {
-        let of_this = |other: &&Delivered| (&other.scene, &other.variant) == (&result.scene, &result.variant);
-        let shown = result.what == "enhance" || !scene("enhance").any(|other| of_this(&other));
-        if shown {
-            white::keep_for(app, choices, &result.path, capture)?;
-        }
+    let enhanced = move |result: &Delivered| {
+        scene("enhance").any(|other| (&other.scene, &other.variant) == (&result.scene, &result.variant))
+    };
+    scene("enhance").chain(scene("reconstruct").filter(move |result| !enhanced(result)))
+}
+
+/// Measures the white balance of every scene in the results.
+fn balance(app: &App, choices: &[WhiteChoice], capture: &Path, delivered: &[Delivered]) -> Done {
+    scenes_of(delivered).try_for_each(|result| white::keep_for(app, choices, &result.path, capture))
+}
+
+/// Writes all photographs of every scene in the results.
+fn photographs(app: &App, loaded: &Loaded, delivered: &[Delivered]) -> Done {
+    for result in scenes_of(delivered) {
+        let scene = loaded.pipeline.batch.scenes.iter().find(|scene| scene.name == result.scene);
+        let capture = scene.and_then(|scene| scene.externals.get("capture")).and_then(|c| c.as_ref().ok());
+        photographs::of_run(app, &result.path, capture.map(PathBuf::as_path))?;
     }
     Ok(())
 }
@@ -439,7 +456,7 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
     let results = Arc::new(Results::new(&args.out, &loaded.builder.cache));
     results.check(&loaded.graph, None)?;
     let plan = (!app.quiet).then(|| loaded.builder.plan(&loaded.graph, None));
-    let given = Given { pipeline: &pipeline, scenes: &[], white: None, plan };
+    let given = Given { pipeline: &pipeline, scenes: &[], white: None, plan, photographs: false };
     execute(app, &loaded, &of_app(app), (Some(&results), &given), false)?;
     if !app.quiet {
         println!(

@@ -154,6 +154,12 @@ impl Photograph {
         Ok(Self { width, height, format, pixels, alpha, notes, orientation, tags })
     }
 
+    /// The same photograph with pixels of another size, of the same type as before.
+    #[must_use]
+    pub fn with_pixels(self, (width, height): (usize, usize), pixels: Rgb, alpha: Option<Samples>) -> Self {
+        Self { width, height, pixels, alpha, ..self }
+    }
+
     /// The orientation tag by EXIF or TIFF, 1 to 8; 1 if there is none. The pixels are not turned by it.
     pub fn orientation(&self) -> u16 {
         self.orientation

@@ -16,16 +16,16 @@ mod table;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use use3d_capture::{Camera, FileName, Image, Map};
-use use3d_import::{Original, Originals};
+use use3d_capture::{Camera, FileName, Image, Intrinsics, Map};
+use use3d_import::{Original, Originals, pinhole_of};
 use use3d_io_image::{Photograph, Samples, photograph_info, write_png_map};
-use use3d_photographs::{ColourMap, Graded, Grid, Photographer, ViewMap, shrink, small_size};
+use use3d_photographs::{ColourMap, Graded, Grid, Photographer, ViewMap, shrink, small_size, straight};
 use use3d_render::Mode;
 use use3d_scene::Scene;
 
 use crate::engines::Drawn;
 pub use appearance::Appearance;
-pub use record::{FinishedPhotograph, Record};
+pub use record::{FinishedPhotograph, Overwrite, Record};
 pub use table::{TABLE, write_table};
 
 /// The program's name in the files that it writes.
@@ -76,12 +76,14 @@ pub struct PhotographWork<'a, 's> {
     pub appearance: Appearance,
     /// The names of the results.
     pub layout: FileLayout,
+    /// True if they are resampled to pinholes, for programs that know no distortion.
+    pub undistorted: bool,
     /// A folder for masks of the unknown; white is known.
     pub unknown: Option<&'a Path>,
     /// A text that differs between settings with different results: the scene's digest and the flags.
     pub settings: String,
-    /// True if results with other settings, and files of others, may be replaced.
-    pub force: bool,
+    /// What may be replaced.
+    pub overwrite: Overwrite,
 }
 
 /// A photograph that cannot be enhanced, or a folder that cannot be written.
@@ -151,7 +153,7 @@ impl PhotographWork<'_, '_> {
             jobs.chain(self.without_camera.iter().map(PhotographJob::Mean)).collect();
         std::fs::create_dir_all(self.out)
             .map_err(|e| WorkError::Failed(format!("{}: cannot be made: {e}", self.out.display())))?;
-        let mut record = Record::open(self.out, &self.settings, self.force)?;
+        let mut record = Record::open(self.out, &self.settings, self.overwrite)?;
         let mut totals = Totals::default();
         let mut open = Vec::new();
         for job in jobs {
@@ -204,6 +206,7 @@ impl PhotographWork<'_, '_> {
                     empty.insert(made.map_err(WorkError::Failed)?)
                 }
             };
+            record.begin(job.relative())?;
             let entry = match &job {
                 PhotographJob::Posed(original, own) => {
                     self.posed(photographer, &mut grids, (original, *own), &source, &target)?
@@ -246,9 +249,14 @@ impl PhotographWork<'_, '_> {
                 file.1
             )));
         }
+        let straight = self.undistorted.then(|| pinhole_of(&original.lens, file.0, file.1)).transpose();
+        let straight = straight.map_err(|e| WorkError::Input(format!("{}: {e}", original.relative)))?;
         // Photographs of one camera share the rays of its lens.
         let key = format!("{:?} {file:?}", original.lens);
-        let grid = grids.entry(key).or_insert_with(|| Grid::new(&original.lens, file, original.pose, SIDE));
+        let grid = grids.entry(key).or_insert_with(|| match straight {
+            Some(k) => Some(Grid::straight(&k, original.pose, SIDE)),
+            None => Grid::new(&original.lens, file, original.pose, SIDE),
+        });
         let grid = grid.as_ref().map(|grid| grid.at(original.pose)).ok_or_else(|| {
             WorkError::Input(format!(
                 "{}: no ray of its lens lies in front of the camera; import the capture again",
@@ -256,6 +264,9 @@ impl PhotographWork<'_, '_> {
             ))
         })?;
         let mut photograph = Photograph::read(source).map_err(|e| WorkError::Input(e.to_string()))?;
+        if let Some(pinhole) = straight.filter(|_| !original.lens.is_pinhole()) {
+            photograph = undistorted(photograph, original, &pinhole);
+        }
         let gains = self.originals.gains.unwrap_or([1.0; 3]);
         let small = balanced(small_of(&photograph), gains);
         let graded = photographer
@@ -266,7 +277,7 @@ impl PhotographWork<'_, '_> {
         if let Some(folder) = self.unknown {
             let mask =
                 original.relative.with_extension("png").map_err(|e| WorkError::Input(e.to_string()))?;
-            let known = large(&graded.grade.known, file);
+            let known = large(&graded.grade.known, (photograph.width, photograph.height));
             write_png_map(&mask.below(folder), &known).map_err(|e| WorkError::Failed(e.to_string()))?;
         }
         self.write(&photograph, target)?;
@@ -301,7 +312,7 @@ impl PhotographWork<'_, '_> {
             self.appearance.strength,
             self.appearance.water,
             self.appearance.keep_light
-        );
+        ) + if self.undistorted { ", undistorted" } else { "" };
         photograph.write(target, SOFTWARE, &history).map_err(|e| failed(&e))
     }
 
@@ -346,6 +357,21 @@ pub fn change(photograph: &mut Photograph, map: &ColourMap) {
         Samples::Sixteen(pixels) => map.apply(pixels, photograph.width),
         Samples::Float(pixels) => map.apply(pixels, photograph.width),
     }
+}
+
+/// A photograph as a pinhole would have taken it.
+fn undistorted(photograph: Photograph, original: &Original, pinhole: &Intrinsics) -> Photograph {
+    let size = (photograph.width, photograph.height);
+    let of = |samples: &Samples, channels: usize| match samples {
+        Samples::Eight(pixels) => Samples::Eight(straight((pixels, channels), size, &original.lens, pinhole)),
+        Samples::Sixteen(pixels) => {
+            Samples::Sixteen(straight((pixels, channels), size, &original.lens, pinhole))
+        }
+        Samples::Float(pixels) => Samples::Float(straight((pixels, channels), size, &original.lens, pinhole)),
+    };
+    let pixels = of(&photograph.pixels, 3);
+    let alpha = photograph.alpha.as_ref().map(|alpha| of(alpha, 1));
+    photograph.with_pixels((pinhole.width, pinhole.height), pixels, alpha)
 }
 
 /// An image multiplied by the gains of the import's white balance.

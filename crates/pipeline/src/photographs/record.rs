@@ -2,10 +2,11 @@
 //!
 //! One line of JSON for each photograph, written when its file is complete: the file's size and time, those
 //! of the original, and what the table shows. A line that was cut off by a kill is ignored, and that
-//! photograph is made again. The first line names the settings, because photographs with other settings are
-//! other results.
+//! photograph is made again. A short line before it says that its file is being written, so that a file
+//! whose line is missing is known as the program's own. The first line names the settings, because
+//! photographs with other settings are other results.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::OpenOptions;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -27,6 +28,25 @@ const FORMAT: &str = "3d-use photographs 1";
 struct Head {
     format: String,
     settings: String,
+}
+
+/// A file that is being written, or that other settings wrote.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Begun {
+    begun: String,
+}
+
+/// What may be replaced in the folder of the results.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Overwrite {
+    /// Nothing.
+    #[default]
+    Nothing,
+    /// Photographs that this program made with other settings.
+    Own,
+    /// All files.
+    All,
 }
 
 /// Size in bytes and time of change of a file.
@@ -95,7 +115,9 @@ impl FinishedPhotograph {
 pub struct Record {
     path: PathBuf,
     entries: BTreeMap<String, FinishedPhotograph>,
-    force: bool,
+    /// Names of files that are the program's own, but no finished results.
+    begun: BTreeSet<String>,
+    overwrite: Overwrite,
 }
 
 fn stamp(path: &Path) -> Option<Stamp> {
@@ -108,8 +130,8 @@ impl Record {
     /// Opens the record of a folder for these settings.
     ///
     /// # Errors
-    /// The folder holds photographs with other settings and `force` is false, or it cannot be written.
-    pub(super) fn open(folder: &Path, settings: &str, force: bool) -> Result<Self, WorkError> {
+    /// The folder holds photographs with other settings that may not be replaced, or it cannot be written.
+    pub(super) fn open(folder: &Path, settings: &str, overwrite: Overwrite) -> Result<Self, WorkError> {
         let path = folder.join(FILE);
         let failed =
             |e: std::io::Error| WorkError::Failed(format!("{}: cannot be written: {e}", path.display()));
@@ -117,30 +139,41 @@ impl Record {
         let mut lines = text.lines();
         let head: Option<Head> = lines.next().and_then(|line| serde_json::from_str(line).ok());
         let head = head.filter(|head| head.format == FORMAT);
-        let mut entries = BTreeMap::new();
-        if head.as_ref().is_some_and(|head| head.settings == settings) {
-            for entry in lines.filter_map(|line| serde_json::from_str::<FinishedPhotograph>(line).ok()) {
+        let (mut entries, mut begun) = (BTreeMap::new(), BTreeSet::new());
+        for line in lines.filter(|_| head.is_some()) {
+            if let Ok(entry) = serde_json::from_str::<FinishedPhotograph>(line) {
                 entries.insert(entry.name.clone(), entry);
+            } else if let Ok(line) = serde_json::from_str::<Begun>(line) {
+                begun.insert(line.begun);
             }
+        }
+        if head.as_ref().is_some_and(|head| head.settings == settings) {
             // A line that was cut off must not swallow the next one.
             if !text.ends_with('\n') {
                 let file = OpenOptions::new().append(true).open(&path);
                 file.and_then(|mut file| file.write_all(b"\n")).map_err(failed)?;
             }
-            return Ok(Self { path, entries, force });
+            return Ok(Self { path, entries, begun, overwrite });
         }
-        if head.is_some() && !force {
+        if head.is_some() && overwrite == Overwrite::Nothing {
             return Err(WorkError::Input(format!(
                 "{}: this folder holds photographs that were made with other settings or by another scene; pass \
                  --force to replace them, or choose another folder",
                 folder.display()
             )));
         }
+        begun.extend(entries.into_keys());
         let head = Head { format: FORMAT.into(), settings: settings.into() };
-        let line = serde_json::to_string(&head).map_err(|e| WorkError::Failed(e.to_string()))? + "\n";
-        use3d_files::write_atomically(&path, |w| w.write_all(line.as_bytes())).map_err(failed)?;
-        // Old files of this program may be replaced, because the record said that they are its own.
-        Ok(Self { path, entries, force })
+        use3d_files::write_atomically(&path, |w| {
+            serde_json::to_writer(&mut *w, &head)?;
+            for begun in &begun {
+                w.write_all(b"\n")?;
+                serde_json::to_writer(&mut *w, &Begun { begun: begun.clone() })?;
+            }
+            w.write_all(b"\n")
+        })
+        .map_err(failed)?;
+        Ok(Self { path, entries: BTreeMap::new(), begun, overwrite })
     }
 
     /// True if a photograph is finished: neither its original nor its result changed since.
@@ -162,13 +195,32 @@ impl Record {
                 target.display()
             )));
         }
-        let own = self.entries.get(name.as_str());
-        if target.exists() && !self.force && own.and_then(|entry| entry.result) != stamp(target) {
+        let finished = self.entries.get(name.as_str()).and_then(|entry| entry.result);
+        let own = self.begun.contains(name.as_str()) || finished == stamp(target);
+        if target.exists() && self.overwrite != Overwrite::All && !own {
             return Err(WorkError::Input(format!(
                 "{}: the file exists and is not a finished result; pass --force to replace it, or choose another \
                  folder",
                 target.display()
             )));
+        }
+        Ok(())
+    }
+
+    fn append(&self, line: serde_json::Result<String>) -> Result<(), WorkError> {
+        let line = line.map_err(|e| WorkError::Failed(e.to_string()))? + "\n";
+        let file = OpenOptions::new().append(true).open(&self.path);
+        file.and_then(|mut file| file.write_all(line.as_bytes()))
+            .map_err(|e| WorkError::Failed(format!("{}: cannot be written: {e}", self.path.display())))
+    }
+
+    /// Notes that the file of a photograph is about to be written.
+    ///
+    /// # Errors
+    /// The record cannot be written.
+    pub(super) fn begin(&mut self, name: &FileName) -> Result<(), WorkError> {
+        if self.begun.insert(name.to_string()) {
+            self.append(serde_json::to_string(&Begun { begun: name.to_string() }))?;
         }
         Ok(())
     }
@@ -184,10 +236,7 @@ impl Record {
         target: &Path,
     ) -> Result<(), WorkError> {
         (entry.original, entry.result) = (stamp(source), stamp(target));
-        let line = serde_json::to_string(&entry).map_err(|e| WorkError::Failed(e.to_string()))? + "\n";
-        let file = OpenOptions::new().append(true).open(&self.path);
-        file.and_then(|mut file| file.write_all(line.as_bytes()))
-            .map_err(|e| WorkError::Failed(format!("{}: cannot be written: {e}", self.path.display())))?;
+        self.append(serde_json::to_string(&entry))?;
         self.entries.insert(entry.name.clone(), entry);
         Ok(())
     }
@@ -224,7 +273,7 @@ mod tests {
         let (source, target) = (at("original.jpg"), at("result.jpg"));
         std::fs::write(&source, "original").unwrap();
         let name = FileName::new("result.jpg").unwrap();
-        let mut record = Record::open(dir.path(), "a", false).unwrap();
+        let mut record = Record::open(dir.path(), "a", Overwrite::Nothing).unwrap();
         assert!(!record.has(&name, &source, &target));
         record.check(&name, &source, &target).unwrap();
         std::fs::write(&target, "result").unwrap();
@@ -234,15 +283,26 @@ mod tests {
         let mut text = std::fs::read_to_string(&path).unwrap();
         text.push_str("{\"name\": \"ha");
         std::fs::write(&path, &text).unwrap();
-        let mut record = Record::open(dir.path(), "a", false).unwrap();
+        let mut record = Record::open(dir.path(), "a", Overwrite::Nothing).unwrap();
         assert!(record.has(&name, &source, &target));
         record.add(entry("other.jpg"), &source, &target).unwrap();
-        let record = Record::open(dir.path(), "a", false).unwrap();
+        let record = Record::open(dir.path(), "a", Overwrite::Nothing).unwrap();
         assert_eq!(record.entries().count(), 2);
         std::fs::write(&target, "another result").unwrap();
         assert!(!record.has(&name, &source, &target));
         let refused = record.check(&name, &source, &target).unwrap_err().to_string();
         assert!(refused.contains("--force"), "{refused}");
+        // A file whose line a kill prevented is the program's own.
+        let mut record = Record::open(dir.path(), "a", Overwrite::Nothing).unwrap();
+        record.begin(&name).unwrap();
+        let record = Record::open(dir.path(), "a", Overwrite::Nothing).unwrap();
+        record.check(&name, &source, &target).unwrap();
+        // With other settings, own files may be replaced, and others not.
+        let record = Record::open(dir.path(), "b", Overwrite::Own).unwrap();
+        record.check(&name, &source, &target).unwrap();
+        let foreign = at("foreign.jpg");
+        std::fs::write(&foreign, "of somebody").unwrap();
+        assert!(record.check(&FileName::new("foreign.jpg").unwrap(), &source, &foreign).is_err());
     }
 
     #[test]
@@ -251,11 +311,11 @@ mod tests {
         let original = dir.path().join("a.jpg");
         std::fs::write(&original, "original").unwrap();
         let name = FileName::new("a.jpg").unwrap();
-        let record = Record::open(dir.path(), "a", true).unwrap();
+        let record = Record::open(dir.path(), "a", Overwrite::All).unwrap();
         let refused = record.check(&name, &original, &original).unwrap_err().to_string();
         assert!(refused.contains("original photograph"), "{refused}");
-        let refused = Record::open(dir.path(), "b", false).unwrap_err().to_string();
+        let refused = Record::open(dir.path(), "b", Overwrite::Nothing).unwrap_err().to_string();
         assert!(refused.contains("other settings"), "{refused}");
-        assert_eq!(Record::open(dir.path(), "b", true).unwrap().entries().count(), 0);
+        assert_eq!(Record::open(dir.path(), "b", Overwrite::Own).unwrap().entries().count(), 0);
     }
 }
