@@ -114,7 +114,7 @@ impl ViewMap {
         let row = |i: usize| &self.rows[i][..3];
         let values = [row(0), row(1), row(2), &[0, 1, 2].map(|i| self.rows[i][3])].concat();
         let first = values.iter().flat_map(|v| std::iter::repeat_n(*v, n)).collect();
-        let mut map = ColourMap { width: w, height: h, first, quiet: None };
+        let mut map = ColourMap { width: w, height: h, first, quiet: None, development: None };
         lower_highlights(&mut map, photograph);
         map
     }
@@ -205,7 +205,7 @@ fn mean_light(light: &[f32], known: &[f32]) -> [f32; 3] {
 
 /// The view's own map: the affine map of least squares from render to look over the known pixels, with a
 /// ridge towards the mean gain.
-fn own_map(render: &Image, look: &Image, known: &[f32]) -> [[f32; 4]; 3] {
+pub(crate) fn own_map(render: &Image, look: &Image, known: &[f32]) -> [[f32; 4]; 3] {
     let n = render.pixels();
     let (r, e) = (render.data(), look.data());
     let mut weight = 1e-9f64;
@@ -283,7 +283,7 @@ fn through_scene(seen: &Seen<'_>, basis: Basis<'_>, keep: f32) -> ColourMap {
             }
         }
     }
-    ColourMap { width: w, height: h, first, quiet: None }
+    ColourMap { width: w, height: h, first, quiet: None, development: None }
 }
 
 /// Smooths the factors with the photograph as guide.

@@ -29,6 +29,7 @@
 
 mod boxes;
 mod coverage;
+mod development;
 #[cfg(test)]
 mod golden;
 pub mod grade;
@@ -43,6 +44,7 @@ mod straight;
 mod structure;
 
 pub use coverage::Coverage;
+pub use development::{Development, Pairs, STRANGE};
 pub use grade::{Grade, Seen, ViewMap, grade};
 pub use grid::{Grid, small_size};
 pub use map::{ColourMap, Sample};

@@ -11,11 +11,14 @@
 //! where `M` (3 × 3) and `b` are per pixel of the small grid, display range. Noise is left out before
 //! ([`crate::quiet`]), and highlights then run to white ([`crate::highlights`]).
 
+use std::sync::Arc;
+
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 use use3d_capture::{Image, Intrinsics};
 use use3d_survey::Lens;
 
+use crate::development::Development;
 use crate::highlights::calm;
 use crate::quiet::Quiet;
 
@@ -28,6 +31,8 @@ pub struct ColourMap {
     pub(crate) first: Vec<f32>,
     /// The calm picture and the share of the photograph's detail that is shown; `None` if all of it is.
     pub(crate) quiet: Option<Quiet>,
+    /// The change before all others, of photographs of another development.
+    pub(crate) development: Option<Arc<Development>>,
 }
 
 /// A sample of a photograph's file.
@@ -153,6 +158,23 @@ impl ColourMap {
         self
     }
 
+    /// The same change for photographs of another development.
+    #[must_use]
+    pub fn developed(self, development: Option<Arc<Development>>) -> Self {
+        Self { development, ..self }
+    }
+
+    /// The mean with the map of an earlier picture of the same size, which counts `share`. A map of another size
+    /// does not count.
+    #[must_use]
+    pub fn mixed(mut self, earlier: &Self, share: f32) -> Self {
+        if self.size() != earlier.size() {
+            return self;
+        }
+        self.first.iter_mut().zip(&earlier.first).for_each(|(v, before)| *v += share * (before - *v));
+        self
+    }
+
     /// The factors of a row of the large picture at the pixels of the small one.
     #[inline(always)]
     fn row(&self, row: Neighbours, out: &mut Vec<Factors>) {
@@ -192,7 +214,7 @@ impl ColourMap {
             |factors, (line, row)| {
                 dispatch!(level, _simd => {
                     self.row(*row, factors);
-                    affine(line, factors, &columns);
+                    affine(line, factors, &columns, self.development.as_deref());
                 });
             },
         );
@@ -201,7 +223,12 @@ impl ColourMap {
 
 /// The map on a row of pixels. Where all detail is shown, the share is 1 and the calm picture does not count.
 #[inline(always)]
-fn affine<T: Sample>(line: &mut [T], factors: &[Factors], columns: &[Neighbours]) {
+fn affine<T: Sample>(
+    line: &mut [T],
+    factors: &[Factors],
+    columns: &[Neighbours],
+    development: Option<&Development>,
+) {
     for (pixel, at) in line.chunks_exact_mut(3).zip(columns) {
         let (a, b) = (&factors[at.first], &factors[at.second]);
         let mut f = *a;
@@ -209,6 +236,9 @@ fn affine<T: Sample>(line: &mut [T], factors: &[Factors], columns: &[Neighbours]
             *f += at.share * (b - *f);
         }
         let mut p = [pixel[0].value(), pixel[1].value(), pixel[2].value()];
+        if let Some(development) = development {
+            p = development.of(p);
+        }
         if f[3][3] != 1.0 {
             (0..3).for_each(|c| p[c] = f[c][3] + f[3][3] * (p[c] - f[c][3]));
         }
@@ -233,7 +263,13 @@ mod tests {
 
     #[test]
     fn the_identity_changes_no_sample_of_any_depth() {
-        let map = ColourMap { width: 3, height: 2, first: constant(3, 2, &IDENTITY), quiet: None };
+        let map = ColourMap {
+            width: 3,
+            height: 2,
+            first: constant(3, 2, &IDENTITY),
+            quiet: None,
+            development: None,
+        };
         let mut eight: Vec<u8> = (0..=255).cycle().take(3 * 10 * 8).collect();
         let before = eight.clone();
         map.apply(&mut eight, 10);
@@ -249,7 +285,7 @@ mod tests {
         let mut first = constant(2, 1, &IDENTITY);
         // Red takes 0.25 of green in the left pixel and 0.75 in the right one.
         (first[2], first[3]) = (0.25, 0.75);
-        let map = ColourMap { width: 2, height: 1, first, quiet: None };
+        let map = ColourMap { width: 2, height: 1, first, quiet: None, development: None };
         let mut line: Vec<f32> = [0.1, 0.4, 0.2].repeat(4);
         map.apply(&mut line, 4);
         // Centres of four pixels lie at −0.25, 0.25, 0.75 and 1.25 among two.
@@ -268,6 +304,7 @@ mod tests {
             height: h,
             first: wave(AFFINE * w * h),
             quiet: Some(Quiet { base: wave(3 * w * h), share: wave(w * h) }),
+            development: None,
         };
         let mut all: Vec<u8> = (0..3 * 40 * 33).map(|i| (i * 7 % 256) as u8).collect();
         let mut again = all.clone();

@@ -4,12 +4,16 @@ use use3d_capture::{Camera, Image, Lattice, Map};
 use use3d_render::{Mode, RenderError, Rendering, SceneRenderer};
 
 use crate::coverage::Coverage;
-use crate::grade::{Grade, Seen, grade};
+use crate::development::Pairs;
+use crate::grade::{Grade, Seen, ViewMap, grade, own_map};
 use crate::grid::Grid;
 
 /// Longer side of the pictures of the answer to light, pixels. They are smooth, and the photograph guides them
 /// to its edges.
 const FACTORS: usize = 480;
+
+/// Longer side of the pictures of a whole view's change, pixels.
+const OVERVIEW: usize = 192;
 
 /// A photograph that cannot be graded.
 #[derive(Debug, thiserror::Error)]
@@ -80,6 +84,28 @@ impl<'s> Photographer<'s> {
         Ok(self)
     }
 
+    /// Pairs of colours of a photograph of another development and the scene.
+    ///
+    /// # Errors
+    /// The renderer's device failed, or the photograph has another size than the grid.
+    pub fn pairs(&mut self, photograph: &Image, grid: &Grid) -> Result<Pairs, PhotographError> {
+        fits(photograph, grid)?;
+        let render = self.plain.color(&grid.camera, Mode::Reconstruction)?;
+        Ok(Pairs::of(photograph, &grid.read(&render)))
+    }
+
+    /// The change of a view as a whole, from the scene alone: of a photograph that equals its render.
+    ///
+    /// # Errors
+    /// The renderer's device failed.
+    pub fn own(&mut self, camera: &Camera) -> Result<ViewMap, PhotographError> {
+        let camera = camera.no_larger_than(OVERVIEW);
+        let render = self.plain.color(&camera, Mode::Reconstruction)?;
+        let look = self.look.color(&camera, self.mode)?;
+        let rows = own_map(&render, &look, &vec![1.0; render.pixels()]);
+        Ok(ViewMap { rows })
+    }
+
     /// The change of colours of a photograph at the size of its grid. `own` is its place among the training
     /// views, if it is one. `mask` (of the grid's size) is 0 where the scene was not learnt.
     ///
@@ -92,10 +118,7 @@ impl<'s> Photographer<'s> {
         own: Option<usize>,
         mask: Option<&Map>,
     ) -> Result<Graded, PhotographError> {
-        let found = (photograph.width(), photograph.height());
-        if found != grid.size() {
-            return Err(PhotographError::Size { found, expected: grid.size() });
-        }
+        fits(photograph, grid)?;
         let camera = &grid.camera;
         let [render, depth] = pair(self.plain.render(camera, &[Mode::Reconstruction, Mode::Depth])?);
         let (render, drawn) = (grid.read(&color(render)), scalar(depth));
@@ -117,6 +140,12 @@ impl<'s> Photographer<'s> {
         let grade = grade(&seen, self.keep_light);
         Ok(Graded { grade, depth: grid.read(&drawn) })
     }
+}
+
+/// Checks that a small photograph has the size of its grid.
+fn fits(photograph: &Image, grid: &Grid) -> Result<(), PhotographError> {
+    let (found, expected) = ((photograph.width(), photograph.height()), grid.size());
+    if found == expected { Ok(()) } else { Err(PhotographError::Size { found, expected }) }
 }
 
 /// The two results of a drawing of two modes.

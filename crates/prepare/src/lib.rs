@@ -33,7 +33,7 @@ mod work;
 pub use error::PrepareError;
 pub use footage::{
     ColourTags, DisplayMatrix, FilmChoices, FilmFrame, FilmInfo, FilmPath, FilmPose, FilmReader, FilmWriter,
-    FilmWritten, Fraction, KnownFrame, LARGEST_GAP, TIMES, known_frames, pose_at, stored_camera,
+    FilmWritten, Fraction, KnownFrame, LARGEST_GAP, TIMES, known_frames,
 };
 pub use params::{Mapper, Matching, PrepareParams};
 pub use prepare::{CAPTURE, Input, Prepared, check, key_of, prepare, work_folder};

@@ -34,8 +34,15 @@ pub(crate) struct PhotographsArgs {
     #[arg(value_name = "RESULTS_DIR|SCENE_DIR")]
     pub(crate) scene: PathBuf,
     /// The folder for the photographs. Originals are never replaced.
-    #[arg(short, long, value_name = "DIR")]
-    pub(crate) out: PathBuf,
+    #[arg(short, long, value_name = "DIR", required_unless_present = "video")]
+    pub(crate) out: Option<PathBuf>,
+    /// Enhance all frames of the film from which the capture was prepared, and write them as a film with its
+    /// sound (needs ffmpeg).
+    #[arg(long, value_name = "FILM", requires = "video")]
+    pub(crate) film: Option<PathBuf>,
+    /// The film to write: .mp4, .mov, .m4v or .mkv.
+    #[arg(long, value_name = "FILE", requires = "film")]
+    pub(crate) video: Option<PathBuf>,
     /// The folder of the original photographs (default: that of the capture which the results were made
     /// from).
     #[arg(long, value_name = "DIR")]
@@ -76,7 +83,9 @@ impl PhotographsArgs {
     pub(crate) fn of(scene: &Path, out: PathBuf) -> Self {
         Self {
             scene: scene.to_path_buf(),
-            out,
+            out: Some(out),
+            film: None,
+            video: None,
             images: None,
             look: None,
             keep_light: 0.0,

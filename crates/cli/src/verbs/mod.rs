@@ -20,6 +20,7 @@ pub(crate) mod models;
 pub(crate) mod outcome;
 pub(crate) mod params;
 pub(crate) mod photographs;
+pub(crate) mod photographs_film;
 pub(crate) mod pipelines;
 pub(crate) mod prepare;
 pub(crate) mod remote;

@@ -19,7 +19,18 @@ use crate::destination::path_text;
 use crate::error::{CliError, Done};
 use crate::output::counted;
 use crate::verbs::found::{capture_in, scene_in};
+use crate::verbs::photographs_film::{self, FilmJob};
 use crate::verbs::white;
+
+impl From<WorkError> for CliError {
+    fn from(error: WorkError) -> Self {
+        match error {
+            WorkError::Input(message) => Self::Input(message),
+            WorkError::Failed(message) => Self::Failed(message),
+            WorkError::Stopped => Self::Interrupted,
+        }
+    }
+}
 
 /// The folder of a run's photographs, beside its scene.
 pub(crate) const FOLDER: &str = "photographs";
@@ -68,6 +79,23 @@ fn write_all(
         gains: gains.map_or(Gains::ONE, |white| white.gains),
         keep_light: args.keep_light,
     };
+    let engine = args.engine.choice().unwrap_or_default();
+    let drawn =
+        Drawn::new(&scene, &engine).map_err(|what| CliError::Input(format!("--engine {engine}: {what}")))?;
+    if engine != EngineChoice::Cpu {
+        remark!(app, "engine: {}", drawn.told);
+    }
+    if let Some((film, video)) = args.film.as_deref().zip(args.video.as_deref()) {
+        let capture = capture.ok_or_else(|| {
+            CliError::input(
+                "the capture of this scene is not known, which says where its frames lie in the film: give \
+                 the results folder of the run in place of the scene",
+            )
+        })?;
+        let job = FilmJob { film, video, capture, replace: overwrite == Overwrite::All };
+        photographs_film::write(app, &job, &drawn, &originals, &appearance)?;
+    }
+    let Some(out) = args.out.as_deref() else { return Ok(()) };
     let images = images(args, capture, &originals)?;
     // Other photographs of the same cameras may lie elsewhere, so only the capture's own folder is searched.
     let without_camera = match (capture, &args.images) {
@@ -76,20 +104,15 @@ fn write_all(
         }
         _ => Vec::new(),
     };
-    let engine = args.engine.choice().unwrap_or_default();
-    let drawn =
-        Drawn::new(&scene, &engine).map_err(|what| CliError::Input(format!("--engine {engine}: {what}")))?;
-    if engine != EngineChoice::Cpu {
-        remark!(app, "engine: {}", drawn.told);
-    }
     let scale = Scene::world(folder).map_err(CliError::input)?.map(|world| world.metres_per_unit);
     let work = PhotographWork {
         scene: &drawn,
         metres: scale,
         originals: &originals,
         folder: &images,
+        developed: args.images.is_some(),
         without_camera: &without_camera,
-        out: &args.out,
+        out,
         appearance,
         layout: match args.layout {
             PhotographLayout::Same => FileLayout::Same,
@@ -113,12 +136,7 @@ fn write_all(
     let totals = work.run(&mut progress, &mut |line| lines.push(line.to_string()));
     app.over("photographs");
     lines.iter().for_each(|line| remark!(app, "{line}"));
-    let totals = totals.map_err(|error| match error {
-        WorkError::Input(message) => CliError::Input(message),
-        WorkError::Failed(message) => CliError::Failed(message),
-        WorkError::Stopped => CliError::Interrupted,
-    })?;
-    tell(app, &args.out, &totals);
+    tell(app, out, &totals.map_err(CliError::from)?);
     Ok(())
 }
 

@@ -10,16 +10,20 @@
 //! says which photographs are finished, and an interrupted run continues with the others ([`record`]).
 
 pub mod appearance;
+pub mod film;
 pub mod record;
 mod table;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use use3d_capture::{Camera, FileName, Image, Intrinsics, Map};
 use use3d_import::{Original, Originals, pinhole_of};
 use use3d_io_image::{Photograph, Samples, photograph_info, write_png_map};
-use use3d_photographs::{ColourMap, Graded, Grid, Photographer, ViewMap, shrink, small_size, straight};
+use use3d_photographs::{
+    ColourMap, Development, Graded, Grid, Photographer, STRANGE, ViewMap, shrink, small_size, straight,
+};
 use use3d_render::Mode;
 use use3d_scene::Scene;
 
@@ -33,6 +37,14 @@ pub const SOFTWARE: &str = concat!("3D-USE ", env!("CARGO_PKG_VERSION"));
 
 /// Longer side of the small grid, pixels. Factors are smooth, so a larger grid shows nothing more.
 pub const SIDE: usize = 640;
+
+/// Endings of files of another development.
+const ENDINGS: [&str; 12] =
+    ["tif", "tiff", "TIF", "TIFF", "png", "PNG", "jpg", "JPG", "jpeg", "JPEG", "exr", "EXR"];
+/// The most photographs that are compared to find another development.
+const FITTED: usize = 24;
+/// Differences from the scene with and without a change, whose ratio is still that of the same photographs.
+const SAME: f64 = 1.5;
 
 /// Below this share of knowledge a pixel counts as unknown.
 const UNKNOWN: f32 = 0.5;
@@ -68,6 +80,8 @@ pub struct PhotographWork<'a, 's> {
     pub originals: &'a Originals,
     /// The folder with their files, at their relative names.
     pub folder: &'a Path,
+    /// True if the files may be another development: of other colours, and with other endings of their names.
+    pub developed: bool,
     /// Names in that folder of photographs without a camera.
     pub without_camera: &'a [FileName],
     /// The folder of the results.
@@ -157,16 +171,16 @@ impl PhotographWork<'_, '_> {
         let mut totals = Totals::default();
         let mut open = Vec::new();
         for job in jobs {
-            let source = job.relative().below(self.folder);
-            if !source.is_file() {
+            let Some(file) = self.file(job.relative()) else {
                 totals.missing += 1;
                 let missing =
                     format!("{} is not in {}; it is left out", job.relative(), self.folder.display());
                 say(&missing);
                 continue;
-            }
+            };
+            let source = file.below(self.folder);
             totals.without_camera += usize::from(matches!(job, PhotographJob::Mean(_)));
-            let target = self.out.join(self.layout.place(job.relative()));
+            let target = self.out.join(self.layout.place(&file));
             if record.has(job.relative(), &source, &target) {
                 totals.kept += 1;
                 continue;
@@ -193,6 +207,7 @@ impl PhotographWork<'_, '_> {
             .collect();
         let mut photographer = None;
         let mut grids: BTreeMap<String, Option<Grid>> = BTreeMap::new();
+        let mut development = None;
         for (job, source, target) in open {
             let name = job.relative().to_string();
             if !progress(totals.kept + totals.written, total, &name) {
@@ -203,18 +218,21 @@ impl PhotographWork<'_, '_> {
                 Some(photographer) => photographer,
                 empty => {
                     let made = self.appearance.photographer(self.scene, &training);
-                    empty.insert(made.map_err(WorkError::Failed)?)
+                    let made = empty.insert(made.map_err(WorkError::Failed)?);
+                    development = self.development(made, &mut grids, say)?.map(Arc::new);
+                    made
                 }
             };
             record.begin(job.relative())?;
             let entry = match &job {
                 PhotographJob::Posed(original, own) => {
-                    self.posed(photographer, &mut grids, (original, *own), &source, &target)?
+                    let how = (own.as_ref().copied(), development.clone());
+                    self.posed(photographer, &mut grids, (original, how), &source, &target)?
                 }
                 PhotographJob::Mean(name) => {
                     let views: Vec<ViewMap> =
                         record.entries().filter_map(FinishedPhotograph::view_map).collect();
-                    self.by_mean(ViewMap::mean(&views), name, &source, &target)?
+                    self.by_mean((ViewMap::mean(&views), development.clone()), name, &source, &target)?
                 }
             };
             for note in &entry.notes {
@@ -227,15 +245,83 @@ impl PhotographWork<'_, '_> {
         Ok(totals)
     }
 
-    /// Enhances a photograph with a camera.
-    fn posed(
+    /// The file of a photograph in the folder: by its name, or for another development with another ending.
+    fn file(&self, name: &FileName) -> Option<FileName> {
+        if name.below(self.folder).is_file() {
+            return Some(name.clone());
+        }
+        let endings = ENDINGS.iter().filter(|_| self.developed);
+        let named = endings.filter_map(|ending| name.with_extension(ending).ok());
+        named.into_iter().find(|name| name.below(self.folder).is_file())
+    }
+
+    /// The change of colours from another development; `None` if these photographs have the scene's colours.
+    fn development(
         &self,
         photographer: &mut Photographer<'_>,
         grids: &mut BTreeMap<String, Option<Grid>>,
-        (original, own): (&Original, Option<usize>),
+        say: &mut dyn FnMut(&str),
+    ) -> Result<Option<Development>, WorkError> {
+        if !self.developed {
+            return Ok(None);
+        }
+        let there: Vec<&Original> = self
+            .originals
+            .photographs
+            .iter()
+            .filter(|original| self.file(&original.relative).is_some())
+            .collect();
+        let (mut names, mut pairs) = (Vec::new(), Vec::new());
+        for original in there.iter().step_by(there.len().div_ceil(FITTED).max(1)) {
+            let Some(file) = self.file(&original.relative) else { continue };
+            let source = file.below(self.folder);
+            let grid = self.grid(grids, original, &source)?.0;
+            let photograph = Photograph::read(&source).map_err(|e| WorkError::Input(e.to_string()))?;
+            let small = self.small(&photograph);
+            if (small.width(), small.height()) == grid.size() {
+                let of = photographer.pairs(&small, &grid).map_err(|e| WorkError::Failed(e.to_string()))?;
+                names.push(file);
+                pairs.push(of);
+            }
+        }
+        let found = Development::fit(&pairs);
+        let mean = |by: Option<&Development>| {
+            pairs.iter().map(|pairs| pairs.apart(by)).sum::<f64>() / pairs.len().max(1) as f64
+        };
+        let (before, after) = (mean(None), mean(Some(&found)));
+        let strange: Vec<&FileName> = names
+            .iter()
+            .zip(&pairs)
+            .filter(|(_, pairs)| pairs.apart(Some(&found)).min(pairs.apart(None)) > STRANGE)
+            .map(|(name, _)| name)
+            .collect();
+        if let Some(first) = strange.first() {
+            return Err(WorkError::Input(format!(
+                "{}: {} of {} photographs that were compared do not show what their cameras see ({first} is the \
+                 first); --images expects the photographs that the scene was made from, or others of the same \
+                 cameras at the same size",
+                self.folder.display(),
+                strange.len(),
+                names.len()
+            )));
+        }
+        if before <= SAME * after + 0.004 {
+            return Ok(None);
+        }
+        say(&format!(
+            "these photographs were developed in another way: their colours were matched to the scene's (mean \
+             difference {before:.3} before, {after:.3} after)"
+        ));
+        Ok(Some(found))
+    }
+
+    /// The small grid of a photograph, and the pinhole that it is resampled to.
+    fn grid(
+        &self,
+        grids: &mut BTreeMap<String, Option<Grid>>,
+        original: &Original,
         source: &Path,
-        target: &Path,
-    ) -> Result<FinishedPhotograph, WorkError> {
+    ) -> Result<(Grid, Option<Intrinsics>), WorkError> {
         let info = photograph_info(source).map_err(|e| WorkError::Input(e.to_string()))?;
         let file = (original.width, original.height);
         if (info.width, info.height) != file {
@@ -263,17 +349,40 @@ impl PhotographWork<'_, '_> {
                 original.relative
             ))
         })?;
+        Ok((grid, straight))
+    }
+
+    /// The gains of the import. Those of another development are part of its change.
+    fn gains(&self) -> [f32; 3] {
+        self.originals.gains.filter(|_| !self.developed).unwrap_or([1.0; 3])
+    }
+
+    /// A photograph at the size of its small grid, with the gains of the import.
+    fn small(&self, photograph: &Photograph) -> Image {
+        balanced(small_of(photograph), self.gains())
+    }
+
+    /// Enhances a photograph with a camera.
+    fn posed(
+        &self,
+        photographer: &mut Photographer<'_>,
+        grids: &mut BTreeMap<String, Option<Grid>>,
+        (original, (own, development)): (&Original, (Option<usize>, Option<Arc<Development>>)),
+        source: &Path,
+        target: &Path,
+    ) -> Result<FinishedPhotograph, WorkError> {
+        let (grid, straight) = self.grid(grids, original, source)?;
         let mut photograph = Photograph::read(source).map_err(|e| WorkError::Input(e.to_string()))?;
         if let Some(pinhole) = straight.filter(|_| !original.lens.is_pinhole()) {
             photograph = undistorted(photograph, original, &pinhole);
         }
-        let gains = self.originals.gains.unwrap_or([1.0; 3]);
-        let small = balanced(small_of(&photograph), gains);
+        let small = developed(self.small(&photograph), development.as_deref());
         let graded = photographer
             .grade(&small, &grid, own, None)
             .map_err(|e| WorkError::Failed(format!("{}: {e}", original.relative)))?;
         let entry = self.entry(&original.relative, &photograph, &graded);
-        change(&mut photograph, &graded.grade.map.clone().after(gains));
+        let gains = self.gains();
+        change(&mut photograph, &graded.grade.map.clone().after(gains).developed(development));
         if let Some(folder) = self.unknown {
             let mask =
                 original.relative.with_extension("png").map_err(|e| WorkError::Input(e.to_string()))?;
@@ -287,15 +396,15 @@ impl PhotographWork<'_, '_> {
     /// Changes a photograph without a camera by the mean of the views.
     fn by_mean(
         &self,
-        mean: ViewMap,
+        (mean, development): (ViewMap, Option<Arc<Development>>),
         name: &FileName,
         source: &Path,
         target: &Path,
     ) -> Result<FinishedPhotograph, WorkError> {
         let mut photograph = Photograph::read(source).map_err(|e| WorkError::Input(e.to_string()))?;
-        let gains = self.originals.gains.unwrap_or([1.0; 3]);
-        let small = balanced(small_of(&photograph), gains);
-        change(&mut photograph, &mean.grade(&small).after(gains));
+        let gains = self.gains();
+        let small = developed(self.small(&photograph), development.as_deref());
+        change(&mut photograph, &mean.grade(&small).after(gains).developed(development));
         self.write(&photograph, target)?;
         Ok(FinishedPhotograph::without_camera(name, &photograph))
     }
@@ -372,6 +481,14 @@ fn undistorted(photograph: Photograph, original: &Original, pinhole: &Intrinsics
     let pixels = of(&photograph.pixels, 3);
     let alpha = photograph.alpha.as_ref().map(|alpha| of(alpha, 1));
     photograph.with_pixels((pinhole.width, pinhole.height), pixels, alpha)
+}
+
+/// A small photograph in the colours of the scene.
+fn developed(small: Image, by: Option<&Development>) -> Image {
+    match by {
+        Some(by) => by.on(&small),
+        None => small,
+    }
 }
 
 /// An image multiplied by the gains of the import's white balance.

@@ -181,12 +181,6 @@ impl FilmPath {
     }
 }
 
-/// The pose at a time of a film, seconds, from the known poses with their times, as [`FilmPath`] computes it
-/// with the usual limit. For many times, one [`FilmPath`] is faster.
-pub fn pose_at(known: &[(f64, Pose)], seconds: f64) -> FilmPose {
-    FilmPath::new(known, None).at(seconds)
-}
-
 #[cfg(test)]
 #[path = "path_tests.rs"]
 mod tests;

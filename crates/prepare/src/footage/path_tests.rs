@@ -4,7 +4,11 @@ use glam::{DMat3, DQuat, DVec3};
 use use3d_capture::Pose;
 use use3d_numerics::math;
 
-use super::{FilmPath, FilmPose, LARGEST_GAP, pose_at};
+use super::{FilmPath, FilmPose, LARGEST_GAP};
+
+fn pose_at(known: &[(f64, Pose)], seconds: f64) -> FilmPose {
+    FilmPath::new(known, None).at(seconds)
+}
 
 fn turn(axis: DVec3, angle: f64) -> DMat3 {
     DMat3::from_axis_angle(axis.normalize(), angle)
