@@ -37,6 +37,7 @@ fn golden_graded_photographs() {
             look: &look,
             coverage: coverage.as_ref(),
             response: &response,
+            soft: true,
         };
         let found = grade(&seen, case.number("keep_light") as f32);
         let mut pixels = photograph.to_interleaved();

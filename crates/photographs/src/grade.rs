@@ -75,6 +75,8 @@ pub struct Seen<'a> {
     pub coverage: Option<&'a Map>,
     /// The look's answer to light.
     pub response: &'a Response,
+    /// True if highlights run to white, for eyes; false where colours are measured.
+    pub soft: bool,
 }
 
 /// The change of colours of a photograph, and what it is worth.
@@ -114,7 +116,7 @@ impl ViewMap {
         let row = |i: usize| &self.rows[i][..3];
         let values = [row(0), row(1), row(2), &[0, 1, 2].map(|i| self.rows[i][3])].concat();
         let first = values.iter().flat_map(|v| std::iter::repeat_n(*v, n)).collect();
-        let mut map = ColourMap { width: w, height: h, first, quiet: None, development: None };
+        let mut map = ColourMap { width: w, height: h, first, quiet: None, soft: true, development: None };
         lower_highlights(&mut map, photograph);
         map
     }
@@ -138,7 +140,9 @@ pub fn grade(seen: &Seen<'_>, keep_light: f32) -> Grade {
     let basis = (&known[..], &rows, &light[..]);
     let mut map = through_scene(seen, basis, keep_light);
     let own = ViewMap { rows };
-    lower_highlights(&mut map, photograph);
+    if seen.soft {
+        lower_highlights(&mut map, photograph);
+    }
     map.quiet = quiet(photograph, &structure, &seen.response.arriving);
     let known = Map::from_planes(w, h, known).unwrap_or_else(|| Map::new(w, h));
     Grade { map, known, own }
@@ -283,7 +287,7 @@ fn through_scene(seen: &Seen<'_>, basis: Basis<'_>, keep: f32) -> ColourMap {
             }
         }
     }
-    ColourMap { width: w, height: h, first, quiet: None, development: None }
+    ColourMap { width: w, height: h, first, quiet: None, soft: seen.soft, development: None }
 }
 
 /// Smooths the factors with the photograph as guide.

@@ -50,7 +50,7 @@ fn mapped(image: &Image, m: [[f32; 3]; 3], b: [f32; 3]) -> Image {
 }
 
 fn seen<'a>(photograph: &'a Image, render: &'a Image, look: &'a Image, response: &'a Response) -> Seen<'a> {
-    Seen { photograph, render, look, coverage: None, response }
+    Seen { photograph, render, look, coverage: None, response, soft: true }
 }
 
 fn graded(seen: &Seen<'_>, keep: f32) -> Image {

@@ -22,6 +22,8 @@
 //! brightest channel of the pixel rises from [`DARK`] to [`BRIGHT`] of `e`: dark things beside a bright one
 //! are no part of its place.
 //!
+//! Looks for measuring are left as they are.
+//!
 //! A pixel that was not lifted stays as it is, to the bit, and so does one of a float file that was above 1
 //! before. All values are in display range.
 

@@ -31,6 +31,8 @@ pub struct ColourMap {
     pub(crate) first: Vec<f32>,
     /// The calm picture and the share of the photograph's detail that is shown; `None` if all of it is.
     pub(crate) quiet: Option<Quiet>,
+    /// True if highlights run to white.
+    pub(crate) soft: bool,
     /// The change before all others, of photographs of another development.
     pub(crate) development: Option<Arc<Development>>,
 }
@@ -214,7 +216,7 @@ impl ColourMap {
             |factors, (line, row)| {
                 dispatch!(level, _simd => {
                     self.row(*row, factors);
-                    affine(line, factors, &columns, self.development.as_deref());
+                    affine(line, factors, &columns, (self.soft, self.development.as_deref()));
                 });
             },
         );
@@ -227,7 +229,7 @@ fn affine<T: Sample>(
     line: &mut [T],
     factors: &[Factors],
     columns: &[Neighbours],
-    development: Option<&Development>,
+    (soft, development): (bool, Option<&Development>),
 ) {
     for (pixel, at) in line.chunks_exact_mut(3).zip(columns) {
         let (a, b) = (&factors[at.first], &factors[at.second]);
@@ -246,7 +248,8 @@ fn affine<T: Sample>(
         for (column, p) in f[..3].iter().zip(p) {
             out.iter_mut().zip(column).for_each(|(out, slope)| *out = slope.mul_add(p, *out));
         }
-        let out = calm([out[0], out[1], out[2]], p);
+        let out = [out[0], out[1], out[2]];
+        let out = if soft { calm(out, p) } else { out };
         (0..3).for_each(|c| pixel[c] = T::of(out[c]));
     }
 }
@@ -268,6 +271,7 @@ mod tests {
             height: 2,
             first: constant(3, 2, &IDENTITY),
             quiet: None,
+            soft: true,
             development: None,
         };
         let mut eight: Vec<u8> = (0..=255).cycle().take(3 * 10 * 8).collect();
@@ -285,7 +289,7 @@ mod tests {
         let mut first = constant(2, 1, &IDENTITY);
         // Red takes 0.25 of green in the left pixel and 0.75 in the right one.
         (first[2], first[3]) = (0.25, 0.75);
-        let map = ColourMap { width: 2, height: 1, first, quiet: None, development: None };
+        let map = ColourMap { width: 2, height: 1, first, quiet: None, soft: true, development: None };
         let mut line: Vec<f32> = [0.1, 0.4, 0.2].repeat(4);
         map.apply(&mut line, 4);
         // Centres of four pixels lie at −0.25, 0.25, 0.75 and 1.25 among two.
@@ -304,6 +308,7 @@ mod tests {
             height: h,
             first: wave(AFFINE * w * h),
             quiet: Some(Quiet { base: wave(3 * w * h), share: wave(w * h) }),
+            soft: true,
             development: None,
         };
         let mut all: Vec<u8> = (0..3 * 40 * 33).map(|i| (i * 7 % 256) as u8).collect();

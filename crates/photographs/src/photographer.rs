@@ -136,6 +136,8 @@ impl<'s> Photographer<'s> {
             look: &look,
             coverage: coverage.as_ref(),
             response: &response,
+            // Without its water, a picture is for measuring.
+            soft: self.mode.is_enhanced(),
         };
         let grade = grade(&seen, self.keep_light);
         Ok(Graded { grade, depth: grid.read(&drawn) })

@@ -60,7 +60,7 @@ fn graded(photograph: &Image, render: &Image) -> (Image, Grade) {
     let column =
         |j: usize| picture(|x, _| std::array::from_fn(|i| if i == j { gain(x)[j] * light[j] } else { 0.0 }));
     let response = Response { columns: [column(0), column(1), column(2)], arriving: picture(|_, _| light) };
-    let seen = Seen { photograph, render, look: &look, coverage: None, response: &response };
+    let seen = Seen { photograph, render, look: &look, coverage: None, response: &response, soft: true };
     let grade = grade(&seen, 0.0);
     let mut pixels = photograph.to_interleaved();
     grade.map.apply(&mut pixels, SIZE.0);
