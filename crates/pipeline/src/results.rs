@@ -393,14 +393,23 @@ fn write_view(own: &DeliveredCell<'_>, shown: &Artifact, page: &Path) -> Result<
     // date.
     let white = white_of(folder, shown.manifest.key);
     let balanced = white.as_ref().map_or_else(String::new, |(_, digest)| format!(", white {digest}"));
-    let source = format!("<!-- {}{balanced} -->\n", view_of(shown));
+    let enhanced = own.artifact("photographs");
+    let photographs =
+        enhanced.map_or_else(String::new, |made| format!(", photographs {}", made.manifest.key));
+    let source = format!("<!-- {}{balanced}{photographs} -->\n", view_of(shown));
     STAMPED.check(page)?;
     if fs::read_to_string(page).is_ok_and(|text| text.contains(&source)) {
         return Ok(true);
     }
     let capture = own.artifact("import").map(|import| import.path.as_path());
     let white = white.as_ref().map(|(white, _)| white);
-    let made = match scene_page::write(own.scene, &shown.path, capture, VIEW_PARTS, white) {
+    let made = match scene_page::write(
+        own.scene,
+        &shown.path,
+        (capture, enhanced.map(|made| made.path.as_path())),
+        VIEW_PARTS,
+        white,
+    ) {
         Ok(made) => made,
         Err(error) => {
             // The results are complete without this page.

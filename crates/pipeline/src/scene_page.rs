@@ -40,7 +40,7 @@ pub fn views(
         camera.pose = scene.frame.apply_pose(&capture.frame.invert_pose(&camera.pose));
         let name = view.stem().to_string();
         let photograph = Some(Photograph::new(&name, &read_image(&view.image)?)?);
-        Ok(PageView { held_out: is_held_out(origin, &name), name, camera, photograph })
+        Ok(PageView { held_out: is_held_out(origin, &name), name, camera, photograph, enhanced: None })
     });
     views.collect()
 }
@@ -50,7 +50,8 @@ pub fn is_held_out(origin: Option<&Origin>, stem: &str) -> bool {
     origin.is_some_and(|origin| origin.held_out.iter().any(|held| held == stem))
 }
 
-/// Writes the page of a scene folder with the views of an imported capture. `parts` is the name of the folder
+/// Writes the page of a scene folder with the views of an imported capture, and with their photographs in the
+/// folder `enhanced`. `parts` is the name of the folder
 /// for the page's parts, if it needs one; `white` is the white balance that it opens with.
 ///
 /// # Errors
@@ -58,16 +59,24 @@ pub fn is_held_out(origin: Option<&Origin>, stem: &str) -> bool {
 pub(crate) fn write(
     name: &str,
     folder: &Path,
-    capture: Option<&Path>,
+    (capture, enhanced): (Option<&Path>, Option<&Path>),
     parts: &str,
     white: Option<&White>,
 ) -> Result<Written, ScenePageError> {
     let scene = Scene::load(folder)?;
     let origin = Origin::read(folder)?;
-    let views = match capture {
+    let mut views = match capture {
         Some(capture) => views(&scene, origin.as_ref(), &load_prepared(capture)?)?,
         None => Vec::new(),
     };
+    if let Some(enhanced) = enhanced {
+        for view in &mut views {
+            let file = enhanced.join(format!("{}.png", view.name));
+            if file.is_file() {
+                view.enhanced = Some(Photograph::new(&view.name, &read_image(&file)?)?);
+            }
+        }
+    }
     let metres_per_unit = Scene::world(folder)?.map(|world| world.metres_per_unit);
     let page = Page { name, scene: &scene, views, metres_per_unit, saved: None, white };
     Ok(use3d_web::write(&page, parts)?)

@@ -96,6 +96,8 @@ pub struct PageView {
     pub held_out: bool,
     /// The photograph, if the page shows it.
     pub photograph: Option<Photograph>,
+    /// The photograph in the light and colours of the scene, if the page shows it.
+    pub enhanced: Option<Photograph>,
 }
 
 /// A page that was made.
@@ -272,6 +274,7 @@ fn entries(page: &Page<'_>) -> Value {
                 "heldOut": view.held_out,
                 "focus": geometry::focus(&scene.gaussians, &view.camera),
                 "photo": view.photograph.as_ref().map(|p| &p.address),
+                "enhanced": view.enhanced.as_ref().map(|p| &p.address),
             })
         })
         .collect();

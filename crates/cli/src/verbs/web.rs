@@ -159,7 +159,13 @@ pub(crate) fn views(cameras: Option<&Path>, folder: &Path, scene: &Scene) -> Res
     }
     let view = |(name, camera): (FileName, Camera)| {
         let name = name.stem().to_string();
-        PageView { held_out: scene_page::is_held_out(origin.as_ref(), &name), name, camera, photograph: None }
+        PageView {
+            held_out: scene_page::is_held_out(origin.as_ref(), &name),
+            name,
+            camera,
+            photograph: None,
+            enhanced: None,
+        }
     };
     Ok(placed.into_iter().map(view).collect())
 }

@@ -20,8 +20,17 @@ function makeViews(viewer, overlay) {
     photo.hidden = !(views.showPhoto && view?.photo && (there || viewer.flight.busy()));
     if (photo.hidden) return;
     const [image, caption] = [element('photo-image'), element('photo-name')];
-    if (image.getAttribute('src') !== view.photo) { image.src = view.photo; image.alt = `Photograph ${view.name}`; caption.textContent = `Photograph ${view.name}`; }
+    if (image.getAttribute('src') === view.photo) return;
+    image.src = view.photo;
+    image.alt = `Photograph ${view.name}`;
+    // On the right of the divider stands the photograph in the light of the scene, where there is one.
+    enhanced.hidden = divider.hidden = !view.enhanced;
+    if (view.enhanced) { enhanced.src = view.enhanced; enhanced.alt = `Photograph ${view.name}, enhanced`; }
+    caption.textContent = view.enhanced ? `Photograph | enhanced: ${view.name}` : `Photograph ${view.name}`;
   }
+  const [enhanced, divider] = [element('photo-enhanced'), element('photo-divider')];
+  divider.oninput = () => { enhanced.style.clipPath = `inset(0 0 0 ${divider.value}%)`; };
+  divider.oninput();
   viewer.on('frame', showPhoto);
 
   views.go = (i, seconds) => {

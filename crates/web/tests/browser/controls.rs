@@ -126,6 +126,18 @@ fn two_looks_are_compared_and_photographs_stand_beside() {
     browser.evaluate("use3d.settled()");
     assert_eq!(browser.evaluate("document.getElementById('photo').hidden"), json!(false));
     assert_eq!(browser.evaluate("document.getElementById('photo-image').alt"), json!("Photograph photo_1"));
+    // Only the other photograph has an enhanced one beside it, with a divider.
+    let hidden = |browser: &mut crate::Chromium, id: &str| {
+        browser.evaluate(&format!("document.getElementById('{id}').hidden"))
+    };
+    assert_eq!(hidden(&mut browser, "photo-enhanced"), json!(true));
+    browser.evaluate("use3d.views.go(0)");
+    browser.evaluate("use3d.settled()");
+    assert_eq!(hidden(&mut browser, "photo-divider"), json!(false));
+    assert_eq!(hidden(&mut browser, "photo-enhanced"), json!(false));
+    browser.evaluate("document.getElementById('photo-divider').value = 20, document.getElementById('photo-divider').oninput()");
+    let cut = browser.evaluate("document.getElementById('photo-enhanced').style.clipPath");
+    assert_eq!(cut, json!("inset(0px 0px 0px 20%)"));
     // A named view is saved in a file that the program reads, and is restored from it.
     browser.evaluate("use3d.viewer.setCompare('clear', 0.25), use3d.viewer.camera.up = [0, 0.6, 0.8], use3d.measure.metresPerUnit = 2, use3d.saved.add('mine')");
     assert_eq!(browser.evaluate("document.querySelectorAll('#saved-views li').length"), json!(1));

@@ -21,6 +21,7 @@ fn page_views() -> Vec<PageView> {
         name: format!("photo_{i}"),
         camera,
         held_out: i == 0,
+        enhanced: (i == 0).then(|| Photograph::new("photo", &Image::filled(160, 120, 0.75)).expect("a JPEG")),
         photograph: Some(
             Photograph::new("photo", &Image::filled(160, 120, 0.25 * (1 + i) as f32)).expect("a JPEG"),
         ),
