@@ -22,9 +22,9 @@ const KNOTS: usize = 17;
 const WINDOW: (f64, usize) = (0.012, 5);
 /// Rounds of curves and map.
 const ROUNDS: usize = 8;
-/// Difference of colours (mean over the channels) that samples of other pictures have and those of the same
-/// pictures have not.
-pub const STRANGE: f64 = 0.08;
+/// Share of the scene's own spread of colours that other pictures are apart and the same pictures are not, and
+/// the least such difference (mean over the channels).
+const STRANGE: (f64, f64) = (0.6, 0.03);
 
 /// A change of colours from another development to that of the scene.
 #[derive(Clone, Debug, PartialEq)]
@@ -67,6 +67,18 @@ impl Pairs {
 fn knot(k: usize) -> f64 {
     let share = k as f64 / (KNOTS - 1) as f64;
     share * share
+}
+
+/// For each view, whether it shows something else than the scene: neither as it is nor after a change do its
+/// colours follow the scene's.
+pub fn strange(views: &[Pairs], by: &Development) -> Vec<bool> {
+    let all = || views.iter().flat_map(|pairs| &pairs.0).map(|(_, p)| *p);
+    let count = all().count().max(1) as f64;
+    let mean: [f64; 3] = std::array::from_fn(|c| all().map(|p| p[c]).sum::<f64>() / count);
+    let spread =
+        all().map(|p| (0..3).map(|c| (p[c] - mean[c]).abs()).sum::<f64>() / 3.0).sum::<f64>() / count;
+    let limit = STRANGE.1.max(STRANGE.0 * spread);
+    views.iter().map(|pairs| pairs.apart(Some(by)).min(pairs.apart(None)) > limit).collect()
 }
 
 /// The place of a value among the knots: the one before, and the share of the next.
@@ -244,12 +256,13 @@ mod tests {
             assert!(view.apart(None) > 0.1, "{}", view.apart(None));
             assert!(view.apart(Some(&found)) < 0.02, "{}", view.apart(Some(&found)));
         }
+        assert!(strange(&views, &found).iter().all(|strange| !strange));
         // The curves rise.
         assert!(found.curves.iter().all(|curve| curve.windows(2).all(|pair| pair[0] <= pair[1])));
         // Other pictures stay strange.
         let others: Vec<Pairs> = (0..4).map(|k| Pairs::of(&stones(k + 50), &stones(k))).collect();
         let found = Development::fit(&others);
-        assert!(others.iter().all(|view| view.apart(Some(&found)) > STRANGE));
+        assert!(strange(&others, &found).iter().all(|strange| *strange));
     }
 
     #[test]

@@ -44,7 +44,7 @@ mod straight;
 mod structure;
 
 pub use coverage::Coverage;
-pub use development::{Development, Pairs, STRANGE};
+pub use development::{Development, Pairs, strange};
 pub use grade::{Grade, Seen, ViewMap, grade};
 pub use grid::{Grid, small_size};
 pub use map::{ColourMap, Sample};

@@ -22,7 +22,7 @@ use use3d_capture::{Camera, FileName, Image, Intrinsics, Map};
 use use3d_import::{Original, Originals, pinhole_of};
 use use3d_io_image::{Photograph, Samples, photograph_info, write_png_map};
 use use3d_photographs::{
-    ColourMap, Development, Graded, Grid, Photographer, STRANGE, ViewMap, shrink, small_size, straight,
+    ColourMap, Development, Graded, Grid, Photographer, ViewMap, shrink, small_size, straight, strange,
 };
 use use3d_render::Mode;
 use use3d_scene::Scene;
@@ -289,12 +289,9 @@ impl PhotographWork<'_, '_> {
             pairs.iter().map(|pairs| pairs.apart(by)).sum::<f64>() / pairs.len().max(1) as f64
         };
         let (before, after) = (mean(None), mean(Some(&found)));
-        let strange: Vec<&FileName> = names
-            .iter()
-            .zip(&pairs)
-            .filter(|(_, pairs)| pairs.apart(Some(&found)).min(pairs.apart(None)) > STRANGE)
-            .map(|(name, _)| name)
-            .collect();
+        let other = strange(&pairs, &found);
+        let strange: Vec<&FileName> =
+            names.iter().zip(other).filter(|(_, other)| *other).map(|(name, _)| name).collect();
         if let Some(first) = strange.first() {
             return Err(WorkError::Input(format!(
                 "{}: {} of {} photographs that were compared do not show what their cameras see ({first} is the \

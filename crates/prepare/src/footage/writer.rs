@@ -312,7 +312,7 @@ fn check_free(target: &Path, choices: FilmChoices) -> Result<(), PrepareError> {
     }
     if !choices.replace && target.symlink_metadata().is_ok() {
         let reason =
-            "there is a file of this name already; choose another name, or allow that it is replaced";
+            "there is a file of this name already; choose another name, or pass --force to replace it";
         return Err(PrepareError::input(target, reason));
     }
     Ok(())
