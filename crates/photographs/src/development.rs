@@ -7,9 +7,9 @@
 //! P ≈ A c(Q) + b,       c_i rising, linear between [`KNOTS`] values (k / [`KNOTS`] − 1)² of Q
 //! ```
 //!
-//! Fitted over all views at once, by turns: `A`, `b` of least squares for the curves, then each curve of least
-//! squares for `A⁻¹ (P − b)`, made to rise. `P` is the stage-1 render where the scene knows the view, both in
-//! means over windows, so that sharpness does not count. All values are in display range.
+//! Fitted over all views at once, by turns: `A`, `b` of least squares for the curves, then each curve of
+//! least squares for `A⁻¹ (P − b)`, made to rise. `P` is the stage-1 render, and both are means over windows,
+//! so that sharpness does not count. All values are in display range.
 
 use use3d_capture::Image;
 
@@ -22,8 +22,8 @@ const KNOTS: usize = 17;
 const WINDOW: (f64, usize) = (0.012, 5);
 /// Rounds of curves and map.
 const ROUNDS: usize = 8;
-/// Share of the scene's own spread of colours that other pictures are apart and the same pictures are not, and
-/// the least such difference (mean over the channels).
+/// Share of the scene's own spread of colours that other pictures are apart and the same pictures are not,
+/// and the least such difference (mean over the channels).
 const STRANGE: (f64, f64) = (0.6, 0.03);
 
 /// A change of colours from another development to that of the scene.
@@ -33,12 +33,12 @@ pub struct Development {
     rows: [[f32; 4]; 3],
 }
 
-/// Pairs of colours of one view: of the other photograph, and of the scene.
+/// ColourPairs of colours of one view: of the other photograph, and of the scene.
 #[derive(Clone, Debug, Default)]
-pub struct Pairs(Vec<([f64; 3], [f64; 3])>);
+pub struct ColourPairs(Vec<([f64; 3], [f64; 3])>);
 
-impl Pairs {
-    /// Pairs from a photograph and the stage-1 render of its view, of one size.
+impl ColourPairs {
+    /// ColourPairs from a photograph and the stage-1 render of its view, of one size.
     pub fn of(photograph: &Image, render: &Image) -> Self {
         let (w, h, n) = (photograph.width(), photograph.height(), photograph.pixels());
         let smooth = |image: &Image| {
@@ -71,7 +71,7 @@ fn knot(k: usize) -> f64 {
 
 /// For each view, whether it shows something else than the scene: neither as it is nor after a change do its
 /// colours follow the scene's.
-pub fn strange(views: &[Pairs], by: &Development) -> Vec<bool> {
+pub fn strange(views: &[ColourPairs], by: &Development) -> Vec<bool> {
     let all = || views.iter().flat_map(|pairs| &pairs.0).map(|(_, p)| *p);
     let count = all().count().max(1) as f64;
     let mean: [f64; 3] = std::array::from_fn(|c| all().map(|p| p[c]).sum::<f64>() / count);
@@ -90,7 +90,7 @@ fn place(value: f64) -> (usize, f64) {
 
 impl Development {
     /// The change of least squares over all views.
-    pub fn fit(views: &[Pairs]) -> Self {
+    pub fn fit(views: &[ColourPairs]) -> Self {
         let pairs: Vec<&([f64; 3], [f64; 3])> = views.iter().flat_map(|pairs| &pairs.0).collect();
         let mut curves = [std::array::from_fn::<f64, KNOTS, _>(knot); 3];
         let mut rows = [[0.0f64; 4]; 3];
@@ -250,7 +250,8 @@ mod tests {
 
     #[test]
     fn another_development_is_brought_to_the_colours_of_the_scene() {
-        let views: Vec<Pairs> = (0..4).map(|k| Pairs::of(&developed(&stones(k)), &stones(k))).collect();
+        let views: Vec<ColourPairs> =
+            (0..4).map(|k| ColourPairs::of(&developed(&stones(k)), &stones(k))).collect();
         let found = Development::fit(&views);
         for view in &views {
             assert!(view.apart(None) > 0.1, "{}", view.apart(None));
@@ -260,14 +261,14 @@ mod tests {
         // The curves rise.
         assert!(found.curves.iter().all(|curve| curve.windows(2).all(|pair| pair[0] <= pair[1])));
         // Other pictures stay strange.
-        let others: Vec<Pairs> = (0..4).map(|k| Pairs::of(&stones(k + 50), &stones(k))).collect();
+        let others: Vec<ColourPairs> = (0..4).map(|k| ColourPairs::of(&stones(k + 50), &stones(k))).collect();
         let found = Development::fit(&others);
         assert!(strange(&others, &found).iter().all(|strange| *strange));
     }
 
     #[test]
     fn the_same_photographs_need_no_change() {
-        let views = [Pairs::of(&stones(1), &stones(1).map(|v| v + 0.01))];
+        let views = [ColourPairs::of(&stones(1), &stones(1).map(|v| v + 0.01))];
         assert!(views[0].apart(None) < 0.011);
     }
 }

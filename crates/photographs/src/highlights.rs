@@ -18,9 +18,9 @@
 //! m' = l m,           m'' = m' + s' (max m' − m'),     s' = min([`WHITE`], [`BLEACH`] (1 − l))
 //! ```
 //!
-//! and `p (m'' − m)` is added to the changed photograph: detail keeps its size. `p` rises from 0 to 1 while the
-//! brightest channel of the pixel rises from [`DARK`] to [`BRIGHT`] of `e`: dark things beside a bright one
-//! are no part of its place.
+//! and `p (m'' − m)` is added to the changed photograph: detail keeps its size. `p` rises from 0 to 1 while
+//! the brightest channel of the pixel rises from [`DARK`] to [`BRIGHT`] of `e`: dark things beside a bright
+//! one are no part of its place.
 //!
 //! Looks for measuring are left as they are.
 //!

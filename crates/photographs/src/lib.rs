@@ -10,7 +10,8 @@
 //!
 //! ([`mod@grade`] has the symbols.) All factors are smooth, so they are computed on a small [`Grid`] through
 //! the photograph's own lens, and [`ColourMap::apply`] reads them between its pixels. The photograph is never
-//! resampled (but by [`straight()`], for programs that know no distortion): names, size, lens and detail stay. Colours are display-referred, `[0, 1]`.
+//! resampled: names, size, lens and detail stay. Only [`straight()`] resamples it, for programs that know no
+//! distortion. Colours are display-referred, `[0, 1]`.
 //!
 //! [`Photographer`] draws a view and grades its photograph. Limits: a developed JPEG is no albedo, and where
 //! hardly any red arrives, red is a guess; where the scene knows nothing, it has no say.
@@ -38,16 +39,18 @@ mod highlights;
 mod known;
 mod map;
 mod photographer;
+mod pixels;
 mod quiet;
+mod sample;
 mod small;
 mod straight;
 mod structure;
 
 pub use coverage::Coverage;
-pub use development::{Development, Pairs, strange};
+pub use development::{ColourPairs, Development, strange};
 pub use grade::{Grade, Seen, ViewMap, grade};
 pub use grid::{Grid, small_size};
-pub use map::{ColourMap, Sample};
+pub use map::ColourMap;
 pub use photographer::{Graded, PhotographError, Photographer};
-pub use small::shrink;
-pub use straight::straight;
+pub use pixels::{PixelSample, shrink, straight};
+pub use sample::Sample;

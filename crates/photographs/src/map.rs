@@ -15,12 +15,11 @@ use std::sync::Arc;
 
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
-use use3d_capture::{Image, Intrinsics};
-use use3d_survey::Lens;
 
 use crate::development::Development;
 use crate::highlights::calm;
 use crate::quiet::Quiet;
+use crate::sample::Sample;
 
 /// The change of colours of one photograph: `P⁺ = M P + b`, with factors on a small grid.
 #[derive(Clone, Debug)]
@@ -35,81 +34,6 @@ pub struct ColourMap {
     pub(crate) soft: bool,
     /// The change before all others, of photographs of another development.
     pub(crate) development: Option<Arc<Development>>,
-}
-
-/// A sample of a photograph's file.
-pub trait Sample: Copy + Send + Sync {
-    /// [`ColourMap::apply`] for these samples, compiled in this crate, whose build is optimised.
-    fn change(map: &ColourMap, pixels: &mut [Self], width: usize);
-    /// [`crate::shrink`] for these samples.
-    fn shrink(pixels: &[Self], width: usize, size: (usize, usize)) -> Image;
-    /// [`crate::straight`] for these samples.
-    fn straight(
-        pixels: (&[Self], usize),
-        size: (usize, usize),
-        lens: &Lens,
-        pinhole: &Intrinsics,
-    ) -> Vec<Self>;
-    /// Its value in display range.
-    fn value(self) -> f32;
-    /// The sample of a value in display range: rounded and clamped, unless samples are floats.
-    fn of(value: f32) -> Self;
-}
-
-/// The methods of [`Sample`] that are more than a number.
-macro_rules! in_this_crate {
-    () => {
-        fn change(map: &ColourMap, pixels: &mut [Self], width: usize) {
-            map.change(pixels, width);
-        }
-        fn shrink(pixels: &[Self], width: usize, size: (usize, usize)) -> Image {
-            crate::small::areas(pixels, width, size)
-        }
-        fn straight(
-            pixels: (&[Self], usize),
-            size: (usize, usize),
-            lens: &Lens,
-            pinhole: &Intrinsics,
-        ) -> Vec<Self> {
-            crate::straight::read(pixels, size, lens, pinhole)
-        }
-    };
-}
-
-impl Sample for u8 {
-    in_this_crate!();
-    #[inline(always)]
-    fn value(self) -> f32 {
-        f32::from(self) * (1.0 / 255.0)
-    }
-    #[inline(always)]
-    fn of(value: f32) -> Self {
-        (value * 255.0 + 0.5) as u8 // the cast saturates
-    }
-}
-
-impl Sample for u16 {
-    in_this_crate!();
-    #[inline(always)]
-    fn value(self) -> f32 {
-        f32::from(self) * (1.0 / 65535.0)
-    }
-    #[inline(always)]
-    fn of(value: f32) -> Self {
-        (value * 65535.0 + 0.5) as u16
-    }
-}
-
-impl Sample for f32 {
-    in_this_crate!();
-    #[inline(always)]
-    fn value(self) -> f32 {
-        self
-    }
-    #[inline(always)]
-    fn of(value: f32) -> Self {
-        value
-    }
 }
 
 /// The two small pixels between which a pixel of a large row lies, and the share of the second one.
@@ -166,8 +90,8 @@ impl ColourMap {
         Self { development, ..self }
     }
 
-    /// The mean with the map of an earlier picture of the same size, which counts `share`. A map of another size
-    /// does not count.
+    /// The mean with the map of an earlier picture of the same size, which counts `share`. A map of
+    /// another size does not count.
     #[must_use]
     pub fn mixed(mut self, earlier: &Self, share: f32) -> Self {
         if self.size() != earlier.size() {
@@ -198,13 +122,8 @@ impl ColourMap {
         }
     }
 
-    /// Changes the colours of interleaved RGB pixels of `width` columns in place. Pixels outside the display
-    /// range stay outside in a file of floats. Sums of a pixel do not depend on the threads.
-    pub fn apply<T: Sample>(&self, pixels: &mut [T], width: usize) {
-        T::change(self, pixels, width);
-    }
-
-    fn change<T: Sample>(&self, pixels: &mut [T], width: usize) {
+    /// [`ColourMap::apply`] for one type of sample.
+    pub(crate) fn change<T: Sample>(&self, pixels: &mut [T], width: usize) {
         if width == 0 || pixels.is_empty() || self.width == 0 || self.height == 0 {
             return;
         }

@@ -4,12 +4,12 @@ use use3d_capture::{Camera, Image, Lattice, Map};
 use use3d_render::{Mode, RenderError, Rendering, SceneRenderer};
 
 use crate::coverage::Coverage;
-use crate::development::Pairs;
+use crate::development::ColourPairs;
 use crate::grade::{Grade, Seen, ViewMap, grade, own_map};
 use crate::grid::Grid;
 
-/// Longer side of the pictures of the answer to light, pixels. They are smooth, and the photograph guides them
-/// to its edges.
+/// Longer side of the pictures of the answer to light, pixels. They are smooth, and the photograph guides
+/// them to its edges.
 const FACTORS: usize = 480;
 
 /// Longer side of the pictures of a whole view's change, pixels.
@@ -84,14 +84,14 @@ impl<'s> Photographer<'s> {
         Ok(self)
     }
 
-    /// Pairs of colours of a photograph of another development and the scene.
+    /// ColourPairs of colours of a photograph of another development and the scene.
     ///
     /// # Errors
     /// The renderer's device failed, or the photograph has another size than the grid.
-    pub fn pairs(&mut self, photograph: &Image, grid: &Grid) -> Result<Pairs, PhotographError> {
+    pub fn pairs(&mut self, photograph: &Image, grid: &Grid) -> Result<ColourPairs, PhotographError> {
         fits(photograph, grid)?;
         let render = self.plain.color(&grid.camera, Mode::Reconstruction)?;
-        Ok(Pairs::of(photograph, &grid.read(&render)))
+        Ok(ColourPairs::of(photograph, &grid.read(&render)))
     }
 
     /// The change of a view as a whole, from the scene alone: of a photograph that equals its render.

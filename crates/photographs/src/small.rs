@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 use use3d_capture::Image;
 
-use crate::map::Sample;
+use crate::sample::Sample;
 
 /// One pixel of a small line: the range of large pixels that it covers, with the shares of the first and
 /// last.
@@ -27,12 +27,7 @@ fn spans(large: usize, small: usize) -> Vec<Span> {
     (0..small).map(span).collect()
 }
 
-/// The mean of interleaved RGB pixels of `width` columns over the areas of a smaller picture, display range.
-/// The same size gives the pixels themselves.
-pub fn shrink<T: Sample>(pixels: &[T], width: usize, size: (usize, usize)) -> Image {
-    T::shrink(pixels, width, size)
-}
-
+/// [`crate::shrink`] for one type of sample.
 pub(crate) fn areas<T: Sample>(pixels: &[T], width: usize, size: (usize, usize)) -> Image {
     let height = if width == 0 { 0 } else { pixels.len() / (3 * width) };
     let mut out = Image::new(size.0, size.1);
@@ -70,16 +65,16 @@ mod tests {
     #[test]
     fn areas_are_means_and_the_same_size_is_the_picture_itself() {
         let pixels: Vec<u8> = (0..3 * 6 * 4).map(|i| (i * 3) as u8).collect();
-        let same = shrink(&pixels, 6, (6, 4));
+        let same = areas(&pixels, 6, (6, 4));
         assert_eq!(same.to_8bit().to_interleaved(), pixels);
-        let half = shrink(&pixels, 6, (3, 2));
+        let half = areas(&pixels, 6, (3, 2));
         let mean =
             |c: usize| [0, 3, 18, 21].iter().map(|o| f32::from(pixels[o + c])).sum::<f32>() / 4.0 / 255.0;
         (0..3).for_each(|c| assert!((half.pixel(0, 0)[c] - mean(c)).abs() < 1e-6));
         // Parts of pixels count by their share: 6 columns to 4.
-        let part = shrink(&pixels, 6, (4, 4)).pixel(0, 0)[0];
+        let part = areas(&pixels, 6, (4, 4)).pixel(0, 0)[0];
         let expected = (f32::from(pixels[0]) + 0.5 * f32::from(pixels[3])) / 1.5 / 255.0;
         assert!((part - expected).abs() < 1e-6);
-        assert_eq!(shrink::<u8>(&[], 0, (2, 2)), Image::new(2, 2));
+        assert_eq!(areas::<u8>(&[], 0, (2, 2)), Image::new(2, 2));
     }
 }

@@ -9,22 +9,12 @@ use rayon::prelude::*;
 use use3d_capture::Intrinsics;
 use use3d_survey::Lens;
 
-use crate::map::Sample;
+use crate::sample::Sample;
 
 /// Pixels between places that are computed; others are read between these.
 const STEP: usize = 8;
 
-/// Interleaved pixels of `channels` values of a photograph of `size` pixels, taken through `lens`, as the
-/// pinhole would have taken them. A photograph without pixels gives none.
-pub fn straight<T: Sample>(
-    (pixels, channels): (&[T], usize),
-    size: (usize, usize),
-    lens: &Lens,
-    pinhole: &Intrinsics,
-) -> Vec<T> {
-    T::straight((pixels, channels), size, lens, pinhole)
-}
-
+/// [`crate::straight()`] for one type of sample.
 pub(crate) fn read<T: Sample>(
     (pixels, channels): (&[T], usize),
     (width, height): (usize, usize),
@@ -90,7 +80,7 @@ mod tests {
             pixel.copy_from_slice(&[u as f32, v as f32, 1.0]);
         }
         let pinhole = Intrinsics { width: 160, height: 120, fx: 180.0, fy: 180.0, cx: 80.0, cy: 60.0 };
-        let out = straight((&photograph, 3), (w, h), &bent, &pinhole);
+        let out = read((&photograph, 3), (w, h), &bent, &pinhole);
         for (i, pixel) in out.chunks_exact(3).enumerate() {
             let (u, v) = (((i % 160) as f32 + 0.5 - 80.0) / 180.0, ((i / 160) as f32 + 0.5 - 60.0) / 180.0);
             // A tenth of a pixel.
@@ -98,6 +88,6 @@ mod tests {
         }
         let same = Intrinsics { width: w, height: h, fx: 180.0, fy: 180.0, cx: 100.0, cy: 75.0 };
         let bytes: Vec<u8> = (0..w * h).map(|i| (i * 7 % 251) as u8).collect();
-        assert_eq!(straight((&bytes, 1), (w, h), &plain, &same), bytes);
+        assert_eq!(read((&bytes, 1), (w, h), &plain, &same), bytes);
     }
 }
