@@ -181,12 +181,12 @@ impl PhotographWork<'_, '_> {
             let source = file.below(self.folder);
             totals.without_camera += usize::from(matches!(job, PhotographJob::Mean(_)));
             let target = self.out.join(self.layout.place(&file));
-            if record.has(job.relative(), &source, &target) {
+            if record.has(&file, &source, &target) {
                 totals.kept += 1;
                 continue;
             }
-            record.check(job.relative(), &source, &target)?;
-            open.push((job, source, target));
+            record.check(&file, &source, &target)?;
+            open.push((job, file, source, target));
         }
         if totals.missing == self.originals.photographs.len() {
             return Err(WorkError::Input(format!(
@@ -208,8 +208,8 @@ impl PhotographWork<'_, '_> {
         let mut photographer = None;
         let mut grids: BTreeMap<String, Option<Grid>> = BTreeMap::new();
         let mut development = None;
-        for (job, source, target) in open {
-            let name = job.relative().to_string();
+        for (job, file, source, target) in open {
+            let name = file.to_string();
             if !progress(totals.kept + totals.written, total, &name) {
                 write_table(self.out, &record, self.metres).map_err(|e| failed(&e))?;
                 return Err(WorkError::Stopped);
@@ -223,8 +223,8 @@ impl PhotographWork<'_, '_> {
                     made
                 }
             };
-            record.begin(job.relative())?;
-            let entry = match &job {
+            record.begin(&file)?;
+            let mut entry = match &job {
                 PhotographJob::Posed(original, own) => {
                     let how = (own.as_ref().copied(), development.clone());
                     self.posed(photographer, &mut grids, (original, how), &source, &target)?
@@ -235,6 +235,7 @@ impl PhotographWork<'_, '_> {
                     self.by_mean((ViewMap::mean(&views), development.clone()), name, &source, &target)?
                 }
             };
+            entry.name.clone_from(&name);
             for note in &entry.notes {
                 say(&format!("{name}: {note}"));
             }
