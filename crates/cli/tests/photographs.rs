@@ -70,6 +70,11 @@ fn photographs_come_back_under_their_names_and_nothing_is_lost() {
     let told = expect(&place, 0, &photographs);
     assert!(told.contains("0 photographs written") && told.contains("finished before"), "{told}");
 
+    // A result that its user changed is not replaced.
+    std::fs::copy(at("tiny/images").join(first), at("own").join(first)).unwrap();
+    let told = expect(&place, 2, &photographs);
+    assert!(told.contains(first) && told.contains("not a finished result"), "{told}");
+
     // Other settings, files of others, and the originals themselves are refused; `--force` replaces results.
     let told = expect(&place, 2, &["photographs", "out", "-o", "own", "--strength", "0.5"]);
     assert!(told.contains("--force"), "{told}");

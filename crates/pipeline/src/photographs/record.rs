@@ -6,7 +6,7 @@
 //! whose line is missing is known as the program's own. The first line names the settings, because
 //! photographs with other settings are other results.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::fs::OpenOptions;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -35,9 +35,11 @@ struct Head {
 #[serde(deny_unknown_fields)]
 struct Begun {
     begun: String,
+    /// The finished file of other settings; `None` while a file is being written.
+    result: Option<Stamp>,
 }
 
-/// What may be replaced in the folder of the results.
+/// The permission to replace files in the folder of the results.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Overwrite {
     /// Nothing.
@@ -115,8 +117,8 @@ impl FinishedPhotograph {
 pub struct Record {
     path: PathBuf,
     entries: BTreeMap<String, FinishedPhotograph>,
-    /// Names of files that are the program's own, but no finished results.
-    begun: BTreeSet<String>,
+    /// Files that are the program's own, but no finished results: see [`Begun`].
+    begun: BTreeMap<String, Option<Stamp>>,
     overwrite: Overwrite,
 }
 
@@ -139,12 +141,13 @@ impl Record {
         let mut lines = text.lines();
         let head: Option<Head> = lines.next().and_then(|line| serde_json::from_str(line).ok());
         let head = head.filter(|head| head.format == FORMAT);
-        let (mut entries, mut begun) = (BTreeMap::new(), BTreeSet::new());
+        let (mut entries, mut begun) = (BTreeMap::new(), BTreeMap::new());
         for line in lines.filter(|_| head.is_some()) {
             if let Ok(entry) = serde_json::from_str::<FinishedPhotograph>(line) {
+                begun.remove(&entry.name);
                 entries.insert(entry.name.clone(), entry);
             } else if let Ok(line) = serde_json::from_str::<Begun>(line) {
-                begun.insert(line.begun);
+                begun.insert(line.begun, line.result);
             }
         }
         if head.as_ref().is_some_and(|head| head.settings == settings) {
@@ -162,13 +165,13 @@ impl Record {
                 folder.display()
             )));
         }
-        begun.extend(entries.into_keys());
+        begun.extend(entries.into_iter().map(|(name, entry)| (name, entry.result)));
         let head = Head { format: FORMAT.into(), settings: settings.into() };
         use3d_files::write_atomically(&path, |w| {
             serde_json::to_writer(&mut *w, &head)?;
-            for begun in &begun {
+            for (name, result) in &begun {
                 w.write_all(b"\n")?;
-                serde_json::to_writer(&mut *w, &Begun { begun: begun.clone() })?;
+                serde_json::to_writer(&mut *w, &Begun { begun: name.clone(), result: *result })?;
             }
             w.write_all(b"\n")
         })
@@ -196,7 +199,9 @@ impl Record {
             )));
         }
         let finished = self.entries.get(name.as_str()).and_then(|entry| entry.result);
-        let own = self.begun.contains(name.as_str()) || finished == stamp(target);
+        let begun = self.begun.get(name.as_str());
+        let own = begun.is_some_and(|result| result.is_none() || *result == stamp(target))
+            || finished == stamp(target);
         if target.exists() && self.overwrite != Overwrite::All && !own {
             return Err(WorkError::Input(format!(
                 "{}: the file exists and is not a finished result; pass --force to replace it, or choose another \
@@ -219,10 +224,8 @@ impl Record {
     /// # Errors
     /// The record cannot be written.
     pub(super) fn begin(&mut self, name: &FileName) -> Result<(), WorkError> {
-        if self.begun.insert(name.to_string()) {
-            self.append(serde_json::to_string(&Begun { begun: name.to_string() }))?;
-        }
-        Ok(())
+        self.begun.insert(name.to_string(), None);
+        self.append(serde_json::to_string(&Begun { begun: name.to_string(), result: None }))
     }
 
     /// Adds a finished photograph.
@@ -237,6 +240,7 @@ impl Record {
     ) -> Result<(), WorkError> {
         (entry.original, entry.result) = (stamp(source), stamp(target));
         self.append(serde_json::to_string(&entry))?;
+        self.begun.remove(&entry.name);
         self.entries.insert(entry.name.clone(), entry);
         Ok(())
     }
@@ -297,9 +301,24 @@ mod tests {
         record.begin(&name).unwrap();
         let record = Record::open(dir.path(), "a", Overwrite::Nothing).unwrap();
         record.check(&name, &source, &target).unwrap();
+        // Once it is finished, a user's changes to it are safe, with these settings and with others.
+        let mut record = Record::open(dir.path(), "a", Overwrite::Nothing).unwrap();
+        record.add(entry("result.jpg"), &source, &target).unwrap();
+        let changed = |overwrite, settings: &str| {
+            std::fs::write(&target, "changed by its user").unwrap();
+            let record = Record::open(dir.path(), settings, overwrite).unwrap();
+            let refused = record.check(&name, &source, &target).is_err();
+            std::fs::write(&target, "another result").unwrap();
+            refused
+        };
+        assert!(changed(Overwrite::Nothing, "a"));
+        let mut record = Record::open(dir.path(), "a", Overwrite::Nothing).unwrap();
+        record.begin(&name).unwrap();
+        record.add(entry("result.jpg"), &source, &target).unwrap();
         // With other settings, own files may be replaced, and others not.
         let record = Record::open(dir.path(), "b", Overwrite::Own).unwrap();
         record.check(&name, &source, &target).unwrap();
+        assert!(changed(Overwrite::Own, "b"));
         let foreign = at("foreign.jpg");
         std::fs::write(&foreign, "of somebody").unwrap();
         assert!(record.check(&FileName::new("foreign.jpg").unwrap(), &source, &foreign).is_err());
