@@ -51,8 +51,8 @@ pub fn is_held_out(origin: Option<&Origin>, stem: &str) -> bool {
 }
 
 /// Writes the page of a scene folder with the views of an imported capture, and with their photographs in the
-/// folder `enhanced`. `parts` is the name of the folder
-/// for the page's parts, if it needs one; `white` is the white balance that it opens with.
+/// folder `enhanced`. `parts` is the name of the folder for the page's parts, if it needs one; `white` is the
+/// white balance that it opens with.
 ///
 /// # Errors
 /// Fails if the scene or the capture cannot be read, or the page cannot be built.

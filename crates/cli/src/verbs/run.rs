@@ -260,7 +260,7 @@ struct Given<'a> {
     white: Option<(&'a [WhiteChoice], &'a Path)>,
     /// The plan, if the progress of the whole run is shown.
     plan: Option<Plan>,
-    /// Whether all photographs are written, too.
+    /// True if all photographs are written, too.
     photographs: bool,
 }
 

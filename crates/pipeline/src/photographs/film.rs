@@ -14,11 +14,11 @@
 
 use std::collections::BTreeMap;
 
-use use3d_capture::{Camera, Pose};
+use use3d_capture::Pose;
 use use3d_import::{Original, Originals};
 use use3d_photographs::{ColourMap, Grid, Photographer, ViewMap, shrink};
 
-use super::{Appearance, WorkError, balanced};
+use super::{Appearance, WorkError, balanced, training_cameras};
 use crate::engines::Drawn;
 
 /// Longer side of the small grid of a frame, pixels.
@@ -72,12 +72,7 @@ impl<'s> FilmGrader<'s> {
                 shown.0, shown.1, lens.width, lens.height
             )));
         }
-        let training: Vec<Camera> = originals
-            .photographs
-            .iter()
-            .filter(|original| original.train)
-            .map(|original| Camera { intrinsics: original.camera, pose: original.pose })
-            .collect();
+        let training = training_cameras(originals);
         let mut photographer = appearance.photographer(scene, &training).map_err(WorkError::Failed)?;
         let step = training.len().div_ceil(VIEWS).max(1);
         let views: Result<Vec<ViewMap>, _> =

@@ -96,7 +96,7 @@ pub struct PhotographWork<'a, 's> {
     pub unknown: Option<&'a Path>,
     /// A text that differs between settings with different results: the scene's digest and the flags.
     pub settings: String,
-    /// What may be replaced.
+    /// The permission to replace files.
     pub overwrite: Overwrite,
 }
 
@@ -198,13 +198,7 @@ impl PhotographWork<'_, '_> {
             )));
         }
         let total = totals.kept + open.len();
-        let training: Vec<Camera> = self
-            .originals
-            .photographs
-            .iter()
-            .filter(|original| original.train)
-            .map(|original| Camera { intrinsics: original.camera, pose: original.pose })
-            .collect();
+        let training = training_cameras(self.originals);
         let mut photographer = None;
         let mut grids: BTreeMap<String, Option<Grid>> = BTreeMap::new();
         let mut development = None;
@@ -379,12 +373,12 @@ impl PhotographWork<'_, '_> {
             .grade(&small, &grid, own, None)
             .map_err(|e| WorkError::Failed(format!("{}: {e}", original.relative)))?;
         let entry = self.entry(&original.relative, &photograph, &graded);
-        let gains = self.gains();
-        change(&mut photograph, &graded.grade.map.clone().after(gains).developed(development));
+        let grade = graded.grade;
+        change(&mut photograph, &grade.map.after(self.gains()).developed(development));
         if let Some(folder) = self.unknown {
             let mask =
                 original.relative.with_extension("png").map_err(|e| WorkError::Input(e.to_string()))?;
-            let known = large(&graded.grade.known, (photograph.width, photograph.height));
+            let known = large(&grade.known, (photograph.width, photograph.height));
             write_png_map(&mask.below(folder), &known).map_err(|e| WorkError::Failed(e.to_string()))?;
         }
         self.write(&photograph, target)?;
@@ -435,6 +429,12 @@ impl PhotographWork<'_, '_> {
         entry.view = Some(graded.grade.own.rows);
         entry
     }
+}
+
+/// The cameras that a scene was learnt from.
+fn training_cameras(originals: &Originals) -> Vec<Camera> {
+    let learnt = originals.photographs.iter().filter(|original| original.train);
+    learnt.map(|original| Camera { intrinsics: original.camera, pose: original.pose }).collect()
 }
 
 /// The median and the 90 % quantile of the distances along the axis, scene units; `None` without a surface.
