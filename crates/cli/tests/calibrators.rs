@@ -1,7 +1,5 @@
 //! Tests of finished calibrators, this program's and the authors' (stand-ins with the same layout): in a
 //! pipeline, by hand, and in the list of models.
-#![cfg(feature = "nets")]
-
 use std::path::Path;
 use std::process::Command;
 

@@ -43,9 +43,6 @@ fn the_plan_of_every_shipped_pipeline_names_the_pairs_that_are_missing() {
         for word in ["`calibrator.pairs.input` in ", name, "UIEB is not set", "docs/guide/datasets.md"] {
             assert!(pairs.contains(word), "{name}: {pairs}");
         }
-        if cfg!(not(feature = "nets")) {
-            continue;
-        }
         // Each missing file is listed once, with its name, its source, and the setting that avoids it.
         for (what, file, without) in [
             ("Nu2Net", "uie_proposer.pth", "--set targets.proposer=fusion"),
@@ -92,8 +89,7 @@ fn a_mistyped_folder_fails_the_run_and_is_said_by_the_plan() {
     for stage in ["targets", "evaluate", "pairs"] {
         let set = format!("{stage}.proposer=nu2net");
         let (_, err) = expect(2, dir.path(), &[&plan[..], &["--set", &set]].concat());
-        let words = if cfg!(feature = "nets") { "the weights of Nu2Net" } else { "built without networks" };
-        assert!(err.contains(words) && err.contains("proposer=fusion"), "{set}: {err}");
+        assert!(err.contains("the weights of Nu2Net") && err.contains("proposer=fusion"), "{set}: {err}");
     }
     let truth = dir.path().join("reef/truth/clean");
     let image = std::fs::read_dir(&truth).expect("truth").next().expect("an image").expect("one").path();

@@ -1,7 +1,5 @@
 //! Runs the paper's pipelines with stand-ins for data that are not available here: 26 tiny scenes, weights of
 //! the right shapes, a few pairs. The changes to the paper's settings must be printed beside every number.
-#![cfg(feature = "nets")]
-
 use std::path::Path;
 use std::process::Command;
 

@@ -40,8 +40,6 @@ pub struct CodeRules {
     /// Crates that write no byte of an artifact, such as the build system: if a file of that crate uses them,
     /// they do not count.
     pub crates_not_followed: &'static [&'static str],
-    /// Crates that are used only under a `cfg` condition and are not in this build.
-    pub absent: &'static [&'static str],
 }
 
 /// Digests of the workspace's code; see the module.
@@ -139,7 +137,7 @@ impl CodeTable {
     /// # Errors
     /// The code does not exist.
     pub fn stage(&self, crates: &[&str], sources: &[&str]) -> Result<StageCode, CodeError> {
-        let CodeRules { by_file, not_followed, crates_not_followed, absent } = self.rules;
+        let CodeRules { by_file, not_followed, crates_not_followed } = self.rules;
         let no_file = |path: &str| CodeError::NoFile { path: path.to_string(), by_file };
         let mut code = StageCode::default();
         let mut open: Vec<&str> = crates.to_vec();
@@ -158,7 +156,7 @@ impl CodeTable {
                 continue;
             }
             unite(&mut code.third_party, &file.third_party);
-            let counts = |name: &&str| !crates_not_followed.contains(name) && !absent.contains(name);
+            let counts = |name: &&str| !crates_not_followed.contains(name);
             open.extend(file.workspace.iter().map(String::as_str).filter(counts));
             let followed = |path: &&str| !not_followed.iter().any(|left| path.starts_with(left));
             files.extend(file.uses.iter().map(String::as_str).filter(followed));

@@ -10,7 +10,6 @@ const RULES: CodeRules = CodeRules {
     by_file: "pipeline",
     not_followed: &["src/config/"],
     crates_not_followed: &["use3d-workflow"],
-    absent: &["use3d-nets"],
 };
 
 /// The digest of the code of a stage that depends on some crates.

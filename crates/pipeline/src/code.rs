@@ -11,7 +11,6 @@ pub const RULES: CodeRules = CodeRules {
     by_file: "pipeline",
     not_followed: &["src/config/", "src/engines/"],
     crates_not_followed: &["use3d-workflow"],
-    absent: if cfg!(feature = "nets") { &[] } else { &["use3d-nets"] },
 };
 
 /// The table of the tree that this program was built from.

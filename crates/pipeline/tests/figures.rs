@@ -15,8 +15,6 @@
 //! stages behind the figures. When a default has changed, the test fails. Then measure the table again,
 //! remove it, or use the second form, which also needs the words "program of `c72191f`" in the text above
 //! the table.
-#![cfg(feature = "nets")]
-
 use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};

@@ -1,8 +1,6 @@
 //! A second reader of the files and crates that a stage reaches. It is independent of the first one: it finds
 //! paths in the text of the sources, while the build system reads tokens. Everything it finds has to be in
 //! every stage's code, or an edit would leave stale artifacts in use.
-#![cfg(feature = "nets")]
-
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 

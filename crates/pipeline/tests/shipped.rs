@@ -115,7 +115,6 @@ fn without_depth_is_there_as_the_authors_ran_it_and_with_the_prior_alone_off() {
 
 /// The network makes a scene's depth priors if the parameters request them, or if none are next to the
 /// photographs.
-#[cfg(feature = "nets")]
 #[test]
 fn depth_priors_are_made_where_the_weights_are_and_the_capture_has_none() {
     use use3d_pipeline::config::for_capture;
@@ -188,10 +187,6 @@ fn depth_priors_are_made_where_the_weights_are_and_the_capture_has_none() {
 /// Run `USE3D_UPDATE_SCHEMA=1 cargo test -p use3d-pipeline --test shipped` to write the schema again.
 #[test]
 fn the_schema_is_current() {
-    if cfg!(not(feature = "nets")) {
-        eprintln!("skipped: the schema is that of a build with networks");
-        return;
-    }
     let text = schema_text(&registry().expect("the stage table"));
     let file = folder().join("schema.json");
     if std::env::var_os("USE3D_UPDATE_SCHEMA").is_some() {

@@ -128,9 +128,7 @@ fn every_stage_is_made_of_the_files_it_uses_and_of_no_others() {
             !reached.contains(file) && !WITHOUT_ARTIFACTS.iter().any(|known| file.starts_with(known))
         })
         .collect();
-    if cfg!(feature = "nets") {
-        assert!(forgotten.is_empty(), "no stage is made of {forgotten:?}");
-    }
+    assert!(forgotten.is_empty(), "no stage is made of {forgotten:?}");
 }
 
 /// Copies the files that the digests are made of.
@@ -233,9 +231,7 @@ fn a_token_in_any_file_makes_every_stage_stale_that_reaches_it() {
         }
     };
     of_no_stage.retain(|path| !known(path));
-    if cfg!(feature = "nets") {
-        assert!(of_no_stage.is_empty(), "{of_no_stage:?}");
-    }
+    assert!(of_no_stage.is_empty(), "{of_no_stage:?}");
 }
 
 /// The stages that one more token in a file makes stale.

@@ -175,7 +175,6 @@ fn program([name, argument, purpose, origin]: &[&str; 4]) -> Finding {
     }
 }
 
-#[cfg(feature = "nets")]
 fn networks(models: Option<&Path>) -> Vec<Finding> {
     let folder = models.unwrap_or(Path::new("models"));
     let looked = use3d_nets::Models::open(folder);
@@ -187,11 +186,6 @@ fn networks(models: Option<&Path>) -> Vec<Finding> {
         }
     };
     use3d_nets::models::KNOWN.iter().map(find).collect()
-}
-
-#[cfg(not(feature = "nets"))]
-fn networks(_: Option<&Path>) -> Vec<Finding> {
-    vec![Finding::new("networks", false, "this program was built without the cargo feature `nets`", "")]
 }
 
 #[cfg(feature = "gpu")]

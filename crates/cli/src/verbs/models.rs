@@ -1,12 +1,10 @@
 //! Networks trained by others: the files that are searched for, and those found.
 
-#[cfg(feature = "nets")]
 use use3d_nets::Network;
 
 use crate::args::ModelsArgs;
 use crate::error::{CliError, Done};
 
-#[cfg(feature = "nets")]
 pub(crate) fn run(args: &ModelsArgs) -> Done {
     use use3d_nets::models::DigestCheck;
     use use3d_workflow::machine::bytes;
@@ -73,7 +71,6 @@ pub(crate) fn run(args: &ModelsArgs) -> Done {
 }
 
 /// The networks that a preset needs; one network of each inner list is enough.
-#[cfg(feature = "nets")]
 fn needed_for(preset: &str) -> Result<Vec<Vec<Network>>, CliError> {
     let values = use3d_pipeline::config::preset_values(preset).map_err(CliError::Input)?;
     let said = |stage: &str, key: &str, value: &str| values.get(stage).is_some_and(|p| p[key] == value);
@@ -96,9 +93,4 @@ fn needed_for(preset: &str) -> Result<Vec<Vec<Network>>, CliError> {
         needed.extend([LpipsHeads, AlexNet, RaftLarge, URanker, Musiq].map(|network| vec![network]));
     }
     Ok(needed)
-}
-
-#[cfg(not(feature = "nets"))]
-pub(crate) fn run(_: &ModelsArgs) -> Done {
-    Err(CliError::Input("this program was built without networks (cargo feature `nets`)".into()))
 }

@@ -261,16 +261,10 @@ fn profiling(app: &App) -> App {
 }
 
 /// Returns true if depth priors must be made for a prepared capture.
-#[cfg(feature = "nets")]
 fn depth_wanted(reconstruct: &Value, depth: Option<&Value>, capture: &Path, models: Option<&Path>) -> bool {
     let import = use3d_import::ImportParams::default();
     let depth = depth.unwrap_or(&Value::Null);
     use3d_pipeline::stages::depth_wanted(reconstruct, depth, Some((capture, &import)), models)
-}
-
-#[cfg(not(feature = "nets"))]
-fn depth_wanted(reconstruct: &Value, _: Option<&Value>, _: &Path, _: Option<&Path>) -> bool {
-    reconstruct["depth_prior"] == "depth-anything-v2"
 }
 
 pub(crate) fn reconstruct(app: &App, args: &ReconstructArgs) -> Done {
@@ -279,9 +273,7 @@ pub(crate) fn reconstruct(app: &App, args: &ReconstructArgs) -> Done {
     let force = args.replace.force;
     check_folder(&args.out, force)?;
     let registry = stages()?;
-    let mut names = vec!["reconstruct", "import", "propose"];
-    // The stage does not exist if the program was built without networks.
-    names.extend(registry.stage("depth").ok().map(|_| "depth"));
+    let names = ["reconstruct", "import", "propose", "depth"];
     let mut spelled = args.common.spelled();
     spelled.extend(engine(&args.engine, "reconstruct"));
     let parameters = with_flags(&registry, &names, &spelled, &args.settings.set)?;

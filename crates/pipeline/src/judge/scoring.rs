@@ -20,7 +20,6 @@ use crate::judge::scores::{Score, Scores};
 /// Relative difference of depths that counts as the same surface when warping by geometry.
 const SAME_SURFACE: f64 = 0.02;
 /// Inputs of the quality networks are scaled down to this long side if theirs is longer, as in the paper.
-#[cfg(feature = "nets")]
 const LONGEST_SIDE: usize = 1024;
 
 /// A network that measures the distance of two pictures.
@@ -40,7 +39,6 @@ pub struct Judges {
 
 impl Judges {
     /// Opens the networks that are in the models folder.
-    #[cfg(feature = "nets")]
     pub fn open(models: Option<&Path>) -> Self {
         use use3d_nets::{NetError, limit_long_side};
         let Some(dir) = models else {
@@ -63,12 +61,6 @@ impl Judges {
                 Box::new(move |a: &Image, b: &Image| net.flow(a, b).map_err(text))
             }),
         }
-    }
-
-    /// A build without networks opens none.
-    #[cfg(not(feature = "nets"))]
-    pub fn open(_: Option<&Path>) -> Self {
-        Self::without("not available: this program was built without networks (cargo feature `nets`)")
     }
 
     fn without(reason: &str) -> Self {

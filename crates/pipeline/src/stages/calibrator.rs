@@ -29,7 +29,6 @@ pub(super) fn read_calibrator(path: &Path) -> Result<Calibrator, StageError> {
 }
 
 /// Reads the authors' `transition_calibrator.pth`, or the same tensors as safetensors.
-#[cfg(feature = "nets")]
 fn released(file: &Path, wrong: &dyn Fn(String) -> StageError) -> Result<Calibrator, StageError> {
     use use3d_atc::calibrator::ReleasedConfig;
     use use3d_nets::Archive;
@@ -51,11 +50,4 @@ fn released(file: &Path, wrong: &dyn Fn(String) -> StageError) -> Result<Calibra
             .map_err(|_| wrong(format!("its `schema_version` is `{version}`, expected a whole number")))?;
     }
     Calibrator::from_named_tensors(archive.tensors, &config).map_err(|e| wrong(format!("{e}; {expected}")))
-}
-
-#[cfg(not(feature = "nets"))]
-fn released(_: &Path, wrong: &dyn Fn(String) -> StageError) -> Result<Calibrator, StageError> {
-    let what = "this is not a calibrator of `use3d calibrate`; to read the authors' transition_calibrator.pth the program has to be \
-                built with networks (cargo feature `nets`)";
-    Err(wrong(what.into()))
 }

@@ -20,7 +20,6 @@ mod captured;
 mod choices;
 mod common;
 mod contact_sheet;
-#[cfg(feature = "nets")]
 mod depth;
 mod drawn;
 mod enhance;
@@ -45,7 +44,6 @@ mod watch;
 mod weights;
 
 pub use common::{read_json, write_json};
-#[cfg(feature = "nets")]
 pub use depth::wanted as depth_wanted;
 pub use names::{CALIBRATED, CALIBRATOR, CAMERAS, CHOICES, TARGETS};
 pub use proposer::{ProposerChoice, open as open_proposer};
@@ -59,7 +57,6 @@ use crate::code::built_in;
 pub fn registry() -> Result<Registry, BuildError> {
     let stages = vec![
         import::stage(),
-        #[cfg(feature = "nets")]
         depth::stage(),
         pairs::stage(),
         calibrate::stage(),

@@ -6,7 +6,6 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_atc::proposers::{Fusion, Proposer};
 
-#[cfg(feature = "nets")]
 use super::weights::NU2NET;
 
 /// The proposer (R25).
@@ -39,7 +38,6 @@ impl ProposerChoice {
     }
 }
 
-#[cfg(feature = "nets")]
 mod network {
     use super::*;
     use use3d_atc::AtcError;
@@ -150,7 +148,6 @@ pub(super) fn by_name(name: &str, models: Option<&Path>) -> Result<Box<dyn Propo
     }
 }
 
-#[cfg(feature = "nets")]
 fn nu2net(models: Option<&Path>) -> Result<Box<dyn Proposer>, String> {
     let dir = models.ok_or("there is no models folder; name one with --models or USE3D_MODELS")?;
     let models = use3d_nets::Models::open(dir);
@@ -160,12 +157,7 @@ fn nu2net(models: Option<&Path>) -> Result<Box<dyn Proposer>, String> {
     Ok(Box::new(network::Network { net, digest: blake3::hash(&bytes).to_hex().to_string() }))
 }
 
-#[cfg(not(feature = "nets"))]
-fn nu2net(_: Option<&Path>) -> Result<Box<dyn Proposer>, String> {
-    Err("this program was built without networks (cargo feature `nets`)".into())
-}
-
-#[cfg(all(test, feature = "nets"))]
+#[cfg(test)]
 mod tests {
     use super::*;
     use use3d_capture::Image;

@@ -51,7 +51,7 @@ struct HeldOut<'a> {
 }
 
 pub(super) fn stage() -> Stage {
-    let stage = Stage::new("reconstruct", Scope::Scene, run)
+    Stage::new("reconstruct", Scope::Scene, run)
         .about("stage 1: reconstruct the scene with its water")
         .made_of(&[], &["src/stages/reconstruct.rs"])
         .promises(&["scene.json", "gaussians.ply", "training.jsonl"])
@@ -59,9 +59,8 @@ pub(super) fn stage() -> Stage {
         .check(engines::check::<ReconstructParams>)
         .computes_on(engines::class::<ReconstructParams>)
         .input("import", "import")
-        .optional_input("proposals", "propose");
-    let stage = if cfg!(feature = "nets") { stage.optional_input("depth", "depth") } else { stage };
-    stage
+        .optional_input("proposals", "propose")
+        .optional_input("depth", "depth")
         .seeded()
         .resumable(&["iterations"])
         .without_effect(&["checkpoint_steps", "checkpoint_minutes", "engine"])
@@ -81,11 +80,8 @@ fn prior_in_force(params: &ReconstructParams, capture: &Capture, made: bool) -> 
     let total = capture.training_views().count();
     let with = capture.training_views().filter(|view| view.depth_prior.is_some()).count();
     let none = "depth prior: none, the depth term is off";
-    let networks = if cfg!(feature = "nets") {
-        "the weights of Depth Anything V2 are not in the models folder (`use3d models` names the files)"
-    } else {
-        "this program was built without networks"
-    };
+    let networks =
+        "the weights of Depth Anything V2 are not in the models folder (`use3d models` names the files)";
     match (params.depth_prior, made, with) {
         (DepthPrior::Off, ..) => format!("{none} (depth_prior = \"off\")"),
         _ if params.depth_weight == 0.0 => format!("{none} (depth_weight = 0)"),

@@ -5,25 +5,20 @@
 //! run begins, never a result, and is part of no stage's code and of no key. Captures are not in it: a
 //! missing capture fails only its own scene, and the others run.
 
-#[cfg(feature = "nets")]
 use std::collections::BTreeMap;
 use std::path::Path;
-#[cfg(feature = "nets")]
 use std::sync::Mutex;
 
 use serde_json::Value;
-#[cfg(feature = "nets")]
 use use3d_nets::{Models, Network};
 use use3d_workflow::{AllParameters, Checks, Lacking, Named, Stage};
 
 use super::calibrated::is_calibrated;
 use super::calibrator::read_calibrator;
-#[cfg(feature = "nets")]
 use super::depth;
 use super::pairs;
 use super::proposer::{ProposerChoice, of_calibrator};
 use super::targets;
-#[cfg(feature = "nets")]
 use super::weights::NU2NET;
 use crate::judge::truth;
 
@@ -39,11 +34,7 @@ pub(super) fn with_requirements(stage: Stage) -> Stage {
             weights(all, named, "pairs").into_iter().chain(of_pairs(all, named)).collect()
         }),
         "propose" => stage.requires(|all, named, _| weights(all, named, "propose").into_iter().collect()),
-        #[cfg(feature = "nets")]
         "depth" => stage.requires(|all, named, _| of_depth(all, named).into_iter().collect()),
-        // A build without networks has no stage that makes the priors.
-        #[cfg(not(feature = "nets"))]
-        "reconstruct" => stage.requires(|all, _, _| of_reconstruct(all).into_iter().collect()),
         "targets" => stage.requires(|all, named, _| of_targets(all, named).into_iter().collect()),
         "enhance" => stage.requires(|all, _, _| of_enhance(all).into_iter().collect()),
         "evaluate" => stage.requires(|all, named, checks| {
@@ -80,41 +71,22 @@ fn weights(all: &AllParameters, named: &Named, stage: &str) -> Option<Lacking> {
     }
 }
 
-#[cfg(feature = "nets")]
 fn has_nu2net(named: &Named) -> bool {
     folder(named).is_some_and(|folder| NU2NET.iter().any(|network| folder.has(*network)))
 }
 
 /// The models folder, if it exists.
-#[cfg(feature = "nets")]
 fn folder(named: &Named) -> Option<Models> {
     named.path("models").filter(|dir| dir.is_dir()).map(Models::open)
 }
 
-#[cfg(not(feature = "nets"))]
-fn has_nu2net(_: &Named) -> bool {
-    false
-}
-
-#[cfg(feature = "nets")]
 fn nu2net(all: &AllParameters, named: &Named, stage: &str) -> Option<Lacking> {
     let what = "the weights of Nu2Net, the 2D enhancer of the paper";
     network(named, what, &NU2NET, &without_nu2net(all, stage))
 }
 
-#[cfg(not(feature = "nets"))]
-fn nu2net(all: &AllParameters, _: &Named, stage: &str) -> Option<Lacking> {
-    Some(no_networks("Nu2Net, the 2D enhancer of the paper", &without_nu2net(all, stage)))
-}
-
-#[cfg(not(feature = "nets"))]
-fn no_networks(what: &str, without: &str) -> Lacking {
-    lacking(what, "this program was built without networks (cargo feature `nets`)", without)
-}
-
 /// The reason why the file of a network cannot be used. A file is checked once, for all scenes, until it
 /// changes.
-#[cfg(feature = "nets")]
 fn unusable(folder: &Models, network: Network) -> Option<String> {
     type File = (std::path::PathBuf, u64, Option<std::time::SystemTime>);
     static CHECKED: Mutex<BTreeMap<File, Option<String>>> = Mutex::new(BTreeMap::new());
@@ -127,7 +99,6 @@ fn unusable(folder: &Models, network: Network) -> Option<String> {
 }
 
 /// The missing weights of a network that is available in several files; `None` if one of them is present.
-#[cfg(feature = "nets")]
 fn network(named: &Named, what: &str, networks: &[Network], without: &str) -> Option<Lacking> {
     if let Some(folder) = folder(named)
         && let Some(network) = networks.iter().find(|network| folder.has(**network))
@@ -196,7 +167,6 @@ fn of_pairs(all: &AllParameters, named: &Named) -> Vec<Lacking> {
     }
 }
 
-#[cfg(feature = "nets")]
 fn of_depth(all: &AllParameters, named: &Named) -> Option<Lacking> {
     if text(all, "reconstruct", "depth_prior") != "depth-anything-v2" {
         return None;
@@ -204,13 +174,6 @@ fn of_depth(all: &AllParameters, named: &Named) -> Option<Lacking> {
     let networks = depth::networks(all.get("depth").unwrap_or(&Value::Null));
     let what = "the weights of Depth Anything V2, the depth prior of the paper";
     network(named, what, &networks, "--set reconstruct.depth_prior=off")
-}
-
-#[cfg(not(feature = "nets"))]
-fn of_reconstruct(all: &AllParameters) -> Option<Lacking> {
-    let asked = text(all, "reconstruct", "depth_prior") == "depth-anything-v2";
-    let what = "Depth Anything V2, the depth prior of the paper";
-    asked.then(|| no_networks(what, "--set reconstruct.depth_prior=off"))
 }
 
 /// Checks that the calibrator of the targets was fitted for the requested proposer.
@@ -280,7 +243,6 @@ fn of_enhance(all: &AllParameters) -> Option<Lacking> {
 }
 
 /// The missing networks of the paper's scores, if all scores are required.
-#[cfg(feature = "nets")]
 fn of_scores(all: &AllParameters, named: &Named) -> Vec<Lacking> {
     use Network::{AlexNet, LpipsHeads, Musiq, RaftLarge, URanker};
     if text(all, "evaluate", "scores") != "all" {
@@ -292,13 +254,6 @@ fn of_scores(all: &AllParameters, named: &Named) -> Vec<Lacking> {
         network(named, &what, &[net], "--set evaluate.scores=available")
     });
     each.collect()
-}
-
-#[cfg(not(feature = "nets"))]
-fn of_scores(all: &AllParameters, _: &Named) -> Vec<Lacking> {
-    let wanted = text(all, "evaluate", "scores") == "all";
-    let networks = || no_networks("the networks of the paper's scores", "--set evaluate.scores=available");
-    wanted.then(networks).into_iter().collect()
 }
 
 /// Truth that exists next to a capture and cannot be read.

@@ -64,10 +64,6 @@ const HELP: &str = "Every parameter stands in crates/pipeline/tests/paper/parame
 
 #[test]
 fn the_preset_is_the_paper_value_by_value() {
-    if cfg!(not(feature = "nets")) {
-        eprintln!("skipped: the table is that of a build with networks");
-        return;
-    }
     let registry = registry().expect("the stage table");
     let table = table();
     let written = preset_values("paper").expect("the preset");
@@ -111,10 +107,6 @@ fn the_preset_is_the_paper_value_by_value() {
 /// `use3d params --preset paper --json` prints this list.
 #[test]
 fn the_listed_parameters_of_the_preset_equal_the_table() {
-    if cfg!(not(feature = "nets")) {
-        eprintln!("skipped: the table is that of a build with networks");
-        return;
-    }
     let listed = parameters(&registry().expect("the stage table"), None, Some("paper")).expect("a list");
     let table = table();
     for stage in &listed {

@@ -249,12 +249,8 @@ pub(crate) fn stages(delay: u64) -> Vec<Stage> {
     ]
 }
 
-const RULES: CodeRules = CodeRules {
-    by_file: "pipeline",
-    not_followed: &[],
-    crates_not_followed: &["use3d-workflow"],
-    absent: &[],
-};
+const RULES: CodeRules =
+    CodeRules { by_file: "pipeline", not_followed: &[], crates_not_followed: &["use3d-workflow"] };
 
 /// The code of this workspace, whose crates the stages name.
 pub(crate) fn code() -> &'static CodeTable {
