@@ -62,7 +62,7 @@ fn a_term_of_stage_ones_loss_is_one_file_one_row_and_the_parameter_of_its_weight
         "crates/reconstruct/src/losses/mod.rs",
         "crates/reconstruct/src/params.rs",
         "crates/reconstruct/src/load.rs",
-        "crates/pipeline/src/stages/reconstruct.rs",
+        "crates/stages/src/reconstruct.rs",
     ]);
     assert_eq!(files, expected);
 }

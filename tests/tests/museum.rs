@@ -6,7 +6,7 @@ use use3d_atc::calibrator::{Calibrator, Dataset};
 use use3d_atc::consensus::Targets;
 use use3d_capture::Appearance;
 use use3d_import::load_prepared;
-use use3d_pipeline::judge::scores::{Method, SceneScores};
+use use3d_judge::scores::{Method, SceneScores};
 use use3d_scene::Scene;
 use use3d_web::SavedViews;
 use use3d_web::path::CameraPath;

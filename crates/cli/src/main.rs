@@ -91,7 +91,7 @@ fn main() -> ExitCode {
         println!("{}", serde_json::json!({ "error": error.text(), "exit_code": error.code() }));
     }
     // A driver may end the process with an error if a device still exists when its library is unloaded.
-    use3d_pipeline::close_devices();
+    use3d_stages::close_devices();
     done.map_or_else(|error| error.report(), |()| ExitCode::SUCCESS)
 }
 

@@ -170,8 +170,8 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
     assert!(known.photographs.iter().any(|o| o.held_out) && known.photographs.iter().any(|o| o.train));
     // The capture is synthetic: every view and the water were compared with the truth.
     let text = std::fs::read_to_string(Path::new(&out).join("tiny/scores/scores.json")).unwrap();
-    let scores: use3d_pipeline::judge::scores::SceneScores = serde_json::from_str(&text).unwrap();
-    use use3d_pipeline::judge::scores::Method;
+    let scores: use3d_judge::scores::SceneScores = serde_json::from_str(&text).unwrap();
+    use use3d_judge::scores::Method;
     for method in [
         Method::Captured,
         Method::Proposal,
@@ -187,7 +187,7 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
     }
     // Consistency has the fair baseline, with one warp, over the path and over neighbours, with the share
     // that was compared.
-    assert_eq!(scores.warp, use3d_pipeline::judge::scores::Warp::Reference);
+    assert_eq!(scores.warp, use3d_judge::scores::Warp::Reference);
     for method in [Method::ProposalOfRender, Method::Clear, Method::Enhanced, Method::EnhancedClear] {
         for metric in ["w_delta_e", "coverage", "path_w_delta_e", "path_coverage"] {
             assert!(scores.mean(method, metric).and_then(|s| s.value()).is_some(), "{method:?} {metric}");
@@ -294,8 +294,7 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
     assert_eq!(methods.len(), scores.methods.len());
     for told in methods {
         let method: Method = serde_json::from_value(told["method"].clone()).unwrap();
-        let mean: use3d_pipeline::judge::scores::Scores =
-            serde_json::from_value(told["mean"].clone()).unwrap();
+        let mean: use3d_judge::scores::Scores = serde_json::from_value(told["mean"].clone()).unwrap();
         assert_eq!(mean, scores.method(method).unwrap().mean, "{method:?}");
     }
     let changed = run(&["--set", "enhance.lambda_variation=0.001"]);
@@ -403,16 +402,16 @@ fn a_scene_can_be_learnt_from_proposals_and_is_scored_as_such() {
     TINY.iter().for_each(|set| arguments.extend(["--set", set]));
     expect(0, &arguments);
     let text = std::fs::read_to_string(Path::new(&out).join("tiny@first/scores/scores.json")).unwrap();
-    let scores: use3d_pipeline::judge::scores::SceneScores = serde_json::from_str(&text).unwrap();
-    use use3d_pipeline::judge::scores::Method;
+    let scores: use3d_judge::scores::SceneScores = serde_json::from_str(&text).unwrap();
+    use use3d_judge::scores::Method;
     assert!(scores.mean(Method::EnhanceThenReconstruct, "truth_psnr").and_then(|s| s.value()).is_some());
     assert!(scores.mean(Method::Reconstruction, "psnr").is_none());
     // Both variants are compared by the depth of the one that was trained on photographs, although it is
     // listed last.
     let text = std::fs::read_to_string(Path::new(&out).join("tiny@plain/scores/scores.json")).unwrap();
-    let plain: use3d_pipeline::judge::scores::SceneScores = serde_json::from_str(&text).unwrap();
-    assert_eq!(scores.warp, use3d_pipeline::judge::scores::Warp::Reference);
-    let photographs = |scores: &use3d_pipeline::judge::scores::SceneScores| {
+    let plain: use3d_judge::scores::SceneScores = serde_json::from_str(&text).unwrap();
+    assert_eq!(scores.warp, use3d_judge::scores::Warp::Reference);
+    let photographs = |scores: &use3d_judge::scores::SceneScores| {
         scores.method(Method::Captured).unwrap().neighbours.clone()
     };
     assert!(!photographs(&plain).is_empty());
@@ -465,8 +464,8 @@ fn a_black_held_out_photograph_and_anothers_truth_folder_do_not_end_a_run() {
     expect(0, &arguments);
     let text = std::fs::read_to_string(Path::new(&out).join("tiny@first/scores/scores.json")).unwrap();
     assert!(!text.contains("\"value\": null") && text.contains("the images are equal"), "{text}");
-    let scores: use3d_pipeline::judge::scores::SceneScores = serde_json::from_str(&text).unwrap();
-    let proposal = scores.method(use3d_pipeline::judge::scores::Method::Proposal).unwrap();
+    let scores: use3d_judge::scores::SceneScores = serde_json::from_str(&text).unwrap();
+    let proposal = scores.method(use3d_judge::scores::Method::Proposal).unwrap();
     assert_eq!(proposal.left_out.get("psnr"), Some(&1));
     assert!(proposal.mean["psnr"].value().is_some(), "the other held-out view has one");
     // Equal images by hand give a reason, not null.

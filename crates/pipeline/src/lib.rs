@@ -4,27 +4,17 @@
 //! results folder. The losses and gradients of the method are in other crates; this one connects their
 //! functions.
 //!
-//! The crate `workflow` defines stages and decides when one must run. [`stages`] is the table of the method's
-//! stages, [`code`] is the table of the source code that they are made of, and [`config`] reads pipeline
-//! files. [`judge`] compares, times and tabulates. [`results`] copies the results to the results folder, with
-//! a [page per scene](scene_page) for a browser and a record of the settings behind them (`made_by`).
-//! [`photographs`] gives the diver's own photographs back, enhanced by a scene.
-//! [`water`] estimates a capture's water before any stage runs. [`mod@bench`] does all of this on captures
-//! whose truth is known.
+//! The crate `workflow` defines stages and decides when one must run, `stages` is the table of the method's
+//! stages, and `report` lays out their results. [`config`] reads pipeline files. [`results`] copies the
+//! results to the results folder, with a [page per scene](scene_page) for a browser and a record of the
+//! settings behind them (`made_by`). [`photographs`] gives the diver's own photographs back, enhanced by a
+//! scene. [`mod@bench`] does all of this on captures whose truth is known.
 
 pub mod baked;
 pub mod bench;
-pub mod code;
 pub mod config;
-mod engines;
-pub mod judge;
 mod made_by;
 pub mod photographs;
 pub mod results;
 pub mod scene_page;
-mod sights;
-pub mod stages;
-pub mod water;
 mod written;
-
-pub use engines::{Drawn, close_devices};

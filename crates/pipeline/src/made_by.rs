@@ -15,8 +15,8 @@ use use3d_workflow::Summary;
 use use3d_workflow::run::RanNode;
 
 use crate::config::{join, preset_values};
-use crate::judge::configuration::Configuration;
-use crate::stages::{CALIBRATED, CHOICES, Choices, read_json, registry};
+use use3d_judge::configuration::Configuration;
+use use3d_stages::{CALIBRATED, CHOICES, Choices, read_json, registry};
 
 /// The preset that lists every parameter with an effect on a result: only these are compared.
 const COMPLETE: &str = "paper";

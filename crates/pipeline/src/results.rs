@@ -17,16 +17,16 @@ use use3d_workflow::place::{self, Look, PlaceError, Standing};
 use use3d_workflow::run::{Became, RanNode};
 use use3d_workflow::{Artifact, Cache, Digest, Graph, Summary};
 
-use crate::judge::configuration::Configuration;
-use crate::judge::names::in_variant;
-use crate::judge::report::{StageRow, shortened, with_configurations, with_costs, with_tables, with_views};
-use crate::judge::scores::ScoredScene;
-use crate::judge::tables::{Table, paper};
 use crate::made_by;
 use crate::scene_page;
-use crate::stages::evaluate::{SCORES, SPEED};
-use crate::stages::report::write_tables;
 use crate::written::{Sealed, at, put_folder};
+use use3d_judge::configuration::Configuration;
+use use3d_judge::names::in_variant;
+use use3d_judge::scores::ScoredScene;
+use use3d_report::page::{StageRow, shortened, with_configurations, with_costs, with_tables, with_views};
+use use3d_report::tables::{Table, paper};
+use use3d_stages::evaluate::{SCORES, SPEED};
+use use3d_stages::report::write_tables;
 
 /// The page and the tables over all scenes.
 const PAGE: &str = "report.html";

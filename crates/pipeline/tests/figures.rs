@@ -18,7 +18,7 @@
 use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
-use use3d_pipeline::stages::registry;
+use use3d_stages::registry;
 use use3d_workflow::{Digest, Registry, canonical};
 
 /// The pages for tables of figures.

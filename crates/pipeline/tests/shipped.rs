@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use use3d_pipeline::config::{LoadOptions, from_text, load, parameters, presets, schema_text};
-use use3d_pipeline::stages::registry;
+use use3d_stages::registry;
 use use3d_workflow::Graph;
 
 fn folder() -> PathBuf {

@@ -4,15 +4,15 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use serde_json::Value;
+use use3d_judge::scores::SceneScores;
+use use3d_judge::truth::Truth;
 use use3d_pipeline::bench::captures::{Capture, named};
 use use3d_pipeline::bench::figures::{FORMAT, Scored, TruthFigures, of_capture};
 use use3d_pipeline::bench::output;
 use use3d_pipeline::bench::picture::{Sheet, sheet};
 use use3d_pipeline::bench::runs::{DEFAULT, LearntFrom, Recipe, STAGES};
 use use3d_pipeline::config::{LoadOptions, Pipeline, from_text};
-use use3d_pipeline::judge::scores::SceneScores;
-use use3d_pipeline::judge::truth::Truth;
-use use3d_pipeline::stages::{ProposerChoice, evaluate::SCORES, open_proposer, read_json};
+use use3d_stages::{ProposerChoice, evaluate::SCORES, open_proposer, read_json};
 use use3d_workflow::machine::seconds;
 use use3d_workflow::plan::State;
 use use3d_workflow::{Builder, Cache, Event, Graph, Plan, RunOptions, Summary, place};

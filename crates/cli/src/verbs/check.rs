@@ -9,7 +9,7 @@ use use3d_import::{
     ImportParams, Imported, capture_name, import, is_prepared, load_mask, load_pixels, load_prepared,
 };
 use use3d_io_image::{jpeg_address, read_image, shrunk};
-use use3d_pipeline::water::{Judgement, from_tracks};
+use use3d_stages::water::{Judgement, from_tracks};
 use use3d_water::WaterParams;
 
 use crate::App;

@@ -5,13 +5,13 @@ use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 use use3d_io_image::read_image;
-use use3d_pipeline::judge::report::{Page, Picture, SceneSection, ViewSection};
-use use3d_pipeline::judge::scores::{Method, SceneScores};
-use use3d_pipeline::judge::tables::{Better, Cell, Column, Row, Table};
-use use3d_pipeline::judge::verdict::{Sentence, Tone};
-use use3d_pipeline::stages::evaluate::SCORES;
-use use3d_pipeline::stages::read_json;
-use use3d_pipeline::stages::report::best_method;
+use use3d_judge::scores::{Method, SceneScores};
+use use3d_report::page::{Page, Picture, SceneSection, ViewSection};
+use use3d_report::tables::{Better, Cell, Column, Row, Table};
+use use3d_report::verdict::{Sentence, Tone};
+use use3d_stages::evaluate::SCORES;
+use use3d_stages::read_json;
+use use3d_stages::report::best_method;
 use use3d_workflow::manifest::MANIFEST;
 
 use crate::App;

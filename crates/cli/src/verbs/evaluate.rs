@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use use3d_capture::{Image, shown};
 use use3d_io_image::{image_size, images_by_stem, read_image};
-use use3d_pipeline::judge::scores::{Method, SceneScores, Score, Scores};
-use use3d_pipeline::judge::scoring::Judges;
-use use3d_pipeline::stages::{evaluate::SCORES, read_json};
+use use3d_judge::scores::{Method, SceneScores, Score, Scores};
+use use3d_judge::scoring::Judges;
+use use3d_stages::{evaluate::SCORES, read_json};
 use use3d_workflow::machine::{available_memory, bytes};
 
 use crate::App;

@@ -11,12 +11,12 @@ use glam::{DMat3, DVec3};
 use use3d_capture::{Camera, Frame};
 use use3d_pipeline::baked::difference;
 use use3d_pipeline::scene_page::is_held_out;
-use use3d_pipeline::stages::CAMERAS;
 use use3d_render::white::balanced;
 use use3d_render::{InWater, Look, Mode, bake_in_water};
 use use3d_scene::white::Gains;
 use use3d_scene::{Origin, Scene, similarity};
 use use3d_splat::{Gaussians, ply};
+use use3d_stages::CAMERAS;
 use use3d_web::foreign::{NO_WATER, compressed_ply, glb, spz};
 use use3d_workflow::machine::bytes;
 

@@ -4,10 +4,10 @@ use std::path::Path;
 
 use use3d_capture::FileName;
 use use3d_import::read_images_txt;
-use use3d_pipeline::Drawn;
 use use3d_render::{Mode, SceneRenderer};
 use use3d_scene::Scene;
 use use3d_scene::white::Gains;
+use use3d_stages::Drawn;
 use use3d_web::path::CameraPath;
 
 use crate::App;

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use use3d_cluster::slurm;
 use use3d_pipeline::config::{LoadOptions, Pipeline, for_capture, load};
-use use3d_pipeline::stages::registry;
+use use3d_stages::registry;
 use use3d_workflow::{Builder, Cache, Graph, Registry};
 
 use crate::args::{PipelineArgs, as_typed};

@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 
 use use3d_import::Originals;
-use use3d_pipeline::Drawn;
 use use3d_pipeline::photographs::{
     Appearance, FileLayout, Overwrite, PhotographWork, TABLE, Totals, WorkError, default_mode, scene_digest,
 };
@@ -12,6 +11,7 @@ use use3d_reconstruct::EngineChoice;
 use use3d_render::Mode;
 use use3d_scene::Scene;
 use use3d_scene::white::Gains;
+use use3d_stages::Drawn;
 
 use crate::App;
 use crate::args::{PhotographLayout, PhotographLook, PhotographsArgs};

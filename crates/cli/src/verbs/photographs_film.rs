@@ -5,13 +5,13 @@ use std::path::Path;
 use std::sync::atomic::Ordering;
 
 use use3d_import::Originals;
-use use3d_pipeline::Drawn;
-use use3d_pipeline::photographs::Appearance;
 use use3d_pipeline::photographs::film::{FilmGrader, spans};
 use use3d_prepare::{
     FilmChoices, FilmPath, FilmReader, FilmWriter, PrepareError, Programs, StepProgress, StepWatch,
     known_frames,
 };
+use use3d_stages::Appearance;
+use use3d_stages::Drawn;
 
 use crate::App;
 use crate::destination::path_text;

@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use use3d_capture::{Camera, FileName};
-use use3d_pipeline::Drawn;
 use use3d_reconstruct::EngineChoice;
 use use3d_render::Mode;
 use use3d_scene::Scene;
 use use3d_scene::white::Gains;
+use use3d_stages::Drawn;
 
 use crate::App;
 use crate::args::{CameraPath, FrameFormat, RenderArgs};

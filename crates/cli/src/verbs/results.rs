@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
-use use3d_pipeline::judge::scores::{Method, SceneScores};
-use use3d_pipeline::stages::evaluate::SCORES;
-use use3d_pipeline::stages::read_json;
+use use3d_judge::scores::{Method, SceneScores};
+use use3d_stages::evaluate::SCORES;
+use use3d_stages::read_json;
 use use3d_workflow::cache::Lookup;
 use use3d_workflow::{Cache, machine};
 

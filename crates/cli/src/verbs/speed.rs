@@ -2,10 +2,10 @@
 
 use serde::Serialize;
 use use3d_capture::{Camera, FileName};
-use use3d_pipeline::Drawn;
-use use3d_pipeline::judge::speed::{SHORTEST, Speed, measure};
+use use3d_judge::speed::{SHORTEST, Speed, measure};
 use use3d_render::Mode;
 use use3d_scene::Scene;
+use use3d_stages::Drawn;
 
 use crate::App;
 use crate::args::RenderArgs;

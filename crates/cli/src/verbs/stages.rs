@@ -6,8 +6,8 @@ use std::time::Instant;
 
 use serde_json::Value;
 use use3d_pipeline::config::stage_parameters;
-use use3d_pipeline::stages::{CALIBRATOR, TARGETS};
 use use3d_scene::Origin;
+use use3d_stages::{CALIBRATOR, TARGETS};
 use use3d_workflow::machine::{bytes, seconds};
 use use3d_workflow::{Alone, Event, Registry, StageError, leftovers};
 
@@ -264,7 +264,7 @@ fn profiling(app: &App) -> App {
 fn depth_wanted(reconstruct: &Value, depth: Option<&Value>, capture: &Path, models: Option<&Path>) -> bool {
     let import = use3d_import::ImportParams::default();
     let depth = depth.unwrap_or(&Value::Null);
-    use3d_pipeline::stages::depth_wanted(reconstruct, depth, Some((capture, &import)), models)
+    use3d_stages::depth_wanted(reconstruct, depth, Some((capture, &import)), models)
 }
 
 pub(crate) fn reconstruct(app: &App, args: &ReconstructArgs) -> Done {

@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 use std::path::Path;
 
 use serde::de::DeserializeOwned;
-use use3d_pipeline::code::built_in;
+use use3d_stages::code::built_in;
 use use3d_synth::{
     CaptureParams, Development, Location, Optics, PairsParams, Physics, SynthError, WaterType, write_capture,
     write_pairs,

@@ -1,7 +1,7 @@
 //! Estimates the water of a capture before anything is reconstructed.
 
 use use3d_import::{capture_name, load_prepared};
-use use3d_pipeline::water::{WaterReport, from_tracks};
+use use3d_stages::water::{WaterReport, from_tracks};
 use use3d_water::WaterParams;
 
 use crate::App;

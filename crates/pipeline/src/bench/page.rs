@@ -8,8 +8,8 @@ use std::fmt::Write;
 
 use super::figures::{CaptureFigures, Figure, Figures, TruthFigures};
 use super::picture::Sheet;
-use crate::judge::names::distinct;
-use crate::judge::tables::Better;
+use use3d_judge::names::distinct;
+use use3d_report::tables::Better;
 
 /// A column: metric, head, decimals, factor, and the better direction.
 struct Column {
@@ -202,8 +202,8 @@ mod tests {
     use crate::bench::captures::CAPTURES;
     use crate::bench::figures::{FORMAT, of_capture, tests::scored};
     use crate::bench::runs::{DEFAULT, LearntFrom, Recipe};
-    use crate::judge::scores::Method;
     use use3d_capture::Image;
+    use use3d_judge::scores::Method;
 
     fn figures(seeds: &[u64]) -> TruthFigures {
         let all: Vec<_> = seeds

@@ -157,7 +157,7 @@ mod tests {
     use super::*;
     use crate::bench::captures::CAPTURES;
     use crate::config::{LoadOptions, from_text};
-    use crate::stages::registry;
+    use use3d_stages::registry;
     use use3d_workflow::Graph;
 
     fn recipe(baselines: bool) -> Recipe {

@@ -19,7 +19,7 @@ use use3d_import::{Original, Originals};
 use use3d_photographs::{ColourMap, Grid, Photographer, ViewMap, shrink};
 
 use super::{Appearance, WorkError, balanced, training_cameras};
-use crate::engines::Drawn;
+use use3d_stages::Drawn;
 
 /// Longer side of the small grid of a frame, pixels.
 const SIDE: usize = 480;

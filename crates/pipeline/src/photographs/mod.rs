@@ -9,7 +9,6 @@
 //! changed by the mean of the views, so that none is missing. Nothing is stored twice: a record in the folder
 //! says which photographs are finished, and an interrupted run continues with the others ([`record`]).
 
-pub mod appearance;
 pub mod film;
 pub mod record;
 mod table;
@@ -27,10 +26,10 @@ use use3d_photographs::{
 use use3d_render::Mode;
 use use3d_scene::Scene;
 
-use crate::engines::Drawn;
-pub use appearance::Appearance;
 pub use record::{FinishedPhotograph, Overwrite, Record};
 pub use table::{TABLE, write_table};
+pub use use3d_stages::Appearance;
+use use3d_stages::Drawn;
 
 /// The program's name in the files that it writes.
 pub const SOFTWARE: &str = concat!("3D-USE ", env!("CARGO_PKG_VERSION"));

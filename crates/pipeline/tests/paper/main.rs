@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 
 use serde_json::{Value, json};
 use use3d_pipeline::config::{parameters, preset_values};
-use use3d_pipeline::stages::registry;
+use use3d_stages::registry;
 
 /// A parameter in the paper's configuration.
 struct Entry {

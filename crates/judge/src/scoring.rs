@@ -1,0 +1,382 @@
+//! Scores of images: formulas always, networks if their weights are present; a missing network gives its
+//! reason.
+//!
+//! With a mask, only the pixels inside it count ([`use3d_metrics::Mask`]): PSNR and UCIQE use these pixels,
+//! SSIM the windows that contain no others. UIQM, URanker and MUSIQ judge whole pictures; the pixels outside
+//! the mask are black, in the pictures of all methods alike. LPIPS gets the same pictures and is divided by
+//! the share of pixels inside the mask, because its mean runs over all pixels.
+
+use std::borrow::Cow;
+use std::path::Path;
+
+use use3d_capture::{Camera, Image, Map};
+use use3d_metrics::{
+    Flow, GeometricView, Mask, MetricError, UciqeVariant, blacked_out, counted, geometric_warp, only_counted,
+    psnr, ssim, uciqe, uiqm, warped_delta_e, warped_ssim,
+};
+
+use crate::scores::{Score, Scores};
+
+/// Relative difference of depths that counts as the same surface when warping by geometry.
+const SAME_SURFACE: f64 = 0.02;
+/// Inputs of the quality networks are scaled down to this long side if theirs is longer, as in the paper.
+const LONGEST_SIDE: usize = 1024;
+
+/// A network that measures the distance of two pictures.
+type Distance = dyn Fn(&Image, &Image) -> Result<f64, String>;
+/// A network that judges the quality of a picture.
+type Quality = dyn Fn(&Image) -> Result<f64, String>;
+/// A network that finds the flow from one picture to the next.
+type Motion = dyn Fn(&Image, &Image) -> Result<Flow, String>;
+
+/// The quality networks, each opened once, or the reason why it is missing.
+pub struct Judges {
+    lpips: Result<Box<Distance>, String>,
+    uranker: Result<Box<Quality>, String>,
+    musiq: Result<Box<Quality>, String>,
+    raft: Result<Box<Motion>, String>,
+}
+
+impl Judges {
+    /// Opens the networks that are in the models folder.
+    pub fn open(models: Option<&Path>) -> Self {
+        use use3d_nets::{NetError, limit_long_side};
+        let Some(dir) = models else {
+            return Self::without("not available: no models folder; name one with --models or USE3D_MODELS");
+        };
+        let models = use3d_nets::Models::open(dir);
+        let text = |error: NetError| error.to_string();
+        let small = |image: &Image| limit_long_side(image, LONGEST_SIDE);
+        Self {
+            lpips: models.lpips().map_err(text).map(|net| -> Box<Distance> {
+                Box::new(move |a: &Image, b: &Image| net.distance(a, b).map_err(text))
+            }),
+            uranker: models.uranker().map_err(text).map(|net| -> Box<Quality> {
+                Box::new(move |image: &Image| net.score(&small(image)).map_err(text))
+            }),
+            musiq: models.musiq().map_err(text).map(|net| -> Box<Quality> {
+                Box::new(move |image: &Image| net.score(&small(image)).map_err(text))
+            }),
+            raft: models.raft().map_err(text).map(|net| -> Box<Motion> {
+                Box::new(move |a: &Image, b: &Image| net.flow(a, b).map_err(text))
+            }),
+        }
+    }
+
+    fn without(reason: &str) -> Self {
+        let none = || reason.to_string();
+        Self { lpips: Err(none()), uranker: Err(none()), musiq: Err(none()), raft: Err(none()) }
+    }
+
+    /// Fails if a network is missing, with its reason.
+    ///
+    /// # Errors
+    /// Returns the reason why the first missing network is missing.
+    pub fn complete(&self) -> Result<(), String> {
+        let missing = [
+            self.lpips.as_ref().err(),
+            self.uranker.as_ref().err(),
+            self.musiq.as_ref().err(),
+            self.raft.as_ref().err(),
+        ];
+        missing.into_iter().flatten().next().map_or(Ok(()), |reason| Err(reason.clone()))
+    }
+
+    /// Approximate memory, in bytes per pixel, that [`alone`](Self::alone) or (with `compared`)
+    /// [`against`](Self::against) needs in addition to the images. It holds without masks, and for images
+    /// within display range. The memory of networks that scale a picture down to at most 1024 pixels is the
+    /// same for any size, and is not included.
+    pub fn bytes_per_pixel(&self, compared: bool) -> u64 {
+        /// Eight bits of every channel, and of its CIELAB (UCIQE).
+        const COLOURS: u64 = 6;
+        /// Measured memory that LPIPS needs for two images (docs/science/networks.md).
+        const LPIPS: u64 = 92;
+        match compared {
+            false => COLOURS,
+            true if self.lpips.is_ok() => LPIPS,
+            true => 0,
+        }
+    }
+
+    /// PSNR, SSIM and LPIPS of an image against a reference of the same size, over the pixels of the mask.
+    /// Both are clamped to the display range.
+    pub fn against(&self, image: &Image, reference: &Image, mask: Option<&Mask>) -> Scores {
+        let (image, reference) = (clamped(image), clamped(reference));
+        let lpips = match (whole(&image, mask), whole(&reference, mask)) {
+            (Ok(image), Ok(reference)) => {
+                let share = mask.map_or(1.0, |m| counted(m) as f64 / m.pixels().max(1) as f64);
+                match measured(&self.lpips, |net| net(&image, &reference)) {
+                    Score::Value(distance) => Score::of(distance.get() / share),
+                    reason => reason,
+                }
+            }
+            (Err(e), _) | (_, Err(e)) => Score::measured(Err(e)),
+        };
+        let psnr = Score::measured(psnr(&image, &reference, mask));
+        let ssim = Score::measured(ssim(&image, &reference, mask));
+        Scores::from([("psnr".into(), psnr), ("ssim".into(), ssim), ("lpips".into(), lpips)])
+    }
+
+    /// UCIQE, UIQM, URanker and MUSIQ of an image, over the pixels of the mask.
+    pub fn alone(&self, image: &Image, mask: Option<&Mask>) -> Scores {
+        let image = clamped(image);
+        let variant = UciqeVariant::default();
+        let uciqe = match mask {
+            None => uciqe(&image, variant),
+            Some(mask) => only_counted(&image, mask).and_then(|colours| uciqe(&colours, variant)),
+        };
+        let uciqe = Score::measured(uciqe.map(|u| u.score));
+        let whole = whole(&image, mask);
+        let of = |measure: &dyn Fn(&Image) -> Score| match &whole {
+            Ok(image) => measure(image),
+            Err(e) => Score::measured(Err(e.clone())),
+        };
+        let uiqm = of(&|image| Score::measured(uiqm(image).map(|u| u.score)));
+        let uranker = of(&|image| measured(&self.uranker, |net| net(image)));
+        let musiq = of(&|image| measured(&self.musiq, |net| net(image)));
+        let scores = [("uciqe", uciqe), ("uiqm", uiqm), ("uranker", uranker), ("musiq", musiq)];
+        scores.map(|(name, score)| (name.to_string(), score)).into()
+    }
+}
+
+/// The score that a network gives, or the reason why there is none.
+fn measured<N: ?Sized>(net: &Result<Box<N>, String>, score: impl FnOnce(&N) -> Result<f64, String>) -> Score {
+    match net.as_deref().map_err(String::clone).and_then(score) {
+        Ok(value) => Score::of(value),
+        Err(reason) => Score::NotAvailable(reason),
+    }
+}
+
+/// The picture clamped to the display range; copied only if a value is outside.
+fn clamped(image: &Image) -> Cow<'_, Image> {
+    if image.data().iter().any(|v| *v < 0.0 || *v > 1.0) {
+        Cow::Owned(image.map(|v| v.clamp(0.0, 1.0)))
+    } else {
+        Cow::Borrowed(image)
+    }
+}
+
+/// The picture, black outside the mask.
+fn whole<'a>(image: &'a Image, mask: Option<&Mask>) -> Result<Cow<'a, Image>, MetricError> {
+    match mask {
+        None => Ok(Cow::Borrowed(image)),
+        Some(mask) => blacked_out(image, mask).map(Cow::Owned),
+    }
+}
+
+/// A flow to the next view with the mask of its valid pixels, or the reason why there is none.
+type Correspondence = Result<(Flow, Mask), String>;
+
+/// The data by which a view is compared; none of it belongs to a method.
+pub struct ComparedView<'a> {
+    /// The camera.
+    pub camera: &'a Camera,
+    /// Depth along the optical axis; 0 where unknown.
+    pub depth: &'a Map,
+    /// The raw input of this view: the photograph, or stage 1's rendering if there is none.
+    pub raw: &'a Image,
+    /// Mask of the pixels that count.
+    pub mask: Option<&'a Mask>,
+}
+
+impl<'a> ComparedView<'a> {
+    fn geometry(&self) -> GeometricView<'a> {
+        GeometricView { camera: self.camera, depth: self.depth }
+    }
+}
+
+/// The correspondence of pixels between one view and the next: by depth, and by optical flow of the raw
+/// inputs if its network is present. All methods share it.
+pub struct Pairing {
+    geometry: Correspondence,
+    flow: Correspondence,
+}
+
+impl Pairing {
+    /// The correspondence of two views.
+    pub fn new(judges: &Judges, first: &ComparedView<'_>, second: &ComparedView<'_>) -> Self {
+        let geometry =
+            geometric_warp(first.geometry(), second.geometry(), SAME_SURFACE).map_err(|e| e.to_string());
+        let among = |found: Correspondence| {
+            let (flow, mask) = found?;
+            let mask = counting(&flow, mask, first.mask, second.mask);
+            Ok((flow, mask))
+        };
+        Self { geometry: among(geometry), flow: among(judges.flow(first.raw, second.raw)) }
+    }
+
+    /// `wlpips`, `w_delta_e` and `w_ssim` of one method's images of the two views, with the shares of pixels
+    /// that they compare: `coverage` (by depth) and `flow_coverage`. `prefix` is put before each name.
+    pub fn scores(&self, judges: &Judges, first: &Image, second: &Image, prefix: &str) -> Scores {
+        let (first, second) = (clamped(first), clamped(second));
+        let mut scores = Scores::new();
+        let mut insert = |name: &str, score: Score| scores.insert(format!("{prefix}{name}"), score);
+        let share = |mask: &Mask| Score::of(counted(mask) as f64 / mask.pixels().max(1) as f64);
+        match &self.geometry {
+            Ok((flow, mask)) => {
+                let of = |c: Result<use3d_metrics::Consistency, MetricError>| {
+                    Score::measured(c.and_then(|c| c.value.ok_or(MetricError::NothingInCommon)))
+                };
+                insert("w_delta_e", of(warped_delta_e(&first, &second, flow, mask)));
+                insert("w_ssim", of(warped_ssim(&first, &second, flow, mask)));
+                insert("coverage", share(mask));
+            }
+            Err(reason) => {
+                for name in ["w_delta_e", "w_ssim", "coverage"] {
+                    insert(name, Score::NotAvailable(reason.clone()));
+                }
+            }
+        }
+        match &self.flow {
+            Ok((flow, mask)) => {
+                let distance = if counted(mask) == 0 {
+                    Score::measured(Err(MetricError::NothingInCommon))
+                } else {
+                    judges.warped_lpips(&first, &second, flow, mask)
+                };
+                insert("wlpips", distance);
+                insert("flow_coverage", share(mask));
+            }
+            Err(reason) => {
+                insert("wlpips", Score::NotAvailable(reason.clone()));
+                insert("flow_coverage", Score::NotAvailable(reason.clone()));
+            }
+        }
+        scores
+    }
+}
+
+/// Limits the correspondences to pixels that count in both views.
+fn counting(flow: &Flow, mut mask: Mask, first: Option<&Mask>, second: Option<&Mask>) -> Mask {
+    let (width, height) = (mask.width(), mask.height());
+    if first.is_none() && second.is_none() {
+        return mask;
+    }
+    for y in 0..height {
+        for x in 0..width {
+            let [dx, dy] = flow.pixel(x, y);
+            let (u, v) = ((x as f32 + dx).round(), (y as f32 + dy).round());
+            let there = |m: &Mask| {
+                let inside = u >= 0.0 && v >= 0.0 && u < m.width() as f32 && v < m.height() as f32;
+                inside && m.pixel(u as usize, v as usize)[0] != 0
+            };
+            let here =
+                first.is_none_or(|m| (m.width(), m.height()) == (width, height) && m.pixel(x, y)[0] != 0);
+            if !(here && second.is_none_or(there)) {
+                mask.set_pixel(x, y, [0]);
+            }
+        }
+    }
+    mask
+}
+
+impl Judges {
+    fn flow(&self, a: &Image, b: &Image) -> Correspondence {
+        let raft = self.raft.as_ref().map_err(Clone::clone)?;
+        let (forward, backward) = (raft(a, b)?, raft(b, a)?);
+        let both = use3d_metrics::forward_backward(&forward, &backward).map_err(|e| e.to_string())?;
+        let mask = both.relative_mask(0.01, 0.5);
+        Ok((forward, mask))
+    }
+
+    fn warped_lpips(&self, a: &Image, b: &Image, flow: &Flow, mask: &Mask) -> Score {
+        measured(&self.lpips, |lpips| {
+            let between = |x: &_, y: &_| lpips(x, y).map_err(Reason);
+            use3d_metrics::warped_distance(a, b, flow, mask, between).map_err(|e| e.0)
+        })
+    }
+}
+
+/// The message of an error, from any crate.
+struct Reason(String);
+
+impl From<MetricError> for Reason {
+    fn from(error: MetricError) -> Self {
+        Self(error.to_string())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use use3d_capture::{Intrinsics, Pose};
+
+    fn ramp(width: usize, height: usize) -> Image {
+        let mut image = Image::new(width, height);
+        for y in 0..height {
+            for x in 0..width {
+                image.set_pixel(x, y, [0.02 * x as f32, 0.03 * y as f32, 0.4]);
+            }
+        }
+        image
+    }
+
+    #[test]
+    fn every_score_of_black_white_equal_and_masked_images_is_finite_or_says_why() {
+        let judges = Judges::open(None);
+        let (black, white) = (Image::new(40, 30), Image::filled(40, 30, 1.0));
+        let nothing = Mask::new(40, 30);
+        for image in [&black, &white, &ramp(40, 30)] {
+            for mask in [None, Some(&nothing)] {
+                let mut scores = judges.against(image, image, mask);
+                scores.extend(judges.alone(image, mask));
+                assert!(matches!(scores["psnr"], Score::Undefined(_)), "equal images: {scores:?}");
+                let text = serde_json::to_string(&scores).unwrap();
+                assert!(!text.contains("null"), "{text}");
+                assert_eq!(serde_json::from_str::<Scores>(&text).unwrap(), scores);
+                if mask.is_some() {
+                    for name in ["psnr", "ssim", "lpips", "uciqe", "uiqm"] {
+                        assert!(scores[name].reason().unwrap().contains("leaves no pixel"), "{name}");
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_masked_changes_no_score() {
+        let judges = Judges::open(None);
+        let (image, reference) = (ramp(40, 30).map(|v| 0.9 * v), ramp(40, 30));
+        let (mut spoilt, mut mask) = (image.clone(), Mask::filled(40, 30, 1));
+        for y in 0..30 {
+            for x in 0..14 {
+                mask.set_pixel(x, y, [0]);
+                spoilt.set_pixel(x, y, [1.0, 0.0, 1.0]);
+            }
+        }
+        let of = |image| {
+            let mut scores = judges.against(image, &reference, Some(&mask));
+            scores.extend(judges.alone(image, Some(&mask)));
+            scores
+        };
+        assert_eq!(of(&spoilt), of(&image));
+        assert!(judges.against(&spoilt, &reference, None)["psnr"] != of(&image)["psnr"]);
+    }
+
+    #[test]
+    fn pairs_say_what_they_share_and_nothing_in_common_is_no_perfect_score() {
+        let judges = Judges::open(None);
+        let intrinsics = Intrinsics { width: 40, height: 30, fx: 40.0, fy: 40.0, cx: 20.0, cy: 15.0 };
+        let at = |x: f64| {
+            let mut pose = Pose::IDENTITY;
+            pose.translation.x = -x;
+            Camera { intrinsics, pose }
+        };
+        let (depth, raw) = (Map::filled(40, 30, 2.0), ramp(40, 30));
+        let cameras = [at(0.0), at(0.2), at(50.0)];
+        let mut left = Mask::filled(40, 30, 1);
+        (0..30).for_each(|y| (0..20).for_each(|x| left.set_pixel(x, y, [0])));
+        let seen = |i: usize, mask| ComparedView { camera: &cameras[i], depth: &depth, raw: &raw, mask };
+        let of = |second, mask| {
+            let pairing = Pairing::new(&judges, &seen(0, mask), &seen(second, None));
+            pairing.scores(&judges, &raw, &raw, "path_")
+        };
+        let near = of(1, None);
+        let share = near["path_coverage"].value().unwrap();
+        assert!(share > 0.8 && share < 1.0 && near["path_w_delta_e"].value().is_some());
+        assert!(of(1, Some(&left))["path_coverage"].value().unwrap() <= 0.5);
+        let far = of(2, None);
+        assert_eq!(far["path_coverage"], Score::of(0.0));
+        assert!(matches!(&far["path_w_ssim"], Score::Undefined(why) if why.contains("nothing in common")));
+    }
+}

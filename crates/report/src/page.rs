@@ -1,0 +1,544 @@
+//! One self-contained HTML page per run: it needs no network, works without scripts and on a phone, and has a
+//! dark scheme.
+//!
+//! This module only lays out what the stages measured and rendered; it computes nothing. Pictures are
+//! embedded as JPEG at a bounded size, so that the page of a large batch stays small enough to send.
+
+use askama::Template;
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use sha2::{Digest, Sha256};
+use use3d_capture::Image;
+use use3d_io_image::{JpegError, jpeg_address, shrunk};
+
+use crate::tables::{Cell, Rank, Table, marked};
+use crate::verdict::{Sentence, Tone};
+use use3d_judge::names::{distinct, in_variant};
+
+/// Long side of embedded pictures, pixels.
+pub const PICTURE_SIDE: usize = 960;
+/// JPEG quality of embedded pictures.
+const PICTURE_QUALITY: u8 = 86;
+
+/// A page.
+#[derive(Clone, Debug, Default)]
+pub struct Page {
+    /// The run's name.
+    pub title: String,
+    /// One line below the title.
+    pub subtitle: String,
+    /// The verdict on the whole run, in sentences.
+    pub verdict: Vec<Sentence>,
+    /// The tables, in order.
+    pub tables: Vec<Table>,
+    /// The scenes, in order.
+    pub scenes: Vec<SceneSection>,
+    /// The section on the calibrator, if one was trained.
+    pub calibrator: Option<CalibratorSection>,
+    /// Results that could not be made and are not on the page.
+    pub missing: Vec<String>,
+    /// The program, its version, and the place of date and command.
+    pub made_with: String,
+}
+
+/// The section on one scene.
+#[derive(Clone, Debug, Default)]
+pub struct SceneSection {
+    /// Its name.
+    pub name: String,
+    /// Its data set, or empty.
+    pub group: String,
+    /// One line: views, size, Gaussians.
+    pub summary: String,
+    /// The verdict on its scores, in sentences.
+    pub verdict: Vec<Sentence>,
+    /// Further lines: skipped steps, results that are not available.
+    pub notes: Vec<String>,
+    /// Held-out views.
+    pub views: Vec<ViewSection>,
+    /// Plots.
+    pub plots: Vec<PlotFigure>,
+    /// Wide pictures, one below the other.
+    pub sheets: Vec<Picture>,
+}
+
+/// One held-out view.
+#[derive(Clone, Debug, Default)]
+pub struct ViewSection {
+    /// Its name.
+    pub name: String,
+    /// The pictures that come first, side by side: captured, 2D enhancer, `enhanced-clear`.
+    pub lead: Vec<Picture>,
+    /// The other pictures: `clear`, `enhanced`, `reconstruction`, `depth`, …
+    pub images: Vec<Picture>,
+    /// Short texts such as `PSNR 24.1`.
+    pub scores: Vec<String>,
+}
+
+/// An embedded picture.
+#[derive(Clone, Debug, Default)]
+pub struct Picture {
+    /// A short label.
+    pub label: String,
+    /// A longer explanation, may be empty.
+    pub caption: String,
+    /// A data URI.
+    pub source: String,
+    /// Width in pixels.
+    pub width: usize,
+    /// Height in pixels.
+    pub height: usize,
+    /// Left and top edge of a lower right corner without pictures, percent of width and height. The page cuts
+    /// this corner off, because its white is too bright in the dark scheme.
+    pub blank: Option<(f64, f64)>,
+}
+
+/// An embedded plot.
+#[derive(Clone, Debug)]
+pub struct PlotFigure {
+    /// The SVG element.
+    pub svg: String,
+    /// The text below the plot.
+    pub caption: String,
+}
+
+/// The calibrator's held-out errors.
+#[derive(Clone, Debug)]
+pub struct CalibratorSection {
+    /// Pairs, proposer, form.
+    pub summary: String,
+    /// Name, error of the proposal, error after calibration, ratio.
+    pub rows: Vec<(String, String, String, String)>,
+}
+
+/// The costs of one stage of one scene.
+#[derive(Clone, Debug)]
+pub struct StageRow {
+    /// The scene with its variant, or `all scenes`.
+    pub scene: String,
+    /// The stage.
+    pub stage: String,
+    /// `computed` or `cached`.
+    pub state: String,
+    /// Wall-clock seconds of its computation.
+    pub seconds: f64,
+    /// Peak memory, MiB.
+    pub memory: Option<f64>,
+    /// Size of the artifact, MiB.
+    pub size: f64,
+    /// First characters of its key.
+    pub key: String,
+}
+
+/// A page that could not be laid out.
+#[derive(Debug, thiserror::Error)]
+pub enum ReportError {
+    /// A picture could not be encoded.
+    #[error("report picture `{label}`: {source}")]
+    Picture {
+        /// The label of the picture.
+        label: String,
+        /// The encoder's error.
+        source: JpegError,
+    },
+    /// The template could not be filled.
+    #[error("report page: {0}")]
+    Template(#[from] askama::Error),
+}
+
+impl Picture {
+    /// Embeds an image (clamped to the display range), scaled down by box means to at most [`PICTURE_SIDE`].
+    pub fn embed(label: &str, caption: &str, image: &Image) -> Result<Self, ReportError> {
+        Self::embed_wide(label, caption, image, PICTURE_SIDE)
+    }
+
+    /// As [`Picture::embed`] with another limit for the long side, for contact sheets.
+    pub fn embed_wide(label: &str, caption: &str, image: &Image, side: usize) -> Result<Self, ReportError> {
+        let small = shrunk(image, side);
+        let (width, height) = (small.width(), small.height());
+        let source = jpeg_address(&small, PICTURE_QUALITY)
+            .map_err(|source| ReportError::Picture { label: label.into(), source })?;
+        Ok(Self { label: label.into(), caption: caption.into(), source, width, height, blank: None })
+    }
+}
+
+#[derive(Template)]
+#[template(path = "report.html")]
+struct PageTemplate<'a> {
+    page: &'a Page,
+    policy: String,
+    verdict: String,
+    verdicts: Vec<String>,
+    tables_section: String,
+}
+
+/// Returns the page's content policy: it fetches nothing, and only its own script runs, whatever the names of
+/// scenes and pictures contain.
+fn policy() -> String {
+    const TEMPLATE: &str = include_str!("../templates/report.html");
+    let script = TEMPLATE.split("<script>").nth(1).and_then(|rest| rest.split("</script>").next());
+    let digest = STANDARD.encode(Sha256::digest(script.unwrap_or_default().as_bytes()));
+    format!(
+        "default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; img-src data:; \
+         base-uri 'none'; form-action 'none'"
+    )
+}
+
+#[derive(Template)]
+#[template(path = "tables.html")]
+struct TablesTemplate {
+    tables: Vec<TableView>,
+}
+
+impl TablesTemplate {
+    fn new(tables: &[Table]) -> Self {
+        Self { tables: tables.iter().map(TableView::new).collect() }
+    }
+}
+
+#[derive(Template)]
+#[template(path = "made-by.html")]
+struct MadeByTemplate<'a> {
+    made: Vec<MadeBy<'a>>,
+}
+
+/// The configuration of a variant: its base and its steps in one line, and all the rest.
+struct MadeBy<'a> {
+    name: &'a str,
+    base: &'a str,
+    steps: &'a str,
+    parts: Vec<&'a (&'static str, String)>,
+}
+
+impl<'a> MadeBy<'a> {
+    fn new((name, parts): &'a (String, Vec<(&'static str, String)>)) -> Self {
+        let value = |field| parts.iter().find(|(name, _)| *name == field).map_or("", |(_, text)| text);
+        let rest = parts.iter().filter(|(name, _)| !name.is_empty());
+        Self { name, base: value(""), steps: value("steps"), parts: rest.collect() }
+    }
+}
+
+#[derive(Template)]
+#[template(path = "view.html")]
+struct ViewLink<'a> {
+    name: &'a str,
+    address: &'a str,
+    folder: &'a str,
+}
+
+#[derive(Template)]
+#[template(path = "costs.html")]
+struct CostsTemplate<'a> {
+    stages: Vec<StageView>,
+    made: &'a str,
+    parameters: &'a str,
+}
+
+struct TableView {
+    caption: String,
+    spans: Vec<(String, usize)>,
+    heads: Vec<String>,
+    rows: Vec<RowView>,
+    made: Vec<(String, String)>,
+    missing: Vec<String>,
+}
+
+struct RowView {
+    label: String,
+    mark: String,
+    published: bool,
+    cells: Vec<CellView>,
+}
+
+struct CellView {
+    text: String,
+    class: &'static str,
+    title: String,
+}
+
+struct StageView {
+    scene: String,
+    stage: String,
+    state: String,
+    seconds: String,
+    bar: u32,
+    memory: String,
+    size: String,
+    key: String,
+}
+
+/// The table without the columns that contain no number; the reasons for their absence are listed below it.
+fn measured(table: &Table) -> Table {
+    let has = |k: usize| table.rows.iter().any(|row| matches!(row.cells.get(k), Some(Cell::Number { .. })));
+    let kept: Vec<usize> = (0..table.columns.len()).filter(|k| has(*k)).collect();
+    let mut out = table.clone();
+    if !kept.is_empty() {
+        out.columns = kept.iter().map(|k| table.columns[*k].clone()).collect();
+        for row in &mut out.rows {
+            row.cells = kept.iter().filter_map(|k| row.cells.get(*k).cloned()).collect();
+        }
+    }
+    out
+}
+
+/// The columns without any number, and the reasons for empty cells.
+fn not_measured(table: &Table) -> Vec<String> {
+    fn plain(reason: &str) -> &str {
+        reason.strip_prefix("not available: ").unwrap_or(reason)
+    }
+    let line = |reason: &str| {
+        let is_reason =
+            |cell: &Cell| matches!(cell, Cell::NotAvailable { reason: own } if plain(own) == reason);
+        let lacks = |k: usize| table.rows.iter().any(|row| row.cells.get(k).is_some_and(is_reason));
+        let columns = table.columns.iter().enumerate().filter(|(k, _)| lacks(*k));
+        let names = distinct(columns.map(|(_, column)| column.name.as_str()));
+        format!("{}: {reason}", names.join(", "))
+    };
+    distinct(table.missing().into_iter().map(plain)).into_iter().map(line).collect()
+}
+
+impl TableView {
+    fn new(whole: &Table) -> Self {
+        let table = &measured(whole);
+        let cell = |cell: &Cell, rank: Rank, decimals: usize| match cell {
+            Cell::Number { value, source } => CellView {
+                text: format!("{value:.decimals$}"),
+                class: match rank {
+                    Rank::Best => "best",
+                    Rank::Second => "second",
+                    Rank::Other => "",
+                },
+                title: if source.is_empty() { String::new() } else { format!("from the scores of {source}") },
+            },
+            Cell::NotAvailable { reason } => {
+                CellView { text: "n/a".into(), class: "missing", title: reason.clone() }
+            }
+            Cell::Blank => CellView { text: "–".into(), class: "missing", title: String::new() },
+        };
+        let made = table.made_by().into_iter().enumerate();
+        let rows = table.rows.iter().zip(table.ranks()).map(|(row, ranks)| RowView {
+            label: row.label.clone(),
+            mark: table.mark(row),
+            published: row.published,
+            cells: (row.cells.iter().zip(ranks).zip(&table.columns))
+                .map(|((c, r), k)| cell(c, r, k.decimals))
+                .collect(),
+        });
+        Self {
+            caption: table.caption.clone(),
+            spans: table.spans().into_iter().map(|(group, count)| (group.to_string(), count)).collect(),
+            heads: table.columns.iter().map(|c| format!("{}{}", c.name, c.better.arrow())).collect(),
+            rows: rows.collect(),
+            made: made.map(|(place, text)| (marked(place), text.to_string())).collect(),
+            missing: not_measured(whole),
+        }
+    }
+}
+
+impl Page {
+    /// The page as HTML.
+    pub fn html(&self) -> Result<String, ReportError> {
+        let template = PageTemplate {
+            page: self,
+            policy: policy(),
+            verdict: verdict(&self.verdict)?,
+            verdicts: self.scenes.iter().map(|scene| verdict(&scene.verdict)).collect::<Result<_, _>>()?,
+            tables_section: TablesTemplate::new(&self.tables).render()?,
+        };
+        Ok(template.render()?)
+    }
+}
+
+#[derive(Template)]
+#[template(path = "verdict.html")]
+struct VerdictTemplate<'a> {
+    sentences: Vec<SentenceView<'a>>,
+}
+
+struct SentenceView<'a> {
+    class: &'static str,
+    mark: &'static str,
+    /// Pieces of the text; true for commands and names of files.
+    pieces: Vec<(bool, &'a str)>,
+}
+
+/// Sentences as a list; empty without sentences. Text between backticks is shown as code.
+fn verdict(sentences: &[Sentence]) -> Result<String, askama::Error> {
+    let marked = sentences.iter().map(|sentence| {
+        let (class, mark) = match sentence.tone {
+            Tone::Good => ("good", "+"),
+            Tone::Bad => ("bad", "–"),
+            Tone::Plain => ("plain", "·"),
+        };
+        let pieces = sentence.text.split('`').enumerate().map(|(k, piece)| (k % 2 == 1, piece));
+        SentenceView { class, mark, pieces: pieces.collect() }
+    });
+    VerdictTemplate { sentences: marked.collect() }.render()
+}
+
+/// The place of a page's costs.
+const COSTS: &str = "<!--costs-->";
+
+/// The marks around a page's tables.
+const TABLES: (&str, &str) = ("<!--tables-->", "<!--end of tables-->");
+
+/// A page with its tables replaced by others, which include the speed of drawing the scenes.
+pub fn with_tables(html: &str, tables: &[Table]) -> String {
+    let (Some(start), Some(end)) = (html.find(TABLES.0), html.find(TABLES.1)) else { return html.into() };
+    match TablesTemplate::new(tables).render() {
+        Ok(section) if start < end => {
+            format!("{}{section}\n{}", &html[..start + TABLES.0.len() + 1], &html[end..])
+        }
+        _ => html.into(),
+    }
+}
+
+/// A page with the configurations at the top: the name of each variant with the parts of its configuration.
+pub fn with_configurations(html: &str, made: &[(String, Vec<(&'static str, String)>)]) -> String {
+    const AFTER: &str = "<p class=\"lead\">";
+    let Some(start) = html.find(AFTER) else { return html.into() };
+    let Some(end) = html[start..].find("</p>").map(|end| start + end + "</p>".len()) else {
+        return html.into();
+    };
+    let made = made.iter().map(MadeBy::new).collect();
+    let Ok(lines) = (MadeByTemplate { made }).render() else { return html.into() };
+    format!("{}{}{}", &html[..end], lines.trim_end(), &html[end..])
+}
+
+/// A page with a link to each scene's own page, given as scene, variant and address. The location of results
+/// is part of no artifact.
+pub fn with_views<'a>(html: &str, views: impl Iterator<Item = (&'a str, &'a str, String)>) -> String {
+    views.fold(html.to_string(), |html, (scene, variant, address)| {
+        // The section's name, as the template escapes it.
+        let name = &in_variant(scene, variant);
+        let folder = address.rsplit_once('/').map_or("", |(folder, _)| folder);
+        let Ok(filled) = (ViewLink { name, address: &address, folder }).render() else { return html };
+        let mark = filled.lines().next().unwrap_or_default();
+        html.replacen(&format!("{mark}\n"), &filled, 1)
+    })
+}
+
+/// The first characters of a key, enough to distinguish it from others.
+pub fn shortened(key: &str) -> String {
+    key.chars().take(12).collect()
+}
+
+/// A page with the costs of its stages, one line about the run (`made`), and the parameters of the stages as
+/// text. All this is known only after the run, and is part of no artifact.
+pub fn with_costs(html: &str, rows: &[StageRow], made: &str, parameters: &str) -> String {
+    let longest = rows.iter().map(|s| s.seconds).fold(1e-9, f64::max);
+    let stages = rows.iter().map(|s| StageView {
+        scene: s.scene.clone(),
+        stage: s.stage.clone(),
+        state: s.state.clone(),
+        seconds: format!("{:.1}", s.seconds),
+        bar: (120.0 * s.seconds / longest).round().max(1.0) as u32,
+        memory: s.memory.map_or_else(|| "–".into(), |m| format!("{m:.0}")),
+        size: format!("{:.1}", s.size),
+        key: shortened(&s.key),
+    });
+    // A template of plain strings cannot fail to render; without this table the page is still complete.
+    let costs = CostsTemplate { stages: stages.collect(), made, parameters }.render().unwrap_or_default();
+    html.replacen(COSTS, &costs, 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tables::{Better, Column, Row};
+
+    #[test]
+    fn no_script_runs_but_the_page_s_own() {
+        let html = Page { title: "<script>alert(1)</script>".into(), ..Page::default() }.html().unwrap();
+        let policy = html.split("http-equiv=\"Content-Security-Policy\" content=\"").nth(1).unwrap();
+        let policy = policy.split('"').next().unwrap();
+        let scripts: Vec<&str> =
+            html.split("<script>").skip(1).map(|rest| rest.split("</script>").next().unwrap()).collect();
+        assert_eq!(scripts.len(), 1);
+        let digest = STANDARD.encode(Sha256::digest(scripts[0].as_bytes()));
+        assert!(policy.contains("default-src 'none'"), "{policy}");
+        assert!(policy.contains(&format!("script-src 'sha256-{digest}';")), "{policy}");
+    }
+
+    #[test]
+    fn a_page_is_one_file_that_escapes_what_it_shows() {
+        let picture = Picture::embed("captured", "", &Image::filled(2000, 10, 0.5)).unwrap();
+        assert_eq!((picture.width, picture.height), (666, 3));
+        let cell = Cell::Number { value: 1.0, source: "abc".into() };
+        let page = Page {
+            title: "a <b> & c".into(),
+            tables: vec![Table {
+                name: "t".into(),
+                caption: "caption".into(),
+                columns: vec![Column::new("G", "PSNR", Better::Higher, 2)],
+                rows: vec![Row::published("x", vec![cell])],
+            }],
+            scenes: vec![SceneSection {
+                name: "reef".into(),
+                views: vec![ViewSection {
+                    name: "v".into(),
+                    lead: vec![picture.clone()],
+                    images: vec![Picture { label: "depth".into(), ..picture }],
+                    scores: vec!["PSNR 1".into()],
+                }],
+                ..SceneSection::default()
+            }],
+            ..Page::default()
+        };
+        let html = page.html().unwrap();
+        assert!(!html.contains("<b>") && html.contains("data:image/jpeg;base64,"));
+        let at = |text: &str| html.find(text).unwrap_or_else(|| panic!("{text}"));
+        assert!(at("class=\"lead\"") < at("alt=\"v: captured\""), "the leading pictures stand first");
+        assert!(at("A view that training did not see") < at("alt=\"v: captured\""));
+        assert!(!html.contains("More held-out views") && html.matches("data-view>").count() == 1);
+        assert!(
+            at("alt=\"v: captured\"") < at("class=\"strip\"")
+                && at("class=\"strip\"") < at("alt=\"v: depth\"")
+        );
+        assert!(
+            !html.contains("http://")
+                || html.matches("http://").count() == html.matches("http://www.w3.org").count()
+        );
+        assert!(html.contains("(published)"));
+        let row = StageRow {
+            scene: "reef".into(),
+            stage: "import".into(),
+            state: "cached".into(),
+            seconds: 1.5,
+            memory: None,
+            size: 2.0,
+            key: "0123456789abcdef".into(),
+        };
+        let views = [("reef", "", "reef/view.html".to_string()), ("gone", "", "gone/view.html".to_string())];
+        let linked = with_views(&html, views.into_iter());
+        assert!(linked.contains("href=\"reef/view.html\"") && !linked.contains("gone"));
+        let parameters = "reef: evaluate\n{ \"path_pairs\": 8 } <&>";
+        let whole = with_costs(&html, &[row], "by `use3d run <a>`", parameters);
+        assert!(whole.contains("<code>0123456789ab</code>") && whole.contains("path_pairs"));
+        assert!(!whole.contains("<&>") && whole.contains("by `use3d run &#60;a&#62;`"));
+        let timed = Table {
+            name: "t".into(),
+            caption: "another caption".into(),
+            columns: vec![Column::new("", "FPS", Better::Neither, 2)],
+            rows: vec![Row {
+                label: "x".into(),
+                published: false,
+                made_by: "preset paper; seed: 42".into(),
+                cells: vec![Cell::Number { value: 12.34, source: "hardware".into() }],
+            }],
+        };
+        let other = with_tables(&whole, std::slice::from_ref(&timed));
+        assert!(other.contains("12.34") && other.contains("another caption") && !other.contains(">caption<"));
+        assert_eq!(with_tables(&other, &[timed]), other, "once more changes nothing");
+        assert!(other.contains("<sup>a</sup>") && other.contains("preset paper; seed: 42"), "{other}");
+        let parts =
+            [("", "preset paper, changed: a = <b>"), ("proposer", "fusion"), ("steps", "5000 + 1000")];
+        let parts = parts.map(|(name, text)| (name, text.to_string())).to_vec();
+        let told = with_configurations(&other, &[("reef".into(), parts)]);
+        let at = |text: &str| told.find(text).unwrap_or_else(|| panic!("{text}"));
+        let line = "reef · settings: preset paper, changed: a = &#60;b&#62;; 5000 + 1000 steps</summary>";
+        assert!(at(line) < at("id=\"scene-1\""), "on the first screen");
+        assert!(at(line) < at("<dt>proposer</dt><dd>fusion</dd>"));
+        assert_eq!(with_configurations(&other, &[]), other);
+    }
+}

@@ -1,0 +1,247 @@
+//! Tables in the paper's own layout, as Markdown, CSV, LaTeX and JSON.
+//!
+//! A cell is a number with the artifact it came from, or the reason why there is none. Best and second best
+//! are marked per column among all rows that have a number, including published ones (they are labelled as
+//! published).
+
+mod batch;
+mod format;
+pub mod paper;
+pub mod published;
+mod truth;
+
+use serde::Serialize;
+use use3d_numerics::math;
+
+use use3d_judge::names::distinct;
+
+/// The better direction of a quantity.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Better {
+    /// Larger numbers are better.
+    Higher,
+    /// Smaller numbers are better.
+    Lower,
+    /// The number is information, not a score.
+    Neither,
+}
+
+impl Better {
+    /// The arrow of column heads.
+    pub fn arrow(self) -> &'static str {
+        match self {
+            Self::Higher => "↑",
+            Self::Lower => "↓",
+            Self::Neither => "",
+        }
+    }
+}
+
+/// One column.
+#[derive(Clone, Debug, Serialize)]
+pub struct Column {
+    /// The head over several columns (a data set, a scene); empty for none.
+    pub group: String,
+    /// The quantity.
+    pub name: String,
+    /// The better direction.
+    pub better: Better,
+    /// Decimals printed.
+    pub decimals: usize,
+}
+
+impl Column {
+    /// A column of a group.
+    pub fn new(group: &str, name: &str, better: Better, decimals: usize) -> Self {
+        Self { group: group.into(), name: name.into(), better, decimals }
+    }
+}
+
+/// One cell.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Cell {
+    /// A measured or published number, with its source.
+    Number {
+        /// The value, unrounded.
+        value: f64,
+        /// The artifact's digest, or the publication.
+        source: String,
+    },
+    /// A missing number, with its reason.
+    NotAvailable {
+        /// The reason, for example a missing file, with the remedy.
+        reason: String,
+    },
+    /// The quantity does not apply to this row.
+    Blank,
+}
+
+impl Cell {
+    /// The number, if there is one.
+    pub fn value(&self) -> Option<f64> {
+        match self {
+            Self::Number { value, .. } if value.is_finite() => Some(*value),
+            _ => None,
+        }
+    }
+}
+
+/// One row.
+#[derive(Clone, Debug, Serialize)]
+pub struct Row {
+    /// The method or variant.
+    pub label: String,
+    /// Copied from the paper rather than measured here.
+    pub published: bool,
+    /// The configuration behind its numbers ([`use3d_judge::configuration`]); empty if it is not known.
+    pub made_by: String,
+    /// One cell per column.
+    pub cells: Vec<Cell>,
+}
+
+impl Row {
+    /// A row from the paper.
+    pub(crate) fn published(label: &str, cells: Vec<Cell>) -> Self {
+        Self { label: label.into(), published: true, made_by: String::new(), cells }
+    }
+}
+
+/// A table.
+#[derive(Clone, Debug, Serialize)]
+pub struct Table {
+    /// File stem, e.g. `reconstruction`.
+    pub name: String,
+    /// A description in one line.
+    pub caption: String,
+    /// The columns.
+    pub columns: Vec<Column>,
+    /// The rows.
+    pub rows: Vec<Row>,
+}
+
+/// The mark of the item at index `place`: a to z, then a1.
+pub(crate) fn marked(place: usize) -> String {
+    let letter = char::from(b'a' + (place % 26) as u8);
+    if place < 26 { letter.to_string() } else { format!("{letter}{}", place / 26) }
+}
+
+/// The rank of a number in its column.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Rank {
+    /// The best of its column (ties share it).
+    Best,
+    /// The second best.
+    Second,
+    /// Anything else.
+    Other,
+}
+
+impl Table {
+    /// The rank of every cell, rows × columns. A column with fewer than two numbers has no best.
+    pub fn ranks(&self) -> Vec<Vec<Rank>> {
+        let mut ranks = vec![vec![Rank::Other; self.columns.len()]; self.rows.len()];
+        for (c, column) in self.columns.iter().enumerate() {
+            let sign = match column.better {
+                Better::Higher => -1.0,
+                Better::Lower => 1.0,
+                Better::Neither => continue,
+            };
+            // Values are compared as printed: values that look equal rank equal.
+            let scale = math::powi(10f64, column.decimals as i32);
+            let printed =
+                |row: &Row| row.cells.get(c).and_then(Cell::value).map(|v| (sign * v * scale).round() as i64);
+            let mut values: Vec<i64> = self.rows.iter().filter_map(printed).collect();
+            if values.len() < 2 {
+                continue;
+            }
+            values.sort_unstable();
+            values.dedup();
+            for (row, ranks) in self.rows.iter().zip(&mut ranks) {
+                match printed(row).and_then(|value| values.binary_search(&value).ok()) {
+                    Some(0) => ranks[c] = Rank::Best,
+                    Some(1) => ranks[c] = Rank::Second,
+                    _ => {}
+                }
+            }
+        }
+        ranks
+    }
+
+    /// The configurations behind the rows, each text once, in order of appearance.
+    pub fn made_by(&self) -> Vec<&str> {
+        distinct(self.rows.iter().map(|row| row.made_by.as_str()).filter(|made| !made.is_empty()))
+    }
+
+    /// The mark after a row's name that refers to its configuration: a, b, …; empty if the configuration is
+    /// not known.
+    pub fn mark(&self, row: &Row) -> String {
+        let place = self.made_by().iter().position(|made| *made == row.made_by);
+        place.map_or_else(String::new, marked)
+    }
+
+    /// The distinct reasons for missing cells, in order of appearance.
+    pub fn missing(&self) -> Vec<&str> {
+        let cells = self.rows.iter().flat_map(|row| &row.cells);
+        distinct(cells.filter_map(|cell| match cell {
+            Cell::NotAvailable { reason } => Some(reason.as_str()),
+            _ => None,
+        }))
+    }
+
+    /// The heads over several columns, each with the number of its columns; empty if no column has one.
+    pub(crate) fn spans(&self) -> Vec<(&str, usize)> {
+        let alike = self.columns.chunk_by(|a, b| a.group == b.group);
+        let spans: Vec<(&str, usize)> = alike.map(|span| (&*span[0].group, span.len())).collect();
+        if spans.iter().all(|(group, _)| group.is_empty()) { Vec::new() } else { spans }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    pub(super) fn sample() -> Table {
+        let n = |value| Cell::Number { value, source: "abc".into() };
+        Table {
+            name: "t".into(),
+            caption: "A caption with 50 % & more".into(),
+            columns: vec![
+                Column::new("A", "PSNR", Better::Higher, 2),
+                Column::new("A", "LPIPS", Better::Lower, 3),
+                Column::new("", "FPS", Better::Neither, 1),
+            ],
+            rows: vec![
+                Row::published("one", vec![n(30.001), n(0.2), n(1.0)]),
+                Row {
+                    label: "two".into(),
+                    published: false,
+                    made_by: "preset paper; seed: 42".into(),
+                    cells: vec![n(30.004), n(0.1), Cell::Blank],
+                },
+                Row {
+                    label: "three".into(),
+                    published: false,
+                    made_by: "preset paper, changed: targets.proposer = fusion; seed: 42".into(),
+                    cells: vec![
+                        n(29.0),
+                        Cell::NotAvailable { reason: "put lpips.pth into models/".into() },
+                        n(2.0),
+                    ],
+                },
+            ],
+        }
+    }
+
+    #[test]
+    fn ranks_follow_the_printed_digits_and_the_direction() {
+        let ranks = sample().ranks();
+        let column = |c: usize| ranks.iter().map(|r| r[c]).collect::<Vec<_>>();
+        assert_eq!(column(0), [Rank::Best, Rank::Best, Rank::Second]);
+        assert_eq!(column(1), [Rank::Second, Rank::Best, Rank::Other]);
+        assert_eq!(column(2), [Rank::Other; 3]);
+        assert_eq!(sample().missing(), ["put lpips.pth into models/"]);
+    }
+}

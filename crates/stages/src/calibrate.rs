@@ -1,0 +1,88 @@
+//! The stage that learns the calibrator: it maps proposed transitions towards those of the paired data.
+
+use use3d_atc::calibrator::{Calibrator, CalibratorParams, Dataset, METHOD_PAIRS, train};
+use use3d_atc::progress::LoopPosition;
+use use3d_workflow::{Scope, Stage, StageContext, StageError};
+
+use crate::parts::calibrated::is_calibrated;
+use crate::parts::common::{go_on, out_of_range, read_json, write, write_json};
+use crate::parts::names::{CALIBRATOR, DATASET};
+
+pub(crate) fn stage() -> Stage {
+    Stage::new("calibrate", Scope::Shared, run)
+        .about("learn from image pairs what \"enhanced\" means")
+        .made_of(&[], &["src/calibrate.rs"])
+        .promises(&[CALIBRATOR, "report.json"])
+        .check(|p: &CalibratorParams| p.validate().map_err(out_of_range))
+        .input("pairs", "pairs")
+        .when_named(|all, named| is_calibrated(all) && !named.has("calibrator"))
+        .seeded()
+        // The extractor's settings come with the pairs.
+        .without_effect(&["extractor"])
+}
+
+fn run(context: &StageContext, params: &CalibratorParams) -> Result<(), StageError> {
+    let dataset: Dataset = read_json(&context.input("pairs")?.join(DATASET))?;
+    // The pairs were extracted with their own settings, and the calibrator must use the same ones.
+    let extractor = dataset.extractor.clone();
+    let params = CalibratorParams { extractor, seed: context.seed(), ..params.clone() };
+    let data = format!("{} pairs, {} left out", dataset.examples.len(), dataset.skipped.len());
+    let mut last = 0;
+    let calibrator = train(&dataset, &params, &data, &mut |progress| {
+        if let LoopPosition::Step { step, steps, loss } = progress {
+            if step < last {
+                context.say("validation fit done; now fitting all pairs");
+            }
+            last = step;
+            context.progress_with(step, steps, "steps", &format!("loss {loss:.4}"));
+        }
+        go_on(context)
+    });
+    context.alive()?;
+    let calibrator = calibrator?;
+    tell(context, &calibrator, &params, &dataset);
+    write(&context.output().join(CALIBRATOR), calibrator.to_bytes()?)?;
+    write_json(&context.output().join("report.json"), &calibrator.provenance)
+}
+
+/// Reports how much of the proposals the calibrator corrects, and how reliable that is.
+fn tell(context: &StageContext, calibrator: &Calibrator, params: &CalibratorParams, dataset: &Dataset) {
+    let (trust, pairs) = (params.trust_in(dataset), dataset.examples.len());
+    if !dataset.stand_in && CalibratorParams::few(pairs) {
+        context.say(format_args!(
+            "{pairs} pairs are too few ({METHOD_PAIRS} recommended): the result may not fit your water; \
+             compare proposals and enhanced views, or run again with calibrate.trust=0"
+        ));
+    }
+    if calibrator.corrects() == [false; 2] {
+        let why = match (dataset.stand_in, trust == 0.0) {
+            (true, true) => {
+                "no pairs are given, and synthetic pairs give only the scales of errors, not the look; give \
+                 real pairs (UIEB, LSUI, EUVP) with --pairs INPUT TARGET or `calibrator.pairs`, or a \
+                 finished calibrator with --calibrator or `calibrator.file`; calibrate.trust=1 applies the \
+                 synthetic pairs"
+            }
+            (false, true) => "calibrate.trust is 0, so the pairs give only the scales of errors",
+            (_, false) => "no part of the learnt correction improved the held-out pairs",
+        };
+        context.say(format_args!("proposals are not corrected: {why}"));
+        return;
+    }
+    if let Some(held_out) = &calibrator.provenance.held_out {
+        let errors = &held_out.errors;
+        context.say(format_args!(
+            "colour error on held-out pairs, proposal → calibrated: global {:.3} → {:.3}, local {:.3} → \
+             {:.3}",
+            errors.global.before, errors.global.after, errors.centered.before, errors.centered.after
+        ));
+        for (head, share) in ["global", "local"].into_iter().zip(held_out.kept) {
+            if share < trust {
+                context.say(format_args!(
+                    "the {head} head keeps {:.0} % of its correction, as more made the held-out pairs \
+                     worse; more pairs, or pairs of one kind, help",
+                    100.0 * share
+                ));
+            }
+        }
+    }
+}

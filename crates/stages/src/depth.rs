@@ -1,0 +1,144 @@
+//! Depth priors by Depth Anything V2 (R14). They are made if the parameters request them; with `auto`, if the
+//! capture has none of its own and the weights are in the models folder.
+
+use std::path::Path;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use use3d_import::{ImportParams, has_depth_folder, load_pixels};
+use use3d_io_image::write_png_map16;
+use use3d_nets::{DepthAnythingSize, Models, Network};
+use use3d_workflow::{AllParameters, Named, Scope, Stage, StageContext, StageError};
+
+use crate::parts::captured::capture;
+
+/// The size of the network.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub(crate) enum Encoder {
+    /// The largest whose weights are in the models folder; the run reports the choice.
+    #[default]
+    Auto,
+    /// 25 M parameters.
+    Vits,
+    /// 97 M parameters.
+    Vitb,
+    /// 335 M parameters, the authors' choice.
+    Vitl,
+}
+
+impl Encoder {
+    /// The networks that fit this choice, the best first.
+    fn candidates(self) -> &'static [(Network, DepthAnythingSize)] {
+        const ALL: [(Network, DepthAnythingSize); 3] = [
+            (Network::DepthAnythingV2Large, DepthAnythingSize::Large),
+            (Network::DepthAnythingV2Base, DepthAnythingSize::Base),
+            (Network::DepthAnythingV2Small, DepthAnythingSize::Small),
+        ];
+        match self {
+            Self::Auto => &ALL,
+            Self::Vitl => &ALL[..1],
+            Self::Vitb => &ALL[1..2],
+            Self::Vits => &ALL[2..],
+        }
+    }
+
+    fn networks(self) -> Vec<Network> {
+        self.candidates().iter().map(|(network, _)| *network).collect()
+    }
+
+    /// The best network whose weights are in the models folder, or a message that names the files to put
+    /// there.
+    fn found(self, models: &Path) -> Result<(Network, DepthAnythingSize), String> {
+        let folder = Models::open(models);
+        let found = self.candidates().iter().find(|(network, _)| folder.has(*network));
+        let missing = || crate::parts::weights::not_there("Depth Anything V2", &self.networks(), models);
+        found.copied().ok_or_else(missing)
+    }
+}
+
+/// Parameters of the depth priors.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub(crate) struct Params {
+    /// The size of the network.
+    pub(crate) encoder: Encoder,
+}
+
+/// The networks that fit these parameters, the best first.
+pub(crate) fn networks(parameters: &Value) -> Vec<Network> {
+    let params: Params = serde_json::from_value(parameters.clone()).unwrap_or_default();
+    params.encoder.networks()
+}
+
+pub(crate) fn stage() -> Stage {
+    Stage::new("depth", Scope::Scene, run)
+        .about("depth priors by Depth Anything V2")
+        .made_of(&[], &["src/depth.rs"])
+        .input("import", "import")
+        .external("models", "models")
+        .select(|parameters, models| {
+            let params: Params = serde_json::from_value(parameters.clone()).map_err(|e| e.to_string())?;
+            Ok(crate::parts::weights::model_files(models, &[params.encoder.found(models)?.0]))
+        })
+        .when_named(asked_for)
+        .cost(0, 4 << 30)
+}
+
+/// True if a scene's priors are to be made, from its parameters and from the files in its capture and in the
+/// models folder.
+fn asked_for(all: &AllParameters, named: &Named) -> bool {
+    let of = |stage: &str| all.get(stage).cloned().unwrap_or_default();
+    let import = serde_json::from_value(of("import")).unwrap_or_default();
+    let capture = named.path("capture").map(|capture| (capture, &import));
+    wanted(&of("reconstruct"), &of("depth"), capture, named.path("models"))
+}
+
+/// True if priors are to be made for a capture (with the parameters of its import), by the parameters of
+/// `reconstruct` and `depth`.
+pub fn wanted(
+    reconstruct: &Value,
+    depth: &Value,
+    capture: Option<(&Path, &ImportParams)>,
+    models: Option<&Path>,
+) -> bool {
+    match reconstruct["depth_prior"].as_str() {
+        Some("depth-anything-v2") => true,
+        Some("auto") => {
+            let params: Params = serde_json::from_value(depth.clone()).unwrap_or_default();
+            let has_own = || capture.is_none_or(|(capture, import)| has_depth_folder(capture, import));
+            // The capture is not looked at without need: a large batch has many.
+            models.is_some_and(|models| params.encoder.found(models).is_ok()) && !has_own()
+        }
+        _ => false,
+    }
+}
+
+fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
+    let capture = capture(context)?;
+    let models = context.input("models")?;
+    let (network, size) = params.encoder.found(models).map_err(StageError::message)?;
+    context.say(format_args!("depth priors by {}", network.known().title));
+    let network = Models::open(models).depth_anything_v2(size)?;
+    let views: Vec<_> = capture.training_views().collect();
+    for (i, view) in views.iter().enumerate() {
+        context.alive()?;
+        context.progress(i as u64, views.len() as u64, "views");
+        let mut disparity = network.disparity(&load_pixels(view)?.to_image())?;
+        // The scale is arbitrary: the range between the 1 % and 99 % quantiles is stored in 16 bits. Larger
+        // is nearer, 0 is unknown.
+        let mut sorted: Vec<f32> =
+            disparity.data().iter().copied().filter(|v| v.is_finite() && *v > 1e-8).collect();
+        sorted.sort_unstable_by(f32::total_cmp);
+        let last = sorted.len().saturating_sub(1) as f64;
+        let at = |share: f64| sorted.get((last * share) as usize).copied().unwrap_or(0.0);
+        let (low, high) = (at(0.01), at(0.99));
+        let scale = 1.0 / (high - low).max(1e-12);
+        for v in disparity.data_mut() {
+            *v = ((*v - low) * scale).clamp(0.0, 1.0);
+        }
+        write_png_map16(&context.output().join(format!("{}.png", view.flat_stem())), &disparity)?;
+    }
+    Ok(())
+}

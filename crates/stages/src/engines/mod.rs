@@ -1,0 +1,320 @@
+//! The choice of engines: for the steps of a training (the processor or a graphics card), for drawing a
+//! finished scene ([`Drawn`]), and for lifting views to a scene's Gaussians.
+//!
+//! A card is opened and checked once per process, when its name is first needed: for a key, or at the start
+//! of a stage. If a choice names a card that is missing, fails its check or cannot do the work, the
+//! parameters are refused before anything runs; `auto` then takes the processor. A key describes the card and
+//! its kernels only by the stage's numeric class. So an edit of a kernel makes no result of the processor
+//! stale.
+
+#[cfg(feature = "gpu")]
+mod cards;
+mod drawing;
+
+pub use drawing::Drawn;
+
+use use3d_atc::consensus::{Adjoint, Lift};
+use use3d_capture::Formation;
+use use3d_enhance::engine::{CpuFieldEngine, FieldEngine};
+use use3d_enhance::{EnhanceError, EnhanceParams, EnhanceView, Guidance};
+use use3d_reconstruct::engine::{CpuEngine, Engine};
+use use3d_reconstruct::{Medium, ReconstructParams};
+use use3d_render::{Look, RenderError, Renderer};
+use use3d_scene::Scene;
+use use3d_splat::Gaussians;
+pub(crate) use use3d_training::EngineChoice;
+use use3d_training::{EngineError, Observer};
+use use3d_workflow::DeviceClass;
+
+#[cfg(not(feature = "gpu"))]
+mod cards {
+    use super::{OpenCard, ReconstructParams};
+
+    pub(crate) fn close() {}
+
+    pub(crate) fn loss_without_kernel(_params: &ReconstructParams) -> Option<&'static str> {
+        None
+    }
+
+    pub(crate) fn open(_name: Option<&str>) -> Result<OpenCard, String> {
+        Err("this program was built without engines for graphics cards (cargo feature `gpu`); use `cpu`"
+            .into())
+    }
+}
+
+use cards::open;
+
+type OpenCard = Box<dyn Card>;
+
+/// Makes renderers of a scene that is stored on a card.
+type Renderers<'s> = Box<dyn Fn(Look) -> Result<Renderer<'s>, RenderError> + 's>;
+
+/// An open graphics card that passed its check.
+trait Card {
+    /// The class of arithmetic of its results.
+    fn class(&self) -> DeviceClass;
+
+    /// The adapter's name.
+    fn name(&self) -> String;
+
+    /// A description of the adapter for the user: its kernels, and the reasons why other cards were passed
+    /// over.
+    fn told(&self) -> String;
+
+    /// Largest number of Gaussians that it can hold.
+    fn most_gaussians(&self) -> usize;
+
+    /// The engine of stage 1 on this card.
+    fn stage1(&self) -> Result<Box<dyn Engine>, EngineError>;
+
+    /// The engine of stage 2 on this card.
+    fn stage2<'a>(
+        &self,
+        scene: &'a Scene,
+        views: &[EnhanceView],
+        guidance: Guidance<'a>,
+        params: &EnhanceParams,
+        observer: &mut dyn Observer,
+    ) -> Result<Box<dyn FieldEngine + 'a>, EnhanceError>;
+
+    /// Stores a scene on this card, for drawing.
+    fn renderers<'s>(&self, scene: &'s Scene) -> Result<Renderers<'s>, EngineError>;
+
+    /// The adjoint of a scene's linear splat on this card.
+    fn adjoint(&self, gaussians: &Gaussians) -> Result<Box<dyn Adjoint>, EngineError>;
+}
+
+/// Closes the graphics cards that were opened. Called at the end of the program; a later use opens them
+/// again.
+pub fn close_devices() {
+    cards::close();
+}
+
+/// True if cards have kernels for a water: one that is made of spherical harmonics and formed in front of
+/// every Gaussian, or no water.
+fn on_cards(medium: Medium) -> bool {
+    medium == Medium::None || (medium.starts_from_harmonics() && medium.formation() == Formation::PerGaussian)
+}
+
+/// The parameters of a stage that choose an engine.
+pub(crate) trait ChoosesEngine {
+    /// The requested engine.
+    fn engine(&self) -> &EngineChoice;
+
+    /// The values expected instead, if no card can do what these parameters request.
+    fn beyond_cards(&self) -> Option<String> {
+        None
+    }
+
+    /// Largest number of Gaussians that these parameters request; `None` if it depends on the capture.
+    fn most_gaussians(&self) -> Option<usize> {
+        None
+    }
+}
+
+impl ChoosesEngine for ReconstructParams {
+    fn engine(&self) -> &EngineChoice {
+        &self.engine
+    }
+
+    fn beyond_cards(&self) -> Option<String> {
+        if !on_cards(self.medium) {
+            return Some(format!(
+                "expected cpu for the water `{}`, which runs only on the processor; graphics cards have \
+                 kernels for {}",
+                self.medium.name(),
+                Medium::names(on_cards)
+            ));
+        }
+        cards::loss_without_kernel(self).map(|loss| {
+            format!("expected cpu for the loss `{loss}`, for which graphics cards have no kernel")
+        })
+    }
+
+    fn most_gaussians(&self) -> Option<usize> {
+        (self.max_gaussians > 0).then_some(self.max_gaussians)
+    }
+}
+
+/// The choice alone, of a stage that cards can do with all of its parameters.
+impl ChoosesEngine for EngineChoice {
+    fn engine(&self) -> &EngineChoice {
+        self
+    }
+}
+
+/// Opens the card of a name if it can do what the parameters request.
+fn able(params: &impl ChoosesEngine, name: Option<&str>) -> Result<OpenCard, String> {
+    if let Some(expected) = params.beyond_cards() {
+        return Err(expected);
+    }
+    let card = open(name)?;
+    let most = card.most_gaussians();
+    match params.most_gaussians() {
+        Some(asked) if asked > most => Err(format!(
+            "`{}` has room for {most} Gaussians in one binding, and max_gaussians is {asked}; expected a smaller max_gaussians, or cpu",
+            card.name()
+        )),
+        _ => Ok(card),
+    }
+}
+
+/// The card that a stage uses; `None` for the processor.
+fn card(params: &impl ChoosesEngine) -> Result<Option<OpenCard>, String> {
+    match params.engine() {
+        EngineChoice::Cpu => Ok(None),
+        EngineChoice::Auto => Ok(able(params, None).ok()),
+        EngineChoice::Gpu(name) => able(params, name.as_deref()).map(Some),
+    }
+}
+
+/// Chooses the card at the start of a training; also returns the message to show.
+fn chosen(params: &impl ChoosesEngine) -> Result<(Option<OpenCard>, Option<String>), EngineError> {
+    let card = card(params).map_err(|what| EngineError::Request { engine: "gpu", what })?;
+    let said = match &card {
+        Some(card) => Some(format!("engine: gpu, {}", card.told())),
+        None if *params.engine() == EngineChoice::Cpu => None,
+        None => {
+            let why = able(params, None).err().unwrap_or_default();
+            Some(format!("engine: cpu ({why})"))
+        }
+    };
+    Ok((card, said))
+}
+
+/// Refuses an engine that this machine does not offer: returns the parameter and the problem.
+pub(crate) fn check<T: ChoosesEngine>(params: &T) -> Result<(), (String, String)> {
+    card(params).map(|_| ()).map_err(|what| ("engine".to_string(), what))
+}
+
+/// The device that a stage computes on; `None` for the processor alone.
+pub(crate) fn class<T: ChoosesEngine>(params: &T) -> Option<DeviceClass> {
+    card(params).ok().flatten().map(|card| card.class())
+}
+
+/// The engine of stage 1 for a capture that may grow to `most` Gaussians, and the message to show about the
+/// choice.
+pub(crate) fn stage1(
+    params: &ReconstructParams,
+    most: usize,
+) -> Result<(Box<dyn Engine>, Option<String>), EngineError> {
+    let (card, said) = chosen(params)?;
+    // The number of Gaussians is known only during the training, and the key already names the card. So a
+    // card that may be too small is only reported here.
+    let room = card.as_ref().map_or(usize::MAX, |card| card.most_gaussians());
+    let said = said.map(|said| said + &narrow(most, room));
+    let engine = match card {
+        Some(card) => card.stage1()?,
+        None => Box::new(CpuEngine::default()),
+    };
+    Ok((engine, said))
+}
+
+/// The message if a training may grow beyond the number of Gaussians that a card can hold.
+fn narrow(most: usize, room: usize) -> String {
+    if most <= room {
+        return String::new();
+    }
+    format!(
+        "; it has room for {room} Gaussians in one binding, and this capture may come to {most}, where the \
+         training would fail: set max_gaussians={room}, or use cpu, which has no such limit"
+    )
+}
+
+/// The engine of stage 2, and the message to show about the choice.
+pub(crate) fn stage2<'a>(
+    scene: &'a Scene,
+    views: &[EnhanceView],
+    guidance: Guidance<'a>,
+    params: &EnhanceParams,
+    observer: &mut dyn Observer,
+) -> Result<(Box<dyn FieldEngine + 'a>, Option<String>), EnhanceError> {
+    // The water is frozen in stage 2, so every kind is possible.
+    let (card, said) = chosen(&params.engine)?;
+    let engine: Box<dyn FieldEngine + 'a> = match card {
+        Some(card) => card.stage2(scene, views, guidance, params, observer)?,
+        None => Box::new(CpuFieldEngine::new(scene, views, guidance, params, observer)?),
+    };
+    Ok((engine, said))
+}
+
+/// The lift from views to a scene's Gaussians, and the message to show about the choice.
+pub(crate) fn lift<'s>(
+    gaussians: &'s Gaussians,
+    engine: &EngineChoice,
+) -> Result<(Lift<'s>, Option<String>), EngineError> {
+    let (card, said) = chosen(engine)?;
+    let lift = match card {
+        Some(card) => Lift::by(card.adjoint(gaussians)?),
+        None => Lift::new(gaussians),
+    };
+    Ok((lift, said))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn asking(engine: &str, medium: Medium) -> ReconstructParams {
+        ReconstructParams { engine: engine.parse().unwrap(), medium, ..ReconstructParams::default() }
+    }
+
+    #[test]
+    fn the_processor_is_the_default_and_asks_for_nothing() {
+        let params = ReconstructParams::default();
+        assert_eq!((check(&params), class(&params)), (Ok(()), None));
+        assert!(stage1(&params, usize::MAX).unwrap().1.is_none());
+    }
+
+    #[test]
+    fn a_capture_that_may_outgrow_its_card_is_told_so() {
+        assert_eq!(narrow(100, 100), "");
+        let said = narrow(4_000_000, 2_796_202);
+        assert!(said.contains("may come to 4000000") && said.contains("max_gaussians=2796202"), "{said}");
+    }
+
+    #[test]
+    fn what_no_card_can_do_is_refused_by_name_and_left_to_the_processor_by_auto() {
+        for (medium, name) in [(Medium::Mlp, "`mlp`"), (Medium::Image, "`image`")] {
+            let (at, what) = check(&asking("gpu", medium)).unwrap_err();
+            assert!(at == "engine" && what.contains(name) && what.contains("expected cpu"), "{what}");
+        }
+        let auto = asking("auto", Medium::Mlp);
+        assert_eq!((check(&auto), class(&auto)), (Ok(()), None));
+        let (_, said) = stage1(&auto, 1000).unwrap();
+        assert!(said.unwrap().contains("engine: cpu (expected cpu for the water `mlp`"));
+    }
+
+    #[test]
+    fn more_gaussians_than_a_card_binds_are_refused_with_their_number() {
+        let mut params = asking("gpu:llvmpipe", Medium::Rbf);
+        if let Err((_, what)) = check(&params) {
+            assert!(std::env::var("USE3D_REQUIRE_GPU").as_deref() != Ok("1"), "{what}");
+            eprintln!("SKIPPED, no software adapter (package mesa-vulkan-drivers): {what}");
+            return;
+        }
+        assert!(class(&params).is_some_and(|class| class.engine == "gpu (portable)"));
+        params.max_gaussians = 4_000_000_000;
+        let (at, what) = check(&params).unwrap_err();
+        assert!(
+            at == "engine" && what.contains("max_gaussians is 4000000000") && what.contains("llvmpipe"),
+            "{what}"
+        );
+    }
+
+    #[test]
+    fn a_name_that_no_adapter_has_is_refused_with_those_there_are() {
+        let stage2 =
+            EnhanceParams { engine: "gpu:no such card".parse().unwrap(), ..EnhanceParams::default() };
+        for (at, what) in
+            [check(&asking("gpu:no such card", Medium::Rbf)).unwrap_err(), check(&stage2.engine).unwrap_err()]
+        {
+            assert_eq!(at, "engine");
+            assert!(what.contains("no such card") || what.contains("cargo feature `gpu`"), "{what}");
+        }
+        assert_eq!(
+            (check(&EnhanceParams::default().engine), class(&EnhanceParams::default().engine)),
+            (Ok(()), None)
+        );
+    }
+}

@@ -1,0 +1,229 @@
+//! Stage 2: stores the enhancement in the scene.
+
+use std::path::Path;
+
+use use3d_atc::consensus::Targets;
+use use3d_capture::{Appearance, Image, View};
+use use3d_enhance::losses::TERMS;
+use use3d_enhance::{
+    EnhanceError, EnhanceParams, EnhanceView, Guidance, LabelSource, LogEntry, Objective, PseudoLabels,
+    Report, enhance,
+};
+use use3d_import::{Originals, load_pixels};
+use use3d_scene::{Origin, Scene};
+use use3d_workflow::{Figure, Scope, Stage, StageContext, StageError};
+
+use crate::engines;
+use crate::parts::captured::{capture, write_cameras};
+use crate::parts::common::{out_of_range, read, write, write_json};
+use crate::parts::names::TARGETS;
+use crate::parts::proposals::asked_for;
+use crate::parts::proposer::by_name;
+use crate::parts::scenes::scene;
+use crate::parts::watch::Watch;
+use use3d_chart::{Plot, Series};
+
+/// The report on a scene's training, next to its log.
+const REPORT: &str = "report.json";
+
+/// The largest difference between two trainings in two classes of arithmetic: in the means over views of the
+/// normalised errors that remain.
+const FIGURES: [Figure; 3] = [
+    Figure { file: REPORT, at: "/views/*/after/global/error", within: 0.05 },
+    Figure { file: REPORT, at: "/views/*/after/local/error", within: 0.05 },
+    Figure { file: REPORT, at: "/views/*/after/pixels", within: 0.005 },
+];
+
+pub(crate) fn stage() -> Stage {
+    Stage::new("enhance", Scope::Scene, run)
+        .about("stage 2: store the enhancement in the scene")
+        .made_of(&[], &["src/enhance.rs"])
+        .promises(&["scene.json", "gaussians.ply", REPORT])
+        .check(|p: &EnhanceParams| p.validate().map_err(out_of_range))
+        .check(|p: &EnhanceParams| engines::check(&p.engine))
+        .computes_on(|p: &EnhanceParams| engines::class(&p.engine))
+        .when(|all| !asked_for(all))
+        .input("import", "import")
+        .input("scene", "reconstruct")
+        .input("targets", "targets")
+        .optional_external("models", "models")
+        .select(|_, models| Ok(crate::parts::weights::proposer_files(models)))
+        .seeded()
+        .resumable(&["iterations"])
+        .without_effect(&["checkpoint_every", "cache_mib", "engine"])
+        .agrees_across_classes(&FIGURES)
+        .cost(0, 4 << 30)
+}
+
+/// Reads targets from their file or from the folder that holds them.
+fn read_targets(path: &Path) -> Result<Targets, StageError> {
+    let file = if path.is_dir() { path.join(TARGETS) } else { path.to_path_buf() };
+    Targets::from_bytes(&read(&file)?)
+        .map_err(|e| StageError::bad_input_message(format!("{}: {e}", file.display())))
+}
+
+/// The 2D enhancer's images of the training views.
+struct Proposals<'a> {
+    views: Vec<&'a View>,
+    proposer: Box<dyn use3d_atc::proposers::Proposer>,
+}
+
+impl LabelSource for Proposals<'_> {
+    fn label(&self, index: usize) -> Result<Image, String> {
+        let image = load_pixels(self.views[index]).map_err(|e| e.to_string())?.to_image();
+        self.proposer.enhance(&image).map_err(|e| e.to_string())
+    }
+}
+
+/// Messages on the errors before and after stage 2. An error that grew although it was weighted is a warning.
+fn reached(report: &Report, params: &EnhanceParams) -> Vec<String> {
+    let measuring = TERMS.iter().filter(|row| row.measures_errors());
+    let errors: Option<Vec<_>> = measuring.map(|row| Some((row, report.errors(row.name)?))).collect();
+    let Some(errors) = errors else {
+        return vec![
+            "colour errors not measured: the scene was fitted to images of the 2D enhancer, not to \
+             transitions"
+                .into(),
+        ];
+    };
+    let each = errors.iter().map(|(row, (before, after))| format!("{} {before:.3} → {after:.3}", row.name));
+    let each: Vec<String> = each.collect();
+    let mut lines = vec![format!("remaining colour error, before → after: {}", each.join(", "))];
+    for (row, (before, after)) in errors {
+        let name = row.name;
+        // The growth must be visible in the printed decimals: a thousandth of a scale is no growth.
+        if (row.weight)(params) > 0.0 && after > before + GROWTH {
+            lines.push(format!(
+                "warning: the {name} error grew in stage 2, from {before:.3} to {after:.3}: the scene is farther from its {name} targets than it was without enhancement; try more `iterations`, or leave this term out with `objective`"
+            ));
+        }
+    }
+    lines
+}
+
+/// Growth of an error, in its scale, above which there is a warning. It is visible in three decimals, and
+/// more than the noise of a fit that has nothing to do.
+const GROWTH: f64 = 2e-3;
+
+/// Colours of the curves of a plot, in the order of terms.
+const CURVES: [&str; 4] = ["#0b7285", "#e8590c", "#845ef7", "#2b8a3e"];
+
+/// The curves of the terms that measure the distance of views from their targets.
+fn curves(log: &[LogEntry]) -> Vec<Series> {
+    let terms = TERMS.iter().enumerate().filter(|(_, row)| row.is_of_views());
+    let curves = terms.zip(CURVES.iter().cycle()).map(|((at, row), &color)| {
+        Series::line(row.title, color, log.iter().map(|e| (e.step as f64, e.terms[at].loss)).collect())
+    });
+    curves.collect()
+}
+
+fn run(context: &StageContext, params: &EnhanceParams) -> Result<(), StageError> {
+    let capture = capture(context)?;
+    let scene = scene(context, "scene")?;
+    let targets = read_targets(context.input("targets")?)?;
+    let params = EnhanceParams { seed: context.seed(), ..params.clone() };
+    let views: Vec<EnhanceView> = capture.training_views().map(EnhanceView::from).collect();
+    let labels;
+    let guidance = if params.objective == Objective::PseudoLabels {
+        if targets.appearance == Appearance::Clear {
+            return Err(StageError::bad_input_message(
+                "objective = \"pseudo-labels\" needs photographs enhanced by a 2D enhancer, but these \
+                 targets are in clear radiance, from `scene`; make targets with a 2D enhancer \
+                 (`targets.proposer`), or choose another objective",
+            ));
+        }
+        let proposer = by_name(&targets.proposer.name, context.optional_input("models"))
+            .map_err(StageError::bad_input_message)?;
+        let source = Proposals { views: capture.training_views().collect(), proposer };
+        labels = PseudoLabels::new(&source, &views, &params)?;
+        Guidance::Labels(&labels)
+    } else {
+        Guidance::Targets(&targets)
+    };
+    let watch = &mut Watch(context);
+    let outcome = {
+        // The engine and the constants of the views are dropped at the end of this block.
+        let (mut engine, chosen) = engines::stage2(&scene, &views, guidance, &params, watch)?;
+        chosen.into_iter().for_each(|chosen| context.say(chosen));
+        enhance(&scene, &views, guidance, &params, engine.as_mut(), context.checkpoints(), watch)
+    };
+    let outcome = match outcome {
+        Err(EnhanceError::Interrupted { .. }) => return Err(StageError::Cancelled),
+        other => other?,
+    };
+    context.profile(&outcome.profile.table());
+    if targets.appearance == Appearance::Clear {
+        context.say(
+            "learnt in clear radiance: `enhanced` shows the enhanced objects behind the water of stage 1",
+        );
+    }
+    for line in reached(&outcome.report, &params) {
+        context.say(line);
+    }
+    let out = context.output();
+    outcome.scene.save(out)?;
+    if let Some(origin) = Origin::read(context.input("scene")?)? {
+        origin.write(out)?;
+    }
+    if let Some(world) = Scene::world(context.input("scene")?)? {
+        Scene::set_world(out, &world)?;
+    }
+    Originals::hand_on(context.input("import")?, out).map_err(StageError::bad_input)?;
+    write(&out.join("training.jsonl"), outcome.log_lines())?;
+    write_json(&out.join(REPORT), &outcome.report)?;
+    write_cameras(out, &capture)?;
+    let plot = Plot {
+        title: "Stage 2: losses".into(),
+        x_label: "step".into(),
+        log_y: true,
+        series: curves(&outcome.log),
+    };
+    write(&out.join("training.svg"), plot.svg())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use use3d_enhance::{Realised, ViewErrors, ViewReport};
+
+    fn report(errors: Option<[f64; 4]>) -> Report {
+        let of = |k: usize| errors.map(|e| Realised { loss: 0.0, error: e[k] });
+        let at = |k: usize| {
+            ViewErrors(TERMS.map(|row| match row.name {
+                "global" => of(k),
+                "local" => of(k + 1),
+                _ => None,
+            }))
+        };
+        Report {
+            views: vec![ViewReport { name: "a".into(), before: at(0), after: at(2) }],
+            views_in_memory: 1,
+            transport_ratios: [1.0; 2],
+            scene_affine: [[0.0; 4]; 3],
+            rendered_share: 1.0,
+        }
+    }
+
+    #[test]
+    fn what_was_not_measured_has_no_figure_and_what_grew_is_a_warning() {
+        let asked = |objective| EnhanceParams { objective, ..EnhanceParams::default() };
+        let labels = reached(&report(None), &asked(Objective::PseudoLabels));
+        assert!(labels.len() == 1 && labels[0].contains("not measured") && !labels[0].contains("0.000"));
+        let grew = report(Some([0.6, 0.185, 0.08, 0.253]));
+        let lines = reached(&grew, &asked(Objective::Full));
+        assert!(lines[0].contains("global 0.600 → 0.080, local 0.185 → 0.253"), "{lines:?}");
+        assert!(
+            lines[1].starts_with("warning: the local error grew") && lines[1].contains("0.253"),
+            "{lines:?}"
+        );
+        assert_eq!(
+            reached(&grew, &asked(Objective::GlobalOnly)).len(),
+            1,
+            "that objective does not ask for it"
+        );
+        assert_eq!(reached(&report(Some([0.6, 0.3, 0.08, 0.2])), &asked(Objective::Full)).len(), 1);
+        // A uniform grey capture has nothing to enhance, and its errors are those of arithmetic.
+        let nothing = reached(&report(Some([0.0, 0.0, 0.0012, 0.0003])), &asked(Objective::Full));
+        assert_eq!(nothing.len(), 1, "{nothing:?}");
+    }
+}

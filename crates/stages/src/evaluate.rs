@@ -1,0 +1,595 @@
+//! Scores the held-out views: stage 1 against the photographs, and every appearance by itself. Also scores
+//! the consistency of neighbouring views.
+//!
+//! The 2D enhancer's images of the held-out photographs are kept; the report shows them next to the scene's.
+//!
+//! Rendered images are scored as they are rendered (f32, clamped to the display range) and not read from
+//! files. The `render` stage shows the same images; both stages are functions of the same artifacts. If the
+//! capture comes with its truth, appearances, depth and water are also measured against the truth
+//! ([`use3d_judge::truth`]).
+//!
+//! Consistency has two forms, both over pairs of adjacent views. *Neighbours* are captured views that follow
+//! one another in the capture. Only they have photographs, so only there can the 2D enhancer be tested on
+//! photographs. The *path* moves through the training cameras with several frames from one to the next, like
+//! a film of the scene. Depth, masks and raw inputs come from the reference variant's stage 1. They are the
+//! same for all variants of a scene, so that no variant is judged by its own geometry.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::time::Duration;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use use3d_atc::proposers::Proposer;
+use use3d_capture::{Appearance, Camera, Capture, Frame, Image, Map, View, path};
+use use3d_import::{load_mask, load_pixels};
+use use3d_io_image::{read_image, write_png};
+use use3d_metrics::{Mask, mask_of};
+use use3d_numerics::range::within;
+use use3d_render::{Mode, Rendering, SceneRenderer};
+use use3d_scene::Scene;
+use use3d_workflow::content::Choice;
+use use3d_workflow::{Figure, Scope, Stage, StageContext, StageError, machine};
+
+use crate::engines::{self, Drawn, EngineChoice};
+use crate::parts::captured::capture;
+use crate::parts::choices::choice_sources;
+use crate::parts::common::{folder, out_of_range, read_json, write_json};
+use crate::parts::drawn::drawn;
+use crate::parts::names::{ENHANCED_IN_2D, EVALUATION, TRUE_VIEWS};
+pub use crate::parts::names::{SCORES, SPEED, STRIP};
+use crate::parts::proposals::{asked_for, file};
+use crate::parts::proposer::{ProposerChoice, open};
+use crate::parts::scenes::shown_scene;
+use use3d_judge::scores::{
+    self, Finite, Method, MethodScores, PairScores, SceneScores, SceneSpeed, Scores, ViewScores, Warp,
+};
+use use3d_judge::scoring::{ComparedView, Judges, Pairing};
+use use3d_judge::speed;
+use use3d_judge::strip::{Strip, StripView, choose, sheet};
+use use3d_judge::truth::{Truth, files};
+
+/// The scores that an evaluation has to have.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub(crate) enum Wanted {
+    /// Those whose networks are in the models folder; for each other score, the missing files are reported.
+    #[default]
+    Available,
+    /// All of the paper: LPIPS, URanker, MUSIQ and wLPIPS. A network that is missing is an error.
+    All,
+}
+
+/// Parameters of the evaluation.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub(crate) struct Params {
+    /// The 2D enhancer of the reference rows; `auto` as in `pairs`.
+    pub(crate) proposer: ProposerChoice,
+    /// The scores that must be there.
+    pub(crate) scores: Wanted,
+    /// Pairs of captured views next to each other that are compared, evenly chosen; 0: none.
+    pub(crate) neighbour_pairs: usize,
+    /// Pairs of adjacent frames of the rendered path that are compared, evenly chosen; 0: none.
+    pub(crate) path_pairs: usize,
+    /// Frames of that path from one training view to the next.
+    pub(crate) path_steps: usize,
+    /// The engine that draws the scenes: `cpu`; `auto` (a graphics card that passed its check, else the
+    /// processor); `gpu`; `gpu:NAME`.
+    #[schemars(with = "String")]
+    pub(crate) engine: EngineChoice,
+}
+
+impl Default for Params {
+    fn default() -> Self {
+        Self {
+            proposer: ProposerChoice::default(),
+            scores: Wanted::Available,
+            neighbour_pairs: 8,
+            path_pairs: 8,
+            path_steps: 4,
+            engine: EngineChoice::Cpu,
+        }
+    }
+}
+
+/// The largest difference between the scores of one scene drawn in two classes of arithmetic: below the
+/// printed decimals.
+const FIGURES: [Figure; 2] = [
+    Figure { file: SCORES, at: "/methods/*/mean/psnr/value", within: 0.005 },
+    Figure { file: SCORES, at: "/methods/*/mean/ssim/value", within: 0.0005 },
+];
+
+impl Params {
+    fn check(&self) -> Result<(), (String, String)> {
+        self.proposer.for_photographs()?;
+        let within = |name, value, least| within(name, value, least, 10_000).map_err(out_of_range);
+        within("neighbour_pairs", self.neighbour_pairs, 0)?;
+        within("path_pairs", self.path_pairs, 0)?;
+        within("path_steps", self.path_steps, 1)
+    }
+}
+
+pub(crate) fn stage() -> Stage {
+    Stage::new("evaluate", Scope::Scene, run)
+        .about("score the held-out views")
+        .made_of(&[], &["src/evaluate.rs"])
+        .promises(&[SCORES])
+        .check(Params::check)
+        .check(|p: &Params| engines::check(&p.engine))
+        .computes_on(|p: &Params| engines::class(&p.engine))
+        .without_effect(&["engine"])
+        .agrees_across_classes(&FIGURES)
+        .input("import", "import")
+        .input("scene", "reconstruct")
+        .optional_input("proposals", "propose")
+        .optional_input("enhanced", "enhance")
+        .optional_input("photographs", "photographs")
+        .reference_input("reference", "reconstruct", |all| !asked_for(all))
+        .optional_external("models", "models")
+        .select(|_, models| Ok(crate::parts::weights::judge_files(models)))
+        .optional_external("truth", "capture")
+        .select_by(|_, capture| {
+            let files = files(capture);
+            // Without a truth, the answer costs nothing.
+            let made_from = if files.is_empty() { Vec::new() } else { choice_sources(capture) };
+            Ok(Choice { files, made_from })
+        })
+        .cost(0, 4 << 30)
+}
+
+/// One view in all its appearances.
+struct Appearances {
+    images: Vec<(Method, Image)>,
+    depth: Map,
+    accumulation: Map,
+    /// Attenuation and backscatter of every ray, if the scene has water.
+    water: Option<[Image; 2]>,
+}
+
+impl Appearances {
+    fn of(&self, method: Method) -> Option<&Image> {
+        self.images.iter().find(|(m, _)| *m == method).map(|(_, image)| image)
+    }
+}
+
+/// Means of an image's channels.
+fn channel_means(image: &Image) -> [f64; 3] {
+    image.planes().map(|plane| plane.iter().map(|v| f64::from(*v)).sum::<f64>() / plane.len().max(1) as f64)
+}
+
+/// A scene's renderer and the 2D enhancer: produces all appearances of a view.
+struct Looker<'a> {
+    renderer: SceneRenderer<'a>,
+    proposer: &'a dyn Proposer,
+    /// The method that the scene was learnt with: from photographs, or from proposals.
+    learnt: Method,
+}
+
+impl Looker<'_> {
+    /// All appearances at a camera, with those made of a photograph if there is one.
+    fn look(&mut self, camera: &Camera, photograph: Option<Image>) -> Result<Appearances, StageError> {
+        let mut modes =
+            vec![Mode::Reconstruction, Mode::Depth, Mode::Alpha, Mode::Attenuation, Mode::Backscatter];
+        if self.learnt == Method::Reconstruction {
+            modes.push(Mode::Clear);
+        }
+        if self.renderer.is_enhanced() {
+            modes.extend([Mode::Enhanced, Mode::EnhancedClear]);
+        }
+        let mut images = Vec::new();
+        if let Some(captured) = photograph {
+            let proposal = self.proposer.enhance(&captured)?;
+            images.extend([(Method::Captured, captured), (Method::Proposal, proposal)]);
+        }
+        let (mut depth, mut accumulation) = (Map::new(0, 0), Map::new(0, 0));
+        let mut water = Vec::new();
+        for (mode, frame) in modes.iter().zip(self.renderer.render(camera, &modes)?) {
+            match (mode, frame) {
+                (Mode::Reconstruction, Rendering::Color(image)) => {
+                    if self.learnt == Method::Reconstruction {
+                        let shown = image.map(|v| v.clamp(0.0, 1.0));
+                        images.push((Method::ProposalOfRender, self.proposer.enhance(&shown)?));
+                    }
+                    images.push((self.learnt, image));
+                }
+                (Mode::Clear, Rendering::Color(image)) => images.push((Method::Clear, image)),
+                (Mode::Enhanced, Rendering::Color(image)) => images.push((Method::Enhanced, image)),
+                (Mode::EnhancedClear, Rendering::Color(image)) => images.push((Method::EnhancedClear, image)),
+                (Mode::Depth, Rendering::Scalar(map)) => depth = map,
+                (Mode::Alpha, Rendering::Scalar(map)) => accumulation = map,
+                (Mode::Attenuation | Mode::Backscatter, Rendering::Color(image)) => water.push(image),
+                _ => {}
+            }
+        }
+        Ok(Appearances { images, depth, accumulation, water: water.try_into().ok() })
+    }
+
+    fn view(&mut self, view: &View) -> Result<Appearances, StageError> {
+        self.look(&view.camera, Some(load_pixels(view)?.to_image()))
+    }
+}
+
+/// The mask of the valid pixels of a view; `None` if all are valid.
+fn mask(view: &View) -> Result<Option<Mask>, StageError> {
+    Ok(load_mask(view)?.map(|weights| mask_of(&weights)).filter(|m| m.data().contains(&0)))
+}
+
+/// Lists by method.
+type Lists<T> = BTreeMap<Method, Vec<T>>;
+
+/// Data that all parts of an evaluation use.
+struct Evaluation<'a> {
+    context: &'a StageContext,
+    capture: &'a Capture,
+    judges: Judges,
+    looker: Looker<'a>,
+    /// The reference variant's stage 1; `None` if it is the scene's own.
+    reference: Option<Reference<'a>>,
+}
+
+impl Evaluation<'_> {
+    /// The methods' images at a camera, with the depth, the raw image and the mask for comparing them.
+    fn station(&mut self, camera: &Camera, view: Option<&View>) -> Result<Station, StageError> {
+        self.context.alive()?;
+        let (photograph, mask) = match view {
+            Some(view) => (Some(load_pixels(view)?.to_image()), mask(view)?),
+            None => (None, None),
+        };
+        let looks = self.looker.look(camera, photograph)?;
+        let (mut depth, mut render) = (looks.depth.clone(), looks.of(self.looker.learnt).cloned());
+        if let Some(reference) = &mut self.reference {
+            let (theirs, image) = reference.look(camera)?;
+            (depth, render) = (theirs, Some(image));
+        }
+        let raw = looks.of(Method::Captured).cloned().or(render).unwrap_or_else(|| Image::new(0, 0));
+        Ok(Station { camera: *camera, raw: raw.map(|v| v.clamp(0.0, 1.0)), depth, mask, looks })
+    }
+
+    /// Adds the scores of every method on one pair to `lists`.
+    fn pair(&self, ends: &[Station; 2], names: &[String; 2], prefix: &str, lists: &mut Lists<PairScores>) {
+        let [first, second] = ends;
+        let pairing = Pairing::new(&self.judges, &first.compared(), &second.compared());
+        for (method, image) in &first.looks.images {
+            let Some(other) = second.looks.of(*method) else { continue };
+            let [first, second] = names.clone();
+            let place = format!("{first} and {second}");
+            let scores = pairing.scores(&self.judges, image, other, prefix);
+            let scores = scores.into_iter().map(|(name, score)| (name, score.named(&place))).collect();
+            lists.entry(*method).or_default().push(PairScores { first, second, scores });
+        }
+    }
+
+    /// Scores of pairs of captured views that follow one another.
+    fn neighbours(&mut self, most: usize) -> Result<Lists<PairScores>, StageError> {
+        let mut lists = Lists::new();
+        let views = &self.capture.views;
+        let chosen = evenly(views.len().saturating_sub(1), most);
+        for (done, &i) in chosen.iter().enumerate() {
+            let (a, b) = (&views[i], &views[i + 1]);
+            self.context.progress_with(done as u64, chosen.len() as u64, "neighbouring pairs", &a.name);
+            let ends = [self.station(&a.camera, Some(a))?, self.station(&b.camera, Some(b))?];
+            self.pair(&ends, &[a.name.to_string(), b.name.to_string()], "", &mut lists);
+        }
+        Ok(lists)
+    }
+
+    /// Scores of pairs of adjacent frames of a path through the training cameras.
+    fn path(&mut self, most: usize, steps: usize) -> Result<Lists<PairScores>, StageError> {
+        let mut lists = Lists::new();
+        let keys: Vec<Camera> = self.capture.training_views().map(|v| v.camera).collect();
+        let frames = path::interpolate(&keys, keys.len().saturating_sub(1) * steps + 1);
+        let chosen = evenly(frames.len().saturating_sub(1), if keys.len() < 2 { 0 } else { most });
+        for (done, &i) in chosen.iter().enumerate() {
+            self.context.progress_with(done as u64, chosen.len() as u64, "pairs of frames", "");
+            let ends = [self.station(&frames[i], None)?, self.station(&frames[i + 1], None)?];
+            self.pair(&ends, &[i, i + 1].map(|f| format!("frame {f}")), "path_", &mut lists);
+        }
+        Ok(lists)
+    }
+}
+
+/// A camera with all images from its position.
+struct Station {
+    camera: Camera,
+    raw: Image,
+    depth: Map,
+    mask: Option<Mask>,
+    looks: Appearances,
+}
+
+impl Station {
+    fn compared(&self) -> ComparedView<'_> {
+        ComparedView { camera: &self.camera, depth: &self.depth, raw: &self.raw, mask: self.mask.as_ref() }
+    }
+}
+
+/// At most `most` of `0..n`, evenly spread.
+fn evenly(n: usize, most: usize) -> Vec<usize> {
+    let count = n.min(most);
+    (0..count).map(|k| (2 * k + 1) * n / (2 * count)).collect()
+}
+
+/// The method that a scene was learnt with. It follows from the stage's inputs or, if the stage is run by
+/// hand, from the record that stage 1 wrote.
+fn learnt_from(context: &StageContext) -> Method {
+    let written = |folder: &Path| read_json::<serde_json::Value>(&folder.join(EVALUATION)).ok();
+    let by_hand =
+        || context.optional_input("scene").and_then(written).is_some_and(|w| w["learnt_from"] == "proposed");
+    if context.optional_input("proposals").is_some() || by_hand() {
+        Method::EnhanceThenReconstruct
+    } else {
+        Method::Reconstruction
+    }
+}
+
+/// The reference variant's stage 1, rendered from cameras of the scene that is scored. A variant that is
+/// imported with other parameters may have another frame; both frames come from the same model.
+struct Reference<'a> {
+    renderer: SceneRenderer<'a>,
+    /// The frame of the scored scene and that of the reference, if they differ.
+    between: Option<[Frame; 2]>,
+}
+
+impl<'a> Reference<'a> {
+    fn new(reference: &Drawn<'a>, scored: &Scene) -> Result<Self, StageError> {
+        let [from, to] = [scored.frame, reference.scene.frame];
+        Ok(Self { renderer: reference.renderer(1.0)?, between: (from != to).then_some([from, to]) })
+    }
+
+    /// Depth, in units of the scored scene, and the rendering at one of the scored scene's cameras.
+    fn look(&mut self, camera: &Camera) -> Result<(Map, Image), StageError> {
+        let (mut camera, mut unit) = (*camera, 1.0);
+        if let Some([scored, reference]) = &self.between {
+            camera.pose = reference.apply_pose(&scored.invert_pose(&camera.pose));
+            unit = (scored.scale / reference.scale) as f32;
+        }
+        let (mut depth, mut image) = (Map::new(0, 0), Image::new(0, 0));
+        for frame in self.renderer.render(&camera, &[Mode::Depth, Mode::Reconstruction])? {
+            match frame {
+                Rendering::Scalar(map) if unit == 1.0 => depth = map,
+                Rendering::Scalar(map) => depth = map.map(|z| unit * z),
+                Rendering::Color(rendered) => image = rendered,
+            }
+        }
+        Ok((depth, image))
+    }
+}
+
+fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
+    let capture = capture(context)?;
+    let scene = shown_scene(context)?;
+    // The scored scene's own stage 1 is in memory already, and its looks are those of the scene.
+    let referred = context.optional_input("reference");
+    let other = referred.filter(|folder| Some(*folder) != context.optional_input("scene"));
+    let reference = other.map(Scene::load).transpose()?;
+    let learnt = learnt_from(context);
+    let photographs = context.optional_input("photographs");
+    let models = context.optional_input("models");
+    let proposer = open(params.proposer, models, &mut |line| context.log(line))
+        .map_err(StageError::bad_input_message)?;
+    let shown = drawn(context, &scene, &params.engine)?;
+    let reference_shown = reference.as_ref().map(|scene| Drawn::new(scene, &params.engine)).transpose();
+    let reference_shown = reference_shown.map_err(StageError::message)?;
+    let judges = Judges::open(models);
+    if params.scores == Wanted::All {
+        judges.complete().map_err(StageError::bad_input_message)?;
+    }
+    let views: Vec<&View> = capture.test_views().collect();
+    if views.is_empty() {
+        context.say(
+            "no view is held out (split.every = 0), so there is nothing to score; import again with \
+             `split.every` above 0",
+        );
+    }
+    let mut evaluation = Evaluation {
+        context,
+        capture: &capture,
+        judges,
+        looker: Looker { renderer: shown.renderer(1.0)?, proposer: proposer.as_ref(), learnt },
+        reference: reference_shown.as_ref().map(|r| Reference::new(r, &scene)).transpose()?,
+    };
+
+    let size = views.first().map_or((0, 0), |v| (v.camera.intrinsics.width, v.camera.intrinsics.height));
+    let truth = match context.optional_input("truth") {
+        Some(folder) if !views.is_empty() => Truth::open(folder, size, &mut |notice| context.say(notice)),
+        _ => None,
+    };
+    let knows_depth = truth.as_ref().is_some_and(|t| t.knows_depth);
+    let scale = capture.frame.scale;
+    let mut water = [[0.0; 3]; 2];
+
+    let enhanced_in_2d = context.output().join(ENHANCED_IN_2D);
+    folder(&enhanced_in_2d)?;
+    let mut per_view: Lists<ViewScores> = Lists::new();
+    for (i, view) in views.iter().enumerate() {
+        context.alive()?;
+        context.progress_with(i as u64, views.len() as u64, "views", &view.name);
+        let mut now = evaluation.looker.view(view)?;
+        if let Some(folder) = photographs {
+            now.images.push((Method::Photograph, read_image(&file(folder, view))?));
+        }
+        if let Some(proposal) = now.of(Method::Proposal) {
+            write_png(&file(&enhanced_in_2d, view), proposal)?;
+        }
+        let mask = mask(view)?;
+        let judges = &evaluation.judges;
+        let true_view = truth.as_ref().map(|t| t.view(view.stem())).transpose()?.flatten();
+        if let Some(truth) = &true_view {
+            let true_views = context.output().join(TRUE_VIEWS);
+            folder(&true_views)?;
+            write_png(&file(&true_views, view), &truth.clean)?;
+        }
+        for (method, image) in &now.images {
+            let mut scores: Scores = judges.alone(image, mask.as_ref());
+            if let (true, Some(captured)) = (*method != Method::Captured, now.of(Method::Captured)) {
+                scores.extend(judges.against(image, captured, mask.as_ref()));
+            }
+            if let Some(truth) = &true_view {
+                if *method == learnt && knows_depth {
+                    scores.insert("depth_error".into(), truth.depth_error(&now.depth, scale));
+                    scores.insert("holes".into(), truth.holes(&now.accumulation));
+                }
+                // Stage 1's images still contain the water.
+                if *method != Method::Reconstruction {
+                    scores.extend(truth.scores(image, mask.as_ref()));
+                    scores.extend(truth.greys(image));
+                }
+            }
+            let scores = scores.into_iter().map(|(name, score)| (name, score.named(&view.name))).collect();
+            per_view.entry(*method).or_default().push(ViewScores { view: view.name.to_string(), scores });
+        }
+        for (sum, map) in water.iter_mut().zip(now.water.iter().flatten()) {
+            let means = channel_means(map);
+            (0..3).for_each(|c| sum[c] += means[c] / views.len() as f64);
+        }
+    }
+    let mut neighbours = evaluation.neighbours(params.neighbour_pairs)?;
+    let mut path = evaluation.path(params.path_pairs, params.path_steps)?;
+    strip(context, &capture, &scene, &mut evaluation.looker)?;
+    time(context, &views, &mut evaluation.looker.renderer, shown.card.as_deref())?;
+
+    let methods = Method::ALL.into_iter().filter_map(|method| {
+        let views = per_view.remove(&method);
+        let pairs = [neighbours.remove(&method), path.remove(&method)];
+        let known = views.is_some() || pairs.iter().any(Option::is_some);
+        let [neighbours, path] = pairs.map(Option::unwrap_or_default);
+        known.then(|| MethodScores::new(method, views.unwrap_or_default(), neighbours, path))
+    });
+    let scores = SceneScores {
+        format: scores::FORMAT.into(),
+        version: scores::VERSION,
+        training_views: capture.split.train.len(),
+        held_out_views: views.len(),
+        size,
+        gaussians: scene.gaussians.len(),
+        warp: if referred.is_some() { Warp::Reference } else { Warp::Own },
+        result: match scene.enhancement.as_ref().map(|e| e.appearance) {
+            Some(Appearance::Clear) => Method::EnhancedClear,
+            Some(Appearance::Water) | None => Method::Enhanced,
+        },
+        water: truth
+            .filter(|_| !scene.medium.is_none())
+            .and_then(|truth| truth.water(water[0], water[1], scale)),
+        methods: methods.collect(),
+    };
+    write_json(&context.output().join(SCORES), &scores)
+}
+
+/// Notes the speed of drawing the scene, at the held-out views' own size. A time is never part of an
+/// artifact.
+fn time(
+    context: &StageContext,
+    views: &[&View],
+    renderer: &mut SceneRenderer<'_>,
+    card: Option<&str>,
+) -> Result<(), StageError> {
+    if !context.keeps_notes() {
+        return Ok(());
+    }
+    let cameras: Vec<Camera> = views.iter().take(4).map(|v| v.camera).collect();
+    let mode = if renderer.is_enhanced() { Mode::Enhanced } else { Mode::Reconstruction };
+    let measured = speed::measure(renderer, &cameras, mode, Duration::ZERO, &|| context.cancelled())?;
+    let (Some(measured), Some(camera)) = (measured, cameras.first()) else { return Ok(()) };
+    let Some(fps) = Finite::new(measured.fps) else { return Ok(()) };
+    let size = (camera.intrinsics.width, camera.intrinsics.height);
+    let (processor, threads) = match card {
+        Some(card) => (card.to_string(), 0),
+        None => (machine::processor(), context.threads()),
+    };
+    let speed = SceneSpeed { fps, size, processor, threads };
+    context.log(format_args!("{}: {:.2} frames per second at {speed}", measured.mode, measured.fps));
+    context.note(SPEED, &speed);
+    Ok(())
+}
+
+/// The same spot in three neighbouring views: captured, enhanced in 2D, and as the scene shows it.
+fn strip(
+    context: &StageContext,
+    capture: &Capture,
+    scene: &Scene,
+    looker: &mut Looker<'_>,
+) -> Result<(), StageError> {
+    context.alive()?;
+    let held_out = &capture.split.test;
+    let middle = held_out.get(held_out.len() / 2).copied().unwrap_or(capture.views.len() / 2);
+    let first = middle.saturating_sub(1).min(capture.views.len().saturating_sub(3));
+    let views: Vec<&View> = capture.views.iter().skip(first).take(3).collect();
+    let last = match scene.enhancement.as_ref().map(|e| e.appearance) {
+        Some(Appearance::Clear) => Method::EnhancedClear,
+        Some(Appearance::Water) => Method::Enhanced,
+        None => looker.learnt,
+    };
+    let shown = [Method::Captured, Method::Proposal, Method::ProposalOfRender, last];
+    // Large images of other methods are dropped at once.
+    let look = |view: &&View| {
+        let mut look = looker.view(view)?;
+        look.images.retain(|(method, _)| shown.contains(method));
+        look.water = None;
+        Ok(look)
+    };
+    let looks = views.iter().map(look).collect::<Result<Vec<Appearances>, StageError>>()?;
+    let seen = views.iter().zip(&looks).filter_map(|(view, look)| {
+        Some(StripView { camera: &view.camera, depth: &look.depth, photograph: look.of(Method::Captured)? })
+    });
+    let Some((side, corners)) = choose(&seen.collect::<Vec<_>>()) else {
+        context.log("no spot is seen by three neighbouring views: no consistency strip");
+        return Ok(());
+    };
+    let row = |method: Method| -> Option<Vec<&Image>> { looks.iter().map(|look| look.of(method)).collect() };
+    let rows = shown.into_iter().filter_map(|method| Some((method, row(method)?)));
+    let (shown, rows): (Vec<Method>, Vec<Vec<&Image>>) = rows.unzip();
+    let (picture, moved) = sheet(&rows, &corners, side);
+    write_png(&context.output().join(STRIP.0), &picture)?;
+    let rows = shown.iter().map(|m| m.label().to_string()).zip(moved).collect();
+    let strip = Strip { views: views.iter().map(|v| v.name.to_string()).collect(), rows, side, corners };
+    write_json(&context.output().join(STRIP.1), &strip)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use use3d_capture::{Intrinsics, Pose};
+    use use3d_medium::MediumModel;
+    use use3d_splat::Gaussians;
+
+    /// One Gaussian two COLMAP units in front of the origin, in a frame of that scale.
+    fn scene(scale: f64) -> Scene {
+        let gaussians = Gaussians {
+            sh_degree: 0,
+            means: vec![[0.0, 0.0, 2.0 * scale as f32]],
+            log_scales: vec![[use3d_numerics::math::ln(0.2 * scale as f32); 3]],
+            quaternions: vec![[1.0, 0.0, 0.0, 0.0]],
+            opacity_logits: vec![4.0],
+            sh: vec![[[0.5; 3]; 16]],
+        };
+        Scene {
+            gaussians,
+            frame: Frame { scale, ..Frame::IDENTITY },
+            medium: MediumModel::None,
+            medium_degree: 0,
+            enhancement: None,
+        }
+    }
+
+    #[test]
+    fn a_reference_of_another_frame_is_seen_from_the_same_place_in_the_same_units() {
+        let intrinsics = Intrinsics { width: 16, height: 12, fx: 12.0, fy: 12.0, cx: 8.0, cy: 6.0 };
+        let camera = Camera { intrinsics, pose: Pose::IDENTITY };
+        let (scored, other) = (scene(1.0), scene(0.25));
+        let depth = |reference: &Scene| {
+            let reference = Drawn::new(reference, &EngineChoice::Cpu).expect("the processor");
+            let mut reference = Reference::new(&reference, &scored).map_err(|_| ()).expect("a renderer");
+            reference.look(&camera).map_err(|_| ()).expect("a picture").0.pixel(8, 6)[0]
+        };
+        assert!((depth(&scored) - 2.0).abs() < 0.2, "{}", depth(&scored));
+        assert!((depth(&other) - depth(&scored)).abs() < 1e-2, "{} {}", depth(&other), depth(&scored));
+    }
+
+    #[test]
+    fn pairs_are_spread_evenly() {
+        assert_eq!(evenly(24, 4), [3, 9, 15, 21]);
+        assert_eq!(evenly(3, 8), [0, 1, 2]);
+        assert!(evenly(0, 8).is_empty() && evenly(8, 0).is_empty());
+    }
+}

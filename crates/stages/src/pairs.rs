@@ -1,0 +1,184 @@
+//! The paired images in operator space: the extractor's operators for each pair and for the proposal for its
+//! input image.
+
+use std::path::{Path, PathBuf};
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use use3d_atc::calibrator::{Dataset, PairImages};
+use use3d_atc::extractor::ExtractorSettings;
+use use3d_atc::progress::LoopPosition;
+use use3d_capture::Image;
+use use3d_io_image::{images_by_stem, read_image};
+use use3d_workflow::{Scope, Stage, StageContext, StageError, leftovers};
+
+use crate::parts::calibrated::is_calibrated;
+use crate::parts::common::{go_on, out_of_range, write_json};
+use crate::parts::names::DATASET;
+use crate::parts::proposer::{ProposerChoice, open};
+
+/// Parameters of the paired data.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub(crate) struct PairsParams {
+    /// The 2D enhancer.
+    pub(crate) proposer: ProposerChoice,
+    /// The settings of the extractor; scenes use the same ones.
+    pub(crate) extractor: ExtractorSettings,
+    /// Use synthetic pairs if the pipeline names none; `false` makes that an error.
+    pub(crate) stand_in: bool,
+    /// The synthetic pairs that are used if the pipeline names none.
+    pub(crate) synthetic: use3d_synth::PairsParams,
+}
+
+impl Default for PairsParams {
+    fn default() -> Self {
+        Self {
+            proposer: ProposerChoice::default(),
+            extractor: ExtractorSettings::default(),
+            stand_in: true,
+            synthetic: use3d_synth::PairsParams::default(),
+        }
+    }
+}
+
+pub(crate) fn stage() -> Stage {
+    Stage::new("pairs", Scope::Shared, run)
+        .about("transitions and proposals of the paired images")
+        .made_of(&[], &["src/pairs.rs"])
+        .promises(&[DATASET])
+        .check(|p: &PairsParams| {
+            p.extractor.validate().map_err(|wrong| out_of_range(wrong.within("extractor")))?;
+            p.synthetic.validate().map_err(|wrong| out_of_range(wrong.within("synthetic")))
+        })
+        .optional_external("input", "pairs.input")
+        .optional_external("target", "pairs.target")
+        .optional_external("models", "models")
+        .select(crate::parts::weights::files_of_proposer)
+        .when_named(|all, named| is_calibrated(all) && !named.has("calibrator"))
+        .seeded()
+}
+
+fn run(context: &StageContext, params: &PairsParams) -> Result<(), StageError> {
+    let models = context.optional_input("models");
+    let proposer = open(params.proposer, models, &mut |line| context.say(line))
+        .map_err(StageError::bad_input_message)?;
+    let scratch;
+    let (input, target) = match (context.optional_input("input"), context.optional_input("target")) {
+        (Some(input), Some(target)) => (input.to_path_buf(), target.to_path_buf()),
+        (None, None) if !params.stand_in => {
+            return Err(StageError::bad_input_message(
+                "no pairs are given, and `stand_in = false` forbids synthetic ones; give pairs with --pairs \
+                 INPUT TARGET",
+            ));
+        }
+        (None, None) => {
+            context.say("no pairs given: using synthetic pairs");
+            scratch = leftovers::scratch()?;
+            let dir = scratch.path().join("pairs");
+            let synthetic = use3d_synth::PairsParams { seed: context.seed(), ..params.synthetic.clone() };
+            let written = use3d_synth::write_pairs(&synthetic, &dir, &mut |done, total| {
+                context.progress(done as u64, total as u64, "synthetic pairs");
+                go_on(context)
+            });
+            context.alive()?;
+            written?;
+            (dir.join("input"), dir.join("reference"))
+        }
+        _ => {
+            let problem = "pairs need both `input` and `target`; only one was given";
+            return Err(StageError::bad_input_message(problem));
+        }
+    };
+    let pairs = list(&input, &target)?;
+    if pairs.is_empty() {
+        return Err(StageError::bad_input_message(format!(
+            "no file in {} has a counterpart of the same stem in {}; pairs are matched by file stem",
+            input.display(),
+            target.display()
+        )));
+    }
+    let total = pairs.len();
+    let mut duller = 0;
+    let images = pairs.into_iter().map(|(name, a, b)| {
+        let images = read_image(&a).and_then(|a| Ok((a, read_image(&b)?))).map_err(|e| e.to_string());
+        duller += usize::from(images.as_ref().is_ok_and(|(input, target)| is_duller(target, input)));
+        PairImages { images, name }
+    });
+    let dataset = Dataset::build(images, proposer.as_ref(), &params.extractor, &mut |progress| {
+        if let LoopPosition::Pair { index, name } = progress {
+            context.progress_with(index as u64, total as u64, "pairs", name);
+        }
+        go_on(context)
+    });
+    context.alive()?;
+    let mut dataset = dataset?;
+    dataset.stand_in = context.optional_input("input").is_none();
+    if 2 * duller > total {
+        context.say(format_args!(
+            "warning: in {duller} of {total} pairs the target has less contrast and a stronger tint than the \
+             input; if the two folders are swapped, give them as --pairs INPUT TARGET, where TARGET is the \
+             enhanced one"
+        ));
+    }
+    for skipped in &dataset.skipped {
+        context.say(format_args!("pair {} is left out: {}", skipped.name, skipped.reason));
+    }
+    write_json(&context.output().join(DATASET), &dataset)
+}
+
+/// True if `image` has less contrast and a stronger tint than `other`, as a photograph under water has
+/// beside its enhanced version. Contrast is the standard deviation of the mean of the channels. Tint is the
+/// largest difference between the means of two channels.
+fn is_duller(image: &Image, other: &Image) -> bool {
+    let measure = |image: &Image| {
+        let n = image.width() * image.height();
+        if n == 0 {
+            return (0.0, 0.0);
+        }
+        let mean = |values: &[f32]| values.iter().map(|&v| f64::from(v)).sum::<f64>() / n as f64;
+        let planes: Vec<&[f32]> = image.data().chunks_exact(n).collect();
+        let means = [0, 1, 2].map(|c| mean(planes[c]));
+        let grey = means.iter().sum::<f64>() / 3.0;
+        let square = |p: usize| {
+            let value = planes.iter().map(|plane| f64::from(plane[p])).sum::<f64>() / 3.0 - grey;
+            value * value
+        };
+        let variance = (0..n).map(square).sum::<f64>() / n as f64;
+        let tint =
+            means.iter().copied().fold(f64::MIN, f64::max) - means.iter().copied().fold(f64::MAX, f64::min);
+        (variance.sqrt(), tint)
+    };
+    let [(contrast, tint), (other_contrast, other_tint)] = [image, other].map(measure);
+    contrast < other_contrast && tint > other_tint
+}
+
+/// Pairs of image files with equal stems, in name order.
+pub(crate) fn list(input: &Path, target: &Path) -> Result<Vec<(String, PathBuf, PathBuf)>, StageError> {
+    let images = |dir: &Path| {
+        images_by_stem(dir, &["png", "jpg", "jpeg", "tif", "tiff"]).map_err(StageError::bad_input)
+    };
+    let mut targets = images(target)?;
+    let pair = |(stem, a): (String, PathBuf)| targets.remove(&stem).map(|b| (stem, a, b));
+    Ok(images(input)?.into_iter().filter_map(pair).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_photograph_under_water_is_duller_than_its_enhanced_version() {
+        let stripes = |dark: [f32; 3], bright: [f32; 3]| {
+            let mut image = Image::new(8, 4);
+            for p in 0..32 {
+                image.set_pixel(p % 8, p / 8, if p % 2 == 0 { dark } else { bright });
+            }
+            image
+        };
+        let under_water = stripes([0.1, 0.4, 0.5], [0.2, 0.5, 0.6]);
+        let enhanced = stripes([0.2, 0.2, 0.2], [0.8, 0.8, 0.8]);
+        assert!(is_duller(&under_water, &enhanced) && !is_duller(&enhanced, &under_water));
+        assert!(!is_duller(&enhanced, &enhanced));
+    }
+}

@@ -1,0 +1,190 @@
+//! The choice of a proposer, and the opening of a 2D enhancer.
+
+use std::path::Path;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use use3d_atc::proposers::{Fusion, Proposer};
+
+use super::weights::NU2NET;
+
+/// The proposer (R25).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum ProposerChoice {
+    /// `nu2net` if its weights are in the models folder, else `fusion`; the run reports the choice.
+    #[default]
+    Auto,
+    /// Nu2Net; an error if its weights are missing.
+    Nu2net,
+    /// The classical fusion enhancer; needs no weights.
+    Fusion,
+    /// A grade by rule from what stage 1 knows of the scene, in clear radiance; no 2D enhancer, so for
+    /// `targets` only.
+    Scene,
+}
+
+/// The name of the proposer in targets that leave photographs as they are.
+pub(crate) const NO_PROPOSER: &str = "none";
+
+/// The error for `scene` as the proposer where a 2D enhancer is needed.
+const NO_PHOTOGRAPHS: &str = "`scene` works on a reconstructed scene and not on photographs, so it is for \
+     `targets` only; choose auto, nu2net or fusion here";
+
+impl ProposerChoice {
+    /// Refuses a proposer that does not enhance photographs, as the error of the parameter `proposer`.
+    pub(crate) fn for_photographs(self) -> Result<(), (String, String)> {
+        if self == Self::Scene { Err(("proposer".into(), NO_PHOTOGRAPHS.into())) } else { Ok(()) }
+    }
+}
+
+mod network {
+    use super::*;
+    use use3d_atc::AtcError;
+    use use3d_capture::Image;
+    use use3d_nets::{InputPolicy, Nu2Net};
+
+    pub(crate) struct Network {
+        pub(crate) net: Nu2Net,
+        pub(crate) digest: String,
+    }
+
+    /// Long side of proposals, pixels, as in 3D-USE.
+    const PROPOSAL: usize = 384;
+    /// Longest side at which pictures are enhanced at full detail, pixels: this needs about 5 GB of memory.
+    /// Larger pictures are enhanced at this size and scaled back to their own.
+    const LONGEST: usize = 2048;
+
+    impl Network {
+        fn with(&self, image: &Image, policy: InputPolicy) -> Result<Image, AtcError> {
+            self.net
+                .enhance_with(image, policy)
+                .map_err(|e| AtcError::Proposer { proposer: "nu2net".into(), message: e.to_string() })
+        }
+    }
+
+    impl Proposer for Network {
+        fn name(&self) -> &str {
+            "nu2net"
+        }
+
+        fn digest(&self) -> String {
+            self.digest.clone()
+        }
+
+        fn propose(&self, image: &Image) -> Result<Image, AtcError> {
+            self.with(image, InputPolicy::LongSide(PROPOSAL))
+        }
+
+        fn enhance(&self, image: &Image) -> Result<Image, AtcError> {
+            let large = image.width().max(image.height()) > LONGEST;
+            self.with(image, if large { InputPolicy::LongSide(LONGEST) } else { InputPolicy::MultiplesOf16 })
+        }
+    }
+}
+
+/// Opens a proposer. `models` is the models folder, if there is one. `say` reports the proposer that was
+/// chosen if the choice was left open.
+pub fn open(
+    choice: ProposerChoice,
+    models: Option<&Path>,
+    say: &mut dyn FnMut(&str),
+) -> Result<Box<dyn Proposer>, String> {
+    choice.for_photographs().map_err(|(_, message)| message)?;
+    if choice == ProposerChoice::Fusion {
+        return Ok(Box::new(Fusion));
+    }
+    match nu2net(models) {
+        Ok(network) => {
+            say("proposer: nu2net");
+            Ok(network)
+        }
+        Err(reason) if choice == ProposerChoice::Auto => {
+            say(&format!("proposer: fusion (nu2net is not available: {reason})"));
+            Ok(Box::new(Fusion))
+        }
+        Err(reason) => Err(format!("proposer nu2net: {reason}")),
+    }
+}
+
+/// Opens the proposer that a calibrator was fitted for, by its recorded name. Requesting another one by name
+/// is an error (R25).
+pub(crate) fn of_calibrator(
+    choice: ProposerChoice,
+    recorded: &str,
+    models: Option<&Path>,
+) -> Result<Box<dyn Proposer>, String> {
+    let asked = match choice {
+        ProposerChoice::Auto => recorded,
+        ProposerChoice::Nu2net => "nu2net",
+        ProposerChoice::Fusion => "fusion",
+        ProposerChoice::Scene => "scene",
+    };
+    if asked != recorded {
+        return Err(format!(
+            "the calibrator was fitted for the proposer `{recorded}`, but `{asked}` is requested; choose \
+             `{recorded}` or `auto`, or fit a calibrator for `{asked}`"
+        ));
+    }
+    by_name(recorded, models)
+}
+
+/// Opens a proposer by the name that a calibrator records.
+pub(crate) fn by_name(name: &str, models: Option<&Path>) -> Result<Box<dyn Proposer>, String> {
+    match name {
+        "fusion" => Ok(Box::new(Fusion)),
+        "nu2net" => {
+            nu2net(models).map_err(|reason| format!("the calibrator was fitted for nu2net: {reason}"))
+        }
+        "scene" => Err(NO_PHOTOGRAPHS.into()),
+        NO_PROPOSER => Err(
+            "the targets of this scene in air leave its photographs as they are; make them with a 2D enhancer \
+             (`targets.proposer = \"fusion\"`)"
+                .into(),
+        ),
+        other => Err(format!(
+            "the calibrator was fitted for the proposer `{other}`, which this program does not have"
+        )),
+    }
+}
+
+fn nu2net(models: Option<&Path>) -> Result<Box<dyn Proposer>, String> {
+    let dir = models.ok_or("there is no models folder; name one with --models or USE3D_MODELS")?;
+    let models = use3d_nets::Models::open(dir);
+    let net = models.nu2net().map_err(|e| e.to_string())?;
+    let path = NU2NET.into_iter().find_map(|n| models.find(n)).ok_or("its file is missing")?;
+    let bytes = std::fs::read(&path).map_err(|e| format!("{}: {e}", path.display()))?;
+    Ok(Box::new(network::Network { net, digest: blake3::hash(&bytes).to_hex().to_string() }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use use3d_capture::Image;
+    use use3d_nets::{Nu2Net, weights::StandIn};
+
+    #[test]
+    fn the_network_looks_at_full_detail_where_its_images_are_compared() {
+        let net = Nu2Net::from_weights(&mut StandIn).unwrap();
+        let proposer = network::Network { net, digest: String::new() };
+        // Stripes one pixel wide, finer than an image of 384 pixels can show.
+        let mut image = Image::new(800, 32);
+        for y in 0..32 {
+            for x in 0..800 {
+                image.set_pixel(x, y, [0.3 + 0.4 * (x % 2) as f32; 3]);
+            }
+        }
+        let contrast = |image: &Image| {
+            let steps = (100..700).map(|x| (image.pixel(x + 1, 16)[1] - image.pixel(x, 16)[1]).abs());
+            steps.sum::<f32>() / 600.0
+        };
+        let (proposal, enhanced) = (proposer.propose(&image).unwrap(), proposer.enhance(&image).unwrap());
+        assert_eq!((enhanced.width(), enhanced.height()), (800, 32));
+        assert!(
+            contrast(&enhanced) > 2.0 * contrast(&proposal),
+            "{} {}",
+            contrast(&enhanced),
+            contrast(&proposal)
+        );
+    }
+}

@@ -1,0 +1,78 @@
+//! The held-out photographs in the light and colours of the enhanced scene, at the size of the training.
+//!
+//! The same photographs at full size are written by [`crate::photographs`], straight to the folder of
+//! results.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use use3d_capture::{Camera, Image, View};
+use use3d_import::load_pixels;
+use use3d_io_image::write_png;
+use use3d_numerics::range::within;
+use use3d_photographs::Grid;
+use use3d_render::Mode;
+use use3d_scene::white::Gains;
+use use3d_workflow::{Scope, Stage, StageContext, StageError};
+
+use crate::engines::EngineChoice;
+use crate::parts::appearance::Appearance;
+use crate::parts::captured::capture;
+use crate::parts::common::out_of_range;
+use crate::parts::drawn::drawn;
+use crate::parts::proposals::{asked_for, file};
+use crate::parts::scenes::scene;
+
+/// Parameters of the enhanced photographs.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub(crate) struct Params {
+    /// Share of each photograph's own exposure, white balance and light that stays, 0 (the light of the
+    /// scene) to 1.
+    pub(crate) keep_light: f32,
+}
+
+pub(crate) fn stage() -> Stage {
+    Stage::new("photographs", Scope::Scene, run)
+        .about("the held-out photographs, enhanced by the scene")
+        .made_of(&[], &["src/photographs.rs"])
+        .check(|p: &Params| within("keep_light", p.keep_light, 0.0, 1.0).map_err(out_of_range))
+        .when(|all| !asked_for(all))
+        .input("import", "import")
+        .input("enhanced", "enhance")
+        .cost(0, 1 << 30)
+}
+
+fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
+    let capture = capture(context)?;
+    let scene = scene(context, "enhanced")?;
+    let shown = drawn(context, &scene, &EngineChoice::Cpu)?;
+    let appearance = Appearance {
+        mode: Mode::opening(&scene),
+        strength: 1.0,
+        water: 1.0,
+        gains: Gains::ONE,
+        keep_light: params.keep_light,
+    };
+    let training: Vec<Camera> = capture.training_views().map(|view| view.camera).collect();
+    let photographer = appearance.photographer(&shown, &training);
+    let mut photographer = photographer.map_err(StageError::message)?;
+    // Without held-out views, one training view is shown, as in `render`.
+    let views: Vec<(&View, Option<usize>)> = if capture.split.test.is_empty() {
+        capture.training_views().take(1).map(|view| (view, Some(0))).collect()
+    } else {
+        capture.test_views().map(|view| (view, None)).collect()
+    };
+    for (i, (view, own)) in views.iter().enumerate() {
+        context.alive()?;
+        context.progress_with(i as u64, views.len() as u64, "views", &view.name);
+        let photograph = load_pixels(view)?.to_image();
+        let graded = photographer.grade(&photograph, &Grid::pinhole(view.camera), *own, None);
+        let graded = graded.map_err(StageError::failed)?;
+        let (w, h) = (photograph.width(), photograph.height());
+        let mut pixels = photograph.to_interleaved();
+        graded.grade.map.apply(&mut pixels, w);
+        let image = Image::from_interleaved(w, h, &pixels).unwrap_or(photograph);
+        write_png(&file(context.output(), view), &image)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,671 @@
+//! The page and the tables of a whole batch.
+
+use std::path::{Path, PathBuf};
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use use3d_atc::calibrator::{Calibrator, METHOD_PAIRS};
+use use3d_atc::consensus::TargetsReport;
+use use3d_capture::{Appearance, Camera, Image, flat_stem, shown};
+use use3d_enhance::EnhanceParams;
+use use3d_io_image::read_image;
+use use3d_reconstruct::ReconstructParams;
+use use3d_render::{Mode, WaterSample, medium_along, medium_profile};
+use use3d_scene::Scene;
+use use3d_workflow::{Scope, Stage, StageContext, StageError, StageInput};
+
+use crate::parts::calibrator::read_calibrator;
+use crate::parts::common::{folder, read, read_json, write, write_json};
+use crate::parts::names::{CHOICES, CONTACT, ENHANCED_IN_2D, SCORES, STRIP, TRUE_VIEWS, WATER};
+use crate::parts::proposer::NO_PROPOSER;
+use crate::reconstruct::Choices;
+use use3d_chart::{Plot, RGB, Series};
+use use3d_judge::names::in_variant;
+use use3d_judge::scores::{Method, MethodScores, SceneScores, ScoredScene};
+use use3d_judge::strip::Strip;
+use use3d_report::batch::{head, overall};
+use use3d_report::page::{
+    CalibratorSection, Page, Picture, PlotFigure, SceneSection, ViewSection, shortened,
+};
+use use3d_report::tables::{Table, paper};
+use use3d_report::verdict::{SceneFacts, verdict};
+
+/// Parameters of the report.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub(crate) struct Params {
+    /// The page's title.
+    pub(crate) title: String,
+    /// Held-out views shown per scene.
+    pub(crate) views: usize,
+}
+
+impl Default for Params {
+    fn default() -> Self {
+        Self { title: "3D-USE report".into(), views: 6 }
+    }
+}
+
+pub(crate) fn stage() -> Stage {
+    Stage::new("report", Scope::Batch, run)
+        .about("tables and one page about the whole batch")
+        // The tables show the digests of the score files.
+        .made_of(&[], &["src/report.rs"])
+        .promises(&["index.html", "scores.json"])
+        .input("calibrator", "calibrate")
+        .or_external("calibrator")
+        .input("import", "import")
+        .input("scene", "reconstruct")
+        .optional_input("targets", "targets")
+        .optional_input("enhanced", "enhance")
+        .optional_input("photographs", "photographs")
+        .optional_input("renders", "render")
+        .optional_input("scores", "evaluate")
+}
+
+/// The artifacts of one scene in one variant.
+struct Parts<'a> {
+    scene: &'a str,
+    group: &'a str,
+    variant: &'a str,
+    inputs: Vec<&'a StageInput>,
+}
+
+impl Parts<'_> {
+    fn path(&self, role: &str) -> Option<&Path> {
+        self.inputs.iter().find(|i| i.role == role).map(|i| i.path.as_path())
+    }
+
+    fn name(&self) -> String {
+        in_variant(self.scene, self.variant)
+    }
+}
+
+fn parts(context: &StageContext) -> Vec<Parts<'_>> {
+    let mut all: Vec<Parts<'_>> = Vec::new();
+    for input in context.inputs().iter().filter(|i| !i.scene.is_empty()) {
+        match all.iter_mut().find(|p| p.scene == input.scene && p.variant == input.variant) {
+            Some(parts) => parts.inputs.push(input),
+            None => all.push(Parts {
+                scene: &input.scene,
+                group: &input.group,
+                variant: &input.variant,
+                inputs: vec![input],
+            }),
+        }
+    }
+    all
+}
+
+fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
+    let all = parts(context);
+    let calibrator = context.optional_input("calibrator").map(read_calibrator).transpose()?;
+    let pairs = calibrator.as_ref().map_or(0, |c| c.provenance.pairs);
+    let mut scored = Vec::new();
+    let mut scenes = Vec::new();
+    for (i, parts) in all.iter().enumerate() {
+        context.alive()?;
+        context.progress_with(i as u64, all.len() as u64, "scenes", parts.scene);
+        let scores = parts.path("scores").map(read_scores).transpose()?;
+        scenes.push(section(parts, scores.as_ref().map(|(scores, _)| scores), params, pairs)?);
+        scored.extend(scores.map(|(scores, digest)| ScoredScene {
+            scene: parts.scene.into(),
+            group: parts.group.into(),
+            variant: parts.variant.into(),
+            source: format!("{} {digest}", parts.name()),
+            scores,
+            configuration: None,
+            speed: None,
+        }));
+    }
+    let results: Vec<(&str, &str)> = all.iter().map(|parts| (parts.scene, parts.variant)).collect();
+    let tables = paper::tables(&scored);
+    write_tables(&context.output().join("tables"), &tables)?;
+    let page = Page {
+        title: match &all[..] {
+            // The title names the only scene, unless the user set a title.
+            [only] if params.title == Params::default().title => {
+                format!("{} · {}", only.name(), params.title)
+            }
+            _ => params.title.clone(),
+        },
+        subtitle: match all.len() {
+            1 => "one scene".into(),
+            _ => head(&results, scored.len()),
+        },
+        verdict: overall(&results, &scenes, context.missing()),
+        tables,
+        scenes,
+        calibrator: calibrator.as_ref().map(calibrator_section),
+        missing: context.missing().to_vec(),
+        // The report of equal results has equal bytes, so the date is not in it.
+        made_with: format!(
+            "Made by use3d {}. Links work in the results folder. Its folder “runs” has the date and the command of each \
+             run.",
+            env!("CARGO_PKG_VERSION")
+        ),
+    };
+    write_json(&context.output().join("scores.json"), &scored)?;
+    write(&context.output().join("index.html"), page.html()?)
+}
+
+/// The scores in a folder, and the first characters of the digest of their file.
+fn read_scores(folder: &Path) -> Result<(SceneScores, String), StageError> {
+    let path = folder.join(SCORES);
+    let bytes = read(&path)?;
+    let scores = SceneScores::parse(&bytes);
+    let scores = scores.map_err(|e| StageError::message(format!("{}: {e}", path.display())))?;
+    Ok((scores, shortened(&blake3::hash(&bytes).to_hex())))
+}
+
+/// Writes the tables in all their formats into a folder.
+pub fn write_tables(dir: &Path, tables: &[Table]) -> Result<(), StageError> {
+    folder(dir)?;
+    for table in tables {
+        let file = |extension: &str| dir.join(format!("{}.{extension}", table.name));
+        write(&file("md"), table.markdown())?;
+        write(&file("csv"), table.csv())?;
+        write(&file("tex"), table.latex())?;
+        write_json(&file("json"), &table.json())?;
+    }
+    Ok(())
+}
+
+fn calibrator_section(calibrator: &Calibrator) -> CalibratorSection {
+    let provenance = &calibrator.provenance;
+    let plain = |summary| CalibratorSection { summary, rows: Vec::new() };
+    if calibrator.corrects() == [false; 2] {
+        return plain(format!(
+            "The proposals are not corrected. The scales of the errors come from {} pairs; {}.",
+            provenance.pairs, provenance.data
+        ));
+    }
+    if provenance.pairs == 0 {
+        // A calibrator that records no fit is the authors' file.
+        return plain(format!("A finished calibrator: {}.", provenance.data));
+    }
+    let rows = provenance.held_out.iter().flat_map(|held_out| {
+        let e = &held_out.errors;
+        [("global", e.global), ("local", e.local), ("local, centred", e.centered)].map(|(name, change)| {
+            let ratio = format!("{:.2}×", change.ratio());
+            (name.to_string(), format!("{:.3}", change.before), format!("{:.3}", change.after), ratio)
+        })
+    });
+    let kept = provenance.held_out.as_ref().map_or(String::new(), |held_out| {
+        let [global, local] = held_out.kept.map(|share| 100.0 * share);
+        format!(" The global head keeps {global:.0} % of its correction, the local head {local:.0} %.")
+    });
+    CalibratorSection {
+        summary: format!(
+            "Fitted to {} pairs ({} cells) in {} steps; {}.{} The errors were measured on held-out pairs, \
+             after a fit to the others.",
+            provenance.pairs, provenance.cells, provenance.steps, provenance.data, kept
+        ),
+        rows: rows.collect(),
+    }
+}
+
+fn section(
+    parts: &Parts<'_>,
+    scores: Option<&SceneScores>,
+    params: &Params,
+    pairs: usize,
+) -> Result<SceneSection, StageError> {
+    let mut section =
+        SceneSection { name: parts.name(), group: parts.group.into(), ..SceneSection::default() };
+    if let Some(scores) = scores {
+        let (w, h) = scores.size;
+        section.summary = format!(
+            "{} training views, {} held out, {w}×{h} pixels, {} Gaussians.",
+            scores.training_views, scores.held_out_views, scores.gaussians
+        );
+        section.notes = left_out(scores);
+    }
+    let best = best_look(parts.path("enhanced"))?;
+    let log = training_log(parts, "scene");
+    let targets: Option<TargetsReport> =
+        parts.path("targets").map(|dir| read_json(&dir.join("report.json"))).transpose()?;
+    if let Some(scores) = scores {
+        let facts = facts(parts, pairs, log.as_deref(), targets.as_ref());
+        section.verdict = verdict(scores, scored_as(best), &facts);
+    }
+    if let Some(renders) = parts.path("renders") {
+        section.views = views(
+            [Some(renders), parts.path("scores"), parts.path("photographs")],
+            scores,
+            best,
+            params.views,
+        )?;
+    }
+    section.plots.extend(log.iter().flat_map(|log| stage_1(log)));
+    let plot = parts.path("enhanced").map(|folder| folder.join("training.svg"));
+    if let Some(svg) = plot.and_then(|path| std::fs::read_to_string(path).ok()) {
+        let caption = "Stage 2: the distance of the scene from its targets, as a whole (global) and surface \
+             by surface (local). Both should fall.";
+        section.plots.push(PlotFigure { svg: inline(&svg), caption: caption.into() });
+    }
+    section.plots.extend(water(parts)?);
+    section.sheets.extend(parts.path("scene").map(contact).transpose()?.flatten());
+    section.sheets.extend(parts.path("scores").map(strip).transpose()?.flatten());
+    if let (Some(folder), Some(report)) = (parts.path("targets"), &targets) {
+        section.plots.push(dispersion(report));
+        section.sheets.extend(sheets(&folder.join("previews"), report)?);
+    }
+    Ok(section)
+}
+
+/// The training log of a stage, one JSON object for each line.
+fn training_log(parts: &Parts<'_>, role: &str) -> Option<String> {
+    std::fs::read_to_string(parts.path(role)?.join("training.jsonl")).ok()
+}
+
+/// The last step of a training log; 0 for a log without steps.
+fn last_step(log: &str) -> u64 {
+    let entries = log.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());
+    entries.filter_map(|entry| entry["step"].as_u64()).max().unwrap_or(0)
+}
+
+/// The facts of a scene that its verdict needs. `pairs` is the number from which the batch's calibrator was
+/// fitted, or 0. `log` is the log of stage 1.
+fn facts(parts: &Parts<'_>, pairs: usize, log: Option<&str>, targets: Option<&TargetsReport>) -> SceneFacts {
+    let calibrated = targets.is_some_and(|targets| targets.calibrated);
+    SceneFacts {
+        water: parts.path("scene").map(water_sentences).unwrap_or_default(),
+        steps: [
+            log.map(|log| (last_step(log), ReconstructParams::default().iterations)),
+            training_log(parts, "enhanced").map(|log| (last_step(&log), EnhanceParams::default().iterations)),
+        ],
+        unchanged: targets.is_some_and(|targets| targets.proposer.name == NO_PROPOSER),
+        calibrated,
+        pairs: (calibrated && pairs > 0).then_some((pairs, METHOD_PAIRS)),
+    }
+}
+
+/// A sentence on the water of stage 1, in the same words as `use3d water` if the tracks were used, and one on
+/// the metres of a unit. Empty if the scene does not say it.
+fn water_sentences(scene: &Path) -> String {
+    let estimate: Option<Value> = read_json(&scene.join(WATER)).ok();
+    let water = estimate.as_ref().and_then(water_from_tracks).unwrap_or_else(|| {
+        let water = read_json::<Choices>(&scene.join(CHOICES)).unwrap_or_default().water;
+        if water.is_empty() { water } else { format!("{}.", capitalised(&water)) }
+    });
+    [water, scale_sentence(scene, estimate.as_ref())].join(" ").trim().to_string()
+}
+
+/// A sentence on the metres of a unit; empty if they are not known.
+fn scale_sentence(scene: &Path, estimate: Option<&Value>) -> String {
+    let Ok(Some(world)) = Scene::world(scene) else { return String::new() };
+    let attenuation = estimate.and_then(|water| water["metric"]["attenuation"].as_array());
+    let per_metre = attenuation.map_or_else(String::new, |values| {
+        let values: Vec<String> = values.iter().map(|v| number(&v["value"], 3)).collect();
+        format!(" Attenuation per metre, red, green, blue: {}.", values.join(", "))
+    });
+    format!("One unit is {:.4} m, by {}.{per_metre}", world.metres_per_unit, shown(&world.source))
+}
+
+/// The water estimated from the tracks; `None` for an estimate of another form.
+fn water_from_tracks(water: &Value) -> Option<String> {
+    let judgement = capitalised(water["told"].as_str()?);
+    let used = match water["judgement"] == "found" {
+        true => "The tracks give these attenuations per unit.",
+        false => "The tracks give these attenuations per unit, which are not used.",
+    };
+    let channels: Vec<(String, &str)> = water["channels"].as_array()?.iter().map(channel_in_words).collect();
+    if channels.is_empty() {
+        return None;
+    }
+    // Neighbouring channels with the same verdict share a sentence.
+    let alike = channels.chunk_by(|(_, one), (_, other)| one == other);
+    let sentences = alike.map(|channels| {
+        let figures: Vec<&str> = channels.iter().map(|(figures, _)| &figures[..]).collect();
+        format!("{} ({}).", capitalised(&figures.join(", ")), channels[0].1)
+    });
+    Some(format!("{judgement}. {used} {}", sentences.collect::<Vec<_>>().join(" ")))
+}
+
+/// A channel's attenuation with its error, and its verdict.
+fn channel_in_words(channel: &Value) -> (String, &str) {
+    let attenuation = &channel["attenuation"];
+    let (value, error) = (number(&attenuation["value"], 4), number(&attenuation["error"], 4));
+    let name = channel["channel"].as_str().unwrap_or_default();
+    (format!("{name} {value} ± {error}"), channel["told"].as_str().unwrap_or_default())
+}
+
+fn number(value: &Value, decimals: usize) -> String {
+    value.as_f64().map_or_else(|| "–".into(), |value| format!("{value:.decimals$}"))
+}
+
+fn capitalised(text: &str) -> String {
+    let mut chars = text.chars();
+    chars.next().map_or_else(String::new, |first| first.to_uppercase().chain(chars).collect())
+}
+
+/// The plots of stage 1's training, from its log.
+fn stage_1(log: &str) -> Vec<PlotFigure> {
+    let entries: Vec<Value> = log.lines().filter_map(|line| serde_json::from_str(line).ok()).collect();
+    let curve = |name: &str, color: &'static str, label: &str, evaluated: bool| {
+        let event = if evaluated { "evaluation" } else { "steps" };
+        let points = entries.iter().filter(|e| e["event"] == event);
+        let points = points.filter_map(|e| Some((e["step"].as_f64()?, e[name].as_f64()?))).collect();
+        Series { dots: evaluated, ..Series::line(label, color, points) }
+    };
+    let plot = |title: &str, log_y: bool, series: Vec<Series>, caption: &str| {
+        let plot = Plot { title: title.into(), x_label: "step".into(), log_y, series };
+        PlotFigure { svg: plot.svg(), caption: caption.into() }
+    };
+    vec![
+        plot(
+            "Stage 1: loss",
+            true,
+            vec![curve("loss", "#0b7285", "", false)],
+            "The difference between the photographs and pictures of the same views. It should fall and \
+             level out.",
+        ),
+        plot(
+            "Stage 1: PSNR, dB",
+            false,
+            vec![
+                curve("psnr", "#0b7285", "training views", false),
+                curve("psnr", "#e8590c", "held-out views", true),
+            ],
+            "Above 30 dB differences are hard to see. Held-out views far below the training views mean too few or too similar photographs.",
+        ),
+        plot(
+            "Stage 1: Gaussians",
+            false,
+            vec![curve("gaussians", "#845ef7", "", false)],
+            "The number of Gaussians in the scene. It grows as long as detail is added.",
+        ),
+    ]
+}
+
+/// Notes on images and pairs that a mean leaves out because they have no such score.
+fn left_out(scores: &SceneScores) -> Vec<String> {
+    let of = |m: &MethodScores| {
+        let count =
+            |(metric, count): (&String, &usize)| format!("{metric} {count} of {}", count + m.counted(metric));
+        let counts = m.left_out.iter().map(count).collect::<Vec<_>>().join(", ");
+        let method = m.method.label();
+        let note = || format!("{method}: these scores have no value, so the means leave them out: {counts}.");
+        (!counts.is_empty()).then(note)
+    };
+    scores.methods.iter().filter_map(of).collect()
+}
+
+/// An SVG file as part of a page: without its XML declaration.
+fn inline(svg: &str) -> String {
+    svg.find("<svg").map_or_else(String::new, |start| svg[start..].to_string())
+}
+
+/// The look that the report of a scene shows first: the look that viewers open the scene with, or the scene
+/// without its water if it has no enhancement.
+fn best_look(enhanced: Option<&Path>) -> Result<Mode, StageError> {
+    let Some(folder) = enhanced else { return Ok(Mode::Clear) };
+    Ok(match Mode::opening(&Scene::load(folder)?) {
+        Mode::Reconstruction => Mode::Clear,
+        look => look,
+    })
+}
+
+/// The scored method that corresponds to that look.
+fn scored_as(best: Mode) -> Method {
+    match best {
+        Mode::Enhanced => Method::Enhanced,
+        Mode::EnhancedClear => Method::EnhancedClear,
+        _ => Method::Clear,
+    }
+}
+
+/// The method whose scores head the scene's report.
+///
+/// # Errors
+/// Fails if the enhanced scene cannot be read.
+pub fn best_method(enhanced: Option<&Path>) -> Result<Method, StageError> {
+    best_look(enhanced).map(scored_as)
+}
+
+/// The pictures of a view after those that come first.
+const OTHERS: [Mode; 6] =
+    [Mode::Clear, Mode::Enhanced, Mode::EnhancedClear, Mode::Reconstruction, Mode::Depth, Mode::Medium];
+
+/// The held-out views. The captured photograph comes first, then the same photograph enhanced by the scene,
+/// the scene's best look and the 2D enhancer's image; the other pictures follow. The three folders are those
+/// of `render`, `evaluate` and `photographs`.
+fn views(
+    [renders, evaluated, photographs]: [Option<&Path>; 3],
+    scores: Option<&SceneScores>,
+    best: Mode,
+    most: usize,
+) -> Result<Vec<ViewSection>, StageError> {
+    let Some(renders) = renders else { return Ok(Vec::new()) };
+    let captured = renders.join("captured");
+    let mut stems: Vec<String> = std::fs::read_dir(&captured)
+        .map_err(|e| StageError::io(&captured, e))?
+        .filter_map(|entry| Some(entry.ok()?.path().file_stem()?.to_string_lossy().into_owned()))
+        .collect();
+    stems.sort();
+    let count = stems.len().min(most);
+    let mut sections = Vec::new();
+    for stem in (0..count).map(|k| &stems[k * stems.len() / count]) {
+        let picture = |label: &str, folder: &Path| -> Result<Option<Picture>, StageError> {
+            let path = folder.join(format!("{stem}.png"));
+            if !path.is_file() {
+                return Ok(None);
+            }
+            Ok(Some(Picture::embed(label, "", &read_image(&path)?)?))
+        };
+        let rendered = |mode: Mode| picture(mode.name(), &renders.join(mode.name()));
+        let of_scores = |label: &str, name: &str| match evaluated {
+            Some(evaluated) => picture(label, &evaluated.join(name)),
+            None => Ok(None),
+        };
+        let proposal = of_scores("2D enhancer", ENHANCED_IN_2D)?;
+        // A synthetic capture knows the true appearance without water.
+        let truth = of_scores("truth", TRUE_VIEWS)?;
+        let enhanced =
+            photographs.map(|folder| picture("photograph, enhanced", folder)).transpose()?.flatten();
+        let lead = [picture("captured", &captured)?, enhanced, rendered(best)?, proposal, truth];
+        let images = OTHERS.into_iter().filter(|mode| *mode != best).map(rendered);
+        let images = images.collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect();
+        let lead = lead.into_iter().flatten().collect();
+        let scores = view_scores(stem, scores, scored_as(best));
+        sections.push(ViewSection { name: stem.clone(), lead, images, scores });
+    }
+    Ok(sections)
+}
+
+fn view_scores(stem: &str, scores: Option<&SceneScores>, best: Method) -> Vec<String> {
+    let [colours, truth] =
+        [format!("UCIQE {}", best.name()), format!("PSNR {} against the truth", best.name())];
+    let wanted = [
+        (Method::Reconstruction, "psnr", "PSNR", 2),
+        (Method::Reconstruction, "ssim", "SSIM", 3),
+        (Method::Captured, "uciqe", "UCIQE captured", 3),
+        (best, "uciqe", &colours, 3),
+        (best, "truth_psnr", &truth, 2),
+    ];
+    let of = |method: Method, metric: &str| -> Option<f64> {
+        let views = &scores?.methods.iter().find(|m| m.method == method)?.views;
+        views.iter().find(|v| flat_stem(&v.view) == stem)?.scores.get(metric)?.value()
+    };
+    let text = |(method, metric, label, decimals): (Method, &str, &str, usize)| {
+        of(method, metric).map(|value| format!("{label} {value:.decimals$}"))
+    };
+    wanted.into_iter().filter_map(text).collect()
+}
+
+/// The water by direction (along the horizontal axis of the first training view) and by position (along the
+/// training cameras, in one direction).
+fn water(parts: &Parts<'_>) -> Result<Vec<PlotFigure>, StageError> {
+    let paths = parts.path("scene").zip(parts.path("import"));
+    let Some((scene, import)) = paths else { return Ok(Vec::new()) };
+    let scene = Scene::load(scene)?;
+    let capture = use3d_import::load_prepared(import)?.capture;
+    let cameras: Vec<Camera> = capture.training_views().map(|v| v.camera).collect();
+    let Some(view) = capture.training_views().next() else { return Ok(Vec::new()) };
+    let by_direction = medium_profile(&scene.medium, scene.medium_degree, &view.camera);
+    let by_position = medium_along(&scene.medium, scene.medium_degree, &cameras);
+    let (Some(by_direction), Some(by_position)) = (by_direction, by_position) else { return Ok(Vec::new()) };
+    let figure =
+        |samples: &[WaterSample], title: String, x_label: &str, meaning: &str, place: &str, pick: Pick| {
+            let points = |c: usize| samples.iter().map(|s| (s.at, f64::from(pick(s)[c]))).collect();
+            let series = (0..3).map(|c| Series::line(["red", "green", "blue"][c], RGB[c], points(c)));
+            let plot = Plot { title, x_label: x_label.into(), log_y: false, series: series.collect() };
+            PlotFigure { svg: plot.svg(), caption: format!("{meaning}, {place}.") }
+        };
+    let kinds: [(&str, &str, &str, Pick); 3] = [
+        ("Attenuation", "1 / scene unit", "The rate at which distance dims the scene", |s| s.attenuation),
+        ("Backscatter", "1 / scene unit", "The rate at which distance adds the water's own light", |s| {
+            s.backscatter
+        }),
+        ("Colour of open water", "0 to 1", "The colour where there is nothing but water", |s| s.color),
+    ];
+    let along = format!("from the left to the right edge of {}", view.name);
+    let from = format!("at the place of each training camera, looking as {} does", view.name);
+    let figures = kinds.into_iter().flat_map(|(name, unit, meaning, pick)| {
+        let title = |by: &str| format!("{name} by {by}, {unit}");
+        let direction = "degrees from the optical axis";
+        [
+            figure(&by_direction, title("direction"), direction, meaning, &along, pick),
+            figure(&by_position, title("place"), "training view", meaning, &from, pick),
+        ]
+    });
+    Ok(figures.collect())
+}
+
+/// Selects the one of the water's three quantities that is drawn.
+type Pick = fn(&WaterSample) -> [f32; 3];
+
+/// The contact sheet of stage 1.
+fn contact(scene: &Path) -> Result<Option<Picture>, StageError> {
+    let path = scene.join(CONTACT);
+    if !path.is_file() {
+        return Ok(None);
+    }
+    let caption = "Pairs of pictures: a photograph on the left, and the rendering of stage 1 from the same \
+         place on the right. Held-out photographs are shown if there are any.";
+    let sheet = read_image(&path)?;
+    let picture = Picture::embed_wide("Stage 1: captured and rendered", caption, &sheet, 1640)?;
+    Ok(Some(Picture { blank: blank_corner(&sheet), ..picture }))
+}
+
+/// The white corner at the end of the last row of a sheet: its left and top edge, in percent.
+fn blank_corner(sheet: &Image) -> Option<(f64, f64)> {
+    let (width, height) = (sheet.width(), sheet.height());
+    let white = |x: usize, y: usize| sheet.pixel(x, y) == [1.0; 3];
+    let left = (0..width).rev().find(|&x| !white(x, height - 1))? + 1;
+    let top = (0..height).rev().find(|&y| (left..width).any(|x| !white(x, y))).map_or(0, |y| y + 1);
+    // A smaller corner is only a gap, or the edge of a bright picture.
+    let share = |at: usize, of: usize| 100.0 * at as f64 / of as f64;
+    let corner = (share(left, width), share(top, height));
+    (corner.0 < 90.0 && corner.1 < 90.0).then_some(corner)
+}
+
+/// The consistency strip of the scores, if there is one.
+fn strip(scores: &Path) -> Result<Option<Picture>, StageError> {
+    let (picture, description) = (scores.join(STRIP.0), scores.join(STRIP.1));
+    if !picture.is_file() {
+        return Ok(None);
+    }
+    let strip: Strip = read_json(&description)?;
+    let rows: Vec<String> =
+        strip.rows.iter().map(|(label, moved)| format!("{label} (ΔE {moved:.1})")).collect();
+    let caption = format!(
+        "One spot of the scene in neighbouring views, enlarged twice. Rows from the top: {}. ΔE is the \
+         change of its mean colour from view to view. Columns: {}.",
+        rows.join(", "),
+        strip.views.join(", ")
+    );
+    let sheet = read_image(&picture)?;
+    Ok(Some(Picture::embed_wide("Consistency of neighbouring views", &caption, &sheet, 1600)?))
+}
+
+fn dispersion(report: &TargetsReport) -> PlotFigure {
+    let points = report.views.iter().enumerate().map(|(i, v)| (i as f64, v.distance)).collect();
+    let names = report.views.iter().map(|v| v.name.clone()).collect();
+    let plot = Plot {
+        title: "Distance of each view from the consensus".into(),
+        x_label: "training view".into(),
+        log_y: false,
+        series: vec![Series { dots: true, names, ..Series::line("", "#0b7285", points) }],
+    };
+    let made = match (report.appearance, report.calibrated) {
+        (Appearance::Clear, false) => {
+            " The proposals are for the scene of stage 1 without its water. They are not calibrated."
+        }
+        (Appearance::Clear, true) => " The proposals are for the scene of stage 1 without its water.",
+        (Appearance::Water, false) => " The proposals are not calibrated.",
+        (Appearance::Water, true) => "",
+    };
+    let caption = format!(
+        "Each view proposes how colours should change; the consensus is what the views agree on. A view far from the others was lit or exposed \
+         differently. Median {:.4}; {} of {} Gaussians have a target.{made}",
+        report.dispersion, report.supported, report.gaussians
+    );
+    PlotFigure { svg: plot.svg(), caption }
+}
+
+fn sheets(dir: &Path, report: &TargetsReport) -> Result<Vec<Picture>, StageError> {
+    let caption = match report.appearance {
+        Appearance::Water if !report.kept_water.is_all() => {
+            "From left to right: the scene of stage 1 with part of its water removed, the proposal for this \
+             view, its change of colours after calibration, the consensus of all views (2D previews)."
+        }
+        Appearance::Water => {
+            "From left to right: the photograph, the proposal for this view, its change of colours after \
+             calibration, the consensus of all views (2D previews)."
+        }
+        Appearance::Clear => {
+            "From left to right: the scene of stage 1 without its water, the proposal for it, the change of \
+             colours of this view, the consensus of all views (2D previews)."
+        }
+    };
+    let Ok(entries) = std::fs::read_dir(dir) else { return Ok(Vec::new()) };
+    let mut paths: Vec<_> = entries.filter_map(|e| Some(e.ok()?.path())).collect();
+    paths.sort();
+    let sheet = |path: &PathBuf| {
+        let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+        Ok(Picture::embed_wide(&format!("Consensus on {stem}"), caption, &read_image(path)?, 1600)?)
+    };
+    paths.iter().map(sheet).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn channels_with_the_same_verdict_share_a_sentence() {
+        let channel = |name: &str, told: &str| {
+            serde_json::json!({
+                "channel": name, "told": told, "attenuation": {"value": 0.03, "error": 0.004}
+            })
+        };
+        let mut water = serde_json::json!({
+            "told": "water known in red", "judgement": "partly",
+            "channels": [channel("red", "found"), channel("green", "unseen"), channel("blue", "unseen")],
+        });
+        assert_eq!(
+            water_from_tracks(&water).expect("an estimate"),
+            "Water known in red. The tracks give these attenuations per unit, which are not used. Red 0.0300 ± 0.0040 \
+             (found). Green 0.0300 ± 0.0040, blue 0.0300 ± 0.0040 (unseen)."
+        );
+        water["channels"] = serde_json::json!([]);
+        assert_eq!(water_from_tracks(&water), None);
+    }
+
+    #[test]
+    fn only_a_sheet_whose_last_row_ends_early_has_a_blank_corner() {
+        let mut sheet = Image::filled(20, 10, 0.4);
+        assert_eq!(blank_corner(&sheet), None);
+        // A white gap between pictures does not count as a corner.
+        (0..20).for_each(|x| sheet.set_pixel(x, 4, [1.0; 3]));
+        assert_eq!(blank_corner(&sheet), None);
+        for y in 4..10 {
+            (10..20).for_each(|x| sheet.set_pixel(x, y, [1.0; 3]));
+        }
+        assert_eq!(blank_corner(&sheet), Some((50.0, 40.0)));
+        assert_eq!(blank_corner(&Image::filled(20, 10, 1.0)), None);
+    }
+}
