@@ -31,10 +31,17 @@ pub(crate) fn entries(folder: &Path) -> impl Iterator<Item = PathBuf> + use<> {
     std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path())
 }
 
-/// The folder in which an unfinished training by hand keeps its checkpoints: beside its result, hidden.
-pub(crate) fn checkpoints_of(out: &Path) -> PathBuf {
+/// The hidden folder beside a result for the work of a stage by hand.
+pub(crate) fn work_of(out: &Path) -> PathBuf {
     let name = out.file_name().unwrap_or_default().to_string_lossy();
-    out.with_file_name(format!(".{name}.checkpoints"))
+    out.with_file_name(format!(".{name}.work"))
+}
+
+/// The checkpoints of trainings in a folder for the work of a stage by hand.
+pub(crate) fn checkpoints_in(work: &Path) -> impl Iterator<Item = PathBuf> + use<> {
+    let below = |folder: PathBuf| entries(&folder);
+    let files = entries(&work.join("checkpoints")).flat_map(below).flat_map(below);
+    files.filter(|file| file.extension().is_some_and(|ending| ending == "checkpoint"))
 }
 
 /// A path with control characters escaped, for printing.

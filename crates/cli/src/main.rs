@@ -26,16 +26,11 @@ use use3d_workflow::{Event, Listener};
 use args::{Bench, Store, Synth, Verb};
 use error::{CliError, Done};
 
-/// The seed of stages that are run by hand, the same as in a pipeline without one; `--set seed=N` changes it.
-const SEED: u64 = 42;
-
 /// The data that every verb gets.
 #[derive(Clone)]
 pub(crate) struct App {
     /// True if only errors are printed.
     pub(crate) quiet: bool,
-    /// The seed of stages that are run by hand.
-    pub(crate) seed: u64,
     /// Number of threads for computing.
     pub(crate) threads: usize,
     /// Set by Ctrl-C, SIGTERM and SIGHUP.
@@ -78,7 +73,7 @@ fn main() -> ExitCode {
         tracing::debug!("thread pool: {error}");
     }
     let listener: Arc<dyn Listener> = Arc::new(listener::Terminal::new(cli.quiet));
-    let app = App { quiet: cli.quiet, seed: SEED, threads, stop: interrupt::install(), listener };
+    let app = App { quiet: cli.quiet, threads, stop: interrupt::install(), listener };
     let done = run(&app, cli.verb).and_then(|()| match output::failure() {
         Some(reason) => Err(CliError::Failed(format!("cannot write to standard output: {reason}"))),
         None => Ok(()),
@@ -112,11 +107,11 @@ fn run(app: &App, verb: Verb) -> Done {
         Verb::Why(args) => verbs::run::why(&args),
         Verb::Graph(args) => verbs::run::graph(&args),
         Verb::Prepare(args) => verbs::prepare::run(app, &args),
-        Verb::Import(args) => verbs::stages::import(app, &args),
-        Verb::Reconstruct(args) => verbs::stages::reconstruct(app, &args),
-        Verb::Calibrate(args) => verbs::stages::calibrate(app, &args),
-        Verb::Targets(args) => verbs::stages::targets(app, &args),
-        Verb::Enhance(args) => verbs::stages::enhance(app, &args),
+        Verb::Import(args) => verbs::by_hand::import(app, &args),
+        Verb::Reconstruct(args) => verbs::by_hand::reconstruct(app, &args),
+        Verb::Calibrate(args) => verbs::by_hand::calibrate(app, &args),
+        Verb::Targets(args) => verbs::by_hand::targets(app, &args),
+        Verb::Enhance(args) => verbs::by_hand::enhance(app, &args),
         Verb::Evaluate(args) => verbs::evaluate::run(app, &args),
         Verb::Render(args) => verbs::render::run(app, &args),
         Verb::Photographs(args) => verbs::photographs::run(app, &args),

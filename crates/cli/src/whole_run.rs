@@ -7,7 +7,7 @@
 //! ```
 //!
 //! `r` is the estimate of the stage itself, or else its `p` less the time since its start. `p` is the
-//! forecast from earlier runs, or else the stage's usual cost times the seconds that one unit of cost takes
+//! forecast from earlier runs, or else the usual cost that the stage states times the seconds that one unit of cost takes
 //! in this run. There is no time left until one stage has given its own.
 //!
 //! Limits: the usual costs were measured on four captures with the default parameters. A stage that waits for
@@ -18,23 +18,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use use3d_workflow::plan::{Plan, State};
-use use3d_workflow::{Event, Graph, Listener};
+use use3d_workflow::{Event, Listener};
 
 /// The least time between two updates of the bar.
 const INTERVAL: Duration = Duration::from_millis(500);
-
-/// Usual cost of a stage, of which stage 1 has 100 at its default length: a fixed part, and a part for each
-/// step. From the default runs of a reef, a vent and a second reef at up to 647 pixels, and of a fern.
-fn usual_cost(stage: &str, steps: f64) -> f64 {
-    let (fixed, of_a_step) = match stage {
-        "reconstruct" => (3.0, 0.0194),
-        "enhance" => (0.5, 0.003),
-        "evaluate" | "calibrate" => (5.0, 0.0),
-        "pairs" | "targets" | "photographs" => (1.5, 0.0),
-        _ => (0.3, 0.0),
-    };
-    fixed + of_a_step * steps
-}
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Turn {
@@ -89,16 +76,15 @@ pub(crate) struct WholeRun {
 
 impl WholeRun {
     /// The stages that `plan` will run; with `only`, those of these scenes and variants, and of no scene.
-    pub(crate) fn new(plan: &Plan, graph: &Graph, only: Option<&[(String, String)]>, jobs: usize) -> Self {
+    pub(crate) fn new(plan: &Plan, only: Option<&[(String, String)]>, jobs: usize) -> Self {
         let only: Option<BTreeSet<(&str, &str)>> =
             only.map(|cells| cells.iter().map(|(scene, variant)| (&**scene, &**variant)).collect());
-        let parts = plan.nodes.iter().zip(&graph.nodes).map(|(planned, node)| {
+        let parts = plan.nodes.iter().map(|planned| {
             let runs = matches!(planned.state, State::Run(_) | State::Waiting(_));
             let cell = (&*planned.scene, &*planned.variant);
             let wanted = planned.scene.is_empty() || only.as_ref().is_none_or(|only| only.contains(&cell));
-            let steps = node.parameters.get("iterations").and_then(serde_json::Value::as_f64).unwrap_or(0.0);
             Share {
-                cost: usual_cost(planned.stage, steps),
+                cost: planned.usual_cost,
                 forecast: planned.forecast.map(|forecast| forecast.seconds),
                 needs: planned.needs.clone(),
                 turn: match runs && wanted && planned.shared_with.is_none() {

@@ -7,8 +7,9 @@
 //! dependencies, and the locked third-party crates. So a change in one method's crate makes only those stages
 //! stale that use it, and a change of a comment makes none stale.
 //!
-//! The parts that [`CodeRules`] leaves out do not count: they choose a stage's inputs and parameters and
-//! provide its folder, but they write no byte in the folder.
+//! The parts that [`CodeRules`] leaves out do not count, nor does the inline module [`DEFINITION`] of a
+//! stage's file: they choose a stage's inputs and parameters and provide its folder, but they write no byte
+//! in the folder.
 //!
 //! A build script makes the table of its own source tree with [`tree::read`], and the program reads it with
 //! [`CodeTable::stored`]. The [`digest`]s are those of everything else that is digested, too.
@@ -28,6 +29,10 @@ pub mod tree;
 mod uses;
 
 use digest::{Digest, Encoder};
+
+/// The name of the inline module in a stage's file that says what the stage reads, when it runs and what it
+/// needs. All of that is in its key already: as its inputs and its parameters.
+pub const DEFINITION: &str = "definition";
 
 /// The rules by which a workspace's code is assigned to stages.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -1,14 +1,16 @@
 //! The tokens of a source file, without those that cannot change a result.
 //!
 //! These are left out: comments and layout (there are no tokens for them), documentation (`///` is the
-//! attribute `doc` to the compiler), items under `#[cfg(test)]`, and the trailing commas that a formatter
-//! adds when it breaks a line. The spacing between punctuation counts only where it makes a different
+//! attribute `doc` to the compiler), items under `#[cfg(test)]`, the inline module [`DEFINITION`], and the
+//! trailing commas that a formatter adds when it breaks a line. The spacing between punctuation counts only where it makes a different
 //! operator (`&&` is not `& &`, `=-` is `= -`). In doubt a token counts: a needless rerun costs minutes, a
 //! missed one costs trust.
 
 use std::path::{Path, PathBuf};
 
 use proc_macro2::{Delimiter, Group, Spacing, TokenStream, TokenTree};
+
+use crate::DEFINITION;
 
 /// The canonical bytes of a source text, and the files of its `#[cfg(test)] mod name;` items.
 pub(crate) struct SourceTokens {
@@ -77,6 +79,10 @@ fn write_stream(stream: TokenStream, may_drop_only_comma: bool, out: &mut Source
                 continue;
             }
         }
+        if is_definition(&tokens, i) {
+            i += 3;
+            continue;
+        }
         let next = tokens.get(i + 1);
         match &tokens[i] {
             TokenTree::Punct(punct) if punct.as_char() == ',' => {
@@ -112,6 +118,12 @@ fn write_stream(stream: TokenStream, may_drop_only_comma: bool, out: &mut Source
         }
         i += 1;
     }
+}
+
+/// Returns true if the inline module of a stage's definition begins at `i`.
+pub(crate) fn is_definition(tokens: &[TokenTree], i: usize) -> bool {
+    let word = |at: usize, text: &str| matches!(tokens.get(at), Some(TokenTree::Ident(w)) if w == text);
+    word(i, "mod") && word(i + 1, DEFINITION) && matches!(tokens.get(i + 2), Some(TokenTree::Group(_)))
 }
 
 fn write_token(out: &mut SourceTokens, kind: u8, text: &str) {

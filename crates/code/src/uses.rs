@@ -3,13 +3,14 @@
 //! Every path counts that begins with `crate`, `self`, `super`, a module below the file, or a crate: in
 //! `use`, in code, in attributes. Names are not resolved any further: a path stands for the file of the
 //! longest module path that it begins with. So the names that a module re-exports with `pub use` count as the
-//! module's own. Code under `#[cfg(test)]` does not count; other conditions are assumed to be true.
+//! module's own. Code under `#[cfg(test)]` and in the module [`DEFINITION`](crate::DEFINITION) does not count;
+//! other conditions are assumed to be true.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use proc_macro2::{Delimiter, Spacing, TokenStream, TokenTree};
 
-use crate::tokens::{attribute, is_cfg_test, is_doc, is_punct, is_test_only_file, item_end};
+use crate::tokens::{attribute, is_cfg_test, is_definition, is_doc, is_punct, is_test_only_file, item_end};
 
 /// The names used in one file.
 #[derive(Default)]
@@ -84,6 +85,10 @@ impl Uses {
                     self.walk(group.stream(), around);
                 }
                 i = after;
+                continue;
+            }
+            if is_definition(&tokens, i) {
+                i += 3;
                 continue;
             }
             match &tokens[i] {
@@ -237,6 +242,7 @@ mod tests {
             ),
             none
         );
+        assert_eq!(of(a, "pub(crate) mod definition { use super::super::b::X; use use3d_a::Y; }"), none);
         assert_eq!(of(a, "use std::fmt; fn f(b: u8) -> u8 { b.a::<u8>() + report }"), none);
     }
 

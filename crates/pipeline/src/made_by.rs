@@ -11,8 +11,8 @@ use serde_json::{Value, json};
 use use3d_atc::calibrator::{METHOD_PAIRS, Provenance};
 use use3d_atc::consensus::TargetsReport;
 use use3d_import::load_prepared;
-use use3d_workflow::Summary;
 use use3d_workflow::run::RanNode;
+use use3d_workflow::{Stage, Summary};
 
 use crate::config::{join, preset_values};
 use use3d_judge::configuration::Configuration;
@@ -20,6 +20,8 @@ use use3d_stages::{CALIBRATED, CHOICES, Choices, read_json, registry};
 
 /// The preset that lists every parameter with an effect on a result: only these are compared.
 const COMPLETE: &str = "paper";
+/// The stage whose scores stand beside the configuration. It and the stages that it follows from are compared.
+const SCORED_BY: &str = "evaluate";
 /// The import's text for views that were counted in the authors' order.
 const AUTHORS_SPLIT: &str = "one view in 8 is held out, counted by COLMAP image id from the first";
 
@@ -49,7 +51,7 @@ fn changes(nodes: &[&RanNode]) -> Vec<String> {
         let mut preset = preset_values(&node.preset).unwrap_or_default();
         let given = preset.remove(node.stage).unwrap_or_else(|| json!({}));
         let Ok(base) = stage.parameters(&given) else { continue };
-        let [was, is] = [&base, &node.parameters].map(|values| leaves(values, ""));
+        let [was, is] = [&base, &node.parameters].map(|values| leaves(values.json(), ""));
         for name in leaves(counted, "").keys() {
             if let (Some(was), Some(is)) = (was.get(name), is.get(name))
                 && was != is
@@ -87,14 +89,13 @@ fn calibrator(provenance: &Provenance, calibrated: bool) -> (String, bool) {
 
 /// The configuration of a scene in a variant; `None` if the run has no stage 1 for it.
 pub(crate) fn configuration(summary: &Summary, scene: &str, variant: &str) -> Option<Configuration> {
-    const STAGES: [&str; 9] =
-        ["import", "depth", "pairs", "calibrate", "propose", "reconstruct", "targets", "enhance", "evaluate"];
-    let found = |stage: &&str| node(summary, scene, variant, stage);
-    let nodes: Vec<&RanNode> = STAGES.iter().filter_map(found).collect();
+    let registry = registry().ok()?;
+    let found = |stage: &Stage| node(summary, scene, variant, stage.name());
+    let nodes: Vec<&RanNode> = registry.upstream(SCORED_BY).filter_map(found).collect();
     let node = |stage: &str| nodes.iter().find(|node| node.stage == stage);
     let at = |stage: &str| Some(node(stage)?.artifact.as_ref()?.path.as_path());
     let first = node("reconstruct")?;
-    let steps = |stage: &str| Some(node(stage)?.parameters["iterations"].to_string());
+    let steps = |stage: &str| Some(node(stage)?.parameters.json()["iterations"].to_string());
     let steps = [steps("reconstruct"), steps("enhance")];
     let mut made = Configuration {
         preset: first.preset.clone(),
@@ -122,7 +123,7 @@ pub(crate) fn configuration(summary: &Summary, scene: &str, variant: &str) -> Op
             (made.calibrator, papers_pairs) = calibrator(&provenance, report.calibrated);
         }
     } else if let Some(proposed) = node("propose") {
-        made.proposer = format!("{}, on every photograph", text(&proposed.parameters["proposer"]));
+        made.proposer = format!("{}, on every photograph", text(&proposed.parameters.json()["proposer"]));
     }
     made.data_of_the_paper = papers_split && papers_pairs;
     Some(made)

@@ -25,8 +25,8 @@ use use3d_judge::names::in_variant;
 use use3d_judge::scores::ScoredScene;
 use use3d_report::page::{StageRow, shortened, with_configurations, with_costs, with_tables, with_views};
 use use3d_report::tables::{Table, paper};
-use use3d_stages::evaluate::{SCORES, SPEED};
 use use3d_stages::report::write_tables;
+use use3d_stages::{SCORES, SPEED};
 
 /// The page and the tables over all scenes.
 const PAGE: &str = "report.html";
@@ -38,20 +38,6 @@ const VIEW_PARTS: &str = "view_files";
 /// A page has its digest in its last line.
 const STAMPED: Sealed =
     Sealed { around: ["<!-- written by use3d, blake3 ", " -->\n"], words: ["page", "program"] };
-
-/// The place of a stage's result below the results folder; `None` for stages whose results stay in the cache.
-fn place_of(stage: &str, scene: &str, variant: &str) -> Option<PathBuf> {
-    let folder = match stage {
-        "reconstruct" => "scene",
-        "enhance" => "enhanced-scene",
-        "render" => "renders",
-        "photographs" => "photographs-held-out",
-        "targets" => "targets",
-        "evaluate" => "scores",
-        _ => return None,
-    };
-    (!scene.is_empty()).then(|| folder_of(scene, variant).join(folder))
-}
 
 /// The folder of all results of a scene in a variant, below the results folder.
 fn folder_of(scene: &str, variant: &str) -> PathBuf {
@@ -126,7 +112,7 @@ impl Results {
                 );
                 return Err(PlaceError::Occupied { path: out.join(folder), reason });
             }
-            if let Some(place) = place_of(node.stage_name, &node.scene, &node.variant)
+            if let Some(place) = node.delivered.map(|own| folder.join(own))
                 && let Some(other) = places.insert(place.clone(), node.label())
             {
                 let own = node.label();
@@ -136,10 +122,7 @@ impl Results {
                 return Err(PlaceError::Occupied { path: out.join(place), reason });
             }
             let (part, page) = match node.stage_name {
-                "reconstruct" => {
-                    let folder = folder_of(&node.scene, &node.variant);
-                    (folder.clone(), folder.join(VIEW))
-                }
+                "reconstruct" => (folder.clone(), folder.join(VIEW)),
                 "report" => {
                     places.insert(TABLES.into(), node.label());
                     (OVER_ALL.into(), PAGE.into())
@@ -200,8 +183,7 @@ impl Results {
         let part = folder.to_string_lossy().into_owned();
         let mut wanted = MadeOf::new();
         let placed = own.nodes.iter().filter_map(|node| {
-            let place = self.out.join(place_of(node.stage, scene, variant)?);
-            Some((node.stage, node.artifact.as_deref()?, place))
+            Some((node.stage, node.artifact.as_deref()?, self.out.join(&folder).join(node.delivered?)))
         });
         let placed: Vec<(&str, &Artifact, PathBuf)> = placed.collect();
         for (stage, artifact, _) in &placed {

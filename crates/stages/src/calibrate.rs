@@ -2,23 +2,31 @@
 
 use use3d_atc::calibrator::{Calibrator, CalibratorParams, Dataset, METHOD_PAIRS, train};
 use use3d_atc::progress::LoopPosition;
-use use3d_workflow::{Scope, Stage, StageContext, StageError};
+use use3d_workflow::{StageContext, StageError};
 
-use crate::parts::calibrated::is_calibrated;
-use crate::parts::common::{go_on, out_of_range, read_json, write, write_json};
-use crate::parts::names::{CALIBRATOR, DATASET};
+use crate::parts::files::{CALIBRATOR, DATASET, go_on, read_json, write, write_json};
 
-pub(crate) fn stage() -> Stage {
-    Stage::new("calibrate", Scope::Shared, run)
-        .about("learn from image pairs what \"enhanced\" means")
-        .made_of(&[], &["src/calibrate.rs"])
-        .promises(&[CALIBRATOR, "report.json"])
-        .check(|p: &CalibratorParams| p.validate().map_err(out_of_range))
-        .input("pairs", "pairs")
-        .when_named(|all, named| is_calibrated(all) && !named.has("calibrator"))
-        .seeded()
-        // The extractor's settings come with the pairs.
-        .without_effect(&["extractor"])
+/// The stage in the table: what it reads, when it runs and what it needs. No byte of a result follows from it.
+pub(crate) mod definition {
+    use use3d_workflow::{Scope, Stage};
+
+    use crate::parts::files::out_of_range;
+    use crate::planning::learns_a_calibrator;
+
+    use super::*;
+
+    pub(crate) fn stage() -> Stage {
+        Stage::new("calibrate", Scope::Shared, run)
+            .about("learn from image pairs what \"enhanced\" means")
+            .promises(&[CALIBRATOR, "report.json"])
+            .check(|p: &CalibratorParams| p.validate().map_err(out_of_range))
+            .input("pairs", "pairs")
+            .when_named(learns_a_calibrator)
+            .seeded()
+            // The extractor's settings come with the pairs.
+            .without_effect(&["extractor"])
+            .usually_costs(5.0, 0.0)
+    }
 }
 
 fn run(context: &StageContext, params: &CalibratorParams) -> Result<(), StageError> {

@@ -5,13 +5,13 @@ use std::path::Path;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
-use use3d_import::{ImportParams, has_depth_folder, load_pixels};
+use use3d_import::load_pixels;
 use use3d_io_image::write_png_map16;
 use use3d_nets::{DepthAnythingSize, Models, Network};
-use use3d_workflow::{AllParameters, Named, Scope, Stage, StageContext, StageError};
+use use3d_workflow::{StageContext, StageError};
 
 use crate::parts::captured::capture;
+use crate::parts::weights::not_there;
 
 /// The size of the network.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -53,7 +53,7 @@ impl Encoder {
     fn found(self, models: &Path) -> Result<(Network, DepthAnythingSize), String> {
         let folder = Models::open(models);
         let found = self.candidates().iter().find(|(network, _)| folder.has(*network));
-        let missing = || crate::parts::weights::not_there("Depth Anything V2", &self.networks(), models);
+        let missing = || not_there("Depth Anything V2", &self.networks(), models);
         found.copied().ok_or_else(missing)
     }
 }
@@ -66,52 +66,59 @@ pub(crate) struct Params {
     pub(crate) encoder: Encoder,
 }
 
-/// The networks that fit these parameters, the best first.
-pub(crate) fn networks(parameters: &Value) -> Vec<Network> {
-    let params: Params = serde_json::from_value(parameters.clone()).unwrap_or_default();
-    params.encoder.networks()
-}
+/// The stage in the table: what it reads, when it runs and what it needs. No byte of a result follows from it.
+pub(crate) mod definition {
+    use use3d_import::{ImportParams, has_depth_folder};
+    use use3d_reconstruct::{DepthPrior, ReconstructParams};
+    use use3d_workflow::{AllParameters, Lacking, Named, Scope, Stage, StageInput};
 
-pub(crate) fn stage() -> Stage {
-    Stage::new("depth", Scope::Scene, run)
-        .about("depth priors by Depth Anything V2")
-        .made_of(&[], &["src/depth.rs"])
-        .input("import", "import")
-        .external("models", "models")
-        .select(|parameters, models| {
-            let params: Params = serde_json::from_value(parameters.clone()).map_err(|e| e.to_string())?;
-            Ok(crate::parts::weights::model_files(models, &[params.encoder.found(models)?.0]))
-        })
-        .when_named(asked_for)
-        .cost(0, 4 << 30)
-}
+    use crate::parts::weights::model_files;
+    use crate::planning::memory::{PROGRAM, heaviest, input, largest};
+    use crate::planning::requirements::network;
 
-/// True if a scene's priors are to be made, from its parameters and from the files in its capture and in the
-/// models folder.
-fn asked_for(all: &AllParameters, named: &Named) -> bool {
-    let of = |stage: &str| all.get(stage).cloned().unwrap_or_default();
-    let import = serde_json::from_value(of("import")).unwrap_or_default();
-    let capture = named.path("capture").map(|capture| (capture, &import));
-    wanted(&of("reconstruct"), &of("depth"), capture, named.path("models"))
-}
+    use super::*;
 
-/// True if priors are to be made for a capture (with the parameters of its import), by the parameters of
-/// `reconstruct` and `depth`.
-pub fn wanted(
-    reconstruct: &Value,
-    depth: &Value,
-    capture: Option<(&Path, &ImportParams)>,
-    models: Option<&Path>,
-) -> bool {
-    match reconstruct["depth_prior"].as_str() {
-        Some("depth-anything-v2") => true,
-        Some("auto") => {
-            let params: Params = serde_json::from_value(depth.clone()).unwrap_or_default();
-            let has_own = || capture.is_none_or(|(capture, import)| has_depth_folder(capture, import));
-            // The capture is not looked at without need: a large batch has many.
-            models.is_some_and(|models| params.encoder.found(models).is_ok()) && !has_own()
+    pub(crate) fn stage() -> Stage {
+        Stage::new("depth", Scope::Scene, run)
+            .about("depth priors by Depth Anything V2")
+            .input("import", "import")
+            .external("models", "models")
+            .select(|p: &Params, models| Ok(model_files(models, &[p.encoder.found(models)?.0])))
+            .when_named(asked_for)
+            .requires(|all, named, _| missing(all, named).into_iter().collect())
+            .cost(0, 4 << 30)
+            .memory(|_: &Params, inputs| memory(inputs))
+    }
+
+    /// True if a scene's priors are to be made: if the parameters request them; with `auto`, if the weights are in
+    /// the models folder and the capture has no priors of its own.
+    fn asked_for(all: &AllParameters, named: &Named) -> bool {
+        match all.of::<ReconstructParams>().map(|p| p.depth_prior) {
+            Some(DepthPrior::DepthAnythingV2) => true,
+            Some(DepthPrior::Auto) => {
+                let encoder = all.of::<Params>().map_or(Encoder::Auto, |p| p.encoder);
+                let has_own = || match (named.path("capture"), all.of::<ImportParams>()) {
+                    (Some(capture), Some(import)) => has_depth_folder(capture, import),
+                    _ => true,
+                };
+                // The capture is not looked at without need: a large batch has many.
+                named.path("models").is_some_and(|models| encoder.found(models).is_ok()) && !has_own()
+            }
+            _ => false,
         }
-        _ => false,
+    }
+
+    /// The network's weights if the parameters request priors and the weights are missing.
+    fn missing(all: &AllParameters, named: &Named) -> Option<Lacking> {
+        let asked = all.of::<ReconstructParams>()?.depth_prior == DepthPrior::DepthAnythingV2;
+        let what = "the weights of Depth Anything V2, the depth prior of the paper";
+        let networks = all.of::<Params>()?.encoder.networks();
+        asked.then(|| network(named, what, &networks, "--set reconstruct.depth_prior=off"))?
+    }
+
+    fn memory(inputs: &[StageInput]) -> Option<u64> {
+        let weights = input(inputs, "models").map_or(0, heaviest);
+        Some(PROGRAM + 110 * largest(inputs)? + weights * 14 / 10 + (128 << 20))
     }
 }
 

@@ -11,15 +11,13 @@ use use3d_enhance::{
 };
 use use3d_import::{Originals, load_pixels};
 use use3d_scene::{Origin, Scene};
-use use3d_workflow::{Figure, Scope, Stage, StageContext, StageError};
+use use3d_workflow::{Figure, StageContext, StageError};
 
 use crate::engines;
 use crate::parts::captured::{capture, write_cameras};
-use crate::parts::common::{out_of_range, read, write, write_json};
-use crate::parts::names::TARGETS;
-use crate::parts::proposals::asked_for;
+use crate::parts::files::{TARGETS, read, write, write_json};
 use crate::parts::proposer::by_name;
-use crate::parts::scenes::scene;
+use crate::parts::scene::scene;
 use crate::parts::watch::Watch;
 use use3d_chart::{Plot, Series};
 
@@ -34,25 +32,56 @@ const FIGURES: [Figure; 3] = [
     Figure { file: REPORT, at: "/views/*/after/pixels", within: 0.005 },
 ];
 
-pub(crate) fn stage() -> Stage {
-    Stage::new("enhance", Scope::Scene, run)
-        .about("stage 2: store the enhancement in the scene")
-        .made_of(&[], &["src/enhance.rs"])
-        .promises(&["scene.json", "gaussians.ply", REPORT])
-        .check(|p: &EnhanceParams| p.validate().map_err(out_of_range))
-        .check(|p: &EnhanceParams| engines::check(&p.engine))
-        .computes_on(|p: &EnhanceParams| engines::class(&p.engine))
-        .when(|all| !asked_for(all))
-        .input("import", "import")
-        .input("scene", "reconstruct")
-        .input("targets", "targets")
-        .optional_external("models", "models")
-        .select(|_, models| Ok(crate::parts::weights::proposer_files(models)))
-        .seeded()
-        .resumable(&["iterations"])
-        .without_effect(&["checkpoint_every", "cache_mib", "engine"])
-        .agrees_across_classes(&FIGURES)
-        .cost(0, 4 << 30)
+/// The stage in the table: what it reads, when it runs and what it needs. No byte of a result follows from it.
+pub(crate) mod definition {
+    use use3d_workflow::{AllParameters, Lacking, Scope, Stage};
+
+    use crate::parts::files::out_of_range;
+    use crate::parts::proposer::ProposerChoice;
+    use crate::parts::weights::proposer_files;
+    use crate::planning::learns_from_proposals;
+    use crate::planning::memory::{PROGRAM, extent, gaussians, largest, networks};
+    use crate::planning::requirements::lacking;
+    use crate::targets;
+
+    use super::*;
+
+    pub(crate) fn stage() -> Stage {
+        Stage::new("enhance", Scope::Scene, run)
+            .about("stage 2: store the enhancement in the scene")
+            .promises(&["scene.json", "gaussians.ply", REPORT])
+            .delivers("enhanced-scene")
+            .check(|p: &EnhanceParams| p.validate().map_err(out_of_range))
+            .check(|p: &EnhanceParams| engines::check(&p.engine))
+            .computes_on(|p: &EnhanceParams| engines::class(&p.engine))
+            .when(|all| !learns_from_proposals(all))
+            .input("import", "import")
+            .input("scene", "reconstruct")
+            .input("targets", "targets")
+            .optional_external("models", "models")
+            .select(|_: &EnhanceParams, models| Ok(proposer_files(models)))
+            .requires(|all, _, _| missing(all).into_iter().collect())
+            .seeded()
+            .resumable(&["iterations"])
+            .without_effect(&["checkpoint_every", "cache_mib", "engine"])
+            .agrees_across_classes(&FIGURES)
+            .usually_costs(0.5, 0.003)
+            .cost(0, 4 << 30)
+            .memory(|p: &EnhanceParams, inputs| {
+                let (gaussians, views) = (gaussians(inputs)?, extent(inputs)?.train.len() as u64);
+                let kept = (views * (85 * gaussians + (1 << 20))).min((p.cache_mib as u64) << 20);
+                let network = networks(inputs, proposer_files, 0);
+                Some(PROGRAM + kept + 30 * largest(inputs)? + 400 * gaussians + network)
+            })
+    }
+
+    fn missing(all: &AllParameters) -> Option<Lacking> {
+        let labels = all.of::<EnhanceParams>()?.objective == Objective::PseudoLabels;
+        let own = all.of::<targets::Params>()?.proposer == ProposerChoice::Scene;
+        let remedy = "that objective learns from photographs that a 2D enhancer enhanced, and `targets.proposer` is `scene`";
+        let what = "a 2D enhancer for `enhance.objective = \"pseudo-labels\"`";
+        (labels && own).then(|| lacking(what, remedy, "--set targets.proposer=auto"))
+    }
 }
 
 /// Reads targets from their file or from the folder that holds them.

@@ -28,19 +28,16 @@ use use3d_metrics::{Mask, mask_of};
 use use3d_numerics::range::within;
 use use3d_render::{Mode, Rendering, SceneRenderer};
 use use3d_scene::Scene;
-use use3d_workflow::content::Choice;
-use use3d_workflow::{Figure, Scope, Stage, StageContext, StageError, machine};
+use use3d_workflow::{Figure, StageContext, StageError, machine};
 
-use crate::engines::{self, Drawn, EngineChoice};
+use crate::engines::{Drawn, EngineChoice};
 use crate::parts::captured::capture;
-use crate::parts::choices::choice_sources;
-use crate::parts::common::{folder, out_of_range, read_json, write_json};
-use crate::parts::drawn::drawn;
-use crate::parts::names::{ENHANCED_IN_2D, EVALUATION, TRUE_VIEWS};
-pub use crate::parts::names::{SCORES, SPEED, STRIP};
-use crate::parts::proposals::{asked_for, file};
+use crate::parts::files::{
+    ENHANCED_IN_2D, EVALUATION, SCORES, SPEED, STRIP, TRUE_VIEWS, choice_sources, folder, out_of_range,
+    proposal_of, read_json, write_json,
+};
 use crate::parts::proposer::{ProposerChoice, open};
-use crate::parts::scenes::shown_scene;
+use crate::parts::scene::{drawn, shown_scene};
 use use3d_judge::scores::{
     self, Finite, Method, MethodScores, PairScores, SceneScores, SceneSpeed, Scores, ViewScores, Warp,
 };
@@ -110,32 +107,87 @@ impl Params {
     }
 }
 
-pub(crate) fn stage() -> Stage {
-    Stage::new("evaluate", Scope::Scene, run)
-        .about("score the held-out views")
-        .made_of(&[], &["src/evaluate.rs"])
-        .promises(&[SCORES])
-        .check(Params::check)
-        .check(|p: &Params| engines::check(&p.engine))
-        .computes_on(|p: &Params| engines::class(&p.engine))
-        .without_effect(&["engine"])
-        .agrees_across_classes(&FIGURES)
-        .input("import", "import")
-        .input("scene", "reconstruct")
-        .optional_input("proposals", "propose")
-        .optional_input("enhanced", "enhance")
-        .optional_input("photographs", "photographs")
-        .reference_input("reference", "reconstruct", |all| !asked_for(all))
-        .optional_external("models", "models")
-        .select(|_, models| Ok(crate::parts::weights::judge_files(models)))
-        .optional_external("truth", "capture")
-        .select_by(|_, capture| {
-            let files = files(capture);
-            // Without a truth, the answer costs nothing.
-            let made_from = if files.is_empty() { Vec::new() } else { choice_sources(capture) };
-            Ok(Choice { files, made_from })
+/// The stage in the table: what it reads, when it runs and what it needs. No byte of a result follows from it.
+pub(crate) mod definition {
+    use use3d_nets::Network;
+    use use3d_workflow::content::Choice;
+    use use3d_workflow::{AllParameters, Checks, Lacking, Named, Scope, Stage};
+
+    use crate::engines;
+    use crate::parts::weights::judge_files;
+    use crate::planning::learns_from_proposals;
+    use crate::planning::memory::{NETWORK_PER_PIXEL, PROGRAM, gaussians, largest, networks};
+    use crate::planning::requirements::{lacking, network, weights};
+
+    use super::*;
+
+    pub(crate) fn stage() -> Stage {
+        Stage::new("evaluate", Scope::Scene, run)
+            .about("score the held-out views")
+            .promises(&[SCORES])
+            .delivers("scores")
+            .check(Params::check)
+            .check(|p: &Params| engines::check(&p.engine))
+            .computes_on(|p: &Params| engines::class(&p.engine))
+            .without_effect(&["engine"])
+            .agrees_across_classes(&FIGURES)
+            .input("import", "import")
+            .input("scene", "reconstruct")
+            .optional_input("proposals", "propose")
+            .optional_input("enhanced", "enhance")
+            .optional_input("photographs", "photographs")
+            .reference_input("reference", "reconstruct", |all| !learns_from_proposals(all))
+            .optional_external("models", "models")
+            .select(|_: &Params, models| Ok(judge_files(models)))
+            .optional_external("truth", "capture")
+            .select_by(|_: &Params, capture| {
+                let files = files(capture);
+                // Without a truth, the answer costs nothing.
+                let made_from = if files.is_empty() { Vec::new() } else { choice_sources(capture) };
+                Ok(Choice { files, made_from })
+            })
+            .requires(missing)
+            .usually_costs(5.0, 0.0)
+            .cost(0, 4 << 30)
+            // The memory holds the scene, the reference's scene, and three views in all their appearances.
+            .memory(|_: &Params, inputs| {
+                let pixels = largest(inputs)?;
+                let network = networks(inputs, judge_files, NETWORK_PER_PIXEL * pixels);
+                Some(PROGRAM + 650 * pixels + 1200 * gaussians(inputs)? + network)
+            })
+    }
+
+    fn missing(all: &AllParameters, named: &Named, checks: &Checks<'_>) -> Vec<Lacking> {
+        let Some(own) = all.of::<Params>() else { return Vec::new() };
+        let truth = named.path("capture").and_then(|capture| unreadable_truth(capture, checks));
+        let enhancer = weights(all, named, ("evaluate", own.proposer));
+        enhancer.into_iter().chain(missing_networks(own, named)).chain(truth).collect()
+    }
+
+    /// The missing networks of the paper's scores, if all scores are required.
+    fn missing_networks(own: &Params, named: &Named) -> Vec<Lacking> {
+        use Network::{AlexNet, LpipsHeads, Musiq, RaftLarge, URanker};
+        if own.scores != Wanted::All {
+            return Vec::new();
+        }
+        let each = [LpipsHeads, AlexNet, RaftLarge, URanker, Musiq].into_iter().filter_map(|net| {
+            let known = net.known();
+            let what = format!("the weights of {} ({})", known.title, known.used_for);
+            network(named, &what, &[net], "--set evaluate.scores=available")
+        });
+        each.collect()
+    }
+
+    /// Truth that exists next to a capture and cannot be read.
+    fn unreadable_truth(capture: &Path, checks: &Checks<'_>) -> Option<Lacking> {
+        // Reading all images of a truth takes long.
+        let fault =
+            checks.once("a truth is readable, 1", capture, || use3d_judge::truth::check_readable(capture));
+        fault.map(|reason| {
+            let remedy = format!("{reason}; write that file again, or rename the truth/ folder");
+            lacking("the truth beside a capture", remedy, "")
         })
-        .cost(0, 4 << 30)
+    }
 }
 
 /// One view in all its appearances.
@@ -407,10 +459,10 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         context.progress_with(i as u64, views.len() as u64, "views", &view.name);
         let mut now = evaluation.looker.view(view)?;
         if let Some(folder) = photographs {
-            now.images.push((Method::Photograph, read_image(&file(folder, view))?));
+            now.images.push((Method::Photograph, read_image(&proposal_of(folder, view))?));
         }
         if let Some(proposal) = now.of(Method::Proposal) {
-            write_png(&file(&enhanced_in_2d, view), proposal)?;
+            write_png(&proposal_of(&enhanced_in_2d, view), proposal)?;
         }
         let mask = mask(view)?;
         let judges = &evaluation.judges;
@@ -418,7 +470,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         if let Some(truth) = &true_view {
             let true_views = context.output().join(TRUE_VIEWS);
             folder(&true_views)?;
-            write_png(&file(&true_views, view), &truth.clean)?;
+            write_png(&proposal_of(&true_views, view), &truth.clean)?;
         }
         for (method, image) in &now.images {
             let mut scores: Scores = judges.alone(image, mask.as_ref());

@@ -3,35 +3,38 @@
 
 use std::path::{Component, Path, PathBuf};
 
-use serde_json::Value;
 use use3d_import::{ImportError, ImportParams, Imported, import, prepare};
 use use3d_io_colmap::ModelError;
 use use3d_io_image::ImageError;
 use use3d_workflow::content::Choice;
-use use3d_workflow::{Scope, Stage, StageContext, StageError};
+use use3d_workflow::{StageContext, StageError};
 
-use crate::parts::choices::choice_sources;
-use crate::parts::common::{out_of_range, read, write, write_json};
+use crate::parts::files::{choice_sources, out_of_range, read, write, write_json};
 use crate::parts::sights::{CaptureSights, SIGHTS, SightsError};
 
-pub(crate) fn stage() -> Stage {
-    Stage::new("import", Scope::Scene, run)
-        .about("read a capture folder: find model and images, undistort, resize, normalise, split")
-        .made_of(&[], &["src/import.rs"])
-        .promises(&["capture.json", "originals.json", "report.json", "images/"])
-        .check(|p: &ImportParams| p.validate().map_err(out_of_range))
-        .external("capture", "capture")
-        .select_by(|parameters, capture| {
-            Ok(Choice { files: files(parameters, capture)?, made_from: choice_sources(capture) })
-        })
-        .cost(0, 1 << 30)
+/// The stage in the table: what it reads, when it runs and what it needs. No byte of a result follows from it.
+pub(crate) mod definition {
+    use use3d_workflow::{Scope, Stage};
+
+    use super::*;
+
+    pub(crate) fn stage() -> Stage {
+        Stage::new("import", Scope::Scene, run)
+            .about("read a capture folder: find model and images, undistort, resize, normalise, split")
+            .promises(&["capture.json", "originals.json", "report.json", "images/"])
+            .check(|p: &ImportParams| p.validate().map_err(out_of_range))
+            .external("capture", "capture")
+            .select_by(|parameters, capture| {
+                Ok(Choice { files: files(parameters, capture)?, made_from: choice_sources(capture) })
+            })
+            .cost(0, 1 << 30)
+    }
 }
 
 /// The files of a capture folder that count in the key: those that the import would read, and no others in
 /// the folder. Hidden files among the views are listed by name, because a folder's digest skips them.
-fn files(parameters: &Value, capture: &Path) -> Result<Vec<PathBuf>, String> {
-    let params: ImportParams = serde_json::from_value(parameters.clone()).map_err(|e| e.to_string())?;
-    let imported = import(capture, &params).map_err(|e| e.to_string())?;
+fn files(params: &ImportParams, capture: &Path) -> Result<Vec<PathBuf>, String> {
+    let imported = import(capture, params).map_err(|e| e.to_string())?;
     let views = imported.capture.views.iter();
     let read =
         || views.clone().flat_map(|v| [Some(&v.image), v.mask.as_ref(), v.depth_prior.as_ref()]).flatten();
@@ -41,7 +44,7 @@ fn files(parameters: &Value, capture: &Path) -> Result<Vec<PathBuf>, String> {
     }
     let mut paths = imported.model_files.to_vec();
     let report = &imported.report;
-    let masks = params.mask_dir.unwrap_or_else(|| "masks".into());
+    let masks = params.mask_dir.clone().unwrap_or_else(|| "masks".into());
     let folders = [Some(&report.image_folder), Some(&masks), report.depth_folder.as_ref()];
     // The files are listed one by one: other files of these folders, which the model does not name, are not
     // part of the capture.

@@ -18,22 +18,23 @@ pub mod code;
 mod depth;
 mod engines;
 mod enhance;
-pub mod evaluate;
+mod evaluate;
 mod import;
 mod pairs;
 mod parts;
 mod photographs;
+mod planning;
 mod propose;
 mod reconstruct;
 mod render;
 pub mod report;
 mod targets;
 
-pub use depth::wanted as depth_wanted;
 pub use engines::{Drawn, close_devices};
 pub use parts::appearance::Appearance;
-pub use parts::common::{read_json, write_json};
-pub use parts::names::{CALIBRATED, CALIBRATOR, CAMERAS, CHOICES, TARGETS};
+pub use parts::files::{
+    CALIBRATED, CALIBRATOR, CAMERAS, CHOICES, SCORES, SPEED, TARGETS, read_json, write_json,
+};
 pub use parts::proposer::{ProposerChoice, open as open_proposer};
 pub use parts::water;
 pub use reconstruct::Choices;
@@ -45,24 +46,19 @@ use crate::code::built_in;
 /// The table of stages, with the shorthand keys of the pipeline file.
 pub fn registry() -> Result<Registry, BuildError> {
     let stages = vec![
-        import::stage(),
-        depth::stage(),
-        pairs::stage(),
-        calibrate::stage(),
-        propose::stage(),
-        reconstruct::stage(),
-        targets::stage(),
-        enhance::stage(),
-        photographs::stage(),
-        render::stage(),
-        evaluate::stage(),
-        report::stage(),
+        import::definition::stage(),
+        depth::definition::stage(),
+        pairs::definition::stage(),
+        calibrate::definition::stage(),
+        propose::definition::stage(),
+        reconstruct::definition::stage(),
+        targets::definition::stage(),
+        enhance::definition::stage(),
+        photographs::definition::stage(),
+        render::definition::stage(),
+        evaluate::definition::stage(),
+        report::definition::stage(),
     ];
-    let stages = stages
-        .into_iter()
-        .map(parts::memory::with_forecast)
-        .map(parts::requirements::with_requirements)
-        .collect();
     Ok(Registry::new(stages, built_in())?
         .shorthand("scene", "size", "import", "size")
         .shorthand("calibrator", "proposer", "pairs", "proposer")

@@ -10,11 +10,9 @@ use use3d_atc::extractor::ExtractorSettings;
 use use3d_atc::progress::LoopPosition;
 use use3d_capture::Image;
 use use3d_io_image::{images_by_stem, read_image};
-use use3d_workflow::{Scope, Stage, StageContext, StageError, leftovers};
+use use3d_workflow::{StageContext, StageError, leftovers};
 
-use crate::parts::calibrated::is_calibrated;
-use crate::parts::common::{go_on, out_of_range, write_json};
-use crate::parts::names::DATASET;
+use crate::parts::files::{DATASET, go_on, write_json};
 use crate::parts::proposer::{ProposerChoice, open};
 
 /// Parameters of the paired data.
@@ -42,21 +40,77 @@ impl Default for PairsParams {
     }
 }
 
-pub(crate) fn stage() -> Stage {
-    Stage::new("pairs", Scope::Shared, run)
-        .about("transitions and proposals of the paired images")
-        .made_of(&[], &["src/pairs.rs"])
-        .promises(&[DATASET])
-        .check(|p: &PairsParams| {
-            p.extractor.validate().map_err(|wrong| out_of_range(wrong.within("extractor")))?;
-            p.synthetic.validate().map_err(|wrong| out_of_range(wrong.within("synthetic")))
-        })
-        .optional_external("input", "pairs.input")
-        .optional_external("target", "pairs.target")
-        .optional_external("models", "models")
-        .select(crate::parts::weights::files_of_proposer)
-        .when_named(|all, named| is_calibrated(all) && !named.has("calibrator"))
-        .seeded()
+/// The stage in the table: what it reads, when it runs and what it needs. No byte of a result follows from it.
+pub(crate) mod definition {
+    use use3d_workflow::{AllParameters, Lacking, Named, Scope, Stage};
+
+    use crate::parts::files::out_of_range;
+    use crate::parts::weights::files_of_proposer;
+    use crate::planning::learns_a_calibrator;
+    use crate::planning::requirements::{lacking, unfound, weights};
+
+    use super::*;
+
+    pub(crate) fn stage() -> Stage {
+        Stage::new("pairs", Scope::Shared, run)
+            .about("transitions and proposals of the paired images")
+            .promises(&[DATASET])
+            .check(|p: &PairsParams| {
+                p.extractor.validate().map_err(|wrong| out_of_range(wrong.within("extractor")))?;
+                p.synthetic.validate().map_err(|wrong| out_of_range(wrong.within("synthetic")))
+            })
+            .optional_external("input", "pairs.input")
+            .optional_external("target", "pairs.target")
+            .optional_external("models", "models")
+            .select(|p: &PairsParams, models| files_of_proposer(p.proposer, models))
+            .when_named(learns_a_calibrator)
+            .requires(|all, named, _| missing(all, named))
+            .seeded()
+            .usually_costs(1.5, 0.0)
+    }
+
+    /// Fewest pairs that show how transitions vary.
+    const FEWEST_PAIRS: usize = 2;
+    /// The places where pairs are published.
+    const PAIRS: &str = "UIEB, LSUI or EUVP, docs/guide/datasets.md says where they are published";
+
+    fn missing(all: &AllParameters, named: &Named) -> Vec<Lacking> {
+        let Some(own) = all.of::<PairsParams>() else { return Vec::new() };
+        weights(all, named, ("pairs", own.proposer)).into_iter().chain(missing_pairs(own, named)).collect()
+    }
+
+    fn missing_pairs(own: &PairsParams, named: &Named) -> Vec<Lacking> {
+        let what = "the pairs of images that the calibrator learns from";
+        if !named.has("pairs.input") {
+            if own.stand_in {
+                return Vec::new();
+            }
+            let remedy =
+                format!("name two folders with --pairs INPUT TARGET or `calibrator.pairs` ({PAIRS})");
+            return vec![lacking(what, remedy, "--set pairs.stand_in=true")];
+        }
+        let unfound: Vec<String> =
+            ["pairs.input", "pairs.target"].iter().filter_map(|name| unfound(named, name)).collect();
+        if !unfound.is_empty() {
+            return vec![lacking(what, format!("{} ({PAIRS})", unfound.join("; ")), "")];
+        }
+        let (Some(input), Some(target)) = (named.path("pairs.input"), named.path("pairs.target")) else {
+            return Vec::new();
+        };
+        match list(input, target) {
+            Ok(found) if found.len() >= FEWEST_PAIRS => Vec::new(),
+            Ok(found) => {
+                let remedy = format!(
+                    "{} files of {} have a counterpart of the same stem in {}, and at least {FEWEST_PAIRS} are needed; pairs are matched by file stem",
+                    found.len(),
+                    input.display(),
+                    target.display()
+                );
+                vec![lacking("pairs with equal names", remedy, "")]
+            }
+            Err(error) => vec![lacking("the pairs of images", error.to_string(), "")],
+        }
+    }
 }
 
 fn run(context: &StageContext, params: &PairsParams) -> Result<(), StageError> {

@@ -8,19 +8,16 @@ use serde::{Deserialize, Serialize};
 use use3d_capture::{Camera, Image, View};
 use use3d_import::load_pixels;
 use use3d_io_image::write_png;
-use use3d_numerics::range::within;
 use use3d_photographs::Grid;
 use use3d_render::Mode;
 use use3d_scene::white::Gains;
-use use3d_workflow::{Scope, Stage, StageContext, StageError};
+use use3d_workflow::{StageContext, StageError};
 
 use crate::engines::EngineChoice;
 use crate::parts::appearance::Appearance;
 use crate::parts::captured::capture;
-use crate::parts::common::out_of_range;
-use crate::parts::drawn::drawn;
-use crate::parts::proposals::{asked_for, file};
-use crate::parts::scenes::scene;
+use crate::parts::files::proposal_of;
+use crate::parts::scene::{drawn, scene};
 
 /// Parameters of the enhanced photographs.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -31,15 +28,29 @@ pub(crate) struct Params {
     pub(crate) keep_light: f32,
 }
 
-pub(crate) fn stage() -> Stage {
-    Stage::new("photographs", Scope::Scene, run)
-        .about("the held-out photographs, enhanced by the scene")
-        .made_of(&[], &["src/photographs.rs"])
-        .check(|p: &Params| within("keep_light", p.keep_light, 0.0, 1.0).map_err(out_of_range))
-        .when(|all| !asked_for(all))
-        .input("import", "import")
-        .input("enhanced", "enhance")
-        .cost(0, 1 << 30)
+/// The stage in the table: what it reads, when it runs and what it needs. No byte of a result follows from it.
+pub(crate) mod definition {
+    use use3d_numerics::range::within;
+    use use3d_workflow::{Scope, Stage};
+
+    use crate::parts::files::out_of_range;
+    use crate::planning::learns_from_proposals;
+    use crate::planning::memory::{PROGRAM, gaussians, largest};
+
+    use super::*;
+
+    pub(crate) fn stage() -> Stage {
+        Stage::new("photographs", Scope::Scene, run)
+            .about("the held-out photographs, enhanced by the scene")
+            .delivers("photographs-held-out")
+            .check(|p: &Params| within("keep_light", p.keep_light, 0.0, 1.0).map_err(out_of_range))
+            .when(|all| !learns_from_proposals(all))
+            .input("import", "import")
+            .input("enhanced", "enhance")
+            .usually_costs(1.5, 0.0)
+            .cost(0, 1 << 30)
+            .memory(|_: &Params, inputs| Some(PROGRAM + 900 * largest(inputs)? + 600 * gaussians(inputs)?))
+    }
 }
 
 fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
@@ -72,7 +83,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         let mut pixels = photograph.to_interleaved();
         graded.grade.map.apply(&mut pixels, w);
         let image = Image::from_interleaved(w, h, &pixels).unwrap_or(photograph);
-        write_png(&file(context.output(), view), &image)?;
+        write_png(&proposal_of(context.output(), view), &image)?;
     }
     Ok(())
 }

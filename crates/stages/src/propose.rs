@@ -8,10 +8,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_import::load_pixels;
 use use3d_io_image::write_png;
-use use3d_workflow::{Scope, Stage, StageContext, StageError};
+use use3d_workflow::{StageContext, StageError};
 
 use crate::parts::captured::capture;
-use crate::parts::proposals::{asked_for, file};
+use crate::parts::files::proposal_of;
 use crate::parts::proposer::{ProposerChoice, open};
 
 /// Parameters of the proposals.
@@ -22,16 +22,35 @@ pub(crate) struct Params {
     pub(crate) proposer: ProposerChoice,
 }
 
-pub(crate) fn stage() -> Stage {
-    Stage::new("propose", Scope::Scene, run)
-        .about("enhance every photograph on its own, to reconstruct from")
-        .made_of(&[], &["src/propose.rs"])
-        .check(|p: &Params| p.proposer.for_photographs())
-        .input("import", "import")
-        .optional_external("models", "models")
-        .select(crate::parts::weights::files_of_proposer)
-        .when(asked_for)
-        .cost(0, 4 << 30)
+/// The stage in the table: what it reads, when it runs and what it needs. No byte of a result follows from it.
+pub(crate) mod definition {
+    use use3d_workflow::{Scope, Stage};
+
+    use crate::parts::weights::{files_of_proposer, proposer_files};
+    use crate::planning::learns_from_proposals;
+    use crate::planning::memory::{NETWORK_PER_PIXEL, PROGRAM, largest, networks};
+    use crate::planning::requirements::weights;
+
+    use super::*;
+
+    pub(crate) fn stage() -> Stage {
+        Stage::new("propose", Scope::Scene, run)
+            .about("enhance every photograph on its own, to reconstruct from")
+            .check(|p: &Params| p.proposer.for_photographs())
+            .input("import", "import")
+            .optional_external("models", "models")
+            .select(|p: &Params, models| files_of_proposer(p.proposer, models))
+            .when(learns_from_proposals)
+            .requires(|all, named, _| {
+                let own = all.of::<Params>().map_or_else(Default::default, |p| p.proposer);
+                weights(all, named, ("propose", own)).into_iter().collect()
+            })
+            .cost(0, 4 << 30)
+            .memory(|_: &Params, inputs| {
+                let pixels = largest(inputs)?;
+                Some(PROGRAM + 120 * pixels + networks(inputs, proposer_files, NETWORK_PER_PIXEL * pixels))
+            })
+    }
 }
 
 fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
@@ -42,7 +61,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         context.alive()?;
         context.progress_with(i as u64, capture.views.len() as u64, "views", &view.name);
         let proposal = proposer.enhance(&load_pixels(view)?.to_image())?;
-        write_png(&file(context.output(), view), &proposal)?;
+        write_png(&proposal_of(context.output(), view), &proposal)?;
     }
     Ok(())
 }

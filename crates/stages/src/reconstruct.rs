@@ -11,14 +11,12 @@ use use3d_reconstruct::{
 };
 use use3d_scene::{Origin, Scene};
 use use3d_water::WaterParams;
-use use3d_workflow::{Figure, Scope, Stage, StageContext, StageError};
+use use3d_workflow::{Figure, StageContext, StageError};
 
 use crate::engines;
 use crate::parts::captured::{capture, imported, write_cameras};
-use crate::parts::common::{out_of_range, write, write_json};
 use crate::parts::contact_sheet::sheet;
-use crate::parts::names::{CHOICES, CONTACT, EVALUATION, WATER};
-use crate::parts::proposals;
+use crate::parts::files::{CHOICES, CONTACT, EVALUATION, WATER, proposal_of, write, write_json};
 use crate::parts::watch::Watch;
 use crate::parts::water::{Judgement, WaterReport, by_verdict, found_water, from_tracks};
 
@@ -50,22 +48,36 @@ struct HeldOut<'a> {
     held_out: &'a Option<Evaluation>,
 }
 
-pub(crate) fn stage() -> Stage {
-    Stage::new("reconstruct", Scope::Scene, run)
-        .about("stage 1: reconstruct the scene with its water")
-        .made_of(&[], &["src/reconstruct.rs"])
-        .promises(&["scene.json", "gaussians.ply", "training.jsonl"])
-        .check(|p: &ReconstructParams| p.validate().map_err(out_of_range))
-        .check(engines::check::<ReconstructParams>)
-        .computes_on(engines::class::<ReconstructParams>)
-        .input("import", "import")
-        .optional_input("proposals", "propose")
-        .optional_input("depth", "depth")
-        .seeded()
-        .resumable(&["iterations"])
-        .without_effect(&["checkpoint_steps", "checkpoint_minutes", "engine"])
-        .agrees_across_classes(&FIGURES)
-        .cost(0, 4 << 30)
+/// The stage in the table: what it reads, when it runs and what it needs. No byte of a result follows from it.
+pub(crate) mod definition {
+    use use3d_workflow::{Scope, Stage};
+
+    use crate::parts::files::out_of_range;
+    use crate::planning::memory::{PROGRAM, extent, size};
+
+    use super::*;
+
+    pub(crate) fn stage() -> Stage {
+        Stage::new("reconstruct", Scope::Scene, run)
+            .about("stage 1: reconstruct the scene with its water")
+            .promises(&["scene.json", "gaussians.ply", "training.jsonl"])
+            .delivers("scene")
+            .check(|p: &ReconstructParams| p.validate().map_err(out_of_range))
+            .check(engines::check::<ReconstructParams>)
+            .computes_on(engines::class::<ReconstructParams>)
+            .input("import", "import")
+            .optional_input("proposals", "propose")
+            .optional_input("depth", "depth")
+            .seeded()
+            .resumable(&["iterations"])
+            .without_effect(&["checkpoint_steps", "checkpoint_minutes", "engine"])
+            .agrees_across_classes(&FIGURES)
+            .usually_costs(3.0, 0.0194)
+            .cost(0, 4 << 30)
+            .memory(|p: &ReconstructParams, inputs| {
+                Some(PROGRAM + memory_need(&size(&extent(inputs)?), p).likely)
+            })
+    }
 }
 
 /// Loads a view's files at the size of its camera. The pixels are those of `pixels`, another image of the
@@ -169,7 +181,7 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
     let mut learnt_from = capture.clone();
     if params.images == Images::Proposed {
         let folder = context.input("proposals")?;
-        learnt_from.views.iter_mut().for_each(|view| view.image = proposals::file(folder, view));
+        learnt_from.views.iter_mut().for_each(|view| view.image = proposal_of(folder, view));
     }
     let load = |view: &View| {
         let pixels = learnt_from.views.iter().find(|v| v.name == view.name);

@@ -8,15 +8,13 @@ use serde::{Deserialize, Serialize};
 use use3d_capture::Raster;
 use use3d_import::load_pixels;
 use use3d_io_image::{read_image, read_map, write_exr_map, write_png, write_png8};
-use use3d_numerics::range::within;
 use use3d_render::{Mode, Rendering, picture};
-use use3d_workflow::{AlikeFiles, Scope, Stage, StageContext, StageError};
+use use3d_workflow::{AlikeFiles, StageContext, StageError};
 
-use crate::engines::{self, EngineChoice};
+use crate::engines::EngineChoice;
 use crate::parts::captured::capture;
-use crate::parts::common::{folder, out_of_range};
-use crate::parts::drawn::drawn;
-use crate::parts::scenes::shown_scene;
+use crate::parts::files::folder;
+use crate::parts::scene::{drawn, shown_scene};
 
 /// The largest difference between two drawings of one scene in two classes of arithmetic: the last bits of a
 /// kernel's results, and occasionally a pixel on an edge.
@@ -48,21 +46,34 @@ impl Default for Params {
     }
 }
 
-pub(crate) fn stage() -> Stage {
-    Stage::new("render", Scope::Scene, run)
-        .about("pictures of the held-out views")
-        .made_of(&[], &["src/render.rs"])
-        .promises(&["captured/"])
-        .check(|p: &Params| within("strength", p.strength, 0.0, 1.0).map_err(out_of_range))
-        .check(|p: &Params| within("water", p.water, 0.0, 1.0).map_err(out_of_range))
-        .check(|p: &Params| engines::check(&p.engine))
-        .computes_on(|p: &Params| engines::class(&p.engine))
-        .files_agree_across_classes(&ALIKE)
-        .without_effect(&["engine"])
-        .input("import", "import")
-        .input("scene", "reconstruct")
-        .optional_input("enhanced", "enhance")
-        .cost(0, 1 << 30)
+/// The stage in the table: what it reads, when it runs and what it needs. No byte of a result follows from it.
+pub(crate) mod definition {
+    use use3d_numerics::range::within;
+    use use3d_workflow::{Scope, Stage};
+
+    use crate::engines;
+    use crate::parts::files::out_of_range;
+    use crate::planning::memory::{PROGRAM, gaussians, largest};
+
+    use super::*;
+
+    pub(crate) fn stage() -> Stage {
+        Stage::new("render", Scope::Scene, run)
+            .about("pictures of the held-out views")
+            .promises(&["captured/"])
+            .delivers("renders")
+            .check(|p: &Params| within("strength", p.strength, 0.0, 1.0).map_err(out_of_range))
+            .check(|p: &Params| within("water", p.water, 0.0, 1.0).map_err(out_of_range))
+            .check(|p: &Params| engines::check(&p.engine))
+            .computes_on(|p: &Params| engines::class(&p.engine))
+            .files_agree_across_classes(&ALIKE)
+            .without_effect(&["engine"])
+            .input("import", "import")
+            .input("scene", "reconstruct")
+            .optional_input("enhanced", "enhance")
+            .cost(0, 1 << 30)
+            .memory(|_: &Params, inputs| Some(PROGRAM + 270 * largest(inputs)? + 600 * gaussians(inputs)?))
+    }
 }
 
 /// The mean absolute difference of two pictures, in display range.

@@ -13,11 +13,13 @@ use use3d_io_image::read_image;
 use use3d_reconstruct::ReconstructParams;
 use use3d_render::{Mode, WaterSample, medium_along, medium_profile};
 use use3d_scene::Scene;
-use use3d_workflow::{Scope, Stage, StageContext, StageError, StageInput};
+use use3d_workflow::{StageContext, StageError, StageInput};
 
 use crate::parts::calibrator::read_calibrator;
-use crate::parts::common::{folder, read, read_json, write, write_json};
-use crate::parts::names::{CHOICES, CONTACT, ENHANCED_IN_2D, SCORES, STRIP, TRUE_VIEWS, WATER};
+use crate::parts::files::{
+    CHOICES, CONTACT, ENHANCED_IN_2D, SCORES, STRIP, TRUE_VIEWS, WATER, folder, read, read_json, write,
+    write_json,
+};
 use crate::parts::proposer::NO_PROPOSER;
 use crate::reconstruct::Choices;
 use use3d_chart::{Plot, RGB, Series};
@@ -47,21 +49,26 @@ impl Default for Params {
     }
 }
 
-pub(crate) fn stage() -> Stage {
-    Stage::new("report", Scope::Batch, run)
-        .about("tables and one page about the whole batch")
-        // The tables show the digests of the score files.
-        .made_of(&[], &["src/report.rs"])
-        .promises(&["index.html", "scores.json"])
-        .input("calibrator", "calibrate")
-        .or_external("calibrator")
-        .input("import", "import")
-        .input("scene", "reconstruct")
-        .optional_input("targets", "targets")
-        .optional_input("enhanced", "enhance")
-        .optional_input("photographs", "photographs")
-        .optional_input("renders", "render")
-        .optional_input("scores", "evaluate")
+/// The stage in the table: what it reads, when it runs and what it needs. No byte of a result follows from it.
+pub(crate) mod definition {
+    use use3d_workflow::{Scope, Stage};
+
+    use super::*;
+
+    pub(crate) fn stage() -> Stage {
+        Stage::new("report", Scope::Batch, run)
+            .about("tables and one page about the whole batch")
+            .promises(&["index.html", "scores.json"])
+            .input("calibrator", "calibrate")
+            .or_external("calibrator")
+            .input("import", "import")
+            .input("scene", "reconstruct")
+            .optional_input("targets", "targets")
+            .optional_input("enhanced", "enhance")
+            .optional_input("photographs", "photographs")
+            .optional_input("renders", "render")
+            .optional_input("scores", "evaluate")
+    }
 }
 
 /// The artifacts of one scene in one variant.

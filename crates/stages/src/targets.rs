@@ -8,17 +8,14 @@ use use3d_atc::progress::LoopPosition;
 use use3d_capture::View;
 use use3d_io_image::{write_png, write_png_map};
 use use3d_splat::Rasterizer;
-use use3d_workflow::{Figure, Scope, Stage, StageContext, StageError};
+use use3d_workflow::{Figure, StageContext, StageError};
 
 use crate::engines::{self, EngineChoice};
-use crate::parts::calibrated::is_calibrated;
 use crate::parts::captured::capture;
-use crate::parts::common::{folder, go_on, write, write_json};
+use crate::parts::files::{CALIBRATED, TARGETS, folder, go_on, write, write_json};
 use crate::parts::kept_water::KeptWaterChoice;
-use crate::parts::names::{CALIBRATED, TARGETS};
-use crate::parts::proposals::asked_for;
 use crate::parts::proposer::ProposerChoice;
-use crate::parts::scenes::scene;
+use crate::parts::scene::scene;
 use crate::parts::starts::Starts;
 
 /// The pictures that transitions start from.
@@ -99,26 +96,108 @@ impl Params {
 /// be visible in only one of them.
 const FIGURES: [Figure; 1] = [Figure { file: "report.json", at: "/supported", within: 20.0 }];
 
-pub(crate) fn stage() -> Stage {
-    Stage::new("targets", Scope::Scene, run)
-        .about("appearance transition consensus: scene-global and Gaussian-local targets")
-        .made_of(&[], &["src/targets.rs"])
-        .promises(&[TARGETS, "report.json"])
-        .when(|all| !asked_for(all))
-        .input("import", "import")
-        .input("scene", "reconstruct")
-        .input("calibrator", "calibrate")
-        .or_external("calibrator")
-        .only_when(is_calibrated)
-        .optional_external("models", "models")
-        .select(crate::parts::weights::files_of_proposer)
-        .seeded()
-        .check(|p: &Params| p.kept_water.check())
-        .check(|p: &Params| engines::check(&p.engine))
-        .computes_on(|p: &Params| engines::class(&p.engine))
-        .without_effect(&["engine"])
-        .agrees_across_classes(&FIGURES)
-        .cost(0, 2 << 30)
+/// The stage in the table: what it reads, when it runs and what it needs. No byte of a result follows from it.
+pub(crate) mod definition {
+    use use3d_workflow::{AllParameters, Lacking, Named, Scope, Stage};
+
+    use crate::pairs::PairsParams;
+    use crate::parts::calibrator::read_calibrator;
+    use crate::parts::proposer::of_calibrator;
+    use crate::parts::weights::{files_of_proposer, proposer_files};
+    use crate::planning::memory::{PROGRAM, gaussians, largest, networks};
+    use crate::planning::requirements::{lacking, nu2net, unfound, weights};
+    use crate::planning::{is_calibrated, learns_from_proposals};
+
+    use super::*;
+
+    pub(crate) fn stage() -> Stage {
+        Stage::new("targets", Scope::Scene, run)
+            .about("appearance transition consensus: scene-global and Gaussian-local targets")
+            .promises(&[TARGETS, "report.json"])
+            .delivers("targets")
+            .when(|all| !learns_from_proposals(all))
+            .input("import", "import")
+            .input("scene", "reconstruct")
+            .input("calibrator", "calibrate")
+            .or_external("calibrator")
+            .only_when(is_calibrated)
+            .optional_external("models", "models")
+            .select(|p: &Params, models| files_of_proposer(p.proposer, models))
+            .requires(|all, named, _| missing(all, named).into_iter().collect())
+            .seeded()
+            .check(|p: &Params| p.kept_water.check())
+            .check(|p: &Params| engines::check(&p.engine))
+            .computes_on(|p: &Params| engines::class(&p.engine))
+            .without_effect(&["engine"])
+            .agrees_across_classes(&FIGURES)
+            .usually_costs(1.5, 0.0)
+            .cost(0, 2 << 30)
+            .memory(|_: &Params, inputs| {
+                let network = networks(inputs, proposer_files, 0);
+                Some(PROGRAM + 135 * largest(inputs)? + 700 * gaussians(inputs)? + network)
+            })
+    }
+
+    /// Checks that the calibrator of the targets was fitted for the requested proposer.
+    fn missing(all: &AllParameters, named: &Named) -> Option<Lacking> {
+        let own = all.of::<Params>()?;
+        let choice = own.proposer;
+        if named.has("calibrator") {
+            if let Some(problem) = unfound(named, "calibrator") {
+                return Some(lacking("the calibrator", problem, ""));
+            }
+            if choice == ProposerChoice::Scene {
+                let remedy = format!(
+                    "{} names one, but `targets.proposer = \"scene\"` uses none: calibrators are fitted to \
+                     photographs; leave one of the two out",
+                    named.by("calibrator")
+                );
+                return Some(lacking(
+                    "a pipeline without a calibrator",
+                    remedy,
+                    "--set targets.proposer=auto",
+                ));
+            }
+            let calibrator = match read_calibrator(named.path("calibrator")?) {
+                Ok(calibrator) => calibrator,
+                Err(error) => return Some(lacking("a calibrator that can be read", error.to_string(), "")),
+            };
+            let models = named.path("models").filter(|dir| dir.is_dir());
+            if calibrator.proposer.name == "nu2net"
+                && matches!(choice, ProposerChoice::Auto | ProposerChoice::Nu2net)
+                && let Some(missing) = nu2net(all, named, "targets")
+            {
+                // A calibrator works only with the enhancer that it was fitted for.
+                return Some(Lacking { without: String::new(), ..missing });
+            }
+            let opened = of_calibrator(choice, &calibrator.proposer.name, models)
+                .and_then(|p| calibrator.proposer.require(&p.id()).map_err(|e| e.to_string()));
+            return opened.err().map(|problem| lacking("a calibrator for the proposer in use", problem, ""));
+        }
+        if let Some((problem, without)) = own.conflict() {
+            return Some(lacking("parameters of the targets that go together", problem, without));
+        }
+        if !is_calibrated(all) {
+            return None;
+        }
+        let fitted = match all.of::<PairsParams>()?.proposer {
+            ProposerChoice::Auto if nu2net(all, named, "pairs").is_some() => ProposerChoice::Fusion,
+            ProposerChoice::Auto => ProposerChoice::Nu2net,
+            other => other,
+        };
+        if choice == ProposerChoice::Nu2net && nu2net(all, named, "targets").is_some() {
+            return weights(all, named, ("targets", choice));
+        }
+        if choice == ProposerChoice::Auto || choice == fitted {
+            return None;
+        }
+        let [fitted, asked] = [fitted, choice].map(ProposerChoice::name);
+        let remedy = format!(
+            "the calibrator is fitted for `pairs.proposer`, which is `{fitted}` here, and `targets.proposer` is `{asked}`; give both the same"
+        );
+        let without = format!("--set targets.proposer={fitted}");
+        Some(lacking("a calibrator for the proposer in use", remedy, without))
+    }
 }
 
 fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {

@@ -47,11 +47,6 @@ impl SizeArgs {
         let side = self.max_side.iter().map(|n| Spelled::new("--max-side", "import", "max_side", n));
         size.chain(side).collect()
     }
-
-    /// The same in the form of `--set`.
-    pub(crate) fn sets(&self) -> Vec<String> {
-        self.spelled().iter().map(Spelled::set).collect()
-    }
 }
 
 /// A flag that stands for a setting.

@@ -12,7 +12,7 @@ use use3d_pipeline::bench::output;
 use use3d_pipeline::bench::picture::{Sheet, sheet};
 use use3d_pipeline::bench::runs::{DEFAULT, LearntFrom, Recipe, STAGES};
 use use3d_pipeline::config::{LoadOptions, Pipeline, from_text};
-use use3d_stages::{ProposerChoice, evaluate::SCORES, open_proposer, read_json};
+use use3d_stages::{ProposerChoice, SCORES, open_proposer, read_json};
 use use3d_workflow::machine::seconds;
 use use3d_workflow::plan::State;
 use use3d_workflow::{Builder, Cache, Event, Graph, Plan, RunOptions, Summary, place};
@@ -23,8 +23,8 @@ use crate::destination::path_text;
 use crate::error::{CliError, Done};
 use crate::output::json;
 use crate::size::parse_size;
+use crate::verbs::by_hand::scratch;
 use crate::verbs::loaded::stages;
-use crate::verbs::stages::scratch;
 use crate::verbs::synth::keep_capture;
 
 /// Seconds of a training step per pixel, on two cores, if no earlier run gives a better value: 8 ms at

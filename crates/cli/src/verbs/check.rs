@@ -13,13 +13,12 @@ use use3d_stages::water::{Judgement, from_tracks};
 use use3d_water::WaterParams;
 
 use crate::App;
-use crate::args::CheckArgs;
+use crate::args::{CheckArgs, Spelled};
 use crate::destination::{check_file, path_text, word, write_text};
 use crate::error::{CliError, Done};
 use crate::interrupt;
 use crate::output::show;
-use crate::verbs::loaded::stages;
-use crate::verbs::stages::{imported, parameters, scratch};
+use crate::verbs::by_hand::{ByHand, scratch};
 
 /// The longer side of a small picture, pixels.
 const SMALL: usize = 320;
@@ -35,17 +34,18 @@ pub(crate) fn run(app: &App, args: &CheckArgs) -> Done {
     if let Some(file) = &args.html {
         check_file("--html", file, args.replace.force, &["html", "htm"])?;
     }
-    let registry = stages()?;
-    let mut sets = vec![format!("max_side={}", args.max_side)];
-    sets.extend(args.settings.set.iter().cloned());
-    let parameters = parameters(&registry, &["import"], &sets)?;
+    let hand = ByHand {
+        flags: vec![Spelled::new("--max-side", "import", "max_side", args.max_side)],
+        sets: args.settings.set.clone(),
+        ..ByHand::import_of(&args.capture)
+    };
     let scratch = scratch()?;
-    let folder = imported(app, &registry, &args.capture, &parameters[0], scratch.path())?;
+    let folder = hand.imported(app, scratch.path(), None, false)?;
     let capture = load_prepared(&folder).map_err(CliError::input)?;
     // An import stores neither the capture's name nor the files that it does not use.
     let mut listed = capture.report.clone();
     if !is_prepared(&args.capture) {
-        let given: ImportParams = serde_json::from_value(parameters[0].clone()).map_err(CliError::failed)?;
+        let given: ImportParams = hand.parameters(scratch.path())?;
         let original =
             import(&args.capture, &ImportParams { max_side: 0, ..given }).map_err(CliError::input)?;
         listed = original.report;
@@ -93,10 +93,9 @@ pub(crate) fn run(app: &App, args: &CheckArgs) -> Done {
 
 /// The gravest faults of a capture that its model shows, in lines, before a run. No picture is read. An error
 /// of the capture gives no line: the run itself reports it.
-pub(crate) fn before_run(capture: &Path, parameters: &serde_json::Value) -> Vec<String> {
+pub(crate) fn before_run(capture: &Path, params: &ImportParams) -> Vec<String> {
     const MOST: usize = 3;
-    let Ok(params) = serde_json::from_value::<ImportParams>(parameters.clone()) else { return Vec::new() };
-    let Ok(imported) = import(capture, &params) else { return Vec::new() };
+    let Ok(imported) = import(capture, params) else { return Vec::new() };
     let Ok(figures) = measure::<Infallible>(&imported.capture, &imported.tracks(), None);
     let mut lines = examine(&imported.report, figures, None, metres(&imported)).gravest(MOST);
     if !lines.is_empty() {

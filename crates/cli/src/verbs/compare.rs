@@ -9,7 +9,7 @@ use use3d_judge::scores::{Method, SceneScores};
 use use3d_report::page::{Page, Picture, SceneSection, ViewSection};
 use use3d_report::tables::{Better, Cell, Column, Row, Table};
 use use3d_report::verdict::{Sentence, Tone};
-use use3d_stages::evaluate::SCORES;
+use use3d_stages::SCORES;
 use use3d_stages::read_json;
 use use3d_stages::report::best_method;
 use use3d_workflow::manifest::MANIFEST;

@@ -8,14 +8,13 @@ use use3d_capture::{Image, shown};
 use use3d_io_image::{image_size, images_by_stem, read_image};
 use use3d_judge::scores::{Method, SceneScores, Score, Scores};
 use use3d_judge::scoring::Judges;
-use use3d_stages::{evaluate::SCORES, read_json};
+use use3d_stages::{SCORES, read_json};
 use use3d_workflow::machine::{available_memory, bytes};
 
 use crate::App;
 use crate::args::{EvaluateArgs, TableFormat};
 use crate::error::{CliError, Done};
-use crate::verbs::loaded::stages;
-use crate::verbs::stages::{check_origin, imported, parameters, run_stage, scratch};
+use crate::verbs::by_hand::{ByHand, scratch};
 use crate::{interrupt, output};
 
 /// A named row of scores.
@@ -138,22 +137,23 @@ fn scene_rows(
     scene: &Path,
     capture: &Path,
 ) -> Result<Vec<ScoreRow>, CliError> {
-    let registry = stages()?;
-    let sets = [args.size.sets(), args.settings.set.clone()].concat();
-    let parameters = parameters(&registry, &["evaluate", "import"], &sets)?;
+    let mut hand = ByHand {
+        flags: args.size.spelled(),
+        sets: args.settings.set.clone(),
+        models: args.models.as_deref(),
+        ..ByHand::on(capture, "evaluate")
+    };
+    let is_enhanced = scene.join("ubaf.safetensors").is_file();
+    hand.given.extend([
+        ("scene", Some(scene.to_path_buf())),
+        ("enhanced", is_enhanced.then(|| scene.to_path_buf())),
+        ("reference", args.warp_by.clone()),
+        ("proposals", None),
+        ("photographs", None),
+    ]);
     let scratch = scratch()?;
-    let import = imported(app, &registry, capture, &parameters[1], scratch.path())?;
-    check_origin(scene, &import, true)?;
-    let mut inputs = vec![("import", import), ("scene", scene.to_path_buf())];
-    if scene.join("ubaf.safetensors").is_file() {
-        inputs.push(("enhanced", scene.to_path_buf()));
-    }
-    inputs.extend(args.models.clone().map(|dir| ("models", dir)));
-    inputs.extend(args.warp_by.clone().map(|dir| ("reference", dir)));
-    // A synthetic capture has its truth beside its images.
-    inputs.push(("truth", capture.to_path_buf()));
-    let out = scratch.path().join("evaluate");
-    run_stage(app, &registry, "evaluate", &parameters[0], inputs, &out)?;
+    hand.imported(app, scratch.path(), Some(scene), true)?;
+    let out = hand.run(app, scratch.path())?;
     let scores: SceneScores = read_json(&out.join(SCORES)).map_err(CliError::failed)?;
     let mut rows = Vec::new();
     for method in Method::ALL {

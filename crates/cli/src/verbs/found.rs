@@ -74,7 +74,7 @@ mod tests {
 
     #[test]
     fn a_results_folder_means_its_scene_and_the_enhanced_one_first() {
-        let app = App { quiet: true, seed: 42, threads: 1, stop: Arc::default(), listener: Arc::new(Silent) };
+        let app = App { quiet: true, threads: 1, stop: Arc::default(), listener: Arc::new(Silent) };
         let dir = tempfile::tempdir().unwrap();
         let scene = |path: &str| {
             let folder = dir.path().join(path);

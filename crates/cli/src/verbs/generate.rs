@@ -6,7 +6,7 @@ use clap_complete::generate;
 use crate::args::{Cli, CompletionsArgs, ManArgs};
 use crate::destination::{check_file, copy_file};
 use crate::error::{CliError, Done};
-use crate::verbs::stages::scratch;
+use crate::verbs::by_hand::scratch;
 
 pub(crate) fn completions(args: &CompletionsArgs) -> Done {
     let mut text = Vec::new();

@@ -3,6 +3,7 @@
 pub(crate) mod bench;
 pub(crate) mod bench_gpu;
 mod bench_read;
+pub(crate) mod by_hand;
 pub(crate) mod cache;
 pub(crate) mod check;
 pub(crate) mod compare;
@@ -28,7 +29,6 @@ pub(crate) mod render;
 pub(crate) mod results;
 pub(crate) mod run;
 pub(crate) mod speed;
-pub(crate) mod stages;
 pub(crate) mod submit;
 pub(crate) mod synth;
 pub(crate) mod view;

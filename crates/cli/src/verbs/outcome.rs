@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use serde::Serialize;
 use use3d_judge::scores::{Method, MethodScores, SceneScores, Scores};
 use use3d_pipeline::results::Delivered;
-use use3d_stages::{evaluate::SCORES, read_json, report::best_method};
+use use3d_stages::{SCORES, read_json, report::best_method};
 use use3d_workflow::Summary;
 use use3d_workflow::place::PlaceError;
 

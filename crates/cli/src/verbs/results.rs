@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 use use3d_judge::scores::{Method, SceneScores};
-use use3d_stages::evaluate::SCORES;
+use use3d_stages::SCORES;
 use use3d_stages::read_json;
 use use3d_workflow::cache::Lookup;
 use use3d_workflow::{Cache, machine};

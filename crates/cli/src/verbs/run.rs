@@ -21,6 +21,7 @@ use crate::args::{
 use crate::destination::path_text;
 use crate::error::{CliError, Done};
 use crate::output;
+use crate::verbs::by_hand::scratch;
 use crate::verbs::check;
 use crate::verbs::history::{self, RunRecord};
 use crate::verbs::loaded::{Loaded, open, real};
@@ -28,7 +29,6 @@ use crate::verbs::outcome::{self, Outcome};
 use crate::verbs::photographs;
 use crate::verbs::prepare;
 use crate::verbs::remote::of_run;
-use crate::verbs::stages::scratch;
 use crate::verbs::synth::keep_capture;
 use crate::verbs::view::watched;
 use crate::verbs::white;
@@ -207,7 +207,8 @@ fn tell_faults(loaded: &Loaded, plan: &Plan, target: &Path) {
     let imports = |node: &&PlannedNode| node.stage == IMPORT && matches!(node.state, State::Run(_));
     let anew = target.is_dir() && plan.nodes.iter().any(|node| imports(&node) && !node.had);
     let node = loaded.graph.nodes.iter().find(|node| node.stage_name == IMPORT).filter(|_| anew);
-    let lines = node.map_or_else(Vec::new, |node| check::before_run(target, &node.parameters));
+    let params = node.and_then(|node| node.parameters.of());
+    let lines = params.map_or_else(Vec::new, |params| check::before_run(target, params));
     lines.iter().for_each(|line| eprintln!("{line}"));
 }
 
@@ -306,7 +307,7 @@ fn execute(
 ) -> Done {
     let mut listener = out.map_or_else(|| app.listener.clone(), |out| delivering(app, out));
     if let Some(plan) = &given.plan {
-        let whole = WholeRun::new(plan, &loaded.graph, options.only.as_deref(), options.jobs);
+        let whole = WholeRun::new(plan, options.only.as_deref(), options.jobs);
         listener = whole.listener(listener);
     }
     let summary = loaded.builder.run(&loaded.graph, options, &listener);

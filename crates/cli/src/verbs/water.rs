@@ -9,15 +9,16 @@ use crate::args::WaterArgs;
 use crate::error::{CliError, Done};
 use crate::interrupt;
 use crate::output::show;
-use crate::verbs::loaded::stages;
-use crate::verbs::stages::{imported, parameters, scratch};
+use crate::verbs::by_hand::{ByHand, scratch};
 
 pub(crate) fn run(app: &App, args: &WaterArgs) -> Done {
-    let registry = stages()?;
-    let sets = [args.size.sets(), args.settings.set.clone()].concat();
-    let parameters = parameters(&registry, &["import"], &sets)?;
+    let hand = ByHand {
+        flags: args.size.spelled(),
+        sets: args.settings.set.clone(),
+        ..ByHand::import_of(&args.capture)
+    };
     let scratch = scratch()?;
-    let folder = imported(app, &registry, &args.capture, &parameters[0], scratch.path())?;
+    let folder = hand.imported(app, scratch.path(), None, false)?;
     let capture = load_prepared(&folder).map_err(CliError::input)?;
     let (capture, water) = interrupt::unless_stopped(move || {
         let water = from_tracks(&folder, &capture, &WaterParams::default());

@@ -4,16 +4,11 @@ use super::*;
 const STAGES: [&str; 7] = ["import", "reconstruct", "targets", "enhance", "render", "evaluate", "report"];
 
 fn default_run(started: Instant) -> WholeRun {
-    let steps = |stage: &str| match stage {
-        "reconstruct" => 3000.0,
-        "enhance" => 1000.0,
-        _ => 0.0,
-    };
-    let part = |stage| Share {
-        cost: usual_cost(stage, steps(stage)),
-        forecast: None,
-        turn: Turn::Pending,
-        needs: Vec::new(),
+    let registry = use3d_stages::registry().expect("the stages");
+    let part = |stage| {
+        let stage = registry.stage(stage).expect("a stage");
+        let parameters = stage.parameters(&serde_json::json!({})).expect("defaults");
+        Share { cost: stage.usual_cost(&parameters), forecast: None, turn: Turn::Pending, needs: Vec::new() }
     };
     WholeRun { parts: STAGES.map(part).to_vec(), jobs: 1, started, drawn: None }
 }

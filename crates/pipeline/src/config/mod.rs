@@ -56,7 +56,6 @@ use places::{
 };
 pub use presets::{preset_values, presets};
 pub use schema::{schema, schema_text};
-pub use set::stage_parameters;
 
 /// Settings that the command line adds to a pipeline file.
 #[derive(Clone, Debug, Default)]
@@ -113,6 +112,12 @@ pub fn for_capture(
     let mut scene = BatchScene { name: name.clone(), ..BatchScene::default() };
     scene.name_external("capture", Ok(whole), "the command line");
     let batch = Batch { name, seed: file::default_seed(), scenes: vec![scene], ..Batch::default() };
+    finish(registry, batch, None, None, options)
+}
+
+/// A pipeline with default parameters and without captures, for the stages that are made once for all scenes.
+pub fn without_captures(registry: &Registry, options: &LoadOptions) -> Result<Pipeline, ConfigError> {
+    let batch = Batch { name: "shared".into(), seed: file::default_seed(), ..Batch::default() };
     finish(registry, batch, None, None, options)
 }
 

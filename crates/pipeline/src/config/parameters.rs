@@ -52,9 +52,10 @@ pub fn parameters(
     let chosen = registry.stages().iter().filter(|s| stage.is_none_or(|name| s.name() == name));
     let of = |stage: &Stage| {
         let table = &schema["properties"]["defaults"]["properties"][stage.name()]["allOf"][0];
-        let defaults = stage.parameters(&json!({})).unwrap_or(Value::Null);
+        let of = |given: &Value| stage.parameters(given).map_or(Value::Null, |p| Value::clone(p.json()));
+        let defaults = of(&json!({}));
         let given = preset.get(stage.name()).cloned().unwrap_or_else(|| json!({}));
-        let values = stage.parameters(&given).unwrap_or(Value::Null);
+        let values = of(&given);
         let mut parameters = Vec::new();
         list(&schema, table, [&defaults, &values], "", &mut parameters);
         StageParameters { stage: stage.name(), about: stage.about, parameters }

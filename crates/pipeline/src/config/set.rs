@@ -90,21 +90,6 @@ pub(super) fn apply(registry: &Registry, batch: &mut Batch, setting: &str) -> Re
     set(top, key, &mut batch.forced)
 }
 
-/// The parameters of a single stage: its defaults, changed by `KEY=VALUE` settings whose keys are the stage's
-/// own.
-pub fn stage_parameters(stage: &Stage, sets: &[String]) -> Result<Value, ConfigError> {
-    let mut given = Overrides::new();
-    for setting in sets {
-        let (key, text, value) = split(setting)?;
-        let own = key.strip_prefix(stage.name()).and_then(|k| k.strip_prefix('.')).unwrap_or(key);
-        let nested = typed(stage, own, &value, text)
-            .map_err(|e| ConfigError::plain(format!("--set {setting}: {}", words(&e))))?;
-        merge_into(&mut given, stage.name(), &nested, true);
-    }
-    let given = given.remove(stage.name()).unwrap_or_else(|| Value::Object(Map::new()));
-    stage.parameters(&given).map_err(|e| ConfigError::plain(words(&e)))
-}
-
 /// Splits a setting into the key, the value as written, and the value as TOML reads it.
 fn split(setting: &str) -> Result<(&str, &str, Value), ConfigError> {
     let (key, value) = setting.split_once('=').ok_or_else(|| {

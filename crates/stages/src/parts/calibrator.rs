@@ -6,8 +6,7 @@ use std::path::Path;
 use use3d_atc::calibrator::Calibrator;
 use use3d_workflow::StageError;
 
-use super::common::read;
-use super::names::CALIBRATOR;
+use super::files::{CALIBRATOR, read};
 
 /// Far more bytes than any calibrator has; a larger file must be something else.
 const LARGEST_FILE: u64 = 1 << 30;

@@ -6,8 +6,7 @@ use use3d_capture::{Camera, Capture};
 use use3d_import::{Imported, camera_list};
 use use3d_workflow::{StageContext, StageError};
 
-use super::common::write_json;
-use super::names::CAMERAS;
+use super::files::{CAMERAS, write_json};
 
 /// Loads what the import stage prepared: the capture with the tracks of its points.
 pub(crate) fn imported(context: &StageContext) -> Result<Imported, StageError> {

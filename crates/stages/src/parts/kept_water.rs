@@ -9,9 +9,8 @@ use use3d_capture::{KeptWater, View};
 use use3d_scene::{KnownViews, Scene};
 use use3d_workflow::{StageContext, StageError};
 
-use super::common::read_json;
+use super::files::{WATER, read_json};
 use super::judgement::Judgement;
-use super::names::WATER;
 
 /// `"auto"`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]

@@ -1,21 +1,14 @@
 //! The parts that several stages share.
 
 pub(crate) mod appearance;
-pub(crate) mod calibrated;
 pub(crate) mod calibrator;
 pub(crate) mod captured;
-pub(crate) mod choices;
-pub(crate) mod common;
 pub(crate) mod contact_sheet;
-pub(crate) mod drawn;
+pub(crate) mod files;
 pub(crate) mod judgement;
 pub(crate) mod kept_water;
-pub(crate) mod memory;
-pub(crate) mod names;
-pub(crate) mod proposals;
 pub(crate) mod proposer;
-pub(crate) mod requirements;
-pub(crate) mod scenes;
+pub(crate) mod scene;
 pub(crate) mod sights;
 pub(crate) mod starts;
 pub(crate) mod watch;

@@ -32,6 +32,16 @@ const NO_PHOTOGRAPHS: &str = "`scene` works on a reconstructed scene and not on 
      `targets` only; choose auto, nu2net or fusion here";
 
 impl ProposerChoice {
+    /// The name of the choice in pipeline files.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::Nu2net => "nu2net",
+            Self::Fusion => "fusion",
+            Self::Scene => "scene",
+        }
+    }
+
     /// Refuses a proposer that does not enhance photographs, as the error of the parameter `proposer`.
     pub(crate) fn for_photographs(self) -> Result<(), (String, String)> {
         if self == Self::Scene { Err(("proposer".into(), NO_PHOTOGRAPHS.into())) } else { Ok(()) }
@@ -114,12 +124,7 @@ pub(crate) fn of_calibrator(
     recorded: &str,
     models: Option<&Path>,
 ) -> Result<Box<dyn Proposer>, String> {
-    let asked = match choice {
-        ProposerChoice::Auto => recorded,
-        ProposerChoice::Nu2net => "nu2net",
-        ProposerChoice::Fusion => "fusion",
-        ProposerChoice::Scene => "scene",
-    };
+    let asked = if choice == ProposerChoice::Auto { recorded } else { choice.name() };
     if asked != recorded {
         return Err(format!(
             "the calibrator was fitted for the proposer `{recorded}`, but `{asked}` is requested; choose \

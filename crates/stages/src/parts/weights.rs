@@ -2,9 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use serde_json::Value;
-
 use use3d_nets::{Models, Network};
+
+use super::proposer::ProposerChoice;
 
 /// The networks that have the weights of Nu2Net: one of them is enough.
 pub(crate) const NU2NET: [Network; 2] = [Network::Nu2NetReleased, Network::Nu2Net];
@@ -14,14 +14,14 @@ pub(crate) fn proposer_files(models: &Path) -> Vec<PathBuf> {
     model_files(models, &NU2NET)
 }
 
-/// The files in a models folder that the proposer of these parameters reads, relative to it. If the
+/// The files in a models folder that a proposer of this choice reads, relative to it. If the
 /// parameters name a proposer whose weights are missing, the error lists the files to put there.
-pub(crate) fn files_of_proposer(parameters: &Value, models: &Path) -> Result<Vec<PathBuf>, String> {
-    if parameters["proposer"] == "fusion" || parameters["proposer"] == "scene" {
+pub(crate) fn files_of_proposer(proposer: ProposerChoice, models: &Path) -> Result<Vec<PathBuf>, String> {
+    if matches!(proposer, ProposerChoice::Fusion | ProposerChoice::Scene) {
         return Ok(Vec::new());
     }
     let files = proposer_files(models);
-    if files.is_empty() && parameters["proposer"] == "nu2net" {
+    if files.is_empty() && proposer == ProposerChoice::Nu2net {
         return Err(not_there("Nu2Net", &NU2NET, models));
     }
     Ok(files)

@@ -6,15 +6,17 @@
 //! point to the first node with the same identity.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use serde_json::{Map, Value};
 
 use crate::cache::{canonical, joined};
 use crate::error::{BuildError, ParameterError};
-use crate::stage::definition::{Scope, Source, Stage};
+use crate::stage::definition::{Scope, Source};
 pub use crate::stage::inputs::External;
-use crate::stage::inputs::{AllParameters, Named};
+use crate::stage::inputs::Named;
+use crate::stage::parameters::{AllParameters, Parameters};
 use crate::stage::registry::Registry;
 use use3d_code::digest::{Digest, Encoder};
 
@@ -36,6 +38,9 @@ pub struct Batch {
     pub defaults: Overrides,
     /// Parameters that win over everything: those of the command line.
     pub forced: Overrides,
+    /// Finished results of stages from outside, by the role in which stages read them. They are read in place
+    /// of the stages' own results; `None` is read as an absent optional input.
+    pub given: BTreeMap<&'static str, Option<PathBuf>>,
     /// Files and folders for all scenes, by name.
     pub externals: BTreeMap<String, External>,
     /// The places where the user named them, by name: `` `calibrator.file` in reefs.toml ``. For messages
@@ -122,7 +127,7 @@ impl Batch {
 
 /// The source of a node's input.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) enum From {
+pub(crate) enum InputSource {
     Node(usize),
     External(External),
 }
@@ -130,7 +135,7 @@ pub(crate) enum From {
 #[derive(Clone, Debug)]
 pub(crate) struct NodeInput {
     pub(crate) role: &'static str,
-    pub(crate) from: From,
+    pub(crate) from: InputSource,
     /// The place where the user named it; empty for a stage's artifact.
     pub(crate) named: String,
     /// The input's place in the stage's list.
@@ -165,8 +170,10 @@ pub struct Node {
     pub scene: String,
     /// The variant's name; empty where there are none.
     pub variant: String,
+    /// The folder of its result among a scene's results; `None` for a result that stays in the cache.
+    pub delivered: Option<&'static str>,
     /// Its parameters, defaults filled in. Nodes with equal parameters share them.
-    pub parameters: Arc<Value>,
+    pub parameters: Parameters,
     /// The name of the preset below its parameters; empty for none. For people only.
     pub preset: String,
     /// The seed of its random draws; `None` for a stage without random draws.
@@ -187,8 +194,8 @@ impl NodeInput {
     /// The node whose artifact it is; `None` for an input from outside.
     pub(crate) fn node(&self) -> Option<usize> {
         match self.from {
-            From::Node(node) => Some(node),
-            From::External(_) => None,
+            InputSource::Node(node) => Some(node),
+            InputSource::External(_) => None,
         }
     }
 }
@@ -263,9 +270,9 @@ impl Graph {
             for input in &node.inputs {
                 encoder.text(input.role);
                 match &input.from {
-                    From::Node(node) => encoder.number(*node as u64),
-                    From::External(Ok(path)) => encoder.text(&path.to_string_lossy()),
-                    From::External(Err(reason)) => encoder.text(reason),
+                    InputSource::Node(node) => encoder.number(*node as u64),
+                    InputSource::External(Ok(path)) => encoder.text(&path.to_string_lossy()),
+                    InputSource::External(Err(reason)) => encoder.text(reason),
                 };
             }
         }
@@ -364,7 +371,7 @@ struct GraphBuilder<'a> {
 struct Merged {
     all: Arc<AllParameters>,
     /// The parameters of each stage, which nodes share, and their digests.
-    each: BTreeMap<&'static str, (Arc<Value>, Digest)>,
+    each: BTreeMap<&'static str, (Parameters, Digest)>,
 }
 
 impl GraphBuilder<'_> {
@@ -382,20 +389,19 @@ impl GraphBuilder<'_> {
             return Ok(known.clone());
         }
         let all = self.merge(scene, variant)?;
-        let shared = |stage: &Stage| {
-            let value = all[stage.name].clone();
-            let digest =
-                canonical::encode(&value, &mut Encoder::new("use3d 2026 node parameters v1")).finish();
-            (stage.name, (Arc::new(value), digest))
+        let digested = |(stage, parameters): (&&'static str, &Parameters)| {
+            let mut encoder = Encoder::new("use3d 2026 node parameters v1");
+            let digest = canonical::encode(parameters.json(), &mut encoder).finish();
+            (*stage, (parameters.clone(), digest))
         };
-        let each = self.registry.stages().iter().map(shared).collect();
+        let each = all.by_stage.iter().map(digested).collect();
         let merged = Arc::new(Merged { all: Arc::new(all), each });
         self.merged.insert(key, merged.clone());
         Ok(merged)
     }
 
     fn merge(&self, scene: Option<&BatchScene>, variant: &Variant) -> Result<AllParameters, BuildError> {
-        let mut all = AllParameters::new();
+        let mut all = AllParameters::default();
         for stage in self.registry.stages() {
             let scene = scene.filter(|_| stage.scope == Scope::Scene);
             let variant = Some(variant).filter(|_| stage.scope != Scope::Batch);
@@ -416,7 +422,7 @@ impl GraphBuilder<'_> {
                 place: place_label(scene, variant, stage.name),
                 error,
             })?;
-            all.insert(stage.name.to_string(), parameters);
+            all.by_stage.insert(stage.name, parameters);
         }
         Ok(all)
     }
@@ -489,10 +495,23 @@ impl GraphBuilder<'_> {
                 };
                 let made = |scene_name: &str, variant: &Variant, stage: &'static str| {
                     let node = self.place.get(&(scene_name.to_string(), variant.name.clone(), stage))?;
-                    Some((From::Node(*node), String::new()))
+                    Some((InputSource::Node(*node), String::new()))
                 };
+                let results = self.batch.given.get(input.role).filter(|_| external.is_none());
+                if let Some(given) = results {
+                    let by = "the command line".to_string();
+                    let given = given.clone().map(|path| (InputSource::External(Ok(path)), by));
+                    inputs.extend(given.map(|(from, named)| NodeInput {
+                        role: input.role,
+                        from,
+                        named,
+                        index: i,
+                        cell: None,
+                    }));
+                    continue;
+                }
                 let found = match (external.and_then(|name| given.places.get(name)), &input.source) {
-                    (Some((place, by)), _) => Some((From::External(place.clone()), by.clone())),
+                    (Some((place, by)), _) => Some((InputSource::External(place.clone()), by.clone())),
                     (None, Source::External(_)) => None,
                     _ if input.needed.as_ref().is_some_and(|needed| !needed(all)) => continue,
                     (None, Source::Reference(stage)) => reference.and_then(|r| made(scene_name, r, stage)),
@@ -542,7 +561,7 @@ impl GraphBuilder<'_> {
                     Source::Stage(maker) | Source::Reference(maker) => (input.instead, Some(maker)),
                 };
                 let found = match external.and_then(|name| given.places.get(name)) {
-                    Some((place, by)) => Some((From::External(place.clone()), by.clone())),
+                    Some((place, by)) => Some((InputSource::External(place.clone()), by.clone())),
                     None if maker.is_none() && !input.optional => {
                         Some((missing(&input.source), String::new()))
                     }
@@ -555,7 +574,7 @@ impl GraphBuilder<'_> {
                     let group = groups.get(node.scene.as_str()).copied().unwrap_or_default().to_string();
                     let (scene, variant) = (node.scene.clone(), node.variant.clone());
                     let cell = Some(Box::new(InputCell { scene, group, variant }));
-                    inputs.push(make(From::Node(n), String::new(), cell));
+                    inputs.push(make(InputSource::Node(n), String::new(), cell));
                 }
             }
             let seed = stage.seeded.then_some(self.batch.seed);
@@ -582,10 +601,10 @@ impl GraphBuilder<'_> {
             let cell = input.cell();
             identity.text(input.role).text(&cell.scene).text(&cell.variant);
             match &input.from {
-                From::Node(node) => identity.bytes(self.nodes[*node].identity.as_bytes()),
-                From::External(Ok(path)) => identity.text(&path.to_string_lossy()),
+                InputSource::Node(node) => identity.bytes(self.nodes[*node].identity.as_bytes()),
+                InputSource::External(Ok(path)) => identity.text(&path.to_string_lossy()),
                 // A missing file of one scene is not the same input as a missing file of another scene.
-                From::External(Err(reason)) => identity.text(reason).text(&scene),
+                InputSource::External(Err(reason)) => identity.text(reason).text(&scene),
             };
         }
         let identity = identity.finish();
@@ -596,6 +615,7 @@ impl GraphBuilder<'_> {
         self.nodes.push(Node {
             stage,
             stage_name: name,
+            delivered: self.registry.stages()[stage].delivered,
             scene,
             variant,
             parameters: parameters.clone(),
@@ -610,8 +630,8 @@ impl GraphBuilder<'_> {
 }
 
 /// The source of an input that is needed and cannot be found.
-fn missing(source: &Source) -> From {
-    From::External(Err(match source {
+fn missing(source: &Source) -> InputSource {
+    InputSource::External(Err(match source {
         Source::External(name) => format!("the pipeline does not say where `{name}` is"),
         Source::Stage(name) | Source::Reference(name) => {
             format!("it needs the stage `{name}`, which these parameters switch off")

@@ -59,6 +59,9 @@ pub struct PlannedNode {
     pub changes: Vec<Difference>,
     /// Its estimated cost.
     pub forecast: Option<Forecast>,
+    /// Its usual cost, in the unit of [`Stage::usually_costs`](crate::Stage::usually_costs).
+    #[serde(skip)]
+    pub usual_cost: f64,
     /// Estimated memory in bytes, from those of its inputs that exist; `None` where there is no estimate.
     pub memory: Option<u64>,
     /// The node that does the same work, for display.
@@ -178,7 +181,8 @@ impl Builder {
             outcomes[i] = self.plan_node(graph, i, &outcomes, &record, &mut planned);
             if matches!(planned.state, State::Run(_) | State::Waiting(_)) {
                 let stage = &self.registry.stages()[node.stage];
-                planned.forecast = timings.forecast(stage.name, &node.scene, resolve::length(stage, node));
+                planned.usual_cost = stage.usual_cost(&node.parameters);
+                planned.forecast = timings.forecast(stage.name, &node.scene, stage.length(&node.parameters));
                 let memory = stage.memory_on(&node.parameters, &resolve::there(graph, i, &outcomes));
                 planned.memory = (memory > 0).then_some(memory);
             }

@@ -8,8 +8,8 @@ use crate::cache::canonical;
 use crate::cache::content::Content;
 use crate::cache::key::{Ingredients, InputDigest, Key};
 use crate::plan::builder::Builder;
-use crate::plan::graph::{From, Graph, InputCell, Node, NodeInput};
-use crate::stage::definition::{Scope, Stage};
+use crate::plan::graph::{Graph, InputCell, InputSource, Node, NodeInput};
+use crate::stage::definition::Scope;
 use crate::stage::inputs::StageInput;
 use use3d_code::digest::{Digest, Encoder};
 
@@ -72,7 +72,7 @@ impl Builder {
         let mut bytes = 0;
         for input in &node.inputs {
             let (digest, path) = match &input.from {
-                From::Node(parent) => match &outcomes[*parent] {
+                InputSource::Node(parent) => match &outcomes[*parent] {
                     Outcome::Open => {
                         // One node may be several inputs: stage 1, for example, is both the scene and the
                         // geometry for comparison.
@@ -93,8 +93,8 @@ impl Builder {
                     }
                 },
                 // An optional input need not be named; a named input must exist.
-                From::External(Err(reason)) => return Err(input_error(input, reason)),
-                From::External(Ok(path)) => {
+                InputSource::External(Err(reason)) => return Err(input_error(input, reason)),
+                InputSource::External(Ok(path)) => {
                     let found = self.external(node, input, path);
                     let (select, content) = found.map_err(|reason| input_error(input, &reason))?;
                     bytes += content.bytes;
@@ -160,18 +160,18 @@ impl Builder {
         for (name, digest) in &self.registry.code(node.stage).ours {
             who.text(name).bytes(digest.as_bytes());
         }
-        canonical::encode(&node.parameters, &mut who).finish()
+        canonical::encode(node.parameters.json(), &mut who).finish()
     }
 }
 
 /// The inputs of a node that exist already, for forecasts.
 pub(crate) fn there(graph: &Graph, node: usize, outcomes: &[Outcome]) -> Vec<StageInput> {
     let path = |input: &NodeInput| match &input.from {
-        From::Node(parent) => match &outcomes[*parent] {
+        InputSource::Node(parent) => match &outcomes[*parent] {
             Outcome::Ready(artifact) => Some(artifact.path.clone()),
             Outcome::Open | Outcome::Unavailable(_) => None,
         },
-        From::External(place) => place.clone().ok().filter(|path| path.exists()),
+        InputSource::External(place) => place.clone().ok().filter(|path| path.exists()),
     };
     let given = |input: &NodeInput| {
         let InputCell { scene, group, variant } = input.cell();
@@ -183,10 +183,4 @@ pub(crate) fn there(graph: &Graph, node: usize, outcomes: &[Outcome]) -> Vec<Sta
 fn input_error(input: &NodeInput, reason: &str) -> Unresolved {
     let by = if input.named.is_empty() { String::new() } else { format!(", named by {}", input.named) };
     Unresolved::Input(format!("input `{}`{by}: {reason}", input.role))
-}
-
-/// The product of the parameters that set the length of a stage's work.
-pub(crate) fn length(stage: &Stage, node: &Node) -> f64 {
-    let of = |path: &&str| canonical::at(&node.parameters, path).and_then(serde_json::Value::as_f64);
-    stage.length_like.iter().filter_map(of).product()
 }

@@ -17,7 +17,7 @@ use crate::error::{FileError, StageError};
 use crate::plan::builder::Builder;
 use crate::plan::graph::Node;
 use crate::plan::history::Timing;
-use crate::plan::resolve::{self, Resolved};
+use crate::plan::resolve::Resolved;
 use crate::share::lease::{Asked, HEARTBEAT, Lease};
 use crate::share::pulse::Progress;
 use crate::share::remote::{Fetched, RemoteError, RemoteStore, Sent};
@@ -29,7 +29,7 @@ pub(crate) enum Ended {
     /// The artifact exists; `computed` is true if this process just computed it.
     Ready { artifact: Arc<Artifact>, computed: bool, seconds: f64 },
     /// The job failed.
-    Failed(String),
+    Failed(StageError),
     /// The job was stopped.
     Cancelled,
     /// Another process computes the node; the text names it. The resolved node waits.
@@ -60,7 +60,7 @@ impl Job<'_> {
             Ok(Turn::Made(artifact)) => return Ended::Ready { artifact, computed: false, seconds: 0.0 },
             Ok(Turn::Cancelled) => return Ended::Cancelled,
             Ok(Turn::Held(holder)) => return Ended::Held(holder, self.resolved),
-            Err(error) => return Ended::Failed(error.to_string()),
+            Err(error) => return Ended::Failed(error.into()),
         };
         let damaged_there = match self.fetch(lease.as_deref()) {
             Brought::Artifact(artifact) => {
@@ -86,7 +86,7 @@ impl Job<'_> {
             // An error is no failure of the stage if one of its inputs was removed or damaged meanwhile.
             Err(error) => match self.damaged_input().or_else(|| self.unreadable_input(&error)) {
                 Some(parent) => Ended::DamagedInput(parent),
-                None => Ended::Failed(error.to_string()),
+                None => Ended::Failed(error),
             },
         }
     }
@@ -316,7 +316,7 @@ impl Job<'_> {
         cache.add_timing(&Timing {
             stage: stage.name.to_string(),
             scene: self.node.scene.clone(),
-            length: resolve::length(stage, self.node),
+            length: stage.length(&self.node.parameters),
             bytes: self.resolved.bytes,
             seconds: artifact.manifest.full_seconds(),
             peak_memory,

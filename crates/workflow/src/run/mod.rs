@@ -1,6 +1,6 @@
 //! The work: a batch or one stage is run, a cache is verified and cleaned, and artifacts are transferred.
 
-pub(crate) mod alone;
+mod again;
 pub mod gc;
 pub(crate) mod job;
 pub(crate) mod runner;

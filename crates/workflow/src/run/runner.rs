@@ -27,7 +27,7 @@ use std::time::{Duration, Instant};
 use crate::cache::artifacts::{Artifact, Lookup};
 use crate::cache::key::{Ingredients, Key};
 use crate::cache::machine;
-use crate::error::FileError;
+use crate::error::{FileError, StageError};
 use crate::plan::builder::Builder;
 use crate::plan::graph::Graph;
 use crate::plan::history::Timings;
@@ -214,6 +214,7 @@ impl<'r> Runner<'r> {
             seconds: 0.0,
             shared: node.same_as.is_some(),
             parameters: node.parameters.clone(),
+            delivered: node.delivered,
             preset: node.preset.clone(),
             seed: node.seed,
             artifact: None,
@@ -444,7 +445,9 @@ impl<'r> Runner<'r> {
             // It is examined again when they exist.
             Err(Unresolved::Waiting(_)) => return,
             Err(Unresolved::Blocked(by)) => return self.block(i, by),
-            Err(Unresolved::Input(reason)) => return self.fail(i, None, reason),
+            Err(Unresolved::Input(reason)) => {
+                return self.fail(i, None, &StageError::bad_input_message(reason));
+            }
         };
         self.lease.extend([resolved.key]);
         let found = self.look_up(i, &resolved.key, true);
@@ -495,7 +498,7 @@ impl<'r> Runner<'r> {
                 self.warn(i, &format!("its artifact is damaged: {reason}; {place}, computing it again"));
             }
             Err(error) => {
-                self.fail(i, Some(resolved.key), error.to_string());
+                self.fail(i, Some(resolved.key), &error.into());
                 return true;
             }
         }
@@ -602,7 +605,7 @@ impl<'r> Runner<'r> {
                 let result = if computed { Became::Done } else { Became::Cached };
                 self.ready(i, artifact, result, seconds, ingredients);
             }
-            Ended::Failed(reason) => self.fail(i, key, reason),
+            Ended::Failed(error) => self.fail(i, key, &error),
             Ended::Cancelled => {
                 self.outcomes[i] = Outcome::Unavailable("the interruption".to_string());
                 self.over(i);
@@ -620,7 +623,7 @@ impl<'r> Runner<'r> {
                         "{whose} was damaged or removed repeatedly; check the disk, and look for another \
                          program that removes files in {root}"
                     );
-                    self.fail(i, key, reason);
+                    self.fail(i, key, &StageError::message(reason));
                     return;
                 }
                 self.phase[i] = Phase::Pending;

@@ -107,7 +107,7 @@ impl Display for Summary {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         printable(f, |f| {
             for node in self.failed() {
-                if let Became::Failed { reason, log } = &node.result {
+                if let Became::Failed { reason, log, .. } = &node.result {
                     writeln!(f, "failed   {}: {reason}\n         log: {}", node.label, log.display())?;
                 }
             }

@@ -14,7 +14,8 @@ use crate::cache::key::DeviceClass;
 use crate::error::{ParameterError, StageError};
 use crate::stage::agree::{Agreement, AlikeFiles, Figure};
 use crate::stage::context::StageContext;
-use crate::stage::inputs::{AllParameters, Named, StageInput};
+use crate::stage::inputs::{Named, StageInput};
+use crate::stage::parameters::{AllParameters, Parameters};
 use crate::stage::require::{Checks, Lacking, Requires};
 
 /// The set over which a stage is made once.
@@ -44,7 +45,7 @@ pub enum Source {
 
 /// Chooses the files of an external input that a stage reads, relative to the input's path, from the
 /// parameters.
-pub type Select = Arc<dyn Fn(&Value, &Path) -> Result<Choice, String> + Send + Sync>;
+pub type Select = Arc<dyn Fn(&Parameters, &Path) -> Result<Choice, String> + Send + Sync>;
 
 /// A condition on the parameters of all stages: true if an artifact is read.
 pub(super) type Needed = Arc<dyn Fn(&AllParameters) -> bool + Send + Sync>;
@@ -67,18 +68,18 @@ pub struct Input {
     pub needed: Option<Needed>,
 }
 
-/// Fills in the defaults of parameters, or returns the problem with them.
-type Canonicalise = Arc<dyn Fn(&Value) -> Result<Value, ParameterError> + Send + Sync>;
+/// Reads parameters and fills in their defaults, or returns the problem with them.
+type Read = Arc<dyn Fn(&Value) -> Result<Parameters, ParameterError> + Send + Sync>;
 type Condition = Arc<dyn Fn(&AllParameters, &Named) -> bool + Send + Sync>;
 /// Returns true if the other variants are compared with a variant of these parameters.
 type IsReference = Arc<dyn Fn(&AllParameters) -> bool + Send + Sync>;
 /// Bytes of memory, from the parameters and from the inputs that exist.
-type Memory = Arc<dyn Fn(&Value, &[StageInput]) -> Option<u64> + Send + Sync>;
+type Memory = Arc<dyn Fn(&Parameters, &[StageInput]) -> Option<u64> + Send + Sync>;
 /// The device that the stage computes on, from its parameters.
-type Device = Arc<dyn Fn(&Value) -> Option<DeviceClass> + Send + Sync>;
-type Run = Arc<dyn Fn(&StageContext, &Value) -> Result<(), StageError> + Send + Sync>;
+type Device = Arc<dyn Fn(&Parameters) -> Option<DeviceClass> + Send + Sync>;
+type Run = Arc<dyn Fn(&StageContext, &Parameters) -> Result<(), StageError> + Send + Sync>;
 
-/// A stage; see the [module documentation](super) for an example.
+/// A stage; the first page of this crate has an example.
 #[derive(Clone)]
 pub struct Stage {
     pub(crate) name: &'static str,
@@ -87,7 +88,8 @@ pub struct Stage {
     pub(crate) version: u32,
     pub(crate) scope: Scope,
     pub(crate) crates: &'static [&'static str],
-    pub(crate) sources: &'static [&'static str],
+    /// Files and folders of the crate that holds the stages; `None` is the file of its name.
+    pub(crate) sources: Option<&'static [&'static str]>,
     /// Its inputs.
     pub inputs: Vec<Input>,
     /// True if the pipeline's seed is part of its key.
@@ -100,13 +102,17 @@ pub struct Stage {
     /// The rule by which its artifacts of two classes of arithmetic agree; `None` promises the same bytes
     /// everywhere.
     pub agreement: Option<Agreement>,
+    /// The folder of its result among a scene's results; `None` for a result that stays in the cache.
+    pub delivered: Option<&'static str>,
+    /// Its usual cost: a fixed part, and a part for each unit of its length.
+    usual_cost: [f64; 2],
     pub(crate) cores: usize,
     pub(crate) memory: u64,
     pub(crate) memory_of: Option<Memory>,
     pub(crate) condition: Option<Condition>,
     pub(crate) requires: Option<Requires>,
     pub(crate) reference: Option<IsReference>,
-    pub(crate) canonicalise: Canonicalise,
+    pub(crate) read: Read,
     pub(crate) schema: fn(&mut SchemaGenerator) -> Schema,
     pub(crate) run: Run,
 }
@@ -122,7 +128,7 @@ impl Stage {
         run: impl Fn(&StageContext, &P) -> Result<(), StageError> + Send + Sync + 'static,
     ) -> Self
     where
-        P: Serialize + DeserializeOwned + JsonSchema + 'static,
+        P: Serialize + DeserializeOwned + JsonSchema + Send + Sync + 'static,
     {
         Self {
             name,
@@ -130,7 +136,7 @@ impl Stage {
             version: 1,
             scope,
             crates: &[],
-            sources: &[],
+            sources: None,
             inputs: Vec::new(),
             seeded: false,
             length_like: &[],
@@ -138,17 +144,18 @@ impl Stage {
             promises: &[],
             device: None,
             agreement: None,
+            delivered: None,
+            usual_cost: [0.3, 0.0],
             cores: 0,
             memory: 0,
             memory_of: None,
             condition: None,
             requires: None,
             reference: None,
-            canonicalise: Arc::new(canonicalise::<P>),
+            read: Arc::new(Parameters::read::<P>),
             schema: |generator| generator.subschema_for::<P>(),
-            run: Arc::new(move |context, value| {
-                let parameters: P = serde_path_to_error::deserialize(value).map_err(StageError::failed)?;
-                run(context, &parameters)
+            run: Arc::new(move |context, parameters| {
+                run(context, parameters.of().ok_or_else(|| StageError::message(OTHER_TYPE))?)
             }),
         }
     }
@@ -166,11 +173,12 @@ impl Stage {
         Self { version, ..self }
     }
 
-    /// Sets its code: crates of the workspace (with all crates they depend on), and files or folders of this
-    /// crate.
+    /// Sets its code: crates of the workspace (with all crates they depend on), and files or folders of the
+    /// crate that holds the stages. Without this, its code is the file `src/NAME.rs` of that crate, with
+    /// everything that it uses.
     #[must_use]
     pub fn made_of(self, crates: &'static [&'static str], sources: &'static [&'static str]) -> Self {
-        Self { crates, sources, ..self }
+        Self { crates, sources: Some(sources), ..self }
     }
 
     /// Reads the artifact of `stage` as `role`.
@@ -228,9 +236,9 @@ impl Stage {
     /// Selects the files of the input added last that count, from the parameters (paths relative to the
     /// input; folders count with everything below). A path that does not exist is skipped.
     #[must_use]
-    pub fn select(
+    pub fn select<P: 'static>(
         self,
-        choose: impl Fn(&Value, &Path) -> Result<Vec<PathBuf>, String> + Send + Sync + 'static,
+        choose: impl Fn(&P, &Path) -> Result<Vec<PathBuf>, String> + Send + Sync + 'static,
     ) -> Self {
         self.select_by(move |parameters, input| choose(parameters, input).map(Choice::from))
     }
@@ -238,10 +246,12 @@ impl Stage {
     /// Like [`select`](Self::select), for slow choices: the choice is stored and used as long as its sources
     /// do not change.
     #[must_use]
-    pub fn select_by(
+    pub fn select_by<P: 'static>(
         self,
-        choose: impl Fn(&Value, &Path) -> Result<Choice, String> + Send + Sync + 'static,
+        choose: impl Fn(&P, &Path) -> Result<Choice, String> + Send + Sync + 'static,
     ) -> Self {
+        let choose =
+            move |parameters: &Parameters, input: &Path| choose(parameters.of().ok_or(OTHER_TYPE)?, input);
         self.with_last(|input| input.select = Some(Arc::new(choose)))
     }
 
@@ -290,11 +300,11 @@ impl Stage {
     /// Sets the device it computes on with given parameters, or `None` for the processor alone. The device is
     /// part of its class of arithmetic, and so of its key.
     #[must_use]
-    pub fn computes_on<P: DeserializeOwned + 'static>(
+    pub fn computes_on<P: 'static>(
         self,
         device: impl Fn(&P) -> Option<DeviceClass> + Send + Sync + 'static,
     ) -> Self {
-        let device = move |value: &Value| device(&serde_json::from_value(value.clone()).ok()?);
+        let device = move |parameters: &Parameters| device(parameters.of()?);
         Self { device: Some(Arc::new(device)), ..self }
     }
 
@@ -323,14 +333,26 @@ impl Stage {
     /// already (a plan knows some of them, a run all). Where the estimate is `None`, the memory of
     /// [`cost`](Self::cost) counts. It affects only which stages run at the same time, never a result.
     #[must_use]
-    pub fn memory<P: DeserializeOwned + 'static>(
+    pub fn memory<P: 'static>(
         self,
         estimate: impl Fn(&P, &[StageInput]) -> Option<u64> + Send + Sync + 'static,
     ) -> Self {
-        let estimate = move |value: &Value, inputs: &[StageInput]| {
-            estimate(&serde_json::from_value(value.clone()).ok()?, inputs)
-        };
+        let estimate =
+            move |parameters: &Parameters, inputs: &[StageInput]| estimate(parameters.of()?, inputs);
         Self { memory_of: Some(Arc::new(estimate)), ..self }
+    }
+
+    /// Sets the folder of its result among a scene's results.
+    #[must_use]
+    pub fn delivers(self, folder: &'static str) -> Self {
+        Self { delivered: Some(folder), ..self }
+    }
+
+    /// Sets its usual cost, in any unit that all stages share: a fixed part, and a part for each unit of its
+    /// length. It only serves to say how long a run will take.
+    #[must_use]
+    pub fn usually_costs(self, fixed: f64, of_a_step: f64) -> Self {
+        Self { usual_cost: [fixed, of_a_step], ..self }
     }
 
     /// Requests it only if this condition on the parameters of all stages is true.
@@ -364,17 +386,16 @@ impl Stage {
     /// Refuses parameters that parse but make no sense; the error names the field (dotted path) and the
     /// expected value.
     #[must_use]
-    pub fn check<P: DeserializeOwned + 'static>(
+    pub fn check<P: 'static>(
         mut self,
         check: impl Fn(&P) -> Result<(), (String, String)> + Send + Sync + 'static,
     ) -> Self {
-        let inner = self.canonicalise;
-        self.canonicalise = Arc::new(move |value| {
-            let value = inner(value)?;
-            let parameters: P =
-                serde_json::from_value(value.clone()).map_err(|e| ParameterError::from_serde(&e))?;
-            check(&parameters).map_err(|(path, message)| ParameterError::new(path, message))?;
-            Ok(value)
+        let read = self.read;
+        self.read = Arc::new(move |given| {
+            let parameters = read(given)?;
+            let typed = parameters.of().ok_or_else(|| ParameterError::new("", OTHER_TYPE.to_string()))?;
+            check(typed).map_err(|(path, message)| ParameterError::new(path, message))?;
+            Ok(parameters)
         });
         self
     }
@@ -390,10 +411,22 @@ impl Stage {
     }
 
     /// The parameters that are part of the key: those with an effect on the result.
-    pub fn key_parameters(&self, parameters: &Value) -> Value {
-        let mut effective = parameters.clone();
+    pub fn key_parameters(&self, parameters: &Parameters) -> Value {
+        let mut effective = Value::clone(parameters.json());
         self.without_effect.iter().for_each(|path| canonical::remove(&mut effective, path));
         effective
+    }
+
+    /// Its usual cost with these parameters, in the unit of [`Self::usually_costs`].
+    pub fn usual_cost(&self, parameters: &Parameters) -> f64 {
+        let [fixed, of_a_step] = self.usual_cost;
+        fixed + of_a_step * self.length(parameters)
+    }
+
+    /// The product of the parameters that set the length of its work; 1 for a stage that has none.
+    pub(crate) fn length(&self, parameters: &Parameters) -> f64 {
+        let of = |path: &&str| canonical::at(parameters.json(), path).and_then(Value::as_f64);
+        self.length_like.iter().filter_map(of).product()
     }
 
     /// The JSON schema of its parameters.
@@ -402,20 +435,23 @@ impl Stage {
     }
 
     /// Its class of arithmetic with these parameters on a machine of class `machine`.
-    pub fn numeric_class(&self, machine: &str, parameters: &Value) -> String {
+    pub fn numeric_class(&self, machine: &str, parameters: &Parameters) -> String {
         let device = self.device.as_ref().and_then(|device| device(parameters));
         device.map_or_else(|| machine.to_string(), |device| device.on(machine))
     }
 
     /// Estimated memory with these parameters on these inputs, in bytes; 0 where there is no estimate.
-    pub(crate) fn memory_on(&self, parameters: &Value, inputs: &[StageInput]) -> u64 {
+    pub(crate) fn memory_on(&self, parameters: &Parameters, inputs: &[StageInput]) -> u64 {
         let known = self.memory_of.as_ref().and_then(|of| of(parameters, inputs));
         known.unwrap_or(self.memory)
     }
 
     /// The given parameters with defaults filled in.
-    pub fn parameters(&self, given: &Value) -> Result<Value, ParameterError> {
-        (self.canonicalise)(given)
+    ///
+    /// # Errors
+    /// A value has another type or is out of range, or the stage has no parameter of a name.
+    pub fn parameters(&self, given: &Value) -> Result<Parameters, ParameterError> {
+        (self.read)(given)
     }
 }
 
@@ -425,7 +461,6 @@ impl std::fmt::Debug for Stage {
     }
 }
 
-fn canonicalise<P: Serialize + DeserializeOwned>(given: &Value) -> Result<Value, ParameterError> {
-    let parameters: P = serde_path_to_error::deserialize(given).map_err(|e| ParameterError::from_path(&e))?;
-    serde_json::to_value(&parameters).map_err(|e| ParameterError::from_serde(&e))
-}
+/// The message for a function of a stage that was written for parameters of another type.
+const OTHER_TYPE: &str =
+    "a function of this stage is for parameters of another type; this is an error of the program";

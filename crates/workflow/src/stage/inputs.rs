@@ -1,10 +1,8 @@
-//! The things that a stage can depend on: the parameters of all stages, the files that the pipeline names,
-//! and the inputs that exist.
+//! The things outside its parameters that a stage can depend on: the files that the pipeline names, and the
+//! inputs that exist.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-
-use serde_json::{Map, Value};
 
 /// A path outside the pipeline, or the reason why it is not known.
 pub type External = Result<PathBuf, String>;
@@ -38,9 +36,6 @@ impl Named {
         self.places.get(name).map_or("", |(_, by)| by)
     }
 }
-
-/// The parameters of all stages of one scene and variant, by stage, for [`Stage::when`](crate::Stage::when).
-pub type AllParameters = Map<String, Value>;
 
 /// One input of a stage.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

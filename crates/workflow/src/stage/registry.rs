@@ -47,7 +47,8 @@ impl Registry {
             }
         }
         let code = stages.iter().map(|stage| {
-            let code = table.stage(stage.crates, stage.sources);
+            let own = format!("src/{}.rs", stage.name);
+            let code = table.stage(stage.crates, stage.sources.unwrap_or(&[&own]));
             code.map_err(|source| BuildError::Code { stage: stage.name.to_string(), source })
         });
         Ok(Self { code: code.collect::<Result<_, _>>()?, stages, shorthands: Vec::new() })
@@ -92,6 +93,21 @@ impl Registry {
         found.ok_or_else(|| BuildError::unknown("stage", name, self.stages.iter().map(|s| s.name)))
     }
 
+    /// A stage and all stages that its result follows from, in the order of the table.
+    pub fn upstream(&self, name: &str) -> impl Iterator<Item = &Stage> {
+        let mut reached = vec![false; self.stages.len()];
+        for (i, stage) in self.stages.iter().enumerate().rev() {
+            reached[i] |= stage.name == name;
+            let inputs = if reached[i] { &stage.inputs[..] } else { &[] };
+            for input in inputs {
+                if let Source::Stage(from) | Source::Reference(from) = input.source {
+                    self.stages.iter().zip(&mut reached).for_each(|(s, r)| *r |= s.name == from);
+                }
+            }
+        }
+        self.stages.iter().zip(reached).filter_map(|(stage, reached)| reached.then_some(stage))
+    }
+
     /// The code of the stage of that name.
     pub fn code_of(&self, name: &str) -> Result<&StageCode, BuildError> {
         Ok(&self.code[self.index(name)?])
@@ -116,7 +132,7 @@ fn check(stage: &Stage, before: &[Stage]) -> Result<(), String> {
     }
     if let Ok(defaults) = stage.parameters(&serde_json::json!({})) {
         let mut named = stage.without_effect.iter().chain(stage.length_like);
-        if let Some(path) = named.find(|path| canonical::at(&defaults, path).is_none()) {
+        if let Some(path) = named.find(|path| canonical::at(defaults.json(), path).is_none()) {
             return Err(format!("stage `{name}` has no parameter `{path}`"));
         }
     }

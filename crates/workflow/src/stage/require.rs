@@ -8,7 +8,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crate::cache::content::{Choice, Contents};
-use crate::stage::inputs::{AllParameters, Named};
+use crate::stage::inputs::Named;
+use crate::stage::parameters::AllParameters;
 use use3d_code::digest::Digest;
 
 /// Something that is missing, or that conflicts with other settings.

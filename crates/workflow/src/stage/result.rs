@@ -6,6 +6,7 @@ use std::sync::Arc;
 use serde::Serialize;
 
 use crate::cache::artifacts::Artifact;
+use crate::stage::parameters::Parameters;
 
 /// The result of a node.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -21,6 +22,9 @@ pub enum Became {
         reason: String,
         /// Its log.
         log: PathBuf,
+        /// True if its inputs are the reason, and not its own work.
+        #[serde(skip)]
+        bad_input: bool,
     },
     /// Not run because another node failed; the text names that node.
     Blocked(String),
@@ -54,7 +58,10 @@ pub struct RanNode {
     pub shared: bool,
     /// Its parameters, defaults filled in.
     #[serde(skip)]
-    pub parameters: Arc<serde_json::Value>,
+    pub parameters: Parameters,
+    /// The folder of its result among a scene's results.
+    #[serde(skip)]
+    pub delivered: Option<&'static str>,
     /// The name of the preset below its parameters; empty for none.
     #[serde(skip)]
     pub preset: String,

@@ -383,37 +383,24 @@ fn an_input_that_changes_while_it_is_read_makes_no_artifact() {
 }
 
 #[test]
-fn one_stage_runs_by_itself_with_the_same_result() {
-    use use3d_workflow::{Alone, Listener, Silent};
+fn a_given_result_stands_for_the_stage_that_would_make_it() {
     let dir = tempfile::tempdir().expect("folder");
-    let batch = batch(&dir.path().join("data"), &["reef"]);
-    let builder = builder(&dir.path().join("cache"));
-    let (summary, ..) = run(&builder, &batch);
-    let stage = builder.registry.stage("import").expect("there");
-    let parameters = stage.parameters(&serde_json::json!({})).expect("defaults");
-    let listener: std::sync::Arc<dyn Listener> = std::sync::Arc::new(Silent);
-    let out = dir.path().join("out/import");
-    let alone = |capture: &str| Alone {
-        parameters: &parameters,
-        inputs: vec![("capture".to_string(), dir.path().join(capture))],
-        output: &out,
-        record: true,
-        replace: true,
-        checkpoints: None,
-        seed: 42,
-        threads: 2,
-        stop: std::sync::Arc::default(),
+    let mut batch = batch(&dir.path().join("data"), &["reef"]);
+    let whole = builder(&dir.path().join("cache"));
+    let (summary, ..) = run(&whole, &batch);
+    let made = |summary: &use3d_workflow::Summary| {
+        let artifact = summary.artifact("reef", "", "reconstruct").expect("a scene");
+        fs::read(artifact.path.join("scene.bin")).expect("file")
     };
-    for _ in 0..2 {
-        stage.run_alone(alone("data/reef"), &listener).expect("it runs, and replaces its earlier result");
-    }
-    let words = fs::read(out.join("words.txt")).expect("file");
-    let cached = summary.artifact("reef", "", "import").expect("there").path.join("words.txt");
-    assert_eq!(words, fs::read(cached).expect("file"));
-    // A failure leaves only the earlier result.
-    stage.run_alone(alone("absent"), &listener).expect_err("no such capture");
-    assert_eq!(fs::read(out.join("words.txt")).expect("file"), words);
-    assert_eq!(fs::read_dir(dir.path().join("out")).expect("folder").count(), 1);
+    let import = summary.artifact("reef", "", "import").expect("there").path.clone();
+    let kept = dir.path().join("import");
+    use3d_workflow::place::copy_folder(&import, &kept).expect("copied");
+    batch.given.insert("capture", Some(kept));
+    let other = builder(&dir.path().join("other"));
+    let options = RunOptions { until: Some(vec!["reconstruct".into()]), ..RunOptions::default() };
+    let (alone, ..) = run_with(&other, &batch, &options);
+    assert_eq!(made(&alone), made(&summary));
+    assert!(alone.artifact("reef", "", "import").is_none(), "nothing is imported");
 }
 
 #[test]

@@ -113,7 +113,7 @@ fn a_capture_is_looked_through_once_and_again_when_it_has_changed() {
         Ok(fs::write(context.output().join("words.txt"), text)?)
     })
     .external("capture", "capture")
-    .select_by(|_, _| {
+    .select_by(|_: &ImportParameters, _| {
         LOOKED.fetch_add(1, Ordering::Relaxed);
         let paths: Vec<_> = ["images"].map(Into::into).into();
         Ok(Choice { files: paths.clone(), made_from: paths })

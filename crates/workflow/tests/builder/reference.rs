@@ -45,7 +45,9 @@ fn registry() -> Registry {
         )?)
     })
     .input("scene", "make")
-    .reference_input("reference", "make", |all| all["make"]["copy"] == json!(false));
+    .reference_input("reference", "make", |all| {
+        all.get("make").is_some_and(|own| own.json()["copy"] == false)
+    });
     Registry::new(vec![make, judge], code()).expect("the table is right")
 }
 

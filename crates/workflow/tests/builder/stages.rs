@@ -196,13 +196,13 @@ pub(crate) fn stages(delay: u64) -> Vec<Stage> {
         })
         .about("Reads a capture.")
         .external("capture", "capture")
-        .select(|_, _| Ok(vec![PathBuf::from("images")]))
+        .select(|_: &ReconstructParameters, _| Ok(vec![PathBuf::from("images")]))
         .promises(&["words.txt"])
         .made_of(&["use3d-io-colmap"], &[]),
         simple("depth", Scope::Scene)
             .input("capture", "import")
             .optional_external("weights", "models")
-            .when(|all| all["reconstruct"]["depth_prior"] == "network")
+            .when(|all| all.get("reconstruct").is_some_and(|own| own.json()["depth_prior"] == "network"))
             .made_of(&["use3d-nets"], &[]),
         simple("calibrate", Scope::Shared)
             .optional_external("input", "pairs.input")

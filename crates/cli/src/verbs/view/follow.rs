@@ -17,7 +17,7 @@ use use3d_web::PageView;
 use super::{Told, WAIT, serve};
 use crate::App;
 use crate::args::{PipelineArgs, Settings, ViewArgs};
-use crate::destination::{checkpoints_of, entries, path_text};
+use crate::destination::{checkpoints_in, entries, path_text, work_of};
 use crate::error::{CliError, Done};
 use crate::verbs::loaded::{Loaded, open};
 use crate::verbs::web::{saved_views, scene_name};
@@ -29,8 +29,8 @@ const PLAN_EVERY: Duration = Duration::from_secs(10);
 
 /// The training to follow.
 enum Followed {
-    /// A scene folder that exists or will exist, and the folder for the checkpoints of its training.
-    Scene { folder: PathBuf, checkpoints: PathBuf },
+    /// A scene folder that exists or will exist, and the folder for the work of its training.
+    Scene { folder: PathBuf, work: PathBuf },
     /// Checkpoints: a folder of them, or one file.
     Checkpoints(PathBuf),
     /// One scene of a pipeline.
@@ -111,7 +111,7 @@ pub(super) fn run(app: &App, args: &ViewArgs, target: &Path, live: &Arc<Live>) -
 /// Finds what a path names.
 fn followed(args: &ViewArgs, target: &Path) -> Result<Followed, CliError> {
     let is_checkpoint = |path: &Path| path.extension().is_some_and(|e| e == "checkpoint");
-    let beside = checkpoints_of(target);
+    let beside = work_of(target);
     if is_checkpoint(target) || target.is_dir() && entries(target).any(|file| is_checkpoint(&file)) {
         return Ok(Followed::Checkpoints(target.to_path_buf()));
     }
@@ -125,7 +125,7 @@ fn followed(args: &ViewArgs, target: &Path) -> Result<Followed, CliError> {
         )));
     }
     if Scene::is_scene(target) || beside.is_dir() || !target.exists() {
-        return Ok(Followed::Scene { folder: target.to_path_buf(), checkpoints: beside });
+        return Ok(Followed::Scene { folder: target.to_path_buf(), work: beside });
     }
     let settings = Settings { set: args.set.clone(), ..Settings::default() };
     let loaded = open(&PipelineArgs { settings, ..PipelineArgs::of(target, &args.cache) }, &[])?;
@@ -152,21 +152,26 @@ fn checkpoint(path: &Path) -> Option<PathBuf> {
     if path.is_file() {
         return Some(path.to_path_buf());
     }
+    newest_of_stage_1(entries(path))
+}
+
+/// The newest checkpoint of stage 1 among some files.
+fn newest_of_stage_1(files: impl Iterator<Item = PathBuf>) -> Option<PathBuf> {
     let named = |file: &PathBuf| {
         let name = file.file_name().unwrap_or_default().to_string_lossy();
         name.starts_with("reconstruct-") && name.ends_with(".checkpoint")
     };
-    entries(path).filter(named).max_by_key(|file| modified(file))
+    files.filter(named).max_by_key(|file| modified(file))
 }
 
 fn newest(followed: &Followed) -> Option<Newest> {
     let of = |file: PathBuf, import: Option<PathBuf>| Newest { modified: modified(&file), file, import };
     match followed {
         Followed::Checkpoints(path) => checkpoint(path).map(|file| of(file, None)),
-        Followed::Scene { folder, checkpoints } => {
+        Followed::Scene { folder, work } => {
             // A training that began after the scene was made has newer files.
             let made = Some(folder.join("scene.json")).filter(|file| file.is_file());
-            let found = made.into_iter().chain(checkpoint(checkpoints));
+            let found = made.into_iter().chain(newest_of_stage_1(checkpoints_in(work)));
             found.max_by_key(|file| modified(file)).map(|file| of(file, None))
         }
         Followed::Pipeline { loaded, scene } => {

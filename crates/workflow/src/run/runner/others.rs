@@ -5,7 +5,7 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use super::{Phase, Runner};
-use crate::plan::resolve::{self, Resolved};
+use crate::plan::resolve::Resolved;
 use crate::run::summary::Became;
 use crate::share::lease::{self, HEARTBEAT};
 use crate::stage::events::Event;
@@ -152,7 +152,7 @@ impl Runner<'_> {
         let node = &self.graph.nodes[i];
         let stage = &self.builder.registry.stages()[node.stage];
         let (Some(at), Some(timings)) = (self.leave_at, &self.timings) else { return false };
-        let forecast = timings.forecast(stage.name, &node.scene, resolve::length(stage, node));
+        let forecast = timings.forecast(stage.name, &node.scene, stage.length(&node.parameters));
         let Some(forecast) = forecast.filter(|_| stage.length_like.is_empty()) else { return false };
         let (left, whole) = (at.saturating_sub(self.now()), at.saturating_sub(self.start));
         forecast.seconds > left.as_secs_f64() && forecast.seconds < whole.as_secs_f64()

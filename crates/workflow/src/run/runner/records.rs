@@ -4,6 +4,7 @@ use super::Runner;
 use crate::cache::artifacts::Artifact;
 use crate::cache::key::{Ingredients, Key};
 use crate::cache::machine;
+use crate::error::StageError;
 use crate::plan::history::{Failure, Made, Record};
 use crate::plan::resolve::Outcome;
 use crate::run::summary::Became;
@@ -28,8 +29,9 @@ impl LastResult {
 impl Runner<'_> {
     /// Ends a node without a result; the failure and its log are kept for `status`, and the batch stops
     /// unless it is to continue.
-    pub(super) fn fail(&mut self, i: usize, key: Option<Key>, reason: String) {
+    pub(super) fn fail(&mut self, i: usize, key: Option<Key>, error: &StageError) {
         self.held.remove(&i);
+        let reason = error.to_string();
         let node = &self.graph.nodes[i];
         let log = self.builder.cache.log_path(&self.graph.name, node);
         let label = self.nodes[i].label.clone();
@@ -38,7 +40,7 @@ impl Runner<'_> {
         let at = machine::utc(machine::now());
         record.failure = Some(Failure { key, reason: reason.clone(), log: log.clone(), at });
         self.write_record(i, &record);
-        self.nodes[i].result = Became::Failed { reason, log };
+        self.nodes[i].result = Became::Failed { reason, log, bad_input: error.is_bad_input() };
         self.known[i].failed = true;
         self.outcomes[i] = Outcome::Unavailable(label);
         self.over(i);
