@@ -67,7 +67,8 @@ fn digest_with(registry: &Registry, stages: &str, changed: &Value) -> Result<Str
     for name in stages.split(',').map(str::trim) {
         let stage = registry.stage(name).map_err(|e| e.to_string())?;
         let given = changed.get(name).cloned().unwrap_or_else(|| json!({}));
-        let mut values = stage.parameters(&given).map_err(|e| e.to_string())?;
+        let values = stage.parameters(&given).map_err(|e| e.to_string())?;
+        let mut values = Value::clone(values.json());
         bookkeeping(name).iter().for_each(|path| canonical::remove(&mut values, path));
         text += &format!("{name} {values}\n");
     }

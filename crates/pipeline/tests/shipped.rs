@@ -107,7 +107,7 @@ fn without_depth_is_there_as_the_authors_ran_it_and_with_the_prior_alone_off() {
         ("full", "depth-anything-v2", true),
     ] {
         let node = graph.find("Panama", variant, "reconstruct").expect("a node");
-        let p = &graph.nodes[node].parameters;
+        let p = graph.nodes[node].parameters.json();
         let found = (p["medium"].as_str(), p["depth_prior"].as_str(), p["depth_gradient"].as_bool());
         assert_eq!(found, (Some("rbf"), Some(prior), Some(gradient)), "{variant}");
     }
@@ -213,7 +213,7 @@ fn graph_of(text: &str, sets: &[&str]) -> Result<Graph, String> {
 #[test]
 fn presets_are_the_weakest_layer_and_nothing_but_their_values() {
     let parameters = |graph: &Graph, variant: &str, stage: &str| {
-        graph.nodes[graph.find("a", variant, stage).expect("a node")].parameters.clone()
+        graph.nodes[graph.find("a", variant, stage).expect("a node")].parameters.json().clone()
     };
     let plain = graph_of("", &[]).unwrap();
     for name in presets() {
@@ -275,7 +275,7 @@ fn naming_pairs_or_a_calibrator_turns_calibration_on() {
     let calibrated = |text: &str, sets: &[&str], scene: &str, variant: &str| {
         let graph = graph_of(text, sets).unwrap_or_else(|e| panic!("{text}: {e}"));
         let node = &graph.nodes[graph.find(scene, variant, "targets").expect("targets")];
-        node.parameters["calibrated"].as_bool().unwrap()
+        node.parameters.json()["calibrated"].as_bool().unwrap()
     };
     assert!(!calibrated("", &[], "a", ""));
     let pairs = "[calibrator]\npairs = { input = \"x\", target = \"y\" }";

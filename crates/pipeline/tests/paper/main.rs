@@ -70,7 +70,7 @@ fn the_preset_is_the_paper_value_by_value() {
     let (mut there, mut said) = (BTreeMap::new(), BTreeMap::new());
     for stage in registry.stages() {
         let given = written.get(stage.name()).cloned().unwrap_or_else(|| json!({}));
-        leaves(&stage.parameters(&given).expect("the preset fits"), stage.name(), &mut there);
+        leaves(stage.parameters(&given).expect("the preset fits").json(), stage.name(), &mut there);
     }
     written.iter().for_each(|(stage, values)| leaves(values, stage, &mut said));
     let mut wrong = Vec::new();
