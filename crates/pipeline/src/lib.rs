@@ -9,11 +9,9 @@
 //! files. [`judge`] compares, times and tabulates. [`results`] copies the results to the results folder, with
 //! a [page per scene](scene_page) for a browser and a record of the settings behind them (`made_by`).
 //! [`photographs`] gives the diver's own photographs back, enhanced by a scene.
-//! [`water`] estimates a capture's water before any stage runs. [`mod@bench`] does all of this on captures
-//! whose truth is known.
+//! [`water`] estimates a capture's water before any stage runs.
 
 pub mod baked;
-pub mod bench;
 pub mod code;
 pub mod config;
 mod engines;
@@ -25,6 +23,6 @@ pub mod scene_page;
 mod sights;
 pub mod stages;
 pub mod water;
-mod written;
+pub mod written;
 
 pub use engines::{Drawn, close_devices};

@@ -3,10 +3,10 @@
 //! [`scoring`] compares pictures, [`truth`] compares scenes with their known truth, [`speed`] times drawing,
 //! and [`strip`] shows a spot in neighbouring views. [`scores`] is the record of one scene, [`tables`] are
 //! the tables of many scenes, [`configuration`] describes the settings behind them, [`verdict`] writes
-//! sentences about them, and [`report`] is the page.
+//! sentences about them, [`report`] is the page, and [`names`] are the names in all of them.
 
 pub mod configuration;
-pub(crate) mod names;
+pub mod names;
 pub mod report;
 pub mod scores;
 pub mod scoring;

@@ -14,8 +14,8 @@ use serde::{Deserialize, Serialize};
 
 use super::captures::Capture;
 use super::runs::{DEFAULT, ENHANCE_FIRST, PRIOR_OFF, PSEUDO_LABELS, Recipe};
-use crate::judge::scores::{Finite, Method, SceneScores, Score};
-use crate::judge::truth::WaterScores;
+use use3d_pipeline::judge::scores::{Finite, Method, SceneScores, Score};
+use use3d_pipeline::judge::truth::WaterScores;
 
 /// The format name in `truth.json`.
 pub const FORMAT: &str = "3d-use bench truth";
@@ -227,8 +227,8 @@ pub fn of_capture(capture: &Capture, scored: &[Scored]) -> CaptureFigures {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::bench::captures::CAPTURES;
-    use crate::judge::scores::{self, MethodScores, ViewScores, Warp};
+    use crate::truth::captures::CAPTURES;
+    use use3d_pipeline::judge::scores::{self, MethodScores, ViewScores, Warp};
 
     /// Scores of one view per method.
     pub(crate) fn scored(

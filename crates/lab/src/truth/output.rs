@@ -12,7 +12,7 @@ use use3d_workflow::place::{self, PlaceError};
 use super::figures::TruthFigures;
 use super::page::markdown;
 use super::picture::Sheet;
-use crate::written::{Sealed, at, put_folder};
+use use3d_pipeline::written::{Sealed, at, put_folder};
 
 const PICTURES: &str = "pictures";
 
@@ -68,8 +68,8 @@ pub fn deliver(figures: &TruthFigures, pictures: &[Sheet], out: &Path) -> Result
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bench::figures::FORMAT;
-    use crate::bench::runs::{LearntFrom, Recipe};
+    use crate::truth::figures::FORMAT;
+    use crate::truth::runs::{LearntFrom, Recipe};
     use use3d_capture::Image;
 
     fn figures() -> TruthFigures {

@@ -155,9 +155,9 @@ impl Recipe {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bench::captures::CAPTURES;
-    use crate::config::{LoadOptions, from_text};
-    use crate::stages::registry;
+    use crate::truth::captures::CAPTURES;
+    use use3d_pipeline::config::{LoadOptions, from_text};
+    use use3d_pipeline::stages::registry;
     use use3d_workflow::Graph;
 
     fn recipe(baselines: bool) -> Recipe {

@@ -8,8 +8,8 @@ use std::fmt::Write;
 
 use super::figures::{CaptureFigures, Figure, Figures, TruthFigures};
 use super::picture::Sheet;
-use crate::judge::names::distinct;
-use crate::judge::tables::Better;
+use use3d_pipeline::judge::names::distinct;
+use use3d_pipeline::judge::tables::Better;
 
 /// A column: metric, head, decimals, factor, and the better direction.
 struct Column {
@@ -199,11 +199,11 @@ pub fn markdown(figures: &TruthFigures, pictures: &[Sheet]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bench::captures::CAPTURES;
-    use crate::bench::figures::{FORMAT, of_capture, tests::scored};
-    use crate::bench::runs::{DEFAULT, LearntFrom, Recipe};
-    use crate::judge::scores::Method;
+    use crate::truth::captures::CAPTURES;
+    use crate::truth::figures::{FORMAT, of_capture, tests::scored};
+    use crate::truth::runs::{DEFAULT, LearntFrom, Recipe};
     use use3d_capture::Image;
+    use use3d_pipeline::judge::scores::Method;
 
     fn figures(seeds: &[u64]) -> TruthFigures {
         let all: Vec<_> = seeds
