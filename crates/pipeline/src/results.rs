@@ -13,7 +13,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use serde::Serialize;
 use use3d_scene::White;
 use use3d_workflow::delivered::{MadeOf, Notes};
-use use3d_workflow::place::{self, Look, PlaceError, Standing};
+use use3d_workflow::place::{self, Look, PlaceError, Standing, at};
 use use3d_workflow::run::{Became, RanNode};
 use use3d_workflow::{Artifact, Cache, Digest, Graph, Summary};
 
@@ -26,7 +26,7 @@ use crate::made_by;
 use crate::scene_page;
 use crate::stages::evaluate::{SCORES, SPEED};
 use crate::stages::report::write_tables;
-use crate::written::{Sealed, at, put_folder};
+use crate::written::Sealed;
 
 /// The page and the tables over all scenes.
 const PAGE: &str = "report.html";
@@ -597,5 +597,5 @@ fn put(
     }
     let folder = place::parent(target);
     at(folder, "create", fs::create_dir_all(folder))?;
-    put_folder(target, fill)
+    place::put_folder(target, true, fill, |error| error)
 }

@@ -1,7 +1,6 @@
-//! Files and folders of results that only this program replaces.
-//!
-//! A folder has a record ([`use3d_workflow::place`]). A [`Sealed`] file ends with the digest of the text
-//! before it, which proves that this program wrote it and that it is unchanged.
+//! Files of results that only this program replaces. A [`Sealed`] file ends with the digest of the text before
+//! it, which proves that this program wrote it and that it is unchanged. A folder has a record instead
+//! ([`use3d_workflow::place`]).
 
 use std::fs;
 use std::io::{self, Write};
@@ -9,7 +8,7 @@ use std::path::Path;
 
 use use3d_files::write_atomically;
 use use3d_workflow::Digest;
-use use3d_workflow::place::{self, PlaceError};
+use use3d_workflow::place::{PlaceError, at};
 
 /// A kind of file that ends with the digest of the text before it.
 pub struct Sealed {
@@ -53,25 +52,6 @@ impl Sealed {
         self.check(path)?;
         at(path, "write", write_atomically(path, |file| file.write_all(self.seal(text).as_bytes())))
     }
-}
-
-/// Puts a folder that `fill` makes at `target`: completely, or not at all.
-pub fn put_folder(
-    target: &Path,
-    fill: impl FnOnce(&Path) -> Result<(), PlaceError>,
-) -> Result<(), PlaceError> {
-    let made = place::sibling(target);
-    let placed = fill(&made).and_then(|()| place::put(&made, target, true));
-    if placed.is_err() {
-        // The unfinished folder belongs to this process alone; the first error is the one to report.
-        let _ = fs::remove_dir_all(&made);
-    }
-    placed
-}
-
-/// The result of a file operation, with the path and the operation in its error.
-pub fn at<T>(path: &Path, doing: &'static str, result: io::Result<T>) -> Result<T, PlaceError> {
-    result.map_err(|source| PlaceError::Io { path: path.to_path_buf(), doing, source })
 }
 
 #[cfg(test)]

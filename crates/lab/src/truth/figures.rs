@@ -11,11 +11,11 @@
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
+use use3d_pipeline::judge::scores::{Finite, Method, SceneScores, Score};
+use use3d_pipeline::judge::truth::WaterScores;
 
 use super::captures::Capture;
 use super::runs::{DEFAULT, ENHANCE_FIRST, PRIOR_OFF, PSEUDO_LABELS, Recipe};
-use use3d_pipeline::judge::scores::{Finite, Method, SceneScores, Score};
-use use3d_pipeline::judge::truth::WaterScores;
 
 /// The format name in `truth.json`.
 pub const FORMAT: &str = "3d-use bench truth";
