@@ -1,7 +1,8 @@
 //! Enforces the dependencies of the architecture: a crate may depend only on crates below it and only on
 //! crates that it uses, and heavy or delicate third-party crates stay in the crates that own them. The tests
-//! read `cargo metadata`, so a forbidden dependency fails here at once. A type's name belongs to at most two
-//! files of the workspace. Inside a crate, at most two files use each other in a circle.
+//! read `cargo metadata`, so a forbidden dependency fails here at once. Every crate has a tier, and uses no
+//! higher one. A type's name belongs to at most two files of the workspace. Inside a crate, at most two files
+//! use each other in a circle.
 
 #[path = "architecture/circles.rs"]
 mod circles;
@@ -135,8 +136,8 @@ fn dependencies() -> BTreeMap<String, Vec<String>> {
 fn arrows_point_down() {
     let all = dependencies();
     for (name, deps) in &all {
-        if ["use3d", "pipeline", "stages", "tests"].contains(&name.as_str()) {
-            continue; // the roof may use everything below it
+        if ["use3d", "pipeline", "stages", "lab", "tests"].contains(&name.as_str()) {
+            continue; // the roof may use everything below it, as far as its tier allows
         }
         let allowed = ALLOWED.iter().find(|(n, _)| n == name);
         let (_, allowed) =
@@ -154,6 +155,54 @@ fn arrows_point_down() {
             assert!(there, "the architecture's table draws `{name}` → `{other}`, which no manifest has");
         }
     }
+}
+
+/// The tiers, the lowest first: a crate uses its own tier and lower ones.
+const TIERS: [&str; 5] = ["method", "formats", "engine", "application", "lab"];
+
+/// The ground of the tier `engine`, which crates of every tier may use: whole files, named tensors, digests.
+const GROUND: [&str; 3] = ["files", "tensors", "code"];
+
+/// The arrows to a higher tier, each with its reason.
+const UPWARD: &[(&str, &str, &str)] = &[
+    ("photographs", "survey", "a photograph's pixels are found through the lens that took it"),
+    ("stages", "synth", "the stage `pairs` makes pairs if none are given"),
+    ("judge", "synth", "scores read a capture's truth"),
+    ("use3d", "synth", "the verbs `synth` and `demo` make captures"),
+    ("use3d", "lab", "the verb `bench` prints what the lab measures; no other crate uses it"),
+];
+
+/// The tier of every package, from the table in ARCHITECTURE.md.
+fn tiers() -> BTreeMap<String, usize> {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../ARCHITECTURE.md");
+    let text = std::fs::read_to_string(path).expect("the architecture");
+    let rows = text.lines().skip_while(|line| *line != "| crate | tier | task |").skip(2);
+    let row = |line: &str| {
+        let mut cells = line.split('|').map(str::trim).skip(1);
+        let name = cells.next().unwrap_or_default().trim_matches('`').to_string();
+        let tier = cells.next().unwrap_or_default();
+        let place = TIERS.iter().position(|known| *known == tier);
+        let place = place.unwrap_or_else(|| panic!("`{name}`: `{tier}` is none of the tiers {TIERS:?}"));
+        (if name == "cli" { "use3d".into() } else { name }, place)
+    };
+    rows.take_while(|line| line.starts_with('|')).map(row).collect()
+}
+
+#[test]
+fn no_tier_uses_a_higher_one() {
+    let (tiers, all) = (tiers(), dependencies());
+    // The package of these tests has no code, and no tier.
+    let crates: BTreeSet<&String> = all.keys().filter(|name| *name != "tests").collect();
+    assert_eq!(tiers.keys().collect::<BTreeSet<_>>(), crates, "ARCHITECTURE.md names every crate once");
+    assert!(GROUND.iter().all(|name| TIERS[tiers[*name]] == "engine"));
+    let mut upward = BTreeSet::new();
+    for (name, deps) in all.iter().filter(|(name, _)| *name != "tests") {
+        let up = |dep: &&String| tiers.get(*dep).is_some_and(|tier| *tier > tiers[name]);
+        let up = deps.iter().filter(up).filter(|dep| !GROUND.contains(&dep.as_str()));
+        upward.extend(up.map(|dep| (name.as_str(), dep.as_str())));
+    }
+    let listed: BTreeSet<(&str, &str)> = UPWARD.iter().map(|(from, to, _)| (*from, *to)).collect();
+    assert_eq!(upward, listed, "an arrow to a higher tier needs a reason, and a reason needs an arrow");
 }
 
 #[test]

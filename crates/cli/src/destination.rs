@@ -135,14 +135,8 @@ pub(crate) fn put_folder(
     force: bool,
     fill: impl FnOnce(&Path) -> Done,
 ) -> Done {
-    let made = place::sibling(to);
-    let placed = fill(&made)
-        .and_then(|()| place::record(&made, key).map_err(CliError::failed))
-        .and_then(|()| place::put(&made, to, force).map_err(CliError::failed));
-    if placed.is_err() {
-        let _ = std::fs::remove_dir_all(&made); // only our files; the first error is the one to report
-    }
-    placed
+    let fill = |made: &Path| fill(made).and_then(|()| place::record(made, key).map_err(CliError::failed));
+    place::put_folder(to, force, fill, CliError::failed)
 }
 
 /// A path as a word of a command line, quoted if necessary.

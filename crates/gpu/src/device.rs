@@ -125,7 +125,7 @@ pub struct Gpu {
     /// The variant of the kernels made for it.
     pub variant: Variant,
     /// The width of its subgroups, if it has subgroup operations and one width.
-    pub(crate) width: Option<u32>,
+    pub width: Option<u32>,
     /// The reason why it has portable kernels although it supports others.
     fallback: Option<Arc<str>>,
     /// The reasons why adapters that were tried before it were not used.
@@ -257,7 +257,7 @@ impl Gpu {
     }
 
     /// The same device, which times the work of kernels made for it if it can.
-    pub(crate) fn timed(mut self, timed: Timed) -> Self {
+    pub fn timed(mut self, timed: Timed) -> Self {
         if self.device.features().contains(timed.features()) {
             self.clock = Some(Arc::new(Clock::new(&self.device, timed)));
         }
@@ -283,6 +283,11 @@ impl Gpu {
         }
     }
 
+    /// The names of the kernels that were compiled for it, and the seconds that the compilation of each took.
+    pub fn compile_times(&self) -> Vec<(&'static str, f64)> {
+        self.kernels.times()
+    }
+
     /// Submits the recorded commands.
     pub(crate) fn submit(&self, encoder: wgpu::CommandEncoder) {
         self.submits.fetch_add(1, Ordering::Relaxed);
@@ -290,7 +295,7 @@ impl Gpu {
     }
 
     /// The number of submits.
-    pub(crate) fn submits(&self) -> u64 {
+    pub fn submits(&self) -> u64 {
         self.submits.load(Ordering::Relaxed)
     }
 

@@ -58,9 +58,7 @@
 //! driver, program and [`Variant`].
 
 mod adapter;
-pub mod bench;
 mod buffer;
-mod ceilings;
 mod check;
 mod chunks;
 mod compiled;
@@ -72,6 +70,7 @@ mod kernel;
 mod linear;
 mod lists;
 mod losses;
+pub mod measure;
 #[cfg(test)]
 mod other_drivers;
 mod profile;
@@ -100,7 +99,6 @@ pub use device::{AdapterReport, DeviceError, Gpu, adapters, environment_note};
 pub use drawing::{Drawing, DrawnView};
 pub use linear::LinearSplat;
 pub use losses::VALUES as LOSSES_WITH_KERNELS;
-pub use profile::KernelTime;
 pub use stage1::{Stage1, training_bytes};
 pub use stage2::Stage2;
 pub use variant::Variant;

@@ -27,7 +27,7 @@ pub(crate) struct Clock {
 
 /// The unit of work before and after which a clock is read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Timed {
+pub enum Timed {
     /// Every dispatch; this keeps the dispatches of a pass separate.
     Dispatches,
     /// Every pass of steps; this costs the steps nothing.

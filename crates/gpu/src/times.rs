@@ -12,10 +12,7 @@ use crate::profile::KernelTime;
 impl Gpu {
     /// Adds the kernels' times since the last call to `times`, after all submitted work is done. Does
     /// nothing if the device has no clock.
-    pub(crate) fn read_times(
-        &self,
-        times: &mut BTreeMap<&'static str, KernelTime>,
-    ) -> Result<(), EngineError> {
+    pub fn read_times(&self, times: &mut BTreeMap<&'static str, KernelTime>) -> Result<(), EngineError> {
         let Some(clock) = &self.clock else { return Ok(()) };
         let names = std::mem::take(&mut *clock.names.lock().unwrap_or_else(PoisonError::into_inner));
         if names.is_empty() {

@@ -8,13 +8,12 @@
 //! stages, and `report` lays out their results. [`config`] reads pipeline files. [`results`] copies the
 //! results to the results folder, with a [page per scene](scene_page) for a browser and a record of the
 //! settings behind them (`made_by`). [`photographs`] gives the diver's own photographs back, enhanced by a
-//! scene. [`mod@bench`] does all of this on captures whose truth is known.
+//! scene.
 
 pub mod baked;
-pub mod bench;
 pub mod config;
 mod made_by;
 pub mod photographs;
 pub mod results;
 pub mod scene_page;
-mod written;
+pub mod written;

@@ -13,13 +13,13 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use serde::Serialize;
 use use3d_scene::White;
 use use3d_workflow::delivered::{MadeOf, Notes};
-use use3d_workflow::place::{self, Look, PlaceError, Standing};
+use use3d_workflow::place::{self, Look, PlaceError, Standing, at};
 use use3d_workflow::run::{Became, RanNode};
 use use3d_workflow::{Artifact, Cache, Digest, Graph, Summary};
 
 use crate::made_by;
 use crate::scene_page;
-use crate::written::{Sealed, at, put_folder};
+use crate::written::Sealed;
 use use3d_judge::configuration::Configuration;
 use use3d_judge::names::in_variant;
 use use3d_judge::scores::ScoredScene;
@@ -579,5 +579,5 @@ fn put(
     }
     let folder = place::parent(target);
     at(folder, "create", fs::create_dir_all(folder))?;
-    put_folder(target, fill)
+    place::put_folder(target, true, fill, |error| error)
 }

@@ -1,7 +1,6 @@
-//! Files and folders of results that only this program replaces.
-//!
-//! A folder has a record ([`use3d_workflow::place`]). A [`Sealed`] file ends with the digest of the text
-//! before it, which proves that this program wrote it and that it is unchanged.
+//! Files of results that only this program replaces. A [`Sealed`] file ends with the digest of the text before
+//! it, which proves that this program wrote it and that it is unchanged. A folder has a record instead
+//! ([`use3d_workflow::place`]).
 
 use std::fs;
 use std::io::{self, Write};
@@ -9,19 +8,19 @@ use std::path::Path;
 
 use use3d_files::write_atomically;
 use use3d_workflow::Digest;
-use use3d_workflow::place::{self, PlaceError};
+use use3d_workflow::place::{PlaceError, at};
 
 /// A kind of file that ends with the digest of the text before it.
-pub(crate) struct Sealed {
+pub struct Sealed {
     /// The text before and after the digest.
-    pub(crate) around: [&'static str; 2],
+    pub around: [&'static str; 2],
     /// The file and its writer, as the error for a foreign file names them.
-    pub(crate) words: [&'static str; 2],
+    pub words: [&'static str; 2],
 }
 
 impl Sealed {
     /// A text with its digest.
-    pub(crate) fn seal(&self, text: &str) -> String {
+    pub fn seal(&self, text: &str) -> String {
         let [before, after] = self.around;
         format!("{text}{before}{}{after}", Digest::of(text.as_bytes()))
     }
@@ -31,7 +30,7 @@ impl Sealed {
     }
 
     /// Refuses to replace a file that this program did not write, or that was changed since.
-    pub(crate) fn check(&self, path: &Path) -> Result<(), PlaceError> {
+    pub fn check(&self, path: &Path) -> Result<(), PlaceError> {
         let found = match fs::symlink_metadata(path) {
             Err(e) if matches!(e.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory) => {
                 return Ok(());
@@ -49,29 +48,10 @@ impl Sealed {
     }
 
     /// Writes a text with its digest, if the file may be replaced.
-    pub(crate) fn write(&self, path: &Path, text: &str) -> Result<(), PlaceError> {
+    pub fn write(&self, path: &Path, text: &str) -> Result<(), PlaceError> {
         self.check(path)?;
         at(path, "write", write_atomically(path, |file| file.write_all(self.seal(text).as_bytes())))
     }
-}
-
-/// Puts a folder that `fill` makes at `target`: completely, or not at all.
-pub(crate) fn put_folder(
-    target: &Path,
-    fill: impl FnOnce(&Path) -> Result<(), PlaceError>,
-) -> Result<(), PlaceError> {
-    let made = place::sibling(target);
-    let placed = fill(&made).and_then(|()| place::put(&made, target, true));
-    if placed.is_err() {
-        // The unfinished folder belongs to this process alone; the first error is the one to report.
-        let _ = fs::remove_dir_all(&made);
-    }
-    placed
-}
-
-/// The result of a file operation, with the path and the operation in its error.
-pub(crate) fn at<T>(path: &Path, doing: &'static str, result: io::Result<T>) -> Result<T, PlaceError> {
-    result.map_err(|source| PlaceError::Io { path: path.to_path_buf(), doing, source })
 }
 
 #[cfg(test)]

@@ -209,6 +209,8 @@ fn a_token_in_any_file_makes_every_stage_stale_that_reaches_it() {
             | "gpu" => true,
             // They end before the first stage: one makes captures, the other only speaks about them.
             "prepare" | "check" => true,
+            // It only reads results.
+            "lab" => true,
             "stages" => WITHOUT_ARTIFACTS.iter().any(|known| file.starts_with(known)),
             _ => false,
         }

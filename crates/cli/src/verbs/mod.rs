@@ -2,7 +2,6 @@
 
 pub(crate) mod bench;
 pub(crate) mod bench_gpu;
-mod bench_read;
 pub(crate) mod by_hand;
 pub(crate) mod cache;
 pub(crate) mod check;

@@ -11,28 +11,30 @@ use crate::rows::SPLAT;
 
 /// Sizes of a view, and its pairs of pixel and Gaussian.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct ViewWork {
-    pub(crate) gaussians: usize,
+pub struct ViewWork {
+    /// Number of Gaussians.
+    pub gaussians: usize,
     /// Number of Gaussians on the screen.
-    pub(crate) visible: usize,
+    pub visible: usize,
     /// Number of (tile, Gaussian) entries.
-    pub(crate) entries: usize,
+    pub entries: usize,
     /// Number of pairs that a pixel tests before it stops.
-    pub(crate) tested: u64,
+    pub tested: u64,
     /// Number of these pairs that contribute to the pixel.
-    pub(crate) live: u64,
-    pub(crate) pixels: usize,
+    pub live: u64,
+    /// Number of pixels.
+    pub pixels: usize,
     /// Number of entries of the longest list of a tile.
-    pub(crate) longest_list: usize,
+    pub longest_list: usize,
     /// The largest number of Gaussians that a pixel tests before it stops.
-    pub(crate) deepest_pixel: usize,
+    pub deepest_pixel: usize,
     /// Number of passes of the order by tile.
-    pub(crate) tile_passes: u32,
+    pub tile_passes: u32,
 }
 
 impl Stage1 {
     /// Waits and counts the view of the last step, which had this many pixels across and down.
-    pub(crate) fn last_view(&self, [width, height]: [usize; 2]) -> Result<ViewWork, EngineError> {
+    pub fn last_view(&self, [width, height]: [usize; 2]) -> Result<ViewWork, EngineError> {
         let (gpu, n, pixels) = (&self.gpu, self.scene.count, width * height);
         let side = TILE as usize;
         let [across, down] = [width.div_ceil(side), height.div_ceil(side)];

@@ -39,7 +39,7 @@ use crate::scene::DeviceScene;
 use crate::update::UpdateKernels;
 use crate::variant::Variant;
 use crate::water::DeviceWater;
-pub(crate) use counted::ViewWork;
+pub use counted::ViewWork;
 pub use forecast::training_bytes;
 use stored::Unpacked;
 pub(crate) use stored::unpack;

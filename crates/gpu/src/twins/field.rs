@@ -35,7 +35,7 @@ impl LabelSource for Waves {
 }
 
 /// Converts an error of stage 2 into one of the engine.
-pub(crate) fn failed(error: EnhanceError) -> EngineError {
+pub fn failed(error: EnhanceError) -> EngineError {
     match error {
         EnhanceError::Engine(error) => error,
         other => EngineError::Failed(Box::new(other)),

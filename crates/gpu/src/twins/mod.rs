@@ -17,17 +17,15 @@ use use3d_training::EngineError;
 use crate::device::Gpu;
 use crate::stage1::Stage1;
 
-pub(crate) use field::failed;
-pub use field::field;
 #[cfg(test)]
 pub(crate) use field::{Waves, groups, moved};
+pub use field::{failed, field};
 pub use guards::guards;
 pub use losses::{LossCase, losses};
 #[cfg(test)]
 pub(crate) use pictures::compare as compare_pictures;
 pub use pictures::pictures;
-pub use scene::SceneSize;
-pub(crate) use scene::targets;
+pub use scene::{SceneSize, targets};
 pub use steps::{large_step, step};
 pub use water::{WaterCase, water};
 

@@ -20,7 +20,7 @@ use crate::device::NAME;
 
 /// Targets for this number of Gaussians that no scene needs to reach: one global operator in every view,
 /// and local ones of some size.
-pub(crate) fn targets(gaussians: usize, views: &[EnhanceView], appearance: Appearance) -> Targets {
+pub fn targets(gaussians: usize, views: &[EnhanceView], appearance: Appearance) -> Targets {
     let operator = std::array::from_fn(|i| 0.02 * (i as f64 - 5.0));
     Targets {
         extractor: ExtractorSettings::default(),

@@ -8,6 +8,26 @@ use super::{Cell, Rank, Table};
 const BLANK: &str = "–";
 const MISSING: &str = "n/a";
 
+/// A Markdown table of labelled rows: the first column has no head, and the numbers stand to the right.
+pub fn markdown_table<'h>(
+    heads: impl Iterator<Item = &'h str>,
+    rows: impl Iterator<Item = Vec<String>>,
+) -> String {
+    let line = |out: &mut String, cells: &mut dyn Iterator<Item = &str>| {
+        out.push('|');
+        for cell in cells {
+            let _ = write!(out, " {} |", cell.replace('|', "\\|"));
+        }
+        out.push('\n');
+    };
+    let heads: Vec<&str> = heads.collect();
+    let mut out = String::from("| ");
+    line(&mut out, &mut heads.iter().copied());
+    let _ = writeln!(out, "|---|{}", "---:|".repeat(heads.len()));
+    rows.for_each(|row| line(&mut out, &mut row.iter().map(String::as_str)));
+    out
+}
+
 impl Table {
     fn text(&self, cell: &Cell, column: usize) -> String {
         match cell {
@@ -32,27 +52,27 @@ impl Table {
     /// GitHub Markdown: best bold, second best underlined. The configuration of each row and the reasons for
     /// missing numbers are below the table.
     pub fn markdown(&self) -> String {
-        let escape = |text: &str| text.replace('|', "\\|");
-        let mut out = format!("**{}**\n\n| |", escape(&self.caption));
-        for column in &self.columns {
-            let group = if column.group.is_empty() { String::new() } else { format!("{} ", column.group) };
-            let _ = write!(out, " {}{}{} |", escape(&group), escape(&column.name), column.better.arrow());
-        }
-        out.push_str("\n|---|");
-        out.push_str(&"---:|".repeat(self.columns.len()));
-        out.push('\n');
-        for (row, ranks) in self.rows.iter().zip(self.ranks()) {
-            let _ = write!(out, "| {} |", escape(&self.marked_label(row)));
-            for (c, cell) in row.cells.iter().enumerate() {
+        let heads: Vec<String> = self
+            .columns
+            .iter()
+            .map(|column| {
+                let gap = if column.group.is_empty() { "" } else { " " };
+                format!("{}{gap}{}{}", column.group, column.name, column.better.arrow())
+            })
+            .collect();
+        let rows = self.rows.iter().zip(self.ranks()).map(|(row, ranks)| {
+            let cells = row.cells.iter().enumerate().map(|(c, cell)| {
                 let text = self.text(cell, c);
-                let _ = match ranks[c] {
-                    Rank::Best => write!(out, " **{text}** |"),
-                    Rank::Second => write!(out, " <u>{text}</u> |"),
-                    Rank::Other => write!(out, " {text} |"),
-                };
-            }
-            out.push('\n');
-        }
+                match ranks[c] {
+                    Rank::Best => format!("**{text}**"),
+                    Rank::Second => format!("<u>{text}</u>"),
+                    Rank::Other => text,
+                }
+            });
+            std::iter::once(self.marked_label(row)).chain(cells).collect()
+        });
+        let table = markdown_table(heads.iter().map(String::as_str), rows);
+        let mut out = format!("**{}**\n\n{table}", self.caption.replace('|', "\\|"));
         for (place, made) in self.made_by().into_iter().enumerate() {
             let _ = writeln!(out, "\n[{}] {made}", super::marked(place));
         }

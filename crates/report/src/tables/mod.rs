@@ -10,6 +10,7 @@ pub mod paper;
 pub mod published;
 mod truth;
 
+pub use format::markdown_table;
 use serde::Serialize;
 use use3d_numerics::math;
 

@@ -62,7 +62,8 @@ impl From<FileError> for PlaceError {
     }
 }
 
-fn at<T>(path: &Path, doing: &'static str, result: io::Result<T>) -> Result<T, PlaceError> {
+/// The result of a file operation, with the path and the operation in its error.
+pub fn at<T>(path: &Path, doing: &'static str, result: io::Result<T>) -> Result<T, PlaceError> {
     result.map_err(|source| PlaceError::Io { path: path.to_path_buf(), doing, source })
 }
 
@@ -311,6 +312,23 @@ pub fn copy_folder(from: &Path, to: &Path) -> Result<(), PlaceError> {
         }
     }
     Ok(())
+}
+
+/// Puts a folder that `fill` makes at `folder`: completely, or not at all. `fill` writes the record, too. See
+/// [`put`] for `replace`; `failed` converts its error.
+pub fn put_folder<E>(
+    folder: &Path,
+    replace: bool,
+    fill: impl FnOnce(&Path) -> Result<(), E>,
+    failed: impl FnOnce(PlaceError) -> E,
+) -> Result<(), E> {
+    let made = sibling(folder);
+    let placed = fill(&made).and_then(|()| put(&made, folder, replace).map_err(failed));
+    if placed.is_err() {
+        // The unfinished folder belongs to this process alone; the first error is the one to report.
+        let _ = fs::remove_dir_all(&made);
+    }
+    placed
 }
 
 /// Moves the finished folder `made`, a [`sibling`] with its record, to `folder`. An old result is replaced

@@ -11,11 +11,11 @@
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
+use use3d_judge::scores::{Finite, Method, SceneScores, Score};
+use use3d_judge::truth::WaterScores;
 
 use super::captures::Capture;
 use super::runs::{DEFAULT, ENHANCE_FIRST, PRIOR_OFF, PSEUDO_LABELS, Recipe};
-use use3d_judge::scores::{Finite, Method, SceneScores, Score};
-use use3d_judge::truth::WaterScores;
 
 /// The format name in `truth.json`.
 pub const FORMAT: &str = "3d-use bench truth";
@@ -227,7 +227,7 @@ pub fn of_capture(capture: &Capture, scored: &[Scored]) -> CaptureFigures {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::bench::captures::CAPTURES;
+    use crate::truth::captures::CAPTURES;
     use use3d_judge::scores::{self, MethodScores, ViewScores, Warp};
 
     /// Scores of one view per method.

@@ -155,8 +155,8 @@ impl Recipe {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bench::captures::CAPTURES;
-    use crate::config::{LoadOptions, from_text};
+    use crate::truth::captures::CAPTURES;
+    use use3d_pipeline::config::{LoadOptions, from_text};
     use use3d_stages::registry;
     use use3d_workflow::Graph;
 

@@ -3,8 +3,7 @@
 use std::collections::BTreeMap;
 
 use serde::Serialize;
-
-use crate::device::AdapterReport;
+use use3d_gpu::AdapterReport;
 
 /// The record.
 #[derive(Clone, Debug, Default, Serialize)]

@@ -7,12 +7,12 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use use3d_io_image::write_png;
-use use3d_workflow::place::{self, PlaceError};
+use use3d_pipeline::written::Sealed;
+use use3d_workflow::place::{self, PlaceError, at};
 
 use super::figures::TruthFigures;
 use super::page::markdown;
 use super::picture::Sheet;
-use crate::written::{Sealed, at, put_folder};
 
 const PICTURES: &str = "pictures";
 
@@ -50,14 +50,15 @@ pub fn deliver(figures: &TruthFigures, pictures: &[Sheet], out: &Path) -> Result
     // Nothing is changed if one of the files cannot be replaced.
     check_files(out)?;
     let [folder, page, path] = [PICTURES, PAGE.0, FIGURES.0].map(|name| out.join(name));
-    put_folder(&folder, |made| {
+    let fill = |made: &Path| {
         at(made, "create", std::fs::create_dir_all(made))?;
         for sheet in pictures {
             let path = made.join(format!("{}.png", sheet.capture));
             at(&path, "write", write_png(&path, &sheet.image).map_err(io::Error::other))?;
         }
         place::record(made, None)
-    })?;
+    };
+    place::put_folder(&folder, true, fill, |error| error)?;
     PAGE.1.write(&page, &markdown(figures, pictures))?;
     let text = at(&path, "write", serde_json::to_string_pretty(figures).map_err(io::Error::other))?;
     // The digest becomes the object's last field.
@@ -68,8 +69,8 @@ pub fn deliver(figures: &TruthFigures, pictures: &[Sheet], out: &Path) -> Result
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bench::figures::FORMAT;
-    use crate::bench::runs::{LearntFrom, Recipe};
+    use crate::truth::figures::FORMAT;
+    use crate::truth::runs::{LearntFrom, Recipe};
     use use3d_capture::Image;
 
     fn figures() -> TruthFigures {

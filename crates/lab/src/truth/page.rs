@@ -6,10 +6,11 @@
 
 use std::fmt::Write;
 
+use use3d_judge::names::distinct;
+use use3d_report::tables::{Better, markdown_table};
+
 use super::figures::{CaptureFigures, Figure, Figures, TruthFigures};
 use super::picture::Sheet;
-use use3d_judge::names::distinct;
-use use3d_report::tables::Better;
 
 /// A column: metric, head, decimals, factor, and the better direction.
 struct Column {
@@ -102,18 +103,6 @@ impl Column {
     }
 }
 
-/// A Markdown table; its first column has no head.
-fn table<'h>(heads: impl Iterator<Item = &'h str>, rows: &[Vec<String>]) -> String {
-    let line = |cells: &[String]| {
-        let cells: Vec<String> = cells.iter().map(|c| c.replace('|', "\\|")).collect();
-        format!("| {} |\n", cells.join(" | "))
-    };
-    let heads: Vec<String> = std::iter::once("").chain(heads).map(String::from).collect();
-    let rule = "---:|".repeat(heads.len() - 1);
-    let body: String = rows.iter().map(|row| line(row)).collect();
-    format!("{}|---|{rule}\n{body}", line(&heads))
-}
-
 /// A table of labelled rows, with the best cell of each column in bold.
 fn ranked(columns: &[Column], rows: &[(String, &Figures)], seeds: usize) -> String {
     let best: Vec<Option<f64>> = columns.iter().map(|c| c.best(rows.iter().map(|(_, f)| Some(*f)))).collect();
@@ -121,7 +110,7 @@ fn ranked(columns: &[Column], rows: &[(String, &Figures)], seeds: usize) -> Stri
         let cells = columns.iter().zip(&best).map(|(c, best)| c.cell(Some(figures), seeds, *best));
         std::iter::once(label.clone()).chain(cells).collect()
     };
-    table(columns.iter().map(|c| c.head), &rows.iter().map(line).collect::<Vec<Vec<String>>>())
+    markdown_table(columns.iter().map(|c| c.head), rows.iter().map(line))
 }
 
 fn row<'f>(capture: &'f CaptureFigures, label: &str) -> Option<&'f Figures> {
@@ -142,7 +131,7 @@ fn summary(columns: &[Column; 2], captures: &[CaptureFigures], seeds: usize) -> 
     let rows = labels.iter().map(|label| {
         std::iter::once((*label).to_string()).chain(captures.iter().map(|c| cell(c, label))).collect()
     });
-    table(captures.iter().map(|c| c.name.as_str()), &rows.collect::<Vec<Vec<String>>>())
+    markdown_table(captures.iter().map(|c| c.name.as_str()), rows)
 }
 
 /// The page: the file `truth.md`.
@@ -199,9 +188,9 @@ pub fn markdown(figures: &TruthFigures, pictures: &[Sheet]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bench::captures::CAPTURES;
-    use crate::bench::figures::{FORMAT, of_capture, tests::scored};
-    use crate::bench::runs::{DEFAULT, LearntFrom, Recipe};
+    use crate::truth::captures::CAPTURES;
+    use crate::truth::figures::{FORMAT, of_capture, tests::scored};
+    use crate::truth::runs::{DEFAULT, LearntFrom, Recipe};
     use use3d_capture::Image;
     use use3d_judge::scores::Method;
 

@@ -6,30 +6,33 @@
 use std::path::Path;
 
 use serde_json::Value;
-use use3d_capture::shown;
+use use3d_capture::name::shown;
 
-use crate::destination::path_text;
-use crate::error::{CliError, Done};
+use crate::LabError;
 
 /// The `format` of such files.
-const FORMAT: &str = "3d-use gpu bench";
+pub(crate) const FORMAT: &str = "3d-use gpu bench";
 /// Number of steps of stage 1 in the method.
 const STEPS: f64 = 15_000.0;
 /// The share of idle time above which the processor is what limits the steps.
 const IDLE: f64 = 0.15;
 
-pub(super) fn read(path: &Path) -> Done {
-    let name = path_text(path);
+/// Reads such a file; returns all lines of its report.
+///
+/// # Errors
+/// Fails if the file cannot be read, or is of another kind.
+pub fn read(path: &Path) -> Result<Vec<String>, LabError> {
+    let name = path.to_string_lossy();
+    let name = shown(&name);
     let text = std::fs::read_to_string(path)
-        .map_err(|error| CliError::Input(format!("--read: cannot read {name}: {error}")))?;
+        .map_err(|error| LabError::Input(format!("--read: cannot read {name}: {error}")))?;
     let other =
-        |why: String| CliError::Input(format!("--read: {name} is not a file of `use3d bench gpu`: {why}"));
+        |why: String| LabError::Input(format!("--read: {name} is not a file of `use3d bench gpu`: {why}"));
     let record: Value = serde_json::from_str(&text).map_err(|error| other(error.to_string()))?;
     if record["format"] != FORMAT {
         return Err(other(format!("`format` is not \"{FORMAT}\"")));
     }
-    report(&record).iter().for_each(|line| println!("{line}"));
-    Ok(())
+    Ok(report(&record))
 }
 
 fn text<'a>(value: &'a Value, missing: &'a str) -> &'a str {
@@ -99,14 +102,16 @@ fn title(training: &Value) -> String {
     format!("{}, {} Gaussians", size.join(" x "), training["gaussians"])
 }
 
+/// The speed of a training, and the share of time in which the card was idle, if it is known.
+pub(super) fn pace(title: &str, rate: f64, idle: Option<f64>) -> String {
+    let idle = idle.map(|idle| format!(", {:.0} % of the time idle", 100.0 * idle)).unwrap_or_default();
+    format!("{title}: {rate:.1} steps a second{idle}")
+}
+
 fn of_training(training: &Value) -> Vec<String> {
     let mut lines = Vec::new();
     match training["steps_per_second"].as_f64().filter(|rate| *rate > 0.0) {
-        Some(rate) => {
-            let idle = training["idle_share"].as_f64().map(|idle| 100.0 * idle);
-            let idle = idle.map(|idle| format!(", {idle:.0} % of the time idle")).unwrap_or_default();
-            lines.push(format!("{}: {rate:.1} steps a second{idle}", title(training)));
-        }
+        Some(rate) => lines.push(pace(&title(training), rate, training["idle_share"].as_f64())),
         None => lines.push(format!("{}: {}", title(training), text(&training["refusal"], "not finished"))),
     }
     let kernels = kernels(training);

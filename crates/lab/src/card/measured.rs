@@ -6,8 +6,6 @@
 //! the other parts still run, and the record is passed on after every part. Only a lost device ends the
 //! benchmark.
 
-mod records;
-
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::time::{Duration, Instant};
@@ -15,21 +13,19 @@ use std::time::{Duration, Instant};
 use use3d_capture::Appearance;
 use use3d_enhance::engine::{FieldEngine, FieldPlan, FieldState, initial_field};
 use use3d_enhance::{EnhanceParams, Guidance};
+use use3d_gpu::measure::{Ceilings, KernelTime, Timed, ViewWork, ceilings};
+use use3d_gpu::twins::{self, Agreement, LossCase, SceneSize, WaterCase};
+use use3d_gpu::{CheckError, Gpu, Stage1, Stage2, check};
 use use3d_reconstruct::density::{Draws, Origin};
 use use3d_reconstruct::engine::{Engine, TrainingState};
 use use3d_training::{Drain, EngineError, Silent};
 
-use crate::ceilings::{Ceilings, measure, need};
-use crate::check::{CheckError, check};
-use crate::device::Gpu;
-use crate::profile::{KernelTime, Timed};
-use crate::stage1::{Stage1, ViewWork};
-use crate::stage2::Stage2;
-use crate::twins::{self, Agreement, LossCase, SceneSize, WaterCase};
-pub use records::{
+use super::read::FORMAT;
+use super::records::{
     BenchRecord, CeilingsRecord, CheckRecord, CompiledRecord, DeterminismRecord, EnhancementRecord,
     FailedRecord, KernelRecord, RooflineRecord, TimesRecord, TrainingRecord, TwinRecord, ViewRecord,
 };
+use super::work::{least, need};
 
 /// The plan of a benchmark.
 #[derive(Clone, Debug, PartialEq)]
@@ -52,6 +48,25 @@ pub struct BenchPlan {
 }
 
 impl BenchPlan {
+    /// The plan for a card: all of it takes minutes. Software needs as long for a few steps. `steps` replaces
+    /// the numbers of steps.
+    pub fn new(
+        gpu: &Gpu,
+        (sizes, gaussians): (Vec<(usize, usize)>, Vec<usize>),
+        rounds: usize,
+        steps: Option<u64>,
+        minutes: usize,
+    ) -> Self {
+        let (steps, long) = match (steps, gpu.adapter.is_software()) {
+            (Some(steps), _) => (steps, None),
+            (None, false) => (200, Some(1000)),
+            (None, true) => (10, None),
+        };
+        // A size that every adapter can bind, and larger than its caches.
+        let copied = 128 << 20;
+        Self { sizes, rounds, gaussians, steps, long, copied, seconds: Some(60.0 * minutes as f64) }
+    }
+
     /// The scene of the step that is compared at full size: the largest view with the most Gaussians.
     fn large(&self) -> Option<SceneSize> {
         let (width, height) = self.sizes.iter().copied().max_by_key(|(width, height)| width * height)?;
@@ -164,7 +179,7 @@ fn roofline(
 ) -> BTreeMap<&'static str, RooflineRecord> {
     let record = |(name, kernel): (&&'static str, &KernelRecord)| {
         let [bytes, flops] = need(name, work)?;
-        let least_milliseconds = 1e3 * ceilings.least([bytes, flops]);
+        let least_milliseconds = 1e3 * least(ceilings, [bytes, flops]);
         let taken = kernel.milliseconds * kernel.dispatches as f64 / steps.max(1) as f64;
         let share = if taken > 0.0 { least_milliseconds / taken } else { 0.0 };
         let (megabytes, megaflops) = (1e-6 * bytes, 1e-6 * flops);
@@ -321,7 +336,7 @@ fn twin_record(case: String, agreement: Agreement) -> TwinRecord {
 /// The kernels compiled so far, and the seconds that this took, by name.
 fn compiled(gpu: &Gpu) -> BTreeMap<&'static str, CompiledRecord> {
     let mut all = BTreeMap::new();
-    for (name, seconds) in gpu.kernels.times() {
+    for (name, seconds) in gpu.compile_times() {
         let record: &mut CompiledRecord = all.entry(name).or_default();
         record.texts += 1;
         record.milliseconds += 1e3 * seconds;
@@ -514,7 +529,7 @@ pub fn bench(
     mut keep: impl FnMut(&BenchRecord),
 ) -> BenchRecord {
     let record = BenchRecord {
-        format: "3d-use gpu bench",
+        format: FORMAT,
         version: 7,
         adapter: gpu.adapter.clone(),
         driver_text: driver_text(),
@@ -527,8 +542,8 @@ pub fn bench(
     let mut bench =
         BenchRun { gpu, record, started, lost: false, seconds, stop, tell: &mut tell, keep: &mut keep };
     bench.check();
-    let ceilings = bench.section("what it does at best", |gpu| measure(gpu, plan.copied, LEAST));
-    bench.record.ceilings = ceilings.map(|Ceilings { bytes, flops, copied }| CeilingsRecord {
+    let best = bench.section("what it does at best", |gpu| ceilings(gpu, plan.copied, LEAST));
+    bench.record.ceilings = best.map(|Ceilings { bytes, flops, copied }| CeilingsRecord {
         copy_gigabytes_per_second: 1e-9 * bytes,
         multiply_add_gigaflops: 1e-9 * flops,
         copied_bytes: copied,
@@ -540,7 +555,7 @@ pub fn bench(
     bench.determinism();
     // The largest come first, because they may be the last for which there is time.
     for (scene, steps) in plan.trainings().into_iter().rev() {
-        bench.training(&scene, steps, ceilings.as_ref());
+        bench.training(&scene, steps, best.as_ref());
     }
     for &size in plan.sizes.iter().rev() {
         bench.times(size, plan.rounds);
@@ -553,7 +568,20 @@ pub fn bench(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::software;
+
+    /// Opens the software adapter. Without one the test is skipped with a message, or fails if
+    /// `USE3D_REQUIRE_GPU=1`.
+    fn software() -> Option<Gpu> {
+        match Gpu::open(Some("llvmpipe")) {
+            Ok(gpu) => Some(gpu),
+            Err(error) => {
+                let required = std::env::var_os("USE3D_REQUIRE_GPU").is_some_and(|v| v == "1");
+                assert!(!required, "USE3D_REQUIRE_GPU is set: {error}");
+                eprintln!("SKIPPED, no software adapter (package mesa-vulkan-drivers): {error}");
+                None
+            }
+        }
+    }
 
     fn plan() -> BenchPlan {
         BenchPlan {
@@ -578,18 +606,30 @@ mod tests {
     #[test]
     fn a_device_that_is_lost_on_the_way_keeps_what_was_found() {
         let Some(gpu) = software() else { return };
-        let lose = |what: &str| {
-            if what == "kernels beside the processor's functions" {
-                gpu.lose();
-            }
-        };
         let mut kept = None;
-        let record = bench(&gpu, &plan(), &|| false, lose, |record| kept = Some(record.clone()));
-        assert!(record.check.is_some_and(|check| check.passed) && record.ceilings.is_some());
-        let [failed] = &record.failed[..] else { panic!("{:?}", record.failed) };
-        assert!(failed.section.contains("kernels beside") && failed.why.contains("lost"), "{failed:?}");
+        let record = BenchRecord::default();
+        let mut bench = BenchRun {
+            gpu: &gpu,
+            record,
+            started: Instant::now(),
+            lost: false,
+            seconds: None,
+            stop: &|| false,
+            tell: &mut |_| (),
+            keep: &mut |record| kept = Some(record.clone()),
+        };
+        bench.check();
+        let lost = || EngineError::DeviceLost { engine: "gpu", reason: "destroyed".into() };
+        assert!(bench.section::<()>("kernels", |_| Err(lost())).is_none());
+        bench.twins();
+        bench.training(&plan().trainings()[0].0, 2, None);
+        bench.times((33, 20), 2);
+        bench.hand_over();
         let kept = kept.unwrap();
-        assert!(!kept.complete && kept.trainings.is_empty() && kept.failed.len() == 1, "{kept:?}");
+        assert!(kept.check.as_ref().is_some_and(|check| check.passed) && kept.twins.is_empty());
+        let [failed] = &kept.failed[..] else { panic!("{:?}", kept.failed) };
+        assert!(failed.section == "kernels" && failed.why.contains("lost"), "{failed:?}");
+        assert!(!kept.complete && kept.trainings.is_empty() && kept.times.is_empty(), "{kept:?}");
     }
 
     #[test]

@@ -1,0 +1,11 @@
+//! Measurements of the program itself, for developers. Only the command uses this crate.
+//!
+//! [`truth`] runs the whole pipeline on synthetic captures whose truth is known, and tabulates the distances
+//! from the truth. [`card`] measures a graphics card: limits, agreement with the processor, equal bits, and
+//! times. The command prints what they return.
+
+pub mod card;
+mod error;
+pub mod truth;
+
+pub use error::LabError;
