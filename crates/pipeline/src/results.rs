@@ -23,10 +23,10 @@ use crate::written::Sealed;
 use use3d_judge::configuration::Configuration;
 use use3d_judge::names::in_variant;
 use use3d_judge::scores::ScoredScene;
-use use3d_report::page::{StageRow, shortened, with_configurations, with_costs, with_tables, with_views};
-use use3d_report::tables::{Table, paper};
-use use3d_stages::report::write_tables;
-use use3d_stages::{SCORES, SPEED};
+use use3d_report::Report;
+use use3d_report::page::{Costs, Settings, StageRow, shortened};
+use use3d_report::tables::{self, paper};
+use use3d_stages::{BATCH, SCORES, SPEED};
 
 /// The page and the tables over all scenes.
 const PAGE: &str = "report.html";
@@ -237,7 +237,11 @@ impl Results {
         command: &str,
     ) -> Result<Vec<Delivered>, PlaceError> {
         let (page, tables) = (self.out.join(PAGE), self.out.join(TABLES));
-        let has_tables = report.manifest.files.iter().any(|file| file.path.starts_with("tables/"));
+        let file = report.path.join(BATCH);
+        let read = at(&file, "read", fs::read(&file))?;
+        let parsed = serde_json::from_slice::<Report>(&read).map_err(io::Error::other);
+        let Report { page: mut made, scored } = at(&file, "read", parsed)?;
+        let has_tables = !scored.is_empty();
         let mut delivered = vec![Delivered::new("report", "", "", &page)];
         delivered.extend(has_tables.then(|| Delivered::new("tables", "", "", &tables)));
         let mut sources = sources_of(summary.nodes.iter());
@@ -250,24 +254,26 @@ impl Results {
         if !computed && self.made_of(OVER_ALL) == wanted {
             return Ok(delivered);
         }
-        let made = configurations(summary);
-        let source = report.path.join("index.html");
-        let html = at(&source, "read", fs::read_to_string(&source))?;
-        let timed = timed_tables(summary, &made, &report.path);
-        let html = timed.as_ref().map_or_else(|| html.clone(), |tables| with_tables(&html, tables));
-        let html = with_configurations(&html, &told(&made));
-        let html = with_costs(&html, &rows(summary), &written(summary, command), &parameters(summary));
-        let links = views.iter().map(|view| (&*view.scene, &*view.variant, relative(&view.path, &self.out)));
-        STAMPED.write(&page, &with_views(&html, links))?;
+        let configurations = configurations(summary);
+        made.tables = paper::tables(&timed(summary, &configurations, scored));
+        made.settings = settings(&configurations);
+        made.costs = Some(Costs {
+            stages: rows(summary),
+            made: written(summary, command),
+            parameters: parameters(summary),
+        });
+        for view in views {
+            let name = in_variant(&view.scene, &view.variant);
+            if let Some(section) = made.scenes.iter_mut().find(|section| section.name == name) {
+                section.page = relative(&view.path, &self.out);
+            }
+        }
+        STAMPED.write(&page, &at(&page, "write", made.html().map_err(io::Error::other))?)?;
         if has_tables {
             // Drawing speeds do not follow from a key, so the tables are written with every new page.
-            put(None, &tables, |made| {
-                place::copy_folder(&report.path.join(TABLES), made)?;
-                if let Some(timed) = &timed {
-                    let tables = write_tables(made, timed).map_err(|e| io::Error::other(e.to_string()));
-                    at(made, "write", tables)?;
-                }
-                place::record(made, None)
+            put(None, &tables, |folder| {
+                at(folder, "write", tables::write(folder, &made.tables))?;
+                place::record(folder, None)
             })?;
         }
         self.keep(OVER_ALL, wanted);
@@ -441,16 +447,13 @@ fn relative(path: &Path, out: &Path) -> String {
     parts.collect::<Vec<_>>().join("/")
 }
 
-/// The report's tables with the data that belong to no artifact: the drawing speeds from the notes of the
-/// evaluations, the configurations behind the numbers, and the keys of the scores in the cache. `None` for a
-/// report without scores.
-fn timed_tables(
+/// The scores with the data that belong to no artifact: the drawing speeds from the notes of the evaluations,
+/// the configurations behind the numbers, and the keys of the scores in the cache.
+fn timed(
     summary: &Summary,
     made: &BTreeMap<(&str, &str), Configuration>,
-    report: &Path,
-) -> Option<Vec<Table>> {
-    let mut scored: Vec<ScoredScene> =
-        serde_json::from_slice(&fs::read(report.join("scores.json")).ok()?).ok()?;
+    mut scored: Vec<ScoredScene>,
+) -> Vec<ScoredScene> {
     let evaluated = summary.nodes.iter().filter(|n| n.stage == "evaluate");
     let evaluated: HashMap<(&str, &str), &RanNode> =
         evaluated.map(|n| ((&*n.scene, &*n.variant), n)).collect();
@@ -466,7 +469,7 @@ fn timed_tables(
             scene.source = format!("{name} {}", shortened(&artifact.manifest.key.to_string()));
         }
     }
-    (!scored.is_empty()).then(|| paper::tables(&scored))
+    scored
 }
 
 /// The configuration of every scene in every variant of a run.
@@ -477,12 +480,16 @@ fn configurations(summary: &Summary) -> BTreeMap<(&str, &str), Configuration> {
 }
 
 /// The configurations as the top of the report shows them: the parts for all scenes of a variant.
-fn told(made: &BTreeMap<(&str, &str), Configuration>) -> Vec<(String, Vec<(&'static str, String)>)> {
+fn settings(made: &BTreeMap<(&str, &str), Configuration>) -> Vec<Settings> {
     let mut variants: BTreeMap<&str, Vec<&Configuration>> = BTreeMap::new();
     for ((_, variant), configuration) in made {
         variants.entry(variant).or_default().push(configuration);
     }
-    variants.into_iter().map(|(variant, all)| (variant.to_string(), Configuration::parts(&all))).collect()
+    let parts = |(variant, all): (&str, Vec<&Configuration>)| Settings {
+        variant: variant.to_string(),
+        parts: Configuration::parts(&all),
+    };
+    variants.into_iter().map(parts).collect()
 }
 
 /// Delivers the scores of a scene, with the configuration behind them.

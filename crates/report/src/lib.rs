@@ -7,3 +7,18 @@ pub mod batch;
 pub mod page;
 pub mod tables;
 pub mod verdict;
+
+use serde::{Deserialize, Serialize};
+use use3d_judge::scores::ScoredScene;
+
+use page::Page;
+
+/// The report of a run without what is known only when it is delivered: costs, settings, speeds, and the
+/// places of other files.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Report {
+    /// The page.
+    pub page: Page,
+    /// The scores behind the tables.
+    pub scored: Vec<ScoredScene>,
+}

@@ -7,13 +7,14 @@
 use askama::Template;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
+use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use use3d_capture::Image;
 use use3d_io_image::{JpegError, jpeg_address, shrunk};
 
 use crate::tables::{Cell, Rank, Table, marked};
 use crate::verdict::{Sentence, Tone};
-use use3d_judge::names::{distinct, in_variant};
+use use3d_judge::names::distinct;
 
 /// Long side of embedded pictures, pixels.
 pub const PICTURE_SIDE: usize = 960;
@@ -21,7 +22,7 @@ pub const PICTURE_SIDE: usize = 960;
 const PICTURE_QUALITY: u8 = 86;
 
 /// A page.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Page {
     /// The run's name.
     pub title: String,
@@ -29,7 +30,11 @@ pub struct Page {
     pub subtitle: String,
     /// The verdict on the whole run, in sentences.
     pub verdict: Vec<Sentence>,
+    /// The settings behind the results.
+    #[serde(skip)]
+    pub settings: Vec<Settings>,
     /// The tables, in order.
+    #[serde(skip)]
     pub tables: Vec<Table>,
     /// The scenes, in order.
     pub scenes: Vec<SceneSection>,
@@ -39,15 +44,60 @@ pub struct Page {
     pub missing: Vec<String>,
     /// The program, its version, and the place of date and command.
     pub made_with: String,
+    /// The costs of the run.
+    #[serde(skip)]
+    pub costs: Option<Costs>,
+}
+
+/// The settings of a variant, in parts: name and text. The part without a name is the base of all others, and
+/// `steps` are the steps of the trainings.
+#[derive(Clone, Debug, Default)]
+pub struct Settings {
+    /// The variant; empty if there are no variants.
+    pub variant: String,
+    /// Name and text of each part.
+    pub parts: Vec<(&'static str, String)>,
+}
+
+impl Settings {
+    fn value(&self, name: &str) -> &str {
+        self.parts.iter().find(|(own, _)| *own == name).map_or("", |(_, text)| text)
+    }
+
+    fn base(&self) -> &str {
+        self.value("")
+    }
+
+    fn steps(&self) -> &str {
+        self.value("steps")
+    }
+
+    fn named(&self) -> impl Iterator<Item = &(&'static str, String)> {
+        self.parts.iter().filter(|(name, _)| !name.is_empty())
+    }
+}
+
+/// The costs of a run, known only after it.
+#[derive(Clone, Debug, Default)]
+pub struct Costs {
+    /// The stages, in order.
+    pub stages: Vec<StageRow>,
+    /// One line about the run.
+    pub made: String,
+    /// The parameters of the stages, as text.
+    pub parameters: String,
 }
 
 /// The section on one scene.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct SceneSection {
     /// Its name.
     pub name: String,
     /// Its data set, or empty.
     pub group: String,
+    /// The address of the scene's own page, from the place of this one; empty if it has none.
+    #[serde(skip)]
+    pub page: String,
     /// One line: views, size, Gaussians.
     pub summary: String,
     /// The verdict on its scores, in sentences.
@@ -62,8 +112,15 @@ pub struct SceneSection {
     pub sheets: Vec<Picture>,
 }
 
+impl SceneSection {
+    /// The address of the folder with the scene's own page; empty if that is beside this page.
+    fn folder(&self) -> &str {
+        self.page.rsplit_once('/').map_or("", |(folder, _)| folder)
+    }
+}
+
 /// One held-out view.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct ViewSection {
     /// Its name.
     pub name: String,
@@ -76,7 +133,7 @@ pub struct ViewSection {
 }
 
 /// An embedded picture.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Picture {
     /// A short label.
     pub label: String,
@@ -94,7 +151,7 @@ pub struct Picture {
 }
 
 /// An embedded plot.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct PlotFigure {
     /// The SVG element.
     pub svg: String,
@@ -103,7 +160,7 @@ pub struct PlotFigure {
 }
 
 /// The calibrator's held-out errors.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct CalibratorSection {
     /// Pairs, proposer, form.
     pub summary: String,
@@ -169,7 +226,8 @@ struct PageTemplate<'a> {
     policy: String,
     verdict: String,
     verdicts: Vec<String>,
-    tables_section: String,
+    tables: Vec<TableView>,
+    stages: Vec<StageView>,
 }
 
 /// Returns the page's content policy: it fetches nothing, and only its own script runs, whatever the names of
@@ -182,56 +240,6 @@ fn policy() -> String {
         "default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; img-src data:; \
          base-uri 'none'; form-action 'none'"
     )
-}
-
-#[derive(Template)]
-#[template(path = "tables.html")]
-struct TablesTemplate {
-    tables: Vec<TableView>,
-}
-
-impl TablesTemplate {
-    fn new(tables: &[Table]) -> Self {
-        Self { tables: tables.iter().map(TableView::new).collect() }
-    }
-}
-
-#[derive(Template)]
-#[template(path = "made-by.html")]
-struct MadeByTemplate<'a> {
-    made: Vec<MadeBy<'a>>,
-}
-
-/// The configuration of a variant: its base and its steps in one line, and all the rest.
-struct MadeBy<'a> {
-    name: &'a str,
-    base: &'a str,
-    steps: &'a str,
-    parts: Vec<&'a (&'static str, String)>,
-}
-
-impl<'a> MadeBy<'a> {
-    fn new((name, parts): &'a (String, Vec<(&'static str, String)>)) -> Self {
-        let value = |field| parts.iter().find(|(name, _)| *name == field).map_or("", |(_, text)| text);
-        let rest = parts.iter().filter(|(name, _)| !name.is_empty());
-        Self { name, base: value(""), steps: value("steps"), parts: rest.collect() }
-    }
-}
-
-#[derive(Template)]
-#[template(path = "view.html")]
-struct ViewLink<'a> {
-    name: &'a str,
-    address: &'a str,
-    folder: &'a str,
-}
-
-#[derive(Template)]
-#[template(path = "costs.html")]
-struct CostsTemplate<'a> {
-    stages: Vec<StageView>,
-    made: &'a str,
-    parameters: &'a str,
 }
 
 struct TableView {
@@ -335,15 +343,37 @@ impl TableView {
     }
 }
 
+impl StageView {
+    /// The rows of a table of costs; their bars compare the times.
+    fn all(stages: &[StageRow]) -> Vec<Self> {
+        let longest = stages.iter().map(|s| s.seconds).fold(1e-9, f64::max);
+        let view = |s: &StageRow| Self {
+            scene: s.scene.clone(),
+            stage: s.stage.clone(),
+            state: s.state.clone(),
+            seconds: format!("{:.1}", s.seconds),
+            bar: (120.0 * s.seconds / longest).round().max(1.0) as u32,
+            memory: s.memory.map_or_else(|| "–".into(), |m| format!("{m:.0}")),
+            size: format!("{:.1}", s.size),
+            key: shortened(&s.key),
+        };
+        stages.iter().map(view).collect()
+    }
+}
+
 impl Page {
     /// The page as HTML.
+    ///
+    /// # Errors
+    /// A template could not be filled.
     pub fn html(&self) -> Result<String, ReportError> {
         let template = PageTemplate {
             page: self,
             policy: policy(),
             verdict: verdict(&self.verdict)?,
             verdicts: self.scenes.iter().map(|scene| verdict(&scene.verdict)).collect::<Result<_, _>>()?,
-            tables_section: TablesTemplate::new(&self.tables).render()?,
+            tables: self.tables.iter().map(TableView::new).collect(),
+            stages: self.costs.as_ref().map_or_else(Vec::new, |costs| StageView::all(&costs.stages)),
         };
         Ok(template.render()?)
     }
@@ -376,70 +406,9 @@ fn verdict(sentences: &[Sentence]) -> Result<String, askama::Error> {
     VerdictTemplate { sentences: marked.collect() }.render()
 }
 
-/// The place of a page's costs.
-const COSTS: &str = "<!--costs-->";
-
-/// The marks around a page's tables.
-const TABLES: (&str, &str) = ("<!--tables-->", "<!--end of tables-->");
-
-/// A page with its tables replaced by others, which include the speed of drawing the scenes.
-pub fn with_tables(html: &str, tables: &[Table]) -> String {
-    let (Some(start), Some(end)) = (html.find(TABLES.0), html.find(TABLES.1)) else { return html.into() };
-    match TablesTemplate::new(tables).render() {
-        Ok(section) if start < end => {
-            format!("{}{section}\n{}", &html[..start + TABLES.0.len() + 1], &html[end..])
-        }
-        _ => html.into(),
-    }
-}
-
-/// A page with the configurations at the top: the name of each variant with the parts of its configuration.
-pub fn with_configurations(html: &str, made: &[(String, Vec<(&'static str, String)>)]) -> String {
-    const AFTER: &str = "<p class=\"lead\">";
-    let Some(start) = html.find(AFTER) else { return html.into() };
-    let Some(end) = html[start..].find("</p>").map(|end| start + end + "</p>".len()) else {
-        return html.into();
-    };
-    let made = made.iter().map(MadeBy::new).collect();
-    let Ok(lines) = (MadeByTemplate { made }).render() else { return html.into() };
-    format!("{}{}{}", &html[..end], lines.trim_end(), &html[end..])
-}
-
-/// A page with a link to each scene's own page, given as scene, variant and address. The location of results
-/// is part of no artifact.
-pub fn with_views<'a>(html: &str, views: impl Iterator<Item = (&'a str, &'a str, String)>) -> String {
-    views.fold(html.to_string(), |html, (scene, variant, address)| {
-        // The section's name, as the template escapes it.
-        let name = &in_variant(scene, variant);
-        let folder = address.rsplit_once('/').map_or("", |(folder, _)| folder);
-        let Ok(filled) = (ViewLink { name, address: &address, folder }).render() else { return html };
-        let mark = filled.lines().next().unwrap_or_default();
-        html.replacen(&format!("{mark}\n"), &filled, 1)
-    })
-}
-
 /// The first characters of a key, enough to distinguish it from others.
 pub fn shortened(key: &str) -> String {
     key.chars().take(12).collect()
-}
-
-/// A page with the costs of its stages, one line about the run (`made`), and the parameters of the stages as
-/// text. All this is known only after the run, and is part of no artifact.
-pub fn with_costs(html: &str, rows: &[StageRow], made: &str, parameters: &str) -> String {
-    let longest = rows.iter().map(|s| s.seconds).fold(1e-9, f64::max);
-    let stages = rows.iter().map(|s| StageView {
-        scene: s.scene.clone(),
-        stage: s.stage.clone(),
-        state: s.state.clone(),
-        seconds: format!("{:.1}", s.seconds),
-        bar: (120.0 * s.seconds / longest).round().max(1.0) as u32,
-        memory: s.memory.map_or_else(|| "–".into(), |m| format!("{m:.0}")),
-        size: format!("{:.1}", s.size),
-        key: shortened(&s.key),
-    });
-    // A template of plain strings cannot fail to render; without this table the page is still complete.
-    let costs = CostsTemplate { stages: stages.collect(), made, parameters }.render().unwrap_or_default();
-    html.replacen(COSTS, &costs, 1)
 }
 
 #[cfg(test)]
@@ -509,36 +478,46 @@ mod tests {
             size: 2.0,
             key: "0123456789abcdef".into(),
         };
-        let views = [("reef", "", "reef/view.html".to_string()), ("gone", "", "gone/view.html".to_string())];
-        let linked = with_views(&html, views.into_iter());
-        assert!(linked.contains("href=\"reef/view.html\"") && !linked.contains("gone"));
-        let parameters = "reef: evaluate\n{ \"path_pairs\": 8 } <&>";
-        let whole = with_costs(&html, &[row], "by `use3d run <a>`", parameters);
-        assert!(whole.contains("<code>0123456789ab</code>") && whole.contains("path_pairs"));
-        assert!(!whole.contains("<&>") && whole.contains("by `use3d run &#60;a&#62;`"));
-        let timed = Table {
-            name: "t".into(),
-            caption: "another caption".into(),
-            columns: vec![Column::new("", "FPS", Better::Neither, 2)],
-            rows: vec![Row {
-                label: "x".into(),
-                published: false,
-                made_by: "preset paper; seed: 42".into(),
-                cells: vec![Cell::Number { value: 12.34, source: "hardware".into() }],
-            }],
-        };
-        let other = with_tables(&whole, std::slice::from_ref(&timed));
-        assert!(other.contains("12.34") && other.contains("another caption") && !other.contains(">caption<"));
-        assert_eq!(with_tables(&other, &[timed]), other, "once more changes nothing");
-        assert!(other.contains("<sup>a</sup>") && other.contains("preset paper; seed: 42"), "{other}");
+        assert!(!html.contains("<code>") && !html.contains("settings:") && !html.contains("Walk through"));
         let parts =
             [("", "preset paper, changed: a = <b>"), ("proposer", "fusion"), ("steps", "5000 + 1000")];
         let parts = parts.map(|(name, text)| (name, text.to_string())).to_vec();
-        let told = with_configurations(&other, &[("reef".into(), parts)]);
-        let at = |text: &str| told.find(text).unwrap_or_else(|| panic!("{text}"));
+        let mut page = page;
+        page.scenes[0].page = "reef/view.html".into();
+        page.settings = vec![Settings { variant: "reef".into(), parts }];
+        page.tables[0].rows.push(Row {
+            label: "y".into(),
+            published: false,
+            made_by: "preset paper; seed: 42".into(),
+            cells: vec![Cell::Number { value: 12.34, source: "hardware".into() }],
+        });
+        page.costs = Some(Costs {
+            stages: vec![row],
+            made: "by `use3d run <a>`".into(),
+            parameters: "reef: evaluate\n{ \"path_pairs\": 8 } <&>".into(),
+        });
+        let whole = page.html().unwrap();
+        assert!(whole.contains("href=\"reef/view.html\"") && whole.contains("href=\"reef\""));
+        assert!(whole.contains("<code>0123456789ab</code>") && whole.contains("path_pairs"));
+        assert!(!whole.contains("<&>") && whole.contains("by `use3d run &#60;a&#62;`"));
+        assert!(whole.contains("12.34") && whole.contains("<sup>a</sup>"));
+        assert!(whole.contains("preset paper; seed: 42"), "{whole}");
+        let at = |text: &str| whole.find(text).unwrap_or_else(|| panic!("{text}"));
         let line = "reef · settings: preset paper, changed: a = &#60;b&#62;; 5000 + 1000 steps</summary>";
         assert!(at(line) < at("id=\"scene-1\""), "on the first screen");
         assert!(at(line) < at("<dt>proposer</dt><dd>fusion</dd>"));
-        assert_eq!(with_configurations(&other, &[]), other);
+    }
+
+    #[test]
+    fn a_page_is_read_back_without_what_is_known_only_after_a_run() {
+        let page = Page {
+            title: "reef".into(),
+            costs: Some(Costs::default()),
+            scenes: vec![SceneSection { page: "reef/view.html".into(), ..SceneSection::default() }],
+            ..Page::default()
+        };
+        let read: Page = serde_json::from_str(&serde_json::to_string(&page).unwrap()).unwrap();
+        assert_eq!(read.title, "reef");
+        assert!(read.costs.is_none() && read.scenes[0].page.is_empty());
     }
 }

@@ -7,11 +7,13 @@
 use use3d_capture::flat_stem;
 use use3d_metrics::Score;
 
+use serde::{Deserialize, Serialize};
 use use3d_judge::names::distinct;
 use use3d_judge::scores::{Method, SceneScores, ViewScores};
 
 /// The tone of a sentence.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Tone {
     /// Good news.
     Good,
@@ -22,7 +24,7 @@ pub enum Tone {
 }
 
 /// One sentence.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Sentence {
     /// Its tone.
     pub tone: Tone,

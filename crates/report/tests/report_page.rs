@@ -10,9 +10,7 @@ use chromium::Chromium;
 use serde_json::json;
 use use3d_capture::Image;
 use use3d_chart::{Plot, RGB, Series};
-use use3d_report::page::{
-    Page, Picture, PlotFigure, SceneSection, StageRow, ViewSection, with_costs, with_views,
-};
+use use3d_report::page::{Costs, Page, Picture, PlotFigure, SceneSection, StageRow, ViewSection};
 use use3d_report::tables::{Better, Cell, Column, Row, Table};
 use use3d_report::verdict::{Sentence, Tone};
 
@@ -46,6 +44,7 @@ fn report() -> String {
     };
     let scene = SceneSection {
         name: "reef".into(),
+        page: "reef/view.html".into(),
         summary: format!("Made of {long}."),
         verdict: vec![sentence.clone()],
         notes: vec![long.into()],
@@ -75,8 +74,9 @@ fn report() -> String {
         size: 12.0,
         key: "0123456789abcdef".into(),
     };
-    let html = with_costs(&page.html().expect("a page"), &[row], long, &format!("reef:\n{long}{long}"));
-    with_views(&html, [("reef", "", "reef/view.html".to_string())].into_iter())
+    let parameters = format!("reef:\n{long}{long}");
+    let costs = Some(Costs { stages: vec![row], made: long.into(), parameters });
+    Page { costs, ..page }.html().expect("a page")
 }
 
 /// The marks of plots whose contrast with their background is less than a number.

@@ -33,7 +33,7 @@ mod targets;
 pub use engines::{Drawn, close_devices};
 pub use parts::appearance::Appearance;
 pub use parts::files::{
-    CALIBRATED, CALIBRATOR, CAMERAS, CHOICES, SCORES, SPEED, TARGETS, read_json, write_json,
+    BATCH, CALIBRATED, CALIBRATOR, CAMERAS, CHOICES, SCORES, SPEED, TARGETS, read_json, write_json,
 };
 pub use parts::proposer::{ProposerChoice, open as open_proposer};
 pub use parts::water;

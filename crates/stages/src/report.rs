@@ -17,8 +17,7 @@ use use3d_workflow::{StageContext, StageError, StageInput};
 
 use crate::parts::calibrator::read_calibrator;
 use crate::parts::files::{
-    CHOICES, CONTACT, ENHANCED_IN_2D, SCORES, STRIP, TRUE_VIEWS, WATER, folder, read, read_json, write,
-    write_json,
+    BATCH, CHOICES, CONTACT, ENHANCED_IN_2D, SCORES, STRIP, TRUE_VIEWS, WATER, read, read_json, write_json,
 };
 use crate::parts::proposer::NO_PROPOSER;
 use crate::reconstruct::Choices;
@@ -26,11 +25,11 @@ use use3d_chart::{Plot, RGB, Series};
 use use3d_judge::names::in_variant;
 use use3d_judge::scores::{Method, MethodScores, SceneScores, ScoredScene};
 use use3d_judge::strip::Strip;
+use use3d_report::Report;
 use use3d_report::batch::{head, overall};
 use use3d_report::page::{
     CalibratorSection, Page, Picture, PlotFigure, SceneSection, ViewSection, shortened,
 };
-use use3d_report::tables::{Table, paper};
 use use3d_report::verdict::{SceneFacts, verdict};
 
 /// Parameters of the report.
@@ -57,8 +56,8 @@ pub(crate) mod definition {
 
     pub(crate) fn stage() -> Stage {
         Stage::new("report", Scope::Batch, run)
-            .about("tables and one page about the whole batch")
-            .promises(&["index.html", "scores.json"])
+            .about("tables and one page about the whole batch, as data")
+            .promises(&[BATCH])
             .input("calibrator", "calibrate")
             .or_external("calibrator")
             .input("import", "import")
@@ -127,8 +126,6 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         }));
     }
     let results: Vec<(&str, &str)> = all.iter().map(|parts| (parts.scene, parts.variant)).collect();
-    let tables = paper::tables(&scored);
-    write_tables(&context.output().join("tables"), &tables)?;
     let page = Page {
         title: match &all[..] {
             // The title names the only scene, unless the user set a title.
@@ -142,7 +139,6 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
             _ => head(&results, scored.len()),
         },
         verdict: overall(&results, &scenes, context.missing()),
-        tables,
         scenes,
         calibrator: calibrator.as_ref().map(calibrator_section),
         missing: context.missing().to_vec(),
@@ -152,9 +148,9 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
              run.",
             env!("CARGO_PKG_VERSION")
         ),
+        ..Page::default()
     };
-    write_json(&context.output().join("scores.json"), &scored)?;
-    write(&context.output().join("index.html"), page.html()?)
+    write_json(&context.output().join(BATCH), &Report { page, scored })
 }
 
 /// The scores in a folder, and the first characters of the digest of their file.
@@ -164,19 +160,6 @@ fn read_scores(folder: &Path) -> Result<(SceneScores, String), StageError> {
     let scores = SceneScores::parse(&bytes);
     let scores = scores.map_err(|e| StageError::message(format!("{}: {e}", path.display())))?;
     Ok((scores, shortened(&blake3::hash(&bytes).to_hex())))
-}
-
-/// Writes the tables in all their formats into a folder.
-pub fn write_tables(dir: &Path, tables: &[Table]) -> Result<(), StageError> {
-    folder(dir)?;
-    for table in tables {
-        let file = |extension: &str| dir.join(format!("{}.{extension}", table.name));
-        write(&file("md"), table.markdown())?;
-        write(&file("csv"), table.csv())?;
-        write(&file("tex"), table.latex())?;
-        write_json(&file("json"), &table.json())?;
-    }
-    Ok(())
 }
 
 fn calibrator_section(calibrator: &Calibrator) -> CalibratorSection {

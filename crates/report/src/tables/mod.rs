@@ -10,6 +10,9 @@ pub mod paper;
 pub mod published;
 mod truth;
 
+use std::io;
+use std::path::Path;
+
 pub use format::markdown_table;
 use serde::Serialize;
 use use3d_numerics::math;
@@ -120,6 +123,23 @@ pub struct Table {
     pub columns: Vec<Column>,
     /// The rows.
     pub rows: Vec<Row>,
+}
+
+/// Writes the tables in all their formats into a folder, which is made.
+///
+/// # Errors
+/// The error of the first file that cannot be written.
+pub fn write(dir: &Path, tables: &[Table]) -> io::Result<()> {
+    std::fs::create_dir_all(dir)?;
+    for table in tables {
+        let file = |extension: &str| dir.join(format!("{}.{extension}", table.name));
+        std::fs::write(file("md"), table.markdown())?;
+        std::fs::write(file("csv"), table.csv())?;
+        std::fs::write(file("tex"), table.latex())?;
+        let text = serde_json::to_string_pretty(&table.json())?;
+        std::fs::write(file("json"), text + "\n")?;
+    }
+    Ok(())
 }
 
 /// The mark of the item at index `place`: a to z, then a1.

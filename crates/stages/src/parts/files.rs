@@ -28,6 +28,8 @@ pub(crate) const ENHANCED_IN_2D: &str = "proposal";
 pub(crate) const TRUE_VIEWS: &str = "truth";
 /// The note of `evaluate` with the speed of drawing the scene.
 pub const SPEED: &str = "speed";
+/// In `report`: the page and the scores, as data.
+pub const BATCH: &str = "batch.json";
 /// In `reconstruct`: the choices that its parameters left open and the run made.
 pub const CHOICES: &str = "choices.json";
 /// In `targets`: the origin of the calibrator that corrected the proposals.
