@@ -10,18 +10,12 @@ use tracing_subscriber::util::SubscriberInitExt;
 pub(crate) fn start(verbose: u8, quiet: bool) {
     let default = match (quiet, verbose) {
         (true, _) => "error",
-        (_, 0) => "warn,use3d=info",
+        (_, 0) => "warn",
         (_, 1) => "info,use3d=debug",
         (_, 2) => "debug",
         _ => "trace",
     };
-    let ours = "capture io_image survey io_colmap io_metashape io_nerfstudio io_opensfm io_realityscan \
-                import prepare splat medium atc nets synth reconstruct enhance workflow pipeline scene \
-                render training";
     let mut filter = String::from(default);
-    if !quiet && verbose == 0 {
-        ours.split(' ').for_each(|name| filter.push_str(&format!(",use3d_{name}=info")));
-    }
     if verbose < 2 {
         // Drivers of graphics cards and their loader log many warnings; the engine reports real errors
         // itself.

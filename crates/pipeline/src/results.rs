@@ -12,9 +12,9 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use serde::Serialize;
 use use3d_scene::White;
-use use3d_workflow::delivered::{MadeOf, Notes};
+use use3d_workflow::delivered::{Notes, Sources};
 use use3d_workflow::place::{self, Look, PlaceError, Standing, at};
-use use3d_workflow::run::{Became, RanNode};
+use use3d_workflow::run::{NodeResult, RanNode};
 use use3d_workflow::{Artifact, Cache, Digest, Graph, Summary};
 
 use crate::made_by;
@@ -51,7 +51,7 @@ pub struct Results {
     pub out: PathBuf,
     notes: Notes,
     /// The sources of each part that is as it was delivered.
-    standing: Mutex<BTreeMap<String, MadeOf>>,
+    standing: Mutex<BTreeMap<String, Sources>>,
 }
 
 /// The part over all scenes.
@@ -68,22 +68,22 @@ impl Results {
         Self { out: out.to_path_buf(), notes: Notes::of(cache, out), standing: Mutex::default() }
     }
 
-    fn standing(&self) -> MutexGuard<'_, BTreeMap<String, MadeOf>> {
+    fn standing(&self) -> MutexGuard<'_, BTreeMap<String, Sources>> {
         self.standing.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// The sources of a part that is as it was delivered; empty if it is not. Its files are examined once.
-    fn made_of(&self, part: &str) -> MadeOf {
+    fn sources(&self, part: &str) -> Sources {
         let examine = || self.notes.standing(part, &paths_of(part));
         self.standing().entry(part.to_string()).or_insert_with(examine).clone()
     }
 
     /// Notes the sources of a part that was just delivered.
-    fn keep(&self, part: &str, made_of: MadeOf) {
-        if let Err(error) = self.notes.keep(part, &paths_of(part), made_of.clone()) {
+    fn keep(&self, part: &str, sources: Sources) {
+        if let Err(error) = self.notes.keep(part, &paths_of(part), sources.clone()) {
             tracing::debug!("{error}");
         }
-        self.standing().insert(part.to_string(), made_of);
+        self.standing().insert(part.to_string(), sources);
     }
 
     /// Forgets what is known of the parts, because another part of the program has written into the folder.
@@ -129,7 +129,7 @@ impl Results {
                 }
                 _ => continue,
             };
-            let stands = !self.made_of(&part.to_string_lossy()).is_empty();
+            let stands = !self.sources(&part.to_string_lossy()).is_empty();
             examined.insert(part, stands);
             if !stands {
                 STAMPED.check(&out.join(page))?;
@@ -181,7 +181,7 @@ impl Results {
         let (scene, variant) = (own.scene, own.variant);
         let folder = folder_of(scene, variant);
         let part = folder.to_string_lossy().into_owned();
-        let mut wanted = MadeOf::new();
+        let mut wanted = Sources::new();
         let placed = own.nodes.iter().filter_map(|node| {
             Some((node.stage, node.artifact.as_deref()?, self.out.join(&folder).join(node.delivered?)))
         });
@@ -200,7 +200,7 @@ impl Results {
         if let Some(shown) = shown {
             wanted.insert(VIEW.to_string(), view_of(shown));
         }
-        let standing = self.made_of(&part);
+        let standing = self.sources(&part);
         if wanted.iter().all(|(place, source)| standing.get(place) == Some(source)) {
             delivered.extend(shown.map(|_| page));
             return Ok(delivered);
@@ -249,9 +249,9 @@ impl Results {
         for view in views {
             sources.update(view.path.as_os_str().as_encoded_bytes());
         }
-        let wanted = MadeOf::from([(PAGE.to_string(), Digest::from(sources.finalize()).to_string())]);
-        let computed = summary.nodes.iter().any(|n| matches!(n.result, Became::Done));
-        if !computed && self.made_of(OVER_ALL) == wanted {
+        let wanted = Sources::from([(PAGE.to_string(), Digest::from(sources.finalize()).to_string())]);
+        let computed = summary.nodes.iter().any(|n| matches!(n.result, NodeResult::Done));
+        if !computed && self.sources(OVER_ALL) == wanted {
             return Ok(delivered);
         }
         let configurations = configurations(summary);
@@ -556,7 +556,7 @@ fn rows(summary: &Summary) -> Vec<StageRow> {
             "" => "all scenes".into(),
             scene => in_variant(scene, &node.variant),
         };
-        let state = if matches!(node.result, Became::Done) { "computed" } else { "cached" };
+        let state = if matches!(node.result, NodeResult::Done) { "computed" } else { "cached" };
         Some(StageRow {
             scene,
             stage: node.stage.to_string(),

@@ -16,7 +16,7 @@ use crate::parts::files::{CALIBRATED, TARGETS, folder, go_on, write, write_json}
 use crate::parts::kept_water::KeptWaterChoice;
 use crate::parts::proposer::ProposerChoice;
 use crate::parts::scene::scene;
-use crate::parts::starts::Starts;
+use crate::parts::transition_sources::TransitionSources;
 
 /// The pictures that transitions start from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -204,7 +204,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let capture = capture(context)?;
     let scene = scene(context, "scene")?;
     let views: Vec<&View> = capture.training_views().collect();
-    let mut starts = Starts::open(context, params, &scene, &views)?;
+    let mut starts = TransitionSources::open(context, params, &scene, &views)?;
     let total = 2 * views.len() as u64;
     let mut recorder = Recorder::default();
     let mut records = Vec::with_capacity(views.len());

@@ -5,6 +5,8 @@ use std::time::Duration;
 
 use clap::Args;
 use use3d_reconstruct::EngineChoice;
+use use3d_stages::registry;
+use use3d_workflow::{Registry, Stage};
 
 /// The engine that computes.
 #[derive(Clone, Debug, Default, Args)]
@@ -71,9 +73,10 @@ impl Spelled {
 
     /// The engine as a setting of every stage that has one.
     pub(crate) fn engines(engine: Option<&EngineChoice>) -> Vec<Self> {
-        let stages = ["reconstruct", "targets", "enhance", "render", "evaluate"];
-        let of = |e| stages.map(|stage| Self::new("--engine", stage, "engine", e));
-        engine.map_or_else(Vec::new, |e| of(e).to_vec())
+        let registry = engine.and_then(|_| registry().ok());
+        let stages = registry.iter().flat_map(Registry::stages).filter(|stage| stage.device.is_some());
+        let of = |stage: &Stage| Some(Self::new("--engine", stage.name(), "engine", engine?));
+        stages.filter_map(of).collect()
     }
 
     /// The setting in the form of `--set`.

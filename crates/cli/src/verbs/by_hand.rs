@@ -13,7 +13,7 @@ use use3d_pipeline::config::{LoadOptions, for_capture, without_captures};
 use use3d_scene::Origin;
 use use3d_stages::{CALIBRATOR, TARGETS};
 use use3d_workflow::machine::{bytes, seconds};
-use use3d_workflow::run::Became;
+use use3d_workflow::run::NodeResult;
 use use3d_workflow::{Builder, Cache, Event, Graph, Registry, RunOptions, Source, Stage, Summary, leftovers};
 
 use crate::App;
@@ -264,7 +264,7 @@ fn problem(summary: &Summary) -> CliError {
         return CliError::Interrupted;
     }
     let failed = summary.failed().find_map(|node| match &node.result {
-        Became::Failed { reason, bad_input, .. } => Some((reason.clone(), *bad_input)),
+        NodeResult::Failed { reason, bad_input, .. } => Some((reason.clone(), *bad_input)),
         _ => None,
     });
     match failed {

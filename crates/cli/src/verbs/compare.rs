@@ -18,19 +18,11 @@ use crate::App;
 use crate::args::CompareArgs;
 use crate::destination::{check_file, entries, path_text, write_text};
 use crate::error::{CliError, Done};
+use crate::verbs::loaded::stages;
 use crate::verbs::{history, results};
 
 /// Most views of a scene that the page shows.
 const VIEWS: usize = 12;
-/// The folder of a stage's result among results.
-const FOLDERS: [(&str, &str); 6] = [
-    ("reconstruct", "scene"),
-    ("enhance", "enhanced-scene"),
-    ("targets", "targets"),
-    ("photographs", "photographs-held-out"),
-    ("render", "renders"),
-    ("evaluate", "scores"),
-];
 /// The compared scores: metric, column head, better direction, decimals.
 const METRICS: [(&str, &str, Better, usize); 7] = [
     ("psnr", "PSNR", Better::Higher, 2),
@@ -75,6 +67,7 @@ fn side(given: &str) -> Result<Side, CliError> {
             return Err(CliError::Input(format!("{given}: {what}: {}", record.command)));
         }
     } else {
+        let registry = stages()?;
         // A capture often has the name of its results below ./use3d-out.
         for folder in [PathBuf::from(given), Path::new("use3d-out").join(given)] {
             if !scenes.is_empty() {
@@ -83,7 +76,8 @@ fn side(given: &str) -> Result<Side, CliError> {
             let folders = entries(&folder).filter(|path| path.is_dir()).chain([folder]);
             for path in folders.filter(|path| path.join("renders").is_dir()) {
                 let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-                let there = FOLDERS.iter().map(|(stage, name)| (stage.to_string(), path.join(name)));
+                let there = registry.stages().iter().filter_map(|stage| Some((stage, stage.delivered?)));
+                let there = there.map(|(stage, folder)| (stage.name().to_string(), path.join(folder)));
                 scenes.insert(name, there.filter(|(_, path)| path.is_dir()).collect());
             }
         }

@@ -22,7 +22,7 @@ const OUT: &str = "use3d-out";
 
 /// A run in the form in which it is printed.
 #[derive(Serialize)]
-struct Told {
+struct RunLine {
     /// The number that restores the run.
     run: usize,
     /// True if its results are in the folder now.
@@ -68,7 +68,7 @@ pub(crate) fn found(record: &RunRecord, made: &DeliveredArtifact) -> Option<Path
     }
 }
 
-fn told(number: usize, record: &RunRecord, shown: bool) -> Told {
+fn line(number: usize, record: &RunRecord, shown: bool) -> RunLine {
     let psnr = || {
         let evaluated = record.artifacts.iter().find(|made| made.stage == "evaluate")?;
         let scores: SceneScores = read_json(&found(record, evaluated)?.join(SCORES)).ok()?;
@@ -76,7 +76,7 @@ fn told(number: usize, record: &RunRecord, shown: bool) -> Told {
     };
     let mut delivered = machine::utc(record.delivered);
     delivered.truncate("2026-01-01 00:00".len());
-    Told {
+    RunLine {
         run: number,
         shown,
         delivered,
@@ -105,8 +105,8 @@ pub(crate) fn run(app: &App, args: &ResultsArgs) -> Done {
     for results in &folders {
         let records = history::records(results);
         let current = history::current(&records).map(|(number, _)| *number);
-        let runs = records.iter().map(|(number, record)| told(*number, record, current == Some(*number)));
-        documents.push((results.clone(), runs.collect::<Vec<Told>>()));
+        let runs = records.iter().map(|(number, record)| line(*number, record, current == Some(*number)));
+        documents.push((results.clone(), runs.collect::<Vec<RunLine>>()));
     }
     if args.json {
         let documents: Vec<_> = documents
@@ -117,7 +117,7 @@ pub(crate) fn run(app: &App, args: &ResultsArgs) -> Done {
     }
     for (results, runs) in &documents {
         println!("{}", path_text(results));
-        for Told { run, shown, delivered, settings, kept, psnr, .. } in runs {
+        for RunLine { run, shown, delivered, settings, kept, psnr, .. } in runs {
             let mark = if *shown { "shown now" } else { "" };
             let psnr = psnr.map_or_else(String::new, |psnr| format!("{psnr:.2} dB"));
             let gone = if *kept { "" } else { "   (no longer complete in the cache)" };

@@ -51,8 +51,8 @@ use document::{Document, unknown_key};
 use file::{Calibrator, PipelineFile, SceneEntry, VariantEntry};
 pub use parameters::{Parameter, StageParameters, parameters};
 use places::{
-    calibrate_where_named, check_learning, check_pairs, expand, folder_in, home, key_of,
-    one_proposer_for_all, say_instead,
+    calibrate_where_named, check_learning, check_pairs, expand, folder_in, home, key_of, learning,
+    one_proposer_for_all, override_external,
 };
 pub use presets::{preset_values, presets};
 pub use schema::{schema, schema_text};
@@ -222,15 +222,15 @@ fn finish(
         batch.keep_scenes(&options.scenes).map_err(|e| ConfigError::plain(e.to_string()))?;
     }
     if let Some((input, target)) = &options.pairs {
-        say_instead(&mut batch, "pairs.input", Ok(input.clone()), "--pairs");
-        say_instead(&mut batch, "pairs.target", Ok(target.clone()), "--pairs");
+        override_external(&mut batch, "pairs.input", Ok(input.clone()), "--pairs");
+        override_external(&mut batch, "pairs.target", Ok(target.clone()), "--pairs");
     }
     if let Some(file) = &options.calibrator {
-        say_instead(&mut batch, "calibrator", Ok(file.clone()), "--calibrator");
+        override_external(&mut batch, "calibrator", Ok(file.clone()), "--calibrator");
     }
     check_pairs(&batch)?;
-    check_learning(&batch)?;
-    calibrate_where_named(&mut batch);
+    check_learning(&batch, registry)?;
+    calibrate_where_named(&mut batch, registry);
     one_proposer_for_all(&mut batch, registry);
     if let Some(models) = &options.models {
         batch.name_external("models", Ok(models.clone()), "--models or USE3D_MODELS");
@@ -253,9 +253,6 @@ pub fn default_cache() -> Result<PathBuf, ConfigError> {
         ConfigError::plain("there is no home folder for the cache; name a folder with --cache or USE3D_CACHE")
     })
 }
-
-/// The stages that are skipped when a finished calibrator is given.
-const LEARNING: [&str; 2] = ["pairs", "calibrate"];
 
 struct Reader<'r> {
     registry: &'r Registry,
@@ -378,14 +375,15 @@ impl Reader<'_> {
         if calibrator.get("file").is_none() {
             return Ok(());
         }
-        if let Some(stage) = LEARNING.iter().find(|stage| defaults.contains_key(**stage)) {
+        if let Some(stage) = learning(self.registry).iter().find(|stage| defaults.contains_key(**stage)) {
             let message = format!(
                 "`[calibrator] file` is a finished calibrator: nothing is learnt, so [defaults.{stage}] has no effect; leave one of them out"
             );
             return Err(self.document.key_error(&format!("defaults.{stage}"), message));
         }
         let short = || self.registry.shorthands().iter().filter(|s| s.place == "calibrator");
-        let elsewhere = |key: &str| short().any(|s| s.key == key && !LEARNING.contains(&s.stage));
+        let elsewhere =
+            |key: &str| short().any(|s| s.key == key && !learning(self.registry).contains(&s.stage));
         let useless = short().map(|s| s.key).find(|key| calibrator.get(key).is_some() && !elsewhere(key));
         let Some(key) = useless else { return Ok(()) };
         let message = format!(

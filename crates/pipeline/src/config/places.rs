@@ -5,10 +5,12 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Map, Value};
 use use3d_workflow::graph::{External, Overrides};
-use use3d_workflow::{Batch, Registry};
+use use3d_workflow::{Batch, Registry, Scope, Source, Stage};
 
-use super::LEARNING;
 use super::document::ConfigError;
+
+/// The stage whose parameters decide about proposals for the whole pipeline.
+const TARGETS: &str = "targets";
 
 /// The external inputs that apply to all scenes, each with the key of the pipeline file that names it.
 const KEYS: [(&str, &str); 4] = [
@@ -30,7 +32,7 @@ pub(super) fn external_of(key: &str) -> Option<&'static str> {
 
 /// Sets an external input for all scenes. A finished calibrator replaces pairs, and a folder of pairs
 /// replaces a finished calibrator: the last setting counts.
-pub(super) fn say_instead(batch: &mut Batch, external: &str, place: External, by: &str) {
+pub(super) fn override_external(batch: &mut Batch, external: &str, place: External, by: &str) {
     let others: &[&str] = match external {
         "calibrator" => &["pairs.input", "pairs.target"],
         "pairs.input" | "pairs.target" => &["calibrator"],
@@ -55,7 +57,9 @@ pub(super) fn say_instead(batch: &mut Batch, external: &str, place: External, by
 /// `targets.calibrated` itself is given.
 ///
 /// The value goes into the weakest layer, so that every setting of a file or a command overrides it.
-pub(super) fn calibrate_where_named(batch: &mut Batch) {
+pub(super) fn calibrate_where_named(batch: &mut Batch, registry: &Registry) {
+    let learning = learning(registry);
+    let learns = |overrides: &Overrides| learns(overrides, &learning);
     if of_targets(&batch.defaults, "calibrated").is_some() {
         return;
     }
@@ -83,32 +87,41 @@ pub(super) fn calibrate_where_named(batch: &mut Batch) {
     }
 }
 
+/// The stages that are left out where the pipeline names a finished calibrator.
+pub(super) fn learning(registry: &Registry) -> Vec<&'static str> {
+    let inputs = registry.stages().iter().flat_map(|stage| &stage.inputs);
+    let replaced = inputs.filter(|input| input.instead == Some("calibrator"));
+    let maker =
+        replaced.filter_map(|input| if let Source::Stage(maker) = input.source { Some(maker) } else { None });
+    maker.take(1).flat_map(|maker| registry.upstream(maker)).map(Stage::name).collect()
+}
+
 /// True if parameters of the stages that learn a calibrator are given.
-fn learns(overrides: &Overrides) -> bool {
+fn learns(overrides: &Overrides, learning: &[&str]) -> bool {
     let given = |stage: &str| overrides.get(stage).and_then(Value::as_object).is_some_and(|p| !p.is_empty());
-    LEARNING.into_iter().any(given)
+    learning.iter().any(|stage| given(stage))
 }
 
 /// The value that is given for a parameter of the targets.
 fn of_targets<'o>(overrides: &'o Overrides, parameter: &str) -> Option<&'o Value> {
-    overrides.get("targets")?.get(parameter)
+    overrides.get(TARGETS)?.get(parameter)
 }
 
 /// Sets `targets.calibrated = true` if it has no value yet.
 fn set_calibrated(overrides: &mut Overrides) {
-    let targets = overrides.entry("targets").or_insert_with(|| Value::Object(Map::new()));
+    let targets = overrides.entry(TARGETS).or_insert_with(|| Value::Object(Map::new()));
     if let Some(targets) = targets.as_object_mut() {
         targets.entry("calibrated").or_insert(Value::Bool(true));
     }
 }
 
 /// Refuses command-line settings for learning a calibrator when a finished one is used everywhere.
-pub(super) fn check_learning(batch: &Batch) -> Result<(), ConfigError> {
+pub(super) fn check_learning(batch: &Batch, registry: &Registry) -> Result<(), ConfigError> {
     if !batch.externals.contains_key("calibrator") {
         return Ok(());
     }
     let by = batch.named.get("calibrator").map_or("", String::as_str);
-    for stage in LEARNING {
+    for stage in learning(registry) {
         let Some(Value::Object(given)) = batch.forced.get(stage) else { continue };
         // `calibrator.proposer` also sets the proposer of the targets.
         let of_both = of_targets(&batch.forced, "proposer").is_some();
@@ -125,10 +138,15 @@ pub(super) fn check_learning(batch: &Batch) -> Result<(), ConfigError> {
 /// proposals, and to the reference rows, unless these have a setting of their own in the same layer. So one
 /// setting changes the 2D enhancer of a whole pipeline.
 pub(super) fn one_proposer_for_all(batch: &mut Batch, registry: &Registry) {
-    let there = |stage: &&str| registry.stage(stage).is_ok();
-    let all: Vec<&str> = ["pairs", "propose", "evaluate"].into_iter().filter(there).collect();
+    let has_proposer = |stage: &&Stage| {
+        let defaults = stage.parameters(&Value::Object(Map::new()));
+        stage.name() != TARGETS && defaults.is_ok_and(|own| own.json().get("proposer").is_some())
+    };
+    let following: Vec<&Stage> = registry.stages().iter().filter(has_proposer).collect();
+    let all: Vec<&str> = following.iter().map(|stage| stage.name()).collect();
     // Pairs are shared by all scenes.
-    let of_scenes: Vec<&str> = all.iter().copied().filter(|stage| *stage != "pairs").collect();
+    let of_scenes = following.iter().filter(|stage| stage.scope() == Scope::Scene);
+    let of_scenes: Vec<&str> = of_scenes.map(|stage| stage.name()).collect();
     let follow = |layer: &mut Overrides, stages: &[&str]| {
         let given = of_targets(layer, "proposer").cloned();
         let Some(proposer) = given.filter(|p| p != "scene") else { return };

@@ -8,7 +8,7 @@ use use3d_workflow::{Batch, ParameterError, Registry, Source, Stage};
 
 use super::document::{ConfigError, loose_value};
 use super::parameters::homes;
-use super::places::{expand, external_of, key_of, say_instead};
+use super::places::{expand, external_of, key_of, override_external};
 use super::{did_you_mean, merge_into, preset_values};
 
 /// A value from the command line in the type that a stage's parameter expects. For example, TOML reads
@@ -32,7 +32,7 @@ pub(super) fn apply(registry: &Registry, batch: &mut Batch, setting: &str) -> Re
     let path = || expand(&value.as_str().map_or_else(|| value.to_string(), String::from), Path::new(""));
     let by = format!("--set {key}");
     if let Some(external) = external_of(key) {
-        say_instead(batch, external, path(), &by);
+        override_external(batch, external, path(), &by);
         return Ok(());
     }
     let preset = || {

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use use3d_pipeline::config::{LoadOptions, from_text};
 use use3d_workflow::plan::State;
-use use3d_workflow::run::{Became, RunOptions};
+use use3d_workflow::run::{NodeResult, RunOptions};
 use use3d_workflow::{Batch, Builder, Cache, Graph, Registry, Scope, Stage, StageContext, Variant};
 
 use super::stages::{Strength, batch, builder, code, registry, run, run_with};
@@ -33,9 +33,9 @@ fn an_optional_input_that_is_named_and_missing_fails_what_needs_it_and_nothing_e
         assert_eq!(summary.exit_code(), 1);
         let became =
             |stage: &str| summary.nodes.iter().find(|n| n.stage == stage).expect("ran").result.clone();
-        assert!(matches!(became("calibrate"), Became::Failed { .. }), "{summary}");
-        assert_eq!(became("targets"), Became::Blocked("calibrate".to_string()));
-        assert!(matches!(became("reconstruct"), Became::Done | Became::Cached), "{summary}");
+        assert!(matches!(became("calibrate"), NodeResult::Failed { .. }), "{summary}");
+        assert_eq!(became("targets"), NodeResult::Blocked("calibrate".to_string()));
+        assert!(matches!(became("reconstruct"), NodeResult::Done | NodeResult::Cached), "{summary}");
     }
     // An input that is not named is skipped. An input that exists is read.
     batch.externals.remove("pairs.input");

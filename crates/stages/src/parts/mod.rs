@@ -10,7 +10,7 @@ pub(crate) mod kept_water;
 pub(crate) mod proposer;
 pub(crate) mod scene;
 pub(crate) mod sights;
-pub(crate) mod starts;
+pub(crate) mod transition_sources;
 pub(crate) mod watch;
 pub mod water;
 pub(crate) mod weights;

@@ -85,7 +85,7 @@ pub enum SightsError {
 impl CaptureSights {
     /// Measures a capture. `view` returns a training view's image and mask at the size of its camera, or an
     /// error that stops the work.
-    fn look(
+    fn measure(
         imported: &Imported,
         view: impl Fn(usize) -> Result<(Image, Option<Map>), SightsError>,
     ) -> Result<Self, SightsError> {
@@ -118,7 +118,7 @@ impl CaptureSights {
         go_on: impl Fn() -> bool,
     ) -> Result<Self, SightsError> {
         let whole = imported.full_size();
-        Self::look(&whole, |v| {
+        Self::measure(&whole, |v| {
             if !go_on() {
                 return Err(SightsError::Stopped);
             }
@@ -141,7 +141,7 @@ impl CaptureSights {
         if path.is_file() {
             return Self::read(&path, imported);
         }
-        Self::look(imported, |v| {
+        Self::measure(imported, |v| {
             let view = &imported.capture.views[v];
             Ok((load_pixels(view)?.to_image(), load_mask(view)?))
         })

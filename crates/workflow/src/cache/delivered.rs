@@ -22,16 +22,16 @@ use crate::error::FileError;
 use use3d_code::digest::{Digest, Encoder};
 
 /// The sources of a part of a results folder: by place, a key or another text that identifies the source.
-pub type MadeOf = BTreeMap<String, String>;
+pub type Sources = BTreeMap<String, String>;
 
 #[derive(Deserialize, Serialize)]
 struct Note {
     format: String,
-    made_of: MadeOf,
-    looks: Digest,
+    sources: Sources,
+    state: Digest,
 }
 
-const FORMAT: &str = "use3d delivered 1";
+const FORMAT: &str = "use3d delivered 2";
 /// The pause and the number of pauses until the clock of the file system has advanced.
 const TICK: (Duration, u32) = (Duration::from_millis(5), 20);
 
@@ -58,12 +58,12 @@ impl Notes {
 
     /// Returns the sources of a part if its files are unchanged since its delivery, and nothing otherwise.
     /// `paths` are the part's files and folders, relative to the results folder.
-    pub fn standing(&self, part: &str, paths: &[PathBuf]) -> MadeOf {
-        let read = || -> Option<MadeOf> {
+    pub fn standing(&self, part: &str, paths: &[PathBuf]) -> Sources {
+        let read = || -> Option<Sources> {
             let bytes = self.cache.files().read(&self.note(part)).ok()?;
             let note: Note = serde_json::from_slice(&bytes).ok()?;
-            let same = note.format == FORMAT && self.looks(paths)?.0 == note.looks;
-            same.then_some(note.made_of)
+            let same = note.format == FORMAT && self.state(paths)?.0 == note.state;
+            same.then_some(note.sources)
         };
         read().unwrap_or_default()
     }
@@ -72,20 +72,20 @@ impl Notes {
     ///
     /// # Errors
     /// An error if the note cannot be written; the part is delivered nevertheless.
-    pub fn keep(&self, part: &str, paths: &[PathBuf], made_of: MadeOf) -> Result<(), FileError> {
+    pub fn keep(&self, part: &str, paths: &[PathBuf], sources: Sources) -> Result<(), FileError> {
         let path = self.note(part);
         files::at(&self.folder, "create", self.cache.files().create_dir_all(&self.folder))?;
-        if let Some((digest, Some(newest))) = self.looks(paths) {
+        if let Some((digest, Some(newest))) = self.state(paths) {
             // A change within the same clock tick could not be distinguished from the delivery.
             let over = (0..TICK.1).any(|_| {
-                let over = newest < self.present(&path);
+                let over = newest < self.file_system_now(&path);
                 if !over {
                     std::thread::sleep(TICK.0);
                 }
                 over
             });
-            if over && self.looks(paths).is_some_and(|(now, _)| now == digest) {
-                let note = Note { format: FORMAT.to_string(), made_of, looks: digest };
+            if over && self.state(paths).is_some_and(|(now, _)| now == digest) {
+                let note = Note { format: FORMAT.to_string(), sources, state: digest };
                 let bytes = serde_json::to_vec(&note).unwrap_or_default();
                 return files::write_atomic(self.cache.files(), &path, &bytes);
             }
@@ -96,7 +96,7 @@ impl Notes {
     }
 
     /// Returns the time that the file system gives to a file which is written now.
-    fn present(&self, beside: &Path) -> SystemTime {
+    fn file_system_now(&self, beside: &Path) -> SystemTime {
         let probe = use3d_files::create_beside(beside, "now-", "");
         let Ok((path, file)) = probe else { return SystemTime::UNIX_EPOCH };
         let now = file.metadata().and_then(|m| m.modified()).unwrap_or(SystemTime::UNIX_EPOCH);
@@ -106,7 +106,7 @@ impl Notes {
 
     /// Returns a digest of the present state of files and folders, and the time of the last change; `None` if
     /// one of them cannot be read.
-    fn looks(&self, paths: &[PathBuf]) -> Option<(Digest, Option<SystemTime>)> {
+    fn state(&self, paths: &[PathBuf]) -> Option<(Digest, Option<SystemTime>)> {
         let mut encoder = Encoder::new("use3d 2026 looks of results v1");
         let mut newest = None;
         for path in paths {
@@ -149,11 +149,11 @@ mod tests {
         let cache = Cache::open(&dir.path().join("cache"), false).unwrap();
         let notes = Notes::of(&cache, &out);
         let parts = [PathBuf::from("reef"), PathBuf::from("view.html")];
-        let made_of = MadeOf::from([("scene".to_string(), "key".to_string())]);
+        let sources = Sources::from([("scene".to_string(), "key".to_string())]);
         let deliver = || {
             std::fs::create_dir_all(out.join("reef/deep")).unwrap();
             std::fs::write(out.join("reef/deep/a"), "one").unwrap();
-            notes.keep("reef", &parts, made_of.clone()).unwrap();
+            notes.keep("reef", &parts, sources.clone()).unwrap();
         };
         assert!(notes.standing("reef", &parts).is_empty());
         type Change = fn(&Path);
@@ -166,7 +166,7 @@ mod tests {
         ];
         for change in changes {
             deliver();
-            assert_eq!(notes.standing("reef", &parts), made_of);
+            assert_eq!(notes.standing("reef", &parts), sources);
             assert!(notes.standing("wreck", &parts).is_empty());
             change(&out);
             assert!(notes.standing("reef", &parts).is_empty());

@@ -145,7 +145,7 @@ impl Builder {
         let select = match &self.registry.stages()[node.stage].inputs[input.index].select {
             None => None,
             Some(choose) => {
-                let who = self.who_chooses(node, input);
+                let who = self.choice_digest(node, input);
                 Some(contents.choice(who, path, || choose(&node.parameters, path))?)
             }
         };
@@ -154,7 +154,7 @@ impl Builder {
     }
 
     /// A digest of the code that chooses files and of its parameters.
-    fn who_chooses(&self, node: &Node, input: &NodeInput) -> Digest {
+    fn choice_digest(&self, node: &Node, input: &NodeInput) -> Digest {
         let mut who = Encoder::new("use3d 2026 choice of files v1");
         who.text(node.stage_name).text(input.role);
         for (name, digest) in &self.registry.code(node.stage).ours {
@@ -165,7 +165,7 @@ impl Builder {
 }
 
 /// The inputs of a node that exist already, for forecasts.
-pub(crate) fn there(graph: &Graph, node: usize, outcomes: &[Outcome]) -> Vec<StageInput> {
+pub(crate) fn existing_inputs(graph: &Graph, node: usize, outcomes: &[Outcome]) -> Vec<StageInput> {
     let path = |input: &NodeInput| match &input.from {
         InputSource::Node(parent) => match &outcomes[*parent] {
             Outcome::Ready(artifact) => Some(artifact.path.clone()),

@@ -18,14 +18,14 @@ use crate::plan::builder::Builder;
 use crate::plan::graph::Node;
 use crate::plan::history::Timing;
 use crate::plan::resolve::Resolved;
-use crate::share::lease::{Asked, HEARTBEAT, Lease};
+use crate::share::lease::{HEARTBEAT, Lease, LeaseRequest};
 use crate::share::pulse::Progress;
 use crate::share::remote::{Fetched, RemoteError, RemoteStore, Sent};
 use crate::stage::context::{Log, StageContext};
 use crate::stage::events::{Event, Listener};
 
 /// Result of a job.
-pub(crate) enum Ended {
+pub(crate) enum JobResult {
     /// The artifact exists; `computed` is true if this process just computed it.
     Ready { artifact: Arc<Artifact>, computed: bool, seconds: f64 },
     /// The job failed.
@@ -51,26 +51,26 @@ pub(crate) struct Job<'a> {
 }
 
 impl Job<'_> {
-    pub(crate) fn execute(self) -> Ended {
+    pub(crate) fn execute(self) -> JobResult {
         if let Some(parent) = self.damaged_input() {
-            return Ended::DamagedInput(parent);
+            return JobResult::DamagedInput(parent);
         }
         let lease = match self.turn() {
-            Ok(Turn::Ours(lease)) => lease,
-            Ok(Turn::Made(artifact)) => return Ended::Ready { artifact, computed: false, seconds: 0.0 },
-            Ok(Turn::Cancelled) => return Ended::Cancelled,
-            Ok(Turn::Held(holder)) => return Ended::Held(holder, self.resolved),
-            Err(error) => return Ended::Failed(error.into()),
+            Ok(Claim::Ours(lease)) => lease,
+            Ok(Claim::Made(artifact)) => return JobResult::Ready { artifact, computed: false, seconds: 0.0 },
+            Ok(Claim::Cancelled) => return JobResult::Cancelled,
+            Ok(Claim::Held(holder)) => return JobResult::Held(holder, self.resolved),
+            Err(error) => return JobResult::Failed(error.into()),
         };
         let damaged_there = match self.fetch(lease.as_deref()) {
-            Brought::Artifact(artifact) => {
+            FetchResult::Artifact(artifact) => {
                 if let Some(lease) = lease {
                     lease.finish();
                 }
-                return Ended::Ready { artifact, computed: false, seconds: 0.0 };
+                return JobResult::Ready { artifact, computed: false, seconds: 0.0 };
             }
-            Brought::Cancelled => return Ended::Cancelled,
-            Brought::Nothing { damaged } => damaged,
+            FetchResult::Cancelled => return JobResult::Cancelled,
+            FetchResult::Nothing { damaged } => damaged,
         };
         let start = Instant::now();
         match self.compute(lease.as_deref()) {
@@ -80,13 +80,13 @@ impl Job<'_> {
                 }
                 let seconds = start.elapsed().as_secs_f64();
                 self.send(&artifact, damaged_there);
-                Ended::Ready { artifact: Arc::new(artifact), computed: true, seconds }
+                JobResult::Ready { artifact: Arc::new(artifact), computed: true, seconds }
             }
-            Err(StageError::Cancelled) => Ended::Cancelled,
+            Err(StageError::Cancelled) => JobResult::Cancelled,
             // An error is no failure of the stage if one of its inputs was removed or damaged meanwhile.
             Err(error) => match self.damaged_input().or_else(|| self.unreadable_input(&error)) {
-                Some(parent) => Ended::DamagedInput(parent),
-                None => Ended::Failed(error),
+                Some(parent) => JobResult::DamagedInput(parent),
+                None => JobResult::Failed(error),
             },
         }
     }
@@ -141,43 +141,43 @@ impl Job<'_> {
         suspect
     }
 
-    fn turn(&self) -> Result<Turn, FileError> {
+    fn turn(&self) -> Result<Claim, FileError> {
         let (cache, stage, key) = (&self.builder.cache, self.node.stage_name, &self.resolved.key);
         if self.stop.load(Ordering::Relaxed) {
-            return Ok(Turn::Cancelled);
+            return Ok(Claim::Cancelled);
         }
         let artifacts = self.resolved.artifacts.iter().map(|(_, a)| a.manifest.key);
         let reads: Vec<Key> = artifacts.chain(self.resolved.checkpoints).collect();
         let asked = Lease::ask(cache, key, &reads);
         // Another process may have finished between the lookup before and the lease.
         let found = match &asked {
-            Asked::Granted(Some(lease)) if lease.followed => {
+            LeaseRequest::Granted(Some(lease)) if lease.followed => {
                 cache.lookup_patiently(stage, key, &|| self.stop.load(Ordering::Relaxed))?
             }
             _ => cache.lookup_again(stage, key)?,
         };
         Ok(match (found, asked) {
             (Lookup::Whole(artifact), asked) => {
-                if let Asked::Granted(Some(lease)) = asked {
+                if let LeaseRequest::Granted(Some(lease)) = asked {
                     lease.finish();
                 }
-                Turn::Made(artifact)
+                Claim::Made(artifact)
             }
-            (_, Asked::Granted(lease)) => {
+            (_, LeaseRequest::Granted(lease)) => {
                 if let Some(killed) = cache.killed(key) {
                     let resumes = self.resolved.checkpoints.is_some();
                     let next = if resumes { ", from its last checkpoint if it has one" } else { "" };
                     self.note(&format!("{killed}; computing it again{next}"));
                 }
-                Turn::Ours(lease)
+                Claim::Ours(lease)
             }
-            (_, Asked::Held(holder)) => Turn::Held(holder),
+            (_, LeaseRequest::Held(holder)) => Claim::Held(holder),
         })
     }
 
     /// Fetches the artifact from the store, if there is one. If that fails, the artifact is computed.
-    fn fetch(&self, lease: Option<&Lease>) -> Brought {
-        let nothing = Brought::Nothing { damaged: false };
+    fn fetch(&self, lease: Option<&Lease>) -> FetchResult {
+        let nothing = FetchResult::Nothing { damaged: false };
         let Some(store) = self.builder.remote.as_ref().filter(|s| s.is_worth_asking()) else {
             return nothing;
         };
@@ -191,16 +191,16 @@ impl Job<'_> {
             Ok(Fetched::Now(artifact)) => {
                 store.worked();
                 self.note(&format!("fetched, {}", machine::bytes(artifact.manifest.bytes())));
-                Brought::Artifact(artifact)
+                FetchResult::Artifact(artifact)
             }
             Ok(Fetched::Differs(artifact, file)) => {
                 self.alarm(&format!("the store has other bytes of {file}"));
-                Brought::Artifact(artifact)
+                FetchResult::Artifact(artifact)
             }
-            Err(RemoteError::Stopped) => Brought::Cancelled,
+            Err(RemoteError::Stopped) => FetchResult::Cancelled,
             Err(error) => {
                 self.without_store(store, &format!("cannot be fetched: {error}; computing it"));
-                Brought::Nothing { damaged: matches!(error, RemoteError::Wrong { .. }) }
+                FetchResult::Nothing { damaged: matches!(error, RemoteError::Wrong { .. }) }
             }
         }
     }
@@ -336,7 +336,7 @@ impl Job<'_> {
     }
 }
 
-enum Turn {
+enum Claim {
     Ours(Option<Box<Lease>>),
     Made(Arc<Artifact>),
     Held(String),
@@ -344,7 +344,7 @@ enum Turn {
 }
 
 /// Result of a fetch from the store.
-enum Brought {
+enum FetchResult {
     Artifact(Arc<Artifact>),
     Nothing { damaged: bool },
     Cancelled,

@@ -10,4 +10,4 @@ pub(crate) mod text;
 pub mod verify;
 
 pub use runner::RunOptions;
-pub use summary::{Became, RanNode, Summary};
+pub use summary::{NodeResult, RanNode, Summary};

@@ -32,8 +32,8 @@ use crate::plan::builder::Builder;
 use crate::plan::graph::Graph;
 use crate::plan::history::Timings;
 use crate::plan::resolve::{Outcome, Resolved, Unresolved};
-use crate::run::job::{Ended, Job};
-use crate::run::summary::{Became, RanNode, Summary};
+use crate::run::job::{Job, JobResult};
+use crate::run::summary::{NodeResult, RanNode, Summary};
 use crate::share::lease::RunLease;
 use crate::stage::definition::Scope;
 use crate::stage::events::{Event, Listener};
@@ -179,9 +179,9 @@ struct Runner<'r> {
     /// The requested nodes that all scenes of a variant share.
     shared: Vec<usize>,
     /// Finished scenes that are not reported yet.
-    untold: BTreeSet<usize>,
-    sender: mpsc::Sender<(usize, Ended, Ingredients)>,
-    receiver: mpsc::Receiver<(usize, Ended, Ingredients)>,
+    unreported: BTreeSet<usize>,
+    sender: mpsc::Sender<(usize, JobResult, Ingredients)>,
+    receiver: mpsc::Receiver<(usize, JobResult, Ingredients)>,
 }
 
 /// The nodes of a scene and variant.
@@ -210,7 +210,7 @@ impl<'r> Runner<'r> {
             scene: node.scene.clone(),
             variant: node.variant.clone(),
             label: node.label(),
-            result: if *wanted { Became::NotRun } else { Became::Unwanted },
+            result: if *wanted { NodeResult::NotRun } else { NodeResult::Unwanted },
             seconds: 0.0,
             shared: node.same_as.is_some(),
             parameters: node.parameters.clone(),
@@ -283,7 +283,7 @@ impl<'r> Runner<'r> {
             scenes,
             scene_of,
             shared,
-            untold: BTreeSet::new(),
+            unreported: BTreeSet::new(),
             sender,
             receiver,
         }
@@ -302,7 +302,7 @@ impl<'r> Runner<'r> {
                 self.watch_time();
             }
             self.lease.show();
-            self.tell_scenes();
+            self.report_scenes();
             if self.running.is_empty() && (self.stopped() || !self.waits_for_others()) {
                 self.left |= self.untimely;
                 return;
@@ -363,8 +363,8 @@ impl<'r> Runner<'r> {
     }
 
     /// Reports every scene whose last node has finished.
-    fn tell_scenes(&mut self) {
-        for place in std::mem::take(&mut self.untold) {
+    fn report_scenes(&mut self) {
+        for place in std::mem::take(&mut self.unreported) {
             let own = &self.scenes[place].nodes;
             let variant = &self.nodes[own[0]].variant;
             let shared = self.shared.iter().filter(|i| self.nodes[**i].variant == *variant);
@@ -382,7 +382,7 @@ impl<'r> Runner<'r> {
         if let Some(place) = self.scene_of[i] {
             self.scenes[place].open -= 1;
             if self.scenes[place].open == 0 {
-                self.untold.insert(place);
+                self.unreported.insert(place);
             }
         }
         let failed = matches!(self.outcomes[i], Outcome::Unavailable(_));
@@ -408,7 +408,7 @@ impl<'r> Runner<'r> {
         }
         if let Some(place) = self.scene_of[i] {
             self.scenes[place].open += 1;
-            self.untold.remove(&place);
+            self.unreported.remove(&place);
         }
         for at in 0..self.children[i].len() {
             let child = self.children[i][at];
@@ -458,11 +458,11 @@ impl<'r> Runner<'r> {
     fn share(&mut self, i: usize, first: usize) {
         self.outcomes[i] = self.outcomes[first].clone();
         self.nodes[i].result = match &self.nodes[first].result {
-            Became::Done => Became::Cached,
+            NodeResult::Done => NodeResult::Cached,
             other => other.clone(),
         };
         self.nodes[i].artifact = self.nodes[first].artifact.clone();
-        if let (Outcome::Ready(artifact), Became::Cached) = (&self.outcomes[i], &self.nodes[i].result) {
+        if let (Outcome::Ready(artifact), NodeResult::Cached) = (&self.outcomes[i], &self.nodes[i].result) {
             let artifact = artifact.clone();
             self.record_made(i, &artifact.manifest.ingredients, artifact.manifest.content);
         }
@@ -470,7 +470,7 @@ impl<'r> Runner<'r> {
     }
 
     fn block(&mut self, i: usize, by: String) {
-        self.nodes[i].result = Became::Blocked(by.clone());
+        self.nodes[i].result = NodeResult::Blocked(by.clone());
         self.outcomes[i] = Outcome::Unavailable(by);
         self.over(i);
     }
@@ -488,7 +488,7 @@ impl<'r> Runner<'r> {
                 self.builder.cache.touch(&artifact.path);
                 let label = &self.nodes[i].label;
                 self.listener.event(&Event::Done { node: i, label, cached: true, seconds: 0.0 });
-                self.ready(i, artifact, Became::Cached, 0.0, &resolved.ingredients);
+                self.ready(i, artifact, NodeResult::Cached, 0.0, &resolved.ingredients);
                 return true;
             }
             Ok(Lookup::Missing) => {}
@@ -503,7 +503,7 @@ impl<'r> Runner<'r> {
             }
         }
         if self.options.gather && self.scope(i) != Scope::Batch {
-            self.nodes[i].result = Became::Missing;
+            self.nodes[i].result = NodeResult::Missing;
             self.outcomes[i] = Outcome::Unavailable(self.nodes[i].label.clone());
             self.over(i);
             return true;
@@ -590,28 +590,28 @@ impl<'r> Runner<'r> {
         true
     }
 
-    fn finish(&mut self, i: usize, ended: Ended, ingredients: &Ingredients) {
+    fn finish(&mut self, i: usize, ended: JobResult, ingredients: &Ingredients) {
         let key = self.running.remove(&i).map(|r| r.key);
         self.full = false;
-        if !matches!(ended, Ended::Held(..)) {
+        if !matches!(ended, JobResult::Held(..)) {
             self.held.remove(&i);
             self.idle = None;
         }
         match ended {
-            Ended::Ready { artifact, computed, seconds } => {
+            JobResult::Ready { artifact, computed, seconds } => {
                 self.warn_if_changed(i, &artifact);
                 let label = &self.nodes[i].label;
                 self.listener.event(&Event::Done { node: i, label, cached: !computed, seconds });
-                let result = if computed { Became::Done } else { Became::Cached };
+                let result = if computed { NodeResult::Done } else { NodeResult::Cached };
                 self.ready(i, artifact, result, seconds, ingredients);
             }
-            Ended::Failed(error) => self.fail(i, key, &error),
-            Ended::Cancelled => {
+            JobResult::Failed(error) => self.fail(i, key, &error),
+            JobResult::Cancelled => {
                 self.outcomes[i] = Outcome::Unavailable("the interruption".to_string());
                 self.over(i);
             }
-            Ended::Held(holder, resolved) => self.put_back(i, holder, resolved),
-            Ended::DamagedInput(parent) => {
+            JobResult::Held(holder, resolved) => self.put_back(i, holder, resolved),
+            JobResult::DamagedInput(parent) => {
                 // A node that shares another node's work is made again by that node.
                 let maker = self.graph.nodes[parent].same_as.unwrap_or(parent);
                 let times = self.damaged.entry(maker).or_default();
@@ -647,7 +647,7 @@ impl<'r> Runner<'r> {
         &mut self,
         i: usize,
         artifact: Arc<Artifact>,
-        result: Became,
+        result: NodeResult,
         seconds: f64,
         ingredients: &Ingredients,
     ) {

@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use crate::cache::artifacts::Artifact;
 use crate::share::lease::RunLease;
-pub use crate::stage::result::{Became, RanNode};
+pub use crate::stage::result::{NodeResult, RanNode};
 
 /// The result of a batch.
 #[derive(Clone, Debug, Serialize)]
@@ -43,40 +43,40 @@ impl Summary {
     /// The exit code: 0 if all is done or left to other processes, 1 if something failed, 75 if the time was
     /// over (the same command continues the work), 130 if it was interrupted.
     pub fn exit_code(&self) -> u8 {
-        let any = |bad: fn(&Became) -> bool| self.nodes.iter().any(|n| bad(&n.result));
-        if self.left && any(|r| matches!(r, Became::NotRun)) {
+        let any = |bad: fn(&NodeResult) -> bool| self.nodes.iter().any(|n| bad(&n.result));
+        if self.left && any(|r| matches!(r, NodeResult::NotRun)) {
             return 75;
         }
         if self.interrupted && !self.left {
             return 130;
         }
-        use Became::{Blocked, Failed, Missing, NotRun};
+        use NodeResult::{Blocked, Failed, Missing, NotRun};
         u8::from(any(|r| matches!(r, Failed { .. } | Blocked(_) | NotRun | Missing)))
     }
 
     /// Number of nodes that were left to other processes.
     pub fn elsewhere(&self) -> usize {
-        self.count(|r| matches!(r, Became::Elsewhere(_)))
+        self.count(|r| matches!(r, NodeResult::Elsewhere(_)))
     }
 
     /// The nodes that are missing and were not requested.
     pub fn missing(&self) -> impl Iterator<Item = &RanNode> {
-        self.nodes.iter().filter(|n| !n.shared && n.result == Became::Missing)
+        self.nodes.iter().filter(|n| !n.shared && n.result == NodeResult::Missing)
     }
 
     /// Number of nodes that were computed in this run.
     pub fn done(&self) -> usize {
-        self.count(|r| *r == Became::Done)
+        self.count(|r| *r == NodeResult::Done)
     }
 
     /// Number of nodes that were found in the cache.
     pub fn cached(&self) -> usize {
-        self.count(|r| *r == Became::Cached)
+        self.count(|r| *r == NodeResult::Cached)
     }
 
     /// The nodes that failed.
     pub fn failed(&self) -> impl Iterator<Item = &RanNode> {
-        self.nodes.iter().filter(|n| !n.shared && matches!(n.result, Became::Failed { .. }))
+        self.nodes.iter().filter(|n| !n.shared && matches!(n.result, NodeResult::Failed { .. }))
     }
 
     /// The artifact of a stage of a scene (empty for stages over all scenes) in a variant (empty: the first).
@@ -89,7 +89,7 @@ impl Summary {
         self.nodes.iter().find(fits).and_then(|n| n.artifact.as_deref())
     }
 
-    pub(crate) fn count(&self, which: impl Fn(&Became) -> bool) -> usize {
+    pub(crate) fn count(&self, which: impl Fn(&NodeResult) -> bool) -> usize {
         self.nodes.iter().filter(|n| !n.shared && which(&n.result)).count()
     }
 }

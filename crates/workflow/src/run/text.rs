@@ -11,7 +11,7 @@ use crate::cache::machine::{bytes, seconds};
 use crate::plan::planning::{Plan, PlannedNode, State};
 use crate::plan::status::{Cell, Counts, Row, Standing, Status, Why};
 use crate::run::gc::{Cleaning, Removed};
-use crate::run::summary::{Became, Summary};
+use crate::run::summary::{NodeResult, Summary};
 use crate::run::verify::Verification;
 use crate::share::killed::Killed;
 use crate::share::lease::Working;
@@ -107,12 +107,12 @@ impl Display for Summary {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         printable(f, |f| {
             for node in self.failed() {
-                if let Became::Failed { reason, log, .. } = &node.result {
+                if let NodeResult::Failed { reason, log, .. } = &node.result {
                     writeln!(f, "failed   {}: {reason}\n         log: {}", node.label, log.display())?;
                 }
             }
-            let blocked = self.count(|r| matches!(r, Became::Blocked(_)));
-            let not_run = self.count(|r| *r == Became::NotRun);
+            let blocked = self.count(|r| matches!(r, NodeResult::Blocked(_)));
+            let not_run = self.count(|r| *r == NodeResult::NotRun);
             write!(f, "{}: {} done, {} cached", self.pipeline, self.done(), self.cached())?;
             let (failed, missing) = (self.failed().count(), self.missing().count());
             count(f, &[(failed, "failed"), (blocked, "not run because of these"), (not_run, "not run")])?;

@@ -138,7 +138,7 @@ pub(crate) struct Lease {
 }
 
 /// Result of requesting a lease.
-pub(crate) enum Asked {
+pub(crate) enum LeaseRequest {
     /// This process has the lease, or leases do not work here (`None`), which is as good.
     Granted(Option<Box<Lease>>),
     /// Another process computes this key; the text names it.
@@ -147,11 +147,11 @@ pub(crate) enum Asked {
 
 impl Lease {
     /// Requests the lease of `key`.
-    pub(crate) fn ask(cache: &Cache, key: &Key, reads: &[Key]) -> Asked {
+    pub(crate) fn ask(cache: &Cache, key: &Key, reads: &[Key]) -> LeaseRequest {
         Self::ask_at(cache, key, reads, cache.node.clock.now())
     }
 
-    fn ask_at(cache: &Cache, key: &Key, reads: &[Key], now: Duration) -> Asked {
+    fn ask_at(cache: &Cache, key: &Key, reads: &[Key], now: Duration) -> LeaseRequest {
         let path = folder(cache).join(key.to_string());
         let line = Holder::of(&cache.node, reads.to_vec()).line();
         let bytes = [&line[..], &pulse::line(&Beat::default())].concat();
@@ -163,9 +163,9 @@ impl Lease {
                     if holder.is_some_and(|h| cache.node.is_alive(&h.process).is_none()) {
                         cache.leases.note_elsewhere(key);
                     }
-                    return Asked::Held(name);
+                    return LeaseRequest::Held(name);
                 }
-                Judged::Absent => return Asked::Held("a process that has just ended".to_string()),
+                Judged::Absent => return LeaseRequest::Held("a process that has just ended".to_string()),
                 Judged::Dead(dead) => {
                     cache.leases.was_elsewhere(key);
                     (take_over(cache, &path, &bytes, &dead, now), false)
@@ -175,10 +175,10 @@ impl Lease {
         match created {
             Created::Done => {
                 let (cache, beat) = (cache.clone(), Mutex::default());
-                Asked::Granted(Some(Box::new(Self { cache, path, line, beat, since: now, followed })))
+                LeaseRequest::Granted(Some(Box::new(Self { cache, path, line, beat, since: now, followed })))
             }
-            Created::Impossible => Asked::Granted(None),
-            Created::Taken => Asked::Held("another process on this cache".to_string()),
+            Created::Impossible => LeaseRequest::Granted(None),
+            Created::Taken => LeaseRequest::Held("another process on this cache".to_string()),
         }
     }
 

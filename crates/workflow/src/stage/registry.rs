@@ -48,7 +48,9 @@ impl Registry {
         }
         let code = stages.iter().map(|stage| {
             let own = format!("src/{}.rs", stage.name);
-            let code = table.stage(stage.crates, stage.sources.unwrap_or(&[&own]));
+            let has_own = table.files().any(|file| file == own);
+            let own: &[&str] = if has_own { &[&own] } else { &[] };
+            let code = table.stage(stage.crates, stage.sources.unwrap_or(own));
             code.map_err(|source| BuildError::Code { stage: stage.name.to_string(), source })
         });
         Ok(Self { code: code.collect::<Result<_, _>>()?, stages, shorthands: Vec::new() })

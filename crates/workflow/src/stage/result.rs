@@ -11,7 +11,7 @@ use crate::stage::parameters::Parameters;
 /// The result of a node.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "lowercase", tag = "result", content = "detail")]
-pub enum Became {
+pub enum NodeResult {
     /// Computed in this run.
     Done,
     /// Found in the cache.
@@ -51,7 +51,7 @@ pub struct RanNode {
     pub label: String,
     /// Its result.
     #[serde(flatten)]
-    pub result: Became,
+    pub result: NodeResult,
     /// Duration in seconds.
     pub seconds: f64,
     /// True if another node did its work.

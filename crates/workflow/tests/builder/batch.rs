@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use serde_json::json;
-use use3d_workflow::run::{Became, RunOptions};
+use use3d_workflow::run::{NodeResult, RunOptions};
 use use3d_workflow::status::Standing;
 use use3d_workflow::{Graph, Listener, Registry, Scope, Silent, Stage};
 
@@ -37,7 +37,9 @@ fn a_broken_scene_spoils_no_other_and_another_scene_runs_only_its_stages() {
         text.contains("A7 · import") && text.contains("a whole word is expected") && text.contains(".log"),
         "{text}"
     );
-    let Became::Failed { log, .. } = &summary.failed().next().expect("one").result else { panic!("failed") };
+    let NodeResult::Failed { log, .. } = &summary.failed().next().expect("one").result else {
+        panic!("failed")
+    };
     assert!(fs::read_to_string(log).expect("a log").contains("found `broken`"));
     assert!(
         summary
@@ -45,7 +47,7 @@ fn a_broken_scene_spoils_no_other_and_another_scene_runs_only_its_stages() {
             .iter()
             .filter(|n| n.scene == "A7")
             .skip(1)
-            .all(|n| n.result == Became::Blocked("A7 · import".to_string()))
+            .all(|n| n.result == NodeResult::Blocked("A7 · import".to_string()))
     );
     let table = fs::read_to_string(summary.artifact("", "", "report").expect("made").path.join("table.txt"));
     let table = table.expect("file");
@@ -83,7 +85,7 @@ fn without_keep_going_the_first_failure_ends_the_run() {
     let builder = builder(&dir.path().join("cache"));
     let (summary, ..) = run_with(&builder, &batch, &RunOptions::default());
     assert_eq!(summary.exit_code(), 1);
-    assert!(summary.nodes.iter().any(|n| n.scene == "b" && n.result == Became::NotRun));
+    assert!(summary.nodes.iter().any(|n| n.scene == "b" && n.result == NodeResult::NotRun));
     // A missing capture: the message names the path.
     batch.scenes[0].externals.insert("capture".to_string(), Ok(data.join("absent")));
     batch.scenes[1]

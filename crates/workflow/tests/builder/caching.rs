@@ -8,7 +8,7 @@ use std::time::{Duration, SystemTime};
 use serde_json::json;
 use use3d_workflow::gc::CleanOptions;
 use use3d_workflow::plan::State;
-use use3d_workflow::run::{Became, RunOptions};
+use use3d_workflow::run::{NodeResult, RunOptions};
 use use3d_workflow::status::Standing;
 use use3d_workflow::{Graph, Variant};
 
@@ -351,7 +351,7 @@ fn an_interrupted_run_says_so_and_goes_on() {
         });
     let summary = builder.run(&graph, &options, &listener);
     assert_eq!((summary.exit_code(), summary.interrupted), (130, true));
-    assert!(summary.nodes.iter().any(|n| n.result == Became::NotRun));
+    assert!(summary.nodes.iter().any(|n| n.result == NodeResult::NotRun));
     let done = summary.done();
     let (second, ..) = run(&builder, &batch);
     assert_eq!((second.exit_code(), second.cached()), (0, done));

@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use serde_json::json;
 use use3d_workflow::files::Files;
 use use3d_workflow::node::{Clock, Node};
-use use3d_workflow::run::{Became, RunOptions};
+use use3d_workflow::run::{NodeResult, RunOptions};
 use use3d_workflow::{Batch, Builder, Cache, Event, Graph, Listener, Summary};
 
 use super::stages::{Fast, batch, builder, payload, registry, run};
@@ -273,13 +273,13 @@ fn while_another_one_computes_something_else_is_done() {
         for scene in ["wreck", "wall"] {
             assert!(told.started.contains(&format!("{scene} · evaluate")), "{:?}", told.started);
         }
-        let theirs = |n: &&use3d_workflow::run::RanNode| matches!(n.result, Became::Elsewhere(_));
+        let theirs = |n: &&use3d_workflow::run::RanNode| matches!(n.result, NodeResult::Elsewhere(_));
         let left: Vec<&str> = summary.nodes.iter().filter(theirs).map(|n| n.stage).collect();
         assert!(left.contains(&"import") && left.contains(&"report"), "{left:?}");
         assert!(summary.to_string().contains("left to other processes"), "{summary}");
         let of = |n: &&use3d_workflow::run::RanNode| n.scene == "reef" && n.stage == "import";
         let import = summary.nodes.iter().find(of).expect("there");
-        assert!(matches!(&import.result, Became::Elsewhere(who) if who.contains("east")), "{import:?}");
+        assert!(matches!(&import.result, NodeResult::Elsewhere(who) if who.contains("east")), "{import:?}");
         go.send(()).expect("goes on");
         drop(go);
         let (summary, told) = first.join().expect("runs");

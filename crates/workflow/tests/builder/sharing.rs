@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex};
 
 use serde_json::json;
 use use3d_workflow::gc::CleanOptions;
-use use3d_workflow::run::{Became, RunOptions};
+use use3d_workflow::run::{NodeResult, RunOptions};
 use use3d_workflow::{Batch, Builder, Event, Graph, Listener, Summary};
 
 use super::stages::{batch, builder, payload, run};
@@ -178,7 +178,7 @@ fn a_scene_is_told_when_it_is_over_and_not_when_the_batch_is() {
     let at = |what: &str| told.iter().position(|t| t == what).unwrap_or_else(|| panic!("{what}: {told:?}"));
     assert!(at("reef: 3") < at("wreck · evaluate"), "{told:?}");
     assert!(at("wreck: 3") < at("wall · import failed"), "{told:?}");
-    assert!(summary.nodes.iter().any(|n| n.result == Became::Done && n.scene == "wreck"));
+    assert!(summary.nodes.iter().any(|n| n.result == NodeResult::Done && n.scene == "wreck"));
 }
 
 /// The result file of a stage.

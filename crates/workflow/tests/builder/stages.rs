@@ -196,7 +196,7 @@ pub(crate) fn stages(delay: u64) -> Vec<Stage> {
         })
         .about("Reads a capture.")
         .external("capture", "capture")
-        .select(|_: &ReconstructParameters, _| Ok(vec![PathBuf::from("images")]))
+        .select(|_: &ImportParameters, _| Ok(vec![PathBuf::from("images")]))
         .promises(&["words.txt"])
         .made_of(&["use3d-io-colmap"], &[]),
         simple("depth", Scope::Scene)

@@ -14,7 +14,7 @@ use use3d_scene::Scene;
 use use3d_viewer::{Live, Shown};
 use use3d_web::PageView;
 
-use super::{Told, WAIT, serve};
+use super::{Stream, WAIT, serve};
 use crate::App;
 use crate::args::{PipelineArgs, Settings, ViewArgs};
 use crate::destination::{checkpoints_in, entries, path_text, work_of};
@@ -58,7 +58,7 @@ pub(super) fn run(app: &App, args: &ViewArgs, target: &Path, live: &Arc<Live>) -
     };
     let saved = saved_views(args.views.as_deref())?.map(Arc::new);
     live.wait_for(&format!("Waiting for the first checkpoint of {name}"));
-    let _server = serve(app, args.port, args.no_open, live, Told::Result)?;
+    let _server = serve(app, args.port, args.no_open, live, Stream::Result)?;
     if !app.quiet && newest(&followed).is_none() {
         let wanted = match &followed {
             Followed::Scene { folder, .. } => format!("a training whose --out is {}", path_text(folder)),

@@ -42,7 +42,7 @@ pub(crate) fn run(app: &App, args: &ViewArgs) -> Done {
     };
     let cameras = args.cameras.clone().or_else(|| capture_in(target));
     let shown = shown(app, &scene_in(app, target)?, cameras.as_deref(), args)?;
-    let _server = serve(app, args.port, args.no_open, &live, Told::Result)?;
+    let _server = serve(app, args.port, args.no_open, &live, Stream::Result)?;
     live.hand_over(shown).map_err(CliError::input)?;
     while !app.stop.load(Ordering::Relaxed) {
         std::thread::sleep(WAIT);
@@ -90,7 +90,7 @@ fn places(scene: &Scene, imported: &Imported) -> Result<Vec<PageView>, ScenePage
 
 /// The stream for the address: stdout for `use3d view`, whose result it is, and stderr for a training.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Told {
+enum Stream {
     Result,
     Remark,
 }
@@ -108,11 +108,11 @@ fn serve(
     port: Option<u16>,
     no_open: bool,
     live: &Arc<Live>,
-    told: Told,
+    stream: Stream,
 ) -> Result<Serving, CliError> {
     let server = Server::start(port, live).map_err(CliError::input)?;
     let (address, port) = (server.address(), server.port());
-    if told == Told::Result {
+    if stream == Stream::Result {
         println!("{address}");
         // A program that reads it through a pipe needs it at once.
         let _ = std::io::stdout().flush();

@@ -10,7 +10,7 @@ use use3d_viewer::{Live, Shown};
 use use3d_web::PageView;
 use use3d_workflow::Event;
 
-use super::{Told, places, serve};
+use super::{Stream, places, serve};
 use crate::App;
 use crate::args::WatchArgs;
 use crate::error::Done;
@@ -27,7 +27,7 @@ pub(crate) fn watched(
         return work(app);
     }
     let live = Arc::new(Live::new("Waiting for the training to begin", Some(app.stop.clone())));
-    let _server = serve(app, args.port, args.no_open, &live, Told::Remark)?;
+    let _server = serve(app, args.port, args.no_open, &live, Stream::Remark)?;
     let name = name.map(str::to_string);
     let watcher = Arc::new(Watcher { live: live.clone(), name, known: Mutex::default() });
     let done = work(&app.heard_by(move |event| watcher.hear(event)));

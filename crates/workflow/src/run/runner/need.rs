@@ -3,7 +3,7 @@
 use super::Runner;
 use crate::plan::graph::NodeInput;
 use crate::plan::resolve::Outcome;
-use crate::run::summary::Became;
+use crate::run::summary::NodeResult;
 use crate::stage::definition::Scope;
 
 /// The need for a shared node.
@@ -65,7 +65,7 @@ impl Runner<'_> {
                 Outcome::Open if scope(i) == Scope::Shared => Need::Live,
                 Outcome::Open => Need::Unknown,
             };
-            if follows[i] && scope(i) == Scope::Scene && self.nodes[i].result != Became::Unwanted {
+            if follows[i] && scope(i) == Scope::Scene && self.nodes[i].result != NodeResult::Unwanted {
                 need = need.or(standing.clone());
             }
             stands.push(standing);

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use super::{Phase, Runner};
 use crate::plan::resolve::Resolved;
-use crate::run::summary::Became;
+use crate::run::summary::NodeResult;
 use crate::share::lease::{self, HEARTBEAT};
 use crate::stage::events::Event;
 use use3d_code::digest::Digest;
@@ -80,7 +80,7 @@ impl Runner<'_> {
             if self.phase[i] == Phase::Pending {
                 let holder = self.held.get(&i).map(|held| held.holder.clone());
                 let holder = holder.unwrap_or_else(|| "a process that computes its inputs".to_string());
-                self.nodes[i].result = Became::Elsewhere(holder);
+                self.nodes[i].result = NodeResult::Elsewhere(holder);
             }
         }
         false

@@ -7,7 +7,7 @@ use crate::cache::machine;
 use crate::error::StageError;
 use crate::plan::history::{Failure, Made, Record};
 use crate::plan::resolve::Outcome;
-use crate::run::summary::Became;
+use crate::run::summary::NodeResult;
 use crate::stage::events::Event;
 use use3d_code::digest::Digest;
 
@@ -40,7 +40,7 @@ impl Runner<'_> {
         let at = machine::utc(machine::now());
         record.failure = Some(Failure { key, reason: reason.clone(), log: log.clone(), at });
         self.write_record(i, &record);
-        self.nodes[i].result = Became::Failed { reason, log, bad_input: error.is_bad_input() };
+        self.nodes[i].result = NodeResult::Failed { reason, log, bad_input: error.is_bad_input() };
         self.known[i].failed = true;
         self.outcomes[i] = Outcome::Unavailable(label);
         self.over(i);

@@ -8,8 +8,8 @@ fn foreign() -> Vec<u8> {
         .unwrap()
 }
 
-fn granted(asked: &Asked) -> bool {
-    matches!(asked, Asked::Granted(Some(_)))
+fn granted(asked: &LeaseRequest) -> bool {
+    matches!(asked, LeaseRequest::Granted(Some(_)))
 }
 
 fn set_time(path: &Path, time: SystemTime) {
@@ -44,7 +44,9 @@ fn a_lease_is_judged_by_whether_it_changes_and_not_by_its_time() {
                 assert!(!granted(&ask(limit * beat)), "{i} {future} {beat}");
             }
             assert!(!granted(&ask(limit * 3 + limit / 2)));
-            let Asked::Granted(Some(lease)) = ask(limit * 4) else { panic!("it has not changed for long") };
+            let LeaseRequest::Granted(Some(lease)) = ask(limit * 4) else {
+                panic!("it has not changed for long")
+            };
             assert!(!lease.followed, "its holder was gone: nothing was published");
             lease.finish();
             assert!(!path.exists(), "given back");
@@ -67,9 +69,9 @@ fn what_happens_on_another_machine_shows_in_the_lease() {
     let key = key_of("key");
     let at = |after: Duration| west.node.clock.now() + after;
     let ask = |after: Duration| Lease::ask_at(&west, &key, &[], after);
-    let Asked::Granted(Some(lease)) = Lease::ask(&east, &key, &[]) else { panic!("nobody has it") };
+    let LeaseRequest::Granted(Some(lease)) = Lease::ask(&east, &key, &[]) else { panic!("nobody has it") };
     let start = at(Duration::ZERO);
-    assert!(matches!(ask(start), Asked::Held(name) if name.contains("east")));
+    assert!(matches!(ask(start), LeaseRequest::Held(name) if name.contains("east")));
 
     // The pulse alone keeps the lease, and reports the progress of the work; the file's time does not matter.
     let progress = Progress::default();
@@ -77,7 +79,7 @@ fn what_happens_on_another_machine_shows_in_the_lease() {
         progress.note(u64::from(beat) * 100, 15_000, "steps");
         lease.renew(&progress);
         set_time(&lease.path, SystemTime::UNIX_EPOCH);
-        assert!(matches!(ask(start + EXPIRY * beat), Asked::Held(_)), "{beat}");
+        assert!(matches!(ask(start + EXPIRY * beat), LeaseRequest::Held(_)), "{beat}");
     }
     let told = west.working_on(&key).expect("somebody does");
     assert_eq!(
@@ -88,16 +90,16 @@ fn what_happens_on_another_machine_shows_in_the_lease() {
     // The holder gave up: the lease can be taken at once, and nothing was published.
     drop(lease);
     assert!(west.working_on(&key).is_none());
-    let Asked::Granted(Some(lease)) = ask(start + EXPIRY * 5) else { panic!("its holder gave up") };
+    let LeaseRequest::Granted(Some(lease)) = ask(start + EXPIRY * 5) else { panic!("its holder gave up") };
     assert!(!lease.followed);
-    assert!(matches!(Lease::ask(&east, &key, &[]), Asked::Held(name) if name.contains("west")));
+    assert!(matches!(Lease::ask(&east, &key, &[]), LeaseRequest::Held(name) if name.contains("west")));
     // Published: the other user knows that there is an artifact to see.
     lease.finish();
-    let Asked::Granted(Some(lease)) = Lease::ask(&east, &key, &[]) else { panic!("nobody has it") };
+    let LeaseRequest::Granted(Some(lease)) = Lease::ask(&east, &key, &[]) else { panic!("nobody has it") };
     assert!(lease.followed);
     // It does not happen again for the same key.
     lease.finish();
-    assert!(matches!(Lease::ask(&east, &key, &[]), Asked::Granted(Some(lease)) if !lease.followed));
+    assert!(matches!(Lease::ask(&east, &key, &[]), LeaseRequest::Granted(Some(lease)) if !lease.followed));
 }
 
 #[test]
@@ -105,10 +107,10 @@ fn a_holder_that_was_taken_for_gone_does_not_disturb_the_next() {
     let dir = tempfile::tempdir().unwrap();
     let [east, west] = two(dir.path());
     let key = key_of("key");
-    let Asked::Granted(Some(stopped)) = Lease::ask(&east, &key, &[]) else { panic!("nobody has it") };
+    let LeaseRequest::Granted(Some(stopped)) = Lease::ask(&east, &key, &[]) else { panic!("nobody has it") };
     let now = west.node.clock.now();
-    assert!(matches!(Lease::ask_at(&west, &key, &[], now), Asked::Held(_)));
-    let Asked::Granted(Some(next)) = Lease::ask_at(&west, &key, &[], now + EXPIRY) else {
+    assert!(matches!(Lease::ask_at(&west, &key, &[], now), LeaseRequest::Held(_)));
+    let LeaseRequest::Granted(Some(next)) = Lease::ask_at(&west, &key, &[], now + EXPIRY) else {
         panic!("it has not changed")
     };
     let bytes = std::fs::read(&next.path).unwrap();
@@ -132,15 +134,15 @@ fn of_many_that_take_over_one_gets_it() {
     for _ in 0..20 {
         let path = folder(&cache).join(key.to_string());
         std::fs::write(&path, serde_json::to_vec(&dead).unwrap()).unwrap();
-        let asked: Vec<Asked> = std::thread::scope(|scope| {
+        let asked: Vec<LeaseRequest> = std::thread::scope(|scope| {
             let all: Vec<_> = (0..4).map(|_| scope.spawn(|| Lease::ask(&cache, &key, &[]))).collect();
             all.into_iter().map(|one| one.join().unwrap()).collect()
         });
         assert!(asked.iter().filter(|a| granted(a)).count() <= 1);
         let later = Lease::ask(&cache, &key, &[]);
-        let mut all: Vec<Asked> = asked.into_iter().chain([later]).filter(granted).collect();
+        let mut all: Vec<LeaseRequest> = asked.into_iter().chain([later]).filter(granted).collect();
         assert_eq!(all.len(), 1);
-        let Some(Asked::Granted(Some(lease))) = all.pop() else { panic!("one has it") };
+        let Some(LeaseRequest::Granted(Some(lease))) = all.pop() else { panic!("one has it") };
         lease.finish();
     }
     assert_eq!(std::fs::read_dir(folder(&cache)).unwrap().count(), 0);
@@ -226,7 +228,9 @@ fn a_task_that_is_known_to_be_over_is_waited_for_no_longer_and_how_it_ended_is_k
     }));
     let killed = |key: &Key| {
         let cache = open().as_node(Node { task: Some(task.clone()), ..elsewhere("n1") });
-        let Asked::Granted(Some(lease)) = Lease::ask(&cache, key, &[]) else { panic!("nobody has it") };
+        let LeaseRequest::Granted(Some(lease)) = Lease::ask(&cache, key, &[]) else {
+            panic!("nobody has it")
+        };
         let progress = Progress::default();
         progress.note_memory(3 << 30);
         lease.renew(&progress);
@@ -258,7 +262,7 @@ fn a_task_that_is_known_to_be_over_is_waited_for_no_longer_and_how_it_ended_is_k
     assert!(granted(&Lease::ask(&later, &key, &[])));
     // A holder that gives up was not killed.
     let key = key_of("fourth");
-    let Asked::Granted(lease) = Lease::ask(&later, &key, &[]) else { panic!("nobody has it") };
+    let LeaseRequest::Granted(lease) = Lease::ask(&later, &key, &[]) else { panic!("nobody has it") };
     drop(lease);
     assert!(granted(&Lease::ask(&silent, &key, &[])) && silent.killed(&key).is_none());
 }

@@ -29,7 +29,7 @@ enum Pictures<'s> {
 }
 
 /// The pictures that transitions start from, and the calibrator that corrects the proposals.
-pub(crate) struct Starts<'s> {
+pub(crate) struct TransitionSources<'s> {
     pictures: Pictures<'s>,
     /// The calibrator. If none is given, it corrects nothing.
     pub(crate) calibrator: Calibrator,
@@ -37,7 +37,7 @@ pub(crate) struct Starts<'s> {
     pub(crate) proposer: ProposerId,
 }
 
-impl<'s> Starts<'s> {
+impl<'s> TransitionSources<'s> {
     /// Opens the pictures, the proposer and the calibrator that the parameters request.
     pub(crate) fn open(
         context: &StageContext,
