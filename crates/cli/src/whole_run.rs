@@ -7,8 +7,8 @@
 //! ```
 //!
 //! `r` is the estimate of the stage itself, or else its `p` less the time since its start. `p` is the
-//! forecast from earlier runs, or else the usual cost that the stage states times the seconds that one unit of cost takes
-//! in this run. There is no time left until one stage has given its own.
+//! forecast from earlier runs, or else the usual cost that the stage states times the seconds that one unit
+//! of cost takes in this run. There is no time left until one stage has given its own.
 //!
 //! Limits: the usual costs were measured on four captures with the default parameters. A stage that waits for
 //! another process counts as pending.

@@ -2,9 +2,9 @@
 //!
 //! These are left out: comments and layout (there are no tokens for them), documentation (`///` is the
 //! attribute `doc` to the compiler), items under `#[cfg(test)]`, the inline module [`DEFINITION`], and the
-//! trailing commas that a formatter adds when it breaks a line. The spacing between punctuation counts only where it makes a different
-//! operator (`&&` is not `& &`, `=-` is `= -`). In doubt a token counts: a needless rerun costs minutes, a
-//! missed one costs trust.
+//! trailing commas that a formatter adds when it breaks a line. The spacing between punctuation counts only
+//! where it makes a different operator (`&&` is not `& &`, `=-` is `= -`). In doubt a token counts: a
+//! needless rerun costs minutes, a missed one costs trust.
 
 use std::path::{Path, PathBuf};
 

@@ -3,8 +3,8 @@
 //! Every path counts that begins with `crate`, `self`, `super`, a module below the file, or a crate: in
 //! `use`, in code, in attributes. Names are not resolved any further: a path stands for the file of the
 //! longest module path that it begins with. So the names that a module re-exports with `pub use` count as the
-//! module's own. Code under `#[cfg(test)]` and in the module [`DEFINITION`](crate::DEFINITION) does not count;
-//! other conditions are assumed to be true.
+//! module's own. Code under `#[cfg(test)]` and in the module [`DEFINITION`](crate::DEFINITION) does not
+//! count; other conditions are assumed to be true.
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -20,7 +20,8 @@ use use3d_stages::{CALIBRATED, CHOICES, Choices, read_json, registry};
 
 /// The preset that lists every parameter with an effect on a result: only these are compared.
 const COMPLETE: &str = "paper";
-/// The stage whose scores stand beside the configuration. It and the stages that it follows from are compared.
+/// The stage whose scores stand beside the configuration. It and the stages that it follows from are
+/// compared.
 const SCORED_BY: &str = "evaluate";
 /// The import's text for views that were counted in the authors' order.
 const AUTHORS_SPLIT: &str = "one view in 8 is held out, counted by COLMAP image id from the first";

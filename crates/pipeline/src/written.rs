@@ -1,5 +1,5 @@
-//! Files of results that only this program replaces. A [`Sealed`] file ends with the digest of the text before
-//! it, which proves that this program wrote it and that it is unchanged. A folder has a record instead
+//! Files of results that only this program replaces. A [`Sealed`] file ends with the digest of the text
+//! before it, which proves that this program wrote it and that it is unchanged. A folder has a record instead
 //! ([`use3d_workflow::place`]).
 
 use std::fs;

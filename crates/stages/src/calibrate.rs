@@ -6,7 +6,7 @@ use use3d_workflow::{StageContext, StageError};
 
 use crate::parts::files::{CALIBRATOR, DATASET, go_on, read_json, write, write_json};
 
-/// The stage in the table: what it reads, when it runs and what it needs. No byte of a result follows from it.
+/// The stage in the table; no part of its key.
 pub(crate) mod definition {
     use use3d_workflow::{Scope, Stage};
 

@@ -66,7 +66,7 @@ pub(crate) struct Params {
     pub(crate) encoder: Encoder,
 }
 
-/// The stage in the table: what it reads, when it runs and what it needs. No byte of a result follows from it.
+/// The stage in the table; no part of its key.
 pub(crate) mod definition {
     use use3d_import::{ImportParams, has_depth_folder};
     use use3d_reconstruct::{DepthPrior, ReconstructParams};
@@ -90,8 +90,8 @@ pub(crate) mod definition {
             .memory(|_: &Params, inputs| memory(inputs))
     }
 
-    /// True if a scene's priors are to be made: if the parameters request them; with `auto`, if the weights are in
-    /// the models folder and the capture has no priors of its own.
+    /// True if a scene's priors are to be made: if the parameters request them; with `auto`, if the weights
+    /// are in the models folder and the capture has no priors of its own.
     fn asked_for(all: &AllParameters, named: &Named) -> bool {
         match all.of::<ReconstructParams>().map(|p| p.depth_prior) {
             Some(DepthPrior::DepthAnythingV2) => true,

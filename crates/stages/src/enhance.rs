@@ -32,7 +32,7 @@ const FIGURES: [Figure; 3] = [
     Figure { file: REPORT, at: "/views/*/after/pixels", within: 0.005 },
 ];
 
-/// The stage in the table: what it reads, when it runs and what it needs. No byte of a result follows from it.
+/// The stage in the table; no part of its key.
 pub(crate) mod definition {
     use use3d_workflow::{AllParameters, Lacking, Scope, Stage};
 

@@ -107,7 +107,7 @@ impl Params {
     }
 }
 
-/// The stage in the table: what it reads, when it runs and what it needs. No byte of a result follows from it.
+/// The stage in the table; no part of its key.
 pub(crate) mod definition {
     use use3d_nets::Network;
     use use3d_workflow::content::Choice;

@@ -12,7 +12,7 @@ use use3d_workflow::{StageContext, StageError};
 use crate::parts::files::{choice_sources, out_of_range, read, write, write_json};
 use crate::parts::sights::{CaptureSights, SIGHTS, SightsError};
 
-/// The stage in the table: what it reads, when it runs and what it needs. No byte of a result follows from it.
+/// The stage in the table; no part of its key.
 pub(crate) mod definition {
     use use3d_workflow::{Scope, Stage};
 

@@ -22,7 +22,7 @@ pub(crate) struct Params {
     pub(crate) proposer: ProposerChoice,
 }
 
-/// The stage in the table: what it reads, when it runs and what it needs. No byte of a result follows from it.
+/// The stage in the table; no part of its key.
 pub(crate) mod definition {
     use use3d_workflow::{Scope, Stage};
 

@@ -48,7 +48,7 @@ impl Default for Params {
     }
 }
 
-/// The stage in the table: what it reads, when it runs and what it needs. No byte of a result follows from it.
+/// The stage in the table; no part of its key.
 pub(crate) mod definition {
     use use3d_workflow::{Scope, Stage};
 

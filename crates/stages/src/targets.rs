@@ -96,7 +96,7 @@ impl Params {
 /// be visible in only one of them.
 const FIGURES: [Figure; 1] = [Figure { file: "report.json", at: "/supported", within: 20.0 }];
 
-/// The stage in the table: what it reads, when it runs and what it needs. No byte of a result follows from it.
+/// The stage in the table; no part of its key.
 pub(crate) mod definition {
     use use3d_workflow::{AllParameters, Lacking, Named, Scope, Stage};
 

@@ -154,8 +154,8 @@ fn a_token_in_any_file_makes_every_stage_stale_that_reaches_it() {
         let folder = dir.path().join("crates").join(krate);
         file.strip_prefix(folder).expect("below").to_string_lossy().into_owned()
     };
-    // A crate counts as a whole, so one of its files is changed at a time. Files of the crate of the stages count
-    // one by one, so all of them are changed at once.
+    // A crate counts as a whole, so one of its files is changed at a time. Files of the crate of the stages
+    // count one by one, so all of them are changed at once.
     let rounds = sources
         .iter()
         .filter(|(krate, _)| *krate != "stages")

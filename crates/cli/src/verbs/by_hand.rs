@@ -149,6 +149,15 @@ impl<'a> ByHand<'a> {
         own.ok_or_else(|| CliError::Failed(format!("`{}` has other parameters", self.stage)))
     }
 
+    /// True if this command's settings need the result of a stage.
+    ///
+    /// # Errors
+    /// A setting is refused.
+    fn needs(&self, stage: &str, cache: &Path) -> Result<bool, CliError> {
+        let (_, graph) = self.loaded(cache)?;
+        Ok(graph.nodes.iter().any(|node| node.stage_name == stage))
+    }
+
     /// The pipeline of this command.
     fn loaded(&self, cache: &Path) -> Result<(Builder, Graph), CliError> {
         self.check_paths()?;
@@ -220,8 +229,8 @@ impl<'a> ByHand<'a> {
         }
     }
 
-    /// The folder of the capture, prepared. If a scene is given, a capture that the scene was not made from is
-    /// refused; if views are scored, so is a split that holds out views of the scene's training.
+    /// The folder of the capture, prepared. If a scene is given, a capture that the scene was not made from
+    /// is refused; if views are scored, so is a split that holds out views of the scene's training.
     pub(crate) fn imported(
         &self,
         app: &App,
@@ -278,8 +287,8 @@ fn problem(summary: &Summary) -> CliError {
 /// parameters or inputs share the folder; each resumes from its own checkpoints.
 struct Work<'a> {
     folder: PathBuf,
-    /// The checkpoints that existed before: those of this training, which removes the ones it no longer needs,
-    /// or those of others.
+    /// The checkpoints that existed before: those of this training, which removes the ones it no longer
+    /// needs, or those of others.
     before: BTreeSet<PathBuf>,
     app: &'a App,
 }
@@ -420,6 +429,11 @@ pub(crate) fn targets(app: &App, args: &TargetsArgs) -> Done {
     hand.given.insert("scene", Some(args.scene.clone()));
     let work = Work::beside(app, &args.out);
     let made = hand.imported(app, &work.folder, Some(&args.scene), false).and_then(|_| {
+        if args.calibrator.is_none() && hand.needs("calibrate", &work.folder)? {
+            return Err(CliError::input(
+                "calibrated = true needs a calibrator: give --calibrator FILE (`use3d calibrate` makes one)",
+            ));
+        }
         let made = hand.run(app, &work.folder)?;
         if made.join("previews").is_dir() {
             copy_folder(&made.join("previews"), &previews, force)?;

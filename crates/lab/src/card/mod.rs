@@ -1,7 +1,7 @@
 //! Measurements of a graphics card in one file, and their report in words.
 //!
-//! [`measured`] runs the benchmark and fills its [`records`]; [`mod@read`] reads the file of any machine, which
-//! needs no card.
+//! [`measured`] runs the benchmark and fills its [`records`]; [`mod@read`] reads the file of any machine,
+//! which needs no card.
 
 #[cfg(feature = "gpu")]
 pub mod measured;

@@ -132,9 +132,9 @@ impl TruthBench {
         self.load(first, probe, &probe.join("cache")).map(|_| ())
     }
 
-    /// Runs every seed's pipeline on its captures, which exist. The table is written after every seed, because
-    /// the next seed may take hours. `forecasts` says if the time of the remaining seeds is estimated. Returns
-    /// the figures and the written files.
+    /// Runs every seed's pipeline on its captures, which exist. The table is written after every seed,
+    /// because the next seed may take hours. `forecasts` says if the time of the remaining seeds is
+    /// estimated. Returns the figures and the written files.
     ///
     /// # Errors
     /// Returns an interruption, a result that cannot be read, or a place that cannot be written. A failed stage

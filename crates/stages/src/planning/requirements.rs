@@ -1,8 +1,8 @@
 //! Requirements that several stages have, checked before anything runs: the weights of networks, and files
 //! that the pipeline names.
 //!
-//! They decide whether a run begins, never a result. Captures are not among them: a missing capture fails only
-//! its own scene, and the others run.
+//! They decide whether a run begins, never a result. Captures are not among them: a missing capture fails
+//! only its own scene, and the others run.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -31,8 +31,8 @@ fn without_nu2net(all: &AllParameters, stage: &str) -> String {
     format!("--set {}.proposer=fusion", if by_targets { "targets" } else { stage })
 }
 
-/// Nu2Net's weights if a stage's proposer is the network and they are missing, or if they are there for `auto`
-/// and cannot be used.
+/// Nu2Net's weights if a stage's proposer is the network and they are missing, or if they are there for
+/// `auto` and cannot be used.
 pub(crate) fn weights(
     all: &AllParameters,
     named: &Named,

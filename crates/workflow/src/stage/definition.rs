@@ -174,8 +174,8 @@ impl Stage {
     }
 
     /// Sets its code: crates of the workspace (with all crates they depend on), and files or folders of the
-    /// crate that holds the stages. Without this, its code is the file `src/NAME.rs` of that crate, if there is
-    /// one, with everything that it uses.
+    /// crate that holds the stages. Without this, its code is the file `src/NAME.rs` of that crate, if there
+    /// is one, with everything that it uses.
     #[must_use]
     pub fn made_of(self, crates: &'static [&'static str], sources: &'static [&'static str]) -> Self {
         Self { crates, sources: Some(sources), ..self }
