@@ -73,7 +73,7 @@ pub(super) fn stage() -> Stage {
 /// same view.
 fn load(view: &View, pixels: &View) -> Result<LoadedView, ImportError> {
     let mask = load_mask(view)?;
-    Ok(LoadedView { pixels: load_pixels(pixels)?, alpha: None, mask, depth_prior: load_depth_prior(view)? })
+    Ok(LoadedView { pixels: load_pixels(pixels)?, mask, depth_prior: load_depth_prior(view)? })
 }
 
 /// A sentence on the depth prior in force, with the reason (R14).
