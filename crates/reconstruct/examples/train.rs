@@ -43,7 +43,6 @@ fn load(view: &View) -> Result<LoadedView, String> {
     let text = |e: use3d_import::ImportError| e.to_string();
     Ok(LoadedView {
         pixels: load_pixels(view).map_err(text)?,
-        alpha: None,
         mask: load_mask(view).map_err(text)?,
         depth_prior: load_depth_prior(view).map_err(text)?,
     })

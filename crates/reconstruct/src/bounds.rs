@@ -62,8 +62,7 @@ impl CaptureSize {
     }
 
     /// Number of Gaussians at the start before the bound applies: one per sparse point, with random ones
-    /// added if there are few points. Start points between sparse ones (`start_points`) are not known yet;
-    /// they are few where points are many.
+    /// added if there are few points.
     pub(crate) fn initial(&self, params: &ReconstructParams) -> usize {
         let points = self.points;
         if points < FEWEST_POINTS { points.saturating_add(params.random_points) } else { points }

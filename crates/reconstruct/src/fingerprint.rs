@@ -6,7 +6,6 @@ use use3d_training::EngineChoice;
 
 use crate::bounds::most_gaussians;
 use crate::load::Views;
-use crate::triangles::Between;
 use crate::{FoundWater, ReconstructParams};
 
 /// Computes the digest.
@@ -14,7 +13,6 @@ pub(crate) fn fingerprint(
     capture: &Capture,
     found: Option<&FoundWater>,
     gains: Option<&Vec<[f64; 3]>>,
-    between: &[Between],
     params: &ReconstructParams,
     views: &Views,
 ) -> [u8; 32] {
@@ -44,10 +42,6 @@ pub(crate) fn fingerprint(
     for point in &capture.points {
         hasher.update(bytemuck::bytes_of(&point.position.to_array()));
         hasher.update(&point.color);
-    }
-    for point in between {
-        hasher.update(bytemuck::bytes_of(&point.position.to_array()));
-        hasher.update(bytemuck::bytes_of(&point.color));
     }
     if let Some(found) = found {
         hasher.update(format!("{found:?}").as_bytes());

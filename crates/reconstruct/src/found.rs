@@ -14,7 +14,6 @@
 //! * it is held for a share of the run (`medium_hold`) and then learnt at a fraction of its rates
 //!   (`medium_release`).
 
-use use3d_capture::Track;
 use use3d_medium::{Coefficients, MediumModel};
 use use3d_numerics::math;
 use use3d_numerics::spherical_harmonics::{C0, C1};
@@ -34,9 +33,6 @@ pub struct Known {
     /// Gains of all views of the capture, red, green, blue, all positive; empty if they are not known. A view
     /// beyond the end has the gain 1.
     pub gains: Vec<[f64; 3]>,
-    /// Tracks of all points of the capture, in the order of its points; their views are those of the
-    /// capture. Empty if there are none. Start points are placed between them (`start_points`).
-    pub tracks: Vec<Track>,
 }
 
 /// Water found beforehand, in the normalised frame; channels are red, green, blue.

@@ -102,9 +102,7 @@ mod tests {
             let counts = |x: usize| if columns.contains(&x) { 0.0 } else { 1.0 };
             mask.data_mut().iter_mut().enumerate().for_each(|(p, value)| *value = counts(p % 64));
             let pixels = Pixels::Eight(Image::new(64, 48).to_8bit());
-            TrainingView::new(&view, LoadedView { pixels, alpha: None, mask: Some(mask), depth_prior: None })
-                .unwrap()
-                .0
+            TrainingView::new(&view, LoadedView { pixels, mask: Some(mask), depth_prior: None }).unwrap().0
         };
         Masks::new(&hidden.iter().enumerate().map(view).collect::<Vec<_>>())
     }

@@ -4,9 +4,7 @@
 //! to the mean distance to its three nearest other points, a uniformly random rotation, and opacity 0.1.
 //! Equal points count as one neighbour, so that a heap of duplicates does not make Gaussians of size zero.
 //! A capture with fewer than 100 points gets random ones in the space that its cameras see. If there are
-//! more points than Gaussians allowed, a random choice of them is kept. If `start_points` requests it,
-//! points [between tracked points](crate::triangles) are added: at most 20,000 or twice the number of points,
-//! whichever is more, and no more than the limit allows.
+//! more points than Gaussians allowed, a random choice of them is kept.
 
 use glam::DVec3;
 use kdtree::KdTree;
@@ -18,7 +16,6 @@ use use3d_numerics::random::{Purpose, Stream};
 use use3d_numerics::spherical_harmonics::C0;
 use use3d_splat::{Gaussians, NEAR};
 
-use crate::triangles::{self, Between};
 use crate::{FoundWater, ReconstructError, ReconstructParams};
 
 /// Smallest number of sparse points that is enough for a start.
@@ -29,11 +26,10 @@ const SMALLEST: f64 = 1e-5;
 const LARGEST: f64 = 2.0;
 
 /// Makes the initial Gaussians, at most `most`. They have the colours behind the water where these are
-/// known, and `between` follow those of the sparse points. Messages for the user go to `notice`.
+/// known. Messages for the user go to `notice`.
 pub(crate) fn gaussians(
     capture: &Capture,
     found: Option<&FoundWater>,
-    between: &[Between],
     params: &ReconstructParams,
     most: usize,
     mut notice: impl FnMut(&str),
@@ -70,9 +66,6 @@ pub(crate) fn gaussians(
         ));
         points.extend(added);
     }
-    let room = (most - points.len()).min(triangles::most_between(points.len()));
-    let between: Vec<_> = between.iter().map(|p| (p.position, p.color)).collect();
-    points.extend(if between.len() > room { choose(&between, room, params.seed) } else { between });
     let positions: Vec<DVec3> = points.iter().map(|p| p.0).collect();
     let spacing = spacing(&positions);
     let stream = Stream::new(params.seed, Purpose::new("initial rotations"), 0);

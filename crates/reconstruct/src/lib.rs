@@ -21,12 +21,9 @@ mod load;
 pub mod losses;
 mod params;
 mod peek;
-mod planes;
-mod plateau;
 mod profile;
 mod report;
 mod run;
-mod triangles;
 mod unknown;
 mod views;
 mod window;
@@ -36,8 +33,7 @@ pub use error::ReconstructError;
 pub use exposure::{ExposureStep, Exposures};
 pub use found::{FoundWater, Known};
 pub use params::{
-    Densify, DepthPrior, Exposure, Images, LearningRates, MediumPrior, Rate, ReconstructParams, StartPoints,
-    Stop, Strategy, Unseen,
+    Densify, DepthPrior, Exposure, Images, LearningRates, MediumPrior, Rate, ReconstructParams,
 };
 pub use peek::scene_in_checkpoint;
 pub use profile::{StepPart, Stretch, growth};

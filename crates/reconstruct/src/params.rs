@@ -42,33 +42,6 @@ pub enum MediumPrior {
     Tracks,
 }
 
-/// The places where Gaussians start.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum StartPoints {
-    /// At the capture's sparse points, as in the paper.
-    #[default]
-    Tracks,
-    /// At these points, and between them on the triangles of each view's tracked points, where the surface
-    /// is smooth and points are sparse. So even floors and walls get no holes.
-    Triangles,
-    /// At all of these, and where tracked points end, on the plane of the nearest ones. So even ground
-    /// reaches the edge of the pictures.
-    Planes,
-}
-
-/// The end of a training.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum Stop {
-    /// After `iterations` steps, as in the paper.
-    #[default]
-    Fixed,
-    /// Earlier, once training no longer improves pixels of the training views that are withheld from it: one
-    /// block of 16×16 pixels in 64.
-    Plateau,
-}
-
 /// Differences in exposure and white balance between the photographs of one scene.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
@@ -155,57 +128,12 @@ impl Default for LearningRates {
     }
 }
 
-/// The rule by which Gaussians are added and removed.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum Strategy {
-    /// The rule of the paper's authors: every strong screen gradient adds a Gaussian, opacities are lowered
-    /// to a ceiling repeatedly, and Gaussians that are then below `cull_opacity` are removed.
-    #[default]
-    Authors,
-    /// Several views must agree that another Gaussian helps, a budget from the pixels grows with the run,
-    /// and there is no ceiling. Only Gaussians below `frugal_cull_opacity` are removed, at most a third of
-    /// all at once. A reef ended with half as many Gaussians, in hardly less time.
-    Frugal,
-}
-
-/// Bounds on Gaussians that no view has seen well: those that only views from about one direction show,
-/// those beyond the last tracked points, and those outside every picture.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct Unseen {
-    /// Apply the bounds. Their cost and gain have not been measured yet.
-    pub enabled: bool,
-    /// Steps between two applications of the bounds.
-    pub every: u64,
-    /// Spread of the directions to the views that have a Gaussian in their picture, radians, below which its
-    /// depth counts as unknown.
-    pub spread: f64,
-    /// Such a Gaussian is at most this many times as long along the view as across it.
-    pub stretch: f64,
-    /// Largest standard deviation of a Gaussian that one or two such views show or that lies beyond, as a
-    /// share of the picture's width.
-    pub width: f64,
-    /// A Gaussian lies beyond if it is this many times as far as the last sparse points of every view.
-    pub beyond: f64,
-    /// Largest opacity of Gaussians that lie beyond, or outside every picture.
-    pub opacity: f64,
-}
-
-impl Default for Unseen {
-    fn default() -> Self {
-        Self { enabled: false, every: 500, spread: 0.1, stretch: 3.0, width: 0.05, beyond: 1.5, opacity: 0.5 }
-    }
-}
-
 /// The rules by which Gaussians are added and removed (R9).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Densify {
     /// True if the number of Gaussians changes at all.
     pub enabled: bool,
-    /// The rule by which Gaussians are added and removed.
-    pub strategy: Strategy,
     /// Gradient statistics are gathered from this step on.
     pub statistics_from: u64,
     /// No refinement up to this step (at most a quarter of the run).
@@ -240,11 +168,6 @@ pub struct Densify {
     /// A run with a course of fewer steps than this has no ceilings and removes no Gaussians above half of
     /// `initial_opacity`: opacities have no time to rise. 0: runs of any length are alike.
     pub gentle_below: u64,
-    /// The `frugal` strategy removes Gaussians below this opacity.
-    pub frugal_cull_opacity: f64,
-    /// Training pixels for each Gaussian of the `frugal` strategy's budget at the end of growth; a
-    /// budget is never below one and a half times the initial Gaussians.
-    pub frugal_pixels: f64,
     /// Gaussians with a standard deviation above this are removed, scene units.
     pub cull_scale: f64,
     /// Opacities are lowered to this at every ceiling.
@@ -261,7 +184,6 @@ impl Default for Densify {
     fn default() -> Self {
         Self {
             enabled: true,
-            strategy: Strategy::Authors,
             statistics_from: 100,
             warm_up: 300,
             every: 50,
@@ -276,8 +198,6 @@ impl Default for Densify {
             cull_opacity: 0.5,
             cull_opacity_late: 0.1,
             gentle_below: 2000,
-            frugal_cull_opacity: 0.05,
-            frugal_pixels: 96.0,
             cull_scale: 10.0,
             opacity_ceiling: 0.45,
             floor: 100,
@@ -339,24 +259,18 @@ pub struct ReconstructParams {
     pub resolution_schedule: Vec<(f64, usize)>,
     /// Opacity of the initial Gaussians.
     pub initial_opacity: f64,
-    /// The places where Gaussians start.
-    pub start_points: StartPoints,
     /// Number of random initial Gaussians if the capture has fewer than 100 sparse points.
     pub random_points: usize,
     /// Adam's learning rates.
     pub learning_rates: LearningRates,
     /// Density control.
     pub densify: Densify,
-    /// Bounds on Gaussians that no view has seen well.
-    pub unseen: Unseen,
     /// Transmission of the water, 0 to 1, at which half of a Gaussian's colour channel counts as known. Less
     /// known channels fade into the others after the last step, so that far red is no fog. 0: never.
     pub unknown_below: f64,
     /// After the last step Gaussians are removed of which the training views show less than this share, 0 to
     /// 1, because masks hide the rest. 0: never.
     pub hidden_below: f64,
-    /// The end of a training.
-    pub stop: Stop,
     /// Largest number of Gaussians, including the initial ones: of more sparse points a random choice is
     /// kept. 0: one for every eight pixels of the training views or four for every sparse point, whichever
     /// is more; from 250,000 to four million.
@@ -401,14 +315,11 @@ impl Default for ReconstructParams {
             sh_every: 1.0 / 15.0,
             resolution_schedule: vec![(0.0, 2), (0.2, 1)],
             initial_opacity: 0.1,
-            start_points: StartPoints::Tracks,
             random_points: 10_000,
             learning_rates: LearningRates::default(),
             densify: Densify::default(),
-            unseen: Unseen::default(),
             unknown_below: 0.05,
             hidden_below: 0.1,
-            stop: Stop::Fixed,
             max_gaussians: 0,
             seed: 42,
             evaluate_every: 0,
@@ -492,16 +403,6 @@ impl ReconstructParams {
         if !(d.opacity_ceiling > 0.0 && d.opacity_ceiling < 1.0) {
             return Err(OutOfRange::new("densify.opacity_ceiling", d.opacity_ceiling, "between 0 and 1"));
         }
-        share("densify.frugal_cull_opacity", d.frugal_cull_opacity)?;
-        positive("densify.frugal_pixels", d.frugal_pixels)?;
-        let u = &self.unseen;
-        at_least("unseen.every", u.every, 1)?;
-        not_negative("unseen.spread", u.spread)?;
-        positive("unseen.stretch", u.stretch)?;
-        positive("unseen.width", u.width)?;
-        positive("unseen.beyond", u.beyond)?;
-        share("unseen.opacity", u.opacity)?;
-        positive("unseen.opacity", u.opacity)?;
         share("unknown_below", self.unknown_below)?;
         share("hidden_below", self.hidden_below)?;
         let r = &self.learning_rates;
@@ -575,11 +476,7 @@ impl ReconstructParams {
     /// The opacity below which Gaussians are removed, while growing and afterwards.
     pub fn cull_opacity(&self, growing: bool) -> f64 {
         let d = &self.densify;
-        let usual = match d.strategy {
-            Strategy::Frugal => d.frugal_cull_opacity,
-            Strategy::Authors if growing => d.cull_opacity,
-            Strategy::Authors => d.cull_opacity_late,
-        };
+        let usual = if growing { d.cull_opacity } else { d.cull_opacity_late };
         if self.is_gentle() { usual.min(0.5 * self.initial_opacity) } else { usual }
     }
 
@@ -650,9 +547,6 @@ mod tests {
         let mut paper = short;
         paper.densify.gentle_below = 0;
         assert_eq!([true, false].map(|growing| paper.cull_opacity(growing)), [0.5, 0.1]);
-        let mut frugal = long;
-        frugal.densify.strategy = Strategy::Frugal;
-        assert_eq!([true, false].map(|growing| frugal.cull_opacity(growing)), [0.05; 2]);
     }
 
     #[test]

@@ -47,13 +47,6 @@ pub enum LogEntry {
         /// Number of steps done.
         step: u64,
     },
-    /// A comparison with the withheld pixels of training views.
-    Withheld {
-        /// Number of steps done.
-        step: u64,
-        /// Mean PSNR over the views compared, dB; null if no view has such pixels.
-        psnr: Option<f64>,
-    },
     /// A held-out evaluation.
     Evaluation {
         /// Number of steps done.
@@ -156,7 +149,7 @@ pub fn plot(log: &[LogEntry]) -> String {
                 }
             }
             LogEntry::Evaluation { step, psnr, .. } => held_out.extend(psnr.map(|v| (*step as f64, v))),
-            LogEntry::Refine { .. } | LogEntry::Ceiling { .. } | LogEntry::Withheld { .. } => {}
+            LogEntry::Refine { .. } | LogEntry::Ceiling { .. } => {}
         }
     }
     const WIDTH: f64 = 760.0;

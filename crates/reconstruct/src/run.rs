@@ -18,22 +18,19 @@ use use3d_training::{
     Steps, TrainingProgress, ViewOrder,
 };
 
-use crate::bounds::{CaptureSize, most_gaussians};
-use crate::density::unseen::BoundingViews;
-use crate::density::worth::WorthViews;
+use crate::bounds::most_gaussians;
 use crate::density::{self, Draws, RefineSettings};
 use crate::engine::{Degrees, Engine, StepPlan, StepRates, TrainingState};
 use crate::fingerprint::fingerprint;
 use crate::hidden::Masks;
 use crate::load::load;
-use crate::plateau::{self, Withheld};
 use crate::profile::{StepPart, Stretch};
 use crate::report::{Evaluation, FittedScore, LogEntry, ViewScore};
 use crate::views::{TrainingView, ViewLoader};
 use crate::window::Window;
 use crate::{
-    Exposure, ExposureStep, FoundWater, Known, ReconstructError, ReconstructParams, StartPoints, Stop,
-    Strategy, initialise, losses, triangles, unknown,
+    Exposure, ExposureStep, FoundWater, Known, ReconstructError, ReconstructParams, initialise, losses,
+    unknown,
 };
 
 /// The prefix of the names of this loop's checkpoints.
@@ -122,15 +119,8 @@ pub fn reconstruct(
     let most = most_gaussians(capture, params);
     let start = known.water.as_ref().and_then(|found| Some((found, found.model(params)?)));
     let found = start.as_ref().map(|(found, _)| *found);
-    let mut views = load(capture, loader, params, observer)?;
-    let sparse: Vec<_> = capture.points.iter().map(|p| p.position).filter(|p| p.is_finite()).collect();
-    let beyond = params.start_points == StartPoints::Planes;
-    let between = match params.start_points {
-        StartPoints::Tracks => Vec::new(),
-        _ => triangles::between(&views.train, &capture.split.train, known, &sparse, beyond),
-    };
-    let gaussians =
-        initialise::gaussians(capture, found, &between, params, most, |message| observer.notice(message))?;
+    let views = load(capture, loader, params, observer)?;
+    let gaussians = initialise::gaussians(capture, found, params, most, |message| observer.notice(message))?;
     let initial = gaussians.len();
     let water = match start {
         Some((_, model)) => model,
@@ -139,16 +129,12 @@ pub fn reconstruct(
         })?,
     };
     let masks = if params.hidden_below > 0.0 { Masks::new(&views.train) } else { Masks::default() };
-    let withheld = (params.stop == Stop::Plateau).then(|| Withheld::take(&mut views.train, params.seed));
     let exposes = params.exposure == Exposure::PerView;
     let gain = |view: &usize| known.gains.get(*view).copied().unwrap_or([1.0; 3]);
     let gains: Vec<[f64; 3]> = capture.split.train.iter().map(gain).collect();
     let gains_used = exposes.then_some(&gains);
-    let fingerprint = fingerprint(capture, found, gains_used, &between, params, &views);
+    let fingerprint = fingerprint(capture, found, gains_used, params, &views);
     let cameras: Vec<_> = views.train.iter().map(|v| v.camera).collect();
-    let unseen = &params.unseen;
-    let bounding_views = unseen.enabled.then(|| BoundingViews::new(&cameras, &sparse, unseen.beyond));
-    let worth_views = (params.densify.strategy == Strategy::Frugal).then(|| WorthViews::new(&views.train));
     let names: Vec<String> = views.train.iter().map(|v| v.name.clone()).collect();
     for (index, view) in views.train.into_iter().enumerate() {
         if engine.upload(view)? != index {
@@ -173,11 +159,7 @@ pub fn reconstruct(
         log: Vec::new(),
         window: Window::default(),
         most,
-        pixels: CaptureSize::from(capture).training,
-        worth_views: worth_views.unwrap_or_default(),
-        bounding_views: bounding_views.unwrap_or_default(),
         masks,
-        withheld: withheld.unwrap_or_default(),
         cameras,
         cap_reported: false,
         growth: Vec::new(),
@@ -219,16 +201,8 @@ struct ReconstructRun<'a> {
     log: Vec<LogEntry>,
     window: Window,
     most: usize,
-    /// Number of pixels of the training views.
-    pixels: u64,
-    /// The views that the `frugal` strategy uses.
-    worth_views: WorthViews,
-    /// The views that bound poorly seen Gaussians.
-    bounding_views: BoundingViews,
     /// The masks that hide Gaussians.
     masks: Masks,
-    /// The pixels on which a plateau is recognised.
-    withheld: Withheld,
     /// The cameras of the training views.
     cameras: Vec<Camera>,
     cap_reported: bool,
@@ -253,18 +227,11 @@ impl Steps for ReconstructRun<'_> {
         if done.is_multiple_of(params.log_every) {
             self.end_window()?;
         }
-        if self.withheld.is_due(done, params.course(), params.densify_end()) {
-            self.compare_withheld(observer)?;
-        }
         let due = params.evaluate_every > 0 && done.is_multiple_of(params.evaluate_every);
         if due && done < params.iterations {
             self.evaluate()?;
         }
         Ok(())
-    }
-
-    fn has_settled(&self) -> bool {
-        !self.withheld.is_empty() && plateau::reached(&self.log)
     }
 
     fn save(&mut self, done: u64, checkpoints: &Checkpoints) -> Result<(), ReconstructError> {
@@ -346,9 +313,8 @@ impl ReconstructRun<'_> {
         observer: &mut dyn Observer,
     ) -> Result<ReconstructOutcome, ReconstructError> {
         // This happens only here, after the last checkpoint: a longer run that continues from it still
-        // collects data for this line, and bounds poorly seen Gaussians at its own steps.
+        // collects data for this line.
         self.drain(Drain::All)?;
-        self.hold_back()?;
         self.remove_hidden(observer)?;
         self.fade_unknown()?;
         if self.window.steps > 0 {
@@ -461,31 +427,14 @@ impl ReconstructRun<'_> {
         Ok(())
     }
 
-    /// Runs the refinement or the opacity ceiling that is due after this step (R9), and bounds poorly seen
-    /// Gaussians.
+    /// Runs the refinement or the opacity ceiling that is due after this step (R9).
     fn control_density(&mut self, observer: &mut dyn Observer) -> Result<(), ReconstructError> {
         let (params, d, step) = (self.params, &self.params.densify, self.step);
-        if d.enabled && step > params.warm_up() {
-            let growing = step < params.densify_end();
-            match d.strategy {
-                Strategy::Authors => self.refine_as_authors(growing, observer)?,
-                Strategy::Frugal if step.is_multiple_of(d.every) => self.refine(growing, observer)?,
-                Strategy::Frugal => {}
-            }
+        if !d.enabled || step <= params.warm_up() {
+            return Ok(());
         }
-        if (step + 1).is_multiple_of(params.unseen.every) {
-            self.hold_back()?;
-        }
-        Ok(())
-    }
-
-    fn refine_as_authors(
-        &mut self,
-        growing: bool,
-        observer: &mut dyn Observer,
-    ) -> Result<(), ReconstructError> {
-        let (d, step) = (&self.params.densify, self.step);
-        let ceilings = !self.params.is_gentle();
+        let growing = step < params.densify_end();
+        let ceilings = !params.is_gentle();
         let phase = step % d.period;
         if step.is_multiple_of(d.every) {
             // Densification waits after a ceiling; culling alone continues to the end.
@@ -499,34 +448,6 @@ impl ReconstructRun<'_> {
         if ceilings && growing && phase == d.every % d.period {
             self.engine.limit_opacity(d.opacity_ceiling)?;
             self.log.push(LogEntry::Ceiling { step: step + 1 });
-        }
-        Ok(())
-    }
-
-    /// Bounds poorly seen Gaussians.
-    fn hold_back(&mut self) -> Result<(), ReconstructError> {
-        let settings = &self.params.unseen;
-        if settings.enabled {
-            self.drain(Drain::All)?;
-            let bounding_views = &self.bounding_views;
-            self.engine.amend(&mut |gaussians| bounding_views.hold_back(gaussians, settings))?;
-        }
-        Ok(())
-    }
-
-    /// Compares the scene with the withheld pixels, and reports a plateau.
-    fn compare_withheld(&mut self, observer: &mut dyn Observer) -> Result<(), ReconstructError> {
-        self.drain(Drain::All)?;
-        let (degrees, gains) = (self.degrees(self.step - 1), self.engine.save()?.exposures.gains());
-        let engine = &mut *self.engine;
-        let psnr = self.withheld.compare(&gains, |camera, out| engine.render(camera, degrees, out))?;
-        self.log.push(LogEntry::Withheld { step: self.step, psnr });
-        if self.step < self.params.iterations && plateau::reached(&self.log) {
-            observer.notice(&format!(
-                "training stops after {} of {} steps: withheld pixels of the training views no longer improve \
-                 (`stop = \"plateau\"`)",
-                self.step, self.params.iterations
-            ));
         }
         Ok(())
     }
@@ -561,43 +482,25 @@ impl ReconstructRun<'_> {
         Ok(())
     }
 
-    /// The current limit on Gaussians under the `frugal` strategy: from the initial number to the budget,
-    /// in proportion to the course of growth.
-    fn budget(&self) -> usize {
-        let (params, initial) = (self.params, self.initial as f64);
-        let budget = (self.pixels as f64 / params.densify.frugal_pixels).max(1.5 * initial);
-        let (first, end) = (params.warm_up() as f64, params.densify_end() as f64);
-        let course = ((self.step as f64 - first) / (end - first).max(1.0)).clamp(0.0, 1.0);
-        ((initial + course * (budget - initial)) as usize).min(self.most)
-    }
-
+    /// Adds and removes Gaussians.
     fn refine(&mut self, growing: bool, observer: &mut dyn Observer) -> Result<(), ReconstructError> {
         let (params, d) = (self.params, &self.params.densify);
-        let frugal = d.strategy == Strategy::Frugal;
-        let third = if frugal { self.gaussians - self.gaussians / 3 } else { 0 };
         let settings = RefineSettings {
             grow: growing,
             gradient_threshold: d.gradient_threshold,
             split_scale: d.split_scale,
             cull_opacity: params.cull_opacity(growing),
             cull_scale: d.cull_scale,
-            floor: d.floor.max((d.floor_share * self.initial as f64) as usize).max(third),
-            most: if frugal { self.budget() } else { self.most },
+            floor: d.floor.max((d.floor_share * self.initial as f64) as usize),
+            most: self.most,
         };
-        let worth = if frugal && growing {
-            let degrees = self.degrees(self.step);
-            let state = self.engine.save()?;
-            Some(self.worth_views.worth(&state, degrees, self.step / d.every))
-        } else {
-            None
-        };
-        let (rows, report) = density::plan(&self.engine.survey()?, &settings, worth.as_deref());
+        let (rows, report) = density::plan(&self.engine.survey()?, &settings);
         self.engine.rebuild(&rows, &Draws { seed: params.seed, step: self.step, shrink: d.shrink })?;
         self.gaussians = rows.len();
         if d.reset_medium && growing {
             self.engine.forget_water_moments()?;
         }
-        if report.held_back > 0 && settings.most == self.most && !self.cap_reported {
+        if report.held_back > 0 && !self.cap_reported {
             self.cap_reported = true;
             observer.notice(&format!(
                 "step {}: the scene has reached its cap of {} Gaussians (`max_gaussians`); only the strongest {} of {} candidates were split or duplicated",

@@ -185,7 +185,6 @@ fn tiny_capture(views: usize) -> (Capture, Vec<LoadedView>) {
             let prior = rendered.depth.map(|d| if d > 0.0 { 1.0 / d } else { 0.0 });
             loaded.push(LoadedView {
                 pixels: Pixels::Eight(rendered.image.to_8bit()),
-                alpha: None,
                 mask: None,
                 depth_prior: Some(prior),
             });

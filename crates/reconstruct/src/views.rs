@@ -18,8 +18,6 @@ const COUNTS: f32 = 0.5;
 pub struct LoadedView {
     /// The photograph.
     pub pixels: Pixels,
-    /// Its opacity in `[0, 1]`, if it has any: transparent pixels take the water's colour.
-    pub alpha: Option<Map>,
     /// Mask, in `[0, 1]`: pixels of at least one half count.
     pub mask: Option<Map>,
     /// Disparity-like prior: larger is nearer, 0 is unknown.
@@ -39,8 +37,6 @@ pub struct TrainingView {
     pub camera: Camera,
     /// The photograph in its stored form, at full size.
     pub pixels: Pixels,
-    /// Its opacity, 255 is opaque; `None` if it is opaque everywhere.
-    pub alpha: Option<Raster<u8, 1>>,
     /// Its mask: 255 counts, 0 does not; `None` if every pixel counts.
     pub mask: Option<Raster<u8, 1>>,
     /// The depth prior, stretched to 1…65535, 0 where unknown; `None` if there is none.
@@ -54,8 +50,6 @@ pub struct TrainingView {
 pub struct Target {
     /// The photograph at the step's size.
     pub image: Image,
-    /// Its opacity.
-    pub alpha: Option<Map>,
     /// 1 for pixels that count, else 0.
     pub mask: Option<Map>,
     /// The depth prior, 0 where it is unknown or the pixel does not count.
@@ -80,14 +74,11 @@ impl TrainingView {
             Err(ReconstructError::Size { view, what, found_width, found_height, width, height })
         };
         fits("image", loaded.pixels.size())?;
-        for (what, map) in
-            [("alpha", &loaded.alpha), ("mask", &loaded.mask), ("depth prior", &loaded.depth_prior)]
-        {
+        for (what, map) in [("mask", &loaded.mask), ("depth prior", &loaded.depth_prior)] {
             if let Some(map) = map {
                 fits(what, (map.width(), map.height()))?;
             }
         }
-        let byte = |m: &Map| m.map(|v| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8);
         // NaN does not count.
         let mask = loaded
             .mask
@@ -107,7 +98,6 @@ impl TrainingView {
             name: view.name.to_string(),
             camera,
             pixels: loaded.pixels,
-            alpha: loaded.alpha.as_ref().filter(|a| a.data().iter().any(|&v| v < 1.0)).map(byte),
             mask,
             prior,
             #[cfg(test)]
@@ -122,7 +112,7 @@ impl TrainingView {
         let (w, h) = (image.width(), image.height());
         let pixels = Pixels::Eight(Raster::new(w, h));
         let exact = Some((image, prior));
-        Self { name: "exact".into(), camera, pixels, alpha: None, mask: None, prior: None, exact }
+        Self { name: "exact".into(), camera, pixels, mask: None, prior: None, exact }
     }
 
     /// True if its mask leaves no pixel.
@@ -137,22 +127,21 @@ impl TrainingView {
             Pixels::Eight(_) => 3,
             Pixels::Sixteen(_) => 6,
         };
-        let maps = usize::from(self.alpha.is_some()) + usize::from(self.mask.is_some());
-        w * h * (pixels + maps + 2 * usize::from(self.prior.is_some()))
+        w * h * (pixels + usize::from(self.mask.is_some()) + 2 * usize::from(self.prior.is_some()))
     }
 
     /// Adds all data on which training depends to a digest.
     pub(crate) fn fingerprint(&self, hasher: &mut blake3::Hasher) {
         hasher.update(&(self.name.len() as u64).to_le_bytes());
         hasher.update(self.name.as_bytes());
-        let there = [self.alpha.is_some(), self.mask.is_some(), self.prior.is_some()];
+        let there = [self.mask.is_some(), self.prior.is_some()];
         hasher.update(&there.map(u8::from));
         match &self.pixels {
             Pixels::Eight(r) => hasher.update(r.data()),
             Pixels::Sixteen(r) => hasher.update(bytemuck::cast_slice(r.data())),
         };
-        for map in [&self.alpha, &self.mask].into_iter().flatten() {
-            hasher.update(map.data());
+        if let Some(mask) = &self.mask {
+            hasher.update(mask.data());
         }
         if let Some(prior) = &self.prior {
             hasher.update(bytemuck::cast_slice(prior.data()));
@@ -182,15 +171,13 @@ impl TrainingView {
             Pixels::Eight(r) => means(r, mask, divisor, w, h, 255.0, &mut out.image),
             Pixels::Sixteen(r) => means(r, mask, divisor, w, h, 65535.0, &mut out.image),
         }
-        for (from, to) in [(&self.alpha, &mut out.alpha), (&self.mask, &mut out.mask)] {
-            let Some(raster) = from else {
-                *to = None;
-                continue;
-            };
-            means(raster, None, divisor, w, h, 255.0, to.get_or_insert_with(|| Map::new(0, 0)));
-        }
-        if let Some(mask) = &mut out.mask {
-            mask.data_mut().iter_mut().for_each(|v| *v = if *v >= COUNTS { 1.0 } else { 0.0 });
+        match mask {
+            Some(raster) => {
+                let mask = out.mask.get_or_insert_with(|| Map::new(0, 0));
+                means(raster, None, divisor, w, h, 255.0, mask);
+                mask.data_mut().iter_mut().for_each(|v| *v = if *v >= COUNTS { 1.0 } else { 0.0 });
+            }
+            None => out.mask = None,
         }
         match &self.prior {
             Some(raster) => {
@@ -326,7 +313,7 @@ mod tests {
     fn loaded(w: usize, h: usize) -> LoadedView {
         let data = (0..3 * w * h).map(|i| (i * 7 % 256) as u8).collect();
         let pixels = Pixels::Eight(Raster::from_planes(w, h, data).unwrap());
-        LoadedView { pixels, alpha: None, mask: None, depth_prior: None }
+        LoadedView { pixels, mask: None, depth_prior: None }
     }
 
     #[test]
@@ -354,7 +341,7 @@ mod tests {
         let pixels = Pixels::Sixteen(Raster::from_planes(side, side, vec![65_000; 3 * side * side]).unwrap());
         let mut prior = Map::filled(side, side, 1.0);
         prior.set_pixel(0, 0, [0.5]);
-        let loaded = LoadedView { pixels, alpha: None, mask: None, depth_prior: Some(prior) };
+        let loaded = LoadedView { pixels, mask: None, depth_prior: Some(prior) };
         let (view, _) = TrainingView::new(&view(side, side), loaded).unwrap();
         let mut target = Target::default();
         for divisor in [182, 257, 400] {

@@ -7,7 +7,7 @@ use use3d_io_image::write_png;
 use use3d_metrics::Score;
 use use3d_reconstruct::{
     DepthPrior, Evaluation, Exposure, Images, Known, LoadedView, Medium, MediumPrior, ReconstructError,
-    ReconstructParams, StartPoints, growth, memory_need, most_gaussians, plot, reconstruct,
+    ReconstructParams, growth, memory_need, most_gaussians, plot, reconstruct,
 };
 use use3d_scene::{Origin, Scene};
 use use3d_water::WaterParams;
@@ -84,7 +84,7 @@ pub(crate) mod definition {
 /// same view.
 fn load(view: &View, pixels: &View) -> Result<LoadedView, ImportError> {
     let mask = load_mask(view)?;
-    Ok(LoadedView { pixels: load_pixels(pixels)?, alpha: None, mask, depth_prior: load_depth_prior(view)? })
+    Ok(LoadedView { pixels: load_pixels(pixels)?, mask, depth_prior: load_depth_prior(view)? })
 }
 
 /// A sentence on the depth prior in force, with the reason (R14).
@@ -146,7 +146,7 @@ fn known_from_tracks(context: &StageContext) -> Result<Start, StageError> {
     let said = format!("{judgement}{so}");
     context.say(&said);
     let found = found_water(&water, judgement);
-    let known = Known { water: found, gains: water.gains, tracks: imported.tracks() };
+    let known = Known { water: found, gains: water.gains };
     Ok(Start { known, dry: judgement.no_water(), said, attenuation: report.attenuation() })
 }
 
@@ -193,14 +193,9 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
     let Start { known, dry, said: told, attenuation } = if params.asks_tracks() {
         known_from_tracks(context)?
     } else {
-        let tracks = match params.start_points {
-            StartPoints::Triangles | StartPoints::Planes => imported(context)?.tracks(),
-            StartPoints::Tracks => Vec::new(),
-        };
-        let known = Known { tracks, ..Known::default() };
         let learnt = params.medium != Medium::None;
         let said = if learnt { "learnt from the first step on" } else { "none" };
-        Start { known, said: said.into(), ..Start::default() }
+        Start { said: said.into(), ..Start::default() }
     };
     if dry {
         (params.medium, params.medium_prior) = (Medium::None, MediumPrior::Off);

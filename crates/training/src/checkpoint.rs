@@ -21,7 +21,7 @@ use serde::de::DeserializeOwned;
 
 /// The version rises with every change to the form of a loop's state: the error for an older file then names
 /// its version.
-const MAGIC: &[u8; 16] = b"3d-use state v03";
+const MAGIC: &[u8; 16] = b"3d-use state v04";
 const DIGEST: usize = blake3::OUT_LEN;
 /// Number of bytes that are digested, written or read at a time.
 const BLOCK: usize = 1 << 20;

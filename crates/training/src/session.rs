@@ -35,11 +35,6 @@ pub trait Steps {
         steps.end.saturating_sub(steps.start) as f64
     }
 
-    /// True if further steps would not help: the run then ends as after its last step.
-    fn has_settled(&self) -> bool {
-        false
-    }
-
     /// A copy of the present trained state for an observer; `None` if there is nothing to show. It must not
     /// change later steps.
     fn view(&mut self) -> Result<Option<Snapshot>, Self::Error> {
@@ -54,7 +49,7 @@ pub trait Steps {
 /// The end of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SessionEnd {
-    /// The last step was done, or further ones would not help.
+    /// The last step was done.
     Done,
     /// The run was stopped on request.
     Stopped {
@@ -144,9 +139,6 @@ impl Session {
         let mut left = work.work(done..self.steps.max(done));
         let mut pace = Pace::start();
         let mut saved_at = Instant::now();
-        if work.has_settled() {
-            return Ok(SessionEnd::Done);
-        }
         for step in done..self.steps {
             work.step(step, observer)?;
             let done = step + 1;
@@ -165,8 +157,7 @@ impl Session {
             {
                 observer.view(view);
             }
-            let settled = work.has_settled();
-            let last = done == self.steps || settled;
+            let last = done == self.steps;
             let stop = !last && observer.should_stop();
             let due = done - *saved >= self.every_steps
                 || saved_at.elapsed().as_secs_f64() >= 60.0 * self.every_minutes;
@@ -178,9 +169,6 @@ impl Session {
             }
             if stop {
                 return Ok(SessionEnd::Stopped { step: done, saved: self.checkpoints.is_some() });
-            }
-            if settled {
-                break;
             }
         }
         Ok(SessionEnd::Done)
@@ -198,7 +186,6 @@ mod tests {
         steps: Vec<u64>,
         saved: Vec<u64>,
         fails_at: Option<u64>,
-        settles_at: Option<usize>,
     }
 
     impl Steps for Counter {
@@ -219,9 +206,6 @@ mod tests {
         }
         fn view(&mut self) -> Result<Option<Snapshot>, CheckpointError> {
             Ok(Some(std::sync::Arc::new(self.steps.clone())))
-        }
-        fn has_settled(&self) -> bool {
-            Some(self.steps.len()) == self.settles_at
         }
         fn shown(&self) -> TrainingProgress {
             TrainingProgress { loss: Some(0.5), ..TrainingProgress::default() }
@@ -257,19 +241,6 @@ mod tests {
     /// Ten steps, with a checkpoint after every fourth.
     fn ten_steps(checkpoints: Option<Checkpoints>) -> Session {
         Session { steps: 10, checkpoints, every_steps: 4, every_minutes: f64::INFINITY }
-    }
-
-    #[test]
-    fn a_run_that_has_settled_ends_and_does_not_go_on() {
-        let dir = tempfile::tempdir().unwrap();
-        let session = ten_steps(Some(Checkpoints::new(dir.path(), "count", &[1; 32], 10)));
-        let mut work = Counter { settles_at: Some(7), ..Counter::default() };
-        let mut observer = TestObserver::default();
-        assert_eq!(session.run(0, &mut work, &mut observer).unwrap(), SessionEnd::Done);
-        assert_eq!((work.steps.len(), &work.saved[..]), (7, &[4, 7][..]));
-        // The same command resumes from the last checkpoint and has nothing left to do.
-        assert_eq!(session.run(7, &mut work, &mut observer).unwrap(), SessionEnd::Done);
-        assert_eq!(work.steps.len(), 7);
     }
 
     #[test]

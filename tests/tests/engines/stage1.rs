@@ -60,12 +60,8 @@ impl Engine for Late {
             Pixels::Eight(raster) => raster.data().len(),
             Pixels::Sixteen(raster) => 2 * raster.data().len(),
         };
-        let maps = [view.alpha.as_ref(), view.mask.as_ref()]
-            .into_iter()
-            .flatten()
-            .map(|map| map.data().len())
-            .sum::<usize>();
-        self.pixels += values + maps + view.prior.as_ref().map_or(0, |prior| 2 * prior.data().len());
+        let mask = view.mask.as_ref().map_or(0, |map| map.data().len());
+        self.pixels += values + mask + view.prior.as_ref().map_or(0, |prior| 2 * prior.data().len());
         self.inner.upload(view)
     }
 
@@ -154,7 +150,6 @@ pub(crate) fn capture() -> (Capture, Vec<LoadedView>) {
             let prior = (0..width * height).map(|k| 0.3 + draw(5000 + k) as f32).collect();
             loaded.push(LoadedView {
                 pixels: Pixels::Eight(Raster::from_planes(width, height, data).expect("three planes")),
-                alpha: None,
                 mask: None,
                 depth_prior: Map::from_planes(width, height, prior),
             });

@@ -35,7 +35,6 @@ pub(crate) const TOLD: usize = 6;
 const WITH_MASK: u32 = 1;
 const WITH_GAINS: u32 = 2;
 const WITH_PRIOR: u32 = 4;
-const OVER_WATER: u32 = 8;
 
 /// The input of a view's loss. Colour planes lie channel by channel.
 #[derive(Clone, Copy, Debug)]
@@ -161,7 +160,7 @@ struct LevelBuffers {
 #[derive(Debug)]
 pub(crate) struct Losses {
     /// In the order of [`specs`].
-    kernels: [Kernel; 14],
+    kernels: [Kernel; 13],
     view: Array<LossConstants>,
     levels: Vec<LevelBuffers>,
     sums: Array<f32>,
@@ -188,7 +187,7 @@ fn spec(name: &'static str, bindings: &[Binding], parts: &[&'static str]) -> Spe
 }
 
 /// All kernels of the losses.
-pub(crate) fn specs() -> [Spec; 14] {
+pub(crate) fn specs() -> [Spec; 13] {
     const STRUCTS: &str = include_str!("structs.wgsl");
     const LEVEL_TEXT: &str = include_str!("level.wgsl");
     const DEPTH: &str = include_str!("depth.wgsl");
@@ -197,11 +196,6 @@ pub(crate) fn specs() -> [Spec; 14] {
     const TOTAL_OF: &str = include_str!("total_of.wgsl");
     const WRITE_SUMS: &str = include_str!("write_sums.wgsl");
     [
-        spec(
-            "over_water",
-            &[VIEW, read("alpha"), read("water"), read("gains"), write("photograph")],
-            &[GAIN, include_str!("over_water.wgsl")],
-        ),
         spec(
             "weigh",
             &[
@@ -388,12 +382,11 @@ impl Losses {
         plan: &LossPlan,
         seen: &LossInput<'_>,
         gains: Option<&mut Gains>,
-        water: bool,
     ) {
         let shape = &self.shape;
         let mut view = shape.view();
         let with_prior = seen.prior.is_some() && plan.weights[2] != 0.0;
-        for (has, bit) in [(seen.mask.is_some(), WITH_MASK), (with_prior, WITH_PRIOR), (water, OVER_WATER)] {
+        for (has, bit) in [(seen.mask.is_some(), WITH_MASK), (with_prior, WITH_PRIOR)] {
             view.has |= if has { bit } else { 0 };
         }
         if let (Some((row, step)), Some(gains)) = (plan.gains, gains)
@@ -416,22 +409,6 @@ impl Losses {
         self.view.write(gpu, 0, &[view]);
     }
 
-    /// Puts the water behind the transparent pixels of a photograph: `alpha` P, `color` the water's 3 P.
-    pub(crate) fn over_water(
-        &self,
-        pass: &mut wgpu::ComputePass<'_>,
-        photograph: &Array<f32>,
-        alpha: &Array<f32>,
-        color: Option<&Array<f32>>,
-        gains: Option<&Gains>,
-    ) {
-        let gains = gains.map_or(&self.nothing, |g| &g.state);
-        let color = color.unwrap_or(&self.nothing);
-        let [over_water, ..] = &self.kernels;
-        let buffers = bound![self.view, *alpha, *color, *gains, *photograph];
-        over_water.record_groups(pass, 3 * self.shape.groups, buffers);
-    }
-
     /// Records values and gradients of one view.
     pub(crate) fn record(
         &self,
@@ -441,7 +418,7 @@ impl Losses {
         told: &LossOutput<'_>,
     ) {
         let (shape, view, k) = (&self.shape, &self.view, &self.kernels);
-        let [_, weigh, pool, compare, weigh_levels, blur_back, pull, ..] = k;
+        let [weigh, pool, compare, weigh_levels, blur_back, pull, ..] = k;
         let [.., depth_means, depth_take_means, depth_deviations, depth_correlate, depth_slopes, tell, _] = k;
         let gains = gains.map_or(&self.nothing, |g| &g.state);
         let mask = seen.mask.unwrap_or(&self.nothing);

@@ -6,7 +6,7 @@ struct LossConstants {
     pixels: u32,
     // Row of the view in the array of gains.
     row: u32,
-    // Sum of flags. 1: a mask, 2: gains, 4: a depth prior with a weight other than 0, 8: water.
+    // Sum of flags. 1: a mask, 2: gains, 4: a depth prior with a weight other than 0.
     has: u32,
     // Number of levels of the structure measure; 0 if the image is too small for one.
     levels: u32,
@@ -38,7 +38,6 @@ struct LossConstants {
 const HAS_MASK: u32 = 1u;
 const HAS_GAINS: u32 = 2u;
 const HAS_PRIOR: u32 = 4u;
-const HAS_WATER: u32 = 8u;
 // Number of elements of a plane that one workgroup owns.
 const SPAN: u32 = 1024u;
 

@@ -79,7 +79,7 @@ fn evaluate(gpu: &Gpu, case: &Case<'_>, weights: [f64; 3]) -> (Vec<f32>, Vec<f32
     };
     let told = LossOutput { image: &by_image, depth: &by_depth, reports: &reports, counts: &stop };
     let plan = LossPlan { step: 0, report: 0, weights, gains: None };
-    losses.prepare(gpu, &plan, &seen, None, false);
+    losses.prepare(gpu, &plan, &seen, None);
     submit(gpu, "losses", |pass| losses.record(pass, &seen, None, &told)).unwrap();
     (reports.read(gpu, 16).unwrap(), by_image.read(gpu, 3 * n).unwrap(), by_depth.read(gpu, n).unwrap())
 }
@@ -148,37 +148,6 @@ fn every_value_of_the_table_has_a_kernel_or_is_refused() {
 }
 
 #[test]
-fn transparent_pixels_show_the_water_with_the_views_gain() {
-    let Some(gpu) = software() else { return };
-    let (w, h) = (7, 5);
-    let n = w * h;
-    let ramp =
-        |k: usize, size: usize| -> Vec<f32> { (0..size).map(|i| ((i * k) % 17) as f32 / 17.0).collect() };
-    let (picture, alpha, color) = (ramp(3, 3 * n), ramp(5, n), ramp(7, 3 * n));
-    let exposures = Exposures::new(&[[1.2, 0.9, 1.0], [0.8, 1.1, 1.0]]);
-    let mut losses = Losses::new(&gpu).unwrap();
-    losses.resize(&gpu, w, h).unwrap();
-    let array = |values: &[f32]| Array::from(&gpu, "test", values).unwrap();
-    let photograph = array(&picture);
-    let (seen_alpha, water) = (array(&alpha), array(&color));
-    let mut gains = Gains::new(&gpu, &exposures).unwrap();
-    let (depth, image) = (array(&alpha), array(&picture));
-    let seen = LossInput { image: &image, depth: &depth, photograph: &photograph, mask: None, prior: None };
-    let step = ExposureStep { rate: 0.0, weight: 0.0 };
-    let plan = LossPlan { step: 0, report: 0, weights: [0.8, 0.2, 0.0], gains: Some((1, step)) };
-    losses.prepare(&gpu, &plan, &seen, Some(&mut gains), true);
-    submit(&gpu, "over", |pass| {
-        losses.over_water(pass, &photograph, &seen_alpha, Some(&water), Some(&gains));
-    })
-    .unwrap();
-    let gain = exposures.gain(1);
-    for (i, found) in photograph.read(&gpu, 3 * n).unwrap().into_iter().enumerate() {
-        let expected = alpha[i % n] * picture[i] + (1.0 - alpha[i % n]) * gain[i / n] * color[i];
-        assert!((found - expected).abs() < 1e-6, "{i}: {found} {expected}");
-    }
-}
-
-#[test]
 fn a_loss_that_is_no_number_stops_the_run() {
     let Some(gpu) = software() else { return };
     let (w, h) = (20, 12);
@@ -194,7 +163,7 @@ fn a_loss_that_is_no_number_stops_the_run() {
     let seen = LossInput { image: &image, depth: &depth, photograph: &photograph, mask: None, prior: None };
     let told = LossOutput { image: &by_image, depth: &by_depth, reports: &reports, counts: &stop };
     let plan = LossPlan { step: 12, report: 0, weights: [0.8, 0.2, 0.0], gains: None };
-    losses.prepare(&gpu, &plan, &seen, None, false);
+    losses.prepare(&gpu, &plan, &seen, None);
     submit(&gpu, "losses", |pass| losses.record(pass, &seen, None, &told)).unwrap();
     let words = stop.read(&gpu, counts::WORDS).unwrap();
     assert_eq!(words[counts::STOP], counts::NON_FINITE);

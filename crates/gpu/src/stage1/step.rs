@@ -91,7 +91,7 @@ impl Stage1 {
         let place = self.targets.place(&self.gpu, view)?;
         let stored = self.targets.at(place);
         self.unpacked.prepare(&self.gpu, stored, divisor)?;
-        let Floats { photograph, alpha, mask, prior } = self.unpacked.floats(stored);
+        let Floats { photograph, mask, prior } = self.unpacked.floats(stored);
         let (image, depth) = (&self.compositor.image, &self.compositor.depth);
         let seen = LossInput { image, depth, photograph, mask, prior };
         let exposed = plan.exposure.is_some();
@@ -102,7 +102,7 @@ impl Stage1 {
             gains: plan.exposure.map(|exposure| (view, exposure)),
         };
         let gains = exposed.then_some(&mut self.gains);
-        self.losses.prepare(&self.gpu, &loss, &seen, gains, self.water.is_some());
+        self.losses.prepare(&self.gpu, &loss, &seen, gains);
 
         let gains = exposed.then_some(&self.gains);
         let label = Some("step");
@@ -114,9 +114,6 @@ impl Stage1 {
             self.unpacked.record(pass, stored);
             if let Some(water) = &self.water {
                 water.record_maps(pass);
-            }
-            if let Some(alpha) = alpha {
-                self.losses.over_water(pass, photograph, alpha, self.water_planes(), gains);
             }
             self.record_view(pass, &constants, true);
             let told = LossOutput {

@@ -25,9 +25,9 @@ const MOST_ON_SOFTWARE: usize = 64;
 struct Sections {
     /// 1 if the photograph has 16 bits.
     deep: u32,
-    alpha: u32,
     mask: u32,
     prior: u32,
+    pad: u32,
 }
 
 /// A view at the size of a step.
@@ -58,13 +58,12 @@ pub(crate) fn unpack() -> Spec {
             (Access::Uniform, "view", "StepView"),
             (Access::Read, "stored", U32S),
             write("photograph"),
-            write("alpha"),
             write("mask"),
             write("prior"),
         ],
         constants: vec![],
         parts: vec![
-            "struct Sections { deep: u32, alpha: u32, mask: u32, prior: u32 }\n\
+            "struct Sections { deep: u32, mask: u32, prior: u32, pad: u32 }\n\
              struct StepView { sections: Sections, stored_pixels: u32, stored_columns: u32, pixels: u32, \
              columns: u32, divisor: u32, from_bytes: f32, from_shorts: f32, pad: u32 }\n",
             include_str!("unpack.wgsl"),
@@ -111,12 +110,9 @@ impl StoredView {
             Pixels::Sixteen(raster) => append_shorts(&mut words, raster.data()),
         };
         let deep = u32::from(matches!(view.pixels, Pixels::Sixteen(_)));
-        let mut map = |map: Option<&_>| {
-            map.map_or(0, |map: &use3d_capture::Raster<u8, 1>| append(&mut words, map.data()))
-        };
-        let (alpha, mask) = (map(view.alpha.as_ref()), map(view.mask.as_ref()));
+        let mask = view.mask.as_ref().map_or(0, |mask| append(&mut words, mask.data()));
         let prior = view.prior.as_ref().map_or(0, |prior| append_shorts(&mut words, prior.data()));
-        let sections = Sections { deep, alpha, mask, prior };
+        let sections = Sections { deep, mask, prior, pad: 0 };
         Ok(Self { width_and_height, sections, words: Array::from(gpu, "a stored view", &words)? })
     }
 
@@ -133,7 +129,6 @@ pub(super) struct Unpacked {
     step_view: Array<StepView>,
     pixels: usize,
     pub(super) photograph: Array<f32>,
-    alpha: Array<f32>,
     mask: Array<f32>,
     prior: Array<f32>,
 }
@@ -142,7 +137,6 @@ pub(super) struct Unpacked {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Floats<'a> {
     pub(super) photograph: &'a Array<f32>,
-    pub(super) alpha: Option<&'a Array<f32>>,
     pub(super) mask: Option<&'a Array<f32>>,
     pub(super) prior: Option<&'a Array<f32>>,
 }
@@ -154,7 +148,6 @@ impl Unpacked {
             step_view: Array::uniform(gpu, "a view at the size of a step")?,
             pixels: 0,
             photograph: Array::new(gpu, "photograph of a step", 1)?,
-            alpha: Array::new(gpu, "opacity of a step's photograph", 1)?,
             mask: Array::new(gpu, "mask of a step", 1)?,
             prior: Array::new(gpu, "depth prior of a step", 1)?,
         })
@@ -178,9 +171,9 @@ impl Unpacked {
         }
         let (columns, rows) = (width / divisor, height / divisor);
         let pixels = columns * rows;
-        let Sections { alpha, mask, prior, .. } = view.sections;
+        let Sections { mask, prior, .. } = view.sections;
         self.photograph.grow(gpu, 3 * pixels)?;
-        for (array, section) in [(&mut self.alpha, alpha), (&mut self.mask, mask), (&mut self.prior, prior)] {
+        for (array, section) in [(&mut self.mask, mask), (&mut self.prior, prior)] {
             array.grow(gpu, if section == 0 { 1 } else { pixels })?;
         }
         // Rounded as on the processor.
@@ -203,26 +196,21 @@ impl Unpacked {
 
     /// Records the computation of a view's floats, after [`Unpacked::prepare`].
     pub(super) fn record(&self, pass: &mut wgpu::ComputePass<'_>, view: &StoredView) {
-        let Self { photograph, alpha, mask, prior, .. } = self;
-        let buffers = bound![self.step_view, view.words, *photograph, *alpha, *mask, *prior];
+        let Self { photograph, mask, prior, .. } = self;
+        let buffers = bound![self.step_view, view.words, *photograph, *mask, *prior];
         self.kernel.record(pass, self.pixels, buffers);
     }
 
     /// The floats of a view, after they are computed.
     pub(super) fn floats(&self, view: &StoredView) -> Floats<'_> {
-        let Sections { alpha, mask, prior, .. } = view.sections;
+        let Sections { mask, prior, .. } = view.sections;
         let part = |section: u32, array| (section != 0).then_some(array);
-        Floats {
-            photograph: &self.photograph,
-            alpha: part(alpha, &self.alpha),
-            mask: part(mask, &self.mask),
-            prior: part(prior, &self.prior),
-        }
+        Floats { photograph: &self.photograph, mask: part(mask, &self.mask), prior: part(prior, &self.prior) }
     }
 
     /// Number of bytes on the device.
     pub(super) fn size(&self) -> usize {
-        [&self.photograph, &self.alpha, &self.mask, &self.prior].map(Array::size).iter().sum()
+        [&self.photograph, &self.mask, &self.prior].map(Array::size).iter().sum()
     }
 }
 
@@ -237,8 +225,7 @@ mod tests {
     use crate::kernel::submit;
     use crate::testing::{camera, software};
 
-    /// Every value that a photograph, a mask, an opacity and a prior can have, with sizes that do not fill
-    /// the last word.
+    /// Every value that a photograph, a mask and a prior can have, with sizes that do not fill the last word.
     fn view(deep: bool, parts: bool) -> TrainingView {
         let (width, height) = (255, 259);
         let n = width * height;
@@ -254,7 +241,6 @@ mod tests {
         };
         let loaded = LoadedView {
             pixels,
-            alpha: map(&|k| (k % 256) as f32 / 255.0),
             mask: map(&|k| (k / 256 % 256).max(k % 251) as f32 / 255.0),
             depth_prior: map(&|k| (k % 65_536) as f32),
         };
@@ -284,7 +270,7 @@ mod tests {
             for divisor in [1, 2, 3, 16, 64] {
                 view.target(divisor, &mut target);
                 unpacked.prepare(&gpu, &stored, divisor).unwrap();
-                for array in [&unpacked.photograph, &unpacked.alpha, &unpacked.mask, &unpacked.prior] {
+                for array in [&unpacked.photograph, &unpacked.mask, &unpacked.prior] {
                     array.poison(&gpu);
                 }
                 submit(&gpu, "unpack", |pass| unpacked.record(pass, &stored)).unwrap();
@@ -312,7 +298,6 @@ mod tests {
                 let sums = |i: usize| divisor <= 16 && whole_box(i);
                 compare("photograph", floats.photograph, target.image.data(), &sums);
                 for (what, found, expected, to_the_bit) in [
-                    ("alpha", floats.alpha, &target.alpha, divisor <= 16),
                     ("mask", floats.mask, &target.mask, divisor <= 16),
                     ("prior", floats.prior, &target.prior, divisor == 1),
                 ] {

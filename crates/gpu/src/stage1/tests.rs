@@ -29,8 +29,8 @@ const RATES: StepRates = StepRates {
 
 const SIZE: [usize; 2] = [56, 44];
 
-/// Three views: with a prior, with a mask, and with transparent pixels. Photographs are smooth, so that
-/// there is something to learn.
+/// Three views: with a prior, with a mask, and with neither. Photographs are smooth, so that there is
+/// something to learn.
 fn views() -> Vec<TrainingView> {
     let [width, height] = SIZE;
     let stream = Stream::new(3, Purpose::new("views for an engine"), 0);
@@ -50,7 +50,6 @@ fn views() -> Vec<TrainingView> {
             };
             let loaded = LoadedView {
                 pixels: Pixels::Eight(Raster::from_planes(width, height, data).unwrap()),
-                alpha: if i == 2 { map(&|k| if k % width < 9 { 0.25 } else { 1.0 }) } else { None },
                 mask: if i == 1 { map(&|k| f32::from(k % width > 6)) } else { None },
                 depth_prior: if i == 0 { map(&|k| 0.3 + (k % 17) as f32 * 0.05) } else { None },
             };
@@ -243,7 +242,7 @@ fn steps_that_found_no_room_are_done_again() {
     assert_eq!(ours.save().unwrap().exposures.steps, cpu.save().unwrap().exposures.steps);
 }
 
-/// All features of a step are on: a mask, a prior or transparent pixels, gains, water, statistics.
+/// All features of a step are on: a mask or a prior, gains, water, statistics.
 #[test]
 fn a_step_is_one_submit_of_at_most_sixty_dispatches() {
     let Some(gpu) = software() else { return };

@@ -1,6 +1,6 @@
 // One thread per pixel of a step: turns a stored view, 8 or 16 bits per value, into floats. A pixel is the mean
 // of a box of stored pixels, which is one pixel at full size; of the photograph only pixels that the mask counts
-// are in the mean. Values of opacity and mask, and of the photograph in full boxes, are sums of integers times a
+// are in the mean. Values of the mask, and of the photograph in full boxes, are sums of integers times a
 // factor, so they have the processor's bits as long as a float holds the sum. The prior and the photograph in
 // other boxes are quotients, and a GPU may round quotients in another way. The binary digits of v / 65535 are
 // those of v, repeated without end, so the float of one pixel is built from them.
@@ -8,17 +8,6 @@
 fn byte_at(section: u32, at: u32) -> u32 { return (stored[section + at / 4u] >> (8u * (at % 4u))) & 0xffu; }
 
 fn short_at(section: u32, at: u32) -> u32 { return (stored[section + at / 2u] >> (16u * (at % 2u))) & 0xffffu; }
-
-// The mean of a box of 8-bit values whose first one is at `first`.
-fn mean_of_bytes(section: u32, first: u32) -> f32 {
-    var sum = 0u;
-    for (var row = 0u; row < view.divisor; row++) {
-        for (var k = 0u; k < view.divisor; k++) {
-            sum += byte_at(section, first + row * view.stored_columns + k);
-        }
-    }
-    return f32(sum) * view.from_bytes;
-}
 
 fn is_counted(at: u32) -> bool { return view.sections.mask == 0u || byte_at(view.sections.mask, at) != 0u; }
 
@@ -119,7 +108,6 @@ fn main(
         if (counted < box_size) { mean = sum / (full * f32(max(counted, 1u))); }
         photograph[c * view.pixels + pixel] = mean;
     }
-    if (sections.alpha != 0u) { alpha[pixel] = mean_of_bytes(sections.alpha, first); }
     var counts = 1.0f;
     if (sections.mask != 0u) {
         counts = select(0.0f, 1.0f, 2u * counted >= box_size);

@@ -124,7 +124,7 @@ pub fn losses(gpu: &Gpu, case: &LossCase) -> Result<Vec<Agreement>, EngineError>
     };
     let told = LossOutput { image: &by_image, depth: &by_depth, reports: &reports, counts: &counts };
     let plan = LossPlan { step: 7, report: 1, weights: WEIGHTS, gains: case.gains.then_some((ROW, STEP)) };
-    losses.prepare(gpu, &plan, &seen, Some(&mut gains), false);
+    losses.prepare(gpu, &plan, &seen, Some(&mut gains));
     submit(gpu, "losses", |pass| {
         losses.record(pass, &seen, Some(&gains), &told);
         if case.gains {

@@ -125,7 +125,6 @@ impl SceneSize {
         let name = FileName::new(&format!("{index}.png")).map_err(|e| failed(e.to_string()))?;
         let loaded = LoadedView {
             pixels: Pixels::Eight(Raster::from_planes(width, height, pixels).ok_or_else(missing)?),
-            alpha: None,
             mask: Some(Map::from_planes(width, height, mask).ok_or_else(missing)?),
             depth_prior: Some(Map::from_planes(width, height, prior).ok_or_else(missing)?),
         };

@@ -19,8 +19,6 @@
 //! may call `rebuilt` or do the same where its arrays are.
 
 mod rebuild;
-pub(crate) mod unseen;
-pub(crate) mod worth;
 
 pub use rebuild::{Draws, Origin, rebuilt};
 
@@ -86,13 +84,8 @@ pub struct RefineReport {
 }
 
 /// Computes the rows of the refined scene: survivors in their order, then twins and children in the order
-/// of their parents. All arrays of `survey` have the same length. If `worth` is given, only Gaussians with
-/// a positive worth grow, in descending order of worth.
-pub fn plan(
-    survey: &Survey,
-    settings: &RefineSettings,
-    worth: Option<&[f32]>,
-) -> (Vec<Origin>, RefineReport) {
+/// of their parents. All arrays of `survey` have the same length.
+pub fn plan(survey: &Survey, settings: &RefineSettings) -> (Vec<Origin>, RefineReport) {
     let Survey { opacity_logits, log_sizes, statistics } = survey;
     let n = opacity_logits.len();
     let mut report = RefineReport::default();
@@ -117,13 +110,12 @@ pub fn plan(
     let mut grow = vec![false; n];
     if settings.grow {
         let pull = |i: usize| statistics.mean(i);
-        let rank = |i: usize| worth.map_or_else(|| pull(i), |worth| f64::from(worth[i]));
         let mut pulled: Vec<usize> =
-            (0..n).filter(|&i| keep[i] && pull(i) > settings.gradient_threshold && rank(i) > 0.0).collect();
+            (0..n).filter(|&i| keep[i] && pull(i) > settings.gradient_threshold).collect();
         let room = settings.most.saturating_sub(survivors);
         if pulled.len() > room {
             report.held_back = pulled.len() - room;
-            pulled.sort_by(|&a, &b| rank(b).total_cmp(&rank(a)).then(a.cmp(&b)));
+            pulled.sort_by(|&a, &b| pull(b).total_cmp(&pull(a)).then(a.cmp(&b)));
             pulled.truncate(room);
         }
         for i in pulled {
@@ -190,7 +182,7 @@ mod tests {
             (-0.1, 0.1, 1.0),  // faint: removed
             (2.0, 11.0, 1.0),  // huge: removed
         ]);
-        let (rows, report) = plan(&s, &SETTINGS, None);
+        let (rows, report) = plan(&s, &SETTINGS);
         use Origin::*;
         assert_eq!(rows, [Kept(0), Kept(2), Child(1, 0), Child(1, 1), Twin(2)]);
         assert_eq!(report, RefineReport { split: 1, duplicated: 1, culled: 2, spared: 0, held_back: 0 });
@@ -201,18 +193,18 @@ mod tests {
         // Children are drawn from the parent, so they hardly move along its thin axes.
         assert!(refined.means[2][1].abs() < 1e-2);
         // Without growth Gaussians are only removed.
-        let (rows, _) = plan(&s, &RefineSettings { grow: false, ..SETTINGS }, None);
+        let (rows, _) = plan(&s, &RefineSettings { grow: false, ..SETTINGS });
         assert_eq!(rows, [Kept(0), Kept(1), Kept(2)]);
     }
 
     #[test]
     fn the_floor_spares_the_most_opaque_and_the_cap_prefers_the_strongest_pulls() {
         let (_, s) = scene(&[(-3.0, 0.1, 0.0), (-1.0, 0.1, 0.0), (-2.0, 0.1, 0.0)]);
-        let (rows, report) = plan(&s, &SETTINGS, None);
+        let (rows, report) = plan(&s, &SETTINGS);
         assert_eq!(rows, [Origin::Kept(1), Origin::Kept(2)]);
         assert_eq!((report.culled, report.spared), (1, 2));
         let (_, s) = scene(&[(2.0, 1e-4, 1e-3), (2.0, 1e-4, 3e-3), (2.0, 1e-4, 2e-3)]);
-        let (rows, report) = plan(&s, &RefineSettings { most: 4, ..SETTINGS }, None);
+        let (rows, report) = plan(&s, &RefineSettings { most: 4, ..SETTINGS });
         assert_eq!(rows.last(), Some(&Origin::Twin(1)));
         assert_eq!((rows.len(), report.held_back), (4, 2));
     }
@@ -228,7 +220,7 @@ mod tests {
             g.quaternions[i] = [2.0 * math::cos(angle), 0.0, 0.0, 2.0 * math::sin(angle)];
         }
         let settings = RefineSettings { most: 10 * n, ..SETTINGS };
-        let (rows, _) = plan(&s, &settings, None);
+        let (rows, _) = plan(&s, &settings);
         let refined = rebuilt(&g, &rows, &DRAWS);
         let spread = |axis: usize| {
             (refined.means.iter().map(|m| math::powi(f64::from(m[axis]), 2)).sum::<f64>()

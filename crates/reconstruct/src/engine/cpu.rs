@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use use3d_capture::{Camera, Image, Lattice, Map, MediumMaps};
+use use3d_capture::{Camera, Image, Lattice, MediumMaps};
 use use3d_medium::{MediumModel, Role};
 use use3d_numerics::adam::Adam;
 use use3d_splat::{
@@ -99,9 +99,6 @@ impl CpuEngine {
         }
         let maps = water.then_some(&b.maps);
         let gain = plan.exposure.map(|_| state.exposures.gain(view));
-        if let Some(alpha) = &b.target.alpha {
-            over_water(&mut b.target.image, alpha, maps, gain.unwrap_or([1.0; 3]));
-        }
         profile.lap(StepPart::Water);
         b.prepared.prepare(&state.gaussians, &camera, &lattice, Colors::Sh { degree: plan.degrees.colors });
         profile.lap(StepPart::Project);
@@ -225,16 +222,6 @@ impl CpuEngine {
         self.profile.lap(StepPart::Density);
         self.profile.steps += 1;
         non_finite
-    }
-}
-
-/// Fills transparent pixels with the water's colour (black without water) times the view's gain.
-fn over_water(image: &mut Image, alpha: &Map, maps: Option<&MediumMaps>, gain: [f32; 3]) {
-    let n = image.pixels();
-    let color = maps.map(|m| m.color.data());
-    for (i, value) in image.data_mut().iter_mut().enumerate() {
-        let a = alpha.data()[i % n];
-        *value = a * *value + (1.0 - a) * color.map_or(0.0, |c| gain[i / n] * c[i]);
     }
 }
 

@@ -85,59 +85,6 @@ fn a_lost_device_ends_the_run_with_a_word_and_its_checkpoints_are_gone_on_from()
 }
 
 #[test]
-fn a_plateau_ends_the_run_and_held_out_views_play_no_part() {
-    let (mut capture, loaded) = tiny_capture(8);
-    let frozen = crate::Rate(1e-12, 1e-12);
-    let mut params = ReconstructParams { stop: crate::Stop::Plateau, seed: 3, ..tiny_params(60) };
-    params.schedule = 60;
-    params.densify.enabled = false;
-    let r = &mut params.learning_rates;
-    for rate in [
-        &mut r.means,
-        &mut r.sh_constant,
-        &mut r.sh_directional,
-        &mut r.opacity,
-        &mut r.scales,
-        &mut r.quaternions,
-        &mut r.medium_constant,
-        &mut r.medium_directional,
-    ] {
-        *rate = frozen;
-    }
-    let compared = |outcome: &ReconstructOutcome| -> Vec<(u64, Option<f64>)> {
-        let value = |e: &LogEntry| match e {
-            LogEntry::Withheld { step, psnr } => Some((*step, *psnr)),
-            _ => None,
-        };
-        outcome.log.iter().filter_map(value).collect()
-    };
-    let mut told = StoppingObserver::default();
-    let whole = reconstruct(&capture, &loader(&loaded), &params, None, &mut told).unwrap();
-    // Nothing is learnt, so the fourth comparison after growth shows a plateau.
-    let grown = params.densify_end();
-    let steps: Vec<u64> = compared(&whole).iter().map(|(step, _)| *step).collect();
-    assert_eq!(steps, [grown, grown + 2, grown + 4, grown + 6]);
-    assert!(compared(&whole).iter().all(|(_, psnr)| psnr.is_some()), "{:?}", compared(&whole));
-    assert!(told.notices.iter().any(|n| n.contains("46 of 60 steps")), "{:?}", told.notices);
-
-    // An interrupted run ends at the same step with the same scene, and a finished one is not continued.
-    let dir = tempfile::tempdir().unwrap();
-    let mut stopping = StoppingObserver { stop_at: Some(43), ..StoppingObserver::default() };
-    reconstruct(&capture, &loader(&loaded), &params, Some(dir.path()), &mut stopping).unwrap_err();
-    for _ in 0..2 {
-        let mut observer = StoppingObserver::default();
-        let resumed =
-            reconstruct(&capture, &loader(&loaded), &params, Some(dir.path()), &mut observer).unwrap();
-        assert!(same(&whole, &resumed));
-    }
-
-    // The comparisons are the same if the held-out views are gone.
-    capture.split.test.clear();
-    let alone = reconstruct(&capture, &loader(&loaded), &params, None, &mut StoppingObserver::default());
-    assert_eq!(compared(&alone.unwrap()), compared(&whole));
-}
-
-#[test]
 fn the_same_scene_on_any_number_of_threads_and_after_any_interruption() {
     let (capture, loaded) = tiny_capture(7);
     let params = ReconstructParams { checkpoint_steps: 8, schedule: 60, ..tiny_params(60) };
