@@ -132,6 +132,20 @@ impl Plot {
     }
 }
 
+/// Plots one below the other, as an SVG document on white paper.
+pub fn column(plots: &[Plot]) -> String {
+    let height = HEIGHT * plots.len() as f64;
+    let mut out = format!(
+        "<svg viewBox=\"0 0 {WIDTH} {height}\" xmlns=\"http://www.w3.org/2000/svg\"><rect width=\"100%\" height=\"100%\" fill=\"#fff\"/>"
+    );
+    for (i, plot) in plots.iter().enumerate() {
+        let svg = plot.svg();
+        let inner = svg.strip_prefix("<svg ").unwrap_or(&svg);
+        let _ = write!(out, "<svg y=\"{}\" width=\"{WIDTH}\" height=\"{HEIGHT}\" {inner}", HEIGHT * i as f64);
+    }
+    out + "</svg>\n"
+}
+
 /// Round numbers between `low` and `high`, about `count` of them.
 fn ticks(low: f64, high: f64, count: usize) -> Vec<f64> {
     let raw = (high - low) / count as f64;
@@ -200,8 +214,12 @@ mod tests {
                 && svg.contains("<title>thr&lt;ee: 100</title>")
                 && !svg.contains("NaN")
         );
-        let empty = Plot { series: Vec::new(), ..plot }.svg();
-        assert!(empty.contains("no data"));
+        let empty = Plot { series: Vec::new(), ..plot.clone() };
+        assert!(empty.svg().contains("no data"));
+        let both = column(&[plot, empty]);
+        assert!(both.starts_with("<svg viewBox=\"0 0 420 480\"") && both.ends_with("</svg></svg>\n"));
+        assert_eq!((both.matches("<svg").count(), both.matches("</svg>").count()), (3, 3));
+        assert!(both.contains("<svg y=\"240\" width=\"420\" height=\"240\" viewBox"), "{both}");
     }
 
     #[test]

@@ -37,7 +37,7 @@ pub use params::{
 };
 pub use peek::scene_in_checkpoint;
 pub use profile::{StepPart, Stretch, growth};
-pub use report::{Evaluation, FittedScore, LogEntry, ViewScore, plot};
+pub use report::{Evaluation, FittedScore, LogEntry, ViewScore};
 pub use run::{ReconstructOutcome, reconstruct};
 pub use use3d_medium::MediumKind as Medium;
 pub use use3d_training::EngineChoice;

@@ -1,4 +1,4 @@
-//! The written results of a run: log lines, held-out scores, and a plot.
+//! The written results of a run: log lines and held-out scores.
 
 use serde::{Deserialize, Serialize};
 use use3d_metrics::Score;
@@ -136,107 +136,24 @@ impl Evaluation {
     }
 }
 
-/// Draws loss, PSNR (a line for training, dots for held-out views) and number of Gaussians over the steps,
-/// as an SVG document.
-pub fn plot(log: &[LogEntry]) -> String {
-    let mut series: [Vec<(f64, f64)>; 3] = Default::default();
-    let mut held_out = Vec::new();
-    for entry in log {
-        match entry {
-            LogEntry::Steps { step, loss, psnr, gaussians, .. } => {
-                for (line, value) in series.iter_mut().zip([Some(*loss), *psnr, Some(*gaussians as f64)]) {
-                    line.extend(value.map(|v| (*step as f64, v)));
-                }
-            }
-            LogEntry::Evaluation { step, psnr, .. } => held_out.extend(psnr.map(|v| (*step as f64, v))),
-            LogEntry::Refine { .. } | LogEntry::Ceiling { .. } => {}
-        }
-    }
-    const WIDTH: f64 = 760.0;
-    const PANEL: f64 = 170.0;
-    const LEFT: f64 = 70.0;
-    const TOP: f64 = 26.0;
-    let steps = series[0].iter().chain(&held_out).fold(1.0f64, |m, p| m.max(p.0));
-    let mut svg = format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {height}\" font-family=\"sans-serif\" font-size=\"12\">\n<rect width=\"100%\" height=\"100%\" fill=\"#ffffff\"/>\n",
-        height = 3.0 * PANEL + 30.0
-    );
-    let titles = ["loss", "PSNR, dB (line: training views, dots: held out)", "Gaussians"];
-    for (panel, (points, title)) in series.iter().zip(titles).enumerate() {
-        let dots: &[(f64, f64)] = if panel == 1 { &held_out } else { &[] };
-        let finite = || points.iter().chain(dots).map(|p| p.1).filter(|v| v.is_finite());
-        let (mut low, mut high) =
-            (finite().fold(f64::INFINITY, f64::min), finite().fold(f64::NEG_INFINITY, f64::max));
-        if low > high {
-            (low, high) = (0.0, 1.0);
-        }
-        if high - low < 1e-9 {
-            (low, high) = (low - 0.5, high + 0.5);
-        }
-        let top = panel as f64 * PANEL + TOP;
-        let height = PANEL - 44.0;
-        let x = |step: f64| LEFT + (WIDTH - LEFT - 20.0) * step / steps;
-        let y = |value: f64| top + height * (high - value) / (high - low);
-        svg += &format!("<text x=\"{LEFT}\" y=\"{:.1}\" font-weight=\"bold\">{title}</text>\n", top - 8.0);
-        for share in [0.0, 0.5, 1.0] {
-            let value = low + share * (high - low);
-            let text = if high - low > 50.0 { format!("{value:.0}") } else { format!("{value:.3}") };
-            svg += &format!(
-                "<line x1=\"{LEFT}\" x2=\"{:.1}\" y1=\"{at:.1}\" y2=\"{at:.1}\" stroke=\"#dddddd\"/><text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{text}</text>\n",
-                WIDTH - 20.0,
-                LEFT - 6.0,
-                y(value) + 4.0,
-                at = y(value),
-            );
-        }
-        let drawn: Vec<String> = points
-            .iter()
-            .filter(|p| p.1.is_finite())
-            .map(|(s, v)| format!("{:.1},{:.1}", x(*s), y(*v)))
-            .collect();
-        svg += &format!(
-            "<polyline points=\"{}\" fill=\"none\" stroke=\"#0b6e99\" stroke-width=\"1.5\"/>\n",
-            drawn.join(" ")
-        );
-        for (s, v) in dots.iter().filter(|p| p.1.is_finite()) {
-            svg += &format!("<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"3.5\" fill=\"#c2410c\"/>\n", x(*s), y(*v));
-        }
-    }
-    svg += &format!(
-        "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">step {steps:.0}</text>\n</svg>\n",
-        WIDTH - 20.0,
-        3.0 * PANEL + 18.0
-    );
-    svg
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn log_lines_are_flat_json_and_the_plot_is_whole() {
-        let steps = |step, loss| LogEntry::Steps {
-            step,
-            loss,
+    fn log_lines_are_flat_json() {
+        let entry = LogEntry::Steps {
+            step: 100,
+            loss: 0.5,
             terms: vec![("reg_l1".into(), Some(0.1)), ("depth_loss".into(), None)],
             psnr: Some(20.0),
             gaussians: 10,
             divisor: 4,
             degree: 0,
         };
-        let entries = [
-            steps(100, 0.5),
-            steps(200, f64::NAN),
-            LogEntry::Evaluation { step: 200, psnr: Some(19.0), ssim: None, gaussians: 10 },
-        ];
-        let line: serde_json::Value = serde_json::from_str(&entries[0].to_json()).unwrap();
+        let line: serde_json::Value = serde_json::from_str(&entry.to_json()).unwrap();
         assert_eq!((line["event"].as_str(), line["step"].as_u64()), (Some("steps"), Some(100)));
         assert_eq!((line["reg_l1"].as_f64(), line["depth_loss"].is_null()), (Some(0.1), true));
         assert!(line.get("terms").is_none(), "{line}");
-        let svg = plot(&entries);
-        assert!(svg.starts_with("<svg") && svg.ends_with("</svg>\n") && !svg.contains("NaN"));
-        assert_eq!(svg.matches("<circle").count(), 1);
-        assert!(plot(&[]).contains("</svg>"));
     }
 }

@@ -289,7 +289,7 @@ fn a_short_run_learns_the_scene_and_its_water() {
     assert!(wet.log.iter().any(|e| matches!(e, LogEntry::Ceiling { .. })));
     assert_eq!(wet.evaluation.as_ref().unwrap().views.len(), 2);
     wet.scene.gaussians.validate().unwrap();
-    assert!(wet.log_lines().lines().count() == wet.log.len() && crate::plot(&wet.log).contains("</svg>"));
+    assert!(wet.log_lines().lines().count() == wet.log.len());
     for medium in [Medium::Global, Medium::Image, Medium::Mlp] {
         let other = run(medium, 40);
         let first = |o: &ReconstructOutcome| {

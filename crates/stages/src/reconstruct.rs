@@ -2,12 +2,13 @@
 
 use serde::{Deserialize, Serialize};
 use use3d_capture::{Capture, View};
+use use3d_chart::column;
 use use3d_import::{ImportError, Originals, load_depth_prior, load_mask, load_pixels};
 use use3d_io_image::write_png;
 use use3d_metrics::Score;
 use use3d_reconstruct::{
     DepthPrior, Evaluation, Exposure, Images, Known, LoadedView, Medium, MediumPrior, ReconstructError,
-    ReconstructParams, growth, memory_need, most_gaussians, plot, reconstruct,
+    ReconstructParams, growth, memory_need, most_gaussians, reconstruct,
 };
 use use3d_scene::{Origin, Scene};
 use use3d_water::WaterParams;
@@ -16,6 +17,7 @@ use use3d_workflow::{Figure, StageContext, StageError};
 use crate::engines;
 use crate::parts::captured::{capture, imported, write_cameras};
 use crate::parts::contact_sheet::sheet;
+use crate::parts::curves::stage_1;
 use crate::parts::files::{CHOICES, CONTACT, EVALUATION, WATER, proposal_of, write, write_json};
 use crate::parts::watch::Watch;
 use crate::parts::water::{Judgement, WaterReport, by_verdict, found_water, from_tracks};
@@ -260,6 +262,7 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
         write_png(&out.join(CONTACT), &sheet)?;
     }
     write(&out.join("training.jsonl"), outcome.log_lines())?;
-    write(&out.join("training.svg"), plot(&outcome.log))?;
+    let curves = stage_1(&outcome.log_lines()).map(|(plot, _)| plot);
+    write(&out.join("training.svg"), column(&curves))?;
     write_json(&out.join(EVALUATION), &HeldOut { learnt_from: params.images, held_out: &outcome.evaluation })
 }

@@ -15,6 +15,7 @@ use use3d_render::{Mode, WaterSample, medium_along, medium_profile};
 use use3d_scene::Scene;
 use use3d_workflow::{StageContext, StageError, StageInput};
 
+use crate::parts::curves::stage_1;
 use crate::parts::calibrator::read_calibrator;
 use crate::parts::files::{
     BATCH, CHOICES, CONTACT, ENHANCED_IN_2D, SCORES, STRIP, TRUE_VIEWS, WATER, read, read_json, write_json,
@@ -228,7 +229,10 @@ fn section(
             params.views,
         )?;
     }
-    section.plots.extend(log.iter().flat_map(|log| stage_1(log)));
+    section.plots.extend(log.iter().flat_map(|log| stage_1(log)).map(|(plot, caption)| PlotFigure {
+        svg: plot.svg(),
+        caption: caption.into(),
+    }));
     let plot = parts.path("enhanced").map(|folder| folder.join("training.svg"));
     if let Some(svg) = plot.and_then(|path| std::fs::read_to_string(path).ok()) {
         let caption = "Stage 2: the distance of the scene from its targets, as a whole (global) and surface \
@@ -329,45 +333,6 @@ fn number(value: &Value, decimals: usize) -> String {
 fn capitalised(text: &str) -> String {
     let mut chars = text.chars();
     chars.next().map_or_else(String::new, |first| first.to_uppercase().chain(chars).collect())
-}
-
-/// The plots of stage 1's training, from its log.
-fn stage_1(log: &str) -> Vec<PlotFigure> {
-    let entries: Vec<Value> = log.lines().filter_map(|line| serde_json::from_str(line).ok()).collect();
-    let curve = |name: &str, color: &'static str, label: &str, evaluated: bool| {
-        let event = if evaluated { "evaluation" } else { "steps" };
-        let points = entries.iter().filter(|e| e["event"] == event);
-        let points = points.filter_map(|e| Some((e["step"].as_f64()?, e[name].as_f64()?))).collect();
-        Series { dots: evaluated, ..Series::line(label, color, points) }
-    };
-    let plot = |title: &str, log_y: bool, series: Vec<Series>, caption: &str| {
-        let plot = Plot { title: title.into(), x_label: "step".into(), log_y, series };
-        PlotFigure { svg: plot.svg(), caption: caption.into() }
-    };
-    vec![
-        plot(
-            "Stage 1: loss",
-            true,
-            vec![curve("loss", "#0b7285", "", false)],
-            "The difference between the photographs and pictures of the same views. It should fall and \
-             level out.",
-        ),
-        plot(
-            "Stage 1: PSNR, dB",
-            false,
-            vec![
-                curve("psnr", "#0b7285", "training views", false),
-                curve("psnr", "#e8590c", "held-out views", true),
-            ],
-            "Above 30 dB differences are hard to see. Held-out views far below the training views mean too few or too similar photographs.",
-        ),
-        plot(
-            "Stage 1: Gaussians",
-            false,
-            vec![curve("gaussians", "#845ef7", "", false)],
-            "The number of Gaussians in the scene. It grows as long as detail is added.",
-        ),
-    ]
 }
 
 /// Notes on images and pairs that a mean leaves out because they have no such score.

@@ -4,6 +4,7 @@ pub(crate) mod appearance;
 pub(crate) mod calibrator;
 pub(crate) mod captured;
 pub(crate) mod contact_sheet;
+pub(crate) mod curves;
 pub(crate) mod files;
 pub(crate) mod judgement;
 pub(crate) mod kept_water;
