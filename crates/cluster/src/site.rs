@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize, de};
-use use3d_workflow::error::plain;
 use use3d_workflow::gc::parse_bytes;
+use use3d_workflow::read;
 
 use super::ClusterError;
 use super::time;
@@ -119,11 +119,8 @@ impl Site {
     /// # Errors
     /// The text is wrong; the error is a message.
     pub fn parse(text: &str, stages: &[&str]) -> Result<Self, String> {
-        let read = toml::Deserializer::parse(text).map_err(|e| e.to_string())?;
-        let site: Self = serde_path_to_error::deserialize(read).map_err(|e| {
-            let path = e.path().to_string();
-            format!("`{path}`: {}", plain(e.inner().message()))
-        })?;
+        let value: serde_json::Value = toml::from_str(text).map_err(|e| e.to_string())?;
+        let site: Self = read(&value).map_err(|e| format!("`{}`: {}", e.path, e.message))?;
         site.check(stages)?;
         Ok(site)
     }

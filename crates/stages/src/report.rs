@@ -15,8 +15,8 @@ use use3d_render::{Mode, WaterSample, medium_along, medium_profile};
 use use3d_scene::Scene;
 use use3d_workflow::{StageContext, StageError, StageInput};
 
-use crate::parts::curves::stage_1;
 use crate::parts::calibrator::read_calibrator;
+use crate::parts::curves::stage_1;
 use crate::parts::files::{
     BATCH, CHOICES, CONTACT, ENHANCED_IN_2D, SCORES, STRIP, TRUE_VIEWS, WATER, read, read_json, write_json,
 };
@@ -229,10 +229,11 @@ fn section(
             params.views,
         )?;
     }
-    section.plots.extend(log.iter().flat_map(|log| stage_1(log)).map(|(plot, caption)| PlotFigure {
-        svg: plot.svg(),
-        caption: caption.into(),
-    }));
+    section.plots.extend(
+        log.iter()
+            .flat_map(|log| stage_1(log))
+            .map(|(plot, caption)| PlotFigure { svg: plot.svg(), caption: caption.into() }),
+    );
     let plot = parts.path("enhanced").map(|folder| folder.join("training.svg"));
     if let Some(svg) = plot.and_then(|path| std::fs::read_to_string(path).ok()) {
         let caption = "Stage 2: the distance of the scene from its targets, as a whole (global) and surface \

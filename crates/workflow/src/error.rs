@@ -11,50 +11,58 @@ use use3d_code::CodeError;
 pub struct ParameterError {
     /// Dotted path of the parameter; empty for the whole.
     pub path: String,
-    /// The problem, and the expected value.
+    /// The problem in words, and the expected value.
     pub message: String,
-    /// The unknown name (of a key or a choice), if that is the problem.
-    pub unknown: Option<String>,
-    /// The known names.
-    pub known: Vec<String>,
+    /// The problem as data.
+    pub problem: Problem,
+}
+
+/// A problem with a parameter.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Problem {
+    /// The table has no such key.
+    UnknownKey {
+        /// The key.
+        name: String,
+        /// The keys that there are.
+        known: Vec<String>,
+    },
+    /// There is no such choice.
+    UnknownChoice {
+        /// The choice.
+        name: String,
+        /// The choices that there are.
+        known: Vec<String>,
+    },
+    /// A field without a default is missing.
+    Missing(&'static str),
+    /// Text is expected, and something else was found.
+    NoText,
+    /// The value is out of range or of another type.
+    Value,
 }
 
 impl ParameterError {
-    /// A problem with the parameter at a path.
+    /// A problem with the value of the parameter at a path.
     pub(crate) fn new(path: impl Into<String>, message: String) -> Self {
-        Self { path: path.into(), message, unknown: None, known: Vec::new() }
+        Self { path: path.into(), message, problem: Problem::Value }
     }
 
-    /// Converts a deserialisation error together with its path.
-    pub fn from_path(error: &serde_path_to_error::Error<serde_json::Error>) -> Self {
-        let path = error.path().to_string();
-        let mut this = Self::from_serde(error.inner());
-        this.path = if path == "." { String::new() } else { path };
-        // An unknown field is reported at its own path by some containers and at its parent's by others.
-        if let Some(unknown) = this.unknown.as_deref().filter(|_| this.message.starts_with("unknown field"))
-            && this.path != unknown
-            && !this.path.ends_with(&format!(".{unknown}"))
-        {
-            let parent = this.path.trim_end_matches('?').trim_end_matches('.');
-            this.path = if parent.is_empty() { unknown.to_string() } else { format!("{parent}.{unknown}") };
+    /// The unknown key and the keys that there are, if that is the problem.
+    pub fn unknown_key(&self) -> Option<(&str, &[String])> {
+        match &self.problem {
+            Problem::UnknownKey { name, known } => Some((name, known)),
+            _ => None,
         }
-        this
-    }
-
-    /// Converts a deserialisation error.
-    pub(crate) fn from_serde(error: &serde_json::Error) -> Self {
-        let message = error.to_string();
-        let mut quoted = message.split('`').skip(1).step_by(2).map(String::from);
-        let names = message.starts_with("unknown field") || message.starts_with("unknown variant");
-        let unknown = quoted.next().filter(|_| names);
-        let known = quoted.filter(|_| names).collect();
-        let message = if message.starts_with("unknown field") { message } else { plain(&message) };
-        Self { path: String::new(), message, unknown, known }
     }
 
     /// The known name nearest to the unknown one, if any is near.
     pub fn suggestion(&self) -> Option<&str> {
-        nearest(self.unknown.as_deref()?, self.known.iter().map(String::as_str))
+        let (Problem::UnknownKey { name, known } | Problem::UnknownChoice { name, known }) = &self.problem
+        else {
+            return None;
+        };
+        nearest(name, known.iter().map(String::as_str))
     }
 }
 
@@ -71,35 +79,6 @@ impl fmt::Display for ParameterError {
 }
 
 impl Error for ParameterError {}
-
-/// Rephrases a deserialiser's message, such as `invalid type: integer `-5`, expected u64`, in plain words.
-pub fn plain(message: &str) -> String {
-    if let Some(rest) = message.strip_prefix("unknown variant ") {
-        return rest.replacen(", expected ", " is not known here; expected ", 1);
-    }
-    let wrong = ["invalid type: ", "invalid value: "].iter().find_map(|p| message.strip_prefix(p));
-    let Some((found, expected)) = wrong.and_then(|rest| rest.rsplit_once(", expected ")) else {
-        return message.to_string();
-    };
-    let kinds = ["integer ", "floating point ", "boolean ", "string "];
-    let found = match found {
-        "null" => "nothing".to_string(),
-        "map" => "a table".to_string(),
-        "sequence" => "a list".to_string(),
-        _ => kinds.iter().find_map(|k| found.strip_prefix(k)).unwrap_or(found).replace('`', ""),
-    };
-    let expected = match expected {
-        "u8" | "u16" | "u32" | "u64" | "usize" => "a whole number, 0 or more",
-        "i8" | "i16" | "i32" | "i64" | "isize" => "a whole number",
-        "f32" | "f64" => "a number",
-        "a boolean" => "true or false",
-        "a string" | "string" => "text",
-        other if other.starts_with("struct ") => "a table",
-        other if other.starts_with("a sequence") => "a list",
-        other => other,
-    };
-    format!("expected {expected}, found {found}")
-}
 
 /// The name nearest to `wrong`, or `None` if all names differ too much.
 pub fn nearest<'n>(wrong: &str, names: impl IntoIterator<Item = &'n str>) -> Option<&'n str> {

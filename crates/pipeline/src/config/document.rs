@@ -98,12 +98,12 @@ impl Document {
     /// An error about a parameter of the table at `base`. `more` lists further names that are valid there.
     pub(crate) fn parameter_error(&self, base: &str, error: &ParameterError, more: &[&str]) -> ConfigError {
         let path = join(base, &error.path);
-        match &error.unknown {
-            Some(unknown) if error.message.starts_with("unknown field") => {
-                let known = error.known.iter().map(String::as_str).chain(more.iter().copied());
+        match error.unknown_key() {
+            Some((unknown, known)) => {
+                let known = known.iter().map(String::as_str).chain(more.iter().copied());
                 self.key_error(&path, unknown_key(unknown, known))
             }
-            _ => self.error(&path, error.to_string()),
+            None => self.error(&path, error.to_string()),
         }
     }
 

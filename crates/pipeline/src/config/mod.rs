@@ -33,9 +33,9 @@ use std::path::{Path, PathBuf};
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 
-use use3d_workflow::error::nearest;
+use use3d_workflow::error::{Problem, nearest};
 use use3d_workflow::graph::{External, Overrides};
-use use3d_workflow::{Batch, BatchScene, ParameterError, Registry, Variant, canonical};
+use use3d_workflow::{Batch, BatchScene, ParameterError, Registry, Variant, canonical, read};
 
 mod document;
 mod file;
@@ -335,17 +335,16 @@ impl Reader<'_> {
     }
 
     fn typed<T: DeserializeOwned>(&self, base: &str, value: &Value, more: &[&str]) -> Result<T, ConfigError> {
-        serde_path_to_error::deserialize(value).map_err(|e| {
-            let error = ParameterError::from_path(&e);
-            if let Some(missing) = error.message.strip_prefix("missing field ") {
+        read(value).map_err(|error| {
+            if let Problem::Missing(missing) = &error.problem {
                 let place = match (base, error.path.as_str()) {
                     ("", "") => "the pipeline".to_string(),
                     (_, "") => format!("[[{}]]", stem(base)),
                     (_, table) => format!("`{table}`"),
                 };
-                return self.document.error(&join(base, &error.path), format!("{place} needs {missing}"));
+                return self.document.error(&join(base, &error.path), format!("{place} needs `{missing}`"));
             }
-            let unknown = error.unknown.as_deref().filter(|_| error.message.starts_with("unknown field"));
+            let (unknown, known) = error.unknown_key().unzip();
             if unknown == Some("preset") && base.starts_with("scene") {
                 let message =
                     "`preset` belongs at the top of the file or in a [[variant]], not in a [[scene]]";
@@ -353,7 +352,7 @@ impl Reader<'_> {
             }
             // Nested tables have key words of their own.
             let unknown = unknown.filter(|_| !error.path.contains('.'));
-            let known = || more.iter().copied().chain(error.known.iter().map(String::as_str));
+            let known = || more.iter().copied().chain(known.into_iter().flatten().map(String::as_str));
             if let Some((stage, name)) = unknown.and_then(|u| parameters::meant(self.registry, u, known())) {
                 let place = match base {
                     "" => format!("[defaults.{stage}] {name} = …"),

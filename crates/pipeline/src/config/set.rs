@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use serde_json::{Map, Value};
+use use3d_workflow::error::Problem;
 use use3d_workflow::graph::Overrides;
 use use3d_workflow::{Batch, ParameterError, Registry, Source, Stage};
 
@@ -16,7 +17,7 @@ use super::{did_you_mean, merge_into, preset_values};
 fn typed(stage: &Stage, key: &str, value: &Value, text: &str) -> Result<Value, ParameterError> {
     let first = nested(key, value.clone());
     let Err(error) = stage.parameters(&first) else { return Ok(first) };
-    if value.is_string() || !error.message.contains("expected text") {
+    if value.is_string() || error.problem != Problem::NoText {
         return Err(error);
     }
     let second = nested(key, Value::String(text.to_string()));
@@ -160,18 +161,16 @@ fn place(
 /// A hint that gives the right key if an unknown parameter name is in fact the name of a file or folder that
 /// the stage reads.
 fn folder_key(stage: &Stage, error: &ParameterError) -> Option<String> {
-    let unknown = error.unknown.as_deref().filter(|_| error.message.starts_with("unknown field"))?;
+    let (unknown, _) = error.unknown_key()?;
     let input = stage.inputs.iter().find(|i| i.role == unknown)?;
     let Source::External(name) = input.source else { return None };
     Some(format!("`{unknown}` is an input and not a parameter; give it with `{}`", key_of(name)))
 }
 
 fn words(error: &ParameterError) -> String {
-    match &error.unknown {
-        Some(unknown) if error.message.starts_with("unknown field") => {
-            super::unknown_key(unknown, error.known.iter().map(String::as_str))
-        }
-        _ => error.to_string(),
+    match error.unknown_key() {
+        Some((unknown, known)) => super::unknown_key(unknown, known.iter().map(String::as_str)),
+        None => error.to_string(),
     }
 }
 

@@ -6,6 +6,7 @@ pub(crate) mod definition;
 pub(crate) mod events;
 pub(crate) mod inputs;
 pub(crate) mod parameters;
+pub(crate) mod reading;
 pub(crate) mod registry;
 pub(crate) mod require;
 pub(crate) mod result;

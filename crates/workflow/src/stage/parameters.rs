@@ -11,6 +11,7 @@ use serde::de::DeserializeOwned;
 use serde_json::Value;
 
 use crate::error::ParameterError;
+use crate::stage::reading::read;
 
 /// The parameters of one stage. Copies share them.
 #[derive(Clone)]
@@ -25,8 +26,8 @@ impl Parameters {
     where
         P: Serialize + DeserializeOwned + Send + Sync + 'static,
     {
-        let typed: P = serde_path_to_error::deserialize(given).map_err(|e| ParameterError::from_path(&e))?;
-        let json = serde_json::to_value(&typed).map_err(|e| ParameterError::from_serde(&e))?;
+        let typed: P = read(given)?;
+        let json = serde_json::to_value(&typed).map_err(|e| ParameterError::new("", e.to_string()))?;
         Ok(Self { typed: Arc::new(typed), json: Arc::new(json) })
     }
 
