@@ -16,7 +16,7 @@ use page::Page;
 /// The report of a run without what is known only when it is delivered: costs, settings, speeds, and the
 /// places of other files.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
-pub struct Report {
+pub struct BatchReport {
     /// The page.
     pub page: Page,
     /// The scores behind the tables.

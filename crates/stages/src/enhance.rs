@@ -38,11 +38,11 @@ pub(crate) mod definition {
 
     use crate::parts::files::out_of_range;
     use crate::parts::proposer::ProposerChoice;
+    use crate::parts::target_params;
     use crate::parts::weights::proposer_files;
     use crate::planning::learns_from_proposals;
     use crate::planning::memory::{PROGRAM, extent, gaussians, largest, networks};
     use crate::planning::requirements::lacking;
-    use crate::targets;
 
     use super::*;
 
@@ -77,7 +77,7 @@ pub(crate) mod definition {
 
     fn missing(all: &AllParameters) -> Option<Lacking> {
         let labels = all.of::<EnhanceParams>()?.objective == Objective::PseudoLabels;
-        let own = all.of::<targets::Params>()?.proposer == ProposerChoice::Scene;
+        let own = all.of::<target_params::Params>()?.proposer == ProposerChoice::Scene;
         let remedy = "that objective learns from photographs that a 2D enhancer enhanced, and `targets.proposer` is `scene`";
         let what = "a 2D enhancer for `enhance.objective = \"pseudo-labels\"`";
         (labels && own).then(|| lacking(what, remedy, "--set targets.proposer=auto"))

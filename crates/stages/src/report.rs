@@ -26,7 +26,7 @@ use use3d_chart::{Plot, RGB, Series};
 use use3d_judge::names::in_variant;
 use use3d_judge::scores::{Method, MethodScores, SceneScores, ScoredScene};
 use use3d_judge::strip::Strip;
-use use3d_report::Report;
+use use3d_report::BatchReport;
 use use3d_report::batch::{head, overall};
 use use3d_report::page::{
     CalibratorSection, Page, Picture, PlotFigure, SceneSection, ViewSection, shortened,
@@ -151,7 +151,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         ),
         ..Page::default()
     };
-    write_json(&context.output().join(BATCH), &Report { page, scored })
+    write_json(&context.output().join(BATCH), &BatchReport { page, scored })
 }
 
 /// The scores in a folder, and the first characters of the digest of their file.

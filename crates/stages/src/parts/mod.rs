@@ -11,6 +11,7 @@ pub(crate) mod kept_water;
 pub(crate) mod proposer;
 pub(crate) mod scene;
 pub(crate) mod sights;
+pub(crate) mod target_params;
 pub(crate) mod transition_sources;
 pub(crate) mod watch;
 pub mod water;

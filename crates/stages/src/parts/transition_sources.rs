@@ -14,7 +14,7 @@ use use3d_workflow::{StageContext, StageError};
 use super::calibrator::read_calibrator;
 use super::kept_water;
 use super::proposer::{NO_PROPOSER, ProposerChoice, of_calibrator, open};
-use crate::targets::{Params, Source};
+use super::target_params::{Params, Source};
 
 /// The source of the pictures.
 enum Pictures<'s> {

@@ -7,7 +7,7 @@ pub(crate) mod requirements;
 use use3d_reconstruct::{Images, ReconstructParams};
 use use3d_workflow::{AllParameters, Named};
 
-use crate::targets;
+use crate::parts::target_params;
 
 /// True if stage 1 learns from proposals. Such a scene needs no second stage.
 pub(crate) fn learns_from_proposals(all: &AllParameters) -> bool {
@@ -16,7 +16,7 @@ pub(crate) fn learns_from_proposals(all: &AllParameters) -> bool {
 
 /// True if a calibrator corrects the proposals.
 pub(crate) fn is_calibrated(all: &AllParameters) -> bool {
-    all.of::<targets::Params>().is_some_and(|p| p.calibrated)
+    all.of::<target_params::Params>().is_some_and(|p| p.calibrated)
 }
 
 /// True if a calibrator is needed and none is given.

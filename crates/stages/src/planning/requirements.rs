@@ -13,8 +13,8 @@ use use3d_nets::{Models, Network};
 use use3d_workflow::{AllParameters, Lacking, Named};
 
 use crate::parts::proposer::ProposerChoice;
+use crate::parts::target_params;
 use crate::parts::weights::NU2NET;
-use crate::targets;
 
 pub(crate) fn lacking(
     what: impl Into<String>,
@@ -27,7 +27,7 @@ pub(crate) fn lacking(
 /// The setting that uses the classical enhancer in place of Nu2Net.
 fn without_nu2net(all: &AllParameters, stage: &str) -> String {
     // A proposer that is set for the targets applies to the other stages, too.
-    let by_targets = all.of::<targets::Params>().is_some_and(|p| p.proposer == ProposerChoice::Nu2net);
+    let by_targets = all.of::<target_params::Params>().is_some_and(|p| p.proposer == ProposerChoice::Nu2net);
     format!("--set {}.proposer=fusion", if by_targets { "targets" } else { stage })
 }
 

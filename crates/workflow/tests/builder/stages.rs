@@ -224,6 +224,7 @@ pub(crate) fn stages(delay: u64) -> Vec<Stage> {
             .promises(&["result.txt", "deep/"])
             .input("scene", "reconstruct")
             .input("calibrator", "calibrate")
+            .or_external("calibrator")
             .made_of(&["use3d-atc"], &[]),
         simple("enhance", Scope::Scene)
             .input("scene", "reconstruct")
