@@ -9,7 +9,7 @@ use std::time::Instant;
 use use3d_capture::{Lattice, MediumMaps, View};
 use use3d_import::{ImportParams, import, load_depth_prior, load_mask, load_pixels};
 use use3d_reconstruct::engine::CpuEngine;
-use use3d_reconstruct::{Known, LoadedView, ReconstructParams, plot, reconstruct};
+use use3d_reconstruct::{Known, LoadedView, ReconstructParams, reconstruct};
 use use3d_splat::{Colors, Options, Prepared, Rasterizer, Rendered};
 use use3d_training::{Observer, TrainingProgress};
 
@@ -102,7 +102,6 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let out = Path::new(&out);
     std::fs::create_dir_all(out)?;
     std::fs::write(out.join("log.jsonl"), outcome.log_lines())?;
-    std::fs::write(out.join("plot.svg"), plot(&outcome.log))?;
     let (mut prepared, mut rasterizer, mut rendered) = (Prepared::new(), Rasterizer::new(), Rendered::new());
     let mut maps = MediumMaps::zeros(0, 0);
     let scene = &outcome.scene;

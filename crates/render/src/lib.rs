@@ -1,13 +1,12 @@
 //! Every picture that can be drawn from a scene.
 //!
 //! ```text
-//! Scene ─▶ Backend ─▶ Renderer ─▶ SceneRenderer ─▶ picture ─▶ file, film
-//!          draws      a look      modes            colours for people
+//! Scene ─▶ Composer ─▶ Renderer ─▶ SceneRenderer ─▶ picture ─▶ file, film
+//!          a device    a look      modes            colours for people
 //! ```
 //!
-//! A [`Backend`] holds a scene and draws it from any camera. [`Cpu`] is the reference, and [`Looking`] makes
-//! a backend of any device that can compose Gaussians ([`Composer`]). A [`Renderer`] draws one [`Look`] with
-//! a share of the water, a [`SceneRenderer`] every [`Mode`] from one camera at a time. [`picture`] turns a
+//! A [`Composer`] draws the Gaussians of a scene on some device; [`Processor`] is the reference. A
+//! [`Renderer`] draws one [`Look`] with a share of the water, a [`SceneRenderer`] every [`Mode`] from one camera at a time. [`picture`] turns a
 //! mode's numbers into colours, [`cover`] and [`focus`] frame cameras, [`Film`] writes frames one after
 //! another. [`bake`] and [`bake_in_water`] write a look into spherical harmonics for viewers without
 //! enhancement and water, [`Response`] is the answer of a look to a change of light, [`white`] measures grey
@@ -16,12 +15,12 @@
 //! This crate does not train, and no training uses it: a change of the pictures changes no trained byte,
 //! and a change of the training changes no picture of a given scene.
 
-mod backend;
 mod bake;
-mod cpu;
+mod composer;
 mod error;
 mod film;
 mod framing;
+mod look;
 mod modes;
 mod pictures;
 mod profile;
@@ -29,9 +28,8 @@ mod renderer;
 mod response;
 pub mod white;
 
-pub use backend::{Backend, Composer, Composition, Recolor, Request};
 pub use bake::{BakeReport, InWater, bake, bake_in_water};
-pub use cpu::{Cpu, Looking, Processor};
+pub use composer::{Composer, Composition, Processor, Recolor};
 pub use error::RenderError;
 pub use film::{Film, FilmError};
 pub use framing::{cover, focus};

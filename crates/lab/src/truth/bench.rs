@@ -137,8 +137,8 @@ impl TruthBench {
     /// estimated. Returns the figures and the written files.
     ///
     /// # Errors
-    /// Returns an interruption, a result that cannot be read, or a place that cannot be written. A failed stage
-    /// is no error: the figures name it.
+    /// Returns an interruption, a result that cannot be read, or a place that cannot be written. A failed
+    /// stage is no error: the figures name it.
     pub fn run(
         &self,
         options: RunOptions,

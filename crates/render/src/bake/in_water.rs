@@ -49,7 +49,7 @@ use use3d_splat::{Colors, Gaussians, Prepared, Rasterizer};
 
 use super::{BakeReport, bake_maps, color, mapped};
 use crate::RenderError;
-use crate::cpu::{grades, look_through, thin};
+use crate::look::{grades, look_through, thin};
 use crate::renderer::Look;
 
 /// The longest side, in pixels, at which visibility is measured.

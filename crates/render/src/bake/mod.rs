@@ -20,7 +20,7 @@ use use3d_scene::Scene;
 use use3d_splat::Gaussians;
 
 use crate::RenderError;
-use crate::cpu::grades;
+use crate::look::grades;
 
 /// Number of directions, spread evenly over the sphere, in which the bake is checked.
 const DIRECTIONS: usize = 48;

@@ -13,7 +13,7 @@ use use3d_gpu::{
 };
 use use3d_reconstruct::engine::Engine;
 use use3d_reconstruct::{ReconstructParams, losses};
-use use3d_render::{Composer, Composition, Looking, RenderError, Renderer};
+use use3d_render::{Composer, Composition, RenderError, Renderer};
 use use3d_scene::Scene;
 use use3d_splat::{Gaussians, Rendered, view_colors};
 use use3d_training::{EngineError, Observer};
@@ -105,7 +105,7 @@ impl Card for Gpu {
         let gaussians = &scene.gaussians;
         let drawing = Arc::new(Mutex::new(Drawing::new(self, gaussians)?));
         let painter = Painter { device: self.name(), gaussians, drawing, colors: Vec::new() };
-        Ok(Box::new(move |look| Ok(Renderer::on(Box::new(Looking::on(painter.clone(), scene, look)?)))))
+        Ok(Box::new(move |look| Renderer::on(Box::new(painter.clone()), scene, look)))
     }
 
     fn adjoint(&self, gaussians: &Gaussians) -> Result<Box<dyn Adjoint>, EngineError> {

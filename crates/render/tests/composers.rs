@@ -1,51 +1,37 @@
-//! Another backend than the processor's can be used in a renderer through public names alone.
+//! Another composer than the processor's can be used in a renderer through public names alone.
 
 mod common;
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use common::{mini, taught};
-use use3d_capture::MediumMaps;
-use use3d_render::{Backend, Cpu, Look, Mode, RenderError, Renderer, Request, SceneRenderer};
+use use3d_render::{Composer, Composition, Look, Mode, Processor, RenderError, Renderer, SceneRenderer};
 use use3d_splat::Rendered;
 
-/// A backend that draws like the processor, counts its requests, and fails after some drawings.
+/// A composer that draws like the processor, counts its drawings, and fails after some of them.
 struct Lent<'s> {
-    cpu: Cpu<'s>,
+    own: Processor<'s>,
     asked: &'s AtomicUsize,
     lost_after: usize,
 }
 
-impl Backend for Lent<'_> {
-    fn draw(&mut self, request: &Request<'_>, out: &mut Rendered) -> Result<(), RenderError> {
+impl Composer for Lent<'_> {
+    fn compose(&mut self, view: &Composition<'_>, out: &mut Rendered) -> Result<(), RenderError> {
         if self.asked.fetch_add(1, Ordering::Relaxed) >= self.lost_after {
             return Err(RenderError::Device { device: "lent".into(), problem: "it is lost".into() });
         }
-        self.cpu.draw(request, out)
-    }
-
-    fn respond(
-        &mut self,
-        request: &Request<'_>,
-        channel: Option<usize>,
-        out: &mut Rendered,
-    ) -> Result<(), RenderError> {
-        self.cpu.respond(request, channel, out)
-    }
-
-    fn medium(&self) -> Option<&MediumMaps> {
-        self.cpu.medium()
+        self.own.compose(view, out)
     }
 }
 
 #[test]
-fn a_backend_of_another_crate_draws_every_mode_and_its_loss_is_told() {
+fn a_composer_of_another_crate_draws_every_mode_and_its_loss_is_told() {
     let (scene, views) = mini();
     let scene = taught(&scene);
     let asked = AtomicUsize::new(0);
     let on = |look, lost_after| {
-        let cpu = Cpu::new(&scene, look).unwrap();
-        Renderer::on(Box::new(Lent { cpu, asked: &asked, lost_after }))
+        let lent = Lent { own: Processor::new(&scene), asked: &asked, lost_after };
+        Renderer::on(Box::new(lent), &scene, look).unwrap()
     };
     let looks = [Look::Reconstruction, Look::Enhanced { strength: 1.0 }];
     let [plain, enhanced] = looks.map(|look| on(look, 4));
