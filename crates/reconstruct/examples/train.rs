@@ -1,6 +1,6 @@
 //! Trains one capture without the command line:
 //! `train CAPTURE OUT [image_dir=images_2] [every=8] [key=value ...]`, where the keys are the parameters of
-//! stage 1 (JSON values). Writes the log, the plot, and the held-out views as PNG; prints the profile of a
+//! stage 1 (JSON values). Writes the log and the held-out views as PNG; prints the profile of a
 //! step.
 
 use std::path::Path;
