@@ -128,8 +128,8 @@ fn run(context: &StageContext, params: &EnhanceParams) -> Result<(), StageError>
         if targets.appearance == Appearance::Clear {
             return Err(StageError::bad_input_message(
                 "objective = \"pseudo-labels\" needs photographs enhanced by a 2D enhancer, but these \
-                 targets are in clear radiance, from `scene`; make targets with a 2D enhancer \
-                 (`targets.proposer`), or choose another objective",
+                 targets are in clear radiance; make targets from another `targets.source`, or choose another \
+                 objective",
             ));
         }
         let proposer = by_name(&targets.proposer.name, context.optional_input("models"))

@@ -26,7 +26,6 @@ pub(super) fn stage() -> Stage {
     Stage::new("propose", Scope::Scene, run)
         .about("enhance every photograph on its own, to reconstruct from")
         .made_of(&[], &["src/stages/propose.rs"])
-        .check(|p: &Params| p.proposer.for_photographs())
         .input("import", "import")
         .optional_external("models", "models")
         .select(super::weights::files_of_proposer)

@@ -20,24 +20,10 @@ pub enum ProposerChoice {
     Nu2net,
     /// The classical fusion enhancer; needs no weights.
     Fusion,
-    /// A grade by rule from what stage 1 knows of the scene, in clear radiance; no 2D enhancer, so for
-    /// `targets` only.
-    Scene,
 }
 
 /// The name of the proposer in targets that leave photographs as they are.
 pub(super) const NO_PROPOSER: &str = "none";
-
-/// The error for `scene` as the proposer where a 2D enhancer is needed.
-const NO_PHOTOGRAPHS: &str = "`scene` works on a reconstructed scene and not on photographs, so it is for \
-     `targets` only; choose auto, nu2net or fusion here";
-
-impl ProposerChoice {
-    /// Refuses a proposer that does not enhance photographs, as the error of the parameter `proposer`.
-    pub(super) fn for_photographs(self) -> Result<(), (String, String)> {
-        if self == Self::Scene { Err(("proposer".into(), NO_PHOTOGRAPHS.into())) } else { Ok(()) }
-    }
-}
 
 #[cfg(feature = "nets")]
 mod network {
@@ -92,7 +78,6 @@ pub fn open(
     models: Option<&Path>,
     say: &mut dyn FnMut(&str),
 ) -> Result<Box<dyn Proposer>, String> {
-    choice.for_photographs().map_err(|(_, message)| message)?;
     if choice == ProposerChoice::Fusion {
         return Ok(Box::new(Fusion));
     }
@@ -120,7 +105,6 @@ pub(super) fn of_calibrator(
         ProposerChoice::Auto => recorded,
         ProposerChoice::Nu2net => "nu2net",
         ProposerChoice::Fusion => "fusion",
-        ProposerChoice::Scene => "scene",
     };
     if asked != recorded {
         return Err(format!(
@@ -138,7 +122,6 @@ pub(super) fn by_name(name: &str, models: Option<&Path>) -> Result<Box<dyn Propo
         "nu2net" => {
             nu2net(models).map_err(|reason| format!("the calibrator was fitted for nu2net: {reason}"))
         }
-        "scene" => Err(NO_PHOTOGRAPHS.into()),
         NO_PROPOSER => Err(
             "the targets of this scene in air leave its photographs as they are; make them with a 2D enhancer \
              (`targets.proposer = \"fusion\"`)"

@@ -45,7 +45,6 @@ pub(super) fn with_requirements(stage: Stage) -> Stage {
         #[cfg(not(feature = "nets"))]
         "reconstruct" => stage.requires(|all, _, _| of_reconstruct(all).into_iter().collect()),
         "targets" => stage.requires(|all, named, _| of_targets(all, named).into_iter().collect()),
-        "enhance" => stage.requires(|all, _, _| of_enhance(all).into_iter().collect()),
         "evaluate" => stage.requires(|all, named, checks| {
             let truth = named.path("capture").and_then(|capture| of_truth(capture, checks));
             let network = weights(all, named, "evaluate");
@@ -221,14 +220,6 @@ fn of_targets(all: &AllParameters, named: &Named) -> Option<Lacking> {
         if let Some(problem) = unfound(named, "calibrator") {
             return Some(lacking("the calibrator", problem, ""));
         }
-        if choice == ProposerChoice::Scene {
-            let remedy = format!(
-                "{} names one, but `targets.proposer = \"scene\"` uses none: calibrators are fitted to \
-                 photographs; leave one of the two out",
-                named.by("calibrator")
-            );
-            return Some(lacking("a pipeline without a calibrator", remedy, "--set targets.proposer=auto"));
-        }
         let calibrator = match read_calibrator(named.path("calibrator")?) {
             Ok(calibrator) => calibrator,
             Err(error) => return Some(lacking("a calibrator that can be read", error.to_string(), "")),
@@ -269,14 +260,6 @@ fn of_targets(all: &AllParameters, named: &Named) -> Option<Lacking> {
     );
     let without = format!("--set targets.proposer={fitted}");
     Some(lacking("a calibrator for the proposer in use", remedy, without))
-}
-
-fn of_enhance(all: &AllParameters) -> Option<Lacking> {
-    let labels = text(all, "enhance", "objective") == "pseudo-labels";
-    let own = text(all, "targets", "proposer") == "scene";
-    let remedy = "that objective learns from photographs that a 2D enhancer enhanced, and `targets.proposer` is `scene`";
-    let what = "a 2D enhancer for `enhance.objective = \"pseudo-labels\"`";
-    (labels && own).then(|| lacking(what, remedy, "--set targets.proposer=auto"))
 }
 
 /// The missing networks of the paper's scores, if all scores are required.

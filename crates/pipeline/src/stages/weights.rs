@@ -22,7 +22,7 @@ pub(super) fn proposer_files(models: &Path) -> Vec<PathBuf> {
 /// The files in a models folder that the proposer of these parameters reads, relative to it. If the
 /// parameters name a proposer whose weights are missing, the error lists the files to put there.
 pub(super) fn files_of_proposer(parameters: &Value, models: &Path) -> Result<Vec<PathBuf>, String> {
-    if parameters["proposer"] == "fusion" || parameters["proposer"] == "scene" {
+    if parameters["proposer"] == "fusion" {
         return Ok(Vec::new());
     }
     let files = proposer_files(models);
