@@ -318,7 +318,6 @@ fn a_value_out_of_range_is_pointed_at_in_every_stage() {
         ("enhance", "rank = 99", "`rank` is 99; expected 1 to"),
         ("enhance", "log_every = 0", "`log_every` is 0; expected at least 1"),
         ("calibrate", "trust = 5.0", "`trust` is 5; expected 0 to 1"),
-        ("calibrate", "extractor.cells = 1", "`extractor.cells` is 1; expected 2 to 256"),
         ("import", "downscale = 0", "`downscale` is 0; expected 1"),
         ("render", "strength = 3.0", "`strength` is 3; expected 0 to 1"),
     ];
