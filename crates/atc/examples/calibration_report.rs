@@ -12,6 +12,7 @@ use std::time::Instant;
 use use3d_atc::calibrator::{
     CalibratorParams, Dataset, PairImages, TransitionErrors, evaluate, held_out, train,
 };
+use use3d_atc::extractor::ExtractorSettings;
 use use3d_atc::progress::unwatched;
 use use3d_atc::proposers::Fusion;
 use use3d_capture::Image;
@@ -41,14 +42,14 @@ fn row(errors: &TransitionErrors) -> String {
         .join(" | ")
 }
 
-fn dataset(dir: &Path, params: &CalibratorParams) -> Result<Dataset, Anyhow> {
+fn dataset(dir: &Path) -> Result<Dataset, Anyhow> {
     let started = Instant::now();
     let images = pairs(dir)?.into_iter().map(|file| PairImages {
         images: read(&dir.join("input").join(&file))
             .and_then(|a| Ok((a, read(&dir.join("reference").join(&file))?))),
         name: file,
     });
-    let dataset = Dataset::build(images, &Fusion, &params.extractor, &mut unwatched)?;
+    let dataset = Dataset::build(images, &Fusion, &ExtractorSettings::default(), &mut unwatched)?;
     eprintln!(
         "{}: {} pairs, {} cells, {} left out, {:.1} s",
         dir.display(),
@@ -67,11 +68,11 @@ fn main() -> Result<(), Anyhow> {
     let params = CalibratorParams::default();
     let mut sets: Vec<(String, Dataset)> = Vec::new();
     for name in ["uieb_t90", "lsui_t400", "euvp"] {
-        sets.push((name.to_string(), dataset(&Path::new(&root).join(name), &params)?));
+        sets.push((name.to_string(), dataset(&Path::new(&root).join(name))?));
     }
     if std::env::args().nth(2).as_deref() == Some("--from") {
         let from = std::env::args().nth(3).ok_or("--from: expected a folder of pairs")?;
-        let calibrator = train(&dataset(Path::new(&from), &params)?, &params, &from, &mut unwatched)?;
+        let calibrator = train(&dataset(Path::new(&from))?, &params, &from, &mut unwatched)?;
         println!("{BETWEEN}");
         for (tested, other) in &sets {
             println!("| {from} | {tested} | {} |", row(&evaluate(&calibrator, &other.examples)));

@@ -102,13 +102,13 @@ fn the_authors_calibrator_serves_a_whole_run_and_by_hand() {
     }
 }
 
-/// The targets come from stage 1's own knowledge of the scene: a whole run and stages by hand, without a
-/// calibrator, and errors for settings that conflict.
+/// The targets come from renders without water: a whole run and stages by hand, without a calibrator, and
+/// errors for settings that conflict.
 #[test]
-fn a_scene_proposes_for_itself_in_clear_radiance() {
+fn a_scene_is_enhanced_in_clear_radiance() {
     let dir = place();
     let at = dir.path();
-    let own = ["--set", "targets.proposer=scene", "--set", "targets.source=clear"];
+    let own = ["--set", "targets.proposer=fusion", "--set", "targets.source=clear"];
     let run = ["-q", "run", "reef", "--out", "out"];
     let (out, _) = expect(0, at, &[&run[..], &QUICK, &own].concat());
     // No pairs and no fit: import, reconstruct, targets, enhance, render, evaluate, report.
@@ -127,20 +127,14 @@ fn a_scene_proposes_for_itself_in_clear_radiance() {
     assert!(err.contains("`fusion` proposes for ") && err.contains("not calibrated"), "{err}");
     let (_, err) = expect(2, at, &[&hand[..], &["--force", "--set", "calibrated=true"]].concat());
     assert!(err.contains("give --calibrator FILE"), "{err}");
-    let (_, err) = expect(2, at, &[&hand[..], &["--force", "--set", "proposer=scene"]].concat());
-    assert!(err.contains("add `source = \"clear\"`"), "{err}");
-    let graded = ["--force", "--set", "proposer=scene", "--set", "source=clear"];
-    let (_, err) = expect(0, at, &[&hand[..], &graded].concat());
-    assert!(err.contains("proposer: scene, in clear radiance, not calibrated: "), "{err}");
-    let (_, err) = expect(2, at, &[&hand[..], &graded, &["--calibrator", RELEASED]].concat());
-    assert!(err.contains("which has no calibrator"), "{err}");
+    let clear = ["--force", "--set", "proposer=fusion", "--set", "source=clear"];
+    let (_, err) = expect(0, at, &[&hand[..], &clear].concat());
+    assert!(err.contains("`fusion` proposes for renders of the scene without its water"), "{err}");
     let enhance = ["enhance", "out/reef/scene", "reef", "--targets", "t.safetensors", "--out", "e", "--set"];
     let (_, err) = expect(0, at, &[&enhance[..], &["iterations=3"]].concat());
     assert!(err.contains("learnt in clear radiance"), "{err}");
     let (_, err) = expect(2, at, &[&enhance[..], &["objective=pseudo-labels", "--force"]].concat());
     assert!(err.contains("these targets are in clear radiance"), "{err}");
-    let (_, err) = expect(2, at, &[&run[..], &QUICK, &own, &["--calibrator", RELEASED]].concat());
-    assert!(err.contains("leave one of the two out"), "{err}");
 }
 
 #[test]

@@ -79,13 +79,10 @@ fn a_mistyped_folder_fails_the_run_and_is_said_by_the_plan() {
     let plan = ["plan", capture, "--cache", "cache"];
     let (_, err) = expect(2, dir.path(), &[&plan[..], &pairs].concat());
     assert!(err.contains("absent does not exist, named by --pairs"), "{err}");
-    // Two folders without a pair, settings that conflict, truth that cannot be read.
+    // Two folders without a pair, truth that cannot be read.
     std::fs::create_dir_all(dir.path().join("a")).expect("folder");
     let (_, err) = expect(2, dir.path(), &[&plan[..], &["--pairs", "a", "a"]].concat());
     assert!(err.contains("0 files of a have a counterpart"), "{err}");
-    let labels = ["--set", "enhance.objective=pseudo-labels", "--set", "targets.proposer=scene"];
-    let (_, err) = expect(2, dir.path(), &[&plan[..], &labels].concat());
-    assert!(err.contains("--set targets.proposer=auto"), "{err}");
     for stage in ["targets", "evaluate", "pairs"] {
         let set = format!("{stage}.proposer=nu2net");
         let (_, err) = expect(2, dir.path(), &[&plan[..], &["--set", &set]].concat());

@@ -11,8 +11,8 @@ use std::path::Path;
 
 use use3d_capture::{Camera, Image, Map};
 use use3d_metrics::{
-    Flow, GeometricView, Mask, MetricError, UciqeVariant, blacked_out, counted, geometric_warp, only_counted,
-    psnr, ssim, uciqe, uiqm, warped_delta_e, warped_ssim,
+    Flow, GeometricView, Mask, MetricError, blacked_out, counted, geometric_warp, only_counted, psnr, ssim,
+    uciqe, uiqm, warped_delta_e, warped_ssim,
 };
 
 use crate::scores::{Score, Scores};
@@ -120,10 +120,9 @@ impl Judges {
     /// UCIQE, UIQM, URanker and MUSIQ of an image, over the pixels of the mask.
     pub fn alone(&self, image: &Image, mask: Option<&Mask>) -> Scores {
         let image = clamped(image);
-        let variant = UciqeVariant::default();
         let uciqe = match mask {
-            None => uciqe(&image, variant),
-            Some(mask) => only_counted(&image, mask).and_then(|colours| uciqe(&colours, variant)),
+            None => uciqe(&image),
+            Some(mask) => only_counted(&image, mask).and_then(|colours| uciqe(&colours)),
         };
         let uciqe = Score::measured(uciqe.map(|u| u.score));
         let whole = whole(&image, mask);

@@ -44,6 +44,6 @@ pub use mask::{blacked_out, counted, mask_of, only_counted};
 pub use psnr::{ExposureFit, decibels, exposure_gain, psnr, psnr_exposure_fitted};
 pub use score::{Finite, Score};
 pub use ssim::{ssim, ssim_map};
-pub use uciqe::{Uciqe, UciqeVariant, uciqe, uciqe_of_8bit};
+pub use uciqe::{UCIQE_VARIANT, Uciqe, uciqe, uciqe_of_8bit};
 pub use uiqm::{Uiqm, uiqm, uiqm_of_8bit};
 pub use warp::{Flow, ForwardBackward, Mask, Warped, backward_warp, forward_backward};

@@ -65,8 +65,7 @@ fn without_calibration_there_are_neither_pairs_nor_a_calibrator() {
     let stages = |graph: &Graph| -> Vec<&str> { graph.nodes.iter().map(|n| n.stage_name).collect() };
     let calibrated = stages(&graph(&["targets.calibrated=true"]));
     assert!(calibrated.contains(&"pairs") && calibrated.contains(&"calibrate"), "{calibrated:?}");
-    let graded = ["targets.proposer=scene", "targets.source=clear"];
-    for words in [&[][..], &["targets.source=photographs"], &["targets.source=clear"], &graded] {
+    for words in [&[][..], &["targets.source=photographs"], &["targets.source=clear"]] {
         let own = stages(&graph(words));
         assert!(!own.contains(&"pairs") && !own.contains(&"calibrate"), "{words:?}: {own:?}");
         assert!(own.contains(&"targets") && own.contains(&"enhance"), "{words:?}: {own:?}");
@@ -85,14 +84,6 @@ fn without_calibration_there_are_neither_pairs_nor_a_calibrator() {
         graph.nodes.iter().zip(wanted).any(|(n, w)| w && n.stage_name == "calibrate")
     };
     assert!(needs("other") && !needs("own"));
-    for stage in ["propose", "evaluate"] {
-        let options = LoadOptions { sets: vec![format!("{stage}.proposer=scene")], ..LoadOptions::default() };
-        let refused = for_capture(&registry, &reef, &options)
-            .map_err(|e| e.to_string())
-            .and_then(|p| Graph::new(&registry, &p.batch).map_err(|e| e.to_string()));
-        let message = refused.expect_err("refused");
-        assert!(message.contains("for `targets` only"), "{stage}: {message}");
-    }
 }
 
 #[test]
@@ -309,7 +300,7 @@ fn a_value_out_of_range_is_pointed_at_in_every_stage() {
         ("depth", "encoder = \"vitx\"", "`encoder`"),
         ("pairs", "extractor.cells = 0", "`extractor.cells` is 0; expected 2 to 256"),
         ("pairs", "synthetic.width = 3", "`synthetic.width` is 3; expected 16 to 8192 pixels"),
-        ("propose", "proposer = \"scene\"", "choose auto, nu2net or fusion here"),
+        ("propose", "proposer = \"nowhere\"", "`proposer`"),
         ("targets", "proposer = \"nowhere\"", "`proposer`"),
         ("targets", "kept_water = 1.5", "expected \"auto\", or shares from 0 to 1"),
         ("photographs", "keep_light = 1.5", "`keep_light` is 1.5; expected 0 to 1"),
@@ -321,7 +312,6 @@ fn a_value_out_of_range_is_pointed_at_in_every_stage() {
         ("reconstruct", "learning_rates.means = [1e-4, 0.0]", "`learning_rates.means[1]` is 0;"),
         ("enhance", "rank = 99", "`rank` is 99; expected 1 to"),
         ("enhance", "log_every = 0", "`log_every` is 0; expected at least 1"),
-        ("calibrate", "extractor.cells = 1", "`extractor.cells` is 1; expected 2 to 256"),
         ("calibrate", "trust = 5.0", "`trust` is 5; expected 0 to 1"),
         ("import", "downscale = 0", "`downscale` is 0; expected 1"),
         ("render", "strength = 3.0", "`strength` is 3; expected 0 to 1"),

@@ -23,17 +23,13 @@ pub(crate) mod definition {
             .input("pairs", "pairs")
             .when_named(learns_a_calibrator)
             .seeded()
-            // The extractor's settings come with the pairs.
-            .without_effect(&["extractor"])
             .usually_costs(5.0, 0.0)
     }
 }
 
 fn run(context: &StageContext, params: &CalibratorParams) -> Result<(), StageError> {
     let dataset: Dataset = read_json(&context.input("pairs")?.join(DATASET))?;
-    // The pairs were extracted with their own settings, and the calibrator must use the same ones.
-    let extractor = dataset.extractor.clone();
-    let params = CalibratorParams { extractor, seed: context.seed(), ..params.clone() };
+    let params = CalibratorParams { seed: context.seed(), ..params.clone() };
     let data = format!("{} pairs, {} left out", dataset.examples.len(), dataset.skipped.len());
     let mut last = 0;
     let calibrator = train(&dataset, &params, &data, &mut |progress| {

@@ -34,15 +34,12 @@ const FIGURES: [Figure; 3] = [
 
 /// The stage in the table; no part of its key.
 pub(crate) mod definition {
-    use use3d_workflow::{AllParameters, Lacking, Scope, Stage};
+    use use3d_workflow::{Scope, Stage};
 
     use crate::parts::files::out_of_range;
-    use crate::parts::proposer::ProposerChoice;
-    use crate::parts::target_params;
     use crate::parts::weights::proposer_files;
     use crate::planning::learns_from_proposals;
     use crate::planning::memory::{PROGRAM, extent, gaussians, largest, networks};
-    use crate::planning::requirements::lacking;
 
     use super::*;
 
@@ -60,7 +57,6 @@ pub(crate) mod definition {
             .input("targets", "targets")
             .optional_external("models", "models")
             .select(|_: &EnhanceParams, models| Ok(proposer_files(models)))
-            .requires(|all, _, _| missing(all).into_iter().collect())
             .seeded()
             .resumable(&["iterations"])
             .without_effect(&["checkpoint_every", "cache_mib", "engine"])
@@ -73,14 +69,6 @@ pub(crate) mod definition {
                 let network = networks(inputs, proposer_files, 0);
                 Some(PROGRAM + kept + 30 * largest(inputs)? + 400 * gaussians + network)
             })
-    }
-
-    fn missing(all: &AllParameters) -> Option<Lacking> {
-        let labels = all.of::<EnhanceParams>()?.objective == Objective::PseudoLabels;
-        let own = all.of::<target_params::Params>()?.proposer == ProposerChoice::Scene;
-        let remedy = "that objective learns from photographs that a 2D enhancer enhanced, and `targets.proposer` is `scene`";
-        let what = "a 2D enhancer for `enhance.objective = \"pseudo-labels\"`";
-        (labels && own).then(|| lacking(what, remedy, "--set targets.proposer=auto"))
     }
 }
 
@@ -157,8 +145,8 @@ fn run(context: &StageContext, params: &EnhanceParams) -> Result<(), StageError>
         if targets.appearance == Appearance::Clear {
             return Err(StageError::bad_input_message(
                 "objective = \"pseudo-labels\" needs photographs enhanced by a 2D enhancer, but these \
-                 targets are in clear radiance, from `scene`; make targets with a 2D enhancer \
-                 (`targets.proposer`), or choose another objective",
+                 targets are in clear radiance; make targets from another `targets.source`, or choose another \
+                 objective",
             ));
         }
         let proposer = by_name(&targets.proposer.name, context.optional_input("models"))

@@ -99,7 +99,6 @@ const FIGURES: [Figure; 2] = [
 
 impl Params {
     fn check(&self) -> Result<(), (String, String)> {
-        self.proposer.for_photographs()?;
         let within = |name, value, least| within(name, value, least, 10_000).map_err(out_of_range);
         within("neighbour_pairs", self.neighbour_pairs, 0)?;
         within("path_pairs", self.path_pairs, 0)?;

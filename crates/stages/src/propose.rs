@@ -36,7 +36,6 @@ pub(crate) mod definition {
     pub(crate) fn stage() -> Stage {
         Stage::new("propose", Scope::Scene, run)
             .about("enhance every photograph on its own, to reconstruct from")
-            .check(|p: &Params| p.proposer.for_photographs())
             .input("import", "import")
             .optional_external("models", "models")
             .select(|p: &Params, models| files_of_proposer(p.proposer, models))

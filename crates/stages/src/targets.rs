@@ -69,18 +69,6 @@ pub(crate) mod definition {
             if let Some(problem) = unfound(named, "calibrator") {
                 return Some(lacking("the calibrator", problem, ""));
             }
-            if choice == ProposerChoice::Scene {
-                let remedy = format!(
-                    "{} names one, but `targets.proposer = \"scene\"` uses none: calibrators are fitted to \
-                     photographs; leave one of the two out",
-                    named.by("calibrator")
-                );
-                return Some(lacking(
-                    "a pipeline without a calibrator",
-                    remedy,
-                    "--set targets.proposer=auto",
-                ));
-            }
             let calibrator = match read_calibrator(named.path("calibrator")?) {
                 Ok(calibrator) => calibrator,
                 Err(error) => return Some(lacking("a calibrator that can be read", error.to_string(), "")),
@@ -173,9 +161,6 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     write(&context.output().join(TARGETS), targets.to_bytes()?)?;
     write_json(&context.output().join("report.json"), &report)?;
     write_json(&context.output().join(CALIBRATED), &starts.calibrator.provenance)?;
-    if let Some(findings) = starts.findings() {
-        write_json(&context.output().join("scene.json"), findings)?;
-    }
 
     let shown = params.previews.min(views.len());
     if shown > 0 {

@@ -271,7 +271,6 @@ fn parameters_without_effect_are_in_no_key_and_the_log_is() {
         ("evaluate", json!({"engine": "auto"}), false),
         ("enhance", json!({"checkpoint_every": 7}), false),
         ("enhance", json!({"cache_mib": 7}), false),
-        ("calibrate", json!({"extractor": {"cells": 8}}), false),
         ("pairs", json!({"extractor": {"cells": 8}}), true),
         // The training log is part of the artifact.
         ("reconstruct", json!({"log_every": 7}), true),

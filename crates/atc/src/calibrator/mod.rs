@@ -51,8 +51,7 @@ pub const GLOBAL_CONDITION: usize = GLOBAL_DESCRIPTOR + 12;
 /// Conditions of the local head: cell 6, descriptor 18, proposal global 12, proposal local 6, global 12.
 pub const LOCAL_CONDITION: usize = LOCAL_DESCRIPTOR + GLOBAL_DESCRIPTOR + 12 + 6 + 12;
 
-/// Usual scales of a global operator's row: half the interquartile ranges of residuals of synthetic pairs,
-/// because proposals that use the scene have smaller errors.
+/// Usual scales of a global operator's row: half the interquartile ranges of residuals of synthetic pairs.
 const USUAL_GLOBAL: [f32; 4] = [0.3, 0.3, 0.3, 0.15];
 /// Usual scales of a local operator, chosen in the same way.
 const USUAL_LOCAL: [f32; 6] = [0.08, 0.08, 0.08, 0.03, 0.03, 0.03];

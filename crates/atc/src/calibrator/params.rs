@@ -6,7 +6,6 @@ use use3d_numerics::math;
 use use3d_numerics::range::{OutOfRange, positive, within};
 
 use super::Dataset;
-use crate::extractor::ExtractorSettings;
 
 /// Number of pairs for which the recipe was made: the paper trains on 800 of UIEB.
 pub const METHOD_PAIRS: usize = 800;
@@ -37,8 +36,6 @@ pub enum LastLayer {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct CalibratorParams {
-    /// Settings of the extractor; scenes follow them.
-    pub extractor: ExtractorSettings,
     /// Optimiser steps.
     pub steps: u64,
     /// Pairs per step, drawn with replacement (all, if there are fewer).
@@ -78,7 +75,6 @@ pub struct CalibratorParams {
 impl Default for CalibratorParams {
     fn default() -> Self {
         Self {
-            extractor: ExtractorSettings::default(),
             steps: 750,
             pairs_per_step: 128,
             cells_per_step: 4096,
@@ -100,7 +96,6 @@ impl Default for CalibratorParams {
 impl CalibratorParams {
     /// Checks the ranges.
     pub fn validate(&self) -> Result<(), OutOfRange> {
-        self.extractor.validate().map_err(|wrong| wrong.within("extractor"))?;
         within("pairs_per_step", self.pairs_per_step, 1, 1 << 20)?;
         within("cells_per_step", self.cells_per_step, 1, 1 << 20)?;
         // The number of weights grows with the square of a width.

@@ -4,12 +4,8 @@
 //! corrects it towards the paired data, and the consensus makes one scene operator of all views. A
 //! calibrator is fitted for one proposer and records its name and digest; use with another proposer is an
 //! error (R25).
-//!
-//! [`scene`] is of another kind: its input is stage 1's description of a view and not a photograph, so it
-//! does not implement the trait.
 
 pub mod fusion;
-pub mod scene;
 
 use serde::{Deserialize, Serialize};
 use use3d_capture::Image;
@@ -17,7 +13,6 @@ use use3d_capture::Image;
 use crate::error::AtcError;
 
 pub use fusion::Fusion;
-pub use scene::{SceneFindings, SceneProposer, SceneSurvey, SceneView};
 
 /// A deterministic function from a photograph to an enhanced version of it.
 pub trait Proposer: Sync {

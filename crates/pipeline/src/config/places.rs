@@ -149,7 +149,7 @@ pub(super) fn one_proposer_for_all(batch: &mut Batch, registry: &Registry) {
     let of_scenes: Vec<&str> = of_scenes.map(|stage| stage.name()).collect();
     let follow = |layer: &mut Overrides, stages: &[&str]| {
         let given = of_targets(layer, "proposer").cloned();
-        let Some(proposer) = given.filter(|p| p != "scene") else { return };
+        let Some(proposer) = given else { return };
         for stage in stages {
             let parameters = layer.entry(*stage).or_insert_with(|| Value::Object(Map::new()));
             if let Some(parameters) = parameters.as_object_mut() {

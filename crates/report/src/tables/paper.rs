@@ -1,7 +1,7 @@
 //! The paper's tables from a batch's scores: reconstruction, enhancement, scene by scene, consistency, both
 //! ablations.
 
-use use3d_metrics::UciqeVariant;
+use use3d_metrics::UCIQE_VARIANT;
 
 use super::batch::{ALL, Batch, Quantity, columns, published_cell};
 use super::published;
@@ -147,7 +147,7 @@ impl Batch<'_> {
             name: "enhancement".into(),
             caption: format!(
                 "Enhancement quality of held-out views, and consistency of neighbouring captured views (scene-macro means). UCIQE: {}{}",
-                UciqeVariant::default().name(),
+                UCIQE_VARIANT,
                 self.pairs_compared()
             ),
             columns: columns(&self.groups, &ENHANCEMENT),

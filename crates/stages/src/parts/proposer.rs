@@ -19,17 +19,10 @@ pub enum ProposerChoice {
     Nu2net,
     /// The classical fusion enhancer; needs no weights.
     Fusion,
-    /// A grade by rule from what stage 1 knows of the scene, in clear radiance; no 2D enhancer, so for
-    /// `targets` only.
-    Scene,
 }
 
 /// The name of the proposer in targets that leave photographs as they are.
 pub(crate) const NO_PROPOSER: &str = "none";
-
-/// The error for `scene` as the proposer where a 2D enhancer is needed.
-const NO_PHOTOGRAPHS: &str = "`scene` works on a reconstructed scene and not on photographs, so it is for \
-     `targets` only; choose auto, nu2net or fusion here";
 
 impl ProposerChoice {
     /// The name of the choice in pipeline files.
@@ -38,13 +31,7 @@ impl ProposerChoice {
             Self::Auto => "auto",
             Self::Nu2net => "nu2net",
             Self::Fusion => "fusion",
-            Self::Scene => "scene",
         }
-    }
-
-    /// Refuses a proposer that does not enhance photographs, as the error of the parameter `proposer`.
-    pub(crate) fn for_photographs(self) -> Result<(), (String, String)> {
-        if self == Self::Scene { Err(("proposer".into(), NO_PHOTOGRAPHS.into())) } else { Ok(()) }
     }
 }
 
@@ -100,7 +87,6 @@ pub fn open(
     models: Option<&Path>,
     say: &mut dyn FnMut(&str),
 ) -> Result<Box<dyn Proposer>, String> {
-    choice.for_photographs().map_err(|(_, message)| message)?;
     if choice == ProposerChoice::Fusion {
         return Ok(Box::new(Fusion));
     }
@@ -141,7 +127,6 @@ pub(crate) fn by_name(name: &str, models: Option<&Path>) -> Result<Box<dyn Propo
         "nu2net" => {
             nu2net(models).map_err(|reason| format!("the calibrator was fitted for nu2net: {reason}"))
         }
-        "scene" => Err(NO_PHOTOGRAPHS.into()),
         NO_PROPOSER => Err(
             "the targets of this scene in air leave its photographs as they are; make them with a 2D enhancer \
              (`targets.proposer = \"fusion\"`)"

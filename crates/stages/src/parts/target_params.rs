@@ -25,9 +25,8 @@ pub(crate) enum Source {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct Params {
-    /// The proposer. For 2D enhancers, `auto` is the one that the calibrator was fitted for (another one is
-    /// refused), or without a calibrator as in `pairs`. `scene`: a grade by rule from what stage 1 knows, for
-    /// `source = "clear"` only.
+    /// The proposer. `auto` is the one that the calibrator was fitted for (another one is refused), or
+    /// without a calibrator as in `pairs`.
     pub(crate) proposer: ProposerChoice,
     /// The pictures that transitions start from.
     pub(crate) source: Source,
@@ -64,16 +63,6 @@ impl Default for Params {
 impl Params {
     /// The problem of parameters that contradict each other, and the setting that solves it.
     pub(crate) fn conflict(&self) -> Option<(&'static str, &'static str)> {
-        if self.proposer == ProposerChoice::Scene && self.source != Source::Clear {
-            let problem =
-                "`proposer = \"scene\"` grades the scene without its water; add `source = \"clear\"`";
-            return Some((problem, "--set targets.source=clear"));
-        }
-        if self.proposer == ProposerChoice::Scene && self.calibrated {
-            let problem =
-                "`proposer = \"scene\"`, which has no calibrator, and `calibrated = true` do not go together";
-            return Some((problem, "--set targets.calibrated=false"));
-        }
         if self.source != Source::Renders && self.kept_water != KeptWaterChoice::default() {
             let problem = "`kept_water` is the share of the water in renders; add `source = \"renders\"`";
             return Some((problem, "--set targets.source=renders"));

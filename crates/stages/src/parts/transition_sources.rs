@@ -5,10 +5,10 @@ use use3d_atc::AtcError;
 use use3d_atc::calibrator::Calibrator;
 use use3d_atc::consensus::{Proposals, ViewInput};
 use use3d_atc::extractor::ExtractorSettings;
-use use3d_atc::proposers::{Proposer, ProposerId, SceneFindings, SceneProposer, SceneSurvey, SceneView};
+use use3d_atc::proposers::{Proposer, ProposerId};
 use use3d_capture::{Appearance, Image, KeptWater, View};
 use use3d_import::load_pixels;
-use use3d_scene::{KnownView, KnownViews, Scene};
+use use3d_scene::{KnownViews, Scene};
 use use3d_workflow::{StageContext, StageError};
 
 use super::calibrator::read_calibrator;
@@ -24,8 +24,6 @@ enum Pictures<'s> {
     Renders { views: Box<KnownViews<'s>>, shown: Option<KeptWater>, proposer: Box<dyn Proposer> },
     /// The photographs of a scene in air, which stay as they are.
     InAir,
-    /// Clear radiance, and the grade of the whole scene by rule.
-    Known(Box<(KnownViews<'s>, SceneProposer)>),
 }
 
 /// The pictures that transitions start from, and the calibrator that corrects the proposals.
@@ -47,9 +45,6 @@ impl<'s> TransitionSources<'s> {
     ) -> Result<Self, StageError> {
         if let Some((problem, _)) = params.conflict() {
             return Err(StageError::bad_input_message(problem));
-        }
-        if params.proposer == ProposerChoice::Scene {
-            return Self::known(context, scene, views);
         }
         let in_air = scene.medium.is_none();
         if stays_as_photographed(params, context.optional_input("calibrator").is_some(), in_air) {
@@ -117,28 +112,9 @@ impl<'s> TransitionSources<'s> {
                 100.0 * g,
                 100.0 * b
             ),
-            Pictures::InAir | Pictures::Known(_) => String::new(),
+            Pictures::InAir => String::new(),
         };
         format!("`{}` proposes for {pictures}; {calibrated}", self.proposer.name)
-    }
-
-    fn known(context: &StageContext, scene: &'s Scene, views: &[&View]) -> Result<Self, StageError> {
-        if context.optional_input("calibrator").is_some() {
-            return Err(StageError::bad_input_message(
-                "a calibrator is named, but `proposer = \"scene\"` uses none: calibrators are fitted to 2D \
-                 enhancers; leave one of the two out",
-            ));
-        }
-        let mut known = KnownViews::new(scene);
-        let mut survey = SceneSurvey::default();
-        for (i, view) in views.iter().enumerate() {
-            context.alive()?;
-            context.progress_with(i as u64, views.len() as u64, "views", "surveying the clear scene");
-            survey.add(&scene_view(&mut known, view))?;
-        }
-        let proposer = survey.finish();
-        context.say(grade_message(&proposer.findings));
-        Ok(Self::uncalibrated(Pictures::Known(Box::new((known, proposer))), SceneProposer::id()))
     }
 
     fn uncalibrated(pictures: Pictures<'s>, proposer: ProposerId) -> Self {
@@ -151,15 +127,7 @@ impl<'s> TransitionSources<'s> {
         match &self.pictures {
             Pictures::Photographs(_) | Pictures::InAir => (Appearance::Water, KeptWater::ALL),
             Pictures::Renders { shown: Some(kept), .. } => (Appearance::Water, *kept),
-            Pictures::Renders { shown: None, .. } | Pictures::Known(_) => (Appearance::Clear, KeptWater::ALL),
-        }
-    }
-
-    /// The findings of the survey of the scene, if there was one.
-    pub(crate) fn findings(&self) -> Option<&SceneFindings> {
-        match &self.pictures {
-            Pictures::Known(known) => Some(&known.1.findings),
-            _ => None,
+            Pictures::Renders { shown: None, .. } => (Appearance::Clear, KeptWater::ALL),
         }
     }
 
@@ -167,9 +135,7 @@ impl<'s> TransitionSources<'s> {
     pub(crate) fn proposals(&self) -> Proposals<'_> {
         match &self.pictures {
             Pictures::Photographs(proposer) => Proposals::From(proposer.as_ref()),
-            Pictures::Renders { .. } | Pictures::InAir | Pictures::Known(_) => {
-                Proposals::Given(&self.proposer)
-            }
+            Pictures::Renders { .. } | Pictures::InAir => Proposals::Given(&self.proposer),
         }
     }
 
@@ -190,11 +156,6 @@ impl<'s> TransitionSources<'s> {
                 let proposal = proposer.enhance(&image)?;
                 (image, Some(proposal))
             }
-            Pictures::Known(known) => {
-                let known_view = scene_view(&mut known.0, view);
-                let proposal = known.1.propose(&known_view)?;
-                (known_view.clear, Some(proposal))
-            }
         };
         Ok(ViewInput { name: view.name.to_string(), camera: view.camera, image, proposal })
     }
@@ -212,26 +173,6 @@ fn photograph(view: &View) -> Result<Image, AtcError> {
 fn stays_as_photographed(params: &Params, calibrator: bool, in_air: bool) -> bool {
     let open = params.source == Source::Renders && params.proposer == ProposerChoice::Auto;
     in_air && open && !calibrator
-}
-
-/// A view in the form that the proposer `scene` needs.
-fn scene_view(known: &mut KnownViews<'_>, view: &View) -> SceneView {
-    let KnownView { clear, accumulation, arriving } = known.view(&view.camera);
-    SceneView { clear, accumulation, arriving }
-}
-
-/// A sentence that describes the grade of the proposer `scene`.
-fn grade_message(found: &SceneFindings) -> String {
-    let [r, g, b] = found.balance;
-    let cast = if found.trusted > 0.0 {
-        format!("white balance ×{r:.2} ×{g:.2} ×{b:.2} ({:.0} % of a cast taken off)", 100.0 * found.trusted)
-    } else {
-        "no reliable colour cast, white balance unchanged".into()
-    };
-    format!(
-        "proposer: scene, in clear radiance, not calibrated: {cast}; brightness ×{:.2}, contrast ×{:.2}",
-        found.brightness, found.contrast
-    )
 }
 
 #[cfg(test)]

@@ -17,7 +17,7 @@ pub(crate) fn proposer_files(models: &Path) -> Vec<PathBuf> {
 /// The files in a models folder that a proposer of this choice reads, relative to it. If the
 /// parameters name a proposer whose weights are missing, the error lists the files to put there.
 pub(crate) fn files_of_proposer(proposer: ProposerChoice, models: &Path) -> Result<Vec<PathBuf>, String> {
-    if matches!(proposer, ProposerChoice::Fusion | ProposerChoice::Scene) {
+    if proposer == ProposerChoice::Fusion {
         return Ok(Vec::new());
     }
     let files = proposer_files(models);

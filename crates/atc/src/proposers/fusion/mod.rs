@@ -15,7 +15,7 @@
 //! the veil of hazy frames. The proposer is deterministic. Known limits: it has no distances, so far water
 //! is treated like near sand.
 
-pub(super) mod pyramid;
+mod pyramid;
 mod weights;
 mod white_balance;
 

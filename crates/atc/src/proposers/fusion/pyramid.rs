@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use use3d_capture::Raster;
 
 /// Computes the next coarser level.
-pub(in crate::proposers) fn reduce<const C: usize>(image: &Raster<f32, C>) -> Raster<f32, C> {
+pub(super) fn reduce<const C: usize>(image: &Raster<f32, C>) -> Raster<f32, C> {
     binomial(image, 2)
 }
 
@@ -28,11 +28,7 @@ fn binomial<const C: usize>(image: &Raster<f32, C>, step: usize) -> Raster<f32, 
 }
 
 /// Expands one level up to a given size (whose `reduce` has the image's own size).
-pub(in crate::proposers) fn expand<const C: usize>(
-    image: &Raster<f32, C>,
-    width: usize,
-    height: usize,
-) -> Raster<f32, C> {
+pub(super) fn expand<const C: usize>(image: &Raster<f32, C>, width: usize, height: usize) -> Raster<f32, C> {
     let (w, h) = (image.width(), image.height());
     let wide = horizontal(image, width, |row, x| {
         let at = |i: isize| row[((x / 2) as isize + i).clamp(0, w as isize - 1) as usize];
