@@ -19,6 +19,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("numerics", &[]),
     ("tensors", &[]),
     ("files", &[]),
+    ("ply", &[]),
     ("capture", &["numerics"]),
     ("golden", &["capture", "numerics"]),
     ("code", &[]),
@@ -26,7 +27,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("cluster", &["workflow"]),
     ("store", &["workflow"]),
     ("io-image", &["capture", "files"]),
-    ("survey", &["capture", "numerics"]),
+    ("survey", &["capture", "numerics", "ply"]),
     ("io-colmap", &["capture", "files", "io-image", "survey"]),
     ("io-metashape", &["capture", "survey"]),
     ("io-nerfstudio", &["capture", "numerics", "survey"]),
@@ -53,7 +54,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("metrics", &["capture", "numerics"]),
     ("nets", &["capture", "numerics"]),
     ("synth", &["capture", "files", "numerics", "io-image", "io-colmap", "survey"]),
-    ("splat", &["capture", "numerics"]),
+    ("splat", &["capture", "numerics", "ply"]),
     ("medium", &["capture", "numerics"]),
     ("water", &["capture", "numerics"]),
     ("ubaf", &["capture", "numerics", "tensors"]),
@@ -160,8 +161,9 @@ fn arrows_point_down() {
 /// The tiers, the lowest first: a crate uses its own tier and lower ones.
 const TIERS: [&str; 5] = ["method", "formats", "engine", "application", "lab"];
 
-/// The ground of the tier `engine`, which crates of every tier may use: whole files, named tensors, digests.
-const GROUND: [&str; 3] = ["files", "tensors", "code"];
+/// The ground of the tier `engine`, which crates of every tier may use: whole files, named tensors, digests,
+/// and the vertices of PLY files.
+const GROUND: [&str; 4] = ["files", "tensors", "code", "ply"];
 
 /// The arrows to a higher tier, each with its reason.
 const UPWARD: &[(&str, &str, &str)] = &[
