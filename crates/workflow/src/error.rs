@@ -230,7 +230,7 @@ pub enum BuildError {
         /// The place where they are written.
         place: String,
         /// The problem.
-        error: ParameterError,
+        error: Box<ParameterError>,
     },
 }
 

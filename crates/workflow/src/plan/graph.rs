@@ -342,7 +342,10 @@ fn check_names(registry: &Registry, batch: &Batch) -> Result<(), BuildError> {
             if stage.scope != Scope::Scene {
                 let message = format!("`{name}` is made once for all scenes; set it in [defaults.{name}]");
                 let error = ParameterError::new(name, message);
-                return Err(BuildError::Parameters { place: format!("scene {}", scene.name), error });
+                return Err(BuildError::Parameters {
+                    place: format!("scene {}", scene.name),
+                    error: error.into(),
+                });
             }
         }
     }
@@ -420,7 +423,7 @@ impl GraphBuilder<'_> {
             }
             let parameters = stage.parameters(&given).map_err(|error| BuildError::Parameters {
                 place: place_label(scene, variant, stage.name),
-                error,
+                error: error.into(),
             })?;
             all.by_stage.insert(stage.name, parameters);
         }
@@ -549,7 +552,10 @@ impl GraphBuilder<'_> {
                 let message =
                     format!("`{0}` is made once for all variants; set it in [defaults.{0}]", stage.name);
                 let error = ParameterError::new(stage.name, message);
-                return Err(BuildError::Parameters { place: format!("variant {}", variant.name), error });
+                return Err(BuildError::Parameters {
+                    place: format!("variant {}", variant.name),
+                    error: error.into(),
+                });
             }
             if stage.condition.as_ref().is_some_and(|asked| !asked(all, named)) {
                 continue;
