@@ -168,7 +168,6 @@ const GROUND: [&str; 4] = ["files", "tensors", "code", "ply"];
 /// The arrows to a higher tier, each with its reason.
 const UPWARD: &[(&str, &str, &str)] = &[
     ("photographs", "survey", "a photograph's pixels are found through the lens that took it"),
-    ("stages", "synth", "the stage `pairs` makes pairs if none are given"),
     ("judge", "synth", "scores read a capture's truth"),
     ("use3d", "synth", "the verbs `synth` and `demo` make captures"),
     ("use3d", "lab", "the verb `bench` prints what the lab measures; no other crate uses it"),

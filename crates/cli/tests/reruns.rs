@@ -7,11 +7,11 @@ use std::path::Path;
 use tiny::{Place, TINY, command, files};
 
 #[test]
-fn without_pairs_proposals_stay_as_they_are() {
+fn without_trust_proposals_stay_as_they_are() {
     let place = Place::new();
     let mut run = command();
     run.args(["-q", "run", &place.at("tiny"), "--cache", &place.at("cache"), "--until", "calibrate"]);
-    for set in TINY.iter().filter(|set| !set.contains("trust")) {
+    for set in TINY.iter().chain(&["calibrate.trust=0"]) {
         run.args(["--set", set]);
     }
     let output = run.arg("--out").arg(place.at("out")).output().expect("the command starts");
@@ -35,11 +35,11 @@ fn without_pairs_proposals_stay_as_they_are() {
         let text = [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
         (output.status.code(), text.concat())
     };
-    let sets: Vec<&str> = TINY.iter().filter(|s| !s.contains("trust")).flat_map(|s| ["--set", s]).collect();
+    let sets: Vec<&str> = TINY.iter().chain(&["calibrate.trust=0"]).flat_map(|s| ["--set", *s]).collect();
     let (code, said) = verify(&sets);
     assert_eq!(code, Some(0), "{said}");
     assert!(said.contains("of 10 stages of this pipeline 2 are in the cache, 1 computed again"), "{said}");
-    let (code, said) = verify(&["--set", "import.downscale=2", "--set", "pairs.synthetic.pairs=7"]);
+    let (code, said) = verify(&["--set", "import.downscale=2", "--set", "pairs.extractor.cells=9"]);
     assert_eq!(code, Some(1), "{said}");
     assert!(said.contains("nothing of this pipeline is in the cache"), "{said}");
 }
@@ -57,7 +57,7 @@ fn a_change_reruns_its_stage_and_what_reads_the_changed_output() {
         all
     };
     for (change, stages) in [
-        ("pairs.synthetic.pairs=9", with(&["pairs", "calibrate"], &after_targets)),
+        ("pairs.extractor.cells=8", with(&["pairs", "calibrate"], &after_targets)),
         ("calibrate.steps=21", with(&["calibrate"], &after_targets)),
         ("import.split.every=4", with(&["import", "reconstruct"], &after_targets)),
         ("reconstruct.iterations=31", with(&["reconstruct"], &after_targets)),

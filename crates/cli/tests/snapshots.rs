@@ -44,7 +44,7 @@ fn the_messages_that_a_beginner_meets() {
     write("key.toml", &format!("name = \"x\"\n[defaults.reconstruct]\niteratons = 3\n{scene}"));
     write("value.toml", &format!("name = \"x\"\n[defaults.reconstruct]\nsh_degree = 4\n{scene}"));
     write("preset.toml", &format!("name = \"x\"\npreset = \"vanila\"\n{scene}"));
-    write("pairs.toml", &format!("name = \"x\"\n[defaults.pairs]\nsynthetic.width = 3\n{scene}"));
+    write("pairs.toml", &format!("name = \"x\"\n[defaults.pairs]\nextractor.cells = 1\n{scene}"));
     write("place.toml", &format!("name = \"x\"\n{scene}preset = \"paper\"\n"));
     write("empty.toml", "name = \"x\"\n");
     std::fs::create_dir(folder.path().join("photographs")).expect("a folder");

@@ -274,7 +274,7 @@ fn naming_pairs_or_a_calibrator_turns_calibration_on() {
         pairs,
         "[calibrator]\nfile = \"c\"",
         "[defaults.calibrate]\nsteps = 5",
-        "[defaults.pairs]\nsynthetic = { pairs = 8 }",
+        "[defaults.pairs]\nextractor = { cells = 8 }",
     ] {
         assert!(calibrated(text, &[], "a", ""), "{text}");
     }
@@ -299,7 +299,6 @@ fn a_value_out_of_range_is_pointed_at_in_every_stage() {
     let bad = [
         ("depth", "encoder = \"vitx\"", "`encoder`"),
         ("pairs", "extractor.cells = 0", "`extractor.cells` is 0; expected 2 to 256"),
-        ("pairs", "synthetic.width = 3", "`synthetic.width` is 3; expected 16 to 8192 pixels"),
         ("propose", "proposer = \"nowhere\"", "`proposer`"),
         ("targets", "proposer = \"nowhere\"", "`proposer`"),
         ("targets", "kept_water = 1.5", "expected \"auto\", or shares from 0 to 1"),

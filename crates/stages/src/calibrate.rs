@@ -44,30 +44,24 @@ fn run(context: &StageContext, params: &CalibratorParams) -> Result<(), StageErr
     });
     context.alive()?;
     let calibrator = calibrator?;
-    tell(context, &calibrator, &params, &dataset);
+    tell(context, &calibrator, &params, dataset.examples.len());
     write(&context.output().join(CALIBRATOR), calibrator.to_bytes()?)?;
     write_json(&context.output().join("report.json"), &calibrator.provenance)
 }
 
 /// Reports how much of the proposals the calibrator corrects, and how reliable that is.
-fn tell(context: &StageContext, calibrator: &Calibrator, params: &CalibratorParams, dataset: &Dataset) {
-    let (trust, pairs) = (params.trust_in(dataset), dataset.examples.len());
-    if !dataset.stand_in && CalibratorParams::few(pairs) {
+fn tell(context: &StageContext, calibrator: &Calibrator, params: &CalibratorParams, pairs: usize) {
+    let trust = params.trust;
+    if CalibratorParams::few(pairs) {
         context.say(format_args!(
             "{pairs} pairs are too few ({METHOD_PAIRS} recommended): the result may not fit your water; \
              compare proposals and enhanced views, or run again with calibrate.trust=0"
         ));
     }
     if calibrator.corrects() == [false; 2] {
-        let why = match (dataset.stand_in, trust == 0.0) {
-            (true, true) => {
-                "no pairs are given, and synthetic pairs give only the scales of errors, not the look; give \
-                 real pairs (UIEB, LSUI, EUVP) with --pairs INPUT TARGET or `calibrator.pairs`, or a \
-                 finished calibrator with --calibrator or `calibrator.file`; calibrate.trust=1 applies the \
-                 synthetic pairs"
-            }
-            (false, true) => "calibrate.trust is 0, so the pairs give only the scales of errors",
-            (_, false) => "no part of the learnt correction improved the held-out pairs",
+        let why = match trust {
+            0.0 => "calibrate.trust is 0, so the pairs give only the scales of errors",
+            _ => "no part of the learnt correction improved the held-out pairs",
         };
         context.say(format_args!("proposals are not corrected: {why}"));
         return;

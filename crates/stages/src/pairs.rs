@@ -10,34 +10,19 @@ use use3d_atc::extractor::ExtractorSettings;
 use use3d_atc::progress::LoopPosition;
 use use3d_capture::Image;
 use use3d_io_image::{images_by_stem, read_image};
-use use3d_workflow::{StageContext, StageError, leftovers};
+use use3d_workflow::{StageContext, StageError};
 
 use crate::parts::files::{DATASET, go_on, write_json};
 use crate::parts::proposer::{ProposerChoice, open};
 
 /// Parameters of the paired data.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct PairsParams {
     /// The 2D enhancer.
     pub(crate) proposer: ProposerChoice,
     /// The settings of the extractor; scenes use the same ones.
     pub(crate) extractor: ExtractorSettings,
-    /// Use synthetic pairs if the pipeline names none; `false` makes that an error.
-    pub(crate) stand_in: bool,
-    /// The synthetic pairs that are used if the pipeline names none.
-    pub(crate) synthetic: use3d_synth::PairsParams,
-}
-
-impl Default for PairsParams {
-    fn default() -> Self {
-        Self {
-            proposer: ProposerChoice::default(),
-            extractor: ExtractorSettings::default(),
-            stand_in: true,
-            synthetic: use3d_synth::PairsParams::default(),
-        }
-    }
 }
 
 /// The stage in the table; no part of its key.
@@ -56,16 +41,14 @@ pub(crate) mod definition {
             .about("transitions and proposals of the paired images")
             .promises(&[DATASET])
             .check(|p: &PairsParams| {
-                p.extractor.validate().map_err(|wrong| out_of_range(wrong.within("extractor")))?;
-                p.synthetic.validate().map_err(|wrong| out_of_range(wrong.within("synthetic")))
+                p.extractor.validate().map_err(|wrong| out_of_range(wrong.within("extractor")))
             })
-            .optional_external("input", "pairs.input")
-            .optional_external("target", "pairs.target")
+            .external("input", "pairs.input")
+            .external("target", "pairs.target")
             .optional_external("models", "models")
             .select(|p: &PairsParams, models| files_of_proposer(p.proposer, models))
             .when_named(learns_a_calibrator)
             .requires(|all, named, _| missing(all, named))
-            .seeded()
             .usually_costs(1.5, 0.0)
     }
 
@@ -76,18 +59,15 @@ pub(crate) mod definition {
 
     fn missing(all: &AllParameters, named: &Named) -> Vec<Lacking> {
         let Some(own) = all.of::<PairsParams>() else { return Vec::new() };
-        weights(all, named, ("pairs", own.proposer)).into_iter().chain(missing_pairs(own, named)).collect()
+        weights(all, named, ("pairs", own.proposer)).into_iter().chain(missing_pairs(named)).collect()
     }
 
-    fn missing_pairs(own: &PairsParams, named: &Named) -> Vec<Lacking> {
+    fn missing_pairs(named: &Named) -> Vec<Lacking> {
         let what = "the pairs of images that the calibrator learns from";
         if !named.has("pairs.input") {
-            if own.stand_in {
-                return Vec::new();
-            }
             let remedy =
                 format!("name two folders with --pairs INPUT TARGET or `calibrator.pairs` ({PAIRS})");
-            return vec![lacking(what, remedy, "--set pairs.stand_in=true")];
+            return vec![lacking(what, remedy, "--set targets.calibrated=false")];
         }
         let unfound: Vec<String> =
             ["pairs.input", "pairs.target"].iter().filter_map(|name| unfound(named, name)).collect();
@@ -117,34 +97,8 @@ fn run(context: &StageContext, params: &PairsParams) -> Result<(), StageError> {
     let models = context.optional_input("models");
     let proposer = open(params.proposer, models, &mut |line| context.say(line))
         .map_err(StageError::bad_input_message)?;
-    let scratch;
-    let (input, target) = match (context.optional_input("input"), context.optional_input("target")) {
-        (Some(input), Some(target)) => (input.to_path_buf(), target.to_path_buf()),
-        (None, None) if !params.stand_in => {
-            return Err(StageError::bad_input_message(
-                "no pairs are given, and `stand_in = false` forbids synthetic ones; give pairs with --pairs \
-                 INPUT TARGET",
-            ));
-        }
-        (None, None) => {
-            context.say("no pairs given: using synthetic pairs");
-            scratch = leftovers::scratch()?;
-            let dir = scratch.path().join("pairs");
-            let synthetic = use3d_synth::PairsParams { seed: context.seed(), ..params.synthetic.clone() };
-            let written = use3d_synth::write_pairs(&synthetic, &dir, &mut |done, total| {
-                context.progress(done as u64, total as u64, "synthetic pairs");
-                go_on(context)
-            });
-            context.alive()?;
-            written?;
-            (dir.join("input"), dir.join("reference"))
-        }
-        _ => {
-            let problem = "pairs need both `input` and `target`; only one was given";
-            return Err(StageError::bad_input_message(problem));
-        }
-    };
-    let pairs = list(&input, &target)?;
+    let (input, target) = (context.input("input")?, context.input("target")?);
+    let pairs = list(input, target)?;
     if pairs.is_empty() {
         return Err(StageError::bad_input_message(format!(
             "no file in {} has a counterpart of the same stem in {}; pairs are matched by file stem",
@@ -166,8 +120,7 @@ fn run(context: &StageContext, params: &PairsParams) -> Result<(), StageError> {
         go_on(context)
     });
     context.alive()?;
-    let mut dataset = dataset?;
-    dataset.stand_in = context.optional_input("input").is_none();
+    let dataset = dataset?;
     if 2 * duller > total {
         context.say(format_args!(
             "warning: in {duller} of {total} pairs the target has less contrast and a stronger tint than the \

@@ -106,15 +106,12 @@ pub struct Dataset {
     pub examples: Vec<PairExample>,
     /// Pairs that were left out.
     pub skipped: Vec<Skipped>,
-    /// True if the pairs are synthetic because there were no real ones.
-    #[serde(default)]
-    pub stand_in: bool,
 }
 
 impl Dataset {
     /// An empty data set.
     pub fn new(extractor: ExtractorSettings, proposer: ProposerId) -> Self {
-        Self { extractor, proposer, examples: Vec::new(), skipped: Vec::new(), stand_in: false }
+        Self { extractor, proposer, examples: Vec::new(), skipped: Vec::new() }
     }
 
     /// Runs proposer and extractor over `pairs`, one at a time. Fails only if the settings are invalid or
@@ -145,7 +142,6 @@ impl Dataset {
     pub fn subset(&self, indices: &[usize]) -> Self {
         Self {
             examples: indices.iter().map(|&i| self.examples[i].clone()).collect(),
-            stand_in: self.stand_in,
             ..Self::new(self.extractor.clone(), self.proposer.clone())
         }
     }

@@ -5,8 +5,6 @@ use serde::{Deserialize, Serialize};
 use use3d_numerics::math;
 use use3d_numerics::range::{OutOfRange, positive, within};
 
-use super::Dataset;
-
 /// Number of pairs for which the recipe was made: the paper trains on 800 of UIEB.
 pub const METHOD_PAIRS: usize = 800;
 
@@ -63,10 +61,8 @@ pub struct CalibratorParams {
     /// them. A few dozen pairs are overfitted long before the last step; with many the last step
     /// is the best.
     pub stop_early: bool,
-    /// Largest share of its correction that a head may keep, 0 (the proposal unchanged) to 1. Unset: 1, but 0
-    /// for pairs that stand in for real ones, because they differ from the photographs in their water and
-    /// their enhancement.
-    pub trust: Option<f64>,
+    /// Largest share of its correction that a head may keep, 0 (the proposal unchanged) to 1.
+    pub trust: f64,
     /// Seed. Not read from settings: the caller sets it.
     #[serde(skip)]
     pub seed: u64,
@@ -87,7 +83,7 @@ impl Default for CalibratorParams {
             scales: Scales::Residuals,
             held_out: 0.2,
             stop_early: true,
-            trust: None,
+            trust: 1.0,
             seed: 42,
         }
     }
@@ -106,17 +102,12 @@ impl CalibratorParams {
         positive("gradient_limit", self.gradient_limit)?;
         within("final_fraction", self.final_fraction, 0.0, 1.0)?;
         within("held_out", self.held_out, 0.0, 0.9)?;
-        self.trust.map_or(Ok(()), |trust| within("trust", trust, 0.0, 1.0))
+        within("trust", self.trust, 0.0, 1.0)
     }
 
     /// True if a data set has less than half of the pairs for which the recipe was made ([`METHOD_PAIRS`]).
     pub fn few(pairs: usize) -> bool {
         2 * pairs < METHOD_PAIRS
-    }
-
-    /// The largest share of its correction that a head fitted to `dataset` may keep, 0 to 1.
-    pub fn trust_in(&self, dataset: &Dataset) -> f64 {
-        self.trust.unwrap_or(if dataset.stand_in { 0.0 } else { 1.0 })
     }
 
     /// The learning rate of `step`, counted from 1.

@@ -11,9 +11,9 @@
 //! that share of its correction, out of [`SHARES`], that was best on the held-out pairs:
 //! `proposal + share · correction`. A share of 0 returns the proposal.
 //!
-//! Held-out pairs are evidence only for pairs of their own kind. Synthetic stand-ins for real pairs support
-//! nearly all of a correction that turns a real reef cyan. So [`CalibratorParams::trust`] limits the share,
-//! to 0 for stand-ins by default. With 0 nothing is fitted; only the scales are taken from the pairs.
+//! Held-out pairs are evidence only for pairs of their own kind. Synthetic pairs support nearly all of a
+//! correction that turns a real reef cyan. So [`CalibratorParams::trust`] limits the share. With 0 nothing is
+//! fitted; only the scales are taken from the pairs.
 
 use super::evaluate::held_out;
 use super::training::{fit_until, scales_only};
@@ -72,7 +72,7 @@ pub fn train(
     watch: &mut ProgressCallback<'_>,
 ) -> Result<Calibrator, AtcError> {
     params.validate()?;
-    let trust = params.trust_in(dataset);
+    let trust = params.trust;
     if trust == 0.0 {
         // No correction would be kept, so both fits would be wasted.
         let mut calibrator = scales_only(dataset, params)?;

@@ -4,18 +4,27 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::LazyLock;
 
 /// Settings with which a run on it takes seconds.
-pub(crate) const TINY: [&str; 7] = [
-    "reconstruct.iterations=30",
-    "enhance.iterations=10",
-    "pairs.synthetic.pairs=8",
-    "pairs.synthetic.width=64",
-    "pairs.synthetic.height=48",
-    "calibrate.steps=20",
-    // Without it stand-ins correct nothing, and a change of theirs affects no stage after the targets.
-    "calibrate.trust=1",
-];
+pub(crate) static TINY: LazyLock<[&'static str; 5]> = LazyLock::new(|| {
+    let pairs = pairs();
+    let named = |kind: &str, folder: &str| -> &'static str {
+        format!("calibrator.pairs.{kind}={}", pairs.join(folder).display()).leak()
+    };
+    [
+        "reconstruct.iterations=30",
+        "enhance.iterations=10",
+        named("input", "input"),
+        named("target", "reference"),
+        "calibrate.steps=20",
+    ]
+});
+
+/// Eight tiny pairs, made once for all tests.
+fn pairs() -> PathBuf {
+    synthesised(&["pairs", "--pairs", "8", "--size", "64x48"])
+}
 
 pub(crate) struct Place {
     pub(crate) dir: tempfile::TempDir,
@@ -68,9 +77,18 @@ pub(crate) fn capture(out: &str) {
     synthesise(Path::new(out), &["capture", "--views", "9", "--size", "96x64"]);
 }
 
-/// Runs `use3d synth` with these arguments. The same program makes the same files, so they are made once and
-/// copied for every other test that asks for them.
+/// Makes a copy of what `use3d synth` makes with these arguments.
 pub(crate) fn synthesise(out: &Path, arguments: &[&str]) {
+    for (path, bytes) in files(&synthesised(arguments)) {
+        let to = out.join(path);
+        std::fs::create_dir_all(to.parent().expect("a folder")).expect("a folder");
+        std::fs::write(to, bytes).expect("written");
+    }
+}
+
+/// The folder that `use3d synth` makes with these arguments. The same program makes the same files, so they
+/// are made once for all tests, which must not change them.
+fn synthesised(arguments: &[&str]) -> PathBuf {
     let program = std::fs::metadata(env!("CARGO_BIN_EXE_use3d")).expect("the program");
     let changed = program.modified().expect("a time").duration_since(std::time::UNIX_EPOCH).expect("later");
     let all = Path::new(env!("CARGO_TARGET_TMPDIR")).join("synthesised");
@@ -93,11 +111,7 @@ pub(crate) fn synthesise(out: &Path, arguments: &[&str]) {
         let _ = std::fs::rename(working.path().join("made"), &made);
         assert!(made.is_dir(), "{} cannot be made", made.display());
     }
-    for (path, bytes) in files(&made) {
-        let to = out.join(path);
-        std::fs::create_dir_all(to.parent().expect("a folder")).expect("a folder");
-        std::fs::write(to, bytes).expect("written");
-    }
+    made
 }
 
 pub(crate) fn command() -> Command {
