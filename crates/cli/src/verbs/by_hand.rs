@@ -9,6 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use use3d_import::ImportParams;
 use use3d_pipeline::config::{LoadOptions, for_capture, without_captures};
 use use3d_scene::Origin;
 use use3d_stages::{CALIBRATOR, TARGETS};
@@ -135,6 +136,7 @@ impl<'a> ByHand<'a> {
     /// # Errors
     /// The input is refused, a stage failed, or the run was interrupted.
     pub(crate) fn run(&self, app: &App, cache: &Path) -> Result<PathBuf, CliError> {
+        self.check_paths()?;
         self.run_until(app, self.stage, cache)
     }
 
@@ -160,7 +162,6 @@ impl<'a> ByHand<'a> {
 
     /// The pipeline of this command.
     fn loaded(&self, cache: &Path) -> Result<(Builder, Graph), CliError> {
-        self.check_paths()?;
         let registry = stages()?;
         let settings = self.settings(&registry)?;
         let options = LoadOptions {
@@ -179,11 +180,16 @@ impl<'a> ByHand<'a> {
             };
             CliError::Input(as_typed(&message, &self.flags))
         };
-        let pipeline = match self.capture {
-            Some(capture) => for_capture(&registry, capture, &options),
-            None => without_captures(&registry, &options),
-        };
-        let mut pipeline = pipeline.map_err(|error| typed(error.to_string()))?;
+        // Settings are refused before anybody looks at a capture.
+        let mut pipeline = without_captures(&registry, &options).map_err(|error| typed(error.to_string()))?;
+        if let Some(capture) = self.capture {
+            if !capture.is_dir() {
+                use3d_import::import(capture, &ImportParams::default()).map_err(CliError::input)?;
+            } else if !use3d_import::is_prepared(capture) {
+                use3d_import::check_layout(capture).map_err(CliError::input)?;
+            }
+            pipeline = for_capture(&registry, capture, &options).map_err(CliError::input)?;
+        }
         pipeline.batch.given.clone_from(&self.given);
         let graph = Graph::new(&registry, &pipeline.batch).map_err(|error| typed(error.to_string()))?;
         let cache = Cache::open(cache, false).map_err(CliError::input)?;
@@ -238,9 +244,6 @@ impl<'a> ByHand<'a> {
         scene: Option<&Path>,
         scored: bool,
     ) -> Result<PathBuf, CliError> {
-        if let Some(capture) = self.capture.filter(|capture| !use3d_import::is_prepared(capture)) {
-            use3d_import::check_layout(capture).map_err(CliError::input)?;
-        }
         let import = match self.given.get(IMPORT).cloned().flatten() {
             Some(folder) => folder,
             None => self.run_until(app, IMPORT, cache)?,
