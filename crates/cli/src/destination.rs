@@ -9,8 +9,8 @@ use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use use3d_capture::name::shown;
-use use3d_workflow::Digest;
 use use3d_workflow::place::{self, PlaceError};
+use use3d_workflow::{Cache, Digest};
 
 use crate::error::{CliError, Done};
 
@@ -39,9 +39,8 @@ pub(crate) fn work_of(out: &Path) -> PathBuf {
 
 /// The checkpoints of trainings in a folder for the work of a stage by hand.
 pub(crate) fn checkpoints_in(work: &Path) -> impl Iterator<Item = PathBuf> + use<> {
-    let below = |folder: PathBuf| entries(&folder);
-    let files = entries(&work.join("checkpoints")).flat_map(below).flat_map(below);
-    files.filter(|file| file.extension().is_some_and(|ending| ending == "checkpoint"))
+    let is_one = |file: &PathBuf| file.extension().is_some_and(|ending| ending == "checkpoint");
+    Cache::checkpoints_of(work).filter(is_one)
 }
 
 /// A path with control characters escaped, for printing.

@@ -401,7 +401,7 @@ fn a_changed_parameter_leaves_the_checkpoint_of_an_interrupted_training() {
         .expect("the command starts");
     // The checkpoint may be at any depth below the hidden folder.
     let find = || {
-        let mut open = vec![place.at(".scene.work/checkpoints")];
+        let mut open = vec![place.at(".scene.work/v1/checkpoints")];
         while let Some(folder) = open.pop() {
             for path in std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path()) {
                 if path.extension().is_some_and(|e| e == "checkpoint") {

@@ -191,6 +191,13 @@ impl Cache {
         self.root.join("checkpoints").join(stage).join(key.to_string())
     }
 
+    /// The files in the checkpoint folders of the cache in `folder`; none if there is no cache.
+    pub fn checkpoints_of(folder: &Path) -> impl Iterator<Item = PathBuf> + use<> {
+        let all = walkdir::WalkDir::new(folder.join(ROOT).join("checkpoints"));
+        let files = all.into_iter().filter_map(Result::ok).filter(|entry| entry.file_type().is_file());
+        files.map(walkdir::DirEntry::into_path)
+    }
+
     /// Looks up a key: checks the manifest, and every file's size. A file whose times changed since it was
     /// last read is read again.
     pub fn lookup(&self, stage: &str, key: &Key) -> Result<Lookup, FileError> {
