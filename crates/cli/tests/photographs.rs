@@ -97,6 +97,30 @@ fn photographs_come_back_under_their_names_and_nothing_is_lost() {
     assert_eq!(size(&mask), size(&own));
     std::fs::rename(at("away.png"), at("tiny/images").join(&names[1])).unwrap();
 
+    // Masks never replace a file of somebody, and never stand among photographs. They are made later, too.
+    for folder in ["tiny/images", "tiny/images/masks", "more"] {
+        let told = expect(&place, 2, &["photographs", "out", "-o", "more", "--unknown", folder, "--force"]);
+        assert!(told.contains("among the photographs"), "{told}");
+    }
+    let told = expect(&place, 2, &["photographs", "out", "-o", "more", "--unknown", "taken"]);
+    assert!(told.contains("taken") && told.contains("--force"), "{told}");
+    assert_eq!(apart(&at("taken").join(first), &at("tiny/images").join(first)), 0.0);
+    let told = expect(&place, 0, &["photographs", "out", "-o", "more", "--unknown", "later"]);
+    assert_eq!(files(&at("later")), names, "{told}");
+    let told = expect(&place, 0, &["photographs", "out", "-o", "more", "--unknown", "later"]);
+    assert!(told.contains("0 photographs written"), "{told}");
+
+    // A table of somebody and the results of other files stay; a refused command leaves nothing behind.
+    std::fs::create_dir(at("survey")).unwrap();
+    std::fs::write(at("survey/photographs.csv"), "mine").unwrap();
+    let told = expect(&place, 2, &["photographs", "out", "-o", "survey"]);
+    assert!(told.contains("photographs.csv") && told.contains("--force"), "{told}");
+    assert_eq!(std::fs::read_dir(at("survey")).unwrap().count(), 1);
+    let told = expect(&place, 2, &["photographs", "out", "-o", "more", "--images", "taken"]);
+    assert!(told.contains("other files"), "{told}");
+    let told = expect(&place, 2, &["photographs", "out", "-o", "survey/photographs.csv"]);
+    assert!(told.contains("this is a file"), "{told}");
+
     // A photograph of another size is refused, and those before it stay.
     let mut other = Photograph::read(&at("tiny/images").join(&names[2])).unwrap();
     let Samples::Eight(pixels) = &other.pixels else { panic!("8 bits") };

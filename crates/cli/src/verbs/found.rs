@@ -8,6 +8,7 @@ use crate::App;
 use crate::destination::{entries, path_text};
 use crate::error::CliError;
 use crate::verbs::history;
+use crate::verbs::results::OUT;
 
 /// The folders of a scene's results that are scenes, the best one first.
 const SCENES: [&str; 2] = ["enhanced-scene", "scene"];
@@ -29,14 +30,25 @@ fn scenes_below(folder: &Path) -> Vec<PathBuf> {
 /// the error.
 ///
 /// # Errors
-/// A results folder with several scenes.
+/// A results folder with several scenes, or a capture whose results lie elsewhere.
 pub(crate) fn scene_in(app: &App, given: &Path) -> Result<PathBuf, CliError> {
     if Scene::is_scene(given) {
         return Ok(given.to_path_buf());
     }
     let below = own_scene(given).map_or_else(|| scenes_below(given), |scene| vec![scene]);
     match &below[..] {
-        [] => Ok(given.to_path_buf()),
+        [] => {
+            // A capture's results often have its name.
+            let results = Path::new(OUT).join(given.file_name().unwrap_or_default());
+            if !given.is_dir() || (own_scene(&results).is_none() && scenes_below(&results).is_empty()) {
+                return Ok(given.to_path_buf());
+            }
+            Err(CliError::Input(format!(
+                "{}: this folder holds no scene; the results of its run are in {}",
+                path_text(given),
+                path_text(&results)
+            )))
+        }
         [scene] => {
             remark!(app, "the scene is {}", path_text(scene));
             Ok(scene.clone())

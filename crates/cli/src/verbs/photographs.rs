@@ -121,10 +121,11 @@ fn write_all(
         undistorted: args.undistorted,
         unknown: args.unknown.as_deref(),
         settings: format!(
-            "{} {appearance:?} {:?} {}",
+            "{} {appearance:?} {:?} {} {:?}",
             scene_digest(folder).map_err(CliError::failed)?,
             args.layout,
-            args.undistorted
+            args.undistorted,
+            args.images.as_ref().and_then(|images| images.canonicalize().ok())
         ),
         overwrite,
     };

@@ -18,7 +18,7 @@ use crate::verbs::history::{self, DeliveredArtifact, RunRecord};
 use crate::verbs::run;
 
 /// The default folder of results.
-const OUT: &str = "use3d-out";
+pub(crate) const OUT: &str = "use3d-out";
 
 /// A run in the form in which it is printed.
 #[derive(Serialize)]

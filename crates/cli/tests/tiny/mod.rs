@@ -23,7 +23,7 @@ pub(crate) static TINY: LazyLock<[&'static str; 5]> = LazyLock::new(|| {
 
 /// Eight tiny pairs, made once for all tests.
 fn pairs() -> PathBuf {
-    synthesised(&["pairs", "--pairs", "8", "--size", "64x48"])
+    synthesised(&["pairs", "--views", "8", "--size", "64x48"])
 }
 
 pub(crate) struct Place {

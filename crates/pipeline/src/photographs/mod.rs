@@ -47,6 +47,8 @@ const SAME: f64 = 1.5;
 
 /// Below this share of knowledge a pixel counts as unknown.
 const UNKNOWN: f32 = 0.5;
+/// Above this median share of unknown pixels the user is told.
+const MOSTLY: f64 = 0.8;
 
 /// The names of the files.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -143,6 +145,12 @@ impl PhotographJob<'_> {
     }
 }
 
+/// The place of a mask, and its name in the record.
+struct MaskPlace {
+    key: String,
+    file: PathBuf,
+}
+
 impl PhotographWork<'_, '_> {
     /// Enhances all photographs that are not finished yet. `progress` gets the number of finished
     /// photographs, their total and a name before each one; `false` stops. `say` gets sentences for the user.
@@ -155,7 +163,6 @@ impl PhotographWork<'_, '_> {
         progress: &mut dyn FnMut(usize, usize, &str) -> bool,
         say: &mut dyn FnMut(&str),
     ) -> Result<Totals, WorkError> {
-        let failed = |e: &dyn std::fmt::Display| WorkError::Failed(e.to_string());
         let mut trained = 0;
         let jobs = self.originals.photographs.iter().map(|original| {
             let own = original.train.then_some(trained);
@@ -164,9 +171,9 @@ impl PhotographWork<'_, '_> {
         });
         let jobs: Vec<PhotographJob<'_>> =
             jobs.chain(self.without_camera.iter().map(PhotographJob::Mean)).collect();
-        std::fs::create_dir_all(self.out)
-            .map_err(|e| WorkError::Failed(format!("{}: cannot be made: {e}", self.out.display())))?;
         let mut record = Record::open(self.out, &self.settings, self.overwrite)?;
+        self.check_mask_folder()?;
+        record.check_file(TABLE, &self.out.join(TABLE))?;
         let mut totals = Totals::default();
         let mut open = Vec::new();
         for job in jobs {
@@ -180,12 +187,20 @@ impl PhotographWork<'_, '_> {
             let source = file.below(self.folder);
             totals.without_camera += usize::from(matches!(job, PhotographJob::Mean(_)));
             let target = self.out.join(self.layout.place(&file));
-            if record.has(&file, &source, &target) {
+            let mask = match &job {
+                PhotographJob::Posed(original, _) => self.mask(original)?,
+                PhotographJob::Mean(_) => None,
+            };
+            let mask_there = mask.as_ref().is_none_or(|mask| record.holds(&mask.key, &mask.file));
+            if record.has(&file, &source, &target) && mask_there {
                 totals.kept += 1;
                 continue;
             }
             record.check(&file, &source, &target)?;
-            open.push((job, file, source, target));
+            if let Some(mask) = &mask {
+                record.check_file(&mask.key, &mask.file)?;
+            }
+            open.push((job, file, (source, target), mask));
         }
         if totals.missing == self.originals.photographs.len() {
             return Err(WorkError::Input(format!(
@@ -196,15 +211,16 @@ impl PhotographWork<'_, '_> {
                 self.originals.photographs.first().map_or_else(String::new, |o| o.relative.to_string())
             )));
         }
+        record.start()?;
         let total = totals.kept + open.len();
         let training = training_cameras(self.originals);
         let mut photographer = None;
         let mut grids: BTreeMap<String, Option<Grid>> = BTreeMap::new();
         let mut development = None;
-        for (job, file, source, target) in open {
+        for (job, file, (source, target), mask) in open {
             let name = file.to_string();
             if !progress(totals.kept + totals.written, total, &name) {
-                write_table(self.out, &record, self.metres).map_err(|e| failed(&e))?;
+                self.table(&mut record)?;
                 return Err(WorkError::Stopped);
             }
             let photographer = match &mut photographer {
@@ -216,11 +232,15 @@ impl PhotographWork<'_, '_> {
                     made
                 }
             };
-            record.begin(&file)?;
+            record.begin(file.as_str())?;
+            if let Some(mask) = &mask {
+                record.begin(&mask.key)?;
+            }
             let mut entry = match &job {
                 PhotographJob::Posed(original, own) => {
                     let how = (own.as_ref().copied(), development.clone());
-                    self.posed(photographer, &mut grids, (original, how), &source, &target)?
+                    let places = (&*source, &*target, mask.as_ref());
+                    self.posed((photographer, &mut grids), (original, how), places)?
                 }
                 PhotographJob::Mean(name) => {
                     let views: Vec<ViewMap> =
@@ -232,11 +252,52 @@ impl PhotographWork<'_, '_> {
             for note in &entry.notes {
                 say(&format!("{name}: {note}"));
             }
+            if let Some(mask) = &mask {
+                record.end(&mask.key, &mask.file)?;
+            }
             record.add(entry, &source, &target)?;
             totals.written += 1;
         }
-        write_table(self.out, &record, self.metres).map_err(|e| failed(&e))?;
+        self.table(&mut record)?;
+        if let Some(share) = mostly_unknown(&record) {
+            say(&format!(
+                "the scene knows little of these photographs: in half of them, {:.0} % of the pixels or more are \
+                 unknown; their colours are those of the whole view",
+                100.0 * share
+            ));
+        }
         Ok(totals)
+    }
+
+    /// Writes the table, and notes it as the program's own.
+    fn table(&self, record: &mut Record) -> Result<(), WorkError> {
+        record.begin(TABLE)?;
+        write_table(self.out, record, self.metres).map_err(|e| WorkError::Failed(e.to_string()))?;
+        record.end(TABLE, &self.out.join(TABLE))
+    }
+
+    /// Refuses a folder of masks in which they would stand among photographs.
+    fn check_mask_folder(&self) -> Result<(), WorkError> {
+        let Some(masks) = self.unknown else { return Ok(()) };
+        let real =
+            |path: &Path| path.canonicalize().or_else(|_| std::path::absolute(path)).unwrap_or_default();
+        let (place, own) = (real(masks), real(self.folder));
+        if !place.starts_with(&own) && place != real(self.out) {
+            return Ok(());
+        }
+        Err(WorkError::Input(format!(
+            "--unknown {}: masks would stand among the photographs there; choose a folder of their own",
+            masks.display()
+        )))
+    }
+
+    /// The place of a photograph's mask; `None` if no masks are wanted.
+    fn mask(&self, original: &Original) -> Result<Option<MaskPlace>, WorkError> {
+        let Some(folder) = self.unknown else { return Ok(None) };
+        let failed = |e: &dyn std::fmt::Display| WorkError::Input(e.to_string());
+        let name = original.relative.with_extension("png").map_err(|e| failed(&e))?;
+        let file = std::path::absolute(name.below(folder)).map_err(|e| failed(&e))?;
+        Ok(Some(MaskPlace { key: format!("mask {}", file.display()), file }))
     }
 
     /// The file of a photograph in the folder: by its name, or for another development with another ending.
@@ -356,11 +417,9 @@ impl PhotographWork<'_, '_> {
     /// Enhances a photograph with a camera.
     fn posed(
         &self,
-        photographer: &mut Photographer<'_>,
-        grids: &mut BTreeMap<String, Option<Grid>>,
+        (photographer, grids): (&mut Photographer<'_>, &mut BTreeMap<String, Option<Grid>>),
         (original, (own, development)): (&Original, (Option<usize>, Option<Arc<Development>>)),
-        source: &Path,
-        target: &Path,
+        (source, target, mask): (&Path, &Path, Option<&MaskPlace>),
     ) -> Result<FinishedPhotograph, WorkError> {
         let (grid, straight) = self.grid(grids, original, source)?;
         let mut photograph = Photograph::read(source).map_err(|e| WorkError::Input(e.to_string()))?;
@@ -374,11 +433,9 @@ impl PhotographWork<'_, '_> {
         let entry = self.entry(&original.relative, &photograph, &graded);
         let grade = graded.grade;
         change(&mut photograph, &grade.map.after(self.gains()).developed(development));
-        if let Some(folder) = self.unknown {
-            let mask =
-                original.relative.with_extension("png").map_err(|e| WorkError::Input(e.to_string()))?;
+        if let Some(mask) = mask {
             let known = large(&grade.known, (photograph.width, photograph.height));
-            write_png_map(&mask.below(folder), &known).map_err(|e| WorkError::Failed(e.to_string()))?;
+            write_png_map(&mask.file, &known).map_err(|e| WorkError::Failed(e.to_string()))?;
         }
         self.write(&photograph, target)?;
         Ok(entry)
@@ -428,6 +485,13 @@ impl PhotographWork<'_, '_> {
         entry.view = Some(graded.grade.own.rows);
         entry
     }
+}
+
+/// The median share of unknown pixels, if it is so large that the scene says little of the photographs.
+fn mostly_unknown(record: &Record) -> Option<f64> {
+    let mut shares: Vec<f64> = record.entries().filter_map(|entry| entry.unknown).collect();
+    shares.sort_unstable_by(f64::total_cmp);
+    shares.get(shares.len() / 2).copied().filter(|share| *share > MOSTLY)
 }
 
 /// The cameras that a scene was learnt from.

@@ -3,8 +3,9 @@
 //! One line of JSON for each photograph, written when its file is complete: the file's size and time, those
 //! of the original, and what the table shows. A line that was cut off by a kill is ignored, and that
 //! photograph is made again. A short line before it says that its file is being written, so that a file
-//! whose line is missing is known as the program's own. The first line names the settings, because
-//! photographs with other settings are other results.
+//! whose line is missing is known as the program's own. Masks and the table have such short lines, too: one
+//! before they are written, one after, with their size and time. The first line names the settings, because
+//! photographs with other settings are other results. Nothing is written before all files were checked.
 
 use std::collections::BTreeMap;
 use std::fs::OpenOptions;
@@ -24,18 +25,19 @@ const FILE: &str = ".photographs.jsonl";
 const FORMAT: &str = "3d-use photographs 1";
 
 /// The first line.
-#[derive(Serialize, Deserialize)]
+#[derive(Debug, Serialize, Deserialize)]
 struct Head {
     format: String,
     settings: String,
 }
 
-/// A file that is being written, or that other settings wrote.
+/// A file of the program that is no finished photograph: it is being written, other settings wrote it, or it
+/// is a mask or the table.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Begun {
     begun: String,
-    /// The finished file of other settings; `None` while a file is being written.
+    /// The finished file; `None` while it is being written.
     result: Option<Stamp>,
 }
 
@@ -120,6 +122,10 @@ pub struct Record {
     /// Files that are the program's own, but no finished results: see [`Begun`].
     begun: BTreeMap<String, Option<Stamp>>,
     overwrite: Overwrite,
+    /// The first line, until the file has it.
+    head: Option<Head>,
+    /// True if the last line was cut off.
+    cut: bool,
 }
 
 fn stamp(path: &Path) -> Option<Stamp> {
@@ -129,14 +135,18 @@ fn stamp(path: &Path) -> Option<Stamp> {
 }
 
 impl Record {
-    /// Opens the record of a folder for these settings.
+    /// Reads the record of a folder for these settings. Nothing is written before [`Record::start`].
     ///
     /// # Errors
-    /// The folder holds photographs with other settings that may not be replaced, or it cannot be written.
+    /// The folder is a file, or holds photographs with other settings that may not be replaced.
     pub(super) fn open(folder: &Path, settings: &str, overwrite: Overwrite) -> Result<Self, WorkError> {
+        if folder.exists() && !folder.is_dir() {
+            return Err(WorkError::Input(format!(
+                "{}: this is a file; name a folder for the photographs with --out",
+                folder.display()
+            )));
+        }
         let path = folder.join(FILE);
-        let failed =
-            |e: std::io::Error| WorkError::Failed(format!("{}: cannot be written: {e}", path.display()));
         let text = std::fs::read_to_string(&path).unwrap_or_default();
         let mut lines = text.lines();
         let head: Option<Head> = lines.next().and_then(|line| serde_json::from_str(line).ok());
@@ -151,32 +161,56 @@ impl Record {
             }
         }
         if head.as_ref().is_some_and(|head| head.settings == settings) {
-            // A line that was cut off must not swallow the next one.
-            if !text.ends_with('\n') {
-                let file = OpenOptions::new().append(true).open(&path);
-                file.and_then(|mut file| file.write_all(b"\n")).map_err(failed)?;
-            }
-            return Ok(Self { path, entries, begun, overwrite });
+            let cut = !text.ends_with('\n');
+            return Ok(Self { path, entries, begun, overwrite, head: None, cut });
         }
         if head.is_some() && overwrite == Overwrite::Nothing {
             return Err(WorkError::Input(format!(
-                "{}: this folder holds photographs that were made with other settings or by another scene; pass \
-                 --force to replace them, or choose another folder",
+                "{}: this folder holds photographs that were made with other settings, from other files or by \
+                 another scene; pass --force to replace them, or choose another folder",
                 folder.display()
             )));
         }
         begun.extend(entries.into_iter().map(|(name, entry)| (name, entry.result)));
-        let head = Head { format: FORMAT.into(), settings: settings.into() };
-        use3d_files::write_atomically(&path, |w| {
-            serde_json::to_writer(&mut *w, &head)?;
-            for (name, result) in &begun {
-                w.write_all(b"\n")?;
-                serde_json::to_writer(&mut *w, &Begun { begun: name.clone(), result: *result })?;
-            }
-            w.write_all(b"\n")
-        })
-        .map_err(failed)?;
-        Ok(Self { path, entries: BTreeMap::new(), begun, overwrite })
+        let head = Some(Head { format: FORMAT.into(), settings: settings.into() });
+        Ok(Self { path, entries: BTreeMap::new(), begun, overwrite, head, cut: false })
+    }
+
+    /// Makes the folder and the record ready for new lines.
+    ///
+    /// # Errors
+    /// They cannot be written.
+    pub(super) fn start(&mut self) -> Result<(), WorkError> {
+        if let Some(folder) = self.path.parent() {
+            std::fs::create_dir_all(folder)
+                .map_err(|e| WorkError::Failed(format!("{}: cannot be made: {e}", folder.display())))?;
+        }
+        if let Some(head) = self.head.take() {
+            let begun = &self.begun;
+            use3d_files::write_atomically(&self.path, |w| {
+                serde_json::to_writer(&mut *w, &head)?;
+                for (name, result) in begun {
+                    w.write_all(b"\n")?;
+                    serde_json::to_writer(&mut *w, &Begun { begun: name.clone(), result: *result })?;
+                }
+                w.write_all(b"\n")
+            })
+            .map_err(|e| self.unwritable(&e))?;
+        }
+        if std::mem::take(&mut self.cut) {
+            // A line that was cut off must not swallow the next one.
+            self.write("\n")?;
+        }
+        Ok(())
+    }
+
+    fn unwritable(&self, error: &std::io::Error) -> WorkError {
+        WorkError::Failed(format!("{}: cannot be written: {error}", self.path.display()))
+    }
+
+    fn write(&self, text: &str) -> Result<(), WorkError> {
+        let file = OpenOptions::new().append(true).open(&self.path);
+        file.and_then(|mut file| file.write_all(text.as_bytes())).map_err(|e| self.unwritable(&e))
     }
 
     /// True if a photograph is finished: neither its original nor its result changed since.
@@ -186,10 +220,15 @@ impl Record {
         })
     }
 
-    /// Checks that a photograph may be written.
+    /// True if a mask or the table is complete and did not change since. `key` is its name in this record.
+    pub(super) fn holds(&self, key: &str, file: &Path) -> bool {
+        self.begun.get(key).is_some_and(|result| result.is_some() && *result == stamp(file))
+    }
+
+    /// Checks that the result of a photograph may be written.
     ///
     /// # Errors
-    /// The place of the result is the original itself, or holds a file that this program did not write.
+    /// Its place is the original itself, or holds a file that this program did not write.
     pub(super) fn check(&self, name: &FileName, source: &Path, target: &Path) -> Result<(), WorkError> {
         let same = source.canonicalize().ok();
         if same.is_some() && same == target.canonicalize().ok() {
@@ -198,8 +237,16 @@ impl Record {
                 target.display()
             )));
         }
-        let finished = self.entries.get(name.as_str()).and_then(|entry| entry.result);
-        let begun = self.begun.get(name.as_str());
+        self.check_file(name.as_str(), target)
+    }
+
+    /// Checks that a file may be written. `key` is its name in this record.
+    ///
+    /// # Errors
+    /// Its place holds a file that this program did not write.
+    pub(super) fn check_file(&self, key: &str, target: &Path) -> Result<(), WorkError> {
+        let finished = self.entries.get(key).and_then(|entry| entry.result);
+        let begun = self.begun.get(key);
         let own = begun.is_some_and(|result| result.is_none() || *result == stamp(target))
             || finished == stamp(target);
         if target.exists() && self.overwrite != Overwrite::All && !own {
@@ -213,19 +260,28 @@ impl Record {
     }
 
     fn append(&self, line: serde_json::Result<String>) -> Result<(), WorkError> {
-        let line = line.map_err(|e| WorkError::Failed(e.to_string()))? + "\n";
-        let file = OpenOptions::new().append(true).open(&self.path);
-        file.and_then(|mut file| file.write_all(line.as_bytes()))
-            .map_err(|e| WorkError::Failed(format!("{}: cannot be written: {e}", self.path.display())))
+        self.write(&(line.map_err(|e| WorkError::Failed(e.to_string()))? + "\n"))
     }
 
-    /// Notes that the file of a photograph is about to be written.
+    fn note(&mut self, key: &str, result: Option<Stamp>) -> Result<(), WorkError> {
+        self.begun.insert(key.to_string(), result);
+        self.append(serde_json::to_string(&Begun { begun: key.to_string(), result }))
+    }
+
+    /// Notes that a file is about to be written.
     ///
     /// # Errors
     /// The record cannot be written.
-    pub(super) fn begin(&mut self, name: &FileName) -> Result<(), WorkError> {
-        self.begun.insert(name.to_string(), None);
-        self.append(serde_json::to_string(&Begun { begun: name.to_string(), result: None }))
+    pub(super) fn begin(&mut self, key: &str) -> Result<(), WorkError> {
+        self.note(key, None)
+    }
+
+    /// Notes that a mask or the table is complete.
+    ///
+    /// # Errors
+    /// The record cannot be written.
+    pub(super) fn end(&mut self, key: &str, file: &Path) -> Result<(), WorkError> {
+        self.note(key, stamp(file))
     }
 
     /// Adds a finished photograph.
@@ -278,6 +334,8 @@ mod tests {
         std::fs::write(&source, "original").unwrap();
         let name = FileName::new("result.jpg").unwrap();
         let mut record = Record::open(dir.path(), "a", Overwrite::Nothing).unwrap();
+        assert!(!at(FILE).exists(), "nothing is written before the start");
+        record.start().unwrap();
         assert!(!record.has(&name, &source, &target));
         record.check(&name, &source, &target).unwrap();
         std::fs::write(&target, "result").unwrap();
@@ -289,6 +347,7 @@ mod tests {
         std::fs::write(&path, &text).unwrap();
         let mut record = Record::open(dir.path(), "a", Overwrite::Nothing).unwrap();
         assert!(record.has(&name, &source, &target));
+        record.start().unwrap();
         record.add(entry("other.jpg"), &source, &target).unwrap();
         let record = Record::open(dir.path(), "a", Overwrite::Nothing).unwrap();
         assert_eq!(record.entries().count(), 2);
@@ -298,7 +357,7 @@ mod tests {
         assert!(refused.contains("--force"), "{refused}");
         // A file whose line a kill prevented is the program's own.
         let mut record = Record::open(dir.path(), "a", Overwrite::Nothing).unwrap();
-        record.begin(&name).unwrap();
+        record.begin(name.as_str()).unwrap();
         let record = Record::open(dir.path(), "a", Overwrite::Nothing).unwrap();
         record.check(&name, &source, &target).unwrap();
         // Once it is finished, a user's changes to it are safe, with these settings and with others.
@@ -313,12 +372,24 @@ mod tests {
         };
         assert!(changed(Overwrite::Nothing, "a"));
         let mut record = Record::open(dir.path(), "a", Overwrite::Nothing).unwrap();
-        record.begin(&name).unwrap();
+        record.begin(name.as_str()).unwrap();
         record.add(entry("result.jpg"), &source, &target).unwrap();
         // With other settings, own files may be replaced, and others not.
         let record = Record::open(dir.path(), "b", Overwrite::Own).unwrap();
         record.check(&name, &source, &target).unwrap();
         assert!(changed(Overwrite::Own, "b"));
+        // A mask or the table is own while it is as it was written.
+        let table = at("table.csv");
+        let mut record = Record::open(dir.path(), "a", Overwrite::Nothing).unwrap();
+        std::fs::write(&table, "of its user").unwrap();
+        assert!(record.check_file("table.csv", &table).is_err());
+        record.begin("table.csv").unwrap();
+        record.check_file("table.csv", &table).unwrap();
+        record.end("table.csv", &table).unwrap();
+        let record = Record::open(dir.path(), "b", Overwrite::Own).unwrap();
+        assert!(record.holds("table.csv", &table) && record.check_file("table.csv", &table).is_ok());
+        std::fs::write(&table, "changed by its user").unwrap();
+        assert!(!record.holds("table.csv", &table) && record.check_file("table.csv", &table).is_err());
         let foreign = at("foreign.jpg");
         std::fs::write(&foreign, "of somebody").unwrap();
         assert!(record.check(&FileName::new("foreign.jpg").unwrap(), &source, &foreign).is_err());
@@ -330,11 +401,14 @@ mod tests {
         let original = dir.path().join("a.jpg");
         std::fs::write(&original, "original").unwrap();
         let name = FileName::new("a.jpg").unwrap();
-        let record = Record::open(dir.path(), "a", Overwrite::All).unwrap();
+        let mut record = Record::open(dir.path(), "a", Overwrite::All).unwrap();
+        record.start().unwrap();
         let refused = record.check(&name, &original, &original).unwrap_err().to_string();
         assert!(refused.contains("original photograph"), "{refused}");
         let refused = Record::open(dir.path(), "b", Overwrite::Nothing).unwrap_err().to_string();
         assert!(refused.contains("other settings"), "{refused}");
         assert_eq!(Record::open(dir.path(), "b", Overwrite::Own).unwrap().entries().count(), 0);
+        let refused = Record::open(&original, "a", Overwrite::Nothing).unwrap_err().to_string();
+        assert!(refused.contains("this is a file"), "{refused}");
     }
 }
