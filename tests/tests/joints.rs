@@ -68,6 +68,27 @@ fn a_term_of_stage_ones_loss_is_one_file_one_row_and_the_parameter_of_its_weight
 }
 
 #[test]
+fn a_kind_of_parameters_per_view_is_one_file_and_one_field_of_the_state() {
+    // The gains, by the words of their type: their own file, the state, and the step that applies them. The
+    // rest (Adam, checkpoints, checks) is the same for every kind, and so is the rate of a phase.
+    let files = files_with(&sources(), &["Exposures::new", "log_gains"]);
+    let expected = set(&[
+        "crates/reconstruct/src/exposure.rs",
+        "crates/reconstruct/src/engine/state.rs",
+        "crates/reconstruct/src/engine/cpu.rs",
+        "crates/reconstruct/src/peek.rs",
+    ]);
+    assert_eq!(files, expected);
+}
+
+#[test]
+fn a_phase_of_a_training_is_a_row_and_the_parameter_of_its_start() {
+    let files = files_with(&sources(), &["medium_hold", "medium_release"]);
+    let expected = set(&["crates/reconstruct/src/phases.rs", "crates/reconstruct/src/params.rs"]);
+    assert_eq!(files, expected);
+}
+
+#[test]
 fn a_medium_is_one_file_and_one_row() {
     let sources = sources();
     for (name, kind) in [("mlp", "Mlp"), ("rbf", "Rbf"), ("global", "Global")] {

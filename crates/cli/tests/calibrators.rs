@@ -159,7 +159,11 @@ fn a_calibrator_of_our_own_serves_a_pipeline_and_a_scene_of_it() {
     };
     pipeline("", "calibrator = { file = \"own.safetensors\" }");
     assert_eq!(stages(), [false; 2], "the other scene is not calibrated");
-    pipeline("[defaults.targets]\ncalibrated = true", "calibrator = { file = \"own.safetensors\" }");
+    let pairs = "[calibrator.pairs]\ninput = \"pairs/input\"\ntarget = \"pairs/reference\"";
+    pipeline(
+        &format!("[defaults.targets]\ncalibrated = true\n{pairs}"),
+        "calibrator = { file = \"own.safetensors\" }",
+    );
     assert_eq!(stages(), [true; 2], "the other scene needs pairs");
     pipeline("[calibrator]\nfile = \"own.safetensors\"", "");
     assert_eq!(stages(), [false; 2]);

@@ -88,7 +88,9 @@ impl Example {
                 "global" => lambda(0),
                 "local" => lambda(1),
                 "variation" => lambda(2),
-                _ => 1.0,
+                "pixels" => 1.0,
+                // The golden's total has no other terms.
+                _ => 0.0,
             }),
         };
         let view = ViewConstants {

@@ -73,6 +73,7 @@ mod losses;
 pub mod measure;
 #[cfg(test)]
 mod other_drivers;
+mod per_view;
 mod profile;
 mod raster;
 mod rebuild;

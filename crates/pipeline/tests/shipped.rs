@@ -167,12 +167,13 @@ fn depth_priors_are_made_where_the_weights_are_and_the_capture_has_none() {
     };
     assert!(why.contains("put depth_anything_v2_vitb.pth there"), "{why}");
     // A proposer that is requested by name is treated the same way; a proposer without weights reads none.
-    let pairs = |sets: &[&str]| state("pairs", &capture, &empty, sets);
-    let Some(State::Unavailable(why)) = pairs(&["calibrator.proposer=nu2net"]) else {
-        panic!("{:?}", pairs(&["calibrator.proposer=nu2net"]))
+    let named = ["input", "target"].map(|kind| format!("calibrator.pairs.{kind}={}", empty.display()));
+    let pairs = |proposer: &str| state("pairs", &capture, &empty, &[&named[0], &named[1], proposer]);
+    let Some(State::Unavailable(why)) = pairs("calibrator.proposer=nu2net") else {
+        panic!("{:?}", pairs("calibrator.proposer=nu2net"))
     };
     assert!(why.contains("put uie_proposer.pth or NU2Net_ckpt.pth there"), "{why}");
-    assert!(matches!(pairs(&["calibrator.proposer=fusion"]), Some(State::Run(_))));
+    assert!(matches!(pairs("calibrator.proposer=fusion"), Some(State::Run(_))));
 }
 
 /// Run `USE3D_UPDATE_SCHEMA=1 cargo test -p use3d-pipeline --test shipped` to write the schema again.

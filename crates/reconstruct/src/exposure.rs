@@ -14,13 +14,14 @@
 //! Gains belong to photographs: renders, exports and later stages do not contain them. A gain that all
 //! views share is a brightness of the scene, so the mean of γ over the views is kept at 0 per channel. A
 //! gain in display range is a gain of linear light to the extent that display values follow a power law.
-//! Adam counts the steps of each view separately.
+//! Gains are [parameters of single views](ViewParameters).
 
 use serde::{Deserialize, Serialize};
 use use3d_capture::Image;
-use use3d_numerics::adam::Adam;
 use use3d_numerics::math;
 use use3d_numerics::sums;
+
+use crate::per_view::ViewParameters;
 
 /// The settings by which gains are learnt in a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -31,72 +32,49 @@ pub struct ExposureStep {
     pub weight: f64,
 }
 
-/// The log-gains of all training views with Adam's moments, one row per view; no rows if no view has a
-/// gain.
+/// The log-gains of all training views; no rows if no view has a gain.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Exposures {
-    /// γ.
-    pub log_gains: Vec<[f32; 3]>,
-    /// Means of gradients.
-    pub first: Vec<[f32; 3]>,
-    /// Means of squared gradients.
-    pub second: Vec<[f32; 3]>,
-    /// Number of Adam's steps of each view.
-    pub steps: Vec<u64>,
+    /// γ, three numbers per view.
+    pub log_gains: ViewParameters,
 }
 
 impl Exposures {
     /// Starts from these gains, which must be positive.
     pub fn new(gains: &[[f64; 3]]) -> Self {
-        let n = gains.len();
-        let mut exposures = Self {
-            log_gains: gains.iter().map(|g| g.map(|v| math::ln(v) as f32)).collect(),
-            first: vec![[0.0; 3]; n],
-            second: vec![[0.0; 3]; n],
-            steps: vec![0; n],
-        };
+        let logs = gains.as_flattened().iter().map(|v| math::ln(*v) as f32);
+        let mut exposures = Self { log_gains: ViewParameters::new(3, logs.collect()) };
         exposures.center();
         exposures
     }
 
     /// `e^γ` of a view; 1 for a view without a gain.
     pub fn gain(&self, view: usize) -> [f32; 3] {
-        self.log_gains.get(view).map_or([1.0; 3], |g| g.map(math::exp))
+        self.log_gains.row(view).map_or([1.0; 3], |g| [g[0], g[1], g[2]].map(math::exp))
     }
 
     /// Gains of all views.
     pub fn gains(&self) -> Vec<[f32; 3]> {
-        (0..self.log_gains.len()).map(|v| self.gain(v)).collect()
+        (0..self.log_gains.views()).map(|v| self.gain(v)).collect()
     }
 
     /// Makes one Adam step of a view's gains, from `∂L/∂γ` without its λ term.
     pub fn update(&mut self, view: usize, gradient: [f64; 3], step: &ExposureStep) {
-        let Some(gains) = self.log_gains.get_mut(view) else { return };
-        self.steps[view] += 1;
+        let Some(gains) = self.log_gains.row(view) else { return };
         let gradient: [f32; 3] =
             std::array::from_fn(|c| (gradient[c] + step.weight * f64::from(gains[c])) as f32);
-        let (m, v) = (&mut self.first[view], &mut self.second[view]);
-        Adam::SPLATTING.update(self.steps[view], step.rate, gains, &gradient, m, v);
+        self.log_gains.update(view, step.rate, &gradient);
         self.center();
-    }
-
-    /// True if every gain is finite.
-    pub fn is_finite(&self) -> bool {
-        self.log_gains.as_flattened().iter().all(|g| g.is_finite())
     }
 
     /// Removes the views' common gain.
     fn center(&mut self) {
-        let n = self.log_gains.len().max(1) as f64;
+        let n = self.log_gains.views().max(1) as f64;
+        let rows = self.log_gains.values.as_chunks_mut::<3>().0;
         for c in 0..3 {
-            let mean = (self.log_gains.iter().map(|g| f64::from(g[c])).sum::<f64>() / n) as f32;
-            self.log_gains.iter_mut().for_each(|g| g[c] -= mean);
+            let mean = (rows.iter().map(|g| f64::from(g[c])).sum::<f64>() / n) as f32;
+            rows.iter_mut().for_each(|g| g[c] -= mean);
         }
-    }
-
-    /// Number of rows of each array; all equal in a valid state.
-    pub(crate) fn lengths(&self) -> [usize; 4] {
-        [self.log_gains.len(), self.first.len(), self.second.len(), self.steps.len()]
     }
 }
 
@@ -198,6 +176,6 @@ mod tests {
             (0..2).for_each(|v| exposures.update(v, [0.0; 3], &step));
         }
         assert!(exposures.gains().as_flattened().iter().all(|g| (g - 1.0).abs() < 0.02), "{exposures:?}");
-        assert!(exposures.is_finite());
+        assert!(exposures.log_gains.is_finite());
     }
 }

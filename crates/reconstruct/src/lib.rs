@@ -21,6 +21,8 @@ mod load;
 pub mod losses;
 mod params;
 mod peek;
+mod per_view;
+mod phases;
 mod profile;
 mod report;
 mod run;
@@ -36,6 +38,8 @@ pub use params::{
     Densify, DepthPrior, Exposure, Images, LearningRates, MediumPrior, Rate, ReconstructParams,
 };
 pub use peek::scene_in_checkpoint;
+pub use per_view::ViewParameters;
+pub use phases::{Group, Phase};
 pub use profile::{StepPart, Stretch, growth};
 pub use report::{Evaluation, FittedScore, LogEntry, ViewScore};
 pub use run::{ReconstructOutcome, reconstruct};

@@ -463,11 +463,6 @@ impl ReconstructParams {
         }
     }
 
-    /// The factor at `step` for the rates of water that was found beforehand.
-    pub(crate) fn water_release(&self, step: u64) -> f64 {
-        if (step as f64) < self.medium_hold * self.course() as f64 { 0.0 } else { self.medium_release }
-    }
-
     /// The step from which no Gaussians are added.
     pub fn densify_end(&self) -> u64 {
         (self.densify.until * self.course() as f64).round() as u64

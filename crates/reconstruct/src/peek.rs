@@ -22,7 +22,7 @@ pub fn scene_in_checkpoint(path: &Path, frame: Frame) -> Result<Option<(u64, Sce
     let Some(state) = CheckpointFile::at(path.to_path_buf()).load::<RunState<'_>>()? else { return Ok(None) };
     let engine = state.engine.into_owned();
     engine
-        .check(engine.exposures.log_gains.len())
+        .check(engine.exposures.log_gains.views())
         .map_err(|error| CheckpointError::Damaged { path: path.to_path_buf(), reason: error.to_string() })?;
     let logged = state.log.iter().rev().find_map(|entry| match entry {
         LogEntry::Steps { degree, .. } => Some(*degree),

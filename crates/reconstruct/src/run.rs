@@ -20,10 +20,11 @@ use use3d_training::{
 
 use crate::bounds::most_gaussians;
 use crate::density::{self, Draws, RefineSettings};
-use crate::engine::{Degrees, Engine, StepPlan, StepRates, TrainingState};
+use crate::engine::{Degrees, Engine, StepPlan, TrainingState};
 use crate::fingerprint::fingerprint;
 use crate::hidden::Masks;
 use crate::load::load;
+use crate::phases::Phase;
 use crate::profile::{StepPart, Stretch};
 use crate::report::{Evaluation, FittedScore, LogEntry, ViewScore};
 use crate::views::{TrainingView, ViewLoader};
@@ -38,9 +39,6 @@ const CHECKPOINT: &str = "reconstruct";
 
 /// Largest number of stretches of a run whose step times are reported separately.
 const STRETCHES: u64 = 15;
-
-/// The largest factor by which a short run multiplies the rates of the water.
-const MOST_COMPRESSED: f64 = 10.0;
 
 /// The result of stage 1.
 #[derive(Clone, Debug)]
@@ -145,7 +143,7 @@ pub fn reconstruct(
     let mut run = ReconstructRun {
         params,
         frame: capture.frame,
-        holds_water: found.is_some(),
+        phases: params.phases(found.is_some()),
         least_water_degree: found.map_or(0, |_| FoundWater::DEGREE.min(params.sh_degree)),
         order: ViewOrder::new(params.seed, Purpose::new("training views"), names.len()),
         names,
@@ -183,8 +181,8 @@ struct ReconstructRun<'a> {
     params: &'a ReconstructParams,
     /// The frame of the capture and of the scene.
     frame: Frame,
-    /// True if the water was known beforehand.
-    holds_water: bool,
+    /// From which share of the run on which groups of parameters move.
+    phases: Vec<Phase>,
     /// Smallest active degree of the water.
     least_water_degree: usize,
     order: ViewOrder,
@@ -374,35 +372,17 @@ impl ReconstructRun<'_> {
 
     /// The plan of a step.
     fn plan(&self, step: u64) -> StepPlan {
-        let (params, r) = (self.params, &self.params.learning_rates);
-        let rate = |rate: crate::Rate| rate.at(step, params.course());
-        // The water starts far from its final state, and Adam's steps have the length of the rate for any
-        // gradient. So a compressed run takes longer steps to get as far, within reason. (The Gaussians
-        // start near their final state.)
-        let compressed = (params.schedule as f64 / params.course() as f64).min(MOST_COMPRESSED);
-        let release = if self.holds_water { params.water_release(step) } else { 1.0 };
-        let water = |rate: crate::Rate| release * compressed * rate.at(step, params.course());
+        let params = self.params;
+        let (rates, gain_rate) = params.rates(&self.phases, step);
         StepPlan {
             step,
             divisor: params.divisor(step),
             degrees: self.degrees(step),
-            rates: StepRates {
-                means: rate(r.means),
-                sh_constant: rate(r.sh_constant),
-                sh_directional: rate(r.sh_directional),
-                opacity: rate(r.opacity),
-                scales: rate(r.scales),
-                quaternions: rate(r.quaternions),
-                medium_constant: water(r.medium_constant),
-                medium_directional: water(r.medium_directional),
-                medium_network: water(r.medium_network),
-            },
+            rates,
             weights: losses::weights(params, step),
             depth_gradient: params.depth_gradient,
-            exposure: (params.exposure == Exposure::PerView).then(|| ExposureStep {
-                rate: compressed * rate(r.exposure),
-                weight: params.exposure_weight,
-            }),
+            exposure: (params.exposure == Exposure::PerView)
+                .then(|| ExposureStep { rate: gain_rate, weight: params.exposure_weight }),
             gather: (params.densify.enabled
                 && step >= params.densify.statistics_from.min(params.warm_up())
                 && step < params.densify_end())

@@ -422,7 +422,7 @@ fn one_seed_moves_every_stage_that_draws() {
     let other = |n: &&use3d_workflow::graph::Node| n.variant == "seed-7";
     let shared: Vec<&str> =
         graph.nodes.iter().filter(other).filter(|n| n.same_as.is_some()).map(|n| n.stage_name).collect();
-    assert_eq!(shared, ["import"]);
+    assert_eq!(shared, ["pairs", "import"]);
     assert!(graph.nodes.iter().filter(other).count() >= 7);
 }
 

@@ -16,13 +16,14 @@ mod tests;
 
 use use3d_metrics::ms_ssim::window;
 use use3d_numerics::adam::Adam;
-use use3d_reconstruct::{ExposureStep, Exposures};
+use use3d_reconstruct::ExposureStep;
 use use3d_training::EngineError;
 
 use crate::buffer::Array;
 use crate::constants::counts;
 use crate::device::{Gpu, NAME};
 use crate::kernel::{Access, Binding, Constant, Kernel, SUM, Spec, bound, read, write};
+use crate::per_view::PerView;
 use shape::{HALVING, Halving, LEVEL, LEVELS, Level, LossConstants, ViewShape};
 
 /// The values of stage 1's loss for which there are kernels, in the order of the table of terms.
@@ -99,44 +100,6 @@ impl LossPlan {
             }
         }
         Ok(weights)
-    }
-}
-
-/// The views' gains on the device with Adam's moments: see `use3d_reconstruct`'s exposures.
-#[derive(Debug)]
-pub(crate) struct Gains {
-    /// Three runs of 3 × views numbers: log-gains, first and second moments.
-    state: Array<f32>,
-    /// Number of Adam's steps of each view.
-    steps: Vec<u64>,
-}
-
-impl Gains {
-    /// Copies a state's gains to the device.
-    pub(crate) fn new(gpu: &Gpu, from: &Exposures) -> Result<Self, EngineError> {
-        let runs = [&from.log_gains, &from.first, &from.second];
-        let values: Vec<f32> = runs.into_iter().flat_map(|run| run.as_flattened()).copied().collect();
-        Ok(Self { state: Array::from(gpu, "the views' gains", &values)?, steps: from.steps.clone() })
-    }
-
-    /// Reverts the count of a view's step that was not done and will be requested again.
-    pub(crate) fn undo(&mut self, row: usize) {
-        if let Some(steps) = self.steps.get_mut(row) {
-            *steps = steps.saturating_sub(1);
-        }
-    }
-
-    /// Copies the gains back.
-    pub(crate) fn read(&self, gpu: &Gpu) -> Result<Exposures, EngineError> {
-        let n = self.steps.len();
-        let values = self.state.read(gpu, 9 * n)?;
-        let run = |k: usize| values[3 * n * k..3 * n * (k + 1)].chunks_exact(3).map(|v| [v[0], v[1], v[2]]);
-        Ok(Exposures {
-            log_gains: run(0).collect(),
-            first: run(1).collect(),
-            second: run(2).collect(),
-            steps: self.steps.clone(),
-        })
     }
 }
 
@@ -381,7 +344,7 @@ impl Losses {
         gpu: &Gpu,
         plan: &LossPlan,
         seen: &LossInput<'_>,
-        gains: Option<&mut Gains>,
+        gains: Option<&mut PerView>,
     ) {
         let shape = &self.shape;
         let mut view = shape.view();
@@ -414,7 +377,7 @@ impl Losses {
         &self,
         pass: &mut wgpu::ComputePass<'_>,
         seen: &LossInput<'_>,
-        gains: Option<&Gains>,
+        gains: Option<&PerView>,
         told: &LossOutput<'_>,
     ) {
         let (shape, view, k) = (&self.shape, &self.view, &self.kernels);
@@ -462,7 +425,7 @@ impl Losses {
     }
 
     /// Records the update of the view's gain, after [`Losses::record`].
-    pub(crate) fn learn_gains(&self, pass: &mut wgpu::ComputePass<'_>, gains: &Gains, counts: &Array<u32>) {
+    pub(crate) fn learn_gains(&self, pass: &mut wgpu::ComputePass<'_>, gains: &PerView, counts: &Array<u32>) {
         let [.., learn] = &self.kernels;
         learn.record_groups(pass, 1, bound![self.view, self.sums, gains.state, *counts]);
     }

@@ -21,7 +21,7 @@ use use3d_capture::{Camera, Image};
 use use3d_medium::MediumModel;
 use use3d_reconstruct::density::{self, Draws, Origin, Survey};
 use use3d_reconstruct::engine::{Degrees, Engine, StepPlan, StepReport, TrainingState};
-use use3d_reconstruct::{Exposures, TrainingView};
+use use3d_reconstruct::{Exposures, TrainingView, ViewParameters};
 use use3d_splat::Gaussians;
 use use3d_training::guard::first_non_finite;
 use use3d_training::{Drain, EngineError};
@@ -31,7 +31,8 @@ use crate::constants::{StepConstants, counts};
 use crate::device::{Gpu, NAME};
 use crate::kernel::{Spec, compile, submit};
 use crate::lists::Lists;
-use crate::losses::{Gains, Losses};
+use crate::losses::Losses;
+use crate::per_view::PerView;
 use crate::raster::{DeviceCompositor, kept};
 use crate::rebuild::RebuildKernel;
 use crate::rows::Float4;
@@ -52,6 +53,8 @@ const RING: usize = 256;
 const UNDER_WAY: usize = 50;
 /// Number of floats of a report.
 const REPORT: usize = 16;
+/// The name of the views' gains on the device and in messages.
+const GAINS: &str = "the views' gains";
 
 /// Every kernel that a training on a device of this variant may use.
 fn all_specs(variant: Variant) -> Vec<Spec> {
@@ -89,7 +92,7 @@ pub struct Stage1 {
     compositor: DeviceCompositor,
     losses: Losses,
     water: Option<DeviceWater>,
-    gains: Gains,
+    gains: PerView,
     /// The floats of a step's view.
     unpacked: Unpacked,
     image_slope: Array<f32>,
@@ -123,7 +126,7 @@ impl Stage1 {
             compositor: DeviceCompositor::new(gpu)?,
             losses: Losses::new(gpu)?,
             water: None,
-            gains: Gains::new(gpu, &Exposures::default())?,
+            gains: PerView::new(gpu, GAINS, &ViewParameters::default())?,
             unpacked: Unpacked::new(gpu)?,
             image_slope: Array::new(gpu, "slopes of the image", 1)?,
             depth_slope: Array::new(gpu, "slopes of depth", 1)?,
@@ -225,7 +228,7 @@ impl Stage1 {
                 let (model, _) = water.read(&self.gpu)?;
                 Ok(("the water's parameters", first_non_finite(&model.flat())))
             }
-            _ => Ok(("the views' gains", None)),
+            _ => Ok((GAINS, None)),
         }
     }
 }
@@ -247,7 +250,7 @@ impl Engine for Stage1 {
         self.surveyed = None;
         let TrainingState { gaussians, moments, statistics, medium, medium_moments, exposures, .. } = &state;
         self.water = DeviceWater::new(&self.gpu, medium, [&medium_moments[0], &medium_moments[1]])?;
-        self.gains = Gains::new(&self.gpu, exposures)?;
+        self.gains = PerView::new(&self.gpu, GAINS, &exposures.log_gains)?;
         self.gpu.forget_bindings();
         self.scene.write(&self.gpu, gaussians, moments, statistics)?;
         self.counts.write(&self.gpu, 0, &[0; counts::WORDS]);
@@ -269,7 +272,7 @@ impl Engine for Stage1 {
             statistics: self.scene.statistics(gpu)?,
             medium,
             medium_moments,
-            exposures: self.gains.read(gpu)?,
+            exposures: Exposures { log_gains: self.gains.read(gpu)? },
         }))
     }
 

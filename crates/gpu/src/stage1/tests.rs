@@ -105,13 +105,13 @@ fn compare(step: u64, gpu: &TrainingState, cpu: &TrainingState, bar: f64) {
         ("opacities", g.opacity_logits.clone(), c.opacity_logits.clone()),
         ("colours", flat(g.sh.as_flattened()), flat(c.sh.as_flattened())),
         ("water", gpu.medium_moments[0].clone(), cpu.medium_moments[0].clone()),
-        ("gains", flat(&gpu.exposures.first), flat(&cpu.exposures.first)),
+        ("gains", gpu.exposures.log_gains.first.clone(), cpu.exposures.log_gains.first.clone()),
         ("statistics", gpu.statistics.norms.clone(), cpu.statistics.norms.clone()),
     ] {
         let error = relative(&ours, &theirs);
         assert!(error <= bar, "step {step}: {what} off by {error:.1e}");
     }
-    assert_eq!(gpu.exposures.steps, cpu.exposures.steps);
+    assert_eq!(gpu.exposures.log_gains.steps, cpu.exposures.log_gains.steps);
 }
 
 #[test]
@@ -239,7 +239,7 @@ fn steps_that_found_no_room_are_done_again() {
     for (a, b) in a.iter().zip(&b) {
         assert!((a.loss - b.loss).abs() < 1e-3 * b.loss, "{a:?} {b:?}");
     }
-    assert_eq!(ours.save().unwrap().exposures.steps, cpu.save().unwrap().exposures.steps);
+    assert_eq!(ours.save().unwrap().exposures.log_gains.steps, cpu.save().unwrap().exposures.log_gains.steps);
 }
 
 /// All features of a step are on: a mask or a prior, gains, water, statistics.

@@ -11,7 +11,8 @@ use crate::buffer::Array;
 use crate::constants::counts;
 use crate::device::Gpu;
 use crate::kernel::submit;
-use crate::losses::{Gains, LossInput, LossOutput, LossPlan, Losses, TOLD};
+use crate::losses::{LossInput, LossOutput, LossPlan, Losses, TOLD};
+use crate::per_view::PerView;
 
 /// A view to compare losses on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -114,7 +115,7 @@ pub fn losses(gpu: &Gpu, case: &LossCase) -> Result<Vec<Agreement>, EngineError>
     let (by_image, by_depth) = (array("slopes", &poison(3 * n))?, array("depth slopes", &poison(n))?);
     let reports = array("reports", &poison(32))?;
     let counts = Array::from(gpu, "counts", &[0u32; counts::WORDS])?;
-    let mut gains = Gains::new(gpu, &inputs.exposures)?;
+    let mut gains = PerView::new(gpu, "the views' gains", &inputs.exposures.log_gains)?;
     let seen = LossInput {
         image: &image,
         depth: &depth,
@@ -149,13 +150,13 @@ pub fn losses(gpu: &Gpu, case: &LossCase) -> Result<Vec<Agreement>, EngineError>
     all.push(Agreement::of("slopes of the image", &by_image.read(gpu, 3 * n)?, slope.data(), 1e-5));
     all.push(Agreement::of("slopes of depth", &by_depth.read(gpu, n)?, depth_slope.data(), 1e-5));
     if case.gains {
-        let learnt = gains.read(gpu)?;
+        let (learnt, ours) = (gains.read(gpu)?, &exposures.log_gains);
         for (what, device, ours) in [
-            ("log-gains", &learnt.log_gains, &exposures.log_gains),
-            ("first moments of gains", &learnt.first, &exposures.first),
-            ("second moments of gains", &learnt.second, &exposures.second),
+            ("log-gains", &learnt.values, &ours.values),
+            ("first moments of gains", &learnt.first, &ours.first),
+            ("second moments of gains", &learnt.second, &ours.second),
         ] {
-            all.push(Agreement::of(what, device.as_flattened(), ours.as_flattened(), 1e-5));
+            all.push(Agreement::of(what, device, ours, 1e-5));
         }
     }
     Ok(all)

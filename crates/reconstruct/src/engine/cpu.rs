@@ -206,7 +206,7 @@ impl CpuEngine {
         let state = &mut self.state;
         if let Some(exposure) = &plan.exposure {
             state.exposures.update(view, self.buffers.exposure_gradient, exposure);
-            if !state.exposures.is_finite() && non_finite.is_none() {
+            if !state.exposures.log_gains.is_finite() && non_finite.is_none() {
                 non_finite = Some(("the views' gains", None));
             }
         }
