@@ -382,7 +382,7 @@ impl ReconstructRun<'_> {
             weights: losses::weights(params, step),
             depth_gradient: params.depth_gradient,
             exposure: (params.exposure == Exposure::PerView)
-                .then(|| ExposureStep { rate: gain_rate, weight: params.exposure_weight }),
+                .then_some(ExposureStep { rate: gain_rate, weight: params.exposure_weight }),
             gather: (params.densify.enabled
                 && step >= params.densify.statistics_from.min(params.warm_up())
                 && step < params.densify_end())
