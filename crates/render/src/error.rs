@@ -15,7 +15,7 @@ pub enum RenderError {
     /// Water is baked as seen by cameras, and there are none.
     #[error("a look with water is baked as cameras saw it: give at least one camera")]
     NoCameras,
-    /// The device of a backend failed. [`crate::Cpu`] never returns this.
+    /// The device of a composer failed. [`crate::Processor`] never returns this.
     #[error("drawing on {device} failed: {problem}; the CPU draws the same pictures")]
     Device {
         /// The device, by its name.

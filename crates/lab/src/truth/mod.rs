@@ -2,7 +2,7 @@
 //! of the distances from the truth.
 //!
 //! [`captures`] lists the captures. [`runs`] is the pipeline that runs on each of them, with the baselines as
-//! variants, and [`bench`] runs it for every seed. [`figures`] gathers the results over seeds, [`page`]
+//! variants, and [`mod@bench`] runs it for every seed. [`figures`] gathers the results over seeds, [`page`]
 //! writes the table for readers, [`picture`] shows one held-out view of a capture side by side, and
 //! [`output`] writes the folder with all of it. No scores are computed here: the stage `evaluate` computes
 //! them, and the cache keeps them like any other.
