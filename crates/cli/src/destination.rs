@@ -14,6 +14,9 @@ use use3d_workflow::{Cache, Digest};
 
 use crate::error::{CliError, Done};
 
+/// The folder of results where none is named.
+pub(crate) const OUT: &str = "use3d-out";
+
 /// A place refused before any work is bad input; a failed write is [`CliError::failed`].
 impl From<PlaceError> for CliError {
     fn from(error: PlaceError) -> Self {

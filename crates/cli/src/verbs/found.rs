@@ -5,10 +5,9 @@ use std::path::{Path, PathBuf};
 use use3d_scene::Scene;
 
 use crate::App;
-use crate::destination::{entries, path_text};
+use crate::destination::{OUT, entries, path_text};
 use crate::error::CliError;
 use crate::verbs::history;
-use crate::verbs::results::OUT;
 
 /// The folders of a scene's results that are scenes, the best one first.
 const SCENES: [&str; 2] = ["enhanced-scene", "scene"];

@@ -11,14 +11,11 @@ use use3d_workflow::{Cache, machine};
 
 use crate::App;
 use crate::args::ResultsArgs;
-use crate::destination::{entries, path_text, word};
+use crate::destination::{OUT, entries, path_text, word};
 use crate::error::{CliError, Done};
 use crate::output::json;
 use crate::verbs::history::{self, DeliveredArtifact, RunRecord};
 use crate::verbs::run;
-
-/// The default folder of results.
-pub(crate) const OUT: &str = "use3d-out";
 
 /// A run in the form in which it is printed.
 #[derive(Serialize)]

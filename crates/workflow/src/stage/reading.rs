@@ -206,7 +206,7 @@ mod tests {
 
     #[derive(Debug, Deserialize, PartialEq)]
     #[serde(rename_all = "lowercase")]
-    enum Choice {
+    enum OneOf {
         One,
         Two(f32),
         Three { deep: u8 },
@@ -226,7 +226,7 @@ mod tests {
         #[serde(default)]
         inner: Inner,
         #[serde(default)]
-        choices: Vec<Choice>,
+        choices: Vec<OneOf>,
     }
 
     #[test]
@@ -238,7 +238,7 @@ mod tests {
         });
         let read: Outer = read(&value).expect("it fits");
         assert_eq!(read, serde_json::from_value::<Outer>(value).expect("it fits"));
-        assert_eq!(read.choices[2], Choice::Three { deep: 7 });
+        assert_eq!(read.choices[2], OneOf::Three { deep: 7 });
     }
 
     #[test]
