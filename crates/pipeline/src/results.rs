@@ -24,7 +24,7 @@ use use3d_judge::configuration::Configuration;
 use use3d_judge::names::in_variant;
 use use3d_judge::scores::ScoredScene;
 use use3d_report::BatchReport;
-use use3d_report::page::{Costs, Settings, StageRow, shortened};
+use use3d_report::page::{Costs, StageRow, VariantSettings, shortened};
 use use3d_report::tables::{self, paper};
 use use3d_stages::{BATCH, SCORES, SPEED};
 
@@ -480,12 +480,12 @@ fn configurations(summary: &Summary) -> BTreeMap<(&str, &str), Configuration> {
 }
 
 /// The configurations as the top of the report shows them: the parts for all scenes of a variant.
-fn settings(made: &BTreeMap<(&str, &str), Configuration>) -> Vec<Settings> {
+fn settings(made: &BTreeMap<(&str, &str), Configuration>) -> Vec<VariantSettings> {
     let mut variants: BTreeMap<&str, Vec<&Configuration>> = BTreeMap::new();
     for ((_, variant), configuration) in made {
         variants.entry(variant).or_default().push(configuration);
     }
-    let parts = |(variant, all): (&str, Vec<&Configuration>)| Settings {
+    let parts = |(variant, all): (&str, Vec<&Configuration>)| VariantSettings {
         variant: variant.to_string(),
         parts: Configuration::parts(&all),
     };

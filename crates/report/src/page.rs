@@ -32,7 +32,7 @@ pub struct Page {
     pub verdict: Vec<Sentence>,
     /// The settings behind the results.
     #[serde(skip)]
-    pub settings: Vec<Settings>,
+    pub settings: Vec<VariantSettings>,
     /// The tables, in order.
     #[serde(skip)]
     pub tables: Vec<Table>,
@@ -52,14 +52,14 @@ pub struct Page {
 /// The settings of a variant, in parts: name and text. The part without a name is the base of all others, and
 /// `steps` are the steps of the trainings.
 #[derive(Clone, Debug, Default)]
-pub struct Settings {
+pub struct VariantSettings {
     /// The variant; empty if there are no variants.
     pub variant: String,
     /// Name and text of each part.
     pub parts: Vec<(&'static str, String)>,
 }
 
-impl Settings {
+impl VariantSettings {
     fn value(&self, name: &str) -> &str {
         self.parts.iter().find(|(own, _)| *own == name).map_or("", |(_, text)| text)
     }
@@ -484,7 +484,7 @@ mod tests {
         let parts = parts.map(|(name, text)| (name, text.to_string())).to_vec();
         let mut page = page;
         page.scenes[0].page = "reef/view.html".into();
-        page.settings = vec![Settings { variant: "reef".into(), parts }];
+        page.settings = vec![VariantSettings { variant: "reef".into(), parts }];
         page.tables[0].rows.push(Row {
             label: "y".into(),
             published: false,

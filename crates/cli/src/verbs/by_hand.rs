@@ -288,7 +288,7 @@ fn problem(summary: &Summary) -> CliError {
 
 /// The hidden folder beside a result with the cache of its run. Trainings with the same `--out` but other
 /// parameters or inputs share the folder; each resumes from its own checkpoints.
-struct Work<'a> {
+struct HandWork<'a> {
     folder: PathBuf,
     /// The checkpoints that existed before: those of this training, which removes the ones it no longer
     /// needs, or those of others.
@@ -296,7 +296,7 @@ struct Work<'a> {
     app: &'a App,
 }
 
-impl<'a> Work<'a> {
+impl<'a> HandWork<'a> {
     fn beside(app: &'a App, out: &Path) -> Self {
         let folder = work_of(out);
         Self { before: checkpoints_in(&folder).collect(), folder, app }
@@ -361,7 +361,7 @@ pub(crate) fn import(app: &App, args: &ImportArgs) -> Done {
         sets: args.settings.set.clone(),
         ..ByHand::on(&args.capture, IMPORT)
     };
-    let work = Work::beside(app, &args.out);
+    let work = HandWork::beside(app, &args.out);
     let made = hand.imported(app, &work.folder, None, false);
     work.end(made.and_then(|made| copy_folder(&made, &args.out, args.replace.force)))?;
     finished(app, &args.out, started, &format!("use3d reconstruct {} --out scene/", word(&args.out)));
@@ -380,7 +380,7 @@ pub(crate) fn reconstruct(app: &App, args: &ReconstructArgs) -> Done {
         ..ByHand::on(&args.capture, "reconstruct")
     };
     let app = if args.profile { &profiling(app) } else { app };
-    let work = Work::beside(app, &args.out);
+    let work = HandWork::beside(app, &args.out);
     let made = watched(app, &args.watch, Some(&scene_name(&args.out)), |app| {
         hand.imported(app, &work.folder, None, false)?;
         let made = hand.run(app, &work.folder)?;
@@ -406,7 +406,7 @@ pub(crate) fn calibrate(app: &App, args: &CalibrateArgs) -> Done {
         calibration: CalibrationArgs::of(Some((args.input.clone(), args.target.clone())), None),
         ..ByHand::default()
     };
-    let work = Work::beside(app, &args.out);
+    let work = HandWork::beside(app, &args.out);
     let made = hand.run(app, &work.folder);
     work.end(made.and_then(|made| copy_file("--out", &made.join(CALIBRATOR), &args.out)))?;
     let calibrator = word(&args.out);
@@ -430,7 +430,7 @@ pub(crate) fn targets(app: &App, args: &TargetsArgs) -> Done {
         ..ByHand::on(&args.capture, "targets")
     };
     hand.given.insert("scene", Some(args.scene.clone()));
-    let work = Work::beside(app, &args.out);
+    let work = HandWork::beside(app, &args.out);
     let made = hand.imported(app, &work.folder, Some(&args.scene), false).and_then(|_| {
         if args.calibrator.is_none() && hand.needs("calibrate", &work.folder)? {
             return Err(CliError::input(
@@ -465,7 +465,7 @@ pub(crate) fn enhance(app: &App, args: &EnhanceArgs) -> Done {
     hand.given.insert("scene", Some(args.scene.clone()));
     hand.given.insert("targets", Some(args.targets.clone()));
     let app = if args.profile { &profiling(app) } else { app };
-    let work = Work::beside(app, &args.out);
+    let work = HandWork::beside(app, &args.out);
     let made = hand.imported(app, &work.folder, Some(&args.scene), false).and_then(|_| {
         let made = hand.run(app, &work.folder)?;
         copy_folder(&made, &args.out, args.replace.force)
