@@ -251,8 +251,8 @@ impl Record {
             || finished == stamp(target);
         if target.exists() && self.overwrite != Overwrite::All && !own {
             return Err(WorkError::Input(format!(
-                "{}: the file exists and is not a finished result; pass --force to replace it, or choose another \
-                 folder",
+                "{}: the file exists and is not a finished result; move it, or let `use3d photographs` with --force \
+                 replace it",
                 target.display()
             )));
         }
