@@ -12,6 +12,7 @@
 //! For comparison, `propose` can precede `reconstruct`, which then learns from photographs that were enhanced
 //! one by one; `targets` and `enhance` are left out in that case. `pairs` and `calibrate` run once for all
 //! scenes, and not at all if every scene has a finished calibrator. `report` runs once, on all results.
+//! `photographs` stands beside `render`: it enhances the held-out photographs by the enhanced scene.
 
 mod calibrate;
 pub mod code;
