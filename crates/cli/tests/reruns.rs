@@ -2,9 +2,11 @@
 
 mod tiny;
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use tiny::{Place, TINY, command, files};
+use use3d_workflow::Source;
 
 #[test]
 fn without_trust_proposals_stay_as_they_are() {
@@ -38,41 +40,47 @@ fn without_trust_proposals_stay_as_they_are() {
     let sets: Vec<&str> = TINY.iter().chain(&["calibrate.trust=0"]).flat_map(|s| ["--set", *s]).collect();
     let (code, said) = verify(&sets);
     assert_eq!(code, Some(0), "{said}");
-    assert!(said.contains("of 10 stages of this pipeline 2 are in the cache, 1 computed again"), "{said}");
+    assert!(said.contains(" stages of this pipeline 2 are in the cache, 1 computed again"), "{said}");
     let (code, said) = verify(&["--set", "import.downscale=2", "--set", "pairs.extractor.cells=9"]);
     assert_eq!(code, Some(1), "{said}");
     assert!(said.contains("nothing of this pipeline is in the cache"), "{said}");
 }
 
+/// A stage and all stages that read its result, directly or not, in alphabetical order.
+fn readers(stage: &str) -> Vec<String> {
+    let registry = use3d_stages::registry().expect("the stage table");
+    let mut found = BTreeSet::from([stage.to_string()]);
+    for stage in registry.stages() {
+        if stage.inputs.iter().any(|i| matches!(i.source, Source::Stage(from) if found.contains(from))) {
+            found.insert(stage.name().to_string());
+        }
+    }
+    found.into_iter().collect()
+}
+
 #[test]
 fn a_change_reruns_its_stage_and_what_reads_the_changed_output() {
     let place = Place::new();
-    assert_eq!(place.computed(&[]).len(), 10);
+    let all = place.computed(&[]);
     assert!(place.computed(&[]).is_empty(), "a second run computes nothing");
-    let after_enhance = ["enhance", "evaluate", "photographs", "render", "report"];
-    let after_targets = ["enhance", "evaluate", "photographs", "render", "report", "targets"];
-    let with = |first: &[&str], rest: &[&str]| {
-        let mut all: Vec<String> = first.iter().chain(rest).map(|s| s.to_string()).collect();
-        all.sort();
-        all
-    };
-    for (change, stages) in [
-        ("pairs.extractor.cells=8", with(&["pairs", "calibrate"], &after_targets)),
-        ("calibrate.steps=21", with(&["calibrate"], &after_targets)),
-        ("import.split.every=4", with(&["import", "reconstruct"], &after_targets)),
-        ("reconstruct.iterations=31", with(&["reconstruct"], &after_targets)),
-        ("targets.consensus.measure_order=true", with(&["targets"], &after_enhance)),
-        ("enhance.lambda_variation=0.001", with(&[], &after_enhance)),
-        ("photographs.keep_light=0.5", with(&["photographs", "evaluate", "report"], &[])),
-        ("render.strength=0.5", with(&["render", "report"], &[])),
-        ("render.water=0.5", with(&["render", "report"], &[])),
-        ("report.views=1", with(&["report"], &[])),
+    for change in [
+        "pairs.extractor.cells=8",
+        "calibrate.steps=21",
+        "import.split.every=4",
+        "reconstruct.iterations=31",
+        "targets.consensus.measure_order=true",
+        "enhance.lambda_variation=0.001",
+        "photographs.keep_light=0.5",
+        "render.strength=0.5",
+        "render.water=0.5",
+        "report.views=1",
     ] {
+        let own = change.split('.').next().expect("a stage");
+        let stages: Vec<String> = readers(own).into_iter().filter(|s| all.contains(s)).collect();
         let computed = place.computed(&[change]);
         // Early cut-off: a stage whose inputs came out with the same bytes does not run again.
         let surplus: Vec<&String> = computed.iter().filter(|s| !stages.contains(s)).collect();
         assert!(surplus.is_empty(), "{change} also reran {surplus:?}");
-        let own = change.split('.').next().expect("a stage");
         assert!(computed.iter().any(|s| s == own), "{change} reran {computed:?}");
         if own != "targets" {
             assert_eq!(computed, stages, "{change}");
@@ -91,5 +99,6 @@ fn a_change_reruns_its_stage_and_what_reads_the_changed_output() {
     std::fs::rename(place.dir.path().join("tiny"), place.dir.path().join("elsewhere/tiny")).expect("moved");
     let moved = place.run("elsewhere/tiny", "cache", &[]).args(["--threads", "1"]).output().expect("runs");
     let text = String::from_utf8_lossy(&moved.stdout);
-    assert!(moved.status.success() && text.contains("0 done, 10 cached"), "{text}");
+    let cached = format!("0 done, {} cached", all.len());
+    assert!(moved.status.success() && text.contains(&cached), "{text}");
 }

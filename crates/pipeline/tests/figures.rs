@@ -15,6 +15,10 @@
 //! stages behind the figures. When a default has changed, the test fails. Then measure the table again,
 //! remove it, or use the second form, which also needs the words "program of `c72191f`" in the text above
 //! the table.
+
+#[path = "paper/lines.rs"]
+mod lines;
+
 use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
@@ -53,12 +57,11 @@ fn pages() -> Vec<String> {
     pages
 }
 
-/// The parameters that the table of the paper's configuration calls places and bookkeeping.
+/// The parameters that the preset `paper` calls places and bookkeeping.
 fn bookkeeping(stage: &str) -> Vec<String> {
-    let table: toml::Table = include_str!("paper/parameters.toml").parse().expect("TOML");
-    let entries = table.get(stage).and_then(|t| t.as_table()).cloned().unwrap_or_default();
-    let left = entries.iter().filter(|(_, e)| e.get("by").and_then(|v| v.as_str()) == Some("pipeline"));
-    left.map(|(name, _)| name.clone()).collect()
+    let stage = format!("{stage}.");
+    let left = lines::lines().into_iter().filter(|(_, (by, _))| by == "pipeline");
+    left.filter_map(|(name, _)| name.strip_prefix(&stage).map(String::from)).collect()
 }
 
 /// The first twelve digits of the digest of some stages' parameters, with `changed` in place of defaults.

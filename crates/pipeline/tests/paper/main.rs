@@ -1,5 +1,5 @@
-//! Compares the preset `paper` with a table written from the paper: every parameter of every stage, its value
-//! and its source.
+//! The preset `paper`: every parameter of every stage has its value there and the value's source, and what
+//! the paper states is compared with a list of its own.
 
 use std::collections::BTreeMap;
 
@@ -7,30 +7,9 @@ use serde_json::{Value, json};
 use use3d_pipeline::config::{parameters, preset_values};
 use use3d_stages::registry;
 
-/// A parameter in the paper's configuration.
-struct Entry {
-    /// The value; `None` if the preset leaves it to the pipeline.
-    value: Option<Value>,
-    /// `paper`, `authors`, `ours` or `pipeline`.
-    by: String,
-    where_: String,
-}
+mod lines;
 
-/// The table, by `stage.parameter`.
-fn table() -> BTreeMap<String, Entry> {
-    let text = include_str!("parameters.toml");
-    let stages: toml::Table = text.parse().expect("TOML");
-    let mut all = BTreeMap::new();
-    for (stage, entries) in &stages {
-        for (name, entry) in entries.as_table().expect("a table") {
-            let text = |key: &str| entry.get(key).and_then(|v| v.as_str()).unwrap_or_default().to_string();
-            let value = entry.get("value").map(|v| serde_json::to_value(v).expect("a value"));
-            let entry = Entry { value, by: text("by"), where_: text("where") };
-            all.insert(format!("{stage}.{name}"), entry);
-        }
-    }
-    all
-}
+use lines::lines;
 
 /// Dotted paths and values of some parameters.
 fn leaves(value: &Value, place: &str, found: &mut BTreeMap<String, Value>) {
@@ -56,16 +35,14 @@ fn same(a: &Value, b: &Value) -> bool {
     }
 }
 
-const HELP: &str = "Every parameter stands in crates/pipeline/tests/paper/parameters.toml, with its value in the paper's \
-    configuration and where the paper says so (or by = \"ours\" and the row of docs/science/decisions.md), and with the same value in \
-    crates/pipeline/src/config/presets/paper.toml. A parameter that switches something on which the paper does not have gets \
-    the value that leaves the method as the paper has it. Places and bookkeeping get by = \"pipeline\", no value, and no line \
-    in the preset";
+const HELP: &str = "Every parameter has a line in crates/pipeline/src/config/presets/paper.toml: its value in the paper's \
+    configuration, and in the line's comment who states it (`paper`, `authors`, or `ours` with the row of \
+    docs/science/decisions.md) and where. A parameter that switches something on which the paper does not have gets the value \
+    that leaves the method as the paper has it. Places and bookkeeping have the line `# NAME # pipeline: REASON`";
 
 #[test]
-fn the_preset_is_the_paper_value_by_value() {
+fn the_preset_has_every_parameter_with_its_source() {
     let registry = registry().expect("the stage table");
-    let table = table();
     let written = preset_values("paper").expect("the preset");
     let (mut there, mut said) = (BTreeMap::new(), BTreeMap::new());
     for stage in registry.stages() {
@@ -73,32 +50,22 @@ fn the_preset_is_the_paper_value_by_value() {
         leaves(stage.parameters(&given).expect("the preset fits").json(), stage.name(), &mut there);
     }
     written.iter().for_each(|(stage, values)| leaves(values, stage, &mut said));
+    let lines = lines();
     let mut wrong = Vec::new();
-    for (name, found) in &there {
-        match table.get(name) {
-            None => wrong.push(format!("{name} = {found} is not in the table")),
-            Some(Entry { value: Some(value), .. }) => {
-                if !same(value, found) {
-                    wrong.push(format!("{name} is {value} in the table and {found} with the preset"));
-                }
-                if !said.contains_key(name) {
-                    wrong.push(format!("{name} = {value} is not written out in the preset"));
-                }
-            }
-            Some(Entry { value: None, .. }) => {
-                if said.contains_key(name) {
-                    wrong.push(format!("{name} is the pipeline's to say, and the preset says it"));
-                }
-            }
-        }
+    for name in there.keys().filter(|name| !lines.contains_key(*name)) {
+        wrong.push(format!("{name} has no line"));
     }
-    for (name, entry) in &table {
+    for (name, (by, place)) in &lines {
         if !there.contains_key(name) {
-            wrong.push(format!("{name} is in the table and is no parameter"));
+            wrong.push(format!("{name} has a line and is no parameter"));
         }
-        let known = ["paper", "authors", "ours", "pipeline"].contains(&entry.by.as_str());
-        if !known || entry.where_.is_empty() || (entry.by == "pipeline") == entry.value.is_some() {
-            wrong.push(format!("{name}: `by` and `where` do not say who states its value"));
+        if !["paper", "authors", "ours", "pipeline"].contains(&by.as_str()) || place.is_empty() {
+            wrong.push(format!("{name}: the comment does not say who states its value, and where"));
+        }
+        if (by == "pipeline") == said.contains_key(name) {
+            wrong.push(format!(
+                "{name}: places and bookkeeping have no value in the preset, all others have one"
+            ));
         }
     }
     assert!(wrong.is_empty(), "{}\n\n{HELP}.", wrong.join("\n"));
@@ -106,21 +73,18 @@ fn the_preset_is_the_paper_value_by_value() {
 
 /// `use3d params --preset paper --json` prints this list.
 #[test]
-fn the_listed_parameters_of_the_preset_equal_the_table() {
+fn the_listed_parameters_are_those_of_the_preset() {
     let listed = parameters(&registry().expect("the stage table"), None, Some("paper")).expect("a list");
-    let table = table();
+    let mut said = BTreeMap::new();
+    preset_values("paper").expect("the preset").iter().for_each(|(stage, v)| leaves(v, stage, &mut said));
     for stage in &listed {
         for parameter in &stage.parameters {
             let name = format!("{}.{}", stage.stage, parameter.name);
-            // An optional parameter without a value has nothing to compare.
-            if parameter.value.is_null() && !table.contains_key(&name) {
-                continue;
-            }
-            let entry = table.get(&name).unwrap_or_else(|| panic!("{name}. {HELP}."));
-            if let Some(value) = &entry.value {
-                assert!(same(value, &parameter.value), "{name}: {value} and {}", parameter.value);
-            } else {
-                assert_eq!(parameter.value, parameter.default, "{name}");
+            match said.get(&name) {
+                Some(value) => {
+                    assert!(same(value, &parameter.value), "{name}: {value} and {}", parameter.value)
+                }
+                None => assert_eq!(parameter.value, parameter.default, "{name}"),
             }
         }
     }
@@ -128,10 +92,11 @@ fn the_listed_parameters_of_the_preset_equal_the_table() {
     assert!(unknown.contains("did you mean `paper`?"), "{unknown}");
 }
 
-/// The table is written from the paper, so the paper's own numbers must be marked in it as the paper's.
+/// This list is written from the paper, not from the preset.
 #[test]
-fn what_the_paper_states_is_marked_as_the_papers() {
-    let table = table();
+fn the_preset_has_what_the_paper_states() {
+    let (lines, mut said) = (lines(), BTreeMap::new());
+    preset_values("paper").expect("the preset").iter().for_each(|(stage, v)| leaves(v, stage, &mut said));
     for (name, value) in [
         ("reconstruct.iterations", json!(15000)),
         ("reconstruct.anchors", json!(8)),
@@ -150,7 +115,6 @@ fn what_the_paper_states_is_marked_as_the_papers() {
         ("calibrate.scales", json!("operators")),
         ("evaluate.scores", json!("all")),
     ] {
-        let entry = &table[name];
-        assert_eq!((entry.by.as_str(), entry.value.as_ref()), ("paper", Some(&value)), "{name}");
+        assert_eq!((lines[name].0.as_str(), &said[name]), ("paper", &value), "{name}");
     }
 }
