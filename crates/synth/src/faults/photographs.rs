@@ -169,7 +169,7 @@ pub(super) fn display(s: &Spoiler<'_>) -> Done {
             _ => return None,
         };
         let edge = x == 0 || y == 0 || x + 1 == wide || y + 1 == high;
-        let lit = !edge && (x / 2 * 7 + y / 2 * 13 + x * y / 5 + clock as u32 * 3) % 3 == 0;
+        let lit = !edge && (x / 2 * 7 + y / 2 * 13 + x * y / 5 + clock as u32 * 3).is_multiple_of(3);
         Some([if lit { 255 } else { 0 }; 3])
     })
 }

@@ -80,12 +80,15 @@ fn model_difference(a: &Model, b: &Model) -> f64 {
     for (a, b) in a.images.iter().zip(&b.images) {
         all += sum(&a.translation, &b.translation) + sum(&a.quaternion, &b.quaternion);
         all += f64::from(u8::from(a.name != b.name));
-        let points = |image: &use3d_io_colmap::ModelImage| -> Vec<f64> {
-            image.keypoints.iter().flat_map(|k| [k.x, k.y]).collect()
-        };
-        all += sum(&points(a), &points(b));
+        all += count(a.keypoints.len(), b.keypoints.len());
+        if a.keypoints.len() == b.keypoints.len() {
+            let moved = a.keypoints.iter().zip(&b.keypoints);
+            all += moved.map(|(a, b)| (a.x - b.x).abs() + (a.y - b.y).abs()).sum::<f64>();
+        }
     }
-    all + a.points.iter().zip(&b.points).map(|(a, b)| sum(&a.position, &b.position)).sum::<f64>()
+    let places: BTreeMap<u64, _> = a.points.iter().map(|point| (point.id, point.position)).collect();
+    let moved = b.points.iter().filter_map(|point| Some((places.get(&point.id)?, point.position)));
+    all + moved.map(|(a, b)| sum(a, &b)).sum::<f64>()
 }
 
 /// A number that grows with the difference between two captures.
