@@ -16,7 +16,7 @@ use use3d_numerics::math;
 use super::folder::{Done, Spoiler, pixels_error};
 use crate::error::SynthError;
 
-/// What a file says about its pixels: a colour profile and EXIF data.
+/// The statements of a file about its pixels: a colour profile and EXIF data.
 #[derive(Clone, Default)]
 struct Said {
     profile: Option<Vec<u8>>,
@@ -188,6 +188,14 @@ fn one_file(s: &Spoiler<'_>, change: impl FnOnce(&mut Vec<u8>)) -> Done {
 pub(super) fn cut_off(s: &Spoiler<'_>) -> Done {
     rewrite(s, "jpg", |_, path, picture| save(path, picture, Said::default()))?;
     one_file(s, |bytes| bytes.truncate(bytes.len() * 6 / 10))
+}
+
+/// JPEG files that lack the mark of their end, and nothing else.
+pub(super) fn no_end(s: &Spoiler<'_>) -> Done {
+    rewrite(s, "jpg", |_, path, picture| {
+        save(path, picture, Said::default())?;
+        s.edit(path, |bytes| bytes.truncate(bytes.len() - 2))
+    })
 }
 
 pub(super) fn empty_file(s: &Spoiler<'_>) -> Done {

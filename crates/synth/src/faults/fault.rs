@@ -53,7 +53,8 @@ const LEVELS: [&str; 3] = ["weak", "middle", "strong"];
 pub struct CaptureFault {
     /// Its name.
     pub name: &'static str,
-    /// The kind of file that carries it: model, lens, photographs, names, masks, depth, positions, transforms.
+    /// The kind of file that carries it: model, lens, photographs, files, names, masks, depth, positions or
+    /// transforms.
     pub carrier: &'static str,
     /// One sentence on what is wrong.
     pub wrong: &'static str,

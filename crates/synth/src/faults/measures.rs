@@ -1,4 +1,4 @@
-//! Faults of depth maps and of positions: measures beside the photographs that are not what they are taken for.
+//! Faults of depth maps and of positions: measures beside the photographs that are taken for others.
 
 use std::fmt::Write;
 

@@ -1,4 +1,4 @@
-//! Faults of the pixels: photographs that are not those of the model, or show something that is not the scene.
+//! Faults of the pixels: photographs that are not those of the model, or show something besides the scene.
 
 use image::imageops::{self, FilterType};
 use image::{Rgb, RgbImage};

@@ -247,6 +247,7 @@ pub static FAULTS: &[CaptureFault] = &[
         bytes::upside_down_with_tag,
     ),
     plain("cut-off", "files", Minor, "One JPEG file ends too early.", bytes::cut_off),
+    plain("no-end", "files", Right, "JPEG files lack their last two bytes.", bytes::no_end),
     plain("empty-file", "files", Minor, "One photograph has no bytes.", bytes::empty_file),
     plain("other-format", "files", Minor, "One file is HEIC, and its name says PNG.", bytes::other_format),
     plain("missing-file", "files", Minor, "One photograph of the model is not there.", bytes::missing_file),
