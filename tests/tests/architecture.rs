@@ -53,7 +53,8 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("check", &["capture", "numerics", "io-image", "import"]),
     ("metrics", &["capture", "numerics"]),
     ("nets", &["capture", "numerics"]),
-    ("synth", &["capture", "files", "numerics", "io-image", "io-colmap", "survey"]),
+    // It writes faulty captures in the form of `transforms.json` too.
+    ("synth", &["capture", "files", "numerics", "io-image", "io-colmap", "io-nerfstudio", "survey"]),
     ("splat", &["capture", "numerics", "ply"]),
     ("medium", &["capture", "numerics"]),
     ("water", &["capture", "numerics"]),

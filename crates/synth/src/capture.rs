@@ -32,6 +32,7 @@ use use3d_numerics::random::{Purpose, Stream};
 use use3d_survey::Lens;
 
 use crate::error::{Answer, SynthError, whole_folder};
+use crate::faults::ChosenFault;
 use crate::params::CaptureParams;
 use crate::physics::spectral::{Lamps, Spectral};
 use crate::physics::{Development, Physics, camera, passers, sideways};
@@ -353,35 +354,59 @@ pub fn write_capture<A: Answer>(
     out: &Path,
     progress: &mut dyn FnMut(usize, usize) -> A,
 ) -> Result<CaptureTruth, SynthError> {
+    write_faulty_capture(params, None, out, progress)
+}
+
+/// Writes a synthetic capture as [`write_capture`] does, with a fault in it.
+///
+/// # Errors
+/// As [`write_capture`].
+pub fn write_faulty_capture<A: Answer>(
+    params: &CaptureParams,
+    fault: Option<ChosenFault>,
+    out: &Path,
+    progress: &mut dyn FnMut(usize, usize) -> A,
+) -> Result<CaptureTruth, SynthError> {
     params.validate()?;
     whole_folder(out, |dir| {
-        let studio = Studio::new(params);
-        tracing::debug!(triangles = studio.scene.mesh.triangles.len(), "built the scene");
-        let mut corners = Vec::with_capacity(params.views);
-        progress(0, params.views).go_on()?;
-        while corners.len() < params.views {
-            let batch = corners.len()..(corners.len() + BATCH).min(params.views);
-            let shot: Vec<_> = batch.into_par_iter().map(|view| studio.shoot(params, view, dir)).collect();
-            for list in shot {
-                corners.push(list?);
-            }
-            progress(corners.len(), params.views).go_on()?;
-        }
-        let names: Vec<FileName> =
-            (0..params.views).map(|i| FileName::new(&file(i))).collect::<Result<_, _>>()?;
-        let Studio { scene, cameras, lens, frame, .. } = &studio;
-        let swimmer = sparse::Swimmer { scene, cameras, lens: lens.as_ref() };
-        let mut model = sparse::model(&swimmer, &studio.camera, &names, frame, &corners, params.seed);
-        sparse::keep(&mut model, params.points);
-        let folder = dir.join("sparse/0");
-        std::fs::create_dir_all(&folder).map_err(SynthError::io(&folder))?;
-        use3d_io_colmap::write_model_binary(&folder, &model)?;
-        let truth = studio.truth(params);
-        let path = dir.join("truth/water.json");
-        let text = serde_json::to_string_pretty(&truth).map_err(std::io::Error::other);
-        text.and_then(|text| std::fs::write(&path, text + "\n")).map_err(SynthError::io(&path))?;
+        let truth = fill(params, dir, progress)?;
+        fault.map_or(Ok(()), |fault| fault.spoil(dir, params.seed))?;
         Ok(truth)
     })
+}
+
+/// Writes a capture into an empty folder.
+fn fill<A: Answer>(
+    params: &CaptureParams,
+    dir: &Path,
+    progress: &mut dyn FnMut(usize, usize) -> A,
+) -> Result<CaptureTruth, SynthError> {
+    let studio = Studio::new(params);
+    tracing::debug!(triangles = studio.scene.mesh.triangles.len(), "built the scene");
+    let mut corners = Vec::with_capacity(params.views);
+    progress(0, params.views).go_on()?;
+    while corners.len() < params.views {
+        let batch = corners.len()..(corners.len() + BATCH).min(params.views);
+        let shot: Vec<_> = batch.into_par_iter().map(|view| studio.shoot(params, view, dir)).collect();
+        for list in shot {
+            corners.push(list?);
+        }
+        progress(corners.len(), params.views).go_on()?;
+    }
+    let names: Vec<FileName> =
+        (0..params.views).map(|i| FileName::new(&file(i))).collect::<Result<_, _>>()?;
+    let Studio { scene, cameras, lens, frame, .. } = &studio;
+    let swimmer = sparse::Swimmer { scene, cameras, lens: lens.as_ref() };
+    let mut model = sparse::model(&swimmer, &studio.camera, &names, frame, &corners, params.seed);
+    sparse::keep(&mut model, params.points);
+    let folder = dir.join("sparse/0");
+    std::fs::create_dir_all(&folder).map_err(SynthError::io(&folder))?;
+    use3d_io_colmap::write_model_binary(&folder, &model)?;
+    let truth = studio.truth(params);
+    let path = dir.join("truth/water.json");
+    let text = serde_json::to_string_pretty(&truth).map_err(std::io::Error::other);
+    text.and_then(|text| std::fs::write(&path, text + "\n")).map_err(SynthError::io(&path))?;
+    Ok(truth)
 }
 
 #[cfg(test)]

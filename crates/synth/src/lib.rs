@@ -16,12 +16,16 @@
 //! depth, lamps, a camera that sets itself for every view, fish and marine snow. Known limits: opaque
 //! surfaces, no forward scattering (blur).
 //!
+//! A [`ChosenFault`] makes one thing of a finished capture wrong, to test the checks of captures
+//! ([`write_faulty_capture`]).
+//!
 //! A distorting lens ([`Optics`]) bends the rays of the photographs, and the COLMAP model has the same lens.
 //!
 //! The results are deterministic: a function of the parameters, independent of the number of threads.
 
 mod capture;
 mod error;
+mod faults;
 mod geometry;
 mod lens;
 mod pairs;
@@ -34,8 +38,9 @@ mod sparse;
 mod swim;
 mod water;
 
-pub use capture::{CaptureTruth, ViewGains, write_capture};
+pub use capture::{CaptureTruth, ViewGains, write_capture, write_faulty_capture};
 pub use error::{Answer, SynthError};
+pub use faults::{CaptureFault, ChosenFault, Due, FAULTS, Strengths, UnknownFault};
 pub use lens::Optics;
 pub use pairs::{PairsParams, write_pairs};
 pub use params::CaptureParams;

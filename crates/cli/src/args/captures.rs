@@ -4,6 +4,8 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 
+use use3d_synth::ChosenFault;
+
 use super::shared::{SizeArgs, StageSettings};
 
 #[derive(Debug, Subcommand)]
@@ -11,7 +13,8 @@ pub(crate) enum Synth {
     /// A swim over a procedural reef: images, COLMAP model, and the true scene.
     #[command(
         after_help = "Examples:\n  use3d synth capture --out reef/ --views 48 --size 640x360 --water 3C --seed 1\n  \
-        use3d synth capture --out dive/ --physics spectral --water II --depth 10 --auto-exposure 1 --fish 3"
+        use3d synth capture --out dive/ --physics spectral --water II --depth 10 --auto-exposure 1 --fish 3\n  \
+        use3d synth capture --out wrong/ --views 12 --size 96x64 --fault poses-turned:weak"
     )]
     Capture(SynthCaptureArgs),
     /// Clean and underwater images of the same places, to train a calibrator on.
@@ -96,6 +99,11 @@ pub(crate) struct SynthCaptureArgs {
     /// Boards with grey patches near and far, listed in truth/greys/.
     #[arg(long)]
     pub(crate) greys: bool,
+    /// A fault to put into the finished capture, to test what a check finds: `poses-turned`,
+    /// `turned-180:weak`, `focal-length:12`. A strength is `weak`, `middle`, `strong` or a number. The name
+    /// `list` prints all faults.
+    #[arg(long, value_name = "NAME[:STRENGTH]")]
+    pub(crate) fault: Option<ChosenFault>,
     /// Write no depth priors (they are made from the true depth).
     #[arg(long)]
     pub(crate) no_depth_priors: bool,

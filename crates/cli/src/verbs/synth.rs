@@ -7,7 +7,7 @@ use serde::de::DeserializeOwned;
 use use3d_stages::code::built_in;
 use use3d_synth::{
     CaptureParams, Development, Location, Optics, PairsParams, Physics, SynthError, WaterType, write_capture,
-    write_pairs,
+    write_faulty_capture, write_pairs,
 };
 use use3d_workflow::Digest;
 use use3d_workflow::place::{self, Look, Standing};
@@ -122,7 +122,7 @@ pub(crate) fn keep_capture(app: &App, params: &CaptureParams, out: &Path) -> Don
 pub(crate) fn capture(app: &App, args: &SynthCaptureArgs) -> Done {
     let (params, out) = (capture_params(args)?, &args.common.out);
     let _ends_soon = ends_soon();
-    write_capture(&params, out, &mut tell(app, "synth capture")).map_err(error)?;
+    write_faulty_capture(&params, args.fault, out, &mut tell(app, "synth capture")).map_err(error)?;
     remark!(app, "{}: {} views of {}x{}", out.display(), params.views, params.width, params.height);
     Ok(())
 }
