@@ -3,6 +3,7 @@
 use use3d_capture::{Reach, Side, shown};
 use use3d_import::ImportReport;
 
+use crate::agreement::{Agreement, ViewAgreement};
 use crate::measure::{Figures, ViewFigures};
 use crate::report::{CheckReport, Finding, Severity};
 
@@ -31,8 +32,20 @@ const BLURRED: f64 = 0.4;
 const EXPOSURE: (f64, f64) = (0.2, 0.6);
 /// The same for white balance, as a share.
 const BALANCE: (f64, f64) = (0.06, 0.2);
-/// Reprojection errors of a good lens model and of a wrong one, pixels.
+/// Reprojection errors above which a lens model is doubtful, and wrong, pixels.
 const ERROR: (f64, f64) = (1.0, 1.5);
+/// A measured error above this many times the stated one, and this many pixels more, is of another model.
+const CHANGED: (f64, f64) = (1.25, 0.1);
+/// A view whose error is this many times the usual one, and this many pixels more, is misplaced.
+const MISPLACED: (f64, f64) = (4.0, 1.0);
+/// The share of points in view below which points and cameras do not belong together.
+const IN_VIEW: f64 = 0.5;
+/// Shares of points in three views below which a scene has holes, and below which it is spoilt.
+const COVERED: (f64, f64) = (0.35, 0.15);
+/// The median angle of points below which distances are hardly determined, degrees.
+const ANGLE: f64 = 1.0;
+/// The likeness below which a photograph is not that of its camera, with tracks and without.
+const LIKE: (f64, f64) = (0.6, 0.4);
 /// The share of points seen from different distances below which the water can hardly be measured.
 const RANGED: f64 = 0.1;
 /// Brightness of a picture in which little can be seen, display range.
@@ -58,10 +71,17 @@ pub fn examine(
     rules.split(import);
     rules.cameras(import);
     rules.model(import, &figures, water);
+    if let Some(agreement) = &figures.agreement {
+        rules.agreement(import, agreement);
+        rules.coverage(agreement);
+    }
     rules.reach(&figures.reach);
     rules.pixels(&figures.views);
     rules.water(&figures, water);
     rules.extras(import, &figures, metres);
+    for text in &import.notes {
+        rules.note("import", sentence(text), "");
+    }
     let mut findings = rules.found;
     // The order of the rules is that of their weight among equals.
     findings.sort_by_key(|f| f.severity);
@@ -102,6 +122,10 @@ impl Rules {
         self.add(Severity::Good, subject, text, "", Vec::new());
     }
 
+    fn note(&mut self, subject: &'static str, text: impl Into<String>, remedy: &str) {
+        self.add(Severity::Note, subject, text, remedy, Vec::new());
+    }
+
     /// Adds a minor finding that is about no views.
     fn minor(&mut self, subject: &'static str, text: impl Into<String>, remedy: &str) {
         self.add(Severity::Minor, subject, text, remedy, Vec::new());
@@ -138,6 +162,17 @@ impl Rules {
                 import.missing.clone(),
             );
         }
+        if !import.stray.is_empty() {
+            let count = import.stray.len();
+            let text = format!(
+                "The model places {count} of {} photographs far away from all others, so {} left out.",
+                self.views + count,
+                if count == 1 { "it is" } else { "they are" }
+            );
+            let remedy = "nothing, if you can do without them; otherwise find the cameras again with more photographs in \
+                between";
+            self.add(serious_if(self.share(count) > 0.1), "stray", text, remedy, import.stray.clone());
+        }
         if !import.other_models.is_empty() {
             let names: Vec<_> = import.other_models.iter().map(|name| shown(name)).collect();
             let text = format!("The folder has more models, which are not used: {}.", names.join(", "));
@@ -145,14 +180,34 @@ impl Rules {
                 captures of their own";
             self.minor("groups", text, remedy);
         }
-        let few = match self.views {
-            0..12 => "are very few.",
-            12..24 => "are few: new views between them will have holes.",
-            _ => return,
-        };
-        let (text, remedy) =
-            (format!("{} photographs {few}", self.views), "take 30 to 200 photographs of one site");
-        self.add(serious_if(self.views < 12), "few", text, remedy, Vec::new());
+    }
+
+    /// The overlap of the photographs.
+    fn coverage(&mut self, agreement: &Agreement) {
+        let remedy =
+            "take photographs that overlap by 70 % or more, so that each place is in three of them at least";
+        if self.views <= 3 {
+            let text = format!("{} photographs are too few for a scene.", self.views);
+            self.add(Severity::Serious, "few", text, remedy, Vec::new());
+        } else if agreement.coverage < COVERED.0 {
+            let text = format!(
+                "Only {:.0} % of the points are in three photographs or more: new views between the photographs will have \
+                 holes.",
+                100.0 * agreement.coverage
+            );
+            self.add(serious_if(agreement.coverage < COVERED.1), "few", text, remedy, Vec::new());
+        } else if agreement.angle < ANGLE {
+            let text = format!(
+                "The photographs see each point from nearly the same place (under {:.1} degrees), so distances are hardly \
+                 determined.",
+                agreement.angle
+            );
+            let remedy = "move the camera sideways between photographs, by a tenth of the distance or more";
+            self.add(Severity::Serious, "few", text, remedy, Vec::new());
+        } else {
+            let share = 100.0 * agreement.coverage;
+            self.good("few", format!("{share:.0} % of the points are in three photographs or more."));
+        }
     }
 
     fn split(&mut self, import: &ImportReport) {
@@ -245,18 +300,6 @@ impl Rules {
             let remedy = "photograph the way to them more densely, or remove them from the folder of images";
             self.add(serious_if(self.share(lonely.len()) > 0.1), "lonely", text, remedy, lonely);
         }
-        if let Some(error) = figures.error {
-            let text =
-                format!("Points land {error:.2} pixels beside their place on average (reprojection error)");
-            if error > ERROR.0 {
-                let text = format!("{text}: the lens model fits badly.");
-                let remedy = "another lens model (`use3d prepare --lens`), zoom and stabilisation off, sharper \
-                    photographs";
-                self.add(serious_if(error > ERROR.1), "error", text, remedy, Vec::new());
-            } else {
-                self.good("error", format!("{text}."));
-            }
-        }
         if figures.track_length < 3.0 {
             let text = format!("A point is seen in {:.1} views only.", figures.track_length);
             let remedy = "let neighbouring photographs overlap by 70 % or more";
@@ -269,6 +312,87 @@ impl Rules {
             let text = "The camera moves along one line in its own viewing direction, so distances are hardly \
                 determined.";
             self.add(Severity::Serious, "path", text, "swim sideways along the scene as well", Vec::new());
+        }
+    }
+
+    /// The model against its tracks, and the photographs against the model.
+    fn agreement(&mut self, import: &ImportReport, agreement: &Agreement) {
+        if agreement.in_view < IN_VIEW {
+            let text = format!(
+                "Only {:.0} % of the points lie in any photograph: the points and the cameras of {} do not belong \
+                 together.",
+                100.0 * agreement.in_view,
+                shown(&import.model)
+            );
+            let remedy =
+                "export cameras and points again, both from the same project and in the same coordinates";
+            self.add(Severity::Serious, "points_in_view", text, remedy, Vec::new());
+            return;
+        }
+        if let Some(error) = agreement.error {
+            self.error(error, agreement);
+        }
+        let limit = if agreement.tracked { LIKE.0 } else { LIKE.1 };
+        let list = |those: &dyn Fn(&ViewAgreement) -> bool| -> Vec<String> {
+            agreement.views.iter().filter(|v| those(v)).map(|v| v.name.clone()).collect()
+        };
+        let read = list(&|v| v.likeness.is_some()).len();
+        let others = list(&|v| v.likeness.is_some_and(|like| like < limit));
+        if !others.is_empty() {
+            let text = format!(
+                "{} of {read} photographs do not show what the model saw from their places: they are turned, are other \
+                 photographs under the same names, or their cameras are wrong.",
+                others.len()
+            );
+            let remedy = "put back the photographs that the cameras were found from, unturned and under their own names, \
+                or find the cameras again with `use3d prepare`";
+            self.add(Severity::Serious, "photographs", text, remedy, others);
+        } else if read > 0 {
+            self.good("photographs", "The photographs show what the model saw from their places.");
+        }
+    }
+
+    /// The error of the sightings, and the cameras that cause it.
+    fn error(&mut self, error: f64, agreement: &Agreement) {
+        let text = format!(
+            "Points land {error:.2} pixels beside their place on average (measured reprojection error)"
+        );
+        let changed = agreement.stated.filter(|stated| error > CHANGED.0 * stated + CHANGED.1);
+        if let Some(stated) = changed {
+            let text = format!(
+                "{text}. The model's file says {stated:.2}: cameras or points were changed after they were found."
+            );
+            let remedy = "take the model as its program wrote it, or let that program adjust it again";
+            let grave = error > 2.0 * stated + 0.5;
+            self.add(serious_if(grave), "error", text, remedy, Vec::new());
+        } else if error > ERROR.0 {
+            let text = format!("{text}: the lens model fits badly.");
+            let remedy = "another lens model (`use3d prepare --lens`), zoom and stabilisation off, sharper \
+                photographs";
+            self.add(serious_if(error > ERROR.1), "error", text, remedy, Vec::new());
+        } else {
+            self.good("error", format!("{text}."));
+        }
+        let mut errors: Vec<f64> = agreement.views.iter().filter_map(|v| v.error).collect();
+        errors.sort_unstable_by(f64::total_cmp);
+        let usual = errors.get(errors.len() / 2).copied().unwrap_or(0.0);
+        let misplaced: Vec<String> = agreement
+            .views
+            .iter()
+            .filter(|v| {
+                v.error.is_some_and(|e| e > MISPLACED.0 * usual + MISPLACED.1)
+                    || v.in_view.is_some_and(|share| share < IN_VIEW)
+            })
+            .map(|v| v.name.clone())
+            .collect();
+        if !misplaced.is_empty() && usual.is_finite() {
+            let text = format!(
+                "The cameras of {} of {} views do not fit the points that they saw.",
+                misplaced.len(),
+                self.views
+            );
+            let remedy = "remove these photographs from the folder of images, or find the cameras again";
+            self.add(Severity::Serious, "cameras", text, remedy, misplaced);
         }
     }
 
@@ -428,14 +552,14 @@ impl Rules {
                 let text = "The scale is not known: distances and the water are in units of the model.";
                 let remedy = "nothing, if you need no metres; otherwise measure one length in the photographs \
                     (docs/guide/metres.md)";
-                self.minor("scale", text, remedy);
+                self.note("scale", text, remedy);
             }
         }
         if import.depth_priors == 0 {
             let text = "There are no depth maps to help the training.";
             let remedy = "put the weights of Depth Anything V2 into the models folder (`use3d models`), if you may use \
                 them";
-            self.minor("depth", text, remedy);
+            self.note("depth", text, remedy);
         }
         let hidden = names(&figures.views, |v| v.unmasked.is_some_and(|share| share < UNMASKED));
         if !hidden.is_empty() {
@@ -457,7 +581,7 @@ impl Rules {
             self.add(Severity::Minor, "unmasked", text, remedy, import.unmasked.clone());
         } else if import.masks + import.alpha_masks == 0 {
             let text = "There are no masks: fish and divers will leave ghosts, if there are any.";
-            self.minor("masks", text, "paint them black in masks/ (docs/guide/captures.md)");
+            self.note("masks", text, "paint them black in masks/ (docs/guide/captures.md)");
         }
     }
 }

@@ -10,11 +10,13 @@
 //! `findings` compares figures with a limit. A [`CheckReport`] holds what the rules found, the gravest
 //! first. Nothing here changes a capture, and no result of a training depends on it.
 
+mod agreement;
 mod findings;
 mod measure;
 mod page;
 mod report;
 
+pub use agreement::{Agreement, Pixels, ViewAgreement, agreement};
 pub use findings::{WaterSight, examine};
 pub use measure::{Figures, ViewFigures, measure};
 pub use page::{Picture, page};

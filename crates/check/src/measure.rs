@@ -13,6 +13,8 @@ use use3d_capture::{Capture, Image, Intrinsics, Reach, Track, View, reaches};
 use use3d_io_image::shrunk;
 use use3d_numerics::math;
 
+use crate::agreement::Agreement;
+
 /// The longer side of the pictures in which sharpness is measured, pixels.
 const SIDE: usize = 640;
 /// Views on each side that a view's sharpness is compared with.
@@ -56,8 +58,8 @@ pub struct Figures {
     pub points: usize,
     /// Mean number of views that see a point.
     pub track_length: f64,
-    /// Mean reprojection error, pixels; `None` if the model does not say it.
-    pub error: Option<f64>,
+    /// The agreement of the model with its tracks and photographs; `None` if it was not tested.
+    pub agreement: Option<Agreement>,
     /// The share of points whose farthest view is at least 1.25 times as far away as its nearest.
     pub seen_from_distances: f64,
     /// The distances of points from the views that see them: 5th, 50th and 95th percentile, units of the
@@ -71,7 +73,7 @@ pub struct Figures {
     pub reach: Vec<Reach>,
 }
 
-/// Measures a capture. `load` gives the pixels of a view at the size of its camera; without it, the figures
+/// Measures a capture, without its agreement. `load` gives the pixels of a view at the size of its camera; without it, the figures
 /// of pixels are left out.
 ///
 /// # Errors
@@ -106,8 +108,6 @@ pub fn measure<E>(
     distances.sort_unstable_by(f64::total_cmp);
     figures.distances = [0.05, 0.5, 0.95]
         .map(|q| distances.get((q * distances.len() as f64) as usize).copied().unwrap_or(0.0));
-    let errors: Vec<f64> = capture.points.iter().map(|p| p.error).filter(|e| *e >= 0.0).collect();
-    figures.error = (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64);
     (figures.forward, figures.breadth) = motion(capture);
     figures.reach = reaches_of(capture, tracks);
 

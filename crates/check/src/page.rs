@@ -18,7 +18,7 @@ pub struct Picture {
 
 const STYLE: &str = "body{font:16px/1.5 system-ui,sans-serif;max-width:56rem;margin:2rem auto;padding:0 1rem;\
     color:#1b1f23;background:#fff}article{border-left:.4rem solid #999;padding:.1rem 1rem;margin:1.2rem 0}\
-    article.serious{border-color:#b3261e}article.minor{border-color:#c98a00}article.good{border-color:#2e7d32}\
+    article.serious{border-color:#b3261e}article.minor{border-color:#c98a00}article.note{border-color:#5b8db8}article.good{border-color:#2e7d32}\
     figure{display:inline-block;width:min(14rem,45%);margin:.4rem .6rem .4rem 0;font-size:.8rem}\
     code{overflow-wrap:anywhere}figure.cells{display:block;width:auto}img,svg{display:block;max-width:100%}\
     @media(prefers-color-scheme:dark){body{color:#e6e6e6;background:#16191c}}";
@@ -83,10 +83,10 @@ pub fn page(report: &CheckReport, pictures: &[Picture]) -> String {
         if !finding.remedy.is_empty() {
             let _ = writeln!(out, "<p>Do this: {}.</p>", marked(&finding.remedy));
         }
-        if finding.subject == "reach" && finding.severity != Severity::Good {
+        if finding.subject == "reach" && finding.severity <= Severity::Minor {
             out.push_str(&Reach::worst(&report.figures.reach).map(drawing).unwrap_or_default());
         }
-        if finding.severity != Severity::Good {
+        if finding.severity <= Severity::Minor {
             for name in finding.views.iter().take(MOST) {
                 let picture = pictures.iter().find(|p| p.name == *name);
                 let name = escaped(name);

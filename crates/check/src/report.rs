@@ -15,6 +15,8 @@ pub enum Severity {
     Serious,
     /// Something is lost.
     Minor,
+    /// Nothing is lost, but it is worth knowing.
+    Note,
     /// Nothing to do.
     Good,
 }
@@ -25,6 +27,7 @@ impl Severity {
         match self {
             Self::Serious => "serious",
             Self::Minor => "minor",
+            Self::Note => "note",
             Self::Good => "good",
         }
     }
@@ -57,7 +60,7 @@ pub struct CheckReport {
 }
 
 /// Subjects that a picture does not suffer from.
-const LIGHT: [&str; 5] = ["scale", "depth", "masks", "unmasked", "split"];
+const LIGHT: [&str; 3] = ["masks", "unmasked", "split"];
 
 /// The names of views that a line of text holds.
 const NAMES: usize = 6;
@@ -76,7 +79,7 @@ impl Finding {
 impl CheckReport {
     /// The findings that need something to be done.
     pub fn faults(&self) -> impl Iterator<Item = &Finding> {
-        self.findings.iter().filter(|f| f.severity != Severity::Good)
+        self.findings.iter().filter(|f| f.severity <= Severity::Minor)
     }
 
     /// The gravest faults in one line each, at most `most`. Things that a capture may lack without any loss
@@ -118,10 +121,14 @@ impl fmt::Display for CheckReport {
                 writeln!(f, "    do this: {}", finding.remedy)?;
             }
         }
-        let good = self.findings.iter().filter(|f| f.severity == Severity::Good);
-        for (i, finding) in good.enumerate() {
-            let lead = if i == 0 { "\ngood:\n" } else { "" };
-            writeln!(f, "{lead}  * {}", finding.text)?;
+        for (severity, lead) in [(Severity::Note, "\nnotes:\n"), (Severity::Good, "\ngood:\n")] {
+            for (i, finding) in self.findings.iter().filter(|f| f.severity == severity).enumerate() {
+                write!(f, "{}  * {}", if i == 0 { lead } else { "" }, finding.text)?;
+                match finding.remedy.is_empty() {
+                    true => writeln!(f)?,
+                    false => writeln!(f, " Do this: {}.", finding.remedy)?,
+                }
+            }
         }
         Ok(())
     }

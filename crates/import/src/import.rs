@@ -26,6 +26,7 @@ use crate::params::{ImportParams, WhiteBalance};
 use crate::prepared;
 use crate::report::{CameraReport, ImportReport};
 use crate::split;
+use crate::stray::strays;
 
 /// An imported capture, with the changes that its pixels still need.
 #[derive(Clone, Debug)]
@@ -135,6 +136,10 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
         normalised: params.normalise,
         ..ImportReport::default()
     };
+    let stray = strays(&read.survey);
+    let names = read.survey.images.iter().filter(|image| stray.contains(&image.id));
+    report.stray = names.map(|image| image.name.to_string()).collect();
+    read.survey.retain_images(|image| !stray.contains(&image.id));
     let frame = if params.normalise {
         // All registered images count, also those that are missing on this disk, because the frame is a
         // property of the model.
@@ -179,7 +184,7 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
     let kept: BTreeSet<u32> = views.iter().map(|found| found.view.id).collect();
     let used: BTreeSet<&PathBuf> = views.iter().map(|found| &found.view.image).collect();
     report.extra = folder.images();
-    report.extra.retain(|name| !used.contains(&folder.path.join(name)));
+    report.extra.retain(|name| !used.contains(&folder.path.join(name)) && !report.stray.contains(name));
     let renamed =
         views.iter().map(|found| &found.view).filter(|v| !v.image.ends_with(v.name.as_str())).count();
     if renamed > 0 {
@@ -199,7 +204,8 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
         view.camera.validate().map_err(bad)?;
     }
 
-    let split = split::choose(dir, &views, &report.missing, &params.split)?;
+    let split =
+        split::choose(dir, &views, &[report.missing.clone(), report.stray.clone()].concat(), &params.split)?;
     report.notes.extend(split.notes);
     report.split_rule = split.rule;
     let names = |indices: &[usize]| indices.iter().map(|&i| views[i].name.to_string()).collect();

@@ -55,6 +55,7 @@ mod report;
 mod resample;
 mod rows;
 mod split;
+mod stray;
 mod tracks;
 mod undistort;
 mod white_balance;

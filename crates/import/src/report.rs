@@ -32,6 +32,9 @@ pub struct ImportReport {
     pub views: usize,
     /// Listed images that do not exist and are skipped.
     pub missing: Vec<String>,
+    /// Listed images that are left out because the model places them far away from all others.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub stray: Vec<String>,
     /// Images in the folder that the model does not list and that are not used. Not stored.
     #[serde(skip_serializing, default)]
     pub extra: Vec<String>,
@@ -146,6 +149,10 @@ impl fmt::Display for ImportReport {
         if !self.missing.is_empty() {
             let count = counted(self.missing.len(), "listed image is", "listed images are");
             writeln!(f, "  {count} not there, skipped: {}", some(&self.missing))?;
+        }
+        if !self.stray.is_empty() {
+            let count = counted(self.stray.len(), "image lies", "images lie");
+            writeln!(f, "  {count} far away from all others by the model, left out: {}", some(&self.stray))?;
         }
         if !self.extra.is_empty() {
             let count = counted(self.extra.len(), "image is", "images are");

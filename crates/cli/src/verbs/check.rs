@@ -4,7 +4,7 @@ use std::convert::Infallible;
 use std::path::Path;
 
 use use3d_capture::{FileName, Map};
-use use3d_check::{CheckReport, Picture, WaterSight, examine, measure, page};
+use use3d_check::{CheckReport, Figures, Picture, Pixels, WaterSight, agreement, examine, measure, page};
 use use3d_import::{
     ImportParams, Imported, capture_name, import, is_prepared, load_mask, load_pixels, load_prepared,
 };
@@ -42,14 +42,14 @@ pub(crate) fn run(app: &App, args: &CheckArgs) -> Done {
     let scratch = scratch()?;
     let folder = hand.imported(app, scratch.path(), None, false)?;
     let capture = load_prepared(&folder).map_err(CliError::input)?;
-    // An import stores neither the capture's name nor the files that it does not use.
-    let mut listed = capture.report.clone();
-    if !is_prepared(&args.capture) {
-        let given: ImportParams = hand.parameters(scratch.path())?;
-        let original =
-            import(&args.capture, &ImportParams { max_side: 0, ..given }).map_err(CliError::input)?;
-        listed = original.report;
-    }
+    // An import stores neither the capture's name nor the files that it does not use, and its pictures are no
+    // longer those of the model.
+    let params = match is_prepared(&args.capture) {
+        true => ImportParams::default(),
+        false => ImportParams { max_side: 0, ..hand.parameters(scratch.path())? },
+    };
+    let original = import(&args.capture, &params).map_err(CliError::input)?;
+    let mut listed = original.report.clone();
     listed.name = capture_name(&args.capture);
     let (capture, water, figures) = interrupt::unless_stopped(move || {
         let water = from_tracks(&folder, &capture, &WaterParams::default());
@@ -64,6 +64,9 @@ pub(crate) fn run(app: &App, args: &CheckArgs) -> Done {
                 }
                 Ok(figures)
             });
+        let figures = figures.and_then(|figures| {
+            Ok(Figures { agreement: Some(agreement(&original, Pixels::All)?), ..figures })
+        });
         (capture, water, figures)
     })?;
     let (_, judgement) = water.map_err(CliError::input)?;
@@ -91,12 +94,13 @@ pub(crate) fn run(app: &App, args: &CheckArgs) -> Done {
     Ok(())
 }
 
-/// The gravest faults of a capture that its model shows, in lines, before a run. No picture is read. An error
-/// of the capture gives no line: the run itself reports it.
+/// The gravest faults of a capture that its model and a few of its photographs show, in lines, before a run.
+/// An error of the capture gives no line: the run itself reports it.
 pub(crate) fn before_run(capture: &Path, params: &ImportParams) -> Vec<String> {
     const MOST: usize = 3;
     let Ok(imported) = import(capture, params) else { return Vec::new() };
-    let Ok(figures) = measure::<Infallible>(&imported.capture, &imported.tracks(), None);
+    let Ok(mut figures) = measure::<Infallible>(&imported.capture, &imported.tracks(), None);
+    figures.agreement = agreement(&imported, Pixels::Few).ok();
     let mut lines = examine(&imported.report, figures, None, metres(&imported)).gravest(MOST);
     if !lines.is_empty() {
         lines.push(format!("`use3d check {}` says more, and looks at the photographs", word(capture)));

@@ -1,0 +1,352 @@
+//! The model against its own tracks, and the photographs against the model.
+//!
+//! A point `X` of the model was seen in view `v` at the pixel `x`. With the projection `π_v` of the model,
+//! lens included,
+//!
+//! * the *error* of a sighting is `‖π_v(X) − x‖`, in pixels of the model's photographs; the error of a
+//!   capture is the mean over points of their mean, as COLMAP stores it;
+//! * a sighting is *in view* if `π_v(X)` exists and is not farther than a twentieth of a side outside;
+//! * the *likeness* of a view compares it with the other views of its points. The detail of a point in a
+//!   view is the brightness of its pixel less the mean around it, in a picture of about 640 pixels. The
+//!   likeness is the rank correlation (Spearman's ρ) between a view's details and the means of those in the
+//!   other views. It is above 0.9 if a photograph belongs to its pose, and near 0 if another photograph is
+//!   there, or the same one turned. Exposure and water change no order of details. A model without tracks is
+//!   compared at the points' projections, where hidden points lower the likeness to about 0.7.
+//!
+//! * the *coverage* of a capture is the share of its points that at least three views saw, and the *angle* of
+//!   a point is the largest between the rays of two of its views.
+//!
+//! Figures that a file states, such as COLMAP's stored error, are only compared with the measured ones.
+
+use std::collections::BTreeMap;
+
+use glam::DVec3;
+use rayon::prelude::*;
+use serde::Serialize;
+use use3d_capture::{Image, Pose};
+use use3d_import::Imported;
+use use3d_io_image::{ImageError, read_image, shrunk};
+use use3d_survey::{PosedImage, Survey};
+
+/// The fewest sightings from which a view's figures are taken.
+const FEWEST: usize = 30;
+/// The most sightings of a view that are compared with its pixels; they are evenly chosen.
+const MOST: usize = 1500;
+/// The longer side of the pictures in which details are compared, pixels.
+const SIDE: usize = 640;
+/// Pixels on each side of a point that its brightness is compared with.
+const AROUND: usize = 10;
+/// A point this share of a side outside of a picture still counts as in view.
+const MARGIN: f64 = 0.05;
+/// Pixels and views that a run reads before its first stage, at most.
+const PIXELS: usize = 60_000_000;
+const VIEWS: usize = 24;
+
+/// A view's agreement with the model.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct ViewAgreement {
+    /// Its name.
+    pub name: String,
+    /// The median error of its sightings, pixels of the model's photographs; `None` without tracks.
+    pub error: Option<f64>,
+    /// The share of its sightings whose point is in view; `None` without tracks.
+    pub in_view: Option<f64>,
+    /// Its likeness to the other views of its points, −1 to 1; `None` if its pixels were not read, or if it
+    /// shares too few points with them.
+    pub likeness: Option<f64>,
+}
+
+/// The agreement of a model with its tracks and photographs.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Agreement {
+    /// The views, in the order of the capture.
+    pub views: Vec<ViewAgreement>,
+    /// True if the model says which view saw which point.
+    pub tracked: bool,
+    /// The measured error, pixels of the model's photographs; `None` without tracks.
+    pub error: Option<f64>,
+    /// The error that the model's file states, pixels; `None` if it states none.
+    pub stated: Option<f64>,
+    /// The share of points that are in view of at least one photograph.
+    pub in_view: f64,
+    /// The share of points that at least three views saw.
+    pub coverage: f64,
+    /// The median angle of points, degrees.
+    pub angle: f64,
+}
+
+/// The views whose photographs are read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pixels {
+    /// None: the model alone is tested.
+    None,
+    /// As many as can be read in seconds, evenly chosen.
+    Few,
+    /// All.
+    All,
+}
+
+/// Where a view saw a point.
+struct Sight {
+    point: usize,
+    /// The pixel in the model's photograph.
+    at: [f64; 2],
+}
+
+/// Tests a capture's model against its tracks and its photographs.
+///
+/// # Errors
+/// A photograph that cannot be read.
+pub fn agreement(imported: &Imported, pixels: Pixels) -> Result<Agreement, ImageError> {
+    let survey = &imported.model;
+    let images: BTreeMap<u32, &PosedImage> = survey.images.iter().map(|image| (image.id, image)).collect();
+    let mut of_image: BTreeMap<u32, Vec<Sight>> = BTreeMap::new();
+    for (point, stored) in survey.points.iter().enumerate() {
+        for (id, keypoint) in &stored.track {
+            let keypoint = images.get(id).and_then(|image| image.keypoints.get(*keypoint as usize));
+            if let Some(k) = keypoint.filter(|k| k.x.is_finite() && k.y.is_finite()) {
+                of_image.entry(*id).or_default().push(Sight { point, at: [k.x, k.y] });
+            }
+        }
+    }
+    let tracked = !of_image.is_empty();
+    let views = &imported.capture.views;
+    let projections: Vec<Projection<'_>> =
+        views.iter().map(|view| Projection::of(survey, images.get(&view.id).copied())).collect();
+    // Without tracks, points are looked for where the model puts them.
+    let sights: Vec<Vec<Sight>> = views
+        .iter()
+        .zip(&projections)
+        .map(|(view, projection)| match tracked {
+            true => of_image.remove(&view.id).unwrap_or_default(),
+            false => projection.all(survey),
+        })
+        .collect();
+
+    let mut found = Agreement {
+        views: views
+            .iter()
+            .map(|view| ViewAgreement { name: view.name.to_string(), ..ViewAgreement::default() })
+            .collect(),
+        tracked,
+        in_view: share_in_view(survey, &projections),
+        ..Agreement::default()
+    };
+    (found.coverage, found.angle) = coverage(imported, &sights);
+    if tracked {
+        found.errors(survey, &sights, &projections);
+    }
+    if pixels != Pixels::None {
+        let large =
+            views.first().map_or(1, |v| (v.camera.intrinsics.width * v.camera.intrinsics.height).max(1));
+        let step = match pixels {
+            Pixels::Few => (views.len() * large).div_ceil(PIXELS).max(views.len().div_ceil(VIEWS)).max(1),
+            _ => 1,
+        };
+        let read = |i: usize| -> Result<Option<Shown>, ImageError> {
+            if i % step > 0 || sights[i].len() < FEWEST {
+                return Ok(None);
+            }
+            Ok(Some(shown(&read_image(&views[i].image)?, &sights[i], projections[i].size)))
+        };
+        let all: Vec<Option<Shown>> = (0..views.len()).into_par_iter().map(read).collect::<Result<_, _>>()?;
+        found.likeness(&all, survey.points.len());
+    }
+    Ok(found)
+}
+
+/// The projection of a view, by its model.
+struct Projection<'a> {
+    image: Option<(&'a PosedImage, Pose)>,
+    /// Width and height of the model's photograph, pixels.
+    size: [f64; 2],
+    survey: &'a Survey,
+}
+
+impl<'a> Projection<'a> {
+    fn of(survey: &'a Survey, image: Option<&'a PosedImage>) -> Self {
+        let camera = image.and_then(|image| survey.camera(image.camera));
+        let size = camera.map_or([0.0; 2], |camera| [camera.width as f64, camera.height as f64]);
+        Self { image: image.map(|image| (image, image.pose())), size, survey }
+    }
+
+    /// The pixel of a point; `None` behind the camera.
+    fn pixel(&self, position: [f64; 3]) -> Option<[f64; 2]> {
+        let (image, pose) = self.image.as_ref()?;
+        let at = pose.rotation * DVec3::from_array(position) + pose.translation;
+        let lens = &self.survey.camera(image.camera)?.lens;
+        let (x, y) = (at.z > 0.0).then(|| lens.project(at.x / at.z, at.y / at.z))?;
+        (x.is_finite() && y.is_finite()).then_some([x, y])
+    }
+
+    fn is_inside(&self, pixel: [f64; 2], margin: f64) -> bool {
+        (0..2).all(|i| (-margin * self.size[i]..=(1.0 + margin) * self.size[i]).contains(&pixel[i]))
+    }
+
+    /// The points that lie in the picture, evenly chosen.
+    fn all(&self, survey: &Survey) -> Vec<Sight> {
+        let step = (survey.points.len() / (4 * MOST)).max(1);
+        let points = survey.points.iter().enumerate().step_by(step);
+        let inside = points.filter_map(|(point, stored)| {
+            let at = self.pixel(stored.position).filter(|at| self.is_inside(*at, 0.0))?;
+            Some(Sight { point, at })
+        });
+        inside.collect()
+    }
+}
+
+/// The share of points that are in view of any photograph.
+fn share_in_view(survey: &Survey, projections: &[Projection<'_>]) -> f64 {
+    let step = (survey.points.len() / 5000).max(1);
+    let chosen: Vec<[f64; 3]> = survey.points.iter().step_by(step).map(|p| p.position).collect();
+    let seen = |p: &[f64; 3]| {
+        projections.iter().any(|view| view.pixel(*p).is_some_and(|at| view.is_inside(at, MARGIN)))
+    };
+    let count = chosen.par_iter().filter(|p| seen(p)).count();
+    count as f64 / chosen.len().max(1) as f64
+}
+
+/// The share of points that at least three views saw, and the median of their angles, degrees.
+fn coverage(imported: &Imported, sights: &[Vec<Sight>]) -> (f64, f64) {
+    let capture = &imported.capture;
+    let mut views_of: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+    for (view, sights) in sights.iter().enumerate() {
+        for sight in sights {
+            views_of.entry(sight.point).or_default().push(view);
+        }
+    }
+    let thrice = views_of.values().filter(|views| views.len() >= 3).count();
+    let mut angles: Vec<f64> = Vec::new();
+    for (point, views) in views_of.iter().step_by((views_of.len() / MOST).max(1)) {
+        let Some(point) = capture.points.get(*point) else { continue };
+        let rays: Vec<DVec3> = views
+            .iter()
+            .filter_map(|v| (capture.views[*v].camera.pose.center() - point.position).try_normalize())
+            .collect();
+        let pairs =
+            rays.iter().enumerate().flat_map(|(i, a)| rays[i + 1..].iter().map(move |b| a.angle_between(*b)));
+        angles.push(pairs.fold(0.0, f64::max).to_degrees());
+    }
+    angles.sort_unstable_by(f64::total_cmp);
+    (thrice as f64 / views_of.len().max(1) as f64, angles.get(angles.len() / 2).copied().unwrap_or(0.0))
+}
+
+impl Agreement {
+    fn likeness(&mut self, all: &[Option<Shown>], points: usize) {
+        let mut sums = vec![(0.0, 0usize); points];
+        for (point, detail) in all.iter().flatten().flatten() {
+            sums[*point].0 += detail;
+            sums[*point].1 += 1;
+        }
+        for (view, shown) in self.views.iter_mut().zip(all) {
+            let (mut own, mut others) = (Vec::new(), Vec::new());
+            for (point, detail) in shown.iter().flatten() {
+                let (sum, count) = sums[*point];
+                if count > 1 {
+                    own.push(*detail);
+                    others.push((sum - detail) / (count - 1) as f64);
+                }
+            }
+            if own.len() >= FEWEST {
+                view.likeness = correlation(&ranks(&own), &ranks(&others));
+            }
+        }
+    }
+
+    fn errors(&mut self, survey: &Survey, sights: &[Vec<Sight>], projections: &[Projection<'_>]) {
+        let mut of_point = vec![(0.0, 0usize); survey.points.len()];
+        for ((view, sights), projection) in self.views.iter_mut().zip(sights).zip(projections) {
+            let (mut errors, mut inside) = (Vec::with_capacity(sights.len()), 0usize);
+            for sight in sights {
+                let at = projection.pixel(survey.points[sight.point].position);
+                let error = at.map_or(f64::INFINITY, |[x, y]| (x - sight.at[0]).hypot(y - sight.at[1]));
+                inside += usize::from(at.is_some_and(|at| projection.is_inside(at, MARGIN)));
+                errors.push(error);
+                if error.is_finite() {
+                    of_point[sight.point].0 += error;
+                    of_point[sight.point].1 += 1;
+                }
+            }
+            if sights.len() >= FEWEST {
+                view.in_view = Some(inside as f64 / sights.len() as f64);
+                errors.sort_unstable_by(f64::total_cmp);
+                view.error = Some(errors[errors.len() / 2]);
+            }
+        }
+        let measured: Vec<(f64, f64)> = survey
+            .points
+            .iter()
+            .zip(&of_point)
+            .filter(|(_, (_, count))| *count > 0)
+            .map(|(point, (sum, count))| (sum / *count as f64, point.error))
+            .collect();
+        let mean =
+            |values: Vec<f64>| (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64);
+        self.error = mean(measured.iter().map(|(error, _)| *error).collect());
+        self.stated = mean(measured.iter().map(|(_, stated)| *stated).filter(|e| *e >= 0.0).collect());
+    }
+}
+
+/// What a photograph shows of the points that it saw: the points, and the detail at each.
+type Shown = Vec<(usize, f64)>;
+
+/// Reads a photograph at its sights; `size` is that of the model's photograph, pixels.
+fn shown(image: &Image, sights: &[Sight], size: [f64; 2]) -> Shown {
+    let small = shrunk(image, SIDE);
+    let (w, h) = (small.width(), small.height());
+    let scale = [w as f64 / size[0], h as f64 / size[1]];
+    let mean = |x: usize, y: usize, r: usize| {
+        let (mut sum, mut count) = ([0.0; 3], 0.0);
+        for v in y.saturating_sub(r)..(y + r + 1).min(h) {
+            for u in x.saturating_sub(r)..(x + r + 1).min(w) {
+                let pixel = small.pixel(u, v);
+                (0..3).for_each(|c| sum[c] += f64::from(pixel[c]));
+                count += 1.0;
+            }
+        }
+        luma(sum.map(|s: f64| s / count))
+    };
+    let detail = |sight: &Sight| {
+        let [x, y] = [0, 1].map(|i| (sight.at[i] * scale[i]).floor());
+        let inside = x >= 1.0 && y >= 1.0 && x + 2.0 <= w as f64 && y + 2.0 <= h as f64;
+        let (x, y) = (x as usize, y as usize);
+        inside.then(|| (sight.point, mean(x, y, 1) - mean(x, y, AROUND)))
+    };
+    sights.iter().step_by((sights.len() / MOST).max(1)).filter_map(detail).collect()
+}
+
+fn luma(c: [f64; 3]) -> f64 {
+    0.2126 * c[0] + 0.7152 * c[1] + 0.0722 * c[2]
+}
+
+/// The rank of each value; equal values share their mean rank.
+fn ranks(values: &[f64]) -> Vec<f64> {
+    let mut order: Vec<usize> = (0..values.len()).collect();
+    order.sort_unstable_by(|a, b| values[*a].total_cmp(&values[*b]));
+    let mut ranks = vec![0.0; values.len()];
+    let mut first = 0;
+    while first < order.len() {
+        let mut last = first;
+        while last + 1 < order.len() && values[order[last + 1]] == values[order[first]] {
+            last += 1;
+        }
+        for place in &order[first..=last] {
+            ranks[*place] = (first + last) as f64 / 2.0;
+        }
+        first = last + 1;
+    }
+    ranks
+}
+
+/// Pearson's correlation; `None` if one of the two does not vary.
+fn correlation(a: &[f64], b: &[f64]) -> Option<f64> {
+    let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
+    let (ma, mb) = (mean(a), mean(b));
+    let (mut ab, mut aa, mut bb) = (0.0, 0.0, 0.0);
+    for (x, y) in a.iter().zip(b) {
+        ab += (x - ma) * (y - mb);
+        aa += (x - ma) * (x - ma);
+        bb += (y - mb) * (y - mb);
+    }
+    (aa > 0.0 && bb > 0.0).then(|| ab / (aa * bb).sqrt())
+}
