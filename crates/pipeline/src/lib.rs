@@ -11,9 +11,25 @@
 //! scene.
 
 pub mod baked;
+pub mod by_hand;
+pub mod compare;
 pub mod config;
+pub mod destination;
+mod error;
+pub mod found;
+pub mod history;
+pub mod host;
+pub mod loaded;
 mod made_by;
+pub mod outcome;
 pub mod photographs;
+pub mod preparation;
 pub mod results;
 pub mod scene_page;
+pub mod scene_views;
+pub mod spelled;
+pub mod white;
+pub mod whole_run;
 pub mod written;
+
+pub use error::WorkError;

@@ -8,9 +8,9 @@ use serde::Serialize;
 use use3d_workflow::machine::{self, bytes};
 
 use crate::args::DoctorArgs;
-use crate::destination::path_text;
 use crate::error::Done;
 use crate::version;
+use use3d_pipeline::destination::path_text;
 
 /// The result of one search.
 #[derive(Debug, Serialize)]

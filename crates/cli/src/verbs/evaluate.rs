@@ -8,13 +8,14 @@ use use3d_capture::{Image, shown};
 use use3d_io_image::{image_size, images_by_stem, read_image};
 use use3d_judge::scores::{Method, SceneScores, Score, Scores};
 use use3d_judge::scoring::Judges;
+use use3d_pipeline::by_hand::{ByHand, scratch};
 use use3d_stages::{SCORES, read_json};
 use use3d_workflow::machine::{available_memory, bytes};
 
 use crate::App;
 use crate::args::{EvaluateArgs, TableFormat};
-use crate::error::{CliError, Done};
-use crate::verbs::by_hand::{ByHand, scratch};
+use crate::error::{Done, WorkError};
+
 use crate::{interrupt, output};
 
 /// A named row of scores.
@@ -29,34 +30,34 @@ pub(crate) fn run(app: &App, args: &EvaluateArgs) -> Done {
     let rows = match (&args.images, &args.scene, &args.capture) {
         (Some(images), _, _) => folders(images, args.reference.as_deref(), args.models.as_deref())?,
         (None, Some(scene), Some(capture)) => scene_rows(app, args, scene, capture)?,
-        _ => return Err(CliError::input("evaluate needs SCENE_DIR and CAPTURE_DIR, or --images DIR")),
+        _ => return Err(WorkError::input("evaluate needs SCENE_DIR and CAPTURE_DIR, or --images DIR")),
     };
     let format = if args.json { TableFormat::Json } else { args.format };
     print(&rows, format)
 }
 
 /// The images of a folder by stem; `flag` is the flag that named the folder.
-fn images(dir: &Path, flag: &str) -> Result<BTreeMap<String, PathBuf>, CliError> {
-    let refused = |what: &str| CliError::Input(format!("{flag} {}: {what}", dir.display()));
+fn images(dir: &Path, flag: &str) -> Result<BTreeMap<String, PathBuf>, WorkError> {
+    let refused = |what: &str| WorkError::Input(format!("{flag} {}: {what}", dir.display()));
     if !dir.is_dir() {
         return Err(refused("there is no such folder"));
     }
     let found = images_by_stem(dir, &["png", "jpg", "jpeg", "tif", "tiff", "exr"])
-        .map_err(|error| CliError::Input(format!("{flag} {error}")))?;
+        .map_err(|error| WorkError::Input(format!("{flag} {error}")))?;
     if found.is_empty() {
         return Err(refused("no images here; PNG, JPEG, TIFF and EXR are read"));
     }
     Ok(found)
 }
 
-fn folders(dir: &Path, reference: Option<&Path>, models: Option<&Path>) -> Result<Vec<ScoreRow>, CliError> {
+fn folders(dir: &Path, reference: Option<&Path>, models: Option<&Path>) -> Result<Vec<ScoreRow>, WorkError> {
     let judges = Judges::open(models);
     let given = images(dir, "--images")?;
     let references = reference.map(|dir| images(dir, "--reference")).transpose()?;
     if let Some(references) = references.as_ref().filter(|r| given.keys().all(|stem| !r.contains_key(stem))) {
         let [ours, theirs] =
             [&given, references].map(|images| images.keys().next().map_or("", String::as_str));
-        return Err(CliError::Input(format!(
+        return Err(WorkError::Input(format!(
             "no image of --images ({ours}, …) has a counterpart in --reference ({theirs}, …); they are matched by the name \
              without its extension"
         )));
@@ -79,7 +80,7 @@ fn folders(dir: &Path, reference: Option<&Path>, models: Option<&Path>) -> Resul
                 let [(w, h), (wide, high)] =
                     [&image, &reference].map(|image| (image.width(), image.height()));
                 if (w, h) != (wide, high) {
-                    return Err(CliError::Input(format!(
+                    return Err(WorkError::Input(format!(
                         "{stem}: the image is {w}x{h}, its reference {wide}x{high}; scores need equal sizes"
                     )));
                 }
@@ -101,11 +102,11 @@ const DECODING: u64 = 16;
 
 /// Reads an image in display range, if there is enough memory to read and score it. `compared` is true if
 /// another image of the same size is in memory already.
-fn read(path: &Path, judges: &Judges, compared: bool) -> Result<Image, CliError> {
-    let (width, height) = image_size(path).map_err(CliError::input)?;
+fn read(path: &Path, judges: &Judges, compared: bool) -> Result<Image, WorkError> {
+    let (width, height) = image_size(path).map_err(WorkError::input)?;
     let beside = judges.bytes_per_pixel(compared).max(DECODING);
     refuse_beyond(path, (width * height) as u64, IMAGE + beside, available_memory())?;
-    let mut image = read_image(path).map_err(CliError::input)?;
+    let mut image = read_image(path).map_err(WorkError::input)?;
     // The clamp works in place; the judges copy values outside the range.
     image.data_mut().iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
     Ok(image)
@@ -115,7 +116,7 @@ fn read(path: &Path, judges: &Judges, compared: bool) -> Result<Image, CliError>
 fn refuse_beyond(path: &Path, pixels: u64, bytes_per_pixel: u64, free: Option<u64>) -> Done {
     let need = bytes_per_pixel * pixels;
     match free {
-        Some(free) if need > free => Err(CliError::Input(format!(
+        Some(free) if need > free => Err(WorkError::Input(format!(
             "{}: scoring its {pixels} pixels needs about {} of memory, and {} are free; scale the image \
              down first",
             path.display(),
@@ -136,11 +137,10 @@ fn scene_rows(
     args: &EvaluateArgs,
     scene: &Path,
     capture: &Path,
-) -> Result<Vec<ScoreRow>, CliError> {
+) -> Result<Vec<ScoreRow>, WorkError> {
     let mut hand = ByHand {
         flags: args.size.spelled(),
-        sets: args.settings.set.clone(),
-        models: args.models.as_deref(),
+        options: args.settings.options(args.models.as_ref()),
         ..ByHand::on(capture, "evaluate")
     };
     let is_enhanced = scene.join("ubaf.safetensors").is_file();
@@ -152,9 +152,9 @@ fn scene_rows(
         ("photographs", None),
     ]);
     let scratch = scratch()?;
-    hand.imported(app, scratch.path(), Some(scene), true)?;
-    let out = hand.run(app, scratch.path())?;
-    let scores: SceneScores = read_json(&out.join(SCORES)).map_err(CliError::failed)?;
+    hand.imported(&app.host, scratch.path(), Some(scene), true)?;
+    let out = hand.run(&app.host, scratch.path())?;
+    let scores: SceneScores = read_json(&out.join(SCORES)).map_err(WorkError::failed)?;
     let mut rows = Vec::new();
     for method in Method::ALL {
         let Some(found) = scores.methods.iter().find(|m| m.method == method) else { continue };
@@ -230,7 +230,7 @@ mod tests {
         let path = Path::new("panorama.png");
         assert!(refuse_beyond(path, 1 << 20, 30, Some(1 << 30)).is_ok());
         assert!(refuse_beyond(path, 1 << 27, 30, None).is_ok(), "where the system does not say, it is tried");
-        let Err(CliError::Input(message)) = refuse_beyond(path, 1 << 27, 30, Some(1 << 30)) else {
+        let Err(WorkError::Input(message)) = refuse_beyond(path, 1 << 27, 30, Some(1 << 30)) else {
             panic!("4 GB do not fit into 1 GiB");
         };
         assert!(message.contains("panorama.png") && message.contains("4.0 GB"), "{message}");

@@ -11,6 +11,7 @@ use glam::{DMat3, DVec3};
 use use3d_capture::{Camera, Frame};
 use use3d_pipeline::baked::difference;
 use use3d_pipeline::scene_page::is_held_out;
+use use3d_pipeline::scene_views::placed;
 use use3d_render::white::balanced;
 use use3d_render::{InWater, Look, Mode, bake_in_water};
 use use3d_scene::white::Gains;
@@ -22,12 +23,11 @@ use use3d_workflow::machine::bytes;
 
 use crate::App;
 use crate::args::{ExportArgs, ExportFrame, ExportWhat};
-use crate::destination::{check_file, path_text, write_file};
-use crate::error::{CliError, Done};
+use crate::error::{Done, WorkError};
 use crate::interrupt::ends_soon;
-use crate::verbs::drawing::placed;
-use crate::verbs::found::{capture_in, scene_in};
 use crate::verbs::{web, white};
+use use3d_pipeline::destination::{check_file, path_text, write_file};
+use use3d_pipeline::found::capture_in;
 
 pub(crate) fn run(app: &App, args: &ExportArgs) -> Done {
     for OutputFile { flag, extension, path, .. } in files(args) {
@@ -38,18 +38,18 @@ pub(crate) fn run(app: &App, args: &ExportArgs) -> Done {
         check_file("--web", path, args.replace.force, &["html"])?;
     }
     if args.web.is_none() && files(args).next().is_none() {
-        return Err(CliError::input(
+        return Err(WorkError::input(
             "choose an output: --web FILE.html, --ply FILE, --compressed-ply FILE, --glb FILE or --spz FILE",
         ));
     }
     if !(0.0..=1.0).contains(&args.water) {
-        return Err(CliError::Input(format!("--water {}: expected 0 to 1", args.water)));
+        return Err(WorkError::Input(format!("--water {}: expected 0 to 1", args.water)));
     }
     if let Some(frame) = &args.frame
         && args.ply.is_none()
         && args.compressed_ply.is_none()
     {
-        return Err(CliError::Input(format!(
+        return Err(WorkError::Input(format!(
             "--frame {}: only a PLY has a choice of frames (GLB and SPZ have y up, in units of the model); leave it out, \
              or write a PLY",
             name(frame)
@@ -57,8 +57,8 @@ pub(crate) fn run(app: &App, args: &ExportArgs) -> Done {
     }
     let _ends_soon = ends_soon();
     let cameras = args.cameras.clone().or_else(|| capture_in(&args.scene));
-    let args = &ExportArgs { scene: scene_in(app, &args.scene)?, cameras, ..args.clone() };
-    let scene = Scene::load(&args.scene).map_err(CliError::input)?;
+    let args = &ExportArgs { scene: app.scene_in(&args.scene)?, cameras, ..args.clone() };
+    let scene = Scene::load(&args.scene).map_err(WorkError::input)?;
     let white = white::of(app, &args.white, &args.scene, &scene, args.cameras.as_deref())?;
     if let Some(path) = &args.web {
         web::write(app, args, path, &scene, white.as_ref())?;
@@ -116,7 +116,7 @@ fn opening_look(scene: &Scene) -> ExportWhat {
 }
 
 /// The Gaussians in the colours of the look, with the look's name.
-fn baked(app: &App, args: &ExportArgs, scene: &Scene) -> Result<(String, Gaussians), CliError> {
+fn baked(app: &App, args: &ExportArgs, scene: &Scene) -> Result<(String, Gaussians), WorkError> {
     let what = args.what.unwrap_or_else(|| opening_look(scene));
     let look = match what {
         ExportWhat::Reconstruction | ExportWhat::Clear => Look::Reconstruction,
@@ -126,16 +126,16 @@ fn baked(app: &App, args: &ExportArgs, scene: &Scene) -> Result<(String, Gaussia
         && !scene.medium.is_none()
         && args.water > 0.0;
     if !with_water {
-        let dry = bake_in_water(scene, look, 0.0, &[]).map_err(CliError::input)?;
+        let dry = bake_in_water(scene, look, 0.0, &[]).map_err(WorkError::input)?;
         said(app, &dry);
         return Ok((name(&what), dry.gaussians));
     }
     let (through, held_out) = cameras(args, scene)?;
-    let mut wet = bake_in_water(scene, look, args.water, &through).map_err(CliError::input)?;
+    let mut wet = bake_in_water(scene, look, args.water, &through).map_err(WorkError::input)?;
     said(app, &wet);
     if !app.quiet {
-        let apart = |cameras: &[Camera]| -> Result<String, CliError> {
-            let apart = difference(scene, look, args.water, &wet, cameras).map_err(CliError::failed)?;
+        let apart = |cameras: &[Camera]| -> Result<String, WorkError> {
+            let apart = difference(scene, look, args.water, &wet, cameras).map_err(WorkError::failed)?;
             Ok(format!("ΔE00 {:.2} on average ({:.2} at the worst camera)", apart.mean, apart.worst))
         };
         let unseen = match held_out.len() {
@@ -175,13 +175,13 @@ fn said(app: &App, baked: &InWater) {
 /// The cameras for a look with water, in the scene's frame: those through whose water the scene is baked, and
 /// the held-out views, at which the file is compared with the scene, too. Held-out views are not baked,
 /// unless no other cameras are given.
-fn cameras(args: &ExportArgs, scene: &Scene) -> Result<(Vec<Camera>, Vec<Camera>), CliError> {
+fn cameras(args: &ExportArgs, scene: &Scene) -> Result<(Vec<Camera>, Vec<Camera>), WorkError> {
     let own = args.scene.join(CAMERAS);
     let place = match &args.cameras {
         Some(place) => place.clone(),
         None if own.is_file() => own,
         None => {
-            return Err(CliError::Input(format!(
+            return Err(WorkError::Input(format!(
                 "a look with water is baked for the distances of cameras, and {} has no list of its \
                  cameras; give --cameras CAPTURE, or choose a look without water (--what clear)",
                 path_text(&args.scene)
@@ -189,7 +189,7 @@ fn cameras(args: &ExportArgs, scene: &Scene) -> Result<(Vec<Camera>, Vec<Camera>
         }
     };
     let cameras = placed(&place, &scene.frame)?;
-    let origin = Origin::read(&args.scene).map_err(CliError::input)?;
+    let origin = Origin::read(&args.scene).map_err(WorkError::input)?;
     let (mut through, mut held_out) = (Vec::new(), Vec::new());
     for (name, camera) in cameras {
         if is_held_out(origin.as_ref(), name.stem()) { &mut held_out } else { &mut through }.push(camera);
@@ -265,9 +265,9 @@ fn write(
 const FAR: f64 = 1000.0;
 
 /// The similarity from COLMAP's frame to metres, without a large offset, and that offset in whole metres.
-fn metric(scene: &Path) -> Result<(Frame, Option<[f64; 3]>), CliError> {
-    let Some(world) = Scene::world(scene).map_err(CliError::input)? else {
-        return Err(CliError::Input(format!(
+fn metric(scene: &Path) -> Result<(Frame, Option<[f64; 3]>), WorkError> {
+    let Some(world) = Scene::world(scene).map_err(WorkError::input)? else {
+        return Err(WorkError::Input(format!(
             "--frame metric: {} does not know its metres; measure a length or give positions \
              (docs/guide/metres.md), and run again",
             path_text(scene)

@@ -8,17 +8,18 @@ use use3d_cluster::jobs::{self, Job, Layout};
 use use3d_cluster::site::{Scheduler, Site};
 use use3d_cluster::slurm::{self, Submission, Submitted};
 use use3d_cluster::{ClusterError, hyperqueue, quote, time};
-use use3d_pipeline::config::Pipeline;
+use use3d_pipeline::config::{LoadOptions, Pipeline};
+use use3d_pipeline::destination::OUT;
+use use3d_pipeline::loaded::{Loaded, PipelineRequest, stages};
 use use3d_pipeline::results::Results;
 use use3d_workflow::Plan;
 use use3d_workflow::machine::seconds;
 use use3d_workflow::plan::State;
 
 use crate::App;
-use crate::args::{CacheArgs, CancelArgs, PipelineArgs, Submit, SubmitArgs, SubmitLayout};
-use crate::error::{CliError, Done};
+use crate::args::{CancelArgs, Submit, SubmitArgs, SubmitLayout};
+use crate::error::{Done, WorkError};
 use crate::output::counted;
-use crate::verbs::loaded::{Loaded, open, read, stages};
 
 /// All decisions before anything is written.
 struct Ready {
@@ -35,7 +36,7 @@ pub(crate) fn run(app: &App, what: &Submit) -> Done {
         Submit::Hq(args) => (Scheduler::HyperQueue, args),
     };
     if let (SubmitLayout::Stages, Some(workers)) = (args.layout, args.workers) {
-        return Err(CliError::Input(format!(
+        return Err(WorkError::Input(format!(
             "--workers {workers}: --layout stages has a task for every scene and variant; leave one of them \
              out (`at_once` of the site limits the tasks that run at once)"
         )));
@@ -60,18 +61,18 @@ pub(crate) fn run(app: &App, what: &Submit) -> Done {
     let submitted = match scheduler {
         Scheduler::Slurm => {
             refuse_twice(args, slurm::still_queued(last), "scancel")?;
-            slurm::write(jobs, submission, site).map_err(CliError::failed)?;
+            slurm::write(jobs, submission, site).map_err(WorkError::failed)?;
             keep_pipeline(&args.pipeline.target, submission)?;
             slurm::submit(jobs, submission)
         }
         Scheduler::HyperQueue => {
             refuse_twice(args, hyperqueue::still_queued(last), "hq job cancel")?;
-            hyperqueue::write(jobs, submission, site).map_err(CliError::failed)?;
+            hyperqueue::write(jobs, submission, site).map_err(WorkError::failed)?;
             keep_pipeline(&args.pipeline.target, submission)?;
             hyperqueue::submit(submission)
         }
     };
-    let submitted = submitted.map_err(CliError::failed)?;
+    let submitted = submitted.map_err(WorkError::failed)?;
     for (name, id) in &submitted.jobs {
         println!("submitted {name} as job {id}");
     }
@@ -144,10 +145,10 @@ fn keep_pipeline(target: &Path, submission: &Submission) -> Done {
     if !target.is_file() {
         return Ok(());
     }
-    let text = std::fs::read(target).map_err(|e| CliError::Failed(format!("{}: {e}", target.display())))?;
+    let text = std::fs::read(target).map_err(|e| WorkError::Failed(format!("{}: {e}", target.display())))?;
     let kept = submission.folder.join("pipeline.toml");
     use3d_files::write_atomically(&kept, |writer| std::io::Write::write_all(writer, &text))
-        .map_err(|e| CliError::Failed(format!("{}: {e}", kept.display())))
+        .map_err(|e| WorkError::Failed(format!("{}: {e}", kept.display())))
 }
 
 /// Cancels the jobs of the last submission.
@@ -155,14 +156,14 @@ pub(crate) fn cancel(args: &CancelArgs) -> Done {
     let out = match &args.out {
         Some(out) => out.clone(),
         None => {
-            let pipeline = PipelineArgs::of(&args.target, &CacheArgs::default());
-            PathBuf::from("use3d-out").join(read(&stages()?, &pipeline, &[])?.batch.name)
+            let request = PipelineRequest { target: args.target.clone(), ..PipelineRequest::default() };
+            Path::new(OUT).join(request.read(&stages()?)?.batch.name)
         }
     };
     let folder = folder_of(&out);
     let submitted = Submitted::read(&folder);
     if submitted.jobs.is_empty() {
-        return Err(CliError::Input(format!(
+        return Err(WorkError::Input(format!(
             "{}: nothing was submitted from there; give the results folder of the submission with --out",
             folder.display()
         )));
@@ -170,14 +171,14 @@ pub(crate) fn cancel(args: &CancelArgs) -> Done {
     // A scheduler refuses to cancel a job that it has forgotten, so only jobs in its queue are cancelled.
     let is_hq = submitted.scheduler == "hq";
     let queued = if is_hq { hyperqueue::still_queued(submitted) } else { slurm::still_queued(submitted) };
-    let queued = queued.map_err(CliError::failed)?;
+    let queued = queued.map_err(WorkError::failed)?;
     if queued.is_empty() {
         println!("nothing to cancel: all jobs of the last submission have ended");
         return Ok(());
     }
     let numbers: Vec<String> = queued.into_iter().map(|(_, number)| number).collect();
     let ended = if is_hq { hyperqueue::cancel(&numbers) } else { slurm::cancel(&numbers) };
-    ended.map_err(CliError::failed)?;
+    ended.map_err(WorkError::failed)?;
     println!(
         "cancelled {}; running stages write their checkpoints, and `use3d submit` submits the rest",
         numbers.join(", ")
@@ -199,7 +200,7 @@ fn end(what: &str, missing: usize) -> Done {
         return Ok(());
     }
     let are = counted(missing, "input is", "inputs are");
-    Err(CliError::Failed(format!("{what}: {are} missing, see above")))
+    Err(WorkError::Failed(format!("{what}: {are} missing, see above")))
 }
 
 /// Fails if jobs of the last submission are still in the queue, unless `--again` is given.
@@ -208,12 +209,12 @@ fn refuse_twice(
     queued: Result<Vec<(String, String)>, ClusterError>,
     cancel: &str,
 ) -> Done {
-    let queued = queued.map_err(CliError::failed)?;
+    let queued = queued.map_err(WorkError::failed)?;
     if queued.is_empty() || args.again {
         return Ok(());
     }
     let named: Vec<String> = queued.iter().map(|(name, id)| format!("{id} ({name})")).collect();
-    Err(CliError::Input(format!(
+    Err(WorkError::Input(format!(
         "jobs of the last submission are still in the queue: {}; wait for them, cancel them with \
          `{cancel}`, or pass --again to submit more jobs",
         named.join(", ")
@@ -230,9 +231,9 @@ fn tell_missing(plan: &Plan) {
 }
 
 /// Reads the site, and warns about entries that the scheduler does not support.
-fn site(app: &App, scheduler: Scheduler, args: &SubmitArgs, stages: &[&str]) -> Result<Site, CliError> {
+fn site(app: &App, scheduler: Scheduler, args: &SubmitArgs, stages: &[&str]) -> Result<Site, WorkError> {
     let Some(file) = &args.cluster else { return Ok(Site::default()) };
-    let site = Site::read(file, stages).map_err(CliError::input)?;
+    let site = Site::read(file, stages).map_err(WorkError::input)?;
     let unused = site.unused(scheduler);
     if !unused.is_empty() {
         let name = match scheduler {
@@ -247,7 +248,7 @@ fn site(app: &App, scheduler: Scheduler, args: &SubmitArgs, stages: &[&str]) -> 
 
 /// The variables that tasks need, with their values: schedulers may start tasks without them. Variables that
 /// may be secret are left out, because other people may be able to read the scripts.
-fn variables(pipeline: &Pipeline) -> Result<Vec<(String, String)>, CliError> {
+fn variables(pipeline: &Pipeline) -> Result<Vec<(String, String)>, WorkError> {
     let mut found = Vec::new();
     for name in pipeline.variables.iter().map(String::as_str).chain(["USE3D_REMOTE"]) {
         let Some(value) = std::env::var(name).ok().filter(|value| !value.is_empty()) else { continue };
@@ -261,10 +262,10 @@ fn variables(pipeline: &Pipeline) -> Result<Vec<(String, String)>, CliError> {
         }
         if name == "USE3D_REMOTE" {
             // The address is checked like in a run; the value is not printed, because it may contain a key.
-            use3d_store::open(&value).map_err(|e| CliError::Input(format!("{name}: {e}")))?;
+            use3d_store::open(&value).map_err(|e| WorkError::Input(format!("{name}: {e}")))?;
         }
         if value.chars().any(char::is_control) {
-            return Err(CliError::Input(format!(
+            return Err(WorkError::Input(format!(
                 "the environment variable {name} has a control character in it; a script cannot hold it"
             )));
         }
@@ -285,8 +286,9 @@ fn is_shell_name(name: &str) -> bool {
 }
 
 /// Prepares the submission; `None` if there is nothing to do.
-fn prepare(app: &App, scheduler: Scheduler, args: &SubmitArgs) -> Result<Option<Ready>, CliError> {
-    let loaded = open(&args.pipeline, &[])?;
+fn prepare(app: &App, scheduler: Scheduler, args: &SubmitArgs) -> Result<Option<Ready>, WorkError> {
+    let request = args.pipeline.request();
+    let loaded = request.open()?;
     loaded.nothing_lacks(None, None)?;
     let Loaded { pipeline, builder, graph } = &loaded;
     let stages: Vec<&str> = builder.registry.stages().iter().map(|s| s.name()).collect();
@@ -301,7 +303,7 @@ fn prepare(app: &App, scheduler: Scheduler, args: &SubmitArgs) -> Result<Option<
         SubmitLayout::Workers => Layout::Workers,
         SubmitLayout::Stages => Layout::Stages,
     };
-    let jobs = jobs::of(&plan, &builder.registry, &site, layout, args.workers).map_err(CliError::input)?;
+    let jobs = jobs::of(&plan, &builder.registry, &site, layout, args.workers).map_err(WorkError::input)?;
     let missing = plan.unavailable();
     if jobs.is_empty() {
         if missing == 0 {
@@ -322,18 +324,19 @@ fn prepare(app: &App, scheduler: Scheduler, args: &SubmitArgs) -> Result<Option<
     let out = args.out.clone().unwrap_or_else(|| PathBuf::from("use3d-out").join(&pipeline.batch.name));
     Results::new(&out, &builder.cache).check(graph, None)?;
     let place = std::env::current_dir()
-        .map_err(|e| CliError::Failed(format!("the current folder cannot be found: {e}")))?;
+        .map_err(|e| WorkError::Failed(format!("the current folder cannot be found: {e}")))?;
     let out = place.join(out);
     let cache = place.join(&pipeline.cache);
     let mut run = vec![text(&args.pipeline.target)?, "--cache".to_string(), text(&cache)?];
-    if let Some(models) = &args.pipeline.cache.models {
+    let LoadOptions { sets, models, pairs, calibrator, .. } = request.options;
+    if let Some(models) = &models {
         run.extend(["--models".to_string(), text(models)?]);
     }
-    run.extend(args.pipeline.sets().into_iter().flat_map(|set| ["--set".to_string(), set]));
-    if let Some((input, target)) = args.pipeline.calibration.pairs() {
-        run.extend(["--pairs".to_string(), text(&input)?, text(&target)?]);
+    run.extend(sets.into_iter().flat_map(|set| ["--set".to_string(), set]));
+    if let Some((input, target)) = &pairs {
+        run.extend(["--pairs".to_string(), text(input)?, text(target)?]);
     }
-    if let Some(calibrator) = &args.pipeline.calibration.calibrator {
+    if let Some(calibrator) = &calibrator {
         run.extend(["--calibrator".to_string(), text(calibrator)?]);
     }
     run.extend(["--submitted".to_string(), graph.digest(&builder.registry).short()]);
@@ -341,7 +344,7 @@ fn prepare(app: &App, scheduler: Scheduler, args: &SubmitArgs) -> Result<Option<
     // of scripts and logs.
     let places = [text(&place)?, text(&out)?];
     if let Some(word) = run.iter().chain(&places).find(|word| word.chars().any(char::is_control)) {
-        return Err(CliError::Input(format!(
+        return Err(WorkError::Input(format!(
             "{word:?} has a control character in it; a script cannot hold it"
         )));
     }
@@ -364,8 +367,8 @@ fn prepare(app: &App, scheduler: Scheduler, args: &SubmitArgs) -> Result<Option<
 }
 
 /// A path as a word of a script.
-fn text(path: &Path) -> Result<String, CliError> {
+fn text(path: &Path) -> Result<String, WorkError> {
     let what = "a script cannot hold a path that is not UTF-8";
-    let text = path.to_str().ok_or_else(|| CliError::Input(format!("{}: {what}", path.display())));
+    let text = path.to_str().ok_or_else(|| WorkError::Input(format!("{}: {what}", path.display())));
     text.map(String::from)
 }

@@ -18,7 +18,8 @@ use use3d_capture::Pose;
 use use3d_import::{Original, Originals};
 use use3d_photographs::{ColourMap, Grid, Photographer, ViewMap, shrink};
 
-use super::{Appearance, WorkError, balanced, training_cameras};
+use super::{Appearance, balanced, training_cameras};
+use crate::WorkError;
 use use3d_stages::Drawn;
 
 /// Longer side of the small grid of a frame, pixels.

@@ -26,6 +26,8 @@ use use3d_photographs::{
 use use3d_render::Mode;
 use use3d_scene::Scene;
 
+use crate::WorkError;
+
 pub use record::{FinishedPhotograph, Overwrite, Record};
 pub use table::{TABLE, write_table};
 pub use use3d_stages::Appearance;
@@ -99,20 +101,6 @@ pub struct PhotographWork<'a, 's> {
     pub settings: String,
     /// The permission to replace files.
     pub overwrite: Overwrite,
-}
-
-/// A photograph that cannot be enhanced, or a folder that cannot be written.
-#[derive(Debug, thiserror::Error)]
-pub enum WorkError {
-    /// The input is wrong: file, expectation, next step.
-    #[error("{0}")]
-    Input(String),
-    /// A result cannot be written, or the scene cannot be drawn.
-    #[error("{0}")]
-    Failed(String),
-    /// The caller stopped the work; finished photographs stay.
-    #[error("interrupted")]
-    Stopped,
 }
 
 /// The numbers of a finished set.
@@ -221,7 +209,7 @@ impl PhotographWork<'_, '_> {
             let name = file.to_string();
             if !progress(totals.kept + totals.written, total, &name) {
                 self.table(&mut record)?;
-                return Err(WorkError::Stopped);
+                return Err(WorkError::Interrupted);
             }
             let photographer = match &mut photographer {
                 Some(photographer) => photographer,

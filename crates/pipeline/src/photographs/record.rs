@@ -18,7 +18,7 @@ use use3d_capture::FileName;
 use use3d_io_image::{Photograph, Samples};
 use use3d_photographs::ViewMap;
 
-use super::WorkError;
+use crate::WorkError;
 
 /// The record's name in the folder of the results.
 const FILE: &str = ".photographs.jsonl";

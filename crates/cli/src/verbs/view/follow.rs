@@ -4,11 +4,12 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant, SystemTime};
 
 use use3d_capture::Frame;
 use use3d_import::{ImportParams, Imported, import, load_prepared};
+use use3d_pipeline::loaded::Loaded;
+use use3d_pipeline::scene_views::{saved_views, scene_name};
 use use3d_reconstruct::scene_in_checkpoint;
 use use3d_scene::Scene;
 use use3d_viewer::{Live, Shown};
@@ -16,11 +17,9 @@ use use3d_web::PageView;
 
 use super::{Stream, WAIT, serve};
 use crate::App;
-use crate::args::{PipelineArgs, Settings, ViewArgs};
-use crate::destination::{checkpoints_in, entries, path_text, work_of};
-use crate::error::{CliError, Done};
-use crate::verbs::loaded::{Loaded, open};
-use crate::verbs::web::{saved_views, scene_name};
+use crate::args::ViewArgs;
+use crate::error::{Done, WorkError};
+use use3d_pipeline::destination::{checkpoints_in, entries, path_text, work_of};
 
 /// Time between two checks of the files.
 const EVERY: Duration = Duration::from_secs(3);
@@ -50,7 +49,7 @@ struct Newest {
 pub(super) fn run(app: &App, args: &ViewArgs, target: &Path, live: &Arc<Live>) -> Done {
     let followed = followed(args, target)?;
     let capture = args.cameras.as_ref().map(|path| import(path, &ImportParams::default()));
-    let capture = capture.transpose().map_err(CliError::input)?;
+    let capture = capture.transpose().map_err(WorkError::input)?;
     let name = match &followed {
         Followed::Pipeline { scene, .. } => scene.clone(),
         Followed::Scene { folder, .. } => scene_name(folder),
@@ -70,7 +69,7 @@ pub(super) fn run(app: &App, args: &ViewArgs, target: &Path, live: &Arc<Live>) -
     let every = if matches!(followed, Followed::Pipeline { .. }) { PLAN_EVERY } else { EVERY };
     let (mut shown, mut looked): (Option<Newest>, Option<Instant>) = (None, None);
     let mut places: Option<(Option<PathBuf>, Frame, Arc<Vec<PageView>>)> = None;
-    while !app.stop.load(Ordering::Relaxed) {
+    while !app.host.stops() {
         if looked.is_some_and(|at| at.elapsed() < every) {
             std::thread::sleep(WAIT);
             continue;
@@ -96,7 +95,7 @@ pub(super) fn run(app: &App, args: &ViewArgs, target: &Path, live: &Arc<Live>) -
             places.as_ref().is_some_and(|(of, frame, _)| *of == newest.import && *frame == scene.frame);
         if !known {
             let views = capture.map_or_else(|| Ok(Vec::new()), |capture| super::places(&scene, capture));
-            places = Some((newest.import.clone(), scene.frame, Arc::new(views.map_err(CliError::input)?)));
+            places = Some((newest.import.clone(), scene.frame, Arc::new(views.map_err(WorkError::input)?)));
         }
         let Some((_, _, views)) = &places else { continue };
         let what = step.map_or_else(|| "the finished scene".to_string(), |step| format!("step {step}"));
@@ -109,7 +108,7 @@ pub(super) fn run(app: &App, args: &ViewArgs, target: &Path, live: &Arc<Live>) -
 }
 
 /// Finds what a path names.
-fn followed(args: &ViewArgs, target: &Path) -> Result<Followed, CliError> {
+fn followed(args: &ViewArgs, target: &Path) -> Result<Followed, WorkError> {
     let is_checkpoint = |path: &Path| path.extension().is_some_and(|e| e == "checkpoint");
     let beside = work_of(target);
     if is_checkpoint(target) || target.is_dir() && entries(target).any(|file| is_checkpoint(&file)) {
@@ -118,7 +117,7 @@ fn followed(args: &ViewArgs, target: &Path) -> Result<Followed, CliError> {
     // A training that has not begun yet may be waited for, but not below a folder that does not exist.
     let parent = target.parent().filter(|parent| !parent.as_os_str().is_empty());
     if let Some(parent) = parent.filter(|parent| !target.exists() && !parent.is_dir()) {
-        return Err(CliError::Input(format!(
+        return Err(WorkError::Input(format!(
             "--follow {}: there is no folder {}; expected a pipeline file, a capture, a checkpoint, or the --out of `use3d reconstruct`",
             path_text(target),
             path_text(parent)
@@ -127,8 +126,9 @@ fn followed(args: &ViewArgs, target: &Path) -> Result<Followed, CliError> {
     if Scene::is_scene(target) || beside.is_dir() || !target.exists() {
         return Ok(Followed::Scene { folder: target.to_path_buf(), work: beside });
     }
-    let settings = Settings { set: args.set.clone(), ..Settings::default() };
-    let loaded = open(&PipelineArgs { settings, ..PipelineArgs::of(target, &args.cache) }, &[])?;
+    let mut request = args.cache.request(target);
+    request.options.sets.clone_from(&args.set);
+    let loaded = request.open()?;
     let plan = loaded.builder.plan(&loaded.graph, None);
     let mut scenes =
         plan.nodes.iter().filter(|node| node.stage == "reconstruct").map(|node| node.scene.clone());
@@ -138,7 +138,7 @@ fn followed(args: &ViewArgs, target: &Path) -> Result<Followed, CliError> {
     };
     let Some(scene) = scene else {
         let wanted = args.scene.as_deref().unwrap_or("any");
-        return Err(CliError::Input(format!("{}: it has no scene `{wanted}`", target.display())));
+        return Err(WorkError::Input(format!("{}: it has no scene `{wanted}`", target.display())));
     };
     Ok(Followed::Pipeline { loaded: Box::new(loaded), scene })
 }

@@ -11,21 +11,21 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use use3d_import::{ImportParams, Imported, import};
 use use3d_pipeline::scene_page::{self, ScenePageError};
+use use3d_pipeline::scene_views::{metres, saved_views, scene_name};
 use use3d_scene::{Origin, Scene};
 use use3d_viewer::{Live, Server, Shown};
 use use3d_web::PageView;
 
 use crate::App;
 use crate::args::ViewArgs;
-use crate::error::{CliError, Done};
-use crate::verbs::found::{capture_in, scene_in};
-use crate::verbs::web::{check_metres, metres, saved_views, scene_name, views};
+use crate::error::{Done, WorkError};
+use crate::verbs::web::{check_metres, views};
 use crate::verbs::white;
+use use3d_pipeline::found::capture_in;
 
 /// Time between two checks of the stop flag while waiting.
 const WAIT: Duration = Duration::from_millis(200);
@@ -38,23 +38,23 @@ pub(crate) fn run(app: &App, args: &ViewArgs) -> Done {
         return follow::run(app, args, followed, &live);
     }
     let Some(target) = &args.target else {
-        return Err(CliError::input("name what to show: a scene, a capture, or --follow FILE"));
+        return Err(WorkError::input("name what to show: a scene, a capture, or --follow FILE"));
     };
     let cameras = args.cameras.clone().or_else(|| capture_in(target));
-    let shown = shown(app, &scene_in(app, target)?, cameras.as_deref(), args)?;
+    let shown = shown(app, &app.scene_in(target)?, cameras.as_deref(), args)?;
     let _server = serve(app, args.port, args.no_open, &live, Stream::Result)?;
-    live.hand_over(shown).map_err(CliError::input)?;
-    while !app.stop.load(Ordering::Relaxed) {
+    live.hand_over(shown).map_err(WorkError::input)?;
+    while !app.host.stops() {
         std::thread::sleep(WAIT);
     }
     Ok(())
 }
 
 /// The scene or capture in a folder.
-fn shown(app: &App, target: &Path, cameras: Option<&Path>, args: &ViewArgs) -> Result<Shown, CliError> {
+fn shown(app: &App, target: &Path, cameras: Option<&Path>, args: &ViewArgs) -> Result<Shown, WorkError> {
     let saved = saved_views(args.views.as_deref())?.map(Arc::new);
     if Scene::is_scene(target) {
-        let scene = Scene::load(target).map_err(CliError::input)?;
+        let scene = Scene::load(target).map_err(WorkError::input)?;
         let views = views(cameras, target, &scene)?;
         let metres_per_unit = metres(args.metres_per_unit, saved.as_deref(), target)?;
         let white = white::of(app, &args.white, target, &scene, cameras)?.map(Arc::new);
@@ -64,16 +64,16 @@ fn shown(app: &App, target: &Path, cameras: Option<&Path>, args: &ViewArgs) -> R
     if !target.is_dir() {
         let there = if target.exists() { "this is a file" } else { "there is no such folder" };
         let what = format!("{there}; expected the folder of a scene, of a run's results or of a capture");
-        return Err(CliError::Input(format!("{}: {what}", target.display())));
+        return Err(WorkError::Input(format!("{}: {what}", target.display())));
     }
     if args.cameras.is_some() {
-        return Err(CliError::input("--cameras is for a scene; a capture has its own cameras"));
+        return Err(WorkError::input("--cameras is for a scene; a capture has its own cameras"));
     }
-    let imported = import(target, &ImportParams::default()).map_err(CliError::input)?;
+    let imported = import(target, &ImportParams::default()).map_err(WorkError::input)?;
     let scene = points::scene(&imported.capture)
-        .map_err(|what| CliError::Input(format!("{}: {what}", target.display())))?;
+        .map_err(|what| WorkError::Input(format!("{}: {what}", target.display())))?;
     let origin = Origin::of(&imported.capture);
-    let views = scene_page::views(&scene, Some(&origin), &imported).map_err(CliError::input)?;
+    let views = scene_page::views(&scene, Some(&origin), &imported).map_err(WorkError::input)?;
     let given = args.metres_per_unit.or_else(|| saved.as_ref()?.metres_per_unit);
     let known = imported.model.world.as_ref().map(|world| world.metres_per_unit);
     let shown = Shown::new(imported.capture.name, scene, views, None);
@@ -109,8 +109,8 @@ fn serve(
     no_open: bool,
     live: &Arc<Live>,
     stream: Stream,
-) -> Result<Serving, CliError> {
-    let server = Server::start(port, live).map_err(CliError::input)?;
+) -> Result<Serving, WorkError> {
+    let server = Server::start(port, live).map_err(WorkError::input)?;
     let (address, port) = (server.address(), server.port());
     if stream == Stream::Result {
         println!("{address}");

@@ -26,17 +26,17 @@ pub(crate) fn watched(
     if !args.view {
         return work(app);
     }
-    let live = Arc::new(Live::new("Waiting for the training to begin", Some(app.stop.clone())));
+    let live = Arc::new(Live::new("Waiting for the training to begin", Some(app.host.stop.clone())));
     let _server = serve(app, args.port, args.no_open, &live, Stream::Remark)?;
     let name = name.map(str::to_string);
     let watcher = Arc::new(Watcher { live: live.clone(), name, known: Mutex::default() });
     let done = work(&app.heard_by(move |event| watcher.hear(event)));
     live.end(&match &done {
         Ok(()) => "Done.".to_string(),
-        Err(_) if app.stop.load(Ordering::Relaxed) => {
+        Err(_) if app.host.stops() => {
             "Stopped. Run the same command to continue from the checkpoint.".to_string()
         }
-        Err(error) => format!("Failed: {}", error.text()),
+        Err(error) => format!("Failed: {error}"),
     });
     live.let_them_know();
     done
