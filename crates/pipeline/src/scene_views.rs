@@ -3,13 +3,13 @@
 use std::path::Path;
 
 use use3d_capture::{Camera, FileName, Frame};
-use use3d_import::{ImportParams, capture_name, import, read_cameras};
+use use3d_import::{ImportParams, Imported, capture_name, import, read_cameras};
 use use3d_scene::{Origin, Scene};
 use use3d_web::{PageView, SavedViews};
 
 use crate::WorkError;
 use crate::destination::{absolute, path_text};
-use crate::scene_page::{self, is_held_out};
+use crate::scene_page::{self, ScenePageError, is_held_out};
 
 /// The name for a scene folder: `reef/enhanced-scene` has the name `reef`.
 pub fn scene_name(folder: &Path) -> String {
@@ -34,6 +34,17 @@ pub fn placed(cameras: &Path, frame: &Frame) -> Result<Vec<(FileName, Camera)>, 
 pub fn any_known(origin: &Origin, cameras: &[(FileName, Camera)]) -> bool {
     let known = |stem: &str| origin.train.iter().chain(&origin.held_out).any(|own| own == stem);
     cameras.iter().any(|(name, _)| known(name.stem()))
+}
+
+/// The camera positions of an imported capture, held-out ones first: they show best how good a scene is.
+///
+/// # Errors
+/// A photograph cannot be read.
+pub fn held_out_first(scene: &Scene, imported: &Imported) -> Result<Vec<PageView>, ScenePageError> {
+    let origin = Origin::of(&imported.capture);
+    let mut views = scene_page::views(scene, Some(&origin), imported)?;
+    views.sort_by_key(|view| !view.held_out);
+    Ok(views)
 }
 
 /// The names of the held-out views of a capture with default parameters.

@@ -4,6 +4,8 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use clap::{Args, ValueEnum};
+use use3d_pipeline::export::GaussianFrame;
+use use3d_render::Mode;
 
 use super::shared::{EngineArgs, Replace, count, fraction};
 use super::white::WhiteArgs;
@@ -136,10 +138,21 @@ pub(crate) enum ExportWhat {
     EnhancedClear,
 }
 
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+impl ExportWhat {
+    /// The mode of this look.
+    pub(crate) fn mode(self) -> Mode {
+        match self {
+            Self::Reconstruction => Mode::Reconstruction,
+            Self::Clear => Mode::Clear,
+            Self::Enhanced => Mode::Enhanced,
+            Self::EnhancedClear => Mode::EnhancedClear,
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(crate) enum ExportFrame {
     /// The frame of the COLMAP model, y down.
-    #[default]
     Colmap,
     /// The scene's own normalised frame, z up.
     Normalised,
@@ -149,6 +162,18 @@ pub(crate) enum ExportFrame {
     /// Metres along the axes of the capture's world. A large offset, such as that of UTM, is left out and
     /// written into the file's header.
     Metric,
+}
+
+impl ExportFrame {
+    /// The frame of the file.
+    pub(crate) fn frame(self) -> GaussianFrame {
+        match self {
+            Self::Colmap => GaussianFrame::Colmap,
+            Self::Normalised => GaussianFrame::Normalised,
+            Self::YUp => GaussianFrame::YUp,
+            Self::Metric => GaussianFrame::Metric,
+        }
+    }
 }
 
 #[derive(Clone, Debug, Args)]

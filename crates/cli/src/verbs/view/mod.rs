@@ -2,23 +2,21 @@
 //! `--view` that a training uses.
 
 mod follow;
-mod points;
 mod watch;
 
 pub(crate) use watch::watched;
 
 use std::io::Write;
-use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use use3d_import::{ImportParams, Imported, import};
-use use3d_pipeline::scene_page::{self, ScenePageError};
+use use3d_import::{ImportParams, import};
+use use3d_pipeline::points;
+use use3d_pipeline::scene_page;
 use use3d_pipeline::scene_views::{metres, saved_views, scene_name};
 use use3d_scene::{Origin, Scene};
-use use3d_viewer::{Live, Server, Shown};
-use use3d_web::PageView;
+use use3d_viewer::{Live, Redirect, Server, Shown, browser};
 
 use crate::App;
 use crate::args::ViewArgs;
@@ -80,14 +78,6 @@ fn shown(app: &App, target: &Path, cameras: Option<&Path>, args: &ViewArgs) -> R
     Ok(Shown { metres_per_unit: given.or(known), saved, ..shown })
 }
 
-/// The camera positions of an imported capture, held-out ones first: they show best how good a scene is.
-fn places(scene: &Scene, imported: &Imported) -> Result<Vec<PageView>, ScenePageError> {
-    let origin = Origin::of(&imported.capture);
-    let mut views = scene_page::views(scene, Some(&origin), imported)?;
-    views.sort_by_key(|view| !view.held_out);
-    Ok(views)
-}
-
 /// The stream for the address: stdout for `use3d view`, whose result it is, and stderr for a training.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Stream {
@@ -99,7 +89,7 @@ enum Stream {
 struct Serving {
     _server: Server,
     /// The page that leads a browser to the server.
-    _redirect: Option<tempfile::NamedTempFile>,
+    _redirect: Option<Redirect>,
 }
 
 /// Starts the server, prints its address, and opens a browser if there is a screen.
@@ -124,53 +114,6 @@ fn serve(
         "open this whole address in a browser (the part after # is the key); on another machine, first \
          run `ssh -L {port}:localhost:{port} HOST` there; Ctrl-C ends the viewer"
     );
-    let redirect = if no_open { None } else { open(&address) };
+    let redirect = if no_open { None } else { browser::open(&address) };
     Ok(Serving { _server: server, _redirect: redirect })
-}
-
-/// The prefix of the name of a page that leads to a server.
-const REDIRECT: &str = "use3d-view-";
-
-/// Writes a page that leads to an address. Only this user can read it, while every user of a machine can read
-/// the arguments of its processes, and the address ends with the key.
-fn page_to(address: &str) -> std::io::Result<tempfile::NamedTempFile> {
-    let own = std::env::var_os("XDG_RUNTIME_DIR").map(PathBuf::from).filter(|folder| folder.is_dir());
-    let folder = own.unwrap_or_else(std::env::temp_dir);
-    use3d_files::sweep(&folder, REDIRECT, |_| true);
-    let prefix = format!("{REDIRECT}{}-", use3d_files::unique());
-    let mut page = tempfile::Builder::new().prefix(&prefix).suffix(".html").tempfile_in(folder)?;
-    write!(
-        page,
-        "<!doctype html>\n<meta charset=\"utf-8\">\n<meta name=\"referrer\" content=\"no-referrer\">\n\
-         <meta http-equiv=\"refresh\" content=\"0; url={address}\">\n<title>3D-USE</title>\n\
-         <p><a href=\"{address}\">Open the viewer</a></p>\n"
-    )?;
-    page.flush()?;
-    Ok(page)
-}
-
-/// Makes the system open an address, and returns the page that leads to it. The address is printed in any
-/// case, so a missing browser does not matter.
-fn open(address: &str) -> Option<tempfile::NamedTempFile> {
-    let screen = ["DISPLAY", "WAYLAND_DISPLAY"].iter().any(|name| std::env::var_os(name).is_some());
-    let (program, arguments): (&str, &[&str]) = if cfg!(target_os = "macos") {
-        ("open", &[])
-    } else if cfg!(windows) {
-        ("cmd", &["/c", "start", ""])
-    } else if screen {
-        ("xdg-open", &[])
-    } else {
-        return None;
-    };
-    let no_page =
-        |error: &std::io::Error| tracing::debug!("no page that leads a browser to the viewer: {error}");
-    let page = page_to(address).inspect_err(no_page).ok()?;
-    let mut command = Command::new(program);
-    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
-    match command.args(arguments).arg(page.path()).spawn() {
-        // A thread waits for the child, so that no zombie process is left.
-        Ok(mut child) => drop(std::thread::spawn(move || child.wait())),
-        Err(error) => tracing::debug!("{program}: {error}"),
-    }
-    Some(page)
 }
