@@ -82,15 +82,8 @@ pub struct ExportedScene<'a> {
     scene: &'a Scene,
     folder: &'a Path,
     what: &'static str,
-    gaussians: Gaussians,
-}
-
-/// The file that was written, in words.
-pub struct ExportedFile {
-    /// Look and frame.
-    pub about: String,
-    /// Metres that were left out of the positions.
-    pub offset: Option<[f64; 3]>,
+    /// The Gaussians.
+    pub gaussians: Gaussians,
 }
 
 impl<'a> ExportedScene<'a> {
@@ -114,18 +107,9 @@ impl<'a> ExportedScene<'a> {
         Ok(Self { scene, folder, what: mode.name(), gaussians })
     }
 
-    /// The number of Gaussians.
-    pub fn len(&self) -> usize {
-        self.gaussians.len()
-    }
-
-    /// True if there are none.
-    pub fn is_empty(&self) -> bool {
-        self.gaussians.len() == 0
-    }
-
     /// Writes one file, which `flag` names. A PLY has the frame `frame`; the others have their own, with y
-    /// up. `made_with` names the program.
+    /// up. `made_with` names the program. Returns look and frame in words, and the metres that were left out
+    /// of the positions.
     ///
     /// # Errors
     /// The scene does not know its metres, or the file cannot be written.
@@ -135,7 +119,7 @@ impl<'a> ExportedScene<'a> {
         format: GaussianFormat,
         frame: GaussianFrame,
         made_with: String,
-    ) -> Result<ExportedFile, WorkError> {
+    ) -> Result<(String, Option<[f64; 3]>), WorkError> {
         // glTF gets y up by a rotation of its node, SPZ by its definition.
         let (stored, frame) = match format {
             GaussianFormat::Ply | GaussianFormat::CompressedPly => (frame, frame),
@@ -174,7 +158,7 @@ impl<'a> ExportedScene<'a> {
             GaussianFormat::Glb => glb::write(gaussians, &comments.join("; "), HALF_TURN, writer),
             GaussianFormat::Spz(version) => spz::write(gaussians, version, writer),
         })?;
-        Ok(ExportedFile { about, offset })
+        Ok((about, offset))
     }
 }
 

@@ -9,6 +9,8 @@ use use3d_pipeline::loaded::PipelineRequest;
 use use3d_pipeline::spelled::Spelled;
 use use3d_reconstruct::EngineChoice;
 
+use crate::error::{Done, WorkError};
+
 /// The engine that computes.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct EngineArgs {
@@ -227,6 +229,14 @@ pub(crate) fn count(most: u64) -> impl Fn(&str) -> Result<usize, String> + Clone
 /// A number; its range is checked where it is used.
 pub(crate) fn fraction(text: &str) -> Result<f32, String> {
     text.parse().map_err(|_| "expected a number, such as 0.5".to_string())
+}
+
+/// Refuses shares that are not between 0 and 1, by their flags.
+pub(crate) fn check_shares(shares: &[(&str, f32)]) -> Done {
+    match shares.iter().find(|(_, value)| !(0.0..=1.0).contains(value)) {
+        Some((flag, value)) => Err(WorkError::Input(format!("{flag} {value}: expected 0 to 1"))),
+        None => Ok(()),
+    }
 }
 
 /// A port of this machine.

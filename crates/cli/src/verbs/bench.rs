@@ -24,11 +24,9 @@ fn request(args: &BenchTruthArgs) -> Result<TruthRequest, WorkError> {
         baselines: args.baselines == Baselines::All,
         load: LoadOptions {
             sets: args.settings.sets(),
-            cache: args.cache.cache.clone(),
-            models: args.cache.models.clone(),
-            scenes: Vec::new(),
             pairs: args.calibration.pairs(),
             calibrator: args.calibration.calibrator.clone(),
+            ..args.cache.request(&args.out).options
         },
         rehash: args.cache.rehash,
     })

@@ -17,35 +17,23 @@ use crate::args::{CalibrateArgs, EnhanceArgs, ImportArgs, ReconstructArgs, Targe
 use crate::error::{Done, WorkError};
 use crate::verbs::view::watched;
 
-/// A stage by hand whose result is put at `out`.
-struct Making<'a> {
-    app: &'a App,
-    out: &'a Path,
-    started: Instant,
-    work: HandWork,
-}
-
-impl<'a> Making<'a> {
-    fn at(app: &'a App, out: &'a Path) -> Self {
-        Self { app, out, started: Instant::now(), work: HandWork::beside(out) }
+/// Runs a stage whose result goes to `out`, and prints path, size and duration of the result, and the next
+/// step. `work` gets the folder for the work of the stage.
+fn made(app: &App, out: &Path, next: &str, work: impl FnOnce(&Path) -> Done) -> Done {
+    let (started, hidden) = (Instant::now(), HandWork::beside(out));
+    let done = work(&hidden.folder);
+    if hidden.end(done.is_ok()) {
+        remark!(
+            app,
+            "{}: kept checkpoints of a run with other parameters or inputs; delete the folder if you will \
+             not resume it",
+            path_text(&hidden.folder)
+        );
     }
-
-    /// Ends the work, and prints path, size and duration of the result, and the next step.
-    fn end(self, made: Done, next: &str) -> Done {
-        let Self { app, out, started, work } = self;
-        if work.end(made.is_ok()) {
-            remark!(
-                app,
-                "{}: kept checkpoints of a run with other parameters or inputs; delete the folder if you will \
-                 not resume it",
-                path_text(&work.folder)
-            );
-        }
-        made?;
-        let time = seconds(started.elapsed().as_secs_f64());
-        remark!(app, "{}: {}, in {time}; next: {next}", path_text(out), bytes(size(out)));
-        Ok(())
-    }
+    done?;
+    let time = seconds(started.elapsed().as_secs_f64());
+    remark!(app, "{}: {}, in {time}; next: {next}", path_text(out), bytes(size(out)));
+    Ok(())
 }
 
 /// The bytes of a file, or of all files in a folder.
@@ -66,39 +54,36 @@ fn profiling(app: &App) -> App {
 }
 
 pub(crate) fn import(app: &App, args: &ImportArgs) -> Done {
-    check_folder(&args.out, args.replace.force)?;
+    let force = args.replace.force;
+    check_folder(&args.out, force)?;
     let hand = ByHand {
         flags: args.size.spelled(),
         options: args.settings.options(None),
         ..ByHand::on(&args.capture, IMPORT)
     };
-    let making = Making::at(app, &args.out);
-    let made = hand.imported(&app.host, &making.work.folder, None, false);
-    let made = made.and_then(|made| copy_folder(&made, &args.out, args.replace.force));
-    making.end(made, &format!("use3d reconstruct {} --out scene/", word(&args.out)))
+    let next = format!("use3d reconstruct {} --out scene/", word(&args.out));
+    made(app, &args.out, &next, |work| {
+        copy_folder(&hand.imported(&app.host, work, None, false)?, &args.out, force)
+    })
 }
 
 pub(crate) fn reconstruct(app: &App, args: &ReconstructArgs) -> Done {
-    check_folder(&args.out, args.replace.force)?;
+    let force = args.replace.force;
+    check_folder(&args.out, force)?;
     let mut flags = args.common.spelled();
     flags.extend(args.engine.choice().map(|e| Spelled::new("--engine", "reconstruct", "engine", e)));
-    let hand = ByHand {
-        flags,
-        options: args.settings.options(args.models.as_ref()),
-        ..ByHand::on(&args.capture, "reconstruct")
-    };
+    let options = args.settings.options(args.models.as_ref());
+    let hand = ByHand { flags, options, ..ByHand::on(&args.capture, "reconstruct") };
     let app = if args.profile { &profiling(app) } else { app };
-    let making = Making::at(app, &args.out);
-    let folder = &making.work.folder;
-    let made = watched(app, &args.watch, Some(&scene_name(&args.out)), |app| {
-        hand.imported(&app.host, folder, None, false)?;
-        let made = hand.run(&app.host, folder)?;
-        copy_folder(&made, &args.out, args.replace.force)
-    });
     let (scene, capture) = (word(&args.out), word(&args.capture));
     let next =
         format!("use3d render {scene} --cameras {capture} --out renders/ --modes reconstruction,clear");
-    making.end(made, &next)
+    made(app, &args.out, &next, |work| {
+        watched(app, &args.watch, Some(&scene_name(&args.out)), |app| {
+            hand.imported(&app.host, work, None, false)?;
+            copy_folder(&hand.run(&app.host, work)?, &args.out, force)
+        })
+    })
 }
 
 pub(crate) fn calibrate(app: &App, args: &CalibrateArgs) -> Done {
@@ -111,12 +96,11 @@ pub(crate) fn calibrate(app: &App, args: &CalibrateArgs) -> Done {
         options: LoadOptions { pairs, ..args.settings.options(args.models.as_ref()) },
         ..ByHand::default()
     };
-    let making = Making::at(app, &args.out);
-    let made = hand.run(&app.host, &making.work.folder);
-    let made = made.and_then(|made| copy_file("--out", &made.join(CALIBRATOR), &args.out));
     let calibrator = word(&args.out);
     let next = format!("use3d targets SCENE CAPTURE --calibrator {calibrator} --out targets.safetensors");
-    making.end(made, &next)
+    made(app, &args.out, &next, |work| {
+        copy_file("--out", &hand.run(&app.host, work)?.join(CALIBRATOR), &args.out)
+    })
 }
 
 pub(crate) fn targets(app: &App, args: &TargetsArgs) -> Done {
@@ -126,52 +110,42 @@ pub(crate) fn targets(app: &App, args: &TargetsArgs) -> Done {
     let previews = args.out.with_extension("previews");
     check_folder(&previews, force)?;
     let calibrator = args.calibrator.clone();
-    let mut hand = ByHand {
-        flags: args.size.spelled(),
-        options: LoadOptions { calibrator, ..args.settings.options(args.models.as_ref()) },
-        ..ByHand::on(&args.capture, "targets")
-    };
+    let options = LoadOptions { calibrator, ..args.settings.options(args.models.as_ref()) };
+    let mut hand = ByHand { flags: args.size.spelled(), options, ..ByHand::on(&args.capture, "targets") };
     hand.given.insert("scene", Some(args.scene.clone()));
-    let making = Making::at(app, &args.out);
-    let folder = &making.work.folder;
-    let made = hand.imported(&app.host, folder, Some(&args.scene), false).and_then(|_| {
-        if args.calibrator.is_none() && hand.needs("calibrate", folder)? {
+    let (scene, capture, targets) = (word(&args.scene), word(&args.capture), word(&args.out));
+    let next = format!("use3d enhance {scene} {capture} --targets {targets} --out enhanced-scene/");
+    made(app, &args.out, &next, |work| {
+        hand.imported(&app.host, work, Some(&args.scene), false)?;
+        if args.calibrator.is_none() && hand.needs("calibrate", work)? {
             return Err(WorkError::input(
                 "calibrated = true needs a calibrator: give --calibrator FILE (`use3d calibrate` makes one)",
             ));
         }
-        let made = hand.run(&app.host, folder)?;
+        let made = hand.run(&app.host, work)?;
         if made.join("previews").is_dir() {
             copy_folder(&made.join("previews"), &previews, force)?;
         }
         copy_file("--out", &made.join(TARGETS), &args.out)
-    });
-    let (scene, capture, targets) = (word(&args.scene), word(&args.capture), word(&args.out));
-    let next = format!("use3d enhance {scene} {capture} --targets {targets} --out enhanced-scene/");
-    making.end(made, &next)
+    })
 }
 
 pub(crate) fn enhance(app: &App, args: &EnhanceArgs) -> Done {
-    check_folder(&args.out, args.replace.force)?;
+    let force = args.replace.force;
+    check_folder(&args.out, force)?;
     let mut flags = args.size.spelled();
     flags.extend(args.iterations.map(|n| Spelled::new("--iterations", "enhance", "iterations", n)));
     flags.extend(args.engine.choice().map(|e| Spelled::new("--engine", "enhance", "engine", e)));
-    let mut hand = ByHand {
-        flags,
-        options: args.settings.options(args.models.as_ref()),
-        ..ByHand::on(&args.capture, "enhance")
-    };
+    let options = args.settings.options(args.models.as_ref());
+    let mut hand = ByHand { flags, options, ..ByHand::on(&args.capture, "enhance") };
     hand.given.insert("scene", Some(args.scene.clone()));
     hand.given.insert("targets", Some(args.targets.clone()));
     let app = if args.profile { &profiling(app) } else { app };
-    let making = Making::at(app, &args.out);
-    let folder = &making.work.folder;
-    let made = hand.imported(&app.host, folder, Some(&args.scene), false).and_then(|_| {
-        let made = hand.run(&app.host, folder)?;
-        copy_folder(&made, &args.out, args.replace.force)
-    });
     let (scene, capture) = (word(&args.out), word(&args.capture));
     let next =
         format!("use3d render {scene} --cameras {capture} --out renders/ --modes enhanced-clear,enhanced");
-    making.end(made, &next)
+    made(app, &args.out, &next, |work| {
+        hand.imported(&app.host, work, Some(&args.scene), false)?;
+        copy_folder(&hand.run(&app.host, work)?, &args.out, force)
+    })
 }

@@ -11,7 +11,7 @@ use use3d_web::foreign::spz::Version;
 use use3d_workflow::machine::bytes;
 
 use crate::App;
-use crate::args::{ExportArgs, ExportFrame, ExportWhat};
+use crate::args::{ExportArgs, ExportFrame, ExportWhat, check_shares};
 use crate::error::{Done, WorkError};
 use crate::interrupt::ends_soon;
 use crate::verbs::{web, white};
@@ -29,9 +29,7 @@ pub(crate) fn run(app: &App, args: &ExportArgs) -> Done {
             "choose an output: --web FILE.html, --ply FILE, --compressed-ply FILE, --glb FILE or --spz FILE",
         ));
     }
-    if !(0.0..=1.0).contains(&args.water) {
-        return Err(WorkError::Input(format!("--water {}: expected 0 to 1", args.water)));
-    }
+    check_shares(&[("--water", args.water)])?;
     if let Some(frame) = &args.frame
         && args.ply.is_none()
         && args.compressed_ply.is_none()
@@ -66,10 +64,10 @@ pub(crate) fn run(app: &App, args: &ExportArgs) -> Done {
     let frame = args.frame.map_or(GaussianFrame::default(), ExportFrame::frame);
     files(args).try_for_each(|OutputFile { format, flag, path, .. }| {
         let made_with = format!("use3d {}", crate::version::NUMBER);
-        let written = exported.write((flag, path), format, frame, made_with)?;
+        let (about, offset) = exported.write((flag, path), format, frame, made_with)?;
         let size = bytes(std::fs::metadata(path).map_or(0, |m| m.len()));
-        remark!(app, "{}: {} Gaussians, {}, {size}", path_text(path), exported.len(), written.about);
-        if let Some([x, y, z]) = written.offset {
+        remark!(app, "{}: {} Gaussians, {about}, {size}", path_text(path), exported.gaussians.len());
+        if let Some([x, y, z]) = offset {
             remark!(
                 app,
                 "positions lack the offset {x} {y} {z} metres: single precision would lose millimetres"

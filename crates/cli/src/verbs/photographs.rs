@@ -13,7 +13,7 @@ use use3d_scene::white::Gains;
 use use3d_stages::Drawn;
 
 use crate::App;
-use crate::args::{PhotographLayout, PhotographLook, PhotographsArgs};
+use crate::args::{PhotographLayout, PhotographLook, PhotographsArgs, check_shares};
 use crate::error::{Done, WorkError};
 use crate::output::counted;
 use crate::verbs::photographs_film::{self, FilmJob};
@@ -25,13 +25,11 @@ use use3d_pipeline::found::capture_in;
 pub(crate) const FOLDER: &str = "photographs";
 
 pub(crate) fn run(app: &App, args: &PhotographsArgs) -> Done {
-    for (flag, value) in
-        [("--strength", args.strength), ("--water", args.water), ("--keep-light", args.keep_light)]
-    {
-        if !(0.0..=1.0).contains(&value) {
-            return Err(WorkError::Input(format!("{flag} {value}: expected 0 to 1")));
-        }
-    }
+    check_shares(&[
+        ("--strength", args.strength),
+        ("--water", args.water),
+        ("--keep-light", args.keep_light),
+    ])?;
     let capture = capture_in(&args.scene);
     let folder = app.scene_in(&args.scene)?;
     let overwrite = if args.replace.force { Overwrite::All } else { Overwrite::Nothing };

@@ -11,7 +11,7 @@ use use3d_scene::white::Gains;
 use use3d_stages::Drawn;
 
 use crate::App;
-use crate::args::{CameraPath, FrameFormat, RenderArgs};
+use crate::args::{CameraPath, FrameFormat, RenderArgs, check_shares};
 use crate::error::{Done, WorkError};
 use crate::interrupt;
 use crate::verbs::drawing::{Frames, cameras, modes, renderer};
@@ -22,11 +22,7 @@ pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
     let capture = args.cameras.clone().or_else(|| capture_in(&args.scene));
     let args = &RenderArgs { scene: app.scene_in(&args.scene)?, cameras: capture, ..args.clone() };
     let asked = modes(&args.modes)?;
-    for (flag, value) in [("--strength", args.strength), ("--water", args.water)] {
-        if !(0.0..=1.0).contains(&value) {
-            return Err(WorkError::Input(format!("{flag} {value}: expected 0 to 1")));
-        }
-    }
+    check_shares(&[("--strength", args.strength), ("--water", args.water)])?;
     let scene = Scene::load(&args.scene).map_err(WorkError::input)?;
     let modes = if asked.is_empty() { vec![Mode::opening(&scene)] } else { asked };
     let names: Vec<&str> = modes.iter().map(|mode| mode.name()).collect();
