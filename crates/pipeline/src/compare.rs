@@ -12,12 +12,14 @@ use use3d_report::verdict::{Sentence, Tone};
 use use3d_stages::SCORES;
 use use3d_stages::read_json;
 use use3d_stages::report::best_method;
+use use3d_workflow::canonical;
 use use3d_workflow::manifest::MANIFEST;
 
 use crate::WorkError;
 use crate::destination::{OUT, entries};
 use crate::history;
 use crate::loaded::stages;
+use crate::made_by::text;
 
 /// Most views of a scene that the page shows.
 const VIEWS: usize = 12;
@@ -91,25 +93,11 @@ fn side(given: &str) -> Result<Side, WorkError> {
 /// The parameters of a stage's result, by name.
 fn parameters(folder: &Path) -> BTreeMap<String, String> {
     let manifest: Value = read_json(&folder.join(MANIFEST)).unwrap_or_default();
-    let mut all = BTreeMap::new();
-    flatten("", &manifest["ingredients"]["parameters"], &mut all);
-    all.extend(manifest["ingredients"]["seed"].as_u64().map(|seed| ("seed".to_string(), seed.to_string())));
-    all
-}
-
-/// Nested parameters under names with dots.
-fn flatten(name: &str, value: &Value, all: &mut BTreeMap<String, String>) {
-    match value {
-        Value::Object(fields) => {
-            for (key, value) in fields {
-                let name = if name.is_empty() { key.clone() } else { format!("{name}.{key}") };
-                flatten(&name, value, all);
-            }
-        }
-        Value::Null if name.is_empty() => {}
-        Value::String(text) => drop(all.insert(name.into(), text.clone())),
-        other => drop(all.insert(name.into(), other.to_string())),
-    }
+    let ingredients = &manifest["ingredients"];
+    let named =
+        canonical::leaves(&ingredients["parameters"]).into_iter().filter(|(name, _)| !name.is_empty());
+    let seed = ingredients["seed"].as_u64().map(|seed| ("seed".to_string(), seed.to_string()));
+    named.map(|(name, value)| (name, text(value))).chain(seed).collect()
 }
 
 /// The parameters that differ between two results, for display.

@@ -176,7 +176,7 @@ fn outside_captures(pipeline: &Pipeline) -> Result<(), WorkError> {
 }
 
 /// Returns an absolute path without links in the part of it that exists.
-fn real(path: &Path) -> PathBuf {
+pub fn real(path: &Path) -> PathBuf {
     let path = absolute(path);
     let there = path.ancestors().find_map(|part| Some((part, part.canonicalize().ok()?)));
     match there {

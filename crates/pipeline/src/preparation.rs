@@ -12,7 +12,7 @@ use use3d_prepare::{
 use use3d_workflow::{Digest, Event, place};
 
 use crate::WorkError;
-use crate::destination::{OUT, check_folder, path_text, word};
+use crate::destination::{OUT, check_folder, path_text};
 use crate::host::Host;
 
 /// A preparation of one capture.
@@ -223,74 +223,22 @@ fn copied(
     Ok(vec![format!("{views} photographs and their cameras copied")])
 }
 
-/// The capture of a target that has no cameras yet: a film, or a folder of photographs. It lies beside the
-/// results, in `captures/` in the folder that holds them.
-pub struct TargetCapture {
-    /// Its folder.
-    pub folder: PathBuf,
-    sources: Sources,
-    programs: Programs,
-    /// The work that it needs; `None` if it was prepared before.
-    work: Option<(String, Vec<Input>)>,
-}
-
-impl TargetCapture {
-    /// The capture for a target whose results go to `out`; `None` if the target needs no preparation.
-    ///
-    /// # Errors
-    /// The target cannot be read, a program is missing, or another capture lies at that place.
-    pub fn find(
-        host: &Host,
-        target: &Path,
-        out: Option<&Path>,
-        programs: Programs,
-    ) -> Result<Option<Self>, WorkError> {
-        let film = target.is_file() && use3d_prepare::is_film(target);
-        let pictures =
-            || target.is_dir() && use3d_import::holds_no_model(target) && use3d_prepare::holds_inputs(target);
-        if !film && !pictures() {
-            return Ok(None);
-        }
-        let sources = Sources::of(&[target.to_path_buf()])?;
-        let name = match film {
-            true => target.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
-            false => use3d_import::capture_name(target),
-        };
-        let folder = out.map_or(Path::new(OUT), place::parent).join("captures").join(name);
-        let mut found = Self { folder, sources, programs, work: None };
-        let work = found.preparing(host, |job| job.check(false).and_then(|()| job.need()))?;
-        if work.is_some() && found.folder.exists() {
-            let (target, capture) = (word(target), word(&found.folder));
-            return Err(WorkError::Input(format!(
-                "{capture}: this capture was prepared from other files or with other choices, or was changed since; `use3d prepare {target} \
-                 --out {capture} --force` replaces it; to keep it, prepare {target} into another folder with --out, and \
-                 run that folder"
-            )));
-        }
-        found.work = work;
-        Ok(Some(found))
+/// The films or photographs of a target that has no cameras yet, and the folder for their capture: in
+/// `captures/` beside the results in `out`. `None` if the target needs no preparation.
+///
+/// # Errors
+/// The target cannot be read.
+pub fn capture_of(target: &Path, out: Option<&Path>) -> Result<Option<(Sources, PathBuf)>, WorkError> {
+    let film = target.is_file() && use3d_prepare::is_film(target);
+    let pictures =
+        || target.is_dir() && use3d_import::holds_no_model(target) && use3d_prepare::holds_inputs(target);
+    if !film && !pictures() {
+        return Ok(None);
     }
-
-    /// True if it was prepared before.
-    pub fn is_prepared(&self) -> bool {
-        self.work.is_none()
-    }
-
-    /// Prepares it, and returns the judgement of its cameras in lines.
-    ///
-    /// # Errors
-    /// As [`Preparation::make`].
-    pub fn make(&self, host: &Host) -> Result<Vec<String>, WorkError> {
-        let Some((key, inputs)) = &self.work else { return Ok(Vec::new()) };
-        self.preparing(host, |job| job.make(key, inputs, false))
-    }
-
-    fn preparing<T>(
-        &self,
-        host: &Host,
-        work: impl FnOnce(Preparation<'_>) -> Result<T, WorkError>,
-    ) -> Result<T, WorkError> {
-        let Self { folder, sources, programs, .. } = self;
-        work(Preparation { host, sources, params: &PrepareParams::default(), programs, out: folder })
-    }
+    let sources = Sources::of(&[target.to_path_buf()])?;
+    let name = match film {
+        true => target.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
+        false => use3d_import::capture_name(target),
+    };
+    Ok(Some((sources, out.map_or(Path::new(OUT), place::parent).join("captures").join(name))))
 }

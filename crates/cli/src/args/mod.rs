@@ -30,7 +30,7 @@ pub(crate) use pipelines::{
 };
 pub(crate) use prepare::{PrepareArgs, usual_programs};
 pub(crate) use remote::{PushArgs, RemoteArgs, Store, StoreGcArgs, StoreLsArgs, TransferArgs};
-pub(crate) use shared::{CacheArgs, PipelineArgs, check_shares};
+pub(crate) use shared::{CacheArgs, EngineArgs, PipelineArgs, check_shares};
 pub(crate) use stages::{
     CalibrateArgs, EnhanceArgs, EvaluateArgs, ImportArgs, ReconstructArgs, TableFormat, TargetsArgs,
 };

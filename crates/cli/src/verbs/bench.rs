@@ -3,6 +3,7 @@
 use use3d_lab::truth::bench::{TruthBench, TruthRequest};
 use use3d_pipeline::by_hand::scratch;
 use use3d_pipeline::config::LoadOptions;
+use use3d_pipeline::destination::path_text;
 use use3d_workflow::RunOptions;
 
 use crate::App;
@@ -11,7 +12,6 @@ use crate::error::{Done, WorkError};
 use crate::output::json;
 use crate::size::parse_size;
 use crate::verbs::synth::keep_capture;
-use use3d_pipeline::destination::path_text;
 
 fn request(args: &BenchTruthArgs) -> Result<TruthRequest, WorkError> {
     Ok(TruthRequest {

@@ -4,7 +4,8 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use use3d_pipeline::config::default_cache;
-use use3d_pipeline::loaded::stages;
+use use3d_pipeline::destination::path_text;
+use use3d_pipeline::loaded::{real, stages};
 use use3d_workflow::Cache;
 use use3d_workflow::gc::{CleanOptions, parse_age, parse_bytes};
 use use3d_workflow::machine::bytes;
@@ -14,7 +15,6 @@ use crate::App;
 use crate::args::{CacheArgs, GcArgs, VerifyArgs};
 use crate::error::{Done, WorkError};
 use crate::output::{counted, show};
-use use3d_pipeline::destination::path_text;
 
 fn cache(args: &CacheArgs) -> Result<Cache, WorkError> {
     let folder = match &args.cache {
@@ -47,7 +47,7 @@ pub(crate) fn gc(args: &GcArgs) -> Done {
         let cache = loaded.builder.cache;
         match &named {
             None => named = Some((pipeline, cache)),
-            Some((_, first)) if same_folder(first.root(), cache.root()) => {}
+            Some((_, first)) if real(first.root()) == real(cache.root()) => {}
             Some((other, first)) => {
                 return Err(WorkError::Input(format!(
                     "--keep {}: its cache is {}, but the cache of {} is {}; choose the one to clean with \
@@ -80,10 +80,6 @@ pub(crate) fn gc(args: &GcArgs) -> Done {
             path_text(parent(cache.root()))
         ))),
     }
-}
-
-fn same_folder(a: &Path, b: &Path) -> bool {
-    a == b || matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
 }
 
 /// Parses a share such as `5%` or `0.05`.

@@ -10,6 +10,7 @@ use use3d_import::{
 };
 use use3d_io_image::{jpeg_address, read_image, shrunk};
 use use3d_pipeline::by_hand::{ByHand, scratch};
+use use3d_pipeline::destination::{check_file, path_text, word, write_text};
 use use3d_pipeline::spelled::Spelled;
 use use3d_stages::water::{Judgement, from_tracks};
 use use3d_water::WaterParams;
@@ -19,7 +20,6 @@ use crate::args::CheckArgs;
 use crate::error::{Done, WorkError};
 use crate::interrupt;
 use crate::output::show;
-use use3d_pipeline::destination::{check_file, path_text, word, write_text};
 
 /// The longer side of a small picture, pixels.
 const SMALL: usize = 320;

@@ -4,7 +4,9 @@ use std::path::Path;
 
 use use3d_capture::{Camera, FileName, path, stem};
 use use3d_io_image::{write_exr, write_exr_map, write_png, write_png_map};
+use use3d_pipeline::destination::{check_file, path_text};
 use use3d_pipeline::scene_views::{any_known, held_out, placed};
+use use3d_reconstruct::EngineChoice;
 use use3d_render::{Film, FilmError, Mode, Rendering, SceneRenderer, cover, focus, picture};
 use use3d_scene::{Origin, Scene};
 use use3d_stages::Drawn;
@@ -13,10 +15,9 @@ use use3d_workflow::machine::bytes;
 use use3d_workflow::place;
 
 use crate::App;
-use crate::args::{CameraPath, FrameFormat, RenderArgs};
+use crate::args::{CameraPath, EngineArgs, FrameFormat, RenderArgs};
 use crate::error::{Done, WorkError};
 use crate::size::parse_size;
-use use3d_pipeline::destination::{check_file, path_text};
 
 /// The modes of these names.
 pub(crate) fn modes(names: &[String]) -> Result<Vec<Mode>, WorkError> {
@@ -29,6 +30,17 @@ pub(crate) fn modes(names: &[String]) -> Result<Vec<Mode>, WorkError> {
         Mode::from_name(name).ok_or_else(|| WorkError::Input(refused()))
     };
     names.iter().map(find).collect()
+}
+
+/// A scene on the requested engine, which is remarked if it is not the processor.
+pub(crate) fn drawn<'s>(app: &App, scene: &'s Scene, engine: &EngineArgs) -> Result<Drawn<'s>, WorkError> {
+    let engine = engine.choice().unwrap_or_default();
+    let drawn =
+        Drawn::new(scene, &engine).map_err(|what| WorkError::Input(format!("--engine {engine}: {what}")))?;
+    if engine != EngineChoice::Cpu {
+        remark!(app, "engine: {}", drawn.told);
+    }
+    Ok(drawn)
 }
 
 /// The renderer with the requested strength and share of the water.

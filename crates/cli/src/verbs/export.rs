@@ -17,7 +17,7 @@ use crate::interrupt::ends_soon;
 use crate::verbs::{web, white};
 
 pub(crate) fn run(app: &App, args: &ExportArgs) -> Done {
-    for OutputFile { flag, extension, path, .. } in files(args) {
+    for (_, flag, extension, path) in files(args) {
         check_file(flag, path, args.replace.force, &[extension])?;
     }
     if let Some(path) = &args.web {
@@ -62,7 +62,7 @@ pub(crate) fn run(app: &App, args: &ExportArgs) -> Done {
     let tell: Option<&mut dyn FnMut(String)> = if app.quiet { None } else { Some(&mut tell) };
     let exported = ExportedScene::bake((&scene, &args.scene), &look, tell)?;
     let frame = args.frame.map_or(GaussianFrame::default(), ExportFrame::frame);
-    files(args).try_for_each(|OutputFile { format, flag, path, .. }| {
+    files(args).try_for_each(|(format, flag, _, path)| {
         let made_with = format!("use3d {}", crate::version::NUMBER);
         let (about, offset) = exported.write((flag, path), format, frame, made_with)?;
         let size = bytes(std::fs::metadata(path).map_or(0, |m| m.len()));
@@ -77,16 +77,8 @@ pub(crate) fn run(app: &App, args: &ExportArgs) -> Done {
     })
 }
 
-/// A requested file besides the page.
-struct OutputFile<'a> {
-    format: GaussianFormat,
-    flag: &'static str,
-    extension: &'static str,
-    path: &'a Path,
-}
-
-/// The requested files besides the page.
-fn files(args: &ExportArgs) -> impl Iterator<Item = OutputFile<'_>> {
+/// The requested files besides the page: format, flag, ending, path.
+fn files(args: &ExportArgs) -> impl Iterator<Item = (GaussianFormat, &'static str, &'static str, &Path)> {
     let version = if args.spz_version == 4 { Version::Four } else { Version::Three };
     let all = [
         (GaussianFormat::Ply, "--ply", "ply", &args.ply),
@@ -94,7 +86,5 @@ fn files(args: &ExportArgs) -> impl Iterator<Item = OutputFile<'_>> {
         (GaussianFormat::Glb, "--glb", "glb", &args.glb),
         (GaussianFormat::Spz(version), "--spz", "spz", &args.spz),
     ];
-    all.into_iter().filter_map(|(format, flag, extension, path)| {
-        Some(OutputFile { format, flag, extension, path: path.as_deref()? })
-    })
+    all.into_iter().filter_map(|(format, flag, ending, path)| Some((format, flag, ending, path.as_deref()?)))
 }

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use use3d_capture::FileName;
 use use3d_import::read_images_txt;
+use use3d_pipeline::destination::path_text;
 use use3d_pipeline::scene_views::text_of;
 use use3d_render::{Mode, SceneRenderer};
 use use3d_scene::Scene;
@@ -17,7 +18,6 @@ use crate::error::{Done, WorkError};
 use crate::interrupt;
 use crate::size::parse_size;
 use crate::verbs::drawing::{Frames, modes};
-use use3d_pipeline::destination::path_text;
 
 /// The folder for frames with the path's own looks.
 const OWN: &str = "path";

@@ -2,11 +2,11 @@
 
 use clap::CommandFactory;
 use clap_complete::generate;
+use use3d_pipeline::by_hand::scratch;
+use use3d_pipeline::destination::{check_file, copy_file};
 
 use crate::args::{Cli, CompletionsArgs, ManArgs};
 use crate::error::{Done, WorkError};
-use use3d_pipeline::by_hand::scratch;
-use use3d_pipeline::destination::{check_file, copy_file};
 
 pub(crate) fn completions(args: &CompletionsArgs) -> Done {
     let mut text = Vec::new();

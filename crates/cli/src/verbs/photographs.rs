@@ -3,23 +3,22 @@
 use std::path::{Path, PathBuf};
 
 use use3d_import::Originals;
+use use3d_pipeline::destination::path_text;
+use use3d_pipeline::found::capture_in;
 use use3d_pipeline::photographs::{
     Appearance, FileLayout, Overwrite, PhotographWork, TABLE, Totals, default_mode, scene_digest,
 };
-use use3d_reconstruct::EngineChoice;
 use use3d_render::Mode;
 use use3d_scene::Scene;
 use use3d_scene::white::Gains;
-use use3d_stages::Drawn;
 
 use crate::App;
 use crate::args::{PhotographLayout, PhotographLook, PhotographsArgs, check_shares};
 use crate::error::{Done, WorkError};
 use crate::output::counted;
+use crate::verbs::drawing::drawn;
 use crate::verbs::photographs_film::{self, FilmJob};
 use crate::verbs::white;
-use use3d_pipeline::destination::path_text;
-use use3d_pipeline::found::capture_in;
 
 /// The folder of a run's photographs, beside its scene.
 pub(crate) const FOLDER: &str = "photographs";
@@ -66,12 +65,7 @@ fn write_all(
         gains: gains.map_or(Gains::ONE, |white| white.gains),
         keep_light: args.keep_light,
     };
-    let engine = args.engine.choice().unwrap_or_default();
-    let drawn =
-        Drawn::new(&scene, &engine).map_err(|what| WorkError::Input(format!("--engine {engine}: {what}")))?;
-    if engine != EngineChoice::Cpu {
-        remark!(app, "engine: {}", drawn.told);
-    }
+    let drawn = drawn(app, &scene, &args.engine)?;
     if let Some((film, video)) = args.film.as_deref().zip(args.video.as_deref()) {
         let capture = capture.ok_or_else(|| {
             WorkError::input(

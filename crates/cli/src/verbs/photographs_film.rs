@@ -4,6 +4,7 @@
 use std::path::Path;
 
 use use3d_import::Originals;
+use use3d_pipeline::destination::path_text;
 use use3d_pipeline::photographs::film::{FilmGrader, spans};
 use use3d_prepare::{
     FilmChoices, FilmPath, FilmReader, FilmWriter, PrepareError, Programs, StepProgress, StepWatch,
@@ -15,7 +16,6 @@ use use3d_stages::Drawn;
 use crate::App;
 use crate::error::{Done, WorkError};
 use crate::output::counted;
-use use3d_pipeline::destination::path_text;
 
 /// A film to enhance.
 pub(crate) struct FilmJob<'a> {

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use use3d_capture::name::shown_lines;
 use use3d_pipeline::destination::{absolute, path_text, word};
-use use3d_pipeline::preparation::{DataSet, Preparation, TargetCapture};
+use use3d_pipeline::preparation::{DataSet, Preparation, capture_of};
 use use3d_prepare::{PREPARED, PrepareParams, Programs, Recipe, RecipeScene, Sources};
 
 use crate::App;
@@ -120,17 +120,30 @@ pub(crate) fn capture_for(
     target: &Path,
     out: Option<&Path>,
 ) -> Result<Option<PathBuf>, WorkError> {
-    let Some(found) = TargetCapture::find(&app.host, target, out, usual_programs())? else { return Ok(None) };
-    let capture = path_text(&found.folder);
-    if found.is_prepared() {
-        remark!(app, "the capture is {capture}, prepared before");
-        return Ok(Some(found.folder));
+    let Some((sources, out)) = capture_of(target, out)? else { return Ok(None) };
+    let (params, programs) = (PrepareParams::default(), usual_programs());
+    let job =
+        Preparation { host: &app.host, sources: &sources, params: &params, programs: &programs, out: &out };
+    job.check(false)?;
+    match job.need()? {
+        None => remark!(app, "the capture is {}, prepared before", path_text(&out)),
+        Some(_) if out.exists() => {
+            let (target, capture) = (word(target), word(&out));
+            return Err(WorkError::Input(format!(
+                "{capture}: this capture was prepared from other files or with other choices, or was changed since; `use3d prepare {target} \
+                 --out {capture} --force` replaces it; to keep it, prepare {target} into another folder with --out, and \
+                 run that folder"
+            )));
+        }
+        Some((key, inputs)) => {
+            remark!(
+                app,
+                "{} has no cameras yet: preparing the capture {} (`use3d prepare` has more choices)",
+                path_text(target),
+                path_text(&out)
+            );
+            job.make(&key, &inputs, false)?.iter().for_each(|line| remark!(app, "{line}"));
+        }
     }
-    remark!(
-        app,
-        "{} has no cameras yet: preparing the capture {capture} (`use3d prepare` has more choices)",
-        path_text(target)
-    );
-    found.make(&app.host)?.iter().for_each(|line| remark!(app, "{line}"));
-    Ok(Some(found.folder))
+    Ok(Some(out))
 }

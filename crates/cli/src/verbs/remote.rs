@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
+use use3d_pipeline::destination::path_text;
 use use3d_pipeline::loaded::Loaded;
 use use3d_workflow::Transferred;
 use use3d_workflow::gc::parse_age;
@@ -13,7 +14,6 @@ use crate::App;
 use crate::args::{PushArgs, RemoteArgs, StoreGcArgs, StoreLsArgs, TransferArgs};
 use crate::error::{Done, WorkError};
 use crate::output::{counted, json, show};
-use use3d_pipeline::destination::path_text;
 
 /// The store at an address.
 fn store(address: &str) -> Result<RemoteStore, WorkError> {

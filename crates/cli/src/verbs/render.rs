@@ -4,19 +4,17 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use use3d_capture::{Camera, FileName};
-use use3d_reconstruct::EngineChoice;
+use use3d_pipeline::found::capture_in;
 use use3d_render::Mode;
 use use3d_scene::Scene;
 use use3d_scene::white::Gains;
-use use3d_stages::Drawn;
 
 use crate::App;
 use crate::args::{CameraPath, FrameFormat, RenderArgs, check_shares};
 use crate::error::{Done, WorkError};
 use crate::interrupt;
-use crate::verbs::drawing::{Frames, cameras, modes, renderer};
+use crate::verbs::drawing::{Frames, cameras, drawn, modes, renderer};
 use crate::verbs::{film_path, speed, white};
-use use3d_pipeline::found::capture_in;
 
 pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
     let capture = args.cameras.clone().or_else(|| capture_in(&args.scene));
@@ -36,12 +34,7 @@ pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
     if args.water < 1.0 && !args.fps && !modes.iter().any(|mode| mode.shows_water()) {
         eprintln!("--water {} changes nothing in {}", args.water, names.join(", "));
     }
-    let engine = args.engine.choice().unwrap_or_default();
-    let drawn =
-        Drawn::new(&scene, &engine).map_err(|what| WorkError::Input(format!("--engine {engine}: {what}")))?;
-    if engine != EngineChoice::Cpu {
-        remark!(app, "engine: {}", drawn.told);
-    }
+    let drawn = drawn(app, &scene, &args.engine)?;
     let white = white::of(app, &args.white, &args.scene, &scene, args.cameras.as_deref())?;
     let gains = white.map_or(Gains::ONE, |white| white.gains);
     if let Some(CameraPath::File(path)) = &args.path {

@@ -4,6 +4,7 @@ use std::ops::ControlFlow;
 use std::path::Path;
 
 use serde::de::DeserializeOwned;
+use use3d_pipeline::destination::put_folder;
 use use3d_stages::code::built_in;
 use use3d_synth::{
     CaptureParams, Development, Location, Optics, PairsParams, Physics, SynthError, WaterType, write_capture,
@@ -17,7 +18,6 @@ use crate::args::{SynthCaptureArgs, SynthPairsArgs};
 use crate::error::{Done, WorkError};
 use crate::interrupt::{self, ends_soon};
 use crate::size::parse_size;
-use use3d_pipeline::destination::put_folder;
 
 /// Reports the progress, and returns whether to continue.
 fn tell<'a>(app: &'a App, label: &'a str) -> impl FnMut(usize, usize) -> ControlFlow<()> + 'a {

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use use3d_pipeline::destination::{check_file, path_text, write_text};
 use use3d_pipeline::scene_views::{metres, page_views, saved_views, scene_name};
 use use3d_scene::{Scene, White};
 use use3d_web::{Page, PageView};
@@ -10,7 +11,6 @@ use use3d_workflow::machine::bytes;
 use crate::App;
 use crate::args::ExportArgs;
 use crate::error::{Done, WorkError};
-use use3d_pipeline::destination::{check_file, path_text, write_text};
 
 /// Refuses a wrong value of `--metres-per-unit`.
 pub(crate) fn check_metres(given: Option<f64>) -> Done {

@@ -260,7 +260,7 @@ impl PhotographWork<'_, '_> {
     /// Writes the table, and notes it as the program's own.
     fn table(&self, record: &mut Record) -> Result<(), WorkError> {
         record.begin(TABLE)?;
-        write_table(self.out, record, self.metres).map_err(|e| WorkError::Failed(e.to_string()))?;
+        write_table(self.out, record, self.metres).map_err(WorkError::failed)?;
         record.end(TABLE, &self.out.join(TABLE))
     }
 
@@ -282,7 +282,7 @@ impl PhotographWork<'_, '_> {
     /// The place of a photograph's mask; `None` if no masks are wanted.
     fn mask(&self, original: &Original) -> Result<Option<MaskPlace>, WorkError> {
         let Some(folder) = self.unknown else { return Ok(None) };
-        let failed = |e: &dyn std::fmt::Display| WorkError::Input(e.to_string());
+        let failed = |e: &dyn std::fmt::Display| WorkError::input(e);
         let name = original.relative.with_extension("png").map_err(|e| failed(&e))?;
         let file = std::path::absolute(name.below(folder)).map_err(|e| failed(&e))?;
         Ok(Some(MaskPlace { key: format!("mask {}", file.display()), file }))
@@ -319,10 +319,10 @@ impl PhotographWork<'_, '_> {
             let Some(file) = self.file(&original.relative) else { continue };
             let source = file.below(self.folder);
             let grid = self.grid(grids, original, &source)?.0;
-            let photograph = Photograph::read(&source).map_err(|e| WorkError::Input(e.to_string()))?;
+            let photograph = Photograph::read(&source).map_err(WorkError::input)?;
             let small = self.small(&photograph);
             if (small.width(), small.height()) == grid.size() {
-                let of = photographer.pairs(&small, &grid).map_err(|e| WorkError::Failed(e.to_string()))?;
+                let of = photographer.pairs(&small, &grid).map_err(WorkError::failed)?;
                 names.push(file);
                 pairs.push(of);
             }
@@ -362,7 +362,7 @@ impl PhotographWork<'_, '_> {
         original: &Original,
         source: &Path,
     ) -> Result<(Grid, Option<Intrinsics>), WorkError> {
-        let info = photograph_info(source).map_err(|e| WorkError::Input(e.to_string()))?;
+        let info = photograph_info(source).map_err(WorkError::input)?;
         let file = (original.width, original.height);
         if (info.width, info.height) != file {
             return Err(WorkError::Input(format!(
@@ -410,7 +410,7 @@ impl PhotographWork<'_, '_> {
         (source, target, mask): (&Path, &Path, Option<&MaskPlace>),
     ) -> Result<FinishedPhotograph, WorkError> {
         let (grid, straight) = self.grid(grids, original, source)?;
-        let mut photograph = Photograph::read(source).map_err(|e| WorkError::Input(e.to_string()))?;
+        let mut photograph = Photograph::read(source).map_err(WorkError::input)?;
         if let Some(pinhole) = straight.filter(|_| !original.lens.is_pinhole()) {
             photograph = undistorted(photograph, original, &pinhole);
         }
@@ -423,7 +423,7 @@ impl PhotographWork<'_, '_> {
         change(&mut photograph, &grade.map.after(self.gains()).developed(development));
         if let Some(mask) = mask {
             let known = large(&grade.known, (photograph.width, photograph.height));
-            write_png_map(&mask.file, &known).map_err(|e| WorkError::Failed(e.to_string()))?;
+            write_png_map(&mask.file, &known).map_err(WorkError::failed)?;
         }
         self.write(&photograph, target)?;
         Ok(entry)
@@ -437,7 +437,7 @@ impl PhotographWork<'_, '_> {
         source: &Path,
         target: &Path,
     ) -> Result<FinishedPhotograph, WorkError> {
-        let mut photograph = Photograph::read(source).map_err(|e| WorkError::Input(e.to_string()))?;
+        let mut photograph = Photograph::read(source).map_err(WorkError::input)?;
         let gains = self.gains();
         let small = developed(self.small(&photograph), development.as_deref());
         change(&mut photograph, &mean.grade(&small).after(gains).developed(development));

@@ -260,7 +260,7 @@ impl Record {
     }
 
     fn append(&self, line: serde_json::Result<String>) -> Result<(), WorkError> {
-        self.write(&(line.map_err(|e| WorkError::Failed(e.to_string()))? + "\n"))
+        self.write(&(line.map_err(WorkError::failed)? + "\n"))
     }
 
     fn note(&mut self, key: &str, result: Option<Stamp>) -> Result<(), WorkError> {

@@ -12,6 +12,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use use3d_import::{ImportParams, import};
+use use3d_pipeline::found::capture_in;
 use use3d_pipeline::points;
 use use3d_pipeline::scene_page;
 use use3d_pipeline::scene_views::{metres, saved_views, scene_name};
@@ -23,7 +24,6 @@ use crate::args::ViewArgs;
 use crate::error::{Done, WorkError};
 use crate::verbs::web::{check_metres, views};
 use crate::verbs::white;
-use use3d_pipeline::found::capture_in;
 
 /// Time between two checks of the stop flag while waiting.
 const WAIT: Duration = Duration::from_millis(200);
@@ -85,21 +85,15 @@ enum Stream {
     Remark,
 }
 
-/// A server that runs until it is dropped.
-struct Serving {
-    _server: Server,
-    /// The page that leads a browser to the server.
-    _redirect: Option<Redirect>,
-}
-
-/// Starts the server, prints its address, and opens a browser if there is a screen.
+/// Starts the server, prints its address, and opens a browser if there is a screen. The server, and the page
+/// that leads a browser to it, end when they are dropped.
 fn serve(
     app: &App,
     port: Option<u16>,
     no_open: bool,
     live: &Arc<Live>,
     stream: Stream,
-) -> Result<Serving, WorkError> {
+) -> Result<(Server, Option<Redirect>), WorkError> {
     let server = Server::start(port, live).map_err(WorkError::input)?;
     let (address, port) = (server.address(), server.port());
     if stream == Stream::Result {
@@ -115,5 +109,5 @@ fn serve(
          run `ssh -L {port}:localhost:{port} HOST` there; Ctrl-C ends the viewer"
     );
     let redirect = if no_open { None } else { browser::open(&address) };
-    Ok(Serving { _server: server, _redirect: redirect })
+    Ok((server, redirect))
 }
