@@ -100,15 +100,15 @@ impl RunRecord {
         }
     }
 
-    fn read(path: &Path) -> Result<Self, String> {
-        let size = std::fs::metadata(path).map_err(|e| e.to_string())?.len();
+    fn read(path: &Path) -> Result<Self, WorkError> {
+        let size = std::fs::metadata(path).map_err(WorkError::input)?.len();
         if size > MOST_BYTES {
-            return Err("it is too large to be the record of a run".into());
+            return Err(WorkError::input("it is too large to be the record of a run"));
         }
-        let bytes = std::fs::read(path).map_err(|e| e.to_string())?;
-        let record: Self = serde_json::from_slice(&bytes).map_err(|e| e.to_string())?;
+        let bytes = std::fs::read(path).map_err(WorkError::input)?;
+        let record: Self = serde_json::from_slice(&bytes).map_err(WorkError::input)?;
         if record.format != FORMAT || record.version != VERSION {
-            return Err(format!("it is not a `{FORMAT}` of version {VERSION}"));
+            return Err(WorkError::Input(format!("it is not a `{FORMAT}` of version {VERSION}")));
         }
         Ok(record)
     }

@@ -9,6 +9,7 @@ use use3d_render::Mode;
 
 use super::shared::{EngineArgs, Replace, count, fraction};
 use super::white::WhiteArgs;
+use crate::error::WorkError;
 
 /// Eleven hours of film at 25 frames per second.
 const MAX_FRAMES: u64 = 1_000_000;
@@ -43,17 +44,18 @@ pub(crate) enum CameraPath {
 }
 
 impl FromStr for CameraPath {
-    type Err = String;
+    type Err = WorkError;
 
-    fn from_str(text: &str) -> Result<Self, String> {
+    fn from_str(text: &str) -> Result<Self, WorkError> {
         match text {
             "interpolate" => Ok(Self::Interpolate),
             "spiral" => Ok(Self::Spiral),
-            file if [".json", ".txt"].iter().any(|e| file.to_lowercase().ends_with(e)) => Ok(Self::File(file.into())),
-            _ => Err(
-                "expected `interpolate`, `spiral`, or a path file: .json of a scene's page or of nerfstudio, or COLMAP's images.txt"
-                    .into(),
-            ),
+            file if [".json", ".txt"].iter().any(|e| file.to_lowercase().ends_with(e)) => {
+                Ok(Self::File(file.into()))
+            }
+            _ => Err(WorkError::input(
+                "expected `interpolate`, `spiral`, or a path file: .json of a scene's page or of nerfstudio, or COLMAP's images.txt",
+            )),
         }
     }
 }
@@ -122,8 +124,11 @@ pub(crate) struct RenderArgs {
 }
 
 /// A version of SPZ.
-fn spz_version(text: &str) -> Result<u8, String> {
-    text.parse().ok().filter(|version| matches!(version, 3 | 4)).ok_or_else(|| "expected 3 or 4".to_string())
+fn spz_version(text: &str) -> Result<u8, WorkError> {
+    text.parse()
+        .ok()
+        .filter(|version| matches!(version, 3 | 4))
+        .ok_or_else(|| WorkError::input("expected 3 or 4"))
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]

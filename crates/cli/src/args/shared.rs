@@ -219,16 +219,16 @@ pub(crate) struct Replace {
 }
 
 /// A whole number from 1 to `most`.
-pub(crate) fn count(most: u64) -> impl Fn(&str) -> Result<usize, String> + Clone + Send + Sync + 'static {
+pub(crate) fn count(most: u64) -> impl Fn(&str) -> Result<usize, WorkError> + Clone + Send + Sync + 'static {
     move |text| {
         let number = text.parse::<usize>().ok().filter(|n| *n >= 1 && *n as u64 <= most);
-        number.ok_or_else(|| format!("expected a whole number from 1 to {most}"))
+        number.ok_or_else(|| WorkError::Input(format!("expected a whole number from 1 to {most}")))
     }
 }
 
 /// A number; its range is checked where it is used.
-pub(crate) fn fraction(text: &str) -> Result<f32, String> {
-    text.parse().map_err(|_| "expected a number, such as 0.5".to_string())
+pub(crate) fn fraction(text: &str) -> Result<f32, WorkError> {
+    text.parse().map_err(|_| WorkError::input("expected a number, such as 0.5"))
 }
 
 /// Refuses shares that are not between 0 and 1, by their flags.
@@ -240,13 +240,13 @@ pub(crate) fn check_shares(shares: &[(&str, f32)]) -> Done {
 }
 
 /// A port of this machine.
-pub(crate) fn port(text: &str) -> Result<u16, String> {
+pub(crate) fn port(text: &str) -> Result<u16, WorkError> {
     let port = text.parse::<u16>().ok().filter(|port| *port > 0);
-    port.ok_or_else(|| "expected a whole number from 1 to 65535".to_string())
+    port.ok_or_else(|| WorkError::input("expected a whole number from 1 to 65535"))
 }
 
 /// Parses a time above zero, such as `90min`, `3h` or `3:50:00`.
-pub(crate) fn time(text: &str) -> Result<Duration, String> {
-    let time = use3d_cluster::time::parse(text)?;
-    if time.is_zero() { Err("the time must be more than 0".to_string()) } else { Ok(time) }
+pub(crate) fn time(text: &str) -> Result<Duration, WorkError> {
+    let time = use3d_cluster::time::parse(text).map_err(WorkError::input)?;
+    if time.is_zero() { Err(WorkError::input("the time must be more than 0")) } else { Ok(time) }
 }
