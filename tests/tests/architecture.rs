@@ -66,7 +66,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("photographs", &["capture", "numerics", "survey", "render"]),
     ("reconstruct", &["capture", "numerics", "splat", "medium", "metrics", "training", "scene"]),
     ("web", &["capture", "numerics", "io-image", "splat", "medium", "ubaf", "scene"]),
-    ("viewer", &["capture", "scene", "render", "web"]),
+    ("viewer", &["capture", "files", "scene", "render", "web"]),
     ("enhance", &["capture", "numerics", "splat", "ubaf", "atc", "training", "scene"]),
     ("chart", &["numerics"]),
     ("judge", &["capture", "numerics", "import", "metrics", "nets", "synth", "render"]),

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use signal_hook::consts::{SIGINT, SIGTERM};
 
-use crate::error::CliError;
+use crate::error::{WorkError, exit_code, report};
 
 static FLAG: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 static LEAVE: OnceLock<Arc<AtomicBool>> = OnceLock::new();
@@ -113,8 +113,8 @@ pub(crate) fn ends_soon() -> EndsSoon {
                 std::thread::sleep(GRACE);
                 if !over.load(Ordering::Relaxed) {
                     use3d_files::abandon();
-                    let _ = CliError::Stopped.report();
-                    std::process::exit(i32::from(CliError::Stopped.code()));
+                    let _ = report(&WorkError::Stopped);
+                    std::process::exit(i32::from(exit_code(&WorkError::Stopped)));
                 }
             }
             std::thread::sleep(GRACE / 6);
@@ -140,15 +140,15 @@ pub(crate) fn go_on() -> ControlFlow<()> {
 }
 
 /// The same as an error, for loops that keep no partial result.
-pub(crate) fn check() -> Result<(), CliError> {
-    if requested() { Err(CliError::Stopped) } else { Ok(()) }
+pub(crate) fn check() -> Result<(), WorkError> {
+    if requested() { Err(WorkError::Stopped) } else { Ok(()) }
 }
 
 /// Does work that leaves no files behind, and returns as soon as a signal arrives: the rest of the work then
 /// ends with the program.
 pub(crate) fn unless_stopped<T: Send + 'static>(
     work: impl FnOnce() -> T + Send + 'static,
-) -> Result<T, CliError> {
+) -> Result<T, WorkError> {
     const LOOK: Duration = Duration::from_millis(50);
     let (sender, receiver) = mpsc::channel();
     std::thread::spawn(move || {
@@ -160,7 +160,7 @@ pub(crate) fn unless_stopped<T: Send + 'static>(
             Ok(done) => return Ok(done),
             Err(mpsc::RecvTimeoutError::Timeout) => check()?,
             Err(mpsc::RecvTimeoutError::Disconnected) => {
-                return Err(CliError::Failed("internal error, please report it".into()));
+                return Err(WorkError::Failed("internal error, please report it".into()));
             }
         }
     }

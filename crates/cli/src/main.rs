@@ -7,7 +7,6 @@ mod output;
 mod allocator;
 mod args;
 mod c_functions;
-mod destination;
 mod error;
 mod interrupt;
 mod listener;
@@ -15,50 +14,41 @@ mod logging;
 mod size;
 mod verbs;
 mod version;
-mod whole_run;
 
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 
+use use3d_pipeline::destination::path_text;
+use use3d_pipeline::found::scene_in;
+use use3d_pipeline::host::Host;
 use use3d_workflow::{Event, Listener};
 
 use args::{Bench, Store, Synth, Verb};
-use error::{CliError, Done};
+use error::{Done, WorkError};
 
 /// The data that every verb gets.
 #[derive(Clone)]
 pub(crate) struct App {
     /// True if only errors are printed.
     pub(crate) quiet: bool,
-    /// Number of threads for computing.
-    pub(crate) threads: usize,
-    /// Set by Ctrl-C, SIGTERM and SIGHUP.
-    pub(crate) stop: Arc<AtomicBool>,
-    /// Displays the events of stages.
-    pub(crate) listener: Arc<dyn Listener>,
+    /// Its stop flag is set by Ctrl-C, SIGTERM and SIGHUP; its listener displays the events of stages.
+    pub(crate) host: Host,
 }
 
 impl App {
     /// The same app, whose events `hear` gets too.
     pub(crate) fn heard_by(&self, hear: impl Fn(&Event<'_>) + Send + Sync + 'static) -> Self {
-        let inner = self.listener.clone();
-        let listener = Arc::new(move |event: &Event<'_>| {
-            inner.event(event);
-            hear(event);
-        });
-        Self { listener, ..self.clone() }
+        Self { host: self.host.heard_by(hear), ..self.clone() }
     }
 
-    /// Reports the progress of work that is no stage of a pipeline.
-    pub(crate) fn progress(&self, label: &str, done: u64, total: u64, unit: &str, message: &str) {
-        let event = Event::Progress { node: 0, label, done, total, unit, message, seconds_left: None };
-        self.listener.event(&event);
-    }
-
-    /// Reports the end of such work.
-    pub(crate) fn over(&self, label: &str) {
-        self.listener.event(&Event::Done { node: 0, label, cached: true, seconds: 0.0 });
+    /// The scene that a path names; prints its folder if it is another one.
+    pub(crate) fn scene_in(&self, given: &Path) -> Result<PathBuf, WorkError> {
+        let scene = scene_in(given)?;
+        if scene != given {
+            remark!(self, "the scene is {}", path_text(&scene));
+        }
+        Ok(scene)
     }
 }
 
@@ -73,9 +63,9 @@ fn main() -> ExitCode {
         tracing::debug!("thread pool: {error}");
     }
     let listener: Arc<dyn Listener> = Arc::new(listener::Terminal::new(cli.quiet));
-    let app = App { quiet: cli.quiet, threads, stop: interrupt::install(), listener };
+    let app = App { quiet: cli.quiet, host: Host { threads, stop: interrupt::install(), listener } };
     let done = run(&app, cli.verb).and_then(|()| match output::failure() {
-        Some(reason) => Err(CliError::Failed(format!("cannot write to standard output: {reason}"))),
+        Some(reason) => Err(WorkError::Failed(format!("cannot write to standard output: {reason}"))),
         None => Ok(()),
     });
     if let Err(error) = &done
@@ -83,11 +73,14 @@ fn main() -> ExitCode {
         && !output::said()
     {
         // A program that reads JSON gets one document in any case.
-        println!("{}", serde_json::json!({ "error": error.text(), "exit_code": error.code() }));
+        println!(
+            "{}",
+            serde_json::json!({ "error": error.to_string(), "exit_code": error::exit_code(error) })
+        );
     }
     // A driver may end the process with an error if a device still exists when its library is unloaded.
     use3d_stages::close_devices();
-    done.map_or_else(|error| error.report(), |()| ExitCode::SUCCESS)
+    done.map_or_else(|error| error::report(&error), |()| ExitCode::SUCCESS)
 }
 
 fn run(app: &App, verb: Verb) -> Done {

@@ -12,7 +12,7 @@ use std::sync::{Mutex, PoisonError};
 
 use serde::Serialize;
 
-use crate::error::{CliError, Done};
+use crate::error::{Done, WorkError};
 
 /// The first failure to write to stdout; nothing is written after it.
 static FAILED: Mutex<Option<io::Error>> = Mutex::new(None);
@@ -77,7 +77,7 @@ macro_rules! remark {
 
 /// Prints one JSON document.
 pub(crate) fn json(value: &impl Serialize) -> Done {
-    let text = serde_json::to_string_pretty(value).map_err(CliError::failed)?;
+    let text = serde_json::to_string_pretty(value).map_err(WorkError::failed)?;
     println!("{text}");
     Ok(())
 }

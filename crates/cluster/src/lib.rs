@@ -14,6 +14,7 @@
 pub mod hyperqueue;
 pub mod jobs;
 pub mod quote;
+mod scheduler;
 pub mod site;
 pub mod slurm;
 pub mod time;

@@ -31,7 +31,7 @@ pub mod engine;
 mod error;
 mod fingerprint;
 #[cfg(test)]
-mod golden;
+mod golden_tests;
 mod labels;
 pub mod losses;
 mod params;

@@ -5,7 +5,4 @@
 //! times. The command prints what they return.
 
 pub mod card;
-mod error;
 pub mod truth;
-
-pub use error::LabError;

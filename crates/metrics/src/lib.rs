@@ -20,7 +20,7 @@ mod ciede2000;
 mod consistency;
 mod error;
 #[cfg(test)]
-mod golden;
+mod golden_tests;
 mod halves;
 mod lab;
 mod mask;

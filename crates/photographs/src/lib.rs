@@ -32,7 +32,7 @@ mod boxes;
 mod coverage;
 mod development;
 #[cfg(test)]
-mod golden;
+mod golden_tests;
 pub mod grade;
 mod grid;
 mod highlights;

@@ -12,9 +12,9 @@ use use3d_atc::calibrator::{METHOD_PAIRS, Provenance};
 use use3d_atc::consensus::TargetsReport;
 use use3d_import::load_prepared;
 use use3d_workflow::run::RanNode;
-use use3d_workflow::{Stage, Summary};
+use use3d_workflow::{Stage, Summary, canonical};
 
-use crate::config::{join, preset_values};
+use crate::config::preset_values;
 use use3d_judge::configuration::Configuration;
 use use3d_stages::{CALIBRATED, CHOICES, Choices, read_json, registry};
 
@@ -26,18 +26,8 @@ const SCORED_BY: &str = "evaluate";
 /// The import's text for views that were counted in the authors' order.
 const AUTHORS_SPLIT: &str = "one view in 8 is held out, counted by COLMAP image id from the first";
 
-/// The dotted paths and the values of some parameters.
-fn leaves(value: &Value, place: &str) -> BTreeMap<String, Value> {
-    match value {
-        Value::Object(fields) => {
-            let inner = |(key, value): (&String, &Value)| leaves(value, &join(place, key));
-            fields.iter().flat_map(inner).collect()
-        }
-        _ => BTreeMap::from([(place.to_string(), value.clone())]),
-    }
-}
-
-fn text(value: &Value) -> String {
+/// A parameter's value as text.
+pub(crate) fn text(value: &Value) -> String {
     value.as_str().map_or_else(|| value.to_string(), String::from)
 }
 
@@ -52,9 +42,10 @@ fn changes(nodes: &[&RanNode]) -> Vec<String> {
         let mut preset = preset_values(&node.preset).unwrap_or_default();
         let given = preset.remove(node.stage).unwrap_or_else(|| json!({}));
         let Ok(base) = stage.parameters(&given) else { continue };
-        let [was, is] = [&base, &node.parameters].map(|values| leaves(values.json(), ""));
-        for name in leaves(counted, "").keys() {
-            if let (Some(was), Some(is)) = (was.get(name), is.get(name))
+        let [was, is] = [&base, &node.parameters]
+            .map(|values| canonical::leaves(values.json()).into_iter().collect::<BTreeMap<_, _>>());
+        for (name, _) in canonical::leaves(counted) {
+            if let (Some(was), Some(is)) = (was.get(&name), is.get(&name))
                 && was != is
             {
                 changed.push(format!("{}.{name} = {}", node.stage, text(is)));

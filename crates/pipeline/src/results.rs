@@ -8,14 +8,14 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use serde::Serialize;
 use use3d_scene::White;
 use use3d_workflow::delivered::{Notes, Sources};
 use use3d_workflow::place::{self, Look, PlaceError, Standing, at};
 use use3d_workflow::run::{NodeResult, RanNode};
-use use3d_workflow::{Artifact, Cache, Digest, Graph, Summary};
+use use3d_workflow::{Artifact, Cache, Digest, Event, Graph, Listener, Summary};
 
 use crate::made_by;
 use crate::scene_page;
@@ -62,6 +62,15 @@ fn paths_of(part: &str) -> Vec<PathBuf> {
     if part == OVER_ALL { vec![PAGE.into(), TABLES.into()] } else { vec![part.into()] }
 }
 
+/// The scenes in the results: the enhanced ones if there are two.
+pub fn scenes_of(delivered: &[Delivered]) -> impl Iterator<Item = &Delivered> {
+    let scene = |what: &'static str| delivered.iter().filter(move |result| result.what == what);
+    let enhanced = move |result: &Delivered| {
+        scene("enhance").any(|other| (&other.scene, &other.variant) == (&result.scene, &result.variant))
+    };
+    scene("enhance").chain(scene("reconstruct").filter(move |result| !enhanced(result)))
+}
+
 impl Results {
     /// The folder `out` for the results of a cache.
     pub fn new(out: &Path, cache: &Cache) -> Self {
@@ -89,6 +98,22 @@ impl Results {
     /// Forgets what is known of the parts, because another part of the program has written into the folder.
     pub fn look_again(&self) {
         self.standing().clear();
+    }
+
+    /// A listener that also delivers the results of every scene as soon as it is finished: the batch may run
+    /// for days or fail. `inner` gets all events; `command` is the command line of the run.
+    pub fn delivering(self: &Arc<Self>, inner: Arc<dyn Listener>, command: String) -> Arc<dyn Listener> {
+        let out = self.clone();
+        Arc::new(move |event: &Event<'_>| {
+            inner.event(event);
+            if let Event::SceneOver { scene, variant, nodes } = event
+                && let Err(error) = out.deliver(&Summary::of_scene(nodes, scene, variant), &command)
+            {
+                // Delivery is tried again at the end, where a failure counts.
+                let text = format!("its results could not be delivered yet: {error}");
+                inner.event(&Event::Warning { label: scene, text: &text });
+            }
+        })
     }
 
     /// Checks, before anything is computed, that the results of `until` (all stages if `None`) can be written

@@ -16,7 +16,7 @@ pub mod enhancement;
 pub mod field;
 pub mod field_box;
 #[cfg(test)]
-mod golden;
+mod golden_tests;
 mod guide;
 mod kernel;
 pub mod objects;

@@ -23,6 +23,7 @@
 //! contains, in the part that browsers never send. Heads, bodies, connections and waiting times are bounded.
 //! No request names a file.
 
+pub mod browser;
 mod curve;
 mod drawing;
 mod guard;
@@ -31,5 +32,6 @@ mod live;
 mod server;
 mod site;
 
+pub use browser::Redirect;
 pub use live::{Live, Shown};
 pub use server::{Server, ServerError};

@@ -26,7 +26,7 @@ mod stopping;
 mod training;
 
 #[cfg(test)]
-mod golden;
+mod golden_tests;
 
 use serde::{Deserialize, Serialize};
 

@@ -5,7 +5,7 @@ mod captures;
 mod check;
 mod cluster;
 #[cfg(test)]
-mod documents;
+mod documents_tests;
 mod photographs;
 mod pictures;
 mod pipelines;
@@ -30,9 +30,7 @@ pub(crate) use pipelines::{
 };
 pub(crate) use prepare::{PrepareArgs, usual_programs};
 pub(crate) use remote::{PushArgs, RemoteArgs, Store, StoreGcArgs, StoreLsArgs, TransferArgs};
-pub(crate) use shared::{
-    CacheArgs, CalibrationArgs, CommonArgs, EngineArgs, PipelineArgs, Settings, Spelled, as_typed,
-};
+pub(crate) use shared::{CacheArgs, EngineArgs, PipelineArgs, check_shares};
 pub(crate) use stages::{
     CalibrateArgs, EnhanceArgs, EvaluateArgs, ImportArgs, ReconstructArgs, TableFormat, TargetsArgs,
 };
@@ -41,7 +39,7 @@ pub(crate) use upkeep::{
     VerifyArgs,
 };
 pub(crate) use view::{ViewArgs, WatchArgs};
-pub(crate) use white::{KeepWhiteArgs, Place, WhiteArgs, WhiteChoice};
+pub(crate) use white::{KeepWhiteArgs, WhiteArgs};
 
 use shared::count;
 

@@ -28,7 +28,7 @@ pub(crate) enum PhotographLayout {
     Texture,
 }
 
-#[derive(Clone, Debug, Args)]
+#[derive(Clone, Debug, Default, Args)]
 pub(crate) struct PhotographsArgs {
     /// The results folder of a run, or a scene.
     #[arg(value_name = "RESULTS_DIR|SCENE_DIR")]
@@ -81,22 +81,6 @@ pub(crate) struct PhotographsArgs {
 impl PhotographsArgs {
     /// The arguments for all photographs of a scene as the program shows them by itself.
     pub(crate) fn of(scene: &Path, out: PathBuf) -> Self {
-        Self {
-            scene: scene.to_path_buf(),
-            out: Some(out),
-            film: None,
-            video: None,
-            images: None,
-            look: None,
-            keep_light: 0.0,
-            strength: 1.0,
-            water: 1.0,
-            white: WhiteArgs::default(),
-            layout: PhotographLayout::Same,
-            undistorted: false,
-            unknown: None,
-            engine: EngineArgs::default(),
-            replace: Replace::default(),
-        }
+        Self { scene: scene.to_path_buf(), out: Some(out), strength: 1.0, water: 1.0, ..Self::default() }
     }
 }

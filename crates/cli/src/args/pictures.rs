@@ -4,9 +4,12 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use clap::{Args, ValueEnum};
+use use3d_pipeline::export::GaussianFrame;
+use use3d_render::Mode;
 
 use super::shared::{EngineArgs, Replace, count, fraction};
 use super::white::WhiteArgs;
+use crate::error::WorkError;
 
 /// Eleven hours of film at 25 frames per second.
 const MAX_FRAMES: u64 = 1_000_000;
@@ -41,17 +44,18 @@ pub(crate) enum CameraPath {
 }
 
 impl FromStr for CameraPath {
-    type Err = String;
+    type Err = WorkError;
 
-    fn from_str(text: &str) -> Result<Self, String> {
+    fn from_str(text: &str) -> Result<Self, WorkError> {
         match text {
             "interpolate" => Ok(Self::Interpolate),
             "spiral" => Ok(Self::Spiral),
-            file if [".json", ".txt"].iter().any(|e| file.to_lowercase().ends_with(e)) => Ok(Self::File(file.into())),
-            _ => Err(
-                "expected `interpolate`, `spiral`, or a path file: .json of a scene's page or of nerfstudio, or COLMAP's images.txt"
-                    .into(),
-            ),
+            file if [".json", ".txt"].iter().any(|e| file.to_lowercase().ends_with(e)) => {
+                Ok(Self::File(file.into()))
+            }
+            _ => Err(WorkError::input(
+                "expected `interpolate`, `spiral`, or a path file: .json of a scene's page or of nerfstudio, or COLMAP's images.txt",
+            )),
         }
     }
 }
@@ -120,8 +124,11 @@ pub(crate) struct RenderArgs {
 }
 
 /// A version of SPZ.
-fn spz_version(text: &str) -> Result<u8, String> {
-    text.parse().ok().filter(|version| matches!(version, 3 | 4)).ok_or_else(|| "expected 3 or 4".to_string())
+fn spz_version(text: &str) -> Result<u8, WorkError> {
+    text.parse()
+        .ok()
+        .filter(|version| matches!(version, 3 | 4))
+        .ok_or_else(|| WorkError::input("expected 3 or 4"))
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -136,10 +143,21 @@ pub(crate) enum ExportWhat {
     EnhancedClear,
 }
 
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+impl ExportWhat {
+    /// The mode of this look.
+    pub(crate) fn mode(self) -> Mode {
+        match self {
+            Self::Reconstruction => Mode::Reconstruction,
+            Self::Clear => Mode::Clear,
+            Self::Enhanced => Mode::Enhanced,
+            Self::EnhancedClear => Mode::EnhancedClear,
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(crate) enum ExportFrame {
     /// The frame of the COLMAP model, y down.
-    #[default]
     Colmap,
     /// The scene's own normalised frame, z up.
     Normalised,
@@ -149,6 +167,18 @@ pub(crate) enum ExportFrame {
     /// Metres along the axes of the capture's world. A large offset, such as that of UTM, is left out and
     /// written into the file's header.
     Metric,
+}
+
+impl ExportFrame {
+    /// The frame of the file.
+    pub(crate) fn frame(self) -> GaussianFrame {
+        match self {
+            Self::Colmap => GaussianFrame::Colmap,
+            Self::Normalised => GaussianFrame::Normalised,
+            Self::YUp => GaussianFrame::YUp,
+            Self::Metric => GaussianFrame::Metric,
+        }
+    }
 }
 
 #[derive(Clone, Debug, Args)]

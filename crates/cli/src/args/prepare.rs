@@ -6,6 +6,7 @@ use clap::{Args, Parser, ValueEnum};
 use use3d_prepare::{Finder, Mapper, Matching, PrepareParams, Programs};
 
 use super::shared::{Replace, count};
+use crate::error::WorkError;
 
 #[derive(Debug, Args)]
 pub(crate) struct PrepareArgs {
@@ -47,8 +48,8 @@ pub(crate) struct PrepareArgs {
 }
 
 /// A number with or without spaces around it.
-fn number(text: &str) -> Result<f64, String> {
-    text.trim().parse().map_err(|_| format!("{:?} is no number", text.trim()))
+fn number(text: &str) -> Result<f64, WorkError> {
+    text.trim().parse().map_err(|_| WorkError::Input(format!("{:?} is no number", text.trim())))
 }
 
 /// More frames than any one scene can use.

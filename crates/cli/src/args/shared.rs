@@ -4,9 +4,12 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use clap::Args;
+use use3d_pipeline::config::LoadOptions;
+use use3d_pipeline::loaded::PipelineRequest;
+use use3d_pipeline::spelled::Spelled;
 use use3d_reconstruct::EngineChoice;
-use use3d_stages::registry;
-use use3d_workflow::{Registry, Stage};
+
+use crate::error::{Done, WorkError};
 
 /// The engine that computes.
 #[derive(Clone, Debug, Default, Args)]
@@ -48,40 +51,6 @@ impl SizeArgs {
         let size = self.size.iter().map(|size| Spelled::new("--size", "import", "size", size));
         let side = self.max_side.iter().map(|n| Spelled::new("--max-side", "import", "max_side", n));
         size.chain(side).collect()
-    }
-}
-
-/// A flag that stands for a setting.
-#[derive(Clone, Debug)]
-pub(crate) struct Spelled {
-    flag: &'static str,
-    stage: &'static str,
-    key: &'static str,
-    value: String,
-}
-
-impl Spelled {
-    #[allow(clippy::needless_pass_by_value, reason = "callers give numbers, words and sizes alike")]
-    pub(crate) fn new(
-        flag: &'static str,
-        stage: &'static str,
-        key: &'static str,
-        value: impl ToString,
-    ) -> Self {
-        Self { flag, stage, key, value: value.to_string() }
-    }
-
-    /// The engine as a setting of every stage that has one.
-    pub(crate) fn engines(engine: Option<&EngineChoice>) -> Vec<Self> {
-        let registry = engine.and_then(|_| registry().ok());
-        let stages = registry.iter().flat_map(Registry::stages).filter(|stage| stage.device.is_some());
-        let of = |stage: &Stage| Some(Self::new("--engine", stage.name(), "engine", engine?));
-        stages.filter_map(of).collect()
-    }
-
-    /// The setting in the form of `--set`.
-    pub(crate) fn set(&self) -> String {
-        format!("{}.{}={}", self.stage, self.key, self.value)
     }
 }
 
@@ -130,27 +99,20 @@ impl CommonArgs {
     }
 }
 
-/// Rewrites a message about a setting so that it names the flag that was typed.
-pub(crate) fn as_typed(message: &str, spelled: &[Spelled]) -> String {
-    let told = |Spelled { flag, key, value, .. }: &Spelled| {
-        let rest = message.strip_prefix("--set ")?;
-        let (setting, rest) = rest.split_once(&format!("{key}={value}: "))?;
-        let stage = setting.is_empty() || setting.ends_with('.') && !setting.contains(' ');
-        // The parameter's name adds nothing to the flag.
-        let parameter = [format!("`{setting}{key}`: "), format!("`{key}`: ")];
-        let rest = parameter.iter().find_map(|name| rest.strip_prefix(name.as_str())).unwrap_or(rest);
-        stage.then(|| format!("{flag} {value}: {rest}"))
-    };
-    spelled.iter().find_map(told).unwrap_or_else(|| message.to_string())
-}
-
 /// `--set` of one stage.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct StageSettings {
     /// Set a parameter of this stage, or `STAGE.PARAMETER` of one that it needs; may be
     /// repeated. `use3d params` lists them.
     #[arg(long = "set", value_name = "PARAMETER=VALUE")]
-    pub(crate) set: Vec<String>,
+    set: Vec<String>,
+}
+
+impl StageSettings {
+    /// These settings, with a models folder.
+    pub(crate) fn options(&self, models: Option<&PathBuf>) -> LoadOptions {
+        LoadOptions { sets: self.set.clone(), models: models.cloned(), ..LoadOptions::default() }
+    }
 }
 
 /// The source of the meaning of "enhanced", on the command line.
@@ -167,16 +129,6 @@ pub(crate) struct CalibrationArgs {
 }
 
 impl CalibrationArgs {
-    /// The arguments for these pairs or this calibrator.
-    pub(crate) fn of(pairs: Option<(PathBuf, PathBuf)>, calibrator: Option<PathBuf>) -> Self {
-        Self { pairs: pairs.map_or_else(Vec::new, |(input, target)| vec![input, target]), calibrator }
-    }
-
-    /// True if nothing was given.
-    pub(crate) fn is_empty(&self) -> bool {
-        self.pairs.is_empty() && self.calibrator.is_none()
-    }
-
     /// The two folders of pairs, if they were given.
     pub(crate) fn pairs(&self) -> Option<(PathBuf, PathBuf)> {
         match self.pairs.as_slice() {
@@ -200,6 +152,46 @@ pub(crate) struct CacheArgs {
     pub(crate) rehash: bool,
 }
 
+impl CacheArgs {
+    /// A pipeline as in its file, with this cache.
+    pub(crate) fn request(&self, target: &Path) -> PipelineRequest {
+        let (cache, models) = (self.cache.clone(), self.models.clone());
+        let options = LoadOptions { cache, models, ..LoadOptions::default() };
+        PipelineRequest {
+            target: target.to_path_buf(),
+            options,
+            rehash: self.rehash,
+            ..PipelineRequest::default()
+        }
+    }
+}
+
+/// The settings and folders of a pipeline's run.
+#[derive(Clone, Debug, Default, Args)]
+pub(crate) struct PipelineSettings {
+    #[command(flatten)]
+    common: CommonArgs,
+    #[command(flatten)]
+    settings: Settings,
+    #[command(flatten)]
+    calibration: CalibrationArgs,
+    #[command(flatten)]
+    pub(crate) cache: CacheArgs,
+}
+
+impl PipelineSettings {
+    /// The pipeline of `target` with these settings. Those given by `--set` itself come last, and so win.
+    pub(crate) fn request(&self, target: &Path) -> PipelineRequest {
+        let mut request = self.cache.request(target);
+        request.flags = self.common.spelled().into_iter().chain(self.settings.spelled()).collect();
+        let flags = request.flags.iter().map(Spelled::set);
+        request.options.sets = flags.chain(self.settings.set.iter().cloned()).collect();
+        request.options.pairs = self.calibration.pairs();
+        request.options.calibrator.clone_from(&self.calibration.calibrator);
+        request
+    }
+}
+
 /// A pipeline, with its settings and folders.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct PipelineArgs {
@@ -207,29 +199,13 @@ pub(crate) struct PipelineArgs {
     #[arg(value_name = "PIPELINE.toml|CAPTURE_DIR")]
     pub(crate) target: PathBuf,
     #[command(flatten)]
-    pub(crate) common: CommonArgs,
-    #[command(flatten)]
-    pub(crate) settings: Settings,
-    #[command(flatten)]
-    pub(crate) calibration: CalibrationArgs,
-    #[command(flatten)]
-    pub(crate) cache: CacheArgs,
+    pub(crate) settings: PipelineSettings,
 }
 
 impl PipelineArgs {
-    /// All settings in the form of `--set`; those given by `--set` itself come last, and so win.
-    pub(crate) fn sets(&self) -> Vec<String> {
-        self.spelled().iter().map(Spelled::set).chain(self.settings.set.iter().cloned()).collect()
-    }
-
-    /// The settings that flags stand for.
-    pub(crate) fn spelled(&self) -> Vec<Spelled> {
-        self.common.spelled().into_iter().chain(self.settings.spelled()).collect()
-    }
-
-    /// A pipeline as in its file, with the given cache.
-    pub(crate) fn of(target: &Path, cache: &CacheArgs) -> Self {
-        Self { target: target.to_path_buf(), cache: cache.clone(), ..Self::default() }
+    /// The pipeline of these arguments.
+    pub(crate) fn request(&self) -> PipelineRequest {
+        self.settings.request(&self.target)
     }
 }
 
@@ -243,46 +219,34 @@ pub(crate) struct Replace {
 }
 
 /// A whole number from 1 to `most`.
-pub(crate) fn count(most: u64) -> impl Fn(&str) -> Result<usize, String> + Clone + Send + Sync + 'static {
+pub(crate) fn count(most: u64) -> impl Fn(&str) -> Result<usize, WorkError> + Clone + Send + Sync + 'static {
     move |text| {
         let number = text.parse::<usize>().ok().filter(|n| *n >= 1 && *n as u64 <= most);
-        number.ok_or_else(|| format!("expected a whole number from 1 to {most}"))
+        number.ok_or_else(|| WorkError::Input(format!("expected a whole number from 1 to {most}")))
     }
 }
 
 /// A number; its range is checked where it is used.
-pub(crate) fn fraction(text: &str) -> Result<f32, String> {
-    text.parse().map_err(|_| "expected a number, such as 0.5".to_string())
+pub(crate) fn fraction(text: &str) -> Result<f32, WorkError> {
+    text.parse().map_err(|_| WorkError::input("expected a number, such as 0.5"))
+}
+
+/// Refuses shares that are not between 0 and 1, by their flags.
+pub(crate) fn check_shares(shares: &[(&str, f32)]) -> Done {
+    match shares.iter().find(|(_, value)| !(0.0..=1.0).contains(value)) {
+        Some((flag, value)) => Err(WorkError::Input(format!("{flag} {value}: expected 0 to 1"))),
+        None => Ok(()),
+    }
 }
 
 /// A port of this machine.
-pub(crate) fn port(text: &str) -> Result<u16, String> {
+pub(crate) fn port(text: &str) -> Result<u16, WorkError> {
     let port = text.parse::<u16>().ok().filter(|port| *port > 0);
-    port.ok_or_else(|| "expected a whole number from 1 to 65535".to_string())
+    port.ok_or_else(|| WorkError::input("expected a whole number from 1 to 65535"))
 }
 
 /// Parses a time above zero, such as `90min`, `3h` or `3:50:00`.
-pub(crate) fn time(text: &str) -> Result<Duration, String> {
-    let time = use3d_cluster::time::parse(text)?;
-    if time.is_zero() { Err("the time must be more than 0".to_string()) } else { Ok(time) }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn an_engine_is_refused_by_the_flag_that_was_typed() {
-        let engine = EngineChoice::Gpu(Some("vega".into()));
-        let spelled = Spelled::engines(Some(&engine));
-        let said = |message: &str| as_typed(message, &spelled);
-        assert_eq!(said("--set engine=gpu:vega: `engine`: none"), "--engine gpu:vega: none");
-        assert_eq!(said("--set reconstruct.engine=gpu:vega: `engine`: none"), "--engine gpu:vega: none");
-        for other in ["--set iterations=x: a number", "scene.toml: engine=gpu:vega: none"] {
-            assert_eq!((said(other), as_typed(other, &[])), (other.to_string(), other.to_string()));
-        }
-        let size = [Spelled::new("--size", "import", "size", "640")];
-        let refused = "--set import.size=640: `import.size`: \"640\" is not a size";
-        assert_eq!(as_typed(refused, &size), "--size 640: \"640\" is not a size");
-    }
+pub(crate) fn time(text: &str) -> Result<Duration, WorkError> {
+    let time = use3d_cluster::time::parse(text).map_err(WorkError::input)?;
+    if time.is_zero() { Err(WorkError::input("the time must be more than 0")) } else { Ok(time) }
 }

@@ -1,10 +1,10 @@
 //! The arguments for the cache, the models folder, and the command itself.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::Args;
 
-use super::shared::{CacheArgs, CalibrationArgs, CommonArgs, PipelineArgs, Replace, Settings};
+use super::shared::{CacheArgs, PipelineSettings, Replace};
 
 #[derive(Debug, Args)]
 pub(crate) struct ModelsArgs {
@@ -76,29 +76,10 @@ pub(crate) struct VerifyArgs {
     #[arg(long, value_name = "SHARE")]
     pub(crate) sample: Option<String>,
     #[command(flatten)]
-    pub(crate) common: CommonArgs,
-    #[command(flatten)]
-    pub(crate) settings: Settings,
-    #[command(flatten)]
-    pub(crate) calibration: CalibrationArgs,
-    #[command(flatten)]
-    pub(crate) cache: CacheArgs,
+    pub(crate) settings: PipelineSettings,
     /// One JSON document on stdout.
     #[arg(long)]
     pub(crate) json: bool,
-}
-
-impl VerifyArgs {
-    /// The pipeline `target` with the settings of its run.
-    pub(crate) fn pipeline(&self, target: &Path) -> PipelineArgs {
-        PipelineArgs {
-            target: target.to_path_buf(),
-            common: self.common.clone(),
-            settings: self.settings.clone(),
-            calibration: self.calibration.clone(),
-            cache: self.cache.clone(),
-        }
-    }
 }
 
 #[derive(Debug, Args)]

@@ -2,7 +2,7 @@
 
 use crate::App;
 use crate::args::BenchGpuArgs;
-use crate::error::{CliError, Done};
+use crate::error::{Done, WorkError};
 
 /// Measures a card, or reads the file of such a measurement, which needs no card.
 pub(crate) fn gpu(app: &App, args: &BenchGpuArgs) -> Done {
@@ -14,25 +14,24 @@ pub(crate) fn gpu(app: &App, args: &BenchGpuArgs) -> Done {
 #[cfg(feature = "gpu")]
 fn measured(app: &App, args: &BenchGpuArgs) -> Done {
     use std::io::Write;
-    use std::sync::atomic::Ordering;
 
     use use3d_gpu::Gpu;
     use use3d_lab::card::measured::{BenchPlan, bench};
     use use3d_lab::card::summary::{fault, lines};
     use use3d_workflow::machine::seconds;
 
-    use crate::destination::{check_file, path_text, write_file};
     use crate::size::parse_size;
+    use use3d_pipeline::destination::{check_file, path_text, write_file};
 
     if let Some(folder) = &args.kernels {
         return kernels(app, folder, args.replace.force);
     }
     let Some(out) = &args.out else {
-        return Err(CliError::input("give the file to write: --out FILE.json"));
+        return Err(WorkError::input("give the file to write: --out FILE.json"));
     };
     check_file("--out", out, args.replace.force, &["json"])?;
     let sizes = args.sizes.iter().map(|text| parse_size(text)).collect::<Result<Vec<_>, _>>()?;
-    let gpu = Gpu::open(args.device.as_deref()).map_err(CliError::input)?;
+    let gpu = Gpu::open(args.device.as_deref()).map_err(WorkError::input)?;
     remark!(app, "{} ({})", gpu.adapter.name, gpu.adapter.driver);
     remark!(app, "kernels: {}", gpu.kernels());
     for refusal in gpu.refused_before.iter() {
@@ -42,7 +41,7 @@ fn measured(app: &App, args: &BenchGpuArgs) -> Done {
     let plan = BenchPlan::new(&gpu, (sizes, args.gaussians.clone()), args.rounds, steps, args.minutes);
     // Each record so far is kept, whatever happens later; only the last write must succeed.
     let mut written = Ok(());
-    let stop = || app.stop.load(Ordering::Relaxed);
+    let stop = || app.host.stops();
     let say = |text: &str| remark!(app, "{text}");
     let record = bench(&gpu, &plan, &stop, say, |record| {
         written = write_file("--out", out, |writer| {
@@ -52,26 +51,26 @@ fn measured(app: &App, args: &BenchGpuArgs) -> Done {
     });
     written?;
     if stop() {
-        return Err(CliError::Interrupted);
+        return Err(WorkError::Interrupted);
     }
     for line in lines(&record, args.minutes) {
         remark!(app, "{line}");
     }
     remark!(app, "written to {} in {}", path_text(out), seconds(record.seconds));
-    fault(&record).map_or(Ok(()), |fault| Err(CliError::Failed(fault)))
+    fault(&record).map_or(Ok(()), |fault| Err(WorkError::Failed(fault)))
 }
 
 /// Writes the text of every kernel into a folder.
 #[cfg(feature = "gpu")]
 fn kernels(app: &App, folder: &std::path::Path, force: bool) -> Done {
-    use crate::destination::path_text;
+    use use3d_pipeline::destination::path_text;
 
     if !force && folder.read_dir().is_ok_and(|mut files| files.next().is_some()) {
         let what = "the folder has files; pass --force to write into it, or choose another folder";
-        return Err(CliError::Input(format!("--kernels {}: {what}", path_text(folder))));
+        return Err(WorkError::Input(format!("--kernels {}: {what}", path_text(folder))));
     }
     let texts = use3d_lab::card::summary::write_kernels(folder).map_err(|error| {
-        CliError::Failed(format!("--kernels: cannot write into {}: {error}", path_text(folder)))
+        WorkError::Failed(format!("--kernels: cannot write into {}: {error}", path_text(folder)))
     })?;
     if !app.quiet {
         println!("{texts} texts written to {}", path_text(folder));
@@ -81,5 +80,5 @@ fn kernels(app: &App, folder: &std::path::Path, force: bool) -> Done {
 
 #[cfg(not(feature = "gpu"))]
 fn measured(_: &App, _: &BenchGpuArgs) -> Done {
-    Err(CliError::input(crate::error::NO_GPU))
+    Err(WorkError::input(crate::error::NO_GPU))
 }

@@ -9,16 +9,17 @@ use use3d_import::{
     ImportParams, Imported, capture_name, import, is_prepared, load_mask, load_pixels, load_prepared,
 };
 use use3d_io_image::{jpeg_address, read_image, shrunk};
+use use3d_pipeline::by_hand::{ByHand, scratch};
+use use3d_pipeline::destination::{check_file, path_text, word, write_text};
+use use3d_pipeline::spelled::Spelled;
 use use3d_stages::water::{Judgement, from_tracks};
 use use3d_water::WaterParams;
 
 use crate::App;
-use crate::args::{CheckArgs, Spelled};
-use crate::destination::{check_file, path_text, word, write_text};
-use crate::error::{CliError, Done};
+use crate::args::CheckArgs;
+use crate::error::{Done, WorkError};
 use crate::interrupt;
 use crate::output::show;
-use crate::verbs::by_hand::{ByHand, scratch};
 
 /// The longer side of a small picture, pixels.
 const SMALL: usize = 320;
@@ -36,19 +37,19 @@ pub(crate) fn run(app: &App, args: &CheckArgs) -> Done {
     }
     let hand = ByHand {
         flags: vec![Spelled::new("--max-side", "import", "max_side", args.max_side)],
-        sets: args.settings.set.clone(),
+        options: args.settings.options(None),
         ..ByHand::import_of(&args.capture)
     };
     let scratch = scratch()?;
-    let folder = hand.imported(app, scratch.path(), None, false)?;
-    let capture = load_prepared(&folder).map_err(CliError::input)?;
+    let folder = hand.imported(&app.host, scratch.path(), None, false)?;
+    let capture = load_prepared(&folder).map_err(WorkError::input)?;
     // An import stores neither the capture's name nor the files that it does not use, and its pictures are no
     // longer those of the model.
     let params = match is_prepared(&args.capture) {
         true => ImportParams::default(),
         false => ImportParams { max_side: 0, ..hand.parameters(scratch.path())? },
     };
-    let original = import(&args.capture, &params).map_err(CliError::input)?;
+    let original = import(&args.capture, &params).map_err(WorkError::input)?;
     let mut listed = original.report.clone();
     listed.name = capture_name(&args.capture);
     let (capture, water, figures) = interrupt::unless_stopped(move || {
@@ -69,7 +70,7 @@ pub(crate) fn run(app: &App, args: &CheckArgs) -> Done {
         });
         (capture, water, figures)
     })?;
-    let (_, judgement) = water.map_err(CliError::input)?;
+    let (_, judgement) = water.map_err(WorkError::input)?;
     let words = judgement.to_string();
     let water = match judgement {
         Judgement::Found => WaterSight::Found("the water can be measured before the training"),
@@ -81,7 +82,7 @@ pub(crate) fn run(app: &App, args: &CheckArgs) -> Done {
         ),
         Judgement::Dry | Judgement::Sky | Judgement::Air => WaterSight::None(&words),
     };
-    let report = examine(&listed, figures.map_err(CliError::input)?, Some(water), metres(&capture));
+    let report = examine(&listed, figures.map_err(WorkError::input)?, Some(water), metres(&capture));
     if let Some(file) = &args.html {
         let folder = args.capture.join(&listed.image_folder);
         let html = page(&report, &pictures(&report, &capture, &folder)?);
@@ -109,16 +110,16 @@ pub(crate) fn before_run(capture: &Path, params: &ImportParams) -> Vec<String> {
 }
 
 /// Small pictures of the views that the page shows, and of photographs without a camera, from `folder`.
-fn pictures(report: &CheckReport, capture: &Imported, folder: &Path) -> Result<Vec<Picture>, CliError> {
+fn pictures(report: &CheckReport, capture: &Imported, folder: &Path) -> Result<Vec<Picture>, WorkError> {
     let mut pictures = Vec::new();
     for name in report.pictured() {
         let image = match capture.capture.views.iter().find(|view| view.name == name) {
-            Some(view) => Some(load_pixels(view).map_err(CliError::input)?.to_image()),
+            Some(view) => Some(load_pixels(view).map_err(WorkError::input)?.to_image()),
             // One that cannot be read, or is not there, is shown by its name alone.
             None => FileName::new(&name).ok().and_then(|name| read_image(&name.below(folder)).ok()),
         };
         if let Some(image) = image {
-            let address = jpeg_address(&shrunk(&image, SMALL), QUALITY).map_err(CliError::failed)?;
+            let address = jpeg_address(&shrunk(&image, SMALL), QUALITY).map_err(WorkError::failed)?;
             pictures.push(Picture { name, address });
         }
     }

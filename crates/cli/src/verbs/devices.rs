@@ -1,8 +1,6 @@
 //! Graphics cards: lists the adapters with their features, and checks that they compute like the processor.
 
 use crate::args::DevicesArgs;
-#[cfg(not(feature = "gpu"))]
-use crate::error::CliError;
 use crate::error::Done;
 
 #[cfg(feature = "gpu")]
@@ -84,5 +82,5 @@ pub(crate) fn run(args: &DevicesArgs) -> Done {
 
 #[cfg(not(feature = "gpu"))]
 pub(crate) fn run(_: &DevicesArgs) -> Done {
-    Err(CliError::input(crate::error::NO_GPU))
+    Err(crate::error::WorkError::input(crate::error::NO_GPU))
 }

@@ -5,10 +5,10 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 use serde::Serialize;
+use use3d_pipeline::destination::path_text;
 use use3d_workflow::machine::{self, bytes};
 
 use crate::args::DoctorArgs;
-use crate::destination::path_text;
 use crate::error::Done;
 use crate::version;
 

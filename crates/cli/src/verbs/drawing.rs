@@ -2,9 +2,11 @@
 
 use std::path::Path;
 
-use use3d_capture::{Camera, FileName, Frame, path, stem};
-use use3d_import::{ImportParams, import, read_cameras};
+use use3d_capture::{Camera, FileName, path, stem};
 use use3d_io_image::{write_exr, write_exr_map, write_png, write_png_map};
+use use3d_pipeline::destination::{check_file, path_text};
+use use3d_pipeline::scene_views::{any_known, held_out, placed};
+use use3d_reconstruct::EngineChoice;
 use use3d_render::{Film, FilmError, Mode, Rendering, SceneRenderer, cover, focus, picture};
 use use3d_scene::{Origin, Scene};
 use use3d_stages::Drawn;
@@ -13,53 +15,50 @@ use use3d_workflow::machine::bytes;
 use use3d_workflow::place;
 
 use crate::App;
-use crate::args::{CameraPath, FrameFormat, RenderArgs};
-use crate::destination::{check_file, path_text};
-use crate::error::{CliError, Done};
+use crate::args::{CameraPath, EngineArgs, FrameFormat, RenderArgs};
+use crate::error::{Done, WorkError};
 use crate::size::parse_size;
 
 /// The modes of these names.
-pub(crate) fn modes(names: &[String]) -> Result<Vec<Mode>, CliError> {
+pub(crate) fn modes(names: &[String]) -> Result<Vec<Mode>, WorkError> {
     let known = Mode::ALL.map(Mode::name);
     let find = |name: &String| {
         let name = name.trim();
         let near =
             || nearest(name, known).map_or_else(String::new, |near| format!("did you mean `{near}`? "));
         let refused = || format!("--modes {name}: {}expected some of {}", near(), known.join(", "));
-        Mode::from_name(name).ok_or_else(|| CliError::Input(refused()))
+        Mode::from_name(name).ok_or_else(|| WorkError::Input(refused()))
     };
     names.iter().map(find).collect()
 }
 
+/// A scene on the requested engine, which is remarked if it is not the processor.
+pub(crate) fn drawn<'s>(app: &App, scene: &'s Scene, engine: &EngineArgs) -> Result<Drawn<'s>, WorkError> {
+    let engine = engine.choice().unwrap_or_default();
+    let drawn =
+        Drawn::new(scene, &engine).map_err(|what| WorkError::Input(format!("--engine {engine}: {what}")))?;
+    if engine != EngineChoice::Cpu {
+        remark!(app, "engine: {}", drawn.told);
+    }
+    Ok(drawn)
+}
+
 /// The renderer with the requested strength and share of the water.
-pub(crate) fn renderer<'s>(args: &RenderArgs, drawn: &Drawn<'s>) -> Result<SceneRenderer<'s>, CliError> {
-    let renderer = drawn.renderer(args.strength).map_err(CliError::input)?;
-    renderer.with_water(args.water).map_err(CliError::input)
-}
-
-/// The cameras of a capture, a model or a list, in the frame of a scene.
-pub(crate) fn placed(cameras: &Path, frame: &Frame) -> Result<Vec<(FileName, Camera)>, CliError> {
-    let mut placed = read_cameras(cameras).map_err(CliError::input)?;
-    placed.iter_mut().for_each(|(_, camera)| camera.pose = frame.apply_pose(&camera.pose));
-    Ok(placed)
-}
-
-/// True if a scene was made from one of these views.
-pub(crate) fn any_known(origin: &Origin, cameras: &[(FileName, Camera)]) -> bool {
-    let known = |stem: &str| origin.train.iter().chain(&origin.held_out).any(|own| own == stem);
-    cameras.iter().any(|(name, _)| known(name.stem()))
+pub(crate) fn renderer<'s>(args: &RenderArgs, drawn: &Drawn<'s>) -> Result<SceneRenderer<'s>, WorkError> {
+    let renderer = drawn.renderer(args.strength).map_err(WorkError::input)?;
+    renderer.with_water(args.water).map_err(WorkError::input)
 }
 
 /// The requested cameras, in the scene's frame.
-pub(crate) fn cameras(args: &RenderArgs, scene: &Scene) -> Result<Vec<(FileName, Camera)>, CliError> {
+pub(crate) fn cameras(args: &RenderArgs, scene: &Scene) -> Result<Vec<(FileName, Camera)>, WorkError> {
     let Some(from) = args.cameras.as_deref() else {
-        return Err(CliError::input(
+        return Err(WorkError::input(
             "give the cameras to render: --cameras with a capture, a COLMAP model or a list of cameras, or \
              --path FILE",
         ));
     };
     let mut cameras = placed(from, &scene.frame)?;
-    let origin = Origin::read(&args.scene).map_err(CliError::input)?;
+    let origin = Origin::read(&args.scene).map_err(WorkError::input)?;
     if from.is_dir() && origin.as_ref().is_some_and(|origin| !any_known(origin, &cameras)) {
         eprintln!(
             "warning: no camera of {} is a view that {} was made from: it may be another capture",
@@ -78,14 +77,14 @@ pub(crate) fn cameras(args: &RenderArgs, scene: &Scene) -> Result<Vec<(FileName,
         }
     }
     if cameras.is_empty() && all > 0 {
-        return Err(CliError::Input(format!(
+        return Err(WorkError::Input(format!(
             "--cameras {}: none of its {all} cameras is a held-out view of the scene; leave out --held-out, or give the \
              capture that the scene was made from",
             from.display()
         )));
     }
     if cameras.is_empty() {
-        return Err(CliError::Input(format!("--cameras {}: no cameras to render from", from.display())));
+        return Err(WorkError::Input(format!("--cameras {}: no cameras to render from", from.display())));
     }
     if let Some(size) = &args.size {
         let (width, height) = parse_size(size)?;
@@ -105,11 +104,6 @@ pub(crate) fn cameras(args: &RenderArgs, scene: &Scene) -> Result<Vec<(FileName,
     Ok(film.into_iter().enumerate().map(|(i, camera)| (FileName::frame(i), camera)).collect())
 }
 
-/// The names of the held-out views of a capture with default parameters.
-pub(crate) fn held_out(capture: &Path) -> Result<Vec<String>, CliError> {
-    Ok(import(capture, &ImportParams::default()).map_err(CliError::input)?.report.test)
-}
-
 /// The frames that are written: pictures in folders, and the first mode as a film.
 pub(crate) struct Frames<'a> {
     args: &'a RenderArgs,
@@ -125,7 +119,7 @@ impl<'a> Frames<'a> {
         folder: Option<&'static str>,
         modes: &[Mode],
         files: &[FileName],
-    ) -> Result<Self, CliError> {
+    ) -> Result<Self, WorkError> {
         let force = args.replace.force;
         if let Some(video) = &args.video {
             check_file("--video", video, force, &[])?;
@@ -162,7 +156,7 @@ impl<'a> Frames<'a> {
     /// Ends the film, and names the written files; the words about film and folder follow their numbers of
     /// frames.
     pub(crate) fn finish(self, app: &App, count: usize, of_film: &str, of_folder: &str) -> Done {
-        app.over("render");
+        app.host.over("render");
         if let Some((path, film)) = self.film {
             film.finish().map_err(|e| not_filmed(path, &e))?;
             let size = std::fs::metadata(path).map_or(0, |m| m.len());
@@ -176,9 +170,9 @@ impl<'a> Frames<'a> {
 }
 
 /// The error of a film that cannot be written.
-fn not_filmed(path: &Path, error: &FilmError) -> CliError {
+fn not_filmed(path: &Path, error: &FilmError) -> WorkError {
     let message = format!("--video {}: {error}", path.display());
-    if error.is_of_the_request() { CliError::Input(message) } else { CliError::Failed(message) }
+    if error.is_of_the_request() { WorkError::Input(message) } else { WorkError::Failed(message) }
 }
 
 /// Writes a frame as FOLDER/FILE.
@@ -186,7 +180,7 @@ fn write(folder: &Path, mode: Mode, file: &FileName, frame: &Rendering, format: 
     let path = file.below(folder);
     if let Some(parent) = path.parent() {
         std::fs::create_dir_all(parent)
-            .map_err(|e| CliError::Failed(format!("--out {}: {e}", parent.display())))?;
+            .map_err(|e| WorkError::Failed(format!("--out {}: {e}", parent.display())))?;
     }
     let channel = if mode == Mode::Alpha { "A" } else { "Z" };
     let written = match (format, frame) {
@@ -195,5 +189,5 @@ fn write(folder: &Path, mode: Mode, file: &FileName, frame: &Rendering, format: 
         (FrameFormat::Png, Rendering::Scalar(map)) if mode == Mode::Alpha => write_png_map(&path, map),
         (FrameFormat::Png, frame) => write_png(&path, &picture(mode, frame)),
     };
-    written.map_err(CliError::failed)
+    written.map_err(WorkError::failed)
 }

@@ -1,146 +1,40 @@
 //! Scores of a scene's held-out views, or of plain folders of images.
 
-use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use serde::Serialize;
-use use3d_capture::{Image, shown};
-use use3d_io_image::{image_size, images_by_stem, read_image};
-use use3d_judge::scores::{Method, SceneScores, Score, Scores};
-use use3d_judge::scoring::Judges;
+use use3d_judge::scores::SceneScores;
+use use3d_pipeline::by_hand::{ByHand, scratch};
+use use3d_pipeline::scored::ScoreRows;
 use use3d_stages::{SCORES, read_json};
-use use3d_workflow::machine::{available_memory, bytes};
 
 use crate::App;
 use crate::args::{EvaluateArgs, TableFormat};
-use crate::error::{CliError, Done};
-use crate::verbs::by_hand::{ByHand, scratch};
-use crate::{interrupt, output};
-
-/// A named row of scores.
-#[derive(Serialize)]
-struct ScoreRow {
-    image: String,
-    method: String,
-    scores: Scores,
-}
+use crate::error::{Done, WorkError};
+use crate::output;
 
 pub(crate) fn run(app: &App, args: &EvaluateArgs) -> Done {
     let rows = match (&args.images, &args.scene, &args.capture) {
-        (Some(images), _, _) => folders(images, args.reference.as_deref(), args.models.as_deref())?,
-        (None, Some(scene), Some(capture)) => scene_rows(app, args, scene, capture)?,
-        _ => return Err(CliError::input("evaluate needs SCENE_DIR and CAPTURE_DIR, or --images DIR")),
-    };
-    let format = if args.json { TableFormat::Json } else { args.format };
-    print(&rows, format)
-}
-
-/// The images of a folder by stem; `flag` is the flag that named the folder.
-fn images(dir: &Path, flag: &str) -> Result<BTreeMap<String, PathBuf>, CliError> {
-    let refused = |what: &str| CliError::Input(format!("{flag} {}: {what}", dir.display()));
-    if !dir.is_dir() {
-        return Err(refused("there is no such folder"));
-    }
-    let found = images_by_stem(dir, &["png", "jpg", "jpeg", "tif", "tiff", "exr"])
-        .map_err(|error| CliError::Input(format!("{flag} {error}")))?;
-    if found.is_empty() {
-        return Err(refused("no images here; PNG, JPEG, TIFF and EXR are read"));
-    }
-    Ok(found)
-}
-
-fn folders(dir: &Path, reference: Option<&Path>, models: Option<&Path>) -> Result<Vec<ScoreRow>, CliError> {
-    let judges = Judges::open(models);
-    let given = images(dir, "--images")?;
-    let references = reference.map(|dir| images(dir, "--reference")).transpose()?;
-    if let Some(references) = references.as_ref().filter(|r| given.keys().all(|stem| !r.contains_key(stem))) {
-        let [ours, theirs] =
-            [&given, references].map(|images| images.keys().next().map_or("", String::as_str));
-        return Err(CliError::Input(format!(
-            "no image of --images ({ours}, …) has a counterpart in --reference ({theirs}, …); they are matched by the name \
-             without its extension"
-        )));
-    }
-    let mut rows = Vec::new();
-    for (stem, path) in given {
-        interrupt::check()?;
-        let image = read(&path, &judges, false)?;
-        let mut scores = judges.alone(&image, None);
-        let name = shown(&stem).into_owned();
-        match references.as_ref().map(|references| references.get(&stem)) {
-            None => {}
-            Some(None) => {
-                eprintln!(
-                    "{name}: the reference folder has no file of this stem; scored without a reference"
-                );
-            }
-            Some(Some(path)) => {
-                let reference = read(path, &judges, true)?;
-                let [(w, h), (wide, high)] =
-                    [&image, &reference].map(|image| (image.width(), image.height()));
-                if (w, h) != (wide, high) {
-                    return Err(CliError::Input(format!(
-                        "{stem}: the image is {w}x{h}, its reference {wide}x{high}; scores need equal sizes"
-                    )));
-                }
-                scores.extend(judges.against(&image, &reference, None));
-            }
+        (Some(images), _, _) => {
+            let (reference, models) = (args.reference.as_deref(), args.models.as_deref());
+            let mut warn = |text: String| eprintln!("{text}");
+            ScoreRows::of_folders(images, reference, models, &app.host.stop, &mut warn)?
         }
-        rows.push(ScoreRow { method: String::new(), image: name, scores });
+        (None, Some(scene), Some(capture)) => scene_rows(app, args, scene, capture)?,
+        _ => return Err(WorkError::input("evaluate needs SCENE_DIR and CAPTURE_DIR, or --images DIR")),
+    };
+    match if args.json { TableFormat::Json } else { args.format } {
+        TableFormat::Json => return output::json(&rows),
+        TableFormat::Csv => print!("{}", rows.csv()),
+        TableFormat::Table => print!("{rows}"),
     }
-    let mean = |name: &String| Score::mean(rows.iter().filter_map(|row| row.scores.get(name)));
-    let mean = names(&rows).into_iter().map(|name| (name.clone(), mean(name))).collect();
-    rows.push(ScoreRow { method: String::new(), image: "mean".into(), scores: mean });
-    Ok(rows)
+    rows.reasons().iter().for_each(|reason| eprintln!("{reason}"));
+    Ok(())
 }
 
-/// Bytes per pixel of an image in memory: three channels of f32.
-const IMAGE: u64 = 12;
-/// Most bytes per pixel that decoding needs beside the image: the samples of a file with four floats.
-const DECODING: u64 = 16;
-
-/// Reads an image in display range, if there is enough memory to read and score it. `compared` is true if
-/// another image of the same size is in memory already.
-fn read(path: &Path, judges: &Judges, compared: bool) -> Result<Image, CliError> {
-    let (width, height) = image_size(path).map_err(CliError::input)?;
-    let beside = judges.bytes_per_pixel(compared).max(DECODING);
-    refuse_beyond(path, (width * height) as u64, IMAGE + beside, available_memory())?;
-    let mut image = read_image(path).map_err(CliError::input)?;
-    // The clamp works in place; the judges copy values outside the range.
-    image.data_mut().iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
-    Ok(image)
-}
-
-/// Fails, before an image is decoded, if the image would take more memory than is free.
-fn refuse_beyond(path: &Path, pixels: u64, bytes_per_pixel: u64, free: Option<u64>) -> Done {
-    let need = bytes_per_pixel * pixels;
-    match free {
-        Some(free) if need > free => Err(CliError::Input(format!(
-            "{}: scoring its {pixels} pixels needs about {} of memory, and {} are free; scale the image \
-             down first",
-            path.display(),
-            bytes(need),
-            bytes(free)
-        ))),
-        _ => Ok(()),
-    }
-}
-
-/// The names of all scores in the rows.
-fn names(rows: &[ScoreRow]) -> BTreeSet<&String> {
-    rows.iter().flat_map(|row| row.scores.keys()).collect()
-}
-
-fn scene_rows(
-    app: &App,
-    args: &EvaluateArgs,
-    scene: &Path,
-    capture: &Path,
-) -> Result<Vec<ScoreRow>, CliError> {
+fn scene_rows(app: &App, args: &EvaluateArgs, scene: &Path, capture: &Path) -> Result<ScoreRows, WorkError> {
     let mut hand = ByHand {
         flags: args.size.spelled(),
-        sets: args.settings.set.clone(),
-        models: args.models.as_deref(),
+        options: args.settings.options(args.models.as_ref()),
         ..ByHand::on(capture, "evaluate")
     };
     let is_enhanced = scene.join("ubaf.safetensors").is_file();
@@ -152,87 +46,8 @@ fn scene_rows(
         ("photographs", None),
     ]);
     let scratch = scratch()?;
-    hand.imported(app, scratch.path(), Some(scene), true)?;
-    let out = hand.run(app, scratch.path())?;
-    let scores: SceneScores = read_json(&out.join(SCORES)).map_err(CliError::failed)?;
-    let mut rows = Vec::new();
-    for method in Method::ALL {
-        let Some(found) = scores.methods.iter().find(|m| m.method == method) else { continue };
-        let label = method.name().to_string();
-        for view in &found.views {
-            let (image, scores) = (view.view.clone(), view.scores.clone());
-            rows.push(ScoreRow { method: label.clone(), image, scores });
-        }
-        for pair in found.neighbours.iter().chain(&found.path) {
-            let image = format!("{} → {}", pair.first, pair.second);
-            rows.push(ScoreRow { method: label.clone(), image, scores: pair.scores.clone() });
-        }
-        rows.push(ScoreRow { method: label, image: "mean".into(), scores: found.mean.clone() });
-    }
-    Ok(rows)
-}
-
-fn print(rows: &[ScoreRow], format: TableFormat) -> Done {
-    let names = names(rows);
-    match format {
-        TableFormat::Json => return output::json(&rows),
-        TableFormat::Csv => {
-            let quote = |text: &str| match text.contains([',', '"']) {
-                true => format!("\"{}\"", text.replace('"', "\"\"")),
-                false => text.to_string(),
-            };
-            let heads: Vec<&str> = names.iter().map(|n| n.as_str()).collect();
-            println!("method,image,{}", heads.join(","));
-            for ScoreRow { method, image, scores } in rows {
-                let values = names.iter().map(|name| scores.get(*name).and_then(Score::value));
-                let cells: Vec<String> =
-                    values.map(|value| value.map_or_else(String::new, |v| format!("{v:.6}"))).collect();
-                println!("{},{},{}", quote(method), quote(image), cells.join(","));
-            }
-        }
-        TableFormat::Table => {
-            let wide = rows.iter().map(|r| r.image.chars().count()).max().unwrap_or(0).max(5);
-            let first = rows.iter().map(|r| r.method.chars().count()).max().unwrap_or(0);
-            print!("{:first$} {:wide$}", "", "image");
-            names.iter().for_each(|n| print!(" {n:>10}"));
-            println!();
-            for row in rows {
-                print!("{:first$} {:wide$}", row.method, row.image);
-                for name in &names {
-                    match row.scores.get(*name) {
-                        Some(Score::Value(value)) => print!(" {:>10.4}", value.get()),
-                        Some(Score::NotAvailable(_) | Score::Undefined(_)) => print!(" {:>10}", "n/a"),
-                        None => print!(" {:>10}", "–"),
-                    }
-                }
-                println!();
-            }
-        }
-    }
-    let mut reasons: Vec<(&str, &str)> = Vec::new();
-    for (name, score) in rows.iter().flat_map(|r| &r.scores) {
-        if let Some(reason) = score.reason()
-            && !reasons.iter().any(|(n, r)| n == name && *r == reason)
-        {
-            reasons.push((name, reason));
-        }
-    }
-    reasons.iter().for_each(|(name, reason)| eprintln!("{name}: {reason}"));
-    Ok(())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn an_image_larger_than_the_memory_is_refused_by_name() {
-        let path = Path::new("panorama.png");
-        assert!(refuse_beyond(path, 1 << 20, 30, Some(1 << 30)).is_ok());
-        assert!(refuse_beyond(path, 1 << 27, 30, None).is_ok(), "where the system does not say, it is tried");
-        let Err(CliError::Input(message)) = refuse_beyond(path, 1 << 27, 30, Some(1 << 30)) else {
-            panic!("4 GB do not fit into 1 GiB");
-        };
-        assert!(message.contains("panorama.png") && message.contains("4.0 GB"), "{message}");
-    }
+    hand.imported(&app.host, scratch.path(), Some(scene), true)?;
+    let out = hand.run(&app.host, scratch.path())?;
+    let scores: SceneScores = read_json(&out.join(SCORES)).map_err(WorkError::failed)?;
+    Ok(ScoreRows::of_scene(&scores))
 }

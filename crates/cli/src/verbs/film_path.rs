@@ -4,6 +4,8 @@ use std::path::Path;
 
 use use3d_capture::FileName;
 use use3d_import::read_images_txt;
+use use3d_pipeline::destination::path_text;
+use use3d_pipeline::scene_views::text_of;
 use use3d_render::{Mode, SceneRenderer};
 use use3d_scene::Scene;
 use use3d_scene::white::Gains;
@@ -12,12 +14,10 @@ use use3d_web::path::CameraPath;
 
 use crate::App;
 use crate::args::RenderArgs;
-use crate::destination::path_text;
-use crate::error::{CliError, Done};
+use crate::error::{Done, WorkError};
 use crate::interrupt;
 use crate::size::parse_size;
 use crate::verbs::drawing::{Frames, modes};
-use crate::verbs::web::text_of;
 
 /// The folder for frames with the path's own looks.
 const OWN: &str = "path";
@@ -25,20 +25,20 @@ const OWN: &str = "path";
 const SIZE: (usize, usize) = (1280, 720);
 
 /// Reads a path file of any supported program.
-fn read(app: &App, args: &RenderArgs, file: &Path) -> Result<CameraPath, String> {
+fn read(app: &App, args: &RenderArgs, file: &Path) -> Result<CameraPath, WorkError> {
     if file.extension().is_some_and(|e| e.eq_ignore_ascii_case("txt")) {
-        let cameras = read_images_txt(file).map_err(|e| e.to_string())?;
-        return CameraPath::of_cameras(&cameras, f64::from(args.frame_rate));
+        let cameras = read_images_txt(file).map_err(WorkError::input)?;
+        return CameraPath::of_cameras(&cameras, f64::from(args.frame_rate)).map_err(WorkError::Input);
     }
     let text = text_of(file)?;
     if !CameraPath::is_nerfstudio(&text) {
-        return CameraPath::read(&text);
+        return CameraPath::read(&text).map_err(WorkError::Input);
     }
     let beside = file.with_file_name("dataparser_transforms.json");
     let dataparser = match std::fs::read_to_string(&beside) {
         Ok(text) => Some(text),
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => None,
-        Err(error) => return Err(format!("{}: {error}", beside.display())),
+        Err(error) => return Err(WorkError::Input(format!("{}: {error}", beside.display()))),
     };
     if dataparser.is_none() {
         remark!(
@@ -48,7 +48,7 @@ fn read(app: &App, args: &RenderArgs, file: &Path) -> Result<CameraPath, String>
             path_text(file)
         );
     }
-    CameraPath::read_nerfstudio(&text, dataparser.as_deref())
+    CameraPath::read_nerfstudio(&text, dataparser.as_deref()).map_err(WorkError::Input)
 }
 
 /// `use3d render SCENE --path FILE`.
@@ -59,7 +59,7 @@ pub(crate) fn run(
     drawn: &Drawn<'_>,
     file: &Path,
 ) -> Done {
-    let wrong = |what: &str| CliError::Input(format!("--path {}: {what}", path_text(file)));
+    let wrong = |what: &str| WorkError::Input(format!("--path {}: {what}", path_text(file)));
     let path = read(app, args, file).map_err(|what| {
         wrong(&format!(
             "{what}; expected a camera path as the page saves it, nerfstudio's camera_path.json or COLMAP's images.txt (docs/guide/browser.md)"
@@ -84,14 +84,14 @@ pub(crate) fn run(
         }
         looks.push(shown);
     }
-    let name = |i| FileName::frame(i).with_extension(args.format.extension()).map_err(CliError::input);
+    let name = |i| FileName::frame(i).with_extension(args.format.extension()).map_err(WorkError::input);
     let names: Vec<FileName> = (0..frames.len()).map(name).collect::<Result<_, _>>()?;
     let first = looks.first().map_or(&[][..], Vec::as_slice);
     let mut written = Frames::create(args, given.is_empty().then_some(OWN), first, &names)?;
     let mut renderer: Option<((f32, f32), SceneRenderer<'_>)> = None;
     for (i, ((frame, looks), name)) in frames.iter().zip(&looks).zip(&names).enumerate() {
         interrupt::check()?;
-        app.progress("render", i as u64, frames.len() as u64, "frames", name);
+        app.host.progress("render", i as u64, frames.len() as u64, "frames", name);
         // A renderer has one strength and one share of the water: a new one is made only when they change.
         let look = (frame.strength, frame.water);
         let ready = renderer.take().filter(|(made, _)| *made == look);
@@ -99,12 +99,12 @@ pub(crate) fn run(
             Some(ready) => renderer.insert(ready),
             None => {
                 let made = drawn.renderer(look.0).and_then(|r| r.with_water(look.1));
-                renderer.insert((look, made.map_err(CliError::input)?.with_white(gains)))
+                renderer.insert((look, made.map_err(WorkError::input)?.with_white(gains)))
             }
         };
         let mut camera = frame.camera;
         camera.pose = scene.frame.apply_pose(&camera.pose);
-        let pictures = drawing.render(&camera, looks).map_err(CliError::failed)?;
+        let pictures = drawing.render(&camera, looks).map_err(WorkError::failed)?;
         written.add(name, looks, &pictures)?;
     }
     written.finish(app, frames.len(), "", &format!(" of {width}x{height}"))

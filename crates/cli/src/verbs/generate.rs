@@ -2,11 +2,11 @@
 
 use clap::CommandFactory;
 use clap_complete::generate;
+use use3d_pipeline::by_hand::scratch;
+use use3d_pipeline::destination::{check_file, copy_file};
 
 use crate::args::{Cli, CompletionsArgs, ManArgs};
-use crate::destination::{check_file, copy_file};
-use crate::error::{CliError, Done};
-use crate::verbs::by_hand::scratch;
+use crate::error::{Done, WorkError};
 
 pub(crate) fn completions(args: &CompletionsArgs) -> Done {
     let mut text = Vec::new();
@@ -18,7 +18,7 @@ pub(crate) fn completions(args: &CompletionsArgs) -> Done {
 /// Writes the pages to a temporary folder first: nothing in the target folder is replaced without `--force`,
 /// and no page is written through a link.
 pub(crate) fn man(args: &ManArgs) -> Done {
-    let failed = |e: std::io::Error| CliError::Failed(format!("--out {}: {e}", args.out.display()));
+    let failed = |e: std::io::Error| WorkError::Failed(format!("--out {}: {e}", args.out.display()));
     let made = scratch()?;
     clap_mangen::generate_to(Cli::command().version(crate::version::NUMBER), made.path()).map_err(failed)?;
     let mut pages = Vec::new();

@@ -3,7 +3,7 @@
 use use3d_nets::Network;
 
 use crate::args::ModelsArgs;
-use crate::error::{CliError, Done};
+use crate::error::{Done, WorkError};
 
 pub(crate) fn run(args: &ModelsArgs) -> Done {
     use use3d_nets::models::DigestCheck;
@@ -14,12 +14,12 @@ pub(crate) fn run(args: &ModelsArgs) -> Done {
     let dir = args.dir.clone().unwrap_or_else(|| "models".into());
     if args.dir.is_some() && !dir.is_dir() {
         let what = "there is no such folder; make it and put the files into it, or name another one";
-        return Err(CliError::Input(format!("--dir {}: {what}", dir.display())));
+        return Err(WorkError::Input(format!("--dir {}: {what}", dir.display())));
     }
     let go_on = || !interrupt::requested();
     let folder = use3d_nets::Models::open(&dir);
-    let status = folder.status_while(&go_on).map_err(CliError::input)?;
-    let mut status = status.ok_or(CliError::Stopped)?;
+    let status = folder.status_while(&go_on).map_err(WorkError::input)?;
+    let mut status = status.ok_or(WorkError::Stopped)?;
     let needed = args.preset.as_deref().map(needed_for).transpose()?;
     if let Some(needed) = &needed {
         status.retain(|row| needed.iter().any(|one| one.contains(&row.known.network)));
@@ -32,7 +32,7 @@ pub(crate) fn run(args: &ModelsArgs) -> Done {
     let found = status.iter().filter(|row| row.found.is_some());
     missing.extend(found.filter(|row| unusable(row.known.network).is_some()).map(|row| row.known.title));
     let complete = || match (missing.is_empty(), &args.preset) {
-        (false, Some(preset)) => Err(CliError::Input(format!(
+        (false, Some(preset)) => Err(WorkError::Input(format!(
             "missing for the preset {preset}: {}; the list above says where to put each file",
             missing.join(", ")
         ))),
@@ -71,8 +71,8 @@ pub(crate) fn run(args: &ModelsArgs) -> Done {
 }
 
 /// The networks that a preset needs; one network of each inner list is enough.
-fn needed_for(preset: &str) -> Result<Vec<Vec<Network>>, CliError> {
-    let values = use3d_pipeline::config::preset_values(preset).map_err(CliError::Input)?;
+fn needed_for(preset: &str) -> Result<Vec<Vec<Network>>, WorkError> {
+    let values = use3d_pipeline::config::preset_values(preset).map_err(WorkError::Input)?;
     let said = |stage: &str, key: &str, value: &str| values.get(stage).is_some_and(|p| p[key] == value);
     let mut needed = Vec::new();
     if ["pairs", "propose", "targets", "evaluate"].iter().any(|stage| said(stage, "proposer", "nu2net")) {

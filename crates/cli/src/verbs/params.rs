@@ -1,15 +1,15 @@
 //! Every parameter with its default, kind and meaning.
 
 use use3d_pipeline::config::parameters;
+use use3d_pipeline::loaded::stages;
 
 use crate::args::ParamsArgs;
-use crate::error::{CliError, Done};
+use crate::error::{Done, WorkError};
 use crate::output::json;
-use crate::verbs::loaded::stages;
 
 pub(crate) fn run(args: &ParamsArgs) -> Done {
     let stages =
-        parameters(&stages()?, args.stage.as_deref(), args.preset.as_deref()).map_err(CliError::input)?;
+        parameters(&stages()?, args.stage.as_deref(), args.preset.as_deref()).map_err(WorkError::input)?;
     if args.json {
         return json(&stages);
     }

@@ -1,50 +1,36 @@
 //! The photographs of a scene, enhanced at full size.
 
 use std::path::{Path, PathBuf};
-use std::sync::atomic::Ordering;
 
 use use3d_import::Originals;
+use use3d_pipeline::destination::path_text;
+use use3d_pipeline::found::capture_in;
 use use3d_pipeline::photographs::{
-    Appearance, FileLayout, Overwrite, PhotographWork, TABLE, Totals, WorkError, default_mode, scene_digest,
+    Appearance, FileLayout, Overwrite, PhotographWork, TABLE, Totals, default_mode, scene_digest,
 };
-use use3d_reconstruct::EngineChoice;
 use use3d_render::Mode;
 use use3d_scene::Scene;
 use use3d_scene::white::Gains;
-use use3d_stages::Drawn;
 
 use crate::App;
-use crate::args::{PhotographLayout, PhotographLook, PhotographsArgs};
-use crate::destination::path_text;
-use crate::error::{CliError, Done};
+use crate::args::{PhotographLayout, PhotographLook, PhotographsArgs, check_shares};
+use crate::error::{Done, WorkError};
 use crate::output::counted;
-use crate::verbs::found::{capture_in, scene_in};
+use crate::verbs::drawing::drawn;
 use crate::verbs::photographs_film::{self, FilmJob};
 use crate::verbs::white;
-
-impl From<WorkError> for CliError {
-    fn from(error: WorkError) -> Self {
-        match error {
-            WorkError::Input(message) => Self::Input(message),
-            WorkError::Failed(message) => Self::Failed(message),
-            WorkError::Stopped => Self::Interrupted,
-        }
-    }
-}
 
 /// The folder of a run's photographs, beside its scene.
 pub(crate) const FOLDER: &str = "photographs";
 
 pub(crate) fn run(app: &App, args: &PhotographsArgs) -> Done {
-    for (flag, value) in
-        [("--strength", args.strength), ("--water", args.water), ("--keep-light", args.keep_light)]
-    {
-        if !(0.0..=1.0).contains(&value) {
-            return Err(CliError::Input(format!("{flag} {value}: expected 0 to 1")));
-        }
-    }
+    check_shares(&[
+        ("--strength", args.strength),
+        ("--water", args.water),
+        ("--keep-light", args.keep_light),
+    ])?;
     let capture = capture_in(&args.scene);
-    let folder = scene_in(app, &args.scene)?;
+    let folder = app.scene_in(&args.scene)?;
     let overwrite = if args.replace.force { Overwrite::All } else { Overwrite::Nothing };
     write_all(app, args, (&folder, capture.as_deref()), overwrite)
 }
@@ -62,9 +48,9 @@ fn write_all(
     (folder, capture): (&Path, Option<&Path>),
     overwrite: Overwrite,
 ) -> Done {
-    let scene = Scene::load(folder).map_err(CliError::input)?;
-    let originals = Originals::read(folder).map_err(CliError::input)?.ok_or_else(|| {
-        CliError::Input(format!(
+    let scene = Scene::load(folder).map_err(WorkError::input)?;
+    let originals = Originals::read(folder).map_err(WorkError::input)?.ok_or_else(|| {
+        WorkError::Input(format!(
             "{}: this scene does not know its photographs, because an older version made it; run it again with \
              `use3d run CAPTURE`",
             path_text(folder)
@@ -79,15 +65,10 @@ fn write_all(
         gains: gains.map_or(Gains::ONE, |white| white.gains),
         keep_light: args.keep_light,
     };
-    let engine = args.engine.choice().unwrap_or_default();
-    let drawn =
-        Drawn::new(&scene, &engine).map_err(|what| CliError::Input(format!("--engine {engine}: {what}")))?;
-    if engine != EngineChoice::Cpu {
-        remark!(app, "engine: {}", drawn.told);
-    }
+    let drawn = drawn(app, &scene, &args.engine)?;
     if let Some((film, video)) = args.film.as_deref().zip(args.video.as_deref()) {
         let capture = capture.ok_or_else(|| {
-            CliError::input(
+            WorkError::input(
                 "the capture of this scene is not known, which says where its frames lie in the film: give \
                  the results folder of the run in place of the scene",
             )
@@ -100,11 +81,11 @@ fn write_all(
     // Other photographs of the same cameras may lie elsewhere, so only the capture's own folder is searched.
     let without_camera = match (capture, &args.images) {
         (Some(capture), None) if !args.undistorted => {
-            originals.without_camera(capture).map_err(CliError::input)?
+            originals.without_camera(capture).map_err(WorkError::input)?
         }
         _ => Vec::new(),
     };
-    let scale = Scene::world(folder).map_err(CliError::input)?.map(|world| world.metres_per_unit);
+    let scale = Scene::world(folder).map_err(WorkError::input)?.map(|world| world.metres_per_unit);
     let work = PhotographWork {
         scene: &drawn,
         metres: scale,
@@ -122,7 +103,7 @@ fn write_all(
         unknown: args.unknown.as_deref(),
         settings: format!(
             "{} {appearance:?} {:?} {} {:?}",
-            scene_digest(folder).map_err(CliError::failed)?,
+            scene_digest(folder).map_err(WorkError::failed)?,
             args.layout,
             args.undistorted,
             args.images.as_ref().and_then(|images| images.canonicalize().ok())
@@ -130,24 +111,24 @@ fn write_all(
         overwrite,
     };
     let mut progress = |done: usize, total: usize, name: &str| {
-        app.progress("photographs", done as u64, total as u64, "photographs", name);
-        !app.stop.load(Ordering::Relaxed)
+        app.host.progress("photographs", done as u64, total as u64, "photographs", name);
+        !app.host.stops()
     };
     let mut lines = Vec::new();
     let totals = work.run(&mut progress, &mut |line| lines.push(line.to_string()));
-    app.over("photographs");
+    app.host.over("photographs");
     lines.iter().for_each(|line| remark!(app, "{line}"));
-    tell(app, out, &totals.map_err(CliError::from)?);
+    tell(app, out, &totals?);
     Ok(())
 }
 
 /// The look as a mode of the scene.
-fn mode(look: Option<PhotographLook>, scene: &Scene, folder: &Path) -> Result<Mode, CliError> {
+fn mode(look: Option<PhotographLook>, scene: &Scene, folder: &Path) -> Result<Mode, WorkError> {
     match look {
         None => Ok(default_mode(scene)),
         Some(PhotographLook::Clear) => Ok(Mode::Clear),
         Some(PhotographLook::Reconstruction) => Ok(Mode::Reconstruction),
-        Some(PhotographLook::Enhanced) if scene.enhancement.is_none() => Err(CliError::Input(format!(
+        Some(PhotographLook::Enhanced) if scene.enhancement.is_none() => Err(WorkError::Input(format!(
             "--look enhanced: {} has no enhancement; make one with `use3d enhance`",
             path_text(folder)
         ))),
@@ -160,18 +141,18 @@ fn images(
     args: &PhotographsArgs,
     capture: Option<&Path>,
     originals: &Originals,
-) -> Result<PathBuf, CliError> {
+) -> Result<PathBuf, WorkError> {
     let folder = match (&args.images, capture) {
         (Some(folder), _) => folder.clone(),
         (None, Some(capture)) => capture.join(&originals.image_folder),
         (None, None) => {
-            return Err(CliError::input(
+            return Err(WorkError::input(
                 "the place of the original photographs is not known: give their folder with --images",
             ));
         }
     };
     if !folder.is_dir() {
-        return Err(CliError::Input(format!(
+        return Err(WorkError::Input(format!(
             "{}: there is no such folder; give the folder of the original photographs with --images",
             path_text(&folder)
         )));

@@ -2,9 +2,9 @@
 //! of its scene.
 
 use std::path::Path;
-use std::sync::atomic::Ordering;
 
 use use3d_import::Originals;
+use use3d_pipeline::destination::path_text;
 use use3d_pipeline::photographs::film::{FilmGrader, spans};
 use use3d_prepare::{
     FilmChoices, FilmPath, FilmReader, FilmWriter, PrepareError, Programs, StepProgress, StepWatch,
@@ -14,8 +14,7 @@ use use3d_stages::Appearance;
 use use3d_stages::Drawn;
 
 use crate::App;
-use crate::destination::path_text;
-use crate::error::{CliError, Done};
+use crate::error::{Done, WorkError};
 use crate::output::counted;
 
 /// A film to enhance.
@@ -35,9 +34,9 @@ pub(crate) fn write(
     appearance: &Appearance,
 ) -> Done {
     let programs = Programs::default();
-    let progress = |StepProgress { step, done, total, unit }| app.progress(step, done, total, unit, "");
+    let progress = |StepProgress { step, done, total, unit }| app.host.progress(step, done, total, unit, "");
     let note = |text: &str| remark!(app, "{text}");
-    let watch = StepWatch { stop: &app.stop, progress: &progress, note: &note };
+    let watch = StepWatch { stop: &app.host.stop, progress: &progress, note: &note };
     let known = known_frames(&programs, job.capture, job.film, &watch)?;
     let mut reader = FilmReader::open(&programs, job.film, &watch)?;
     let info = reader.info().clone();
@@ -46,7 +45,7 @@ pub(crate) fn write(
     }
     let turns = info.display_matrix.as_ref().map_or(Some(0), |matrix| matrix.quarter_turns());
     let turns = turns.ok_or_else(|| {
-        CliError::Input(format!(
+        WorkError::Input(format!(
             "{}: a player turns this film by an angle or mirrors it; convert it with ffmpeg first, and prepare \
              the result",
             path_text(job.film)
@@ -68,10 +67,10 @@ pub(crate) fn write(
     let (total, mut far) = (reader.frames(), Vec::new());
     for frame in reader.by_ref() {
         let mut frame = frame?;
-        if app.stop.load(Ordering::Relaxed) {
+        if app.host.stops() {
             return Err(PrepareError::Interrupted.into());
         }
-        app.progress("film", frame.number, total, "frames", "");
+        app.host.progress("film", frame.number, total, "frames", "");
         let pose = path.at(frame.seconds).pose();
         if pose.is_none() {
             far.push((frame.number, frame.seconds));
@@ -81,7 +80,7 @@ pub(crate) fn write(
     }
     let damages = reader.damages();
     let written = writer.finish()?;
-    app.over("film");
+    app.host.over("film");
     remark!(
         app,
         "{}: {} written by {}",

@@ -3,12 +3,12 @@
 
 use serde::Serialize;
 use use3d_pipeline::config::schema_text;
+use use3d_pipeline::loaded::stages;
 use use3d_workflow::BuildError;
 
 use crate::args::PipelinesArgs;
-use crate::error::{CliError, Done};
+use crate::error::{Done, WorkError};
 use crate::output::json;
-use crate::verbs::loaded::stages;
 
 /// Each file's name, and its text.
 const FILES: [(&str, &str); 7] = [
@@ -50,7 +50,7 @@ pub(crate) fn run(args: &PipelinesArgs) -> Done {
     }
     let Some((_, text)) = FILES.iter().find(|(known, _)| known == name) else {
         let names = FILES.iter().map(|(name, _)| *name).chain([SCHEMA]);
-        return Err(CliError::input(BuildError::unknown("pipeline", name, names)));
+        return Err(WorkError::input(BuildError::unknown("pipeline", name, names)));
     };
     print!("{text}");
     Ok(())

@@ -3,36 +3,36 @@
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
+use use3d_pipeline::destination::path_text;
+use use3d_pipeline::loaded::Loaded;
 use use3d_workflow::Transferred;
 use use3d_workflow::gc::parse_age;
 use use3d_workflow::place::parent;
 use use3d_workflow::remote::{RemoteError, RemoteStore};
 
 use crate::App;
-use crate::args::{PipelineArgs, PushArgs, RemoteArgs, StoreGcArgs, StoreLsArgs, TransferArgs};
-use crate::destination::path_text;
-use crate::error::{CliError, Done};
+use crate::args::{PushArgs, RemoteArgs, StoreGcArgs, StoreLsArgs, TransferArgs};
+use crate::error::{Done, WorkError};
 use crate::output::{counted, json, show};
-use crate::verbs::loaded::{Loaded, open};
 
 /// The store at an address.
-fn store(address: &str) -> Result<RemoteStore, CliError> {
-    let remote = use3d_store::open(address).map_err(|e| CliError::Input(format!("--remote: {e}")))?;
+fn store(address: &str) -> Result<RemoteStore, WorkError> {
+    let remote = use3d_store::open(address).map_err(|e| WorkError::Input(format!("--remote: {e}")))?;
     Ok(RemoteStore::new(remote))
 }
 
 /// The store of a run. A store that does not answer now may answer later, so it ends no run. Nothing is sent
 /// to it until a test has shown that it works reliably.
-pub(crate) fn of_run(app: &App, address: &str, read_only: bool) -> Result<Arc<RemoteStore>, CliError> {
+pub(crate) fn of_run(app: &App, address: &str, read_only: bool) -> Result<Arc<RemoteStore>, WorkError> {
     let store = store(address)?;
-    let tested = (!read_only).then(|| store.probe(&app.stop));
+    let tested = (!read_only).then(|| store.probe(&app.host.stop));
     let (writable, warning) = usable(tested)?;
     warning.iter().for_each(|text| eprintln!("warning: --remote: {text}"));
     Ok(Arc::new(if writable { store } else { store.read_only() }))
 }
 
 /// Decides from the test of a store if a run may send artifacts to it (`None`: it must not), with a warning.
-fn usable(tested: Option<Result<(), RemoteError>>) -> Result<(bool, Option<String>), CliError> {
+fn usable(tested: Option<Result<(), RemoteError>>) -> Result<(bool, Option<String>), WorkError> {
     match tested {
         None => Ok((false, None)),
         Some(Ok(())) => Ok((true, None)),
@@ -43,13 +43,13 @@ fn usable(tested: Option<Result<(), RemoteError>>) -> Result<(bool, Option<Strin
             );
             Ok((false, Some(text)))
         }
-        Some(Err(error)) => Err(CliError::Failed(format!("--remote: {error}"))),
+        Some(Err(error)) => Err(WorkError::Failed(format!("--remote: {error}"))),
     }
 }
 
 pub(crate) fn list(app: &App, args: &StoreLsArgs) -> Done {
     existing(&args.store)?;
-    let shelf = store(&args.store.remote)?.shelf(&app.stop).map_err(CliError::failed)?;
+    let shelf = store(&args.store.remote)?.shelf(&app.host.stop).map_err(WorkError::failed)?;
     if args.json {
         let (files, bytes) = shelf.size();
         return json(&serde_json::json!({ "stages": shelf.stages(), "files": files, "bytes": bytes }));
@@ -60,16 +60,16 @@ pub(crate) fn list(app: &App, args: &StoreLsArgs) -> Done {
 
 pub(crate) fn sweep(app: &App, args: &StoreGcArgs) -> Done {
     let older_than =
-        parse_age(&args.older_than).map_err(|e| CliError::Input(format!("--older-than: {e}")))?;
+        parse_age(&args.older_than).map_err(|e| WorkError::Input(format!("--older-than: {e}")))?;
     existing(&args.store)?;
     let mut keep = BTreeSet::new();
     for pipeline in &args.sweep.keep {
-        let loaded = open(&PipelineArgs::of(pipeline, &args.sweep.cache), &[])?;
+        let loaded = args.sweep.cache.request(pipeline).open()?;
         let plan = loaded.builder.plan(&loaded.graph, None);
         // An artifact without a key cannot be distinguished from one that no node needs.
         let unknown = plan.to_run() + plan.unavailable() + plan.blocked();
         if unknown > 0 {
-            return Err(CliError::Input(format!(
+            return Err(WorkError::Input(format!(
                 "--keep {}: {unknown} of its stages are not in the cache, or their inputs are not on this \
                  machine, so their artifacts in the store are not known; `use3d pull` it or run it first, where \
                  its captures are",
@@ -78,17 +78,17 @@ pub(crate) fn sweep(app: &App, args: &StoreGcArgs) -> Done {
         }
         keep.extend(plan.keys());
     }
-    let swept = store(&args.store.remote)?.sweep(older_than, &keep, args.sweep.dry_run, &app.stop);
-    let swept = swept.map_err(CliError::failed)?;
+    let swept = store(&args.store.remote)?.sweep(older_than, &keep, args.sweep.dry_run, &app.host.stop);
+    let swept = swept.map_err(WorkError::failed)?;
     show(&swept, args.sweep.json)?;
-    if swept.interrupted { Err(CliError::Interrupted) } else { Ok(()) }
+    if swept.interrupted { Err(WorkError::Interrupted) } else { Ok(()) }
 }
 
 /// Refuses a store folder that does not exist.
 fn existing(args: &RemoteArgs) -> Done {
     match use3d_store::folder(&args.remote).filter(|folder| !folder.is_dir()) {
         None => Ok(()),
-        Some(folder) => Err(CliError::Failed(format!(
+        Some(folder) => Err(WorkError::Failed(format!(
             "--remote: {}: there is no such folder; give the one that `push` or `run --remote` filled, or mount it",
             folder.display()
         ))),
@@ -96,11 +96,11 @@ fn existing(args: &RemoteArgs) -> Done {
 }
 
 pub(crate) fn push(app: &App, args: &PushArgs) -> Done {
-    let Loaded { builder, graph, .. } = open(&args.what.pipeline, &[])?;
+    let Loaded { builder, graph, .. } = args.what.pipeline.request().open()?;
     let store = store(&args.what.store.remote)?;
-    store.probe(&app.stop).map_err(|e| CliError::Failed(format!("--remote: {e}")))?;
-    let sent = builder.push(&graph, &store, args.check, &app.stop, &app.listener);
-    let sent = sent.map_err(CliError::failed)?;
+    store.probe(&app.host.stop).map_err(|e| WorkError::Failed(format!("--remote: {e}")))?;
+    let sent = builder.push(&graph, &store, args.check, &app.host.stop, &app.host.listener);
+    let sent = sent.map_err(WorkError::failed)?;
     let nothing = sent.moved + sent.already == 0 && sent.problems.is_empty() && !sent.interrupted;
     if nothing && sent.missing > 0 {
         remark!(
@@ -114,11 +114,11 @@ pub(crate) fn push(app: &App, args: &PushArgs) -> Done {
 }
 
 pub(crate) fn pull(app: &App, args: &TransferArgs) -> Done {
-    let Loaded { builder, graph, .. } = open(&args.pipeline, &[])?;
+    let Loaded { builder, graph, .. } = args.pipeline.request().open()?;
     // A user who only fetches may have no permission to write.
     let store = store(&args.store.remote)?;
     existing(&args.store)?;
-    let done = builder.pull(&graph, &store, &app.stop, &app.listener).map_err(CliError::failed)?;
+    let done = builder.pull(&graph, &store, &app.host.stop, &app.host.listener).map_err(WorkError::failed)?;
     if done.moved == 0 && done.missing > 0 && done.problems.is_empty() && !done.interrupted {
         let place = store.place();
         remark!(app, "warning: the store at {place} has none of the missing results; check the address");
@@ -129,15 +129,15 @@ pub(crate) fn pull(app: &App, args: &TransferArgs) -> Done {
 fn tell(done: &Transferred, args: &TransferArgs) -> Done {
     show(done, args.json)?;
     match (done.interrupted, done.problems.len()) {
-        (true, _) => Err(CliError::Interrupted),
-        (false, 0) if args.all_or_fail && done.missing > 0 => Err(CliError::Failed(format!(
+        (true, _) => Err(WorkError::Interrupted),
+        (false, 0) if args.all_or_fail && done.missing > 0 => Err(WorkError::Failed(format!(
             "{} missing, and --all-or-fail asks for all of the pipeline",
             counted(done.missing, "artifact is", "artifacts are")
         ))),
         (false, 0) => Ok(()),
         (false, n) => {
             let problems = counted(n, "artifact has a problem", "artifacts have problems");
-            Err(CliError::Failed(format!("{problems}, see above")))
+            Err(WorkError::Failed(format!("{problems}, see above")))
         }
     }
 }

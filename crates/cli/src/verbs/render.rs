@@ -4,34 +4,28 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use use3d_capture::{Camera, FileName};
-use use3d_reconstruct::EngineChoice;
+use use3d_pipeline::found::capture_in;
 use use3d_render::Mode;
 use use3d_scene::Scene;
 use use3d_scene::white::Gains;
-use use3d_stages::Drawn;
 
 use crate::App;
-use crate::args::{CameraPath, FrameFormat, RenderArgs};
-use crate::error::{CliError, Done};
+use crate::args::{CameraPath, FrameFormat, RenderArgs, check_shares};
+use crate::error::{Done, WorkError};
 use crate::interrupt;
-use crate::verbs::drawing::{Frames, cameras, modes, renderer};
-use crate::verbs::found::{capture_in, scene_in};
+use crate::verbs::drawing::{Frames, cameras, drawn, modes, renderer};
 use crate::verbs::{film_path, speed, white};
 
 pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
     let capture = args.cameras.clone().or_else(|| capture_in(&args.scene));
-    let args = &RenderArgs { scene: scene_in(app, &args.scene)?, cameras: capture, ..args.clone() };
+    let args = &RenderArgs { scene: app.scene_in(&args.scene)?, cameras: capture, ..args.clone() };
     let asked = modes(&args.modes)?;
-    for (flag, value) in [("--strength", args.strength), ("--water", args.water)] {
-        if !(0.0..=1.0).contains(&value) {
-            return Err(CliError::Input(format!("{flag} {value}: expected 0 to 1")));
-        }
-    }
-    let scene = Scene::load(&args.scene).map_err(CliError::input)?;
+    check_shares(&[("--strength", args.strength), ("--water", args.water)])?;
+    let scene = Scene::load(&args.scene).map_err(WorkError::input)?;
     let modes = if asked.is_empty() { vec![Mode::opening(&scene)] } else { asked };
     let names: Vec<&str> = modes.iter().map(|mode| mode.name()).collect();
     if let (Some(mode), None) = (modes.iter().find(|mode| mode.is_enhanced()), &scene.enhancement) {
-        return Err(CliError::Input(format!(
+        return Err(WorkError::Input(format!(
             "--modes {}: {} has no enhancement; make one with `use3d enhance`",
             mode.name(),
             args.scene.display()
@@ -40,12 +34,7 @@ pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
     if args.water < 1.0 && !args.fps && !modes.iter().any(|mode| mode.shows_water()) {
         eprintln!("--water {} changes nothing in {}", args.water, names.join(", "));
     }
-    let engine = args.engine.choice().unwrap_or_default();
-    let drawn =
-        Drawn::new(&scene, &engine).map_err(|what| CliError::Input(format!("--engine {engine}: {what}")))?;
-    if engine != EngineChoice::Cpu {
-        remark!(app, "engine: {}", drawn.told);
-    }
+    let drawn = drawn(app, &scene, &args.engine)?;
     let white = white::of(app, &args.white, &args.scene, &scene, args.cameras.as_deref())?;
     let gains = white.map_or(Gains::ONE, |white| white.gains);
     if let Some(CameraPath::File(path)) = &args.path {
@@ -60,8 +49,8 @@ pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
     let mut renderer = renderer(args, &drawn)?.with_white(gains);
     for (i, ((name, camera), file)) in cameras.iter().zip(&files).enumerate() {
         interrupt::check()?;
-        app.progress("render", i as u64, cameras.len() as u64, "frames", name);
-        let frames = renderer.render(camera, &modes).map_err(CliError::failed)?;
+        app.host.progress("render", i as u64, cameras.len() as u64, "frames", name);
+        let frames = renderer.render(camera, &modes).map_err(WorkError::failed)?;
         written.add(file, &modes, &frames)?;
     }
     let (first, all) = (format!(" of {}", names[0]), format!(", modes {}", names.join(", ")));
@@ -72,12 +61,12 @@ pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
 ///
 /// # Errors
 /// Two cameras whose pictures would be one file.
-fn files(cameras: &[(FileName, Camera)], format: FrameFormat) -> Result<Vec<FileName>, CliError> {
+fn files(cameras: &[(FileName, Camera)], format: FrameFormat) -> Result<Vec<FileName>, WorkError> {
     let mut taken = BTreeMap::new();
     let mut name = |(camera, _): &(FileName, Camera)| {
-        let file = camera.with_extension(format.extension()).map_err(CliError::input)?;
+        let file = camera.with_extension(format.extension()).map_err(WorkError::input)?;
         if let Some(first) = taken.insert(file.clone(), camera.clone()) {
-            return Err(CliError::Input(format!(
+            return Err(WorkError::Input(format!(
                 "--cameras: {first} and {camera} would both be written as {file}; rename one of them"
             )));
         }
@@ -90,7 +79,7 @@ fn files(cameras: &[(FileName, Camera)], format: FrameFormat) -> Result<Vec<File
         if let Some(first) =
             folders.filter_map(Path::to_str).find_map(|f| taken.iter().find(|(t, _)| t.as_str() == f))
         {
-            return Err(CliError::Input(format!(
+            return Err(WorkError::Input(format!(
                 "--cameras: {} would be written as {}, which {file} needs as a folder; rename one of them",
                 first.1, first.0
             )));

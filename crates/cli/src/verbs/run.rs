@@ -1,74 +1,39 @@
 //! Pipelines: run, plan, status, why, graph, and the demo.
 
-use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
 use use3d_cluster::quote;
-use use3d_pipeline::results::{Delivered, Results};
+use use3d_pipeline::by_hand::{IMPORT, scratch};
+use use3d_pipeline::config::LoadOptions;
+use use3d_pipeline::destination::{OUT, path_text};
+use use3d_pipeline::history::{self, RunRecord};
+use use3d_pipeline::loaded::{Loaded, PipelineRequest};
+use use3d_pipeline::outcome::{self, Outcome};
+use use3d_pipeline::results::{Delivered, Results, scenes_of};
+use use3d_pipeline::white::{self, WhiteChoice};
+use use3d_pipeline::whole_run::WholeRun;
 use use3d_workflow::machine::seconds;
 use use3d_workflow::place;
 use use3d_workflow::plan::{PlannedNode, State};
 use use3d_workflow::status::{Row, Standing};
-use use3d_workflow::{Event, Graph, Listener, PATIENCE, Plan, RunOptions, Summary, picture};
+use use3d_workflow::{PATIENCE, Plan, RunOptions, picture};
 
 use crate::App;
-use crate::args::{
-    CacheArgs, DemoArgs, DemoSize, PipelineArgs, PlanArgs, RunArgs, Settings, StatusArgs, WhiteChoice,
-    WhyArgs,
-};
-use crate::destination::path_text;
-use crate::error::{CliError, Done};
+use crate::args::{DemoArgs, DemoSize, PipelineArgs, PlanArgs, RunArgs, StatusArgs, WhyArgs};
+use crate::error::{Done, WorkError};
 use crate::output;
-use crate::verbs::by_hand::scratch;
 use crate::verbs::check;
-use crate::verbs::history::{self, RunRecord};
-use crate::verbs::loaded::{Loaded, open, real};
-use crate::verbs::outcome::{self, Outcome};
 use crate::verbs::photographs;
 use crate::verbs::prepare;
 use crate::verbs::remote::of_run;
 use crate::verbs::synth::keep_capture;
 use crate::verbs::view::watched;
-use crate::verbs::white;
-use crate::whole_run::WholeRun;
-
-/// Refuses a folder of results inside the cache.
-fn outside_the_cache(out: &Path, cache: &Path) -> Done {
-    if !real(out).starts_with(real(cache)) {
-        return Ok(());
-    }
-    Err(CliError::Input(format!(
-        "--out {}: it would lie in the cache {}; choose a folder outside",
-        path_text(out),
-        path_text(cache)
-    )))
-}
-
-/// Folders of a capture that the import reads.
-const READ: [&str; 4] = ["images", "masks", "depth", "sparse"];
-
-/// Fails if results would lie among the files of a capture, where the next run would take them for
-/// photographs.
-fn outside_the_captures(out: &Path, loaded: &Loaded) -> Done {
-    let out = real(out);
-    let captures = loaded.pipeline.batch.scenes.iter().filter_map(|scene| scene.externals.get("capture"));
-    for capture in captures.filter_map(|place| place.as_ref().ok()) {
-        let Ok(below) = out.strip_prefix(real(capture)) else { continue };
-        if below.components().next().is_some_and(|first| READ.iter().any(|read| first.as_os_str() == *read)) {
-            return Err(CliError::Input(format!(
-                "--out {}: this is inside the files of the capture {}; choose a folder outside it",
-                path_text(&out),
-                path_text(capture)
-            )));
-        }
-    }
-    Ok(())
-}
+use crate::verbs::white::keep_for;
 
 pub(crate) fn plan(args: &PlanArgs) -> Done {
-    let loaded = open(&resolved(&args.pipeline).0, &[])?;
+    let loaded = resolved(args.pipeline.request()).0.open()?;
     loaded.nothing_lacks(None, None)?;
     show(&loaded.builder.plan(&loaded.graph, None), args.json)
 }
@@ -78,7 +43,7 @@ fn show(plan: &Plan, as_json: bool) -> Done {
     output::show(plan, as_json)?;
     match plan.unavailable() {
         0 => Ok(()),
-        _ => Err(CliError::failed(
+        _ => Err(WorkError::failed(
             "inputs that the pipeline names are missing (see `cannot` above); the stages that need them \
              would fail",
         )),
@@ -86,12 +51,12 @@ fn show(plan: &Plan, as_json: bool) -> Done {
 }
 
 pub(crate) fn status(args: &StatusArgs) -> Done {
-    let loaded = open(&resolved(&args.plan.pipeline).0, &[])?;
+    let loaded = resolved(args.plan.pipeline.request()).0.open()?;
     let mut status = loaded.builder.plan(&loaded.graph, None).status();
     for name in &args.scene {
         let known = || loaded.pipeline.batch.scenes.iter().map(|s| s.name.as_str());
         if !known().any(|scene| scene == name) {
-            return Err(CliError::input(use3d_workflow::BuildError::unknown("scene", name, known())));
+            return Err(WorkError::input(use3d_workflow::BuildError::unknown("scene", name, known())));
         }
     }
     status.rows.retain(|row| {
@@ -106,15 +71,15 @@ pub(crate) fn status(args: &StatusArgs) -> Done {
 }
 
 pub(crate) fn why(args: &WhyArgs) -> Done {
-    let loaded = open(&resolved(&args.pipeline).0, &[])?;
+    let loaded = resolved(args.pipeline.request()).0.open()?;
     // `SCENE` or `SCENE@VARIANT`.
     let (scene, variant) = args.scene.split_once('@').unwrap_or((&args.scene, ""));
-    let why = loaded.builder.why(&loaded.graph, scene, variant, &args.stage).map_err(CliError::input)?;
+    let why = loaded.builder.why(&loaded.graph, scene, variant, &args.stage).map_err(WorkError::input)?;
     output::show(&why, args.json)
 }
 
 pub(crate) fn graph(pipeline: &PipelineArgs) -> Done {
-    let loaded = open(&resolved(pipeline).0, &[])?;
+    let loaded = resolved(pipeline.request()).0.open()?;
     let plan = loaded.builder.plan(&loaded.graph, None);
     print!("{}", picture::mermaid(&loaded.graph, &plan));
     Ok(())
@@ -122,27 +87,25 @@ pub(crate) fn graph(pipeline: &PipelineArgs) -> Done {
 
 pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     // A results folder stands for the pipeline that was run into it, and new results go there again.
-    let (mut pipeline, results) = resolved(&args.pipeline);
-    let elsewhere = |set: &String| set.contains("model_dir");
+    let given = args.pipeline.request();
+    let elsewhere =
+        |request: &PipelineRequest| request.options.sets.iter().any(|set| set.contains("model_dir"));
+    let prepares = !args.dry_run && !elsewhere(&given);
+    let (mut pipeline, results) = resolved(given);
     // A film or a folder of photographs is prepared as a capture first.
-    if !args.dry_run
-        && !args.pipeline.sets().iter().any(elsewhere)
-        && let Some(capture) = prepare::capture_for(app, &pipeline.target, args.out.as_deref())?
-    {
+    if prepares && let Some(capture) = prepare::capture_for(app, &pipeline.target, args.out.as_deref())? {
         pipeline.target = capture;
     }
-    if pipeline.target.is_dir()
-        && !use3d_import::is_prepared(&pipeline.target)
-        && !pipeline.sets().iter().any(elsewhere)
-    {
-        use3d_import::check_layout(&pipeline.target).map_err(CliError::input)?;
+    if pipeline.target.is_dir() && !use3d_import::is_prepared(&pipeline.target) && !elsewhere(&pipeline) {
+        use3d_import::check_layout(&pipeline.target).map_err(WorkError::input)?;
     }
-    let mut loaded = open(&pipeline, &args.scene)?;
+    pipeline.options.scenes.clone_from(&args.scene);
+    let mut loaded = pipeline.open()?;
     let until = args.until.clone().map(|stage| vec![stage]);
     if let Some(stage) = &args.until {
-        loaded.builder.registry.stage(stage).map_err(CliError::input)?;
+        loaded.builder.registry.stage(stage).map_err(WorkError::input)?;
     }
-    let only = only(&loaded.graph, &args.only)?;
+    let only = loaded.cells(&args.only)?;
     loaded.nothing_lacks(until.as_deref(), only.as_deref())?;
     if args.dry_run {
         return show(&loaded.builder.plan(&loaded.graph, until.as_deref()), args.json);
@@ -150,7 +113,7 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     if let Some(submitted) = &args.submitted
         && *submitted != loaded.graph.digest(&loaded.builder.registry).short()
     {
-        return Err(CliError::Input(format!(
+        return Err(WorkError::Input(format!(
             "{}: this is not the submitted pipeline: the file was edited since, this is another version of \
              the program, or `arguments` of the site change a parameter; submit it again",
             path_text(&pipeline.target)
@@ -158,17 +121,16 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     }
     let choices = &args.white.choices[..];
     if !choices.is_empty() && !pipeline.target.is_dir() {
-        return Err(CliError::input(
+        return Err(WorkError::input(
             "--white works with one capture folder; for a pipeline, use `use3d white` on each of its scenes",
         ));
     }
     white::check(choices, &pipeline.target)?;
-    let named = || PathBuf::from("use3d-out").join(&loaded.pipeline.batch.name);
+    let named = || Path::new(OUT).join(&loaded.pipeline.batch.name);
     let out = args.out.clone().or(results).unwrap_or_else(named);
     let mut results = None;
     if !args.cache_only {
-        outside_the_cache(&out, &loaded.pipeline.cache)?;
-        outside_the_captures(&out, &loaded)?;
+        loaded.check_out(&out)?;
         let checked = Results::new(&out, &loaded.builder.cache);
         checked.check(&loaded.graph, until.as_deref())?;
         results = Some(Arc::new(checked));
@@ -193,14 +155,10 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
         ..of_app(app)
     };
     let white = (!choices.is_empty()).then_some((choices, pipeline.target.as_path()));
-    let given =
-        Given { pipeline: &pipeline, scenes: &args.scene, white, plan, photographs: args.photographs };
+    let given = Given { pipeline: &pipeline, white, plan, photographs: args.photographs };
     let out = (results.as_ref(), &given);
     watched(app, &args.watch, None, |app| execute(app, &loaded, &options, out, args.json))
 }
-
-/// The stage that reads a capture folder.
-const IMPORT: &str = "import";
 
 /// Prints the gravest faults of a capture folder that is imported for the first time.
 fn tell_faults(loaded: &Loaded, plan: &Plan, target: &Path) {
@@ -223,40 +181,14 @@ fn tell_why(plan: &Plan) {
     }
 }
 
-/// The default options of a run in this process.
+/// The default options of a run in this process, which a signal may end at a time limit.
 fn of_app(app: &App) -> RunOptions {
-    RunOptions {
-        cores: app.threads,
-        stop: app.stop.clone(),
-        leave: crate::interrupt::leave(),
-        ..RunOptions::default()
-    }
-}
-
-/// The scenes and variants of `--only`.
-fn only(graph: &Graph, named: &[String]) -> Result<Option<Vec<(String, String)>>, CliError> {
-    let of_scenes = graph.nodes.iter().filter(|n| !n.scene.is_empty());
-    let cells: BTreeSet<(String, String)> = of_scenes.map(|n| (n.scene.clone(), n.variant.clone())).collect();
-    let find = |name: &String| {
-        let (scene, variant) = name.split_once('@').unwrap_or((name, ""));
-        let cell = (scene.to_string(), variant.to_string());
-        if cells.contains(&cell) {
-            return Ok(cell);
-        }
-        let known: Vec<String> =
-            cells.iter().map(|(s, v)| if v.is_empty() { s.clone() } else { format!("{s}@{v}") }).collect();
-        let known = known.iter().map(String::as_str);
-        Err(CliError::input(use3d_workflow::BuildError::unknown("scene and variant", name, known)))
-    };
-    let found: Vec<(String, String)> = named.iter().map(find).collect::<Result<_, _>>()?;
-    Ok((!found.is_empty()).then_some(found))
+    RunOptions { leave: crate::interrupt::leave(), ..app.host.options() }
 }
 
 /// The arguments of a run besides its options.
 struct Given<'a> {
-    pipeline: &'a PipelineArgs,
-    /// Only these scenes.
-    scenes: &'a [String],
+    pipeline: &'a PipelineRequest,
     /// The white balance for its scenes, and the capture in whose views it is measured.
     white: Option<(&'a [WhiteChoice], &'a Path)>,
     /// The plan, if the progress of the whole run is shown.
@@ -265,12 +197,12 @@ struct Given<'a> {
     photographs: bool,
 }
 
-/// The pipeline of a target. If the target is a results folder, this is the pipeline that was run into it,
+/// The pipeline of a request. If its target is a results folder, this is the pipeline that was run into it,
 /// and the folder is returned too.
-fn resolved(args: &PipelineArgs) -> (PipelineArgs, Option<PathBuf>) {
-    match history::of_results(&args.target) {
-        Some(record) => (record.arguments(args), Some(args.target.clone())),
-        None => (args.clone(), None),
+fn resolved(request: PipelineRequest) -> (PipelineRequest, Option<PathBuf>) {
+    match history::of_results(&request.target) {
+        Some(record) => (record.request(&request), Some(request.target)),
+        None => (request, None),
     }
 }
 
@@ -279,20 +211,20 @@ fn resolved(args: &PipelineArgs) -> (PipelineArgs, Option<PathBuf>) {
 /// # Errors
 /// Some results are no longer in the cache. Nothing is computed.
 pub(crate) fn again(app: &App, record: &RunRecord, results: &Path) -> Done {
-    let args = record.arguments(&PipelineArgs::of(&record.target, &CacheArgs::default()));
-    let loaded = open(&args, &record.scenes)?;
+    let scenes = LoadOptions { scenes: record.scenes.clone(), ..LoadOptions::default() };
+    let request = record.request(&PipelineRequest { options: scenes, ..PipelineRequest::default() });
+    let loaded = request.open()?;
     let plan = loaded.builder.plan(&loaded.graph, record.until.as_deref());
     let missing = plan.to_run();
     if missing > 0 || plan.unavailable() > 0 {
-        return Err(CliError::Input(format!(
+        return Err(WorkError::Input(format!(
             "{missing} of its stages are not in the cache any more, or the program or its input has changed \
              since; to run it again: {}",
             record.command
         )));
     }
     let options = RunOptions { until: record.until.clone(), ..of_app(app) };
-    let given =
-        Given { pipeline: &args, scenes: &record.scenes, white: None, plan: None, photographs: false };
+    let given = Given { pipeline: &request, white: None, plan: None, photographs: false };
     let results = Arc::new(Results::new(results, &loaded.builder.cache));
     execute(app, &loaded, &options, (Some(&results), &given), false)
 }
@@ -305,7 +237,8 @@ fn execute(
     (out, given): (Option<&Arc<Results>>, &Given<'_>),
     as_json: bool,
 ) -> Done {
-    let mut listener = out.map_or_else(|| app.listener.clone(), |out| delivering(app, out));
+    let mut listener = out
+        .map_or_else(|| app.host.listener.clone(), |out| out.delivering(app.host.listener.clone(), typed()));
     if let Some(plan) = &given.plan {
         let whole = WholeRun::new(plan, options.only.as_deref(), options.jobs);
         listener = whole.listener(listener);
@@ -333,25 +266,25 @@ fn execute(
         print!("{summary}");
     }
     // The places were checked before, so an error here comes from the disk and not from the arguments.
-    let delivered = delivered.map_err(CliError::failed)?;
+    let delivered = delivered.map_err(WorkError::failed)?;
     let quiet = app.quiet || as_json;
-    if !quiet {
-        outcome::tell(&delivered);
-    }
+    outcome::lines(&delivered).iter().filter(|_| !quiet).for_each(|line| println!("{line}"));
     if let Some(out) = out.filter(|_| !delivered.is_empty()) {
         let until = options.until.as_deref();
-        let record = RunRecord::of(given.pipeline, given.scenes, until, loaded, &summary, typed());
-        history::keep(&out.out, record, quiet)?;
+        let cache = &loaded.pipeline.cache;
+        let record = RunRecord::of(given.pipeline, until, cache, &summary, typed());
+        let replaced = history::keep(&out.out, record)?;
+        replaced.iter().filter(|_| !quiet).for_each(|line| eprintln!("{line}"));
     }
     match summary.exit_code() {
         0 if given.photographs => photographs(app, loaded, &delivered),
         0 => Ok(()),
-        75 => Err(CliError::OutOfTime),
-        130 => Err(CliError::Interrupted),
+        75 => Err(WorkError::OutOfTime),
+        130 => Err(WorkError::Interrupted),
         _ => {
             let missing: Vec<&str> = summary.missing().map(|node| node.label.as_str()).collect();
             if !missing.is_empty() {
-                return Err(CliError::Failed(format!(
+                return Err(WorkError::Failed(format!(
                     "{} missing: {}{}; `use3d submit` submits them again, `use3d run` without --gather \
                      computes them here",
                     output::counted(missing.len(), "stage is", "stages are"),
@@ -360,31 +293,20 @@ fn execute(
                 )));
             }
             let failed: Vec<&str> = summary.failed().map(|node| node.label.as_str()).collect();
-            Err(CliError::Failed(format!("failed: {}; see the reasons and logs above", failed.join(", "))))
+            Err(WorkError::Failed(format!("failed: {}; see the reasons and logs above", failed.join(", "))))
         }
     }
 }
 
-/// The scenes in the results: the enhanced ones if there are two.
-fn scenes_of(delivered: &[Delivered]) -> impl Iterator<Item = &Delivered> {
-    let scene = |what: &'static str| delivered.iter().filter(move |result| result.what == what);
-    let enhanced = move |result: &Delivered| {
-        scene("enhance").any(|other| (&other.scene, &other.variant) == (&result.scene, &result.variant))
-    };
-    scene("enhance").chain(scene("reconstruct").filter(move |result| !enhanced(result)))
-}
-
 /// Measures the white balance of every scene in the results.
 fn balance(app: &App, choices: &[WhiteChoice], capture: &Path, delivered: &[Delivered]) -> Done {
-    scenes_of(delivered).try_for_each(|result| white::keep_for(app, choices, &result.path, capture))
+    scenes_of(delivered).try_for_each(|result| keep_for(app, choices, &result.path, capture))
 }
 
 /// Writes all photographs of every scene in the results.
 fn photographs(app: &App, loaded: &Loaded, delivered: &[Delivered]) -> Done {
     for result in scenes_of(delivered) {
-        let scene = loaded.pipeline.batch.scenes.iter().find(|scene| scene.name == result.scene);
-        let capture = scene.and_then(|scene| scene.externals.get("capture")).and_then(|c| c.as_ref().ok());
-        photographs::of_run(app, &result.path, capture.map(PathBuf::as_path))?;
+        photographs::of_run(app, &result.path, loaded.capture_of(&result.scene))?;
     }
     Ok(())
 }
@@ -396,22 +318,6 @@ const SHOWN: usize = 6;
 fn typed() -> String {
     let words: Vec<String> = std::env::args_os().map(|word| word.to_string_lossy().into_owned()).collect();
     quote::words(&words)
-}
-
-/// The app's listener, which also delivers the results of every scene as soon as it is finished: the batch
-/// may run for days or fail.
-fn delivering(app: &App, out: &Arc<Results>) -> Arc<dyn Listener> {
-    let (inner, out) = (app.listener.clone(), out.clone());
-    Arc::new(move |event: &Event<'_>| {
-        inner.event(event);
-        if let Event::SceneOver { scene, variant, nodes } = event
-            && let Err(error) = out.deliver(&Summary::of_scene(nodes, scene, variant), &typed())
-        {
-            // Delivery is tried again at the end, where a failure counts.
-            let text = format!("its results could not be delivered yet: {error}");
-            inner.event(&Event::Warning { label: scene, text: &text });
-        }
-    })
 }
 
 /// The name of the demo's capture, and so of its scene.
@@ -441,23 +347,23 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
     // empty folder that has the capture's name.
     let probe = scratch()?;
     let empty = probe.path().join(SCENE);
-    std::fs::create_dir(&empty).map_err(|e| CliError::Failed(format!("{}: {e}", empty.display())))?;
-    let settings = Settings { set: sets, ..Settings::default() };
-    let throwaway = CacheArgs { cache: Some(probe.path().join("cache")), ..args.cache.clone() };
-    let probed =
-        open(&PipelineArgs { settings: settings.clone(), ..PipelineArgs::of(&empty, &throwaway) }, &[])?;
+    std::fs::create_dir(&empty).map_err(|e| WorkError::Failed(format!("{}: {e}", empty.display())))?;
+    let mut probing = args.cache.request(&empty);
+    probing.options =
+        LoadOptions { sets: sets.clone(), cache: Some(probe.path().join("cache")), ..probing.options };
+    let probed = probing.open()?;
     Results::new(&args.out, &probed.builder.cache).check(&probed.graph, None)?;
     place::check(&capture, true)?;
     place::check_writable(&args.out)?;
     keep_capture(app, &params, &capture)?;
-    let mut cache = args.cache.clone();
-    cache.cache.get_or_insert_with(|| args.out.join("cache"));
-    let pipeline = PipelineArgs { settings, ..PipelineArgs::of(&capture, &cache) };
-    let loaded = open(&pipeline, &[])?;
+    let mut pipeline = args.cache.request(&capture);
+    pipeline.options.sets = sets;
+    pipeline.options.cache.get_or_insert_with(|| args.out.join("cache"));
+    let loaded = pipeline.open()?;
     let results = Arc::new(Results::new(&args.out, &loaded.builder.cache));
     results.check(&loaded.graph, None)?;
     let plan = (!app.quiet).then(|| loaded.builder.plan(&loaded.graph, None));
-    let given = Given { pipeline: &pipeline, scenes: &[], white: None, plan, photographs: false };
+    let given = Given { pipeline: &pipeline, white: None, plan, photographs: false };
     execute(app, &loaded, &of_app(app), (Some(&results), &given), false)?;
     if !app.quiet {
         println!(

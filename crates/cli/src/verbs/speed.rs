@@ -3,16 +3,17 @@
 use serde::Serialize;
 use use3d_capture::{Camera, FileName};
 use use3d_judge::speed::{SHORTEST, Speed, measure};
+use use3d_pipeline::scene_views::held_out;
 use use3d_render::Mode;
 use use3d_scene::Scene;
 use use3d_stages::Drawn;
 
 use crate::App;
 use crate::args::RenderArgs;
-use crate::error::{CliError, Done};
+use crate::error::{Done, WorkError};
 use crate::interrupt;
 use crate::output::json;
-use crate::verbs::drawing::{cameras, held_out, renderer};
+use crate::verbs::drawing::{cameras, renderer};
 
 /// The figures and the conditions of the measurement.
 #[derive(Serialize)]
@@ -52,8 +53,8 @@ pub(crate) fn run(app: &App, args: &RenderArgs, scene: &Scene, drawn: &Drawn<'_>
     for mode in modes {
         remark!(app, "timing {} of {} views", mode.name(), chosen.len());
         let speed = measure(&mut renderer, &chosen, mode, SHORTEST, &interrupt::requested);
-        let speed = speed.map_err(CliError::failed)?;
-        speeds.push(speed.ok_or(CliError::Stopped)?);
+        let speed = speed.map_err(WorkError::failed)?;
+        speeds.push(speed.ok_or(WorkError::Stopped)?);
     }
     let size = chosen.first().map_or((0, 0), |c| (c.intrinsics.width, c.intrinsics.height));
     let measured = Measured {
@@ -64,7 +65,7 @@ pub(crate) fn run(app: &App, args: &RenderArgs, scene: &Scene, drawn: &Drawn<'_>
         views: chosen.len(),
         which: if any { "held-out" } else { "given" },
         gaussians: scene.gaussians.len(),
-        threads: app.threads,
+        threads: app.host.threads,
         protocol: PROTOCOL,
         modes: speeds,
     };

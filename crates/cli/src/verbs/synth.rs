@@ -4,6 +4,7 @@ use std::ops::ControlFlow;
 use std::path::Path;
 
 use serde::de::DeserializeOwned;
+use use3d_pipeline::destination::put_folder;
 use use3d_stages::code::built_in;
 use use3d_synth::{
     CaptureParams, Development, Location, Optics, PairsParams, Physics, SynthError, WaterType, write_capture,
@@ -14,26 +15,25 @@ use use3d_workflow::place::{self, Look, Standing};
 
 use crate::App;
 use crate::args::{SynthCaptureArgs, SynthPairsArgs};
-use crate::destination::put_folder;
-use crate::error::{CliError, Done};
+use crate::error::{Done, WorkError};
 use crate::interrupt::{self, ends_soon};
 use crate::size::parse_size;
 
 /// Reports the progress, and returns whether to continue.
 fn tell<'a>(app: &'a App, label: &'a str) -> impl FnMut(usize, usize) -> ControlFlow<()> + 'a {
     move |done, total| {
-        app.progress(label, done as u64, total as u64, "images", "");
+        app.host.progress(label, done as u64, total as u64, "images", "");
         if done == total {
-            app.over(label);
+            app.host.over(label);
         }
         interrupt::go_on()
     }
 }
 
 /// Converts an error to a message for the user.
-fn error(error: SynthError) -> CliError {
+fn error(error: SynthError) -> WorkError {
     match error {
-        SynthError::Interrupted => CliError::Stopped,
+        SynthError::Interrupted => WorkError::Stopped,
         SynthError::Parameter(wrong) => {
             let flag = match wrong.path.as_str() {
                 "pairs" => "views".to_string(),
@@ -41,24 +41,24 @@ fn error(error: SynthError) -> CliError {
                 "air" => "water air".to_string(),
                 parameter => parameter.replace('_', "-"),
             };
-            CliError::Input(format!("--{flag} {}", wrong.words()))
+            WorkError::Input(format!("--{flag} {}", wrong.words()))
         }
-        SynthError::OutputExists { .. } => CliError::input(error),
+        SynthError::OutputExists { .. } => WorkError::input(error),
         SynthError::Io { .. } | SynthError::Name(_) | SynthError::Image(_) | SynthError::Model(_) => {
-            CliError::failed(error)
+            WorkError::failed(error)
         }
     }
 }
 
 /// Parses a value of an enumeration by its name in parameter files, in any letter case.
-fn named<T: DeserializeOwned>(flag: &str, text: &str, known: &[&str]) -> Result<T, CliError> {
+fn named<T: DeserializeOwned>(flag: &str, text: &str, known: &[&str]) -> Result<T, WorkError> {
     let exact = known.iter().find(|k| k.eq_ignore_ascii_case(text)).copied().unwrap_or(text);
     serde_json::from_value(exact.into())
-        .map_err(|_| CliError::Input(format!("{flag} {text}: expected one of {}", known.join(", "))))
+        .map_err(|_| WorkError::Input(format!("{flag} {text}: expected one of {}", known.join(", "))))
 }
 
 /// The parameters from the arguments, on top of the defaults.
-fn capture_params(args: &SynthCaptureArgs) -> Result<CaptureParams, CliError> {
+fn capture_params(args: &SynthCaptureArgs) -> Result<CaptureParams, WorkError> {
     let common = &args.common;
     let physics = named("--physics", &args.physics, &Physics::ALL.map(Physics::name))?;
     let place = named("--place", &args.place, &Location::ALL.map(Location::name))?;
@@ -101,7 +101,7 @@ fn capture_params(args: &SynthCaptureArgs) -> Result<CaptureParams, CliError> {
 /// Makes a capture at `out`, unless one with the same parameters and code exists there; another result of
 /// this program is replaced.
 pub(crate) fn keep_capture(app: &App, params: &CaptureParams, out: &Path) -> Done {
-    let code = built_in().stage(&["use3d-synth"], &[]).map_err(CliError::failed)?.digest();
+    let code = built_in().stage(&["use3d-synth"], &[]).map_err(WorkError::failed)?.digest();
     let recipe = serde_json::json!({ "parameters": params, "code": code.to_string() });
     let recipe = Digest::of(recipe.to_string().as_bytes());
     place::check(out, true)?;
@@ -112,7 +112,7 @@ pub(crate) fn keep_capture(app: &App, params: &CaptureParams, out: &Path) -> Don
     let folder = place::parent(out);
     place::check_writable(folder)?;
     std::fs::create_dir_all(folder)
-        .map_err(|e| CliError::Input(format!("--out {}: {e}", folder.display())))?;
+        .map_err(|e| WorkError::Input(format!("--out {}: {e}", folder.display())))?;
     let _ends_soon = ends_soon();
     put_folder(out, Some(recipe), true, |made| {
         write_capture(params, made, &mut tell(app, "synth capture")).map(drop).map_err(error)

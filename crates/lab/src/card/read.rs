@@ -8,7 +8,7 @@ use std::path::Path;
 use serde_json::Value;
 use use3d_capture::name::shown;
 
-use crate::LabError;
+use use3d_pipeline::WorkError;
 
 /// The `format` of such files.
 pub(crate) const FORMAT: &str = "3d-use gpu bench";
@@ -21,13 +21,13 @@ const IDLE: f64 = 0.15;
 ///
 /// # Errors
 /// Fails if the file cannot be read, or is of another kind.
-pub fn read(path: &Path) -> Result<Vec<String>, LabError> {
+pub fn read(path: &Path) -> Result<Vec<String>, WorkError> {
     let name = path.to_string_lossy();
     let name = shown(&name);
     let text = std::fs::read_to_string(path)
-        .map_err(|error| LabError::Input(format!("--read: cannot read {name}: {error}")))?;
+        .map_err(|error| WorkError::Input(format!("--read: cannot read {name}: {error}")))?;
     let other =
-        |why: String| LabError::Input(format!("--read: {name} is not a file of `use3d bench gpu`: {why}"));
+        |why: String| WorkError::Input(format!("--read: {name} is not a file of `use3d bench gpu`: {why}"));
     let record: Value = serde_json::from_str(&text).map_err(|error| other(error.to_string()))?;
     if record["format"] != FORMAT {
         return Err(other(format!("`format` is not \"{FORMAT}\"")));

@@ -19,7 +19,7 @@ use super::figures::{FORMAT, Scored, TruthFigures, of_capture};
 use super::output;
 use super::picture::{Sheet, sheet};
 use super::runs::{DEFAULT, LearntFrom, Recipe, STAGES};
-use crate::LabError;
+use use3d_pipeline::WorkError;
 
 /// Seconds of a training step per pixel, on two cores, if no earlier run gives a better value: 8 ms at
 /// 320×180.
@@ -80,7 +80,7 @@ impl TruthBench {
     ///
     /// # Errors
     /// Returns the first setting that is wrong.
-    pub fn new(mut request: TruthRequest) -> Result<Self, LabError> {
+    pub fn new(mut request: TruthRequest) -> Result<Self, WorkError> {
         let load = &request.load;
         let recipe = Recipe {
             views: request.views,
@@ -94,12 +94,12 @@ impl TruthBench {
                 (None, None) => LearntFrom::Nothing,
             },
         };
-        recipe.check().map_err(LabError::Input)?;
-        let captures = named(&request.captures).map_err(|e| LabError::Input(format!("--captures: {e}")))?;
+        recipe.check().map_err(WorkError::Input)?;
+        let captures = named(&request.captures).map_err(|e| WorkError::Input(format!("--captures: {e}")))?;
         request.seeds.sort_unstable();
         request.seeds.dedup();
         for capture in &captures {
-            capture.parameters(0, recipe.views, recipe.size).validate().map_err(LabError::input)?;
+            capture.parameters(0, recipe.views, recipe.size).validate().map_err(WorkError::input)?;
         }
         Ok(Self { request, recipe, captures })
     }
@@ -122,7 +122,7 @@ impl TruthBench {
     ///
     /// # Errors
     /// Returns the first place that this program must not write, or a setting that the pipeline refuses.
-    pub fn check(&self, probe: &Path) -> Result<(), LabError> {
+    pub fn check(&self, probe: &Path) -> Result<(), WorkError> {
         output::check(&self.request.out)?;
         for (_, folder) in self.captures() {
             place::check(&folder, true)?;
@@ -144,7 +144,7 @@ impl TruthBench {
         options: RunOptions,
         listener: &Arc<dyn Listener>,
         forecasts: bool,
-    ) -> Result<(TruthFigures, Vec<PathBuf>), LabError> {
+    ) -> Result<(TruthFigures, Vec<PathBuf>), WorkError> {
         let out = &self.request.out;
         let cache = self.request.load.cache.clone().unwrap_or_else(|| out.join("cache"));
         let seeds = self.request.seeds.iter();
@@ -159,7 +159,7 @@ impl TruthBench {
             }
             let summary = seed.builder.run(&seed.graph, &options, listener);
             if summary.interrupted {
-                return Err(LabError::Interrupted);
+                return Err(WorkError::Interrupted);
             }
             self.gather(seed, &summary, &mut results)?;
             delivered = output::deliver(&self.figures(&results), &results.pictures, out)?;
@@ -168,14 +168,14 @@ impl TruthBench {
     }
 
     /// The pipeline of a seed with its graph; captures are below `out`.
-    fn load(&self, seed: u64, out: &Path, cache: &Path) -> Result<Seed, LabError> {
-        let registry = registry().map_err(LabError::failed)?;
+    fn load(&self, seed: u64, out: &Path, cache: &Path) -> Result<Seed, WorkError> {
+        let registry = registry().map_err(WorkError::failed)?;
         let text = self.recipe.pipeline(&self.captures, seed);
         let options = LoadOptions { cache: Some(cache.to_path_buf()), ..self.request.load.clone() };
         let pipeline =
-            from_text(&registry, &text, &out.join("truth.toml"), &options).map_err(LabError::input)?;
-        let graph = Graph::new(&registry, &pipeline.batch).map_err(LabError::input)?;
-        let cache = Cache::open(&pipeline.cache, self.request.rehash).map_err(LabError::input)?;
+            from_text(&registry, &text, &out.join("truth.toml"), &options).map_err(WorkError::input)?;
+        let graph = Graph::new(&registry, &pipeline.batch).map_err(WorkError::input)?;
+        let cache = Cache::open(&pipeline.cache, self.request.rehash).map_err(WorkError::input)?;
         Ok(Seed { seed, text, pipeline, builder: Builder::new(registry, cache), graph })
     }
 
@@ -215,7 +215,7 @@ impl TruthBench {
     }
 
     /// Adds the cached results of a seed's run.
-    fn gather(&self, seed: &Seed, summary: &Summary, results: &mut Results) -> Result<(), LabError> {
+    fn gather(&self, seed: &Seed, summary: &Summary, results: &mut Results) -> Result<(), WorkError> {
         results.seeds.push(seed.seed);
         results.pipelines.insert(seed.seed, seed.text.clone());
         for node in summary.failed() {
@@ -223,7 +223,7 @@ impl TruthBench {
         }
         for node in summary.nodes.iter().filter(|n| n.stage == "evaluate") {
             let Some(artifact) = &node.artifact else { continue };
-            let scores: SceneScores = read_json(&artifact.path.join(SCORES)).map_err(LabError::failed)?;
+            let scores: SceneScores = read_json(&artifact.path.join(SCORES)).map_err(WorkError::failed)?;
             let (capture, variant) = (node.scene.clone(), node.variant.clone());
             results.scored.push(Scored { seed: seed.seed, capture, variant, scores });
         }
@@ -236,7 +236,7 @@ impl TruthBench {
     }
 
     /// A capture's sheet, if its scene was rendered.
-    fn picture(&self, capture: &Capture, seed: &Seed, summary: &Summary) -> Result<Option<Sheet>, LabError> {
+    fn picture(&self, capture: &Capture, seed: &Seed, summary: &Summary) -> Result<Option<Sheet>, WorkError> {
         let artifact = |stage: &str| summary.artifact(capture.name, DEFAULT, stage);
         let (Some(renders), Some(scores)) = (artifact("render"), artifact("evaluate")) else {
             return Ok(None);
@@ -244,17 +244,17 @@ impl TruthBench {
         // The enhancer that was scored.
         let choice: ProposerChoice = match &scores.manifest.ingredients.parameters["proposer"] {
             Value::Null => ProposerChoice::default(),
-            given => serde_json::from_value(given.clone()).map_err(LabError::failed)?,
+            given => serde_json::from_value(given.clone()).map_err(WorkError::failed)?,
         };
         let models = seed.pipeline.batch.externals.get("models").and_then(|m| m.as_deref().ok());
-        let proposer = open_proposer(choice, models, &mut |_| {}).map_err(LabError::Failed)?;
+        let proposer = open_proposer(choice, models, &mut |_| {}).map_err(WorkError::Failed)?;
         let folder = self.folder(capture, seed.seed);
         let mut clean = |stem: &str, size: (usize, usize)| {
             let truth = Truth::open(&folder, size, &mut |_| {})?;
             Some(truth.view(stem).ok()??.clean)
         };
         let sheet = sheet(capture.name, &renders.path, proposer.as_ref(), &mut clean);
-        sheet.map(Some).map_err(LabError::failed)
+        sheet.map(Some).map_err(WorkError::failed)
     }
 
     fn figures(&self, results: &Results) -> TruthFigures {

@@ -18,7 +18,8 @@ use use3d_capture::Pose;
 use use3d_import::{Original, Originals};
 use use3d_photographs::{ColourMap, Grid, Photographer, ViewMap, shrink};
 
-use super::{Appearance, WorkError, balanced, training_cameras};
+use super::{Appearance, balanced, training_cameras};
+use crate::WorkError;
 use use3d_stages::Drawn;
 
 /// Longer side of the small grid of a frame, pixels.
@@ -77,7 +78,7 @@ impl<'s> FilmGrader<'s> {
         let step = training.len().div_ceil(VIEWS).max(1);
         let views: Result<Vec<ViewMap>, _> =
             training.iter().step_by(step).map(|camera| photographer.own(camera)).collect();
-        let views = views.map_err(|e| WorkError::Failed(e.to_string()))?;
+        let views = views.map_err(WorkError::failed)?;
         Ok(Self {
             photographer,
             lens: (*lens).clone(),
@@ -121,7 +122,7 @@ impl<'s> FilmGrader<'s> {
         let map = match pose {
             Some(pose) => {
                 let graded = self.photographer.grade(&small, &grid.at(pose), None, None);
-                graded.map_err(|e| WorkError::Failed(e.to_string()))?.grade.map
+                graded.map_err(WorkError::failed)?.grade.map
             }
             None => self.mean.grade(&small),
         };

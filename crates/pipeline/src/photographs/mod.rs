@@ -26,6 +26,8 @@ use use3d_photographs::{
 use use3d_render::Mode;
 use use3d_scene::Scene;
 
+use crate::WorkError;
+
 pub use record::{FinishedPhotograph, Overwrite, Record};
 pub use table::{TABLE, write_table};
 pub use use3d_stages::Appearance;
@@ -99,20 +101,6 @@ pub struct PhotographWork<'a, 's> {
     pub settings: String,
     /// The permission to replace files.
     pub overwrite: Overwrite,
-}
-
-/// A photograph that cannot be enhanced, or a folder that cannot be written.
-#[derive(Debug, thiserror::Error)]
-pub enum WorkError {
-    /// The input is wrong: file, expectation, next step.
-    #[error("{0}")]
-    Input(String),
-    /// A result cannot be written, or the scene cannot be drawn.
-    #[error("{0}")]
-    Failed(String),
-    /// The caller stopped the work; finished photographs stay.
-    #[error("interrupted")]
-    Stopped,
 }
 
 /// The numbers of a finished set.
@@ -221,7 +209,7 @@ impl PhotographWork<'_, '_> {
             let name = file.to_string();
             if !progress(totals.kept + totals.written, total, &name) {
                 self.table(&mut record)?;
-                return Err(WorkError::Stopped);
+                return Err(WorkError::Interrupted);
             }
             let photographer = match &mut photographer {
                 Some(photographer) => photographer,
@@ -272,7 +260,7 @@ impl PhotographWork<'_, '_> {
     /// Writes the table, and notes it as the program's own.
     fn table(&self, record: &mut Record) -> Result<(), WorkError> {
         record.begin(TABLE)?;
-        write_table(self.out, record, self.metres).map_err(|e| WorkError::Failed(e.to_string()))?;
+        write_table(self.out, record, self.metres).map_err(WorkError::failed)?;
         record.end(TABLE, &self.out.join(TABLE))
     }
 
@@ -294,7 +282,7 @@ impl PhotographWork<'_, '_> {
     /// The place of a photograph's mask; `None` if no masks are wanted.
     fn mask(&self, original: &Original) -> Result<Option<MaskPlace>, WorkError> {
         let Some(folder) = self.unknown else { return Ok(None) };
-        let failed = |e: &dyn std::fmt::Display| WorkError::Input(e.to_string());
+        let failed = |e: &dyn std::fmt::Display| WorkError::input(e);
         let name = original.relative.with_extension("png").map_err(|e| failed(&e))?;
         let file = std::path::absolute(name.below(folder)).map_err(|e| failed(&e))?;
         Ok(Some(MaskPlace { key: format!("mask {}", file.display()), file }))
@@ -331,10 +319,10 @@ impl PhotographWork<'_, '_> {
             let Some(file) = self.file(&original.relative) else { continue };
             let source = file.below(self.folder);
             let grid = self.grid(grids, original, &source)?.0;
-            let photograph = Photograph::read(&source).map_err(|e| WorkError::Input(e.to_string()))?;
+            let photograph = Photograph::read(&source).map_err(WorkError::input)?;
             let small = self.small(&photograph);
             if (small.width(), small.height()) == grid.size() {
-                let of = photographer.pairs(&small, &grid).map_err(|e| WorkError::Failed(e.to_string()))?;
+                let of = photographer.pairs(&small, &grid).map_err(WorkError::failed)?;
                 names.push(file);
                 pairs.push(of);
             }
@@ -374,7 +362,7 @@ impl PhotographWork<'_, '_> {
         original: &Original,
         source: &Path,
     ) -> Result<(Grid, Option<Intrinsics>), WorkError> {
-        let info = photograph_info(source).map_err(|e| WorkError::Input(e.to_string()))?;
+        let info = photograph_info(source).map_err(WorkError::input)?;
         let file = (original.width, original.height);
         if (info.width, info.height) != file {
             return Err(WorkError::Input(format!(
@@ -422,7 +410,7 @@ impl PhotographWork<'_, '_> {
         (source, target, mask): (&Path, &Path, Option<&MaskPlace>),
     ) -> Result<FinishedPhotograph, WorkError> {
         let (grid, straight) = self.grid(grids, original, source)?;
-        let mut photograph = Photograph::read(source).map_err(|e| WorkError::Input(e.to_string()))?;
+        let mut photograph = Photograph::read(source).map_err(WorkError::input)?;
         if let Some(pinhole) = straight.filter(|_| !original.lens.is_pinhole()) {
             photograph = undistorted(photograph, original, &pinhole);
         }
@@ -435,7 +423,7 @@ impl PhotographWork<'_, '_> {
         change(&mut photograph, &grade.map.after(self.gains()).developed(development));
         if let Some(mask) = mask {
             let known = large(&grade.known, (photograph.width, photograph.height));
-            write_png_map(&mask.file, &known).map_err(|e| WorkError::Failed(e.to_string()))?;
+            write_png_map(&mask.file, &known).map_err(WorkError::failed)?;
         }
         self.write(&photograph, target)?;
         Ok(entry)
@@ -449,7 +437,7 @@ impl PhotographWork<'_, '_> {
         source: &Path,
         target: &Path,
     ) -> Result<FinishedPhotograph, WorkError> {
-        let mut photograph = Photograph::read(source).map_err(|e| WorkError::Input(e.to_string()))?;
+        let mut photograph = Photograph::read(source).map_err(WorkError::input)?;
         let gains = self.gains();
         let small = developed(self.small(&photograph), development.as_deref());
         change(&mut photograph, &mean.grade(&small).after(gains).developed(development));

@@ -18,7 +18,7 @@ use use3d_capture::FileName;
 use use3d_io_image::{Photograph, Samples};
 use use3d_photographs::ViewMap;
 
-use super::WorkError;
+use crate::WorkError;
 
 /// The record's name in the folder of the results.
 const FILE: &str = ".photographs.jsonl";
@@ -260,7 +260,7 @@ impl Record {
     }
 
     fn append(&self, line: serde_json::Result<String>) -> Result<(), WorkError> {
-        self.write(&(line.map_err(|e| WorkError::Failed(e.to_string()))? + "\n"))
+        self.write(&(line.map_err(WorkError::failed)? + "\n"))
     }
 
     fn note(&mut self, key: &str, result: Option<Stamp>) -> Result<(), WorkError> {

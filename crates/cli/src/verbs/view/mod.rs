@@ -2,29 +2,27 @@
 //! `--view` that a training uses.
 
 mod follow;
-mod points;
 mod watch;
 
 pub(crate) use watch::watched;
 
 use std::io::Write;
-use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use use3d_import::{ImportParams, Imported, import};
-use use3d_pipeline::scene_page::{self, ScenePageError};
+use use3d_import::{ImportParams, import};
+use use3d_pipeline::found::capture_in;
+use use3d_pipeline::points;
+use use3d_pipeline::scene_page;
+use use3d_pipeline::scene_views::{metres, saved_views, scene_name};
 use use3d_scene::{Origin, Scene};
-use use3d_viewer::{Live, Server, Shown};
-use use3d_web::PageView;
+use use3d_viewer::{Live, Redirect, Server, Shown, browser};
 
 use crate::App;
 use crate::args::ViewArgs;
-use crate::error::{CliError, Done};
-use crate::verbs::found::{capture_in, scene_in};
-use crate::verbs::web::{check_metres, metres, saved_views, scene_name, views};
+use crate::error::{Done, WorkError};
+use crate::verbs::web::{check_metres, views};
 use crate::verbs::white;
 
 /// Time between two checks of the stop flag while waiting.
@@ -38,23 +36,23 @@ pub(crate) fn run(app: &App, args: &ViewArgs) -> Done {
         return follow::run(app, args, followed, &live);
     }
     let Some(target) = &args.target else {
-        return Err(CliError::input("name what to show: a scene, a capture, or --follow FILE"));
+        return Err(WorkError::input("name what to show: a scene, a capture, or --follow FILE"));
     };
     let cameras = args.cameras.clone().or_else(|| capture_in(target));
-    let shown = shown(app, &scene_in(app, target)?, cameras.as_deref(), args)?;
+    let shown = shown(app, &app.scene_in(target)?, cameras.as_deref(), args)?;
     let _server = serve(app, args.port, args.no_open, &live, Stream::Result)?;
-    live.hand_over(shown).map_err(CliError::input)?;
-    while !app.stop.load(Ordering::Relaxed) {
+    live.hand_over(shown).map_err(WorkError::input)?;
+    while !app.host.stops() {
         std::thread::sleep(WAIT);
     }
     Ok(())
 }
 
 /// The scene or capture in a folder.
-fn shown(app: &App, target: &Path, cameras: Option<&Path>, args: &ViewArgs) -> Result<Shown, CliError> {
+fn shown(app: &App, target: &Path, cameras: Option<&Path>, args: &ViewArgs) -> Result<Shown, WorkError> {
     let saved = saved_views(args.views.as_deref())?.map(Arc::new);
     if Scene::is_scene(target) {
-        let scene = Scene::load(target).map_err(CliError::input)?;
+        let scene = Scene::load(target).map_err(WorkError::input)?;
         let views = views(cameras, target, &scene)?;
         let metres_per_unit = metres(args.metres_per_unit, saved.as_deref(), target)?;
         let white = white::of(app, &args.white, target, &scene, cameras)?.map(Arc::new);
@@ -64,28 +62,20 @@ fn shown(app: &App, target: &Path, cameras: Option<&Path>, args: &ViewArgs) -> R
     if !target.is_dir() {
         let there = if target.exists() { "this is a file" } else { "there is no such folder" };
         let what = format!("{there}; expected the folder of a scene, of a run's results or of a capture");
-        return Err(CliError::Input(format!("{}: {what}", target.display())));
+        return Err(WorkError::Input(format!("{}: {what}", target.display())));
     }
     if args.cameras.is_some() {
-        return Err(CliError::input("--cameras is for a scene; a capture has its own cameras"));
+        return Err(WorkError::input("--cameras is for a scene; a capture has its own cameras"));
     }
-    let imported = import(target, &ImportParams::default()).map_err(CliError::input)?;
+    let imported = import(target, &ImportParams::default()).map_err(WorkError::input)?;
     let scene = points::scene(&imported.capture)
-        .map_err(|what| CliError::Input(format!("{}: {what}", target.display())))?;
+        .map_err(|what| WorkError::Input(format!("{}: {what}", target.display())))?;
     let origin = Origin::of(&imported.capture);
-    let views = scene_page::views(&scene, Some(&origin), &imported).map_err(CliError::input)?;
+    let views = scene_page::views(&scene, Some(&origin), &imported).map_err(WorkError::input)?;
     let given = args.metres_per_unit.or_else(|| saved.as_ref()?.metres_per_unit);
     let known = imported.model.world.as_ref().map(|world| world.metres_per_unit);
     let shown = Shown::new(imported.capture.name, scene, views, None);
     Ok(Shown { metres_per_unit: given.or(known), saved, ..shown })
-}
-
-/// The camera positions of an imported capture, held-out ones first: they show best how good a scene is.
-fn places(scene: &Scene, imported: &Imported) -> Result<Vec<PageView>, ScenePageError> {
-    let origin = Origin::of(&imported.capture);
-    let mut views = scene_page::views(scene, Some(&origin), imported)?;
-    views.sort_by_key(|view| !view.held_out);
-    Ok(views)
 }
 
 /// The stream for the address: stdout for `use3d view`, whose result it is, and stderr for a training.
@@ -95,22 +85,16 @@ enum Stream {
     Remark,
 }
 
-/// A server that runs until it is dropped.
-struct Serving {
-    _server: Server,
-    /// The page that leads a browser to the server.
-    _redirect: Option<tempfile::NamedTempFile>,
-}
-
-/// Starts the server, prints its address, and opens a browser if there is a screen.
+/// Starts the server, prints its address, and opens a browser if there is a screen. The server, and the page
+/// that leads a browser to it, end when they are dropped.
 fn serve(
     app: &App,
     port: Option<u16>,
     no_open: bool,
     live: &Arc<Live>,
     stream: Stream,
-) -> Result<Serving, CliError> {
-    let server = Server::start(port, live).map_err(CliError::input)?;
+) -> Result<(Server, Option<Redirect>), WorkError> {
+    let server = Server::start(port, live).map_err(WorkError::input)?;
     let (address, port) = (server.address(), server.port());
     if stream == Stream::Result {
         println!("{address}");
@@ -124,53 +108,6 @@ fn serve(
         "open this whole address in a browser (the part after # is the key); on another machine, first \
          run `ssh -L {port}:localhost:{port} HOST` there; Ctrl-C ends the viewer"
     );
-    let redirect = if no_open { None } else { open(&address) };
-    Ok(Serving { _server: server, _redirect: redirect })
-}
-
-/// The prefix of the name of a page that leads to a server.
-const REDIRECT: &str = "use3d-view-";
-
-/// Writes a page that leads to an address. Only this user can read it, while every user of a machine can read
-/// the arguments of its processes, and the address ends with the key.
-fn page_to(address: &str) -> std::io::Result<tempfile::NamedTempFile> {
-    let own = std::env::var_os("XDG_RUNTIME_DIR").map(PathBuf::from).filter(|folder| folder.is_dir());
-    let folder = own.unwrap_or_else(std::env::temp_dir);
-    use3d_files::sweep(&folder, REDIRECT, |_| true);
-    let prefix = format!("{REDIRECT}{}-", use3d_files::unique());
-    let mut page = tempfile::Builder::new().prefix(&prefix).suffix(".html").tempfile_in(folder)?;
-    write!(
-        page,
-        "<!doctype html>\n<meta charset=\"utf-8\">\n<meta name=\"referrer\" content=\"no-referrer\">\n\
-         <meta http-equiv=\"refresh\" content=\"0; url={address}\">\n<title>3D-USE</title>\n\
-         <p><a href=\"{address}\">Open the viewer</a></p>\n"
-    )?;
-    page.flush()?;
-    Ok(page)
-}
-
-/// Makes the system open an address, and returns the page that leads to it. The address is printed in any
-/// case, so a missing browser does not matter.
-fn open(address: &str) -> Option<tempfile::NamedTempFile> {
-    let screen = ["DISPLAY", "WAYLAND_DISPLAY"].iter().any(|name| std::env::var_os(name).is_some());
-    let (program, arguments): (&str, &[&str]) = if cfg!(target_os = "macos") {
-        ("open", &[])
-    } else if cfg!(windows) {
-        ("cmd", &["/c", "start", ""])
-    } else if screen {
-        ("xdg-open", &[])
-    } else {
-        return None;
-    };
-    let no_page =
-        |error: &std::io::Error| tracing::debug!("no page that leads a browser to the viewer: {error}");
-    let page = page_to(address).inspect_err(no_page).ok()?;
-    let mut command = Command::new(program);
-    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
-    match command.args(arguments).arg(page.path()).spawn() {
-        // A thread waits for the child, so that no zombie process is left.
-        Ok(mut child) => drop(std::thread::spawn(move || child.wait())),
-        Err(error) => tracing::debug!("{program}: {error}"),
-    }
-    Some(page)
+    let redirect = if no_open { None } else { browser::open(&address) };
+    Ok((server, redirect))
 }

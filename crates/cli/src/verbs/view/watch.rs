@@ -5,15 +5,16 @@ use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use use3d_import::load_prepared;
+use use3d_pipeline::scene_views::held_out_first;
 use use3d_scene::Scene;
 use use3d_viewer::{Live, Shown};
 use use3d_web::PageView;
 use use3d_workflow::Event;
 
-use super::{Stream, places, serve};
+use super::{Stream, serve};
 use crate::App;
 use crate::args::WatchArgs;
-use crate::error::Done;
+use crate::error::{Done, WorkError};
 
 /// Runs stages by `work`, with an app whose stages are shown in a viewer if the arguments request one. `name`
 /// is the scene's name if there is only one.
@@ -26,17 +27,17 @@ pub(crate) fn watched(
     if !args.view {
         return work(app);
     }
-    let live = Arc::new(Live::new("Waiting for the training to begin", Some(app.stop.clone())));
+    let live = Arc::new(Live::new("Waiting for the training to begin", Some(app.host.stop.clone())));
     let _server = serve(app, args.port, args.no_open, &live, Stream::Remark)?;
     let name = name.map(str::to_string);
     let watcher = Arc::new(Watcher { live: live.clone(), name, known: Mutex::default() });
     let done = work(&app.heard_by(move |event| watcher.hear(event)));
     live.end(&match &done {
         Ok(()) => "Done.".to_string(),
-        Err(_) if app.stop.load(Ordering::Relaxed) => {
+        Err(_) if app.host.stops() => {
             "Stopped. Run the same command to continue from the checkpoint.".to_string()
         }
-        Err(error) => format!("Failed: {}", error.text()),
+        Err(error) => format!("Failed: {error}"),
     });
     live.let_them_know();
     done
@@ -133,7 +134,7 @@ impl Watcher {
 }
 
 /// The camera positions of the import in a folder.
-fn places_of(import: &Path, scene: &Scene) -> Result<Vec<PageView>, String> {
-    let imported = load_prepared(import).map_err(|e| e.to_string())?;
-    places(scene, &imported).map_err(|e| e.to_string())
+fn places_of(import: &Path, scene: &Scene) -> Result<Vec<PageView>, WorkError> {
+    let imported = load_prepared(import).map_err(WorkError::input)?;
+    held_out_first(scene, &imported).map_err(WorkError::input)
 }

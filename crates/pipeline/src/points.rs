@@ -6,6 +6,8 @@ use use3d_numerics::spherical_harmonics::C0;
 use use3d_scene::Scene;
 use use3d_splat::Gaussians;
 
+use crate::WorkError;
+
 /// A point's size, as a share of the median distance of the points from their centre.
 const SIZE: f64 = 0.004;
 /// Nearly opaque.
@@ -14,16 +16,15 @@ const OPACITY_LOGIT: f32 = 4.0;
 /// Converts the points of a capture to a scene.
 ///
 /// # Errors
-/// A capture without points; the error is a message.
-pub(super) fn scene(capture: &Capture) -> Result<Scene, String> {
+/// A capture without points; the message does not name it.
+pub fn scene(capture: &Capture) -> Result<Scene, WorkError> {
     let places: Vec<glam::DVec3> = capture.points.iter().map(|p| p.position).collect();
     let count = places.len();
     if count == 0 {
-        return Err(
+        return Err(WorkError::input(
             "this capture has no sparse points, so there is nothing to show yet; `use3d reconstruct` makes \
-             a scene from it"
-                .into(),
-        );
+             a scene from it",
+        ));
     }
     let middle = places.iter().sum::<glam::DVec3>() / count as f64;
     let mut far: Vec<f64> = places.iter().map(|p| (*p - middle).length()).collect();

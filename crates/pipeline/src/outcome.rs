@@ -4,16 +4,16 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 use use3d_judge::scores::{Method, MethodScores, SceneScores, Scores};
-use use3d_pipeline::results::Delivered;
 use use3d_stages::{SCORES, read_json, report::best_method};
 use use3d_workflow::Summary;
 use use3d_workflow::place::PlaceError;
 
 use crate::destination::absolute;
+use crate::results::Delivered;
 
 /// The document of `run --json`.
 #[derive(Serialize)]
-pub(crate) struct Outcome<'a> {
+pub struct Outcome<'a> {
     #[serde(flatten)]
     summary: &'a Summary,
     /// All results in the results folder; empty if the run was interrupted.
@@ -44,7 +44,7 @@ struct MethodMeans {
 
 impl<'a> Outcome<'a> {
     /// Creates it from a run and the result of delivering its results.
-    pub(crate) fn new(summary: &'a Summary, delivered: &Result<Vec<Delivered>, PlaceError>) -> Self {
+    pub fn new(summary: &'a Summary, delivered: &Result<Vec<Delivered>, PlaceError>) -> Self {
         let all = delivered.as_deref().unwrap_or_default();
         let scores = all.iter().filter_map(|result| {
             let scores = scores(result)?;
@@ -71,18 +71,17 @@ fn scores(result: &Delivered) -> Option<SceneScores> {
     (result.what == "evaluate").then(|| read_json(&result.path.join(SCORES)).ok()).flatten()
 }
 
-/// Prints the paths of the results, and the quality of the reconstructions.
-pub(crate) fn tell(delivered: &[Delivered]) {
-    for Delivered { what, path, .. } in delivered {
-        println!("{what:<12} {}", path.display());
-    }
+/// The paths of the results, and the quality of the reconstructions, in lines.
+pub fn lines(delivered: &[Delivered]) -> Vec<String> {
+    let path = |Delivered { what, path, .. }: &Delivered| format!("{what:<12} {}", path.display());
+    let mut lines: Vec<String> = delivered.iter().map(path).collect();
     for result in delivered {
         let Some(scores) = scores(result) else { continue };
         let named = [result.scene.as_str(), result.variant.as_str()];
         let of = named.into_iter().filter(|name| !name.is_empty()).collect::<Vec<_>>().join(" · ");
         let mean = |method, metric| scores.mean(method, metric).and_then(|s| s.value());
         if let Some(psnr) = mean(Method::Reconstruction, "psnr") {
-            println!("{of}: held-out photographs are reproduced at {psnr:.2} dB PSNR");
+            lines.push(format!("{of}: held-out photographs are reproduced at {psnr:.2} dB PSNR"));
         }
         // The look that leads the report is printed too.
         let enhanced = delivered
@@ -95,9 +94,11 @@ pub(crate) fn tell(delivered: &[Delivered]) {
                 .filter_map(|(method, name)| Some(format!("{name} {:.2} dB", mean(method, "truth_psnr")?)))
                 .collect();
         if !against_truth.is_empty() {
-            println!("{of}: against the true scene without water: {}", against_truth.join(", "));
+            let truth = against_truth.join(", ");
+            lines.push(format!("{of}: against the true scene without water: {truth}"));
         }
     }
+    lines
 }
 
 #[cfg(test)]

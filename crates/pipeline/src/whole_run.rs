@@ -67,7 +67,7 @@ impl Drop for Bar {
 }
 
 /// The stages of a run and their times.
-pub(crate) struct WholeRun {
+pub struct WholeRun {
     parts: Vec<Share>,
     jobs: usize,
     started: Instant,
@@ -76,7 +76,7 @@ pub(crate) struct WholeRun {
 
 impl WholeRun {
     /// The stages that `plan` will run; with `only`, those of these scenes and variants, and of no scene.
-    pub(crate) fn new(plan: &Plan, only: Option<&[(String, String)]>, jobs: usize) -> Self {
+    pub fn new(plan: &Plan, only: Option<&[(String, String)]>, jobs: usize) -> Self {
         let only: Option<BTreeSet<(&str, &str)>> =
             only.map(|cells| cells.iter().map(|(scene, variant)| (&**scene, &**variant)).collect());
         let parts = plan.nodes.iter().map(|planned| {
@@ -98,7 +98,7 @@ impl WholeRun {
 
     /// A listener that passes all events to `inner` and adds the progress of the whole run. A run of one
     /// stage has no bar of its own.
-    pub(crate) fn listener(self, inner: Arc<dyn Listener>) -> Arc<dyn Listener> {
+    pub fn listener(self, inner: Arc<dyn Listener>) -> Arc<dyn Listener> {
         if self.parts.iter().filter(|part| part.turn == Turn::Pending).count() < 2 {
             return inner;
         }

@@ -12,63 +12,56 @@ use use3d_capture::name::shown;
 use use3d_workflow::place::{self, PlaceError};
 use use3d_workflow::{Cache, Digest};
 
-use crate::error::{CliError, Done};
+use crate::WorkError;
 
 /// The folder of results where none is named.
-pub(crate) const OUT: &str = "use3d-out";
-
-/// A place refused before any work is bad input; a failed write is [`CliError::failed`].
-impl From<PlaceError> for CliError {
-    fn from(error: PlaceError) -> Self {
-        Self::Input(error.to_string())
-    }
-}
+pub const OUT: &str = "use3d-out";
 
 /// An absolute form of a path; links stay in it.
-pub(crate) fn absolute(path: &Path) -> PathBuf {
+pub fn absolute(path: &Path) -> PathBuf {
     std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf())
 }
 
 /// The paths of a folder's files and folders; none if it cannot be read.
-pub(crate) fn entries(folder: &Path) -> impl Iterator<Item = PathBuf> + use<> {
+pub fn entries(folder: &Path) -> impl Iterator<Item = PathBuf> + use<> {
     std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path())
 }
 
 /// The hidden folder beside a result for the work of a stage by hand.
-pub(crate) fn work_of(out: &Path) -> PathBuf {
+pub fn work_of(out: &Path) -> PathBuf {
     let name = out.file_name().unwrap_or_default().to_string_lossy();
     out.with_file_name(format!(".{name}.work"))
 }
 
 /// The checkpoints of trainings in a folder for the work of a stage by hand.
-pub(crate) fn checkpoints_in(work: &Path) -> impl Iterator<Item = PathBuf> + use<> {
+pub fn checkpoints_in(work: &Path) -> impl Iterator<Item = PathBuf> + use<> {
     let is_one = |file: &PathBuf| file.extension().is_some_and(|ending| ending == "checkpoint");
     Cache::checkpoints_of(work).filter(is_one)
 }
 
 /// A path with control characters escaped, for printing.
-pub(crate) fn path_text(path: &Path) -> String {
+pub fn path_text(path: &Path) -> String {
     shown(&path.to_string_lossy()).into_owned()
 }
 
 /// Fails if a folder for a result is taken or cannot be written.
-pub(crate) fn check_folder(out: &Path, force: bool) -> Done {
+pub fn check_folder(out: &Path, force: bool) -> Result<(), WorkError> {
     if out.file_name().is_none() {
         let what = "this folder is in use; choose another folder for the result";
-        return Err(CliError::Input(format!("--out {}: {what}", path_text(out))));
+        return Err(WorkError::Input(format!("--out {}: {what}", path_text(out))));
     }
     let folder = place::parent(out);
     place::sweep(folder);
     place::check(out, force).and_then(|()| place::check_writable(folder)).map_err(|e| match e {
-        PlaceError::Occupied { .. } => CliError::Input(format!("--out {e}")),
+        PlaceError::Occupied { .. } => WorkError::Input(format!("--out {e}")),
         PlaceError::Io { .. } => e.into(),
     })
 }
 
 /// Fails if a file for a result is taken, has none of `extensions`, or cannot be written. `flag` is the flag
 /// that names the file.
-pub(crate) fn check_file(flag: &str, path: &Path, force: bool, extensions: &[&str]) -> Done {
-    let refuse = |what: &str| Err(CliError::Input(format!("{flag} {}: {what}", path_text(path))));
+pub fn check_file(flag: &str, path: &Path, force: bool, extensions: &[&str]) -> Result<(), WorkError> {
+    let refuse = |what: &str| Err(WorkError::Input(format!("{flag} {}: {what}", path_text(path))));
     if path.file_name().is_none() {
         return refuse("expected the name of a file");
     }
@@ -102,47 +95,47 @@ pub(crate) fn check_file(flag: &str, path: &Path, force: bool, extensions: &[&st
 }
 
 /// Writes a file that [`check_file`] allowed, whole or not at all; parent folders are created.
-pub(crate) fn write_file(
+pub fn write_file(
     flag: &str,
     path: &Path,
     fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
-) -> Done {
+) -> Result<(), WorkError> {
     let written = use3d_files::write_atomically(path, |writer| {
         fill(writer)?;
         writer.flush()?;
         writer.get_ref().sync_all()
     });
-    written.map_err(|e| CliError::Failed(format!("{flag} {}: cannot be written: {e}", path_text(path))))
+    written.map_err(|e| WorkError::Failed(format!("{flag} {}: cannot be written: {e}", path_text(path))))
 }
 
 /// Writes a text like [`write_file`].
-pub(crate) fn write_text(flag: &str, path: &Path, text: &str) -> Done {
+pub fn write_text(flag: &str, path: &Path, text: &str) -> Result<(), WorkError> {
     write_file(flag, path, |writer| writer.write_all(text.as_bytes()))
 }
 
 /// Copies a finished file to the path that the user gave.
-pub(crate) fn copy_file(flag: &str, from: &Path, to: &Path) -> Done {
+pub fn copy_file(flag: &str, from: &Path, to: &Path) -> Result<(), WorkError> {
     write_file(flag, to, |writer| io::copy(&mut File::open(from)?, writer).map(|_| ()))
 }
 
 /// Copies a finished folder to the path that the user gave, with a record of its own.
-pub(crate) fn copy_folder(from: &Path, to: &Path, force: bool) -> Done {
-    put_folder(to, None, force, |made| place::copy_folder(from, made).map_err(CliError::failed))
+pub fn copy_folder(from: &Path, to: &Path, force: bool) -> Result<(), WorkError> {
+    put_folder(to, None, force, |made| place::copy_folder(from, made).map_err(WorkError::failed))
 }
 
 /// Fills a new folder, and moves it to its place with a record of its own. An error leaves nothing behind.
-pub(crate) fn put_folder(
+pub fn put_folder(
     to: &Path,
     key: Option<Digest>,
     force: bool,
-    fill: impl FnOnce(&Path) -> Done,
-) -> Done {
-    let fill = |made: &Path| fill(made).and_then(|()| place::record(made, key).map_err(CliError::failed));
-    place::put_folder(to, force, fill, CliError::failed)
+    fill: impl FnOnce(&Path) -> Result<(), WorkError>,
+) -> Result<(), WorkError> {
+    let fill = |made: &Path| fill(made).and_then(|()| place::record(made, key).map_err(WorkError::failed));
+    place::put_folder(to, force, fill, WorkError::failed)
 }
 
 /// A path as a word of a command line, quoted if necessary.
-pub(crate) fn word(path: &Path) -> String {
+pub fn word(path: &Path) -> String {
     let text = path_text(path);
     let plain = |c: char| c.is_alphanumeric() || "/._-+~@:=,".contains(c);
     if !text.is_empty() && text.chars().all(plain) {
@@ -155,9 +148,9 @@ pub(crate) fn word(path: &Path) -> String {
 mod tests {
     use super::*;
 
-    fn complaint(done: Done) -> String {
+    fn complaint(done: Result<(), WorkError>) -> String {
         match done {
-            Err(CliError::Input(message)) => message,
+            Err(WorkError::Input(message)) => message,
             other => format!("{other:?}"),
         }
     }

@@ -115,7 +115,7 @@ fn commands(page: &str, text: &str) -> Vec<Command> {
 
 /// Every parameter, as `stage.name`.
 fn known() -> BTreeSet<String> {
-    let stages = crate::verbs::loaded::stages().expect("the stage table");
+    let stages = use3d_pipeline::loaded::stages().expect("the stage table");
     let all = parameters(&stages, None, None).expect("all parameters");
     all.iter().flat_map(|s| s.parameters.iter().map(|p| format!("{}.{}", s.stage, p.name))).collect()
 }

@@ -4,10 +4,9 @@ use std::path::{Path, PathBuf};
 
 use use3d_scene::Scene;
 
-use crate::App;
+use crate::WorkError;
 use crate::destination::{OUT, entries, path_text};
-use crate::error::CliError;
-use crate::verbs::history;
+use crate::history;
 
 /// The folders of a scene's results that are scenes, the best one first.
 const SCENES: [&str; 2] = ["enhanced-scene", "scene"];
@@ -30,7 +29,7 @@ fn scenes_below(folder: &Path) -> Vec<PathBuf> {
 ///
 /// # Errors
 /// A results folder with several scenes, or a capture whose results lie elsewhere.
-pub(crate) fn scene_in(app: &App, given: &Path) -> Result<PathBuf, CliError> {
+pub fn scene_in(given: &Path) -> Result<PathBuf, WorkError> {
     if Scene::is_scene(given) {
         return Ok(given.to_path_buf());
     }
@@ -42,20 +41,17 @@ pub(crate) fn scene_in(app: &App, given: &Path) -> Result<PathBuf, CliError> {
             if !given.is_dir() || (own_scene(&results).is_none() && scenes_below(&results).is_empty()) {
                 return Ok(given.to_path_buf());
             }
-            Err(CliError::Input(format!(
+            Err(WorkError::Input(format!(
                 "{}: this folder holds no scene; the results of its run are in {}",
                 path_text(given),
                 path_text(&results)
             )))
         }
-        [scene] => {
-            remark!(app, "the scene is {}", path_text(scene));
-            Ok(scene.clone())
-        }
+        [scene] => Ok(scene.clone()),
         several => {
             let folders = several.iter().filter_map(|scene| scene.parent()).map(path_text);
             let folders: Vec<String> = folders.collect();
-            Err(CliError::Input(format!(
+            Err(WorkError::Input(format!(
                 "{}: this folder holds the results of {} scenes; give one of them: {}",
                 path_text(given),
                 folders.len(),
@@ -67,7 +63,7 @@ pub(crate) fn scene_in(app: &App, given: &Path) -> Result<PathBuf, CliError> {
 
 /// The capture from which the results in a folder were made, if `given` is a results folder and its capture
 /// still exists.
-pub(crate) fn capture_in(given: &Path) -> Option<PathBuf> {
+pub fn capture_in(given: &Path) -> Option<PathBuf> {
     if Scene::is_scene(given) {
         return None;
     }
@@ -77,15 +73,10 @@ pub(crate) fn capture_in(given: &Path) -> Option<PathBuf> {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
-    use use3d_workflow::Silent;
-
     use super::*;
 
     #[test]
     fn a_results_folder_means_its_scene_and_the_enhanced_one_first() {
-        let app = App { quiet: true, threads: 1, stop: Arc::default(), listener: Arc::new(Silent) };
         let dir = tempfile::tempdir().unwrap();
         let scene = |path: &str| {
             let folder = dir.path().join(path);
@@ -93,7 +84,7 @@ mod tests {
             std::fs::write(folder.join("scene.json"), "{}").unwrap();
             folder
         };
-        let found = |path: &Path| scene_in(&app, path).unwrap();
+        let found = |path: &Path| scene_in(path).unwrap();
         let plain = scene("out/reef/scene");
         assert_eq!(found(&plain), plain);
         assert_eq!(found(&dir.path().join("out")), plain);
@@ -103,7 +94,7 @@ mod tests {
         // A path that is neither a results folder nor a scene.
         assert_eq!(found(&dir.path().join("nowhere")), dir.path().join("nowhere"));
         scene("out/wreck/scene");
-        let refused = scene_in(&app, &dir.path().join("out")).unwrap_err();
-        assert!(refused.text().contains("reef") && refused.text().contains("wreck"), "{}", refused.text());
+        let refused = scene_in(&dir.path().join("out")).unwrap_err();
+        assert!(refused.to_string().contains("reef") && refused.to_string().contains("wreck"), "{refused}");
     }
 }

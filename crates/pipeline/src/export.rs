@@ -1,0 +1,274 @@
+//! Files of a scene for other 3D Gaussian splatting viewers.
+//!
+//! The looks of these files are modes of the renderer. The files hold Gaussians and no water, so a look with
+//! water is baked into the colours as the cameras saw it, with a sphere of Gaussians for open water behind
+//! the scene. The file's header says so (SPZ has no room for text).
+
+use std::path::Path;
+
+use glam::{DMat3, DVec3};
+use use3d_capture::{Camera, Frame};
+use use3d_render::white::balanced;
+use use3d_render::{InWater, Look, Mode, bake_in_water};
+use use3d_scene::white::Gains;
+use use3d_scene::{Origin, Scene, similarity};
+use use3d_splat::{Gaussians, ply};
+use use3d_stages::CAMERAS;
+use use3d_web::foreign::{NO_WATER, compressed_ply, glb, spz};
+
+use crate::WorkError;
+use crate::baked::difference;
+use crate::destination::{path_text, write_file};
+use crate::scene_page::is_held_out;
+use crate::scene_views::placed;
+
+/// A file format of other viewers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum GaussianFormat {
+    /// The PLY of 3D Gaussian splatting.
+    Ply,
+    /// The compressed PLY of PlayCanvas and SuperSplat.
+    CompressedPly,
+    /// glTF with `KHR_gaussian_splatting`.
+    Glb,
+    /// SPZ of this version.
+    Spz(spz::Version),
+}
+
+/// The frame of the positions in a file.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum GaussianFrame {
+    /// The frame of the COLMAP model, y down.
+    #[default]
+    Colmap,
+    /// The scene's own normalised frame, z up.
+    Normalised,
+    /// COLMAP's frame turned so that y points up.
+    YUp,
+    /// Metres along the axes of the capture's world, without a large offset.
+    Metric,
+}
+
+impl GaussianFrame {
+    /// Its name in the header of a file.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Colmap => "colmap",
+            Self::Normalised => "normalised",
+            Self::YUp => "y-up",
+            Self::Metric => "metric",
+        }
+    }
+}
+
+/// The look of the files.
+#[derive(Clone, Copy, Debug)]
+pub struct ExportLook<'a> {
+    /// The mode; `None` for the one with which a page of the scene opens, without the water of a scene that
+    /// is not enhanced.
+    pub mode: Option<Mode>,
+    /// Share of the look's water to keep, 0 to 1.
+    pub water: f32,
+    /// True if open water is shown by a sphere of Gaussians behind the scene.
+    pub backdrop: bool,
+    /// The white balance.
+    pub gains: Gains,
+    /// The cameras through whose water the scene is baked; `None` for those that the scene keeps.
+    pub cameras: Option<&'a Path>,
+}
+
+/// The Gaussians of a scene in the colours of a look, in COLMAP's frame.
+pub struct ExportedScene<'a> {
+    scene: &'a Scene,
+    folder: &'a Path,
+    what: &'static str,
+    /// The Gaussians.
+    pub gaussians: Gaussians,
+}
+
+impl<'a> ExportedScene<'a> {
+    /// Bakes the scene in `folder`; `tell` gets the errors of the bake in words, if the caller wants them.
+    ///
+    /// # Errors
+    /// The look needs cameras or an enhancement that the scene does not have, or cannot be drawn.
+    pub fn bake(
+        (scene, folder): (&'a Scene, &'a Path),
+        look: &ExportLook<'_>,
+        tell: Option<&mut dyn FnMut(String)>,
+    ) -> Result<Self, WorkError> {
+        let opening = || Some(Mode::opening(scene)).filter(|mode| mode.is_enhanced()).unwrap_or(Mode::Clear);
+        let mode = look.mode.unwrap_or_else(opening);
+        let gaussians = baked((scene, folder), look, mode, tell)?;
+        let gaussians = match mode.gains(&look.gains) {
+            Some(gains) => balanced(gaussians, gains),
+            None => gaussians,
+        };
+        let gaussians = similarity::invert(&gaussians, &scene.frame);
+        Ok(Self { scene, folder, what: mode.name(), gaussians })
+    }
+
+    /// Writes one file, which `flag` names. A PLY has the frame `frame`; the others have their own, with y
+    /// up. `made_with` names the program. Returns look and frame in words, and the metres that were left out
+    /// of the positions.
+    ///
+    /// # Errors
+    /// The scene does not know its metres, or the file cannot be written.
+    pub fn write(
+        &self,
+        (flag, path): (&str, &Path),
+        format: GaussianFormat,
+        frame: GaussianFrame,
+        made_with: String,
+    ) -> Result<(String, Option<[f64; 3]>), WorkError> {
+        // glTF gets y up by a rotation of its node, SPZ by its definition.
+        let (stored, frame) = match format {
+            GaussianFormat::Ply | GaussianFormat::CompressedPly => (frame, frame),
+            GaussianFormat::Glb => (GaussianFrame::Colmap, GaussianFrame::YUp),
+            GaussianFormat::Spz(_) => (GaussianFrame::YUp, GaussianFrame::YUp),
+        };
+        let mut offset = None;
+        let turned = match stored {
+            GaussianFrame::Metric => {
+                let (similarity, left_out) = metric(self.folder)?;
+                offset = left_out;
+                Some(similarity)
+            }
+            GaussianFrame::Colmap => None,
+            GaussianFrame::Normalised => Some(self.scene.frame),
+            GaussianFrame::YUp => {
+                let rotation = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
+                Some(Frame { scale: 1.0, rotation, translation: DVec3::ZERO })
+            }
+        };
+        let turned = turned.map(|frame| similarity::apply(&self.gaussians, &frame));
+        let gaussians = turned.as_ref().unwrap_or(&self.gaussians);
+        let mut comments =
+            vec![made_with, format!("what: {}", self.what), format!("frame: {}", frame.name())];
+        let about = comments[1..].join(", ");
+        if let Some([x, y, z]) = offset {
+            comments.push(format!("offset: add {x} {y} {z} metres to each position"));
+        }
+        // The writers of the other formats add this text themselves; SPZ has no room for text.
+        if format == GaussianFormat::Ply {
+            comments.push(NO_WATER.into());
+        }
+        write_file(flag, path, |writer| match format {
+            GaussianFormat::Ply => ply::write_with_comments(gaussians, &comments, writer),
+            GaussianFormat::CompressedPly => compressed_ply::write(gaussians, &comments, writer),
+            GaussianFormat::Glb => glb::write(gaussians, &comments.join("; "), HALF_TURN, writer),
+            GaussianFormat::Spz(version) => spz::write(gaussians, version, writer),
+        })?;
+        Ok((about, offset))
+    }
+}
+
+/// Half a turn about x, xyzw: COLMAP's y points down and its z away from the viewer.
+const HALF_TURN: [f32; 4] = [1.0, 0.0, 0.0, 0.0];
+
+/// The Gaussians in the colours of a mode, in the scene's frame.
+fn baked(
+    (scene, folder): (&Scene, &Path),
+    look: &ExportLook<'_>,
+    mode: Mode,
+    mut tell: Option<&mut dyn FnMut(String)>,
+) -> Result<Gaussians, WorkError> {
+    let ExportLook { water, backdrop, cameras, .. } = *look;
+    let look = if mode.is_enhanced() { Look::Enhanced { strength: 1.0 } } else { Look::Reconstruction };
+    let with_water = mode.shows_water() && !scene.medium.is_none() && water > 0.0;
+    if !with_water {
+        let dry = bake_in_water(scene, look, 0.0, &[]).map_err(WorkError::input)?;
+        if let (Some(tell), Some(line)) = (&mut tell, clamped(&dry)) {
+            tell(line);
+        }
+        return Ok(dry.gaussians);
+    }
+    let (through, held_out) = cameras_of(cameras, (scene, folder))?;
+    let mut wet = bake_in_water(scene, look, water, &through).map_err(WorkError::input)?;
+    if let Some(tell) = &mut tell {
+        clamped(&wet).into_iter().for_each(&mut *tell);
+        let apart = |cameras: &[Camera]| -> Result<String, WorkError> {
+            let apart = difference(scene, look, water, &wet, cameras).map_err(WorkError::failed)?;
+            Ok(format!("ΔE00 {:.2} on average ({:.2} at the worst camera)", apart.mean, apart.worst))
+        };
+        let unseen = match held_out.len() {
+            0 => String::new(),
+            n => format!("; at {n} held-out views by {}", apart(&held_out)?),
+        };
+        tell(format!(
+            "the look is baked for the distances of {} cameras; at these cameras the file differs from the \
+             scene by {}{unseen}; closer up it still shows the water of these distances",
+            through.len(),
+            apart(&through)?
+        ));
+    }
+    if !backdrop {
+        let scene_alone: Vec<usize> = (0..wet.gaussians.len() - wet.backdrop).collect();
+        wet.gaussians = wet.gaussians.select(&scene_alone);
+    }
+    Ok(wet.gaussians)
+}
+
+/// The error of the spherical harmonics against the exact colours, in words.
+fn clamped(baked: &InWater) -> Option<String> {
+    let report = &baked.report;
+    (report.max_error > 0.0).then(|| {
+        format!(
+            "baked: the colours of {:.2} % of the samples are clamped; mean colour error {:.5}, in clamped \
+             samples {:.5}, at most {:.4}",
+            100.0 * report.clamped_share,
+            report.mean_error,
+            report.mean_error_clamped,
+            report.max_error
+        )
+    })
+}
+
+/// The cameras for a look with water, in the scene's frame: those through whose water the scene is baked, and
+/// the held-out views, at which the file is compared with the scene, too. Held-out views are not baked,
+/// unless no other cameras are given.
+fn cameras_of(
+    given: Option<&Path>,
+    (scene, folder): (&Scene, &Path),
+) -> Result<(Vec<Camera>, Vec<Camera>), WorkError> {
+    let own = folder.join(CAMERAS);
+    let place = match given {
+        Some(place) => place.to_path_buf(),
+        None if own.is_file() => own,
+        None => {
+            return Err(WorkError::Input(format!(
+                "a look with water is baked for the distances of cameras, and {} has no list of its \
+                 cameras; give --cameras CAPTURE, or choose a look without water (--what clear)",
+                path_text(folder)
+            )));
+        }
+    };
+    let cameras = placed(&place, &scene.frame)?;
+    let origin = Origin::read(folder).map_err(WorkError::input)?;
+    let (mut through, mut held_out) = (Vec::new(), Vec::new());
+    for (name, camera) in cameras {
+        if is_held_out(origin.as_ref(), name.stem()) { &mut held_out } else { &mut through }.push(camera);
+    }
+    if through.is_empty() {
+        through.clone_from(&held_out);
+    }
+    Ok((through, held_out))
+}
+
+/// Coordinates above this many metres lose millimetres in single precision.
+const FAR: f64 = 1000.0;
+
+/// The similarity from COLMAP's frame to metres, without a large offset, and that offset in whole metres.
+fn metric(scene: &Path) -> Result<(Frame, Option<[f64; 3]>), WorkError> {
+    let Some(world) = Scene::world(scene).map_err(WorkError::input)? else {
+        return Err(WorkError::Input(format!(
+            "--frame metric: {} does not know its metres; measure a length or give positions \
+             (docs/guide/metres.md), and run again",
+            path_text(scene)
+        )));
+    };
+    let translation = DVec3::from_array(world.apply([0.0; 3]));
+    let offset = if translation.abs().max_element() > FAR { translation.round() } else { DVec3::ZERO };
+    let (scale, rotation) = (world.metres_per_unit, world.rotation());
+    let similarity = Frame { scale, rotation, translation: translation - offset };
+    Ok((similarity, (offset != DVec3::ZERO).then(|| offset.to_array())))
+}

@@ -1,0 +1,244 @@
+//! Captures from films and photographs: prepares one beside its place, and moves it there when it is whole.
+//! A capture that was prepared from the same inputs with the same choices is kept.
+
+use std::cell::Cell;
+use std::path::{Path, PathBuf};
+
+use use3d_import::ImportParams;
+use use3d_prepare::{
+    CAPTURE, Grade, Input, PREPARED, PrepareError, PrepareParams, Prepared, Programs, RecipeScene,
+    RecipeWork, Sources, StepProgress, StepWatch, balance, check, key_of, prepare, publish, work_folder,
+};
+use use3d_workflow::{Digest, Event, place};
+
+use crate::WorkError;
+use crate::destination::{OUT, check_folder, path_text};
+use crate::host::Host;
+
+/// A preparation of one capture.
+#[derive(Clone, Copy)]
+pub struct Preparation<'a> {
+    /// The process that does the work.
+    pub host: &'a Host,
+    /// The films and photographs.
+    pub sources: &'a Sources,
+    /// The choices.
+    pub params: &'a PrepareParams,
+    /// The programs of others.
+    pub programs: &'a Programs,
+    /// The folder for the capture.
+    pub out: &'a Path,
+}
+
+impl Preparation<'_> {
+    /// Does work whose progress the listener gets. Each step has a label of its own.
+    fn watched<T>(
+        &self,
+        work: impl FnOnce(&StepWatch<'_>) -> Result<T, PrepareError>,
+    ) -> Result<T, PrepareError> {
+        let current = Cell::new(None);
+        let begin = |next: Option<&'static str>| {
+            if let Some(step) = current.replace(next).filter(|step| next != Some(*step)) {
+                self.host.over(step);
+            }
+        };
+        let progress = |StepProgress { step, done, total, unit }| {
+            begin(Some(step));
+            self.host.progress(step, done, total, unit, "");
+        };
+        let note = |text: &str| {
+            begin(None);
+            self.host.listener.event(&Event::Note { label: "prepare", text });
+        };
+        let done = work(&StepWatch { stop: &self.host.stop, progress: &progress, note: &note });
+        begin(None);
+        done
+    }
+
+    /// Refuses a taken place, wrong choices and missing programs before the inputs are read, because reading
+    /// long films takes minutes. A capture that was prepared before may be the wanted one.
+    ///
+    /// # Errors
+    /// The first of these that is wrong.
+    pub fn check(&self, force: bool) -> Result<(), WorkError> {
+        if self.out.join(PREPARED).is_file() {
+            return Ok(());
+        }
+        check_folder(self.out, force)?;
+        Ok(check(self.sources, self.params, self.programs)?)
+    }
+
+    /// The key and the inputs of the work that the capture needs; `None` if it was prepared from the same
+    /// inputs with the same choices.
+    ///
+    /// # Errors
+    /// An input cannot be read, or the work was interrupted.
+    pub fn need(&self) -> Result<Option<(String, Vec<Input>)>, WorkError> {
+        let (key, inputs, same) =
+            self.watched(|watch| key_of(self.sources, self.params, self.programs.finder, self.out, watch))?;
+        let whole =
+            || matches!(place::look(self.out, place::Look::Quick), Ok(place::Standing::Ours(o)) if o.whole);
+        Ok(if same && whole() { None } else { Some((key, inputs)) })
+    }
+
+    /// Does the work for `key` and `inputs`, moves the capture to its place, and returns the judgement of its
+    /// cameras in lines. With `force`, an earlier capture is replaced.
+    ///
+    /// # Errors
+    /// The place is taken, no cameras were found, a program of others failed, or the work was interrupted.
+    pub fn make(&self, key: &str, inputs: &[Input], force: bool) -> Result<Vec<String>, WorkError> {
+        check_folder(self.out, force)?;
+        let work = work_folder(self.out);
+        let prepared = self.watched(|watch| {
+            let (params, programs) = (self.params, self.programs);
+            prepare(self.sources, (key, inputs), params, programs, (&work, self.host.threads), watch)
+        })?;
+        put(&work, self.out, key, force)?;
+        Ok(lines(&prepared))
+    }
+}
+
+/// Moves the finished capture of a work folder to its place.
+fn put(work: &Path, out: &Path, key: &str, force: bool) -> Result<(), WorkError> {
+    let made = work.join(CAPTURE);
+    place::record(&made, Some(Digest::of(key.as_bytes())))
+        .and_then(|()| place::put(&made, out, force))
+        .map_err(WorkError::failed)?;
+    // The capture is in its place; files of the work that stay behind do no harm.
+    let _ = std::fs::remove_dir_all(work);
+    Ok(())
+}
+
+/// The judgement in lines, with a word for its grade.
+fn lines(prepared: &Prepared) -> Vec<String> {
+    let grade = match prepared.verdict.grade {
+        Grade::Good => "good",
+        Grade::Usable => "usable",
+        Grade::Poor => "poor",
+    };
+    let mut lines = vec![format!("The cameras are {grade}. {}", prepared.verdict.words[0])];
+    lines.extend(prepared.verdict.words[1..].iter().chain(&prepared.remarks).cloned());
+    lines
+}
+
+/// The preparation of the scenes of a data set, each into a capture of its name.
+pub struct DataSet<'a> {
+    /// The process that does the work.
+    pub host: &'a Host,
+    /// The choices.
+    pub params: &'a PrepareParams,
+    /// The programs of others.
+    pub programs: &'a Programs,
+    /// The folder for the captures.
+    pub out: &'a Path,
+    /// True if earlier captures are replaced.
+    pub force: bool,
+}
+
+impl DataSet<'_> {
+    /// Names a missing program once, and not for each scene that is left to do.
+    ///
+    /// # Errors
+    /// The missing program.
+    pub fn check(&self, scenes: &[RecipeScene]) -> Result<(), WorkError> {
+        let open = scenes.iter().filter(|scene| !self.out.join(&scene.name).join(PREPARED).is_file());
+        let mut sources = open.filter_map(|scene| match &scene.work {
+            RecipeWork::Film(path) | RecipeWork::Linear(path) => Sources::of(std::slice::from_ref(path)).ok(),
+            RecipeWork::Published { .. } => None,
+        });
+        match sources.next().map(|sources| check(&sources, self.params, self.programs)) {
+            Some(Err(error @ PrepareError::Program(_))) => Err(error.into()),
+            _ => Ok(()),
+        }
+    }
+
+    /// Prepares a scene, and returns the lines about it.
+    ///
+    /// # Errors
+    /// As those of [`Preparation`].
+    pub fn scene(&self, name: &str, work: &RecipeWork) -> Result<Vec<String>, WorkError> {
+        let (out, force) = (self.out.join(name), self.force);
+        let (path, linear) = match work {
+            RecipeWork::Published { images, model } => {
+                return copied(self.host, (images, model), &out, force);
+            }
+            RecipeWork::Film(path) => (path, false),
+            RecipeWork::Linear(path) => (path, true),
+        };
+        let mut sources = Sources::of(std::slice::from_ref(path))?;
+        if linear && sources.has_films() {
+            let what = "the folder has films; this recipe takes linear photographs";
+            return Err(WorkError::Input(format!("{}: {what}", path_text(path))));
+        }
+        if linear {
+            sources.linear = true;
+        }
+        let DataSet { host, params, programs, .. } = *self;
+        let job = Preparation { host, sources: &sources, params, programs, out: &out };
+        job.check(force)?;
+        let Some((key, inputs)) = job.need()? else {
+            return Ok(vec!["prepared before from the same files and choices".into()]);
+        };
+        if !linear {
+            return job.make(&key, &inputs, force);
+        }
+        check_folder(&out, force)?;
+        let folder = work_folder(&out);
+        let balanced = job.watched(|watch| {
+            balance(&sources, &folder, watch)?;
+            sources.made_in(&folder)
+        });
+        let sources = balanced.map_err(WorkError::from)?;
+        Preparation { sources: &sources, ..job }.make(&key, &inputs, force)
+    }
+}
+
+/// Copies a published scene into a capture, unless this was done before.
+fn copied(
+    host: &Host,
+    (images, model): (&Path, &Path),
+    out: &Path,
+    force: bool,
+) -> Result<Vec<String>, WorkError> {
+    let mut sources = Sources::of(&[images.to_path_buf()])?;
+    sources.add("sparse/0", model);
+    if let Some(scene) = images.parent() {
+        sources.add_beside(scene);
+    }
+    // Reading all photographs takes long.
+    if !out.join(PREPARED).is_file() {
+        check_folder(out, force)?;
+    }
+    let (params, programs) = (PrepareParams::default(), Programs::default());
+    let job = Preparation { host, sources: &sources, params: &params, programs: &programs, out };
+    let Some((key, inputs)) = job.need()? else {
+        return Ok(vec!["copied before from the same photographs".into()]);
+    };
+    check_folder(out, force)?;
+    let work = work_folder(out);
+    publish((images, model), (&key, &inputs), &work)?;
+    let imported = use3d_import::import(&work.join(CAPTURE), &ImportParams::default());
+    let views = imported.map_err(WorkError::input)?.report.views;
+    put(&work, out, &key, force)?;
+    Ok(vec![format!("{views} photographs and their cameras copied")])
+}
+
+/// The films or photographs of a target that has no cameras yet, and the folder for their capture: in
+/// `captures/` beside the results in `out`. `None` if the target needs no preparation.
+///
+/// # Errors
+/// The target cannot be read.
+pub fn capture_of(target: &Path, out: Option<&Path>) -> Result<Option<(Sources, PathBuf)>, WorkError> {
+    let film = target.is_file() && use3d_prepare::is_film(target);
+    let pictures =
+        || target.is_dir() && use3d_import::holds_no_model(target) && use3d_prepare::holds_inputs(target);
+    if !film && !pictures() {
+        return Ok(None);
+    }
+    let sources = Sources::of(&[target.to_path_buf()])?;
+    let name = match film {
+        true => target.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
+        false => use3d_import::capture_name(target),
+    };
+    Ok(Some((sources, out.map_or(Path::new(OUT), place::parent).join("captures").join(name))))
+}
