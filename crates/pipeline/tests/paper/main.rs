@@ -124,7 +124,8 @@ fn the_listed_parameters_of_the_preset_equal_the_table() {
             }
         }
     }
-    let unknown = parameters(&registry().expect("the stage table"), None, Some("papre")).unwrap_err();
+    let unknown =
+        parameters(&registry().expect("the stage table"), None, Some("papre")).unwrap_err().to_string();
     assert!(unknown.contains("did you mean `paper`?"), "{unknown}");
 }
 
