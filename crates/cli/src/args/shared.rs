@@ -263,7 +263,7 @@ pub(crate) fn port(text: &str) -> Result<u16, String> {
 
 /// Parses a time above zero, such as `90min`, `3h` or `3:50:00`.
 pub(crate) fn time(text: &str) -> Result<Duration, String> {
-    let time = use3d_cluster::time::parse(text)?;
+    let time = use3d_cluster::time::parse(text).map_err(|e| e.to_string())?;
     if time.is_zero() { Err("the time must be more than 0".to_string()) } else { Ok(time) }
 }
 

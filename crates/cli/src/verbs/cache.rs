@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use use3d_pipeline::config::default_cache;
-use use3d_workflow::gc::{CleanOptions, parse_age, parse_bytes};
+use use3d_workflow::gc::{AmountError, CleanOptions, parse_age, parse_bytes};
 use use3d_workflow::machine::bytes;
 use use3d_workflow::place::parent;
 use use3d_workflow::{Cache, RunOptions};
@@ -35,7 +35,7 @@ fn cache(args: &CacheArgs) -> Result<Cache, CliError> {
 }
 
 pub(crate) fn gc(args: &GcArgs) -> Done {
-    let wrong = |flag: &'static str| move |error: String| CliError::Input(format!("{flag}: {error}"));
+    let wrong = |flag: &'static str| move |error: AmountError| CliError::Input(format!("{flag}: {error}"));
     let max_bytes = args.max_bytes.as_deref().map(parse_bytes).transpose().map_err(wrong("--max-bytes"))?;
     let older_than = args.older_than.as_deref().map(parse_age).transpose().map_err(wrong("--older-than"))?;
     let mut keep = BTreeSet::new();
