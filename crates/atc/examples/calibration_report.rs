@@ -15,14 +15,9 @@ use use3d_atc::calibrator::{
 use use3d_atc::extractor::ExtractorSettings;
 use use3d_atc::progress::unwatched;
 use use3d_atc::proposers::Fusion;
-use use3d_capture::Image;
 use use3d_io_image::read_image;
 
 type Anyhow = Box<dyn std::error::Error>;
-
-fn read(path: &Path) -> Result<Image, String> {
-    read_image(path).map_err(|e| e.to_string())
-}
 
 fn pairs(dir: &Path) -> Result<Vec<String>, Anyhow> {
     let mut names = Vec::new();
@@ -45,8 +40,9 @@ fn row(errors: &TransitionErrors) -> String {
 fn dataset(dir: &Path) -> Result<Dataset, Anyhow> {
     let started = Instant::now();
     let images = pairs(dir)?.into_iter().map(|file| PairImages {
-        images: read(&dir.join("input").join(&file))
-            .and_then(|a| Ok((a, read(&dir.join("reference").join(&file))?))),
+        images: read_image(&dir.join("input").join(&file))
+            .and_then(|a| Ok((a, read_image(&dir.join("reference").join(&file))?)))
+            .map_err(Box::from),
         name: file,
     });
     let dataset = Dataset::build(images, &Fusion, &ExtractorSettings::default(), &mut unwatched)?;

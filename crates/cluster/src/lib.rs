@@ -28,7 +28,7 @@ pub enum ClusterError {
         /// The file.
         file: String,
         /// The field, the expected value, and the next step.
-        reason: String,
+        reason: site::SiteError,
     },
     /// A name that a scheduler's file cannot hold.
     #[error("{what} `{name}` {reason}; rename it")]

@@ -1,16 +1,17 @@
 //! The facts of a site, `cluster.toml`, which a plan cannot contain. All fields are optional.
 
 use std::collections::BTreeMap;
+use std::io;
 use std::path::Path;
 use std::time::Duration;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize, de};
-use use3d_workflow::gc::parse_bytes;
-use use3d_workflow::read;
+use use3d_workflow::gc::{AmountError, parse_bytes};
+use use3d_workflow::{ParameterError, read};
 
 use super::ClusterError;
-use super::time;
+use super::time::{self, TimeError};
 
 /// The facts of a site.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -98,6 +99,47 @@ pub enum Scheduler {
     HyperQueue,
 }
 
+/// A fault in a site file.
+#[derive(Debug, thiserror::Error)]
+pub enum SiteError {
+    /// The file cannot be read.
+    #[error(
+        "{0}; --cluster expects a file that describes the site (docs/guide/cluster.md shows one); without it \
+         the defaults are used"
+    )]
+    Read(#[source] io::Error),
+    /// The file is not TOML.
+    #[error(transparent)]
+    Toml(#[from] Box<toml::de::Error>),
+    /// A field is unknown, or has a value of another type.
+    #[error("`{}`: {}", .0.path, .0.message)]
+    Form(Box<ParameterError>),
+    /// The field of this name is outside its range: the value found, and the expected values.
+    #[error("`{0}` is {1}; expected {2}")]
+    Value(String, String, String),
+    /// The field of this name is not a size.
+    #[error("`{0}`: {1}")]
+    Size(String, #[source] AmountError),
+    /// The field of this name is not a time.
+    #[error("`{0}`: {1}")]
+    Time(String, #[source] TimeError),
+    /// There is no stage of this name; there are the others.
+    #[error("`stage.{0}`: there is no such stage; there are: {1}, {WORKERS}")]
+    Stage(String, String),
+    /// The field of this name has a word that is no option of the scheduler.
+    #[error("`{0}`: `{1}` is not an option of sbatch; expected one such as --gres=gpu:1")]
+    Option(String, String),
+    /// A text that does not fit on a line.
+    #[error("{0:?} has a line break or another control character in it; remove it")]
+    Line(String),
+}
+
+impl SiteError {
+    fn value(field: &str, found: &(impl ToString + ?Sized), expected: impl Into<String>) -> Self {
+        Self::Value(field.into(), found.to_string(), expected.into())
+    }
+}
+
 impl Site {
     /// Reads a site file; `stages` are the names that `[stage.NAME]` may have.
     ///
@@ -105,52 +147,46 @@ impl Site {
     /// The file is wrong: the message has the file, the field and the expected value.
     pub fn read(path: &Path, stages: &[&str]) -> Result<Self, ClusterError> {
         let wrong = |reason| ClusterError::Site { file: path.display().to_string(), reason };
-        let text = std::fs::read_to_string(path).map_err(|e| {
-            wrong(format!(
-                "{e}; --cluster expects a file that describes the site (docs/guide/cluster.md shows one); \
-                 without it the defaults are used"
-            ))
-        })?;
-        Self::parse(&text, stages).map_err(wrong)
+        let text = std::fs::read_to_string(path).map_err(SiteError::Read);
+        text.and_then(|text| Self::parse(&text, stages)).map_err(wrong)
     }
 
     /// Parses the text of a site file.
     ///
     /// # Errors
-    /// The text is wrong; the error is a message.
-    pub fn parse(text: &str, stages: &[&str]) -> Result<Self, String> {
-        let value: serde_json::Value = toml::from_str(text).map_err(|e| e.to_string())?;
-        let site: Self = read(&value).map_err(|e| format!("`{}`: {}", e.path, e.message))?;
+    /// The text is wrong.
+    pub fn parse(text: &str, stages: &[&str]) -> Result<Self, SiteError> {
+        let value: serde_json::Value = toml::from_str(text).map_err(Box::new)?;
+        let site: Self = read(&value).map_err(|fault| SiteError::Form(Box::new(fault)))?;
         site.check(stages)?;
         Ok(site)
     }
 
-    fn check(&self, stages: &[&str]) -> Result<(), String> {
+    fn check(&self, stages: &[&str]) -> Result<(), SiteError> {
         let count = |field: &str, n: usize, most: usize| match n {
-            0 => Err(format!("`{field}` is 0; expected 1 or more")),
-            n if n > most => Err(format!("`{field}` is {n}; expected {most} or fewer")),
+            0 => Err(SiteError::value(field, &n, "1 or more")),
+            n if n > most => Err(SiteError::value(field, &n, format!("{most} or fewer"))),
             _ => Ok(()),
         };
         count("cpus", self.cpus, MOST_CPUS)?;
         count("at_once", self.at_once, usize::MAX)?;
         count("largest_array", self.largest_array, usize::MAX)?;
         let bytes = |field: &str, text: &str| match parse_bytes(text) {
-            Ok(0) => Err(format!("`{field}` is 0; expected a size such as 8GB")),
+            Ok(0) => Err(SiteError::value(field, &0, "a size such as 8GB")),
             Ok(_) => Ok(()),
-            Err(reason) => Err(format!("`{field}`: {reason}")),
+            Err(fault) => Err(SiteError::Size(field.into(), fault)),
         };
         let long = |field: &str, text: &str| match time::parse(text) {
-            Ok(time) if time < SHORTEST => Err(format!("`{field}` is {text}; expected 5min or more")),
+            Ok(time) if time < SHORTEST => Err(SiteError::value(field, text, "5min or more")),
             Ok(_) => Ok(()),
-            Err(reason) => Err(format!("`{field}`: {reason}")),
+            Err(fault) => Err(SiteError::Time(field.into(), fault)),
         };
         bytes("memory", &self.memory)?;
         long("time", &self.time)?;
         long("longest", &self.longest)?;
         for (name, needs) in &self.stage {
             if name != WORKERS && !stages.contains(&name.as_str()) {
-                let known = stages.join(", ");
-                return Err(format!("`stage.{name}`: there is no such stage; there are: {known}, {WORKERS}"));
+                return Err(SiteError::Stage(name.clone(), stages.join(", ")));
             }
             needs.cpus.map_or(Ok(()), |n| count(&format!("stage.{name}.cpus"), n, MOST_CPUS))?;
             needs.memory.as_ref().map_or(Ok(()), |m| bytes(&format!("stage.{name}.memory"), m))?;
@@ -160,7 +196,7 @@ impl Site {
     }
 
     /// Checks that every text can be written in its place in a script.
-    fn check_words(&self) -> Result<(), String> {
+    fn check_words(&self) -> Result<(), SiteError> {
         let of_stages =
             |field: &str| self.stage.keys().map(|name| format!("stage.{name}.{field}")).collect::<Vec<_>>();
         let partitions = of_stages("partition").into_iter().zip(self.stage.values().map(|n| &n.partition));
@@ -168,22 +204,18 @@ impl Site {
         let named = named.map(|(field, name)| (field.to_string(), name)).into_iter().chain(partitions);
         for (field, name) in named {
             if name.as_ref().is_some_and(|name| name.trim().is_empty()) {
-                return Err(format!("`{field}` is empty; expected a name, or leave it out"));
+                return Err(SiteError::value(&field, "empty", "a name, or leave it out"));
             }
         }
         let options = of_stages("options").into_iter().zip(self.stage.values().map(|n| &n.options));
         for (field, options) in [("options".to_string(), &self.options)].into_iter().chain(options) {
             if let Some(option) = options.iter().find(|option| !option.starts_with('-')) {
-                return Err(format!(
-                    "`{field}`: `{option}` is not an option of sbatch; expected one such as --gres=gpu:1"
-                ));
+                return Err(SiteError::Option(field, option.clone()));
             }
         }
         if self.command.is_empty() || self.command.iter().any(|word| word.trim().is_empty()) {
-            return Err(
-                "`command` is empty or has an empty word; expected a name such as use3d, or leave it out"
-                    .to_string(),
-            );
+            let expected = "a name such as use3d, or leave it out";
+            return Err(SiteError::value("command", "empty or has an empty word", expected));
         }
         // Every text is written on a line of its own in a script.
         let lines = [&self.account, &self.partition].into_iter().flatten();
@@ -191,9 +223,7 @@ impl Site {
         let needs =
             self.stage.values().flat_map(|n| n.partition.iter().chain(&n.options).chain(&n.arguments));
         match lines.chain(needs).find(|line| line.chars().any(char::is_control)) {
-            Some(line) => {
-                Err(format!("{line:?} has a line break or another control character in it; remove it"))
-            }
+            Some(line) => Err(SiteError::Line(line.clone())),
             None => Ok(()),
         }
     }
@@ -294,7 +324,7 @@ mod tests {
         let site = Site::parse(text, &["import", "reconstruct"]).expect("right");
         assert_eq!((site.cpus, site.needs("reconstruct").partition.as_deref()), (16, Some("gpu")));
         assert_eq!(site.needs("import"), Needs::default());
-        assert_eq!(Site::parse("", &[]), Ok(Site::default()));
+        assert_eq!(Site::parse("", &[]).expect("right"), Site::default());
         let command = |text| Site::parse(text, &[]).expect("right").command;
         assert_eq!(command("command = \"/proj/bin/use3d\""), ["/proj/bin/use3d"]);
         assert_eq!(command("command = [\"srun\", \"my tools/use3d\"]"), ["srun", "my tools/use3d"]);
@@ -326,7 +356,7 @@ mod tests {
             ("[stage.import]\ncpus = 0", "`stage.import.cpus`"),
             ("x", "expected"),
         ] {
-            let error = Site::parse(text, &["import", "reconstruct"]).expect_err(text);
+            let error = Site::parse(text, &["import", "reconstruct"]).expect_err(text).to_string();
             assert!(error.contains(words), "{text}: {error}");
         }
     }

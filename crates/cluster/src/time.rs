@@ -4,13 +4,20 @@ use std::time::Duration;
 
 use use3d_workflow::gc::parse_age;
 
+/// A text that is not a time.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("`{text}` is not a time: write it as 90min, 3h or 3:50:00 (hours:minutes:seconds)")]
+pub struct TimeError {
+    /// The text.
+    pub text: String,
+}
+
 /// Parses `90min`, `3h`, `1.5d`, or hours, minutes and seconds as `3:50:00`.
 ///
 /// # Errors
-/// Any other text; the error is a message.
-pub fn parse(text: &str) -> Result<Duration, String> {
-    let wrong =
-        || format!("`{text}` is not a time: write it as 90min, 3h or 3:50:00 (hours:minutes:seconds)");
+/// Any other text.
+pub fn parse(text: &str) -> Result<Duration, TimeError> {
+    let wrong = || TimeError { text: text.to_string() };
     if !text.contains(':') {
         return parse_age(text).map_err(|_| wrong());
     }

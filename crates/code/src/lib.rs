@@ -21,7 +21,6 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use serde::Deserialize;
-use serde_json::Value;
 
 pub mod digest;
 mod tokens;
@@ -83,11 +82,14 @@ pub struct StageCode {
 }
 
 /// A source tree whose code cannot be digested, or a stage that names code that does not exist.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Debug, thiserror::Error)]
 pub enum CodeError {
     /// The tree could not be read.
     #[error("cannot digest the source tree: {0}")]
-    Tree(String),
+    Tree(#[from] tree::TreeError),
+    /// The table that was stored is not one.
+    #[error("cannot digest the source tree: {0}")]
+    Stored(#[from] serde_json::Error),
     /// There is no such crate.
     #[error("no crate `{name}` in the workspace; there are: {known}")]
     NoCrate {
@@ -112,7 +114,7 @@ impl CodeTable {
     /// # Errors
     /// The text is not such a table.
     pub fn stored(text: &str, rules: CodeRules) -> Result<Self, CodeError> {
-        let table: Self = serde_json::from_str(text).map_err(|e| CodeError::Tree(e.to_string()))?;
+        let table: Self = serde_json::from_str(text)?;
         Ok(Self { rules, ..table })
     }
 
@@ -121,8 +123,7 @@ impl CodeTable {
     /// # Errors
     /// The source tree cannot be read.
     pub fn of_tree(root: &Path, rules: CodeRules) -> Result<Self, CodeError> {
-        let table: Value = tree::read(root, rules.by_file).map_err(CodeError::Tree)?;
-        Self::stored(&table.to_string(), rules)
+        Self::stored(&tree::read(root, rules.by_file)?.to_string(), rules)
     }
 
     /// The names of the crates.

@@ -8,7 +8,7 @@
 
 use std::path::{Path, PathBuf};
 
-use proc_macro2::{Delimiter, Group, Spacing, TokenStream, TokenTree};
+use proc_macro2::{Delimiter, Group, LexError, Spacing, TokenStream, TokenTree};
 
 use crate::DEFINITION;
 
@@ -18,9 +18,9 @@ pub(crate) struct SourceTokens {
     pub(crate) test_modules: Vec<String>,
 }
 
-/// Tokenises Rust source; an error is that of the compiler's lexer.
-pub(crate) fn tokens_of(source: &str) -> Result<SourceTokens, String> {
-    let stream: TokenStream = source.parse().map_err(|e: proc_macro2::LexError| e.to_string())?;
+/// Tokenises Rust source.
+pub(crate) fn tokens_of(source: &str) -> Result<SourceTokens, LexError> {
+    let stream: TokenStream = source.parse()?;
     let mut out = SourceTokens { bytes: Vec::new(), test_modules: Vec::new() };
     if is_test_only_file(&stream) {
         return Ok(out);

@@ -11,9 +11,10 @@
 //! do not use all of its files.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fmt::Display;
+use std::io;
 use std::path::{Path, PathBuf};
 
+use proc_macro2::LexError;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value, json};
@@ -22,6 +23,29 @@ use walkdir::WalkDir;
 use crate::digest::{Digest, Encoder};
 use crate::tokens::{module_files, tokens_of};
 use crate::uses::{modules, uses_of};
+
+/// A part of a source tree whose code cannot be digested.
+#[derive(Debug, thiserror::Error)]
+pub enum TreeError {
+    /// A file or folder cannot be read.
+    #[error("{}: {}", .0.display(), .1)]
+    Read(PathBuf, #[source] io::Error),
+    /// A folder cannot be listed.
+    #[error(transparent)]
+    Walk(#[from] walkdir::Error),
+    /// A manifest or the lock file is not TOML of the expected form.
+    #[error("{}: {}", .0.display(), .1)]
+    Toml(PathBuf, #[source] Box<toml::de::Error>),
+    /// A source is not Rust, in the words of the compiler's lexer.
+    #[error("{}: {}", .0.display(), .1)]
+    Rust(PathBuf, String),
+    /// A package outside `crates/`, which no digest would cover.
+    #[error(
+        "Cargo.lock: `{0}` comes from a path outside crates/, so its code is in no stage's digest; move it \
+         below crates/, or use a registry or git"
+    )]
+    Outside(String),
+}
 
 const CONTEXT: &str = "use3d 2026 code digest v1";
 const DEPENDENCY_TABLES: [&str; 2] = ["dependencies", "build-dependencies"];
@@ -33,7 +57,7 @@ const DEPENDENCY_TABLES: [&str; 2] = ["dependencies", "build-dependencies"];
 ///
 /// # Errors
 /// A source or manifest cannot be read, or a dependency comes from a path outside `crates/`.
-pub fn read(root: &Path, by_file: &str) -> Result<Value, String> {
+pub fn read(root: &Path, by_file: &str) -> Result<Value, TreeError> {
     let workspace: Value = parse_toml(&root.join("Cargo.toml"))?;
     let inherited = workspace.pointer("/workspace/dependencies").cloned().unwrap_or_default();
     let lock: Lock = parse_toml(&root.join("Cargo.lock"))?;
@@ -88,15 +112,14 @@ fn file_entry(
     dependencies: &Map<String, Value>,
     ours: &dyn Fn(&String) -> bool,
     lock: &Lock,
-) -> Result<Value, String> {
+) -> Result<Value, TreeError> {
     const TEMPLATES: &str = "templates/";
     let mut tokens = Encoder::new(CONTEXT);
     tokens.bytes(digest.as_bytes());
     let (mut used, mut crates) = (BTreeSet::new(), Vec::new());
     if path.starts_with("src/") && path.ends_with(".rs") {
         let file = folder.join(path);
-        let text = std::fs::read_to_string(&file).map_err(|e| at(&file, e))?;
-        let uses = uses_of(&text).map_err(|e| at(&file, e))?;
+        let uses = uses_of(&text_of(&file)?).map_err(|e| TreeError::Rust(file, e.to_string()))?;
         used = uses.files(path, &modules(sources.keys()));
         crates = uses.crates(dependencies.keys());
         // Files that the compiler includes are named by literals, relative to the templates or to the source.
@@ -126,43 +149,42 @@ fn file_entry(
 ///
 /// # Errors
 /// The folder cannot be read.
-pub fn crate_folders(root: &Path) -> Result<Vec<PathBuf>, String> {
+pub fn crate_folders(root: &Path) -> Result<Vec<PathBuf>, TreeError> {
     let crates = root.join("crates");
-    let entries = std::fs::read_dir(&crates).map_err(|e| at(&crates, e))?;
+    let entries = std::fs::read_dir(&crates).map_err(|e| TreeError::Read(crates, e))?;
     let mut folders: Vec<PathBuf> =
         entries.filter_map(Result::ok).map(|e| e.path()).filter(|p| p.join("Cargo.toml").is_file()).collect();
     folders.sort();
     Ok(folders)
 }
 
-/// Adds the path to an error.
-fn at(path: &Path, error: impl Display) -> String {
-    format!("{}: {error}", path.display())
+fn text_of(path: &Path) -> Result<String, TreeError> {
+    std::fs::read_to_string(path).map_err(|e| TreeError::Read(path.to_path_buf(), e))
 }
 
-fn parse_toml<T: DeserializeOwned>(path: &Path) -> Result<T, String> {
-    let text = std::fs::read_to_string(path).map_err(|e| at(path, e))?;
-    toml::from_str(&text).map_err(|e| at(path, e))
+fn parse_toml<T: DeserializeOwned>(path: &Path) -> Result<T, TreeError> {
+    toml::from_str(&text_of(path)?).map_err(|e| TreeError::Toml(path.to_path_buf(), Box::new(e)))
 }
 
 /// Digest of every source file of a crate by its path with `/`, without test-only files.
-fn source_digests(folder: &Path) -> Result<BTreeMap<String, Digest>, String> {
+fn source_digests(folder: &Path) -> Result<BTreeMap<String, Digest>, TreeError> {
     let mut sources = BTreeMap::new();
     let mut test_only = BTreeSet::new();
     let starts = [folder.join("src"), folder.join("templates"), folder.join("build.rs")];
     for entry in starts.iter().filter(|p| p.exists()).flat_map(WalkDir::new) {
-        let entry = entry.map_err(|e| e.to_string())?;
+        let entry = entry?;
         let path = entry.path();
         if !path.is_file() || path.extension().is_some_and(|e| e == "md") {
             continue;
         }
-        let mut content = std::fs::read(path).map_err(|e| at(path, e))?;
-        if path.extension().is_some_and(|e| e == "rs") {
-            let text = String::from_utf8(content).map_err(|e| at(path, e))?;
-            let tokens = tokens_of(&text).map_err(|e| at(path, e))?;
+        let content = if path.extension().is_some_and(|e| e == "rs") {
+            let rust = |e: LexError| TreeError::Rust(path.to_path_buf(), e.to_string());
+            let tokens = tokens_of(&text_of(path)?).map_err(rust)?;
             test_only.extend(tokens.test_modules.iter().flat_map(|m| module_files(path, m)));
-            content = tokens.bytes;
-        }
+            tokens.bytes
+        } else {
+            std::fs::read(path).map_err(|e| TreeError::Read(path.to_path_buf(), e))?
+        };
         sources.insert(path.to_path_buf(), Encoder::new(CONTEXT).bytes(&content).finish());
     }
     // `#[cfg(test)] mod tests;` may name `tests.rs` or `tests/mod.rs`, which may have files of its own below.
@@ -253,7 +275,10 @@ impl Package {
 impl Lock {
     /// Name → "version origin" of everything reachable from the named packages; several versions of one name
     /// are all listed.
-    fn closure<'a>(&self, names: impl Iterator<Item = &'a str>) -> Result<BTreeMap<String, String>, String> {
+    fn closure<'a>(
+        &self,
+        names: impl Iterator<Item = &'a str>,
+    ) -> Result<BTreeMap<String, String>, TreeError> {
         let mut open: Vec<String> = names.map(String::from).collect();
         let mut seen = BTreeSet::new();
         while let Some(entry) = open.pop() {
@@ -268,13 +293,7 @@ impl Lock {
         }
         let mut closure: BTreeMap<String, Vec<String>> = BTreeMap::new();
         for package in seen.into_iter().map(|i| &self.package[i]) {
-            let origin = package.origin().ok_or_else(|| {
-                format!(
-                    "Cargo.lock: `{}` comes from a path outside crates/, so its code is in no stage's \
-                     digest; move it below crates/, or use a registry or git",
-                    package.name
-                )
-            })?;
+            let origin = package.origin().ok_or_else(|| TreeError::Outside(package.name.clone()))?;
             let entry = format!("{} {origin}", package.version);
             closure.entry(package.name.clone()).or_default().push(entry);
         }

@@ -8,7 +8,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use proc_macro2::{Delimiter, Spacing, TokenStream, TokenTree};
+use proc_macro2::{Delimiter, LexError, Spacing, TokenStream, TokenTree};
 
 use crate::tokens::{attribute, is_cfg_test, is_definition, is_doc, is_punct, is_test_only_file, item_end};
 
@@ -40,9 +40,9 @@ pub(crate) fn modules<'a>(files: impl Iterator<Item = &'a String>) -> Modules {
     files.filter_map(module).collect()
 }
 
-/// The names used in a Rust source; an error is that of the compiler's lexer.
-pub(crate) fn uses_of(source: &str) -> Result<Uses, String> {
-    let stream: TokenStream = source.parse().map_err(|e: proc_macro2::LexError| e.to_string())?;
+/// The names used in a Rust source.
+pub(crate) fn uses_of(source: &str) -> Result<Uses, LexError> {
+    let stream: TokenStream = source.parse()?;
     let mut uses = Uses::default();
     if !is_test_only_file(&stream) {
         uses.walk(stream, &[]);

@@ -36,8 +36,8 @@ pub enum EnhanceError {
     Label {
         /// The view's name.
         view: String,
-        /// The error in the label.
-        problem: String,
+        /// The error in the label, or of its source.
+        problem: Box<dyn std::error::Error + Send + Sync>,
     },
     /// A number is not finite.
     #[error(transparent)]

@@ -3,6 +3,7 @@
 //! Making an image costs a run of a 2D enhancer. So every view's image is made once, and stored at the
 //! pixels that steps render, in 16 bits.
 
+use std::error::Error;
 use std::sync::Arc;
 
 use use3d_atc::extractor::ExtractorSettings;
@@ -13,9 +14,11 @@ use crate::{EnhanceError, EnhanceParams};
 
 /// Enhanced images of the training views.
 pub trait LabelSource {
-    /// The enhanced image of view `index` of the list given to stage 2, of the camera's size; or an error
-    /// message.
-    fn label(&self, index: usize) -> Result<Image, String>;
+    /// The enhanced image of view `index` of the list given to stage 2, of the camera's size.
+    ///
+    /// # Errors
+    /// The source's own reason why there is none.
+    fn label(&self, index: usize) -> Result<Image, Box<dyn Error + Send + Sync>>;
 }
 
 /// The enhanced images of all views at the pixels that steps render.
@@ -34,12 +37,13 @@ impl PseudoLabels {
         params.validate().map_err(EnhanceError::Parameter)?;
         let mut samplings = Samplings::new(ExtractorSettings::default(), params.sample_side);
         let mut one = |(index, view): (usize, &EnhanceView)| {
-            let wrong = |problem: String| EnhanceError::Label { view: view.name.clone(), problem };
+            let wrong = |problem| EnhanceError::Label { view: view.name.clone(), problem };
             let size = (view.camera.intrinsics.width, view.camera.intrinsics.height);
             let label = source.label(index).map_err(wrong)?;
             let (width, height) = (label.width(), label.height());
             if (width, height) != size {
-                return Err(wrong(format!("it is {width}x{height}, the camera is {}x{}", size.0, size.1)));
+                let problem = format!("it is {width}x{height}, the camera is {}x{}", size.0, size.1);
+                return Err(wrong(problem.into()));
             }
             Ok(Arc::new(on_lattice(&label, &samplings.of(size)?.lattice)))
         };
@@ -58,14 +62,15 @@ impl PseudoLabels {
         view: &EnhanceView,
         lattice: &Lattice,
     ) -> Result<Arc<Raster<u16, 3>>, EnhanceError> {
-        let wrong = |problem: String| EnhanceError::Label { view: view.name.clone(), problem };
+        let wrong = |problem| EnhanceError::Label { view: view.name.clone(), problem };
         let label = self.views.get(index).ok_or_else(|| wrong("there is none".into()))?;
         let (found, expected) = ((label.width(), label.height()), (lattice.width(), lattice.height()));
         if found != expected {
-            return Err(wrong(format!(
+            let problem = format!(
                 "it was made for other views or another `sample_side`: {}x{} pixels, expected {}x{}",
                 found.0, found.1, expected.0, expected.1
-            )));
+            );
+            return Err(wrong(problem.into()));
         }
         Ok(Arc::clone(label))
     }

@@ -30,7 +30,7 @@ use crate::layout::find_models;
 use crate::params::ImportParams;
 use crate::prepared::MODEL;
 use crate::rows::from_row_major;
-use crate::undistort::{choose_pinhole, is_pinhole};
+use crate::undistort::{LensFault, choose_pinhole, is_pinhole};
 
 /// The places that cameras are read from.
 const PLACES: &str = "expected a COLMAP model folder, a capture folder, or a JSON list of cameras";
@@ -77,11 +77,11 @@ pub(crate) fn from_model(model: &Survey) -> Result<Vec<(FileName, Camera)>, Impo
     let mut lenses: BTreeMap<u32, Intrinsics> = BTreeMap::new();
     let mut out = Vec::with_capacity(model.images.len());
     for image in &model.images {
-        let bad = |reason: String| ImportError::Lens { camera: image.camera, reason };
+        let bad = |reason| ImportError::Lens { camera: image.camera, reason };
         let intrinsics = match lenses.get(&image.camera) {
             Some(known) => *known,
             None => {
-                let camera = model.camera(image.camera).ok_or_else(|| bad("it is not there".into()))?;
+                let camera = model.camera(image.camera).ok_or_else(|| bad(LensFault::Absent))?;
                 let (w, h) = (camera.width, camera.height);
                 let lens = camera.lens;
                 let pinhole = if is_pinhole(&lens, w, h) {

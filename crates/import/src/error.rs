@@ -8,6 +8,8 @@ use use3d_io_image::ImageError;
 use use3d_numerics::range::OutOfRange;
 use use3d_survey::ReadError;
 
+use crate::undistort::LensFault;
+
 /// A capture that cannot be imported, prepared or loaded.
 #[derive(Debug, thiserror::Error)]
 pub enum ImportError {
@@ -90,7 +92,7 @@ pub enum ImportError {
         /// The camera's id in the model.
         camera: u32,
         /// The problem.
-        reason: String,
+        reason: LensFault,
     },
     /// A view whose camera is not usable.
     #[error("image {name}: {source}")]

@@ -59,7 +59,7 @@ impl Geometry {
                 camera.id, model.0, model.1
             ),
         })?;
-        let bad = |reason: String| ImportError::Lens { camera: camera.id, reason };
+        let bad = |reason| ImportError::Lens { camera: camera.id, reason };
         let lens = camera.lens.scaled(scale.0, scale.1);
         let bent = !is_pinhole(&lens, file.0, file.1);
         let undistortion = bent.then(|| Undistortion::new(lens, file.0, file.1)).transpose().map_err(bad)?;

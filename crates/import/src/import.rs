@@ -27,6 +27,7 @@ use crate::prepared;
 use crate::report::{CameraReport, ImportReport};
 use crate::split;
 use crate::stray::strays;
+use crate::undistort::LensFault;
 
 /// An imported capture, with the changes that its pixels still need.
 #[derive(Clone, Debug)]
@@ -302,7 +303,7 @@ fn plan(
         .par_iter()
         .map(|(&(id, width, height), members)| {
             let camera =
-                model.camera(id).ok_or(ImportError::Lens { camera: id, reason: "it is not there".into() })?;
+                model.camera(id).ok_or(ImportError::Lens { camera: id, reason: LensFault::Absent })?;
             Geometry::new(camera, (width, height), &views[members[0]].view.image, params)
         })
         .collect::<Result<_, _>>()?;

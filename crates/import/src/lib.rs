@@ -71,4 +71,4 @@ pub use params::{ImageSize, ImportParams, SplitOrder, SplitParams, WhiteBalance}
 pub use prepare::{PreparedView, Progress, prepare};
 pub use prepared::{Extent, load_prepared, prepared_extent, prepared_world};
 pub use report::{CameraReport, ImportReport};
-pub use undistort::pinhole_of;
+pub use undistort::{LensFault, pinhole_of};

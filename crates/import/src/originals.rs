@@ -175,12 +175,12 @@ impl Originals {
         };
         let parsed: Result<OriginalsFile, _> =
             serde_path_to_error::deserialize(&mut serde_json::Deserializer::from_slice(&bytes));
+        let wrong = |reason: String| ImportError::Prepared { path: path.clone(), reason };
         let read = parsed.map_err(|error| match error.path().to_string().as_str() {
-            "." => error.inner().to_string(),
-            field => format!("`{field}`: {}", error.inner()),
+            "." => wrong(error.inner().to_string()),
+            field => wrong(format!("`{field}`: {}", error.inner())),
         });
-        let read = read.and_then(OriginalsFile::checked);
-        read.map(Some).map_err(|reason| ImportError::Prepared { path, reason })
+        Ok(Some(read?.checked(&wrong)?))
     }
 
     /// Copies `originals.json` from one folder to another, byte for byte; does nothing if the first has none.
@@ -247,25 +247,26 @@ impl Originals {
 }
 
 impl OriginalsFile {
-    /// The photographs, if every value can be used; otherwise the field and the problem.
-    fn checked(self) -> Result<Originals, String> {
+    /// The photographs, if every value can be used; `wrong` makes an error from the field and the problem.
+    fn checked(self, wrong: &dyn Fn(String) -> ImportError) -> Result<Originals, ImportError> {
         if self.format != FORMAT || self.version != VERSION {
             let (format, version) = (&self.format, self.version);
-            return Err(format!("it is {format:?} version {version}; expected {FORMAT:?} version {VERSION}"));
+            let expected = format!("{FORMAT:?} version {VERSION}");
+            return Err(wrong(format!("it is {format:?} version {version}; expected {expected}")));
         }
         if self.image_folder.is_empty() || self.image_folder.chars().any(char::is_control) {
-            return Err(format!("`image_folder` is {:?}; expected a folder", self.image_folder));
+            return Err(wrong(format!("`image_folder` is {:?}; expected a folder", self.image_folder)));
         }
         if let Some(gains) = self.gains.filter(|gains| !gains.iter().all(|g| g.is_finite() && *g > 0.0)) {
-            return Err(format!("`gains` is {gains:?}; expected positive numbers"));
+            return Err(wrong(format!("`gains` is {gains:?}; expected positive numbers")));
         }
         for (index, entry) in self.lenses.iter().enumerate() {
-            entry.check().map_err(|reason| format!("`lenses[{index}]`: {reason}"))?;
+            entry.check(&|reason| wrong(format!("`lenses[{index}]`: {reason}")))?;
         }
         let (mut names, mut files) = (BTreeSet::new(), BTreeSet::new());
         let mut photographs = Vec::with_capacity(self.photographs.len());
         for (index, entry) in self.photographs.into_iter().enumerate() {
-            let at = |field: &str, reason: String| format!("`photographs[{index}].{field}`: {reason}");
+            let at = |field: &str, reason: String| wrong(format!("`photographs[{index}].{field}`: {reason}"));
             let LensEntry { width, height, lens, pinhole } = *self
                 .lenses
                 .get(entry.lens)
@@ -302,7 +303,7 @@ impl OriginalsFile {
 
 impl LensEntry {
     /// Refuses sizes of zero or beyond every image, and lenses that do not show the middle of their image.
-    fn check(&self) -> Result<(), String> {
+    fn check(&self, wrong: &dyn Fn(String) -> ImportError) -> Result<(), ImportError> {
         let Self { width, height, lens, pinhole } = self;
         let size = |field: &str, width: usize, height: usize| {
             let most = use3d_io_image::MAX_PIXELS;
@@ -310,17 +311,18 @@ impl LensEntry {
             if (1..=most).contains(&pixels) {
                 return Ok(());
             }
-            Err(format!("{field} is {width} x {height}; expected 1 to {most} pixels"))
+            Err(wrong(format!("{field} is {width} x {height}; expected 1 to {most} pixels")))
         };
         size("the size", *width, *height)?;
         size("the size of `pinhole`", pinhole.width, pinhole.height)?;
-        pinhole.validate().map_err(|error| format!("`pinhole`: {error}"))?;
-        lens.intrinsics(*width, *height).validate().map_err(|error| format!("`lens`: {error}"))?;
+        pinhole.validate().map_err(|error| wrong(format!("`pinhole`: {error}")))?;
+        let plain = lens.intrinsics(*width, *height);
+        plain.validate().map_err(|error| wrong(format!("`lens`: {error}")))?;
         let (x, y) = (0.5 * *width as f64, 0.5 * *height as f64);
         let back = lens.unproject(x, y).map(|(u, v)| lens.project(u, v));
         match back.filter(|back| math::hypot(back.0 - x, back.1 - y) < 1e-3) {
             Some(_) => Ok(()),
-            None => Err("`lens`: no ray reaches the middle of the image".into()),
+            None => Err(wrong("`lens`: no ray reaches the middle of the image".into())),
         }
     }
 }

@@ -52,21 +52,34 @@ pub(crate) fn is_pinhole(lens: &Lens, width: usize, height: usize) -> bool {
     })
 }
 
-/// The pinhole for a lens and image size; an error message if the lens leaves no usable field.
-pub(crate) fn choose_pinhole(lens: &Lens, width: usize, height: usize) -> Result<Intrinsics, String> {
+/// A lens whose images cannot be undistorted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum LensFault {
+    /// The model has no such lens.
+    #[error("it is not there")]
+    Absent,
+    /// No ray reaches the middle of the image.
+    #[error("its distortion parameters are unusable: no ray reaches the middle of the image")]
+    NoRay,
+    /// The lens maps two rays near the middle to one pixel.
+    #[error("its distortion parameters are unusable: the lens folds in the middle of the image")]
+    Folds,
+    /// No pixel is left.
+    #[error("its distortion parameters are unusable: they leave no field of view")]
+    NoField,
+}
+
+/// The pinhole for a lens and image size, if the lens leaves a usable field.
+pub(crate) fn choose_pinhole(lens: &Lens, width: usize, height: usize) -> Result<Intrinsics, LensFault> {
     let (w, h) = (width as f64, height as f64);
-    let center = lens
-        .unproject(0.5 * w, 0.5 * h)
-        .ok_or("its distortion parameters are unusable: no ray reaches the middle of the image")?;
+    let center = lens.unproject(0.5 * w, 0.5 * h).ok_or(LensFault::NoRay)?;
 
     let inside = |u: f64, v: f64| {
         let ((x, y), j) = lens.project_with_jacobian(u, v);
         j[0][0] * j[1][1] - j[0][1] * j[1][0] > 0.0 && (0.0..=w).contains(&x) && (0.0..=h).contains(&y)
     };
     if !inside(center.0, center.1) {
-        return Err(
-            "its distortion parameters are unusable: the lens folds in the middle of the image".into()
-        );
+        return Err(LensFault::Folds);
     }
     let corners = [(0.0, 0.0), (w, 0.0), (0.0, h), (w, h)];
     let to_corners = corners
@@ -135,7 +148,7 @@ pub(crate) fn choose_pinhole(lens: &Lens, width: usize, height: usize) -> Result
     let (out_w, out_cx) = side(left, right, center.0, fx, cx, w);
     let (out_h, out_cy) = side(top, bottom, center.1, fy, cy, h);
     if !(out_w >= 1.0 && out_h >= 1.0) {
-        return Err("its distortion parameters are unusable: they leave no field of view".into());
+        return Err(LensFault::NoField);
     }
     Ok(Intrinsics { width: out_w as usize, height: out_h as usize, fx, fy, cx: out_cx, cy: out_cy })
 }
@@ -144,8 +157,8 @@ pub(crate) fn choose_pinhole(lens: &Lens, width: usize, height: usize) -> Result
 /// lens's own if it bends nothing.
 ///
 /// # Errors
-/// A message if the lens leaves no usable field.
-pub fn pinhole_of(lens: &Lens, width: usize, height: usize) -> Result<Intrinsics, String> {
+/// The lens leaves no usable field.
+pub fn pinhole_of(lens: &Lens, width: usize, height: usize) -> Result<Intrinsics, LensFault> {
     if is_pinhole(lens, width, height) {
         return Ok(lens.intrinsics(width, height));
     }
@@ -163,7 +176,7 @@ pub(crate) struct Undistortion {
 }
 
 impl Undistortion {
-    pub(crate) fn new(lens: Lens, width: usize, height: usize) -> Result<Self, String> {
+    pub(crate) fn new(lens: Lens, width: usize, height: usize) -> Result<Self, LensFault> {
         let pinhole = choose_pinhole(&lens, width, height)?;
         Ok(Self { lens, source: (width, height), pinhole, table: None })
     }

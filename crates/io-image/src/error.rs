@@ -1,6 +1,8 @@
 //! The errors of an image file, with the file's name, what was expected, and what to do next.
 
+use std::error::Error;
 use std::fmt;
+use std::io;
 use std::path::{Path, PathBuf};
 
 /// The file formats that are read.
@@ -101,6 +103,11 @@ pub enum ImageError {
         /// The system's or the encoder's error.
         reason: String,
     },
+}
+
+/// The error of a file whose bytes are not those of its format.
+pub(crate) fn damaged(reason: impl Into<Box<dyn Error + Send + Sync>>) -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidData, reason)
 }
 
 impl ImageError {

@@ -6,7 +6,9 @@
 //! bytes, u32 checksum`.
 
 use std::borrow::Cow;
-use std::io::{BufRead, Seek, SeekFrom};
+use std::io::{self, BufRead, Seek, SeekFrom};
+
+use crate::error::damaged;
 
 const SIGNATURE: usize = 8;
 /// Bytes around a chunk's contents: length and name before, checksum after.
@@ -25,13 +27,13 @@ pub(crate) struct Header {
 }
 
 /// Reads the chunks up to the first chunk of pixels.
-pub(crate) fn header(reader: &mut (impl BufRead + Seek)) -> Result<Header, String> {
-    let ended = |_| "it ends within its header".to_string();
+pub(crate) fn header(reader: &mut (impl BufRead + Seek)) -> io::Result<Header> {
+    let ended = |_| damaged("it ends within its header");
     let mut start = [0u8; SIGNATURE + 8 + 13 + 4];
     reader.read_exact(&mut start).map_err(ended)?;
     let (head, body) = (&start[SIGNATURE..SIGNATURE + 8], &start[SIGNATURE + 8..]);
     if head != [0, 0, 0, 13, b'I', b'H', b'D', b'R'] {
-        return Err("it does not begin with a header chunk".into());
+        return Err(damaged("it does not begin with a header chunk"));
     }
     let side =
         |at: usize| u64::from(u32::from_be_bytes([body[at], body[at + 1], body[at + 2], body[at + 3]]));
@@ -41,7 +43,7 @@ pub(crate) fn header(reader: &mut (impl BufRead + Seek)) -> Result<Header, Strin
         2 | 3 => (3, false),
         4 => (1, true),
         6 => (3, true),
-        _ => return Err(format!("its colour type is {color}; expected 0, 2, 3, 4 or 6")),
+        _ => return Err(damaged(format!("its colour type is {color}; expected 0, 2, 3, 4 or 6"))),
     };
     // Transparency of a palette or of one colour is in a chunk of its own, before the pixels.
     let transparent = loop {

@@ -196,7 +196,7 @@ pub fn decode(bytes: &[u8], path: &Path) -> Result<Decoded, ImageError> {
         FileFormat::Exr => return exr_file::decode(bytes, path),
         FileFormat::Npy => return npy::decode(bytes, path),
         FileFormat::Jpeg => {
-            let frame = jpeg::check_whole(bytes).map_err(fail)?;
+            let frame = jpeg::check_whole(bytes).map_err(|e| fail(e.to_string()))?;
             if !matches!(frame.components, 1 | 3 | 4) {
                 return Err(fail(format!("it has {} components", frame.components)));
             }

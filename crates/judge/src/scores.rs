@@ -198,21 +198,29 @@ fn enhanced() -> Method {
     Method::Enhanced
 }
 
+/// A file `scores.json` that cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum ScoresError {
+    /// The file is damaged.
+    #[error(transparent)]
+    Damaged(#[from] serde_json::Error),
+    /// The file has this format and version instead.
+    #[error("expected format \"{FORMAT}\", version {VERSION}, found {0} {1}; evaluate the scene again")]
+    Version(serde_json::Value, serde_json::Value),
+}
+
 impl SceneScores {
     /// Reads `scores.json`.
     ///
     /// # Errors
-    /// Returns a message that names the problem if the file has another format or version, or is damaged.
-    pub fn parse(bytes: &[u8]) -> Result<Self, String> {
-        let value: serde_json::Value = serde_json::from_slice(bytes).map_err(|e| e.to_string())?;
+    /// Fails if the file has another format or version, or is damaged.
+    pub fn parse(bytes: &[u8]) -> Result<Self, ScoresError> {
+        let value: serde_json::Value = serde_json::from_slice(bytes)?;
         let (format, version) = (value["format"].as_str(), value["version"].as_u64());
         if format != Some(FORMAT) || version != Some(u64::from(VERSION)) {
-            return Err(format!(
-                "expected format \"{FORMAT}\", version {VERSION}, found {} {}; evaluate the scene again",
-                value["format"], value["version"]
-            ));
+            return Err(ScoresError::Version(value["format"].clone(), value["version"].clone()));
         }
-        serde_json::from_value(value).map_err(|e| e.to_string())
+        Ok(serde_json::from_value(value)?)
     }
 
     /// All scores of a method.
@@ -314,10 +322,10 @@ mod tests {
             methods: vec![],
         };
         let text = serde_json::to_string(&scores).unwrap();
-        assert_eq!(SceneScores::parse(text.as_bytes()), Ok(scores));
+        assert_eq!(SceneScores::parse(text.as_bytes()).unwrap(), scores);
         let old = text.replace("\"version\":2", "\"version\":1");
-        assert!(SceneScores::parse(old.as_bytes()).unwrap_err().contains("version 2"));
+        assert!(SceneScores::parse(old.as_bytes()).unwrap_err().to_string().contains("version 2"));
         let damaged = text.replace("\"gaussians\":10", "\"gaussians\":null");
-        assert!(SceneScores::parse(damaged.as_bytes()).unwrap_err().contains("null"));
+        assert!(SceneScores::parse(damaged.as_bytes()).unwrap_err().to_string().contains("null"));
     }
 }

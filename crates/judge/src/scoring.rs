@@ -8,12 +8,14 @@
 
 use std::borrow::Cow;
 use std::path::Path;
+use std::sync::Arc;
 
 use use3d_capture::{Camera, Image, Map};
 use use3d_metrics::{
     Flow, GeometricView, Mask, MetricError, blacked_out, counted, geometric_warp, only_counted, psnr, ssim,
     uciqe, uiqm, warped_delta_e, warped_ssim,
 };
+use use3d_nets::{Models, NetError, limit_long_side};
 
 use crate::scores::{Score, Scores};
 
@@ -23,56 +25,71 @@ const SAME_SURFACE: f64 = 0.02;
 const LONGEST_SIDE: usize = 1024;
 
 /// A network that measures the distance of two pictures.
-type Distance = dyn Fn(&Image, &Image) -> Result<f64, String>;
+type Distance = dyn Fn(&Image, &Image) -> Result<f64, NetError>;
 /// A network that judges the quality of a picture.
-type Quality = dyn Fn(&Image) -> Result<f64, String>;
+type Quality = dyn Fn(&Image) -> Result<f64, NetError>;
 /// A network that finds the flow from one picture to the next.
-type Motion = dyn Fn(&Image, &Image) -> Result<Flow, String>;
+type Motion = dyn Fn(&Image, &Image) -> Result<Flow, NetError>;
+
+/// The reason why a network gives no score.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum ScoreError {
+    /// There is no models folder to open the network from.
+    #[error("not available: no models folder; name one with --models or USE3D_MODELS")]
+    NoModels,
+    /// The network cannot be opened, or not be applied.
+    #[error(transparent)]
+    Network(Arc<NetError>),
+    /// The pictures cannot be compared.
+    #[error(transparent)]
+    Picture(#[from] MetricError),
+}
+
+impl From<NetError> for ScoreError {
+    fn from(error: NetError) -> Self {
+        Self::Network(Arc::new(error))
+    }
+}
 
 /// The quality networks, each opened once, or the reason why it is missing.
 pub struct Judges {
-    lpips: Result<Box<Distance>, String>,
-    uranker: Result<Box<Quality>, String>,
-    musiq: Result<Box<Quality>, String>,
-    raft: Result<Box<Motion>, String>,
+    lpips: Result<Box<Distance>, ScoreError>,
+    uranker: Result<Box<Quality>, ScoreError>,
+    musiq: Result<Box<Quality>, ScoreError>,
+    raft: Result<Box<Motion>, ScoreError>,
 }
 
 impl Judges {
     /// Opens the networks that are in the models folder.
     pub fn open(models: Option<&Path>) -> Self {
-        use use3d_nets::{NetError, limit_long_side};
-        let Some(dir) = models else {
-            return Self::without("not available: no models folder; name one with --models or USE3D_MODELS");
-        };
-        let models = use3d_nets::Models::open(dir);
-        let text = |error: NetError| error.to_string();
+        let models = models.map(Models::open).ok_or(ScoreError::NoModels);
+        let models = models.as_ref().map_err(ScoreError::clone);
         let small = |image: &Image| limit_long_side(image, LONGEST_SIDE);
         Self {
-            lpips: models.lpips().map_err(text).map(|net| -> Box<Distance> {
-                Box::new(move |a: &Image, b: &Image| net.distance(a, b).map_err(text))
+            lpips: models.clone().and_then(|models| {
+                let net = models.lpips()?;
+                Ok(Box::new(move |a: &Image, b: &Image| net.distance(a, b)) as Box<Distance>)
             }),
-            uranker: models.uranker().map_err(text).map(|net| -> Box<Quality> {
-                Box::new(move |image: &Image| net.score(&small(image)).map_err(text))
+            uranker: models.clone().and_then(|models| {
+                let net = models.uranker()?;
+                Ok(Box::new(move |image: &Image| net.score(&small(image))) as Box<Quality>)
             }),
-            musiq: models.musiq().map_err(text).map(|net| -> Box<Quality> {
-                Box::new(move |image: &Image| net.score(&small(image)).map_err(text))
+            musiq: models.clone().and_then(|models| {
+                let net = models.musiq()?;
+                Ok(Box::new(move |image: &Image| net.score(&small(image))) as Box<Quality>)
             }),
-            raft: models.raft().map_err(text).map(|net| -> Box<Motion> {
-                Box::new(move |a: &Image, b: &Image| net.flow(a, b).map_err(text))
+            raft: models.and_then(|models| {
+                let net = models.raft()?;
+                Ok(Box::new(move |a: &Image, b: &Image| net.flow(a, b)) as Box<Motion>)
             }),
         }
-    }
-
-    fn without(reason: &str) -> Self {
-        let none = || reason.to_string();
-        Self { lpips: Err(none()), uranker: Err(none()), musiq: Err(none()), raft: Err(none()) }
     }
 
     /// Fails if a network is missing, with its reason.
     ///
     /// # Errors
     /// Returns the reason why the first missing network is missing.
-    pub fn complete(&self) -> Result<(), String> {
+    pub fn complete(&self) -> Result<(), ScoreError> {
         let missing = [
             self.lpips.as_ref().err(),
             self.uranker.as_ref().err(),
@@ -139,10 +156,13 @@ impl Judges {
 }
 
 /// The score that a network gives, or the reason why there is none.
-fn measured<N: ?Sized>(net: &Result<Box<N>, String>, score: impl FnOnce(&N) -> Result<f64, String>) -> Score {
-    match net.as_deref().map_err(String::clone).and_then(score) {
+fn measured<N: ?Sized, E: Into<ScoreError>>(
+    net: &Result<Box<N>, ScoreError>,
+    score: impl FnOnce(&N) -> Result<f64, E>,
+) -> Score {
+    match net.as_deref().map_err(ScoreError::clone).and_then(|net| score(net).map_err(E::into)) {
         Ok(value) => Score::of(value),
-        Err(reason) => Score::NotAvailable(reason),
+        Err(reason) => Score::NotAvailable(reason.to_string()),
     }
 }
 
@@ -164,7 +184,7 @@ fn whole<'a>(image: &'a Image, mask: Option<&Mask>) -> Result<Cow<'a, Image>, Me
 }
 
 /// A flow to the next view with the mask of its valid pixels, or the reason why there is none.
-type Correspondence = Result<(Flow, Mask), String>;
+type Correspondence = Result<(Flow, Mask), ScoreError>;
 
 /// The data by which a view is compared; none of it belongs to a method.
 pub struct ComparedView<'a> {
@@ -194,14 +214,16 @@ pub struct Pairing {
 impl Pairing {
     /// The correspondence of two views.
     pub fn new(judges: &Judges, first: &ComparedView<'_>, second: &ComparedView<'_>) -> Self {
-        let geometry =
-            geometric_warp(first.geometry(), second.geometry(), SAME_SURFACE).map_err(|e| e.to_string());
+        let geometry = geometric_warp(first.geometry(), second.geometry(), SAME_SURFACE);
         let among = |found: Correspondence| {
             let (flow, mask) = found?;
             let mask = counting(&flow, mask, first.mask, second.mask);
             Ok((flow, mask))
         };
-        Self { geometry: among(geometry), flow: among(judges.flow(first.raw, second.raw)) }
+        Self {
+            geometry: among(geometry.map_err(ScoreError::from)),
+            flow: among(judges.flow(first.raw, second.raw)),
+        }
     }
 
     /// `wlpips`, `w_delta_e` and `w_ssim` of one method's images of the two views, with the shares of pixels
@@ -222,7 +244,7 @@ impl Pairing {
             }
             Err(reason) => {
                 for name in ["w_delta_e", "w_ssim", "coverage"] {
-                    insert(name, Score::NotAvailable(reason.clone()));
+                    insert(name, Score::NotAvailable(reason.to_string()));
                 }
             }
         }
@@ -237,8 +259,9 @@ impl Pairing {
                 insert("flow_coverage", share(mask));
             }
             Err(reason) => {
-                insert("wlpips", Score::NotAvailable(reason.clone()));
-                insert("flow_coverage", Score::NotAvailable(reason.clone()));
+                for name in ["wlpips", "flow_coverage"] {
+                    insert(name, Score::NotAvailable(reason.to_string()));
+                }
             }
         }
         scores
@@ -273,25 +296,15 @@ impl Judges {
     fn flow(&self, a: &Image, b: &Image) -> Correspondence {
         let raft = self.raft.as_ref().map_err(Clone::clone)?;
         let (forward, backward) = (raft(a, b)?, raft(b, a)?);
-        let both = use3d_metrics::forward_backward(&forward, &backward).map_err(|e| e.to_string())?;
-        let mask = both.relative_mask(0.01, 0.5);
+        let mask = use3d_metrics::forward_backward(&forward, &backward)?.relative_mask(0.01, 0.5);
         Ok((forward, mask))
     }
 
     fn warped_lpips(&self, a: &Image, b: &Image, flow: &Flow, mask: &Mask) -> Score {
         measured(&self.lpips, |lpips| {
-            let between = |x: &_, y: &_| lpips(x, y).map_err(Reason);
-            use3d_metrics::warped_distance(a, b, flow, mask, between).map_err(|e| e.0)
+            let between = |x: &_, y: &_| lpips(x, y).map_err(ScoreError::from);
+            use3d_metrics::warped_distance(a, b, flow, mask, between)
         })
-    }
-}
-
-/// The message of an error, from any crate.
-struct Reason(String);
-
-impl From<MetricError> for Reason {
-    fn from(error: MetricError) -> Self {
-        Self(error.to_string())
     }
 }
 

@@ -30,6 +30,7 @@
 //!   a coefficient per length is converted the other way.
 
 use std::collections::BTreeSet;
+use std::io;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -104,13 +105,13 @@ pub fn files(capture: &Path) -> Vec<PathBuf> {
 ///
 /// # Errors
 /// The first file that cannot be read, and the reason.
-pub fn check_readable(capture: &Path) -> Result<Vec<PathBuf>, String> {
+pub fn check_readable(capture: &Path) -> Result<Vec<PathBuf>, ImportError> {
     if !is_there(capture) {
         return Ok(Vec::new());
     }
     let Ok(imported) = import(capture, &parameters(capture, None)) else { return Ok(Vec::new()) };
     let views = &imported.capture.views;
-    (0..views.len()).try_for_each(|i| imported.view(i).map(|_| ())).map_err(|e| e.to_string())?;
+    (0..views.len()).try_for_each(|i| imported.view(i).map(|_| ()))?;
     Ok(sources(&imported))
 }
 
@@ -196,15 +197,16 @@ impl Truth {
 }
 
 /// Reads the description of the water, if the file exists.
-fn read_water(path: &Path) -> Result<Option<CaptureTruth>, String> {
+fn read_water(path: &Path) -> io::Result<Option<CaptureTruth>> {
     let text = match std::fs::read(path) {
         Ok(text) => text,
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
-        Err(e) => return Err(e.to_string()),
+        Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(None),
+        Err(e) => return Err(e),
     };
-    let water: CaptureTruth = serde_json::from_slice(&text).map_err(|e| e.to_string())?;
+    let water: CaptureTruth = serde_json::from_slice(&text)?;
     if !(water.units_per_metre.is_finite() && water.units_per_metre > 0.0) {
-        return Err(format!("units_per_metre is {}; expected a positive number", water.units_per_metre));
+        let reason = format!("units_per_metre is {}; expected a positive number", water.units_per_metre);
+        return Err(io::Error::new(io::ErrorKind::InvalidData, reason));
     }
     Ok(Some(water))
 }

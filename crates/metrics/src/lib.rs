@@ -42,7 +42,7 @@ pub use halves::fitted_on_other_half;
 pub use lab::{lab_of_srgb, mean_cie1976};
 pub use mask::{blacked_out, counted, mask_of, only_counted};
 pub use psnr::{ExposureFit, decibels, exposure_gain, psnr, psnr_exposure_fitted};
-pub use score::{Finite, Score};
+pub use score::{Finite, NonFiniteScore, Score};
 pub use ssim::{ssim, ssim_map};
 pub use uciqe::{UCIQE_VARIANT, Uciqe, uciqe, uciqe_of_8bit};
 pub use uiqm::{Uiqm, uiqm, uiqm_of_8bit};

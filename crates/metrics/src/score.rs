@@ -31,11 +31,16 @@ impl From<Finite> for f64 {
     }
 }
 
-impl TryFrom<f64> for Finite {
-    type Error = String;
+/// A number that is no score.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error("a score of {0}; scores are finite")]
+pub struct NonFiniteScore(pub f64);
 
-    fn try_from(value: f64) -> Result<Self, String> {
-        Self::new(value).ok_or_else(|| format!("a score of {value}; scores are finite"))
+impl TryFrom<f64> for Finite {
+    type Error = NonFiniteScore;
+
+    fn try_from(value: f64) -> Result<Self, NonFiniteScore> {
+        Self::new(value).ok_or(NonFiniteScore(value))
     }
 }
 

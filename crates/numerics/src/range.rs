@@ -42,7 +42,7 @@ impl fmt::Display for OutOfRange {
 impl Error for OutOfRange {}
 
 /// Returns the error for the parameter at `path` unless `good`.
-fn check(
+pub fn check(
     good: bool,
     path: impl Into<String>,
     found: impl fmt::Display,

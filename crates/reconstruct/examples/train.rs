@@ -39,13 +39,9 @@ impl Observer for Lines {
     }
 }
 
-fn load(view: &View) -> Result<LoadedView, String> {
-    let text = |e: use3d_import::ImportError| e.to_string();
-    Ok(LoadedView {
-        pixels: load_pixels(view).map_err(text)?,
-        mask: load_mask(view).map_err(text)?,
-        depth_prior: load_depth_prior(view).map_err(text)?,
-    })
+fn load(view: &View) -> Result<LoadedView, Box<dyn std::error::Error + Send + Sync>> {
+    let mask = load_mask(view)?;
+    Ok(LoadedView { pixels: load_pixels(view)?, mask, depth_prior: load_depth_prior(view)? })
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {

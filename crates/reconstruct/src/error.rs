@@ -27,12 +27,12 @@ pub enum ReconstructError {
         source: CameraError,
     },
     /// A view's pixels could not be loaded.
-    #[error("view `{view}`: {message}")]
+    #[error("view `{view}`: {source}")]
     Load {
         /// The view.
         view: String,
-        /// The reason.
-        message: String,
+        /// The loader's error.
+        source: Box<dyn std::error::Error + Send + Sync>,
     },
     /// An image, mask or prior has another size than its camera.
     #[error(

@@ -20,8 +20,8 @@ pub(crate) fn load(
     observer: &mut dyn Observer,
 ) -> Result<Views, ReconstructError> {
     let mut one = |view: &View, training: bool| -> Result<TrainingView, ReconstructError> {
-        let mut loaded = loader(view)
-            .map_err(|message| ReconstructError::Load { view: view.name.to_string(), message })?;
+        let mut loaded =
+            loader(view).map_err(|source| ReconstructError::Load { view: view.name.to_string(), source })?;
         if params.depth_prior == DepthPrior::Off || !training {
             loaded.depth_prior = None;
         }

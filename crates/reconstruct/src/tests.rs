@@ -195,9 +195,11 @@ fn tiny_capture(views: usize) -> (Capture, Vec<LoadedView>) {
     (Capture { name: "tiny".into(), views, split, points, frame: Frame::IDENTITY }, loaded)
 }
 
-fn loader(loaded: &[LoadedView]) -> impl Fn(&View) -> Result<LoadedView, String> + Sync + '_ {
+fn loader(
+    loaded: &[LoadedView],
+) -> impl Fn(&View) -> Result<LoadedView, Box<dyn std::error::Error + Send + Sync>> + Sync + '_ {
     |view| {
-        let index: usize = view.name[..3].parse().map_err(|e| format!("{e}"))?;
+        let index: usize = view.name[..3].parse()?;
         Ok(loaded[index].clone())
     }
 }

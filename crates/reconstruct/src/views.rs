@@ -5,6 +5,8 @@
 //! means of the stored values (R11), over the pixels that count if there is a mask. A pixel counts if its
 //! mask is at least one half, and a box if at least half of its pixels count (R30).
 
+use std::error::Error;
+
 use rayon::prelude::*;
 use use3d_capture::{Camera, Image, Map, Pixels, Raster, View};
 
@@ -24,9 +26,8 @@ pub struct LoadedView {
     pub depth_prior: Option<Map>,
 }
 
-/// Reads a view's photograph, mask and prior, so that the loop does not depend on file formats; the error is
-/// a message for the user.
-pub type ViewLoader<'a> = dyn Fn(&View) -> Result<LoadedView, String> + Sync + 'a;
+/// Reads a view's photograph, mask and prior, so that the loop does not depend on file formats.
+pub type ViewLoader<'a> = dyn Fn(&View) -> Result<LoadedView, Box<dyn Error + Send + Sync>> + Sync + 'a;
 
 /// A training view in memory.
 #[derive(Clone, Debug)]

@@ -69,6 +69,14 @@ pub enum SceneError {
         /// The system's error, or the wrong field with the value found and the value expected.
         source: Box<dyn std::error::Error + Send + Sync>,
     },
+    /// The scene and a capture do not belong together.
+    #[error("{} {problem}", scene.display())]
+    Capture {
+        /// The scene.
+        scene: PathBuf,
+        /// The problem, and the next step.
+        problem: String,
+    },
 }
 
 /// The reason why a path is no scene, and the next step.

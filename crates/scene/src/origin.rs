@@ -57,19 +57,18 @@ impl Origin {
     /// Checks that `capture` is the one that the scene in `dir` was made from.
     ///
     /// # Errors
-    /// Returns a message with the reason if it is not.
-    pub fn check_capture(&self, dir: &Path, capture: &Capture) -> Result<(), String> {
+    /// It is not, or the folder is not a scene.
+    pub fn check_capture(&self, dir: &Path, capture: &Capture) -> Result<(), SceneError> {
+        let wrong = |problem: String| Err(SceneError::Capture { scene: dir.to_path_buf(), problem });
         let there: BTreeSet<&str> = capture.views.iter().map(View::stem).collect();
         let lost = self.train.iter().chain(&self.held_out).find(|stem| !there.contains(stem.as_str()));
         if let Some(lost) = lost {
-            return Err(format!(
-                "{} was made from another capture: its view `{lost}` is not in `{}`; give the capture that it was made \
-                 from",
-                dir.display(),
+            return wrong(format!(
+                "was made from another capture: its view `{lost}` is not in `{}`; give the capture that it was made from",
                 capture.name
             ));
         }
-        let own = Description::read(dir).map_err(|e| e.to_string())?.frame.into();
+        let own = Description::read(dir)?.frame.into();
         let numbers = |f: &use3d_capture::Frame| {
             let mut all = f.rotation.to_cols_array().to_vec();
             all.extend(f.translation.to_array());
@@ -78,10 +77,9 @@ impl Origin {
         };
         let apart = |(a, b): (&f64, &f64)| (a - b).abs() > SAME * a.abs().max(b.abs()).max(1.0);
         if numbers(&own).iter().zip(&numbers(&capture.frame)).any(apart) {
-            return Err(format!(
-                "{} was made in another frame than `{}` is imported in: give the capture that it was made from, with the \
+            return wrong(format!(
+                "was made in another frame than `{}` is imported in: give the capture that it was made from, with the \
                  same `normalise`",
-                dir.display(),
                 capture.name
             ));
         }
@@ -91,8 +89,8 @@ impl Origin {
     /// Checks that no view that `capture` holds out was trained with.
     ///
     /// # Errors
-    /// Returns a message that names the first such view.
-    pub fn check_split(&self, dir: &Path, capture: &Capture) -> Result<(), String> {
+    /// There is such a view.
+    pub fn check_split(&self, dir: &Path, capture: &Capture) -> Result<(), SceneError> {
         let trained: Vec<&str> =
             capture.test_views().map(View::stem).filter(|s| self.train.iter().any(|t| t == s)).collect();
         let Some(first) = trained.first() else { return Ok(()) };
@@ -100,11 +98,11 @@ impl Origin {
             0 => "it held out none (split.every = 0), so nothing can be scored on unseen views".to_string(),
             n => format!("it held out {n} others"),
         };
-        Err(format!(
-            "{} was trained with {} of the views that this split holds out (`{first}`, …): {held_out}; use the split of \
+        let problem = format!(
+            "was trained with {} of the views that this split holds out (`{first}`, …): {held_out}; use the split of \
              the reconstruction, e.g. `--set split.every=N`",
-            dir.display(),
             trained.len()
-        ))
+        );
+        Err(SceneError::Capture { scene: dir.to_path_buf(), problem })
     }
 }

@@ -168,33 +168,34 @@ impl White {
         let wrong = files::at::<String>(path);
         let white: Self = serde_json::from_slice(&bytes)
             .map_err(|e| wrong(format!("{e}; expected a white balance, as `use3d white` writes it")))?;
-        white.check().map_err(wrong)?;
+        white.check(path)?;
         Ok(white)
     }
 
-    /// Checks every number.
-    fn check(&self) -> Result<(), String> {
+    /// Checks every number; `path` is that of the file, for messages.
+    fn check(&self, path: &Path) -> Result<(), SceneError> {
+        let wrong = |what: String| Err(files::at(path)(what));
         if self.format != FORMAT {
             let format = use3d_capture::shown(&self.format);
-            return Err(format!("format is `{format}`; expected `{FORMAT}`"));
+            return wrong(format!("format is `{format}`; expected `{FORMAT}`"));
         }
         if self.version != VERSION {
-            return Err(format!("version is {}; this program reads version {VERSION}", self.version));
+            return wrong(format!("version is {}; this program reads version {VERSION}", self.version));
         }
         let ([least, most], Gains { clear, enhanced, enhanced_clear }) = (GAINS, self.gains);
         let all = [clear, enhanced, enhanced_clear];
         if let Some(gain) = all.as_flattened().iter().find(|g| !(least..=most).contains(*g)) {
-            return Err(format!("a gain is {gain}; expected {least} to {most}"));
+            return wrong(format!("a gain is {gain}; expected {least} to {most}"));
         }
         if self.clicks.len() > MOST_CLICKS {
-            return Err(format!("clicks has {} places; at most {MOST_CLICKS} are read", self.clicks.len()));
+            return wrong(format!("clicks has {} places; at most {MOST_CLICKS} are read", self.clicks.len()));
         }
         let odd = |click: &&Click| {
             let numbers = [Some(click.x), Some(click.y), click.distance];
             numbers.into_iter().flatten().any(|v| !v.is_finite())
         };
         match self.clicks.iter().find(odd) {
-            Some(click) => Err(format!("a click on `{}` has a number that is not finite", click.view)),
+            Some(click) => wrong(format!("a click on `{}` has a number that is not finite", click.view)),
             None => Ok(()),
         }
     }
@@ -204,7 +205,7 @@ impl White {
     /// # Errors
     /// Fails for gains out of their range, or if the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), SceneError> {
-        self.check().map_err(files::at(path))?;
+        self.check(path)?;
         files::write_json(path, self)
     }
 }

@@ -11,7 +11,7 @@ use use3d_nets::{DepthAnythingSize, Models, Network};
 use use3d_workflow::{StageContext, StageError};
 
 use crate::parts::captured::capture;
-use crate::parts::weights::not_there;
+use crate::parts::weights::MissingWeights;
 
 /// The size of the network.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -48,12 +48,11 @@ impl Encoder {
         self.candidates().iter().map(|(network, _)| *network).collect()
     }
 
-    /// The best network whose weights are in the models folder, or a message that names the files to put
-    /// there.
-    fn found(self, models: &Path) -> Result<(Network, DepthAnythingSize), String> {
+    /// The best network whose weights are in the models folder.
+    fn found(self, models: &Path) -> Result<(Network, DepthAnythingSize), MissingWeights> {
         let folder = Models::open(models);
         let found = self.candidates().iter().find(|(network, _)| folder.has(*network));
-        let missing = || not_there("Depth Anything V2", &self.networks(), models);
+        let missing = || MissingWeights::new("Depth Anything V2", &self.networks(), models);
         found.copied().ok_or_else(missing)
     }
 }
@@ -125,7 +124,7 @@ pub(crate) mod definition {
 fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let capture = capture(context)?;
     let models = context.input("models")?;
-    let (network, size) = params.encoder.found(models).map_err(StageError::message)?;
+    let (network, size) = params.encoder.found(models)?;
     context.say(format_args!("depth priors by {}", network.known().title));
     let network = Models::open(models).depth_anything_v2(size)?;
     let views: Vec<_> = capture.training_views().collect();

@@ -1,5 +1,6 @@
 //! Stage 2: stores the enhancement in the scene.
 
+use std::error::Error;
 use std::path::Path;
 
 use use3d_atc::consensus::Targets;
@@ -86,9 +87,8 @@ struct Proposals<'a> {
 }
 
 impl LabelSource for Proposals<'_> {
-    fn label(&self, index: usize) -> Result<Image, String> {
-        let image = load_pixels(self.views[index]).map_err(|e| e.to_string())?.to_image();
-        self.proposer.enhance(&image).map_err(|e| e.to_string())
+    fn label(&self, index: usize) -> Result<Image, Box<dyn Error + Send + Sync>> {
+        Ok(self.proposer.enhance(&load_pixels(self.views[index])?.to_image())?)
     }
 }
 
@@ -150,7 +150,7 @@ fn run(context: &StageContext, params: &EnhanceParams) -> Result<(), StageError>
             ));
         }
         let proposer = by_name(&targets.proposer.name, context.optional_input("models"))
-            .map_err(StageError::bad_input_message)?;
+            .map_err(StageError::bad_input)?;
         let source = Proposals { views: capture.training_views().collect(), proposer };
         labels = PseudoLabels::new(&source, &views, &params)?;
         Guidance::Labels(&labels)

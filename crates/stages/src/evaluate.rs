@@ -417,14 +417,13 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let learnt = learnt_from(context);
     let photographs = context.optional_input("photographs");
     let models = context.optional_input("models");
-    let proposer = open(params.proposer, models, &mut |line| context.log(line))
-        .map_err(StageError::bad_input_message)?;
+    let proposer =
+        open(params.proposer, models, &mut |line| context.log(line)).map_err(StageError::bad_input)?;
     let shown = drawn(context, &scene, &params.engine)?;
-    let reference_shown = reference.as_ref().map(|scene| Drawn::new(scene, &params.engine)).transpose();
-    let reference_shown = reference_shown.map_err(StageError::message)?;
+    let reference_shown = reference.as_ref().map(|scene| Drawn::new(scene, &params.engine)).transpose()?;
     let judges = Judges::open(models);
     if params.scores == Wanted::All {
-        judges.complete().map_err(StageError::bad_input_message)?;
+        judges.complete().map_err(StageError::bad_input)?;
     }
     let views: Vec<&View> = capture.test_views().collect();
     if views.is_empty() {

@@ -33,8 +33,8 @@ pub(crate) mod definition {
 
 /// The files of a capture folder that count in the key: those that the import would read, and no others in
 /// the folder. Hidden files among the views are listed by name, because a folder's digest skips them.
-fn files(params: &ImportParams, capture: &Path) -> Result<Vec<PathBuf>, String> {
-    let imported = import(capture, params).map_err(|e| e.to_string())?;
+fn files(params: &ImportParams, capture: &Path) -> Result<Vec<PathBuf>, ImportError> {
+    let imported = import(capture, params)?;
     let views = imported.capture.views.iter();
     let read =
         || views.clone().flat_map(|v| [Some(&v.image), v.mask.as_ref(), v.depth_prior.as_ref()]).flatten();

@@ -31,12 +31,12 @@ mod render;
 pub mod report;
 mod targets;
 
-pub use engines::{Drawn, close_devices};
+pub use engines::{CardError, Drawn, close_devices};
 pub use parts::appearance::Appearance;
 pub use parts::files::{
     BATCH, CALIBRATED, CALIBRATOR, CAMERAS, CHOICES, SCORES, SPEED, TARGETS, read_json, write_json,
 };
-pub use parts::proposer::{ProposerChoice, open as open_proposer};
+pub use parts::proposer::{ProposerChoice, ProposerError, open as open_proposer};
 pub use parts::water;
 pub use reconstruct::Choices;
 

@@ -95,8 +95,8 @@ pub(crate) mod definition {
 
 fn run(context: &StageContext, params: &PairsParams) -> Result<(), StageError> {
     let models = context.optional_input("models");
-    let proposer = open(params.proposer, models, &mut |line| context.say(line))
-        .map_err(StageError::bad_input_message)?;
+    let proposer =
+        open(params.proposer, models, &mut |line| context.say(line)).map_err(StageError::bad_input)?;
     let (input, target) = (context.input("input")?, context.input("target")?);
     let pairs = list(input, target)?;
     if pairs.is_empty() {
@@ -109,7 +109,7 @@ fn run(context: &StageContext, params: &PairsParams) -> Result<(), StageError> {
     let total = pairs.len();
     let mut duller = 0;
     let images = pairs.into_iter().map(|(name, a, b)| {
-        let images = read_image(&a).and_then(|a| Ok((a, read_image(&b)?))).map_err(|e| e.to_string());
+        let images = read_image(&a).and_then(|a| Ok((a, read_image(&b)?))).map_err(Box::from);
         duller += usize::from(images.as_ref().is_ok_and(|(input, target)| is_duller(target, input)));
         PairImages { images, name }
     });

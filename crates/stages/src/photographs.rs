@@ -65,8 +65,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         keep_light: params.keep_light,
     };
     let training: Vec<Camera> = capture.training_views().map(|view| view.camera).collect();
-    let photographer = appearance.photographer(&shown, &training);
-    let mut photographer = photographer.map_err(StageError::message)?;
+    let mut photographer = appearance.photographer(&shown, &training)?;
     // Without held-out views, one training view is shown, as in `render`.
     let views: Vec<(&View, Option<usize>)> = if capture.split.test.is_empty() {
         capture.training_views().take(1).map(|view| (view, Some(0))).collect()

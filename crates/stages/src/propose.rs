@@ -54,8 +54,7 @@ pub(crate) mod definition {
 
 fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let capture = capture(context)?;
-    let proposer = open(params.proposer, context.optional_input("models"), &mut |line| context.log(line))
-        .map_err(StageError::message)?;
+    let proposer = open(params.proposer, context.optional_input("models"), &mut |line| context.log(line))?;
     for (i, view) in capture.views.iter().enumerate() {
         context.alive()?;
         context.progress_with(i as u64, capture.views.len() as u64, "views", &view.name);

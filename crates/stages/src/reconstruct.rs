@@ -187,7 +187,7 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
     }
     let load = |view: &View| {
         let pixels = learnt_from.views.iter().find(|v| v.name == view.name);
-        load(view, pixels.unwrap_or(view)).map_err(|e| e.to_string())
+        Ok(load(view, pixels.unwrap_or(view))?)
     };
     let need = memory_need(&(&capture).into(), &params);
     let lower = "lower `reconstruct.max_gaussians`, or `import.size` for smaller images";

@@ -77,24 +77,22 @@ pub(crate) mod definition {
 }
 
 /// The mean absolute difference of two pictures, in display range.
-fn apart(a: &Path, b: &Path) -> Result<f64, String> {
-    let read = |path| read_image(path).map_err(|e| e.to_string());
-    difference(&read(a)?, &read(b)?)
+fn apart(a: &Path, b: &Path) -> Result<f64, StageError> {
+    difference(&read_image(a)?, &read_image(b)?)
 }
 
 /// The mean absolute difference of two depth maps over the mean of the first.
-fn depths_apart(a: &Path, b: &Path) -> Result<f64, String> {
-    let read = |path| read_map(path).map_err(|e| e.to_string());
-    let (a, b) = (read(a)?, read(b)?);
+fn depths_apart(a: &Path, b: &Path) -> Result<f64, StageError> {
+    let (a, b) = (read_map(a)?, read_map(b)?);
     // Both means are 0 if the maps show nothing.
     Ok(difference(&a, &b)? / mean(a.data().iter().map(|v| f64::from(v.abs()))).max(f64::MIN_POSITIVE))
 }
 
 /// The mean absolute difference of the values of two rasters of one size.
-fn difference<const C: usize>(a: &Raster<f32, C>, b: &Raster<f32, C>) -> Result<f64, String> {
+fn difference<const C: usize>(a: &Raster<f32, C>, b: &Raster<f32, C>) -> Result<f64, StageError> {
     let [made, again] = [a, b].map(|raster| format!("{} by {}", raster.width(), raster.height()));
     if made != again {
-        return Err(format!("{made} pixels, and again {again}"));
+        return Err(StageError::message(format!("{made} pixels, and again {again}")));
     }
     Ok(mean(a.data().iter().zip(b.data()).map(|(a, b)| f64::from((a - b).abs()))))
 }

@@ -82,6 +82,7 @@ pub(crate) mod definition {
                 return Some(Lacking { without: String::new(), ..missing });
             }
             let opened = of_calibrator(choice, &calibrator.proposer.name, models)
+                .map_err(|e| e.to_string())
                 .and_then(|p| calibrator.proposer.require(&p.id()).map_err(|e| e.to_string()));
             return opened.err().map(|problem| lacking("a calibrator for the proposer in use", problem, ""));
         }

@@ -1,7 +1,7 @@
 //! S3 and servers with the same protocol, through `object_store`. Keys, region and server come from the usual
 //! `AWS_…` variables; none of them is ever written anywhere.
 
-use std::io::{Read, Write};
+use std::io::{self, Read, Write};
 use std::time::Duration;
 
 use futures_util::StreamExt;
@@ -28,7 +28,7 @@ pub(crate) struct Bucket {
 }
 
 impl Bucket {
-    pub(crate) fn open(bucket: &str, prefix: &str) -> Result<Self, String> {
+    pub(crate) fn open(bucket: &str, prefix: &str) -> io::Result<Self> {
         let retry = RetryConfig {
             backoff: BackoffConfig {
                 init_backoff: Duration::from_millis(200),
@@ -55,12 +55,12 @@ impl Bucket {
             }
             builder = builder.with_config(key, value);
         }
-        let store = builder.with_bucket_name(bucket).with_retry(retry).build().map_err(|e| e.to_string())?;
+        let store = builder.with_bucket_name(bucket).with_retry(retry).build().map_err(io::Error::other)?;
         let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build();
-        let runtime = runtime.map_err(|e| e.to_string())?;
+        let runtime = runtime?;
         let place =
             if prefix.is_empty() { format!("s3://{bucket}") } else { format!("s3://{bucket}/{prefix}") };
-        let prefix = Path::parse(prefix).map_err(|e| e.to_string())?;
+        let prefix = Path::parse(prefix).map_err(io::Error::other)?;
         Ok(Self { place, prefix, store, runtime })
     }
 

@@ -7,6 +7,7 @@
 #[cfg(feature = "s3")]
 mod bucket;
 
+use std::io;
 use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
@@ -26,53 +27,57 @@ pub fn folder(address: &str) -> Option<PathBuf> {
 ///
 /// # Errors
 /// An address that cannot be parsed, or one that this program was built without; the message says what to do.
-pub fn open(address: &str) -> Result<Arc<dyn Remote>, String> {
+pub fn open(address: &str) -> io::Result<Arc<dyn Remote>> {
     let shown = without_credentials(address);
+    let wrong = |what: String| Err(io::Error::new(io::ErrorKind::InvalidInput, what));
     let Some((scheme, rest)) = address.split_once("://") else {
         if address.is_empty() {
-            return Err("an empty address: a folder or s3://BUCKET/PREFIX is expected".to_string());
+            return wrong("an empty address: a folder or s3://BUCKET/PREFIX is expected".into());
         }
-        let path = std::path::absolute(address).map_err(|e| format!("{address}: {e}"))?;
-        return Ok(Arc::new(FolderStore::new(&path)));
+        return match std::path::absolute(address) {
+            Ok(path) => Ok(Arc::new(FolderStore::new(&path))),
+            Err(e) => wrong(format!("{address}: {e}")),
+        };
     };
     match scheme {
         "file" => match Path::new(rest) {
             path if path.components().next() == Some(Component::RootDir) => {
                 Ok(Arc::new(FolderStore::new(path)))
             }
-            _ => Err(format!("{shown}: write file:///ABSOLUTE/PATH")),
+            _ => wrong(format!("{shown}: write file:///ABSOLUTE/PATH")),
         },
         "s3" => {
             let (bucket, prefix) = rest.split_once('/').unwrap_or((rest, ""));
             if bucket.contains(['@', ':', '?']) || prefix.contains('?') {
-                return Err(format!(
+                return wrong(format!(
                     "{shown}: s3://BUCKET/PREFIX is expected, nothing more; keys come from AWS_ACCESS_KEY_ID and \
                      AWS_SECRET_ACCESS_KEY, another server's address from AWS_ENDPOINT_URL"
                 ));
             }
             if bucket.is_empty() {
-                return Err(format!("{shown}: s3://BUCKET/PREFIX is expected"));
+                return wrong(format!("{shown}: s3://BUCKET/PREFIX is expected"));
             }
             open_bucket(&shown, bucket, prefix.trim_matches('/'))
         }
-        _ => Err(format!(
+        _ => wrong(format!(
             "{shown}: unknown kind of store; expected a folder, file:///PATH or s3://BUCKET/PREFIX"
         )),
     }
 }
 
 #[cfg(feature = "s3")]
-fn open_bucket(shown: &str, bucket: &str, prefix: &str) -> Result<Arc<dyn Remote>, String> {
-    let opened = bucket::Bucket::open(bucket, prefix).map_err(|e| format!("{shown}: {e}"))?;
+fn open_bucket(shown: &str, bucket: &str, prefix: &str) -> io::Result<Arc<dyn Remote>> {
+    let opened = bucket::Bucket::open(bucket, prefix);
+    let opened = opened.map_err(|e| io::Error::new(e.kind(), format!("{shown}: {e}")))?;
     Ok(Arc::new(opened))
 }
 
 #[cfg(not(feature = "s3"))]
-fn open_bucket(shown: &str, _: &str, _: &str) -> Result<Arc<dyn Remote>, String> {
-    Err(format!(
+fn open_bucket(shown: &str, _: &str, _: &str) -> io::Result<Arc<dyn Remote>> {
+    Err(io::Error::other(format!(
         "{shown}: this program was built without S3; build it with `cargo install --path crates/cli --features s3`, or give a \
          folder"
-    ))
+    )))
 }
 
 /// An address without any part that may be a password, for messages.
@@ -104,7 +109,7 @@ mod tests {
             ("s3://bucket/prefix?secret=secret", "AWS_SECRET_ACCESS_KEY"),
             ("https://AKIA:secret@host/bucket", "unknown kind"),
         ] {
-            let error = open(wrong).err().expect(wrong);
+            let error = open(wrong).err().expect(wrong).to_string();
             assert!(error.contains(words), "{wrong}: {error}");
             assert!(
                 !error.contains("secret@") && !error.contains("=secret") && !error.contains("AKIA"),
@@ -116,7 +121,7 @@ mod tests {
     #[cfg(not(feature = "s3"))]
     #[test]
     fn without_s3_it_is_said_how_to_get_it() {
-        let error = open("s3://bucket/prefix").err().expect("not there");
+        let error = open("s3://bucket/prefix").err().expect("not there").to_string();
         assert!(error.contains("--features s3"), "{error}");
     }
 }

@@ -6,6 +6,7 @@
 //! that it takes [`STILL`] while a training runs.
 
 use std::collections::VecDeque;
+use std::io;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -73,8 +74,10 @@ pub(crate) enum DrawingAnswer {
         version: u64,
     },
     Depth(Option<f32>),
-    /// The colour of a spot, or the reason why it has none.
-    Patch(Result<Patch, String>),
+    /// The colour of a spot.
+    Patch(Patch),
+    /// The reason why a spot has no colour.
+    NoPatch(String),
     /// A newer request of the same page replaced this one, or there are too many pages.
     Dropped,
     Failed(String),
@@ -192,11 +195,11 @@ impl Drawing {
                     DrawingRequest::Depth(camera) => depth(&mut renderer, camera),
                     DrawingRequest::Patch { camera, x, y, .. } => {
                         renderer.gains = Gains::ONE;
-                        let found = patch(&mut renderer, camera, *x, *y).map_err(|e| e.to_string());
-                        Ok(DrawingAnswer::Patch(found))
+                        let found = patch(&mut renderer, camera, *x, *y);
+                        Ok(found.map_or_else(|e| DrawingAnswer::NoPatch(e.to_string()), DrawingAnswer::Patch))
                     }
                 });
-                let _ = job.answer.send(drawn.unwrap_or_else(DrawingAnswer::Failed));
+                let _ = job.answer.send(drawn.unwrap_or_else(|e| DrawingAnswer::Failed(e.to_string())));
                 let rest = self.live.rest(started.elapsed());
                 self.queue.lock().unwrap_or_else(PoisonError::into_inner).rests_until =
                     rest.map(|rest| Instant::now() + rest);
@@ -247,7 +250,7 @@ impl Pace {
         look: &PictureRequest,
         version: u64,
         trains: bool,
-    ) -> Result<DrawingAnswer, String> {
+    ) -> io::Result<DrawingAnswer> {
         let divisor = self.divisor(look, trains);
         let k = look.camera.intrinsics;
         let (width, height) = (k.width.div_ceil(divisor), k.height.div_ceil(divisor));
@@ -257,7 +260,7 @@ impl Pace {
         renderer.gains = look.white;
         let mut modes = vec![look.mode];
         modes.extend(look.left.map(|(left, _)| left));
-        let frames = renderer.render(&camera, &modes).map_err(|e| e.to_string())?;
+        let frames = renderer.render(&camera, &modes).map_err(io::Error::other)?;
         let image = joined(look, &modes, &frames);
         let one = started.elapsed().as_secs_f64() / (width * height * modes.len()) as f64;
         let known = &mut self.per_pixel[usize::from(trains)];
@@ -284,7 +287,7 @@ fn joined(look: &PictureRequest, modes: &[Mode], frames: &[Rendering]) -> Image 
 }
 
 /// A picture encoded for a page, without loss if it is a final one.
-fn encoded(image: &Image, exact: bool) -> Result<(Vec<u8>, &'static str), String> {
+fn encoded(image: &Image, exact: bool) -> io::Result<(Vec<u8>, &'static str)> {
     // No side of a picture is longer than 4096 pixels.
     let (width, height) = (image.width() as u16, image.height() as u16);
     let pixels = image.to_8bit().to_interleaved();
@@ -292,17 +295,17 @@ fn encoded(image: &Image, exact: bool) -> Result<(Vec<u8>, &'static str), String
     if exact {
         PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Sub)
             .write_image(&pixels, width.into(), height.into(), ExtendedColorType::Rgb8)
-            .map_err(|e| e.to_string())?;
+            .map_err(io::Error::other)?;
         return Ok((bytes, "image/png"));
     }
     Encoder::new(&mut bytes, JPEG_QUALITY)
         .encode(&pixels, width, height, ColorType::Rgb)
-        .map_err(|e| e.to_string())?;
+        .map_err(io::Error::other)?;
     Ok((bytes, "image/jpeg"))
 }
 
-fn depth(renderer: &mut SceneRenderer<'_>, camera: &Camera) -> Result<DrawingAnswer, String> {
-    let frames = renderer.render(camera, &[Mode::Depth, Mode::Alpha]).map_err(|e| e.to_string())?;
+fn depth(renderer: &mut SceneRenderer<'_>, camera: &Camera) -> io::Result<DrawingAnswer> {
+    let frames = renderer.render(camera, &[Mode::Depth, Mode::Alpha]).map_err(io::Error::other)?;
     let [Rendering::Scalar(depth), Rendering::Scalar(alpha)] = &frames[..] else {
         return Ok(DrawingAnswer::Depth(None));
     };

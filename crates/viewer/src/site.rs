@@ -7,7 +7,7 @@ use std::time::Duration;
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
 use serde_json::json;
-use use3d_capture::{Camera, Intrinsics, Pose};
+use use3d_capture::{Camera, CameraError, Intrinsics, Pose};
 use use3d_render::Mode;
 use use3d_scene::white::{GAINS, Gains};
 
@@ -26,6 +26,25 @@ pub(crate) struct Site {
     live: Arc<Live>,
     drawing: Arc<Drawing>,
     page: use3d_web::Served,
+}
+
+/// A fault in a request.
+#[derive(Debug, thiserror::Error)]
+enum RequestError {
+    #[error("the request cannot be read: {0}")]
+    Form(#[from] serde_json::Error),
+    #[error("a picture of {0} × {1} pixels; at most {PIXELS} are drawn")]
+    Size(usize, usize),
+    #[error(transparent)]
+    Camera(#[from] CameraError),
+    #[error("there is no mode `{0}`")]
+    Mode(String),
+    #[error("{0} 0 to 1")]
+    Shares(&'static str),
+    #[error("the gains of a white balance are {} to {}", GAINS[0], GAINS[1])]
+    Gains,
+    #[error("there is nothing of that kind to do here")]
+    Command,
 }
 
 /// A camera as the page sends it: pixels, and rows right, down, forward.
@@ -80,34 +99,34 @@ struct CommandWords {
 }
 
 impl CameraWords {
-    fn camera(&self) -> Result<Camera, String> {
+    fn camera(&self) -> Result<Camera, RequestError> {
         let (width, height) = (self.width, self.height);
         if width > SIDE || height > SIDE || width * height > PIXELS {
-            return Err(format!("a picture of {width} × {height} pixels; at most {PIXELS} are drawn"));
+            return Err(RequestError::Size(width, height));
         }
         let [fx, fy, cx, cy] = self.lens;
         let [right, down, forward] = self.rotation.map(DVec3::from_array);
         let rotation = DMat3::from_cols(right, down, forward).transpose();
         let pose = Pose::from_center(rotation, DVec3::from_array(self.eye));
         let camera = Camera { intrinsics: Intrinsics { width, height, fx, fy, cx, cy }, pose };
-        camera.validate().map_err(|e| e.to_string())?;
+        camera.validate()?;
         Ok(camera)
     }
 }
 
 impl LookWords {
-    fn look(&self) -> Result<PictureRequest, String> {
-        let mode = |name: &str| Mode::from_name(name).ok_or_else(|| format!("there is no mode `{name}`"));
+    fn look(&self) -> Result<PictureRequest, RequestError> {
+        let mode = |name: &str| Mode::from_name(name).ok_or_else(|| RequestError::Mode(name.into()));
         let shares = [f64::from(self.strength), f64::from(self.water), self.at];
         if shares.iter().any(|share| !(0.0..=1.0).contains(share)) {
-            return Err("strength, water and the divider's place are 0 to 1".into());
+            return Err(RequestError::Shares("strength, water and the divider's place are"));
         }
         let left = self.left.as_deref().map(mode).transpose()?;
         let white = self.white.unwrap_or(Gains::ONE);
         let [least, most] = GAINS;
         let gains = [white.clear, white.enhanced, white.enhanced_clear];
         if gains.as_flattened().iter().any(|gain| !(least..=most).contains(gain)) {
-            return Err(format!("the gains of a white balance are {least} to {most}"));
+            return Err(RequestError::Gains);
         }
         Ok(PictureRequest {
             camera: self.camera.camera()?,
@@ -137,11 +156,11 @@ impl Site {
             return page;
         }
         self.live.looked();
-        self.data(request).unwrap_or_else(|wrong| Response::text(400, &wrong))
+        self.data(request).unwrap_or_else(|fault| Response::text(400, &fault.to_string()))
     }
 
     /// The answer to a `POST`, or the fault in it.
-    fn data(&self, request: &HttpRequest) -> Result<Response, String> {
+    fn data(&self, request: &HttpRequest) -> Result<Response, RequestError> {
         Ok(match request.path.as_str() {
             "/scene" => Response::json(&self.live.beginning()),
             "/state" => Response::json(&self.live.status()),
@@ -160,14 +179,14 @@ impl Site {
             "/patch" => {
                 let PatchWords { page, camera, x, y, water } = words(request)?;
                 if !(0.0..=1.0).contains(&water) {
-                    return Err("water is 0 to 1".into());
+                    return Err(RequestError::Shares("water is"));
                 }
                 self.drawn(&page, DrawingRequest::Patch { camera: camera.camera()?, x, y, water })
             }
             "/do" => {
                 let asked: CommandWords = words(request)?;
                 if !self.live.command(&asked.name, asked.share) {
-                    return Err("there is nothing of that kind to do here".into());
+                    return Err(RequestError::Command);
                 }
                 Response::json(&self.live.status())
             }
@@ -183,10 +202,10 @@ impl Site {
                     vec![("X-Divisor", divisor.to_string()), ("X-Version", version.to_string())];
                 response
             }
-            Ok(DrawingAnswer::Patch(Ok(patch))) => {
+            Ok(DrawingAnswer::Patch(patch)) => {
                 Response::json(&json!({ "colors": patch.colors, "depth": patch.depth }))
             }
-            Ok(DrawingAnswer::Patch(Err(problem))) => Response::json(&json!({ "problem": problem })),
+            Ok(DrawingAnswer::NoPatch(problem)) => Response::json(&json!({ "problem": problem })),
             Ok(DrawingAnswer::Depth(depth)) => Response::json(&json!({ "depth": depth })),
             Ok(DrawingAnswer::Dropped) | Err(_) => Response::new(204, "text/plain", ""),
             Ok(DrawingAnswer::Failed(why)) => Response::text(503, &why),
@@ -195,6 +214,6 @@ impl Site {
 }
 
 /// Parses a request's body.
-fn words<T: serde::de::DeserializeOwned>(request: &HttpRequest) -> Result<T, String> {
-    serde_json::from_slice(&request.body).map_err(|e| format!("the request cannot be read: {e}"))
+fn words<T: serde::de::DeserializeOwned>(request: &HttpRequest) -> Result<T, serde_json::Error> {
+    serde_json::from_slice(&request.body)
 }

@@ -31,7 +31,7 @@ mod water;
 pub use page::{Page, PageData, PageView, Served, Written, data, header, served, write};
 pub use photographs::Photograph;
 pub use saved::{SavedView, SavedViews};
-pub use shot::Shot;
+pub use shot::{Shot, ShotError};
 
 /// A page that cannot be made.
 #[derive(Debug, thiserror::Error)]

@@ -3,7 +3,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::shot::Shot;
+use use3d_numerics::range::{check, positive, within};
+
+use crate::shot::{Shot, ShotError};
 
 const FORMAT: &str = "3d-use views";
 /// Largest number of views: more than a person picks from a list.
@@ -44,43 +46,41 @@ fn half() -> f64 {
     0.5
 }
 
+impl SavedView {
+    fn check(&self) -> Result<(), ShotError> {
+        if self.name.trim().is_empty() {
+            return Err(ShotError::NoName);
+        }
+        within("at", self.at, 0.0, 1.0)?;
+        self.shot.check()
+    }
+}
+
 impl SavedViews {
     /// Reads the text of a file of views.
     ///
     /// # Errors
-    /// Returns a message that names the view and its problem.
-    pub fn read(text: &str) -> Result<Self, String> {
+    /// Fails at the first fault in the file, and names the view that has it.
+    pub fn read(text: &str) -> Result<Self, ShotError> {
         let saved: Self =
-            serde_json::from_str(text).map_err(|e| format!("it is not a file of views: {e}"))?;
+            serde_json::from_str(text).map_err(|e| ShotError::Form("it is not a file of views", e))?;
         if saved.format != FORMAT {
-            return Err(format!("its `format` is not `{FORMAT}`"));
+            return Err(ShotError::Format(FORMAT));
         }
         if saved.version != 1 {
-            return Err(format!("version {}; this program reads version 1", saved.version));
+            return Err(ShotError::Version(saved.version));
         }
         if let Some(up) = saved.up {
             let length = up.iter().map(|v| v * v).sum::<f64>();
-            if !(length.is_finite() && length > 0.0) {
-                return Err(format!("up is {up:?}; expected a direction"));
-            }
+            check(length.is_finite() && length > 0.0, "up", format!("{up:?}"), "a direction")?;
         }
-        if let Some(metres) = saved.metres_per_unit.filter(|m| !(m.is_finite() && *m > 0.0)) {
-            return Err(format!("metres_per_unit is {metres}; expected a positive number"));
-        }
+        saved.metres_per_unit.map_or(Ok(()), |metres| positive("metres_per_unit", metres))?;
         if saved.views.len() > MOST {
-            return Err(format!("it has {} views; at most {MOST} are read", saved.views.len()));
+            return Err(ShotError::TooMany(saved.views.len(), MOST));
         }
         for (i, view) in saved.views.iter().enumerate() {
-            let wrong = |what: &str| Err(format!("view {} (`{}`): {what}", i + 1, view.name));
-            if view.name.trim().is_empty() {
-                return wrong("it has no name");
-            }
-            if !(0.0..=1.0).contains(&view.at) {
-                return wrong(&format!("at is {}; expected 0 to 1", view.at));
-            }
-            if let Err(what) = view.shot.check() {
-                return wrong(&what);
-            }
+            let place = || format!("view {} (`{}`)", i + 1, view.name);
+            view.check().map_err(|fault| ShotError::At(place(), Box::new(fault)))?;
         }
         Ok(saved)
     }
@@ -125,7 +125,7 @@ mod tests {
             ("\"views\"", "\"keys\"", "not a file of views"),
         ] {
             assert!(good.contains(from), "{from} in {good}");
-            let error = SavedViews::read(&good.replacen(from, to, 1)).unwrap_err();
+            let error = SavedViews::read(&good.replacen(from, to, 1)).unwrap_err().to_string();
             assert!(error.contains(said), "{from}: {error}");
         }
     }

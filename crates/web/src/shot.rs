@@ -3,7 +3,8 @@
 
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
-use use3d_capture::Pose;
+use use3d_capture::{CameraError, Pose};
+use use3d_numerics::range::{OutOfRange, check, positive, within};
 
 /// A camera position and a look.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -28,6 +29,47 @@ pub struct Shot {
     pub water: f32,
 }
 
+/// A fault in a file of camera positions: a path, or named views.
+#[derive(Debug, thiserror::Error)]
+pub enum ShotError {
+    /// A text that is not a file of the expected kind, after words that say which.
+    #[error("{0}: {1}")]
+    Form(&'static str, #[source] serde_json::Error),
+    /// The file is of another kind than the expected one.
+    #[error("its `format` is not `{0}`")]
+    Format(&'static str),
+    /// The version of the file is not known.
+    #[error("version {0}; this program reads version 1")]
+    Version(u32),
+    /// A value is outside its range.
+    #[error("{} {}", .0.path, .0.words())]
+    Value(#[from] OutOfRange),
+    /// A pose is not one.
+    #[error(transparent)]
+    Pose(#[from] CameraError),
+    /// A fault in this key or view of the file.
+    #[error("{0}: {1}")]
+    At(String, Box<Self>),
+    /// A view without a name.
+    #[error("it has no name")]
+    NoName,
+    /// A path without keys.
+    #[error("it has no keys")]
+    NoKeys,
+    /// More views than the most that are read.
+    #[error("it has {0} views; at most {1} are read")]
+    TooMany(usize, usize),
+    /// More frames than these.
+    #[error("it is longer than {0} frames")]
+    TooLong(f64),
+    /// nerfstudio's change of frame cannot be undone.
+    #[error("the dataparser_transforms.json beside it has no inverse")]
+    NoInverse,
+    /// The matrix of the camera of this index has another number of entries.
+    #[error("camera_path[{0}].camera_to_world has {1} numbers; expected 16")]
+    Matrix(usize, usize),
+}
+
 fn one() -> f32 {
     1.0
 }
@@ -50,20 +92,17 @@ impl Shot {
         Pose::from_center(rotation, DVec3::from_array(self.center))
     }
 
-    /// Returns a message if a value is invalid.
-    pub(crate) fn check(&self) -> Result<(), String> {
-        let fov = self.vertical_fov_degrees;
-        if !(fov > 0.0 && fov < 180.0) {
-            return Err(format!("vertical_fov_degrees is {fov}; expected more than 0 and less than 180"));
-        }
-        if let Some(focus) = self.focus.filter(|focus| !(focus.is_finite() && *focus > 0.0)) {
-            return Err(format!("focus is {focus}; expected a positive number"));
-        }
-        for (name, share) in [("strength", self.strength), ("water", self.water)] {
-            if !(0.0..=1.0).contains(&share) {
-                return Err(format!("{name} is {share}; expected 0 to 1"));
-            }
-        }
-        self.pose().validate().map_err(|e| e.to_string())
+    /// Checks its values.
+    pub(crate) fn check(&self) -> Result<(), ShotError> {
+        check_fov("vertical_fov_degrees", self.vertical_fov_degrees)?;
+        self.focus.map_or(Ok(()), |focus| positive("focus", focus))?;
+        within("strength", self.strength, 0.0, 1.0)?;
+        within("water", self.water, 0.0, 1.0)?;
+        Ok(self.pose().validate()?)
     }
+}
+
+/// Checks a field of view, degrees.
+pub(crate) fn check_fov(path: &str, fov: f64) -> Result<(), OutOfRange> {
+    check(fov > 0.0 && fov < 180.0, path, fov, "more than 0 and less than 180")
 }

@@ -94,7 +94,7 @@ pub mod run;
 pub mod share;
 pub mod stage;
 
-pub use cache::artifacts::{Artifact, Cache};
+pub use cache::artifacts::{Artifact, Cache, DamagedFile};
 pub use cache::key::DeviceClass;
 pub use cache::manifest::Notes;
 pub use cache::{canonical, content, delivered, files, key, leftovers, machine, manifest, node, place, task};

@@ -4,6 +4,8 @@
 //! listed and left out; this is never an error. An example takes a few tens of kilobytes and serialises, so
 //! that a caller can store it per pair.
 
+use std::error::Error;
+
 use serde::{Deserialize, Serialize};
 use use3d_capture::Image;
 
@@ -17,7 +19,7 @@ pub struct PairImages {
     /// The pair's name.
     pub name: String,
     /// The underwater image and the enhanced one, or the reason why they could not be read.
-    pub images: Result<(Image, Image), String>,
+    pub images: Result<(Image, Image), Box<dyn Error + Send + Sync>>,
 }
 
 /// A pair that was left out.
@@ -127,7 +129,12 @@ impl Dataset {
         let mut workspace = Workspace::default();
         for (index, pair) in pairs.into_iter().enumerate() {
             report(watch, LoopPosition::Pair { index, name: &pair.name })?;
-            match example(&pair, proposer, extractor, &mut workspace) {
+            let made = match &pair.images {
+                Ok(images) => example(&pair.name, images, proposer, extractor, &mut workspace)
+                    .map_err(|error| error.to_string()),
+                Err(error) => Err(error.to_string()),
+            };
+            match made {
                 Ok(example) => dataset.examples.push(example),
                 Err(reason) => {
                     tracing::warn!("pair {} is left out: {reason}", pair.name);
@@ -148,32 +155,30 @@ impl Dataset {
 }
 
 fn example(
-    pair: &PairImages,
+    name: &str,
+    (source, target): &(Image, Image),
     proposer: &dyn Proposer,
     extractor: &ExtractorSettings,
     workspace: &mut Workspace,
-) -> Result<PairExample, String> {
-    let (source, target) = pair.images.as_ref().map_err(Clone::clone)?;
+) -> Result<PairExample, AtcError> {
     check_shapes(source, target)?;
-    let said = |e: AtcError| e.to_string();
-    let source = SourceImage::from_image(source, extractor).map_err(said)?;
-    let proposal = proposer.propose(&source.image).map_err(said)?;
-    PairExample::extract(&pair.name, &source, target, &proposal, workspace).map_err(said)
+    let source = SourceImage::from_image(source, extractor)?;
+    let proposal = proposer.propose(&source.image)?;
+    PairExample::extract(name, &source, target, &proposal, workspace)
 }
 
 /// Both halves must show the same frame: sizes may differ (one half was scaled), aspect ratios by at most
 /// two percent.
-fn check_shapes(source: &Image, target: &Image) -> Result<(), String> {
+fn check_shapes(source: &Image, target: &Image) -> Result<(), AtcError> {
     let (a, b) = ((source.width(), source.height()), (target.width(), target.height()));
     if a.0.min(a.1).min(b.0).min(b.1) < 8 {
-        return Err(format!("{}x{} and {}x{}: both sides must be at least 8 pixels", a.0, a.1, b.0, b.1));
+        let sizes = format!("{}x{} and {}x{}", a.0, a.1, b.0, b.1);
+        return Err(AtcError::artifact(sizes, "both sides must be at least 8 pixels"));
     }
     let ratio = (a.0 as f64 / a.1 as f64) / (b.0 as f64 / b.1 as f64);
     if !(0.98..=1.02).contains(&ratio) {
-        return Err(format!(
-            "the input is {}x{} and the target {}x{}: different shapes cannot be the same photograph",
-            a.0, a.1, b.0, b.1
-        ));
+        let sizes = format!("the input is {}x{} and the target {}x{}", a.0, a.1, b.0, b.1);
+        return Err(AtcError::artifact(sizes, "different shapes cannot be the same photograph"));
     }
     Ok(())
 }

@@ -83,7 +83,7 @@ pub(crate) struct Labels<'a> {
 }
 
 impl LabelSource for Labels<'_> {
-    fn label(&self, index: usize) -> Result<Image, String> {
+    fn label(&self, index: usize) -> Result<Image, Box<dyn std::error::Error + Send + Sync>> {
         Ok(draw(self.taught, Look::Enhanced { strength: 1.0 }, &self.views[index].camera))
     }
 }

@@ -3,6 +3,7 @@
 //! The views are compared with labels, pixel by pixel. The extractor, which transition targets need, is on
 //! the processor in both engines, and amplifies the last digits of a render a hundredfold.
 
+use std::error::Error;
 use std::ops::Range;
 
 use use3d_capture::Image;
@@ -27,7 +28,7 @@ pub(crate) struct Waves {
 }
 
 impl LabelSource for Waves {
-    fn label(&self, index: usize) -> Result<Image, String> {
+    fn label(&self, index: usize) -> Result<Image, Box<dyn Error + Send + Sync>> {
         let value = |i: usize| 0.5 + 0.4 * math::sin(0.1 * (i + index) as f64);
         let planes = (0..3 * self.width * self.height).map(|i| value(i) as f32).collect();
         Image::from_planes(self.width, self.height, planes).ok_or_else(|| "no pixels".into())

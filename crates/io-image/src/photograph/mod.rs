@@ -116,7 +116,7 @@ impl Photograph {
     /// Those of [`Photograph::read`].
     pub fn of_bytes(bytes: Vec<u8>, path: &Path) -> Result<Self, ImageError> {
         let format = crate::read::info_of_bytes(&bytes, path)?.format;
-        let fail = |reason: String| ImageError::decode(path, format, reason);
+        let fail = |fault: io::Error| ImageError::decode(path, format, fault);
         let mut notes = Vec::new();
         let (tags, orientation, decoded) = match format {
             FileFormat::Jpeg => {

@@ -9,6 +9,9 @@
 //! the old pixels), and an ICC profile that is not for RGB. A camera's raw file, which is also a TIFF, is
 //! refused: its first picture is only a preview.
 
+use std::io;
+
+use crate::error::damaged;
 use crate::tiff_structure::{TagValue, TiffStructure};
 
 /// The tags that point at the directories for EXIF, GPS and interoperability.
@@ -87,13 +90,14 @@ impl TiffTags {
     ///
     /// # Errors
     /// The reason why the file holds no photograph.
-    pub(crate) fn of(bytes: &[u8], notes: &mut Vec<String>) -> Result<(Self, u16), String> {
-        let tiff = TiffStructure::of(bytes).ok_or("it has no TIFF header")?;
+    pub(crate) fn of(bytes: &[u8], notes: &mut Vec<String>) -> io::Result<(Self, u16)> {
+        let tiff = TiffStructure::of(bytes).ok_or_else(|| damaged("it has no TIFF header"))?;
         let mut budget = bytes.len();
         let first = tiff.first().and_then(|at| tiff.directory(at, &mut budget));
-        let (mut first, mut broken, next) = first.ok_or("its first directory lies outside the file")?;
+        let (mut first, mut broken, next) =
+            first.ok_or_else(|| damaged("its first directory lies outside the file"))?;
         if let Some(reason) = refusal(&first, tiff.big) {
-            return Err(reason.into());
+            return Err(damaged(reason));
         }
         let number = |tag: u16| find(&first, tag).and_then(|t| t.number(tiff.big));
         let orientation = number(ORIENTATION).filter(|o| (1..=8).contains(o)).unwrap_or(1) as u16;

@@ -94,7 +94,7 @@ impl TruthBench {
                 (None, None) => LearntFrom::Nothing,
             },
         };
-        recipe.check().map_err(WorkError::Input)?;
+        recipe.check()?;
         let captures = named(&request.captures).map_err(|e| WorkError::Input(format!("--captures: {e}")))?;
         request.seeds.sort_unstable();
         request.seeds.dedup();
@@ -247,7 +247,8 @@ impl TruthBench {
             given => serde_json::from_value(given.clone()).map_err(WorkError::failed)?,
         };
         let models = seed.pipeline.batch.externals.get("models").and_then(|m| m.as_deref().ok());
-        let proposer = open_proposer(choice, models, &mut |_| {}).map_err(WorkError::Failed)?;
+        let proposer = open_proposer(choice, models, &mut |_| {});
+        let proposer = proposer.map_err(|e| WorkError::Failed(e.to_string()))?;
         let folder = self.folder(capture, seed.seed);
         let mut clean = |stem: &str, size: (usize, usize)| {
             let truth = Truth::open(&folder, size, &mut |_| {})?;

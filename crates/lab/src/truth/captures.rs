@@ -9,6 +9,8 @@
 
 use use3d_synth::{CaptureParams, Development, Location, Physics, WaterType};
 
+use use3d_pipeline::WorkError;
+
 /// The description of a synthetic capture.
 #[derive(Clone, Copy, Debug)]
 pub struct Capture {
@@ -90,11 +92,11 @@ pub const CAPTURES: [Capture; 14] = [
 /// captures if the list is empty.
 ///
 /// # Errors
-/// Returns a message that lists the known names if one is unknown.
-pub fn named(names: &[String]) -> Result<Vec<Capture>, String> {
+/// A name is unknown.
+pub fn named(names: &[String]) -> Result<Vec<Capture>, WorkError> {
     if let Some(wrong) = names.iter().find(|n| !CAPTURES.iter().any(|c| c.name.eq_ignore_ascii_case(n))) {
         let known = CAPTURES.map(|c| c.name).join(", ");
-        return Err(format!("no capture `{wrong}`; expected some of {known}"));
+        return Err(WorkError::Input(format!("no capture `{wrong}`; expected some of {known}")));
     }
     let asked = |c: &Capture| names.is_empty() || names.iter().any(|n| c.name.eq_ignore_ascii_case(n));
     Ok(CAPTURES.into_iter().filter(asked).collect())
@@ -157,6 +159,8 @@ mod tests {
         };
         assert_eq!(names(&["AIR", "display-i"]).unwrap(), ["display-I", "air"]);
         assert_eq!(names(&[]).unwrap().len(), CAPTURES.len());
-        assert!(names(&["air", "reef"]).unwrap_err().contains("`reef`; expected some of display-I"));
+        assert!(
+            names(&["air", "reef"]).unwrap_err().to_string().contains("`reef`; expected some of display-I")
+        );
     }
 }

@@ -8,6 +8,7 @@
 use std::fmt::Write;
 
 use super::captures::Capture;
+use use3d_pipeline::WorkError;
 
 /// This program with its default settings.
 pub const DEFAULT: &str = "default";
@@ -89,19 +90,19 @@ impl Recipe {
     /// Refuses settings that any other pipeline would accept, but that conflict with the table.
     ///
     /// # Errors
-    /// Returns a message with the remedy if a setting is decided by the table itself.
-    pub fn check(&self) -> Result<(), String> {
+    /// A setting is decided by the table itself.
+    pub fn check(&self) -> Result<(), WorkError> {
         for setting in &self.sets {
             let key = setting.split('=').next().unwrap_or_default().trim();
             if key == "seed" {
-                return Err(format!(
+                return Err(WorkError::Input(format!(
                     "--set {setting}: captures and trainings follow --seeds; name seeds there"
-                ));
+                )));
             }
             if APART.contains(&key) {
-                return Err(format!(
+                return Err(WorkError::Input(format!(
                     "--set {setting}: this would change the baselines too; say `--set variant.{DEFAULT}.{setting}`"
-                ));
+                )));
             }
         }
         Ok(())
@@ -200,9 +201,9 @@ mod tests {
         let with = |set: &str| Recipe { sets: vec![set.into()], ..recipe(true) }.check();
         assert!(with("reconstruct.densify.enabled=false").is_ok());
         assert!(with("variant.default.reconstruct.medium_prior=tracks").is_ok());
-        let refused = with("reconstruct.medium_prior=tracks").unwrap_err();
+        let refused = with("reconstruct.medium_prior=tracks").unwrap_err().to_string();
         assert!(refused.contains("--set variant.default.reconstruct.medium_prior=tracks"), "{refused}");
-        assert!(with("seed=3").unwrap_err().contains("--seeds"));
+        assert!(with("seed=3").unwrap_err().to_string().contains("--seeds"));
         let sets = vec!["a.b=1".into(), "a.c=[0.0, 1]".into()];
         let learnt = Recipe { sets, learnt_from: LearntFrom::Pairs, ..recipe(false) };
         let command = learnt.command(&["air"], &[1, 2]);

@@ -418,7 +418,7 @@ impl Reader<'_> {
     /// The parameters of the preset named in the table at `base`.
     fn preset(&self, base: &str, name: Option<&str>) -> Result<Option<Overrides>, ConfigError> {
         let found = name.map(preset_values).transpose();
-        found.map_err(|message| self.document.error(&join(base, "preset"), message))
+        found.map_err(|fault| self.document.error(&join(base, "preset"), fault.to_string()))
     }
 
     fn name(&self, path: &str, name: &str) -> Result<(), ConfigError> {

@@ -5,7 +5,7 @@ use serde::Serialize;
 use serde_json::{Value, json};
 use use3d_workflow::{Registry, Stage};
 
-use super::document::join;
+use super::document::{ConfigError, join};
 use super::presets::preset_values;
 use super::schema::{resolved, schema, shortest};
 
@@ -38,14 +38,14 @@ pub struct Parameter {
 /// The parameters of all stages or of one stage, with the values of a preset if one is named.
 ///
 /// # Errors
-/// Returns a message if the stage or the preset is unknown.
+/// The stage or the preset is unknown.
 pub fn parameters(
     registry: &Registry,
     stage: Option<&str>,
     preset: Option<&str>,
-) -> Result<Vec<StageParameters>, String> {
+) -> Result<Vec<StageParameters>, ConfigError> {
     if let Some(name) = stage {
-        registry.stage(name).map_err(|e| e.to_string())?;
+        registry.stage(name).map_err(|e| ConfigError::plain(e.to_string()))?;
     }
     let preset = preset.map(preset_values).transpose()?.unwrap_or_default();
     let schema = schema(registry);

@@ -10,7 +10,7 @@ use schemars::{Schema, SchemaGenerator, json_schema};
 use use3d_workflow::graph::Overrides;
 
 use super::did_you_mean;
-use super::document::Document;
+use super::document::{ConfigError, Document};
 
 /// Names and file contents of the presets.
 const PRESETS: &[(&str, &str)] = &[
@@ -25,13 +25,17 @@ pub fn presets() -> impl Iterator<Item = &'static str> + Clone {
     PRESETS.iter().map(|(name, _)| *name)
 }
 
-/// The parameters of a preset, by stage. The error is a message for the user.
-pub fn preset_values(name: &str) -> Result<Overrides, String> {
+/// The parameters of a preset, by stage.
+///
+/// # Errors
+/// There is no such preset.
+pub fn preset_values(name: &str) -> Result<Overrides, ConfigError> {
     let Some((_, text)) = PRESETS.iter().find(|(known, _)| *known == name) else {
         let near = did_you_mean(name, presets());
-        return Err(format!("no preset `{name}`; there are {}{near}", Vec::from_iter(presets()).join(", ")));
+        let known = Vec::from_iter(presets()).join(", ");
+        return Err(ConfigError::plain(format!("no preset `{name}`; there are {known}{near}")));
     };
-    let document = Document::parse(Path::new(name), (*text).to_string()).map_err(|e| e.to_string())?;
+    let document = Document::parse(Path::new(name), (*text).to_string())?;
     Ok(document.value.as_object().cloned().unwrap_or_default())
 }
 

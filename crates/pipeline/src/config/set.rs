@@ -28,7 +28,7 @@ fn typed(stage: &Stage, key: &str, value: &Value, text: &str) -> Result<Value, P
 /// `calibrator.proposer=fusion`, `scene.Panama.reconstruct.iterations=3000`, `variant.mlp.enhance.steps=10`.
 pub(super) fn apply(registry: &Registry, batch: &mut Batch, setting: &str) -> Result<(), ConfigError> {
     let (key, text, value) = split(setting)?;
-    let wrong = |message: String| ConfigError::plain(format!("--set {setting}: {message}"));
+    let wrong = |fault: ConfigError| ConfigError::plain(format!("--set {setting}: {fault}"));
     // Paths on the command line are relative to the current folder.
     let path = || expand(&value.as_str().map_or_else(|| value.to_string(), String::from), Path::new(""));
     let by = format!("--set {key}");
@@ -71,7 +71,8 @@ pub(super) fn apply(registry: &Registry, batch: &mut Batch, setting: &str) -> Re
         return Ok(());
     }
     if key == "seed" {
-        let seed = value.as_u64().ok_or_else(|| wrong("the seed is a whole number, 0 or more".into()));
+        let seed =
+            value.as_u64().ok_or_else(|| wrong(ConfigError::plain("the seed is a whole number, 0 or more")));
         batch.seed = seed?;
         return Ok(());
     }
@@ -85,7 +86,9 @@ pub(super) fn apply(registry: &Registry, batch: &mut Batch, setting: &str) -> Re
         let own = ["pairs.input", "pairs.target", "calibrator"].map(key_of).map(str::to_string);
         let words = registry.shorthands().iter().filter(|s| s.place == top);
         let known: Vec<String> = own.into_iter().chain(words.map(|s| format!("{top}.{}", s.key))).collect();
-        return Err(wrong(format!("no such setting of the calibrator; there are: {}", known.join(", "))));
+        let known = known.join(", ");
+        let fault = format!("no such setting of the calibrator; there are: {known}");
+        return Err(wrong(ConfigError::plain(fault)));
     }
     let top = if top.is_empty() && is_short("scene") { "scene" } else { "" };
     set(top, key, &mut batch.forced)
@@ -107,7 +110,7 @@ fn named<'k, 'n>(
     kind: &str,
     rest: &'k str,
     names: impl Iterator<Item = &'n str> + Clone,
-) -> Result<(usize, &'k str), String> {
+) -> Result<(usize, &'k str), ConfigError> {
     let after = |name: &str, exact: bool| {
         let head = rest.get(..name.len())?;
         let same = if exact { head == name } else { head.eq_ignore_ascii_case(name) };
@@ -121,12 +124,12 @@ fn named<'k, 'n>(
         }
     }
     if let Some(name) = names.clone().find(|n| n.eq_ignore_ascii_case(rest)) {
-        return Err(format!(
+        return Err(ConfigError::plain(format!(
             "a parameter is missing: give one, as in `{kind}.{name}.reconstruct.iterations=3000`"
-        ));
+        )));
     }
     let wrong = rest.split('.').next().unwrap_or(rest);
-    Err(format!("no {kind} `{wrong}`{}", did_you_mean(wrong, names)))
+    Err(ConfigError::plain(format!("no {kind} `{wrong}`{}", did_you_mean(wrong, names))))
 }
 
 fn place(
@@ -135,7 +138,7 @@ fn place(
     key: &str,
     (value, text): (&Value, &str),
     into: &mut Overrides,
-) -> Result<(), String> {
+) -> Result<(), ConfigError> {
     let shorthands = registry.shorthands().iter().filter(|s| s.place == place && s.key == key);
     let mut targets: Vec<(&str, &str)> = shorthands.map(|s| (s.stage, s.parameter)).collect();
     if targets.is_empty() {
@@ -146,13 +149,13 @@ fn place(
                 true => "`use3d params` lists them".to_string(),
                 false => format!("did you mean {}?", known.join(" or ")),
             };
-            format!("a key is STAGE.PARAMETER; {hint}")
+            ConfigError::plain(format!("a key is STAGE.PARAMETER; {hint}"))
         })?);
     }
     for (stage, parameter) in targets {
-        let stage = registry.stage(stage).map_err(|e| e.to_string())?;
+        let stage = registry.stage(stage).map_err(|e| ConfigError::plain(e.to_string()))?;
         let given = typed(stage, parameter, value, text)
-            .map_err(|e| folder_key(stage, &e).unwrap_or_else(|| words(&e)))?;
+            .map_err(|e| ConfigError::plain(folder_key(stage, &e).unwrap_or_else(|| words(&e))))?;
         merge_into(into, stage.name(), &given, true);
     }
     Ok(())

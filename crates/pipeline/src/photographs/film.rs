@@ -74,7 +74,8 @@ impl<'s> FilmGrader<'s> {
             )));
         }
         let training = training_cameras(originals);
-        let mut photographer = appearance.photographer(scene, &training).map_err(WorkError::Failed)?;
+        let photographer = appearance.photographer(scene, &training);
+        let mut photographer = photographer.map_err(|e| WorkError::Failed(e.to_string()))?;
         let step = training.len().div_ceil(VIEWS).max(1);
         let views: Result<Vec<ViewMap>, _> =
             training.iter().step_by(step).map(|camera| photographer.own(camera)).collect();

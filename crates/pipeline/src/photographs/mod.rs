@@ -215,7 +215,7 @@ impl PhotographWork<'_, '_> {
                 Some(photographer) => photographer,
                 empty => {
                     let made = self.appearance.photographer(self.scene, &training);
-                    let made = empty.insert(made.map_err(WorkError::Failed)?);
+                    let made = empty.insert(made.map_err(|e| WorkError::Failed(e.to_string()))?);
                     development = self.development(made, &mut grids, say)?.map(Arc::new);
                     made
                 }

@@ -88,7 +88,8 @@ fn the_listed_parameters_are_those_of_the_preset() {
             }
         }
     }
-    let unknown = parameters(&registry().expect("the stage table"), None, Some("papre")).unwrap_err();
+    let unknown =
+        parameters(&registry().expect("the stage table"), None, Some("papre")).unwrap_err().to_string();
     assert!(unknown.contains("did you mean `paper`?"), "{unknown}");
 }
 

@@ -9,7 +9,8 @@ use use3d_capture::{Camera, Lattice};
 use use3d_enhance::engine::FieldEngine;
 use use3d_enhance::{EnhanceError, EnhanceParams, EnhanceView, Guidance};
 use use3d_gpu::{
-    Drawing, DrawnView, Gpu, LOSSES_WITH_KERNELS, LinearSplat, Stage1, Stage2, kernel_sources, open_checked,
+    CheckError, Drawing, DrawnView, Gpu, LOSSES_WITH_KERNELS, LinearSplat, Stage1, Stage2, kernel_sources,
+    open_checked,
 };
 use use3d_reconstruct::engine::Engine;
 use use3d_reconstruct::{ReconstructParams, losses};
@@ -22,8 +23,11 @@ use use3d_workflow::{DeviceClass, Digest};
 use super::{Card, OpenCard, Renderers};
 use crate::code;
 
+/// The reason why no card can be opened. Each card is tried once, and the reason is kept.
+pub(crate) type OpenError = Arc<CheckError>;
+
 /// The cards that were opened, by the name that was asked for.
-static OPENED: Mutex<BTreeMap<Option<String>, Result<Gpu, String>>> = Mutex::new(BTreeMap::new());
+static OPENED: Mutex<BTreeMap<Option<String>, Result<Gpu, OpenError>>> = Mutex::new(BTreeMap::new());
 
 /// Closes every card; a card that is still in use is closed afterwards.
 pub(crate) fn close() {
@@ -32,11 +36,10 @@ pub(crate) fn close() {
 
 /// Opens the best card with this number (`#0`), PCI address, UUID or name, or with it as a part of its name;
 /// without a name, the best hardware card. Returns the reason if there is none.
-pub(crate) fn open(name: Option<&str>) -> Result<OpenCard, String> {
+pub(crate) fn open(name: Option<&str>) -> Result<OpenCard, OpenError> {
     let mut opened = OPENED.lock().unwrap_or_else(PoisonError::into_inner);
-    let found = opened
-        .entry(name.map(str::to_lowercase))
-        .or_insert_with(|| open_checked(name).map_err(|error| error.to_string()));
+    let found =
+        opened.entry(name.map(str::to_lowercase)).or_insert_with(|| open_checked(name).map_err(Arc::new));
     found.clone().map(|gpu| -> OpenCard { Box::new(gpu) })
 }
 

@@ -6,7 +6,7 @@ use use3d_reconstruct::EngineChoice;
 use use3d_render::{Look, RenderError, SceneRenderer};
 use use3d_scene::Scene;
 
-use super::{Renderers, open};
+use super::{CardError, Renderers, open};
 
 /// A scene on the engine that draws it. Renderers made from it share the data on the card.
 pub struct Drawn<'s> {
@@ -23,29 +23,25 @@ impl<'s> Drawn<'s> {
     /// Loads a scene into the engine that will draw it. `auto` is the processor if there is no card.
     ///
     /// # Errors
-    /// Returns a message if a card is missing, fails its check or cannot hold the scene.
-    pub fn new(scene: &'s Scene, engine: &EngineChoice) -> Result<Self, String> {
+    /// A card is missing, fails its check or cannot hold the scene.
+    pub fn new(scene: &'s Scene, engine: &EngineChoice) -> Result<Self, CardError> {
         let kind = scene.medium.kind();
-        let processors = (kind.formation() == Formation::PerImage).then(|| {
-            format!("the water `{}` is laid over finished images, which only the processor does", kind.name())
-        });
-        let card = match (engine, &processors) {
-            (EngineChoice::Cpu, _) | (EngineChoice::Auto, Some(_)) => None,
-            (EngineChoice::Auto, None) => open(None).ok(),
-            (EngineChoice::Gpu(_), Some(why)) => return Err(format!("{why}; use `--engine cpu`")),
-            (EngineChoice::Gpu(name), None) => Some(open(name.as_deref())?),
+        let per_image = kind.formation() == Formation::PerImage;
+        let beyond = per_image.then(|| CardError::Drawing(kind.name()));
+        let chosen = match (engine, beyond) {
+            (EngineChoice::Cpu, _) => Err(None),
+            (EngineChoice::Auto, Some(why)) => Err(Some(why)),
+            (EngineChoice::Auto, None) => open(None).map_err(|why| Some(why.into())),
+            (EngineChoice::Gpu(_), Some(why)) => return Err(CardError::Requested(Box::new(why))),
+            (EngineChoice::Gpu(name), None) => Ok(open(name.as_deref())?),
         };
-        let name = card.as_ref().map(|card| card.name());
-        let told = match (&card, engine) {
-            (Some(card), _) => format!("gpu, {}", card.told()),
-            (None, EngineChoice::Auto) => {
-                let why = processors.or_else(|| open(None).err());
-                format!("cpu ({})", why.unwrap_or_default())
-            }
-            (None, _) => "cpu".into(),
+        let name = chosen.as_ref().ok().map(|card| card.name());
+        let told = match &chosen {
+            Ok(card) => format!("gpu, {}", card.told()),
+            Err(Some(why)) => format!("cpu ({why})"),
+            Err(None) => "cpu".into(),
         };
-        let renderers =
-            card.map(|card| card.renderers(scene)).transpose().map_err(|error| error.to_string())?;
+        let renderers = chosen.ok().map(|card| card.renderers(scene)).transpose()?;
         Ok(Self { scene, renderers, card: name, told })
     }
 
@@ -161,7 +157,7 @@ mod tests {
         let scene = Scene { medium: water, enhancement: None, ..scene() };
         let told = Drawn::new(&scene, &EngineChoice::Auto).unwrap();
         assert!(told.told.contains("cpu (the water `image`"), "{}", told.told);
-        let said = Drawn::new(&scene, &EngineChoice::Gpu(None)).err().unwrap();
+        let said = Drawn::new(&scene, &EngineChoice::Gpu(None)).err().unwrap().to_string();
         assert!(said.contains("`image`") && said.contains("--engine cpu"), "{said}");
     }
 
@@ -169,6 +165,7 @@ mod tests {
     fn a_card_that_is_not_there_is_refused_by_name() {
         let scene = scene();
         let said = Drawn::new(&scene, &EngineChoice::Gpu(Some("no such card".into()))).err().unwrap();
+        let said = said.to_string();
         assert!(said.contains("no such card"), "{said}");
     }
 }

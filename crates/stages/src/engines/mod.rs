@@ -36,15 +36,49 @@ mod cards {
         None
     }
 
-    pub(crate) fn open(_name: Option<&str>) -> Result<OpenCard, String> {
-        Err("this program was built without engines for graphics cards (cargo feature `gpu`); use `cpu`"
-            .into())
+    /// There are no cards.
+    #[derive(Debug, thiserror::Error)]
+    #[error("this program was built without engines for graphics cards (cargo feature `gpu`); use `cpu`")]
+    pub struct OpenError;
+
+    pub(crate) fn open(_name: Option<&str>) -> Result<OpenCard, OpenError> {
+        Err(OpenError)
     }
 }
 
-use cards::open;
+use cards::{OpenError, open};
 
 type OpenCard = Box<dyn Card>;
+
+/// The reason why no card does what was requested.
+#[derive(Debug, thiserror::Error)]
+pub enum CardError {
+    /// No card can be opened.
+    #[error(transparent)]
+    Open(#[from] OpenError),
+    /// Cards have no kernels for this water; they have them for the others.
+    #[error(
+        "expected cpu for the water `{0}`, which runs only on the processor; graphics cards have kernels for {1}"
+    )]
+    Water(&'static str, String),
+    /// Cards have no kernel for this loss.
+    #[error("expected cpu for the loss `{0}`, for which graphics cards have no kernel")]
+    Loss(&'static str),
+    /// The card of this name holds at most the first number of Gaussians, and the second was requested.
+    #[error(
+        "`{0}` has room for {1} Gaussians in one binding, and max_gaussians is {2}; expected a smaller max_gaussians, or cpu"
+    )]
+    Room(String, usize, usize),
+    /// Cards do not draw this water.
+    #[error("the water `{0}` is laid over finished images, which only the processor does")]
+    Drawing(&'static str),
+    /// A card was requested, and this reason speaks against it.
+    #[error("{0}; use `--engine cpu`")]
+    Requested(Box<Self>),
+    /// The scene cannot be stored on the card.
+    #[error(transparent)]
+    Scene(#[from] EngineError),
+}
 
 /// Makes renderers of a scene that is stored on a card.
 type Renderers<'s> = Box<dyn Fn(Look) -> Result<Renderer<'s>, RenderError> + 's>;
@@ -102,7 +136,7 @@ pub(crate) trait ChoosesEngine {
     fn engine(&self) -> &EngineChoice;
 
     /// The values expected instead, if no card can do what these parameters request.
-    fn beyond_cards(&self) -> Option<String> {
+    fn beyond_cards(&self) -> Option<CardError> {
         None
     }
 
@@ -117,18 +151,11 @@ impl ChoosesEngine for ReconstructParams {
         &self.engine
     }
 
-    fn beyond_cards(&self) -> Option<String> {
+    fn beyond_cards(&self) -> Option<CardError> {
         if !on_cards(self.medium) {
-            return Some(format!(
-                "expected cpu for the water `{}`, which runs only on the processor; graphics cards have \
-                 kernels for {}",
-                self.medium.name(),
-                Medium::names(on_cards)
-            ));
+            return Some(CardError::Water(self.medium.name(), Medium::names(on_cards)));
         }
-        cards::loss_without_kernel(self).map(|loss| {
-            format!("expected cpu for the loss `{loss}`, for which graphics cards have no kernel")
-        })
+        cards::loss_without_kernel(self).map(CardError::Loss)
     }
 
     fn most_gaussians(&self) -> Option<usize> {
@@ -144,23 +171,20 @@ impl ChoosesEngine for EngineChoice {
 }
 
 /// Opens the card of a name if it can do what the parameters request.
-fn able(params: &impl ChoosesEngine, name: Option<&str>) -> Result<OpenCard, String> {
+fn able(params: &impl ChoosesEngine, name: Option<&str>) -> Result<OpenCard, CardError> {
     if let Some(expected) = params.beyond_cards() {
         return Err(expected);
     }
     let card = open(name)?;
     let most = card.most_gaussians();
     match params.most_gaussians() {
-        Some(asked) if asked > most => Err(format!(
-            "`{}` has room for {most} Gaussians in one binding, and max_gaussians is {asked}; expected a smaller max_gaussians, or cpu",
-            card.name()
-        )),
+        Some(asked) if asked > most => Err(CardError::Room(card.name(), most, asked)),
         _ => Ok(card),
     }
 }
 
 /// The card that a stage uses; `None` for the processor.
-fn card(params: &impl ChoosesEngine) -> Result<Option<OpenCard>, String> {
+fn card(params: &impl ChoosesEngine) -> Result<Option<OpenCard>, CardError> {
     match params.engine() {
         EngineChoice::Cpu => Ok(None),
         EngineChoice::Auto => Ok(able(params, None).ok()),
@@ -170,13 +194,14 @@ fn card(params: &impl ChoosesEngine) -> Result<Option<OpenCard>, String> {
 
 /// Chooses the card at the start of a training; also returns the message to show.
 fn chosen(params: &impl ChoosesEngine) -> Result<(Option<OpenCard>, Option<String>), EngineError> {
-    let card = card(params).map_err(|what| EngineError::Request { engine: "gpu", what })?;
+    let refused = |fault: CardError| EngineError::Request { engine: "gpu", what: fault.to_string() };
+    let card = card(params).map_err(refused)?;
     let said = match &card {
         Some(card) => Some(format!("engine: gpu, {}", card.told())),
         None if *params.engine() == EngineChoice::Cpu => None,
         None => {
-            let why = able(params, None).err().unwrap_or_default();
-            Some(format!("engine: cpu ({why})"))
+            let why = able(params, None).err().map(|fault| fault.to_string());
+            Some(format!("engine: cpu ({})", why.unwrap_or_default()))
         }
     };
     Ok((card, said))
@@ -184,7 +209,7 @@ fn chosen(params: &impl ChoosesEngine) -> Result<(Option<OpenCard>, Option<Strin
 
 /// Refuses an engine that this machine does not offer: returns the parameter and the problem.
 pub(crate) fn check<T: ChoosesEngine>(params: &T) -> Result<(), (String, String)> {
-    card(params).map(|_| ()).map_err(|what| ("engine".to_string(), what))
+    card(params).map(|_| ()).map_err(|fault| ("engine".to_string(), fault.to_string()))
 }
 
 /// The device that a stage computes on; `None` for the processor alone.

@@ -1,7 +1,7 @@
 //! The way photographs are shown: a look of the scene, with its strength, its water and its white balance.
 
 use use3d_capture::Camera;
-use use3d_photographs::Photographer;
+use use3d_photographs::{PhotographError, Photographer};
 use use3d_render::Mode;
 use use3d_scene::white::Gains;
 
@@ -27,18 +27,14 @@ impl Appearance {
     /// from; with them, only surfaces that they saw count as known.
     ///
     /// # Errors
-    /// A message if a share is outside `[0, 1]` or the scene cannot be drawn.
+    /// A share is outside `[0, 1]`, or the scene cannot be drawn.
     pub fn photographer<'s>(
         &self,
         drawn: &Drawn<'s>,
         training: &[Camera],
-    ) -> Result<Photographer<'s>, String> {
-        let text = |error: &dyn std::fmt::Display| error.to_string();
-        let plain = drawn.renderer(1.0).map_err(|e| text(&e))?;
-        let look = drawn.renderer(self.strength).map_err(|e| text(&e))?;
-        let look = look.with_water(self.water).map_err(|e| text(&e))?.with_white(self.gains);
-        let photographer = Photographer::new(plain, look, self.mode);
-        let photographer = photographer.with_light(self.keep_light).map_err(|e| text(&e))?;
-        photographer.covered_by(training).map_err(|e| text(&e))
+    ) -> Result<Photographer<'s>, PhotographError> {
+        let look = drawn.renderer(self.strength)?.with_water(self.water)?.with_white(self.gains);
+        let photographer = Photographer::new(drawn.renderer(1.0)?, look, self.mode);
+        photographer.with_light(self.keep_light)?.covered_by(training)
     }
 }

@@ -5,6 +5,7 @@ use std::path::Path;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_atc::proposers::{Fusion, Proposer};
+use use3d_nets::NetError;
 
 use super::weights::NU2NET;
 
@@ -19,6 +20,41 @@ pub enum ProposerChoice {
     Nu2net,
     /// The classical fusion enhancer; needs no weights.
     Fusion,
+}
+
+/// A proposer that cannot be opened.
+#[derive(Debug, thiserror::Error)]
+pub enum ProposerError {
+    /// There is no models folder.
+    #[error("there is no models folder; name one with --models or USE3D_MODELS")]
+    NoModels,
+    /// The folder has no file of Nu2Net.
+    #[error("its file is missing")]
+    NoFile,
+    /// The weights of Nu2Net cannot be used.
+    #[error(transparent)]
+    Network(#[from] NetError),
+    /// Nu2Net was requested.
+    #[error("proposer nu2net: {0}")]
+    Requested(Box<Self>),
+    /// A calibrator records Nu2Net.
+    #[error("the calibrator was fitted for nu2net: {0}")]
+    Recorded(Box<Self>),
+    /// A calibrator records another proposer than the requested one.
+    #[error(
+        "the calibrator was fitted for the proposer `{0}`, but `{1}` is requested; choose \
+         `{0}` or `auto`, or fit a calibrator for `{1}`"
+    )]
+    Other(String, String),
+    /// The targets were made without a proposer.
+    #[error(
+        "the targets of this scene in air leave its photographs as they are; make them with a 2D enhancer \
+         (`targets.proposer = \"fusion\"`)"
+    )]
+    None,
+    /// A calibrator records a proposer that this program does not have.
+    #[error("the calibrator was fitted for the proposer `{0}`, which this program does not have")]
+    Unknown(String),
 }
 
 /// The name of the proposer in targets that leave photographs as they are.
@@ -86,7 +122,7 @@ pub fn open(
     choice: ProposerChoice,
     models: Option<&Path>,
     say: &mut dyn FnMut(&str),
-) -> Result<Box<dyn Proposer>, String> {
+) -> Result<Box<dyn Proposer>, ProposerError> {
     if choice == ProposerChoice::Fusion {
         return Ok(Box::new(Fusion));
     }
@@ -99,7 +135,7 @@ pub fn open(
             say(&format!("proposer: fusion (nu2net is not available: {reason})"));
             Ok(Box::new(Fusion))
         }
-        Err(reason) => Err(format!("proposer nu2net: {reason}")),
+        Err(reason) => Err(ProposerError::Requested(Box::new(reason))),
     }
 }
 
@@ -109,41 +145,29 @@ pub(crate) fn of_calibrator(
     choice: ProposerChoice,
     recorded: &str,
     models: Option<&Path>,
-) -> Result<Box<dyn Proposer>, String> {
+) -> Result<Box<dyn Proposer>, ProposerError> {
     let asked = if choice == ProposerChoice::Auto { recorded } else { choice.name() };
     if asked != recorded {
-        return Err(format!(
-            "the calibrator was fitted for the proposer `{recorded}`, but `{asked}` is requested; choose \
-             `{recorded}` or `auto`, or fit a calibrator for `{asked}`"
-        ));
+        return Err(ProposerError::Other(recorded.into(), asked.into()));
     }
     by_name(recorded, models)
 }
 
 /// Opens a proposer by the name that a calibrator records.
-pub(crate) fn by_name(name: &str, models: Option<&Path>) -> Result<Box<dyn Proposer>, String> {
+pub(crate) fn by_name(name: &str, models: Option<&Path>) -> Result<Box<dyn Proposer>, ProposerError> {
     match name {
         "fusion" => Ok(Box::new(Fusion)),
-        "nu2net" => {
-            nu2net(models).map_err(|reason| format!("the calibrator was fitted for nu2net: {reason}"))
-        }
-        NO_PROPOSER => Err(
-            "the targets of this scene in air leave its photographs as they are; make them with a 2D enhancer \
-             (`targets.proposer = \"fusion\"`)"
-                .into(),
-        ),
-        other => Err(format!(
-            "the calibrator was fitted for the proposer `{other}`, which this program does not have"
-        )),
+        "nu2net" => nu2net(models).map_err(|reason| ProposerError::Recorded(Box::new(reason))),
+        NO_PROPOSER => Err(ProposerError::None),
+        other => Err(ProposerError::Unknown(other.into())),
     }
 }
 
-fn nu2net(models: Option<&Path>) -> Result<Box<dyn Proposer>, String> {
-    let dir = models.ok_or("there is no models folder; name one with --models or USE3D_MODELS")?;
-    let models = use3d_nets::Models::open(dir);
-    let net = models.nu2net().map_err(|e| e.to_string())?;
-    let path = NU2NET.into_iter().find_map(|n| models.find(n)).ok_or("its file is missing")?;
-    let bytes = std::fs::read(&path).map_err(|e| format!("{}: {e}", path.display()))?;
+fn nu2net(models: Option<&Path>) -> Result<Box<dyn Proposer>, ProposerError> {
+    let models = use3d_nets::Models::open(models.ok_or(ProposerError::NoModels)?);
+    let net = models.nu2net()?;
+    let path = NU2NET.into_iter().find_map(|n| models.find(n)).ok_or(ProposerError::NoFile)?;
+    let bytes = std::fs::read(&path).map_err(|source| NetError::Read { path, source })?;
     Ok(Box::new(network::Network { net, digest: blake3::hash(&bytes).to_hex().to_string() }))
 }
 

@@ -22,7 +22,7 @@ pub(crate) fn drawn<'s>(
     scene: &'s Scene,
     engine: &EngineChoice,
 ) -> Result<Drawn<'s>, StageError> {
-    let drawn = Drawn::new(scene, engine).map_err(StageError::message)?;
+    let drawn = Drawn::new(scene, engine)?;
     if *engine != EngineChoice::Cpu {
         context.say(format_args!("engine: {}", drawn.told));
     }

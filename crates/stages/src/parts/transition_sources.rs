@@ -82,7 +82,7 @@ impl<'s> TransitionSources<'s> {
         let models = context.optional_input("models");
         let Some(file) = context.optional_input("calibrator") else {
             let proposer = open(params.proposer, models, &mut |line| context.log(line))
-                .map_err(StageError::bad_input_message)?;
+                .map_err(StageError::bad_input)?;
             return Ok((Calibrator::uncalibrated(ExtractorSettings::default(), proposer.id()), proposer));
         };
         if !params.calibrated {
@@ -92,7 +92,7 @@ impl<'s> TransitionSources<'s> {
         }
         let calibrator = read_calibrator(file)?;
         let proposer = of_calibrator(params.proposer, &calibrator.proposer.name, models)
-            .map_err(StageError::bad_input_message)?;
+            .map_err(StageError::bad_input)?;
         calibrator.proposer.require(&proposer.id()).map_err(StageError::bad_input)?;
         Ok((calibrator, proposer))
     }

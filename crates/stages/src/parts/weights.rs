@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use use3d_nets::{Models, Network};
+use use3d_workflow::StageError;
 
 use super::proposer::ProposerChoice;
 
@@ -16,25 +17,33 @@ pub(crate) fn proposer_files(models: &Path) -> Vec<PathBuf> {
 
 /// The files in a models folder that a proposer of this choice reads, relative to it. If the
 /// parameters name a proposer whose weights are missing, the error lists the files to put there.
-pub(crate) fn files_of_proposer(proposer: ProposerChoice, models: &Path) -> Result<Vec<PathBuf>, String> {
-    if proposer == ProposerChoice::Fusion {
+pub(crate) fn files_of_proposer(choice: ProposerChoice, models: &Path) -> Result<Vec<PathBuf>, StageError> {
+    if choice == ProposerChoice::Fusion {
         return Ok(Vec::new());
     }
     let files = proposer_files(models);
-    if files.is_empty() && proposer == ProposerChoice::Nu2net {
-        return Err(not_there("Nu2Net", &NU2NET, models));
+    if files.is_empty() && choice == ProposerChoice::Nu2net {
+        return Err(MissingWeights::new("Nu2Net", &NU2NET, models).into());
     }
     Ok(files)
 }
 
-/// The message for requested weights that are missing: it names the files that would do.
-pub(crate) fn not_there(what: &str, networks: &[Network], models: &Path) -> String {
-    let files: Vec<&str> = networks.iter().map(|network| network.known().files[0]).collect();
-    format!(
-        "the weights of {what} are not in {}: put {} there (`use3d models` says where it is published)",
-        models.display(),
-        files.join(" or ")
-    )
+/// Requested weights that are missing.
+#[derive(Debug, thiserror::Error)]
+#[error("the weights of {what} are not in {}: put {} there (`use3d models` says where it is published)",
+    models.display(), files.join(" or "))]
+pub(crate) struct MissingWeights {
+    what: &'static str,
+    /// The files that would do.
+    files: Vec<&'static str>,
+    models: PathBuf,
+}
+
+impl MissingWeights {
+    pub(crate) fn new(what: &'static str, networks: &[Network], models: &Path) -> Self {
+        let files = networks.iter().map(|network| network.known().files[0]).collect();
+        Self { what, files, models: models.to_path_buf() }
+    }
 }
 
 /// The files in a models folder that the evaluation reads, relative to it.

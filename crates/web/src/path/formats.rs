@@ -11,8 +11,8 @@ use serde::Deserialize;
 use use3d_capture::Camera;
 use use3d_numerics::math;
 
-use super::{CameraPath, FORMAT, Key};
-use crate::shot::Shot;
+use super::{CameraPath, FORMAT, Key, check_rate};
+use crate::shot::{Shot, ShotError, check_fov};
 
 /// The needed part of the file that nerfstudio's render panel saves.
 #[derive(Deserialize)]
@@ -47,10 +47,10 @@ impl CameraPath {
     /// `dataparser_transforms.json`. Without it the path is assumed to be in COLMAP's frame.
     ///
     /// # Errors
-    /// Returns a message that names the camera and its problem.
-    pub fn read_nerfstudio(text: &str, dataparser: Option<&str>) -> Result<Self, String> {
-        let path: Nerfstudio =
-            serde_json::from_str(text).map_err(|e| format!("it is not a nerfstudio camera path: {e}"))?;
+    /// Fails at the first fault in the file, and names the camera that has it.
+    pub fn read_nerfstudio(text: &str, dataparser: Option<&str>) -> Result<Self, ShotError> {
+        let path: Nerfstudio = serde_json::from_str(text)
+            .map_err(|e| ShotError::Form("it is not a nerfstudio camera path", e))?;
         let count = path.camera_path.len();
         // The file may lack one of the two numbers.
         let by_length = path.seconds.filter(|s| *s > 0.0).map(|s| count as f64 / s);
@@ -58,8 +58,9 @@ impl CameraPath {
         let (turn, shift, scale) = match dataparser {
             None => (DMat3::IDENTITY, DVec3::ZERO, 1.0),
             Some(text) => {
-                let parsed: Dataparser = serde_json::from_str(text)
-                    .map_err(|e| format!("the dataparser_transforms.json beside it cannot be read: {e}"))?;
+                let parsed: Dataparser = serde_json::from_str(text).map_err(|e| {
+                    ShotError::Form("the dataparser_transforms.json beside it cannot be read", e)
+                })?;
                 let [x, y, z] = parsed.transform.map(|row| DVec3::new(row[0], row[1], row[2]));
                 let shift = DVec3::from_array(parsed.transform.map(|row| row[3]));
                 (DMat3::from_cols(x, y, z).transpose(), shift, parsed.scale)
@@ -67,31 +68,27 @@ impl CameraPath {
         };
         let whole = turn.determinant().abs() > 1e-12 && turn.is_finite() && shift.is_finite();
         if !(whole && scale.is_finite() && scale > 0.0) {
-            return Err("the dataparser_transforms.json beside it has no inverse".into());
+            return Err(ShotError::NoInverse);
         }
         let back = turn.inverse();
         let keys = path.camera_path.iter().enumerate().map(|(i, frame)| {
             let given = &frame.camera_to_world;
-            let m: [f64; 16] = given.as_slice().try_into().map_err(|_| {
-                format!("camera_path[{i}].camera_to_world has {} numbers; expected 16", given.len())
-            })?;
+            let m: [f64; 16] = given.as_slice().try_into().map_err(|_| ShotError::Matrix(i, given.len()))?;
             let column = |c: usize| back * DVec3::new(m[c], m[4 + c], m[8 + c]);
             let axes = [column(0), -column(1), -column(2)].map(|axis| axis.normalize_or_zero().to_array());
             let center = back * (DVec3::new(m[3], m[7], m[11]) / scale - shift);
             Ok(key(i, rate, center, axes, frame.fov))
         });
-        let keys = keys.collect::<Result<Vec<Key>, String>>()?;
+        let keys = keys.collect::<Result<Vec<Key>, ShotError>>()?;
         // Errors in a key are reported with the names of the file's own fields.
-        let mut angles = keys.iter().map(|key| key.shot.vertical_fov_degrees).enumerate();
-        if let Some((i, fov)) = angles.find(|(_, fov)| !(*fov > 0.0 && *fov < 180.0)) {
-            return Err(format!("camera_path[{i}].fov is {fov}; expected more than 0 and less than 180"));
+        for (i, key) in keys.iter().enumerate() {
+            check_fov(&format!("camera_path[{i}].fov"), key.shot.vertical_fov_degrees)?;
         }
-        if let Some((i, what)) = keys.iter().enumerate().find_map(|(i, k)| Some((i, k.shot.check().err()?))) {
-            return Err(format!("camera_path[{i}].camera_to_world is not a pose: {what}"));
+        for (i, key) in keys.iter().enumerate() {
+            let place = || format!("camera_path[{i}].camera_to_world is not a pose");
+            key.shot.check().map_err(|fault| ShotError::At(place(), Box::new(fault)))?;
         }
-        if !(rate > 0.0 && rate <= 1000.0) {
-            return Err(format!("fps is {rate}; expected a positive number up to 1000"));
-        }
+        check_rate("fps", rate)?;
         Self::of_keys(rate, keys)
     }
 
@@ -100,7 +97,7 @@ impl CameraPath {
     ///
     /// # Errors
     /// Fails for no cameras, more cameras than a path may have, or a rate that is not above 0.
-    pub fn of_cameras(cameras: &[Camera], frames_per_second: f64) -> Result<Self, String> {
+    pub fn of_cameras(cameras: &[Camera], frames_per_second: f64) -> Result<Self, ShotError> {
         let keys = cameras.iter().enumerate().map(|(i, camera)| {
             let k = &camera.intrinsics;
             let fov = 2.0 * math::atan(k.height as f64 / 2.0 / k.fy).to_degrees();
@@ -110,7 +107,7 @@ impl CameraPath {
         Self::of_keys(frames_per_second, keys.collect())
     }
 
-    fn of_keys(frames_per_second: f64, keys: Vec<Key>) -> Result<Self, String> {
+    fn of_keys(frames_per_second: f64, keys: Vec<Key>) -> Result<Self, ShotError> {
         Self { format: FORMAT.into(), version: 1, frames_per_second, keys }.checked()
     }
 }
@@ -143,7 +140,7 @@ mod tests {
         let frames = path.frames(64, 48);
         assert_eq!(frames.len(), 4);
         assert!(frames.iter().zip(cameras()).all(|(frame, camera)| near(&frame.camera, &camera)));
-        assert!(CameraPath::of_cameras(&[], 7.0).unwrap_err().contains("no keys"));
+        assert!(CameraPath::of_cameras(&[], 7.0).unwrap_err().to_string().contains("no keys"));
     }
 
     #[test]
@@ -188,11 +185,14 @@ mod tests {
             ),
         ] {
             assert!(text.contains(from), "{text}");
-            let error = CameraPath::read(&text.replacen(from, to, 1)).unwrap_err();
+            let error = CameraPath::read(&text.replacen(from, to, 1)).unwrap_err().to_string();
             assert!(error.contains(said), "{error}");
         }
         assert!(
-            CameraPath::read_nerfstudio(&text, Some("{}")).unwrap_err().contains("dataparser_transforms")
+            CameraPath::read_nerfstudio(&text, Some("{}"))
+                .unwrap_err()
+                .to_string()
+                .contains("dataparser_transforms")
         );
     }
 }

@@ -12,8 +12,9 @@ use glam::{DMat3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 use use3d_capture::{Camera, Intrinsics, Pose};
 use use3d_numerics::math;
+use use3d_numerics::range::{OutOfRange, check};
 
-use crate::shot::Shot;
+use crate::shot::{Shot, ShotError};
 
 const FORMAT: &str = "3d-use camera path";
 /// Longest path, frames: eleven hours at 25 frames per second.
@@ -62,9 +63,9 @@ impl CameraPath {
     /// Reads the text of a path file: this program's, or nerfstudio's in COLMAP's frame.
     ///
     /// # Errors
-    /// Returns a message that names the key and its problem.
-    pub fn read(text: &str) -> Result<Self, String> {
-        let no_path = |e: serde_json::Error| format!("it is not a camera path: {e}");
+    /// Fails at the first fault in the file, and names the key that has it.
+    pub fn read(text: &str) -> Result<Self, ShotError> {
+        let no_path = |e| ShotError::Form("it is not a camera path", e);
         let value: serde_json::Value = serde_json::from_str(text).map_err(no_path)?;
         if formats::is_nerfstudio(&value) {
             return Self::read_nerfstudio(text, None);
@@ -78,30 +79,25 @@ impl CameraPath {
     }
 
     /// Returns the path if it is valid.
-    fn checked(self) -> Result<Self, String> {
+    fn checked(self) -> Result<Self, ShotError> {
         let path = self;
         if path.format != FORMAT {
-            return Err(format!("its `format` is not `{FORMAT}`"));
+            return Err(ShotError::Format(FORMAT));
         }
         if path.version != 1 {
-            return Err(format!("version {}; this program reads version 1", path.version));
+            return Err(ShotError::Version(path.version));
         }
         let rate = path.frames_per_second;
-        if !(rate > 0.0 && rate <= 1000.0) {
-            return Err(format!("frames_per_second is {rate}; expected a positive number up to 1000"));
-        }
-        let Some(last) = path.keys.last() else { return Err("it has no keys".into()) };
+        check_rate("frames_per_second", rate)?;
+        let last = path.keys.last().ok_or(ShotError::NoKeys)?;
         for (i, key) in path.keys.iter().enumerate() {
-            let wrong = |what: String| Err(format!("key {}: {what}", i + 1));
-            if !key.time.is_finite() || i > 0 && key.time < path.keys[i - 1].time {
-                return wrong(format!("time is {}; expected times that rise", key.time));
-            }
-            if let Err(what) = key.shot.check() {
-                return wrong(what);
-            }
+            let rises = key.time.is_finite() && (i == 0 || key.time >= path.keys[i - 1].time);
+            let checked = check(rises, "time", key.time, "times that rise").map_err(ShotError::Value);
+            let checked = checked.and_then(|()| key.shot.check());
+            checked.map_err(|fault| ShotError::At(format!("key {}", i + 1), Box::new(fault)))?;
         }
         if (last.time - path.keys[0].time) * rate > MOST_FRAMES {
-            return Err(format!("it is longer than {MOST_FRAMES} frames"));
+            return Err(ShotError::TooLong(MOST_FRAMES));
         }
         Ok(path)
     }
@@ -149,6 +145,11 @@ impl CameraPath {
     }
 }
 
+/// Checks a rate, frames per second.
+fn check_rate(path: &str, rate: f64) -> Result<(), OutOfRange> {
+    check(rate > 0.0 && rate <= 1000.0, path, rate, "a positive number up to 1000")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -193,7 +194,7 @@ mod tests {
             ("\"time\":3.0", "\"time\":1e9", "longer"),
         ] {
             assert!(good.contains(from), "{from} in {good}");
-            let error = CameraPath::read(&good.replacen(from, to, 1)).unwrap_err();
+            let error = CameraPath::read(&good.replacen(from, to, 1)).unwrap_err().to_string();
             assert!(error.contains(said), "{error}");
         }
     }

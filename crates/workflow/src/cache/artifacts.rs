@@ -219,7 +219,7 @@ impl Cache {
         };
         let manifest = match Manifest::parse(&bytes, *key) {
             Ok(manifest) => manifest,
-            Err(reason) => return Ok(Lookup::Damaged(reason)),
+            Err(reason) => return Ok(Lookup::Damaged(reason.to_string())),
         };
         if let Some(missing) = self.unkept(&manifest) {
             return Ok(Lookup::Damaged(format!("{MANIFEST} {missing}")));
@@ -229,7 +229,7 @@ impl Cache {
             .par_iter()
             .find_map_first(|file| wrong_file(file, self.contents.of_file(&path.join(&file.path))));
         Ok(match wrong {
-            Some(reason) => Lookup::Damaged(reason),
+            Some(reason) => Lookup::Damaged(reason.to_string()),
             None => Lookup::Whole(Arc::new(Artifact { path, manifest })),
         })
     }
@@ -265,7 +265,7 @@ impl Cache {
     /// Reads every byte of an artifact and compares; the error is the first difference. The bytes are read
     /// once per process and key, unless `again` is true; the presence and sizes of the files are checked
     /// every time.
-    pub fn verify(&self, artifact: &Artifact, again: bool) -> Result<(), String> {
+    pub fn verify(&self, artifact: &Artifact, again: bool) -> Result<(), DamagedFile> {
         let key = artifact.manifest.key;
         if !again && lock(&self.verified).contains(&key) {
             let there = artifact.manifest.files.iter().all(|file| {
@@ -447,16 +447,30 @@ impl Cache {
     }
 }
 
-fn wrong_file(file: &FileRecord, found: Result<Content, FileError>) -> Option<String> {
+/// A file of an artifact that is not as it was written.
+#[derive(Debug, thiserror::Error)]
+pub enum DamagedFile {
+    /// The file is gone.
+    #[error("{0} is missing")]
+    Missing(String),
+    /// The file cannot be read.
+    #[error(transparent)]
+    Unreadable(FileError),
+    /// The file has another size, bytes, than it had when it was written.
+    #[error("{0} has {1} bytes, {2} were written")]
+    Size(String, u64, u64),
+    /// The file has other bytes.
+    #[error("the bytes of {0} have changed")]
+    Changed(String),
+}
+
+fn wrong_file(file: &FileRecord, found: Result<Content, FileError>) -> Option<DamagedFile> {
+    let path = file.path.clone();
     match found {
-        Err(error) if error.source.kind() == std::io::ErrorKind::NotFound => {
-            Some(format!("{} is missing", file.path))
-        }
-        Err(error) => Some(error.to_string()),
-        Ok(Content { bytes, .. }) if bytes != file.size => {
-            Some(format!("{} has {bytes} bytes, {} were written", file.path, file.size))
-        }
-        Ok(found) if found.digest != file.digest => Some(format!("the bytes of {} have changed", file.path)),
+        Err(error) if error.source.kind() == std::io::ErrorKind::NotFound => Some(DamagedFile::Missing(path)),
+        Err(error) => Some(DamagedFile::Unreadable(error)),
+        Ok(Content { bytes, .. }) if bytes != file.size => Some(DamagedFile::Size(path, bytes, file.size)),
+        Ok(found) if found.digest != file.digest => Some(DamagedFile::Changed(path)),
         Ok(_) => None,
     }
 }

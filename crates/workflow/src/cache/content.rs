@@ -136,12 +136,12 @@ impl Contents {
     }
 
     /// Returns the files of an input that `who` reads. `choose` makes the choice if none is stored.
-    pub(crate) fn choice(
+    pub(crate) fn choice<E>(
         &self,
         who: Digest,
         input: &Path,
-        choose: impl FnOnce() -> Result<Choice, String>,
-    ) -> Result<Arc<[PathBuf]>, String> {
+        choose: impl FnOnce() -> Result<Choice, E>,
+    ) -> Result<Arc<[PathBuf]>, E> {
         let whose = (who, input.to_path_buf());
         if let Some(known) = self.lock().choices.asked.get(&whose) {
             return Ok(known.clone());

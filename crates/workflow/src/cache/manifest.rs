@@ -95,6 +95,20 @@ pub(crate) struct Circumstances {
     pub(crate) notes: Notes,
 }
 
+/// A manifest that cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum ManifestError {
+    /// It is not a manifest.
+    #[error("{MANIFEST} is damaged: {0}")]
+    Damaged(#[from] serde_json::Error),
+    /// It has this format and version instead.
+    #[error("{MANIFEST} has format `{0}` {1}")]
+    Format(String, u32),
+    /// Its key or its content has another digest.
+    #[error("{MANIFEST} does not fit its own digests")]
+    Digests,
+}
+
 impl Manifest {
     pub(crate) fn new(ingredients: Ingredients, files: Vec<FileRecord>, how: Circumstances) -> Self {
         Self {
@@ -119,16 +133,15 @@ impl Manifest {
     /// Parses and checks what can be checked without the files.
     ///
     /// # Errors
-    /// Another format, another key, or digests that do not match; the error is a message.
-    pub fn parse(bytes: &[u8], key: Key) -> Result<Self, String> {
-        let manifest: Self =
-            serde_json::from_slice(bytes).map_err(|e| format!("{MANIFEST} is damaged: {e}"))?;
+    /// Another format, another key, or digests that do not match.
+    pub fn parse(bytes: &[u8], key: Key) -> Result<Self, ManifestError> {
+        let manifest: Self = serde_json::from_slice(bytes)?;
         if manifest.format != FORMAT || manifest.schema != 1 {
-            return Err(format!("{MANIFEST} has format `{}` {}", manifest.format, manifest.schema));
+            return Err(ManifestError::Format(manifest.format, manifest.schema));
         }
         let (keys, content) = ([manifest.key, manifest.ingredients.key()], content_digest(&manifest.files));
         if keys != [key; 2] || manifest.content != content {
-            return Err(format!("{MANIFEST} does not fit its own digests"));
+            return Err(ManifestError::Digests);
         }
         Ok(manifest)
     }
@@ -179,7 +192,7 @@ mod tests {
         let file = FileRecord { path: "a".to_string(), size: 1, digest: Digest::of(b"a") };
         let manifest = Manifest::new(ingredients, vec![file], Circumstances::default());
         let bytes = serde_json::to_vec(&manifest).expect("json");
-        assert_eq!(Manifest::parse(&bytes, manifest.key), Ok(manifest.clone()));
+        assert_eq!(Manifest::parse(&bytes, manifest.key).expect("whole"), manifest);
         assert!(Manifest::parse(&bytes, Digest::of(b"other")).is_err());
         assert!(Manifest::parse(&bytes[..bytes.len() - 3], manifest.key).is_err());
         for edit in [

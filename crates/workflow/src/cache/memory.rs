@@ -9,6 +9,7 @@
 use std::path::Path;
 
 use crate::cache::machine::bytes;
+use crate::error::StageError;
 
 /// Available bytes, from the files below `root` (`/`); `None` where the system reports nothing.
 pub(crate) fn available(root: &Path) -> Option<u64> {
@@ -24,13 +25,13 @@ pub(crate) fn resident() -> Option<u64> {
 /// Checks work that takes `start` bytes at the start and `most` at the most, where `free` bytes are
 /// available. Returns an error if it cannot start, and a notice if it may run out of memory. `lower` is the
 /// text that says how to need less.
-pub(crate) fn judge(free: u64, start: u64, most: u64, lower: &str) -> Result<Option<String>, String> {
+pub(crate) fn judge(free: u64, start: u64, most: u64, lower: &str) -> Result<Option<String>, StageError> {
     let [free_text, start_text, most_text] = [free, start, most].map(bytes);
     if start > free {
-        return Err(format!(
+        return Err(StageError::message(format!(
             "needs about {start_text} of memory to begin, and {free_text} are available (the limits of a \
              container count); {lower}, or use a machine with more memory"
-        ));
+        )));
     }
     Ok((most > free).then(|| {
         format!(
@@ -133,10 +134,10 @@ mod tests {
     #[test]
     fn what_cannot_begin_is_refused_and_what_may_not_end_is_said() {
         let judged = |free| judge(free, 2_000_000, 9_000_000, "lower `max_gaussians`");
-        assert_eq!(judged(9_000_000), Ok(None));
+        assert_eq!(judged(9_000_000).expect("it can begin"), None);
         let notice = judged(8_000_000).expect("it can begin").expect("a notice");
         assert!(notice.contains("9.0 MB") && notice.contains("max_gaussians"), "{notice}");
-        let refusal = judged(1_999_999).expect_err("too little");
+        let refusal = judged(1_999_999).expect_err("too little").to_string();
         assert!(refusal.contains("2.0 MB of memory to begin"), "{refusal}");
     }
 

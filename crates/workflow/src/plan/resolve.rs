@@ -7,6 +7,7 @@ use crate::cache::artifacts::Artifact;
 use crate::cache::canonical;
 use crate::cache::content::Content;
 use crate::cache::key::{Ingredients, InputDigest, Key};
+use crate::error::StageError;
 use crate::plan::builder::Builder;
 use crate::plan::graph::{Graph, InputCell, InputSource, Node, NodeInput};
 use crate::stage::definition::Scope;
@@ -95,8 +96,9 @@ impl Builder {
                 // An optional input need not be named; a named input must exist.
                 InputSource::External(Err(reason)) => return Err(input_error(input, reason)),
                 InputSource::External(Ok(path)) => {
-                    let found = self.external(node, input, path);
-                    let (select, content) = found.map_err(|reason| input_error(input, &reason))?;
+                    let found = self.read(node, input, path);
+                    let (select, content) =
+                        found.map_err(|reason| input_error(input, &reason.to_string()))?;
                     bytes += content.bytes;
                     externals.push((path.clone(), select, content.digest));
                     (content.digest, path.clone())
@@ -137,9 +139,10 @@ impl Builder {
     }
 
     /// The files of an external input that count, and their content.
-    fn external(&self, node: &Node, input: &NodeInput, path: &Path) -> Result<(Selected, Content), String> {
+    fn read(&self, node: &Node, input: &NodeInput, path: &Path) -> Result<(Selected, Content), StageError> {
         if !path.exists() {
-            return Err(format!("{} does not exist; correct the path or put the data there", path.display()));
+            let gone = format!("{} does not exist; correct the path or put the data there", path.display());
+            return Err(StageError::message(gone));
         }
         let contents = &self.cache.contents;
         let select = match &self.registry.stages()[node.stage].inputs[input.index].select {
@@ -149,7 +152,7 @@ impl Builder {
                 Some(contents.choice(who, path, || choose(&node.parameters, path))?)
             }
         };
-        let content = contents.of(path, select.as_deref()).map_err(|e| e.to_string())?;
+        let content = contents.of(path, select.as_deref())?;
         Ok((select, content))
     }
 

@@ -215,16 +215,27 @@ fn measure(path: &Path) -> (u64, SystemTime) {
     (bytes, used)
 }
 
+/// A text that is no size and no age.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum AmountError {
+    /// The text is not a size.
+    #[error("`{0}` is not a size: a number and B, kB, MB, GB, TB, KiB, MiB, GiB or TiB, e.g. 50GB")]
+    Size(String),
+    /// The text is a number without a unit.
+    #[error("{0} has no unit: write {0}GB, {0}MB, or {0}B for bytes")]
+    NoUnit(String),
+    /// The text is not an age.
+    #[error("`{0}` is not an age: a number and s, min, h, d or w, e.g. 30d")]
+    Age(String),
+}
+
 /// Parses a size such as `50GB`, `1.5 TB`, `800MiB` or `0`. Other numbers need a unit: somebody who writes 5
 /// means gigabytes, and 5 bytes would remove everything.
-pub fn parse_bytes(text: &str) -> Result<u64, String> {
-    let wrong =
-        || format!("`{text}` is not a size: a number and B, kB, MB, GB, TB, KiB, MiB, GiB or TiB, e.g. 50GB");
+pub fn parse_bytes(text: &str) -> Result<u64, AmountError> {
+    let wrong = || AmountError::Size(text.to_string());
     let (number, unit) = split_unit(text).ok_or_else(wrong)?;
     let factor = match unit.to_lowercase().as_str() {
-        "" if number > 0.0 => {
-            return Err(format!("{text} has no unit: write {text}GB, {text}MB, or {text}B for bytes"));
-        }
+        "" if number > 0.0 => return Err(AmountError::NoUnit(text.to_string())),
         "" | "b" => 1.0,
         "k" | "kb" => 1e3,
         "m" | "mb" => 1e6,
@@ -240,8 +251,8 @@ pub fn parse_bytes(text: &str) -> Result<u64, String> {
 }
 
 /// Parses an age such as `30d`, `12h` or `2w`.
-pub fn parse_age(text: &str) -> Result<Duration, String> {
-    let wrong = || format!("`{text}` is not an age: a number and s, min, h, d or w, e.g. 30d");
+pub fn parse_age(text: &str) -> Result<Duration, AmountError> {
+    let wrong = || AmountError::Age(text.to_string());
     let (number, unit) = split_unit(text).ok_or_else(wrong)?;
     let factor = match unit {
         "s" => 1.0,
@@ -270,7 +281,7 @@ mod tests {
         assert_eq!(parse_bytes("50GB"), Ok(50_000_000_000));
         assert_eq!(parse_bytes("1.5 MiB"), Ok(1_572_864));
         assert_eq!((parse_bytes("1000B"), parse_bytes("0")), (Ok(1000), Ok(0)));
-        assert!(parse_bytes("5").unwrap_err().contains("5GB"));
+        assert!(parse_bytes("5").unwrap_err().to_string().contains("5GB"));
         assert_eq!(parse_age("30d"), Ok(Duration::from_secs(30 * 86_400)));
         assert_eq!(parse_age("1.5h"), Ok(Duration::from_secs(5400)));
         for wrong in ["", "GB", "5 parrots", "-3GB", "1..2"] {

@@ -80,7 +80,7 @@ impl Cache {
                 Ok(Lookup::Whole(artifact)) => {
                     name = format!("{stage} of {}", artifact.manifest.made_for);
                     found.bytes += artifact.manifest.bytes();
-                    let wrong = self.verify(&artifact, true).err();
+                    let wrong = self.verify(&artifact, true).err().map(|damaged| damaged.to_string());
                     if wrong.is_none() {
                         self.look_for_strangers(&artifact, &name, repair, &mut found);
                     }
@@ -180,8 +180,8 @@ impl Builder {
             }
             lease.show();
             let label = graph.nodes[made.node].label();
-            if let Err(what) = self.cache.verify(&made.artifact, false) {
-                found.problems.push(Problem { name: label, what });
+            if let Err(damaged) = self.cache.verify(&made.artifact, false) {
+                found.problems.push(Problem { name: label, what: damaged.to_string() });
                 continue;
             }
             let text = match made.in_another_class() {

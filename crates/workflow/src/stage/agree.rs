@@ -10,6 +10,7 @@ use std::path::Path;
 use serde_json::Value;
 
 use crate::cache::manifest::FileRecord;
+use crate::error::StageError;
 
 /// A figure of an artifact, in one of its JSON files.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,7 +30,7 @@ pub struct AlikeFiles {
     /// End of their names, such as `.png`.
     pub ending: &'static str,
     /// Returns the distance between two such files, or the reason why it cannot be computed.
-    pub distance: fn(&Path, &Path) -> Result<f64, String>,
+    pub distance: fn(&Path, &Path) -> Result<f64, StageError>,
     /// Unit of the distance, for messages.
     pub unit: &'static str,
     /// The largest distance between two classes of arithmetic.
@@ -70,7 +71,7 @@ pub(crate) fn compare(agreement: &Agreement, made: ArtifactFolder<'_>, again: Ar
         Agreement::Files(kinds) => compare_files(kinds, made, again).map(|()| true),
     };
     match (said, agreement) {
-        (Err(what), _) => Verdict::Apart(what),
+        (Err(apart), _) => apart,
         (Ok(false), Agreement::Figures(figures)) => {
             let names: Vec<String> = figures.iter().map(|f| format!("{} {}", f.file, f.at)).collect();
             Verdict::NothingToCompare(format!("neither has any of {}", names.join(", ")))
@@ -80,10 +81,10 @@ pub(crate) fn compare(agreement: &Agreement, made: ArtifactFolder<'_>, again: Ar
 }
 
 /// Returns true if there was any figure to compare; a difference is an error.
-fn compare_figures(figures: &[Figure], made: &Path, again: &Path) -> Result<bool, String> {
-    let read = |folder: &Path, figure: &Figure| -> Result<Vec<f64>, String> {
+fn compare_figures(figures: &[Figure], made: &Path, again: &Path) -> Result<bool, Verdict> {
+    let read = |folder: &Path, figure: &Figure| -> Result<Vec<f64>, Verdict> {
         let path = folder.join(figure.file);
-        let wrong = |error: String| format!("{}: {error}", path.display());
+        let wrong = |error: String| Verdict::Apart(format!("{}: {error}", path.display()));
         let text = std::fs::read_to_string(&path).map_err(|e| wrong(e.to_string()))?;
         let json = serde_json::from_str(&text).map_err(|e| wrong(e.to_string()))?;
         let steps: Vec<&str> = figure.at.split('/').skip(1).collect();
@@ -96,7 +97,8 @@ fn compare_figures(figures: &[Figure], made: &Path, again: &Path) -> Result<bool
         let (a, b) = (read(made, figure)?, read(again, figure)?);
         let name = format!("{} {}", figure.file, figure.at);
         if a.len() != b.len() {
-            return Err(format!("{name} is there {} times, and again {} times", a.len(), b.len()));
+            let (a, b) = (a.len(), b.len());
+            return differs(format!("{name} is there {a} times, and again {b} times"));
         }
         any |= !a.is_empty();
         let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len().max(1) as f64;
@@ -104,7 +106,7 @@ fn compare_figures(figures: &[Figure], made: &Path, again: &Path) -> Result<bool
         // NaN never counts as agreement.
         let near = (a - b).abs() <= figure.within;
         if !near {
-            return Err(format!("{name} is {a}, and again {b}: more than {} apart", figure.within));
+            return differs(format!("{name} is {a}, and again {b}: more than {} apart", figure.within));
         }
     }
     Ok(any)
@@ -114,30 +116,35 @@ fn compare_files(
     kinds: &[AlikeFiles],
     made: ArtifactFolder<'_>,
     again: ArtifactFolder<'_>,
-) -> Result<(), String> {
+) -> Result<(), Verdict> {
     let of = |files: &'_ [FileRecord], path: &str| files.iter().find(|f| f.path == path).map(|f| f.digest);
     if let Some(more) = again.files.iter().find(|f| of(made.files, &f.path).is_none()) {
-        return Err(format!("{} is new", more.path));
+        return differs(format!("{} is new", more.path));
     }
     for file in made.files {
         let name = &file.path;
-        let Some(digest) = of(again.files, name) else { return Err(format!("{name} is missing")) };
+        let Some(digest) = of(again.files, name) else { return differs(format!("{name} is missing")) };
         if digest == file.digest {
             continue;
         }
         let Some(kind) = kinds.iter().find(|kind| name.ends_with(kind.ending)) else {
-            return Err(format!("{name} comes out different"));
+            return differs(format!("{name} comes out different"));
         };
-        let distance = (kind.distance)(&made.path.join(name), &again.path.join(name))?;
+        let distance = (kind.distance)(&made.path.join(name), &again.path.join(name));
+        let distance = distance.map_err(|error| Verdict::Apart(error.to_string()))?;
         let near = distance <= kind.within;
         if !near {
-            return Err(format!(
+            return differs(format!(
                 "{name} comes out different: {distance:.6} {}, more than {}",
                 kind.unit, kind.within
             ));
         }
     }
     Ok(())
+}
+
+fn differs<T>(difference: String) -> Result<T, Verdict> {
+    Err(Verdict::Apart(difference))
 }
 
 fn collect(json: &Value, steps: &[&str], found: &mut Vec<f64>) {
@@ -209,8 +216,7 @@ mod tests {
         const KINDS: [AlikeFiles; 1] = [AlikeFiles {
             ending: ".txt",
             distance: |a, b| {
-                let length =
-                    |path: &Path| std::fs::metadata(path).map_err(|e| e.to_string()).map(|m| m.len());
+                let length = |path: &Path| std::fs::metadata(path).map(|m| m.len());
                 Ok(length(a)?.abs_diff(length(b)?) as f64)
             },
             unit: "bytes in length",

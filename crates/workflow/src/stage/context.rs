@@ -157,7 +157,7 @@ impl StageContext {
     /// Fails if `start` is more than this process may still take.
     pub fn needs_memory(&self, start: u64, most: u64, lower: &str) -> Result<(), StageError> {
         let Some(free) = machine::available_memory() else { return Ok(()) };
-        if let Some(notice) = memory::judge(free, start, most, lower).map_err(StageError::message)? {
+        if let Some(notice) = memory::judge(free, start, most, lower)? {
             self.say(notice);
         }
         Ok(())

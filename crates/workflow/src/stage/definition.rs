@@ -45,7 +45,7 @@ pub enum Source {
 
 /// Chooses the files of an external input that a stage reads, relative to the input's path, from the
 /// parameters.
-pub type Select = Arc<dyn Fn(&Parameters, &Path) -> Result<Choice, String> + Send + Sync>;
+pub type Select = Arc<dyn Fn(&Parameters, &Path) -> Result<Choice, StageError> + Send + Sync>;
 
 /// A condition on the parameters of all stages: true if an artifact is read.
 pub(super) type Needed = Arc<dyn Fn(&AllParameters) -> bool + Send + Sync>;
@@ -238,7 +238,7 @@ impl Stage {
     #[must_use]
     pub fn select<P: 'static>(
         self,
-        choose: impl Fn(&P, &Path) -> Result<Vec<PathBuf>, String> + Send + Sync + 'static,
+        choose: impl Fn(&P, &Path) -> Result<Vec<PathBuf>, StageError> + Send + Sync + 'static,
     ) -> Self {
         self.select_by(move |parameters, input| choose(parameters, input).map(Choice::from))
     }
@@ -248,10 +248,11 @@ impl Stage {
     #[must_use]
     pub fn select_by<P: 'static>(
         self,
-        choose: impl Fn(&P, &Path) -> Result<Choice, String> + Send + Sync + 'static,
+        choose: impl Fn(&P, &Path) -> Result<Choice, StageError> + Send + Sync + 'static,
     ) -> Self {
-        let choose =
-            move |parameters: &Parameters, input: &Path| choose(parameters.of().ok_or(OTHER_TYPE)?, input);
+        let choose = move |parameters: &Parameters, input: &Path| {
+            choose(parameters.of().ok_or_else(|| StageError::message(OTHER_TYPE))?, input)
+        };
         self.with_last(|input| input.select = Some(Arc::new(choose)))
     }
 

@@ -38,7 +38,7 @@ impl Registry {
     /// Stages that do not fit together, or that name code that does not exist.
     pub fn new(stages: Vec<Stage>, table: &CodeTable) -> Result<Self, BuildError> {
         for (i, stage) in stages.iter().enumerate() {
-            check(stage, &stages[..i]).map_err(BuildError::Registry)?;
+            check(stage, &stages[..i])?;
             let external =
                 |s: &Stage| s.inputs.iter().any(|input| input.source == Source::External(stage.name));
             if stages.iter().any(external) {
@@ -121,30 +121,31 @@ impl Registry {
     }
 }
 
-fn check(stage: &Stage, before: &[Stage]) -> Result<(), String> {
+fn check(stage: &Stage, before: &[Stage]) -> Result<(), BuildError> {
     let name = stage.name;
+    let wrong = |what: String| Err(BuildError::Registry(what));
     if name.is_empty() || !name.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'-') {
-        return Err(format!("`{name}`: a stage's name is lower-case letters, digits and hyphens"));
+        return wrong(format!("`{name}`: a stage's name is lower-case letters, digits and hyphens"));
     }
     if ["scene", "variant", "defaults", "name", "group", "seed"].contains(&name) {
-        return Err(format!("`{name}` is a word of the pipeline file, not a name for a stage"));
+        return wrong(format!("`{name}` is a word of the pipeline file, not a name for a stage"));
     }
     if before.iter().any(|s| s.name == name) {
-        return Err(format!("two stages are called `{name}`"));
+        return wrong(format!("two stages are called `{name}`"));
     }
     if let Ok(defaults) = stage.parameters(&serde_json::json!({})) {
         let mut named = stage.without_effect.iter().chain(stage.length_like);
         if let Some(path) = named.find(|path| canonical::at(defaults.json(), path).is_none()) {
-            return Err(format!("stage `{name}` has no parameter `{path}`"));
+            return wrong(format!("stage `{name}` has no parameter `{path}`"));
         }
     }
     for (i, input) in stage.inputs.iter().enumerate() {
         if stage.inputs[..i].iter().any(|other| other.role == input.role) {
-            return Err(format!("stage `{name}` has two inputs called `{}`", input.role));
+            return wrong(format!("stage `{name}` has two inputs called `{}`", input.role));
         }
         let (Source::Stage(from) | Source::Reference(from)) = input.source else { continue };
         let Some(from) = before.iter().find(|s| s.name == from) else {
-            return Err(format!("stage `{name}` reads `{from}`, which is not a stage before it"));
+            return wrong(format!("stage `{name}` reads `{from}`, which is not a stage before it"));
         };
         let fits = match stage.scope {
             Scope::Shared => from.scope == Scope::Shared,
@@ -152,7 +153,7 @@ fn check(stage: &Stage, before: &[Stage]) -> Result<(), String> {
             Scope::Batch => true,
         };
         if !fits {
-            return Err(format!(
+            return wrong(format!(
                 "stage `{name}` is made once {} and cannot read `{}`, which is made once {}",
                 per(stage.scope),
                 from.name,

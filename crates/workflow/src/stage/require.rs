@@ -4,6 +4,7 @@
 //! pipeline names ([`Stage::requires`](crate::Stage::requires)). A plan and a run check all of them first: a
 //! training of hours that has to fail at its end never starts.
 
+use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -34,14 +35,15 @@ impl Checks<'_> {
     /// Returns the fault that `check` finds in files of `input`. If it found none before, and none of the
     /// files that it read has changed since, it is not made again. `name` names the check and its rules;
     /// `check` returns the files and folders that it read, relative to `input`.
-    pub fn once(
+    pub fn once<E: fmt::Display>(
         &self,
         name: &str,
         input: &Path,
-        check: impl FnOnce() -> Result<Vec<PathBuf>, String>,
+        check: impl FnOnce() -> Result<Vec<PathBuf>, E>,
     ) -> Option<String> {
         let choice = || check().map(|made_from| Choice { files: Vec::new(), made_from });
-        self.0.choice(Digest::of(name.as_bytes()), input, choice).err()
+        let fault = self.0.choice(Digest::of(name.as_bytes()), input, choice).err();
+        fault.map(|fault| fault.to_string())
     }
 }
 
@@ -66,7 +68,7 @@ mod tests {
             let mut once = || {
                 Checks(&contents).once("readable", dir.path(), || {
                     made += 1;
-                    fault.map_or(Ok(vec!["truth.png".into()]), |fault| Err(fault.into()))
+                    fault.map_or(Ok(vec!["truth.png".into()]), Err)
                 })
             };
             let found = (once(), once());

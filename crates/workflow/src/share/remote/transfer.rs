@@ -198,7 +198,8 @@ impl RemoteStore {
             if !self.remote.get(&name, &mut to)? {
                 return Ok(None);
             }
-            let found = Manifest::parse(&to.into_inner(), *key).and_then(|manifest| {
+            let found = Manifest::parse(&to.into_inner(), *key).map_err(|e| e.to_string());
+            let found = found.and_then(|manifest| {
                 if manifest.ingredients.stage != stage {
                     return Err(format!("is of the stage {}", manifest.ingredients.stage));
                 }
@@ -323,7 +324,7 @@ impl RemoteStore {
             }
             Err(error) => return Err(error),
         };
-        cache.verify(artifact, false).map_err(RemoteError::Damaged)?;
+        cache.verify(artifact, false).map_err(|e| RemoteError::Damaged(e.to_string()))?;
         let replaced = AtomicUsize::new(0);
         each(&ours.files, FILES_AT_ONCE, |file| {
             if !check && shelf.is_some_and(|shelf| shelf.has_file(&file.digest, file.size)) {
