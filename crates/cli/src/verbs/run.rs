@@ -268,7 +268,9 @@ fn execute(
     // The places were checked before, so an error here comes from the disk and not from the arguments.
     let delivered = delivered.map_err(WorkError::failed)?;
     let quiet = app.quiet || as_json;
-    outcome::lines(&delivered).iter().filter(|_| !quiet).for_each(|line| println!("{line}"));
+    if !quiet {
+        outcome::lines(&delivered).iter().for_each(|line| println!("{line}"));
+    }
     if let Some(out) = out.filter(|_| !delivered.is_empty()) {
         let until = options.until.as_deref();
         let cache = &loaded.pipeline.cache;
