@@ -17,7 +17,7 @@ pub enum Due {
     Serious,
     /// A minor finding.
     Minor,
-    /// It is used as it was meant, and a note says so.
+    /// The scene does not suffer, and a note says what was done with it.
     Note,
     /// It is used as it was meant, and nothing needs to be said.
     Right,

@@ -147,8 +147,11 @@ impl Spoiler<'_> {
             }
             picture
         })?;
+        let (w, h) = self.size()?;
         self.edit_model(|model, _| {
-            tracks::forget(model, |i, x, y| color(i, x.max(0.0) as u32, y.max(0.0) as u32).is_some());
+            // Noise puts some keypoints beyond an edge.
+            let pixel = |v: f64, side: u32| (v.max(0.0) as u32).min(side - 1);
+            tracks::forget(model, |i, x, y| color(i, pixel(x, w), pixel(y, h)).is_some());
         })
     }
 

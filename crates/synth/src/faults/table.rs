@@ -38,7 +38,7 @@ pub static FAULTS: &[CaptureFault] = &[
         "Every camera looks beside its true direction.",
         model::turn_poses,
     )
-    .of("degrees", [1.0, 3.0, 6.0]),
+    .of("degrees", [0.15, 1.0, 6.0]),
     plain(
         "poses-shifted",
         "model",
@@ -188,9 +188,9 @@ pub static FAULTS: &[CaptureFault] = &[
     )
     .of("stops", [0.7, 1.5, 3.0]),
     plain("exposure-jumps", "photographs", Serious, "The exposure jumps.", photographs::exposure_jumps)
-        .of("stops", [0.25, 0.7, 1.5]),
+        .of("stops", [0.05, 0.5, 1.5]),
     plain("rig-exposure", "photographs", Serious, "One of two cameras is brighter.", photographs::rig)
-        .of("stops", [0.3, 1.0, 2.0]),
+        .of("stops", [0.04, 0.7, 2.0]),
     plain("balance-jumps", "photographs", Serious, "The white balance jumps.", photographs::balance_jumps)
         .of("%", [8.0, 25.0, 60.0]),
     plain("blurred", "photographs", Serious, "Every third photograph is blurred.", photographs::blurred)
@@ -201,7 +201,7 @@ pub static FAULTS: &[CaptureFault] = &[
     plain("haze", "photographs", Serious, "Hardly any light of the reef arrives.", photographs::haze)
         .of("% of the light", [40.0, 15.0, 3.0]),
     plain("bars", "photographs", Serious, "Black bars lie above and below.", photographs::bars)
-        .of("% of the height", [4.0, 10.0, 20.0]),
+        .of("% of the height", [2.0, 8.0, 20.0]),
     plain(
         "display",
         "photographs",
@@ -307,7 +307,7 @@ pub static FAULTS: &[CaptureFault] = &[
     plain(
         "positions-wander",
         "positions",
-        Minor,
+        Note,
         "Positions wander as GPS fixes do.",
         measures::wandering_positions,
     )
@@ -315,7 +315,7 @@ pub static FAULTS: &[CaptureFault] = &[
     plain(
         "gps-wanders",
         "positions",
-        Minor,
+        Note,
         "GPS positions in the photographs wander.",
         measures::wandering_gps,
     )
@@ -324,7 +324,7 @@ pub static FAULTS: &[CaptureFault] = &[
     plain(
         "positions-swapped",
         "positions",
-        Minor,
+        Note,
         "The axes of positions are exchanged.",
         measures::swapped_axes,
     ),
@@ -337,7 +337,7 @@ pub static FAULTS: &[CaptureFault] = &[
     ),
     plain("position-false", "positions", Minor, "One position is far away.", measures::one_false_position)
         .of("metres", [3.0, 20.0, 500.0]),
-    plain("positions-line", "positions", Minor, "Positions lie on one line.", measures::on_a_line),
+    plain("positions-line", "positions", Note, "Positions lie on one line.", measures::on_a_line),
     // The capture as transforms.json.
     plain(
         "points-exchanged",

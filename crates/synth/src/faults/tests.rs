@@ -186,7 +186,7 @@ fn a_fault_has_a_name_of_its_own_and_a_strength_that_it_knows() {
         assert!(fault.wrong.ends_with('.') && words <= 25, "{}: {}", fault.name, fault.wrong);
     }
     let strength = |text: &str| text.parse::<ChosenFault>().map(|chosen| chosen.strength);
-    assert_eq!(strength("poses-turned"), Ok(3.0));
+    assert_eq!(strength("poses-turned"), Ok(1.0));
     assert_eq!(strength("poses-turned:strong"), Ok(6.0));
     assert_eq!(strength("poses-turned:2.5"), Ok(2.5));
     let said = |text: &str| strength(text).unwrap_err().to_string();
