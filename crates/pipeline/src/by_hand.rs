@@ -236,9 +236,9 @@ impl<'a> ByHand<'a> {
         let Some(scene) = scene else { return Ok(import) };
         let Some(origin) = Origin::read(scene).map_err(WorkError::input)? else { return Ok(import) };
         let capture = use3d_import::load_prepared(&import).map_err(WorkError::input)?.capture;
-        origin.check_capture(scene, &capture).map_err(WorkError::Input)?;
+        origin.check_capture(scene, &capture).map_err(WorkError::input)?;
         if scored {
-            origin.check_split(scene, &capture).map_err(WorkError::Input)?;
+            origin.check_split(scene, &capture).map_err(WorkError::input)?;
         }
         Ok(import)
     }
