@@ -7,7 +7,7 @@ use use3d_pipeline::config::default_cache;
 use use3d_pipeline::destination::path_text;
 use use3d_pipeline::loaded::{real, stages};
 use use3d_workflow::Cache;
-use use3d_workflow::gc::{CleanOptions, parse_age, parse_bytes};
+use use3d_workflow::gc::{AmountError, CleanOptions, parse_age, parse_bytes};
 use use3d_workflow::machine::bytes;
 use use3d_workflow::place::parent;
 
@@ -35,7 +35,7 @@ fn cache(args: &CacheArgs) -> Result<Cache, WorkError> {
 }
 
 pub(crate) fn gc(args: &GcArgs) -> Done {
-    let wrong = |flag: &'static str| move |error: String| WorkError::Input(format!("{flag}: {error}"));
+    let wrong = |flag: &'static str| move |error: AmountError| WorkError::Input(format!("{flag}: {error}"));
     let max_bytes = args.max_bytes.as_deref().map(parse_bytes).transpose().map_err(wrong("--max-bytes"))?;
     let older_than = args.older_than.as_deref().map(parse_age).transpose().map_err(wrong("--older-than"))?;
     let mut keep = BTreeSet::new();

@@ -28,11 +28,11 @@ const SIZE: (usize, usize) = (1280, 720);
 fn read(app: &App, args: &RenderArgs, file: &Path) -> Result<CameraPath, WorkError> {
     if file.extension().is_some_and(|e| e.eq_ignore_ascii_case("txt")) {
         let cameras = read_images_txt(file).map_err(WorkError::input)?;
-        return CameraPath::of_cameras(&cameras, f64::from(args.frame_rate)).map_err(WorkError::Input);
+        return CameraPath::of_cameras(&cameras, f64::from(args.frame_rate)).map_err(WorkError::input);
     }
     let text = text_of(file)?;
     if !CameraPath::is_nerfstudio(&text) {
-        return CameraPath::read(&text).map_err(WorkError::Input);
+        return CameraPath::read(&text).map_err(WorkError::input);
     }
     let beside = file.with_file_name("dataparser_transforms.json");
     let dataparser = match std::fs::read_to_string(&beside) {
@@ -48,7 +48,7 @@ fn read(app: &App, args: &RenderArgs, file: &Path) -> Result<CameraPath, WorkErr
             path_text(file)
         );
     }
-    CameraPath::read_nerfstudio(&text, dataparser.as_deref()).map_err(WorkError::Input)
+    CameraPath::read_nerfstudio(&text, dataparser.as_deref()).map_err(WorkError::input)
 }
 
 /// `use3d render SCENE --path FILE`.
