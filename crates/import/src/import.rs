@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 use glam::DVec3;
 use rayon::prelude::*;
-use use3d_capture::{Camera, Capture, CaptureError, FileName, Frame, Intrinsics, SparsePoint, View};
+use use3d_capture::{Camera, Capture, CaptureError, FileName, Frame, Intrinsics, SparsePoint, View, natural_order};
 use use3d_io_colmap::fits_single;
 use use3d_io_image::{ImageInfo, image_info};
 use use3d_survey::{PosedImage, Survey, SurveyPoint, World};
@@ -179,7 +179,7 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
         };
         views.push(Found { view, camera: image.camera, file });
     }
-    views.sort_by(|a, b| a.view.name.cmp(&b.view.name));
+    views.sort_by(|a, b| natural_order(&a.view.name, &b.view.name));
     report.missing.sort();
     let kept: BTreeSet<u32> = views.iter().map(|found| found.view.id).collect();
     let used: BTreeSet<&PathBuf> = views.iter().map(|found| &found.view.image).collect();

@@ -241,6 +241,9 @@ pub(crate) fn find_images(
             (most, best) = (count, Some(folder));
         }
     }
+    // Names may differ a little from those of the files.
+    let likely = |folder: &&SourceFolder| labels::likely(&model.survey, folder);
+    let best = best.or_else(|| folders.iter().rev().max_by_key(likely).filter(|f| likely(f) > 0));
     let Some(folder) = best else {
         let wanted = model.survey.images.first().map_or("", |i| i.name.as_str());
         let remedy = match folders.iter().find_map(|f| unread(&f.path)) {
@@ -255,8 +258,9 @@ pub(crate) fn find_images(
     // The capture's folder itself is above the others.
     let others = folders.iter().filter(|f| f.path != folder.path && f.relative != ".");
     let others = others.map(|f| f.relative.clone()).collect();
-    if model.labels {
-        labels::resolve(&mut model.survey, folder)?;
+    match model.labels {
+        true => labels::resolve(&mut model.survey, folder)?,
+        false => labels::rename(&mut model.survey, folder)?,
     }
     Ok((folder.clone(), others))
 }

@@ -5,7 +5,7 @@ use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-use use3d_capture::{FileName, shown};
+use use3d_capture::{FileName, natural_order, shown};
 use use3d_io_image::{FileFormat, image_info, read_exif};
 
 use crate::error::PrepareError;
@@ -164,7 +164,7 @@ impl Sources {
                 sources.left.extend(beside(input.parent().unwrap_or(Path::new(""))).map(|(_, path)| path));
             }
         }
-        sources.photographs.sort_by(|a, b| a.name.cmp(&b.name));
+        sources.photographs.sort_by(|a, b| natural_order(&a.name, &b.name));
         if let Some(pair) = sources.photographs.windows(2).find(|pair| pair[0].name == pair[1].name) {
             let reason = format!(
                 "another photograph has the same name ({}); give the folder above both, so that their folders \
