@@ -185,6 +185,15 @@ pub fn flat_stem(name: &str) -> String {
     stem(name).replace('/', "_")
 }
 
+/// The photograph, with or without its extension, that a file masks by its name: `a_mask.png` and `a.mask.png`
+/// mask `a`, and `a.jpg.mask.png` masks `a.jpg`.
+pub fn masked(name: &str) -> Option<&str> {
+    let stem = stem(name);
+    let (photograph, mark) = stem.split_at_checked(stem.len().checked_sub(5)?)?;
+    let marked = ["_mask", ".mask"].iter().any(|known| mark.eq_ignore_ascii_case(known));
+    (marked && !photograph.is_empty() && !photograph.ends_with('/')).then_some(photograph)
+}
+
 /// Compares two names as people order them: digits count as numbers, so `2.png` comes before `10.png`. Names
 /// whose numbers have equally many digits are in the order of their bytes.
 pub fn natural_order(a: &str, b: &str) -> Ordering {

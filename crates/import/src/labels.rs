@@ -155,7 +155,10 @@ pub(crate) fn rename(survey: &mut Survey, folder: &SourceFolder) -> Result<(), I
         return Ok(());
     }
     let mut photographs = Photographs::of(folder);
-    photographs.by_stem.values_mut().for_each(|paths| paths.retain(|p| !taken.contains(&folder.path.join(p))));
+    photographs
+        .by_stem
+        .values_mut()
+        .for_each(|paths| paths.retain(|p| !taken.contains(&folder.path.join(p))));
     let fits = |index: &usize| !matches!(photographs.fit(&survey.images[*index].name, true), Fit::None);
     let same_folders = !taken.is_empty() || lost.iter().any(fits);
     let fail = |reason: String| {

@@ -288,7 +288,7 @@ fn unread(dir: &Path) -> Option<String> {
 }
 
 /// The mask or depth folder: the one that the parameters name (an error if it does not exist), or the first
-/// default folder that exists.
+/// default folder that exists, in large or small letters.
 pub(crate) fn find_extra(
     root: &Path,
     asked: Option<&str>,
@@ -296,7 +296,10 @@ pub(crate) fn find_extra(
     defaults: &[&str],
 ) -> Result<Option<SourceFolder>, ImportError> {
     let Some(dir) = asked else {
-        return Ok(defaults.iter().find_map(|dir| SourceFolder::open_own(root, dir)));
+        let exact = defaults.iter().find_map(|dir| SourceFolder::open_own(root, dir));
+        let alike = |dir: &&str| subfolders(root).into_iter().find(|name| name.eq_ignore_ascii_case(dir));
+        let other = || SourceFolder::open_own(root, &defaults.iter().find_map(alike)?);
+        return Ok(exact.or_else(other));
     };
     let found = SourceFolder::open_own(root, dir).ok_or_else(|| {
         let reason = format!("there is no folder {}", root.join(dir).display());

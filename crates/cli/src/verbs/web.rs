@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use use3d_capture::{Camera, FileName, Frame};
-use use3d_import::{ImportParams, capture_name, import};
+use use3d_import::{ImportError, ImportParams, capture_name, import};
 use use3d_pipeline::scene_page;
 use use3d_scene::{Origin, Scene, White};
 use use3d_web::{Page, PageView, SavedViews};
@@ -141,9 +141,11 @@ pub(crate) fn views(cameras: Option<&Path>, folder: &Path, scene: &Scene) -> Res
         )));
     }
     // A model without its images is no capture, but it has cameras.
-    if cameras.is_dir()
-        && let Ok(imported) = import(cameras, &ImportParams::default())
-    {
+    let imported = match cameras.is_dir().then(|| import(cameras, &ImportParams::default())) {
+        None | Some(Err(ImportError::NoImages { .. })) => None,
+        Some(found) => Some(found.map_err(CliError::input)?),
+    };
+    if let Some(imported) = imported {
         if origin.is_some() && !same_place(&scene.frame, &imported.capture.frame) {
             return Err(CliError::Input(format!(
                 "--cameras {}: its photographs have the same names as those that {} was made from, but its \
