@@ -49,7 +49,7 @@ fn stated(reader: &mut dyn ByteSource, format: FileFormat) -> Option<Stated> {
             let decoder = png::Decoder::new_with_limits(reader, png::Limits { bytes: LARGEST });
             let reader = decoder.read_info().ok()?;
             let info = reader.info();
-            match (&info.icc_profile, info.srgb, info.source_gamma) {
+            match (&info.icc_profile, info.srgb, info.gama_chunk) {
                 (Some(profile), ..) => Some(Stated::Profile(profile.to_vec())),
                 (None, None, Some(gamma)) => Some(Stated::Gamma(gamma.into_value())),
                 _ => None,
@@ -88,7 +88,8 @@ impl ColorSpace {
                     return None;
                 }
                 let mut profile = ColorProfile::new_srgb();
-                let curve = Some(ToneReprCurve::Parametric(vec![1.0 / gamma]));
+                // A table of one entry is an exponent, in steps of 256.
+                let curve = Some(ToneReprCurve::Lut(vec![(256.0 / gamma).round() as u16]));
                 (profile.red_trc, profile.green_trc, profile.blue_trc) =
                     (curve.clone(), curve.clone(), curve);
                 profile.cicp = None;
