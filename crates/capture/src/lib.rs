@@ -28,7 +28,7 @@ pub use camera::{Camera, CameraError, Frame, Intrinsics, Pose};
 pub use capture::{Capture, CaptureError, Pixels, SparsePoint, Split, View};
 pub use kept_water::KeptWater;
 pub use lattice::{Formation, Lattice, MediumMaps, world_direction};
-pub use name::{FileName, NameError, flat_stem, shown, stem};
+pub use name::{FileName, NameError, flat_stem, masked, natural_order, shown, stem};
 pub use raster::{Image, Image8, Map, Raster};
 pub use reach::{Reach, Side, reaches};
 pub use track::{Sighting, Track};

@@ -6,6 +6,7 @@
 //! [`shown`], so that a name cannot move the cursor, change colours or forge a line.
 
 use std::borrow::Cow;
+use std::cmp::Ordering;
 use std::fmt;
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
@@ -184,6 +185,37 @@ pub fn flat_stem(name: &str) -> String {
     stem(name).replace('/', "_")
 }
 
+/// The photograph, with or without its extension, that a file masks by its name: `a_mask.png` and `a.mask.png`
+/// mask `a`, and `a.jpg.mask.png` masks `a.jpg`.
+pub fn masked(name: &str) -> Option<&str> {
+    let stem = stem(name);
+    let (photograph, mark) = stem.split_at_checked(stem.len().checked_sub(5)?)?;
+    let marked = ["_mask", ".mask"].iter().any(|known| mark.eq_ignore_ascii_case(known));
+    (marked && !photograph.is_empty() && !photograph.ends_with('/')).then_some(photograph)
+}
+
+/// Compares two names as people order them: digits count as numbers, so `2.png` comes before `10.png`. Names
+/// whose numbers have equally many digits are in the order of their bytes.
+pub fn natural_order(a: &str, b: &str) -> Ordering {
+    let digits = |rest: &[u8]| rest.iter().take_while(|byte| byte.is_ascii_digit()).count();
+    let (mut left, mut right) = (a.as_bytes(), b.as_bytes());
+    loop {
+        let (m, n) = (digits(left), digits(right));
+        let (next, order) = if m > 0 && n > 0 {
+            // Without its zeros, a number with more digits is larger.
+            let zeros = |number: &[u8]| number.iter().take_while(|byte| **byte == b'0').count();
+            let (x, y) = (&left[zeros(&left[..m])..m], &right[zeros(&right[..n])..n]);
+            ((m, n), x.len().cmp(&y.len()).then_with(|| x.cmp(y)))
+        } else {
+            ((1, 1), left.first().cmp(&right.first()))
+        };
+        if order.is_ne() || left.is_empty() {
+            return order.then_with(|| a.cmp(b));
+        }
+        (left, right) = (&left[next.0..], &right[next.1..]);
+    }
+}
+
 /// External text made safe for printing within a line: characters that control a terminal or reorder text are
 /// escaped (`\u{1b}`), everything else is unchanged.
 pub fn shown(text: &str) -> Cow<'_, str> {
@@ -284,6 +316,15 @@ mod tests {
         assert_eq!((name.stem(), name.flat_stem().as_str()), ("left/a.b", "left_a.b"));
         assert_eq!(stem(".hidden"), ".hidden");
         assert_eq!(stem("x.d/plain"), "x.d/plain");
+    }
+
+    #[test]
+    fn digits_are_numbers_and_padded_names_keep_their_order() {
+        let mut names = ["10.png", "b2", "1.png", "b10/1", "2.png", "02.png", "b2/20", "b2/3", "b"];
+        names.sort_by(|a, b| natural_order(a, b));
+        assert_eq!(names, ["1.png", "02.png", "2.png", "10.png", "b", "b2", "b2/3", "b2/20", "b10/1"]);
+        let padded = ["IMG_0001.JPG", "IMG_0002.JPG", "IMG_0010.JPG", "IMG_0010_a.JPG", "a-01", "a01"];
+        assert!(padded.is_sorted_by(|a, b| natural_order(a, b).is_lt() && a < b));
     }
 
     #[test]

@@ -54,6 +54,10 @@ const DARK: f64 = 0.06;
 const LARGE: usize = 2000;
 /// Shares of a picture without any track that lose something, and that spoil the scene.
 const BARE: (f64, f64) = (0.1, 0.25);
+/// Bits of 16-bit files that use only their lower bits.
+const FEW_BITS: std::ops::RangeInclusive<u32> = 8..=14;
+/// A mask that hides more than this share of a view's points hides the scene.
+const HIDDEN: f64 = 0.5;
 /// A mask that leaves less than this share of a picture leaves nothing to learn from.
 const UNMASKED: f64 = 0.01;
 /// Steps along the sight and breadth of the positions at which distances are hardly determined.
@@ -76,6 +80,8 @@ pub fn examine(
         rules.coverage(agreement);
     }
     rules.reach(&figures.reach);
+    rules.range(&figures);
+    rules.inverted(&figures.views);
     rules.pixels(&figures.views);
     rules.water(&figures, water);
     rules.extras(import, &figures, metres);
@@ -161,6 +167,32 @@ impl Rules {
                 remedy,
                 import.missing.clone(),
             );
+        }
+        if !import.unusable.is_empty() {
+            let count = import.unusable.len();
+            let all = self.views + count;
+            let reasons: Vec<String> = import
+                .unusable
+                .iter()
+                .take(3)
+                .map(|(name, why)| format!("{} ({})", shown(name), shown(why)))
+                .collect();
+            let more = if count > reasons.len() { ", …" } else { "" };
+            let verb = if count == 1 { "is left out, because it" } else { "are left out, because they" };
+            let text =
+                format!("{count} of {all} photographs {verb} cannot be used: {}{more}.", reasons.join(", "));
+            let remedy = "copy these files again from the camera, or do without them";
+            let names = import.unusable.keys().cloned().collect();
+            self.add(serious_if(self.share(count) > 1.0 / 3.0), "unusable", text, remedy, names);
+        }
+        if import.exr > 0 {
+            let text = format!(
+                "{} photographs are EXR files. Their values are used as those of a display, but most programs store \
+                 linear light in them, which looks too dark.",
+                import.exr
+            );
+            let remedy = "nothing, if they look right; otherwise write them as 16-bit PNG or TIFF in sRGB";
+            self.minor("linear", text, remedy);
         }
         if !import.stray.is_empty() {
             let count = import.stray.len();
@@ -394,6 +426,39 @@ impl Rules {
             let remedy = "remove these photographs from the folder of images, or find the cameras again";
             self.add(Severity::Serious, "cameras", text, remedy, misplaced);
         }
+    }
+
+    /// 16-bit files that use only their lower bits.
+    fn range(&mut self, figures: &Figures) {
+        let Some(bits) = figures.largest_sample.map(|most| 16 - most.leading_zeros()) else { return };
+        // Black pictures are another fault.
+        if !FEW_BITS.contains(&bits) {
+            return;
+        }
+        let factor = 1u32 << (16 - bits);
+        let text = format!(
+            "The photographs have 16 bits and use only the lower {bits}, so they look {factor} times too dark."
+        );
+        let remedy =
+            format!("multiply all of them by {factor} (`magick mogrify -evaluate Multiply {factor}`)");
+        self.minor("range", text, &remedy);
+    }
+
+    /// Masks that hide what the model saw.
+    fn inverted(&mut self, views: &[ViewFigures]) {
+        let all: Vec<f64> = views.iter().filter_map(|v| v.hidden_points).collect();
+        let hiding = |v: &ViewFigures| v.hidden_points.is_some_and(|share| share > HIDDEN);
+        let list = names(views, hiding);
+        if 2 * list.len() <= all.len() {
+            return;
+        }
+        let text = format!(
+            "The masks hide {:.0} % of the points that the model saw: they are probably inverted.",
+            100.0 * all.iter().sum::<f64>() / all.len() as f64
+        );
+        let remedy = "masks are white where pixels count, and black on divers and fish: invert them \
+            (`magick mogrify -negate masks/*.png`)";
+        self.add(Severity::Serious, "inverted", text, remedy, list);
     }
 
     /// Parts of the pictures that no track reaches.

@@ -18,6 +18,6 @@ mod report;
 
 pub use agreement::{Agreement, Pixels, ViewAgreement, agreement};
 pub use findings::{WaterSight, examine};
-pub use measure::{Figures, ViewFigures, measure};
+pub use measure::{Figures, ViewFigures, measure, measure_masks};
 pub use page::{Picture, page};
 pub use report::{CheckReport, Finding, Severity};

@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 
 use glam::DVec3;
 use serde::Serialize;
-use use3d_capture::{Capture, Image, Intrinsics, Reach, Track, View, reaches};
+use use3d_capture::{Capture, Image, Intrinsics, Map, Reach, Track, View, reaches};
 use use3d_io_image::shrunk;
 use use3d_numerics::math;
 
@@ -47,6 +47,8 @@ pub struct ViewFigures {
     pub balance_step: Option<f64>,
     /// The share of its pixels that its mask leaves; `None` without a mask.
     pub unmasked: Option<f64>,
+    /// The share of its points that its mask hides; `None` without a mask, or with few points.
+    pub hidden_points: Option<f64>,
 }
 
 /// The figures of a capture.
@@ -69,6 +71,8 @@ pub struct Figures {
     pub forward: Option<f64>,
     /// The spread of camera positions across their main line, as a share of the spread along it.
     pub breadth: Option<f64>,
+    /// The largest sample of all photographs, if all of them have 16 bits.
+    pub largest_sample: Option<u16>,
     /// The parts of the pictures that tracks reach, for each camera with enough views.
     pub reach: Vec<Reach>,
 }
@@ -124,6 +128,35 @@ pub fn measure<E>(
         pixels(&mut figures.views, &seen, load)?;
     }
     Ok(figures)
+}
+
+/// Measures the masks of views. `load` gives the mask of a view at the size of its camera.
+///
+/// # Errors
+/// The errors of `load`.
+pub fn measure_masks<E>(
+    figures: &mut Figures,
+    tracks: &[Track],
+    load: &mut dyn FnMut(usize) -> Result<Option<Map>, E>,
+) -> Result<(), E> {
+    let mut seen: Vec<Vec<(f64, f64)>> = vec![Vec::new(); figures.views.len()];
+    for s in tracks.iter().flat_map(|track| &track.sightings) {
+        if let Some(seen) = seen.get_mut(s.view) {
+            seen.push((s.x, s.y));
+        }
+    }
+    for (i, view) in figures.views.iter_mut().enumerate() {
+        let Some(mask) = load(i)? else { continue };
+        let (w, h) = (mask.width(), mask.height());
+        let white = mask.data().iter().filter(|v| **v >= 0.5).count();
+        view.unmasked = Some(white as f64 / mask.data().len().max(1) as f64);
+        let inside = seen[i].iter().filter(|(x, y)| *x >= 0.0 && *y >= 0.0 && *x < w as f64 && *y < h as f64);
+        let hidden: Vec<bool> =
+            inside.map(|(x, y)| mask.data()[*y as usize * w + *x as usize] < 0.5).collect();
+        let count = hidden.iter().filter(|hidden| **hidden).count();
+        view.hidden_points = (hidden.len() >= ENOUGH).then(|| count as f64 / hidden.len() as f64);
+    }
+    Ok(())
 }
 
 /// The number of neighbours of each view.

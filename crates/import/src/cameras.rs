@@ -20,7 +20,7 @@ use std::path::Path;
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
 use serde_json::{Value, json};
-use use3d_capture::{Camera, FileName, Intrinsics, Pose};
+use use3d_capture::{Camera, FileName, Intrinsics, Pose, natural_order};
 use use3d_io_colmap::{Model, ModelForm, read_model, read_model_as};
 use use3d_survey::Survey;
 
@@ -95,7 +95,7 @@ pub(crate) fn from_model(model: &Survey) -> Result<Vec<(FileName, Camera)>, Impo
         };
         out.push((image.name.clone(), Camera { intrinsics, pose: image.pose() }));
     }
-    out.sort_by(|a, b| a.0.cmp(&b.0));
+    out.sort_by(|a, b| natural_order(&a.0, &b.0));
     Ok(out)
 }
 

@@ -11,8 +11,8 @@ use crate::error::ImportError;
 pub(crate) const IMAGE_DIRS: [&str; 4] = ["images", "images_wb", "Images_wb", "input"];
 /// Depth-prior folders, tried in this order.
 pub(crate) const DEPTH_DIRS: [&str; 3] = ["depth", "depths", "depthAnythingV2_u16"];
-/// Mask folder.
-pub(crate) const MASK_DIRS: [&str; 1] = ["masks"];
+/// Mask folders, tried in this order.
+pub(crate) const MASK_DIRS: [&str; 2] = ["masks", "mask"];
 
 /// Extensions of images. Names are compared without case.
 pub(crate) const IMAGE_EXTENSIONS: [&str; 6] = ["png", "jpg", "jpeg", "tif", "tiff", "exr"];
@@ -21,6 +21,11 @@ const FILM_EXTENSIONS: [&str; 14] =
     ["mp4", "mov", "avi", "mkv", "webm", "m4v", "mts", "m2ts", "mpg", "mpeg", "wmv", "3gp", "lrv", "insv"];
 const MASK_EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "tif", "tiff", "npy", "exr"];
 const DEPTH_EXTENSIONS: [&str; 5] = ["png", "npy", "tif", "tiff", "exr"];
+
+/// The extensions of masks, in small and in large letters.
+fn mask_extensions() -> impl Iterator<Item = String> {
+    MASK_EXTENSIONS.iter().map(|e| e.to_string()).chain(MASK_EXTENSIONS.iter().map(|e| e.to_uppercase()))
+}
 
 /// The manifest's name.
 pub(crate) const MANIFEST: &str = "capture.json";
@@ -37,7 +42,8 @@ pub fn is_prepared(dir: &Path) -> bool {
 /// False for a folder of a capture that holds other images of the same names: masks, depth priors, the truth
 /// of a synthetic capture, and captures that an import wrote.
 pub(crate) fn may_hold_photographs(dir: &Path, name: &str) -> bool {
-    let other = MASK_DIRS.contains(&name) || DEPTH_DIRS.contains(&name) || name == "truth";
+    let is_one_of = |names: &[&str]| names.iter().any(|other| other.eq_ignore_ascii_case(name));
+    let other = is_one_of(&MASK_DIRS) || is_one_of(&DEPTH_DIRS) || name == "truth";
     !other && !is_prepared(&dir.join(name))
 }
 
@@ -187,12 +193,24 @@ impl SourceFolder {
         self.first(std::iter::once(Ok(name.clone())).chain(others))
     }
 
-    /// A mask of an image: `a.jpg.png` (COLMAP's convention), `a.png`, or `a_mask.png` (Metashape's).
+    /// A mask of an image: `a.jpg.png` (COLMAP's convention), `a.png`, or one of
+    /// [`mask_beside`](Self::mask_beside).
     pub(crate) fn mask(&self, name: &FileName) -> Result<Option<PathBuf>, ImportError> {
-        let by_stem = MASK_EXTENSIONS.iter().map(|e| name.with_extension(e));
-        let marked = MASK_EXTENSIONS.iter().map(|e| FileName::new(&format!("{}_mask.{e}", name.stem())));
-        let names = std::iter::once(FileName::new(&format!("{name}.png"))).chain(by_stem).chain(marked);
-        Ok(self.first(names)?.map(|(_, path)| path))
+        let by_stem = mask_extensions().map(|e| name.with_extension(&e));
+        let names = std::iter::once(FileName::new(&format!("{name}.png"))).chain(by_stem);
+        match self.first(names)? {
+            Some((_, path)) => Ok(Some(path)),
+            None => self.mask_beside(name),
+        }
+    }
+
+    /// A mask of an image whose name says that it is one: `a_mask.png` (of Metashape and OpenDroneMap),
+    /// `a.jpg.mask.png` (RealityScan's), `a.mask.png`.
+    pub(crate) fn mask_beside(&self, name: &FileName) -> Result<Option<PathBuf>, ImportError> {
+        let starts =
+            [format!("{}_mask", name.stem()), format!("{name}.mask"), format!("{}.mask", name.stem())];
+        let names = starts.iter().flat_map(|start| mask_extensions().map(move |e| format!("{start}.{e}")));
+        Ok(self.first(names.map(|name| FileName::new(&name)))?.map(|(_, path)| path))
     }
 
     /// A depth prior of an image, by its stem.

@@ -11,8 +11,7 @@ use crate::params::{ImportParams, LEAST_SIDE};
 use crate::resample::Resize;
 use crate::undistort::{Undistortion, is_pinhole};
 
-/// The sizes of image files and of the model may differ by a whole factor of at most this, in either
-/// direction.
+/// The sizes of image files and of the model may differ by a factor of at most this, in either direction.
 const MAX_FACTOR: usize = 32;
 
 /// The chain of changes from a file's pixels to a view's.
@@ -30,15 +29,24 @@ pub(crate) struct Geometry {
     pub(crate) intrinsics: Intrinsics,
 }
 
-/// File size over model size, if one is a whole multiple of the other (within rounding to whole pixels).
-fn size_ratio(model: (usize, usize), file: (usize, usize)) -> Option<(f64, f64)> {
+/// True if one size is a whole multiple of the other (within rounding to whole pixels).
+pub(crate) fn is_whole_multiple(model: (usize, usize), file: (usize, usize)) -> bool {
     let close = |a: usize, factor: usize, b: usize| (a as f64 / factor as f64 - b as f64).abs() < 1.0;
-    let fits = model == file
+    model == file
         || (2..=MAX_FACTOR).any(|k| {
             (close(model.0, k, file.0) && close(model.1, k, file.1))
                 || (model.0 * k == file.0 && model.1 * k == file.1)
-        });
-    fits.then(|| (file.0 as f64 / model.0 as f64, file.1 as f64 / model.1 as f64))
+        })
+}
+
+/// File size over model size, if both have one shape (within rounding to whole pixels).
+pub(crate) fn size_ratio(model: (usize, usize), file: (usize, usize)) -> Option<(f64, f64)> {
+    let scale = (file.0 + file.1) as f64 / (model.0 + model.1) as f64;
+    let most = MAX_FACTOR as f64;
+    let close = |a: usize, b: usize| (a as f64 * scale - b as f64).abs() < 1.0;
+    let fits = (1.0 / most..=most).contains(&scale) && close(model.0, file.0) && close(model.1, file.1);
+    (fits || is_whole_multiple(model, file))
+        .then(|| (file.0 as f64 / model.0 as f64, file.1 as f64 / model.1 as f64))
 }
 
 impl Geometry {
@@ -54,8 +62,8 @@ impl Geometry {
             path: path.to_path_buf(),
             found: file,
             expected: format!(
-                "but camera {} of the model is {} x {}, and the image size is not a whole fraction of that; \
-                 give the folder with the images that COLMAP was run on as `image_dir`, or resize these",
+                "but camera {} of the model is {} x {}, so it has another shape; \
+                 give the folder with the images that the cameras were found from as `image_dir`",
                 camera.id, model.0, model.1
             ),
         })?;
@@ -170,7 +178,8 @@ mod tests {
         assert!(size_ratio((995, 746), (497, 373)).is_some(), "rounded down");
         assert!(size_ratio((995, 746), (249, 187)).is_some(), "rounded up");
         assert_eq!(size_ratio((500, 300), (1000, 600)), Some((2.0, 2.0)));
-        assert_eq!(size_ratio((1280, 720), (1000, 563)), None);
+        assert!(size_ratio((1280, 720), (1000, 563)).is_some(), "the same shape");
+        assert!(!is_whole_multiple((1280, 720), (1000, 563)));
         assert_eq!(size_ratio((1280, 720), (640, 480)), None);
     }
 }

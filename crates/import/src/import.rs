@@ -10,15 +10,19 @@ use std::sync::Arc;
 
 use glam::DVec3;
 use rayon::prelude::*;
-use use3d_capture::{Camera, Capture, CaptureError, FileName, Frame, Intrinsics, SparsePoint, View};
+use use3d_capture::{
+    Camera, Capture, CaptureError, FileName, Frame, Intrinsics, SparsePoint, View, masked, natural_order,
+    stem,
+};
 use use3d_io_colmap::fits_single;
-use use3d_io_image::{ImageInfo, image_info};
+use use3d_io_image::{FileFormat, ImageError, ImageInfo, converted_from, photograph_info};
 use use3d_survey::{PosedImage, Survey, SurveyPoint, World};
 
 use crate::error::ImportError;
 use crate::folder::{DEPTH_DIRS, MASK_DIRS, SourceFolder, is_prepared};
-use crate::geometry::Geometry;
+use crate::geometry::{Geometry, is_whole_multiple, size_ratio};
 use crate::layout::{FoundModel, find_extra, find_images, find_models};
+use crate::load::info_of_whole;
 use crate::metres;
 use crate::normalise;
 use crate::originals::Originals;
@@ -159,6 +163,9 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
     let depths = find_extra(dir, params.depth_dir.as_deref(), "depth_dir", &DEPTH_DIRS)?;
     report.depth_folder = depths.as_ref().map(|d| d.relative.clone());
 
+    let listed = folder.images();
+    let marked = listed.iter().any(|name| masked(name).is_some());
+
     // Resolves names to files; views are in the order of their names.
     let mut views = Vec::new();
     for image in &model.images {
@@ -172,7 +179,10 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
             image: path,
             mask: match model.files.get(&image.id).and_then(|f| f.mask.as_ref()).zip(base.as_ref()) {
                 Some((mask, base)) if params.mask_dir.is_none() => base.file(mask)?,
-                _ => masks.as_ref().map(|m| m.mask(&name)).transpose()?.flatten(),
+                _ => match masks.as_ref().map(|m| m.mask(&name)).transpose()?.flatten() {
+                    None if marked => folder.mask_beside(&file)?,
+                    mask => mask,
+                },
             },
             depth_prior: depths.as_ref().map(|d| d.depth(&name)).transpose()?.flatten(),
             name,
@@ -180,24 +190,35 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
         };
         views.push(Found { view, camera: image.camera, file });
     }
-    views.sort_by(|a, b| a.view.name.cmp(&b.view.name));
+    views.sort_by(|a, b| natural_order(&a.view.name, &b.view.name));
     report.missing.sort();
-    let kept: BTreeSet<u32> = views.iter().map(|found| found.view.id).collect();
     let used: BTreeSet<&PathBuf> = views.iter().map(|found| &found.view.image).collect();
-    report.extra = folder.images();
+    let photographs: BTreeSet<&str> = listed.iter().flat_map(|name| [name.as_str(), stem(name)]).collect();
+    let is_mask = |name: &str| masked(name).is_some_and(|of| photographs.contains(of));
+    report.extra = listed.iter().filter(|name| !is_mask(name)).cloned().collect();
     report.extra.retain(|name| !used.contains(&folder.path.join(name)) && !report.stray.contains(name));
+    let beside = views.iter().filter(|v| v.view.mask.as_ref().is_some_and(|m| m.starts_with(&folder.path)));
+    let beside = beside.count();
+    if beside > 0 && masks.as_ref().is_none_or(|m| !m.path.starts_with(&folder.path)) {
+        report.notes.push(format!("{beside} masks beside the photographs are used"));
+    }
+    if let Some(found) = masks.as_ref().filter(|m| params.mask_dir.is_none() && m.relative != MASK_DIRS[0]) {
+        report.notes.push(format!("the masks in {}/ are used", found.relative));
+    }
     let renamed =
         views.iter().map(|found| &found.view).filter(|v| !v.image.ends_with(v.name.as_str())).count();
     if renamed > 0 {
         report.notes.push(format!("{renamed} images were found with another extension than in the model"));
     }
+    let infos = leave_out(&mut views, &model, &mut report)?;
+    let kept: BTreeSet<u32> = views.iter().map(|found| found.view.id).collect();
     model.retain_images(|image| kept.contains(&image.id));
     report.notes.append(&mut model.notes);
     let metres = |w: &World| format!("1 unit of the model is {:.6} m ({})", w.metres_per_unit, w.source);
     report.notes.extend(model.world.as_ref().map(metres));
 
-    let infos: Vec<ImageInfo> =
-        views.par_iter().map(|found| image_info(&found.view.image)).collect::<Result<_, _>>()?;
+    report.notes.extend(pixel_notes(&views));
+    report.exr = infos.iter().filter(|info| info.format == FileFormat::Exr).count();
     let plans = plan(&mut views, &infos, &model, params, &mut report)?;
     let views: Vec<View> = views.into_iter().map(|found| found.view).collect();
     for view in &views {
@@ -205,8 +226,12 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
         view.camera.validate().map_err(bad)?;
     }
 
-    let split =
-        split::choose(dir, &views, &[report.missing.clone(), report.stray.clone()].concat(), &params.split)?;
+    let split = split::choose(
+        dir,
+        &views,
+        &[report.missing.clone(), report.stray.clone(), report.unusable.keys().cloned().collect()].concat(),
+        &params.split,
+    )?;
     report.notes.extend(split.notes);
     report.split_rule = split.rule;
     let names = |indices: &[usize]| indices.iter().map(|&i| views[i].name.to_string()).collect();
@@ -242,6 +267,89 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
     let model_files = read.files;
     let (white_balance, image_folder) = (params.white_balance, folder.relative);
     Ok(Imported { capture, report, plans, model, model_files, white_balance, image_folder, originals: None })
+}
+
+/// Leaves out the views whose photographs cannot be read or were turned by a quarter, and reports them. The
+/// properties of the other files are returned.
+fn leave_out(
+    views: &mut Vec<Found>,
+    model: &Survey,
+    report: &mut ImportReport,
+) -> Result<Vec<ImageInfo>, ImportError> {
+    let mut heads: Vec<_> = views.par_iter().map(|found| info_of_whole(&found.view.image)).collect();
+    // A file that the system does not give may be there later.
+    if let Some(at) = heads.iter().position(|head| matches!(head, Err(ImageError::Open { .. }))) {
+        heads.swap_remove(at)?;
+        return Ok(Vec::new());
+    }
+    let (mut infos, mut first) = (Vec::new(), None);
+    let mut heads = heads.into_iter();
+    views.retain(|found| {
+        let path = &found.view.image;
+        let usable = heads.next().map_or(Err(ImportError::Interrupted), |head| {
+            let info = head?;
+            turned(model, found.camera, path, &info).map_or(Ok(info), Err)
+        });
+        let error = match usable {
+            Ok(info) => {
+                infos.push(info);
+                return true;
+            }
+            Err(error) => error,
+        };
+        let (text, place) = (error.to_string(), format!("{}: ", path.display()));
+        let reason = text.strip_prefix(&place).unwrap_or(&text).to_string();
+        report.unusable.insert(found.view.name.to_string(), reason);
+        first.get_or_insert(error);
+        false
+    });
+    match first.filter(|_| views.is_empty()) {
+        Some(error) => Err(error),
+        None => Ok(infos),
+    }
+}
+
+/// The error of a photograph whose sides are exchanged against its camera's.
+fn turned(model: &Survey, camera: u32, path: &Path, info: &ImageInfo) -> Option<ImportError> {
+    let camera = model.camera(camera)?;
+    let (size, found) = ((camera.width, camera.height), (info.width, info.height));
+    if size_ratio(size, found).is_some() || size_ratio((size.1, size.0), found).is_none() {
+        return None;
+    }
+    let tag = photograph_info(path).is_ok_and(|info| info.orientation > 4);
+    let cause = match tag {
+        true => "the model has it as its EXIF data turn it: turn its pixels (`magick mogrify -auto-orient`)",
+        false => "it was turned by 90 degrees after the model was made: put the one that is not turned back",
+    };
+    let expected = format!("and camera {} of the model is {} x {}; {cause}", camera.id, size.0, size.1);
+    Some(ImportError::Size { path: path.to_path_buf(), found, expected })
+}
+
+/// Says what files state about their pixels: colours that are converted, and turns that are not applied.
+fn pixel_notes(views: &[Found]) -> Vec<String> {
+    let stated: Vec<(Option<String>, bool)> = views
+        .par_iter()
+        .map(|found| {
+            let path = &found.view.image;
+            let turned = photograph_info(path).is_ok_and(|info| info.orientation != 1);
+            (converted_from(path).ok().flatten(), turned)
+        })
+        .collect();
+    let mut spaces: BTreeMap<&str, usize> = BTreeMap::new();
+    for name in stated.iter().filter_map(|(space, _)| space.as_deref()) {
+        *spaces.entry(name).or_default() += 1;
+    }
+    let mut notes: Vec<String> = spaces
+        .into_iter()
+        .map(|(name, count)| format!("the colours of {count} photographs are converted from {name} to sRGB"))
+        .collect();
+    let turned = stated.iter().filter(|(_, turned)| *turned).count();
+    if turned > 0 {
+        notes.push(format!(
+            "EXIF data ask to turn {turned} photographs; they are used as they are stored, as the model needs them"
+        ));
+    }
+    notes
 }
 
 /// Names the files of the mask folder that are masks of no photograph. A photograph without a camera may have
@@ -326,6 +434,15 @@ fn plan(
             undistorted_size: geometry.undistortion.as_ref().map(|u| [u.pinhole.width, u.pinhole.height]),
             size: [geometry.intrinsics.width, geometry.intrinsics.height],
         });
+        if let Some(camera) = camera.filter(|c| !is_whole_multiple((c.width, c.height), (width, height))) {
+            report.notes.push(format!(
+                "{} photographs of camera {id} have {width} x {height} pixels, and the model has them with {} x {}; \
+                 the lens is scaled to them",
+                members.len(),
+                camera.width,
+                camera.height
+            ));
+        }
         let geometry = Arc::new(geometry);
         for &i in members {
             views[i].view.camera.intrinsics = geometry.intrinsics;

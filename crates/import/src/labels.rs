@@ -7,7 +7,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
-use use3d_capture::FileName;
+use unicode_normalization::UnicodeNormalization;
+use use3d_capture::{FileName, shown};
 use use3d_survey::Survey;
 
 use crate::error::ImportError;
@@ -20,7 +21,17 @@ enum Fit {
     Several(String, String),
 }
 
-/// The photographs of a folder by the lower-case stem of their file names.
+/// A name in the form in which names are compared: small letters, and one form of Unicode for each character.
+fn folded(name: &str) -> String {
+    name.nfc().collect::<String>().to_lowercase()
+}
+
+/// The folders of a name, the innermost first.
+fn folders(name: &str) -> Vec<String> {
+    folded(name).rsplit('/').skip(1).map(String::from).collect()
+}
+
+/// The photographs of a folder by the folded stems of their file names.
 struct Photographs {
     by_stem: BTreeMap<String, Vec<String>>,
 }
@@ -43,20 +54,18 @@ impl Photographs {
                 *known.or_insert_with(|| may_hold_photographs(&folder.path, first))
             });
             if usable {
-                by_stem.entry(stem(last_part(&path)).to_lowercase()).or_default().push(path);
+                by_stem.entry(folded(stem(last_part(&path)))).or_default().push(path);
             }
         }
         Self { by_stem }
     }
 
-    fn fit(&self, label: &str) -> Fit {
+    /// The photograph that fits a label best. With `same_folders`, only those in the folders of the label fit.
+    fn fit(&self, label: &str, same_folders: bool) -> Fit {
         let last = last_part(label);
-        let mut stems = vec![last.to_lowercase(), stem(last).to_lowercase()];
+        let mut stems = vec![folded(last), folded(stem(last))];
         stems.dedup();
         let alike = |path: &str| {
-            let folders = |text: &str| -> Vec<String> {
-                text.to_lowercase().rsplit('/').skip(1).map(String::from).collect()
-            };
             let shared = folders(path).iter().zip(&folders(label)).take_while(|(a, b)| a == b).count();
             let file = last_part(path);
             // Folders first, then the same file name, then the same one but for case.
@@ -64,6 +73,7 @@ impl Photographs {
         };
         let mut fitting: Vec<&String> =
             stems.iter().filter_map(|stem| self.by_stem.get(stem)).flatten().collect();
+        fitting.retain(|path| !same_folders || folders(path) == folders(label));
         fitting.sort_by_key(|path| std::cmp::Reverse(alike(path)));
         match fitting.as_slice() {
             [] => Fit::None,
@@ -78,7 +88,7 @@ impl Photographs {
 /// The photographs of a folder that belong to some labels, each the only one that fits its label.
 pub(crate) fn photographs(labels: &[&FileName], folder: &SourceFolder) -> BTreeMap<FileName, PathBuf> {
     let photographs = Photographs::of(folder);
-    let found = labels.iter().filter_map(|label| match photographs.fit(label) {
+    let found = labels.iter().filter_map(|label| match photographs.fit(label, false) {
         Fit::One(path) => Some(((*label).clone(), folder.path.join(path))),
         Fit::None | Fit::Several(..) => None,
     });
@@ -88,7 +98,7 @@ pub(crate) fn photographs(labels: &[&FileName], folder: &SourceFolder) -> BTreeM
 /// The number of a survey's images that have exactly one photograph in a folder.
 pub(crate) fn count(survey: &Survey, folder: &SourceFolder) -> usize {
     let photographs = Photographs::of(folder);
-    survey.images.iter().filter(|image| matches!(photographs.fit(&image.name), Fit::One(_))).count()
+    survey.images.iter().filter(|image| matches!(photographs.fit(&image.name, false), Fit::One(_))).count()
 }
 
 /// Names a survey's images after their photographs in a folder; an image without one keeps its label.
@@ -103,7 +113,7 @@ pub(crate) fn resolve(survey: &mut Survey, folder: &SourceFolder) -> Result<(), 
     };
     let mut taken = BTreeSet::new();
     for image in &mut survey.images {
-        let path = match photographs.fit(&image.name) {
+        let path = match photographs.fit(&image.name, false) {
             Fit::None => continue,
             Fit::One(path) => path,
             Fit::Several(a, b) => {
@@ -122,6 +132,71 @@ pub(crate) fn resolve(survey: &mut Survey, folder: &SourceFolder) -> Result<(), 
     Ok(())
 }
 
+/// The number of a survey's images that may have a photograph in a folder under another name.
+pub(crate) fn likely(survey: &Survey, folder: &SourceFolder) -> usize {
+    let photographs = Photographs::of(folder);
+    survey.images.iter().filter(|image| !matches!(photographs.fit(&image.name, false), Fit::None)).count()
+}
+
+/// Names images that have no file of their name after the photographs that people take for them: names may
+/// differ in case and in the form of Unicode. If no name fits so, they may differ in their folders too.
+///
+/// # Errors
+/// A name that fits two photographs, and two names that fit one.
+pub(crate) fn rename(survey: &mut Survey, folder: &SourceFolder) -> Result<(), ImportError> {
+    let (mut taken, mut lost) = (BTreeSet::new(), Vec::new());
+    for (index, image) in survey.images.iter().enumerate() {
+        match folder.image(&image.name)? {
+            Some(path) => _ = taken.insert(path),
+            None => lost.push(index),
+        }
+    }
+    if lost.is_empty() {
+        return Ok(());
+    }
+    let mut photographs = Photographs::of(folder);
+    photographs
+        .by_stem
+        .values_mut()
+        .for_each(|paths| paths.retain(|p| !taken.contains(&folder.path.join(p))));
+    let fits = |index: &usize| !matches!(photographs.fit(&survey.images[*index].name, true), Fit::None);
+    let same_folders = !taken.is_empty() || lost.iter().any(fits);
+    let fail = |reason: String| {
+        let (path, looked) = (folder.path.clone(), folder.relative.clone());
+        Err(ImportError::NoImages { path, reason, looked })
+    };
+    let mut renamed: BTreeMap<String, FileName> = BTreeMap::new();
+    for index in lost {
+        let name = &mut survey.images[index].name;
+        let path = match photographs.fit(name, same_folders) {
+            Fit::None => continue,
+            Fit::One(path) => path,
+            Fit::Several(a, b) => {
+                return fail(format!(
+                    "the model's image {name} may be {a} or {b}; name the folder that is meant with \
+                     `--set image_dir=DIR` (`--set import.image_dir=DIR` in `use3d run`), or find the cameras again \
+                     from the folder above both"
+                ));
+            }
+        };
+        if let Some(other) = renamed.insert(path.clone(), name.clone()) {
+            return fail(format!(
+                "two images of the model, {other} and {name}, may be the photograph {path}; put the photographs into \
+                 the folders that the model names"
+            ));
+        }
+        *name = FileName::new(&path).map_err(ImportError::file_name(&folder.path.join(path)))?;
+    }
+    if let Some((path, name)) = renamed.first_key_value() {
+        let count = match renamed.len() {
+            1 => "1 name of the model differs from that of its photograph".into(),
+            count => format!("{count} names of the model differ from those of their photographs"),
+        };
+        survey.notes.push(format!("{count}: {} is {}", shown(name), shown(path)));
+    }
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -132,7 +207,7 @@ mod tests {
             let key = stem(last_part(file)).to_lowercase();
             by_stem.entry(key).or_default().push((*file).into());
         }
-        match (Photographs { by_stem }).fit(label) {
+        match (Photographs { by_stem }).fit(label, false) {
             Fit::None => "none".into(),
             Fit::One(path) => path,
             Fit::Several(a, b) => format!("{a} or {b}"),
@@ -151,6 +226,7 @@ mod tests {
             (&["left/1.png", "right/1.png"], "dive/right/1", "right/1.png"),
             (&["left/1.png", "right/1.png"], "1", "left/1.png or right/1.png"),
             (&["x/1.png"], "home/me/1.JPG", "x/1.png"),
+            (&["Ho\u{308}hle_1.png"], "H\u{f6}hle_1", "Ho\u{308}hle_1.png"),
             (&["a.jpg"], "b", "none"),
             (&["a.jpg"], "a.b", "none"),
         ] {

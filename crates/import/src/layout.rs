@@ -241,6 +241,9 @@ pub(crate) fn find_images(
             (most, best) = (count, Some(folder));
         }
     }
+    // Names may differ a little from those of the files.
+    let likely = |folder: &&SourceFolder| labels::likely(&model.survey, folder);
+    let best = best.or_else(|| folders.iter().rev().max_by_key(likely).filter(|f| likely(f) > 0));
     let Some(folder) = best else {
         let wanted = model.survey.images.first().map_or("", |i| i.name.as_str());
         let remedy = match folders.iter().find_map(|f| unread(&f.path)) {
@@ -255,8 +258,9 @@ pub(crate) fn find_images(
     // The capture's folder itself is above the others.
     let others = folders.iter().filter(|f| f.path != folder.path && f.relative != ".");
     let others = others.map(|f| f.relative.clone()).collect();
-    if model.labels {
-        labels::resolve(&mut model.survey, folder)?;
+    match model.labels {
+        true => labels::resolve(&mut model.survey, folder)?,
+        false => labels::rename(&mut model.survey, folder)?,
     }
     Ok((folder.clone(), others))
 }
@@ -284,7 +288,7 @@ fn unread(dir: &Path) -> Option<String> {
 }
 
 /// The mask or depth folder: the one that the parameters name (an error if it does not exist), or the first
-/// default folder that exists.
+/// default folder that exists, in large or small letters.
 pub(crate) fn find_extra(
     root: &Path,
     asked: Option<&str>,
@@ -292,7 +296,10 @@ pub(crate) fn find_extra(
     defaults: &[&str],
 ) -> Result<Option<SourceFolder>, ImportError> {
     let Some(dir) = asked else {
-        return Ok(defaults.iter().find_map(|dir| SourceFolder::open_own(root, dir)));
+        let exact = defaults.iter().find_map(|dir| SourceFolder::open_own(root, dir));
+        let alike = |dir: &&str| subfolders(root).into_iter().find(|name| name.eq_ignore_ascii_case(dir));
+        let other = || SourceFolder::open_own(root, &defaults.iter().find_map(alike)?);
+        return Ok(exact.or_else(other));
     };
     let found = SourceFolder::open_own(root, dir).ok_or_else(|| {
         let reason = format!("there is no folder {}", root.join(dir).display());

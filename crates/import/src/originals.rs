@@ -17,12 +17,13 @@ use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
-use use3d_capture::{Camera, FileName, Intrinsics, Pose, View};
+use use3d_capture::{Camera, FileName, Intrinsics, Pose, View, masked, stem};
 use use3d_numerics::math;
 use use3d_survey::Lens;
 
 use crate::error::ImportError;
 use crate::folder::{SourceFolder, may_hold_photographs};
+use crate::load::info_of_whole;
 use crate::rows::{from_row_major, row_major};
 
 const FORMAT: &str = "3d-use originals";
@@ -197,7 +198,8 @@ impl Originals {
     }
 
     /// Names, in the image folder, of the images that have no camera: those there now that are none of the
-    /// photographs. Hidden files are left out, and so are names that no result can have (control characters).
+    /// photographs, their masks or damaged. Hidden files are left out, and so are names that no result can have
+    /// (control characters).
     /// `capture` is the folder that was imported.
     ///
     /// # Errors
@@ -216,14 +218,21 @@ impl Originals {
         }
         let mut allowed: BTreeMap<String, bool> = BTreeMap::new();
         let mut found = Vec::new();
-        for name in folder.images() {
+        let listed = folder.images();
+        let photographs: BTreeSet<&str> =
+            listed.iter().flat_map(|name| [name.as_str(), stem(name)]).collect();
+        for name in &listed {
+            if masked(name).is_some_and(|of| photographs.contains(of)) {
+                continue;
+            }
             // If photographs lie in the capture's own folder, its masks and depths are below it.
             let usable = name.split_once('/').is_none_or(|(first, _)| {
                 let first = allowed.entry(first.to_string());
                 *first.or_insert_with_key(|first| may_hold_photographs(&folder.path, first))
             });
-            let Some(name) = usable.then(|| FileName::new(&name).ok()).flatten() else { continue };
-            found.extend(folder.file(&name)?.filter(|file| !known.contains(file)).map(|_| name));
+            let Some(name) = usable.then(|| FileName::new(name).ok()).flatten() else { continue };
+            let usable = |file: &PathBuf| !known.contains(file) && info_of_whole(file).is_ok();
+            found.extend(folder.file(&name)?.filter(usable).map(|_| name));
         }
         Ok(found)
     }

@@ -224,7 +224,7 @@ fn resample(view: &View, plan: &Plan, gains: [f32; 3]) -> Result<PreparedView, I
     }
     let result =
         if geometry.resamples() || gains != [1.0; 3] { geometry.pixels(&pixels, gains) } else { pixels };
-    let mask = view.mask.as_ref().map(|path| read_mask_at(path, geometry.file)).transpose()?;
+    let mask = view.mask.as_ref().map(|path| read_mask_at(path, geometry.file, &view.image)).transpose()?;
     let mask = times_alpha(mask, alpha);
     let depth = view.depth_prior.as_ref().map(|path| read_depth_at(path, geometry.file)).transpose()?;
     Ok(PreparedView {
@@ -251,7 +251,7 @@ fn prepare_view(
             return Err(changed(view, plan));
         }
         let file = plan.geometry.file;
-        view.mask.as_ref().map(|path| read_mask_at(path, file)).transpose()?;
+        view.mask.as_ref().map(|path| read_mask_at(path, file, &view.image)).transpose()?;
         view.depth_prior.as_ref().map(|path| read_depth_at(path, file)).transpose()?;
         copy(&view.image, &result.image)?;
         let mask = view.mask.as_ref().map(|from| copy_beside(from, out, "masks", name));

@@ -1,5 +1,6 @@
 //! The choices and actions of an import, printed and stored.
 
+use std::collections::BTreeMap;
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
@@ -35,6 +36,12 @@ pub struct ImportReport {
     /// Listed images that are left out because the model places them far away from all others.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub stray: Vec<String>,
+    /// Listed images that are left out because their files cannot be used, with the reasons.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty", default)]
+    pub unusable: BTreeMap<String, String>,
+    /// Number of photographs that are EXR files. Not stored.
+    #[serde(skip_serializing, default)]
+    pub exr: usize,
     /// Images in the folder that the model does not list and that are not used. Not stored.
     #[serde(skip_serializing, default)]
     pub extra: Vec<String>,
@@ -153,6 +160,12 @@ impl fmt::Display for ImportReport {
         if !self.stray.is_empty() {
             let count = counted(self.stray.len(), "image lies", "images lie");
             writeln!(f, "  {count} far away from all others by the model, left out: {}", some(&self.stray))?;
+        }
+        for (name, reason) in self.unusable.iter().take(6) {
+            writeln!(f, "  left out: {}: {}", shown(name), shown(reason))?;
+        }
+        if self.unusable.len() > 6 {
+            writeln!(f, "  and {} more photographs that cannot be used", self.unusable.len() - 6)?;
         }
         if !self.extra.is_empty() {
             let count = counted(self.extra.len(), "image is", "images are");

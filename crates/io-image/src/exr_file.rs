@@ -10,10 +10,10 @@ use exr::prelude::*;
 use use3d_capture::{Image, Map};
 use use3d_files::write_atomically;
 
+use crate::byte_source::ByteSource;
 use crate::decoded::{Decoded, Samples};
 use crate::error::{FileFormat, ImageError};
 use crate::limits::check_size;
-use crate::read::ByteSource;
 
 /// Names under which a single channel of interest is looked for, best first.
 const SINGLE: [&str; 5] = ["Z", "Y", "depth", "depth.Z", "A"];

@@ -1,5 +1,5 @@
-//! Two properties of a JPEG that the decoder does not report: its size without reading the whole file, and
-//! its completeness.
+//! Properties of a JPEG that the decoder does not report: its size without reading the whole file, its
+//! completeness, and its segments before the pixels.
 //!
 //! The decoder fills the missing part of a truncated file with grey and reports success. A scene would then
 //! be trained on grey.
@@ -8,12 +8,17 @@ use std::io::{self, BufRead};
 
 use crate::error::damaged;
 
+/// The beginning of a segment with a part of an ICC profile.
+pub(crate) const ICC: &[u8] = b"ICC_PROFILE\0";
+
 /// Size and number of components from the frame header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct FrameHeader {
     pub(crate) width: u64,
     pub(crate) height: u64,
     pub(crate) components: u64,
+    /// True if the first scan holds the whole picture.
+    pub(crate) one_scan: bool,
 }
 
 /// Reads the segments up to the first scan; the reader is left at the scan's data.
@@ -24,7 +29,7 @@ pub(crate) fn frame(reader: &mut impl BufRead) -> io::Result<FrameHeader> {
     if two != [0xFF, 0xD8] {
         return Err(damaged("it does not begin with a JPEG start marker"));
     }
-    let mut frame = None;
+    let mut frame: Option<FrameHeader> = None;
     loop {
         reader.read_exact(&mut two).map_err(ended)?;
         if two[0] != 0xFF {
@@ -52,19 +57,54 @@ pub(crate) fn frame(reader: &mut impl BufRead) -> io::Result<FrameHeader> {
                 return Err(damaged("its frame header is too short"));
             };
             let [height, width] = [[h0, h1], [w0, w1]].map(|side| u64::from(u16::from_be_bytes(side)));
-            frame = Some(FrameHeader { width, height, components: u64::from(components) });
+            let one_scan = marker != 0xC2;
+            frame = Some(FrameHeader { width, height, components: u64::from(components), one_scan });
         }
         if marker == 0xDA {
-            return frame.ok_or_else(|| damaged("a scan comes before its frame header"));
+            let mut frame = frame.ok_or_else(|| damaged("a scan comes before its frame header"))?;
+            frame.one_scan &= body.first().is_some_and(|count| u64::from(*count) == frame.components);
+            return Ok(frame);
         }
     }
 }
 
-/// Checks that the end marker follows the first scan. It cannot occur inside entropy-coded data.
-pub(crate) fn check_whole(bytes: &[u8]) -> io::Result<FrameHeader> {
+/// The frame header, and true if the end marker follows the first scan. It cannot occur inside entropy-coded
+/// data.
+pub(crate) fn ended(bytes: &[u8]) -> io::Result<(FrameHeader, bool)> {
     let mut rest = bytes;
     let found = frame(&mut rest)?;
     let whole = rest.windows(2).any(|w| w == [0xFF, 0xD9]);
-    let missing = "it ends before its end marker, so the lower part of the picture is missing";
-    whole.then_some(found).ok_or_else(|| damaged(missing))
+    Ok((found, whole))
+}
+
+/// Marker and bytes of every segment before the first scan.
+pub(crate) fn segments(bytes: &[u8]) -> Vec<(u8, &[u8])> {
+    let (mut all, mut at) = (Vec::new(), 2);
+    while let Some(&[0xFF, marker]) = bytes.get(at..at + 2) {
+        match marker {
+            0xFF => at += 1, // a fill byte
+            0x01 | 0xD0..=0xD7 => at += 2,
+            0xD9 | 0xDA => break,
+            _ => {
+                let Some(&[high, low]) = bytes.get(at + 2..at + 4) else { break };
+                let end = at + 2 + usize::from(u16::from_be_bytes([high, low]));
+                let Some(body) = bytes.get(at + 4..end) else { break };
+                all.push((marker, body));
+                at = end;
+            }
+        }
+    }
+    all
+}
+
+/// The ICC profile in the head of a JPEG, joined from its parts.
+pub(crate) fn profile(bytes: &[u8]) -> Option<Vec<u8>> {
+    let mut parts: Vec<(u8, &[u8])> = segments(bytes)
+        .into_iter()
+        .filter(|(marker, body)| *marker == 0xE2 && body.starts_with(ICC))
+        .filter_map(|(_, body)| Some((*body.get(ICC.len())?, body.get(ICC.len() + 2..)?)))
+        .collect();
+    parts.sort_by_key(|(number, _)| *number);
+    let whole: Vec<u8> = parts.iter().flat_map(|(_, part)| *part).copied().collect();
+    (!whole.is_empty()).then_some(whole)
 }

@@ -3,7 +3,7 @@
 //! Formats for reading: PNG (1 to 16 bits), JPEG, TIFF (8, 16 bits, float), EXR (half, float), NPY. Formats
 //! for writing: PNG (8, 16 bits), EXR (float), and JPEGs for pages. Formats are recognised by their first
 //! bytes, not by the name. Values are display-referred (a PNG value over 255) and never linearised; EXR files
-//! hold the same values unclamped.
+//! hold the same values unclamped. Colours of a file that states another space than sRGB are converted to it.
 //!
 //! [`Photograph`] reads a photograph with all of its metadata and writes new pixels into a file of the same
 //! format (JPEG, PNG, TIFF, EXR).
@@ -23,6 +23,9 @@
 //! # }
 //! ```
 
+mod byte_source;
+mod color_space;
+mod cut_off;
 mod decoded;
 mod embed;
 mod error;
@@ -39,6 +42,7 @@ mod read;
 mod tiff_structure;
 mod write;
 
+pub use cut_off::is_cut_off;
 pub use decoded::{Decoded, Samples};
 pub use embed::{JpegError, jpeg_address, shrunk};
 pub use error::{FileFormat, ImageError};
@@ -49,7 +53,7 @@ pub use histogram::ChannelHistogram;
 pub use limits::MAX_PIXELS;
 pub use photograph::{Photograph, PhotographInfo, Rgb, photograph_info};
 pub use read::{
-    ImageInfo, decode, image_info, image_size, info_of_bytes, read, read_image, read_map, read_pixels,
-    read_pixels_with_alpha,
+    ImageInfo, converted_from, decode, image_info, image_size, info_of_bytes, read, read_image, read_map,
+    read_pixels, read_pixels_with_alpha,
 };
 pub use write::{write_png, write_png_map, write_png_map16, write_png_pixels, write_png8, write_png16};

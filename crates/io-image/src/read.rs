@@ -5,17 +5,18 @@
 
 use std::borrow::Cow;
 use std::fs::File;
-use std::io::{BufRead, BufReader, Cursor, Seek};
+use std::io::{BufReader, Cursor};
 use std::path::Path;
 
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
 use tiff::decoder::DecodingResult;
 use use3d_capture::{Image, Map, Pixels};
 
+use crate::byte_source::ByteSource;
 use crate::decoded::{Decoded, Samples};
 use crate::error::{FileFormat, ImageError};
 use crate::limits::{MAX_PIXELS, check_size};
-use crate::{exr_file, jpeg, npy, png_file};
+use crate::{color_space, exr_file, jpeg, npy, png_file};
 
 /// The properties that a header gives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,12 +30,6 @@ pub struct ImageInfo {
     /// True if there is an alpha channel.
     pub alpha: bool,
 }
-
-/// A file on disk or in memory. Decoders read from this one type, because each further type would compile all
-/// of them again.
-pub(crate) trait ByteSource: BufRead + Seek {}
-
-impl<T: BufRead + Seek> ByteSource for T {}
 
 fn open_error(path: &Path) -> impl Fn(std::io::Error) -> ImageError + '_ {
     |source| ImageError::Open { path: path.to_path_buf(), source }
@@ -188,6 +183,19 @@ fn decode_float_tiff(bytes: &[u8], width: usize, height: usize, path: &Path) -> 
     Ok(Decoded { width, height, channels: 1, samples: Samples::Float(samples) })
 }
 
+/// Decodes a JPEG without its end marker. Its picture is complete if further data change nothing.
+fn without_end(bytes: &[u8], frame: jpeg::FrameHeader, path: &Path) -> Result<Decoded, ImageError> {
+    let with = |more: &[u8]| decode(&[bytes, more, b"\xFF\xD9"].concat(), path);
+    let whole = frame.one_scan.then(|| with(&[])).transpose()?;
+    match whole.filter(|whole| with(&[0x5A; 256]).is_ok_and(|other| other == *whole)) {
+        Some(whole) => Ok(whole),
+        None => {
+            let reason = "it ends before its end marker, so the lower part of the picture is missing";
+            Err(ImageError::decode(path, FileFormat::Jpeg, reason))
+        }
+    }
+}
+
 /// Decodes a file in memory; `path` is only for messages.
 pub fn decode(bytes: &[u8], path: &Path) -> Result<Decoded, ImageError> {
     let ImageInfo { width, height, format, .. } = info_of_bytes(bytes, path)?;
@@ -196,7 +204,10 @@ pub fn decode(bytes: &[u8], path: &Path) -> Result<Decoded, ImageError> {
         FileFormat::Exr => return exr_file::decode(bytes, path),
         FileFormat::Npy => return npy::decode(bytes, path),
         FileFormat::Jpeg => {
-            let frame = jpeg::check_whole(bytes).map_err(|e| fail(e.to_string()))?;
+            let (frame, ended) = jpeg::ended(bytes).map_err(|e| fail(e.to_string()))?;
+            if !ended {
+                return without_end(bytes, frame, path);
+            }
             if !matches!(frame.components, 1 | 3 | 4) {
                 return Err(fail(format!("it has {} components", frame.components)));
             }
@@ -237,20 +248,40 @@ pub fn read(path: &Path) -> Result<Decoded, ImageError> {
     decode(&bytes, path)
 }
 
+/// The name of the colour space from which a photograph is converted to sRGB when it is read, by its header;
+/// `None` if its colours are used as stored.
+///
+/// # Errors
+/// The file cannot be read, or its header is damaged.
+pub fn converted_from(path: &Path) -> Result<Option<String>, ImageError> {
+    let format = image_info(path)?.format;
+    let file = File::open(path).map_err(open_error(path))?;
+    Ok(color_space::name(&mut BufReader::new(file), format))
+}
+
+/// Reads a whole file into samples whose colours are sRGB.
+fn read_colors(path: &Path) -> Result<Decoded, ImageError> {
+    let format = image_info(path)?.format;
+    let bytes = std::fs::read(path).map_err(open_error(path))?;
+    let mut decoded = decode(&bytes, path)?;
+    color_space::convert(&bytes, format, &mut decoded);
+    Ok(decoded)
+}
+
 /// Reads a picture in display range `[0, 1]` (float files keep their values); grey becomes RGB, alpha is
 /// dropped.
 pub fn read_image(path: &Path) -> Result<Image, ImageError> {
-    read(path).map(|d| d.to_image())
+    read_colors(path).map(|d| d.to_image())
 }
 
 /// Reads a picture in the form that a training loop keeps: 8-bit files stay 8-bit, all others become 16-bit.
 pub fn read_pixels(path: &Path) -> Result<Pixels, ImageError> {
-    read(path).map(|d| d.to_pixels())
+    read_colors(path).map(|d| d.to_pixels())
 }
 
 /// Like [`read_pixels`], with the alpha channel, if there is one, as a weight in `[0, 1]`.
 pub fn read_pixels_with_alpha(path: &Path) -> Result<(Pixels, Option<Map>), ImageError> {
-    read(path).map(|d| (d.to_pixels(), d.alpha()))
+    read_colors(path).map(|d| (d.to_pixels(), d.alpha()))
 }
 
 /// Reads one channel: a mask, a depth, a weight. It is the grey value or the mean of RGB; 8- and 16-bit

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use use3d_capture::{Camera, FileName, Frame};
-use use3d_import::{ImportParams, Imported, capture_name, import, read_cameras};
+use use3d_import::{ImportError, ImportParams, Imported, capture_name, import, read_cameras};
 use use3d_scene::{Origin, Scene};
 use use3d_web::{PageView, SavedViews};
 
@@ -135,9 +135,11 @@ pub fn page_views(
         )));
     }
     // A model without its images is no capture, but it has cameras.
-    if cameras.is_dir()
-        && let Ok(imported) = import(cameras, &ImportParams::default())
-    {
+    let imported = match cameras.is_dir().then(|| import(cameras, &ImportParams::default())) {
+        None | Some(Err(ImportError::NoImages { .. })) => None,
+        Some(found) => Some(found.map_err(WorkError::input)?),
+    };
+    if let Some(imported) = imported {
         if origin.is_some() && !same_place(&scene.frame, &imported.capture.frame) {
             return Err(WorkError::Input(format!(
                 "--cameras {}: its photographs have the same names as those that {} was made from, but its \

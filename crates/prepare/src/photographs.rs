@@ -28,8 +28,10 @@ pub(crate) fn copy(
             Some(ffmpeg) if photograph.converted => {
                 let source = std::path::absolute(from).map_err(PrepareError::read(from))?;
                 let mut command = tools::command(&ffmpeg.path);
-                command.args(["-v", "error", "-y", "-i"]).arg(source);
-                // With `update` a percent sign in the path is no pattern for numbers.
+                // The name is no pattern for numbers, also with a percent sign.
+                command
+                    .args(["-v", "error", "-y", "-f", "image2", "-pattern_type", "none", "-i"])
+                    .arg(source);
                 command.args(["-frames:v", "1", "-update", "1"]).arg(&to);
                 let outcome = process::run(&mut command, log, watch.stop, |_| {})?;
                 if !outcome.status.success() {

@@ -211,7 +211,7 @@ pub fn prepare(
     let step = Step { name: "images", output: IMAGES, choices };
     let Images { taken, mut remarks, doubts } =
         work.step(step, |work| images(sources, params, ffmpeg.as_ref(), work, watch))?;
-    remarks.extend(sources.remark());
+    remarks.extend(sources.left_out().into_iter().chain(sources.remark()));
     if taken.len() < FEWEST {
         let path = sources.films.first().map_or(folder, |p| p.as_path());
         let reason = format!(
@@ -376,6 +376,12 @@ fn assemble(work: &Work<'_>, sources: &Sources, found: &[Model]) -> Result<(), P
         let folder = capture.join("sparse").join(i.to_string());
         std::fs::create_dir_all(&folder).map_err(PrepareError::write(&folder))?;
         write_model_binary(&folder, model)?;
+    }
+    for (name, path) in &sources.masks {
+        let to = capture.join(name);
+        let folder = use3d_files::folder_of(&to);
+        std::fs::create_dir_all(folder).map_err(PrepareError::write(folder))?;
+        photographs::copy_file(path, &to)?;
     }
     sources.capture.as_ref().map_or(Ok(()), |origin| photographs::copy_beside(origin, &capture))
 }

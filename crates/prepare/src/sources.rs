@@ -2,11 +2,11 @@
 
 use std::collections::BTreeSet;
 use std::fs::File;
-use std::io::{Read, Seek, SeekFrom};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use use3d_capture::{FileName, shown};
-use use3d_io_image::{FileFormat, image_info, read_exif};
+use use3d_capture::{FileName, masked, natural_order, shown, stem};
+use use3d_io_image::{FileFormat, ImageError, image_info, is_cut_off, read_exif};
 
 use crate::error::PrepareError;
 
@@ -22,12 +22,22 @@ const CONVERTED: [&str; 1] = ["webp"];
 const REFUSED: [&str; 13] =
     ["heic", "heif", "avif", "dng", "arw", "cr2", "cr3", "nef", "raf", "orf", "rw2", "gpr", "exr"];
 /// Folders of a capture that hold other images of the same names.
-const OTHERS: [&str; 6] = ["masks", "depth", "depths", "depthAnythingV2_u16", "truth", "sparse"];
+const OTHERS: [&str; 9] =
+    ["masks", "Masks", "mask", "Mask", "depth", "depths", "depthAnythingV2_u16", "truth", "sparse"];
 /// Image folders of a capture.
 const IMAGES: [&str; 4] = ["images", "images_wb", "Images_wb", "input"];
 /// Files and folders that are copied beside the images of a capture without a model.
-pub(crate) const BESIDE: [&str; 6] =
-    ["masks", "depth", "depths", "depthAnythingV2_u16", "train_list.txt", "test_list.txt"];
+pub(crate) const BESIDE: [&str; 9] = [
+    "masks",
+    "Masks",
+    "mask",
+    "Mask",
+    "depth",
+    "depths",
+    "depthAnythingV2_u16",
+    "train_list.txt",
+    "test_list.txt",
+];
 /// The file in every result of this program, and the formats that its first bytes name.
 const RECORD: &str = "manifest.json";
 const RECORD_FORMATS: [&str; 2] = ["\"use3d artifact\"", "\"use3d result\""];
@@ -94,24 +104,15 @@ pub fn holds_inputs(folder: &Path) -> bool {
     walk(folder, 2).any(|found| found.is_ok())
 }
 
-/// The bytes before the end of a photograph in which the mark of its end is searched.
-const TAIL: u64 = 16 << 10;
+const CUT_OFF: &str = "it cannot be read, because the file is cut off; copy it again, or remove it";
 
-/// True if a photograph ends before the mark of its end. Only one without the mark near its end, which other
-/// data may follow, is read and decoded. The end of a TIFF has no mark.
-fn is_cut_off(path: &Path, format: FileFormat) -> std::io::Result<bool> {
-    let mark: &[u8] = match format {
-        FileFormat::Png => b"IEND",
-        FileFormat::Jpeg => b"\xFF\xD9",
-        _ => return Ok(false),
-    };
-    let mut file = File::open(path)?;
-    let length = file.metadata()?.len();
-    file.seek(SeekFrom::Start(length.saturating_sub(TAIL)))?;
-    let mut tail = Vec::new();
-    file.take(TAIL).read_to_end(&mut tail)?;
-    let marked = tail.windows(mark.len()).any(|bytes| bytes == mark);
-    Ok(!marked && use3d_io_image::read(path).is_err())
+/// True if a photograph's file is damaged, or of another format than its name says.
+fn is_damage(error: &PrepareError) -> bool {
+    match error {
+        PrepareError::Image(error) => !matches!(error, ImageError::Open { .. }),
+        PrepareError::Input { reason, .. } => reason == CUT_OFF,
+        _ => false,
+    }
 }
 
 /// A photograph.
@@ -137,6 +138,10 @@ pub struct Sources {
     pub(crate) capture: Option<PathBuf>,
     /// Further folders and files whose content counts, with their names in the record.
     others: Vec<(String, PathBuf)>,
+    /// Sentences on photographs in folders that are left out, because their files are damaged.
+    damaged: Vec<String>,
+    /// Masks that lie among the photographs, with their names in the capture.
+    pub(crate) masks: Vec<(String, PathBuf)>,
     /// Masks, depth maps and lists beside the photographs of several inputs, which are not copied.
     left: BTreeSet<PathBuf>,
     /// True for linear photographs, which are balanced and encoded before they are used.
@@ -164,7 +169,7 @@ impl Sources {
                 sources.left.extend(beside(input.parent().unwrap_or(Path::new(""))).map(|(_, path)| path));
             }
         }
-        sources.photographs.sort_by(|a, b| a.name.cmp(&b.name));
+        sources.photographs.sort_by(|a, b| natural_order(&a.name, &b.name));
         if let Some(pair) = sources.photographs.windows(2).find(|pair| pair[0].name == pair[1].name) {
             let reason = format!(
                 "another photograph has the same name ({}); give the folder above both, so that their folders \
@@ -197,13 +202,29 @@ impl Sources {
             return Err(PrepareError::input(folder, "there are no films or photographs in this folder"));
         }
         found.sort();
+        let name = |path: &Path| {
+            let relative = path.strip_prefix(&root).unwrap_or(path).to_string_lossy().replace('\\', "/");
+            format!("{prefix}{relative}")
+        };
+        let names: BTreeSet<String> =
+            found.iter().map(|path| name(path)).flat_map(|n| [stem(&n).to_string(), n]).collect();
+        let is_mask = |path: &PathBuf| masked(&name(path)).is_some_and(|of| names.contains(of));
+        let (masks, found): (Vec<_>, Vec<_>) = found.into_iter().partition(is_mask);
+        self.masks.extend(masks.into_iter().map(|path| (format!("masks/{}", name(&path)), path)));
+        let mut damaged = Vec::new();
         for path in found {
             if is_film(&path) {
                 self.films.push(path);
                 continue;
             }
-            let relative = path.strip_prefix(&root).unwrap_or(&path).to_string_lossy().replace('\\', "/");
-            self.photograph(&path, &format!("{prefix}{relative}"))?;
+            match self.photograph(&path, &name(&path)) {
+                Err(error) if is_damage(&error) => damaged.push(error),
+                taken => taken?,
+            }
+        }
+        self.damaged.extend(damaged.iter().map(ToString::to_string));
+        if self.count() == 0 && !damaged.is_empty() {
+            return Err(damaged.swap_remove(0));
         }
         Ok(())
     }
@@ -230,8 +251,7 @@ impl Sources {
                 return Err(PrepareError::input(path, "expected a JPEG, PNG or TIFF"));
             }
             if is_cut_off(path, info.format).map_err(PrepareError::read(path))? {
-                let reason = "it cannot be read, because the file is cut off; copy it again, or remove it";
-                return Err(PrepareError::input(path, reason));
+                return Err(PrepareError::input(path, CUT_OFF));
             }
             camera = format!("{}x{} {} {} {}", info.width, info.height, taken.0, taken.1, taken.2);
         }
@@ -256,6 +276,13 @@ impl Sources {
         self.others.extend(beside(folder));
     }
 
+    /// A remark on the photographs that are left out.
+    pub(crate) fn left_out(&self) -> Option<String> {
+        let all = || shown(&self.damaged.join("; ")).into_owned();
+        (!self.damaged.is_empty())
+            .then(|| format!("{} photographs are left out: {}", self.damaged.len(), all()))
+    }
+
     /// A remark on the masks, depth maps and lists that are not copied.
     pub(crate) fn remark(&self) -> Option<String> {
         let left: Vec<String> =
@@ -276,7 +303,8 @@ impl Sources {
     /// The error of [`of`](Self::of).
     pub fn made_in(&self, folder: &Path) -> Result<Self, PrepareError> {
         let made = Self::of(&[folder.join(BALANCED)])?;
-        Ok(Self { capture: self.capture.clone(), linear: self.linear, ..made })
+        let (capture, masks, damaged) = (self.capture.clone(), self.masks.clone(), self.damaged.clone());
+        Ok(Self { capture, masks, damaged, linear: self.linear, ..made })
     }
 
     /// Adds a folder or a file whose content counts.
@@ -301,7 +329,7 @@ impl Sources {
         };
         let photographs = self.photographs.iter().map(|p| (p.name.to_string(), p.path.clone()));
         let mut files: Vec<(String, PathBuf)> = self.films.iter().map(film).chain(photographs).collect();
-        for (name, path) in &self.others {
+        for (name, path) in self.others.iter().chain(&self.masks) {
             for entry in walkdir::WalkDir::new(path).follow_links(true).sort_by_file_name() {
                 let entry = entry.map_err(|e| PrepareError::walk(path, &e))?;
                 if entry.file_type().is_file() {
@@ -412,6 +440,23 @@ mod tests {
             }
         }
         bytes
+    }
+
+    #[test]
+    fn masks_beside_photographs_are_masks_and_a_damaged_photograph_is_left_out() {
+        let dir = folder(&[
+            ("a.png", ""),
+            ("a_mask.png", ""),
+            ("b.png", ""),
+            ("b.png.mask.png", ""),
+            ("c_mask.png", ""),
+            ("empty.jpg", ""),
+        ]);
+        let found = Sources::of(&[dir.path().to_path_buf()]).unwrap();
+        let expected = ["a.png", "b.png", "c_mask.png", "masks/a_mask.png", "masks/b.png.mask.png"];
+        assert_eq!(names(&found), expected);
+        let said = found.left_out().unwrap();
+        assert!(said.contains("empty.jpg") && said.contains("left out"), "{said}");
     }
 
     #[test]

@@ -3,10 +3,13 @@
 use std::convert::Infallible;
 use std::path::Path;
 
-use use3d_capture::{FileName, Map};
-use use3d_check::{CheckReport, Figures, Picture, Pixels, WaterSight, agreement, examine, measure, page};
+use use3d_capture::{FileName, Pixels as Samples};
+use use3d_check::{
+    CheckReport, Figures, Picture, Pixels, WaterSight, agreement, examine, measure, measure_masks, page,
+};
 use use3d_import::{
-    ImportParams, Imported, capture_name, import, is_prepared, load_mask, load_pixels, load_prepared,
+    ImportError, ImportParams, Imported, capture_name, import, is_prepared, load_mask, load_pixels,
+    load_prepared,
 };
 use use3d_io_image::{jpeg_address, read_image, shrunk};
 use use3d_pipeline::by_hand::{ByHand, scratch};
@@ -23,6 +26,8 @@ use crate::output::show;
 
 /// The longer side of a small picture, pixels.
 const SMALL: usize = 320;
+/// The masks that a run reads before its first stage, at most.
+const FEW_MASKS: usize = 24;
 /// The JPEG quality of a small picture.
 const QUALITY: u8 = 80;
 
@@ -54,15 +59,22 @@ pub(crate) fn run(app: &App, args: &CheckArgs) -> Done {
     listed.name = capture_name(&args.capture);
     let (capture, water, figures) = interrupt::unless_stopped(move || {
         let water = from_tracks(&folder, &capture, &WaterParams::default());
-        let mut load =
-            |view: usize| load_pixels(&capture.capture.views[view]).map(|pixels| pixels.to_image());
-        let figures =
-            measure(&capture.capture, &capture.tracks(), Some(&mut load)).and_then(|mut figures| {
-                for (view, figures) in capture.capture.views.iter().zip(&mut figures.views) {
-                    let mask = load_mask(view)?;
-                    let white = |mask: &Map| mask.data().iter().filter(|v| **v >= 0.5).count();
-                    figures.unmasked = mask.map(|mask| white(&mask) as f64 / mask.data().len().max(1) as f64);
+        let (mut largest, views) = (Some(0), &capture.capture.views);
+        let mut load = |view: usize| {
+            let pixels = load_pixels(&views[view])?;
+            largest = match &pixels {
+                Samples::Sixteen(own) => {
+                    largest.map(|most: u16| own.data().iter().fold(most, |m, v| m.max(*v)))
                 }
+                Samples::Eight(_) => None,
+            };
+            Ok(pixels.to_image())
+        };
+        let tracks = capture.tracks();
+        let figures =
+            measure::<ImportError>(&capture.capture, &tracks, Some(&mut load)).and_then(|mut figures| {
+                figures.largest_sample = largest;
+                measure_masks(&mut figures, &tracks, &mut |view| load_mask(&views[view]))?;
                 Ok(figures)
             });
         let figures = figures.and_then(|figures| {
@@ -102,6 +114,12 @@ pub(crate) fn before_run(capture: &Path, params: &ImportParams) -> Vec<String> {
     let Ok(imported) = import(capture, params) else { return Vec::new() };
     let Ok(mut figures) = measure::<Infallible>(&imported.capture, &imported.tracks(), None);
     figures.agreement = agreement(&imported, Pixels::Few).ok();
+    let (views, step) = (&imported.capture.views, imported.capture.views.len().div_ceil(FEW_MASKS).max(1));
+    let mut load = |view: usize| match view % step {
+        0 => Ok::<_, Infallible>(load_mask(&views[view]).ok().flatten()),
+        _ => Ok(None),
+    };
+    let Ok(()) = measure_masks(&mut figures, &imported.tracks(), &mut load);
     let mut lines = examine(&imported.report, figures, None, metres(&imported)).gravest(MOST);
     if !lines.is_empty() {
         lines.push(format!("`use3d check {}` says more, and looks at the photographs", word(capture)));

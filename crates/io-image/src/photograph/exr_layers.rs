@@ -14,11 +14,11 @@ use exr::prelude::*;
 use super::history::one_line;
 use super::interleaved::SampleRows;
 use super::tiff_write::WriteSeek;
+use crate::byte_source::ByteSource;
 use crate::decoded::{Decoded, Samples};
 use crate::error::{FileFormat, ImageError};
 use crate::exr_file::pick;
 use crate::limits::check_size;
-use crate::read::ByteSource;
 
 /// The attribute with the history, one line after the other.
 const HISTORY: &str = "history";

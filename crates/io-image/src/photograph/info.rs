@@ -6,9 +6,10 @@ use std::path::Path;
 
 use tiff::tags::Tag;
 
+use crate::byte_source::ByteSource;
 use crate::error::{FileFormat, ImageError};
 use crate::exif::{exif_of_block, exif_of_bytes};
-use crate::read::{ByteSource, image_info};
+use crate::read::image_info;
 
 /// The properties of a photograph by its header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

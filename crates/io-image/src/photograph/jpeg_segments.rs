@@ -23,13 +23,13 @@ use image::codecs::jpeg::JpegEncoder;
 
 use super::exif_block;
 use super::history::one_line;
+use crate::jpeg::{ICC, segments};
 
 /// Quality of the encoder, 1 to 100.
 const QUALITY: u8 = 95;
 /// The largest number of bytes in a segment.
 const LARGEST: usize = 65_533;
 const EXIF: &[u8] = b"Exif\0\0";
-const ICC: &[u8] = b"ICC_PROFILE\0";
 /// Start marker and `JFIF` segment, which the encoder writes first.
 const ENCODER_HEAD: usize = 20;
 
@@ -41,26 +41,6 @@ pub(crate) struct JpegTags {
     exif: Option<usize>,
     /// True if there is no EXIF data at all, so that some may be added.
     without_exif: bool,
-}
-
-/// Marker and bytes of every segment before the first scan.
-fn segments(bytes: &[u8]) -> Vec<(u8, &[u8])> {
-    let (mut all, mut at) = (Vec::new(), 2);
-    while let Some(&[0xFF, marker]) = bytes.get(at..at + 2) {
-        match marker {
-            0xFF => at += 1, // a fill byte
-            0x01 | 0xD0..=0xD7 => at += 2,
-            0xD9 | 0xDA => break,
-            _ => {
-                let Some(&[high, low]) = bytes.get(at + 2..at + 4) else { break };
-                let end = at + 2 + usize::from(u16::from_be_bytes([high, low]));
-                let Some(body) = bytes.get(at + 4..end) else { break };
-                all.push((marker, body));
-                at = end;
-            }
-        }
-    }
-    all
 }
 
 /// The colour space of an ICC profile by its header: `RGB `, `GRAY`, `CMYK` …
@@ -88,6 +68,14 @@ fn kept(marker: u8, body: &[u8], profile: bool) -> Option<Vec<u8>> {
 }
 
 impl JpegTags {
+    /// Leaves out the ICC profile.
+    pub(crate) fn drop_profile(&mut self) {
+        let is_profile = |(marker, body): &(u8, Vec<u8>)| *marker == 0xE2 && body.starts_with(ICC);
+        let before = self.segments.iter().take(self.exif.unwrap_or(0)).filter(|s| is_profile(s)).count();
+        self.exif = self.exif.map(|at| at - before);
+        self.segments.retain(|s| !is_profile(s));
+    }
+
     /// The segments of a JPEG that is known to be whole. `notes` gains a sentence for everything that is left
     /// out and that a user may miss.
     pub(crate) fn of(bytes: &[u8], notes: &mut Vec<String>) -> Self {

@@ -6,7 +6,8 @@
 //! | same format, size and bit depth | the file takes the original's place in other programs |
 //! | JPEG with quality 95 and 4:4:4 | a second compression must not be seen |
 //! | pixels are not turned, the orientation tag is copied | other programs store points in unturned pixels |
-//! | values are used as stored, the ICC profile is copied | colours mean the same as in the original |
+//! | colours of another space than sRGB are converted to it, and the notes say so | scenes have sRGB colours |
+//! | other values are used as stored, the ICC profile is copied | colours mean the same as in the original |
 //! | grey, palette and CMYK become RGB, and the notes say so | enhanced pixels have colours |
 //! | an ICC profile for grey or CMYK is left out then | it would give wrong colours |
 //! | EXIF, GPS, XMP, IPTC and comments are copied as bytes | surveys need positions, dates and names |
@@ -41,6 +42,7 @@ use use3d_files::write_atomically;
 
 pub use info::{PhotographInfo, photograph_info};
 
+use crate::color_space;
 use crate::decoded::{Decoded, Samples};
 use crate::error::{FileFormat, ImageError};
 use crate::exif::exif_of_bytes;
@@ -74,7 +76,7 @@ pub struct Photograph {
     pub height: usize,
     /// The format by the first bytes: JPEG, PNG, TIFF or EXR.
     pub format: FileFormat,
-    /// `width * height * 3` samples as stored, not turned by the orientation tag. Replace their values, but
+    /// `width * height * 3` samples in sRGB, not turned by the orientation tag. Replace their values, but
     /// neither their number nor their type.
     pub pixels: Rgb,
     /// `width * height` samples of the same type, if there is an alpha channel. They are written again.
@@ -84,6 +86,18 @@ pub struct Photograph {
     pub notes: Vec<String>,
     orientation: u16,
     tags: Tags,
+}
+
+impl Tags {
+    /// Leaves out the statements on the colour space, for colours that became sRGB.
+    fn drop_profile(&mut self) {
+        match self {
+            Self::Jpeg(tags) => tags.drop_profile(),
+            Self::Png(tags) => tags.drop_profile(),
+            Self::Tiff(tags) => tags.drop_profile(),
+            Self::Exr(_) => {}
+        }
+    }
 }
 
 fn no_photograph(path: &Path) -> ImageError {
@@ -118,7 +132,7 @@ impl Photograph {
         let format = crate::read::info_of_bytes(&bytes, path)?.format;
         let fail = |fault: io::Error| ImageError::decode(path, format, fault);
         let mut notes = Vec::new();
-        let (tags, orientation, decoded) = match format {
+        let (mut tags, orientation, mut decoded) = match format {
             FileFormat::Jpeg => {
                 let decoded = decode(&bytes, path)?;
                 let components = crate::jpeg::frame(&mut bytes.as_slice()).map_err(fail)?.components;
@@ -148,6 +162,10 @@ impl Photograph {
             }
             FileFormat::Npy => return Err(no_photograph(path)),
         };
+        if let Some(name) = color_space::convert(&bytes, format, &mut decoded) {
+            notes.push(format!("Its colours were converted from {name} to sRGB."));
+            tags.drop_profile();
+        }
         drop(bytes);
         let Decoded { width, height, .. } = decoded;
         let (pixels, alpha) = rgb_and_alpha(decoded);

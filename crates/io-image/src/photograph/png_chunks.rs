@@ -74,7 +74,15 @@ fn text_chunk(keyword: &str, text: &str) -> NamedChunk {
     }
 }
 
+/// Chunks that state a colour space.
+const COLOR_SPACE: [&[u8; 4]; 5] = [b"cHRM", b"gAMA", b"iCCP", b"sRGB", b"cICP"];
+
 impl PngTags {
+    /// Leaves out the statements on the colour space.
+    pub(crate) fn drop_profile(&mut self) {
+        self.before.retain(|(name, _)| !COLOR_SPACE.contains(&name));
+    }
+
     /// The chunks of a PNG that was decoded, and the orientation by its EXIF data (1 if there is none).
     pub(crate) fn of(bytes: &[u8], notes: &mut Vec<String>) -> (Self, u16) {
         // Bits and colour type of the header.

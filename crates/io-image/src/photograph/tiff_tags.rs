@@ -86,6 +86,11 @@ fn refusal(tags: &[TagValue], big: bool) -> Option<&'static str> {
 }
 
 impl TiffTags {
+    /// Leaves out the ICC profile.
+    pub(crate) fn drop_profile(&mut self) {
+        self.first.retain(|t| t.tag != ICC);
+    }
+
     /// The tags of a TIFF that was decoded, and its orientation (1 if none is stated).
     ///
     /// # Errors

@@ -88,6 +88,6 @@ pub(super) fn misnamed(s: &Spoiler<'_>) -> Done {
 pub(super) fn turned(s: &Spoiler<'_>) -> Done {
     with_exif(s, |_| orientation(6))?;
     let (w, h) = s.size()?;
-    let mask = GrayImage::from_fn(h, w, |x, y| Luma([left(w - 1 - y, x, w, h)]));
+    let mask = GrayImage::from_fn(h, w, |x, y| Luma([left(y, h - 1 - x, w, h)]));
     save(s, usual, |path| mask.save(path))
 }

@@ -1,0 +1,266 @@
+//! Pixels, names and masks as people have them: what files say about their pixels is honoured, names match as
+//! people mean them, and masks of all usual forms have their effect or are named.
+
+mod tiny;
+
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+
+use serde_json::Value;
+use use3d_capture::FileName;
+use use3d_io_colmap::{read_model, write_model_binary};
+
+/// A small capture with a fault.
+fn faulty(dir: &Path, fault: &str) -> PathBuf {
+    let at = dir.join(fault.replace(':', "-"));
+    let made = tiny::command()
+        .args(["-q", "synth", "capture", "--views", "12", "--size", "96x64", "--fault", fault, "--out"])
+        .arg(&at)
+        .output()
+        .unwrap();
+    assert!(made.status.success(), "{fault}: {}", String::from_utf8_lossy(&made.stderr));
+    at
+}
+
+fn copy(from: &Path, to: &Path) {
+    std::fs::create_dir_all(to).unwrap();
+    for entry in std::fs::read_dir(from).unwrap().map(Result::unwrap) {
+        let at = to.join(entry.file_name());
+        match entry.path().is_dir() {
+            true => copy(&entry.path(), &at),
+            false => _ = std::fs::copy(entry.path(), at).unwrap(),
+        }
+    }
+}
+
+/// A copy of a sound capture, which is made once.
+fn sound(dir: &Path, name: &str) -> PathBuf {
+    static MADE: OnceLock<tempfile::TempDir> = OnceLock::new();
+    let made = MADE.get_or_init(|| {
+        let made = tempfile::tempdir().unwrap();
+        faulty(made.path(), "errors-false");
+        made
+    });
+    let to = dir.join(name);
+    copy(&made.path().join("errors-false"), &to);
+    to
+}
+
+/// The sound capture with other names of images in its model.
+fn named(dir: &Path, name: &str, by: impl Fn(usize, &str) -> String) -> PathBuf {
+    let at = sound(dir, name);
+    let mut model = read_model(&at.join("sparse/0")).unwrap();
+    for (index, image) in model.images.iter_mut().enumerate() {
+        image.name = FileName::new(&by(index, &image.name)).unwrap();
+    }
+    write_model_binary(&at.join("sparse/0"), &model).unwrap();
+    at
+}
+
+/// The capture that an import makes of a folder, and what it prints; an error's text.
+fn imported(capture: &Path) -> Result<(Value, String, PathBuf), String> {
+    let out = capture.with_extension("imported");
+    let done = tiny::command().arg("import").arg(capture).arg("--out").arg(&out).output().unwrap();
+    let text = String::from_utf8_lossy(&done.stderr).into_owned() + &String::from_utf8_lossy(&done.stdout);
+    if !done.status.success() {
+        return Err(text);
+    }
+    let document = serde_json::from_slice(&std::fs::read(out.join("capture.json")).unwrap()).unwrap();
+    Ok((document, text, out))
+}
+
+/// The findings of a check with this subject: severity and text.
+fn finding(capture: &Path, subject: &str) -> Option<(String, String)> {
+    let done = tiny::command().args(["-q", "check", "--json"]).arg(capture).output().unwrap();
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    let report: Value = serde_json::from_slice(&done.stdout).unwrap();
+    let all = report["findings"].as_array().unwrap().iter().find(|f| f["subject"] == subject)?;
+    Some((all["severity"].as_str()?.into(), all["text"].as_str()?.into()))
+}
+
+/// Mean colour of the photographs of an imported capture, in steps of 255.
+fn mean(out: &Path) -> [f64; 3] {
+    let (mut sum, mut count) = ([0.0; 3], 0.0);
+    for entry in std::fs::read_dir(out.join("images")).unwrap() {
+        let image = use3d_io_image::read_image(&entry.unwrap().path()).unwrap();
+        for (sum, plane) in sum.iter_mut().zip(image.planes()) {
+            *sum += plane.iter().map(|v| 255.0 * f64::from(*v)).sum::<f64>() / plane.len() as f64;
+        }
+        count += 1.0;
+    }
+    sum.map(|s| s / count)
+}
+
+fn views(document: &Value) -> usize {
+    document["views"].as_array().unwrap().len()
+}
+
+#[test]
+fn icc_profile() {
+    let dir = tempfile::tempdir().unwrap();
+    let (_, _, out) = imported(&sound(dir.path(), "sound")).unwrap();
+    let expected = mean(&out);
+    for fault in ["adobe-rgb", "linear-png"] {
+        let (document, text, out) = imported(&faulty(dir.path(), fault)).unwrap();
+        assert_eq!(views(&document), 12);
+        assert!(text.contains("to sRGB"), "{fault}: {text}");
+        let found = mean(&out);
+        let far = expected.iter().zip(found).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(far < 4.0, "{fault}: {found:?}, and {expected:?} without it");
+    }
+}
+
+#[test]
+fn low_range_16() {
+    let dir = tempfile::tempdir().unwrap();
+    let (severity, text) = finding(&faulty(dir.path(), "few-bits"), "range").unwrap();
+    assert!(severity == "minor" && text.contains("the lower 12") && text.contains("16 times"), "{text}");
+}
+
+/// The photographs of a capture, sorted.
+fn photographs(capture: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(capture.join("images")).unwrap();
+    let mut all: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
+    all.sort();
+    all
+}
+
+/// Writes a picture of one colour of another size.
+fn resize(path: &Path, width: usize, height: usize) {
+    use3d_io_image::write_png8(path, &use3d_capture::Raster::filled(width, height, 90)).unwrap();
+}
+
+#[test]
+fn turned_photos() {
+    let dir = tempfile::tempdir().unwrap();
+    let turned = sound(dir.path(), "turned");
+    photographs(&turned)[4..6].iter().for_each(|path| resize(path, 64, 96));
+    let (document, text, _) = imported(&turned).unwrap();
+    assert_eq!(views(&document), 10);
+    assert!(text.contains("turned by 90 degrees"), "{text}");
+    let smaller = sound(dir.path(), "smaller");
+    photographs(&smaller).iter().for_each(|path| resize(path, 72, 48));
+    let (document, text, _) = imported(&smaller).unwrap();
+    assert_eq!(views(&document), 12);
+    assert!(text.contains("the lens is scaled"), "{text}");
+}
+
+#[test]
+fn files_that_cannot_be_read_are_left_out_and_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let capture = sound(dir.path(), "damaged");
+    let files = photographs(&capture);
+    std::fs::write(&files[2], "").unwrap();
+    std::fs::write(&files[3], b"\0\0\0\x18ftypheic\0\0\0\0mif1heic".repeat(40)).unwrap();
+    let bytes = std::fs::read(&files[4]).unwrap();
+    std::fs::write(&files[4], &bytes[..bytes.len() / 2]).unwrap();
+    let (document, text, _) = imported(&capture).unwrap();
+    assert_eq!(views(&document), 9, "{text}");
+    assert!(text.contains("left out") && text.contains("the file is empty"), "{text}");
+    let (severity, text) = finding(&capture, "unusable").unwrap();
+    assert!(severity == "minor" && text.contains("3 of 12"), "{text}");
+    assert_eq!(views(&imported(&faulty(dir.path(), "no-end")).unwrap().0), 12);
+}
+
+#[test]
+fn model_prefix_names_and_names_nfd() {
+    let dir = tempfile::tempdir().unwrap();
+    let cases: [(&str, fn(&str) -> String); 4] = [
+        ("prefix", |name| format!("images/{name}")),
+        ("full-path", |name| format!("Users\\diver\\2026 reef\\{name}")),
+        ("extension", |name| name.replace(".png", ".JPG")),
+        ("letter-case", |name| name.to_uppercase()),
+    ];
+    for (case, by) in cases {
+        let (document, text, _) = imported(&named(dir.path(), case, |_, name| by(name))).unwrap();
+        assert_eq!(views(&document), 12, "{case}: {text}");
+        assert!(!text.contains("not in the model"), "{case}: {text}");
+    }
+    let umlauts = named(dir.path(), "umlauts", |i, _| format!("H\u{f6}hle %d_{i:04}.png"));
+    for (i, path) in photographs(&umlauts).iter().enumerate() {
+        std::fs::rename(path, path.with_file_name(format!("Ho\u{308}hle %d_{i:04}.png"))).unwrap();
+    }
+    assert_eq!(views(&imported(&umlauts).unwrap().0), 12);
+    let twice = sound(dir.path(), "twice");
+    for path in photographs(&twice) {
+        for folder in ["left", "right"] {
+            let to = twice.join("images").join(folder);
+            std::fs::create_dir_all(&to).unwrap();
+            std::fs::copy(&path, to.join(path.file_name().unwrap())).unwrap();
+        }
+        std::fs::remove_file(&path).unwrap();
+    }
+    let text = imported(&twice).unwrap_err();
+    assert!(text.contains("left/") && text.contains("right/") && text.contains("image_dir"), "{text}");
+}
+
+#[test]
+fn natural_order() {
+    let dir = tempfile::tempdir().unwrap();
+    let capture = named(dir.path(), "numbers", |i, _| format!("{}.png", i + 1));
+    for (i, path) in photographs(&capture).iter().enumerate() {
+        std::fs::rename(path, path.with_file_name(format!("{}.png", i + 1))).unwrap();
+    }
+    let (document, ..) = imported(&capture).unwrap();
+    let names: Vec<&str> =
+        document["views"].as_array().unwrap().iter().map(|v| v["name"].as_str().unwrap()).collect();
+    let expected: Vec<String> = (1..=12).map(|i| format!("{i}.png")).collect();
+    assert_eq!(names, expected);
+}
+
+/// Fails unless the masks of a capture hide the left quarter.
+fn check_masks(capture: &Path) {
+    let loaded = use3d_import::import(capture, &use3d_import::ImportParams::default()).unwrap();
+    let case = capture.display();
+    assert_eq!(loaded.capture.views.len(), 12, "{case}");
+    assert!(loaded.report.extra.is_empty(), "{case}: {:?}", loaded.report.extra);
+    let mask = use3d_import::load_mask(&loaded.capture.views[3]).unwrap();
+    let mask = mask.unwrap_or_else(|| panic!("{case} has no mask"));
+    let (w, h) = (mask.width(), mask.height());
+    assert_eq!((w, h), (96, 64), "{case}");
+    for (x, expected) in [(2, 0.0), (w / 4 - 2, 0.0), (w / 4 + 2, 1.0), (w - 2, 1.0)] {
+        assert_eq!(mask.data()[(h / 2) * w + x], expected, "{case} at {x}");
+    }
+}
+
+/// Masks of one white: the left quarter is hidden, but for masks inverted the rest.
+fn mask(path: &Path, white: u8, inverted: bool) {
+    let mut picture = use3d_capture::Raster::<u8, 3>::filled(96, 64, 0);
+    for (at, value) in picture.data_mut().iter_mut().enumerate() {
+        *value = if (at % 96 < 24) == inverted { white } else { 0 };
+    }
+    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+    use3d_io_image::write_png8(path, &picture).unwrap();
+}
+
+#[test]
+fn mask_forms_and_masks_beside_photos() {
+    let dir = tempfile::tempdir().unwrap();
+    let places = [
+        "masks/NAME.png",
+        "mask/NAME.png",
+        "Masks/NAME.png",
+        "images/NAME_mask.png",
+        "images/NAME.png.mask.png",
+    ];
+    for (case, place) in places.into_iter().enumerate() {
+        let capture = sound(dir.path(), &format!("masks-{case}"));
+        for path in photographs(&capture) {
+            let stem = path.file_stem().unwrap().to_str().unwrap();
+            mask(&capture.join(place.replace("NAME", stem)), if case == 0 { 1 } else { 255 }, false);
+        }
+        check_masks(&capture);
+    }
+    check_masks(&faulty(dir.path(), "masks-turned"));
+}
+
+#[test]
+fn masks_mark_the_diver() {
+    let dir = tempfile::tempdir().unwrap();
+    let capture = sound(dir.path(), "inverted");
+    for path in photographs(&capture) {
+        mask(&capture.join("masks").join(path.file_name().unwrap()), 255, true);
+    }
+    let (severity, text) = finding(&capture, "inverted").unwrap();
+    assert!(severity == "serious" && text.contains("probably inverted"), "{text}");
+}
