@@ -20,13 +20,15 @@
 
 use std::collections::BTreeMap;
 
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 use serde::Serialize;
 use use3d_capture::{Image, Pose};
 use use3d_import::Imported;
 use use3d_io_image::{ImageError, read_image, shrunk};
-use use3d_survey::{PosedImage, Survey};
+use use3d_survey::{PosedImage, Survey, rank_correlation};
+
+use crate::depth::{DepthAgreement, depth_maps};
 
 /// The fewest sightings from which a view's figures are taken.
 const FEWEST: usize = 30;
@@ -73,6 +75,11 @@ pub struct Agreement {
     pub coverage: f64,
     /// The median angle of points, degrees.
     pub angle: f64,
+    /// The depth maps of views.
+    pub depth: Vec<DepthAgreement>,
+    /// Another meaning of the poses, by which most points would be in view; `None` if there is none, or if
+    /// they are.
+    pub instead: Option<&'static str>,
 }
 
 /// The views whose photographs are read.
@@ -85,6 +92,9 @@ pub enum Pixels {
     /// All.
     All,
 }
+
+/// The exchange of axes by which nerfstudio makes z point up: `(x, y, z) → (x, z, −y)`.
+const UPRIGHT: DMat3 = DMat3::from_cols(DVec3::X, DVec3::NEG_Z, DVec3::Y);
 
 /// Where a view saw a point.
 struct Sight {
@@ -133,6 +143,10 @@ pub fn agreement(imported: &Imported, pixels: Pixels) -> Result<Agreement, Image
         ..Agreement::default()
     };
     (found.coverage, found.angle) = coverage(imported, &sights);
+    if found.in_view < 0.5 {
+        found.instead = misreading(survey, &projections);
+    }
+    found.depth = depth_maps(imported, pixels);
     if tracked {
         found.errors(survey, &sights, &projections);
     }
@@ -206,6 +220,41 @@ fn share_in_view(survey: &Survey, projections: &[Projection<'_>]) -> f64 {
     count as f64 / chosen.len().max(1) as f64
 }
 
+/// The meaning of the poses by which half of the points are in view, if theirs is another one.
+fn misreading(survey: &Survey, projections: &[Projection<'_>]) -> Option<&'static str> {
+    let (flip, upright) = (DMat3::from_cols(DVec3::X, DVec3::NEG_Y, DVec3::NEG_Z), UPRIGHT);
+    let (one, both) = (DMat3::IDENTITY, flip * upright);
+    let backward = "if the poses led from the world to the camera";
+    // The words; true for the way back; and the changes of axes after and before it.
+    let readings = [
+        ("if y and z of the cameras' axes had the other sign", false, flip, one),
+        ("if the poses led from the camera to the world", true, one, one),
+        (backward, true, flip, flip),
+        (backward, true, both, both),
+        (backward, true, one, flip),
+        (backward, true, upright, both),
+    ];
+    let seen = |(_, inverse, after, before): &(&str, bool, DMat3, DMat3)| {
+        let reading = |pose: Pose| {
+            let (rotation, translation) = match inverse {
+                true => (pose.rotation.transpose(), pose.center()),
+                false => (pose.rotation, pose.translation),
+            };
+            Pose { rotation: *after * rotation * *before, translation: *after * translation }
+        };
+        let moved = projections
+            .iter()
+            .map(|p| Projection { image: p.image.map(|(i, pose)| (i, reading(pose))), ..*p });
+        share_in_view(survey, &moved.collect::<Vec<_>>())
+    };
+    let shares = readings.map(|reading| (reading.0, seen(&reading)));
+    shares
+        .into_iter()
+        .max_by(|a, b| a.1.total_cmp(&b.1))
+        .filter(|(_, share)| *share > 0.5)
+        .map(|(words, _)| words)
+}
+
 /// The share of points that at least three views saw, and the median of their angles, degrees.
 fn coverage(imported: &Imported, sights: &[Vec<Sight>]) -> (f64, f64) {
     let capture = &imported.capture;
@@ -248,7 +297,7 @@ impl Agreement {
                 }
             }
             if own.len() >= FEWEST {
-                view.likeness = correlation(&ranks(&own), &ranks(&others));
+                view.likeness = rank_correlation(&own, &others);
             }
         }
     }
@@ -317,36 +366,4 @@ fn shown(image: &Image, sights: &[Sight], size: [f64; 2]) -> Shown {
 
 fn luma(c: [f64; 3]) -> f64 {
     0.2126 * c[0] + 0.7152 * c[1] + 0.0722 * c[2]
-}
-
-/// The rank of each value; equal values share their mean rank.
-fn ranks(values: &[f64]) -> Vec<f64> {
-    let mut order: Vec<usize> = (0..values.len()).collect();
-    order.sort_unstable_by(|a, b| values[*a].total_cmp(&values[*b]));
-    let mut ranks = vec![0.0; values.len()];
-    let mut first = 0;
-    while first < order.len() {
-        let mut last = first;
-        while last + 1 < order.len() && values[order[last + 1]] == values[order[first]] {
-            last += 1;
-        }
-        for place in &order[first..=last] {
-            ranks[*place] = (first + last) as f64 / 2.0;
-        }
-        first = last + 1;
-    }
-    ranks
-}
-
-/// Pearson's correlation; `None` if one of the two does not vary.
-fn correlation(a: &[f64], b: &[f64]) -> Option<f64> {
-    let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
-    let (ma, mb) = (mean(a), mean(b));
-    let (mut ab, mut aa, mut bb) = (0.0, 0.0, 0.0);
-    for (x, y) in a.iter().zip(b) {
-        ab += (x - ma) * (y - mb);
-        aa += (x - ma) * (x - ma);
-        bb += (y - mb) * (y - mb);
-    }
-    (aa > 0.0 && bb > 0.0).then(|| ab / (aa * bb).sqrt())
 }

@@ -4,6 +4,7 @@ use use3d_capture::{Reach, Side, shown};
 use use3d_import::ImportReport;
 
 use crate::agreement::{Agreement, ViewAgreement};
+use crate::depth;
 use crate::measure::{Figures, ViewFigures};
 use crate::report::{CheckReport, Finding, Severity};
 
@@ -85,6 +86,12 @@ pub fn examine(
     rules.pixels(&figures.views);
     rules.water(&figures, water);
     rules.extras(import, &figures, metres);
+    if let Some(agreement) = &figures.agreement {
+        rules.found.extend(depth::findings(&agreement.depth));
+    }
+    for text in &import.faults {
+        rules.minor("import", sentence(text), "");
+    }
     for text in &import.notes {
         rules.note("import", sentence(text), "");
     }
@@ -356,8 +363,19 @@ impl Rules {
                 100.0 * agreement.in_view,
                 shown(&import.model)
             );
-            let remedy =
-                "export cameras and points again, both from the same project and in the same coordinates";
+            let text = match agreement.instead {
+                Some(instead) => format!("{text} Most points would be in view {instead}."),
+                None => text,
+            };
+            let remedy = match &*import.model_form {
+                "transforms.json" => {
+                    "write poses from the camera to the world with OpenGL's camera axes (x right, y up, z backward), and \
+                     the points in the same coordinates"
+                }
+                _ => {
+                    "export cameras and points again, both from the same project and in the same coordinates"
+                }
+            };
             self.add(Severity::Serious, "points_in_view", text, remedy, Vec::new());
             return;
         }

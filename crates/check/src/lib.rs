@@ -11,12 +11,14 @@
 //! first. Nothing here changes a capture, and no result of a training depends on it.
 
 mod agreement;
+mod depth;
 mod findings;
 mod measure;
 mod page;
 mod report;
 
 pub use agreement::{Agreement, Pixels, ViewAgreement, agreement};
+pub use depth::DepthAgreement;
 pub use findings::{WaterSight, examine};
 pub use measure::{Figures, ViewFigures, measure, measure_masks};
 pub use page::{Picture, page};

@@ -140,8 +140,9 @@ const EXPECTED: &str = "expected a list of cameras such as {\"width\": 640, \"he
 fn read_list(path: &Path) -> Result<Vec<(FileName, Camera)>, ImportError> {
     let bytes = std::fs::read(path).map_err(ImportError::file(path))?;
     let bad = |reason: String| ImportError::List { path: path.to_path_buf(), reason };
-    let other = |e: serde_json::Error| bad(format!("{PLACES}; this file is not JSON (line {})", e.line()));
-    let json: Value = serde_json::from_slice(&bytes).map_err(other)?;
+    let other = |line: usize| bad(format!("{PLACES}; this file is not JSON (line {line})"));
+    let text = use3d_survey::text(&bytes).map_err(|(line, _)| other(line))?;
+    let json: Value = serde_json::from_str(text).map_err(|e| other(e.line()))?;
     let (list, width, height) = match json {
         Value::Array(list) => (list, None, None),
         Value::Object(mut object) => {

@@ -7,7 +7,7 @@
 use std::path::{Path, PathBuf};
 
 use use3d_capture::FileName;
-use use3d_io_colmap::{ModelForm, count_images, form_of, read_model_as};
+use use3d_io_colmap::{ModelForm, count_images, form_of, read_survey};
 use use3d_io_image::image_size;
 use use3d_io_metashape::is_cameras_file;
 use use3d_io_realityscan::{is_cameras_table, is_sidecar, parse_sidecars, read_sidecar, read_table};
@@ -49,6 +49,8 @@ pub(crate) struct ReadModel {
     pub(crate) image_dirs: Vec<String>,
     /// True if names are labels: without folders, extensions or both.
     pub(crate) labels: bool,
+    /// The ids of images that the model's files hold out.
+    pub(crate) held_out: Vec<u32>,
 }
 
 /// The formats, in the order in which they are tried.
@@ -71,7 +73,13 @@ pub(crate) static FORMATS: [Format; 5] = [
     },
     Format {
         name: "nerfstudio",
-        find: |root| Ok(nerfstudio_at(root, TRANSFORMS).into_iter().collect()),
+        find: |root| {
+            Ok([TRANSFORMS, TRANSFORMS_TRAIN]
+                .iter()
+                .find_map(|place| nerfstudio_at(root, place))
+                .into_iter()
+                .collect())
+        },
         search: |_| None,
         at: |root, place| {
             Ok(nerfstudio_at(root, place).or_else(|| nerfstudio_at(root, &format!("{place}/{TRANSFORMS}"))))
@@ -146,14 +154,13 @@ fn colmap_at(root: &Path, place: &str) -> Result<Option<FoundModel>, ImportError
 }
 
 fn read_colmap(found: &FoundModel) -> Result<ReadModel, ImportError> {
-    let model = read_model_as(&found.path, form_of(&found.path)?)?;
-    model.check_single(&found.path)?;
     Ok(ReadModel {
-        survey: model.into_survey(&found.path)?,
+        survey: read_survey(&found.path, form_of(&found.path)?)?,
         files: vec![PathBuf::from(&found.relative)],
         base: ".".into(),
         image_dirs: IMAGE_DIRS.map(String::from).to_vec(),
         labels: false,
+        held_out: Vec::new(),
     })
 }
 
@@ -215,7 +222,7 @@ fn read_metashape(found: &FoundModel) -> Result<ReadModel, ImportError> {
         files.push(PathBuf::from(inside(&base, &name)));
     }
     let image_dirs = places_of_photographs(dir).iter().map(|place| inside(&base, place)).collect();
-    Ok(ReadModel { survey, files, base, image_dirs, labels: true })
+    Ok(ReadModel { survey, files, base, image_dirs, labels: true, held_out: Vec::new() })
 }
 
 /// The folders that may hold the photographs of a file in `dir`, relative to it. The usual ones come first;
@@ -244,6 +251,8 @@ fn no_metashape(names: &[String]) -> Option<&'static str> {
 // nerfstudio: transforms.json in the capture's folder.
 
 const TRANSFORMS: &str = "transforms.json";
+/// The file that stands beside `transforms_test.json`.
+const TRANSFORMS_TRAIN: &str = "transforms_train.json";
 
 fn nerfstudio_at(root: &Path, place: &str) -> Option<FoundModel> {
     let path = root.join(place);
@@ -253,9 +262,12 @@ fn nerfstudio_at(root: &Path, place: &str) -> Option<FoundModel> {
 }
 
 fn read_nerfstudio(found: &FoundModel) -> Result<ReadModel, ImportError> {
-    let mut read = use3d_io_nerfstudio::read(&found.path)?;
-    let mut files = vec![PathBuf::from(&found.relative)];
     let (dir, base) = (found.path.parent().unwrap_or(Path::new(".")), base_of(found));
+    let folder = SourceFolder::open_own(dir, ".");
+    let size = |name: &FileName| image_size(&folder.as_ref()?.image(name).ok()??).ok();
+    let mut read = use3d_io_nerfstudio::read(&found.path, &size)?;
+    let names = read.files.iter().filter_map(|path| path.file_name()?.to_str());
+    let mut files: Vec<PathBuf> = names.map(|name| PathBuf::from(inside(&base, name))).collect();
     match &read.points {
         Some(name) if name.below(dir).is_file() => {
             let path = name.below(dir);
@@ -271,8 +283,8 @@ fn read_nerfstudio(found: &FoundModel) -> Result<ReadModel, ImportError> {
     let mut survey = read.survey;
     if survey.files.values().any(|f| f.depth.is_some()) {
         survey.notes.push(
-            "depth_file_path is not used: those are distances, and depth priors here are larger where things are \
-             nearer"
+            "the field depth_file_path is not used, nor are its maps in a folder of depth priors: they are distances, and \
+             depth priors are larger where things are nearer"
                 .into(),
         );
     }
@@ -294,7 +306,7 @@ fn read_nerfstudio(found: &FoundModel) -> Result<ReadModel, ImportError> {
     let masks = survey.files.values().filter_map(|f| f.mask.as_ref());
     files.extend(masks.map(|name| PathBuf::from(inside(&base, name))));
     let image_dirs = vec![inside(&base, &folder)];
-    Ok(ReadModel { survey, files, base, image_dirs, labels: false })
+    Ok(ReadModel { survey, files, base, image_dirs, labels: false, held_out: read.held_out })
 }
 
 // OpenSfM: reconstruction.json with tracks.csv beside it, in the capture's folder or in `opensfm/`, as in a
@@ -335,7 +347,7 @@ fn read_opensfm(found: &FoundModel) -> Result<ReadModel, ImportError> {
     for at in folders.iter().flatten() {
         image_dirs.extend(IMAGE_DIRS.iter().chain(&["."]).map(|place| inside(at, place)));
     }
-    Ok(ReadModel { survey, files, base, image_dirs, labels: false })
+    Ok(ReadModel { survey, files, base, image_dirs, labels: false, held_out: Vec::new() })
 }
 
 fn no_opensfm(names: &[String]) -> Option<&'static str> {
@@ -418,7 +430,7 @@ fn read_realityscan(found: &FoundModel) -> Result<ReadModel, ImportError> {
             .into(),
     );
     let image_dirs = places.iter().map(|place| inside(&base, place)).collect();
-    Ok(ReadModel { survey, files, base, image_dirs, labels: true })
+    Ok(ReadModel { survey, files, base, image_dirs, labels: true, held_out: Vec::new() })
 }
 
 fn no_realityscan(names: &[String]) -> Option<&'static str> {

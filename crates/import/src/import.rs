@@ -18,6 +18,7 @@ use use3d_io_colmap::fits_single;
 use use3d_io_image::{FileFormat, ImageError, ImageInfo, converted_from, photograph_info};
 use use3d_survey::{PosedImage, Survey, SurveyPoint, World};
 
+use crate::depth;
 use crate::error::ImportError;
 use crate::folder::{DEPTH_DIRS, MASK_DIRS, SourceFolder, is_prepared};
 use crate::geometry::{Geometry, is_whole_multiple, size_ratio};
@@ -165,6 +166,10 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
 
     let listed = folder.images();
     let marked = listed.iter().any(|name| masked(name).is_some());
+    // Maps that the model names are distances.
+    let file = |name: &FileName| base.as_ref().map_or(Ok(None), |base| base.file(name));
+    let named = model.files.values().filter_map(|f| file(f.depth.as_ref()?).transpose());
+    let distances: BTreeSet<PathBuf> = named.collect::<Result<_, _>>()?;
 
     // Resolves names to files; views are in the order of their names.
     let mut views = Vec::new();
@@ -184,7 +189,12 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
                     mask => mask,
                 },
             },
-            depth_prior: depths.as_ref().map(|d| d.depth(&name)).transpose()?.flatten(),
+            depth_prior: depths
+                .as_ref()
+                .map(|d| d.depth(&name))
+                .transpose()?
+                .flatten()
+                .filter(|p| !distances.contains(p)),
             name,
             camera: Camera { intrinsics: PENDING, pose: frame.apply_pose(&image.pose()) },
         };
@@ -214,6 +224,9 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
     let kept: BTreeSet<u32> = views.iter().map(|found| found.view.id).collect();
     model.retain_images(|image| kept.contains(&image.id));
     report.notes.append(&mut model.notes);
+    report.faults.append(&mut model.faults);
+    let maps = views.iter_mut().map(|found| &mut found.view).collect();
+    report.faults.extend(depth::leave_out(maps, &model));
     let metres = |w: &World| format!("1 unit of the model is {:.6} m ({})", w.metres_per_unit, w.source);
     report.notes.extend(model.world.as_ref().map(metres));
 
@@ -226,12 +239,9 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
         view.camera.validate().map_err(bad)?;
     }
 
-    let split = split::choose(
-        dir,
-        &views,
-        &[report.missing.clone(), report.stray.clone(), report.unusable.keys().cloned().collect()].concat(),
-        &params.split,
-    )?;
+    let unusable: Vec<String> = report.unusable.keys().cloned().collect();
+    let skipped = [report.missing.clone(), report.stray.clone(), unusable].concat();
+    let split = split::choose(dir, &views, &skipped, &read.held_out, &params.split)?;
     report.notes.extend(split.notes);
     report.split_rule = split.rule;
     let names = |indices: &[usize]| indices.iter().map(|&i| views[i].name.to_string()).collect();

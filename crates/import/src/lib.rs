@@ -37,6 +37,7 @@
 //! ```
 
 mod cameras;
+mod depth;
 mod error;
 mod folder;
 mod formats;
@@ -61,6 +62,7 @@ mod undistort;
 mod white_balance;
 
 pub use cameras::{camera_list, read_cameras, read_images_txt};
+pub use depth::{DepthSight, depth_sights};
 pub use error::ImportError;
 pub use folder::{is_film, is_prepared};
 pub use import::{Imported, capture_name, import};

@@ -78,6 +78,9 @@ pub struct ImportReport {
     pub scale: f64,
     /// Gains of the white balance for R, G, B, once computed.
     pub white_balance: Option<[f32; 3]>,
+    /// Faults that cost something and stop nothing, each with its next step.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub faults: Vec<String>,
     /// Further remarks.
     pub notes: Vec<String>,
 }
@@ -203,7 +206,7 @@ impl fmt::Display for ImportReport {
         if let Some([r, g, b]) = self.white_balance {
             writeln!(f, "  white balance: R x {r:.3}, G x {g:.3}, B x {b:.3}")?;
         }
-        self.notes.iter().try_for_each(|note| writeln!(f, "  note: {}", shown(note)))
+        self.faults.iter().chain(&self.notes).try_for_each(|note| writeln!(f, "  note: {}", shown(note)))
     }
 }
 

@@ -17,11 +17,13 @@ pub(crate) struct Chosen {
     pub(crate) notes: Vec<String>,
 }
 
-/// Chooses the split of views in file-name order. `skipped` are names that are in the model but not on disk.
+/// Chooses the split of views in file-name order. `skipped` are names that are in the model but not on disk,
+/// and `held_out` the ids of images that the model's files hold out.
 pub(crate) fn choose(
     root: &Path,
     views: &[View],
     skipped: &[String],
+    held_out: &[u32],
     params: &SplitParams,
 ) -> Result<Chosen, ImportError> {
     if params.lists {
@@ -29,6 +31,12 @@ pub(crate) fn choose(
         let test = List::read(&root.join("test_list.txt"))?;
         if train.is_some() || test.is_some() {
             return from_lists(views, skipped, train.as_ref(), test.as_ref());
+        }
+        let (test, train): (Vec<usize>, Vec<usize>) =
+            (0..views.len()).partition(|i| held_out.contains(&views[*i].id));
+        if !test.is_empty() && !train.is_empty() {
+            let rule = "given by the model's files".to_string();
+            return Ok(Chosen { rule, split: Split { train, test }, notes: Vec::new() });
         }
     }
     let mut order: Vec<usize> = (0..views.len()).collect();
@@ -65,13 +73,11 @@ impl List {
             return Ok(None);
         }
         let bytes = std::fs::read(path).map_err(ImportError::file(path))?;
-        let text = String::from_utf8(bytes).map_err(|_| ImportError::List {
+        let text = use3d_survey::text(&bytes).map_err(|(line, reason)| ImportError::List {
             path: path.to_path_buf(),
-            reason: "it is not UTF-8 text; expected one image name per line".into(),
+            reason: format!("line {line}: {reason}, with one image name per line"),
         })?;
-        // Some editors of Windows begin a file with a byte order mark.
         let names = text
-            .trim_start_matches('\u{feff}')
             .lines()
             .map(|l| l.trim().replace('\\', "/"))
             .filter(|l| !l.is_empty() && !l.starts_with('#'))
@@ -185,14 +191,14 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let views = views(&["a", "b", "c", "d", "e"]);
         let by_name = SplitParams { every: 4, ..SplitParams::default() };
-        assert_eq!(choose(dir.path(), &views, &[], &by_name).unwrap().split.test, [0, 4]);
+        assert_eq!(choose(dir.path(), &views, &[], &[], &by_name).unwrap().split.test, [0, 4]);
         let by_id = SplitParams { every: 4, order: SplitOrder::ColmapId, ..SplitParams::default() };
         // Ids decrease as names increase: the first by id is "e", the fifth is "a".
-        assert_eq!(choose(dir.path(), &views, &[], &by_id).unwrap().split.test, [0, 4]);
+        assert_eq!(choose(dir.path(), &views, &[], &[], &by_id).unwrap().split.test, [0, 4]);
         let by_id = SplitParams { every: 3, ..by_id };
-        assert_eq!(choose(dir.path(), &views, &[], &by_id).unwrap().split.test, [1, 4]);
+        assert_eq!(choose(dir.path(), &views, &[], &[], &by_id).unwrap().split.test, [1, 4]);
         let none = SplitParams { every: 0, ..by_name };
-        assert_eq!(choose(dir.path(), &views, &[], &none).unwrap().split.train.len(), 5);
+        assert_eq!(choose(dir.path(), &views, &[], &[], &none).unwrap().split.train.len(), 5);
     }
 
     #[test]
@@ -200,7 +206,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let write = |name: &str, text: &str| std::fs::write(dir.path().join(name), text).unwrap();
         let views = views(&["l/a.png", "l/b.png", "r/a.png", "r/c.png"]);
-        let choose = |params: &SplitParams| choose(dir.path(), &views, &["gone.png".into()], params);
+        let choose = |params: &SplitParams| choose(dir.path(), &views, &["gone.png".into()], &[], params);
         let params = SplitParams::default();
         write("test_list.txt", "# held out\n\nl/b.png\r\ngone.png\nc\n");
         let chosen = choose(&params).unwrap();

@@ -21,6 +21,7 @@ pub use lens::LensModel;
 pub use model::{
     Model, ModelForm, count_images, form_of, read_model, read_model_as, write_model_binary, write_model_text,
 };
+pub use survey::read_survey;
 pub use use3d_survey::{
     Keypoint, Lens, PosedImage as ModelImage, Projection, SurveyPoint as ModelPoint, fits_single,
 };

@@ -89,14 +89,21 @@ pub fn form_of(dir: &Path) -> Result<ModelForm, ModelError> {
     })
 }
 
-/// Reads a model in a given format.
+/// Reads a model in a given format and checks it.
 pub fn read_model_as(dir: &Path, form: ModelForm) -> Result<Model, ModelError> {
+    let model = read_unchecked(dir, form)?;
+    model.check(dir)?;
+    Ok(model)
+}
+
+/// Reads a model in a given format, whose records may not fit together.
+pub(crate) fn read_unchecked(dir: &Path, form: ModelForm) -> Result<Model, ModelError> {
     let files = form.files(dir);
     let read = |path: &Path| {
         std::fs::read(path).map_err(|source| ModelError::Open { path: path.to_path_buf(), source })
     };
     // One file at a time: the bytes of one file are freed before the next is read.
-    let model = match form {
+    Ok(match form {
         ModelForm::Binary => Model {
             cameras: binary::cameras(&read(&files[0])?, &files[0])?,
             images: binary::images(&read(&files[1])?, &files[1])?,
@@ -107,9 +114,7 @@ pub fn read_model_as(dir: &Path, form: ModelForm) -> Result<Model, ModelError> {
             images: text::images(&read(&files[1])?, &files[1])?,
             points: text::points(&read(&files[2])?, &files[2])?,
         },
-    };
-    model.check(dir)?;
-    Ok(model)
+    })
 }
 
 /// Number of images that a model lists, without reading the rest of it.

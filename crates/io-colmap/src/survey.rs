@@ -5,11 +5,23 @@
 
 use std::path::Path;
 
-use use3d_survey::{Survey, SurveyCamera};
+use use3d_survey::{Survey, SurveyCamera, leave_out_points};
 
 use crate::camera::ModelCamera;
 use crate::error::ModelError;
-use crate::model::Model;
+use crate::model::{Model, ModelForm, read_unchecked};
+
+/// Reads the model in a folder, in a given format, into a survey. Points without a position are left out.
+///
+/// # Errors
+/// A model that cannot be read or used in single precision.
+pub fn read_survey(dir: &Path, form: ModelForm) -> Result<Survey, ModelError> {
+    let mut model = read_unchecked(dir, form)?;
+    let fault = leave_out_points(&mut model.points, &mut model.images);
+    model.check(dir)?;
+    model.check_single(dir)?;
+    Ok(Survey { faults: fault.into_iter().collect(), ..model.into_survey(dir)? })
+}
 
 impl Model {
     /// The model as a survey; `path` is for the message only.

@@ -67,9 +67,8 @@ impl Line<'_> {
 
 /// The lines of a file.
 fn lines<'a>(bytes: &'a [u8], path: &'a Path) -> Result<impl Iterator<Item = Line<'a>>> {
-    let text = std::str::from_utf8(bytes).map_err(|e| {
-        ModelError::broken(path, format!("byte {}", e.valid_up_to()), "it is not UTF-8".into())
-    })?;
+    let text = use3d_survey::text(bytes)
+        .map_err(|(line, reason)| ModelError::broken(path, format!("line {line}"), reason))?;
     let lines = (1..).zip(text.lines().map(str::trim));
     Ok(lines.map(move |(number, text)| Line { text, words: text.split_ascii_whitespace(), number, path }))
 }
@@ -106,6 +105,16 @@ fn after_words(text: &str, count: usize) -> &str {
     rest.trim()
 }
 
+/// True if a line begins as that of an image: nine numbers, whose rotation is of unit length, and a name. In
+/// a line of keypoints the name is a number too.
+fn is_image(line: &Line<'_>) -> bool {
+    let words: Vec<&str> = line.words.clone().take(10).collect();
+    let [_, quaternion @ .., name] = words.as_slice() else { return false };
+    let numbers: Vec<f64> = quaternion.iter().take(4).filter_map(|word| word.parse().ok()).collect();
+    let length = numbers.iter().map(|v| v * v).sum::<f64>();
+    words.len() == 10 && name.parse::<f64>().is_err() && (length - 1.0).abs() < 0.01
+}
+
 /// Parses `images.txt`.
 pub fn images(bytes: &[u8], path: &Path) -> Result<Vec<ModelImage>> {
     let mut lines = lines(bytes, path)?;
@@ -125,6 +134,13 @@ pub fn images(bytes: &[u8], path: &Path) -> Result<Vec<ModelImage>> {
         }
         let mut keypoints = Vec::new();
         if let Some(mut line) = lines.next() {
+            if is_image(&line) {
+                return line.fail(
+                    "it is the next image, and the keypoints of the last one were expected; each image has two \
+                     lines, and the second may be empty: put an empty line after each image"
+                        .into(),
+                );
+            }
             while let Some(word) = line.words.next() {
                 let x = line.parse(word, "keypoint x")?;
                 let y = line.next("keypoint y")?;

@@ -19,7 +19,7 @@ use roxmltree::Document;
 use use3d_capture::{FileName, Pose, shown};
 use use3d_survey::{
     Mark, Marker, PosedImage, ReadError, RotationFault, ScaleBar, Survey, World, check_rotation, first_bytes,
-    is_last_row, read_at_most, tidy_name,
+    is_last_row, read_at_most, text, tidy_name, unread,
 };
 
 use crate::calibration;
@@ -37,6 +37,12 @@ pub(crate) const REMEDY: &str = "check the project in Metashape and export the c
 const ORTHONORMAL: f64 = 1e-4;
 /// Scale bars and a transform may differ by this share before a note says so.
 const AGREE: f64 = 0.01;
+
+/// The elements of a chunk, a camera and a sensor that are read, and others that change nothing here.
+const KNOWN: &str = "sensors components cameras frames markers scalebars reference transform region settings images meta \
+    label component group rotation_covariance location_covariance orientation rolling_shutter accuracy \
+    rotation location resolution calibration property bands data_type covariance black_level sensitivity \
+    reflectance_panels shapes attributes elevations orthomosaics depth_maps_sets master_channel";
 
 /// True if a file's first bytes are those of a document of Metashape or PhotoScan.
 pub fn is_cameras_file(path: &Path) -> bool {
@@ -57,11 +63,9 @@ pub fn read(path: &Path) -> Result<Survey> {
 /// # Errors
 /// As [`read`].
 pub fn parse(bytes: &[u8], path: &Path) -> Result<Survey> {
-    let text = std::str::from_utf8(bytes).map_err(|e| {
-        let place = format!("byte {}", e.valid_up_to());
-        ReadError::broken(path, place, "it is not UTF-8 text; export the cameras again as Agisoft XML")
-    })?;
-    let document = Document::parse(text.trim_start_matches('\u{feff}')).map_err(|e| {
+    let text =
+        text(bytes).map_err(|(line, reason)| ReadError::broken(path, format!("line {line}"), reason))?;
+    let document = Document::parse(text).map_err(|e| {
         let reason = format!("it is damaged or cut short ({e}); export the cameras again as Agisoft XML");
         ReadError::broken(path, "XML", reason)
     })?;
@@ -218,6 +222,10 @@ fn read_chunk(chunk: Element<'_>) -> Result<Survey> {
     for (camera, name) in aligned.iter().zip(file_names(chunk, &aligned)?) {
         survey.images.push(PosedImage::at(camera.id, name, camera.sensor, &camera.pose));
     }
+    let parts = chunk.node.children().chain(aligned.iter().flat_map(|camera| camera.element.node.children()));
+    let sensors = sensors.values().flat_map(|sensor| sensor.node.children());
+    let names = parts.chain(sensors).filter(roxmltree::Node::is_element).map(|node| node.tag_name().name());
+    survey.notes.extend(unread("the cameras file", names, KNOWN));
     read_markers(chunk, &mut survey)?;
     let component = components.iter().find(|c| c.number::<u32>("id").ok() == used && used.is_some());
     let transform = component.and_then(|c| c.child("transform")).or_else(|| chunk.child("transform"));

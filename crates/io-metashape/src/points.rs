@@ -45,12 +45,14 @@ impl Reading {
 /// A file that is no PLY file of points, and points that no camera sees in either reading.
 pub fn add_points(survey: &mut Survey, bytes: &[u8], path: &Path) -> Result<(), ReadError> {
     let mut points = ply::points(bytes, path)?;
+    survey.faults.extend(ply::coarse(&points, path));
     if points.is_empty() {
         survey.notes.push("the file of points is empty".into());
         return Ok(());
     }
     let step = points.len().div_ceil(TRIED);
-    let tried: Vec<[f64; 3]> = points.iter().step_by(step).map(|p| p.position).collect();
+    let finite = points.iter().map(|p| p.position).filter(|p| p.iter().all(|v| v.is_finite()));
+    let tried: Vec<[f64; 3]> = finite.step_by(step).collect();
     let world = survey.world.as_ref();
     let readings = [Reading::World, Reading::Geographic, Reading::Own];
     let seen = readings.map(|reading| {
@@ -63,8 +65,7 @@ pub fn add_points(survey: &mut Survey, bytes: &[u8], path: &Path) -> Result<(), 
     let Some(reading) = reading.filter(|_| 2 * best >= tried.len()) else {
         let reason = format!(
             "of {} points tried, {best} lie in front of the cameras; the file is in another reference system: export \
-             the points again without a shift, in the coordinate system `WGS 84 (EPSG::4326)` if the project has \
-             geographic coordinates, else in the project's own or in `Local Coordinates`",
+             the points again without a shift, in `Local Coordinates`",
             tried.len()
         );
         return Err(ReadError::broken(path, "vertex", reason));
@@ -72,6 +73,6 @@ pub fn add_points(survey: &mut Survey, bytes: &[u8], path: &Path) -> Result<(), 
     for point in &mut points {
         point.position = reading.of(world, point.position).unwrap_or(point.position);
     }
-    survey.points = points;
+    survey.take_points(points);
     survey.check(path, REMEDY)
 }

@@ -26,7 +26,7 @@ impl<'a> Element<'a> {
                 format!("<{name} {attribute}={value:?}>")
             }
             None => match self.node.parent_element() {
-                Some(parent) => format!("<{}><{name}>", parent.tag_name().name()),
+                Some(parent) => format!("{}<{name}>", self.at(parent).place()),
                 None => format!("<{name}>"),
             },
         }

@@ -15,7 +15,11 @@
 //!
 //! **Lens.** `OPENCV` and its like: `D(u) = u (1 + k1 r² + k2 r⁴ + k3 r⁶ + k4 r⁸)` and OpenCV's tangential
 //! terms. `OPENCV_FISHEYE` (or `is_fisheye`): the same polynomial of the angle. Without focal lengths
-//! `camera_angle_x` gives them; without `cx` and `cy` the middle of the image.
+//! `camera_angle_x` gives them; without `cx` and `cy` the middle of the image; without `w` and `h` the size
+//! of the photograph.
+//!
+//! **Split.** `transforms_train.json` and `transforms_test.json` are one capture, as in NeRF's synthetic
+//! form.
 
 mod error;
 mod frame;
@@ -23,5 +27,5 @@ mod read;
 mod write;
 
 pub use error::UnknownLens;
-pub use read::{Transforms, parse, read};
+pub use read::{PhotographSize, Transforms, parse, read};
 pub use write::{Export, export};

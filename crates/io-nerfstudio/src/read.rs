@@ -1,7 +1,8 @@
 //! Reading a `transforms.json`.
 
+use std::cell::LazyCell;
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DVec3};
 use serde_json::{Map, Value};
@@ -9,7 +10,7 @@ use use3d_capture::FileName;
 use use3d_numerics::math;
 use use3d_survey::{
     Distortion, ImageFiles, Lens, PosedImage, Projection, ReadError, RotationFault, Survey, SurveyCamera,
-    check_rotation, is_last_row, ply, read_at_most,
+    check_rotation, is_last_row, json, ply, read_at_most, unread,
 };
 
 use crate::frame::Applied;
@@ -28,6 +29,18 @@ const PERSPECTIVE: [&str; 6] =
 const FISHEYE: &str = "OPENCV_FISHEYE";
 /// Fields whose values a lens of this format cannot have other than 0.
 const UNKNOWN: [&str; 2] = ["k5", "k6"];
+/// The fields that are read, and others that change nothing here.
+const KNOWN: &str = "frames file_path transform_matrix mask_path depth_file_path colmap_im_id applied_transform \
+    applied_scale ply_file_path train_filenames val_filenames test_filenames camera_model is_fisheye w h \
+    fl_x fl_y cx cy camera_angle_x camera_angle_y k1 k2 k3 k4 k5 k6 p1 p2 aabb_scale aabb scale offset \
+    up near far n_frames fps time timestamp sharpness rotation orientation_override \
+    auto_scale_poses_override integer_depth_scale depth_unit_scale_factor enable_depth_loading \
+    enable_ray_loading from_na camera_index camera_label colmap_camera_id name";
+/// Beginnings of fields that change the pictures: parts that do not count, and how they were taken.
+const CHANGES: [&str; 4] = ["crop", "fisheye_crop_radius", "rolling_shutter", "linear_colors"];
+/// The two files of a capture that states its split.
+const TRAIN: &str = "transforms_train.json";
+const TEST: &str = "transforms_test.json";
 
 /// A file that was read.
 #[derive(Clone, Debug)]
@@ -37,6 +50,10 @@ pub struct Transforms {
     pub survey: Survey,
     /// The file of points that `ply_file_path` names.
     pub points: Option<FileName>,
+    /// The ids of the images that the file holds out.
+    pub held_out: Vec<u32>,
+    /// The files that were read.
+    pub files: Vec<PathBuf>,
     applied: Applied,
 }
 
@@ -47,35 +64,71 @@ impl Transforms {
     /// A file that is no PLY file of points.
     pub fn add_points(&mut self, bytes: &[u8], path: &Path) -> Result<()> {
         let mut points = ply::points(bytes, path)?;
+        self.survey.faults.extend(ply::coarse(&points, path));
         for point in &mut points {
             point.position = self.applied.undo(DVec3::from_array(point.position)).to_array();
         }
-        self.survey.points = points;
+        self.survey.take_points(points);
         self.survey.check(path, REMEDY)
     }
 }
 
-/// Reads a file, without its points.
+/// The width and height of the photograph of a name, which may lack its extension; `None` if it is not there.
+pub type PhotographSize<'a> = &'a dyn Fn(&FileName) -> Option<(usize, usize)>;
+
+/// Reads a file, without its points. Beside `transforms_train.json`, `transforms_test.json` is read too, and
+/// its images are held out. `size` is asked if the file does not state the size of images.
 ///
 /// # Errors
 /// A file that cannot be read, is no JSON, or holds something that cannot be used; the message names the
 /// frame and field.
-pub fn read(path: &Path) -> Result<Transforms> {
-    parse(&read_at_most(path, LARGEST, "split the capture")?, path)
+pub fn read(path: &Path, size: PhotographSize<'_>) -> Result<Transforms> {
+    let bytes = |path: &Path| read_at_most(path, LARGEST, "split the capture");
+    let mut all = object(&bytes(path)?, path)?;
+    let beside = path.with_file_name(TEST);
+    let Some(Value::Array(train)) =
+        all.get_mut("frames").filter(|_| path.ends_with(TRAIN) && beside.is_file())
+    else {
+        return of_object(&all, path, size);
+    };
+    let mut test = object(&bytes(&beside)?, &beside)?;
+    let frames = match test.remove("frames") {
+        Some(Value::Array(frames)) if frames.iter().all(Value::is_object) => frames,
+        _ => return Err(ReadError::broken(&beside, "top level", "`frames` is no list of objects")),
+    };
+    let first = train.len();
+    // The fields of the second file hold for its own frames.
+    train.extend(frames.into_iter().map(|frame| {
+        let mut fields = test.clone();
+        fields.extend(frame.as_object().cloned().unwrap_or_default());
+        Value::Object(fields)
+    }));
+    let mut read = of_object(&all, path, size)?;
+    read.held_out = read.survey.images[first..].iter().map(|image| image.id).collect();
+    read.files.push(beside);
+    read.survey.notes.push(format!(
+        "{TRAIN} and {TEST} are read as one capture; the {} photographs of the second are held out",
+        read.held_out.len()
+    ));
+    Ok(read)
 }
 
-/// Reads the bytes of a file; `path` is for messages.
+/// Reads the bytes of a file that states the sizes of its images; `path` is for messages.
 ///
 /// # Errors
 /// As [`read`].
 pub fn parse(bytes: &[u8], path: &Path) -> Result<Transforms> {
-    let json: Value = serde_json::from_slice(bytes).map_err(|e| {
-        let reason = format!("it is damaged or cut short ({e}); write it again with ns-process-data");
-        ReadError::broken(path, "JSON", reason)
-    })?;
-    let Value::Object(all) = &json else {
-        return Err(ReadError::broken(path, "JSON", "expected an object with `frames`"));
-    };
+    of_object(&object(bytes, path)?, path, &|_| None)
+}
+
+fn object(bytes: &[u8], path: &Path) -> Result<Map<String, Value>> {
+    match json(bytes, path, "damaged or cut short", "write it again with ns-process-data")? {
+        Value::Object(all) => Ok(all),
+        _ => Err(ReadError::broken(path, "JSON", "expected an object with `frames`")),
+    }
+}
+
+fn of_object(all: &Map<String, Value>, path: &Path, size: PhotographSize<'_>) -> Result<Transforms> {
     let whole = Fields { own: all, shared: None, path, place: "top level".into() };
     let frames = match all.get("frames") {
         Some(Value::Array(frames)) if !frames.is_empty() => frames,
@@ -92,6 +145,11 @@ pub fn parse(bytes: &[u8], path: &Path) -> Result<Transforms> {
     let mut survey = Survey::default();
     let mut cameras: BTreeMap<Vec<u64>, u32> = BTreeMap::new();
     let ids = image_ids(frames);
+    // A photograph that is not there has the size of another one: the import leaves it out.
+    let usual = LazyCell::new(|| {
+        let names = frames.iter().filter_map(|frame| FileName::new(frame.get("file_path")?.as_str()?).ok());
+        names.filter_map(|name| size(&name)).next()
+    });
     for (i, frame) in frames.iter().enumerate() {
         let Value::Object(own) = frame else {
             return whole.fail(format!("frame {i} is no object; expected file_path and transform_matrix"));
@@ -109,7 +167,7 @@ pub fn parse(bytes: &[u8], path: &Path) -> Result<Transforms> {
         }
         // Camera-to-world rotation with OpenGL's axes, and the camera's centre.
         let (rotation, center) = fields.transform("transform_matrix")?;
-        let camera = camera(&fields)?;
+        let camera = camera(&fields, || size(&name).or_else(|| *usual))?;
         let next = cameras.len() as u32 + 1;
         let id = *cameras.entry(bits(&camera)).or_insert(next);
         if id == next {
@@ -128,8 +186,21 @@ pub fn parse(bytes: &[u8], path: &Path) -> Result<Transforms> {
             "the split in transforms.json is not used; put the names into train_list.txt and test_list.txt";
         survey.notes.push(note.into());
     }
+    let (changing, others): (Vec<&str>, Vec<&str>) =
+        fields(all, frames).into_iter().partition(|name| CHANGES.iter().any(|start| name.starts_with(start)));
+    let file = path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+    survey.faults.extend(unread(&file, changing, KNOWN).map(|fields| {
+        format!("{fields}; they change the pictures: paint masks where pixels do not count (docs/guide/captures.md)")
+    }));
+    survey.notes.extend(unread(&file, others, KNOWN));
     survey.check(path, REMEDY)?;
-    Ok(Transforms { survey, points, applied })
+    Ok(Transforms { survey, points, held_out: Vec::new(), files: vec![path.to_path_buf()], applied })
+}
+
+/// The fields of a file and of its frames that are not empty.
+fn fields<'a>(all: &'a Map<String, Value>, frames: &'a [Value]) -> BTreeSet<&'a str> {
+    let fields = all.iter().chain(frames.iter().filter_map(Value::as_object).flatten());
+    fields.filter(|(_, value)| !value.is_null()).map(|(name, _)| name.as_str()).collect()
 }
 
 /// The ids of COLMAP where every frame has one and they are distinct, else 1, 2, 3 and so on.
@@ -179,14 +250,29 @@ impl Fields<'_> {
     }
 
     /// A side of the image: a whole number above 0, also when it is written as a float.
-    fn side(&self, name: &str) -> Result<usize> {
+    fn side(&self, name: &str) -> Result<Option<usize>> {
         match self.number(name)? {
-            None => {
-                self.fail(format!("`{name}` is missing; expected the image's size in pixels as `w` and `h`"))
-            }
-            Some(v) if v >= 1.0 && v <= f64::from(u32::MAX) && v.fract() == 0.0 => Ok(v as usize),
+            None => Ok(None),
+            Some(v) if v >= 1.0 && v <= f64::from(u32::MAX) && v.fract() == 0.0 => Ok(Some(v as usize)),
             Some(v) => self.fail(format!("`{name}` is {v}; expected a whole number of pixels above 0")),
         }
+    }
+
+    /// Width and height: those of the fields, or else of the photograph.
+    fn sides(&self, photograph: impl FnOnce() -> Option<(usize, usize)>) -> Result<(usize, usize)> {
+        if let (Some(w), Some(h)) = (self.side("w")?, self.side("h")?) {
+            return Ok((w, h));
+        }
+        let missing = if self.side("w")?.is_none() { "w" } else { "h" };
+        photograph().map_or_else(
+            || {
+                self.fail(format!(
+                    "`{missing}` is missing; expected the image's size in pixels as `w` and `h`, or the photograph \
+                     in the place that `file_path` names"
+                ))
+            },
+            Ok,
+        )
     }
 
     fn file(&self, name: &str) -> Result<Option<FileName>> {
@@ -218,6 +304,16 @@ impl Fields<'_> {
             numbers.collect::<Option<Vec<f64>>>()?.try_into().ok()
         };
         let rows = self.get(name).and_then(Value::as_array).filter(|rows| matches!(rows.len(), 3 | 4));
+        for (i, row) in (1..).zip(rows.into_iter().flatten()) {
+            if let Some(j) = row.as_array().and_then(|row| row.iter().position(|v| v.as_str() == Some("NaN")))
+            {
+                return self.fail(format!(
+                    "row {i}, column {} of `{name}` is no finite number (NaN or infinite): leave this frame out, or \
+                     find its camera again",
+                    j + 1
+                ));
+            }
+        }
         let Some(m) = rows.and_then(|rows| rows.iter().map(row).collect::<Option<Vec<_>>>()) else {
             return self.fail(format!("`{name}` is no matrix of 3 or 4 rows of 4 finite numbers"));
         };
@@ -263,7 +359,7 @@ fn applied(whole: &Fields<'_>) -> Result<Applied> {
     Ok(applied)
 }
 
-fn camera(fields: &Fields<'_>) -> Result<SurveyCamera> {
+fn camera(fields: &Fields<'_>, photograph: impl FnOnce() -> Option<(usize, usize)>) -> Result<SurveyCamera> {
     let stated = match fields.get("camera_model") {
         None => "OPENCV",
         Some(Value::String(name)) => name.as_str(),
@@ -278,7 +374,7 @@ fn camera(fields: &Fields<'_>) -> Result<SurveyCamera> {
             PERSPECTIVE.join(", ")
         ));
     }
-    let (width, height) = (fields.side("w")?, fields.side("h")?);
+    let (width, height) = fields.sides(photograph)?;
     let focal = |name: &str, angle: &str, side: usize| {
         if let Some(stated) = fields.number(name)? {
             return Ok(Some(stated));

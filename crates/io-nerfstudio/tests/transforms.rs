@@ -356,9 +356,9 @@ fn what_is_wrong_is_named() {
     assert!(complaint(&"[".repeat(100_000)).contains("damaged"));
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("transforms.json");
-    assert!(read(&path).unwrap_err().to_string().contains("cannot be read"));
+    assert!(read(&path, &|_| None).unwrap_err().to_string().contains("cannot be read"));
     std::fs::write(&path, small().replacen('{', "{\"train_filenames\": [\"images/a.png\"], ", 1)).unwrap();
-    let mut found = read(&path).unwrap();
+    let mut found = read(&path, &|_| None).unwrap();
     assert!(found.survey.notes.join("").contains("train_list.txt"));
     let said = found.add_points(b"ply\n", Path::new("p.ply")).unwrap_err().to_string();
     assert!(said.contains("p.ply"), "{said}");

@@ -5,10 +5,11 @@ use std::path::Path;
 
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
+use serde::de::IgnoredAny;
 use serde_json::{Map, Value};
 use use3d_capture::{FileName, Pose, shown};
 use use3d_numerics::math;
-use use3d_survey::{PosedImage, ReadError, Survey, SurveyPoint, World, read_at_most};
+use use3d_survey::{PosedImage, ReadError, Survey, SurveyPoint, World, json, read_at_most, unread};
 
 use crate::lens;
 
@@ -29,14 +30,22 @@ struct StoredReconstruction {
     points: BTreeMap<String, StoredPoint>,
     #[serde(default)]
     reference_lla: Option<GeoReference>,
+    #[serde(flatten)]
+    others: BTreeMap<String, IgnoredAny>,
 }
 
 #[derive(Deserialize)]
 struct StoredPoint {
-    coordinates: [f64; 3],
+    /// Anything but a number counts as NaN.
+    coordinates: [Value; 3],
     #[serde(default)]
     color: [f64; 3],
 }
+
+/// The parts of a reconstruction and of a shot that are not read and change nothing here.
+const HARMLESS: &str = "main_shots main_points pano_shots biases rig_cameras rig_instances rig_models camera rotation \
+    translation orientation capture_time gps_dop gps_position gps compass accelerometer opk vertices \
+    faces scale covariance merge_cc skey sequence_key is_canonical_camera";
 
 #[derive(Deserialize)]
 struct GeoReference {
@@ -59,13 +68,13 @@ pub fn read(path: &Path) -> Result<Survey> {
 /// # Errors
 /// As [`read`].
 pub fn parse(bytes: &[u8], path: &Path) -> Result<Survey> {
-    let stored: Vec<StoredReconstruction> = serde_json::from_slice(bytes).map_err(|e| {
-        let reason = format!(
-            "it is no reconstruction of OpenSfM, or damaged ({e}); expected a list of reconstructions with cameras, shots \
-             and points: take the file that OpenSfM's `reconstruct` wrote"
-        );
-        ReadError::broken(path, "JSON", reason)
-    })?;
+    let stored: Vec<StoredReconstruction> = json(
+        bytes,
+        path,
+        "no reconstruction of OpenSfM, or damaged",
+        "expected a list of reconstructions with cameras, shots and points: take the file that OpenSfM's `reconstruct` \
+         wrote",
+    )?;
     let sizes: Vec<usize> = stored.iter().map(|r| r.shots.len()).collect();
     let most = sizes.iter().copied().max().unwrap_or(0);
     if most == 0 {
@@ -123,10 +132,16 @@ pub fn parse(bytes: &[u8], path: &Path) -> Result<Survey> {
         if !ids.insert(id) {
             return Err(broken(format!("the id {id} occurs twice; expected each once: {REMEDY}")));
         }
-        let (position, color) = (point.coordinates, point.color.map(|v| v.round().clamp(0.0, 255.0) as u8));
+        let position = [0, 1, 2].map(|i| point.coordinates[i].as_f64().unwrap_or(f64::NAN));
+        let color = point.color.map(|v| v.round().clamp(0.0, 255.0) as u8);
         survey.points.push(SurveyPoint { id, position, color, error: -1.0, track: Vec::new() });
     }
     survey.points.sort_by_key(|p| p.id);
+    let points = std::mem::take(&mut survey.points);
+    survey.take_points(points);
+    let of_shots = stored.shots.values().filter_map(Value::as_object).flat_map(Map::keys);
+    let fields = of_shots.chain(stored.others.keys()).map(String::as_str);
+    survey.notes.extend(unread("reconstruction.json", fields, HARMLESS));
     survey.world = stored.reference_lla.and_then(|r| world(&r));
     survey.check(path, REMEDY)?;
     Ok(survey)

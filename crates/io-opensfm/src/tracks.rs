@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use use3d_survey::{Keypoint, ReadError, Survey, read_at_most};
+use use3d_survey::{Keypoint, ReadError, Survey, read_at_most, text};
 
 use crate::read::REMEDY;
 
@@ -29,7 +29,8 @@ pub fn read_tracks(survey: &mut Survey, path: &Path) -> Result<(), ReadError> {
 /// # Errors
 /// A line that is no track.
 pub fn add_tracks(survey: &mut Survey, bytes: &[u8], path: &Path) -> Result<(), ReadError> {
-    let text = String::from_utf8_lossy(bytes);
+    let text =
+        text(bytes).map_err(|(line, reason)| ReadError::broken(path, format!("line {line}"), reason))?;
     let images: BTreeMap<String, usize> =
         survey.images.iter().enumerate().map(|(i, image)| (image.name.to_string(), i)).collect();
     let points: BTreeMap<u64, usize> = survey.points.iter().enumerate().map(|(i, p)| (p.id, i)).collect();

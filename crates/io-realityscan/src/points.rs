@@ -29,6 +29,7 @@ pub fn add_points(survey: &mut Survey, bytes: &[u8], path: &Path) -> Result<(), 
     if points.is_empty() {
         survey.notes.push("the file of points is empty".into());
     }
-    survey.points = points;
+    survey.faults.extend(ply::coarse(&points, path));
+    survey.take_points(points);
     survey.check(path, REMEDY)
 }

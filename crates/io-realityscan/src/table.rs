@@ -5,7 +5,7 @@ use std::path::Path;
 use glam::{DMat3, DVec3};
 use use3d_capture::{FileName, Pose, shown};
 use use3d_numerics::math;
-use use3d_survey::{ReadError, TextTable, first_bytes, read_at_most, tidy_name};
+use use3d_survey::{ReadError, TextTable, first_bytes, read_at_most, tidy_name, unread};
 
 use crate::registration::{RegisteredShot, Registration, ShareLens};
 
@@ -81,6 +81,8 @@ pub fn parse_table(bytes: &[u8], path: &Path) -> Result<Registration> {
     }
     let places = COLUMNS.map(|names| table.column(names));
     let mut registration = Registration::default();
+    let columns = table.columns.iter().map(String::as_str).filter(|name| !name.is_empty());
+    registration.notes.extend(unread("the table of cameras", columns, &COLUMNS.concat().join(" ")));
     for row in &table.rows {
         let broken = |reason: String| broken(row.line, reason);
         // A column that is not in the table is 0, and one that is must be in every line.

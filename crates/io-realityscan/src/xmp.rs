@@ -1,12 +1,12 @@
 //! The XMP files beside photographs. A value is an attribute of the description or an element in it.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DVec3};
 use roxmltree::{Document, Node};
 use use3d_capture::{FileName, Pose, shown};
-use use3d_survey::{ReadError, RotationFault, check_rotation, first_bytes, read_at_most};
+use use3d_survey::{ReadError, RotationFault, check_rotation, first_bytes, read_at_most, text, unread};
 
 use crate::registration::{RegisteredShot, Registration, ShareLens};
 
@@ -22,6 +22,11 @@ const NEWEST: f64 = 4.0;
 const FILM: f64 = 36.0;
 /// A rotation may be off orthonormal by this.
 const ORTHONORMAL: f64 = 1e-4;
+
+/// The values that are read, and others that change nothing here.
+const KNOWN: &str = "Version Rotation Position Coordinates ComponentId FocalLength35mm Skew AspectRatio PrincipalPointU \
+    PrincipalPointV DistortionModel DistortionCoeficients PosePrior CalibrationPrior CalibrationGroup \
+    DistortionGroup LensGroup Rig RigInstance RigPoseIndex InTexturing InColoring InMeshing";
 
 /// The bytes of an XMP file.
 #[derive(Clone, Debug)]
@@ -63,6 +68,14 @@ impl Description<'_> {
         let attribute = self.node.attribute((NAMESPACE, name));
         let element = || self.node.children().find(|n| n.has_tag_name((NAMESPACE, name)))?.text();
         attribute.or_else(element).map(str::trim).filter(|text| !text.is_empty())
+    }
+
+    /// The names of all values.
+    fn names(&self) -> impl Iterator<Item = &str> {
+        let attributes =
+            self.node.attributes().filter(|a| a.namespace() == Some(NAMESPACE)).map(|a| a.name());
+        let elements = self.node.children().map(|n| n.tag_name());
+        attributes.chain(elements.filter(|name| name.namespace() == Some(NAMESPACE)).map(|name| name.name()))
     }
 
     /// Exactly `N` numbers; `None` if the value is not there.
@@ -153,12 +166,11 @@ impl Description<'_> {
 pub fn parse_sidecars(sidecars: &[Sidecar], folder: &Path) -> Result<Registration> {
     let mut components: BTreeMap<String, Vec<RegisteredShot>> = BTreeMap::new();
     let (mut without, mut frames) = (0usize, BTreeMap::<String, usize>::new());
+    let mut fields: BTreeSet<String> = BTreeSet::new();
     for Sidecar { name, path, bytes } in sidecars {
-        let text = std::str::from_utf8(bytes).map_err(|e| {
-            let place = format!("byte {}", e.valid_up_to());
-            ReadError::broken(path, place, "it is not UTF-8 text; export the XMP files again")
-        })?;
-        let document = Document::parse(text.trim_start_matches('\u{feff}')).map_err(|e| {
+        let text =
+            text(bytes).map_err(|(line, reason)| ReadError::broken(path, format!("line {line}"), reason))?;
+        let document = Document::parse(text).map_err(|e| {
             let reason = format!("it is damaged or cut short ({e}); export the XMP files again");
             ReadError::broken(path, "XML", reason)
         })?;
@@ -172,6 +184,7 @@ pub fn parse_sidecars(sidecars: &[Sidecar], folder: &Path) -> Result<Registratio
             continue;
         };
         let description = Description { node, path };
+        fields.extend(description.names().map(String::from));
         let version = description.number("Version", 1.0)?;
         if version > NEWEST {
             let reason = format!(
@@ -214,6 +227,7 @@ pub fn parse_sidecars(sidecars: &[Sidecar], folder: &Path) -> Result<Registratio
         return Err(ReadError::broken(folder, "xcr:Position", reason));
     };
     let (mut used_shots, mut notes) = (Vec::new(), Vec::new());
+    notes.extend(unread("the XMP files", fields.iter().map(String::as_str), KNOWN));
     if without > 0 {
         notes.push(format!("{without} XMP files have no pose: their photographs are not aligned"));
     }

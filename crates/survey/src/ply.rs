@@ -15,11 +15,11 @@ const MOST: u64 = 50_000_000;
 /// Number of points for which memory is reserved before any has arrived.
 const ROWS: u64 = 1 << 14;
 
-/// Reads the points of a PLY file; ids count from 1, tracks are empty, errors unknown. `path` is for
-/// messages.
+/// Reads the points of a PLY file; ids count from 1, tracks are empty, errors unknown. Coordinates may be
+/// NaN. `path` is for messages.
 ///
 /// # Errors
-/// A file without points, cut short, or with coordinates that are not finite.
+/// A file without points, or cut short.
 pub fn points(bytes: &[u8], path: &Path) -> Result<Vec<SurveyPoint>, ReadError> {
     let wrong = |place: String, reason: String| ReadError::broken(path, place, reason);
     let broken = |error: PlyError| wrong("points".into(), format!("{error}; export the points again as PLY"));
@@ -43,10 +43,6 @@ pub fn points(bytes: &[u8], path: &Path) -> Result<Vec<SurveyPoint>, ReadError> 
     for index in 0..count {
         vertices.next(|i, value| values[i] = value).map_err(broken)?;
         let position = [values[x], values[y], values[z]];
-        if !position.iter().all(|v| v.is_finite()) {
-            let reason = format!("it lies at {position:?}; expected numbers");
-            return Err(wrong(format!("vertex {index}"), reason));
-        }
         let color = colors.map(|found| match found {
             Some((at, full)) => (values[at] / full * 255.0 + 0.5).clamp(0.0, 255.0) as u8,
             None => 128,
@@ -54,6 +50,33 @@ pub fn points(bytes: &[u8], path: &Path) -> Result<Vec<SurveyPoint>, ReadError> 
         out.push(SurveyPoint { id: index + 1, position, color, error: -1.0, track: Vec::new() });
     }
     Ok(out)
+}
+
+/// A sentence on points far from zero whose numbers have too large steps, as those with 32 bits have; `None`
+/// if the steps are small against the distances of neighbours. `file` is for the sentence.
+///
+/// By axis, the step is the smallest difference of two coordinates, and neighbours of `n` points on a surface
+/// of width `w` (that of the middle nine tenths) are `w / √n` apart. Points are far beyond `100 w`.
+pub fn coarse(points: &[SurveyPoint], file: &Path) -> Option<String> {
+    const FAR: f64 = 100.0;
+    const STEP: f64 = 0.05;
+    let axis = |i: usize| {
+        let mut values: Vec<f64> = points.iter().map(|p| p.position[i]).filter(|v| v.is_finite()).collect();
+        values.sort_unstable_by(f64::total_cmp);
+        let at = |share: f64| values.get((share * values.len() as f64) as usize).copied();
+        let (low, middle, high) = (at(0.05)?, at(0.5)?, at(0.95)?);
+        let step =
+            values.windows(2).map(|pair| pair[1] - pair[0]).filter(|gap| *gap > 0.0).reduce(f64::min)?;
+        let apart = (high - low) / (values.len() as f64).sqrt();
+        (middle.abs() > FAR * (high - low) && step > STEP * apart).then_some((middle, step, apart))
+    };
+    let (at, step, apart) = (0..3).filter_map(axis).max_by(|a, b| (a.1 / a.2).total_cmp(&(b.1 / b.2)))?;
+    let name = file.file_name().unwrap_or(file.as_os_str()).to_string_lossy();
+    Some(format!(
+        "the points of {} lie near {at:.0}, where their numbers have steps of {step:.2e}, and neighbours are {apart:.2e} \
+         apart, so that they are moved by up to half a step: export them in local coordinates, or as numbers of 64 bits",
+        use3d_capture::shown(&name)
+    ))
 }
 
 /// An ascii PLY file of points, with 17 significant digits, so that positions read back to the same bits.
@@ -140,8 +163,27 @@ mod tests {
         }
         let huge = header("binary_little_endian", u64::MAX, "");
         assert!(points(&huge).unwrap_err().to_string().contains("dense cloud"));
-        let bad = b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n1 nan 2\n";
-        assert!(points(bad).unwrap_err().to_string().contains("vertex 0"));
+    }
+
+    #[test]
+    fn points_far_from_zero_with_few_bits_are_named() {
+        let point = |i: u64| {
+            let at = [i % 40, i / 40, (7 * i) % 40].map(|v| 0.1 * v as f64 + 0.001 * (i % 17) as f64);
+            SurveyPoint { id: i, position: at, color: [0; 3], error: -1.0, track: Vec::new() }
+        };
+        let near: Vec<SurveyPoint> = (0..1600).map(point).collect();
+        let at = |far: f64, single: bool| {
+            let mut moved = near.clone();
+            for p in &mut moved {
+                p.position[0] += far;
+                p.position[0] = if single { f64::from(p.position[0] as f32) } else { p.position[0] };
+            }
+            coarse(&moved, Path::new("dive/tie.ply"))
+        };
+        assert_eq!((at(0.0, true), at(100.0, true), at(1e6, false)), (None, None, None));
+        let said = at(1e6, true).unwrap();
+        assert!(said.starts_with("the points of tie.ply lie near 1000002"), "{said}");
+        assert_eq!(coarse(&[], Path::new("a")), None);
     }
 
     #[test]

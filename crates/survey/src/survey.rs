@@ -126,9 +126,38 @@ pub struct Survey {
     pub world: Option<World>,
     /// Sentences for the report: images without a pose, parts that were left out, and the like.
     pub notes: Vec<String>,
+    /// Sentences on faults that cost something and stop nothing, each with its next step.
+    pub faults: Vec<String>,
+}
+
+/// Leaves out the points whose position is not finite, and returns a sentence on them. Their keypoints have
+/// no point afterwards.
+pub fn leave_out_points(points: &mut Vec<SurveyPoint>, images: &mut [PosedImage]) -> Option<String> {
+    let is_none = |point: &SurveyPoint| !point.position.iter().all(|v| v.is_finite());
+    let none: BTreeSet<u64> = points.iter().filter(|p| is_none(p)).map(|p| p.id).collect();
+    let first = none.first()?;
+    points.retain(|point| !is_none(point));
+    for keypoint in images.iter_mut().flat_map(|image| &mut image.keypoints) {
+        if none.contains(&keypoint.point) {
+            keypoint.point = Keypoint::NONE;
+        }
+    }
+    let count = match none.len() {
+        1 => "1 point of the model is".to_string(),
+        several => format!("{several} points of the model are"),
+    };
+    Some(format!(
+        "{count} left out, because a position is no number (point {first}); export the model again if you miss points"
+    ))
 }
 
 impl Survey {
+    /// Takes these points, without those that have no position.
+    pub fn take_points(&mut self, mut points: Vec<SurveyPoint>) {
+        self.faults.extend(leave_out_points(&mut points, &mut self.images));
+        self.points = points;
+    }
+
     /// The camera of an id.
     pub fn camera(&self, id: u32) -> Option<&SurveyCamera> {
         self.cameras.iter().find(|c| c.id == id)

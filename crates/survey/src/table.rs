@@ -5,6 +5,8 @@
 
 use csv::{ReaderBuilder, StringRecord, Trim};
 
+use crate::text::text;
+
 /// A table.
 #[derive(Clone, Debug, Default)]
 pub struct TextTable {
@@ -30,14 +32,7 @@ impl TextTable {
     /// # Errors
     /// The number of a line that is not UTF-8 or not CSV, and the reason.
     pub fn parse(bytes: &[u8], comment: &str) -> Result<Self, (usize, String)> {
-        let text = std::str::from_utf8(bytes).map_err(|e| {
-            let before = &bytes[..e.valid_up_to()];
-            (
-                1 + before.iter().filter(|b| **b == b'\n').count(),
-                "it is not UTF-8 text; save it as UTF-8".into(),
-            )
-        })?;
-        let mut rest = text.trim_start_matches('\u{feff}');
+        let mut rest = text(bytes)?;
         let mut first_line = 1;
         let header = loop {
             let (line, after) = rest.split_once('\n').unwrap_or((rest, ""));
