@@ -50,7 +50,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ),
     // It reads a table of times with the reader of tables in `survey`.
     ("prepare", &["capture", "files", "numerics", "io-image", "survey", "io-colmap"]),
-    ("check", &["capture", "numerics", "io-image", "import"]),
+    ("check", &["capture", "numerics", "io-image", "survey", "import"]),
     ("metrics", &["capture", "numerics"]),
     ("nets", &["capture", "numerics"]),
     // It writes faulty captures in the form of `transforms.json` too.

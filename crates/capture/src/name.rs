@@ -185,8 +185,8 @@ pub fn flat_stem(name: &str) -> String {
     stem(name).replace('/', "_")
 }
 
-/// The photograph, with or without its extension, that a file masks by its name: `a_mask.png` and `a.mask.png`
-/// mask `a`, and `a.jpg.mask.png` masks `a.jpg`.
+/// The photograph, with or without its extension, that a file masks by its name: `a_mask.png` and
+/// `a.mask.png` mask `a`, and `a.jpg.mask.png` masks `a.jpg`.
 pub fn masked(name: &str) -> Option<&str> {
     let stem = stem(name);
     let (photograph, mark) = stem.split_at_checked(stem.len().checked_sub(5)?)?;

@@ -26,6 +26,7 @@ use serde::Serialize;
 use use3d_capture::{Image, Pose};
 use use3d_import::Imported;
 use use3d_io_image::{ImageError, read_image, shrunk};
+use use3d_numerics::math;
 use use3d_survey::{PosedImage, Survey, rank_correlation};
 
 use crate::depth::{DepthAgreement, depth_maps};
@@ -36,11 +37,11 @@ const FEWEST: usize = 30;
 const MOST: usize = 1500;
 /// The longer side of the pictures in which details are compared, pixels.
 const SIDE: usize = 640;
-/// Pixels on each side of a point that its brightness is compared with.
+/// PixelsRead on each side of a point that its brightness is compared with.
 const AROUND: usize = 10;
 /// A point this share of a side outside of a picture still counts as in view.
 const MARGIN: f64 = 0.05;
-/// Pixels and views that a run reads before its first stage, at most.
+/// PixelsRead and views that a run reads before its first stage, at most.
 const PIXELS: usize = 60_000_000;
 const VIEWS: usize = 24;
 
@@ -60,7 +61,7 @@ pub struct ViewAgreement {
 
 /// The agreement of a model with its tracks and photographs.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Agreement {
+pub struct ModelAgreement {
     /// The views, in the order of the capture.
     pub views: Vec<ViewAgreement>,
     /// True if the model says which view saw which point.
@@ -84,7 +85,7 @@ pub struct Agreement {
 
 /// The views whose photographs are read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Pixels {
+pub enum PixelsRead {
     /// None: the model alone is tested.
     None,
     /// As many as can be read in seconds, evenly chosen.
@@ -107,7 +108,7 @@ struct Sight {
 ///
 /// # Errors
 /// A photograph that cannot be read.
-pub fn agreement(imported: &Imported, pixels: Pixels) -> Result<Agreement, ImageError> {
+pub fn agreement(imported: &Imported, pixels: PixelsRead) -> Result<ModelAgreement, ImageError> {
     let survey = &imported.model;
     let images: BTreeMap<u32, &PosedImage> = survey.images.iter().map(|image| (image.id, image)).collect();
     let mut of_image: BTreeMap<u32, Vec<Sight>> = BTreeMap::new();
@@ -121,8 +122,8 @@ pub fn agreement(imported: &Imported, pixels: Pixels) -> Result<Agreement, Image
     }
     let tracked = !of_image.is_empty();
     let views = &imported.capture.views;
-    let projections: Vec<Projection<'_>> =
-        views.iter().map(|view| Projection::of(survey, images.get(&view.id).copied())).collect();
+    let projections: Vec<ViewProjection<'_>> =
+        views.iter().map(|view| ViewProjection::of(survey, images.get(&view.id).copied())).collect();
     // Without tracks, points are looked for where the model puts them.
     let sights: Vec<Vec<Sight>> = views
         .iter()
@@ -133,14 +134,14 @@ pub fn agreement(imported: &Imported, pixels: Pixels) -> Result<Agreement, Image
         })
         .collect();
 
-    let mut found = Agreement {
+    let mut found = ModelAgreement {
         views: views
             .iter()
             .map(|view| ViewAgreement { name: view.name.to_string(), ..ViewAgreement::default() })
             .collect(),
         tracked,
         in_view: share_in_view(survey, &projections),
-        ..Agreement::default()
+        ..ModelAgreement::default()
     };
     (found.coverage, found.angle) = coverage(imported, &sights);
     if found.in_view < 0.5 {
@@ -150,15 +151,15 @@ pub fn agreement(imported: &Imported, pixels: Pixels) -> Result<Agreement, Image
     if tracked {
         found.errors(survey, &sights, &projections);
     }
-    if pixels != Pixels::None {
+    if pixels != PixelsRead::None {
         let large =
             views.first().map_or(1, |v| (v.camera.intrinsics.width * v.camera.intrinsics.height).max(1));
         let step = match pixels {
-            Pixels::Few => (views.len() * large).div_ceil(PIXELS).max(views.len().div_ceil(VIEWS)).max(1),
+            PixelsRead::Few => (views.len() * large).div_ceil(PIXELS).max(views.len().div_ceil(VIEWS)).max(1),
             _ => 1,
         };
         let read = |i: usize| -> Result<Option<Shown>, ImageError> {
-            if i % step > 0 || sights[i].len() < FEWEST {
+            if !i.is_multiple_of(step) || sights[i].len() < FEWEST {
                 return Ok(None);
             }
             Ok(Some(shown(&read_image(&views[i].image)?, &sights[i], projections[i].size)))
@@ -170,14 +171,14 @@ pub fn agreement(imported: &Imported, pixels: Pixels) -> Result<Agreement, Image
 }
 
 /// The projection of a view, by its model.
-struct Projection<'a> {
+struct ViewProjection<'a> {
     image: Option<(&'a PosedImage, Pose)>,
     /// Width and height of the model's photograph, pixels.
     size: [f64; 2],
     survey: &'a Survey,
 }
 
-impl<'a> Projection<'a> {
+impl<'a> ViewProjection<'a> {
     fn of(survey: &'a Survey, image: Option<&'a PosedImage>) -> Self {
         let camera = image.and_then(|image| survey.camera(image.camera));
         let size = camera.map_or([0.0; 2], |camera| [camera.width as f64, camera.height as f64]);
@@ -210,7 +211,7 @@ impl<'a> Projection<'a> {
 }
 
 /// The share of points that are in view of any photograph.
-fn share_in_view(survey: &Survey, projections: &[Projection<'_>]) -> f64 {
+fn share_in_view(survey: &Survey, projections: &[ViewProjection<'_>]) -> f64 {
     let step = (survey.points.len() / 5000).max(1);
     let chosen: Vec<[f64; 3]> = survey.points.iter().step_by(step).map(|p| p.position).collect();
     let seen = |p: &[f64; 3]| {
@@ -221,7 +222,7 @@ fn share_in_view(survey: &Survey, projections: &[Projection<'_>]) -> f64 {
 }
 
 /// The meaning of the poses by which half of the points are in view, if theirs is another one.
-fn misreading(survey: &Survey, projections: &[Projection<'_>]) -> Option<&'static str> {
+fn misreading(survey: &Survey, projections: &[ViewProjection<'_>]) -> Option<&'static str> {
     let (flip, upright) = (DMat3::from_cols(DVec3::X, DVec3::NEG_Y, DVec3::NEG_Z), UPRIGHT);
     let (one, both) = (DMat3::IDENTITY, flip * upright);
     let backward = "if the poses led from the world to the camera";
@@ -244,7 +245,7 @@ fn misreading(survey: &Survey, projections: &[Projection<'_>]) -> Option<&'stati
         };
         let moved = projections
             .iter()
-            .map(|p| Projection { image: p.image.map(|(i, pose)| (i, reading(pose))), ..*p });
+            .map(|p| ViewProjection { image: p.image.map(|(i, pose)| (i, reading(pose))), ..*p });
         share_in_view(survey, &moved.collect::<Vec<_>>())
     };
     let shares = readings.map(|reading| (reading.0, seen(&reading)));
@@ -280,7 +281,7 @@ fn coverage(imported: &Imported, sights: &[Vec<Sight>]) -> (f64, f64) {
     (thrice as f64 / views_of.len().max(1) as f64, angles.get(angles.len() / 2).copied().unwrap_or(0.0))
 }
 
-impl Agreement {
+impl ModelAgreement {
     fn likeness(&mut self, all: &[Option<Shown>], points: usize) {
         let mut sums = vec![(0.0, 0usize); points];
         for (point, detail) in all.iter().flatten().flatten() {
@@ -302,13 +303,13 @@ impl Agreement {
         }
     }
 
-    fn errors(&mut self, survey: &Survey, sights: &[Vec<Sight>], projections: &[Projection<'_>]) {
+    fn errors(&mut self, survey: &Survey, sights: &[Vec<Sight>], projections: &[ViewProjection<'_>]) {
         let mut of_point = vec![(0.0, 0usize); survey.points.len()];
         for ((view, sights), projection) in self.views.iter_mut().zip(sights).zip(projections) {
             let (mut errors, mut inside) = (Vec::with_capacity(sights.len()), 0usize);
             for sight in sights {
                 let at = projection.pixel(survey.points[sight.point].position);
-                let error = at.map_or(f64::INFINITY, |[x, y]| (x - sight.at[0]).hypot(y - sight.at[1]));
+                let error = at.map_or(f64::INFINITY, |[x, y]| math::hypot(x - sight.at[0], y - sight.at[1]));
                 inside += usize::from(at.is_some_and(|at| projection.is_inside(at, MARGIN)));
                 errors.push(error);
                 if error.is_finite() {

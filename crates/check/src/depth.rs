@@ -12,13 +12,12 @@ use serde::Serialize;
 use use3d_import::{DepthSight, Imported, depth_sights};
 use use3d_io_image::read_map;
 
-use crate::agreement::Pixels;
-use crate::report::{Finding, Severity};
+use crate::agreement::PixelsRead;
 
 /// The most views whose maps are compared with each other, before a run and in a check.
 const VIEWS: [usize; 2] = [12, 60];
 /// A map with fewer steps between near and far is coarse.
-const STEPS: usize = 32;
+pub(crate) const STEPS: usize = 32;
 /// The correlation above which a map does not show the distances of its view.
 const UNLIKE: f64 = -0.3;
 /// A map fits much worse than another one if its distance from −1 is more than this many times the other's,
@@ -38,14 +37,30 @@ pub struct DepthAgreement {
     pub best: Option<f64>,
 }
 
+/// A map's number of values, and its correlation with the points of each view.
+type Steps = (usize, Vec<Option<f64>>);
+
+impl DepthAgreement {
+    /// True if the map is that of another view.
+    pub(crate) fn is_other(&self) -> bool {
+        let Some((own, best)) = self.correlation.zip(self.best) else { return false };
+        own > UNLIKE || 1.0 + own > WORSE.0 * (1.0 + best) + WORSE.1
+    }
+
+    /// True if the map has few steps between near and far.
+    pub(crate) fn is_coarse(&self) -> bool {
+        self.steps < STEPS
+    }
+}
+
 /// The depth maps of a capture's views, evenly chosen.
-pub(crate) fn depth_maps(imported: &Imported, pixels: Pixels) -> Vec<DepthAgreement> {
+pub(crate) fn depth_maps(imported: &Imported, pixels: PixelsRead) -> Vec<DepthAgreement> {
     let with = imported.capture.views.iter().filter(|view| view.depth_prior.is_some());
     let with: Vec<_> = with.collect();
     let most = match pixels {
-        Pixels::None => return Vec::new(),
-        Pixels::Few => VIEWS[0],
-        Pixels::All => VIEWS[1],
+        PixelsRead::None => return Vec::new(),
+        PixelsRead::Few => VIEWS[0],
+        PixelsRead::All => VIEWS[1],
     };
     if with.is_empty() {
         return Vec::new();
@@ -65,47 +80,10 @@ pub(crate) fn depth_maps(imported: &Imported, pixels: Pixels) -> Vec<DepthAgreem
     };
     let maps: Vec<_> =
         chosen.par_iter().map(|view| view.depth_prior.as_ref().and_then(correlations)).collect();
-    let view = |(i, own): (usize, &Option<(usize, Vec<Option<f64>>)>)| {
+    let view = |(i, own): (usize, &Option<Steps>)| {
         let (steps, row) = own.as_ref()?;
         let best = maps.iter().flatten().filter_map(|(_, row)| row[i]).reduce(f64::min);
         Some(DepthAgreement { name: chosen[i].name.to_string(), steps: *steps, correlation: row[i], best })
     };
     maps.iter().enumerate().filter_map(view).collect()
-}
-
-/// The findings on depth maps.
-pub(crate) fn findings(maps: &[DepthAgreement]) -> Vec<Finding> {
-    let list = |those: &dyn Fn(&DepthAgreement) -> bool| -> Vec<String> {
-        maps.iter().filter(|map| those(map)).map(|map| map.name.clone()).collect()
-    };
-    let mut found = Vec::new();
-    let mut add = |severity, text: String, remedy: &str, views| {
-        found.push(Finding { severity, subject: "depth", text, remedy: remedy.into(), views });
-    };
-    let is_other = |map: &DepthAgreement| {
-        let Some((own, best)) = map.correlation.zip(map.best) else { return false };
-        own > UNLIKE || 1.0 + own > WORSE.0 * (1.0 + best) + WORSE.1
-    };
-    let others = list(&is_other);
-    if !others.is_empty() {
-        let text = format!(
-            "The depth maps of {} of {} views do not show the distances of their points: they belong to other photographs.",
-            others.len(),
-            maps.len()
-        );
-        let remedy =
-            "give each map the name of its photograph, write them again, or remove the folder of depth maps";
-        add(Severity::Serious, text, remedy, others);
-    }
-    let coarse = list(&|map| map.steps < STEPS);
-    if !coarse.is_empty() {
-        let text = format!(
-            "The depth maps of {} of {} views have fewer than {STEPS} steps.",
-            coarse.len(),
-            maps.len()
-        );
-        let remedy = "write them with 16 bits, from the whole range of the network that made them";
-        add(Severity::Minor, text, remedy, coarse);
-    }
-    found
 }

@@ -3,8 +3,8 @@
 use use3d_capture::{Reach, Side, shown};
 use use3d_import::ImportReport;
 
-use crate::agreement::{Agreement, ViewAgreement};
-use crate::depth;
+use crate::agreement::{ModelAgreement, ViewAgreement};
+use crate::depth::{DepthAgreement, STEPS};
 use crate::measure::{Figures, ViewFigures};
 use crate::report::{CheckReport, Finding, Severity};
 
@@ -87,7 +87,7 @@ pub fn examine(
     rules.water(&figures, water);
     rules.extras(import, &figures, metres);
     if let Some(agreement) = &figures.agreement {
-        rules.found.extend(depth::findings(&agreement.depth));
+        rules.depth_maps(&agreement.depth);
     }
     for text in &import.faults {
         rules.minor("import", sentence(text), "");
@@ -222,7 +222,7 @@ impl Rules {
     }
 
     /// The overlap of the photographs.
-    fn coverage(&mut self, agreement: &Agreement) {
+    fn coverage(&mut self, agreement: &ModelAgreement) {
         let remedy =
             "take photographs that overlap by 70 % or more, so that each place is in three of them at least";
         if self.views <= 3 {
@@ -355,7 +355,7 @@ impl Rules {
     }
 
     /// The model against its tracks, and the photographs against the model.
-    fn agreement(&mut self, import: &ImportReport, agreement: &Agreement) {
+    fn agreement(&mut self, import: &ImportReport, agreement: &ModelAgreement) {
         if agreement.in_view < IN_VIEW {
             let text = format!(
                 "Only {:.0} % of the points lie in any photograph: the points and the cameras of {} do not belong \
@@ -402,8 +402,32 @@ impl Rules {
         }
     }
 
+    /// The depth maps against the points of their views.
+    fn depth_maps(&mut self, maps: &[DepthAgreement]) {
+        let list = |those: fn(&DepthAgreement) -> bool| -> Vec<String> {
+            maps.iter().filter(|map| those(map)).map(|map| map.name.clone()).collect()
+        };
+        let (others, all) = (list(DepthAgreement::is_other), maps.len());
+        if !others.is_empty() {
+            let text = format!(
+                "The depth maps of {} of {all} views do not show the distances of their points: they belong to other \
+                 photographs.",
+                others.len()
+            );
+            let remedy = "give each map the name of its photograph, write them again, or remove the folder of depth maps";
+            self.add(Severity::Serious, "depth", text, remedy, others);
+        }
+        let coarse = list(DepthAgreement::is_coarse);
+        if !coarse.is_empty() {
+            let text =
+                format!("The depth maps of {} of {all} views have fewer than {STEPS} steps.", coarse.len());
+            let remedy = "write them with 16 bits, from the whole range of the network that made them";
+            self.add(Severity::Minor, "depth", text, remedy, coarse);
+        }
+    }
+
     /// The error of the sightings, and the cameras that cause it.
-    fn error(&mut self, error: f64, agreement: &Agreement) {
+    fn error(&mut self, error: f64, agreement: &ModelAgreement) {
         let text = format!(
             "Points land {error:.2} pixels beside their place on average (measured reprojection error)"
         );
@@ -413,7 +437,7 @@ impl Rules {
                 "{text}. The model's file says {stated:.2}: cameras or points were changed after they were found."
             );
             let remedy = "take the model as its program wrote it, or let that program adjust it again";
-            let grave = error > 2.0 * stated + 0.5;
+            let grave = error > 1.5 * stated + CHANGED.1;
             self.add(serious_if(grave), "error", text, remedy, Vec::new());
         } else if error > ERROR.0 {
             let text = format!("{text}: the lens model fits badly.");

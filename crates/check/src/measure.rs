@@ -13,7 +13,7 @@ use use3d_capture::{Capture, Image, Intrinsics, Map, Reach, Track, View, reaches
 use use3d_io_image::shrunk;
 use use3d_numerics::math;
 
-use crate::agreement::Agreement;
+use crate::agreement::ModelAgreement;
 
 /// The longer side of the pictures in which sharpness is measured, pixels.
 const SIDE: usize = 640;
@@ -61,7 +61,7 @@ pub struct Figures {
     /// Mean number of views that see a point.
     pub track_length: f64,
     /// The agreement of the model with its tracks and photographs; `None` if it was not tested.
-    pub agreement: Option<Agreement>,
+    pub agreement: Option<ModelAgreement>,
     /// The share of points whose farthest view is at least 1.25 times as far away as its nearest.
     pub seen_from_distances: f64,
     /// The distances of points from the views that see them: 5th, 50th and 95th percentile, units of the
@@ -77,8 +77,8 @@ pub struct Figures {
     pub reach: Vec<Reach>,
 }
 
-/// Measures a capture, without its agreement. `load` gives the pixels of a view at the size of its camera; without it, the figures
-/// of pixels are left out.
+/// Measures a capture, without its agreement. `load` gives the pixels of a view at the size of its camera;
+/// without it, the figures of pixels are left out.
 ///
 /// # Errors
 /// The errors of `load`.

@@ -7,7 +7,7 @@ use std::path::Path;
 use std::sync::OnceLock;
 
 use tempfile::TempDir;
-use use3d_check::{Finding, Pixels, Severity, agreement, examine, measure};
+use use3d_check::{Finding, PixelsRead, Severity, agreement, examine, measure};
 use use3d_import::{ImportParams, ImportReport, import};
 use use3d_synth::ChosenFault;
 
@@ -52,7 +52,7 @@ fn tried(fault: &str) -> Result<(ImportReport, Vec<Finding>), String> {
 fn examined(capture: &Path) -> Result<(ImportReport, Vec<Finding>), String> {
     let imported = import(capture, &ImportParams::default()).map_err(|e| e.to_string())?;
     let Ok(mut figures) = measure::<Infallible>(&imported.capture, &imported.tracks(), None);
-    figures.agreement = Some(agreement(&imported, Pixels::All).map_err(|e| e.to_string())?);
+    figures.agreement = Some(agreement(&imported, PixelsRead::All).map_err(|e| e.to_string())?);
     let findings = examine(&imported.report, figures, None, None).findings;
     Ok((imported.report, findings))
 }

@@ -60,7 +60,7 @@ impl Photographs {
         Self { by_stem }
     }
 
-    /// The photograph that fits a label best. With `same_folders`, only those in the folders of the label fit.
+    /// The photograph that fits a label best. With `same_folders`, only those in the label's folders fit.
     fn fit(&self, label: &str, same_folders: bool) -> Fit {
         let last = last_part(label);
         let mut stems = vec![folded(last), folded(stem(last))];

@@ -198,9 +198,8 @@ impl Originals {
     }
 
     /// Names, in the image folder, of the images that have no camera: those there now that are none of the
-    /// photographs, their masks or damaged. Hidden files are left out, and so are names that no result can have
-    /// (control characters).
-    /// `capture` is the folder that was imported.
+    /// photographs, their masks or damaged. Hidden files are left out, and so are names that no result can
+    /// have (control characters). `capture` is the folder that was imported.
     ///
     /// # Errors
     /// Fails if the image folder is not there.

@@ -8,6 +8,7 @@
 use std::collections::BTreeSet;
 
 use glam::DVec3;
+use use3d_numerics::math;
 use use3d_survey::{PosedImage, Survey};
 
 /// Distances, in units of `d`, beyond which a camera is far, and stray in any case.
@@ -44,7 +45,7 @@ fn fits(survey: &Survey, image: &PosedImage) -> bool {
             let Some(at) = image.keypoints.get(*keypoint as usize) else { continue };
             let lands = survey.project(image, point.position);
             seen += 1;
-            right += usize::from(lands.is_some_and(|(x, y)| (x - at.x).hypot(y - at.y) < limit));
+            right += usize::from(lands.is_some_and(|(x, y)| math::hypot(x - at.x, y - at.y) < limit));
         }
     }
     seen >= POINTS && 2 * right > seen

@@ -200,9 +200,8 @@ fn a_truncated_image_is_found_by_the_import_under_its_own_name() {
 #[test]
 fn numbers_that_single_precision_cannot_hold_are_refused_by_field() {
     type Change = fn(&mut Model);
-    let cases: [(&str, Change); 5] = [
+    let cases: [(&str, Change); 4] = [
         ("point 7: its position", |m| m.points[0].position[1] = 1e38),
-        ("point 7: its position", |m| m.points[0].position[1] = f64::INFINITY),
         ("image 2 (b.png): its translation", |m| m.images[1].translation[0] = -1e20),
         ("camera 1: its focal length", |m| m.cameras[0].parameters[0] = 1e-300),
         ("camera 1: parameter 0", |m| m.cameras[0].parameters[0] = 1e200),

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use use3d_capture::{FileName, Pixels as Samples};
 use use3d_check::{
-    CheckReport, Figures, Picture, Pixels, WaterSight, agreement, examine, measure, measure_masks, page,
+    CheckReport, Figures, Picture, PixelsRead, WaterSight, agreement, examine, measure, measure_masks, page,
 };
 use use3d_import::{
     ImportError, ImportParams, Imported, capture_name, import, is_prepared, load_mask, load_pixels,
@@ -78,7 +78,7 @@ pub(crate) fn run(app: &App, args: &CheckArgs) -> Done {
                 Ok(figures)
             });
         let figures = figures.and_then(|figures| {
-            Ok(Figures { agreement: Some(agreement(&original, Pixels::All)?), ..figures })
+            Ok(Figures { agreement: Some(agreement(&original, PixelsRead::All)?), ..figures })
         });
         (capture, water, figures)
     })?;
@@ -113,7 +113,7 @@ pub(crate) fn before_run(capture: &Path, params: &ImportParams) -> Vec<String> {
     const MOST: usize = 3;
     let Ok(imported) = import(capture, params) else { return Vec::new() };
     let Ok(mut figures) = measure::<Infallible>(&imported.capture, &imported.tracks(), None);
-    figures.agreement = agreement(&imported, Pixels::Few).ok();
+    figures.agreement = agreement(&imported, PixelsRead::Few).ok();
     let (views, step) = (&imported.capture.views, imported.capture.views.len().div_ceil(FEW_MASKS).max(1));
     let mut load = |view: usize| match view % step {
         0 => Ok::<_, Infallible>(load_mask(&views[view]).ok().flatten()),

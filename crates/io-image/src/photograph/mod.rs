@@ -6,7 +6,7 @@
 //! | same format, size and bit depth | the file takes the original's place in other programs |
 //! | JPEG with quality 95 and 4:4:4 | a second compression must not be seen |
 //! | pixels are not turned, the orientation tag is copied | other programs store points in unturned pixels |
-//! | colours of another space than sRGB are converted to it, and the notes say so | scenes have sRGB colours |
+//! | colours of another space than sRGB are converted to it, with a note | scenes have sRGB colours |
 //! | other values are used as stored, the ICC profile is copied | colours mean the same as in the original |
 //! | grey, palette and CMYK become RGB, and the notes say so | enhanced pixels have colours |
 //! | an ICC profile for grey or CMYK is left out then | it would give wrong colours |
