@@ -165,7 +165,8 @@ fn files_that_cannot_be_read_are_left_out_and_named() {
 #[test]
 fn model_prefix_names_and_names_nfd() {
     let dir = tempfile::tempdir().unwrap();
-    let cases: [(&str, fn(&str) -> String); 4] = [
+    type Rename = fn(&str) -> String;
+    let cases: [(&str, Rename); 4] = [
         ("prefix", |name| format!("images/{name}")),
         ("full-path", |name| format!("Users\\diver\\2026 reef\\{name}")),
         ("extension", |name| name.replace(".png", ".JPG")),

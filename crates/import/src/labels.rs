@@ -204,7 +204,7 @@ mod tests {
     fn fit(files: &[&str], label: &str) -> String {
         let mut by_stem: BTreeMap<String, Vec<String>> = BTreeMap::new();
         for file in files {
-            let key = stem(last_part(file)).to_lowercase();
+            let key = folded(stem(last_part(file)));
             by_stem.entry(key).or_default().push((*file).into());
         }
         match (Photographs { by_stem }).fit(label, false) {
