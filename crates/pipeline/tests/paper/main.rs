@@ -82,7 +82,7 @@ fn the_listed_parameters_are_those_of_the_preset() {
             let name = format!("{}.{}", stage.stage, parameter.name);
             match said.get(&name) {
                 Some(value) => {
-                    assert!(same(value, &parameter.value), "{name}: {value} and {}", parameter.value)
+                    assert!(same(value, &parameter.value), "{name}: {value} and {}", parameter.value);
                 }
                 None => assert_eq!(parameter.value, parameter.default, "{name}"),
             }
