@@ -80,10 +80,9 @@ fn a_scene_is_delivered_when_it_is_finished_whatever_becomes_of_the_others() {
     let batch = Batch::new(count);
     let scenes = batch.scenes();
     let (first, broken) = (&scenes[0], &scenes[count / 2]);
-    let image = std::fs::read_dir(batch.at(broken).join("images")).expect("images").flatten().next();
-    let image = image.expect("an image").path();
-    let good = std::fs::read(&image).expect("an image");
-    std::fs::write(&image, b"no picture").expect("written");
+    let model = batch.at(broken).join("sparse/0/images.bin");
+    let good = std::fs::read(&model).expect("a model");
+    std::fs::write(&model, b"no model").expect("written");
 
     // While others still run, the results of the first one exist. Then the process is killed.
     let mut child = batch
@@ -130,7 +129,7 @@ fn a_scene_is_delivered_when_it_is_finished_whatever_becomes_of_the_others() {
     assert_eq!(batch.summary(&[]).0, Some(1));
     stays("after a run that failed");
 
-    std::fs::write(&image, good).expect("repaired");
+    std::fs::write(&model, good).expect("repaired");
     let (code, done) = batch.summary(&["--keep-going"]);
     assert_eq!(code, Some(0));
     let computed: Vec<&String> = done.keys().filter(|scene| !scene.is_empty()).collect();

@@ -112,6 +112,10 @@ pub fn check_readable(capture: &Path) -> Result<Vec<PathBuf>, ImportError> {
     let Ok(imported) = import(capture, &parameters(capture, None)) else { return Ok(Vec::new()) };
     let views = &imported.capture.views;
     (0..views.len()).try_for_each(|i| imported.view(i).map(|_| ()))?;
+    if let Some((name, reason)) = imported.report.unusable.first_key_value() {
+        let source = std::io::Error::new(std::io::ErrorKind::InvalidData, reason.clone());
+        return Err(ImportError::File { path: capture.join(CLEAN).join(name), source });
+    }
     Ok(sources(&imported))
 }
 
