@@ -9,10 +9,9 @@
 //! * the *likeness* of a view compares it with the other views of its points. The detail of a point in a
 //!   view is the brightness of its pixel less the mean around it, in a picture of about 640 pixels. The
 //!   likeness is the rank correlation (Spearman's ρ) between a view's details and the means of those in the
-//!   other views. It is above 0.9 if a photograph belongs to its pose, and near 0 if another photograph is
-//!   there, or the same one turned. Exposure and water change no order of details. A model without tracks is
-//!   compared at the points' projections, where hidden points lower the likeness to about 0.7.
-//!
+//!   other views. It is above 0.7 if a photograph belongs to its pose, and near 0 if another photograph is
+//!   there, or the same one turned. Exposure and water hardly change the order of details. A model without
+//!   tracks is compared at the points' projections, where hidden points lower the likeness;
 //! * the *coverage* of a capture is the share of its points that at least three views saw, and the *angle* of
 //!   a point is the largest between the rays of two of its views.
 //!
@@ -23,11 +22,11 @@ use std::collections::BTreeMap;
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 use serde::Serialize;
-use use3d_capture::{Image, Pose};
+use use3d_capture::{Image, Pose, View};
 use use3d_import::Imported;
 use use3d_io_image::{ImageError, read_image, shrunk};
 use use3d_numerics::math;
-use use3d_survey::{PosedImage, Survey, rank_correlation};
+use use3d_survey::{PointSight, PosedCamera, PosedImage, Survey, rank_correlation};
 
 use crate::depth::{DepthAgreement, depth_maps};
 
@@ -37,11 +36,11 @@ const FEWEST: usize = 30;
 const MOST: usize = 1500;
 /// The longer side of the pictures in which details are compared, pixels.
 const SIDE: usize = 640;
-/// PixelsRead on each side of a point that its brightness is compared with.
+/// Pixels on each side of a point that its brightness is compared with.
 const AROUND: usize = 10;
 /// A point this share of a side outside of a picture still counts as in view.
 const MARGIN: f64 = 0.05;
-/// PixelsRead and views that a run reads before its first stage, at most.
+/// Pixels and views that a run reads before its first stage, at most.
 const PIXELS: usize = 60_000_000;
 const VIEWS: usize = 24;
 
@@ -59,6 +58,15 @@ pub struct ViewAgreement {
     pub likeness: Option<f64>,
 }
 
+/// The overlap of views.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Coverage {
+    /// The share of points that at least three views saw.
+    pub share: f64,
+    /// The median angle of points, degrees.
+    pub angle: f64,
+}
+
 /// The agreement of a model with its tracks and photographs.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct ModelAgreement {
@@ -70,12 +78,10 @@ pub struct ModelAgreement {
     pub error: Option<f64>,
     /// The error that the model's file states, pixels; `None` if it states none.
     pub stated: Option<f64>,
-    /// The share of points that are in view of at least one photograph.
-    pub in_view: f64,
-    /// The share of points that at least three views saw.
-    pub coverage: f64,
-    /// The median angle of points, degrees.
-    pub angle: f64,
+    /// The share of points that are in view of at least one photograph; `None` without points.
+    pub in_view: Option<f64>,
+    /// The overlap of the views; `None` if they see no point.
+    pub coverage: Option<Coverage>,
     /// The depth maps of views.
     pub depth: Vec<DepthAgreement>,
     /// Another meaning of the poses, by which most points would be in view; `None` if there is none, or if
@@ -86,8 +92,6 @@ pub struct ModelAgreement {
 /// The views whose photographs are read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PixelsRead {
-    /// None: the model alone is tested.
-    None,
     /// As many as can be read in seconds, evenly chosen.
     Few,
     /// All.
@@ -97,13 +101,6 @@ pub enum PixelsRead {
 /// The exchange of axes by which nerfstudio makes z point up: `(x, y, z) → (x, z, −y)`.
 const UPRIGHT: DMat3 = DMat3::from_cols(DVec3::X, DVec3::NEG_Z, DVec3::Y);
 
-/// Where a view saw a point.
-struct Sight {
-    point: usize,
-    /// The pixel in the model's photograph.
-    at: [f64; 2],
-}
-
 /// Tests a capture's model against its tracks and its photographs.
 ///
 /// # Errors
@@ -111,28 +108,16 @@ struct Sight {
 pub fn agreement(imported: &Imported, pixels: PixelsRead) -> Result<ModelAgreement, ImageError> {
     let survey = &imported.model;
     let images: BTreeMap<u32, &PosedImage> = survey.images.iter().map(|image| (image.id, image)).collect();
-    let mut of_image: BTreeMap<u32, Vec<Sight>> = BTreeMap::new();
-    for (point, stored) in survey.points.iter().enumerate() {
-        for (id, keypoint) in &stored.track {
-            let keypoint = images.get(id).and_then(|image| image.keypoints.get(*keypoint as usize));
-            if let Some(k) = keypoint.filter(|k| k.x.is_finite() && k.y.is_finite()) {
-                of_image.entry(*id).or_default().push(Sight { point, at: [k.x, k.y] });
-            }
-        }
-    }
+    let mut of_image = survey.tracked_sights();
     let tracked = !of_image.is_empty();
+    if !tracked {
+        of_image = survey.landing_sights(4 * MOST);
+    }
     let views = &imported.capture.views;
-    let projections: Vec<ViewProjection<'_>> =
-        views.iter().map(|view| ViewProjection::of(survey, images.get(&view.id).copied())).collect();
-    // Without tracks, points are looked for where the model puts them.
-    let sights: Vec<Vec<Sight>> = views
-        .iter()
-        .zip(&projections)
-        .map(|(view, projection)| match tracked {
-            true => of_image.remove(&view.id).unwrap_or_default(),
-            false => projection.all(survey),
-        })
-        .collect();
+    let posed = |view: &View| images.get(&view.id).and_then(|image| survey.posed(image));
+    let cameras: Vec<Option<PosedCamera<'_>>> = views.iter().map(posed).collect();
+    let sights: Vec<Vec<PointSight>> =
+        views.iter().map(|view| of_image.remove(&view.id).unwrap_or_default()).collect();
 
     let mut found = ModelAgreement {
         views: views
@@ -140,89 +125,47 @@ pub fn agreement(imported: &Imported, pixels: PixelsRead) -> Result<ModelAgreeme
             .map(|view| ViewAgreement { name: view.name.to_string(), ..ViewAgreement::default() })
             .collect(),
         tracked,
-        in_view: share_in_view(survey, &projections),
+        in_view: share_in_view(survey, &cameras),
         ..ModelAgreement::default()
     };
-    (found.coverage, found.angle) = coverage(imported, &sights);
-    if found.in_view < 0.5 {
-        found.instead = misreading(survey, &projections);
+    found.coverage = coverage(imported, &sights);
+    if found.in_view.is_some_and(|share| share < 0.5) {
+        found.instead = misreading(survey, &cameras);
     }
     found.depth = depth_maps(imported, pixels);
     if tracked {
-        found.errors(survey, &sights, &projections);
+        found.errors(survey, &sights, &cameras);
     }
-    if pixels != PixelsRead::None {
-        let large =
-            views.first().map_or(1, |v| (v.camera.intrinsics.width * v.camera.intrinsics.height).max(1));
-        let step = match pixels {
-            PixelsRead::Few => (views.len() * large).div_ceil(PIXELS).max(views.len().div_ceil(VIEWS)).max(1),
-            _ => 1,
-        };
-        let read = |i: usize| -> Result<Option<Shown>, ImageError> {
-            if !i.is_multiple_of(step) || sights[i].len() < FEWEST {
-                return Ok(None);
+    let large = cameras.iter().flatten().map(|c| c.camera.width * c.camera.height).max().unwrap_or(1);
+    let step = match pixels {
+        PixelsRead::Few => (views.len() * large).div_ceil(PIXELS).max(views.len().div_ceil(VIEWS)).max(1),
+        PixelsRead::All => 1,
+    };
+    let read = |i: usize| -> Result<Option<Shown>, ImageError> {
+        match &cameras[i] {
+            Some(PosedCamera { camera, .. }) if i.is_multiple_of(step) && sights[i].len() >= FEWEST => {
+                let size = [camera.width as f64, camera.height as f64];
+                Ok(Some(shown(&read_image(&views[i].image)?, &sights[i], size)))
             }
-            Ok(Some(shown(&read_image(&views[i].image)?, &sights[i], projections[i].size)))
-        };
-        let all: Vec<Option<Shown>> = (0..views.len()).into_par_iter().map(read).collect::<Result<_, _>>()?;
-        found.likeness(&all, survey.points.len());
-    }
+            _ => Ok(None),
+        }
+    };
+    let all: Vec<Option<Shown>> = (0..views.len()).into_par_iter().map(read).collect::<Result<_, _>>()?;
+    found.likeness(&all, survey.points.len());
     Ok(found)
 }
 
-/// The projection of a view, by its model.
-struct ViewProjection<'a> {
-    image: Option<(&'a PosedImage, Pose)>,
-    /// Width and height of the model's photograph, pixels.
-    size: [f64; 2],
-    survey: &'a Survey,
-}
-
-impl<'a> ViewProjection<'a> {
-    fn of(survey: &'a Survey, image: Option<&'a PosedImage>) -> Self {
-        let camera = image.and_then(|image| survey.camera(image.camera));
-        let size = camera.map_or([0.0; 2], |camera| [camera.width as f64, camera.height as f64]);
-        Self { image: image.map(|image| (image, image.pose())), size, survey }
-    }
-
-    /// The pixel of a point; `None` behind the camera.
-    fn pixel(&self, position: [f64; 3]) -> Option<[f64; 2]> {
-        let (image, pose) = self.image.as_ref()?;
-        let at = pose.rotation * DVec3::from_array(position) + pose.translation;
-        let lens = &self.survey.camera(image.camera)?.lens;
-        let (x, y) = (at.z > 0.0).then(|| lens.project(at.x / at.z, at.y / at.z))?;
-        (x.is_finite() && y.is_finite()).then_some([x, y])
-    }
-
-    fn is_inside(&self, pixel: [f64; 2], margin: f64) -> bool {
-        (0..2).all(|i| (-margin * self.size[i]..=(1.0 + margin) * self.size[i]).contains(&pixel[i]))
-    }
-
-    /// The points that lie in the picture, evenly chosen.
-    fn all(&self, survey: &Survey) -> Vec<Sight> {
-        let step = (survey.points.len() / (4 * MOST)).max(1);
-        let points = survey.points.iter().enumerate().step_by(step);
-        let inside = points.filter_map(|(point, stored)| {
-            let at = self.pixel(stored.position).filter(|at| self.is_inside(*at, 0.0))?;
-            Some(Sight { point, at })
-        });
-        inside.collect()
-    }
-}
-
-/// The share of points that are in view of any photograph.
-fn share_in_view(survey: &Survey, projections: &[ViewProjection<'_>]) -> f64 {
+/// The share of points that are in view of any photograph; `None` without points.
+fn share_in_view(survey: &Survey, cameras: &[Option<PosedCamera<'_>>]) -> Option<f64> {
     let step = (survey.points.len() / 5000).max(1);
     let chosen: Vec<[f64; 3]> = survey.points.iter().step_by(step).map(|p| p.position).collect();
-    let seen = |p: &[f64; 3]| {
-        projections.iter().any(|view| view.pixel(*p).is_some_and(|at| view.is_inside(at, MARGIN)))
-    };
-    let count = chosen.par_iter().filter(|p| seen(p)).count();
-    count as f64 / chosen.len().max(1) as f64
+    let seen = |p: &&[f64; 3]| cameras.iter().flatten().any(|camera| camera.sees(**p, MARGIN));
+    let count = chosen.par_iter().filter(seen).count();
+    (!chosen.is_empty()).then(|| count as f64 / chosen.len() as f64)
 }
 
 /// The meaning of the poses by which half of the points are in view, if theirs is another one.
-fn misreading(survey: &Survey, projections: &[ViewProjection<'_>]) -> Option<&'static str> {
+fn misreading(survey: &Survey, cameras: &[Option<PosedCamera<'_>>]) -> Option<&'static str> {
     let (flip, upright) = (DMat3::from_cols(DVec3::X, DVec3::NEG_Y, DVec3::NEG_Z), UPRIGHT);
     let (one, both) = (DMat3::IDENTITY, flip * upright);
     let backward = "if the poses led from the world to the camera";
@@ -243,10 +186,8 @@ fn misreading(survey: &Survey, projections: &[ViewProjection<'_>]) -> Option<&'s
             };
             Pose { rotation: *after * rotation * *before, translation: *after * translation }
         };
-        let moved = projections
-            .iter()
-            .map(|p| ViewProjection { image: p.image.map(|(i, pose)| (i, reading(pose))), ..*p });
-        share_in_view(survey, &moved.collect::<Vec<_>>())
+        let moved = cameras.iter().map(|c| c.map(|c| PosedCamera { pose: reading(c.pose), ..c }));
+        share_in_view(survey, &moved.collect::<Vec<_>>()).unwrap_or(0.0)
     };
     let shares = readings.map(|reading| (reading.0, seen(&reading)));
     shares
@@ -256,8 +197,8 @@ fn misreading(survey: &Survey, projections: &[ViewProjection<'_>]) -> Option<&'s
         .map(|(words, _)| words)
 }
 
-/// The share of points that at least three views saw, and the median of their angles, degrees.
-fn coverage(imported: &Imported, sights: &[Vec<Sight>]) -> (f64, f64) {
+/// The overlap of the views; `None` if they see no point.
+fn coverage(imported: &Imported, sights: &[Vec<PointSight>]) -> Option<Coverage> {
     let capture = &imported.capture;
     let mut views_of: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
     for (view, sights) in sights.iter().enumerate() {
@@ -278,7 +219,8 @@ fn coverage(imported: &Imported, sights: &[Vec<Sight>]) -> (f64, f64) {
         angles.push(pairs.fold(0.0, f64::max).to_degrees());
     }
     angles.sort_unstable_by(f64::total_cmp);
-    (thrice as f64 / views_of.len().max(1) as f64, angles.get(angles.len() / 2).copied().unwrap_or(0.0))
+    let angle = *angles.get(angles.len() / 2)?;
+    Some(Coverage { share: thrice as f64 / views_of.len() as f64, angle })
 }
 
 impl ModelAgreement {
@@ -303,14 +245,16 @@ impl ModelAgreement {
         }
     }
 
-    fn errors(&mut self, survey: &Survey, sights: &[Vec<Sight>], projections: &[ViewProjection<'_>]) {
+    fn errors(&mut self, survey: &Survey, sights: &[Vec<PointSight>], cameras: &[Option<PosedCamera<'_>>]) {
         let mut of_point = vec![(0.0, 0usize); survey.points.len()];
-        for ((view, sights), projection) in self.views.iter_mut().zip(sights).zip(projections) {
+        for ((view, sights), camera) in self.views.iter_mut().zip(sights).zip(cameras) {
+            let Some(camera) = camera else { continue };
             let (mut errors, mut inside) = (Vec::with_capacity(sights.len()), 0usize);
             for sight in sights {
-                let at = projection.pixel(survey.points[sight.point].position);
+                let position = survey.points[sight.point].position;
+                let at = camera.pixel(position);
                 let error = at.map_or(f64::INFINITY, |[x, y]| math::hypot(x - sight.at[0], y - sight.at[1]));
-                inside += usize::from(at.is_some_and(|at| projection.is_inside(at, MARGIN)));
+                inside += usize::from(camera.sees(position, MARGIN));
                 errors.push(error);
                 if error.is_finite() {
                     of_point[sight.point].0 += error;
@@ -337,11 +281,11 @@ impl ModelAgreement {
     }
 }
 
-/// What a photograph shows of the points that it saw: the points, and the detail at each.
+/// The points that a photograph saw, with the detail at each.
 type Shown = Vec<(usize, f64)>;
 
 /// Reads a photograph at its sights; `size` is that of the model's photograph, pixels.
-fn shown(image: &Image, sights: &[Sight], size: [f64; 2]) -> Shown {
+fn shown(image: &Image, sights: &[PointSight], size: [f64; 2]) -> Shown {
     let small = shrunk(image, SIDE);
     let (w, h) = (small.width(), small.height());
     let scale = [w as f64 / size[0], h as f64 / size[1]];
@@ -356,7 +300,7 @@ fn shown(image: &Image, sights: &[Sight], size: [f64; 2]) -> Shown {
         }
         luma(sum.map(|s: f64| s / count))
     };
-    let detail = |sight: &Sight| {
+    let detail = |sight: &PointSight| {
         let [x, y] = [0, 1].map(|i| (sight.at[i] * scale[i]).floor());
         let inside = x >= 1.0 && y >= 1.0 && x + 2.0 <= w as f64 && y + 2.0 <= h as f64;
         let (x, y) = (x as usize, y as usize);

@@ -58,7 +58,6 @@ pub(crate) fn depth_maps(imported: &Imported, pixels: PixelsRead) -> Vec<DepthAg
     let with = imported.capture.views.iter().filter(|view| view.depth_prior.is_some());
     let with: Vec<_> = with.collect();
     let most = match pixels {
-        PixelsRead::None => return Vec::new(),
         PixelsRead::Few => VIEWS[0],
         PixelsRead::All => VIEWS[1],
     };

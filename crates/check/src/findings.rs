@@ -3,7 +3,7 @@
 use use3d_capture::{Reach, Side, shown};
 use use3d_import::ImportReport;
 
-use crate::agreement::{ModelAgreement, ViewAgreement};
+use crate::agreement::{Coverage, ModelAgreement, ViewAgreement};
 use crate::depth::{DepthAgreement, STEPS};
 use crate::measure::{Figures, ViewFigures};
 use crate::report::{CheckReport, Finding, Severity};
@@ -228,24 +228,28 @@ impl Rules {
         if self.views <= 3 {
             let text = format!("{} photographs are too few for a scene.", self.views);
             self.add(Severity::Serious, "few", text, remedy, Vec::new());
-        } else if agreement.coverage < COVERED.0 {
+            return;
+        }
+        let Some(Coverage { share, angle }) = agreement.coverage else { return };
+        if share < COVERED.0 {
             let text = format!(
                 "Only {:.0} % of the points are in three photographs or more: new views between the photographs will have \
                  holes.",
-                100.0 * agreement.coverage
+                100.0 * share
             );
-            self.add(serious_if(agreement.coverage < COVERED.1), "few", text, remedy, Vec::new());
-        } else if agreement.angle < ANGLE {
+            self.add(serious_if(share < COVERED.1), "few", text, remedy, Vec::new());
+        } else if angle < ANGLE {
             let text = format!(
-                "The photographs see each point from nearly the same place (under {:.1} degrees), so distances are hardly \
-                 determined.",
-                agreement.angle
+                "The photographs see each point from nearly the same place (under {angle:.1} degrees), so distances are \
+                 hardly determined."
             );
             let remedy = "move the camera sideways between photographs, by a tenth of the distance or more";
             self.add(Severity::Serious, "few", text, remedy, Vec::new());
         } else {
-            let share = 100.0 * agreement.coverage;
-            self.good("few", format!("{share:.0} % of the points are in three photographs or more."));
+            self.good(
+                "few",
+                format!("{:.0} % of the points are in three photographs or more.", 100.0 * share),
+            );
         }
     }
 
@@ -356,11 +360,11 @@ impl Rules {
 
     /// The model against its tracks, and the photographs against the model.
     fn agreement(&mut self, import: &ImportReport, agreement: &ModelAgreement) {
-        if agreement.in_view < IN_VIEW {
+        if let Some(share) = agreement.in_view.filter(|share| *share < IN_VIEW) {
             let text = format!(
                 "Only {:.0} % of the points lie in any photograph: the points and the cameras of {} do not belong \
                  together.",
-                100.0 * agreement.in_view,
+                100.0 * share,
                 shown(&import.model)
             );
             let text = match agreement.instead {

@@ -17,7 +17,7 @@ mod measure;
 mod page;
 mod report;
 
-pub use agreement::{ModelAgreement, PixelsRead, ViewAgreement, agreement};
+pub use agreement::{Coverage, ModelAgreement, PixelsRead, ViewAgreement, agreement};
 pub use depth::DepthAgreement;
 pub use findings::{WaterSight, examine};
 pub use measure::{Figures, ViewFigures, measure, measure_masks};

@@ -7,6 +7,7 @@ use use3d_capture::{FileName, Pose, World};
 
 use crate::lens::Lens;
 use crate::markers::{Marker, ScaleBar};
+use crate::sights::PosedCamera;
 
 /// Points farther from the cameras than this many times the spread of the cameras are not of their scene.
 const FARTHEST: f64 = 1000.0;
@@ -180,12 +181,9 @@ impl Survey {
     }
 
     /// The pixel of an image on which a position, in units of the survey, lands. `None` behind the camera,
-    /// and for an unknown camera.
+    /// where the lens has no pixel for it, and for an unknown camera.
     pub fn project(&self, image: &PosedImage, position: [f64; 3]) -> Option<(f64, f64)> {
-        let pose = image.pose();
-        let at = pose.rotation * DVec3::from_array(position) + pose.translation;
-        let lens = &self.camera(image.camera)?.lens;
-        (at.z > 0.0).then(|| lens.project(at.x / at.z, at.y / at.z))
+        self.posed(image)?.pixel(position).map(Into::into)
     }
 
     /// The number of `positions` that fall onto any image, and are not absurdly far from it: coordinates of
@@ -196,15 +194,9 @@ impl Survey {
         let spread = centres.iter().map(|c| c.distance(mean)).fold(0.0, f64::max);
         let reach = if spread > 0.0 { FARTHEST * spread } else { f64::INFINITY };
         let near = |p: &[f64; 3]| DVec3::from_array(*p).distance(mean) < reach;
-        let on = |image: &PosedImage, p: [f64; 3]| {
-            let Some(camera) = self.camera(image.camera) else { return false };
-            let inside = |(x, y): (f64, f64)| {
-                (0.0..=camera.width as f64).contains(&x) && (0.0..=camera.height as f64).contains(&y)
-            };
-            self.project(image, p).is_some_and(inside)
-        };
+        let cameras: Vec<PosedCamera<'_>> = self.images.iter().filter_map(|i| self.posed(i)).collect();
         let near = positions.iter().filter(|p| near(p));
-        near.filter(|p| self.images.iter().any(|image| on(image, **p))).count()
+        near.filter(|p| cameras.iter().any(|camera| camera.sees(**p, 0.0))).count()
     }
 }
 

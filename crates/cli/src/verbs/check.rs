@@ -3,7 +3,7 @@
 use std::convert::Infallible;
 use std::path::Path;
 
-use use3d_capture::{FileName, Pixels as Samples};
+use use3d_capture::{FileName, Pixels};
 use use3d_check::{
     CheckReport, Figures, Picture, PixelsRead, WaterSight, agreement, examine, measure, measure_masks, page,
 };
@@ -63,10 +63,10 @@ pub(crate) fn run(app: &App, args: &CheckArgs) -> Done {
         let mut load = |view: usize| {
             let pixels = load_pixels(&views[view])?;
             largest = match &pixels {
-                Samples::Sixteen(own) => {
+                Pixels::Sixteen(own) => {
                     largest.map(|most: u16| own.data().iter().fold(most, |m, v| m.max(*v)))
                 }
-                Samples::Eight(_) => None,
+                Pixels::Eight(_) => None,
             };
             Ok(pixels.to_image())
         };
@@ -112,17 +112,18 @@ pub(crate) fn run(app: &App, args: &CheckArgs) -> Done {
 pub(crate) fn before_run(capture: &Path, params: &ImportParams) -> Vec<String> {
     const MOST: usize = 3;
     let Ok(imported) = import(capture, params) else { return Vec::new() };
-    let Ok(mut figures) = measure::<Infallible>(&imported.capture, &imported.tracks(), None);
+    let tracks = imported.tracks();
+    let Ok(mut figures) = measure::<Infallible>(&imported.capture, &tracks, None);
     figures.agreement = agreement(&imported, PixelsRead::Few).ok();
     let (views, step) = (&imported.capture.views, imported.capture.views.len().div_ceil(FEW_MASKS).max(1));
     let mut load = |view: usize| match view % step {
         0 => Ok::<_, Infallible>(load_mask(&views[view]).ok().flatten()),
         _ => Ok(None),
     };
-    let Ok(()) = measure_masks(&mut figures, &imported.tracks(), &mut load);
+    let Ok(()) = measure_masks(&mut figures, &tracks, &mut load);
     let mut lines = examine(&imported.report, figures, None, metres(&imported)).gravest(MOST);
     if !lines.is_empty() {
-        lines.push(format!("`use3d check {}` says more, and looks at the photographs", word(capture)));
+        lines.push(format!("`use3d check {}` says more, and looks at all photographs", word(capture)));
     }
     lines
 }
