@@ -8,14 +8,16 @@ use std::collections::BTreeMap;
 use glam::DVec3;
 use rayon::prelude::*;
 use use3d_capture::{Map, View};
-use use3d_io_image::read_map;
-use use3d_survey::{PosedImage, Survey, rank_correlation};
+use use3d_io_image::{image_info, is_cut_off, read_map};
+use use3d_survey::{PointSight, PosedCamera, PosedImage, Survey, rank_correlation};
 
 use crate::report::some;
 
 /// The fewest places at which a map is compared with points, and the most.
 const FEWEST: usize = 30;
 const MOST: usize = 500;
+/// Maps, evenly chosen, whose values are compared with points.
+const COMPARED: usize = 16;
 /// A median correlation above this is that of distances.
 const DISTANCES: f64 = 0.3;
 
@@ -46,30 +48,17 @@ impl DepthSight {
 
 /// The points that each image saw, by its id, evenly chosen. Without tracks, the points that land in it.
 pub fn depth_sights(survey: &Survey) -> BTreeMap<u32, Vec<DepthSight>> {
-    let tracked = survey.points.iter().any(|point| !point.track.is_empty());
-    let mut seen: BTreeMap<u32, Vec<(usize, [f64; 2])>> = BTreeMap::new();
     let images: BTreeMap<u32, &PosedImage> = survey.images.iter().map(|image| (image.id, image)).collect();
-    if tracked {
-        for (i, point) in survey.points.iter().enumerate() {
-            for (id, keypoint) in &point.track {
-                let keypoint = images.get(id).and_then(|image| image.keypoints.get(*keypoint as usize));
-                seen.entry(*id).or_default().extend(keypoint.map(|k| (i, [k.x, k.y])));
-            }
-        }
-    } else {
-        let step = (survey.points.len() / (4 * MOST)).max(1);
-        for image in &survey.images {
-            let chosen = survey.points.iter().enumerate().step_by(step);
-            let landing = chosen.filter_map(|(i, p)| Some((i, survey.project(image, p.position)?.into())));
-            seen.insert(image.id, landing.collect());
-        }
+    let mut seen = survey.tracked_sights();
+    if seen.is_empty() {
+        seen = survey.landing_sights(4 * MOST);
     }
-    let of_image = |(id, list): (u32, Vec<(usize, [f64; 2])>)| {
-        let (pose, camera) = (images.get(&id)?.pose(), survey.camera(images.get(&id)?.camera)?);
+    let of_image = |(id, list): (u32, Vec<PointSight>)| {
+        let PosedCamera { pose, camera } = survey.posed(images.get(&id)?)?;
         let sides = [camera.width as f64, camera.height as f64];
-        let sight = |(point, pixel): &(usize, [f64; 2])| {
-            let at = [pixel[0] / sides[0], pixel[1] / sides[1]];
-            let position = DVec3::from_array(survey.points[*point].position);
+        let sight = |seen: &PointSight| {
+            let at = [seen.at[0] / sides[0], seen.at[1] / sides[1]];
+            let position = DVec3::from_array(survey.points[seen.point].position);
             let depth = (pose.rotation * position + pose.translation).z;
             (at.iter().all(|s| (0.0..1.0).contains(s)) && depth > 0.0).then_some(DepthSight { at, depth })
         };
@@ -86,12 +75,18 @@ pub(crate) fn leave_out(mut views: Vec<&mut View>, survey: &Survey) -> Vec<Strin
         return Vec::new();
     }
     let sights = depth_sights(survey);
+    let step = views.len().div_ceil(COMPARED);
     // `None` for a file that is no map.
-    let looked = |view: &&mut View| {
-        let map = read_map(view.depth_prior.as_ref()?).ok()?;
+    let looked = |(at, view): (usize, &&mut View)| {
+        let path = view.depth_prior.as_ref()?;
+        if at % step != 0 {
+            let format = image_info(path).ok()?.format;
+            return is_cut_off(path, format).is_ok_and(|cut_off| !cut_off).then_some(None);
+        }
+        let map = read_map(path).ok()?;
         Some(sights.get(&view.id).and_then(|sights| DepthSight::correlation(sights, &map)))
     };
-    let looked: Vec<Option<Option<f64>>> = views.par_iter().map(looked).collect();
+    let looked: Vec<Option<Option<f64>>> = views.par_iter().enumerate().map(looked).collect();
     let mut faults = Vec::new();
     let mut damaged = Vec::new();
     for (view, _) in views.iter_mut().zip(&looked).filter(|(_, looked)| looked.is_none()) {

@@ -15,7 +15,7 @@ use use3d_capture::{
     stem,
 };
 use use3d_io_colmap::fits_single;
-use use3d_io_image::{FileFormat, ImageError, ImageInfo, converted_from, photograph_info};
+use use3d_io_image::{FileFormat, ImageError, PhotographInfo, whole_photograph_info};
 use use3d_survey::{PosedImage, Survey, SurveyPoint, World};
 
 use crate::depth;
@@ -23,7 +23,6 @@ use crate::error::ImportError;
 use crate::folder::{DEPTH_DIRS, MASK_DIRS, SourceFolder, is_prepared};
 use crate::geometry::{Geometry, is_whole_multiple, size_ratio};
 use crate::layout::{FoundModel, find_extra, find_images, find_models};
-use crate::load::info_of_whole;
 use crate::metres;
 use crate::normalise;
 use crate::originals::Originals;
@@ -233,7 +232,7 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
     let metres = |w: &World| format!("1 unit of the model is {:.6} m ({})", w.metres_per_unit, w.source);
     report.notes.extend(model.world.as_ref().map(metres));
 
-    report.notes.extend(pixel_notes(&views));
+    report.notes.extend(pixel_notes(&infos));
     report.exr = infos.iter().filter(|info| info.format == FileFormat::Exr).count();
     let plans = plan(&mut views, &infos, &model, params, &mut report)?;
     let views: Vec<View> = views.into_iter().map(|found| found.view).collect();
@@ -288,8 +287,8 @@ fn leave_out(
     views: &mut Vec<Found>,
     model: &Survey,
     report: &mut ImportReport,
-) -> Result<Vec<ImageInfo>, ImportError> {
-    let mut heads: Vec<_> = views.par_iter().map(|found| info_of_whole(&found.view.image)).collect();
+) -> Result<Vec<PhotographInfo>, ImportError> {
+    let mut heads: Vec<_> = views.par_iter().map(|found| whole_photograph_info(&found.view.image)).collect();
     // A file that the system does not give may be there later.
     if let Some(at) = heads.iter().position(|head| matches!(head, Err(ImageError::Open { .. }))) {
         heads.swap_remove(at)?;
@@ -323,14 +322,13 @@ fn leave_out(
 }
 
 /// The error of a photograph whose sides are exchanged against its camera's.
-fn turned(model: &Survey, camera: u32, path: &Path, info: &ImageInfo) -> Option<ImportError> {
+fn turned(model: &Survey, camera: u32, path: &Path, info: &PhotographInfo) -> Option<ImportError> {
     let camera = model.camera(camera)?;
     let (size, found) = ((camera.width, camera.height), (info.width, info.height));
     if size_ratio(size, found).is_some() || size_ratio((size.1, size.0), found).is_none() {
         return None;
     }
-    let tag = photograph_info(path).is_ok_and(|info| info.orientation > 4);
-    let cause = match tag {
+    let cause = match info.orientation > 4 {
         true => "the model has it as its EXIF data turn it: turn its pixels (`magick mogrify -auto-orient`)",
         false => "it was turned by 90 degrees after the model was made: put the one that is not turned back",
     };
@@ -339,24 +337,16 @@ fn turned(model: &Survey, camera: u32, path: &Path, info: &ImageInfo) -> Option<
 }
 
 /// Says what files state about their pixels: colours that are converted, and turns that are not applied.
-fn pixel_notes(views: &[Found]) -> Vec<String> {
-    let stated: Vec<(Option<String>, bool)> = views
-        .par_iter()
-        .map(|found| {
-            let path = &found.view.image;
-            let turned = photograph_info(path).is_ok_and(|info| info.orientation != 1);
-            (converted_from(path).ok().flatten(), turned)
-        })
-        .collect();
+fn pixel_notes(infos: &[PhotographInfo]) -> Vec<String> {
     let mut spaces: BTreeMap<&str, usize> = BTreeMap::new();
-    for name in stated.iter().filter_map(|(space, _)| space.as_deref()) {
+    for name in infos.iter().filter_map(|info| info.color_space.as_deref()) {
         *spaces.entry(name).or_default() += 1;
     }
     let mut notes: Vec<String> = spaces
         .into_iter()
         .map(|(name, count)| format!("the colours of {count} photographs are converted from {name} to sRGB"))
         .collect();
-    let turned = stated.iter().filter(|(_, turned)| *turned).count();
+    let turned = infos.iter().filter(|info| info.orientation != 1).count();
     if turned > 0 {
         notes.push(format!(
             "EXIF data ask to turn {turned} photographs; they are used as they are stored, as the model needs them"
@@ -411,7 +401,7 @@ const PENDING: Intrinsics = Intrinsics { width: 0, height: 0, fx: 0.0, fy: 0.0, 
 /// Makes one geometry per camera and file size, and sets the views' intrinsics.
 fn plan(
     views: &mut [Found],
-    infos: &[ImageInfo],
+    infos: &[PhotographInfo],
     model: &Survey,
     params: &ImportParams,
     report: &mut ImportReport,

@@ -3,9 +3,7 @@
 use std::path::Path;
 
 use use3d_capture::{Map, Pixels, View};
-use use3d_io_image::{
-    ImageError, ImageInfo, Samples, image_info, is_cut_off, photograph_info, read, read_map, read_pixels,
-};
+use use3d_io_image::{Samples, image_info, photograph_info, read, read_map, read_pixels};
 
 use crate::error::ImportError;
 use crate::resample::Resize;
@@ -36,18 +34,6 @@ pub fn load_mask(view: &View) -> Result<Option<Map>, ImportError> {
         return Ok(mask);
     }
     Ok(times_alpha(mask, read(&view.image)?.alpha()))
-}
-
-/// The properties of a photograph's file that is whole.
-pub(crate) fn info_of_whole(path: &Path) -> Result<ImageInfo, ImageError> {
-    let info = image_info(path)?;
-    match is_cut_off(path, info.format)
-        .map_err(|source| ImageError::Open { path: path.to_path_buf(), source })?
-    {
-        // The decoder names the reason.
-        true => read(path).map(|_| info),
-        false => Ok(info),
-    }
 }
 
 /// The weights of a mask times those of an alpha channel of the same size, where both are there.

@@ -18,12 +18,12 @@ use std::path::{Path, PathBuf};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use use3d_capture::{Camera, FileName, Intrinsics, Pose, View, masked, stem};
+use use3d_io_image::whole_photograph_info;
 use use3d_numerics::math;
 use use3d_survey::Lens;
 
 use crate::error::ImportError;
 use crate::folder::{SourceFolder, may_hold_photographs};
-use crate::load::info_of_whole;
 use crate::rows::{from_row_major, row_major};
 
 const FORMAT: &str = "3d-use originals";
@@ -230,7 +230,7 @@ impl Originals {
                 *first.or_insert_with_key(|first| may_hold_photographs(&folder.path, first))
             });
             let Some(name) = usable.then(|| FileName::new(name).ok()).flatten() else { continue };
-            let usable = |file: &PathBuf| !known.contains(file) && info_of_whole(file).is_ok();
+            let usable = |file: &PathBuf| !known.contains(file) && whole_photograph_info(file).is_ok();
             found.extend(folder.file(&name)?.filter(usable).map(|_| name));
         }
         Ok(found)

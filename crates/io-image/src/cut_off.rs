@@ -15,16 +15,22 @@ const TAIL: u64 = 16 << 10;
 /// # Errors
 /// The file cannot be read.
 pub fn is_cut_off(path: &Path, format: FileFormat) -> std::io::Result<bool> {
+    Ok(!is_marked_at_the_end(&mut File::open(path)?, format)? && crate::read(path).is_err())
+}
+
+/// True if the mark of its end is near the end of a photograph, or its format has none.
+pub(crate) fn is_marked_at_the_end(
+    file: &mut (impl Read + Seek),
+    format: FileFormat,
+) -> std::io::Result<bool> {
     let mark: &[u8] = match format {
         FileFormat::Png => b"IEND",
         FileFormat::Jpeg => b"\xFF\xD9",
-        _ => return Ok(false),
+        _ => return Ok(true),
     };
-    let mut file = File::open(path)?;
-    let length = file.metadata()?.len();
+    let length = file.seek(SeekFrom::End(0))?;
     file.seek(SeekFrom::Start(length.saturating_sub(TAIL)))?;
     let mut tail = Vec::new();
     file.take(TAIL).read_to_end(&mut tail)?;
-    let marked = tail.windows(mark.len()).any(|bytes| bytes == mark);
-    Ok(!marked && crate::read(path).is_err())
+    Ok(tail.windows(mark.len()).any(|bytes| bytes == mark))
 }

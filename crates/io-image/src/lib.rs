@@ -51,9 +51,9 @@ pub use exr_file::{write_exr, write_exr_channels, write_exr_map};
 pub use folder::{FolderError, images_by_stem};
 pub use histogram::ChannelHistogram;
 pub use limits::MAX_PIXELS;
-pub use photograph::{Photograph, PhotographInfo, Rgb, photograph_info};
+pub use photograph::{Photograph, PhotographInfo, Rgb, photograph_info, whole_photograph_info};
 pub use read::{
-    ImageInfo, converted_from, decode, image_info, image_size, info_of_bytes, read, read_image, read_map,
-    read_pixels, read_pixels_with_alpha,
+    ImageInfo, decode, image_info, image_size, info_of_bytes, read, read_image, read_map, read_pixels,
+    read_pixels_with_alpha,
 };
 pub use write::{write_png, write_png_map, write_png_map16, write_png_pixels, write_png8, write_png16};

@@ -5,7 +5,7 @@
 
 use std::borrow::Cow;
 use std::fs::File;
-use std::io::{BufReader, Cursor};
+use std::io::{BufReader, Cursor, Read, Seek};
 use std::path::Path;
 
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
@@ -67,7 +67,11 @@ pub fn info_of_bytes(bytes: &[u8], path: &Path) -> Result<ImageInfo, ImageError>
     info(&mut Cursor::new(bytes), bytes.len() as u64, path)
 }
 
-fn info(mut reader: &mut dyn ByteSource, length: u64, path: &Path) -> Result<ImageInfo, ImageError> {
+pub(crate) fn info(
+    mut reader: &mut dyn ByteSource,
+    length: u64,
+    path: &Path,
+) -> Result<ImageInfo, ImageError> {
     let start = reader.fill_buf().map_err(open_error(path))?;
     if start.is_empty() {
         return Err(ImageError::Empty { path: path.to_path_buf() });
@@ -240,29 +244,26 @@ pub fn decode(bytes: &[u8], path: &Path) -> Result<Decoded, ImageError> {
     Ok(Decoded { width, height, channels, samples })
 }
 
-/// Reads a whole file into samples.
-pub fn read(path: &Path) -> Result<Decoded, ImageError> {
-    // The header is read first: a file that is refused for its size is not read into memory.
-    image_info(path)?;
-    let bytes = std::fs::read(path).map_err(open_error(path))?;
-    decode(&bytes, path)
+/// The bytes of a whole file and its format. The header is read first: a file that is refused for its size
+/// is not read into memory.
+fn bytes_of(path: &Path) -> Result<(Vec<u8>, FileFormat), ImageError> {
+    let file = File::open(path).map_err(open_error(path))?;
+    let length = file.metadata().map_err(open_error(path))?.len();
+    let mut reader = BufReader::new(file);
+    let format = info(&mut reader, length, path)?.format;
+    let mut bytes = Vec::with_capacity(length as usize);
+    reader.rewind().and_then(|()| reader.read_to_end(&mut bytes)).map_err(open_error(path))?;
+    Ok((bytes, format))
 }
 
-/// The name of the colour space from which a photograph is converted to sRGB when it is read, by its header;
-/// `None` if its colours are used as stored.
-///
-/// # Errors
-/// The file cannot be read, or its header is damaged.
-pub fn converted_from(path: &Path) -> Result<Option<String>, ImageError> {
-    let format = image_info(path)?.format;
-    let file = File::open(path).map_err(open_error(path))?;
-    Ok(color_space::name(&mut BufReader::new(file), format))
+/// Reads a whole file into samples.
+pub fn read(path: &Path) -> Result<Decoded, ImageError> {
+    decode(&bytes_of(path)?.0, path)
 }
 
 /// Reads a whole file into samples whose colours are sRGB.
 fn read_colors(path: &Path) -> Result<Decoded, ImageError> {
-    let format = image_info(path)?.format;
-    let bytes = std::fs::read(path).map_err(open_error(path))?;
+    let (bytes, format) = bytes_of(path)?;
     let mut decoded = decode(&bytes, path)?;
     color_space::convert(&bytes, format, &mut decoded);
     Ok(decoded)

@@ -1,18 +1,20 @@
 //! The properties of a photograph that its header gives.
 
 use std::fs::File;
-use std::io::{BufReader, Read, SeekFrom};
+use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
 use tiff::tags::Tag;
 
 use crate::byte_source::ByteSource;
+use crate::color_space;
+use crate::cut_off::is_marked_at_the_end;
 use crate::error::{FileFormat, ImageError};
 use crate::exif::{exif_of_block, exif_of_bytes};
-use crate::read::image_info;
+use crate::read::{ImageInfo, info};
 
 /// The properties of a photograph by its header.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PhotographInfo {
     /// Width, pixels, as stored.
     pub width: usize,
@@ -27,6 +29,9 @@ pub struct PhotographInfo {
     pub orientation: u16,
     /// True if there is an alpha channel.
     pub alpha: bool,
+    /// The name of the colour space from which the colours are converted to sRGB when they are read; `None`
+    /// if they are used as stored.
+    pub color_space: Option<String>,
 }
 
 /// The largest `eXIf` chunk that is read for its orientation.
@@ -73,25 +78,53 @@ fn exr_file(reader: &mut dyn ByteSource) -> exr::error::Result<u8> {
     Ok(if half { 16 } else { 32 })
 }
 
-/// Size, format, bits, orientation and alpha of a photograph, from its header.
+/// Size, format, bits, orientation, alpha and colour space of a photograph, from its header. The file is
+/// opened once.
 ///
 /// # Errors
 /// The file cannot be read, is of no known format, has a header that is damaged or announces an impossible
 /// size, or is an NPY array.
 pub fn photograph_info(path: &Path) -> Result<PhotographInfo, ImageError> {
-    let crate::read::ImageInfo { width, height, format, alpha } = image_info(path)?;
+    of_file(&mut open(path)?, path)
+}
+
+/// Like [`photograph_info`], for a photograph that is used afterwards.
+///
+/// # Errors
+/// Those of [`photograph_info`], and those of [`crate::read`] if the file ends too early.
+pub fn whole_photograph_info(path: &Path) -> Result<PhotographInfo, ImageError> {
+    let mut file = open(path)?;
+    let info = of_file(&mut file, path)?;
+    let opening = |source| ImageError::Open { path: path.to_path_buf(), source };
+    if !is_marked_at_the_end(&mut file, info.format).map_err(opening)? {
+        // Only a file without the mark near its end is decoded; the decoder names the reason.
+        crate::read(path)?;
+    }
+    Ok(info)
+}
+
+fn open(path: &Path) -> Result<BufReader<File>, ImageError> {
+    let file = File::open(path).map_err(|source| ImageError::Open { path: path.to_path_buf(), source })?;
+    Ok(BufReader::new(file))
+}
+
+fn of_file(reader: &mut BufReader<File>, path: &Path) -> Result<PhotographInfo, ImageError> {
     let open = |source| ImageError::Open { path: path.to_path_buf(), source };
-    let mut reader = BufReader::new(File::open(path).map_err(open)?);
+    let length = reader.get_ref().metadata().map_err(open)?.len();
+    let ImageInfo { width, height, format, alpha } = info(reader, length, path)?;
+    reader.rewind().map_err(open)?;
     let (bits, orientation) = match format {
         FileFormat::Jpeg => {
             let mut head = Vec::new();
             reader.take(crate::exif::HEAD).read_to_end(&mut head).map_err(open)?;
             (8, exif_of_bytes(&head).orientation)
         }
-        FileFormat::Png => png(&mut reader).map_err(open)?,
-        FileFormat::Tiff => tiff_file(&mut reader).map_err(|e| ImageError::decode(path, format, e))?,
-        FileFormat::Exr => (exr_file(&mut reader).map_err(|e| ImageError::decode(path, format, e))?, 1),
+        FileFormat::Png => png(reader).map_err(open)?,
+        FileFormat::Tiff => tiff_file(reader).map_err(|e| ImageError::decode(path, format, e))?,
+        FileFormat::Exr => (exr_file(reader).map_err(|e| ImageError::decode(path, format, e))?, 1),
         FileFormat::Npy => return Err(super::no_photograph(path)),
     };
-    Ok(PhotographInfo { width, height, format, bits, orientation, alpha })
+    reader.rewind().map_err(open)?;
+    let color_space = color_space::name(reader, format);
+    Ok(PhotographInfo { width, height, format, bits, orientation, alpha, color_space })
 }
