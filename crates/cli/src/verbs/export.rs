@@ -9,6 +9,8 @@ use std::path::Path;
 use clap::ValueEnum;
 use glam::{DMat3, DVec3};
 use use3d_capture::{Camera, Frame};
+
+use use3d_numerics::math;
 use use3d_pipeline::baked::difference;
 use use3d_pipeline::scene_page::is_held_out;
 use use3d_render::white::balanced;
@@ -72,8 +74,9 @@ pub(crate) fn run(app: &App, args: &ExportArgs) -> Done {
         Some(gains) => balanced(gaussians, gains),
         None => gaussians,
     };
-    let gaussians = similarity::invert(&gaussians, &scene.frame);
-    files(args).try_for_each(|file| write(app, args, &file, (&what, &gaussians), &scene))
+    let (frame, offset) = near(&scene.frame, &gaussians);
+    let gaussians = similarity::invert(&gaussians, &frame);
+    files(args).try_for_each(|file| write(app, args, &file, (&what, &gaussians), (&frame, offset)))
 }
 
 /// A file for other viewers.
@@ -200,16 +203,49 @@ fn cameras(args: &ExportArgs, scene: &Scene) -> Result<(Vec<Camera>, Vec<Camera>
     Ok((through, held_out))
 }
 
+/// A model whose middle is this many times its extent from zero loses positions in single precision.
+const FAR_EXTENTS: f64 = 1000.0;
+/// Errors of positions above these shares of the extent are said, and warned of.
+const COARSE: (f64, f64) = (1e-5, 3e-4);
+
+/// The middle half of the Gaussians: their median in each axis, and twice the widest range.
+fn middle(gaussians: &Gaussians) -> (DVec3, f64) {
+    let mut extent = 0.0f64;
+    let median = [0, 1, 2].map(|axis| {
+        let mut all: Vec<f32> = gaussians.means.iter().map(|mean| mean[axis]).collect();
+        all.sort_unstable_by(f32::total_cmp);
+        let at = |share: usize| all.get(share * all.len() / 4).copied().map_or(0.0, f64::from);
+        extent = extent.max(2.0 * (at(3) - at(1)));
+        at(2)
+    });
+    (DVec3::from_array(median), extent)
+}
+
+/// The frame of a model without a large offset, and that offset in whole units of the model: positions far
+/// from zero do not fit into the numbers of the files. `gaussians` are in the scene's frame.
+fn near(frame: &Frame, gaussians: &Gaussians) -> (Frame, DVec3) {
+    let (median, extent) = middle(gaussians);
+    let (at, extent) = (frame.invert(median), extent / frame.scale);
+    if at.abs().max_element() <= FAR_EXTENTS * extent {
+        return (*frame, DVec3::ZERO);
+    }
+    // Multiples of a power of ten keep the offset short.
+    let unit = (-9..12).map(|power| math::powi(10.0f64, power)).find(|unit| *unit >= extent).unwrap_or(1.0);
+    let offset = (at / unit).round() * unit;
+    let translation = frame.translation + frame.scale * (frame.rotation * offset);
+    (Frame { translation, ..*frame }, offset)
+}
+
 /// Half a turn about x, xyzw: COLMAP's y points down and its z away from the viewer.
 const HALF_TURN: [f32; 4] = [1.0, 0.0, 0.0, 0.0];
 
-/// Writes one file of Gaussians in COLMAP's frame.
+/// Writes one file of Gaussians in COLMAP's frame, which lack `away`; `origin` is their frame.
 fn write(
     app: &App,
     args: &ExportArgs,
     &OutputFile { format, flag, path, .. }: &OutputFile<'_>,
     (what, colmap): (&str, &Gaussians),
-    scene: &Scene,
+    (origin, away): (&Frame, DVec3),
 ) -> Done {
     // glTF gets y up by a rotation of its node, SPZ by its definition.
     let frame = match format {
@@ -217,17 +253,22 @@ fn write(
         Format::Glb => ExportFrame::Colmap,
         Format::Spz => ExportFrame::YUp,
     };
-    let mut offset = None;
+    let y_up = DVec3::new(1.0, -1.0, -1.0);
+    let mut offset = away;
     let turned = match frame {
         ExportFrame::Metric => {
-            let (similarity, left_out) = metric(&args.scene)?;
+            let (similarity, left_out) = metric(&args.scene, away)?;
             offset = left_out;
             Some(similarity::apply(colmap, &similarity))
         }
         ExportFrame::Colmap => None,
-        ExportFrame::Normalised => Some(similarity::apply(colmap, &scene.frame)),
+        ExportFrame::Normalised => {
+            offset = DVec3::ZERO;
+            Some(similarity::apply(colmap, origin))
+        }
         ExportFrame::YUp => {
-            let rotation = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
+            offset *= y_up;
+            let rotation = DMat3::from_diagonal(y_up);
             Some(similarity::apply(colmap, &Frame { scale: 1.0, rotation, translation: DVec3::ZERO }))
         }
     };
@@ -238,8 +279,13 @@ fn write(
         format!("what: {what}"),
         format!("frame: {}", name(&frame)),
     ];
-    if let Some([x, y, z]) = offset {
-        comments.push(format!("offset: add {x} {y} {z} metres to each position"));
+    if format == Format::Glb {
+        offset *= y_up;
+    }
+    let unit = if frame == ExportFrame::Metric { "metres" } else { "units" };
+    let DVec3 { x, y, z } = offset;
+    if offset != DVec3::ZERO {
+        comments.push(format!("offset: add {x} {y} {z} {unit} to each position"));
     }
     // The writers of the other formats add this text themselves; SPZ has no room for text.
     if format == Format::Ply {
@@ -254,18 +300,42 @@ fn write(
     })?;
     let (what, frame) = (&comments[1], &comments[2]);
     let size = std::fs::metadata(path).map_or(0, |m| m.len());
-    remark!(app, "{}: {} Gaussians, {what}, {frame}, {}", path_text(path), gaussians.len(), bytes(size));
-    if let Some([x, y, z]) = offset {
-        remark!(app, "positions lack the offset {x} {y} {z} metres: single precision would lose millimetres");
+    let ((_, extent), error) = (middle(gaussians), rounding(format, gaussians));
+    let positions = match error > COARSE.0 * extent {
+        true => format!(", positions to {error:.1e} {unit}"),
+        false => String::new(),
+    };
+    let count = gaussians.len();
+    remark!(app, "{}: {count} Gaussians, {what}, {frame}{positions}, {}", path_text(path), bytes(size));
+    if offset != DVec3::ZERO {
+        remark!(app, "positions lack the offset {x} {y} {z} {unit}: single precision would lose millimetres");
+    }
+    if error > COARSE.1 * extent {
+        eprintln!(
+            "warning: {}: positions in this file are off by up to {error:.1e} {unit}, and the scene is about \
+             {extent:.1e} large; export a PLY, which is finer, or run the capture with a model near zero",
+            path_text(path)
+        );
     }
     Ok(())
+}
+
+/// The error that a format's numbers make of the positions of most Gaussians, units of the file.
+fn rounding(format: Format, gaussians: &Gaussians) -> f64 {
+    let (at, extent) = middle(gaussians);
+    let single = (at.abs().max_element() + extent) * f64::from(f32::EPSILON) / 2.0;
+    match format {
+        Format::Spz => 0.5 * spz::step(gaussians).unwrap_or(0.0),
+        Format::Ply | Format::CompressedPly | Format::Glb => single,
+    }
 }
 
 /// Coordinates above this many metres lose millimetres in single precision.
 const FAR: f64 = 1000.0;
 
 /// The similarity from COLMAP's frame to metres, without a large offset, and that offset in whole metres.
-fn metric(scene: &Path) -> Result<(Frame, Option<[f64; 3]>), CliError> {
+/// `away` is the place of the positions' zero in COLMAP's frame.
+fn metric(scene: &Path, away: DVec3) -> Result<(Frame, DVec3), CliError> {
     let Some(world) = Scene::world(scene).map_err(CliError::input)? else {
         return Err(CliError::Input(format!(
             "--frame metric: {} does not know its metres; measure a length or give positions \
@@ -273,11 +343,11 @@ fn metric(scene: &Path) -> Result<(Frame, Option<[f64; 3]>), CliError> {
             path_text(scene)
         )));
     };
-    let translation = DVec3::from_array(world.apply([0.0; 3]));
+    let translation = DVec3::from_array(world.apply(away.to_array()));
     let offset = if translation.abs().max_element() > FAR { translation.round() } else { DVec3::ZERO };
     let (scale, rotation) = (world.metres_per_unit, world.rotation());
     let similarity = Frame { scale, rotation, translation: translation - offset };
-    Ok((similarity, (offset != DVec3::ZERO).then(|| offset.to_array())))
+    Ok((similarity, offset))
 }
 
 /// A choice with its name on the command line.
