@@ -15,6 +15,7 @@ use use3d_io_colmap::fits_single;
 use use3d_io_image::{ImageInfo, image_info};
 use use3d_survey::{PosedImage, Survey, SurveyPoint, World};
 
+use crate::copies;
 use crate::error::ImportError;
 use crate::folder::{DEPTH_DIRS, MASK_DIRS, SourceFolder, is_prepared};
 use crate::geometry::Geometry;
@@ -150,7 +151,7 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
     report.scale = frame.scale;
 
     let (folder, other_folders) = find_images(dir, params, &mut read)?;
-    metres::read(dir, &folder, &mut read.survey, &mut read.files)?;
+    report.doubts = metres::read(dir, &folder, &mut read.survey, &mut read.files)?;
     let (mut model, base) = (read.survey, SourceFolder::open_own(dir, &read.base));
     report.image_folder = folder.relative.clone();
     report.other_image_folders = other_folders;
@@ -204,8 +205,13 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
         view.camera.validate().map_err(bad)?;
     }
 
-    let split =
+    let copies = copies::groups(&views);
+    let mut split =
         split::choose(dir, &views, &[report.missing.clone(), report.stray.clone()].concat(), &params.split)?;
+    if split.counted {
+        copies::keep_together(&mut split.split, &copies);
+    }
+    report.doubts.extend(copies::doubt(&copies, &views, split.counted));
     report.notes.extend(split.notes);
     report.split_rule = split.rule;
     let names = |indices: &[usize]| indices.iter().map(|&i| views[i].name.to_string()).collect();

@@ -37,6 +37,7 @@
 //! ```
 
 mod cameras;
+mod copies;
 mod error;
 mod folder;
 mod formats;

@@ -71,6 +71,9 @@ pub struct ImportReport {
     pub scale: f64,
     /// Gains of the white balance for R, G, B, once computed.
     pub white_balance: Option<[f32; 3]>,
+    /// Remarks on faults of the capture: sources of metres that are not used, and copies.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub doubts: Vec<String>,
     /// Further remarks.
     pub notes: Vec<String>,
 }
@@ -190,7 +193,7 @@ impl fmt::Display for ImportReport {
         if let Some([r, g, b]) = self.white_balance {
             writeln!(f, "  white balance: R x {r:.3}, G x {g:.3}, B x {b:.3}")?;
         }
-        self.notes.iter().try_for_each(|note| writeln!(f, "  note: {}", shown(note)))
+        self.doubts.iter().chain(&self.notes).try_for_each(|note| writeln!(f, "  note: {}", shown(note)))
     }
 }
 
