@@ -309,7 +309,7 @@ mod tests {
         }
     }
 
-    /// The shares of seeds whose metres are used, and of these whose true metres are within two standard errors.
+    /// The share of seeds whose metres are used, and of these the share with true metres within two errors.
     fn walks(count: usize, size: f64, walk: f64, floor: f64) -> (f64, f64) {
         let (mut used, mut right) = (0, 0);
         for seed in 0..SEEDS {
