@@ -60,7 +60,7 @@ pub struct ViewAgreement {
 
 /// The overlap of views.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Coverage {
+pub struct ViewOverlap {
     /// The share of points that at least three views saw.
     pub share: f64,
     /// The median angle of points, degrees.
@@ -81,7 +81,7 @@ pub struct ModelAgreement {
     /// The share of points that are in view of at least one photograph; `None` without points.
     pub in_view: Option<f64>,
     /// The overlap of the views; `None` if they see no point.
-    pub coverage: Option<Coverage>,
+    pub coverage: Option<ViewOverlap>,
     /// The depth maps of views.
     pub depth: Vec<DepthAgreement>,
     /// Another meaning of the poses, by which most points would be in view; `None` if there is none, or if
@@ -91,7 +91,7 @@ pub struct ModelAgreement {
 
 /// The views whose photographs are read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum PixelsRead {
+pub(crate) enum PixelsRead {
     /// As many as can be read in seconds, evenly chosen.
     Few,
     /// All.
@@ -105,7 +105,7 @@ const UPRIGHT: DMat3 = DMat3::from_cols(DVec3::X, DVec3::NEG_Z, DVec3::Y);
 ///
 /// # Errors
 /// A photograph that cannot be read.
-pub fn agreement(imported: &Imported, pixels: PixelsRead) -> Result<ModelAgreement, ImageError> {
+pub(crate) fn agreement(imported: &Imported, pixels: PixelsRead) -> Result<ModelAgreement, ImageError> {
     let survey = &imported.model;
     let images: BTreeMap<u32, &PosedImage> = survey.images.iter().map(|image| (image.id, image)).collect();
     let mut of_image = survey.tracked_sights();
@@ -198,7 +198,7 @@ fn misreading(survey: &Survey, cameras: &[Option<PosedCamera<'_>>]) -> Option<&'
 }
 
 /// The overlap of the views; `None` if they see no point.
-fn coverage(imported: &Imported, sights: &[Vec<PointSight>]) -> Option<Coverage> {
+fn coverage(imported: &Imported, sights: &[Vec<PointSight>]) -> Option<ViewOverlap> {
     let capture = &imported.capture;
     let mut views_of: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
     for (view, sights) in sights.iter().enumerate() {
@@ -220,7 +220,7 @@ fn coverage(imported: &Imported, sights: &[Vec<PointSight>]) -> Option<Coverage>
     }
     angles.sort_unstable_by(f64::total_cmp);
     let angle = *angles.get(angles.len() / 2)?;
-    Some(Coverage { share: thrice as f64 / views_of.len() as f64, angle })
+    Some(ViewOverlap { share: thrice as f64 / views_of.len() as f64, angle })
 }
 
 impl ModelAgreement {

@@ -3,7 +3,7 @@
 use use3d_capture::{Reach, Side, shown};
 use use3d_import::ImportReport;
 
-use crate::agreement::{Coverage, ModelAgreement, ViewAgreement};
+use crate::agreement::{ModelAgreement, ViewAgreement, ViewOverlap};
 use crate::depth::{DepthAgreement, STEPS};
 use crate::measure::{Figures, ViewFigures};
 use crate::report::{CheckReport, Finding, Severity};
@@ -33,6 +33,8 @@ const BLURRED: f64 = 0.4;
 const EXPOSURE: (f64, f64) = (0.2, 0.6);
 /// The same for white balance, as a share.
 const BALANCE: (f64, f64) = (0.06, 0.2);
+/// A change of exposure along the swim that is said, stops.
+const DRIFT: f64 = 0.5;
 /// Reprojection errors above which a lens model is doubtful, and wrong, pixels.
 const ERROR: (f64, f64) = (1.0, 1.5);
 /// A measured error above this many times the stated one, and this many pixels more, is of another model.
@@ -84,6 +86,7 @@ pub fn examine(
     rules.range(&figures);
     rules.inverted(&figures.views);
     rules.pixels(&figures.views);
+    rules.exposures(&figures);
     rules.water(&figures, water);
     rules.extras(import, &figures, metres);
     if let Some(agreement) = &figures.agreement {
@@ -230,7 +233,7 @@ impl Rules {
             self.add(Severity::Serious, "few", text, remedy, Vec::new());
             return;
         }
-        let Some(Coverage { share, angle }) = agreement.coverage else { return };
+        let Some(ViewOverlap { share, angle }) = agreement.coverage else { return };
         if share < COVERED.0 {
             let text = format!(
                 "Only {:.0} % of the points are in three photographs or more: new views between the photographs will have \
@@ -505,6 +508,33 @@ impl Rules {
         let remedy = "masks are white where pixels count, and black on divers and fish: invert them \
             (`magick mogrify -negate masks/*.png`)";
         self.add(Severity::Serious, "inverted", text, remedy, list);
+    }
+
+    /// The exposure of cameras and folders against each other, and along the swim.
+    fn exposures(&mut self, figures: &Figures) {
+        if let Some(group) = figures.groups.iter().find(|group| group.stops.abs() > EXPOSURE.0) {
+            let brighter = if group.stops > 0.0 { "brighter" } else { "darker" };
+            let text = format!(
+                "The photographs of {} are {:.1} stops {brighter} than those of {} of the same points.",
+                shown(&group.name),
+                group.stops.abs(),
+                shown(&group.other)
+            );
+            let remedy = "develop both with the same brightness before the run, or run one of them alone; give both \
+                cameras the same exposure on the next dive";
+            self.add(serious_if(group.stops.abs() > EXPOSURE.1), "rig_exposure", text, remedy, Vec::new());
+        }
+        let jumps =
+            self.found.iter().any(|f| f.severity <= Severity::Minor && f.subject.ends_with("exposure"));
+        if let Some(drift) = figures.drift.filter(|drift| drift.abs() > DRIFT && !jumps) {
+            let way = if drift > 0.0 { "brighter" } else { "darker" };
+            let text = format!(
+                "The photographs become {:.1} stops {way} along the swim, little by little.",
+                drift.abs()
+            );
+            let remedy = "`--set reconstruct.exposure=per-view`; lock the exposure on the next dive";
+            self.minor("drift", text, remedy);
+        }
     }
 
     /// Parts of the pictures that no track reaches.

@@ -6,6 +6,7 @@
 //! ```
 //!
 //! [`measure()`] computes figures from the cameras, the tracks and, if pixels are at hand, the photographs;
+//! [`figures`] gathers all of a folder, and [`few_figures`] those that take seconds.
 //! [`Reach`](use3d_capture::Reach) says which parts of the pictures the tracks reach. Each rule of
 //! `findings` compares figures with a limit. A [`CheckReport`] holds what the rules found, the gravest
 //! first. Nothing here changes a capture, and no result of a training depends on it.
@@ -13,13 +14,15 @@
 mod agreement;
 mod depth;
 mod findings;
+mod gather;
 mod measure;
 mod page;
 mod report;
 
-pub use agreement::{Coverage, ModelAgreement, PixelsRead, ViewAgreement, agreement};
+pub use agreement::{ModelAgreement, ViewAgreement, ViewOverlap};
 pub use depth::DepthAgreement;
 pub use findings::{WaterSight, examine};
-pub use measure::{Figures, ViewFigures, measure, measure_masks};
+pub use gather::{few_figures, figures};
+pub use measure::{Figures, GroupExposure, ViewFigures, measure};
 pub use page::{Picture, page};
 pub use report::{CheckReport, Finding, Severity};

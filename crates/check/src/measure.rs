@@ -23,6 +23,13 @@ const NEAR: usize = 4;
 const SHARED: usize = 15;
 /// The fewest shared points from which a change of colour is measured.
 const ENOUGH: usize = 20;
+/// Sightings that are compared between all views, and views of a point, at most.
+const SIGHTINGS: usize = 600_000;
+const LONGEST: usize = 12;
+/// The fewest pairs of views from which two cameras or folders are compared.
+const GROUPED: usize = 3;
+/// Sweeps over the views that find the exposure of each.
+const SWEEPS: usize = 100;
 /// Values outside of this range are clipped or too dark to compare, display range.
 const COMPARABLE: std::ops::Range<f64> = 0.04..0.96;
 /// A point is seen from different distances if its farthest view is this many times as far as its nearest.
@@ -73,6 +80,11 @@ pub struct Figures {
     pub breadth: Option<f64>,
     /// The largest sample of all photographs, if all of them have 16 bits.
     pub largest_sample: Option<u16>,
+    /// Cameras and folders whose exposure differs from that of the first, where they see the same points.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub groups: Vec<GroupExposure>,
+    /// The change of exposure from the first views to the last, stops; `None` without pixels and tracks.
+    pub drift: Option<f64>,
     /// The parts of the pictures that tracks reach, for each camera with enough views.
     pub reach: Vec<Reach>,
 }
@@ -125,7 +137,9 @@ pub fn measure<E>(
         });
     }
     if let Some(load) = load {
-        pixels(&mut figures.views, &seen, load)?;
+        let exposures = pixels(&mut figures.views, &seen, load)?;
+        figures.groups = group_exposures(capture, &exposures);
+        figures.drift = drift(&exposures, count);
     }
     Ok(figures)
 }
@@ -134,7 +148,7 @@ pub fn measure<E>(
 ///
 /// # Errors
 /// The errors of `load`.
-pub fn measure_masks<E>(
+pub(crate) fn measure_masks<E>(
     figures: &mut Figures,
     tracks: &[Track],
     load: &mut dyn FnMut(usize) -> Result<Option<Map>, E>,
@@ -226,12 +240,108 @@ fn motion(capture: &Capture) -> (Option<f64>, Option<f64>) {
     (forward, (along > 0.0).then(|| (across / along).sqrt()))
 }
 
-/// Measures the pixels of all views, one image in memory at a time.
+/// The exposure of a camera or folder against another one's.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct GroupExposure {
+    /// Its name.
+    pub name: String,
+    /// The name of the other one.
+    pub other: String,
+    /// The change of exposure from the other one to it, stops.
+    pub stops: f64,
+}
+
+/// Changes of exposure from the first to the second of two views, stops.
+type Exposures = BTreeMap<(usize, usize), f64>;
+
+/// Compares the views of each folder, or of each camera, with those of the first one.
+fn group_exposures(capture: &Capture, exposures: &Exposures) -> Vec<GroupExposure> {
+    let folders = capture.views.iter().map(|view| view.name.as_str().rsplit_once('/').map_or("", |n| n.0));
+    let folders: Vec<&str> = folders.collect();
+    let mut cameras: Vec<Intrinsics> = Vec::new();
+    let mut key = |i: usize| {
+        let own = capture.views[i].camera.intrinsics;
+        let camera = cameras.iter().position(|known| *known == own).unwrap_or_else(|| {
+            cameras.push(own);
+            cameras.len() - 1
+        });
+        (folders[i], camera)
+    };
+    let keys: Vec<(&str, usize)> = (0..capture.views.len()).map(&mut key).collect();
+    let mut all: Vec<(&str, usize)> = keys.clone();
+    all.sort_unstable();
+    all.dedup();
+    let several = all.iter().any(|group| group.0 != all[0].0);
+    let name = |(folder, camera): (&str, usize)| match several {
+        true => format!("{folder}/"),
+        false => format!("camera {}", camera + 1),
+    };
+    let mut found = Vec::new();
+    for group in all.iter().skip(1) {
+        let changes = exposures.iter().filter_map(|((a, b), stops)| match (keys[*a], keys[*b]) {
+            (a, b) if a == all[0] && b == *group => Some(*stops),
+            (a, b) if a == *group && b == all[0] => Some(-*stops),
+            _ => None,
+        });
+        let changes: Vec<f64> = changes.collect();
+        if changes.len() >= GROUPED {
+            found.push(GroupExposure { name: name(*group), other: name(all[0]), stops: median(changes) });
+        }
+    }
+    found.sort_by(|a, b| b.stops.abs().total_cmp(&a.stops.abs()));
+    found
+}
+
+/// The change of exposure along the swim: every view gets the stops that agree best with all pairs, and the
+/// first fifth of the views is compared with the last.
+fn drift(exposures: &Exposures, count: usize) -> Option<f64> {
+    let mut of_view: Vec<Vec<(usize, f64)>> = vec![Vec::new(); count];
+    for ((a, b), stops) in exposures {
+        of_view[*a].push((*b, -stops));
+        of_view[*b].push((*a, *stops));
+    }
+    let mut level = vec![0.0; count];
+    for i in 1..count {
+        level[i] = level[i - 1] + exposures.get(&(i - 1, i)).copied().unwrap_or(0.0);
+    }
+    for _ in 0..SWEEPS {
+        for i in 0..count {
+            let sum: f64 = of_view[i].iter().map(|(other, stops)| level[*other] + stops).sum();
+            if !of_view[i].is_empty() {
+                level[i] = sum / of_view[i].len() as f64;
+            }
+        }
+    }
+    let fifth = (count / 5).max(1);
+    (!exposures.is_empty()).then(|| median(level[count - fifth..].to_vec()) - median(level[..fifth].to_vec()))
+}
+
+/// The changes of exposure between all pairs of views that share enough points.
+fn exposures(levels: &BTreeMap<usize, Vec<(usize, f64)>>) -> Exposures {
+    let mut changes: BTreeMap<(usize, usize), Vec<f64>> = BTreeMap::new();
+    for seen in levels.values() {
+        let step = seen.len().div_ceil(LONGEST).max(1);
+        let few: Vec<_> = seen.iter().step_by(step).collect();
+        for (i, (a, of_a)) in few.iter().enumerate() {
+            for (b, of_b) in few[i + 1..].iter().filter(|(b, _)| b != a) {
+                changes.entry((*a, *b)).or_default().push(of_b - of_a);
+            }
+        }
+    }
+    changes.retain(|_, all| all.len() >= ENOUGH);
+    changes.into_iter().map(|(pair, all)| (pair, median(all))).collect()
+}
+
+/// Measures the pixels of all views, one image in memory at a time. Returns the changes of exposure.
 fn pixels<E>(
     views: &mut [ViewFigures],
     seen: &[Vec<(usize, f64, f64)>],
     load: &mut dyn FnMut(usize) -> Result<Image, E>,
-) -> Result<(), E> {
+) -> Result<Exposures, E> {
+    let luma = |c: [f64; 3]| 0.2126 * c[0] + 0.7152 * c[1] + 0.0722 * c[2];
+    // Every view takes the same points, so that views still share them.
+    let every = (seen.iter().map(Vec::len).sum::<usize>() / SIGHTINGS).max(1);
+    let mut levels: BTreeMap<usize, Vec<(usize, f64)>> = BTreeMap::new();
     let mut sharpness = Vec::with_capacity(views.len());
     let mut before: BTreeMap<usize, [f64; 3]> = BTreeMap::new();
     for i in 0..views.len() {
@@ -241,13 +351,15 @@ fn pixels<E>(
         let shared: Vec<([f64; 3], [f64; 3])> =
             colours.iter().filter_map(|(point, now)| Some((*before.get(point)?, *now))).collect();
         if shared.len() >= ENOUGH {
-            let luma = |c: [f64; 3]| 0.2126 * c[0] + 0.7152 * c[1] + 0.0722 * c[2];
             let step = |of: &dyn Fn([f64; 3]) -> f64| {
                 median(shared.iter().map(|(a, b)| math::ln(of(*b) / of(*a))).collect())
             };
             views[i].exposure_step = Some(step(&luma) / std::f64::consts::LN_2);
             let changes = [step(&|c| c[0] / c[1]), step(&|c| c[2] / c[1])];
             views[i].balance_step = Some(changes.iter().fold(0.0f64, |m, c| m.max(c.abs())));
+        }
+        for (point, colour) in colours.iter().filter(|(point, _)| *point % every == 0) {
+            levels.entry(*point).or_default().push((i, math::log2(luma(*colour))));
         }
         before = colours;
         views[i].brightness =
@@ -259,7 +371,7 @@ fn pixels<E>(
         let usual = median(around);
         views[i].sharpness = (usual > 0.0).then(|| sharpness[i] / usual);
     }
-    Ok(())
+    Ok(exposures(&levels))
 }
 
 fn median(mut values: Vec<f64>) -> f64 {

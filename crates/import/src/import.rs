@@ -15,9 +15,10 @@ use use3d_capture::{
     stem,
 };
 use use3d_io_colmap::fits_single;
-use use3d_io_image::{FileFormat, ImageError, PhotographInfo, whole_photograph_info};
+use use3d_io_image::{ColorUse, FileFormat, ImageError, PhotographInfo, whole_photograph_info};
 use use3d_survey::{PosedImage, Survey, SurveyPoint, World};
 
+use crate::copies;
 use crate::depth;
 use crate::error::ImportError;
 use crate::folder::{DEPTH_DIRS, MASK_DIRS, SourceFolder, is_prepared};
@@ -155,7 +156,7 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
     report.scale = frame.scale;
 
     let (folder, other_folders) = find_images(dir, params, &mut read)?;
-    metres::read(dir, &folder, &mut read.survey, &mut read.files)?;
+    report.faults = metres::read(dir, &folder, &mut read.survey, &mut read.files)?;
     let (mut model, base) = (read.survey, SourceFolder::open_own(dir, &read.base));
     report.image_folder = folder.relative.clone();
     report.other_image_folders = other_folders;
@@ -233,6 +234,13 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
     report.notes.extend(model.world.as_ref().map(metres));
 
     report.notes.extend(pixel_notes(&infos));
+    let unused = infos.iter().filter(|info| info.colors == ColorUse::AsStored).count();
+    if unused > 0 {
+        report.faults.push(format!(
+            "the colour profiles of {unused} photographs cannot be used, so their colours may be wrong; convert them \
+             (`magick mogrify -profile sRGB.icc`)"
+        ));
+    }
     report.exr = infos.iter().filter(|info| info.format == FileFormat::Exr).count();
     let plans = plan(&mut views, &infos, &model, params, &mut report)?;
     let views: Vec<View> = views.into_iter().map(|found| found.view).collect();
@@ -243,7 +251,12 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
 
     let unusable: Vec<String> = report.unusable.keys().cloned().collect();
     let skipped = [report.missing.clone(), report.stray.clone(), unusable].concat();
-    let split = split::choose(dir, &views, &skipped, &read.held_out, &params.split)?;
+    let copies = copies::groups(&views, &infos);
+    let mut split = split::choose(dir, &views, &skipped, &read.held_out, &params.split)?;
+    if split.counted {
+        copies::keep_together(&mut split.split, &copies);
+    }
+    report.faults.extend(copies::fault(&copies, &views, split.counted));
     report.notes.extend(split.notes);
     report.split_rule = split.rule;
     let names = |indices: &[usize]| indices.iter().map(|&i| views[i].name.to_string()).collect();
@@ -339,8 +352,10 @@ fn turned(model: &Survey, camera: u32, path: &Path, info: &PhotographInfo) -> Op
 /// Says what files state about their pixels: colours that are converted, and turns that are not applied.
 fn pixel_notes(infos: &[PhotographInfo]) -> Vec<String> {
     let mut spaces: BTreeMap<&str, usize> = BTreeMap::new();
-    for name in infos.iter().filter_map(|info| info.color_space.as_deref()) {
-        *spaces.entry(name).or_default() += 1;
+    for info in infos {
+        if let ColorUse::Converted(name) = &info.colors {
+            *spaces.entry(name).or_default() += 1;
+        }
     }
     let mut notes: Vec<String> = spaces
         .into_iter()

@@ -296,10 +296,12 @@ pub(crate) fn find_extra(
     defaults: &[&str],
 ) -> Result<Option<SourceFolder>, ImportError> {
     let Some(dir) = asked else {
-        let exact = defaults.iter().find_map(|dir| SourceFolder::open_own(root, dir));
-        let alike = |dir: &&str| subfolders(root).into_iter().find(|name| name.eq_ignore_ascii_case(dir));
-        let other = || SourceFolder::open_own(root, &defaults.iter().find_map(alike)?);
-        return Ok(exact.or_else(other));
+        // The exact name comes before others.
+        let names = subfolders(root);
+        let alike = |dir: &&str| names.iter().find(|name| name.eq_ignore_ascii_case(dir));
+        let exact = defaults.iter().find(|dir| names.iter().any(|name| name == *dir)).copied();
+        let chosen = exact.or_else(|| defaults.iter().find_map(alike).map(String::as_str));
+        return Ok(chosen.and_then(|dir| SourceFolder::open_own(root, dir)));
     };
     let found = SourceFolder::open_own(root, dir).ok_or_else(|| {
         let reason = format!("there is no folder {}", root.join(dir).display());

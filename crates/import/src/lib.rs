@@ -37,6 +37,7 @@
 //! ```
 
 mod cameras;
+mod copies;
 mod depth;
 mod error;
 mod folder;

@@ -37,6 +37,10 @@ const LARGEST: u64 = 1 << 26;
 const AGREE: f64 = 0.01;
 /// Depths and GPS positions whose metres are less certain than this share are not used.
 const CERTAIN: f64 = 0.1;
+/// Metres by positions that are less certain than this share are doubtful, one standard error.
+const DOUBTFUL: f64 = 0.02;
+/// The error of GPS positions that all photographs of a swim may share, metres.
+const GPS_ERROR: f64 = 3.0;
 
 /// Marks farther from their marker than this share of the image's longer side are wrong.
 const MISPLACED: f64 = 0.03;
@@ -44,9 +48,9 @@ const MISPLACED: f64 = 0.03;
 /// The world by a source of metres, or a note on the reason why it gives none.
 type FoundWorld = Result<World, String>;
 
-/// Adds the note of a source that gives no world to the others.
-fn kept(found: FoundWorld, notes: &mut Vec<String>) -> Option<World> {
-    found.map_err(|note| notes.push(note)).ok()
+/// Adds the sentence on a source that gives no world to the faults.
+fn kept(found: FoundWorld, faults: &mut Vec<String>) -> Option<World> {
+    found.map_err(|fault| faults.push(fault)).ok()
 }
 
 /// A table beside the photographs.
@@ -125,31 +129,32 @@ impl<'a> Names<'a> {
 }
 
 /// Reads the tables of a capture, sets the survey's world where it has none, and names the files that were
-/// read. The names of the survey's images are those of files in `images`.
+/// read. The names of the survey's images are those of files in `images`. Returns the faults: sources of
+/// metres that are not used or have mistakes.
 pub(crate) fn read(
     dir: &Path,
     images: &SourceFolder,
     survey: &mut Survey,
     files: &mut Vec<PathBuf>,
-) -> Result<(), ImportError> {
-    let mut found = Vec::new();
+) -> Result<Vec<String>, ImportError> {
+    let (mut found, mut faults) = (Vec::new(), Vec::new());
     let (mut notes, mut markers, mut bars) = (Vec::new(), Vec::new(), Vec::new());
     if let Some(table) =
         MetresTable::read(dir, LENGTHS, &["length", "metres", "image", "x1", "y1", "x2", "y2"])?
     {
         files.push(LENGTHS.into());
         let world = lengths(&table, images, survey, (&mut markers, &mut bars), &mut notes)?;
-        found.extend(kept(world, &mut notes));
+        found.extend(kept(world, &mut faults));
     }
     if let Some(table) = MetresTable::read(dir, POSITIONS, &["image", "x", "y", "z"])? {
         files.push(POSITIONS.into());
-        let world = positions(&table, survey, &mut notes)?;
-        found.extend(kept(world, &mut notes));
+        let world = positions(&table, survey, &mut notes, &mut faults)?;
+        found.extend(kept(world, &mut faults));
     }
     if let Some(table) = MetresTable::read(dir, DEPTHS, &["image", "depth"])? {
         files.push(DEPTHS.into());
         let world = depths(&table, survey, &mut notes)?;
-        found.extend(kept(world, &mut notes));
+        found.extend(kept(world, &mut faults));
     }
     notes.extend(unread_tables(dir, images));
     survey.markers.append(&mut markers);
@@ -167,10 +172,10 @@ pub(crate) fn read(
         }
     }
     if survey.world.is_none() {
-        survey.world = gps(images, survey, &mut notes)?;
+        survey.world = gps(images, survey, &mut notes, &mut faults)?;
     }
     survey.notes.append(&mut notes);
-    Ok(())
+    Ok(faults)
 }
 
 /// A remark on each file that is meant as a table and is not read: in another folder, or under another name.
@@ -342,37 +347,102 @@ fn positions(
     table: &MetresTable,
     survey: &Survey,
     notes: &mut Vec<String>,
+    faults: &mut Vec<String>,
 ) -> Result<FoundWorld, ImportError> {
     let centres = centres(table, survey, |row| {
         Ok(DVec3::new(table.number(row, "x")?, table.number(row, "y")?, table.number(row, "z")?))
     })?;
     let lacking = centres.lacking();
-    let Centres { pairs, names, .. } = centres;
-    Ok(match fit_positions(&pairs, format!("the positions in {POSITIONS}")) {
-        Some(PositionsFit { world, left, error }) if error > CERTAIN => {
-            let off = |(at, metres): &(DVec3, DVec3)| {
-                DVec3::from_array(world.apply(at.to_array())).distance(*metres)
-            };
-            let worst = pairs.iter().map(off).fold(0.0, f64::max);
-            let farthest = pairs.iter().zip(&names).find(|(pair, _)| off(pair) == worst);
-            let name = farthest.map_or("", |(_, name)| name);
-            Err(format!(
-                "{POSITIONS} does not give the metres: its positions fit the cameras to {left:.3} m only, so the metres \
-                 would be off by {:.0} %; {name} is farthest off, by {worst:.3} m",
-                100.0 * error
-            ))
-        }
-        Some(PositionsFit { world, left, .. }) => {
-            let count = pairs.len();
-            notes.push(format!("{count} positions in {POSITIONS} fit the cameras to {left:.3} m{lacking}"));
-            Ok(world)
-        }
-        None => Err(format!(
+    let Centres { mut pairs, names, .. } = centres;
+    let mut source = format!("the positions in {POSITIONS}");
+    if are_degrees(&pairs) {
+        source += &in_metres(&mut pairs);
+        notes.push(format!("the positions in {POSITIONS} are degrees, and were converted to metres"));
+    }
+    let Some(fit) = fit_positions(&pairs, 0.0, source) else {
+        return Ok(Err(format!(
             "{POSITIONS} gives no metres: {} of its images have a camera{lacking}; expected three or more that are not \
              on one line",
             pairs.len()
-        )),
-    })
+        )));
+    };
+    let PositionsFit { world, left, error, false_ones, mirrored } = fit;
+    let off = |i: usize| DVec3::from_array(world.apply(pairs[i].0.to_array())).distance(pairs[i].1);
+    if mirrored {
+        return Ok(Err(format!(
+            "{POSITIONS} does not give the metres: its positions fit the cameras only as their mirror image. Two columns \
+             are exchanged, or z is depth; expected x to the east, y to the north and z upwards"
+        )));
+    }
+    if error > CERTAIN {
+        let worst = (0..pairs.len()).max_by(|a, b| off(*a).total_cmp(&off(*b))).unwrap_or(0);
+        return Ok(Err(format!(
+            "{POSITIONS} does not give the metres: its positions fit the cameras to {left:.3} m only, so the metres \
+             would be off by {:.0} %; {} is farthest off, by {:.3} m",
+            100.0 * error,
+            names[worst],
+            off(worst)
+        )));
+    }
+    let count = pairs.len() - false_ones.len();
+    let least = fit_says(error);
+    notes.push(format!("{count} positions in {POSITIONS} fit the cameras to {left:.3} m{least}{lacking}"));
+    for i in false_ones {
+        faults.push(format!(
+            "the position of {} in {POSITIONS} is {:.3} m beside its camera and is not used; look for a wrong number or \
+             name in its line",
+            names[i],
+            off(i)
+        ));
+    }
+    if error > DOUBTFUL {
+        faults.push(format!(
+            "the metres by {POSITIONS} may be off by {:.0} %: its positions fit the cameras to {left:.3} m only; measure \
+             a length to know them better",
+            200.0 * error
+        ));
+    }
+    Ok(Ok(world))
+}
+
+/// The error of a fit for the end of a sentence, if it is worth a word.
+fn fit_says(error: f64) -> String {
+    if error > AGREE / 2.0 {
+        format!(" and give the metres to {:.1} %, two standard errors", 200.0 * error)
+    } else {
+        String::new()
+    }
+}
+
+/// True if positions are longitudes and latitudes: they lie within hundredths of a degree, far from zero.
+fn are_degrees(pairs: &[(DVec3, DVec3)]) -> bool {
+    let Some(&(_, first)) = pairs.first() else { return false };
+    let near = |p: &DVec3| (p.x - first.x).abs().max((p.y - first.y).abs()) < 0.05;
+    let valid = |p: &DVec3| p.x.abs().min(p.y.abs()) <= 90.0 && p.x.abs().max(p.y.abs()) <= 180.0;
+    let model = pairs.iter().map(|(at, _)| at.distance(pairs[0].0)).fold(0.0, f64::max);
+    model > 0.0 && math::hypot(first.x, first.y) > 1.0 && pairs.iter().all(|(_, p)| near(p) && valid(p))
+}
+
+/// Turns longitude, latitude and height into metres east, north and up of the first. A table that has the
+/// latitude first fits better that way, or has a longitude beyond 90 degrees there. Returns the place.
+fn in_metres(pairs: &mut [(DVec3, DVec3)]) -> String {
+    let converted = |turned: bool| -> (EarthPlace, Vec<(DVec3, DVec3)>) {
+        let place = |p: &DVec3| EarthPlace {
+            latitude: if turned { p.x } else { p.y },
+            longitude: if turned { p.y } else { p.x },
+            altitude: p.z,
+        };
+        let first = place(&pairs[0].1);
+        (first, pairs.iter().map(|(at, p)| (*at, first.metres_to(&place(p)))).collect())
+    };
+    let left = |turned: bool| {
+        let broken = pairs.iter().any(|(_, p)| (if turned { p.x } else { p.y }).abs() > 90.0);
+        let fit = (!broken).then(|| fit_positions(&converted(turned).1, 0.0, String::new())).flatten();
+        fit.map_or(f64::INFINITY, |fit| fit.left)
+    };
+    let (first, metres) = converted(left(true) < 0.5 * left(false));
+    pairs.copy_from_slice(&metres);
+    format!(", around latitude {:.7}, longitude {:.7}", first.latitude, first.longitude)
 }
 
 fn depths(table: &MetresTable, survey: &Survey, notes: &mut Vec<String>) -> Result<FoundWorld, ImportError> {
@@ -411,8 +481,10 @@ fn gps(
     images: &SourceFolder,
     survey: &Survey,
     notes: &mut Vec<String>,
+    faults: &mut Vec<String>,
 ) -> Result<Option<World>, ImportError> {
-    let photographs = &survey.images;
+    let mut photographs: Vec<&PosedImage> = survey.images.iter().collect();
+    photographs.sort_by(|a, b| a.name.cmp(&b.name));
     let place = |image: &PosedImage| -> Result<Option<GpsPosition>, ImportError> {
         let Some(path) = images.image(&image.name)? else { return Ok(None) };
         Ok(read_exif(&path).map_err(ImportError::file(&path))?.gps)
@@ -420,49 +492,55 @@ fn gps(
     let last = photographs.len().saturating_sub(1);
     let mut any = false;
     for i in [0, last] {
-        any = any || photographs.get(i).map(place).transpose()?.flatten().is_some();
+        any = any || photographs.get(i).map(|image| place(image)).transpose()?.flatten().is_some();
     }
     let mut found = Vec::new();
-    for image in photographs.iter().filter(|_| any) {
+    for image in photographs.into_iter().filter(|_| any) {
         found.extend(place(image)?.map(|gps| (image.pose().center(), gps)));
     }
     if found.is_empty() {
         return Ok(None);
     }
-    let world = by_gps(&found, notes);
-    Ok(kept(world, notes))
+    Ok(by_gps(&found, notes, faults))
 }
 
-fn by_gps(found: &[(DVec3, GpsPosition)], notes: &mut Vec<String>) -> FoundWorld {
+fn by_gps(
+    found: &[(DVec3, GpsPosition)],
+    notes: &mut Vec<String>,
+    faults: &mut Vec<String>,
+) -> Option<World> {
     let places = found.iter().filter_map(|(at, gps)| {
         Some((*at, EarthPlace { latitude: gps.latitude, longitude: gps.longitude, altitude: gps.altitude? }))
     });
     let places: Vec<(DVec3, EarthPlace)> = places.collect();
     let Some(&(_, first)) = places.first() else {
-        return Err("the GPS positions of the photographs have no altitude, so they give no metres".into());
+        notes.push("the GPS positions of the photographs have no altitude, so they give no metres".into());
+        return None;
     };
     let pairs: Vec<(DVec3, DVec3)> = places.iter().map(|(at, place)| (*at, first.metres_to(place))).collect();
-    let remedy = "measure a length";
     let source = format!(
         "the photographs' GPS positions: metres east, north and up of latitude {:.7}, longitude {:.7}, altitude {:.2} m",
         first.latitude, first.longitude, first.altitude
     );
     let count = pairs.len();
-    let Some(PositionsFit { world, left, error }) = fit_positions(&pairs, source) else {
-        return Err(format!(
+    let Some(PositionsFit { world, left, error, .. }) = fit_positions(&pairs, GPS_ERROR, source) else {
+        notes.push(format!(
             "the GPS positions of {count} photographs give no metres: expected three or more that are not on one line; \
-             {remedy}"
+             measure a length"
         ));
+        return None;
     };
-    let percent = 100.0 * error;
+    let percent = 200.0 * error;
     if error > CERTAIN {
-        return Err(format!(
-            "the GPS positions of {count} photographs do not give the metres: they would be off by {percent:.0} %; {remedy}"
+        faults.push(format!(
+            "the GPS positions of {count} photographs do not give the metres: GPS wanders by {GPS_ERROR} m and more, so \
+             they would be off by up to {percent:.0} % on a swim as short as this; measure a length"
         ));
+        return None;
     }
     notes.push(format!(
         "the GPS positions of {count} photographs fit the cameras to {left:.2} m and give the metres to {percent:.1} %, \
-         one standard error"
+         two standard errors"
     ));
-    Ok(world)
+    Some(world)
 }

@@ -12,6 +12,8 @@ use crate::params::{SplitOrder, SplitParams};
 
 /// The split, with a text on the rule by which it was made.
 pub(crate) struct Chosen {
+    /// False if lists define the split.
+    pub(crate) counted: bool,
     pub(crate) rule: String,
     pub(crate) split: Split,
     pub(crate) notes: Vec<String>,
@@ -36,7 +38,7 @@ pub(crate) fn choose(
             (0..views.len()).partition(|i| held_out.contains(&views[*i].id));
         if !test.is_empty() && !train.is_empty() {
             let rule = "given by the model's files".to_string();
-            return Ok(Chosen { rule, split: Split { train, test }, notes: Vec::new() });
+            return Ok(Chosen { counted: false, rule, split: Split { train, test }, notes: Vec::new() });
         }
     }
     let mut order: Vec<usize> = (0..views.len()).collect();
@@ -58,7 +60,7 @@ pub(crate) fn choose(
         n => format!("one view in {n} is held out, counted by {by} from the first"),
     };
     let split = Split { train: pick(counted.train), test: pick(counted.test) };
-    Ok(Chosen { rule, split, notes: Vec::new() })
+    Ok(Chosen { counted: true, rule, split, notes: Vec::new() })
 }
 
 /// The names in a list file: one per line, `#` begins a comment.
@@ -165,7 +167,7 @@ fn from_lists(
     if unused > 0 {
         notes.push(format!("{unused} views are in neither list and are not used"));
     }
-    Ok(Chosen { rule: format!("given by {}", names.join(" and ")), split, notes })
+    Ok(Chosen { counted: false, rule: format!("given by {}", names.join(" and ")), split, notes })
 }
 
 #[cfg(test)]

@@ -172,13 +172,27 @@ fn tables_that_contradict_the_cameras_give_no_metres_and_name_the_photograph() {
     let other = lengths(ENDS, &[1, 3, 6], 8.0, 10.0 * length).replace("ruler", "frame");
     let both = lengths(ENDS, &[1, 3, 6], 8.0, length) + other.split_once('\n').unwrap().1;
     refused("lengths.csv", both, &["lengths disagree"]);
-    // One position is wrong.
-    let mut table = String::from("image,x,y,z\n");
-    for i in 0..VIEWS {
-        let at = METRES * pose(i).center() + if i == 5 { DVec3::X * 5.0 } else { DVec3::ZERO };
-        writeln!(table, "IMG_{i:04},{},{},{}", at.x, at.y, at.z).unwrap();
-    }
-    refused("positions.csv", table, &["positions.csv does not give", "IMG_0005", "farthest off"]);
+    // Many positions are wrong, or two axes are exchanged.
+    let positions = |change: &dyn Fn(u32, DVec3) -> DVec3| {
+        let mut table = String::from("image,x,y,z\n");
+        for i in 0..VIEWS {
+            let at = change(i, METRES * pose(i).center());
+            writeln!(table, "IMG_{i:04},{},{},{}", at.x, at.y, at.z).unwrap();
+        }
+        table
+    };
+    let wrong = positions(&|i, at| at + if i > 4 { DVec3::X * f64::from(i) } else { DVec3::ZERO });
+    refused("positions.csv", wrong, &["positions.csv does not give", "farthest off"]);
+    let exchanged = positions(&|_, at| DVec3::new(at.y, at.x, at.z));
+    refused("positions.csv", exchanged, &["mirror image", "exchanged"]);
+    // One wrong position is left out and named.
+    let one = positions(&|i, at| at + if i == 5 { DVec3::X * 5.0 } else { DVec3::ZERO });
+    std::fs::write(dir.path().join("positions.csv"), one).unwrap();
+    let imported = read(dir.path()).unwrap();
+    assert!(imported.report.faults[0].contains("IMG_0005"), "{}", imported.report);
+    let found = imported.model.world.unwrap().metres_per_unit;
+    assert!((found / METRES - 1.0).abs() < 1e-6, "{found}");
+    std::fs::remove_file(dir.path().join("positions.csv")).unwrap();
     // Tables that are not read are named.
     refused("Lengths.xlsx", "x".into(), &["Lengths.xlsx is not read", "called lengths.csv"]);
     refused("images/depths.csv", "image,depth\n".into(), &["depths.csv is not read", "capture's folder"]);
@@ -381,4 +395,32 @@ fn a_scale_bar_of_a_metashape_project_gives_metres_to_half_a_percent() {
     let out = dir.path().join("out");
     prepare(&imported, &out, 1, &|_, _| true).unwrap();
     assert_eq!(prepared_world(&out).unwrap(), Some(world));
+}
+
+#[test]
+fn mutated_tables_never_panic() {
+    let dir = tempfile::tempdir().unwrap();
+    project(dir.path(), 8);
+    let mut positions = String::from("image,x,y,z\n");
+    let mut depths = String::from("image,depth\n");
+    for i in 0..VIEWS {
+        let at = METRES * pose(i).center();
+        writeln!(positions, "IMG_{i:04}.png,{},{},{}", at.x, at.y, at.z).unwrap();
+        writeln!(depths, "IMG_{i:04}.png,{}", 10.0 + at.y).unwrap();
+    }
+    let rulers = lengths([DVec3::ZERO, DVec3::X], &[1, 2, 3], 8.0, METRES);
+    for (name, table) in [("positions.csv", positions), ("depths.csv", depths), ("lengths.csv", rulers)] {
+        let path = dir.path().join(name);
+        let (mut read_ones, rounds) = (0, 150);
+        for round in 0..rounds {
+            std::fs::write(&path, use3d_golden::mutated(table.as_bytes(), b",;\n\"-.e0", round)).unwrap();
+            if let Ok(imported) = read(dir.path()) {
+                read_ones += 1;
+                let unit = imported.model.world.as_ref().map_or(1.0, |world| world.metres_per_unit);
+                assert!(unit.is_finite() && unit > 0.0, "{name}, round {round}: {unit}");
+            }
+        }
+        assert!(read_ones > 0 && read_ones < rounds, "{name}: {read_ones} of {rounds} are read");
+        std::fs::remove_file(path).unwrap();
+    }
 }

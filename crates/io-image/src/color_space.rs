@@ -25,6 +25,19 @@ const USUAL_GAMMA: (f32, f32) = (0.454_55, 0.03);
 /// A profile whose colours differ by at most this many steps of 255 is that of sRGB.
 const SAME: u8 = 2;
 
+/// The use of what a file states about its colours.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum ColorUse {
+    /// The colours are sRGB.
+    #[default]
+    Srgb,
+    /// The colours are converted to sRGB when they are read, from the space of this name.
+    Converted(String),
+    /// The statement cannot be used, and the colours are used as stored: its profile is damaged, or not one
+    /// for red, green and blue.
+    AsStored,
+}
+
 /// A colour space other than sRGB.
 pub(crate) struct ColorSpace {
     /// Its name, as the file has it.
@@ -75,17 +88,21 @@ fn name_of(profile: &ColorProfile) -> String {
 }
 
 impl ColorSpace {
-    /// The colour space that a file states; `None` if it is sRGB, or cannot be used.
-    fn of(reader: &mut dyn ByteSource, format: FileFormat) -> Option<Self> {
-        let (profile, name) = match stated(reader, format)? {
-            Stated::Profile(bytes) => {
-                let profile = ColorProfile::new_from_slice(&bytes).ok()?;
+    /// The colour space that a file states; `None` if it is sRGB.
+    fn of(reader: &mut dyn ByteSource, format: FileFormat) -> Result<Option<Self>, CmsError> {
+        let (profile, name) = match stated(reader, format) {
+            None => return Ok(None),
+            Some(Stated::Profile(bytes)) => {
+                let profile = ColorProfile::new_from_slice(&bytes)?;
                 let name = name_of(&profile);
                 (profile, name)
             }
-            Stated::Gamma(gamma) => {
-                if !(0.1..=2.0).contains(&gamma) || (gamma - USUAL_GAMMA.0).abs() < USUAL_GAMMA.1 {
-                    return None;
+            Some(Stated::Gamma(gamma)) => {
+                if (gamma - USUAL_GAMMA.0).abs() < USUAL_GAMMA.1 {
+                    return Ok(None);
+                }
+                if !(0.1..=2.0).contains(&gamma) {
+                    return Err(CmsError::InvalidProfile);
                 }
                 let mut profile = ColorProfile::new_srgb();
                 // A table of one entry is an exponent, in steps of 256.
@@ -102,9 +119,10 @@ impl ColorSpace {
         let colors: Vec<u8> =
             steps().flat_map(|r| steps().flat_map(move |g| steps().flat_map(move |b| [r, g, b]))).collect();
         let mut converted = Samples::Eight(colors.clone());
-        space.apply(&mut converted, Layout::Rgb).ok()?;
-        let Samples::Eight(converted) = converted else { return None };
-        colors.iter().zip(&converted).any(|(a, b)| a.abs_diff(*b) > SAME).then_some(space)
+        space.apply(&mut converted, Layout::Rgb)?;
+        let Samples::Eight(converted) = converted else { return Ok(None) };
+        let differs = colors.iter().zip(&converted).any(|(a, b)| a.abs_diff(*b) > SAME);
+        Ok(differs.then_some(space))
     }
 
     fn apply(&self, samples: &mut Samples, layout: Layout) -> Result<(), CmsError> {
@@ -137,12 +155,54 @@ pub(crate) fn convert(bytes: &[u8], format: FileFormat, decoded: &mut Decoded) -
         4 => Layout::Rgba,
         _ => return None,
     };
-    let space = ColorSpace::of(&mut Cursor::new(bytes), format)?;
+    let space = ColorSpace::of(&mut Cursor::new(bytes), format).ok()??;
     space.apply(&mut decoded.samples, layout).ok()?;
     Some(space.name)
 }
 
-/// The name of the colour space that a file states; `None` if it is sRGB, or cannot be used.
-pub(crate) fn name(reader: &mut dyn ByteSource, format: FileFormat) -> Option<String> {
-    ColorSpace::of(reader, format).map(|space| space.name)
+/// The use of what a file states about its colours.
+pub(crate) fn color_use(reader: &mut dyn ByteSource, format: FileFormat) -> ColorUse {
+    match ColorSpace::of(reader, format) {
+        Ok(None) => ColorUse::Srgb,
+        Ok(Some(space)) => ColorUse::Converted(space.name),
+        Err(_) => ColorUse::AsStored,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use image::ImageEncoder;
+
+    fn png_with(profile: Vec<u8>) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        let mut encoder = image::codecs::png::PngEncoder::new(&mut bytes);
+        encoder.set_icc_profile(profile).unwrap();
+        encoder.write_image(&[10, 90, 200, 40, 40, 40], 2, 1, image::ExtendedColorType::Rgb8).unwrap();
+        bytes
+    }
+
+    fn used(profile: Vec<u8>) -> ColorUse {
+        color_use(&mut Cursor::new(png_with(profile)), FileFormat::Png)
+    }
+
+    #[test]
+    fn a_profile_is_used_or_said_to_be_of_no_use() {
+        let encoded = |profile: ColorProfile| profile.encode().unwrap();
+        assert_eq!(used(encoded(ColorProfile::new_srgb())), ColorUse::Srgb);
+        assert!(matches!(used(encoded(ColorProfile::new_adobe_rgb())), ColorUse::Converted(_)));
+        assert_eq!(used(encoded(ColorProfile::new_gray_with_gamma(2.2))), ColorUse::AsStored);
+        assert_eq!(used(b"no profile".to_vec()), ColorUse::AsStored);
+    }
+
+    #[test]
+    fn mutated_profiles_never_panic() {
+        let whole = ColorProfile::new_adobe_rgb().encode().unwrap();
+        for round in 0..300 {
+            let bytes = png_with(use3d_golden::mutated(&whole, b"\0\xffXYZ", round));
+            let mut decoded = crate::read::decode(&bytes, std::path::Path::new("mutated")).unwrap();
+            convert(&bytes, FileFormat::Png, &mut decoded);
+            assert_eq!((decoded.width, decoded.height, decoded.channels), (2, 1, 3));
+        }
+    }
 }

@@ -42,6 +42,7 @@ mod read;
 mod tiff_structure;
 mod write;
 
+pub use color_space::ColorUse;
 pub use cut_off::is_cut_off;
 pub use decoded::{Decoded, Samples};
 pub use embed::{JpegError, jpeg_address, shrunk};

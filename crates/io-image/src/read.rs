@@ -252,7 +252,7 @@ fn bytes_of(path: &Path) -> Result<(Vec<u8>, FileFormat), ImageError> {
     let mut reader = BufReader::new(file);
     let format = info(&mut reader, length, path)?.format;
     let mut bytes = Vec::with_capacity(length as usize);
-    reader.rewind().and_then(|()| reader.read_to_end(&mut bytes)).map_err(open_error(path))?;
+    reader.rewind().and_then(|()| reader.take(length).read_to_end(&mut bytes)).map_err(open_error(path))?;
     Ok((bytes, format))
 }
 

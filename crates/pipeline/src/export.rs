@@ -8,6 +8,7 @@ use std::path::Path;
 
 use glam::{DMat3, DVec3};
 use use3d_capture::{Camera, Frame};
+use use3d_numerics::math;
 use use3d_render::white::balanced;
 use use3d_render::{InWater, Look, Mode, bake_in_water};
 use use3d_scene::white::Gains;
@@ -79,11 +80,29 @@ pub struct ExportLook<'a> {
 
 /// The Gaussians of a scene in the colours of a look, in COLMAP's frame.
 pub struct ExportedScene<'a> {
-    scene: &'a Scene,
     folder: &'a Path,
     what: &'static str,
-    /// The Gaussians.
+    /// The Gaussians, in COLMAP's frame without the offset.
     pub gaussians: Gaussians,
+    /// COLMAP's frame without the offset.
+    near: Frame,
+    /// The offset of a model far from zero, units of the model.
+    away: DVec3,
+}
+
+/// A file that was written.
+#[derive(Clone, Debug)]
+pub struct WrittenFile {
+    /// Look and frame in words.
+    pub about: String,
+    /// The unit of its positions: `metres` or `units`.
+    pub unit: &'static str,
+    /// The offset that its positions lack, if there is one.
+    pub offset: Option<[f64; 3]>,
+    /// The error that the format's numbers make of most positions, units.
+    pub rounding: f64,
+    /// The size of the scene without its outer parts, units.
+    pub extent: f64,
 }
 
 impl<'a> ExportedScene<'a> {
@@ -103,13 +122,13 @@ impl<'a> ExportedScene<'a> {
             Some(gains) => balanced(gaussians, gains),
             None => gaussians,
         };
-        let gaussians = similarity::invert(&gaussians, &scene.frame);
-        Ok(Self { scene, folder, what: mode.name(), gaussians })
+        let (near, away) = near(&scene.frame, &gaussians);
+        let gaussians = similarity::invert(&gaussians, &near);
+        Ok(Self { folder, what: mode.name(), gaussians, near, away })
     }
 
     /// Writes one file, which `flag` names. A PLY has the frame `frame`; the others have their own, with y
-    /// up. `made_with` names the program. Returns look and frame in words, and the metres that were left out
-    /// of the positions.
+    /// up. `made_with` names the program.
     ///
     /// # Errors
     /// The scene does not know its metres, or the file cannot be written.
@@ -119,34 +138,37 @@ impl<'a> ExportedScene<'a> {
         format: GaussianFormat,
         frame: GaussianFrame,
         made_with: String,
-    ) -> Result<(String, Option<[f64; 3]>), WorkError> {
+    ) -> Result<WrittenFile, WorkError> {
         // glTF gets y up by a rotation of its node, SPZ by its definition.
         let (stored, frame) = match format {
             GaussianFormat::Ply | GaussianFormat::CompressedPly => (frame, frame),
             GaussianFormat::Glb => (GaussianFrame::Colmap, GaussianFrame::YUp),
             GaussianFormat::Spz(_) => (GaussianFrame::YUp, GaussianFrame::YUp),
         };
-        let mut offset = None;
-        let turned = match stored {
+        let y_up = DVec3::new(1.0, -1.0, -1.0);
+        let (turned, offset) = match stored {
             GaussianFrame::Metric => {
-                let (similarity, left_out) = metric(self.folder)?;
-                offset = left_out;
-                Some(similarity)
+                let (similarity, offset) = metric(self.folder, self.away)?;
+                (Some(similarity), offset)
             }
-            GaussianFrame::Colmap => None,
-            GaussianFrame::Normalised => Some(self.scene.frame),
+            GaussianFrame::Colmap => (None, self.away),
+            GaussianFrame::Normalised => (Some(self.near), DVec3::ZERO),
             GaussianFrame::YUp => {
-                let rotation = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
-                Some(Frame { scale: 1.0, rotation, translation: DVec3::ZERO })
+                let rotation = DMat3::from_diagonal(y_up);
+                (Some(Frame { scale: 1.0, rotation, translation: DVec3::ZERO }), self.away * y_up)
             }
         };
+        // The node of a glTF turns its positions.
+        let offset = if format == GaussianFormat::Glb { offset * y_up } else { offset };
         let turned = turned.map(|frame| similarity::apply(&self.gaussians, &frame));
         let gaussians = turned.as_ref().unwrap_or(&self.gaussians);
         let mut comments =
             vec![made_with, format!("what: {}", self.what), format!("frame: {}", frame.name())];
         let about = comments[1..].join(", ");
-        if let Some([x, y, z]) = offset {
-            comments.push(format!("offset: add {x} {y} {z} metres to each position"));
+        let unit = if frame == GaussianFrame::Metric { "metres" } else { "units" };
+        let DVec3 { x, y, z } = offset;
+        if offset != DVec3::ZERO {
+            comments.push(format!("offset: add {x} {y} {z} {unit} to each position"));
         }
         // The writers of the other formats add this text themselves; SPZ has no room for text.
         if format == GaussianFormat::Ply {
@@ -158,7 +180,51 @@ impl<'a> ExportedScene<'a> {
             GaussianFormat::Glb => glb::write(gaussians, &comments.join("; "), HALF_TURN, writer),
             GaussianFormat::Spz(version) => spz::write(gaussians, version, writer),
         })?;
-        Ok((about, offset))
+        let (rounding, extent) = (rounding(format, gaussians), middle(gaussians).1);
+        let offset = (offset != DVec3::ZERO).then(|| offset.to_array());
+        Ok(WrittenFile { about, unit, offset, rounding, extent })
+    }
+}
+
+/// A model whose middle is this many times its extent from zero loses positions in single precision.
+const FAR_EXTENTS: f64 = 1000.0;
+
+/// The middle half of the Gaussians: their median in each axis, and twice the widest range.
+fn middle(gaussians: &Gaussians) -> (DVec3, f64) {
+    let mut extent = 0.0f64;
+    let median = [0, 1, 2].map(|axis| {
+        let mut all: Vec<f32> = gaussians.means.iter().map(|mean| mean[axis]).collect();
+        all.sort_unstable_by(f32::total_cmp);
+        let at = |share: usize| all.get(share * all.len() / 4).copied().map_or(0.0, f64::from);
+        extent = extent.max(2.0 * (at(3) - at(1)));
+        at(2)
+    });
+    (DVec3::from_array(median), extent)
+}
+
+/// The frame of a model without a large offset, and that offset: positions far from zero do not fit into the
+/// numbers of the files. `gaussians` are in the scene's frame.
+fn near(frame: &Frame, gaussians: &Gaussians) -> (Frame, DVec3) {
+    let (median, extent) = middle(gaussians);
+    let (at, extent) = (frame.invert(median), extent / frame.scale);
+    if at.abs().max_element() <= FAR_EXTENTS * extent {
+        return (*frame, DVec3::ZERO);
+    }
+    // Multiples of a power of ten keep the offset short.
+    let unit = (-9..12).map(|power| math::powi(10.0f64, power)).find(|unit| *unit >= extent).unwrap_or(1.0);
+    let offset = (at / unit).round() * unit;
+    let translation = frame.translation + frame.scale * (frame.rotation * offset);
+    (Frame { translation, ..*frame }, offset)
+}
+
+/// The error that a format's numbers make of the positions of most Gaussians, units of the file.
+fn rounding(format: GaussianFormat, gaussians: &Gaussians) -> f64 {
+    let (at, extent) = middle(gaussians);
+    let single = (at.abs().max_element() + extent) * f64::from(f32::EPSILON) / 2.0;
+    match format {
+        GaussianFormat::Spz(_) => 0.5 * spz::step(gaussians).unwrap_or(0.0),
+        GaussianFormat::CompressedPly => single.max(0.5 * compressed_ply::step(gaussians)),
+        GaussianFormat::Ply | GaussianFormat::Glb => single,
     }
 }
 
@@ -258,7 +324,8 @@ fn cameras_of(
 const FAR: f64 = 1000.0;
 
 /// The similarity from COLMAP's frame to metres, without a large offset, and that offset in whole metres.
-fn metric(scene: &Path) -> Result<(Frame, Option<[f64; 3]>), WorkError> {
+/// `away` is the place of the positions' zero in COLMAP's frame.
+fn metric(scene: &Path, away: DVec3) -> Result<(Frame, DVec3), WorkError> {
     let Some(world) = Scene::world(scene).map_err(WorkError::input)? else {
         return Err(WorkError::Input(format!(
             "--frame metric: {} does not know its metres; measure a length or give positions \
@@ -266,9 +333,9 @@ fn metric(scene: &Path) -> Result<(Frame, Option<[f64; 3]>), WorkError> {
             path_text(scene)
         )));
     };
-    let translation = DVec3::from_array(world.apply([0.0; 3]));
+    let translation = DVec3::from_array(world.apply(away.to_array()));
     let offset = if translation.abs().max_element() > FAR { translation.round() } else { DVec3::ZERO };
     let (scale, rotation) = (world.metres_per_unit, world.rotation());
     let similarity = Frame { scale, rotation, translation: translation - offset };
-    Ok((similarity, (offset != DVec3::ZERO).then(|| offset.to_array())))
+    Ok((similarity, offset))
 }

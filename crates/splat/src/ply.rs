@@ -107,10 +107,11 @@ pub fn write_with_comments(gaussians: &Gaussians, comments: &[String], writer: i
     names.extend((0..3).map(|i| format!("scale_{i}")));
     names.extend((0..4).map(|i| format!("rot_{i}")));
     write!(out, "ply\nformat binary_little_endian 1.0\n")?;
+    // Some readers take the third line for the count.
+    writeln!(out, "element vertex {}", gaussians.len())?;
     for comment in comments {
         writeln!(out, "comment {}", comment.replace(['\n', '\r'], " "))?;
     }
-    writeln!(out, "element vertex {}", gaussians.len())?;
     for name in &names {
         writeln!(out, "property float {name}")?;
     }

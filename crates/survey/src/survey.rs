@@ -7,10 +7,6 @@ use use3d_capture::{FileName, Pose, World};
 
 use crate::lens::Lens;
 use crate::markers::{Marker, ScaleBar};
-use crate::sights::PosedCamera;
-
-/// Points farther from the cameras than this many times the spread of the cameras are not of their scene.
-const FARTHEST: f64 = 1000.0;
 
 /// A camera: a lens and the size of its images.
 #[derive(Clone, Debug, PartialEq)]
@@ -178,25 +174,6 @@ impl Survey {
             }
             self.files.retain(|image, _| kept.contains(image));
         }
-    }
-
-    /// The pixel of an image on which a position, in units of the survey, lands. `None` behind the camera,
-    /// where the lens has no pixel for it, and for an unknown camera.
-    pub fn project(&self, image: &PosedImage, position: [f64; 3]) -> Option<(f64, f64)> {
-        self.posed(image)?.pixel(position).map(Into::into)
-    }
-
-    /// The number of `positions` that fall onto any image, and are not absurdly far from it: coordinates of
-    /// another reference system would lie in the centre of the earth.
-    pub fn seen(&self, positions: &[[f64; 3]]) -> usize {
-        let centres: Vec<DVec3> = self.images.iter().map(|image| image.pose().center()).collect();
-        let mean = centres.iter().sum::<DVec3>() / centres.len().max(1) as f64;
-        let spread = centres.iter().map(|c| c.distance(mean)).fold(0.0, f64::max);
-        let reach = if spread > 0.0 { FARTHEST * spread } else { f64::INFINITY };
-        let near = |p: &[f64; 3]| DVec3::from_array(*p).distance(mean) < reach;
-        let cameras: Vec<PosedCamera<'_>> = self.images.iter().filter_map(|i| self.posed(i)).collect();
-        let near = positions.iter().filter(|p| near(p));
-        near.filter(|p| cameras.iter().any(|camera| camera.sees(**p, 0.0))).count()
     }
 }
 

@@ -1,16 +1,10 @@
 //! `use3d check`: says before a run what will go wrong with a capture, and what to do about it.
 
-use std::convert::Infallible;
 use std::path::Path;
 
-use use3d_capture::{FileName, Pixels};
-use use3d_check::{
-    CheckReport, Figures, Picture, PixelsRead, WaterSight, agreement, examine, measure, measure_masks, page,
-};
-use use3d_import::{
-    ImportError, ImportParams, Imported, capture_name, import, is_prepared, load_mask, load_pixels,
-    load_prepared,
-};
+use use3d_capture::FileName;
+use use3d_check::{CheckReport, Picture, WaterSight, examine, few_figures, figures, page};
+use use3d_import::{ImportParams, Imported, capture_name, import, is_prepared, load_pixels, load_prepared};
 use use3d_io_image::{jpeg_address, read_image, shrunk};
 use use3d_pipeline::by_hand::{ByHand, scratch};
 use use3d_pipeline::destination::{check_file, path_text, word, write_text};
@@ -26,8 +20,6 @@ use crate::output::show;
 
 /// The longer side of a small picture, pixels.
 const SMALL: usize = 320;
-/// The masks that a run reads before its first stage, at most.
-const FEW_MASKS: usize = 24;
 /// The JPEG quality of a small picture.
 const QUALITY: u8 = 80;
 
@@ -59,27 +51,7 @@ pub(crate) fn run(app: &App, args: &CheckArgs) -> Done {
     listed.name = capture_name(&args.capture);
     let (capture, water, figures) = interrupt::unless_stopped(move || {
         let water = from_tracks(&folder, &capture, &WaterParams::default());
-        let (mut largest, views) = (Some(0), &capture.capture.views);
-        let mut load = |view: usize| {
-            let pixels = load_pixels(&views[view])?;
-            largest = match &pixels {
-                Pixels::Sixteen(own) => {
-                    largest.map(|most: u16| own.data().iter().fold(most, |m, v| m.max(*v)))
-                }
-                Pixels::Eight(_) => None,
-            };
-            Ok(pixels.to_image())
-        };
-        let tracks = capture.tracks();
-        let figures =
-            measure::<ImportError>(&capture.capture, &tracks, Some(&mut load)).and_then(|mut figures| {
-                figures.largest_sample = largest;
-                measure_masks(&mut figures, &tracks, &mut |view| load_mask(&views[view]))?;
-                Ok(figures)
-            });
-        let figures = figures.and_then(|figures| {
-            Ok(Figures { agreement: Some(agreement(&original, PixelsRead::All)?), ..figures })
-        });
+        let figures = figures(&capture, &original);
         (capture, water, figures)
     })?;
     let (_, judgement) = water.map_err(WorkError::input)?;
@@ -112,16 +84,7 @@ pub(crate) fn run(app: &App, args: &CheckArgs) -> Done {
 pub(crate) fn before_run(capture: &Path, params: &ImportParams) -> Vec<String> {
     const MOST: usize = 3;
     let Ok(imported) = import(capture, params) else { return Vec::new() };
-    let tracks = imported.tracks();
-    let Ok(mut figures) = measure::<Infallible>(&imported.capture, &tracks, None);
-    figures.agreement = agreement(&imported, PixelsRead::Few).ok();
-    let (views, step) = (&imported.capture.views, imported.capture.views.len().div_ceil(FEW_MASKS).max(1));
-    let mut load = |view: usize| match view % step {
-        0 => Ok::<_, Infallible>(load_mask(&views[view]).ok().flatten()),
-        _ => Ok(None),
-    };
-    let Ok(()) = measure_masks(&mut figures, &tracks, &mut load);
-    let mut lines = examine(&imported.report, figures, None, metres(&imported)).gravest(MOST);
+    let mut lines = examine(&imported.report, few_figures(&imported), None, metres(&imported)).gravest(MOST);
     if !lines.is_empty() {
         lines.push(format!("`use3d check {}` says more, and looks at all photographs", word(capture)));
     }

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use use3d_pipeline::destination::{check_file, path_text};
-use use3d_pipeline::export::{ExportLook, ExportedScene, GaussianFormat, GaussianFrame};
+use use3d_pipeline::export::{ExportLook, ExportedScene, GaussianFormat, GaussianFrame, WrittenFile};
 use use3d_pipeline::found::capture_in;
 use use3d_scene::Scene;
 use use3d_scene::white::Gains;
@@ -64,18 +64,34 @@ pub(crate) fn run(app: &App, args: &ExportArgs) -> Done {
     let frame = args.frame.map_or(GaussianFrame::default(), ExportFrame::frame);
     files(args).try_for_each(|(format, flag, _, path)| {
         let made_with = format!("use3d {}", crate::version::NUMBER);
-        let (about, offset) = exported.write((flag, path), format, frame, made_with)?;
+        let written = exported.write((flag, path), format, frame, made_with)?;
+        let WrittenFile { about, unit, offset, rounding, extent } = written;
         let size = bytes(std::fs::metadata(path).map_or(0, |m| m.len()));
-        remark!(app, "{}: {} Gaussians, {about}, {size}", path_text(path), exported.gaussians.len());
+        let positions = match rounding > COARSE.0 * extent {
+            true => format!(", positions to {rounding:.1e} {unit}"),
+            false => String::new(),
+        };
+        let count = exported.gaussians.len();
+        remark!(app, "{}: {count} Gaussians, {about}{positions}, {size}", path_text(path));
         if let Some([x, y, z]) = offset {
             remark!(
                 app,
-                "positions lack the offset {x} {y} {z} metres: single precision would lose millimetres"
+                "positions lack the offset {x} {y} {z} {unit}: single precision would lose millimetres"
+            );
+        }
+        if rounding > COARSE.1 * extent {
+            eprintln!(
+                "warning: {}: positions in this file are off by up to {rounding:.1e} {unit}, and the scene is about \
+                 {extent:.1e} large; export a PLY, which is finer",
+                path_text(path)
             );
         }
         Ok(())
     })
 }
+
+/// Errors of positions above these shares of the scene's size are said, and warned of.
+const COARSE: (f64, f64) = (1e-5, 3e-4);
 
 /// The requested files besides the page: format, flag, ending, path.
 fn files(args: &ExportArgs) -> impl Iterator<Item = (GaussianFormat, &'static str, &'static str, &Path)> {

@@ -7,7 +7,7 @@ use std::path::Path;
 use tiff::tags::Tag;
 
 use crate::byte_source::ByteSource;
-use crate::color_space;
+use crate::color_space::{ColorUse, color_use};
 use crate::cut_off::is_marked_at_the_end;
 use crate::error::{FileFormat, ImageError};
 use crate::exif::{exif_of_block, exif_of_bytes};
@@ -29,9 +29,10 @@ pub struct PhotographInfo {
     pub orientation: u16,
     /// True if there is an alpha channel.
     pub alpha: bool,
-    /// The name of the colour space from which the colours are converted to sRGB when they are read; `None`
-    /// if they are used as stored.
-    pub color_space: Option<String>,
+    /// The length of the file, bytes.
+    pub length: u64,
+    /// The use of what the file states about its colours.
+    pub colors: ColorUse,
 }
 
 /// The largest `eXIf` chunk that is read for its orientation.
@@ -125,6 +126,6 @@ fn of_file(reader: &mut BufReader<File>, path: &Path) -> Result<PhotographInfo, 
         FileFormat::Npy => return Err(super::no_photograph(path)),
     };
     reader.rewind().map_err(open)?;
-    let color_space = color_space::name(reader, format);
-    Ok(PhotographInfo { width, height, format, bits, orientation, alpha, color_space })
+    let colors = color_use(reader, format);
+    Ok(PhotographInfo { width, height, format, bits, orientation, alpha, length, colors })
 }

@@ -57,12 +57,17 @@ pub(super) fn with_exif(s: &Spoiler<'_>, exif: impl Fn(usize) -> Vec<u8>) -> Don
     rewrite(s, "jpg", |i, path, picture| save(path, picture, Said { exif: Some(exif(i)), ..Said::default() }))
 }
 
+/// The date and time in a profile: year, month, day, hour, minute, second.
+const MADE: [u16; 6] = [2026, 1, 1, 0, 0, 0];
+
 /// Converts the photographs to the colours of a profile, which their files name.
 fn in_profile(s: &Spoiler<'_>, profile: &ColorProfile, extension: &str) -> Done {
     let failed = |e: moxcms::CmsError| SynthError::io(s.dir)(std::io::Error::other(e));
     let (rgb, options) = (Layout::Rgb, TransformOptions::default());
     let convert = ColorProfile::new_srgb().create_transform_8bit(rgb, profile, rgb, options);
-    let (convert, bytes) = (convert.map_err(failed)?, profile.encode().map_err(failed)?);
+    let (convert, mut bytes) = (convert.map_err(failed)?, profile.encode().map_err(failed)?);
+    // The header has the time of writing. Equal captures must have equal bytes.
+    bytes[24..36].copy_from_slice(&MADE.map(u16::to_be_bytes).concat());
     rewrite(s, extension, |_, path, picture| {
         let mut out = picture.clone();
         convert.transform(picture.as_raw(), &mut out).map_err(failed)?;

@@ -18,6 +18,20 @@ const CHUNK: usize = 256;
 /// Logarithms of sizes are clamped to ± this.
 const LARGEST_LOG: f32 = 20.0;
 
+/// The step of positions in the file, units: that of the median chunk along its widest side.
+pub fn step(gaussians: &Gaussians) -> f64 {
+    let order = curve_order(gaussians);
+    let side = |chunk: &[u32]| {
+        let means: Vec<[f32; 3]> = chunk.iter().map(|i| gaussians.means[*i as usize]).collect();
+        let [low, high] = range(&means);
+        (0..3).map(|k| f64::from(high[k] - low[k])).fold(0.0, f64::max)
+    };
+    let mut sides: Vec<f64> = order.chunks(CHUNK).map(side).collect();
+    sides.sort_unstable_by(f64::total_cmp);
+    // The coarsest axis has ten bits.
+    sides.get(sides.len() / 2).map_or(0.0, |side| side / 1023.0)
+}
+
 /// Writes Gaussians in their given frame, ordered along a space-filling curve.
 ///
 /// # Errors
@@ -92,7 +106,7 @@ fn range(values: &[[f32; 3]]) -> [[f32; 3]; 2] {
 fn share(v: [f32; 3], [low, high]: [[f32; 3]; 2]) -> [f32; 3] {
     std::array::from_fn(|k| {
         let side = high[k] - low[k];
-        if side < 1e-5 { 0.0 } else { (v[k] - low[k]) / side }
+        if side > 0.0 { (v[k] - low[k]) / side } else { 0.0 }
     })
 }
 

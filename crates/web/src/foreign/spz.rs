@@ -49,11 +49,10 @@ const HEAD: u32 = 32;
 pub fn write(gaussians: &Gaussians, version: Version, writer: impl Write) -> io::Result<()> {
     let g = gaussians;
     let count = u32::try_from(g.len()).map_err(|_| io::Error::other("too many Gaussians for an SPZ file"))?;
-    let reach = g.means.as_flattened().iter().fold(0.0f32, |m, v| m.max(v.abs()));
-    let fits = |bits: &u32| reach * (1u32 << bits) as f32 <= 8_388_607.0;
-    let fraction = (0..=FRACTION).rev().find(fits).ok_or_else(|| {
+    let fraction = fraction(g).ok_or_else(|| {
         io::Error::other(format!(
-            "a Gaussian lies {reach} units away: too far for an SPZ file; export a PLY, or crop the scene"
+            "a Gaussian lies {} units away: too far for an SPZ file; export a PLY, or crop the scene",
+            reach(g)
         ))
     })?;
     let arrays = arrays(g, fraction);
@@ -62,6 +61,22 @@ pub fn write(gaussians: &Gaussians, version: Version, writer: impl Write) -> io:
         Version::Three => gzipped(count, shape, &arrays, writer),
         Version::Four => framed(count, shape, &arrays, writer),
     }
+}
+
+/// The step of positions in the file, units; `None` if a position does not fit.
+pub fn step(gaussians: &Gaussians) -> Option<f64> {
+    Some(1.0 / f64::from(1u32 << fraction(gaussians)?))
+}
+
+/// The largest coordinate.
+fn reach(g: &Gaussians) -> f32 {
+    g.means.as_flattened().iter().fold(0.0f32, |m, v| m.max(v.abs()))
+}
+
+/// The number of fractional bits with which every position fits.
+fn fraction(g: &Gaussians) -> Option<u32> {
+    let reach = reach(g);
+    (0..=FRACTION).rev().find(|bits| reach * (1u32 << bits) as f32 <= 8_388_607.0)
 }
 
 fn gzipped(count: u32, shape: [u8; 3], arrays: &[Vec<u8>], writer: impl Write) -> io::Result<()> {

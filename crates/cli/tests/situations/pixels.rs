@@ -1,50 +1,14 @@
 //! Pixels, names and masks as people have them: what files say about their pixels is honoured, names match as
 //! people mean them, and masks of all usual forms have their effect or are named.
 
-mod tiny;
-
 use std::path::{Path, PathBuf};
-use std::sync::OnceLock;
 
 use serde_json::Value;
 use use3d_capture::FileName;
+use use3d_check::Severity;
 use use3d_io_colmap::{read_model, write_model_binary};
 
-/// A small capture with a fault.
-fn faulty(dir: &Path, fault: &str) -> PathBuf {
-    let at = dir.join(fault.replace(':', "-"));
-    let made = tiny::command()
-        .args(["-q", "synth", "capture", "--views", "12", "--size", "96x64", "--fault", fault, "--out"])
-        .arg(&at)
-        .output()
-        .unwrap();
-    assert!(made.status.success(), "{fault}: {}", String::from_utf8_lossy(&made.stderr));
-    at
-}
-
-fn copy(from: &Path, to: &Path) {
-    std::fs::create_dir_all(to).unwrap();
-    for entry in std::fs::read_dir(from).unwrap().map(Result::unwrap) {
-        let at = to.join(entry.file_name());
-        match entry.path().is_dir() {
-            true => copy(&entry.path(), &at),
-            false => _ = std::fs::copy(entry.path(), at).unwrap(),
-        }
-    }
-}
-
-/// A copy of a sound capture, which is made once.
-fn sound(dir: &Path, name: &str) -> PathBuf {
-    static MADE: OnceLock<tempfile::TempDir> = OnceLock::new();
-    let made = MADE.get_or_init(|| {
-        let made = tempfile::tempdir().unwrap();
-        faulty(made.path(), "errors-false");
-        made
-    });
-    let to = dir.join(name);
-    copy(&made.path().join("errors-false"), &to);
-    to
-}
+use super::{faulty, finding, imported, sound};
 
 /// The sound capture with other names of images in its model.
 fn named(dir: &Path, name: &str, by: impl Fn(usize, &str) -> String) -> PathBuf {
@@ -55,27 +19,6 @@ fn named(dir: &Path, name: &str, by: impl Fn(usize, &str) -> String) -> PathBuf 
     }
     write_model_binary(&at.join("sparse/0"), &model).unwrap();
     at
-}
-
-/// The capture that an import makes of a folder, and what it prints; an error's text.
-fn imported(capture: &Path) -> Result<(Value, String, PathBuf), String> {
-    let out = capture.with_extension("imported");
-    let done = tiny::command().arg("import").arg(capture).arg("--out").arg(&out).output().unwrap();
-    let text = String::from_utf8_lossy(&done.stderr).into_owned() + &String::from_utf8_lossy(&done.stdout);
-    if !done.status.success() {
-        return Err(text);
-    }
-    let document = serde_json::from_slice(&std::fs::read(out.join("capture.json")).unwrap()).unwrap();
-    Ok((document, text, out))
-}
-
-/// The findings of a check with this subject: severity and text.
-fn finding(capture: &Path, subject: &str) -> Option<(String, String)> {
-    let done = tiny::command().args(["-q", "check", "--json"]).arg(capture).output().unwrap();
-    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
-    let report: Value = serde_json::from_slice(&done.stdout).unwrap();
-    let all = report["findings"].as_array().unwrap().iter().find(|f| f["subject"] == subject)?;
-    Some((all["severity"].as_str()?.into(), all["text"].as_str()?.into()))
 }
 
 /// Mean colour of the photographs of an imported capture, in steps of 255.
@@ -113,8 +56,12 @@ fn icc_profile() {
 #[test]
 fn low_range_16() {
     let dir = tempfile::tempdir().unwrap();
-    let (severity, text) = finding(&faulty(dir.path(), "few-bits"), "range").unwrap();
-    assert!(severity == "minor" && text.contains("the lower 12") && text.contains("16 times"), "{text}");
+    let found = finding(&faulty(dir.path(), "few-bits"), "range");
+    let text = &found.text;
+    assert!(
+        found.severity == Severity::Minor && text.contains("the lower 12") && text.contains("16 times"),
+        "{text}"
+    );
 }
 
 /// The photographs of a capture, sorted.
@@ -157,8 +104,8 @@ fn files_that_cannot_be_read_are_left_out_and_named() {
     let (document, text, _) = imported(&capture).unwrap();
     assert_eq!(views(&document), 9, "{text}");
     assert!(text.contains("left out") && text.contains("the file is empty"), "{text}");
-    let (severity, text) = finding(&capture, "unusable").unwrap();
-    assert!(severity == "minor" && text.contains("3 of 12"), "{text}");
+    let found = finding(&capture, "unusable");
+    assert!(found.severity == Severity::Minor && found.text.contains("3 of 12"), "{found:?}");
     assert_eq!(views(&imported(&faulty(dir.path(), "no-end")).unwrap().0), 12);
 }
 
@@ -262,6 +209,6 @@ fn masks_mark_the_diver() {
     for path in photographs(&capture) {
         mask(&capture.join("masks").join(path.file_name().unwrap()), 255, true);
     }
-    let (severity, text) = finding(&capture, "inverted").unwrap();
-    assert!(severity == "serious" && text.contains("probably inverted"), "{text}");
+    let found = finding(&capture, "inverted");
+    assert!(found.severity == Severity::Serious && found.text.contains("probably inverted"), "{found:?}");
 }

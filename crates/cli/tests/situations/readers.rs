@@ -1,60 +1,14 @@
 //! Situations of people's files and depth maps: what is read, what is named, and what is refused.
 
-mod tiny;
+use use3d_check::{Finding, Severity};
+use use3d_import::ImportReport;
 
-use std::convert::Infallible;
-use std::path::Path;
-use std::sync::OnceLock;
+use super::{examined, faulty, sound};
 
-use tempfile::TempDir;
-use use3d_check::{Finding, PixelsRead, Severity, agreement, examine, measure};
-use use3d_import::{ImportParams, ImportReport, import};
-use use3d_synth::ChosenFault;
-
-/// A sound synthetic capture, made once.
-fn sound() -> &'static Path {
-    static SOUND: OnceLock<TempDir> = OnceLock::new();
-    let dir = SOUND.get_or_init(|| {
-        let dir = tempfile::tempdir().unwrap();
-        let mut command = tiny::command();
-        command.args(["-q", "synth", "capture", "--views", "12", "--size", "96x64", "--out"]);
-        let made = command.arg(dir.path().join("reef")).output().expect("the command starts");
-        assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
-        dir
-    });
-    dir.path()
-}
-
-fn copied(from: &Path, to: &Path) {
-    std::fs::create_dir_all(to).unwrap();
-    for entry in std::fs::read_dir(from).unwrap().map(Result::unwrap) {
-        let (path, to) = (entry.path(), to.join(entry.file_name()));
-        match path.is_dir() {
-            true => copied(&path, &to),
-            false => drop(std::fs::copy(path, to).unwrap()),
-        }
-    }
-}
-
-/// The report and the findings, without those of the water, of a synthetic capture with a fault; or the error
-/// of its import.
+/// The report and the findings of the capture with a fault, or without one; the error of its import.
 fn tried(fault: &str) -> Result<(ImportReport, Vec<Finding>), String> {
     let dir = tempfile::tempdir().unwrap();
-    let capture = dir.path().join("reef");
-    copied(sound(), dir.path());
-    if fault != "none" {
-        let fault: ChosenFault = fault.parse().unwrap();
-        fault.spoil(&capture, 42).unwrap();
-    }
-    examined(&capture)
-}
-
-fn examined(capture: &Path) -> Result<(ImportReport, Vec<Finding>), String> {
-    let imported = import(capture, &ImportParams::default()).map_err(|e| e.to_string())?;
-    let Ok(mut figures) = measure::<Infallible>(&imported.capture, &imported.tracks(), None);
-    figures.agreement = Some(agreement(&imported, PixelsRead::All).map_err(|e| e.to_string())?);
-    let findings = examine(&imported.report, figures, None, None).findings;
-    Ok((imported.report, findings))
+    examined(&if fault == "none" { sound(dir.path(), "none") } else { faulty(dir.path(), fault) })
 }
 
 /// The error of a capture's import.

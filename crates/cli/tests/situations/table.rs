@@ -1,0 +1,146 @@
+//! Every fault that `synth capture --fault list` names is found as the list says, and sound captures have no
+//! serious finding and one minor one at most.
+//!
+//! The middle strengths are tried; all of them with
+//!
+//! ```text
+//! USE3D_STRENGTHS=all cargo test -p use3d --test situations table -- --nocapture
+//! ```
+
+use std::path::Path;
+
+use rayon::prelude::*;
+use use3d_check::{Finding, Severity};
+use use3d_synth::{CaptureFault, ChosenFault, Due, FAULTS};
+
+use super::{SEED, command, examined, run, sound};
+
+/// Faults that the next version finds: those of pictures that never change.
+const LATER: [&str; 4] = ["bars", "display", "port-rim", "gripper"];
+
+/// The weight of the gravest of some findings: 3 for a refusal, 2 serious, 1 minor, 0 none.
+fn weight(findings: &[&Finding]) -> u8 {
+    let of = |finding: &&Finding| match finding.severity {
+        Severity::Serious => 2,
+        Severity::Minor => 1,
+        Severity::Note | Severity::Good => 0,
+    };
+    findings.iter().map(of).max().unwrap_or(0)
+}
+
+/// The finding that a sound capture does not have, in words, and the complaint if it is not the one that is
+/// owed.
+fn tried(fault: ChosenFault, level: usize, usual: &[&str]) -> (String, Option<String>) {
+    let dir = tempfile::tempdir().unwrap();
+    let capture = sound(dir.path(), "reef");
+    fault.spoil(&capture, SEED).unwrap();
+    let (found, words, noted) = match examined(&capture) {
+        Err(error) => (3, error, false),
+        Ok((_, findings)) => {
+            let own: Vec<&Finding> = findings.iter().filter(|f| !usual.contains(&f.text.as_str())).collect();
+            let told = own.iter().filter(|f| f.severity != Severity::Good);
+            let words = told.map(|f| format!("{:?} {}: {}", f.severity, f.subject, f.text));
+            let noted = own.iter().any(|f| f.severity != Severity::Good);
+            (weight(&own), words.collect::<Vec<_>>().join(" | "), noted)
+        }
+    };
+    let right = match fault.fault.due {
+        Due::Refused => found == 3,
+        Due::Serious => found == 2 || (level == 0 && found == 1),
+        Due::Minor => found == 1 || found == 2,
+        Due::Note => found < 3 && noted,
+        Due::Right => found == 0,
+    };
+    (words.clone(), (!right).then_some(words))
+}
+
+#[test]
+fn every_fault_is_found_as_the_list_says() {
+    let all = std::env::var("USE3D_STRENGTHS").is_ok_and(|strengths| strengths == "all");
+    let dir = tempfile::tempdir().unwrap();
+    let findings = examined(&sound(dir.path(), "reef")).unwrap().1;
+    let usual: Vec<&str> = findings.iter().map(|f| f.text.as_str()).collect();
+    let known = |fault: &&'static CaptureFault| !LATER.contains(&fault.name);
+    let levels = |fault: &'static CaptureFault| match fault.strengths {
+        Some(_) if all => 0..3,
+        _ => 1..2,
+    };
+    let chosen: Vec<_> = FAULTS
+        .iter()
+        .filter(known)
+        .flat_map(|fault| levels(fault).map(move |level| (fault, level)))
+        .collect();
+    let lines: Vec<(usize, String, Option<String>)> = chosen
+        .par_iter()
+        .map(|(fault, level)| {
+            let (words, complaint) = tried(fault.at(*level), *level, &usual);
+            let name = format!("{} {level}, owed {}", fault.name, fault.due.word());
+            (*level, format!("{name}: {words}"), complaint.map(|words| format!("{name}: {words}")))
+        })
+        .collect();
+    for (_, line, complaint) in &lines {
+        println!("{} {line}", if complaint.is_some() { "MISSED" } else { "found " });
+    }
+    for level in 0..3 {
+        let of = || lines.iter().filter(|line| line.0 == level);
+        let missed: Vec<&String> = of().filter_map(|line| line.2.as_ref()).collect();
+        println!("strength {level}: {} of {} are not found as owed", missed.len(), of().count());
+        // Four of five weak faults are enough.
+        let most = if level == 0 { of().count() / 5 } else { 0 };
+        assert!(missed.len() <= most, "{missed:#?}");
+    }
+}
+
+/// Fails if a sound capture has a serious finding, or more than one minor one.
+fn check_sound(capture: &Path) {
+    let findings = examined(capture).unwrap().1;
+    let of = |severity| {
+        let all = findings.iter().filter(move |f| f.severity == severity);
+        all.map(|f| format!("{}: {}", f.subject, f.text)).collect::<Vec<_>>()
+    };
+    let (serious, minor) = (of(Severity::Serious), of(Severity::Minor));
+    println!("{}: {serious:?} {minor:?}", capture.display());
+    assert!(serious.is_empty() && minor.len() <= 1, "{}: {serious:#?} {minor:#?}", capture.display());
+}
+
+#[test]
+fn sound_captures_have_no_serious_finding_and_one_minor_one_at_most() {
+    let dir = tempfile::tempdir().unwrap();
+    let kinds: [&[&str]; 9] = [
+        &["--seed", "1"],
+        &["--seed", "2", "--views", "40"],
+        &["--seed", "3", "--no-depth-priors"],
+        &["--seed", "4", "--size", "64x96"],
+        &["--seed", "5", "--lens", "radial"],
+        &["--seed", "6", "--physics", "spectral", "--water", "3C"],
+        &["--seed", "7", "--physics", "spectral", "--water", "air"],
+        &["--seed", "8", "--physics", "spectral", "--water", "IA", "--fish", "2"],
+        &["--seed", "9", "--place", "pool"],
+    ];
+    for (number, kind) in kinds.into_iter().enumerate() {
+        let capture = dir.path().join(number.to_string());
+        let mut synth = command();
+        synth.args(["-q", "synth", "capture", "--out"]).arg(&capture);
+        let usual = [("--views", "20"), ("--size", "96x64")];
+        for (flag, value) in usual.into_iter().filter(|(flag, _)| !kind.contains(flag)) {
+            synth.args([flag, value]);
+        }
+        run(synth.args(kind)).unwrap();
+        check_sound(&capture);
+    }
+}
+
+#[test]
+fn real_captures_have_no_serious_finding_and_one_minor_one_at_most() {
+    let Some(data) = std::env::var_os("USE3D_DATA") else {
+        println!("SKIPPED, no real capture was examined: USE3D_DATA is not set");
+        return;
+    };
+    for name in ["reef_deepreefmap", "vent_sucre", "fern"] {
+        let capture = Path::new(&data).join(name);
+        match capture.is_dir() {
+            true => check_sound(&capture),
+            false => println!("SKIPPED: {} is not there", capture.display()),
+        }
+    }
+}
