@@ -6,12 +6,8 @@
 //! * the *error* of a sighting is `‖π_v(X) − x‖`, in pixels of the model's photographs; the error of a
 //!   capture is the mean over points of their mean, as COLMAP stores it;
 //! * a sighting is *in view* if `π_v(X)` exists and is not farther than a twentieth of a side outside;
-//! * the *likeness* of a view compares it with the other views of its points. The detail of a point in a
-//!   view is the brightness of its pixel less the mean around it, in a picture of about 640 pixels. The
-//!   likeness is the rank correlation (Spearman's ρ) between a view's details and the means of those in the
-//!   other views. It is above 0.7 if a photograph belongs to its pose, and near 0 if another photograph is
-//!   there, or the same one turned. Exposure and water hardly change the order of details. A model without
-//!   tracks is compared at the points' projections, where hidden points lower the likeness;
+//! * the *likeness* of a view compares its photograph with those of the other views (`shown.rs`). A model
+//!   without tracks is compared at the points' projections, where hidden points lower the likeness;
 //! * the *coverage* of a capture is the share of its points that at least three views saw, and the *angle* of
 //!   a point is the largest between the rays of two of its views.
 //!
@@ -22,22 +18,19 @@ use std::collections::BTreeMap;
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 use serde::Serialize;
-use use3d_capture::{Image, Pose, View};
+use use3d_capture::{Pose, View};
 use use3d_import::Imported;
-use use3d_io_image::{ImageError, read_image, shrunk};
+use use3d_io_image::{ImageError, read_image};
 use use3d_numerics::math;
-use use3d_survey::{PointSight, PosedCamera, PosedImage, Survey, rank_correlation};
+use use3d_survey::{PointSight, PosedCamera, PosedImage, Survey};
 
 use crate::depth::{DepthAgreement, depth_maps};
+use crate::shown::{Exchanged, FEWEST, MOST, Shown, exchanged, likeness, shown, zoom};
 
-/// The fewest sightings from which a view's figures are taken.
-const FEWEST: usize = 30;
-/// The most sightings of a view that are compared with its pixels; they are evenly chosen.
-const MOST: usize = 1500;
-/// The longer side of the pictures in which details are compared, pixels.
-const SIDE: usize = 640;
-/// Pixels on each side of a point that its brightness is compared with.
-const AROUND: usize = 10;
+/// The mean of stated errors below which they are no measurements, pixels.
+const NO_ERROR: f64 = 0.05;
+/// Points farther than this many times the usual distance from the middle of all lie outside of the scene.
+const OUTSIDE: f64 = 100.0;
 /// A point this share of a side outside of a picture still counts as in view.
 const MARGIN: f64 = 0.05;
 /// Pixels and views that a run reads before its first stage, at most.
@@ -78,6 +71,14 @@ pub struct ModelAgreement {
     pub error: Option<f64>,
     /// The error that the model's file states, pixels; `None` if it states none.
     pub stated: Option<f64>,
+    /// True if the errors that the file states are too small to be measured ones.
+    pub states_none: bool,
+    /// Points far outside of the scene. They count in no figure.
+    pub outside: usize,
+    /// The zoom of the photographs against those of the model, if it is not 1.
+    pub zoom: Option<f64>,
+    /// The side on which red and blue are exchanged, if they are.
+    pub exchanged: Option<Exchanged>,
     /// The share of points that are in view of at least one photograph; `None` without points.
     pub in_view: Option<f64>,
     /// The overlap of the views; `None` if they see no point.
@@ -151,9 +152,23 @@ pub(crate) fn agreement(imported: &Imported, pixels: PixelsRead) -> Result<Model
         }
     };
     let all: Vec<Option<Shown>> = (0..views.len()).into_par_iter().map(read).collect::<Result<_, _>>()?;
-    found.likeness(&all, survey.points.len());
+    for (view, likeness) in found.views.iter_mut().zip(likeness(&all, survey.points.len())) {
+        view.likeness = likeness;
+    }
+    // Hidden points are as wrong at one zoom as at another.
+    found.zoom = tracked.then(|| zoom(&all, survey.points.len())).flatten();
+    found.exchanged = exchanged(&all, &survey.points);
     Ok(found)
 }
+
+/// Other coordinates of the points, in words.
+type PointAxes = (&'static str, fn([f64; 3]) -> [f64; 3]);
+const POINT_AXES: [PointAxes; 4] = [
+    ("if y and z of the points were exchanged", |[x, y, z]| [x, z, y]),
+    ("if the points were turned so that their z is y", |[x, y, z]| [x, -z, y]),
+    ("if the points were turned so that their y is z", |[x, y, z]| [x, z, -y]),
+    ("if y and z of the points had the other sign", |[x, y, z]| [x, -y, -z]),
+];
 
 /// The share of points that are in view of any photograph; `None` without points.
 fn share_in_view(survey: &Survey, cameras: &[Option<PosedCamera<'_>>]) -> Option<f64> {
@@ -189,7 +204,12 @@ fn misreading(survey: &Survey, cameras: &[Option<PosedCamera<'_>>]) -> Option<&'
         let moved = cameras.iter().map(|c| c.map(|c| PosedCamera { pose: reading(c.pose), ..c }));
         share_in_view(survey, &moved.collect::<Vec<_>>()).unwrap_or(0.0)
     };
-    let shares = readings.map(|reading| (reading.0, seen(&reading)));
+    let mut shares = readings.map(|reading| (reading.0, seen(&reading))).to_vec();
+    for (words, axes) in POINT_AXES {
+        let mut turned = survey.clone();
+        turned.points.iter_mut().for_each(|point| point.position = axes(point.position));
+        shares.push((words, share_in_view(&turned, cameras).unwrap_or(0.0)));
+    }
     shares
         .into_iter()
         .max_by(|a, b| a.1.total_cmp(&b.1))
@@ -224,27 +244,6 @@ fn coverage(imported: &Imported, sights: &[Vec<PointSight>]) -> Option<ViewOverl
 }
 
 impl ModelAgreement {
-    fn likeness(&mut self, all: &[Option<Shown>], points: usize) {
-        let mut sums = vec![(0.0, 0usize); points];
-        for (point, detail) in all.iter().flatten().flatten() {
-            sums[*point].0 += detail;
-            sums[*point].1 += 1;
-        }
-        for (view, shown) in self.views.iter_mut().zip(all) {
-            let (mut own, mut others) = (Vec::new(), Vec::new());
-            for (point, detail) in shown.iter().flatten() {
-                let (sum, count) = sums[*point];
-                if count > 1 {
-                    own.push(*detail);
-                    others.push((sum - detail) / (count - 1) as f64);
-                }
-            }
-            if own.len() >= FEWEST {
-                view.likeness = rank_correlation(&own, &others);
-            }
-        }
-    }
-
     fn errors(&mut self, survey: &Survey, sights: &[Vec<PointSight>], cameras: &[Option<PosedCamera<'_>>]) {
         let mut of_point = vec![(0.0, 0usize); survey.points.len()];
         for ((view, sights), camera) in self.views.iter_mut().zip(sights).zip(cameras) {
@@ -267,48 +266,35 @@ impl ModelAgreement {
                 view.error = Some(errors[errors.len() / 2]);
             }
         }
+        let far = outside(survey);
+        self.outside = far.iter().filter(|far| **far).count();
         let measured: Vec<(f64, f64)> = survey
             .points
             .iter()
             .zip(&of_point)
-            .filter(|(_, (_, count))| *count > 0)
-            .map(|(point, (sum, count))| (sum / *count as f64, point.error))
+            .zip(&far)
+            .filter(|((_, (_, count)), far)| *count > 0 && !**far)
+            .map(|((point, (sum, count)), _)| (sum / *count as f64, point.error))
             .collect();
         let mean =
             |values: Vec<f64>| (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64);
         self.error = mean(measured.iter().map(|(error, _)| *error).collect());
-        self.stated = mean(measured.iter().map(|(_, stated)| *stated).filter(|e| *e >= 0.0).collect());
+        let stated = mean(measured.iter().map(|(_, stated)| *stated).filter(|e| *e >= 0.0).collect());
+        self.states_none = stated.is_some_and(|stated| stated < NO_ERROR);
+        self.stated = stated.filter(|stated| *stated >= NO_ERROR);
     }
 }
 
-/// The points that a photograph saw, with the detail at each.
-type Shown = Vec<(usize, f64)>;
-
-/// Reads a photograph at its sights; `size` is that of the model's photograph, pixels.
-fn shown(image: &Image, sights: &[PointSight], size: [f64; 2]) -> Shown {
-    let small = shrunk(image, SIDE);
-    let (w, h) = (small.width(), small.height());
-    let scale = [w as f64 / size[0], h as f64 / size[1]];
-    let mean = |x: usize, y: usize, r: usize| {
-        let (mut sum, mut count) = ([0.0; 3], 0.0);
-        for v in y.saturating_sub(r)..(y + r + 1).min(h) {
-            for u in x.saturating_sub(r)..(x + r + 1).min(w) {
-                let pixel = small.pixel(u, v);
-                (0..3).for_each(|c| sum[c] += f64::from(pixel[c]));
-                count += 1.0;
-            }
-        }
-        luma(sum.map(|s: f64| s / count))
-    };
-    let detail = |sight: &PointSight| {
-        let [x, y] = [0, 1].map(|i| (sight.at[i] * scale[i]).floor());
-        let inside = x >= 1.0 && y >= 1.0 && x + 2.0 <= w as f64 && y + 2.0 <= h as f64;
-        let (x, y) = (x as usize, y as usize);
-        inside.then(|| (sight.point, mean(x, y, 1) - mean(x, y, AROUND)))
-    };
-    sights.iter().step_by((sights.len() / MOST).max(1)).filter_map(detail).collect()
-}
-
-fn luma(c: [f64; 3]) -> f64 {
-    0.2126 * c[0] + 0.7152 * c[1] + 0.0722 * c[2]
+/// For each point, if it lies far outside of the scene.
+fn outside(survey: &Survey) -> Vec<bool> {
+    let middle = DVec3::from_array([0, 1, 2].map(|axis| {
+        let mut all: Vec<f64> = survey.points.iter().map(|p| p.position[axis]).collect();
+        all.sort_unstable_by(f64::total_cmp);
+        all.get(all.len() / 2).copied().unwrap_or(0.0)
+    }));
+    let distance = |position: [f64; 3]| DVec3::from_array(position).distance(middle);
+    let mut all: Vec<f64> = survey.points.iter().map(|p| distance(p.position)).collect();
+    all.sort_unstable_by(f64::total_cmp);
+    let usual = all.get(all.len() / 2).copied().unwrap_or(0.0);
+    survey.points.iter().map(|p| distance(p.position) > OUTSIDE * usual).collect()
 }

@@ -7,6 +7,7 @@ use crate::agreement::{ModelAgreement, ViewAgreement, ViewOverlap};
 use crate::depth::{DepthAgreement, STEPS};
 use crate::measure::{Figures, ViewFigures};
 use crate::report::{CheckReport, Finding, Severity};
+use crate::shown::Exchanged;
 
 /// The result of the estimate of the water, in its own words.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -30,15 +31,17 @@ const LONELY: (usize, usize) = (50, 2);
 /// A view whose sharpness is below this share of its neighbours' is blurred.
 const BLURRED: f64 = 0.4;
 /// Changes of exposure that are seen, and that spoil a scene, stops.
-const EXPOSURE: (f64, f64) = (0.2, 0.6);
+const EXPOSURE: (f64, f64) = (0.4, 1.2);
+/// The same between cameras and folders, where the water of many pairs of views averages out.
+const RIG: (f64, f64) = (0.25, 0.5);
 /// The same for white balance, as a share.
 const BALANCE: (f64, f64) = (0.06, 0.2);
 /// A change of exposure along the swim that is said, stops.
-const DRIFT: f64 = 0.5;
+const DRIFT: f64 = 0.8;
 /// Reprojection errors above which a lens model is doubtful, and wrong, pixels.
 const ERROR: (f64, f64) = (1.0, 1.5);
 /// A measured error above this many times the stated one, and this many pixels more, is of another model.
-const CHANGED: (f64, f64) = (1.25, 0.1);
+const CHANGED: (f64, f64) = (1.1, 0.02);
 /// A view whose error is this many times the usual one, and this many pixels more, is misplaced.
 const MISPLACED: (f64, f64) = (4.0, 1.0);
 /// The share of points in view below which points and cameras do not belong together.
@@ -51,6 +54,8 @@ const ANGLE: f64 = 1.0;
 const LIKE: (f64, f64) = (0.6, 0.4);
 /// The share of points seen from different distances below which the water can hardly be measured.
 const RANGED: f64 = 0.1;
+/// Contrasts of the usual picture that are low, and too low, display range.
+const CONTRAST: (f64, f64) = (0.18, 0.1);
 /// Brightness of a picture in which little can be seen, display range.
 const DARK: f64 = 0.06;
 /// A side above which a training takes very long, pixels.
@@ -324,7 +329,8 @@ impl Rules {
                     scratch"
                 }
             };
-            self.add(serious_if(!(dry || never)), "tracks", text, remedy, Vec::new());
+            let severity = if dry || never { Severity::Note } else { Severity::Serious };
+            self.add(severity, "tracks", text, remedy, Vec::new());
             return;
         }
         if figures.points < 1000 {
@@ -345,6 +351,17 @@ impl Rules {
             };
             let remedy = "photograph the way to them more densely, or remove them from the folder of images";
             self.add(serious_if(self.share(lonely.len()) > 0.1), "lonely", text, remedy, lonely);
+        }
+        if let [_, _, ..] = figures.parts.as_slice() {
+            let sizes: Vec<String> = figures.parts.iter().map(usize::to_string).collect();
+            let text = format!(
+                "The photographs fall into {} groups that share no points ({} photographs), so nothing says how the groups \
+                 lie to each other.",
+                sizes.len(),
+                sizes.join(" and ")
+            );
+            let remedy = "photograph the way between the groups, or run each as a capture of its own";
+            self.add(Severity::Serious, "parts", text, remedy, Vec::new());
         }
         if figures.track_length < 3.0 {
             let text = format!("A point is seen in {:.1} views only.", figures.track_length);
@@ -389,10 +406,41 @@ impl Rules {
         if let Some(error) = agreement.error {
             self.error(error, agreement);
         }
+        if agreement.outside > 0 {
+            let (count, lie) = (agreement.outside, if agreement.outside == 1 { "lies" } else { "lie" });
+            let text = format!("{count} of the model's points {lie} far outside of the scene.");
+            self.note("points_outside", text, "nothing: the scene is measured without them");
+        }
+        match agreement.exchanged {
+            Some(Exchanged::Photographs) => {
+                let text =
+                    "Red and blue of the photographs are exchanged, compared with the colours of the points.";
+                let remedy = "exchange them back (`magick mogrify -channel-fx \"red<=>blue\"`)";
+                self.add(Severity::Serious, "colours", text, remedy, Vec::new());
+            }
+            Some(Exchanged::Points) => {
+                let text = "Red and blue of the points are exchanged, compared with the photographs.";
+                self.note("colours", text, "nothing: the training corrects the colours of the points");
+            }
+            None => {}
+        }
         let limit = if agreement.tracked { LIKE.0 } else { LIKE.1 };
         let list = |those: &dyn Fn(&ViewAgreement) -> bool| -> Vec<String> {
             agreement.views.iter().filter(|v| those(v)).map(|v| v.name.clone()).collect()
         };
+        if let Some(zoom) = agreement.zoom {
+            let (percent, border) = match zoom > 1.0 {
+                true => (zoom - 1.0, "enlarged by {} %, as if a border had been cut off"),
+                false => (1.0 / zoom - 1.0, "made smaller by {} %, as if a border had been added"),
+            };
+            let text = format!(
+                "Against those that the cameras were found from, the photographs are {}.",
+                border.replace("{}", &format!("{:.0}", 100.0 * percent))
+            );
+            let remedy = "use the photographs that the cameras were found from, or find the cameras again with \
+                `use3d prepare`";
+            self.add(Severity::Serious, "zoom", text, remedy, Vec::new());
+        }
         let read = list(&|v| v.likeness.is_some()).len();
         let others = list(&|v| v.likeness.is_some_and(|like| like < limit));
         if !others.is_empty() {
@@ -439,13 +487,16 @@ impl Rules {
             "Points land {error:.2} pixels beside their place on average (measured reprojection error)"
         );
         let changed = agreement.stated.filter(|stated| error > CHANGED.0 * stated + CHANGED.1);
+        if agreement.states_none {
+            let text = "The errors that the model's file states are too small to be measured ones, so they are not used.";
+            self.note("stated", text, "");
+        }
         if let Some(stated) = changed {
             let text = format!(
                 "{text}. The model's file says {stated:.2}: cameras or points were changed after they were found."
             );
             let remedy = "take the model as its program wrote it, or let that program adjust it again";
-            let grave = error > 1.5 * stated + CHANGED.1;
-            self.add(serious_if(grave), "error", text, remedy, Vec::new());
+            self.add(Severity::Serious, "error", text, remedy, Vec::new());
         } else if error > ERROR.0 {
             let text = format!("{text}: the lens model fits badly.");
             let remedy = "another lens model (`use3d prepare --lens`), zoom and stabilisation off, sharper \
@@ -512,7 +563,7 @@ impl Rules {
 
     /// The exposure of cameras and folders against each other, and along the swim.
     fn exposures(&mut self, figures: &Figures) {
-        if let Some(group) = figures.groups.iter().find(|group| group.stops.abs() > EXPOSURE.0) {
+        if let Some(group) = figures.groups.iter().find(|group| group.stops.abs() > RIG.0) {
             let brighter = if group.stops > 0.0 { "brighter" } else { "darker" };
             let text = format!(
                 "The photographs of {} are {:.1} stops {brighter} than those of {} of the same points.",
@@ -522,7 +573,7 @@ impl Rules {
             );
             let remedy = "develop both with the same brightness before the run, or run one of them alone; give both \
                 cameras the same exposure on the next dive";
-            self.add(serious_if(group.stops.abs() > EXPOSURE.1), "rig_exposure", text, remedy, Vec::new());
+            self.add(serious_if(group.stops.abs() > RIG.1), "rig_exposure", text, remedy, Vec::new());
         }
         let jumps =
             self.found.iter().any(|f| f.severity <= Severity::Minor && f.subject.ends_with("exposure"));
@@ -628,6 +679,16 @@ impl Rules {
         } else {
             self.good("blur", "No view is much less sharp than its neighbours.");
         }
+        let mut contrasts: Vec<f64> = views.iter().filter_map(|v| v.contrast).collect();
+        contrasts.sort_unstable_by(f64::total_cmp);
+        if let Some(contrast) = contrasts.get(contrasts.len() / 2).filter(|c| **c < CONTRAST.0) {
+            let text = format!(
+                "The photographs have little contrast: nine tenths of a picture's brightness lie within {:.0} % of white.",
+                100.0 * contrast
+            );
+            let remedy = "go nearer, or dive when the water is clearer: what the haze has swallowed cannot be given back";
+            self.add(serious_if(*contrast < CONTRAST.1), "contrast", text, remedy, Vec::new());
+        }
         let dark = names(views, |v| v.brightness.is_some_and(|b| b < DARK));
         if !dark.is_empty() {
             let text = format!("{} of {} views {} very dark.", dark.len(), self.views, are(dark.len()));
@@ -727,8 +788,11 @@ impl Rules {
     }
 }
 
-/// Words with a capital letter at their beginning.
+/// Words with a capital letter at their beginning, unless they begin with the name of a file.
 fn sentence(words: &str) -> String {
+    if words.split(' ').next().is_some_and(|first| first.contains(['.', '/', '_'])) {
+        return words.into();
+    }
     let mut letters = words.chars();
     letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
 }

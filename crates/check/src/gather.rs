@@ -33,8 +33,8 @@ pub fn figures(prepared: &Imported, original: &Imported) -> Result<Figures, Impo
     Ok(figures)
 }
 
-/// Measures a capture with as many photographs and masks as can be read in seconds. A file that cannot be read
-/// is left out: the run itself reports it.
+/// Measures a capture with as many photographs and masks as can be read in seconds. A file that cannot be
+/// read is left out: the run itself reports it.
 pub fn few_figures(original: &Imported) -> Figures {
     let tracks = original.tracks();
     let Ok(mut figures) = measure::<Infallible>(&original.capture, &tracks, None);

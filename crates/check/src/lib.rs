@@ -18,6 +18,7 @@ mod gather;
 mod measure;
 mod page;
 mod report;
+mod shown;
 
 pub use agreement::{ModelAgreement, ViewAgreement, ViewOverlap};
 pub use depth::DepthAgreement;
@@ -26,3 +27,4 @@ pub use gather::{few_figures, figures};
 pub use measure::{Figures, GroupExposure, ViewFigures, measure};
 pub use page::{Picture, page};
 pub use report::{CheckReport, Finding, Severity};
+pub use shown::Exchanged;

@@ -2,8 +2,9 @@
 //! neighbour's.
 //!
 //! Exposure and white balance are compared on points that two neighbouring views share, since their other
-//! contents differ. The change of exposure is the median of `log2(Y_b / Y_a)` over the shared points, in
-//! stops, and that of the white balance the median change of `R/G` and of `B/G`, as a share.
+//! contents differ. The change of exposure is the median of `log2(Y_b / Y_a)` of the light `Y` over the
+//! shared points, in stops, and that of the white balance the median change of `R/G` and of `B/G`, as a
+//! share.
 
 use std::collections::BTreeMap;
 
@@ -48,6 +49,8 @@ pub struct ViewFigures {
     pub sharpness: Option<f64>,
     /// The mean of its pixels, display range.
     pub brightness: Option<f64>,
+    /// The range of brightness from the 5th to the 95th percentile of its pixels, display range.
+    pub contrast: Option<f64>,
     /// The change of exposure since the view before it, stops.
     pub exposure_step: Option<f64>,
     /// The larger change of `R/G` and `B/G` since the view before it, as a share.
@@ -87,6 +90,9 @@ pub struct Figures {
     pub drift: Option<f64>,
     /// The parts of the pictures that tracks reach, for each camera with enough views.
     pub reach: Vec<Reach>,
+    /// The numbers of views of groups that share no points with each other, the largest first; views that
+    /// share none with any other one are left out.
+    pub parts: Vec<usize>,
 }
 
 /// Measures a capture, without its agreement. `load` gives the pixels of a view at the size of its camera;
@@ -127,7 +133,8 @@ pub fn measure<E>(
     (figures.forward, figures.breadth) = motion(capture);
     figures.reach = reaches_of(capture, tracks);
 
-    let neighbours = neighbours(tracks, count);
+    let (neighbours, parts) = neighbours(tracks, count);
+    figures.parts = parts;
     for (i, view) in capture.views.iter().enumerate() {
         figures.views.push(ViewFigures {
             name: view.name.to_string(),
@@ -173,8 +180,8 @@ pub(crate) fn measure_masks<E>(
     Ok(())
 }
 
-/// The number of neighbours of each view.
-fn neighbours(tracks: &[Track], count: usize) -> Vec<usize> {
+/// The number of neighbours of each view, and the numbers of views of groups that are no neighbours.
+fn neighbours(tracks: &[Track], count: usize) -> (Vec<usize>, Vec<usize>) {
     let mut shared: BTreeMap<(usize, usize), usize> = BTreeMap::new();
     // Long tracks add many pairs; a few thousand points tell enough.
     let step = (tracks.len() / 20_000).max(1);
@@ -188,11 +195,17 @@ fn neighbours(tracks: &[Track], count: usize) -> Vec<usize> {
         }
     }
     let mut found = vec![0; count];
+    let mut group: Vec<usize> = (0..count).collect();
     for ((a, b), _) in shared.into_iter().filter(|((a, b), n)| *n >= SHARED && a.max(b) < &count) {
         found[a] += 1;
         found[b] += 1;
+        let (from, to) = (group[a].max(group[b]), group[a].min(group[b]));
+        group.iter_mut().filter(|g| **g == from).for_each(|g| *g = to);
     }
-    found
+    let sizes = (0..count).map(|g| group.iter().filter(|own| **own == g).count());
+    let mut parts: Vec<usize> = sizes.filter(|size| *size > 1).collect();
+    parts.sort_unstable_by(|a, b| b.cmp(a));
+    (found, parts)
 }
 
 /// The reach of the tracks for each camera: views with the same intrinsics share one.
@@ -252,10 +265,10 @@ pub struct GroupExposure {
 }
 
 /// Changes of exposure from the first to the second of two views, stops.
-type Exposures = BTreeMap<(usize, usize), f64>;
+type ExposureSteps = BTreeMap<(usize, usize), f64>;
 
 /// Compares the views of each folder, or of each camera, with those of the first one.
-fn group_exposures(capture: &Capture, exposures: &Exposures) -> Vec<GroupExposure> {
+fn group_exposures(capture: &Capture, exposures: &ExposureSteps) -> Vec<GroupExposure> {
     let folders = capture.views.iter().map(|view| view.name.as_str().rsplit_once('/').map_or("", |n| n.0));
     let folders: Vec<&str> = folders.collect();
     let mut cameras: Vec<Intrinsics> = Vec::new();
@@ -294,7 +307,7 @@ fn group_exposures(capture: &Capture, exposures: &Exposures) -> Vec<GroupExposur
 
 /// The change of exposure along the swim: every view gets the stops that agree best with all pairs, and the
 /// first fifth of the views is compared with the last.
-fn drift(exposures: &Exposures, count: usize) -> Option<f64> {
+fn drift(exposures: &ExposureSteps, count: usize) -> Option<f64> {
     let mut of_view: Vec<Vec<(usize, f64)>> = vec![Vec::new(); count];
     for ((a, b), stops) in exposures {
         of_view[*a].push((*b, -stops));
@@ -317,7 +330,7 @@ fn drift(exposures: &Exposures, count: usize) -> Option<f64> {
 }
 
 /// The changes of exposure between all pairs of views that share enough points.
-fn exposures(levels: &BTreeMap<usize, Vec<(usize, f64)>>) -> Exposures {
+fn exposures(levels: &BTreeMap<usize, Vec<(usize, f64)>>) -> ExposureSteps {
     let mut changes: BTreeMap<(usize, usize), Vec<f64>> = BTreeMap::new();
     for seen in levels.values() {
         let step = seen.len().div_ceil(LONGEST).max(1);
@@ -337,8 +350,9 @@ fn pixels<E>(
     views: &mut [ViewFigures],
     seen: &[Vec<(usize, f64, f64)>],
     load: &mut dyn FnMut(usize) -> Result<Image, E>,
-) -> Result<Exposures, E> {
+) -> Result<ExposureSteps, E> {
     let luma = |c: [f64; 3]| 0.2126 * c[0] + 0.7152 * c[1] + 0.0722 * c[2];
+    let light = |c: [f64; 3]| luma(c.map(linear));
     // Every view takes the same points, so that views still share them.
     let every = (seen.iter().map(Vec::len).sum::<usize>() / SIGHTINGS).max(1);
     let mut levels: BTreeMap<usize, Vec<(usize, f64)>> = BTreeMap::new();
@@ -354,16 +368,17 @@ fn pixels<E>(
             let step = |of: &dyn Fn([f64; 3]) -> f64| {
                 median(shared.iter().map(|(a, b)| math::ln(of(*b) / of(*a))).collect())
             };
-            views[i].exposure_step = Some(step(&luma) / std::f64::consts::LN_2);
+            views[i].exposure_step = Some(step(&light) / std::f64::consts::LN_2);
             let changes = [step(&|c| c[0] / c[1]), step(&|c| c[2] / c[1])];
             views[i].balance_step = Some(changes.iter().fold(0.0f64, |m, c| m.max(c.abs())));
         }
         for (point, colour) in colours.iter().filter(|(point, _)| *point % every == 0) {
-            levels.entry(*point).or_default().push((i, math::log2(luma(*colour))));
+            levels.entry(*point).or_default().push((i, math::log2(light(*colour))));
         }
         before = colours;
         views[i].brightness =
             Some(image.data().iter().map(|v| f64::from(*v)).sum::<f64>() / image.data().len().max(1) as f64);
+        views[i].contrast = Some(contrast(&image));
         sharpness.push(laplacian(&image));
     }
     for i in 0..views.len() {
@@ -372,6 +387,22 @@ fn pixels<E>(
         views[i].sharpness = (usual > 0.0).then(|| sharpness[i] / usual);
     }
     Ok(exposures(&levels))
+}
+
+/// The light of a display value, by sRGB.
+fn linear(v: f64) -> f64 {
+    if v <= 0.040_45 { v / 12.92 } else { math::exp(2.4 * math::ln((v + 0.055) / 1.055)) }
+}
+
+/// The range of a picture's brightness from the 5th to the 95th percentile.
+fn contrast(image: &Image) -> f64 {
+    let small = shrunk(image, SIDE);
+    let pixels = (0..small.height()).flat_map(|y| (0..small.width()).map(move |x| (x, y)));
+    let luma = |[r, g, b]: [u8; 3]| 0.2126 * f64::from(r) + 0.7152 * f64::from(g) + 0.0722 * f64::from(b);
+    let mut all: Vec<f64> = pixels.map(|(x, y)| luma(small.pixel(x, y)) / 255.0).collect();
+    all.sort_unstable_by(f64::total_cmp);
+    let at = |share: f64| all.get((share * all.len() as f64) as usize).copied().unwrap_or(0.0);
+    at(0.95) - at(0.05)
 }
 
 fn median(mut values: Vec<f64>) -> f64 {

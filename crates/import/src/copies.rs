@@ -19,8 +19,8 @@ const PICTURE: (usize, f64) = (64, 1.5);
 /// A camera that stands still gives more equal pictures than copies do.
 const MOST: usize = 4;
 
-/// Groups of views with copies, by index, each sorted; `infos` are their files' properties. A file that cannot
-/// be read is no copy.
+/// Groups of views with copies, by index, each sorted; `infos` are their files' properties. A file that
+/// cannot be read is no copy.
 pub(crate) fn groups(views: &[View], infos: &[PhotographInfo]) -> Vec<Vec<usize>> {
     let mut group: Vec<usize> = (0..views.len()).collect();
     let mut join = |a: usize, b: usize| {

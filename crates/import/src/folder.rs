@@ -1,5 +1,6 @@
 //! Folders of a capture: their usual names, and the lookup of files by names that never leave the folder.
 
+use std::fs::{DirEntry, FileType};
 use std::path::{Component, Path, PathBuf};
 
 use use3d_capture::{FileName, NameError};
@@ -74,10 +75,17 @@ pub(crate) fn any_has(names: &[String], extensions: &[&str]) -> bool {
     names.iter().any(|name| has_extension(name, extensions))
 }
 
-/// Names of the entries of a folder that are of a kind, such as `Path::is_dir`.
-pub(crate) fn names_in(dir: &Path, kind: impl Fn(&Path) -> bool) -> Vec<String> {
+/// Names of the entries of a folder that are of a kind, such as `FileType::is_dir`; a link is what it leads
+/// to.
+pub(crate) fn names_in(dir: &Path, kind: impl Fn(&FileType) -> bool) -> Vec<String> {
     let entries = std::fs::read_dir(dir).into_iter().flatten().filter_map(Result::ok);
-    entries.filter(|e| kind(&e.path())).filter_map(|e| e.file_name().into_string().ok()).collect()
+    // Only a link is looked up.
+    let of = |entry: &DirEntry| match entry.file_type().ok()? {
+        link if link.is_symlink() => Some(std::fs::metadata(entry.path()).ok()?.file_type()),
+        kind => Some(kind),
+    };
+    let chosen = entries.filter(|entry| of(entry).is_some_and(|found| kind(&found)));
+    chosen.filter_map(|entry| entry.file_name().into_string().ok()).collect()
 }
 
 /// The visible files below a folder, to this depth of folders, sorted, with their names relative to it.
@@ -94,7 +102,7 @@ pub(crate) fn visible_files(dir: &Path, depth: usize) -> impl Iterator<Item = (S
 
 /// Names of the folders in a folder: numbers first and by value, then the rest by name.
 pub(crate) fn subfolders(dir: &Path) -> Vec<String> {
-    let mut names = names_in(dir, Path::is_dir);
+    let mut names = names_in(dir, FileType::is_dir);
     names.sort_by_key(|name| (name.parse::<u64>().unwrap_or(u64::MAX), name.clone()));
     names
 }
@@ -113,9 +121,9 @@ pub(crate) struct SourceFolder {
 
 /// The kind of the last part of a path below a real folder; `None` if a part before it is a link or a step
 /// upwards.
-fn kind_without_links(folder: &Path, path: &Path) -> std::io::Result<Option<std::fs::FileType>> {
+fn kind_without_links(folder: &Path, path: &Path) -> std::io::Result<Option<FileType>> {
     let mut place = folder.to_path_buf();
-    let mut kind: Option<std::fs::FileType> = None;
+    let mut kind: Option<FileType> = None;
     for part in path.strip_prefix(folder).into_iter().flat_map(Path::components) {
         if kind.is_some_and(|kind| kind.is_symlink()) || !matches!(part, Component::Normal(_)) {
             return Ok(None);

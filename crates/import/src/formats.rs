@@ -130,7 +130,7 @@ fn found_at(format: usize, place: &str, path: PathBuf, form: &str) -> FoundModel
 
 /// Names of the files in a folder, sorted.
 fn files_in(dir: &Path) -> Vec<String> {
-    let mut names = names_in(dir, Path::is_file);
+    let mut names = names_in(dir, std::fs::FileType::is_file);
     names.sort();
     names
 }

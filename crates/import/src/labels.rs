@@ -187,6 +187,8 @@ pub(crate) fn rename(survey: &mut Survey, folder: &SourceFolder) -> Result<(), I
         }
         *name = FileName::new(&path).map_err(ImportError::file_name(&folder.path.join(path)))?;
     }
+    // Two forms of an umlaut look alike.
+    renamed.retain(|path, name| !path.nfc().eq(name.nfc()));
     if let Some((path, name)) = renamed.first_key_value() {
         let count = match renamed.len() {
             1 => "1 name of the model differs from that of its photograph".into(),

@@ -144,7 +144,7 @@ fn is_results(root: &Path, names: &[String]) -> bool {
     if holds_pictures(root, names) {
         return false;
     }
-    let records = names_in(&root.join("runs"), Path::is_file);
+    let records = names_in(&root.join("runs"), std::fs::FileType::is_file);
     let numbered = |name: &str| name.len() >= 4 && name.bytes().all(|b| b.is_ascii_digit());
     records.iter().any(|record| record.strip_suffix(".json").is_some_and(numbered))
 }

@@ -44,10 +44,9 @@ const FILES: [(&str, usize, (usize, usize)); 6] = [
 ];
 
 /// A JPEG with the EXIF orientation "turned by 90 degrees".
-fn turned_jpeg(path: &Path, (width, height): (usize, usize)) {
-    let picture = image::RgbImage::from_fn(width as u32, height as u32, |x, y| {
-        image::Rgb([x as u8, y as u8, (x + y) as u8])
-    });
+fn turned_jpeg(path: &Path, (width, height): (usize, usize), blue: u8) {
+    let picture =
+        image::RgbImage::from_fn(width as u32, height as u32, |x, y| image::Rgb([x as u8, y as u8, blue]));
     let mut bytes = std::io::Cursor::new(Vec::new());
     picture.write_to(&mut bytes, image::ImageFormat::Jpeg).unwrap();
     let mut bytes = bytes.into_inner();
@@ -77,7 +76,7 @@ fn capture(dir: &Path) {
         if file.ends_with("png") {
             write_png8(&path, &Image::filled(size.0, size.1, 0.1 * i as f32).to_8bit()).unwrap();
         } else {
-            turned_jpeg(&path, size);
+            turned_jpeg(&path, size, 40 * i as u8);
         }
         let image = ModelImage::at(i as u32 + 1, name(file), cameras()[camera].id, &pose(i));
         images.push(ModelImage { keypoints: vec![keypoint(i, camera)], ..image });

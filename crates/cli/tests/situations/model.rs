@@ -3,7 +3,7 @@
 
 use use3d_check::Severity;
 
-use super::{examined, faulty};
+use super::{command, examined, faulty, run};
 
 /// Checks that a fault has a finding of a severity on a subject, and returns the number of views it names.
 fn found(fault: &str, severity: Severity, subject: &str) -> usize {
@@ -40,4 +40,20 @@ fn stray_camera() {
 fn ns_points_other_frame() {
     found("points-exchanged", Severity::Serious, "points_in_view");
     found("points-turned", Severity::Serious, "points_in_view");
+}
+
+#[test]
+fn photographs_that_were_cropped_and_enlarged_are_found() {
+    let dir = tempfile::tempdir().unwrap();
+    let zoom = |fault: Option<&str>| {
+        let capture = dir.path().join(fault.unwrap_or("sound"));
+        let mut synth = command();
+        synth.args(["-q", "synth", "capture", "--views", "12", "--size", "384x256", "--out"]).arg(&capture);
+        run(synth.args(fault.iter().flat_map(|fault| ["--fault", fault]))).unwrap();
+        let findings = examined(&capture).unwrap().1;
+        findings.iter().find(|f| f.subject == "zoom").map(|f| f.text.clone())
+    };
+    assert_eq!(zoom(None), None);
+    let text = zoom(Some("cropped")).unwrap();
+    assert!(text.contains("a border had been cut off"), "{text}");
 }

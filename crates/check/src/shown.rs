@@ -1,0 +1,185 @@
+//! What the photographs show at the places where the model saw points.
+//!
+//! * The *detail* of a point in a view is the brightness of its pixel less the mean around it, in a picture
+//!   of about 640 pixels. The *likeness* of a view is the rank correlation (Spearman's ρ) of its details with
+//!   the means of those in the other views. It is above 0.7 if a photograph belongs to its pose, and near 0
+//!   if another photograph is there, or the same one turned. Exposure and water hardly change the order of
+//!   details.
+//! * The likeness is also measured with all places moved away from the middle of the pictures by a factor,
+//!   the *zoom*. It is best at 1, unless all photographs were enlarged, or a border was cut off or added.
+//!   Pictures of less than 300 pixels are too small to tell.
+//! * The *hue* of a point is its red less its blue. Its rank correlation between a view and the model's
+//!   points is positive, and negative if red and blue are exchanged on one side.
+
+use use3d_capture::Image;
+use use3d_io_image::shrunk;
+use use3d_survey::{PointSight, SurveyPoint, rank_correlation};
+
+/// The longer side of the pictures in which details are compared, pixels.
+const SIDE: usize = 640;
+/// Pixels on each side of a point that its brightness is compared with.
+const AROUND: usize = 10;
+/// The fewest sightings from which a view's figures are taken.
+pub(crate) const FEWEST: usize = 30;
+/// The most sightings of a view that are compared with its pixels; they are evenly chosen.
+pub(crate) const MOST: usize = 1500;
+/// The zooms that are tried; the first one is that of the model.
+const ZOOMS: [f64; 19] = [
+    1.0, 0.5, 0.67, 0.75, 0.8, 0.85, 0.9, 0.93, 0.96, 0.98, 1.02, 1.04, 1.07, 1.11, 1.18, 1.25, 1.33, 1.5,
+    2.0,
+];
+/// Another zoom is the right one if it makes the likeness so much better, and so good.
+const BETTER: (f64, f64) = (0.08, 0.6);
+/// The longer side of the smallest pictures whose zoom is measured, pixels.
+const SMALLEST: usize = 300;
+/// A correlation of hues below this is that of exchanged channels.
+const EXCHANGED: f64 = -0.3;
+
+/// Details of points, by index of the point.
+type Details = Vec<(usize, f64)>;
+
+/// A photograph at the places of points.
+pub(crate) struct Shown {
+    /// The details for each zoom.
+    details: Vec<Details>,
+    /// Red and blue at each point, display range.
+    hues: Vec<(usize, [f64; 2])>,
+}
+
+/// The side on which red and blue are exchanged.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Exchanged {
+    /// The photographs: they are red where water makes them blue.
+    Photographs,
+    /// The points of the model.
+    Points,
+}
+
+/// Sums of the brightness of all pixels above and to the left of each.
+struct Sums {
+    width: usize,
+    height: usize,
+    sums: Vec<f64>,
+}
+
+impl Sums {
+    fn of(width: usize, height: usize, luma: impl Fn(usize, usize) -> f64) -> Self {
+        let mut sums = vec![0.0; (width + 1) * (height + 1)];
+        for y in 0..height {
+            let mut row = 0.0;
+            for x in 0..width {
+                row += luma(x, y);
+                sums[(y + 1) * (width + 1) + x + 1] = sums[y * (width + 1) + x + 1] + row;
+            }
+        }
+        Self { width, height, sums }
+    }
+
+    /// The mean of the square of `r` pixels on each side, as far as it is in the picture.
+    fn mean(&self, x: usize, y: usize, r: usize) -> f64 {
+        let (x0, x1) = (x.saturating_sub(r), (x + r + 1).min(self.width));
+        let (y0, y1) = (y.saturating_sub(r), (y + r + 1).min(self.height));
+        let at = |x: usize, y: usize| self.sums[y * (self.width + 1) + x];
+        (at(x1, y1) - at(x0, y1) - at(x1, y0) + at(x0, y0)) / ((x1 - x0) * (y1 - y0)) as f64
+    }
+}
+
+/// Reads a photograph at its sights; `size` is that of the model's photograph, pixels.
+pub(crate) fn shown(image: &Image, sights: &[PointSight], size: [f64; 2]) -> Shown {
+    let small = shrunk(image, SIDE);
+    let (w, h) = (small.width(), small.height());
+    let luma = |x: usize, y: usize| {
+        let [r, g, b] = small.pixel(x, y).map(f64::from);
+        0.2126 * r + 0.7152 * g + 0.0722 * b
+    };
+    let sums = Sums::of(w, h, luma);
+    let sides = [w as f64, h as f64];
+    let place = |sight: &PointSight, zoom: f64| {
+        let [x, y] = [0, 1].map(|i| (sides[i] * (0.5 + zoom * (sight.at[i] / size[i] - 0.5))).floor());
+        let inside = x >= 1.0 && y >= 1.0 && x + 2.0 <= sides[0] && y + 2.0 <= sides[1];
+        inside.then_some((x as usize, y as usize))
+    };
+    let chosen: Vec<&PointSight> = sights.iter().step_by((sights.len() / MOST).max(1)).collect();
+    let details = |zoom: f64| {
+        let detail = |sight: &&PointSight| {
+            let (x, y) = place(sight, zoom)?;
+            Some((sight.point, sums.mean(x, y, 1) - sums.mean(x, y, AROUND)))
+        };
+        chosen.iter().filter_map(detail).collect()
+    };
+    let hue = |sight: &&PointSight| {
+        let (x, y) = place(sight, 1.0)?;
+        let mut sum = [0.0; 2];
+        for (u, v) in (0..9).map(|k| (x + k % 3 - 1, y + k / 3 - 1)) {
+            let [red, _, blue] = small.pixel(u, v).map(f64::from);
+            sum = [sum[0] + red / (9.0 * 255.0), sum[1] + blue / (9.0 * 255.0)];
+        }
+        Some((sight.point, sum))
+    };
+    let zooms = if w.max(h) < SMALLEST { &ZOOMS[..1] } else { &ZOOMS };
+    Shown {
+        details: zooms.iter().map(|zoom| details(*zoom)).collect(),
+        hues: chosen.iter().filter_map(hue).collect(),
+    }
+}
+
+/// The likeness of each view at the zoom of this index; `None` with too few points.
+fn likeness_at(all: &[Option<Shown>], zoom: usize, points: usize) -> Vec<Option<f64>> {
+    let mut sums = vec![(0.0, 0usize); points];
+    for (point, detail) in all.iter().flatten().filter_map(|shown| shown.details.get(zoom)).flatten() {
+        sums[*point].0 += detail;
+        sums[*point].1 += 1;
+    }
+    let of = |shown: &Option<Shown>| {
+        let (mut own, mut others) = (Vec::new(), Vec::new());
+        for (point, detail) in shown.iter().filter_map(|shown| shown.details.get(zoom)).flatten() {
+            let (sum, count) = sums[*point];
+            if count > 1 {
+                own.push(*detail);
+                others.push((sum - detail) / (count - 1) as f64);
+            }
+        }
+        (own.len() >= FEWEST).then(|| rank_correlation(&own, &others)).flatten()
+    };
+    all.iter().map(of).collect()
+}
+
+/// The likeness of each view at the model's own zoom.
+pub(crate) fn likeness(all: &[Option<Shown>], points: usize) -> Vec<Option<f64>> {
+    likeness_at(all, 0, points)
+}
+
+/// The zoom of the photographs against the model, if it is not 1.
+pub(crate) fn zoom(all: &[Option<Shown>], points: usize) -> Option<f64> {
+    let of = |zoom: usize| median(likeness_at(all, zoom, points).into_iter().flatten().collect());
+    let own = of(0)?;
+    let others = (1..ZOOMS.len()).filter_map(|zoom| Some((ZOOMS[zoom], of(zoom)?)));
+    let (zoom, best) = others.max_by(|a, b| a.1.total_cmp(&b.1))?;
+    (best > own + BETTER.0 && best > BETTER.1).then_some(zoom)
+}
+
+/// The side on which red and blue are exchanged, if they are.
+pub(crate) fn exchanged(all: &[Option<Shown>], points: &[SurveyPoint]) -> Option<Exchanged> {
+    let (mut sums, mut count) = ([0.0; 2], 0.0);
+    let mut of = |shown: &Shown| {
+        let (mut own, mut models) = (Vec::new(), Vec::new());
+        for (point, [red, blue]) in &shown.hues {
+            let [r, _, b] = points[*point].color.map(f64::from);
+            own.push(red - blue);
+            models.push(r - b);
+            sums = [sums[0] + red - blue, sums[1] + r - b];
+            count += 1.0;
+        }
+        (own.len() >= FEWEST).then(|| rank_correlation(&own, &models)).flatten()
+    };
+    let all: Vec<f64> = all.iter().flatten().filter_map(&mut of).collect();
+    let exchanged = median(all)? < EXCHANGED;
+    let red_photographs = sums[0] > 0.0 && sums[1] <= 0.0;
+    exchanged.then_some(if red_photographs { Exchanged::Photographs } else { Exchanged::Points })
+}
+
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_unstable_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
+}
