@@ -165,9 +165,9 @@ pub(crate) fn agreement(imported: &Imported, pixels: PixelsRead) -> Result<Model
 type PointAxes = (&'static str, fn([f64; 3]) -> [f64; 3]);
 const POINT_AXES: [PointAxes; 4] = [
     ("if y and z of the points were exchanged", |[x, y, z]| [x, z, y]),
-    ("if the points were turned so that their z is y", |[x, y, z]| [x, -z, y]),
-    ("if the points were turned so that their y is z", |[x, y, z]| [x, z, -y]),
-    ("if y and z of the points had the other sign", |[x, y, z]| [x, -y, -z]),
+    ("if the points were turned by a quarter about x", |[x, y, z]| [x, -z, y]),
+    ("if the points were turned back by a quarter about x", |[x, y, z]| [x, z, -y]),
+    ("if the points were turned by half a turn about x", |[x, y, z]| [x, -y, -z]),
 ];
 
 /// The share of points that are in view of any photograph; `None` without points.
@@ -183,11 +183,16 @@ fn share_in_view(survey: &Survey, cameras: &[Option<PosedCamera<'_>>]) -> Option
 fn misreading(survey: &Survey, cameras: &[Option<PosedCamera<'_>>]) -> Option<&'static str> {
     let (flip, upright) = (DMat3::from_cols(DVec3::X, DVec3::NEG_Y, DVec3::NEG_Z), UPRIGHT);
     let (one, both) = (DMat3::IDENTITY, flip * upright);
-    let backward = "if the poses led from the world to the camera";
+    let backward = "if the poses were inverted (from the world to the camera)";
     // The words; true for the way back; and the changes of axes after and before it.
     let readings = [
-        ("if y and z of the cameras' axes had the other sign", false, flip, one),
-        ("if the poses led from the camera to the world", true, one, one),
+        (
+            "if the y and z axes of the cameras were flipped (OpenCV's in place of OpenGL's, or the other way round)",
+            false,
+            flip,
+            one,
+        ),
+        ("if the poses were inverted (from the camera to the world)", true, one, one),
         (backward, true, flip, flip),
         (backward, true, both, both),
         (backward, true, one, flip),

@@ -241,15 +241,13 @@ impl Rules {
         let Some(ViewOverlap { share, angle }) = agreement.coverage else { return };
         if share < COVERED.0 {
             let text = format!(
-                "Only {:.0} % of the points are in three photographs or more: new views between the photographs will have \
-                 holes.",
-                100.0 * share
+                "{} of the points are in three photographs or more: new views between the photographs will have holes.",
+                hardly(share)
             );
             self.add(serious_if(share < COVERED.1), "few", text, remedy, Vec::new());
         } else if angle < ANGLE {
             let text = format!(
-                "The photographs see each point from nearly the same place (under {angle:.1} degrees), so distances are \
-                 hardly determined."
+                "The photographs see each point from nearly the same place, so distances are hardly determined."
             );
             let remedy = "move the camera sideways between photographs, by a tenth of the distance or more";
             self.add(Severity::Serious, "few", text, remedy, Vec::new());
@@ -355,8 +353,8 @@ impl Rules {
         if let [_, _, ..] = figures.parts.as_slice() {
             let sizes: Vec<String> = figures.parts.iter().map(usize::to_string).collect();
             let text = format!(
-                "The photographs fall into {} groups that share no points ({} photographs), so nothing says how the groups \
-                 lie to each other.",
+                "The photographs fall into {} groups that share no points (of {} photographs), so nobody knows where one group \
+                 is against the others.",
                 sizes.len(),
                 sizes.join(" and ")
             );
@@ -382,9 +380,8 @@ impl Rules {
     fn agreement(&mut self, import: &ImportReport, agreement: &ModelAgreement) {
         if let Some(share) = agreement.in_view.filter(|share| *share < IN_VIEW) {
             let text = format!(
-                "Only {:.0} % of the points lie in any photograph: the points and the cameras of {} do not belong \
-                 together.",
-                100.0 * share,
+                "{} of the points lie in any photograph: the points and the cameras of {} do not belong together.",
+                hardly(share),
                 shown(&import.model)
             );
             let text = match agreement.instead {
@@ -413,13 +410,12 @@ impl Rules {
         }
         match agreement.exchanged {
             Some(Exchanged::Photographs) => {
-                let text =
-                    "Red and blue of the photographs are exchanged, compared with the colours of the points.";
+                let text = "The photographs have red and blue exchanged: the points of the model have them the other way round.";
                 let remedy = "exchange them back (`magick mogrify -channel-fx \"red<=>blue\"`)";
                 self.add(Severity::Serious, "colours", text, remedy, Vec::new());
             }
             Some(Exchanged::Points) => {
-                let text = "Red and blue of the points are exchanged, compared with the photographs.";
+                let text = "The colours of the model's points have red and blue exchanged.";
                 self.note("colours", text, "nothing: the training corrects the colours of the points");
             }
             None => {}
@@ -445,15 +441,15 @@ impl Rules {
         let others = list(&|v| v.likeness.is_some_and(|like| like < limit));
         if !others.is_empty() {
             let text = format!(
-                "{} of {read} photographs do not show what the model saw from their places: they are turned, are other \
-                 photographs under the same names, or their cameras are wrong.",
+                "{} of {read} photographs do not match their cameras: they are turned, are other photographs under the \
+                 same names, or their cameras are wrong.",
                 others.len()
             );
             let remedy = "put back the photographs that the cameras were found from, unturned and under their own names, \
                 or find the cameras again with `use3d prepare`";
             self.add(Severity::Serious, "photographs", text, remedy, others);
         } else if read > 0 {
-            self.good("photographs", "The photographs show what the model saw from their places.");
+            self.good("photographs", "The photographs match their cameras.");
         }
     }
 
@@ -474,8 +470,10 @@ impl Rules {
         }
         let coarse = list(DepthAgreement::is_coarse);
         if !coarse.is_empty() {
-            let text =
-                format!("The depth maps of {} of {all} views have fewer than {STEPS} steps.", coarse.len());
+            let text = format!(
+                "The depth maps of {} of {all} views have fewer than {STEPS} different values.",
+                coarse.len()
+            );
             let remedy = "write them with 16 bits, from the whole range of the network that made them";
             self.add(Severity::Minor, "depth", text, remedy, coarse);
         }
@@ -484,16 +482,17 @@ impl Rules {
     /// The error of the sightings, and the cameras that cause it.
     fn error(&mut self, error: f64, agreement: &ModelAgreement) {
         let text = format!(
-            "Points land {error:.2} pixels beside their place on average (measured reprojection error)"
+            "Points land {error:.2} pixels beside the places where they were seen (the reprojection error, measured)"
         );
         let changed = agreement.stated.filter(|stated| error > CHANGED.0 * stated + CHANGED.1);
         if agreement.states_none {
-            let text = "The errors that the model's file states are too small to be measured ones, so they are not used.";
+            let text = "The model's file states errors near zero, which nobody can have measured, so they are not used.";
             self.note("stated", text, "");
         }
         if let Some(stated) = changed {
             let text = format!(
-                "{text}. The model's file says {stated:.2}: cameras or points were changed after they were found."
+                "{text}. The model's file says {stated:.2}, so its cameras, lens or points are not those of that \
+                 calculation."
             );
             let remedy = "take the model as its program wrote it, or let that program adjust it again";
             self.add(Severity::Serious, "error", text, remedy, Vec::new());
@@ -549,7 +548,9 @@ impl Rules {
         let all: Vec<f64> = views.iter().filter_map(|v| v.hidden_points).collect();
         let hiding = |v: &ViewFigures| v.hidden_points.is_some_and(|share| share > HIDDEN);
         let list = names(views, hiding);
-        if 2 * list.len() <= all.len() {
+        // Masks that leave nothing have a finding of their own.
+        let black = views.iter().filter(|v| v.unmasked.is_some_and(|share| share < UNMASKED)).count();
+        if 2 * list.len() <= all.len() || 2 * black > all.len() {
             return;
         }
         let text = format!(
@@ -671,7 +672,7 @@ impl Rules {
         if !blurred.is_empty() {
             let (count, all) = (blurred.len(), self.views);
             let text = format!(
-                "{count} of {all} views {} blurred, compared with the views around them.",
+                "{count} of {all} views {} blurred, compared with the views before and after.",
                 are(count)
             );
             let remedy = "remove them from the folder of images; swim slower, with 1/240 s or shorter";
@@ -681,9 +682,12 @@ impl Rules {
         }
         let mut contrasts: Vec<f64> = views.iter().filter_map(|v| v.contrast).collect();
         contrasts.sort_unstable_by(f64::total_cmp);
-        if let Some(contrast) = contrasts.get(contrasts.len() / 2).filter(|c| **c < CONTRAST.0) {
+        // Files that use few of their bits are flat, too.
+        let few_bits = self.found.iter().any(|finding| finding.subject == "range");
+        let usual = contrasts.get(contrasts.len() / 2).filter(|_| !few_bits);
+        if let Some(contrast) = usual.filter(|contrast| **contrast < CONTRAST.0) {
             let text = format!(
-                "The photographs have little contrast: nine tenths of a picture's brightness lie within {:.0} % of white.",
+                "The photographs are flat: their brightness uses only {:.0} % of the range from black to white.",
                 100.0 * contrast
             );
             let remedy = "go nearer, or dive when the water is clearer: what the haze has swallowed cannot be given back";
@@ -731,7 +735,10 @@ impl Rules {
                 self.minor("water", format!("{}. {share}", sentence(words)), remedy);
             }
             None if ranged < RANGED && figures.track_length > 0.0 => {
-                let text = format!("Only {share} The water can hardly be measured.");
+                let text = format!(
+                    "{} of the points are seen from near and from far, so the water can hardly be measured.",
+                    hardly(ranged)
+                );
                 let remedy = "photograph the same things from near and from far";
                 self.minor("water", text, remedy);
             }
@@ -757,7 +764,8 @@ impl Rules {
                 self.note("scale", text, remedy);
             }
         }
-        if import.depth_priors == 0 {
+        // Maps that are there and left out have a finding of their own.
+        if import.depth_priors == 0 && import.depth_folder.is_none() {
             let text = "There are no depth maps to help the training.";
             let remedy = "put the weights of Depth Anything V2 into the models folder (`use3d models`), if you may use \
                 them";
@@ -786,6 +794,11 @@ impl Rules {
             self.note("masks", text, "paint them black in masks/ (docs/guide/captures.md)");
         }
     }
+}
+
+/// A small share in words.
+fn hardly(share: f64) -> String {
+    if share < 0.005 { "None".into() } else { format!("Only {:.0} %", 100.0 * share) }
 }
 
 /// Words with a capital letter at their beginning, unless they begin with the name of a file.

@@ -106,7 +106,7 @@ pub(crate) fn fault(groups: &[Vec<usize>], views: &[View], counted: bool) -> Opt
     };
     (!groups.is_empty()).then(|| {
         format!(
-            "{} photographs are there more than once ({}). {split}; remove the copies and find the cameras again",
+            "{} photographs have copies ({}). {split}; remove the copies and find the cameras again",
             groups.len(),
             crate::report::some(&names)
         )

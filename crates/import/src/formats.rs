@@ -283,7 +283,7 @@ fn read_nerfstudio(found: &FoundModel) -> Result<ReadModel, ImportError> {
     let mut survey = read.survey;
     if survey.files.values().any(|f| f.depth.is_some()) {
         survey.notes.push(
-            "the field depth_file_path is not used, nor are its maps in a folder of depth priors: they are distances, and \
+            "the depth maps of the field depth_file_path are not used: they are distances, and \
              depth priors are larger where things are nearer"
                 .into(),
         );

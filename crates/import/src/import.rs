@@ -218,7 +218,7 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
     let renamed =
         views.iter().map(|found| &found.view).filter(|v| !v.image.ends_with(v.name.as_str())).count();
     if renamed > 0 {
-        report.notes.push(format!("{renamed} images were found with another extension than in the model"));
+        report.notes.push(format!("{renamed} photographs have a different extension from that in the model"));
     }
     let infos = leave_out(&mut views, &model, &mut report)?;
     let kept: BTreeSet<u32> = views.iter().map(|found| found.view.id).collect();
@@ -343,7 +343,9 @@ fn turned(model: &Survey, camera: u32, path: &Path, info: &PhotographInfo) -> Op
     }
     let cause = match info.orientation > 4 {
         true => "the model has it as its EXIF data turn it: turn its pixels (`magick mogrify -auto-orient`)",
-        false => "it was turned by 90 degrees after the model was made: put the one that is not turned back",
+        false => {
+            "it was turned by 90 degrees after the model was made: replace it by the file that is not turned"
+        }
     };
     let expected = format!("and camera {} of the model is {} x {}; {cause}", camera.id, size.0, size.1);
     Some(ImportError::Size { path: path.to_path_buf(), found, expected })
@@ -363,9 +365,7 @@ fn pixel_notes(infos: &[PhotographInfo]) -> Vec<String> {
         .collect();
     let turned = infos.iter().filter(|info| info.orientation != 1).count();
     if turned > 0 {
-        notes.push(format!(
-            "EXIF data ask to turn {turned} photographs; they are used as they are stored, as the model needs them"
-        ));
+        notes.push(format!("EXIF data ask to turn {turned} photographs; they are used as they are stored"));
     }
     notes
 }

@@ -194,7 +194,7 @@ pub(crate) fn rename(survey: &mut Survey, folder: &SourceFolder) -> Result<(), I
             1 => "1 name of the model differs from that of its photograph".into(),
             count => format!("{count} names of the model differ from those of their photographs"),
         };
-        survey.notes.push(format!("{count}: {} is {}", shown(name), shown(path)));
+        survey.notes.push(format!("{count}: {} of the model is the file {}", shown(name), shown(path)));
     }
     Ok(())
 }

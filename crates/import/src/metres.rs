@@ -360,11 +360,11 @@ fn positions(
         notes.push(format!("the positions in {POSITIONS} are degrees, and were converted to metres"));
     }
     let Some(fit) = fit_positions(&pairs, 0.0, source) else {
-        return Ok(Err(format!(
-            "{POSITIONS} gives no metres: {} of its images have a camera{lacking}; expected three or more that are not \
-             on one line",
-            pairs.len()
-        )));
+        let reason = match pairs.len() {
+            few @ 0..3 => format!("{few} of its images have a camera{lacking}; expected three or more"),
+            many => format!("its {many} positions lie on one line; add one beside it"),
+        };
+        return Ok(Err(format!("{POSITIONS} gives no metres: {reason}")));
     };
     let PositionsFit { world, left, error, false_ones, mirrored } = fit;
     let off = |i: usize| DVec3::from_array(world.apply(pairs[i].0.to_array())).distance(pairs[i].1);
@@ -389,7 +389,7 @@ fn positions(
     notes.push(format!("{count} positions in {POSITIONS} fit the cameras to {left:.3} m{least}{lacking}"));
     for i in false_ones {
         faults.push(format!(
-            "the position of {} in {POSITIONS} is {:.3} m beside its camera and is not used; look for a wrong number or \
+            "the position of {} in {POSITIONS} is {:.1} m away from its camera and is not used; look for a wrong number or \
              name in its line",
             names[i],
             off(i)

@@ -275,7 +275,7 @@ fn dots_come_out_of_a_nerfstudio_folder_where_they_are() {
     assert_eq!((report.views, report.points, report.masks), (4, 35, 1));
     let files: Vec<&Path> = ["transforms.json", "sparse_pc.ply", "people/f0.png"].map(Path::new).to_vec();
     assert_eq!(imported.model_files, files);
-    assert!(report.to_string().contains("depth_file_path is not used"));
+    assert!(report.to_string().contains("depth_file_path are not used"));
     let prepared = hold_to_a_tenth_of_a_pixel(&imported, &dir.path().join("out"));
     assert!(load_mask(&prepared.capture.views[0]).unwrap().is_some());
     assert_eq!(prepared.capture.views[0].name, "f0.png");

@@ -308,7 +308,7 @@ impl Fields<'_> {
             if let Some(j) = row.as_array().and_then(|row| row.iter().position(|v| v.as_str() == Some("NaN")))
             {
                 return self.fail(format!(
-                    "row {i}, column {} of `{name}` is no finite number (NaN or infinite): leave this frame out, or \
+                    "row {i}, column {} of `{name}` is not a finite number (it is NaN or infinite): leave this frame out, or \
                      find its camera again",
                     j + 1
                 ));

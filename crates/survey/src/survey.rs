@@ -144,7 +144,7 @@ pub fn leave_out_points(points: &mut Vec<SurveyPoint>, images: &mut [PosedImage]
         several => format!("{several} points of the model are"),
     };
     Some(format!(
-        "{count} left out, because a position is no number (point {first}); export the model again if you miss points"
+        "{count} left out, because a position is not a number (point {first}); export the model again if you miss points"
     ))
 }
 

@@ -30,7 +30,7 @@ fn positions_that_are_wrong_are_named() {
     for (fault, words) in [
         ("positions-swapped", "mirror image"),
         ("position-false", "is not used; look for a wrong number"),
-        ("positions-line", "not on one line"),
+        ("positions-line", "lie on one line"),
     ] {
         let (_, said, _) = imported(&faulty(dir.path(), fault)).unwrap();
         assert!(said.contains(words), "{fault}: {said}");
@@ -42,7 +42,7 @@ fn duplicates() {
     let dir = tempfile::tempdir().unwrap();
     let capture = faulty(dir.path(), "same-twice:strong");
     let (document, said, _) = imported(&capture).unwrap();
-    assert!(said.contains("are there more than once") && said.contains("held out, too"), "{said}");
+    assert!(said.contains("have copies") && said.contains("held out, too"), "{said}");
     let report = &document["report"];
     let of = |list: &str| -> Vec<Vec<u8>> {
         let names = report[list].as_array().unwrap().iter().map(|n| n.as_str().unwrap());

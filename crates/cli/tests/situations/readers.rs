@@ -43,7 +43,7 @@ fn json_nan_bom() {
     assert!(said.contains("line 2: it has a comment"), "{said}");
     assert_eq!(right("json-mark").views, 12);
     assert_eq!(right("text-mark").views, 12);
-    assert_eq!(found("nan-point", Severity::Minor, "a position is no number").views, 12);
+    assert_eq!(found("nan-point", Severity::Minor, "a position is not a number").views, 12);
     let said = refused("nan-pose");
     assert!(said.contains("(frame_0007.png): its translation is") && said.contains("NaN"), "{said}");
 }
@@ -77,11 +77,11 @@ fn images_txt_one_line() {
 #[test]
 fn depth_named_and_used() {
     assert_eq!(right("none").depth_priors, 12);
-    assert_eq!(found("depth-named", Severity::Note, "depth_file_path is not used").depth_priors, 0);
+    assert_eq!(found("depth-named", Severity::Note, "depth_file_path are not used").depth_priors, 0);
     assert_eq!(found("depth-metric", Severity::Minor, "larger where things are farther").depth_priors, 0);
     let report = found("depth-empty", Severity::Minor, "cannot be read and are left out: frame_0001");
     assert_eq!(report.depth_priors, 11);
-    found("depth-coarse:weak", Severity::Minor, "fewer than 32 steps");
+    found("depth-coarse:weak", Severity::Minor, "fewer than 32 different values");
     for strength in ["weak", "strong"] {
         found(&format!("depth-shuffled:{strength}"), Severity::Serious, "belong to other photographs");
     }
@@ -96,10 +96,10 @@ fn float_points_far() {
 
 #[test]
 fn poses_of_another_kind() {
-    found("camera-axes", Severity::Serious, "if y and z of the cameras' axes had the other sign");
+    found("camera-axes", Severity::Serious, "if the y and z axes of the cameras were flipped");
     found(
         "poses-inverse",
         Severity::Serious,
-        "would be in view if the poses led from the world to the camera",
+        "would be in view if the poses were inverted (from the world to the camera)",
     );
 }
