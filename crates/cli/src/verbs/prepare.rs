@@ -4,6 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use use3d_capture::name::shown_lines;
+use use3d_import::ImportParams;
 use use3d_pipeline::destination::{absolute, path_text, word};
 use use3d_pipeline::preparation::{DataSet, Preparation, capture_of};
 use use3d_prepare::{PREPARED, PrepareParams, Programs, Recipe, RecipeScene, Sources};
@@ -11,6 +12,7 @@ use use3d_prepare::{PREPARED, PrepareParams, Programs, Recipe, RecipeScene, Sour
 use crate::App;
 use crate::args::{PrepareArgs, usual_programs};
 use crate::error::{Done, WorkError};
+use crate::verbs::check;
 
 pub(crate) fn run(app: &App, args: &PrepareArgs) -> Done {
     // A folder of that name may be the captures of an earlier time.
@@ -42,7 +44,8 @@ pub(crate) fn run(app: &App, args: &PrepareArgs) -> Done {
             )));
         }
         Some((key, inputs)) => {
-            let lines = job.make(&key, &inputs, args.replace.force)?;
+            let mut lines = job.make(&key, &inputs, args.replace.force)?;
+            lines.extend(check::before_run(&args.out, &ImportParams::default()));
             lines.iter().filter(|_| !args.json).for_each(|line| println!("{line}"));
         }
     }
