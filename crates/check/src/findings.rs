@@ -246,9 +246,7 @@ impl Rules {
             );
             self.add(serious_if(share < COVERED.1), "few", text, remedy, Vec::new());
         } else if angle < ANGLE {
-            let text = format!(
-                "The photographs see each point from nearly the same place, so distances are hardly determined."
-            );
+            let text = "The photographs see each point from nearly the same place, so distances are hardly determined.";
             let remedy = "move the camera sideways between photographs, by a tenth of the distance or more";
             self.add(Severity::Serious, "few", text, remedy, Vec::new());
         } else {
