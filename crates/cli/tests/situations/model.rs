@@ -48,7 +48,7 @@ fn photographs_that_were_cropped_and_enlarged_are_found() {
     let zoom = |fault: Option<&str>| {
         let capture = dir.path().join(fault.unwrap_or("sound"));
         let mut synth = command();
-        synth.args(["-q", "synth", "capture", "--views", "12", "--size", "384x256", "--out"]).arg(&capture);
+        synth.args(["-q", "synth", "capture", "--views", "12", "--size", "320x214", "--out"]).arg(&capture);
         run(synth.args(fault.iter().flat_map(|fault| ["--fault", fault]))).unwrap();
         let findings = examined(&capture).unwrap().1;
         findings.iter().find(|f| f.subject == "zoom").map(|f| f.text.clone())

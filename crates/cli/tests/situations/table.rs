@@ -1,7 +1,7 @@
 //! Every fault that `synth capture --fault list` names is found as the list says, and sound captures have no
 //! serious finding and one minor one at most.
 //!
-//! The middle strengths are tried; all of them with
+//! The middle strengths and three sound captures are tried; all of them, and real captures, with
 //!
 //! ```text
 //! USE3D_STRENGTHS=all cargo test -p use3d --test situations table -- --nocapture
@@ -18,6 +18,11 @@ use super::{SEED, command, examined, run, sound};
 /// Faults that nothing finds yet: things that never move with the camera, and fish, which move on their own.
 /// The last one is found in larger pictures only, in `model`.
 const NOT_FOUND: [&str; 6] = ["bars", "display", "port-rim", "gripper", "fish", "cropped"];
+
+/// True if all strengths and all sound captures are tried, which takes minutes.
+fn whole() -> bool {
+    std::env::var("USE3D_STRENGTHS").is_ok_and(|strengths| strengths == "all")
+}
 
 /// The weight of the gravest of some findings: 3 for a refusal, 2 serious, 1 minor, 0 none.
 fn weight(findings: &[&Finding]) -> u8 {
@@ -57,7 +62,7 @@ fn tried(fault: ChosenFault, level: usize, usual: &[&str]) -> (String, Option<St
 
 #[test]
 fn every_fault_is_found_as_the_list_says() {
-    let all = std::env::var("USE3D_STRENGTHS").is_ok_and(|strengths| strengths == "all");
+    let all = whole();
     let dir = tempfile::tempdir().unwrap();
     let findings = examined(&sound(dir.path(), "reef")).unwrap().1;
     let usual: Vec<&str> = findings.iter().map(|f| f.text.as_str()).collect();
@@ -119,7 +124,8 @@ fn sound_captures_have_no_serious_finding_and_one_minor_one_at_most() {
         &["--seed", "8", "--physics", "spectral", "--water", "IA", "--fish", "2"],
         &["--seed", "9", "--place", "pool"],
     ];
-    for (number, kind) in kinds.into_iter().enumerate() {
+    let step = if whole() { 1 } else { 3 };
+    for (number, kind) in kinds.into_iter().enumerate().step_by(step) {
         let capture = dir.path().join(number.to_string());
         let mut synth = command();
         synth.args(["-q", "synth", "capture", "--out"]).arg(&capture);
@@ -134,8 +140,10 @@ fn sound_captures_have_no_serious_finding_and_one_minor_one_at_most() {
 
 #[test]
 fn real_captures_have_no_serious_finding_and_one_minor_one_at_most() {
-    let Some(data) = std::env::var_os("USE3D_DATA") else {
-        println!("SKIPPED, no real capture was examined: USE3D_DATA is not set");
+    let Some(data) = std::env::var_os("USE3D_DATA").filter(|_| whole()) else {
+        println!(
+            "SKIPPED, no real capture was examined: USE3D_DATA is not set, or USE3D_STRENGTHS is not `all`"
+        );
         return;
     };
     for name in ["reef_deepreefmap", "vent_sucre", "fern"] {
