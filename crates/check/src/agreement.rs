@@ -33,6 +33,8 @@ const NO_ERROR: f64 = 0.05;
 const OUTSIDE: f64 = 100.0;
 /// A point this share of a side outside of a picture still counts as in view.
 const MARGIN: f64 = 0.05;
+/// Points whose place in the photographs is looked for, about.
+const PLACES: usize = 5000;
 /// Pixels and views that a run reads before its first stage, at most.
 const PIXELS: usize = 60_000_000;
 const VIEWS: usize = 24;
@@ -120,18 +122,20 @@ pub(crate) fn agreement(imported: &Imported, pixels: PixelsRead) -> Result<Model
     let sights: Vec<Vec<PointSight>> =
         views.iter().map(|view| of_image.remove(&view.id).unwrap_or_default()).collect();
 
+    let positions: Vec<[f64; 3]> =
+        survey.points.iter().step_by((survey.points.len() / PLACES).max(1)).map(|p| p.position).collect();
     let mut found = ModelAgreement {
         views: views
             .iter()
             .map(|view| ViewAgreement { name: view.name.to_string(), ..ViewAgreement::default() })
             .collect(),
         tracked,
-        in_view: share_in_view(survey, &cameras),
+        in_view: share_in_view(&positions, &cameras),
         ..ModelAgreement::default()
     };
     found.coverage = coverage(imported, &sights);
     if found.in_view.is_some_and(|share| share < 0.5) {
-        found.instead = misreading(survey, &cameras);
+        found.instead = misreading(&positions, &cameras);
     }
     found.depth = depth_maps(imported, pixels);
     if tracked {
@@ -155,7 +159,7 @@ pub(crate) fn agreement(imported: &Imported, pixels: PixelsRead) -> Result<Model
     for (view, likeness) in found.views.iter_mut().zip(likeness(&all, survey.points.len())) {
         view.likeness = likeness;
     }
-    // Hidden points are as wrong at one zoom as at another.
+    // Without tracks, hidden points can make another zoom look better.
     found.zoom = tracked.then(|| zoom(&all, survey.points.len())).flatten();
     found.exchanged = exchanged(&all, &survey.points);
     Ok(found)
@@ -170,17 +174,15 @@ const POINT_AXES: [PointAxes; 4] = [
     ("if the points were turned by half a turn about x", |[x, y, z]| [x, -y, -z]),
 ];
 
-/// The share of points that are in view of any photograph; `None` without points.
-fn share_in_view(survey: &Survey, cameras: &[Option<PosedCamera<'_>>]) -> Option<f64> {
-    let step = (survey.points.len() / 5000).max(1);
-    let chosen: Vec<[f64; 3]> = survey.points.iter().step_by(step).map(|p| p.position).collect();
+/// The share of positions that are in view of any photograph; `None` without any.
+fn share_in_view(positions: &[[f64; 3]], cameras: &[Option<PosedCamera<'_>>]) -> Option<f64> {
     let seen = |p: &&[f64; 3]| cameras.iter().flatten().any(|camera| camera.sees(**p, MARGIN));
-    let count = chosen.par_iter().filter(seen).count();
-    (!chosen.is_empty()).then(|| count as f64 / chosen.len() as f64)
+    let count = positions.par_iter().filter(seen).count();
+    (!positions.is_empty()).then(|| count as f64 / positions.len() as f64)
 }
 
 /// The meaning of the poses by which half of the points are in view, if theirs is another one.
-fn misreading(survey: &Survey, cameras: &[Option<PosedCamera<'_>>]) -> Option<&'static str> {
+fn misreading(positions: &[[f64; 3]], cameras: &[Option<PosedCamera<'_>>]) -> Option<&'static str> {
     let (flip, upright) = (DMat3::from_cols(DVec3::X, DVec3::NEG_Y, DVec3::NEG_Z), UPRIGHT);
     let (one, both) = (DMat3::IDENTITY, flip * upright);
     let backward = "if the poses were inverted (from the world to the camera)";
@@ -207,12 +209,11 @@ fn misreading(survey: &Survey, cameras: &[Option<PosedCamera<'_>>]) -> Option<&'
             Pose { rotation: *after * rotation * *before, translation: *after * translation }
         };
         let moved = cameras.iter().map(|c| c.map(|c| PosedCamera { pose: reading(c.pose), ..c }));
-        share_in_view(survey, &moved.collect::<Vec<_>>()).unwrap_or(0.0)
+        share_in_view(positions, &moved.collect::<Vec<_>>()).unwrap_or(0.0)
     };
     let mut shares = readings.map(|reading| (reading.0, seen(&reading))).to_vec();
     for (words, axes) in POINT_AXES {
-        let mut turned = survey.clone();
-        turned.points.iter_mut().for_each(|point| point.position = axes(point.position));
+        let turned: Vec<[f64; 3]> = positions.iter().map(|position| axes(*position)).collect();
         shares.push((words, share_in_view(&turned, cameras).unwrap_or(0.0)));
     }
     shares

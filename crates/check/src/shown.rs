@@ -1,4 +1,4 @@
-//! What the photographs show at the places where the model saw points.
+//! These functions compare the photographs at the places where the model saw points.
 //!
 //! * The *detail* of a point in a view is the brightness of its pixel less the mean around it, in a picture
 //!   of about 640 pixels. The *likeness* of a view is the rank correlation (Spearman's ρ) of its details with

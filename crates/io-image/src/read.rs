@@ -251,7 +251,10 @@ fn bytes_of(path: &Path) -> Result<(Vec<u8>, FileFormat), ImageError> {
     let length = file.metadata().map_err(open_error(path))?.len();
     let mut reader = BufReader::new(file);
     let format = info(&mut reader, length, path)?.format;
-    let mut bytes = Vec::with_capacity(length as usize);
+    let mut bytes = Vec::new();
+    // A file may be longer than the memory.
+    let no_room = |_| open_error(path)(std::io::ErrorKind::OutOfMemory.into());
+    bytes.try_reserve_exact(usize::try_from(length).unwrap_or(usize::MAX)).map_err(no_room)?;
     reader.rewind().and_then(|()| reader.take(length).read_to_end(&mut bytes)).map_err(open_error(path))?;
     Ok((bytes, format))
 }

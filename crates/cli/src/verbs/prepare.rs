@@ -45,8 +45,10 @@ pub(crate) fn run(app: &App, args: &PrepareArgs) -> Done {
         }
         Some((key, inputs)) => {
             let mut lines = job.make(&key, &inputs, args.replace.force)?;
-            lines.extend(check::before_run(&args.out, &ImportParams::default()));
-            lines.iter().filter(|_| !args.json).for_each(|line| println!("{line}"));
+            if !args.json {
+                lines.extend(check::before_run(&args.out, &ImportParams::default()));
+                lines.iter().for_each(|line| println!("{line}"));
+            }
         }
     }
     if args.json {
