@@ -305,7 +305,9 @@ mod tests {
                 real += use3d_numerics::math::powi(fit.world.metres_per_unit - 1.0, 2) / f64::from(rounds);
             }
             let ratio = (stated / real).sqrt();
-            assert!((0.9..2.3).contains(&ratio), "{count} positions: {ratio}");
+            // From eight positions on, errors may wander, and twelve cannot tell that these do not.
+            let most = if count < 8 { 1.1 } else { 2.3 };
+            assert!((0.9..most).contains(&ratio), "{count} positions: {ratio}");
         }
     }
 
