@@ -169,7 +169,7 @@ pub(crate) fn render(
                     }
                 }
             }
-            blur(&mut image);
+            lens_blur(&mut image);
             image
         })
         .collect();
@@ -180,7 +180,7 @@ pub(crate) fn render(
 
 /// The lens blur: it spreads every point over its neighbours, 1:2:1 along both axes, as real lenses do with
 /// details finer than a pixel.
-fn blur(image: &mut Image) {
+pub(crate) fn lens_blur(image: &mut Image) {
     let (width, height) = (image.width(), image.height());
     for channel in 0..3 {
         let plane = image.plane_mut(channel);

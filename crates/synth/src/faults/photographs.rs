@@ -1,14 +1,14 @@
 //! Faults of the pixels: photographs that are not those of the model, or show something besides the scene.
 
-use image::imageops::{self, FilterType};
-use image::{Rgb, RgbImage};
-use use3d_capture::Map;
+use image::{Rgb, RgbImage, imageops};
+use use3d_capture::{Image, Map};
 use use3d_io_image::read_map;
 use use3d_numerics::math;
 
 use super::folder::{Chance, Done, Spoiler};
 use super::model::{edit_lens, warp};
 use super::tracks;
+use crate::render::lens_blur;
 
 pub(super) fn upside_down(s: &Spoiler<'_>) -> Done {
     s.repaint(s.strength, |_, picture| imageops::rotate180(&picture))
@@ -55,7 +55,7 @@ pub(super) fn square_turn(s: &Spoiler<'_>) -> Done {
 pub(super) fn smaller(s: &Spoiler<'_>) -> Done {
     s.repaint(1.0, |_, picture| {
         let side = |n: u32| ((f64::from(n) * 0.01 * s.strength).round() as u32).max(1);
-        imageops::resize(&picture, side(picture.width()), side(picture.height()), FilterType::Triangle)
+        imageops::thumbnail(&picture, side(picture.width()), side(picture.height()))
     })
 }
 
@@ -110,8 +110,19 @@ pub(super) fn rig(s: &Spoiler<'_>) -> Done {
     s.rename_photographs(|i, name| format!("{}/{name}", if i % 2 == 1 { "right" } else { "left" }))
 }
 
+/// Blurs every third photograph. One lens blur has a variance of half a square pixel. Repeated, it has the
+/// strength's standard deviation, and needs no exponential function.
 pub(super) fn blurred(s: &Spoiler<'_>) -> Done {
-    s.repaint(0.34, |_, picture| imageops::blur(&picture, s.strength as f32))
+    let times = (2.0 * s.strength * s.strength).round().max(1.0) as usize;
+    s.repaint(0.34, |_, picture| {
+        let (w, h) = picture.dimensions();
+        let pixels: Vec<f32> = picture.iter().map(|v| f32::from(*v)).collect();
+        let Some(mut image) = Image::from_interleaved(w as usize, h as usize, &pixels) else {
+            return picture;
+        };
+        (0..times).for_each(|_| lens_blur(&mut image));
+        RgbImage::from_fn(w, h, |x, y| Rgb(image.pixel(x as usize, y as usize).map(|v| v.round() as u8)))
+    })
 }
 
 pub(super) fn noisy(s: &Spoiler<'_>) -> Done {
