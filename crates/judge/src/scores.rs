@@ -181,6 +181,9 @@ pub struct SceneScores {
     pub held_out_views: usize,
     /// Image size of the first held-out view.
     pub size: (usize, usize),
+    /// Share of the held-out views' pixels that the scores count, 0 to 1; masks hide the others.
+    #[serde(default = "all")]
+    pub pixels: f64,
     /// Number of Gaussians.
     pub gaussians: usize,
     /// The source of the depth and masks for comparing neighbouring views.
@@ -192,6 +195,10 @@ pub struct SceneScores {
     pub water: Option<WaterScores>,
     /// The methods that were scored.
     pub methods: Vec<MethodScores>,
+}
+
+fn all() -> f64 {
+    1.0
 }
 
 fn enhanced() -> Method {
@@ -226,6 +233,23 @@ impl SceneScores {
     /// All scores of a method.
     pub fn method(&self, method: Method) -> Option<&MethodScores> {
         self.methods.iter().find(|m| m.method == method)
+    }
+
+    /// The share of the pixels that the scores count, for the end of a sentence with a score: `" on 61 % of the
+    /// pixels"`. A second sentence follows if masks hide more than half. Empty if all count.
+    pub fn on_pixels(&self) -> String {
+        if self.pixels > 0.995 {
+            return String::new();
+        }
+        let few = ". Masks hide the others, too many to judge the scene: look at the masks first";
+        let few = if self.is_of_few_pixels() { few } else { "" };
+        let decimals = if self.pixels < 0.095 { 1 } else { 0 };
+        format!(" on {:.decimals$} % of the pixels{few}", 100.0 * self.pixels)
+    }
+
+    /// True if masks hide more than half of the pixels, so that the scores say little about the scene.
+    pub fn is_of_few_pixels(&self) -> bool {
+        self.pixels < 0.5
     }
 
     /// A mean score of a method.
@@ -307,20 +331,38 @@ mod tests {
         assert_eq!((method.counted("psnr"), method.counted("w_ssim")), (2, 1));
     }
 
-    #[test]
-    fn a_file_of_another_version_is_told_from_a_damaged_one() {
-        let scores = SceneScores {
+    fn scene(pixels: f64) -> SceneScores {
+        SceneScores {
             format: FORMAT.into(),
             version: VERSION,
             training_views: 7,
             held_out_views: 1,
             size: (4, 3),
+            pixels,
             gaussians: 10,
             warp: Warp::Reference,
             result: Method::Enhanced,
             water: None,
             methods: vec![],
-        };
+        }
+    }
+
+    #[test]
+    fn scores_say_on_which_share_of_the_pixels_they_were_taken() {
+        assert_eq!(scene(1.0).on_pixels(), "");
+        assert_eq!(scene(0.7).on_pixels(), " on 70 % of the pixels");
+        assert_eq!(
+            scene(0.06).on_pixels(),
+            " on 6.0 % of the pixels. Masks hide the others, too many to judge the scene: look at the masks first"
+        );
+        assert!(scene(0.49).is_of_few_pixels() && !scene(0.5).is_of_few_pixels());
+        let old = serde_json::to_string(&scene(0.3)).unwrap().replace("\"pixels\":0.3,", "");
+        assert_eq!(SceneScores::parse(old.as_bytes()).unwrap().pixels, 1.0, "older files have none");
+    }
+
+    #[test]
+    fn a_file_of_another_version_is_told_from_a_damaged_one() {
+        let scores = scene(1.0);
         let text = serde_json::to_string(&scores).unwrap();
         assert_eq!(SceneScores::parse(text.as_bytes()).unwrap(), scores);
         let old = text.replace("\"version\":2", "\"version\":1");

@@ -12,8 +12,8 @@ use std::sync::Arc;
 
 use use3d_capture::{Camera, Image, Map};
 use use3d_metrics::{
-    Flow, GeometricView, Mask, MetricError, blacked_out, counted, geometric_warp, only_counted, psnr, ssim,
-    uciqe, uiqm, warped_delta_e, warped_ssim,
+    Flow, GeometricView, Mask, MetricError, blacked_out, counted, geometric_warp, only_counted, psnr, share,
+    ssim, uciqe, uiqm, warped_delta_e, warped_ssim,
 };
 use use3d_nets::{Models, NetError, limit_long_side};
 
@@ -121,7 +121,7 @@ impl Judges {
         let (image, reference) = (clamped(image), clamped(reference));
         let lpips = match (whole(&image, mask), whole(&reference, mask)) {
             (Ok(image), Ok(reference)) => {
-                let share = mask.map_or(1.0, |m| counted(m) as f64 / m.pixels().max(1) as f64);
+                let share = share(mask);
                 match measured(&self.lpips, |net| net(&image, &reference)) {
                     Score::Value(distance) => Score::of(distance.get() / share),
                     reason => reason,
@@ -232,7 +232,7 @@ impl Pairing {
         let (first, second) = (clamped(first), clamped(second));
         let mut scores = Scores::new();
         let mut insert = |name: &str, score: Score| scores.insert(format!("{prefix}{name}"), score);
-        let share = |mask: &Mask| Score::of(counted(mask) as f64 / mask.pixels().max(1) as f64);
+        let covered = |mask: &Mask| Score::of(share(Some(mask)));
         match &self.geometry {
             Ok((flow, mask)) => {
                 let of = |c: Result<use3d_metrics::Consistency, MetricError>| {
@@ -240,7 +240,7 @@ impl Pairing {
                 };
                 insert("w_delta_e", of(warped_delta_e(&first, &second, flow, mask)));
                 insert("w_ssim", of(warped_ssim(&first, &second, flow, mask)));
-                insert("coverage", share(mask));
+                insert("coverage", covered(mask));
             }
             Err(reason) => {
                 for name in ["w_delta_e", "w_ssim", "coverage"] {
@@ -256,7 +256,7 @@ impl Pairing {
                     judges.warped_lpips(&first, &second, flow, mask)
                 };
                 insert("wlpips", distance);
-                insert("flow_coverage", share(mask));
+                insert("flow_coverage", covered(mask));
             }
             Err(reason) => {
                 for name in ["wlpips", "flow_coverage"] {

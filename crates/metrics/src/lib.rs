@@ -40,7 +40,7 @@ pub use consistency::{
 pub use error::MetricError;
 pub use halves::fitted_on_other_half;
 pub use lab::{lab_of_srgb, mean_cie1976};
-pub use mask::{blacked_out, counted, mask_of, only_counted};
+pub use mask::{blacked_out, counted, mask_of, only_counted, share};
 pub use psnr::{ExposureFit, decibels, exposure_gain, psnr, psnr_exposure_fitted};
 pub use score::{Finite, NonFiniteScore, Score};
 pub use ssim::{ssim, ssim_map};

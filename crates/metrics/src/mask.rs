@@ -23,6 +23,11 @@ pub fn counted(mask: &Mask) -> usize {
     mask.data().iter().filter(|m| **m != 0).count()
 }
 
+/// Share of the pixels that count, 0 to 1: all of them without a mask, none of an empty one.
+pub fn share(mask: Option<&Mask>) -> f64 {
+    mask.map_or(1.0, |mask| counted(mask) as f64 / mask.pixels().max(1) as f64)
+}
+
 /// An image of one row with the pixels that count.
 ///
 /// # Errors

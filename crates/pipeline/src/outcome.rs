@@ -32,6 +32,8 @@ struct SceneMeans {
     variant: String,
     /// The file with all of its scores.
     file: PathBuf,
+    /// Share of the pixels that the scores count.
+    pixels: f64,
     methods: Vec<MethodMeans>,
 }
 
@@ -53,6 +55,7 @@ impl<'a> Outcome<'a> {
                 scene: result.scene.clone(),
                 variant: result.variant.clone(),
                 file: absolute(&result.path.join(SCORES)),
+                pixels: scores.pixels,
                 methods: scores.methods.into_iter().map(means).collect(),
             })
         });
@@ -81,7 +84,10 @@ pub fn lines(delivered: &[Delivered]) -> Vec<String> {
         let of = named.into_iter().filter(|name| !name.is_empty()).collect::<Vec<_>>().join(" · ");
         let mean = |method, metric| scores.mean(method, metric).and_then(|s| s.value());
         if let Some(psnr) = mean(Method::Reconstruction, "psnr") {
-            lines.push(format!("{of}: held-out photographs are reproduced at {psnr:.2} dB PSNR"));
+            lines.push(format!(
+                "{of}: held-out photographs are reproduced at {psnr:.2} dB PSNR{}",
+                scores.on_pixels()
+            ));
         }
         // The look that leads the report is printed too.
         let enhanced = delivered

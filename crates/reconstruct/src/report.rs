@@ -94,6 +94,8 @@ pub struct ViewScore {
     pub psnr: Score,
     /// SSIM with an 11-tap window, over the windows in which all pixels count.
     pub ssim: Score,
+    /// Share of the pixels that count, 0 to 1; masks hide the others.
+    pub pixels: f64,
     /// Both scores after gains that were fitted on the other half of the view, if views have gains.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub fitted: Option<FittedScore>,
@@ -117,6 +119,8 @@ pub struct Evaluation {
     pub psnr: Score,
     /// Mean SSIM over the views that have one.
     pub ssim: Score,
+    /// Share of all views' pixels that count, 0 to 1.
+    pub pixels: f64,
     /// Means of the views' fitted scores, if views have gains.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub fitted: Option<FittedScore>,
@@ -132,7 +136,8 @@ impl Evaluation {
             psnr: Score::mean(fitted.iter().map(|f| &f.psnr)),
             ssim: Score::mean(fitted.iter().map(|f| &f.ssim)),
         });
-        Self { views, psnr, ssim, fitted }
+        let pixels = views.iter().map(|v| v.pixels).sum::<f64>() / views.len().max(1) as f64;
+        Self { views, psnr, ssim, pixels, fitted }
     }
 }
 

@@ -9,7 +9,7 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 use use3d_capture::{Camera, Capture, Frame, Image};
 use use3d_medium::MediumModel;
-use use3d_metrics::{Score, fitted_on_other_half, mask_of, psnr, ssim};
+use use3d_metrics::{Score, fitted_on_other_half, mask_of, psnr, share, ssim};
 use use3d_numerics::random::Purpose;
 use use3d_numerics::range::OutOfRange;
 use use3d_scene::Scene;
@@ -535,6 +535,7 @@ impl ReconstructRun<'_> {
                 view: view.name.clone(),
                 psnr: measured(psnr(&image, &target.image, mask.as_ref())),
                 ssim: measured(ssim(&image, &target.image, mask.as_ref())),
+                pixels: share(mask.as_ref()),
                 fitted,
             });
         }

@@ -268,6 +268,8 @@ fn views_of_which_nothing_counts_are_said_and_have_no_score() {
     );
     let evaluation = outcome.evaluation.unwrap();
     assert!(evaluation.views[0].psnr.reason().unwrap().contains("leaves no pixel"));
+    let counted = evaluation.views.iter().map(|v| v.pixels).collect::<Vec<_>>();
+    assert_eq!((evaluation.pixels, counted), (0.5, vec![0.0, 1.0]));
     assert_eq!(evaluation.psnr, evaluation.views[1].psnr, "the mean is over the views that have a score");
     loaded.iter_mut().for_each(black);
     let error = reconstruct(&capture, &loader(&loaded), &params, None, &mut Silent).unwrap_err().to_string();

@@ -158,7 +158,12 @@ fn reconstruction(scores: &SceneScores) -> Option<Sentence> {
         1 => "the held-out photograph is".to_string(),
         n => format!("the {n} held-out photographs are"),
     };
-    let text = format!("Reconstruction: {count} reproduced at {psnr:.1} dB PSNR{ssim} ({meaning}).{weak}");
+    let (tone, meaning) = match scores.is_of_few_pixels() {
+        true => (Tone::Bad, String::new()),
+        false => (tone, format!(" ({meaning})")),
+    };
+    let on = scores.on_pixels();
+    let text = format!("Reconstruction: {count} reproduced at {psnr:.1} dB PSNR{ssim}{on}{meaning}.{weak}");
     Some(Sentence { tone, text })
 }
 
@@ -290,6 +295,7 @@ mod tests {
             version: VERSION,
             training_views: 8,
             held_out_views: 2,
+            pixels: 1.0,
             size: (64, 48),
             gaussians: 10,
             warp: Warp::Own,
@@ -331,6 +337,14 @@ mod tests {
         let middling = texts(&scene(&[(Method::Reconstruction, &[("psnr", 22.4)])]));
         assert!(
             middling[0].0 == Tone::Plain && middling[0].1.contains("(recognisable, with details missing)")
+        );
+
+        let mut hidden = good.clone();
+        hidden.pixels = 0.06;
+        let said = texts(&hidden);
+        assert!(
+            said[0].0 == Tone::Bad && said[0].1.contains("SSIM 5.000 on 6.0 % of the pixels. Masks hide"),
+            "{said:?}"
         );
 
         let mut bad = scene(&[

@@ -24,7 +24,7 @@ use use3d_atc::proposers::Proposer;
 use use3d_capture::{Appearance, Camera, Capture, Frame, Image, Map, View, path};
 use use3d_import::{load_mask, load_pixels};
 use use3d_io_image::{read_image, write_png};
-use use3d_metrics::{Mask, mask_of};
+use use3d_metrics::{Mask, mask_of, share};
 use use3d_numerics::range::within;
 use use3d_render::{Mode, Rendering, SceneRenderer};
 use use3d_scene::Scene;
@@ -447,7 +447,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     };
     let knows_depth = truth.as_ref().is_some_and(|t| t.knows_depth);
     let scale = capture.frame.scale;
-    let mut water = [[0.0; 3]; 2];
+    let (mut water, mut pixels) = ([[0.0; 3]; 2], 0.0);
 
     let enhanced_in_2d = context.output().join(ENHANCED_IN_2D);
     folder(&enhanced_in_2d)?;
@@ -463,6 +463,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
             write_png(&proposal_of(&enhanced_in_2d, view), proposal)?;
         }
         let mask = mask(view)?;
+        pixels += share(mask.as_ref()) / views.len() as f64;
         let judges = &evaluation.judges;
         let true_view = truth.as_ref().map(|t| t.view(view.stem())).transpose()?.flatten();
         if let Some(truth) = &true_view {
@@ -512,6 +513,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         training_views: capture.split.train.len(),
         held_out_views: views.len(),
         size,
+        pixels: if views.is_empty() { 1.0 } else { pixels },
         gaussians: scene.gaussians.len(),
         warp: if referred.is_some() { Warp::Reference } else { Warp::Own },
         result: match scene.enhancement.as_ref().map(|e| e.appearance) {

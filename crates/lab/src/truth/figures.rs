@@ -246,6 +246,7 @@ pub(super) mod tests {
             version: scores::VERSION,
             training_views: 7,
             held_out_views: 1,
+            pixels: 1.0,
             size: (4, 3),
             gaussians: 10,
             warp: Warp::Reference,

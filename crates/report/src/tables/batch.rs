@@ -73,6 +73,21 @@ impl<'a> Batch<'a> {
         })
     }
 
+    /// A sentence with the scenes whose masks hide more than half of the held-out pixels; empty if there is
+    /// none.
+    pub(super) fn of_few_pixels(&self) -> String {
+        let few = self.scenes.iter().filter(|s| s.scores.is_of_few_pixels());
+        let named =
+            few.map(|s| format!("{} {:.0} %", in_variant(&s.scene, &s.variant), 100.0 * s.scores.pixels));
+        match named.collect::<Vec<_>>().join(", ") {
+            none if none.is_empty() => none,
+            named => format!(
+                ". Masks hide more than half of the held-out pixels, so these scores say little (the share that \
+                 counts): {named}"
+            ),
+        }
+    }
+
     pub(super) fn every_group_is_one_scene(&self) -> bool {
         let variants = self.variants.len();
         let of = |g: &str| self.scenes.iter().filter(|s| group_of(s) == g).count();

@@ -131,6 +131,7 @@ impl Batch<'_> {
                 caption += "; of published rows: the authors' graphics card, at 1400×933";
             }
         }
+        caption += &self.of_few_pixels();
         Table { name: "reconstruction".into(), caption, columns, rows }
     }
 
@@ -146,9 +147,10 @@ impl Batch<'_> {
         Table {
             name: "enhancement".into(),
             caption: format!(
-                "Enhancement quality of held-out views, and consistency of neighbouring captured views (scene-macro means). UCIQE: {}{}",
+                "Enhancement quality of held-out views, and consistency of neighbouring captured views (scene-macro means). UCIQE: {}{}{}",
                 UCIQE_VARIANT,
-                self.pairs_compared()
+                self.pairs_compared(),
+                self.of_few_pixels()
             ),
             columns: columns(&self.groups, &ENHANCEMENT),
             rows,
@@ -225,6 +227,7 @@ mod tests {
                 version: use3d_judge::scores::VERSION,
                 training_views: 7,
                 held_out_views: 1,
+                pixels: 1.0,
                 size: published::scene(name).map_or((4, 3), |(_, size)| size),
                 gaussians: 10,
                 warp: Warp::Reference,
@@ -287,6 +290,21 @@ mod tests {
         assert_eq!(labels("ablation-stage2"), ["full model", "first"]);
         assert_eq!(labels("ablation-stage1"), ["full model"]);
         assert!(tables.iter().all(|t| !t.rows.is_empty()));
+    }
+
+    #[test]
+    fn scenes_that_masks_hide_are_named_below_the_tables() {
+        let mut scenes = [scene("reef", "a", "", 20.0), scene("wreck", "a", "", 30.0)];
+        let captions = |scenes: &[ScoredScene]| -> Vec<String> {
+            tables(scenes).into_iter().map(|t| t.caption).filter(|c| c.contains("Masks hide")).collect()
+        };
+        assert!(captions(&scenes).is_empty());
+        scenes[1].scores.pixels = 0.31;
+        let said = captions(&scenes);
+        assert!(
+            said.len() == 2 && said.iter().all(|c| c.contains("wreck 31 %") && !c.contains("reef")),
+            "{said:?}"
+        );
     }
 
     #[test]
