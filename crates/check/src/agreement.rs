@@ -48,9 +48,12 @@ pub struct ViewAgreement {
     pub error: Option<f64>,
     /// The share of its sightings whose point is in view; `None` without tracks.
     pub in_view: Option<f64>,
-    /// Its likeness to the other views of its points, −1 to 1; `None` if its pixels were not read, or if it
-    /// shares too few points with them.
+    /// Its likeness to the other views of its points, −1 to 1; `None` if its pixels were not read, if it shares
+    /// too few points with them, or if grain hides its details.
     pub likeness: Option<f64>,
+    /// The standard deviation of its grain in a picture of about 640 pixels, as a share of white; `None` if its
+    /// pixels were not read.
+    pub grain: Option<f64>,
 }
 
 /// The overlap of views.
@@ -156,8 +159,9 @@ pub(crate) fn agreement(imported: &Imported, pixels: PixelsRead) -> Result<Model
         }
     };
     let all: Vec<Option<Shown>> = (0..views.len()).into_par_iter().map(read).collect::<Result<_, _>>()?;
-    for (view, likeness) in found.views.iter_mut().zip(likeness(&all, survey.points.len())) {
-        view.likeness = likeness;
+    for ((view, likeness), shown) in found.views.iter_mut().zip(likeness(&all, survey.points.len())).zip(&all)
+    {
+        (view.likeness, view.grain) = (likeness, shown.as_ref().map(Shown::grain));
     }
     // Without tracks, hidden points can make another zoom look better.
     found.zoom = tracked.then(|| zoom(&all, survey.points.len())).flatten();

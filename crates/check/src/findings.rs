@@ -44,6 +44,8 @@ const COVERED: (f64, f64) = (0.35, 0.15);
 const ANGLE: f64 = 1.0;
 /// The likeness below which a photograph is not that of its camera, with tracks and without.
 const LIKE: (f64, f64) = (0.6, 0.4);
+/// A photograph with more grain than this, as a share of white, is named.
+const GRAIN: f64 = 0.04;
 /// A side above which a training takes very long, pixels.
 const LARGE: usize = 2000;
 /// A mask that leaves less than this share of a picture leaves nothing to learn from.
@@ -414,6 +416,21 @@ impl Rules {
             let remedy = "use the photographs that the cameras were found from, or find the cameras again with \
                 `use3d prepare`";
             self.add(Severity::Serious, "zoom", text, remedy, Vec::new());
+        }
+        let grainy = list(&|v| v.grain.is_some_and(|grain| grain > GRAIN));
+        if !grainy.is_empty() {
+            let most = agreement.views.iter().filter_map(|v| v.grain).fold(0.0, f64::max);
+            let text = format!(
+                "{} of {} photographs {} full of grain, up to {:.0} % of white. The scene learns the grain in place of \
+                 small things.",
+                grainy.len(),
+                list(&|v| v.grain.is_some()).len(),
+                are(grainy.len()),
+                100.0 * most
+            );
+            let remedy = "take the grain out of all photographs with one program and one setting before the run; on \
+                the next dive give more light, or a lower ISO";
+            self.add(Severity::Minor, "grain", text, remedy, grainy);
         }
         let read = list(&|v| v.likeness.is_some()).len();
         let others = list(&|v| v.likeness.is_some_and(|like| like < limit));

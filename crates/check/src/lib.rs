@@ -15,6 +15,7 @@ mod agreement;
 mod depth;
 mod findings;
 mod gather;
+mod grain;
 mod measure;
 mod page;
 mod report;

@@ -4,7 +4,7 @@
 //!   of about 640 pixels. The *likeness* of a view is the rank correlation (Spearman's ρ) of its details with
 //!   the means of those in the other views. It is above 0.7 if a photograph belongs to its pose, and near 0
 //!   if another photograph is there, or the same one turned. Exposure and water hardly change the order of
-//!   details.
+//!   details. Grain does: a view has no likeness if more than a share of the spread of its details is grain.
 //! * The likeness is also measured with all places moved away from the middle of the pictures by a factor,
 //!   the *zoom*. It is best at 1, unless all photographs were enlarged, or a border was cut off or added.
 //!   Pictures of less than 300 pixels are too small to tell.
@@ -14,6 +14,8 @@
 use use3d_capture::Image;
 use use3d_io_image::shrunk;
 use use3d_survey::{PointSight, SurveyPoint, rank_correlation};
+
+use crate::grain::grain;
 
 /// The longer side of the pictures in which details are compared, pixels.
 const SIDE: usize = 640;
@@ -32,6 +34,8 @@ const ZOOMS: [f64; 19] = [
 const BETTER: (f64, f64) = (0.08, 0.6);
 /// The longer side of the smallest pictures whose zoom is measured, pixels.
 const SMALLEST: usize = 300;
+/// The share of the spread of details that may be grain.
+const GRAINY: f64 = 0.2;
 /// A correlation of hues below this is that of exchanged channels.
 const EXCHANGED: f64 = -0.3;
 
@@ -40,6 +44,8 @@ type Details = Vec<(usize, f64)>;
 
 /// A photograph at the places of points.
 pub(crate) struct Shown {
+    /// The standard deviation of its grain, brightness.
+    grain: f64,
     /// The details for each zoom.
     details: Vec<Details>,
     /// Red and blue at each point, display range.
@@ -119,6 +125,7 @@ pub(crate) fn shown(image: &Image, sights: &[PointSight], size: [f64; 2]) -> Sho
     };
     let zooms = if w.max(h) < SMALLEST { &ZOOMS[..1] } else { &ZOOMS };
     Shown {
+        grain: grain(w, h, luma),
         details: zooms.iter().map(|zoom| details(*zoom)).collect(),
         hues: chosen.iter().filter_map(hue).collect(),
     }
@@ -147,7 +154,24 @@ fn likeness_at(all: &[Option<Shown>], zoom: usize, points: usize) -> Vec<Option<
 
 /// The likeness of each view at the model's own zoom.
 pub(crate) fn likeness(all: &[Option<Shown>], points: usize) -> Vec<Option<f64>> {
-    likeness_at(all, 0, points)
+    let clear = |shown: &Option<Shown>| shown.as_ref().is_some_and(|shown| shown.grain_in_details() < GRAINY);
+    let likeness = likeness_at(all, 0, points);
+    likeness.into_iter().zip(all).map(|(likeness, shown)| likeness.filter(|_| clear(shown))).collect()
+}
+
+impl Shown {
+    /// The grain, as a share of white.
+    pub(crate) fn grain(&self) -> f64 {
+        self.grain / 255.0
+    }
+
+    /// The share of the details' variance that is grain, of which a mean of nine pixels keeps a ninth.
+    fn grain_in_details(&self) -> f64 {
+        let own = self.details[0].iter().map(|(_, detail)| *detail);
+        let (count, mean) = (self.details[0].len().max(1) as f64, own.clone().sum::<f64>());
+        let variance = own.map(|d| (d - mean / count) * (d - mean / count)).sum::<f64>() / count;
+        self.grain * self.grain / 9.0 / variance.max(f64::MIN_POSITIVE)
+    }
 }
 
 /// The zoom of the photographs against the model, if it is not 1.

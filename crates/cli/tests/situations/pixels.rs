@@ -8,7 +8,7 @@ use use3d_capture::FileName;
 use use3d_check::Severity;
 use use3d_io_colmap::{read_model, write_model_binary};
 
-use super::{faulty, finding, imported, sound};
+use super::{examined, faulty, finding, imported, sound};
 
 /// The sound capture with other names of images in its model.
 fn named(dir: &Path, name: &str, by: impl Fn(usize, &str) -> String) -> PathBuf {
@@ -62,6 +62,18 @@ fn low_range_16() {
         found.severity == Severity::Minor && text.contains("the lower 12") && text.contains("16 times"),
         "{text}"
     );
+}
+
+#[test]
+fn grain_is_named_and_not_taken_for_other_photographs() {
+    let dir = tempfile::tempdir().unwrap();
+    for fault in ["noisy:weak", "noisy", "noisy:strong"] {
+        let findings = examined(&faulty(dir.path(), fault)).unwrap().1;
+        let subjects: Vec<&str> = findings.iter().map(|f| f.subject).collect();
+        assert!(subjects.contains(&"grain"), "{fault}: {subjects:?}");
+        let others = findings.iter().find(|f| f.subject == "photographs" && f.severity == Severity::Serious);
+        assert!(others.is_none(), "{fault}: {others:?}");
+    }
 }
 
 /// The photographs of a capture, sorted.
