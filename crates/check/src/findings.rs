@@ -66,7 +66,7 @@ pub fn examine(
     rules.cameras(import);
     rules.model(import, &figures, water);
     if let Some(agreement) = &figures.agreement {
-        rules.agreement(import, agreement);
+        rules.agreement(import, agreement, &photographs::blurred(&figures.views));
         rules.coverage(agreement);
     }
     rules.reach(&figures.reach);
@@ -357,7 +357,7 @@ impl Rules {
     }
 
     /// The model against its tracks, and the photographs against the model.
-    fn agreement(&mut self, import: &ImportReport, agreement: &ModelAgreement) {
+    fn agreement(&mut self, import: &ImportReport, agreement: &ModelAgreement, blurred: &[String]) {
         if let Some(share) = agreement.in_view.filter(|share| *share < IN_VIEW) {
             let text = format!(
                 "{} of the points lie in any photograph: the points and the cameras of {} do not belong together.",
@@ -433,7 +433,9 @@ impl Rules {
             self.add(Severity::Minor, "grain", text, remedy, grainy);
         }
         let read = list(&|v| v.likeness.is_some()).len();
-        let others = list(&|v| v.likeness.is_some_and(|like| like < limit));
+        // Blur hides the details, too, and has a finding of its own.
+        let unlike = |v: &ViewAgreement| v.likeness.is_some_and(|like| like < limit);
+        let others = list(&|v| unlike(v) && !blurred.contains(&v.name));
         if !others.is_empty() {
             let text = format!(
                 "{} of {read} photographs do not match their cameras: they are turned, are other photographs under the \

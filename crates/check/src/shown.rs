@@ -27,11 +27,14 @@ pub(crate) const FEWEST: usize = 30;
 pub(crate) const MOST: usize = 1500;
 /// The zooms that are tried; the first one is that of the model.
 const ZOOMS: [f64; 19] = [
-    1.0, 0.5, 0.67, 0.75, 0.8, 0.85, 0.9, 0.93, 0.96, 0.98, 1.02, 1.04, 1.07, 1.11, 1.18, 1.25, 1.33, 1.5,
+    1.0, 0.5, 0.67, 0.75, 0.8, 0.85, 0.9, 0.93, 0.95, 0.98, 1.02, 1.05, 1.07, 1.11, 1.18, 1.25, 1.33, 1.5,
     2.0,
 ];
-/// Another zoom is the right one if it makes the likeness so much better, and so good.
-const BETTER: (f64, f64) = (0.08, 0.6);
+/// Another zoom is the right one if it makes the likeness so much better, or takes such a share of what lacks
+/// to 1, and this much at least.
+const BETTER: (f64, f64, f64) = (0.08, 0.4, 0.03);
+/// The least likeness at the right zoom.
+const GOOD: f64 = 0.6;
 /// The longer side of the smallest pictures whose zoom is measured, pixels.
 const SMALLEST: usize = 300;
 /// The share of the spread of details that may be grain.
@@ -180,7 +183,8 @@ pub(crate) fn zoom(all: &[Option<Shown>], points: usize) -> Option<f64> {
     let own = of(0)?;
     let others = (1..ZOOMS.len()).filter_map(|zoom| Some((ZOOMS[zoom], of(zoom)?)));
     let (zoom, best) = others.max_by(|a, b| a.1.total_cmp(&b.1))?;
-    (best > own + BETTER.0 && best > BETTER.1).then_some(zoom)
+    let (most, share, least) = BETTER;
+    (best > own + (share * (1.0 - own)).clamp(least, most) && best > GOOD).then_some(zoom)
 }
 
 /// The side on which red and blue are exchanged, if they are.

@@ -29,6 +29,11 @@ const FEW_BITS: std::ops::RangeInclusive<u32> = 8..=14;
 /// A mask that hides more than this share of a view's points hides the scene.
 const HIDDEN: f64 = 0.5;
 
+/// The views that are blurred beside their neighbours.
+pub(super) fn blurred(views: &[ViewFigures]) -> Vec<String> {
+    names(views, |v| v.sharpness.is_some_and(|s| s < BLURRED))
+}
+
 impl Rules {
     /// 16-bit files that use only their lower bits.
     pub(super) fn range(&mut self, figures: &Figures) {
@@ -171,7 +176,7 @@ impl Rules {
         } else if views.iter().any(|v| v.balance_step.is_some()) {
             self.good("balance", "The white balance is steady.");
         }
-        let blurred = names(views, |v| v.sharpness.is_some_and(|s| s < BLURRED));
+        let blurred = blurred(views);
         if !blurred.is_empty() {
             let (count, all) = (blurred.len(), self.views);
             let text = format!(

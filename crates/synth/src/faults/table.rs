@@ -46,7 +46,7 @@ pub static FAULTS: &[CaptureFault] = &[
         "Every camera stands beside its true place.",
         model::shift_poses,
     )
-    .of("% of the swim", [0.5, 2.0, 6.0]),
+    .of("% of the swim", [0.8, 2.0, 6.0]),
     plain("pose-turned", "model", Minor, "One camera looks beside its true direction.", model::turn_one)
         .of("degrees", [4.0, 10.0, 40.0]),
     plain("stray-camera", "model", Minor, "One camera of the model stands far away.", model::stray_camera)
@@ -68,7 +68,7 @@ pub static FAULTS: &[CaptureFault] = &[
         "The points were scaled after the model was made, the cameras were not.",
         model::scale_points,
     )
-    .of("%", [3.0, 10.0, 40.0]),
+    .of("%", [16.0, 25.0, 40.0]),
     plain("tracks-mixed", "model", Serious, "Points lie where other points are.", model::mix_tracks)
         .of("share of the points", [0.15, 0.4, 0.8]),
     plain(
@@ -186,15 +186,15 @@ pub static FAULTS: &[CaptureFault] = &[
         "The exposure drifts along the swim.",
         photographs::exposure_drift,
     )
-    .of("stops", [0.7, 1.5, 3.0]),
+    .of("stops", [0.6, 1.5, 3.0]),
     plain("exposure-jumps", "photographs", Serious, "The exposure jumps.", photographs::exposure_jumps)
-        .of("stops", [0.05, 0.5, 1.5]),
+        .of("stops", [0.07, 0.5, 1.5]),
     plain("rig-exposure", "photographs", Serious, "One of two cameras is brighter.", photographs::rig)
         .of("stops", [0.04, 0.7, 2.0]),
     plain("balance-jumps", "photographs", Serious, "The white balance jumps.", photographs::balance_jumps)
-        .of("%", [8.0, 25.0, 60.0]),
+        .of("%", [12.0, 25.0, 60.0]),
     plain("blurred", "photographs", Serious, "Every third photograph is blurred.", photographs::blurred)
-        .of("pixels", [1.0, 2.0, 5.0]),
+        .of("pixels", [1.2, 2.0, 5.0]),
     plain("noisy", "photographs", Minor, "Photographs are full of grain.", photographs::noisy)
         .of("% of white", [8.0, 16.0, 30.0]),
     plain("black", "photographs", Minor, "One photograph is black.", photographs::black),
