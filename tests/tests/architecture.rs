@@ -40,6 +40,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "files",
             "numerics",
             "io-image",
+            "overlay",
             "survey",
             "io-colmap",
             "io-metashape",

@@ -69,7 +69,7 @@ pub fn examine(
         rules.agreement(import, agreement, &photographs::blurred(&figures.views));
         rules.coverage(agreement);
     }
-    rules.reach(&figures.reach);
+    rules.reach(&figures.reach, import);
     rules.range(&figures);
     rules.inverted(&figures.views);
     rules.pixels(&figures.views);
@@ -535,6 +535,11 @@ impl Rules {
                     (docs/guide/metres.md)";
                 self.note("scale", text, remedy);
             }
+        }
+        if let Some(overlay) = &import.overlay {
+            let remedy = "look at the masks of `use3d import`; correct them, and put them into masks/; or \
+                `--set import.hide_overlay=false`";
+            self.note("overlay", overlay.to_string(), remedy);
         }
         // Maps that are there and left out have a finding of their own.
         if import.depth_priors == 0 && import.depth_folder.is_none() {

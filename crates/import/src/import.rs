@@ -49,6 +49,8 @@ pub struct Imported {
     /// capture.
     pub model_files: Vec<PathBuf>,
     pub(crate) white_balance: WhiteBalance,
+    /// True if a mask is to hide what lies over all photographs of a camera.
+    pub(crate) hide_overlay: bool,
     /// The folder of the photographs, relative to the capture.
     pub(crate) image_folder: String,
     /// The photographs of the first import, for a capture that is already imported.
@@ -291,7 +293,17 @@ pub fn import(dir: &Path, params: &ImportParams) -> Result<Imported, ImportError
     capture.validate().map_err(bad_capture)?;
     let model_files = read.files;
     let (white_balance, image_folder) = (params.white_balance, folder.relative);
-    Ok(Imported { capture, report, plans, model, model_files, white_balance, image_folder, originals: None })
+    Ok(Imported {
+        capture,
+        report,
+        plans,
+        model,
+        model_files,
+        white_balance,
+        hide_overlay: params.hide_overlay,
+        image_folder,
+        originals: None,
+    })
 }
 
 /// Leaves out the views whose photographs cannot be read or were turned by a quarter, and reports them. The

@@ -33,6 +33,9 @@ pub struct ImportParams {
     pub normalise: bool,
     /// White balance applied to the images (R27).
     pub white_balance: WhiteBalance,
+    /// Hide by a mask what lies over all photographs of a camera and never moves: bars, text, a gripper, the
+    /// rim of a port.
+    pub hide_overlay: bool,
 }
 
 impl Default for ImportParams {
@@ -48,6 +51,7 @@ impl Default for ImportParams {
             split: SplitParams::default(),
             normalise: true,
             white_balance: WhiteBalance::None,
+            hide_overlay: true,
         }
     }
 }

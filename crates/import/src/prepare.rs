@@ -16,6 +16,7 @@ use use3d_io_colmap::{Model, ModelCamera, ModelImage, write_model_binary};
 use use3d_io_image::{
     image_size, read_pixels, read_pixels_with_alpha, write_exr_map, write_png_map, write_png_pixels,
 };
+use use3d_overlay::Overlay;
 use use3d_survey::Survey;
 
 use crate::error::ImportError;
@@ -23,6 +24,7 @@ use crate::geometry::Geometry;
 use crate::import::{Imported, Plan, sparse_points};
 use crate::load::{read_depth_at, read_mask_at, times_alpha};
 use crate::originals::{Original, Originals, in_capture};
+use crate::overlay::Overlays;
 use crate::params::WhiteBalance;
 use crate::prepared::{IMAGES, MODEL, save};
 use crate::white_balance;
@@ -56,9 +58,14 @@ pub fn prepare(
 
     let paths: Vec<&Path> = views.iter().map(|v| v.image.as_path()).collect();
     let gains = balanced.then(|| white_balance::set_percentile_gains(&paths, workers, &tick)).transpose()?;
+    let overlays = match imported.hide_overlay {
+        true => Overlays::of(imported, workers)?,
+        false => Overlays::default(),
+    };
     let names = output_names(imported, gains.is_some())?;
     let prepared: Vec<View> = in_parallel(views.len(), workers, |i| {
-        let view = prepare_view(&views[i], &imported.plans[i], &names[i], gains, out)?;
+        let overlay = overlays.view(i);
+        let view = prepare_view(&views[i], &imported.plans[i], (&names[i], overlay), gains, out)?;
         if tick() { Ok(view) } else { Err(ImportError::Interrupted) }
     })?;
 
@@ -66,6 +73,7 @@ pub fn prepare(
     write_model_binary(&out.join(MODEL), &model)?;
     let mut report = imported.report.clone();
     report.white_balance = gains.or(report.white_balance);
+    report.overlay = overlays.report().or(report.overlay);
     let renamed: BTreeMap<&str, &FileName> = views.iter().map(|v| v.name.as_str()).zip(&names).collect();
     let mut originals = Originals::of(imported);
     originals.gains = gains.or(originals.gains);
@@ -100,7 +108,18 @@ pub fn prepare(
     let model_files = Vec::new();
     let (white_balance, image_folder) = (WhiteBalance::None, IMAGES.to_string());
     let originals = Some(originals);
-    Ok(Imported { capture, report, plans, model, model_files, white_balance, image_folder, originals })
+    let hide_overlay = false;
+    Ok(Imported {
+        capture,
+        report,
+        plans,
+        model,
+        model_files,
+        white_balance,
+        hide_overlay,
+        image_folder,
+        originals,
+    })
 }
 
 impl Originals {
@@ -189,6 +208,13 @@ fn copy_beside(from: &Path, out: &Path, folder: &str, name: &FileName) -> Result
     Ok(to)
 }
 
+/// Writes a view's mask and returns its path.
+fn write_mask(mask: &Map, out: &Path, name: &FileName) -> Result<PathBuf, ImportError> {
+    let path = name.with_extension("png")?.below(&out.join("masks"));
+    write_png_map(&path, mask)?;
+    Ok(path)
+}
+
 /// A view's pixels, mask and depth prior in the form that the training loop uses.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PreparedView {
@@ -204,7 +230,7 @@ impl Imported {
     /// Decodes and resamples one view in memory (without white balance, which depends on the whole set).
     pub fn view(&self, index: usize) -> Result<PreparedView, ImportError> {
         let (view, plan) = (&self.capture.views[index], &self.plans[index]);
-        resample(view, plan, [1.0; 3])
+        resample(view, plan, [1.0; 3], None)
     }
 }
 
@@ -216,7 +242,12 @@ fn changed(view: &View, plan: &Plan) -> ImportError {
     ImportError::Size { path: view.image.clone(), found, expected }
 }
 
-fn resample(view: &View, plan: &Plan, gains: [f32; 3]) -> Result<PreparedView, ImportError> {
+fn resample(
+    view: &View,
+    plan: &Plan,
+    gains: [f32; 3],
+    overlay: Option<&Overlay>,
+) -> Result<PreparedView, ImportError> {
     let geometry = &plan.geometry;
     let (pixels, alpha) = read_pixels_with_alpha(&view.image)?;
     if pixels.size() != geometry.file {
@@ -224,8 +255,7 @@ fn resample(view: &View, plan: &Plan, gains: [f32; 3]) -> Result<PreparedView, I
     }
     let result =
         if geometry.resamples() || gains != [1.0; 3] { geometry.pixels(&pixels, gains) } else { pixels };
-    let mask = view.mask.as_ref().map(|path| read_mask_at(path, geometry.file, &view.image)).transpose()?;
-    let mask = times_alpha(mask, alpha);
+    let mask = times_alpha(own_mask(view, geometry.file, overlay)?, alpha);
     let depth = view.depth_prior.as_ref().map(|path| read_depth_at(path, geometry.file)).transpose()?;
     Ok(PreparedView {
         pixels: result,
@@ -234,11 +264,21 @@ fn resample(view: &View, plan: &Plan, gains: [f32; 3]) -> Result<PreparedView, I
     })
 }
 
+/// The mask file of a view times that of its overlay, at the size of its photograph.
+fn own_mask(
+    view: &View,
+    size: (usize, usize),
+    overlay: Option<&Overlay>,
+) -> Result<Option<Map>, ImportError> {
+    let mask = view.mask.as_ref().map(|path| read_mask_at(path, size, &view.image)).transpose()?;
+    Ok(times_alpha(mask, overlay.map(|overlay| overlay.mask(size.0, size.1))))
+}
+
 /// Writes one view's files and returns a view with their paths.
 fn prepare_view(
     view: &View,
     plan: &Plan,
-    name: &FileName,
+    (name, overlay): (&FileName, Option<&Overlay>),
     gains: Option<[f32; 3]>,
     out: &Path,
 ) -> Result<View, ImportError> {
@@ -251,22 +291,21 @@ fn prepare_view(
             return Err(changed(view, plan));
         }
         let file = plan.geometry.file;
-        view.mask.as_ref().map(|path| read_mask_at(path, file, &view.image)).transpose()?;
+        let mask = own_mask(view, file, overlay)?;
         view.depth_prior.as_ref().map(|path| read_depth_at(path, file)).transpose()?;
         copy(&view.image, &result.image)?;
-        let mask = view.mask.as_ref().map(|from| copy_beside(from, out, "masks", name));
-        result.mask = mask.transpose()?;
+        result.mask = match (mask, &view.mask) {
+            (Some(mask), _) if overlay.is_some() => Some(write_mask(&mask, out, name)?),
+            (_, Some(from)) => Some(copy_beside(from, out, "masks", name)?),
+            _ => None,
+        };
         let depth = view.depth_prior.as_ref().map(|from| copy_beside(from, out, "depth", name));
         result.depth_prior = depth.transpose()?;
         return Ok(result);
     }
-    let ready = resample(view, plan, gains.unwrap_or([1.0; 3]))?;
+    let ready = resample(view, plan, gains.unwrap_or([1.0; 3]), overlay)?;
     write_png_pixels(&result.image, &ready.pixels)?;
-    if let Some(mask) = &ready.mask {
-        let path = name.with_extension("png")?.below(&out.join("masks"));
-        write_png_map(&path, mask)?;
-        result.mask = Some(path);
-    }
+    result.mask = ready.mask.as_ref().map(|mask| write_mask(mask, out, name)).transpose()?;
     if let Some(depth) = &ready.depth_prior {
         let path = name.with_extension("exr")?.below(&out.join("depth"));
         write_exr_map(&path, depth, "Z")?;

@@ -250,5 +250,16 @@ pub fn load_prepared(dir: &Path) -> Result<Imported, ImportError> {
     }
     let image_folder = if all { IMAGES } else { "." }.to_string();
     let (model_files, white_balance) = (Vec::new(), WhiteBalance::None);
-    Ok(Imported { capture, report, plans, model, model_files, white_balance, image_folder, originals })
+    let hide_overlay = false;
+    Ok(Imported {
+        capture,
+        report,
+        plans,
+        model,
+        model_files,
+        white_balance,
+        hide_overlay,
+        image_folder,
+        originals,
+    })
 }

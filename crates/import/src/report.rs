@@ -76,6 +76,9 @@ pub struct ImportReport {
     pub normalised: bool,
     /// The scale of the frame, `x_normalised = scale R x + t`.
     pub scale: f64,
+    /// What lies over the photographs, once they were looked at.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub overlay: Option<OverlayReport>,
     /// Gains of the white balance for R, G, B, once computed.
     pub white_balance: Option<[f32; 3]>,
     /// Faults that cost something and stop nothing, each with its next step.
@@ -102,6 +105,28 @@ pub struct CameraReport {
     pub undistorted_size: Option<[usize; 2]>,
     /// The final size.
     pub size: [usize; 2],
+}
+
+/// What lies over the photographs of one camera or several, and is hidden by a mask.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct OverlayReport {
+    /// Number of views that it lies over.
+    pub views: usize,
+    /// The largest share of a picture that it hides, 0 to 1.
+    pub share: f64,
+}
+
+/// A sentence on it.
+impl fmt::Display for OverlayReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "Something lies over {} photographs and never moves, such as bars, text, or a part of the ROV. A mask hides \
+             it: {:.1} % of the picture.",
+            self.views,
+            100.0 * self.share
+        )
+    }
 }
 
 /// Names, made safe for printing.
@@ -202,6 +227,9 @@ impl fmt::Display for ImportReport {
             writeln!(f, "  frame: normalised, 1 {unit} is {:.6}", self.scale)?;
         } else {
             writeln!(f, "  frame: as in the model")?;
+        }
+        if let Some(overlay) = &self.overlay {
+            writeln!(f, "  note: {overlay} `--set import.hide_overlay=false` shows it")?;
         }
         if let Some([r, g, b]) = self.white_balance {
             writeln!(f, "  white balance: R x {r:.3}, G x {g:.3}, B x {b:.3}")?;

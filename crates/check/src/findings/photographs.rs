@@ -1,6 +1,7 @@
 //! The rules on the photographs: their files, masks, light and sharpness, and the water in them.
 
 use use3d_capture::{Reach, Side, shown};
+use use3d_import::ImportReport;
 
 use super::{Rules, UNMASKED, WaterSight, are, hardly, names, sentence, serious_if};
 use crate::measure::{Figures, ViewFigures};
@@ -98,9 +99,11 @@ impl Rules {
     }
 
     /// Parts of the pictures that no track reaches.
-    pub(super) fn reach(&mut self, reaches: &[Reach]) {
+    pub(super) fn reach(&mut self, reaches: &[Reach], import: &ImportReport) {
         let Some(worst) = Reach::worst(reaches) else { return };
-        if worst.bare < BARE.0 {
+        // No point can be found where something lies over the pictures.
+        let covered = import.overlay.map_or(0.0, |overlay| overlay.share);
+        if worst.bare < BARE.0 + covered {
             self.good("reach", "Points that were found again cover the pictures to their edges.");
             return;
         }

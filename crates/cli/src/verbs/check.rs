@@ -49,6 +49,7 @@ pub(crate) fn run(app: &App, args: &CheckArgs) -> Done {
     let original = import(&args.capture, &params).map_err(WorkError::input)?;
     let mut listed = original.report.clone();
     listed.name = capture_name(&args.capture);
+    listed.overlay = capture.report.overlay;
     let (capture, water, figures) = interrupt::unless_stopped(move || {
         let water = from_tracks(&folder, &capture, &WaterParams::default());
         let figures = figures(&capture, &original);

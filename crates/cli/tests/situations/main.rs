@@ -70,8 +70,9 @@ fn examined(capture: &Path) -> Result<(ImportReport, Vec<Finding>), String> {
     let out = tempfile::tempdir().unwrap();
     let prepared = prepare(&original, out.path(), 1, &|_, _| true).map_err(|e| e.to_string())?;
     let figures = figures(&prepared, &original).map_err(|e| e.to_string())?;
-    let findings = examine(&original.report, figures, None, None).findings;
-    Ok((original.report, findings))
+    let report = ImportReport { overlay: prepared.report.overlay, ..original.report };
+    let findings = examine(&report, figures, None, None).findings;
+    Ok((report, findings))
 }
 
 /// The finding on a subject.

@@ -7,8 +7,9 @@ use serde_json::Value;
 use use3d_capture::FileName;
 use use3d_check::Severity;
 use use3d_io_colmap::{read_model, write_model_binary};
+use use3d_synth::ChosenFault;
 
-use super::{examined, faulty, finding, imported, sound};
+use super::{SEED, examined, faulty, finding, imported, sound};
 
 /// The sound capture with other names of images in its model.
 fn named(dir: &Path, name: &str, by: impl Fn(usize, &str) -> String) -> PathBuf {
@@ -74,6 +75,42 @@ fn grain_is_named_and_not_taken_for_other_photographs() {
         let others = findings.iter().find(|f| f.subject == "photographs" && f.severity == Severity::Serious);
         assert!(others.is_none(), "{fault}: {others:?}");
     }
+}
+
+/// The mean share that the masks of an imported capture hide.
+fn hidden(out: &Path) -> f64 {
+    let masks = std::fs::read_dir(out.join("masks")).map(|all| all.map(|entry| entry.unwrap().path()));
+    let shares = masks.into_iter().flatten().map(|path| {
+        let mask = use3d_io_image::read_map(&path).unwrap();
+        mask.data().iter().filter(|v| **v < 0.5).count() as f64 / mask.data().len() as f64
+    });
+    let shares: Vec<f64> = shares.collect();
+    shares.iter().sum::<f64>() / shares.len().max(1) as f64
+}
+
+#[test]
+fn overlay_is_learnt() {
+    let dir = tempfile::tempdir().unwrap();
+    assert_eq!(hidden(&imported(&sound(dir.path(), "sound")).unwrap().2), 0.0);
+    // The share of the picture that is no scene.
+    for (fault, share) in [("bars", 0.156), ("display", 0.1), ("port-rim", 0.07), ("gripper", 0.09)] {
+        let (_, text, out) = imported(&faulty(dir.path(), fault)).unwrap();
+        assert!(
+            text.contains("never moves") && text.contains("import.hide_overlay=false"),
+            "{fault}: {text}"
+        );
+        let found = hidden(&out);
+        // The pixels beside it are hidden, too.
+        assert!((0.8 * share..share + 0.06).contains(&found), "{fault}: {found} of {share}");
+    }
+    // Masks of the user stay, and both count.
+    let capture = faulty(dir.path(), "masks-zero-one");
+    "bars".parse::<ChosenFault>().unwrap().spoil(&capture, SEED).unwrap();
+    let (alone, both) =
+        (hidden(&imported(&faulty(dir.path(), "masks-black")).unwrap().2), imported(&capture));
+    assert_eq!(alone, 1.0);
+    let both = hidden(&both.unwrap().2);
+    assert!((0.2..0.6).contains(&both), "{both}");
 }
 
 /// The photographs of a capture, sorted.

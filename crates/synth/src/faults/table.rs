@@ -200,19 +200,19 @@ pub static FAULTS: &[CaptureFault] = &[
     plain("black", "photographs", Minor, "One photograph is black.", photographs::black),
     plain("haze", "photographs", Serious, "Hardly any light of the reef arrives.", photographs::haze)
         .of("% of the light", [40.0, 15.0, 3.0]),
-    plain("bars", "photographs", Serious, "Black bars lie above and below.", photographs::bars)
+    plain("bars", "photographs", Note, "Black bars lie above and below.", photographs::bars)
         .of("% of the height", [2.0, 8.0, 20.0]),
     plain(
         "display",
         "photographs",
-        Serious,
+        Note,
         "The text of a display lies over the picture.",
         photographs::display,
     )
     .of("% of the picture", [3.0, 10.0, 20.0]),
-    plain("port-rim", "photographs", Serious, "The port's black rim is in the corners.", photographs::rim)
+    plain("port-rim", "photographs", Note, "The port's black rim is in the corners.", photographs::rim)
         .of("% of the half diagonal", [6.0, 16.0, 30.0]),
-    plain("gripper", "photographs", Serious, "A gripper stands still in every view.", photographs::gripper)
+    plain("gripper", "photographs", Note, "A gripper stands still in every view.", photographs::gripper)
         .of("% of the height", [20.0, 45.0, 80.0]),
     plain("fish", "photographs", Minor, "Fish swim through every view, without masks.", photographs::fish)
         .of("fish", [1.0, 4.0, 12.0]),

@@ -1,0 +1,84 @@
+//! The overlay of each camera's photographs (`use3d_overlay`): bars, text, a gripper, a rim. A mask hides it.
+
+use std::collections::BTreeMap;
+
+use use3d_capture::{FileName, View};
+use use3d_io_image::{read_image, shrunk};
+use use3d_overlay::{FEWEST, Overlay, Picture, SIDE, find};
+
+use crate::error::ImportError;
+use crate::import::{Imported, Plan};
+use crate::prepare::in_parallel;
+use crate::report::OverlayReport;
+
+/// The most pictures of a camera that are read.
+const MOST: usize = 40;
+/// An overlay has at most this share of the points that the rest of the picture has on the same area.
+const POINTS: f64 = 0.5;
+
+/// The overlays of a capture's photographs.
+#[derive(Debug, Default)]
+pub(crate) struct Overlays {
+    found: Vec<Overlay>,
+    /// For each view, its overlay.
+    of_view: Vec<Option<usize>>,
+}
+
+impl Overlays {
+    /// Looks for them, in photographs of the same folder, camera and size.
+    pub(crate) fn of(imported: &Imported, workers: usize) -> Result<Self, ImportError> {
+        let views = &imported.capture.views;
+        let mut cameras: BTreeMap<(String, u32, (usize, usize)), Vec<usize>> = BTreeMap::new();
+        for (i, Plan { geometry, camera, file, .. }) in imported.plans.iter().enumerate() {
+            cameras.entry((folder(file), *camera, geometry.file)).or_default().push(i);
+        }
+        let mut all = Self { of_view: vec![None; views.len()], ..Self::default() };
+        for own in cameras.into_values().filter(|own| own.len() >= FEWEST) {
+            let chosen: Vec<&View> =
+                own.iter().step_by(own.len().div_ceil(MOST)).map(|i| &views[*i]).collect();
+            let pictures = in_parallel(chosen.len(), workers, |i| {
+                Ok(Picture::of(&shrunk(&read_image(&chosen[i].image)?, SIDE)))
+            })?;
+            let seen = |overlay: &Overlay| overlay_has_points(imported, &own, overlay);
+            if let Some(overlay) = find(&pictures).filter(|overlay| !seen(overlay)) {
+                own.iter().for_each(|i| all.of_view[*i] = Some(all.found.len()));
+                all.found.push(overlay);
+            }
+        }
+        Ok(all)
+    }
+
+    /// The overlay of a view.
+    pub(crate) fn view(&self, index: usize) -> Option<&Overlay> {
+        self.of_view.get(index).copied().flatten().map(|found| &self.found[found])
+    }
+
+    /// The part of the report; `None` if there is no overlay.
+    pub(crate) fn report(&self) -> Option<OverlayReport> {
+        let share = self.found.iter().map(Overlay::share).reduce(f64::max)?;
+        Some(OverlayReport { views: self.of_view.iter().flatten().count(), share })
+    }
+}
+
+fn folder(file: &FileName) -> String {
+    file.as_str().rsplit_once('/').map_or(String::new(), |(folder, _)| folder.into())
+}
+
+/// True if the model has points on it: then it is a part of the scene that hardly moves.
+fn overlay_has_points(imported: &Imported, views: &[usize], overlay: &Overlay) -> bool {
+    let mut sights = imported.model.tracked_sights();
+    let (mut on, mut all) = (0usize, 0usize);
+    for i in views {
+        let (width, height) = imported.plans[*i].geometry.file;
+        for sight in sights.remove(&imported.capture.views[*i].id).unwrap_or_default() {
+            let pixel = |at: f64, side: usize, own: usize| (at / side as f64 * own as f64) as usize;
+            let (x, y) =
+                (pixel(sight.at[0], width, overlay.width), pixel(sight.at[1], height, overlay.height));
+            if sight.at.iter().all(|v| *v >= 0.0) && x < overlay.width && y < overlay.height {
+                on += usize::from(overlay.hidden[y * overlay.width + x]);
+                all += 1;
+            }
+        }
+    }
+    on as f64 > POINTS * overlay.share() * all as f64
+}
