@@ -99,6 +99,13 @@ impl Overlay {
         self.hidden.iter().filter(|hidden| **hidden).count() as f64 / self.hidden.len().max(1) as f64
     }
 
+    /// The share of the picture that the bars take.
+    pub fn bar_share(&self) -> f64 {
+        let Bars { left, top, right, bottom } = self.bars;
+        let rest = (self.width - left - right) * (self.height - top - bottom);
+        1.0 - rest as f64 / (self.width * self.height).max(1) as f64
+    }
+
     /// The part between the bars.
     pub fn without_bars(&self) -> Self {
         let Bars { left, top, right, bottom } = self.bars;

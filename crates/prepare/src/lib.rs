@@ -15,13 +15,16 @@
 //! digest of its inputs and choices, so an interrupted run continues, and a changed choice repeats only the
 //! steps after it. Images are not undistorted: the import does that.
 
+mod cause;
 mod choose;
 mod error;
 mod film;
 mod footage;
+mod overlay;
 mod params;
 mod photographs;
 mod prepare;
+mod probe;
 mod process;
 mod recipes;
 mod sfm;

@@ -47,6 +47,10 @@ pub enum Mapper {
 pub struct PrepareParams {
     /// The most frames that are taken out of the films.
     pub frames: usize,
+    /// The share of the picture that neighbouring frames of a film have in common, 0.5 to 0.99; `None` for 0.8,
+    /// and more in short films.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub overlap: Option<f64>,
     /// COLMAP's name of the lens model.
     pub lens: String,
     /// Known parameters of the lens, in COLMAP's order for `lens`; they are then not refined.
@@ -65,6 +69,7 @@ impl Default for PrepareParams {
     fn default() -> Self {
         Self {
             frames: 200,
+            overlap: None,
             lens: LENS.into(),
             calibration: Vec::new(),
             features: None,
@@ -90,6 +95,9 @@ impl PrepareParams {
         let bad = |flag: &'static str, reason: String| Err(PrepareError::Choice { flag, reason });
         if self.frames < FEWEST {
             return bad("--frames", format!("{} is too few; expected {FEWEST} or more", self.frames));
+        }
+        if let Some(share) = self.overlap.filter(|share| !(0.5..=0.99).contains(share)) {
+            return bad("--overlap", format!("{share} is out of range; expected 0.5 to 0.99"));
         }
         if let Some(n) = self.features.filter(|n| !(100..=100_000).contains(n)) {
             return bad("--features", format!("{n} is out of range; expected 100 to 100000"));

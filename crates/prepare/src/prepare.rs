@@ -11,8 +11,10 @@ use serde_json::{Value, json};
 use use3d_capture::shown;
 use use3d_io_colmap::{Model, write_model_binary};
 
+use crate::cause::why_no_cameras;
 use crate::error::PrepareError;
 use crate::film::{self, Choice};
+use crate::overlay;
 use crate::params::{BALANCE_RULES, FEWEST, PrepareParams};
 use crate::photographs;
 use crate::process::StepWatch;
@@ -25,7 +27,7 @@ use crate::work::{Step, Work, hash};
 /// The finished capture, in the folder of the work.
 pub const CAPTURE: &str = "capture";
 /// Changes when images are chosen or written in another way.
-const RULES: u32 = 1;
+const RULES: u32 = 2;
 
 /// An input file of a preparation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -207,16 +209,19 @@ pub fn prepare(
     sfm.check_calibration()?;
     // Other inputs, such as masks, are copied after the last step.
     let digests = digests(&inputs[..sources.count().min(inputs.len())]);
-    let choices = json!({ "rules": rules(sources), "inputs": digests, "frames": params.frames });
+    let choices = json!({
+        "rules": rules(sources), "inputs": digests, "frames": params.frames, "overlap": params.overlap,
+    });
     let step = Step { name: "images", output: IMAGES, choices };
-    let Images { taken, mut remarks, doubts } =
+    let Images { taken, mut remarks, doubts, why_few } =
         work.step(step, |work| images(sources, params, ffmpeg.as_ref(), work, watch))?;
     remarks.extend(sources.left_out().into_iter().chain(sources.remark()));
     if taken.len() < FEWEST {
         let path = sources.films.first().map_or(folder, |p| p.as_path());
         let reason = format!(
-            "{} usable frames were found, and a scene needs {FEWEST} at least: it is too short, too dark, or stands still",
-            taken.len()
+            "{} usable frames were found, and a scene needs {FEWEST} at least: {}",
+            taken.len(),
+            why_few.unwrap_or_else(|| "the inputs hold no more".into())
         );
         return Err(PrepareError::input(path, reason));
     }
@@ -257,10 +262,11 @@ pub fn prepare(
     let Some(verdict) = judge(&found, &names, &context) else {
         // The next attempt maps again, perhaps with another version of the program.
         work.forget_last()?;
-        let reason = format!(
-            "neighbouring images share too few features, because they are blurred, hazy, empty or too far apart; {}",
-            remedies(&context).join("; ")
-        );
+        let (cause, may_help) = why_no_cameras(&folder.join(IMAGES), &names)?;
+        let reason = match may_help {
+            true => format!("{cause}. If that is not it: {}", remedies(&context).join("; ")),
+            false => cause,
+        };
         return Err(PrepareError::NoCameras { images, reason, log });
     };
     if verdict.grade != Grade::Good {
@@ -295,6 +301,8 @@ struct Images {
     remarks: Vec<String>,
     /// Remarks that matter only if images have no place.
     doubts: Vec<String>,
+    /// The reason why films gave few frames.
+    why_few: Option<String>,
 }
 
 /// Writes the images of all inputs.
@@ -308,20 +316,30 @@ fn images(
     work.remove(CAPTURE)?;
     let folder = work.folder.join(IMAGES);
     std::fs::create_dir_all(&folder).map_err(PrepareError::write(&folder))?;
-    let (mut taken, mut remarks, mut doubts) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut taken, mut remarks, mut doubts, mut why_few) = (Vec::new(), Vec::new(), Vec::new(), None);
     let several = sources.films.len() + usize::from(!sources.photographs.is_empty()) > 1;
     for (number, path) in sources.films.iter().enumerate() {
         let Some(ffmpeg) = ffmpeg else { break };
         // Each film gets an equal part of the frames.
         let most = (params.frames / sources.films.len()).max(FEWEST);
-        let mut choice = film::look(ffmpeg, path, most, &work.log, watch)?;
+        let mut choice = film::look(ffmpeg, path, (most, params.overlap), &work.log, watch)?;
         let prefix = if several { format!("film-{}/", number + 1) } else { String::new() };
         let own = folder.join(&prefix);
         std::fs::create_dir_all(&own).map_err(PrepareError::write(&own))?;
         let name = |number: u64| format!("{prefix}f_{number:06}.jpg");
         let paths: Vec<PathBuf> = choice.frames.iter().map(|f| folder.join(name(f.number))).collect();
         film::write(ffmpeg, &mut choice, (&own, &paths), &work.log, watch)?;
-        let Choice { film, frames, looked_at, overlap } = choice;
+        if choice.frames.len() < FEWEST || choice.stands {
+            why_few.get_or_insert_with(|| choice.why_few());
+        }
+        if let Some(overlay) = choice.overlay.as_ref().filter(|overlay| !overlay.bars.is_none()) {
+            let name = shown(&path.file_name().unwrap_or_default().to_string_lossy()).to_string();
+            remarks.push(format!(
+                "{name} has bars, {:.0} % of its picture; they are cut off",
+                100.0 * overlay.bar_share()
+            ));
+        }
+        let Choice { film, frames, looked_at, overlap, .. } = choice;
         let file = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let said = shown(&file);
         (watch.note)(&format!("{said}: {} frames taken of {looked_at} that were looked at", frames.len()));
@@ -331,7 +349,7 @@ fn images(
                  the film into parts"
             ));
         }
-        remarks.extend(film.remark());
+        remarks.extend(film.remarks());
         let size = paths.first().map(|p| use3d_io_image::image_size(p)).transpose()?.unwrap_or_default();
         let camera = format!("film {}x{}", size.0, size.1);
         taken.extend(frames.iter().map(|f| Taken {
@@ -363,9 +381,23 @@ fn images(
         taken.push(Taken { image, film, frame, seconds, stamped: false, sharpness, camera });
     }
     taken.sort_by(|a, b| a.image.cmp(&b.image));
+    // Masks of the user stand alone; the import adds what it finds.
+    if !sources.has_masks() {
+        remarks.extend(overlay::hide(&work.folder.join(CAPTURE), &taken_by(&taken), watch)?);
+    }
     let total = taken.len() as u64;
     watch.tell("images", (total, total), "images");
-    Ok(Images { taken, remarks, doubts })
+    Ok(Images { taken, remarks, doubts, why_few })
+}
+
+/// The images of each camera in each folder.
+fn taken_by(taken: &[Taken]) -> Vec<Vec<&str>> {
+    let mut cameras: BTreeMap<(&str, &str), Vec<&str>> = BTreeMap::new();
+    for Taken { image, camera, .. } in taken {
+        let folder = image.rsplit_once('/').map_or("", |(folder, _)| folder);
+        cameras.entry((folder, camera)).or_default().push(image);
+    }
+    cameras.into_values().collect()
 }
 
 /// Puts the models, and what lies beside the photographs, into the capture.

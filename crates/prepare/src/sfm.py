@@ -62,6 +62,7 @@ def features(job):
             "camera_model": job["lens"],
             "camera_params": ",".join(map(repr, job["calibration"])),
             "default_focal_length_factor": job["focal"],
+            "mask_path": job["masks"],
         },
     )
     sift = {"max_num_features": job["features"], "max_image_size": job["side"], "num_threads": job["threads"],

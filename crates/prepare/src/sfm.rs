@@ -42,6 +42,8 @@ const SMALLEST: usize = 10;
 
 /// Names inside the folder of the work.
 pub(crate) const IMAGES: &str = "capture/images";
+/// Masks of what lies over the images: each has the name of its image, and `.png` after it.
+const MASKED: &str = "capture/masks";
 pub(crate) const FEATURES_DB: &str = "features.db";
 pub(crate) const MATCHES_DB: &str = "matches.db";
 pub(crate) const MODELS: &str = "models";
@@ -81,6 +83,11 @@ impl Sfm<'_> {
     /// The most features of an image.
     pub(crate) fn feature_count(&self) -> usize {
         self.params.features.unwrap_or(if self.program.card { FEATURES.1 } else { FEATURES.0 })
+    }
+
+    /// True if the search for features leaves out what masks hide.
+    pub(crate) fn has_masks(&self) -> bool {
+        self.work.join(MASKED).is_dir()
     }
 
     fn smallest(&self) -> usize {
@@ -184,7 +191,7 @@ impl Sfm<'_> {
             let job = json!({
                 "database": FEATURES_DB, "images": IMAGES, "groups": groups, "lens": self.params.lens,
                 "calibration": self.params.calibration, "features": count, "side": SIDE,
-                "focal": FOCAL,
+                "focal": FOCAL, "masks": if self.has_masks() { MASKED } else { "" },
                 "threads": self.deciding_threads(), "card": card,
             });
             let (outcome, commands) = self.script(STEP, &job, |line| tell(0, line))?;
@@ -202,6 +209,9 @@ impl Sfm<'_> {
                 ("--ImageReader.camera_model", self.params.lens.clone()),
                 ("--ImageReader.single_camera", "1".to_string()),
             ];
+            if self.has_masks() {
+                arguments.push(("--ImageReader.mask_path", MASKED.to_string()));
+            }
             if !self.params.calibration.is_empty() {
                 let numbers: Vec<String> = self.params.calibration.iter().map(f64::to_string).collect();
                 arguments.push(("--ImageReader.camera_params", numbers.join(",")));

@@ -1,5 +1,6 @@
 //! The inputs: films and photographs, in the order in which they are given.
 
+use std::cmp::Ordering;
 use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::Read;
@@ -46,6 +47,32 @@ const CACHE_TAG: &str = "CACHEDIR.TAG";
 
 fn has(path: &Path, extensions: &[&str]) -> bool {
     path.extension().is_some_and(|e| extensions.iter().any(|known| e.eq_ignore_ascii_case(known)))
+}
+
+/// The recording and the chapter that a GoPro's name of a film has: `GX020001` is the second chapter of recording
+/// 1, and so is `GP010001` of an older camera, which calls the first one `GOPR0001`.
+fn chapter(name: &str) -> Option<(u32, u32)> {
+    let name = name.to_ascii_uppercase();
+    let number = |text: &str| text.bytes().all(|b| b.is_ascii_digit()).then(|| text.parse().ok()).flatten();
+    if let Some(recording) = name.strip_prefix("GOPR") {
+        return Some((number(recording.get(..4)?)?, 0));
+    }
+    let rest = ["GX", "GH", "GL", "GS", "GP"].iter().find_map(|camera| name.strip_prefix(camera))?;
+    Some((number(rest.get(2..6)?)?, number(rest.get(..2)?)?))
+}
+
+/// The order in which a folder's files were shot: by folder, a GoPro's films by recording and then by chapter,
+/// all others by name with numbers as numbers.
+fn shot_order(a: &Path, b: &Path) -> Ordering {
+    let folder = |path: &Path| path.parent().unwrap_or(Path::new("")).to_path_buf();
+    let name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let (left, right) = (name(a), name(b));
+    let by_name = || natural_order(&left, &right);
+    let chapters = (chapter(&left).filter(|_| is_film(a)), chapter(&right).filter(|_| is_film(b)));
+    folder(a).cmp(&folder(b)).then_with(|| match chapters {
+        (Some(left), Some(right)) => left.cmp(&right).then_with(by_name),
+        _ => by_name(),
+    })
 }
 
 /// The masks, depth maps and lists that are in a folder, with their names.
@@ -201,7 +228,7 @@ impl Sources {
         if found.is_empty() {
             return Err(PrepareError::input(folder, "there are no films or photographs in this folder"));
         }
-        found.sort();
+        found.sort_by(|a, b| shot_order(a, b));
         let name = |path: &Path| {
             let relative = path.strip_prefix(&root).unwrap_or(path).to_string_lossy().replace('\\', "/");
             format!("{prefix}{relative}")
@@ -268,6 +295,13 @@ impl Sources {
     /// True if there are films.
     pub fn has_films(&self) -> bool {
         !self.films.is_empty()
+    }
+
+    /// True if masks come with the photographs.
+    pub(crate) fn has_masks(&self) -> bool {
+        let folder =
+            |origin: &PathBuf| beside(origin).any(|(name, _)| name.to_lowercase().starts_with("mask"));
+        !self.masks.is_empty() || self.capture.as_ref().is_some_and(folder)
     }
 
     /// Adds the masks, depth maps and lists in a folder. They come along, and their content counts.
@@ -523,6 +557,22 @@ mod tests {
                 assert!(found.unwrap_err().to_string().starts_with(&expected));
             }
         }
+    }
+
+    #[test]
+    fn chapters_follow_their_recording() {
+        let order = |names: &[&str]| {
+            let mut paths: Vec<PathBuf> = names.iter().map(|name| Path::new("100GOPRO").join(name)).collect();
+            paths.sort_by(|a, b| shot_order(a, b));
+            let name = |path: &PathBuf| path.file_name().unwrap().to_string_lossy().into_owned();
+            paths.iter().map(name).collect::<Vec<_>>()
+        };
+        let newer = ["GX010001.MP4", "GX020001.MP4", "GX010002.MP4", "gx020002.mp4"];
+        assert_eq!(order(&["GX010001.MP4", "GX010002.MP4", "GX020001.MP4", "gx020002.mp4"]), newer);
+        let older = ["GOPR0007.MP4", "GP010007.MP4", "GP020007.MP4", "GOPR0008.MP4"];
+        assert_eq!(order(&["GOPR0007.MP4", "GOPR0008.MP4", "GP010007.MP4", "GP020007.MP4"]), older);
+        assert_eq!(order(&["dive10.mp4", "dive9.mp4", "GPS.mp4"]), ["GPS.mp4", "dive9.mp4", "dive10.mp4"]);
+        assert_eq!(chapter("GX0100.MP4"), None);
     }
 
     #[test]

@@ -20,6 +20,10 @@ pub(crate) struct PrepareArgs {
     /// The most frames that are taken out of the films (default: 200, and 120 for druva).
     #[arg(long, value_name = "N", value_parser = count(MAX_FRAMES))]
     frames: Option<usize>,
+    /// The share of the picture that neighbouring frames of a film have in common, 0.5 to 0.99 (default: 0.8, and
+    /// more in short films). More overlap gives more frames.
+    #[arg(long, value_name = "SHARE", value_parser = number)]
+    overlap: Option<f64>,
     /// COLMAP's name of the lens model, such as RADIAL, OPENCV or OPENCV_FISHEYE.
     #[arg(long, value_name = "MODEL", default_value = "RADIAL")]
     lens: String,
@@ -109,6 +113,7 @@ impl PrepareArgs {
     pub(crate) fn params(&self, usual: &PrepareParams) -> PrepareParams {
         PrepareParams {
             frames: self.frames.unwrap_or(usual.frames),
+            overlap: self.overlap.or(usual.overlap),
             lens: self.lens.to_uppercase(),
             calibration: self.calibration.clone(),
             features: self.features,

@@ -69,7 +69,8 @@ impl<'s> FilmGrader<'s> {
         if shown.0.abs_diff(lens.width * shown.1 / lens.height.max(1)) > 1 + shown.0 / 200 {
             return Err(WorkError::Input(format!(
                 "the film shows {} x {} pixels, and its frames in the scene have {} x {}, which is another shape; \
-                 give the film from which the capture was prepared",
+                 give the film from which the capture was prepared; if that one has bars, cut them off it first \
+                 (`ffmpeg -vf crop`), as `use3d prepare` did",
                 shown.0, shown.1, lens.width, lens.height
             )));
         }

@@ -1,0 +1,104 @@
+//! The cause for which no cameras were found, measured on the images.
+
+use std::path::Path;
+
+use use3d_io_image::{read_image, shrunk};
+use use3d_overlay::Picture;
+
+use crate::choose::{Frame, seen_together};
+use crate::error::PrepareError;
+
+/// The longer side of the pictures that are measured, pixels.
+const SIDE: usize = 480;
+/// The most images that are measured: neighbours, from the first one on.
+const MOST: usize = 40;
+/// A range of brightness, 5th to 95th percentile, below which hardly any detail is left, in levels.
+const FLAT: u8 = 26;
+/// An overlap of neighbours below which they have too little in common.
+const LITTLE: f64 = 0.4;
+
+/// The measured cause with its next step, and true if other choices of the search may help, too.
+pub(crate) fn why_no_cameras(images: &Path, names: &[String]) -> Result<(String, bool), PrepareError> {
+    let (mut frames, mut ranges) = (Vec::new(), Vec::new());
+    for (number, name) in (0..).zip(names.iter().take(MOST)) {
+        let Picture { width, height, mut values } =
+            Picture::of(&shrunk(&read_image(&images.join(name))?, SIDE));
+        values.truncate(width * height);
+        frames.push(Frame::new(number, width, height, &values));
+        values.sort_unstable();
+        let at = |share: f64| values.get((share * values.len() as f64) as usize).copied().unwrap_or(0);
+        ranges.push(at(0.95) - at(0.05));
+    }
+    let of = frames.len();
+    let unusable = frames.iter().filter(|frame| !frame.usable).count();
+    if 2 * unusable > of {
+        let step = "film with more light, or leave the dark images out";
+        return Ok((format!("{unusable} of {of} images are black or white; {step}"), false));
+    }
+    let flat = ranges.iter().filter(|range| **range < FLAT).count();
+    if 2 * flat > of {
+        let step = "go nearer, or dive when the water is clearer";
+        let words = format!("{flat} of {of} images show hardly any detail, as in haze or open water; {step}");
+        return Ok((words, true));
+    }
+    let together = seen_together(&frames);
+    if together.stands {
+        let words = "the camera does not move: all images show the same place from the same place, so no distance can \
+            be found; swim sideways along the scene";
+        return Ok((words.into(), false));
+    }
+    let mut overlaps = together.neighbours;
+    overlaps.sort_unstable_by(f64::total_cmp);
+    let usual = overlaps.get(overlaps.len() / 2).copied().unwrap_or(0.0);
+    if usual < LITTLE {
+        let words = format!(
+            "neighbouring images have too little in common: {:.0} % of the picture, and 70 % or more are good; take \
+             images in between",
+            100.0 * usual
+        );
+        return Ok((words, true));
+    }
+    let words = format!(
+        "neighbouring images share {:.0} % of the picture, but near things do not move against far ones, as when the \
+         camera only turns; swim sideways along the scene",
+        100.0 * usual
+    );
+    Ok((words, true))
+}
+
+#[cfg(test)]
+mod tests {
+    use use3d_capture::Image8;
+    use use3d_io_image::write_png8;
+
+    use super::*;
+
+    /// The cause for pictures that show a texture with these shifts, contrast and brightness.
+    fn cause(shifts: impl Iterator<Item = usize>, contrast: f64, brightness: f64) -> String {
+        let dir = tempfile::tempdir().unwrap();
+        let mut names = Vec::new();
+        for (number, shift) in shifts.enumerate() {
+            let mut picture = Image8::new(160, 90);
+            for (x, y) in (0..160 * 90).map(|i| (i % 160, i / 160)) {
+                let block = |side: usize| {
+                    let (u, v) = ((x + shift) / side, y / side);
+                    (u.wrapping_mul(7919) ^ v.wrapping_mul(104_729)).wrapping_mul(2_654_435_761) >> 16 & 0xFF
+                };
+                let value = brightness + contrast * (0.5 * (block(4) + block(13)) as f64 - 128.0);
+                picture.set_pixel(x, y, [value.clamp(0.0, 255.0) as u8; 3]);
+            }
+            names.push(format!("{number}.png"));
+            write_png8(&dir.path().join(&names[number]), &picture).unwrap();
+        }
+        why_no_cameras(dir.path(), &names).unwrap().0
+    }
+
+    #[test]
+    fn every_cause_is_named_for_what_it_is() {
+        assert!(cause((0..10).map(|_| 5), 0.8, 120.0).contains("the camera does not move"));
+        assert!(cause((0..10).map(|i| 400 * i), 0.8, 120.0).contains("too little in common: "));
+        assert!(cause((0..10).map(|i| 10 * i), 0.02, 120.0).contains("hardly any detail"));
+        assert!(cause((0..10).map(|i| 10 * i), 0.8, -200.0).contains("10 of 10 images are black"));
+        assert!(cause((0..10).map(|i| 10 * i), 0.8, 120.0).contains("only turns"));
+    }
+}
