@@ -33,6 +33,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("io-nerfstudio", &["capture", "numerics", "survey"]),
     ("io-opensfm", &["capture", "numerics", "survey"]),
     ("io-realityscan", &["capture", "numerics", "survey"]),
+    ("overlay", &["capture"]),
     (
         "import",
         &[
@@ -50,7 +51,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
         ],
     ),
     // It reads a table of times with the reader of tables in `survey`.
-    ("prepare", &["capture", "files", "numerics", "io-image", "survey", "io-colmap"]),
+    ("prepare", &["capture", "files", "numerics", "io-image", "overlay", "survey", "io-colmap"]),
     ("check", &["capture", "numerics", "io-image", "survey", "import"]),
     ("metrics", &["capture", "numerics"]),
     ("nets", &["capture", "numerics"]),

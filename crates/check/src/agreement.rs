@@ -48,11 +48,11 @@ pub struct ViewAgreement {
     pub error: Option<f64>,
     /// The share of its sightings whose point is in view; `None` without tracks.
     pub in_view: Option<f64>,
-    /// Its likeness to the other views of its points, −1 to 1; `None` if its pixels were not read, if it shares
-    /// too few points with them, or if grain hides its details.
+    /// Its likeness to the other views of its points, −1 to 1; `None` if its pixels were not read, if it
+    /// shares too few points with them, or if grain hides its details.
     pub likeness: Option<f64>,
-    /// The standard deviation of its grain in a picture of about 640 pixels, as a share of white; `None` if its
-    /// pixels were not read.
+    /// The standard deviation of its grain in a picture of about 640 pixels, as a share of white; `None` if
+    /// its pixels were not read.
     pub grain: Option<f64>,
 }
 

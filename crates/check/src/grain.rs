@@ -1,9 +1,9 @@
 //! The grain of a photograph: noise that differs from pixel to pixel.
 //!
-//! The second difference in both directions, `[1 −2 1; −2 4 −2; 1 −2 1]`, takes away steps and edges. Of noise
-//! with the standard deviation σ it leaves values with the mean absolute value `6 σ √(2/π)` (Immerkær 1996). Fine
-//! texture leaves some, too. So the mean is taken in blocks of [`BLOCK`] pixels, and the grain is that of
-//! the lower quarter of the blocks.
+//! The second difference in both directions, `[1 −2 1; −2 4 −2; 1 −2 1]`, takes away steps and edges. Of
+//! noise with the standard deviation σ it leaves values with the mean absolute value `6 σ √(2/π)` (Immerkær
+//! 1996). Fine texture leaves some, too. So the mean is taken in blocks of [`BLOCK`] pixels, and the grain
+//! is that of the lower quarter of the blocks.
 
 /// The side of a block, pixels.
 const BLOCK: usize = 8;

@@ -51,6 +51,7 @@ mod metres;
 mod normalise;
 mod originals;
 mod overlay;
+mod parallel;
 mod params;
 mod prepare;
 mod prepared;

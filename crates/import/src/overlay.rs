@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 
 use use3d_capture::{FileName, View};
 use use3d_io_image::{read_image, shrunk};
-use use3d_overlay::{FEWEST, Overlay, Picture, SIDE, find};
+use use3d_overlay::{FEWEST, Overlay, SIDE, Still, find};
 
 use crate::error::ImportError;
 use crate::import::{Imported, Plan};
-use crate::prepare::in_parallel;
+use crate::parallel::in_parallel;
 use crate::report::OverlayReport;
 
 /// The most pictures of a camera that are read.
@@ -37,7 +37,7 @@ impl Overlays {
             let chosen: Vec<&View> =
                 own.iter().step_by(own.len().div_ceil(MOST)).map(|i| &views[*i]).collect();
             let pictures = in_parallel(chosen.len(), workers, |i| {
-                Ok(Picture::of(&shrunk(&read_image(&chosen[i].image)?, SIDE)))
+                Ok(Still::of(&shrunk(&read_image(&chosen[i].image)?, SIDE)))
             })?;
             let seen = |overlay: &Overlay| overlay_has_points(imported, &own, overlay);
             if let Some(overlay) = find(&pictures).filter(|overlay| !seen(overlay)) {

@@ -7,8 +7,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use use3d_capture::{Capture, FileName, Map, Pixels, View};
 use use3d_files::write_atomically;
@@ -25,6 +25,7 @@ use crate::import::{Imported, Plan, sparse_points};
 use crate::load::{read_depth_at, read_mask_at, times_alpha};
 use crate::originals::{Original, Originals, in_capture};
 use crate::overlay::Overlays;
+use crate::parallel::in_parallel;
 use crate::params::WhiteBalance;
 use crate::prepared::{IMAGES, MODEL, save};
 use crate::white_balance;
@@ -352,41 +353,4 @@ fn pinhole_model(imported: &Imported, names: &[FileName]) -> (Model, Vec<u32>) {
         model.images.push(image);
     }
     (model, ids)
-}
-
-/// Runs `work(0..n)` on a few threads, each thread one item at a time, and returns the results in order. The
-/// first failure (by index, among the items that ran) stops the rest.
-pub(crate) fn in_parallel<T: Send>(
-    n: usize,
-    workers: usize,
-    work: impl Fn(usize) -> Result<T, ImportError> + Sync,
-) -> Result<Vec<T>, ImportError> {
-    let (next, stop) = (AtomicUsize::new(0), AtomicBool::new(false));
-    let results: Vec<Mutex<Option<Result<T, ImportError>>>> = (0..n).map(|_| Mutex::new(None)).collect();
-    std::thread::scope(|scope| {
-        for _ in 0..workers.min(n) {
-            scope.spawn(|| {
-                while !stop.load(Ordering::Relaxed) {
-                    let i = next.fetch_add(1, Ordering::Relaxed);
-                    if i >= n {
-                        break;
-                    }
-                    let result = work(i);
-                    if result.is_err() {
-                        stop.store(true, Ordering::Relaxed);
-                    }
-                    *results[i].lock().unwrap_or_else(PoisonError::into_inner) = Some(result);
-                }
-            });
-        }
-    });
-    let mut out = Vec::with_capacity(n);
-    for result in results {
-        match result.into_inner().unwrap_or_else(PoisonError::into_inner) {
-            Some(Ok(value)) => out.push(value),
-            Some(Err(error)) => return Err(error),
-            None => continue, // not started: a later index failed, and its error follows
-        }
-    }
-    Ok(out)
 }

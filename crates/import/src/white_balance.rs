@@ -6,7 +6,7 @@ use std::path::Path;
 use use3d_io_image::{ChannelHistogram, read_pixels};
 
 use crate::error::ImportError;
-use crate::prepare::in_parallel;
+use crate::parallel::in_parallel;
 
 const QUANTILE: f64 = 0.998;
 

@@ -235,8 +235,8 @@ impl SceneScores {
         self.methods.iter().find(|m| m.method == method)
     }
 
-    /// The share of the pixels that the scores count, for the end of a sentence with a score: `" on 61 % of the
-    /// pixels"`. A second sentence follows if masks hide more than half. Empty if all count.
+    /// The share of the pixels that the scores count, for the end of a sentence with a score: `" on 61 % of
+    /// the pixels"`. A second sentence follows if masks hide more than half. Empty if all count.
     pub fn on_pixels(&self) -> String {
         if self.pixels > 0.995 {
             return String::new();

@@ -19,8 +19,8 @@ const PATCH: (u8, u8) = (12, 24);
 const EDGE: (u8, f64) = (10, 0.6);
 /// The share of a patch's border that must last.
 const LASTING: f64 = 0.6;
-/// The distances of the pixels outside, as shares of the width: at once, and behind the noise that JPEG spreads
-/// from an edge.
+/// The distances of the pixels outside, as shares of the width: at once, and behind the noise that JPEG
+/// spreads from an edge.
 const OUTSIDE: [f64; 2] = [0.006, 0.014];
 /// Gaps inside of the overlay that are closed, as a share of the width: across and down.
 const GAPS: (f64, f64) = (0.03, 0.012);
@@ -39,7 +39,7 @@ const MOST: f64 = 0.5;
 
 /// A picture: its brightness alone, or with two channels of colour.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Picture {
+pub struct Still {
     /// Its width, pixels.
     pub width: usize,
     /// Its height, pixels.
@@ -48,7 +48,7 @@ pub struct Picture {
     pub values: Vec<u8>,
 }
 
-impl Picture {
+impl Still {
     /// A picture in colour.
     pub fn of(picture: &Image8) -> Self {
         let (width, height) = (picture.width(), picture.height());
@@ -136,11 +136,11 @@ impl Overlay {
 
 /// Finds the overlay of pictures of one camera; `None` if there is none, if the pictures are fewer than
 /// [`FEWEST`] or of several sizes, or if the camera does not move between them.
-pub fn find(pictures: &[Picture]) -> Option<Overlay> {
+pub fn find(pictures: &[Still]) -> Option<Overlay> {
     let first = pictures.first()?;
     let (width, height) = (first.width, first.height);
-    let whole = |p: &Picture| !p.values.is_empty() && p.values.len().is_multiple_of(p.pixels());
-    let same = |p: &Picture| (p.width, p.height, p.values.len()) == (width, height, first.values.len());
+    let whole = |p: &Still| !p.values.is_empty() && p.values.len().is_multiple_of(p.pixels());
+    let same = |p: &Still| (p.width, p.height, p.values.len()) == (width, height, first.values.len());
     if width < 3 || height < 3 || pictures.len() < FEWEST || !whole(first) || !pictures.iter().all(same) {
         return None;
     }
@@ -183,12 +183,12 @@ pub fn find(pictures: &[Picture]) -> Option<Overlay> {
 
 /// The median of all pictures, and for each pixel the largest range of a channel.
 struct Stack {
-    median: Picture,
+    median: Still,
     range: Vec<u8>,
 }
 
 impl Stack {
-    fn of(pictures: &[Picture]) -> Self {
+    fn of(pictures: &[Still]) -> Self {
         let (count, first) = (pictures.len(), &pictures[0]);
         let of = |value: usize| {
             let mut all: Vec<u8> = pictures.iter().map(|p| p.values[value]).collect();
@@ -196,9 +196,9 @@ impl Stack {
             (all[count / 2], all[count - 1 - count / 10] - all[count / 10])
         };
         let (values, ranges): (Vec<u8>, Vec<u8>) = (0..first.values.len()).into_par_iter().map(of).unzip();
-        let ranges = Picture { values: ranges, ..*first };
+        let ranges = Still { values: ranges, ..*first };
         let range = (0..first.pixels()).map(|pixel| ranges.pixel(pixel).max().unwrap_or(0)).collect();
-        Self { median: Picture { values, ..*first }, range }
+        Self { median: Still { values, ..*first }, range }
     }
 }
 
@@ -223,7 +223,7 @@ fn around(size: (usize, usize), pixel: usize) -> impl Iterator<Item = usize> {
 }
 
 /// The patch of each still pixel, by its number.
-fn patches(still: &[bool], median: &Picture) -> Vec<Option<usize>> {
+fn patches(still: &[bool], median: &Still) -> Vec<Option<usize>> {
     let size = (median.width, median.height);
     let mut patches = vec![None; still.len()];
     let mut next = 0;
@@ -249,12 +249,12 @@ fn patches(still: &[bool], median: &Picture) -> Vec<Option<usize>> {
 }
 
 /// For each patch, true if most of its border has a lasting edge.
-fn lasting(pictures: &[Picture], patches: &[Option<usize>]) -> Vec<bool> {
+fn lasting(pictures: &[Still], patches: &[Option<usize>]) -> Vec<bool> {
     let size = (pictures[0].width, pictures[0].height);
     let far = OUTSIDE.map(|share| ((share * size.0 as f64).round() as usize).max(1));
     let needed = (EDGE.1 * pictures.len() as f64).ceil() as usize;
     let lasts = |pixel: usize, other: usize| {
-        let step = |p: &&Picture| p.apart(pixel, other) >= EDGE.0;
+        let step = |p: &&Still| p.apart(pixel, other) >= EDGE.0;
         pictures.iter().filter(step).count() >= needed
     };
     let mut border = vec![(0usize, 0usize); patches.iter().flatten().max().map_or(0, |most| most + 1)];
@@ -290,9 +290,9 @@ fn close((width, height): (usize, usize), hidden: &mut [bool]) {
     (0..width).for_each(|x| line(x, width, height, gap(GAPS.1)));
 }
 
-/// Adds thin strokes near the overlay: pixels that are brighter than what lies on both sides of them, or darker, in nearly all
-/// pictures. Their edges are soft, so their brightness changes with the scene behind.
-fn strokes(pictures: &[Picture], hidden: &mut [bool]) {
+/// Adds thin strokes near the overlay: pixels that are brighter than what lies on both sides of them, or
+/// darker, in nearly all pictures. Their edges are soft, so their brightness changes with the scene behind.
+fn strokes(pictures: &[Still], hidden: &mut [bool]) {
     let size = (pictures[0].width, pictures[0].height);
     let far = ((OUTSIDE[0] * size.0 as f64).round() as usize).max(2);
     let needed = (STROKE * pictures.len() as f64).ceil() as usize;
@@ -367,11 +367,11 @@ mod tests {
         if y < 24 + 3 * (moved % 4) { 120 + (y / 4) as u8 } else { ((block(3) + block(7)) / 3 + 40) as u8 }
     }
 
-    fn pictures(count: usize, over: impl Fn(usize, usize, usize) -> Option<u8>) -> Vec<Picture> {
+    fn pictures(count: usize, over: impl Fn(usize, usize, usize) -> Option<u8>) -> Vec<Still> {
         let of = |t: usize| {
             let values = (0..W * H).map(|i| (i % W, i / W));
             let values = values.map(|(x, y)| over(x, y, t).unwrap_or_else(|| scene(x, y, t)));
-            Picture { width: W, height: H, values: values.collect() }
+            Still { width: W, height: H, values: values.collect() }
         };
         (0..count).map(of).collect()
     }
@@ -445,7 +445,7 @@ mod tests {
                 let grey = scene(x, y, t);
                 picture.set_pixel(x, y, if over { [190, 110, 20] } else { [grey, grey.max(20), grey] });
             }
-            Picture::of(&picture)
+            Still::of(&picture)
         };
         let overlay = find(&(0..12).map(with_colour).collect::<Vec<_>>()).unwrap();
         let share = (16 * 23) as f64 / (W * H) as f64;

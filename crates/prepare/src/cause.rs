@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use use3d_io_image::{read_image, shrunk};
-use use3d_overlay::Picture;
+use use3d_overlay::Still;
 
 use crate::choose::{Frame, seen_together};
 use crate::error::PrepareError;
@@ -21,8 +21,7 @@ const LITTLE: f64 = 0.4;
 pub(crate) fn why_no_cameras(images: &Path, names: &[String]) -> Result<(String, bool), PrepareError> {
     let (mut frames, mut ranges) = (Vec::new(), Vec::new());
     for (number, name) in (0..).zip(names.iter().take(MOST)) {
-        let Picture { width, height, mut values } =
-            Picture::of(&shrunk(&read_image(&images.join(name))?, SIDE));
+        let Still { width, height, mut values } = Still::of(&shrunk(&read_image(&images.join(name))?, SIDE));
         values.truncate(width * height);
         frames.push(Frame::new(number, width, height, &values));
         values.sort_unstable();

@@ -1,8 +1,8 @@
 //! Chooses the frames of a film: neighbours overlap by a set share, and each is the sharpest of its moment.
 //!
-//! A frame comes as its sharpness and a small grey picture. What lies over all frames and never moves, such as
-//! bars or text, would make them all alike: bars are cut off the small pictures, and the rest of it does not
-//! count. The overlap of two thumbnails is searched over shifts `(dx, dy)` in pixels:
+//! A frame comes as its sharpness and a small grey picture. What lies over all frames and never moves, such
+//! as bars or text, would make them all alike: bars are cut off the small pictures, and the rest of it does
+//! not count. The overlap of two thumbnails is searched over shifts `(dx, dy)` in pixels:
 //!
 //! `overlap = (1 - |dx|/W) (1 - |dy|/H) · trust(r)`,
 //!
@@ -135,7 +135,7 @@ impl Small {
 }
 
 /// The part of small pictures that counts.
-struct Window {
+struct FreePart {
     /// Left, top, width and height in the small picture.
     part: (usize, usize, usize, usize),
     /// The size of thumbnails.
@@ -143,7 +143,7 @@ struct Window {
     free: Option<Arc<[f32]>>,
 }
 
-impl Window {
+impl FreePart {
     fn new(small: &Small, overlay: Option<&Overlay>) -> Self {
         let bars = overlay.map_or(Bars::default(), |overlay| overlay.bars);
         let (across, down) = overlay.map_or((1, 1), |overlay| (overlay.width, overlay.height));
@@ -286,7 +286,7 @@ pub(crate) struct SeenTogether {
 
 /// Measures what neighbouring images of one camera have in common.
 pub(crate) fn seen_together(frames: &[Frame]) -> SeenTogether {
-    let thumbnail = |frame: &Frame| Window::new(&frame.small, None).thumbnail(&frame.small);
+    let thumbnail = |frame: &Frame| FreePart::new(&frame.small, None).thumbnail(&frame.small);
     let all: Vec<Thumbnail> = frames.iter().map(thumbnail).collect();
     let neighbours = all.windows(2).map(|pair| pair[0].overlap(&pair[1])).collect();
     SeenTogether { neighbours, stands: stands(frames, &mut |a, b| all[a].overlap(&all[b])) }
@@ -313,7 +313,7 @@ pub(crate) fn choose(
     overlay: Option<&Overlay>,
 ) -> FrameChoice {
     let Some(first) = frames.first() else { return FrameChoice::default() };
-    let window = Window::new(&first.small, overlay);
+    let window = FreePart::new(&first.small, overlay);
     let thumbnails: Vec<Thumbnail> = frames.iter().map(|frame| window.thumbnail(&frame.small)).collect();
     // Several targets ask for the same overlaps.
     let mut known: HashMap<(usize, usize), f64> = HashMap::new();
@@ -357,7 +357,7 @@ pub(crate) fn choose(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use use3d_overlay::{Picture, find};
+    use use3d_overlay::{Still, find};
 
     const W: usize = 240;
     const H: usize = 135;
@@ -388,7 +388,7 @@ mod tests {
     fn overlap_of_shifted_pictures_is_the_shared_part() {
         let thumbnail = |shift: i64| {
             let small = frame(0, shift, false).small;
-            Window::new(&small, None).thumbnail(&small)
+            FreePart::new(&small, None).thumbnail(&small)
         };
         for (shift, expected) in [(0, 1.0), (12, 0.95), (24, 0.9), (60, 0.75)] {
             let found = thumbnail(0).overlap(&thumbnail(shift));
@@ -451,7 +451,7 @@ mod tests {
         };
         let greys: Vec<Vec<u8>> = (0..60).map(|i| grey(6 * i)).collect();
         let pictures =
-            greys.iter().step_by(3).map(|values| Picture { width: W, height: H, values: values.clone() });
+            greys.iter().step_by(3).map(|values| Still { width: W, height: H, values: values.clone() });
         let overlay = find(&pictures.collect::<Vec<_>>()).unwrap();
         let frames: Vec<Frame> = (0..).zip(&greys).map(|(i, grey)| Frame::new(i, W, H, grey)).collect();
         let plain = |shift: i64| -> Vec<u8> {

@@ -8,7 +8,7 @@ use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use use3d_overlay::{Bars, Overlay, Picture, find};
+use use3d_overlay::{Bars, Overlay, Still, find};
 
 use crate::choose::{Frame, FrameChoice, choose};
 use crate::error::PrepareError;
@@ -204,7 +204,7 @@ fn look_at(
 struct Looked {
     frames: Vec<Frame>,
     /// Some of them as grey pictures, evenly spread.
-    pictures: Vec<Picture>,
+    pictures: Vec<Still>,
     /// Every so many frames one is kept as a picture.
     every: usize,
 }
@@ -221,7 +221,7 @@ impl Looked {
             });
         }
         if self.frames.len().is_multiple_of(self.every.max(1)) {
-            self.pictures.push(Picture { width, height, values: grey.to_vec() });
+            self.pictures.push(Still { width, height, values: grey.to_vec() });
         }
         self.frames.push(Frame::new(number, width, height, grey));
     }

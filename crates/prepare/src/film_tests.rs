@@ -1,5 +1,5 @@
-//! Tests of films as cameras and consoles write them, with the real ffmpeg: what never moves, interlaced films, a
-//! cover before the film, an uneven rate, a film without its index.
+//! Tests of films as cameras and consoles write them, with the real ffmpeg: what never moves, interlaced
+//! films, a cover before the film, an uneven rate, a film without its index.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};

@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use use3d_io_image::{image_size, read_image, shrunk, write_png_map};
-use use3d_overlay::{FEWEST, Overlay, Picture, SIDE, find};
+use use3d_overlay::{FEWEST, Overlay, SIDE, Still, find};
 
 use crate::error::PrepareError;
 use crate::process::StepWatch;
@@ -53,7 +53,7 @@ fn overlay_of(
     let mut pictures = Vec::new();
     for name in images.iter().step_by(images.len().div_ceil(MOST)) {
         watch.check()?;
-        pictures.push(Picture::of(&shrunk(&read_image(&image(capture, name))?, SIDE)));
+        pictures.push(Still::of(&shrunk(&read_image(&image(capture, name))?, SIDE)));
     }
     Ok(find(&pictures))
 }

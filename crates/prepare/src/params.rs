@@ -47,8 +47,8 @@ pub enum Mapper {
 pub struct PrepareParams {
     /// The most frames that are taken out of the films.
     pub frames: usize,
-    /// The share of the picture that neighbouring frames of a film have in common, 0.5 to 0.99; `None` for 0.8,
-    /// and more in short films.
+    /// The share of the picture that neighbouring frames of a film have in common, 0.5 to 0.99; `None` for
+    /// 0.8, and more in short films.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub overlap: Option<f64>,
     /// COLMAP's name of the lens model.

@@ -1,8 +1,8 @@
 //! The properties of a film, from the words of `ffmpeg` about its file.
 //!
-//! A file can have several streams of pictures, such as a cover of one frame before the film itself. The largest
-//! one that is no attached picture is the film. A film that does not name its matrix has BT.709 from 720 lines
-//! on, and else BT.601.
+//! A file can have several streams of pictures, such as a cover of one frame before the film itself. The
+//! largest one that is no attached picture is the film. A film that does not name its matrix has BT.709
+//! from 720 lines on, and else BT.601.
 
 use std::path::{Path, PathBuf};
 use std::process::Stdio;

@@ -49,8 +49,8 @@ fn has(path: &Path, extensions: &[&str]) -> bool {
     path.extension().is_some_and(|e| extensions.iter().any(|known| e.eq_ignore_ascii_case(known)))
 }
 
-/// The recording and the chapter that a GoPro's name of a film has: `GX020001` is the second chapter of recording
-/// 1, and so is `GP010001` of an older camera, which calls the first one `GOPR0001`.
+/// The recording and the chapter that a GoPro's name of a film has: `GX020001` is the second chapter of
+/// recording 1, and so is `GP010001` of an older camera, which calls the first one `GOPR0001`.
 fn chapter(name: &str) -> Option<(u32, u32)> {
     let name = name.to_ascii_uppercase();
     let number = |text: &str| text.bytes().all(|b| b.is_ascii_digit()).then(|| text.parse().ok()).flatten();
@@ -61,8 +61,8 @@ fn chapter(name: &str) -> Option<(u32, u32)> {
     Some((number(rest.get(2..6)?)?, number(rest.get(..2)?)?))
 }
 
-/// The order in which a folder's files were shot: by folder, a GoPro's films by recording and then by chapter,
-/// all others by name with numbers as numbers.
+/// The order in which a folder's files were shot: by folder, a GoPro's films by recording and then by
+/// chapter, all others by name with numbers as numbers.
 fn shot_order(a: &Path, b: &Path) -> Ordering {
     let folder = |path: &Path| path.parent().unwrap_or(Path::new("")).to_path_buf();
     let name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();

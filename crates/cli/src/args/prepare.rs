@@ -20,8 +20,8 @@ pub(crate) struct PrepareArgs {
     /// The most frames that are taken out of the films (default: 200, and 120 for druva).
     #[arg(long, value_name = "N", value_parser = count(MAX_FRAMES))]
     frames: Option<usize>,
-    /// The share of the picture that neighbouring frames of a film have in common, 0.5 to 0.99 (default: 0.8, and
-    /// more in short films). More overlap gives more frames.
+    /// The share of the picture that neighbouring frames of a film have in common, 0.5 to 0.99 (default:
+    /// 0.8, and more in short films). More overlap gives more frames.
     #[arg(long, value_name = "SHARE", value_parser = number)]
     overlap: Option<f64>,
     /// COLMAP's name of the lens model, such as RADIAL, OPENCV or OPENCV_FISHEYE.

@@ -15,8 +15,8 @@ use use3d_synth::{CaptureFault, ChosenFault, Due, FAULTS};
 
 use super::{SEED, command, examined, run, sound};
 
-/// Faults that nothing finds yet: fish, which move on their own. The last one is found in larger pictures only,
-/// in `model`.
+/// Faults that nothing finds yet: fish, which move on their own. The last one is found in larger pictures
+/// only, in `model`.
 const NOT_FOUND: [&str; 2] = ["fish", "cropped"];
 
 /// True if all strengths and all sound captures are tried, which takes minutes.
