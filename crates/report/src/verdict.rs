@@ -339,7 +339,7 @@ mod tests {
             middling[0].0 == Tone::Plain && middling[0].1.contains("(recognisable, with details missing)")
         );
 
-        let mut hidden = good.clone();
+        let mut hidden = good;
         hidden.pixels = 0.06;
         let said = texts(&hidden);
         assert!(
