@@ -1,7 +1,7 @@
 //! The inputs: films and photographs, in the order in which they are given.
 
 use std::cmp::Ordering;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -81,6 +81,11 @@ fn beside(folder: &Path) -> impl Iterator<Item = (String, PathBuf)> {
     all.filter(|(_, path)| path.exists())
 }
 
+/// True if a file's first bytes are those of an image.
+fn is_image(path: &Path) -> bool {
+    image_info(path).is_ok()
+}
+
 /// True if a file's name ends like a film's.
 pub fn is_film(path: &Path) -> bool {
     has(path, &FILMS)
@@ -112,16 +117,21 @@ fn is_made(folder: &Path) -> bool {
 /// The films and photographs in a folder, to this depth of folders. Results of this program, and folders of a
 /// capture that hold other images of the same names, are left out.
 pub(crate) fn walk(root: &Path, depth: usize) -> impl Iterator<Item = Result<PathBuf, PrepareError>> {
+    let is_input = |path: &Path| !is_proxy(path) && (is_film(path) || is_photograph(path));
+    all_files(root, depth).filter(move |file| file.as_ref().map_or(true, |path| is_input(path)))
+}
+
+/// The files in a folder, without hidden ones and those of a capture or of this program.
+fn all_files(root: &Path, depth: usize) -> impl Iterator<Item = Result<PathBuf, PrepareError>> {
     let visible = |entry: &walkdir::DirEntry| {
         let name = entry.file_name().to_string_lossy();
         let folder = entry.file_type().is_dir();
         entry.depth() == 0
             || !(name.starts_with('.') || folder && (OTHERS.contains(&&*name) || is_made(entry.path())))
     };
-    let is_input = |path: &Path| path.is_file() && !is_proxy(path) && (is_film(path) || is_photograph(path));
     let entries = walkdir::WalkDir::new(root).max_depth(depth).follow_links(true);
     entries.into_iter().filter_entry(visible).filter_map(move |entry| match entry {
-        Ok(entry) => is_input(entry.path()).then(|| Ok(entry.into_path())),
+        Ok(entry) => entry.path().is_file().then(|| Ok(entry.into_path())),
         Err(e) => Some(Err(PrepareError::walk(root, &e))),
     })
 }
@@ -167,6 +177,8 @@ pub struct Sources {
     others: Vec<(String, PathBuf)>,
     /// Sentences on photographs in folders that are left out, because their files are damaged.
     damaged: Vec<String>,
+    /// Files in folders that are neither films nor photographs: their number by extension.
+    unused: BTreeMap<String, usize>,
     /// Masks that lie among the photographs, with their names in the capture.
     pub(crate) masks: Vec<(String, PathBuf)>,
     /// Masks, depth maps and lists beside the photographs of several inputs, which are not copied.
@@ -188,7 +200,8 @@ impl Sources {
                 sources.folder(input, several)?;
             } else if !input.is_file() {
                 return Err(PrepareError::input(input, "there is no such file or folder"));
-            } else if is_film(input) {
+            } else if is_film(input) || !(is_photograph(input) || is_image(input)) {
+                // What ffmpeg reads is a film, however it is called.
                 sources.films.push(input.clone());
             } else {
                 let name = input.file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -220,6 +233,14 @@ impl Sources {
         let own = folder.file_name().map(|n| n.to_string_lossy().into_owned());
         let prefix = own.filter(|_| several).map(|name| name + "/").unwrap_or_default();
         let mut found = walk(&root, usize::MAX).collect::<Result<Vec<PathBuf>, PrepareError>>()?;
+        let used: BTreeSet<&PathBuf> = found.iter().collect();
+        for file in all_files(&root, usize::MAX).filter_map(Result::ok).filter(|file| !used.contains(file)) {
+            let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            let kind = file.extension().map(|e| format!(".{}", e.to_string_lossy().to_lowercase()));
+            if !BESIDE.contains(&&*name) {
+                *self.unused.entry(kind.unwrap_or(name)).or_default() += 1;
+            }
+        }
         // Cameras can store a raw or HEIC file and a JPEG of the same photograph.
         let readable = |path: &&PathBuf| has(path, &PHOTOGRAPHS) || has(path, &CONVERTED);
         let readable: BTreeSet<PathBuf> =
@@ -311,10 +332,17 @@ impl Sources {
     }
 
     /// A remark on the photographs that are left out.
-    pub(crate) fn left_out(&self) -> Option<String> {
-        let all = || shown(&self.damaged.join("; ")).into_owned();
-        (!self.damaged.is_empty())
-            .then(|| format!("{} photographs are left out: {}", self.damaged.len(), all()))
+    pub(crate) fn left_out(&self) -> Vec<String> {
+        let damaged = (!self.damaged.is_empty()).then(|| {
+            let all = shown(&self.damaged.join("; ")).into_owned();
+            format!("{} photographs are left out: {all}", self.damaged.len())
+        });
+        let kinds: Vec<String> =
+            self.unused.iter().map(|(kind, count)| format!("{count} {}", shown(kind))).collect();
+        let unused = (!kinds.is_empty()).then(|| {
+            format!("files that are neither films nor photographs are left out: {}", kinds.join(", "))
+        });
+        damaged.into_iter().chain(unused).collect()
     }
 
     /// A remark on the masks, depth maps and lists that are not copied.
@@ -489,7 +517,7 @@ mod tests {
         let found = Sources::of(&[dir.path().to_path_buf()]).unwrap();
         let expected = ["a.png", "b.png", "c_mask.png", "masks/a_mask.png", "masks/b.png.mask.png"];
         assert_eq!(names(&found), expected);
-        let said = found.left_out().unwrap();
+        let said = found.left_out().join(" ");
         assert!(said.contains("empty.jpg") && said.contains("left out"), "{said}");
     }
 
@@ -557,6 +585,25 @@ mod tests {
                 assert!(found.unwrap_err().to_string().starts_with(&expected));
             }
         }
+    }
+
+    #[test]
+    fn files_of_other_kinds_are_counted_and_any_other_file_may_be_a_film() {
+        let dir = folder(&[
+            ("dive/a.png", ""),
+            ("dive/b.png", ""),
+            ("dive/GX010001.LRV", ""),
+            ("dive/GX010001.THM", ""),
+            ("dive/GX020001.THM", ""),
+            ("dive/README", ""),
+            ("dive/.hidden", ""),
+            ("dive/test_list.txt", "a.png"),
+            ("recording.dat", "film"),
+        ]);
+        let sources = Sources::of(&[dir.path().join("dive")]).unwrap();
+        let expected = "files that are neither films nor photographs are left out: 1 .lrv, 2 .thm, 1 README";
+        assert_eq!(sources.left_out(), [expected]);
+        assert!(Sources::of(&[dir.path().join("recording.dat")]).unwrap().has_films());
     }
 
     #[test]
