@@ -406,30 +406,30 @@ impl Rules {
         };
         if let Some(zoom) = agreement.zoom {
             let (percent, border) = match zoom > 1.0 {
-                true => (zoom - 1.0, "enlarged by {} %, as if a border had been cut off"),
-                false => (1.0 / zoom - 1.0, "made smaller by {} %, as if a border had been added"),
+                true => (zoom - 1.0, "{} % larger, as if a border had been cut off and the rest enlarged"),
+                false => (1.0 / zoom - 1.0, "{} % smaller, as if a border had been added"),
             };
             let text = format!(
-                "Against those that the cameras were found from, the photographs are {}.",
+                "The photographs are not those from which the camera positions were computed: they look {}.",
                 border.replace("{}", &format!("{:.0}", 100.0 * percent))
             );
-            let remedy = "use the photographs that the cameras were found from, or find the cameras again with \
-                `use3d prepare`";
+            let remedy =
+                "use the first photographs, or find the camera positions of these with `use3d prepare`";
             self.add(Severity::Serious, "zoom", text, remedy, Vec::new());
         }
         let grainy = list(&|v| v.grain.is_some_and(|grain| grain > GRAIN));
         if !grainy.is_empty() {
             let most = agreement.views.iter().filter_map(|v| v.grain).fold(0.0, f64::max);
             let text = format!(
-                "{} of {} photographs {} full of grain, up to {:.0} % of white. The scene learns the grain in place of \
-                 small things.",
+                "{} of {} photographs {} strong grain (noise), up to {:.0} % of the range from black to white. The \
+                 scene learns the grain in place of small things.",
                 grainy.len(),
                 list(&|v| v.grain.is_some()).len(),
-                are(grainy.len()),
+                if grainy.len() == 1 { "has" } else { "have" },
                 100.0 * most
             );
-            let remedy = "take the grain out of all photographs with one program and one setting before the run; on \
-                the next dive give more light, or a lower ISO";
+            let remedy = "take the noise out of all photographs with the same program and the same setting, before the \
+                run; on the next dive give more light, or a lower ISO";
             self.add(Severity::Minor, "grain", text, remedy, grainy);
         }
         let read = list(&|v| v.likeness.is_some()).len();
@@ -537,8 +537,9 @@ impl Rules {
             }
         }
         if let Some(overlay) = &import.overlay {
-            let remedy = "look at the masks of `use3d import`; correct them, and put them into masks/; or \
-                `--set import.hide_overlay=false`";
+            let remedy = "look at the masks that `use3d import CAPTURE --out DIR` writes to DIR/masks (black is hidden); if \
+                they are right, do nothing; if not, correct them in a picture editor and put them into masks/ of the \
+                capture; `--set import.hide_overlay=false` hides nothing";
             self.note("overlay", overlay.to_string(), remedy);
         }
         // Maps that are there and left out have a finding of their own.

@@ -121,7 +121,7 @@ impl fmt::Display for OverlayReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             f,
-            "Something lies over {} photographs and never moves, such as bars, text, or a part of the ROV. A mask hides \
+            "{} photographs show the same thing in the same place, such as bars, text or a part of the ROV. A mask hides \
              it: {:.1} % of the picture.",
             self.views,
             100.0 * self.share

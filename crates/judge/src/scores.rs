@@ -236,20 +236,29 @@ impl SceneScores {
     }
 
     /// The share of the pixels that the scores count, for the end of a sentence with a score: `" on 61 % of
-    /// the pixels"`. A second sentence follows if masks hide more than half. Empty if all count.
+    /// the pixels"`. Empty if all count.
     pub fn on_pixels(&self) -> String {
-        if self.pixels > 0.995 {
-            return String::new();
-        }
-        let few = ". Masks hide the others, too many to judge the scene: look at the masks first";
-        let few = if self.is_of_few_pixels() { few } else { "" };
         let decimals = if self.pixels < 0.095 { 1 } else { 0 };
-        format!(" on {:.decimals$} % of the pixels{few}", 100.0 * self.pixels)
+        match self.pixels > 0.995 {
+            true => String::new(),
+            false => format!(" on {:.decimals$} % of the pixels", 100.0 * self.pixels),
+        }
     }
 
     /// True if masks hide more than half of the pixels, so that the scores say little about the scene.
     pub fn is_of_few_pixels(&self) -> bool {
         self.pixels < 0.5
+    }
+
+    /// A sentence on masks that hide more than half of the pixels.
+    pub fn hidden_too_much(&self) -> Option<String> {
+        self.is_of_few_pixels().then(|| {
+            format!(
+                "masks hide {:.0} % of the held-out photographs, too much to judge the scene: look at the masks \
+                 (black is hidden)",
+                100.0 * (1.0 - self.pixels)
+            )
+        })
     }
 
     /// A mean score of a method.
@@ -351,10 +360,9 @@ mod tests {
     fn scores_say_on_which_share_of_the_pixels_they_were_taken() {
         assert_eq!(scene(1.0).on_pixels(), "");
         assert_eq!(scene(0.7).on_pixels(), " on 70 % of the pixels");
-        assert_eq!(
-            scene(0.06).on_pixels(),
-            " on 6.0 % of the pixels. Masks hide the others, too many to judge the scene: look at the masks first"
-        );
+        assert_eq!(scene(0.06).on_pixels(), " on 6.0 % of the pixels");
+        assert!(scene(0.06).hidden_too_much().unwrap().starts_with("masks hide 94 % of the held-out"));
+        assert_eq!(scene(0.7).hidden_too_much(), None);
         assert!(scene(0.49).is_of_few_pixels() && !scene(0.5).is_of_few_pixels());
         let old = serde_json::to_string(&scene(0.3)).unwrap().replace("\"pixels\":0.3,", "");
         assert_eq!(SceneScores::parse(old.as_bytes()).unwrap().pixels, 1.0, "older files have none");

@@ -84,10 +84,9 @@ pub fn lines(delivered: &[Delivered]) -> Vec<String> {
         let of = named.into_iter().filter(|name| !name.is_empty()).collect::<Vec<_>>().join(" · ");
         let mean = |method, metric| scores.mean(method, metric).and_then(|s| s.value());
         if let Some(psnr) = mean(Method::Reconstruction, "psnr") {
-            lines.push(format!(
-                "{of}: held-out photographs are reproduced at {psnr:.2} dB PSNR{}",
-                scores.on_pixels()
-            ));
+            let on = scores.on_pixels();
+            lines.push(format!("{of}: held-out photographs are reproduced at {psnr:.2} dB PSNR{on}"));
+            lines.extend(scores.hidden_too_much().map(|hidden| format!("{of}: {hidden}")));
         }
         // The look that leads the report is printed too.
         let enhanced = delivered

@@ -37,13 +37,14 @@ pub(crate) fn why_no_cameras(images: &Path, names: &[String]) -> Result<(String,
     let flat = ranges.iter().filter(|range| **range < FLAT).count();
     if 2 * flat > of {
         let step = "go nearer, or dive when the water is clearer";
-        let words = format!("{flat} of {of} images show hardly any detail, as in haze or open water; {step}");
+        let words =
+            format!("{flat} of {of} images show hardly any detail, as in cloudy or open water; {step}");
         return Ok((words, true));
     }
     let together = seen_together(&frames);
     if together.stands {
-        let words = "the camera does not move: all images show the same place from the same place, so no distance can \
-            be found; swim sideways along the scene";
+        let words = "all images show the same place, so the camera does not move and no distance can be measured; swim \
+            sideways along the scene and take new ones";
         return Ok((words.into(), false));
     }
     let mut overlaps = together.neighbours;
@@ -51,15 +52,15 @@ pub(crate) fn why_no_cameras(images: &Path, names: &[String]) -> Result<(String,
     let usual = overlaps.get(overlaps.len() / 2).copied().unwrap_or(0.0);
     if usual < LITTLE {
         let words = format!(
-            "neighbouring images have too little in common: {:.0} % of the picture, and 70 % or more are good; take \
-             images in between",
+            "each image shares only {:.0} % of its picture with the next one, and 70 % is a good value; take images in \
+             between",
             100.0 * usual
         );
         return Ok((words, true));
     }
     let words = format!(
-        "neighbouring images share {:.0} % of the picture, but near things do not move against far ones, as when the \
-         camera only turns; swim sideways along the scene",
+        "neighbouring images share {:.0} % of their picture, but the camera seems only to turn and not to travel; swim \
+         sideways along the scene",
         100.0 * usual
     );
     Ok((words, true))
@@ -95,9 +96,9 @@ mod tests {
     #[test]
     fn every_cause_is_named_for_what_it_is() {
         assert!(cause((0..10).map(|_| 5), 0.8, 120.0).contains("the camera does not move"));
-        assert!(cause((0..10).map(|i| 400 * i), 0.8, 120.0).contains("too little in common: "));
+        assert!(cause((0..10).map(|i| 400 * i), 0.8, 120.0).contains("of its picture with the next one"));
         assert!(cause((0..10).map(|i| 10 * i), 0.02, 120.0).contains("hardly any detail"));
         assert!(cause((0..10).map(|i| 10 * i), 0.8, -200.0).contains("10 of 10 images are black"));
-        assert!(cause((0..10).map(|i| 10 * i), 0.8, 120.0).contains("only turns"));
+        assert!(cause((0..10).map(|i| 10 * i), 0.8, 120.0).contains("only to turn"));
     }
 }

@@ -41,7 +41,7 @@ pub enum PrepareError {
         log: PathBuf,
     },
     /// No cameras were found.
-    #[error("no cameras were found for these {images} images: {reason}\nthe whole log: {}", log.display())]
+    #[error("no camera positions were found for these {images} images: {reason}\nthe whole log: {}", log.display())]
     NoCameras {
         /// The number of images.
         images: usize,

@@ -34,8 +34,9 @@ pub(crate) fn hide(
     }
     Ok((count > 0).then(|| {
         format!(
-            "something lies over {count} images and never moves, such as text or a part of the ROV ({:.1} % of the \
-             picture); the masks in masks/ hide it: look at them, and correct them if they are wrong",
+            "{count} images show the same thing in the same place, such as text or a part of the ROV ({:.1} % of the \
+             picture). The masks in masks/ hide it (black is hidden): look at them, and correct them if they hide the \
+             scene",
             100.0 * share
         )
     }))

@@ -264,7 +264,7 @@ pub fn prepare(
         work.forget_last()?;
         let (cause, may_help) = why_no_cameras(&folder.join(IMAGES), &names)?;
         let reason = match may_help {
-            true => format!("{cause}. If that is not it: {}", remedies(&context).join("; ")),
+            true => format!("{cause}. If this does not help: {}", remedies(&context).join("; ")),
             false => cause,
         };
         return Err(PrepareError::NoCameras { images, reason, log });
@@ -335,7 +335,7 @@ fn images(
         if let Some(overlay) = choice.overlay.as_ref().filter(|overlay| !overlay.bars.is_none()) {
             let name = shown(&path.file_name().unwrap_or_default().to_string_lossy()).to_string();
             remarks.push(format!(
-                "{name} has bars, {:.0} % of its picture; they are cut off",
+                "{name} has black bars at its sides, {:.0} % of its picture; they are cut off the images, and the film stays as it is",
                 100.0 * overlay.bar_share()
             ));
         }

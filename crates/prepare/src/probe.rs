@@ -50,8 +50,8 @@ fn no_film(path: &Path, text: &str) -> String {
     }
     if text.contains("moov atom not found") {
         return "the recording was not finished, so the film has no index (a battery that ran out, a lost connection): \
-            put the card back into the camera, which often repairs it, or use a repair program such as untrunc with a \
-            sound film of the same camera"
+            put the card back into the camera and switch it on, which often repairs the film; if not, a repair program \
+            such as untrunc can help, which also needs a good film of the same camera"
             .into();
     }
     let last = text.lines().rfind(|l| !l.trim().is_empty() && !l.starts_with("At least")).unwrap_or_default();
@@ -127,7 +127,7 @@ impl Film {
         let name = shown(&name);
         let of = |said: bool, text: &str| said.then(|| format!("{name} {text}"));
         let hdr = "is an HDR film: its colours look pale here; film in standard colours (Rec. 709) next time";
-        let interlaced = "is interlaced: each frame was joined from two half pictures; film in progressive mode \
+        let interlaced = "is interlaced (50i, 60i): each frame was joined from two half pictures; film in progressive mode \
             (25p, 30p) next time";
         let stretched = "has pixels that are not square: its frames were stretched to their true shape";
         let all = [of(self.hdr, hdr), of(self.interlaced, interlaced), of(self.stretched, stretched)];

@@ -340,7 +340,10 @@ impl Sources {
         let kinds: Vec<String> =
             self.unused.iter().map(|(kind, count)| format!("{count} {}", shown(kind))).collect();
         let unused = (!kinds.is_empty()).then(|| {
-            format!("files that are neither films nor photographs are left out: {}", kinds.join(", "))
+            format!(
+                "these files are not used, because they are neither films nor photographs: {}",
+                kinds.join(", ")
+            )
         });
         damaged.into_iter().chain(unused).collect()
     }
@@ -601,7 +604,7 @@ mod tests {
             ("recording.dat", "film"),
         ]);
         let sources = Sources::of(&[dir.path().join("dive")]).unwrap();
-        let expected = "files that are neither films nor photographs are left out: 1 .lrv, 2 .thm, 1 README";
+        let expected = "these files are not used, because they are neither films nor photographs: 1 .lrv, 2 .thm, 1 README";
         assert_eq!(sources.left_out(), [expected]);
         assert!(Sources::of(&[dir.path().join("recording.dat")]).unwrap().has_films());
     }

@@ -158,9 +158,9 @@ fn reconstruction(scores: &SceneScores) -> Option<Sentence> {
         1 => "the held-out photograph is".to_string(),
         n => format!("the {n} held-out photographs are"),
     };
-    let (tone, meaning) = match scores.is_of_few_pixels() {
-        true => (Tone::Bad, String::new()),
-        false => (tone, format!(" ({meaning})")),
+    let (tone, meaning) = match scores.hidden_too_much() {
+        Some(hidden) => (Tone::Bad, format!("; {hidden}")),
+        None => (tone, format!(" ({meaning})")),
     };
     let on = scores.on_pixels();
     let text = format!("Reconstruction: {count} reproduced at {psnr:.1} dB PSNR{ssim}{on}{meaning}.{weak}");
@@ -343,7 +343,8 @@ mod tests {
         hidden.pixels = 0.06;
         let said = texts(&hidden);
         assert!(
-            said[0].0 == Tone::Bad && said[0].1.contains("SSIM 5.000 on 6.0 % of the pixels. Masks hide"),
+            said[0].0 == Tone::Bad
+                && said[0].1.contains("SSIM 5.000 on 6.0 % of the pixels; masks hide 94 %"),
             "{said:?}"
         );
 

@@ -96,7 +96,7 @@ fn overlay_is_learnt() {
     for (fault, share) in [("bars", 0.156), ("display", 0.1), ("port-rim", 0.07), ("gripper", 0.09)] {
         let (_, text, out) = imported(&faulty(dir.path(), fault)).unwrap();
         assert!(
-            text.contains("never moves") && text.contains("import.hide_overlay=false"),
+            text.contains("in the same place") && text.contains("import.hide_overlay=false"),
             "{fault}: {text}"
         );
         let found = hidden(&out);

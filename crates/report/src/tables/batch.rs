@@ -77,13 +77,13 @@ impl<'a> Batch<'a> {
     /// none.
     pub(super) fn of_few_pixels(&self) -> String {
         let few = self.scenes.iter().filter(|s| s.scores.is_of_few_pixels());
-        let named =
-            few.map(|s| format!("{} {:.0} %", in_variant(&s.scene, &s.variant), 100.0 * s.scores.pixels));
+        let named = few.map(|s| {
+            format!("{} ({:.0} % are scored)", in_variant(&s.scene, &s.variant), 100.0 * s.scores.pixels)
+        });
         match named.collect::<Vec<_>>().join(", ") {
             none if none.is_empty() => none,
             named => format!(
-                ". Masks hide more than half of the held-out pixels, so these scores say little (the share that \
-                 counts): {named}"
+                ". Masks hide more than half of the held-out pixels of {named}: do not trust its scores"
             ),
         }
     }

@@ -302,7 +302,8 @@ mod tests {
         scenes[1].scores.pixels = 0.31;
         let said = captions(&scenes);
         assert!(
-            said.len() == 2 && said.iter().all(|c| c.contains("wreck 31 %") && !c.contains("reef")),
+            said.len() == 2
+                && said.iter().all(|c| c.contains("wreck (31 % are scored)") && !c.contains("reef")),
             "{said:?}"
         );
     }
