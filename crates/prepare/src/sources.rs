@@ -16,8 +16,9 @@ pub const PREPARED: &str = "prepare.json";
 /// The pictures that were made of linear photographs, in the folder of the work.
 pub(crate) const BALANCED: &str = "balanced";
 
-const FILMS: [&str; 14] =
-    ["mp4", "mov", "avi", "mkv", "webm", "m4v", "mts", "m2ts", "mpg", "mpeg", "wmv", "3gp", "lrv", "insv"];
+const FILMS: [&str; 16] = [
+    "mp4", "mov", "avi", "mkv", "webm", "m4v", "mts", "m2ts", "ts", "m2t", "mpg", "mpeg", "wmv", "3gp", "lrv", "insv",
+];
 const PHOTOGRAPHS: [&str; 5] = ["jpg", "jpeg", "png", "tif", "tiff"];
 const CONVERTED: [&str; 1] = ["webp"];
 const REFUSED: [&str; 13] =
