@@ -123,13 +123,18 @@ impl Overlay {
         };
         let mut mask = Map::new(width, height);
         let columns: Vec<_> = (0..width).map(|x| part(x, width, self.width)).collect();
-        mask.data_mut().par_chunks_mut(width.max(1)).enumerate().for_each(|(y, line)| {
-            for (value, columns) in line.iter_mut().zip(&columns) {
-                let mut rows = part(y, height, self.height);
-                let hides = rows.any(|v| self.hidden[v * self.width..][columns.clone()].contains(&true));
-                *value = if hides { 0.0 } else { 1.0 };
+        // No other threads help: a caller's own threads may be waiting for this one.
+        let mut before = vec![0usize; self.width + 1];
+        for (y, line) in mask.data_mut().chunks_exact_mut(width.max(1)).enumerate() {
+            let rows = part(y, height, self.height);
+            for x in 0..self.width {
+                let hides = rows.clone().any(|row| self.hidden[row * self.width + x]);
+                before[x + 1] = before[x] + usize::from(hides);
             }
-        });
+            for (value, columns) in line.iter_mut().zip(&columns) {
+                *value = if before[columns.end] > before[columns.start] { 0.0 } else { 1.0 };
+            }
+        }
         mask
     }
 }

@@ -17,7 +17,8 @@ pub const PREPARED: &str = "prepare.json";
 pub(crate) const BALANCED: &str = "balanced";
 
 const FILMS: [&str; 16] = [
-    "mp4", "mov", "avi", "mkv", "webm", "m4v", "mts", "m2ts", "ts", "m2t", "mpg", "mpeg", "wmv", "3gp", "lrv", "insv",
+    "mp4", "mov", "avi", "mkv", "webm", "m4v", "mts", "m2ts", "ts", "m2t", "mpg", "mpeg", "wmv", "3gp",
+    "lrv", "insv",
 ];
 const PHOTOGRAPHS: [&str; 5] = ["jpg", "jpeg", "png", "tif", "tiff"];
 const CONVERTED: [&str; 1] = ["webp"];
