@@ -6,7 +6,7 @@
 //! is that of the lower quarter of the blocks.
 
 /// The side of a block, pixels.
-const BLOCK: usize = 8;
+const BLOCK: usize = 16;
 /// The share of the blocks that are flatter than the one whose noise is taken.
 const FLAT: f64 = 0.25;
 
