@@ -76,7 +76,7 @@ pub struct ImportReport {
     pub normalised: bool,
     /// The scale of the frame, `x_normalised = scale R x + t`.
     pub scale: f64,
-    /// What lies over the photographs, once they were looked at.
+    /// The overlay of the photographs, once they were looked at; `None` without one.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub overlay: Option<OverlayReport>,
     /// Gains of the white balance for R, G, B, once computed.
@@ -107,7 +107,7 @@ pub struct CameraReport {
     pub size: [usize; 2],
 }
 
-/// What lies over the photographs of one camera or several, and is hidden by a mask.
+/// The overlay of the photographs of one camera or several, which a mask hides.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct OverlayReport {
     /// Number of views that it lies over.

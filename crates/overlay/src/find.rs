@@ -80,7 +80,7 @@ impl Still {
     }
 }
 
-/// What lies over every picture.
+/// The overlay of a camera's pictures.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Overlay {
     /// The width of the pictures in which it was found.

@@ -276,7 +276,7 @@ fn stands(frames: &[Frame], overlap: &mut dyn FnMut(usize, usize) -> f64) -> boo
     some.len() > 1 && some[1..].iter().all(|other| overlap(some[0], *other) >= STILL)
 }
 
-/// What neighbouring images have in common.
+/// The overlap of neighbouring images.
 pub(crate) struct SeenTogether {
     /// The overlap of each image with the next one.
     pub(crate) neighbours: Vec<f64>,
@@ -292,7 +292,7 @@ pub(crate) fn seen_together(frames: &[Frame]) -> SeenTogether {
     SeenTogether { neighbours, stands: stands(frames, &mut |a, b| all[a].overlap(&all[b])) }
 }
 
-/// What is known of a film's frames when some were chosen.
+/// The choice of a film's frames, and the figures on which it rests.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct FrameChoice {
     /// The indices of the chosen frames, in order.

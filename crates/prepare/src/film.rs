@@ -56,7 +56,7 @@ pub(crate) struct Choice {
     pub(crate) overlap: f64,
     /// True if all frames show the same place.
     pub(crate) stands: bool,
-    /// What lies over all frames.
+    /// The overlay of all frames.
     pub(crate) overlay: Option<Overlay>,
 }
 
@@ -212,7 +212,7 @@ struct Looked {
 impl Looked {
     fn add(&mut self, number: u64, (width, height): (usize, usize), grey: &[u8]) {
         if self.pictures.len() == LOOKED {
-            // Every second one is left, and half as many are kept from now on.
+            // Every second one stays, and half as many are kept from now on.
             self.every *= 2;
             let mut keep = false;
             self.pictures.retain(|_| {
