@@ -79,6 +79,27 @@ pub(crate) struct Plan {
 }
 
 impl Imported {
+    /// A prepared capture, whose pixels need nothing more.
+    pub(crate) fn prepared(
+        (capture, report): (Capture, ImportReport),
+        plans: Vec<Plan>,
+        model: Survey,
+        image_folder: String,
+        originals: Option<Originals>,
+    ) -> Self {
+        Self {
+            capture,
+            report,
+            plans,
+            model,
+            model_files: Vec::new(),
+            white_balance: WhiteBalance::None,
+            hide_overlay: false,
+            image_folder,
+            originals,
+        }
+    }
+
     /// True if pixels must be resampled or balanced before the views can be loaded; [`crate::prepare`] does
     /// this.
     pub fn needs_preparation(&self) -> bool {

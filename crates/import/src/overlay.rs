@@ -1,10 +1,12 @@
 //! The overlay of each camera's photographs (`use3d_overlay`): bars, text, a gripper, a rim. A mask hides it.
 
+use std::cell::OnceCell;
 use std::collections::BTreeMap;
 
 use use3d_capture::{FileName, View};
 use use3d_io_image::{read_image, shrunk};
 use use3d_overlay::{FEWEST, Overlay, SIDE, Still, find};
+use use3d_survey::PointSight;
 
 use crate::error::ImportError;
 use crate::import::{Imported, Plan};
@@ -32,6 +34,7 @@ impl Overlays {
         for (i, Plan { geometry, camera, file, .. }) in imported.plans.iter().enumerate() {
             cameras.entry((folder(file), *camera, geometry.file)).or_default().push(i);
         }
+        let sights = OnceCell::new();
         let mut all = Self { of_view: vec![None; views.len()], ..Self::default() };
         for own in cameras.into_values().filter(|own| own.len() >= FEWEST) {
             let chosen: Vec<&View> =
@@ -39,7 +42,10 @@ impl Overlays {
             let pictures = in_parallel(chosen.len(), workers, |i| {
                 Ok(Still::of(&shrunk(&read_image(&chosen[i].image)?, SIDE)))
             })?;
-            let seen = |overlay: &Overlay| overlay_has_points(imported, &own, overlay);
+            let seen = |overlay: &Overlay| {
+                let sights = sights.get_or_init(|| imported.model.tracked_sights());
+                has_points(overlay, imported, &own, sights)
+            };
             if let Some(overlay) = find(&pictures).filter(|overlay| !seen(overlay)) {
                 own.iter().for_each(|i| all.of_view[*i] = Some(all.found.len()));
                 all.found.push(overlay);
@@ -64,13 +70,17 @@ fn folder(file: &FileName) -> String {
     file.as_str().rsplit_once('/').map_or(String::new(), |(folder, _)| folder.into())
 }
 
-/// True if the model has points on it: then it is a part of the scene that hardly moves.
-fn overlay_has_points(imported: &Imported, views: &[usize], overlay: &Overlay) -> bool {
-    let mut sights = imported.model.tracked_sights();
+/// True if the model has points on an overlay: then it is a part of the scene that hardly moves.
+fn has_points(
+    overlay: &Overlay,
+    imported: &Imported,
+    views: &[usize],
+    sights: &BTreeMap<u32, Vec<PointSight>>,
+) -> bool {
     let (mut on, mut all) = (0usize, 0usize);
     for i in views {
         let (width, height) = imported.plans[*i].geometry.file;
-        for sight in sights.remove(&imported.capture.views[*i].id).unwrap_or_default() {
+        for sight in sights.get(&imported.capture.views[*i].id).into_iter().flatten() {
             let pixel = |at: f64, side: usize, own: usize| (at / side as f64 * own as f64) as usize;
             let (x, y) =
                 (pixel(sight.at[0], width, overlay.width), pixel(sight.at[1], height, overlay.height));

@@ -106,21 +106,8 @@ pub fn prepare(
     };
     let plans = imported.plans.iter().zip(cameras).zip(&capture.views).map(plan).collect();
     let model = Survey { world, ..model.into_survey(out)? };
-    let model_files = Vec::new();
-    let (white_balance, image_folder) = (WhiteBalance::None, IMAGES.to_string());
-    let originals = Some(originals);
-    let hide_overlay = false;
-    Ok(Imported {
-        capture,
-        report,
-        plans,
-        model,
-        model_files,
-        white_balance,
-        hide_overlay,
-        image_folder,
-        originals,
-    })
+    let (image_folder, originals) = (IMAGES.to_string(), Some(originals));
+    Ok(Imported::prepared((capture, report), plans, model, image_folder, originals))
 }
 
 impl Originals {

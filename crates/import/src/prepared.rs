@@ -21,7 +21,6 @@ use crate::folder::{FORMAT, MANIFEST, SourceFolder};
 use crate::geometry::Geometry;
 use crate::import::{Imported, Plan, capture_name, sparse_points};
 use crate::originals::Originals;
-use crate::params::WhiteBalance;
 use crate::report::ImportReport;
 use crate::rows::{from_row_major, row_major};
 
@@ -249,17 +248,5 @@ pub fn load_prepared(dir: &Path) -> Result<Imported, ImportError> {
         plans.iter_mut().zip(&manifest.views).for_each(|(plan, v)| plan.file = v.image.clone());
     }
     let image_folder = if all { IMAGES } else { "." }.to_string();
-    let (model_files, white_balance) = (Vec::new(), WhiteBalance::None);
-    let hide_overlay = false;
-    Ok(Imported {
-        capture,
-        report,
-        plans,
-        model,
-        model_files,
-        white_balance,
-        hide_overlay,
-        image_folder,
-        originals,
-    })
+    Ok(Imported::prepared((capture, report), plans, model, image_folder, originals))
 }

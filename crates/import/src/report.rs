@@ -116,6 +116,13 @@ pub struct OverlayReport {
     pub share: f64,
 }
 
+impl OverlayReport {
+    /// The line in the log of an import.
+    pub fn note(&self) -> String {
+        format!("note: {self} `--set import.hide_overlay=false` shows it")
+    }
+}
+
 /// A sentence on it.
 impl fmt::Display for OverlayReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -229,7 +236,7 @@ impl fmt::Display for ImportReport {
             writeln!(f, "  frame: as in the model")?;
         }
         if let Some(overlay) = &self.overlay {
-            writeln!(f, "  note: {overlay} `--set import.hide_overlay=false` shows it")?;
+            writeln!(f, "  {}", overlay.note())?;
         }
         if let Some([r, g, b]) = self.white_balance {
             writeln!(f, "  white balance: R x {r:.3}, G x {g:.3}, B x {b:.3}")?;

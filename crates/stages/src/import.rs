@@ -103,7 +103,7 @@ fn run(context: &StageContext, params: &ImportParams) -> Result<(), StageError> 
         error => StageError::bad_input(error),
     })?;
     if let Some(overlay) = prepared.report.overlay.filter(|_| imported.report.overlay.is_none()) {
-        context.say(format!("  note: {overlay} `--set import.hide_overlay=false` shows it"));
+        context.say(format!("  {}", overlay.note()));
     }
     keep_sights(context, &imported, prepared.report.white_balance)?;
     write_json(&context.output().join("report.json"), &prepared.report)
