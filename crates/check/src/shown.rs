@@ -98,10 +98,13 @@ impl Sums {
 pub(crate) fn shown(image: &Image, sights: &[PointSight], size: [f64; 2]) -> Shown {
     let small = shrunk(image, SIDE);
     let (w, h) = (small.width(), small.height());
-    let luma = |x: usize, y: usize| {
-        let [r, g, b] = small.pixel(x, y).map(f64::from);
-        0.2126 * r + 0.7152 * g + 0.0722 * b
-    };
+    let lumas: Vec<f64> = (0..w * h)
+        .map(|i| {
+            let [r, g, b] = small.pixel(i % w, i / w).map(f64::from);
+            0.2126 * r + 0.7152 * g + 0.0722 * b
+        })
+        .collect();
+    let luma = |x: usize, y: usize| lumas[y * w + x];
     let sums = Sums::of(w, h, luma);
     let sides = [w as f64, h as f64];
     let place = |sight: &PointSight, zoom: f64| {
