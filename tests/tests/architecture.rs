@@ -33,7 +33,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("io-nerfstudio", &["capture", "numerics", "survey"]),
     ("io-opensfm", &["capture", "numerics", "survey"]),
     ("io-realityscan", &["capture", "numerics", "survey"]),
-    ("overlay", &["capture"]),
+    ("overlay", &["capture", "io-image"]),
     (
         "import",
         &[

@@ -4,8 +4,7 @@ use std::cell::OnceCell;
 use std::collections::BTreeMap;
 
 use use3d_capture::{FileName, View};
-use use3d_io_image::{read_image, shrunk};
-use use3d_overlay::{FEWEST, Overlay, SIDE, Still, find};
+use use3d_overlay::{ENOUGH, FEWEST, Overlay, Still, find};
 use use3d_survey::PointSight;
 
 use crate::error::ImportError;
@@ -13,8 +12,6 @@ use crate::import::{Imported, Plan};
 use crate::parallel::in_parallel;
 use crate::report::OverlayReport;
 
-/// The most pictures of a camera that are read.
-const MOST: usize = 40;
 /// An overlay has at most this share of the points that the rest of the picture has on the same area.
 const POINTS: f64 = 0.5;
 
@@ -38,10 +35,8 @@ impl Overlays {
         let mut all = Self { of_view: vec![None; views.len()], ..Self::default() };
         for own in cameras.into_values().filter(|own| own.len() >= FEWEST) {
             let chosen: Vec<&View> =
-                own.iter().step_by(own.len().div_ceil(MOST)).map(|i| &views[*i]).collect();
-            let pictures = in_parallel(chosen.len(), workers, |i| {
-                Ok(Still::of(&shrunk(&read_image(&chosen[i].image)?, SIDE)))
-            })?;
+                own.iter().step_by(own.len().div_ceil(ENOUGH)).map(|i| &views[*i]).collect();
+            let pictures = in_parallel(chosen.len(), workers, |i| Ok(Still::read(&chosen[i].image)?))?;
             let seen = |overlay: &Overlay| {
                 let sights = sights.get_or_init(|| imported.model.tracked_sights());
                 has_points(overlay, imported, &own, sights)

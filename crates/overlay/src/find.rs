@@ -1,12 +1,17 @@
 //! The search for pixels that never change behind edges that last.
 
+use std::path::Path;
+
 use rayon::prelude::*;
 use use3d_capture::{Image8, Map};
+use use3d_io_image::{ImageError, read_image, shrunk};
 
 use crate::bars::{Bars, bars};
 
-/// The longer side of the pictures in which an overlay is best looked for, pixels.
-pub const SIDE: usize = 640;
+/// The longer side of the pictures in which an overlay is looked for, pixels.
+const SIDE: usize = 640;
+/// The most pictures of a camera that are worth reading.
+pub const ENOUGH: usize = 40;
 /// The fewest pictures in which an overlay is looked for.
 pub const FEWEST: usize = 8;
 /// The largest range of a still pixel: in levels, and as a share of the median range of all pixels.
@@ -63,6 +68,14 @@ impl Still {
             (*blue, *red) = ((127.5 + 0.5 * (b - y)).round() as u8, (127.5 + 0.5 * (r - y)).round() as u8);
         }
         Self { width, height, values }
+    }
+
+    /// Reads an image, shrunk to about 640 pixels.
+    ///
+    /// # Errors
+    /// The file cannot be read as an image.
+    pub fn read(path: &Path) -> Result<Self, ImageError> {
+        Ok(Self::of(&shrunk(&read_image(path)?, SIDE)))
     }
 
     fn pixels(&self) -> usize {

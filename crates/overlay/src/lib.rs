@@ -22,4 +22,4 @@ mod bars;
 mod find;
 
 pub use bars::Bars;
-pub use find::{FEWEST, Overlay, SIDE, Still, find};
+pub use find::{ENOUGH, FEWEST, Overlay, Still, find};

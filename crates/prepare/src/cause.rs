@@ -2,16 +2,12 @@
 
 use std::path::Path;
 
-use use3d_io_image::{read_image, shrunk};
-use use3d_overlay::Still;
+use use3d_io_image::ImageError;
+use use3d_overlay::{ENOUGH, Still, find};
 
 use crate::choose::{Frame, seen_together};
 use crate::error::PrepareError;
 
-/// The longer side of the pictures that are measured, pixels.
-const SIDE: usize = 480;
-/// The most images that are measured: neighbours, from the first one on.
-const MOST: usize = 40;
 /// A range of brightness, 5th to 95th percentile, below which hardly any detail is left, in levels.
 const FLAT: u8 = 26;
 /// An overlap of neighbours below which they have too little in common.
@@ -19,11 +15,14 @@ const LITTLE: f64 = 0.4;
 
 /// The measured cause with its next step, and true if other choices of the search may help, too.
 pub(crate) fn why_no_cameras(images: &Path, names: &[String]) -> Result<(String, bool), PrepareError> {
+    // Neighbours, from the first one on.
+    let few = names.iter().take(ENOUGH);
+    let stills: Vec<Still> =
+        few.map(|name| Still::read(&images.join(name))).collect::<Result<_, ImageError>>()?;
     let (mut frames, mut ranges) = (Vec::new(), Vec::new());
-    for (number, name) in (0..).zip(names.iter().take(MOST)) {
-        let Still { width, height, mut values } = Still::of(&shrunk(&read_image(&images.join(name))?, SIDE));
-        values.truncate(width * height);
-        frames.push(Frame::new(number, width, height, &values));
+    for (number, Still { width, height, values }) in (0..).zip(&stills) {
+        let mut values = values[..width * height].to_vec();
+        frames.push(Frame::new(number, *width, *height, &values));
         values.sort_unstable();
         let at = |share: f64| values.get((share * values.len() as f64) as usize).copied().unwrap_or(0);
         ranges.push(at(0.95) - at(0.05));
@@ -41,7 +40,7 @@ pub(crate) fn why_no_cameras(images: &Path, names: &[String]) -> Result<(String,
             format!("{flat} of {of} images show hardly any detail, as in cloudy or open water; {step}");
         return Ok((words, true));
     }
-    let together = seen_together(&frames);
+    let together = seen_together(&frames, find(&stills).as_ref());
     if together.stands {
         let words = "all images show the same place, so the camera does not move and no distance can be measured; swim \
             sideways along the scene and take new ones";
@@ -75,6 +74,16 @@ mod tests {
 
     /// The cause for pictures that show a texture with these shifts, contrast and brightness.
     fn cause(shifts: impl Iterator<Item = usize>, contrast: f64, brightness: f64) -> String {
+        cause_below(shifts, contrast, brightness, |_, _| None)
+    }
+
+    /// The cause with something over all of them.
+    fn cause_below(
+        shifts: impl Iterator<Item = usize>,
+        contrast: f64,
+        brightness: f64,
+        over: impl Fn(usize, usize) -> Option<u8>,
+    ) -> String {
         let dir = tempfile::tempdir().unwrap();
         let mut names = Vec::new();
         for (number, shift) in shifts.enumerate() {
@@ -85,7 +94,7 @@ mod tests {
                     (u.wrapping_mul(7919) ^ v.wrapping_mul(104_729)).wrapping_mul(2_654_435_761) >> 16 & 0xFF
                 };
                 let value = brightness + contrast * (0.5 * (block(4) + block(13)) as f64 - 128.0);
-                picture.set_pixel(x, y, [value.clamp(0.0, 255.0) as u8; 3]);
+                picture.set_pixel(x, y, [over(x, y).unwrap_or(value.clamp(0.0, 255.0) as u8); 3]);
             }
             names.push(format!("{number}.png"));
             write_png8(&dir.path().join(&names[number]), &picture).unwrap();
@@ -100,5 +109,12 @@ mod tests {
         assert!(cause((0..10).map(|i| 10 * i), 0.02, 120.0).contains("hardly any detail"));
         assert!(cause((0..10).map(|i| 10 * i), 0.8, -200.0).contains("10 of 10 images are black"));
         assert!(cause((0..10).map(|i| 10 * i), 0.8, 120.0).contains("only to turn"));
+        // A display that never moves is no camera that does not move.
+        let display = |x: usize, y: usize| {
+            let letter = (x / 8 + y / 6).is_multiple_of(2);
+            (!(22..68).contains(&y)).then_some(if letter { 250 } else { 5 })
+        };
+        let said = cause_below((0..20).map(|i| 10 * i), 0.2, 120.0, display);
+        assert!(said.contains("only to turn"), "{said}");
     }
 }

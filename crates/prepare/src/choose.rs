@@ -285,8 +285,8 @@ pub(crate) struct SeenTogether {
 }
 
 /// Measures what neighbouring images of one camera have in common.
-pub(crate) fn seen_together(frames: &[Frame]) -> SeenTogether {
-    let thumbnail = |frame: &Frame| FreePart::new(&frame.small, None).thumbnail(&frame.small);
+pub(crate) fn seen_together(frames: &[Frame], overlay: Option<&Overlay>) -> SeenTogether {
+    let thumbnail = |frame: &Frame| FreePart::new(&frame.small, overlay).thumbnail(&frame.small);
     let all: Vec<Thumbnail> = frames.iter().map(thumbnail).collect();
     let neighbours = all.windows(2).map(|pair| pair[0].overlap(&pair[1])).collect();
     SeenTogether { neighbours, stands: stands(frames, &mut |a, b| all[a].overlap(&all[b])) }
@@ -321,37 +321,41 @@ pub(crate) fn choose(
         |a: usize, b: usize| *known.entry((a, b)).or_insert_with(|| thumbnails[a].overlap(&thumbnails[b]));
     let stands = stands(frames, &mut overlap);
     let usable = frames.iter().filter(|frame| frame.usable).count();
-    let found = |frames, overlap| FrameChoice { frames, overlap, usable, stands };
-    let evenly = |chosen: Vec<usize>| -> Vec<usize> {
-        let n = chosen.len();
-        (0..most.min(n)).map(|i| chosen[i * n / most.min(n)]).collect()
+    let (chosen, least) = match wanted {
+        Some(target) => (with_overlap(frames, target, &mut overlap), target),
+        None => by_targets(frames, most, &mut overlap),
     };
-    if let Some(target) = wanted {
-        let chosen = with_overlap(frames, target, &mut overlap);
-        return match chosen.len() > most {
-            true => found(evenly(chosen), 0.0),
-            false => found(chosen, target),
-        };
-    }
+    // Even the smallest overlap may need more frames: evenly spread ones are left.
+    let n = chosen.len();
+    let (frames, overlap) = match n > most {
+        true => ((0..most).map(|i| chosen[i * n / most]).collect(), 0.0),
+        false => (chosen, least),
+    };
+    FrameChoice { frames, overlap, usable, stands }
+}
+
+/// The frames for the usual target, or for a lower or a higher one if these are too many or only a few; and the
+/// target.
+fn by_targets(
+    frames: &[Frame],
+    most: usize,
+    overlap: &mut dyn FnMut(usize, usize) -> f64,
+) -> (Vec<usize>, f64) {
     let usual = TARGETS.iter().position(|&t| t == USUAL).unwrap_or(0);
     let mut at = usual;
-    let mut chosen = with_overlap(frames, TARGETS[at], &mut overlap);
+    let mut chosen = with_overlap(frames, TARGETS[at], overlap);
     while chosen.len() > most && at > 0 {
         at -= 1;
-        chosen = with_overlap(frames, TARGETS[at], &mut overlap);
+        chosen = with_overlap(frames, TARGETS[at], overlap);
     }
     while at >= usual && chosen.len() < ENOUGH.min(most) && at + 1 < TARGETS.len() {
-        let more = with_overlap(frames, TARGETS[at + 1], &mut overlap);
+        let more = with_overlap(frames, TARGETS[at + 1], overlap);
         if more.len() > most {
             break;
         }
         (at, chosen) = (at + 1, more);
     }
-    match chosen.len() > most {
-        // Even the smallest overlap needs more frames: evenly spread ones are left.
-        true => found(evenly(chosen), 0.0),
-        false => found(chosen, TARGETS[at]),
-    }
+    (chosen, TARGETS[at])
 }
 
 #[cfg(test)]

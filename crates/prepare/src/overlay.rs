@@ -3,16 +3,15 @@
 
 use std::path::{Path, PathBuf};
 
-use use3d_io_image::{image_size, read_image, shrunk, write_png_map};
-use use3d_overlay::{FEWEST, Overlay, SIDE, Still, find};
+use use3d_capture::Map;
+use use3d_io_image::{image_size, write_png_map};
+use use3d_overlay::{ENOUGH, FEWEST, Overlay, Still, find};
 
 use crate::error::PrepareError;
 use crate::process::StepWatch;
 
 /// The folder of the masks, beside that of the images.
 pub(crate) const MASKS: &str = "masks";
-/// The most images of a camera that are read.
-const MOST: usize = 40;
 
 /// Looks for the overlay of each camera's images, and writes their masks. Returns a remark on it.
 pub(crate) fn hide(
@@ -23,12 +22,17 @@ pub(crate) fn hide(
     let (mut count, mut share) = (0, 0.0f64);
     for images in cameras.iter().filter(|images| images.len() >= FEWEST) {
         let Some(overlay) = overlay_of(capture, images, watch)? else { continue };
+        let mut mask = Map::new(0, 0);
         for name in images {
-            let (width, height) = image_size(&image(capture, name))?;
+            let size = image_size(&image(capture, name))?;
+            // The images of a camera nearly always have one size.
+            if size != (mask.width(), mask.height()) {
+                mask = overlay.mask(size.0, size.1);
+            }
             let to = capture.join(MASKS).join(format!("{name}.png"));
             let folder = use3d_files::folder_of(&to);
             std::fs::create_dir_all(folder).map_err(PrepareError::write(folder))?;
-            write_png_map(&to, &overlay.mask(width, height))?;
+            write_png_map(&to, &mask)?;
         }
         (count, share) = (count + images.len(), share.max(overlay.share()));
     }
@@ -52,9 +56,9 @@ fn overlay_of(
     watch: &StepWatch<'_>,
 ) -> Result<Option<Overlay>, PrepareError> {
     let mut pictures = Vec::new();
-    for name in images.iter().step_by(images.len().div_ceil(MOST)) {
+    for name in images.iter().step_by(images.len().div_ceil(ENOUGH)) {
         watch.check()?;
-        pictures.push(Still::of(&shrunk(&read_image(&image(capture, name))?, SIDE)));
+        pictures.push(Still::read(&image(capture, name))?);
     }
     Ok(find(&pictures))
 }

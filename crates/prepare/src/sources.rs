@@ -119,8 +119,11 @@ fn is_made(folder: &Path) -> bool {
 /// The films and photographs in a folder, to this depth of folders. Results of this program, and folders of a
 /// capture that hold other images of the same names, are left out.
 pub(crate) fn walk(root: &Path, depth: usize) -> impl Iterator<Item = Result<PathBuf, PrepareError>> {
-    let is_input = |path: &Path| !is_proxy(path) && (is_film(path) || is_photograph(path));
-    all_files(root, depth).filter(move |file| file.as_ref().map_or(true, |path| is_input(path)))
+    all_files(root, depth).filter(|file| file.as_ref().map_or(true, |path| is_input(path)))
+}
+
+fn is_input(path: &Path) -> bool {
+    !is_proxy(path) && (is_film(path) || is_photograph(path))
 }
 
 /// The files in a folder, without hidden ones and those of a capture or of this program.
@@ -234,9 +237,9 @@ impl Sources {
         let root = inner.unwrap_or_else(|| folder.to_path_buf());
         let own = folder.file_name().map(|n| n.to_string_lossy().into_owned());
         let prefix = own.filter(|_| several).map(|name| name + "/").unwrap_or_default();
-        let mut found = walk(&root, usize::MAX).collect::<Result<Vec<PathBuf>, PrepareError>>()?;
-        let used: BTreeSet<&PathBuf> = found.iter().collect();
-        for file in all_files(&root, usize::MAX).filter_map(Result::ok).filter(|file| !used.contains(file)) {
+        let all = all_files(&root, usize::MAX).collect::<Result<Vec<PathBuf>, PrepareError>>()?;
+        let (mut found, unused): (Vec<_>, Vec<_>) = all.into_iter().partition(|file| is_input(file));
+        for file in unused {
             let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
             let kind = file.extension().map(|e| format!(".{}", e.to_string_lossy().to_lowercase()));
             if !BESIDE.contains(&&*name) {
