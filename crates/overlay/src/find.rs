@@ -24,9 +24,12 @@ const PATCH: (u8, u8) = (12, 24);
 const EDGE: (u8, f64) = (10, 0.6);
 /// The share of a patch's border that must last.
 const LASTING: f64 = 0.6;
-/// The distances of the pixels outside, as shares of the width: at once, and behind the noise that JPEG
-/// spreads from an edge.
+/// The distances of the pixels outside, as shares of the width: at once, and behind the colour that JPEG
+/// spreads over an edge.
 const OUTSIDE: [f64; 2] = [0.006, 0.014];
+/// The width of the noise that JPEG spreads from an edge, as a share of the picture's, and its largest
+/// range, as a share of the median range.
+const RINGING: (f64, f64) = (0.014, 0.5);
 /// Gaps inside of the overlay that are closed, as a share of the width: across and down.
 const GAPS: (f64, f64) = (0.03, 0.012);
 /// The largest hole in the overlay that is filled, as a share of the picture: a clock's digits in a box.
@@ -172,13 +175,19 @@ pub fn find(pictures: &[Still]) -> Option<Overlay> {
     let usual = f64::from(ranges[ranges.len() / 2]);
     let most = STILL.0.min(STILL.1 * usual);
     let still: Vec<bool> = stack.range.iter().map(|range| f64::from(*range) <= most).collect();
-    let patches = patches(&still, &stack.median);
+    let mut patches = patches(&still, &stack.median);
+    let soft: Vec<bool> = stack.range.iter().map(|range| f64::from(*range) <= RINGING.1 * usual).collect();
+    grow(&mut patches, &soft, &stack.median);
     let lasting = lasting(pictures, &patches);
     let mut hidden: Vec<bool> =
         patches.iter().map(|patch| patch.is_some_and(|patch| lasting[patch])).collect();
+    let least = ((SMALLEST * hidden.len() as f64) as usize).max(4);
+    // Strokes and gaps add to patches, and do not make an overlay of a few pixels.
+    if hidden.iter().filter(|hidden| **hidden).count() < least {
+        return None;
+    }
     strokes(pictures, &mut hidden);
     close((width, height), &mut hidden);
-    let least = ((SMALLEST * hidden.len() as f64) as usize).max(4);
     for part in parts((width, height), &hidden, true).into_iter().filter(|part| part.len() < least) {
         part.into_iter().for_each(|pixel| hidden[pixel] = false);
     }
@@ -264,6 +273,28 @@ fn patches(still: &[bool], median: &Still) -> Vec<Option<usize>> {
         next += 1;
     }
     patches
+}
+
+/// Takes the noise that JPEG spreads from an edge into the patches: pixels nearby of the same colour, whose
+/// range is small. So their borders come to the edge itself.
+fn grow(patches: &mut [Option<usize>], soft: &[bool], median: &Still) {
+    let size = (median.width, median.height);
+    let steps = ((RINGING.0 * size.0 as f64).round() as usize).max(1);
+    // Each pixel with the one that it grew from: it has that colour.
+    let mut edge: Vec<(usize, usize)> =
+        (0..patches.len()).filter(|pixel| patches[*pixel].is_some()).map(|pixel| (pixel, pixel)).collect();
+    for _ in 0..steps {
+        let mut next = Vec::new();
+        for (pixel, from) in edge {
+            for other in around(size, pixel) {
+                if patches[other].is_none() && soft[other] && median.apart(from, other) < PATCH.0 {
+                    patches[other] = patches[pixel];
+                    next.push((other, from));
+                }
+            }
+        }
+        edge = next;
+    }
 }
 
 /// For each patch, true if most of its border has a lasting edge.

@@ -6,10 +6,13 @@
 //!
 //! * A pixel is *still* if the range of `I_t(p)` from its 10th to its 90th percentile is at most
 //!   `min(6, 0.35 M)`, where `M` is the median range of all pixels. Open water is often still, too.
-//! * Still neighbours whose medians differ by less than 12 are one *patch*.
-//! * A pixel `p` on the border of a patch has a *lasting edge* if `|I_t(p) − I_t(q)| ≥ 10` in at least 70 %
+//! * Still neighbours whose medians differ by less than 12, and by less than 24 from the first of them, are
+//!   one *patch*.
+//! * A pixel `p` on the border of a patch has a *lasting edge* if `|I_t(p) − I_t(q)| ≥ 10` in at least 60 %
 //!   of the pictures, where `q` lies a little outside. The edge of a bar lasts. The border of open water
 //!   moves with the reef, so its edge does not.
+//! * Pixels near a patch that have its colour and a small range belong to it: JPEG spreads noise from an
+//!   edge.
 //! * A patch belongs to the overlay if 60 % of its border has a lasting edge. So does a pixel of a thin
 //!   stroke, which is brighter than what lies on both sides of it in 90 % of the pictures, or darker. Small
 //!   gaps and holes, as in a line of text with a clock, are closed.

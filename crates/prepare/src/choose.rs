@@ -334,8 +334,8 @@ pub(crate) fn choose(
     FrameChoice { frames, overlap, usable, stands }
 }
 
-/// The frames for the usual target, or for a lower or a higher one if these are too many or only a few; and the
-/// target.
+/// The frames for the usual target, or for a lower or a higher one if these are too many or only a few; and
+/// the target.
 fn by_targets(
     frames: &[Frame],
     most: usize,
