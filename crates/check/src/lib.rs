@@ -11,6 +11,7 @@
 //! `findings` compares figures with a limit. A [`CheckReport`] holds what the rules found, the gravest
 //! first. Nothing here changes a capture, and no result of a training depends on it.
 
+mod above;
 mod agreement;
 mod depth;
 mod findings;
@@ -26,6 +27,6 @@ pub use depth::DepthAgreement;
 pub use findings::{WaterSight, examine};
 pub use gather::{few_figures, figures};
 pub use measure::{Figures, GroupExposure, ViewFigures, measure};
-pub use page::{Picture, page};
+pub use page::{Gallery, Picture, page};
 pub use report::{CheckReport, Finding, Severity};
 pub use shown::Exchanged;

@@ -14,6 +14,7 @@ use use3d_capture::{Capture, Image, Intrinsics, Map, Reach, Track, View, reaches
 use use3d_io_image::shrunk;
 use use3d_numerics::math;
 
+use crate::above::main_line;
 use crate::agreement::ModelAgreement;
 
 /// The longer side of the pictures in which sharpness is measured, pixels.
@@ -236,17 +237,11 @@ fn motion(capture: &Capture) -> (Option<f64>, Option<f64>) {
     });
     let steps: Vec<f64> = steps.collect();
     let forward = (!steps.is_empty()).then(|| steps.iter().sum::<f64>() / steps.len() as f64);
-    // The main line by power iteration on the covariance.
     let mean = centres.iter().sum::<DVec3>() / centres.len() as f64;
-    let mut line = DVec3::new(1.0, 0.7, 0.4);
-    for _ in 0..100 {
-        let next: DVec3 = centres.iter().map(|c| (*c - mean) * (*c - mean).dot(line)).sum();
-        let Some(next) = next.try_normalize() else { return (forward, None) };
-        line = next;
-    }
+    let offsets: Vec<DVec3> = centres.iter().map(|c| *c - mean).collect();
+    let Some(line) = main_line(&offsets) else { return (forward, None) };
     let (mut along, mut across) = (0.0, 0.0);
-    for c in &centres {
-        let d = *c - mean;
+    for d in offsets {
         along += d.dot(line) * d.dot(line);
         across += (d - line * d.dot(line)).length_squared();
     }

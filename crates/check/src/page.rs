@@ -3,8 +3,9 @@
 
 use std::fmt::Write;
 
-use use3d_capture::Reach;
+use use3d_capture::{Capture, Reach};
 
+use crate::above::drawing;
 use crate::report::{CheckReport, Severity};
 
 /// A small picture of a view.
@@ -16,11 +17,22 @@ pub struct Picture {
     pub address: String,
 }
 
+/// Small pictures under a heading.
+#[derive(Clone, Debug)]
+pub struct Gallery {
+    /// The heading.
+    pub title: String,
+    /// A sentence below it.
+    pub text: String,
+    /// The pictures.
+    pub pictures: Vec<Picture>,
+}
+
 const STYLE: &str = "body{font:16px/1.5 system-ui,sans-serif;max-width:56rem;margin:2rem auto;padding:0 1rem;\
     color:#1b1f23;background:#fff}article{border-left:.4rem solid #999;padding:.1rem 1rem;margin:1.2rem 0}\
     article.serious{border-color:#b3261e}article.minor{border-color:#c98a00}article.note{border-color:#5b8db8}article.good{border-color:#2e7d32}\
     figure{display:inline-block;width:min(14rem,45%);margin:.4rem .6rem .4rem 0;font-size:.8rem}\
-    code{overflow-wrap:anywhere}figure.cells{display:block;width:auto}img,svg{display:block;max-width:100%}\
+    figure.small{width:min(7rem,30%)}h2{margin-top:2.5rem}code{overflow-wrap:anywhere}figure.cells{display:block;width:auto}img,svg{display:block;max-width:100%}\
     @media(prefers-color-scheme:dark){body{color:#e6e6e6;background:#16191c}}";
 
 /// The pictures that one finding shows.
@@ -49,7 +61,7 @@ impl CheckReport {
 }
 
 /// A drawing of a picture's cells: blue where tracks reach, red where none does.
-fn drawing(reach: &Reach) -> String {
+fn cells(reach: &Reach) -> String {
     const CELL: usize = 12;
     let (rows, columns) = (reach.cells.len(), reach.cells.first().map_or(0, Vec::len));
     let (width, height) = (columns * CELL, rows * CELL);
@@ -68,8 +80,16 @@ fn drawing(reach: &Reach) -> String {
     out
 }
 
-/// Writes the page.
-pub fn page(report: &CheckReport, pictures: &[Picture]) -> String {
+/// A small picture with its name below it; the name alone without a picture.
+fn figure(class: &str, name: &str, picture: Option<&Picture>) -> String {
+    let name = escaped(name);
+    let image =
+        picture.map(|p| format!("<img alt=\"{name}\" loading=\"lazy\" src=\"{}\">", escaped(&p.address)));
+    format!("<figure class=\"{class}\">{}{name}</figure>\n", image.unwrap_or_default())
+}
+
+/// Writes the page: the findings with `pictures` of their views, the path of the camera, and galleries.
+pub fn page(report: &CheckReport, pictures: &[Picture], capture: &Capture, galleries: &[Gallery]) -> String {
     let title = escaped(&format!("Check of {}", report.capture));
     let mut out = format!(
         "<!doctype html>\n<html lang=\"en\"><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\n\
@@ -84,22 +104,31 @@ pub fn page(report: &CheckReport, pictures: &[Picture]) -> String {
             let _ = writeln!(out, "<p>Do this: {}.</p>", marked(&finding.remedy));
         }
         if finding.subject == "reach" && finding.severity <= Severity::Minor {
-            out.push_str(&Reach::worst(&report.figures.reach).map(drawing).unwrap_or_default());
+            out.push_str(&Reach::worst(&report.figures.reach).map(cells).unwrap_or_default());
         }
         if finding.severity <= Severity::Minor {
             for name in finding.views.iter().take(MOST) {
                 let picture = pictures.iter().find(|p| p.name == *name);
-                let name = escaped(name);
-                let image = picture
-                    .map(|p| format!("<img alt=\"{name}\" src=\"{}\">", escaped(&p.address)))
-                    .unwrap_or_default();
-                let _ = writeln!(out, "<figure>{image}{name}</figure>");
+                out.push_str(&figure("view", name, picture));
             }
             if finding.views.len() > MOST {
                 let _ = writeln!(out, "<p>and {} more</p>", finding.views.len() - MOST);
             }
         }
         out.push_str("</article>\n");
+    }
+    let above = drawing(capture);
+    if !above.is_empty() {
+        let _ = writeln!(
+            out,
+            "<h2>The path of the camera</h2>\n<figure class=\"cells\">{above}The line goes through the places of the \
+             photographs in the order of their names, and begins at the large dot. The small dots are points of the \
+             scene.</figure>"
+        );
+    }
+    for Gallery { title, text, pictures } in galleries {
+        let _ = writeln!(out, "<h2>{}</h2>\n<p>{}</p>", escaped(title), escaped(text));
+        pictures.iter().for_each(|p| out.push_str(&figure("small", &p.name, Some(p))));
     }
     out.push_str("</html>\n");
     out

@@ -6,7 +6,7 @@ use glam::{DMat3, DVec3};
 use use3d_capture::{
     Camera, Capture, FileName, Frame, Image, Intrinsics, Pose, Sighting, SparsePoint, Split, Track, View,
 };
-use use3d_check::{CheckReport, Picture, Severity, WaterSight, examine, measure, page};
+use use3d_check::{CheckReport, Gallery, Picture, Severity, WaterSight, examine, measure, page};
 use use3d_import::ImportReport;
 
 const W: usize = 96;
@@ -313,14 +313,17 @@ fn the_page_escapes_names_and_shows_pictures() {
     let report = reef.examine();
     assert!(report.pictured().contains("v_07.png"));
     let picture = Picture { name: "v_07.png".into(), address: "data:image/jpeg;base64,AAAA".into() };
-    let html = page(&report, &[picture]);
+    let gallery = Gallery { title: "a < b".into(), text: "Few.".into(), pictures: vec![picture.clone()] };
+    let html = page(&report, &[picture], &reef.capture, &[gallery]);
+    assert!(html.contains("<h2>a &lt; b</h2>") && html.matches("AAAA").count() == 2, "{html}");
+    assert!(html.contains("<h2>The path of the camera</h2>") && html.contains("<polyline"), "{html}");
     assert!(!html.contains("<b>reef") && html.contains("&lt;b&gt;reef"), "{html}");
     assert!(html.contains("src=\"data:image/jpeg;base64,AAAA\"") && html.contains("Do this: "));
     // A photograph without a picture is shown by its name, and commands are marked as such.
     reef.report.extra = vec!["v_99.png".into()];
-    let html = page(&reef.examine(), &[]);
+    let html = page(&reef.examine(), &[], &reef.capture, &[]);
     assert!(
-        html.contains("<figure>v_99.png</figure>") && html.contains("<code>use3d prepare</code>"),
+        html.contains("<figure class=\"view\">v_99.png</figure>") && html.contains("<code>use3d prepare</code>"),
         "{html}"
     );
 }

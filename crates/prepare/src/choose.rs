@@ -17,6 +17,7 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
+use use3d_capture::Image8;
 use use3d_overlay::{Bars, Overlay};
 
 /// Width of small pictures, pixels.
@@ -85,6 +86,16 @@ impl Frame {
             usable: (USABLE.0..USABLE.1).contains(&(mean as f32)),
             small: Small::new(width, height, grey),
         }
+    }
+
+    /// A small grey picture of it.
+    pub(crate) fn picture(&self) -> Image8 {
+        let Small { width, height, values } = &self.small;
+        let mut picture = Image8::new(*width, *height);
+        for (i, value) in values.iter().enumerate() {
+            picture.set_pixel(i % width, i / width, [*value; 3]);
+        }
+        picture
     }
 }
 

@@ -8,10 +8,12 @@ use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
+use use3d_capture::Image8;
 use use3d_overlay::{Bars, Overlay, Still, find};
 
 use crate::choose::{Frame, FrameChoice, choose};
 use crate::error::PrepareError;
+use crate::left_out::{LeftCause, left_out};
 use crate::probe::{Film, probe};
 use crate::process::{self, Ended, ProgramEnd, StepWatch};
 use crate::tools::{self, Program};
@@ -58,6 +60,8 @@ pub(crate) struct Choice {
     pub(crate) stands: bool,
     /// The overlay of all frames.
     pub(crate) overlay: Option<Overlay>,
+    /// Some of the other frames: number, cause and small picture.
+    pub(crate) left_out: Vec<(u64, LeftCause, Image8)>,
 }
 
 impl Choice {
@@ -169,6 +173,7 @@ pub(crate) fn look(
         looked = look_at(ffmpeg, &film, 1, log, watch)?;
         found = choose(&looked.frames, most, wanted, overlay.as_ref());
     }
+    let left_out = left_out(&looked.frames, &found);
     let FrameChoice { frames: chosen, overlap, usable, stands } = found;
     let looked_at = looked.frames.len();
     let frame = |i: usize| {
@@ -176,7 +181,7 @@ pub(crate) fn look(
         Chosen { number, sharpness, seconds: number as f64 / film.rate, stamped: false }
     };
     let frames = chosen.into_iter().map(frame).collect();
-    Ok(Choice { film, frames, looked_at, usable, overlap, stands, overlay })
+    Ok(Choice { film, frames, looked_at, usable, overlap, stands, overlay, left_out })
 }
 
 /// Looks at every frame of a film whose number is a multiple of `step`.

@@ -16,10 +16,12 @@
 //! steps after it. Images are not undistorted: the import does that.
 
 mod cause;
+mod certainty;
 mod choose;
 mod error;
 mod film;
 mod footage;
+mod left_out;
 mod overlay;
 mod params;
 mod photographs;
@@ -38,6 +40,7 @@ pub use footage::{
     ColourTags, DisplayMatrix, FilmChoices, FilmFrame, FilmInfo, FilmPath, FilmPose, FilmReader, FilmWriter,
     FilmWritten, Fraction, KnownFrame, LARGEST_GAP, TIMES, known_frames,
 };
+pub use left_out::{LeftCause, LeftFrame, LookedFilm, looked_films};
 pub use params::{Mapper, Matching, PrepareParams};
 pub use prepare::{CAPTURE, Input, Prepared, check, key_of, prepare, work_folder};
 pub use process::{StepProgress, StepWatch};

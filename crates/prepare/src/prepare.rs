@@ -14,14 +14,15 @@ use use3d_io_colmap::{Model, write_model_binary};
 use crate::cause::why_no_cameras;
 use crate::error::PrepareError;
 use crate::film::{self, Choice};
+use crate::left_out::{self, LookedFilm};
 use crate::overlay;
-use crate::params::{BALANCE_RULES, FEWEST, PrepareParams};
+use crate::params::{BALANCE_RULES, FEWEST, Mapper, PrepareParams};
 use crate::photographs;
 use crate::process::StepWatch;
-use crate::sfm::{FEATURES_DB, IMAGES, MATCHES_DB, MODELS, Sfm, groups};
+use crate::sfm::{FEATURES_DB, IMAGES, MATCHES_DB, MODELS, Sfm, USUAL_MODELS, groups};
 use crate::sources::{PREPARED, Sources};
 use crate::tools::{Finder, Program, Programs};
-use crate::verdict::{CameraVerdict, Grade, ModelContext, judge, models, remedies};
+use crate::verdict::{CameraVerdict, Grade, ModelContext, fits_as_well, judge, models, remedies, unusual};
 use crate::work::{Step, Work, hash};
 
 /// The finished capture, in the folder of the work.
@@ -213,7 +214,7 @@ pub fn prepare(
         "rules": rules(sources), "inputs": digests, "frames": params.frames, "overlap": params.overlap,
     });
     let step = Step { name: "images", output: IMAGES, choices };
-    let Images { taken, mut remarks, doubts, why_few } =
+    let Images { taken, films, mut remarks, doubts, why_few } =
         work.step(step, |work| images(sources, params, ffmpeg.as_ref(), work, watch))?;
     remarks.extend(sources.left_out().into_iter().chain(sources.remark()));
     if taken.len() < FEWEST {
@@ -253,12 +254,29 @@ pub fn prepare(
         Ok(commands)
     })?;
     let choices = json!(params.mapper);
-    let cameras = work.step(Step { name: "cameras", output: MODELS, choices }, |_| sfm.map())?;
+    let mut cameras =
+        work.step(Step { name: "cameras", output: MODELS, choices }, |_| sfm.map(MODELS, false))?;
 
     let names: Vec<String> = taken.iter().map(|t| t.image.clone()).collect();
-    let found: Vec<Model> = models(&folder.join(MODELS))?;
-    let context =
-        ModelContext { params, matching, films: sources.has_films(), features: sfm.feature_count() };
+    let mut found: Vec<Model> = models(&folder.join(MODELS))?;
+    let mut context = ModelContext {
+        params,
+        matching,
+        films: sources.has_films(),
+        features: sfm.feature_count(),
+        unusual: None,
+    };
+    let may_hold = params.calibration.is_empty() && params.mapper == Mapper::Incremental;
+    if let Some(first) = found.first().filter(|_| may_hold).and_then(unusual) {
+        (watch.note)("cameras: the path does not say how wide the lens is, so a usual lens is tried");
+        let step = Step { name: "usual lens", output: USUAL_MODELS, choices: json!(null) };
+        let commands = work.step(step, |_| sfm.map(USUAL_MODELS, true))?;
+        let usual = models(&folder.join(USUAL_MODELS))?;
+        if usual.first().is_some_and(|usual| fits_as_well(usual, &found[0])) {
+            (found, context.unusual) = (usual, Some(first));
+            cameras = commands;
+        }
+    }
     let Some(verdict) = judge(&found, &names, &context) else {
         // The next attempt maps again, perhaps with another version of the program.
         work.forget_last()?;
@@ -280,7 +298,7 @@ pub fn prepare(
     let programs: Vec<&Program> = ffmpeg.iter().chain([program]).collect();
     let record = json!({
         "format": "use3d preparation", "schema": 1, "key": key, "programs": programs, "params": params,
-        "matching": matching, "inputs": inputs, "images": taken, "cameras": groups.len(), "commands": commands,
+        "matching": matching, "inputs": inputs, "images": taken, "films": films, "cameras": groups.len(), "commands": commands,
         "verdict": verdict, "remarks": remarks,
     });
     write_record(&folder.join(CAPTURE), &record)?;
@@ -297,6 +315,7 @@ pub(crate) fn write_record(capture: &Path, record: &Value) -> Result<(), Prepare
 #[derive(Serialize, Deserialize)]
 struct Images {
     taken: Vec<Taken>,
+    films: Vec<LookedFilm>,
     /// Remarks on the inputs for the user.
     remarks: Vec<String>,
     /// Remarks that matter only if images have no place.
@@ -316,7 +335,8 @@ fn images(
     work.remove(CAPTURE)?;
     let folder = work.folder.join(IMAGES);
     std::fs::create_dir_all(&folder).map_err(PrepareError::write(&folder))?;
-    let (mut taken, mut remarks, mut doubts, mut why_few) = (Vec::new(), Vec::new(), Vec::new(), None);
+    let (mut taken, mut films, mut why_few) = (Vec::new(), Vec::new(), None);
+    let (mut remarks, mut doubts) = (Vec::new(), Vec::new());
     let several = sources.films.len() + usize::from(!sources.photographs.is_empty()) > 1;
     for (number, path) in sources.films.iter().enumerate() {
         let Some(ffmpeg) = ffmpeg else { break };
@@ -339,10 +359,17 @@ fn images(
                 100.0 * overlay.bar_share()
             ));
         }
-        let Choice { film, frames, looked_at, overlap, .. } = choice;
+        let Choice { film, frames, looked_at, usable, overlap, .. } = choice;
         let file = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let said = shown(&file);
         (watch.note)(&format!("{said}: {} frames taken of {looked_at} that were looked at", frames.len()));
+        films.push(LookedFilm {
+            film: file.clone(),
+            looked_at,
+            taken: frames.len(),
+            dark: looked_at - usable,
+            left_out: left_out::write(&work.folder.join(CAPTURE), &prefix, &choice.left_out)?,
+        });
         if overlap == 0.0 {
             doubts.push(format!(
                 "{said} is long: {most} frames are too few for neighbours to overlap; allow more with --frames, or cut \
@@ -387,7 +414,7 @@ fn images(
     }
     let total = taken.len() as u64;
     watch.tell("images", (total, total), "images");
-    Ok(Images { taken, remarks, doubts, why_few })
+    Ok(Images { taken, films, remarks, doubts, why_few })
 }
 
 /// The images of each camera in each folder.

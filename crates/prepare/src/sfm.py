@@ -116,6 +116,8 @@ def map_images(job):
     if job["fixed"]:
         check(job)
     fixed = FIXED if job["fixed"] else {}
+    if job["held"]:
+        fixed = {"ba_refine_focal_length": False, "mapper.abs_pose_refine_focal_length": False}
     if job["mapper"] == "global":
         if job["fixed"]:
             sys.exit("the global mapper does not keep a known lens; take the incremental one")

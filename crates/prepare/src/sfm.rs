@@ -23,6 +23,8 @@ pub(crate) const SCRIPT: &str = include_str!("sfm.py");
 const JOB: &str = "job.json";
 /// The options of the mapper that keep a known lens.
 const FIXED: [&[&str]; 2] = [&["--Mapper.ba_refine_focal_length"], &["--Mapper.ba_refine_extra_params"]];
+/// The options of the mapper that keep the focal length with which it begins.
+const HELD: [&[&str]; 2] = [FIXED[0], &["--Mapper.abs_pose_refine_focal_length"]];
 /// Features of an image on the processor and on a graphics card: comparing them takes the square of their
 /// number.
 const FEATURES: (usize, usize) = (3000, 8192);
@@ -47,6 +49,8 @@ const MASKED: &str = "capture/masks";
 pub(crate) const FEATURES_DB: &str = "features.db";
 pub(crate) const MATCHES_DB: &str = "matches.db";
 pub(crate) const MODELS: &str = "models";
+/// The models with a usual lens, where the path does not determine the lens.
+pub(crate) const USUAL_MODELS: &str = "models-usual-lens";
 
 /// The work of finding cameras.
 pub(crate) struct Sfm<'a> {
@@ -270,10 +274,11 @@ impl Sfm<'_> {
         self.succeeded(STEP, &outcome).map(|()| commands)
     }
 
-    /// Finds cameras and points. The models lie in folders of their own.
-    pub(crate) fn map(&self) -> Result<Commands, PrepareError> {
+    /// Finds cameras and points. The models lie in folders of their own in `folder`. With `usual_lens` the
+    /// focal length stays that of EXIF data, or the usual one.
+    pub(crate) fn map(&self, folder: &str, usual_lens: bool) -> Result<Commands, PrepareError> {
         const STEP: &str = "cameras";
-        let models = self.work.join(MODELS);
+        let models = self.work.join(folder);
         std::fs::create_dir_all(&models).map_err(PrepareError::write(&models))?;
         let total = self.images as u64;
         let tell = |line: &str| {
@@ -286,8 +291,9 @@ impl Sfm<'_> {
         let threads = self.deciding_threads();
         let (outcome, commands) = if self.is_package() {
             let job = json!({
-                "database": MATCHES_DB, "images": IMAGES, "models": MODELS, "mapper": self.params.mapper,
-                "threads": threads, "smallest": self.smallest(), "fixed": fixed, "first_angle": FIRST_ANGLE,
+                "database": MATCHES_DB, "images": IMAGES, "models": folder, "mapper": self.params.mapper,
+                "threads": threads, "smallest": self.smallest(), "fixed": fixed, "held": usual_lens,
+                "first_angle": FIRST_ANGLE,
             });
             self.script("map", &job, tell)?
         } else {
@@ -295,7 +301,7 @@ impl Sfm<'_> {
             let arguments = [
                 ("--database_path", MATCHES_DB.to_string()),
                 ("--image_path", IMAGES.to_string()),
-                ("--output_path", MODELS.to_string()),
+                ("--output_path", folder.to_string()),
             ];
             let mut options: Vec<(&[&str], String)> = vec![
                 (&["--Mapper.num_threads", "--GlobalMapper.num_threads"], threads.to_string()),
@@ -304,6 +310,9 @@ impl Sfm<'_> {
                 (&["--random_seed", "--default_random_seed"], "0".to_string()),
                 (&["--Mapper.random_seed", "--GlobalMapper.random_seed"], "0".to_string()),
             ];
+            if usual_lens {
+                options.extend(HELD.map(|names| (names, "0".to_string())));
+            }
             if fixed {
                 options.extend(FIXED.map(|names| (names, "0".to_string())));
             }
