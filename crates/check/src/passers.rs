@@ -41,8 +41,8 @@ const CELL: f64 = 0.015;
 const ENOUGH: usize = 100;
 /// Light that is added before logarithms are taken, display range: below it, grain outweighs colour.
 const DIM: f64 = 0.03;
-/// Sightings of the points that are compared, about.
-const SIGHTINGS: usize = 600_000;
+/// Sightings of the compared points in a view, at most on average.
+const SIGHTINGS: usize = 2000;
 
 /// A point where it lands in a view.
 struct Landing {
@@ -87,7 +87,7 @@ pub(crate) struct Passers<'a> {
 impl<'a> Passers<'a> {
     pub(crate) fn new(capture: &'a Capture, tracks: &'a [Track]) -> Self {
         let sightings: usize = tracks.iter().map(|track| track.sightings.len()).sum();
-        let step = sightings.div_ceil(SIGHTINGS).max(1);
+        let step = sightings.div_ceil(SIGHTINGS * capture.views.len().max(1)).max(1);
         let landings = tracks.iter().step_by(step).map(|_| Vec::new()).collect();
         let fronts = capture.views.iter().map(|_| None).collect();
         Self { capture, tracks, step, landings, fronts }
@@ -167,11 +167,14 @@ impl<'a> Passers<'a> {
                 continue;
             }
             let (mut change, mut spread) = ([0.0; 3], [0.0; 3]);
+            let mut all = [0.0; WITNESSES.1];
+            let all = &mut all[..near.len()];
             for c in 0..3 {
-                let all: Vec<f64> = near.iter().map(|(_, i)| f64::from(landings[*i].colour[c])).collect();
-                let usual = median(all.clone());
+                (0..all.len()).for_each(|k| all[k] = f64::from(landings[near[k].1].colour[c]));
+                let usual = median(all);
                 change[c] = f64::from(own.colour[c]) - usual;
-                spread[c] = median(all.iter().map(|v| (v - usual).abs()).collect());
+                all.iter_mut().for_each(|v| *v = (*v - usual).abs());
+                spread[c] = median(all);
             }
             found.push((own.view, Compared { at: own.at, change, spread }));
         }
@@ -207,8 +210,9 @@ impl Front {
 
 /// The number of points of a view before which something passes.
 fn passed(all: &[Compared]) -> usize {
-    let usual = [0, 1, 2].map(|c| median(all.iter().map(|p| p.change[c]).collect()));
-    let sigma = [0, 1, 2].map(|c| median(all.iter().map(|p| (p.change[c] - usual[c]).abs()).collect()));
+    let usual = [0, 1, 2].map(|c| median(&mut all.iter().map(|p| p.change[c]).collect::<Vec<_>>()));
+    let sigma = [0, 1, 2]
+        .map(|c| median(&mut all.iter().map(|p| (p.change[c] - usual[c]).abs()).collect::<Vec<_>>()));
     let is_odd = |p: &&Compared| {
         let square = |c: usize| {
             let d = p.change[c] - usual[c];
@@ -231,7 +235,7 @@ fn passed(all: &[Compared]) -> usize {
     odd.iter().filter(is_passed).count()
 }
 
-fn median(mut values: Vec<f64>) -> f64 {
+fn median(values: &mut [f64]) -> f64 {
     values.sort_unstable_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
