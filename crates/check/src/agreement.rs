@@ -151,9 +151,12 @@ pub(crate) fn agreement(imported: &Imported, pixels: PixelsRead) -> Result<Model
     };
     let read = |i: usize| -> Result<Option<Shown>, ImageError> {
         match &cameras[i] {
-            Some(PosedCamera { camera, .. }) if i.is_multiple_of(step) && sights[i].len() >= FEWEST => {
+            Some(posed @ PosedCamera { camera, .. })
+                if i.is_multiple_of(step) && sights[i].len() >= FEWEST =>
+            {
                 let size = [camera.width as f64, camera.height as f64];
-                Ok(Some(shown(&read_image(&views[i].image)?, &sights[i], size)))
+                let projection = |sight: &PointSight| posed.pixel(survey.points[sight.point].position);
+                Ok(Some(shown(&read_image(&views[i].image)?, &sights[i], size, projection)))
             }
             _ => Ok(None),
         }

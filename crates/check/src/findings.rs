@@ -72,6 +72,7 @@ pub fn examine(
     rules.reach(&figures.reach, import);
     rules.range(&figures);
     rules.inverted(&figures.views);
+    rules.passers(&figures.views);
     rules.pixels(&figures.views);
     rules.exposures(&figures);
     rules.water(&figures, water);

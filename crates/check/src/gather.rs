@@ -2,11 +2,12 @@
 
 use std::convert::Infallible;
 
-use use3d_capture::Pixels;
+use use3d_capture::{Image8, Pixels};
 use use3d_import::{ImportError, Imported, load_mask, load_pixels};
 
 use crate::agreement::{PixelsRead, agreement};
-use crate::measure::{Figures, measure, measure_masks};
+use crate::measure::{Figures, measure, measure_and, measure_masks};
+use crate::passers::Passers;
 
 /// The masks that are read before a run, at most.
 const FEW_MASKS: usize = 24;
@@ -26,8 +27,16 @@ pub fn figures(prepared: &Imported, original: &Imported) -> Result<Figures, Impo
         Ok::<_, ImportError>(pixels.to_image())
     };
     let tracks = prepared.tracks();
-    let mut figures = measure(&prepared.capture, &tracks, Some(&mut load))?;
+    let mut passers = Passers::new(&prepared.capture, &tracks);
+    let mut look = |view: usize, small: &Image8| {
+        passers.add(view, small, load_mask(&views[view])?.as_ref());
+        Ok(())
+    };
+    let mut figures = measure_and(&prepared.capture, &tracks, Some(&mut load), &mut look)?;
     figures.largest_sample = largest;
+    for (view, passed) in figures.views.iter_mut().zip(passers.passed()) {
+        view.passed_points = passed;
+    }
     measure_masks(&mut figures, &tracks, &mut |view| load_mask(&views[view]))?;
     figures.agreement = Some(agreement(original, PixelsRead::All)?);
     Ok(figures)

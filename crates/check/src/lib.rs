@@ -19,6 +19,7 @@ mod gather;
 mod grain;
 mod measure;
 mod page;
+mod passers;
 mod report;
 mod shown;
 

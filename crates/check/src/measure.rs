@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 
 use glam::DVec3;
 use serde::Serialize;
-use use3d_capture::{Capture, Image, Intrinsics, Map, Reach, Track, View, reaches};
+use use3d_capture::{Capture, Image, Image8, Intrinsics, Map, Reach, Track, View, reaches};
 use use3d_io_image::shrunk;
 use use3d_numerics::math;
 
@@ -60,6 +60,9 @@ pub struct ViewFigures {
     pub unmasked: Option<f64>,
     /// The share of its points that its mask hides; `None` without a mask, or with few points.
     pub hidden_points: Option<f64>,
+    /// The number of its points before which something stands that the views around it do not show; `None`
+    /// if too few points could be compared.
+    pub passed_points: Option<usize>,
 }
 
 /// The figures of a capture.
@@ -106,6 +109,16 @@ pub fn measure<E>(
     tracks: &[Track],
     load: Option<&mut dyn FnMut(usize) -> Result<Image, E>>,
 ) -> Result<Figures, E> {
+    measure_and(capture, tracks, load, &mut |_, _| Ok(()))
+}
+
+/// Measures a capture, and hands each picture on to `look`, at about [`SIDE`] pixels.
+pub(crate) fn measure_and<E>(
+    capture: &Capture,
+    tracks: &[Track],
+    load: Option<&mut dyn FnMut(usize) -> Result<Image, E>>,
+    look: &mut dyn FnMut(usize, &Image8) -> Result<(), E>,
+) -> Result<Figures, E> {
     let count = capture.views.len();
     let mut figures = Figures { points: capture.points.len(), ..Figures::default() };
     let mut seen: Vec<Vec<(usize, f64, f64)>> = vec![Vec::new(); count];
@@ -145,7 +158,7 @@ pub fn measure<E>(
         });
     }
     if let Some(load) = load {
-        let exposures = pixels(&mut figures.views, &seen, load)?;
+        let exposures = pixels(&mut figures.views, &seen, load, look)?;
         figures.groups = group_exposures(capture, &exposures);
         figures.drift = drift(&exposures, count);
     }
@@ -345,6 +358,7 @@ fn pixels<E>(
     views: &mut [ViewFigures],
     seen: &[Vec<(usize, f64, f64)>],
     load: &mut dyn FnMut(usize) -> Result<Image, E>,
+    look: &mut dyn FnMut(usize, &Image8) -> Result<(), E>,
 ) -> Result<ExposureSteps, E> {
     let luma = |c: [f64; 3]| 0.2126 * c[0] + 0.7152 * c[1] + 0.0722 * c[2];
     let light = |c: [f64; 3]| luma(c.map(linear));
@@ -373,8 +387,10 @@ fn pixels<E>(
         before = colours;
         views[i].brightness =
             Some(image.data().iter().map(|v| f64::from(*v)).sum::<f64>() / image.data().len().max(1) as f64);
-        views[i].contrast = Some(contrast(&image));
-        sharpness.push(laplacian(&image));
+        let small = shrunk(&image, SIDE);
+        views[i].contrast = Some(contrast(&small));
+        sharpness.push(laplacian(&small));
+        look(i, &small)?;
     }
     for i in 0..views.len() {
         let around = sharpness[i.saturating_sub(NEAR)..(i + NEAR + 1).min(sharpness.len())].to_vec();
@@ -390,8 +406,7 @@ fn linear(v: f64) -> f64 {
 }
 
 /// The range of a picture's brightness from the 5th to the 95th percentile.
-fn contrast(image: &Image) -> f64 {
-    let small = shrunk(image, SIDE);
+fn contrast(small: &Image8) -> f64 {
     let pixels = (0..small.height()).flat_map(|y| (0..small.width()).map(move |x| (x, y)));
     let luma = |[r, g, b]: [u8; 3]| 0.2126 * f64::from(r) + 0.7152 * f64::from(g) + 0.0722 * f64::from(b);
     let mut all: Vec<f64> = pixels.map(|(x, y)| luma(small.pixel(x, y)) / 255.0).collect();
@@ -421,10 +436,9 @@ fn colour(image: &Image, x: f64, y: f64) -> Option<[f64; 3]> {
     sum.iter().all(|v| COMPARABLE.contains(v)).then_some(sum)
 }
 
-/// The mean squared Laplacian of the green channel over its squared mean, in a picture of about [`SIDE`]
-/// pixels. A darker exposure of the same picture is as sharp.
-fn laplacian(image: &Image) -> f64 {
-    let small = shrunk(image, SIDE);
+/// The mean squared Laplacian of the green channel over its squared mean. A darker exposure of the same
+/// picture is as sharp.
+fn laplacian(small: &Image8) -> f64 {
     let (w, h) = (small.width(), small.height());
     if w < 3 || h < 3 {
         return 0.0;

@@ -7,7 +7,9 @@
 //!   details. Grain does: a view has no likeness if more than a share of the spread of its details is grain.
 //! * The likeness is also measured with all places moved away from the middle of the pictures by a factor,
 //!   the *zoom*. It is best at 1, unless all photographs were enlarged, or a border was cut off or added.
-//!   Pictures of less than 300 pixels are too small to tell.
+//!   In pictures of less than 300 pixels the best zoom is too blunt. There the likeness is compared between
+//!   two zooms on both sides of 1, with narrower details, at the projections of the points, since the errors
+//!   of keypoints are large there. If the likeness of the larger zoom is higher, a border was cut off.
 //! * The *hue* of a point is its red less its blue. Its rank correlation between a view and the model's
 //!   points is positive, and negative if red and blue are exchanged on one side.
 
@@ -35,8 +37,13 @@ const ZOOMS: [f64; 19] = [
 const BETTER: (f64, f64, f64) = (0.08, 0.4, 0.03);
 /// The least likeness at the right zoom.
 const GOOD: f64 = 0.6;
-/// The longer side of the smallest pictures whose zoom is measured, pixels.
-const SMALLEST: usize = 300;
+/// Smaller pictures are small, pixels on the longer side.
+const SMALL: usize = 300;
+/// Pixels on each side that a point is compared with at other zooms of small pictures.
+const NARROW: usize = 3;
+/// The two zooms of small pictures whose likeness is compared, and how much higher that of the second must be.
+const SIDES: [f64; 2] = [0.9, 1.11];
+const HIGHER: f64 = 0.01;
 /// The share of the spread of details that may be grain.
 const GRAINY: f64 = 0.2;
 /// A correlation of hues below this is that of exchanged channels.
@@ -53,6 +60,8 @@ pub(crate) struct Shown {
     details: Vec<Details>,
     /// Red and blue at each point, display range.
     hues: Vec<(usize, [f64; 2])>,
+    /// True if it is small.
+    small: bool,
 }
 
 /// The side on which red and blue are exchanged.
@@ -94,8 +103,14 @@ impl Sums {
     }
 }
 
-/// Reads a photograph at its sights; `size` is that of the model's photograph, pixels.
-pub(crate) fn shown(image: &Image, sights: &[PointSight], size: [f64; 2]) -> Shown {
+/// Reads a photograph at its sights. `size` is that of the model's photograph, pixels, and `projection` gives
+/// the pixel on which the point of a sight lands.
+pub(crate) fn shown(
+    image: &Image,
+    sights: &[PointSight],
+    size: [f64; 2],
+    projection: impl Fn(&PointSight) -> Option<[f64; 2]>,
+) -> Shown {
     let small = shrunk(image, SIDE);
     let (w, h) = (small.width(), small.height());
     let lumas: Vec<f64> = (0..w * h)
@@ -107,21 +122,24 @@ pub(crate) fn shown(image: &Image, sights: &[PointSight], size: [f64; 2]) -> Sho
     let luma = |x: usize, y: usize| lumas[y * w + x];
     let sums = Sums::of(w, h, luma);
     let sides = [w as f64, h as f64];
-    let place = |sight: &PointSight, zoom: f64| {
-        let [x, y] = [0, 1].map(|i| (sides[i] * (0.5 + zoom * (sight.at[i] / size[i] - 0.5))).floor());
+    let place = |at: [f64; 2], zoom: f64| {
+        let [x, y] = [0, 1].map(|i| (sides[i] * (0.5 + zoom * (at[i] / size[i] - 0.5))).floor());
         let inside = x >= 1.0 && y >= 1.0 && x + 2.0 <= sides[0] && y + 2.0 <= sides[1];
         inside.then_some((x as usize, y as usize))
     };
     let chosen: Vec<&PointSight> = sights.iter().step_by((sights.len() / MOST).max(1)).collect();
+    let is_small = w.max(h) < SMALL;
     let details = |zoom: f64| {
+        let narrow = is_small && zoom != ZOOMS[0];
+        let around = if narrow { NARROW } else { AROUND };
         let detail = |sight: &&PointSight| {
-            let (x, y) = place(sight, zoom)?;
-            Some((sight.point, sums.mean(x, y, 1) - sums.mean(x, y, AROUND)))
+            let (x, y) = place(if narrow { projection(sight)? } else { sight.at }, zoom)?;
+            Some((sight.point, sums.mean(x, y, 1) - sums.mean(x, y, around)))
         };
         chosen.iter().filter_map(detail).collect()
     };
     let hue = |sight: &&PointSight| {
-        let (x, y) = place(sight, 1.0)?;
+        let (x, y) = place(sight.at, 1.0)?;
         let mut sum = [0.0; 2];
         for (u, v) in (0..9).map(|k| (x + k % 3 - 1, y + k / 3 - 1)) {
             let [red, _, blue] = small.pixel(u, v).map(f64::from);
@@ -129,11 +147,11 @@ pub(crate) fn shown(image: &Image, sights: &[PointSight], size: [f64; 2]) -> Sho
         }
         Some((sight.point, sum))
     };
-    let zooms = if w.max(h) < SMALLEST { &ZOOMS[..1] } else { &ZOOMS };
     Shown {
         grain: grain(w, h, luma),
-        details: zooms.iter().map(|zoom| details(*zoom)).collect(),
+        details: ZOOMS.iter().map(|zoom| details(*zoom)).collect(),
         hues: chosen.iter().filter_map(hue).collect(),
+        small: is_small,
     }
 }
 
@@ -184,8 +202,19 @@ impl Shown {
 pub(crate) fn zoom(all: &[Option<Shown>], points: usize) -> Option<f64> {
     let of = |zoom: usize| median(likeness_at(all, zoom, points).into_iter().flatten().collect());
     let own = of(0)?;
-    let others = (1..ZOOMS.len()).filter_map(|zoom| Some((ZOOMS[zoom], of(zoom)?)));
-    let (zoom, best) = others.max_by(|a, b| a.1.total_cmp(&b.1))?;
+    let others: Vec<(f64, f64)> =
+        (1..ZOOMS.len()).filter_map(|zoom| Some((ZOOMS[zoom], of(zoom)?))).collect();
+    let best_of = |least: f64| {
+        let there = others.iter().filter(|(zoom, _)| *zoom >= least);
+        there.copied().max_by(|a, b| a.1.total_cmp(&b.1))
+    };
+    if all.iter().flatten().any(|shown| shown.small) {
+        let like = |zoom: f64| others.iter().find(|(z, _)| *z == zoom).map(|(_, like)| *like);
+        let [below, above] = SIDES.map(like);
+        let (zoom, best) = best_of(1.0)?;
+        return (above? > below? + HIGHER && best > GOOD).then_some(zoom);
+    }
+    let (zoom, best) = best_of(0.0)?;
     let (most, share, least) = BETTER;
     (best > own + (share * (1.0 - own)).clamp(least, most) && best > GOOD).then_some(zoom)
 }

@@ -6,7 +6,9 @@ use glam::{DMat3, DVec3};
 use use3d_capture::{
     Camera, Capture, FileName, Frame, Image, Intrinsics, Pose, Sighting, SparsePoint, Split, Track, View,
 };
-use use3d_check::{CheckReport, Gallery, Picture, Severity, WaterSight, examine, measure, page};
+use use3d_check::{
+    CheckReport, Gallery, ModelAgreement, Picture, Severity, WaterSight, examine, measure, page,
+};
 use use3d_import::ImportReport;
 
 const W: usize = 96;
@@ -323,7 +325,37 @@ fn the_page_escapes_names_and_shows_pictures() {
     reef.report.extra = vec!["v_99.png".into()];
     let html = page(&reef.examine(), &[], &reef.capture, &[]);
     assert!(
-        html.contains("<figure class=\"view\">v_99.png</figure>") && html.contains("<code>use3d prepare</code>"),
+        html.contains("<figure class=\"view\">v_99.png</figure>")
+            && html.contains("<code>use3d prepare</code>"),
         "{html}"
     );
+}
+
+#[test]
+fn what_moves_through_two_views_is_named() {
+    let reef = Reef::new();
+    let with = |passed: &dyn Fn(usize) -> Option<usize>, error: Option<f64>| {
+        let mut load = |view: usize| Ok::<_, Infallible>(reef.images[view].clone());
+        let Ok(mut figures) = measure(&reef.capture, &reef.tracks, Some(&mut load));
+        (0..VIEWS).for_each(|view| figures.views[view].passed_points = passed(view));
+        figures.agreement = error.map(|error| ModelAgreement {
+            tracked: true,
+            error: Some(error),
+            ..ModelAgreement::default()
+        });
+        examine(&reef.report, figures, Some(WaterSight::Found("water found")), Some(0.5))
+    };
+    let two = |view: usize| (view != 0).then_some(if view % 10 == 7 { view } else { 0 });
+    let report = with(&two, None);
+    assert_eq!(
+        of(&report, "moving"),
+        (Severity::Minor, vec!["v_07.png".to_string(), "v_17.png".to_string()])
+    );
+    let text = report.to_string();
+    assert!(text.contains("through 2 of 23 views (most in v_17.png, v_07.png)"), "{text}");
+    let none = |report: &CheckReport| report.findings.iter().all(|f| f.subject != "moving");
+    assert!(none(&with(&|view| Some(usize::from(view == 7)), None)));
+    assert!(none(&with(&|_| None, None)));
+    // Wrong cameras make every view differ.
+    assert!(!none(&with(&two, Some(0.5))) && none(&with(&two, Some(9.0))));
 }

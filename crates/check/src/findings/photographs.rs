@@ -5,7 +5,7 @@ use use3d_import::ImportReport;
 
 use super::{Rules, UNMASKED, WaterSight, are, hardly, names, sentence, serious_if};
 use crate::measure::{Figures, ViewFigures};
-use crate::report::Severity;
+use crate::report::{Finding, Severity};
 
 /// A view whose sharpness is below this share of its neighbours' is blurred.
 const BLURRED: f64 = 0.4;
@@ -27,6 +27,10 @@ const DARK: f64 = 0.06;
 const BARE: (f64, f64) = (0.1, 0.25);
 /// Bits of 16-bit files that use only their lower bits.
 const FEW_BITS: std::ops::RangeInclusive<u32> = 8..=14;
+/// The fewest views through which something moves, and their share of the views that could be compared.
+const PASSED: (usize, f64) = (2, 0.05);
+/// Serious findings that make a photograph differ from the views around it everywhere.
+const OTHERWISE: [&str; 4] = ["photographs", "zoom", "cameras", "error"];
 /// A mask that hides more than this share of a view's points hides the scene.
 const HIDDEN: f64 = 0.5;
 
@@ -69,6 +73,29 @@ impl Rules {
         let remedy = "masks are white where pixels count, and black on divers and fish: invert them \
             (`magick mogrify -negate masks/*.png`)";
         self.add(Severity::Serious, "inverted", text, remedy, list);
+    }
+
+    /// Fish and divers without masks.
+    pub(super) fn passers(&mut self, views: &[ViewFigures]) {
+        let compared = views.iter().filter(|v| v.passed_points.is_some()).count();
+        let mut worst: Vec<(usize, &str)> = views
+            .iter()
+            .filter_map(|v| Some((v.passed_points.filter(|points| *points > 0)?, v.name.as_str())))
+            .collect();
+        let (count, least) = (worst.len(), PASSED.1 * compared as f64);
+        let serious = |f: &Finding| f.severity == Severity::Serious && OTHERWISE.contains(&f.subject);
+        if count < PASSED.0 || (count as f64) < least || self.found.iter().any(serious) {
+            return;
+        }
+        worst.sort_by_key(|(points, _)| std::cmp::Reverse(*points));
+        let most: Vec<_> = worst.iter().take(3).map(|(_, name)| shown(name)).collect();
+        let text = format!(
+            "Something moves through {count} of {compared} views (most in {}): fish or divers are learnt as haze.",
+            most.join(", ")
+        );
+        let remedy = "paint masks over them (docs/guide/captures.md)";
+        let list = names(views, |v| v.passed_points.is_some_and(|points| points > 0));
+        self.add(Severity::Minor, "moving", text, remedy, list);
     }
 
     /// The exposure of cameras and folders against each other, and along the swim.

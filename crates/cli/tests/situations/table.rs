@@ -15,10 +15,6 @@ use use3d_synth::{CaptureFault, ChosenFault, Due, FAULTS};
 
 use super::{SEED, command, examined, run, sound};
 
-/// Faults that nothing finds yet: fish, which move on their own. The last one is found in larger pictures
-/// only, in `model`.
-const NOT_FOUND: [&str; 2] = ["fish", "cropped"];
-
 /// True if all strengths and all sound captures are tried, which takes minutes.
 fn whole() -> bool {
     std::env::var("USE3D_STRENGTHS").is_ok_and(|strengths| strengths == "all")
@@ -72,16 +68,12 @@ fn every_fault_is_found_as_the_list_says() {
     let dir = tempfile::tempdir().unwrap();
     let findings = examined(&sound(dir.path(), "reef")).unwrap().1;
     let usual: Vec<String> = findings.iter().map(kind).collect();
-    let known = |fault: &&'static CaptureFault| !NOT_FOUND.contains(&fault.name);
     let levels = |fault: &'static CaptureFault| match fault.strengths {
         Some(_) if all => 0..3,
         _ => 1..2,
     };
-    let chosen: Vec<_> = FAULTS
-        .iter()
-        .filter(known)
-        .flat_map(|fault| levels(fault).map(move |level| (fault, level)))
-        .collect();
+    let chosen: Vec<_> =
+        FAULTS.iter().flat_map(|fault| levels(fault).map(move |level| (fault, level))).collect();
     let lines: Vec<(usize, String, Option<String>)> = chosen
         .par_iter()
         .map(|(fault, level)| {
