@@ -11,8 +11,8 @@
 //!   With `σ`, the median of `|d|` over the points, `X` is *odd* if the mean of `d² / (σ² + s²)` over the
 //!   channels is above the square of [`ODD`], in units of a standard deviation.
 //! * A point is not compared if `v` saw a much nearer one beside it, because the scene itself may hide it.
-//! * Something *passes* before an odd point if seven of the eight compared points nearest to it in the picture
-//!   are odd, itself included.
+//! * Something *passes* before an odd point if seven of the eight compared points nearest to it are odd. It
+//!   counts itself, and the distances are those in the picture.
 //!
 //! In sound captures at most 2 % of the points are odd, and they lie alone: by chance, six of seven others
 //! are odd once in 10⁹ points.

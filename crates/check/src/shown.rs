@@ -41,7 +41,7 @@ const GOOD: f64 = 0.6;
 const SMALL: usize = 300;
 /// Pixels on each side that a point is compared with at other zooms of small pictures.
 const NARROW: usize = 3;
-/// The two zooms of small pictures whose likeness is compared, and how much higher that of the second must be.
+/// The two zooms of small pictures whose likeness is compared, and how much that of the second is higher.
 const SIDES: [f64; 2] = [0.9, 1.11];
 const HIGHER: f64 = 0.01;
 /// The share of the spread of details that may be grain.
