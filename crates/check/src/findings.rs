@@ -407,8 +407,10 @@ impl Rules {
         };
         if let Some(zoom) = agreement.zoom {
             let (percent, border) = match zoom > 1.0 {
-                true => (zoom - 1.0, "{} % larger, as if a border had been cut off and the rest enlarged"),
-                false => (1.0 / zoom - 1.0, "{} % smaller, as if a border had been added"),
+                true => {
+                    (zoom - 1.0, "{} % larger or more, as if a border had been cut off and the rest enlarged")
+                }
+                false => (1.0 / zoom - 1.0, "{} % smaller or more, as if a border had been added"),
             };
             let text = format!(
                 "The photographs are not those from which the camera positions were computed: they look {}.",
