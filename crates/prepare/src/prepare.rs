@@ -11,17 +11,18 @@ use serde_json::{Value, json};
 use use3d_capture::shown;
 use use3d_io_colmap::{Model, write_model_binary};
 
+use crate::attempts::{Found, Search};
 use crate::cause::why_no_cameras;
 use crate::error::PrepareError;
 use crate::film::{self, Choice};
 use crate::overlay;
-use crate::params::{BALANCE_RULES, FEWEST, PrepareParams};
+use crate::params::{BALANCE_RULES, FEWEST, Keypoints, PrepareParams};
 use crate::photographs;
 use crate::process::StepWatch;
-use crate::sfm::{FEATURES_DB, IMAGES, MATCHES_DB, MODELS, Sfm, groups};
+use crate::sfm::{FEATURES_DB, IMAGES, Sfm, groups};
 use crate::sources::{PREPARED, Sources};
 use crate::tools::{Finder, Program, Programs};
-use crate::verdict::{CameraVerdict, Grade, ModelContext, judge, models, remedies};
+use crate::verdict::{CameraVerdict, Grade, ModelContext, judge, remedies};
 use crate::work::{Step, Work, hash};
 
 /// The finished capture, in the folder of the work.
@@ -151,7 +152,11 @@ struct Taken {
 /// # Errors
 /// Returns the first such choice or program.
 pub fn check(sources: &Sources, params: &PrepareParams, programs: &Programs) -> Result<(), PrepareError> {
-    needed(sources, params, programs).map(|_| ())
+    needed(sources, params, programs)?;
+    match params.keypoints {
+        Keypoints::Learned => programs.learned().map(|_| ()),
+        _ => Ok(()),
+    }
 }
 
 /// The programs that these inputs need: one for films and conversion, and one for cameras.
@@ -207,6 +212,10 @@ pub fn prepare(
     let (log, program) = (work.log.clone(), &program);
     let sfm = Sfm { program, params, work: folder, log: &log, threads, watch, images: 0 };
     sfm.check_calibration()?;
+    let networks = match params.keypoints {
+        Keypoints::Learned => Some(programs.learned()?),
+        _ => None,
+    };
     // Other inputs, such as masks, are copied after the last step.
     let digests = digests(&inputs[..sources.count().min(inputs.len())]);
     let choices = json!({
@@ -244,21 +253,12 @@ pub fn prepare(
         Ok(commands)
     })?;
     let matching = params.matching.settle(images, sources.has_films());
-    let choices = json!([matching, params.repeatable]);
-    let matches = work.step(Step { name: "matches", output: MATCHES_DB, choices }, |_| {
-        let (from, to) = (folder.join(FEATURES_DB), folder.join(MATCHES_DB));
-        photographs::copy_file(&from, &to)?;
-        let commands = sfm.matches(matching)?;
-        (watch.note)("matches: the images are compared");
-        Ok(commands)
-    })?;
-    let choices = json!(params.mapper);
-    let cameras = work.step(Step { name: "cameras", output: MODELS, choices }, |_| sfm.map())?;
-
     let names: Vec<String> = taken.iter().map(|t| t.image.clone()).collect();
-    let found: Vec<Model> = models(&folder.join(MODELS))?;
-    let context =
-        ModelContext { params, matching, films: sources.has_films(), features: sfm.feature_count() };
+    let search = Search { sfm: &sfm, programs, names: &names, matching };
+    let Found { best, record: keypoints, networks, remark, advice } = search.run(&mut work, networks)?;
+    let found = best.models;
+    let films = sources.has_films();
+    let context = ModelContext { params, matching, films, features: best.features, advice };
     let Some(verdict) = judge(&found, &names, &context) else {
         // The next attempt maps again, perhaps with another version of the program.
         work.forget_last()?;
@@ -272,15 +272,17 @@ pub fn prepare(
     if verdict.grade != Grade::Good {
         remarks.extend(doubts);
     }
-    if found.iter().any(|m| m.check_single(&folder.join(MODELS)).is_err()) {
+    remarks.extend(remark);
+    if found.iter().any(|m| m.check_single(&folder.join(best.folder)).is_err()) {
         remarks.push("a model has numbers beyond single precision; the import will refuse it".into());
     }
     assemble(&work, sources, &found)?;
+    let [matches, cameras] = best.commands;
     let commands = json!({ "features": features, "matches": matches, "cameras": cameras });
-    let programs: Vec<&Program> = ffmpeg.iter().chain([program]).collect();
+    let programs: Vec<&Program> = ffmpeg.iter().chain([program]).chain(&networks).collect();
     let record = json!({
         "format": "use3d preparation", "schema": 1, "key": key, "programs": programs, "params": params,
-        "matching": matching, "inputs": inputs, "images": taken, "cameras": groups.len(), "commands": commands,
+        "matching": matching, "keypoints": keypoints, "inputs": inputs, "images": taken, "cameras": groups.len(), "commands": commands,
         "verdict": verdict, "remarks": remarks,
     });
     write_record(&folder.join(CAPTURE), &record)?;

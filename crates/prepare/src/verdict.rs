@@ -99,6 +99,8 @@ pub(crate) struct ModelContext<'a> {
     pub(crate) films: bool,
     /// The most features of an image.
     pub(crate) features: usize,
+    /// The advice to take learned keypoints.
+    pub(crate) advice: Option<String>,
 }
 
 /// Judges models that are sorted by size. `names` are the images.
@@ -228,8 +230,8 @@ fn too_wide(model: &Model) -> Option<Reach> {
 
 /// The changes of choices that give more images a place.
 pub(crate) fn remedies(context: &ModelContext<'_>) -> Vec<String> {
-    let &ModelContext { params, matching, films, features } = context;
-    let mut remedies = Vec::new();
+    let &ModelContext { params, matching, films, features, ref advice } = context;
+    let mut remedies: Vec<String> = advice.iter().cloned().collect();
     if params.lens != LENS {
         remedies.push(format!("take the usual lens model (leave out --lens {})", params.lens));
     }
@@ -277,7 +279,7 @@ mod tests {
         let model = Model { cameras: vec![camera], images, points: Vec::new() };
         let params = PrepareParams { calibration: calibration.to_vec(), ..PrepareParams::default() };
         let matching = Matching::Exhaustive;
-        let context = ModelContext { params: &params, matching, films: false, features: 3000 };
+        let context = ModelContext { params: &params, matching, films: false, features: 3000, advice: None };
         judge(&[model], &names, &context).unwrap()
     }
 
@@ -327,8 +329,8 @@ mod tests {
         for (features, advice) in
             [(3000, Some("--features 6000")), (5000, Some("--features 8000")), (8192, None)]
         {
-            let context =
-                ModelContext { params: &params, matching: Matching::Sequential, films: true, features };
+            let matching = Matching::Sequential;
+            let context = ModelContext { params: &params, matching, films: true, features, advice: None };
             let words = remedies(&context).join("; ");
             assert_eq!(words.contains("--features"), advice.is_some(), "{words}");
             assert!(advice.is_none_or(|advice| words.contains(advice)), "{words}");
