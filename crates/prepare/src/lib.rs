@@ -7,7 +7,8 @@
 //!
 //! `sources` sorts the inputs. `film` takes the frames that `choose` picks by sharpness and overlap,
 //! and `photographs` copies photographs. `sfm` finds the cameras with the program `colmap` or the Python
-//! package `pycolmap`, in three steps: features, matches, mapping. `verdict` says how well this went.
+//! package `pycolmap`, in three steps: features, matches, mapping. `learned` brings features and matches of
+//! networks, where COLMAP's own fail. `verdict` says how well this went.
 //!
 //! `recipes` names the files of data sets that others published, and the choices for them.
 //!
@@ -15,12 +16,14 @@
 //! digest of its inputs and choices, so an interrupted run continues, and a changed choice repeats only the
 //! steps after it. Images are not undistorted: the import does that.
 
+mod attempts;
 mod cause;
 mod certainty;
 mod choose;
 mod error;
 mod film;
 mod footage;
+mod learned;
 mod left_out;
 mod overlay;
 mod params;
@@ -41,7 +44,7 @@ pub use footage::{
     FilmWritten, Fraction, KnownFrame, LARGEST_GAP, TIMES, known_frames,
 };
 pub use left_out::{LeftCause, LeftFrame, LookedFilm, looked_films};
-pub use params::{Mapper, Matching, PrepareParams};
+pub use params::{Keypoints, Mapper, Matching, PrepareParams};
 pub use prepare::{CAPTURE, Input, Prepared, check, key_of, prepare, work_folder};
 pub use process::{StepProgress, StepWatch};
 pub use recipes::{Recipe, RecipeScene, RecipeWork, balance, publish};

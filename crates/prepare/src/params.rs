@@ -42,6 +42,26 @@ pub enum Mapper {
     Global,
 }
 
+/// The kind of keypoints by which images are compared.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Keypoints {
+    /// Those of SIFT. If too few images have a place then, learned ones as well, and the better model.
+    #[default]
+    Auto,
+    /// Those of SIFT, which COLMAP finds itself.
+    Sift,
+    /// Those of ALIKED, matched by LightGlue: networks in a Python package.
+    Learned,
+}
+
+impl Keypoints {
+    // Captures of earlier versions keep their keys: those did not have this choice.
+    fn is_usual(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
 /// The choices of a preparation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PrepareParams {
@@ -55,12 +75,16 @@ pub struct PrepareParams {
     pub lens: String,
     /// Known parameters of the lens, in COLMAP's order for `lens`; they are then not refined.
     pub calibration: Vec<f64>,
-    /// The most features of an image; `None` for 3,000 on the processor and 8,192 on a graphics card.
+    /// The most features of an image; `None` for 3,000 on the processor and 8,192 on a graphics card, and for
+    /// 1,024 and 2,048 learned ones.
     pub features: Option<usize>,
     /// The pairs of images that are compared.
     pub matching: Matching,
     /// The way from matches to cameras.
     pub mapper: Mapper,
+    /// The kind of keypoints.
+    #[serde(default, skip_serializing_if = "Keypoints::is_usual")]
+    pub keypoints: Keypoints,
     /// One thread for features, matching and mapping, and pycolmap, so that two runs give the same bytes.
     pub repeatable: bool,
 }
@@ -75,6 +99,7 @@ impl Default for PrepareParams {
             features: None,
             matching: Matching::Auto,
             mapper: Mapper::Incremental,
+            keypoints: Keypoints::Auto,
             repeatable: false,
         }
     }

@@ -11,18 +11,19 @@ use serde_json::{Value, json};
 use use3d_capture::shown;
 use use3d_io_colmap::{Model, write_model_binary};
 
+use crate::attempts::{Found, Search};
 use crate::cause::why_no_cameras;
 use crate::error::PrepareError;
 use crate::film::{self, Choice};
 use crate::left_out::{self, LookedFilm};
 use crate::overlay;
-use crate::params::{BALANCE_RULES, FEWEST, Mapper, PrepareParams};
+use crate::params::{BALANCE_RULES, FEWEST, Keypoints, PrepareParams};
 use crate::photographs;
 use crate::process::StepWatch;
-use crate::sfm::{FEATURES_DB, IMAGES, MATCHES_DB, MODELS, Sfm, USUAL_MODELS, groups};
+use crate::sfm::{FEATURES_DB, IMAGES, Sfm, groups};
 use crate::sources::{PREPARED, Sources};
 use crate::tools::{Finder, Program, Programs};
-use crate::verdict::{CameraVerdict, Grade, ModelContext, fits_as_well, judge, models, remedies, unusual};
+use crate::verdict::{CameraVerdict, Grade, ModelContext, judge, remedies};
 use crate::work::{Step, Work, hash};
 
 /// The finished capture, in the folder of the work.
@@ -152,7 +153,11 @@ struct Taken {
 /// # Errors
 /// Returns the first such choice or program.
 pub fn check(sources: &Sources, params: &PrepareParams, programs: &Programs) -> Result<(), PrepareError> {
-    needed(sources, params, programs).map(|_| ())
+    needed(sources, params, programs)?;
+    match params.keypoints {
+        Keypoints::Learned => programs.learned().map(|_| ()),
+        _ => Ok(()),
+    }
 }
 
 /// The programs that these inputs need: one for films and conversion, and one for cameras.
@@ -208,6 +213,10 @@ pub fn prepare(
     let (log, program) = (work.log.clone(), &program);
     let sfm = Sfm { program, params, work: folder, log: &log, threads, watch, images: 0 };
     sfm.check_calibration()?;
+    let networks = match params.keypoints {
+        Keypoints::Learned => Some(programs.learned()?),
+        _ => None,
+    };
     // Other inputs, such as masks, are copied after the last step.
     let digests = digests(&inputs[..sources.count().min(inputs.len())]);
     let choices = json!({
@@ -245,38 +254,19 @@ pub fn prepare(
         Ok(commands)
     })?;
     let matching = params.matching.settle(images, sources.has_films());
-    let choices = json!([matching, params.repeatable]);
-    let matches = work.step(Step { name: "matches", output: MATCHES_DB, choices }, |_| {
-        let (from, to) = (folder.join(FEATURES_DB), folder.join(MATCHES_DB));
-        photographs::copy_file(&from, &to)?;
-        let commands = sfm.matches(matching)?;
-        (watch.note)("matches: the images are compared");
-        Ok(commands)
-    })?;
-    let choices = json!(params.mapper);
-    let mut cameras =
-        work.step(Step { name: "cameras", output: MODELS, choices }, |_| sfm.map(MODELS, false))?;
-
     let names: Vec<String> = taken.iter().map(|t| t.image.clone()).collect();
-    let mut found: Vec<Model> = models(&folder.join(MODELS))?;
-    let mut context = ModelContext {
+    let search = Search { sfm: &sfm, programs, names: &names, matching };
+    let Found { best, record: keypoints, networks, remark, advice } = search.run(&mut work, networks)?;
+    let found = best.models;
+    let from_films = sources.has_films();
+    let context = ModelContext {
         params,
         matching,
-        films: sources.has_films(),
-        features: sfm.feature_count(),
-        unusual: None,
+        films: from_films,
+        features: best.features,
+        advice,
+        unusual: best.unusual,
     };
-    let may_hold = params.calibration.is_empty() && params.mapper == Mapper::Incremental;
-    if let Some(first) = found.first().filter(|_| may_hold).and_then(unusual) {
-        (watch.note)("cameras: the path does not say how wide the lens is, so a usual lens is tried");
-        let step = Step { name: "usual lens", output: USUAL_MODELS, choices: json!(null) };
-        let commands = work.step(step, |_| sfm.map(USUAL_MODELS, true))?;
-        let usual = models(&folder.join(USUAL_MODELS))?;
-        if usual.first().is_some_and(|usual| fits_as_well(usual, &found[0])) {
-            (found, context.unusual) = (usual, Some(first));
-            cameras = commands;
-        }
-    }
     let Some(verdict) = judge(&found, &names, &context) else {
         // The next attempt maps again, perhaps with another version of the program.
         work.forget_last()?;
@@ -290,15 +280,18 @@ pub fn prepare(
     if verdict.grade != Grade::Good {
         remarks.extend(doubts);
     }
-    if found.iter().any(|m| m.check_single(&folder.join(MODELS)).is_err()) {
+    remarks.extend(remark);
+    if found.iter().any(|m| m.check_single(&folder.join(best.folder)).is_err()) {
         remarks.push("a model has numbers beyond single precision; the import will refuse it".into());
     }
     assemble(&work, sources, &found)?;
+    let [matches, cameras] = best.commands;
     let commands = json!({ "features": features, "matches": matches, "cameras": cameras });
-    let programs: Vec<&Program> = ffmpeg.iter().chain([program]).collect();
+    let programs: Vec<&Program> = ffmpeg.iter().chain([program]).chain(&networks).collect();
     let record = json!({
         "format": "use3d preparation", "schema": 1, "key": key, "programs": programs, "params": params,
-        "matching": matching, "inputs": inputs, "images": taken, "films": films, "cameras": groups.len(), "commands": commands,
+        "matching": matching, "keypoints": keypoints, "inputs": inputs, "images": taken, "films": films,
+        "cameras": groups.len(), "commands": commands,
         "verdict": verdict, "remarks": remarks,
     });
     write_record(&folder.join(CAPTURE), &record)?;

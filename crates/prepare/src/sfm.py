@@ -1,4 +1,4 @@
-"""One step of finding cameras with pycolmap: check, features, matches or map.
+"""One step of finding cameras with pycolmap: check, features, matches, pairs, verify or map.
 
 The arguments are the step and the path of a file with a JSON object.
 
@@ -85,11 +85,18 @@ def features(job):
         )
 
 
-def matches(job):
+def matching_options(job):
     threads = {"num_threads": job["threads"], "use_gpu": job["card"]}
     both = {**threads, **{"sift." + name: value for name, value in threads.items()}}
-    options = set_options(first_class("FeatureMatchingOptions", "SiftMatchingOptions"), both)
-    verification = set_options(first_class("TwoViewGeometryOptions"), {"ransac.random_seed": 0})
+    return set_options(first_class("FeatureMatchingOptions", "SiftMatchingOptions"), both)
+
+
+def verification_options():
+    return set_options(first_class("TwoViewGeometryOptions"), {"ransac.random_seed": 0})
+
+
+def matches(job):
+    options, verification = matching_options(job), verification_options()
     if job["matching"] == "exhaustive":
         function, pairing = pycolmap.match_exhaustive, first_class("ExhaustivePairingOptions", "ExhaustiveMatchingOptions")
     else:
@@ -105,6 +112,35 @@ def matches(job):
         verification_options=verification,
         device=pycolmap.Device.auto if job["card"] else pycolmap.Device.cpu,
         **named,
+    )
+
+
+def pairs(job):
+    """Compares the pairs of a list."""
+    if not hasattr(pycolmap, "match_image_pairs"):
+        print("this version of pycolmap compares no listed pairs, so images far apart stay apart")
+        return
+    call(
+        pycolmap.match_image_pairs,
+        job["database"],
+        matching_options=matching_options(job),
+        pairing_options=set_options(pycolmap.ImportedPairingOptions(), {"match_list_path": job["list"]}),
+        verification_options=verification_options(),
+        device=pycolmap.Device.auto if job["card"] else pycolmap.Device.cpu,
+    )
+
+
+def verify(job):
+    """Checks matches that another program wrote into the database: those of one rigid scene stay."""
+    if not hasattr(pycolmap, "geometric_verification"):
+        pycolmap.verify_matches(job["database"], job["list"], verification_options())
+        return
+    threads = set_options(pycolmap.GeometricVerifierOptions(), {"num_threads": job["threads"]})
+    call(
+        pycolmap.geometric_verification,
+        job["database"],
+        verifier_options=threads,
+        two_view_geometry_options=verification_options(),
     )
 
 
@@ -134,4 +170,5 @@ if hasattr(pycolmap, "set_random_seed"):
     pycolmap.set_random_seed(0)
 with open(sys.argv[2], encoding="utf-8") as file:
     given = json.load(file)
-{"check": check, "features": features, "matches": matches, "map": map_images}[sys.argv[1]](given)
+steps = {"check": check, "features": features, "matches": matches, "pairs": pairs, "verify": verify}
+{**steps, "map": map_images}[sys.argv[1]](given)

@@ -20,7 +20,7 @@ use crate::verdict::some;
 /// The script for `pycolmap`.
 pub(crate) const SCRIPT: &str = include_str!("sfm.py");
 /// The file with the script's input, in the folder of the work. As an argument it could be too long.
-const JOB: &str = "job.json";
+pub(crate) const JOB: &str = "job.json";
 /// The options of the mapper that keep a known lens.
 const FIXED: [&[&str]; 2] = [&["--Mapper.ba_refine_focal_length"], &["--Mapper.ba_refine_extra_params"]];
 /// The options of the mapper that keep the focal length with which it begins.
@@ -32,7 +32,7 @@ const FEATURES: (usize, usize) = (3000, 8192);
 const SIDE: usize = 2000;
 /// Neighbours of an image in a sequence that it is compared with, besides those at distances of powers of
 /// two.
-const OVERLAP: usize = 10;
+pub(crate) const OVERLAP: usize = 10;
 /// The focal length that is tried first, as a share of the longer side, if a photograph does not say it.
 /// Behind a flat port a wide lens sees less than in air; COLMAP's own 1.2 is for telephoto lenses.
 const FOCAL: f64 = 0.85;
@@ -45,7 +45,7 @@ const SMALLEST: usize = 10;
 /// Names inside the folder of the work.
 pub(crate) const IMAGES: &str = "capture/images";
 /// Masks of what lies over the images: each has the name of its image, and `.png` after it.
-const MASKED: &str = "capture/masks";
+pub(crate) const MASKED: &str = "capture/masks";
 pub(crate) const FEATURES_DB: &str = "features.db";
 pub(crate) const MATCHES_DB: &str = "matches.db";
 pub(crate) const MODELS: &str = "models";
@@ -74,13 +74,13 @@ impl Sfm<'_> {
         command
     }
 
-    fn is_package(&self) -> bool {
+    pub(crate) fn is_package(&self) -> bool {
         self.program.name == "pycolmap"
     }
 
     /// The threads of a step whose result depends on their number: also features, which are stored in the
     /// order in which they are found.
-    fn deciding_threads(&self) -> usize {
+    pub(crate) fn deciding_threads(&self) -> usize {
         if self.params.repeatable { 1 } else { self.threads }
     }
 
@@ -99,16 +99,27 @@ impl Sfm<'_> {
     }
 
     /// Runs the script for `pycolmap`.
-    fn script(
+    pub(crate) fn script(
         &self,
         step: &str,
         job: &Value,
         heard: impl FnMut(&str),
     ) -> Result<(ProgramEnd, Commands), PrepareError> {
+        self.python(&self.program.path, (SCRIPT, step), job, heard)
+    }
+
+    /// Runs a step of a script with Python.
+    pub(crate) fn python(
+        &self,
+        python: &Path,
+        (script, step): (&str, &str),
+        job: &Value,
+        heard: impl FnMut(&str),
+    ) -> Result<(ProgramEnd, Commands), PrepareError> {
         let path = self.work.join(JOB);
         std::fs::write(&path, job.to_string()).map_err(PrepareError::write(&path))?;
-        let mut command = self.command();
-        command.args(["-c", SCRIPT, step, JOB]);
+        let mut command = tools::command(python);
+        command.current_dir(self.work).args(["-c", script, step, JOB]);
         let outcome = process::run(&mut command, self.log, self.watch.stop, heard)?;
         let said = ["python3", "-c", "SCRIPT", step].map(String::from).to_vec();
         Ok((outcome, vec![[said, vec![job.to_string()]].concat()]))
@@ -146,7 +157,7 @@ impl Sfm<'_> {
     }
 
     /// Runs a verb of `colmap`. An option counts with the first of its names that the program's help lists.
-    fn verb(
+    pub(crate) fn verb(
         &self,
         verb: &str,
         arguments: &[(&str, String)],
@@ -171,7 +182,7 @@ impl Sfm<'_> {
     }
 
     /// Returns the error of a step if its command failed.
-    fn succeeded(&self, step: &'static str, outcome: &ProgramEnd) -> Result<(), PrepareError> {
+    pub(crate) fn succeeded(&self, step: &'static str, outcome: &ProgramEnd) -> Result<(), PrepareError> {
         if outcome.status.success() {
             return Ok(());
         }
@@ -241,8 +252,9 @@ impl Sfm<'_> {
         Ok((commands, featured.words(self.images)))
     }
 
-    /// Compares images. The database of features has been copied to that of matches.
-    pub(crate) fn matches(&self, matching: Matching) -> Result<Commands, PrepareError> {
+    /// Compares images. The database of features has been copied to that of matches. `loops` are pairs of
+    /// names besides those of a sequence.
+    pub(crate) fn matches(&self, matching: Matching, loops: &[[&str; 2]]) -> Result<Commands, PrepareError> {
         const STEP: &str = "matches";
         let card = self.program.card;
         let exhaustive = matching == Matching::Exhaustive;
@@ -271,12 +283,58 @@ impl Sfm<'_> {
                 self.verb(verb, &[("--database_path", MATCHES_DB.to_string())], &options, tell)?;
             (outcome, vec![said])
         };
-        self.succeeded(STEP, &outcome).map(|()| commands)
+        self.succeeded(STEP, &outcome)?;
+        let more =
+            if loops.is_empty() { Vec::new() } else { self.pairs(MATCHES_DB, ("pairs", STEP), loops)? };
+        Ok([commands, more].concat())
     }
 
-    /// Finds cameras and points. The models lie in folders of their own in `folder`. With `usual_lens` the
-    /// focal length stays that of EXIF data, or the usual one.
-    pub(crate) fn map(&self, folder: &str, usual_lens: bool) -> Result<Commands, PrepareError> {
+    /// Compares listed pairs of images in a database. Pairs that have matches are only verified. `script` is
+    /// the step of the script for `pycolmap`.
+    pub(crate) fn pairs(
+        &self,
+        database: &str,
+        (script, step): (&str, &'static str),
+        pairs: &[[&str; 2]],
+    ) -> Result<Commands, PrepareError> {
+        const LIST: &str = "pairs.txt";
+        let path = self.work.join(LIST);
+        // COLMAP separates the two names by a space.
+        let spaced = |pair: &&[&str; 2]| !pair.iter().any(|name| name.contains(char::is_whitespace));
+        let lines: Vec<String> = pairs.iter().filter(spaced).map(|pair| pair.join(" ") + "\n").collect();
+        std::fs::write(&path, lines.concat()).map_err(PrepareError::write(&path))?;
+        let (card, threads) = (self.program.card, self.deciding_threads());
+        let tell = |line: &str| {
+            if let Some(count) = counts(line).filter(|_| !line.contains("Processed file")) {
+                self.watch.tell(step, count, "blocks");
+            }
+        };
+        let (outcome, commands) = if self.is_package() {
+            let job = json!({ "database": database, "list": LIST, "threads": threads, "card": card });
+            self.script(script, &job, tell)?
+        } else {
+            let arguments =
+                [("--database_path", database), ("--match_list_path", LIST), ("--match_type", "pairs")];
+            let options: [(&[&str], String); 3] = [
+                (&["--FeatureMatching.use_gpu", "--SiftMatching.use_gpu"], u8::from(card).to_string()),
+                (&["--FeatureMatching.num_threads", "--SiftMatching.num_threads"], threads.to_string()),
+                (&["--random_seed", "--default_random_seed"], "0".to_string()),
+            ];
+            let arguments = arguments.map(|(name, value)| (name, value.to_string()));
+            let (outcome, said) = self.verb("matches_importer", &arguments, &options, tell)?;
+            (outcome, vec![said])
+        };
+        self.succeeded(step, &outcome).map(|()| commands)
+    }
+
+    /// Finds cameras and points from the matches in a database. The models lie in folders of their own in
+    /// `folder`. With `usual_lens` the focal length stays that of EXIF data, or the usual one.
+    pub(crate) fn map(
+        &self,
+        database: &str,
+        folder: &str,
+        usual_lens: bool,
+    ) -> Result<Commands, PrepareError> {
         const STEP: &str = "cameras";
         let models = self.work.join(folder);
         std::fs::create_dir_all(&models).map_err(PrepareError::write(&models))?;
@@ -291,7 +349,7 @@ impl Sfm<'_> {
         let threads = self.deciding_threads();
         let (outcome, commands) = if self.is_package() {
             let job = json!({
-                "database": MATCHES_DB, "images": IMAGES, "models": folder, "mapper": self.params.mapper,
+                "database": database, "images": IMAGES, "models": folder, "mapper": self.params.mapper,
                 "threads": threads, "smallest": self.smallest(), "fixed": fixed, "held": usual_lens,
                 "first_angle": FIRST_ANGLE,
             });
@@ -299,7 +357,7 @@ impl Sfm<'_> {
         } else {
             let verb = if global { "global_mapper" } else { "mapper" };
             let arguments = [
-                ("--database_path", MATCHES_DB.to_string()),
+                ("--database_path", database.to_string()),
                 ("--image_path", IMAGES.to_string()),
                 ("--output_path", folder.to_string()),
             ];

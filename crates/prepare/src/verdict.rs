@@ -109,6 +109,8 @@ pub(crate) struct ModelContext<'a> {
     pub(crate) films: bool,
     /// The most features of an image.
     pub(crate) features: usize,
+    /// The advice to take learned keypoints.
+    pub(crate) advice: Option<String>,
     /// The focal length that was found first, if a usual one was taken in its place.
     pub(crate) unusual: Option<f64>,
 }
@@ -302,8 +304,8 @@ fn too_wide(model: &Model) -> Option<Reach> {
 
 /// The changes of choices that give more images a place.
 pub(crate) fn remedies(context: &ModelContext<'_>) -> Vec<String> {
-    let &ModelContext { params, matching, films, features, .. } = context;
-    let mut remedies = Vec::new();
+    let &ModelContext { params, matching, films, features, ref advice, .. } = context;
+    let mut remedies: Vec<String> = advice.iter().cloned().collect();
     if params.lens != LENS {
         remedies.push(format!("take the usual lens model (leave out --lens {})", params.lens));
     }
@@ -351,7 +353,14 @@ mod tests {
         let model = Model { cameras: vec![camera], images, points: Vec::new() };
         let params = PrepareParams { calibration: calibration.to_vec(), ..PrepareParams::default() };
         let matching = Matching::Exhaustive;
-        let context = ModelContext { params: &params, matching, films: false, features: 3000, unusual: None };
+        let context = ModelContext {
+            params: &params,
+            matching,
+            films: false,
+            features: 3000,
+            advice: None,
+            unusual: None,
+        };
         judge(&[model], &names, &context).unwrap()
     }
 
@@ -406,6 +415,7 @@ mod tests {
                 matching: Matching::Sequential,
                 films: true,
                 features,
+                advice: None,
                 unusual: None,
             };
             let words = remedies(&context).join("; ");

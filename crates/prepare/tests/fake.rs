@@ -3,100 +3,12 @@
 
 mod common;
 
-use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
+use common::place::{Place, SCRIPT, name};
 use common::{Attempt, attempt};
 use use3d_capture::{FileName, Raster};
-use use3d_io_colmap::{Keypoint, LensModel, Model, ModelCamera, ModelImage, ModelPoint, write_model_binary};
 use use3d_prepare::{CAPTURE, Finder, Grade, PREPARED, PrepareError, PrepareParams, Programs};
-
-/// A folder with ten photographs, a script as `colmap`, and the models that the script finds.
-struct Place {
-    dir: tempfile::TempDir,
-}
-
-const SCRIPT: &str = r#"#!/bin/sh
-here=$(dirname "$0")
-case "$1" in help) echo "COLMAP 9.9 -- a script"; exit 0;; esac
-if [ "$2" = -h ]; then echo "--SiftExtraction.use_gpu --SiftMatching.num_threads"; exit 0; fi
-echo "$@" >> "$here/calls"
-if [ -e "$here/fail-$1" ]; then echo "the disk is on fire" >&2; exit 3; fi
-case "$1" in
-feature_extractor) echo features > features.db ;;
-*_matcher) cat features.db > /dev/null && echo matches >> matches.db ;;
-mapper) [ "$(wc -l < matches.db)" = 2 ] || exit 9
-  for model in "$here"/models/*; do [ -d "$model" ] && cp -r "$model" models/; done
-  ls models/* > /dev/null 2>&1 || exit 1 ;;
-esac
-"#;
-
-impl Place {
-    fn new() -> Self {
-        let place = Self { dir: tempfile::tempdir().unwrap() };
-        let script = place.at("colmap");
-        std::fs::write(&script, SCRIPT).unwrap();
-        std::fs::set_permissions(&script, std::fs::Permissions::from_mode(0o755)).unwrap();
-        std::fs::create_dir_all(place.at("photos")).unwrap();
-        std::fs::create_dir_all(place.at("models")).unwrap();
-        for i in 0..10u8 {
-            let image = Raster::<u8, 3>::filled(16, 12, 20 * i);
-            use3d_io_image::write_png8(&place.at("photos").join(name(i.into()).as_str()), &image).unwrap();
-        }
-        place
-    }
-
-    fn at(&self, name: &str) -> PathBuf {
-        self.dir.path().join(name)
-    }
-
-    /// The script finds these images in its model of that number, with this reprojection error.
-    fn found(&self, number: usize, images: impl Iterator<Item = usize>, error: f64) {
-        self.found_as(number, images.map(|i| (i, name(i))), error);
-    }
-
-    /// The same for images with names of their own.
-    fn found_as(&self, number: usize, images: impl Iterator<Item = (usize, FileName)>, error: f64) {
-        let camera = ModelCamera {
-            id: 1,
-            model: LensModel::SimpleRadial,
-            width: 16,
-            height: 12,
-            parameters: vec![20.0, 8.0, 6.0, 0.0],
-        };
-        let images: Vec<ModelImage> = images
-            .map(|(i, name)| ModelImage {
-                id: i as u32 + 1,
-                name,
-                camera: 1,
-                quaternion: [1.0, 0.0, 0.0, 0.0],
-                translation: [i as f64, 0.0, 4.0],
-                keypoints: vec![Keypoint { x: 8.0, y: 6.0, point: 1 }],
-            })
-            .collect();
-        let track = images.iter().map(|image| (image.id, 0)).collect();
-        let point = ModelPoint { id: 1, position: [0.0, 0.0, 1.0], color: [9, 9, 9], error, track };
-        let folder = self.at("models").join(number.to_string());
-        std::fs::create_dir_all(&folder).unwrap();
-        write_model_binary(&folder, &Model { cameras: vec![camera], images, points: vec![point] }).unwrap();
-    }
-
-    fn attempt(&self, params: &PrepareParams) -> Attempt {
-        let programs = Programs { colmap: self.at("colmap"), finder: Finder::Colmap, ..Programs::default() };
-        attempt(&[self.at("photos")], params, &programs, &self.at("reef"))
-    }
-
-    /// The verbs that were called since the last look.
-    fn calls(&self) -> Vec<String> {
-        let text = std::fs::read_to_string(self.at("calls")).unwrap_or_default();
-        let _ = std::fs::remove_file(self.at("calls"));
-        text.lines().map(|l| l.split(' ').next().unwrap().to_string()).collect()
-    }
-}
-
-fn name(i: usize) -> FileName {
-    FileName::new(&format!("p_{i:02}.png")).unwrap()
-}
 
 const ALL: [&str; 3] = ["feature_extractor", "exhaustive_matcher", "mapper"];
 

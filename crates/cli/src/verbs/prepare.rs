@@ -21,6 +21,15 @@ pub(crate) fn run(app: &App, args: &PrepareArgs) -> Done {
     if let Some(recipe) = recipe.filter(|recipe| !args.inputs[0].exists() || is_data(recipe)) {
         return by_recipe(app, args, recipe);
     }
+    if let [folder] = &args.inputs[..]
+        && use3d_import::check_layout(folder).is_ok()
+    {
+        let (run, images) = (word(folder), path_text(folder));
+        return Err(WorkError::Input(format!(
+            "{images}: this folder has cameras already, and they are not looked for again; run it as it is (`use3d run {run}`), \
+             or name its photographs instead of it to find new cameras (such as {images}/images)"
+        )));
+    }
     let sources = Sources::of(&args.inputs)?;
     let (params, programs) = (args.params(&PrepareParams::default()), Programs::from(args.programs.clone()));
     let job = Preparation {

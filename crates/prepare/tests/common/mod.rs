@@ -1,6 +1,9 @@
 //! The frame of a preparation in tests.
 #![allow(dead_code, reason = "every test program uses its own part of it")]
 
+#[cfg(unix)]
+pub(crate) mod place;
+
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};

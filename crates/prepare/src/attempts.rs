@@ -1,0 +1,177 @@
+//! Finds the cameras with the keypoints that were chosen, or with both kinds, and keeps the better model.
+
+use serde_json::{Value, json};
+use use3d_io_colmap::Model;
+
+use crate::error::PrepareError;
+use crate::learned::{ENOUGH, LEARNED_DB, LEARNED_MODELS, advice, loops};
+use crate::params::{Keypoints, Mapper, Matching, PrepareParams};
+use crate::photographs;
+use crate::sfm::{Commands, FEATURES_DB, MATCHES_DB, MODELS, Sfm, USUAL_MODELS};
+use crate::tools::{Program, Programs};
+use crate::verdict::{fits_as_well, models, unusual};
+use crate::work::{Step, Work};
+
+/// The search for cameras after the step of features.
+pub(crate) struct Search<'a> {
+    pub(crate) sfm: &'a Sfm<'a>,
+    pub(crate) programs: &'a Programs,
+    /// The images in the order of the sequence.
+    pub(crate) names: &'a [String],
+    pub(crate) matching: Matching,
+}
+
+/// The models by one kind of keypoints, the largest first.
+pub(crate) struct Attempt {
+    kind: &'static str,
+    pub(crate) models: Vec<Model>,
+    /// The database with the matches.
+    database: &'static str,
+    /// The focal length that was found first, if a usual one was taken in its place.
+    pub(crate) unusual: Option<f64>,
+    /// The folder of the models.
+    pub(crate) folder: &'static str,
+    /// The commands of matches and cameras.
+    pub(crate) commands: [Commands; 2],
+    /// The most features of an image.
+    pub(crate) features: usize,
+}
+
+impl Attempt {
+    /// The number of images with a place in the largest model.
+    fn placed(&self) -> usize {
+        self.models.first().map_or(0, |model| model.images.len())
+    }
+}
+
+/// The result of a search.
+pub(crate) struct Found {
+    /// The attempt with the most images in its largest model.
+    pub(crate) best: Attempt,
+    /// The kind of keypoints that is used, and the images that each kind gave a place.
+    pub(crate) record: Value,
+    /// The package with the networks, if it was used.
+    pub(crate) networks: Option<Program>,
+    /// The remark on two attempts.
+    pub(crate) remark: Option<String>,
+    /// The advice to take learned keypoints.
+    pub(crate) advice: Option<String>,
+}
+
+impl Search<'_> {
+    /// Finds the cameras. `networks` are those of [`Keypoints::Learned`].
+    pub(crate) fn run(&self, work: &mut Work<'_>, networks: Option<Program>) -> Result<Found, PrepareError> {
+        let mut found = self.by_keypoints(work, networks)?;
+        self.usual_lens(work, &mut found.best)?;
+        Ok(found)
+    }
+
+    /// Takes a usual lens in place of a rare one that the path does not determine, if it fits as well.
+    fn usual_lens(&self, work: &mut Work<'_>, best: &mut Attempt) -> Result<(), PrepareError> {
+        let PrepareParams { calibration, mapper, .. } = self.sfm.params;
+        let may_hold = calibration.is_empty() && *mapper == Mapper::Incremental;
+        let Some(first) = best.models.first().filter(|_| may_hold).and_then(unusual) else { return Ok(()) };
+        (self.sfm.watch.note)(
+            "cameras: the path does not say how wide the lens is, so a usual lens is tried",
+        );
+        let step = Step { name: "usual lens", output: USUAL_MODELS, choices: json!(best.database) };
+        let commands = work.step(step, |_| self.sfm.map(best.database, USUAL_MODELS, true))?;
+        let usual = models(&work.folder.join(USUAL_MODELS))?;
+        if usual.first().is_some_and(|usual| fits_as_well(usual, &best.models[0])) {
+            (best.models, best.folder, best.unusual) = (usual, USUAL_MODELS, Some(first));
+            best.commands[1] = commands;
+        }
+        Ok(())
+    }
+
+    /// Finds the cameras with the keypoints that were chosen, or with the better ones.
+    fn by_keypoints(&self, work: &mut Work<'_>, networks: Option<Program>) -> Result<Found, PrepareError> {
+        let (keypoints, images) = (self.sfm.params.keypoints, self.names.len());
+        let found = |best: Attempt, networks, remark, advice| {
+            let record = json!({ "used": best.kind, "placed": { best.kind: best.placed() } });
+            Found { best, record, networks, remark, advice }
+        };
+        if let Some(networks) = networks {
+            let best = self.learned(work, &networks)?;
+            return Ok(found(best, Some(networks), None, None));
+        }
+        let sift = self.sift(work)?;
+        let placed = sift.placed();
+        if keypoints == Keypoints::Sift || placed as f64 >= ENOUGH * images as f64 {
+            return Ok(found(sift, None, None, advice(true)));
+        }
+        let Ok(networks) = self.programs.learned() else { return Ok(found(sift, None, None, advice(false))) };
+        let few = format!("SIFT gave {placed} of {images} images a place");
+        (self.sfm.watch.note)(&format!(
+            "learned keypoints: {few}, so networks look for more; without a graphics card this takes long"
+        ));
+        let learned = match self.learned(work, &networks) {
+            Ok(learned) => learned,
+            Err(error @ (PrepareError::Step { .. } | PrepareError::Choice { .. })) => {
+                let remark = format!("{few}. Learned keypoints were tried as well, and this failed: {error}");
+                return Ok(found(sift, None, Some(remark), None));
+            }
+            Err(error) => return Err(error),
+        };
+        let more = learned.placed();
+        let (best, used) =
+            if more > placed { (learned, "these cameras are") } else { (sift, "those of SIFT are") };
+        let remark = format!("{few}, and learned keypoints (ALIKED, LightGlue) gave {more}: {used} used.");
+        let record = json!({ "used": best.kind, "placed": { "sift": placed, "learned": more } });
+        Ok(Found { best, record, networks: Some(networks), remark: Some(remark), advice: None })
+    }
+
+    /// Finds the cameras with the keypoints of SIFT.
+    fn sift(&self, work: &mut Work<'_>) -> Result<Attempt, PrepareError> {
+        let Self { sfm, matching, names, .. } = *self;
+        let apart = if matching == Matching::Sequential { loops(names.len()) } else { Vec::new() };
+        let choices = json!([matching, sfm.params.repeatable, apart]);
+        let matches = work.step(Step { name: "matches", output: MATCHES_DB, choices }, |work| {
+            photographs::copy_file(&work.folder.join(FEATURES_DB), &work.folder.join(MATCHES_DB))?;
+            let apart: Vec<[&str; 2]> = apart.iter().map(|(a, b)| [&*names[*a], &*names[*b]]).collect();
+            let commands = sfm.matches(matching, &apart)?;
+            (sfm.watch.note)("matches: the images are compared");
+            Ok(commands)
+        })?;
+        let choices = json!(sfm.params.mapper);
+        let step = Step { name: "cameras", output: MODELS, choices };
+        let cameras = work.step(step, |_| sfm.map(MATCHES_DB, MODELS, false))?;
+        let (models, features) = (models(&work.folder.join(MODELS))?, sfm.feature_count());
+        Ok(Attempt {
+            kind: "sift",
+            models,
+            database: MATCHES_DB,
+            unusual: None,
+            folder: MODELS,
+            commands: [matches, cameras],
+            features,
+        })
+    }
+
+    /// Finds the cameras with learned keypoints.
+    fn learned(&self, work: &mut Work<'_>, networks: &Program) -> Result<Attempt, PrepareError> {
+        let Self { sfm, matching, names, .. } = *self;
+        let choices = json!([networks, matching, sfm.params.features, sfm.params.repeatable]);
+        let matches = work.step(Step { name: "learned keypoints", output: LEARNED_DB, choices }, |work| {
+            photographs::copy_file(&work.folder.join(FEATURES_DB), &work.folder.join(LEARNED_DB))?;
+            let names: Vec<&str> = names.iter().map(String::as_str).collect();
+            let commands = sfm.learned(networks, &names, matching)?;
+            (sfm.watch.note)("learned keypoints: found and matched");
+            Ok(commands)
+        })?;
+        let choices = json!(sfm.params.mapper);
+        let step = Step { name: "learned cameras", output: LEARNED_MODELS, choices };
+        let cameras = work.step(step, |_| sfm.map(LEARNED_DB, LEARNED_MODELS, false))?;
+        let models = models(&work.folder.join(LEARNED_MODELS))?;
+        let features = sfm.learned_count(networks);
+        Ok(Attempt {
+            kind: "learned",
+            models,
+            database: LEARNED_DB,
+            unusual: None,
+            folder: LEARNED_MODELS,
+            commands: [matches, cameras],
+            features,
+        })
+    }
+}
