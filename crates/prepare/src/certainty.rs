@@ -3,12 +3,13 @@
 //! Let every keypoint be off by one pixel, independently. The least squares that placed cameras and points
 //! then have the normal matrix `H = Σ JᵀJ` over all keypoints. `J` has the derivatives of a pixel by the pose
 //! of its image (6), by `ln f` and two radial terms of its camera (3), and by its point (3). The points are
-//! eliminated by Schur's complement, `S = A − Σ B C⁻¹ Bᵀ`, and the standard error of `ln f` is the root of
-//! its diagonal entry in `S⁻¹`. It says by which share the focal length may be off.
+//! eliminated: with an orthonormal basis `Q` of what a shift of the point does to its pixels, Schur's
+//! complement is `S = A − Σ Jᵀ Q Qᵀ J` with `A = Σ JᵀJ`, both by poses and lenses. The standard error of
+//! `ln f` is the root of its diagonal entry in `S⁻¹`. It says by which share the focal length may be off.
 //!
 //! * A swim straight ahead or sideways without a turn leaves `f` free: any `f` fits, with depths to match.
-//! * A model may be moved, turned and scaled without any change of pixels. A part in 10⁸ is added to the
-//!   diagonal of `S`, so that it can be factored; `f` does not depend on this.
+//! * A model may be moved, turned and scaled without any change of pixels. A part in 10⁹ of the diagonal of
+//!   `A` is added to that of `S`, so that it can be factored; `f` does not depend on this.
 //! * Real errors are larger than this figure, since a lens is never the model's exactly. It ranks paths.
 //!
 //! Limits: of many images, 250 in a row are taken, which can only enlarge the figure. Points are evenly chosen.
@@ -24,11 +25,13 @@ use use3d_survey::Lens;
 const IMAGES: usize = 250;
 /// The most pairs of keypoints of a point that are added up, over all points.
 const PAIRS: usize = 500_000;
+/// The fewest points from which anything is said.
+const POINTS: usize = 50;
 /// The parameters of an image, and those of a camera.
 const POSE: usize = 6;
 const LENS: usize = 3;
-/// The share of the diagonal that is added.
-const DAMPING: f64 = 1e-8;
+/// The share of the diagonal of `A` that is added.
+const DAMPING: f64 = 1e-9;
 
 /// A keypoint: the columns of its image and of its camera, and the derivatives of its pixel.
 struct Sight {
@@ -71,7 +74,8 @@ fn derivatives(
 }
 
 /// The standard error of the logarithm of each camera's focal length, by id, if every keypoint is off by one
-/// pixel. Cameras without points, and all if the system cannot be solved, are left out.
+/// pixel. Cameras without points are left out, and all of them if there are only a few points, or if the
+/// system cannot be solved.
 pub(crate) fn focal_errors(model: &Model) -> BTreeMap<u32, f64> {
     let lenses: Vec<(u32, Lens)> = model.cameras.iter().filter_map(|c| Some((c.id, c.lens()?))).collect();
     let mut images: Vec<&ModelImage> = model.images.iter().collect();
@@ -80,16 +84,23 @@ pub(crate) fn focal_errors(model: &Model) -> BTreeMap<u32, f64> {
     let images = &images[spare / 2..images.len() - spare.div_ceil(2)];
     let size = POSE * images.len() + LENS * lenses.len();
     let sights = sights(model, images, &lenses);
+    if sights.len() < POINTS {
+        return BTreeMap::new();
+    }
     let pairs: usize = sights.values().map(|s| s.len() * s.len()).sum();
     let step = pairs.div_ceil(PAIRS).max(1);
     let mut matrix = vec![0.0; size * size];
     for of_point in sights.values().step_by(step) {
         add(&mut matrix, size, of_point);
     }
-    for i in 0..size {
-        let own = matrix[i * size + i];
-        matrix[i * size + i] = own * (1.0 + DAMPING) + f64::MIN_POSITIVE;
+    for sight in sights.values().step_by(step).flatten() {
+        for (i, column) in sight.columns.iter().enumerate() {
+            let own = sight.frame[0][i].powi(2) + sight.frame[1][i].powi(2);
+            matrix[column * size + column] += DAMPING * own;
+        }
     }
+    // A column without a point has nothing else.
+    (0..size).for_each(|i| matrix[i * size + i] += f64::MIN_POSITIVE);
     let Some(factor) = Factor::new(matrix, size) else { return BTreeMap::new() };
     let column = |camera: usize| POSE * images.len() + LENS * camera;
     let used: BTreeSet<usize> = sights.values().flatten().map(|sight| sight.columns[POSE]).collect();
@@ -125,28 +136,40 @@ fn sights(model: &Model, images: &[&ModelImage], lenses: &[(u32, Lens)]) -> BTre
     found
 }
 
-/// Adds a point to the lower triangle of `S`: `A − B C⁻¹ Bᵀ`.
-fn add(matrix: &mut [f64], size: usize, sights: &[Sight]) {
-    let outer = |d: DVec3| DMat3::from_cols(d * d.x, d * d.y, d * d.z);
-    let c: DMat3 = sights.iter().flat_map(|s| s.point).map(outer).fold(DMat3::ZERO, |sum, m| sum + m);
-    let inverse = c.inverse();
-    if !inverse.is_finite() {
-        return;
+/// An orthonormal basis of the pixels that a shift of a point can give: the columns of `Q`, by keypoint.
+fn basis(sights: &[Sight]) -> Vec<[DVec3; 2]> {
+    let mut q: Vec<[DVec3; 2]> = sights.iter().map(|sight| sight.point).collect();
+    for k in 0..3 {
+        let norm = |q: &[[DVec3; 2]]| q.iter().flatten().map(|row| row[k] * row[k]).sum::<f64>().sqrt();
+        let whole = norm(&q);
+        // Twice, because the first time may leave a rest of rounding errors alone.
+        for before in (0..2).flat_map(|_| 0..k) {
+            let along: f64 = q.iter().flatten().map(|row| row[k] * row[before]).sum();
+            q.iter_mut().flatten().for_each(|row| row[k] -= along * row[before]);
+        }
+        let rest = norm(&q);
+        let scale = if rest > 1e-12 * whole { 1.0 / rest } else { 0.0 };
+        q.iter_mut().flatten().for_each(|row| row[k] *= scale);
     }
-    let b: Vec<[DVec3; POSE + LENS]> = sights
+    q
+}
+
+/// Adds a point to the lower triangle of `S`: `Jᵀ (I − Q Qᵀ) J`, with `J` by poses and lenses.
+fn add(matrix: &mut [f64], size: usize, sights: &[Sight]) {
+    let along: Vec<[DVec3; POSE + LENS]> = sights
         .iter()
-        .map(|s| std::array::from_fn(|i| s.point[0] * s.frame[0][i] + s.point[1] * s.frame[1][i]))
+        .zip(basis(sights))
+        .map(|(s, q)| std::array::from_fn(|i| q[0] * s.frame[0][i] + q[1] * s.frame[1][i]))
         .collect();
-    for (s, b_s) in sights.iter().zip(&b) {
-        let weighed = b_s.map(|row| inverse * row);
+    for (s, of_s) in sights.iter().zip(&along) {
         for (i, row) in s.columns.iter().enumerate() {
             let line = &mut matrix[row * size..(row + 1) * size];
             for (j, column) in s.columns.iter().enumerate().filter(|(_, column)| *column <= row) {
                 line[*column] += s.frame[0][i] * s.frame[0][j] + s.frame[1][i] * s.frame[1][j];
             }
-            for (t, b_t) in sights.iter().zip(&b) {
-                for (column, other) in t.columns.iter().zip(b_t).filter(|(column, _)| *column <= row) {
-                    line[*column] -= weighed[i].dot(*other);
+            for (t, of_t) in sights.iter().zip(&along) {
+                for (column, other) in t.columns.iter().zip(of_t).filter(|(column, _)| *column <= row) {
+                    line[*column] -= of_s[i].dot(*other);
                 }
             }
         }

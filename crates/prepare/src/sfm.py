@@ -99,6 +99,7 @@ def matches(job):
     options, verification = matching_options(job), verification_options()
     if job["matching"] == "exhaustive":
         function, pairing = pycolmap.match_exhaustive, first_class("ExhaustivePairingOptions", "ExhaustiveMatchingOptions")
+        pairing = set_options(pairing, {"block_size": job["block"]})
     else:
         function, pairing = pycolmap.match_sequential, first_class("SequentialPairingOptions", "SequentialMatchingOptions")
         pairing = set_options(pairing, {"overlap": job["overlap"], "quadratic_overlap": True, "loop_detection": False})

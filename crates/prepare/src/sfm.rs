@@ -39,6 +39,8 @@ const FOCAL: f64 = 0.85;
 /// The smallest angle between the rays of the first pair, degrees. COLMAP's own 16 refuses every good first
 /// pair of a swim straight ahead.
 const FIRST_ANGLE: f64 = 4.0;
+/// About how many blocks the images are compared in.
+const BLOCKS: usize = 6;
 /// Images of the smallest model that is kept.
 const SMALLEST: usize = 10;
 
@@ -92,6 +94,11 @@ impl Sfm<'_> {
     /// True if the search for features leaves out what masks hide.
     pub(crate) fn has_masks(&self) -> bool {
         self.work.join(MASKED).is_dir()
+    }
+
+    /// The images of a block when all are compared with each other. Progress is told after each pair of blocks.
+    fn block(&self) -> usize {
+        (self.images / BLOCKS).clamp(2, 50)
     }
 
     fn smallest(&self) -> usize {
@@ -265,16 +272,17 @@ impl Sfm<'_> {
         };
         let (outcome, commands) = if self.is_package() {
             let job = json!({
-                "database": MATCHES_DB, "matching": matching, "overlap": OVERLAP,
+                "database": MATCHES_DB, "matching": matching, "overlap": OVERLAP, "block": self.block(),
                 "threads": self.deciding_threads(), "card": card,
             });
             self.script(STEP, &job, tell)?
         } else {
             let verb = if exhaustive { "exhaustive_matcher" } else { "sequential_matcher" };
             let threads = self.deciding_threads().to_string();
-            let options: [(&[&str], String); 5] = [
+            let options: [(&[&str], String); 6] = [
                 (&["--FeatureMatching.use_gpu", "--SiftMatching.use_gpu"], u8::from(card).to_string()),
                 (&["--FeatureMatching.num_threads", "--SiftMatching.num_threads"], threads),
+                (&["--ExhaustiveMatching.block_size"], self.block().to_string()),
                 (&["--SequentialMatching.overlap"], OVERLAP.to_string()),
                 (&["--SequentialMatching.quadratic_overlap"], "1".to_string()),
                 (&["--random_seed", "--default_random_seed"], "0".to_string()),

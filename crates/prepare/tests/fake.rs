@@ -66,6 +66,44 @@ fn a_failing_step_names_its_log_and_finished_steps_are_kept() {
 }
 
 #[test]
+fn a_lens_that_the_path_does_not_determine_is_asked_for() {
+    let calls = || {
+        let [features, matches, mapper] = ALL;
+        [features, matches, mapper, mapper]
+    };
+    // A rare lens gives way to a usual one that fits as well.
+    let place = Place::new();
+    place.found_straight("models", 5.0, 0.5);
+    place.found_straight("models-usual-lens", 13.6, 0.55);
+    let Attempt { done, work, .. } = place.attempt(&PrepareParams::default());
+    let verdict = done.unwrap().verdict;
+    assert_eq!((verdict.grade, place.calls()), (Grade::Usable, calls().map(String::from).to_vec()));
+    let words = &verdict.words[1];
+    for part in ["5 pixels were found", "a usual one of 14 pixels was taken", "--calibration F,CX,CY"] {
+        assert!(words.contains(part), "{words}");
+    }
+    let focal = |work: &Path| {
+        let model = use3d_io_colmap::read_model(&work.join(CAPTURE).join("sparse/0")).unwrap();
+        model.cameras[0].parameters[0]
+    };
+    assert_eq!(focal(&work), 13.6);
+    // One that fits worse is not taken.
+    let place = Place::new();
+    place.found_straight("models", 5.0, 0.5);
+    place.found_straight("models-usual-lens", 13.6, 2.0);
+    let Attempt { done, work, .. } = place.attempt(&PrepareParams::default());
+    let verdict = done.unwrap().verdict;
+    assert!(verdict.words[1].contains("hardly says how wide its lens is: 5 pixels"), "{:?}", verdict.words);
+    assert_eq!(focal(&work), 5.0);
+    // A usual lens stays, and the user is asked; a lens that was given is right.
+    let place = Place::new();
+    place.found_straight("models", 13.0, 0.5);
+    let verdict = place.attempt(&PrepareParams::default()).done.unwrap().verdict;
+    assert!(verdict.focal_error.unwrap() > 0.1 && verdict.words[1].contains("13 pixels"), "{verdict:?}");
+    assert_eq!(place.calls(), ALL);
+}
+
+#[test]
 fn few_images_and_several_groups_are_said_in_words() {
     let place = Place::new();
     // The smaller group comes first, and one of its images is also in the larger one.

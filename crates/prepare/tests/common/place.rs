@@ -24,7 +24,8 @@ if [ -e "$here/fail-$1" ]; then echo "the disk is on fire" >&2; exit 3; fi
 case "$1" in
 feature_extractor) echo features > features.db ;;
 *_matcher) cat features.db > /dev/null && echo matches >> matches.db ;;
-mapper) case "$*" in *learned.db*) kind=learned; to=learned-models;; *) kind=matches; to=models;; esac
+mapper) case "$*" in *learned.db*) kind=learned; to=learned-models;; *usual*) kind=matches; to=models-usual-lens;;
+    *) kind=matches; to=models;; esac
   [ "$(wc -l < $kind.db)" = 2 ] || exit 9
   for model in "$here"/$to/*; do [ -d "$model" ] && cp -r "$model" $to/; done
   ls $to/* > /dev/null 2>&1 || exit 1 ;;
@@ -68,6 +69,36 @@ impl Place {
         error: f64,
     ) {
         self.found_in("models", number, images, error);
+    }
+
+    /// The script finds all ten images on a straight swim with this focal length, which then is in no way
+    /// determined; `folder` has the models of one call of the mapper.
+    pub(crate) fn found_straight(&self, folder: &str, focal: f64, error: f64) {
+        let parameters = vec![focal, 8.0, 6.0, 0.0];
+        let camera = ModelCamera { id: 1, model: LensModel::SimpleRadial, width: 16, height: 12, parameters };
+        let position = |i: u64| {
+            let i = i as f64;
+            [8.0 * (1.3 * i).sin(), 3.0 * (2.1 * i).sin(), 8.0 + (0.7 * i).sin()]
+        };
+        let keypoints: Vec<Keypoint> = (0..80).map(|point| Keypoint { x: 8.0, y: 6.0, point }).collect();
+        let image = |i: usize| ModelImage {
+            id: i as u32 + 1,
+            name: name(i),
+            camera: 1,
+            quaternion: [1.0, 0.0, 0.0, 0.0],
+            translation: [2.0 - 0.5 * i as f64, 0.0, 0.0],
+            keypoints: keypoints.clone(),
+        };
+        let images: Vec<ModelImage> = (0..10).map(image).collect();
+        let track: Vec<(u32, u32)> = (0..10).map(|i| (i + 1, 0)).collect();
+        let of = |id: u64| {
+            let track = track.iter().map(|(image, _)| (*image, id as u32)).collect();
+            ModelPoint { id, position: position(id), color: [9; 3], error, track }
+        };
+        let points = (0..80).map(of).collect();
+        let folder = self.at(folder).join("0");
+        std::fs::create_dir_all(&folder).unwrap();
+        write_model_binary(&folder, &Model { cameras: vec![camera], images, points }).unwrap();
     }
 
     fn found_in(
