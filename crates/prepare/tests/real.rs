@@ -198,7 +198,12 @@ fn photographs_of_a_real_reef_get_the_cameras_of_its_model_also_after_an_interru
         assert!(notes.iter().any(|n| n == "features: kept from the last attempt"), "{notes:?}");
         let verdict = done.unwrap().verdict;
         println!("{finder:?}: {:?}", verdict.words);
-        assert!(verdict.grade == Grade::Good && verdict.registered == REEF, "{verdict:?}");
+        // So short a path hardly determines the lens, and the verdict says so.
+        assert!(verdict.grade != Grade::Poor && verdict.registered == REEF, "{verdict:?}");
+        assert!(
+            verdict.focal_error.unwrap() > 0.007 && verdict.words[1].contains("--calibration"),
+            "{verdict:?}"
+        );
         let found = poses(&read_model(&work.join(CAPTURE).join("sparse/0")).unwrap(), stem);
         let (turn, distance) = errors(&found, &truth);
         println!("{finder:?}: turned by {turn:.3} degrees, distances off by {:.3} %", 100.0 * distance);
