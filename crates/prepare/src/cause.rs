@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn every_cause_is_named_for_what_it_is() {
+    fn no_parallax_and_other_causes_are_named() {
         assert!(cause((0..10).map(|_| 5), 0.8, 120.0).contains("the camera does not move"));
         assert!(cause((0..10).map(|i| 400 * i), 0.8, 120.0).contains("of its picture with the next one"));
         assert!(cause((0..10).map(|i| 10 * i), 0.02, 120.0).contains("hardly any detail"));

@@ -615,7 +615,7 @@ mod tests {
     }
 
     #[test]
-    fn chapters_follow_their_recording() {
+    fn film_chapters() {
         let order = |names: &[&str]| {
             let mut paths: Vec<PathBuf> = names.iter().map(|name| Path::new("100GOPRO").join(name)).collect();
             paths.sort_by(|a, b| shot_order(a, b));
