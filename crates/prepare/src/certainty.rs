@@ -60,7 +60,8 @@ fn derivatives(
         return None;
     }
     let bent = [x - lens.principal[0], y - lens.principal[1]];
-    let r2: f64 = [0, 1].map(|i| (bent[i] / lens.focal[i]).powi(2)).iter().sum();
+    let [u_bent, v_bent] = [0, 1].map(|i| bent[i] / lens.focal[i]);
+    let r2 = u_bent * u_bent + v_bent * v_bent;
     let (mut frame, mut point) = ([[0.0; POSE + LENS]; 2], [DVec3::ZERO; 2]);
     for row in 0..2 {
         let [du, dv] = by_ray[row];
@@ -95,8 +96,8 @@ pub(crate) fn focal_errors(model: &Model) -> BTreeMap<u32, f64> {
     }
     for sight in sights.values().step_by(step).flatten() {
         for (i, column) in sight.columns.iter().enumerate() {
-            let own = sight.frame[0][i].powi(2) + sight.frame[1][i].powi(2);
-            matrix[column * size + column] += DAMPING * own;
+            let [x, y] = [sight.frame[0][i], sight.frame[1][i]];
+            matrix[column * size + column] += DAMPING * (x * x + y * y);
         }
     }
     // A column without a point has nothing else.
@@ -180,6 +181,7 @@ fn add(matrix: &mut [f64], size: usize, sights: &[Sight]) {
 mod tests {
     use use3d_capture::{FileName, Pose};
     use use3d_io_colmap::{Keypoint, LensModel, ModelCamera};
+    use use3d_numerics::math;
     use use3d_survey::SurveyPoint;
 
     use super::*;
@@ -193,7 +195,7 @@ mod tests {
             height: 180,
             parameters: vec![250.0, 160.0, 90.0, 0.1, 0.02],
         };
-        let wave = |i: usize, k: f64| (i as f64 * k).sin();
+        let wave = |i: usize, k: f64| math::sin(i as f64 * k);
         let points: Vec<SurveyPoint> = (0..60)
             .map(|i| SurveyPoint {
                 id: i as u64,
@@ -230,7 +232,8 @@ mod tests {
             let at = at + c(0).cross(at) + c(3);
             let (x, y) = lens.project(at.x / at.z, at.y / at.z);
             let [x, y] = [x - lens.principal[0], y - lens.principal[1]];
-            let r2 = (x / lens.focal[0]).powi(2) + (y / lens.focal[1]).powi(2);
+            let [a, b] = [x / lens.focal[0], y / lens.focal[1]];
+            let r2 = a * a + b * b;
             [x, y].map(|v| v * (1.0 + change[6] + change[7] * r2 + change[8] * r2 * r2))
         };
         for i in 0..12 {

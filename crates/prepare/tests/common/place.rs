@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use use3d_capture::{FileName, Raster};
 use use3d_io_colmap::{Keypoint, LensModel, Model, ModelCamera, ModelImage, ModelPoint, write_model_binary};
+use use3d_numerics::math::sin;
 use use3d_prepare::{Finder, PrepareParams, Programs};
 
 use super::{Attempt, attempt};
@@ -78,7 +79,7 @@ impl Place {
         let camera = ModelCamera { id: 1, model: LensModel::SimpleRadial, width: 16, height: 12, parameters };
         let position = |i: u64| {
             let i = i as f64;
-            [8.0 * (1.3 * i).sin(), 3.0 * (2.1 * i).sin(), 8.0 + (0.7 * i).sin()]
+            [8.0 * sin(1.3 * i), 3.0 * sin(2.1 * i), 8.0 + sin(0.7 * i)]
         };
         let keypoints: Vec<Keypoint> = (0..80).map(|point| Keypoint { x: 8.0, y: 6.0, point }).collect();
         let image = |i: usize| ModelImage {
