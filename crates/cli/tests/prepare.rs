@@ -76,7 +76,7 @@ fn a_capture_is_prepared_once_and_never_replaced_by_accident() {
     assert_eq!((other.status.code(), said(&other).contains("--force")), (Some(2), true), "{}", said(&other));
     let forced = prepare(&place, "photos", &["--features", "500", "--force", "--json"]);
     let record: serde_json::Value = serde_json::from_slice(&forced.stdout).expect("one JSON document");
-    assert_eq!((&record["verdict"]["grade"], &record["params"]["features"]), (&"good".into(), &500.into()));
+    assert_eq!((&record["verdict"]["grade"], &record["params"]["features"]), (&"usable".into(), &500.into()));
     // A folder of the user is never replaced.
     std::fs::write(Path::new(&place.at("reef")).join("images/mine.txt"), "x").unwrap();
     std::fs::remove_file(Path::new(&place.at("reef")).join("manifest.json")).unwrap();

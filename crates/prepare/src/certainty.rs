@@ -12,7 +12,8 @@
 //!   `A` is added to that of `S`, so that it can be factored; `f` does not depend on this.
 //! * Real errors are larger than this figure, since a lens is never the model's exactly. It ranks paths.
 //!
-//! Limits: of many images, 250 in a row are taken, which can only enlarge the figure. Points are evenly chosen.
+//! Limits: of many images, 250 in a row are taken, which can only enlarge the figure. Points are evenly
+//! chosen.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -42,8 +43,8 @@ struct Sight {
     point: [DVec3; 2],
 }
 
-/// The derivatives of the pixel of `position` by pose (turn, then shift, in the camera's frame), by `ln f` and
-/// two radial terms, and by the position; `None` behind the camera.
+/// The derivatives of the pixel of `position`: by pose (turn, then shift, in the camera's frame), `ln f`
+/// and two radial terms, and by the position. `None` behind the camera.
 fn derivatives(
     rotation: DMat3,
     translation: DVec3,

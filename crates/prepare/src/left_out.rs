@@ -77,7 +77,8 @@ pub(crate) fn write(
     frames.iter().map(one).collect()
 }
 
-/// The films that a prepared capture was made from; empty for other captures, and for those of older versions.
+/// The films that a prepared capture was made from. It is empty for other captures, and for those of older
+/// versions.
 pub fn looked_films(capture: &Path) -> Vec<LookedFilm> {
     #[derive(Deserialize)]
     struct Films {

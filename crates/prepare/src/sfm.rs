@@ -96,7 +96,8 @@ impl Sfm<'_> {
         self.work.join(MASKED).is_dir()
     }
 
-    /// The images of a block when all are compared with each other. Progress is told after each pair of blocks.
+    /// The images of a block when all are compared with each other. Progress is told after each pair of
+    /// blocks.
     fn block(&self) -> usize {
         (self.images / BLOCKS).clamp(2, 50)
     }

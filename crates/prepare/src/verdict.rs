@@ -17,8 +17,9 @@ const SHARES: (f64, f64) = (0.9, 2.0 / 3.0);
 const SQUARE: f64 = 1.2;
 /// A mean reprojection error above which the lens model does not fit, pixels.
 const ERROR: f64 = 1.5;
-/// A standard error of a focal length above which the path does not determine it: 1.1 to 1.3 % on a short path
-/// along a reef that gave three lenses to three programs, and 0.3 % at most on seven sound swims.
+/// A standard error of a focal length above which the path does not determine it. It is 1.1 to 1.3 % on a
+/// short path along a reef that gave three lenses to three programs, and 0.3 % at most on seven sound
+/// swims.
 const UNSURE: f64 = 0.007;
 /// The focal lengths of usual lenses under water, as shares of the longer side of the images.
 const USUAL: std::ops::Range<f64> = 0.55..1.6;
