@@ -417,7 +417,7 @@ impl Rules {
                 border.replace("{}", &format!("{:.0}", 100.0 * percent))
             );
             let remedy =
-                "use the first photographs, or find the camera positions of these with `use3d prepare`";
+                "use the original photographs, or find the camera positions of these with `use3d prepare`";
             self.add(Severity::Serious, "zoom", text, remedy, Vec::new());
         }
         let grainy = list(&|v| v.grain.is_some_and(|grain| grain > GRAIN));

@@ -121,8 +121,8 @@ pub fn page(report: &CheckReport, pictures: &[Picture], capture: &Capture, galle
     if !above.is_empty() {
         let _ = writeln!(
             out,
-            "<h2>The path of the camera</h2>\n<figure class=\"cells\">{above}The line goes through the places of the \
-             photographs in the order of their names, and begins at the large dot. The small dots are points of the \
+            "<h2>The path of the camera</h2>\n<figure class=\"cells\">{above}The line goes through the places \
+             where the photographs were taken, in the order of their names, and begins at the large dot. The small dots are points of the \
              scene.</figure>"
         );
     }

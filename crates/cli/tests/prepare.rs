@@ -105,7 +105,7 @@ fn a_folder_with_cameras_is_named_and_its_photographs_alone_are_matched() {
     let refused = prepare(&place, "tiny", &[]);
     let text = said(&refused);
     assert_eq!((refused.status.code(), calls(&place)), (Some(2), 0), "{text}");
-    assert!(text.contains("has cameras already") && text.contains("use3d run"), "{text}");
+    assert!(text.contains("camera positions are there already") && text.contains("use3d run"), "{text}");
     let learned = prepare(&place, "photos", &["--keypoints", "learned"]);
     let text = said(&learned);
     assert_eq!((learned.status.code(), calls(&place)), (Some(2), 0), "{text}");

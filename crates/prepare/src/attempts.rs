@@ -76,7 +76,7 @@ impl Search<'_> {
         let may_hold = calibration.is_empty() && *mapper == Mapper::Incremental;
         let Some(first) = best.models.first().filter(|_| may_hold).and_then(unusual) else { return Ok(()) };
         (self.sfm.watch.note)(
-            "cameras: the path does not say how wide the lens is, so a usual lens is tried",
+            "cameras: the camera hardly turned, so its lens cannot be measured well; a usual lens is tried",
         );
         let step = Step { name: "usual lens", output: USUAL_MODELS, choices: json!(best.database) };
         let commands = work.step(step, |_| self.sfm.map(best.database, USUAL_MODELS, true))?;
@@ -109,9 +109,10 @@ impl Search<'_> {
             return Ok(found(sift, None, None, advice(true)));
         }
         let Ok(networks) = self.programs.learned() else { return Ok(found(sift, None, None, advice(false))) };
-        let few = format!("SIFT gave {placed} of {images} images a place");
+        let few = format!("SIFT, the usual method, found the places of {placed} of {images} images");
         (self.sfm.watch.note)(&format!(
-            "learned keypoints: {few}, so networks look for more; without a graphics card this takes long"
+            "learned keypoints: {few}, so neural networks on this computer look for more; without a graphics card \
+             this takes minutes to hours"
         ));
         let learned = match self.learned(work, &networks) {
             Ok(learned) => learned,
@@ -123,8 +124,9 @@ impl Search<'_> {
         };
         let more = learned.placed();
         let (best, used) =
-            if more > placed { (learned, "these cameras are") } else { (sift, "those of SIFT are") };
-        let remark = format!("{few}, and learned keypoints (ALIKED, LightGlue) gave {more}: {used} used.");
+            if more > placed { (learned, "these places are") } else { (sift, "those of SIFT are") };
+        let remark =
+            format!("{few}, and learned keypoints (ALIKED, LightGlue) those of {more}: {used} used.");
         let record = json!({ "used": best.kind, "placed": { "sift": placed, "learned": more } });
         Ok(SearchResult { best, record, networks: Some(networks), remark: Some(remark), advice: None })
     }

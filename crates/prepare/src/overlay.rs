@@ -39,8 +39,8 @@ pub(crate) fn hide(
     Ok((count > 0).then(|| {
         format!(
             "{count} images show the same thing in the same place, such as text or a part of the ROV ({:.1} % of the \
-             picture). The masks in masks/ hide it (black is hidden): look at them, and correct them if they hide the \
-             scene",
+             picture). The masks in masks/ hide it (black is hidden): look at them, and paint white \
+             over what they hide of the scene",
             100.0 * share
         )
     }))

@@ -212,34 +212,38 @@ pub(crate) fn judge(models: &[Model], names: &[String], context: &ModelContext<'
              cameras are wrong: take a lens model with less freedom (--lens RADIAL), or more and sharper images."
         ));
     }
+    let give_lens = give_lens(used);
     if let Some(Focal { length, .. }) = unsure {
         words.push(match context.unusual {
             Some(first) => format!(
-                "The path of the camera does not say how wide its lens is: {first:.0} pixels were found for its focal \
-                 length, others fit as well, and few lenses have that one. So a usual one of {length:.0} pixels was \
-                 taken. {GIVE_LENS}"
+                "The camera hardly turned, so its lens cannot be measured well. A focal length of {first:.0} pixels was \
+                 found, which is unlikely for a real lens, and a usual one of {length:.0} pixels is used in its place. \
+                 {give_lens}"
             ),
             None => format!(
-                "The path of the camera hardly says how wide its lens is: {length:.0} pixels were found for its focal \
-                 length, and others fit nearly as well. {GIVE_LENS}"
+                "The camera hardly turned, so its lens cannot be measured well. A focal length of {length:.0} pixels was \
+                 found, and the shape of the scene may be a little wrong. {give_lens}"
             ),
         });
     }
     if let Some(reach) = wide {
         words.push(format!(
             "The model's camera sees {:.0}° from left to right, and a side of the images has no points. So the lens is \
-             probably too wide: a path along the scene hardly determines it. {GIVE_LENS} `use3d check` shows the bare side.",
+             probably too wide: a path along the scene hardly determines it. {give_lens} `use3d check` shows the bare side.",
             reach.angle
         ));
     }
     if let Some(angle) = rare {
         words.push(format!(
             "The model's camera sees {angle:.0}° from left to right. Few cameras see that much under water, and a short path \
-             along the scene can give a wrong lens with a small error. If yours sees less: {GIVE_LENS}"
+             along the scene can give a wrong lens with a small error. If yours sees less, this lens is wrong. {give_lens}"
         ));
     }
     if share < SHARES.0 {
-        words.push(format!("To give more images a place: {}.", remedies(context).join("; ")));
+        words.push(format!(
+            "To give more images a place, try one after another: {}.",
+            remedies(context).join("; ")
+        ));
     }
     if share < SHARES.1 {
         words.push(
@@ -271,8 +275,18 @@ pub(crate) fn judge(models: &[Model], names: &[String], context: &ModelContext<'
 }
 
 /// The advice for a lens that the images do not determine.
-const GIVE_LENS: &str = "Give its focal length F and the centre CX,CY of the images, in pixels: --lens SIMPLE_PINHOLE \
-                         --calibration F,CX,CY. For a usual lens F is about the width of the images.";
+fn give_lens(model: &Model) -> String {
+    let (width, height) = model.cameras.first().map_or((0.0, 0.0), |c| (c.width as f64, c.height as f64));
+    // A film of 35 mm is 36 mm wide, and a flat port enlarges as water refracts.
+    let in_air = width.max(height) / 36.0;
+    format!(
+        "If you know the lens, add it: --lens SIMPLE_PINHOLE --calibration F,{},{}. F is its focal length for 35 mm \
+         film, in millimetres, times {in_air:.1}, and behind a flat port times {:.1}. If you do not know it, go on.",
+        width / 2.0,
+        height / 2.0,
+        1.33 * in_air
+    )
+}
 
 /// The cameras whose angle of view follows from the focal length alone, with their numbers.
 fn perspective(model: &Model) -> impl Iterator<Item = (u32, Intrinsics)> {
@@ -317,7 +331,7 @@ pub(crate) fn remedies(context: &ModelContext<'_>) -> Vec<String> {
         remedies.push(format!("look for more features (--features {})", (features * 2).min(8000)));
     }
     if films {
-        remedies.push(format!("take more frames (--frames {})", params.frames * 2));
+        remedies.push(format!("use more frames of the film (--frames {})", params.frames * 2));
     } else {
         remedies.push("add photographs in between".into());
     }
@@ -389,7 +403,7 @@ mod tests {
         let pinhole = |focal: f64| [focal, 160.0, 90.0];
         let wrong = judged(&[], LensModel::SimplePinhole, &pinhole(108.0), left(192));
         assert_eq!(wrong.grade, Grade::Usable);
-        assert!(wrong.words[1].contains("sees 112°") && wrong.words[1].contains("--calibration F,CX,CY"));
+        assert!(wrong.words[1].contains("sees 112°") && wrong.words[1].contains("--calibration F,160,90"));
         let fisheye = [108.0, 108.0, 160.0, 90.0, 0.0, 0.0, 0.0, 0.0];
         for (verdict, why) in [
             (judged(&pinhole(108.0), LensModel::SimplePinhole, &pinhole(108.0), left(192)), "a given lens"),
@@ -402,7 +416,7 @@ mod tests {
         // A wrong lens can have points everywhere and a small error.
         let rare = judged(&[], LensModel::SimplePinhole, &pinhole(108.0), left(320));
         assert_eq!((rare.grade, rare.words.len()), (Grade::Good, 2), "no bare side, and a rare angle");
-        assert!(rare.words[1].contains("sees 112°") && rare.words[1].contains("--calibration F,CX,CY"));
+        assert!(rare.words[1].contains("sees 112°") && rare.words[1].contains("--calibration F,160,90"));
     }
 
     #[test]

@@ -79,7 +79,7 @@ fn a_lens_that_the_path_does_not_determine_is_asked_for() {
     let verdict = done.unwrap().verdict;
     assert_eq!((verdict.grade, place.calls()), (Grade::Usable, calls().map(String::from).to_vec()));
     let words = &verdict.words[1];
-    for part in ["5 pixels were found", "a usual one of 14 pixels was taken", "--calibration F,CX,CY"] {
+    for part in ["of 5 pixels was found", "a usual one of 14 pixels is used", "--calibration F,8,6"] {
         assert!(words.contains(part), "{words}");
     }
     let focal = |work: &Path| {
@@ -93,7 +93,7 @@ fn a_lens_that_the_path_does_not_determine_is_asked_for() {
     place.found_straight("models-usual-lens", 13.6, 2.0);
     let Attempt { done, work, .. } = place.attempt(&PrepareParams::default());
     let verdict = done.unwrap().verdict;
-    assert!(verdict.words[1].contains("hardly says how wide its lens is: 5 pixels"), "{:?}", verdict.words);
+    assert!(verdict.words[1].contains("of 5 pixels was found, and the shape"), "{:?}", verdict.words);
     assert_eq!(focal(&work), 5.0);
     // A usual lens stays, and the user is asked; a lens that was given is right.
     let place = Place::new();

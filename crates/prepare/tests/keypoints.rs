@@ -50,7 +50,7 @@ fn learned_keypoints_follow_where_sift_places_too_few_and_the_better_model_is_ke
     let prepared = done.done.as_ref().unwrap();
     assert_eq!(prepared.verdict.registered, 10);
     let remarks = prepared.remarks.join("\n");
-    assert!(remarks.contains("SIFT gave 4 of 10 images a place") && remarks.contains("gave 10"), "{remarks}");
+    assert!(remarks.contains("the places of 4 of 10 images") && remarks.contains("those of 10"), "{remarks}");
     assert_eq!(place.calls(), [SIFT, LEARNED].concat());
     let told = record(&done);
     assert_eq!(told["keypoints"]["used"], "learned");

@@ -90,10 +90,10 @@ impl Rules {
         worst.sort_by_key(|(points, _)| std::cmp::Reverse(*points));
         let most: Vec<_> = worst.iter().take(3).map(|(_, name)| shown(name)).collect();
         let text = format!(
-            "Something moves through {count} of {compared} views (most in {}): fish or divers are learnt as haze.",
+            "Something moves through {count} of {compared} views (most in {}), probably fish or divers. In the scene they become haze.",
             most.join(", ")
         );
-        let remedy = "paint masks over them (docs/guide/captures.md)";
+        let remedy = "paint them black in masks (docs/guide/captures.md)";
         let list = names(views, |v| v.passed_points.is_some_and(|points| points > 0));
         self.add(Severity::Minor, "moving", text, remedy, list);
     }

@@ -123,13 +123,13 @@ fn galleries(folder: &Path, capture: &Imported) -> Result<Vec<Gallery>, WorkErro
             let address =
                 jpeg_address(&shrunk(&read_image(&folder.join(&left.picture)).ok()?, TINY), QUALITY).ok()?;
             let file = Path::new(&left.picture).file_stem()?.to_string_lossy().into_owned();
-            let cause = if left.cause == LeftCause::Dark { "black or white" } else { "too alike" };
+            let cause = if left.cause == LeftCause::Dark { "all black or white" } else { "too alike" };
             Some(Picture { name: format!("{file}: {cause}"), address })
         };
         galleries.push(Gallery {
             title: format!("Frames of {film} that were left out"),
             text: format!(
-                "{looked_at} frames were looked at, and {taken} of them were taken. {dark} are black or white. The others \
+                "{looked_at} frames were looked at, and {taken} of them were taken. {dark} are all black or all white. The others \
                  show nearly the same as a frame that was taken, or are less sharp. Some of them:"
             ),
             pictures: left_out.iter().filter_map(picture).collect(),

@@ -26,8 +26,8 @@ pub(crate) fn run(app: &App, args: &PrepareArgs) -> Done {
     {
         let (run, images) = (word(folder), path_text(folder));
         return Err(WorkError::Input(format!(
-            "{images}: this folder has cameras already, and they are not looked for again; run it as it is (`use3d run {run}`), \
-             or name its photographs instead of it to find new cameras (such as {images}/images)"
+            "{images}: the camera positions are there already; to use them: `use3d run {run}`; to find them again, give the \
+             folder of the photographs alone, such as `use3d prepare {run}/images`"
         )));
     }
     let sources = Sources::of(&args.inputs)?;
