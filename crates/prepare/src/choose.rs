@@ -200,17 +200,19 @@ impl Thumbnail {
         }
         let farthest = |side: usize| (side as f64 * FARTHEST) as isize;
         let (fx, fy) = (farthest(self.width), farthest(self.height));
+        let part = |shift: isize, side: usize| 1.0 - shift.unsigned_abs() as f64 / side as f64;
+        let shifts = (-fy..=fy).flat_map(|dy| (-fx..=fx).map(move |dx| (dx, dy)));
+        let mut shifts: Vec<(f64, isize, isize)> =
+            shifts.map(|(dx, dy)| (part(dx, self.width) * part(dy, self.height), dx, dy)).collect();
+        // The largest areas come first: a smaller one cannot win, whatever its correlation.
+        shifts.sort_unstable_by(|a, b| b.0.total_cmp(&a.0));
         let mut best = 0.0f64;
-        for dy in -fy..=fy {
-            for dx in -fx..=fx {
-                let part = |shift: isize, side: usize| 1.0 - shift.unsigned_abs() as f64 / side as f64;
-                let area = part(dx, self.width) * part(dy, self.height);
-                // A smaller area cannot win, whatever its correlation.
-                if area > best {
-                    let r = self.correlation(other, dx, dy);
-                    best = best.max(area * ((r - TRUST.0) / (TRUST.1 - TRUST.0)).clamp(0.0, 1.0));
-                }
+        for (area, dx, dy) in shifts {
+            if area <= best {
+                break;
             }
+            let r = self.correlation(other, dx, dy);
+            best = best.max(area * ((r - TRUST.0) / (TRUST.1 - TRUST.0)).clamp(0.0, 1.0));
         }
         best
     }
