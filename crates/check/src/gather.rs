@@ -6,7 +6,7 @@ use use3d_capture::{Image8, Pixels};
 use use3d_import::{ImportError, Imported, load_mask, load_pixels};
 
 use crate::agreement::{PixelsRead, agreement};
-use crate::measure::{Figures, measure, measure_and, measure_masks};
+use crate::measure::{Figures, measure, measure_and, measure_mask, seen_places};
 use crate::passers::Passers;
 
 /// The masks that are read before a run, at most.
@@ -28,16 +28,20 @@ pub fn figures(prepared: &Imported, original: &Imported) -> Result<Figures, Impo
     };
     let tracks = prepared.tracks();
     let mut passers = Passers::new(&prepared.capture, &tracks);
+    let (seen, mut masks) = (seen_places(&tracks, views.len()), vec![None; views.len()]);
     let mut look = |view: usize, small: &Image8| {
-        passers.add(view, small, load_mask(&views[view])?.as_ref());
+        let mask = load_mask(&views[view])?;
+        passers.add(view, small, mask.as_ref());
+        masks[view] = mask.map(|mask| measure_mask(&mask, &seen[view]));
         Ok(())
     };
     let mut figures = measure_and(&prepared.capture, &tracks, Some(&mut load), &mut look)?;
     figures.largest_sample = largest;
-    for (view, passed) in figures.views.iter_mut().zip(passers.passed()) {
+    for ((view, passed), mask) in figures.views.iter_mut().zip(passers.passed()).zip(masks) {
         view.passed_points = passed;
+        (view.unmasked, view.hidden_points) =
+            mask.map_or((None, None), |(free, hidden)| (Some(free), hidden));
     }
-    measure_masks(&mut figures, &tracks, &mut |view| load_mask(&views[view]))?;
     figures.agreement = Some(agreement(original, PixelsRead::All)?);
     Ok(figures)
 }
@@ -48,11 +52,13 @@ pub fn few_figures(original: &Imported) -> Figures {
     let tracks = original.tracks();
     let Ok(mut figures) = measure::<Infallible>(&original.capture, &tracks, None);
     figures.agreement = agreement(original, PixelsRead::Few).ok();
-    let (views, step) = (&original.capture.views, original.capture.views.len().div_ceil(FEW_MASKS).max(1));
-    let mut load = |view: usize| match view % step {
-        0 => Ok::<_, Infallible>(load_mask(&views[view]).ok().flatten()),
-        _ => Ok(None),
-    };
-    let Ok(()) = measure_masks(&mut figures, &tracks, &mut load);
+    let views = &original.capture.views;
+    let seen = seen_places(&tracks, views.len());
+    for view in (0..views.len()).step_by(views.len().div_ceil(FEW_MASKS).max(1)) {
+        if let Some(mask) = load_mask(&views[view]).ok().flatten() {
+            let (free, hidden) = measure_mask(&mask, &seen[view]);
+            (figures.views[view].unmasked, figures.views[view].hidden_points) = (Some(free), hidden);
+        }
+    }
     figures
 }

@@ -165,33 +165,27 @@ pub(crate) fn measure_and<E>(
     Ok(figures)
 }
 
-/// Measures the masks of views. `load` gives the mask of a view at the size of its camera.
-///
-/// # Errors
-/// The errors of `load`.
-pub(crate) fn measure_masks<E>(
-    figures: &mut Figures,
-    tracks: &[Track],
-    load: &mut dyn FnMut(usize) -> Result<Option<Map>, E>,
-) -> Result<(), E> {
-    let mut seen: Vec<Vec<(f64, f64)>> = vec![Vec::new(); figures.views.len()];
+/// The pixels of the points that each of `views` saw.
+pub(crate) fn seen_places(tracks: &[Track], views: usize) -> Vec<Vec<(f64, f64)>> {
+    let mut seen = vec![Vec::new(); views];
     for s in tracks.iter().flat_map(|track| &track.sightings) {
         if let Some(seen) = seen.get_mut(s.view) {
             seen.push((s.x, s.y));
         }
     }
-    for (i, view) in figures.views.iter_mut().enumerate() {
-        let Some(mask) = load(i)? else { continue };
-        let (w, h) = (mask.width(), mask.height());
-        let white = mask.data().iter().filter(|v| **v >= 0.5).count();
-        view.unmasked = Some(white as f64 / mask.data().len().max(1) as f64);
-        let inside = seen[i].iter().filter(|(x, y)| *x >= 0.0 && *y >= 0.0 && *x < w as f64 && *y < h as f64);
-        let hidden: Vec<bool> =
-            inside.map(|(x, y)| mask.data()[*y as usize * w + *x as usize] < 0.5).collect();
-        let count = hidden.iter().filter(|hidden| **hidden).count();
-        view.hidden_points = (hidden.len() >= ENOUGH).then(|| count as f64 / hidden.len() as f64);
-    }
-    Ok(())
+    seen
+}
+
+/// The share of a view's pixels that its mask leaves, and the share of its points that it hides; the latter is
+/// `None` with few points. The mask has the size of the view's camera.
+pub(crate) fn measure_mask(mask: &Map, seen: &[(f64, f64)]) -> (f64, Option<f64>) {
+    let (w, h) = (mask.width(), mask.height());
+    let white = mask.data().iter().filter(|v| **v >= 0.5).count();
+    let inside = seen.iter().filter(|(x, y)| *x >= 0.0 && *y >= 0.0 && *x < w as f64 && *y < h as f64);
+    let hidden: Vec<bool> = inside.map(|(x, y)| mask.data()[*y as usize * w + *x as usize] < 0.5).collect();
+    let count = hidden.iter().filter(|hidden| **hidden).count();
+    let share = (hidden.len() >= ENOUGH).then(|| count as f64 / hidden.len() as f64);
+    (white as f64 / mask.data().len().max(1) as f64, share)
 }
 
 /// The number of neighbours of each view, and the numbers of views of groups that are no neighbours.
@@ -304,9 +298,13 @@ fn group_exposures(capture: &Capture, exposures: &ExposureSteps) -> Vec<GroupExp
             (a, b) if a == *group && b == all[0] => Some(-*stops),
             _ => None,
         });
-        let changes: Vec<f64> = changes.collect();
+        let mut changes: Vec<f64> = changes.collect();
         if changes.len() >= GROUPED {
-            found.push(GroupExposure { name: name(*group), other: name(all[0]), stops: median(changes) });
+            found.push(GroupExposure {
+                name: name(*group),
+                other: name(all[0]),
+                stops: median(&mut changes),
+            });
         }
     }
     found.sort_by(|a, b| b.stops.abs().total_cmp(&a.stops.abs()));
@@ -334,7 +332,8 @@ fn drift(exposures: &ExposureSteps, count: usize) -> Option<f64> {
         }
     }
     let fifth = (count / 5).max(1);
-    (!exposures.is_empty()).then(|| median(level[count - fifth..].to_vec()) - median(level[..fifth].to_vec()))
+    (!exposures.is_empty())
+        .then(|| median(&mut level[count - fifth..].to_vec()) - median(&mut level[..fifth].to_vec()))
 }
 
 /// The changes of exposure between all pairs of views that share enough points.
@@ -350,7 +349,7 @@ fn exposures(levels: &BTreeMap<usize, Vec<(usize, f64)>>) -> ExposureSteps {
         }
     }
     changes.retain(|_, all| all.len() >= ENOUGH);
-    changes.into_iter().map(|(pair, all)| (pair, median(all))).collect()
+    changes.into_iter().map(|(pair, mut all)| (pair, median(&mut all))).collect()
 }
 
 /// Measures the pixels of all views, one image in memory at a time. Returns the changes of exposure.
@@ -375,7 +374,7 @@ fn pixels<E>(
             colours.iter().filter_map(|(point, now)| Some((*before.get(point)?, *now))).collect();
         if shared.len() >= ENOUGH {
             let step = |of: &dyn Fn([f64; 3]) -> f64| {
-                median(shared.iter().map(|(a, b)| math::ln(of(*b) / of(*a))).collect())
+                median(&mut shared.iter().map(|(a, b)| math::ln(of(*b) / of(*a))).collect::<Vec<_>>())
             };
             views[i].exposure_step = Some(step(&light) / std::f64::consts::LN_2);
             let changes = [step(&|c| c[0] / c[1]), step(&|c| c[2] / c[1])];
@@ -393,8 +392,8 @@ fn pixels<E>(
         look(i, &small)?;
     }
     for i in 0..views.len() {
-        let around = sharpness[i.saturating_sub(NEAR)..(i + NEAR + 1).min(sharpness.len())].to_vec();
-        let usual = median(around);
+        let mut around = sharpness[i.saturating_sub(NEAR)..(i + NEAR + 1).min(sharpness.len())].to_vec();
+        let usual = median(&mut around);
         views[i].sharpness = (usual > 0.0).then(|| sharpness[i] / usual);
     }
     Ok(exposures(&levels))
@@ -415,7 +414,8 @@ fn contrast(small: &Image8) -> f64 {
     at(0.95) - at(0.05)
 }
 
-fn median(mut values: Vec<f64>) -> f64 {
+/// The upper median; 0 of no values.
+pub(crate) fn median(values: &mut [f64]) -> f64 {
     values.sort_unstable_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or(0.0)
 }

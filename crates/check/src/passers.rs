@@ -22,6 +22,8 @@ use rayon::prelude::*;
 use use3d_capture::{Capture, Image8, Map, Track};
 use use3d_numerics::math;
 
+use crate::measure::median;
+
 /// The largest angle between the rays of a view and a witness, radians.
 const ANGLE: f64 = 0.26;
 /// The fewest witnesses, and the most.
@@ -30,7 +32,8 @@ const WITNESSES: (usize, usize) = (3, 6);
 const ODD: f64 = 3.5;
 /// The standard deviation of a normal distribution over its median of absolute values.
 const NORMAL: f64 = 1.4826;
-/// Of this many nearest points so many are odd where something passes.
+/// The number of nearest points that are looked at, and the least number of odd ones among them where
+/// something passes.
 const NEAREST: usize = 8;
 const PASSED: usize = 7;
 /// A point this many times as far as one that was seen beside it may be hidden.
@@ -233,11 +236,6 @@ fn passed(all: &[Compared]) -> usize {
         even.iter().filter(|other| apart(p, other) < *reach).nth(NEAREST - PASSED).is_none()
     };
     odd.iter().filter(is_passed).count()
-}
-
-fn median(values: &mut [f64]) -> f64 {
-    values.sort_unstable_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
 #[cfg(test)]
