@@ -87,3 +87,31 @@ pub fn looked_films(capture: &Path) -> Vec<LookedFilm> {
     let record = std::fs::read(capture.join(PREPARED)).ok();
     record.and_then(|bytes| serde_json::from_slice::<Films>(&bytes).ok()).map_or_else(Vec::new, |r| r.films)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_are_left_out_for_their_causes_and_evenly_shown() {
+        // Every fifth frame is black, and every third of the others is taken.
+        let level = |number: u64| if number.is_multiple_of(5) { 0 } else { 100 };
+        let frames: Vec<Frame> = (0..60).map(|n| Frame::new(n, 8, 6, &[level(n); 48])).collect();
+        let taken = (0..60usize).filter(|i| !i.is_multiple_of(5) && i.is_multiple_of(3)).collect();
+        let found = left_out(&frames, &FrameChoice { frames: taken, ..FrameChoice::default() });
+        let of =
+            |cause: LeftCause| found.iter().filter(|(_, own, _)| *own == cause).map(|(n, ..)| *n).collect();
+        let (dark, alike): (Vec<u64>, Vec<u64>) = (of(LeftCause::Dark), of(LeftCause::Alike));
+        assert_eq!(dark, (0..60).step_by(5).collect::<Vec<_>>());
+        assert!(alike.len() == MOST && alike.iter().all(|n| n % 5 > 0 && n % 3 > 0), "{alike:?}");
+        assert!(alike[MOST - 1] > 50, "{alike:?}");
+        let dir = tempfile::tempdir().unwrap();
+        let left_out = write(dir.path(), "film-1/", &found[..1]).unwrap();
+        assert_eq!(left_out[0].picture, "left-out/film-1/f_000000.png");
+        assert!(dir.path().join(&left_out[0].picture).is_file() && looked_films(dir.path()).is_empty());
+        let films = vec![LookedFilm { film: "a.mp4".into(), looked_at: 60, taken: 16, dark: 12, left_out }];
+        let record = serde_json::json!({ "films": films }).to_string();
+        std::fs::write(dir.path().join(PREPARED), record).unwrap();
+        assert_eq!(looked_films(dir.path()), films);
+    }
+}
