@@ -9,7 +9,7 @@ use crate::params::{Keypoints, Mapper, Matching, PrepareParams};
 use crate::photographs;
 use crate::sfm::{Commands, FEATURES_DB, MATCHES_DB, MODELS, Sfm, USUAL_MODELS};
 use crate::tools::{Program, Programs};
-use crate::verdict::{fits_as_well, models, unusual};
+use crate::verdict::{Focal, fits_as_well, least_certain, models};
 use crate::work::{Step, Work};
 
 /// The search for cameras after the step of features.
@@ -27,6 +27,8 @@ pub(crate) struct Attempt {
     pub(crate) models: Vec<Model>,
     /// The database with the matches.
     database: &'static str,
+    /// The least certain focal length; `None` for a lens that was given.
+    pub(crate) focal: Option<Focal>,
     /// The focal length that was found first, if a usual one was taken in its place.
     pub(crate) unusual: Option<f64>,
     /// The folder of the models.
@@ -73,8 +75,11 @@ impl Search<'_> {
     /// Takes a usual lens in place of a rare one that the path does not determine, if it fits as well.
     fn usual_lens(&self, work: &mut Work<'_>, best: &mut Attempt) -> Result<(), PrepareError> {
         let PrepareParams { calibration, mapper, .. } = self.sfm.params;
-        let may_hold = calibration.is_empty() && *mapper == Mapper::Incremental;
-        let Some(first) = best.models.first().filter(|_| may_hold).and_then(unusual) else { return Ok(()) };
+        let focal =
+            |models: &[Model]| models.first().filter(|_| calibration.is_empty()).and_then(least_certain);
+        best.focal = focal(&best.models);
+        let doubtful = best.focal.filter(Focal::is_doubtful).filter(|_| *mapper == Mapper::Incremental);
+        let Some(Focal { length: first, .. }) = doubtful else { return Ok(()) };
         (self.sfm.watch.note)(
             "cameras: the camera hardly turned, so its lens cannot be measured well; a usual lens is tried",
         );
@@ -83,7 +88,7 @@ impl Search<'_> {
         let usual = models(&work.folder.join(USUAL_MODELS))?;
         if usual.first().is_some_and(|usual| fits_as_well(usual, &best.models[0])) {
             (best.models, best.folder, best.unusual) = (usual, USUAL_MODELS, Some(first));
-            best.commands[1] = commands;
+            (best.focal, best.commands[1]) = (focal(&best.models), commands);
         }
         Ok(())
     }
@@ -106,9 +111,11 @@ impl Search<'_> {
         let sift = self.sift(work)?;
         let placed = sift.placed();
         if keypoints == Keypoints::Sift || placed as f64 >= ENOUGH * images as f64 {
-            return Ok(found(sift, None, None, advice(true)));
+            return Ok(found(sift, None, None, Some(advice(true))));
         }
-        let Ok(networks) = self.programs.learned() else { return Ok(found(sift, None, None, advice(false))) };
+        let Ok(networks) = self.programs.learned() else {
+            return Ok(found(sift, None, None, Some(advice(false))));
+        };
         let few = format!("SIFT, the usual method, found the places of {placed} of {images} images");
         (self.sfm.watch.note)(&format!(
             "learned keypoints: {few}, so neural networks on this computer look for more; without a graphics card \
@@ -143,19 +150,7 @@ impl Search<'_> {
             (sfm.watch.note)("matches: the images are compared");
             Ok(commands)
         })?;
-        let choices = json!(sfm.params.mapper);
-        let step = Step { name: "cameras", output: MODELS, choices };
-        let cameras = work.step(step, |_| sfm.map(MATCHES_DB, MODELS, false))?;
-        let (models, features) = (models(&work.folder.join(MODELS))?, sfm.feature_count());
-        Ok(Attempt {
-            kind: "sift",
-            models,
-            database: MATCHES_DB,
-            unusual: None,
-            folder: MODELS,
-            commands: [matches, cameras],
-            features,
-        })
+        self.placed(work, "cameras", "sift", (MATCHES_DB, MODELS), (matches, sfm.feature_count()))
     }
 
     /// Finds the cameras with learned keypoints.
@@ -169,19 +164,24 @@ impl Search<'_> {
             (sfm.watch.note)("learned keypoints: found and matched");
             Ok(commands)
         })?;
-        let choices = json!(sfm.params.mapper);
-        let step = Step { name: "learned cameras", output: LEARNED_MODELS, choices };
-        let cameras = work.step(step, |_| sfm.map(LEARNED_DB, LEARNED_MODELS, false))?;
-        let models = models(&work.folder.join(LEARNED_MODELS))?;
-        let features = sfm.learned_count(networks);
-        Ok(Attempt {
-            kind: "learned",
-            models,
-            database: LEARNED_DB,
-            unusual: None,
-            folder: LEARNED_MODELS,
-            commands: [matches, cameras],
-            features,
-        })
+        let made = (matches, sfm.learned_count(networks));
+        self.placed(work, "learned cameras", "learned", (LEARNED_DB, LEARNED_MODELS), made)
+    }
+
+    /// Finds the cameras from matches in a database. `matches` are the commands that made these, and `features`
+    /// is the most features of an image.
+    fn placed(
+        &self,
+        work: &mut Work<'_>,
+        step: &'static str,
+        kind: &'static str,
+        (database, folder): (&'static str, &'static str),
+        (matches, features): (Commands, usize),
+    ) -> Result<Attempt, PrepareError> {
+        let step = Step { name: step, output: folder, choices: json!(self.sfm.params.mapper) };
+        let cameras = work.step(step, |_| self.sfm.map(database, folder, false))?;
+        let models = models(&work.folder.join(folder))?;
+        let commands = [matches, cameras];
+        Ok(Attempt { kind, models, database, focal: None, unusual: None, folder, commands, features })
     }
 }

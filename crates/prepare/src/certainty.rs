@@ -1,4 +1,4 @@
-//! How well the images of a model determine the focal length of each camera.
+//! This module computes how well the images of a model determine the focal length of each camera.
 //!
 //! Let every keypoint be off by one pixel, independently. The least squares that placed cameras and points
 //! then have the normal matrix `H = Σ JᵀJ` over all keypoints. `J` has the derivatives of a pixel by the pose

@@ -74,6 +74,21 @@ struct Thumbnail {
     values: Vec<f32>,
     /// One where the scene is, and zero where an overlay lies; `None` without one.
     free: Option<Arc<[f32]>>,
+    shifts: Arc<[Shift]>,
+}
+
+/// A shift of one picture against another: the share of the picture that both show, and pixels in x and y.
+type Shift = (f64, isize, isize);
+
+/// All shifts of thumbnails of a size, those that leave the largest part first.
+fn shifts((width, height): (usize, usize)) -> Arc<[Shift]> {
+    let farthest = |side: usize| (side as f64 * FARTHEST) as isize;
+    let (fx, fy) = (farthest(width), farthest(height));
+    let part = |shift: isize, side: usize| 1.0 - shift.unsigned_abs() as f64 / side as f64;
+    let all = (-fy..=fy).flat_map(|dy| (-fx..=fx).map(move |dx| (dx, dy)));
+    let mut all: Vec<Shift> = all.map(|(dx, dy)| (part(dx, width) * part(dy, height), dx, dy)).collect();
+    all.sort_unstable_by(|a, b| b.0.total_cmp(&a.0));
+    all.into()
 }
 
 impl Frame {
@@ -152,6 +167,7 @@ struct FreePart {
     /// The size of thumbnails.
     size: (usize, usize),
     free: Option<Arc<[f32]>>,
+    shifts: Arc<[Shift]>,
 }
 
 impl FreePart {
@@ -169,7 +185,7 @@ impl FreePart {
         let free = free.map(|rest| rest.mask(size.0, size.1).data().to_vec());
         let enough = |free: &Vec<f32>| free.iter().sum::<f32>() as f64 >= FREE * free.len() as f64;
         let part = (left.min(small.width - 1), top.min(small.height - 1), width, height);
-        Self { part, size, free: free.filter(enough).map(Arc::from) }
+        Self { part, size, free: free.filter(enough).map(Arc::from), shifts: shifts(size) }
     }
 
     fn thumbnail(&self, small: &Small) -> Thumbnail {
@@ -188,7 +204,8 @@ impl FreePart {
             if count > 0.0 { sum / count } else { 0.0 }
         };
         let values = (0..small.len()).map(|i| weight(i) * (small[i] - slow(i % w, i / w))).collect();
-        Thumbnail { width: w, height: h, values, free: self.free.clone() }
+        let (free, shifts) = (self.free.clone(), self.shifts.clone());
+        Thumbnail { width: w, height: h, values, free, shifts }
     }
 }
 
@@ -198,16 +215,9 @@ impl Thumbnail {
         if (self.width, self.height) != (other.width, other.height) {
             return 0.0;
         }
-        let farthest = |side: usize| (side as f64 * FARTHEST) as isize;
-        let (fx, fy) = (farthest(self.width), farthest(self.height));
-        let part = |shift: isize, side: usize| 1.0 - shift.unsigned_abs() as f64 / side as f64;
-        let shifts = (-fy..=fy).flat_map(|dy| (-fx..=fx).map(move |dx| (dx, dy)));
-        let mut shifts: Vec<(f64, isize, isize)> =
-            shifts.map(|(dx, dy)| (part(dx, self.width) * part(dy, self.height), dx, dy)).collect();
-        // The largest areas come first: a smaller one cannot win, whatever its correlation.
-        shifts.sort_unstable_by(|a, b| b.0.total_cmp(&a.0));
         let mut best = 0.0f64;
-        for (area, dx, dy) in shifts {
+        for &(area, dx, dy) in self.shifts.iter() {
+            // A smaller area cannot win, whatever its correlation.
             if area <= best {
                 break;
             }

@@ -73,14 +73,14 @@ fn missing(reason: &str) -> PrepareError {
 }
 
 /// The advice to take learned keypoints. `installed` is false if it is known that the package cannot be had.
-pub(crate) fn advice(installed: bool) -> Option<String> {
-    Some(match installed {
+pub(crate) fn advice(installed: bool) -> String {
+    match installed {
         true => "take learned keypoints, which find more in hazy water (--keypoints learned)".into(),
         false => format!(
             "take learned keypoints, which find more in hazy water: `{INSTALL}` brings them, then run the same command with \
              `--keypoints learned` at its end"
         ),
-    })
+    }
 }
 
 /// Pairs of a sequence of images that are far apart in it: a coarse grid of images, all with each other. They

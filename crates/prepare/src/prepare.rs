@@ -266,6 +266,7 @@ pub fn prepare(
         films: from_films,
         features: best.features,
         advice,
+        focal: best.focal,
         unusual: best.unusual,
     };
     let Some(verdict) = judge(&found, &names, &context) else {

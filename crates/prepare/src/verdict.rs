@@ -17,9 +17,9 @@ const SHARES: (f64, f64) = (0.9, 2.0 / 3.0);
 const SQUARE: f64 = 1.2;
 /// A mean reprojection error above which the lens model does not fit, pixels.
 const ERROR: f64 = 1.5;
-/// A standard error of a focal length above which the path does not determine it. It is 1.1 to 1.3 % on a
-/// short path along a reef that gave three lenses to three programs, and 0.3 % at most on seven sound
-/// swims.
+/// A standard error of a focal length above which the path does not determine it. It is 1.1 to 1.2 % on a
+/// short path along a reef in which two versions of COLMAP found 316 and 1004 pixels, and 0.3 % at most on
+/// seven sound swims.
 const UNSURE: f64 = 0.007;
 /// The focal lengths of usual lenses under water, as shares of the longer side of the images.
 const USUAL: std::ops::Range<f64> = 0.55..1.6;
@@ -112,20 +112,34 @@ pub(crate) struct ModelContext<'a> {
     pub(crate) features: usize,
     /// The advice to take learned keypoints.
     pub(crate) advice: Option<String>,
+    /// The least certain focal length of the model; `None` for a lens that was given.
+    pub(crate) focal: Option<Focal>,
     /// The focal length that was found first, if a usual one was taken in its place.
     pub(crate) unusual: Option<f64>,
 }
 
 /// A focal length, pixels, with the share by which it may be off.
 #[derive(Clone, Copy)]
-struct Focal {
-    length: f64,
+pub(crate) struct Focal {
+    pub(crate) length: f64,
     error: f64,
+    /// True if many lenses have it.
     usual: bool,
 }
 
+impl Focal {
+    fn is_unsure(&self) -> bool {
+        self.error > UNSURE
+    }
+
+    /// True if the path does not determine it, and few lenses have it.
+    pub(crate) fn is_doubtful(&self) -> bool {
+        self.is_unsure() && !self.usual
+    }
+}
+
 /// The least certain focal length of a model.
-fn least_certain(model: &Model) -> Option<Focal> {
+pub(crate) fn least_certain(model: &Model) -> Option<Focal> {
     let errors = focal_errors(model);
     let focal = |camera: &ModelCamera| {
         let [fx, fy] = camera.lens()?.focal;
@@ -134,11 +148,6 @@ fn least_certain(model: &Model) -> Option<Focal> {
         Some(Focal { length, error: *errors.get(&camera.id)?, usual })
     };
     model.cameras.iter().filter_map(focal).max_by(|a, b| a.error.total_cmp(&b.error))
-}
-
-/// The focal length of a model, pixels, if the path does not determine it and few lenses have it.
-pub(crate) fn unusual(model: &Model) -> Option<f64> {
-    least_certain(model).filter(|focal| focal.error > UNSURE && !focal.usual).map(|focal| focal.length)
 }
 
 /// The mean reprojection error of a model, pixels.
@@ -179,8 +188,7 @@ pub(crate) fn judge(models: &[Model], names: &[String], context: &ModelContext<'
     // A lens that was given is taken as it is.
     let given = !context.params.calibration.is_empty();
     let wide = if given { None } else { too_wide(used) };
-    let focal = if given { None } else { least_certain(used) };
-    let unsure = focal.filter(|focal| focal.error > UNSURE || context.unusual.is_some());
+    let unsure = context.focal.filter(|focal| focal.is_unsure() || context.unusual.is_some());
     let rare = if given || wide.is_some() || unsure.is_some() { None } else { rare_angle(used) };
     let grade = match share {
         _ if odd.is_some() => Grade::Poor,
@@ -259,7 +267,7 @@ pub(crate) fn judge(models: &[Model], names: &[String], context: &ModelContext<'
             context.params.lens
         ));
     }
-    let (images, focal_error) = (names.len(), focal.map(|focal| focal.error));
+    let (images, focal_error) = (names.len(), context.focal.map(|focal| focal.error));
     Some(CameraVerdict {
         grade,
         images,
@@ -374,6 +382,7 @@ mod tests {
             films: false,
             features: 3000,
             advice: None,
+            focal: None,
             unusual: None,
         };
         judge(&[model], &names, &context).unwrap()
@@ -431,6 +440,7 @@ mod tests {
                 films: true,
                 features,
                 advice: None,
+                focal: None,
                 unusual: None,
             };
             let words = remedies(&context).join("; ");
