@@ -18,6 +18,7 @@ mod findings;
 mod gather;
 mod grain;
 mod measure;
+mod median;
 mod page;
 mod passers;
 mod report;

@@ -16,6 +16,7 @@ use use3d_numerics::math;
 
 use crate::above::main_line;
 use crate::agreement::ModelAgreement;
+use crate::median::median;
 
 /// The longer side of the pictures in which sharpness is measured, pixels.
 const SIDE: usize = 640;
@@ -176,8 +177,8 @@ pub(crate) fn seen_places(tracks: &[Track], views: usize) -> Vec<Vec<(f64, f64)>
     seen
 }
 
-/// The share of a view's pixels that its mask leaves, and the share of its points that it hides; the latter is
-/// `None` with few points. The mask has the size of the view's camera.
+/// The share of a view's pixels that its mask leaves, and the share of its points that it hides: `None` with
+/// few points. The mask has the size of the view's camera.
 pub(crate) fn measure_mask(mask: &Map, seen: &[(f64, f64)]) -> (f64, Option<f64>) {
     let (w, h) = (mask.width(), mask.height());
     let white = mask.data().iter().filter(|v| **v >= 0.5).count();
@@ -412,12 +413,6 @@ fn contrast(small: &Image8) -> f64 {
     all.sort_unstable_by(f64::total_cmp);
     let at = |share: f64| all.get((share * all.len() as f64) as usize).copied().unwrap_or(0.0);
     at(0.95) - at(0.05)
-}
-
-/// The upper median; 0 of no values.
-pub(crate) fn median(values: &mut [f64]) -> f64 {
-    values.sort_unstable_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
 /// The mean of 3×3 pixels around a place; `None` if it is outside, clipped or dark.

@@ -22,7 +22,7 @@ use rayon::prelude::*;
 use use3d_capture::{Capture, Image8, Map, Track};
 use use3d_numerics::math;
 
-use crate::measure::median;
+use crate::median::median;
 
 /// The largest angle between the rays of a view and a witness, radians.
 const ANGLE: f64 = 0.26;

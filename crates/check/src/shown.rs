@@ -18,7 +18,7 @@ use use3d_io_image::shrunk;
 use use3d_survey::{PointSight, SurveyPoint, rank_correlation};
 
 use crate::grain::grain;
-use crate::measure::median;
+use crate::median::median;
 
 /// The longer side of the pictures in which details are compared, pixels.
 const SIDE: usize = 640;

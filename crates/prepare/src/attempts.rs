@@ -168,8 +168,8 @@ impl Search<'_> {
         self.placed(work, "learned cameras", "learned", (LEARNED_DB, LEARNED_MODELS), made)
     }
 
-    /// Finds the cameras from matches in a database. `matches` are the commands that made these, and `features`
-    /// is the most features of an image.
+    /// Finds the cameras from matches in a database. `matches` are the commands that made these, and
+    /// `features` is the most features of an image.
     fn placed(
         &self,
         work: &mut Work<'_>,
