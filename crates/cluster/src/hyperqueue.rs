@@ -64,7 +64,7 @@ const AFTER_ANY: &str = "afterany";
 pub fn script(submission: &Submission, site: &Site) -> String {
     let (by, place) = (&submission.by, word(&submission.place.to_string_lossy()));
     let setup = [submission.exports(), site.setup.clone()].concat().join("\n");
-    let command = words(&site.command);
+    let command = words(&site.command());
     // No task must follow one that was interrupted, which has the code 130.
     format!(
         r#"#!/bin/bash

@@ -111,7 +111,7 @@ pub fn of(
     let scope = |stage: &str| registry.stage(stage).map_or(Scope::Batch, |s| s.scope());
     let mut jobs = match layout {
         Layout::Workers if todo.iter().all(|n| scope(n.stage) == Scope::Batch) => Vec::new(),
-        Layout::Workers => vec![workers_of(&todo, site, &cells, workers.unwrap_or(site.at_once))],
+        Layout::Workers => vec![workers_of(&todo, site, &cells, workers.unwrap_or(site.at_once))?],
         Layout::Stages => stages_of(plan, registry, site),
     };
     let last: Vec<&PlannedNode> = todo.iter().copied().filter(|n| scope(n.stage) == Scope::Batch).collect();
@@ -124,7 +124,11 @@ pub fn of(
         at_once: 1,
         cells: Vec::new(),
         after: (0..jobs.len()).map(After::Over).collect(),
-        words: vec!["--keep-going".to_string(), "--gather".to_string()],
+        words: ["--keep-going", "--gather"]
+            .map(String::from)
+            .into_iter()
+            .chain(site.needs(WORKERS).arguments)
+            .collect(),
         delivers: true,
         asks: asks(&last, site, WORKERS, |nodes| nodes.iter().filter_map(|n| longest(n)).sum()),
     });
@@ -166,7 +170,12 @@ fn cell(node: &PlannedNode) -> String {
     }
 }
 
-fn workers_of(todo: &[&PlannedNode], site: &Site, cells: &[String], most: usize) -> Job {
+fn workers_of(
+    todo: &[&PlannedNode],
+    site: &Site,
+    cells: &[String],
+    most: usize,
+) -> Result<Job, ClusterError> {
     let tasks = most.clamp(1, cells.len().clamp(1, site.largest_array));
     // The longest chain is that of one scene; the rest of the work is shared.
     let time = |nodes: &[&PlannedNode]| {
@@ -177,7 +186,9 @@ fn workers_of(todo: &[&PlannedNode], site: &Site, cells: &[String], most: usize)
         }
         chains.into_values().fold(sum / tasks as f64, f64::max)
     };
-    Job {
+    let asks = workers_ask(todo, site, time)?;
+    let words = ["--keep-going", "--until-empty", "--cache-only"].map(String::from).into_iter();
+    Ok(Job {
         name: "workers".to_string(),
         about: format!(
             "{} the missing stages of {}.",
@@ -192,10 +203,52 @@ fn workers_of(todo: &[&PlannedNode], site: &Site, cells: &[String], most: usize)
         at_once: site.at_once,
         cells: Vec::new(),
         after: Vec::new(),
-        words: ["--keep-going", "--until-empty", "--cache-only"].map(String::from).to_vec(),
+        words: words.chain(asks.needs.arguments.clone()).collect(),
         delivers: false,
-        asks: asks(todo, site, WORKERS, time),
+        asks,
+    })
+}
+
+/// The request of workers: what `[stage.run]` says, else the largest of what the missing stages need.
+fn workers_ask(
+    todo: &[&PlannedNode],
+    site: &Site,
+    seconds: impl Fn(&[&PlannedNode]) -> f64,
+) -> Result<Asks, ClusterError> {
+    let own = site.needs(WORKERS);
+    let mut all = asks(todo, site, WORKERS, seconds);
+    let mut needs = Needs::default();
+    let mut partitions: BTreeMap<String, &str> = BTreeMap::new();
+    let stages: BTreeSet<&str> = todo.iter().map(|node| node.stage).collect();
+    for stage in stages {
+        let nodes: Vec<&PlannedNode> = todo.iter().copied().filter(|node| node.stage == stage).collect();
+        let one =
+            asks(&nodes, site, stage, |nodes| nodes.iter().filter_map(|n| longest(n)).fold(0.0, f64::max));
+        let stated = one.needs;
+        all.cpus = if own.cpus.is_some() { all.cpus } else { all.cpus.max(one.cpus) };
+        all.memory = if own.memory.is_some() { all.memory } else { all.memory.max(one.memory) };
+        all.time =
+            if own.time.is_some() || stated.time.is_none() { all.time } else { all.time.max(one.time) };
+        partitions.extend(stated.partition.map(|name| (name, stage)));
+        let known = |word: &String| !needs.options.contains(word);
+        let fresh: Vec<String> = stated.options.into_iter().filter(known).collect();
+        needs.options.extend(fresh);
+        needs.arguments.extend(stated.arguments);
+        for (name, count) in stated.resources {
+            let most = needs.resources.entry(name).or_default();
+            *most = count.max(*most);
+        }
     }
+    if own.partition.is_none() && partitions.len() > 1 {
+        let named = partitions.iter().map(|(name, stage)| format!("{name} ({stage})"));
+        return Err(ClusterError::Partitions(named.collect::<Vec<_>>().join(", ")));
+    }
+    needs.partition = own.partition.or_else(|| partitions.into_keys().next());
+    needs.resources.extend(own.resources);
+    let filled = |own: Vec<String>, others: Vec<String>| if own.is_empty() { others } else { own };
+    needs.options = filled(own.options, needs.options);
+    needs.arguments = filled(own.arguments, needs.arguments);
+    Ok(Asks { needs, ..all })
 }
 
 /// An array of tasks of one stage. A scene with an input that exists already waits for fewer jobs than the

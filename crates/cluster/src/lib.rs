@@ -40,6 +40,12 @@ pub enum ClusterError {
         /// The problem with it.
         reason: &'static str,
     },
+    /// Equal workers cannot run in several partitions: these, each with a stage.
+    #[error(
+        "the stages need several partitions: {0}; workers are in one: name it as `partition` of [stage.run], \
+         or submit with --layout stages"
+    )]
+    Partitions(String),
     /// A file that cannot be written or read.
     #[error(transparent)]
     File(#[from] use3d_workflow::FileError),

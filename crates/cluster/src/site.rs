@@ -39,11 +39,11 @@ pub struct Site {
     pub setup: Vec<String>,
     /// Further options of the scheduler, e.g. `--qos=low`.
     pub options: Vec<String>,
-    /// The command, if it is not `use3d`: its name or path, or a list of words such as
+    /// The command, if it is not the program that submits: its name or path, or a list of words such as
     /// `["apptainer", "exec", "use3d.sif", "use3d"]`.
     #[serde(deserialize_with = "one_word_or_several")]
-    #[schemars(with = "Vec<String>")]
-    pub command: Vec<String>,
+    #[schemars(with = "Option<Vec<String>>")]
+    pub command: Option<Vec<String>>,
     /// Settings for tasks of a stage, by its name, that differ from those of other stages; for the workers of
     /// `--layout workers`, `run`.
     pub stage: BTreeMap<String, Needs>,
@@ -84,7 +84,7 @@ impl Default for Site {
             requeues: 50,
             setup: Vec::new(),
             options: Vec::new(),
-            command: vec!["use3d".to_string()],
+            command: None,
             stage: BTreeMap::new(),
         }
     }
@@ -213,19 +213,26 @@ impl Site {
                 return Err(SiteError::Option(field, option.clone()));
             }
         }
-        if self.command.is_empty() || self.command.iter().any(|word| word.trim().is_empty()) {
+        let command = self.command.as_deref();
+        if command.is_some_and(|words| words.is_empty() || words.iter().any(|word| word.trim().is_empty())) {
             let expected = "a name such as use3d, or leave it out";
             return Err(SiteError::value("command", "empty or has an empty word", expected));
         }
         // Every text is written on a line of its own in a script.
         let lines = [&self.account, &self.partition].into_iter().flatten();
-        let lines = lines.chain(&self.options).chain(&self.setup).chain(&self.command);
+        let lines = lines.chain(&self.options).chain(&self.setup).chain(self.command.iter().flatten());
         let needs =
             self.stage.values().flat_map(|n| n.partition.iter().chain(&n.options).chain(&n.arguments));
         match lines.chain(needs).find(|line| line.chars().any(char::is_control)) {
             Some(line) => Err(SiteError::Line(line.clone())),
             None => Ok(()),
         }
+    }
+
+    /// The words of the command of a task: those of the file, else the path of this program, else its name.
+    pub fn command(&self) -> Vec<String> {
+        let own = || std::env::current_exe().ok()?.to_str().map(|path| vec![path.to_string()]);
+        self.command.clone().or_else(own).unwrap_or_else(|| vec!["use3d".to_string()])
     }
 
     /// The settings of a stage, or of the workers.
@@ -258,7 +265,7 @@ impl Site {
 
 /// Reads a command as one word, or as a list of words. A word with spaces is refused: a shell would search
 /// for a file of that name.
-fn one_word_or_several<'de, D: de::Deserializer<'de>>(from: D) -> Result<Vec<String>, D::Error> {
+fn one_word_or_several<'de, D: de::Deserializer<'de>>(from: D) -> Result<Option<Vec<String>>, D::Error> {
     struct Words;
     impl<'de> de::Visitor<'de> for Words {
         type Value = Vec<String>;
@@ -282,7 +289,7 @@ fn one_word_or_several<'de, D: de::Deserializer<'de>>(from: D) -> Result<Vec<Str
             Ok(words)
         }
     }
-    from.deserialize_any(Words)
+    from.deserialize_any(Words).map(Some)
 }
 
 /// The most processors, equal to the limit of `use3d --threads`.
@@ -325,7 +332,7 @@ mod tests {
         assert_eq!((site.cpus, site.needs("reconstruct").partition.as_deref()), (16, Some("gpu")));
         assert_eq!(site.needs("import"), Needs::default());
         assert_eq!(Site::parse("", &[]).expect("right"), Site::default());
-        let command = |text| Site::parse(text, &[]).expect("right").command;
+        let command = |text| Site::parse(text, &[]).expect("right").command.expect("given");
         assert_eq!(command("command = \"/proj/bin/use3d\""), ["/proj/bin/use3d"]);
         assert_eq!(command("command = [\"srun\", \"my tools/use3d\"]"), ["srun", "my tools/use3d"]);
         for (text, words) in [

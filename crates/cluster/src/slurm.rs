@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use serde::{Deserialize, Serialize};
 use use3d_workflow::FileError;
 use use3d_workflow::files::{Disk, write_atomic};
-use use3d_workflow::task::{ClusterTask, IsOver};
+use use3d_workflow::task::{ClusterTask, IsOver, SUBMISSION};
 
 use super::ClusterError;
 use super::jobs::{After, Job};
@@ -47,6 +47,8 @@ pub struct Submission {
     pub folder: PathBuf,
     /// Environment variables, with their values, that tasks need and that a scheduler may not pass on.
     pub variables: Vec<(String, String)>,
+    /// The text by which its tasks know each other.
+    pub id: String,
 }
 
 /// The submitted jobs of a submission.
@@ -88,7 +90,10 @@ impl Submission {
     /// none: a variable of a task's machine would give its stages other keys than planned.
     pub(crate) fn exports(&self) -> Vec<String> {
         let exports = self.variables.iter().map(|(name, value)| format!("export {name}={}", word(value)));
-        ["unset USE3D_MODELS".to_string()].into_iter().chain(exports).collect()
+        ["unset USE3D_MODELS".to_string(), format!("export {SUBMISSION}={}", word(&self.id))]
+            .into_iter()
+            .chain(exports)
+            .collect()
     }
 
     /// The arguments of a job's task after the command's name; the task's own scene and variant come last.
@@ -149,7 +154,7 @@ cell=$(sed -n "s/^$SLURM_ARRAY_TASK_ID //p" {list})
     let most = job.asks.time.saturating_sub(SPARE).as_secs();
     let task = words(&submission.task(job));
     let cell = if job.cells.is_empty() { "" } else { r#" --only "$cell""# };
-    lines.push(format!("{} {threads} {task} --max-time {most}s{cell} &", words(&site.command)));
+    lines.push(format!("{} {threads} {task} --max-time {most}s{cell} &", words(&site.command())));
     let own = match job.tasks {
         Some(_) => "${SLURM_ARRAY_JOB_ID}_${SLURM_ARRAY_TASK_ID}",
         None => "$SLURM_JOB_ID",
@@ -416,6 +421,7 @@ mod tests {
             id: "17".into(),
             attempt: 0,
             memory: 0,
+            submission: String::new(),
         };
         assert!(is_of(&task("slurm", "reef"), Some("reef")) && is_of(&task("slurm", ""), None));
         for (other, here) in

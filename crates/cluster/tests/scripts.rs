@@ -120,6 +120,7 @@ fn site() -> Site {
         account = "reef"
         partition = "cpu"
         cpus = 8
+        command = "use3d"
         longest = "12h"
         setup = ["module load cuda/12.4", "export USE3D_MODELS=/proj/models"]
         [stage.reconstruct]
@@ -145,6 +146,7 @@ fn submission() -> Submission {
         results: ["--out", "/proj/reef work/use3d-out/use26"].map(String::from).to_vec(),
         folder: PathBuf::from("/proj/reef work/use3d-out/use26-submit"),
         variables: vec![("SEATHRU".to_string(), "/proj/reef data/SeaThru".to_string())],
+        id: "5a0d9a1c-1796000000".to_string(),
     }
 }
 
@@ -214,7 +216,7 @@ fn a_percent_sign_in_a_folders_name_is_no_pattern_of_slurms() {
 #[test]
 fn a_command_of_several_words_stays_several_words() {
     let command = ["apptainer", "exec", "my tools/use3d.sif", "use3d"].map(String::from).to_vec();
-    let site = Site { command, ..site() };
+    let site = Site { command: Some(command), ..site() };
     let words = "apptainer exec 'my tools/use3d.sif' use3d ";
     let slurm = slurm::script(&of(Layout::Workers)[0], &submission(), &site);
     assert!(slurm.lines().any(|line| line.starts_with(words)), "{slurm}");

@@ -96,6 +96,12 @@ impl Loaded {
         if gaps.is_empty() { Ok(()) } else { Err(WorkError::input(gaps)) }
     }
 
+    /// A short digest of everything that decides the keys of a submission's tasks. An engine counts by its name
+    /// in the settings, so no device is opened.
+    pub fn digest(&self) -> String {
+        self.graph.digest(&self.builder.registry).short()
+    }
+
     /// The capture folder of a scene, if the pipeline knows it.
     pub fn capture_of(&self, scene: &str) -> Option<&Path> {
         let scene = self.pipeline.batch.scenes.iter().find(|known| known.name == scene)?;

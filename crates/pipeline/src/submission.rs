@@ -7,7 +7,7 @@ use use3d_cluster::quote;
 use use3d_cluster::site::{Scheduler, Site};
 use use3d_cluster::slurm::{self, Submission};
 use use3d_workflow::Plan;
-use use3d_workflow::machine::seconds;
+use use3d_workflow::machine::{self, seconds};
 use use3d_workflow::plan::State;
 
 use crate::WorkError;
@@ -61,6 +61,31 @@ impl<'a> PlannedSubmission<'a> {
         let jobs = jobs::of(&plan, registry, &site, choices.layout, choices.workers);
         let jobs = jobs.map_err(WorkError::input)?;
         Ok(Self { request, scheduler: choices.scheduler, loaded, plan, site, jobs })
+    }
+
+    /// Refuses `arguments` of the site that would change a result: the tasks would refuse them one by one.
+    /// `read` turns the words of a `use3d run` into the pipeline that it would run.
+    ///
+    /// # Errors
+    /// A word is no argument of `use3d run`, or changes the keys of results.
+    pub fn check_arguments(
+        &self,
+        submission: &Submission,
+        read: impl Fn(&[String]) -> Result<PipelineRequest, WorkError>,
+    ) -> Result<(), WorkError> {
+        let planned = self.loaded.digest();
+        for (stage, needs) in self.site.stage.iter().filter(|(_, needs)| !needs.arguments.is_empty()) {
+            let fault = |reason: String| WorkError::Input(format!("`stage.{stage}.arguments`: {reason}"));
+            let changed = read(&[&submission.run[..], &needs.arguments].concat()).and_then(|r| r.open());
+            if changed.map_err(|error| fault(error.to_string()))?.digest() != planned {
+                return Err(fault(format!(
+                    "`{}` changes results, so the tasks of this stage would not belong to the others; write \
+                     it into the pipeline file, or give it to `use3d submit`",
+                    quote::words(&needs.arguments)
+                )));
+            }
+        }
+        Ok(())
     }
 
     /// The number of inputs that the pipeline names but that do not exist.
@@ -122,7 +147,7 @@ impl<'a> PlannedSubmission<'a> {
         if let Some(calibrator) = calibrator {
             run.extend(["--calibrator".to_string(), text(calibrator)?]);
         }
-        run.extend(["--submitted".to_string(), graph.digest(&builder.registry).short()]);
+        run.extend(["--submitted".to_string(), self.loaded.digest()]);
         // These words go into comments and lines of a script, so each must be one line. `out` is also the
         // folder of scripts and logs.
         let places = [text(&place)?, text(&out)?];
@@ -140,6 +165,7 @@ impl<'a> PlannedSubmission<'a> {
             place,
             run,
             variables: variables(pipeline, check_remote, warn)?,
+            id: format!("{}-{}", self.loaded.digest(), machine::now()),
         })
     }
 }

@@ -51,7 +51,7 @@ pub(crate) mod definition {
             .delivers("enhanced-scene")
             .check(|p: &EnhanceParams| p.validate().map_err(out_of_range))
             .check(|p: &EnhanceParams| engines::check(&p.engine))
-            .computes_on(|p: &EnhanceParams| engines::class(&p.engine))
+            .computes_on("engine", |p: &EnhanceParams| engines::class(&p.engine))
             .when(|all| !learns_from_proposals(all))
             .input("import", "import")
             .input("scene", "reconstruct")

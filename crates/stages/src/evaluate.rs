@@ -127,7 +127,7 @@ pub(crate) mod definition {
             .delivers("scores")
             .check(Params::check)
             .check(|p: &Params| engines::check(&p.engine))
-            .computes_on(|p: &Params| engines::class(&p.engine))
+            .computes_on("engine", |p: &Params| engines::class(&p.engine))
             .without_effect(&["engine"])
             .agrees_across_classes(&FIGURES)
             .input("import", "import")

@@ -66,7 +66,7 @@ pub(crate) mod definition {
             .delivers("scene")
             .check(|p: &ReconstructParams| p.validate().map_err(out_of_range))
             .check(engines::check::<ReconstructParams>)
-            .computes_on(engines::class::<ReconstructParams>)
+            .computes_on("engine", engines::class::<ReconstructParams>)
             .input("import", "import")
             .optional_input("proposals", "propose")
             .optional_input("depth", "depth")

@@ -65,7 +65,7 @@ pub(crate) mod definition {
             .check(|p: &Params| within("strength", p.strength, 0.0, 1.0).map_err(out_of_range))
             .check(|p: &Params| within("water", p.water, 0.0, 1.0).map_err(out_of_range))
             .check(|p: &Params| engines::check(&p.engine))
-            .computes_on(|p: &Params| engines::class(&p.engine))
+            .computes_on("engine", |p: &Params| engines::class(&p.engine))
             .files_agree_across_classes(&ALIKE)
             .without_effect(&["engine"])
             .input("import", "import")

@@ -50,7 +50,7 @@ pub(crate) mod definition {
             .seeded()
             .check(|p: &Params| p.kept_water.check())
             .check(|p: &Params| engines::check(&p.engine))
-            .computes_on(|p: &Params| engines::class(&p.engine))
+            .computes_on("engine", |p: &Params| engines::class(&p.engine))
             .without_effect(&["engine"])
             .agrees_across_classes(&FIGURES)
             .usually_costs(1.5, 0.0)

@@ -67,6 +67,12 @@ impl Node {
         Self { process, host: host.to_string(), clock, task: None, is_over: None }
     }
 
+    /// The same process as a task of a scheduler, for tests.
+    #[must_use]
+    pub fn in_task(self, task: ClusterTask) -> Self {
+        Self { task: Some(task), ..self }
+    }
+
     /// Returns true if this process is a later attempt of a task, so that the task is over.
     pub(crate) fn has_followed(&self, task: &ClusterTask) -> bool {
         self.task.as_ref().is_some_and(|own| own.follows(task))

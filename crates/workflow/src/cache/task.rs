@@ -24,7 +24,13 @@ pub struct ClusterTask {
     /// The memory that it was granted in bytes; 0 if that is not known.
     #[serde(default)]
     pub memory: u64,
+    /// The submission that it belongs to; empty if it was not written by `use3d submit`.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub submission: String,
 }
+
+/// The variable by which the tasks of one submission know each other.
+pub const SUBMISSION: &str = "USE3D_SUBMISSION";
 
 impl ClusterTask {
     /// The task of this process, from the variables that schedulers set.
@@ -34,6 +40,7 @@ impl ClusterTask {
 
     fn of(variable: &dyn Fn(&str) -> Option<String>) -> Option<Self> {
         let number = |name: &str| variable(name).and_then(|text| text.parse::<u64>().ok());
+        let submission = variable(SUBMISSION).unwrap_or_default();
         let attempt = |name: &str| number(name).and_then(|n| u32::try_from(n).ok()).unwrap_or(0);
         if let Some(job) = variable("SLURM_JOB_ID") {
             let of_array = variable("SLURM_ARRAY_JOB_ID").zip(variable("SLURM_ARRAY_TASK_ID"));
@@ -46,11 +53,17 @@ impl ClusterTask {
                 id,
                 attempt: attempt("SLURM_RESTART_COUNT"),
                 memory,
+                submission,
             });
         }
         let (job, task) = (variable("HQ_JOB_ID")?, variable("HQ_TASK_ID")?);
         let (id, attempt) = (format!("{job}_{task}"), attempt("HQ_INSTANCE_ID"));
-        Some(Self { scheduler: "hq".into(), cluster: String::new(), id, attempt, memory: 0 })
+        Some(Self { scheduler: "hq".into(), cluster: String::new(), id, attempt, memory: 0, submission })
+    }
+
+    /// Returns true if both tasks belong to one submission.
+    pub(crate) fn is_submitted_with(&self, other: &Self) -> bool {
+        !self.submission.is_empty() && self.submission == other.submission
     }
 
     /// Returns true if this is a later attempt of the same task.
@@ -87,6 +100,7 @@ mod tests {
             ("SLURM_ARRAY_JOB_ID", "12"),
             ("SLURM_ARRAY_TASK_ID", "4"),
             ("SLURM_MEM_PER_NODE", "900"),
+            (SUBMISSION, "a1"),
         ])
         .unwrap();
         assert_eq!((first.id.as_str(), first.attempt, first.memory), ("12_4", 0, 900 << 20));
@@ -94,6 +108,7 @@ mod tests {
         assert!(later.follows(&first) && !first.follows(&later) && !first.follows(&first));
         let other = of(&[("SLURM_JOB_ID", "17"), ("SLURM_RESTART_COUNT", "9")]).unwrap();
         assert!(other.id == "17" && !other.follows(&first));
+        assert!(first.is_submitted_with(&later) && !other.is_submitted_with(&other));
         assert_eq!(
             of(&[("HQ_JOB_ID", "3"), ("HQ_TASK_ID", "8"), ("HQ_INSTANCE_ID", "1")]).unwrap().attempt,
             1

@@ -251,10 +251,10 @@ impl Graph {
         Ok(Self { name: batch.name.clone(), nodes: builder.nodes })
     }
 
-    /// Returns a digest of the batch: its stages with their code, the parameters that count, seeds and
-    /// inputs. Two processes with the same digest compute the same keys.
+    /// Returns a digest of the batch: its stages with their code, the parameters that count, the chosen devices
+    /// by name, seeds and inputs. Two processes with the same digest compute the same keys on like machines.
     pub fn digest(&self, registry: &Registry) -> Digest {
-        let mut encoder = Encoder::new("use3d 2026 batch v2");
+        let mut encoder = Encoder::new("use3d 2026 batch v3");
         let stages: BTreeSet<usize> = self.nodes.iter().map(|node| node.stage).collect();
         for place in stages {
             encoder.text(registry.stages()[place].name);
@@ -266,6 +266,9 @@ impl Graph {
             encoder.text(node.stage_name).text(&node.scene).text(&node.variant);
             let stage = &registry.stages()[node.stage];
             canonical::encode(&stage.key_parameters(&node.parameters), &mut encoder);
+            if let Some(device) = stage.device_parameter.and_then(|name| node.parameters.json().get(name)) {
+                canonical::encode(device, &mut encoder);
+            }
             encoder.number(u64::from(node.seed.is_some())).number(node.seed.unwrap_or(0));
             for input in &node.inputs {
                 encoder.text(input.role);

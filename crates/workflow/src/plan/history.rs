@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use crate::cache::artifacts::Cache;
 use crate::cache::files;
 use crate::cache::key::{Ingredients, Key};
+use crate::cache::task::ClusterTask;
 use crate::error::FileError;
 use crate::plan::graph::Node;
 use use3d_code::digest::Digest;
@@ -37,6 +38,9 @@ pub struct Failure {
     pub log: PathBuf,
     /// Time of the failure (UTC).
     pub at: String,
+    /// The task of a scheduler in which it failed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub task: Option<ClusterTask>,
 }
 
 /// The record of a node.

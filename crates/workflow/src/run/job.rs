@@ -34,6 +34,8 @@ pub(crate) enum JobResult {
     Cancelled,
     /// Another process computes the node; the text names it. The resolved node waits.
     Held(String, Box<Resolved>),
+    /// The node failed or was killed in another task of this submission; the text says so.
+    LeftAlone(String),
     /// An input's artifact was damaged and has been moved aside; the number is the node that makes it.
     DamagedInput(usize),
 }
@@ -59,6 +61,7 @@ impl Job<'_> {
             Ok(Claim::Ours(lease)) => lease,
             Ok(Claim::Made(artifact)) => return JobResult::Ready { artifact, computed: false, seconds: 0.0 },
             Ok(Claim::Cancelled) => return JobResult::Cancelled,
+            Ok(Claim::LeftAlone(reason)) => return JobResult::LeftAlone(reason),
             Ok(Claim::Held(holder)) => return JobResult::Held(holder, self.resolved),
             Err(error) => return JobResult::Failed(error.into()),
         };
@@ -164,6 +167,12 @@ impl Job<'_> {
                 Claim::Made(artifact)
             }
             (_, LeaseRequest::Granted(lease)) => {
+                if let Some(reason) = self.given_up() {
+                    if let Some(lease) = lease {
+                        lease.finish();
+                    }
+                    return Ok(Claim::LeftAlone(reason));
+                }
                 if let Some(killed) = cache.killed(key) {
                     let resumes = self.resolved.checkpoints.is_some();
                     let next = if resumes { ", from its last checkpoint if it has one" } else { "" };
@@ -173,6 +182,23 @@ impl Job<'_> {
             }
             (_, LeaseRequest::Held(holder)) => Claim::Held(holder),
         })
+    }
+
+    /// Returns the reason to leave this node alone: it failed or was killed in a task of this submission, and
+    /// would again. A task that the scheduler starts again may try what it was killed at, because its machine
+    /// may have been lost.
+    fn given_up(&self) -> Option<String> {
+        let (cache, key) = (&self.builder.cache, &self.resolved.key);
+        let own = cache.node.task.as_ref()?;
+        if let Some(killed) = cache.killed(key)
+            && let Some(task) = killed.task.as_ref().filter(|task| own.is_submitted_with(task))
+            && !own.follows(task)
+        {
+            return Some(format!("{task}, where it was killed; the next submission asks for more memory"));
+        }
+        let failure = cache.record(self.pipeline, self.node).failure.filter(|f| f.key == Some(*key))?;
+        let task = failure.task.filter(|task| own.is_submitted_with(task))?;
+        Some(format!("{task}, where it failed; the next submission tries it again"))
     }
 
     /// Fetches the artifact from the store, if there is one. If that fails, the artifact is computed.
@@ -340,6 +366,7 @@ enum Claim {
     Ours(Option<Box<Lease>>),
     Made(Arc<Artifact>),
     Held(String),
+    LeftAlone(String),
     Cancelled,
 }
 

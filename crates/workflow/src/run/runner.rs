@@ -100,6 +100,10 @@ impl Builder {
             listener.event(&Event::Note { label: &graph.name, text: &text });
         }
         let mut runner = Runner::new(self, graph, options, listener);
+        if self.remote.is_some() {
+            // Machines that share only a store see no leases, so each begins with other scenes.
+            runner.spread();
+        }
         thread::scope(|scope| runner.drive(scope));
         let (nodes, lease, left) = (runner.nodes, runner.lease, runner.left);
         if let Err(error) = self.cache.contents.save() {
@@ -162,6 +166,8 @@ struct Runner<'r> {
     lease: RunLease,
     spread: bool,
     held: HashMap<usize, Held>,
+    /// Nodes that failed in another task of this submission, by label, each with the reason.
+    left_alone: HashMap<String, String>,
     start: Duration,
     leave_at: Option<Duration>,
     /// Past durations, if the time is limited.
@@ -261,6 +267,7 @@ impl<'r> Runner<'r> {
             full: false,
             spread: false,
             held: HashMap::new(),
+            left_alone: HashMap::new(),
             start,
             leave_at,
             timings: options.limit.map(|_| builder.cache.timings()),
@@ -470,7 +477,10 @@ impl<'r> Runner<'r> {
     }
 
     fn block(&mut self, i: usize, by: String) {
-        self.nodes[i].result = NodeResult::Blocked(by.clone());
+        // The task in which the cause failed reports it.
+        let reason = self.left_alone.get(&by);
+        self.nodes[i].result =
+            reason.map_or_else(|| NodeResult::Blocked(by.clone()), |r| NodeResult::Elsewhere(r.clone()));
         self.outcomes[i] = Outcome::Unavailable(by);
         self.over(i);
     }
@@ -610,6 +620,7 @@ impl<'r> Runner<'r> {
                 self.outcomes[i] = Outcome::Unavailable("the interruption".to_string());
                 self.over(i);
             }
+            JobResult::LeftAlone(reason) => self.leave_alone(i, &reason),
             JobResult::Held(holder, resolved) => self.put_back(i, holder, resolved),
             JobResult::DamagedInput(parent) => {
                 // A node that shares another node's work is made again by that node.

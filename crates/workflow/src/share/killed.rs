@@ -79,6 +79,7 @@ mod tests {
             id: "1".into(),
             attempt: 0,
             memory: 1000,
+            submission: String::new(),
         };
         let killed = |peak_memory| Killed {
             host: "n1".into(),

@@ -99,6 +99,8 @@ pub struct Stage {
     pub(crate) promises: &'static [&'static str],
     /// The device that it may compute on besides the processor.
     pub device: Option<Device>,
+    /// The parameter that chooses the device, if it may compute on one.
+    pub(crate) device_parameter: Option<&'static str>,
     /// The rule by which its artifacts of two classes of arithmetic agree; `None` promises the same bytes
     /// everywhere.
     pub agreement: Option<Agreement>,
@@ -143,6 +145,7 @@ impl Stage {
             without_effect: &[],
             promises: &[],
             device: None,
+            device_parameter: None,
             agreement: None,
             delivered: None,
             usual_cost: [0.3, 0.0],
@@ -299,14 +302,16 @@ impl Stage {
     }
 
     /// Sets the device it computes on with given parameters, or `None` for the processor alone. The device is
-    /// part of its class of arithmetic, and so of its key.
+    /// part of its class of arithmetic, and so of its key. The parameter `name` chooses it; it belongs among
+    /// those [without effect](Self::without_effect).
     #[must_use]
     pub fn computes_on<P: 'static>(
         self,
+        name: &'static str,
         device: impl Fn(&P) -> Option<DeviceClass> + Send + Sync + 'static,
     ) -> Self {
         let device = move |parameters: &Parameters| device(parameters.of()?);
-        Self { device: Some(Arc::new(device)), ..self }
+        Self { device: Some(Arc::new(device)), device_parameter: Some(name), ..self }
     }
 
     /// Declares that its bytes are the same within one class of arithmetic but not between two; between two,

@@ -424,7 +424,7 @@ fn artifacts_of_another_class_are_compared_as_their_stage_says() {
         })
         .external("capture", "capture")
         .agrees_across_classes(figures)
-        .computes_on(move |_: &super::stages::Strength| {
+        .computes_on("device", move |_: &super::stages::Strength| {
             Some(DeviceClass {
                 engine: "wgpu".into(),
                 adapter: "a card".into(),

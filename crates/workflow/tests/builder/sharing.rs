@@ -9,7 +9,9 @@ use std::sync::{Arc, Mutex};
 
 use serde_json::json;
 use use3d_workflow::gc::CleanOptions;
-use use3d_workflow::run::{NodeResult, RunOptions};
+use use3d_workflow::node::Node;
+use use3d_workflow::run::{NodeResult, RanNode, RunOptions};
+use use3d_workflow::task::ClusterTask;
 use use3d_workflow::{Batch, Builder, Event, Graph, Listener, Summary};
 
 use super::stages::{batch, builder, payload, run};
@@ -228,4 +230,38 @@ fn what_does_not_belong_into_an_artifact_is_named_and_moved_aside() {
     assert_eq!(run(&builder, &batch).0.cached(), 7, "nothing is made again for it");
     let aside = fs::read_dir(builder.cache.root().join("damaged")).expect("folder").next().expect("one");
     assert_eq!(fs::read(aside.expect("entry").path().join("notes.txt")).expect("kept"), b"mine");
+}
+
+#[test]
+fn what_failed_in_one_task_is_left_alone_by_the_others_of_its_submission() {
+    let dir = tempfile::tempdir().expect("folder");
+    let batch = batch(&dir.path().join("data"), &["reef", "wreck"]);
+    fs::write(dir.path().join("data/wreck/images/words.txt"), "garbage").expect("written");
+    let options = RunOptions { keep_going: true, ..RunOptions::default() };
+    let run = |id: &str, submission: &str| {
+        let task = ClusterTask {
+            scheduler: "slurm".into(),
+            cluster: String::new(),
+            id: id.into(),
+            attempt: 0,
+            memory: 0,
+            submission: submission.into(),
+        };
+        let Builder { registry, cache, .. } = builder(&dir.path().join("cache"));
+        let builder = Builder::new(registry, cache.as_node(Node::this().in_task(task)));
+        run_meddled(&builder, &batch, &options, |_| false, || {})
+    };
+    let failing = |started: &[String]| started.iter().filter(|label| *label == "wreck · reconstruct").count();
+    let (first, started, _) = run("1", "a");
+    assert_eq!((failing(&started), first.failed().count(), first.exit_code()), (1, 1, 1), "{started:?}");
+    let (second, started, _) = run("2", "a");
+    assert_eq!((failing(&started), second.exit_code()), (0, 0), "{started:?} {second}");
+    let left = |node: &&RanNode| matches!(&node.result, NodeResult::Elsewhere(by) if by.contains("slurm 1"));
+    let own = second.nodes.iter().filter(|node| node.scene == "wreck" && node.stage != "import");
+    assert!(own.clone().count() > 3 && own.clone().all(|node| left(&node)), "{second}");
+    // Another submission tries it again, and so does a process that is no task.
+    assert_eq!(failing(&run("3", "b").1), 1);
+    let (alone, started, _) =
+        run_meddled(&builder(&dir.path().join("cache")), &batch, &options, |_| false, || {});
+    assert_eq!((failing(&started), alone.exit_code()), (1, 1));
 }

@@ -5,7 +5,7 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use super::{Phase, Runner};
-use crate::plan::resolve::Resolved;
+use crate::plan::resolve::{Outcome, Resolved};
 use crate::run::summary::NodeResult;
 use crate::share::lease::{self, HEARTBEAT};
 use crate::stage::events::Event;
@@ -124,9 +124,19 @@ impl Runner<'_> {
         self.spread();
     }
 
+    /// Leaves a node, and what needs it, to the next submission.
+    pub(super) fn leave_alone(&mut self, i: usize, reason: &str) {
+        let label = self.nodes[i].label.clone();
+        self.listener.event(&Event::Note { label: &label, text: &format!("left to {reason}") });
+        self.nodes[i].result = NodeResult::Elsewhere(reason.to_string());
+        self.outcomes[i] = Outcome::Unavailable(label.clone());
+        self.left_alone.insert(label, reason.to_string());
+        self.over(i);
+    }
+
     /// Tries scenes from now on in an order of this process's own: other processes work on the same batch,
     /// and not all should request the same nodes.
-    fn spread(&mut self) {
+    pub(super) fn spread(&mut self) {
         if std::mem::replace(&mut self.spread, true) {
             return;
         }

@@ -38,7 +38,8 @@ impl Runner<'_> {
         self.listener.event(&Event::Failed { node: i, label: &label, reason: &reason, log: &log });
         let mut record = self.builder.cache.record(&self.graph.name, node);
         let at = machine::utc(machine::now());
-        record.failure = Some(Failure { key, reason: reason.clone(), log: log.clone(), at });
+        let task = self.builder.cache.node.task.clone();
+        record.failure = Some(Failure { key, reason: reason.clone(), log: log.clone(), at, task });
         self.write_record(i, &record);
         self.nodes[i].result = NodeResult::Failed { reason, log, bad_input: error.is_bad_input() };
         self.known[i].failed = true;

@@ -216,6 +216,7 @@ fn a_task_that_is_known_to_be_over_is_waited_for_no_longer_and_how_it_ended_is_k
         id: "12_4".to_string(),
         attempt: 0,
         memory: 900 << 20,
+        submission: String::new(),
     };
     let open = || Cache::open(dir.path(), false).unwrap();
     let elsewhere = |host: &str| Node::elsewhere(host, Clock::system());
