@@ -146,13 +146,79 @@ fn submit(many: &Many, path: &str, scheduler: &str, cache: &str, extra: &[&str])
 }
 
 #[test]
+fn what_was_killed_in_one_task_is_left_to_the_next_submission_unless_the_scheduler_starts_it_again() {
+    let many = Many::new(&["s1".to_string()]);
+    let run = |job: &str, attempt: &str, submission: &str| {
+        let mut command = many.command(&["run", "--cache-only", "--until", "reconstruct"], "cache");
+        command.args(["--set", "reconstruct.iterations=4000"]);
+        command.env("SLURM_JOB_ID", job).env("SLURM_RESTART_COUNT", attempt);
+        command.env("USE3D_SUBMISSION", submission);
+        command.stderr(std::process::Stdio::piped()).stdout(std::process::Stdio::piped());
+        command
+    };
+    let log = many.at("cache/v1/logs/many/s1/_/reconstruct.log");
+    let mut killed = run("1", "0", "a").spawn().expect("the command starts");
+    while !log.exists() {
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    killed.kill().expect("killed");
+    killed.wait().expect("gone");
+    let first = read(&log);
+    let output = run("2", "0", "a").output().expect("the command starts");
+    assert!(output.status.success() && read(&log) == first, "{}", said(&output));
+    assert!(said(&output).contains("left to slurm 1, where it was killed"), "{}", said(&output));
+    // Slurm starts a task again whose machine was lost; another submission asks for more memory.
+    for (job, attempt, submission) in [("1", "1", "a"), ("3", "0", "b")] {
+        let mut child = run(job, attempt, submission).spawn().expect("the command starts");
+        while read(&log) == first || read(&log).is_empty() {
+            assert!(child.try_wait().expect("a state").is_none(), "{job}: it ended");
+            std::thread::sleep(std::time::Duration::from_millis(5));
+        }
+        child.kill().expect("killed");
+        child.wait().expect("gone");
+        fs::write(&log, &first).expect("written");
+    }
+}
+
+#[test]
+fn arguments_of_a_site_that_change_results_are_refused_and_workers_get_what_the_largest_stage_needs() {
+    let many = Many::new(&["s1".to_string()]);
+    let submit = |site: &str| {
+        fs::write(many.at("cluster.toml"), site).expect("written");
+        let words = ["--cluster", "cluster.toml", "--dry-run"];
+        submit(&many, "/nowhere", "slurm", "cache", &words)
+    };
+    for (arguments, words) in [
+        (r#"["--set", "reconstruct.iterations=13"]"#, "changes results"),
+        (r#"["--set", "reconstruct.engine=auto"]"#, "changes results"),
+        (r#"["--fly"]"#, "unexpected argument '--fly'"),
+    ] {
+        let (code, text) = submit(&format!("[stage.reconstruct]\narguments = {arguments}"));
+        assert!(code == Some(2) && text.contains("`stage.reconstruct.arguments`: "), "{text}");
+        assert!(text.contains("cluster.toml: ") && text.contains(words), "{text}");
+    }
+    let (code, text) = submit(
+        "cpus = 2\n[stage.reconstruct]\npartition = \"gpu\"\nmemory = \"24GB\"\ntime = \"6h\"\n\
+         options = [\"--gres=gpu:1\"]\narguments = [\"--set\", \"reconstruct.checkpoint_minutes=7\"]\n\
+         [stage.import]\ncpus = 8\n[stage.run]\narguments = [\"--verbose\"]\n",
+    );
+    let workers = text.split("--- sbatch").nth(1).unwrap_or_default();
+    for line in ["--partition=gpu", "--cpus-per-task=8", "--time=6:00:00", "--gres=gpu:1", " --verbose"] {
+        assert!(code == Some(0) && workers.contains(line), "{line}: {text}");
+    }
+    assert!(text.contains("24000 MB"), "{text}");
+    let (code, text) =
+        submit("[stage.reconstruct]\npartition = \"gpu\"\n[stage.import]\npartition = \"short\"\n");
+    assert!(code == Some(2) && text.contains("gpu (reconstruct), short (import)"), "{text}");
+}
+
+#[test]
 fn what_has_no_capture_is_said_and_is_no_success() {
     let many = Many::new(&["s1".to_string(), "gone".to_string()]);
     fs::remove_dir_all(many.at("gone")).expect("removed");
     let path = stand_ins(&many);
-    fs::write(many.at("cluster.toml"), format!("command = \"{}\"\n", env!("CARGO_BIN_EXE_use3d")))
-        .expect("written");
-    let words = ["-q", "--cluster", "cluster.toml"];
+    // Without a `command`, tasks run the program that submits.
+    let words = ["-q"];
     let (code, text) = submit(&many, &path, "slurm", "cache", &[&words[..], &["--dry-run"]].concat());
     assert!(code == Some(1) && text.contains("warning: gone import: "), "{text}");
     // The rest is submitted and done.

@@ -43,6 +43,8 @@ pub(crate) use white::{KeepWhiteArgs, WhiteArgs};
 
 use shared::count;
 
+use crate::error::WorkError;
+
 /// Underwater 3D scenes that look clear, from any viewpoint, reproducibly.
 ///
 /// Reconstructs a scene together with its water, learns what "enhanced" means from a 2D enhancer, from image
@@ -84,6 +86,25 @@ pub(crate) fn parse() -> (Cli, bool) {
     let matches = without_empty_variables(Cli::command()).get_matches();
     let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     (cli, wants_json(&matches))
+}
+
+/// Reads the arguments of a `use3d run`.
+///
+/// # Errors
+/// The first line of the message for its user.
+pub(crate) fn parse_run(words: &[String]) -> Result<RunArgs, WorkError> {
+    let command = without_empty_variables(Cli::command());
+    let words = ["use3d", "run"].into_iter().chain(words.iter().map(String::as_str));
+    let parsed = command.try_get_matches_from(words).and_then(|found| Cli::from_arg_matches(&found));
+    match parsed.map(|cli| cli.verb) {
+        Ok(Verb::Run(args)) => Ok(args),
+        Ok(_) => Err(WorkError::input("these are no arguments of `use3d run`")),
+        Err(error) => {
+            let text = error.to_string();
+            let first = text.lines().next().unwrap_or_default();
+            Err(WorkError::input(first.trim_start_matches("error: ")))
+        }
+    }
 }
 
 /// Returns true if the innermost verb has the flag `--json`, or its equal `--format json`.

@@ -111,7 +111,7 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
         return show(&loaded.builder.plan(&loaded.graph, until.as_deref()), args.json);
     }
     if let Some(submitted) = &args.submitted
-        && *submitted != loaded.graph.digest(&loaded.builder.registry).short()
+        && *submitted != loaded.digest()
     {
         return Err(WorkError::Input(format!(
             "{}: this is not the submitted pipeline: the file was edited since, this is another version of \

@@ -12,7 +12,7 @@ use use3d_pipeline::loaded::{PipelineRequest, stages};
 use use3d_pipeline::submission::{PlannedSubmission, SubmissionChoices, folder_of};
 
 use crate::App;
-use crate::args::{CancelArgs, Submit, SubmitArgs, SubmitLayout};
+use crate::args::{CancelArgs, Submit, SubmitArgs, SubmitLayout, parse_run};
 use crate::error::{Done, WorkError};
 use crate::output::counted;
 
@@ -56,6 +56,13 @@ pub(crate) fn run(app: &App, what: &Submit) -> Done {
     };
     let mut warn = |text: String| eprintln!("warning: {text}");
     let submission = planned.submission(args.out.as_deref(), check_remote, &mut warn)?;
+    let of_site = |error: WorkError| match site {
+        Some(file) => WorkError::Input(format!("{}: {error}", file.display())),
+        None => error,
+    };
+    planned
+        .check_arguments(&submission, |words| Ok(parse_run(words)?.pipeline.request()))
+        .map_err(of_site)?;
     for job in &planned.jobs {
         println!(
             "{:<12} {}, {} processors, {} MB, up to {}",
@@ -93,7 +100,7 @@ fn submit(
     if scheduler == Scheduler::HyperQueue && hyperqueue::ends_with_a_failure(&planned.jobs) {
         println!(
             "if a task fails, HyperQueue starts no task that depends on it, not even `finish`; then \
-             run: {} --keep-going",
+             run: {} --keep-going --gather",
             command("run", &[&submission.run[..], &submission.results].concat())
         );
     }
