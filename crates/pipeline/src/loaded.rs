@@ -96,8 +96,8 @@ impl Loaded {
         if gaps.is_empty() { Ok(()) } else { Err(WorkError::input(gaps)) }
     }
 
-    /// A short digest of everything that decides the keys of a submission's tasks. An engine counts by its name
-    /// in the settings, so no device is opened.
+    /// A short digest of everything that decides the keys of a submission's tasks. An engine counts by its
+    /// name in the settings, so no device is opened.
     pub fn digest(&self) -> String {
         self.graph.digest(&self.builder.registry).short()
     }

@@ -251,8 +251,9 @@ impl Graph {
         Ok(Self { name: batch.name.clone(), nodes: builder.nodes })
     }
 
-    /// Returns a digest of the batch: its stages with their code, the parameters that count, the chosen devices
-    /// by name, seeds and inputs. Two processes with the same digest compute the same keys on like machines.
+    /// Returns a digest of the batch: its stages with their code, the parameters that count, the names of the
+    /// chosen devices, seeds and inputs. Two processes with the same digest compute the same keys on like
+    /// machines.
     pub fn digest(&self, registry: &Registry) -> Digest {
         let mut encoder = Encoder::new("use3d 2026 batch v3");
         let stages: BTreeSet<usize> = self.nodes.iter().map(|node| node.stage).collect();
