@@ -1,8 +1,9 @@
 //! The Gaussians from which training starts.
 //!
 //! There is one Gaussian per sparse point: its colour as the constant coefficient, an isotropic size equal
-//! to the mean distance to its three nearest other points, a uniformly random rotation, and opacity 0.1.
-//! Equal points count as one neighbour, so that a heap of duplicates does not make Gaussians of size zero.
+//! to the mean distance to its three nearest other points, a uniformly random rotation, and the opacity of
+//! the settings. Equal points count as one neighbour, so that a heap of duplicates does not make Gaussians of
+//! size zero.
 //! A capture with fewer than 100 points gets random ones in the space that its cameras see. If there are
 //! more points than Gaussians allowed, a random choice of them is kept.
 
