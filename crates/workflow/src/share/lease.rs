@@ -89,7 +89,7 @@ impl Holder {
 enum Judged {
     Absent,
     /// Another process holds it: its name, and the holder if it can be read.
-    Live(String, Option<Holder>),
+    Live(String, Option<Box<Holder>>),
     /// The holder has ended or given up; the bytes of the lease.
     Dead(Vec<u8>),
 }
@@ -118,7 +118,7 @@ fn judge(cache: &Cache, path: &Path, now: Duration) -> Judged {
                 (None, Some(task)) if unchanged >= ASKING && node.is_over(task) => Duration::ZERO,
                 (None, _) => EXPIRY,
             };
-            (limit, name, Some(holder))
+            (limit, name, Some(Box::new(holder)))
         }
         None => (HALF, "another process on this cache".to_string(), None),
     };
