@@ -18,6 +18,7 @@ use crate::plan::builder::Builder;
 use crate::plan::graph::Node;
 use crate::plan::history::Timing;
 use crate::plan::resolve::Resolved;
+use crate::share::killed::Killed;
 use crate::share::lease::{HEARTBEAT, Lease, LeaseRequest};
 use crate::share::pulse::Progress;
 use crate::share::remote::{Fetched, RemoteError, RemoteStore, Sent};
@@ -167,13 +168,14 @@ impl Job<'_> {
                 Claim::Made(artifact)
             }
             (_, LeaseRequest::Granted(lease)) => {
-                if let Some(reason) = self.given_up() {
+                let killed = cache.killed(key);
+                if let Some(reason) = self.given_up(killed.as_ref()) {
                     if let Some(lease) = lease {
                         lease.finish();
                     }
                     return Ok(Claim::LeftAlone(reason));
                 }
-                if let Some(killed) = cache.killed(key) {
+                if let Some(killed) = killed {
                     let resumes = self.resolved.checkpoints.is_some();
                     let next = if resumes { ", from its last checkpoint if it has one" } else { "" };
                     self.note(&format!("{killed}; computing it again{next}"));
@@ -187,11 +189,11 @@ impl Job<'_> {
     /// Returns the reason to leave this node alone: it failed or was killed in a task of this submission, and
     /// would again. A task that the scheduler starts again may try what it was killed at, because its machine
     /// may have been lost.
-    fn given_up(&self) -> Option<String> {
+    fn given_up(&self, killed: Option<&Killed>) -> Option<String> {
         let (cache, key) = (&self.builder.cache, &self.resolved.key);
-        let own = cache.node.task.as_ref()?;
-        if let Some(killed) = cache.killed(key)
-            && let Some(task) = killed.task.as_ref().filter(|task| own.is_submitted_with(task))
+        let own = cache.node.task.as_ref().filter(|own| !own.submission.is_empty())?;
+        if let Some(task) = killed.and_then(|killed| killed.task.as_ref())
+            && own.is_submitted_with(task)
             && !own.follows(task)
         {
             return Some(format!("{task}, where it was killed; the next submission asks for more memory"));

@@ -32,7 +32,8 @@ pub enum NodeResult {
     NotRun,
     /// Missing, in a run that computes only stages over the whole batch.
     Missing,
-    /// Left to another process, which computes it or its inputs; the text names that process.
+    /// Left to another process, which computes it or its inputs, or left to the next submission, because it
+    /// failed or was killed in another task of this one; the text names the process or the task.
     Elsewhere(String),
     /// Not requested.
     Unwanted,

@@ -8,6 +8,7 @@ mod economy;
 mod faults;
 mod faulty_store;
 mod nodes;
+mod one_store;
 mod reference;
 mod remote;
 mod sharing;

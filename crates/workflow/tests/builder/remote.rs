@@ -11,12 +11,11 @@ use std::time::Duration;
 
 use use3d_workflow::cache::Lookup;
 use use3d_workflow::manifest::{FileRecord, Manifest, content_digest};
-use use3d_workflow::node::{Clock, Node};
 use use3d_workflow::remote::{FolderStore, Listed, Memory, Remote, RemoteError, RemoteStore, Sent};
 use use3d_workflow::{Batch, Builder, Digest, Event, Graph, Listener, Silent, Transferred};
 
 use super::faulty_store::{Fault, Faulty};
-use super::stages::{batch, builder, payload, registry, run};
+use super::stages::{batch, builder, payload, run};
 
 fn store(remote: impl Remote + 'static) -> Arc<RemoteStore> {
     quick(Arc::new(remote))
@@ -698,28 +697,4 @@ fn nothing_to_do_is_found_soon_in_a_store_far_away() {
     println!("{} artifacts, nothing to do: {requests} lists, {seconds:.1} s", again.already);
     // Two lists of twenty answers take 0.8 s; the rest of the time is that of a plan on this machine.
     assert_eq!((again.moved, again.already, requests), (0, sent.moved, 2));
-}
-
-#[test]
-fn two_machines_with_one_store_begin_with_other_scenes_and_share_the_work() {
-    let names: Vec<String> = (1..=12).map(|n| format!("s{n:02}")).collect();
-    let world = World::of(&names.iter().map(String::as_str).collect::<Vec<_>>());
-    let remote = Arc::new(Memory::default());
-    let started: Vec<usize> = std::thread::scope(|scope| {
-        let machine = |host: &'static str| {
-            let (world, remote) = (&world, &remote);
-            scope.spawn(move || {
-                let cache = world.builder(host).cache.as_node(Node::elsewhere(host, Clock::system()));
-                let builder = Builder::new(registry(5), cache).with_remote(shared(remote));
-                let (summary, started, _) = run(&builder, &world.batch);
-                assert!(summary.exit_code() == 0 && payload(&builder.cache) == world.whole);
-                started.len()
-            })
-        };
-        let threads = ["west", "east"].map(machine);
-        threads.into_iter().map(|thread| thread.join().expect("a machine")).collect()
-    });
-    // In the same order, both would compute nearly everything.
-    let all = world.builder("alone").cache.artifacts().len();
-    assert!(started.iter().sum::<usize>() <= all + all / 2, "{started:?} of {all}");
 }
