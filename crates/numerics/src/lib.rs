@@ -1,5 +1,6 @@
 //! Numerical functions that several method crates share: elementary functions, vector code with scalar twins,
-//! tiles of matrix products, small linear systems, spherical harmonics, Adam, random numbers, sums.
+//! tiles of matrix products, small linear systems, spherical harmonics, Adam, random numbers, sums, values in
+//! ascending order.
 //!
 //! The inputs and outputs are numbers and slices. This crate has no tensor type, no files and no knowledge of
 //! images.
@@ -12,6 +13,7 @@ pub mod cholesky;
 pub mod functions;
 pub mod lanes;
 pub mod math;
+pub mod order;
 pub mod product;
 pub mod random;
 pub mod range;
