@@ -12,6 +12,7 @@
 //! equal size.
 
 use use3d_capture::{Camera, Image, Map, SparsePoint};
+use use3d_numerics::order::Ascending;
 
 /// Number of classes of distances.
 const CLASSES: usize = 5;
@@ -81,10 +82,8 @@ pub fn shows_air(point_colors: &[PointColor]) -> bool {
         return false;
     }
     (0..3).all(|c| {
-        let at = |class: &[&PointColor], q: f64| {
-            let mut values: Vec<f64> = class.iter().map(|g| g.value[c]).collect();
-            values.sort_by(f64::total_cmp);
-            values[((q * n as f64) as usize).min(n - 1)]
+        let at = |class: &[&PointColor], share: f64| {
+            Ascending::of(class.iter().map(|g| g.value[c])).at(share).unwrap_or(0.0)
         };
         let brightest = at(classes[0], 1.0 - TAIL);
         let far = &classes[CLASSES - FAR..];

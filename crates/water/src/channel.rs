@@ -8,6 +8,7 @@
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 use use3d_numerics::math;
+use use3d_numerics::order::median;
 
 use crate::blocks::order;
 use crate::covariance::{Covariance, covariance};
@@ -312,9 +313,7 @@ impl Against {
 /// Returns the best of several starts on a part of the points.
 fn start(data: &Data, c: usize, prior: &Prior) -> (Vec<f64>, Noise) {
     let (channel, _) = data.select(c, data.order.len().div_ceil(START_POINTS).max(1));
-    let mut values = channel.value.clone();
-    values.sort_by(f64::total_cmp);
-    let middle = values.get(values.len() / 2).copied().unwrap_or(0.4);
+    let middle = median(channel.value.iter().copied()).unwrap_or(0.4);
     let starts = [(0.1, 0.1), (0.4, 0.4), (1.2, 1.2), (0.3, 1.2), (1.2, 0.3)];
     let fits: Vec<ChannelFit> = starts
         .par_iter()

@@ -7,6 +7,7 @@
 use crate::formation::{BACKSCATTER, Channel, GAIN, VEIL, all_terms, normal, square};
 use crate::solve::{CAUCHY, ChannelFit, Prior, submatrix};
 use use3d_numerics::cholesky::Factor;
+use use3d_numerics::order::median;
 
 /// Errors of the shared parameters.
 #[derive(Clone, Debug)]
@@ -111,12 +112,10 @@ fn sandwich(
             factor.solve(&unit)
         })
         .collect();
-    let mut effects: Vec<f64> = (free.iter().enumerate().filter(|(_, k)| **k < GAIN))
+    let effects = (free.iter().enumerate().filter(|(_, k)| **k < GAIN))
         .map(|(a, &k)| out[k * GAIN + k] / columns[k][a])
-        .filter(|e| e.is_finite())
-        .collect();
-    effects.sort_by(f64::total_cmp);
-    let design_effect = effects.get(effects.len() / 2).copied().unwrap_or(1.0).max(1.0);
+        .filter(|e| e.is_finite());
+    let design_effect = median(effects).unwrap_or(1.0).max(1.0);
     for i in 0..GAIN {
         for j in 0..GAIN {
             for (a, &p) in free.iter().enumerate() {

@@ -2,6 +2,7 @@
 //! units of the median distance.
 
 use glam::DVec3;
+use use3d_numerics::order::Ascending;
 
 use crate::blocks::{self, blocks};
 use crate::formation::Channel;
@@ -70,10 +71,8 @@ impl Data {
         let mut block = vec![0; points];
         order.iter().zip(of_order).for_each(|(p, b)| block[*p] = b);
         let used: Vec<&Observation> = order.iter().flat_map(|p| &sorted[ranges[*p].clone()]).collect();
-        let mut distances: Vec<f64> = used.iter().map(|o| o.distance).collect();
-        distances.sort_by(f64::total_cmp);
-        let at = |q: f64| distances.get((q * distances.len() as f64) as usize).copied().unwrap_or(1.0);
-        let percentiles = [at(0.05), at(0.5), at(0.95)];
+        let distances = Ascending::of(used.iter().map(|o| o.distance));
+        let percentiles = [0.05, 0.5, 0.95].map(|share| distances.at(share).unwrap_or(1.0));
         let sum: DVec3 = used.iter().map(|o| o.direction).sum();
         let center = sum / (used.len().max(1) as f64);
         let open = if params.open_water { Open::usable(&sights.open, views) } else { vec![] };

@@ -3,6 +3,7 @@
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 use use3d_numerics::math;
+use use3d_numerics::order::median;
 
 use crate::channel::{Against, Work, dry};
 use crate::data::Data;
@@ -191,9 +192,8 @@ impl Data {
                 (solved.noise.sigma(o.spread[c]), t.left, o.value[c] - t.added)
             })
             .collect();
-        let mut alone: Vec<f64> = rows.iter().map(|(_, a, y)| y / a).filter(|v| v.is_finite()).collect();
-        alone.sort_by(f64::total_cmp);
-        let mut value = alone.get(alone.len() / 2).copied()?.max(0.0);
+        let alone = rows.iter().map(|(_, a, y)| y / a).filter(|v| v.is_finite());
+        let mut value = median(alone)?.max(0.0);
         let mut below = 0.0;
         for _ in 0..8 {
             let weighted =

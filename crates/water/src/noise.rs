@@ -13,6 +13,7 @@
 
 use crate::formation::{Channel, Shared, square, terms};
 use crate::solve::ChannelFit;
+use use3d_numerics::order::median;
 
 /// `σ_0` and `κ`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -66,9 +67,8 @@ impl Noise {
         let (mut s, mut sx, mut sy, mut sxx, mut sxy) = (0.0, 0.0, 0.0, 0.0, 0.0);
         for class in pairs.chunks(pairs.len().div_ceil(CLASSES)) {
             let x = square(class[class.len() / 2].0);
-            let mut off: Vec<f64> = class.iter().map(|p| p.1).collect();
-            off.sort_by(f64::total_cmp);
-            let y = square(NORMAL * off[off.len() / 2]).max(FLOOR * FLOOR);
+            let off = median(class.iter().map(|p| p.1)).unwrap_or(0.0);
+            let y = square(NORMAL * off).max(FLOOR * FLOOR);
             let w = 1.0 / (y * y);
             (s, sx, sy, sxx, sxy) = (s + w, sx + w * x, sy + w * y, sxx + w * x * x, sxy + w * x * y);
         }

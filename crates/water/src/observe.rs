@@ -4,6 +4,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 use use3d_capture::{Camera, Image, Map, Raster, Track};
+use use3d_numerics::order::median;
 
 use crate::open::{ObservedPoint, OpenWater, open_water};
 use crate::patch::{NARROWEST, Patch, WIDEST, patch};
@@ -194,9 +195,7 @@ fn sightings(cameras: &[Camera], tracks: &[Track]) -> (Vec<Vec<ObservedPoint>>, 
             }
         }
     }
-    distances.sort_unstable_by(f64::total_cmp);
-    let middle = distances.get(distances.len() / 2).copied().unwrap_or(f64::INFINITY);
-    (seen, middle)
+    (seen, median(distances).unwrap_or(f64::INFINITY))
 }
 
 /// Adds a track's sightings to `wanted`, with windows that all cover the same piece of surface.

@@ -21,6 +21,7 @@ use crate::blocks::order;
 use crate::formation::square;
 use crate::solve::CAUCHY;
 use use3d_numerics::cholesky::Factor;
+use use3d_numerics::order::median;
 
 /// Number of cells along the longer side of a view.
 const CELLS: usize = 40;
@@ -110,9 +111,7 @@ fn far_and_empty(seen: &[ObservedPoint], x: f64, y: f64, reach: f64, middle: f64
         *last = (off, s.distance);
         nearest.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
     }
-    let mut distances = nearest.map(|(_, distance)| distance);
-    distances.sort_unstable_by(f64::total_cmp);
-    distances[NEAREST / 2] >= middle
+    median(nearest.map(|(_, distance)| distance)).is_some_and(|usual| usual >= middle)
 }
 
 /// The mean of a cell, if it is even in every channel.
@@ -191,9 +190,8 @@ impl Open {
                 .iter()
                 .map(|(_, d, v, _)| v - plane[0] - (0..3).map(|k| plane[k + 1] * d[k]).sum::<f64>())
                 .collect();
-            let mut sizes: Vec<f64> = off.iter().map(|o| o.abs()).collect();
-            sizes.sort_unstable_by(f64::total_cmp);
-            let scale = (1.4826 * sizes[sizes.len() / 2]).max(0.3 * WIDTH);
+            let usual = median(off.iter().map(|o| o.abs())).unwrap_or(0.0);
+            let scale = (1.4826 * usual).max(0.3 * WIDTH);
             for (cell, off) in cells.iter_mut().zip(&off) {
                 cell.3 = 1.0 / (1.0 + square(off / (scale * CAUCHY)));
             }

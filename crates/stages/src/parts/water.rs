@@ -10,6 +10,7 @@ use serde::Serialize;
 use use3d_capture::{Frame, World};
 use use3d_import::Imported;
 use use3d_numerics::math;
+use use3d_numerics::order::Ascending;
 use use3d_reconstruct::FoundWater;
 use use3d_water::{ChannelWater, JERLOV, Measured, Verdict, Water, WaterParams, estimate_sizes, shows_air};
 
@@ -72,9 +73,8 @@ fn lamps(water: &Water) -> bool {
 
 /// 5th, 50th and 95th percentile of a quantity over the points; 0 if there are none.
 fn radiance(water: &Water, of: impl Fn(&[Measured; 3]) -> f64) -> [f64; 3] {
-    let mut all: Vec<f64> = water.radiances.iter().flatten().map(of).filter(|v| v.is_finite()).collect();
-    all.sort_unstable_by(f64::total_cmp);
-    [0.05, 0.5, 0.95].map(|q| all.get((q * all.len() as f64) as usize).copied().unwrap_or(0.0))
+    let all = Ascending::of(water.radiances.iter().flatten().map(of).filter(|v| v.is_finite()));
+    [0.05, 0.5, 0.95].map(|share| all.at(share).unwrap_or(0.0))
 }
 
 /// True if a channel is known, or if its value matters little: its standard error hardly changes the radiance
