@@ -22,6 +22,7 @@ use use3d_capture::{Pose, View};
 use use3d_import::Imported;
 use use3d_io_image::{ImageError, read_image};
 use use3d_numerics::math;
+use use3d_numerics::order::median;
 use use3d_survey::{PointSight, PosedCamera, PosedImage, Survey};
 
 use crate::depth::{DepthAgreement, depth_maps};
@@ -251,8 +252,7 @@ fn coverage(imported: &Imported, sights: &[Vec<PointSight>]) -> Option<ViewOverl
             rays.iter().enumerate().flat_map(|(i, a)| rays[i + 1..].iter().map(move |b| a.angle_between(*b)));
         angles.push(pairs.fold(0.0, f64::max).to_degrees());
     }
-    angles.sort_unstable_by(f64::total_cmp);
-    let angle = *angles.get(angles.len() / 2)?;
+    let angle = median(angles)?;
     Some(ViewOverlap { share: thrice as f64 / views_of.len() as f64, angle })
 }
 
@@ -275,8 +275,7 @@ impl ModelAgreement {
             }
             if sights.len() >= FEWEST {
                 view.in_view = Some(inside as f64 / sights.len() as f64);
-                errors.sort_unstable_by(f64::total_cmp);
-                view.error = Some(errors[errors.len() / 2]);
+                view.error = median(errors);
             }
         }
         let far = outside(survey);
@@ -300,14 +299,9 @@ impl ModelAgreement {
 
 /// For each point, if it lies far outside of the scene.
 fn outside(survey: &Survey) -> Vec<bool> {
-    let middle = DVec3::from_array([0, 1, 2].map(|axis| {
-        let mut all: Vec<f64> = survey.points.iter().map(|p| p.position[axis]).collect();
-        all.sort_unstable_by(f64::total_cmp);
-        all.get(all.len() / 2).copied().unwrap_or(0.0)
-    }));
+    let middle = [0, 1, 2].map(|axis| median(survey.points.iter().map(|p| p.position[axis])).unwrap_or(0.0));
+    let middle = DVec3::from_array(middle);
     let distance = |position: [f64; 3]| DVec3::from_array(position).distance(middle);
-    let mut all: Vec<f64> = survey.points.iter().map(|p| distance(p.position)).collect();
-    all.sort_unstable_by(f64::total_cmp);
-    let usual = all.get(all.len() / 2).copied().unwrap_or(0.0);
+    let usual = median(survey.points.iter().map(|p| distance(p.position))).unwrap_or(0.0);
     survey.points.iter().map(|p| distance(p.position) > OUTSIDE * usual).collect()
 }

@@ -4,6 +4,7 @@ mod photographs;
 
 use use3d_capture::shown;
 use use3d_import::ImportReport;
+use use3d_numerics::order::median;
 
 use crate::agreement::{ModelAgreement, ViewAgreement, ViewOverlap};
 use crate::depth::{DepthAgreement, STEPS};
@@ -504,9 +505,7 @@ impl Rules {
         } else {
             self.good("error", format!("{text}."));
         }
-        let mut errors: Vec<f64> = agreement.views.iter().filter_map(|v| v.error).collect();
-        errors.sort_unstable_by(f64::total_cmp);
-        let usual = errors.get(errors.len() / 2).copied().unwrap_or(0.0);
+        let usual = median(agreement.views.iter().filter_map(|v| v.error)).unwrap_or(0.0);
         let misplaced: Vec<String> = agreement
             .views
             .iter()

@@ -5,6 +5,8 @@
 //! 1996). Fine texture leaves some, too. So the mean is taken in blocks of [`BLOCK`] pixels, and the grain
 //! is that of the lower quarter of the blocks.
 
+use use3d_numerics::order::Ascending;
+
 /// The side of a block, pixels.
 const BLOCK: usize = 16;
 /// The share of the blocks that are flatter than the one whose noise is taken.
@@ -21,10 +23,8 @@ pub(crate) fn grain(width: usize, height: usize, luma: impl Fn(usize, usize) -> 
         let all = (0..BLOCK * BLOCK).map(|k| second(x0 + k % BLOCK, y0 + k / BLOCK));
         all.sum::<f64>() / (BLOCK * BLOCK) as f64
     };
-    let mut blocks: Vec<f64> =
-        starts(height).flat_map(|y| starts(width).map(move |x| (x, y))).map(|(x, y)| mean(x, y)).collect();
-    blocks.sort_unstable_by(f64::total_cmp);
-    let flat = blocks.get((FLAT * blocks.len() as f64) as usize).copied().unwrap_or(0.0);
+    let blocks = starts(height).flat_map(|y| starts(width).map(move |x| (x, y))).map(|(x, y)| mean(x, y));
+    let flat = Ascending::of(blocks).at(FLAT).unwrap_or(0.0);
     flat * (std::f64::consts::PI / 2.0).sqrt() / 6.0
 }
 

@@ -18,7 +18,6 @@ mod findings;
 mod gather;
 mod grain;
 mod measure;
-mod median;
 mod page;
 mod passers;
 mod report;

@@ -13,10 +13,10 @@ use serde::Serialize;
 use use3d_capture::{Capture, Image, Image8, Intrinsics, Map, Reach, Track, View, reaches};
 use use3d_io_image::shrunk;
 use use3d_numerics::math;
+use use3d_numerics::order::{Ascending, median};
 
 use crate::above::main_line;
 use crate::agreement::ModelAgreement;
-use crate::median::median;
 
 /// The longer side of the pictures in which sharpness is measured, pixels.
 const SIDE: usize = 640;
@@ -142,9 +142,8 @@ pub(crate) fn measure_and<E>(
     let share = |part: usize, of: usize| part as f64 / of.max(1) as f64;
     figures.track_length = share(lengths, tracked);
     figures.seen_from_distances = share(ranged, tracked);
-    distances.sort_unstable_by(f64::total_cmp);
-    figures.distances = [0.05, 0.5, 0.95]
-        .map(|q| distances.get((q * distances.len() as f64) as usize).copied().unwrap_or(0.0));
+    let distances = Ascending::of(distances);
+    figures.distances = [0.05, 0.5, 0.95].map(|share| distances.at(share).unwrap_or(0.0));
     (figures.forward, figures.breadth) = motion(capture);
     figures.reach = reaches_of(capture, tracks);
 
@@ -299,12 +298,12 @@ fn group_exposures(capture: &Capture, exposures: &ExposureSteps) -> Vec<GroupExp
             (a, b) if a == *group && b == all[0] => Some(-*stops),
             _ => None,
         });
-        let mut changes: Vec<f64> = changes.collect();
+        let changes: Vec<f64> = changes.collect();
         if changes.len() >= GROUPED {
             found.push(GroupExposure {
                 name: name(*group),
                 other: name(all[0]),
-                stops: median(&mut changes),
+                stops: median(changes).unwrap_or(0.0),
             });
         }
     }
@@ -333,8 +332,8 @@ fn drift(exposures: &ExposureSteps, count: usize) -> Option<f64> {
         }
     }
     let fifth = (count / 5).max(1);
-    (!exposures.is_empty())
-        .then(|| median(&mut level[count - fifth..].to_vec()) - median(&mut level[..fifth].to_vec()))
+    let middle = |views: &[f64]| median(views.iter().copied()).unwrap_or(0.0);
+    (!exposures.is_empty()).then(|| middle(&level[count - fifth..]) - middle(&level[..fifth]))
 }
 
 /// The changes of exposure between all pairs of views that share enough points.
@@ -350,7 +349,7 @@ fn exposures(levels: &BTreeMap<usize, Vec<(usize, f64)>>) -> ExposureSteps {
         }
     }
     changes.retain(|_, all| all.len() >= ENOUGH);
-    changes.into_iter().map(|(pair, mut all)| (pair, median(&mut all))).collect()
+    changes.into_iter().filter_map(|(pair, all)| Some((pair, median(all)?))).collect()
 }
 
 /// Measures the pixels of all views, one image in memory at a time. Returns the changes of exposure.
@@ -375,7 +374,7 @@ fn pixels<E>(
             colours.iter().filter_map(|(point, now)| Some((*before.get(point)?, *now))).collect();
         if shared.len() >= ENOUGH {
             let step = |of: &dyn Fn([f64; 3]) -> f64| {
-                median(&mut shared.iter().map(|(a, b)| math::ln(of(*b) / of(*a))).collect::<Vec<_>>())
+                median(shared.iter().map(|(a, b)| math::ln(of(*b) / of(*a)))).unwrap_or(0.0)
             };
             views[i].exposure_step = Some(step(&light) / std::f64::consts::LN_2);
             let changes = [step(&|c| c[0] / c[1]), step(&|c| c[2] / c[1])];
@@ -393,8 +392,8 @@ fn pixels<E>(
         look(i, &small)?;
     }
     for i in 0..views.len() {
-        let mut around = sharpness[i.saturating_sub(NEAR)..(i + NEAR + 1).min(sharpness.len())].to_vec();
-        let usual = median(&mut around);
+        let around = &sharpness[i.saturating_sub(NEAR)..(i + NEAR + 1).min(sharpness.len())];
+        let usual = median(around.iter().copied()).unwrap_or(0.0);
         views[i].sharpness = (usual > 0.0).then(|| sharpness[i] / usual);
     }
     Ok(exposures(&levels))
@@ -409,9 +408,8 @@ fn linear(v: f64) -> f64 {
 fn contrast(small: &Image8) -> f64 {
     let pixels = (0..small.height()).flat_map(|y| (0..small.width()).map(move |x| (x, y)));
     let luma = |[r, g, b]: [u8; 3]| 0.2126 * f64::from(r) + 0.7152 * f64::from(g) + 0.0722 * f64::from(b);
-    let mut all: Vec<f64> = pixels.map(|(x, y)| luma(small.pixel(x, y)) / 255.0).collect();
-    all.sort_unstable_by(f64::total_cmp);
-    let at = |share: f64| all.get((share * all.len() as f64) as usize).copied().unwrap_or(0.0);
+    let all = Ascending::of(pixels.map(|(x, y)| luma(small.pixel(x, y)) / 255.0));
+    let at = |share: f64| all.at(share).unwrap_or(0.0);
     at(0.95) - at(0.05)
 }
 

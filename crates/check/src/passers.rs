@@ -22,7 +22,7 @@ use rayon::prelude::*;
 use use3d_capture::{Capture, Image8, Map, Track};
 use use3d_numerics::math;
 
-use crate::median::median;
+use use3d_numerics::order::median;
 
 /// The largest angle between the rays of a view and a witness, radians.
 const ANGLE: f64 = 0.26;
@@ -170,14 +170,11 @@ impl<'a> Passers<'a> {
                 continue;
             }
             let (mut change, mut spread) = ([0.0; 3], [0.0; 3]);
-            let mut all = [0.0; WITNESSES.1];
-            let all = &mut all[..near.len()];
             for c in 0..3 {
-                (0..all.len()).for_each(|k| all[k] = f64::from(landings[near[k].1].colour[c]));
-                let usual = median(all);
+                let all = near.iter().map(|(_, i)| f64::from(landings[*i].colour[c]));
+                let usual = median(all.clone()).unwrap_or(0.0);
                 change[c] = f64::from(own.colour[c]) - usual;
-                all.iter_mut().for_each(|v| *v = (*v - usual).abs());
-                spread[c] = median(all);
+                spread[c] = median(all.map(|v| (v - usual).abs())).unwrap_or(0.0);
             }
             found.push((own.view, Compared { at: own.at, change, spread }));
         }
@@ -213,9 +210,9 @@ impl Front {
 
 /// The number of points of a view before which something passes.
 fn passed(all: &[Compared]) -> usize {
-    let usual = [0, 1, 2].map(|c| median(&mut all.iter().map(|p| p.change[c]).collect::<Vec<_>>()));
-    let sigma = [0, 1, 2]
-        .map(|c| median(&mut all.iter().map(|p| (p.change[c] - usual[c]).abs()).collect::<Vec<_>>()));
+    let usual = [0, 1, 2].map(|c| median(all.iter().map(|p| p.change[c])).unwrap_or(0.0));
+    let off = |c: usize| all.iter().map(move |p| (p.change[c] - usual[c]).abs());
+    let sigma = [0, 1, 2].map(|c| median(off(c)).unwrap_or(0.0));
     let is_odd = |p: &&Compared| {
         let square = |c: usize| {
             let d = p.change[c] - usual[c];

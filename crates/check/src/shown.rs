@@ -15,10 +15,10 @@
 
 use use3d_capture::Image;
 use use3d_io_image::shrunk;
+use use3d_numerics::order::median;
 use use3d_survey::{PointSight, SurveyPoint, rank_correlation};
 
 use crate::grain::grain;
-use crate::median::median;
 
 /// The longer side of the pictures in which details are compared, pixels.
 const SIDE: usize = 640;
@@ -201,7 +201,7 @@ impl Shown {
 
 /// The zoom of the photographs against the model, if it is not 1.
 pub(crate) fn zoom(all: &[Option<Shown>], points: usize) -> Option<f64> {
-    let of = |zoom: usize| median_of(likeness_at(all, zoom, points).into_iter().flatten().collect());
+    let of = |zoom: usize| median(likeness_at(all, zoom, points).into_iter().flatten());
     let own = of(0)?;
     let others: Vec<(f64, f64)> =
         (1..ZOOMS.len()).filter_map(|zoom| Some((ZOOMS[zoom], of(zoom)?))).collect();
@@ -234,12 +234,7 @@ pub(crate) fn exchanged(all: &[Option<Shown>], points: &[SurveyPoint]) -> Option
         }
         (own.len() >= FEWEST).then(|| rank_correlation(&own, &models)).flatten()
     };
-    let all: Vec<f64> = all.iter().flatten().filter_map(&mut of).collect();
-    let exchanged = median_of(all)? < EXCHANGED;
+    let exchanged = median(all.iter().flatten().filter_map(&mut of))? < EXCHANGED;
     let red_photographs = sums[0] > 0.0 && sums[1] <= 0.0;
     exchanged.then_some(if red_photographs { Exchanged::Photographs } else { Exchanged::Points })
-}
-
-fn median_of(mut values: Vec<f64>) -> Option<f64> {
-    (!values.is_empty()).then(|| median(&mut values))
 }

@@ -2,6 +2,7 @@
 
 use use3d_capture::{Reach, Side, shown};
 use use3d_import::ImportReport;
+use use3d_numerics::order::median;
 
 use super::{Rules, UNMASKED, WaterSight, are, hardly, names, sentence, serious_if};
 use crate::measure::{Figures, ViewFigures};
@@ -218,18 +219,16 @@ impl Rules {
         } else {
             self.good("blur", "No view is much less sharp than its neighbours.");
         }
-        let mut contrasts: Vec<f64> = views.iter().filter_map(|v| v.contrast).collect();
-        contrasts.sort_unstable_by(f64::total_cmp);
         // Files that use few of their bits are flat, too.
         let few_bits = self.found.iter().any(|finding| finding.subject == "range");
-        let usual = contrasts.get(contrasts.len() / 2).filter(|_| !few_bits);
-        if let Some(contrast) = usual.filter(|contrast| **contrast < CONTRAST.0) {
+        let usual = median(views.iter().filter_map(|v| v.contrast)).filter(|_| !few_bits);
+        if let Some(contrast) = usual.filter(|contrast| *contrast < CONTRAST.0) {
             let text = format!(
                 "The photographs are flat: their brightness uses only {:.0} % of the range from black to white.",
                 100.0 * contrast
             );
             let remedy = "go nearer, or dive when the water is clearer: what the haze has swallowed cannot be given back";
-            self.add(serious_if(*contrast < CONTRAST.1), "contrast", text, remedy, Vec::new());
+            self.add(serious_if(contrast < CONTRAST.1), "contrast", text, remedy, Vec::new());
         }
         let dark = names(views, |v| v.brightness.is_some_and(|b| b < DARK));
         if !dark.is_empty() {
