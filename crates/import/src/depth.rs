@@ -9,6 +9,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 use use3d_capture::{Map, View};
 use use3d_io_image::{image_info, is_cut_off, read_map};
+use use3d_numerics::order::median;
 use use3d_survey::{PointSight, PosedCamera, PosedImage, Survey, rank_correlation};
 
 use crate::report::some;
@@ -99,9 +100,7 @@ pub(crate) fn leave_out(mut views: Vec<&mut View>, survey: &Survey) -> Vec<Strin
             some(&damaged)
         ));
     }
-    let mut found: Vec<f64> = looked.into_iter().flatten().flatten().collect();
-    found.sort_unstable_by(f64::total_cmp);
-    if found.get(found.len() / 2).is_some_and(|median| *median > DISTANCES) {
+    if median(looked.into_iter().flatten().flatten()).is_some_and(|median| median > DISTANCES) {
         faults.push(
             "the depth maps are larger where things are farther, so they are distances and are not used; write them so \
              that larger is nearer, such as 1 divided by the distance (docs/guide/captures.md)"

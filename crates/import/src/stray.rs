@@ -9,6 +9,7 @@ use std::collections::BTreeSet;
 
 use glam::DVec3;
 use use3d_numerics::math;
+use use3d_numerics::order::{Ascending, median};
 use use3d_survey::{PosedImage, Survey};
 
 /// Distances, in units of `d`, beyond which a camera is far, and stray in any case.
@@ -27,10 +28,10 @@ pub(crate) fn strays(survey: &Survey) -> BTreeSet<u32> {
     if centres.len() < FEWEST {
         return BTreeSet::new();
     }
-    let median = |axis: usize| quantile(centres.iter().map(|c| c[axis]).collect(), 0.5);
+    let median = |axis: usize| median(centres.iter().map(|c| c[axis])).unwrap_or(0.0);
     let middle = DVec3::new(median(0), median(1), median(2));
     let distances: Vec<f64> = centres.iter().map(|c| c.distance(middle)).collect();
-    let usual = quantile(distances.clone(), 0.75);
+    let usual = Ascending::of(distances.iter().copied()).at(0.75).unwrap_or(0.0);
     let far = survey.images.iter().zip(&distances).filter(|(_, d)| **d > FAR * usual && usual > 0.0);
     far.filter(|(image, d)| **d > BEYOND * usual || !fits(survey, image)).map(|(image, _)| image.id).collect()
 }
@@ -49,13 +50,6 @@ fn fits(survey: &Survey, image: &PosedImage) -> bool {
         }
     }
     seen >= POINTS && 2 * right > seen
-}
-
-/// The value below which a share of all values lies.
-fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
-    values.sort_unstable_by(f64::total_cmp);
-    let place = (share * values.len() as f64) as usize;
-    values.get(place.min(values.len().saturating_sub(1))).copied().unwrap_or(0.0)
 }
 
 #[cfg(test)]

@@ -41,6 +41,7 @@ use use3d_metrics::{
     psnr, psnr_exposure_fitted,
 };
 use use3d_numerics::math;
+use use3d_numerics::order::median;
 use use3d_synth::CaptureTruth;
 
 use crate::scores::{Score, Scores};
@@ -371,14 +372,12 @@ impl TrueView {
     pub fn depth_error(&self, depth: &Map, scale: f64) -> Score {
         let Some(truth) = self.depth_as(depth) else { return no_depth() };
         let pairs = depth.data().iter().zip(truth.data());
-        let mut errors: Vec<f64> = pairs
+        let errors = pairs
             .map(|(z, t)| (f64::from(*z), scale * f64::from(*t)))
             .filter(|(z, t)| *t > 0.0 && *z > 0.0 && z.is_finite())
-            .map(|(z, t)| (z - t).abs() / t)
-            .collect();
-        errors.sort_unstable_by(f64::total_cmp);
-        match errors.get(errors.len() / 2) {
-            Some(median) => Score::of(*median),
+            .map(|(z, t)| (z - t).abs() / t);
+        match median(errors) {
+            Some(median) => Score::of(median),
             None => Score::Undefined("no pixel has both a rendered and a true depth".into()),
         }
     }

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use use3d_io_image::ImageError;
+use use3d_numerics::order::median;
 use use3d_overlay::{ENOUGH, Still, find};
 
 use crate::choose::{Frame, seen_together};
@@ -46,9 +47,7 @@ pub(crate) fn why_no_cameras(images: &Path, names: &[String]) -> Result<(String,
             sideways along the scene and take new ones";
         return Ok((words.into(), false));
     }
-    let mut overlaps = together.neighbours;
-    overlaps.sort_unstable_by(f64::total_cmp);
-    let usual = overlaps.get(overlaps.len() / 2).copied().unwrap_or(0.0);
+    let usual = median(together.neighbours).unwrap_or(0.0);
     if usual < LITTLE {
         let words = format!(
             "each image shares only {:.0} % of its picture with the next one, and 70 % is a good value; take images in \

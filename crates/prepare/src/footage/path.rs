@@ -20,6 +20,7 @@
 use glam::{DQuat, DVec3};
 use use3d_capture::Pose;
 use use3d_numerics::math;
+use use3d_numerics::order::median;
 
 /// The largest gap between two known frames over which poses are computed by default, seconds.
 ///
@@ -123,9 +124,8 @@ impl FilmPath {
     /// frames are farther apart. So one sparse film keeps its poses, and loses those where a frame is
     /// missing.
     pub fn default_gap(times: &[f64]) -> f64 {
-        let mut spacings: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
-        spacings.sort_by(f64::total_cmp);
-        LARGEST_GAP.max(spacings.get(spacings.len() / 2).map_or(0.0, |median| 1.5 * median))
+        let spacing = median(times.windows(2).map(|pair| pair[1] - pair[0]));
+        LARGEST_GAP.max(spacing.map_or(0.0, |median| 1.5 * median))
     }
 
     /// The largest gap over which poses are computed, seconds.

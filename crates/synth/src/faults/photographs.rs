@@ -4,6 +4,7 @@ use image::{Rgb, RgbImage, imageops};
 use use3d_capture::{Image, Map};
 use use3d_io_image::read_map;
 use use3d_numerics::math;
+use use3d_numerics::order::median;
 
 use super::folder::{Chance, Done, Spoiler};
 use super::model::{edit_lens, warp};
@@ -143,9 +144,8 @@ pub(super) fn black(s: &Spoiler<'_>) -> Done {
 pub(super) fn haze(s: &Spoiler<'_>) -> Done {
     let arriving = (0.01 * s.strength).clamp(1e-3, 1.0);
     let maps: Vec<Map> = s.files("truth/depth")?.iter().map(|p| read_map(p)).collect::<Result<_, _>>()?;
-    let mut known: Vec<f32> = maps.iter().flat_map(|map| map.data()).copied().filter(|z| *z > 0.0).collect();
-    known.sort_by(f32::total_cmp);
-    let middle = known.get(known.len() / 2).map_or(1.0, |z| f64::from(*z));
+    let known = maps.iter().flat_map(|map| map.data()).copied().filter(|z| *z > 0.0);
+    let middle = median(known).map_or(1.0, f64::from);
     s.repaint(1.0, |i, mut picture| {
         for (x, y, pixel) in picture.enumerate_pixels_mut() {
             let z = maps.get(i).map_or(0.0, |map| f64::from(map.pixel(x as usize, y as usize)[0]));

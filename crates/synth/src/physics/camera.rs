@@ -26,6 +26,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_capture::{Camera, Image};
 use use3d_numerics::math;
+use use3d_numerics::order::median;
 use use3d_numerics::random::{Purpose, Stream};
 
 use crate::render::{RayColor, coarse_rays};
@@ -147,9 +148,7 @@ pub(crate) fn gains(
 
 /// The median green gain of a capture, to which noise is relative.
 pub(crate) fn middle_gain(gains: &[Vec3]) -> f32 {
-    let mut green: Vec<f32> = gains.iter().map(|g| g.y).collect();
-    green.sort_unstable_by(f32::total_cmp);
-    green.get(green.len() / 2).copied().unwrap_or(1.0)
+    median(gains.iter().map(|g| g.y)).unwrap_or(1.0)
 }
 
 /// A camera's settings for one view.
