@@ -9,6 +9,7 @@ use std::path::Path;
 use glam::{DMat3, DVec3};
 use use3d_capture::{Camera, Frame};
 use use3d_numerics::math;
+use use3d_numerics::order::Ascending;
 use use3d_render::white::balanced;
 use use3d_render::{InWater, Look, Mode, bake_in_water};
 use use3d_scene::white::Gains;
@@ -193,11 +194,10 @@ const FAR_EXTENTS: f64 = 1000.0;
 fn middle(gaussians: &Gaussians) -> (DVec3, f64) {
     let mut extent = 0.0f64;
     let median = [0, 1, 2].map(|axis| {
-        let mut all: Vec<f32> = gaussians.means.iter().map(|mean| mean[axis]).collect();
-        all.sort_unstable_by(f32::total_cmp);
-        let at = |share: usize| all.get(share * all.len() / 4).copied().map_or(0.0, f64::from);
-        extent = extent.max(2.0 * (at(3) - at(1)));
-        at(2)
+        let all = Ascending::of(gaussians.means.iter().map(|mean| mean[axis]));
+        let at = |share: f64| all.at(share).map_or(0.0, f64::from);
+        extent = extent.max(2.0 * (at(0.75) - at(0.25)));
+        at(0.5)
     });
     (DVec3::from_array(median), extent)
 }

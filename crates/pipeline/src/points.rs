@@ -2,6 +2,7 @@
 
 use use3d_capture::Capture;
 use use3d_medium::MediumModel;
+use use3d_numerics::order::median;
 use use3d_numerics::spherical_harmonics::C0;
 use use3d_scene::Scene;
 use use3d_splat::Gaussians;
@@ -27,9 +28,8 @@ pub fn scene(capture: &Capture) -> Result<Scene, WorkError> {
         ));
     }
     let middle = places.iter().sum::<glam::DVec3>() / count as f64;
-    let mut far: Vec<f64> = places.iter().map(|p| (*p - middle).length()).collect();
-    far.sort_unstable_by(f64::total_cmp);
-    let size = (SIZE * far[count / 2]).max(1e-6);
+    let usual = median(places.iter().map(|p| (*p - middle).length())).unwrap_or(0.0);
+    let size = (SIZE * usual).max(1e-6);
     let harmonics = |rgb: [u8; 3]| {
         let mut sh = [[0.0; 3]; 16];
         sh[0] = rgb.map(|v| (f32::from(v) / 255.0 - 0.5) / C0);

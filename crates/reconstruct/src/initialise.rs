@@ -13,6 +13,7 @@ use kdtree::distance::squared_euclidean;
 use rayon::prelude::*;
 use use3d_capture::{Camera, Capture};
 use use3d_numerics::math;
+use use3d_numerics::order::Ascending;
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_numerics::spherical_harmonics::C0;
 use use3d_splat::{Gaussians, NEAR};
@@ -110,14 +111,10 @@ fn random_points(
     most: usize,
 ) -> Vec<(DVec3, [f64; 3])> {
     let stream = Stream::new(params.seed, Purpose::new("random points"), 0);
-    let mut depths: Vec<f64> = known
-        .iter()
-        .flat_map(|(p, _)| cameras.iter().filter_map(|c| c.project(*p).map(|(_, z)| z)))
-        .filter(|z| *z > NEAR)
-        .collect();
-    depths.sort_unstable_by(f64::total_cmp);
-    let (near, far) = match (depths.get(depths.len() / 20), depths.get(depths.len() * 19 / 20)) {
-        (Some(&near), Some(&far)) => (0.7 * near, 1.4 * far),
+    let depths = known.iter().flat_map(|(p, _)| cameras.iter().filter_map(|c| c.project(*p).map(|(_, z)| z)));
+    let depths = Ascending::of(depths.filter(|z| *z > NEAR));
+    let (near, far) = match (depths.at(0.05), depths.at(0.95)) {
+        (Some(near), Some(far)) => (0.7 * near, 1.4 * far),
         _ => (0.2, 4.0),
     };
     (0..params.random_points.min(most))

@@ -2,6 +2,7 @@
 
 use glam::DVec3;
 use use3d_capture::{Camera, Intrinsics};
+use use3d_numerics::order::median;
 use use3d_scene::Scene;
 
 /// A lens whose pictures are scaled to cover `width × height` pixels and cropped centrally, without
@@ -17,10 +18,8 @@ pub fn cover(k: &Intrinsics, width: usize, height: usize) -> Intrinsics {
 /// scene units; 1 if there are none.
 pub fn focus(scene: &Scene, camera: &Camera) -> f64 {
     let point = |m: &[f32; 3]| DVec3::new(m[0].into(), m[1].into(), m[2].into());
-    let mut depths: Vec<f64> =
-        scene.gaussians.means.iter().filter_map(|m| camera.project(point(m)).map(|(_, z)| z)).collect();
-    depths.sort_unstable_by(f64::total_cmp);
-    depths.get(depths.len() / 2).copied().filter(|d| d.is_finite() && *d > 0.0).unwrap_or(1.0)
+    let depths = scene.gaussians.means.iter().filter_map(|m| camera.project(point(m)).map(|(_, z)| z));
+    median(depths).filter(|d| d.is_finite() && *d > 0.0).unwrap_or(1.0)
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! The numbers of a mode as colours for display.
 
 use use3d_capture::{Image, Map};
+use use3d_numerics::order::Ascending;
 
 use crate::modes::{Mode, Rendering};
 
@@ -29,14 +30,10 @@ pub(crate) fn spread(map: &Map) -> Image {
 /// A depth map for display: near is bright, far is deep blue, unknown (0) is black; scaled between the 2 %
 /// and 98 % quantiles of its positive values.
 pub fn depth_picture(depth: &Map) -> Image {
-    let mut known: Vec<f32> = depth.data().iter().copied().filter(|d| d.is_finite() && *d > 0.0).collect();
+    let known = Ascending::of(depth.data().iter().copied().filter(|d| d.is_finite() && *d > 0.0));
     let mut image = Image::new(depth.width(), depth.height());
-    if known.is_empty() {
-        return image;
-    }
-    known.sort_unstable_by(f32::total_cmp);
-    let at = |share: f64| known[((known.len() - 1) as f64 * share) as usize];
-    let (near, far) = (at(0.02), at(0.98).max(at(0.02) * 1.0001));
+    let (Some(near), Some(far)) = (known.below(0.02), known.below(0.98)) else { return image };
+    let far = far.max(near * 1.0001);
     // Inverse depth, because the eye judges distance by it.
     let scale = |d: f32| ((1.0 / d - 1.0 / far) / (1.0 / near - 1.0 / far)).clamp(0.0, 1.0);
     for y in 0..depth.height() {

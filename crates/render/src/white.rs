@@ -26,6 +26,7 @@ use std::collections::BTreeMap;
 use glam::DVec3;
 use use3d_capture::{Camera, Lattice};
 use use3d_numerics::math;
+use use3d_numerics::order::median;
 use use3d_numerics::spherical_harmonics::C0;
 use use3d_scene::white::{self, GAINS, Gains};
 use use3d_splat::Gaussians;
@@ -265,9 +266,7 @@ impl Surfaces {
 
     /// Merges points, each with its distance and display colours, into voxels.
     fn of_points(points: &[(DVec3, f64, [[f64; 3]; 3])]) -> Self {
-        let mut distances: Vec<f64> = points.iter().map(|point| point.1).collect();
-        distances.sort_unstable_by(f64::total_cmp);
-        let Some(&median) = distances.get(distances.len() / 2) else { return Self::default() };
+        let Some(median) = median(points.iter().map(|point| point.1)) else { return Self::default() };
         let side = VOXEL * median;
         let mut voxels: BTreeMap<[i64; 3], (f64, [[f64; 3]; 3])> = BTreeMap::new();
         for (place, _, colors) in points {

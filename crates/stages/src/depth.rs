@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use use3d_import::load_pixels;
 use use3d_io_image::write_png_map16;
 use use3d_nets::{DepthAnythingSize, Models, Network};
+use use3d_numerics::order::Ascending;
 use use3d_workflow::{StageContext, StageError};
 
 use crate::parts::captured::capture;
@@ -134,12 +135,9 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         let mut disparity = network.disparity(&load_pixels(view)?.to_image())?;
         // The scale is arbitrary: the range between the 1 % and 99 % quantiles is stored in 16 bits. Larger
         // is nearer, 0 is unknown.
-        let mut sorted: Vec<f32> =
-            disparity.data().iter().copied().filter(|v| v.is_finite() && *v > 1e-8).collect();
-        sorted.sort_unstable_by(f32::total_cmp);
-        let last = sorted.len().saturating_sub(1) as f64;
-        let at = |share: f64| sorted.get((last * share) as usize).copied().unwrap_or(0.0);
-        let (low, high) = (at(0.01), at(0.99));
+        let known = disparity.data().iter().copied().filter(|v| v.is_finite() && *v > 1e-8);
+        let known = Ascending::of(known);
+        let [low, high] = [0.01, 0.99].map(|share| known.below(share).unwrap_or(0.0));
         let scale = 1.0 / (high - low).max(1e-12);
         for v in disparity.data_mut() {
             *v = ((*v - low) * scale).clamp(0.0, 1.0);

@@ -3,6 +3,7 @@
 
 use glam::DVec3;
 use use3d_capture::Camera;
+use use3d_numerics::order::Ascending;
 use use3d_splat::Gaussians;
 
 /// Number of Gaussians sampled for a quantile: more would hardly change it.
@@ -13,31 +14,20 @@ fn sample(gaussians: &Gaussians) -> impl Iterator<Item = [f32; 3]> + '_ {
     gaussians.means.iter().step_by(step).copied()
 }
 
-fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
-    values.sort_unstable_by(f64::total_cmp);
-    values.get(((values.len().saturating_sub(1)) as f64 * share) as usize).copied()
-}
-
 /// Lower and upper corner of the middle nine tenths of the centres, per axis.
 pub(crate) fn bounds(gaussians: &Gaussians) -> [[f64; 3]; 2] {
-    let corner = |share: f64| {
-        std::array::from_fn(|axis| {
-            let mut values: Vec<f64> = sample(gaussians).map(|m| f64::from(m[axis])).collect();
-            quantile(&mut values, share).unwrap_or(0.0)
-        })
-    };
-    [corner(0.05), corner(0.95)]
+    let axes = [0, 1, 2].map(|axis| Ascending::of(sample(gaussians).map(|m| m[axis])));
+    [0.05, 0.95].map(|share| axes.each_ref().map(|axis| axis.below(share).unwrap_or(0.0).into()))
 }
 
 /// The median depth of the Gaussians that a camera sees, in scene units; `None` if it sees none.
 pub(crate) fn focus(gaussians: &Gaussians, camera: &Camera) -> Option<f64> {
     let (w, h) = (camera.intrinsics.width as f64, camera.intrinsics.height as f64);
-    let mut depths: Vec<f64> = sample(gaussians)
+    let depths = sample(gaussians)
         .filter_map(|m| camera.project(DVec3::new(m[0].into(), m[1].into(), m[2].into())))
         .filter(|(pixel, _)| (0.0..w).contains(&pixel.x) && (0.0..h).contains(&pixel.y))
-        .map(|(_, depth)| depth)
-        .collect();
-    quantile(&mut depths, 0.5)
+        .map(|(_, depth)| depth);
+    Ascending::of(depths).below(0.5)
 }
 
 /// The Gaussians in the order of a space-filling curve, so that neighbours in space are neighbours in the

@@ -20,6 +20,7 @@ use std::sync::Arc;
 use use3d_capture::{Camera, FileName, Image, Intrinsics, Map};
 use use3d_import::{Original, Originals, pinhole_of};
 use use3d_io_image::{Photograph, Samples, photograph_info, write_png_map};
+use use3d_numerics::order::{Ascending, median};
 use use3d_photographs::{
     ColourMap, Development, Graded, Grid, Photographer, ViewMap, shrink, small_size, straight, strange,
 };
@@ -477,9 +478,8 @@ impl PhotographWork<'_, '_> {
 
 /// The median share of unknown pixels, if it is so large that the scene says little of the photographs.
 fn mostly_unknown(record: &Record) -> Option<f64> {
-    let mut shares: Vec<f64> = record.entries().filter_map(|entry| entry.unknown).collect();
-    shares.sort_unstable_by(f64::total_cmp);
-    shares.get(shares.len() / 2).copied().filter(|share| *share > MOSTLY)
+    let shares = record.entries().filter_map(|entry| entry.unknown);
+    median(shares).filter(|share| *share > MOSTLY)
 }
 
 /// The cameras that a scene was learnt from.
@@ -490,12 +490,8 @@ fn training_cameras(originals: &Originals) -> Vec<Camera> {
 
 /// The median and the 90 % quantile of the distances along the axis, scene units; `None` without a surface.
 fn distances(depth: &Map) -> Option<[f64; 2]> {
-    let mut known: Vec<f32> = depth.data().iter().copied().filter(|d| *d > 0.0).collect();
-    if known.is_empty() {
-        return None;
-    }
-    known.sort_unstable_by(f32::total_cmp);
-    Some([0.5, 0.9].map(|q| f64::from(known[((known.len() - 1) as f64 * q) as usize])))
+    let known = Ascending::of(depth.data().iter().copied().filter(|d| *d > 0.0));
+    Some([known.below(0.5)?, known.below(0.9)?].map(f64::from))
 }
 
 /// A photograph at the size of its small grid.

@@ -8,6 +8,7 @@
 
 use std::io::{self, Write};
 
+use use3d_numerics::order::median;
 use use3d_numerics::spherical_harmonics::{C0, bands};
 use use3d_splat::Gaussians;
 
@@ -26,10 +27,8 @@ pub fn step(gaussians: &Gaussians) -> f64 {
         let [low, high] = range(&means);
         (0..3).map(|k| f64::from(high[k] - low[k])).fold(0.0, f64::max)
     };
-    let mut sides: Vec<f64> = order.chunks(CHUNK).map(side).collect();
-    sides.sort_unstable_by(f64::total_cmp);
     // The coarsest axis has ten bits.
-    sides.get(sides.len() / 2).map_or(0.0, |side| side / 1023.0)
+    median(order.chunks(CHUNK).map(side)).map_or(0.0, |side| side / 1023.0)
 }
 
 /// Writes Gaussians in their given frame, ordered along a space-filling curve.
