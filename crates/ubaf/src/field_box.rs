@@ -5,6 +5,8 @@
 //! together, widened by 2 % of the range on each side. A position outside is looked up on the box's face.
 //! `u = clamp(2 (x - lo)/(hi - lo) - 1, -1, 1)`.
 
+use use3d_numerics::order::Ascending;
+
 /// Lower and upper corner, scene units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FieldBox {
@@ -25,15 +27,12 @@ impl FieldBox {
     /// are not finite are ignored; if an axis has no other, the box is [`FieldBox::UNIT`].
     pub fn of_scene(means: &[[f32; 3]], anchors: &[[f32; 3]]) -> Self {
         let mut out = Self::UNIT;
-        let mut values = Vec::with_capacity(means.len() + anchors.len());
         for axis in 0..3 {
-            values.clear();
-            values.extend(means.iter().chain(anchors).map(|p| p[axis]).filter(|v| v.is_finite()));
-            if values.is_empty() {
+            let values = means.iter().chain(anchors).map(|p| p[axis]).filter(|v| v.is_finite());
+            let values = Ascending::of(values);
+            let (Some(low), Some(high)) = (values.interpolated(0.01), values.interpolated(0.99)) else {
                 return Self::UNIT;
-            }
-            values.sort_unstable_by(f32::total_cmp);
-            let (low, high) = (quantile(&values, 0.01), quantile(&values, 0.99));
+            };
             let smallest = THINNEST * low.abs().max(high.abs()).max(1.0);
             let margin = (0.02 * (high - low)).max(0.5 * smallest);
             out.low[axis] = (low - margin) as f32;
@@ -55,14 +54,6 @@ impl FieldBox {
     pub fn is_valid(&self) -> bool {
         (0..3).all(|a| self.low[a].is_finite() && self.high[a].is_finite() && self.low[a] < self.high[a])
     }
-}
-
-/// Linear-interpolated quantile of ascending values.
-fn quantile(ascending: &[f32], q: f64) -> f64 {
-    let at = q * (ascending.len() - 1) as f64;
-    let (low, t) = (at.floor() as usize, at.fract());
-    let high = (low + 1).min(ascending.len() - 1);
-    f64::from(ascending[low]) * (1.0 - t) + f64::from(ascending[high]) * t
 }
 
 #[cfg(test)]
