@@ -4,7 +4,7 @@
 //! statistics. The range has a floor of 10⁻³, so that division by the range of a constant column is
 //! harmless.
 
-use crate::extractor::descriptors::quantile;
+use use3d_numerics::order::Ascending;
 
 /// Smallest interquartile range that is stored.
 pub const RANGE_FLOOR: f64 = 1e-3;
@@ -30,16 +30,12 @@ impl Statistics {
 
     /// The statistics of rows of `columns` numbers each (at least one row).
     pub fn of(rows: &[f32], columns: usize) -> Self {
-        let count = rows.len() / columns;
         let mut out = Self::neutral(columns);
-        let mut column = vec![0.0f32; count];
         for c in 0..columns {
-            for (v, row) in column.iter_mut().zip(rows.chunks_exact(columns)) {
-                *v = row[c];
-            }
-            column.sort_unstable_by(f32::total_cmp);
-            out.median[c] = column[(count - 1) / 2];
-            out.range[c] = (quantile(&column, 0.75) - quantile(&column, 0.25)).max(RANGE_FLOOR) as f32;
+            let column = Ascending::of(rows.chunks_exact(columns).map(|row| row[c]));
+            let quartile = |share: f64| column.interpolated(share).unwrap_or(0.0);
+            out.median[c] = column.below(0.5).unwrap_or(0.0);
+            out.range[c] = (quartile(0.75) - quartile(0.25)).max(RANGE_FLOOR) as f32;
         }
         out
     }

@@ -10,6 +10,7 @@
 //! A geometric median breaks down only when half of the views do. All sums are in f64.
 
 use serde::{Deserialize, Serialize};
+use use3d_numerics::order::Ascending;
 
 use crate::extractor::global::invert_positive_definite;
 use crate::extractor::{Affine, affine_apply};
@@ -52,11 +53,8 @@ fn distance(a: &[f64; RESPONSE], b: &[f64; RESPONSE]) -> f64 {
 
 /// The geometric median of one or more response vectors.
 fn geometric_median(points: &[[f64; RESPONSE]]) -> [f64; RESPONSE] {
-    let mut centre: [f64; RESPONSE] = std::array::from_fn(|k| {
-        let mut column: Vec<f64> = points.iter().map(|p| p[k]).collect();
-        column.sort_unstable_by(f64::total_cmp);
-        column[(column.len() - 1) / 2]
-    });
+    let median = |k: usize| Ascending::of(points.iter().map(|p| p[k])).below(0.5).unwrap_or(0.0);
+    let mut centre: [f64; RESPONSE] = std::array::from_fn(median);
     for _ in 0..ITERATIONS {
         let mut sum = [0.0; RESPONSE];
         let mut total = 0.0;
@@ -116,8 +114,6 @@ pub fn global_consensus(candidates: &[Affine]) -> Option<GlobalConsensus> {
     let responses: Vec<[f64; RESPONSE]> = candidates.iter().map(response).collect();
     let median = geometric_median(&responses);
     let distances: Vec<f64> = responses.iter().map(|r| distance(r, &median)).collect();
-    let mut sorted = distances.clone();
-    sorted.sort_unstable_by(f64::total_cmp);
-    let dispersion = sorted[(sorted.len() - 1) / 2];
+    let dispersion = Ascending::of(distances.iter().copied()).below(0.5)?;
     Some(GlobalConsensus { operator: refit(&median), distances, dispersion })
 }

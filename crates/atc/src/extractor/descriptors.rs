@@ -10,6 +10,7 @@
 use rayon::prelude::*;
 use use3d_capture::Image;
 use use3d_numerics::math;
+use use3d_numerics::order::Ascending;
 use use3d_numerics::sums::sums;
 
 use super::global::LUMINANCE;
@@ -82,18 +83,8 @@ fn describe_image(image: &Image) -> [f64; GLOBAL_DESCRIPTOR] {
 
 /// The 0.1, 0.5 and 0.9 quantiles.
 fn quantiles_of(values: &[f32]) -> [f64; 3] {
-    let mut sorted = values.to_vec();
-    sorted.sort_unstable_by(f32::total_cmp);
-    [0.1, 0.5, 0.9].map(|q| quantile(&sorted, q))
-}
-
-/// A quantile of ascending values, linearly interpolated between order statistics.
-pub(crate) fn quantile(ascending: &[f32], q: f64) -> f64 {
-    let last = ascending.len() - 1;
-    let position = q * last as f64;
-    let low = position.floor() as usize;
-    let (a, b) = (f64::from(ascending[low]), f64::from(ascending[(low + 1).min(last)]));
-    a + (b - a) * (position - low as f64)
+    let values = Ascending::of(values.iter().copied());
+    [0.1, 0.5, 0.9].map(|share| values.interpolated(share).unwrap_or(0.0))
 }
 
 fn describe_cells(image: &Image, cells: &Pooling) -> Vec<[f64; LOCAL_DESCRIPTOR]> {
