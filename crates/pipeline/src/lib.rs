@@ -15,6 +15,7 @@
 //! around a finished scene [`found`], [`scene_views`], [`white`], [`export`], [`scored`], [`compare`] and
 //! [`follow`]. No stage uses this crate, so nothing here is in a key.
 
+pub mod aged;
 pub mod baked;
 pub mod by_hand;
 pub mod compare;

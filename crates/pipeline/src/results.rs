@@ -36,7 +36,7 @@ const TABLES: &str = "tables";
 const VIEW: &str = "view.html";
 const VIEW_PARTS: &str = "view_files";
 /// A page has its digest in its last line.
-const STAMPED: Sealed =
+pub(crate) const STAMPED: Sealed =
     Sealed { around: ["<!-- written by use3d, blake3 ", " -->\n"], words: ["page", "program"] };
 
 /// The folder of all results of a scene in a variant, below the results folder.

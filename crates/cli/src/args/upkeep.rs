@@ -63,6 +63,10 @@ pub(crate) struct GcArgs {
     /// Remove items that were not used for this long, e.g. 30d.
     #[arg(long, value_name = "AGE")]
     pub(crate) older_than: Option<String>,
+    /// Clean this results folder instead of the cache: remove the results of scenes that were written
+    /// longer ago than --older-than. Report and tables stay.
+    #[arg(long, value_name = "DIR", requires = "older_than", conflicts_with_all = ["max_bytes", "keep", "cache"])]
+    pub(crate) results: Option<PathBuf>,
     #[command(flatten)]
     pub(crate) sweep: SweepArgs,
 }

@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
+use use3d_pipeline::aged::clean_results;
 use use3d_pipeline::config::default_cache;
 use use3d_pipeline::destination::path_text;
 use use3d_pipeline::loaded::{real, stages};
@@ -38,6 +39,11 @@ pub(crate) fn gc(args: &GcArgs) -> Done {
     let wrong = |flag: &'static str| move |error: AmountError| WorkError::Input(format!("{flag}: {error}"));
     let max_bytes = args.max_bytes.as_deref().map(parse_bytes).transpose().map_err(wrong("--max-bytes"))?;
     let older_than = args.older_than.as_deref().map(parse_age).transpose().map_err(wrong("--older-than"))?;
+    if let (Some(out), Some(age)) = (&args.results, older_than) {
+        let cleaning = clean_results(out, age, args.sweep.dry_run).map_err(WorkError::input)?;
+        show(&cleaning, args.sweep.json)?;
+        return Ok(());
+    }
     let mut keep = BTreeSet::new();
     // Without --cache, the cache is the one named by the pipelines to keep.
     let mut named: Option<(&Path, Cache)> = None;

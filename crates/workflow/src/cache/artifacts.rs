@@ -318,15 +318,28 @@ impl Cache {
         Ok(folder)
     }
 
+    /// Removes a folder: it is first renamed into `tmp`, so that no process finds half of it.
+    pub(crate) fn discard(&self, path: &Path) -> Result<(), FileError> {
+        let scratch = self.scratch()?;
+        let gone = scratch.join("gone");
+        let renamed = files::at(path, "remove", files::rename(self.files(), path, &gone));
+        let removed = files::at(&scratch, "remove", self.files().remove_dir_all(&scratch));
+        renamed.and(removed)
+    }
+
     /// Syncs all files of a finished folder and returns their records with digests, computed in parallel.
+    /// Large files that the cache has already become [links](Self::share_bytes).
     pub(crate) fn seal(&self, folder: &Path) -> Result<Vec<FileRecord>, FileError> {
         let listed = files::list(folder)?;
         let sealed: Vec<Result<FileRecord, FileError>> = listed
             .into_par_iter()
             .map(|(path, size)| {
                 let file = folder.join(&path);
-                files::at(&file, "sync", self.files.sync(&file))?;
-                Ok(FileRecord { digest: self.contents.read_digest(&file)?, path, size })
+                let record = FileRecord { digest: self.contents.read_digest(&file)?, path, size };
+                if !self.share_bytes(&file, &record) {
+                    files::at(&file, "sync", self.files.sync(&file))?;
+                }
+                Ok(record)
             })
             .collect();
         let sealed = sealed.into_iter().collect::<Result<Vec<_>, _>>()?;

@@ -234,6 +234,15 @@ impl Contents {
         }
     }
 
+    /// The files below `folder` whose stored digest is `digest`, sorted.
+    pub(crate) fn places_of(&self, digest: &Digest, folder: &Path) -> Vec<PathBuf> {
+        let state = self.lock();
+        let equal = state.table.iter().filter(|(path, (_, d))| d == digest && path.starts_with(folder));
+        let mut places: Vec<PathBuf> = equal.map(|(path, _)| path.clone()).collect();
+        places.sort();
+        places
+    }
+
     fn remember(&self, path: &Path, stat: Stat, digest: Digest) {
         let mut state = self.lock();
         state.table.insert(path.to_path_buf(), (stat, digest));

@@ -175,6 +175,30 @@ pub(crate) fn relative_name(path: &Path) -> Option<String> {
     Some(parts?.join("/"))
 }
 
+/// The numbers of a file's device and of the file on it, which all hard links to the file share; `None` where
+/// the system gives none.
+pub(crate) fn identity(found: &fs::Metadata) -> Option<(u64, u64)> {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt;
+        Some((found.dev(), found.ino()))
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = found;
+        None
+    }
+}
+
+/// The [`identity`] of a file that has more than one hard link.
+pub(crate) fn linked(found: &fs::Metadata) -> Option<(u64, u64)> {
+    #[cfg(unix)]
+    let several = std::os::unix::fs::MetadataExt::nlink(found) > 1;
+    #[cfg(not(unix))]
+    let several = false;
+    identity(found).filter(|_| several)
+}
+
 /// Converts the error of a folder walk.
 pub(crate) fn walk_error(root: &Path, error: walkdir::Error) -> FileError {
     let path = error.path().map_or_else(|| root.to_path_buf(), PathBuf::from);

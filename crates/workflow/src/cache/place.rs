@@ -20,6 +20,8 @@ use use3d_capture::name::shown;
 use use3d_files::beside;
 pub use use3d_files::folder_of as parent;
 
+pub use crate::cache::manifest::MANIFEST as RECORD;
+
 use crate::cache::files;
 use crate::cache::leftovers;
 use crate::cache::manifest::{FORMAT as ARTIFACT, FileRecord, MANIFEST};
@@ -385,6 +387,24 @@ pub fn put(made: &Path, folder: &Path, replace: bool) -> Result<(), PlaceError> 
         }
     }
     Err(occupied(folder, "another process is changing it; run again when that process has ended"))
+}
+
+/// Removes a result of this program; the user's files beside it stay. Returns false, and changes nothing, if
+/// the folder is no such result, or was changed after it was written.
+///
+/// # Errors
+/// Fails if a file cannot be moved or removed.
+pub fn remove(folder: &Path) -> Result<bool, PlaceError> {
+    let aside = beside(folder, OLD);
+    at(folder, "remove", fs::rename(folder, &aside))?;
+    // No other process knows this name, so the folder does not change any more.
+    match look_once(&aside, Look::Close) {
+        Ok(Standing::Ours(ours)) => retire(&aside, &ours, folder).map(|()| true),
+        looked => {
+            at(folder, "put back", fs::rename(&aside, folder))?;
+            looked.map(|_| false)
+        }
+    }
 }
 
 /// Returns true if a file called `name` conflicts with the files of `made`.

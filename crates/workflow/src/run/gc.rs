@@ -5,9 +5,9 @@
 //! reads it or plans to use it. The same holds for the checkpoints of trainings that are not finished. The
 //! rest is removed until the cache is small enough, in this order: leftovers, checkpoints, artifacts that no
 //! last record points to, and finally those that one does. Within each kind the order is by the seconds that
-//! it takes to make a byte again.
+//! it takes to make a byte again. Bytes that several artifacts share are free when the last of them goes.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
@@ -75,11 +75,48 @@ struct Item {
     rank: u8,
     name: String,
     bytes: u64,
+    /// The seconds that it takes to make it again.
+    seconds: f64,
+    /// The size of the files that other items link to as well, by file.
+    linked: BTreeMap<(u64, u64), u64>,
     cost: f64,
     used: SystemTime,
     path: PathBuf,
     /// The key of the artifact or of the checkpoints, by which the item can be kept.
     key: Option<Key>,
+}
+
+impl Item {
+    /// An item with the bytes below its folder and the time of its last use. `made` has its key, and the
+    /// seconds that it takes to make it again.
+    fn measure(kind: &'static str, rank: u8, name: String, path: PathBuf, made: (Option<Key>, f64)) -> Self {
+        let ((key, seconds), mut all) = (made, 0);
+        let mut item = Self {
+            kind,
+            rank,
+            name,
+            bytes: 0,
+            seconds,
+            linked: BTreeMap::new(),
+            cost: 0.0,
+            used: SystemTime::UNIX_EPOCH,
+            path,
+            key,
+        };
+        for entry in walkdir::WalkDir::new(&item.path).into_iter().filter_map(Result::ok) {
+            let Ok(metadata) = entry.metadata() else { continue };
+            item.used = item.used.max(metadata.modified().unwrap_or(SystemTime::UNIX_EPOCH));
+            if metadata.is_file() {
+                all += metadata.len();
+                match files::linked(&metadata) {
+                    Some(file) => drop(item.linked.insert(file, metadata.len())),
+                    None => item.bytes += metadata.len(),
+                }
+            }
+        }
+        item.cost = item.seconds / all.max(1) as f64;
+        item
+    }
 }
 
 impl Cache {
@@ -90,7 +127,11 @@ impl Cache {
             item.key.is_some_and(|k| options.keep.contains(&k) || busy.contains(&k))
         };
         let busy = lease::in_use(self);
-        let mut total: u64 = items.iter().map(|i| i.bytes).sum();
+        let mut links: BTreeMap<(u64, u64), (u64, usize)> = BTreeMap::new();
+        for (file, size) in items.iter().flat_map(|item| &item.linked) {
+            links.entry(*file).or_insert((*size, 0)).1 += 1;
+        }
+        let mut total: u64 = items.iter().map(|i| i.bytes).sum::<u64>() + links.values().map(|l| l.0).sum::<u64>();
         let now = SystemTime::now();
         items.sort_by(|a, b| a.rank.cmp(&b.rank).then(a.cost.total_cmp(&b.cost)).then(a.used.cmp(&b.used)));
         let mut cleaning =
@@ -102,7 +143,7 @@ impl Cache {
             } else if options.older_than.is_some_and(|limit| age > limit) {
                 format!("not used for {}", machine::seconds(age.as_secs_f64()))
             } else if options.max_bytes.is_some_and(|limit| total > limit) {
-                let seconds = machine::seconds(item.cost * item.bytes as f64);
+                let seconds = machine::seconds(item.seconds);
                 match item.kind {
                     "artifact" => format!("takes {seconds} to compute again"),
                     _ => "only saves time".to_string(),
@@ -123,8 +164,14 @@ impl Cache {
                     self.forget_fetched(key);
                 }
             }
-            total -= item.bytes;
-            let Item { kind, name, bytes, path, .. } = item;
+            let Item { kind, name, mut bytes, path, linked, .. } = item;
+            for link in linked.keys() {
+                if let Some((size, items)) = links.get_mut(link) {
+                    *items -= 1;
+                    bytes += if *items == 0 { *size } else { 0 };
+                }
+            }
+            total -= bytes;
             cleaning.removed.push(Removed { kind, name, bytes, reason, path });
         }
         if !options.dry_run {
@@ -146,19 +193,15 @@ impl Cache {
         for (stage, key, path) in self.artifacts() {
             let manifest =
                 std::fs::read(path.join(MANIFEST)).ok().and_then(|b| Manifest::parse(&b, key).ok());
-            let (bytes, used) = measure(&path);
             let rank = if current.contains(&key) { 3 } else { 2 };
-            let (rank, cost, name) = match &manifest {
-                Some(m) => {
-                    (rank, m.full_seconds() / bytes.max(1) as f64, format!("{stage} of {}", m.made_for))
-                }
+            let (rank, seconds, name) = match &manifest {
+                Some(m) => (rank, m.full_seconds(), format!("{stage} of {}", m.made_for)),
                 None => (0, 0.0, format!("{stage} {} (no whole manifest)", key.short())),
             };
-            items.push(Item { kind: "artifact", rank, name, bytes, cost, used, path, key: Some(key) });
+            items.push(Item::measure("artifact", rank, name, path, (Some(key), seconds)));
         }
         let mut add = |kind: &'static str, rank: u8, path: PathBuf, name: String, key: Option<Key>| {
-            let (bytes, used) = measure(&path);
-            items.push(Item { kind, rank, name, bytes, cost: 0.0, used, path, key });
+            items.push(Item::measure(kind, rank, name, path, (key, 0.0)));
         };
         for stage in below(&self.root().join("checkpoints")) {
             for path in below(&stage) {
@@ -181,15 +224,6 @@ impl Cache {
         }
         items
     }
-
-    /// Removes a folder: it is first renamed into `tmp`, so that no process finds half of it.
-    fn discard(&self, path: &Path) -> Result<(), crate::error::FileError> {
-        let scratch = self.scratch()?;
-        let gone = scratch.join("gone");
-        let renamed = files::at(path, "remove", files::rename(self.files(), path, &gone));
-        let removed = files::at(&scratch, "remove", self.files().remove_dir_all(&scratch));
-        renamed.and(removed)
-    }
 }
 
 fn below(folder: &Path) -> Vec<PathBuf> {
@@ -200,19 +234,6 @@ fn below(folder: &Path) -> Vec<PathBuf> {
 
 fn last(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
-}
-
-/// Bytes below a folder, and the time of its last use.
-fn measure(path: &Path) -> (u64, SystemTime) {
-    let mut bytes = 0;
-    let mut used = SystemTime::UNIX_EPOCH;
-    for entry in walkdir::WalkDir::new(path).into_iter().filter_map(Result::ok) {
-        if let Ok(metadata) = entry.metadata() {
-            bytes += if metadata.is_file() { metadata.len() } else { 0 };
-            used = used.max(metadata.modified().unwrap_or(SystemTime::UNIX_EPOCH));
-        }
-    }
-    (bytes, used)
 }
 
 /// A text that is no size and no age.

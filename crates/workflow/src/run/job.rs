@@ -276,7 +276,9 @@ impl Job<'_> {
         let checkpoints = self.resolved.checkpoints.map(|key| cache.checkpoint_path(stage.name, &key));
         if let Some(path) = &checkpoints {
             files::at(path, "create", cache.files().create_dir_all(path))?;
+            cache.note_finished(path, false);
         }
+        let finished = checkpoints.clone();
         let context = StageContext {
             inputs: self.resolved.inputs.clone(),
             missing: self.resolved.ingredients.missing.clone(),
@@ -340,6 +342,9 @@ impl Job<'_> {
             }
         };
         cache.forget_killed(&self.resolved.key);
+        if let Some(path) = finished.filter(|path| path.is_dir()) {
+            cache.note_finished(&path, true);
+        }
         log.line(&format!("done in {}", machine::seconds(seconds)));
         cache.add_timing(&Timing {
             stage: stage.name.to_string(),

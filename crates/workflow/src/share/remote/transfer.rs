@@ -267,6 +267,9 @@ impl RemoteStore {
         if let Some(parent) = path.parent() {
             files::at(parent, "create", cache.files().create_dir_all(parent))?;
         }
+        if cache.share_bytes(path, file) {
+            return Ok(());
+        }
         self.patiently(stop, || {
             let to = BufWriter::new(files::at(path, "create", File::create(path))?);
             let mut to = Receiver::new(to, file.size, stop);
