@@ -37,7 +37,10 @@ fn an_engine_that_cannot_be_had_is_refused_and_nothing_is_written() {
         [("VK_DRIVER_FILES", "/nonexistent/icd.json"), ("VK_ICD_FILENAMES", "/nonexistent/icd.json")];
     for (engine, parts) in [
         ("gpu", &["engine", "no graphics card was found", "--engine cpu"][..]),
-        ("gpu:vega", &["error: --engine gpu:vega: no adapter", "libvulkan", "--engine cpu"]),
+        (
+            "gpu:vega",
+            &["the device `gpu:vega` (for reconstruct of tiny): no adapter", "libvulkan", "--engine cpu"],
+        ),
         ("cuda", &["cuda", "gpu"]),
     ] {
         let output = reconstruct(&place, "refused", engine, &nothing);
@@ -120,19 +123,30 @@ fn a_training_runs_on_a_software_card_by_its_name() {
     }
 }
 
+/// A command with the tiny settings and the cache of `place`.
+fn command_of(place: &Place, verb: &[&str], more: &[&str]) -> Command {
+    let mut command = tiny::command();
+    command.args(verb).args(["--cache", &place.at("cache")]);
+    tiny::TINY.iter().chain(&["evaluate.neighbour_pairs=1", "evaluate.path_pairs=1"]).for_each(|set| {
+        command.args(["--set", set]);
+    });
+    command.args(more);
+    command
+}
+
+/// Runs a command as on a machine without drivers of graphics cards.
+fn without_drivers(mut command: Command) -> Output {
+    command.envs(["VK_DRIVER_FILES", "VK_ICD_FILENAMES"].map(|name| (name, "/nonexistent/icd.json")));
+    command.output().expect("the command starts")
+}
+
 /// A whole run uses the card for both stages and for drawing; stage 2 ends where the processor's does, and
 /// both engines draw and score the same scene alike.
 #[test]
 fn a_whole_run_on_a_software_card_trains_and_draws_there() {
     let place = Place::new();
-    let command = |verb: &[&str], more: &[&str]| {
-        let mut command = tiny::command();
-        command.args(verb).args(["--cache", &place.at("cache")]);
-        tiny::TINY.iter().chain(&["evaluate.neighbour_pairs=1", "evaluate.path_pairs=1"]).for_each(|set| {
-            command.args(["--set", set]);
-        });
-        command.args(more).output().expect("the command starts")
-    };
+    let command =
+        |verb: &[&str], more: &[&str]| command_of(&place, verb, more).output().expect("the command starts");
     let tiny = place.at("tiny");
     let run = |out: &str, more: &[&str]| command(&["run", &tiny, "--out", &place.at(out)], more);
     let card = run("card", &["--engine", "gpu:llvmpipe"]);
@@ -144,6 +158,18 @@ fn a_whole_run_on_a_software_card_trains_and_draws_there() {
     for stage in ["reconstruct", "targets", "enhance", "render", "evaluate"] {
         assert!(text.contains(&format!("{stage}: engine: gpu, llvmpipe")), "{stage}: {text}");
     }
+    // A machine without the card knows what the card has made. It delivers it, and computes nothing in its
+    // place.
+    let engine = ["--engine", "gpu:llvmpipe"];
+    for verb in ["plan", "status"] {
+        let output = without_drivers(command_of(&place, &[verb, &tiny], &engine));
+        let text = String::from_utf8_lossy(&output.stdout).into_owned() + &said(&output);
+        let all = if verb == "plan" { " 0 to run" } else { "cached" };
+        assert!(output.status.code() == Some(0) && text.contains(all), "{verb}: {text}");
+    }
+    let again = without_drivers(command_of(&place, &["run", &tiny, "--out", &place.at("again")], &engine));
+    assert_eq!(again.status.code(), Some(0), "{}", said(&again));
+    assert!(!said(&again).contains("engine: "), "{}", said(&again));
     // Another machine, without a card, finds no problem in the artifacts of this one.
     let verified = command(&["verify", &tiny, "--sample", "100%"], &[]);
     let found = String::from_utf8_lossy(&verified.stdout).into_owned() + &said(&verified);

@@ -125,12 +125,17 @@ fn tasks_get_every_setting_the_engine_too_and_status_is_asked_with_the_same() {
     let many = Many::new(&["s1".to_string()]);
     let path = stand_ins(&many);
     fs::write(many.at("bin/sbatch"), "#!/bin/bash\necho 7\n").expect("written");
-    let submit = |extra: &[&str]| {
+    // This machine has no such card, and need not have it.
+    let submit_on = |engine: &str, extra: &[&str]| {
         let mut command = many.command(&["submit", "slurm"], "told");
-        let output = command.args(["--engine", "auto"]).args(extra).env("PATH", &path).output();
+        let output = command.args(["--engine", engine]).args(extra).env("PATH", &path).output();
         said(&output.expect("the command starts"))
     };
-    let engines = "--set reconstruct.engine=auto --set targets.engine=auto --set enhance.engine=auto";
+    let submit = |extra: &[&str]| submit_on("gpu:vega", extra);
+    let engines =
+        "--set reconstruct.engine=gpu:vega --set targets.engine=gpu:vega --set enhance.engine=gpu:vega";
+    let text = submit_on("auto", &["--dry-run"]);
+    assert!(text.contains("`reconstruct.engine` is auto") && text.contains("write gpu or cpu"), "{text}");
     let text = submit(&["--dry-run"]);
     assert!(text.lines().any(|line| line.contains(" run ") && line.contains(engines)), "{text}");
     let text = submit(&[]);

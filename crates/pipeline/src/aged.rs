@@ -96,7 +96,11 @@ fn folders(out: &Path) -> Result<Vec<PathBuf>, PlaceError> {
 
 fn bytes_below(path: &Path) -> u64 {
     let entries = walkdir::WalkDir::new(path).into_iter().filter_map(Result::ok);
-    entries.filter_map(|entry| entry.metadata().ok()).filter(|found| found.is_file()).map(|found| found.len()).sum()
+    entries
+        .filter_map(|entry| entry.metadata().ok())
+        .filter(|found| found.is_file())
+        .map(|found| found.len())
+        .sum()
 }
 
 #[cfg(test)]
@@ -115,7 +119,8 @@ mod tests {
             age(&folder.join(place::RECORD), days);
             folder
         };
-        let (old, edited, fresh) = (result("reef/scene", 40), result("reef/scores", 40), result("wreck/scene", 1));
+        let (old, edited, fresh) =
+            (result("reef/scene", 40), result("reef/scores", 40), result("wreck/scene", 1));
         fs::write(edited.join("gaussians.ply"), "mine").unwrap();
         fs::write(old.join("notes.txt"), "mine").unwrap();
         let [page, mine] = ["reef/view.html", "reef/mine.html"].map(|name| out.join(name));

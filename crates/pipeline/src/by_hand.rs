@@ -187,7 +187,11 @@ impl<'a> ByHand<'a> {
     fn run_until(&self, host: &Host, until: &str, cache: &Path) -> Result<PathBuf, WorkError> {
         let (builder, graph) = self.loaded(cache)?;
         let until_only = [until.to_string()];
-        let gaps = builder.gaps(&graph, Some(&until_only), None);
+        // A missing device of the last stage is named before the first one runs.
+        let mut gaps = builder.missing_devices(&graph, Some(&[self.stage.to_string()]), None);
+        if gaps.is_empty() {
+            gaps = builder.gaps(&graph, Some(&until_only), None);
+        }
         if !gaps.is_empty() {
             return Err(WorkError::input(gaps));
         }

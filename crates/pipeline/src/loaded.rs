@@ -31,6 +31,8 @@ pub struct PipelineRequest {
     pub flags: Vec<Spelled>,
     /// True if every input is read again, instead of trusting unchanged sizes and times.
     pub rehash: bool,
+    /// True for a command that computes nothing, and so opens no device.
+    pub only_looks: bool,
 }
 
 impl PipelineRequest {
@@ -64,7 +66,17 @@ impl PipelineRequest {
         outside_captures(&pipeline)?;
         let cache = Cache::open(&pipeline.cache, self.rehash).map_err(WorkError::input)?;
         let graph = Graph::new(&registry, &pipeline.batch).map_err(WorkError::input)?;
-        Ok(Loaded { pipeline, builder: Builder::new(registry, cache.asking(slurm::is_over())), graph })
+        let builder = Builder::new(registry, cache.asking(slurm::is_over()));
+        let builder = if self.only_looks { builder.only_looking() } else { builder };
+        Ok(Loaded { pipeline, builder, graph })
+    }
+
+    /// Reads the pipeline, and opens its cache, for a command that computes nothing.
+    ///
+    /// # Errors
+    /// As [`PipelineRequest::open`].
+    pub fn look(self) -> Result<Loaded, WorkError> {
+        Self { only_looks: true, ..self }.open()
     }
 }
 

@@ -47,8 +47,14 @@ impl<'a> PlannedSubmission<'a> {
     /// # Errors
     /// The pipeline or the site is refused, or the run would have to fail.
     pub fn new(request: &'a PipelineRequest, choices: SubmissionChoices<'_>) -> Result<Self, WorkError> {
-        let loaded = request.open()?;
+        let loaded = request.clone().look()?;
         loaded.nothing_lacks(None, None)?;
+        if let Some((stage, parameter)) = loaded.builder.undecided_device(&loaded.graph) {
+            return Err(WorkError::Input(format!(
+                "`{stage}.{parameter}` is auto: machines with and without a graphics card would make different \
+                 results; write gpu or cpu"
+            )));
+        }
         let registry = &loaded.builder.registry;
         let stages: Vec<&str> = registry.stages().iter().map(|s| s.name()).collect();
         let read = choices.site.map(|file| Site::read(file, &stages)).transpose();
@@ -76,7 +82,8 @@ impl<'a> PlannedSubmission<'a> {
         let planned = self.loaded.digest();
         for (stage, needs) in self.site.stage.iter().filter(|(_, needs)| !needs.arguments.is_empty()) {
             let fault = |reason: String| WorkError::Input(format!("`stage.{stage}.arguments`: {reason}"));
-            let changed = read(&[&submission.run[..], &needs.arguments].concat()).and_then(|r| r.open());
+            let changed =
+                read(&[&submission.run[..], &needs.arguments].concat()).and_then(PipelineRequest::look);
             if changed.map_err(|error| fault(error.to_string()))?.digest() != planned {
                 return Err(fault(format!(
                     "`{}` changes results, so the tasks of this stage would not belong to the others; write \

@@ -50,8 +50,11 @@ pub(crate) mod definition {
             .promises(&["scene.json", "gaussians.ply", REPORT])
             .delivers("enhanced-scene")
             .check(|p: &EnhanceParams| p.validate().map_err(out_of_range))
-            .check(|p: &EnhanceParams| engines::check(&p.engine))
-            .computes_on("engine", |p: &EnhanceParams| engines::class(&p.engine))
+            .computes_on(
+                "engine",
+                |p: &EnhanceParams| engines::asked(&p.engine),
+                |p| engines::class(&p.engine),
+            )
             .when(|all| !learns_from_proposals(all))
             .input("import", "import")
             .input("scene", "reconstruct")

@@ -1,5 +1,5 @@
 //! S3 and servers with the same protocol, through `object_store`. Keys, region and server come from the usual
-//! `AWS_…` variables; none of them is ever written anywhere.
+//! `AWS_…` variables and [files](crate::profile); none of them is ever written anywhere.
 
 use std::io::{self, Read, Write};
 use std::time::Duration;
@@ -14,8 +14,12 @@ use object_store::{
 use tokio::runtime::Runtime;
 use use3d_workflow::remote::{Listed, Remote, RemoteError};
 
+use crate::profile;
+
 /// Larger objects are uploaded in parts of this size, in bytes.
 const PART: u64 = 16 << 20;
+/// The address at which a machine of the cloud answers who it is.
+const IDENTITY: &str = "169.254.169.254";
 /// Number of immediate retries if the server is busy; the caller retries later.
 const RETRIES: usize = 3;
 
@@ -25,6 +29,7 @@ pub(crate) struct Bucket {
     prefix: Path,
     store: AmazonS3,
     runtime: Runtime,
+    has_keys: bool,
 }
 
 impl Bucket {
@@ -44,7 +49,12 @@ impl Bucket {
             .with_config(client(ClientConfigKey::Timeout), "1 day")
             .with_config(client(ClientConfigKey::ReadTimeout), "60 seconds")
             .with_config(client(ClientConfigKey::ConnectTimeout), "10 seconds");
-        for (name, value) in std::env::vars().filter(|(name, _)| name.starts_with("AWS_")) {
+        let own = std::env::vars().filter(|(name, _)| name.starts_with("AWS_"));
+        let of_files = profile::settings(&|name| std::env::var(name).ok())?;
+        let settings: Vec<(String, String)> =
+            own.chain(of_files.into_iter().map(|(name, value)| (name.to_string(), value))).collect();
+        let has_keys = settings.iter().any(|(name, _)| name == "AWS_ACCESS_KEY_ID");
+        for (name, value) in settings {
             let Ok(key) = name.to_ascii_lowercase().parse::<AmazonS3ConfigKey>() else { continue };
             // A server on this machine, or in a lab, often has no TLS; its address then begins with
             // `http://`.
@@ -61,7 +71,7 @@ impl Bucket {
         let place =
             if prefix.is_empty() { format!("s3://{bucket}") } else { format!("s3://{bucket}/{prefix}") };
         let prefix = Path::parse(prefix).map_err(io::Error::other)?;
-        Ok(Self { place, prefix, store, runtime })
+        Ok(Self { place, prefix, store, runtime, has_keys })
     }
 
     fn at(&self, name: &str) -> Path {
@@ -70,13 +80,21 @@ impl Bucket {
 
     fn refused(&self, doing: &'static str, name: &str, error: &Error) -> RemoteError {
         let passing = matches!(error, Error::Generic { .. } | Error::JoinError { .. });
+        let said = error.to_string();
         let advice = match error {
             Error::Unauthenticated { .. } | Error::PermissionDenied { .. } => {
-                "; check AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY and what they may do in this bucket"
+                "; check AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY or AWS_PROFILE, and what they may do in this bucket"
+            }
+            // Without keys the library asks the machine for an identity, at this address.
+            _ if !self.has_keys && said.contains(IDENTITY) => {
+                let reason = "there are no keys: set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or AWS_PROFILE for a \
+                              profile of ~/.aws/credentials; this machine has no identity in the cloud either";
+                let (place, name) = (self.place.clone(), name.to_string());
+                return RemoteError::Refused { place, doing, name, reason: reason.into(), passing: false };
             }
             _ => "",
         };
-        let (place, reason) = (self.place.clone(), format!("{error}{advice}"));
+        let (place, reason) = (self.place.clone(), format!("{}{advice}", without_xml(&said)));
         // The library has no error of its own for a bucket that does not exist; this is the name in S3's
         // answer.
         if reason.contains("NoSuchBucket") {
@@ -106,6 +124,21 @@ impl Bucket {
             }
             done => done.map(drop).map_err(|e| self.refused("write", name, &e)),
         }
+    }
+}
+
+/// The text of an error with the code and the message of a server in place of its XML.
+fn without_xml(said: &str) -> String {
+    let between = |tag: &str| {
+        let (_, rest) = said.split_once(&format!("<{tag}>"))?;
+        Some(rest.split_once(&format!("</{tag}>"))?.0)
+    };
+    let before = said.split(['<', '\n']).next().unwrap_or_default().trim_end_matches([' ', ':']);
+    match (between("Code"), between("Message")) {
+        (Some(code), Some(message)) => format!("{message} ({code})"),
+        (Some(code), None) => code.to_string(),
+        _ if said.contains("<?xml") || said.contains("<html") => before.to_string(),
+        _ => said.to_string(),
     }
 }
 
@@ -203,5 +236,19 @@ impl Remote for Bucket {
             Ok(()) | Err(Error::NotFound { .. }) => Ok(()),
             Err(e) => Err(self.refused("remove", name, &e)),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_answer_in_xml_becomes_its_message() {
+        let xml = "Generic S3 error: 404 Not Found: <?xml version=\"1.0\"?><Error><Code>NoSuchBucket</Code>\
+            <Message>The specified bucket does not exist</Message><BucketName>x</BucketName></Error>";
+        assert_eq!(without_xml(xml), "The specified bucket does not exist (NoSuchBucket)");
+        assert_eq!(without_xml("502 Bad Gateway: <html><body>oops"), "502 Bad Gateway");
+        assert_eq!(without_xml("connection refused"), "connection refused");
     }
 }

@@ -6,6 +6,8 @@
 
 #[cfg(feature = "s3")]
 mod bucket;
+#[cfg(feature = "s3")]
+mod profile;
 
 use std::io;
 use std::path::{Component, Path, PathBuf};

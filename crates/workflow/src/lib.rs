@@ -114,6 +114,7 @@ pub use share::remote;
 pub use stage::agree::{Agreement, AlikeFiles, Figure};
 pub use stage::context::StageContext;
 pub use stage::definition::{Input, Scope, Select, Source, Stage};
+pub use stage::device::{AskedDevice, Device};
 pub use stage::events::{Event, Listener, Silent};
 pub use stage::inputs::{Named, StageInput};
 pub use stage::parameters::{AllParameters, Parameters};

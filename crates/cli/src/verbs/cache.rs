@@ -48,7 +48,7 @@ pub(crate) fn gc(args: &GcArgs) -> Done {
     // Without --cache, the cache is the one named by the pipelines to keep.
     let mut named: Option<(&Path, Cache)> = None;
     for pipeline in &args.sweep.keep {
-        let loaded = args.sweep.cache.request(pipeline).open()?;
+        let loaded = args.sweep.cache.request(pipeline).look()?;
         keep.extend(loaded.builder.plan(&loaded.graph, None).keys());
         let cache = loaded.builder.cache;
         match &named {

@@ -64,7 +64,7 @@ pub(crate) fn sweep(app: &App, args: &StoreGcArgs) -> Done {
     existing(&args.store)?;
     let mut keep = BTreeSet::new();
     for pipeline in &args.sweep.keep {
-        let loaded = args.sweep.cache.request(pipeline).open()?;
+        let loaded = args.sweep.cache.request(pipeline).look()?;
         let plan = loaded.builder.plan(&loaded.graph, None);
         // An artifact without a key cannot be distinguished from one that no node needs.
         let unknown = plan.to_run() + plan.unavailable() + plan.blocked();
@@ -96,7 +96,7 @@ fn existing(args: &RemoteArgs) -> Done {
 }
 
 pub(crate) fn push(app: &App, args: &PushArgs) -> Done {
-    let Loaded { builder, graph, .. } = args.what.pipeline.request().open()?;
+    let Loaded { builder, graph, .. } = args.what.pipeline.request().look()?;
     let store = store(&args.what.store.remote)?;
     store.probe(&app.host.stop).map_err(|e| WorkError::Failed(format!("--remote: {e}")))?;
     let sent = builder.push(&graph, &store, args.check, &app.host.stop, &app.host.listener);
@@ -114,7 +114,7 @@ pub(crate) fn push(app: &App, args: &PushArgs) -> Done {
 }
 
 pub(crate) fn pull(app: &App, args: &TransferArgs) -> Done {
-    let Loaded { builder, graph, .. } = args.pipeline.request().open()?;
+    let Loaded { builder, graph, .. } = args.pipeline.request().look()?;
     // A user who only fetches may have no permission to write.
     let store = store(&args.store.remote)?;
     existing(&args.store)?;

@@ -33,7 +33,7 @@ use crate::verbs::view::watched;
 use crate::verbs::white::keep_for;
 
 pub(crate) fn plan(args: &PlanArgs) -> Done {
-    let loaded = resolved(args.pipeline.request()).0.open()?;
+    let loaded = resolved(args.pipeline.request()).0.look()?;
     loaded.nothing_lacks(None, None)?;
     show(&loaded.builder.plan(&loaded.graph, None), args.json)
 }
@@ -51,7 +51,7 @@ fn show(plan: &Plan, as_json: bool) -> Done {
 }
 
 pub(crate) fn status(args: &StatusArgs) -> Done {
-    let loaded = resolved(args.plan.pipeline.request()).0.open()?;
+    let loaded = resolved(args.plan.pipeline.request()).0.look()?;
     let mut status = loaded.builder.plan(&loaded.graph, None).status();
     for name in &args.scene {
         let known = || loaded.pipeline.batch.scenes.iter().map(|s| s.name.as_str());
@@ -71,7 +71,7 @@ pub(crate) fn status(args: &StatusArgs) -> Done {
 }
 
 pub(crate) fn why(args: &WhyArgs) -> Done {
-    let loaded = resolved(args.pipeline.request()).0.open()?;
+    let loaded = resolved(args.pipeline.request()).0.look()?;
     // `SCENE` or `SCENE@VARIANT`.
     let (scene, variant) = args.scene.split_once('@').unwrap_or((&args.scene, ""));
     let why = loaded.builder.why(&loaded.graph, scene, variant, &args.stage).map_err(WorkError::input)?;
@@ -79,7 +79,7 @@ pub(crate) fn why(args: &WhyArgs) -> Done {
 }
 
 pub(crate) fn graph(pipeline: &PipelineArgs) -> Done {
-    let loaded = resolved(pipeline.request()).0.open()?;
+    let loaded = resolved(pipeline.request()).0.look()?;
     let plan = loaded.builder.plan(&loaded.graph, None);
     print!("{}", picture::mermaid(&loaded.graph, &plan));
     Ok(())
@@ -100,6 +100,7 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
         use3d_import::check_layout(&pipeline.target).map_err(WorkError::input)?;
     }
     pipeline.options.scenes.clone_from(&args.scene);
+    pipeline.only_looks = args.dry_run || args.gather;
     let mut loaded = pipeline.open()?;
     let until = args.until.clone().map(|stage| vec![stage]);
     if let Some(stage) = &args.until {

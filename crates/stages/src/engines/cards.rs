@@ -1,7 +1,7 @@
 //! Graphics cards that were opened. Each is checked once.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, LazyLock, Mutex, PoisonError};
 
 use use3d_atc::AtcError;
 use use3d_atc::consensus::Adjoint;
@@ -43,6 +43,15 @@ pub(crate) fn open(name: Option<&str>) -> Result<OpenCard, OpenError> {
     found.clone().map(|gpu| -> OpenCard { Box::new(gpu) })
 }
 
+/// The digest of the kernels, and of the code of the GPU crate with all crates below it.
+pub(crate) fn programs() -> Digest {
+    static PROGRAMS: LazyLock<Digest> = LazyLock::new(|| {
+        let host = code::built_in().stage(&["use3d-gpu"], &[]).map(|code| code.digest().to_string());
+        Digest::of((kernel_sources().join("\n") + &host.unwrap_or_default()).as_bytes())
+    });
+    *PROGRAMS
+}
+
 /// The first value of stage 1's loss that has a weight at some step and no kernel.
 pub(crate) fn loss_without_kernel(params: &ReconstructParams) -> Option<&'static str> {
     let steps = [0, params.iterations / 2, params.iterations.saturating_sub(1)];
@@ -63,13 +72,11 @@ impl Card for Gpu {
     /// with its kernels and all crates below it.
     fn class(&self) -> DeviceClass {
         let adapter = &self.adapter;
-        let host = code::built_in().stage(&["use3d-gpu"], &[]).map(|code| code.digest().to_string());
-        let kernels = kernel_sources().join("\n") + &host.unwrap_or_default();
         DeviceClass {
             engine: format!("gpu ({})", self.variant),
             adapter: adapter.name.clone(),
             driver: format!("{} ({})", adapter.driver, adapter.backend),
-            kernels: Digest::of(kernels.as_bytes()),
+            kernels: programs(),
         }
     }
 

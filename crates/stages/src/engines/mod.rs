@@ -1,9 +1,9 @@
 //! The choice of engines: for the steps of a training (the processor or a graphics card), for drawing a
 //! finished scene ([`Drawn`]), and for lifting views to a scene's Gaussians.
 //!
-//! A card is opened and checked once per process, when its name is first needed: for a key, or at the start
-//! of a stage. If a choice names a card that is missing, fails its check or cannot do the work, the
-//! parameters are refused before anything runs; `auto` then takes the processor. A key describes the card and
+//! A card is opened and checked once per process, when its class is first needed: for a key, or at the start
+//! of a stage. If a choice names a card that is missing, fails its check or cannot do the work, nothing runs;
+//! `auto` then takes the processor. A command that computes nothing opens no card. A key describes the card and
 //! its kernels only by the stage's numeric class. So an edit of a kernel makes no result of the processor
 //! stale.
 
@@ -24,13 +24,20 @@ use use3d_scene::Scene;
 use use3d_splat::Gaussians;
 pub(crate) use use3d_training::EngineChoice;
 use use3d_training::{EngineError, Observer};
-use use3d_workflow::DeviceClass;
+use use3d_workflow::{AskedDevice, DeviceClass};
 
 #[cfg(not(feature = "gpu"))]
 mod cards {
+    use use3d_workflow::Digest;
+
     use super::{OpenCard, ReconstructParams};
 
     pub(crate) fn close() {}
+
+    /// There are no programs.
+    pub(crate) fn programs() -> Digest {
+        Digest::of(b"")
+    }
 
     pub(crate) fn loss_without_kernel(_params: &ReconstructParams) -> Option<&'static str> {
         None
@@ -207,14 +214,32 @@ fn chosen(params: &impl ChoosesEngine) -> Result<(Option<OpenCard>, Option<Strin
     Ok((card, said))
 }
 
-/// Refuses an engine that this machine does not offer: returns the parameter and the problem.
-pub(crate) fn check<T: ChoosesEngine>(params: &T) -> Result<(), (String, String)> {
-    card(params).map(|_| ()).map_err(|fault| ("engine".to_string(), fault.to_string()))
+/// Refuses a card for work that no card can do: returns the parameter and the problem.
+pub(crate) fn check(params: &ReconstructParams) -> Result<(), (String, String)> {
+    match (params.engine(), params.beyond_cards()) {
+        (EngineChoice::Gpu(_), Some(fault)) => Err(("engine".to_string(), fault.to_string())),
+        _ => Ok(()),
+    }
 }
 
-/// The device that a stage computes on; `None` for the processor alone.
-pub(crate) fn class<T: ChoosesEngine>(params: &T) -> Option<DeviceClass> {
-    card(params).ok().flatten().map(|card| card.class())
+/// The card that parameters ask for; `None` for the processor alone.
+pub(crate) fn asked<T: ChoosesEngine>(params: &T) -> Option<AskedDevice> {
+    let required = match params.engine() {
+        EngineChoice::Cpu => return None,
+        EngineChoice::Auto if params.beyond_cards().is_some() => return None,
+        EngineChoice::Auto => false,
+        EngineChoice::Gpu(_) => true,
+    };
+    Some(AskedDevice { name: params.engine().to_string(), required, programs: cards::programs() })
+}
+
+/// The class of the card that a stage computes on here; `None` for the processor alone.
+///
+/// # Errors
+/// The requested card is not there, or cannot do the work; the text says why.
+pub(crate) fn class<T: ChoosesEngine>(params: &T) -> Result<Option<DeviceClass>, String> {
+    let card = card(params).map_err(|fault| fault.to_string())?;
+    Ok(card.map(|card| card.class()))
 }
 
 /// The engine of stage 1 for a capture that may grow to `most` Gaussians, and the message to show about the
@@ -287,7 +312,7 @@ mod tests {
     #[test]
     fn the_processor_is_the_default_and_asks_for_nothing() {
         let params = ReconstructParams::default();
-        assert_eq!((check(&params), class(&params)), (Ok(()), None));
+        assert_eq!((check(&params), asked(&params), class(&params)), (Ok(()), None, Ok(None)));
         assert!(stage1(&params, usize::MAX).unwrap().1.is_none());
     }
 
@@ -305,7 +330,7 @@ mod tests {
             assert!(at == "engine" && what.contains(name) && what.contains("expected cpu"), "{what}");
         }
         let auto = asking("auto", Medium::Mlp);
-        assert_eq!((check(&auto), class(&auto)), (Ok(()), None));
+        assert_eq!((check(&auto), asked(&auto), class(&auto)), (Ok(()), None, Ok(None)));
         let (_, said) = stage1(&auto, 1000).unwrap();
         assert!(said.unwrap().contains("engine: cpu (expected cpu for the water `mlp`"));
     }
@@ -313,33 +338,26 @@ mod tests {
     #[test]
     fn more_gaussians_than_a_card_binds_are_refused_with_their_number() {
         let mut params = asking("gpu:llvmpipe", Medium::Rbf);
-        if let Err((_, what)) = check(&params) {
+        if let Err(what) = class(&params) {
             assert!(std::env::var("USE3D_REQUIRE_GPU").as_deref() != Ok("1"), "{what}");
             eprintln!("SKIPPED, no software adapter (package mesa-vulkan-drivers): {what}");
             return;
         }
-        assert!(class(&params).is_some_and(|class| class.engine == "gpu (portable)"));
+        assert!(class(&params).unwrap().is_some_and(|class| class.engine == "gpu (portable)"));
         params.max_gaussians = 4_000_000_000;
-        let (at, what) = check(&params).unwrap_err();
-        assert!(
-            at == "engine" && what.contains("max_gaussians is 4000000000") && what.contains("llvmpipe"),
-            "{what}"
-        );
+        let what = class(&params).unwrap_err();
+        assert!(what.contains("max_gaussians is 4000000000") && what.contains("llvmpipe"), "{what}");
     }
 
     #[test]
     fn a_name_that_no_adapter_has_is_refused_with_those_there_are() {
         let stage2 =
             EnhanceParams { engine: "gpu:no such card".parse().unwrap(), ..EnhanceParams::default() };
-        for (at, what) in
-            [check(&asking("gpu:no such card", Medium::Rbf)).unwrap_err(), check(&stage2.engine).unwrap_err()]
+        for what in
+            [class(&asking("gpu:no such card", Medium::Rbf)).unwrap_err(), class(&stage2.engine).unwrap_err()]
         {
-            assert_eq!(at, "engine");
             assert!(what.contains("no such card") || what.contains("cargo feature `gpu`"), "{what}");
         }
-        assert_eq!(
-            (check(&EnhanceParams::default().engine), class(&EnhanceParams::default().engine)),
-            (Ok(()), None)
-        );
+        assert_eq!(class(&EnhanceParams::default().engine), Ok(None));
     }
 }

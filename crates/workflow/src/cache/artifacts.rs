@@ -10,6 +10,7 @@
 //! <folder>/v1/leases/<key>  run-…                        leases of keys and of runs
 //! <folder>/v1/fetched/<key>                              marks an artifact that came from a store
 //! <folder>/v1/killed/<key>.json                          notes about processes that were killed
+//! <folder>/v1/devices/<name>.json                        classes of the cards that have computed
 //! <folder>/v1/delivered/<results folder>/<part>.json     the sources of the files in a results folder
 //! <folder>/v1/tmp/  damaged/                             unfinished folders; damaged artifacts
 //! ```

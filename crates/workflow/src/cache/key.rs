@@ -187,7 +187,7 @@ pub fn numeric_class() -> String {
 
 /// The device that a stage computes with besides the processor, and the programs that run on it. Any of these
 /// may change last bits.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DeviceClass {
     /// The engine's name.
     pub engine: String,

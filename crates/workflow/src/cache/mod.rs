@@ -6,6 +6,7 @@ pub(crate) mod artifacts;
 pub mod canonical;
 pub mod content;
 pub mod delivered;
+mod device;
 mod equal;
 pub mod files;
 pub mod key;

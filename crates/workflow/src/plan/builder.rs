@@ -17,13 +17,21 @@ pub struct Builder {
     /// The class of arithmetic of this machine.
     pub numeric_class: String,
     pub(crate) remote: Option<Arc<RemoteStore>>,
+    pub(crate) only_looks: bool,
 }
 
 impl Builder {
     /// A builder on this machine.
     pub fn new(registry: Registry, cache: Cache) -> Self {
         let cache = cache.with_promises(registry.promises());
-        Self { registry, cache, numeric_class: key::numeric_class(), remote: None }
+        Self { registry, cache, numeric_class: key::numeric_class(), remote: None, only_looks: false }
+    }
+
+    /// The same builder, which computes nothing of a scene and so opens no device. It knows the devices that
+    /// have computed into the cache.
+    #[must_use]
+    pub fn only_looking(self) -> Self {
+        Self { only_looks: true, ..self }
     }
 
     /// The same builder, which looks in a store for artifacts that the cache lacks before it computes them,

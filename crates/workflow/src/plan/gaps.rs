@@ -85,7 +85,7 @@ impl Display for Gaps {
 impl Builder {
     /// Lists everything that the wanted nodes of a graph need and do not have. Computes nothing.
     pub fn gaps(&self, graph: &Graph, until: Option<&[String]>, only: Option<&[(String, String)]>) -> Gaps {
-        let mut gaps = Gaps::default();
+        let mut gaps = self.missing_devices(graph, until, only);
         let checks = Checks(&self.cache.contents);
         let wanted = graph.wanted_of(until, only);
         for (node, _) in graph.nodes.iter().zip(wanted).filter(|(_, wanted)| *wanted) {
@@ -93,6 +93,29 @@ impl Builder {
             for lacking in requires(&node.place.all, &node.place.named, &checks) {
                 gaps.add(lacking, node.stage_name, &node.scene);
             }
+        }
+        gaps
+    }
+
+    /// Lists the devices that the wanted nodes of a graph ask for, that this machine does not have, and that
+    /// have computed nothing into this cache.
+    pub fn missing_devices(
+        &self,
+        graph: &Graph,
+        until: Option<&[String]>,
+        only: Option<&[(String, String)]>,
+    ) -> Gaps {
+        let mut gaps = Gaps::default();
+        let wanted = graph.wanted_of(until, only);
+        for (node, _) in graph.nodes.iter().zip(wanted).filter(|(_, wanted)| *wanted && !self.only_looks) {
+            let stage = &self.registry.stages()[node.stage];
+            let (Some(device), Err(remedy)) = (&stage.device, self.arithmetic(stage, &node.parameters))
+            else {
+                continue;
+            };
+            let asked = node.parameters.json().get(device.parameter).and_then(|value| value.as_str());
+            let what = format!("the device `{}`", asked.unwrap_or_default());
+            gaps.add(Lacking { what, remedy, without: String::new() }, node.stage_name, &node.scene);
         }
         gaps
     }

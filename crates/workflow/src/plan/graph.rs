@@ -267,7 +267,9 @@ impl Graph {
             encoder.text(node.stage_name).text(&node.scene).text(&node.variant);
             let stage = &registry.stages()[node.stage];
             canonical::encode(&stage.key_parameters(&node.parameters), &mut encoder);
-            if let Some(device) = stage.device_parameter.and_then(|name| node.parameters.json().get(name)) {
+            if let Some(device) =
+                stage.device.as_ref().and_then(|device| node.parameters.json().get(device.parameter))
+            {
                 canonical::encode(device, &mut encoder);
             }
             encoder.number(u64::from(node.seed.is_some())).number(node.seed.unwrap_or(0));

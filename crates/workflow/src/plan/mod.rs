@@ -1,6 +1,7 @@
 //! The graph of a batch, the keys of its nodes, the states that they have, and the forecast of a run.
 
 pub(crate) mod builder;
+mod devices;
 pub(crate) mod gaps;
 pub mod graph;
 pub mod history;

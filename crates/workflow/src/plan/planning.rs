@@ -220,6 +220,11 @@ impl Builder {
                 planned.state = State::Unavailable(reason);
                 return Outcome::Unavailable(label());
             }
+            Err(Unresolved::Device(reason)) => {
+                planned.failed = record.failed(None).map(|f| f.reason.clone());
+                planned.state = State::Run(reason);
+                return Outcome::Open;
+            }
         };
         planned.key = Some(resolved.key);
         planned.checkpoints = resolved.checkpoints;

@@ -41,6 +41,8 @@ pub(crate) struct Resolved {
     /// The external inputs, with the files that count and the digest of their content.
     pub(crate) externals: Vec<(PathBuf, Selected, Digest)>,
     pub(crate) bytes: u64,
+    /// The reason why this process cannot compute it.
+    pub(crate) elsewhere: Option<String>,
 }
 
 /// The reason why a node has no key yet.
@@ -52,6 +54,8 @@ pub(crate) enum Unresolved {
     Blocked(String),
     /// An external input cannot be read, for this reason.
     Input(String),
+    /// The class of the device that it asks for is not known, for this reason.
+    Device(String),
 }
 
 impl Builder {
@@ -115,6 +119,7 @@ impl Builder {
         if gathers && inputs.is_empty() && !missing.is_empty() {
             return Err(Unresolved::Blocked(format!("all of {}", missing.join(", "))));
         }
+        let arithmetic = self.arithmetic(stage, &node.parameters).map_err(Unresolved::Device)?;
         let code = self.registry.code(node.stage);
         let digested = |(input, digest): (&StageInput, Digest)| {
             let StageInput { role, scene, group, variant, .. } = input.clone();
@@ -129,13 +134,14 @@ impl Builder {
             third_party: code.third_party.clone(),
             parameters: stage.key_parameters(&node.parameters),
             seed: node.seed,
-            numeric_class: stage.numeric_class(&self.numeric_class, &node.parameters),
+            numeric_class: arithmetic.class,
             inputs: digests,
             missing,
         };
         let checkpoints =
             (!stage.length_like.is_empty()).then(|| ingredients.checkpoint_key(stage.length_like));
-        Ok(Resolved { key: ingredients.key(), checkpoints, ingredients, inputs, artifacts, externals, bytes })
+        let (key, elsewhere) = (ingredients.key(), arithmetic.elsewhere);
+        Ok(Resolved { key, checkpoints, ingredients, inputs, artifacts, externals, bytes, elsewhere })
     }
 
     /// The files of an external input that count, and their content.

@@ -131,7 +131,8 @@ impl Cache {
         for (file, size) in items.iter().flat_map(|item| &item.linked) {
             links.entry(*file).or_insert((*size, 0)).1 += 1;
         }
-        let mut total: u64 = items.iter().map(|i| i.bytes).sum::<u64>() + links.values().map(|l| l.0).sum::<u64>();
+        let mut total: u64 =
+            items.iter().map(|i| i.bytes).sum::<u64>() + links.values().map(|l| l.0).sum::<u64>();
         let now = SystemTime::now();
         items.sort_by(|a, b| a.rank.cmp(&b.rank).then(a.cost.total_cmp(&b.cost)).then(a.used.cmp(&b.used)));
         let mut cleaning =

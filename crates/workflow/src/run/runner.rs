@@ -455,6 +455,7 @@ impl<'r> Runner<'r> {
             Err(Unresolved::Input(reason)) => {
                 return self.fail(i, None, &StageError::bad_input_message(reason));
             }
+            Err(Unresolved::Device(reason)) => return self.lacks_device(i, None, &reason),
         };
         self.lease.extend([resolved.key]);
         let found = self.look_up(i, &resolved.key, true);
@@ -513,9 +514,11 @@ impl<'r> Runner<'r> {
             }
         }
         if self.options.gather && self.scope(i) != Scope::Batch {
-            self.nodes[i].result = NodeResult::Missing;
-            self.outcomes[i] = Outcome::Unavailable(self.nodes[i].label.clone());
-            self.over(i);
+            self.miss(i);
+            return true;
+        }
+        if let Some(reason) = &resolved.elsewhere {
+            self.lacks_device(i, Some(resolved.key), reason);
             return true;
         }
         if self.scope(i) == Scope::Shared {
@@ -532,6 +535,24 @@ impl<'r> Runner<'r> {
             }
         }
         if self.fits(i, &resolved) { self.start(i, resolved, scope) } else { self.keep_waiting(i, resolved) }
+    }
+
+    /// Ends a node whose artifact is missing and not to be made.
+    fn miss(&mut self, i: usize) {
+        self.nodes[i].result = NodeResult::Missing;
+        self.outcomes[i] = Outcome::Unavailable(self.nodes[i].label.clone());
+        self.over(i);
+    }
+
+    /// Ends a node that needs a device which this machine does not have. In a submission, another task has it.
+    fn lacks_device(&mut self, i: usize, key: Option<Key>, reason: &str) {
+        if self.options.gather {
+            self.miss(i);
+        } else if self.builder.cache.node.task.as_ref().is_some_and(|task| !task.submission.is_empty()) {
+            self.leave_alone(i, reason);
+        } else {
+            self.fail(i, key, &StageError::bad_input_message(reason));
+        }
     }
 
     /// Looks up a node's key. An unexpected result is checked a second time: on a network file system,

@@ -64,9 +64,11 @@ impl Transferred {
     /// Stores an error that concerns one artifact alone, and returns any other error.
     fn settle(&mut self, stage: &str, key: &Key, error: RemoteError) -> Result<(), RemoteError> {
         match error {
-            RemoteError::Wrong { .. } | RemoteError::Damaged(_) => {
-                self.add_problem(stage, key, error.to_string());
+            RemoteError::Wrong { .. } => {
+                let mend = "`use3d push --check` from a cache that has this artifact mends the store";
+                self.add_problem(stage, key, format!("{error}; {mend}"));
             }
+            RemoteError::Damaged(_) => self.add_problem(stage, key, error.to_string()),
             RemoteError::Stopped => self.interrupted = true,
             other => return Err(other),
         }

@@ -27,7 +27,8 @@ impl Cache {
     fn sweep_checkpoints(&self, used: &BTreeSet<Key>) {
         let stages = files::entries(&self.root().join("checkpoints"));
         for folder in stages.flat_map(|stage| files::entries(&stage.path())) {
-            let age = || std::fs::metadata(folder.path().join(FINISHED)).ok()?.modified().ok()?.elapsed().ok();
+            let age =
+                || std::fs::metadata(folder.path().join(FINISHED)).ok()?.modified().ok()?.elapsed().ok();
             let key = folder.file_name().to_str().and_then(|name| name.parse().ok());
             if age().is_some_and(|age| age.as_secs() > STAY) && key.is_none_or(|key| !used.contains(&key)) {
                 let _ = self.discard(&folder.path());

@@ -14,6 +14,7 @@ use crate::cache::key::DeviceClass;
 use crate::error::{ParameterError, StageError};
 use crate::stage::agree::{Agreement, AlikeFiles, Figure};
 use crate::stage::context::StageContext;
+use crate::stage::device::{AskedDevice, Device};
 use crate::stage::inputs::{Named, StageInput};
 use crate::stage::parameters::{AllParameters, Parameters};
 use crate::stage::require::{Checks, Lacking, Requires};
@@ -75,8 +76,6 @@ type Condition = Arc<dyn Fn(&AllParameters, &Named) -> bool + Send + Sync>;
 type IsReference = Arc<dyn Fn(&AllParameters) -> bool + Send + Sync>;
 /// Bytes of memory, from the parameters and from the inputs that exist.
 type Memory = Arc<dyn Fn(&Parameters, &[StageInput]) -> Option<u64> + Send + Sync>;
-/// The device that the stage computes on, from its parameters.
-type Device = Arc<dyn Fn(&Parameters) -> Option<DeviceClass> + Send + Sync>;
 type Run = Arc<dyn Fn(&StageContext, &Parameters) -> Result<(), StageError> + Send + Sync>;
 
 /// A stage; the first page of this crate has an example.
@@ -99,8 +98,6 @@ pub struct Stage {
     pub(crate) promises: &'static [&'static str],
     /// The device that it may compute on besides the processor.
     pub device: Option<Device>,
-    /// The parameter that chooses the device, if it may compute on one.
-    pub(crate) device_parameter: Option<&'static str>,
     /// The rule by which its artifacts of two classes of arithmetic agree; `None` promises the same bytes
     /// everywhere.
     pub agreement: Option<Agreement>,
@@ -145,7 +142,6 @@ impl Stage {
             without_effect: &[],
             promises: &[],
             device: None,
-            device_parameter: None,
             agreement: None,
             delivered: None,
             usual_cost: [0.3, 0.0],
@@ -301,17 +297,21 @@ impl Stage {
         Self { promises: files, ..self }
     }
 
-    /// Sets the device it computes on with given parameters, or `None` for the processor alone. The device is
-    /// part of its class of arithmetic, and so of its key. The parameter `name` chooses it; it belongs among
+    /// Sets the device it computes on with given parameters: the one that they ask for, `None` for the
+    /// processor alone, and the class of the one that this machine has. The class is part of the stage's
+    /// class of arithmetic, and so of its key. The parameter `name` chooses the device; it belongs among
     /// those [without effect](Self::without_effect).
     #[must_use]
     pub fn computes_on<P: 'static>(
         self,
         name: &'static str,
-        device: impl Fn(&P) -> Option<DeviceClass> + Send + Sync + 'static,
+        asked: impl Fn(&P) -> Option<AskedDevice> + Send + Sync + 'static,
+        here: impl Fn(&P) -> Result<Option<DeviceClass>, String> + Send + Sync + 'static,
     ) -> Self {
-        let device = move |parameters: &Parameters| device(parameters.of()?);
-        Self { device: Some(Arc::new(device)), device_parameter: Some(name), ..self }
+        let asked = move |parameters: &Parameters| asked(parameters.of()?);
+        let here = move |parameters: &Parameters| parameters.of().map_or(Ok(None), &here);
+        let device = Device { parameter: name, asked: Arc::new(asked), here: Arc::new(here) };
+        Self { device: Some(device), ..self }
     }
 
     /// Declares that its bytes are the same within one class of arithmetic but not between two; between two,
@@ -438,12 +438,6 @@ impl Stage {
     /// The JSON schema of its parameters.
     pub fn schema(&self, generator: &mut SchemaGenerator) -> Schema {
         (self.schema)(generator)
-    }
-
-    /// Its class of arithmetic with these parameters on a machine of class `machine`.
-    pub fn numeric_class(&self, machine: &str, parameters: &Parameters) -> String {
-        let device = self.device.as_ref().and_then(|device| device(parameters));
-        device.map_or_else(|| machine.to_string(), |device| device.on(machine))
     }
 
     /// Estimated memory with these parameters on these inputs, in bytes; 0 where there is no estimate.

@@ -3,6 +3,7 @@
 pub(crate) mod agree;
 pub(crate) mod context;
 pub(crate) mod definition;
+pub(crate) mod device;
 pub(crate) mod events;
 pub(crate) mod inputs;
 pub(crate) mod parameters;

@@ -408,7 +408,7 @@ fn artifacts_of_another_class_are_compared_as_their_stage_says() {
     use std::sync::Arc;
     use std::sync::atomic::AtomicU64;
 
-    use use3d_workflow::{Builder, Cache, DeviceClass, Digest, Figure, Registry, Scope, Stage};
+    use use3d_workflow::{AskedDevice, Builder, Cache, DeviceClass, Digest, Figure, Registry, Scope, Stage};
 
     const FIGURES: [Figure; 1] = [Figure { file: "score.json", at: "/psnr", within: 0.1 }];
     let dir = tempfile::tempdir().expect("folder");
@@ -424,14 +424,21 @@ fn artifacts_of_another_class_are_compared_as_their_stage_says() {
         })
         .external("capture", "capture")
         .agrees_across_classes(figures)
-        .computes_on("device", move |_: &super::stages::Strength| {
-            Some(DeviceClass {
-                engine: "wgpu".into(),
-                adapter: "a card".into(),
-                driver: here.load(Ordering::Relaxed).to_string(),
-                kernels: Digest::of(b"kernels"),
-            })
-        });
+        .computes_on(
+            "device",
+            |_: &super::stages::Strength| {
+                let programs = Digest::of(b"kernels");
+                Some(AskedDevice { name: "a card".into(), required: true, programs })
+            },
+            move |_| {
+                Ok(Some(DeviceClass {
+                    engine: "wgpu".into(),
+                    adapter: "a card".into(),
+                    driver: here.load(Ordering::Relaxed).to_string(),
+                    kernels: Digest::of(b"kernels"),
+                }))
+            },
+        );
         // It computes on the processor, from the result of the device.
         let judge = Stage::new("judge", Scope::Scene, |context, _: &super::stages::Strength| {
             let score = fs::read(context.input("train")?.join("score.json"))?;

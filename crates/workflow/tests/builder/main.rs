@@ -4,6 +4,7 @@ mod batch;
 mod caching;
 mod code;
 mod crash;
+mod devices;
 mod economy;
 mod faults;
 mod faulty_store;

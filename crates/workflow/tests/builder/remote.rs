@@ -275,6 +275,7 @@ fn a_manifest_from_elsewhere_cannot_write_outside_its_artifact_or_stand_for_anot
         let pulled = world.pull(&builder, &shared(&remote)).expect("the store answers");
         assert_eq!(pulled.problems.len(), 2, "{path}: {pulled:?}");
         assert!(pulled.problems.iter().any(|p| p.what.contains("names a file")), "{path}: {pulled:?}");
+        assert!(pulled.problems.iter().all(|p| p.what.contains("push --check")), "{path}: {pulled:?}");
         let artifacts = builder.cache.artifacts();
         assert!(artifacts.iter().all(|(stage, _, _)| stage != "import"), "{path}: {artifacts:?}");
     }
