@@ -17,14 +17,17 @@ pub struct AskedDevice {
     pub programs: Digest,
 }
 
+type Asked = Arc<dyn Fn(&Parameters) -> Option<AskedDevice> + Send + Sync>;
+type Here = Arc<dyn Fn(&Parameters) -> Result<Option<DeviceClass>, String> + Send + Sync>;
+
 /// The device of a stage.
 #[derive(Clone)]
 pub struct Device {
     /// The parameter that chooses it.
     pub(crate) parameter: &'static str,
     /// The device that given parameters ask for; `None` for the processor alone.
-    pub(crate) asked: Arc<dyn Fn(&Parameters) -> Option<AskedDevice> + Send + Sync>,
+    pub(crate) asked: Asked,
     /// The class of the one that this machine has; `None` for the processor, or the reason why the requested
     /// one is not there.
-    pub(crate) here: Arc<dyn Fn(&Parameters) -> Result<Option<DeviceClass>, String> + Send + Sync>,
+    pub(crate) here: Here,
 }
