@@ -92,11 +92,19 @@ fn standing(views: &[View]) -> Vec<Vec<usize>> {
     groups
 }
 
+/// Most names of one group of copies that the sentence has.
+const SHOWN: usize = 4;
+
 /// The sentence on copies; `counted` if the split can keep them together.
 pub(crate) fn fault(groups: &[Vec<usize>], views: &[View], counted: bool) -> Option<String> {
     let names: Vec<String> = groups
         .iter()
-        .map(|group| group.iter().map(|i| views[*i].name.as_str()).collect::<Vec<_>>().join(" = "))
+        .map(|group| {
+            let shown: Vec<&str> = group.iter().take(SHOWN).map(|i| views[*i].name.as_str()).collect();
+            let more = group.len() - shown.len();
+            let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+            shown.join(" = ") + &more
+        })
         .collect();
     let split = match counted {
         true => "The copies of held-out photographs are held out, too",

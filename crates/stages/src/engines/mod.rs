@@ -3,8 +3,8 @@
 //!
 //! A card is opened and checked once per process, when its class is first needed: for a key, or at the start
 //! of a stage. If a choice names a card that is missing, fails its check or cannot do the work, nothing runs;
-//! `auto` then takes the processor. A command that computes nothing opens no card. A key describes the card and
-//! its kernels only by the stage's numeric class. So an edit of a kernel makes no result of the processor
+//! `auto` then takes the processor. A command that computes nothing opens no card. A key describes the card
+//! and its kernels only by the stage's numeric class. So an edit of a kernel makes no result of the processor
 //! stale.
 
 #[cfg(feature = "gpu")]

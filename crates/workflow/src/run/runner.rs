@@ -544,7 +544,8 @@ impl<'r> Runner<'r> {
         self.over(i);
     }
 
-    /// Ends a node that needs a device which this machine does not have. In a submission, another task has it.
+    /// Ends a node that needs a device which this machine does not have. In a submission, another task has
+    /// it.
     fn lacks_device(&mut self, i: usize, key: Option<Key>, reason: &str) {
         if self.options.gather {
             self.miss(i);
