@@ -136,9 +136,19 @@ impl Plan {
 impl Builder {
     /// Plans the nodes of `graph` up to the named stages, or all nodes.
     pub fn plan(&self, graph: &Graph, until: Option<&[String]>) -> Plan {
+        self.plan_of(graph, until, None)
+    }
+
+    /// Like [`plan`](Self::plan), but only of these scenes and variants, and of all that they need.
+    pub(crate) fn plan_of(
+        &self,
+        graph: &Graph,
+        until: Option<&[String]>,
+        only: Option<&[(String, String)]>,
+    ) -> Plan {
         let start = std::time::Instant::now();
         self.cache.contents.look_again();
-        let wanted = graph.wanted(until);
+        let wanted = graph.wanted_of(until, only);
         let timings = self.cache.timings();
         let mut outcomes = vec![Outcome::Open; graph.nodes.len()];
         let records = self.cache.records(&graph.name);

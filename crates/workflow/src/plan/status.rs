@@ -182,7 +182,9 @@ impl Builder {
             }
             return Err(BuildError::unknown("scene", scene, known));
         };
-        let plan = self.plan(graph, None);
+        // The other scenes of a large batch say nothing about this one.
+        let only = [(scene.to_string(), variant.to_string())];
+        let plan = self.plan_of(graph, None, Some(&only));
         let planned = &plan.nodes[node];
         let record = self.cache.record(&graph.name, &graph.nodes[node]);
         let Cell { standing, reason, mut changes, .. } = cell(planned);
