@@ -85,6 +85,46 @@ fn a_capture_is_prepared_once_and_never_replaced_by_accident() {
 }
 
 #[test]
+fn work_that_a_kill_left_is_swept_and_force_begins_anew() {
+    let place = place();
+    let script = std::fs::read_to_string(place.at("colmap")).unwrap();
+    let broken = script.replace("mapper) ", "mapper) exit 3 ;;\nnothing) ");
+    std::fs::write(place.at("colmap"), broken).unwrap();
+    let work = Path::new(&place.at(".reef.preparing")).to_path_buf();
+    assert_eq!(prepare(&place, "photos", &[]).status.code(), Some(1));
+    assert!(work.join("features.db").is_file());
+    std::fs::write(place.at("colmap"), script).unwrap();
+    // A run keeps finished steps, and `--force` repeats them.
+    let kept = calls(&place);
+    std::fs::rename(&work, place.at(".kept.preparing")).unwrap();
+    assert_eq!(prepare(&place, "photos", &["--force"]).status.code(), Some(0));
+    let anew = calls(&place) - kept;
+    std::fs::remove_dir_all(place.at("reef")).unwrap();
+    std::fs::rename(place.at(".kept.preparing"), &work).unwrap();
+    assert_eq!(prepare(&place, "photos", &["--force"]).status.code(), Some(0));
+    assert_eq!(calls(&place) - kept - anew, anew);
+    // A process that is killed while it clears up leaves some of its work beside the capture.
+    let left = Path::new(&place.at("left")).to_path_buf();
+    std::fs::write(
+        place.at("colmap"),
+        "#!/bin/sh\n[ \"$2\" = -h ] || [ \"$1\" = help ] && echo COLMAP 9.9 || exit 3\n",
+    )
+    .unwrap();
+    let mut command = tiny::command();
+    command.args(["prepare", &place.at("photos"), "--out", &left.to_string_lossy()]);
+    assert_eq!(alone(&mut command, &place).status.code(), Some(1));
+    std::fs::rename(place.at(".left.preparing"), &work).unwrap();
+    let again = prepare(&place, "photos", &[]);
+    assert!(again.status.success() && said(&again).contains("prepared before"), "{}", said(&again));
+    assert!(!work.exists());
+    // A folder that somebody else made is not removed.
+    std::fs::create_dir(&work).unwrap();
+    std::fs::write(work.join("notes.txt"), "mine").unwrap();
+    assert!(prepare(&place, "photos", &[]).status.success());
+    assert!(work.join("notes.txt").is_file());
+}
+
+#[test]
 fn missing_programs_are_named_with_the_commands_that_bring_them() {
     let place = place();
     std::fs::write(place.at("dive.mp4"), "x").unwrap();

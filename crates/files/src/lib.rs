@@ -4,7 +4,8 @@
 //! name. The name contains the process that owns it, so [`sweep`] can remove the leftovers of killed
 //! processes. It also contains 64 random bits, because two containers may have the same host name, process
 //! id and start time. A temporary file is always *created*, never opened ([`create_beside`]). If a file or a
-//! link already has the name, it stays as it is, and another name is used.
+//! link already has the name, it stays as it is, and another name is used. A file of a fixed name is opened
+//! by [`no_link`], which fails where a link has the name.
 
 mod atomic;
 mod making;
@@ -14,6 +15,6 @@ mod sweep;
 
 pub use atomic::write_atomically;
 pub use making::{Making, abandon};
-pub use names::{BEING_MADE, beside, create_beside, folder_of, unique};
+pub use names::{BEING_MADE, beside, create_beside, folder_of, no_link, unique};
 pub use owner::{ProcessId, host, random};
 pub use sweep::sweep;

@@ -1,6 +1,6 @@
 //! Names that no other process, on any machine or in any container, and no other call uses.
 
-use std::fs::File;
+use std::fs::{File, OpenOptions};
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
@@ -43,6 +43,14 @@ pub fn beside(path: &Path, begin: &str) -> PathBuf {
 /// An error if no file can be created in the folder.
 pub fn create_beside(path: &Path, begin: &str, end: &str) -> io::Result<(PathBuf, File)> {
     create(|| folder_of(path).join(format!("{begin}{}{end}", unique())))
+}
+
+/// Options for opening a file of a fixed name. Where a symbolic link has the name, opening fails.
+pub fn no_link() -> OpenOptions {
+    let mut options = OpenOptions::new();
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::custom_flags(&mut options, libc::O_NOFOLLOW);
+    options
 }
 
 /// Creates a file under the first free name. A name that a link has is not free.
@@ -154,6 +162,12 @@ mod tests {
         assert_eq!(path, at("free"));
         assert_eq!(std::fs::read_to_string(at("victim")).unwrap(), "precious");
         assert!(!at("nowhere").exists() && at("guessed").is_symlink());
+        for name in ["guessed", "guessed too"] {
+            assert!(no_link().write(true).create(true).truncate(true).open(at(name)).is_err());
+        }
+        assert_eq!(std::fs::read_to_string(at("victim")).unwrap(), "precious");
+        no_link().append(true).create(true).open(at("free")).unwrap().write_all(b"!").unwrap();
+        assert_eq!(std::fs::read_to_string(at("free")).unwrap(), "a result!");
     }
 
     #[test]

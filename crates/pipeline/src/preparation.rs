@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 use use3d_import::ImportParams;
 use use3d_prepare::{
     CAPTURE, Grade, Input, PREPARED, PrepareError, PrepareParams, Prepared, Programs, RecipeScene,
-    RecipeWork, Sources, StepProgress, StepWatch, balance, check, key_of, prepare, publish, work_folder,
+    RecipeWork, Sources, StepProgress, StepWatch, balance, check, discard, key_of, prepare, publish,
+    work_folder,
 };
 use use3d_workflow::{Digest, Event, place};
 
@@ -69,7 +70,7 @@ impl Preparation<'_> {
     }
 
     /// The key and the inputs of the work that the capture needs; `None` if it was prepared from the same
-    /// inputs with the same choices.
+    /// inputs with the same choices. Work that an attempt left beside such a capture is removed.
     ///
     /// # Errors
     /// An input cannot be read, or the work was interrupted.
@@ -78,16 +79,34 @@ impl Preparation<'_> {
             self.watched(|watch| key_of(self.sources, self.params, self.programs.finder, self.out, watch))?;
         let whole =
             || matches!(place::look(self.out, place::Look::Quick), Ok(place::Standing::Ours(o)) if o.whole);
-        Ok(if same && whole() { None } else { Some((key, inputs)) })
+        if !same || !whole() {
+            return Ok(Some((key, inputs)));
+        }
+        // Work that stays does no harm: another process may use it, or it may be of another program.
+        let _ = discard(&work_folder(self.out));
+        Ok(None)
     }
 
     /// Does the work for `key` and `inputs`, moves the capture to its place, and returns the judgement of its
-    /// cameras in lines. With `force`, an earlier capture is replaced.
+    /// cameras in lines. With `force`, the work begins anew, and an earlier capture is replaced.
     ///
     /// # Errors
     /// The place is taken, no cameras were found, a program of others failed, or the work was interrupted.
     pub fn make(&self, key: &str, inputs: &[Input], force: bool) -> Result<Vec<String>, WorkError> {
+        self.begin(force)?;
+        self.finish(key, inputs, force)
+    }
+
+    /// Refuses a taken place. With `force`, finished steps of an earlier attempt are removed.
+    fn begin(&self, force: bool) -> Result<(), WorkError> {
         check_folder(self.out, force)?;
+        if force {
+            discard(&work_folder(self.out))?;
+        }
+        Ok(())
+    }
+
+    fn finish(&self, key: &str, inputs: &[Input], force: bool) -> Result<Vec<String>, WorkError> {
         let work = work_folder(self.out);
         let prepared = self.watched(|watch| {
             let (params, programs) = (self.params, self.programs);
@@ -105,7 +124,7 @@ fn put(work: &Path, out: &Path, key: &str, force: bool) -> Result<(), WorkError>
         .and_then(|()| place::put(&made, out, force))
         .map_err(WorkError::failed)?;
     // The capture is in its place; files of the work that stay behind do no harm.
-    let _ = std::fs::remove_dir_all(work);
+    let _ = discard(work);
     Ok(())
 }
 
@@ -182,14 +201,14 @@ impl DataSet<'_> {
         if !linear {
             return job.make(&key, &inputs, force);
         }
-        check_folder(&out, force)?;
+        job.begin(force)?;
         let folder = work_folder(&out);
         let balanced = job.watched(|watch| {
             balance(&sources, &folder, watch)?;
             sources.made_in(&folder)
         });
         let sources = balanced.map_err(WorkError::from)?;
-        Preparation { sources: &sources, ..job }.make(&key, &inputs, force)
+        Preparation { sources: &sources, ..job }.finish(&key, &inputs, force)
     }
 }
 

@@ -59,6 +59,17 @@ pub enum PrepareError {
         /// The folder of the work.
         path: PathBuf,
     },
+    /// A folder in the place of the work that must not be used.
+    #[error(
+        "{}: {reason}; the work needs a folder of this name, so move this one away, and run the same command again",
+        path.display()
+    )]
+    Foreign {
+        /// The folder.
+        path: PathBuf,
+        /// The problem.
+        reason: String,
+    },
     /// A file that cannot be opened or read.
     #[error("{}: cannot be read ({source}); check that it is there and may be read", path.display())]
     Read {

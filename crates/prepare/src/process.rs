@@ -1,7 +1,7 @@
 //! Runs another program: its lines go to a log file, its progress to the caller, and it ends with the caller.
 
 use std::collections::VecDeque;
-use std::fs::{File, OpenOptions};
+use std::fs::File;
 use std::io::{BufReader, Read, Write};
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
@@ -133,7 +133,7 @@ pub(crate) fn spelled(command: &Command) -> Vec<String> {
 
 /// The log file, with a command at its end.
 pub(crate) fn open_log(log: &Path, command: &Command) -> Result<File, PrepareError> {
-    let file = OpenOptions::new().create(true).append(true).open(log);
+    let file = use3d_files::no_link().create(true).append(true).open(log);
     let written = file.and_then(|mut file| {
         writeln!(file, "$ {}", spelled(command).join(" "))?;
         Ok(file)

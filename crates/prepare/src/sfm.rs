@@ -13,9 +13,11 @@ use serde_json::{Value, json};
 
 use crate::error::PrepareError;
 use crate::params::{Mapper, Matching, PrepareParams};
+use crate::photographs;
 use crate::process::{self, ProgramEnd, StepWatch, counts, spelled};
 use crate::tools::{self, Program};
-use crate::verdict::some;
+use crate::verdict::{models, some};
+use crate::work;
 
 /// The script for `pycolmap`.
 pub(crate) const SCRIPT: &str = include_str!("sfm.py");
@@ -125,7 +127,7 @@ impl Sfm<'_> {
         heard: impl FnMut(&str),
     ) -> Result<(ProgramEnd, Commands), PrepareError> {
         let path = self.work.join(JOB);
-        std::fs::write(&path, job.to_string()).map_err(PrepareError::write(&path))?;
+        work::write(&path, job.to_string())?;
         let mut command = tools::command(python);
         command.current_dir(self.work).args(["-c", script, step, JOB]);
         let outcome = process::run(&mut command, self.log, self.watch.stop, heard)?;
@@ -224,7 +226,7 @@ impl Sfm<'_> {
         for (i, group) in groups.iter().enumerate() {
             let list = format!("group-{i}.txt");
             let path = self.work.join(&list);
-            std::fs::write(&path, group.join("\n") + "\n").map_err(PrepareError::write(&path))?;
+            work::write(&path, group.join("\n") + "\n")?;
             let mut arguments = vec![
                 ("--database_path", FEATURES_DB.to_string()),
                 ("--image_path", IMAGES.to_string()),
@@ -311,7 +313,7 @@ impl Sfm<'_> {
         // COLMAP separates the two names by a space.
         let spaced = |pair: &&[&str; 2]| !pair.iter().any(|name| name.contains(char::is_whitespace));
         let lines: Vec<String> = pairs.iter().filter(spaced).map(|pair| pair.join(" ") + "\n").collect();
-        std::fs::write(&path, lines.concat()).map_err(PrepareError::write(&path))?;
+        work::write(&path, lines.concat())?;
         let (card, threads) = (self.program.card, self.deciding_threads());
         let tell = |line: &str| {
             if let Some(count) = counts(line).filter(|_| !line.contains("Processed file")) {
@@ -345,8 +347,11 @@ impl Sfm<'_> {
         usual_lens: bool,
     ) -> Result<Commands, PrepareError> {
         const STEP: &str = "cameras";
-        let models = self.work.join(folder);
-        std::fs::create_dir_all(&models).map_err(PrepareError::write(&models))?;
+        let place = self.work.join(folder);
+        std::fs::create_dir_all(&place).map_err(PrepareError::write(&place))?;
+        // COLMAP also writes into a database that it reads, so it gets a copy of the finished one.
+        let copy = format!("read-{database}");
+        photographs::copy_file(&self.work.join(database), &self.work.join(&copy))?;
         let total = self.images as u64;
         let tell = |line: &str| {
             if let Some(done) = registered(line) {
@@ -358,7 +363,7 @@ impl Sfm<'_> {
         let threads = self.deciding_threads();
         let (outcome, commands) = if self.is_package() {
             let job = json!({
-                "database": database, "images": IMAGES, "models": folder, "mapper": self.params.mapper,
+                "database": copy, "images": IMAGES, "models": folder, "mapper": self.params.mapper,
                 "threads": threads, "smallest": self.smallest(), "fixed": fixed, "held": usual_lens,
                 "first_angle": FIRST_ANGLE,
             });
@@ -366,7 +371,7 @@ impl Sfm<'_> {
         } else {
             let verb = if global { "global_mapper" } else { "mapper" };
             let arguments = [
-                ("--database_path", database.to_string()),
+                ("--database_path", copy.clone()),
                 ("--image_path", IMAGES.to_string()),
                 ("--output_path", folder.to_string()),
             ];
@@ -386,7 +391,7 @@ impl Sfm<'_> {
             let (outcome, said) = self.verb(verb, &arguments, &options, tell)?;
             (outcome, vec![said])
         };
-        let none = std::fs::read_dir(&models).is_ok_and(|mut entries| entries.next().is_none());
+        let none = std::fs::read_dir(&place).is_ok_and(|mut entries| entries.next().is_none());
         // `colmap` also fails when it found no cameras; the caller has a better message for that.
         let unknown =
             outcome.last.iter().any(|l| l.contains("not recognized") || l.contains("no global mapper"));
@@ -400,6 +405,12 @@ impl Sfm<'_> {
         if !(none && outcome.status.code() == Some(1) && self.program.name == "colmap") {
             self.succeeded(STEP, &outcome)?;
         }
+        work::remove_database(self.work, &copy)?;
+        models(&place).map_err(|error| {
+            let reason =
+                format!("the model that it wrote cannot be read ({error}); run the same command again");
+            PrepareError::Step { step: STEP, reason, log: self.log.to_path_buf() }
+        })?;
         Ok(commands)
     }
 }

@@ -21,6 +21,8 @@ here=$(dirname "$0")
 case "$1" in help) echo "COLMAP 9.9 -- a script"; exit 0;; esac
 if [ "$2" = -h ]; then echo "--SiftExtraction.use_gpu --SiftMatching.num_threads"; exit 0; fi
 echo "$@" >> "$here/calls"
+# Like COLMAP, the mapper also writes into its database.
+[ "$1" = mapper ] && echo read >> "$3"
 if [ -e "$here/fail-$1" ]; then echo "the disk is on fire" >&2; exit 3; fi
 case "$1" in
 feature_extractor) echo features > features.db ;;
