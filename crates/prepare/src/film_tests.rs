@@ -8,9 +8,9 @@ use std::sync::atomic::AtomicBool;
 
 use super::{Choice, look, write};
 use crate::footage::{FilmReader, known_frames};
-use crate::prepare::digest;
 use crate::process::StepWatch;
 use crate::tools::Programs;
+use crate::work::digest;
 
 /// A film whose second half has every fourth frame; false if ffmpeg cannot make it.
 fn uneven(at: &Path) -> bool {

@@ -13,8 +13,8 @@
 //! `recipes` names the files of data sets that others published, and the choices for them.
 //!
 //! All work is done in one folder, beside the result (`work`). Each finished step is noted there with the
-//! digests of its inputs, choices and files, so an interrupted run continues, and a changed choice or a damaged
-//! file repeats only the steps after it. Images are not undistorted: the import does that.
+//! digests of its inputs, choices and files, so an interrupted run continues, and a changed choice or a
+//! damaged file repeats only the steps after it. Images are not undistorted: the import does that.
 
 mod attempts;
 mod cause;

@@ -1,8 +1,6 @@
 //! Prepares a capture step by step, and keeps finished steps for the next attempt.
 
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
@@ -24,7 +22,7 @@ use crate::sfm::{FEATURES_DB, IMAGES, Sfm, groups};
 use crate::sources::{PREPARED, Sources};
 use crate::tools::{Finder, Program, Programs};
 use crate::verdict::{CameraVerdict, Grade, ModelContext, judge, remedies};
-use crate::work::{self, Step, Work, hash};
+use crate::work::{self, Step, Work, digest, hash};
 
 /// The finished capture, in the folder of the work.
 pub const CAPTURE: &str = "capture";
@@ -108,19 +106,6 @@ pub fn key_of(
 /// The names of inputs with their digests.
 fn digests(inputs: &[Input]) -> Vec<(&str, &str)> {
     inputs.iter().map(|i| (&*i.name, &*i.digest)).collect()
-}
-
-pub(crate) fn digest(path: &Path, watch: &StepWatch<'_>) -> Result<String, PrepareError> {
-    let bad = PrepareError::read(path);
-    let mut file = File::open(path).map_err(&bad)?;
-    let (mut hasher, mut part) = (blake3::Hasher::new(), vec![0; 1 << 20]);
-    loop {
-        watch.check()?;
-        match file.read(&mut part).map_err(&bad)? {
-            0 => return Ok(hasher.finalize().to_hex().to_string()),
-            n => hasher.update(&part[..n]),
-        };
-    }
 }
 
 /// The folder of the unfinished work for a capture at `out`, beside it.

@@ -17,7 +17,6 @@ use use3d_files::{BEING_MADE, Making, beside, create_beside, folder_of, no_link}
 use walkdir::WalkDir;
 
 use crate::error::PrepareError;
-use crate::prepare::digest;
 use crate::process::StepWatch;
 
 /// The file that marks a folder as one of this program. The process that works in the folder locks it.
@@ -36,6 +35,20 @@ const DATABASE_FILES: [&str; 4] = ["", "-wal", "-shm", "-journal"];
 pub(crate) fn hash(value: &impl Serialize) -> String {
     let text = serde_json::to_string(value).unwrap_or_default();
     blake3::hash(text.as_bytes()).to_hex().to_string()
+}
+
+/// The digest of a file's bytes.
+pub(crate) fn digest(path: &Path, watch: &StepWatch<'_>) -> Result<String, PrepareError> {
+    let bad = PrepareError::read(path);
+    let mut file = File::open(path).map_err(&bad)?;
+    let (mut hasher, mut part) = (blake3::Hasher::new(), vec![0; 1 << 20]);
+    loop {
+        watch.check()?;
+        match file.read(&mut part).map_err(&bad)? {
+            0 => return Ok(hasher.finalize().to_hex().to_string()),
+            n => hasher.update(&part[..n]),
+        };
+    }
 }
 
 /// Writes a file of the work.
@@ -204,8 +217,8 @@ fn has_other_names(_: &Metadata) -> bool {
     false
 }
 
-/// True if a file is empty, or a database of SQLite without its last pages. A program that finds the disk full
-/// for a moment may leave such a file and end without an error.
+/// True if a file is empty, or a database of SQLite without its last pages. A program that finds the disk
+/// full for a moment may leave such a file and end without an error.
 fn is_cut_off(path: &Path) -> std::io::Result<bool> {
     let (mut file, mut head) = (File::open(path)?, Vec::new());
     let length = file.metadata()?.len();

@@ -20,10 +20,11 @@ use use3d_survey::{TextRow, TextTable};
 use super::info::FilmInfo;
 use super::scan;
 use crate::error::PrepareError;
-use crate::prepare::{Input, digest};
+use crate::prepare::Input;
 use crate::process::StepWatch;
 use crate::sources::PREPARED;
 use crate::tools::Programs;
+use crate::work::digest;
 
 /// The table of times.
 pub const TIMES: &str = "times.csv";
