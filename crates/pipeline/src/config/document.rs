@@ -85,6 +85,11 @@ impl Document {
         }
     }
 
+    /// True if the file has a value at a path.
+    pub(crate) fn has(&self, path: &str) -> bool {
+        self.spans.contains_key(path)
+    }
+
     /// An error about the value at a path, or about the nearest value above it if there is none at the path.
     pub(crate) fn error(&self, path: &str, message: impl Into<String>) -> ConfigError {
         self.at(path, message.into(), false)

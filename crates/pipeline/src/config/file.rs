@@ -75,15 +75,22 @@ pub(crate) struct Pairs {
     pub(crate) target: String,
 }
 
-/// A scene.
+/// A scene, or with `from` many scenes.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
+#[schemars(extend("oneOf" = [{ "required": ["name", "capture"] }, { "required": ["from"] }]))]
 pub(crate) struct SceneEntry {
     /// Its name, unique in the file.
-    pub(crate) name: String,
+    #[serde(default)]
+    pub(crate) name: Option<String>,
     /// Its capture folder: images, and a model of COLMAP or another program. `${NAME}` stands for an
     /// environment variable.
-    pub(crate) capture: String,
+    #[serde(default)]
+    pub(crate) capture: Option<String>,
+    /// A pattern of capture folders, such as `dives/*`, in place of name and capture. Every matching folder
+    /// is a scene of its name.
+    #[serde(default)]
+    pub(crate) from: Option<String>,
     /// The group whose mean includes this scene.
     #[serde(default)]
     pub(crate) group: String,

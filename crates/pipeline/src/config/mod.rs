@@ -12,7 +12,7 @@
 //! iterations = 15000
 //! [[scene]]
 //! name = "Panama"
-//! capture = "${SEATHRU}/Panama"
+//! capture = "${SEATHRU}/Panama"              # or `from = "dives/*"` in place of both: many scenes
 //! reconstruct = { iterations = 20000 }       # for this scene only
 //! [[variant]]                                # every scene in every variant; unchanged stages are shared
 //! name = "mlp"
@@ -42,6 +42,7 @@ mod file;
 mod parameters;
 mod places;
 mod presets;
+mod scenes;
 mod schema;
 mod set;
 
@@ -161,19 +162,24 @@ fn parse(
     batch.preset_name = own.preset.clone().unwrap_or_default();
     let said = |key: &str| format!("`{key}` in {}", file.display());
     reader.calibrator(&own.calibrator, folder, &said, &mut batch)?;
-    for (i, entry) in reader.list("scene", scenes)?.into_iter().enumerate() {
+    let scenes = reader.list("scene", scenes)?;
+    let by_hand = scenes.iter().filter_map(|scene| Some(scene.get("name")?.as_str()?.to_string())).collect();
+    for (i, entry) in scenes.into_iter().enumerate() {
         let base = format!("scene[{i}]");
         let (rest, overrides) = reader.entry(&base, "scene", entry)?;
         let entry: SceneEntry = reader.typed(&base, &rest, &reader.words("scene"))?;
-        reader.unique(&base, &entry.name, batch.scenes.iter().map(|s| &s.name))?;
-        let said = |key: &str| format!("`{key}` of scene {} in {}", entry.name, file.display());
-        let (name, group) = (entry.name.clone(), entry.group.clone());
-        let mut scene = BatchScene { name, group, overrides, ..BatchScene::default() };
-        scene.name_external("capture", expand(&entry.capture, folder), said("capture"));
-        if let Some(own) = &entry.calibrator {
-            scene.name_external("calibrator", expand(&own.file, folder), said(key_of("calibrator")));
+        let key = if entry.from.is_some() { "from" } else { "capture" };
+        for (name, capture) in reader.scenes_of(&base, &entry, folder, &by_hand)? {
+            reader.scene_name(&base, (&name, &capture), &batch.scenes)?;
+            let said = |key: &str| format!("`{key}` of scene {name} in {}", file.display());
+            let (name, group, overrides) = (name.clone(), entry.group.clone(), overrides.clone());
+            let mut scene = BatchScene { name, group, overrides, ..BatchScene::default() };
+            scene.name_external("capture", capture, said(key));
+            if let Some(own) = &entry.calibrator {
+                scene.name_external("calibrator", expand(&own.file, folder), said(key_of("calibrator")));
+            }
+            batch.scenes.push(scene);
         }
-        batch.scenes.push(scene);
     }
     if batch.scenes.is_empty() {
         let hint =
@@ -253,6 +259,9 @@ pub fn default_cache() -> Result<PathBuf, ConfigError> {
         ConfigError::plain("there is no home folder for the cache; name a folder with --cache or USE3D_CACHE")
     })
 }
+
+/// Names of scenes with their captures.
+type SceneNames = Vec<(String, External)>;
 
 struct Reader<'r> {
     registry: &'r Registry,

@@ -201,3 +201,56 @@ fn the_schema_knows_every_stage() {
     assert!(schema["$defs"]["Calibrator"]["properties"]["proposer"].is_object());
     assert_eq!(schema_text(&registry(0)), schema_text(&registry(0)));
 }
+
+#[test]
+fn every_folder_that_a_pattern_matches_is_a_scene_of_its_name() {
+    let dir = tempfile::tempdir().expect("a folder");
+    // Brackets and stars in the file's own folder are no part of the pattern.
+    let root = dir.path().join("survey [2026]*");
+    for name in ["dives/b", "dives/a", "dives/.hidden", "dives/c/deep", "more/a", "wrecks/east/x"] {
+        std::fs::create_dir_all(root.join(name)).expect("a folder");
+    }
+    std::fs::write(root.join("dives/notes.txt"), "no folder").expect("a file");
+    let load = |scenes: &str| {
+        let text = format!("name = \"p\"\ncache = \"c\"\n{scenes}");
+        from_text(&registry(0), &text, &root.join("p.toml"), &LoadOptions::default())
+    };
+    let scenes = |text: &str| {
+        let batch = load(text).expect("a pipeline").batch;
+        let place = |capture: &Result<std::path::PathBuf, String>| capture.clone().expect("a place");
+        let one = |scene: &use3d_workflow::BatchScene| {
+            let place = place(&scene.externals["capture"]);
+            (scene.name.clone(), place.strip_prefix(&root).expect("below it").display().to_string())
+        };
+        batch.scenes.iter().map(one).collect::<Vec<_>>()
+    };
+    let named = |pairs: &[(&str, &str)]| -> Vec<(String, String)> {
+        pairs.iter().map(|(name, place)| (name.to_string(), place.to_string())).collect()
+    };
+    let dives = "[[scene]]\nfrom = \"dives/*\"\ngroup = \"G\"\nreconstruct = { iterations = 7 }\n";
+    assert_eq!(scenes(dives), named(&[("a", "dives/a"), ("b", "dives/b"), ("c", "dives/c")]));
+    let batch = load(dives).expect("a pipeline").batch;
+    assert!(batch.scenes.iter().all(|s| s.group == "G" && s.overrides["reconstruct"]["iterations"] == 7));
+    assert!(batch.scenes[1].named["capture"].contains("`from` of scene b in"));
+    assert_eq!(scenes("[[scene]]\nfrom = \"wrecks/*/*\"\n"), named(&[("x", "wrecks/east/x")]));
+    // A scene that is named by hand wins, before the pattern or after it.
+    let by_hand = "[[scene]]\nname = \"b\"\ncapture = \"more/a\"\n";
+    let others = [("a", "dives/a"), ("c", "dives/c")];
+    assert_eq!(scenes(&format!("{by_hand}{dives}")), named(&[&[("b", "more/a")], &others[..]].concat()));
+    assert_eq!(scenes(&format!("{dives}{by_hand}")), named(&[&others[..], &[("b", "more/a")]].concat()));
+    for (text, parts) in [
+        ("[[scene]]\nfrom = \"divs/*\"\n".to_string(), &["p.toml:4:8", "no folder matches `divs/*`"][..]),
+        ("[[scene]]\nfrom = \"dives/*.txt\"\n".to_string(), &["no folder matches"]),
+        (format!("{dives}[[scene]]\nfrom = \"more/*\"\n"), &["two folders have the name `a`", "more/a"]),
+        (format!("{by_hand}{by_hand}"), &["the name `b` is used twice"]),
+        ("[[scene]]\nname = \"x\"\nfrom = \"dives/*\"\n".to_string(), &["`name` has no place here"]),
+        ("[[scene]]\nfrom = \"dives/***\"\n".to_string(), &["is no pattern of folders"]),
+        (
+            "[[scene]]\nfrom = \"${USE3D_TEST_UNSET_ROOT}/*\"\n".to_string(),
+            &["USE3D_TEST_UNSET_ROOT is not set"],
+        ),
+    ] {
+        let error = load(&text).expect_err(&text).to_string();
+        assert!(parts.iter().all(|part| error.contains(part)), "{text}: {error}");
+    }
+}

@@ -1,0 +1,98 @@
+//! The scenes of an entry of a pipeline file: one with a name, or one for each folder that a pattern matches.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use glob::{MatchOptions, Pattern, glob_with};
+use use3d_workflow::graph::External;
+
+use super::document::{ConfigError, join};
+use super::file::SceneEntry;
+use super::places::expand;
+use super::{Reader, SceneNames};
+
+/// Stars stand for parts of one name, and hidden folders have to be written out.
+const MATCHING: MatchOptions =
+    MatchOptions { case_sensitive: true, require_literal_separator: true, require_literal_leading_dot: true };
+
+impl Reader<'_> {
+    /// The names of an entry's scenes with their captures, in their order. Folders whose names are among
+    /// `by_hand` are left out: an entry of their own describes them.
+    pub(super) fn scenes_of(
+        &self,
+        base: &str,
+        entry: &SceneEntry,
+        folder: &Path,
+        by_hand: &BTreeSet<String>,
+    ) -> Result<SceneNames, ConfigError> {
+        let needs = |key: &str| self.document.error(base, format!("[[scene]] needs `{key}`"));
+        let Some(pattern) = &entry.from else {
+            let name = entry.name.as_ref().ok_or_else(|| needs("name"))?;
+            let capture = entry.capture.as_ref().ok_or_else(|| needs("capture"))?;
+            return Ok(vec![(name.clone(), expand(capture, folder))]);
+        };
+        if let Some((key, _)) =
+            [("name", &entry.name), ("capture", &entry.capture)].iter().find(|k| k.1.is_some())
+        {
+            let message = format!(
+                "`from` makes a scene of every folder and names it like the folder, so `{key}` has no place here; leave one \
+                 of them out"
+            );
+            return Err(self.document.key_error(&join(base, key), message));
+        }
+        let path = join(base, "from");
+        let wrong = |message: String| self.document.error(&path, message);
+        let mut place = expand(pattern, Path::new("")).map_err(wrong)?;
+        if place.is_relative() {
+            // Only the file's own text is a pattern.
+            place = Path::new(&Pattern::escape(&folder.to_string_lossy())).join(place);
+        }
+        let found = glob_with(&place.to_string_lossy(), MATCHING);
+        let found = found.map_err(|e| wrong(format!("`{pattern}` is no pattern of folders: {}", e.msg)))?;
+        let mut scenes: SceneNames = Vec::new();
+        let mut any = false;
+        for path in found {
+            let path = path.map_err(|e| wrong(format!("{}: {}", e.path().display(), e.error())))?;
+            if !path.is_dir() {
+                continue;
+            }
+            any = true;
+            let name = path.file_name().and_then(|name| name.to_str()).map(String::from);
+            let name = name.ok_or_else(|| wrong(format!("{}: its name is no text", path.display())))?;
+            if !by_hand.contains(&name) {
+                scenes.push((name, Ok(path)));
+            }
+        }
+        if !any {
+            return Err(wrong(format!(
+                "no folder matches `{pattern}`; every matching folder becomes a scene, so check the path, or leave this \
+                 entry out until there is a folder"
+            )));
+        }
+        scenes.sort_by(|a, b| a.0.cmp(&b.0));
+        Ok(scenes)
+    }
+
+    /// Refuses a scene's name that is no name, or that another scene has.
+    pub(super) fn scene_name(
+        &self,
+        base: &str,
+        (name, capture): (&str, &External),
+        before: &[use3d_workflow::BatchScene],
+    ) -> Result<(), ConfigError> {
+        let from = join(base, "from");
+        let (Ok(capture), true) = (capture, self.document.has(&from)) else {
+            return self.unique(base, name, before.iter().map(|s| &s.name));
+        };
+        self.name(&from, name)?;
+        let Some(other) = before.iter().find(|scene| scene.name == name) else { return Ok(()) };
+        let other = other.externals.get("capture").and_then(|place| place.as_ref().ok());
+        let message = format!(
+            "two folders have the name `{name}`: {} and {}; give one of them a [[scene]] with a name of its own, and keep \
+             it out of the pattern",
+            other.map_or_else(String::new, |path| path.display().to_string()),
+            capture.display()
+        );
+        Err(self.document.error(&from, message))
+    }
+}
