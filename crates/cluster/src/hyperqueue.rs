@@ -15,7 +15,7 @@ use super::ClusterError;
 use super::jobs::{After, Job};
 use super::quote::{word, words};
 use super::site::Site;
-use super::slurm::{Submission, Submitted, create_logs, output_of, put};
+use super::slurm::{Submission, Submitted, begin, output_of, put};
 
 /// Number of times that a task is started again after its worker was lost.
 const CRASHES: u32 = 50;
@@ -162,7 +162,7 @@ pub fn file(jobs: &[Job], submission: &Submission) -> String {
 /// # Errors
 /// A file cannot be written.
 pub fn write(jobs: &[Job], submission: &Submission, site: &Site) -> Result<(), ClusterError> {
-    create_logs(submission)?;
+    begin(submission)?;
     put(&script_path(submission), &script(submission, site))?;
     put(&file_path(submission), &file(jobs, submission))
 }
@@ -183,10 +183,9 @@ pub fn submit(submission: &Submission) -> Result<Submitted, ClusterError> {
         );
         return Err(ClusterError::Command { command: "hq".to_string(), reason });
     }
-    let submitted =
-        Submitted { scheduler: "hq".to_string(), jobs: vec![(submission.name.clone(), number.to_string())] };
-    submission.keep(&submitted)?;
-    Ok(submitted)
+    let jobs = vec![(submission.name.clone(), number.to_string())];
+    submission.keep("hq", jobs.clone())?;
+    Ok(Submitted { scheduler: "hq".to_string(), jobs, ..Submitted::default() })
 }
 
 /// Cancels jobs.

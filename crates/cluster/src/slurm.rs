@@ -5,7 +5,7 @@
 //! script then puts the task into the queue again. A task whose work is done ends at once, so tasks may enter
 //! the queue again or be submitted twice without harm.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
@@ -49,6 +49,12 @@ pub struct Submission {
     pub variables: Vec<(String, String)>,
     /// The text by which its tasks know each other.
     pub id: String,
+    /// The scenes and variants that it computes, each with the digest of its part of the pipeline.
+    pub cells: BTreeMap<String, String>,
+    /// Earlier submissions for the same results whose jobs are still in the queue.
+    pub before: Submitted,
+    /// The folder with the record of all of them.
+    pub record: PathBuf,
 }
 
 /// The submitted jobs of a submission.
@@ -59,6 +65,9 @@ pub struct Submitted {
     pub scheduler: String,
     /// Each job's name, and its number from the scheduler.
     pub jobs: Vec<(String, String)>,
+    /// Their scenes and variants, each with the digest of its part of the pipeline.
+    #[serde(default)]
+    pub cells: BTreeMap<String, String>,
 }
 
 impl Submitted {
@@ -80,10 +89,20 @@ impl Submission {
         self.folder.join(format!("{}.tasks", job.name))
     }
 
-    /// Stores the submitted jobs, for [`Submitted::read`].
-    pub(crate) fn keep(&self, submitted: &Submitted) -> Result<(), ClusterError> {
-        let text = serde_json::to_string_pretty(submitted).unwrap_or_default();
-        put(&self.folder.join("submitted.json"), &text)
+    /// The path of the list of its scenes and variants. Its tasks compare it with the pipeline.
+    pub fn cells_path(&self) -> PathBuf {
+        self.folder.join(format!("scenes-{}.json", self.id))
+    }
+
+    /// Stores the submitted jobs beside those of before, for [`Submitted::read`].
+    pub(crate) fn keep(&self, scheduler: &str, jobs: Vec<(String, String)>) -> Result<(), ClusterError> {
+        let mut all = self.before.clone();
+        if !jobs.is_empty() {
+            all.scheduler = scheduler.to_string();
+            all.cells.extend(self.cells.clone());
+            all.jobs.extend(jobs);
+        }
+        put(&self.record.join("submitted.json"), &serde_json::to_string_pretty(&all).unwrap_or_default())
     }
 
     /// The lines of a script that set the variables. The networks are those at the time of submission, or
@@ -212,7 +231,7 @@ pub fn dependency(job: &Job, numbers: &[String]) -> Option<String> {
 /// # Errors
 /// A file cannot be written.
 pub fn write(jobs: &[Job], submission: &Submission, site: &Site) -> Result<(), ClusterError> {
-    create_logs(submission)?;
+    begin(submission)?;
     for job in jobs {
         put(&submission.script_path(job), &script(job, submission, site))?;
         if !job.cells.is_empty() {
@@ -231,13 +250,13 @@ pub fn submit(jobs: &[Job], submission: &Submission) -> Result<Submitted, Cluste
     let mut numbers: Vec<String> = Vec::new();
     let named = |numbers: &[String]| {
         let jobs = jobs.iter().map(|job| job.name.clone()).zip(numbers.iter().cloned()).collect();
-        Submitted { scheduler: "slurm".to_string(), jobs }
+        Submitted { scheduler: "slurm".to_string(), jobs, ..Submitted::default() }
     };
     let scripts = format!("; the scripts lie in {}", submission.folder.display());
     // Half a batch would only wait for the rest. Jobs that could not be cancelled stay in the record.
     let give_up = |numbers: &[String], error: ClusterError| {
         if !numbers.is_empty() && cancel(numbers).is_ok() {
-            let _ = submission.keep(&Submitted::default());
+            let _ = submission.keep("", Vec::new());
         }
         Err(error)
     };
@@ -249,7 +268,7 @@ pub fn submit(jobs: &[Job], submission: &Submission) -> Result<Submitted, Cluste
             Ok(number) => {
                 numbers.push(number);
                 // The file is written at once, so an interrupted `submit` leaves a record of its jobs.
-                if let Err(error) = submission.keep(&named(&numbers)) {
+                if let Err(error) = submission.keep("slurm", named(&numbers).jobs) {
                     return give_up(&numbers, error);
                 }
             }
@@ -397,11 +416,12 @@ pub(crate) fn output_of(
     Err(wrong(format!("{}: {}", words(arguments), said.trim())))
 }
 
-/// Creates the folder for the logs of a submission's tasks.
-pub(crate) fn create_logs(submission: &Submission) -> Result<(), ClusterError> {
+/// Creates the folder for the logs of a submission's tasks, and writes the list of its scenes and variants.
+pub(crate) fn begin(submission: &Submission) -> Result<(), ClusterError> {
     let path = submission.folder.join("logs");
     let created = std::fs::create_dir_all(&path);
-    Ok(created.map_err(|source| FileError { path, doing: "create", source })?)
+    created.map_err(|source| FileError { path, doing: "create", source })?;
+    put(&submission.cells_path(), &serde_json::to_string_pretty(&submission.cells).unwrap_or_default())
 }
 
 /// Replaces a file by another one. A shell that is reading the old file continues to read it.

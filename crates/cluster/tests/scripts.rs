@@ -1,6 +1,7 @@
 //! Tests of the files for schedulers, word for word (`USE3D_UPDATE_SNAPSHOTS=1` writes `golden/` again), and
 //! of their effect in a shell.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
@@ -9,7 +10,7 @@ use std::time::Duration;
 
 use use3d_cluster::jobs::{self, After, Job, Layout};
 use use3d_cluster::site::Site;
-use use3d_cluster::slurm::{self, Submission};
+use use3d_cluster::slurm::{self, Submission, Submitted};
 use use3d_cluster::{ClusterError, hyperqueue};
 use use3d_workflow::Killed;
 use use3d_workflow::code::CodeTable;
@@ -147,6 +148,9 @@ fn submission() -> Submission {
         folder: PathBuf::from("/proj/reef work/use3d-out/use26-submit"),
         variables: vec![("SEATHRU".to_string(), "/proj/reef data/SeaThru".to_string())],
         id: "5a0d9a1c-1796000000".to_string(),
+        cells: BTreeMap::new(),
+        before: Submitted::default(),
+        record: PathBuf::from("/proj/reef work/use3d-out/use26-submit"),
     }
 }
 

@@ -1,6 +1,6 @@
 //! A pipeline that is read from a file or made for a capture, with its builder and graph.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use use3d_cluster::slurm;
@@ -108,10 +108,15 @@ impl Loaded {
         if gaps.is_empty() { Ok(()) } else { Err(WorkError::input(gaps)) }
     }
 
-    /// A short digest of everything that decides the keys of a submission's tasks. An engine counts by its
+    /// Short digests of everything that decides the keys of a submission's tasks, by scene and variant in the
+    /// form `SCENE@VARIANT`; that of the stages that all scenes share has no name. An engine counts by its
     /// name in the settings, so no device is opened.
-    pub fn digest(&self) -> String {
-        self.graph.digest(&self.builder.registry).short()
+    pub fn parts(&self) -> BTreeMap<String, String> {
+        let parts = self.graph.parts(&self.builder.registry);
+        parts
+            .into_iter()
+            .map(|((scene, variant), part)| (cell_name(&scene, &variant), part.short()))
+            .collect()
     }
 
     /// The capture folder of a scene, if the pipeline knows it.
@@ -133,8 +138,7 @@ impl Loaded {
             if cells.contains(&cell) {
                 return Ok(cell);
             }
-            let known = cells.iter().map(|(s, v)| if v.is_empty() { s.clone() } else { format!("{s}@{v}") });
-            let known: Vec<String> = known.collect();
+            let known: Vec<String> = cells.iter().map(|(s, v)| cell_name(s, v)).collect();
             let known = known.iter().map(String::as_str);
             Err(WorkError::input(BuildError::unknown("scene and variant", name, known)))
         };
@@ -169,6 +173,11 @@ impl Loaded {
         }
         Ok(())
     }
+}
+
+/// The name of a scene in a variant, as `--only` takes it.
+pub(crate) fn cell_name(scene: &str, variant: &str) -> String {
+    if variant.is_empty() { scene.to_string() } else { format!("{scene}@{variant}") }
 }
 
 /// Folders of a capture that the import reads.

@@ -1,19 +1,20 @@
 //! The jobs of a pipeline for a cluster's scheduler, and the words of their scripts.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use use3d_cluster::jobs::{self, Job, Layout};
 use use3d_cluster::quote;
 use use3d_cluster::site::{Scheduler, Site};
-use use3d_cluster::slurm::{self, Submission};
-use use3d_workflow::Plan;
+use use3d_cluster::slurm::{self, Submission, Submitted};
 use use3d_workflow::machine::{self, seconds};
 use use3d_workflow::plan::State;
+use use3d_workflow::{Digest, Plan};
 
 use crate::WorkError;
 use crate::config::{LoadOptions, Pipeline};
-use crate::destination::OUT;
-use crate::loaded::{Loaded, PipelineRequest};
+use crate::destination::{OUT, path_text};
+use crate::loaded::{Loaded, PipelineRequest, SceneVariant, cell_name};
 use crate::results::Results;
 
 /// The choices of a submission.
@@ -32,9 +33,11 @@ pub struct SubmissionChoices<'a> {
 /// The jobs that compute the missing stages of a pipeline. Nothing is written.
 pub struct PlannedSubmission<'a> {
     request: &'a PipelineRequest,
-    scheduler: Scheduler,
+    choices: SubmissionChoices<'a>,
     loaded: Loaded,
     plan: Plan,
+    /// The scenes and variants, each with the digest of its part of the pipeline.
+    cells: BTreeMap<String, String>,
     /// The site.
     pub site: Site,
     /// The jobs; none if nothing can be submitted.
@@ -46,7 +49,7 @@ impl<'a> PlannedSubmission<'a> {
     ///
     /// # Errors
     /// The pipeline or the site is refused, or the run would have to fail.
-    pub fn new(request: &'a PipelineRequest, choices: SubmissionChoices<'_>) -> Result<Self, WorkError> {
+    pub fn new(request: &'a PipelineRequest, choices: SubmissionChoices<'a>) -> Result<Self, WorkError> {
         let loaded = request.clone().look()?;
         loaded.nothing_lacks(None, None)?;
         if let Some((stage, parameter)) = loaded.builder.undecided_device(&loaded.graph) {
@@ -64,9 +67,48 @@ impl<'a> PlannedSubmission<'a> {
             site.largest_array = site.largest_array.min(most);
         }
         let plan = loaded.builder.plan(&loaded.graph, None);
-        let jobs = jobs::of(&plan, registry, &site, choices.layout, choices.workers);
-        let jobs = jobs.map_err(WorkError::input)?;
-        Ok(Self { request, scheduler: choices.scheduler, loaded, plan, site, jobs })
+        let cells = loaded.parts();
+        let mut planned = Self { request, choices, loaded, plan, cells, site, jobs: Vec::new() };
+        planned.cut()?;
+        Ok(planned)
+    }
+
+    /// Cuts the missing stages into jobs.
+    fn cut(&mut self) -> Result<(), WorkError> {
+        let (registry, SubmissionChoices { layout, workers, .. }) =
+            (&self.loaded.builder.registry, self.choices);
+        let jobs = jobs::of(&self.plan, registry, &self.site, layout, workers);
+        self.jobs = jobs.map_err(WorkError::input)?;
+        Ok(())
+    }
+
+    /// Leaves out the scenes and variants that jobs in the queue compute. Returns the number of the others
+    /// that have something to do.
+    ///
+    /// # Errors
+    /// As those of [`PlannedSubmission::new`].
+    pub fn leave_out(&mut self, queued: &Submitted) -> Result<usize, WorkError> {
+        self.cells.retain(|cell, part| cell.is_empty() || queued.cells.get(cell) != Some(part));
+        let mut new = BTreeSet::new();
+        for node in self.plan.nodes.iter_mut().filter(|node| !node.scene.is_empty()) {
+            let cell = cell_name(&node.scene, &node.variant);
+            if !self.cells.contains_key(&cell) {
+                node.state = State::Unwanted;
+            } else if matches!(node.state, State::Run(_) | State::Waiting(_)) {
+                new.insert(cell);
+            }
+        }
+        self.cut()?;
+        Ok(new.len())
+    }
+
+    /// The folder of the scripts and logs for results in `out`, or in the usual folder of the pipeline.
+    pub fn folder(&self, out: Option<&Path>) -> PathBuf {
+        folder_of(&self.out(out))
+    }
+
+    fn out(&self, out: Option<&Path>) -> PathBuf {
+        out.map_or_else(|| Path::new(OUT).join(&self.loaded.pipeline.batch.name), Path::to_path_buf)
     }
 
     /// Refuses `arguments` of the site that would change a result: the tasks would refuse them one by one.
@@ -79,12 +121,12 @@ impl<'a> PlannedSubmission<'a> {
         submission: &Submission,
         read: impl Fn(&[String]) -> Result<PipelineRequest, WorkError>,
     ) -> Result<(), WorkError> {
-        let planned = self.loaded.digest();
+        let planned = self.loaded.parts();
         for (stage, needs) in self.site.stage.iter().filter(|(_, needs)| !needs.arguments.is_empty()) {
             let fault = |reason: String| WorkError::Input(format!("`stage.{stage}.arguments`: {reason}"));
             let changed =
                 read(&[&submission.run[..], &needs.arguments].concat()).and_then(PipelineRequest::look);
-            if changed.map_err(|error| fault(error.to_string()))?.digest() != planned {
+            if changed.map_err(|error| fault(error.to_string()))?.parts() != planned {
                 return Err(fault(format!(
                     "`{}` changes results, so the tasks of this stage would not belong to the others; write \
                      it into the pipeline file, or give it to `use3d submit`",
@@ -124,19 +166,21 @@ impl<'a> PlannedSubmission<'a> {
         format!("{}: {} to run, {} cached; {about}", plan.pipeline, plan.to_run(), plan.cached())
     }
 
-    /// The submission with results in `out`, or in the usual folder of the pipeline. `check_remote` checks
-    /// the address of a store; `warn` gets the variables that tasks will lack.
+    /// The submission with results in `out`, or in the usual folder of the pipeline. `before` has the jobs of
+    /// earlier ones that are still in the queue. `check_remote` checks the address of a store; `warn` gets
+    /// the variables that tasks will lack.
     ///
     /// # Errors
     /// The results cannot be written there, or a script cannot hold a word of it.
     pub fn submission(
         &self,
         out: Option<&Path>,
+        before: Submitted,
         check_remote: impl Fn(&str) -> Result<(), WorkError>,
         warn: &mut dyn FnMut(String),
     ) -> Result<Submission, WorkError> {
         let Loaded { pipeline, builder, graph } = &self.loaded;
-        let out = out.map_or_else(|| Path::new(OUT).join(&pipeline.batch.name), Path::to_path_buf);
+        let out = self.out(out);
         Results::new(&out, &builder.cache).check(graph, None)?;
         let place = std::env::current_dir()
             .map_err(|e| WorkError::Failed(format!("the current folder cannot be found: {e}")))?;
@@ -154,26 +198,113 @@ impl<'a> PlannedSubmission<'a> {
         if let Some(calibrator) = calibrator {
             run.extend(["--calibrator".to_string(), text(calibrator)?]);
         }
-        run.extend(["--submitted".to_string(), self.loaded.digest()]);
+        let (record, now) = (folder_of(&out), machine::now());
+        // Tasks that wait in the queue read the lists of their own submission.
+        let folder = match before.jobs.is_empty() {
+            true => record.clone(),
+            false => record.join(format!("added-{now}")),
+        };
+        let cells = serde_json::to_vec(&self.cells).unwrap_or_default();
+        let id = format!("{}-{now}", Digest::of(&cells).short());
         // These words go into comments and lines of a script, so each must be one line. `out` is also the
         // folder of scripts and logs.
         let places = [text(&place)?, text(&out)?];
-        if let Some(word) = run.iter().chain(&places).find(|word| word.chars().any(char::is_control)) {
+        let name = pipeline.batch.name.replace(|c: char| !(c.is_alphanumeric() || "-_.".contains(c)), "-");
+        let mut submission = Submission {
+            name,
+            by: format!("use3d submit {} {}", self.choices.scheduler.words()[1], quote::word(&run[0])),
+            results: vec!["--out".to_string(), text(&out)?],
+            folder,
+            place,
+            run,
+            variables: variables(pipeline, check_remote, warn)?,
+            id,
+            cells: self.cells.clone(),
+            before,
+            record,
+        };
+        submission.run.extend(["--submitted".to_string(), text(&submission.cells_path())?]);
+        if let Some(word) =
+            submission.run.iter().chain(&places).find(|word| word.chars().any(char::is_control))
+        {
             return Err(WorkError::Input(format!(
                 "{word:?} has a control character in it; a script cannot hold it"
             )));
         }
-        let name = pipeline.batch.name.replace(|c: char| !(c.is_alphanumeric() || "-_.".contains(c)), "-");
-        Ok(Submission {
-            name,
-            by: format!("use3d submit {} {}", self.scheduler.words()[1], quote::word(&run[0])),
-            results: vec!["--out".to_string(), text(&out)?],
-            folder: folder_of(&out),
-            place,
-            run,
-            variables: variables(pipeline, check_remote, warn)?,
-            id: format!("{}-{}", self.loaded.digest(), machine::now()),
-        })
+        Ok(submission)
+    }
+}
+
+/// The scenes and variants of a submission, compared with the pipeline as it is now.
+pub struct SubmittedCells {
+    /// Those with the same keys as then.
+    same: BTreeSet<SceneVariant>,
+    /// The names of those that were changed or removed since.
+    pub changed: Vec<String>,
+    /// True if the stages that all scenes share have the same keys as then.
+    shared: bool,
+}
+
+impl SubmittedCells {
+    /// Reads the list of a submission's scenes and variants, and compares it with a pipeline.
+    ///
+    /// # Errors
+    /// The list cannot be read.
+    pub fn read(list: &Path, loaded: &Loaded) -> Result<Self, WorkError> {
+        let text = std::fs::read(list);
+        let noted = text.and_then(|text| Ok(serde_json::from_slice::<BTreeMap<String, String>>(&text)?));
+        let mut noted = noted.map_err(|error| {
+            let path = path_text(list);
+            WorkError::Input(format!(
+                "{path}: the list of the submitted scenes cannot be read ({error}); submit again"
+            ))
+        })?;
+        let mut shared = true;
+        let mut same = BTreeSet::new();
+        for ((scene, variant), part) in loaded.graph.parts(&loaded.builder.registry) {
+            let is_same = noted.get(&cell_name(&scene, &variant)) == Some(&part.short());
+            match scene.is_empty() {
+                true => shared = is_same,
+                false if is_same => {
+                    noted.remove(&cell_name(&scene, &variant));
+                    same.insert((scene, variant));
+                }
+                false => {}
+            }
+        }
+        noted.remove("");
+        Ok(Self { same, changed: noted.into_keys().collect(), shared })
+    }
+
+    /// The scenes and variants of a task that was asked for `only` these; `None` for a task that all scenes
+    /// share. Other scenes of the file do not concern it.
+    ///
+    /// # Errors
+    /// Nothing of the task is as it was submitted.
+    pub fn of_task(
+        &self,
+        target: &Path,
+        only: Option<Vec<SceneVariant>>,
+        for_all: bool,
+    ) -> Result<Option<Vec<SceneVariant>>, WorkError> {
+        let own: Option<Vec<SceneVariant>> = match only {
+            _ if for_all => None,
+            Some(only) => Some(only.into_iter().filter(|cell| self.same.contains(cell)).collect()),
+            None => Some(self.same.iter().cloned().collect()),
+        };
+        if own.as_ref().map_or(self.shared, |cells| !cells.is_empty()) {
+            return Ok(own);
+        }
+        Err(WorkError::Input(format!(
+            "{}: this is not the submitted pipeline: the settings of this task were edited since, this is another              version of the program, or `arguments` of the site change a parameter; submit it again",
+            path_text(target)
+        )))
+    }
+
+    /// True if a scene and variant was submitted.
+    pub fn has(&self, scene: &str, variant: &str) -> bool {
+        let cell = (scene.to_string(), variant.to_string());
+        self.same.contains(&cell) || self.changed.contains(&cell_name(scene, variant))
     }
 }
 

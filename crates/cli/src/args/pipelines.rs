@@ -80,10 +80,10 @@ pub(crate) struct RunArgs {
     /// Only fetch from the store: nothing is sent to it, and no permission to write is needed.
     #[arg(long, requires = "remote")]
     pub(crate) remote_read_only: bool,
-    /// Refuse to run if the pipeline does not have this digest. `use3d submit` writes it into its scripts, so
-    /// an edited pipeline file or another version of this program is noticed.
-    #[arg(long, value_name = "DIGEST", hide = true)]
-    pub(crate) submitted: Option<String>,
+    /// Compute only the scenes and variants of this list, and refuse those that have other keys now. `use3d
+    /// submit` writes it for its tasks, so edited settings or another version of this program are noticed.
+    #[arg(long, value_name = "FILE", hide = true)]
+    pub(crate) submitted: Option<PathBuf>,
     /// Only show what would run (the same as `use3d plan`).
     #[arg(long)]
     pub(crate) dry_run: bool,

@@ -7,18 +7,20 @@ use std::time::Instant;
 use use3d_cluster::quote;
 use use3d_pipeline::by_hand::{IMPORT, scratch};
 use use3d_pipeline::config::LoadOptions;
-use use3d_pipeline::destination::{OUT, path_text};
+use use3d_pipeline::destination::OUT;
 use use3d_pipeline::history::{self, RunRecord};
 use use3d_pipeline::loaded::{Loaded, PipelineRequest};
 use use3d_pipeline::outcome::{self, Outcome};
 use use3d_pipeline::results::{Delivered, Results, scenes_of};
+use use3d_pipeline::submission::SubmittedCells;
 use use3d_pipeline::white::{self, WhiteChoice};
 use use3d_pipeline::whole_run::WholeRun;
 use use3d_workflow::machine::seconds;
 use use3d_workflow::place;
 use use3d_workflow::plan::{PlannedNode, State};
+use use3d_workflow::run::{NodeResult, RanNode};
 use use3d_workflow::status::{Row, Standing};
-use use3d_workflow::{PATIENCE, Plan, RunOptions, picture};
+use use3d_workflow::{PATIENCE, Plan, RunOptions, Scope, picture};
 
 use crate::App;
 use crate::args::{DemoArgs, DemoSize, PipelineArgs, PlanArgs, RunArgs, StatusArgs, WhyArgs};
@@ -106,19 +108,23 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     if let Some(stage) = &args.until {
         loaded.builder.registry.stage(stage).map_err(WorkError::input)?;
     }
-    let only = loaded.cells(&args.only)?;
+    let mut only = loaded.cells(&args.only)?;
     loaded.nothing_lacks(until.as_deref(), only.as_deref())?;
     if args.dry_run {
         return show(&loaded.builder.plan(&loaded.graph, until.as_deref()), args.json);
     }
-    if let Some(submitted) = &args.submitted
-        && *submitted != loaded.digest()
-    {
-        return Err(WorkError::Input(format!(
-            "{}: this is not the submitted pipeline: the file was edited since, this is another version of \
-             the program, or `arguments` of the site change a parameter; submit it again",
-            path_text(&pipeline.target)
-        )));
+    let submitted = args.submitted.as_deref().map(|list| SubmittedCells::read(list, &loaded)).transpose()?;
+    if let Some(cells) = &submitted {
+        let shared =
+            |stage: &String| loaded.builder.registry.stage(stage).is_ok_and(|s| s.scope() != Scope::Scene);
+        let for_all = args.gather || args.until.as_ref().is_some_and(shared);
+        only = cells.of_task(&pipeline.target, only, for_all)?;
+        if !cells.changed.is_empty() && args.only.is_empty() {
+            let names = cells.changed.join(", ");
+            eprintln!(
+                "warning: {names}: changed or removed since the submission, so not computed; submit again"
+            );
+        }
     }
     let choices = &args.white.choices[..];
     if !choices.is_empty() && !pipeline.target.is_dir() {
@@ -156,7 +162,7 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
         ..of_app(app)
     };
     let white = (!choices.is_empty()).then_some((choices, pipeline.target.as_path()));
-    let given = Given { pipeline: &pipeline, white, plan, photographs: args.photographs };
+    let given = Given { pipeline: &pipeline, white, plan, submitted, photographs: args.photographs };
     let out = (results.as_ref(), &given);
     watched(app, &args.watch, None, |app| execute(app, &loaded, &options, out, args.json))
 }
@@ -194,6 +200,8 @@ struct Given<'a> {
     white: Option<(&'a [WhiteChoice], &'a Path)>,
     /// The plan, if the progress of the whole run is shown.
     plan: Option<Plan>,
+    /// The scenes and variants that were submitted, for a task of a submission.
+    submitted: Option<SubmittedCells>,
     /// True if all photographs are written, too.
     photographs: bool,
 }
@@ -225,7 +233,7 @@ pub(crate) fn again(app: &App, record: &RunRecord, results: &Path) -> Done {
         )));
     }
     let options = RunOptions { until: record.until.clone(), ..of_app(app) };
-    let given = Given { pipeline: &request, white: None, plan: None, photographs: false };
+    let given = Given { pipeline: &request, white: None, plan: None, submitted: None, photographs: false };
     let results = Arc::new(Results::new(results, &loaded.builder.cache));
     execute(app, &loaded, &options, (Some(&results), &given), false)
 }
@@ -244,9 +252,17 @@ fn execute(
         let whole = WholeRun::new(plan, options.only.as_deref(), options.jobs);
         listener = whole.listener(listener);
     }
-    let summary = loaded.builder.run(&loaded.graph, options, &listener);
+    let mut summary = loaded.builder.run(&loaded.graph, options, &listener);
     // The bar of the whole run ends before anything is printed.
     drop(listener);
+    // A scene that was added since belongs to another submission, which gathers it.
+    if let Some(cells) = given.submitted.as_ref().filter(|_| options.gather) {
+        let own = |node: &RanNode| node.scene.is_empty() || cells.has(&node.scene, &node.variant);
+        let lacks = |result: &NodeResult| {
+            matches!(result, NodeResult::Missing | NodeResult::Blocked(_) | NodeResult::Failed { .. })
+        };
+        summary.nodes.retain(|node| own(node) || !lacks(&node.result));
+    }
     // The finished results of an interrupted run were delivered scene by scene.
     let whole = !summary.interrupted && !summary.left;
     let mut delivered = match out {
@@ -366,7 +382,7 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
     let results = Arc::new(Results::new(&args.out, &loaded.builder.cache));
     results.check(&loaded.graph, None)?;
     let plan = (!app.quiet).then(|| loaded.builder.plan(&loaded.graph, None));
-    let given = Given { pipeline: &pipeline, white: None, plan, photographs: false };
+    let given = Given { pipeline: &pipeline, white: None, plan, submitted: None, photographs: false };
     execute(app, &loaded, &of_app(app), (Some(&results), &given), false)?;
     if !app.quiet {
         println!(

@@ -33,7 +33,8 @@ pub(crate) fn run(app: &App, what: &Submit) -> Done {
         SubmitLayout::Stages => Layout::Stages,
     };
     let (site, workers) = (args.cluster.as_deref(), args.workers);
-    let planned = PlannedSubmission::new(&request, SubmissionChoices { scheduler, site, layout, workers })?;
+    let mut planned =
+        PlannedSubmission::new(&request, SubmissionChoices { scheduler, site, layout, workers })?;
     let unused = planned.site.unused(scheduler);
     if let Some(file) = site.filter(|_| !unused.is_empty()) {
         let (file, name, unused) = (file.display(), scheduler.words()[0], unused.join(", "));
@@ -47,6 +48,15 @@ pub(crate) fn run(app: &App, what: &Submit) -> Done {
         }
         return end("nothing can be submitted", missing);
     }
+    let before = queued(scheduler, &planned.folder(args.out.as_deref()), args)?;
+    if !before.jobs.is_empty() && !args.again {
+        let new = planned.leave_out(&before)?;
+        if new == 0 {
+            return Err(refused(scheduler, &before));
+        }
+        let count = counted(new, "scene and variant is", "scenes and variants are");
+        remark!(app, "{} still in the queue; {count} new and submitted beside them", listed(&before));
+    }
     if !app.quiet {
         println!("{}", planned.summary());
     }
@@ -55,7 +65,7 @@ pub(crate) fn run(app: &App, what: &Submit) -> Done {
         Err(error) => Err(WorkError::Input(format!("USE3D_REMOTE: {error}"))),
     };
     let mut warn = |text: String| eprintln!("warning: {text}");
-    let submission = planned.submission(args.out.as_deref(), check_remote, &mut warn)?;
+    let submission = planned.submission(args.out.as_deref(), before, check_remote, &mut warn)?;
     let of_site = |error: WorkError| match site {
         Some(file) => WorkError::Input(format!("{}: {error}", file.display())),
         None => error,
@@ -88,7 +98,6 @@ fn submit(
     submission: &Submission,
     args: &SubmitArgs,
 ) -> Done {
-    refuse_twice(args, scheduler, Submitted::read(&submission.folder))?;
     scheduler.write(&planned.jobs, submission, &planned.site).map_err(WorkError::failed)?;
     keep_pipeline(&args.pipeline.target, submission)?;
     let submitted = scheduler.submit(&planned.jobs, submission).map_err(WorkError::failed)?;
@@ -112,7 +121,7 @@ fn submit(
 }
 
 /// Stores a copy of the pipeline's file with the submission, for people. Tasks read the file itself, and
-/// refuse to run if it was edited.
+/// refuse to run if their own part of it was edited.
 fn keep_pipeline(target: &Path, submission: &Submission) -> Done {
     if !target.is_file() {
         return Ok(());
@@ -165,17 +174,40 @@ fn end(what: &str, missing: usize) -> Done {
     Err(WorkError::Failed(format!("{what}: {are} missing, see above")))
 }
 
-/// Fails if jobs of the last submission are still in the queue, unless `--again` is given.
-fn refuse_twice(args: &SubmitArgs, scheduler: Scheduler, last: Submitted) -> Done {
-    let queued = scheduler.still_queued(last).map_err(WorkError::failed)?;
-    if queued.is_empty() || args.again {
-        return Ok(());
+/// The jobs of earlier submissions that are still in the queue. A dry run also works without a scheduler.
+fn queued(scheduler: Scheduler, folder: &Path, args: &SubmitArgs) -> Result<Submitted, WorkError> {
+    let last = Submitted::read(folder);
+    let asked = match last.jobs.is_empty() {
+        true => Ok(Vec::new()),
+        false => Scheduler::of(&last).still_queued(last.clone()),
+    };
+    let jobs = match asked {
+        Err(_) if args.dry_run => Vec::new(),
+        asked => asked.map_err(WorkError::failed)?,
+    };
+    if jobs.is_empty() {
+        return Ok(Submitted::default());
     }
-    let named: Vec<String> = queued.iter().map(|(name, id)| format!("{id} ({name})")).collect();
-    Err(WorkError::Input(format!(
-        "jobs of the last submission are still in the queue: {}; wait for them, cancel them with \
-         `{}`, or pass --again to submit more jobs",
-        named.join(", "),
+    let queued = Submitted { jobs, ..last };
+    match (Scheduler::of(&queued) == scheduler, args.again) {
+        (true, _) => Ok(queued),
+        (false, true) => Ok(Submitted::default()),
+        (false, false) => Err(refused(Scheduler::of(&queued), &queued)),
+    }
+}
+
+/// The error for work that is still in the queue.
+fn refused(scheduler: Scheduler, queued: &Submitted) -> WorkError {
+    WorkError::Input(format!(
+        "{} still in the queue, and no scene is new; wait for them, cancel them with `{}`, or pass --again to submit more \
+         jobs",
+        listed(queued),
         scheduler.words()[2]
-    )))
+    ))
+}
+
+/// Jobs of earlier submissions by number and name.
+fn listed(queued: &Submitted) -> String {
+    let named: Vec<String> = queued.jobs.iter().map(|(name, id)| format!("{id} ({name})")).collect();
+    format!("jobs of the last submission, {}, are", named.join(", "))
 }

@@ -251,20 +251,24 @@ impl Graph {
         Ok(Self { name: batch.name.clone(), nodes: builder.nodes })
     }
 
-    /// Returns a digest of the batch: its stages with their code, the parameters that count, the names of the
-    /// chosen devices, seeds and inputs. Two processes with the same digest compute the same keys on like
-    /// machines.
-    pub fn digest(&self, registry: &Registry) -> Digest {
-        let mut encoder = Encoder::new("use3d 2026 batch v3");
-        let stages: BTreeSet<usize> = self.nodes.iter().map(|node| node.stage).collect();
-        for place in stages {
-            encoder.text(registry.stages()[place].name);
+    /// Returns a digest for each scene and variant, and one under empty names for the stages that all scenes
+    /// share. It covers the stages up to there with their code, the parameters that count, the names of the
+    /// chosen devices, seeds and inputs, and no other scene. Two processes with the same digest compute the
+    /// same keys on like machines.
+    pub fn parts(&self, registry: &Registry) -> BTreeMap<(String, String), Digest> {
+        let code = |place: usize| {
+            let mut encoder = Encoder::new("use3d 2026 stage code v1");
             for (name, digest) in &registry.code(place).ours {
                 encoder.text(name).bytes(digest.as_bytes());
             }
-        }
+            encoder.finish()
+        };
+        let code: Vec<Digest> = (0..registry.stages().len()).map(code).collect();
+        let mut nodes: Vec<Digest> = Vec::with_capacity(self.nodes.len());
+        let mut parts: BTreeMap<(String, String), Encoder> = BTreeMap::new();
         for node in &self.nodes {
-            encoder.text(node.stage_name).text(&node.scene).text(&node.variant);
+            let mut encoder = Encoder::new("use3d 2026 node v1");
+            encoder.text(node.stage_name).bytes(code[node.stage].as_bytes());
             let stage = &registry.stages()[node.stage];
             canonical::encode(&stage.key_parameters(&node.parameters), &mut encoder);
             if let Some(device) =
@@ -274,15 +278,23 @@ impl Graph {
             }
             encoder.number(u64::from(node.seed.is_some())).number(node.seed.unwrap_or(0));
             for input in &node.inputs {
-                encoder.text(input.role);
                 match &input.from {
-                    InputSource::Node(node) => encoder.number(*node as u64),
+                    // A stage over the whole batch reads whatever scenes there are.
+                    InputSource::Node(_) if stage.scope == Scope::Batch => continue,
+                    InputSource::Node(node) => encoder.bytes(nodes[*node].as_bytes()),
                     InputSource::External(Ok(path)) => encoder.text(&path.to_string_lossy()),
                     InputSource::External(Err(reason)) => encoder.text(reason),
                 };
+                encoder.text(input.role);
             }
+            let digest = encoder.finish();
+            let variant = if node.scene.is_empty() { "" } else { &node.variant };
+            let part = parts.entry((node.scene.clone(), variant.to_string()));
+            let part = part.or_insert_with(|| Encoder::new("use3d 2026 part of a batch v1"));
+            part.text(node.stage_name).text(&node.variant).bytes(digest.as_bytes());
+            nodes.push(digest);
         }
-        encoder.finish()
+        parts.into_iter().map(|(cell, part)| (cell, part.finish())).collect()
     }
 
     /// Finds the node of a stage in a scene (empty for stages over all scenes) and variant (empty for the
@@ -305,9 +317,11 @@ impl Graph {
         if until.is_none() && only.is_none() {
             return vec![true; self.nodes.len()];
         }
+        let cells: Option<BTreeSet<(&str, &str)>> =
+            only.map(|cells| cells.iter().map(|(s, v)| (s.as_str(), v.as_str())).collect());
         let asked = |n: &Node| {
             until.is_none_or(|stages| stages.iter().any(|s| s == n.stage_name))
-                && only.is_none_or(|cells| cells.iter().any(|(s, v)| *s == n.scene && *v == n.variant))
+                && cells.as_ref().is_none_or(|cells| cells.contains(&(n.scene.as_str(), n.variant.as_str())))
         };
         let mut wanted: Vec<bool> = self.nodes.iter().map(asked).collect();
         for i in (0..self.nodes.len()).rev().filter(|i| wanted[*i]).collect::<Vec<_>>() {
