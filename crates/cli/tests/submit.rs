@@ -501,6 +501,39 @@ fn scenes_that_are_added_while_tasks_wait_change_nothing_for_them_and_are_submit
 }
 
 #[test]
+fn hyperqueue_gets_new_scenes_in_a_job_of_their_own() {
+    let batch = Growing::new("stages");
+    let body = "#!/bin/bash\ncase \"$*\" in *'job list') cat open; exit 0 ;; *) echo 12 ;; esac\n";
+    fs::write(batch.many.at("bin/hq"), body).expect("written");
+    fs::set_permissions(batch.many.at("bin/hq"), fs::Permissions::from_mode(0o755)).expect("executable");
+    fs::write(batch.many.at("open"), "12 WAITING\n").expect("written");
+    let hq = || submit(&batch.many, &batch.path, "hq", "cache", &["--layout", "stages"]);
+    let folder = batch.many.at("use3d-out/many-submit");
+    assert_eq!(hq().0, Some(0));
+    assert!(read(&folder.join("job.toml")).contains("\"s1\""));
+    assert_eq!(hq().0, Some(2));
+    fs::rename(batch.many.at("s0"), batch.many.at("dives/s0")).expect("moved");
+    let (code, text) = hq();
+    assert!(code == Some(0) && text.contains("1 scene and variant is new"), "{text}");
+    let added = fs::read_dir(&folder).expect("a folder").flatten().map(|entry| entry.path());
+    let added: Vec<_> = added.filter(|path| path.join("job.toml").is_file()).collect();
+    let job = read(&added[0].join("job.toml"));
+    assert!(added.len() == 1 && job.contains("\"s0\"") && !job.contains("\"s1\""), "{job}");
+    // The other scheduler does not take these jobs for its own.
+    let (code, text) = batch.submit(&[]);
+    assert!(
+        code == Some(2) && text.contains("still in the queue") && text.contains("hq job cancel"),
+        "{text}"
+    );
+    // A record of an older version does not say what waits.
+    let record = read(&folder.join("submitted.json"));
+    let old: serde_json::Value = serde_json::from_str(&record).expect("JSON");
+    let old = serde_json::json!({ "scheduler": old["scheduler"], "jobs": old["jobs"] });
+    fs::write(folder.join("submitted.json"), old.to_string()).expect("written");
+    assert_eq!(hq().0, Some(2));
+}
+
+#[test]
 fn tasks_of_a_grown_file_compute_their_own_scenes_and_leave_those_that_were_edited() {
     for layout in ["stages", "workers"] {
         let batch = Growing::new(layout);

@@ -51,7 +51,8 @@ pub(crate) fn run(app: &App, what: &Submit) -> Done {
     let before = queued(scheduler, &planned.folder(args.out.as_deref()), args)?;
     if !before.jobs.is_empty() && !args.again {
         let new = planned.leave_out(&before)?;
-        if new == 0 {
+        // A record of an older version does not say what is in the queue.
+        if new == 0 || before.cells.is_empty() {
             return Err(refused(scheduler, &before));
         }
         let count = counted(new, "scene and variant is", "scenes and variants are");

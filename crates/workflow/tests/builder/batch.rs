@@ -1,5 +1,6 @@
 //! Batches of many scenes.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
@@ -8,13 +9,62 @@ use std::time::{Duration, Instant};
 use serde_json::json;
 use use3d_workflow::run::{NodeResult, RunOptions};
 use use3d_workflow::status::Standing;
-use use3d_workflow::{Graph, Listener, Registry, Scope, Silent, Stage};
+use use3d_workflow::{Batch, Digest, Graph, Listener, Registry, Scope, Silent, Stage, Variant};
 
-use super::stages::{Strength, batch, builder, code, run_with, scene};
+use super::stages::{Strength, batch, builder, code, registry, run_with, scene};
 
 /// The scenes of the large batch.
 fn names() -> Vec<String> {
     (1..=26).map(|i| format!("A{i}")).collect()
+}
+
+#[test]
+fn the_digest_of_a_scene_follows_its_own_keys_and_no_other_scene() {
+    let dir = tempfile::tempdir().expect("folder");
+    let table = registry(0);
+    let parts = |batch: &Batch| -> BTreeMap<(String, String), Digest> {
+        Graph::new(&table, batch).expect("graph").parts(&table)
+    };
+    /// The names of the parts that are in both and differ.
+    fn apart(a: &BTreeMap<(String, String), Digest>, b: &BTreeMap<(String, String), Digest>) -> Vec<String> {
+        a.iter()
+            .filter(|(cell, part)| b.get(*cell).is_some_and(|p| p != *part))
+            .map(|(c, _)| c.0.clone())
+            .collect()
+    }
+    let before = batch(dir.path(), &["b", "c"]);
+    let known = parts(&before);
+    assert_eq!(known.keys().map(|(scene, _)| scene.as_str()).collect::<Vec<_>>(), ["", "b", "c"]);
+    // Another scene, also a first one, and another order change nothing.
+    let mut grown = before.clone();
+    grown.scenes.insert(0, scene(dir.path(), "a"));
+    grown.scenes.swap(1, 2);
+    assert_eq!((apart(&known, &parts(&grown)), parts(&grown).len()), (Vec::new(), 4));
+    // A setting of one scene, and one of all.
+    let mut edited = before.clone();
+    edited.scenes[1].overrides.insert("enhance".into(), json!({"strength": 0.25}));
+    assert_eq!(apart(&known, &parts(&edited)), ["c"]);
+    let mut edited = before.clone();
+    edited.defaults.insert("reconstruct".into(), json!({"log_every": 7}));
+    assert!(apart(&known, &parts(&edited)).is_empty(), "it is in no key");
+    edited.defaults.insert("reconstruct".into(), json!({"iterations": 7}));
+    assert_eq!(apart(&known, &parts(&edited)), ["b", "c"]);
+    // The calibrator is shared by all scenes, and the report concerns no scene.
+    edited.defaults = json!({"calibrate": {"strength": 0.25}}).as_object().cloned().expect("a table");
+    assert_eq!(apart(&known, &parts(&edited)), ["", "b", "c"]);
+    edited.defaults = json!({"report": {"strength": 0.25}}).as_object().cloned().expect("a table");
+    assert_eq!(apart(&known, &parts(&edited)), [""]);
+    let mut moved = before.clone();
+    moved.scenes[0].externals.insert("capture".into(), Ok(dir.path().join("c")));
+    assert_eq!(apart(&known, &parts(&moved)), ["b"]);
+    moved.seed = 7;
+    assert_eq!(apart(&known, &parts(&moved)), ["", "b", "c"]);
+    // A variant more leaves the others.
+    let variant = |name: &str| Variant { name: name.into(), ..Variant::default() };
+    let one = Batch { variants: vec![variant("x")], ..before.clone() };
+    let two = Batch { variants: vec![variant("x"), variant("y")], ..before };
+    let (one, two) = (parts(&one), parts(&two));
+    assert!(one.iter().all(|(cell, part)| cell.0.is_empty() || two[cell] == *part) && two.len() == 5);
 }
 
 #[test]
