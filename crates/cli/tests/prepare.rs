@@ -266,3 +266,61 @@ fn recipes_make_a_capture_of_each_scene_and_name_what_is_missing() {
     let plain = alone(&mut command, &place);
     assert!(plain.status.code() == Some(2) && said(&plain).contains("other choices"), "{}", said(&plain));
 }
+
+/// A pipeline whose scene has photographs without cameras.
+#[test]
+fn a_pipeline_prepares_its_footage_as_a_stage() {
+    let place = place();
+    let text = "name = \"dive\"\n[defaults.prepare]\nfeatures = 500\n[[scene]]\nname = \"reef\"\nfootage = \"photos\"\n";
+    std::fs::write(place.at("dive.toml"), text).unwrap();
+    let use3d = |verb: &str, extra: &[&str]| {
+        let mut command = tiny::command();
+        command.args([verb, &place.at("dive.toml"), "--cache", &place.at("cache")]).args(extra);
+        let output = alone(&mut command, &place);
+        (output.status.code(), said(&output))
+    };
+    let import = ["--until", "import", "--cache-only"];
+    let (code, text) = use3d("plan", &[]);
+    assert!(code == Some(0) && text.contains("prepare"), "{text}");
+    // A step that fails is named, and the next run keeps the steps before it.
+    let script = std::fs::read_to_string(place.at("colmap")).unwrap();
+    std::fs::write(place.at("colmap"), script.replace("mapper) ", "mapper) exit 3 ;;\nnothing) ")).unwrap();
+    let (code, text) = use3d("run", &import);
+    assert!(code == Some(1) && text.contains("cameras failed"), "{text}");
+    let (_, text) = use3d("status", &[]);
+    assert!(text.contains("failed") && text.contains("prepare"), "{text}");
+    std::fs::write(place.at("colmap"), &script).unwrap();
+    let before = calls(&place);
+    let (code, text) = use3d("run", &import);
+    assert!(code == Some(0) && text.contains("images have a place (100 %)"), "{text}");
+    assert_eq!(calls(&place), before + 1, "only the mapper is called again");
+    let left = tiny::files(Path::new(&place.at("cache"))).into_keys();
+    assert_eq!(left.filter(|path| path.to_string_lossy().contains("preparing")).count(), 0);
+    let record = tiny::files(Path::new(&place.at("cache/v1/artifacts/prepare")));
+    let record = record.iter().find(|(path, _)| path.ends_with("prepare.json")).unwrap().1;
+    let record: serde_json::Value = serde_json::from_slice(record).unwrap();
+    assert_eq!((&record["params"]["features"], &record["inputs"][0]["modified"]), (&500.into(), &0.into()));
+    // Everything is in the cache, also after the photographs were touched or moved.
+    std::fs::rename(place.at("photos"), place.at("moved")).unwrap();
+    let (code, _) = use3d(
+        "run",
+        &[&import[..], &["--set", &format!("scene.reef.footage={}", place.at("moved"))]].concat(),
+    );
+    assert_eq!((code, calls(&place)), (Some(0), before + 1));
+    std::fs::rename(place.at("moved"), place.at("photos")).unwrap();
+    let (code, text) = use3d("verify", &["--sample", "100%"]);
+    assert!(code == Some(0), "{text}");
+    // Another version of COLMAP is another key, and the version is said.
+    std::fs::write(place.at("colmap"), script.replace("COLMAP 9.9", "COLMAP 9.8")).unwrap();
+    let (_, text) = use3d("why", &["reef", "prepare"]);
+    assert!(text.contains("colmap 9.9") && text.contains("colmap 9.8"), "{text}");
+    let anew = calls(&place);
+    assert_eq!(use3d("run", &import).0, Some(0));
+    assert_eq!(calls(&place), anew + 3);
+    // Without COLMAP nothing begins, and results may not lie among the photographs.
+    let (code, text) = use3d("run", &["--out", &place.at("photos/out")]);
+    assert!(code == Some(2) && text.contains("choose a folder outside"), "{text}");
+    std::fs::remove_file(place.at("colmap")).unwrap();
+    let (code, text) = use3d("run", &import);
+    assert!(code == Some(2) && text.contains("apt install colmap ffmpeg"), "{text}");
+}

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use use3d_cluster::slurm;
 use use3d_stages::registry;
-use use3d_workflow::{BuildError, Builder, Cache, Graph, Registry};
+use use3d_workflow::{BatchScene, BuildError, Builder, Cache, Graph, Registry};
 
 use crate::WorkError;
 use crate::config::{LoadOptions, Pipeline, for_capture, load};
@@ -146,6 +146,12 @@ impl Loaded {
         Ok((!found.is_empty()).then_some(found))
     }
 
+    /// True if a scene's cameras are found in this film or folder first.
+    fn is_footage(&self, path: &Path) -> bool {
+        let footage = |scene: &BatchScene| Some(scene.externals.get("footage")?.as_deref() == Ok(path));
+        self.pipeline.batch.scenes.iter().any(|scene| footage(scene) == Some(true))
+    }
+
     /// Refuses a folder of results inside the cache, or among the files of a capture, where the next run
     /// would take them for photographs.
     ///
@@ -163,7 +169,9 @@ impl Loaded {
         for capture in captures(&self.pipeline) {
             let Ok(below) = place.strip_prefix(real(capture)) else { continue };
             let first = below.components().next();
-            if first.is_some_and(|first| READ.iter().any(|read| first.as_os_str() == *read)) {
+            // Every file beside photographs without cameras counts.
+            let all = self.is_footage(capture);
+            if all || first.is_some_and(|first| READ.iter().any(|read| first.as_os_str() == *read)) {
                 return Err(WorkError::Input(format!(
                     "--out {}: this is inside the files of the capture {}; choose a folder outside it",
                     path_text(&place),
@@ -183,9 +191,12 @@ pub(crate) fn cell_name(scene: &str, variant: &str) -> String {
 /// Folders of a capture that the import reads.
 const READ: [&str; 4] = ["images", "masks", "depth", "sparse"];
 
-/// The capture folders of a pipeline.
+/// The captures of a pipeline, and the footage of scenes without cameras.
 fn captures(pipeline: &Pipeline) -> impl Iterator<Item = &PathBuf> {
-    pipeline.batch.scenes.iter().filter_map(|scene| scene.externals.get("capture")?.as_ref().ok())
+    pipeline.batch.scenes.iter().flat_map(|scene| {
+        let named = ["capture", "footage"].into_iter();
+        named.filter_map(|name| scene.externals.get(name)?.as_ref().ok())
+    })
 }
 
 /// Refuses a cache inside the folder of a capture. It would lie beside the photographs, and in a prepared

@@ -313,6 +313,9 @@ pub fn folder_of(out: &Path) -> PathBuf {
     out.with_file_name(format!("{}-submit", out.file_name().unwrap_or_default().to_string_lossy()))
 }
 
+/// Variables of this program that decide what a task does.
+const OF_TASKS: [&str; 4] = ["USE3D_REMOTE", "USE3D_COLMAP", "USE3D_PYTHON", "USE3D_FFMPEG"];
+
 /// The variables that tasks need, with their values: schedulers may start tasks without them. Variables that
 /// may be secret are left out, because other people may be able to read the scripts.
 fn variables(
@@ -321,7 +324,7 @@ fn variables(
     warn: &mut dyn FnMut(String),
 ) -> Result<Vec<(String, String)>, WorkError> {
     let mut found = Vec::new();
-    for name in pipeline.variables.iter().map(String::as_str).chain(["USE3D_REMOTE"]) {
+    for name in pipeline.variables.iter().map(String::as_str).chain(OF_TASKS) {
         let Some(value) = std::env::var(name).ok().filter(|value| !value.is_empty()) else { continue };
         if may_be_secret(name) || !is_shell_name(name) {
             warn(format!(

@@ -1,11 +1,13 @@
 //! The choices of a preparation.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use crate::error::PrepareError;
 
 /// The pairs of images that are compared.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Matching {
     /// Exhaustive for up to [`FEW`](Matching::FEW) photographs, sequential for films and for more.
@@ -32,7 +34,7 @@ impl Matching {
 }
 
 /// The way from matches to cameras.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Mapper {
     /// Image after image. It is slower and needs little overlap.
@@ -43,7 +45,7 @@ pub enum Mapper {
 }
 
 /// The kind of keypoints by which images are compared.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Keypoints {
     /// Those of SIFT. If too few images have a place then, learned ones as well, and the better model.
@@ -55,21 +57,14 @@ pub enum Keypoints {
     Learned,
 }
 
-impl Keypoints {
-    // Captures of earlier versions keep their keys: those did not have this choice.
-    fn is_usual(&self) -> bool {
-        *self == Self::default()
-    }
-}
-
 /// The choices of a preparation.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
 pub struct PrepareParams {
     /// The most frames that are taken out of the films.
     pub frames: usize,
     /// The share of the picture that neighbouring frames of a film have in common, 0.5 to 0.99; `None` for
     /// 0.8, and more in short films.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub overlap: Option<f64>,
     /// COLMAP's name of the lens model.
     pub lens: String,
@@ -83,7 +78,6 @@ pub struct PrepareParams {
     /// The way from matches to cameras.
     pub mapper: Mapper,
     /// The kind of keypoints.
-    #[serde(default, skip_serializing_if = "Keypoints::is_usual")]
     pub keypoints: Keypoints,
     /// One thread for features, matching and mapping, and pycolmap, so that two runs give the same bytes.
     pub repeatable: bool,
@@ -116,7 +110,22 @@ pub(crate) const BALANCE_RULES: u32 = 1;
 pub(crate) const FEWEST: usize = 3;
 
 impl PrepareParams {
-    pub(crate) fn validate(&self) -> Result<(), PrepareError> {
+    /// The choices as a part of a key. Captures of earlier versions keep their keys: those did not have every
+    /// choice.
+    pub(crate) fn for_key(&self) -> Value {
+        let mut choices = serde_json::to_value(self).unwrap_or_default();
+        let usual = [("overlap", self.overlap.is_none()), ("keypoints", self.keypoints == Keypoints::Auto)];
+        if let Some(fields) = choices.as_object_mut() {
+            usual.iter().filter(|(_, usual)| *usual).for_each(|(name, _)| drop(fields.remove(*name)));
+        }
+        choices
+    }
+
+    /// Refuses choices that cannot be carried out.
+    ///
+    /// # Errors
+    /// The first of them, by its flag.
+    pub fn validate(&self) -> Result<(), PrepareError> {
         let bad = |flag: &'static str, reason: String| Err(PrepareError::Choice { flag, reason });
         if self.frames < FEWEST {
             return bad("--frames", format!("{} is too few; expected {FEWEST} or more", self.frames));

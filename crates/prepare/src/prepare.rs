@@ -97,8 +97,9 @@ pub fn key_of(
         inputs.push(Input { name, bytes, modified, digest });
     }
     let digests = digests(&inputs);
-    let key =
-        hash(&json!({ "rules": rules(sources), "inputs": digests, "params": params, "program": finder }));
+    let key = hash(
+        &json!({ "rules": rules(sources), "inputs": digests, "params": params.for_key(), "program": finder }),
+    );
     let reusable = earlier.is_some_and(|record| record.key == key);
     Ok((key, inputs, reusable))
 }
@@ -168,16 +169,12 @@ fn needed(
         let reason = format!("{found}; a scene needs at least {FEWEST} photographs, better 30 to 200");
         return Err(PrepareError::input(path, reason));
     }
-    if !params.repeatable {
-        return Ok((ffmpeg, programs.cameras()?));
-    }
-    // Two runs of the program `colmap` differ, even on one thread.
-    if programs.finder == Finder::Colmap {
+    if params.repeatable && programs.finder == Finder::Colmap {
         let reason =
             "the program colmap is not repeatable; take pycolmap (`pip install pycolmap`, --with pycolmap)";
         return Err(PrepareError::Choice { flag: "--repeatable", reason: reason.into() });
     }
-    Ok((ffmpeg, Programs { finder: Finder::Pycolmap, ..programs.clone() }.cameras()?))
+    Ok((ffmpeg, programs.finding(params)?))
 }
 
 /// Prepares a capture in `folder`, the folder of the work: the result is its `capture`. `key` and `inputs`
@@ -276,7 +273,7 @@ pub fn prepare(
     let commands = json!({ "features": features, "matches": matches, "cameras": cameras });
     let programs: Vec<&Program> = ffmpeg.iter().chain([program]).chain(&networks).collect();
     let record = json!({
-        "format": "use3d preparation", "schema": 1, "key": key, "programs": programs, "params": params,
+        "format": "use3d preparation", "schema": 1, "key": key, "programs": programs, "params": params.for_key(),
         "matching": matching, "keypoints": keypoints, "inputs": inputs, "images": taken, "films": films,
         "cameras": groups.len(), "commands": commands,
         "verdict": verdict, "remarks": remarks,

@@ -6,6 +6,7 @@ use std::process::{Command, Stdio};
 use serde::{Deserialize, Serialize};
 
 use crate::error::PrepareError;
+use crate::params::{Keypoints, PrepareParams};
 
 /// The program that finds the cameras.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -118,6 +119,45 @@ fn pycolmap(programs: &Programs) -> Option<Program> {
 }
 
 impl Programs {
+    /// The programs that the environment's variables name, or the usual ones.
+    pub fn usual() -> Self {
+        let named = |variable: &str, usual: PathBuf| {
+            std::env::var_os(variable).filter(|value| !value.is_empty()).map_or(usual, PathBuf::from)
+        };
+        let Self { colmap, ffmpeg, python, finder } = Self::default();
+        Self {
+            colmap: named("USE3D_COLMAP", colmap),
+            ffmpeg: named("USE3D_FFMPEG", ffmpeg),
+            python: named("USE3D_PYTHON", python),
+            finder,
+        }
+    }
+
+    /// The programs that a preparation starts, with their versions. ffmpeg and networks may be absent.
+    ///
+    /// # Errors
+    /// The program that finds the cameras is not installed.
+    pub fn versions(&self, params: &PrepareParams) -> Result<String, PrepareError> {
+        let networks = match params.keypoints {
+            Keypoints::Sift => None,
+            _ => self.learned().ok(),
+        };
+        let words = |Program { name, version, card, .. }: Program| {
+            format!("{name} {version}{}", if card { " on a graphics card" } else { "" })
+        };
+        let all = [Some(self.finding(params)?), self.film().ok(), networks];
+        Ok(all.into_iter().flatten().map(words).collect::<Vec<_>>().join(", "))
+    }
+
+    /// The program that finds the cameras by these choices. Two runs of the program `colmap` differ, even on
+    /// one thread.
+    pub(crate) fn finding(&self, params: &PrepareParams) -> Result<Program, PrepareError> {
+        match params.repeatable {
+            false => self.cameras(),
+            true => Self { finder: Finder::Pycolmap, ..self.clone() }.cameras(),
+        }
+    }
+
     /// The program that takes frames out of films and converts WebP photographs.
     ///
     /// # Errors

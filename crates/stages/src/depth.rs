@@ -97,10 +97,11 @@ pub(crate) mod definition {
             Some(DepthPrior::DepthAnythingV2) => true,
             Some(DepthPrior::Auto) => {
                 let encoder = all.of::<Params>().map_or(Encoder::Auto, |p| p.encoder);
-                let has_own = || match (named.path("capture"), all.of::<ImportParams>()) {
-                    (Some(capture), Some(import)) => has_depth_folder(capture, import),
-                    _ => true,
-                };
+                let has_own =
+                    || match (named.path("capture").or(named.path("footage")), all.of::<ImportParams>()) {
+                        (Some(capture), Some(import)) => has_depth_folder(capture, import),
+                        _ => true,
+                    };
                 // The capture is not looked at without need: a large batch has many.
                 named.path("models").is_some_and(|models| encoder.found(models).is_ok()) && !has_own()
             }

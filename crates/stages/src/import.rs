@@ -23,7 +23,8 @@ pub(crate) mod definition {
             .about("read a capture folder: find model and images, undistort, resize, normalise, split")
             .promises(&["capture.json", "originals.json", "report.json", "images/"])
             .check(|p: &ImportParams| p.validate().map_err(out_of_range))
-            .external("capture", "capture")
+            .input("capture", "prepare")
+            .or_external("capture")
             .select_by(|parameters, capture| {
                 Ok(Choice { files: files(parameters, capture)?, made_from: choice_sources(capture) })
             })

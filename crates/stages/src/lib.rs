@@ -1,6 +1,7 @@
 //! The stages. Each is a pure function from artifacts and parameters to one artifact.
 //!
 //! ```text
+//! prepare ─▶ import                                  (for films, and photographs without cameras)
 //! import ─┬───────────────▶ reconstruct ─┬─▶ targets ─▶ enhance ─┬─▶ render ──┐
 //! depth ──┘                              │      ▲                └─▶ evaluate ├─▶ report
 //! pairs ─▶ calibrate ────────────────────┴──────┘                             ┘
@@ -25,6 +26,7 @@ mod pairs;
 mod parts;
 mod photographs;
 mod planning;
+mod prepare;
 mod propose;
 mod reconstruct;
 mod render;
@@ -47,6 +49,7 @@ use crate::code::built_in;
 /// The table of stages, with the shorthand keys of the pipeline file.
 pub fn registry() -> Result<Registry, BuildError> {
     let stages = vec![
+        prepare::definition::stage(),
         import::definition::stage(),
         depth::definition::stage(),
         pairs::definition::stage(),

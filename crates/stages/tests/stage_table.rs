@@ -31,7 +31,7 @@ fn every_stage_that_may_use_a_card_says_how_its_artifacts_agree_with_the_process
         table.stages().iter().filter(|stage| stage.device.is_some()).map(|stage| stage.name()).collect();
     assert_eq!(on_cards, ["reconstruct", "targets", "enhance", "render", "evaluate"]);
     for stage in table.stages() {
-        assert_eq!(stage.agreement.is_some(), stage.device.is_some(), "{}", stage.name());
+        assert_eq!(stage.agreement.is_some(), stage.device.is_some() || stage.varies, "{}", stage.name());
     }
 }
 

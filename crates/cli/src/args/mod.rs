@@ -28,7 +28,7 @@ pub(crate) use pictures::{CameraPath, ExportArgs, ExportFrame, ExportWhat, Frame
 pub(crate) use pipelines::{
     CompareArgs, DemoArgs, DemoSize, PlanArgs, ResultsArgs, RunArgs, StatusArgs, WhyArgs,
 };
-pub(crate) use prepare::{PrepareArgs, usual_programs};
+pub(crate) use prepare::PrepareArgs;
 pub(crate) use remote::{PushArgs, RemoteArgs, Store, StoreGcArgs, StoreLsArgs, TransferArgs};
 pub(crate) use shared::{CacheArgs, EngineArgs, PipelineArgs, check_shares};
 pub(crate) use stages::{

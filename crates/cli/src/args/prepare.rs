@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use clap::{Args, Parser, ValueEnum};
+use clap::{Args, ValueEnum};
 use use3d_prepare::{Finder, Keypoints, Mapper, Matching, PrepareParams, Programs};
 
 use super::shared::{Replace, count};
@@ -161,15 +161,4 @@ impl From<ProgramArgs> for Programs {
         };
         Self { colmap, ffmpeg, python, finder }
     }
-}
-
-/// The programs as `use3d prepare` without flags takes them: by the environment's variables, or the usual
-/// ones.
-pub(crate) fn usual_programs() -> Programs {
-    #[derive(Parser)]
-    struct NoFlags {
-        #[command(flatten)]
-        programs: ProgramArgs,
-    }
-    NoFlags::parse_from(["use3d"]).programs.into()
 }

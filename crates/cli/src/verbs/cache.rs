@@ -129,7 +129,8 @@ pub(crate) fn verify(app: &App, args: &VerifyArgs) -> Done {
         let again = loaded.builder.verify_sample(&loaded.graph, share, &options, &app.host.listener);
         let again = again.map_err(WorkError::failed)?;
         (found.held, found.recomputed) = (again.held, again.recomputed);
-        (found.agreed, found.not_compared) = (again.agreed, again.not_compared);
+        (found.agreed, found.varied) = (again.agreed, again.varied);
+        found.not_compared = again.not_compared;
         found.problems.extend(again.problems);
         found.interrupted = again.interrupted;
     }

@@ -10,7 +10,7 @@ use use3d_pipeline::preparation::{DataSet, Preparation, capture_of};
 use use3d_prepare::{PREPARED, PrepareParams, Programs, Recipe, RecipeScene, Sources};
 
 use crate::App;
-use crate::args::{PrepareArgs, usual_programs};
+use crate::args::PrepareArgs;
 use crate::error::{Done, WorkError};
 use crate::verbs::check;
 
@@ -135,7 +135,7 @@ pub(crate) fn capture_for(
     out: Option<&Path>,
 ) -> Result<Option<PathBuf>, WorkError> {
     let Some((sources, out)) = capture_of(target, out)? else { return Ok(None) };
-    let (params, programs) = (PrepareParams::default(), usual_programs());
+    let (params, programs) = (PrepareParams::default(), Programs::usual());
     let job =
         Preparation { host: &app.host, sources: &sources, params: &params, programs: &programs, out: &out };
     job.check(false)?;

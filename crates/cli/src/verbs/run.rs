@@ -20,7 +20,7 @@ use use3d_workflow::place;
 use use3d_workflow::plan::{PlannedNode, State};
 use use3d_workflow::run::{NodeResult, RanNode};
 use use3d_workflow::status::{Row, Standing};
-use use3d_workflow::{PATIENCE, Plan, RunOptions, Scope, picture};
+use use3d_workflow::{PATIENCE, Plan, RunOptions, Scope, Summary, picture};
 
 use crate::App;
 use crate::args::{DemoArgs, DemoSize, PipelineArgs, PlanArgs, RunArgs, StatusArgs, WhyArgs};
@@ -296,7 +296,7 @@ fn execute(
         replaced.iter().filter(|_| !quiet).for_each(|line| eprintln!("{line}"));
     }
     match summary.exit_code() {
-        0 if given.photographs => photographs(app, loaded, &delivered),
+        0 if given.photographs => photographs(app, loaded, &delivered, &summary),
         0 => Ok(()),
         75 => Err(WorkError::OutOfTime),
         130 => Err(WorkError::Interrupted),
@@ -323,11 +323,18 @@ fn balance(app: &App, choices: &[WhiteChoice], capture: &Path, delivered: &[Deli
 }
 
 /// Writes all photographs of every scene in the results.
-fn photographs(app: &App, loaded: &Loaded, delivered: &[Delivered]) -> Done {
+fn photographs(app: &App, loaded: &Loaded, delivered: &[Delivered], summary: &Summary) -> Done {
     for result in scenes_of(delivered) {
-        photographs::of_run(app, &result.path, loaded.capture_of(&result.scene))?;
+        let capture = loaded.capture_of(&result.scene).or_else(|| prepared(summary, &result.scene));
+        photographs::of_run(app, &result.path, capture)?;
     }
     Ok(())
+}
+
+/// The capture that a stage of this run made for a scene.
+fn prepared<'s>(summary: &'s Summary, scene: &str) -> Option<&'s Path> {
+    let made = summary.nodes.iter().find(|node| node.stage == "prepare" && node.scene == scene)?;
+    Some(&made.artifact.as_ref()?.path)
 }
 
 /// The number of missing stages that are named one by one.

@@ -78,7 +78,9 @@ pub(crate) struct Pairs {
 /// A scene, or with `from` many scenes.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-#[schemars(extend("oneOf" = [{ "required": ["name", "capture"] }, { "required": ["from"] }]))]
+#[schemars(extend("oneOf" = [
+    { "required": ["name", "capture"] }, { "required": ["name", "footage"] }, { "required": ["from"] }
+]))]
 pub(crate) struct SceneEntry {
     /// Its name, unique in the file.
     #[serde(default)]
@@ -87,6 +89,10 @@ pub(crate) struct SceneEntry {
     /// environment variable.
     #[serde(default)]
     pub(crate) capture: Option<String>,
+    /// A film, or a folder with films or photographs, in place of a capture: the stage `prepare` finds their
+    /// cameras.
+    #[serde(default)]
+    pub(crate) footage: Option<String>,
     /// A pattern of capture folders, such as `dives/*`, in place of name and capture. Every matching folder
     /// is a scene of its name.
     #[serde(default)]

@@ -168,13 +168,14 @@ fn parse(
         let base = format!("scene[{i}]");
         let (rest, overrides) = reader.entry(&base, "scene", entry)?;
         let entry: SceneEntry = reader.typed(&base, &rest, &reader.words("scene"))?;
-        let key = if entry.from.is_some() { "from" } else { "capture" };
+        let external = if entry.footage.is_some() { "footage" } else { "capture" };
+        let key = if entry.from.is_some() { "from" } else { external };
         for (name, capture) in reader.scenes_of(&base, &entry, folder, &by_hand)? {
             reader.scene_name(&base, (&name, &capture), &batch.scenes)?;
             let said = |key: &str| format!("`{key}` of scene {name} in {}", file.display());
             let (name, group, overrides) = (name.clone(), entry.group.clone(), overrides.clone());
             let mut scene = BatchScene { name, group, overrides, ..BatchScene::default() };
-            scene.name_external("capture", capture, said(key));
+            scene.name_external(external, capture, said(key));
             if let Some(own) = &entry.calibrator {
                 scene.name_external("calibrator", expand(&own.file, folder), said(key_of("calibrator")));
             }

@@ -28,11 +28,18 @@ impl Reader<'_> {
         let needs = |key: &str| self.document.error(base, format!("[[scene]] needs `{key}`"));
         let Some(pattern) = &entry.from else {
             let name = entry.name.as_ref().ok_or_else(|| needs("name"))?;
-            let capture = entry.capture.as_ref().ok_or_else(|| needs("capture"))?;
-            return Ok(vec![(name.clone(), expand(capture, folder))]);
+            if entry.capture.is_some() && entry.footage.is_some() {
+                let message = "`footage` has no cameras yet, and `capture` has them; leave one of them out";
+                return Err(self.document.key_error(&join(base, "footage"), message));
+            }
+            let place = entry.capture.as_ref().or(entry.footage.as_ref());
+            let place = place.ok_or_else(|| needs("capture` or `footage"))?;
+            return Ok(vec![(name.clone(), expand(place, folder))]);
         };
         if let Some((key, _)) =
-            [("name", &entry.name), ("capture", &entry.capture)].iter().find(|k| k.1.is_some())
+            [("name", &entry.name), ("capture", &entry.capture), ("footage", &entry.footage)]
+                .iter()
+                .find(|k| k.1.is_some())
         {
             let message = format!(
                 "`from` makes a scene of every folder and names it like the folder, so `{key}` has no place here; leave one \

@@ -46,7 +46,11 @@ pub(super) fn apply(registry: &Registry, batch: &mut Batch, setting: &str) -> Re
     if let Some(rest) = key.strip_prefix("scene.") {
         let (index, rest) = named("scene", rest, batch.scenes.iter().map(|s| &*s.name)).map_err(wrong)?;
         let scene = &mut batch.scenes[index];
-        if let Some(external) = ["capture", "calibrator"].into_iter().find(|e| key_of(e) == rest) {
+        if let Some(external) = ["capture", "footage", "calibrator"].into_iter().find(|e| key_of(e) == rest) {
+            // A scene has cameras, or it has none yet.
+            if external != "calibrator" {
+                ["capture", "footage"].iter().for_each(|name| drop(scene.externals.remove(*name)));
+            }
             scene.name_external(external, path(), by);
             return Ok(());
         }

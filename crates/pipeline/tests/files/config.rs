@@ -243,6 +243,11 @@ fn every_folder_that_a_pattern_matches_is_a_scene_of_its_name() {
         ("[[scene]]\nfrom = \"dives/*.txt\"\n".to_string(), &["no folder matches"]),
         (format!("{dives}[[scene]]\nfrom = \"more/*\"\n"), &["two folders have the name `a`", "more/a"]),
         (format!("{by_hand}{by_hand}"), &["the name `b` is used twice"]),
+        (
+            format!("{by_hand}footage = \"dive.mp4\"\n"),
+            &["`footage` has no cameras yet, and `capture` has them"],
+        ),
+        (format!("{dives}footage = \"dive.mp4\"\n"), &["`footage` has no place here"]),
         ("[[scene]]\nname = \"x\"\nfrom = \"dives/*\"\n".to_string(), &["`name` has no place here"]),
         ("[[scene]]\nfrom = \"dives/***\"\n".to_string(), &["is no pattern of folders"]),
         (

@@ -27,8 +27,19 @@ impl Builder {
         })
     }
 
-    /// The class of arithmetic of a stage with these parameters, or the reason why it is not known yet.
+    /// The class of arithmetic of a stage with these parameters, with the programs of others that it runs, or
+    /// the reason why it is not known yet.
     pub(crate) fn arithmetic(&self, stage: &Stage, parameters: &Parameters) -> Result<Arithmetic, String> {
+        let of_device = self.of_device(stage, parameters)?;
+        Ok(match &stage.made_with {
+            Some(programs) => {
+                Arithmetic { class: format!("{}; {}", programs(parameters), of_device.class), ..of_device }
+            }
+            None => of_device,
+        })
+    }
+
+    fn of_device(&self, stage: &Stage, parameters: &Parameters) -> Result<Arithmetic, String> {
         let machine = &self.numeric_class;
         let of_machine = || Arithmetic { class: machine.clone(), elsewhere: None };
         let Some(device) = &stage.device else { return Ok(of_machine()) };

@@ -361,6 +361,11 @@ impl Job<'_> {
 
     /// Reports that the same key has other bytes.
     fn alarm(&self, what: &str) {
+        if self.builder.registry.stages()[self.node.stage].varies {
+            return self.note(&format!(
+                "{what}; the first result is kept, because this stage varies from run to run"
+            ));
+        }
         let key = self.resolved.key.short();
         self.warn(&format!(
             "determinism alarm: {what} for the same key {key}; the first artifact is kept. A result must \

@@ -109,6 +109,11 @@ impl Rate {
 }
 
 impl Builder {
+    /// True if a stage may give other bytes on every run, so that two results of one key are no alarm.
+    fn varies(&self, stage: &str) -> bool {
+        self.registry.stage(stage).is_ok_and(|stage| stage.varies)
+    }
+
     /// Sends all cached artifacts of a graph. A list of the store shows which ones it already has. `check`
     /// reads the objects in the store, and replaces those that do not match.
     ///
@@ -149,6 +154,7 @@ impl Builder {
             match sent {
                 Ok(Sent::Now) => done.note(&artifact.manifest, "sent", &pace, listener),
                 Ok(Sent::Already) => done.already += 1,
+                Ok(Sent::Differs(_)) if self.varies(stage) => done.already += 1,
                 Ok(Sent::Differs(file)) => done.differs(stage, key, &file),
                 Err(error) => done.settle(stage, key, error)?,
             }
@@ -202,6 +208,7 @@ impl Builder {
                 match fetched {
                     Ok(Fetched::Now(artifact)) => done.note(&artifact.manifest, "fetched", &pace, listener),
                     Ok(Fetched::Missing) => {}
+                    Ok(Fetched::Differs(..)) if self.varies(stage) => done.already += 1,
                     Ok(Fetched::Differs(_, file)) => done.differs(stage, key, &file),
                     Err(error) => done.settle(stage, key, error)?,
                 }

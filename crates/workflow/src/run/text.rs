@@ -277,6 +277,13 @@ impl Display for Verification {
             if self.agreed > 0 {
                 write!(f, " ({} in another numeric class: within their stage's tolerances)", self.agreed)?;
             }
+            if self.varied > 0 {
+                write!(
+                    f,
+                    " ({} with other bytes on every run: within their stage's tolerances)",
+                    self.varied
+                )?;
+            }
             if self.not_compared > 0 {
                 write!(f, " ({} could not be compared: see above)", self.not_compared)?;
             }

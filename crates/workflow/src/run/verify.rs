@@ -1,6 +1,7 @@
 //! Checks the cache: compares every byte with its digest, and computes a sample again.
 //!
-//! An artifact that is computed again in its own class of arithmetic must have the same bytes. A cache may
+//! An artifact that is computed again in its own class of arithmetic must have the same bytes, unless its
+//! stage declares that its bytes vary. A cache may
 //! also hold artifacts of another machine or another device; if a stage declares that its bytes differ
 //! between classes, the figures that it names must agree.
 
@@ -48,6 +49,8 @@ pub struct Verification {
     /// Number of those that were made in another class of arithmetic and agree by their figures, not to the
     /// byte.
     pub agreed: usize,
+    /// Number of those whose bytes vary from run to run and that agree by their figures; not in `agreed`.
+    pub varied: usize,
     /// Number of those that were made in another class and have none of the figures by which their stage
     /// compares; not in `agreed`.
     pub not_compared: usize,
@@ -136,6 +139,8 @@ enum Again {
     Same,
     /// Made in another class of arithmetic: other bytes, figures within their tolerances.
     Agrees,
+    /// Made by a stage whose bytes vary: figures within their tolerances.
+    Varies,
     /// Made in another class of arithmetic, with nothing to compare; the text gives the reason.
     NotCompared(String),
     /// It differs; the text says how.
@@ -192,6 +197,7 @@ impl Builder {
             match self.recompute(graph, &made, &outcomes, options, listener)? {
                 Again::Same => {}
                 Again::Agrees => found.agreed += 1,
+                Again::Varies => found.varied += 1,
                 Again::NotCompared(what) => {
                     listener.event(&Event::Note { label: &label, text: &what });
                     found.not_compared += 1;
@@ -254,13 +260,17 @@ impl Builder {
             Err(error) => Again::Wrong(format!("cannot be computed again: {error}")),
             Ok(files) if content_digest(&files) == made.artifact.manifest.content => Again::Same,
             Ok(files) => {
-                let agreement = self.registry.stages()[graph.nodes[made.node].stage].agreement;
+                let stage = &self.registry.stages()[graph.nodes[made.node].stage];
+                let agreement = stage.agreement;
                 let different = first_difference(&made.artifact.manifest.files, &files);
-                let Some(class) = made.in_another_class() else {
-                    let what = format!("determinism alarm: computed again, {different} comes out different");
-                    return Again::Wrong(what);
+                let as_what = match made.in_another_class() {
+                    Some(class) => format!("made as {class} and computed again as {}", made.class),
+                    None if stage.varies => "computed again".to_string(),
+                    None => {
+                        let what = format!("determinism alarm: computed again, {different} comes out different");
+                        return Again::Wrong(what);
+                    }
                 };
-                let as_what = format!("made as {class} and computed again as {}", made.class);
                 let Some(agreement) = agreement else {
                     return Again::Wrong(format!(
                         "determinism alarm: {as_what}, {different} comes out different, although the stage promises \
@@ -270,6 +280,7 @@ impl Builder {
                 let folder = scratch.join("artifact");
                 let before = ArtifactFolder { path: &made.artifact.path, files: &made.artifact.manifest.files };
                 match agree::compare(&agreement, before, ArtifactFolder { path: &folder, files: &files }) {
+                    Verdict::Agree if made.in_another_class().is_none() => Again::Varies,
                     Verdict::Agree => Again::Agrees,
                     Verdict::Apart(what) => Again::Wrong(format!("{as_what}, {what}")),
                     Verdict::NothingToCompare(what) => Again::NotCompared(format!("{as_what}: {what}")),

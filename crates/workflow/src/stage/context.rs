@@ -94,6 +94,11 @@ impl StageContext {
         self.stop.load(Ordering::Relaxed)
     }
 
+    /// Is set when the stage must stop, for work that watches it itself.
+    pub fn stop(&self) -> &AtomicBool {
+        &self.stop
+    }
+
     /// Returns [`StageError::Cancelled`] if the stage must stop: `context.alive()?` in loops.
     pub fn alive(&self) -> Result<(), StageError> {
         if self.cancelled() { Err(StageError::Cancelled) } else { Ok(()) }

@@ -76,6 +76,8 @@ type Condition = Arc<dyn Fn(&AllParameters, &Named) -> bool + Send + Sync>;
 type IsReference = Arc<dyn Fn(&AllParameters) -> bool + Send + Sync>;
 /// Bytes of memory, from the parameters and from the inputs that exist.
 type Memory = Arc<dyn Fn(&Parameters, &[StageInput]) -> Option<u64> + Send + Sync>;
+/// Programs of others with their versions, from the parameters.
+type MadeWith = Arc<dyn Fn(&Parameters) -> String + Send + Sync>;
 type Run = Arc<dyn Fn(&StageContext, &Parameters) -> Result<(), StageError> + Send + Sync>;
 
 /// A stage; the first page of this crate has an example.
@@ -101,6 +103,10 @@ pub struct Stage {
     /// The rule by which its artifacts of two classes of arithmetic agree; `None` promises the same bytes
     /// everywhere.
     pub agreement: Option<Agreement>,
+    /// True if two runs on one machine may give other bytes.
+    pub varies: bool,
+    /// The programs of others that it starts.
+    pub(crate) made_with: Option<MadeWith>,
     /// The folder of its result among a scene's results; `None` for a result that stays in the cache.
     pub delivered: Option<&'static str>,
     /// Its usual cost: a fixed part, and a part for each unit of its length.
@@ -143,6 +149,8 @@ impl Stage {
             promises: &[],
             device: None,
             agreement: None,
+            varies: false,
+            made_with: None,
             delivered: None,
             usual_cost: [0.3, 0.0],
             cores: 0,
@@ -319,6 +327,21 @@ impl Stage {
     #[must_use]
     pub fn agrees_across_classes(self, figures: &'static [Figure]) -> Self {
         Self { agreement: (!figures.is_empty()).then_some(Agreement::Figures(figures)), ..self }
+    }
+
+    /// Like [`Self::agrees_across_classes`], for a stage whose bytes are not even the same on every run of
+    /// one machine. The first artifact of a key stays, and another one is no alarm.
+    #[must_use]
+    pub fn agrees_from_run_to_run(self, figures: &'static [Figure]) -> Self {
+        Self { varies: true, ..self.agrees_across_classes(figures) }
+    }
+
+    /// Declares programs of others that it starts, with their versions. They are part of its class of
+    /// arithmetic, and so of its key.
+    #[must_use]
+    pub fn made_with<P: 'static>(self, programs: impl Fn(&P) -> String + Send + Sync + 'static) -> Self {
+        let programs = move |parameters: &Parameters| parameters.of().map(&programs).unwrap_or_default();
+        Self { made_with: Some(Arc::new(programs)), ..self }
     }
 
     /// Like [`Self::agrees_across_classes`], for an artifact whose files of these kinds are alike between two

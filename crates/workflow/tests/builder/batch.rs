@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use serde_json::json;
 use use3d_workflow::run::{NodeResult, RunOptions};
 use use3d_workflow::status::Standing;
-use use3d_workflow::{Batch, Digest, Graph, Listener, Registry, Scope, Silent, Stage, Variant};
+use use3d_workflow::{Batch, Digest, Figure, Graph, Listener, Registry, Scope, Silent, Stage, Variant};
 
 use super::stages::{Strength, batch, builder, code, registry, run_with, scene};
 
@@ -65,6 +65,39 @@ fn the_digest_of_a_scene_follows_its_own_keys_and_no_other_scene() {
     let two = Batch { variants: vec![variant("x"), variant("y")], ..before };
     let (one, two) = (parts(&one), parts(&two));
     assert!(one.iter().all(|(cell, part)| cell.0.is_empty() || two[cell] == *part) && two.len() == 5);
+}
+
+#[test]
+fn a_stage_that_varies_is_compared_by_its_figures_and_the_versions_of_its_programs_are_in_its_key() {
+    static FIGURES: [Figure; 1] = [Figure { file: "figures.json", at: "/found", within: 1.0 }];
+    let dir = tempfile::tempdir().expect("folder");
+    let batch = batch(dir.path(), &["a"]);
+    let run = |version: &'static str, varies: bool| {
+        let stage = Stage::new("find", Scope::Scene, |context, _: &Strength| {
+            static NEXT: AtomicUsize = AtomicUsize::new(0);
+            let next = NEXT.fetch_add(1, Ordering::Relaxed);
+            fs::write(
+                context.output().join("figures.json"),
+                json!({ "found": next % 2, "run": next }).to_string(),
+            )?;
+            Ok(())
+        });
+        let stage =
+            stage.external("in", "capture").made_of(&[], &[]).made_with(move |_: &Strength| version.into());
+        let stage = if varies { stage.agrees_from_run_to_run(&FIGURES) } else { stage };
+        let mut builder = builder(&dir.path().join("cache"));
+        builder.registry = Registry::new(vec![stage], code()).expect("table");
+        let graph = Graph::new(&builder.registry, &batch).expect("graph");
+        let listener: Arc<dyn Listener> = Arc::new(Silent);
+        let options = RunOptions::default();
+        let done = builder.run(&graph, &options, &listener).done();
+        let checked = builder.verify_sample(&graph, 1.0, &options, &listener).expect("a check");
+        (done, checked.varied, checked.problems.len())
+    };
+    assert_eq!(run("finder 1", true), (1, 1, 0));
+    assert_eq!(run("finder 1", true), (0, 1, 0));
+    assert_eq!(run("finder 2", true), (1, 1, 0));
+    assert_eq!(run("finder 2", false), (0, 0, 1), "without the declaration it is an alarm");
 }
 
 #[test]

@@ -77,7 +77,8 @@ impl Runner<'_> {
     pub(super) fn warn_if_changed(&self, i: usize, artifact: &Artifact) {
         let manifest = &artifact.manifest;
         let other = |(key, content)| key == manifest.key && content != manifest.content;
-        if self.known[i].last.is_some_and(other) {
+        let varies = self.builder.registry.stages()[self.graph.nodes[i].stage].varies;
+        if !varies && self.known[i].last.is_some_and(other) {
             self.warn(i, "determinism alarm: computed again for the same key, it has other bytes");
         }
     }
