@@ -6,9 +6,9 @@ mod common;
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 
-use common::Attempt;
 use common::place::{Place, SCRIPT};
-use use3d_prepare::{CAPTURE, PrepareError, PrepareParams, discard, work_folder};
+use common::{Attempt, attempt_until};
+use use3d_prepare::{CAPTURE, Finder, PrepareError, PrepareParams, Programs, discard, work_folder};
 
 /// The text of a file outside the folder of the work, which must stay.
 const PRECIOUS: &str = "precious";
@@ -118,6 +118,19 @@ fn a_file_that_was_damaged_between_two_attempts_is_made_again() {
             assert_eq!(same("photos/p_04.png"), std::fs::read(work.join("capture/images/p_04.png")).unwrap());
         }
     }
+}
+
+#[test]
+fn a_step_that_ends_while_the_user_stops_is_kept() {
+    let place = Place::new();
+    place.found(0, 0..10, 0.5);
+    let programs = Programs { colmap: place.at("colmap"), finder: Finder::Colmap, ..Programs::default() };
+    let (inputs, params) = ([place.at("photos")], PrepareParams::default());
+    let stopped = attempt_until(&inputs, &params, &programs, &place.at("reef"), Some("features: found"));
+    assert!(matches!(stopped.done, Err(PrepareError::Interrupted)), "{:?}", stopped.done);
+    assert_eq!(place.calls(), ["feature_extractor"]);
+    place.attempt(&params).done.unwrap();
+    assert_eq!(place.calls(), ["exhaustive_matcher", "mapper"]);
 }
 
 #[test]
