@@ -324,7 +324,8 @@ impl<'a> Work<'a> {
         Ok(result)
     }
 
-    /// The files of an output, with the digests of their bytes. A wish to stop waits for them: the step is done.
+    /// The files of an output, with the digests of their bytes. A wish to stop waits for them, because the
+    /// step is done.
     fn digests(&self, output: &str) -> Result<BTreeMap<String, String>, PrepareError> {
         let mut files = BTreeMap::new();
         for entry in WalkDir::new(self.folder.join(output)) {
