@@ -305,7 +305,7 @@ fn stages_of(plan: &Plan, registry: &Registry, site: &Site) -> Vec<Job> {
                 after.push(After::Over(first + k - side_by_side));
             }
             let nodes: Vec<&PlannedNode> = tasks.iter().map(|(_, i)| &plan.nodes[*i]).collect();
-            let mut words = vec!["--until".to_string(), name.to_string(), "--cache-only".to_string()];
+            let mut words = ["--until", name, "--alone", "--cache-only"].map(String::from).to_vec();
             words.extend(site.needs(name).arguments);
             let longest =
                 |nodes: &[&PlannedNode]| nodes.iter().filter_map(|n| longest(n)).fold(0.0, f64::max);

@@ -48,6 +48,9 @@ pub(crate) struct RunArgs {
     /// Stop after this stage.
     #[arg(long, value_name = "STAGE")]
     pub(crate) until: Option<String>,
+    /// Compute only that stage. If a stage before it is missing, that scene is left to others.
+    #[arg(long, requires = "until")]
+    pub(crate) alone: bool,
     /// Stages to run at the same time, within the cores and memory of the machine.
     #[arg(short, long, default_value_t = 1, value_name = "N", value_parser = count(MAX_JOBS))]
     pub(crate) jobs: usize,

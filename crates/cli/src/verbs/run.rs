@@ -159,6 +159,7 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
         limit: args.max_time,
         until_empty: args.until_empty.then_some(PATIENCE),
         gather: args.gather,
+        alone: args.alone,
         ..of_app(app)
     };
     let white = (!choices.is_empty()).then_some((choices, pipeline.target.as_path()));

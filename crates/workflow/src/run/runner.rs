@@ -69,6 +69,8 @@ pub struct RunOptions {
     /// Compute only stages over the whole batch, from the artifacts that exist; other stages are only looked
     /// up.
     pub gather: bool,
+    /// Compute only the stages of `until`: what they lack is left to others.
+    pub alone: bool,
 }
 
 impl Default for RunOptions {
@@ -85,6 +87,7 @@ impl Default for RunOptions {
             leave: Arc::default(),
             until_empty: None,
             gather: false,
+            alone: false,
         }
     }
 }
@@ -515,6 +518,11 @@ impl<'r> Runner<'r> {
         }
         if self.options.gather && self.scope(i) != Scope::Batch {
             self.miss(i);
+            return true;
+        }
+        let stage = self.graph.nodes[i].stage_name;
+        if self.options.alone && !self.options.until.iter().flatten().any(|name| name == stage) {
+            self.leave_alone(i, &format!("the tasks of {stage}"));
             return true;
         }
         if let Some(reason) = &resolved.elsewhere {

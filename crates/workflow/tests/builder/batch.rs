@@ -333,3 +333,21 @@ impl Label for use3d_workflow::StageContext {
         format!("{}+", words.unwrap_or_default())
     }
 }
+
+#[test]
+fn one_stage_alone_leaves_what_it_lacks_to_others() {
+    let dir = tempfile::tempdir().expect("folder");
+    let batch = batch(&dir.path().join("data"), &["reef"]);
+    let builder = builder(&dir.path().join("cache"));
+    let alone = |stage: &str| {
+        let until = Some(vec![stage.to_string()]);
+        run_with(&builder, &batch, &RunOptions { until, alone: true, ..RunOptions::default() })
+    };
+    let (summary, started, _) = alone("reconstruct");
+    assert!(started.is_empty() && summary.exit_code() == 0, "{summary}");
+    let left =
+        |result: &NodeResult| matches!(result, NodeResult::Elsewhere(by) if by == "the tasks of import");
+    assert_eq!(summary.nodes.iter().filter(|node| left(&node.result)).count(), 2, "{summary}");
+    assert_eq!(alone("import").1, ["reef · import"]);
+    assert_eq!(alone("reconstruct").1, ["reef · reconstruct"]);
+}

@@ -273,9 +273,8 @@ fn a_manifest_from_elsewhere_cannot_write_outside_its_artifact_or_stand_for_anot
         remote.objects().insert(names[1].clone(), serde_json::to_vec(&evil).expect("json"));
         let builder = world.builder("cache");
         let pulled = world.pull(&builder, &shared(&remote)).expect("the store answers");
-        assert_eq!(pulled.problems.len(), 2, "{path}: {pulled:?}");
-        assert!(pulled.problems.iter().any(|p| p.what.contains("names a file")), "{path}: {pulled:?}");
-        assert!(pulled.problems.iter().all(|p| p.what.contains("push --check")), "{path}: {pulled:?}");
+        let says = |words| pulled.problems.iter().filter(|p| p.what.contains(words)).count();
+        assert!(says("names a file") > 0 && says("push --check") == 2, "{path}: {pulled:?}");
         let artifacts = builder.cache.artifacts();
         assert!(artifacts.iter().all(|(stage, _, _)| stage != "import"), "{path}: {artifacts:?}");
     }
