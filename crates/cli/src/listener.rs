@@ -25,6 +25,8 @@ pub(crate) struct Terminal {
     quiet: bool,
     bars: Option<MultiProgress>,
     nodes: Mutex<BTreeMap<String, NodeProgress>>,
+    /// The numbers of stages that are over and of all stages, as words for the next line of a log.
+    counted: Mutex<String>,
 }
 
 struct NodeProgress {
@@ -68,7 +70,7 @@ impl Terminal {
     pub(crate) fn new(quiet: bool) -> Self {
         let bars = (!quiet && std::io::stderr().is_terminal())
             .then(|| MultiProgress::with_draw_target(ProgressDrawTarget::stderr_with_hz(8)));
-        Self { quiet, bars, nodes: Mutex::default() }
+        Self { quiet, bars, nodes: Mutex::default(), counted: Mutex::default() }
     }
 
     /// Prints a line above the bars, with terminal control characters escaped.
@@ -122,6 +124,11 @@ impl Terminal {
         }
     }
 
+    /// The count of stages for the end of a line; empty on a terminal, where a bar shows it.
+    fn counted(&self) -> String {
+        std::mem::take(&mut *self.counted.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
     fn end(&self, label: &str) {
         let mut nodes = self.nodes.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(bar) = nodes.remove(label).and_then(|n| n.bar) {
@@ -138,7 +145,8 @@ impl Listener for Terminal {
             Event::Failed { label, log, .. } => {
                 self.end(label);
                 if !self.quiet {
-                    self.line(&format!("{label}: failed; its log: {}", log.display()));
+                    let counted = self.counted();
+                    self.line(&format!("{label}: failed{counted}; its log: {}", log.display()));
                 }
             }
             // Other listeners handle these events.
@@ -154,6 +162,11 @@ impl Listener for Terminal {
                     if message.is_empty() { (*unit).to_string() } else { format!("{unit}, {message}") };
                 self.progress(label, *done, *total, &words, *seconds_left);
             }
+            Event::Counted { done, total } if self.bars.is_none() => {
+                let counted = format!(" ({done} of {total} stages)");
+                *self.counted.lock().unwrap_or_else(PoisonError::into_inner) = counted;
+            }
+            Event::Counted { .. } => {}
             Event::WholeRun { percent: 100, .. } => self.end(WHOLE_RUN),
             Event::WholeRun { percent, seconds_left } => {
                 self.progress(WHOLE_RUN, *percent, 100, "", Some(*seconds_left));
@@ -162,7 +175,8 @@ impl Listener for Terminal {
             Event::Done { label, cached, seconds, .. } => {
                 self.end(label);
                 if !cached {
-                    self.line(&format!("{label}: done in {seconds:.1} s"));
+                    let counted = self.counted();
+                    self.line(&format!("{label}: done in {seconds:.1} s{counted}"));
                 }
             }
             Event::Note { label, text } => self.line(&format!("{label}: {text}")),

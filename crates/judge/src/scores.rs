@@ -7,7 +7,6 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 pub use use3d_metrics::{Finite, Score};
 
-use crate::configuration::Configuration;
 use crate::truth::WaterScores;
 
 /// Scores by metric name (`psnr`, `ssim`, `lpips`, `uciqe`, `uiqm`, `uranker`, `musiq`, `wlpips`,
@@ -265,28 +264,6 @@ impl SceneScores {
     pub fn mean(&self, method: Method, metric: &str) -> Option<&Score> {
         self.method(method)?.mean.get(metric)
     }
-}
-
-/// A scene's scores with the batch's data about the scene.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct ScoredScene {
-    /// The scene's name.
-    pub scene: String,
-    /// Its data set, or empty.
-    pub group: String,
-    /// The variant, empty for the main run.
-    pub variant: String,
-    /// The artifact that the scores came from.
-    pub source: String,
-    /// The scores.
-    pub scores: SceneScores,
-    /// The configuration behind the scores. It is never part of an artifact; delivery fills it in.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub configuration: Option<Configuration>,
-    /// The speed of drawing the scene on the machine that evaluated it. It is never part of an artifact, and
-    /// is filled in when results are shown.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub speed: Option<SceneSpeed>,
 }
 
 /// The speed of drawing a scene, and the processor or card.

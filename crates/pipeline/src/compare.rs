@@ -131,8 +131,7 @@ fn row(label: String, scores: Option<&SceneScores>, method: Method) -> Row {
         let value = scores.and_then(|scores| scores.mean(method, metric)?.value());
         value.map_or(Cell::Blank, |value| Cell::Number { value, source: String::new() })
     };
-    let made_by = String::new();
-    Row { label, published: false, made_by, cells: METRICS.iter().map(|(metric, ..)| cell(metric)).collect() }
+    Row::own(label, METRICS.iter().map(|(metric, ..)| cell(metric)).collect())
 }
 
 /// The table of scores of both runs, without columns that are empty in both.

@@ -74,9 +74,17 @@ fn scores(result: &Delivered) -> Option<SceneScores> {
     (result.what == "evaluate").then(|| read_json(&result.path.join(SCORES)).ok()).flatten()
 }
 
+/// More results of scenes than this are counted and not listed.
+const LISTED: usize = 1000;
+
 /// The paths of the results, and the quality of the reconstructions, in lines.
 pub fn lines(delivered: &[Delivered]) -> Vec<String> {
     let path = |Delivered { what, path, .. }: &Delivered| format!("{what:<12} {}", path.display());
+    let (of_scenes, of_all): (Vec<_>, Vec<_>) = delivered.iter().partition(|result| !result.scene.is_empty());
+    if of_scenes.len() > LISTED {
+        let count = format!("{} results of scenes are in the same folder", of_scenes.len());
+        return of_all.into_iter().map(path).chain([count]).collect();
+    }
     let mut lines: Vec<String> = delivered.iter().map(path).collect();
     for result in delivered {
         let Some(scores) = scores(result) else { continue };

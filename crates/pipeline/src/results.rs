@@ -2,42 +2,47 @@
 //! a browser. All are copied out of the cache and get readable names.
 //!
 //! An artifact holds nothing that depends on the clock or the machine. Times, memory, keys and drawing speeds
-//! are stored next to artifacts; this module adds them to the page and the tables.
+//! are stored next to artifacts; [`report`] and [`lineage`] add them to the pages and the tables.
+
+mod lineage;
+mod report;
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, LazyLock, Mutex, MutexGuard, PoisonError};
 
 use serde::Serialize;
 use use3d_scene::White;
 use use3d_workflow::delivered::{Notes, Sources};
 use use3d_workflow::place::{self, Look, PlaceError, Standing, at};
-use use3d_workflow::run::{NodeResult, RanNode};
+use use3d_workflow::run::RanNode;
 use use3d_workflow::{Artifact, Cache, Digest, Event, Graph, Listener, Summary};
 
 use crate::made_by;
 use crate::scene_page;
 use crate::written::Sealed;
 use use3d_judge::configuration::Configuration;
-use use3d_judge::names::in_variant;
-use use3d_judge::scores::ScoredScene;
-use use3d_report::BatchReport;
-use use3d_report::page::{Costs, StageRow, VariantSettings, shortened};
-use use3d_report::tables::{self, paper};
-use use3d_stages::{BATCH, SCORES, SPEED};
+use use3d_stages::SCORES;
 
-/// The page and the tables over all scenes.
+use report::{Memo, ReportSettings};
+
+/// The page and the tables over all scenes. Each result has a page of this name in its folder, too.
 const PAGE: &str = "report.html";
 const TABLES: &str = "tables";
 /// The page of a scene next to its folders, and the folder for that page's parts if it is too large for one
 /// file.
 const VIEW: &str = "view.html";
 const VIEW_PARTS: &str = "view_files";
+/// The verdict and the mean scores of a result next to its page, as data.
+const DATA: &str = "report.json";
 /// A page has its digest in its last line.
 pub(crate) const STAMPED: Sealed =
     Sealed { around: ["<!-- written by use3d, blake3 ", " -->\n"], words: ["page", "program"] };
+
+/// A file of data has its digest in its last field.
+const SEALED: Sealed = Sealed { around: [",\n\"blake3\": \"", "\"}\n"], words: ["file", "program"] };
 
 /// The folder of all results of a scene in a variant, below the results folder.
 fn folder_of(scene: &str, variant: &str) -> PathBuf {
@@ -52,6 +57,11 @@ pub struct Results {
     notes: Notes,
     /// The sources of each part that is as it was delivered.
     standing: Mutex<BTreeMap<String, Sources>>,
+    /// The settings of the report; `None` if it is not requested.
+    report: Option<ReportSettings>,
+    /// True if the scenes themselves stay in the cache.
+    only_report: bool,
+    memo: Memo,
 }
 
 /// The part over all scenes.
@@ -72,9 +82,22 @@ pub fn scenes_of(delivered: &[Delivered]) -> impl Iterator<Item = &Delivered> {
 }
 
 impl Results {
-    /// The folder `out` for the results of a cache.
-    pub fn new(out: &Path, cache: &Cache) -> Self {
-        Self { out: out.to_path_buf(), notes: Notes::of(cache, out), standing: Mutex::default() }
+    /// The folder `out` for the results of a batch up to `until` (all stages if `None`) in a cache.
+    pub fn new(out: &Path, cache: &Cache, graph: &Graph, until: Option<&[String]>) -> Self {
+        Self {
+            out: out.to_path_buf(),
+            notes: Notes::of(cache, out),
+            standing: Mutex::default(),
+            report: ReportSettings::of(graph, until),
+            only_report: false,
+            memo: Memo::default(),
+        }
+    }
+
+    /// With `true`, only the report with its pages and tables is delivered, and no scene.
+    #[must_use]
+    pub fn only_report(self, only_report: bool) -> Self {
+        Self { only_report, ..self }
     }
 
     fn standing(&self) -> MutexGuard<'_, BTreeMap<String, Sources>> {
@@ -125,6 +148,7 @@ impl Results {
         let out = &self.out;
         place::check_writable(out)?;
         place::sweep(out);
+        let paged = self.report.as_ref().is_some_and(|report| !report.single);
         let mut places: BTreeMap<PathBuf, String> = BTreeMap::new();
         // A part that is as it was delivered is ours.
         let mut examined: BTreeMap<PathBuf, bool> = BTreeMap::new();
@@ -137,7 +161,7 @@ impl Results {
                 );
                 return Err(PlaceError::Occupied { path: out.join(folder), reason });
             }
-            if let Some(place) = node.delivered.map(|own| folder.join(own))
+            if let Some(place) = node.delivered.filter(|_| !self.only_report).map(|own| folder.join(own))
                 && let Some(other) = places.insert(place.clone(), node.label())
             {
                 let own = node.label();
@@ -146,18 +170,24 @@ impl Results {
                 );
                 return Err(PlaceError::Occupied { path: out.join(place), reason });
             }
-            let (part, page) = match node.stage_name {
-                "reconstruct" => (folder.clone(), folder.join(VIEW)),
+            let (part, pages) = match node.stage_name {
+                "reconstruct" => {
+                    let page = paged.then(|| folder.join(PAGE));
+                    (folder.clone(), [folder.join(VIEW)].into_iter().chain(page).collect())
+                }
                 "report" => {
                     places.insert(TABLES.into(), node.label());
-                    (OVER_ALL.into(), PAGE.into())
+                    (OVER_ALL.into(), vec![PAGE.into()])
                 }
                 _ => continue,
             };
             let stands = !self.sources(&part.to_string_lossy()).is_empty();
             examined.insert(part, stands);
             if !stands {
-                STAMPED.check(&out.join(page))?;
+                pages.iter().try_for_each(|page| STAMPED.check(&out.join(page)))?;
+                if paged {
+                    SEALED.check(&out.join(folder).join(DATA))?;
+                }
             }
         }
         let part_of = |place: &Path| match place.parent() {
@@ -188,26 +218,27 @@ impl Results {
         at(out, "create", fs::create_dir_all(out))?;
         let mut delivered = Vec::new();
         let mut views = Vec::new();
-        for cell in &cells(summary) {
-            let own = self.deliver_cell(cell)?;
+        let cells = cells(summary);
+        for cell in &cells {
+            let own = self.deliver_cell(cell, command)?;
             let (view, folders): (Vec<_>, Vec<_>) = own.into_iter().partition(|d| d.what == "view");
             delivered.extend(folders);
             views.extend(view);
         }
         if let Some(report) = summary.artifact("", "", "report") {
-            delivered.extend(self.deliver_report(summary, report, &views, command)?);
+            delivered.extend(self.deliver_report((summary, &cells), report, &views, command)?);
         }
         delivered.extend(views);
         Ok(delivered)
     }
 
     /// Writes the results of a scene in a variant to their places, unless they are there already.
-    fn deliver_cell(&self, own: &DeliveredCell<'_>) -> Result<Vec<Delivered>, PlaceError> {
+    fn deliver_cell(&self, own: &DeliveredCell<'_>, command: &str) -> Result<Vec<Delivered>, PlaceError> {
         let (scene, variant) = (own.scene, own.variant);
         let folder = folder_of(scene, variant);
         let part = folder.to_string_lossy().into_owned();
         let mut wanted = Sources::new();
-        let placed = own.nodes.iter().filter_map(|node| {
+        let placed = own.nodes.iter().filter(|_| !self.only_report).filter_map(|node| {
             Some((node.stage, node.artifact.as_deref()?, self.out.join(&folder).join(node.delivered?)))
         });
         let placed: Vec<(&str, &Artifact, PathBuf)> = placed.collect();
@@ -221,10 +252,14 @@ impl Results {
         let delivered = placed.iter().map(|(stage, _, path)| Delivered::new(stage, scene, variant, path));
         let mut delivered: Vec<Delivered> = delivered.collect();
         let shown = own.artifact("reconstruct").and_then(|scene| own.artifact("enhance").or(Some(scene)));
+        let shown = shown.filter(|_| !self.only_report);
         let page = Delivered::new("view", scene, variant, &self.out.join(&folder).join(VIEW));
         if let Some(shown) = shown {
             wanted.insert(VIEW.to_string(), view_of(shown));
         }
+        let settings = self.report.as_ref().filter(|report| !report.single);
+        let source = settings.map(|report| report.source(own, self.only_report));
+        wanted.extend(source.iter().map(|source| (PAGE.to_string(), source.clone())));
         let standing = self.sources(&part);
         if wanted.iter().all(|(place, source)| standing.get(place) == Some(source)) {
             delivered.extend(shown.map(|_| page));
@@ -248,60 +283,12 @@ impl Results {
                 wanted.remove(VIEW);
             }
         }
+        if let (Some(settings), Some(source)) = (settings, source) {
+            let view = delivered.last().is_some_and(|last| last.what == "view");
+            self.write_page(settings, own, (&source, view), command)?;
+        }
         // The other results in the part are unchanged.
         self.keep(&part, standing.into_iter().chain(wanted).collect());
-        Ok(delivered)
-    }
-
-    /// Writes the page and the tables over all scenes, unless nothing was computed since they were written.
-    fn deliver_report(
-        &self,
-        summary: &Summary,
-        report: &Artifact,
-        views: &[Delivered],
-        command: &str,
-    ) -> Result<Vec<Delivered>, PlaceError> {
-        let (page, tables) = (self.out.join(PAGE), self.out.join(TABLES));
-        let file = report.path.join(BATCH);
-        let read = at(&file, "read", fs::read(&file))?;
-        let parsed = serde_json::from_slice::<BatchReport>(&read).map_err(io::Error::other);
-        let BatchReport { page: mut made, scored } = at(&file, "read", parsed)?;
-        let has_tables = !scored.is_empty();
-        let mut delivered = vec![Delivered::new("report", "", "", &page)];
-        delivered.extend(has_tables.then(|| Delivered::new("tables", "", "", &tables)));
-        let mut sources = sources_of(summary.nodes.iter());
-        sources.update(made_by_program().as_bytes());
-        for view in views {
-            sources.update(view.path.as_os_str().as_encoded_bytes());
-        }
-        let wanted = Sources::from([(PAGE.to_string(), Digest::from(sources.finalize()).to_string())]);
-        let computed = summary.nodes.iter().any(|n| matches!(n.result, NodeResult::Done));
-        if !computed && self.sources(OVER_ALL) == wanted {
-            return Ok(delivered);
-        }
-        let configurations = configurations(summary);
-        made.tables = paper::tables(&timed(summary, &configurations, scored));
-        made.settings = settings(&configurations);
-        made.costs = Some(Costs {
-            stages: rows(summary),
-            made: written(summary, command),
-            parameters: parameters(summary),
-        });
-        for view in views {
-            let name = in_variant(&view.scene, &view.variant);
-            if let Some(section) = made.scenes.iter_mut().find(|section| section.name == name) {
-                section.page = relative(&view.path, &self.out);
-            }
-        }
-        STAMPED.write(&page, &at(&page, "write", made.html().map_err(io::Error::other))?)?;
-        if has_tables {
-            // Drawing speeds do not follow from a key, so the tables are written with every new page.
-            put(None, &tables, |folder| {
-                at(folder, "write", tables::write(folder, &made.tables))?;
-                place::record(folder, None)
-            })?;
-        }
-        self.keep(OVER_ALL, wanted);
         Ok(delivered)
     }
 }
@@ -360,8 +347,10 @@ impl DeliveredCell<'_> {
 }
 
 /// The program that writes the pages, in words.
-fn made_by_program() -> String {
-    format!("{} {}", env!("CARGO_PKG_VERSION"), use3d_web::page::digest())
+fn made_by_program() -> &'static str {
+    static PROGRAM: LazyLock<String> =
+        LazyLock::new(|| format!("{} {}", env!("CARGO_PKG_VERSION"), use3d_web::page::digest()));
+    &PROGRAM
 }
 
 /// Starts a digest with the keys, presets and times of nodes.
@@ -472,51 +461,6 @@ fn relative(path: &Path, out: &Path) -> String {
     parts.collect::<Vec<_>>().join("/")
 }
 
-/// The scores with the data that belong to no artifact: the drawing speeds from the notes of the evaluations,
-/// the configurations behind the numbers, and the keys of the scores in the cache.
-fn timed(
-    summary: &Summary,
-    made: &BTreeMap<(&str, &str), Configuration>,
-    mut scored: Vec<ScoredScene>,
-) -> Vec<ScoredScene> {
-    let evaluated = summary.nodes.iter().filter(|n| n.stage == "evaluate");
-    let evaluated: HashMap<(&str, &str), &RanNode> =
-        evaluated.map(|n| ((&*n.scene, &*n.variant), n)).collect();
-    for scene in &mut scored {
-        let place = (&*scene.scene, &*scene.variant);
-        let artifact = evaluated.get(&place).and_then(|node| node.artifact.as_deref());
-        let note = artifact.and_then(|a| a.manifest.notes.get(SPEED).cloned());
-        scene.configuration = made.get(&place).cloned();
-        scene.speed = note.and_then(|note| serde_json::from_value(note).ok());
-        if let Some(artifact) = artifact {
-            // The key as the table of costs shows it, shortened.
-            let name = scene.source.rsplit_once(' ').map_or("", |(name, _)| name);
-            scene.source = format!("{name} {}", shortened(&artifact.manifest.key.to_string()));
-        }
-    }
-    scored
-}
-
-/// The configuration of every scene in every variant of a run.
-fn configurations(summary: &Summary) -> BTreeMap<(&str, &str), Configuration> {
-    let cells = cells(summary);
-    let trained = cells.iter().filter(|cell| cell.nodes.iter().any(|node| node.stage == "reconstruct"));
-    trained.filter_map(|cell| Some(((cell.scene, cell.variant), cell.configuration()?))).collect()
-}
-
-/// The configurations as the top of the report shows them: the parts for all scenes of a variant.
-fn settings(made: &BTreeMap<(&str, &str), Configuration>) -> Vec<VariantSettings> {
-    let mut variants: BTreeMap<&str, Vec<&Configuration>> = BTreeMap::new();
-    for ((_, variant), configuration) in made {
-        variants.entry(variant).or_default().push(configuration);
-    }
-    let parts = |(variant, all): (&str, Vec<&Configuration>)| VariantSettings {
-        variant: variant.to_string(),
-        parts: Configuration::parts(&all),
-    };
-    variants.into_iter().map(parts).collect()
-}
-
 /// Delivers the scores of a scene, with the configuration behind them.
 fn scores(artifact: &Artifact, configuration: &Configuration, target: &Path) -> Result<(), PlaceError> {
     let text = serde_json::to_string(configuration).unwrap_or_default();
@@ -533,66 +477,6 @@ fn scores(artifact: &Artifact, configuration: &Configuration, target: &Path) -> 
         at(&file, "write", fs::write(&file, text + "\n"))?;
         place::record(made, Some(key))
     })
-}
-
-/// One line with the pipeline, the time, the machines and the command that wrote the results.
-fn written(summary: &Summary, command: &str) -> String {
-    let manifests = || summary.nodes.iter().filter_map(|n| Some(&n.artifact.as_ref()?.manifest));
-    let machines: BTreeSet<String> = manifests()
-        .map(|m| format!("{} ({}, {} cores)", m.machine.host, m.machine.system, m.machine.cores))
-        .collect();
-    let last = manifests().map(|m| m.finished.as_str()).max().unwrap_or("?");
-    format!(
-        "Pipeline {}. The last stage was finished at {last}; computed on {}. This page was written by {command}",
-        summary.pipeline,
-        Vec::from_iter(machines).join(", ")
-    )
-}
-
-/// The parameters of every stage of the run, as text; equal ones are listed once.
-fn parameters(summary: &Summary) -> String {
-    let mut groups: Vec<(String, Vec<String>)> = Vec::new();
-    let mut known: HashMap<String, usize> = HashMap::new();
-    for node in summary.nodes.iter().filter(|n| !n.shared) {
-        let Some(artifact) = &node.artifact else { continue };
-        let ingredients = &artifact.manifest.ingredients;
-        let seed = ingredients.seed.map_or_else(String::new, |seed| format!(" (seed {seed})"));
-        let values = serde_json::to_string_pretty(&ingredients.parameters).unwrap_or_default();
-        let text = format!("{}{seed} {values}", node.stage);
-        let place = [&*node.scene, &*node.variant].into_iter().filter(|p| !p.is_empty());
-        let place = place.collect::<Vec<_>>().join(" · ");
-        let place = if place.is_empty() { "all scenes".into() } else { place };
-        let at = *known.entry(text.clone()).or_insert(groups.len());
-        if at == groups.len() {
-            groups.push((text, Vec::new()));
-        }
-        groups[at].1.push(place);
-    }
-    let groups = groups.into_iter().map(|(text, places)| format!("{}:\n{text}\n", places.join(", ")));
-    groups.collect::<Vec<_>>().join("\n")
-}
-
-/// The costs of every stage of the run when it was computed.
-fn rows(summary: &Summary) -> Vec<StageRow> {
-    let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
-    let rows = summary.nodes.iter().filter(|n| !n.shared).filter_map(|node| {
-        let manifest = &node.artifact.as_ref()?.manifest;
-        let scene = match &*node.scene {
-            "" => "all scenes".into(),
-            scene => in_variant(scene, &node.variant),
-        };
-        let state = if matches!(node.result, NodeResult::Done) { "computed" } else { "cached" };
-        Some(StageRow {
-            scene,
-            stage: node.stage.to_string(),
-            state: state.into(),
-            seconds: manifest.full_seconds(),
-            memory: (manifest.peak_memory > 0).then(|| mib(manifest.peak_memory)),
-            size: mib(manifest.bytes()),
-            key: manifest.key.to_string(),
-        })
-    });
-    rows.collect()
 }
 
 /// Puts the output of `fill` at `target`, unless the folder there already follows from `key`. The output is

@@ -181,7 +181,7 @@ impl<'a> PlannedSubmission<'a> {
     ) -> Result<Submission, WorkError> {
         let Loaded { pipeline, builder, graph } = &self.loaded;
         let out = self.out(out);
-        Results::new(&out, &builder.cache).check(graph, None)?;
+        Results::new(&out, &builder.cache, graph, None).check(graph, None)?;
         let place = std::env::current_dir()
             .map_err(|e| WorkError::Failed(format!("the current folder cannot be found: {e}")))?;
         let out = place.join(out);

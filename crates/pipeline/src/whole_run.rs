@@ -10,6 +10,8 @@
 //! forecast from earlier runs, or else the usual cost that the stage states times the seconds that one unit
 //! of cost takes in this run. There is no time left until one stage has given its own.
 //!
+//! The listener also counts the stages that are over, for logs without a bar.
+//!
 //! Limits: the usual costs were measured on four captures with the default parameters. A stage that waits for
 //! another process counts as pending.
 
@@ -69,6 +71,8 @@ impl Drop for Bar {
 /// The stages of a run and their times.
 pub struct WholeRun {
     parts: Vec<Share>,
+    /// The number of parts that the run has to compute.
+    total: usize,
     jobs: usize,
     started: Instant,
     drawn: Option<Instant>,
@@ -93,23 +97,32 @@ impl WholeRun {
                 },
             }
         });
-        Self { parts: parts.collect(), jobs: jobs.max(1), started: Instant::now(), drawn: None }
+        let parts: Vec<Share> = parts.collect();
+        let total = parts.iter().filter(|part| part.turn == Turn::Pending).count();
+        Self { parts, total, jobs: jobs.max(1), started: Instant::now(), drawn: None }
     }
 
     /// A listener that passes all events to `inner` and adds the progress of the whole run. A run of one
     /// stage has no bar of its own.
     pub fn listener(self, inner: Arc<dyn Listener>) -> Arc<dyn Listener> {
-        if self.parts.iter().filter(|part| part.turn == Turn::Pending).count() < 2 {
+        if self.total < 2 {
             return inner;
         }
         let whole = Mutex::new(self);
         let bar = Bar(inner);
         Arc::new(move |event: &Event<'_>| {
-            let inner = &bar.0;
+            let (inner, now) = (&bar.0, Instant::now());
+            let locked = || whole.lock().unwrap_or_else(PoisonError::into_inner);
+            let (news, done, total) = {
+                let mut whole = locked();
+                (whole.note(event, now), whole.done(), whole.total)
+            };
+            if matches!(event, Event::Done { cached: false, .. } | Event::Failed { .. }) {
+                inner.event(&Event::Counted { done, total });
+            }
             inner.event(event);
-            let mut whole = whole.lock().unwrap_or_else(PoisonError::into_inner);
-            let now = Instant::now();
-            if whole.note(event, now)
+            let mut whole = locked();
+            if news
                 && whole.drawn.is_none_or(|drawn| now - drawn >= INTERVAL)
                 && let Some(left) = whole.left(now)
             {
@@ -121,6 +134,12 @@ impl WholeRun {
                 inner.event(&Event::WholeRun { percent, seconds_left: left });
             }
         })
+    }
+
+    /// Number of parts that are over, of those that the run has to compute.
+    fn done(&self) -> usize {
+        let open = self.parts.iter().filter(|part| matches!(part.turn, Turn::Pending | Turn::Running(..)));
+        self.total.saturating_sub(open.count())
     }
 
     /// Takes the news of an event, and returns true if the event tells about time.

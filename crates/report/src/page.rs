@@ -1,8 +1,10 @@
-//! One self-contained HTML page per run: it needs no network, works without scripts and on a phone, and has a
-//! dark scheme.
+//! Self-contained HTML pages: the page of a result, the overview of a batch, and the comparison of two runs.
+//! They need no network, work without scripts and on a phone, and have a dark scheme.
 //!
 //! This module only lays out what the stages measured and rendered; it computes nothing. Pictures are
-//! embedded as JPEG at a bounded size, so that the page of a large batch stays small enough to send.
+//! embedded as JPEG at a bounded size, so that a page stays small enough to send.
+
+use std::sync::LazyLock;
 
 use askama::Template;
 use base64::Engine;
@@ -12,7 +14,8 @@ use sha2::{Digest, Sha256};
 use use3d_capture::Image;
 use use3d_io_image::{JpegError, jpeg_address, shrunk};
 
-use crate::tables::{Cell, Rank, Table, marked};
+use crate::index::{Index, IndexView};
+use crate::tables::{Cell, Column, Rank, Table, marked};
 use crate::verdict::{Sentence, Tone};
 use use3d_judge::names::distinct;
 
@@ -21,22 +24,27 @@ pub const PICTURE_SIDE: usize = 960;
 /// JPEG quality of embedded pictures.
 const PICTURE_QUALITY: u8 = 86;
 
+/// The most rows of a table on a page; longer tables are files only.
+const MOST_ROWS: usize = 200;
+
 /// A page.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default)]
 pub struct Page {
     /// The run's name.
     pub title: String,
     /// One line below the title.
     pub subtitle: String,
+    /// The address of the overview that this page belongs to; empty if there is none.
+    pub overview: String,
     /// The verdict on the whole run, in sentences.
     pub verdict: Vec<Sentence>,
     /// The settings behind the results.
-    #[serde(skip)]
     pub settings: Vec<VariantSettings>,
     /// The tables, in order.
-    #[serde(skip)]
     pub tables: Vec<Table>,
-    /// The scenes, in order.
+    /// The overview of a batch.
+    pub index: Option<Index>,
+    /// The scenes that the page shows in full, in order.
     pub scenes: Vec<SceneSection>,
     /// The section on the calibrator, if one was trained.
     pub calibrator: Option<CalibratorSection>,
@@ -45,7 +53,6 @@ pub struct Page {
     /// The program, its version, and the place of date and command.
     pub made_with: String,
     /// The costs of the run.
-    #[serde(skip)]
     pub costs: Option<Costs>,
 }
 
@@ -89,14 +96,13 @@ pub struct Costs {
 }
 
 /// The section on one scene.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default)]
 pub struct SceneSection {
     /// Its name.
     pub name: String,
     /// Its data set, or empty.
     pub group: String,
     /// The address of the scene's own page, from the place of this one; empty if it has none.
-    #[serde(skip)]
     pub page: String,
     /// One line: views, size, Gaussians.
     pub summary: String,
@@ -120,7 +126,7 @@ impl SceneSection {
 }
 
 /// One held-out view.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default)]
 pub struct ViewSection {
     /// Its name.
     pub name: String,
@@ -133,7 +139,7 @@ pub struct ViewSection {
 }
 
 /// An embedded picture.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default)]
 pub struct Picture {
     /// A short label.
     pub label: String,
@@ -151,7 +157,7 @@ pub struct Picture {
 }
 
 /// An embedded plot.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug)]
 pub struct PlotFigure {
     /// The SVG element.
     pub svg: String,
@@ -223,6 +229,7 @@ impl Picture {
 #[template(path = "report.html")]
 struct PageTemplate<'a> {
     page: &'a Page,
+    index: Option<IndexView<'a>>,
     policy: String,
     verdict: String,
     verdicts: Vec<String>,
@@ -324,18 +331,19 @@ impl TableView {
             Cell::Blank => CellView { text: "–".into(), class: "missing", title: String::new() },
         };
         let made = table.made_by().into_iter().enumerate();
-        let rows = table.rows.iter().zip(table.ranks()).map(|(row, ranks)| RowView {
-            label: row.label.clone(),
-            mark: table.mark(row),
-            published: row.published,
-            cells: (row.cells.iter().zip(ranks).zip(&table.columns))
-                .map(|((c, r), k)| cell(c, r, k.decimals))
-                .collect(),
-        });
+        let rows =
+            table.rows.iter().zip(table.ranks()).zip(table.marks()).map(|((row, ranks), mark)| RowView {
+                label: row.name(),
+                mark,
+                published: row.published,
+                cells: (row.cells.iter().zip(ranks).zip(&table.columns))
+                    .map(|((c, r), k)| cell(c, r, k.decimals))
+                    .collect(),
+            });
         Self {
             caption: table.caption.clone(),
             spans: table.spans().into_iter().map(|(group, count)| (group.to_string(), count)).collect(),
-            heads: table.columns.iter().map(|c| format!("{}{}", c.name, c.better.arrow())).collect(),
+            heads: table.columns.iter().map(Column::head).collect(),
             rows: rows.collect(),
             made: made.map(|(place, text)| (marked(place), text.to_string())).collect(),
             missing: not_measured(whole),
@@ -367,12 +375,14 @@ impl Page {
     /// # Errors
     /// A template could not be filled.
     pub fn html(&self) -> Result<String, ReportError> {
+        let shown = self.tables.iter().filter(|table| table.rows.len() <= MOST_ROWS);
         let template = PageTemplate {
             page: self,
+            index: self.index.as_ref().map(IndexView::new),
             policy: policy(),
             verdict: verdict(&self.verdict)?,
             verdicts: self.scenes.iter().map(|scene| verdict(&scene.verdict)).collect::<Result<_, _>>()?,
-            tables: self.tables.iter().map(TableView::new).collect(),
+            tables: shown.map(TableView::new).collect(),
             stages: self.costs.as_ref().map_or_else(Vec::new, |costs| StageView::all(&costs.stages)),
         };
         Ok(template.render()?)
@@ -406,6 +416,24 @@ fn verdict(sentences: &[Sentence]) -> Result<String, askama::Error> {
     VerdictTemplate { sentences: marked.collect() }.render()
 }
 
+/// A digest of the templates; a page that another version made has another one.
+pub fn digest() -> &'static str {
+    static DIGEST: LazyLock<String> = LazyLock::new(templates);
+    &DIGEST
+}
+
+fn templates() -> String {
+    let templates = [
+        include_str!("../templates/report.html"),
+        include_str!("../templates/index.html"),
+        include_str!("../templates/tables.html"),
+        include_str!("../templates/costs.html"),
+        include_str!("../templates/made-by.html"),
+        include_str!("../templates/verdict.html"),
+    ];
+    shortened(&STANDARD.encode(Sha256::digest(templates.concat().as_bytes())))
+}
+
 /// The first characters of a key, enough to distinguish it from others.
 pub fn shortened(key: &str) -> String {
     key.chars().take(12).collect()
@@ -414,7 +442,8 @@ pub fn shortened(key: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::tables::{Better, Column, Row};
+    use crate::index::{FailedStage, ResultRow, SceneBlock};
+    use crate::tables::{Better, Row};
 
     #[test]
     fn no_script_runs_but_the_page_s_own() {
@@ -486,10 +515,8 @@ mod tests {
         page.scenes[0].page = "reef/view.html".into();
         page.settings = vec![VariantSettings { variant: "reef".into(), parts }];
         page.tables[0].rows.push(Row {
-            label: "y".into(),
-            published: false,
             made_by: "preset paper; seed: 42".into(),
-            cells: vec![Cell::Number { value: 12.34, source: "hardware".into() }],
+            ..Row::own("y".into(), vec![Cell::Number { value: 12.34, source: "hardware".into() }])
         });
         page.costs = Some(Costs {
             stages: vec![row],
@@ -509,15 +536,42 @@ mod tests {
     }
 
     #[test]
-    fn a_page_is_read_back_without_what_is_known_only_after_a_run() {
-        let page = Page {
-            title: "reef".into(),
-            costs: Some(Costs::default()),
-            scenes: vec![SceneSection { page: "reef/view.html".into(), ..SceneSection::default() }],
-            ..Page::default()
+    fn the_overview_has_a_row_for_each_result_with_its_reason_and_escapes_all_of_it() {
+        let failed = FailedStage {
+            stage: "import".into(),
+            reason: "no <model>".into(),
+            log: "/cache/logs/reef.log".into(),
         };
-        let read: Page = serde_json::from_str(&serde_json::to_string(&page).unwrap()).unwrap();
-        assert_eq!(read.title, "reef");
-        assert!(read.costs.is_none() && read.scenes[0].page.is_empty());
+        let row = |variant: &str, failed: Vec<FailedStage>| ResultRow {
+            variant: variant.into(),
+            page: format!("reef%40{variant}/report.html"),
+            ..ResultRow::new(&[], None, failed, &[])
+        };
+        let block = SceneBlock {
+            name: "<reef>".into(),
+            group: "Tiny & small".into(),
+            thumbnail: Picture::embed("", "", &Image::filled(48, 32, 0.5)).unwrap().source,
+            rows: vec![row("full", vec![failed]), row("mlp", Vec::new())],
+        };
+        let page = Page { index: Some(Index { scenes: vec![block] }), ..Page::default() };
+        let html = page.html().unwrap();
+        assert_eq!((html.matches("<tbody>").count(), html.matches("<img loading").count()), (1, 1), "{html}");
+        assert!(html.contains("import: no &#60;model&#62;<br><code>/cache/logs/reef.log</code>"), "{html}");
+        assert!(html.contains("&#60;reef&#62;") && html.contains("Tiny &#38; small"));
+        assert!(html.contains("<option>mlp</option>") && html.contains("href=\"reef%40mlp/report.html\""));
+        assert!(!html.contains("<model>") && !html.contains("<reef>"));
+    }
+
+    #[test]
+    fn a_long_table_is_a_file_only() {
+        let number = Cell::Number { value: 1.0, source: String::new() };
+        let table = |rows: usize| Table {
+            name: "t".into(),
+            caption: "a long one".into(),
+            columns: vec![Column::new("", "PSNR", Better::Higher, 2)],
+            rows: vec![Row::own("x".into(), vec![number.clone()]); rows],
+        };
+        let shown = |rows: usize| Page { tables: vec![table(rows)], ..Page::default() }.html().unwrap();
+        assert!(shown(MOST_ROWS).contains("a long one") && !shown(MOST_ROWS + 1).contains("a long one"));
     }
 }

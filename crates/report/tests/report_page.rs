@@ -35,12 +35,7 @@ fn report() -> String {
         name: "t".into(),
         caption: format!("A caption about {long}"),
         columns: (0..12).map(|k| Column::new("Group", &format!("Column {k}"), Better::Higher, 2)).collect(),
-        rows: vec![Row {
-            label: "a row".into(),
-            published: false,
-            made_by: String::new(),
-            cells: vec![number; 12],
-        }],
+        rows: vec![Row::own("a row".into(), vec![number; 12])],
     };
     let scene = SceneSection {
         name: "reef".into(),

@@ -1,11 +1,14 @@
-//! The page and the tables of a whole batch.
+//! The report. The stage itself only notes what belongs to no single scene; [`section`] makes the section on one
+//! scene in one variant from its artifacts, when its results are delivered. So a change of one scene costs one
+//! section, and no artifact holds the sections of all scenes.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use use3d_atc::calibrator::{Calibrator, METHOD_PAIRS};
+use use3d_atc::calibrator::{Calibrator, METHOD_PAIRS, Provenance};
 use use3d_atc::consensus::TargetsReport;
 use use3d_capture::{Appearance, Camera, Image, flat_stem, shown};
 use use3d_enhance::EnhanceParams;
@@ -13,24 +16,23 @@ use use3d_io_image::read_image;
 use use3d_reconstruct::ReconstructParams;
 use use3d_render::{Mode, WaterSample, medium_along, medium_profile};
 use use3d_scene::Scene;
-use use3d_workflow::{StageContext, StageError, StageInput};
+use use3d_workflow::{StageContext, StageError};
 
 use crate::parts::calibrator::read_calibrator;
 use crate::parts::curves::stage_1;
 use crate::parts::files::{
-    BATCH, CHOICES, CONTACT, ENHANCED_IN_2D, SCORES, STRIP, TRUE_VIEWS, WATER, read, read_json, write_json,
+    BATCH, CALIBRATED, CHOICES, CONTACT, ENHANCED_IN_2D, SCORES, STRIP, TRUE_VIEWS, WATER, read, read_json,
+    write_json,
 };
 use crate::parts::proposer::NO_PROPOSER;
 use crate::reconstruct::Choices;
 use use3d_chart::{Plot, RGB, Series};
 use use3d_judge::names::in_variant;
-use use3d_judge::scores::{Method, MethodScores, SceneScores, ScoredScene};
+use use3d_judge::scores::{Method, MethodScores, SceneScores};
 use use3d_judge::strip::Strip;
 use use3d_report::BatchReport;
-use use3d_report::batch::{head, overall};
-use use3d_report::page::{
-    CalibratorSection, Page, Picture, PlotFigure, SceneSection, ViewSection, shortened,
-};
+use use3d_report::index::THUMBNAIL_SIDE;
+use use3d_report::page::{CalibratorSection, Picture, PlotFigure, SceneSection, ViewSection};
 use use3d_report::verdict::{SceneFacts, verdict};
 
 /// Parameters of the report.
@@ -57,7 +59,7 @@ pub(crate) mod definition {
 
     pub(crate) fn stage() -> Stage {
         Stage::new("report", Scope::Batch, run)
-            .about("tables and one page about the whole batch, as data")
+            .about("what belongs to no single scene of the batch: title, calibrator, missing parts")
             .promises(&[BATCH])
             .input("calibrator", "calibrate")
             .or_external("calibrator")
@@ -71,76 +73,53 @@ pub(crate) mod definition {
     }
 }
 
-/// The artifacts of one scene in one variant.
-struct Parts<'a> {
-    scene: &'a str,
-    group: &'a str,
-    variant: &'a str,
-    inputs: Vec<&'a StageInput>,
+/// The artifacts of one scene in one variant: the folders by stage.
+pub struct ResultFolders<'a> {
+    /// The scene.
+    pub scene: &'a str,
+    /// Its data set, or empty.
+    pub group: &'a str,
+    /// The variant; empty if there are no variants.
+    pub variant: &'a str,
+    /// The folders by stage.
+    pub folders: BTreeMap<&'a str, &'a Path>,
 }
 
-impl Parts<'_> {
-    fn path(&self, role: &str) -> Option<&Path> {
-        self.inputs.iter().find(|i| i.role == role).map(|i| i.path.as_path())
-    }
-
-    fn name(&self) -> String {
-        in_variant(self.scene, self.variant)
+impl ResultFolders<'_> {
+    fn path(&self, stage: &str) -> Option<&Path> {
+        self.folders.get(stage).copied()
     }
 }
 
-fn parts(context: &StageContext) -> Vec<Parts<'_>> {
-    let mut all: Vec<Parts<'_>> = Vec::new();
-    for input in context.inputs().iter().filter(|i| !i.scene.is_empty()) {
-        match all.iter_mut().find(|p| p.scene == input.scene && p.variant == input.variant) {
-            Some(parts) => parts.inputs.push(input),
-            None => all.push(Parts {
-                scene: &input.scene,
-                group: &input.group,
-                variant: &input.variant,
-                inputs: vec![input],
-            }),
-        }
-    }
-    all
+/// What the report says about one scene in one variant.
+#[derive(Clone, Debug, Default)]
+pub struct ResultSection {
+    /// The section of the page.
+    pub section: SceneSection,
+    /// All of its scores.
+    pub scores: Option<SceneScores>,
+    /// A small picture of the scene.
+    pub thumbnail: Option<Picture>,
 }
 
 fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
-    let all = parts(context);
-    let calibrator = context.optional_input("calibrator").map(read_calibrator).transpose()?;
-    let pairs = calibrator.as_ref().map_or(0, |c| c.provenance.pairs);
-    let mut scored = Vec::new();
-    let mut scenes = Vec::new();
-    for (i, parts) in all.iter().enumerate() {
-        context.alive()?;
-        context.progress_with(i as u64, all.len() as u64, "scenes", parts.scene);
-        let scores = parts.path("scores").map(read_scores).transpose()?;
-        scenes.push(section(parts, scores.as_ref().map(|(scores, _)| scores), params, pairs)?);
-        scored.extend(scores.map(|(scores, digest)| ScoredScene {
-            scene: parts.scene.into(),
-            group: parts.group.into(),
-            variant: parts.variant.into(),
-            source: format!("{} {digest}", parts.name()),
-            scores,
-            configuration: None,
-            speed: None,
-        }));
+    let mut all: Vec<(&str, &str)> = Vec::new();
+    for input in context.inputs().iter().filter(|i| !i.scene.is_empty()) {
+        let cell = (input.scene.as_str(), input.variant.as_str());
+        // The inputs of a cell stand together in each role; two cells are enough to know.
+        if all.len() < 2 && !all.contains(&cell) {
+            all.push(cell);
+        }
     }
-    let results: Vec<(&str, &str)> = all.iter().map(|parts| (parts.scene, parts.variant)).collect();
-    let page = Page {
+    let calibrator = context.optional_input("calibrator").map(read_calibrator).transpose()?;
+    let report = BatchReport {
         title: match &all[..] {
             // The title names the only scene, unless the user set a title.
-            [only] if params.title == Params::default().title => {
-                format!("{} · {}", only.name(), params.title)
+            [(scene, variant)] if params.title == Params::default().title => {
+                in_variant(&in_variant(scene, variant), &params.title)
             }
             _ => params.title.clone(),
         },
-        subtitle: match all.len() {
-            1 => "one scene".into(),
-            _ => head(&results, scored.len()),
-        },
-        verdict: overall(&results, &scenes, context.missing()),
-        scenes,
         calibrator: calibrator.as_ref().map(calibrator_section),
         missing: context.missing().to_vec(),
         // The report of equal results has equal bytes, so the date is not in it.
@@ -149,18 +128,15 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
              run.",
             env!("CARGO_PKG_VERSION")
         ),
-        ..Page::default()
     };
-    write_json(&context.output().join(BATCH), &BatchReport { page, scored })
+    write_json(&context.output().join(BATCH), &report)
 }
 
-/// The scores in a folder, and the first characters of the digest of their file.
-fn read_scores(folder: &Path) -> Result<(SceneScores, String), StageError> {
+/// The scores in a folder.
+fn read_scores(folder: &Path) -> Result<SceneScores, StageError> {
     let path = folder.join(SCORES);
-    let bytes = read(&path)?;
-    let scores = SceneScores::parse(&bytes);
-    let scores = scores.map_err(|e| StageError::message(format!("{}: {e}", path.display())))?;
-    Ok((scores, shortened(&blake3::hash(&bytes).to_hex())))
+    let scores = SceneScores::parse(&read(&path)?);
+    scores.map_err(|e| StageError::message(format!("{}: {e}", path.display())))
 }
 
 fn calibrator_section(calibrator: &Calibrator) -> CalibratorSection {
@@ -197,14 +173,15 @@ fn calibrator_section(calibrator: &Calibrator) -> CalibratorSection {
     }
 }
 
-fn section(
-    parts: &Parts<'_>,
-    scores: Option<&SceneScores>,
-    params: &Params,
-    pairs: usize,
-) -> Result<SceneSection, StageError> {
-    let mut section =
-        SceneSection { name: parts.name(), group: parts.group.into(), ..SceneSection::default() };
+/// The section on a scene in a variant, with at most `most` held-out views.
+///
+/// # Errors
+/// A file of an artifact cannot be read, or a picture cannot be encoded.
+pub fn section(parts: &ResultFolders<'_>, most: usize) -> Result<ResultSection, StageError> {
+    let all_scores = parts.path("evaluate").map(read_scores).transpose()?;
+    let scores = all_scores.as_ref();
+    let name = in_variant(parts.scene, parts.variant);
+    let mut section = SceneSection { name, group: parts.group.into(), ..SceneSection::default() };
     if let Some(scores) = scores {
         let (w, h) = scores.size;
         section.summary = format!(
@@ -213,46 +190,50 @@ fn section(
         );
         section.notes = left_out(scores);
     }
-    let best = best_look(parts.path("enhanced"))?;
-    let log = training_log(parts, "scene");
+    let best = best_look(parts.path("enhance"))?;
+    let log = training_log(parts, "reconstruct");
     let targets: Option<TargetsReport> =
         parts.path("targets").map(|dir| read_json(&dir.join("report.json"))).transpose()?;
     if let Some(scores) = scores {
-        let facts = facts(parts, pairs, log.as_deref(), targets.as_ref());
+        let facts = facts(parts, log.as_deref(), targets.as_ref());
         section.verdict = verdict(scores, scored_as(best), &facts);
     }
-    if let Some(renders) = parts.path("renders") {
-        section.views = views(
-            [Some(renders), parts.path("scores"), parts.path("photographs")],
-            scores,
-            best,
-            params.views,
-        )?;
-    }
+    let renders = parts.path("render");
+    let folders = [renders, parts.path("evaluate"), parts.path("photographs")];
+    section.views = views(folders, scores, best, most)?;
     section.plots.extend(
         log.iter()
             .flat_map(|log| stage_1(log))
             .map(|(plot, caption)| PlotFigure { svg: plot.svg(), caption: caption.into() }),
     );
-    let plot = parts.path("enhanced").map(|folder| folder.join("training.svg"));
+    let plot = parts.path("enhance").map(|folder| folder.join("training.svg"));
     if let Some(svg) = plot.and_then(|path| std::fs::read_to_string(path).ok()) {
         let caption = "Stage 2: the distance of the scene from its targets, as a whole (global) and surface \
              by surface (local). Both should fall.";
         section.plots.push(PlotFigure { svg: inline(&svg), caption: caption.into() });
     }
     section.plots.extend(water(parts)?);
-    section.sheets.extend(parts.path("scene").map(contact).transpose()?.flatten());
-    section.sheets.extend(parts.path("scores").map(strip).transpose()?.flatten());
+    section.sheets.extend(parts.path("reconstruct").map(contact).transpose()?.flatten());
+    section.sheets.extend(parts.path("evaluate").map(strip).transpose()?.flatten());
     if let (Some(folder), Some(report)) = (parts.path("targets"), &targets) {
         section.plots.push(dispersion(report));
         section.sheets.extend(sheets(&folder.join("previews"), report)?);
     }
-    Ok(section)
+    let thumbnail = renders.map(|renders| thumbnail(renders, best)).transpose()?.flatten();
+    Ok(ResultSection { section, scores: all_scores, thumbnail })
+}
+
+/// The first held-out view in the look that the report shows first, small.
+fn thumbnail(renders: &Path, best: Mode) -> Result<Option<Picture>, StageError> {
+    let Ok(entries) = std::fs::read_dir(renders.join(best.name())) else { return Ok(None) };
+    let pictures = entries.filter_map(|entry| Some(entry.ok()?.path()));
+    let first = pictures.filter(|path| path.extension().is_some_and(|ending| ending == "png")).min();
+    first.map(|path| Ok(Picture::embed_wide("", "", &read_image(&path)?, THUMBNAIL_SIDE)?)).transpose()
 }
 
 /// The training log of a stage, one JSON object for each line.
-fn training_log(parts: &Parts<'_>, role: &str) -> Option<String> {
-    std::fs::read_to_string(parts.path(role)?.join("training.jsonl")).ok()
+fn training_log(parts: &ResultFolders<'_>, stage: &str) -> Option<String> {
+    std::fs::read_to_string(parts.path(stage)?.join("training.jsonl")).ok()
 }
 
 /// The last step of a training log; 0 for a log without steps.
@@ -261,15 +242,16 @@ fn last_step(log: &str) -> u64 {
     entries.filter_map(|entry| entry["step"].as_u64()).max().unwrap_or(0)
 }
 
-/// The facts of a scene that its verdict needs. `pairs` is the number from which the batch's calibrator was
-/// fitted, or 0. `log` is the log of stage 1.
-fn facts(parts: &Parts<'_>, pairs: usize, log: Option<&str>, targets: Option<&TargetsReport>) -> SceneFacts {
+/// The facts of a scene that its verdict needs. `log` is the log of stage 1.
+fn facts(parts: &ResultFolders<'_>, log: Option<&str>, targets: Option<&TargetsReport>) -> SceneFacts {
     let calibrated = targets.is_some_and(|targets| targets.calibrated);
+    let provenance = parts.path("targets").map(|folder| read_json::<Provenance>(&folder.join(CALIBRATED)));
+    let pairs = provenance.and_then(Result::ok).map_or(0, |provenance| provenance.pairs);
     SceneFacts {
-        water: parts.path("scene").map(water_sentences).unwrap_or_default(),
+        water: parts.path("reconstruct").map(water_sentences).unwrap_or_default(),
         steps: [
             log.map(|log| (last_step(log), ReconstructParams::default().iterations)),
-            training_log(parts, "enhanced").map(|log| (last_step(&log), EnhanceParams::default().iterations)),
+            training_log(parts, "enhance").map(|log| (last_step(&log), EnhanceParams::default().iterations)),
         ],
         unchanged: targets.is_some_and(|targets| targets.proposer.name == NO_PROPOSER),
         calibrated,
@@ -453,8 +435,8 @@ fn view_scores(stem: &str, scores: Option<&SceneScores>, best: Method) -> Vec<St
 
 /// The water by direction (along the horizontal axis of the first training view) and by position (along the
 /// training cameras, in one direction).
-fn water(parts: &Parts<'_>) -> Result<Vec<PlotFigure>, StageError> {
-    let paths = parts.path("scene").zip(parts.path("import"));
+fn water(parts: &ResultFolders<'_>) -> Result<Vec<PlotFigure>, StageError> {
+    let paths = parts.path("reconstruct").zip(parts.path("import"));
     let Some((scene, import)) = paths else { return Ok(Vec::new()) };
     let scene = Scene::load(scene)?;
     let capture = use3d_import::load_prepared(import)?.capture;

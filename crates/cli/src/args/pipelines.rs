@@ -76,6 +76,9 @@ pub(crate) struct RunArgs {
     /// Fill the cache, and write no results folder.
     #[arg(long, conflicts_with = "out")]
     pub(crate) cache_only: bool,
+    /// Put only the report with its pages and tables into the results folder. The scenes stay in the cache.
+    #[arg(long, conflicts_with_all = ["cache_only", "until", "photographs"])]
+    pub(crate) report_only: bool,
     /// A store beside the cache (a folder, or s3://BUCKET/PREFIX): its results are fetched instead of
     /// computed, and computed results are sent to it. If it fails, the run continues without it.
     #[arg(long, env = "USE3D_REMOTE", value_name = "URL", hide_env_values = true)]

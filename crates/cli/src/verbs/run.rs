@@ -138,7 +138,8 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     let mut results = None;
     if !args.cache_only {
         loaded.check_out(&out)?;
-        let checked = Results::new(&out, &loaded.builder.cache);
+        let checked = Results::new(&out, &loaded.builder.cache, &loaded.graph, until.as_deref())
+            .only_report(args.report_only);
         checked.check(&loaded.graph, until.as_deref())?;
         results = Some(Arc::new(checked));
     }
@@ -163,7 +164,14 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
         ..of_app(app)
     };
     let white = (!choices.is_empty()).then_some((choices, pipeline.target.as_path()));
-    let given = Given { pipeline: &pipeline, white, plan, submitted, photographs: args.photographs };
+    let given = Given {
+        pipeline: &pipeline,
+        white,
+        plan,
+        submitted,
+        photographs: args.photographs,
+        report_only: args.report_only,
+    };
     let out = (results.as_ref(), &given);
     watched(app, &args.watch, None, |app| execute(app, &loaded, &options, out, args.json))
 }
@@ -205,6 +213,8 @@ struct Given<'a> {
     submitted: Option<SubmittedCells>,
     /// True if all photographs are written, too.
     photographs: bool,
+    /// True if the scenes stay in the cache.
+    report_only: bool,
 }
 
 /// The pipeline of a request. If its target is a results folder, this is the pipeline that was run into it,
@@ -234,8 +244,16 @@ pub(crate) fn again(app: &App, record: &RunRecord, results: &Path) -> Done {
         )));
     }
     let options = RunOptions { until: record.until.clone(), ..of_app(app) };
-    let given = Given { pipeline: &request, white: None, plan: None, submitted: None, photographs: false };
-    let results = Arc::new(Results::new(results, &loaded.builder.cache));
+    let given = Given {
+        pipeline: &request,
+        white: None,
+        plan: None,
+        submitted: None,
+        photographs: false,
+        report_only: false,
+    };
+    let until = record.until.as_deref();
+    let results = Arc::new(Results::new(results, &loaded.builder.cache, &loaded.graph, until));
     execute(app, &loaded, &options, (Some(&results), &given), false)
 }
 
@@ -292,7 +310,10 @@ fn execute(
     if let Some(out) = out.filter(|_| !delivered.is_empty()) {
         let until = options.until.as_deref();
         let cache = &loaded.pipeline.cache;
-        let record = RunRecord::of(given.pipeline, until, cache, &summary, typed());
+        let mut record = RunRecord::of(given.pipeline, until, cache, &summary, typed());
+        if given.report_only {
+            record.artifacts.retain(|made| made.scene.is_empty());
+        }
         let replaced = history::keep(&out.out, record)?;
         replaced.iter().filter(|_| !quiet).for_each(|line| eprintln!("{line}"));
     }
@@ -379,7 +400,7 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
     probing.options =
         LoadOptions { sets: sets.clone(), cache: Some(probe.path().join("cache")), ..probing.options };
     let probed = probing.open()?;
-    Results::new(&args.out, &probed.builder.cache).check(&probed.graph, None)?;
+    Results::new(&args.out, &probed.builder.cache, &probed.graph, None).check(&probed.graph, None)?;
     place::check(&capture, true)?;
     place::check_writable(&args.out)?;
     keep_capture(app, &params, &capture)?;
@@ -387,10 +408,17 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
     pipeline.options.sets = sets;
     pipeline.options.cache.get_or_insert_with(|| args.out.join("cache"));
     let loaded = pipeline.open()?;
-    let results = Arc::new(Results::new(&args.out, &loaded.builder.cache));
+    let results = Arc::new(Results::new(&args.out, &loaded.builder.cache, &loaded.graph, None));
     results.check(&loaded.graph, None)?;
     let plan = (!app.quiet).then(|| loaded.builder.plan(&loaded.graph, None));
-    let given = Given { pipeline: &pipeline, white: None, plan, submitted: None, photographs: false };
+    let given = Given {
+        pipeline: &pipeline,
+        white: None,
+        plan,
+        submitted: None,
+        photographs: false,
+        report_only: false,
+    };
     execute(app, &loaded, &of_app(app), (Some(&results), &given), false)?;
     if !app.quiet {
         println!(

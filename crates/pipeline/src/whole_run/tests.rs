@@ -10,7 +10,7 @@ fn default_run(started: Instant) -> WholeRun {
         let parameters = stage.parameters(&serde_json::json!({})).expect("defaults");
         Share { cost: stage.usual_cost(&parameters), forecast: None, turn: Turn::Pending, needs: Vec::new() }
     };
-    WholeRun { parts: STAGES.map(part).to_vec(), jobs: 1, started, drawn: None }
+    WholeRun { parts: STAGES.map(part).to_vec(), total: STAGES.len(), jobs: 1, started, drawn: None }
 }
 
 fn after(start: Instant, seconds: f64) -> Instant {
@@ -68,6 +68,26 @@ fn a_failed_stage_takes_those_that_need_it_away() {
     (whole.parts[2].needs, whole.parts[3].needs) = (vec![0, 1], vec![2]);
     whole.give_up(1);
     assert_eq!(whole.left(start), Some(40.0));
+}
+
+#[test]
+fn a_log_without_a_bar_hears_how_many_stages_are_over() {
+    let told: Arc<Mutex<Vec<(usize, usize)>>> = Arc::default();
+    let heard = told.clone();
+    let inner: Arc<dyn Listener> = Arc::new(move |event: &Event<'_>| {
+        if let Event::Counted { done, total } = event {
+            heard.lock().expect("told").push((*done, *total));
+        }
+    });
+    let mut whole = default_run(Instant::now());
+    // The targets need stage 1, and stage 2 needs the targets: both are over if it fails.
+    (whole.parts[2].needs, whole.parts[3].needs) = (vec![0, 1], vec![2]);
+    let listener = whole.listener(inner);
+    listener.event(&Event::Done { node: 0, label: "", cached: false, seconds: 1.0 });
+    listener.event(&Event::Failed { node: 1, label: "", reason: "", log: std::path::Path::new("") });
+    listener.event(&Event::Done { node: 4, label: "", cached: true, seconds: 0.0 });
+    listener.event(&Event::Done { node: 5, label: "", cached: false, seconds: 1.0 });
+    assert_eq!(*told.lock().expect("told"), [(1, 7), (4, 7), (6, 7)]);
 }
 
 #[test]

@@ -1,15 +1,19 @@
 //! A batch of scored scenes as the tables need it: its groups, its variants, their means, and the rows and
 //! columns made of them.
 //!
-//! A group's number is the unweighted mean over its scenes (scene-macro), as in the paper; with more than one
-//! group, the mean over all scenes follows. Published rows appear for a scene only if its name, its size and
-//! its configuration are the paper's, and for a group only if it contains exactly the paper's scenes.
+//! A group's number is the unweighted mean over its scenes (scene-macro), as in the paper. The mean over all
+//! scenes follows, unless one group has them all. A scene without a group counts only there; a single scene
+//! is its own group. Published rows appear for a scene only if its name, its size and its configuration are
+//! the paper's, and for a group only if it contains exactly the paper's scenes.
 
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::means::{MeanScores, place};
 use super::published::{self, Published};
 use super::{Better, Cell, Column, Row, Table};
 use use3d_judge::configuration::Configuration;
 use use3d_judge::names::{distinct, in_variant};
-use use3d_judge::scores::{Method, SceneScores, Score, ScoredScene};
+use use3d_judge::scores::{Method, Score};
 
 /// A quantity: its key in the scores, its name in heads, its better direction, its decimals.
 pub(super) type Quantity = (&'static str, &'static str, Better, usize);
@@ -18,43 +22,79 @@ pub(super) type Quantity = (&'static str, &'static str, Better, usize);
 pub(super) const ALL: &str = "All scenes";
 
 /// True if a scene is the paper's: its name, size, number of held-out views and whole configuration.
-fn is_the_papers(scene: &ScoredScene) -> bool {
-    let SceneScores { training_views, held_out_views, size, .. } = scene.scores;
+fn is_the_papers(scene: &MeanScores) -> bool {
+    let MeanScores { training_views, held_out_views, size, .. } = *scene;
     let every_eighth = held_out_views == (training_views + held_out_views).div_ceil(8);
-    let configured = scene.configuration.as_ref().is_some_and(Configuration::is_the_papers);
+    let configured = scene.configuration.as_deref().is_some_and(Configuration::is_the_papers);
     published::scene(&scene.scene).is_some_and(|(_, wanted)| wanted == size) && every_eighth && configured
 }
 
 /// Methods that depend on the photographs alone and so are the same in every variant.
 const OF_PHOTOGRAPHS: [Method; 2] = [Method::Captured, Method::Proposal];
 
+/// The most results whose names a cell lists as its sources.
+const SOURCES: usize = 8;
+
 /// The scenes of a run, grouped.
 pub(super) struct Batch<'a> {
-    pub(super) scenes: &'a [ScoredScene],
-    /// Distinct groups (a scene without one forms its own), in order of appearance.
+    pub(super) scenes: &'a [MeanScores],
+    /// The groups that have columns.
     pub(super) groups: Vec<&'a str>,
     /// Distinct variants, in order of appearance.
     pub(super) variants: Vec<&'a str>,
+    /// The scenes by variant and group.
+    parts: BTreeMap<&'a str, BTreeMap<&'a str, Vec<&'a MeanScores>>>,
+    /// The configuration behind the numbers of each variant.
+    made_by: BTreeMap<&'a str, String>,
 }
 
-/// The group that a scene counts in; a scene without a group forms its own.
-pub(super) fn group_of(scene: &ScoredScene) -> &str {
-    if scene.group.is_empty() { &scene.scene } else { &scene.group }
+/// The group that a scene counts in besides [`ALL`]; the scene itself if it is the only one.
+fn group_of(scene: &MeanScores, alone: bool) -> &str {
+    if scene.group.is_empty() && alone { &scene.scene } else { &scene.group }
 }
 
 impl<'a> Batch<'a> {
-    pub(super) fn new(scenes: &'a [ScoredScene]) -> Self {
-        let mut groups = distinct(scenes.iter().map(group_of));
-        if groups.len() > 1 {
+    pub(super) fn new(scenes: &'a [MeanScores]) -> Self {
+        let alone = scenes.iter().all(|s| s.scene == scenes[0].scene);
+        let mut groups = distinct(scenes.iter().map(|s| group_of(s, alone)));
+        let whole = groups.len() == 1 && !groups[0].is_empty();
+        groups.retain(|group| !group.is_empty());
+        if !whole {
             groups.push(ALL);
         }
-        Self { scenes, groups, variants: distinct(scenes.iter().map(|s| s.variant.as_str())) }
+        let mut parts: BTreeMap<&str, BTreeMap<&str, Vec<&MeanScores>>> = BTreeMap::new();
+        for scene in scenes {
+            let groups = parts.entry(&scene.variant).or_default();
+            for group in BTreeSet::from([group_of(scene, alone), ALL]) {
+                groups.entry(group).or_default().push(scene);
+            }
+        }
+        let variants = distinct(scenes.iter().map(|s| s.variant.as_str()));
+        let made_by = |variant: &&'a str| {
+            let scenes = parts[variant][ALL].iter();
+            let all: Vec<&Configuration> = scenes.filter_map(|s| s.configuration.as_deref()).collect();
+            (*variant, Configuration::told(&all))
+        };
+        Self { scenes, groups, made_by: variants.iter().map(made_by).collect(), variants, parts }
     }
 
     /// The scenes of a group, or of [`ALL`] groups, in a variant.
-    pub(super) fn of_group(&self, group: &str, variant: &str) -> Vec<&'a ScoredScene> {
-        let fits = |s: &&ScoredScene| (group == ALL || group_of(s) == group) && s.variant == variant;
-        self.scenes.iter().filter(fits).collect()
+    pub(super) fn of_group(&self, group: &str, variant: &str) -> &[&'a MeanScores] {
+        self.parts.get(variant).and_then(|groups| groups.get(group)).map_or(&[], Vec::as_slice)
+    }
+
+    /// The scenes in order of appearance, each with its results.
+    pub(super) fn by_name(&self) -> Vec<(&'a str, Vec<&'a MeanScores>)> {
+        let mut places: BTreeMap<&str, usize> = BTreeMap::new();
+        let mut all: Vec<(&str, Vec<&MeanScores>)> = Vec::new();
+        for scene in self.scenes {
+            let at = *places.entry(&scene.scene).or_insert(all.len());
+            if at == all.len() {
+                all.push((&scene.scene, Vec::new()));
+            }
+            all[at].1.push(scene);
+        }
+        all
     }
 
     /// True if the paper's numbers for this group may be shown next to ours.
@@ -66,9 +106,8 @@ impl<'a> Batch<'a> {
         };
         self.variants.iter().any(|variant| {
             let scenes = self.of_group(group, variant);
-            let belongs = |s: &&ScoredScene| {
-                group == ALL || published::scene(&s.scene).is_some_and(|(g, _)| g == group)
-            };
+            let belongs =
+                |s: &MeanScores| group == ALL || published::scene(&s.scene).is_some_and(|(g, _)| g == group);
             scenes.len() == wanted && scenes.iter().all(|s| is_the_papers(s) && belongs(s))
         })
     }
@@ -76,22 +115,19 @@ impl<'a> Batch<'a> {
     /// A sentence with the scenes whose masks hide more than half of the held-out pixels; empty if there is
     /// none.
     pub(super) fn of_few_pixels(&self) -> String {
-        let few = self.scenes.iter().filter(|s| s.scores.is_of_few_pixels());
-        let named = few.map(|s| {
-            format!("{} ({:.0} % are scored)", in_variant(&s.scene, &s.variant), 100.0 * s.scores.pixels)
-        });
+        let few: Vec<&MeanScores> = self.scenes.iter().filter(|s| s.pixels < 0.5).collect();
+        let named = few
+            .iter()
+            .take(SOURCES)
+            .map(|s| format!("{} ({:.0} % are scored)", in_variant(&s.scene, &s.variant), 100.0 * s.pixels));
+        let more = few.len().saturating_sub(SOURCES);
+        let more = if more > 0 { format!(" and {more} more") } else { String::new() };
         match named.collect::<Vec<_>>().join(", ") {
             none if none.is_empty() => none,
             named => format!(
-                ". Masks hide more than half of the held-out pixels of {named}: do not trust its scores"
+                ". Masks hide more than half of the held-out pixels of {named}{more}: do not trust its scores"
             ),
         }
-    }
-
-    pub(super) fn every_group_is_one_scene(&self) -> bool {
-        let variants = self.variants.len();
-        let of = |g: &str| self.scenes.iter().filter(|s| group_of(s) == g).count();
-        self.groups.iter().filter(|g| **g != ALL).all(|g| of(g) <= variants)
     }
 
     /// One row per variant and method. Rows with equal numbers stay, so that a variant with the same numbers
@@ -116,22 +152,15 @@ impl<'a> Batch<'a> {
         rows
     }
 
-    /// The configuration behind the numbers of a variant.
-    fn made_by(&self, variant: &str) -> String {
-        let scenes = self.of_group(ALL, variant).into_iter();
-        let all: Vec<&Configuration> = scenes.filter_map(|s| s.configuration.as_ref()).collect();
-        Configuration::told(&all)
-    }
-
     /// The look in which the enhancement of a variant was learnt; it is the variant's result.
     fn result(&self, variant: &str) -> Method {
-        self.of_group(ALL, variant).first().map_or(Method::Enhanced, |s| s.scores.result)
+        self.of_group(ALL, variant).first().map_or(Method::Enhanced, |s| s.result)
     }
 
     /// Stage 1's row of the second ablation, from the first variant that learnt from photographs.
     pub(super) fn before_stage2(&self, quantities: &[Quantity]) -> Option<Row> {
         self.variants.iter().find_map(|variant| {
-            let cells = means(&self.of_group(ALL, variant), Method::Reconstruction, quantities);
+            let cells = means(self.of_group(ALL, variant), Method::Reconstruction, quantities);
             let known = cells.iter().any(|c| *c != Cell::Blank);
             known.then(|| self.own_row(Method::Reconstruction.label().into(), variant, cells))
         })
@@ -154,11 +183,12 @@ impl<'a> Batch<'a> {
 
     /// A row of this program's own numbers.
     pub(super) fn own_row(&self, label: String, variant: &str, cells: Vec<Cell>) -> Row {
-        Row { label, published: false, made_by: self.made_by(variant), cells }
+        let made_by = self.made_by.get(variant).cloned().unwrap_or_default();
+        Row { made_by, ..Row::own(label, cells) }
     }
 
     pub(super) fn row(&self, method: Method, variant: &str, quantities: &[Quantity]) -> Row {
-        let of = |group: &&str| means(&self.of_group(group, variant), method, quantities);
+        let of = |group: &&str| means(self.of_group(group, variant), method, quantities);
         self.own_row(self.label(method, variant), variant, self.groups.iter().flat_map(of).collect())
     }
 
@@ -180,31 +210,39 @@ impl<'a> Batch<'a> {
         published::CONSISTENCY.iter().find(|(m, _)| *m == method).map(|(_, values)| values[place])
     }
 
+    /// A table with the scenes as rows: for each scene the published rows, a row for each method of
+    /// `of_photographs`, and a row for each variant with the first of the `results` that it has.
     pub(super) fn by_scene(
         &self,
-        name: &str,
-        caption: &str,
+        [name, caption]: [&str; 2],
         quantities: &[Quantity],
-        methods: &[Method],
+        (of_photographs, results): (&[Method], &[Method]),
         source: &[Published],
     ) -> Table {
-        let names = distinct(self.scenes.iter().map(|s| s.scene.as_str()));
-        let papers = |name: &str| self.scenes.iter().any(|s| s.scene == name && is_the_papers(s));
-        let known: Vec<&Published> = source.iter().filter(|r| papers(r.group)).collect();
-        let mut rows = published_over(&names, &known, quantities, |_, _| None);
-        for variant in &self.variants {
-            for &method in methods {
-                let cells = names.iter().flat_map(|name| {
-                    let mut found = self.of_group(ALL, variant);
-                    found.retain(|s| s.scene == *name);
-                    means(&found, method, quantities)
-                });
-                let alone = methods.len() == 1;
-                let label = if alone { Self::program(variant) } else { self.label(method, variant) };
-                rows.push(self.own_row(label, variant, cells.collect()));
+        let mut rows = Vec::new();
+        for (scene, own) in self.by_name() {
+            let papers = own.iter().any(|s| is_the_papers(s));
+            let known: Vec<&Published> = source.iter().filter(|_| papers).collect();
+            rows.extend(published_over(&[scene], &known, quantities, |_, _| None));
+            for &method in of_photographs {
+                rows.push(Row::own(method.label().into(), means(&own[..1], method, quantities)));
             }
+            for result in own {
+                let variant = result.variant.as_str();
+                let mut own = [result.result].into_iter().filter(|m| results.contains(m));
+                let metrics = || quantities.iter().map(|(metric, ..)| *metric);
+                let has = |method: &Method| result.has(*method, metrics());
+                let Some(method) = own.find(has).or_else(|| results.iter().copied().find(has)) else {
+                    continue;
+                };
+                let label =
+                    if results.len() == 1 { Self::program(variant) } else { self.label(method, variant) };
+                rows.push(self.own_row(label, variant, means(&[result], method, quantities)));
+            }
+            let first = rows.iter().rposition(|row: &Row| !row.scene.is_empty()).map_or(0, |at| at + 1);
+            rows[first..].iter_mut().for_each(|row| row.scene = scene.into());
         }
-        Table { name: name.into(), caption: caption.into(), columns: columns(&names, quantities), rows }
+        Table { name: name.into(), caption: caption.into(), columns: columns(&[""], quantities), rows }
     }
 
     /// One row per variant, averaged over all scenes of the run, of the first of these methods that the
@@ -222,13 +260,13 @@ impl<'a> Batch<'a> {
         let mut rows = published_over(&self.groups, &known, quantities, |_, _| None);
         for variant in &self.variants {
             let scenes = self.of_group(ALL, variant);
-            let has = |m: &Method| means(&scenes, *m, quantities).iter().any(|cell| *cell != Cell::Blank);
+            let has = |m: &Method| means(scenes, *m, quantities).iter().any(|cell| *cell != Cell::Blank);
             // The result of a variant comes first; if it was learnt without water, that is `enhanced-clear`.
             let result = self.result(variant);
             let in_order = [result].into_iter().filter(|m| methods.contains(m));
             let Some(method) = in_order.chain(methods.iter().copied()).find(has) else { continue };
             let label = if variant.is_empty() { "full model" } else { variant };
-            rows.push(self.own_row(label.into(), variant, means(&scenes, method, quantities)));
+            rows.push(self.own_row(label.into(), variant, means(scenes, method, quantities)));
         }
         Table { name: name.into(), caption: caption.into(), columns: columns(&[""], quantities), rows }
     }
@@ -266,7 +304,7 @@ fn published_over(
 }
 
 /// The means of a method's scores over some scenes, one per quantity.
-pub(super) fn means(scenes: &[&ScoredScene], method: Method, quantities: &[Quantity]) -> Vec<Cell> {
+pub(super) fn means(scenes: &[&MeanScores], method: Method, quantities: &[Quantity]) -> Vec<Cell> {
     quantities.iter().map(|(key, ..)| macro_mean(scenes, method, key)).collect()
 }
 
@@ -276,15 +314,21 @@ pub(super) fn published_cell(value: Option<f64>) -> Cell {
 }
 
 /// The unweighted mean of the scenes' means; blank if no scene has the method or the metric.
-pub(super) fn macro_mean(scenes: &[&ScoredScene], method: Method, metric: &str) -> Cell {
-    let scores: Vec<&Score> = scenes.iter().filter_map(|s| s.scores.mean(method, metric)).collect();
+pub(super) fn macro_mean(scenes: &[&MeanScores], method: Method, metric: &str) -> Cell {
+    let Some(place) = place(metric) else { return Cell::Blank };
+    let scores: Vec<Score> = scenes.iter().filter_map(|s| s.means.at(method, place)).collect();
     if scores.is_empty() {
         return Cell::Blank;
     }
-    match Score::mean(scores) {
+    match Score::mean(&scores) {
         Score::Value(value) => {
             let value = value.get();
-            let sources: Vec<&str> = scenes.iter().map(|s| s.source.as_str()).collect();
+            let mut sources: Vec<&str> = scenes.iter().take(SOURCES).map(|s| s.source.as_str()).collect();
+            let more = scenes.len().saturating_sub(SOURCES);
+            let more = format!("and {more} more");
+            if scenes.len() > SOURCES {
+                sources.push(&more);
+            }
             Cell::Number { value, source: sources.join(" ") }
         }
         Score::NotAvailable(reason) | Score::Undefined(reason) => Cell::NotAvailable { reason },

@@ -3,6 +3,7 @@
 use std::fmt::Write;
 
 use super::{Cell, Rank, Table};
+use use3d_judge::names::distinct;
 
 /// The texts for a number that does not apply, and for one that is missing.
 const BLANK: &str = "–";
@@ -40,13 +41,7 @@ impl Table {
     }
 
     fn label(row: &super::Row) -> String {
-        if row.published { format!("{} (published)", row.label) } else { row.label.clone() }
-    }
-
-    /// A row's name, with the mark of its configuration.
-    fn marked_label(&self, row: &super::Row) -> String {
-        let mark = self.mark(row);
-        if mark.is_empty() { Self::label(row) } else { format!("{} [{mark}]", Self::label(row)) }
+        if row.published { format!("{} (published)", row.name()) } else { row.name() }
     }
 
     /// GitHub Markdown: best bold, second best underlined. The configuration of each row and the reasons for
@@ -60,7 +55,7 @@ impl Table {
                 format!("{}{gap}{}{}", column.group, column.name, column.better.arrow())
             })
             .collect();
-        let rows = self.rows.iter().zip(self.ranks()).map(|(row, ranks)| {
+        let rows = self.rows.iter().zip(self.ranks()).zip(self.marks()).map(|((row, ranks), mark)| {
             let cells = row.cells.iter().enumerate().map(|(c, cell)| {
                 let text = self.text(cell, c);
                 match ranks[c] {
@@ -69,7 +64,9 @@ impl Table {
                     Rank::Other => text,
                 }
             });
-            std::iter::once(self.marked_label(row)).chain(cells).collect()
+            let label = Self::label(row);
+            let label = if mark.is_empty() { label } else { format!("{label} [{mark}]") };
+            std::iter::once(label).chain(cells).collect()
         });
         let table = markdown_table(heads.iter().map(String::as_str), rows);
         let mut out = format!("**{}**\n\n{table}", self.caption.replace('|', "\\|"));
@@ -83,7 +80,8 @@ impl Table {
     }
 
     /// Comma-separated values with one head line. Numbers are printed as elsewhere but without marks; missing
-    /// numbers are empty. The third column is the configuration of a row.
+    /// numbers are empty. `made by` is the configuration of a row; a table with scenes as rows begins with the
+    /// scene.
     pub fn csv(&self) -> String {
         let quote = |text: &str| {
             if text.contains([',', '"', '\n']) {
@@ -92,13 +90,18 @@ impl Table {
                 text.to_string()
             }
         };
-        let mut out = String::from("method,published,made by");
+        let by_scene = self.rows.iter().any(|row| !row.scene.is_empty());
+        let mut out = String::from(if by_scene { "scene," } else { "" });
+        out.push_str("method,published,made by");
         for column in &self.columns {
             let name = format!("{} {}", column.group, column.name);
             let _ = write!(out, ",{}", quote(if column.group.is_empty() { &column.name } else { &name }));
         }
         out.push('\n');
         for row in &self.rows {
+            if by_scene {
+                let _ = write!(out, "{},", quote(&row.scene));
+            }
             let _ = write!(out, "{},{},{}", quote(&row.label), row.published, quote(&row.made_by));
             for (c, cell) in row.cells.iter().enumerate() {
                 let text = cell.value().map(|_| self.text(cell, c));
@@ -122,6 +125,7 @@ impl Table {
                     'β' => out.push_str("$\\beta$"),
                     '₀' => out.push_str("$_0$"),
                     '²' => out.push_str("$^2$"),
+                    '·' => out.push_str("$\\cdot$"),
                     '×' => out.push_str("$\\times$"),
                     other => out.push(other),
                 }
@@ -173,15 +177,19 @@ impl Table {
             escape(&self.caption),
             self.name
         );
-        for row in self.rows.iter().filter(|row| !row.made_by.is_empty()) {
-            let _ = writeln!(out, "% {}: {}", escape(&Self::label(row)), escape(&row.made_by));
+        let made = self.rows.iter().map(|row| (&row.label, &row.made_by));
+        for (label, made) in distinct(made.filter(|(_, made)| !made.is_empty())) {
+            let _ = writeln!(out, "% {}: {}", escape(label), escape(made));
         }
         out
     }
 
     /// JSON with unrounded values and the source of every cell.
-    pub fn json(&self) -> serde_json::Value {
-        serde_json::to_value(self).unwrap_or_default()
+    ///
+    /// # Errors
+    /// A number is not finite.
+    pub fn json(&self) -> serde_json::Result<String> {
+        serde_json::to_string_pretty(self)
     }
 }
 

@@ -6,6 +6,7 @@
 
 mod batch;
 mod format;
+pub mod means;
 pub mod paper;
 pub mod published;
 mod truth;
@@ -17,7 +18,7 @@ pub use format::markdown_table;
 use serde::Serialize;
 use use3d_numerics::math;
 
-use use3d_judge::names::distinct;
+use use3d_judge::names::{distinct, in_variant};
 
 /// The better direction of a quantity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -60,6 +61,11 @@ impl Column {
     pub fn new(group: &str, name: &str, better: Better, decimals: usize) -> Self {
         Self { group: group.into(), name: name.into(), better, decimals }
     }
+
+    /// Its name with the arrow of the better direction.
+    pub fn head(&self) -> String {
+        format!("{}{}", self.name, self.better.arrow())
+    }
 }
 
 /// One cell.
@@ -95,6 +101,9 @@ impl Cell {
 /// One row.
 #[derive(Clone, Debug, Serialize)]
 pub struct Row {
+    /// The scene that the row is of, in a table with scenes as rows; empty in other tables.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub scene: String,
     /// The method or variant.
     pub label: String,
     /// Copied from the paper rather than measured here.
@@ -106,9 +115,19 @@ pub struct Row {
 }
 
 impl Row {
+    /// A row that was measured here.
+    pub fn own(label: String, cells: Vec<Cell>) -> Self {
+        Self { scene: String::new(), label, published: false, made_by: String::new(), cells }
+    }
+
     /// A row from the paper.
     pub(crate) fn published(label: &str, cells: Vec<Cell>) -> Self {
-        Self { label: label.into(), published: true, made_by: String::new(), cells }
+        Self { published: true, ..Self::own(label.into(), cells) }
+    }
+
+    /// The name of the row: its scene, if it has one, and its method.
+    pub fn name(&self) -> String {
+        if self.scene.is_empty() { self.label.clone() } else { in_variant(&self.scene, &self.label) }
     }
 }
 
@@ -136,7 +155,7 @@ pub fn write(dir: &Path, tables: &[Table]) -> io::Result<()> {
         std::fs::write(file("md"), table.markdown())?;
         std::fs::write(file("csv"), table.csv())?;
         std::fs::write(file("tex"), table.latex())?;
-        let text = serde_json::to_string_pretty(&table.json())?;
+        let text = table.json()?;
         std::fs::write(file("json"), text + "\n")?;
     }
     Ok(())
@@ -161,9 +180,19 @@ pub enum Rank {
 }
 
 impl Table {
-    /// The rank of every cell, rows × columns. A column with fewer than two numbers has no best.
+    /// The rank of every cell, rows × columns. A row with a scene is compared with the rows of its scene. A
+    /// column with fewer than two numbers has no best.
     pub fn ranks(&self) -> Vec<Vec<Rank>> {
         let mut ranks = vec![vec![Rank::Other; self.columns.len()]; self.rows.len()];
+        let mut first = 0;
+        for rows in self.rows.chunk_by(|a, b| a.scene == b.scene) {
+            self.rank(rows, &mut ranks[first..first + rows.len()]);
+            first += rows.len();
+        }
+        ranks
+    }
+
+    fn rank(&self, rows: &[Row], ranks: &mut [Vec<Rank>]) {
         for (c, column) in self.columns.iter().enumerate() {
             let sign = match column.better {
                 Better::Higher => -1.0,
@@ -174,13 +203,13 @@ impl Table {
             let scale = math::powi(10f64, column.decimals as i32);
             let printed =
                 |row: &Row| row.cells.get(c).and_then(Cell::value).map(|v| (sign * v * scale).round() as i64);
-            let mut values: Vec<i64> = self.rows.iter().filter_map(printed).collect();
+            let mut values: Vec<i64> = rows.iter().filter_map(printed).collect();
             if values.len() < 2 {
                 continue;
             }
             values.sort_unstable();
             values.dedup();
-            for (row, ranks) in self.rows.iter().zip(&mut ranks) {
+            for (row, ranks) in rows.iter().zip(ranks.iter_mut()) {
                 match printed(row).and_then(|value| values.binary_search(&value).ok()) {
                     Some(0) => ranks[c] = Rank::Best,
                     Some(1) => ranks[c] = Rank::Second,
@@ -188,7 +217,6 @@ impl Table {
                 }
             }
         }
-        ranks
     }
 
     /// The configurations behind the rows, each text once, in order of appearance.
@@ -196,11 +224,15 @@ impl Table {
         distinct(self.rows.iter().map(|row| row.made_by.as_str()).filter(|made| !made.is_empty()))
     }
 
-    /// The mark after a row's name that refers to its configuration: a, b, …; empty if the configuration is
-    /// not known.
-    pub fn mark(&self, row: &Row) -> String {
-        let place = self.made_by().iter().position(|made| *made == row.made_by);
-        place.map_or_else(String::new, marked)
+    /// The mark after each row's name that refers to its configuration: a, b, …; empty if the configuration
+    /// is not known.
+    pub fn marks(&self) -> Vec<String> {
+        let made_by = self.made_by();
+        let mark = |row: &Row| {
+            let place = made_by.iter().position(|made| *made == row.made_by);
+            place.map_or_else(String::new, marked)
+        };
+        self.rows.iter().map(mark).collect()
     }
 
     /// The distinct reasons for missing cells, in order of appearance.
@@ -237,20 +269,19 @@ mod tests {
             rows: vec![
                 Row::published("one", vec![n(30.001), n(0.2), n(1.0)]),
                 Row {
-                    label: "two".into(),
-                    published: false,
                     made_by: "preset paper; seed: 42".into(),
-                    cells: vec![n(30.004), n(0.1), Cell::Blank],
+                    ..Row::own("two".into(), vec![n(30.004), n(0.1), Cell::Blank])
                 },
                 Row {
-                    label: "three".into(),
-                    published: false,
                     made_by: "preset paper, changed: targets.proposer = fusion; seed: 42".into(),
-                    cells: vec![
-                        n(29.0),
-                        Cell::NotAvailable { reason: "put lpips.pth into models/".into() },
-                        n(2.0),
-                    ],
+                    ..Row::own(
+                        "three".into(),
+                        vec![
+                            n(29.0),
+                            Cell::NotAvailable { reason: "put lpips.pth into models/".into() },
+                            n(2.0),
+                        ],
+                    )
                 },
             ],
         }
@@ -264,5 +295,26 @@ mod tests {
         assert_eq!(column(1), [Rank::Second, Rank::Best, Rank::Other]);
         assert_eq!(column(2), [Rank::Other; 3]);
         assert_eq!(sample().missing(), ["put lpips.pth into models/"]);
+    }
+
+    #[test]
+    fn a_row_of_a_scene_is_ranked_among_the_rows_of_its_scene() {
+        let mut table = sample();
+        let mut others = table.rows.clone();
+        table.rows.iter_mut().for_each(|row| row.scene = "reef".into());
+        others.iter_mut().for_each(|row| row.scene = "wreck".into());
+        table.rows.extend(others);
+        let column: Vec<Rank> = table.ranks().iter().map(|r| r[0]).collect();
+        assert_eq!(column, [[Rank::Best, Rank::Best, Rank::Second]; 2].concat());
+        assert!(table.markdown().contains("| wreck · two [a] | **30.00** |"), "{}", table.markdown());
+        assert!(
+            table.csv().starts_with("scene,method,published,made by,")
+                && table.csv().contains("\nwreck,two,")
+        );
+        assert!(table.latex().contains("wreck $\\cdot$ two & "), "{}", table.latex());
+        assert!(
+            table.json().unwrap().contains("\"scene\": \"wreck\"")
+                && !sample().json().unwrap().contains("scene")
+        );
     }
 }

@@ -4,10 +4,11 @@
 use use3d_metrics::UCIQE_VARIANT;
 
 use super::batch::{ALL, Batch, Quantity, columns, published_cell};
+use super::means::MeanScores;
 use super::published;
 use super::{Better, Cell, Column, Row, Table};
 use use3d_judge::names::distinct;
-use use3d_judge::scores::{Method, ScoredScene, Warp};
+use use3d_judge::scores::{Method, Warp};
 
 const RECONSTRUCTION: [Quantity; 3] = [
     ("psnr", "PSNR", Better::Higher, 3),
@@ -35,7 +36,7 @@ const CONSISTENCY: [Quantity; 8] = [
 const NOT_TIMED: &str = "times are no part of an artifact: they are kept beside it and filled in when `use3d run` writes its results";
 
 /// Every table that the scenes can fill, in the paper's order. Empty without scenes.
-pub fn tables(scenes: &[ScoredScene]) -> Vec<Table> {
+pub fn tables(scenes: &[MeanScores]) -> Vec<Table> {
     if scenes.is_empty() {
         return Vec::new();
     }
@@ -43,24 +44,28 @@ pub fn tables(scenes: &[ScoredScene]) -> Vec<Table> {
     let mut tables = vec![
         batch.reconstruction(),
         batch.by_scene(
-            "reconstruction-scenes",
-            "Reconstruction of held-out views, scene by scene",
+            ["reconstruction-scenes", "Reconstruction of held-out views, scene by scene"],
             &RECONSTRUCTION,
-            &[Method::Reconstruction],
+            (&[], &[Method::Reconstruction]),
             published::RECONSTRUCTION_SCENES,
         ),
         batch.enhancement(),
         batch.by_scene(
-            "enhancement-scenes",
-            "Enhancement quality of held-out views, scene by scene",
+            [
+                "enhancement-scenes",
+                "Enhancement quality of held-out views, scene by scene. The scores of the other looks are in `scores.json` of each scene",
+            ],
             &ENHANCEMENT,
-            &Method::ALL,
+            (
+                &[Method::Captured, Method::Proposal],
+                &[Method::Enhanced, Method::EnhancedClear, Method::EnhanceThenReconstruct, Method::Clear],
+            ),
             published::ENHANCEMENT_SCENES,
         ),
         batch.consistency(),
     ];
-    if batch.every_group_is_one_scene() {
-        // These tables would repeat the group tables.
+    if batch.by_name().len() == 1 {
+        // These tables would repeat the others.
         tables.retain(|t| !t.name.ends_with("-scenes"));
     }
     tables.extend(batch.truth());
@@ -108,7 +113,7 @@ impl Batch<'_> {
         for variant in &self.variants {
             let mut row = self.row(Method::Reconstruction, variant, &RECONSTRUCTION);
             row.label = Self::program(variant);
-            let scenes = self.of_group(ALL, variant).into_iter();
+            let scenes = self.of_group(ALL, variant).iter();
             let speeds: Vec<f64> = scenes.filter_map(|s| Some(s.speed.as_ref()?.fps.get())).collect();
             if timed {
                 row.cells.push(if speeds.is_empty() {
@@ -160,10 +165,10 @@ impl Batch<'_> {
     /// A sentence on the number of pairs of captured views that wLPIPS is over: all pairs as in the paper, or
     /// fewer.
     fn pairs_compared(&self) -> String {
-        let each = self.scenes.iter().filter_map(|s| {
-            let compared = s.scores.methods.iter().map(|m| m.neighbours.len()).max()?;
-            Some((compared, (s.scores.training_views + s.scores.held_out_views).saturating_sub(1)))
-        });
+        let each = self
+            .scenes
+            .iter()
+            .filter_map(|s| Some((s.compared?, (s.training_views + s.held_out_views).saturating_sub(1))));
         let each: Vec<(usize, usize)> = each.collect();
         match (each.iter().map(|(n, _)| n).min(), each.iter().all(|(n, all)| n == all)) {
             (None | Some(0), _) => String::new(),
@@ -193,7 +198,7 @@ impl Batch<'_> {
             "Consistency of captured views that follow one another, and of adjacent frames of a path through the training cameras (where there are no photographs). wΔE and wSSIM warp by depth and need no weights (not the paper's). share: of the pixels, compared by depth",
         );
         caption += &self.pairs_compared();
-        caption += if self.scenes.iter().all(|s| s.scores.warp == Warp::Reference) {
+        caption += if self.scenes.iter().all(|s| s.warp == Warp::Reference) {
             ". All methods and variants of a scene share one warp: the reference variant's stage 1"
         } else {
             ". Some scenes were compared by their own depth: not comparable with others"
@@ -205,26 +210,57 @@ impl Batch<'_> {
 #[cfg(test)]
 mod tests {
     use super::super::batch::ALL;
+    use std::sync::Arc;
+
     use super::*;
     use use3d_judge::configuration::Configuration;
-    use use3d_judge::scores::{Finite, MethodScores, SceneScores, SceneSpeed, Score, Scores, ViewScores};
+    use use3d_judge::scores::{
+        FORMAT, Finite, MethodScores, SceneScores, SceneSpeed, Score, Scores, VERSION, ViewScores,
+    };
     use use3d_judge::truth::WaterScores;
 
-    fn scene(name: &str, group: &str, variant: &str, psnr: f64) -> ScoredScene {
+    /// All scores of a result, before their means are taken.
+    #[derive(Clone)]
+    struct AllScores {
+        scene: String,
+        group: String,
+        variant: String,
+        scores: SceneScores,
+        configuration: Option<Configuration>,
+        speed: Option<SceneSpeed>,
+    }
+
+    fn tables(scenes: &[AllScores]) -> Vec<Table> {
+        let means = scenes.iter().map(|s| MeanScores {
+            source: format!("digest-{}", s.scene),
+            configuration: s.configuration.clone().map(Arc::new),
+            speed: s.speed.clone(),
+            ..MeanScores::new([&s.scene, &s.group, &s.variant], &s.scores)
+        });
+        super::tables(&means.collect::<Vec<_>>())
+    }
+
+    #[test]
+    fn every_quantity_of_a_table_is_kept_for_it() {
+        let quantities =
+            [&RECONSTRUCTION[..], &ENHANCEMENT, &CONSISTENCY, &super::super::truth::TRUTH].concat();
+        assert!(quantities.iter().all(|(metric, ..)| super::super::means::place(metric).is_some()));
+    }
+
+    fn scene(name: &str, group: &str, variant: &str, psnr: f64) -> AllScores {
         let view = |scores: Scores| vec![ViewScores { view: "v".into(), scores }];
         let reconstruction = Scores::from([
             ("psnr".to_string(), Score::of(psnr)),
             ("lpips".to_string(), Score::NotAvailable("put lpips_alex.pth into models/".into())),
         ]);
         let enhanced = Scores::from([("uciqe".to_string(), Score::of(0.6))]);
-        ScoredScene {
+        AllScores {
             scene: name.into(),
             group: group.into(),
             variant: variant.into(),
-            source: format!("digest-{name}"),
             scores: SceneScores {
-                format: use3d_judge::scores::FORMAT.into(),
-                version: use3d_judge::scores::VERSION,
+                format: FORMAT.into(),
+                version: VERSION,
                 training_views: 7,
                 held_out_views: 1,
                 pixels: 1.0,
@@ -268,7 +304,12 @@ mod tests {
         assert_eq!(plenodium.cells[0], Cell::Blank, "two of four scenes are not SeaThru-4");
         assert_eq!(plenodium.cells[3].value(), Some(28.686));
         let scenes = &tables(&three)[1];
-        assert!(scenes.rows.iter().any(|r| r.published && r.cells[3].value() == Some(33.861)));
+        let plenodium =
+            scenes.rows.iter().find(|r| r.published && r.scene == "Curasao" && r.label == "Plenodium");
+        assert_eq!(plenodium.and_then(|r| r.cells[0].value()), Some(33.861));
+        let order: Vec<&str> =
+            scenes.rows.iter().filter(|r| !r.published).map(|r| r.scene.as_str()).collect();
+        assert_eq!(order, ["IUI3-RedSea", "Curasao", "D3"], "the scenes are rows");
     }
 
     #[test]
@@ -295,7 +336,7 @@ mod tests {
     #[test]
     fn scenes_that_masks_hide_are_named_below_the_tables() {
         let mut scenes = [scene("reef", "a", "", 20.0), scene("wreck", "a", "", 30.0)];
-        let captions = |scenes: &[ScoredScene]| -> Vec<String> {
+        let captions = |scenes: &[AllScores]| -> Vec<String> {
             tables(scenes).into_iter().map(|t| t.caption).filter(|c| c.contains("Masks hide")).collect()
         };
         assert!(captions(&scenes).is_empty());
@@ -311,7 +352,7 @@ mod tests {
     #[test]
     fn published_rows_need_the_papers_size_and_split_and_not_only_its_name() {
         let published =
-            |scenes: &[ScoredScene]| tables(scenes).iter().any(|t| t.rows.iter().any(|r| r.published));
+            |scenes: &[AllScores]| tables(scenes).iter().any(|t| t.rows.iter().any(|r| r.published));
         let d3 = scene("D3", "D3", "", 28.0);
         assert!(published(std::slice::from_ref(&d3)));
         let mut small = d3.clone();
@@ -338,7 +379,7 @@ mod tests {
             .into_iter()
             .chain((1..=20).map(|i| format!("A{i}")))
             .collect();
-        let mut scenes: Vec<ScoredScene> = (names.iter().enumerate())
+        let mut scenes: Vec<AllScores> = (names.iter().enumerate())
             .map(|(i, name)| scene(name, published::scene(name).unwrap().0, "", 20.0 + i as f64))
             .collect();
         let find = |tables: &[Table], name: &str| tables.iter().find(|t| t.name == name).unwrap().clone();
@@ -423,7 +464,32 @@ mod tests {
         assert!(markdown.contains("3D-USE, this program [a] |") && markdown.contains(&format!("[a] {told}")));
         assert!(table.csv().starts_with("method,published,made by,"));
         assert!(table.csv().contains(&format!("\"{told}\"")), "{}", table.csv());
-        assert!(table.json().to_string().contains(told) && table.latex().contains("preset paper, changed"));
+        assert!(table.json().unwrap().contains(told) && table.latex().contains("preset paper, changed"));
+    }
+
+    /// Twenty-six scenes without a group would be 78 columns.
+    #[test]
+    fn many_scenes_are_rows_with_the_photographs_once_and_their_variants_below() {
+        let mut all = Vec::new();
+        for name in ["reef", "wreck", "vent"] {
+            for variant in ["full", "first"] {
+                let mut scene = scene(name, "", variant, 20.0);
+                let view =
+                    ViewScores { view: "v".into(), scores: Scores::from([("uciqe".into(), Score::of(0.4))]) };
+                scene.scores.methods.push(MethodScores::new(Method::Captured, vec![view], vec![], vec![]));
+                all.push(scene);
+            }
+        }
+        let tables = tables(&all);
+        let table = |name: &str| tables.iter().find(|t| t.name == name).unwrap();
+        assert!(table("reconstruction").columns.iter().all(|c| c.group == ALL || c.group.is_empty()));
+        let rows = |name: &str| -> Vec<String> { table(name).rows.iter().map(|r| r.name()).collect() };
+        let own = ["full", "first"].map(|variant| format!("vent · 3D-USE, this program · {variant}"));
+        assert_eq!(rows("reconstruction-scenes")[4..], own);
+        let captured = "vent · Captured (raw input)".to_string();
+        assert_eq!(rows("enhancement-scenes")[6..], [&captured, &own[0], &own[1]].map(Clone::clone));
+        let of_one = super::super::Table::marks(table("enhancement-scenes"));
+        assert_eq!(of_one.len(), 9);
     }
 
     #[test]
@@ -458,12 +524,16 @@ mod tests {
         let tables = tables(&[real, synthetic]);
         let table = |name: &str| tables.iter().find(|t| t.name == name).unwrap();
         let truth = table("truth");
-        assert_eq!(truth.columns.len(), 2, "the real capture has no columns");
+        assert_eq!(truth.columns.len(), 2, "scenes without a group have no columns of their own");
         let enhanced = truth.rows.iter().find(|r| r.label == Method::Enhanced.label()).unwrap();
         assert_eq!(enhanced.cells.iter().map(Cell::value).collect::<Vec<_>>(), [Some(25.0), Some(4.0)]);
         let scene = table("truth-scene");
+        assert!(scene.rows.iter().all(|r| r.scene == "synthetic"), "the real capture has no rows");
         let values = |row: usize| scene.rows[row].cells.iter().map(Cell::value).collect::<Vec<_>>();
-        assert_eq!(values(0)[..3], [None, Some(0.31), Some(0.21)]);
+        assert_eq!(
+            (scene.rows[0].label.as_str(), &values(0)[..3]),
+            ("Truth", &[None, Some(0.31), Some(0.21)][..])
+        );
         assert_eq!(values(1)[..3], [Some(0.05), Some(0.3), Some(0.2)]);
         let latex = scene.latex();
         assert!(latex.contains("$\\beta$\\_attn R") && latex.is_ascii(), "{latex}");

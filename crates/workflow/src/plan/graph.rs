@@ -297,6 +297,14 @@ impl Graph {
         parts.into_iter().map(|(cell, part)| (cell, part.finish())).collect()
     }
 
+    /// Returns the groups of the scenes that have one, as the stages over the whole batch see them.
+    pub fn groups(&self) -> BTreeMap<&str, &str> {
+        let inputs = self.nodes.iter().filter(|node| node.scene.is_empty()).flat_map(|node| &node.inputs);
+        let cells = inputs.filter_map(|input| input.cell.as_deref());
+        let named = cells.filter(|cell| !cell.group.is_empty());
+        named.map(|cell| (cell.scene.as_str(), cell.group.as_str())).collect()
+    }
+
     /// Finds the node of a stage in a scene (empty for stages over all scenes) and variant (empty for the
     /// first).
     pub fn find(&self, scene: &str, variant: &str, stage: &str) -> Option<usize> {

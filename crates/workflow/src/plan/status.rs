@@ -81,6 +81,29 @@ pub struct Status {
     pub pipeline: String,
     /// The rows in the pipeline's order.
     pub rows: Vec<Row>,
+    /// The progress of the whole batch.
+    pub batch: BatchProgress,
+}
+
+/// The progress of a whole batch, without stages that share the work of others.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct BatchProgress {
+    /// Number of stages.
+    pub stages: usize,
+    /// Number of stages whose artifacts exist.
+    pub cached: usize,
+    /// Number of stages that some process computes now.
+    pub running: usize,
+    /// Seconds left with as many stages at a time as are running now, or one at a time if none is; `None` if no
+    /// stage ran before.
+    pub seconds_left: Option<f64>,
+}
+
+impl BatchProgress {
+    /// The share of the stages whose artifacts exist, in whole percent.
+    pub fn percent(&self) -> usize {
+        100 * self.cached / self.stages.max(1)
+    }
 }
 
 impl Plan {
@@ -97,7 +120,34 @@ impl Plan {
             }
             rows[place].cells.push(cell);
         }
-        Status { pipeline: self.pipeline.clone(), rows }
+        Status { pipeline: self.pipeline.clone(), rows, batch: self.progress() }
+    }
+
+    /// The progress of the whole batch. A stage without a forecast counts by its usual cost, in the seconds
+    /// that a unit of cost takes in the forecasts of the others.
+    fn progress(&self) -> BatchProgress {
+        let own = || self.own().filter(|node| node.state != State::Unwanted);
+        let open = || own().filter(|node| matches!(node.state, State::Run(_) | State::Waiting(_)));
+        let known = open().filter_map(|node| Some((node.forecast.as_ref()?.seconds, node.usual_cost)));
+        let (seconds, cost) = known.fold((0.0, 0.0), |(s, c), (seconds, cost)| (s + seconds, c + cost));
+        let left = |node: &PlannedNode| {
+            let whole = match &node.forecast {
+                Some(forecast) => forecast.seconds,
+                None => node.usual_cost * seconds / cost.max(f64::MIN_POSITIVE),
+            };
+            let working = node.working.as_deref().filter(|working| working.total > 0);
+            whole * working.map_or(1.0, |w| 1.0 - (w.done as f64 / w.total as f64).min(1.0))
+        };
+        let (sum, longest) =
+            open().map(left).fold((0.0, 0.0f64), |(sum, longest), one| (sum + one, longest.max(one)));
+        let running = own().filter(|node| node.working.is_some()).count();
+        let known = cost > 0.0 || open().next().is_none();
+        BatchProgress {
+            stages: own().count(),
+            cached: own().filter(|node| node.state == State::Cached).count(),
+            running,
+            seconds_left: known.then(|| longest.max(sum / running.max(1) as f64)),
+        }
     }
 }
 
@@ -125,6 +175,8 @@ pub struct Counts {
     pub pipeline: String,
     /// The stages in the order of the table, each with the states of its cells and their numbers.
     pub stages: Vec<(&'static str, BTreeMap<&'static str, usize>)>,
+    /// The progress of the whole batch.
+    pub batch: BatchProgress,
 }
 
 impl Status {
@@ -138,7 +190,7 @@ impl Status {
             }
             *stages[at].1.entry(cell.word()).or_default() += 1;
         }
-        Counts { pipeline: self.pipeline.clone(), stages }
+        Counts { pipeline: self.pipeline.clone(), stages, batch: self.batch.clone() }
     }
 
     /// Number of cells in this state.

@@ -226,6 +226,7 @@ impl<'r> Runner<'r> {
             delivered: node.delivered,
             preset: node.preset.clone(),
             seed: node.seed,
+            failure: None,
             artifact: None,
         });
         let (sender, receiver) = mpsc::channel();
@@ -517,7 +518,7 @@ impl<'r> Runner<'r> {
             }
         }
         if self.options.gather && self.scope(i) != Scope::Batch {
-            self.miss(i);
+            self.miss(i, Some(resolved.key));
             return true;
         }
         let stage = self.graph.nodes[i].stage_name;
@@ -545,8 +546,11 @@ impl<'r> Runner<'r> {
         if self.fits(i, &resolved) { self.start(i, resolved, scope) } else { self.keep_waiting(i, resolved) }
     }
 
-    /// Ends a node whose artifact is missing and not to be made.
-    fn miss(&mut self, i: usize) {
+    /// Ends a node whose artifact is missing and not to be made. Its last failure stays known.
+    fn miss(&mut self, i: usize, key: Option<Key>) {
+        let record = self.builder.cache.record(&self.graph.name, &self.graph.nodes[i]);
+        let failure = record.failed(key);
+        self.nodes[i].failure = failure.map(|failure| (failure.reason.clone(), failure.log.clone()));
         self.nodes[i].result = NodeResult::Missing;
         self.outcomes[i] = Outcome::Unavailable(self.nodes[i].label.clone());
         self.over(i);
@@ -556,7 +560,7 @@ impl<'r> Runner<'r> {
     /// it.
     fn lacks_device(&mut self, i: usize, key: Option<Key>, reason: &str) {
         if self.options.gather {
-            self.miss(i);
+            self.miss(i, key);
         } else if self.builder.cache.node.task.as_ref().is_some_and(|task| !task.submission.is_empty()) {
             self.leave_alone(i, reason);
         } else {

@@ -9,7 +9,7 @@ use use3d_capture::name::{shown, shown_lines};
 use crate::cache::joined;
 use crate::cache::machine::{bytes, seconds};
 use crate::plan::planning::{Plan, PlannedNode, State};
-use crate::plan::status::{Cell, Counts, Row, Standing, Status, Why};
+use crate::plan::status::{BatchProgress, Cell, Counts, Row, Standing, Status, Why};
 use crate::run::gc::{Cleaning, Removed};
 use crate::run::summary::{NodeResult, Summary};
 use crate::run::verify::Verification;
@@ -160,8 +160,22 @@ impl Display for Status {
                     }
                 }
             }
-            Ok(())
+            writeln!(f, "{}: {}", self.pipeline, self.batch)
         })
+    }
+}
+
+impl Display for BatchProgress {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        let Self { stages, cached, running, seconds_left } = self;
+        write!(f, "{cached} of {stages} stages are there, {} %", self.percent())?;
+        match (stages == cached, seconds_left, running) {
+            (true, ..) => Ok(()),
+            (_, None, _) => write!(f, "; no earlier run to forecast the time from"),
+            (_, Some(left), 0) => write!(f, "; about {} of work, and no stage is running", seconds(*left)),
+            (_, Some(left), 1) => write!(f, "; about {} left with one stage running", seconds(*left)),
+            (_, Some(left), n) => write!(f, "; about {} left with {n} stages running", seconds(*left)),
+        }
     }
 }
 
@@ -179,7 +193,7 @@ impl Display for Counts {
             }
             writeln!(f)?;
         }
-        Ok(())
+        writeln!(f, "{}: {}", shown(&self.pipeline), self.batch)
     }
 }
 

@@ -47,6 +47,14 @@ pub enum Event<'a> {
         /// Seconds left.
         seconds_left: f64,
     },
+    /// The number of stages that are over, and of all stages that a run has to compute, from a listener that
+    /// counts them. Sent before the event of the stage's end.
+    Counted {
+        /// Stages that are done or failed.
+        done: usize,
+        /// All stages.
+        total: usize,
+    },
     /// Numbers of a step, by name, for curves. Sent after every step; a slow listener slows down the stage.
     Figures {
         /// Scene, variant and stage, for display.

@@ -69,6 +69,9 @@ pub struct RanNode {
     /// The seed of its random draws.
     #[serde(skip)]
     pub seed: Option<u64>,
+    /// The reason and the log of its failure in an earlier run, if it is missing now.
+    #[serde(skip)]
+    pub failure: Option<(String, PathBuf)>,
     /// Its artifact.
     #[serde(skip)]
     pub artifact: Option<Arc<Artifact>>,
