@@ -1,5 +1,5 @@
-//! The report of a batch: an overview with a row for each scene, a page for each result, and only what changed
-//! is written again. The scenes are one tiny capture, so that they share their artifacts.
+//! The report of a batch: an overview with a row for each scene, a page for each result, and only what
+//! changed is written again. The scenes are one tiny capture, so that they share their artifacts.
 //!
 //! A large batch prints the figures of `docs/science/performance.md`:
 //!

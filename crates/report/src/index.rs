@@ -1,5 +1,6 @@
-//! The overview of a batch: a block for each scene with a thumbnail, and in it a row for each variant with its
-//! verdict, its scores, its time, and its failures. Filters and sorting work in the browser, without a server.
+//! The overview of a batch: a block for each scene with a thumbnail, and in it a row for each variant with
+//! its verdict, its scores, its time, and its failures. Filters and sorting work in the browser, without a
+//! server.
 //!
 //! Pictures beyond the thumbnail, curves and lists of views are on the pages of the results. So the overview
 //! of a thousand scenes in ten variants stays below 6 MB.
@@ -175,8 +176,8 @@ impl Index {
         format!("{scenes}{variants}{scored}")
     }
 
-    /// The verdict on the batch: the numbers of scored results and of bad ones, and the results that failed or
-    /// are incomplete.
+    /// The verdict on the batch: the numbers of scored results and of bad ones, and the results that failed
+    /// or are incomplete.
     pub fn verdict(&self) -> Vec<Sentence> {
         let noun = if self.variants().len() > 1 { "results" } else { "scenes" };
         let named = |states: &[RowState]| -> (usize, String) {

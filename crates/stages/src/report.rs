@@ -1,6 +1,6 @@
-//! The report. The stage itself only notes what belongs to no single scene; [`section`] makes the section on one
-//! scene in one variant from its artifacts, when its results are delivered. So a change of one scene costs one
-//! section, and no artifact holds the sections of all scenes.
+//! The report. The stage itself only notes what belongs to no single scene; [`section`] makes the section on
+//! one scene in one variant from its artifacts, when its results are delivered. So a change of one scene
+//! costs one section, and no artifact holds the sections of all scenes.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

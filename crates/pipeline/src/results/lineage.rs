@@ -1,5 +1,5 @@
-//! The origin of results, for the ends of their pages: the costs of the stages, their parameters, the machines
-//! and the command.
+//! The origin of results, for the ends of their pages: the costs of the stages, their parameters, the
+//! machines and the command.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 

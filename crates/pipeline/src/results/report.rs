@@ -1,7 +1,7 @@
-//! The report in the results folder. A batch of one result has one page with everything. Otherwise the page at
-//! the top is the overview, and every result has a page and a file of data in its own folder. These are written
-//! when a scene is finished, and only if something behind them has changed. The overview is made from the
-//! files of data alone, so a change of one scene costs one page and the overview.
+//! The report in the results folder. A batch of one result has one page with everything. Otherwise the page
+//! at the top is the overview, and every result has a page and a file of data in its own folder. These are
+//! written when a scene is finished, and only if something behind them has changed. The overview is made from
+//! the files of data alone, so a change of one scene costs one page and the overview.
 
 use std::collections::HashMap;
 use std::fs;

@@ -80,8 +80,8 @@ impl Table {
     }
 
     /// Comma-separated values with one head line. Numbers are printed as elsewhere but without marks; missing
-    /// numbers are empty. `made by` is the configuration of a row; a table with scenes as rows begins with the
-    /// scene.
+    /// numbers are empty. `made by` is the configuration of a row; a table with scenes as rows begins with
+    /// the scene.
     pub fn csv(&self) -> String {
         let quote = |text: &str| {
             if text.contains([',', '"', '\n']) {

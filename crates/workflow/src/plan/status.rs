@@ -94,8 +94,8 @@ pub struct BatchProgress {
     pub cached: usize,
     /// Number of stages that some process computes now.
     pub running: usize,
-    /// Seconds left with as many stages at a time as are running now, or one at a time if none is; `None` if no
-    /// stage ran before.
+    /// Seconds left with as many stages at a time as are running now, or one at a time if none is; `None` if
+    /// no stage ran before.
     pub seconds_left: Option<f64>,
 }
 
