@@ -16,6 +16,8 @@ use crate::verdict::{Sentence, Tone};
 
 /// The long side of a thumbnail, pixels.
 pub const THUMBNAIL_SIDE: usize = 112;
+/// A batch of more results than this opens with its first variant alone.
+const MANY: usize = 300;
 /// The most results whose names a sentence lists.
 const NAMED: usize = 10;
 
@@ -216,6 +218,8 @@ impl Index {
 pub(crate) struct IndexView<'a> {
     pub(crate) heads: Vec<String>,
     pub(crate) variants: Vec<&'a str>,
+    /// True if the page opens with the first variant alone.
+    pub(crate) many: bool,
     pub(crate) scenes: Vec<SceneView<'a>>,
 }
 
@@ -226,6 +230,8 @@ pub(crate) struct SceneView<'a> {
 
 pub(crate) struct RowView<'a> {
     pub(crate) row: &'a ResultRow,
+    /// True if a script has to show the row first; without scripts all rows are shown.
+    pub(crate) hidden: bool,
     pub(crate) class: &'static str,
     pub(crate) mark: &'static str,
     pub(crate) word: &'static str,
@@ -238,21 +244,24 @@ impl<'a> IndexView<'a> {
         let columns = columns();
         let kept: Vec<usize> =
             (0..columns.len()).filter(|k| index.rows().any(|(_, row)| row.scores[*k].is_some())).collect();
+        let variants = index.variants();
+        let many = variants.len() > 1 && index.rows().count() > MANY;
         let row = |row: &'a ResultRow| {
+            let hidden = many && row.variant != variants[0];
             let (class, mark, word) = row.state.looks();
             let score = |k: &usize| match row.scores[*k] {
                 Some(value) => format!("{value:.*}", columns[*k].1.decimals),
                 None => "–".into(),
             };
             let minutes = format!("{:.1}", row.seconds / 60.0);
-            RowView { row, class, mark, word, scores: kept.iter().map(score).collect(), minutes }
+            RowView { row, hidden, class, mark, word, scores: kept.iter().map(score).collect(), minutes }
         };
-        let variants = index.variants();
         let scenes =
             index.scenes.iter().map(|block| SceneView { block, rows: block.rows.iter().map(row).collect() });
         Self {
             heads: kept.iter().map(|k| columns[*k].1.head()).collect(),
             scenes: scenes.collect(),
+            many,
             variants: if variants.len() > 1 { variants } else { Vec::new() },
         }
     }
@@ -315,5 +324,12 @@ mod tests {
         let view = IndexView::new(&view);
         assert_eq!(view.heads, ["PSNR↑"], "columns without a number are left out");
         assert_eq!(view.scenes[0].rows[0].scores, ["24.12"]);
+        let two = || vec![row("v0", &[], &[], &[]), row("v1", &[], &[], &[])];
+        for (scenes, many) in [(150, false), (151, true)] {
+            let index = index(vec![two(); scenes]);
+            let view = IndexView::new(&index);
+            let hidden = [0, 1].map(|k| view.scenes[9].rows[k].hidden);
+            assert_eq!((view.many, hidden), (many, [false, many]), "{scenes} scenes");
+        }
     }
 }

@@ -63,7 +63,8 @@ pub(super) fn costs_by_stage(nodes: &[RanNode], pipeline: &str, command: &str) -
 /// The seconds of computation behind a result, without stages that another result has already.
 pub(super) fn seconds(nodes: &[&RanNode]) -> f64 {
     let own = nodes.iter().filter(|node| !node.shared);
-    own.filter_map(|node| Some(node.artifact.as_ref()?.manifest.full_seconds())).sum()
+    let seconds = own.filter_map(|node| Some(node.artifact.as_ref()?.manifest.full_seconds()));
+    seconds.fold(0.0, |sum, seconds| sum + seconds)
 }
 
 /// One line with the pipeline, the time, the machines and the command that wrote the results.
