@@ -7,7 +7,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 use use3d_judge::configuration::Configuration;
 use use3d_judge::names::in_variant;
-use use3d_judge::scores::{Finite, Method, SceneScores, SceneSpeed, Score, Scores, Warp};
+use use3d_judge::scores::{Method, SceneScores, SceneSpeed, Score, Scores, Warp};
 use use3d_judge::truth::WaterScores;
 
 /// The metrics that any table shows.
@@ -76,32 +76,42 @@ pub struct MeanScores {
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Mean {
     Absent,
-    Value(Finite),
+    Value,
     /// The place of the reason.
     NotAvailable(u8),
     Undefined(u8),
+}
+
+/// The means of one method. Values stand apart from their kinds, which takes half of the memory.
+#[derive(Clone, Debug)]
+struct MethodMeans {
+    method: Method,
+    kinds: [Mean; METRICS.len()],
+    values: [f64; METRICS.len()],
 }
 
 /// Mean scores by method and metric. Reasons for missing scores repeat, so each is stored once.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 #[serde(from = "BTreeMap<Method, Scores>", into = "BTreeMap<Method, Scores>")]
 pub struct Means {
-    methods: Vec<(Method, [Mean; METRICS.len()])>,
+    methods: Vec<MethodMeans>,
     reasons: Vec<String>,
 }
 
 impl Means {
     fn add<'s>(&mut self, method: Method, scores: impl Iterator<Item = (&'s String, &'s Score)>) {
-        let mut row = [Mean::Absent; METRICS.len()];
+        let mut kinds = [Mean::Absent; METRICS.len()];
+        let mut values = [0.0; METRICS.len()];
         for (metric, score) in scores {
             let Some(at) = place(metric) else { continue };
-            row[at] = match score {
-                Score::Value(value) => Mean::Value(*value),
+            values[at] = score.value().unwrap_or_default();
+            kinds[at] = match score {
+                Score::Value(_) => Mean::Value,
                 Score::NotAvailable(reason) => Mean::NotAvailable(self.reason(reason)),
                 Score::Undefined(reason) => Mean::Undefined(self.reason(reason)),
             };
         }
-        self.methods.push((method, row));
+        self.methods.push(MethodMeans { method, kinds, values });
     }
 
     /// The place of a reason. A result has a few; those beyond 255 count as the last one.
@@ -116,11 +126,11 @@ impl Means {
         at as u8
     }
 
-    fn score(&self, mean: Mean) -> Option<Score> {
+    fn score(&self, means: &MethodMeans, place: usize) -> Option<Score> {
         let reason = |at: u8| self.reasons.get(usize::from(at)).cloned().unwrap_or_default();
-        match mean {
+        match means.kinds[place] {
             Mean::Absent => None,
-            Mean::Value(value) => Some(Score::Value(value)),
+            Mean::Value => Some(Score::of(means.values[place])),
             Mean::NotAvailable(at) => Some(Score::NotAvailable(reason(at))),
             Mean::Undefined(at) => Some(Score::Undefined(reason(at))),
         }
@@ -128,8 +138,7 @@ impl Means {
 
     /// The mean score of a method, by the place of its metric.
     pub(super) fn at(&self, method: Method, place: usize) -> Option<Score> {
-        let (_, row) = self.methods.iter().find(|(own, _)| *own == method)?;
-        self.score(row[place])
+        self.score(self.methods.iter().find(|means| means.method == method)?, place)
     }
 }
 
@@ -143,11 +152,11 @@ impl From<BTreeMap<Method, Scores>> for Means {
 
 impl From<Means> for BTreeMap<Method, Scores> {
     fn from(means: Means) -> Self {
-        let scores = |row: &[Mean]| -> Scores {
-            let named = row.iter().zip(METRICS);
-            named.filter_map(|(mean, metric)| Some((metric.to_string(), means.score(*mean)?))).collect()
+        let scores = |own: &MethodMeans| -> Scores {
+            let named = METRICS.iter().enumerate();
+            named.filter_map(|(at, metric)| Some(((*metric).to_string(), means.score(own, at)?))).collect()
         };
-        means.methods.iter().map(|(method, row)| (*method, scores(row))).collect()
+        means.methods.iter().map(|own| (own.method, scores(own))).collect()
     }
 }
 
