@@ -287,3 +287,50 @@ impl Builder {
         plan.nodes.iter().map(of).collect()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plan::history::Forecast;
+
+    /// A stage that never ran counts by its cost, in the seconds per cost of those that did.
+    #[test]
+    fn the_time_left_of_a_batch_counts_stages_without_a_forecast_too() {
+        let node = |state: State, usual_cost: f64, seconds: Option<f64>| PlannedNode {
+            state,
+            usual_cost,
+            forecast: seconds.map(|seconds| Forecast {
+                seconds,
+                least: seconds,
+                most: seconds,
+                output: 0,
+                peak_memory: 0,
+                records: 1,
+                own: true,
+            }),
+            ..PlannedNode::default()
+        };
+        let run = || State::Run("changed".into());
+        let waiting = || State::Waiting(vec!["import".into()]);
+        let nodes = vec![
+            node(State::Cached, 0.0, None),
+            node(run(), 1.0, Some(10.0)),
+            node(waiting(), 2.0, None),
+            node(State::Unwanted, 9.0, Some(99.0)),
+        ];
+        let plan = Plan { pipeline: "reefs".into(), nodes, seconds: 0.0 };
+        let batch = plan.status().batch;
+        assert_eq!((batch.cached, batch.stages, batch.percent()), (1, 3, 33));
+        assert_eq!((batch.running, batch.seconds_left), (0, Some(30.0)));
+        assert_eq!(
+            batch.to_string(),
+            "1 of 3 stages are there, 33 %; about 30 s of work, and no stage is running"
+        );
+        let nodes = vec![node(run(), 1.0, None)];
+        let first = Plan { pipeline: "reefs".into(), nodes, seconds: 0.0 }.status().batch;
+        assert_eq!(
+            first.to_string(),
+            "0 of 1 stages are there, 0 %; no earlier run to forecast the time from"
+        );
+    }
+}
