@@ -753,7 +753,7 @@ fn status_counts_and_chooses_and_a_run_that_only_gathers_names_what_is_missing()
         (output.status.code(), said(&output))
     };
     let (code, text) = asked(&["run"], &["--gather", "--keep-going", "--out", "out"]);
-    assert!(code == Some(1) && text.contains("s1 · import") && !many.at("out/s1").exists(), "{text}");
+    assert!(code == Some(1) && text.contains("s1 · import") && !many.at("out/s1/scene").exists(), "{text}");
     assert!(many.artifacts("cache").is_empty(), "{text}");
     let (code, text) = asked(&["run"], &["--cache-only", "--keep-going"]);
     assert_eq!(code, Some(1), "{text}");

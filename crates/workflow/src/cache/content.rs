@@ -243,6 +243,20 @@ impl Contents {
         places
     }
 
+    /// Stores anew the data of a file that got another hard link, for all of its links. One call of the
+    /// system serves all of them.
+    pub(crate) fn remember_links(&self, path: &Path, digest: Digest) {
+        let Ok(now) = std::fs::metadata(path).map(|found| Stat::of(&found)) else { return };
+        let mut state = self.lock();
+        let State { table, changed, .. } = &mut *state;
+        for (link, (stat, known)) in table.iter_mut() {
+            if *known == digest && (stat.inode, stat.size) == (now.inode, now.size) {
+                *stat = now;
+                changed.insert(link.clone());
+            }
+        }
+    }
+
     fn remember(&self, path: &Path, stat: Stat, digest: Digest) {
         let mut state = self.lock();
         state.table.insert(path.to_path_buf(), (stat, digest));

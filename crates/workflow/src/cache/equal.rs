@@ -24,15 +24,12 @@ impl Cache {
         if file.size < LEAST {
             return false;
         }
+        let number = |path: &Path| files::identity(&std::fs::symlink_metadata(path).ok()?);
+        let is_whole =
+            |place: &&PathBuf| self.contents.read_digest(place).is_ok_and(|digest| digest == file.digest);
         let equal = self.contents.places_of(&file.digest, &self.root().join("artifacts"));
-        let is_whole = |place: &&PathBuf| {
-            let size = std::fs::metadata(place).map(|found| found.len());
-            size.is_ok_and(|size| size == file.size)
-                && self.contents.read_digest(place).is_ok_and(|digest| digest == file.digest)
-        };
         let Some(place) = equal.iter().find(is_whole) else { return false };
-        let number = number_of(place);
-        if number.is_some() && number_of(path) == number {
+        if number(path).is_some_and(|own| Some(own) == number(place)) {
             return true;
         }
         let link = files::sibling(path, &files::unique());
@@ -44,16 +41,9 @@ impl Cache {
             let _ = self.files().remove_file(&link);
         }
         // A link changes the time of change of all links of this file, but not its bytes.
-        for linked in equal.iter().filter(|other| number.is_some() && number_of(other) == number) {
-            self.contents.remember_own(linked, file.digest);
-        }
+        self.contents.remember_links(place, file.digest);
         renamed
     }
-}
-
-/// The numbers that all hard links to a file share.
-fn number_of(path: &Path) -> Option<(u64, u64)> {
-    files::identity(&std::fs::symlink_metadata(path).ok()?)
 }
 
 #[cfg(test)]
@@ -81,7 +71,7 @@ mod tests {
     }
 
     fn number(artifact: &Artifact, name: &str) -> Option<(u64, u64)> {
-        number_of(&artifact.path.join(name))
+        files::identity(&std::fs::symlink_metadata(artifact.path.join(name)).ok()?)
     }
 
     #[test]
