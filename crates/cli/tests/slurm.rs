@@ -210,9 +210,8 @@ fn a_batch_through_a_real_slurm_ends_like_a_run_of_one_process() {
     let command = env!("CARGO_BIN_EXE_use3d");
     let mut site = format!("command = \"{command}\"\ncpus = 1\npartition = \"main\"\nat_once = 2\n");
     // Without these lines stages would request the memory of real scenes, which these nodes do not have.
-    for stage in
-        ["run", "import", "pairs", "calibrate", "reconstruct", "targets", "enhance", "render", "evaluate"]
-    {
+    let table = use3d_pipeline::loaded::stages().expect("the table of stages");
+    for stage in table.stages().iter().map(|stage| stage.name()).chain(["run"]) {
         site += &format!("[stage.{stage}]\nmemory = \"900MB\"\n");
     }
     fs::write(many.at("cluster.toml"), site).expect("written");

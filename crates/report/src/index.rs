@@ -181,7 +181,12 @@ impl Index {
     /// The verdict on the batch: the numbers of scored results and of bad ones, and the results that failed
     /// or are incomplete.
     pub fn verdict(&self) -> Vec<Sentence> {
-        let noun = if self.variants().len() > 1 { "results" } else { "scenes" };
+        let kind = if self.variants().len() > 1 { "result" } else { "scene" };
+        let noun = format!("{kind}s");
+        let counted = |n: usize, one: &str, more: &str| match n {
+            1 => format!("1 {kind} {one}"),
+            n => format!("{n} {kind}s {more}"),
+        };
         let named = |states: &[RowState]| -> (usize, String) {
             let all = self.rows().filter(|(_, row)| states.contains(&row.state));
             let names: Vec<String> =
@@ -197,18 +202,19 @@ impl Index {
             (0, _) => (Tone::Plain, format!("None of the {noun} was scored.")),
             (n, 0) => {
                 let text = "No comparison is unfavourable to the method in any of them.";
-                (Tone::Good, format!("{n} {noun} were scored. {text}"))
+                (Tone::Good, format!("{}. {text}", counted(n, "was scored", "were scored")))
             }
             (n, k) => {
                 let text = "of them a comparison is unfavourable to the method";
-                (Tone::Bad, format!("{n} {noun} were scored. In {k} {text}{names}."))
+                (Tone::Bad, format!("{}. In {k} {text}{names}.", counted(n, "was scored", "were scored")))
             }
         };
         let mut out = vec![Sentence { tone, text }];
         let (count, names) = named(&[RowState::Failed, RowState::Incomplete]);
         if count > 0 {
-            let text = format!("Failed or not complete, with the reasons in the list below{names}.");
-            out.push(Sentence { tone: Tone::Bad, text: format!("{count} of the {noun}. {text}") });
+            let text = counted(count, "failed or is not complete", "failed or are not complete");
+            let text = format!("{text}{names}. The list below has the reasons.");
+            out.push(Sentence { tone: Tone::Bad, text });
         }
         out
     }
@@ -304,11 +310,8 @@ mod tests {
         let two =
             index(vec![vec![row("", &[Good], &[], &[])], vec![row("", &[], &["import"], &["enhance"])]]);
         assert_eq!(two.head(), "2 scenes, 1 of 2 scored");
-        assert!(texts(&two)[0].starts_with("1 scenes were scored. No comparison"), "{:?}", texts(&two));
-        assert_eq!(
-            texts(&two)[1],
-            "1 of the scenes. Failed or not complete, with the reasons in the list below: s1."
-        );
+        assert!(texts(&two)[0].starts_with("1 scene was scored. No comparison"), "{:?}", texts(&two));
+        assert_eq!(texts(&two)[1], "1 scene failed or is not complete: s1. The list below has the reasons.");
         let many = index(vec![vec![row("", &[Bad], &[], &[])]; 11]);
         assert!(texts(&many)[0].ends_with("In 11 of them a comparison is unfavourable to the method."));
     }
