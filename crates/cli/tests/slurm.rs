@@ -371,11 +371,18 @@ impl Training<'_> {
         files.into_keys().filter_map(step).collect()
     }
 
+    /// The logs of its tasks, sorted by name.
+    fn logs(&self) -> Vec<(PathBuf, String)> {
+        let logs = tiny::files(&self.many.at("use3d-out/many-submit/logs")).into_iter();
+        let text = |bytes: Vec<u8>| String::from_utf8_lossy(&bytes).into_owned();
+        let mut logs: Vec<_> = logs.map(|(path, bytes)| (path, text(bytes))).collect();
+        logs.sort();
+        logs
+    }
+
     /// The steps from which the training resumed, in order.
     fn resumed(&self) -> Vec<u64> {
-        let mut logs: Vec<_> = tiny::files(&self.many.at("use3d-out/many-submit/logs")).into_iter().collect();
-        logs.sort();
-        let text: String = logs.iter().map(|(_, bytes)| String::from_utf8_lossy(bytes)).collect();
+        let text: String = self.logs().into_iter().map(|(_, text)| text).collect();
         let steps = text.split("resuming from step ").skip(1);
         steps.filter_map(|rest| rest.split(' ').next()?.parse().ok()).collect()
     }
@@ -402,7 +409,8 @@ impl Training<'_> {
                 return (found, start.elapsed());
             }
             let queue = self.slurm.queue();
-            assert!(start.elapsed() < Duration::from_secs(most), "no {what} after {most} s: {queue:?}");
+            let late = start.elapsed() >= Duration::from_secs(most);
+            assert!(!late, "no {what} after {most} s: {queue:?}{:#?}", self.logs());
             std::thread::sleep(Duration::from_millis(50));
         }
     }
