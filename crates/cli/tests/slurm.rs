@@ -371,9 +371,10 @@ impl Training<'_> {
         files.into_keys().filter_map(step).collect()
     }
 
-    /// The logs of its tasks, sorted by name.
+    /// The logs of its tasks, sorted by path. A submission beside a waiting one has a folder of its own.
     fn logs(&self) -> Vec<(PathBuf, String)> {
-        let logs = tiny::files(&self.many.at("use3d-out/many-submit/logs")).into_iter();
+        let files = tiny::files(&self.many.at("use3d-out/many-submit")).into_iter();
+        let logs = files.filter(|(path, _)| path.extension().is_some_and(|end| end == "log"));
         let text = |bytes: Vec<u8>| String::from_utf8_lossy(&bytes).into_owned();
         let mut logs: Vec<_> = logs.map(|(path, bytes)| (path, text(bytes))).collect();
         logs.sort();
@@ -492,8 +493,10 @@ fn what_slurm_interrupts_loses_no_step_and_what_is_killed_goes_on_soon() {
     // A second task waits on the other node.
     let second = submit(&["--again"]);
     let waits = || {
-        let log = many.at(&format!("use3d-out/many-submit/logs/workers-{second}_0.log"));
-        fs::read_to_string(log).unwrap_or_default().contains("waiting for process").then_some(())
+        let name = format!("workers-{second}_0.log");
+        let logs = training.logs();
+        let log = logs.iter().find(|(path, _)| path.ends_with(&name));
+        log.is_some_and(|(_, text)| text.contains("waiting for process")).then_some(())
     };
     training.wait_for("second task", 60, waits);
     let (pids, own) = (workers("cache"), |pid: u32| {

@@ -546,28 +546,6 @@ impl<'r> Runner<'r> {
         if self.fits(i, &resolved) { self.start(i, resolved, scope) } else { self.keep_waiting(i, resolved) }
     }
 
-    /// Ends a node whose artifact is missing and not to be made. Its last failure stays known.
-    fn miss(&mut self, i: usize, key: Option<Key>) {
-        let record = self.builder.cache.record(&self.graph.name, &self.graph.nodes[i]);
-        let failure = record.failed(key);
-        self.nodes[i].failure = failure.map(|failure| (failure.reason.clone(), failure.log.clone()));
-        self.nodes[i].result = NodeResult::Missing;
-        self.outcomes[i] = Outcome::Unavailable(self.nodes[i].label.clone());
-        self.over(i);
-    }
-
-    /// Ends a node that needs a device which this machine does not have. In a submission, another task has
-    /// it.
-    fn lacks_device(&mut self, i: usize, key: Option<Key>, reason: &str) {
-        if self.options.gather {
-            self.miss(i, key);
-        } else if self.builder.cache.node.task.as_ref().is_some_and(|task| !task.submission.is_empty()) {
-            self.leave_alone(i, reason);
-        } else {
-            self.fail(i, key, &StageError::bad_input_message(reason));
-        }
-    }
-
     /// Looks up a node's key. An unexpected result is checked a second time: on a network file system,
     /// another machine's artifact may appear late.
     fn look_up(&self, i: usize, key: &Key, first: bool) -> Result<Lookup, FileError> {

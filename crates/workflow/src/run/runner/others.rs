@@ -5,6 +5,8 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use super::{Phase, Runner};
+use crate::cache::key::Key;
+use crate::error::StageError;
 use crate::plan::resolve::{Outcome, Resolved};
 use crate::run::summary::NodeResult;
 use crate::share::lease::{self, HEARTBEAT};
@@ -132,6 +134,28 @@ impl Runner<'_> {
         self.outcomes[i] = Outcome::Unavailable(label.clone());
         self.left_alone.insert(label, reason.to_string());
         self.over(i);
+    }
+
+    /// Ends a node whose artifact is missing and not to be made. Its last failure stays known.
+    pub(super) fn miss(&mut self, i: usize, key: Option<Key>) {
+        let record = self.builder.cache.record(&self.graph.name, &self.graph.nodes[i]);
+        let failure = record.failed(key);
+        self.nodes[i].failure = failure.map(|failure| (failure.reason.clone(), failure.log.clone()));
+        self.nodes[i].result = NodeResult::Missing;
+        self.outcomes[i] = Outcome::Unavailable(self.nodes[i].label.clone());
+        self.over(i);
+    }
+
+    /// Ends a node that needs a device which this machine does not have. In a submission, another task has
+    /// it.
+    pub(super) fn lacks_device(&mut self, i: usize, key: Option<Key>, reason: &str) {
+        if self.options.gather {
+            self.miss(i, key);
+        } else if self.builder.cache.node.task.as_ref().is_some_and(|task| !task.submission.is_empty()) {
+            self.leave_alone(i, reason);
+        } else {
+            self.fail(i, key, &StageError::bad_input_message(reason));
+        }
     }
 
     /// Tries scenes from now on in an order of this process's own: other processes work on the same batch,
