@@ -2,7 +2,7 @@
 //! a browser. All are copied out of the cache and get readable names.
 //!
 //! An artifact holds nothing that depends on the clock or the machine. Times, memory, keys and drawing speeds
-//! are stored next to artifacts; [`report`] and [`lineage`] add them to the pages and the tables.
+//! are stored next to artifacts; the files `report.rs` and `lineage.rs` add them to the pages and the tables.
 
 mod lineage;
 mod report;

@@ -1,4 +1,4 @@
-//! The scores of one result as tables need them: means over views and pairs, in the order of [`METRICS`]. Ten
+//! The scores of one result as tables need them: means over views and pairs, in the order of `METRICS`. Ten
 //! thousand of them fit into 50 MB, where the scores of all their views would take some gigabytes.
 
 use std::collections::BTreeMap;
