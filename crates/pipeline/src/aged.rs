@@ -1,4 +1,4 @@
-//! Old results that are removed from a results folder. The report and the tables over all scenes stay.
+//! Old results that are removed from a results folder. The report with its pages, and the tables, stay.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -8,10 +8,10 @@ use use3d_workflow::gc::{Cleaning, Removed};
 use use3d_workflow::machine::seconds;
 use use3d_workflow::place::{self, Look, PlaceError, Standing, at};
 
-use crate::results::STAMPED;
+use crate::results::{STAMPED, VIEW};
 
 /// Removes the results of scenes in the results folder `out` that were written longer ago than `age`: the
-/// folders with a record, and the pages beside them. Only what this program wrote, and nobody changed since,
+/// folders with a record, and the scene's page in 3D. Only what this program wrote, and nobody changed since,
 /// is removed. A run that wants these results again writes them from the cache.
 ///
 /// # Errors
@@ -23,7 +23,7 @@ pub fn clean_results(out: &Path, age: Duration, dry_run: bool) -> Result<Cleanin
         let mut entries = walkdir::WalkDir::new(&scene).min_depth(1).sort_by_file_name().into_iter();
         while let Some(Ok(entry)) = entries.next() {
             let path = entry.path();
-            let is_page = entry.file_type().is_file() && path.extension().is_some_and(|end| end == "html");
+            let is_page = entry.file_type().is_file() && entry.file_name() == VIEW;
             let is_result = entry.file_type().is_dir() && path.join(place::RECORD).is_file();
             if is_result {
                 entries.skip_current_dir();
@@ -63,18 +63,15 @@ pub fn clean_results(out: &Path, age: Duration, dry_run: bool) -> Result<Cleanin
 
 /// Removes a result. The error is a clause.
 fn remove(path: &Path, is_page: bool, dry_run: bool) -> Result<(), String> {
-    let removed = match (is_page, dry_run) {
-        (true, _) => STAMPED.check(path).and_then(|()| match dry_run {
-            true => Ok(true),
-            false => at(path, "remove", fs::remove_file(path)).map(|()| true),
-        }),
+    let is_ours = match (is_page, dry_run) {
+        (true, _) => STAMPED.check(path).map(|()| true),
         (false, true) => place::look(path, Look::Close).map(|found| matches!(found, Standing::Ours(_))),
         (false, false) => place::remove(path),
     };
-    match removed {
+    match is_ours {
+        Ok(true) if is_page && !dry_run => fs::remove_file(path).map_err(|error| error.to_string()),
         Ok(true) => Ok(()),
-        Ok(false) => Err("it was changed after this program wrote it, so it stays".to_string()),
-        Err(PlaceError::Occupied { .. }) => {
+        Ok(false) | Err(PlaceError::Occupied { .. }) => {
             Err("it was not written by this program, or was changed since, so it stays".to_string())
         }
         Err(error) => Err(error.to_string()),
@@ -123,11 +120,12 @@ mod tests {
             (result("reef/scene", 40), result("reef/scores", 40), result("wreck/scene", 1));
         fs::write(edited.join("gaussians.ply"), "mine").unwrap();
         fs::write(old.join("notes.txt"), "mine").unwrap();
-        let [page, mine] = ["reef/view.html", "reef/mine.html"].map(|name| out.join(name));
+        let [page, mine, report] =
+            ["reef/view.html", "wreck/view.html", "reef/report.html"].map(|name| out.join(name));
         STAMPED.write(&page, "<html>").unwrap();
+        STAMPED.write(&report, "<html>").unwrap();
         fs::write(&mine, "<html>").unwrap();
-        age(&page, 40);
-        age(&mine, 40);
+        [&page, &mine, &report].into_iter().for_each(|page| age(page, 40));
         let days = |days: u64| Duration::from_secs(86_400 * days);
         let dry = clean_results(out, days(30), true).unwrap();
         assert_eq!(dry.removed.len(), 2);
@@ -137,7 +135,9 @@ mod tests {
         assert_eq!(cleaning.failed.len(), 2, "{:?}", cleaning.failed);
         assert!(!old.join("gaussians.ply").exists() && !page.exists());
         assert_eq!(fs::read_to_string(old.join("notes.txt")).unwrap(), "mine");
-        assert!(mine.is_file() && edited.is_dir() && fresh.join("gaussians.ply").is_file());
+        assert!(
+            report.is_file() && mine.is_file() && edited.is_dir() && fresh.join("gaussians.ply").is_file()
+        );
     }
 
     fn age(path: &Path, days: u64) {

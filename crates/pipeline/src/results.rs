@@ -33,7 +33,7 @@ const PAGE: &str = "report.html";
 const TABLES: &str = "tables";
 /// The page of a scene next to its folders, and the folder for that page's parts if it is too large for one
 /// file.
-const VIEW: &str = "view.html";
+pub(crate) const VIEW: &str = "view.html";
 const VIEW_PARTS: &str = "view_files";
 /// The verdict and the mean scores of a result next to its page, as data.
 const DATA: &str = "report.json";

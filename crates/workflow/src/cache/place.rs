@@ -395,6 +395,9 @@ pub fn put(made: &Path, folder: &Path, replace: bool) -> Result<(), PlaceError> 
 /// # Errors
 /// Fails if a file cannot be moved or removed.
 pub fn remove(folder: &Path) -> Result<bool, PlaceError> {
+    if !matches!(look(folder, Look::Quick)?, Standing::Ours(_)) {
+        return Ok(false);
+    }
     let aside = beside(folder, OLD);
     at(folder, "remove", fs::rename(folder, &aside))?;
     // No other process knows this name, so the folder does not change any more.
