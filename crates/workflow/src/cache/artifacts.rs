@@ -29,6 +29,7 @@ use std::time::{Duration, SystemTime};
 use rayon::prelude::*;
 
 use crate::cache::content::{Content, Contents};
+use crate::cache::device::Answers;
 use crate::cache::files::{self, Disk, Files};
 use crate::cache::key::{Ingredients, Key};
 use crate::cache::lock;
@@ -64,6 +65,7 @@ pub struct Cache {
     pub(crate) node: Arc<Node>,
     /// The files that stages promise, by stage.
     promises: Arc<BTreeMap<&'static str, &'static [&'static str]>>,
+    pub(crate) devices: Arc<Mutex<Answers>>,
 }
 
 /// An artifact that exists in the cache.
@@ -138,14 +140,15 @@ impl Cache {
             }
         }
         let contents = Arc::new(Contents::open(files.clone(), root.join("stat-table"), rehash));
-        let (node, promises) = (Arc::new(Node::this()), Arc::default());
-        Ok(Self { root, files, contents, verified: Arc::default(), leases: Arc::default(), node, promises })
+        let node = Arc::new(Node::this());
+        let (verified, leases, promises, devices) = Default::default();
+        Ok(Self { root, files, contents, verified, leases, node, promises, devices })
     }
 
     /// The same cache, used as if by another process or machine that shares it; for tests.
     #[must_use]
     pub fn as_node(self, node: Node) -> Self {
-        Self { node: Arc::new(node), ..self }
+        Self { node: Arc::new(node), devices: Arc::default(), ..self }
     }
 
     /// Returns the same cache with a function that asks a scheduler about the tasks that leases name.

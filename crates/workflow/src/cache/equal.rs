@@ -24,14 +24,14 @@ impl Cache {
         if file.size < LEAST {
             return false;
         }
-        let number = |path: &Path| files::identity(&std::fs::symlink_metadata(path).ok()?);
+        // A file from a store became a link when it was fetched.
+        if std::fs::symlink_metadata(path).is_ok_and(|found| files::linked(&found).is_some()) {
+            return true;
+        }
         let is_whole =
             |place: &&PathBuf| self.contents.read_digest(place).is_ok_and(|digest| digest == file.digest);
         let equal = self.contents.places_of(&file.digest, &self.root().join("artifacts"));
         let Some(place) = equal.iter().find(is_whole) else { return false };
-        if number(path).is_some_and(|own| Some(own) == number(place)) {
-            return true;
-        }
         let link = files::sibling(path, &files::unique());
         if std::fs::hard_link(place, &link).is_err() {
             return false;

@@ -73,6 +73,11 @@ impl Node {
         Self { task: Some(task), ..self }
     }
 
+    /// The task that this process is, if it belongs to a submission.
+    pub(crate) fn submitted(&self) -> Option<&ClusterTask> {
+        self.task.as_ref().filter(|task| !task.submission.is_empty())
+    }
+
     /// Returns true if this process is a later attempt of a task, so that the task is over.
     pub(crate) fn has_followed(&self, task: &ClusterTask) -> bool {
         self.task.as_ref().is_some_and(|own| own.follows(task))

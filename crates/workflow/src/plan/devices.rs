@@ -63,7 +63,7 @@ impl Builder {
             Ok(Some(own)) => own,
             Err(why) => return known(why),
         };
-        let first = cache.answer(&asked.name, own.clone()).unwrap_or_else(|error| {
+        let first = cache.answer(&asked.name, &own).unwrap_or_else(|error| {
             tracing::warn!("{error}; machines without this device cannot look at its results");
             own.clone()
         });

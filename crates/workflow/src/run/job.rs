@@ -191,7 +191,7 @@ impl Job<'_> {
     /// may have been lost.
     fn given_up(&self, killed: Option<&Killed>) -> Option<String> {
         let (cache, key) = (&self.builder.cache, &self.resolved.key);
-        let own = cache.node.task.as_ref().filter(|own| !own.submission.is_empty())?;
+        let own = cache.node.submitted()?;
         if let Some(task) = killed.and_then(|killed| killed.task.as_ref())
             && own.is_submitted_with(task)
             && !own.follows(task)

@@ -8,12 +8,11 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use use3d_workflow::node::Node;
 use use3d_workflow::plan::State;
 use use3d_workflow::run::NodeResult;
-use use3d_workflow::task::ClusterTask;
 use use3d_workflow::{
     AskedDevice, Batch, Builder, Cache, DeviceClass, Digest, Graph, Registry, Scope, Stage,
 };
 
-use super::stages::{Strength, batch, code, run};
+use super::stages::{Strength, batch, code, in_task, run};
 
 const PROGRAMS: &[u8] = b"programs";
 
@@ -45,17 +44,6 @@ fn machine(folder: &Path, card: Option<&'static str>, node: Node) -> (Builder, A
     .input("train", "train");
     let cache = Cache::open(&folder.join("cache"), false).unwrap().as_node(node);
     (Builder::new(Registry::new(vec![train, judge], code()).unwrap(), cache), opened)
-}
-
-fn task(id: &str, submission: &str) -> Node {
-    Node::this().in_task(ClusterTask {
-        scheduler: "slurm".into(),
-        cluster: String::new(),
-        id: id.into(),
-        attempt: 0,
-        memory: 0,
-        submission: submission.into(),
-    })
 }
 
 fn states(builder: &Builder, batch: &Batch) -> Vec<State> {
@@ -100,7 +88,7 @@ fn the_first_device_of_a_submission_decides_and_others_leave_its_stages_alone() 
     let dir = tempfile::tempdir().unwrap();
     let [both, one] = [&["reef", "wreck"][..], &["reef"]].map(|names| batch(&dir.path().join("data"), names));
     let run_as = |card, id, submission, batch: &Batch| {
-        let (summary, started, _) = run(&machine(dir.path(), card, task(id, submission)).0, batch);
+        let (summary, started, _) = run(&machine(dir.path(), card, in_task(id, submission)).0, batch);
         (summary, started.len())
     };
     assert_eq!(run_as(Some("a card"), "1", "s", &one).1, 2);

@@ -9,12 +9,10 @@ use std::sync::{Arc, Mutex};
 
 use serde_json::json;
 use use3d_workflow::gc::CleanOptions;
-use use3d_workflow::node::Node;
 use use3d_workflow::run::{NodeResult, RanNode, RunOptions};
-use use3d_workflow::task::ClusterTask;
 use use3d_workflow::{Batch, Builder, Event, Graph, Listener, Summary};
 
-use super::stages::{batch, builder, payload, run};
+use super::stages::{batch, builder, in_task, payload, run};
 
 /// Runs a batch and calls `meddle` once, at the first event for which `when` returns true.
 fn run_meddled(
@@ -239,16 +237,8 @@ fn what_failed_in_one_task_is_left_alone_by_the_others_of_its_submission() {
     fs::write(dir.path().join("data/wreck/images/words.txt"), "garbage").expect("written");
     let options = RunOptions { keep_going: true, ..RunOptions::default() };
     let run = |id: &str, submission: &str| {
-        let task = ClusterTask {
-            scheduler: "slurm".into(),
-            cluster: String::new(),
-            id: id.into(),
-            attempt: 0,
-            memory: 0,
-            submission: submission.into(),
-        };
         let Builder { registry, cache, .. } = builder(&dir.path().join("cache"));
-        let builder = Builder::new(registry, cache.as_node(Node::this().in_task(task)));
+        let builder = Builder::new(registry, cache.as_node(in_task(id, submission)));
         run_meddled(&builder, &batch, &options, |_| false, || {})
     };
     let failing = |started: &[String]| started.iter().filter(|label| *label == "wreck · reconstruct").count();

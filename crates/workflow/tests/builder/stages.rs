@@ -12,7 +12,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_workflow::code::{CodeRules, CodeTable};
 use use3d_workflow::files::{Disk, Files};
+use use3d_workflow::node::Node;
 use use3d_workflow::run::RunOptions;
+use use3d_workflow::task::ClusterTask;
 use use3d_workflow::{
     Batch, BatchScene, Builder, Cache, Event, Graph, Listener, Registry, Scope, Stage, StageContext,
     StageError, Summary,
@@ -310,6 +312,18 @@ impl Files for Fast {
 /// A builder on `folder` that does not sync the disk.
 pub(crate) fn builder(folder: &Path) -> Builder {
     Builder::new(registry(0), Cache::with_files(folder, false, Arc::new(Fast)).expect("a cache"))
+}
+
+/// This process as a task of a submission.
+pub(crate) fn in_task(id: &str, submission: &str) -> Node {
+    Node::this().in_task(ClusterTask {
+        scheduler: "slurm".into(),
+        cluster: String::new(),
+        id: id.into(),
+        attempt: 0,
+        memory: 0,
+        submission: submission.into(),
+    })
 }
 
 /// Creates captures in `folder`, as a batch.

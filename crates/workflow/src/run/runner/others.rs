@@ -138,9 +138,11 @@ impl Runner<'_> {
 
     /// Ends a node whose artifact is missing and not to be made. Its last failure stays known.
     pub(super) fn miss(&mut self, i: usize, key: Option<Key>) {
-        let record = self.builder.cache.record(&self.graph.name, &self.graph.nodes[i]);
-        let failure = record.failed(key);
-        self.nodes[i].failure = failure.map(|failure| (failure.reason.clone(), failure.log.clone()));
+        if self.known[i].failed {
+            let record = self.builder.cache.record(&self.graph.name, &self.graph.nodes[i]);
+            let failure = record.failed(key);
+            self.nodes[i].failure = failure.map(|failure| (failure.reason.clone(), failure.log.clone()));
+        }
         self.nodes[i].result = NodeResult::Missing;
         self.outcomes[i] = Outcome::Unavailable(self.nodes[i].label.clone());
         self.over(i);
@@ -151,7 +153,7 @@ impl Runner<'_> {
     pub(super) fn lacks_device(&mut self, i: usize, key: Option<Key>, reason: &str) {
         if self.options.gather {
             self.miss(i, key);
-        } else if self.builder.cache.node.task.as_ref().is_some_and(|task| !task.submission.is_empty()) {
+        } else if self.builder.cache.node.submitted().is_some() {
             self.leave_alone(i, reason);
         } else {
             self.fail(i, key, &StageError::bad_input_message(reason));

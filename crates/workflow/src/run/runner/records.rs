@@ -16,7 +16,7 @@ use use3d_code::digest::Digest;
 pub(super) struct LastResult {
     /// The key and content of its last artifact.
     pub(super) last: Option<(Key, Digest)>,
-    failed: bool,
+    pub(super) failed: bool,
 }
 
 impl LastResult {
