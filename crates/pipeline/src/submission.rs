@@ -296,7 +296,7 @@ impl SubmittedCells {
             return Ok(own);
         }
         Err(WorkError::Input(format!(
-            "{}: this is not the submitted pipeline: the settings of this task were edited since, this is another              version of the program, or `arguments` of the site change a parameter; submit it again",
+            "{}: this is not the submitted pipeline: the settings of this task were edited since, this is another version of the program, or `arguments` of the site change a parameter; submit it again",
             path_text(target)
         )))
     }

@@ -91,7 +91,7 @@ impl ResultFolders<'_> {
     }
 }
 
-/// What the report says about one scene in one variant.
+/// The report's part on one scene in one variant.
 #[derive(Clone, Debug, Default)]
 pub struct ResultSection {
     /// The section of the page.
