@@ -1,7 +1,7 @@
 //! Runs a batch through a real Slurm with a controller and two nodes on this machine, with workers killed, a
 //! node drained, the controller restarted, and a time limit; the bytes are those of a run of one process.
 //! Another test cancels, preempts, requeues and kills a training, with nodes that cannot check each other's
-//! processes.
+//! processes. A third has a card in one partition only.
 //!
 //! It needs Slurm and munge, root, and some minutes, so it runs only on request:
 //!
@@ -71,6 +71,7 @@ impl Slurm {
              NodeName=n1 NodeHostname={n1} NodeAddr=127.0.0.1 Port={first} CPUs=1 RealMemory=2000\n\
              NodeName=n2 NodeHostname={n2} NodeAddr=127.0.0.1 Port={second} CPUs=1 RealMemory=2000\n\
              PartitionName=main Nodes=ALL Default=YES MaxTime=INFINITE State=UP PriorityTier=1\n\
+             PartitionName=card Nodes=n2 MaxTime=INFINITE State=UP PriorityTier=1\n\
              PartitionName=urgent Nodes=ALL MaxTime=INFINITE State=UP PriorityTier=2\n"
         );
         fs::write(folder.join("slurm.conf"), text).expect("written");
@@ -284,6 +285,88 @@ fn a_batch_through_a_real_slurm_ends_like_a_run_of_one_process() {
             start.elapsed().as_secs_f64()
         );
     }
+    drop(slurm);
+    fs::remove_dir_all(root).expect("removed");
+}
+
+/// One partition has a card, a software one; the login node and the other partition see none. Trainings run
+/// on the card, everything else without, and no stage is computed twice.
+#[test]
+fn trainings_run_in_the_partition_with_the_card_and_everything_else_without() {
+    if let Some(reason) = refused() {
+        println!("SKIPPED, nothing was tested with a real Slurm: {reason}");
+        return;
+    }
+    let Ok(drivers) = std::env::var("VK_DRIVER_FILES") else {
+        println!("SKIPPED, nothing was tested with a card: set VK_DRIVER_FILES to the driver of lavapipe");
+        return;
+    };
+    let many = Many::asked(4);
+    let root = place("card");
+    let slurm = Slurm::start(root.clone(), Vec::new());
+    let none = many.at("none.json");
+    let site = format!(
+        r#"command = "{}"
+cpus = 1
+partition = "main"
+memory = "900MB"
+setup = ["export VK_DRIVER_FILES={}", '[ "$SLURM_JOB_PARTITION" != card ] || export VK_DRIVER_FILES={drivers}']
+[stage.reconstruct]
+partition = "card"
+memory = "900MB"
+"#,
+        env!("CARGO_BIN_EXE_use3d"),
+        none.display()
+    );
+    fs::write(many.at("cluster.toml"), site).expect("written");
+    let sets = ["--set", "reconstruct.engine=gpu:llvmpipe"];
+    let start = Instant::now();
+    let mut rounds = 0;
+    loop {
+        rounds += 1;
+        let mut command = slurm.with(many.command(&["submit", "slurm"], "cache"));
+        command.env("VK_DRIVER_FILES", &none).args(sets);
+        command.args(["--cluster", "cluster.toml", "--layout", "stages", "--out", "out"]);
+        let output = command.output().expect("the command starts");
+        let text = String::from_utf8_lossy(&output.stdout).into_owned();
+        assert!(output.status.success(), "{text}{}", String::from_utf8_lossy(&output.stderr));
+        if text.contains("nothing to submit") {
+            break;
+        }
+        assert!(rounds < 3, "{text}{:?}", tiny::files(&many.at("out-submit/logs")));
+        while !slurm.queue().is_empty() {
+            assert!(start.elapsed() < PATIENCE, "{:?}{}", slurm.queue(), slurm.logs());
+            std::thread::sleep(Duration::from_millis(500));
+        }
+    }
+    let (mut trained, mut elsewhere) = (0, 0);
+    for (path, bytes) in tiny::files(&many.at("out-submit")) {
+        let text = String::from_utf8_lossy(&bytes).into_owned();
+        let cards = text.lines().filter(|line| line.contains("engine: gpu, llvmpipe")).count();
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        match name.starts_with("reconstruct-") && name.ends_with(".log") {
+            true => trained += cards,
+            false => elsewhere += cards,
+        }
+    }
+    assert_eq!((trained, elsewhere), (many.count, 0), "{:#?}", tiny::files(&many.at("out-submit/logs")));
+    // Each line of the journal is one computation.
+    let journals = tiny::files(&many.at("cache/v1/timings")).into_values();
+    let journal: String = journals.map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).collect();
+    let computed: Vec<(String, String)> = journal
+        .lines()
+        .map(|line| serde_json::from_str::<serde_json::Value>(line).expect("JSON"))
+        .map(|line| (line["stage"].to_string(), line["scene"].to_string()))
+        .collect();
+    let distinct: BTreeSet<_> = computed.iter().collect();
+    assert_eq!(computed.len(), distinct.len(), "a stage was computed twice: {computed:?}");
+    assert_eq!(many.scores("out".as_ref()).len(), many.count);
+    println!(
+        "{} scenes with a card in one partition: {rounds} submissions, {:.0} s, {} stages computed, none twice",
+        many.count,
+        start.elapsed().as_secs_f64(),
+        computed.len()
+    );
     drop(slurm);
     fs::remove_dir_all(root).expect("removed");
 }

@@ -328,14 +328,35 @@ fn hyperqueue_is_asked_whether_the_last_job_is_over() {
     let many = Many::new(&["s1".to_string()]);
     let path = stand_ins(&many);
     // The output of the real program with `--output-mode quiet`.
-    let body = "#!/bin/bash\necho \"$*\" >> hq.log\ncase \"$*\" in\n*'job list') cat open; exit 0 ;;\n*) echo 12 ;;\nesac\n";
+    let body = "#!/bin/bash\necho \"$*\" >> hq.log\ncase \"$*\" in\n*'job list') cat open; exit 0 ;;\n*'worker list') cat workers; exit 0 ;;\n*) echo 12 ;;\nesac\n";
     fs::write(many.at("bin/hq"), body).expect("written");
     fs::set_permissions(many.at("bin/hq"), fs::Permissions::from_mode(0o755)).expect("executable");
     fs::write(many.at("cluster.toml"), "partition = \"cpu\"\n[stage.run]\noptions = [\"--gres=gpu:1\"]\n")
         .expect("written");
+    // A worker that has ended, one with too few processors, and one that lives too short.
+    let worker = |cpus: &str, limit: &str, ended: &str| {
+        format!(
+            r#"{{"id": 1, "configuration": {{"hostname": "node", "time_limit": {limit}, "resources": {{"resources":
+            [{{"name": "cpus", "kind": "list", "values": [{cpus}]}}, {{"name": "mem", "kind": "sum", "size": 32000}}]}}}},
+            "started": "2026-11-29T08:00:00Z", "ended": {ended}}}"#
+        )
+    };
+    let four = r#""0", "1", "2", "3""#;
+    let small = [worker(four, "null", "{}"), worker("\"0\"", "null", "null"), worker(four, "60.0", "null")];
+    fs::write(many.at("workers"), format!("[{}]", small.join(","))).expect("written");
+    let (code, text) = submit(&many, &path, "hq", "cache", &["--cluster", "cluster.toml"]);
+    assert!(code == Some(0) && text.contains("submitted many as job 12"), "{text}");
+    let warned = "warning: no worker of now has cpus = 4, mem = 7630 and 4:00:00 for workers, finish;";
+    assert!(text.contains(warned) && text.contains("hq worker start"), "{text}");
+    fs::write(many.at("workers"), format!("[{},{}]", small.join(","), worker(four, "null", "null")))
+        .expect("written");
+    let (_, text) = submit(&many, &path, "hq", "cache", &["--cluster", "cluster.toml"]);
+    assert!(!text.contains("no worker of now"), "{text}");
+    fs::write(many.at("workers"), "[]").expect("written");
     let (code, text) = submit(&many, &path, "hq", "cache", &["--cluster", "cluster.toml"]);
     assert!(code == Some(0) && text.contains("submitted many as job 12"), "{text}");
     assert!(text.contains("HyperQueue has no setting for partition, stage.run.options"), "{text}");
+    assert!(!text.contains("no worker of now"), "{text}");
     assert!(!text.contains("HyperQueue starts no task"), "{text}");
     fs::write(many.at("open"), "3 RUNNING\n12 WAITING\n").expect("written");
     let (code, text) = submit(&many, &path, "hq", "cache", &[]);
@@ -345,7 +366,7 @@ fn hyperqueue_is_asked_whether_the_last_job_is_over() {
     fs::write(many.at("open"), "").expect("written");
     assert_eq!(submit(&many, &path, "hq", "cache", &[]).0, Some(0));
     let asked = read(&many.at("hq.log"));
-    assert_eq!(asked.lines().filter(|line| line.contains("job submit-file")).count(), 3, "{asked}");
+    assert_eq!(asked.lines().filter(|line| line.contains("job submit-file")).count(), 5, "{asked}");
 }
 
 #[test]
@@ -508,6 +529,15 @@ fn the_sites_limit_of_arrays_is_asked_for_and_jobs_that_never_start_are_named() 
     let (code, text) = submit(&many, &path, "slurm", "cache", &["-q"]);
     let warned = "warning: job 7_[0-2] can never start (PartitionConfig)";
     assert!(code == Some(0) && text.contains(warned) && !text.contains("job 8 can never"), "{text}");
+    // A request that Slurm refuses at once is said with its size; what the site states is what is asked for.
+    stand_in(&many, "squeue", "exit 0");
+    let refusal = "sbatch: error: Batch job submission failed: Requested node configuration is not available";
+    stand_in(&many, "sbatch", &format!("echo '{refusal}' >&2; exit 1"));
+    fs::write(many.at("cluster.toml"), "memory = \"1GB\"\ntime = \"1h\"\n").expect("written");
+    let (code, text) = submit(&many, &path, "slurm", "cache", &["--cluster", "cluster.toml"]);
+    let asked =
+        "not available; the job asks for 4 processors, 1000 MB and 1:00:00; if no node has these, write";
+    assert!(code == Some(1) && text.contains(asked) && text.contains("--cluster FILE"), "{text}");
 }
 
 /// A task computes what was planned at its submission, or nothing.

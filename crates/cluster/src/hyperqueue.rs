@@ -7,15 +7,18 @@
 //! which names what is missing, reports the result of the batch. If another stage waits for a stage that
 //! failed, HyperQueue does not start the waiting tasks.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use super::ClusterError;
 use super::jobs::{After, Job};
 use super::quote::{word, words};
 use super::site::Site;
 use super::slurm::{Submission, Submitted, begin, output_of, put};
+use super::time;
 
 /// Number of times that a task is started again after its worker was lost.
 const CRASHES: u32 = 50;
@@ -42,7 +45,7 @@ struct Task {
 #[derive(Serialize)]
 struct Request {
     time_request: String,
-    resources: std::collections::BTreeMap<String, u64>,
+    resources: BTreeMap<String, u64>,
 }
 
 /// The path of the job file.
@@ -97,6 +100,17 @@ pub fn ends_with_a_failure(jobs: &[Job]) -> bool {
     (0..jobs.len()).any(|at| !jobs[at].delivers && !only_last_waits(jobs, at))
 }
 
+/// The resources that each task of a job requests, by HyperQueue's names.
+fn resources_of(job: &Job) -> BTreeMap<String, u64> {
+    let mut resources = job.asks.needs.resources.clone();
+    resources.insert("cpus".to_string(), job.asks.cpus as u64);
+    // In megabytes, the unit of HyperQueue's workers; a site may use another name for it, or 0 for no
+    // request.
+    resources.entry("mem".to_string()).or_insert(job.asks.memory.div_ceil(1_048_576));
+    resources.retain(|_, amount| *amount > 0);
+    resources
+}
+
 /// The job file of `hq job submit-file`.
 pub fn file(jobs: &[Job], submission: &Submission) -> String {
     let mut tasks: Vec<Task> = Vec::new();
@@ -130,12 +144,7 @@ pub fn file(jobs: &[Job], submission: &Submission) -> String {
             // Every start of a task has its own log.
             let log = format!("{}{number}-%{{INSTANCE_ID}}.log", job.name);
             let log = submission.folder.join("logs").join(log);
-            let mut resources = job.asks.needs.resources.clone();
-            resources.insert("cpus".to_string(), job.asks.cpus as u64);
-            // In megabytes, the unit of HyperQueue's workers; a site may use another name for it, or 0 for no
-            // request.
-            resources.entry("mem".to_string()).or_insert(job.asks.memory.div_ceil(1_048_576));
-            resources.retain(|_, amount| *amount > 0);
+            let resources = resources_of(job);
             let request = Request { time_request: format!("{}s", job.asks.time.as_secs()), resources };
             tasks.push(Task {
                 id,
@@ -186,6 +195,83 @@ pub fn submit(submission: &Submission) -> Result<Submitted, ClusterError> {
     let jobs = vec![(submission.name.clone(), number.to_string())];
     submission.keep("hq", jobs.clone())?;
     Ok(Submitted { scheduler: "hq".to_string(), jobs, ..Submitted::default() })
+}
+
+/// A worker as `hq worker list` describes it.
+#[derive(Deserialize)]
+struct Worker {
+    configuration: WorkerConfiguration,
+    /// Its end, unless it still works.
+    ended: Option<Value>,
+}
+
+#[derive(Deserialize)]
+struct WorkerConfiguration {
+    /// Seconds for which it lives; `None` without a limit.
+    time_limit: Option<f64>,
+    resources: WorkerResources,
+}
+
+#[derive(Deserialize)]
+struct WorkerResources {
+    resources: Vec<WorkerResource>,
+}
+
+/// A resource of a worker in one of HyperQueue's forms.
+#[derive(Deserialize)]
+struct WorkerResource {
+    name: String,
+    values: Option<Vec<Value>>,
+    groups: Option<Vec<Vec<Value>>>,
+    start: Option<u64>,
+    end: Option<u64>,
+    size: Option<Value>,
+}
+
+impl WorkerResource {
+    /// Its amount; `None` in a form that is not known here.
+    fn amount(&self) -> Option<u64> {
+        let range = || Some(self.end?.saturating_sub(self.start?) + 1);
+        let grouped = || Some(self.groups.as_ref()?.iter().map(|group| group.len() as u64).sum());
+        let listed = self.values.as_ref().map(|values| values.len() as u64);
+        listed.or_else(grouped).or_else(range).or_else(|| self.size.as_ref()?.as_u64())
+    }
+}
+
+impl Worker {
+    /// True if a task with these resources and this time can run on it. A form that is not known is enough.
+    fn serves(&self, resources: &BTreeMap<String, u64>, seconds: u64) -> bool {
+        let WorkerConfiguration { time_limit, resources: has } = &self.configuration;
+        let enough = |(name, asked): (&String, &u64)| {
+            let own = has.resources.iter().find(|resource| resource.name == *name);
+            own.map_or(Some(0), WorkerResource::amount).is_none_or(|amount| amount >= *asked)
+        };
+        time_limit.is_none_or(|limit| limit >= seconds as f64) && resources.iter().all(enough)
+    }
+}
+
+/// The requests that no worker of now can serve, each with the names of its jobs. Nothing if there is no
+/// worker yet, or if `hq` describes its workers in a form that is not known here.
+pub fn unserved(jobs: &[Job]) -> BTreeMap<String, Vec<&str>> {
+    let hint = "install HyperQueue";
+    let said = output_of("hq", &["--output-mode", "json"], &["worker", "list"], hint).unwrap_or_default();
+    let Ok(mut workers) = serde_json::from_str::<Vec<Worker>>(&said) else {
+        return BTreeMap::new();
+    };
+    workers.retain(|worker| worker.ended.is_none());
+    let lacks = |job: &&Job| {
+        let (resources, seconds) = (resources_of(job), job.asks.time.as_secs());
+        !workers.is_empty() && !workers.iter().any(|worker| worker.serves(&resources, seconds))
+    };
+    let asked = |job: &Job| {
+        let named = resources_of(job).into_iter().map(|(name, amount)| format!("{name} = {amount}"));
+        format!("{} and {}", named.collect::<Vec<_>>().join(", "), time::clock(job.asks.time))
+    };
+    let mut found: BTreeMap<String, Vec<&str>> = BTreeMap::new();
+    for job in jobs.iter().filter(lacks) {
+        found.entry(asked(job)).or_default().push(&job.name);
+    }
+    found
 }
 
 /// Cancels jobs.

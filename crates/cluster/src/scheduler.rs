@@ -97,9 +97,17 @@ impl Scheduler {
 
     /// Warnings about submitted jobs that will never start, because the site has no place for their requests.
     /// This waits until the scheduler knows.
-    pub fn warnings(self, submitted: &Submitted) -> Vec<String> {
+    pub fn warnings(self, jobs: &[Job], submitted: &Submitted) -> Vec<String> {
         if self == Self::HyperQueue {
-            return Vec::new();
+            let warning = |(asked, jobs): (String, Vec<&str>)| {
+                format!(
+                    "no worker of now has {asked} for {}; tasks wait until one comes: start a larger worker with \
+                     `hq worker start`, or write cpus, memory and time of your workers into \
+                     --cluster FILE (docs/guide/cluster.md), run `use3d cancel`, and submit again",
+                    jobs.join(", ")
+                )
+            };
+            return hyperqueue::unserved(jobs).into_iter().map(warning).collect();
         }
         std::thread::sleep(EXAMINED);
         let numbers: Vec<String> = submitted.jobs.iter().map(|(_, number)| number.clone()).collect();

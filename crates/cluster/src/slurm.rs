@@ -17,7 +17,7 @@ use use3d_workflow::files::{Disk, write_atomic};
 use use3d_workflow::task::{ClusterTask, IsOver, SUBMISSION};
 
 use super::ClusterError;
-use super::jobs::{After, Job};
+use super::jobs::{After, Asks, Job};
 use super::quote::{word, words};
 use super::site::Site;
 use super::time::clock;
@@ -272,10 +272,29 @@ pub fn submit(jobs: &[Job], submission: &Submission) -> Result<Submitted, Cluste
                     return give_up(&numbers, error);
                 }
             }
-            Err(error) => return give_up(&numbers, error),
+            Err(error) => return give_up(&numbers, requested(job, error)),
         }
     }
     Ok(named(&numbers))
+}
+
+/// The error of `sbatch` for a job that asks for more than the site has, with the request and its place.
+fn requested(job: &Job, error: ClusterError) -> ClusterError {
+    match error {
+        ClusterError::Command { command, reason } if reason.contains("submission failed") => {
+            let Asks { cpus, memory, time, needs } = &job.asks;
+            let within = needs.partition.as_ref().map(|name| format!(" in the partition {name}"));
+            let reason = format!(
+                "{reason}; the job asks for {cpus} processors, {} MB and {}{}; if no node has these, write \
+                 partition, cpus, memory and time of your site into --cluster FILE (docs/guide/cluster.md)",
+                memory.div_ceil(1_000_000),
+                clock(*time),
+                within.unwrap_or_default()
+            );
+            ClusterError::Command { command, reason }
+        }
+        error => error,
+    }
 }
 
 /// Cancels jobs.

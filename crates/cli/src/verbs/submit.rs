@@ -105,7 +105,8 @@ fn submit(
     for (name, id) in &submitted.jobs {
         println!("submitted {name} as job {id}");
     }
-    scheduler.warnings(&submitted).iter().for_each(|warning| eprintln!("warning: {warning}"));
+    let warnings = scheduler.warnings(&planned.jobs, &submitted);
+    warnings.iter().for_each(|warning| eprintln!("warning: {warning}"));
     let command = |verb: &str, words: &[String]| format!("use3d {verb} {}", quote::words(words));
     if scheduler == Scheduler::HyperQueue && hyperqueue::ends_with_a_failure(&planned.jobs) {
         println!(

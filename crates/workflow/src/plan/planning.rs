@@ -193,9 +193,8 @@ impl Builder {
                 let stage = &self.registry.stages()[node.stage];
                 planned.usual_cost = stage.usual_cost(&node.parameters);
                 planned.forecast = timings.forecast(stage.name, &node.scene, stage.length(&node.parameters));
-                let memory =
-                    stage.memory_on(&node.parameters, &resolve::existing_inputs(graph, i, &outcomes));
-                planned.memory = (memory > 0).then_some(memory);
+                let inputs = resolve::existing_inputs(graph, i, &outcomes);
+                planned.memory = stage.known_memory(&node.parameters, &inputs);
             }
             nodes.push(planned);
         }

@@ -463,10 +463,14 @@ impl Stage {
         (self.schema)(generator)
     }
 
-    /// Estimated memory with these parameters on these inputs, in bytes; 0 where there is no estimate.
+    /// Estimated memory with these parameters on these inputs, in bytes; `None` where these do not tell it.
+    pub(crate) fn known_memory(&self, parameters: &Parameters, inputs: &[StageInput]) -> Option<u64> {
+        self.memory_of.as_ref().and_then(|of| of(parameters, inputs)).filter(|bytes| *bytes > 0)
+    }
+
+    /// As [`Self::known_memory`]; the stage's usual memory where that is `None`.
     pub(crate) fn memory_on(&self, parameters: &Parameters, inputs: &[StageInput]) -> u64 {
-        let known = self.memory_of.as_ref().and_then(|of| of(parameters, inputs));
-        known.unwrap_or(self.memory)
+        self.known_memory(parameters, inputs).unwrap_or(self.memory)
     }
 
     /// The given parameters with defaults filled in.
