@@ -129,20 +129,31 @@ impl Batch {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum InputSource {
     Node(usize),
-    External(External),
+    /// A file or folder from outside. A large batch has many inputs from nodes, so this one is apart.
+    External(Box<Outside>),
+}
+
+/// An input from outside, and the place where the user named it; empty for none.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Outside {
+    pub(crate) place: External,
+    pub(crate) named: String,
+}
+
+impl InputSource {
+    fn outside(place: External, named: impl Into<String>) -> Self {
+        Self::External(Box::new(Outside { place, named: named.into() }))
+    }
 }
 
 #[derive(Clone, Debug)]
 pub(crate) struct NodeInput {
     pub(crate) role: &'static str,
     pub(crate) from: InputSource,
-    /// The place where the user named it; empty for a stage's artifact.
-    pub(crate) named: String,
     /// The input's place in the stage's list.
     pub(crate) index: usize,
-    /// The scene that it belongs to, for a stage over the whole batch. Other stages have none, and a large
-    /// batch has many inputs.
-    pub(crate) cell: Option<Box<InputCell>>,
+    /// The group of its scene, for the artifact of a scene that a stage over the whole batch reads.
+    pub(crate) group: Option<Arc<str>>,
 }
 
 /// The scene, its group and the variant of an input of a stage over the whole batch.
@@ -157,7 +168,7 @@ pub(crate) struct InputCell {
 #[derive(Debug)]
 pub(crate) struct Place {
     pub(crate) all: Arc<AllParameters>,
-    pub(crate) named: Named,
+    pub(crate) named: Arc<Named>,
 }
 
 /// One stage of one scene and variant.
@@ -186,9 +197,11 @@ pub struct Node {
 }
 
 impl NodeInput {
-    /// The scene that it belongs to; empty where there is none.
-    pub(crate) fn cell(&self) -> InputCell {
-        self.cell.as_deref().cloned().unwrap_or_default()
+    /// The scene that it belongs to, for a stage over the whole batch; else empty.
+    pub(crate) fn cell(&self, nodes: &[Node]) -> InputCell {
+        let (Some(group), Some(node)) = (&self.group, self.node()) else { return InputCell::default() };
+        let Node { scene, variant, .. } = &nodes[node];
+        InputCell { scene: scene.clone(), group: group.to_string(), variant: variant.clone() }
     }
 
     /// The node whose artifact it is; `None` for an input from outside.
@@ -232,6 +245,7 @@ impl Graph {
             nodes: Vec::with_capacity(most.saturating_add(registry.stages().len())),
             place: HashMap::new(),
             first: HashMap::new(),
+            named: Arc::default(),
             merged: HashMap::new(),
         };
         // Scene by scene, so that results come early; shared stages first, stages over all scenes last.
@@ -282,8 +296,10 @@ impl Graph {
                     // A stage over the whole batch reads whatever scenes there are.
                     InputSource::Node(_) if stage.scope == Scope::Batch => continue,
                     InputSource::Node(node) => encoder.bytes(nodes[*node].as_bytes()),
-                    InputSource::External(Ok(path)) => encoder.text(&path.to_string_lossy()),
-                    InputSource::External(Err(reason)) => encoder.text(reason),
+                    InputSource::External(outside) => match &outside.place {
+                        Ok(path) => encoder.text(&path.to_string_lossy()),
+                        Err(reason) => encoder.text(reason),
+                    },
                 };
                 encoder.text(input.role);
             }
@@ -300,9 +316,9 @@ impl Graph {
     /// Returns the groups of the scenes that have one, as the stages over the whole batch see them.
     pub fn groups(&self) -> BTreeMap<&str, &str> {
         let inputs = self.nodes.iter().filter(|node| node.scene.is_empty()).flat_map(|node| &node.inputs);
-        let cells = inputs.filter_map(|input| input.cell.as_deref());
-        let named = cells.filter(|cell| !cell.group.is_empty());
-        named.map(|cell| (cell.scene.as_str(), cell.group.as_str())).collect()
+        let named = inputs.filter_map(|input| Some((input.node()?, input.group.as_deref()?)));
+        let named = named.filter(|(_, group)| !group.is_empty());
+        named.map(|(node, group)| (self.nodes[node].scene.as_str(), group)).collect()
     }
 
     /// Finds the node of a stage in a scene (empty for stages over all scenes) and variant (empty for the
@@ -394,6 +410,8 @@ struct GraphBuilder<'a> {
     nodes: Vec<Node>,
     place: HashMap<(String, String, &'static str), usize>,
     first: HashMap<Digest, usize>,
+    /// The files of the scene and variant before, which most variants of a scene share.
+    named: Arc<Named>,
     /// Merged parameters, by the settings of a scene and the name of a variant.
     merged: HashMap<(Option<String>, String), Arc<Merged>>,
 }
@@ -509,8 +527,12 @@ impl GraphBuilder<'_> {
         scope: Scope,
     ) -> Result<(), BuildError> {
         let merged = self.parameters(scene, variant)?;
-        let place = Arc::new(Place { all: merged.all.clone(), named: self.named(scene, variant) });
-        let (all, named): (&AllParameters, _) = (&place.all, &place.named);
+        let own = self.named(scene, variant);
+        if own != *self.named {
+            self.named = Arc::new(own);
+        }
+        let place = Arc::new(Place { all: merged.all.clone(), named: self.named.clone() });
+        let (all, named): (&AllParameters, &Named) = (&place.all, &place.named);
         let (given, scene_name) = (self.given(scene, variant), scene.map_or("", |s| s.name.as_str()));
         let registry = self.registry;
         for (index, stage) in registry.stages().iter().enumerate().filter(|(_, s)| s.scope == scope) {
@@ -526,23 +548,21 @@ impl GraphBuilder<'_> {
                 };
                 let made = |scene_name: &str, variant: &Variant, stage: &'static str| {
                     let node = self.place.get(&(scene_name.to_string(), variant.name.clone(), stage))?;
-                    Some((InputSource::Node(*node), String::new()))
+                    Some(InputSource::Node(*node))
                 };
                 let results = self.batch.given.get(input.role).filter(|_| external.is_none());
                 if let Some(given) = results {
-                    let by = "the command line".to_string();
-                    let given = given.clone().map(|path| (InputSource::External(Ok(path)), by));
-                    inputs.extend(given.map(|(from, named)| NodeInput {
+                    let given = given.clone().map(|path| InputSource::outside(Ok(path), "the command line"));
+                    inputs.extend(given.map(|from| NodeInput {
                         role: input.role,
                         from,
-                        named,
                         index: i,
-                        cell: None,
+                        group: None,
                     }));
                     continue;
                 }
                 let found = match (external.and_then(|name| given.places.get(name)), &input.source) {
-                    (Some((place, by)), _) => Some((InputSource::External(place.clone()), by.clone())),
+                    (Some((place, by)), _) => Some(InputSource::outside(place.clone(), by)),
                     (None, Source::External(_)) => None,
                     _ if input.needed.as_ref().is_some_and(|needed| !needed(all)) => continue,
                     (None, Source::Reference(stage)) => reference.and_then(|r| made(scene_name, r, stage)),
@@ -550,12 +570,12 @@ impl GraphBuilder<'_> {
                         made(scene_name, variant, stage).or_else(|| made("", variant, stage))
                     }
                 };
-                let (from, named) = match (found, input.optional) {
+                let from = match (found, input.optional) {
                     (Some(found), _) => found,
                     (None, true) => continue,
-                    (None, false) => (missing(&input.source), String::new()),
+                    (None, false) => missing(&input.source),
                 };
-                inputs.push(NodeInput { role: input.role, from, named, index: i, cell: None });
+                inputs.push(NodeInput { role: input.role, from, index: i, group: None });
             }
             let seed = stage.seeded.then(|| variant.seed.unwrap_or(self.batch.seed));
             let name = variant.preset_name.as_ref().unwrap_or(&self.batch.preset_name).clone();
@@ -567,12 +587,13 @@ impl GraphBuilder<'_> {
 
     fn add_batch_stages(&mut self, variants: &[Variant]) -> Result<(), BuildError> {
         let merged = self.parameters(None, &Variant::default())?;
-        let place = Arc::new(Place { all: merged.all.clone(), named: self.named(None, &Variant::default()) });
-        let (all, named): (&AllParameters, _) = (&place.all, &place.named);
+        let named = Arc::new(self.named(None, &Variant::default()));
+        let place = Arc::new(Place { all: merged.all.clone(), named });
+        let (all, named): (&AllParameters, &Named) = (&place.all, &place.named);
         let given = self.given(None, &Variant::default());
         let registry = self.registry;
-        let groups: HashMap<&str, &str> =
-            self.batch.scenes.iter().map(|s| (s.name.as_str(), s.group.as_str())).collect();
+        let groups: HashMap<&str, Arc<str>> =
+            self.batch.scenes.iter().map(|s| (s.name.as_str(), Arc::from(s.group.as_str()))).collect();
         for (index, stage) in registry.stages().iter().enumerate().filter(|(_, s)| s.scope == Scope::Batch) {
             let changes =
                 |v: &&Variant| v.overrides.contains_key(stage.name) || v.forced.contains_key(stage.name);
@@ -595,20 +616,16 @@ impl GraphBuilder<'_> {
                     Source::Stage(maker) | Source::Reference(maker) => (input.instead, Some(maker)),
                 };
                 let found = match external.and_then(|name| given.places.get(name)) {
-                    Some((place, by)) => Some((InputSource::External(place.clone()), by.clone())),
-                    None if maker.is_none() && !input.optional => {
-                        Some((missing(&input.source), String::new()))
-                    }
+                    Some((place, by)) => Some(InputSource::outside(place.clone(), by)),
+                    None if maker.is_none() && !input.optional => Some(missing(&input.source)),
                     None => None,
                 };
-                let make = |from, named, cell| NodeInput { role: input.role, from, named, index: i, cell };
-                inputs.extend(found.map(|(from, named)| make(from, named, None)));
+                let make = |from, group| NodeInput { role: input.role, from, index: i, group };
+                inputs.extend(found.map(|from| make(from, None)));
                 // A stage over all variants reads the artifacts of all of them.
                 for (n, node) in self.nodes.iter().enumerate().filter(|(_, n)| maker == Some(n.stage_name)) {
-                    let group = groups.get(node.scene.as_str()).copied().unwrap_or_default().to_string();
-                    let (scene, variant) = (node.scene.clone(), node.variant.clone());
-                    let cell = Some(Box::new(InputCell { scene, group, variant }));
-                    inputs.push(make(InputSource::Node(n), String::new(), cell));
+                    let group = groups.get(node.scene.as_str()).cloned().unwrap_or_default();
+                    inputs.push(make(InputSource::Node(n), Some(group)));
                 }
             }
             let seed = stage.seeded.then_some(self.batch.seed);
@@ -624,21 +641,25 @@ impl GraphBuilder<'_> {
         (scene, variant, place): (String, String, Arc<Place>),
         (merged, preset): (&Merged, String),
         seed: Option<u64>,
-        inputs: Vec<NodeInput>,
+        mut inputs: Vec<NodeInput>,
     ) {
+        // A large batch has many lists, and each has grown to twice its needs.
+        inputs.shrink_to_fit();
         let name = self.registry.stages()[stage].name;
         let mut identity = Encoder::new("use3d 2026 node identity v1");
         let (parameters, digest) = &merged.each[name];
         identity.text(name).bytes(digest.as_bytes());
         identity.number(u64::from(seed.is_some())).number(seed.unwrap_or(0));
         for input in &inputs {
-            let cell = input.cell();
+            let cell = input.cell(&self.nodes);
             identity.text(input.role).text(&cell.scene).text(&cell.variant);
             match &input.from {
                 InputSource::Node(node) => identity.bytes(self.nodes[*node].identity.as_bytes()),
-                InputSource::External(Ok(path)) => identity.text(&path.to_string_lossy()),
-                // A missing file of one scene is not the same input as a missing file of another scene.
-                InputSource::External(Err(reason)) => identity.text(reason).text(&scene),
+                InputSource::External(outside) => match &outside.place {
+                    Ok(path) => identity.text(&path.to_string_lossy()),
+                    // A missing file of one scene is not the same input as a missing file of another scene.
+                    Err(reason) => identity.text(reason).text(&scene),
+                },
             };
         }
         let identity = identity.finish();
@@ -665,12 +686,13 @@ impl GraphBuilder<'_> {
 
 /// The source of an input that is needed and cannot be found.
 fn missing(source: &Source) -> InputSource {
-    InputSource::External(Err(match source {
+    let reason = match source {
         Source::External(name) => format!("the pipeline does not say where `{name}` is"),
         Source::Stage(name) | Source::Reference(name) => {
             format!("it needs the stage `{name}`, which these parameters switch off")
         }
-    }))
+    };
+    InputSource::outside(Err(reason), "")
 }
 
 fn place_label(scene: Option<&BatchScene>, variant: Option<&Variant>, stage: &str) -> String {

@@ -98,8 +98,8 @@ impl Builder {
                     }
                 },
                 // An optional input need not be named; a named input must exist.
-                InputSource::External(Err(reason)) => return Err(input_error(input, reason)),
-                InputSource::External(Ok(path)) => {
+                InputSource::External(outside) => {
+                    let path = outside.place.as_ref().map_err(|reason| input_error(input, reason))?;
                     let found = self.read(node, input, path);
                     let (select, content) =
                         found.map_err(|reason| input_error(input, &reason.to_string()))?;
@@ -108,7 +108,7 @@ impl Builder {
                     (content.digest, path.clone())
                 }
             };
-            let InputCell { scene, group, variant } = input.cell();
+            let InputCell { scene, group, variant } = input.cell(&graph.nodes);
             let role = input.role.to_string();
             inputs.push(StageInput { role, path, scene, group, variant });
             digests.push(digest);
@@ -180,16 +180,21 @@ pub(crate) fn existing_inputs(graph: &Graph, node: usize, outcomes: &[Outcome]) 
             Outcome::Ready(artifact) => Some(artifact.path.clone()),
             Outcome::Open | Outcome::Unavailable(_) => None,
         },
-        InputSource::External(place) => place.clone().ok().filter(|path| path.exists()),
+        InputSource::External(outside) => outside.place.clone().ok().filter(|path| path.exists()),
     };
     let given = |input: &NodeInput| {
-        let InputCell { scene, group, variant } = input.cell();
+        let InputCell { scene, group, variant } = input.cell(&graph.nodes);
         Some(StageInput { role: input.role.to_string(), path: path(input)?, scene, group, variant })
     };
     graph.nodes[node].inputs.iter().filter_map(given).collect()
 }
 
 fn input_error(input: &NodeInput, reason: &str) -> Unresolved {
-    let by = if input.named.is_empty() { String::new() } else { format!(", named by {}", input.named) };
+    let by = match &input.from {
+        InputSource::External(outside) if !outside.named.is_empty() => {
+            format!(", named by {}", outside.named)
+        }
+        _ => String::new(),
+    };
     Unresolved::Input(format!("input `{}`{by}: {reason}", input.role))
 }

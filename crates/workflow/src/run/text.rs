@@ -19,15 +19,23 @@ use crate::share::lease::Working;
 /// Most items that a line names.
 const SHOWN: usize = 3;
 
+/// A writer that escapes the control characters of a terminal. The plan of a large batch has many megabytes
+/// of text, so nothing is collected.
+struct Printable<'a, 'f>(&'a mut Formatter<'f>);
+
+impl Write for Printable<'_, '_> {
+    fn write_str(&mut self, text: &str) -> fmt::Result {
+        self.0.write_str(&shown_lines(text))
+    }
+}
+
 /// Prints the text that `fill` writes, with terminal control characters escaped.
-fn printable(f: &mut Formatter<'_>, fill: impl FnOnce(&mut String) -> fmt::Result) -> fmt::Result {
-    let mut text = String::new();
-    fill(&mut text)?;
-    f.write_str(&shown_lines(&text))
+fn printable(f: &mut Formatter<'_>, fill: impl FnOnce(&mut Printable<'_, '_>) -> fmt::Result) -> fmt::Result {
+    fill(&mut Printable(f))
 }
 
 /// Prints the counts that are not 0.
-fn count(f: &mut String, counts: &[(usize, &str)]) -> fmt::Result {
+fn count(f: &mut Printable<'_, '_>, counts: &[(usize, &str)]) -> fmt::Result {
     let mut counts = counts.iter().filter(|(count, _)| *count > 0);
     counts.try_for_each(|(count, words)| write!(f, ", {count} {words}"))
 }

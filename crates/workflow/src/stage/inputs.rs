@@ -9,7 +9,7 @@ pub type External = Result<PathBuf, String>;
 
 /// The files that the pipeline names outside itself, for [`Stage::when_named`](crate::Stage::when_named): for
 /// one scene, or for all scenes in a stage that is made once.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Named {
     /// By name: the path (or the reason why it is not known), and the place where the user named it.
     pub(crate) places: BTreeMap<String, (External, String)>,
