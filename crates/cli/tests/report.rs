@@ -151,7 +151,10 @@ fn a_failure_has_its_reason_and_its_log_in_the_overview_and_on_its_page() {
         for part in ["class=\"failed\"", "import: ", "images.bin", "import.log</code>"] {
             assert!(row.contains(part), "{arguments:?}, {part}: {row}");
         }
-        assert!(overview.contains("1 scene failed or is not complete: broken. The list below"), "{arguments:?}");
+        assert!(
+            overview.contains("1 scene failed or is not complete: broken. The list below"),
+            "{arguments:?}"
+        );
         assert!(batch.read("broken/report.html").contains("<code>import</code> failed: "), "{arguments:?}");
     }
 }
