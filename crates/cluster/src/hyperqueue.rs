@@ -17,7 +17,8 @@ use super::ClusterError;
 use super::jobs::{After, Job};
 use super::quote::{word, words};
 use super::site::Site;
-use super::slurm::{Submission, Submitted, begin, output_of, put};
+use super::slurm::output_of;
+use super::submission::{Submission, Submitted, begin, put};
 use super::time;
 
 /// Number of times that a task is started again after its worker was lost.

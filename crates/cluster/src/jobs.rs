@@ -16,6 +16,7 @@ use std::time::Duration;
 
 use use3d_workflow::Killed;
 use use3d_workflow::gc::parse_bytes;
+use use3d_workflow::graph::cell_name;
 use use3d_workflow::plan::{PlannedNode, State};
 use use3d_workflow::{Plan, Registry, Scope};
 
@@ -164,10 +165,7 @@ fn cells(todo: &[&PlannedNode]) -> Result<Vec<String>, ClusterError> {
 
 /// A node's scene and variant in the form of `--only`.
 fn cell(node: &PlannedNode) -> String {
-    match node.variant.as_str() {
-        "" => node.scene.clone(),
-        variant => format!("{}@{variant}", node.scene),
-    }
+    cell_name(&node.scene, &node.variant)
 }
 
 fn workers_of(

@@ -10,14 +10,20 @@
 //! [`hyperqueue`] writes them in the scheduler's own format. Every task is `use3d run` on a shared cache. So
 //! existing artifacts are not computed again, in whatever order tasks run, and even if one is interrupted or
 //! submitted twice. The state of the work is never read from the scheduler.
+//!
+//! A [`submission::Submission`] has the data that its jobs share. Its list of scenes, [`cells`], keeps a task
+//! from computing what was edited since.
 
+pub mod cells;
 pub mod hyperqueue;
 pub mod jobs;
 pub mod quote;
 mod scheduler;
 pub mod site;
 pub mod slurm;
+pub mod submission;
 pub mod time;
+pub mod variables;
 
 /// An error of a submission, with the next step for the user.
 #[derive(Debug, thiserror::Error)]
@@ -46,6 +52,26 @@ pub enum ClusterError {
          or submit with --layout stages"
     )]
     Partitions(String),
+    /// A path that no script can hold.
+    #[error("{0}: a script cannot hold a path that is not UTF-8")]
+    NotUtf8(String),
+    /// A text that no script can hold.
+    #[error("{0} has a control character in it; a script cannot hold it")]
+    Control(String),
+    /// The list of the submitted scenes cannot be read.
+    #[error("{file}: the list of the submitted scenes cannot be read ({source}); submit again")]
+    List {
+        /// The file.
+        file: String,
+        /// The problem.
+        source: std::io::Error,
+    },
+    /// Nothing of a task is as it was submitted; the pipeline file.
+    #[error(
+        "{0}: this is not the submitted pipeline: the settings of this task were edited since, this is another \
+         version of the program, or `arguments` of the site change a parameter; submit it again"
+    )]
+    Edited(String),
     /// A file that cannot be written or read.
     #[error(transparent)]
     File(#[from] use3d_workflow::FileError),

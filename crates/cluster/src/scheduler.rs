@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use super::jobs::Job;
 use super::site::{Scheduler, Site};
-use super::slurm::{Submission, Submitted};
+use super::submission::{Submission, Submitted};
 use super::{ClusterError, hyperqueue, slurm};
 
 /// The time that Slurm needs to find that a job can never run.

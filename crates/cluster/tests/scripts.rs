@@ -10,8 +10,8 @@ use std::time::Duration;
 
 use use3d_cluster::jobs::{self, After, Job, Layout};
 use use3d_cluster::site::Site;
-use use3d_cluster::slurm::{self, Submission, Submitted};
-use use3d_cluster::{ClusterError, hyperqueue};
+use use3d_cluster::submission::{Submission, Submitted};
+use use3d_cluster::{ClusterError, hyperqueue, slurm};
 use use3d_workflow::Killed;
 use use3d_workflow::code::CodeTable;
 use use3d_workflow::history::Forecast;

@@ -2,6 +2,7 @@
 
 use std::fmt::Display;
 
+use use3d_cluster::ClusterError;
 use use3d_prepare::PrepareError;
 use use3d_workflow::place::PlaceError;
 
@@ -40,6 +41,14 @@ impl WorkError {
 /// A place refused before any work is bad input; a failed write is [`WorkError::failed`].
 impl From<PlaceError> for WorkError {
     fn from(error: PlaceError) -> Self {
+        Self::input(error)
+    }
+}
+
+/// A submission that cannot be planned is bad input; one that cannot be written or sent is
+/// [`WorkError::failed`].
+impl From<ClusterError> for WorkError {
+    fn from(error: ClusterError) -> Self {
         Self::input(error)
     }
 }

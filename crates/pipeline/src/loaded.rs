@@ -1,10 +1,11 @@
 //! A pipeline that is read from a file or made for a capture, with its builder and graph.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use use3d_cluster::slurm;
 use use3d_stages::registry;
+use use3d_workflow::graph::{SceneVariant, cell_name};
 use use3d_workflow::{BatchScene, BuildError, Builder, Cache, Graph, Registry};
 
 use crate::WorkError;
@@ -80,9 +81,6 @@ impl PipelineRequest {
     }
 }
 
-/// A scene and a variant; the variant is empty where there are none.
-pub type SceneVariant = (String, String);
-
 /// A pipeline with the builder and graph to work on it.
 pub struct Loaded {
     /// The scenes, variants and parameters.
@@ -106,17 +104,6 @@ impl Loaded {
     ) -> Result<(), WorkError> {
         let gaps = self.builder.gaps(&self.graph, until, only);
         if gaps.is_empty() { Ok(()) } else { Err(WorkError::input(gaps)) }
-    }
-
-    /// Short digests of everything that decides the keys of a submission's tasks, by scene and variant in the
-    /// form `SCENE@VARIANT`; that of the stages that all scenes share has no name. An engine counts by its
-    /// name in the settings, so no device is opened.
-    pub fn parts(&self) -> BTreeMap<String, String> {
-        let parts = self.graph.parts(&self.builder.registry);
-        parts
-            .into_iter()
-            .map(|((scene, variant), part)| (cell_name(&scene, &variant), part.short()))
-            .collect()
     }
 
     /// The capture folder of a scene, if the pipeline knows it.
@@ -181,11 +168,6 @@ impl Loaded {
         }
         Ok(())
     }
-}
-
-/// The name of a scene in a variant, as `--only` takes it.
-pub(crate) fn cell_name(scene: &str, variant: &str) -> String {
-    if variant.is_empty() { scene.to_string() } else { format!("{scene}@{variant}") }
 }
 
 /// Folders of a capture that the import reads.

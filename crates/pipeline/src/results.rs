@@ -16,6 +16,7 @@ use std::sync::{Arc, LazyLock, Mutex, MutexGuard, PoisonError};
 use serde::Serialize;
 use use3d_scene::White;
 use use3d_workflow::delivered::{Notes, Sources};
+use use3d_workflow::graph::cell_name;
 use use3d_workflow::place::{self, Look, PlaceError, Standing, at};
 use use3d_workflow::run::RanNode;
 use use3d_workflow::{Artifact, Cache, Digest, Event, Graph, Listener, Summary};
@@ -46,7 +47,7 @@ const SEALED: Sealed = Sealed { around: [",\n\"blake3\": \"", "\"}\n"], words: [
 
 /// The folder of all results of a scene in a variant, below the results folder.
 fn folder_of(scene: &str, variant: &str) -> PathBuf {
-    if variant.is_empty() { scene.into() } else { format!("{scene}@{variant}").into() }
+    cell_name(scene, variant).into()
 }
 
 /// A results folder and the notes about its parts. A part is the folder of a scene, or the page and the

@@ -4,18 +4,24 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use use3d_cluster::jobs::{self, Job, Layout};
-use use3d_cluster::quote;
+use use3d_cluster::quote::{self, one_line, path_word};
 use use3d_cluster::site::{Scheduler, Site};
-use use3d_cluster::slurm::{self, Submission, Submitted};
-use use3d_workflow::machine::{self, seconds};
+use use3d_cluster::submission::{Submission, Submitted, folder_of};
+use use3d_cluster::{cells, slurm, variables};
+use use3d_workflow::Plan;
+use use3d_workflow::graph::cell_name;
 use use3d_workflow::plan::State;
-use use3d_workflow::{Digest, Plan};
 
 use crate::WorkError;
-use crate::config::{LoadOptions, Pipeline};
-use crate::destination::{OUT, path_text};
-use crate::loaded::{Loaded, PipelineRequest, SceneVariant, cell_name};
+use crate::config::LoadOptions;
+use crate::destination::OUT;
+use crate::loaded::{Loaded, PipelineRequest};
 use crate::results::Results;
+
+/// The variable with the address of a store.
+const REMOTE: &str = "USE3D_REMOTE";
+/// Variables of this program that decide what a task does.
+const OF_TASKS: [&str; 4] = [REMOTE, "USE3D_COLMAP", "USE3D_PYTHON", "USE3D_FFMPEG"];
 
 /// The choices of a submission.
 #[derive(Clone, Copy, Debug)]
@@ -35,7 +41,8 @@ pub struct PlannedSubmission<'a> {
     request: &'a PipelineRequest,
     choices: SubmissionChoices<'a>,
     loaded: Loaded,
-    plan: Plan,
+    /// Its plan.
+    pub plan: Plan,
     /// The scenes and variants, each with the digest of its part of the pipeline.
     cells: BTreeMap<String, String>,
     /// The site.
@@ -67,7 +74,7 @@ impl<'a> PlannedSubmission<'a> {
             site.largest_array = site.largest_array.min(most);
         }
         let plan = loaded.builder.plan(&loaded.graph, None);
-        let cells = loaded.parts();
+        let cells = cells::digests(&loaded.graph, &loaded.builder.registry);
         let mut planned = Self { request, choices, loaded, plan, cells, site, jobs: Vec::new() };
         planned.cut()?;
         Ok(planned)
@@ -121,12 +128,13 @@ impl<'a> PlannedSubmission<'a> {
         submission: &Submission,
         read: impl Fn(&[String]) -> Result<PipelineRequest, WorkError>,
     ) -> Result<(), WorkError> {
-        let planned = self.loaded.parts();
+        let digests = |loaded: &Loaded| cells::digests(&loaded.graph, &loaded.builder.registry);
+        let planned = digests(&self.loaded);
         for (stage, needs) in self.site.stage.iter().filter(|(_, needs)| !needs.arguments.is_empty()) {
             let fault = |reason: String| WorkError::Input(format!("`stage.{stage}.arguments`: {reason}"));
             let changed =
                 read(&[&submission.run[..], &needs.arguments].concat()).and_then(PipelineRequest::look);
-            if changed.map_err(|error| fault(error.to_string()))?.parts() != planned {
+            if digests(&changed.map_err(|error| fault(error.to_string()))?) != planned {
                 return Err(fault(format!(
                     "`{}` changes results, so the tasks of this stage would not belong to the others; write \
                      it into the pipeline file, or give it to `use3d submit`",
@@ -135,35 +143,6 @@ impl<'a> PlannedSubmission<'a> {
             }
         }
         Ok(())
-    }
-
-    /// The number of inputs that the pipeline names but that do not exist.
-    pub fn missing(&self) -> usize {
-        self.plan.unavailable()
-    }
-
-    /// The missing inputs, each with its reason.
-    pub fn missing_lines(&self) -> impl Iterator<Item = String> {
-        let own = self.plan.nodes.iter().filter(|node| node.shared_with.is_none());
-        own.filter_map(|node| match &node.state {
-            State::Unavailable(reason) => {
-                Some(format!("{} {}: {reason}; it is not submitted", node.scene, node.stage))
-            }
-            _ => None,
-        })
-    }
-
-    /// The plan in a line: stages to run, cached ones, and the forecast of their time.
-    pub fn summary(&self) -> String {
-        let plan = &self.plan;
-        let (forecast, without) = plan.forecast();
-        let about = match without {
-            0 => format!("about {}", seconds(forecast)),
-            n if n == plan.to_run() => "no forecast, because none of their stages ran before".to_string(),
-            1 => format!("about {}, and 1 stage never ran before", seconds(forecast)),
-            n => format!("about {}, and {n} stages never ran before", seconds(forecast)),
-        };
-        format!("{}: {} to run, {} cached; {about}", plan.pipeline, plan.to_run(), plan.cached())
     }
 
     /// The submission with results in `out`, or in the usual folder of the pipeline. `before` has the jobs of
@@ -176,7 +155,7 @@ impl<'a> PlannedSubmission<'a> {
         &self,
         out: Option<&Path>,
         before: Submitted,
-        check_remote: impl Fn(&str) -> Result<(), WorkError>,
+        check_remote: impl FnOnce(String) -> Result<(), WorkError>,
         warn: &mut dyn FnMut(String),
     ) -> Result<Submission, WorkError> {
         let Loaded { pipeline, builder, graph } = &self.loaded;
@@ -185,183 +164,35 @@ impl<'a> PlannedSubmission<'a> {
         let place = std::env::current_dir()
             .map_err(|e| WorkError::Failed(format!("the current folder cannot be found: {e}")))?;
         let out = place.join(out);
-        let mut run =
-            vec![text(&self.request.target)?, "--cache".into(), text(&place.join(&pipeline.cache))?];
+        let mut run = vec![
+            path_word(&self.request.target)?,
+            "--cache".into(),
+            path_word(&place.join(&pipeline.cache))?,
+        ];
         let LoadOptions { sets, models, pairs, calibrator, .. } = &self.request.options;
         if let Some(models) = models {
-            run.extend(["--models".to_string(), text(models)?]);
+            run.extend(["--models".to_string(), path_word(models)?]);
         }
         run.extend(sets.iter().flat_map(|set| ["--set".to_string(), set.clone()]));
         if let Some((input, target)) = pairs {
-            run.extend(["--pairs".to_string(), text(input)?, text(target)?]);
+            run.extend(["--pairs".to_string(), path_word(input)?, path_word(target)?]);
         }
         if let Some(calibrator) = calibrator {
-            run.extend(["--calibrator".to_string(), text(calibrator)?]);
+            run.extend(["--calibrator".to_string(), path_word(calibrator)?]);
         }
-        let (record, now) = (folder_of(&out), machine::now());
-        // Tasks that wait in the queue read the lists of their own submission.
-        let folder = match before.jobs.is_empty() {
-            true => record.clone(),
-            false => record.join(format!("added-{now}")),
-        };
-        let cells = serde_json::to_vec(&self.cells).unwrap_or_default();
-        let id = format!("{}-{now}", Digest::of(&cells).short());
-        // These words go into comments and lines of a script, so each must be one line. `out` is also the
-        // folder of scripts and logs.
-        let places = [text(&place)?, text(&out)?];
+        // `out` is also the folder of scripts and logs.
+        let places = [path_word(&place)?, path_word(&out)?];
         let name = pipeline.batch.name.replace(|c: char| !(c.is_alphanumeric() || "-_.".contains(c)), "-");
-        let mut submission = Submission {
-            name,
-            by: format!("use3d submit {} {}", self.choices.scheduler.words()[1], quote::word(&run[0])),
-            results: vec!["--out".to_string(), text(&out)?],
-            folder,
-            place,
-            run,
-            variables: variables(pipeline, check_remote, warn)?,
-            id,
-            cells: self.cells.clone(),
-            before,
-            record,
-        };
-        submission.run.extend(["--submitted".to_string(), text(&submission.cells_path())?]);
-        if let Some(word) =
-            submission.run.iter().chain(&places).find(|word| word.chars().any(char::is_control))
-        {
-            return Err(WorkError::Input(format!(
-                "{word:?} has a control character in it; a script cannot hold it"
-            )));
-        }
+        // The address of a store is checked like in a run.
+        std::env::var(REMOTE).ok().filter(|address| !address.is_empty()).map_or(Ok(()), check_remote)?;
+        let needed = pipeline.variables.iter().map(String::as_str).chain(OF_TASKS);
+        let variables = variables::for_tasks(needed, warn)?;
+        let by = format!("use3d submit {} {}", self.choices.scheduler.words()[1], quote::word(&run[0]));
+        let results = vec!["--out".to_string(), path_word(&out)?];
+        let shared = Submission { name, by, results, place, run, variables, before, ..Submission::default() };
+        let mut submission = shared.of_cells(self.cells.clone(), &out);
+        submission.run.extend(["--submitted".to_string(), path_word(&submission.cells_path())?]);
+        submission.run.iter().chain(&places).try_for_each(|word| one_line(word, || format!("{word:?}")))?;
         Ok(submission)
     }
-}
-
-/// The scenes and variants of a submission, compared with the pipeline as it is now.
-pub struct SubmittedCells {
-    /// Those with the same keys as then.
-    same: BTreeSet<SceneVariant>,
-    /// The names of those that were changed or removed since.
-    pub changed: Vec<String>,
-    /// True if the stages that all scenes share have the same keys as then.
-    shared: bool,
-}
-
-impl SubmittedCells {
-    /// Reads the list of a submission's scenes and variants, and compares it with a pipeline.
-    ///
-    /// # Errors
-    /// The list cannot be read.
-    pub fn read(list: &Path, loaded: &Loaded) -> Result<Self, WorkError> {
-        let text = std::fs::read(list);
-        let noted = text.and_then(|text| Ok(serde_json::from_slice::<BTreeMap<String, String>>(&text)?));
-        let mut noted = noted.map_err(|error| {
-            let path = path_text(list);
-            WorkError::Input(format!(
-                "{path}: the list of the submitted scenes cannot be read ({error}); submit again"
-            ))
-        })?;
-        let mut shared = true;
-        let mut same = BTreeSet::new();
-        for ((scene, variant), part) in loaded.graph.parts(&loaded.builder.registry) {
-            let is_same = noted.get(&cell_name(&scene, &variant)) == Some(&part.short());
-            match scene.is_empty() {
-                true => shared = is_same,
-                false if is_same => {
-                    noted.remove(&cell_name(&scene, &variant));
-                    same.insert((scene, variant));
-                }
-                false => {}
-            }
-        }
-        noted.remove("");
-        Ok(Self { same, changed: noted.into_keys().collect(), shared })
-    }
-
-    /// The scenes and variants of a task that was asked for `only` these; `None` for a task that all scenes
-    /// share. Other scenes of the file do not concern it.
-    ///
-    /// # Errors
-    /// Nothing of the task is as it was submitted.
-    pub fn of_task(
-        &self,
-        target: &Path,
-        only: Option<Vec<SceneVariant>>,
-        for_all: bool,
-    ) -> Result<Option<Vec<SceneVariant>>, WorkError> {
-        let own: Option<Vec<SceneVariant>> = match only {
-            _ if for_all => None,
-            Some(only) => Some(only.into_iter().filter(|cell| self.same.contains(cell)).collect()),
-            None => Some(self.same.iter().cloned().collect()),
-        };
-        if own.as_ref().map_or(self.shared, |cells| !cells.is_empty()) {
-            return Ok(own);
-        }
-        Err(WorkError::Input(format!(
-            "{}: this is not the submitted pipeline: the settings of this task were edited since, this is another version of the program, or `arguments` of the site change a parameter; submit it again",
-            path_text(target)
-        )))
-    }
-
-    /// True if a scene and variant was submitted.
-    pub fn has(&self, scene: &str, variant: &str) -> bool {
-        let cell = (scene.to_string(), variant.to_string());
-        self.same.contains(&cell) || self.changed.contains(&cell_name(scene, variant))
-    }
-}
-
-/// The folder of the scripts and logs for results in `out`.
-pub fn folder_of(out: &Path) -> PathBuf {
-    out.with_file_name(format!("{}-submit", out.file_name().unwrap_or_default().to_string_lossy()))
-}
-
-/// Variables of this program that decide what a task does.
-const OF_TASKS: [&str; 4] = ["USE3D_REMOTE", "USE3D_COLMAP", "USE3D_PYTHON", "USE3D_FFMPEG"];
-
-/// The variables that tasks need, with their values: schedulers may start tasks without them. Variables that
-/// may be secret are left out, because other people may be able to read the scripts.
-fn variables(
-    pipeline: &Pipeline,
-    check_remote: impl Fn(&str) -> Result<(), WorkError>,
-    warn: &mut dyn FnMut(String),
-) -> Result<Vec<(String, String)>, WorkError> {
-    let mut found = Vec::new();
-    for name in pipeline.variables.iter().map(String::as_str).chain(OF_TASKS) {
-        let Some(value) = std::env::var(name).ok().filter(|value| !value.is_empty()) else { continue };
-        if may_be_secret(name) || !is_shell_name(name) {
-            warn(format!(
-                "the environment variable {name} is not written into scripts{}; make sure that \
-                 tasks have it, for instance by `setup` of the site",
-                if may_be_secret(name) { ", it may be a secret" } else { ", no shell knows such a name" }
-            ));
-            continue;
-        }
-        if name == "USE3D_REMOTE" {
-            // The address is checked like in a run; the value is not printed, because it may contain a key.
-            check_remote(&value)?;
-        }
-        if value.chars().any(char::is_control) {
-            return Err(WorkError::Input(format!(
-                "the environment variable {name} has a control character in it; a script cannot hold it"
-            )));
-        }
-        found.push((name.to_string(), value));
-    }
-    Ok(found)
-}
-
-fn may_be_secret(name: &str) -> bool {
-    let name = name.to_uppercase();
-    name.starts_with("AWS_")
-        || ["SECRET", "TOKEN", "PASSWORD", "CREDENTIAL", "_KEY"].iter().any(|part| name.contains(part))
-}
-
-fn is_shell_name(name: &str) -> bool {
-    !name.starts_with(|c: char| c.is_ascii_digit())
-        && name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
-}
-
-/// A path as a word of a script.
-fn text(path: &Path) -> Result<String, WorkError> {
-    let what = "a script cannot hold a path that is not UTF-8";
-    let text = path.to_str().ok_or_else(|| WorkError::Input(format!("{}: {what}", path.display())));
-    text.map(String::from)
 }

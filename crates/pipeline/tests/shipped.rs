@@ -1,8 +1,8 @@
-//! The pipeline files that come with the project, read for the real stages; and the schema next to them.
+//! The pipeline files that come with the project, read for the real stages; and the schema of such files.
 
 use std::path::{Path, PathBuf};
 
-use use3d_pipeline::config::{LoadOptions, from_text, load, parameters, presets, schema_text};
+use use3d_pipeline::config::{LoadOptions, from_text, load, parameters, presets};
 use use3d_stages::registry;
 use use3d_workflow::Graph;
 
@@ -174,19 +174,30 @@ fn depth_priors_are_made_where_the_weights_are_and_the_capture_has_none() {
     assert!(matches!(pairs("calibrator.proposer=fusion"), Some(State::Run(_))));
 }
 
-/// Run `USE3D_UPDATE_SCHEMA=1 cargo test -p use3d-pipeline --test shipped` to write the schema again.
-#[test]
-fn the_schema_is_current() {
-    let text = schema_text(&registry().expect("the stage table"));
-    let file = folder().join("schema.json");
-    if std::env::var_os("USE3D_UPDATE_SCHEMA").is_some() {
-        std::fs::write(&file, &text).expect("pipelines/schema.json");
+/// The dotted names of the values in a table.
+fn names(value: &serde_json::Value, base: &str, into: &mut Vec<String>) {
+    match value.as_object().filter(|fields| !fields.is_empty()) {
+        Some(fields) => fields.iter().for_each(|(key, inner)| names(inner, &format!("{base}.{key}"), into)),
+        None => into.push(base.to_string()),
     }
-    let written = std::fs::read_to_string(&file).unwrap_or_default();
-    assert!(
-        written == text,
-        "pipelines/schema.json is not that of the stages; write it anew with USE3D_UPDATE_SCHEMA=1"
-    );
+}
+
+/// The list of the parameters is made from the schema, which editors read.
+#[test]
+fn the_schema_has_every_parameter_of_every_stage() {
+    let registry = registry().expect("the stage table");
+    let listed = parameters(&registry, None, None).expect("parameters");
+    for (stage, listed) in registry.stages().iter().zip(listed) {
+        let (mut there, mut said) = (Vec::new(), Vec::new());
+        names(stage.parameters(&serde_json::json!({})).expect("defaults").json(), stage.name(), &mut there);
+        for parameter in listed.parameters {
+            said.push(format!("{}.{}", listed.stage, parameter.name));
+            assert!(parameter.meaning.len() > 10, "{}.{}: no meaning", listed.stage, parameter.name);
+        }
+        there.sort();
+        said.sort();
+        assert_eq!(there, said);
+    }
 }
 
 /// The graph of a pipeline file with these lines, for one scene without variants unless the text lists
@@ -314,12 +325,21 @@ fn a_value_out_of_range_is_pointed_at_in_every_stage() {
         ("import", "downscale = 0", "`downscale` is 0; expected 1"),
         ("render", "strength = 3.0", "`strength` is 3; expected 0 to 1"),
     ];
-    // A table is no value of any parameter.
+    // A table is no value of any parameter, and every number has a range.
     for stage in parameters(&registry().expect("the stage table"), None, None).expect("parameters") {
         for parameter in stage.parameters {
             let line = format!("{} = {{ wrong = 1 }}", parameter.name);
             let error = graph_of(&format!("[defaults.{}]\n\n{line}", stage.stage), &[]).unwrap_err();
             assert!(error.starts_with("x.toml:4:") && error.contains('`'), "{line}: {error}");
+            if parameter.kind == "number" || parameter.kind == "whole number" {
+                let far = |value: &str| {
+                    let line = format!("{} = {value}", parameter.name);
+                    graph_of(&format!("[defaults.{}]\n\n{line}", stage.stage), &[]).err()
+                };
+                let refused = far("-1e30").or_else(|| far("1e30"));
+                let refused = refused.unwrap_or_else(|| panic!("{}.{line} has no range", stage.stage));
+                assert!(refused.starts_with("x.toml:4:") && refused.contains('`'), "{line}: {refused}");
+            }
         }
     }
     for (stage, line, words) in bad {

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
+use use3d_cluster::cells::SubmittedCells;
 use use3d_cluster::quote;
 use use3d_pipeline::by_hand::{IMPORT, scratch};
 use use3d_pipeline::config::LoadOptions;
@@ -12,7 +13,6 @@ use use3d_pipeline::history::{self, RunRecord};
 use use3d_pipeline::loaded::{Loaded, PipelineRequest};
 use use3d_pipeline::outcome::{self, Outcome};
 use use3d_pipeline::results::{Delivered, Results, scenes_of};
-use use3d_pipeline::submission::SubmittedCells;
 use use3d_pipeline::white::{self, WhiteChoice};
 use use3d_pipeline::whole_run::WholeRun;
 use use3d_workflow::machine::seconds;
@@ -113,7 +113,8 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     if args.dry_run {
         return show(&loaded.builder.plan(&loaded.graph, until.as_deref()), args.json);
     }
-    let submitted = args.submitted.as_deref().map(|list| SubmittedCells::read(list, &loaded)).transpose()?;
+    let cells_of = |list| SubmittedCells::read(list, &loaded.graph, &loaded.builder.registry);
+    let submitted = args.submitted.as_deref().map(cells_of).transpose()?;
     if let Some(cells) = &submitted {
         let shared =
             |stage: &String| loaded.builder.registry.stage(stage).is_ok_and(|s| s.scope() != Scope::Scene);

@@ -5,11 +5,11 @@ use std::path::Path;
 
 use use3d_cluster::jobs::Layout;
 use use3d_cluster::site::Scheduler;
-use use3d_cluster::slurm::{Submission, Submitted};
+use use3d_cluster::submission::{Submission, Submitted, folder_of};
 use use3d_cluster::{hyperqueue, quote, time};
 use use3d_pipeline::destination::OUT;
 use use3d_pipeline::loaded::{PipelineRequest, stages};
-use use3d_pipeline::submission::{PlannedSubmission, SubmissionChoices, folder_of};
+use use3d_pipeline::submission::{PlannedSubmission, SubmissionChoices};
 
 use crate::App;
 use crate::args::{CancelArgs, Submit, SubmitArgs, SubmitLayout, parse_run};
@@ -40,8 +40,8 @@ pub(crate) fn run(app: &App, what: &Submit) -> Done {
         let (file, name, unused) = (file.display(), scheduler.words()[0], unused.join(", "));
         remark!(app, "warning: {file}: {name} has no setting for {unused}; they are not used");
     }
-    planned.missing_lines().for_each(|line| eprintln!("warning: {line}"));
-    let missing = planned.missing();
+    planned.plan.lacking().for_each(|line| eprintln!("warning: {line}; it is not submitted"));
+    let missing = planned.plan.unavailable();
     if planned.jobs.is_empty() {
         if missing == 0 {
             println!("nothing to submit: all results are there");
@@ -59,9 +59,9 @@ pub(crate) fn run(app: &App, what: &Submit) -> Done {
         remark!(app, "{} still in the queue; {count} new and submitted beside them", listed(&before));
     }
     if !app.quiet {
-        println!("{}", planned.summary());
+        println!("{}", planned.plan.totals());
     }
-    let check_remote = |address: &str| match use3d_store::open(address) {
+    let check_remote = |address: String| match use3d_store::open(&address) {
         Ok(_) => Ok(()),
         Err(error) => Err(WorkError::Input(format!("USE3D_REMOTE: {error}"))),
     };

@@ -105,7 +105,7 @@ pub(super) fn resolved<'s>(schema: &'s Value, entry: &'s Value) -> &'s Value {
     }
 }
 
-/// The text of the schema, as stored in the file `pipelines/schema.json`.
+/// The text of the schema, as `use3d pipelines schema` prints it.
 pub fn schema_text(registry: &Registry) -> String {
     let mut text = serde_json::to_string_pretty(&schema(registry)).unwrap_or_default();
     text.push('\n');

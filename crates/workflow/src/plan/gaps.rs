@@ -4,7 +4,7 @@
 use std::fmt::{self, Display, Formatter};
 
 use crate::plan::builder::Builder;
-use crate::plan::graph::Graph;
+use crate::plan::graph::{Graph, SceneVariant};
 use crate::stage::require::{Checks, Lacking};
 
 /// A missing thing, and the stages and scenes that need it.
@@ -84,7 +84,7 @@ impl Display for Gaps {
 
 impl Builder {
     /// Lists everything that the wanted nodes of a graph need and do not have. Computes nothing.
-    pub fn gaps(&self, graph: &Graph, until: Option<&[String]>, only: Option<&[(String, String)]>) -> Gaps {
+    pub fn gaps(&self, graph: &Graph, until: Option<&[String]>, only: Option<&[SceneVariant]>) -> Gaps {
         let mut gaps = self.missing_devices(graph, until, only);
         let checks = Checks(&self.cache.contents);
         let wanted = graph.wanted_of(until, only);
@@ -103,7 +103,7 @@ impl Builder {
         &self,
         graph: &Graph,
         until: Option<&[String]>,
-        only: Option<&[(String, String)]>,
+        only: Option<&[SceneVariant]>,
     ) -> Gaps {
         let mut gaps = Gaps::default();
         let wanted = graph.wanted_of(until, only);

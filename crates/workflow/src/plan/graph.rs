@@ -220,6 +220,14 @@ impl Node {
     }
 }
 
+/// A scene and a variant; the variant is empty where there are none.
+pub type SceneVariant = (String, String);
+
+/// The name of a scene in a variant, as `--only` takes it.
+pub fn cell_name(scene: &str, variant: &str) -> String {
+    if variant.is_empty() { scene.to_string() } else { format!("{scene}@{variant}") }
+}
+
 /// The nodes, ordered so that inputs come before the nodes that read them.
 #[derive(Clone, Debug)]
 pub struct Graph {
@@ -269,7 +277,7 @@ impl Graph {
     /// share. It covers the stages up to there with their code, the parameters that count, the names of the
     /// chosen devices, seeds and inputs, and no other scene. Two processes with the same digest compute the
     /// same keys on like machines.
-    pub fn parts(&self, registry: &Registry) -> BTreeMap<(String, String), Digest> {
+    pub fn parts(&self, registry: &Registry) -> BTreeMap<SceneVariant, Digest> {
         let code = |place: usize| {
             let mut encoder = Encoder::new("use3d 2026 stage code v1");
             for (name, digest) in &registry.code(place).ours {
@@ -279,7 +287,7 @@ impl Graph {
         };
         let code: Vec<Digest> = (0..registry.stages().len()).map(code).collect();
         let mut nodes: Vec<Digest> = Vec::with_capacity(self.nodes.len());
-        let mut parts: BTreeMap<(String, String), Encoder> = BTreeMap::new();
+        let mut parts: BTreeMap<SceneVariant, Encoder> = BTreeMap::new();
         for node in &self.nodes {
             let mut encoder = Encoder::new("use3d 2026 node v1");
             encoder.text(node.stage_name).bytes(code[node.stage].as_bytes());
@@ -337,7 +345,7 @@ impl Graph {
 
     /// Like [`wanted`](Self::wanted), but marks stages only in these scenes and variants, and all their
     /// inputs.
-    pub fn wanted_of(&self, until: Option<&[String]>, only: Option<&[(String, String)]>) -> Vec<bool> {
+    pub fn wanted_of(&self, until: Option<&[String]>, only: Option<&[SceneVariant]>) -> Vec<bool> {
         if until.is_none() && only.is_none() {
             return vec![true; self.nodes.len()];
         }

@@ -11,7 +11,7 @@ use serde::Serialize;
 use crate::cache::artifacts::Lookup;
 use crate::cache::key::{Difference, Key};
 use crate::plan::builder::Builder;
-use crate::plan::graph::Graph;
+use crate::plan::graph::{Graph, SceneVariant};
 use crate::plan::history::{Forecast, Record};
 use crate::plan::resolve::{self, Outcome, Unresolved};
 use crate::share::killed::Killed;
@@ -144,7 +144,7 @@ impl Builder {
         &self,
         graph: &Graph,
         until: Option<&[String]>,
-        only: Option<&[(String, String)]>,
+        only: Option<&[SceneVariant]>,
     ) -> Plan {
         let start = std::time::Instant::now();
         self.cache.contents.look_again();

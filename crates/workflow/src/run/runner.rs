@@ -29,7 +29,7 @@ use crate::cache::key::{Ingredients, Key};
 use crate::cache::machine;
 use crate::error::{FileError, StageError};
 use crate::plan::builder::Builder;
-use crate::plan::graph::Graph;
+use crate::plan::graph::{Graph, SceneVariant};
 use crate::plan::history::Timings;
 use crate::plan::resolve::{Outcome, Resolved, Unresolved};
 use crate::run::job::{Job, JobResult};
@@ -55,7 +55,7 @@ pub struct RunOptions {
     /// Stop after these stages; `None` runs all.
     pub until: Option<Vec<String>>,
     /// Run only these scenes and variants, and the nodes they need; `None` runs all.
-    pub only: Option<Vec<(String, String)>>,
+    pub only: Option<Vec<SceneVariant>>,
     /// The flag that ends the run: stages save their checkpoints and stop.
     pub stop: Arc<AtomicBool>,
     /// The time limit since the start of the run: before it, stages save their checkpoints, and the rest of

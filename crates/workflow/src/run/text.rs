@@ -51,29 +51,50 @@ impl Display for Plan {
                 }
                 writeln!(f)?;
             }
-            let shared = self.nodes.len() - self.own().count();
-            write!(f, "{}: {} to run, {} cached", self.pipeline, self.to_run(), self.cached())?;
-            count(f, &[(shared, "shared between variants")])?;
-            count(f, &[(self.unavailable(), "cannot run"), (self.blocked(), "not run because of these")])?;
-            let (sum, without) = self.forecast();
-            if self.to_run() > without {
-                write!(f, "; about {}", seconds(sum))?;
-                let guessed = self.own().filter_map(|n| n.forecast.as_ref()).any(|forecast| !forecast.own);
-                if guessed {
-                    write!(f, ", estimated from other scenes of any size")?;
-                }
-                if without > 0 {
-                    write!(f, " plus {without} that never ran before")?;
-                }
-            } else if without > 0 {
-                write!(f, "; no earlier run to forecast the time from")?;
-            }
+            self.count_all(f)?;
             writeln!(f)
         })
     }
 }
 
 impl Plan {
+    /// One line: the stages to run, the others, and the forecast of the time.
+    pub fn totals(&self) -> String {
+        let mut line = String::new();
+        // Writing to a text does not fail.
+        let _ = self.count_all(&mut line);
+        line
+    }
+
+    /// One line, with the reason, for each stage that lacks an input of the pipeline.
+    pub fn lacking(&self) -> impl Iterator<Item = String> {
+        self.own().filter_map(|node| match &node.state {
+            State::Unavailable(reason) => Some(format!("{} {}: {reason}", node.scene, node.stage)),
+            _ => None,
+        })
+    }
+
+    fn count_all(&self, f: &mut String) -> fmt::Result {
+        let shared = self.nodes.len() - self.own().count();
+        write!(f, "{}: {} to run, {} cached", self.pipeline, self.to_run(), self.cached())?;
+        count(f, &[(shared, "shared between variants")])?;
+        count(f, &[(self.unavailable(), "cannot run"), (self.blocked(), "not run because of these")])?;
+        let (sum, without) = self.forecast();
+        if self.to_run() > without {
+            write!(f, "; about {}", seconds(sum))?;
+            let guessed = self.own().filter_map(|n| n.forecast.as_ref()).any(|forecast| !forecast.own);
+            if guessed {
+                write!(f, ", estimated from other scenes of any size")?;
+            }
+            if without > 0 {
+                write!(f, " plus {without} that never ran before")?;
+            }
+        } else if without > 0 {
+            write!(f, "; no earlier run to forecast the time from")?;
+        }
+        Ok(())
+    }
+
     /// One line, with the reason, for each stage that has results and runs again all the same.
     pub fn reruns(&self) -> Vec<String> {
         let again = self.own().filter(|node| node.had && matches!(node.state, State::Run(_)));
