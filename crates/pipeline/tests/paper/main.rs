@@ -119,3 +119,4 @@ fn the_preset_has_what_the_paper_states() {
         assert_eq!((lines[name].0.as_str(), &said[name]), ("paper", &value), "{name}");
     }
 }
+        ("calibrate.scale_floor", json!(1e-4)),
