@@ -120,3 +120,4 @@ fn the_preset_has_what_the_paper_states() {
     }
 }
         ("calibrate.scale_floor", json!(1e-4)),
+        ("calibrate.scale_floor", json!(1e-4)),
