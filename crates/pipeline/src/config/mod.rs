@@ -22,10 +22,10 @@
 //! A calibrator corrects the proposals (`targets.calibrated = true`) as soon as the file names pairs, a
 //! calibrator or a parameter of its fit.
 //!
-//! Later entries of this list override earlier ones: a stage's defaults, the preset, `[defaults.<stage>]`,
-//! the scene's, the variant's, `--set`. Unknown keys and values of a wrong type are errors; they give the
-//! line and column and name the most similar known key. Relative paths start at the file's folder. A missing
-//! environment variable is an error only for the scenes that need it.
+//! Later entries of this list override earlier ones: a stage's defaults, the preset, the variant's preset,
+//! `[defaults.<stage>]`, the scene's, the variant's, `--set`. Unknown keys and values of a wrong type are
+//! errors; they give the line and column and name the most similar known key. Relative paths start at the
+//! file's folder. A missing environment variable is an error only for the scenes that need it.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -237,6 +237,7 @@ fn finish(
     }
     check_pairs(&batch)?;
     check_learning(&batch, registry)?;
+    presets::compose(&mut batch);
     calibrate_where_named(&mut batch, registry);
     one_proposer_for_all(&mut batch, registry);
     if let Some(models) = &options.models {
