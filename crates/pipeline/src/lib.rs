@@ -28,6 +28,7 @@ pub mod found;
 pub mod history;
 pub mod host;
 pub mod loaded;
+mod linear;
 mod made_by;
 pub mod outcome;
 pub mod photographs;
