@@ -1,9 +1,9 @@
 //! The input of the recipe `d3d5`: linear photographs, with 16 bits and without a colour space of their own.
 //!
-//! The recipe encodes its input for screens. Pictures that are encoded already would be encoded twice, so they
-//! are refused by name: those of 8 bits, those whose 16 bits repeat 8, and those that state a colour space.
-//! Limit: a picture of 16 bits for screens without any statement cannot be told from a linear one; a bright one
-//! gets a remark.
+//! The recipe encodes its input for screens. Pictures that are encoded already would be encoded twice, so
+//! they are refused by name: those of 8 bits, those whose 16 bits repeat 8, and those that state a colour
+//! space. Limit: a picture of 16 bits for screens without any statement cannot be told from a linear one; a
+//! bright one gets a remark.
 
 use std::fs::{self, File};
 use std::io::{self, Read};

@@ -28,8 +28,8 @@ const SHOWN: usize = 3;
 /// Values, each with the names that have it.
 type Names<'g> = BTreeMap<String, BTreeSet<&'g str>>;
 
-/// A warning for each parameter in which rows of one table differ: in steps, split, views or pairs. Scenes may
-/// differ in size.
+/// A warning for each parameter in which rows of one table differ: in steps, split, views or pairs. Scenes
+/// may differ in size.
 pub fn unequal(graph: &Graph, batch: &Batch) -> Vec<String> {
     let mut warnings = Vec::new();
     for (what, stage, parameter) in ALIKE {

@@ -89,8 +89,8 @@ impl Drop for TemporaryFilm {
 
 impl Film {
     /// Starts a film at `path`: `.y4m` is written directly, anything else needs `ffmpeg`. Until it is
-    /// complete it is written to `part`, a path in the same folder, whose extension becomes the film's. `rate`
-    /// is its number of frames per second.
+    /// complete it is written to `part`, a path in the same folder, whose extension becomes the film's.
+    /// `rate` is its number of frames per second.
     ///
     /// # Errors
     /// See [`FilmError`]; [`FilmError::is_of_the_request`] is true for all of them.

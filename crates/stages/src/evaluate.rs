@@ -327,8 +327,8 @@ impl Evaluation<'_> {
     }
 
     /// Renders every view that is held out, compared with a neighbour or shown in the strip once. `held_out`
-    /// gets each held-out view. Returns the scores of the pairs of captured views that follow one another, and
-    /// the views of the strip.
+    /// gets each held-out view. Returns the scores of the pairs of captured views that follow one another,
+    /// and the views of the strip.
     fn views(
         &mut self,
         most: usize,
@@ -571,8 +571,8 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     write_json(&context.output().join(SCORES), &scores)
 }
 
-/// Notes the speed of drawing the scene, at the held-out views' own size or at `size`. A time is never part of
-/// an artifact.
+/// Notes the speed of drawing the scene, at the held-out views' own size or at `size`. A time is never part
+/// of an artifact.
 fn time(
     context: &StageContext,
     (views, size): (&[&View], Option<ImageSize>),

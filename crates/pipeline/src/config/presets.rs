@@ -1,10 +1,10 @@
 //! Presets: named sets of stage parameters. Each is a file of this folder and a row of the table.
 //!
-//! A preset is the weakest layer of parameters, below `[defaults]`. The line `base = "paper"` at the top of its
-//! file puts it over another preset. A variant's preset lies over the pipeline's: their names are then joined,
-//! as in `paper + vanilla`. Only its values count: no key, artifact or stage contains its name, so a file that
-//! writes the values out is the same pipeline. Only the results record the name of the preset and the changes
-//! made to it.
+//! A preset is the weakest layer of parameters, below `[defaults]`. The line `base = "paper"` at the top of
+//! its file puts it over another preset. A variant's preset lies over the pipeline's: their names are then
+//! joined, as in `paper + vanilla`. Only its values count: no key, artifact or stage contains its name, so a
+//! file that writes the values out is the same pipeline. Only the results record the name of the preset and
+//! the changes made to it.
 
 use std::path::Path;
 

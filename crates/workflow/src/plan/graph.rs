@@ -21,8 +21,8 @@ use crate::stage::parameters::{AllParameters, Parameters};
 use crate::stage::registry::Registry;
 use use3d_code::digest::{Digest, Encoder};
 
-/// Parameters given for stages, by stage; a parameter that is not given has the stage's default. A key may also
-/// be that of a [`Switch`](crate::Switch), with `true` or `false`.
+/// Parameters given for stages, by stage; a parameter that is not given has the stage's default. A key may
+/// also be that of a [`Switch`](crate::Switch), with `true` or `false`.
 pub type Overrides = Map<String, Value>;
 
 /// The work of a batch: scenes × stages × variants.
@@ -470,8 +470,8 @@ impl GraphBuilder<'_> {
         Ok(None)
     }
 
-    /// The stages that are left out for a scene in a variant; without a scene, those that are left out for all
-    /// of them.
+    /// The stages that are left out for a scene in a variant; without a scene, those that are left out for
+    /// all of them.
     fn left_out(
         &mut self,
         scene: Option<&BatchScene>,

@@ -1,5 +1,5 @@
-//! The layers of parameters of a scene and variant: preset, defaults, scene, variant and command line, and then
-//! the forced parameters of the variant and of the scene. Later layers win.
+//! The layers of parameters of a scene and variant: preset, defaults, scene, variant and command line, and
+//! then the forced parameters of the variant and of the scene. Later layers win.
 
 use std::collections::BTreeSet;
 

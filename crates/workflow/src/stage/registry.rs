@@ -16,8 +16,8 @@ pub struct Registry {
     switches: Vec<Switch>,
 }
 
-/// A key of the pipeline file, of a scene and of a variant that leaves out stages if it is `false`. Stages that
-/// cannot do without one of them are left out, too. It is part of no artifact's key.
+/// A key of the pipeline file, of a scene and of a variant that leaves out stages if it is `false`. Stages
+/// that cannot do without one of them are left out, too. It is part of no artifact's key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Switch {
     /// The key.
