@@ -4,7 +4,8 @@ use std::ops::ControlFlow;
 
 use use3d_atc::AtcError;
 use use3d_atc::calibrator::{
-    Calibrator, CalibratorParams, Dataset, LastLayer, PairImages, Scales, Statistics, evaluate, train,
+    Calibrator, CalibratorParams, Dataset, LastLayer, PairImages, RANGE_FLOOR, Scales, Statistics, evaluate,
+    train,
 };
 use use3d_atc::extractor::{ExtractorSettings, SourceImage, Workspace, affine_apply};
 use use3d_atc::progress::{LoopPosition, unwatched};
@@ -151,6 +152,8 @@ fn a_watch_can_stop_training_and_bad_parameters_are_named() {
     assert_eq!(last, 5);
     let bad = CalibratorParams { learning_rate: f64::NAN, ..quick() };
     assert!(train(&dataset, &bad, "", &mut unwatched).unwrap_err().to_string().contains("learning_rate"));
+    let bad = CalibratorParams { scale_floor: 0.0, ..quick() };
+    assert!(bad.validate().is_err_and(|e| e.path == "scale_floor"));
     let bad = CalibratorParams { trust: 1.5, ..quick() };
     assert!(train(&dataset, &bad, "", &mut unwatched).unwrap_err().to_string().contains("trust"));
     let unknown: Result<CalibratorParams, _> = serde_json::from_str(r#"{"step": 3}"#);
@@ -253,7 +256,7 @@ fn the_scales_and_the_start_of_the_last_layer_can_be_chosen() {
     };
     let ranges = |of: &dyn Fn(usize, usize) -> f64| {
         let rows = (0..dataset.examples.len()).flat_map(|e| (0..12).map(move |k| (e, k)));
-        Statistics::of(&rows.map(|(e, k)| of(e, k) as f32).collect::<Vec<_>>(), 12).range
+        Statistics::of(&rows.map(|(e, k)| of(e, k) as f32).collect::<Vec<_>>(), 12, RANGE_FLOOR).range
     };
     let target = |e: usize, k: usize| f64::from(dataset.examples[e].target[k] as f32);
     let residual = |e: usize, k: usize| {
@@ -264,6 +267,14 @@ fn the_scales_and_the_start_of_the_last_layer_can_be_chosen() {
     assert_eq!(paper.global.residual.range, ranges(&target));
     assert_ne!(usual.local.residual.range, paper.local.residual.range);
     assert_eq!(usual.global.residual.median, paper.global.residual.median);
+    // The floor bounds the scales of errors, and no range of a condition.
+    let floored = |scale_floor| fit(&dataset, &CalibratorParams { steps: 0, scale_floor, ..quick() });
+    let (low, high) = (floored(1e-4), floored(0.9));
+    let least = |ranges: &[f32]| ranges.iter().copied().fold(f32::INFINITY, f32::min);
+    for (low, high) in [(&low.global, &high.global), (&low.local, &high.local)] {
+        assert!(least(&low.residual.range) < 0.9 && least(&high.residual.range) == 0.9);
+        assert_eq!(low.condition, high.condition);
+    }
     let silent = |c: &Calibrator| c.global.mlp.layers[2].weight.iter().all(|w| *w == 0.0);
     assert!(silent(&usual) && !silent(&fitted(Scales::Operators, LastLayer::Random)));
     // With any scales, the fit brings the pairs nearer to their targets.

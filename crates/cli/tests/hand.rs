@@ -181,3 +181,51 @@ fn the_program_tells_what_it_is_and_what_it_can_do() {
     let report: serde_json::Value = serde_json::from_str(&json).unwrap();
     assert!(report["machine"].as_array().is_some_and(|list| !list.is_empty()), "{json}");
 }
+
+#[test]
+fn a_table_of_stage_1_needs_no_stage_2_and_presets_reach_every_verb() {
+    let place = Place::new();
+    let text = "name = \"t\"\nstage2 = false\n[defaults.reconstruct]\niterations = 20\n[[scene]]\nname = \"tiny\"\n\
+                capture = \"tiny\"\n[[variant]]\nname = \"full\"\n[[variant]]\nname = \"plain\"\npreset = \"vanilla\"\n";
+    std::fs::write(place.at("t.toml"), text).unwrap();
+    let run = |extra: &[&str]| {
+        let mut arguments = vec!["run", "t.toml", "--cache", "cache", "-o", "out"];
+        arguments.extend(extra);
+        expect(&place, 0, &arguments)
+    };
+    let until = run(&["--until", "evaluate"]);
+    assert!(until.contains("--until evaluate: this leaves out tables/ and report.html"), "{until}");
+    assert!(!Path::new(&place.at("out/tables")).exists());
+    let whole = run(&[]);
+    assert!(!whole.contains("leaves out") && !whole.contains("warning: rows"), "{whole}");
+    let table = std::fs::read_to_string(place.at("out/tables/ablation-stage1.md")).unwrap();
+    for words in ["| full", "| plain", "steps: 20, without stage 2", "preset vanilla"] {
+        assert!(table.contains(words), "{words}: {table}");
+    }
+    let page = std::fs::read_to_string(place.at("out/tiny@plain/report.html")).unwrap();
+    assert!(page.contains("Stage 2 was left out"), "the page of a result");
+    let made =
+        ["targets", "enhance"].map(|stage| Path::new(&place.at("cache/v1/artifacts")).join(stage).exists());
+    assert_eq!(made, [false; 2]);
+    let plan = expect(
+        &place,
+        0,
+        &["plan", "t.toml", "--cache", "cache", "--set", "variant.plain.import.max_side=64"],
+    );
+    assert!(
+        plan.contains("warning: rows of one table differ in views: import.max_side is 0 for variant full"),
+        "{plan}"
+    );
+    // Stages by hand take a preset, too.
+    expect(&place, 0, &["import", "tiny", "--preset", "paper", "--out", "prepared"]);
+    let prepared: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(place.at("prepared/report.json")).unwrap()).unwrap();
+    assert!(prepared["split_rule"].as_str().unwrap().contains("COLMAP image id"), "{prepared}");
+    let scene = ["reconstruct", "prepared", "--preset", "vanilla", "--steps", "10", "--out", "scene"];
+    expect(&place, 0, &scene);
+    let scene: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(place.at("scene/scene.json")).unwrap()).unwrap();
+    assert_eq!(scene["medium"]["kind"], "none");
+    let wrong = expect(&place, 2, &["reconstruct", "tiny", "--preset", "papre", "--out", "x"]);
+    assert!(wrong.contains("--preset papre: no preset `papre`") && wrong.contains("`paper`"), "{wrong}");
+}

@@ -39,9 +39,12 @@ fn the_plan_of_every_shipped_pipeline_names_the_pairs_that_are_missing() {
             assert_eq!(found.len(), 1, "{what} once in {name}: {err}");
             found[0].to_string()
         };
-        let pairs = line("the pairs of images");
+        // The ablation of stage 1 learns from no pairs.
+        let learns = name != "ablation-stage1.toml";
+        assert!(learns || !err.contains("the pairs of images"), "{err}");
+        let pairs = learns.then(|| line("the pairs of images"));
         for word in ["`calibrator.pairs.input` in ", name, "UIEB is not set", "docs/guide/datasets.md"] {
-            assert!(pairs.contains(word), "{name}: {pairs}");
+            assert!(pairs.as_ref().is_none_or(|line| line.contains(word)), "{name}: {pairs:?}");
         }
         // Each missing file is listed once, with its name, its source, and the setting that avoids it.
         for (what, file, without) in [

@@ -59,13 +59,14 @@ fn place(scenes: &[String]) -> tempfile::TempDir {
 
 /// Settings that make it take seconds. Stand-ins for the large encoder of Depth Anything V2 have 1.3 GB, so
 /// the small one makes the priors.
-const TINY: [&str; 6] = [
+const TINY: [&str; 7] = [
     "import.size=40x40",
     "reconstruct.iterations=12",
     "enhance.iterations=4",
     "calibrate.steps=10",
     "calibrate.local_hidden=16",
     "depth.encoder=vits",
+    "evaluate.fps_size=40x40",
 ];
 /// Settings that need no weights.
 const WITHOUT_WEIGHTS: [&str; 2] = ["reconstruct.depth_prior=folder", "evaluate.scores=available"];

@@ -215,6 +215,18 @@ fn recipes_make_a_capture_of_each_scene_and_name_what_is_missing() {
             std::fs::copy(&path, to.join(path.file_name().unwrap())).unwrap();
         }
     };
+    // The photographs of a folder, with 16 bits as a camera measures light.
+    let linear = |folder: &Path| {
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            let shown = use3d_io_image::read_image(&path).unwrap();
+            let mut pixels = use3d_capture::Raster::<u16, 3>::new(shown.width(), shown.height());
+            let light = pixels.data_mut().iter_mut().zip(shown.data());
+            light.for_each(|(to, from)| *to = (40_000.0 * from * from) as u16 + 13);
+            std::fs::remove_file(&path).unwrap();
+            use3d_io_image::write_png16(&path.with_extension("png"), &pixels).unwrap();
+        }
+    };
     // Published cameras are copied, under the names of the pipeline files.
     copy("tiny/images", &data.join("Panama/Images_wb"));
     std::fs::create_dir(data.join("Panama/depth")).unwrap();
@@ -243,8 +255,15 @@ fn recipes_make_a_capture_of_each_scene_and_name_what_is_missing() {
     let text = said(&alone(command.current_dir(place.at(".")), &place));
     assert!(text.contains("Panama: copied before"), "{text}");
     assert_eq!(calls(&place), 0, "no cameras are looked for");
-    // Linear photographs are made visible first; the originals decide if it was done before.
+    // Pictures for screens are refused by name, and without a capture there is no next step.
     copy("tiny/images", &data.join("D3/linearPNG"));
+    let screens = recipe("d3d5");
+    let text = said(&screens);
+    assert_eq!(screens.status.code(), Some(1), "{text}");
+    assert!(text.contains("8 bits per channel") && text.contains("use3d prepare "), "{text}");
+    assert!(!text.contains("next:") && !text.contains("other scenes are there"), "{text}");
+    // Linear photographs are made visible first; the originals decide if it was done before.
+    linear(&data.join("D3/linearPNG"));
     std::fs::create_dir(data.join("D3/Raw")).unwrap();
     std::fs::write(data.join("D3/Raw/a.NEF"), "raw").unwrap();
     let text = said(&recipe("d3d5"));

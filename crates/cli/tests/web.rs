@@ -98,6 +98,19 @@ fn a_scene_goes_to_browsers_and_viewers_and_follows_a_path() {
         let said = expect(0, &["render", &scene, "--path", file, "--size", "48x32", "--out", out]);
         (said, std::fs::read_dir(Path::new(out).join("path")).unwrap().count())
     };
+    // A film has the path's own rate unless another is asked for.
+    let rate = |path: &str, more: &[&str]| {
+        let film = place.at("rate.y4m");
+        let mut arguments =
+            vec!["render", &scene, "--path", path, "--size", "48x32", "--video", &film, "--force"];
+        arguments.extend(more);
+        expect(0, &arguments);
+        let bytes = std::fs::read(&film).unwrap();
+        let head = String::from_utf8_lossy(&bytes[..60]).into_owned();
+        head.split(' ').find(|word| word.starts_with('F')).unwrap().to_string()
+    };
+    assert_eq!([rate(&path, &[]), rate(&nerfstudio, &[])], ["F2:1", "F24:1"]);
+    assert_eq!(rate(&nerfstudio, &["--frame-rate", "12"]), "F12:1");
     let (said, frames) = drawn(&nerfstudio, &place.at("nerfstudio"));
     assert!(frames == 1 && said.contains("dataparser_transforms.json"), "{said}");
     std::fs::write(

@@ -11,7 +11,8 @@
 //! scene.
 //!
 //! The verbs of the command call one function each and print what it returns. Around a run these are
-//! [`loaded`], [`by_hand`], [`preparation`], [`history`], [`outcome`], [`whole_run`] and [`submission`];
+//! [`loaded`], [`remarks`], [`by_hand`], [`preparation`], [`history`], [`outcome`], [`whole_run`] and
+//! [`submission`];
 //! around a finished scene [`found`], [`scene_views`], [`white`], [`export`], [`scored`], [`compare`] and
 //! [`follow`]. No stage uses this crate, so nothing here is in a key.
 
@@ -27,12 +28,14 @@ pub mod follow;
 pub mod found;
 pub mod history;
 pub mod host;
+mod linear;
 pub mod loaded;
 mod made_by;
 pub mod outcome;
 pub mod photographs;
 pub mod points;
 pub mod preparation;
+pub mod remarks;
 pub mod results;
 pub mod scene_page;
 pub mod scene_views;

@@ -23,6 +23,8 @@ const COMPLETE: &str = "paper";
 /// The stage whose scores stand beside the configuration. It and the stages that it follows from are
 /// compared.
 const SCORED_BY: &str = "evaluate";
+/// Follows the steps of stage 1 where a pipeline leaves out stage 2.
+const WITHOUT_STAGE_2: &str = ", without stage 2 (stage2 = false)";
 /// The import's text for views that were counted in the authors' order.
 const AUTHORS_SPLIT: &str = "one view in 8 is held out, counted by COLMAP image id from the first";
 
@@ -62,21 +64,41 @@ fn node<'s>(summary: &'s Summary, scene: &str, variant: &str, stage: &str) -> Op
     own.or_else(|| summary.nodes.iter().find(|n| of(n) && n.scene.is_empty()))
 }
 
-/// A text with the calibrator's pairs and shares. The flag is true for a finished calibrator, and for one
-/// that learnt from as many pairs as the paper's and keeps its whole correction.
-fn calibrator(provenance: &Provenance, calibrated: bool) -> (String, bool) {
+/// The digest of an input's names and content, short.
+fn content(node: &RanNode, role: &str) -> Option<String> {
+    let inputs = &node.artifact.as_ref()?.manifest.ingredients.inputs;
+    inputs.iter().find(|input| input.role == role).map(|input| input.digest.short())
+}
+
+/// A text with the calibrator's pairs and shares, and digests of its data: the paper names 800 pairs of UIEB
+/// without saying which, so more than their number cannot be compared. The flag is true for a finished
+/// calibrator, and for one that learnt from as many pairs as the paper's and keeps its whole correction.
+fn calibrator(
+    provenance: &Provenance,
+    calibrated: bool,
+    (targets, pairs): (&RanNode, Option<&RanNode>),
+) -> (String, bool) {
     if !calibrated {
         return ("none: proposals are not corrected".into(), false);
     }
     if provenance.pairs == 0 {
-        return (format!("a finished file, {}", provenance.data), true);
+        let digest = content(targets, "calibrator").map_or_else(String::new, |d| format!(", content {d}"));
+        return (format!("a finished file, {}{digest}", provenance.data), true);
     }
     let kept = provenance.held_out.as_ref().map_or([1.0; 2], |held_out| held_out.kept);
     let [global, local] = kept.map(|share| 100.0 * share);
     let whole = kept == [1.0; 2];
+    let enough = provenance.pairs >= METHOD_PAIRS;
     let kept = format!("keeps {global:.0} % (global) and {local:.0} % (local)");
-    let told = format!("{} pairs, {} steps, {kept}", provenance.pairs, provenance.steps);
-    (told, whole && provenance.pairs >= METHOD_PAIRS)
+    let mut told = format!("{} pairs, {} steps, {kept}", provenance.pairs, provenance.steps);
+    let folders = pairs.and_then(|pairs| Some((content(pairs, "input")?, content(pairs, "target")?)));
+    if let Some((input, target)) = folders {
+        told += &format!(", input {input}, target {target}");
+    }
+    if enough {
+        told += &format!(" (the paper does not say which {METHOD_PAIRS} of UIEB it took)");
+    }
+    (told, whole && enough)
 }
 
 /// The configuration of a scene in a variant; `None` if the run has no stage 1 for it.
@@ -108,12 +130,17 @@ pub(crate) fn configuration(summary: &Summary, scene: &str, variant: &str) -> Op
         (made.depth_prior, made.water) = (choices.depth_prior, choices.water);
     }
     let mut papers_pairs = false;
-    if let Some(targets) = at("targets") {
-        if let Ok(report) = read_json::<TargetsReport>(&targets.join("report.json")) {
+    if let (Some(folder), Some(targets)) = (at("targets"), node("targets")) {
+        if let Ok(report) = read_json::<TargetsReport>(&folder.join("report.json")) {
             made.proposer.clone_from(&report.proposer.name);
-            let provenance = read_json::<Provenance>(&targets.join(CALIBRATED)).unwrap_or_default();
-            (made.calibrator, papers_pairs) = calibrator(&provenance, report.calibrated);
+            let provenance = read_json::<Provenance>(&folder.join(CALIBRATED)).unwrap_or_default();
+            let learnt_from = (*targets, node("pairs").copied());
+            (made.calibrator, papers_pairs) = calibrator(&provenance, report.calibrated, learnt_from);
         }
+    } else if node("targets").is_none() && node("propose").is_none() {
+        // Without stage 2, nothing follows from pairs.
+        made.steps += WITHOUT_STAGE_2;
+        papers_pairs = true;
     } else if let Some(proposed) = node("propose") {
         made.proposer = format!("{}, on every photograph", text(&proposed.parameters.json()["proposer"]));
     }

@@ -15,6 +15,7 @@ use use3d_workflow::{Digest, Event, place};
 use crate::WorkError;
 use crate::destination::{OUT, check_folder, path_text};
 use crate::host::Host;
+use crate::linear;
 
 /// A preparation of one capture.
 #[derive(Clone, Copy)]
@@ -201,6 +202,7 @@ impl DataSet<'_> {
         if !linear {
             return job.make(&key, &inputs, force);
         }
+        let mut said = linear::check(path)?;
         job.begin(force)?;
         let folder = work_folder(&out);
         let balanced = job.watched(|watch| {
@@ -208,7 +210,8 @@ impl DataSet<'_> {
             sources.made_in(&folder)
         });
         let sources = balanced.map_err(WorkError::from)?;
-        Preparation { sources: &sources, ..job }.finish(&key, &inputs, force)
+        said.extend(Preparation { sources: &sources, ..job }.finish(&key, &inputs, force)?);
+        Ok(said)
     }
 }
 

@@ -20,6 +20,11 @@ impl Spelled {
         Self { flag, stage, key, value: value.to_string() }
     }
 
+    /// The flag `--preset`, which stands for `--set preset=NAME`.
+    pub fn preset(name: &str) -> Self {
+        Self::new("--preset", "", "preset", name)
+    }
+
     /// The engine as a setting of every stage that has one.
     pub fn engines(engine: Option<&EngineChoice>) -> Vec<Self> {
         let registry = engine.and_then(|_| registry().ok());
@@ -30,7 +35,8 @@ impl Spelled {
 
     /// The setting in the form of `--set`.
     pub fn set(&self) -> String {
-        format!("{}.{}={}", self.stage, self.key, self.value)
+        let dot = if self.stage.is_empty() { "" } else { "." };
+        format!("{}{dot}{}={}", self.stage, self.key, self.value)
     }
 }
 
@@ -65,5 +71,8 @@ mod tests {
         let size = [Spelled::new("--size", "import", "size", "640")];
         let refused = "--set import.size=640: `import.size`: \"640\" is not a size";
         assert_eq!(as_typed(refused, &size), "--size 640: \"640\" is not a size");
+        let preset = [Spelled::preset("papre")];
+        assert_eq!(preset[0].set(), "preset=papre");
+        assert_eq!(as_typed("--set preset=papre: no preset", &preset), "--preset papre: no preset");
     }
 }

@@ -272,6 +272,72 @@ fn presets_are_the_weakest_layer_and_nothing_but_their_values() {
 }
 
 #[test]
+fn a_variants_preset_lies_over_the_pipelines() {
+    let text =
+        "preset = \"paper\"\n[[variant]]\nname = \"full\"\n[[variant]]\nname = \"v\"\npreset = \"vanilla\"";
+    let graph = graph_of(text, &[]).unwrap();
+    let node = |variant: &str, stage: &str| &graph.nodes[graph.find("a", variant, stage).expect("a node")];
+    let of = |variant: &str, stage: &str| node(variant, stage).parameters.json().clone();
+    assert_eq!(of("v", "reconstruct")["medium"], "none");
+    for (stage, parameter) in [
+        ("import", "split"),
+        ("reconstruct", "iterations"),
+        ("reconstruct", "learning_rates"),
+        ("enhance", "iterations"),
+        ("evaluate", "neighbour_pairs"),
+    ] {
+        assert_eq!(of("v", stage)[parameter], of("full", stage)[parameter], "{stage}.{parameter}");
+    }
+    let plain = graph_of("", &[]).unwrap();
+    let steps =
+        plain.nodes[plain.find("a", "", "reconstruct").expect("a node")].parameters.json()["iterations"]
+            .clone();
+    assert_ne!(of("v", "reconstruct")["iterations"], steps);
+    assert_eq!((&*node("full", "import").preset, &*node("v", "import").preset), ("paper", "paper + vanilla"));
+    // A command that names another preset for the pipeline keeps the variant's above it.
+    let other = graph_of(text, &["preset=plenodium"]).unwrap();
+    assert_eq!(other.nodes[other.find("a", "v", "import").expect("a node")].preset, "plenodium + vanilla");
+}
+
+/// The extractor belongs to the pairs; the stage that fits to them takes theirs.
+#[test]
+fn a_parameter_that_no_stage_reads_is_refused() {
+    assert!(graph_of("", &["calibrate.extractor.cells=8"]).unwrap_err().contains("unknown key `extractor`"));
+    assert!(graph_of("", &["pairs.extractor.cells=8"]).is_ok());
+}
+
+#[test]
+fn stage_2_can_be_left_out() {
+    let stages = |text: &str, sets: &[&str], scene: &str, variant: &str| {
+        let graph = graph_of(text, sets).unwrap_or_else(|e| panic!("{text}: {e}"));
+        let all =
+            ["calibrate", "reconstruct", "targets", "enhance", "photographs", "render", "evaluate", "report"];
+        let has = |stage: &str| {
+            let mut nodes = graph.nodes.iter();
+            nodes.any(|n| {
+                n.stage_name == stage && (n.scene.is_empty() || (&*n.scene, &*n.variant) == (scene, variant))
+            })
+        };
+        all.into_iter().filter(|stage| has(stage)).collect::<Vec<_>>()
+    };
+    let without = ["reconstruct", "render", "evaluate", "report"];
+    let pairs = "[calibrator]\npairs = { input = \"x\", target = \"y\" }";
+    assert_eq!(stages(&format!("stage2 = false\n{pairs}"), &[], "a", ""), without);
+    assert_eq!(stages(pairs, &["stage2=false"], "a", ""), without);
+    assert_eq!(stages(pairs, &[], "a", "").len(), 8);
+    let b = format!("{pairs}\n[[scene]]\nname = \"b\"\ncapture = \"b\"\nstage2 = false");
+    assert_eq!((stages(&b, &[], "a", "").len(), stages(&b, &[], "b", "").len()), (8, 5));
+    assert_eq!(stages(&b, &["scene.b.stage2=true"], "b", "").len(), 8);
+    assert_eq!(stages(&b, &["scene.a.stage2=false"], "a", ""), without, "no scene needs a calibrator");
+    let v = format!("{pairs}\n[[variant]]\nname = \"v\"\nstage2 = false\n[[variant]]\nname = \"w\"");
+    assert_eq!((stages(&v, &[], "a", "v").len(), stages(&v, &[], "a", "w").len()), (5, 8));
+    let wrong = graph_of("stage2 = 0", &[]).unwrap_err();
+    assert!(wrong.contains("x.toml:2:10") && wrong.contains("expected true or false"), "{wrong}");
+    assert!(graph_of("", &["stage2=off"]).unwrap_err().contains("expected true or false"));
+    assert!(graph_of("stage3 = false", &[]).unwrap_err().contains("did you mean `stage2`?"));
+}
+
+#[test]
 fn naming_pairs_or_a_calibrator_turns_calibration_on() {
     let calibrated = |text: &str, sets: &[&str], scene: &str, variant: &str| {
         let graph = graph_of(text, sets).unwrap_or_else(|e| panic!("{text}: {e}"));
@@ -295,7 +361,7 @@ fn naming_pairs_or_a_calibrator_turns_calibration_on() {
     assert_eq!((calibrated(b, &[], "a", ""), calibrated(b, &[], "b", "")), (false, true));
     let v = "[[variant]]\nname = \"v\"\n[[variant]]\nname = \"w\"\ncalibrator = { file = \"c\" }";
     assert_eq!((calibrated(v, &[], "a", "v"), calibrated(v, &[], "a", "w")), (false, true));
-    // A variant's own preset replaces the pipeline's preset, but not its pairs.
+    // A variant's own preset leaves the pipeline's pairs.
     let w = format!("preset = \"paper\"\n{pairs}\n[[variant]]\nname = \"w\"\npreset = \"vanilla\"");
     assert!(calibrated(&w, &[], "a", "w"));
     // The parameter itself overrides all; that of a scene also if a variant has a calibrator.

@@ -69,7 +69,7 @@ pub struct Film {
     path: PathBuf,
     part: TemporaryFilm,
     size: Option<(usize, usize)>,
-    fps: u32,
+    rate: (u64, u64),
 }
 
 enum Sink {
@@ -90,13 +90,12 @@ impl Drop for TemporaryFilm {
 impl Film {
     /// Starts a film at `path`: `.y4m` is written directly, anything else needs `ffmpeg`. Until it is
     /// complete it is written to `part`, a path in the same folder, whose extension becomes the film's.
+    /// `rate` is its number of frames per second.
     ///
     /// # Errors
     /// See [`FilmError`]; [`FilmError::is_of_the_request`] is true for all of them.
-    pub fn create(path: &Path, mut part: PathBuf, fps: u32) -> Result<Self, FilmError> {
-        if fps == 0 {
-            return Err(FilmError::FrameRate);
-        }
+    pub fn create(path: &Path, mut part: PathBuf, rate: f64) -> Result<Self, FilmError> {
+        let rate = fraction(rate).ok_or(FilmError::FrameRate)?;
         // The extension is needed, because ffmpeg chooses the format by it.
         if let Some(extension) = path.extension() {
             part.set_extension(extension);
@@ -123,7 +122,7 @@ impl Film {
                 .map_err(FilmError::NoFfmpeg)?;
             Sink::Ffmpeg(child)
         };
-        Ok(Self { sink, path: path.to_path_buf(), part, size: None, fps })
+        Ok(Self { sink, path: path.to_path_buf(), part, size: None, rate })
     }
 
     /// Appends a frame; all frames have one size.
@@ -138,8 +137,8 @@ impl Film {
                 self.size = Some(size);
                 bytes.extend_from_slice(
                     format!(
-                        "YUV4MPEG2 W{} H{} F{}:1 Ip A1:1 C444 XCOLORRANGE=LIMITED\n",
-                        size.0, size.1, self.fps
+                        "YUV4MPEG2 W{} H{} F{}:{} Ip A1:1 C444 XCOLORRANGE=LIMITED\n",
+                        size.0, size.1, self.rate.0, self.rate.1
                     )
                     .as_bytes(),
                 );
@@ -185,6 +184,19 @@ impl Film {
         }
         std::fs::rename(&self.part.0, &self.path).map_err(FilmError::Finish)
     }
+}
+
+/// A rate as a fraction: whole numbers, the rates of television (30000/1001), else thousandths. `None` for a
+/// rate that no film has.
+fn fraction(rate: f64) -> Option<(u64, u64)> {
+    if !(rate >= 1e-3 && rate <= f64::from(u32::MAX)) {
+        return None;
+    }
+    let near =
+        |by: f64| Some((rate * by).round()).filter(|whole| (whole / by - rate).abs() <= 1e-3 * rate.min(1.0));
+    let whole = near(1.0).map(|n| (n as u64, 1));
+    let television = || near(1.001).map(|n| (1000 * n as u64, 1001));
+    whole.or_else(television).or(Some(((1000.0 * rate).round() as u64, 1000)))
 }
 
 /// A path in the form that ffmpeg reads literally.
@@ -239,6 +251,14 @@ mod tests {
     use super::*;
 
     #[test]
+    fn rates_are_written_as_fractions() {
+        for (rate, expected) in [(24.0, (24, 1)), (29.97, (30_000, 1001)), (12.5, (12_500, 1000))] {
+            assert_eq!(fraction(rate), Some(expected));
+        }
+        assert_eq!([0.0, -1.0, f64::NAN].map(fraction), [None; 3]);
+    }
+
+    #[test]
     fn grey_has_no_chroma_and_primaries_have_the_standard_values() {
         let image = Image8::from_interleaved(2, 1, &[128, 128, 128, 255, 0, 0]).unwrap();
         assert_eq!(to_ycbcr(&image), [126, 63, 128, 102, 128, 240]);
@@ -260,14 +280,14 @@ mod tests {
         let (path, part) = (dir.path().join("swim.y4m"), dir.path().join("growing"));
         let frame = |width| Image8::from_interleaved(width, 1, &vec![128; 3 * width]).unwrap();
         let names = || std::fs::read_dir(dir.path()).unwrap().count();
-        assert!(matches!(Film::create(&path, part.clone(), 0), Err(FilmError::FrameRate)));
-        let mut film = Film::create(&path, part.clone(), 25).unwrap();
+        assert!(matches!(Film::create(&path, part.clone(), 0.0), Err(FilmError::FrameRate)));
+        let mut film = Film::create(&path, part.clone(), 25.0).unwrap();
         film.push(&frame(2)).unwrap();
         assert!(matches!(film.push(&frame(3)), Err(FilmError::Sizes { first: (2, 1), other: (3, 1) })));
         assert!(!path.exists() && names() == 1, "it grows beside its place");
         drop(film);
         assert_eq!(names(), 0, "and goes with a command that ends before");
-        let mut film = Film::create(&path, part, 25).unwrap();
+        let mut film = Film::create(&path, part, 25.0).unwrap();
         film.push(&frame(2)).unwrap();
         film.finish().unwrap();
         let bytes = std::fs::read(&path).unwrap();

@@ -14,7 +14,8 @@
 //! a film of the scene. Depth, masks and raw inputs come from the reference variant's stage 1. They are the
 //! same for all variants of a scene, so that no variant is judged by its own geometry.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
 use std::path::Path;
 use std::time::Duration;
 
@@ -22,11 +23,11 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_atc::proposers::Proposer;
 use use3d_capture::{Appearance, Camera, Capture, Frame, Image, Map, View, path};
-use use3d_import::{load_mask, load_pixels};
+use use3d_import::{ImageSize, load_mask, load_pixels};
 use use3d_io_image::{read_image, write_png};
 use use3d_metrics::{Mask, mask_of, share};
 use use3d_numerics::range::within;
-use use3d_render::{Mode, Rendering, SceneRenderer};
+use use3d_render::{Mode, Rendering, SceneRenderer, cover};
 use use3d_scene::Scene;
 use use3d_workflow::{Figure, StageContext, StageError, machine};
 
@@ -38,6 +39,7 @@ use crate::parts::files::{
 };
 use crate::parts::proposer::{ProposerChoice, open};
 use crate::parts::scene::{drawn, shown_scene};
+use crate::parts::visits::each_once;
 use use3d_judge::scores::{
     self, Finite, Method, MethodScores, PairScores, SceneScores, SceneSpeed, Scores, ViewScores, Warp,
 };
@@ -71,6 +73,9 @@ pub(crate) struct Params {
     pub(crate) path_pairs: usize,
     /// Frames of that path from one training view to the next.
     pub(crate) path_steps: usize,
+    /// `"WxH"`: the size at which frames per second are measured; the size of the held-out views if not set.
+    /// Another size does not score the scene again.
+    pub(crate) fps_size: Option<ImageSize>,
     /// The engine that draws the scenes: `cpu`; `auto` (a graphics card that passed its check, else the
     /// processor); `gpu`; `gpu:NAME`.
     #[schemars(with = "String")]
@@ -85,6 +90,7 @@ impl Default for Params {
             neighbour_pairs: 8,
             path_pairs: 8,
             path_steps: 4,
+            fps_size: None,
             engine: EngineChoice::Cpu,
         }
     }
@@ -127,7 +133,7 @@ pub(crate) mod definition {
             .delivers("scores")
             .check(Params::check)
             .computes_on("engine", |p: &Params| engines::asked(&p.engine), |p| engines::class(&p.engine))
-            .without_effect(&["engine"])
+            .without_effect(&["engine", "fps_size"])
             .agrees_across_classes(&FIGURES)
             .input("import", "import")
             .input("scene", "reconstruct")
@@ -147,7 +153,8 @@ pub(crate) mod definition {
             .requires(missing)
             .usually_costs(5.0, 0.0)
             .cost(0, 4 << 30)
-            // The memory holds the scene, the reference's scene, and three views in all their appearances.
+            // The memory holds the scene, the reference's scene, two views in all their appearances, and the
+            // strip's.
             .memory(|_: &Params, inputs| {
                 let pixels = largest(inputs)?;
                 let network = networks(inputs, judge_files, NETWORK_PER_PIXEL * pixels);
@@ -200,6 +207,12 @@ struct Appearances {
 impl Appearances {
     fn of(&self, method: Method) -> Option<&Image> {
         self.images.iter().find(|(m, _)| *m == method).map(|(_, image)| image)
+    }
+
+    /// Only the images of some methods, and the depth.
+    fn only(&self, methods: &[Method]) -> Self {
+        let images = self.images.iter().filter(|(method, _)| methods.contains(method)).cloned().collect();
+        Self { images, depth: self.depth.clone(), accumulation: Map::new(0, 0), water: None }
     }
 }
 
@@ -254,10 +267,6 @@ impl Looker<'_> {
         }
         Ok(Appearances { images, depth, accumulation, water: water.try_into().ok() })
     }
-
-    fn view(&mut self, view: &View) -> Result<Appearances, StageError> {
-        self.look(&view.camera, Some(load_pixels(view)?.to_image()))
-    }
 }
 
 /// The mask of the valid pixels of a view; `None` if all are valid.
@@ -279,25 +288,32 @@ struct Evaluation<'a> {
 }
 
 impl Evaluation<'_> {
-    /// The methods' images at a camera, with the depth, the raw image and the mask for comparing them.
-    fn station(&mut self, camera: &Camera, view: Option<&View>) -> Result<Station, StageError> {
+    /// The methods' images at a camera. For a comparison with another camera, the depth and the raw image are
+    /// those of the reference, if there is one.
+    fn station(
+        &mut self,
+        camera: &Camera,
+        view: Option<&View>,
+        compared: bool,
+    ) -> Result<Station, StageError> {
         self.context.alive()?;
         let (photograph, mask) = match view {
             Some(view) => (Some(load_pixels(view)?.to_image()), mask(view)?),
             None => (None, None),
         };
         let looks = self.looker.look(camera, photograph)?;
-        let (mut depth, mut render) = (looks.depth.clone(), looks.of(self.looker.learnt).cloned());
-        if let Some(reference) = &mut self.reference {
-            let (theirs, image) = reference.look(camera)?;
-            (depth, render) = (theirs, Some(image));
-        }
-        let raw = looks.of(Method::Captured).cloned().or(render).unwrap_or_else(|| Image::new(0, 0));
-        Ok(Station { camera: *camera, raw: raw.map(|v| v.clamp(0.0, 1.0)), depth, mask, looks })
+        let warp = match &mut self.reference {
+            Some(reference) if compared => Some(reference.look(camera)?),
+            _ => None,
+        };
+        let render = || warp.as_ref().map(|(_, image)| image).or(looks.of(self.looker.learnt));
+        let raw = looks.of(Method::Captured).or_else(render);
+        let raw = raw.map_or_else(|| Image::new(0, 0), |image| image.map(|v| v.clamp(0.0, 1.0)));
+        Ok(Station { camera: *camera, raw, depth: warp.map(|(depth, _)| depth), mask, looks })
     }
 
     /// Adds the scores of every method on one pair to `lists`.
-    fn pair(&self, ends: &[Station; 2], names: &[String; 2], prefix: &str, lists: &mut Lists<PairScores>) {
+    fn pair(&self, ends: [&Station; 2], names: &[String; 2], prefix: &str, lists: &mut Lists<PairScores>) {
         let [first, second] = ends;
         let pairing = Pairing::new(&self.judges, &first.compared(), &second.compared());
         for (method, image) in &first.looks.images {
@@ -310,18 +326,39 @@ impl Evaluation<'_> {
         }
     }
 
-    /// Scores of pairs of captured views that follow one another.
-    fn neighbours(&mut self, most: usize) -> Result<Lists<PairScores>, StageError> {
-        let mut lists = Lists::new();
-        let views = &self.capture.views;
-        let chosen = evenly(views.len().saturating_sub(1), most);
-        for (done, &i) in chosen.iter().enumerate() {
-            let (a, b) = (&views[i], &views[i + 1]);
-            self.context.progress_with(done as u64, chosen.len() as u64, "neighbouring pairs", &a.name);
-            let ends = [self.station(&a.camera, Some(a))?, self.station(&b.camera, Some(b))?];
-            self.pair(&ends, &[a.name.to_string(), b.name.to_string()], "", &mut lists);
-        }
-        Ok(lists)
+    /// Renders every view that is held out, compared with a neighbour or shown in the strip once. `held_out`
+    /// gets each held-out view. Returns the scores of the pairs of captured views that follow one another,
+    /// and the views of the strip.
+    fn views(
+        &mut self,
+        most: usize,
+        strip: &StripRows,
+        held_out: &mut dyn FnMut(&Self, &View, &Station) -> Result<(), StageError>,
+    ) -> Result<(Lists<PairScores>, Vec<Appearances>), StageError> {
+        let (mut lists, mut shown) = (Lists::new(), Vec::new());
+        let capture = self.capture;
+        let views = &capture.views;
+        let pairs: BTreeSet<usize> = evenly(views.len().saturating_sub(1), most).into_iter().collect();
+        let test: BTreeSet<usize> = capture.split.test.iter().copied().collect();
+        let alone: BTreeSet<usize> = test.iter().copied().chain(strip.views.clone()).collect();
+        each_once(&alone, &pairs, |i, before: Option<&Station>| {
+            let view = &views[i];
+            self.context.progress_with(i as u64, views.len() as u64, "views", &view.name);
+            let compared = before.is_some() || pairs.contains(&i);
+            let station = self.station(&view.camera, Some(view), compared)?;
+            if test.contains(&i) {
+                held_out(self, view, &station)?;
+            }
+            if let Some(before) = before {
+                let names = [views[i - 1].name.to_string(), view.name.to_string()];
+                self.pair([before, &station], &names, "", &mut lists);
+            }
+            if strip.views.contains(&i) {
+                shown.push(station.looks.only(&strip.methods));
+            }
+            Ok::<_, StageError>(station)
+        })?;
+        Ok((lists, shown))
     }
 
     /// Scores of pairs of adjacent frames of a path through the training cameras.
@@ -330,11 +367,17 @@ impl Evaluation<'_> {
         let keys: Vec<Camera> = self.capture.training_views().map(|v| v.camera).collect();
         let frames = path::interpolate(&keys, keys.len().saturating_sub(1) * steps + 1);
         let chosen = evenly(frames.len().saturating_sub(1), if keys.len() < 2 { 0 } else { most });
-        for (done, &i) in chosen.iter().enumerate() {
-            self.context.progress_with(done as u64, chosen.len() as u64, "pairs of frames", "");
-            let ends = [self.station(&frames[i], None)?, self.station(&frames[i + 1], None)?];
-            self.pair(&ends, &[i, i + 1].map(|f| format!("frame {f}")), "path_", &mut lists);
-        }
+        let (pairs, mut done) = (chosen.into_iter().collect::<BTreeSet<usize>>(), 0);
+        each_once(&BTreeSet::new(), &pairs, |i, before: Option<&Station>| {
+            self.context.progress_with(done, pairs.len() as u64, "pairs of frames", "");
+            let station = self.station(&frames[i], None, true)?;
+            if let Some(before) = before {
+                let names = [i - 1, i].map(|f| format!("frame {f}"));
+                self.pair([before, &station], &names, "path_", &mut lists);
+                done += 1;
+            }
+            Ok::<_, StageError>(station)
+        })?;
         Ok(lists)
     }
 }
@@ -343,14 +386,16 @@ impl Evaluation<'_> {
 struct Station {
     camera: Camera,
     raw: Image,
-    depth: Map,
+    /// The reference's depth, if there is another reference than the scene.
+    depth: Option<Map>,
     mask: Option<Mask>,
     looks: Appearances,
 }
 
 impl Station {
     fn compared(&self) -> ComparedView<'_> {
-        ComparedView { camera: &self.camera, depth: &self.depth, raw: &self.raw, mask: self.mask.as_ref() }
+        let depth = self.depth.as_ref().unwrap_or(&self.looks.depth);
+        ComparedView { camera: &self.camera, depth, raw: &self.raw, mask: self.mask.as_ref() }
     }
 }
 
@@ -451,17 +496,15 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let enhanced_in_2d = context.output().join(ENHANCED_IN_2D);
     folder(&enhanced_in_2d)?;
     let mut per_view: Lists<ViewScores> = Lists::new();
-    for (i, view) in views.iter().enumerate() {
-        context.alive()?;
-        context.progress_with(i as u64, views.len() as u64, "views", &view.name);
-        let mut now = evaluation.looker.view(view)?;
-        if let Some(folder) = photographs {
-            now.images.push((Method::Photograph, read_image(&proposal_of(folder, view))?));
-        }
+    let rows = StripRows::new(&capture, &scene, learnt);
+    let mut held_out = |evaluation: &Evaluation<'_>, view: &View, station: &Station| {
+        let now = &station.looks;
+        let photograph = photographs.map(|folder| read_image(&proposal_of(folder, view))).transpose()?;
+        let photograph = photograph.map(|image| (Method::Photograph, image));
         if let Some(proposal) = now.of(Method::Proposal) {
             write_png(&proposal_of(&enhanced_in_2d, view), proposal)?;
         }
-        let mask = mask(view)?;
+        let mask = &station.mask;
         pixels += share(mask.as_ref()) / views.len() as f64;
         let judges = &evaluation.judges;
         let true_view = truth.as_ref().map(|t| t.view(view.stem())).transpose()?.flatten();
@@ -470,7 +513,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
             folder(&true_views)?;
             write_png(&proposal_of(&true_views, view), &truth.clean)?;
         }
-        for (method, image) in &now.images {
+        for (method, image) in now.images.iter().chain(&photograph) {
             let mut scores: Scores = judges.alone(image, mask.as_ref());
             if let (true, Some(captured)) = (*method != Method::Captured, now.of(Method::Captured)) {
                 scores.extend(judges.against(image, captured, mask.as_ref()));
@@ -493,11 +536,12 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
             let means = channel_means(map);
             (0..3).for_each(|c| sum[c] += means[c] / views.len() as f64);
         }
-    }
-    let mut neighbours = evaluation.neighbours(params.neighbour_pairs)?;
+        Ok(())
+    };
+    let (mut neighbours, looks) = evaluation.views(params.neighbour_pairs, &rows, &mut held_out)?;
     let mut path = evaluation.path(params.path_pairs, params.path_steps)?;
-    strip(context, &capture, &scene, &mut evaluation.looker)?;
-    time(context, &views, &mut evaluation.looker.renderer, shown.card.as_deref())?;
+    strip(context, &capture, &rows, &looks)?;
+    time(context, (&views, params.fps_size), &mut evaluation.looker.renderer, shown.card.as_deref())?;
 
     let methods = Method::ALL.into_iter().filter_map(|method| {
         let views = per_view.remove(&method);
@@ -527,18 +571,21 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     write_json(&context.output().join(SCORES), &scores)
 }
 
-/// Notes the speed of drawing the scene, at the held-out views' own size. A time is never part of an
-/// artifact.
+/// Notes the speed of drawing the scene, at the held-out views' own size or at `size`. A time is never part
+/// of an artifact.
 fn time(
     context: &StageContext,
-    views: &[&View],
+    (views, size): (&[&View], Option<ImageSize>),
     renderer: &mut SceneRenderer<'_>,
     card: Option<&str>,
 ) -> Result<(), StageError> {
     if !context.keeps_notes() {
         return Ok(());
     }
-    let cameras: Vec<Camera> = views.iter().take(4).map(|v| v.camera).collect();
+    let mut cameras: Vec<Camera> = views.iter().take(4).map(|v| v.camera).collect();
+    if let Some(ImageSize { width, height }) = size {
+        cameras.iter_mut().for_each(|camera| camera.intrinsics = cover(&camera.intrinsics, width, height));
+    }
     let mode = if renderer.is_enhanced() { Mode::Enhanced } else { Mode::Reconstruction };
     let measured = speed::measure(renderer, &cameras, mode, Duration::ZERO, &|| context.cancelled())?;
     let (Some(measured), Some(camera)) = (measured, cameras.first()) else { return Ok(()) };
@@ -554,33 +601,37 @@ fn time(
     Ok(())
 }
 
+/// The views and the methods of the consistency strip.
+struct StripRows {
+    views: Range<usize>,
+    methods: [Method; 4],
+}
+
+impl StripRows {
+    fn new(capture: &Capture, scene: &Scene, learnt: Method) -> Self {
+        let held_out = &capture.split.test;
+        let middle = held_out.get(held_out.len() / 2).copied().unwrap_or(capture.views.len() / 2);
+        let first = middle.saturating_sub(1).min(capture.views.len().saturating_sub(3));
+        let last = match scene.enhancement.as_ref().map(|e| e.appearance) {
+            Some(Appearance::Clear) => Method::EnhancedClear,
+            Some(Appearance::Water) => Method::Enhanced,
+            None => learnt,
+        };
+        let methods = [Method::Captured, Method::Proposal, Method::ProposalOfRender, last];
+        Self { views: first..(first + 3).min(capture.views.len()), methods }
+    }
+}
+
 /// The same spot in three neighbouring views: captured, enhanced in 2D, and as the scene shows it.
 fn strip(
     context: &StageContext,
     capture: &Capture,
-    scene: &Scene,
-    looker: &mut Looker<'_>,
+    rows: &StripRows,
+    looks: &[Appearances],
 ) -> Result<(), StageError> {
     context.alive()?;
-    let held_out = &capture.split.test;
-    let middle = held_out.get(held_out.len() / 2).copied().unwrap_or(capture.views.len() / 2);
-    let first = middle.saturating_sub(1).min(capture.views.len().saturating_sub(3));
-    let views: Vec<&View> = capture.views.iter().skip(first).take(3).collect();
-    let last = match scene.enhancement.as_ref().map(|e| e.appearance) {
-        Some(Appearance::Clear) => Method::EnhancedClear,
-        Some(Appearance::Water) => Method::Enhanced,
-        None => looker.learnt,
-    };
-    let shown = [Method::Captured, Method::Proposal, Method::ProposalOfRender, last];
-    // Large images of other methods are dropped at once.
-    let look = |view: &&View| {
-        let mut look = looker.view(view)?;
-        look.images.retain(|(method, _)| shown.contains(method));
-        look.water = None;
-        Ok(look)
-    };
-    let looks = views.iter().map(look).collect::<Result<Vec<Appearances>, StageError>>()?;
-    let seen = views.iter().zip(&looks).filter_map(|(view, look)| {
+    let views = &capture.views[rows.views.clone()];
+    let seen = views.iter().zip(looks).filter_map(|(view, look)| {
         Some(StripView { camera: &view.camera, depth: &look.depth, photograph: look.of(Method::Captured)? })
     });
     let Some((side, corners)) = choose(&seen.collect::<Vec<_>>()) else {
@@ -588,7 +639,7 @@ fn strip(
         return Ok(());
     };
     let row = |method: Method| -> Option<Vec<&Image>> { looks.iter().map(|look| look.of(method)).collect() };
-    let rows = shown.into_iter().filter_map(|method| Some((method, row(method)?)));
+    let rows = rows.methods.into_iter().filter_map(|method| Some((method, row(method)?)));
     let (shown, rows): (Vec<Method>, Vec<Vec<&Image>>) = rows.unzip();
     let (picture, moved) = sheet(&rows, &corners, side);
     write_png(&context.output().join(STRIP.0), &picture)?;

@@ -10,6 +10,8 @@
 //! Targets need a calibrator only if `targets.calibrated` is true; `pairs` and `calibrate` are left out if no
 //! scene needs one.
 //!
+//! The switch `stage2 = false` leaves out `pairs`, `calibrate`, `targets`, `enhance` and `photographs`.
+//!
 //! For comparison, `propose` can precede `reconstruct`, which then learns from photographs that were enhanced
 //! one by one; `targets` and `enhance` are left out in that case. `pairs` and `calibrate` run once for all
 //! scenes, and not at all if every scene has a finished calibrator. `report` runs once, on all results.
@@ -46,6 +48,10 @@ use use3d_workflow::{BuildError, Registry};
 
 use crate::code::built_in;
 
+/// The meaning of the switch `stage2`.
+const STAGE_2: &str =
+    "False leaves out stage 2: the targets, the enhancement, and what needs them. Tables and report say so.";
+
 /// The table of stages, with the shorthand keys of the pipeline file.
 pub fn registry() -> Result<Registry, BuildError> {
     let stages = vec![
@@ -64,6 +70,7 @@ pub fn registry() -> Result<Registry, BuildError> {
         report::definition::stage(),
     ];
     Ok(Registry::new(stages, built_in())?
+        .switch("stage2", &["pairs", "calibrate", "targets", "enhance"], STAGE_2)
         .shorthand("scene", "size", "import", "size")
         .shorthand("calibrator", "proposer", "pairs", "proposer")
         .shorthand("calibrator", "proposer", "targets", "proposer")

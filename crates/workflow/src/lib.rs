@@ -119,7 +119,7 @@ pub use stage::events::{Event, Listener, Silent};
 pub use stage::inputs::{Named, StageInput};
 pub use stage::parameters::{AllParameters, Parameters};
 pub use stage::reading::read;
-pub use stage::registry::{Registry, Shorthand};
+pub use stage::registry::{Registry, Shorthand, Switch};
 pub use stage::require::{Checks, Lacking};
 pub use use3d_code as code;
 pub use use3d_code::digest::{self, Digest};

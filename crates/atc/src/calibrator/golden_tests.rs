@@ -4,7 +4,7 @@ use use3d_golden::{Case, Part};
 
 use super::head::{Head, HeadBatch};
 use super::mlp::{Linear, Mlp, Trace};
-use super::{Calibrator, LOCAL_CONDITION, Statistics, push_local_condition};
+use super::{Calibrator, LOCAL_CONDITION, RANGE_FLOOR, Statistics, push_local_condition};
 use crate::extractor::{Affine, Descriptors, ExtractorSettings, Transition};
 use crate::proposers::ProposerId;
 
@@ -126,7 +126,7 @@ fn golden_statistics() {
             let Some(sample) = name.strip_prefix("out.median_") else { continue };
             let input = format!("in.{sample}");
             let columns = case.shape(&input)[1];
-            let found = Statistics::of(&case.f32(&input), columns);
+            let found = Statistics::of(&case.f32(&input), columns, RANGE_FLOOR);
             case.check(&format!("out.median_{sample}"), &found.median);
             case.check(&format!("out.iqr_{sample}"), &found.range);
             checked += 1;

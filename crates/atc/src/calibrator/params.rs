@@ -5,6 +5,8 @@ use serde::{Deserialize, Serialize};
 use use3d_numerics::math;
 use use3d_numerics::range::{OutOfRange, positive, within};
 
+use super::RANGE_FLOOR;
+
 /// Number of pairs for which the recipe was made: the paper trains on 800 of UIEB.
 pub const METHOD_PAIRS: usize = 800;
 
@@ -54,6 +56,8 @@ pub struct CalibratorParams {
     pub last_layer: LastLayer,
     /// The operators whose ranges scale the errors of the fit and of stage 2.
     pub scales: Scales,
+    /// Smallest range that scales errors, above 0 to 1. Ranges below 1e-4 count as 1e-4 in stage 2.
+    pub scale_floor: f64,
     /// Share of the pairs held out for the report (0: no report, and no early stopping). The final fit uses
     /// all pairs.
     pub held_out: f64,
@@ -81,6 +85,7 @@ impl Default for CalibratorParams {
             local_hidden: 256,
             last_layer: LastLayer::Zero,
             scales: Scales::Residuals,
+            scale_floor: RANGE_FLOOR,
             held_out: 0.2,
             stop_early: true,
             trust: 1.0,
@@ -100,6 +105,8 @@ impl CalibratorParams {
         within("steps", self.steps, 0, 200_000_000)?;
         positive("learning_rate", self.learning_rate)?;
         positive("gradient_limit", self.gradient_limit)?;
+        positive("scale_floor", self.scale_floor)?;
+        within("scale_floor", self.scale_floor, 0.0, 1.0)?;
         within("final_fraction", self.final_fraction, 0.0, 1.0)?;
         within("held_out", self.held_out, 0.0, 0.9)?;
         within("trust", self.trust, 0.0, 1.0)

@@ -1,12 +1,12 @@
 //! Robust location and scale of every column of a sample: median and interquartile range (R18, R19).
 //!
 //! For an even count the median is the lower one. The quartiles are interpolated linearly between order
-//! statistics. The range has a floor of 10⁻³, so that division by the range of a constant column is
-//! harmless.
+//! statistics. The range has a floor, so that division by the range of a constant column is harmless. It is
+//! 10⁻³ for conditions, and `calibrate.scale_floor` for the scales of errors.
 
 use use3d_numerics::order::Ascending;
 
-/// Smallest interquartile range that is stored.
+/// Smallest interquartile range of a condition that is stored.
 pub const RANGE_FLOOR: f64 = 1e-3;
 /// Floor of the range where it is used in normalised conditions and errors.
 pub const CONDITION_FLOOR: f64 = 1e-5;
@@ -18,7 +18,7 @@ pub const SCALE_FLOOR: f64 = 1e-4;
 pub struct Statistics {
     /// Lower median per column.
     pub median: Vec<f32>,
-    /// Interquartile range per column, at least [`RANGE_FLOOR`].
+    /// Interquartile range per column, at least its floor.
     pub range: Vec<f32>,
 }
 
@@ -28,14 +28,14 @@ impl Statistics {
         Self { median: vec![0.0; columns], range: vec![1.0; columns] }
     }
 
-    /// The statistics of rows of `columns` numbers each (at least one row).
-    pub fn of(rows: &[f32], columns: usize) -> Self {
+    /// The statistics of rows of `columns` numbers each (at least one row), with ranges of at least `floor`.
+    pub fn of(rows: &[f32], columns: usize, floor: f64) -> Self {
         let mut out = Self::neutral(columns);
         for c in 0..columns {
             let column = Ascending::of(rows.chunks_exact(columns).map(|row| row[c]));
             let quartile = |share: f64| column.interpolated(share).unwrap_or(0.0);
             out.median[c] = column.below(0.5).unwrap_or(0.0);
-            out.range[c] = (quartile(0.75) - quartile(0.25)).max(RANGE_FLOOR) as f32;
+            out.range[c] = (quartile(0.75) - quartile(0.25)).max(floor) as f32;
         }
         out
     }

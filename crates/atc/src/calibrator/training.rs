@@ -12,8 +12,8 @@ use super::head::{Head, HeadBatch};
 use super::mlp::{Mlp, Trace};
 use super::stopping::Stop;
 use super::{
-    Calibrator, CalibratorParams, Dataset, GLOBAL_CONDITION, LOCAL_CONDITION, LastLayer, Provenance, Scales,
-    Statistics, push_local_condition,
+    Calibrator, CalibratorParams, Dataset, GLOBAL_CONDITION, LOCAL_CONDITION, LastLayer, Provenance,
+    RANGE_FLOOR, Scales, Statistics, push_local_condition,
 };
 use crate::error::AtcError;
 use crate::extractor::Affine;
@@ -137,8 +137,8 @@ fn initial_heads(rows: &DatasetRows, params: &CalibratorParams) -> (Head, Head) 
     let seed = params.seed;
     let head = |[inputs, hidden, outputs]: [usize; 3], purpose, conditions: &[f32], residuals: &[f32]| Head {
         mlp: Mlp::random(inputs, hidden, outputs, seed, purpose),
-        condition: Statistics::of(conditions, inputs),
-        residual: Statistics::of(residuals, outputs),
+        condition: Statistics::of(conditions, inputs, RANGE_FLOOR),
+        residual: Statistics::of(residuals, outputs, params.scale_floor),
     };
     let sizes = [GLOBAL_CONDITION, params.global_hidden, 12];
     let residuals = difference(&rows.global_targets, &rows.global_proposals);
@@ -156,8 +156,9 @@ fn initial_heads(rows: &DatasetRows, params: &CalibratorParams) -> (Head, Head) 
     let conditions = sampled(&rows.local_conditions, LOCAL_CONDITION);
     let mut local = head(sizes, Purpose::new("calibrator local head"), &conditions, &residuals);
     if params.scales == Scales::Operators {
-        global.residual.range = Statistics::of(&rows.global_targets, 12).range;
-        local.residual.range = Statistics::of(&sampled(&rows.local_targets, 6), 6).range;
+        let floor = params.scale_floor;
+        global.residual.range = Statistics::of(&rows.global_targets, 12, floor).range;
+        local.residual.range = Statistics::of(&sampled(&rows.local_targets, 6), 6, floor).range;
     }
     if params.last_layer == LastLayer::Zero {
         // Both heads begin as the best constant, the median residual. With a few dozen pairs, the output of a

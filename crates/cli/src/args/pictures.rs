@@ -98,9 +98,9 @@ pub(crate) struct RenderArgs {
     /// Write the first mode as a video: .y4m directly, anything else through ffmpeg.
     #[arg(long, value_name = "FILE")]
     pub(crate) video: Option<PathBuf>,
-    /// Frames per second of the video.
-    #[arg(long, default_value_t = 30, value_name = "N")]
-    pub(crate) frame_rate: u32,
+    /// Frames per second of the video (default: those of a path file, else 30).
+    #[arg(long, value_name = "N")]
+    pub(crate) frame_rate: Option<u32>,
     /// Measure frames per second on the held-out views (on all given views if none are held out); no picture
     /// is written.
     #[arg(long, conflicts_with_all = ["out", "video", "path", "modes", "held_out"])]

@@ -54,11 +54,28 @@ impl SizeArgs {
     }
 }
 
+/// The preset.
+#[derive(Clone, Debug, Default, Args)]
+struct PresetArgs {
+    /// Take the values of this preset in place of the defaults (`use3d params --preset NAME` lists them).
+    #[arg(long, value_name = "NAME")]
+    preset: Option<String>,
+}
+
+impl PresetArgs {
+    /// The setting that the flag stands for.
+    fn spelled(&self) -> Option<Spelled> {
+        self.preset.as_deref().map(Spelled::preset)
+    }
+}
+
 /// `--set` of a whole pipeline.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct Settings {
     #[command(flatten)]
     pub(crate) engine: EngineArgs,
+    #[command(flatten)]
+    preset: PresetArgs,
     /// Set a parameter of a stage, e.g. `reconstruct.iterations=3000`; may be
     /// repeated. `use3d params` lists them.
     #[arg(long = "set", value_name = "STAGE.PARAMETER=VALUE")]
@@ -73,7 +90,8 @@ impl Settings {
     }
 
     fn spelled(&self) -> Vec<Spelled> {
-        Spelled::engines(self.engine.choice().as_ref())
+        let engines = Spelled::engines(self.engine.choice().as_ref());
+        engines.into_iter().chain(self.preset.spelled()).collect()
     }
 }
 
@@ -102,6 +120,8 @@ impl CommonArgs {
 /// `--set` of one stage.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct StageSettings {
+    #[command(flatten)]
+    preset: PresetArgs,
     /// Set a parameter of this stage, or `STAGE.PARAMETER` of one that it needs; may be
     /// repeated. `use3d params` lists them.
     #[arg(long = "set", value_name = "PARAMETER=VALUE")]
@@ -109,6 +129,11 @@ pub(crate) struct StageSettings {
 }
 
 impl StageSettings {
+    /// The settings that `flags` and the preset stand for.
+    pub(crate) fn spelled(&self, flags: Vec<Spelled>) -> Vec<Spelled> {
+        self.preset.spelled().into_iter().chain(flags).collect()
+    }
+
     /// These settings, with a models folder.
     pub(crate) fn options(&self, models: Option<&PathBuf>) -> LoadOptions {
         LoadOptions { sets: self.set.clone(), models: models.cloned(), ..LoadOptions::default() }

@@ -57,7 +57,7 @@ pub(crate) fn import(app: &App, args: &ImportArgs) -> Done {
     let force = args.replace.force;
     check_folder(&args.out, force)?;
     let hand = ByHand {
-        flags: args.size.spelled(),
+        flags: args.settings.spelled(args.size.spelled()),
         options: args.settings.options(None),
         ..ByHand::on(&args.capture, IMPORT)
     };
@@ -70,7 +70,7 @@ pub(crate) fn import(app: &App, args: &ImportArgs) -> Done {
 pub(crate) fn reconstruct(app: &App, args: &ReconstructArgs) -> Done {
     let force = args.replace.force;
     check_folder(&args.out, force)?;
-    let mut flags = args.common.spelled();
+    let mut flags = args.settings.spelled(args.common.spelled());
     flags.extend(args.engine.choice().map(|e| Spelled::new("--engine", "reconstruct", "engine", e)));
     let options = args.settings.options(args.models.as_ref());
     let hand = ByHand { flags, options, ..ByHand::on(&args.capture, "reconstruct") };
@@ -88,11 +88,11 @@ pub(crate) fn reconstruct(app: &App, args: &ReconstructArgs) -> Done {
 
 pub(crate) fn calibrate(app: &App, args: &CalibrateArgs) -> Done {
     check_file("--out", &args.out, args.replace.force, &[])?;
-    let proposer = args.proposer.iter();
+    let proposer = args.proposer.iter().map(|name| Spelled::new("--proposer", "pairs", "proposer", name));
     let pairs = Some((args.input.clone(), args.target.clone()));
     let hand = ByHand {
         stage: "calibrate",
-        flags: proposer.map(|name| Spelled::new("--proposer", "pairs", "proposer", name)).collect(),
+        flags: args.settings.spelled(proposer.collect()),
         options: LoadOptions { pairs, ..args.settings.options(args.models.as_ref()) },
         ..ByHand::default()
     };
@@ -111,7 +111,8 @@ pub(crate) fn targets(app: &App, args: &TargetsArgs) -> Done {
     check_folder(&previews, force)?;
     let calibrator = args.calibrator.clone();
     let options = LoadOptions { calibrator, ..args.settings.options(args.models.as_ref()) };
-    let mut hand = ByHand { flags: args.size.spelled(), options, ..ByHand::on(&args.capture, "targets") };
+    let flags = args.settings.spelled(args.size.spelled());
+    let mut hand = ByHand { flags, options, ..ByHand::on(&args.capture, "targets") };
     hand.given.insert("scene", Some(args.scene.clone()));
     let (scene, capture, targets) = (word(&args.scene), word(&args.capture), word(&args.out));
     let next = format!("use3d enhance {scene} {capture} --targets {targets} --out enhanced-scene/");
@@ -133,7 +134,7 @@ pub(crate) fn targets(app: &App, args: &TargetsArgs) -> Done {
 pub(crate) fn enhance(app: &App, args: &EnhanceArgs) -> Done {
     let force = args.replace.force;
     check_folder(&args.out, force)?;
-    let mut flags = args.size.spelled();
+    let mut flags = args.settings.spelled(args.size.spelled());
     flags.extend(args.iterations.map(|n| Spelled::new("--iterations", "enhance", "iterations", n)));
     flags.extend(args.engine.choice().map(|e| Spelled::new("--engine", "enhance", "engine", e)));
     let options = args.settings.options(args.models.as_ref());

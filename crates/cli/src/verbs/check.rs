@@ -39,7 +39,7 @@ pub(crate) fn run(app: &App, args: &CheckArgs) -> Done {
         check_file("--html", file, args.replace.force, &["html", "htm"])?;
     }
     let hand = ByHand {
-        flags: vec![Spelled::new("--max-side", "import", "max_side", args.max_side)],
+        flags: args.settings.spelled(vec![Spelled::new("--max-side", "import", "max_side", args.max_side)]),
         options: args.settings.options(None),
         ..ByHand::import_of(&args.capture)
     };

@@ -19,6 +19,9 @@ use crate::args::{CameraPath, EngineArgs, FrameFormat, RenderArgs};
 use crate::error::{Done, WorkError};
 use crate::size::parse_size;
 
+/// Frames per second of a film of cameras that have no rate of their own.
+pub(crate) const FRAME_RATE: f64 = 30.0;
+
 /// The modes of these names.
 pub(crate) fn modes(names: &[String]) -> Result<Vec<Mode>, WorkError> {
     let known = Mode::ALL.map(Mode::name);
@@ -113,12 +116,14 @@ pub(crate) struct Frames<'a> {
 }
 
 impl<'a> Frames<'a> {
-    /// Fails, before anything is drawn, if an existing file would be overwritten.
+    /// Fails, before anything is drawn, if an existing file would be overwritten. `rate` is the path's own
+    /// number of frames per second, which `--frame-rate` replaces.
     pub(crate) fn create(
         args: &'a RenderArgs,
         folder: Option<&'static str>,
         modes: &[Mode],
         files: &[FileName],
+        rate: f64,
     ) -> Result<Self, WorkError> {
         let force = args.replace.force;
         if let Some(video) = &args.video {
@@ -133,7 +138,7 @@ impl<'a> Frames<'a> {
             }
         }
         let film = args.video.as_deref().map(|path| {
-            let film = Film::create(path, place::sibling(path), args.frame_rate);
+            let film = Film::create(path, place::sibling(path), args.frame_rate.map_or(rate, f64::from));
             film.map(|film| (path, film)).map_err(|e| not_filmed(path, &e))
         });
         Ok(Self { args, folder, film: film.transpose()? })

@@ -33,7 +33,7 @@ pub(crate) fn run(app: &App, args: &EvaluateArgs) -> Done {
 
 fn scene_rows(app: &App, args: &EvaluateArgs, scene: &Path, capture: &Path) -> Result<ScoreRows, WorkError> {
     let mut hand = ByHand {
-        flags: args.size.spelled(),
+        flags: args.settings.spelled(args.size.spelled()),
         options: args.settings.options(args.models.as_ref()),
         ..ByHand::on(capture, "evaluate")
     };

@@ -17,7 +17,7 @@ use crate::args::RenderArgs;
 use crate::error::{Done, WorkError};
 use crate::interrupt;
 use crate::size::parse_size;
-use crate::verbs::drawing::{Frames, modes};
+use crate::verbs::drawing::{FRAME_RATE, Frames, modes};
 
 /// The folder for frames with the path's own looks.
 const OWN: &str = "path";
@@ -28,7 +28,8 @@ const SIZE: (usize, usize) = (1280, 720);
 fn read(app: &App, args: &RenderArgs, file: &Path) -> Result<CameraPath, WorkError> {
     if file.extension().is_some_and(|e| e.eq_ignore_ascii_case("txt")) {
         let cameras = read_images_txt(file).map_err(WorkError::input)?;
-        return CameraPath::of_cameras(&cameras, f64::from(args.frame_rate)).map_err(WorkError::input);
+        let rate = args.frame_rate.map_or(FRAME_RATE, f64::from);
+        return CameraPath::of_cameras(&cameras, rate).map_err(WorkError::input);
     }
     let text = text_of(file)?;
     if !CameraPath::is_nerfstudio(&text) {
@@ -87,7 +88,8 @@ pub(crate) fn run(
     let name = |i| FileName::frame(i).with_extension(args.format.extension()).map_err(WorkError::input);
     let names: Vec<FileName> = (0..frames.len()).map(name).collect::<Result<_, _>>()?;
     let first = looks.first().map_or(&[][..], Vec::as_slice);
-    let mut written = Frames::create(args, given.is_empty().then_some(OWN), first, &names)?;
+    let folder = given.is_empty().then_some(OWN);
+    let mut written = Frames::create(args, folder, first, &names, path.frames_per_second)?;
     let mut renderer: Option<((f32, f32), SceneRenderer<'_>)> = None;
     for (i, ((frame, looks), name)) in frames.iter().zip(&looks).zip(&names).enumerate() {
         interrupt::check()?;

@@ -108,7 +108,8 @@ fn by_recipe(app: &App, args: &PrepareArgs, recipe: Recipe) -> Done {
     if !missing.is_empty() {
         println!("not in {}, and not prepared: {}", path_text(folder), missing.join(", "));
     }
-    if !app.quiet {
+    // Without any capture there is nothing to run.
+    if !app.quiet && failed.len() < scenes.len() {
         let (variable, pipeline) = recipe.pipeline();
         // A pipeline file in another folder reads the variable, too.
         let (out, name) = (word(&absolute(&args.out)), path_text(name));
@@ -122,10 +123,9 @@ fn by_recipe(app: &App, args: &PrepareArgs, recipe: Recipe) -> Done {
     if failed.is_empty() {
         return Ok(());
     }
-    let names = failed.join(", ");
-    Err(WorkError::Failed(format!(
-        "not prepared: {names}; the reasons are above, and the other scenes are there"
-    )))
+    let (names, all) = (failed.join(", "), failed.len() == scenes.len());
+    let others = if all { "" } else { ", and the other scenes are there" };
+    Err(WorkError::Failed(format!("not prepared: {names}; the reasons are above{others}")))
 }
 
 /// The capture for the target of a run, prepared if it is not yet. `None` if the target needs no preparation.

@@ -13,7 +13,7 @@ use crate::App;
 use crate::args::{CameraPath, FrameFormat, RenderArgs, check_shares};
 use crate::error::{Done, WorkError};
 use crate::interrupt;
-use crate::verbs::drawing::{Frames, cameras, drawn, modes, renderer};
+use crate::verbs::drawing::{FRAME_RATE, Frames, cameras, drawn, modes, renderer};
 use crate::verbs::{film_path, speed, white};
 
 pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
@@ -45,7 +45,7 @@ pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
     }
     let cameras = cameras(args, &scene)?;
     let files = files(&cameras, args.format)?;
-    let mut written = Frames::create(args, None, &modes, &files)?;
+    let mut written = Frames::create(args, None, &modes, &files, FRAME_RATE)?;
     let mut renderer = renderer(args, &drawn)?.with_white(gains);
     for (i, ((name, camera), file)) in cameras.iter().zip(&files).enumerate() {
         interrupt::check()?;

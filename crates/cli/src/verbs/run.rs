@@ -12,6 +12,7 @@ use use3d_pipeline::destination::OUT;
 use use3d_pipeline::history::{self, RunRecord};
 use use3d_pipeline::loaded::{Loaded, PipelineRequest};
 use use3d_pipeline::outcome::{self, Outcome};
+use use3d_pipeline::remarks;
 use use3d_pipeline::results::{Delivered, Results, scenes_of};
 use use3d_pipeline::white::{self, WhiteChoice};
 use use3d_pipeline::whole_run::WholeRun;
@@ -37,6 +38,7 @@ use crate::verbs::white::keep_for;
 pub(crate) fn plan(args: &PlanArgs) -> Done {
     let loaded = resolved(args.pipeline.request()).0.look()?;
     loaded.nothing_lacks(None, None)?;
+    remarks::unequal(&loaded.graph, &loaded.pipeline.batch).iter().for_each(|line| eprintln!("{line}"));
     show(&loaded.builder.plan(&loaded.graph, None), args.json)
 }
 
@@ -110,6 +112,11 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     }
     let mut only = loaded.cells(&args.only)?;
     loaded.nothing_lacks(until.as_deref(), only.as_deref())?;
+    if !app.quiet && args.submitted.is_none() {
+        let unequal = remarks::unequal(&loaded.graph, &loaded.pipeline.batch);
+        let said = unequal.into_iter().chain(remarks::without_tables(&loaded.graph, until.as_deref()));
+        said.for_each(|line| eprintln!("{line}"));
+    }
     if args.dry_run {
         return show(&loaded.builder.plan(&loaded.graph, until.as_deref()), args.json);
     }

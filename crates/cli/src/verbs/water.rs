@@ -14,7 +14,7 @@ use crate::output::show;
 
 pub(crate) fn run(app: &App, args: &WaterArgs) -> Done {
     let hand = ByHand {
-        flags: args.size.spelled(),
+        flags: args.settings.spelled(args.size.spelled()),
         options: args.settings.options(None),
         ..ByHand::import_of(&args.capture)
     };

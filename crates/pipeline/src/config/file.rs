@@ -114,7 +114,7 @@ pub(crate) struct VariantEntry {
     /// Another seed.
     #[serde(default)]
     pub(crate) seed: Option<u64>,
-    /// Another preset, in place of the pipeline's.
+    /// Another preset, over the pipeline's.
     #[serde(default)]
     #[schemars(schema_with = "preset_name")]
     pub(crate) preset: Option<String>,

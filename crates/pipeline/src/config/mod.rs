@@ -22,10 +22,10 @@
 //! A calibrator corrects the proposals (`targets.calibrated = true`) as soon as the file names pairs, a
 //! calibrator or a parameter of its fit.
 //!
-//! Later entries of this list override earlier ones: a stage's defaults, the preset, `[defaults.<stage>]`,
-//! the scene's, the variant's, `--set`. Unknown keys and values of a wrong type are errors; they give the
-//! line and column and name the most similar known key. Relative paths start at the file's folder. A missing
-//! environment variable is an error only for the scenes that need it.
+//! Later entries of this list override earlier ones: a stage's defaults, the preset, the variant's preset,
+//! `[defaults.<stage>]`, the scene's, the variant's, `--set`. Unknown keys and values of a wrong type are
+//! errors; they give the line and column and name the most similar known key. Relative paths start at the
+//! file's folder. A missing environment variable is an error only for the scenes that need it.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -153,8 +153,10 @@ fn parse(
         reader.shorthands("models", "models", models, &mut batch.defaults)?;
     }
     let mut top = Value::Object(top);
+    reader.switches("", &mut top, &mut batch.defaults)?;
     reader.shorthands("", "", &mut top, &mut batch.defaults)?;
-    let own: PipelineFile = reader.typed("", &top, &["defaults", "scene", "variant"])?;
+    let more: Vec<&str> = ["defaults", "scene", "variant"].into_iter().chain(reader.switch_words()).collect();
+    let own: PipelineFile = reader.typed("", &top, &more)?;
     reader.name("name", &own.name)?;
     batch.name = own.name;
     batch.seed = own.seed;
@@ -235,6 +237,7 @@ fn finish(
     if let Some(file) = &options.calibrator {
         override_external(&mut batch, "calibrator", Ok(file.clone()), "--calibrator");
     }
+    presets::compose(&mut batch);
     check_pairs(&batch)?;
     check_learning(&batch, registry)?;
     calibrate_where_named(&mut batch, registry);
@@ -327,6 +330,20 @@ impl Reader<'_> {
         Ok(())
     }
 
+    /// Moves the switches of a table to the parameters.
+    fn switches(&self, base: &str, value: &mut Value, into: &mut Overrides) -> Result<(), ConfigError> {
+        let Some(fields) = value.as_object_mut() else { return Ok(()) };
+        for switch in self.registry.switches() {
+            let Some(given) = fields.remove(switch.key) else { continue };
+            if !given.is_boolean() {
+                let message = format!("`{}` is {given}; expected true or false", switch.key);
+                return Err(self.document.error(&join(base, switch.key), message));
+            }
+            into.insert(switch.key.to_string(), given);
+        }
+        Ok(())
+    }
+
     /// A scene's or variant's table, split into its own keys and the parameters of stages.
     fn entry(&self, base: &str, place: &str, value: Value) -> Result<(Value, Overrides), ConfigError> {
         let fields = self.table(base, value)?;
@@ -334,6 +351,7 @@ impl Reader<'_> {
         let (stages, own): (Map<_, _>, Map<_, _>) = fields.into_iter().partition(|(name, _)| is_stage(name));
         let mut overrides = self.stages(base, stages)?;
         let mut own = Value::Object(own);
+        self.switches(base, &mut own, &mut overrides)?;
         self.shorthands(place, base, &mut own, &mut overrides)?;
         Ok((own, overrides))
     }
@@ -341,7 +359,11 @@ impl Reader<'_> {
     /// The key words that a place accepts in addition to its own keys.
     fn words(&self, place: &str) -> Vec<&'static str> {
         let stages = self.registry.stages().iter().map(|s| s.name());
-        stages.chain(self.short_words(place)).collect()
+        stages.chain(self.short_words(place)).chain(self.switch_words()).collect()
+    }
+
+    fn switch_words(&self) -> impl Iterator<Item = &'static str> {
+        self.registry.switches().iter().map(|switch| switch.key)
     }
 
     fn typed<T: DeserializeOwned>(&self, base: &str, value: &Value, more: &[&str]) -> Result<T, ConfigError> {

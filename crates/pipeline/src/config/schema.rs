@@ -25,6 +25,10 @@ pub fn schema(registry: &Registry) -> Value {
             add(&mut variant, stage.name(), &schema);
         }
     }
+    for switch in registry.switches() {
+        let entry = json!({ "description": switch.about, "type": "boolean" });
+        [&mut top, &mut scene, &mut variant].into_iter().for_each(|table| add(table, switch.key, &entry));
+    }
     let mut definitions = generator.take_definitions(true);
     for short in registry.shorthands() {
         let entry = json!({ "description": format!("Stands for `{}.{}`.", short.stage, short.parameter) });

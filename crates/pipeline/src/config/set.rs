@@ -24,7 +24,7 @@ fn typed(stage: &Stage, key: &str, value: &Value, text: &str) -> Result<Value, P
     stage.parameters(&second).map(|_| second)
 }
 
-/// Applies one setting: `seed=7`, `preset=paper`, `reconstruct.iterations=3000`,
+/// Applies one setting: `seed=7`, `preset=paper`, `stage2=false`, `reconstruct.iterations=3000`,
 /// `calibrator.proposer=fusion`, `scene.Panama.reconstruct.iterations=3000`, `variant.mlp.enhance.steps=10`.
 pub(super) fn apply(registry: &Registry, batch: &mut Batch, setting: &str) -> Result<(), ConfigError> {
     let (key, text, value) = split(setting)?;
@@ -143,6 +143,13 @@ fn place(
     (value, text): (&Value, &str),
     into: &mut Overrides,
 ) -> Result<(), ConfigError> {
+    if registry.switch_of(key).is_some() {
+        if !value.is_boolean() {
+            return Err(ConfigError::plain(format!("`{key}` is {text}; expected true or false")));
+        }
+        into.insert(key.to_string(), value.clone());
+        return Ok(());
+    }
     let shorthands = registry.shorthands().iter().filter(|s| s.place == place && s.key == key);
     let mut targets: Vec<(&str, &str)> = shorthands.map(|s| (s.stage, s.parameter)).collect();
     if targets.is_empty() {

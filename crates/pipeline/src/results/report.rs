@@ -190,6 +190,12 @@ fn page_of(
     let name = in_variant(own.scene, own.variant);
     let mut scene = made.section.clone();
     (scene.name, scene.group, scene.page) = (name.clone(), settings.group(own.scene).into(), view);
+    let has = |stages: &[&str]| own.nodes.iter().any(|node| stages.contains(&node.stage));
+    if has(&["evaluate"]) && !has(&["targets", "propose"]) {
+        scene
+            .notes
+            .push("Stage 2 was left out (`stage2 = false`), so the scene has no enhanced look.".into());
+    }
     let failure = |failed: FailedStage| Sentence {
         tone: Tone::Bad,
         text: format!("`{}` failed: {} Its log: `{}`", failed.stage, failed.reason, failed.log),

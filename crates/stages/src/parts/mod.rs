@@ -13,6 +13,7 @@ pub(crate) mod scene;
 pub(crate) mod sights;
 pub(crate) mod target_params;
 pub(crate) mod transition_sources;
+pub(crate) mod visits;
 pub(crate) mod watch;
 pub mod water;
 pub(crate) mod weights;

@@ -13,14 +13,16 @@ use serde_json::{Map, Value};
 
 use crate::cache::{canonical, joined};
 use crate::error::{BuildError, ParameterError};
-use crate::stage::definition::{Scope, Source};
+use crate::plan::layers;
+use crate::stage::definition::{Scope, Source, Stage};
 pub use crate::stage::inputs::External;
 use crate::stage::inputs::Named;
 use crate::stage::parameters::{AllParameters, Parameters};
 use crate::stage::registry::Registry;
 use use3d_code::digest::{Digest, Encoder};
 
-/// Parameters given for stages, by stage; a parameter that is not given has the stage's default.
+/// Parameters given for stages, by stage; a parameter that is not given has the stage's default. A key may
+/// also be that of a [`Switch`](crate::Switch), with `true` or `false`.
 pub type Overrides = Map<String, Value>;
 
 /// The work of a batch: scenes × stages × variants.
@@ -241,7 +243,7 @@ impl Graph {
     /// Builds the graph of `batch` over the stages of `registry`. Fails on parameters that a stage refuses
     /// and on unknown stages.
     pub fn new(registry: &Registry, batch: &Batch) -> Result<Self, BuildError> {
-        check_names(registry, batch)?;
+        layers::check_names(registry, batch)?;
         let unnamed = [Variant::default()];
         let variants = if batch.variants.is_empty() { &unnamed[..] } else { &batch.variants };
         // A list that grows copies itself, and needs three times its memory meanwhile.
@@ -387,31 +389,6 @@ impl Graph {
     }
 }
 
-fn check_names(registry: &Registry, batch: &Batch) -> Result<(), BuildError> {
-    for scene in &batch.scenes {
-        for name in scene.overrides.keys().chain(scene.forced.keys()) {
-            let stage = registry.stage(name)?;
-            if stage.scope != Scope::Scene {
-                let message = format!("`{name}` is made once for all scenes; set it in [defaults.{name}]");
-                let error = ParameterError::new(name, message);
-                return Err(BuildError::Parameters {
-                    place: format!("scene {}", scene.name),
-                    error: error.into(),
-                });
-            }
-        }
-    }
-    let scenes = batch.scenes.iter().map(|s| &s.overrides);
-    let variants = batch.variants.iter().map(|v| &v.overrides);
-    for overrides in [&batch.preset, &batch.defaults, &batch.forced].into_iter().chain(scenes).chain(variants)
-    {
-        for stage in overrides.keys() {
-            registry.index(stage)?;
-        }
-    }
-    Ok(())
-}
-
 struct GraphBuilder<'a> {
     registry: &'a Registry,
     batch: &'a Batch,
@@ -459,20 +436,12 @@ impl GraphBuilder<'_> {
 
     fn merge(&self, scene: Option<&BatchScene>, variant: &Variant) -> Result<AllParameters, BuildError> {
         let mut all = AllParameters::default();
+        all.off = layers::left_out(self.registry, self.batch, scene, variant);
         for stage in self.registry.stages() {
             let scene = scene.filter(|_| stage.scope == Scope::Scene);
             let variant = Some(variant).filter(|_| stage.scope != Scope::Batch);
-            let layers = [
-                Some(variant.and_then(|v| v.preset.as_ref()).unwrap_or(&self.batch.preset)),
-                Some(&self.batch.defaults),
-                scene.map(|s| &s.overrides),
-                variant.map(|v| &v.overrides),
-                Some(&self.batch.forced),
-                variant.map(|v| &v.forced),
-                scene.map(|s| &s.forced),
-            ];
             let mut given = Value::Object(Map::new());
-            for layer in layers.into_iter().flatten().filter_map(|l| l.get(stage.name)) {
+            for layer in layers::of(self.batch, scene, variant, stage.name) {
                 canonical::merge(&mut given, layer);
             }
             let parameters = stage.parameters(&given).map_err(|error| BuildError::Parameters {
@@ -527,6 +496,25 @@ impl GraphBuilder<'_> {
         Ok(None)
     }
 
+    /// The stages that are left out for a scene in a variant; without a scene, those that are left out for
+    /// all of them.
+    fn left_out(
+        &mut self,
+        scene: Option<&BatchScene>,
+        variant: &Variant,
+    ) -> Result<BTreeSet<&'static str>, BuildError> {
+        let (own, batch) = (self.parameters(scene, variant)?.all.off.clone(), self.batch);
+        if scene.is_some() || self.registry.switches().is_empty() {
+            return Ok(own);
+        }
+        let mut everywhere: Option<BTreeSet<&'static str>> = None;
+        for scene in &batch.scenes {
+            let off = &self.parameters(Some(scene), variant)?.all.off;
+            everywhere = Some(everywhere.map_or_else(|| off.clone(), |all| &all & off));
+        }
+        Ok(everywhere.unwrap_or(own))
+    }
+
     fn add(
         &mut self,
         scene: Option<&BatchScene>,
@@ -542,8 +530,9 @@ impl GraphBuilder<'_> {
         let place = Arc::new(Place { all: merged.all.clone(), named: self.named.clone() });
         let (all, named): (&AllParameters, &Named) = (&place.all, &place.named);
         let (given, scene_name) = (self.given(scene, variant), scene.map_or("", |s| s.name.as_str()));
-        let registry = self.registry;
-        for (index, stage) in registry.stages().iter().enumerate().filter(|(_, s)| s.scope == scope) {
+        let (registry, off) = (self.registry, self.left_out(scene, variant)?);
+        let runs = |stage: &Stage| stage.scope == scope && !off.contains(stage.name);
+        for (index, stage) in registry.stages().iter().enumerate().filter(|(_, s)| runs(s)) {
             if stage.condition.as_ref().is_some_and(|asked| !asked(all, named)) {
                 continue;
             }

@@ -5,6 +5,7 @@ mod devices;
 pub(crate) mod gaps;
 pub mod graph;
 pub mod history;
+mod layers;
 pub mod picture;
 pub(crate) mod planning;
 pub(crate) mod resolve;

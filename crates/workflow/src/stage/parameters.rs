@@ -2,7 +2,7 @@
 //! manifests and people. A text is read once, when the layers of a pipeline are merged.
 
 use std::any::Any;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::sync::Arc;
 
@@ -58,6 +58,8 @@ impl fmt::Debug for Parameters {
 #[derive(Clone, Debug, Default)]
 pub struct AllParameters {
     pub(crate) by_stage: BTreeMap<&'static str, Parameters>,
+    /// The stages that switches leave out.
+    pub(crate) off: BTreeSet<&'static str>,
 }
 
 impl AllParameters {

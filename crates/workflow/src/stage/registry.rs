@@ -1,10 +1,10 @@
 //! The table of stages, checked when it is built.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use crate::cache::canonical;
 use crate::error::BuildError;
-use crate::stage::definition::{Scope, Source, Stage};
+use crate::stage::definition::{Input, Scope, Source, Stage};
 use use3d_code::{CodeTable, StageCode};
 
 /// The stages in the order in which data flows through them.
@@ -13,6 +13,19 @@ pub struct Registry {
     stages: Vec<Stage>,
     code: Vec<StageCode>,
     shorthands: Vec<Shorthand>,
+    switches: Vec<Switch>,
+}
+
+/// A key of the pipeline file, of a scene and of a variant that leaves out stages if it is `false`. Stages
+/// that cannot do without one of them are left out, too. It is part of no artifact's key.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Switch {
+    /// The key.
+    pub key: &'static str,
+    /// Its meaning, for people.
+    pub about: &'static str,
+    /// The stages.
+    pub stages: &'static [&'static str],
 }
 
 /// A key of the pipeline file that is short for a parameter of a stage, e.g. a scene's `size` for
@@ -53,7 +66,12 @@ impl Registry {
             let code = table.stage(stage.crates, stage.sources.unwrap_or(own));
             code.map_err(|source| BuildError::Code { stage: stage.name.to_string(), source })
         });
-        Ok(Self { code: code.collect::<Result<_, _>>()?, stages, shorthands: Vec::new() })
+        Ok(Self {
+            code: code.collect::<Result<_, _>>()?,
+            stages,
+            shorthands: Vec::new(),
+            switches: Vec::new(),
+        })
     }
 
     /// The files that every artifact of a stage has, by stage.
@@ -72,6 +90,39 @@ impl Registry {
     ) -> Self {
         self.shorthands.push(Shorthand { place, key, stage, parameter });
         self
+    }
+
+    /// Adds a switch.
+    #[must_use]
+    pub fn switch(mut self, key: &'static str, stages: &'static [&'static str], about: &'static str) -> Self {
+        self.switches.push(Switch { key, about, stages });
+        self
+    }
+
+    /// The switches.
+    pub fn switches(&self) -> &[Switch] {
+        &self.switches
+    }
+
+    /// The switch of a key.
+    pub fn switch_of(&self, key: &str) -> Option<&Switch> {
+        self.switches.iter().find(|switch| switch.key == key)
+    }
+
+    /// The stages that are left out together with those of a switch.
+    pub(crate) fn switched(&self, switch: &Switch) -> BTreeSet<&'static str> {
+        let mut off: BTreeSet<&'static str> = switch.stages.iter().copied().collect();
+        for stage in self.stages.iter().filter(|stage| stage.scope != Scope::Batch) {
+            let lacks = |input: &Input| {
+                let from = if let Source::Stage(from) = input.source { from } else { return false };
+                let needed = !input.optional && input.needed.is_none() && input.instead.is_none();
+                needed && off.contains(from)
+            };
+            if stage.inputs.iter().any(lacks) {
+                off.insert(stage.name);
+            }
+        }
+        off
     }
 
     /// The stages.

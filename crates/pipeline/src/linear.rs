@@ -1,0 +1,166 @@
+//! The input of the recipe `d3d5`: linear photographs, with 16 bits and without a colour space of their own.
+//!
+//! The recipe encodes its input for screens. Pictures that are encoded already would be encoded twice, so
+//! they are refused by name: those of 8 bits, those whose 16 bits repeat 8, and those that state a colour
+//! space. Limit: a picture of 16 bits for screens without any statement cannot be told from a linear one; a
+//! bright one gets a remark.
+
+use std::fs::{self, File};
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+
+use use3d_capture::Pixels;
+use use3d_io_image::{FileFormat, photograph_info, read_pixels};
+use use3d_prepare::is_photograph;
+
+use crate::WorkError;
+use crate::destination::{path_text, word};
+
+/// Linear photographs of a scene have most of their pixels below this share of the brightest ones.
+const BRIGHT: f64 = 0.4;
+/// The share of the samples of a channel that are not brighter than its white.
+const WHITE: f64 = 0.998;
+/// The place of the words `RGB ` and `acsp` in a colour profile.
+const PROFILE: (usize, usize) = (16, 36);
+
+/// Refuses photographs that are not linear, and returns remarks.
+///
+/// # Errors
+/// The first photograph that is a picture for screens, with the way out.
+pub(crate) fn check(folder: &Path) -> Result<Vec<String>, WorkError> {
+    let mut photographs: Vec<PathBuf> =
+        listed(folder)?.into_iter().filter(|path| path.is_file() && is_photograph(path)).collect();
+    photographs.sort();
+    for path in &photographs {
+        let info = photograph_info(path).map_err(WorkError::input)?;
+        let bytes = match info.format {
+            FileFormat::Png | FileFormat::Tiff if info.bits >= 16 => read(path)?,
+            FileFormat::Png | FileFormat::Tiff => {
+                return Err(refused(folder, path, "it has 8 bits per channel"));
+            }
+            _ => return Err(refused(folder, path, "it is no PNG and no TIFF")),
+        };
+        if states_colors(&bytes) {
+            return Err(refused(folder, path, "it states a colour space, and linear values have none"));
+        }
+    }
+    let Some(first) = photographs.first() else { return Ok(Vec::new()) };
+    let Pixels::Sixteen(pixels) = read_pixels(first).map_err(WorkError::input)? else {
+        return Ok(Vec::new());
+    };
+    if pixels.data().iter().all(|value| value % 257 == 0) {
+        return Err(refused(folder, first, "its 16 bits repeat 8 bits"));
+    }
+    let shares: Vec<f64> = (0..3).map(|c| median_share(pixels.plane(c))).collect();
+    let share = shares.iter().sum::<f64>() / 3.0;
+    let bright = format!(
+        "{} is bright for a linear photograph: half of it is above {share:.2} of its white; if it was developed for \
+         screens, {}",
+        path_text(first),
+        way_out(folder)
+    );
+    Ok((share > BRIGHT).then_some(bright).into_iter().collect())
+}
+
+fn listed(folder: &Path) -> Result<Vec<PathBuf>, WorkError> {
+    let entries = fs::read_dir(folder).and_then(|all| all.map(|entry| Ok(entry?.path())).collect());
+    entries.map_err(|error: io::Error| WorkError::Input(format!("{}: {error}", path_text(folder))))
+}
+
+fn read(path: &Path) -> Result<Vec<u8>, WorkError> {
+    let mut bytes = Vec::new();
+    let read = File::open(path).and_then(|mut file| file.read_to_end(&mut bytes));
+    read.map_err(|error| WorkError::Input(format!("{}: {error}", path_text(path))))?;
+    Ok(bytes)
+}
+
+/// True if a PNG or a TIFF says which colours its values stand for.
+fn states_colors(bytes: &[u8]) -> bool {
+    let Some(chunks) = bytes.strip_prefix(b"\x89PNG\r\n\x1a\n") else { return holds_profile(bytes) };
+    let mut rest = chunks;
+    while let Some((head, body)) = rest.split_first_chunk::<8>() {
+        if [&b"sRGB"[..], b"iCCP", b"gAMA", b"cICP"].contains(&&head[4..]) {
+            return true;
+        }
+        let length = u32::from_be_bytes([head[0], head[1], head[2], head[3]]) as usize;
+        rest = body.get(length.saturating_add(4)..).unwrap_or_default();
+    }
+    false
+}
+
+fn holds_profile(bytes: &[u8]) -> bool {
+    let (space, mark) = PROFILE;
+    let marked = bytes.windows(4).enumerate().skip(mark).filter(|(_, word)| *word == b"acsp");
+    marked.map(|(at, _)| at - mark + space).any(|at| bytes[at..].starts_with(b"RGB "))
+}
+
+/// The median of a channel as a share of its white.
+fn median_share(plane: &[u16]) -> f64 {
+    let mut values = plane.to_vec();
+    values.sort_unstable();
+    let at = |share: f64| values.get((share * values.len() as f64) as usize).copied().map_or(0.0, f64::from);
+    at(0.5) / at(WHITE).max(1.0)
+}
+
+fn refused(folder: &Path, path: &Path, reason: &str) -> WorkError {
+    WorkError::Input(format!(
+        "{}: {reason}, so it is a picture for screens; this recipe takes linear photographs: PNG or TIFF with 16 bits \
+         per channel and without a colour profile, which it encodes for screens itself. For pictures for screens, {}",
+        path_text(path),
+        way_out(folder)
+    ))
+}
+
+/// The way for pictures that are encoded already.
+fn way_out(folder: &Path) -> String {
+    format!("use `use3d prepare {} --out CAPTURE_DIR` (docs/guide/datasets.md)", word(folder))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use use3d_capture::Raster;
+    use use3d_io_image::{write_png8, write_png16};
+
+    fn picture(value: impl Fn(usize) -> u16) -> Raster<u16, 3> {
+        let mut image = Raster::<u16, 3>::new(8, 4);
+        image.data_mut().iter_mut().enumerate().for_each(|(i, v)| *v = value(i % 32));
+        image
+    }
+
+    #[test]
+    fn pictures_for_screens_are_refused_by_name_with_the_way_out() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        let said = || check(dir.path()).unwrap_err().to_string();
+        write_png16(&at("a.png"), &picture(|i| 300 + 1500 * i as u16)).unwrap();
+        let bright = check(dir.path()).unwrap();
+        assert!(bright.len() == 1 && bright[0].contains("bright for a linear photograph"), "{bright:?}");
+        write_png16(&at("a.png"), &picture(|i| 300 + 50 * (i * i) as u16)).unwrap();
+        assert_eq!(check(dir.path()).unwrap(), Vec::<String>::new());
+        let linear = fs::read(at("a.png")).unwrap();
+        // An sRGB chunk behind the header of 33 bytes.
+        let stated = [&linear[..33], b"\0\0\0\x01sRGB\0\xae\xce\x1c\xe9", &linear[33..]].concat();
+        fs::write(at("b.png"), stated).unwrap();
+        assert!(
+            said().contains("b.png: it states a colour space") && said().contains("use3d prepare"),
+            "{}",
+            said()
+        );
+        fs::remove_file(at("b.png")).unwrap();
+        write_png8(&at("c.png"), &Raster::new(8, 4)).unwrap();
+        assert!(said().contains("c.png: it has 8 bits per channel"), "{}", said());
+        fs::remove_file(at("c.png")).unwrap();
+        write_png16(&at("a.png"), &picture(|i| 257 * i as u16)).unwrap();
+        assert!(said().contains("repeat 8 bits"), "{}", said());
+    }
+
+    #[test]
+    fn a_profile_in_a_tiff_is_found() {
+        let mut profile = vec![0; 40];
+        profile[16..20].copy_from_slice(b"RGB ");
+        profile[36..].copy_from_slice(b"acsp");
+        assert!(states_colors(&[b"II*\0....", &profile[..]].concat()));
+        assert!(!states_colors(b"II*\0 acsp, but not of a profile, and RGB "));
+    }
+}
