@@ -13,6 +13,7 @@ use use3d_prepare::{
 use use3d_workflow::{Digest, Event, place};
 
 use crate::WorkError;
+use crate::config::lacks_cameras;
 use crate::destination::{OUT, check_folder, path_text};
 use crate::host::Host;
 use crate::linear;
@@ -251,14 +252,11 @@ fn copied(
 /// # Errors
 /// The target cannot be read.
 pub fn capture_of(target: &Path, out: Option<&Path>) -> Result<Option<(Sources, PathBuf)>, WorkError> {
-    let film = target.is_file() && use3d_prepare::is_film(target);
-    let pictures =
-        || target.is_dir() && use3d_import::holds_no_model(target) && use3d_prepare::holds_inputs(target);
-    if !film && !pictures() {
+    if !lacks_cameras(target) {
         return Ok(None);
     }
     let sources = Sources::of(&[target.to_path_buf()])?;
-    let name = match film {
+    let name = match target.is_file() {
         true => target.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
         false => use3d_import::capture_name(target),
     };

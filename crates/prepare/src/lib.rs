@@ -48,7 +48,7 @@ pub use params::{Keypoints, Mapper, Matching, PrepareParams};
 pub use prepare::{CAPTURE, Input, Prepared, check, key_of, prepare, work_folder};
 pub use process::{StepProgress, StepWatch};
 pub use recipes::{Recipe, RecipeScene, RecipeWork, balance, publish};
-pub use sources::{PREPARED, Sources, holds_inputs, is_film, is_photograph};
+pub use sources::{PREPARED, Sources, holds_inputs, is_film, is_input, is_photograph};
 pub use tools::{Finder, Program, Programs};
 pub use verdict::{CameraVerdict, Grade};
 pub use work::discard;

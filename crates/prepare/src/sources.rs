@@ -122,7 +122,9 @@ pub(crate) fn walk(root: &Path, depth: usize) -> impl Iterator<Item = Result<Pat
     all_files(root, depth).filter(|file| file.as_ref().map_or(true, |path| is_input(path)))
 }
 
-fn is_input(path: &Path) -> bool {
+/// True if a file's name ends like a film's or a photograph's, and it is no small copy that a camera stores
+/// beside a film.
+pub fn is_input(path: &Path) -> bool {
     !is_proxy(path) && (is_film(path) || is_photograph(path))
 }
 

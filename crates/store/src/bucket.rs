@@ -18,6 +18,8 @@ use crate::profile;
 
 /// Larger objects are uploaded in parts of this size, in bytes.
 const PART: u64 = 16 << 20;
+/// The names that S3 gives to refusals of keys.
+const DENIED: [&str; 4] = ["AccessDenied", "SignatureDoesNotMatch", "InvalidAccessKeyId", "ExpiredToken"];
 /// The address at which a machine of the cloud answers who it is.
 const IDENTITY: &str = "169.254.169.254";
 /// Number of immediate retries if the server is busy; the caller retries later.
@@ -79,20 +81,22 @@ impl Bucket {
     }
 
     fn refused(&self, doing: &'static str, name: &str, error: &Error) -> RemoteError {
-        let passing = matches!(error, Error::Generic { .. } | Error::JoinError { .. });
         let said = error.to_string();
-        let advice = match error {
-            Error::Unauthenticated { .. } | Error::PermissionDenied { .. } => {
-                "; check AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY or AWS_PROFILE, and what they may do in this bucket"
-            }
-            // Without keys the library asks the machine for an identity, at this address.
-            _ if !self.has_keys && said.contains(IDENTITY) => {
-                let reason = "there are no keys: set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or AWS_PROFILE for a \
-                              profile of ~/.aws/credentials; this machine has no identity in the cloud either";
-                let (place, name) = (self.place.clone(), name.to_string());
-                return RemoteError::Refused { place, doing, name, reason: reason.into(), passing: false };
-            }
-            _ => "",
+        // The library has no error of its own for a list that is refused.
+        let is_denied = matches!(error, Error::Unauthenticated { .. } | Error::PermissionDenied { .. })
+            || DENIED.iter().any(|code| said.contains(code));
+        let passing = matches!(error, Error::Generic { .. } | Error::JoinError { .. }) && !is_denied;
+        // Without keys the library asks the machine for an identity, at this address.
+        if !is_denied && !self.has_keys && said.contains(IDENTITY) {
+            let reason = "there are no keys: set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or AWS_PROFILE for a \
+                          profile of ~/.aws/credentials; this machine has no identity in the cloud either";
+            let (place, name) = (self.place.clone(), name.to_string());
+            return RemoteError::Refused { place, doing, name, reason: reason.into(), passing: false };
+        }
+        let advice = if is_denied {
+            "; check AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY or AWS_PROFILE, and what they may do in this bucket"
+        } else {
+            ""
         };
         let (place, reason) = (self.place.clone(), format!("{}{advice}", without_xml(&said)));
         // The library has no error of its own for a bucket that does not exist; this is the name in S3's

@@ -51,6 +51,7 @@ pub(crate) use document::join;
 use document::{Document, unknown_key};
 use file::{Calibrator, PipelineFile, SceneEntry, VariantEntry};
 pub use parameters::{Parameter, StageParameters, parameters};
+pub(crate) use places::lacks_cameras;
 use places::{
     calibrate_where_named, check_learning, check_pairs, expand, folder_in, home, key_of, learning,
     one_proposer_for_all, override_external,
@@ -170,14 +171,14 @@ fn parse(
         let base = format!("scene[{i}]");
         let (rest, overrides) = reader.entry(&base, "scene", entry)?;
         let entry: SceneEntry = reader.typed(&base, &rest, &reader.words("scene"))?;
-        let external = if entry.footage.is_some() { "footage" } else { "capture" };
-        let key = if entry.from.is_some() { "from" } else { external };
-        for (name, capture) in reader.scenes_of(&base, &entry, folder, &by_hand)? {
-            reader.scene_name(&base, (&name, &capture), &batch.scenes)?;
+        for NamedPlace { name, is_footage, place } in reader.scenes_of(&base, &entry, folder, &by_hand)? {
+            reader.scene_name(&base, (&name, &place), &batch.scenes)?;
+            let external = if is_footage { "footage" } else { "capture" };
+            let key = if entry.from.is_some() { "from" } else { external };
             let said = |key: &str| format!("`{key}` of scene {name} in {}", file.display());
             let (name, group, overrides) = (name.clone(), entry.group.clone(), overrides.clone());
             let mut scene = BatchScene { name, group, overrides, ..BatchScene::default() };
-            scene.name_external(external, capture, said(key));
+            scene.name_external(external, place, said(key));
             if let Some(own) = &entry.calibrator {
                 scene.name_external("calibrator", expand(&own.file, folder), said(key_of("calibrator")));
             }
@@ -264,8 +265,12 @@ pub fn default_cache() -> Result<PathBuf, ConfigError> {
     })
 }
 
-/// Names of scenes with their captures.
-type SceneNames = Vec<(String, External)>;
+/// A scene's name with its capture or footage.
+struct NamedPlace {
+    name: String,
+    is_footage: bool,
+    place: External,
+}
 
 struct Reader<'r> {
     registry: &'r Registry,

@@ -20,6 +20,14 @@ const KEYS: [(&str, &str); 4] = [
     ("calibrator", "calibrator.file"),
 ];
 
+/// True if a target is a film, or a folder with films or photographs and no sign of their cameras.
+pub(crate) fn lacks_cameras(target: &Path) -> bool {
+    if target.is_dir() {
+        return use3d_import::holds_no_model(target) && use3d_prepare::holds_inputs(target);
+    }
+    target.is_file() && use3d_prepare::is_film(target)
+}
+
 /// The key that names an external input.
 pub(super) fn key_of(external: &str) -> &str {
     KEYS.iter().find(|(name, _)| *name == external).map_or(external, |(_, key)| key)

@@ -1,5 +1,6 @@
 //! Pipeline files: their meaning, and the places of their errors.
 
+use std::fs;
 use std::path::Path;
 
 use serde_json::json;
@@ -219,7 +220,7 @@ fn every_folder_that_a_pattern_matches_is_a_scene_of_its_name() {
         let batch = load(text).expect("a pipeline").batch;
         let place = |capture: &Result<std::path::PathBuf, String>| capture.clone().expect("a place");
         let one = |scene: &use3d_workflow::BatchScene| {
-            let place = place(&scene.externals["capture"]);
+            let place = place(scene.externals.values().next().expect("a place"));
             (scene.name.clone(), place.strip_prefix(&root).expect("below it").display().to_string())
         };
         batch.scenes.iter().map(one).collect::<Vec<_>>()
@@ -238,10 +239,29 @@ fn every_folder_that_a_pattern_matches_is_a_scene_of_its_name() {
     let others = [("a", "dives/a"), ("c", "dives/c")];
     assert_eq!(scenes(&format!("{by_hand}{dives}")), named(&[&[("b", "more/a")], &others[..]].concat()));
     assert_eq!(scenes(&format!("{dives}{by_hand}")), named(&[&others[..], &[("b", "more/a")]].concat()));
+    // Films and folders without cameras are footage; the folder of a film's name has its cameras.
+    for name in
+        ["films/b.mp4", "films/c.MOV", "films/GL01.LRV", "films/.d.mp4", "films/e.txt", "films/f/1.jpg"]
+    {
+        fs::create_dir_all(root.join(name).parent().expect("a folder")).expect("a folder");
+        fs::write(root.join(name), name).expect("written");
+    }
+    fs::create_dir(root.join("films/c")).expect("a folder");
+    let films = "[[scene]]\nfrom = \"films/*\"\n";
+    assert_eq!(scenes(films), named(&[("b", "films/b.mp4"), ("c", "films/c"), ("f", "films/f")]));
+    let batch = load(films).expect("a pipeline").batch;
+    let footage = batch.scenes.iter().map(|scene| scene.externals.contains_key("footage"));
+    assert_eq!(footage.collect::<Vec<_>>(), [true, false, true]);
     for (text, parts) in [
-        ("[[scene]]\nfrom = \"divs/*\"\n".to_string(), &["p.toml:4:8", "no folder matches `divs/*`"][..]),
-        ("[[scene]]\nfrom = \"dives/*.txt\"\n".to_string(), &["no folder matches"]),
-        (format!("{dives}[[scene]]\nfrom = \"more/*\"\n"), &["two folders have the name `a`", "more/a"]),
+        (
+            "[[scene]]\nfrom = \"divs/*\"\n".to_string(),
+            &["p.toml:4:8", "no folder or film matches `divs/*`"][..],
+        ),
+        ("[[scene]]\nfrom = \"dives/*.txt\"\n".to_string(), &["no folder or film matches"]),
+        (
+            format!("{dives}[[scene]]\nfrom = \"more/*\"\n"),
+            &["two folders or films have the name `a`", "more/a"],
+        ),
         (format!("{by_hand}{by_hand}"), &["the name `b` is used twice"]),
         (
             format!("{by_hand}footage = \"dive.mp4\"\n"),
@@ -249,7 +269,7 @@ fn every_folder_that_a_pattern_matches_is_a_scene_of_its_name() {
         ),
         (format!("{dives}footage = \"dive.mp4\"\n"), &["`footage` has no place here"]),
         ("[[scene]]\nname = \"x\"\nfrom = \"dives/*\"\n".to_string(), &["`name` has no place here"]),
-        ("[[scene]]\nfrom = \"dives/***\"\n".to_string(), &["is no pattern of folders"]),
+        ("[[scene]]\nfrom = \"dives/***\"\n".to_string(), &["is no pattern of folders and films"]),
         (
             "[[scene]]\nfrom = \"${USE3D_TEST_UNSET_ROOT}/*\"\n".to_string(),
             &["USE3D_TEST_UNSET_ROOT is not set"],

@@ -21,7 +21,7 @@ use crate::plan::resolve::Resolved;
 use crate::share::killed::Killed;
 use crate::share::lease::{HEARTBEAT, Lease, LeaseRequest};
 use crate::share::pulse::Progress;
-use crate::share::remote::{Fetched, RemoteError, RemoteStore, Sent};
+use crate::share::remote::{ClaimRequest, Fetched, RemoteError, RemoteStore, Sent, StoreClaim};
 use crate::stage::context::{Log, StageContext};
 use crate::stage::events::{Event, Listener};
 
@@ -66,18 +66,33 @@ impl Job<'_> {
             Ok(Claim::Held(holder)) => return JobResult::Held(holder, self.resolved),
             Err(error) => return JobResult::Failed(error.into()),
         };
-        let damaged_there = match self.fetch(lease.as_deref()) {
-            FetchResult::Artifact(artifact) => {
-                if let Some(lease) = lease {
-                    lease.finish();
+        // True if the store's copy is damaged.
+        let mut damaged_there = false;
+        let mut claim = None;
+        // After a claim the store is asked once more: another machine may have sent it meanwhile.
+        loop {
+            match self.fetch(lease.as_deref()) {
+                FetchResult::Artifact(artifact) => {
+                    if let Some(lease) = lease {
+                        lease.finish();
+                    }
+                    return JobResult::Ready { artifact, computed: false, seconds: 0.0 };
                 }
-                return JobResult::Ready { artifact, computed: false, seconds: 0.0 };
+                FetchResult::Cancelled => return JobResult::Cancelled,
+                FetchResult::Failed { damaged } => {
+                    damaged_there = damaged;
+                    break;
+                }
+                FetchResult::Nothing if claim.is_some() => break,
+                FetchResult::Nothing => match self.claim() {
+                    ClaimRequest::Granted(None) => break,
+                    ClaimRequest::Granted(ours) => claim = ours,
+                    ClaimRequest::Held(holder) => return JobResult::Held(holder, self.resolved),
+                },
             }
-            FetchResult::Cancelled => return JobResult::Cancelled,
-            FetchResult::Nothing { damaged } => damaged,
-        };
+        }
         let start = Instant::now();
-        match self.compute(lease.as_deref()) {
+        match self.compute(lease.as_deref(), claim.as_ref()) {
             Ok(artifact) => {
                 if let Some(lease) = lease {
                     lease.finish();
@@ -205,16 +220,15 @@ impl Job<'_> {
 
     /// Fetches the artifact from the store, if there is one. If that fails, the artifact is computed.
     fn fetch(&self, lease: Option<&Lease>) -> FetchResult {
-        let nothing = FetchResult::Nothing { damaged: false };
         let Some(store) = self.builder.remote.as_ref().filter(|s| s.is_worth_asking()) else {
-            return nothing;
+            return FetchResult::Nothing;
         };
         let (cache, key) = (&self.builder.cache, &self.resolved.key);
         let fetch = || store.fetch(cache, self.node.stage_name, key, &self.stop);
-        match watched(lease, &cache.node.clock, &Progress::default(), fetch).0 {
+        match watched(lease, None, &cache.node.clock, &Progress::default(), fetch).0 {
             Ok(Fetched::Missing) => {
                 store.worked();
-                nothing
+                FetchResult::Nothing
             }
             Ok(Fetched::Now(artifact)) => {
                 store.worked();
@@ -228,8 +242,16 @@ impl Job<'_> {
             Err(RemoteError::Stopped) => FetchResult::Cancelled,
             Err(error) => {
                 self.without_store(store, &format!("cannot be fetched: {error}; computing it"));
-                FetchResult::Nothing { damaged: matches!(error, RemoteError::Wrong { .. }) }
+                FetchResult::Failed { damaged: matches!(error, RemoteError::Wrong { .. }) }
             }
+        }
+    }
+
+    /// Claims the key in the store, if there is one that can be written to.
+    fn claim(&self) -> ClaimRequest {
+        match self.builder.remote.as_ref().filter(|s| s.is_worth_asking() && !s.read_only) {
+            Some(store) => store.claim(&self.builder.cache, &self.resolved.key, &self.stop),
+            None => ClaimRequest::Granted(None),
         }
     }
 
@@ -264,7 +286,7 @@ impl Job<'_> {
         }
     }
 
-    fn compute(&self, lease: Option<&Lease>) -> Result<Artifact, StageError> {
+    fn compute(&self, lease: Option<&Lease>, claim: Option<&StoreClaim>) -> Result<Artifact, StageError> {
         let cache = &self.builder.cache;
         let stage = &self.builder.registry.stages()[self.node.stage];
         let log_path = cache.log_path(self.pipeline, self.node);
@@ -298,7 +320,7 @@ impl Job<'_> {
         let (node, label, key, threads) = (self.id, self.label.as_str(), self.resolved.key, self.threads);
         self.listener.event(&Event::Started { node, label, key, threads });
         let start = Instant::now();
-        let (ran, peak_memory) = watched(lease, &cache.node.clock, &context.reached, || {
+        let (ran, peak_memory) = watched(lease, claim, &cache.node.clock, &context.reached, || {
             in_pool(self.threads, || (stage.run)(&context, &self.node.parameters))
         });
         let seconds = start.elapsed().as_secs_f64();
@@ -385,7 +407,12 @@ enum Claim {
 /// Result of a fetch from the store.
 enum FetchResult {
     Artifact(Arc<Artifact>),
-    Nothing { damaged: bool },
+    /// There is none.
+    Nothing,
+    /// The store failed, or its copy is damaged.
+    Failed {
+        damaged: bool,
+    },
     Cancelled,
 }
 
@@ -423,9 +450,10 @@ pub(crate) fn in_pool(
     })
 }
 
-/// Runs `work` while a second thread renews the lease and measures the memory.
+/// Runs `work` while a second thread renews lease and claim and measures the memory.
 fn watched<T>(
     lease: Option<&Lease>,
+    claim: Option<&StoreClaim>,
     clock: &Clock,
     reached: &Progress,
     work: impl FnOnce() -> T,
@@ -444,6 +472,7 @@ fn watched<T>(
                 reached.note_memory(held);
                 if clock.now() - renewed > HEARTBEAT {
                     lease.iter().for_each(|l| l.renew(reached));
+                    claim.iter().for_each(|c| c.renew(clock, reached));
                     renewed = clock.now();
                 }
             }

@@ -42,7 +42,7 @@ const ASKING: Duration = Duration::from_secs(12);
 pub const PATIENCE: Duration = Duration::from_secs(150);
 /// The same limit for a file without a readable holder: it is being written at this moment, or a crash left
 /// it unfinished.
-const HALF: Duration = Duration::from_secs(5);
+pub(super) const HALF: Duration = Duration::from_secs(5);
 /// A single look cannot see a lease change, so a lease that is older than this, by the time of the file
 /// system, counts as abandoned.
 const LONG_GONE: Duration = Duration::from_secs(86_400);
@@ -59,7 +59,7 @@ pub(crate) struct Holder {
 }
 
 impl Holder {
-    fn of(node: &Node, reads: Vec<Key>) -> Self {
+    pub(super) fn of(node: &Node, reads: Vec<Key>) -> Self {
         Self {
             process: node.process.clone(),
             host: node.host.clone(),
@@ -70,17 +70,40 @@ impl Holder {
     }
 
     /// The first line of a lease; its pulse follows.
-    fn line(&self) -> Vec<u8> {
+    pub(super) fn line(&self) -> Vec<u8> {
         let mut line = serde_json::to_vec(self).unwrap_or_default();
         line.push(b'\n');
         line
     }
 
     /// Parses a lease's bytes: the holder, and the pulse if there is one.
-    fn parse(bytes: &[u8]) -> Option<(Self, Option<Beat>)> {
+    pub(super) fn parse(bytes: &[u8]) -> Option<(Self, Option<Beat>)> {
         let end = bytes.iter().position(|b| *b == b'\n').unwrap_or(bytes.len());
         let holder = serde_json::from_slice(&bytes[..end]).ok()?;
         Some((holder, bytes.get(end + 1..).and_then(pulse::parse)))
+    }
+
+    /// True if it is this process.
+    pub(super) fn is(&self, node: &Node) -> bool {
+        self.process == node.process && self.host == node.host
+    }
+
+    /// Its name, for display.
+    pub(super) fn name(&self) -> String {
+        format!("process {} on {}", self.process.pid, self.host)
+    }
+
+    /// The time for which its lease may stay unchanged before it counts as ended, if it has been `unchanged` until
+    /// now.
+    pub(super) fn may_rest(&self, node: &Node, unchanged: Duration) -> Duration {
+        match (node.is_alive(&self.process), &self.task) {
+            (Some(true), _) => Duration::MAX,
+            (Some(false), _) => Duration::ZERO,
+            (None, Some(task)) if node.has_followed(task) => Duration::ZERO,
+            // A living holder has renewed its lease meanwhile.
+            (None, Some(task)) if unchanged >= ASKING && node.is_over(task) => Duration::ZERO,
+            (None, _) => EXPIRY,
+        }
     }
 }
 
@@ -109,15 +132,7 @@ fn judge(cache: &Cache, path: &Path, now: Duration) -> Judged {
     let (limit, name, holder) = match Holder::parse(&bytes) {
         Some((_, Some(beat))) if beat.left => return Judged::Dead(bytes),
         Some((holder, _)) => {
-            let name = format!("process {} on {}", holder.process.pid, holder.host);
-            let limit = match (node.is_alive(&holder.process), &holder.task) {
-                (Some(true), _) => Duration::MAX,
-                (Some(false), _) => Duration::ZERO,
-                (None, Some(task)) if node.has_followed(task) => Duration::ZERO,
-                // A living holder has renewed its lease meanwhile.
-                (None, Some(task)) if unchanged >= ASKING && node.is_over(task) => Duration::ZERO,
-                (None, _) => EXPIRY,
-            };
+            let (limit, name) = (holder.may_rest(node, unchanged), holder.name());
             (limit, name, Some(Box::new(holder)))
         }
         None => (HALF, "another process on this cache".to_string(), None),

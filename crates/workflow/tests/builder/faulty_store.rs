@@ -116,6 +116,9 @@ impl Remote for Faulty {
     }
 
     fn remove(&self, name: &str) -> Result<(), RemoteError> {
+        if (self.fault)("remove", name) == Some(Fault::Forbidden) {
+            return Err(self.refused("remove", name, false));
+        }
         self.inner.remove(name)
     }
 

@@ -23,7 +23,7 @@ use super::stages::{Fast, batch, builder, payload, registry, run};
 /// pulse for five of their minutes counts as ended, and a thread may be suspended for a second or two.
 const RATE: f64 = 20.0;
 /// The clock rate of a machine that no other machine waits for.
-const HASTE: f64 = 200.0;
+pub(super) const HASTE: f64 = 200.0;
 
 /// A machine's view of the files. For the time `late` after an artifact was looked up and not found, it stays
 /// invisible, unless the machine refreshes its view and `stubborn` is not set. Every `nth` rename and
@@ -127,7 +127,7 @@ fn machine(folder: &Path, host: &str, files: Arc<dyn Files>, delay: u64) -> Buil
     machine_at(RATE, folder, host, files, delay)
 }
 
-fn machine_at(rate: f64, folder: &Path, host: &str, files: Arc<dyn Files>, delay: u64) -> Builder {
+pub(super) fn machine_at(rate: f64, folder: &Path, host: &str, files: Arc<dyn Files>, delay: u64) -> Builder {
     let year = Duration::from_secs(31_536_000);
     let clock = Clock::other(if host == "west" { year } else { Duration::ZERO }, rate);
     let cache = Cache::with_files(folder, false, files).expect("cache");
@@ -135,14 +135,14 @@ fn machine_at(rate: f64, folder: &Path, host: &str, files: Arc<dyn Files>, delay
 }
 
 #[derive(Default)]
-struct Told {
-    started: Vec<String>,
-    waited: Vec<String>,
-    warnings: Vec<String>,
+pub(super) struct Told {
+    pub(super) started: Vec<String>,
+    pub(super) waited: Vec<String>,
+    pub(super) warnings: Vec<String>,
 }
 
 /// Runs a batch; `meddle` gets every event first.
-fn run_told(
+pub(super) fn run_told(
     builder: &Builder,
     batch: &Batch,
     options: &RunOptions,

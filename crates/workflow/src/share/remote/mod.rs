@@ -5,6 +5,7 @@
 //! v1/blobs/<digest>                   a file of an artifact, named by its digest
 //! v1/artifacts/<stage>/<key>.json     its manifest, written last and only once, so that an artifact is
 //!                                     complete or absent
+//! v1/claims/<key>                    written by the process that computes the key now
 //! v1/probe/…                          written and removed when a store is opened
 //! ```
 //!
@@ -14,6 +15,7 @@
 //! are assembled in `tmp` and published like the work of a stage, so that a cache holds the same bytes for
 //! computed and for fetched artifacts.
 
+mod claim;
 mod folder;
 mod memory;
 mod receive;
@@ -27,6 +29,7 @@ use crate::cache::key::Key;
 use crate::error::FileError;
 use use3d_code::digest::Digest;
 
+pub(crate) use claim::{ClaimRequest, StoreClaim};
 pub use folder::FolderStore;
 pub use memory::Memory;
 pub use shelf::{Shelf, Swept};

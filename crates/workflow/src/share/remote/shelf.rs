@@ -9,6 +9,7 @@ use std::time::{Duration, SystemTime};
 use serde::Serialize;
 use use3d_capture::name::shown;
 
+use super::claim::CLAIMS;
 use super::transfer::each;
 use super::{RemoteError, RemoteStore, manifest};
 use crate::cache::key::Key;
@@ -173,6 +174,11 @@ impl RemoteStore {
             let new: Vec<_> = now.artifacts.keys().filter(|artifact| !stayed.contains(artifact)).collect();
             let used_again = self.named_by(&new, stop)?;
             let files: Vec<_> = files.iter().filter(|(digest, _)| !used_again.contains(*digest)).collect();
+            let claims = self.patiently(stop, || self.remote.list(CLAIMS))?.into_iter();
+            // The processes of old claims have ended.
+            claims
+                .filter(|claim| age(&claim.written) > BEING_SENT)
+                .try_for_each(|claim| remove(claim.name))?;
             each(&files, 32, |(digest, (size, _))| {
                 remove(super::blob(digest))?;
                 let mut gone_now = lock(&gone_now);
