@@ -35,7 +35,7 @@ fn printable(f: &mut Formatter<'_>, fill: impl FnOnce(&mut Printable<'_, '_>) ->
 }
 
 /// Prints the counts that are not 0.
-fn count(f: &mut Printable<'_, '_>, counts: &[(usize, &str)]) -> fmt::Result {
+fn count(f: &mut impl Write, counts: &[(usize, &str)]) -> fmt::Result {
     let mut counts = counts.iter().filter(|(count, _)| *count > 0);
     counts.try_for_each(|(count, words)| write!(f, ", {count} {words}"))
 }
@@ -74,7 +74,7 @@ impl Plan {
         })
     }
 
-    fn count_all(&self, f: &mut String) -> fmt::Result {
+    fn count_all(&self, f: &mut impl Write) -> fmt::Result {
         let shared = self.nodes.len() - self.own().count();
         write!(f, "{}: {} to run, {} cached", self.pipeline, self.to_run(), self.cached())?;
         count(f, &[(shared, "shared between variants")])?;
