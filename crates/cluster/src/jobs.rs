@@ -57,6 +57,14 @@ pub struct Asks {
     pub needs: Needs,
 }
 
+impl Asks {
+    /// Processors and memory in words.
+    pub fn words(&self) -> String {
+        let are = if self.cpus == 1 { "processor" } else { "processors" };
+        format!("{} {are}, {} MB", self.cpus, self.memory.div_ceil(1_000_000))
+    }
+}
+
 /// A job: one task, or an array of them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Job {

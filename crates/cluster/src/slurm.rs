@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 use use3d_workflow::task::{ClusterTask, IsOver};
 
 use super::ClusterError;
-use super::jobs::{After, Asks, Job};
+use super::jobs::{After, Job};
 use super::quote::{word, words};
 use super::site::Site;
 use super::submission::{Submission, Submitted, begin, put};
@@ -187,13 +187,12 @@ pub fn submit(jobs: &[Job], submission: &Submission) -> Result<Submitted, Cluste
 fn requested(job: &Job, error: ClusterError) -> ClusterError {
     match error {
         ClusterError::Command { command, reason } if reason.contains("submission failed") => {
-            let Asks { cpus, memory, time, needs } = &job.asks;
-            let within = needs.partition.as_ref().map(|name| format!(" in the partition {name}"));
+            let within = job.asks.needs.partition.as_ref().map(|name| format!(" in the partition {name}"));
             let reason = format!(
-                "{reason}; the job asks for {cpus} processors, {} MB and {}{}; if no node has these, write \
-                 partition, cpus, memory and time of your site into --cluster FILE (docs/guide/cluster.md)",
-                memory.div_ceil(1_000_000),
-                clock(*time),
+                "{reason}; the job asks for {} and {}{}; if no node has these, write partition, cpus, memory and \
+                 time of your site into --cluster FILE (docs/guide/cluster.md)",
+                job.asks.words(),
+                clock(job.asks.time),
                 within.unwrap_or_default()
             );
             ClusterError::Command { command, reason }

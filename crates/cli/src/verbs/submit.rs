@@ -76,11 +76,10 @@ pub(crate) fn run(app: &App, what: &Submit) -> Done {
         .map_err(of_site)?;
     for job in &planned.jobs {
         println!(
-            "{:<12} {}, {} processors, {} MB, up to {}",
+            "{:<12} {}, {}, up to {}",
             job.name,
             counted(job.count(), "task", "tasks"),
-            job.asks.cpus,
-            job.asks.memory.div_ceil(1_000_000),
+            job.asks.words(),
             time::clock(job.asks.time)
         );
     }
