@@ -157,7 +157,7 @@ mod tests {
 
     #[test]
     fn a_profile_in_a_tiff_is_found() {
-        let mut profile = vec![0; 40];
+        let mut profile = [0; 40];
         profile[16..20].copy_from_slice(b"RGB ");
         profile[36..].copy_from_slice(b"acsp");
         assert!(states_colors(&[b"II*\0....", &profile[..]].concat()));

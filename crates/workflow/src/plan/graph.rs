@@ -435,8 +435,8 @@ impl GraphBuilder<'_> {
     }
 
     fn merge(&self, scene: Option<&BatchScene>, variant: &Variant) -> Result<AllParameters, BuildError> {
-        let mut all = AllParameters::default();
-        all.off = layers::left_out(self.registry, self.batch, scene, variant);
+        let off = layers::left_out(self.registry, self.batch, scene, variant);
+        let mut all = AllParameters { off, ..AllParameters::default() };
         for stage in self.registry.stages() {
             let scene = scene.filter(|_| stage.scope == Scope::Scene);
             let variant = Some(variant).filter(|_| stage.scope != Scope::Batch);
