@@ -1,7 +1,7 @@
 //! A week of dives in small: films and captures arrive while two machines work, each with a cache of its own,
 //! and share one store. One dive in fifty is broken, and one machine is lost with its cache. In the end one
-//! page has every dive, the broken ones are named, and nothing was computed twice except what the lost machine
-//! had in hand.
+//! page has every dive, the broken ones are named, and nothing was computed twice except what the lost
+//! machine had in hand.
 //!
 //! The usual run has a few captures. A thousand dives, 20 of them films, on machines that cannot see each
 //! other's processes (as root on Linux):

@@ -59,7 +59,7 @@ pub(crate) fn settings(variable: &dyn Fn(&str) -> Option<String>) -> io::Result<
             let is_key = key.starts_with("aws_");
             let known =
                 variable(variable_of_it).is_some() || found.iter().any(|(name, _)| *name == variable_of_it);
-            if let Some(value) = section.get(key).filter(|_| !known && !(is_key && has_keys)) {
+            if let Some(value) = section.get(key).filter(|_| !(known || is_key && has_keys)) {
                 found.push((variable_of_it, value.to_string()));
             }
         }

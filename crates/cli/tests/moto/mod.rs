@@ -1,5 +1,5 @@
-//! A real S3 server, moto's, that checks the signatures of requests: `pip install 'moto[server]'`. Its program
-//! is named in `USE3D_MOTO`.
+//! A real S3 server, moto's, that checks the signatures of requests: `pip install 'moto[server]'`. Its
+//! program is named in `USE3D_MOTO`.
 #![allow(dead_code, reason = "every test program uses its own part of it")]
 
 use std::io::{Read, Write};

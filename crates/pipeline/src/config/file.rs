@@ -93,8 +93,8 @@ pub(crate) struct SceneEntry {
     /// cameras.
     #[serde(default)]
     pub(crate) footage: Option<String>,
-    /// A pattern of folders and films, such as `dives/*`, in place of name and capture. Every match is a scene
-    /// of its name. The stage `prepare` finds the cameras of films and of folders that have none.
+    /// A pattern of folders and films, such as `dives/*`, in place of name and capture. Every match is a
+    /// scene of its name. The stage `prepare` finds the cameras of films and of folders that have none.
     #[serde(default)]
     pub(crate) from: Option<String>,
     /// The group whose mean includes this scene.

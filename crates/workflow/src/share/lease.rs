@@ -93,8 +93,8 @@ impl Holder {
         format!("process {} on {}", self.process.pid, self.host)
     }
 
-    /// The time for which its lease may stay unchanged before it counts as ended, if it has been `unchanged` until
-    /// now.
+    /// The time for which its lease may stay unchanged before it counts as ended, if it has been `unchanged`
+    /// until now.
     pub(super) fn may_rest(&self, node: &Node, unchanged: Duration) -> Duration {
         match (node.is_alive(&self.process), &self.task) {
             (Some(true), _) => Duration::MAX,

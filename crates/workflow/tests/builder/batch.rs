@@ -259,7 +259,8 @@ fn jobs_and_memory_bound_what_runs_at_once() {
         let mut fresh = super::stages::builder(&dir.path().join(format!("{folder}-plan")));
         fresh.registry = builder.registry;
         let plan = fresh.plan(&graph, None);
-        assert!(plan.nodes.iter().all(|n| n.memory == Some(known.unwrap_or(5000))), "{plan:?}");
+        // The fixed figure is no estimate, so a site's own figure can take its place.
+        assert!(plan.nodes.iter().all(|n| n.memory == known), "{plan:?}");
         most.load(Ordering::SeqCst)
     };
     assert_eq!(told("four", Some(400), 2), 2, "two fit into the memory");

@@ -10,7 +10,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use super::receive::Receiver;
-use super::{RemoteError, RemoteStore};
+use super::{CLAIMS, RemoteError, RemoteStore};
 use crate::cache::artifacts::Cache;
 use crate::cache::key::Key;
 use crate::cache::lock;
@@ -18,8 +18,6 @@ use crate::cache::node::Clock;
 use crate::share::lease::{HALF, Holder};
 use crate::share::pulse::{self, Beat, Progress};
 
-/// The folder of the claims in a store.
-pub(super) const CLAIMS: &str = "v1/claims/";
 /// The largest size of a claim in bytes.
 const LARGEST: u64 = 1 << 16;
 

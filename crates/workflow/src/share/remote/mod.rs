@@ -145,6 +145,9 @@ impl RemoteError {
     }
 }
 
+/// The folder of the claims.
+const CLAIMS: &str = "v1/claims/";
+
 fn blob(digest: &Digest) -> String {
     format!("v1/blobs/{digest}")
 }

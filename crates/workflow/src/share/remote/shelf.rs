@@ -9,9 +9,8 @@ use std::time::{Duration, SystemTime};
 use serde::Serialize;
 use use3d_capture::name::shown;
 
-use super::claim::CLAIMS;
 use super::transfer::each;
-use super::{RemoteError, RemoteStore, manifest};
+use super::{CLAIMS, RemoteError, RemoteStore, manifest};
 use crate::cache::key::Key;
 use crate::cache::lock;
 use crate::cache::machine;
