@@ -14,11 +14,11 @@ use use3d_workflow::run::NodeResult;
 use use3d_workflow::{Builder, Cache, Graph, Registry, RunOptions, Source, Stage, Summary, leftovers};
 
 use crate::WorkError;
-use crate::config::{LoadOptions, for_capture, without_captures};
 use crate::destination::{checkpoints_in, path_text, work_of};
 use crate::host::Host;
 use crate::loaded::stages;
 use crate::spelled::{Spelled, as_typed};
+use use3d_config::{LoadOptions, for_capture, without_captures};
 
 /// Creates a folder that is removed at the end of the work.
 ///

@@ -13,9 +13,9 @@ use use3d_workflow::cache::Lookup;
 use use3d_workflow::{Cache, Digest, Summary, machine};
 
 use crate::WorkError;
-use crate::config::LoadOptions;
 use crate::destination::{OUT, absolute, entries, path_text, word, write_text};
 use crate::loaded::PipelineRequest;
+use use3d_config::LoadOptions;
 
 const FORMAT: &str = "3d-use run";
 const VERSION: u32 = 1;

@@ -5,7 +5,7 @@
 //! functions.
 //!
 //! The crate `workflow` defines stages and decides when one must run, `stages` is the table of the method's
-//! stages, and `report` lays out their results. [`config`] reads pipeline files. [`results`] copies the
+//! stages, and `report` lays out their results. `config` reads pipeline files. [`results`] copies the
 //! results to the results folder, with a [page per scene](scene_page) for a browser and a record of the
 //! settings behind them (`made_by`). [`photographs`] gives the diver's own photographs back, enhanced by a
 //! scene.
@@ -20,7 +20,6 @@ pub mod aged;
 pub mod baked;
 pub mod by_hand;
 pub mod compare;
-pub mod config;
 pub mod destination;
 mod error;
 pub mod export;

@@ -9,9 +9,9 @@ use use3d_workflow::graph::{SceneVariant, cell_name};
 use use3d_workflow::{BatchScene, BuildError, Builder, Cache, Graph, Registry};
 
 use crate::WorkError;
-use crate::config::{LoadOptions, Pipeline, for_capture, load};
 use crate::destination::{absolute, path_text};
 use crate::spelled::{Spelled, as_typed};
+use use3d_config::{LoadOptions, Pipeline, for_capture, load};
 
 /// The table of stages.
 ///

@@ -14,7 +14,7 @@ use use3d_import::load_prepared;
 use use3d_workflow::run::RanNode;
 use use3d_workflow::{Stage, Summary, canonical};
 
-use crate::config::preset_values;
+use use3d_config::preset_values;
 use use3d_judge::configuration::Configuration;
 use use3d_stages::{CALIBRATED, CHOICES, Choices, read_json, registry};
 

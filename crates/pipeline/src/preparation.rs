@@ -13,10 +13,10 @@ use use3d_prepare::{
 use use3d_workflow::{Digest, Event, place};
 
 use crate::WorkError;
-use crate::config::lacks_cameras;
 use crate::destination::{OUT, check_folder, path_text};
 use crate::host::Host;
 use crate::linear;
+use use3d_config::lacks_cameras;
 
 /// A preparation of one capture.
 #[derive(Clone, Copy)]

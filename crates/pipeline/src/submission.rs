@@ -13,10 +13,10 @@ use use3d_workflow::graph::cell_name;
 use use3d_workflow::plan::State;
 
 use crate::WorkError;
-use crate::config::LoadOptions;
 use crate::destination::OUT;
 use crate::loaded::{Loaded, PipelineRequest};
 use crate::results::Results;
+use use3d_config::LoadOptions;
 
 /// The variable with the address of a store.
 const REMOTE: &str = "USE3D_REMOTE";

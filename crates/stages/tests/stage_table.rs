@@ -204,8 +204,8 @@ fn a_token_in_any_file_makes_every_stage_stale_that_reaches_it() {
         let (krate, file) = path.split_once('/').expect("a crate");
         match krate {
             // The numeric class covers the results of a graphics card: it contains the digest of the kernels.
-            "cli" | "pipeline" | "cluster" | "code" | "golden" | "workflow" | "store" | "web" | "viewer"
-            | "gpu" => true,
+            "cli" | "config" | "pipeline" | "cluster" | "code" | "golden" | "workflow" | "store" | "web"
+            | "viewer" | "gpu" => true,
             // They end before the first stage: one makes captures, the other only speaks about them.
             "prepare" | "check" => true,
             // It only reads results.

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use clap::error::ErrorKind;
 use clap::{CommandFactory, Parser};
-use use3d_pipeline::config::parameters;
+use use3d_config::parameters;
 
 use super::Cli;
 

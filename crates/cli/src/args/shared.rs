@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use clap::Args;
-use use3d_pipeline::config::LoadOptions;
+use use3d_config::LoadOptions;
 use use3d_pipeline::loaded::PipelineRequest;
 use use3d_pipeline::spelled::Spelled;
 use use3d_reconstruct::EngineChoice;

@@ -1,8 +1,8 @@
 //! The benchmark against known truth.
 
+use use3d_config::LoadOptions;
 use use3d_lab::truth::bench::{TruthBench, TruthRequest};
 use use3d_pipeline::by_hand::scratch;
-use use3d_pipeline::config::LoadOptions;
 use use3d_pipeline::destination::path_text;
 use use3d_workflow::RunOptions;
 

@@ -3,8 +3,8 @@
 use std::path::Path;
 use std::time::Instant;
 
+use use3d_config::LoadOptions;
 use use3d_pipeline::by_hand::{ByHand, HandWork, IMPORT};
-use use3d_pipeline::config::LoadOptions;
 use use3d_pipeline::destination::{check_file, check_folder, copy_file, copy_folder, path_text, word};
 use use3d_pipeline::scene_views::scene_name;
 use use3d_pipeline::spelled::Spelled;

@@ -3,8 +3,8 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
+use use3d_config::default_cache;
 use use3d_pipeline::aged::clean_results;
-use use3d_pipeline::config::default_cache;
 use use3d_pipeline::destination::path_text;
 use use3d_pipeline::loaded::{real, stages};
 use use3d_workflow::Cache;

@@ -127,7 +127,7 @@ fn this_machine(args: &DoctorArgs) -> Vec<Finding> {
         let purpose = "about 4 GB are needed for a capture at full size";
         findings.push(Finding::new("memory", enough, told, purpose).otherwise("little"));
     }
-    let cache = args.cache.clone().or_else(|| use3d_pipeline::config::default_cache().ok());
+    let cache = args.cache.clone().or_else(|| use3d_config::default_cache().ok());
     for (name, folder) in [("cache", cache), ("results", std::env::current_dir().ok())] {
         let Some(folder) = folder else { continue };
         // The folder itself, or the nearest existing one above it.

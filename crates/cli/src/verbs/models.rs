@@ -72,7 +72,7 @@ pub(crate) fn run(args: &ModelsArgs) -> Done {
 
 /// The networks that a preset needs; one network of each inner list is enough.
 fn needed_for(preset: &str) -> Result<Vec<Vec<Network>>, WorkError> {
-    let values = use3d_pipeline::config::preset_values(preset).map_err(WorkError::input)?;
+    let values = use3d_config::preset_values(preset).map_err(WorkError::input)?;
     let said = |stage: &str, key: &str, value: &str| values.get(stage).is_some_and(|p| p[key] == value);
     let mut needed = Vec::new();
     if ["pairs", "propose", "targets", "evaluate"].iter().any(|stage| said(stage, "proposer", "nu2net")) {

@@ -1,6 +1,6 @@
 //! Every parameter with its default, kind and meaning.
 
-use use3d_pipeline::config::parameters;
+use use3d_config::parameters;
 use use3d_pipeline::loaded::stages;
 
 use crate::args::ParamsArgs;

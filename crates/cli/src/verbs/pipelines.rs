@@ -2,7 +2,7 @@
 //! has no folder `pipelines/` beside it, so the files are parts of the program.
 
 use serde::Serialize;
-use use3d_pipeline::config::schema_text;
+use use3d_config::schema_text;
 use use3d_pipeline::loaded::stages;
 use use3d_workflow::BuildError;
 

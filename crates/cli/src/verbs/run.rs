@@ -6,8 +6,8 @@ use std::time::Instant;
 
 use use3d_cluster::cells::SubmittedCells;
 use use3d_cluster::quote;
+use use3d_config::LoadOptions;
 use use3d_pipeline::by_hand::{IMPORT, scratch};
-use use3d_pipeline::config::LoadOptions;
 use use3d_pipeline::destination::OUT;
 use use3d_pipeline::history::{self, RunRecord};
 use use3d_pipeline::loaded::{Loaded, PipelineRequest};

@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use serde_json::Value;
+use use3d_config::{LoadOptions, Pipeline, from_text};
 use use3d_judge::scores::SceneScores;
 use use3d_judge::truth::Truth;
-use use3d_pipeline::config::{LoadOptions, Pipeline, from_text};
 use use3d_stages::{ProposerChoice, SCORES, open_proposer, read_json, registry};
 use use3d_synth::CaptureParams;
 use use3d_workflow::machine::seconds;

@@ -157,7 +157,7 @@ impl Recipe {
 mod tests {
     use super::*;
     use crate::truth::captures::CAPTURES;
-    use use3d_pipeline::config::{LoadOptions, from_text};
+    use use3d_config::{LoadOptions, from_text};
     use use3d_stages::registry;
     use use3d_workflow::Graph;
 

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use serde_json::json;
-use use3d_pipeline::config::{LoadOptions, from_text, schema, schema_text};
+use use3d_config::{LoadOptions, from_text, schema, schema_text};
 use use3d_workflow::Graph;
 
 use super::stages::registry;
@@ -38,7 +38,7 @@ seed = 8
 reconstruct = { medium = "none" }
 "#;
 
-fn load(text: &str, sets: &[&str]) -> Result<use3d_pipeline::config::Pipeline, String> {
+fn load(text: &str, sets: &[&str]) -> Result<use3d_config::Pipeline, String> {
     let options =
         LoadOptions { sets: sets.iter().map(ToString::to_string).collect(), ..LoadOptions::default() };
     from_text(&registry(0), text, Path::new("dir/p.toml"), &options).map_err(|e| e.to_string())

@@ -4,7 +4,7 @@
 use std::fs;
 use std::path::Path;
 
-use use3d_pipeline::config::{LoadOptions, from_text};
+use use3d_config::{LoadOptions, from_text};
 use use3d_workflow::plan::State;
 use use3d_workflow::run::{NodeResult, RunOptions};
 use use3d_workflow::{Batch, Builder, Cache, Graph, Registry, Scope, Stage, StageContext, Variant};

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use use3d_pipeline::config::{LoadOptions, from_text};
+use use3d_config::{LoadOptions, from_text};
 use use3d_pipeline::remarks::{unequal, without_tables};
 use use3d_stages::registry;
 use use3d_workflow::Graph;

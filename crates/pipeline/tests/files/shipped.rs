@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use use3d_pipeline::config::{LoadOptions, Pipeline, load};
+use use3d_config::{LoadOptions, Pipeline, load};
 use use3d_stages::registry;
 use use3d_workflow::Graph;
 

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use use3d_pipeline::config::{LoadOptions, from_text, load, parameters, presets};
+use use3d_config::{LoadOptions, from_text, load, parameters, presets};
 use use3d_stages::registry;
 use use3d_workflow::Graph;
 
@@ -48,7 +48,7 @@ fn a_scene_learnt_from_proposals_has_no_second_stage() {
 /// A calibrator is made only if a scene's targets are calibrated.
 #[test]
 fn without_calibration_there_are_neither_pairs_nor_a_calibrator() {
-    use use3d_pipeline::config::for_capture;
+    use use3d_config::for_capture;
 
     let registry = registry().expect("the stage table");
     let dir = tempfile::tempdir().expect("folder");
@@ -106,7 +106,7 @@ fn without_depth_is_there_as_the_authors_ran_it_and_with_the_prior_alone_off() {
 /// photographs.
 #[test]
 fn depth_priors_are_made_where_the_weights_are_and_the_capture_has_none() {
-    use use3d_pipeline::config::for_capture;
+    use use3d_config::for_capture;
     use use3d_workflow::plan::State;
     use use3d_workflow::{Builder, Cache};
 

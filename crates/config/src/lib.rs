@@ -51,7 +51,7 @@ pub(crate) use document::join;
 use document::{Document, unknown_key};
 use file::{Calibrator, PipelineFile, SceneEntry, VariantEntry};
 pub use parameters::{Parameter, StageParameters, parameters};
-pub(crate) use places::lacks_cameras;
+pub use places::lacks_cameras;
 use places::{
     calibrate_where_named, check_learning, check_pairs, expand, folder_in, home, key_of, learning,
     one_proposer_for_all, override_external,

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 /// there or the reason.
 pub(crate) fn lines() -> BTreeMap<String, (String, String)> {
     let (mut all, mut section) = (BTreeMap::new(), String::new());
-    for text in include_str!("../../src/config/presets/paper.toml").lines() {
+    for text in include_str!("../../src/presets/paper.toml").lines() {
         if let Some(name) = text.strip_prefix('[') {
             section = name.trim_end_matches(']').to_string();
         } else if let Some((value, source)) = text.rsplit_once(" # ").filter(|_| !section.is_empty()) {

@@ -5,7 +5,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use serde_json::{Value, json};
-use use3d_pipeline::config::{parameters, preset_values};
+use use3d_config::{parameters, preset_values};
 use use3d_stages::registry;
 
 mod lines;
@@ -36,7 +36,7 @@ fn same(a: &Value, b: &Value) -> bool {
     }
 }
 
-const HELP: &str = "Every parameter of a stage of the paper has a line in crates/pipeline/src/config/presets/paper.toml: its value in the paper's \
+const HELP: &str = "Every parameter of a stage of the paper has a line in crates/config/src/presets/paper.toml: its value in the paper's \
     configuration, and in the line's comment who states it (`paper`, `authors`, or `ours` with the row of \
     docs/science/decisions.md) and where. A parameter that switches something on which the paper does not have gets the value \
     that leaves the method as the paper has it. Places and bookkeeping have the line `# NAME # pipeline: REASON`";

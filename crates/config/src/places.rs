@@ -21,7 +21,7 @@ const KEYS: [(&str, &str); 4] = [
 ];
 
 /// True if a target is a film, or a folder with films or photographs and no sign of their cameras.
-pub(crate) fn lacks_cameras(target: &Path) -> bool {
+pub fn lacks_cameras(target: &Path) -> bool {
     if target.is_dir() {
         return use3d_import::holds_no_model(target) && use3d_prepare::holds_inputs(target);
     }

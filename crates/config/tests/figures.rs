@@ -216,7 +216,7 @@ fn look(registry: &Registry, name: &str, text: &str) -> (Vec<String>, String) {
 }
 
 const HELP: &str = "Measure a table again with its command, and write today's digests with \
-    `USE3D_UPDATE_FIGURES=1 cargo test -p use3d-pipeline --test figures` (that alone is right if the new default changes no byte); or remove it; or write `program of COMMIT` \
+    `USE3D_UPDATE_FIGURES=1 cargo test -p use3d-config --test figures` (that alone is right if the new default changes no byte); or remove it; or write `program of COMMIT` \
     in its comment and in the text above it, with the last commit that had these defaults";
 
 #[test]
