@@ -89,6 +89,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "enhance",
         ],
     ),
+    ("config", &["workflow", "import", "prepare"]),
 ];
 
 /// Crates that may use these heavy or delicate third-party crates.

@@ -16,7 +16,7 @@ use use3d_workflow::node::Node;
 use use3d_workflow::run::RunOptions;
 use use3d_workflow::task::ClusterTask;
 use use3d_workflow::{
-    Batch, BatchScene, Builder, Cache, Event, Graph, Listener, Registry, Scope, Stage, StageContext,
+    Batch, BatchScene, Builder, Cache, Digest, Event, Graph, Listener, Registry, Scope, Stage, StageContext,
     StageError, Summary,
 };
 
@@ -101,27 +101,24 @@ pub(crate) static STEPS: AtomicU64 = AtomicU64::new(0);
 
 /// One step of the long stage: a hash of the state so far.
 fn step(state: [u8; 32], rate: f64) -> [u8; 32] {
-    let mut hasher = blake3::Hasher::new();
-    hasher.update(&state).update(&rate.to_bits().to_le_bytes());
-    *hasher.finalize().as_bytes()
+    *Digest::of(&[&state[..], &rate.to_bits().to_le_bytes()].concat()).as_bytes()
 }
 
 fn hash_inputs(context: &StageContext, salt: &str) -> Result<String, StageError> {
-    let mut hasher = blake3::Hasher::new();
-    hasher.update(salt.as_bytes()).update(&context.seed().to_le_bytes());
+    let mut bytes = [salt.as_bytes(), &context.seed().to_le_bytes()].concat();
     for input in context.inputs() {
-        hasher.update(input.role.as_bytes()).update(input.scene.as_bytes()).update(input.variant.as_bytes());
+        bytes.extend([&input.role, &input.scene, &input.variant].into_iter().flat_map(|text| text.bytes()));
         if input.path.is_file() {
-            hasher.update(&fs::read(&input.path)?);
+            bytes.extend(fs::read(&input.path)?);
         } else {
             let mut files: Vec<_> = fs::read_dir(&input.path)?.collect::<Result<_, _>>()?;
             files.sort_by_key(|f| f.file_name());
             for file in files.into_iter().filter(|f| f.path().is_file() && f.file_name() != "manifest.json") {
-                hasher.update(&fs::read(file.path())?);
+                bytes.extend(fs::read(file.path())?);
             }
         }
     }
-    Ok(hasher.finalize().to_hex().to_string())
+    Ok(Digest::of(&bytes).to_string())
 }
 
 fn pause(delay: u64, context: &StageContext) -> Result<(), StageError> {
@@ -137,7 +134,7 @@ fn reconstruct(context: &StageContext, p: &ReconstructParameters, delay: u64) ->
     if words.starts_with(b"garbage") {
         return Err(StageError::bad_input_message("words.txt: words are expected, found garbage"));
     }
-    let mut state = *blake3::hash(
+    let mut state = *Digest::of(
         &[&words[..], &context.seed().to_le_bytes(), format!("{:?}", p.medium).as_bytes()].concat(),
     )
     .as_bytes();

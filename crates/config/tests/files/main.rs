@@ -3,7 +3,6 @@
 mod config;
 mod named;
 mod promises;
-mod remarks;
 mod shipped;
 #[path = "../../../workflow/tests/builder/stages.rs"]
 #[allow(dead_code, reason = "the build system's own tests use the rest")]
