@@ -5,7 +5,7 @@ use std::ops::ControlFlow;
 use use3d_atc::AtcError;
 use use3d_atc::calibrator::{
     Calibrator, CalibratorParams, Dataset, LastLayer, PairImages, RANGE_FLOOR, Scales, Statistics, evaluate,
-    train,
+    held_out, train,
 };
 use use3d_atc::extractor::{ExtractorSettings, SourceImage, Workspace, affine_apply};
 use use3d_atc::progress::{LoopPosition, unwatched};
@@ -196,6 +196,41 @@ fn early_stopping_does_less_harm_where_there_is_nothing_to_learn() {
     assert_eq!(report.kept, [1.0; 2]);
 }
 
+/// Pairs whose local corrections have two parts. The first alternates from cell to cell, is known from the
+/// cell's descriptor, and is alike in all pairs: it can be learnt, and centring leaves it. The second is one
+/// constant per pair with the sign of the pair's descriptor, and the opposite sign in the held-out pairs: to
+/// learn it makes them worse, and centring takes it away. Uncentred, the held-out pairs want the earliest
+/// step and no correction; centred, as the consensus uses them, a late step and all of it.
+#[test]
+fn the_local_head_stops_and_is_kept_by_centred_errors_where_uncentred_ones_disagree() {
+    let mut dataset =
+        Dataset::build(pairs(16), &Timid, &ExtractorSettings::default(), &mut unwatched).unwrap();
+    let params = CalibratorParams { held_out: 0.5, ..quick() };
+    let (_, tested) = held_out(&dataset, &params).unwrap();
+    for (i, example) in dataset.examples.iter_mut().enumerate() {
+        let side = if i % 2 == 0 { 1.0 } else { -1.0 };
+        let learnt = if tested.contains(&i) { -side } else { side };
+        example.descriptor = [side; 18];
+        example.proposal = [0.1 * side; 12];
+        example.target = example.proposal;
+        // An even number of cells, so that their mean is the constant.
+        example.cells.truncate(example.cells.len() / 2 * 2);
+        for (c, cell) in example.cells.iter_mut().enumerate() {
+            let pattern = if c % 2 == 0 { 0.1 } else { -0.1 };
+            cell.descriptor = [10.0 * pattern; 6];
+            cell.proposal = [0.0; 6];
+            cell.target = [pattern + 0.5 * learnt; 6];
+            cell.confidence = 1.0;
+        }
+    }
+    let report = train(&dataset, &params, "", &mut unwatched).unwrap().provenance.held_out.unwrap();
+    let (local, centered) = (report.errors.local, report.errors.centered);
+    // Errors disagree: a share of 0 would have left `before`.
+    assert!(local.after > 1.2 * local.before, "{local:?}");
+    assert!(centered.after < 0.3 * centered.before, "{centered:?}");
+    assert!(report.stopped[1] > 50 && report.kept[1] == 1.0, "{:?} {:?}", report.stopped, report.kept);
+}
+
 /// Without trust the pairs give only the scales of the errors.
 #[test]
 fn without_trust_the_proposal_stays_as_it_is() {
@@ -243,6 +278,47 @@ fn an_affine_pair_has_that_affine_as_its_target() {
 fn fit(dataset: &Dataset, params: &CalibratorParams) -> Calibrator {
     let params = CalibratorParams { held_out: 0.0, ..params.clone() };
     train(dataset, &params, "", &mut unwatched).unwrap()
+}
+
+/// The ranges of both heads' targets, and those of the residuals, for five pairs of four cells. The expected
+/// numbers are `numpy.subtract(*numpy.percentile(values, [75, 25]))` in float64 with
+///
+/// ```text
+/// global: target = 0.1 (k + 1) T[e],              proposal = 0.1 (k + 1) (T[e] − R[e])
+/// local:  target = (k + 1) (T[e] + C[c]),         proposal = target − (k + 1) (R[e] + C[c] / 8)
+/// T = 0, 1, 3, 7, 20   R = 0, 1, −1, 2, −6   C = 0, 2, 5, 11
+/// ```
+///
+/// 6, 2 for the sets T and R, 10.5 for the twenty sums T + C and 2.53125 for the twenty sums R + C / 8.
+#[test]
+fn operator_scales_are_the_ranges_of_both_heads_targets() {
+    const T: [f64; 5] = [0.0, 1.0, 3.0, 7.0, 20.0];
+    const R: [f64; 5] = [0.0, 1.0, -1.0, 2.0, -6.0];
+    const C: [f64; 4] = [0.0, 2.0, 5.0, 11.0];
+    let mut dataset =
+        Dataset::build(pairs(5), &Timid, &ExtractorSettings::default(), &mut unwatched).unwrap();
+    for (e, example) in dataset.examples.iter_mut().enumerate() {
+        example.target = std::array::from_fn(|k| 0.1 * (k + 1) as f64 * T[e]);
+        example.proposal = std::array::from_fn(|k| 0.1 * (k + 1) as f64 * (T[e] - R[e]));
+        example.cells.truncate(4);
+        for (c, cell) in example.cells.iter_mut().enumerate() {
+            cell.target = std::array::from_fn(|k| (k + 1) as f64 * (T[e] + C[c]));
+            cell.proposal = std::array::from_fn(|k| (k + 1) as f64 * (T[e] + C[c] - R[e] - C[c] / 8.0));
+        }
+    }
+    for (scales, global, local) in [(Scales::Operators, 6.0, 10.5), (Scales::Residuals, 2.0, 2.53125)] {
+        // The scales of a fit without steps, and those of a calibrator that corrects nothing.
+        let fitted = fit(&dataset, &CalibratorParams { steps: 0, scales, ..quick() });
+        let unchanged = CalibratorParams { trust: 0.0, scales, ..quick() };
+        for calibrator in [fitted, train(&dataset, &unchanged, "", &mut unwatched).unwrap()] {
+            for (k, found) in calibrator.global_scales().iter().enumerate() {
+                assert!((found / (0.1 * (k + 1) as f64 * global) - 1.0).abs() < 1e-6, "{scales:?}: {found}");
+            }
+            for (k, found) in calibrator.local_scales().iter().enumerate() {
+                assert!((found / ((k + 1) as f64 * local) - 1.0).abs() < 1e-6, "{scales:?}: {found}");
+            }
+        }
+    }
 }
 
 /// The paper scales errors by the ranges of the paired operators, the release by those of the residuals

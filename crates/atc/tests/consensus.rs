@@ -4,10 +4,11 @@ use glam::DVec3;
 use use3d_atc::AtcError;
 use use3d_atc::calibrator::Calibrator;
 use use3d_atc::consensus::{
-    Lift, LocalConsensus, Proposals, Recorder, Targets, TargetsParams, TargetsReport, ViewInput, fuse_views,
-    global_consensus, order_effect, refit, response, support_map, targets_from_records, view_target,
+    Lift, LocalConsensus, Proposals, Recorder, Targets, TargetsParams, TargetsReport, ViewInput, ViewRecord,
+    fuse_views, global_consensus, order_effect, refit, response, support_map, targets_from_records,
+    view_target,
 };
-use use3d_atc::extractor::{Affine, ExtractorSettings};
+use use3d_atc::extractor::{Affine, Descriptors, ExtractorSettings, Transition};
 use use3d_atc::progress::unwatched;
 use use3d_atc::proposers::{Fusion, Proposer, ProposerId};
 use use3d_capture::{Appearance, Camera, Image, Intrinsics, KeptWater, Pose};
@@ -103,6 +104,67 @@ fn golden_lifting_fusion_and_view_targets() {
         let seen = view_target(&gaussians, &state, camera, target_grid, &mut Rasterizer::new());
         case.check_f64("out.target", seen.local.as_flattened());
         case.check_f64("out.W", &seen.weight);
+    }
+    assert!(checked > 0, "no case with grids");
+}
+
+/// Records whose local operators have any mean give the golden numbers of the centred ones: the golden grids
+/// are centred, here each view's grid and the head add a constant, and the constants must vanish.
+#[test]
+fn golden_lifting_from_records_whose_operators_are_not_centred() {
+    let mut checked = 0;
+    for case in Part::math("consensus").cases() {
+        if !case.has("in.grids") {
+            continue;
+        }
+        checked += 1;
+        let (gaussians, cameras) = golden_scene(&case);
+        let shape = case.shape("in.grids").to_vec();
+        let grids = case.f64("in.grids");
+        let mut calibrator = Calibrator::identity(ExtractorSettings::default(), Fusion.id());
+        calibrator.local.residual.range = case.f32("in.s_local");
+        calibrator.local.residual.median = vec![0.75, -1.5, 0.5, 2.0, -0.25, 1.0];
+        let records: Vec<ViewRecord> = cameras
+            .iter()
+            .zip(grids.chunks_exact(6 * shape[1] * shape[2]))
+            .enumerate()
+            .map(|(v, (camera, grid))| {
+                let local: Vec<[f64; 6]> = grid
+                    .chunks_exact(6)
+                    .map(|c| std::array::from_fn(|k| c[k] + 0.5 * (v as f64 - 1.0) * (k as f64 + 1.0)))
+                    .collect();
+                let descriptors = Descriptors { global: [0.1; 18], local: vec![[0.2; 6]; local.len()] };
+                ViewRecord {
+                    name: format!("view {v}"),
+                    camera: *camera,
+                    grid: (shape[2], shape[1]),
+                    descriptors,
+                    proposal: Transition { global: [0.3; 12], local },
+                    candidate: [0.1 * v as f64; 12],
+                }
+            })
+            .collect();
+        let (targets, report) = targets_from_records(
+            &mut Lift::new(&gaussians),
+            &records,
+            (Appearance::Water, KeptWater::ALL),
+            Fusion.id(),
+            &calibrator,
+            &TargetsParams::default(),
+            &mut unwatched,
+        )
+        .unwrap();
+        case.check("out.mu", targets.state.mean.as_flattened());
+        case.check("out.weight", &targets.state.weight);
+        let counts: Vec<f64> = targets.state.count.iter().map(|&c| f64::from(c)).collect();
+        case.check_within("out.count", &counts, 0.0);
+        // sqrt(mean((grid / max(s, 1e-4))²)) of the golden grid itself.
+        let scales: Vec<f64> = case.f32("in.s_local").iter().map(|&s| f64::from(s).max(1e-4)).collect();
+        for (view, grid) in report.views.iter().zip(grids.chunks_exact(6 * shape[1] * shape[2])) {
+            let squares = grid.iter().enumerate().map(|(i, v)| (v / scales[i % 6]) * (v / scales[i % 6]));
+            let expected = (squares.sum::<f64>() / grid.len() as f64).sqrt();
+            assert!((view.local / expected - 1.0).abs() < 1e-6, "{} for {expected}", view.local);
+        }
     }
     assert!(checked > 0, "no case with grids");
 }

@@ -99,6 +99,61 @@ fn golden_gradients() {
     }
 }
 
+/// Dim cells, near the floor of the fit's energy: two cells of 8 × 8 samples, so that the samples are the
+/// pixels. The expected gain `g` and bias `b` minimise `Σ (g x' + b − y)² + ρ n m₂ (g − 1)² + ρ n b²`, with
+/// `n = 64`, `ρ = 1/100` and `m₂ = max(mean x'², 1/10000)`, so they solve
+///
+/// ```text
+/// | Σ x'² + ρ n m₂   Σ x'    | | g |   | Σ x' y + ρ n m₂ |
+/// | Σ x'             n + ρ n | | b | = | Σ y            |
+/// ```
+///
+/// which Cramer's rule does here in float64; `x'` is the found global operator applied to the source.
+#[test]
+fn dim_cells_follow_the_normal_equations_with_the_floor_of_their_energy() {
+    let settings = ExtractorSettings { long_side: 16, cells: 2, form: Form::Linear };
+    let (mut below, mut near) = (0, 0);
+    for brightness in [0.004f32, 0.011, 0.014, 0.02, 0.03, 0.06] {
+        let (mut a, mut b) = (Image::new(16, 16), Image::new(16, 16));
+        for y in 0..16 {
+            for x in 0..16 {
+                let wave = |k: usize| 1.0 + 0.3 * math::sin((x * (k + 1) + 2 * y + 5 * k) as f32);
+                a.set_pixel(x, y, std::array::from_fn(|c| brightness * wave(c)));
+                b.set_pixel(x, y, std::array::from_fn(|c| brightness * (1.5 * wave(c) + 0.8 * wave(c + 3))));
+            }
+        }
+        let source = SourceImage::from_image(&a, &settings).unwrap();
+        let mut workspace = Workspace::default();
+        let found = source.forward(&b, &mut workspace).unwrap().clone();
+        assert_eq!(found.local.len(), 4);
+        for (cell, operator) in found.local.iter().enumerate() {
+            for c in 0..3 {
+                let (n, rho) = (64.0, 0.01);
+                let [mut x1, mut x2, mut xy, mut y1] = [0.0f64; 4];
+                for i in 0..64 {
+                    let (px, py) = (cell % 2 * 8 + i % 8, cell / 2 * 8 + i / 8);
+                    let v = a.pixel(px, py).map(f64::from);
+                    let t = &found.global[4 * c..4 * c + 4];
+                    let x = v[c] + t[0] * v[0] + t[1] * v[1] + t[2] * v[2] + t[3];
+                    let y = f64::from(b.pixel(px, py)[c]);
+                    (x1, x2, xy, y1) = (x1 + x, x2 + x * x, xy + x * y, y1 + y);
+                }
+                let energy = (x2 / n).max(1e-4);
+                below += usize::from(x2 / n < 1e-4);
+                near += usize::from(x2 / n > 1.05e-4 && x2 / n < 1e-3);
+                let ridge = rho * n * energy;
+                let (p, q, r) = (x2 + ridge, x1, n + rho * n);
+                let determinant = p * r - q * q;
+                let gain = ((xy + ridge) * r - q * y1) / determinant;
+                let bias = (p * y1 - q * (xy + ridge)) / determinant;
+                let error = (operator[c] + 1.0 - gain).abs().max((operator[3 + c] - bias).abs());
+                assert!(error < 1e-9, "{brightness}, cell {cell}, channel {c}: {error:e}");
+            }
+        }
+    }
+    assert!(below >= 12 && near >= 12, "{below} cells below the floor, {near} up to ten times above");
+}
+
 /// A smooth random image with some noise, colours in about [0.05, 0.95].
 fn random_image(width: usize, height: usize, seed: u64) -> Image {
     use use3d_numerics::random::{Purpose, Stream};
@@ -121,13 +176,20 @@ fn random_image(width: usize, height: usize, seed: u64) -> Image {
 #[test]
 fn gradients_agree_with_finite_differences() {
     use use3d_numerics::random::{Purpose, Stream};
-    let shapes = [((50, 34), 384, 16), ((90, 61), 40, 6), ((9, 70), 33, 5), ((20, 12), 384, 16)];
-    for (case, ((w, h), long_side, grid)) in shapes.into_iter().enumerate() {
+    // The last is dim: most cells have an energy between 1e-4 and 1e-3.
+    let shapes = [
+        ((50, 34), 384, 16, 1.0),
+        ((90, 61), 40, 6, 1.0),
+        ((9, 70), 33, 5, 1.0),
+        ((20, 12), 384, 16, 1.0),
+        ((50, 34), 384, 16, 0.04),
+    ];
+    for (case, ((w, h), long_side, grid, dim)) in shapes.into_iter().enumerate() {
         for form in [Form::Log, Form::Linear] {
             let settings = ExtractorSettings { long_side, cells: grid, form };
-            let a = random_image(w, h, 2 * case as u64);
-            let b = random_image(w, h, 2 * case as u64 + 1);
-            let direction = random_image(w, h, 100 + case as u64).map(|v| v - 0.4);
+            let a = random_image(w, h, 2 * case as u64).map(|v| dim * v);
+            let b = random_image(w, h, 2 * case as u64 + 1).map(|v| dim * v);
+            let direction = random_image(w, h, 100 + case as u64).map(|v| dim * (v - 0.4));
             let source = SourceImage::from_image(&a, &settings).unwrap();
             let mut workspace = Workspace::default();
             source.forward(&b, &mut workspace).unwrap();

@@ -288,6 +288,25 @@ fn the_same_bits_on_any_number_of_threads() {
     }
 }
 
+/// The start of the water (R5), by hand: anchors at the corners of the cube, the first axis slowest;
+/// `σ = 0.85`, `ln σ = −0.1625189295`; in every direction `c_m = 0.5` and
+/// `β = ln(1 + exp(−5 · 0.2820947918)) = 0.2183539`.
+#[test]
+fn the_start_is_that_of_the_method() {
+    let rbf = MediumRbf::new(8, 4);
+    assert_eq!(rbf.centers[..3], [[-1.0, -1.0, -1.0], [-1.0, -1.0, 1.0], [-1.0, 1.0, -1.0]]);
+    assert_eq!((rbf.centers[4], rbf.centers[7]), ([1.0, -1.0, -1.0], [1.0; 3]));
+    assert!(rbf.log_widths.iter().all(|l| (l + 0.162_518_93).abs() < 1e-6));
+    let mut maps = MediumMaps::zeros(1, 1);
+    let camera = camera(&Stream::new(3, Purpose::new("the start"), 0), 6, 5);
+    MediumModel::Rbf(rbf).maps(&camera, &Lattice::full(&camera.intrinsics), 3, &mut maps);
+    for (image, expected) in
+        [(&maps.color, 0.5), (&maps.backscatter, 0.218_354_18), (&maps.attenuation, 0.218_354_18)]
+    {
+        assert!(image.data().iter().all(|v| (v - expected).abs() < 1e-6));
+    }
+}
+
 #[test]
 fn anchor_weights_sum_to_one_over_at_most_k() {
     for seed in 0..20 {

@@ -19,7 +19,7 @@ use use3d_training::{
 };
 
 use crate::bounds::most_gaussians;
-use crate::density::{self, Draws, RefineSettings};
+use crate::density::{self, Draws, Refinement};
 use crate::engine::{Degrees, Engine, StepPlan, TrainingState};
 use crate::fingerprint::fingerprint;
 use crate::hidden::Masks;
@@ -409,25 +409,16 @@ impl ReconstructRun<'_> {
 
     /// Runs the refinement or the opacity ceiling that is due after this step (R9).
     fn control_density(&mut self, observer: &mut dyn Observer) -> Result<(), ReconstructError> {
-        let (params, d, step) = (self.params, &self.params.densify, self.step);
-        if !d.enabled || step <= params.warm_up() {
-            return Ok(());
+        let work = self.params.density_work(self.step, self.names.len());
+        match work.refinement {
+            Some(Refinement::Grow) => self.refine(true, observer)?,
+            Some(Refinement::Cull) => self.refine(false, observer)?,
+            Some(Refinement::Pause) => self.engine.forget_statistics()?,
+            None => {}
         }
-        let growing = step < params.densify_end();
-        let ceilings = !params.is_gentle();
-        let phase = step % d.period;
-        if step.is_multiple_of(d.every) {
-            // Densification waits after a ceiling; culling alone continues to the end.
-            let pause = d.pause.min(self.names.len() as u64 + d.every);
-            if !growing || !ceilings || phase >= pause {
-                self.refine(growing, observer)?;
-            } else {
-                self.engine.forget_statistics()?;
-            }
-        }
-        if ceilings && growing && phase == d.every % d.period {
-            self.engine.limit_opacity(d.opacity_ceiling)?;
-            self.log.push(LogEntry::Ceiling { step: step + 1 });
+        if work.ceiling {
+            self.engine.limit_opacity(self.params.densify.opacity_ceiling)?;
+            self.log.push(LogEntry::Ceiling { step: self.step + 1 });
         }
         Ok(())
     }
@@ -465,15 +456,7 @@ impl ReconstructRun<'_> {
     /// Adds and removes Gaussians.
     fn refine(&mut self, growing: bool, observer: &mut dyn Observer) -> Result<(), ReconstructError> {
         let (params, d) = (self.params, &self.params.densify);
-        let settings = RefineSettings {
-            grow: growing,
-            gradient_threshold: d.gradient_threshold,
-            split_scale: d.split_scale,
-            cull_opacity: params.cull_opacity(growing),
-            cull_scale: d.cull_scale,
-            floor: d.floor.max((d.floor_share * self.initial as f64) as usize),
-            most: self.most,
-        };
+        let settings = params.refine_settings(growing, self.initial, self.most);
         let (rows, report) = density::plan(&self.engine.survey()?, &settings);
         self.engine.rebuild(&rows, &Draws { seed: params.seed, step: self.step, shrink: d.shrink })?;
         self.gaussians = rows.len();

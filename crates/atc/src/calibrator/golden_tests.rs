@@ -1,11 +1,16 @@
 //! Compares the calibrator with the golden cases.
 
+use glam::DVec3;
+use use3d_capture::{Appearance, Camera, Intrinsics, KeptWater, Pose};
 use use3d_golden::{Case, Part};
 
 use super::head::{Head, HeadBatch};
 use super::mlp::{Linear, Mlp, Trace};
 use super::{Calibrator, LOCAL_CONDITION, RANGE_FLOOR, Statistics, push_local_condition};
+use crate::consensus::{Adjoint, Lift, TargetsParams, ViewRecord, targets_from_records};
+use crate::error::AtcError;
 use crate::extractor::{Affine, Descriptors, ExtractorSettings, Transition};
+use crate::progress::unwatched;
 use crate::proposers::ProposerId;
 
 fn head(case: &Case<'_>, which: &str) -> Head {
@@ -114,6 +119,90 @@ fn golden_heads_values_losses_and_gradients() {
         case.check_f64("out.l_global", &losses[..1]);
         case.check_f64("out.l_local", &losses[1..]);
         case.check_f64("out.total", &[losses[0] + losses[1]]);
+    }
+    assert!(checked > 0, "no case with heads");
+}
+
+/// An adjoint of which each pixel is a Gaussian, so that the lifted numbers are those of the map.
+struct PixelsAsGaussians(usize);
+
+impl Adjoint for PixelsAsGaussians {
+    fn gaussians(&self) -> usize {
+        self.0
+    }
+
+    fn lift(&mut self, _: &Camera, channels: usize, planes: &[f32], out: &mut [f32]) -> Result<(), AtcError> {
+        for (i, v) in out.iter_mut().enumerate() {
+            *v = planes[i % channels * self.0 + i / channels];
+        }
+        Ok(())
+    }
+}
+
+/// From records to targets with the golden heads: their local operators are not centred, the observations of
+/// the Gaussians are, and the last condition is the scene's operator and not the view's own.
+#[test]
+fn golden_heads_reach_the_gaussians_centred_and_under_the_scenes_operator() {
+    let mut checked = 0;
+    for case in Part::math("calibrator").cases() {
+        if !case.has("in.g_w0") {
+            continue;
+        }
+        checked += 1;
+        let calibrator = Calibrator {
+            global: head(&case, "g"),
+            local: head(&case, "l"),
+            ..Calibrator::identity(ExtractorSettings::default(), ProposerId::default())
+        };
+        let descriptors = arrays::<18>(&case, "in.global_desc");
+        let proposals = arrays::<12>(&case, "in.proposal_t");
+        let cells = case.shape("in.proposal_d")[1];
+        let cell_descriptors = arrays::<6>(&case, "in.cell_desc");
+        let cell_proposals = arrays::<6>(&case, "in.proposal_d");
+        let (calibrated, local) = (arrays::<12>(&case, "out.t"), arrays::<6>(&case, "out.delta"));
+        let intrinsics = Intrinsics { width: cells, height: 1, fx: 9.0, fy: 9.0, cx: 3.5, cy: 0.5 };
+        let camera = Camera { intrinsics, pose: Pose::look_at(DVec3::ZERO, DVec3::Z, -DVec3::Y) };
+        for b in 0..descriptors.len() {
+            let of_image = b * cells..(b + 1) * cells;
+            // The view's own candidate is far away; that of four others is what the golden head has for it.
+            let record = |candidate: Affine| ViewRecord {
+                name: "view".into(),
+                camera,
+                grid: (cells, 1),
+                descriptors: Descriptors {
+                    global: descriptors[b],
+                    local: cell_descriptors[of_image.clone()].to_vec(),
+                },
+                proposal: Transition {
+                    global: proposals[b],
+                    local: cell_proposals[of_image.clone()].to_vec(),
+                },
+                candidate,
+            };
+            let records = [[3.0; 12], calibrated[b], calibrated[b], calibrated[b], calibrated[b]].map(record);
+            let (targets, _) = targets_from_records(
+                &mut Lift::by(Box::new(PixelsAsGaussians(cells))),
+                &records,
+                (Appearance::Water, KeptWater::ALL),
+                ProposerId::default(),
+                &calibrator,
+                &TargetsParams::default(),
+                &mut unwatched,
+            )
+            .unwrap();
+            // The golden operators minus their plain mean over the image: v − Σ v / n.
+            let golden = &local[of_image];
+            let (mut largest_mean, n) = (0.0f64, cells as f64);
+            for k in 0..6 {
+                let mean = golden.iter().map(|c| c[k]).sum::<f64>() / n;
+                largest_mean = largest_mean.max(mean.abs());
+                for (cell, found) in golden.iter().zip(&targets.state.mean) {
+                    let error = f64::from(found[k]) - (cell[k] - mean);
+                    assert!(error.abs() < 4.0 * case.tolerance("out.delta"), "image {b}: {error:e}");
+                }
+            }
+            assert!(largest_mean > 0.01, "image {b} of the golden case is centred: {largest_mean}");
+        }
     }
     assert!(checked > 0, "no case with heads");
 }

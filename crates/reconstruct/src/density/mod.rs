@@ -19,8 +19,10 @@
 //! may call `rebuilt` or do the same where its arrays are.
 
 mod rebuild;
+mod schedule;
 
 pub use rebuild::{Draws, Origin, rebuilt};
+pub(crate) use schedule::Refinement;
 
 use use3d_numerics::math;
 use use3d_splat::Gaussians;
@@ -195,6 +197,29 @@ mod tests {
         // Without growth Gaussians are only removed.
         let (rows, _) = plan(&s, &RefineSettings { grow: false, ..SETTINGS });
         assert_eq!(rows, [Kept(0), Kept(1), Kept(2)]);
+    }
+
+    /// One percent around each threshold, on both sides: `exp(log s)` and `logit` in single precision err by
+    /// 1e-6 at most.
+    #[test]
+    fn every_threshold_lies_where_the_settings_say() {
+        let opacity = |p: f64| math::ln(p / (1.0 - p)) as f32;
+        let settings = RefineSettings { cull_opacity: 0.1, ..SETTINGS };
+        let (_, s) = scene(&[
+            (2.0, 5e-4, 8e-4 * 0.99),
+            (2.0, 5e-4, 8e-4 * 1.01),
+            (2.0, 1e-3 * 0.99, 1.0),
+            (2.0, 1e-3 * 1.01, 1.0),
+            (opacity(0.1 * 0.99), 0.1, 0.0),
+            (opacity(0.1 * 1.01), 0.1, 0.0),
+            (2.0, 10.0 * 0.99, 0.0),
+            (2.0, 10.0 * 1.01, 0.0),
+        ]);
+        let (rows, report) = plan(&s, &settings);
+        use Origin::*;
+        let kept = [0, 1, 2, 5, 6].map(Kept);
+        assert_eq!(rows, [&kept[..], &[Twin(1), Twin(2), Child(3, 0), Child(3, 1)]].concat());
+        assert_eq!(report, RefineReport { split: 1, duplicated: 2, culled: 2, spared: 0, held_back: 0 });
     }
 
     #[test]

@@ -1,0 +1,149 @@
+//! The steps at which density control works, and its settings there (R9).
+
+use super::RefineSettings;
+use crate::ReconstructParams;
+
+/// The work of density control after a step.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct DensityWork {
+    /// The statistics of the screen gradients are used or forgotten.
+    pub(crate) refinement: Option<Refinement>,
+    /// Opacities are lowered to the ceiling afterwards.
+    pub(crate) ceiling: bool,
+}
+
+/// The use of the statistics that were gathered since the last one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Refinement {
+    /// Gaussians are added and removed.
+    Grow,
+    /// Gaussians are only removed.
+    Cull,
+    /// The pause after a ceiling: the statistics are forgotten.
+    Pause,
+}
+
+impl ReconstructParams {
+    /// The work of density control after `step`, with `views` training views. Densification waits after a
+    /// ceiling until most views were seen again; culling alone continues to the end.
+    pub(crate) fn density_work(&self, step: u64, views: usize) -> DensityWork {
+        let d = &self.densify;
+        if !d.enabled || step <= self.warm_up() {
+            return DensityWork::default();
+        }
+        let growing = step < self.densify_end();
+        let ceilings = growing && !self.is_gentle();
+        let phase = step % d.period;
+        let pause = d.pause.min(views as u64 + d.every);
+        let refinement = step.is_multiple_of(d.every).then_some(match (growing, ceilings && phase < pause) {
+            (_, true) => Refinement::Pause,
+            (true, false) => Refinement::Grow,
+            (false, false) => Refinement::Cull,
+        });
+        DensityWork { refinement, ceiling: ceilings && phase == d.every % d.period }
+    }
+
+    /// The settings of a refinement of a scene that began with `initial` Gaussians and may have `most`.
+    pub(crate) fn refine_settings(&self, grow: bool, initial: usize, most: usize) -> RefineSettings {
+        let d = &self.densify;
+        RefineSettings {
+            grow,
+            gradient_threshold: d.gradient_threshold,
+            split_scale: d.split_scale,
+            cull_opacity: self.cull_opacity(grow),
+            cull_scale: d.cull_scale,
+            floor: d.floor.max((d.floor_share * initial as f64) as usize),
+            most,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Densify;
+
+    /// The values of the preset `paper`.
+    fn paper() -> ReconstructParams {
+        let densify = Densify {
+            statistics_from: 100,
+            warm_up: 600,
+            every: 100,
+            period: 500,
+            pause: 250,
+            until: 2.0 / 3.0,
+            gradient_threshold: 8e-4,
+            cull_opacity: 0.5,
+            cull_opacity_late: 0.1,
+            gentle_below: 0,
+            ..Densify::default()
+        };
+        ReconstructParams { iterations: 15_000, schedule: 15_000, densify, ..ReconstructParams::default() }
+    }
+
+    /// Steps of 15,000 with some work.
+    fn steps(params: &ReconstructParams, views: usize, which: impl Fn(DensityWork) -> bool) -> Vec<u64> {
+        (0..15_000).filter(|&step| which(params.density_work(step, views))).collect()
+    }
+
+    /// The blocks of 500 steps from the first to the last one before 10,000, with some steps of each; the
+    /// warm-up ends at 600.
+    fn of_each_block(offsets: &[u64]) -> Vec<u64> {
+        let all = (0..20).flat_map(|block| offsets.iter().map(move |offset| 500 * block + offset));
+        all.filter(|&step| step > 600).collect()
+    }
+
+    /// The rule of R9 with its numbers, by hand. A ceiling comes 100 steps into each block of 500. The pause
+    /// lasts until the smaller of 250 and N + 100 steps into the block: 118 for 18 views, 200 for 100, 205
+    /// for 105, 250 for 250. Refinements come every 100 steps, so the first after the pause is at 200 for 18
+    /// and for 100 views, and at 300 for 105 and for 250. From step 10,000 on Gaussians are only removed.
+    #[test]
+    fn fifteen_thousand_steps_for_captures_of_four_sizes() {
+        let params = paper();
+        for (views, pauses, grows) in [
+            (18, &[0, 100][..], &[200, 300, 400][..]),
+            (100, &[0, 100], &[200, 300, 400]),
+            (105, &[0, 100, 200], &[300, 400]),
+            (250, &[0, 100, 200], &[300, 400]),
+            (5000, &[0, 100, 200], &[300, 400]),
+        ] {
+            let refinement = |which| steps(&params, views, |work| work.refinement == Some(which));
+            assert_eq!(refinement(Refinement::Pause), of_each_block(pauses), "{views} views");
+            assert_eq!(refinement(Refinement::Grow), of_each_block(grows), "{views} views");
+            let late: Vec<u64> = (100..150).map(|hundreds| 100 * hundreds).collect();
+            assert_eq!(refinement(Refinement::Cull), late, "{views} views");
+            assert_eq!(steps(&params, views, |work| work.ceiling), of_each_block(&[100]), "{views} views");
+        }
+        // Blocks 2 to 19 have a ceiling: those of steps 100 and 600 are in the warm-up.
+        let ceilings = steps(&params, 18, |work| work.ceiling);
+        assert_eq!((ceilings.len(), ceilings[0], ceilings[17]), (18, 1100, 9600));
+    }
+
+    #[test]
+    fn a_gentle_run_neither_pauses_nor_lowers_and_one_without_density_control_does_nothing() {
+        let mut params = paper();
+        params.densify.gentle_below = 15_001;
+        let every: Vec<u64> = (7..100).map(|hundreds| 100 * hundreds).collect();
+        assert_eq!(steps(&params, 18, |work| work.refinement == Some(Refinement::Grow)), every);
+        assert!(steps(&params, 18, |work| work.ceiling).is_empty());
+        params.densify.enabled = false;
+        assert!(steps(&params, 18, |work| work != DensityWork::default()).is_empty());
+    }
+
+    #[test]
+    fn faint_gaussians_are_removed_below_a_half_while_growing_and_below_a_tenth_afterwards() {
+        let growing = paper().refine_settings(true, 5000, 70_000);
+        let expected = RefineSettings {
+            grow: true,
+            gradient_threshold: 8e-4,
+            split_scale: 1e-3,
+            cull_opacity: 0.5,
+            cull_scale: 10.0,
+            floor: 500,
+            most: 70_000,
+        };
+        assert_eq!(growing, expected);
+        let late = paper().refine_settings(false, 300, 70_000);
+        assert_eq!(late, RefineSettings { grow: false, cull_opacity: 0.1, floor: 100, ..expected });
+    }
+}
