@@ -25,11 +25,13 @@ const STAGES: [&str; 9] =
 const TRAININGS: [&str; 2] = ["reconstruct", "enhance"];
 /// Steps of each training, with a checkpoint after every step.
 const STEPS: u64 = 80;
-const OFTEN: [&str; 4] = [
+const OFTEN: [&str; 5] = [
     "reconstruct.iterations=80",
     "reconstruct.checkpoint_steps=1",
     "enhance.iterations=80",
     "enhance.checkpoint_every=1",
+    // The default's estimate of the water is killed too.
+    "reconstruct.medium_prior=auto",
 ];
 
 /// Marsaglia's xorshift: the same moments in every run, as far as the clock allows.

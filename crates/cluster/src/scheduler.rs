@@ -8,7 +8,7 @@ use super::site::{Scheduler, Site};
 use super::submission::{Submission, Submitted};
 use super::{ClusterError, hyperqueue, slurm};
 
-/// The time that Slurm needs to find that a job can never run.
+/// The longest time that Slurm needs to find that a job can never run.
 const EXAMINED: Duration = Duration::from_secs(2);
 
 impl Scheduler {
@@ -96,7 +96,7 @@ impl Scheduler {
     }
 
     /// Warnings about submitted jobs that will never start, because the site has no place for their requests.
-    /// This waits until the scheduler knows.
+    /// This waits until the scheduler knows, or for two seconds.
     pub fn warnings(self, jobs: &[Job], submitted: &Submitted) -> Vec<String> {
         if self == Self::HyperQueue {
             let warning = |(asked, jobs): (String, Vec<&str>)| {
@@ -109,7 +109,6 @@ impl Scheduler {
             };
             return hyperqueue::unserved(jobs).into_iter().map(warning).collect();
         }
-        std::thread::sleep(EXAMINED);
         let numbers: Vec<String> = submitted.jobs.iter().map(|(_, number)| number.clone()).collect();
         let warning = |(number, reason): (String, String)| {
             let why = match reason.contains("NotAllowed") {
@@ -124,6 +123,6 @@ impl Scheduler {
                  `use3d cancel`, and submit again"
             )
         };
-        slurm::never(&numbers).into_iter().map(warning).collect()
+        slurm::never(&numbers, EXAMINED).into_iter().map(warning).collect()
     }
 }

@@ -232,8 +232,9 @@ fn is_of(task: &ClusterTask, here: Option<&str>) -> bool {
     task.scheduler == "slurm" && (task.cluster.is_empty() || here == Some(&task.cluster))
 }
 
-/// Returns the jobs that can never start, each with Slurm's reason.
-pub fn never(numbers: &[String]) -> Vec<(String, String)> {
+/// Returns the jobs that can never start, each with Slurm's reason. A job has the reason `None` until Slurm has
+/// examined it, or while it runs; this asks again until no job has, or `patience` is over.
+pub fn never(numbers: &[String], patience: Duration) -> Vec<(String, String)> {
     const FOR_EVER: [&str; 6] = [
         "PartitionConfig",
         "PartitionNodeLimit",
@@ -243,10 +244,18 @@ pub fn never(numbers: &[String]) -> Vec<(String, String)> {
         "QOSNotAllowed",
     ];
     let arguments = ["--noheader", "--array-unique", "--format=%i %r", "--jobs", &numbers.join(",")];
-    let said = call("squeue", &arguments, "").unwrap_or_default();
-    let lines = said.lines().filter_map(|line| line.trim().split_once(' '));
-    let stuck = lines.filter(|(_, reason)| FOR_EVER.iter().any(|known| reason.contains(known)));
-    stuck.map(|(number, reason)| (number.to_string(), reason.trim_matches(['(', ')']).to_string())).collect()
+    let start = Instant::now();
+    loop {
+        let said = call("squeue", &arguments, "").unwrap_or_default();
+        let lines = said.lines().filter_map(|line| line.trim().split_once(' '));
+        let reasons: Vec<_> = lines.map(|(number, why)| (number, why.trim_matches(['(', ')']))).collect();
+        if start.elapsed() < patience && reasons.iter().any(|(_, reason)| *reason == "None") {
+            std::thread::sleep(patience / 8);
+            continue;
+        }
+        let stuck = reasons.into_iter().filter(|(_, why)| FOR_EVER.iter().any(|known| why.contains(known)));
+        return stuck.map(|(number, reason)| (number.to_string(), reason.to_string())).collect();
+    }
 }
 
 /// The job's number in the output of `sbatch --parsable`: if there are several clusters, a semicolon and the

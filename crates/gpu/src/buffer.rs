@@ -196,7 +196,7 @@ mod tests {
 
     #[test]
     fn what_was_written_is_read_and_growing_starts_anew() {
-        let Some(gpu) = crate::testing::software() else { return };
+        let Some(gpu) = crate::test_support::software() else { return };
         let mut array = Array::from(&gpu, "numbers", &[1u32, 2, 3, 4, 5]).unwrap();
         assert_eq!(array.read(&gpu, 9).unwrap(), [1, 2, 3, 4, 5]);
         array.write(&gpu, 3, &[7, 8, 9]);
@@ -215,7 +215,7 @@ mod tests {
 
     #[test]
     fn a_buffer_that_no_kernel_could_see_is_refused_with_its_size() {
-        let Some(gpu) = crate::testing::software() else { return };
+        let Some(gpu) = crate::test_support::software() else { return };
         let most = gpu.adapter.binding;
         let error = Array::<u32>::new(&gpu, "records", (most / 4 + 4) as usize).unwrap_err().to_string();
         assert!(error.contains("records") && error.contains(&most.to_string()), "{error}");

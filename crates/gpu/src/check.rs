@@ -123,7 +123,7 @@ pub fn checked_adapters() -> Vec<(crate::AdapterReport, Result<String, CheckErro
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::software;
+    use crate::test_support::software;
 
     #[test]
     fn a_sound_adapter_passes_and_a_lost_one_is_told_by_name() {

@@ -115,7 +115,7 @@ mod tests {
 
     #[test]
     fn values_come_back_from_as_many_chunks_as_they_need() {
-        let Some(gpu) = crate::testing::software() else { return };
+        let Some(gpu) = crate::test_support::software() else { return };
         // A chunk holds ten Gaussians.
         let gpu = gpu.binding(1920 + 100);
         let mut chunked = Chunked::new(&gpu, "values", 48, 7).unwrap();

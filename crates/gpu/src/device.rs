@@ -467,7 +467,7 @@ mod tests {
 
     #[test]
     fn a_lost_device_is_an_error_and_no_panic() {
-        let Some(gpu) = crate::testing::software() else { return };
+        let Some(gpu) = crate::test_support::software() else { return };
         gpu.check().unwrap();
         gpu.lose();
         let error = gpu.wait().unwrap_err();

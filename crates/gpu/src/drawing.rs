@@ -164,7 +164,7 @@ mod tests {
     use use3d_splat::{Colors, Options, Prepared, Rasterizer};
 
     use super::*;
-    use crate::testing::{camera, cloud, software, water};
+    use crate::test_support::{camera, cloud, software, water};
     use crate::twins::compare_pictures;
 
     /// Compares every array of both drawings.

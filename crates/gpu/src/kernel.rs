@@ -122,7 +122,7 @@ impl Spec {
         }
         for part in &self.parts {
             #[cfg(test)]
-            let part = &*crate::other_drivers::without_barrier(part);
+            let part = &*crate::driver_tests::without_barrier(part);
             text.push_str(part);
             text.push('\n');
         }

@@ -66,13 +66,13 @@ mod constants;
 mod device;
 mod drawing;
 mod drawn;
+#[cfg(test)]
+mod driver_tests;
 mod kernel;
 mod linear;
 mod lists;
 mod losses;
 pub mod measure;
-#[cfg(test)]
-mod other_drivers;
 mod per_view;
 mod profile;
 mod raster;
@@ -85,7 +85,7 @@ mod stage1;
 mod stage2;
 mod subgroups;
 #[cfg(test)]
-mod testing;
+mod test_support;
 #[cfg(test)]
 mod tests;
 mod times;

@@ -214,7 +214,7 @@ mod tests {
     use use3d_splat::{Colors, Prepared, Rasterizer};
 
     use super::*;
-    use crate::testing::{camera, cloud, relative, software};
+    use crate::test_support::{camera, cloud, relative, software};
 
     fn drawn(purpose: &'static str, count: usize) -> Vec<f32> {
         let stream = Stream::new(3, Purpose::new(purpose), 0);

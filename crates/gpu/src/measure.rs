@@ -128,7 +128,7 @@ pub fn ceilings(gpu: &Gpu, bytes: u64, least: f64) -> Result<Ceilings, EngineErr
 mod tests {
     use super::*;
     use crate::kernel::tests::validate;
-    use crate::testing::software;
+    use crate::test_support::software;
 
     #[test]
     fn the_kernels_are_valid() {

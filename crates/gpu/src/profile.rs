@@ -107,7 +107,7 @@ mod tests {
     use std::collections::BTreeMap;
 
     use super::*;
-    use crate::testing::software;
+    use crate::test_support::software;
     use crate::twins::LossCase;
 
     #[test]

@@ -151,7 +151,7 @@ mod tests {
     use use3d_reconstruct::engine::{Moments, Statistics};
 
     use super::*;
-    use crate::testing::{cloud, software};
+    use crate::test_support::{cloud, software};
 
     /// Rows of every kind in any order, fewer and more than before, in one buffer and in several.
     #[test]

@@ -203,10 +203,10 @@ mod tests {
 
     #[test]
     fn a_scene_comes_back_as_it_went() {
-        let Some(gpu) = crate::testing::software() else { return };
+        let Some(gpu) = crate::test_support::software() else { return };
         let mut scene = DeviceScene::new(&gpu).unwrap();
         for n in [0usize, 1, 257] {
-            let gaussians = crate::testing::cloud(n, -2.0, 1.0);
+            let gaussians = crate::test_support::cloud(n, -2.0, 1.0);
             let mut moments = Moments::new(&gaussians);
             moments.first.clone_from(&gaussians);
             moments.second.opacity_logits.fill(0.25);

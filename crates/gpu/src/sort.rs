@@ -221,7 +221,7 @@ mod tests {
     /// More blocks than a workgroup has threads, so that sums go on from one round to the next.
     #[test]
     fn more_than_a_million_pairs_are_sorted() {
-        let Some(gpu) = crate::testing::software() else { return };
+        let Some(gpu) = crate::test_support::software() else { return };
         let kernels = Kernel::all(&gpu, &specs()).unwrap();
         let counts = Array::from(&gpu, "counts", &[0u32; 64]).unwrap();
         for (n, bits) in [((1 << 20) + 1, 13), (2_100_000, 8)] {
@@ -239,7 +239,7 @@ mod tests {
 
     #[test]
     fn pairs_are_sorted_and_ties_keep_their_order() {
-        let Some(gpu) = crate::testing::software() else { return };
+        let Some(gpu) = crate::test_support::software() else { return };
         let kernels = Kernel::all(&gpu, &specs()).unwrap();
         let counts = Array::from(&gpu, "counts", &[0u32; 64]).unwrap();
         let mut sort = Sort::new(&gpu, 1).unwrap();

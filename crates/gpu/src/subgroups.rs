@@ -70,7 +70,7 @@ mod tests {
 
     #[test]
     fn the_width_is_the_one_that_the_driver_reports() {
-        let Some(gpu) = crate::testing::software() else { return };
+        let Some(gpu) = crate::test_support::software() else { return };
         let [least, most] = gpu.adapter.subgroup;
         let found = width(&gpu).unwrap();
         assert!(least == most && found == Some(least), "{found:?} of {least} to {most}");

@@ -15,7 +15,7 @@ use crate::lists::Lists;
 use crate::raster::{DeviceCompositor, Outputs, kept};
 use crate::rows::Float4;
 use crate::scene::{DeviceScene, Parameters};
-use crate::testing::{camera, cloud, elsewhere, relative, software, water};
+use crate::test_support::{camera, cloud, elsewhere, relative, software, water};
 use crate::update::{COLOR_PULL, UpdateKernels};
 use crate::variant::Variant;
 

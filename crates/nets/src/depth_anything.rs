@@ -258,7 +258,7 @@ fn prepare(image: &Image, input_size: usize) -> Planes {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{Golden, every_channel, token_rows};
+    use crate::test_support::{Golden, every_channel, token_rows};
     use crate::weights::StandIn;
 
     fn check(size: DepthAnythingSize, name: &str) {

@@ -121,7 +121,7 @@ pub(crate) fn crop(input: &Planes, top: usize, left: usize, height: usize, width
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::picture;
+    use crate::test_support::picture;
 
     #[test]
     fn the_long_side_is_limited_and_the_mean_kept() {

@@ -37,7 +37,7 @@ mod musiq;
 mod nu2net;
 mod raft;
 #[cfg(test)]
-mod testing;
+mod test_support;
 mod uranker;
 pub mod weights;
 

@@ -152,7 +152,7 @@ fn difference(f: &Planes, g: &Planes, head: &[f32]) -> Planes {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{Golden, every_channel, picture};
+    use crate::test_support::{Golden, every_channel, picture};
     use crate::weights::StandIn;
     use use3d_numerics::math;
 

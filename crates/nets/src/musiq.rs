@@ -275,7 +275,7 @@ fn cut(image: &Planes, scale: usize, out: &mut Vec<Token>) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{Golden, every_channel, picture, token_rows};
+    use crate::test_support::{Golden, every_channel, picture, token_rows};
     use crate::weights::StandIn;
 
     fn centred(planes: &Planes) -> Planes {

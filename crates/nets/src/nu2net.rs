@@ -164,7 +164,7 @@ fn stretch_if_outside(y: &mut Planes) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{Golden, every_channel, picture};
+    use crate::test_support::{Golden, every_channel, picture};
     use crate::weights::StandIn;
 
     #[test]

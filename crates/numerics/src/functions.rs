@@ -163,7 +163,7 @@ mod tests {
 
     use super::*;
     use crate::math;
-    use crate::testing::fuses;
+    use crate::test_support::fuses;
 
     #[inline(always)]
     fn all<S: Simd>(simd: S, x: &[f32; 16]) -> [[f32; 16]; 4] {

@@ -21,4 +21,4 @@ pub mod rows;
 pub mod spherical_harmonics;
 pub mod sums;
 #[cfg(test)]
-mod testing;
+mod test_support;

@@ -106,7 +106,7 @@ pub fn tile<S: Simd, const R: usize, const V: usize>(
 mod tests {
     use super::*;
     use crate::random::{Purpose, Stream};
-    use crate::testing::fuses;
+    use crate::test_support::fuses;
     use fearless_simd::{Level, dispatch};
 
     const TERMS: usize = 137;

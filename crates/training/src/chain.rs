@@ -204,7 +204,7 @@ impl Checkpoints {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::SavedStep;
+    use crate::test_support::SavedStep;
 
     struct Run(Checkpoints);
 

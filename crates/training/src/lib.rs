@@ -20,7 +20,7 @@ mod pace;
 mod profile;
 mod session;
 #[cfg(test)]
-mod testing;
+mod test_support;
 
 pub use chain::{Checkpoints, Resumable, ResumePoint};
 pub use checkpoint::{CheckpointError, CheckpointFile};

@@ -178,7 +178,7 @@ impl Session {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::SavedStep;
+    use crate::test_support::SavedStep;
 
     /// Counts steps, and records the steps after which it was saved.
     #[derive(Default)]

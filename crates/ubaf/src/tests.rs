@@ -7,8 +7,8 @@ use use3d_capture::{Image, MediumMaps};
 use use3d_numerics::random::{Purpose, Stream};
 
 use crate::guide::{gamma_scalar, signed_log};
-use crate::plain::{self, Exact};
 use crate::sites::guide_color;
+use crate::test_plain::{self as plain, Exact};
 use crate::water::ViewWater;
 use crate::{Field, FieldBox, Gradient, ObjectPass, Shape, WaterPass, variation};
 

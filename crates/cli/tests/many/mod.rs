@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use crate::tiny::{TINY, command, files, synthesise};
+use crate::tiny::{NO_WATER, TINY, command, files, synthesise};
 
 pub(crate) struct Many {
     pub(crate) dir: tempfile::TempDir,
@@ -15,7 +15,8 @@ pub(crate) struct Many {
 
 /// Settings with which a run of them takes seconds, as arguments of `use3d run` and `use3d submit`.
 pub(crate) fn settings() -> Vec<String> {
-    let quick = ["reconstruct.iterations=12", "enhance.iterations=6", "reconstruct.checkpoint_steps=2"];
+    let quick =
+        ["reconstruct.iterations=12", "enhance.iterations=6", "reconstruct.checkpoint_steps=2", NO_WATER];
     TINY.iter().chain(&quick).flat_map(|set| ["--set".to_string(), (*set).to_string()]).collect()
 }
 

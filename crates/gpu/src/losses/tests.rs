@@ -6,7 +6,7 @@ use use3d_metrics::ms_ssim;
 
 use super::*;
 use crate::kernel::submit;
-use crate::testing::software;
+use crate::test_support::software;
 use crate::twins::{LossCase, losses};
 
 impl Losses {

@@ -223,7 +223,7 @@ mod tests {
 
     use super::*;
     use crate::kernel::submit;
-    use crate::testing::{camera, software};
+    use crate::test_support::{camera, software};
 
     /// Every value that a photograph, a mask and a prior can have, with sizes that do not fill the last word.
     fn view(deep: bool, parts: bool) -> TrainingView {

@@ -12,7 +12,7 @@ use use3d_reconstruct::{ExposureStep, LoadedView};
 
 use super::*;
 use crate::profile::Timed;
-use crate::testing::{camera, cloud, relative, same_bits_elsewhere, software};
+use crate::test_support::{camera, cloud, relative, same_bits_elsewhere, software};
 use crate::twins::SceneSize;
 
 const RATES: StepRates = StepRates {

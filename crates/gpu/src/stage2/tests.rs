@@ -14,7 +14,7 @@ use use3d_training::{Drain, EngineError, Silent};
 use use3d_ubaf::{Field, ObjectPass, ViewWater, WaterPass};
 
 use super::{Stage2, initial_field};
-use crate::testing::{camera, cloud, relative, same_bits_elsewhere, software};
+use crate::test_support::{camera, cloud, relative, same_bits_elsewhere, software};
 use crate::twins::{self, Waves};
 
 const WIDTH: usize = 56;

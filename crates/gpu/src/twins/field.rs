@@ -123,7 +123,7 @@ pub fn field(gpu: &Gpu, scene: &SceneSize) -> Result<Vec<Agreement>, EngineError
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::software;
+    use crate::test_support::software;
 
     #[test]
     fn a_step_of_stage_2_agrees_in_every_group() {

@@ -148,7 +148,7 @@ mod tests {
     /// The crowd of the check is in one tile, and no pixel stops before its end.
     #[test]
     fn a_crowd_is_in_one_tile_and_is_composed_to_its_end() {
-        let Some(gpu) = crate::testing::software() else { return };
+        let Some(gpu) = crate::test_support::software() else { return };
         let (scene, crowd) = (super::super::LARGE, super::super::CROWD);
         let mut engine = crate::stage1::Stage1::new(&gpu).unwrap();
         for found in large_step(&mut engine, &scene, crowd).unwrap() {

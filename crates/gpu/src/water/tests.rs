@@ -3,7 +3,7 @@
 use use3d_medium::{MediumGlobal, MediumMlp, MediumRbf};
 
 use super::*;
-use crate::testing::software;
+use crate::test_support::software;
 use crate::twins::{WaterCase, water};
 
 #[test]

@@ -84,7 +84,7 @@ fn mask(scores: &mut [[f32; LANES]], valid: &[bool], first_query: usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::noise;
+    use crate::test_support::noise;
     use use3d_numerics::math;
 
     #[test]

@@ -299,7 +299,7 @@ impl BlockUpsampling {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::noise;
+    use crate::test_support::noise;
 
     /// The definition, in f64.
     fn plain(

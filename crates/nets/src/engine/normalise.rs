@@ -131,7 +131,7 @@ fn column_moments(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::noise;
+    use crate::test_support::noise;
     use use3d_numerics::math;
 
     #[test]

@@ -221,7 +221,7 @@ pub(crate) fn plain(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::noise;
+    use crate::test_support::noise;
 
     #[test]
     fn every_tiling_and_thread_count_gives_the_bits_of_the_scalar_twin() {

@@ -199,7 +199,7 @@ fn fixed_point<'a>(weights: &[i64], values: impl Iterator<Item = &'a u8>) -> u8 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::Golden;
+    use crate::test_support::Golden;
 
     #[test]
     fn golden_resamplers() {

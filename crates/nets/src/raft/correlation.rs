@@ -149,7 +149,7 @@ fn features_last(planes: &Planes, scale: f32) -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::noise;
+    use crate::test_support::noise;
 
     #[test]
     fn equals_the_stored_volume_also_at_borders_and_far_outside() {

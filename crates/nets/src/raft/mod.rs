@@ -121,7 +121,7 @@ impl Raft {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{Golden, every_channel, picture};
+    use crate::test_support::{Golden, every_channel, picture};
     use crate::weights::StandIn;
 
     fn centred(image: &Image) -> Planes {

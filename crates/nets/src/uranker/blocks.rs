@@ -211,7 +211,7 @@ impl SerialBlock {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::noise;
+    use crate::test_support::noise;
 
     #[test]
     fn factorised_attention_equals_its_definition() {

@@ -298,7 +298,7 @@ fn histogram(x: &Planes) -> Planes {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{Golden, picture, token_rows};
+    use crate::test_support::{Golden, picture, token_rows};
     use crate::weights::StandIn;
 
     #[test]

@@ -63,7 +63,7 @@ fn an_adapter_passes_its_check() {
 #[test]
 fn swiftshader_passes_the_check_in_every_variant() {
     let Some(driver) = library("vk_swiftshader_icd.json") else { return };
-    let test = "other_drivers::an_adapter_passes_its_check";
+    let test = "driver_tests::an_adapter_passes_its_check";
     let (well, text) = elsewhere(test, "swiftshader", &[("VK_DRIVER_FILES", &driver)]);
     assert!(well && text.contains("with portable.") && text.contains("with subgroups of 4."), "{text}");
 }
@@ -136,7 +136,7 @@ impl Drop for LayerFolder {
 fn validated(settings: &[&str]) {
     let Some(layer) = library("libVkLayer_khronos_validation.so") else { return };
     let folder = LayerFolder::new(&layer, settings);
-    let test = "other_drivers::small_work_is_done_in_every_variant";
+    let test = "driver_tests::small_work_is_done_in_every_variant";
     let variables = [
         ("VK_LAYER_PATH", &*folder.0),
         ("VK_INSTANCE_LAYERS", Path::new("VK_LAYER_KHRONOS_validation")),
@@ -234,7 +234,7 @@ fn a_barrier_is_removed_from_one_part_alone() {
 #[ignore = "a measurement of half an hour, not a check: its result stands in docs/science/gpu.md"]
 fn removed_barriers_are_noticed() {
     let Some(layer) = library("libVkLayer_khronos_validation.so") else { return };
-    let test = "other_drivers::small_work_is_done_in_every_variant";
+    let test = "driver_tests::small_work_is_done_in_every_variant";
     for (at, part) in parts_with_barriers().into_iter().enumerate() {
         if std::env::var(PARTS).is_ok_and(|parts| parts.split(',').all(|part| part != at.to_string())) {
             continue;

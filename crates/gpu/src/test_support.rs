@@ -52,7 +52,8 @@ pub(crate) fn same_bits_elsewhere(test: &str) {
         line.unwrap_or_else(|| panic!("{threads} threads, {bits} bits: {text}"))
     };
     let expected = digest("1", "256");
-    for (threads, bits) in [("2", "256"), ("1", "128"), ("2", "512")] {
+    // Each process compiles all kernels anew, so both are changed at once.
+    for (threads, bits) in [("2", "128"), ("3", "512")] {
         assert_eq!(digest(threads, bits), expected, "{threads} threads, {bits} bits");
     }
 }
