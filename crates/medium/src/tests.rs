@@ -307,6 +307,19 @@ fn the_start_is_that_of_the_method() {
     }
 }
 
+/// Two anchors far narrower than the floor `σ = 1e-4`, at distances 1e-4 and 2e-4 of the camera: affinities
+/// −1/2 and −2, so the nearer one has the share `1 / (1 + exp(−3/2)) = 0.8175744762`.
+#[test]
+fn widths_have_the_floor_of_the_method() {
+    let mut rbf = MediumRbf::new(2, 2);
+    rbf.log_widths = vec![-20.0; 2];
+    rbf.centers = vec![[0.0, 2e-4, 0.0], [1e-4, 0.0, 0.0]];
+    let mut camera = camera(&Stream::new(3, Purpose::new("a narrow anchor"), 0), 6, 5);
+    camera.pose.translation = DVec3::ZERO;
+    let shares = weights(&rbf, &camera);
+    assert!((shares[1] - 0.817_574_476_2).abs() < 1e-5, "{shares:?}");
+}
+
 #[test]
 fn anchor_weights_sum_to_one_over_at_most_k() {
     for seed in 0..20 {

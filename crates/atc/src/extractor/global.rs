@@ -211,6 +211,22 @@ pub(crate) fn invert_positive_definite(a: &[[f64; 4]; 4]) -> Option<[[f64; 4]; 4
 mod tests {
     use super::*;
 
+    /// `0.05 + 0.95 S((Y − 0.005) / 0.02) S((1.2 − Y) / 0.10)` of greys, by numpy in float64.
+    #[test]
+    fn black_and_burnt_out_pixels_count_little() {
+        for (grey, expected) in [
+            (-0.1, 0.05495910819966238),
+            (0.0, 0.46592976859766944),
+            (0.02, 0.6952149221638723),
+            (0.5, 0.9991345013483941),
+            (1.2, 0.525),
+            (1.5, 0.09505457951868843),
+        ] {
+            let found = f64::from(pixel_weights(&Image::filled(1, 1, grey)).data()[0]);
+            assert!((found - expected).abs() < 2e-6, "{grey}: {found}, expected {expected}");
+        }
+    }
+
     #[test]
     fn the_inverse_inverts() {
         let a = [[4.0, 1.0, 0.5, 0.2], [1.0, 3.0, 0.3, 0.1], [0.5, 0.3, 2.0, 0.7], [0.2, 0.1, 0.7, 5.0]];
