@@ -379,12 +379,15 @@ fn create(files: &dyn Files, path: &Path, bytes: &[u8]) -> Created {
     }
 }
 
+/// The beginning of a claim's name after the lease's. Its content is the name of its process.
+pub(super) const CLAIM: &str = "claim-";
+
 /// Replaces the lease of a holder that has ended by `bytes`. If several processes try at once, one succeeds:
 /// the first that creates the claim file for these very bytes.
 fn take_over(cache: &Cache, path: &Path, bytes: &[u8], dead: &[u8], now: Duration) -> Created {
     let files = cache.files();
-    let claim = files::sibling(path, &format!("claim-{}", Digest::of(dead).short()));
-    match create(files, &claim, &[]) {
+    let claim = files::sibling(path, &format!("{CLAIM}{}", Digest::of(dead).short()));
+    match create(files, &claim, files::unique().as_bytes()) {
         Created::Done => {}
         Created::Taken => {
             if cache.leases.unchanged(&claim, &[], modified(&claim), now) >= HALF {

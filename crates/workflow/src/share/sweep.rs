@@ -8,7 +8,7 @@ use crate::cache::artifacts::Cache;
 use crate::cache::files;
 use crate::cache::key::Key;
 use crate::cache::machine::ProcessId;
-use crate::share::lease::in_use;
+use crate::share::lease::{CLAIM, in_use};
 
 /// The name of the empty file in the folder of checkpoints whose stage has finished.
 const FINISHED: &str = "finished";
@@ -46,7 +46,9 @@ impl Cache {
                 let Some((_, owner)) = name.to_str().and_then(|n| n.split_once(files::SIBLING)) else {
                     continue;
                 };
-                if is_left(owner, &entry, 3600) {
+                let claims =
+                    owner.starts_with(CLAIM).then(|| std::fs::read_to_string(entry.path()).ok()).flatten();
+                if is_left(claims.as_deref().unwrap_or(owner), &entry, 3600) {
                     let _ = self.files().remove_file(&entry.path());
                 }
             }
@@ -70,6 +72,26 @@ mod tests {
     use std::time::{Duration, SystemTime};
 
     use super::*;
+
+    #[test]
+    fn a_claim_goes_with_its_process_and_no_other() {
+        let dir = tempfile::tempdir().unwrap();
+        let cache = Cache::open(&dir.path().join("cache"), false).unwrap();
+        let this = ProcessId::this();
+        let gone = ProcessId { started: this.started + 1, ..this.clone() };
+        if gone.is_alive() != Some(false) {
+            return; // a system that does not report it
+        }
+        let claim = |name: &str, owner: &ProcessId| {
+            let path = cache.root().join("leases").join(format!("{name}{}{CLAIM}0", files::SIBLING));
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            std::fs::write(&path, format!("{}-0", owner.name())).unwrap();
+            path
+        };
+        let claims = [claim("a", &gone), claim("b", &this)];
+        cache.sweep();
+        assert_eq!(claims.map(|path| path.exists()), [false, true]);
+    }
 
     #[test]
     fn checkpoints_go_when_their_stage_has_been_finished_for_long() {
