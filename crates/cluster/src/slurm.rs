@@ -232,8 +232,8 @@ fn is_of(task: &ClusterTask, here: Option<&str>) -> bool {
     task.scheduler == "slurm" && (task.cluster.is_empty() || here == Some(&task.cluster))
 }
 
-/// Returns the jobs that can never start, each with Slurm's reason. A job has the reason `None` until Slurm has
-/// examined it, or while it runs; this asks again until no job has, or `patience` is over.
+/// Returns the jobs that can never start, each with Slurm's reason. A job has the reason `None` until Slurm
+/// has examined it, and while it runs; this asks again until no job has, or `patience` is over.
 pub fn never(numbers: &[String], patience: Duration) -> Vec<(String, String)> {
     const FOR_EVER: [&str; 6] = [
         "PartitionConfig",

@@ -8,7 +8,7 @@
 //! are slices.
 //!
 //! Reading order: [`field`] (the parameters) → `guide` and `sites` (the coordinates of a Gaussian's lookup)
-//! → `kernel` (code and decoder, forward and backward, 16 Gaussians at a time; `test_plain` is the scalar twin)
+//! → `kernel` (code and decoder, forward and backward, 16 Gaussians at a time; `test_plain` has the twin)
 //! → [`objects`] (constant mode, Gaussian colours) → [`water`] (guide table, medium maps, transport) →
 //! [`variation`] → [`enhancement`] (the trained field, ready to render).
 

@@ -669,8 +669,8 @@ fn many_requests_are_made_at_once_and_no_more_than_thirty_two() {
     }
 }
 
-/// A store that is 20 ms away: nothing to do is found in seconds, because two lists say all names, however many
-/// there are. Each list takes the time of twenty answers here. `USE3D_SCENES=500` makes 2,500 artifacts.
+/// A store that is 20 ms away: nothing to do is found in seconds, because two lists say all names, however
+/// many there are. Each list takes the time of twenty answers here. `USE3D_SCENES=500` makes 2,500 artifacts.
 #[test]
 fn nothing_to_do_is_found_soon_in_a_store_far_away() {
     let count = std::env::var("USE3D_SCENES").map_or(100, |n| n.parse().expect("a number of scenes"));
