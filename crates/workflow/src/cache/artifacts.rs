@@ -120,7 +120,9 @@ impl Cache {
         // A new disk may have these.
         let of_the_system = |name: &str| name.starts_with('.') || name == "lost+found";
         let others = |entry: &std::fs::DirEntry| !of_the_system(&entry.file_name().to_string_lossy());
-        if !Self::is_cache(folder) && files::entries(folder).any(|entry| others(&entry)) {
+        let has_others = || files::entries(folder).any(|entry| others(&entry));
+        // Another process may make this very cache between the first question and the second.
+        if !Self::is_cache(folder) && has_others() && !Self::is_cache(folder) {
             let other = std::io::Error::other(
                 "the folder holds other files; a cache (--cache, USE3D_CACHE) needs a folder of its own, new or empty",
             );

@@ -6,6 +6,7 @@ mod code;
 mod crash;
 mod devices;
 mod economy;
+mod far_store;
 mod faults;
 mod faulty_store;
 mod nodes;

@@ -5,12 +5,12 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Barrier, Mutex};
 
 use serde_json::json;
 use use3d_workflow::gc::CleanOptions;
 use use3d_workflow::run::{NodeResult, RanNode, RunOptions};
-use use3d_workflow::{Batch, Builder, Event, Graph, Listener, Summary};
+use use3d_workflow::{Batch, Builder, Cache, Event, Graph, Listener, Summary};
 
 use super::stages::{batch, builder, in_task, payload, run};
 
@@ -254,4 +254,23 @@ fn what_failed_in_one_task_is_left_alone_by_the_others_of_its_submission() {
     let (alone, started, _) =
         run_meddled(&builder(&dir.path().join("cache")), &batch, &options, |_| false, || {});
     assert_eq!((failing(&started), alone.exit_code()), (1, 1));
+}
+
+/// The first runs of a batch begin at the same moment on a cache that is not there yet.
+#[test]
+fn a_new_cache_is_made_by_all_that_come_at_once() {
+    let dir = tempfile::tempdir().expect("a folder");
+    for round in 0..300 {
+        let folder = dir.path().join(round.to_string());
+        let gate = Barrier::new(4);
+        let open = || {
+            gate.wait();
+            Cache::open(&folder, false).map(drop)
+        };
+        let opened: Vec<_> = std::thread::scope(|scope| {
+            let threads: Vec<_> = (0..4).map(|_| scope.spawn(open)).collect();
+            threads.into_iter().map(|thread| thread.join().expect("no panic")).collect()
+        });
+        assert!(opened.iter().all(Result::is_ok), "round {round}: {opened:?}");
+    }
 }
