@@ -18,8 +18,9 @@ mod many;
 mod tiny;
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fs::File;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use machines::{Fake, inside};
@@ -94,6 +95,17 @@ impl Target<'_> {
         format!("out-{}", self.cache)
     }
 
+    /// The file of the workers' messages.
+    fn said(&self) -> PathBuf {
+        self.many.at(&format!("said-{}", self.cache))
+    }
+
+    /// Fails, with the workers' messages, if one of them did not succeed.
+    fn succeeds(&self, status: ExitStatus, kills: &BTreeMap<String, usize>) {
+        let said = std::fs::read_to_string(self.said()).unwrap_or_default();
+        assert!(status.success(), "{status} after {kills:?}: {said}");
+    }
+
     /// Starts the n-th worker.
     fn worker(&self, n: usize) -> Worker<'_> {
         let mut command = self.many.command(&["-q", "run"], &self.cache);
@@ -104,7 +116,8 @@ impl Target<'_> {
         if let Some(machine) = machine {
             command = machine.on(&command);
         }
-        let child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn();
+        let said = File::options().create(true).append(true).open(self.said()).expect("a log");
+        let child = command.stdout(Stdio::null()).stderr(said).spawn();
         Worker { child: child.expect("the command starts"), machine }
     }
 
@@ -140,7 +153,7 @@ impl Target<'_> {
             std::thread::sleep(Duration::from_millis(random.below(self.peace.as_millis().max(1) as u64)));
             for worker in &mut workers {
                 if let Some(status) = worker.child.try_wait().expect("a state") {
-                    assert!(status.success(), "{status} after {kills:?}");
+                    self.succeeds(status, kills);
                     ended = true;
                 }
             }
@@ -165,7 +178,7 @@ impl Target<'_> {
         let last = (0..self.machines.len()).map(|n| self.worker(n));
         for mut worker in workers.into_iter().chain(last) {
             let status = worker.child.wait().expect("ends");
-            assert!(status.success(), "{status} after {kills:?}");
+            self.succeeds(status, kills);
         }
         let found = self.many.artifacts(&self.cache);
         assert_eq!(found.keys().collect::<BTreeSet<_>>(), self.whole.keys().collect(), "after {kills:?}");
