@@ -45,10 +45,11 @@ pub(crate) struct ColorSpace {
     profile: Box<ColorProfile>,
 }
 
-/// The profile, or the gamma, that a file states.
+/// The profile, or the gamma, that a file states; or a name that changes no byte here.
 enum Stated {
     Profile(Vec<u8>),
     Gamma(f32),
+    Named,
 }
 
 fn stated(reader: &mut dyn ByteSource, format: FileFormat) -> Option<Stated> {
@@ -65,7 +66,8 @@ fn stated(reader: &mut dyn ByteSource, format: FileFormat) -> Option<Stated> {
             match (&info.icc_profile, info.srgb, info.gama_chunk) {
                 (Some(profile), ..) => Some(Stated::Profile(profile.to_vec())),
                 (None, None, Some(gamma)) => Some(Stated::Gamma(gamma.into_value())),
-                _ => None,
+                (None, srgb, None) if srgb.is_none() && info.coding_independent_code_points.is_none() => None,
+                _ => Some(Stated::Named),
             }
         }
         FileFormat::Tiff => {
@@ -91,7 +93,7 @@ impl ColorSpace {
     /// The colour space that a file states; `None` if it is sRGB.
     fn of(reader: &mut dyn ByteSource, format: FileFormat) -> Result<Option<Self>, CmsError> {
         let (profile, name) = match stated(reader, format) {
-            None => return Ok(None),
+            None | Some(Stated::Named) => return Ok(None),
             Some(Stated::Profile(bytes)) => {
                 let profile = ColorProfile::new_from_slice(&bytes)?;
                 let name = name_of(&profile);
@@ -160,6 +162,11 @@ pub(crate) fn convert(bytes: &[u8], format: FileFormat, decoded: &mut Decoded) -
     Some(space.name)
 }
 
+/// True if a file states what its colours stand for, also if they are sRGB.
+pub(crate) fn states_any(reader: &mut dyn ByteSource, format: FileFormat) -> bool {
+    stated(reader, format).is_some()
+}
+
 /// The use of what a file states about its colours.
 pub(crate) fn color_use(reader: &mut dyn ByteSource, format: FileFormat) -> ColorUse {
     match ColorSpace::of(reader, format) {
@@ -193,6 +200,24 @@ mod tests {
         assert!(matches!(used(encoded(ColorProfile::new_adobe_rgb())), ColorUse::Converted(_)));
         assert_eq!(used(encoded(ColorProfile::new_gray_with_gamma(2.2))), ColorUse::AsStored);
         assert_eq!(used(b"no profile".to_vec()), ColorUse::AsStored);
+    }
+
+    #[test]
+    fn a_statement_counts_also_if_it_changes_nothing() {
+        let srgb = ColorProfile::new_srgb().encode().unwrap();
+        let states = |bytes: Vec<u8>, format| states_any(&mut Cursor::new(bytes), format);
+        let tiff = |profile: Option<&[u8]>| {
+            let mut bytes = Cursor::new(Vec::new());
+            let mut encoder = tiff::encoder::TiffEncoder::new(&mut bytes).unwrap();
+            let mut image = encoder.new_image::<tiff::encoder::colortype::RGB16>(1, 1).unwrap();
+            if let Some(profile) = profile {
+                image.encoder().write_tag(tiff::tags::Tag::IccProfile, profile).unwrap();
+            }
+            image.write_data(&[1, 2, 3]).unwrap();
+            bytes.into_inner()
+        };
+        assert!(states(png_with(srgb.clone()), FileFormat::Png));
+        assert!(states(tiff(Some(&srgb)), FileFormat::Tiff) && !states(tiff(None), FileFormat::Tiff));
     }
 
     #[test]

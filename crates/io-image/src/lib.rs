@@ -52,7 +52,9 @@ pub use exr_file::{write_exr, write_exr_channels, write_exr_map};
 pub use folder::{FolderError, images_by_stem};
 pub use histogram::ChannelHistogram;
 pub use limits::MAX_PIXELS;
-pub use photograph::{Photograph, PhotographInfo, Rgb, photograph_info, whole_photograph_info};
+pub use photograph::{
+    Photograph, PhotographInfo, Rgb, photograph_info, states_colors, whole_photograph_info,
+};
 pub use read::{
     ImageInfo, decode, image_info, image_size, info_of_bytes, read, read_image, read_map, read_pixels,
     read_pixels_with_alpha,

@@ -5,23 +5,19 @@
 //! space. Limit: a picture of 16 bits for screens without any statement cannot be told from a linear one; a
 //! bright one gets a remark.
 
-use std::fs::{self, File};
-use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use use3d_capture::Pixels;
-use use3d_io_image::{FileFormat, photograph_info, read_pixels};
+use use3d_io_image::{FileFormat, photograph_info, read_pixels, states_colors};
 use use3d_prepare::is_photograph;
 
 use crate::WorkError;
-use crate::destination::{path_text, word};
+use crate::destination::{entries, path_text, word};
 
 /// Linear photographs of a scene have most of their pixels below this share of the brightest ones.
 const BRIGHT: f64 = 0.4;
 /// The share of the samples of a channel that are not brighter than its white.
 const WHITE: f64 = 0.998;
-/// The place of the words `RGB ` and `acsp` in a colour profile.
-const PROFILE: (usize, usize) = (16, 36);
 
 /// Refuses photographs that are not linear, and returns remarks.
 ///
@@ -29,20 +25,21 @@ const PROFILE: (usize, usize) = (16, 36);
 /// The first photograph that is a picture for screens, with the way out.
 pub(crate) fn check(folder: &Path) -> Result<Vec<String>, WorkError> {
     let mut photographs: Vec<PathBuf> =
-        listed(folder)?.into_iter().filter(|path| path.is_file() && is_photograph(path)).collect();
+        entries(folder).filter(|path| path.is_file() && is_photograph(path)).collect();
     photographs.sort();
     for path in &photographs {
         let info = photograph_info(path).map_err(WorkError::input)?;
-        let bytes = match info.format {
-            FileFormat::Png | FileFormat::Tiff if info.bits >= 16 => read(path)?,
-            FileFormat::Png | FileFormat::Tiff => {
-                return Err(refused(folder, path, "it has 8 bits per channel"));
+        let reason = match info.format {
+            FileFormat::Png | FileFormat::Tiff if info.bits < 16 => "it has 8 bits per channel",
+            format @ (FileFormat::Png | FileFormat::Tiff) => {
+                if !states_colors(path, format).map_err(WorkError::input)? {
+                    continue;
+                }
+                "it states a colour space, and linear values have none"
             }
-            _ => return Err(refused(folder, path, "it is no PNG and no TIFF")),
+            _ => "it is no PNG and no TIFF",
         };
-        if states_colors(&bytes) {
-            return Err(refused(folder, path, "it states a colour space, and linear values have none"));
-        }
+        return Err(refused(folder, path, reason));
     }
     let Some(first) = photographs.first() else { return Ok(Vec::new()) };
     let Pixels::Sixteen(pixels) = read_pixels(first).map_err(WorkError::input)? else {
@@ -60,38 +57,6 @@ pub(crate) fn check(folder: &Path) -> Result<Vec<String>, WorkError> {
         way_out(folder)
     );
     Ok((share > BRIGHT).then_some(bright).into_iter().collect())
-}
-
-fn listed(folder: &Path) -> Result<Vec<PathBuf>, WorkError> {
-    let entries = fs::read_dir(folder).and_then(|all| all.map(|entry| Ok(entry?.path())).collect());
-    entries.map_err(|error: io::Error| WorkError::Input(format!("{}: {error}", path_text(folder))))
-}
-
-fn read(path: &Path) -> Result<Vec<u8>, WorkError> {
-    let mut bytes = Vec::new();
-    let read = File::open(path).and_then(|mut file| file.read_to_end(&mut bytes));
-    read.map_err(|error| WorkError::Input(format!("{}: {error}", path_text(path))))?;
-    Ok(bytes)
-}
-
-/// True if a PNG or a TIFF says which colours its values stand for.
-fn states_colors(bytes: &[u8]) -> bool {
-    let Some(chunks) = bytes.strip_prefix(b"\x89PNG\r\n\x1a\n") else { return holds_profile(bytes) };
-    let mut rest = chunks;
-    while let Some((head, body)) = rest.split_first_chunk::<8>() {
-        if [&b"sRGB"[..], b"iCCP", b"gAMA", b"cICP"].contains(&&head[4..]) {
-            return true;
-        }
-        let length = u32::from_be_bytes([head[0], head[1], head[2], head[3]]) as usize;
-        rest = body.get(length.saturating_add(4)..).unwrap_or_default();
-    }
-    false
-}
-
-fn holds_profile(bytes: &[u8]) -> bool {
-    let (space, mark) = PROFILE;
-    let marked = bytes.windows(4).enumerate().skip(mark).filter(|(_, word)| *word == b"acsp");
-    marked.map(|(at, _)| at - mark + space).any(|at| bytes[at..].starts_with(b"RGB "))
 }
 
 /// The median of a channel as a share of its white.
@@ -119,6 +84,7 @@ fn way_out(folder: &Path) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::fs;
     use use3d_capture::Raster;
     use use3d_io_image::{write_png8, write_png16};
 
@@ -153,14 +119,5 @@ mod tests {
         fs::remove_file(at("c.png")).unwrap();
         write_png16(&at("a.png"), &picture(|i| 257 * i as u16)).unwrap();
         assert!(said().contains("repeat 8 bits"), "{}", said());
-    }
-
-    #[test]
-    fn a_profile_in_a_tiff_is_found() {
-        let mut profile = [0; 40];
-        profile[16..20].copy_from_slice(b"RGB ");
-        profile[36..].copy_from_slice(b"acsp");
-        assert!(states_colors(&[b"II*\0....", &profile[..]].concat()));
-        assert!(!states_colors(b"II*\0 acsp, but not of a profile, and RGB "));
     }
 }

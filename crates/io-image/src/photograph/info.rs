@@ -7,7 +7,7 @@ use std::path::Path;
 use tiff::tags::Tag;
 
 use crate::byte_source::ByteSource;
-use crate::color_space::{ColorUse, color_use};
+use crate::color_space::{ColorUse, color_use, states_any};
 use crate::cut_off::is_marked_at_the_end;
 use crate::error::{FileFormat, ImageError};
 use crate::exif::{exif_of_block, exif_of_bytes};
@@ -87,6 +87,15 @@ fn exr_file(reader: &mut dyn ByteSource) -> exr::error::Result<u8> {
 /// size, or is an NPY array.
 pub fn photograph_info(path: &Path) -> Result<PhotographInfo, ImageError> {
     of_file(&mut open(path)?, path)
+}
+
+/// True if a photograph of this format states what its colours stand for, also if they are sRGB: by a profile,
+/// or by the words of a PNG (`sRGB`, `gAMA`, `cICP`).
+///
+/// # Errors
+/// The file cannot be read.
+pub fn states_colors(path: &Path, format: FileFormat) -> Result<bool, ImageError> {
+    Ok(states_any(&mut open(path)?, format))
 }
 
 /// Like [`photograph_info`], for a photograph that is used afterwards.

@@ -40,7 +40,7 @@ use std::path::Path;
 
 use use3d_files::write_atomically;
 
-pub use info::{PhotographInfo, photograph_info, whole_photograph_info};
+pub use info::{PhotographInfo, photograph_info, states_colors, whole_photograph_info};
 
 use crate::color_space;
 use crate::decoded::{Decoded, Samples};
