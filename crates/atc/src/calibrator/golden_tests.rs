@@ -29,6 +29,13 @@ fn head(case: &Case<'_>, which: &str) -> Head {
     }
 }
 
+/// A calibrator with the heads of a case; `None` for a case without heads.
+fn calibrator(case: &Case<'_>) -> Option<Calibrator> {
+    let (global, local) = case.has("in.g_w0").then(|| (head(case, "g"), head(case, "l")))?;
+    let identity = Calibrator::identity(ExtractorSettings::default(), ProposerId::default());
+    Some(Calibrator { global, local, ..identity })
+}
+
 fn arrays<const N: usize>(case: &Case<'_>, tensor: &str) -> Vec<[f64; N]> {
     case.f64(tensor).chunks_exact(N).map(|c| c.try_into().expect("row length")).collect()
 }
@@ -37,15 +44,8 @@ fn arrays<const N: usize>(case: &Case<'_>, tensor: &str) -> Vec<[f64; N]> {
 fn golden_heads_values_losses_and_gradients() {
     let mut checked = 0;
     for case in Part::math("calibrator").cases() {
-        if !case.has("in.g_w0") {
-            continue;
-        }
+        let Some(calibrator) = calibrator(&case) else { continue };
         checked += 1;
-        let calibrator = Calibrator {
-            global: head(&case, "g"),
-            local: head(&case, "l"),
-            ..Calibrator::identity(ExtractorSettings::default(), ProposerId::default())
-        };
         let descriptors = arrays::<18>(&case, "in.global_desc");
         let proposals = arrays::<12>(&case, "in.proposal_t");
         let cell_descriptors = arrays::<6>(&case, "in.cell_desc");
@@ -145,15 +145,8 @@ impl Adjoint for PixelsAsGaussians {
 fn golden_heads_reach_the_gaussians_centred_and_under_the_scenes_operator() {
     let mut checked = 0;
     for case in Part::math("calibrator").cases() {
-        if !case.has("in.g_w0") {
-            continue;
-        }
+        let Some(calibrator) = calibrator(&case) else { continue };
         checked += 1;
-        let calibrator = Calibrator {
-            global: head(&case, "g"),
-            local: head(&case, "l"),
-            ..Calibrator::identity(ExtractorSettings::default(), ProposerId::default())
-        };
         let descriptors = arrays::<18>(&case, "in.global_desc");
         let proposals = arrays::<12>(&case, "in.proposal_t");
         let cells = case.shape("in.proposal_d")[1];
