@@ -89,8 +89,8 @@ pub fn photograph_info(path: &Path) -> Result<PhotographInfo, ImageError> {
     of_file(&mut open(path)?, path)
 }
 
-/// True if a photograph of this format states what its colours stand for, also if they are sRGB: by a profile,
-/// or by the words of a PNG (`sRGB`, `gAMA`, `cICP`).
+/// True if a photograph of this format states what its colours stand for, also if they are sRGB: by a
+/// profile, or by the words of a PNG (`sRGB`, `gAMA`, `cICP`).
 ///
 /// # Errors
 /// The file cannot be read.
