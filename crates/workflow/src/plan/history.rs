@@ -4,6 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::cache::artifacts::Cache;
@@ -79,19 +80,28 @@ impl Cache {
 
     /// Reads the record of a node; an unreadable record counts as an empty one.
     pub fn record(&self, pipeline: &str, node: &Node) -> Record {
+        self.record_as(pipeline, node)
+    }
+
+    /// Reads the parts of a node's record that `T` has.
+    fn record_as<T: Default + DeserializeOwned>(&self, pipeline: &str, node: &Node) -> T {
         let path = self.node_path("history", pipeline, node, "json");
         let bytes = self.files().read(&path).ok();
         bytes.and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default()
     }
 
-    /// Returns a reader of the records of a pipeline's nodes. A scene without a folder has none.
-    pub(crate) fn records(&self, pipeline: &str) -> impl Fn(&Node) -> Record {
+    /// Returns a reader of the records of a pipeline's nodes, or of parts of them. A scene without a folder
+    /// has none.
+    pub(crate) fn records<T>(&self, pipeline: &str) -> impl Fn(&Node) -> T
+    where
+        T: Default + DeserializeOwned,
+    {
         let folder = self.root().join("history").join(safe(pipeline));
         let names = files::entries(&folder).filter_map(|entry| entry.file_name().into_string().ok());
         let scenes: BTreeSet<String> = names.collect();
         move |node| match scenes.contains(&safe(&node.scene)) {
-            true => self.record(pipeline, node),
-            false => Record::default(),
+            true => self.record_as(pipeline, node),
+            false => T::default(),
         }
     }
 

@@ -154,7 +154,7 @@ impl Builder {
         let records = self.cache.records(&graph.name);
         let mut nodes: Vec<PlannedNode> = Vec::with_capacity(graph.nodes.len());
         for (i, node) in graph.nodes.iter().enumerate() {
-            let record = records(node);
+            let record: Record = records(node);
             let mut planned = PlannedNode {
                 stage: node.stage_name,
                 scene: node.scene.clone(),

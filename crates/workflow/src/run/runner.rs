@@ -25,7 +25,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use crate::cache::artifacts::{Artifact, Lookup};
-use crate::cache::key::{Ingredients, Key};
+use crate::cache::key::Key;
 use crate::cache::machine;
 use crate::error::{FileError, StageError};
 use crate::plan::builder::Builder;
@@ -189,8 +189,8 @@ struct Runner<'r> {
     shared: Vec<usize>,
     /// Finished scenes that are not reported yet.
     unreported: BTreeSet<usize>,
-    sender: mpsc::Sender<(usize, JobResult, Ingredients)>,
-    receiver: mpsc::Receiver<(usize, JobResult, Ingredients)>,
+    sender: mpsc::Sender<(usize, JobResult)>,
+    receiver: mpsc::Receiver<(usize, JobResult)>,
 }
 
 /// The nodes of a scene and variant.
@@ -239,7 +239,7 @@ impl<'r> Runner<'r> {
         let (mut children, mut open) = (vec![Vec::new(); count], vec![0; count]);
         for (i, node) in graph.nodes.iter().enumerate().filter(|(i, _)| wanted[*i]) {
             // A node's last artifact is likely the one it needs now, also while its inputs are being made.
-            known[i] = LastResult::of(&records(node));
+            known[i] = records(node);
             lease.extend(known[i].last.map(|(key, _)| key));
             if !node.scene.is_empty() {
                 let place = *places.entry((&node.scene, &node.variant)).or_insert(scenes.len());
@@ -306,8 +306,8 @@ impl<'r> Runner<'r> {
             self.ask_again();
             while !self.stopped() && self.step(scope) {
                 // Finished jobs make room and are inputs of other nodes.
-                while let Ok((i, ended, ingredients)) = self.receiver.try_recv() {
-                    self.finish(i, ended, &ingredients);
+                while let Ok((i, ended)) = self.receiver.try_recv() {
+                    self.finish(i, ended);
                 }
                 self.lease.keep_alive();
                 self.watch_time();
@@ -476,7 +476,7 @@ impl<'r> Runner<'r> {
         self.nodes[i].artifact = self.nodes[first].artifact.clone();
         if let (Outcome::Ready(artifact), NodeResult::Cached) = (&self.outcomes[i], &self.nodes[i].result) {
             let artifact = artifact.clone();
-            self.record_made(i, &artifact.manifest.ingredients, artifact.manifest.content);
+            self.record_made(i, &artifact);
         }
         self.over(i);
     }
@@ -503,7 +503,7 @@ impl<'r> Runner<'r> {
                 self.builder.cache.touch(&artifact.path);
                 let label = &self.nodes[i].label;
                 self.listener.event(&Event::Done { node: i, label, cached: true, seconds: 0.0 });
-                self.ready(i, artifact, NodeResult::Cached, 0.0, &resolved.ingredients);
+                self.ready(i, artifact, NodeResult::Cached, 0.0);
                 return true;
             }
             Ok(Lookup::Missing) => {}
@@ -604,15 +604,13 @@ impl<'r> Runner<'r> {
         };
         let sender = self.sender.clone();
         scope.spawn(move || {
-            let ingredients = job.resolved.ingredients.clone();
-            let ended = job.execute();
             // The receiver outlives the scope.
-            let _ = sender.send((i, ended, ingredients));
+            let _ = sender.send((i, job.execute()));
         });
         true
     }
 
-    fn finish(&mut self, i: usize, ended: JobResult, ingredients: &Ingredients) {
+    fn finish(&mut self, i: usize, ended: JobResult) {
         let key = self.running.remove(&i).map(|r| r.key);
         self.full = false;
         if !matches!(ended, JobResult::Held(..)) {
@@ -625,7 +623,7 @@ impl<'r> Runner<'r> {
                 let label = &self.nodes[i].label;
                 self.listener.event(&Event::Done { node: i, label, cached: !computed, seconds });
                 let result = if computed { NodeResult::Done } else { NodeResult::Cached };
-                self.ready(i, artifact, result, seconds, ingredients);
+                self.ready(i, artifact, result, seconds);
             }
             JobResult::Failed(error) => self.fail(i, key, &error),
             JobResult::Cancelled => {
@@ -666,16 +664,9 @@ impl<'r> Runner<'r> {
         }
     }
 
-    fn ready(
-        &mut self,
-        i: usize,
-        artifact: Arc<Artifact>,
-        result: NodeResult,
-        seconds: f64,
-        ingredients: &Ingredients,
-    ) {
+    fn ready(&mut self, i: usize, artifact: Arc<Artifact>, result: NodeResult, seconds: f64) {
         self.held.remove(&i);
-        self.record_made(i, ingredients, artifact.manifest.content);
+        self.record_made(i, &artifact);
         self.nodes[i].artifact = Some(artifact.clone());
         self.nodes[i].result = result;
         self.nodes[i].seconds += seconds;

@@ -101,8 +101,8 @@ impl Runner<'_> {
             std::thread::sleep(SLICE);
             left -= SLICE;
         }
-        if let Ok((i, ended, ingredients)) = self.receiver.recv_timeout(left) {
-            self.finish(i, ended, &ingredients);
+        if let Ok((i, ended)) = self.receiver.recv_timeout(left) {
+            self.finish(i, ended);
         }
     }
 

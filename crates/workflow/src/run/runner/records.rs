@@ -2,26 +2,43 @@
 
 use super::Runner;
 use crate::cache::artifacts::Artifact;
-use crate::cache::key::{Ingredients, Key};
+use crate::cache::key::Key;
 use crate::cache::machine;
+use crate::cache::manifest::Manifest;
 use crate::error::StageError;
 use crate::plan::history::{Failure, Made, Record};
 use crate::plan::resolve::Outcome;
 use crate::run::summary::NodeResult;
 use crate::stage::events::Event;
+use serde::Deserialize;
+use serde::de::IgnoredAny;
 use use3d_code::digest::Digest;
 
 /// The parts of a node's record that matter during a run. The whole record is read only to change it.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, Deserialize)]
+#[serde(from = "RecordHead")]
 pub(super) struct LastResult {
     /// The key and content of its last artifact.
     pub(super) last: Option<(Key, Digest)>,
     pub(super) failed: bool,
 }
 
-impl LastResult {
-    pub(super) fn of(record: &Record) -> Self {
-        let last = record.last.as_ref().map(|made| (made.key, made.content));
+/// The fields of a [`Record`] that a [`LastResult`] needs.
+#[derive(Deserialize)]
+struct RecordHead {
+    last: Option<LastArtifact>,
+    failure: Option<IgnoredAny>,
+}
+
+#[derive(Deserialize)]
+struct LastArtifact {
+    key: Key,
+    content: Digest,
+}
+
+impl From<RecordHead> for LastResult {
+    fn from(record: RecordHead) -> Self {
+        let last = record.last.map(|made| (made.key, made.content));
         Self { last, failed: record.failure.is_some() }
     }
 }
@@ -49,8 +66,8 @@ impl Runner<'_> {
     }
 
     /// Records the ingredients of a node's result; the earlier record is kept, to show the changes.
-    pub(super) fn record_made(&mut self, i: usize, ingredients: &Ingredients, content: Digest) {
-        let key = ingredients.key();
+    pub(super) fn record_made(&mut self, i: usize, artifact: &Artifact) {
+        let Manifest { key, content, ref ingredients, .. } = artifact.manifest;
         let same = self.known[i].last == Some((key, content));
         if same && !self.known[i].failed {
             return;
@@ -62,7 +79,7 @@ impl Runner<'_> {
             let old = record.last.replace(Made { key, ingredients: ingredients.clone(), content, at });
             record.before = old.filter(|o| o.key != key).or(record.before);
         }
-        self.known[i] = LastResult::of(&record);
+        self.known[i] = LastResult { last: Some((key, content)), failed: false };
         self.write_record(i, &record);
     }
 
