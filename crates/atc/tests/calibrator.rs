@@ -84,6 +84,15 @@ fn training_brings_held_out_transitions_nearer_and_is_deterministic() {
     // The final fit, evaluated on the pairs used in it.
     let seen = evaluate(&calibrator, &dataset.examples);
     assert!(seen.global.ratio() < 0.5, "{seen:?}");
+    let scales = calibrator.global_scales();
+    let errors = dataset.examples.iter().map(|pair| {
+        (0..12).map(|k| (pair.proposal[k] - pair.target[k]).abs() / scales[k]).sum::<f64>() / 12.0
+    });
+    let before = errors.sum::<f64>() / 20.0;
+    assert!((seen.global.before - before).abs() < 1e-9 * before, "{seen:?} {before}");
+    let cells: usize = dataset.examples.iter().map(|pair| pair.cells.len()).sum();
+    let made = &calibrator.provenance;
+    assert_eq!((made.cells, made.seed, made.tool.is_empty()), (cells, quick().seed, false));
 
     let back = Calibrator::from_bytes(&calibrator.to_bytes().unwrap()).unwrap();
     assert_eq!(back, calibrator);

@@ -5,10 +5,10 @@ use use3d_atc::AtcError;
 use use3d_atc::calibrator::Calibrator;
 use use3d_atc::consensus::{
     Lift, LocalConsensus, Proposals, Recorder, Targets, TargetsParams, TargetsReport, ViewInput, ViewRecord,
-    fuse_views, global_consensus, order_effect, refit, response, support_map, targets_from_records,
-    view_target,
+    apply_transition, fuse_views, global_consensus, order_effect, refit, response, support_map,
+    targets_from_records, view_target,
 };
-use use3d_atc::extractor::{Affine, Descriptors, ExtractorSettings, Transition};
+use use3d_atc::extractor::{Affine, Descriptors, ExtractorSettings, Form, Transition};
 use use3d_atc::progress::unwatched;
 use use3d_atc::proposers::{Fusion, Proposer, ProposerId};
 use use3d_capture::{Appearance, Camera, Image, Intrinsics, KeptWater, Pose};
@@ -416,4 +416,25 @@ fn what_does_not_fit_is_named() {
     let mut wrong_size = inputs(&cameras).next().unwrap().unwrap();
     wrong_size.image = photograph(47, 32, 0);
     assert!(build(vec![Ok(wrong_size)], given).to_string().contains("47x32"));
+}
+
+#[test]
+fn a_transition_is_applied_as_its_formula_says() {
+    let image = photograph(12, 10, 3);
+    let global: Affine = [0.2, -0.1, 0.05, 0.0, 0.3, 0.1, -0.2, 0.0, 0.1, 0.02, -0.03, 0.04];
+    let cell = [0.3, -0.2, 0.1, 0.05, -0.04, 0.06];
+    for (form, gain) in [(Form::Log, [0.3, -0.2, 0.1].map(math::exp)), (Form::Linear, [1.3, 0.8, 1.1])] {
+        let all = apply_transition(&image, &global, (3, 2), &[cell; 6], form);
+        let scene = apply_transition(&image, &global, (3, 2), &[], form);
+        for (x, y) in [(0, 0), (11, 9), (5, 4), (3, 8)] {
+            let c: [f64; 3] = image.pixel(x, y).map(f64::from);
+            for k in 0..3 {
+                let t = &global[4 * k..][..4];
+                let wide = c[k] + t[0] * c[0] + t[1] * c[1] + t[2] * c[2] + t[3];
+                let own = gain[k] * wide + cell[3 + k];
+                let [wide_found, found] = [&scene, &all].map(|i| f64::from(i.pixel(x, y)[k]));
+                assert!((wide_found - wide).abs() < 1e-6 && (found - own).abs() < 1e-6, "{k}: {own} {found}");
+            }
+        }
+    }
 }

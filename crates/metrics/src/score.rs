@@ -158,6 +158,7 @@ mod tests {
         assert_eq!(Score::mean([&Score::of(1.0), &undefined, &Score::of(3.0)]), Score::of(2.0));
         assert_eq!(Score::mean([&Score::of(1.0), &undefined, &missing]), missing);
         assert_eq!(Score::mean([&undefined]), undefined);
+        assert_eq!((undefined.reason(), Score::of(1.0).reason()), (Some("the images are equal"), None));
         assert!(Score::mean([]).value().is_none());
     }
 }

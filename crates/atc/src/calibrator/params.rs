@@ -124,3 +124,21 @@ impl CalibratorParams {
         self.learning_rate * (self.final_fraction + (1.0 - self.final_fraction) * cosine)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_rate_falls_along_half_a_cosine_to_its_final_fraction() {
+        let params = CalibratorParams {
+            learning_rate: 2e-3,
+            final_fraction: 0.2,
+            steps: 100,
+            ..CalibratorParams::default()
+        };
+        for (step, share) in [(1, 1.0), (51, 0.6), (101, 0.2)] {
+            assert!((params.rate(step) - 2e-3 * share).abs() < 1e-12, "{step}: {}", params.rate(step));
+        }
+    }
+}

@@ -167,6 +167,7 @@ mod tests {
     fn the_released_layout_loads_and_survives_our_own_file() {
         let calibrator = Calibrator::from_named_tensors(released(), &ReleasedConfig::default()).unwrap();
         assert_eq!(calibrator.extractor.form, Form::Linear);
+        assert!(calibrator.provenance.data.contains("authors"));
         assert_eq!(calibrator.global.mlp.layers[1].inputs(), 16);
         assert_eq!(calibrator.local.mlp.layers[2].weight, released()["local_head.4.weight"].1);
         assert_eq!(calibrator.local.residual.range, released()["local_scale"].1);
@@ -197,7 +198,9 @@ mod tests {
         let mut infinite = released();
         infinite.get_mut("local_scale").unwrap().1[2] = f32::INFINITY;
         assert!(fails(infinite).contains("not finite"));
-        let old = ReleasedConfig { schema_version: 4, ..config };
-        assert!(Calibrator::from_named_tensors(released(), &old).is_err());
+        let from = |config: ReleasedConfig| Calibrator::from_named_tensors(released(), &config);
+        assert!(from(ReleasedConfig { schema_version: 4, ..config.clone() }).is_err());
+        assert!(from(ReleasedConfig { schema: "another".into(), ..config.clone() }).is_err());
+        assert!(from(ReleasedConfig { schema: String::new(), ..config }).is_ok());
     }
 }

@@ -8,7 +8,9 @@ use use3d_splat::{
     view_colors,
 };
 
-use crate::support::{lattice, prepared, random_camera, random_gaussians, random_image, random_medium};
+use crate::support::{
+    lattice, prepared, random_camera, random_gaussians, random_image, random_map, random_medium,
+};
 
 fn render(view: &Prepared, medium: Option<&MediumMaps>) -> Rendered {
     let mut out = Rendered::new();
@@ -258,4 +260,97 @@ fn the_screen_statistic_bounds_the_projected_gradient() {
             assert!((f64::from(a[k]) - b[k]).abs() < 1e-5 * f64::from(size), "{a:?} {b:?}");
         }
     }
+}
+
+/// Moving the principal point moves the projections and nothing else, so one pixel's derivative by it is the
+/// screen statistic of that pixel.
+#[test]
+fn the_screen_statistic_of_one_pixel_is_its_projected_gradient() {
+    let (camera, gaussians) = (random_camera(40, 30), random_gaussians(1, -1.5, 4));
+    let mut d_image = Image::new(40, 30);
+    let view = prepared(&gaussians, &camera);
+    let drawn = render(&view, None).accumulation;
+    let order = |p: usize| (drawn.data()[p] - 0.4 * drawn.data().iter().fold(0.0f32, |m, v| m.max(*v))).abs();
+    let pixel = (0..40 * 30).min_by(|a, b| order(*a).total_cmp(&order(*b))).unwrap();
+    d_image.set_pixel(pixel % 40, pixel / 40, [1.0, 0.5, 0.25]);
+    let mut grads = GaussianGradients::default();
+    Rasterizer::new().backward(
+        &view,
+        ViewOf { gaussians: &gaussians, camera: &camera },
+        None,
+        &Options::default(),
+        &RenderGradients { image: &d_image, depth: None, accumulation: None, clear: None },
+        Gradients { gaussians: &mut grads, medium: None },
+    );
+    let loss = |dx: f64, dy: f64| -> f64 {
+        let mut moved = camera;
+        (moved.intrinsics.cx, moved.intrinsics.cy) = (camera.intrinsics.cx + dx, camera.intrinsics.cy + dy);
+        let image = render(&prepared(&gaussians, &moved), None).image;
+        let value = image.pixel(pixel % 40, pixel / 40);
+        f64::from(value[0]) + 0.5 * f64::from(value[1]) + 0.25 * f64::from(value[2])
+    };
+    const STEP: f64 = 0.02;
+    let by = [
+        (loss(STEP, 0.0) - loss(-STEP, 0.0)) / (2.0 * STEP),
+        (loss(0.0, STEP) - loss(0.0, -STEP)) / (2.0 * STEP),
+    ];
+    for k in 0..2 {
+        let found = f64::from(grads.screen[0][k]);
+        assert!(found > 1e-3 && (found - by[k].abs()).abs() < 1e-2 * found, "{k}: {found} {by:?}");
+    }
+}
+
+#[test]
+fn a_gradient_alone_is_the_gradient_beside_zeros() {
+    let (camera, gaussians) = (random_camera(48, 36), random_gaussians(120, -1.5, 17));
+    let (view, medium) = (prepared(&gaussians, &camera), random_medium(48, 36, true, 5));
+    let (zeros, none) = (Image::new(48, 36), use3d_capture::Map::new(48, 36));
+    let (clear, map) = (random_image(48, 36, 8), random_map(48, 36, 9));
+    let run = |given: &RenderGradients<'_>, water: Option<&MediumMaps>| {
+        let mut grads = GaussianGradients::default();
+        Rasterizer::new().backward(
+            &view,
+            ViewOf { gaussians: &gaussians, camera: &camera },
+            water,
+            &Options::default(),
+            given,
+            Gradients { gaussians: &mut grads, medium: None },
+        );
+        grads.means
+    };
+    let nothing = RenderGradients { image: &zeros, depth: None, accumulation: None, clear: None };
+    let all =
+        RenderGradients { depth: Some(&none), accumulation: Some(&none), clear: Some(&zeros), ..nothing };
+    for water in [None, Some(&medium)] {
+        for (alone, beside) in [
+            (RenderGradients { depth: Some(&map), ..nothing }, RenderGradients { depth: Some(&map), ..all }),
+            (
+                RenderGradients { accumulation: Some(&map), ..nothing },
+                RenderGradients { accumulation: Some(&map), ..all },
+            ),
+            (
+                RenderGradients { clear: Some(&clear), ..nothing },
+                RenderGradients { clear: Some(&clear), ..all },
+            ),
+        ] {
+            let (alone, beside) = (run(&alone, water), run(&beside, water));
+            assert!(alone.iter().flatten().any(|v| v.abs() > 1e-3));
+            assert_eq!(alone, beside);
+        }
+    }
+}
+
+#[test]
+fn pairs_are_counted_to_the_gaussian_that_fills_a_pixel() {
+    let (w, h) = (50, 40);
+    let mut gaussians = random_gaussians(4, -1.5, 2);
+    gaussians.means = (0..4).map(|k| [0.0, 0.0, 0.2 * k as f32]).collect();
+    gaussians.log_scales = vec![[6.0; 3]; 4];
+    gaussians.opacity_logits = vec![12.0; 4];
+    let pairs = prepared(&gaussians, &random_camera(w, h)).pairs();
+    // The first one leaves 0.001 of the light. The second one would leave less than 1e-4, so the pixel ends
+    // there without it, and nothing asks for the others.
+    let pixels = (w * h) as u64;
+    assert_eq!((pairs.contributing, pairs.tested), (pixels, 2 * pixels));
+    assert_eq!(pairs.entries, 4 * (w.div_ceil(16) * h.div_ceil(16)) as u64);
 }

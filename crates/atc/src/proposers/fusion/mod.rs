@@ -174,6 +174,19 @@ mod tests {
     }
 
     #[test]
+    fn golden_enhanced_photographs() {
+        for case in use3d_golden::Part::math("fusion").cases() {
+            let (width, height, planes) = case.planes("in.image");
+            let out = Fusion.propose(&Image::from_planes(width, height, planes).unwrap()).unwrap();
+            let (expected, tolerance) = (case.f64("out.enhanced"), case.tolerance("out.enhanced"));
+            for (k, (v, e)) in out.to_interleaved().iter().zip(&expected).enumerate() {
+                let apart = (f64::from(*v) - e).abs();
+                assert!(apart <= tolerance, "{} {k}: {v} and {e}, {apart:e}", case.name());
+            }
+        }
+    }
+
+    #[test]
     fn any_size_works_and_the_bits_do_not_depend_on_threads() {
         for (w, h) in [(1, 1), (2, 3), (9, 200), (333, 222)] {
             let image = murky(w, h);
