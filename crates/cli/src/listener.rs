@@ -40,6 +40,10 @@ struct NodeProgress {
 }
 
 impl NodeProgress {
+    fn new(bar: Option<ProgressBar>, first: u64, now: Instant) -> Self {
+        Self { bar, started: now, first, last: first, last_line: now }
+    }
+
     /// Records the progress of the work; a second fit of the same stage is timed by itself.
     fn reached(&mut self, done: u64, now: Instant) {
         if done < self.last {
@@ -100,27 +104,37 @@ impl Terminal {
     }
 
     fn progress(&self, label: &str, done: u64, total: u64, words: &str, left: Option<f64>) {
-        let mut nodes = self.nodes.lock().unwrap_or_else(PoisonError::into_inner);
-        let (now, words, label) = (Instant::now(), &shown(words), &*shown(label));
-        let node = nodes.entry(label.to_string()).or_insert_with(|| NodeProgress {
-            bar: self.bar(label),
-            started: now,
-            first: done,
-            last: done,
-            last_line: now,
+        let words = &shown(words);
+        self.draw(label, done, total, |node| {
+            let times = node.times(done, total, left);
+            let counted = if node.bar.is_some() { String::new() } else { format!("{done}/{total} ") };
+            format!("{counted}{words} {times}")
         });
+    }
+
+    /// Shows the progress of the whole run. Its clock is that of the run and not of this display.
+    fn whole_run(&self, percent: u64, passed: f64, left: f64) {
+        let times = format!("[{}, about {} left]", seconds(passed), seconds(left));
+        self.draw(WHOLE_RUN, percent, 100, |node| match &node.bar {
+            Some(_) => times,
+            None => format!("{percent} % {times}"),
+        });
+    }
+
+    /// Moves a bar, or prints a line if the last one is old enough.
+    fn draw(&self, label: &str, done: u64, total: u64, words: impl FnOnce(&NodeProgress) -> String) {
+        let mut nodes = self.nodes.lock().unwrap_or_else(PoisonError::into_inner);
+        let (now, label) = (Instant::now(), &*shown(label));
+        let node =
+            nodes.entry(label.to_string()).or_insert_with(|| NodeProgress::new(self.bar(label), done, now));
         node.reached(done, now);
         if let Some(bar) = &node.bar {
             bar.set_length(total);
             bar.set_position(done);
-            bar.set_message(format!("{words} {}", node.times(done, total, left)));
+            bar.set_message(words(node));
         } else if node.last_line.elapsed() >= PLAIN_INTERVAL {
             node.last_line = now;
-            let times = node.times(done, total, left);
-            match label == WHOLE_RUN {
-                true => eprintln!("{label}: {done} % {times}"),
-                false => eprintln!("{label}: {done}/{total} {words} {times}"),
-            }
+            eprintln!("{label}: {}", words(node));
         }
     }
 
@@ -168,8 +182,8 @@ impl Listener for Terminal {
             }
             Event::Counted { .. } => {}
             Event::WholeRun { percent: 100, .. } => self.end(WHOLE_RUN),
-            Event::WholeRun { percent, seconds_left } => {
-                self.progress(WHOLE_RUN, *percent, 100, "", Some(*seconds_left));
+            Event::WholeRun { percent, seconds, seconds_left } => {
+                self.whole_run(*percent, *seconds, *seconds_left);
             }
             Event::Waiting { label, holder, .. } => self.line(&format!("{label}: waiting for {holder}")),
             Event::Done { label, cached, seconds, .. } => {
@@ -191,7 +205,7 @@ mod tests {
     fn node(first: u64, seconds_ago: u64) -> NodeProgress {
         let now = Instant::now();
         let started = now.checked_sub(Duration::from_secs(seconds_ago)).unwrap_or(now);
-        NodeProgress { bar: None, started, first, last: first, last_line: now }
+        NodeProgress { started, ..NodeProgress::new(None, first, now) }
     }
 
     #[test]

@@ -209,7 +209,8 @@ pub fn real(path: &Path) -> PathBuf {
 fn no_pipeline(file: &Path) -> Option<&'static str> {
     if use3d_prepare::is_film(file) {
         return Some(
-            "a film is not a capture yet: `use3d run FILM` or `use3d prepare FILM --out CAPTURE_DIR` makes one of it",
+            "a film is not a capture yet, and this needs one: `use3d prepare FILM --out CAPTURE_DIR` makes it (`use3d run \
+             FILM` makes it first, and then the scene)",
         );
     }
     let extension = file.extension()?.to_string_lossy().to_lowercase();

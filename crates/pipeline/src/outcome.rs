@@ -8,7 +8,7 @@ use use3d_stages::{SCORES, read_json, report::best_method};
 use use3d_workflow::Summary;
 use use3d_workflow::place::PlaceError;
 
-use crate::destination::absolute;
+use crate::destination::{absolute, word};
 use crate::results::Delivered;
 
 /// The document of `run --json`.
@@ -83,7 +83,7 @@ pub fn lines(delivered: &[Delivered]) -> Vec<String> {
     let (of_scenes, of_all): (Vec<_>, Vec<_>) = delivered.iter().partition(|result| !result.scene.is_empty());
     if of_scenes.len() > LISTED {
         let count = format!("{} results of scenes are in the same folder", of_scenes.len());
-        return of_all.into_iter().map(path).chain([count]).collect();
+        return of_all.iter().copied().map(path).chain([count]).chain(next(&of_all)).collect();
     }
     let mut lines: Vec<String> = delivered.iter().map(path).collect();
     for result in delivered {
@@ -111,7 +111,16 @@ pub fn lines(delivered: &[Delivered]) -> Vec<String> {
             lines.push(format!("{of}: against the true scene without water: {truth}"));
         }
     }
+    lines.extend(next(&of_all));
     lines
+}
+
+/// What to open first, if there is a report.
+fn next(of_all: &[&Delivered]) -> Option<String> {
+    let report = of_all.iter().find(|result| result.what == "report")?;
+    let folder = report.path.parent().filter(|folder| !folder.as_os_str().is_empty())?;
+    let (page, folder) = (report.path.display(), word(folder));
+    Some(format!("Open {page} in a browser. `use3d view {folder}` shows the scene itself."))
 }
 
 #[cfg(test)]

@@ -25,15 +25,27 @@ use use3d_workflow::{Event, Listener};
 /// The least time between two updates of the bar.
 const INTERVAL: Duration = Duration::from_millis(500);
 
+/// A silence of a stage that told its time is a pause of the process if it is this long, and this many times
+/// longer than the silence before it.
+const PAUSE: (Duration, u32) = (Duration::from_secs(20), 10);
+
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Turn {
     Pending,
-    /// Its start, and the seconds left that it reported, with the time of the report.
-    Running(Instant, Option<(f64, Instant)>),
+    /// Its start without pauses, and what it told last.
+    Running(Instant, Option<Told>),
     /// The seconds that it took.
     Over(f64),
     /// It needs no time: it is cached, not requested or shared.
     Absent,
+}
+
+/// The seconds left that a stage told, the time at which it did, and the time since it did so before.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Told {
+    left: f64,
+    at: Instant,
+    since: Duration,
 }
 
 /// A stage of a whole run.
@@ -50,7 +62,7 @@ impl Share {
     /// Seconds that the part takes from start to end, as far as the part itself tells.
     fn whole(&self, now: Instant) -> Option<f64> {
         match self.turn {
-            Turn::Running(start, Some((left, at))) => {
+            Turn::Running(start, Some(Told { left, at, .. })) => {
                 Some((at - start).as_secs_f64() + left.max((now - at).as_secs_f64()))
             }
             Turn::Over(seconds) => Some(seconds),
@@ -59,12 +71,25 @@ impl Share {
     }
 }
 
+/// The turn of a stage that was told to have these seconds left. A pause of the process, as if a notebook was
+/// closed, moves the start of the stage.
+fn told(start: Instant, before: Option<Told>, left: Option<f64>, now: Instant) -> Turn {
+    let Some(left) = left else { return Turn::Running(start, before) };
+    let Some(before) = before else {
+        return Turn::Running(start, Some(Told { left, at: now, since: now - start }));
+    };
+    let since = now - before.at;
+    let pause = since > PAUSE.0 && since > PAUSE.1 * before.since;
+    let start = if pause { start + since } else { start };
+    Turn::Running(start, Some(Told { left, at: now, since: if pause { before.since } else { since } }))
+}
+
 /// Takes the bar away when the run is over.
 struct Bar(Arc<dyn Listener>);
 
 impl Drop for Bar {
     fn drop(&mut self) {
-        self.0.event(&Event::WholeRun { percent: 100, seconds_left: 0.0 });
+        self.0.event(&Event::WholeRun { percent: 100, seconds: 0.0, seconds_left: 0.0 });
     }
 }
 
@@ -76,6 +101,8 @@ pub struct WholeRun {
     jobs: usize,
     started: Instant,
     drawn: Option<Instant>,
+    /// The largest percentage that was shown.
+    shown: u64,
 }
 
 impl WholeRun {
@@ -99,7 +126,7 @@ impl WholeRun {
         });
         let parts: Vec<Share> = parts.collect();
         let total = parts.iter().filter(|part| part.turn == Turn::Pending).count();
-        Self { parts, total, jobs: jobs.max(1), started: Instant::now(), drawn: None }
+        Self { parts, total, jobs: jobs.max(1), started: Instant::now(), drawn: None, shown: 0 }
     }
 
     /// A listener that passes all events to `inner` and adds the progress of the whole run. A run of one
@@ -130,8 +157,10 @@ impl WholeRun {
                 let passed = (now - whole.started).as_secs_f64();
                 // 100 % is for the end.
                 let percent = (100.0 * passed / (passed + left).max(1e-9)).min(99.0) as u64;
+                whole.shown = whole.shown.max(percent);
+                let percent = whole.shown;
                 drop(whole);
-                inner.event(&Event::WholeRun { percent, seconds_left: left });
+                inner.event(&Event::WholeRun { percent, seconds: passed, seconds_left: left });
             }
         })
     }
@@ -147,9 +176,7 @@ impl WholeRun {
         let (node, turn) = match event {
             Event::Started { node, .. } => (*node, Turn::Running(now, None)),
             Event::Progress { node, seconds_left, .. } => match self.parts.get(*node).map(|part| part.turn) {
-                Some(Turn::Running(start, before)) => {
-                    (*node, Turn::Running(start, seconds_left.map(|left| (left, now)).or(before)))
-                }
+                Some(Turn::Running(start, before)) => (*node, told(start, before, *seconds_left, now)),
                 _ => return false,
             },
             Event::Done { node, cached: false, seconds, .. } => (*node, Turn::Over(*seconds)),
@@ -182,7 +209,7 @@ impl WholeRun {
         let own = |part: &Share| part.forecast.unwrap_or(unit * part.cost);
         let left = self.parts.iter().map(|part| match part.turn {
             Turn::Pending => own(part),
-            Turn::Running(_, Some((left, at))) => (left - (now - at).as_secs_f64()).max(0.0),
+            Turn::Running(_, Some(Told { left, at, .. })) => (left - (now - at).as_secs_f64()).max(0.0),
             Turn::Running(start, None) => (own(part) - (now - start).as_secs_f64()).max(0.0),
             Turn::Over(_) | Turn::Absent => 0.0,
         });

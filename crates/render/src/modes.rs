@@ -86,6 +86,12 @@ impl Mode {
         }
     }
 
+    /// True if its colours are too strong in this scene: those of an enhancement that was learnt in water and is
+    /// shown without it.
+    pub fn is_too_strong(self, scene: &Scene) -> bool {
+        self == Self::EnhancedClear && Self::opening(scene) == Self::Enhanced
+    }
+
     /// True if it shows stage 2.
     pub fn is_enhanced(self) -> bool {
         matches!(self, Self::Enhanced | Self::EnhancedClear)

@@ -14,6 +14,10 @@ use use3d_numerics::math;
 /// Older steps have the weight `e^(−age / WINDOW)`, in seconds.
 const WINDOW: f64 = 20.0;
 
+/// A step is taken for a pause of the process if it takes this many seconds and this many times longer than
+/// the steps before it. Of two such steps in a row the second counts.
+const PAUSE: (f64, f64) = (5.0, 10.0);
+
 /// Steps and work per second, over the last seconds.
 #[derive(Clone, Copy, Debug)]
 pub struct Pace {
@@ -21,12 +25,14 @@ pub struct Pace {
     seconds: f64,
     steps: f64,
     work: f64,
+    /// True if the last step was taken for a pause.
+    paused: bool,
 }
 
 impl Pace {
     /// Starts the clock.
     pub fn start() -> Self {
-        Self { last: Instant::now(), seconds: 0.0, steps: 0.0, work: 0.0 }
+        Self { last: Instant::now(), seconds: 0.0, steps: 0.0, work: 0.0, paused: false }
     }
 
     /// Records the end of a step with this work.
@@ -37,6 +43,11 @@ impl Pace {
     }
 
     fn took(&mut self, seconds: f64, work: f64) {
+        let usual = self.seconds_for(work).unwrap_or(f64::INFINITY);
+        self.paused = !self.paused && seconds > PAUSE.0.max(PAUSE.1 * usual);
+        if self.paused {
+            return;
+        }
         let kept = math::exp(-seconds / WINDOW);
         self.seconds = kept * self.seconds + seconds;
         self.steps = kept * self.steps + 1.0;
@@ -77,6 +88,17 @@ mod tests {
         (0..3000).for_each(|_| pace.took(0.1, 1.0));
         assert!(close(pace.steps_per_second(), 10.0), "{pace:?}");
         assert!(close(pace.seconds_for(50.0), 5.0));
+    }
+
+    #[test]
+    fn a_pause_of_the_process_does_not_count_and_slower_steps_do() {
+        let mut pace = Pace::start();
+        (0..100).for_each(|_| pace.took(0.1, 1.0));
+        pace.took(600.0, 1.0);
+        assert!(close(pace.seconds_for(100.0), 10.0), "{pace:?}");
+        pace.took(0.1, 1.0);
+        (0..2).for_each(|_| pace.took(60.0, 1.0));
+        assert!(pace.seconds_for(1.0) > Some(10.0), "{pace:?}");
     }
 
     #[test]

@@ -121,3 +121,19 @@ impl Sites {
 pub(crate) fn guide_color(sh_dc: [f32; 3]) -> [f32; 3] {
     sh_dc.map(|v| C0.mul_add(v, 0.5))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_site_has_its_nodes_its_fractions_and_its_colour() {
+        let bounds = FieldBox { low: [0.0; 3], high: [4.0; 3] };
+        let points = [([0.0; 3], [0.5; 3]), ([1.0, 2.5, 4.0], [0.1, -0.2, 0.3])];
+        let sites = Sites::new(points.into_iter(), &bounds, 5);
+        let (nodes, fractions, logs) = sites.site(1);
+        let along = |axis: usize| f32::from(nodes[axis]) + fractions[axis];
+        assert_eq!([along(0), along(1), along(2)], [1.0, 2.5, 4.0]);
+        assert_eq!(logs, [0.1, -0.2, 0.3].map(signed_log));
+    }
+}

@@ -6,6 +6,7 @@ mod check;
 mod cluster;
 #[cfg(test)]
 mod documents_tests;
+mod help;
 mod photographs;
 mod pictures;
 mod pipelines;
@@ -83,7 +84,14 @@ pub(crate) struct Cli {
 /// variable that is set but empty counts as unset, because scripts set `USE3D_CACHE=${SCRATCH}` on machines
 /// that may have no such variable.
 pub(crate) fn parse() -> (Cli, bool) {
-    let matches = without_empty_variables(Cli::command()).get_matches();
+    let command = without_empty_variables(help::grouped(Cli::command()));
+    let matches = command.try_get_matches().unwrap_or_else(|error| {
+        if let Some(text) = help::path_as_verb(&error) {
+            eprint!("{text}");
+            std::process::exit(2);
+        }
+        error.exit()
+    });
     let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     (cli, wants_json(&matches))
 }
@@ -138,7 +146,8 @@ pub(crate) enum Verb {
     #[command(after_help = "Examples:\n  use3d demo\n  use3d demo --size full --out ~/use3d-demo\n  \
         use3d demo --set reconstruct.iterations=300 --set enhance.iterations=100    only to see it run")]
     Demo(DemoArgs),
-    /// Run a pipeline file, or the whole pipeline with defaults on one film or capture folder.
+    /// Make an enhanced scene and its report, from a film, a folder of photographs, a capture or a pipeline
+    /// file.
     #[command(
         after_help = "Examples:\n  use3d run my-reef/                      results in ./use3d-out/my-reef\n  \
         use3d run dive.mp4                      a film, or a folder of photographs: cameras are found first\n  \
@@ -192,7 +201,7 @@ pub(crate) enum Verb {
         after_help = "Examples:\n  use3d status pipelines/seathru4.toml\n  use3d status pipelines/use26.toml --summary\n  use3d status pipelines/use26.toml --failed"
     )]
     Status(StatusArgs),
-    /// Show which ingredient of a stage's key changed, with its old and new value.
+    /// Say why a stage would run again: what changed, from what to what.
     #[command(after_help = "Example:\n  use3d why pipelines/seathru4.toml Panama enhance")]
     Why(WhyArgs),
     /// Print the pipeline's graph with its states, as Mermaid text that many web pages display.
@@ -222,7 +231,7 @@ pub(crate) enum Verb {
         use3d calibrate --input a/ --target b/ --out c.safetensors --proposer fusion"
     )]
     Calibrate(CalibrateArgs),
-    /// Build the scene-global and Gaussian-local targets (appearance transition consensus).
+    /// Find the correction of colours on which all views agree (appearance transition consensus).
     #[command(after_help = "Example:\n  use3d targets scene/ my-reef/ --out targets.safetensors\n  \
         use3d targets scene/ my-reef/ --calibrator calibrator.safetensors --out targets.safetensors")]
     Targets(TargetsArgs),
@@ -239,7 +248,7 @@ pub(crate) enum Verb {
     /// Render a scene from given cameras.
     #[command(
         after_help = "Examples:\n  use3d render scene/ --cameras my-reef/ --out renders/ --modes reconstruction,clear,depth\n  \
-        use3d render enhanced-scene/ --cameras my-reef/ --path spiral --frames 120 --modes enhanced-clear --video swim.mp4\n  \
+        use3d render enhanced-scene/ --cameras my-reef/ --path spiral --frames 120 --modes enhanced --video swim.mp4\n  \
         use3d render enhanced-scene/ --cameras my-reef/ --out half/ --modes enhanced --water 0.5\n  \
         use3d render enhanced-scene/ --path camera-path.json --size 1280x720 --video swim.mp4\n  \
         use3d render enhanced-scene/ --cameras my-reef/ --fps"
@@ -270,8 +279,8 @@ pub(crate) enum Verb {
     /// Write a scene as a page for a browser, or as a PLY, GLB or SPZ for other viewers.
     #[command(
         after_help = "Examples:\n  use3d export enhanced-scene/ --web reef.html --cameras my-reef/\n  \
-        use3d export enhanced-scene/ --ply reef.ply --what enhanced-clear --frame colmap\n  \
-        use3d export enhanced-scene/ --glb reef.glb --spz reef.spz --what enhanced-clear"
+        use3d export enhanced-scene/ --ply reef.ply --frame colmap\n  \
+        use3d export enhanced-scene/ --glb reef.glb --spz reef.spz"
     )]
     Export(ExportArgs),
     /// Make synthetic underwater data with known truth.

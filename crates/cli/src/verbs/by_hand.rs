@@ -143,8 +143,7 @@ pub(crate) fn enhance(app: &App, args: &EnhanceArgs) -> Done {
     hand.given.insert("targets", Some(args.targets.clone()));
     let app = if args.profile { &profiling(app) } else { app };
     let (scene, capture) = (word(&args.out), word(&args.capture));
-    let next =
-        format!("use3d render {scene} --cameras {capture} --out renders/ --modes enhanced-clear,enhanced");
+    let next = format!("use3d render {scene} --cameras {capture} --out renders/ --modes enhanced");
     made(app, &args.out, &next, |work| {
         hand.imported(&app.host, work, Some(&args.scene), false)?;
         copy_folder(&hand.run(&app.host, work)?, &args.out, force)

@@ -19,6 +19,10 @@ use crate::args::{CameraPath, EngineArgs, FrameFormat, RenderArgs};
 use crate::error::{Done, WorkError};
 use crate::size::parse_size;
 
+/// The doubt about a look whose colours are too strong in its scene.
+pub(crate) const TOO_STRONG: &str = "enhanced-clear: the colours were learnt through water and are too strong without \
+    it, so far things become red; `enhanced` is the look for showing";
+
 /// Frames per second of a film of cameras that have no rate of their own.
 pub(crate) const FRAME_RATE: f64 = 30.0;
 

@@ -14,6 +14,7 @@ use crate::App;
 use crate::args::{ExportArgs, ExportFrame, ExportWhat, check_shares};
 use crate::error::{Done, WorkError};
 use crate::interrupt::ends_soon;
+use crate::verbs::drawing::TOO_STRONG;
 use crate::verbs::{web, white};
 
 pub(crate) fn run(app: &App, args: &ExportArgs) -> Done {
@@ -60,6 +61,9 @@ pub(crate) fn run(app: &App, args: &ExportArgs) -> Done {
     };
     let mut tell = |line: String| eprintln!("{line}");
     let tell: Option<&mut dyn FnMut(String)> = if app.quiet { None } else { Some(&mut tell) };
+    if look.mode.is_some_and(|mode| mode.is_too_strong(&scene)) {
+        remark!(app, "{TOO_STRONG}");
+    }
     let exported = ExportedScene::bake((&scene, &args.scene), &look, tell)?;
     let frame = args.frame.map_or(GaussianFrame::default(), ExportFrame::frame);
     files(args).try_for_each(|(format, flag, _, path)| {

@@ -10,7 +10,14 @@ fn default_run(started: Instant) -> WholeRun {
         let parameters = stage.parameters(&serde_json::json!({})).expect("defaults");
         Share { cost: stage.usual_cost(&parameters), forecast: None, turn: Turn::Pending, needs: Vec::new() }
     };
-    WholeRun { parts: STAGES.map(part).to_vec(), total: STAGES.len(), jobs: 1, started, drawn: None }
+    WholeRun {
+        parts: STAGES.map(part).to_vec(),
+        total: STAGES.len(),
+        jobs: 1,
+        started,
+        drawn: None,
+        shown: 0,
+    }
 }
 
 fn after(start: Instant, seconds: f64) -> Instant {
@@ -33,7 +40,7 @@ fn replay(lines: &[&str]) -> (Vec<(f64, f64)>, f64) {
             begun
         } else {
             let now = after(start, begun + number(1));
-            whole.parts[stage].turn = Turn::Running(after(start, begun), Some((number(2), now)));
+            whole.parts[stage].turn = told(after(start, begun), None, Some(number(2)), now);
             begun + number(1)
         };
         shown.extend(whole.left(after(start, passed)).map(|left| (passed, left)));
@@ -88,6 +95,32 @@ fn a_log_without_a_bar_hears_how_many_stages_are_over() {
     listener.event(&Event::Done { node: 4, label: "", cached: true, seconds: 0.0 });
     listener.event(&Event::Done { node: 5, label: "", cached: false, seconds: 1.0 });
     assert_eq!(*told.lock().expect("told"), [(1, 7), (4, 7), (6, 7)]);
+}
+
+#[test]
+fn a_pause_of_the_process_is_not_taken_for_work() {
+    let start = Instant::now();
+    let mut whole = default_run(start);
+    let mut turn = Turn::Running(start, None);
+    let mut report = |seconds: f64, left: f64| {
+        let Turn::Running(began, before) = turn else { return };
+        turn = told(began, before, Some(left), after(start, seconds));
+    };
+    for k in 1..=20 {
+        report(f64::from(k), f64::from(100 - k));
+    }
+    // The notebook was closed for ten minutes; then the work goes on as before.
+    report(621.0, 79.0);
+    report(622.0, 78.0);
+    whole.parts[1].turn = turn;
+    let now = after(start, 622.0);
+    let seconds = whole.parts[1].whole(now).expect("a running stage");
+    assert!((seconds - 100.0).abs() < 2.0, "{seconds}");
+    // A pause before the first word, or one long step of many, is work.
+    assert_eq!(
+        told(start, None, Some(5.0), now),
+        Turn::Running(start, Some(Told { left: 5.0, at: now, since: now - start }))
+    );
 }
 
 #[test]

@@ -7,6 +7,7 @@ use std::fmt::{self, Display, Formatter, Write};
 use use3d_capture::name::{shown, shown_lines};
 
 use crate::cache::joined;
+use crate::cache::key::Difference;
 use crate::cache::machine::{bytes, seconds};
 use crate::plan::planning::{Plan, PlannedNode, State};
 use crate::plan::status::{BatchProgress, Cell, Counts, Row, Standing, Status, Why};
@@ -115,12 +116,31 @@ fn few(all: &[impl Display], between: &str) -> String {
     named.join(between)
 }
 
+/// The changes for a reader who knows no digests; `why` has these.
+fn changes(all: &[Difference]) -> String {
+    let (mut said, mut inputs, mut program) = (Vec::new(), Vec::new(), false);
+    for change in all {
+        match change.ingredient.split_once(' ') {
+            Some(("input", name)) => inputs.push(name),
+            Some(("code" | "third-party" | "artifact", _)) => program = true,
+            _ => said.push(change.to_string()),
+        }
+    }
+    if !inputs.is_empty() {
+        said.push(format!("what it reads is new: {}", few(&inputs, ", ")));
+    }
+    if program {
+        said.push("the program is another version".into());
+    }
+    few(&said, "; ")
+}
+
 fn describe(node: &PlannedNode) -> (&'static str, String) {
     match &node.state {
         State::Cached => ("cached", String::new()),
         State::Unwanted => ("off", String::new()),
         State::Run(reason) if node.changes.is_empty() => ("run", reason.clone()),
-        State::Run(_) => ("run", few(&node.changes, "; ")),
+        State::Run(_) => ("run", changes(&node.changes)),
         State::Waiting(parents) => {
             let parents = few(parents, ", ");
             // An earlier artifact stays valid unless something upstream changes.
@@ -340,5 +360,29 @@ impl Display for Verification {
                 n => writeln!(f, ": {n} problem(s){aside}"),
             }
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn changes_are_told_without_digests() {
+        let change = |ingredient: &str, old: &str, new: &str| Difference {
+            ingredient: ingredient.into(),
+            old: Some(old.into()),
+            new: Some(new.into()),
+        };
+        let all = [
+            change("code use3d-splat", "52c8a7d7ae5e", "a22fdf8b302a"),
+            change("parameter iterations", "200", "3000"),
+            change("input scene", "52c8a7d7ae5e", "a22fdf8b302a"),
+            change("input import", "a", "b"),
+        ];
+        let said = changes(&all);
+        let wanted = "parameter iterations: 200 → 3000; what it reads is new: scene, import; the program is \
+                      another version";
+        assert_eq!(said, wanted);
     }
 }

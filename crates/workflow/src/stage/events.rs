@@ -44,6 +44,8 @@ pub enum Event<'a> {
     WholeRun {
         /// Share of the time that has passed, 0 to 100.
         percent: u64,
+        /// Seconds since the start of the run.
+        seconds: f64,
         /// Seconds left.
         seconds_left: f64,
     },
