@@ -228,6 +228,19 @@ mod tests {
 
     use super::*;
 
+    #[test]
+    fn screen_gradients_are_scaled_by_half_of_each_side() {
+        let gradients = GaussianGradients {
+            screen: vec![[0.3, 0.4]; 2],
+            visible: vec![true, false],
+            ..GaussianGradients::default()
+        };
+        let mut seen = Statistics::new(2);
+        seen.gather(&gradients, 20, 10, 2.0);
+        assert!((seen.norms[0] - 52.0f32.sqrt()).abs() < 1e-5, "{:?}", seen.norms);
+        assert_eq!((seen.norms[1], &seen.renders[..]), (0.0, &[1, 0][..]));
+    }
+
     fn state(medium: MediumModel) -> TrainingState {
         let mut gaussians = zeros(3, 2);
         gaussians.means[1] = [1.0, -0.0, f32::MIN_POSITIVE];
