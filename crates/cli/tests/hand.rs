@@ -46,13 +46,20 @@ fn results_stand_for_what_they_were_made_from_and_earlier_ones_come_back() {
     let listed = expect(&place, 0, &["results", "out"]);
     assert!(listed.contains("iterations=30") && listed.contains("iterations=20"), "{listed}");
     assert_eq!(listed.matches("shown now").count(), 1);
+    // A restored run keeps the date on which it was made.
+    let record = place.at("out/runs/0001.json");
+    let text = std::fs::read_to_string(&record).expect("the record");
+    let made = text.split("\"made\": ").nth(1).and_then(|rest| rest.split(',').next()).expect("a time");
+    std::fs::write(&record, text.replace(&format!("\"made\": {made}"), "\"made\": 1000000000"))
+        .expect("written");
     let back = expect(&place, 0, &["results", "out", "1"]);
     assert!(back.contains("run 2 (") && back.contains("0 computed") || back.contains("cached"), "{back}");
     assert_eq!(read(scene), before);
     let line = |text: &str, run: &str| {
         text.lines().find(|l| l.trim_start().starts_with(run)).unwrap_or_default().to_string()
     };
-    assert!(line(&expect(&place, 0, &["results", "out"]), "1").contains("shown now"));
+    let first = line(&expect(&place, 0, &["results", "out"]), "1");
+    assert!(first.contains("shown now") && first.contains("2001-09-09"), "{first}");
     assert!(expect(&place, 2, &["results", "out", "7"]).contains("there are: 1, 2"));
     assert!(expect(&place, 2, &["results", "nothing"]).contains("no results of `use3d run`"));
 

@@ -33,6 +33,9 @@ pub struct RunRecord {
     version: u32,
     /// Time when its results were last written into the folder, in seconds since 1970.
     pub delivered: u64,
+    /// Time when they were first written there; 0 in records of earlier versions.
+    #[serde(default)]
+    made: u64,
     /// The command line.
     pub command: String,
     /// The pipeline file or capture folder.
@@ -87,6 +90,7 @@ impl RunRecord {
             format: FORMAT.into(),
             version: VERSION,
             delivered: machine::now(),
+            made: machine::now(),
             command,
             target: absolute(&request.target),
             sets: options.sets.clone(),
@@ -245,7 +249,7 @@ pub struct RunLine {
     pub run: usize,
     /// True if its results are in the folder now.
     pub shown: bool,
-    /// Time when they were written there, UTC.
+    /// Time when they were first written there, UTC.
     pub delivered: String,
     /// The command line.
     pub command: String,
@@ -267,7 +271,9 @@ pub fn lines(results: &Path) -> Vec<RunLine> {
             let scores: SceneScores = read_json(&record.folder_of(evaluated)?.join(SCORES)).ok()?;
             scores.mean(Method::Reconstruction, "psnr")?.value()
         };
-        let mut delivered = machine::utc(record.delivered);
+        // A restored run keeps its date.
+        let first = if record.made > 0 { record.made } else { record.delivered };
+        let mut delivered = machine::utc(first);
         delivered.truncate("2026-01-01 00:00".len());
         RunLine {
             run: *run,
