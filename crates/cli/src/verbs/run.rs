@@ -162,7 +162,7 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     }
     let options = RunOptions {
         jobs: args.jobs,
-        keep_going: args.keep_going,
+        keep_going: args.keep_going || loaded.pipeline.keep_going,
         until,
         only,
         limit: args.max_time,

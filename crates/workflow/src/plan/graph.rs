@@ -79,11 +79,13 @@ impl BatchScene {
     }
 }
 
-/// A named set of changes; every scene is computed with it.
+/// A named set of changes; every scene of its groups is computed with it.
 #[derive(Clone, Debug, Default)]
 pub struct Variant {
     /// Its name, unique in the batch.
     pub name: String,
+    /// The groups of the scenes that are computed with it; an empty list means every scene.
+    pub groups: Vec<String>,
     /// The variant's own seed.
     pub seed: Option<u64>,
     /// The preset used in place of the batch's.
@@ -101,6 +103,11 @@ pub struct Variant {
 }
 
 impl Variant {
+    /// True if a scene is computed with it.
+    pub(crate) fn is_of(&self, scene: &BatchScene) -> bool {
+        self.groups.is_empty() || self.groups.contains(&scene.group)
+    }
+
     /// Names a file or folder of this variant; `by` is the place where the user named it, for messages.
     pub fn name_external(&mut self, name: &str, place: External, by: impl Into<String>) {
         self.externals.insert(name.to_string(), place);
@@ -264,11 +271,12 @@ impl Graph {
         }
         for scene in &batch.scenes {
             // The reference variant comes first, at any position in the list.
-            let reference = builder.reference(scene, variants)?;
-            let others = variants.iter().enumerate().filter(|(i, _)| Some(*i) != reference);
-            let ordered = reference.map(|i| &variants[i]).into_iter().chain(others.map(|(_, v)| v));
-            for variant in ordered {
-                builder.add(Some(scene), variant, reference.map(|i| &variants[i]), Scope::Scene)?;
+            let own: Vec<&Variant> = variants.iter().filter(|variant| variant.is_of(scene)).collect();
+            let reference = builder.reference(scene, &own)?;
+            let others = own.iter().enumerate().filter(|(i, _)| Some(*i) != reference);
+            let reference = reference.map(|i| own[i]);
+            for variant in reference.into_iter().chain(others.map(|(_, v)| *v)) {
+                builder.add(Some(scene), variant, reference, Scope::Scene)?;
             }
         }
         builder.add_batch_stages(variants)?;
@@ -483,7 +491,7 @@ impl GraphBuilder<'_> {
 
     /// The index of a scene's reference variant, if a stage declares a condition for it and a variant meets
     /// that condition.
-    fn reference(&mut self, scene: &BatchScene, variants: &[Variant]) -> Result<Option<usize>, BuildError> {
+    fn reference(&mut self, scene: &BatchScene, variants: &[&Variant]) -> Result<Option<usize>, BuildError> {
         let registry = self.registry;
         let Some(fulfils) = registry.stages().iter().find_map(|s| s.reference.as_ref()) else {
             return Ok(None);
@@ -508,7 +516,7 @@ impl GraphBuilder<'_> {
             return Ok(own);
         }
         let mut everywhere: Option<BTreeSet<&'static str>> = None;
-        for scene in &batch.scenes {
+        for scene in batch.scenes.iter().filter(|scene| variant.is_of(scene)) {
             let off = &self.parameters(Some(scene), variant)?.all.off;
             everywhere = Some(everywhere.map_or_else(|| off.clone(), |all| &all & off));
         }
