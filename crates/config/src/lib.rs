@@ -1,7 +1,7 @@
 //! The pipeline file: the scenes, their parameters and their variants.
 //!
 //! ```toml
-//! name = "seathru4"
+//! name = "reefs"
 //! seed = 42
 //! preset = "paper"                           # parameters of stages under a name
 //! [models]
@@ -12,7 +12,7 @@
 //! iterations = 15000
 //! [[scene]]
 //! name = "Panama"
-//! capture = "${SEATHRU}/Panama"              # or `from = "dives/*"` in place of both: many scenes
+//! capture = "captures/Panama"                # or `from = "dives/*"` in place of both: many scenes
 //! reconstruct = { iterations = 20000 }       # for this scene only
 //! [[variant]]                                # every scene in every variant; unchanged stages are shared
 //! name = "mlp"

@@ -116,18 +116,18 @@ impl Recipe {
             Self::SeaThruNerf => (
                 "SeaThru-NeRF",
                 "images_wb/ and sparse/0/",
-                "its authors publish the archive at https://sea-thru-nerf.github.io/ and state no licence there",
+                "its authors publish the archive, with their terms, at https://sea-thru-nerf.github.io/",
             ),
             Self::SeaThru => (
                 "Sea-Thru",
                 "linear PNGs or TIFFs of 16 bits",
-                "its authors publish it at \
-                 https://csms.haifa.ac.il/profiles/tTreibitz/datasets/sea_thru/index.html, with their terms",
+                "its authors publish it, with their terms, at \
+                 https://csms.haifa.ac.il/profiles/tTreibitz/datasets/sea_thru/index.html",
             ),
             Self::Druva => (
                 "DRUVA",
                 "its film",
-                "its owners give it out on a signed agreement, for research: https://github.com/nishavarghese15/DRUVA",
+                "its owners give it out on a signed agreement: https://github.com/nishavarghese15/DRUVA",
             ),
         };
         format!(

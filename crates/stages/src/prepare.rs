@@ -24,6 +24,8 @@ pub(crate) mod definition {
 
     use use3d_workflow::{Figure, Lacking, Named, Scope, Stage};
 
+    use crate::planning::expected::of_prepare;
+
     use super::*;
 
     pub(crate) fn stage() -> Stage {
@@ -44,6 +46,7 @@ pub(crate) mod definition {
                 Figure { file: PREPARED, at: "/verdict/error", within: 0.2 },
             ])
             .resumable(&["frames"])
+            .expects(of_prepare)
             .usually_costs(10.0, 0.5)
             .cost(0, 2 << 30)
     }

@@ -203,6 +203,9 @@ fn tell_why(plan: &Plan) {
             if unknown > 0 { format!(" plus {unknown} stages that never ran before") } else { String::new() };
         eprintln!("the whole run will take about {}{besides}, judging by earlier runs", seconds(forecast));
     }
+    if let Some(expected) = plan.expected() {
+        eprintln!("stages that never ran will take {expected}, judging by the sizes of the pictures");
+    }
 }
 
 /// The default options of a run in this process, which a signal may end at a time limit.

@@ -191,11 +191,12 @@ impl<'a> Scored<'a> {
     }
 
     /// The scenes that failed. A stage that variants share fails for one of them, and the others wait for it.
-    fn without(&self) -> Vec<FailedScene> {
+    fn without(&self, settings: &ReportSettings) -> Vec<FailedScene> {
         let each = self.without.iter().filter_map(|(scene, variant)| {
             let failures = self.failures.get(scene)?;
             let reason = failures.get(variant).or_else(|| failures.values().min())?.clone();
-            Some(FailedScene { scene: scene.to_string(), variant: variant.to_string(), reason })
+            let (group, variant) = (settings.group(scene).to_string(), variant.to_string());
+            Some(FailedScene { scene: scene.to_string(), group, variant, reason })
         });
         each.collect()
     }
@@ -404,7 +405,7 @@ impl Results {
             subtitle: index.head(),
             verdict: index.verdict(),
             settings: lineage::settings(configurations.iter().map(|(variant, made)| (*variant, &**made))),
-            tables: paper::tables(&all, &scored.without()),
+            tables: paper::tables(&all, &scored.without(settings)),
             index: Some(index),
             costs: Some(lineage::costs_by_stage(&summary.nodes, &settings.pipeline, command)),
             ..Page::default()

@@ -261,11 +261,15 @@ impl<'a> Batch<'a> {
         (!others.is_empty() && !common.is_empty()).then_some(common)
     }
 
+    /// True if variants are compared over a group.
+    pub(super) fn is_compared(&self, group: &str) -> bool {
+        self.common().is_none_or(|groups| groups.contains(&group))
+    }
+
     /// The scenes of a variant that the variants are compared over: those in groups that all of them have.
     pub(super) fn compared(&self, variant: &str) -> Vec<&'a MeanScores> {
-        let common = self.common();
         let all = self.of_group(ALL, variant).iter().copied();
-        all.filter(|s| common.as_ref().is_none_or(|groups| groups.contains(&s.group.as_str()))).collect()
+        all.filter(|scene| self.is_compared(&scene.group)).collect()
     }
 
     /// True if a variant brings the 2D enhancer in by another way than transitions: from photographs that were

@@ -7,7 +7,7 @@ use super::batch::{ALL, Batch, Quantity, columns, published_cell};
 use super::means::MeanScores;
 use super::published;
 use super::{Better, Cell, Column, Row, Table};
-use use3d_judge::names::{distinct, in_variant};
+use use3d_judge::names::distinct;
 use use3d_judge::scores::{Method, Warp};
 
 const RECONSTRUCTION: [Quantity; 3] = [
@@ -32,6 +32,8 @@ const CONSISTENCY: [Quantity; 8] = [
     ("coverage", "share", Better::Neither, 2),
     ("path_coverage", "path share", Better::Neither, 2),
 ];
+/// The tables of variants alone.
+const OF_VARIANTS: [&str; 3] = ["ablation-stage1", "ablation-stage2", "prior-integration"];
 /// The most failed scenes that a caption names.
 const SHOWN: usize = 8;
 /// The reason why a scene has no frames per second here.
@@ -42,6 +44,8 @@ const NOT_TIMED: &str = "times are no part of an artifact: they are kept beside 
 pub struct FailedScene {
     /// The scene.
     pub scene: String,
+    /// Its group, or empty.
+    pub group: String,
     /// The variant; empty if there are no variants.
     pub variant: String,
     /// The stage, and why it failed.
@@ -98,25 +102,30 @@ pub fn tables(scenes: &[MeanScores], failed: &[FailedScene]) -> Vec<Table> {
 
 /// Adds the rows and sentences about scenes that failed.
 fn name_failed(tables: &mut [Table], batch: &Batch<'_>, failed: &[FailedScene]) {
-    if failed.is_empty() {
-        return;
-    }
-    let reason =
-        |scene: &FailedScene| format!("{}: {}", in_variant(&scene.scene, &scene.variant), scene.reason);
+    let is_whole = |scene: &FailedScene| batch.whole.contains(&scene.variant.as_str());
     for table in tables {
         if table.name.ends_with("-scenes") {
-            let of_all = failed.iter().filter(|scene| batch.whole.contains(&scene.variant.as_str()));
-            table.rows.extend(of_all.map(|scene| {
-                let cells = vec![Cell::NotAvailable { reason: reason(scene) }; table.columns.len()];
+            table.rows.extend(failed.iter().filter(|scene| is_whole(scene)).map(|scene| {
+                let reason = format!("{}: {}", scene.scene, scene.reason);
+                let cells = vec![Cell::NotAvailable { reason }; table.columns.len()];
                 Row { scene: scene.scene.clone(), ..Row::own(Batch::program(&scene.variant), cells) }
             }));
             continue;
         }
-        let mut names: Vec<String> = failed.iter().take(SHOWN).map(reason).collect();
-        if failed.len() > SHOWN {
-            names.push(format!("{} more", failed.len() - SHOWN));
+        // A stage that variants share failed once.
+        let of_variants = OF_VARIANTS.contains(&table.name.as_str());
+        let told = failed
+            .iter()
+            .filter(|scene| if of_variants { batch.is_compared(&scene.group) } else { is_whole(scene) });
+        let told: Vec<String> = told.map(|scene| format!("{}: {}", scene.scene, scene.reason)).collect();
+        let told = distinct(told.iter().map(String::as_str));
+        if told.is_empty() {
+            continue;
         }
-        table.caption += &format!(". Without scenes that failed ({})", names.join("; "));
+        let more = told.len().saturating_sub(SHOWN);
+        let more = if more > 0 { format!("; {more} more") } else { String::new() };
+        let names = told.into_iter().take(SHOWN).collect::<Vec<_>>().join("; ");
+        table.caption += &format!(". Without scenes that failed ({names}{more})");
     }
 }
 
@@ -440,7 +449,8 @@ mod tests {
         let scored = scene("D3", "D3", "", 28.0);
         let means = MeanScores::new([&scored.scene, &scored.group, ""], &scored.scores);
         let reason = "`prepare` failed: the film is cut off".to_string();
-        let failed = [FailedScene { scene: "A7".into(), variant: String::new(), reason }];
+        let failed =
+            [FailedScene { scene: "A7".into(), group: "DRUVA-20".into(), variant: String::new(), reason }];
         let tables = super::tables(&[means], &failed);
         let text = |name: &str| tables.iter().find(|t| t.name == name).unwrap().markdown();
         assert!(text("reconstruction-scenes").contains("| A7 · 3D-USE"), "{}", text("reconstruction-scenes"));

@@ -103,11 +103,6 @@ pub struct Variant {
 }
 
 impl Variant {
-    /// True if a scene is computed with it.
-    pub(crate) fn is_of(&self, scene: &BatchScene) -> bool {
-        self.groups.is_empty() || self.groups.contains(&scene.group)
-    }
-
     /// Names a file or folder of this variant; `by` is the place where the user named it, for messages.
     pub fn name_external(&mut self, name: &str, place: External, by: impl Into<String>) {
         self.externals.insert(name.to_string(), place);
@@ -270,12 +265,9 @@ impl Graph {
             builder.add(None, variant, None, Scope::Shared)?;
         }
         for scene in &batch.scenes {
-            // The reference variant comes first, at any position in the list.
-            let own: Vec<&Variant> = variants.iter().filter(|variant| variant.is_of(scene)).collect();
+            let own = layers::of_scene(variants, scene);
             let reference = builder.reference(scene, &own)?;
-            let others = own.iter().enumerate().filter(|(i, _)| Some(*i) != reference);
-            let reference = reference.map(|i| own[i]);
-            for variant in reference.into_iter().chain(others.map(|(_, v)| *v)) {
+            for variant in layers::ordered(&own, reference) {
                 builder.add(Some(scene), variant, reference, Scope::Scene)?;
             }
         }
@@ -489,16 +481,17 @@ impl GraphBuilder<'_> {
         }
     }
 
-    /// The index of a scene's reference variant, if a stage declares a condition for it and a variant meets
-    /// that condition.
-    fn reference(&mut self, scene: &BatchScene, variants: &[&Variant]) -> Result<Option<usize>, BuildError> {
-        let registry = self.registry;
-        let Some(fulfils) = registry.stages().iter().find_map(|s| s.reference.as_ref()) else {
-            return Ok(None);
-        };
-        for (i, variant) in variants.iter().enumerate() {
-            if fulfils(&self.parameters(Some(scene), variant)?.all) {
-                return Ok(Some(i));
+    /// A scene's reference variant, if a stage declares a condition for it and a variant meets that condition.
+    fn reference<'v>(
+        &mut self,
+        scene: &BatchScene,
+        of: &[&'v Variant],
+    ) -> Result<Option<&'v Variant>, BuildError> {
+        let fulfils = self.registry.stages().iter().find_map(|s| s.reference.as_ref());
+        for variant in of.iter().filter(|_| fulfils.is_some()) {
+            let all = &self.parameters(Some(scene), variant)?.all;
+            if fulfils.is_some_and(|fulfils| fulfils(all)) {
+                return Ok(Some(variant));
             }
         }
         Ok(None)
@@ -516,7 +509,7 @@ impl GraphBuilder<'_> {
             return Ok(own);
         }
         let mut everywhere: Option<BTreeSet<&'static str>> = None;
-        for scene in batch.scenes.iter().filter(|scene| variant.is_of(scene)) {
+        for scene in batch.scenes.iter().filter(|scene| layers::is_of(variant, scene)) {
             let off = &self.parameters(Some(scene), variant)?.all.off;
             everywhere = Some(everywhere.map_or_else(|| off.clone(), |all| &all & off));
         }
