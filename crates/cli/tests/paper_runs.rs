@@ -1,5 +1,5 @@
-//! Runs the paper's pipeline from stand-ins for the owners' downloads, in their layouts: tiny scenes, weights of
-//! the right shapes, a few pairs. The changes to the paper's settings must be printed beside every number.
+//! Runs the paper's pipeline from stand-ins for the owners' downloads, in their layouts: tiny scenes, weights
+//! of the right shapes, a few pairs. The changes to the paper's settings must be printed beside every number.
 //!
 //! The normal run has three scenes. All 26 are for a run by hand:
 //!
@@ -22,7 +22,8 @@ mod standin;
 
 const SEATHRU: [&str; 4] = ["IUI3-RedSea", "Panama", "Curasao", "JapaneseGradens-RedSea"];
 
-/// In the place of `colmap`: it finds the model that was put beside it under the name of the first photograph.
+/// In the place of `colmap`: it finds the model that was put beside it under the name of the first
+/// photograph.
 const SCRIPT: &str = r#"#!/bin/sh
 here=$(dirname "$0")
 case "$1" in help) echo "COLMAP 9.9 -- a script"; exit 0;; esac
@@ -149,7 +150,8 @@ impl Lab {
         fs::read_to_string(self.at(file)).unwrap_or_else(|e| panic!("{file}: {e}"))
     }
 
-    /// Runs the paper's pipeline with some scenes, or all, and returns the stages that ran, by name and scene.
+    /// Runs the paper's pipeline with some scenes, or all, and returns the stages that ran, by name and
+    /// scene.
     fn run(&self, scenes: &[&str], sets: &[&str]) -> Vec<(String, String)> {
         let mut run = vec!["-q", "run", "paper", "--models", "models", "--out", "out", "--json"];
         scenes.iter().for_each(|scene| run.extend(["--scene", scene]));

@@ -4,7 +4,7 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-use use3d_prepare::{Origin, Recipe, RecipeWork};
+use use3d_prepare::{Recipe, RecipeWork, SetScene};
 use use3d_workflow::graph::{External, Overrides};
 
 use super::merge_into;
@@ -62,7 +62,7 @@ fn find_below(recipe: Recipe, scene: &str, root: &Path) -> (bool, External) {
 
 /// Adds the choices for a scene of a data set to its own parameters, which win.
 pub(super) fn choose(recipe: Recipe, scene: &str, overrides: &mut Overrides) {
-    let origin = Origin { recipe, scene: scene.to_string() };
+    let origin = SetScene { recipe, scene: scene.to_string() };
     let choices = recipe.choices();
     let given = serde_json::json!({
         "origin": origin, "frames": choices.frames, "matching": choices.matching,

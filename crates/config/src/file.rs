@@ -103,8 +103,8 @@ pub(crate) struct SceneEntry {
     /// scene of its name. The stage `prepare` finds the cameras of films and of folders that have none.
     #[serde(default)]
     pub(crate) from: Option<String>,
-    /// The data set that has the scene of this name, in place of a capture: `seathru`, `d3d5` or `druva`. It is
-    /// found where its owners' files lie, below the folder that DATA names or that its own variable names.
+    /// The data set that has the scene of this name, in place of a capture: `seathru`, `d3d5` or `druva`. It
+    /// is found where its owners' files lie, below the folder that DATA names or that its own variable names.
     #[serde(default)]
     #[schemars(with = "Option<String>")]
     pub(crate) download: Option<Recipe>,

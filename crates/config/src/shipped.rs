@@ -1,5 +1,5 @@
-//! The pipeline files that come with the program. An installed program has no folder `pipelines/` beside it, so
-//! they are parts of the program. The file of the paper has parts with names of their own.
+//! The pipeline files that come with the program. An installed program has no folder `pipelines/` beside it,
+//! so they are parts of the program. The file of the paper has parts with names of their own.
 
 use std::path::{Path, PathBuf};
 

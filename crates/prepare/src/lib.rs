@@ -47,7 +47,7 @@ pub use footage::{
 };
 pub use left_out::{LeftCause, LeftFrame, LookedFilm, looked_films};
 pub use linear::check_linear;
-pub use origin::{Origin, Recipe};
+pub use origin::{Recipe, SetScene};
 pub use params::{Keypoints, Mapper, Matching, PrepareParams};
 pub use prepare::{CAPTURE, Input, Prepared, check, key_of, prepare, work_folder};
 pub use process::{StepProgress, StepWatch};

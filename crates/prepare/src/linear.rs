@@ -1,4 +1,5 @@
-//! The photographs of the data set Sea-Thru: linear photographs, with 16 bits and without a colour space of their own.
+//! The photographs of the data set Sea-Thru: linear photographs, with 16 bits and without a colour space of
+//! their own.
 //!
 //! They are encoded for screens. Pictures that are encoded already would be encoded twice, so
 //! they are refused by name: those of 8 bits, those whose 16 bits repeat 8, and those that state a colour

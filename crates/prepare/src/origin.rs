@@ -22,14 +22,14 @@ pub enum Recipe {
 /// A scene of a data set, written `druva/A3`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
-pub struct Origin {
+pub struct SetScene {
     /// The data set.
     pub recipe: Recipe,
     /// The scene's name, as its owners spell it.
     pub scene: String,
 }
 
-impl TryFrom<String> for Origin {
+impl TryFrom<String> for SetScene {
     type Error = PrepareError;
 
     fn try_from(text: String) -> Result<Self, PrepareError> {
@@ -43,8 +43,8 @@ impl TryFrom<String> for Origin {
     }
 }
 
-impl From<Origin> for String {
-    fn from(Origin { recipe, scene }: Origin) -> Self {
+impl From<SetScene> for String {
+    fn from(SetScene { recipe, scene }: SetScene) -> Self {
         format!("{}/{scene}", recipe.name())
     }
 }

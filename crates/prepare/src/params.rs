@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::error::PrepareError;
-use crate::origin::Origin;
+use crate::origin::SetScene;
 
 /// The pairs of images that are compared.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -85,7 +85,7 @@ pub struct PrepareParams {
     /// The scene of a data set that the input is, such as `druva/A3`, for its form: an archive, linear
     /// photographs, or a film. A pipeline's `download` sets it.
     #[schemars(with = "Option<String>")]
-    pub origin: Option<Origin>,
+    pub origin: Option<SetScene>,
 }
 
 impl Default for PrepareParams {

@@ -1,7 +1,7 @@
 //! Recipes for the data sets of the paper: the files of each scene, and what they need to become captures.
 //!
-//! The owners distribute the data, so a recipe begins with their files: a folder, or an archive. What they do not
-//! publish, such as the frames that the paper took from films, is this program's choice, and
+//! The owners distribute the data, so a recipe begins with their files: a folder, or an archive. What they do
+//! not publish, such as the frames that the paper took from films, is this program's choice, and
 //! docs/guide/datasets.md says so.
 
 use std::path::{Path, PathBuf};
@@ -13,7 +13,7 @@ use use3d_io_colmap::ModelForm;
 use use3d_io_image::{ChannelHistogram, read_pixels, write_png16};
 
 use crate::error::PrepareError;
-use crate::origin::{Origin, Recipe};
+use crate::origin::{Recipe, SetScene};
 use crate::params::{Matching, PrepareParams};
 use crate::photographs::{copy_all, copy_beside};
 use crate::prepare::{CAPTURE, Input, write_record};
@@ -89,8 +89,8 @@ impl Recipe {
         })
     }
 
-    /// True if an archive has files of a scene. An archive without a list of its files has them if it is named
-    /// like the scene or the data set.
+    /// True if an archive has files of a scene. An archive without a list of its files has them if it is
+    /// named like the scene or the data set.
     pub fn is_packed(self, archive: &Path, scene: &str) -> bool {
         let Some(stem) = use3d_archive::stem(archive) else { return false };
         if !use3d_archive::has_list(archive) {
@@ -152,8 +152,8 @@ fn inside(folder: &Path, name: &str) -> PathBuf {
     alike.into_iter().next().unwrap_or(exact)
 }
 
-/// The place of an archive's file below the folder into which a scene is unpacked; `None` for a file of another
-/// scene.
+/// The place of an archive's file below the folder into which a scene is unpacked; `None` for a file of
+/// another scene.
 fn below(name: &str, archive: &str, scene: &str) -> Option<PathBuf> {
     let parts: Vec<&str> = name.split(['/', '\\']).filter(|part| !part.is_empty() && *part != ".").collect();
     let (file, folders) = parts.split_last()?;
@@ -178,11 +178,11 @@ fn below(name: &str, archive: &str, scene: &str) -> Option<PathBuf> {
 /// The archive cannot be read, or it has not all files of the scene.
 pub fn unpack(
     archive: &Path,
-    origin: &Origin,
+    origin: &SetScene,
     folder: &Path,
     watch: &StepWatch<'_>,
 ) -> Result<RecipeWork, PrepareError> {
-    let Origin { recipe, scene } = origin;
+    let SetScene { recipe, scene } = origin;
     if !folder.is_dir() {
         let begun = folder.with_extension("begun");
         if begun.is_dir() {
@@ -304,10 +304,10 @@ mod tests {
         for recipe in Recipe::ALL {
             assert_eq!(recipe.work(root, "A3").unwrap(), None);
             assert!(recipe.absent("A3").contains("https://") && recipe.absent("A3").contains("datasets.md"));
-            let text = String::from(Origin { recipe, scene: "A3".into() });
-            assert_eq!(Origin::try_from(text).unwrap().recipe, recipe);
+            let text = String::from(SetScene { recipe, scene: "A3".into() });
+            assert_eq!(SetScene::try_from(text).unwrap().recipe, recipe);
         }
-        assert!(Origin::try_from("druva".to_string()).unwrap_err().to_string().contains("druva/A3"));
+        assert!(SetScene::try_from("druva".to_string()).unwrap_err().to_string().contains("druva/A3"));
         std::fs::write(root.join("a3.MP4"), "film").unwrap();
         std::fs::create_dir(root.join("a7")).unwrap();
         std::fs::write(root.join("a7/GX01.mp4"), "film").unwrap();

@@ -272,8 +272,8 @@ impl<'a> Batch<'a> {
         all.filter(|scene| self.is_compared(&scene.group)).collect()
     }
 
-    /// True if a variant brings the 2D enhancer in by another way than transitions: from photographs that were
-    /// enhanced one by one, or from labels of each view.
+    /// True if a variant brings the 2D enhancer in by another way than transitions: from photographs that
+    /// were enhanced one by one, or from labels of each view.
     pub(super) fn is_other_way(&self, variant: &str) -> bool {
         self.of_group(ALL, variant).iter().any(|scene| {
             let changed = scene.configuration.iter().flat_map(|made| &made.changed);
@@ -283,8 +283,8 @@ impl<'a> Batch<'a> {
         })
     }
 
-    /// One row for each of some variants, averaged over the scenes that all variants have, of the first of these
-    /// methods that the variant has. With `once`, variants with the same numbers have one row.
+    /// One row for each of some variants, averaged over the scenes that all variants have, of the first of
+    /// these methods that the variant has. With `once`, variants with the same numbers have one row.
     pub(super) fn ablation(
         &self,
         [name, caption]: [&str; 2],

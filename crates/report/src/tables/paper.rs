@@ -52,8 +52,8 @@ pub struct FailedScene {
     pub reason: String,
 }
 
-/// Every table that the scenes can fill, in the paper's order. Empty without scenes. A scene that failed has a
-/// row with its reason in the tables of scenes, and is named where means lack it.
+/// Every table that the scenes can fill, in the paper's order. Empty without scenes. A scene that failed has
+/// a row with its reason in the tables of scenes, and is named where means lack it.
 pub fn tables(scenes: &[MeanScores], failed: &[FailedScene]) -> Vec<Table> {
     if scenes.is_empty() {
         return Vec::new();

@@ -98,8 +98,8 @@ pub(crate) fn of_training(
     Some(Expected { seconds: STEP * steps as f64 * mega * share, bytes: 1e6 * SCENE * mega })
 }
 
-/// The networks of an evaluation. Each view is enhanced once, as a photograph and as a render, and the flow of
-/// each pair of views is computed once in both directions.
+/// The networks of an evaluation. Each view is enhanced once, as a photograph and as a render, and the flow
+/// of each pair of views is computed once in both directions.
 pub(crate) fn of_evaluation(all: &AllParameters, named: &Named, inputs: &[StageInput]) -> Option<Expected> {
     named.path("models")?;
     let own = all.get("evaluate")?.json();

@@ -481,7 +481,7 @@ impl GraphBuilder<'_> {
         }
     }
 
-    /// A scene's reference variant, if a stage declares a condition for it and a variant meets that condition.
+    /// A scene's reference variant: the first that meets the condition of a stage.
     fn reference<'v>(
         &mut self,
         scene: &BatchScene,
