@@ -19,6 +19,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("numerics", &[]),
     ("tensors", &[]),
     ("files", &[]),
+    ("archive", &[]),
     ("ply", &[]),
     ("capture", &["numerics"]),
     ("golden", &["capture", "numerics"]),
@@ -51,7 +52,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
         ],
     ),
     // It reads a table of times with the reader of tables in `survey`.
-    ("prepare", &["capture", "files", "numerics", "io-image", "overlay", "survey", "io-colmap"]),
+    ("prepare", &["archive", "capture", "files", "numerics", "io-image", "overlay", "survey", "io-colmap"]),
     ("check", &["capture", "numerics", "io-image", "survey", "import"]),
     ("metrics", &["capture", "numerics"]),
     ("nets", &["capture", "numerics"]),
@@ -89,7 +90,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "enhance",
         ],
     ),
-    ("config", &["workflow", "import", "prepare"]),
+    ("config", &["archive", "workflow", "import", "prepare"]),
 ];
 
 /// Crates that may use these heavy or delicate third-party crates.
@@ -166,8 +167,8 @@ fn arrows_point_down() {
 const TIERS: [&str; 5] = ["method", "formats", "engine", "application", "lab"];
 
 /// The ground of the tier `engine`, which crates of every tier may use: whole files, named tensors, digests,
-/// and the vertices of PLY files.
-const GROUND: [&str; 4] = ["files", "tensors", "code", "ply"];
+/// the vertices of PLY files, and archives.
+const GROUND: [&str; 5] = ["files", "tensors", "code", "ply", "archive"];
 
 /// The arrows to a higher tier, each with its reason.
 const UPWARD: &[(&str, &str, &str)] = &[

@@ -60,7 +60,7 @@ fn an_installed_program_has_the_pipeline_files_of_the_paper() {
     let (list, _) = expect(0, &["pipelines"]);
     assert!(list.contains("use26") && list.contains("All 26 scenes of the paper"), "{list}");
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../pipelines");
-    for name in ["use26", "demo"] {
+    for name in ["paper", "demo"] {
         let (text, _) = expect(0, &["pipelines", name]);
         assert_eq!(text, std::fs::read_to_string(folder.join(format!("{name}.toml"))).unwrap(), "{name}");
     }

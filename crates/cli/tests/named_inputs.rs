@@ -9,7 +9,9 @@ use std::process::Command;
 fn expect(code: i32, dir: &Path, arguments: &[&str]) -> (String, String) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_use3d"));
     command.args(arguments).current_dir(dir);
-    for variable in ["USE3D_CACHE", "USE3D_MODELS", "RUST_LOG", "UIEB", "SEATHRU", "SEATHRU_D", "DRUVA"] {
+    for variable in
+        ["USE3D_CACHE", "USE3D_MODELS", "RUST_LOG", "DATA", "UIEB", "SEATHRU", "SEATHRU_D", "DRUVA"]
+    {
         command.env_remove(variable);
     }
     let output = command.output().expect("the command starts");

@@ -192,98 +192,53 @@ fn a_run_on_photographs_prepares_them_first_and_once() {
     assert!(!Path::new(&place.at("results/captures/tiny")).exists());
 }
 
+/// The photographs of a folder, with 16 bits as a camera measures light.
+fn linear(folder: &Path) {
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        let shown = use3d_io_image::read_image(&path).unwrap();
+        let mut pixels = use3d_capture::Raster::<u16, 3>::new(shown.width(), shown.height());
+        let light = pixels.data_mut().iter_mut().zip(shown.data());
+        light.for_each(|(to, from)| *to = (40_000.0 * from * from) as u16 + 13);
+        std::fs::remove_file(&path).unwrap();
+        use3d_io_image::write_png16(&path.with_extension("png"), &pixels).unwrap();
+    }
+}
+
 #[test]
-fn recipes_make_a_capture_of_each_scene_and_name_what_is_missing() {
+fn linear_photographs_of_a_data_set_are_a_form_of_the_stage_and_others_are_refused() {
     let place = place();
-    let data = Path::new(&place.at("data")).to_path_buf();
-    let recipe = |name: &str| {
+    let folder = Path::new(&place.at("data/Sea-thru/D3/linearPNG")).to_path_buf();
+    std::fs::create_dir_all(folder.parent().unwrap()).unwrap();
+    std::fs::rename(place.at("photos"), &folder).unwrap();
+    std::fs::create_dir(place.at("data/Sea-thru/D3/Raw")).unwrap();
+    std::fs::write(place.at("data/Sea-thru/D3/Raw/a.NEF"), "raw").unwrap();
+    let run = || {
         let mut command = tiny::command();
-        command.args(["prepare", name, &place.at("data"), "--out", &place.at("captures")]);
-        alone(&mut command, &place)
+        let cache = place.at("cache");
+        command.args(["run", "d3-d5", "--until", "import", "--cache-only", "--cache", &cache]);
+        command.args(["--set", "import.size=64x48"]).env("DATA", place.at("data"));
+        command.env_remove("SEATHRU_D").env_remove("UIEB").current_dir(place.at("."));
+        let output = alone(&mut command, &place);
+        (output.status.code(), said(&output))
     };
-    std::fs::create_dir(&data).unwrap();
-    for name in ["seathru", "druva", "d3d5"] {
-        let output = recipe(name);
-        let text = said(&output);
-        assert_eq!(output.status.code(), Some(2), "{text}");
-        assert!(text.contains("is here: expected") && text.contains("docs/guide/datasets.md"), "{text}");
-    }
-    let copy = |from: &str, to: &Path| {
-        std::fs::create_dir_all(to).unwrap();
-        for entry in std::fs::read_dir(place.at(from)).unwrap() {
-            let path = entry.unwrap().path();
-            std::fs::copy(&path, to.join(path.file_name().unwrap())).unwrap();
-        }
-    };
-    // The photographs of a folder, with 16 bits as a camera measures light.
-    let linear = |folder: &Path| {
-        for entry in std::fs::read_dir(folder).unwrap() {
-            let path = entry.unwrap().path();
-            let shown = use3d_io_image::read_image(&path).unwrap();
-            let mut pixels = use3d_capture::Raster::<u16, 3>::new(shown.width(), shown.height());
-            let light = pixels.data_mut().iter_mut().zip(shown.data());
-            light.for_each(|(to, from)| *to = (40_000.0 * from * from) as u16 + 13);
-            std::fs::remove_file(&path).unwrap();
-            use3d_io_image::write_png16(&path.with_extension("png"), &pixels).unwrap();
-        }
-    };
-    // Published cameras are copied, under the names of the pipeline files.
-    copy("tiny/images", &data.join("Panama/Images_wb"));
-    std::fs::create_dir(data.join("Panama/depth")).unwrap();
-    let held_out = first_file(&data.join("Panama/Images_wb"));
-    std::fs::write(data.join("Panama/test_list.txt"), held_out + "\n").unwrap();
-    copy("tiny/sparse/0", &data.join("Panama/sparse/0"));
-    for again in [false, true] {
-        let output = recipe("seathru");
-        let text = said(&output);
-        assert!(output.status.success(), "{text}");
-        assert!(text.contains(if again { "Panama: copied before" } else { "Panama: " }), "{text}");
-        assert!(text.contains("not prepared: IUI3-RedSea, Curasao, JapaneseGradens-RedSea"), "{text}");
-        assert!(text.contains("export SEATHRU=") && text.contains("use3d run seathru4.toml"), "{text}");
-    }
-    assert!(Path::new(&place.at("captures/Panama/images_wb")).is_dir());
-    // Files beside the photographs come along, and there is nothing to choose.
-    assert!(Path::new(&place.at("captures/Panama/test_list.txt")).is_file());
-    let mut command = tiny::command();
-    command.args(["prepare", "seathru", &place.at("data"), "--out", &place.at("captures")]);
-    let refused = alone(command.args(["--lens", "OPENCV"]), &place);
-    assert!(refused.status.code() == Some(2) && said(&refused).contains("nothing to choose"));
-    // A folder of the recipe's name in the working folder is not taken for the recipe's data.
-    std::fs::create_dir(place.at("seathru")).unwrap();
-    let mut command = tiny::command();
-    command.args(["prepare", "seathru", &place.at("data"), "--out", &place.at("captures")]);
-    let text = said(&alone(command.current_dir(place.at(".")), &place));
-    assert!(text.contains("Panama: copied before"), "{text}");
-    assert_eq!(calls(&place), 0, "no cameras are looked for");
-    // Pictures for screens are refused by name, and without a capture there is no next step.
-    copy("tiny/images", &data.join("D3/linearPNG"));
-    let screens = recipe("d3d5");
-    let text = said(&screens);
-    assert_eq!(screens.status.code(), Some(1), "{text}");
+    // Pictures for screens are refused by name.
+    let (code, text) = run();
+    assert_eq!(code, Some(1), "{text}");
     assert!(text.contains("8 bits per channel") && text.contains("use3d prepare "), "{text}");
-    assert!(!text.contains("next:") && !text.contains("other scenes are there"), "{text}");
-    // Linear photographs are made visible first; the originals decide if it was done before.
-    linear(&data.join("D3/linearPNG"));
-    std::fs::create_dir(data.join("D3/Raw")).unwrap();
-    std::fs::write(data.join("D3/Raw/a.NEF"), "raw").unwrap();
-    let text = said(&recipe("d3d5"));
-    assert!(text.contains("D3: The cameras are") && text.contains("not prepared: D5"), "{text}");
-    assert!(Path::new(&place.at("captures/D3/sparse/0")).is_dir());
-    assert!(!Path::new(&place.at("captures/.D3.balanced")).exists());
+    assert!(text.contains("D5 of Sea-Thru is not there") && text.contains("csms.haifa.ac.il"), "{text}");
+    linear(&folder);
+    let (code, text) = run();
+    assert!(code == Some(1) && text.contains("images have a place (100 %)"), "{text}");
+    assert!(text.contains("1 failed") && text.contains("D5"), "{text}");
     let before = calls(&place);
-    assert!(said(&recipe("d3d5")).contains("D3: prepared before") && calls(&place) == before);
-    // A scene that fails leaves the others.
-    std::fs::create_dir(data.join("D5")).unwrap();
-    std::fs::write(data.join("D5/a.png"), "no picture").unwrap();
-    let broken = recipe("d3d5");
-    let text = said(&broken);
-    assert!(broken.status.code() == Some(1) && text.contains("D3: prepared before"), "{text}");
-    assert!(text.contains("D5: ") && text.contains("a.png") && text.contains("not prepared: D5"), "{text}");
-    // The balanced photographs are not taken for the linear ones.
+    let (_, text) = run();
+    assert!(calls(&place) == before && text.contains("2 cached"), "{text}");
+    // The recipes of earlier versions name the way that replaced them.
     let mut command = tiny::command();
-    command.args(["prepare", &place.at("data/D3/linearPNG"), "--out", &place.at("captures/D3")]);
-    let plain = alone(&mut command, &place);
-    assert!(plain.status.code() == Some(2) && said(&plain).contains("other choices"), "{}", said(&plain));
+    command.args(["prepare", "d3d5", &place.at("data"), "--out", &place.at("captures")]);
+    let text = said(&alone(&mut command, &place));
+    assert!(text.contains("SEATHRU_D=FOLDER use3d run paper"), "{text}");
 }
 
 /// A pipeline whose scene has photographs without cameras.

@@ -4,6 +4,8 @@
 use schemars::JsonSchema;
 use serde::Deserialize;
 
+use use3d_prepare::Recipe;
+
 use super::presets::name_schema as preset_name;
 
 /// The top level of a pipeline file.
@@ -19,6 +21,9 @@ pub(crate) struct PipelineFile {
     #[serde(default)]
     #[schemars(schema_with = "preset_name")]
     pub(crate) preset: Option<String>,
+    /// True if a scene that fails ends no other one, as with `--keep-going`.
+    #[serde(default)]
+    pub(crate) keep_going: bool,
     /// The cache folder. `--cache` and USE3D_CACHE override it.
     #[serde(default)]
     pub(crate) cache: Option<String>,
@@ -79,7 +84,8 @@ pub(crate) struct Pairs {
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 #[schemars(extend("oneOf" = [
-    { "required": ["name", "capture"] }, { "required": ["name", "footage"] }, { "required": ["from"] }
+    { "required": ["name", "capture"] }, { "required": ["name", "footage"] }, { "required": ["from"] },
+    { "required": ["name", "download"] }
 ]))]
 pub(crate) struct SceneEntry {
     /// Its name, unique in the file.
@@ -97,6 +103,11 @@ pub(crate) struct SceneEntry {
     /// scene of its name. The stage `prepare` finds the cameras of films and of folders that have none.
     #[serde(default)]
     pub(crate) from: Option<String>,
+    /// The data set that has the scene of this name, in place of a capture: `seathru`, `d3d5` or `druva`. It
+    /// is found where its owners' files lie, below the folder that DATA names or that its own variable names.
+    #[serde(default)]
+    #[schemars(with = "Option<String>")]
+    pub(crate) download: Option<Recipe>,
     /// The group whose mean includes this scene.
     #[serde(default)]
     pub(crate) group: String,
@@ -111,6 +122,9 @@ pub(crate) struct SceneEntry {
 pub(crate) struct VariantEntry {
     /// Its name, unique in the file.
     pub(crate) name: String,
+    /// The groups of the scenes that are computed with it; every scene if not set.
+    #[serde(default)]
+    pub(crate) groups: Vec<String>,
     /// Another seed.
     #[serde(default)]
     pub(crate) seed: Option<u64>,

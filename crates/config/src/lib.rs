@@ -1,7 +1,7 @@
 //! The pipeline file: the scenes, their parameters and their variants.
 //!
 //! ```toml
-//! name = "seathru4"
+//! name = "reefs"
 //! seed = 42
 //! preset = "paper"                           # parameters of stages under a name
 //! [models]
@@ -12,7 +12,7 @@
 //! iterations = 15000
 //! [[scene]]
 //! name = "Panama"
-//! capture = "${SEATHRU}/Panama"              # or `from = "dives/*"` in place of both: many scenes
+//! capture = "captures/Panama"                # or `from = "dives/*"` in place of both: many scenes
 //! reconstruct = { iterations = 20000 }       # for this scene only
 //! [[variant]]                                # every scene in every variant; unchanged stages are shared
 //! name = "mlp"
@@ -38,6 +38,7 @@ use use3d_workflow::graph::{External, Overrides};
 use use3d_workflow::{Batch, BatchScene, ParameterError, Registry, Variant, canonical, read};
 
 mod document;
+mod downloads;
 mod file;
 mod parameters;
 mod places;
@@ -45,6 +46,7 @@ mod presets;
 mod scenes;
 mod schema;
 mod set;
+mod shipped;
 
 pub use document::ConfigError;
 pub(crate) use document::join;
@@ -58,6 +60,7 @@ use places::{
 };
 pub use presets::{preset_values, presets};
 pub use schema::{schema, schema_text};
+pub use shipped::{shipped, shipped_as, shipped_file, shipped_names};
 
 /// Settings that the command line adds to a pipeline file.
 #[derive(Clone, Debug, Default)]
@@ -86,6 +89,8 @@ pub struct Pipeline {
     pub cache: PathBuf,
     /// The environment variables that the file and `--set` name, as `${NAME}` in paths.
     pub variables: BTreeSet<String>,
+    /// True if a scene that fails ends no other one, as with `--keep-going`.
+    pub keep_going: bool,
 }
 
 /// Loads a pipeline file.
@@ -166,15 +171,24 @@ fn parse(
     let said = |key: &str| format!("`{key}` in {}", file.display());
     reader.calibrator(&own.calibrator, folder, &said, &mut batch)?;
     let scenes = reader.list("scene", scenes)?;
+    let mut downloaded = false;
     let by_hand = scenes.iter().filter_map(|scene| Some(scene.get("name")?.as_str()?.to_string())).collect();
     for (i, entry) in scenes.into_iter().enumerate() {
         let base = format!("scene[{i}]");
-        let (rest, overrides) = reader.entry(&base, "scene", entry)?;
+        let (rest, mut overrides) = reader.entry(&base, "scene", entry)?;
         let entry: SceneEntry = reader.typed(&base, &rest, &reader.words("scene"))?;
+        if let (Some(recipe), Some(name)) = (entry.download, &entry.name) {
+            downloads::choose(recipe, name, &mut overrides);
+            downloaded = true;
+        }
         for NamedPlace { name, is_footage, place } in reader.scenes_of(&base, &entry, folder, &by_hand)? {
             reader.scene_name(&base, (&name, &place), &batch.scenes)?;
             let external = if is_footage { "footage" } else { "capture" };
-            let key = if entry.from.is_some() { "from" } else { external };
+            let key = match (&entry.from, &entry.download) {
+                (Some(_), _) => "from",
+                (_, Some(_)) => "download",
+                _ => external,
+            };
             let said = |key: &str| format!("`{key}` of scene {name} in {}", file.display());
             let (name, group, overrides) = (name.clone(), entry.group.clone(), overrides.clone());
             let mut scene = BatchScene { name, group, overrides, ..BatchScene::default() };
@@ -196,8 +210,15 @@ fn parse(
         let entry: VariantEntry = reader.typed(&base, &rest, &reader.words("variant"))?;
         reader.unique(&base, &entry.name, batch.variants.iter().map(|v| &v.name))?;
         let said = |key: &str| format!("`{key}` of variant {} in {}", entry.name, file.display());
-        let mut variant =
-            Variant { name: entry.name.clone(), seed: entry.seed, overrides, ..Variant::default() };
+        if let Some(unknown) =
+            entry.groups.iter().find(|group| !batch.scenes.iter().any(|s| s.group == **group))
+        {
+            let groups = batch.scenes.iter().map(|s| s.group.as_str());
+            let message = format!("no scene has the group `{unknown}`{}", did_you_mean(unknown, groups));
+            return Err(reader.document.error(&join(&base, "groups"), message));
+        }
+        let (name, groups) = (entry.name.clone(), entry.groups);
+        let mut variant = Variant { name, groups, seed: entry.seed, overrides, ..Variant::default() };
         variant.preset = reader.preset(&base, entry.preset.as_deref())?;
         variant.preset_name.clone_from(&entry.preset);
         if let Some(own) = &entry.calibrator {
@@ -210,6 +231,10 @@ fn parse(
     let variables = places::variables(&reader.document.value);
     let mut pipeline = finish(registry, batch, cache, models, options)?;
     pipeline.variables.extend(variables);
+    if downloaded {
+        pipeline.variables.extend(downloads::variables());
+    }
+    pipeline.keep_going = own.keep_going;
     Ok(pipeline)
 }
 
@@ -254,7 +279,8 @@ fn finish(
         (None, None) => default_cache()?,
     };
     let sets = options.sets.iter().map(|set| Value::String(set.clone())).collect();
-    Ok(Pipeline { batch, cache, variables: places::variables(&Value::Array(sets)) })
+    let variables = places::variables(&Value::Array(sets));
+    Ok(Pipeline { batch, cache, variables, keep_going: false })
 }
 
 /// The default cache folder: `$XDG_CACHE_HOME/use3d` or `~/.cache/use3d`.
@@ -447,7 +473,11 @@ impl Reader<'_> {
         let pairs = given.pairs.iter();
         let named = pairs.flat_map(|p| [("pairs.input", &p.input), ("pairs.target", &p.target)]);
         for (external, path) in named.chain(given.file.iter().map(|file| ("calibrator", file))) {
-            batch.name_external(external, expand(path, folder), said(key_of(external)));
+            let place = expand(path, folder).map(|place| match external {
+                "calibrator" => place,
+                _ => downloads::unpacked_or_not(place),
+            });
+            batch.name_external(external, place, said(key_of(external)));
         }
         Ok(())
     }

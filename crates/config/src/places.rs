@@ -8,6 +8,7 @@ use use3d_workflow::graph::{External, Overrides};
 use use3d_workflow::{Batch, Registry, Scope, Source, Stage};
 
 use super::document::ConfigError;
+use super::downloads;
 
 /// The stage whose parameters decide about proposals for the whole pipeline.
 const TARGETS: &str = "targets";
@@ -224,6 +225,7 @@ pub(super) fn expand(text: &str, folder: &Path) -> External {
         let end = rest[start..].find('}').ok_or_else(|| format!("`{text}`: `${{` without `}}`"))? + start;
         let name = &rest[start + 2..end];
         let value = std::env::var(name).ok().filter(|v| !v.is_empty());
+        let value = value.or_else(|| downloads::pairs(name, folder));
         out.push_str(&value.ok_or_else(|| {
             format!(
                 "the environment variable {name} is not set; set it to the folder that `{text}` starts with"

@@ -8,6 +8,7 @@ use glob::{MatchOptions, Pattern, glob_with};
 use use3d_workflow::graph::External;
 
 use super::document::{ConfigError, join};
+use super::downloads;
 use super::file::SceneEntry;
 use super::places::{expand, lacks_cameras};
 use super::{NamedPlace, Reader};
@@ -29,9 +30,17 @@ impl Reader<'_> {
         let needs = |key: &str| self.document.error(base, format!("[[scene]] needs `{key}`"));
         let Some(pattern) = &entry.from else {
             let name = entry.name.as_ref().ok_or_else(|| needs("name"))?;
+            if entry.download.is_some() && (entry.capture.is_some() || entry.footage.is_some()) {
+                let message = "`download` finds the scene's files itself; leave it or the other one out";
+                return Err(self.document.key_error(&join(base, "download"), message));
+            }
             if entry.capture.is_some() && entry.footage.is_some() {
                 let message = "`footage` has no cameras yet, and `capture` has them; leave one of them out";
                 return Err(self.document.key_error(&join(base, "footage"), message));
+            }
+            if let Some(recipe) = entry.download {
+                let (is_footage, place) = downloads::find(recipe, name, folder);
+                return Ok(vec![NamedPlace { name: name.clone(), is_footage, place }]);
             }
             let place = entry.capture.as_ref().or(entry.footage.as_ref());
             let place = place.ok_or_else(|| needs("capture` or `footage"))?;
@@ -42,11 +51,13 @@ impl Reader<'_> {
                 place: expand(place, folder),
             }]);
         };
-        if let Some((key, _)) =
-            [("name", &entry.name), ("capture", &entry.capture), ("footage", &entry.footage)]
-                .iter()
-                .find(|k| k.1.is_some())
-        {
+        let given = [
+            ("name", entry.name.is_some()),
+            ("capture", entry.capture.is_some()),
+            ("footage", entry.footage.is_some()),
+            ("download", entry.download.is_some()),
+        ];
+        if let Some((key, _)) = given.iter().find(|(_, given)| *given) {
             let message = format!(
                 "`from` makes a scene of every folder or film and names it like that, so `{key}` has no place here; leave one \
                  of them out"

@@ -1,29 +1,24 @@
 //! The pipeline files that come with the project, read for the real stages; and the schema of such files.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use use3d_config::{LoadOptions, from_text, load, parameters, presets};
+use use3d_config::{LoadOptions, Pipeline, from_text, load, parameters, presets, shipped, shipped_names};
 use use3d_stages::registry;
 use use3d_workflow::Graph;
 
-fn folder() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../pipelines")
+/// A pipeline that comes with the program.
+fn part(name: &str) -> Pipeline {
+    let text = shipped(name).expect("a shipped pipeline");
+    let registry = registry().expect("the stage table");
+    let file = Path::new(name).with_extension("toml");
+    from_text(&registry, &text, &file, &LoadOptions::default()).unwrap_or_else(|e| panic!("{e}"))
 }
 
 #[test]
 fn every_shipped_pipeline_fits_the_stages() {
     let registry = registry().expect("the stage table");
-    let mut files: Vec<PathBuf> = std::fs::read_dir(folder())
-        .expect("pipelines/")
-        .map(|e| e.expect("entry").path())
-        .filter(|p| p.extension().is_some_and(|x| x == "toml"))
-        .collect();
-    files.sort();
-    assert!(files.len() >= 7, "{files:?}");
-    for file in files {
-        let pipeline = load(&registry, &file, &LoadOptions::default()).unwrap_or_else(|e| panic!("{e}"));
-        let graph =
-            Graph::new(&registry, &pipeline.batch).unwrap_or_else(|e| panic!("{}: {e}", file.display()));
+    for name in shipped_names() {
+        let graph = Graph::new(&registry, &part(name).batch).unwrap_or_else(|e| panic!("{name}: {e}"));
         assert!(!graph.nodes.is_empty());
     }
 }
@@ -31,8 +26,7 @@ fn every_shipped_pipeline_fits_the_stages() {
 #[test]
 fn a_scene_learnt_from_proposals_has_no_second_stage() {
     let registry = registry().expect("the stage table");
-    let file = folder().join("ablation-stage2.toml");
-    let pipeline = load(&registry, &file, &LoadOptions::default()).unwrap_or_else(|e| panic!("{e}"));
+    let pipeline = part("ablation-stage2");
     let graph = Graph::new(&registry, &pipeline.batch).expect("a graph");
     let stages = |variant: &str| -> Vec<&str> {
         let nodes = graph.nodes.iter().filter(|n| n.scene == "Panama" && n.variant == variant);
@@ -87,8 +81,7 @@ fn without_calibration_there_are_neither_pairs_nor_a_calibrator() {
 #[test]
 fn without_depth_is_there_as_the_authors_ran_it_and_with_the_prior_alone_off() {
     let registry = registry().expect("the stage table");
-    let file = folder().join("ablation-stage1.toml");
-    let pipeline = load(&registry, &file, &LoadOptions::default()).unwrap_or_else(|e| panic!("{e}"));
+    let pipeline = part("ablation-stage1");
     let graph = Graph::new(&registry, &pipeline.batch).expect("graph");
     for (variant, prior, gradient) in [
         ("rbf-without-depth", "off", false),

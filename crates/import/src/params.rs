@@ -83,6 +83,8 @@ pub enum SplitOrder {
     Name,
     /// By the image's id in the model.
     ColmapId,
+    /// Not counted: the views that the owners of a data set name. Known for the scenes of SeaThru-NeRF.
+    Owners,
 }
 
 /// White balance of the whole set of images.

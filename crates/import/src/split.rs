@@ -28,6 +28,9 @@ pub(crate) fn choose(
     held_out: &[u32],
     params: &SplitParams,
 ) -> Result<Chosen, ImportError> {
+    if params.order == SplitOrder::Owners {
+        return from_owners(root, views);
+    }
     if params.lists {
         let train = List::read(&root.join("train_list.txt"))?;
         let test = List::read(&root.join("test_list.txt"))?;
@@ -43,7 +46,7 @@ pub(crate) fn choose(
     }
     let mut order: Vec<usize> = (0..views.len()).collect();
     let by = match params.order {
-        SplitOrder::Name => "file name",
+        SplitOrder::Name | SplitOrder::Owners => "file name",
         SplitOrder::ColmapId => {
             order.sort_by_key(|&i| views[i].id);
             "COLMAP image id"
@@ -61,6 +64,31 @@ pub(crate) fn choose(
     };
     let split = Split { train: pick(counted.train), test: pick(counted.test) };
     Ok(Chosen { counted: true, rule, split, notes: Vec::new() })
+}
+
+/// The held-out photographs of the scenes of SeaThru-NeRF, as an author of it named them in issue 15 of
+/// github.com/deborahLevy130/seathru_NeRF. The issue has 1034 for the last one of Curasao, which has no such
+/// photograph; 1304 is the one that its rule gives, every eighth by name.
+const OWNERS: [(&str, &[&str]); 4] = [
+    ("IUI3-RedSea", &["MTN_5894", "MTN_5903", "MTN_5911", "MTN_5928"]),
+    ("Curasao", &["MTN_1288", "MTN_1296", "MTN_1304"]),
+    ("JapaneseGradens-RedSea", &["MTN_1090", "MTN_1098", "MTN_1106"]),
+    ("Panama", &["MTN_1529", "MTN_1539", "MTN_1547"]),
+];
+
+/// The split that the owners of the photographs published.
+fn from_owners(root: &Path, views: &[View]) -> Result<Chosen, ImportError> {
+    let at = |name: &str| views.iter().position(|view| stem(last_part(&view.name)) == name);
+    let known = |list: &[&str]| list.iter().map(|name| at(name)).collect::<Option<Vec<usize>>>();
+    let Some((scene, mut test)) = OWNERS.iter().find_map(|(scene, list)| Some((scene, known(list)?))) else {
+        let reason = "split.order is \"owners\", and no published list of held-out views fits these photographs; \
+                      lists are known for the four scenes of SeaThru-NeRF";
+        return Err(ImportError::List { path: root.to_path_buf(), reason: reason.into() });
+    };
+    test.sort_unstable();
+    let train = (0..views.len()).filter(|i| test.binary_search(i).is_err()).collect();
+    let rule = format!("the views that the authors of SeaThru-NeRF hold out in {scene}");
+    Ok(Chosen { counted: false, rule, split: Split { train, test }, notes: Vec::new() })
 }
 
 /// The names in a list file: one per line, `#` begins a comment.
@@ -201,6 +229,18 @@ mod tests {
         assert_eq!(choose(dir.path(), &views, &[], &[], &by_id).unwrap().split.test, [1, 4]);
         let none = SplitParams { every: 0, ..by_name };
         assert_eq!(choose(dir.path(), &views, &[], &[], &none).unwrap().split.train.len(), 5);
+    }
+
+    #[test]
+    fn the_owners_list_is_found_by_its_photographs() {
+        let dir = tempfile::tempdir().unwrap();
+        let params = SplitParams { order: SplitOrder::Owners, ..SplitParams::default() };
+        let names = ["MTN_1280.png", "MTN_1288.png", "MTN_1296.png", "MTN_1304.png"];
+        let chosen = choose(dir.path(), &views(&names), &[], &[], &params).unwrap();
+        assert_eq!((chosen.split.train, chosen.split.test), (vec![0], vec![1, 2, 3]));
+        assert!(chosen.rule.contains("Curasao"), "{}", chosen.rule);
+        let said = choose(dir.path(), &views(&names[..2]), &[], &[], &params).err().unwrap().to_string();
+        assert!(said.contains("four scenes of SeaThru-NeRF"), "{said}");
     }
 
     #[test]

@@ -27,7 +27,6 @@ pub mod follow;
 pub mod found;
 pub mod history;
 pub mod host;
-mod linear;
 pub mod loaded;
 mod made_by;
 pub mod outcome;

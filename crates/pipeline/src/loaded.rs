@@ -11,7 +11,7 @@ use use3d_workflow::{BatchScene, BuildError, Builder, Cache, Graph, Registry};
 use crate::WorkError;
 use crate::destination::{absolute, path_text};
 use crate::spelled::{Spelled, as_typed};
-use use3d_config::{LoadOptions, Pipeline, for_capture, load};
+use use3d_config::{LoadOptions, Pipeline, for_capture, from_text, load, shipped_as};
 
 /// The table of stages.
 ///
@@ -51,6 +51,8 @@ impl PipelineRequest {
                 return refused(what);
             }
             load(registry, target, options)
+        } else if let Some(text) = shipped_as(target) {
+            from_text(registry, &text, target, options)
         } else {
             return refused("there is no such pipeline file (.toml) or capture folder");
         };

@@ -4,18 +4,15 @@
 use std::cell::Cell;
 use std::path::{Path, PathBuf};
 
-use use3d_import::ImportParams;
 use use3d_prepare::{
-    CAPTURE, Grade, Input, PREPARED, PrepareError, PrepareParams, Prepared, Programs, RecipeScene,
-    RecipeWork, Sources, StepProgress, StepWatch, balance, check, discard, key_of, prepare, publish,
-    work_folder,
+    CAPTURE, Grade, Input, PREPARED, PrepareError, PrepareParams, Prepared, Programs, Sources, StepProgress,
+    StepWatch, check, discard, key_of, prepare, work_folder,
 };
 use use3d_workflow::{Digest, Event, place};
 
 use crate::WorkError;
 use crate::destination::{OUT, check_folder, path_text};
 use crate::host::Host;
-use crate::linear;
 use use3d_config::lacks_cameras;
 
 /// A preparation of one capture.
@@ -95,21 +92,11 @@ impl Preparation<'_> {
     /// # Errors
     /// The place is taken, no cameras were found, a program of others failed, or the work was interrupted.
     pub fn make(&self, key: &str, inputs: &[Input], force: bool) -> Result<Vec<String>, WorkError> {
-        self.begin(force)?;
-        self.finish(key, inputs, force)
-    }
-
-    /// Refuses a taken place. With `force`, finished steps of an earlier attempt are removed.
-    fn begin(&self, force: bool) -> Result<(), WorkError> {
         check_folder(self.out, force)?;
-        if force {
-            discard(&work_folder(self.out))?;
-        }
-        Ok(())
-    }
-
-    fn finish(&self, key: &str, inputs: &[Input], force: bool) -> Result<Vec<String>, WorkError> {
         let work = work_folder(self.out);
+        if force {
+            discard(&work)?;
+        }
         let prepared = self.watched(|watch| {
             let (params, programs) = (self.params, self.programs);
             prepare(self.sources, (key, inputs), params, programs, (&work, self.host.threads), watch)
@@ -140,110 +127,6 @@ fn lines(prepared: &Prepared) -> Vec<String> {
     let mut lines = vec![format!("The cameras are {grade}. {}", prepared.verdict.words[0])];
     lines.extend(prepared.verdict.words[1..].iter().chain(&prepared.remarks).cloned());
     lines
-}
-
-/// The preparation of the scenes of a data set, each into a capture of its name.
-pub struct DataSet<'a> {
-    /// The process that does the work.
-    pub host: &'a Host,
-    /// The choices.
-    pub params: &'a PrepareParams,
-    /// The programs of others.
-    pub programs: &'a Programs,
-    /// The folder for the captures.
-    pub out: &'a Path,
-    /// True if earlier captures are replaced.
-    pub force: bool,
-}
-
-impl DataSet<'_> {
-    /// Names a missing program once, and not for each scene that is left to do.
-    ///
-    /// # Errors
-    /// The missing program.
-    pub fn check(&self, scenes: &[RecipeScene]) -> Result<(), WorkError> {
-        let open = scenes.iter().filter(|scene| !self.out.join(&scene.name).join(PREPARED).is_file());
-        let mut sources = open.filter_map(|scene| match &scene.work {
-            RecipeWork::Film(path) | RecipeWork::Linear(path) => Sources::of(std::slice::from_ref(path)).ok(),
-            RecipeWork::Published { .. } => None,
-        });
-        match sources.next().map(|sources| check(&sources, self.params, self.programs)) {
-            Some(Err(error @ PrepareError::Program(_))) => Err(error.into()),
-            _ => Ok(()),
-        }
-    }
-
-    /// Prepares a scene, and returns the lines about it.
-    ///
-    /// # Errors
-    /// As those of [`Preparation`].
-    pub fn scene(&self, name: &str, work: &RecipeWork) -> Result<Vec<String>, WorkError> {
-        let (out, force) = (self.out.join(name), self.force);
-        let (path, linear) = match work {
-            RecipeWork::Published { images, model } => {
-                return copied(self.host, (images, model), &out, force);
-            }
-            RecipeWork::Film(path) => (path, false),
-            RecipeWork::Linear(path) => (path, true),
-        };
-        let mut sources = Sources::of(std::slice::from_ref(path))?;
-        if linear && sources.has_films() {
-            let what = "the folder has films; this recipe takes linear photographs";
-            return Err(WorkError::Input(format!("{}: {what}", path_text(path))));
-        }
-        if linear {
-            sources.linear = true;
-        }
-        let DataSet { host, params, programs, .. } = *self;
-        let job = Preparation { host, sources: &sources, params, programs, out: &out };
-        job.check(force)?;
-        let Some((key, inputs)) = job.need()? else {
-            return Ok(vec!["prepared before from the same files and choices".into()]);
-        };
-        if !linear {
-            return job.make(&key, &inputs, force);
-        }
-        let mut said = linear::check(path)?;
-        job.begin(force)?;
-        let folder = work_folder(&out);
-        let balanced = job.watched(|watch| {
-            balance(&sources, &folder, watch)?;
-            sources.made_in(&folder)
-        });
-        let sources = balanced.map_err(WorkError::from)?;
-        said.extend(Preparation { sources: &sources, ..job }.finish(&key, &inputs, force)?);
-        Ok(said)
-    }
-}
-
-/// Copies a published scene into a capture, unless this was done before.
-fn copied(
-    host: &Host,
-    (images, model): (&Path, &Path),
-    out: &Path,
-    force: bool,
-) -> Result<Vec<String>, WorkError> {
-    let mut sources = Sources::of(&[images.to_path_buf()])?;
-    sources.add("sparse/0", model);
-    if let Some(scene) = images.parent() {
-        sources.add_beside(scene);
-    }
-    // Reading all photographs takes long.
-    if !out.join(PREPARED).is_file() {
-        check_folder(out, force)?;
-    }
-    let (params, programs) = (PrepareParams::default(), Programs::default());
-    let job = Preparation { host, sources: &sources, params: &params, programs: &programs, out };
-    let Some((key, inputs)) = job.need()? else {
-        return Ok(vec!["copied before from the same photographs".into()]);
-    };
-    check_folder(out, force)?;
-    let work = work_folder(out);
-    publish((images, model), (&key, &inputs), &work)?;
-    let imported = use3d_import::import(&work.join(CAPTURE), &ImportParams::default());
-    let views = imported.map_err(WorkError::input)?.report.views;
-    put(&work, out, &key, force)?;
-    Ok(vec![format!("{views} photographs and their cameras copied")])
 }
 
 /// The films or photographs of a target that has no cameras yet, and the folder for their capture: in

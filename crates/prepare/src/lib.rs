@@ -25,6 +25,8 @@ mod film;
 mod footage;
 mod learned;
 mod left_out;
+mod linear;
+mod origin;
 mod overlay;
 mod params;
 mod photographs;
@@ -44,10 +46,12 @@ pub use footage::{
     FilmWritten, Fraction, KnownFrame, LARGEST_GAP, TIMES, known_frames,
 };
 pub use left_out::{LeftCause, LeftFrame, LookedFilm, looked_films};
+pub use linear::check_linear;
+pub use origin::{Recipe, SetScene};
 pub use params::{Keypoints, Mapper, Matching, PrepareParams};
 pub use prepare::{CAPTURE, Input, Prepared, check, key_of, prepare, work_folder};
 pub use process::{StepProgress, StepWatch};
-pub use recipes::{Recipe, RecipeScene, RecipeWork, balance, publish};
+pub use recipes::{RecipeWork, balance, publish, unpack};
 pub use sources::{PREPARED, Sources, holds_inputs, is_film, is_input, is_photograph};
 pub use tools::{Finder, Program, Programs};
 pub use verdict::{CameraVerdict, Grade};

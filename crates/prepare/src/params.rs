@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::error::PrepareError;
+use crate::origin::SetScene;
 
 /// The pairs of images that are compared.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -81,6 +82,10 @@ pub struct PrepareParams {
     pub keypoints: Keypoints,
     /// One thread for features, matching and mapping, and pycolmap, so that two runs give the same bytes.
     pub repeatable: bool,
+    /// The scene of a data set that the input is, such as `druva/A3`, for its form: an archive, linear
+    /// photographs, or a film. A pipeline's `download` sets it.
+    #[schemars(with = "Option<String>")]
+    pub origin: Option<SetScene>,
 }
 
 impl Default for PrepareParams {
@@ -95,6 +100,7 @@ impl Default for PrepareParams {
             mapper: Mapper::Incremental,
             keypoints: Keypoints::Auto,
             repeatable: false,
+            origin: None,
         }
     }
 }
@@ -116,6 +122,7 @@ impl PrepareParams {
         let mut choices = serde_json::to_value(self).unwrap_or_default();
         let usual = [("overlap", self.overlap.is_none()), ("keypoints", self.keypoints == Keypoints::Auto)];
         if let Some(fields) = choices.as_object_mut() {
+            fields.remove("origin");
             usual.iter().filter(|(_, usual)| *usual).for_each(|(name, _)| drop(fields.remove(*name)));
         }
         choices

@@ -1,7 +1,7 @@
 //! Recipes for the data sets of the paper: the files of each scene, and what they need to become captures.
 //!
-//! The owners distribute the data, so a recipe begins with a folder that somebody unpacked. What they do not
-//! publish, such as the frames that the paper took from films, is this program's choice, and
+//! The owners distribute the data, so a recipe begins with their files: a folder, or an archive. What they do
+//! not publish, such as the frames that the paper took from films, is this program's choice, and
 //! docs/guide/datasets.md says so.
 
 use std::path::{Path, PathBuf};
@@ -13,28 +13,18 @@ use use3d_io_colmap::ModelForm;
 use use3d_io_image::{ChannelHistogram, read_pixels, write_png16};
 
 use crate::error::PrepareError;
+use crate::origin::{Recipe, SetScene};
 use crate::params::{Matching, PrepareParams};
 use crate::photographs::{copy_all, copy_beside};
 use crate::prepare::{CAPTURE, Input, write_record};
 use crate::process::StepWatch;
-use crate::sources::{BALANCED, Sources, holds_inputs, is_film, walk};
+use crate::sources::{BALANCED, Sources, holds_inputs, is_film, is_photograph, walk};
 use crate::work::Work;
 
 /// Frames of a film of DRUVA: two for each of its about sixty seconds.
 const DRUVA_FRAMES: usize = 120;
 /// The share of samples that a channel's gain leaves within range.
 const QUANTILE: f64 = 0.998;
-
-/// A data set.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Recipe {
-    /// The four scenes of SeaThru-NeRF, with cameras.
-    SeaThruNerf,
-    /// The sequences D3 and D5 of Sea-Thru: linear photographs.
-    SeaThru,
-    /// The twenty films of DRUVA.
-    Druva,
-}
 
 /// The files of a scene.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -52,80 +42,22 @@ pub enum RecipeWork {
     Film(PathBuf),
 }
 
-/// A scene of a data set.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct RecipeScene {
-    /// Its name in the pipeline files.
-    pub name: String,
-    /// Its files.
-    pub work: RecipeWork,
-}
-
 impl Recipe {
-    /// The recipe of a name on the command line.
-    pub fn named(name: &str) -> Option<Self> {
-        match name {
-            "seathru" => Some(Self::SeaThruNerf),
-            "d3d5" => Some(Self::SeaThru),
-            "druva" => Some(Self::Druva),
-            _ => None,
-        }
-    }
-
-    /// The variable and the file of the pipelines that use the captures.
-    pub fn pipeline(self) -> (&'static str, &'static str) {
-        match self {
-            Self::SeaThruNerf => ("SEATHRU", "seathru4"),
-            Self::SeaThru => ("SEATHRU_D", "d3-d5"),
-            Self::Druva => ("DRUVA", "druva20"),
-        }
-    }
-
-    /// The names of its scenes, as they are spelled in the owners' archives.
-    fn names(self) -> Vec<String> {
-        match self {
-            Self::SeaThruNerf => {
-                ["IUI3-RedSea", "Curasao", "JapaneseGradens-RedSea", "Panama"].map(String::from).to_vec()
-            }
-            Self::SeaThru => ["D3", "D5"].map(String::from).to_vec(),
-            Self::Druva => (1..=20).map(|i| format!("A{i}")).collect(),
-        }
-    }
-
-    /// The usual choices for its scenes.
+    /// The usual choices for its scenes. The films of DRUVA are circles, so all of their frames are compared.
     pub fn choices(self) -> PrepareParams {
         let usual = PrepareParams::default();
         match self {
-            Self::Druva => PrepareParams { frames: DRUVA_FRAMES, matching: Matching::Sequential, ..usual },
+            Self::Druva => PrepareParams { frames: DRUVA_FRAMES, matching: Matching::Exhaustive, ..usual },
             _ => usual,
         }
     }
 
-    /// True if a folder has files of one of its scenes.
-    pub fn is_in(self, folder: &Path) -> bool {
-        self.names().iter().any(|name| !matches!(self.work(folder, name), Ok(None)))
-    }
-
-    /// The scenes whose files are in a folder, and the names of the others.
+    /// The files of a scene in a folder; `None` if they are not there.
     ///
     /// # Errors
-    /// None of them is there, or a scene has two films.
-    pub fn scenes(self, folder: &Path) -> Result<(Vec<RecipeScene>, Vec<String>), PrepareError> {
-        let (mut found, mut missing) = (Vec::new(), Vec::new());
-        for name in self.names() {
-            match self.work(folder, &name)? {
-                Some(work) => found.push(RecipeScene { name, work }),
-                None => missing.push(name),
-            }
-        }
-        if found.is_empty() {
-            return Err(PrepareError::input(folder, self.absent()));
-        }
-        Ok((found, missing))
-    }
-
-    fn work(self, folder: &Path, name: &str) -> Result<Option<RecipeWork>, PrepareError> {
-        let scene = folder.join(name);
+    /// The scene has two films.
+    pub fn work(self, folder: &Path, name: &str) -> Result<Option<RecipeWork>, PrepareError> {
+        let scene = inside(folder, name);
         Ok(match self {
             Self::SeaThruNerf => {
                 let images =
@@ -136,7 +68,7 @@ impl Recipe {
             }
             Self::SeaThru => {
                 // Some archives have raw files beside the folder of the linear photographs.
-                let linear = ["linearPNG", "linear", "png"].map(|n| scene.join(n));
+                let linear = ["linearPNG", "linear", "png"].map(|n| inside(&scene, n));
                 let photographs = linear.into_iter().find(|path| path.is_dir()).unwrap_or(scene);
                 holds_inputs(&photographs).then_some(RecipeWork::Linear(photographs))
             }
@@ -147,34 +79,131 @@ impl Recipe {
                     films
                 };
                 let own = |p: &PathBuf| p.file_stem().is_some_and(|stem| stem.eq_ignore_ascii_case(name));
-                let mut inside = films(&scene);
-                if inside.len() > 1 {
+                let mut within = films(&scene);
+                if within.len() > 1 {
                     let reason = "there are several films in this folder; keep the one of the scene";
                     return Err(PrepareError::input(&scene, reason));
                 }
-                films(folder).into_iter().find(own).or_else(|| inside.pop()).map(RecipeWork::Film)
+                films(folder).into_iter().find(own).or_else(|| within.pop()).map(RecipeWork::Film)
             }
         })
     }
 
-    /// The message for a folder without any scene: what was looked for, and where it comes from.
-    fn absent(self) -> &'static str {
-        match self {
-            Self::SeaThruNerf => {
-                "no scene of SeaThru-NeRF is here: expected IUI3-RedSea/images_wb with IUI3-RedSea/sparse/0, and the like; \
-                 its authors distribute the archive, so download and unpack it yourself, and give the folder \
-                 SeathruNeRF_dataset (docs/guide/datasets.md)"
-            }
-            Self::SeaThru => {
-                "neither D3 nor D5 of Sea-Thru is here: expected D3/ and D5/ with their linear PNGs; its authors distribute \
-                 them, so download them yourself, and give the folder above both (docs/guide/datasets.md)"
-            }
-            Self::Druva => {
-                "no film of DRUVA is here: expected A1.MP4 to A20.MP4, or a folder for each with its film; its owners give \
-                 them out on a signed agreement, so ask them, and give the folder with the films (docs/guide/datasets.md)"
-            }
+    /// True if an archive has files of a scene. An archive without a list of its files has them if it is
+    /// named like the scene or the data set.
+    pub fn is_packed(self, archive: &Path, scene: &str) -> bool {
+        let Some(stem) = use3d_archive::stem(archive) else { return false };
+        if !use3d_archive::has_list(archive) {
+            let plain: String = stem.chars().filter(char::is_ascii_alphanumeric).collect();
+            let plain = plain.to_ascii_lowercase();
+            let of_set = match self {
+                Self::SeaThruNerf => plain.starts_with("seathrunerf"),
+                Self::SeaThru => plain.starts_with("seathru") && !plain.starts_with("seathrunerf"),
+                Self::Druva => plain.starts_with("druva"),
+            };
+            return of_set || stem.eq_ignore_ascii_case(scene);
         }
+        let names = use3d_archive::names(archive).unwrap_or_default();
+        names.iter().filter_map(|name| below(name, stem, scene)).any(|path| match self {
+            Self::Druva => is_film(&path),
+            Self::SeaThru | Self::SeaThruNerf => is_photograph(&path),
+        })
     }
+
+    /// The words for a scene that is not there: the files that were looked for, and where they come from.
+    pub fn absent(self, scene: &str) -> String {
+        let (set, files, from) = match self {
+            Self::SeaThruNerf => (
+                "SeaThru-NeRF",
+                "images_wb/ and sparse/0/",
+                "its authors publish the archive, with their terms, at https://sea-thru-nerf.github.io/",
+            ),
+            Self::SeaThru => (
+                "Sea-Thru",
+                "linear PNGs or TIFFs of 16 bits",
+                "its authors publish it, with their terms, at \
+                 https://csms.haifa.ac.il/profiles/tTreibitz/datasets/sea_thru/index.html",
+            ),
+            Self::Druva => (
+                "DRUVA",
+                "its film",
+                "its owners give it out on a signed agreement: https://github.com/nishavarghese15/DRUVA",
+            ),
+        };
+        format!(
+            "{scene} of {set} is not there: expected a folder {scene} with {files}, or the archive that has it; {from} \
+             (docs/guide/datasets.md)"
+        )
+    }
+}
+
+/// A folder's entry of a name; capitals do not count if none has exactly this name.
+fn inside(folder: &Path, name: &str) -> PathBuf {
+    let exact = folder.join(name);
+    if exact.exists() {
+        return exact;
+    }
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let mut alike: Vec<PathBuf> = entries
+        .filter(|entry| entry.file_name().eq_ignore_ascii_case(name))
+        .map(|entry| entry.path())
+        .collect();
+    alike.sort();
+    alike.into_iter().next().unwrap_or(exact)
+}
+
+/// The place of an archive's file below the folder into which a scene is unpacked; `None` for a file of
+/// another scene.
+fn below(name: &str, archive: &str, scene: &str) -> Option<PathBuf> {
+    let parts: Vec<&str> = name.split(['/', '\\']).filter(|part| !part.is_empty() && *part != ".").collect();
+    let (file, folders) = parts.split_last()?;
+    if parts.iter().any(|part| part.starts_with('.') || *part == "__MACOSX") {
+        return None;
+    }
+    let own = Path::new(file);
+    if own.file_stem().is_some_and(|stem| stem.eq_ignore_ascii_case(scene)) && is_film(own) {
+        return Some(own.to_path_buf());
+    }
+    let first = match folders.iter().position(|part| part.eq_ignore_ascii_case(scene)) {
+        Some(at) => at + 1,
+        None if archive.eq_ignore_ascii_case(scene) => 0,
+        None => return None,
+    };
+    Some(parts[first..].iter().fold(PathBuf::from(scene), |path, part| path.join(part)))
+}
+
+/// Unpacks a scene of an archive into a folder, unless an earlier attempt did, and returns its files.
+///
+/// # Errors
+/// The archive cannot be read, or it has not all files of the scene.
+pub fn unpack(
+    archive: &Path,
+    origin: &SetScene,
+    folder: &Path,
+    watch: &StepWatch<'_>,
+) -> Result<RecipeWork, PrepareError> {
+    let SetScene { recipe, scene } = origin;
+    if !folder.is_dir() {
+        let begun = folder.with_extension("begun");
+        if begun.is_dir() {
+            std::fs::remove_dir_all(&begun).map_err(PrepareError::write(&begun))?;
+        }
+        std::fs::create_dir_all(&begun).map_err(PrepareError::write(&begun))?;
+        let stem = use3d_archive::stem(archive).unwrap_or_default();
+        let mut count = 0;
+        let unpacked = use3d_archive::unpack(archive, &begun, &|name| below(name, stem, scene), &mut |_| {
+            count += 1;
+            watch.tell("unpacked", (count, 0), "files");
+            watch.check().map_err(std::io::Error::other)
+        });
+        watch.check()?;
+        unpacked.map_err(|e| {
+            PrepareError::input(archive, format!("it cannot be unpacked: {e}; download it again"))
+        })?;
+        std::fs::rename(&begun, folder).map_err(PrepareError::write(folder))?;
+    }
+    let found = recipe.work(folder, scene)?;
+    found.ok_or_else(|| PrepareError::input(archive, recipe.absent(scene)))
 }
 
 /// Copies photographs, their model and the masks, depth maps and lists beside them into the folder of the
@@ -269,31 +298,47 @@ mod tests {
     use super::*;
 
     #[test]
-    fn scenes_are_found_by_their_files_and_the_others_are_named() {
+    fn scenes_are_found_by_their_files_and_those_of_others_are_left() {
         let dir = tempfile::tempdir().unwrap();
         let root = dir.path();
-        for (recipe, said) in [
-            (Recipe::SeaThruNerf, "SeathruNeRF_dataset"),
-            (Recipe::SeaThru, "D3/"),
-            (Recipe::Druva, "A1.MP4"),
-        ] {
-            let error = recipe.scenes(root).unwrap_err().to_string();
-            assert!(error.contains(said) && error.contains("docs/guide/datasets.md"), "{error}");
+        for recipe in Recipe::ALL {
+            assert_eq!(recipe.work(root, "A3").unwrap(), None);
+            assert!(recipe.absent("A3").contains("https://") && recipe.absent("A3").contains("datasets.md"));
+            let text = String::from(SetScene { recipe, scene: "A3".into() });
+            assert_eq!(SetScene::try_from(text).unwrap().recipe, recipe);
         }
+        assert!(SetScene::try_from("druva".to_string()).unwrap_err().to_string().contains("druva/A3"));
         std::fs::write(root.join("a3.MP4"), "film").unwrap();
-        std::fs::create_dir(root.join("A7")).unwrap();
-        std::fs::write(root.join("A7/GX01.mp4"), "film").unwrap();
-        let (scenes, missing) = Recipe::Druva.scenes(root).unwrap();
-        assert_eq!((scenes[0].name.as_str(), scenes[1].name.as_str(), missing.len()), ("A3", "A7", 18));
-        assert_eq!(scenes[0].work, RecipeWork::Film(root.join("a3.MP4")));
+        std::fs::create_dir(root.join("a7")).unwrap();
+        std::fs::write(root.join("a7/GX01.mp4"), "film").unwrap();
+        let film = |name: &str| Recipe::Druva.work(root, name).unwrap();
+        assert_eq!(film("A3"), Some(RecipeWork::Film(root.join("a3.MP4"))));
         let choices = Recipe::Druva.choices();
-        assert_eq!((choices.frames, choices.matching), (120, Matching::Sequential));
+        assert_eq!((choices.frames, choices.matching), (120, Matching::Exhaustive));
         // A camera's small copy is no film of its own.
-        std::fs::write(root.join("A7/GL01.LRV"), "film").unwrap();
-        assert_eq!(Recipe::Druva.scenes(root).unwrap().0[1].work, RecipeWork::Film(root.join("A7/GX01.mp4")));
-        std::fs::write(root.join("A7/GX02.mp4"), "film").unwrap();
-        let said = Recipe::Druva.scenes(root).unwrap_err().to_string();
-        assert!(said.contains("several films") && Recipe::Druva.is_in(root), "{said}");
+        std::fs::write(root.join("a7/GL01.LRV"), "film").unwrap();
+        assert_eq!(film("A7"), Some(RecipeWork::Film(root.join("a7/GX01.mp4"))));
+        std::fs::write(root.join("a7/GX02.mp4"), "film").unwrap();
+        assert!(Recipe::Druva.work(root, "A7").unwrap_err().to_string().contains("several films"));
+    }
+
+    #[test]
+    fn files_of_an_archive_belong_to_a_scene_by_folder_film_or_archive() {
+        let place = |name: &str, archive: &str, scene: &str| {
+            below(name, archive, scene).map(|path| path.to_string_lossy().into_owned())
+        };
+        assert_eq!(
+            place("set/panama/Images_wb/a.png", "set", "Panama").as_deref(),
+            Some("Panama/Images_wb/a.png")
+        );
+        assert_eq!(place("set/Panama/a.png", "set", "Curasao"), None);
+        assert_eq!(place("films/A3.MP4", "DRUVA", "A3").as_deref(), Some("A3.MP4"));
+        assert_eq!(place("linearPNG/a.png", "d3", "D3").as_deref(), Some("D3/linearPNG/a.png"));
+        assert_eq!(place("__MACOSX/D3/._a.png", "x", "D3"), None);
+        let tar = |recipe: Recipe, name: &str| recipe.is_packed(Path::new(name), "D3");
+        assert!(tar(Recipe::SeaThru, "d3.tar.gz") && tar(Recipe::SeaThru, "Sea-thru.tgz"));
+        assert!(!tar(Recipe::SeaThru, "SeathruNeRF_dataset.tar.gz"));
+        assert!(tar(Recipe::SeaThruNerf, "SeathruNeRF_dataset.tar.gz"));
     }
 
     #[test]

@@ -333,7 +333,7 @@ impl Sources {
     }
 
     /// Adds the masks, depth maps and lists in a folder. They come along, and their content counts.
-    pub fn add_beside(&mut self, folder: &Path) {
+    fn add_beside(&mut self, folder: &Path) {
         self.capture = Some(folder.to_path_buf());
         self.others.extend(beside(folder));
     }

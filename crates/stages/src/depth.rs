@@ -73,6 +73,7 @@ pub(crate) mod definition {
     use use3d_workflow::{AllParameters, Lacking, Named, Scope, Stage, StageInput};
 
     use crate::parts::weights::model_files;
+    use crate::planning::expected::of_depth;
     use crate::planning::memory::{PROGRAM, heaviest, input, largest};
     use crate::planning::requirements::network;
 
@@ -86,6 +87,7 @@ pub(crate) mod definition {
             .select(|p: &Params, models| Ok(model_files(models, &[p.encoder.found(models)?.0])))
             .when_named(asked_for)
             .requires(|all, named, _| missing(all, named).into_iter().collect())
+            .expects(of_depth)
             .cost(0, 4 << 30)
             .memory(|_: &Params, inputs| memory(inputs))
     }

@@ -39,6 +39,7 @@ pub(crate) mod definition {
 
     use crate::parts::files::out_of_range;
     use crate::parts::weights::proposer_files;
+    use crate::planning::expected::{STAGE_2, of_training};
     use crate::planning::learns_from_proposals;
     use crate::planning::memory::{PROGRAM, extent, gaussians, largest, networks};
 
@@ -66,6 +67,10 @@ pub(crate) mod definition {
             .without_effect(&["checkpoint_every", "cache_mib", "engine"])
             .agrees_across_classes(&FIGURES)
             .usually_costs(0.5, 0.003)
+            .expects(|all, named, inputs| {
+                let steps = all.of::<EnhanceParams>()?.iterations;
+                of_training((steps, STAGE_2), (all, named), inputs)
+            })
             .cost(0, 4 << 30)
             .memory(|p: &EnhanceParams, inputs| {
                 let (gaussians, views) = (gaussians(inputs)?, extent(inputs)?.train.len() as u64);

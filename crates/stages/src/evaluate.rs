@@ -120,9 +120,9 @@ pub(crate) mod definition {
 
     use crate::engines;
     use crate::parts::weights::judge_files;
-    use crate::planning::learns_from_proposals;
     use crate::planning::memory::{NETWORK_PER_PIXEL, PROGRAM, gaussians, largest, networks};
     use crate::planning::requirements::{lacking, network, weights};
+    use crate::planning::{expected::of_evaluation, learns_from_proposals};
 
     use super::*;
 
@@ -151,6 +151,7 @@ pub(crate) mod definition {
                 Ok(Choice { files, made_from })
             })
             .requires(missing)
+            .expects(of_evaluation)
             .usually_costs(5.0, 0.0)
             .cost(0, 4 << 30)
             // The memory holds the scene, the reference's scene, two views in all their appearances, and the

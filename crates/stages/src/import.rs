@@ -16,6 +16,8 @@ use crate::parts::sights::{CaptureSights, SIGHTS, SightsError};
 pub(crate) mod definition {
     use use3d_workflow::{Scope, Stage};
 
+    use crate::planning::expected::of_import;
+
     use super::*;
 
     pub(crate) fn stage() -> Stage {
@@ -28,6 +30,7 @@ pub(crate) mod definition {
             .select_by(|parameters, capture| {
                 Ok(Choice { files: files(parameters, capture)?, made_from: choice_sources(capture) })
             })
+            .expects(of_import)
             .cost(0, 1 << 30)
     }
 }

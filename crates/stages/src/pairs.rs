@@ -1,6 +1,7 @@
 //! The paired images in operator space: the extractor's operators for each pair and for the proposal for its
 //! input image.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use schemars::JsonSchema;
@@ -77,12 +78,12 @@ pub(crate) mod definition {
         let (Some(input), Some(target)) = (named.path("pairs.input"), named.path("pairs.target")) else {
             return Vec::new();
         };
-        match list(input, target) {
-            Ok(found) if found.len() >= FEWEST_PAIRS => Vec::new(),
+        match stems(input).and_then(|inputs| Ok(inputs.intersection(&stems(target)?).count())) {
+            Ok(found) if found >= FEWEST_PAIRS => Vec::new(),
             Ok(found) => {
                 let remedy = format!(
                     "{} files of {} have a counterpart of the same stem in {}, and at least {FEWEST_PAIRS} are needed; pairs are matched by file stem",
-                    found.len(),
+                    found,
                     input.display(),
                     target.display()
                 );
@@ -97,8 +98,8 @@ fn run(context: &StageContext, params: &PairsParams) -> Result<(), StageError> {
     let models = context.optional_input("models");
     let proposer =
         open(params.proposer, models, &mut |line| context.say(line)).map_err(StageError::bad_input)?;
-    let (input, target) = (context.input("input")?, context.input("target")?);
-    let pairs = list(input, target)?;
+    let (input, target) = (unpacked(context, "input")?, unpacked(context, "target")?);
+    let pairs = list(&input, &target)?;
     if pairs.is_empty() {
         return Err(StageError::bad_input_message(format!(
             "no file in {} has a counterpart of the same stem in {}; pairs are matched by file stem",
@@ -131,7 +132,51 @@ fn run(context: &StageContext, params: &PairsParams) -> Result<(), StageError> {
     for skipped in &dataset.skipped {
         context.say(format_args!("pair {} is left out: {}", skipped.name, skipped.reason));
     }
+    for folder in [input, target].iter().filter(|folder| folder.starts_with(context.output())) {
+        std::fs::remove_dir_all(folder).map_err(StageError::failed)?;
+    }
     write_json(&context.output().join(DATASET), &dataset)
+}
+
+/// The folder of an input: the images of an archive are unpacked into the folder of the result.
+fn unpacked(context: &StageContext, role: &str) -> Result<PathBuf, StageError> {
+    let path = context.input(role)?;
+    if path.is_dir() || !use3d_archive::is_archive(path) {
+        return Ok(path.to_path_buf());
+    }
+    let folder = context.output().join(role);
+    let target =
+        |name: &str| is_image(name).then(|| Path::new(name).file_name().map(PathBuf::from)).flatten();
+    let unpacked = use3d_archive::unpack(path, &folder, &target, &mut |_| match context.cancelled() {
+        true => Err(std::io::Error::from(std::io::ErrorKind::Interrupted)),
+        false => Ok(()),
+    });
+    context.alive()?;
+    let failed = |e| StageError::bad_input_message(format!("{}: {e}; download it again", path.display()));
+    unpacked.map(|_| folder).map_err(failed)
+}
+
+/// The endings of images.
+const IMAGES: [&str; 5] = ["png", "jpg", "jpeg", "tif", "tiff"];
+
+/// True if a file of an archive is an image, and no hidden one.
+fn is_image(name: &str) -> bool {
+    let path = Path::new(name);
+    let hidden =
+        name.starts_with("__MACOSX") || path.file_name().is_none_or(|n| n.as_encoded_bytes()[0] == b'.');
+    !hidden && path.extension().is_some_and(|end| IMAGES.iter().any(|known| end.eq_ignore_ascii_case(known)))
+}
+
+/// The stems of the images in a folder or an archive.
+fn stems(path: &Path) -> Result<BTreeSet<String>, StageError> {
+    if path.is_dir() || !use3d_archive::is_archive(path) {
+        let images = images_by_stem(path, &IMAGES).map_err(StageError::bad_input)?;
+        return Ok(images.into_keys().collect());
+    }
+    let failed = |e| StageError::bad_input_message(format!("{}: {e}; download it again", path.display()));
+    let names = use3d_archive::names(path).map_err(failed)?;
+    let stem = |name: &String| Some(Path::new(name).file_stem()?.to_string_lossy().into_owned());
+    Ok(names.iter().filter(|name| is_image(name)).filter_map(stem).collect())
 }
 
 /// True if `image` has less contrast and a stronger tint than `other`, as a photograph under water has
@@ -162,9 +207,7 @@ fn is_duller(image: &Image, other: &Image) -> bool {
 
 /// Pairs of image files with equal stems, in name order.
 pub(crate) fn list(input: &Path, target: &Path) -> Result<Vec<(String, PathBuf, PathBuf)>, StageError> {
-    let images = |dir: &Path| {
-        images_by_stem(dir, &["png", "jpg", "jpeg", "tif", "tiff"]).map_err(StageError::bad_input)
-    };
+    let images = |dir: &Path| images_by_stem(dir, &IMAGES).map_err(StageError::bad_input);
     let mut targets = images(target)?;
     let pair = |(stem, a): (String, PathBuf)| targets.remove(&stem).map(|b| (stem, a, b));
     Ok(images(input)?.into_iter().filter_map(pair).collect())

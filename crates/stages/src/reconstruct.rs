@@ -55,6 +55,7 @@ pub(crate) mod definition {
     use use3d_workflow::{Scope, Stage};
 
     use crate::parts::files::out_of_range;
+    use crate::planning::expected::of_training;
     use crate::planning::memory::{PROGRAM, extent, size};
 
     use super::*;
@@ -75,6 +76,9 @@ pub(crate) mod definition {
             .without_effect(&["checkpoint_steps", "checkpoint_minutes", "engine"])
             .agrees_across_classes(&FIGURES)
             .usually_costs(3.0, 0.0194)
+            .expects(|all, named, inputs| {
+                of_training((all.of::<ReconstructParams>()?.iterations, 1.0), (all, named), inputs)
+            })
             .cost(0, 4 << 30)
             .memory(|p: &ReconstructParams, inputs| {
                 Some(PROGRAM + memory_need(&size(&extent(inputs)?), p).likely)

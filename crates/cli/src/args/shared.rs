@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use clap::Args;
-use use3d_config::LoadOptions;
+use use3d_config::{LoadOptions, shipped_file};
 use use3d_pipeline::loaded::PipelineRequest;
 use use3d_pipeline::spelled::Spelled;
 use use3d_reconstruct::EngineChoice;
@@ -183,7 +183,7 @@ impl CacheArgs {
         let (cache, models) = (self.cache.clone(), self.models.clone());
         let options = LoadOptions { cache, models, ..LoadOptions::default() };
         PipelineRequest {
-            target: target.to_path_buf(),
+            target: shipped_file(target),
             options,
             rehash: self.rehash,
             ..PipelineRequest::default()

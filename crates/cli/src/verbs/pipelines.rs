@@ -1,25 +1,13 @@
-//! The pipeline files that come with the program: a list of them, and the text of one. An installed program
-//! has no folder `pipelines/` beside it, so the files are parts of the program.
+//! The pipeline files that come with the program: a list of them, and the text of one.
 
 use serde::Serialize;
-use use3d_config::schema_text;
+use use3d_config::{schema_text, shipped, shipped_names};
 use use3d_pipeline::loaded::stages;
 use use3d_workflow::BuildError;
 
 use crate::args::PipelinesArgs;
 use crate::error::{Done, WorkError};
 use crate::output::json;
-
-/// Each file's name, and its text.
-const FILES: [(&str, &str); 7] = [
-    ("ablation-stage1", include_str!("../../../../pipelines/ablation-stage1.toml")),
-    ("ablation-stage2", include_str!("../../../../pipelines/ablation-stage2.toml")),
-    ("d3-d5", include_str!("../../../../pipelines/d3-d5.toml")),
-    ("demo", include_str!("../../../../pipelines/demo.toml")),
-    ("druva20", include_str!("../../../../pipelines/druva20.toml")),
-    ("seathru4", include_str!("../../../../pipelines/seathru4.toml")),
-    ("use26", include_str!("../../../../pipelines/use26.toml")),
-];
 
 /// The name of the JSON schema of all pipeline files, for editors.
 const SCHEMA: &str = "schema";
@@ -34,7 +22,10 @@ struct PipelineFile {
 pub(crate) fn run(args: &PipelinesArgs) -> Done {
     let Some(name) = &args.name else {
         let schema = (SCHEMA, "The JSON schema of pipeline files, for editors.".to_string());
-        let files = FILES.iter().map(|(name, text)| (*name, first_sentence(text))).chain([schema]);
+        let files = shipped_names()
+            .into_iter()
+            .map(|name| (name, first_sentence(&shipped(name).unwrap_or_default())));
+        let files = files.chain([schema]);
         let files: Vec<PipelineFile> = files.map(|(name, about)| PipelineFile { name, about }).collect();
         if args.json {
             return json(&files);
@@ -48,8 +39,8 @@ pub(crate) fn run(args: &PipelinesArgs) -> Done {
         print!("{}", schema_text(&stages()?));
         return Ok(());
     }
-    let Some((_, text)) = FILES.iter().find(|(known, _)| known == name) else {
-        let names = FILES.iter().map(|(name, _)| *name).chain([SCHEMA]);
+    let Some(text) = shipped(name) else {
+        let names = shipped_names().into_iter().chain([SCHEMA]);
         return Err(WorkError::input(BuildError::unknown("pipeline", name, names)));
     };
     print!("{text}");
@@ -83,10 +74,10 @@ mod tests {
             }
         }
         found.sort();
-        let known: Vec<_> = FILES.iter().map(|(name, text)| (name.to_string(), text.to_string())).collect();
-        assert_eq!(known, found);
-        for (name, text) in FILES {
-            let about = first_sentence(text);
+        let of = |name: &str| (name.to_string(), shipped(name).expect("a file"));
+        assert_eq!(["demo", "paper"].map(of).to_vec(), found);
+        for name in shipped_names() {
+            let about = first_sentence(&shipped(name).expect("a text"));
             assert!((20..120).contains(&about.len()) && about.ends_with('.'), "{name}: {about}");
         }
     }

@@ -3,11 +3,10 @@
 
 use std::path::{Path, PathBuf};
 
-use use3d_capture::name::shown_lines;
 use use3d_import::ImportParams;
-use use3d_pipeline::destination::{absolute, path_text, word};
-use use3d_pipeline::preparation::{DataSet, Preparation, capture_of};
-use use3d_prepare::{PREPARED, PrepareParams, Programs, Recipe, RecipeScene, Sources};
+use use3d_pipeline::destination::{path_text, word};
+use use3d_pipeline::preparation::{Preparation, capture_of};
+use use3d_prepare::{PREPARED, PrepareParams, Programs, Recipe, Sources};
 
 use crate::App;
 use crate::args::PrepareArgs;
@@ -15,11 +14,16 @@ use crate::error::{Done, WorkError};
 use crate::verbs::check;
 
 pub(crate) fn run(app: &App, args: &PrepareArgs) -> Done {
-    // A folder of that name may be the captures of an earlier time.
-    let recipe = args.inputs.first().and_then(|input| Recipe::named(input.to_str()?));
-    let is_data = |recipe: &Recipe| matches!(&args.inputs[..], [_, data] if recipe.is_in(data));
-    if let Some(recipe) = recipe.filter(|recipe| !args.inputs[0].exists() || is_data(recipe)) {
-        return by_recipe(app, args, recipe);
+    // The recipes of earlier versions.
+    if let Some(recipe) = args.inputs.first().filter(|input| !input.exists())
+        && let Some(recipe) = Recipe::ALL.into_iter().find(|known| recipe.to_str() == Some(known.name()))
+    {
+        let variable = recipe.variable();
+        return Err(WorkError::Input(format!(
+            "`use3d prepare {}` is now a part of the paper's pipeline: `{variable}=FOLDER use3d run paper --until import` \
+             (docs/guide/datasets.md)",
+            recipe.name()
+        )));
     }
     if let [folder] = &args.inputs[..]
         && use3d_import::check_layout(folder).is_ok()
@@ -31,7 +35,7 @@ pub(crate) fn run(app: &App, args: &PrepareArgs) -> Done {
         )));
     }
     let sources = Sources::of(&args.inputs)?;
-    let (params, programs) = (args.params(&PrepareParams::default()), Programs::from(args.programs.clone()));
+    let (params, programs) = (args.params(), Programs::from(args.programs.clone()));
     let job = Preparation {
         host: &app.host,
         sources: &sources,
@@ -69,63 +73,6 @@ pub(crate) fn run(app: &App, args: &PrepareArgs) -> Done {
         remark!(app, "next: use3d run {}", word(&args.out));
     }
     Ok(())
-}
-
-/// Prepares the scenes of a data set, each into a capture of its name.
-fn by_recipe(app: &App, args: &PrepareArgs, recipe: Recipe) -> Done {
-    let [name, folder] = args.inputs.as_slice() else {
-        return Err(WorkError::Input(format!(
-            "`use3d prepare {}` needs one folder, the unpacked data set: docs/guide/datasets.md",
-            path_text(&args.inputs[0])
-        )));
-    };
-    if args.json {
-        let reason = "--json is for one capture: each scene of a data set has its own prepare.json";
-        return Err(WorkError::input(reason));
-    }
-    let params = args.params(&recipe.choices());
-    if recipe == Recipe::SeaThruNerf && params != recipe.choices() {
-        return Err(WorkError::input(
-            "this recipe copies published cameras, so there is nothing to choose; leave these flags out",
-        ));
-    }
-    let (scenes, missing) = recipe.scenes(folder)?;
-    let programs = Programs::from(args.programs.clone());
-    let (host, out, force) = (&app.host, args.out.as_path(), args.replace.force);
-    let data = DataSet { host, params: &params, programs: &programs, out, force };
-    data.check(&scenes)?;
-    let mut failed = Vec::new();
-    for RecipeScene { name, work } in &scenes {
-        match data.scene(name, work) {
-            Ok(said) => said.iter().for_each(|line| println!("{name}: {line}")),
-            Err(WorkError::Interrupted) => return Err(WorkError::Interrupted),
-            Err(error) => {
-                eprintln!("{name}: {}", shown_lines(&error.to_string()));
-                failed.push(name.as_str());
-            }
-        }
-    }
-    if !missing.is_empty() {
-        println!("not in {}, and not prepared: {}", path_text(folder), missing.join(", "));
-    }
-    // Without any capture there is nothing to run.
-    if !app.quiet && failed.len() < scenes.len() {
-        let (variable, pipeline) = recipe.pipeline();
-        // A pipeline file in another folder reads the variable, too.
-        let (out, name) = (word(&absolute(&args.out)), path_text(name));
-        let file = format!("pipelines/{pipeline}.toml");
-        let run = match Path::new(&file).is_file() {
-            true => format!("use3d run {file}"),
-            false => format!("use3d pipelines {pipeline} > {pipeline}.toml; use3d run {pipeline}.toml"),
-        };
-        eprintln!("next: export {variable}={out}; {run} (docs/guide/datasets.md, recipe {name})");
-    }
-    if failed.is_empty() {
-        return Ok(());
-    }
-    let (names, all) = (failed.join(", "), failed.len() == scenes.len());
-    let others = if all { "" } else { ", and the other scenes are there" };
-    Err(WorkError::Failed(format!("not prepared: {names}; the reasons are above{others}")))
 }
 
 /// The capture for the target of a run, prepared if it is not yet. `None` if the target needs no preparation.

@@ -162,7 +162,7 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
     }
     let options = RunOptions {
         jobs: args.jobs,
-        keep_going: args.keep_going,
+        keep_going: args.keep_going || loaded.pipeline.keep_going,
         until,
         only,
         limit: args.max_time,
@@ -202,6 +202,9 @@ fn tell_why(plan: &Plan) {
         let besides =
             if unknown > 0 { format!(" plus {unknown} stages that never ran before") } else { String::new() };
         eprintln!("the whole run will take about {}{besides}, judging by earlier runs", seconds(forecast));
+    }
+    if let Some(expected) = plan.expected() {
+        eprintln!("stages that never ran will take {expected}, judging by the sizes of the pictures");
     }
 }
 

@@ -45,15 +45,24 @@ impl Many {
     /// `pipelines/use26.toml` with smaller sizes, and with synthetic captures and pairs of the same names and
     /// shapes instead of its data.
     fn use26() -> Self {
-        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../pipelines/use26.toml");
-        let mut text = std::fs::read_to_string(file).expect("the pipeline file");
+        let mut text = use3d_config::shipped("use26").expect("a shipped pipeline");
         for (large, small) in [("1400x933", "72x48"), ("1920x1080", "80x45")] {
             text = text.replace(large, small);
         }
         // Folders beside the file replace the variables that users set.
-        for name in ["SEATHRU", "SEATHRU_D", "DRUVA", "UIEB"] {
-            text = text.replace(&format!("${{{name}}}"), name);
-        }
+        text = text.replace("${UIEB}", "UIEB");
+        let mut name = String::new();
+        let named = text.lines().map(|line| {
+            if line.starts_with("name =") {
+                name = line.split('"').nth(1).unwrap_or_default().to_string();
+            }
+            if line.starts_with("download =") {
+                format!("capture = \"scenes/{name}\"\n")
+            } else {
+                format!("{line}\n")
+            }
+        });
+        let text: String = named.collect();
         let mut many = Self { dir: tempfile::tempdir().expect("a folder"), count: 0 };
         let value = |line: &str| line.split('"').nth(1).map(String::from).expect("a value in quotes");
         let of = |key: &str| text.lines().filter(|l| l.starts_with(key)).map(value).collect::<Vec<_>>();

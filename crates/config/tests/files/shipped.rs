@@ -3,14 +3,15 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use use3d_config::{LoadOptions, Pipeline, load};
+use use3d_config::{LoadOptions, Pipeline, from_text};
 use use3d_stages::registry;
 use use3d_workflow::Graph;
 
 fn shipped(name: &str) -> Pipeline {
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../pipelines").join(name);
+    let text = use3d_config::shipped(name).expect("a shipped pipeline");
     let registry = registry().expect("the stage table");
-    load(&registry, &file, &LoadOptions::default()).unwrap_or_else(|e| panic!("{e}"))
+    let file = Path::new(name).with_extension("toml");
+    from_text(&registry, &text, &file, &LoadOptions::default()).unwrap_or_else(|e| panic!("{e}"))
 }
 
 /// The number of scenes for each group and size.
@@ -30,22 +31,24 @@ fn all_26_scenes_of_the_paper_are_there() {
     let druva = entry("DRUVA-20", "1920x1080", 20);
     let (d3, d5) = (entry("D3", "1400x933", 1), entry("D5", "1400x933", 1));
     for (file, expected) in [
-        ("seathru4.toml", vec![seathru.clone()]),
-        ("druva20.toml", vec![druva.clone()]),
-        ("d3-d5.toml", vec![d3.clone(), d5.clone()]),
-        ("use26.toml", vec![seathru.clone(), druva, d3, d5]),
-        ("ablation-stage1.toml", vec![seathru.clone()]),
-        ("ablation-stage2.toml", vec![seathru]),
+        ("seathru4", vec![seathru.clone()]),
+        ("druva20", vec![druva.clone()]),
+        ("d3-d5", vec![d3.clone(), d5.clone()]),
+        ("paper", vec![seathru.clone(), druva.clone(), d3.clone(), d5.clone()]),
+        ("use26", vec![seathru.clone(), druva, d3, d5]),
+        ("ablation-stage1", vec![seathru.clone()]),
+        ("ablation-stage2", vec![seathru]),
     ] {
         let pipeline = shipped(file);
         assert_eq!(census(&pipeline), expected.into_iter().collect(), "{file}");
-        assert_eq!(format!("{}.toml", pipeline.batch.name), file);
+        assert_eq!(pipeline.batch.name, file);
+        assert!(pipeline.keep_going);
         assert_eq!(pipeline.batch.seed, 42);
         // The ablation of stage 1 learns from no pairs.
         let has_pairs = pipeline.batch.externals.contains_key("pairs.input");
-        assert_eq!(has_pairs, file != "ablation-stage1.toml", "{file}");
+        assert_eq!(has_pairs, file != "ablation-stage1", "{file}");
     }
-    assert_eq!(shipped("demo.toml").batch.scenes.len(), 1);
+    assert_eq!(shipped("demo").batch.scenes.len(), 1);
 }
 
 #[test]
@@ -57,18 +60,39 @@ fn ablations_share_what_they_do_not_change() {
     let variants =
         |file: &str| shipped(file).batch.variants.iter().map(|v| v.name.clone()).collect::<Vec<_>>();
     assert_eq!(
-        variants("ablation-stage1.toml"),
-        ["vanilla", "mlp", "rbf-without-depth", "rbf-without-prior", "full"]
+        variants("ablation-stage1"),
+        ["full", "vanilla", "mlp", "rbf-without-depth", "rbf-without-prior"]
     );
     assert_eq!(
-        variants("ablation-stage2.toml"),
-        ["local-only", "global-only", "full", "pseudo-labels", "enhance-then-reconstruct"]
+        variants("ablation-stage2"),
+        ["full", "local-only", "global-only", "pseudo-labels", "enhance-then-reconstruct"]
     );
     let counts =
         ["pairs", "calibrate", "reconstruct", "targets", "enhance", "photographs", "evaluate", "report"];
     // Table 3 is of stage 1: it needs nothing of stage 2, and the report makes it.
-    assert_eq!(counts.map(|stage| own("ablation-stage1.toml", stage)), [0, 0, 20, 0, 0, 0, 20, 1]);
-    let counts = ["import", "reconstruct", "enhance"].map(|stage| own("ablation-stage2.toml", stage));
+    assert_eq!(counts.map(|stage| own("ablation-stage1", stage)), [0, 0, 20, 0, 0, 0, 20, 1]);
+    let counts = ["import", "reconstruct", "enhance"].map(|stage| own("ablation-stage2", stage));
     // Learning from proposals is a different first stage, and needs no second one.
     assert_eq!(counts, [4, 8, 16]);
+}
+
+#[test]
+fn the_papers_file_computes_ablations_on_their_scenes_alone() {
+    let graph = Graph::new(&registry().expect("the stage table"), &shipped("paper").batch).expect("a graph");
+    let own =
+        |stage: &str| graph.nodes.iter().filter(|n| n.stage_name == stage && n.same_as.is_none()).count();
+    // 26 scenes; four more trainings of stage 1 on four of them, and reconstruction from proposals.
+    let counts = ["pairs", "import", "reconstruct", "enhance", "evaluate", "report"].map(own);
+    assert_eq!(counts, [1, 26, 26 + 4 * 5, 26 + 4 * 3, 26 + 4 * 8, 1]);
+    let variants = |scene: &str| {
+        let nodes = graph.nodes.iter().filter(|n| n.scene == scene && n.stage_name == "evaluate");
+        nodes.map(|n| n.variant.as_str()).collect::<Vec<_>>()
+    };
+    assert_eq!((variants("A1"), variants("Panama").len()), (vec!["full"], 9));
+    let text = "name = \"x\"\n[[scene]]\nname = \"a\"\ncapture = \"a\"\ngroup = \"reefs\"\n\
+                [[variant]]\nname = \"v\"\ngroups = [\"reef\"]";
+    let file = Path::new("x.toml");
+    let registry = registry().expect("the stage table");
+    let wrong = from_text(&registry, text, file, &LoadOptions::default()).unwrap_err().to_string();
+    assert!(wrong.contains("x.toml:8") && wrong.contains("did you mean `reefs`?"), "{wrong}");
 }

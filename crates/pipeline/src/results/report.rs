@@ -14,6 +14,7 @@ use use3d_judge::scores::SceneSpeed;
 use use3d_report::index::{FailedStage, Index, ResultRow, SceneBlock};
 use use3d_report::page::{self, Page, SceneSection, shortened};
 use use3d_report::tables::means::MeanScores;
+use use3d_report::tables::paper::FailedScene;
 use use3d_report::tables::{self, paper};
 use use3d_report::verdict::{Sentence, Tone};
 use use3d_report::{BatchReport, ResultData};
@@ -170,6 +171,37 @@ fn failed(own: &DeliveredCell<'_>) -> Vec<FailedStage> {
     all.collect()
 }
 
+/// The results of a batch without scores, and the failures of each scene.
+#[derive(Default)]
+struct Scored<'a> {
+    without: Vec<(&'a str, &'a str)>,
+    failures: HashMap<&'a str, HashMap<&'a str, String>>,
+}
+
+impl<'a> Scored<'a> {
+    fn add(&mut self, own: &DeliveredCell<'a>, has_scores: bool) {
+        if let Some(FailedStage { stage, reason, .. }) = failed(own).into_iter().next() {
+            let reason = reason.lines().next().unwrap_or_default();
+            let words = format!("`{stage}` failed: {reason}");
+            self.failures.entry(own.scene).or_default().insert(own.variant, words);
+        }
+        if !has_scores {
+            self.without.push((own.scene, own.variant));
+        }
+    }
+
+    /// The scenes that failed. A stage that variants share fails for one of them, and the others wait for it.
+    fn without(&self, settings: &ReportSettings) -> Vec<FailedScene> {
+        let each = self.without.iter().filter_map(|(scene, variant)| {
+            let failures = self.failures.get(scene)?;
+            let reason = failures.get(variant).or_else(|| failures.values().min())?.clone();
+            let (group, variant) = (settings.group(scene).to_string(), variant.to_string());
+            Some(FailedScene { scene: scene.to_string(), group, variant, reason })
+        });
+        each.collect()
+    }
+}
+
 /// The stages of a result that were not made.
 fn unmade<'n>(own: &DeliveredCell<'n>) -> Vec<&'n str> {
     let open = own.nodes.iter().filter(|node| {
@@ -211,7 +243,9 @@ fn page_of(
         subtitle: "one scene".into(),
         verdict,
         settings: lineage::settings(made.configuration.iter().map(|made| (own.variant, &**made))),
-        tables: scores.as_ref().map_or_else(Vec::new, |scores| paper::tables(std::slice::from_ref(scores))),
+        tables: scores
+            .as_ref()
+            .map_or_else(Vec::new, |scores| paper::tables(std::slice::from_ref(scores), &[])),
         scenes: vec![scene],
         costs: Some(lineage::costs(&own.all().collect::<Vec<_>>(), &settings.pipeline, command)),
         ..Page::default()
@@ -328,6 +362,7 @@ impl Results {
         let views: HashMap<(&str, &str), &Delivered> =
             views.iter().map(|view| ((view.scene.as_str(), view.variant.as_str()), view)).collect();
         let (mut index, mut all) = (Index::default(), Vec::new());
+        let mut scored = Scored::default();
         // The results of a variant often share their configuration, which is kept once.
         let mut configurations: Vec<(&str, Arc<Configuration>)> = Vec::new();
         let mut last: HashMap<&str, Arc<Configuration>> = HashMap::new();
@@ -353,6 +388,7 @@ impl Results {
                 seconds: lineage::seconds(&own.nodes),
                 ..ResultRow::new(&data.verdict, scores.as_ref(), failed(own), &unmade(own))
             };
+            scored.add(own, scores.is_some());
             all.extend(scores);
             if index.scenes.last().is_none_or(|last| last.name != own.scene) {
                 let group = settings.group(own.scene).into();
@@ -369,7 +405,7 @@ impl Results {
             subtitle: index.head(),
             verdict: index.verdict(),
             settings: lineage::settings(configurations.iter().map(|(variant, made)| (*variant, &**made))),
-            tables: paper::tables(&all),
+            tables: paper::tables(&all, &scored.without(settings)),
             index: Some(index),
             costs: Some(lineage::costs_by_stage(&summary.nodes, &settings.pipeline, command)),
             ..Page::default()

@@ -42,6 +42,9 @@ pub(super) struct Batch<'a> {
     pub(super) groups: Vec<&'a str>,
     /// Distinct variants, in order of appearance.
     pub(super) variants: Vec<&'a str>,
+    /// The variants with scenes in every group; all variants if there is none. The others are ablations on
+    /// some groups, and have rows in the tables of variants alone.
+    pub(super) whole: Vec<&'a str>,
     /// The scenes by variant and group.
     parts: BTreeMap<&'a str, BTreeMap<&'a str, Vec<&'a MeanScores>>>,
     /// The configuration behind the numbers of each variant.
@@ -75,7 +78,12 @@ impl<'a> Batch<'a> {
             let all: Vec<&Configuration> = scenes.filter_map(|s| s.configuration.as_deref()).collect();
             (*variant, Configuration::told(&all))
         };
-        Self { scenes, groups, made_by: variants.iter().map(made_by).collect(), variants, parts }
+        let has = |variant: &&&str| groups.iter().all(|group| parts[**variant].contains_key(group));
+        let mut whole: Vec<&str> = variants.iter().filter(has).copied().collect();
+        if whole.is_empty() {
+            whole.clone_from(&variants);
+        }
+        Self { scenes, groups, made_by: variants.iter().map(made_by).collect(), variants, whole, parts }
     }
 
     /// The scenes of a group, or of [`ALL`] groups, in a variant.
@@ -138,14 +146,14 @@ impl<'a> Batch<'a> {
         let mut rows: Vec<Row> = Vec::new();
         let mut shared: Vec<Method> = Vec::new();
         for &method in methods.iter().filter(|m| OF_PHOTOGRAPHS.contains(m)) {
-            let mut each = self.variants.iter().map(|variant| self.row(method, variant, quantities));
+            let mut each = self.whole.iter().map(|variant| self.row(method, variant, quantities));
             let Some(first) = each.next() else { continue };
-            if self.variants.len() > 1 && each.all(|row| values(&row) == values(&first)) {
+            if self.whole.len() > 1 && each.all(|row| values(&row) == values(&first)) {
                 shared.push(method);
                 rows.push(Row { label: method.label().into(), made_by: String::new(), ..first });
             }
         }
-        for variant in &self.variants {
+        for variant in &self.whole {
             let own = methods.iter().filter(|m| !shared.contains(m));
             rows.extend(own.map(|&method| self.row(method, variant, quantities)));
         }
@@ -160,7 +168,7 @@ impl<'a> Batch<'a> {
     /// Stage 1's row of the second ablation, from the first variant that learnt from photographs.
     pub(super) fn before_stage2(&self, quantities: &[Quantity]) -> Option<Row> {
         self.variants.iter().find_map(|variant| {
-            let cells = means(self.of_group(ALL, variant), Method::Reconstruction, quantities);
+            let cells = means(&self.compared(variant), Method::Reconstruction, quantities);
             let known = cells.iter().any(|c| *c != Cell::Blank);
             known.then(|| self.own_row(Method::Reconstruction.label().into(), variant, cells))
         })
@@ -227,7 +235,7 @@ impl<'a> Batch<'a> {
             for &method in of_photographs {
                 rows.push(Row::own(method.label().into(), means(&own[..1], method, quantities)));
             }
-            for result in own {
+            for result in own.into_iter().filter(|result| self.whole.contains(&result.variant.as_str())) {
                 let variant = result.variant.as_str();
                 let mut own = [result.result].into_iter().filter(|m| results.contains(m));
                 let metrics = || quantities.iter().map(|(metric, ..)| *metric);
@@ -245,28 +253,64 @@ impl<'a> Batch<'a> {
         Table { name: name.into(), caption: caption.into(), columns: columns(&[""], quantities), rows }
     }
 
-    /// One row per variant, averaged over all scenes of the run, of the first of these methods that the
-    /// variant has.
+    /// The groups that all variants have scenes in; `None` if that is all of them, or none.
+    fn common(&self) -> Option<Vec<&'a str>> {
+        let has = |group: &&str| self.variants.iter().all(|v| !self.of_group(group, v).is_empty());
+        let groups = self.groups.iter().copied().filter(|group| *group != ALL);
+        let (common, others): (Vec<&str>, Vec<&str>) = groups.partition(has);
+        (!others.is_empty() && !common.is_empty()).then_some(common)
+    }
+
+    /// True if variants are compared over a group.
+    pub(super) fn is_compared(&self, group: &str) -> bool {
+        self.common().is_none_or(|groups| groups.contains(&group))
+    }
+
+    /// The scenes of a variant that the variants are compared over: those in groups that all of them have.
+    pub(super) fn compared(&self, variant: &str) -> Vec<&'a MeanScores> {
+        let all = self.of_group(ALL, variant).iter().copied();
+        all.filter(|scene| self.is_compared(&scene.group)).collect()
+    }
+
+    /// True if a variant brings the 2D enhancer in by another way than transitions: from photographs that
+    /// were enhanced one by one, or from labels of each view.
+    pub(super) fn is_other_way(&self, variant: &str) -> bool {
+        self.of_group(ALL, variant).iter().any(|scene| {
+            let changed = scene.configuration.iter().flat_map(|made| &made.changed);
+            let labels = |line: &String| line.starts_with("enhance.objective = pseudo-labels");
+            scene.has(Method::EnhanceThenReconstruct, ["uciqe"].into_iter())
+                || changed.into_iter().any(labels)
+        })
+    }
+
+    /// One row for each of some variants, averaged over the scenes that all variants have, of the first of
+    /// these methods that the variant has. With `once`, variants with the same numbers have one row.
     pub(super) fn ablation(
         &self,
-        name: &str,
-        caption: &str,
+        [name, caption]: [&str; 2],
+        (variants, once): (&[&'a str], bool),
         quantities: &[Quantity],
         methods: &[Method],
         source: &[Published],
     ) -> Table {
-        let of_one = self.groups == ["SeaThru-4"] && self.is_published(self.groups[0]);
-        let known: Vec<&Published> = source.iter().filter(|_| of_one).collect();
-        let mut rows = published_over(&self.groups, &known, quantities, |_, _| None);
-        for variant in &self.variants {
-            let scenes = self.of_group(ALL, variant);
-            let has = |m: &Method| means(scenes, *m, quantities).iter().any(|cell| *cell != Cell::Blank);
+        const SET: &str = "SeaThru-4";
+        let of_one = self.common().map_or(self.groups == [SET], |common| common == [SET]);
+        let known: Vec<&Published> = source.iter().filter(|_| of_one && self.is_published(SET)).collect();
+        let mut rows = published_over(&[SET], &known, quantities, |_, _| None);
+        for variant in variants {
+            let scenes = self.compared(variant);
+            let has = |m: &Method| means(&scenes, *m, quantities).iter().any(|cell| *cell != Cell::Blank);
             // The result of a variant comes first; if it was learnt without water, that is `enhanced-clear`.
             let result = self.result(variant);
             let in_order = [result].into_iter().filter(|m| methods.contains(m));
             let Some(method) = in_order.chain(methods.iter().copied()).find(has) else { continue };
             let label = if variant.is_empty() { "full model" } else { variant };
-            rows.push(self.own_row(label.into(), variant, means(scenes, method, quantities)));
+            let cells = means(&scenes, method, quantities);
+            let values = |cells: &[Cell]| cells.iter().map(Cell::value).collect::<Vec<_>>();
+            let is_known = |row: &Row| !row.published && values(&row.cells) == values(&cells);
+            if !(once && rows.iter().any(is_known)) {
+                rows.push(self.own_row(label.into(), variant, cells));
+            }
         }
         Table { name: name.into(), caption: caption.into(), columns: columns(&[""], quantities), rows }
     }

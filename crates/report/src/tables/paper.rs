@@ -32,11 +32,29 @@ const CONSISTENCY: [Quantity; 8] = [
     ("coverage", "share", Better::Neither, 2),
     ("path_coverage", "path share", Better::Neither, 2),
 ];
+/// The tables of variants alone.
+const OF_VARIANTS: [&str; 3] = ["ablation-stage1", "ablation-stage2", "prior-integration"];
+/// The most failed scenes that a caption names.
+const SHOWN: usize = 8;
 /// The reason why a scene has no frames per second here.
 const NOT_TIMED: &str = "times are no part of an artifact: they are kept beside it and filled in when `use3d run` writes its results";
 
-/// Every table that the scenes can fill, in the paper's order. Empty without scenes.
-pub fn tables(scenes: &[MeanScores]) -> Vec<Table> {
+/// A scene in a variant that has no scores, because a stage failed.
+#[derive(Clone, Debug)]
+pub struct FailedScene {
+    /// The scene.
+    pub scene: String,
+    /// Its group, or empty.
+    pub group: String,
+    /// The variant; empty if there are no variants.
+    pub variant: String,
+    /// The stage, and why it failed.
+    pub reason: String,
+}
+
+/// Every table that the scenes can fill, in the paper's order. Empty without scenes. A scene that failed has
+/// a row with its reason in the tables of scenes, and is named where means lack it.
+pub fn tables(scenes: &[MeanScores], failed: &[FailedScene]) -> Vec<Table> {
     if scenes.is_empty() {
         return Vec::new();
     }
@@ -64,41 +82,103 @@ pub fn tables(scenes: &[MeanScores]) -> Vec<Table> {
         ),
         batch.consistency(),
     ];
-    if batch.by_name().len() == 1 {
+    if batch.by_name().len() == 1 && failed.is_empty() {
         // These tables would repeat the others.
         tables.retain(|t| !t.name.ends_with("-scenes"));
     }
     tables.extend(batch.truth());
     tables.extend(batch.recovered());
     if batch.variants.len() > 1 {
-        tables.push(batch.ablation(
-            "ablation-stage1",
-            "Variants, stage 1: reconstruction of held-out views",
-            &RECONSTRUCTION,
-            &[Method::Reconstruction],
-            published::ABLATION_STAGE1,
-        ));
-        let mut stage2 = batch.ablation(
-            "ablation-stage2",
-            "Variants, stage 2: enhancement quality of held-out views",
-            &ENHANCEMENT,
-            &[Method::Enhanced, Method::EnhancedClear, Method::EnhanceThenReconstruct],
-            published::ABLATION_STAGE2,
-        );
-        // The start of stage 2, as in the paper: the same for all variants that share a stage 1.
-        let first = stage2.rows.iter().position(|r| !r.published).unwrap_or(stage2.rows.len());
-        stage2.rows.splice(first..first, batch.before_stage2(&ENHANCEMENT));
-        tables.push(stage2);
+        tables.extend(batch.of_variants());
     }
     // Rows and tables without numbers are left out.
     for table in &mut tables {
         table.rows.retain(|row| row.published || row.cells.iter().any(|cell| *cell != Cell::Blank));
     }
     tables.retain(|table| !table.rows.is_empty());
+    name_failed(&mut tables, &batch, failed);
     tables
 }
 
-impl Batch<'_> {
+/// Adds the rows and sentences about scenes that failed.
+fn name_failed(tables: &mut [Table], batch: &Batch<'_>, failed: &[FailedScene]) {
+    let is_whole = |scene: &FailedScene| batch.whole.contains(&scene.variant.as_str());
+    for table in tables {
+        if table.name.ends_with("-scenes") {
+            table.rows.extend(failed.iter().filter(|scene| is_whole(scene)).map(|scene| {
+                let reason = format!("{}: {}", scene.scene, scene.reason);
+                let cells = vec![Cell::NotAvailable { reason }; table.columns.len()];
+                Row { scene: scene.scene.clone(), ..Row::own(Batch::program(&scene.variant), cells) }
+            }));
+            continue;
+        }
+        // A stage that variants share failed once.
+        let of_variants = OF_VARIANTS.contains(&table.name.as_str());
+        let told = failed
+            .iter()
+            .filter(|scene| if of_variants { batch.is_compared(&scene.group) } else { is_whole(scene) });
+        let told: Vec<String> = told.map(|scene| format!("{}: {}", scene.scene, scene.reason)).collect();
+        let told = distinct(told.iter().map(String::as_str));
+        if told.is_empty() {
+            continue;
+        }
+        let more = told.len().saturating_sub(SHOWN);
+        let more = if more > 0 { format!("; {more} more") } else { String::new() };
+        let names = told.into_iter().take(SHOWN).collect::<Vec<_>>().join("; ");
+        table.caption += &format!(". Without scenes that failed ({names}{more})");
+    }
+}
+
+impl<'a> Batch<'a> {
+    /// Both ablations, and the ways to bring 2D priors in.
+    fn of_variants(&self) -> Vec<Table> {
+        const STAGE_2: [Method; 3] =
+            [Method::Enhanced, Method::EnhancedClear, Method::EnhanceThenReconstruct];
+        let stage1 = self.ablation(
+            [
+                "ablation-stage1",
+                "Variants, stage 1: reconstruction of held-out views. Variants that share a stage 1 have one row",
+            ],
+            (&self.variants, true),
+            &RECONSTRUCTION,
+            &[Method::Reconstruction],
+            published::ABLATION_STAGE1,
+        );
+        let (others, own): (Vec<&'a str>, Vec<&'a str>) =
+            self.variants.iter().copied().partition(|variant| self.is_other_way(variant));
+        let mut stage2 = self.ablation(
+            ["ablation-stage2", "Variants, stage 2: enhancement quality of held-out views"],
+            (&own, false),
+            &ENHANCEMENT,
+            &STAGE_2,
+            published::ABLATION_STAGE2,
+        );
+        // The start of stage 2, as in the paper: the same for all variants that share a stage 1.
+        let first = stage2.rows.iter().position(|r| !r.published).unwrap_or(stage2.rows.len());
+        stage2.rows.splice(first..first, self.before_stage2(&ENHANCEMENT));
+        let mut tables = vec![stage1, stage2];
+        if !others.is_empty() {
+            let ours = own.iter().copied().find(|variant| {
+                let scenes = self.compared(variant);
+                let enhanced =
+                    |s: &&MeanScores| s.has(s.result, ["uciqe"].into_iter()) && s.result != Method::Clear;
+                scenes.iter().any(enhanced)
+            });
+            let ways: Vec<&str> = others.into_iter().chain(ours).collect();
+            tables.push(self.ablation(
+                [
+                    "prior-integration",
+                    "Ways to bring a 2D enhancer into a scene: enhancement quality of held-out views",
+                ],
+                (&ways, false),
+                &ENHANCEMENT,
+                &STAGE_2,
+                &[],
+            ));
+        }
+        tables
+    }
+
     fn reconstruction(&self) -> Table {
         let mut columns = columns(&self.groups, &RECONSTRUCTION);
         let mut rows = self.published_rows(published::RECONSTRUCTION, &RECONSTRUCTION);
@@ -110,7 +190,7 @@ impl Batch<'_> {
             let fps = published::FPS.iter().find(|(method, _)| *method == row.label).map(|(_, fps)| *fps);
             row.cells.push(published_cell(fps));
         }
-        for variant in &self.variants {
+        for variant in &self.whole {
             let mut row = self.row(Method::Reconstruction, variant, &RECONSTRUCTION);
             row.label = Self::program(variant);
             let scenes = self.of_group(ALL, variant).iter();
@@ -237,7 +317,7 @@ mod tests {
             speed: s.speed.clone(),
             ..MeanScores::new([&s.scene, &s.group, &s.variant], &s.scores)
         });
-        super::tables(&means.collect::<Vec<_>>())
+        super::tables(&means.collect::<Vec<_>>(), &[])
     }
 
     #[test]
@@ -328,9 +408,54 @@ mod tests {
                 .map_or(vec![], |t| t.rows.iter().map(|r| r.label.as_str()).collect())
         };
         assert_eq!(labels("enhancement"), ["3D-USE, this program", "Enhance, then reconstruct · first"]);
-        assert_eq!(labels("ablation-stage2"), ["full model", "first"]);
+        assert_eq!(labels("ablation-stage2"), ["full model"]);
+        assert_eq!(labels("prior-integration"), ["first", "full model"]);
         assert_eq!(labels("ablation-stage1"), ["full model"]);
         assert!(tables.iter().all(|t| !t.rows.is_empty()));
+    }
+
+    #[test]
+    fn ablations_on_some_groups_are_compared_over_these_and_stay_out_of_the_other_tables() {
+        let mut all = vec![scene("D3", "D3", "full", 28.0)];
+        for (name, psnr) in [("Panama", 30.0), ("Curasao", 32.0)] {
+            all.push(scene(name, "SeaThru-4", "full", psnr));
+            all.push(scene(name, "SeaThru-4", "mlp", psnr - 4.0));
+            all.push(scene(name, "SeaThru-4", "local-only", psnr));
+            let mut labels = scene(name, "SeaThru-4", "labels", psnr);
+            let changed = labels.configuration.as_mut().map(|made| &mut made.changed);
+            changed.unwrap().push("enhance.objective = pseudo-labels".into());
+            all.push(labels);
+        }
+        let tables = tables(&all);
+        let rows = |name: &str| -> Vec<(&str, Option<f64>)> {
+            let table = tables.iter().find(|t| t.name == name).unwrap();
+            table
+                .rows
+                .iter()
+                .filter(|r| !r.published)
+                .map(|r| (r.label.as_str(), r.cells[0].value()))
+                .collect()
+        };
+        assert_eq!(rows("ablation-stage1"), [("full", Some(31.0)), ("mlp", Some(27.0))]);
+        let stage2: Vec<&str> = rows("ablation-stage2").iter().map(|row| row.0).skip(1).collect();
+        assert_eq!(stage2, ["full", "mlp", "local-only"]);
+        assert_eq!(rows("prior-integration"), [("labels", Some(0.6)), ("full", Some(0.6))]);
+        assert_eq!(rows("reconstruction").len(), 1);
+        assert_eq!(rows("reconstruction-scenes").len(), 3);
+    }
+
+    #[test]
+    fn a_scene_that_failed_has_a_row_with_its_reason_and_is_named_where_means_lack_it() {
+        let scored = scene("D3", "D3", "", 28.0);
+        let means = MeanScores::new([&scored.scene, &scored.group, ""], &scored.scores);
+        let reason = "`prepare` failed: the film is cut off".to_string();
+        let failed =
+            [FailedScene { scene: "A7".into(), group: "DRUVA-20".into(), variant: String::new(), reason }];
+        let tables = super::tables(&[means], &failed);
+        let text = |name: &str| tables.iter().find(|t| t.name == name).unwrap().markdown();
+        assert!(text("reconstruction-scenes").contains("| A7 · 3D-USE"), "{}", text("reconstruction-scenes"));
+        assert!(text("reconstruction-scenes").contains("n/a: A7: `prepare` failed: the film is cut off"));
+        assert!(text("reconstruction").contains("Without scenes that failed (A7: `prepare` failed"));
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! The knowledge of several stages about when they run and what they need. No byte of a result follows from
 //! this folder or from the module `definition` of a stage, so neither is part of a key.
 
+pub(crate) mod expected;
 pub(crate) mod memory;
 pub(crate) mod requirements;
 

@@ -79,11 +79,13 @@ impl BatchScene {
     }
 }
 
-/// A named set of changes; every scene is computed with it.
+/// A named set of changes; every scene of its groups is computed with it.
 #[derive(Clone, Debug, Default)]
 pub struct Variant {
     /// Its name, unique in the batch.
     pub name: String,
+    /// The groups of the scenes that are computed with it; an empty list means every scene.
+    pub groups: Vec<String>,
     /// The variant's own seed.
     pub seed: Option<u64>,
     /// The preset used in place of the batch's.
@@ -263,12 +265,10 @@ impl Graph {
             builder.add(None, variant, None, Scope::Shared)?;
         }
         for scene in &batch.scenes {
-            // The reference variant comes first, at any position in the list.
-            let reference = builder.reference(scene, variants)?;
-            let others = variants.iter().enumerate().filter(|(i, _)| Some(*i) != reference);
-            let ordered = reference.map(|i| &variants[i]).into_iter().chain(others.map(|(_, v)| v));
-            for variant in ordered {
-                builder.add(Some(scene), variant, reference.map(|i| &variants[i]), Scope::Scene)?;
+            let own = layers::of_scene(variants, scene);
+            let reference = builder.reference(scene, &own)?;
+            for variant in layers::ordered(&own, reference) {
+                builder.add(Some(scene), variant, reference, Scope::Scene)?;
             }
         }
         builder.add_batch_stages(variants)?;
@@ -481,16 +481,17 @@ impl GraphBuilder<'_> {
         }
     }
 
-    /// The index of a scene's reference variant, if a stage declares a condition for it and a variant meets
-    /// that condition.
-    fn reference(&mut self, scene: &BatchScene, variants: &[Variant]) -> Result<Option<usize>, BuildError> {
-        let registry = self.registry;
-        let Some(fulfils) = registry.stages().iter().find_map(|s| s.reference.as_ref()) else {
-            return Ok(None);
-        };
-        for (i, variant) in variants.iter().enumerate() {
-            if fulfils(&self.parameters(Some(scene), variant)?.all) {
-                return Ok(Some(i));
+    /// A scene's reference variant: the first that meets the condition of a stage.
+    fn reference<'v>(
+        &mut self,
+        scene: &BatchScene,
+        of: &[&'v Variant],
+    ) -> Result<Option<&'v Variant>, BuildError> {
+        let fulfils = self.registry.stages().iter().find_map(|s| s.reference.as_ref());
+        for variant in of.iter().filter(|_| fulfils.is_some()) {
+            let all = &self.parameters(Some(scene), variant)?.all;
+            if fulfils.is_some_and(|fulfils| fulfils(all)) {
+                return Ok(Some(variant));
             }
         }
         Ok(None)
@@ -508,7 +509,7 @@ impl GraphBuilder<'_> {
             return Ok(own);
         }
         let mut everywhere: Option<BTreeSet<&'static str>> = None;
-        for scene in &batch.scenes {
+        for scene in batch.scenes.iter().filter(|scene| layers::is_of(variant, scene)) {
             let off = &self.parameters(Some(scene), variant)?.all.off;
             everywhere = Some(everywhere.map_or_else(|| off.clone(), |all| &all & off));
         }

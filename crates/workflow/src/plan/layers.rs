@@ -70,3 +70,22 @@ pub(super) fn check_names(registry: &Registry, batch: &Batch) -> Result<(), Buil
     }
     Ok(())
 }
+
+/// True if a scene is computed with a variant.
+pub(super) fn is_of(variant: &Variant, scene: &BatchScene) -> bool {
+    variant.groups.is_empty() || variant.groups.contains(&scene.group)
+}
+
+/// The variants that a scene is computed with.
+pub(super) fn of_scene<'v>(variants: &'v [Variant], scene: &BatchScene) -> Vec<&'v Variant> {
+    variants.iter().filter(|variant| is_of(variant, scene)).collect()
+}
+
+/// Variants with the reference variant first, at any position in the list.
+pub(super) fn ordered<'v>(
+    variants: &[&'v Variant],
+    reference: Option<&'v Variant>,
+) -> impl Iterator<Item = &'v Variant> {
+    let others = variants.iter().copied().filter(move |v| reference.is_none_or(|r| r.name != v.name));
+    reference.into_iter().chain(others.collect::<Vec<_>>())
+}

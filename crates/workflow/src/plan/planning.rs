@@ -16,6 +16,7 @@ use crate::plan::history::{Forecast, Record};
 use crate::plan::resolve::{self, Outcome, Unresolved};
 use crate::share::killed::Killed;
 use crate::share::lease::Working;
+use crate::stage::expected::Expected;
 
 /// The planned state of a node.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
@@ -59,6 +60,9 @@ pub struct PlannedNode {
     pub changes: Vec<Difference>,
     /// Its estimated cost.
     pub forecast: Option<Forecast>,
+    /// Its likely cost, if it never ran.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub expected: Option<Expected>,
     /// Its usual cost, in the unit of [`Stage::usually_costs`](crate::Stage::usually_costs).
     #[serde(skip)]
     pub usual_cost: f64,
@@ -128,6 +132,12 @@ impl Plan {
         })
     }
 
+    /// The sum of the likely costs of stages that never ran; `None` if there is none.
+    pub fn expected(&self) -> Option<Expected> {
+        let each = self.own().filter_map(|node| node.expected);
+        each.reduce(|a, b| Expected { seconds: a.seconds + b.seconds, bytes: a.bytes + b.bytes })
+    }
+
     pub(crate) fn own(&self) -> impl Iterator<Item = &PlannedNode> {
         self.nodes.iter().filter(|n| n.shared_with.is_none())
     }
@@ -195,6 +205,9 @@ impl Builder {
                 planned.forecast = timings.forecast(stage.name, &node.scene, stage.length(&node.parameters));
                 let inputs = resolve::existing_inputs(graph, i, &outcomes);
                 planned.memory = stage.known_memory(&node.parameters, &inputs);
+                let place = &node.place;
+                let expect = stage.expect.as_ref().filter(|_| planned.forecast.is_none());
+                planned.expected = expect.and_then(|expect| expect(&place.all, &place.named, &inputs));
             }
             nodes.push(planned);
         }

@@ -16,6 +16,7 @@ use crate::run::summary::{NodeResult, Summary};
 use crate::run::verify::Verification;
 use crate::share::killed::Killed;
 use crate::share::lease::Working;
+use crate::stage::expected::Expected;
 
 /// Most items that a line names.
 const SHOWN: usize = 3;
@@ -49,6 +50,9 @@ impl Display for Plan {
                 write!(f, "{mark:<8} {}: {text}", label(node))?;
                 if let Some(forecast) = &node.forecast {
                     write!(f, " (about {})", seconds(forecast.seconds))?;
+                }
+                if let Some(expected) = &node.expected {
+                    write!(f, " (likely {expected})")?;
                 }
                 writeln!(f)?;
             }
@@ -93,7 +97,10 @@ impl Plan {
         } else if without > 0 {
             write!(f, "; no earlier run to forecast the time from")?;
         }
-        Ok(())
+        match self.expected() {
+            Some(expected) => write!(f, ", by the sizes of the pictures {expected}"),
+            None => Ok(()),
+        }
     }
 
     /// One line, with the reason, for each stage that has results and runs again all the same.
@@ -149,6 +156,12 @@ fn describe(node: &PlannedNode) -> (&'static str, String) {
         }
         State::Unavailable(reason) => ("cannot", reason.clone()),
         State::Blocked(by) => ("blocked", format!("by {by}")),
+    }
+}
+
+impl Display for Expected {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        write!(f, "{} on two processors, {} of disk", seconds(self.seconds), bytes(self.bytes as u64))
     }
 }
 

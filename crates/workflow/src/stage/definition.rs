@@ -15,6 +15,7 @@ use crate::error::{ParameterError, StageError};
 use crate::stage::agree::{Agreement, AlikeFiles, Figure};
 use crate::stage::context::StageContext;
 use crate::stage::device::{AskedDevice, Device};
+use crate::stage::expected::{Expect, Expected};
 use crate::stage::inputs::{Named, StageInput};
 use crate::stage::parameters::{AllParameters, Parameters};
 use crate::stage::require::{Checks, Lacking, Requires};
@@ -114,6 +115,7 @@ pub struct Stage {
     pub(crate) cores: usize,
     pub(crate) memory: u64,
     pub(crate) memory_of: Option<Memory>,
+    pub(crate) expect: Option<Expect>,
     pub(crate) condition: Option<Condition>,
     pub(crate) requires: Option<Requires>,
     pub(crate) reference: Option<IsReference>,
@@ -156,6 +158,7 @@ impl Stage {
             cores: 0,
             memory: 0,
             memory_of: None,
+            expect: None,
             condition: None,
             requires: None,
             reference: None,
@@ -369,6 +372,15 @@ impl Stage {
         let estimate =
             move |parameters: &Parameters, inputs: &[StageInput]| estimate(parameters.of()?, inputs);
         Self { memory_of: Some(Arc::new(estimate)), ..self }
+    }
+
+    /// Sets an estimate of its time and disk where it never ran, for plans.
+    #[must_use]
+    pub fn expects(
+        self,
+        estimate: impl Fn(&AllParameters, &Named, &[StageInput]) -> Option<Expected> + Send + Sync + 'static,
+    ) -> Self {
+        Self { expect: Some(Arc::new(estimate)), ..self }
     }
 
     /// Sets the folder of its result among a scene's results.

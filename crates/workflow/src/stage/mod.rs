@@ -5,6 +5,7 @@ pub(crate) mod context;
 pub(crate) mod definition;
 pub(crate) mod device;
 pub(crate) mod events;
+pub(crate) mod expected;
 pub(crate) mod inputs;
 pub(crate) mod parameters;
 pub(crate) mod reading;

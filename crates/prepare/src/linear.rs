@@ -1,6 +1,7 @@
-//! The input of the recipe `d3d5`: linear photographs, with 16 bits and without a colour space of their own.
+//! The photographs of the data set Sea-Thru: linear photographs, with 16 bits and without a colour space of
+//! their own.
 //!
-//! The recipe encodes its input for screens. Pictures that are encoded already would be encoded twice, so
+//! They are encoded for screens. Pictures that are encoded already would be encoded twice, so
 //! they are refused by name: those of 8 bits, those whose 16 bits repeat 8, and those that state a colour
 //! space. Limit: a picture of 16 bits for screens without any statement cannot be told from a linear one; a
 //! bright one gets a remark.
@@ -9,10 +10,9 @@ use std::path::{Path, PathBuf};
 
 use use3d_capture::Pixels;
 use use3d_io_image::{FileFormat, photograph_info, read_pixels, states_colors};
-use use3d_prepare::is_photograph;
 
-use crate::WorkError;
-use crate::destination::{entries, path_text, word};
+use crate::error::PrepareError;
+use crate::sources::{is_photograph, walk};
 
 /// Linear photographs of a scene have most of their pixels below this share of the brightest ones.
 const BRIGHT: f64 = 0.4;
@@ -23,16 +23,16 @@ const WHITE: f64 = 0.998;
 ///
 /// # Errors
 /// The first photograph that is a picture for screens, with the way out.
-pub(crate) fn check(folder: &Path) -> Result<Vec<String>, WorkError> {
-    let mut photographs: Vec<PathBuf> =
-        entries(folder).filter(|path| path.is_file() && is_photograph(path)).collect();
+pub fn check_linear(folder: &Path) -> Result<Vec<String>, PrepareError> {
+    let mut photographs = walk(folder, usize::MAX).collect::<Result<Vec<PathBuf>, PrepareError>>()?;
+    photographs.retain(|path| is_photograph(path));
     photographs.sort();
     for path in &photographs {
-        let info = photograph_info(path).map_err(WorkError::input)?;
+        let info = photograph_info(path)?;
         let reason = match info.format {
             FileFormat::Png | FileFormat::Tiff if info.bits < 16 => "it has 8 bits per channel",
             format @ (FileFormat::Png | FileFormat::Tiff) => {
-                if !states_colors(path, format).map_err(WorkError::input)? {
+                if !states_colors(path, format)? {
                     continue;
                 }
                 "it states a colour space, and linear values have none"
@@ -42,7 +42,7 @@ pub(crate) fn check(folder: &Path) -> Result<Vec<String>, WorkError> {
         return Err(refused(folder, path, reason));
     }
     let Some(first) = photographs.first() else { return Ok(Vec::new()) };
-    let Pixels::Sixteen(pixels) = read_pixels(first).map_err(WorkError::input)? else {
+    let Pixels::Sixteen(pixels) = read_pixels(first)? else {
         return Ok(Vec::new());
     };
     if pixels.data().iter().all(|value| value % 257 == 0) {
@@ -53,7 +53,7 @@ pub(crate) fn check(folder: &Path) -> Result<Vec<String>, WorkError> {
     let bright = format!(
         "{} is bright for a linear photograph: half of it is above {share:.2} of its white; if it was developed for \
          screens, {}",
-        path_text(first),
+        first.display(),
         way_out(folder)
     );
     Ok((share > BRIGHT).then_some(bright).into_iter().collect())
@@ -67,18 +67,20 @@ fn median_share(plane: &[u16]) -> f64 {
     at(0.5) / at(WHITE).max(1.0)
 }
 
-fn refused(folder: &Path, path: &Path, reason: &str) -> WorkError {
-    WorkError::Input(format!(
-        "{}: {reason}, so it is a picture for screens; this recipe takes linear photographs: PNG or TIFF with 16 bits \
+fn refused(folder: &Path, path: &Path, reason: &str) -> PrepareError {
+    PrepareError::input(
+        path,
+        format!(
+            "{reason}, so it is a picture for screens; this recipe takes linear photographs: PNG or TIFF with 16 bits \
          per channel and without a colour profile, which it encodes for screens itself. For pictures for screens, {}",
-        path_text(path),
-        way_out(folder)
-    ))
+            way_out(folder)
+        ),
+    )
 }
 
 /// The way for pictures that are encoded already.
 fn way_out(folder: &Path) -> String {
-    format!("use `use3d prepare {} --out CAPTURE_DIR` (docs/guide/datasets.md)", word(folder))
+    format!("use `use3d prepare {} --out CAPTURE_DIR` (docs/guide/datasets.md)", folder.display())
 }
 
 #[cfg(test)]
@@ -98,12 +100,12 @@ mod tests {
     fn pictures_for_screens_are_refused_by_name_with_the_way_out() {
         let dir = tempfile::tempdir().unwrap();
         let at = |name: &str| dir.path().join(name);
-        let said = || check(dir.path()).unwrap_err().to_string();
+        let said = || check_linear(dir.path()).unwrap_err().to_string();
         write_png16(&at("a.png"), &picture(|i| 300 + 1500 * i as u16)).unwrap();
-        let bright = check(dir.path()).unwrap();
+        let bright = check_linear(dir.path()).unwrap();
         assert!(bright.len() == 1 && bright[0].contains("bright for a linear photograph"), "{bright:?}");
         write_png16(&at("a.png"), &picture(|i| 300 + 50 * (i * i) as u16)).unwrap();
-        assert_eq!(check(dir.path()).unwrap(), Vec::<String>::new());
+        assert_eq!(check_linear(dir.path()).unwrap(), Vec::<String>::new());
         let linear = fs::read(at("a.png")).unwrap();
         // An sRGB chunk behind the header of 33 bytes.
         let stated = [&linear[..33], b"\0\0\0\x01sRGB\0\xae\xce\x1c\xe9", &linear[33..]].concat();

@@ -1,0 +1,137 @@
+//! The likely time and disk of stages that never ran: views times pixels times what a part costs.
+//!
+//! Times are those of docs/science/networks.md and docs/science/performance.md, on two processors. The number
+//! of views is that of the capture's pictures, or of the frames that a film will give.
+
+use std::path::Path;
+
+use use3d_import::ImportParams;
+use use3d_prepare::{PrepareParams, Recipe, is_film, is_photograph};
+use use3d_workflow::{AllParameters, Expected, Named, StageInput};
+
+use crate::planning::memory::{extent, size};
+
+/// Seconds for a megapixel: Nu2Net at full detail, RAFT, URanker, MUSIQ, LPIPS.
+const NU2NET: f64 = 2.6;
+const RAFT: f64 = 10.0;
+const URANKER: f64 = 7.4;
+const MUSIQ: f64 = 0.9;
+const LPIPS: f64 = 0.4;
+/// Seconds for a picture, whatever its size: the largest Depth Anything V2.
+const DEPTH: f64 = 13.0;
+/// Looks of a view that are scored and compared, and those of them that need no photograph.
+const LOOKS: [f64; 2] = [7.0, 5.0];
+/// Seconds of a step of stage 1 for a megapixel.
+const STEP: f64 = 0.3;
+/// The share of that for a step of stage 2, which sees a part of the pixels.
+pub(crate) const STAGE_2: f64 = 0.2;
+/// Bytes for a pixel of a stored picture, and of a scene for a pixel of a view.
+const PICTURE: f64 = 2.5;
+const SCENE: f64 = 90.0;
+/// Pictures of a scene whose files say no number.
+const USUAL: usize = 25;
+
+/// The views of a scene.
+struct Views {
+    count: f64,
+    /// Pixels of a view, in millions.
+    mega: f64,
+}
+
+impl Views {
+    fn of(all: &AllParameters, named: &Named, inputs: &[StageInput]) -> Option<Self> {
+        if let Some(extent) = extent(inputs) {
+            let pixels = size(&extent).largest;
+            return Some(Self { count: extent.sizes.len() as f64, mega: pixels as f64 / 1e6 });
+        }
+        let import = all.of::<ImportParams>()?;
+        let place = named.path("capture").or_else(|| named.path("footage"))?;
+        let (count, first) = pictures(place, all.of::<PrepareParams>()?);
+        let [width, height] = match (import.size, first) {
+            (Some(size), _) => [size.width, size.height],
+            (None, Some((width, height))) => [width, height],
+            (None, None) => [1920, 1080],
+        };
+        Some(Self { count: count as f64, mega: (width * height) as f64 / 1e6 })
+    }
+}
+
+/// The number of pictures that a place has or will give, and the size of one.
+fn pictures(place: &Path, params: &PrepareParams) -> (usize, Option<(usize, usize)>) {
+    let of_films = params.origin.as_ref().is_some_and(|origin| origin.recipe == Recipe::Druva);
+    if place.is_file() {
+        return (if of_films || is_film(place) { params.frames } else { USUAL }, None);
+    }
+    let inner = ["images", "images_wb", "Images_wb", "input"].map(|name| place.join(name));
+    let folder = inner.into_iter().find(|folder| folder.is_dir()).unwrap_or_else(|| place.to_path_buf());
+    let files = walkdir::WalkDir::new(folder).max_depth(2).into_iter().filter_map(Result::ok);
+    let mut found = files.map(walkdir::DirEntry::into_path).filter(|path| is_photograph(path));
+    let Some(first) = found.next() else { return (params.frames, None) };
+    (1 + found.count(), use3d_io_image::image_size(&first).ok())
+}
+
+/// Cameras of a film or of photographs: comparisons of pictures, and their copies.
+pub(crate) fn of_prepare(all: &AllParameters, named: &Named, inputs: &[StageInput]) -> Option<Expected> {
+    let Views { count, mega } = Views::of(all, named, inputs)?;
+    Some(Expected { seconds: 4.0 * count, bytes: 0.7e6 * count * mega })
+}
+
+/// Pictures at the size of the training.
+pub(crate) fn of_import(all: &AllParameters, named: &Named, inputs: &[StageInput]) -> Option<Expected> {
+    let Views { count, mega } = Views::of(all, named, inputs)?;
+    Some(Expected { seconds: 0.3 * count * mega, bytes: 1e6 * PICTURE * count * mega })
+}
+
+/// Depth priors.
+pub(crate) fn of_depth(all: &AllParameters, named: &Named, inputs: &[StageInput]) -> Option<Expected> {
+    let Views { count, mega } = Views::of(all, named, inputs)?;
+    Some(Expected { seconds: DEPTH * count, bytes: 2e6 * count * mega })
+}
+
+/// A training of `steps` steps, each at `share` of the cost of a step of stage 1.
+pub(crate) fn of_training(
+    (steps, share): (u64, f64),
+    (all, named): (&AllParameters, &Named),
+    inputs: &[StageInput],
+) -> Option<Expected> {
+    let Views { mega, .. } = Views::of(all, named, inputs)?;
+    Some(Expected { seconds: STEP * steps as f64 * mega * share, bytes: 1e6 * SCENE * mega })
+}
+
+/// The networks of an evaluation. Each view is enhanced once, as a photograph and as a render, and the flow
+/// of each pair of views is computed once in both directions.
+pub(crate) fn of_evaluation(all: &AllParameters, named: &Named, inputs: &[StageInput]) -> Option<Expected> {
+    named.path("models")?;
+    let own = all.get("evaluate")?.json();
+    let pairs = ["neighbour_pairs", "path_pairs"].map(|name| own[name].as_f64().unwrap_or_default());
+    let Views { count, mega } = Views::of(all, named, inputs)?;
+    let [neighbours, path] = pairs;
+    let (neighbours, held_out) = (neighbours.min(count - 1.0).max(0.0), (count / 8.0).ceil());
+    let views = (2.0 * neighbours + held_out).min(count);
+    let frames = if path > 0.0 { path + 1.0 } else { 0.0 };
+    let enhanced = NU2NET * (2.0 * views + frames);
+    let [looks, of_path] = LOOKS;
+    let compared = neighbours * (2.0 * RAFT + LPIPS * looks) + path * (2.0 * RAFT + LPIPS * of_path);
+    let scored = held_out * (looks * (URANKER + MUSIQ) + LPIPS);
+    Some(Expected { seconds: mega * (enhanced + compared + scored), bytes: 1e6 * PICTURE * held_out * mega })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn films_give_frames_and_folders_the_pictures_that_they_have() {
+        let dir = tempfile::tempdir().unwrap();
+        let params = PrepareParams { frames: 120, ..PrepareParams::default() };
+        let film = dir.path().join("a.mp4");
+        std::fs::write(&film, "film").unwrap();
+        assert_eq!(pictures(&film, &params), (120, None));
+        let folder = dir.path().join("images_wb");
+        for name in ["a.png", "b.png"] {
+            let image = use3d_capture::Raster::<u16, 3>::new(8, 4);
+            use3d_io_image::write_png16(&folder.join(name), &image).unwrap();
+        }
+        assert_eq!(pictures(dir.path(), &params), (2, Some((8, 4))));
+    }
+}
