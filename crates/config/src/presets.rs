@@ -3,7 +3,7 @@
 //! A preset is the weakest layer of parameters, below `[defaults]`. The line `base = "paper"` at the top of
 //! its file puts it over another preset. A *method* is the preset of a method of the paper's tables, on which
 //! another preset can stand: `3dgs + paper`. A variant's preset lies over the pipeline's: their names are
-//! then joined, as in `paper + 3dgs`. Only its values count: no key, artifact or stage contains its name. So a
+//! then joined, as in `paper + 3dgs`. Only its values count: no key, artifact or stage has its name. So a
 //! file that writes the values out is the same pipeline. Only the results record the name of the preset and
 //! the changes made to it.
 

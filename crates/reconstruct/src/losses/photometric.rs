@@ -184,10 +184,10 @@ impl PhotometricLoss {
                         let shares = [absolute, structure];
                         match relative {
                             true => {
-                                dispatch!(level, simd => backward::<_, true>(simd, x, y, mask, shares, g))
+                                dispatch!(level, simd => backward::<_, true>(simd, x, y, mask, shares, g));
                             }
                             false => {
-                                dispatch!(level, simd => backward::<_, false>(simd, x, y, mask, shares, g))
+                                dispatch!(level, simd => backward::<_, false>(simd, x, y, mask, shares, g));
                             }
                         }
                     });
