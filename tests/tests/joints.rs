@@ -54,14 +54,12 @@ fn a_term_of_stage_ones_loss_is_one_file_one_row_and_the_parameter_of_its_weight
         assert_eq!(files.len(), 1, "`{name}` is named in {files:?}");
         assert!(files.iter().all(|f| f.starts_with("crates/reconstruct/src/losses/")), "{files:?}");
     }
-    // The depth term, by all of its words. The code that loads priors reports if they are missing or have no
-    // weight.
+    // The depth term, by all of its words. The stage reports if it has no weight.
     let files = files_with(&sources, &["DepthPriorLoss", "depth_loss", "depth_weight", "depth::TERM"]);
     let expected = set(&[
         "crates/reconstruct/src/losses/depth.rs",
         "crates/reconstruct/src/losses/mod.rs",
         "crates/reconstruct/src/params.rs",
-        "crates/reconstruct/src/load.rs",
         "crates/stages/src/reconstruct.rs",
     ]);
     assert_eq!(files, expected);

@@ -6,7 +6,7 @@ use serde::Deserialize;
 
 use use3d_prepare::Recipe;
 
-use super::presets::name_schema as preset_name;
+use super::presets::{method_schema as method_name, name_schema as preset_name};
 
 /// The top level of a pipeline file.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
@@ -17,7 +17,11 @@ pub(crate) struct PipelineFile {
     /// The seed of all random numbers.
     #[serde(default = "default_seed")]
     pub(crate) seed: u64,
-    /// A named set of stage parameters. Every other setting overrides them.
+    /// The method that is trained, with its authors' schedule; `3d-use`, if not set.
+    #[serde(default)]
+    #[schemars(schema_with = "method_name")]
+    pub(crate) method: Option<String>,
+    /// A named set of stage parameters, over those of the method. Every other setting overrides them.
     #[serde(default)]
     #[schemars(schema_with = "preset_name")]
     pub(crate) preset: Option<String>,
@@ -128,6 +132,10 @@ pub(crate) struct VariantEntry {
     /// Another seed.
     #[serde(default)]
     pub(crate) seed: Option<u64>,
+    /// Another method, over the pipeline's preset.
+    #[serde(default)]
+    #[schemars(schema_with = "method_name")]
+    pub(crate) method: Option<String>,
     /// Another preset, over the pipeline's.
     #[serde(default)]
     #[schemars(schema_with = "preset_name")]

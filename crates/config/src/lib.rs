@@ -3,7 +3,8 @@
 //! ```toml
 //! name = "reefs"
 //! seed = 42
-//! preset = "paper"                           # parameters of stages under a name
+//! method = "3d-use"                          # the method that is trained
+//! preset = "paper"                           # parameters of stages under a name, over the method's
 //! [models]
 //! dir = "models"
 //! [calibrator]
@@ -58,7 +59,7 @@ use places::{
     calibrate_where_named, check_learning, check_pairs, expand, folder_in, home, key_of, learning,
     one_proposer_for_all, override_external,
 };
-pub use presets::{preset_values, presets};
+pub use presets::{METHODS, preset_values, presets};
 pub use schema::{schema, schema_text};
 pub use shipped::{shipped, shipped_as, shipped_file, shipped_names};
 
@@ -166,8 +167,8 @@ fn parse(
     reader.name("name", &own.name)?;
     batch.name = own.name;
     batch.seed = own.seed;
-    batch.preset = reader.preset("", own.preset.as_deref())?.unwrap_or_default();
-    batch.preset_name = own.preset.clone().unwrap_or_default();
+    let (name, values) = reader.preset("", &own.method, &own.preset)?.unwrap_or_default();
+    (batch.preset_name, batch.preset) = (name, values);
     let said = |key: &str| format!("`{key}` in {}", file.display());
     reader.calibrator(&own.calibrator, folder, &said, &mut batch)?;
     let scenes = reader.list("scene", scenes)?;
@@ -219,8 +220,7 @@ fn parse(
         }
         let (name, groups) = (entry.name.clone(), entry.groups);
         let mut variant = Variant { name, groups, seed: entry.seed, overrides, ..Variant::default() };
-        variant.preset = reader.preset(&base, entry.preset.as_deref())?;
-        variant.preset_name.clone_from(&entry.preset);
+        (variant.preset_name, variant.preset) = reader.preset(&base, &entry.method, &entry.preset)?.unzip();
         if let Some(own) = &entry.calibrator {
             variant.name_external("calibrator", expand(&own.file, folder), said(key_of("calibrator")));
         }
@@ -408,9 +408,10 @@ impl Reader<'_> {
                 return self.document.error(&join(base, &error.path), format!("{place} needs `{missing}`"));
             }
             let (unknown, known) = error.unknown_key().unzip();
-            if unknown == Some("preset") && base.starts_with("scene") {
-                let message =
-                    "`preset` belongs at the top of the file or in a [[variant]], not in a [[scene]]";
+            if let (Some(key @ ("preset" | "method")), true) = (unknown, base.starts_with("scene")) {
+                let message = &format!(
+                    "`{key}` belongs at the top of the file or in a [[variant]], not in a [[scene]]"
+                );
                 return self.document.key_error(&join(base, &error.path), message);
             }
             // Nested tables have key words of their own.
@@ -482,10 +483,23 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// The parameters of the preset named in the table at `base`.
-    fn preset(&self, base: &str, name: Option<&str>) -> Result<Option<Overrides>, ConfigError> {
-        let found = name.map(preset_values).transpose();
-        found.map_err(|fault| self.document.error(&join(base, "preset"), fault.to_string()))
+    /// Name and parameters of the method and the preset in the table at `base`.
+    fn preset(
+        &self,
+        base: &str,
+        method: &Option<String>,
+        preset: &Option<String>,
+    ) -> Result<Option<(String, Overrides)>, ConfigError> {
+        let wrong = |key: &str, fault: &ConfigError| self.document.error(&join(base, key), fault.to_string());
+        let mut name = preset.clone().unwrap_or_default();
+        if let Some(method) = method {
+            name = presets::with_method(&name, method).map_err(|fault| wrong("method", &fault))?;
+        }
+        if name.is_empty() {
+            return Ok(None);
+        }
+        let values = preset_values(&name).map_err(|fault| wrong("preset", &fault))?;
+        Ok(Some((name, values)))
     }
 
     fn name(&self, path: &str, name: &str) -> Result<(), ConfigError> {

@@ -1,8 +1,9 @@
 //! Presets: named sets of stage parameters. Each is a file of this folder and a row of the table.
 //!
 //! A preset is the weakest layer of parameters, below `[defaults]`. The line `base = "paper"` at the top of
-//! its file puts it over another preset. A variant's preset lies over the pipeline's: their names are then
-//! joined, as in `paper + vanilla`. Only its values count: no key, artifact or stage contains its name, so a
+//! its file puts it over another preset. A *method* is the preset of a method of the paper's tables, on which
+//! another preset can stand: `3dgs + paper`. A variant's preset lies over the pipeline's: their names are
+//! then joined, as in `paper + 3dgs`. Only its values count: no key, artifact or stage has its name. So a
 //! file that writes the values out is the same pipeline. Only the results record the name of the preset and
 //! the changes made to it.
 
@@ -18,14 +19,59 @@ use super::{did_you_mean, merge_into};
 /// Names and file contents of the presets.
 const PRESETS: &[(&str, &str)] = &[
     ("paper", include_str!("presets/paper.toml")),
-    ("vanilla", include_str!("presets/vanilla.toml")),
-    ("watersplatting", include_str!("presets/watersplatting.toml")),
+    ("3d-use", include_str!("presets/3d-use.toml")),
+    ("3dgs", include_str!("presets/3dgs.toml")),
+    ("water-splatting", include_str!("presets/water-splatting.toml")),
     ("plenodium", include_str!("presets/plenodium.toml")),
 ];
 
+/// The methods of the paper's tables that can be trained, in the order of its tables: presets on which
+/// another preset can stand.
+pub const METHODS: &[&str] = &["3dgs", "water-splatting", "plenodium", "3d-use"];
+/// Those that cannot be trained yet.
+const MISSING: &[&str] = &["seasplat", "3d-uir", "marinestd-gs"];
+
+/// Further names of presets.
+const ALIASES: &[(&str, &str)] = &[("vanilla", "3dgs"), ("watersplatting", "water-splatting")];
+
 /// The names of all presets.
 pub fn presets() -> impl Iterator<Item = &'static str> + Clone {
-    PRESETS.iter().map(|(name, _)| *name)
+    PRESETS.iter().chain(ALIASES).map(|(name, _)| *name)
+}
+
+/// The preset that a name stands for.
+fn standing(name: &str) -> &str {
+    ALIASES.iter().find(|(alias, _)| *alias == name).map_or(name, |(_, preset)| preset)
+}
+
+fn is_method(name: &str) -> bool {
+    METHODS.contains(&standing(name))
+}
+
+/// The name of a preset with another method below it.
+///
+/// # Errors
+/// There is no such method, or none yet.
+pub(super) fn with_method(preset: &str, method: &str) -> Result<String, ConfigError> {
+    if !is_method(method) {
+        let known = METHODS.join(", ");
+        let why = match MISSING.contains(&method) {
+            true => format!("the method `{method}` cannot be trained yet; there are {known}"),
+            false => format!(
+                "no method `{method}`; there are {known}{}",
+                did_you_mean(method, METHODS.iter().copied())
+            ),
+        };
+        return Err(ConfigError::plain(why));
+    }
+    let above = preset.split(OVER).filter(|name| !name.is_empty() && !is_method(name));
+    Ok([method].into_iter().chain(above).collect::<Vec<_>>().join(OVER))
+}
+
+/// The name of a preset over the methods of another one. A method replaces them.
+pub(super) fn with_preset(before: &str, preset: &str) -> String {
+    let method = before.split(OVER).filter(|name| is_method(name) && !is_method(preset));
+    method.chain([preset]).collect::<Vec<_>>().join(OVER)
 }
 
 /// Stands between the names of presets that lie over one another, the lowest first.
@@ -45,8 +91,8 @@ pub fn preset_values(name: &str) -> Result<Overrides, ConfigError> {
 
 /// The parameters of a preset of `table`, over those of its base.
 fn values_in(table: &[(&str, &str)], name: &str) -> Result<Overrides, ConfigError> {
-    let Some(at) = table.iter().position(|(known, _)| *known == name) else {
-        let names = || table.iter().map(|(name, _)| *name);
+    let Some(at) = table.iter().position(|(known, _)| *known == standing(name)) else {
+        let names = || table.iter().chain(ALIASES).map(|(name, _)| *name);
         let (known, near) = (Vec::from_iter(names()).join(", "), did_you_mean(name, names()));
         return Err(ConfigError::plain(format!("no preset `{name}`; there are {known}{near}")));
     };
@@ -78,6 +124,11 @@ pub(super) fn compose(batch: &mut Batch) {
     }
 }
 
+/// The schema of a method's name.
+pub(super) fn method_schema(_: &mut SchemaGenerator) -> Schema {
+    json_schema!({ "type": ["string", "null"], "enum": METHODS.iter().map(Some).chain([None]).collect::<Vec<_>>() })
+}
+
 /// The schema of a preset's name.
 pub(super) fn name_schema(_: &mut SchemaGenerator) -> Schema {
     json_schema!({ "type": ["string", "null"], "enum": presets().map(Some).chain([None]).collect::<Vec<_>>() })
@@ -104,11 +155,34 @@ mod tests {
     }
 
     #[test]
+    fn a_method_is_the_base_of_a_preset_and_one_that_is_missing_is_refused_by_name() {
+        let with = |preset, method| with_method(preset, method).map_err(|e| e.to_string());
+        assert_eq!(with("", "3dgs").as_deref(), Ok("3dgs"));
+        assert_eq!(with("paper", "3d-use").as_deref(), Ok("3d-use + paper"));
+        assert_eq!(with("plenodium + paper", "3dgs").as_deref(), Ok("3dgs + paper"));
+        assert_eq!(with_preset("3dgs", "paper"), "3dgs + paper");
+        assert_eq!(
+            (with_preset("3dgs", "vanilla"), with_preset("", "paper")),
+            ("vanilla".into(), "paper".into())
+        );
+        let missing = with("", "seasplat").unwrap_err();
+        assert!(
+            missing.contains("`seasplat` cannot be trained yet") && missing.contains("3dgs, water-splatting")
+        );
+        assert!(with("", "3dsg").unwrap_err().contains("did you mean `3dgs`?"));
+        assert_eq!(preset_values("3d-use + paper"), preset_values("paper"));
+        assert_eq!(preset_values("vanilla"), preset_values("3dgs"));
+        for method in METHODS {
+            assert!(presets().any(|name| name == *method));
+        }
+    }
+
+    #[test]
     fn joined_names_are_layers() {
-        let both = preset_values("paper + vanilla").unwrap();
+        let both = preset_values("paper + 3dgs").unwrap();
         assert_eq!(
             (&both["reconstruct"]["iterations"], &both["reconstruct"]["medium"]),
-            (&json!(15000), &json!("none"))
+            (&json!(30000), &json!("none"))
         );
         assert!(preset_values("paper + none").is_err());
     }

@@ -10,6 +10,7 @@ use use3d_workflow::{Batch, ParameterError, Registry, Source, Stage};
 use super::document::{ConfigError, loose_value};
 use super::parameters::homes;
 use super::places::{expand, external_of, key_of, override_external};
+use super::presets::{with_method, with_preset};
 use super::{did_you_mean, merge_into, preset_values};
 
 /// A value from the command line in the type that a stage's parameter expects. For example, TOML reads
@@ -24,7 +25,8 @@ fn typed(stage: &Stage, key: &str, value: &Value, text: &str) -> Result<Value, P
     stage.parameters(&second).map(|_| second)
 }
 
-/// Applies one setting: `seed=7`, `preset=paper`, `stage2=false`, `reconstruct.iterations=3000`,
+/// Applies one setting: `seed=7`, `method=3dgs`, `preset=paper`, `stage2=false`,
+/// `reconstruct.iterations=3000`,
 /// `calibrator.proposer=fusion`, `scene.Panama.reconstruct.iterations=3000`, `variant.mlp.enhance.steps=10`.
 pub(super) fn apply(registry: &Registry, batch: &mut Batch, setting: &str) -> Result<(), ConfigError> {
     let (key, text, value) = split(setting)?;
@@ -36,9 +38,14 @@ pub(super) fn apply(registry: &Registry, batch: &mut Batch, setting: &str) -> Re
         override_external(batch, external, path(), &by);
         return Ok(());
     }
-    let preset = || {
-        let name = value.as_str().unwrap_or(text);
-        preset_values(name).map(|values| (name.to_string(), values)).map_err(wrong)
+    // A preset lies over the method that is there, and a method below the preset.
+    let preset = |key: &str, before: &str| {
+        let given = value.as_str().unwrap_or(text);
+        let name = match key {
+            "method" => with_method(before, given).map_err(wrong)?,
+            _ => with_preset(before, given),
+        };
+        preset_values(&name).map(|values| (name, values)).map_err(wrong)
     };
     let set = |top: &str, key: &str, into: &mut Overrides| {
         place(registry, top, key, (&value, text), into).map_err(wrong)
@@ -59,8 +66,8 @@ pub(super) fn apply(registry: &Registry, batch: &mut Batch, setting: &str) -> Re
     if let Some(rest) = key.strip_prefix("variant.") {
         let (index, rest) = named("variant", rest, batch.variants.iter().map(|v| &*v.name)).map_err(wrong)?;
         let variant = &mut batch.variants[index];
-        if rest == "preset" {
-            let (name, values) = preset()?;
+        if rest == "preset" || rest == "method" {
+            let (name, values) = preset(rest, variant.preset_name.as_deref().unwrap_or_default())?;
             (variant.preset_name, variant.preset) = (Some(name), Some(values));
             return Ok(());
         }
@@ -70,8 +77,8 @@ pub(super) fn apply(registry: &Registry, batch: &mut Batch, setting: &str) -> Re
         }
         return set("variant", rest, &mut variant.forced);
     }
-    if key == "preset" {
-        (batch.preset_name, batch.preset) = preset()?;
+    if key == "preset" || key == "method" {
+        (batch.preset_name, batch.preset) = preset(key, &batch.preset_name)?;
         return Ok(());
     }
     if key == "seed" {

@@ -256,7 +256,7 @@ fn presets_are_the_weakest_layer_and_nothing_but_their_values() {
     assert_eq!(medium(&variants, &[], "v"), "none");
     assert_eq!(medium(&variants, &["variant.v.preset=watersplatting"], "v"), "mlp");
     // The same values under another name give the same pipeline.
-    let written = graph_of("[defaults.reconstruct]\nmedium = \"none\"\ndepth_prior = \"off\"", &[]).unwrap();
+    let written = graph_of("method = \"3dgs\"", &[]).unwrap();
     let named = graph_of(vanilla, &[]).unwrap();
     assert_eq!(parameters(&written, "", "reconstruct"), parameters(&named, "", "reconstruct"));
     let wrong = graph_of("preset = \"vanila\"", &[]).unwrap_err();
@@ -272,24 +272,38 @@ fn a_variants_preset_lies_over_the_pipelines() {
     let node = |variant: &str, stage: &str| &graph.nodes[graph.find("a", variant, stage).expect("a node")];
     let of = |variant: &str, stage: &str| node(variant, stage).parameters.json().clone();
     assert_eq!(of("v", "reconstruct")["medium"], "none");
-    for (stage, parameter) in [
-        ("import", "split"),
-        ("reconstruct", "iterations"),
-        ("reconstruct", "learning_rates"),
-        ("enhance", "iterations"),
-        ("evaluate", "neighbour_pairs"),
-    ] {
+    for (stage, parameter) in
+        [("import", "split"), ("reconstruct", "anchors"), ("evaluate", "neighbour_pairs")]
+    {
         assert_eq!(of("v", stage)[parameter], of("full", stage)[parameter], "{stage}.{parameter}");
     }
-    let plain = graph_of("", &[]).unwrap();
-    let steps =
-        plain.nodes[plain.find("a", "", "reconstruct").expect("a node")].parameters.json()["iterations"]
-            .clone();
-    assert_ne!(of("v", "reconstruct")["iterations"], steps);
+    assert_eq!(of("v", "reconstruct")["iterations"], 30_000);
+    assert!(graph.find("a", "v", "enhance").is_none(), "3DGS has no stage 2");
     assert_eq!((&*node("full", "import").preset, &*node("v", "import").preset), ("paper", "paper + vanilla"));
     // A command that names another preset for the pipeline keeps the variant's above it.
     let other = graph_of(text, &["preset=plenodium"]).unwrap();
     assert_eq!(other.nodes[other.find("a", "v", "import").expect("a node")].preset, "plenodium + vanilla");
+}
+
+#[test]
+fn a_method_is_below_a_preset_and_one_that_is_missing_is_refused() {
+    let made = |text: &str, sets: &[&str]| {
+        let graph = graph_of(text, sets)?;
+        let node = &graph.nodes[graph.find("a", "", "reconstruct").expect("a node")];
+        let json = node.parameters.json();
+        Ok::<_, String>((node.preset.clone(), json["medium"].clone(), json["iterations"].clone()))
+    };
+    let both = ("3dgs + paper".to_string(), serde_json::json!("rbf"), serde_json::json!(15_000));
+    assert_eq!(made("method = \"3dgs\"\npreset = \"paper\"", &[]).unwrap(), both);
+    assert_eq!(made("preset = \"paper\"", &["method=3dgs"]).unwrap(), both);
+    assert_eq!(made("method = \"3dgs\"", &["preset=paper"]).unwrap(), both);
+    assert_eq!(made("", &["method=water-splatting"]).unwrap().1, "mlp");
+    let missing = made("method = \"seasplat\"", &[]).unwrap_err();
+    assert!(
+        missing.contains("x.toml:2:10") && missing.contains("`seasplat` cannot be trained yet"),
+        "{missing}"
+    );
+    assert!(made("", &["method=3dsg"]).unwrap_err().contains("did you mean `3dgs`?"));
 }
 
 /// The extractor belongs to the pairs; the stage that fits to them takes theirs.
@@ -355,7 +369,7 @@ fn naming_pairs_or_a_calibrator_turns_calibration_on() {
     let v = "[[variant]]\nname = \"v\"\n[[variant]]\nname = \"w\"\ncalibrator = { file = \"c\" }";
     assert_eq!((calibrated(v, &[], "a", "v"), calibrated(v, &[], "a", "w")), (false, true));
     // A variant's own preset leaves the pipeline's pairs.
-    let w = format!("preset = \"paper\"\n{pairs}\n[[variant]]\nname = \"w\"\npreset = \"vanilla\"");
+    let w = format!("preset = \"paper\"\n{pairs}\n[[variant]]\nname = \"w\"\nmethod = \"3d-use\"");
     assert!(calibrated(&w, &[], "a", "w"));
     // The parameter itself overrides all; that of a scene also if a variant has a calibrator.
     let own = "[[scene]]\nname = \"b\"\ncapture = \"b\"\ntargets = { calibrated = false }";

@@ -167,7 +167,7 @@ mod tests {
             let mut moments = Moments { first: cloud(n, -3.0, 0.1), second: cloud(n, -4.0, 0.2) };
             // A number that no arithmetic would preserve.
             moments.first.opacity_logits[7] = f32::from_bits(1);
-            let statistics = Statistics { norms: vec![1.0; n], renders: vec![2; n] };
+            let statistics = Statistics { norms: vec![1.0; n], renders: vec![2; n], radii: Vec::new() };
             scene.write(&gpu, &gaussians, &moments, &statistics).unwrap();
             assert_eq!(scene.first.colors.over(n).count(), chunks);
             let mut draw = 0;

@@ -188,6 +188,7 @@ impl DeviceScene {
         Ok(Statistics {
             norms: rows.iter().map(|r| f32::from_bits(r[0])).collect(),
             renders: rows.iter().map(|r| r[1]).collect(),
+            radii: Vec::new(),
         })
     }
 
@@ -213,6 +214,7 @@ mod tests {
             let statistics = Statistics {
                 norms: (0..n).map(|i| i as f32 * 0.1).collect(),
                 renders: (0..n as u32).collect(),
+                radii: Vec::new(),
             };
             scene.write(&gpu, &gaussians, &moments, &statistics).unwrap();
             assert!(scene.gaussians(&gpu).unwrap() == gaussians);

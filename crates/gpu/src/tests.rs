@@ -94,7 +94,7 @@ impl Case {
         let colors = Colors::Sh { degree: self.degree };
         prepared.prepare(&self.gaussians, &self.camera, &self.lattice, colors);
         let (mut rasterizer, mut rendered) = (Rasterizer::new(), Rendered::new());
-        let options = Options { depth_gradient: self.depth_gradient, layers: false };
+        let options = Options { depth_gradient: self.depth_gradient, ..Options::default() };
         rasterizer.forward(&prepared, self.water.as_ref(), &options, &mut rendered);
         let d_rendered =
             RenderGradients { image: &self.image, depth: Some(&self.depth), accumulation: None, clear: None };

@@ -30,6 +30,8 @@ pub enum Method {
     Reconstruction,
     /// Stage 1 without water.
     Clear,
+    /// Stage 1 without water, as the authors of its method show it.
+    PublishedClear,
     /// Stage 2 with its water.
     Enhanced,
     /// Stage 2 without water.
@@ -40,12 +42,13 @@ pub enum Method {
 
 impl Method {
     /// All methods, in the order of tables.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 10] = [
         Self::Captured,
         Self::Proposal,
         Self::Photograph,
         Self::Reconstruction,
         Self::Clear,
+        Self::PublishedClear,
         Self::ProposalOfRender,
         Self::EnhanceThenReconstruct,
         Self::Enhanced,
@@ -70,6 +73,7 @@ impl Method {
             Self::ProposalOfRender => ("proposal-of-render", "2D enhancer on stage-1 renders"),
             Self::Reconstruction => ("reconstruction", "Stage 1"),
             Self::Clear => ("clear", "Stage 1, clear render"),
+            Self::PublishedClear => ("published-clear", "Stage 1, clear view of its authors"),
             Self::Enhanced => ("enhanced", "3D-USE, this program"),
             Self::EnhancedClear => ("enhanced-clear", "3D-USE, enhanced-clear"),
             Self::EnhanceThenReconstruct => ("enhance-then-reconstruct", "Enhance, then reconstruct"),

@@ -123,6 +123,20 @@ impl MediumModel {
         }
     }
 
+    /// Scales the numbers of a role down to a joint norm of at most `most`: of a gradient, its clipping.
+    pub fn clip(&mut self, role: Role, most: f64) {
+        let of = |(own, values): &(Role, &[f32])| match *own == role {
+            true => values.iter().map(|v| f64::from(*v) * f64::from(*v)).sum::<f64>(),
+            false => 0.0,
+        };
+        let norm = self.groups().iter().map(of).sum::<f64>().sqrt();
+        if norm > most {
+            let scale = (most / norm) as f32;
+            let own = self.groups_mut().into_iter().filter(|(own, _)| *own == role);
+            own.for_each(|(_, values)| values.iter_mut().for_each(|v| *v *= scale));
+        }
+    }
+
     /// The parameters one after another: the same order as [`MediumModel::update`].
     pub fn flat(&self) -> Vec<f32> {
         self.groups().iter().flat_map(|(_, values)| values.iter().copied()).collect()

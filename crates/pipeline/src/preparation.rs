@@ -11,7 +11,7 @@ use use3d_prepare::{
 use use3d_workflow::{Digest, Event, place};
 
 use crate::WorkError;
-use crate::destination::{OUT, check_folder, path_text};
+use crate::destination::{OUT, check_folder};
 use crate::host::Host;
 use use3d_config::lacks_cameras;
 

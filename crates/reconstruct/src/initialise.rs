@@ -96,7 +96,7 @@ fn choose<T: Copy>(points: &[T], most: usize, seed: u64) -> Vec<T> {
 }
 
 /// A uniformly random unit quaternion: four normals over their length.
-fn rotation(stream: &Stream, index: u64) -> [f32; 4] {
+pub(crate) fn rotation(stream: &Stream, index: u64) -> [f32; 4] {
     let q: [f64; 4] = std::array::from_fn(|k| stream.normal(4 * index + k as u64));
     let norm = q.iter().map(|v| v * v).sum::<f64>().sqrt().max(1e-12);
     q.map(|v| (v / norm) as f32)
@@ -130,7 +130,7 @@ fn random_points(
 }
 
 /// For every point, the mean distance to its three nearest points at other positions.
-fn spacing(points: &[DVec3]) -> Vec<f64> {
+pub(crate) fn spacing(points: &[DVec3]) -> Vec<f64> {
     // Equal positions count once.
     let mut order: Vec<usize> = (0..points.len()).collect();
     let key = |i: usize| points[i].to_array().map(|v| v + 0.0);

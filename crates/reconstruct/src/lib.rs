@@ -9,6 +9,7 @@
 //! of threads, and after any number of interruptions.
 
 mod bounds;
+mod completion;
 pub mod density;
 pub mod engine;
 mod error;
@@ -35,7 +36,8 @@ pub use error::ReconstructError;
 pub use exposure::{ExposureStep, Exposures};
 pub use found::{FoundWater, Known};
 pub use params::{
-    Densify, DepthPrior, Exposure, Images, LearningRates, MediumPrior, Rate, ReconstructParams,
+    Densify, DepthPrior, Exposure, Images, LearningRates, MediumPrior, Photometric, Rate, ReconstructParams,
+    Strategy,
 };
 pub use peek::scene_in_checkpoint;
 pub use per_view::ViewParameters;

@@ -40,7 +40,7 @@ pub(crate) fn load(
     let with_prior = train.iter().filter(|v| v.prior.is_some()).count();
     // Without any prior the stage says why the depth term is off.
     if params.depth_prior != DepthPrior::Off
-        && params.depth_weight > 0.0
+        && params.uses_priors()
         && 0 < with_prior
         && with_prior < train.len()
     {

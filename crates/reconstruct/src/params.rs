@@ -54,6 +54,19 @@ pub enum Exposure {
     PerView,
 }
 
+/// The comparison of a rendered view with its photograph.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Photometric {
+    /// Absolute error and MS-SSIM with three levels, both relative to the rendered light.
+    #[default]
+    RegMsSsim,
+    /// Absolute error and SSIM, both relative to the rendered light.
+    RegSsim,
+    /// Absolute error and SSIM of the images themselves.
+    Ssim,
+}
+
 /// The images from which a scene is learnt. The loop itself is the same; the code that loads the views
 /// reads this.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -128,12 +141,28 @@ impl Default for LearningRates {
     }
 }
 
+/// The rules of density control.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Strategy {
+    /// Absolute screen gradients, ceilings of opacity with a pause after each, and culling to the end.
+    #[default]
+    Absolute,
+    /// Those of 3D Gaussian Splatting. Opposite screen gradients cancel. Sizes and the rate of centres are
+    /// in extents of the cameras: 1.1 times the largest distance of a camera from their mean. Large Gaussians
+    /// are removed after the first ceiling, and after growth. There is no pause, and no culling at the end.
+    #[serde(rename = "3dgs")]
+    Signed,
+}
+
 /// The rules by which Gaussians are added and removed (R9).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Densify {
     /// True if the number of Gaussians changes at all.
     pub enabled: bool,
+    /// The rules of density control: this program's own, or those of 3D Gaussian Splatting.
+    pub strategy: Strategy,
     /// Gradient statistics are gathered from this step on.
     pub statistics_from: u64,
     /// No refinement up to this step (at most a quarter of the run).
@@ -170,8 +199,13 @@ pub struct Densify {
     pub gentle_below: u64,
     /// Gaussians with a standard deviation above this are removed, scene units.
     pub cull_scale: f64,
+    /// With the strategy `3dgs`, Gaussians are removed whose radius on the screen was larger than this number
+    /// of pixels. 0: never.
+    pub cull_screen: f64,
     /// Opacities are lowered to this at every ceiling.
     pub opacity_ceiling: f64,
+    /// Strength of the noise that moves nearly transparent Gaussians at every ceiling, in steps of centres.
+    pub noise: f64,
     /// Culling never leaves fewer Gaussians than this …
     pub floor: usize,
     /// … nor a smaller share of the initial ones.
@@ -184,6 +218,7 @@ impl Default for Densify {
     fn default() -> Self {
         Self {
             enabled: true,
+            strategy: Strategy::Absolute,
             statistics_from: 100,
             warm_up: 300,
             every: 50,
@@ -199,7 +234,9 @@ impl Default for Densify {
             cull_opacity_late: 0.1,
             gentle_below: 2000,
             cull_scale: 10.0,
+            cull_screen: 0.0,
             opacity_ceiling: 0.45,
+            noise: 0.0,
             floor: 100,
             floor_share: 0.1,
             reset_medium: true,
@@ -210,7 +247,8 @@ impl Default for Densify {
 impl Densify {
     /// The scale of screen gradients for the size of the images.
     pub fn gradient_scale(&self) -> GradientScale {
-        GradientScale { reference_pixels: self.reference_pixels, exponent: self.size_exponent }
+        let signed = self.strategy == Strategy::Signed;
+        GradientScale { reference_pixels: self.reference_pixels, exponent: self.size_exponent, signed }
     }
 }
 
@@ -246,9 +284,16 @@ pub struct ReconstructParams {
     pub depth_prior: DepthPrior,
     /// Weight of the depth term.
     pub depth_weight: f64,
+    /// Weight of the depth-ranking term: near patches of the prior must be near in the scene. It ends with
+    /// density control's growth.
+    pub ranking_weight: f64,
+    /// The step after which holes of the sparse model are filled by the depth prior. 0: never.
+    pub complete_at: u64,
     /// True if gradients flow through the ray distances of the water's terms (R2).
     pub depth_gradient: bool,
-    /// Weight λ of Reg-MS-SSIM against Reg-L1.
+    /// The comparison of a rendered view with its photograph.
+    pub photometric: Photometric,
+    /// Weight λ of its structure against its absolute error.
     pub structure_weight: f64,
     /// Degree of the Gaussians' and the water's spherical harmonics, 0 to 3.
     pub sh_degree: usize,
@@ -263,6 +308,8 @@ pub struct ReconstructParams {
     pub random_points: usize,
     /// Adam's learning rates.
     pub learning_rates: LearningRates,
+    /// Largest norm of the gradient of the `mlp` water's weights. 0: any.
+    pub network_clip: f64,
     /// Density control.
     pub densify: Densify,
     /// Transmission of the water, 0 to 1, at which half of a Gaussian's colour channel counts as known. Less
@@ -309,7 +356,10 @@ impl Default for ReconstructParams {
             exposure_weight: 0.02,
             depth_prior: DepthPrior::Auto,
             depth_weight: 0.1,
+            ranking_weight: 0.0,
+            complete_at: 0,
             depth_gradient: true,
+            photometric: Photometric::RegMsSsim,
             structure_weight: 0.2,
             sh_degree: 3,
             sh_every: 1.0 / 15.0,
@@ -317,6 +367,7 @@ impl Default for ReconstructParams {
             initial_opacity: 0.1,
             random_points: 10_000,
             learning_rates: LearningRates::default(),
+            network_clip: 0.0,
             densify: Densify::default(),
             unknown_below: 0.05,
             hidden_below: 0.1,
@@ -375,6 +426,7 @@ impl ReconstructParams {
             return Err(OutOfRange::new("initial_opacity", self.initial_opacity, "above 0, below 1"));
         }
         not_negative("depth_weight", self.depth_weight)?;
+        not_negative("ranking_weight", self.ranking_weight)?;
         not_negative("exposure_weight", self.exposure_weight)?;
         positive("sh_every", self.sh_every)?;
         let schedule = &self.resolution_schedule;
@@ -400,6 +452,9 @@ impl ReconstructParams {
         positive("densify.split_scale", d.split_scale)?;
         positive("densify.shrink", d.shrink)?;
         positive("densify.cull_scale", d.cull_scale)?;
+        not_negative("densify.cull_screen", d.cull_screen)?;
+        not_negative("densify.noise", d.noise)?;
+        not_negative("network_clip", self.network_clip)?;
         if !(d.opacity_ceiling > 0.0 && d.opacity_ceiling < 1.0) {
             return Err(OutOfRange::new("densify.opacity_ceiling", d.opacity_ceiling, "between 0 and 1"));
         }
@@ -461,6 +516,11 @@ impl ReconstructParams {
             MediumPrior::Tracks => true,
             MediumPrior::Off => false,
         }
+    }
+
+    /// True if something reads depth priors.
+    pub fn uses_priors(&self) -> bool {
+        self.depth_weight > 0.0 || self.ranking_weight > 0.0 || self.complete_at > 0
     }
 
     /// The step from which no Gaussians are added.

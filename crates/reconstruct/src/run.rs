@@ -6,6 +6,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
+use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use use3d_capture::{Camera, Capture, Frame, Image};
 use use3d_medium::MediumModel;
@@ -19,8 +20,9 @@ use use3d_training::{
 };
 
 use crate::bounds::most_gaussians;
+use crate::completion::Holes;
 use crate::density::{self, Draws, Refinement};
-use crate::engine::{Degrees, Engine, StepPlan, TrainingState};
+use crate::engine::{Degrees, Engine, Moments, Statistics, StepPlan, TrainingState};
 use crate::fingerprint::fingerprint;
 use crate::hidden::Masks;
 use crate::load::load;
@@ -30,8 +32,8 @@ use crate::report::{Evaluation, FittedScore, LogEntry, ViewScore};
 use crate::views::{TrainingView, ViewLoader};
 use crate::window::Window;
 use crate::{
-    Exposure, ExposureStep, FoundWater, Known, ReconstructError, ReconstructParams, initialise, losses,
-    unknown,
+    DepthPrior, Exposure, ExposureStep, FoundWater, Known, ReconstructError, ReconstructParams, Strategy,
+    initialise, losses, unknown,
 };
 
 /// The prefix of the names of this loop's checkpoints.
@@ -127,6 +129,8 @@ pub fn reconstruct(
         })?,
     };
     let masks = if params.hidden_below > 0.0 { Masks::new(&views.train) } else { Masks::default() };
+    let completes = params.complete_at > 0 && params.depth_prior != DepthPrior::Off;
+    let holes = if completes { Holes::new(&views.train) } else { Holes::default() };
     let exposes = params.exposure == Exposure::PerView;
     let gain = |view: &usize| known.gains.get(*view).copied().unwrap_or([1.0; 3]);
     let gains: Vec<[f64; 3]> = capture.split.train.iter().map(gain).collect();
@@ -158,6 +162,8 @@ pub fn reconstruct(
         window: Window::default(),
         most,
         masks,
+        holes,
+        unit: if params.densify.strategy == Strategy::Signed { extent(&cameras) } else { 1.0 },
         cameras,
         cap_reported: false,
         growth: Vec::new(),
@@ -174,6 +180,13 @@ pub fn reconstruct(
         return Err(ReconstructError::Interrupted { step, steps: params.iterations, saved });
     }
     run.finish(capture, observer)
+}
+
+/// The extent of cameras: 1.1 times the largest distance of one from their mean, scene units.
+fn extent(cameras: &[Camera]) -> f64 {
+    let centres: Vec<_> = cameras.iter().map(|camera| camera.pose.center()).collect();
+    let mean = centres.iter().copied().sum::<DVec3>() / centres.len().max(1) as f64;
+    1.1 * centres.iter().map(|centre| centre.distance(mean)).fold(0.0, f64::max)
 }
 
 /// A run between its first and last step.
@@ -201,8 +214,12 @@ struct ReconstructRun<'a> {
     most: usize,
     /// The masks that hide Gaussians.
     masks: Masks,
+    /// The views in which holes are looked for.
+    holes: Holes,
     /// The cameras of the training views.
     cameras: Vec<Camera>,
+    /// The length in which density control and the rate of centres count, scene units.
+    unit: f64,
     cap_reported: bool,
     growth: Vec<Stretch>,
 }
@@ -373,7 +390,8 @@ impl ReconstructRun<'_> {
     /// The plan of a step.
     fn plan(&self, step: u64) -> StepPlan {
         let params = self.params;
-        let (rates, gain_rate) = params.rates(&self.phases, step);
+        let (mut rates, gain_rate) = params.rates(&self.phases, step);
+        rates.means *= self.unit;
         StepPlan {
             step,
             divisor: params.divisor(step),
@@ -381,6 +399,7 @@ impl ReconstructRun<'_> {
             rates,
             weights: losses::weights(params, step),
             depth_gradient: params.depth_gradient,
+            network_clip: params.network_clip,
             exposure: (params.exposure == Exposure::PerView)
                 .then_some(ExposureStep { rate: gain_rate, weight: params.exposure_weight }),
             gather: (params.densify.enabled
@@ -419,7 +438,42 @@ impl ReconstructRun<'_> {
         if work.ceiling {
             self.engine.limit_opacity(self.params.densify.opacity_ceiling)?;
             self.log.push(LogEntry::Ceiling { step: self.step + 1 });
+            self.scatter()?;
         }
+        if self.step + 1 == self.params.complete_at {
+            self.complete(observer)?;
+        }
+        Ok(())
+    }
+
+    /// Moves nearly transparent Gaussians.
+    fn scatter(&mut self) -> Result<(), ReconstructError> {
+        let (params, step) = (self.params, self.step);
+        if params.densify.noise > 0.0 {
+            let strength = params.densify.noise * self.plan(step).rates.means;
+            self.drain(Drain::All)?;
+            self.engine.amend(&mut |scene| density::scatter(scene, strength, params.seed, step))?;
+        }
+        Ok(())
+    }
+
+    /// Fills the holes of the sparse model.
+    fn complete(&mut self, observer: &mut dyn Observer) -> Result<(), ReconstructError> {
+        self.drain(Drain::All)?;
+        let mut state = self.engine.save()?.into_owned();
+        let room = self.most.saturating_sub(self.gaussians);
+        let new = self.holes.filled(&state.gaussians, (self.params.initial_opacity, room, self.params.seed));
+        if new.is_empty() {
+            return Ok(());
+        }
+        let zeros = Moments::new(&new);
+        state.moments.first.extend(&zeros.first);
+        state.moments.second.extend(&zeros.second);
+        state.gaussians.extend(&new);
+        self.gaussians = state.gaussians.len();
+        state.statistics = Statistics::new(self.gaussians);
+        self.engine.load(state)?;
+        observer.notice(&format!("filled holes of the sparse model with {} Gaussians", new.len()));
         Ok(())
     }
 
@@ -456,7 +510,7 @@ impl ReconstructRun<'_> {
     /// Adds and removes Gaussians.
     fn refine(&mut self, growing: bool, observer: &mut dyn Observer) -> Result<(), ReconstructError> {
         let (params, d) = (self.params, &self.params.densify);
-        let settings = params.refine_settings(growing, self.initial, self.most);
+        let settings = params.refine_settings(growing, (self.step, self.unit), self.initial, self.most);
         let (rows, report) = density::plan(&self.engine.survey()?, &settings);
         self.engine.rebuild(&rows, &Draws { seed: params.seed, step: self.step, shrink: d.shrink })?;
         self.gaussians = rows.len();

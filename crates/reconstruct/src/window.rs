@@ -41,11 +41,14 @@ impl Window {
     pub(crate) fn flush(&mut self, step: u64, gaussians: usize, divisor: usize, degree: usize) -> LogEntry {
         let n = self.steps.max(1) as f64;
         let mean = |sum: &(f64, u64)| (sum.1 > 0).then(|| sum.0 / sum.1 as f64);
-        let terms = losses::names().enumerate();
+        let mean_of = |(i, name): (usize, &str)| {
+            let mean = self.terms.get(i).and_then(mean);
+            (i < losses::OWN_VALUES || mean.is_some()).then(|| (name.into(), mean))
+        };
         let entry = LogEntry::Steps {
             step,
             loss: self.loss / n,
-            terms: terms.map(|(i, name)| (name.into(), self.terms.get(i).and_then(mean))).collect(),
+            terms: losses::names().enumerate().filter_map(mean_of).collect(),
             psnr: mean(&self.psnr),
             gaussians,
             divisor,

@@ -148,7 +148,8 @@ pub struct GaussianGradients {
     /// given.
     pub sh: Vec<[[f32; 3]; 16]>,
     /// `Σ_p |∂L_p/∂x|, Σ_p |∂L_p/∂y|` with respect to the projected centre, summed over pixels, 1 / pixel:
-    /// the absolute-gradient statistic.
+    /// the absolute-gradient statistic. With [`Options::signed_screen`](crate::Options) the sums without
+    /// the bars.
     pub screen: Vec<[f32; 2]>,
     /// True if the Gaussian reached the screen (it has at least one tile).
     pub visible: Vec<bool>,

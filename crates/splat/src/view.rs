@@ -25,11 +25,13 @@ pub struct Options {
     pub depth_gradient: bool,
     /// True if [`Rendered::layers`] is filled.
     pub layers: bool,
+    /// True if [`GaussianGradients::screen`] has the gradients themselves, so that opposite ones cancel.
+    pub signed_screen: bool,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Self { depth_gradient: true, layers: false }
+        Self { depth_gradient: true, layers: false, signed_screen: false }
     }
 }
 

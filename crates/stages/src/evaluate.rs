@@ -38,8 +38,9 @@ use crate::parts::files::{
     proposal_of, read_json, write_json,
 };
 use crate::parts::proposer::{ProposerChoice, open};
+use crate::parts::published_clear::PublishedClear;
 use crate::parts::scene::{drawn, shown_scene};
-use crate::parts::visits::each_once;
+use crate::parts::visits::{each_once, evenly};
 use use3d_judge::scores::{
     self, Finite, Method, MethodScores, PairScores, SceneScores, SceneSpeed, Scores, ViewScores, Warp,
 };
@@ -67,6 +68,8 @@ pub(crate) struct Params {
     pub(crate) proposer: ProposerChoice,
     /// The scores that must be there.
     pub(crate) scores: Wanted,
+    /// The clear view as the authors of a method show it: a row of its own beside the clear render.
+    pub(crate) published_clear: PublishedClear,
     /// Pairs of captured views next to each other that are compared, evenly chosen; 0: none.
     pub(crate) neighbour_pairs: usize,
     /// Pairs of adjacent frames of the rendered path that are compared, evenly chosen; 0: none.
@@ -87,6 +90,7 @@ impl Default for Params {
         Self {
             proposer: ProposerChoice::default(),
             scores: Wanted::Available,
+            published_clear: PublishedClear::None,
             neighbour_pairs: 8,
             path_pairs: 8,
             path_steps: 4,
@@ -228,6 +232,7 @@ struct Looker<'a> {
     proposer: &'a dyn Proposer,
     /// The method that the scene was learnt with: from photographs, or from proposals.
     learnt: Method,
+    published: PublishedClear,
 }
 
 impl Looker<'_> {
@@ -257,7 +262,10 @@ impl Looker<'_> {
                     }
                     images.push((self.learnt, image));
                 }
-                (Mode::Clear, Rendering::Color(image)) => images.push((Method::Clear, image)),
+                (Mode::Clear, Rendering::Color(image)) => {
+                    let shown = self.published.shown(&image).map(|shown| (Method::PublishedClear, shown));
+                    images.extend([(Method::Clear, image)].into_iter().chain(shown));
+                }
                 (Mode::Enhanced, Rendering::Color(image)) => images.push((Method::Enhanced, image)),
                 (Mode::EnhancedClear, Rendering::Color(image)) => images.push((Method::EnhancedClear, image)),
                 (Mode::Depth, Rendering::Scalar(map)) => depth = map,
@@ -400,12 +408,6 @@ impl Station {
     }
 }
 
-/// At most `most` of `0..n`, evenly spread.
-fn evenly(n: usize, most: usize) -> Vec<usize> {
-    let count = n.min(most);
-    (0..count).map(|k| (2 * k + 1) * n / (2 * count)).collect()
-}
-
 /// The method that a scene was learnt with. It follows from the stage's inputs or, if the stage is run by
 /// hand, from the record that stage 1 wrote.
 fn learnt_from(context: &StageContext) -> Method {
@@ -481,7 +483,12 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         context,
         capture: &capture,
         judges,
-        looker: Looker { renderer: shown.renderer(1.0)?, proposer: proposer.as_ref(), learnt },
+        looker: Looker {
+            renderer: shown.renderer(1.0)?,
+            proposer: proposer.as_ref(),
+            learnt,
+            published: params.published_clear,
+        },
         reference: reference_shown.as_ref().map(|r| Reference::new(r, &scene)).transpose()?,
     };
 
@@ -687,12 +694,5 @@ mod tests {
         };
         assert!((depth(&scored) - 2.0).abs() < 0.2, "{}", depth(&scored));
         assert!((depth(&other) - depth(&scored)).abs() < 1e-2, "{} {}", depth(&other), depth(&scored));
-    }
-
-    #[test]
-    fn pairs_are_spread_evenly() {
-        assert_eq!(evenly(24, 4), [3, 9, 15, 21]);
-        assert_eq!(evenly(3, 8), [0, 1, 2]);
-        assert!(evenly(0, 8).is_empty() && evenly(8, 0).is_empty());
     }
 }

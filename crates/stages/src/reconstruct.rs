@@ -102,7 +102,7 @@ fn prior_in_force(params: &ReconstructParams, capture: &Capture, made: bool) -> 
         "the weights of Depth Anything V2 are not in the models folder (`use3d models` names the files)";
     match (params.depth_prior, made, with) {
         (DepthPrior::Off, ..) => format!("{none} (depth_prior = \"off\")"),
-        _ if params.depth_weight == 0.0 => format!("{none} (depth_weight = 0)"),
+        _ if !params.uses_priors() => format!("{none} (depth_weight = 0)"),
         (DepthPrior::Auto, true, _) => {
             "depth prior: Depth Anything V2, since the capture has no depth folder".into()
         }

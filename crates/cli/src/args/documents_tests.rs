@@ -132,7 +132,8 @@ fn unknown_keys(arguments: &[String], known: &BTreeSet<String>) -> Vec<String> {
             }
         }
         // These belong to the pipeline, not to a stage.
-        let pipeline = ["preset", "seed", "stage2"].contains(&bare) || bare.starts_with("calibrator.");
+        let pipeline =
+            ["method", "preset", "seed", "stage2"].contains(&bare) || bare.starts_with("calibrator.");
         // For a stage run by hand, the stage's name in front of its own parameters can be left out.
         let of_a_stage =
             known.contains(bare) || known.iter().any(|k| k.split_once('.').is_some_and(|k| k.1 == bare));

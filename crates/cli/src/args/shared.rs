@@ -54,18 +54,22 @@ impl SizeArgs {
     }
 }
 
-/// The preset.
+/// The method and the preset.
 #[derive(Clone, Debug, Default, Args)]
 struct PresetArgs {
+    /// Train this method with its authors' schedule: 3dgs, water-splatting, plenodium, 3d-use.
+    #[arg(long, value_name = "NAME")]
+    method: Option<String>,
     /// Take the values of this preset in place of the defaults (`use3d params --preset NAME` lists them).
     #[arg(long, value_name = "NAME")]
     preset: Option<String>,
 }
 
 impl PresetArgs {
-    /// The setting that the flag stands for.
-    fn spelled(&self) -> Option<Spelled> {
-        self.preset.as_deref().map(Spelled::preset)
+    /// The settings that the flags stand for.
+    fn spelled(&self) -> impl Iterator<Item = Spelled> {
+        let method = self.method.as_deref().map(|name| Spelled::new("--method", "", "method", name));
+        method.into_iter().chain(self.preset.as_deref().map(Spelled::preset))
     }
 }
 
@@ -131,7 +135,7 @@ pub(crate) struct StageSettings {
 impl StageSettings {
     /// The settings that `flags` and the preset stand for.
     pub(crate) fn spelled(&self, flags: Vec<Spelled>) -> Vec<Spelled> {
-        self.preset.spelled().into_iter().chain(flags).collect()
+        self.preset.spelled().chain(flags).collect()
     }
 
     /// These settings, with a models folder.

@@ -153,7 +153,7 @@ pub(crate) struct EvaluateArgs {
     #[arg(long, value_name = "SCENE_DIR", conflicts_with = "images")]
     pub(crate) warp_by: Option<PathBuf>,
     /// Score a plain folder of images instead.
-    #[arg(long, value_name = "DIR", conflicts_with_all = ["scene", "size", "max_side", "set", "preset"])]
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["scene", "size", "max_side", "set", "method", "preset"])]
     pub(crate) images: Option<PathBuf>,
     /// The images to compare with, by equal names apart from the extension.
     #[arg(long, value_name = "DIR", requires = "images", conflicts_with = "scene")]

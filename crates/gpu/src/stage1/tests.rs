@@ -83,8 +83,13 @@ fn plan(step: u64) -> StepPlan {
         rates: RATES,
         weights: vec![0.8, 0.2, 0.1],
         depth_gradient: step % 4 != 3,
+        network_clip: 0.0,
         exposure: Some(ExposureStep { rate: 1e-3, weight: 1e-2 }),
-        gather: (step % 3 != 2).then_some(GradientScale { reference_pixels: 1000, exponent: 0.5 }),
+        gather: (step % 3 != 2).then_some(GradientScale {
+            reference_pixels: 1000,
+            exponent: 0.5,
+            signed: false,
+        }),
     }
 }
 

@@ -161,6 +161,7 @@ impl SceneSize {
             },
             weights: losses::weights(&params, step),
             depth_gradient: true,
+            network_clip: 0.0,
             exposure: None,
             gather: Some(params.densify.gradient_scale()),
         }

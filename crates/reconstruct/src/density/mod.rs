@@ -18,9 +18,11 @@
 //! content of each row. Both are functions of their arguments alone, so that every engine refines alike: it
 //! may call `rebuilt` or do the same where its arrays are.
 
+mod noise;
 mod rebuild;
 mod schedule;
 
+pub(crate) use noise::scatter;
 pub use rebuild::{Draws, Origin, rebuilt};
 pub(crate) use schedule::Refinement;
 
@@ -64,6 +66,11 @@ pub struct RefineSettings {
     pub cull_opacity: f64,
     /// Standard deviation above which they are removed.
     pub cull_scale: f64,
+    /// Radius on the screen above which they are removed, pixels.
+    pub cull_radius: f64,
+    /// The factor by which children are smaller, if Gaussians are removed by their sizes after growth; `None`
+    /// if before.
+    pub after_growth: Option<f64>,
     /// Culling leaves at least this many Gaussians.
     pub floor: usize,
     /// Growth leaves at most this many Gaussians.
@@ -93,8 +100,16 @@ pub fn plan(survey: &Survey, settings: &RefineSettings) -> (Vec<Origin>, RefineR
     let mut report = RefineReport::default();
     let largest = |i: usize| math::exp(f64::from(log_sizes[i]));
     let faint = logit(settings.cull_opacity);
-    let mut keep: Vec<bool> =
-        (0..n).map(|i| opacity_logits[i] >= faint && largest(i) <= settings.cull_scale).collect();
+    let pull = |i: usize| statistics.mean(i);
+    let pulled = |i: usize| pull(i) > settings.gradient_threshold;
+    let wide = |i: usize| largest(i) > settings.split_scale;
+    let radius = |i: usize| f64::from(statistics.radii.get(i).copied().unwrap_or(0.0));
+    let fits = |i: usize| match settings.after_growth.filter(|_| settings.grow && pulled(i) && wide(i)) {
+        // Children have no radius yet.
+        Some(shrink) => largest(i) <= shrink * settings.cull_scale,
+        None => largest(i) <= settings.cull_scale && radius(i) <= settings.cull_radius,
+    };
+    let mut keep: Vec<bool> = (0..n).map(|i| opacity_logits[i] >= faint && fits(i)).collect();
     let survivors = keep.iter().filter(|k| **k).count();
     let floor = settings.floor.min(n);
     if survivors < floor {
@@ -111,9 +126,7 @@ pub fn plan(survey: &Survey, settings: &RefineSettings) -> (Vec<Origin>, RefineR
 
     let mut grow = vec![false; n];
     if settings.grow {
-        let pull = |i: usize| statistics.mean(i);
-        let mut pulled: Vec<usize> =
-            (0..n).filter(|&i| keep[i] && pull(i) > settings.gradient_threshold).collect();
+        let mut pulled: Vec<usize> = (0..n).filter(|&i| keep[i] && pulled(i)).collect();
         let room = settings.most.saturating_sub(survivors);
         if pulled.len() > room {
             report.held_back = pulled.len() - room;
@@ -124,7 +137,7 @@ pub fn plan(survey: &Survey, settings: &RefineSettings) -> (Vec<Origin>, RefineR
             grow[i] = true;
         }
     }
-    let splits = |i: usize| grow[i] && largest(i) > settings.split_scale;
+    let splits = |i: usize| grow[i] && wide(i);
     let mut rows: Vec<Origin> = (0..n).filter(|&i| keep[i] && !splits(i)).map(Origin::Kept).collect();
     for i in (0..n).filter(|&i| grow[i]) {
         if splits(i) {
@@ -154,6 +167,8 @@ mod tests {
         split_scale: 1e-3,
         cull_opacity: 0.5,
         cull_scale: 10.0,
+        cull_radius: f64::INFINITY,
+        after_growth: None,
         floor: 2,
         most: 1000,
     };
@@ -232,6 +247,21 @@ mod tests {
         let (rows, report) = plan(&s, &RefineSettings { most: 4, ..SETTINGS });
         assert_eq!(rows.last(), Some(&Origin::Twin(1)));
         assert_eq!((rows.len(), report.held_back), (4, 2));
+    }
+
+    #[test]
+    fn large_gaussians_of_3dgs_are_removed_after_growth() {
+        // Three are larger than allowed; the first is split below that size, and the second is not.
+        let rows =
+            [(3.0, 0.15, 9e-4), (3.0, 0.2, 9e-4), (3.0, 0.15, 0.0), (3.0, 0.05, 0.0), (3.0, 0.05, 0.0)];
+        let (_, mut s) = scene(&rows);
+        s.statistics.radii = vec![0.0, 0.0, 0.0, 30.0, 10.0];
+        let limits = RefineSettings { cull_scale: 0.1, cull_radius: 20.0, ..SETTINGS };
+        let (rows, report) = plan(&s, &RefineSettings { after_growth: Some(1.6), ..limits });
+        assert_eq!(rows, [Origin::Kept(4), Origin::Child(0, 0), Origin::Child(0, 1)]);
+        assert_eq!((report.split, report.culled), (1, 3));
+        let (rows, _) = plan(&s, &RefineSettings { floor: 0, ..limits });
+        assert_eq!(rows, [Origin::Kept(4)], "before growth the first is too large, too");
     }
 
     #[test]

@@ -76,7 +76,7 @@ pub fn rebuilt(gaussians: &Gaussians, rows: &[Origin], draws: &Draws) -> Gaussia
 }
 
 /// Computes `R(q) x` for a quaternion of any length.
-fn rotate(q: [f32; 4], x: [f64; 3]) -> [f64; 3] {
+pub(super) fn rotate(q: [f32; 4], x: [f64; 3]) -> [f64; 3] {
     let q = glam::DQuat::from_xyzw(q[1].into(), q[2].into(), q[3].into(), q[0].into());
     let norm = q.length();
     if norm == 0.0 { x } else { ((q * (1.0 / norm)) * glam::DVec3::from(x)).to_array() }

@@ -1,7 +1,7 @@
 //! The steps at which density control works, and its settings there (R9).
 
 use super::RefineSettings;
-use crate::ReconstructParams;
+use crate::{ReconstructParams, Strategy};
 
 /// The work of density control after a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -31,6 +31,12 @@ impl ReconstructParams {
         if !d.enabled || step <= self.warm_up() {
             return DensityWork::default();
         }
+        if d.strategy == Strategy::Signed {
+            let done = step + 1;
+            let at = |every: u64| done < self.densify_end() && done.is_multiple_of(every);
+            let refinement = at(d.every).then_some(Refinement::Grow);
+            return DensityWork { refinement, ceiling: at(d.period) && !self.is_gentle() };
+        }
         let growing = step < self.densify_end();
         let ceilings = growing && !self.is_gentle();
         let phase = step % d.period;
@@ -43,15 +49,27 @@ impl ReconstructParams {
         DensityWork { refinement, ceiling: ceilings && phase == d.every % d.period }
     }
 
-    /// The settings of a refinement of a scene that began with `initial` Gaussians and may have `most`.
-    pub(crate) fn refine_settings(&self, grow: bool, initial: usize, most: usize) -> RefineSettings {
+    /// The settings of a refinement after `step` of a scene that began with `initial` Gaussians and may have
+    /// `most`. Sizes are in units of `unit`.
+    pub(crate) fn refine_settings(
+        &self,
+        grow: bool,
+        (step, unit): (u64, f64),
+        initial: usize,
+        most: usize,
+    ) -> RefineSettings {
         let d = &self.densify;
+        let signed = d.strategy == Strategy::Signed;
+        let by_size = !signed || step + 1 > d.period;
+        let limit = |size: f64| if by_size && size > 0.0 { size } else { f64::INFINITY };
         RefineSettings {
             grow,
             gradient_threshold: d.gradient_threshold,
-            split_scale: d.split_scale,
+            split_scale: unit * d.split_scale,
             cull_opacity: self.cull_opacity(grow),
-            cull_scale: d.cull_scale,
+            cull_scale: limit(unit * d.cull_scale),
+            cull_radius: limit(if signed { d.cull_screen } else { 0.0 }),
+            after_growth: signed.then_some(d.shrink),
             floor: d.floor.max((d.floor_share * initial as f64) as usize),
             most,
         }
@@ -131,19 +149,39 @@ mod tests {
     }
 
     #[test]
+    fn the_rules_of_3dgs_have_no_pause_and_no_late_culling_and_limit_sizes_after_the_first_ceiling() {
+        let mut params = paper();
+        params.densify.strategy = Strategy::Signed;
+        (params.densify.warm_up, params.densify.period, params.densify.cull_screen) = (500, 3000, 20.0);
+        (params.densify.cull_scale, params.densify.split_scale) = (0.1, 0.01);
+        let grown = steps(&params, 18, |work| work.refinement == Some(Refinement::Grow));
+        assert_eq!((grown[0], grown[1], grown.len(), grown[93]), (599, 699, 94, 9899));
+        assert!(
+            steps(&params, 18, |work| !matches!(work.refinement, None | Some(Refinement::Grow))).is_empty()
+        );
+        assert_eq!(steps(&params, 18, |work| work.ceiling), [2999, 5999, 8999]);
+        let at = |step| params.refine_settings(true, (step, 2.0), 5000, 70_000);
+        assert_eq!((at(2999).cull_scale, at(2999).cull_radius), (f64::INFINITY, f64::INFINITY));
+        assert_eq!((at(3099).cull_scale, at(3099).cull_radius, at(3099).split_scale), (0.2, 20.0, 0.02));
+        assert_eq!(at(0).after_growth, Some(params.densify.shrink));
+    }
+
+    #[test]
     fn faint_gaussians_are_removed_below_a_half_while_growing_and_below_a_tenth_afterwards() {
-        let growing = paper().refine_settings(true, 5000, 70_000);
+        let growing = paper().refine_settings(true, (700, 1.0), 5000, 70_000);
         let expected = RefineSettings {
             grow: true,
             gradient_threshold: 8e-4,
             split_scale: 1e-3,
             cull_opacity: 0.5,
             cull_scale: 10.0,
+            cull_radius: f64::INFINITY,
+            after_growth: None,
             floor: 500,
             most: 70_000,
         };
         assert_eq!(growing, expected);
-        let late = paper().refine_settings(false, 300, 70_000);
+        let late = paper().refine_settings(false, (700, 1.0), 300, 70_000);
         assert_eq!(late, RefineSettings { grow: false, cull_opacity: 0.1, floor: 100, ..expected });
     }
 }

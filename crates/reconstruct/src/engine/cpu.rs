@@ -102,7 +102,11 @@ impl CpuEngine {
         profile.lap(StepPart::Water);
         b.prepared.prepare(&state.gaussians, &camera, &lattice, Colors::Sh { degree: plan.degrees.colors });
         profile.lap(StepPart::Project);
-        let options = Options { depth_gradient: plan.depth_gradient, layers: false };
+        let options = Options {
+            depth_gradient: plan.depth_gradient,
+            layers: false,
+            signed_screen: plan.gather.is_some_and(|scale| scale.signed),
+        };
         b.rasterizer.forward(&b.prepared, maps, &options, &mut b.rendered);
         profile.lap(StepPart::Compose);
         let shown = match gain {
@@ -173,6 +177,9 @@ impl CpuEngine {
         let rates = &plan.rates;
         let TrainingState { medium, medium_moments: [first, second], .. } = &mut self.state;
         let mut finite = true;
+        if plan.network_clip > 0.0 {
+            self.medium_gradient.clip(Role::Network, plan.network_clip);
+        }
         medium.update(&self.medium_gradient, |role, offset, values, gradient| {
             let rate = match role {
                 Role::Constant => rates.medium_constant,
@@ -218,6 +225,10 @@ impl CpuEngine {
             // the method.
             let pixels = (width * plan.divisor) as f64 * (height * plan.divisor) as f64;
             state.statistics.gather(&self.buffers.gradients, width, height, scale.at(pixels));
+            if scale.signed {
+                state.statistics.radii.resize(state.gaussians.len(), 0.0);
+                self.buffers.prepared.raise_radii(&mut state.statistics.radii);
+            }
         }
         self.profile.lap(StepPart::Density);
         self.profile.steps += 1;

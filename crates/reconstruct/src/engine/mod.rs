@@ -89,6 +89,8 @@ pub struct StepPlan {
     pub weights: Vec<f64>,
     /// True if gradients flow through ray distances (R2).
     pub depth_gradient: bool,
+    /// Largest norm of the gradient of the network water's weights; 0: any.
+    pub network_clip: f64,
     /// The settings by which the view's gain is learnt; `None` if every gain is one.
     pub exposure: Option<ExposureStep>,
     /// The scale of screen gradients for the size of the images; `None` if none are gathered.
@@ -102,6 +104,8 @@ pub struct GradientScale {
     pub reference_pixels: u64,
     /// Its exponent, 0 to 1.
     pub exponent: f64,
+    /// True if opposite gradients of a Gaussian cancel and radii are kept; else absolute values are summed.
+    pub signed: bool,
 }
 
 impl GradientScale {

@@ -55,12 +55,14 @@ pub struct Statistics {
     pub norms: Vec<f32>,
     /// Renders in which the Gaussian was visible.
     pub renders: Vec<u32>,
+    /// Largest radius on the screen, pixels; empty where density control does not ask for it.
+    pub radii: Vec<f32>,
 }
 
 impl Statistics {
     /// The statistics of `n` Gaussians that were not seen yet.
     pub fn new(n: usize) -> Self {
-        Self { norms: vec![0.0; n], renders: vec![0; n] }
+        Self { norms: vec![0.0; n], renders: vec![0; n], radii: Vec::new() }
     }
 
     /// Adds one render of `width × height` pixels, with norms multiplied by `scale`.
@@ -107,7 +109,7 @@ pub struct TrainingState {
 
 impl TrainingState {
     /// The current version of this record's format.
-    pub const VERSION: u32 = 3;
+    pub const VERSION: u32 = 4;
 
     /// The state at the start of a run: these Gaussians, this water, and these gains of the training views
     /// (positive; empty if no view has one).
@@ -153,7 +155,7 @@ impl TrainingState {
             return wrong(format!("its colours have degree {}, expected 0 to 3", self.gaussians.sh_degree));
         }
         let statistics = [self.statistics.norms.len(), self.statistics.renders.len()];
-        if statistics != [n; 2] {
+        if statistics != [n; 2] || ![0, n].contains(&self.statistics.radii.len()) {
             return wrong(format!("its statistics have {statistics:?} rows, expected {n}"));
         }
         let (count, moments) = (self.medium.parameter_count(), self.medium_moments.each_ref().map(Vec::len));
@@ -277,7 +279,7 @@ mod tests {
         let good = state(MediumModel::Global(MediumGlobal::default()));
         type Change = (&'static str, fn(&mut TrainingState));
         let changes: [Change; 6] = [
-            ("version 2, expected 3", |s| s.version = 2),
+            ("version 2, expected 4", |s| s.version = 2),
             ("first moments", |s| s.moments.first.means.truncate(1)),
             ("Gaussians", |s| s.gaussians.sh.truncate(1)),
             ("statistics", |s| s.statistics.norms.push(0.0)),

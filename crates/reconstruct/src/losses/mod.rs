@@ -12,6 +12,7 @@
 mod depth;
 mod gradients;
 mod photometric;
+mod ranking;
 
 use use3d_capture::{Camera, Image, Map, MediumMaps};
 
@@ -21,8 +22,14 @@ pub use photometric::{PhotometricLoss, PhotometricValue};
 
 use crate::{ReconstructParams, Target};
 
-/// Every term of the method, in the order in which values are summed and reported.
-pub const TERMS: &[LossTerm] = &[photometric::TERM, depth::TERM];
+/// Every term, in the order in which values are summed and reported: those of the method, then those of the
+/// methods it is compared with.
+pub const TERMS: &[LossTerm] =
+    &[photometric::TERM, depth::TERM, photometric::ONE_LEVEL, photometric::PLAIN, ranking::TERM];
+
+/// Number of values of the method's own terms. A log has these in every line, and others where they have a
+/// value.
+pub(crate) const OWN_VALUES: usize = 3;
 
 /// A row of the table: the names and weights of a term's values, and the term.
 #[derive(Clone, Copy, Debug)]

@@ -1,4 +1,5 @@
 //! Reg-L1 and Reg-MS-SSIM in one computation: one pass before the structure measure and one after it.
+//! [`Photometric`] names the same two with one level, and without the weight.
 //!
 //! ```text
 //! W = 1 / (sg(Î) + ε),  ε = 1e-3                      per pixel and channel, no gradient
@@ -6,6 +7,8 @@
 //! Reg-MS-SSIM = 1 − MS-SSIM(W I, W Î)                   (R12)
 //! L = (1 − λ) Reg-L1 + λ Reg-MS-SSIM
 //! ```
+//!
+//! `reg-ssim` has one level in place of three, as in WaterSplatting. `ssim` also has `W = 1`, as in 3DGS.
 //!
 //! With a good fit, `W Î` is nearly 1 and `W I` is the ratio of target to prediction. So the
 //! structure term measures relative error, and its variances would cancel in f32. Both are therefore
@@ -25,15 +28,38 @@ use use3d_metrics::ms_ssim::{MsSsim, RECONSTRUCTION_WEIGHTS};
 use use3d_numerics::rows::{LANES, load, store};
 
 use super::{LossTerm, LossValue, Observation, Term, ViewGradients};
+use crate::{Photometric, ReconstructParams};
 
-/// The row of both photometric values.
+/// The rows of the photometric values, one for each [`Photometric`].
 pub(super) const TERM: LossTerm = LossTerm {
     values: &[
-        LossValue { name: "reg_l1", weight: |params, _| 1.0 - params.structure_weight },
-        LossValue { name: "reg_ms_ssim", weight: |params, _| params.structure_weight },
+        LossValue { name: "reg_l1", weight: |params, _| absolute(params, Photometric::RegMsSsim) },
+        LossValue { name: "reg_ms_ssim", weight: |params, _| structure(params, Photometric::RegMsSsim) },
     ],
     term: || Box::new(PhotometricLoss::new(0.0)),
 };
+pub(super) const ONE_LEVEL: LossTerm = LossTerm {
+    values: &[
+        LossValue { name: "relative_l1", weight: |params, _| absolute(params, Photometric::RegSsim) },
+        LossValue { name: "relative_ssim", weight: |params, _| structure(params, Photometric::RegSsim) },
+    ],
+    term: || Box::new(PhotometricLoss::of(Photometric::RegSsim, 0.0)),
+};
+pub(super) const PLAIN: LossTerm = LossTerm {
+    values: &[
+        LossValue { name: "plain_l1", weight: |params, _| absolute(params, Photometric::Ssim) },
+        LossValue { name: "plain_ssim", weight: |params, _| structure(params, Photometric::Ssim) },
+    ],
+    term: || Box::new(PhotometricLoss::of(Photometric::Ssim, 0.0)),
+};
+
+fn absolute(params: &ReconstructParams, of: Photometric) -> f64 {
+    if params.photometric == of { 1.0 - params.structure_weight } else { 0.0 }
+}
+
+fn structure(params: &ReconstructParams, of: Photometric) -> f64 {
+    if params.photometric == of { params.structure_weight } else { 0.0 }
+}
 
 /// `ε` of the weight.
 const EPSILON: f32 = 1e-3;
@@ -59,6 +85,8 @@ pub struct PhotometricValue {
 pub struct PhotometricLoss {
     /// Weights of Reg-L1 and of Reg-MS-SSIM.
     shares: [f64; 2],
+    /// True if errors count relative to the rendered light: W.
+    relative: bool,
     /// Weights of the structure measure's levels.
     pub(super) weights: Vec<f64>,
     measure: MsSsim,
@@ -71,9 +99,16 @@ pub struct PhotometricLoss {
 impl PhotometricLoss {
     /// The loss with structure weight `lambda` and the method's three levels.
     pub fn new(lambda: f64) -> Self {
+        Self::of(Photometric::RegMsSsim, lambda)
+    }
+
+    /// A loss with structure weight `lambda`.
+    pub fn of(which: Photometric, lambda: f64) -> Self {
+        let levels = if which == Photometric::RegMsSsim { &RECONSTRUCTION_WEIGHTS[..] } else { &[1.0] };
         Self {
             shares: [1.0 - lambda, lambda],
-            weights: RECONSTRUCTION_WEIGHTS.to_vec(),
+            relative: which != Photometric::Ssim,
+            weights: levels.to_vec(),
             measure: MsSsim::default(),
             prediction: Image::new(0, 0),
             target: Image::new(0, 0),
@@ -94,7 +129,7 @@ impl PhotometricLoss {
         assert_eq!((w, h), (target.width(), target.height()), "the loss compares images of one size");
         self.prediction.resize(w, h);
         self.target.resize(w, h);
-        let level = Level::new();
+        let (level, relative) = (Level::new(), self.relative);
         let n = w * h;
         let count = (3 * n) as f64;
         let mask = mask.map(Map::data);
@@ -116,7 +151,10 @@ impl PhotometricLoss {
             .map(|(task, ((p, t), (x, y)))| {
                 let from = (task % blocks_per_plane) * BLOCK;
                 let mask = mask.map(|m| &m[from..from + p.len()]);
-                dispatch!(level, simd => weigh(simd, p, t, mask, x, y))
+                match relative {
+                    true => dispatch!(level, simd => weigh::<_, true>(simd, p, t, mask, x, y)),
+                    false => dispatch!(level, simd => weigh::<_, false>(simd, p, t, mask, x, y)),
+                }
             })
             .collect();
         let reg_l1 = partial.iter().map(|s| s[0]).sum::<f64>() / count;
@@ -125,8 +163,9 @@ impl PhotometricLoss {
         let squared = partial.iter().map(|s| s[1]).sum::<f64>();
         let squared_error = if counted > 0.0 { squared / (3.0 * counted) } else { 0.0 };
 
+        let offset = if relative { 1.0 } else { 0.0 };
         let similarity =
-            self.measure.value_and_gradient(&self.prediction, &self.target, 1.0, &self.weights, gradient);
+            self.measure.value_and_gradient(&self.prediction, &self.target, offset, &self.weights, gradient);
         let reg_ms_ssim = 1.0 - similarity;
 
         let [l1_weight, structure_weight] = self.shares;
@@ -142,7 +181,15 @@ impl PhotometricLoss {
                     .enumerate()
                     .for_each(|(block, (g, (x, y)))| {
                         let mask = mask.map(|m| &m[block * BLOCK..][..g.len()]);
-                        dispatch!(level, simd => backward(simd, x, y, mask, absolute, structure, g));
+                        let shares = [absolute, structure];
+                        match relative {
+                            true => {
+                                dispatch!(level, simd => backward::<_, true>(simd, x, y, mask, shares, g));
+                            }
+                            false => {
+                                dispatch!(level, simd => backward::<_, false>(simd, x, y, mask, shares, g));
+                            }
+                        }
                     });
             });
         let total = l1_weight * reg_l1 + structure_weight * reg_ms_ssim;
@@ -171,9 +218,9 @@ impl Term for PhotometricLoss {
 }
 
 /// Computes `x = W Î − 1`, `y = W I − 1`, and the sums of `|W (Î − I)|` and of the squared error. Lanes
-/// past the end add nothing.
+/// past the end add nothing. Without a weight, `x = Î` and `y = I`.
 #[inline(always)]
-fn weigh<S: Simd>(
+fn weigh<S: Simd, const RELATIVE: bool>(
     simd: S,
     prediction: &[f32],
     target: &[f32],
@@ -190,11 +237,18 @@ fn weigh<S: Simd>(
             let m = load(simd, mask, i);
             (p, t) = (p * m, t * m);
         }
-        let w = one / (p.max(zero) + EPSILON);
-        let off = w * (t - p);
-        let from_one = w * -EPSILON;
-        store(from_one, x, i);
-        store(off + from_one, y, i);
+        let off = if RELATIVE {
+            let w = one / (p.max(zero) + EPSILON);
+            let off = w * (t - p);
+            let from_one = w * -EPSILON;
+            store(from_one, x, i);
+            store(off + from_one, y, i);
+            off
+        } else {
+            store(p, x, i);
+            store(t, y, i);
+            t - p
+        };
         absolute += off.abs();
         let e = p.max(zero).min(one) - t;
         squared = e.mul_add(e, squared);
@@ -202,22 +256,21 @@ fn weigh<S: Simd>(
     [absolute, squared].map(|v| v.as_slice().iter().map(|&v| f64::from(v)).sum())
 }
 
-/// `g ← m W ((1 − λ)/N sign(Î − I) − λ g)`, where `W = −x / ε` and the sign is that of `x − y`.
+/// `g ← m W ((1 − λ)/N sign(Î − I) − λ g)`, where `W = −x / ε` or 1, and the sign is that of `x − y`.
 #[inline(always)]
-fn backward<S: Simd>(
+fn backward<S: Simd, const RELATIVE: bool>(
     simd: S,
     x: &[f32],
     y: &[f32],
     mask: Option<&[f32]>,
-    absolute: f32,
-    structure: f32,
+    [absolute, structure]: [f32; 2],
     g: &mut [f32],
 ) {
     let zero = f32x16::splat(simd, 0.0);
     let (plus, minus) = (f32x16::splat(simd, absolute), f32x16::splat(simd, -absolute));
     for i in (0..g.len()).step_by(LANES) {
         let (a, b) = (load(simd, x, i), load(simd, y, i));
-        let mut w = a * (-1.0 / EPSILON);
+        let mut w = if RELATIVE { a * (-1.0 / EPSILON) } else { f32x16::splat(simd, 1.0) };
         if let Some(mask) = mask {
             w *= load(simd, mask, i);
         }

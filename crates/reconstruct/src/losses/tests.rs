@@ -8,6 +8,7 @@ use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 
 use super::*;
+use crate::{DepthPrior, Photometric};
 
 fn image(case: &Case<'_>, name: &str) -> Image {
     let (w, h, data) = case.planes(name);
@@ -79,6 +80,43 @@ fn golden_losses() {
         }
     }
     assert!(seen >= 4);
+}
+
+#[test]
+fn golden_rivals() {
+    let part = Part::math("rivals");
+    for (name, which) in [("ssim", Photometric::Ssim), ("reg_ssim", Photometric::RegSsim)] {
+        let case = part.cases().into_iter().find(|case| case.name() == name).unwrap();
+        let (prediction, target) = (image(&case, "in.pred"), image(&case, "in.target"));
+        let mut gradient = Image::new(1, 1);
+        for (pull, lambda) in [("l1", 0.0), ("ssim", 1.0), ("total", case.number("lam"))] {
+            let mut loss = PhotometricLoss::of(which, lambda);
+            let value = loss.evaluate(&prediction, &target, None, &mut gradient);
+            case.check_f64(&format!("out.{pull}"), &[value.total]);
+            let d_output = case.f64(&format!("cot.{pull}"))[0] as f32;
+            case.check_planes(&format!("grad.{pull}.pred"), gradient.map(|g| g * d_output).data());
+        }
+    }
+    let case = part.cases().into_iter().find(|case| case.name() == "ranking").unwrap();
+    let (depth, prior) = (map(&case, "in.depth"), map(&case, "in.prior"));
+    let (mut gradient, d_output) = (Map::new(1, 1), case.f64("cot.depth_ranking")[0]);
+    let value = ranking::DepthRanking.evaluate(&depth, &prior, d_output, &mut gradient);
+    case.check_f64("out.depth_ranking", &[value]);
+    case.check_planes("grad.depth_ranking.depth", gradient.data());
+}
+
+#[test]
+fn only_the_chosen_comparison_has_weights_and_the_ranking_ends_with_growth() {
+    let named = |params: &ReconstructParams, step: u64| -> Vec<&str> {
+        names().zip(super::weights(params, step)).filter(|(_, w)| *w > 0.0).map(|(name, _)| name).collect()
+    };
+    let mut params = ReconstructParams { ranking_weight: 5.0, ..ReconstructParams::default() };
+    assert_eq!(named(&params, 0), ["reg_l1", "reg_ms_ssim", "depth_loss", "depth_ranking"]);
+    assert_eq!(named(&params, params.densify_end()), ["reg_l1", "reg_ms_ssim", "depth_loss"]);
+    (params.depth_prior, params.photometric) = (DepthPrior::Off, Photometric::RegSsim);
+    assert_eq!(named(&params, 0), ["relative_l1", "relative_ssim"]);
+    params.photometric = Photometric::Ssim;
+    assert_eq!(named(&params, 0), ["plain_l1", "plain_ssim"]);
 }
 
 fn random_image(stream: &Stream, w: usize, h: usize, from: u64) -> Image {

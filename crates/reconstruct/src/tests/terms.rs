@@ -65,6 +65,7 @@ fn a_term_from_outside_reaches_gaussians_and_water_through_everything_it_reads()
         rates: NO_RATES,
         weights: vec![1.0],
         depth_gradient: true,
+        network_clip: 0.0,
         exposure: None,
         gather: None,
     };

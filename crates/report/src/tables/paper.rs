@@ -76,7 +76,13 @@ pub fn tables(scenes: &[MeanScores], failed: &[FailedScene]) -> Vec<Table> {
             &ENHANCEMENT,
             (
                 &[Method::Captured, Method::Proposal],
-                &[Method::Enhanced, Method::EnhancedClear, Method::EnhanceThenReconstruct, Method::Clear],
+                &[
+                    Method::Enhanced,
+                    Method::EnhancedClear,
+                    Method::EnhanceThenReconstruct,
+                    Method::PublishedClear,
+                    Method::Clear,
+                ],
             ),
             published::ENHANCEMENT_SCENES,
         ),

@@ -12,10 +12,11 @@ pub(super) const TRUTH: [Quantity; 2] =
     [("truth_psnr", "PSNR", Better::Higher, 2), ("truth_delta_e", "ΔE₀₀", Better::Lower, 2)];
 
 /// The methods that are compared with the true clean images.
-const CLEAN: [Method; 7] = [
+const CLEAN: [Method; 8] = [
     Method::Captured,
     Method::Proposal,
     Method::Clear,
+    Method::PublishedClear,
     Method::ProposalOfRender,
     Method::EnhanceThenReconstruct,
     Method::Enhanced,

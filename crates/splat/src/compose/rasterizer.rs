@@ -209,8 +209,12 @@ impl Rasterizer {
         };
         let read = BackwardRead { prepared, medium, d_rendered, saved: None };
         run(self, read, s_gradient, grads.medium);
-        let drawn =
-            VisibleSplats { splats: &prepared.splats, ranks: &prepared.ranks, source: prepared.color_source };
+        let drawn = VisibleSplats {
+            splats: &prepared.splats,
+            ranks: &prepared.ranks,
+            source: prepared.color_source,
+            signed: options.signed_screen,
+        };
         backward(&drawn, &self.sums, gaussians, camera, grads.gaussians);
     }
 

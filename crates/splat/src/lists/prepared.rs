@@ -88,6 +88,15 @@ impl Prepared {
         self.splats.iter().map(|s| s.index as usize)
     }
 
+    /// Raises the radius of every visible Gaussian to the one in this view: three standard deviations along
+    /// the longest axis of its ellipse, in pixels. One entry per Gaussian.
+    pub fn raise_radii(&self, radii: &mut [f32]) {
+        for splat in &self.splats {
+            let radius = &mut radii[splat.index as usize];
+            *radius = radius.max(3.0 * splat.deviation());
+        }
+    }
+
     /// Number of (tile, Gaussian) pairs in the lists.
     pub fn entries(&self) -> usize {
         self.tile_rows.iter().map(|r| r.entries.len()).sum()

@@ -116,6 +116,8 @@ pub(crate) struct VisibleSplats<'a> {
     /// Position in depth order of every Gaussian, [`HIDDEN`] if it is not visible.
     pub(crate) ranks: &'a [u32],
     pub(crate) source: ColorSource,
+    /// True if screen gradients keep their signs.
+    pub(crate) signed: bool,
 }
 
 /// The inputs from which the gradients of a view's Gaussians are computed.
@@ -176,7 +178,7 @@ fn backward_chunk(input: &BackwardInput<'_>, first: usize, ranks: &[u32], out: C
         // α = o e^{-σ}, so ∂L/∂logit = (1 − o) Σ α ∂L/∂α.
         let closed = 1.0 / (1.0 + math::exp(f64::from(gaussians.opacity_logits[index])));
         logits[i] = (closed * f64::from(s.weight)) as f32;
-        screen[i] = derived.screen;
+        screen[i] = if drawn.signed { derived.mean.map(|v| v as f32) } else { derived.screen };
         match drawn.source {
             ColorSource::Harmonics(degree) => color::color_backward(
                 degree,

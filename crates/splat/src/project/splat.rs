@@ -42,6 +42,18 @@ pub(crate) struct Splat {
     pub(crate) reach_y: f32,
 }
 
+impl Splat {
+    /// Standard deviation along the longest axis of the ellipse, pixels.
+    pub(crate) fn deviation(&self) -> f32 {
+        // The inverse of `splat_of`: cov_yy, cov_xy and the determinant of the covariance.
+        let half = 0.5 * std::f32::consts::LOG2_E;
+        let yy = half / self.steepness_y;
+        let (xy, det) = (-self.shear * yy, half * yy / self.steepness);
+        let middle = 0.5 * ((det + xy * xy) / yy + yy);
+        (middle + (middle * middle - det).max(0.0).sqrt()).sqrt()
+    }
+}
+
 /// The gradient of one (tile, Gaussian) entry, or the sum of several: the floats of a [`SplatGradient`] as
 /// an array, so that sums are one loop. The linear adjoint uses the floats as channels.
 pub(crate) type EntryGradient = [f32; 12];

@@ -14,7 +14,7 @@ use crate::support::{
 };
 
 const SIZE: (usize, usize) = (53, 38);
-const LAYERS: Options = Options { depth_gradient: true, layers: true };
+const LAYERS: Options = Options { depth_gradient: true, layers: true, signed_screen: false };
 
 struct View {
     camera: Camera,

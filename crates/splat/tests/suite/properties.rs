@@ -354,3 +354,46 @@ fn pairs_are_counted_to_the_gaussian_that_fills_a_pixel() {
     assert_eq!((pairs.contributing, pairs.tested), (pixels, 2 * pixels));
     assert_eq!(pairs.entries, 4 * (w.div_ceil(16) * h.div_ceil(16)) as u64);
 }
+
+#[test]
+fn signed_screen_gradients_are_those_of_a_moved_principal_point_and_radii_those_of_the_ellipse() {
+    let (mut camera, gaussians) = (random_camera(60, 40), random_gaussians(1, -1.2, 9));
+    let d_image = random_image(60, 40, 3);
+    let loss = |camera: &use3d_capture::Camera| {
+        let out = render(&prepared(&gaussians, camera), None).image;
+        out.data().iter().zip(d_image.data()).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>()
+    };
+    let screen = |signed_screen: bool| {
+        let (mut out, options) =
+            (GaussianGradients::default(), Options { signed_screen, ..Options::default() });
+        let d_rendered = RenderGradients { image: &d_image, depth: None, accumulation: None, clear: None };
+        let of = ViewOf { gaussians: &gaussians, camera: &camera };
+        let grads = Gradients { gaussians: &mut out, medium: None };
+        Rasterizer::new().backward(&prepared(&gaussians, &camera), of, None, &options, &d_rendered, grads);
+        out.screen[0]
+    };
+    let (signed, absolute) = (screen(true), screen(false));
+    let h = 0.05;
+    for axis in 0..2 {
+        let at = |by: f64| {
+            let mut moved = camera;
+            *[&mut moved.intrinsics.cx, &mut moved.intrinsics.cy][axis] += by;
+            loss(&moved)
+        };
+        let numeric = (at(h) - at(-h)) / (2.0 * h);
+        let (own, most) = (f64::from(signed[axis]), f64::from(absolute[axis]));
+        assert!((own - numeric).abs() < 0.05 * most, "{own} against {numeric}, at most {most}");
+        assert!(own.abs() <= most * (1.0 + 1e-5));
+    }
+    // A ball straight ahead is a disc with the radius 3 √((f σ / z)² + 0.3).
+    camera.intrinsics.fy = camera.intrinsics.fx;
+    let (mut ball, place) = (gaussians.clone(), camera.pose.center());
+    let ahead = place + camera.pose.rotation.transpose() * (glam::DVec3::Z * 2.0);
+    ball.means[0] = ahead.as_vec3().to_array();
+    ball.log_scales[0] = [use3d_numerics::math::ln(0.1f32); 3];
+    let mut radii = vec![0.0];
+    prepared(&ball, &camera).raise_radii(&mut radii);
+    let spread = camera.intrinsics.fx * 0.1 / 2.0;
+    let expected = 3.0 * (spread * spread + 0.3).sqrt();
+    assert!((f64::from(radii[0]) - expected).abs() < 0.02 * expected, "{radii:?} {expected}");
+}

@@ -18,7 +18,7 @@ use use3d_capture::Formation;
 use use3d_enhance::engine::{CpuFieldEngine, FieldEngine};
 use use3d_enhance::{EnhanceError, EnhanceParams, EnhanceView, Guidance};
 use use3d_reconstruct::engine::{CpuEngine, Engine};
-use use3d_reconstruct::{Medium, ReconstructParams};
+use use3d_reconstruct::{Medium, ReconstructParams, Strategy};
 use use3d_render::{Look, RenderError, Renderer};
 use use3d_scene::Scene;
 use use3d_splat::Gaussians;
@@ -71,6 +71,9 @@ pub enum CardError {
     /// Cards have no kernel for this loss.
     #[error("expected cpu for the loss `{0}`, for which graphics cards have no kernel")]
     Loss(&'static str),
+    /// Cards do not gather what these density rules read.
+    #[error("expected cpu for the density rules `{0}`, which graphics cards do not have")]
+    Rules(&'static str),
     /// The card of this name holds at most the first number of Gaussians, and the second was requested.
     #[error(
         "`{0}` has room for {1} Gaussians in one binding, and max_gaussians is {2}; expected a smaller max_gaussians, or cpu"
@@ -161,6 +164,9 @@ impl ChoosesEngine for ReconstructParams {
     fn beyond_cards(&self) -> Option<CardError> {
         if !on_cards(self.medium) {
             return Some(CardError::Water(self.medium.name(), Medium::names(on_cards)));
+        }
+        if self.densify.strategy == Strategy::Signed {
+            return Some(CardError::Rules("3dgs"));
         }
         cards::loss_without_kernel(self).map(CardError::Loss)
     }
@@ -329,6 +335,9 @@ mod tests {
             let (at, what) = check(&asking("gpu", medium)).unwrap_err();
             assert!(at == "engine" && what.contains(name) && what.contains("expected cpu"), "{what}");
         }
+        let mut rules = asking("gpu", Medium::None);
+        rules.densify.strategy = Strategy::Signed;
+        assert!(check(&rules).unwrap_err().1.contains("density rules `3dgs`"));
         let auto = asking("auto", Medium::Mlp);
         assert_eq!((check(&auto), asked(&auto), class(&auto)), (Ok(()), None, Ok(None)));
         let (_, said) = stage1(&auto, 1000).unwrap();

@@ -9,6 +9,7 @@ pub(crate) mod files;
 pub(crate) mod judgement;
 pub(crate) mod kept_water;
 pub(crate) mod proposer;
+pub(crate) mod published_clear;
 pub(crate) mod scene;
 pub(crate) mod sights;
 pub(crate) mod target_params;

@@ -22,6 +22,12 @@ pub(crate) fn each_once<T, E>(
     Ok(())
 }
 
+/// At most `most` of `0..n`, evenly spread.
+pub(crate) fn evenly(n: usize, most: usize) -> Vec<usize> {
+    let count = n.min(most);
+    (0..count).map(|k| (2 * k + 1) * n / (2 * count)).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -44,5 +50,12 @@ mod tests {
         assert_eq!(visits(&[1, 2], &[4, 5]).unwrap().len(), 5);
         assert_eq!(visits(&[1, 2], &[2]).unwrap(), [(1, None), (2, None), (3, Some(2))]);
         assert_eq!(visits(&[], &[]), Ok(Vec::new()));
+    }
+
+    #[test]
+    fn pairs_are_spread_evenly() {
+        assert_eq!(evenly(24, 4), [3, 9, 15, 21]);
+        assert_eq!(evenly(3, 8), [0, 1, 2]);
+        assert!(evenly(0, 8).is_empty() && evenly(8, 0).is_empty());
     }
 }
