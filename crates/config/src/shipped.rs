@@ -5,8 +5,11 @@ use std::path::{Path, PathBuf};
 
 /// The file of the paper.
 const PAPER: &str = include_str!("../../../pipelines/paper.toml");
-/// The file of the demo.
-const DEMO: &str = include_str!("../../../pipelines/demo.toml");
+/// The files with captures beside them. They are read where they stand, and not by a bare name.
+const PLACED: [(&str, &str); 2] = [
+    ("demo", include_str!("../../../pipelines/demo.toml")),
+    ("rivals", include_str!("../../../pipelines/rivals.toml")),
+];
 
 /// A part of the paper's file: the scenes of some groups in some variants.
 struct PaperPart {
@@ -95,17 +98,18 @@ impl PaperPart {
 
 /// The names of all shipped files and parts, sorted.
 pub fn shipped_names() -> Vec<&'static str> {
-    let mut names: Vec<&str> = PARTS.iter().map(|part| part.name).chain(["demo", "paper"]).collect();
+    let placed = PLACED.iter().map(|(name, _)| *name);
+    let mut names: Vec<&str> = PARTS.iter().map(|part| part.name).chain(placed).chain(["paper"]).collect();
     names.sort_unstable();
     names
 }
 
 /// The text of a shipped pipeline; `None` for another name.
 pub fn shipped(name: &str) -> Option<String> {
-    match name {
-        "paper" => Some(PAPER.to_string()),
-        "demo" => Some(DEMO.to_string()),
-        _ => PARTS.iter().find(|part| part.name == name).map(PaperPart::text),
+    let placed = PLACED.iter().find(|(known, _)| *known == name).map(|(_, text)| *text);
+    match placed.or((name == "paper").then_some(PAPER)) {
+        Some(text) => Some(text.to_string()),
+        None => PARTS.iter().find(|part| part.name == name).map(PaperPart::text),
     }
 }
 
@@ -113,7 +117,8 @@ pub fn shipped(name: &str) -> Option<String> {
 /// `pipelines/use26.toml`.
 pub fn shipped_as(file: &Path) -> Option<String> {
     let is_file = file.extension().is_some_and(|end| end == "toml");
-    shipped(file.file_stem()?.to_str()?).filter(|_| is_file && !file.ends_with("demo.toml"))
+    let name = file.file_stem()?.to_str()?;
+    if PLACED.iter().any(|(placed, _)| *placed == name) { None } else { shipped(name).filter(|_| is_file) }
 }
 
 /// The file that a command means by the bare name of a shipped pipeline.

@@ -20,6 +20,7 @@ mod attempts;
 mod cause;
 mod certainty;
 mod choose;
+mod eight_bit;
 mod error;
 mod film;
 mod footage;

@@ -11,6 +11,7 @@ use std::process::{Command, Stdio};
 
 use serde_json::{Value, json};
 
+use crate::eight_bit::{self, readable};
 use crate::error::PrepareError;
 use crate::params::{Mapper, Matching, PrepareParams};
 use crate::photographs;
@@ -203,6 +204,7 @@ impl Sfm<'_> {
     /// many images there are some.
     pub(crate) fn features(&self, groups: &[Vec<String>]) -> Result<(Commands, String), PrepareError> {
         const STEP: &str = "features";
+        eight_bit::make(self.work, groups.iter().flatten())?;
         let (card, count) = (self.program.card, self.feature_count());
         let total = self.images as u64;
         let (mut before, mut featured) = (0, Featured::default());
@@ -214,7 +216,7 @@ impl Sfm<'_> {
         };
         if self.is_package() {
             let job = json!({
-                "database": FEATURES_DB, "images": IMAGES, "groups": groups, "lens": self.params.lens,
+                "database": FEATURES_DB, "images": readable(self.work), "groups": groups, "lens": self.params.lens,
                 "calibration": self.params.calibration, "features": count, "side": SIDE,
                 "focal": FOCAL, "masks": if self.has_masks() { MASKED } else { "" },
                 "threads": self.deciding_threads(), "card": card,
@@ -229,7 +231,7 @@ impl Sfm<'_> {
             work::write(&path, group.join("\n") + "\n")?;
             let mut arguments = vec![
                 ("--database_path", FEATURES_DB.to_string()),
-                ("--image_path", IMAGES.to_string()),
+                ("--image_path", readable(self.work).to_string()),
                 ("--image_list_path", list),
                 ("--ImageReader.camera_model", self.params.lens.clone()),
                 ("--ImageReader.single_camera", "1".to_string()),
@@ -363,7 +365,7 @@ impl Sfm<'_> {
         let threads = self.deciding_threads();
         let (outcome, commands) = if self.is_package() {
             let job = json!({
-                "database": copy, "images": IMAGES, "models": folder, "mapper": self.params.mapper,
+                "database": copy, "images": readable(self.work), "models": folder, "mapper": self.params.mapper,
                 "threads": threads, "smallest": self.smallest(), "fixed": fixed, "held": usual_lens,
                 "first_angle": FIRST_ANGLE,
             });
@@ -372,7 +374,7 @@ impl Sfm<'_> {
             let verb = if global { "global_mapper" } else { "mapper" };
             let arguments = [
                 ("--database_path", copy.clone()),
-                ("--image_path", IMAGES.to_string()),
+                ("--image_path", readable(self.work).to_string()),
                 ("--output_path", folder.to_string()),
             ];
             let mut options: Vec<(&[&str], String)> = vec![

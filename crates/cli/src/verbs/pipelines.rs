@@ -75,7 +75,7 @@ mod tests {
         }
         found.sort();
         let of = |name: &str| (name.to_string(), shipped(name).expect("a file"));
-        assert_eq!(["demo", "paper"].map(of).to_vec(), found);
+        assert_eq!(["demo", "paper", "rivals"].map(of).to_vec(), found);
         for name in shipped_names() {
             let about = first_sentence(&shipped(name).expect("a text"));
             assert!((20..120).contains(&about.len()) && about.ends_with('.'), "{name}: {about}");
