@@ -123,7 +123,10 @@ fn a_scene_is_delivered_when_it_is_finished_whatever_becomes_of_the_others() {
         String::from_utf8(text).expect("text")
     };
     let text = table(&batch);
-    assert!(scenes.iter().all(|s| text.contains(s.as_str()) == (s != broken)), "{text}");
+    let row =
+        |scene: &str| text.lines().find(|line| line.starts_with(&format!("| {scene} "))).expect("a row");
+    assert!(scenes.iter().all(|s| row(s).contains("| n/a | n/a |") == (s == broken)), "{text}");
+    assert!(text.contains(&format!("n/a: {broken}: `import` failed")), "{text}");
 
     // Without --keep-going the run ends there, and removes nothing.
     assert_eq!(batch.summary(&[]).0, Some(1));

@@ -75,13 +75,19 @@ fn state(n: usize, log_scale: f32) -> TrainingState {
     TrainingState::new(cloud(n, log_scale, 0.5), water, &[[1.0; 3], [1.1, 0.9, 1.0], [0.8; 3]])
 }
 
+/// Weights of the three terms that have kernels; the others have none.
+fn weights() -> Vec<f64> {
+    let names = use3d_reconstruct::losses::names();
+    names.enumerate().map(|(k, _)| [0.8, 0.2, 0.1].get(k).copied().unwrap_or(0.0)).collect()
+}
+
 fn plan(step: u64) -> StepPlan {
     StepPlan {
         step,
         divisor: if step % 5 == 4 { 2 } else { 1 },
         degrees: Degrees { colors: (step as usize / 2).min(3), water: (step as usize / 3).min(3) },
         rates: RATES,
-        weights: vec![0.8, 0.2, 0.1],
+        weights: weights(),
         depth_gradient: step % 4 != 3,
         network_clip: 0.0,
         exposure: Some(ExposureStep { rate: 1e-3, weight: 1e-2 }),
