@@ -21,7 +21,7 @@ fn warnings(top: &str, second: &str) -> Vec<String> {
 
 #[test]
 fn rows_that_differ_in_steps_split_views_or_pairs_are_named() {
-    for same in ["", "preset = \"vanilla\"", "reconstruct = { medium = \"mlp\" }", "stage2 = false"] {
+    for same in ["", "preset = \"plenodium\"", "reconstruct = { medium = \"mlp\" }", "stage2 = false"] {
         assert_eq!(warnings("preset = \"paper\"", same), Vec::<String>::new(), "{same}");
     }
     let pairs = "[calibrator]\npairs = { input = \"x\", target = \"y\" }";

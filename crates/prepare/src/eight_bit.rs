@@ -1,5 +1,5 @@
-//! Copies of 8 bits for COLMAP: some of its versions cannot read 16 bits (Debian's 3.8). They are only read to
-//! find the cameras; the capture keeps the photographs as they are.
+//! Copies of 8 bits for COLMAP: some of its versions cannot read 16 bits (Debian's 3.8). They are only read
+//! to find the cameras; the capture keeps the photographs as they are.
 
 use std::path::Path;
 

@@ -86,8 +86,8 @@ impl Mode {
         }
     }
 
-    /// True if its colours are too strong in this scene: those of an enhancement that was learnt in water and is
-    /// shown without it.
+    /// True if its colours are too strong in this scene: those of an enhancement that was learnt in water and
+    /// is shown without it.
     pub fn is_too_strong(self, scene: &Scene) -> bool {
         self == Self::EnhancedClear && Self::opening(scene) == Self::Enhanced
     }

@@ -283,8 +283,17 @@ impl<'a> Batch<'a> {
         })
     }
 
+    /// The settings that a variant's stage 1 follows from, as far as its configuration is known.
+    fn stage_1(&self, variant: &str) -> Option<Vec<&'a str>> {
+        let made = self.compared(variant).into_iter().find_map(|scene| scene.configuration.as_deref())?;
+        let changed = made.changed.iter().map(String::as_str);
+        let own = changed.filter(|line| line.starts_with("import.") || line.starts_with("reconstruct."));
+        let shared = [&made.preset, &made.depth_prior, &made.water, &made.split, &made.seed];
+        Some(shared.into_iter().map(String::as_str).chain(own).collect())
+    }
+
     /// One row for each of some variants, averaged over the scenes that all variants have, of the first of
-    /// these methods that the variant has. With `once`, variants with the same numbers have one row.
+    /// these methods that the variant has. With `once`, variants that share a stage 1 have one row.
     pub(super) fn ablation(
         &self,
         [name, caption]: [&str; 2],
@@ -297,6 +306,7 @@ impl<'a> Batch<'a> {
         let of_one = self.common().map_or(self.groups == [SET], |common| common == [SET]);
         let known: Vec<&Published> = source.iter().filter(|_| of_one && self.is_published(SET)).collect();
         let mut rows = published_over(&[SET], &known, quantities, |_, _| None);
+        let mut told = Vec::new();
         for variant in variants {
             let scenes = self.compared(variant);
             let has = |m: &Method| means(&scenes, *m, quantities).iter().any(|cell| *cell != Cell::Blank);
@@ -306,11 +316,14 @@ impl<'a> Batch<'a> {
             let Some(method) = in_order.chain(methods.iter().copied()).find(has) else { continue };
             let label = if variant.is_empty() { "full model" } else { variant };
             let cells = means(&scenes, method, quantities);
-            let values = |cells: &[Cell]| cells.iter().map(Cell::value).collect::<Vec<_>>();
-            let is_known = |row: &Row| !row.published && values(&row.cells) == values(&cells);
-            if !(once && rows.iter().any(is_known)) {
-                rows.push(self.own_row(label.into(), variant, cells));
+            if once && let Some(stage_1) = self.stage_1(variant) {
+                let own = (stage_1, cells.iter().map(Cell::value).collect::<Vec<_>>());
+                if told.contains(&own) {
+                    continue;
+                }
+                told.push(own);
             }
+            rows.push(self.own_row(label.into(), variant, cells));
         }
         Table { name: name.into(), caption: caption.into(), columns: columns(&[""], quantities), rows }
     }
