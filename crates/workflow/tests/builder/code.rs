@@ -71,7 +71,9 @@ fn a_token_in_ubaf_makes_the_second_training_stale_and_leaves_the_first_alone() 
         .map(|n| n.stage)
         .collect();
     assert_eq!(stale, ["enhance", "evaluate", "report"]);
-    assert!(plan.to_string().contains("code use3d-ubaf"), "{plan}");
+    assert!(plan.to_string().contains("reef · enhance: the program is another version"), "{plan}");
+    let why = plan.nodes.iter().flat_map(|n| &n.changes).any(|change| change.ingredient == "code use3d-ubaf");
+    assert!(why, "{plan}");
     // The bytes come out the same, so no stage below it runs.
     assert_eq!(super::stages::run(&builder, &batch).1, ["reef · enhance"]);
 }
