@@ -3,8 +3,8 @@
 #
 #   cargo install cargo-mutants --locked
 #   tests/mutants.sh choose SEED > tests/mutants.txt    # 200 errors of today's source
-#   tests/mutants.sh [DIR]                              # runs them; outcomes in DIR/mutants.out
-#   tests/mutants.sh [DIR] --iterate                    # runs those again that no test noticed
+#   tests/mutants.sh DIR                                # runs them; outcomes in DIR/mutants.out
+#   tests/mutants.sh DIR --iterate                      # runs those again that no test noticed
 #
 # Each error is built and tested alone, with the tests of its own crate. Errors that cannot be noticed stand in
 # `mutants-equivalent.txt` with the reason.
@@ -25,7 +25,7 @@ if [ "${1:-}" = choose ]; then
   exit
 fi
 
-out=${1:-target/mutants}
+out=${1:?name a folder for the outcomes, such as target/mutants}
 mkdir -p "$out"
 names=$(sed 's/[][\\.^$*+?(){}|]/\\&/g' tests/mutants.txt | paste -sd '|')
 exec cargo mutants "${places[@]}" --re "^($names)\$" --output "$out" "${@:2}" -- --lib --tests --locked

@@ -1,8 +1,10 @@
 //! The files of the paper's data sets where their owners' archives were put: the folder that `DATA` names, or
 //! that a data set's own variable names, which wins.
 
-use std::collections::BTreeSet;
+use std::cell::RefCell;
+use std::collections::{BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
+use std::rc::Rc;
 
 use use3d_prepare::{Recipe, RecipeWork, SetScene};
 use use3d_workflow::graph::{External, Overrides};
@@ -23,22 +25,42 @@ pub(super) fn variables() -> impl Iterator<Item = String> {
     own.chain([DATA, UIEB[0]]).map(String::from)
 }
 
-/// A scene of a data set: true if its cameras must be found or unpacked, and its place.
-pub(super) fn find(recipe: Recipe, scene: &str, folder: &Path) -> (bool, External) {
-    let variable = recipe.variable();
-    let Some(root) = folder_in(variable).or_else(|| folder_in(DATA)) else {
-        let reason = format!(
-            "neither {DATA} nor {variable} is set; set {DATA} to the folder of the downloads (docs/guide/datasets.md)"
-        );
-        return (false, Err(reason));
-    };
-    find_below(recipe, scene, &folder.join(root))
+/// The folders of downloads that were looked through while a pipeline file is read, each once.
+#[derive(Default)]
+pub(super) struct Downloads(RefCell<HashMap<PathBuf, Rc<Looked>>>);
+
+/// The folders down to [`DEPTH`] and the archives in them.
+struct Looked {
+    folders: Vec<PathBuf>,
+    archives: Vec<PathBuf>,
 }
 
-/// Like [`find`], in this folder and those below it.
-fn find_below(recipe: Recipe, scene: &str, root: &Path) -> (bool, External) {
+impl Downloads {
+    /// A scene of a data set: true if its cameras must be found or unpacked, and its place.
+    pub(super) fn find(&self, recipe: Recipe, scene: &str, folder: &Path) -> (bool, External) {
+        let variable = recipe.variable();
+        let Some(root) = folder_in(variable).or_else(|| folder_in(DATA)) else {
+            let reason = format!(
+                "neither {DATA} nor {variable} is set; set {DATA} to the folder of the downloads (docs/guide/datasets.md)"
+            );
+            return (false, Err(reason));
+        };
+        let root = folder.join(root);
+        let looked = self.0.borrow_mut().entry(root.clone()).or_insert_with(|| Rc::new(look(&root))).clone();
+        find_below(recipe, scene, &root, &looked)
+    }
+}
+
+fn look(root: &Path) -> Looked {
     let folders = folders(root);
-    for place in &folders {
+    let archive = |path: &PathBuf| use3d_archive::is_archive(path) && path.is_file();
+    let archives = folders.iter().flat_map(|place| entries(place)).filter(archive).collect();
+    Looked { folders, archives }
+}
+
+/// Like [`Downloads::find`], in a folder that was looked through.
+fn find_below(recipe: Recipe, scene: &str, root: &Path, looked: &Looked) -> (bool, External) {
+    for place in &looked.folders {
         let own = place.join(scene);
         // A capture that was made of the owners' files wins over them.
         if own.is_dir() && use3d_import::check_layout(&own).is_ok() {
@@ -53,9 +75,8 @@ fn find_below(recipe: Recipe, scene: &str, root: &Path) -> (bool, External) {
             Err(error) => return (true, Err(error.to_string())),
         }
     }
-    let archives = folders.iter().flat_map(|place| entries(place)).filter(|path| path.is_file());
-    match archives.into_iter().find(|path| recipe.is_packed(path, scene)) {
-        Some(archive) => (true, Ok(archive)),
+    match looked.archives.iter().find(|path| recipe.is_packed(path, scene)) {
+        Some(archive) => (true, Ok(archive.clone())),
         None => (false, Err(format!("{}: {}", root.display(), recipe.absent(scene)))),
     }
 }
@@ -137,7 +158,8 @@ mod tests {
         file("DRUVA/a1.MP4");
         file("UIEB/raw-890.zip");
         file("UIEB/reference-890/1.png");
-        let find = |recipe, scene: &str| find_below(recipe, scene, dir.path());
+        let looked = look(dir.path());
+        let find = |recipe, scene: &str| find_below(recipe, scene, dir.path(), &looked);
         assert_eq!(find(Recipe::SeaThruNerf, "Panama"), (false, Ok(panama)));
         assert_eq!(find(Recipe::Druva, "A2"), (false, Ok(at("DRUVA/A2"))));
         assert_eq!(find(Recipe::Druva, "A1"), (true, Ok(at("DRUVA/a1.MP4"))));

@@ -52,6 +52,7 @@ mod shipped;
 pub use document::ConfigError;
 pub(crate) use document::join;
 use document::{Document, unknown_key};
+use downloads::Downloads;
 use file::{Calibrator, PipelineFile, SceneEntry, VariantEntry};
 pub use parameters::{Parameter, StageParameters, parameters};
 pub use places::lacks_cameras;
@@ -146,7 +147,7 @@ fn parse(
     options: &LoadOptions,
 ) -> Result<Pipeline, ConfigError> {
     let folder = file.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let reader = Reader { registry, document };
+    let reader = Reader { registry, document, downloads: Downloads::default() };
     let mut top = reader.document.value.as_object().cloned().unwrap_or_default();
     let mut batch = Batch::default();
     let mut take = |name: &str| top.remove(name).unwrap_or(Value::Null);
@@ -301,6 +302,7 @@ struct NamedPlace {
 struct Reader<'r> {
     registry: &'r Registry,
     document: Document,
+    downloads: Downloads,
 }
 
 impl Reader<'_> {

@@ -8,7 +8,6 @@ use glob::{MatchOptions, Pattern, glob_with};
 use use3d_workflow::graph::External;
 
 use super::document::{ConfigError, join};
-use super::downloads;
 use super::file::SceneEntry;
 use super::places::{expand, lacks_cameras};
 use super::{NamedPlace, Reader};
@@ -39,7 +38,7 @@ impl Reader<'_> {
                 return Err(self.document.key_error(&join(base, "footage"), message));
             }
             if let Some(recipe) = entry.download {
-                let (is_footage, place) = downloads::find(recipe, name, folder);
+                let (is_footage, place) = self.downloads.find(recipe, name, folder);
                 return Ok(vec![NamedPlace { name: name.clone(), is_footage, place }]);
             }
             let place = entry.capture.as_ref().or(entry.footage.as_ref());

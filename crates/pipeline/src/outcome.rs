@@ -115,7 +115,7 @@ pub fn lines(delivered: &[Delivered]) -> Vec<String> {
     lines
 }
 
-/// What to open first, if there is a report.
+/// The sentence on the page to open first; `None` without a report.
 fn next(of_all: &[&Delivered]) -> Option<String> {
     let report = of_all.iter().find(|result| result.what == "report")?;
     let folder = report.path.parent().filter(|folder| !folder.as_os_str().is_empty())?;

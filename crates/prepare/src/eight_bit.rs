@@ -25,22 +25,26 @@ pub(crate) fn make<'a>(
     work: &Path,
     names: impl Iterator<Item = &'a String> + Clone,
 ) -> Result<(), PrepareError> {
+    let copies = work.join(COPIES);
+    if copies.is_dir() {
+        // Those of an earlier attempt may be of other photographs.
+        std::fs::remove_dir_all(&copies).map_err(PrepareError::write(&copies))?;
+    }
     let image = |name: &String| work.join(IMAGES).join(name);
     let deep = |name: &String| photograph_info(&image(name)).is_ok_and(|info| info.bits > 8);
     if !names.clone().any(deep) {
         return Ok(());
     }
     for name in names {
-        let (from, to) = (image(name), work.join(COPIES).join(name));
-        let failed = |e: std::io::Error| PrepareError::input(&to, e.to_string());
+        let (from, to) = (image(name), copies.join(name));
         if let Some(folder) = to.parent() {
-            std::fs::create_dir_all(folder).map_err(failed)?;
+            std::fs::create_dir_all(folder).map_err(PrepareError::write(folder))?;
         }
         if deep(name) {
             let picture = read_image(&from).map_err(|e| PrepareError::input(&from, e.to_string()))?;
             write_png8(&to, &picture.to_8bit()).map_err(|e| PrepareError::input(&to, e.to_string()))?;
-        } else if !to.exists() && std::fs::hard_link(&from, &to).is_err() {
-            std::fs::copy(&from, &to).map_err(failed)?;
+        } else if std::fs::hard_link(&from, &to).is_err() {
+            std::fs::copy(&from, &to).map_err(PrepareError::write(&to))?;
         }
     }
     Ok(())
@@ -76,5 +80,8 @@ mod tests {
             let seen = read_image(&copies.join("left/b.png")).unwrap();
             assert!(seen.data().iter().all(|v| (v - 128.0 / 255.0).abs() < 1e-6));
         }
+        // Copies of earlier photographs do not stand for others.
+        make(dir.path(), names[..1].iter()).unwrap();
+        assert_eq!(readable(dir.path()), IMAGES);
     }
 }

@@ -98,7 +98,7 @@ impl Plan {
             write!(f, "; no earlier run to forecast the time from")?;
         }
         match self.expected() {
-            Some(expected) => write!(f, ", by the sizes of the pictures {expected}"),
+            Some(expected) => write!(f, "; by the sizes of the pictures {expected}"),
             None => Ok(()),
         }
     }
