@@ -74,6 +74,11 @@ impl Recipe {
             }
             Self::Druva => {
                 let films = |dir: &Path| -> Vec<PathBuf> {
+                    // Most folders of downloads have thousands of photographs and no film: names tell.
+                    let mut entries = std::fs::read_dir(dir).into_iter().flatten().flatten();
+                    if !entries.any(|entry| is_film(&entry.path())) {
+                        return Vec::new();
+                    }
                     let mut films: Vec<PathBuf> = walk(dir, 1).flatten().filter(|p| is_film(p)).collect();
                     films.sort();
                     films
