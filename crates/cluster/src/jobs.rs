@@ -344,7 +344,7 @@ fn stages_of(plan: &Plan, registry: &Registry, site: &Site) -> Vec<Job> {
 
 /// The longest duration of a node so far in seconds, scaled to its present length.
 fn longest(node: &PlannedNode) -> Option<f64> {
-    node.forecast.map(|f| f.most)
+    node.forecast.as_ref().map(|f| f.most)
 }
 
 /// The request for tasks of these nodes: 1.5 times the forecast time, and a quarter more memory.
@@ -360,7 +360,7 @@ fn asks(nodes: &[&PlannedNode], site: &Site, stage: &str, seconds: impl Fn(&[&Pl
         None if known => forecast,
         None => forecast.max(of_time(&site.time)),
     };
-    let peak = nodes.iter().filter_map(|n| n.forecast.map(|f| f.peak_memory).max(n.memory)).max();
+    let peak = nodes.iter().filter_map(|n| n.forecast.as_ref().map(|f| f.peak_memory).max(n.memory)).max();
     // The memory of a killed task was not enough.
     let killed = nodes.iter().filter_map(|n| n.killed.as_deref()).map(Killed::asks_for).max().unwrap_or(0);
     let memory = match (&needs.memory, peak) {

@@ -55,7 +55,7 @@ fn node(stage: &'static str, scene: &str, variant: &str, state: State, minutes: 
         checkpoints: None,
         changes: Vec::new(),
         usual_cost: 1.0,
-        forecast: (minutes > 0.0).then_some(forecast),
+        forecast: (minutes > 0.0).then(|| Box::new(forecast)),
         expected: None,
         memory: Some(2_000_000_000),
         shared_with: None,

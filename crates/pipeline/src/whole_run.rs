@@ -116,7 +116,7 @@ impl WholeRun {
             let wanted = planned.scene.is_empty() || only.as_ref().is_none_or(|only| only.contains(&cell));
             Share {
                 cost: planned.usual_cost,
-                forecast: planned.forecast.map(|forecast| forecast.seconds),
+                forecast: planned.forecast.as_ref().map(|forecast| forecast.seconds),
                 needs: planned.needs.clone(),
                 turn: match runs && wanted && planned.shared_with.is_none() {
                     true => Turn::Pending,

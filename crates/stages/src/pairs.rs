@@ -162,8 +162,8 @@ const IMAGES: [&str; 5] = ["png", "jpg", "jpeg", "tif", "tiff"];
 /// True if a file of an archive is an image, and no hidden one.
 fn is_image(name: &str) -> bool {
     let path = Path::new(name);
-    let hidden =
-        name.starts_with("__MACOSX") || path.file_name().is_none_or(|n| n.as_encoded_bytes()[0] == b'.');
+    let hidden = name.starts_with("__MACOSX")
+        || path.file_name().is_none_or(|n| n.as_encoded_bytes().starts_with(b"."));
     !hidden && path.extension().is_some_and(|end| IMAGES.iter().any(|known| end.eq_ignore_ascii_case(known)))
 }
 

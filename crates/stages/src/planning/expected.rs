@@ -3,7 +3,8 @@
 //! Times are those of docs/science/networks.md and docs/science/performance.md, on two processors. The number
 //! of views is that of the capture's pictures, or of the frames that a film will give.
 
-use std::path::Path;
+use std::cell::RefCell;
+use std::path::{Path, PathBuf};
 
 use use3d_import::ImportParams;
 use use3d_prepare::{PrepareParams, Recipe, is_film, is_photograph};
@@ -56,8 +57,27 @@ impl Views {
     }
 }
 
-/// The number of pictures that a place has or will give, and the size of one.
-fn pictures(place: &Path, params: &PrepareParams) -> (usize, Option<(usize, usize)>) {
+/// The number of pictures of a place, and the size of one.
+type Pictures = (usize, Option<(usize, usize)>);
+
+thread_local! {
+    /// The place that was looked at last: the stages and variants of a scene are planned one after the other.
+    static LAST: RefCell<Option<(PathBuf, usize, Pictures)>> = const { RefCell::new(None) };
+}
+
+/// The pictures that a place has or will give.
+fn pictures(place: &Path, params: &PrepareParams) -> Pictures {
+    LAST.with_borrow_mut(|last| match last {
+        Some((known, frames, found)) if known == place && *frames == params.frames => *found,
+        _ => {
+            let found = looked_at(place, params);
+            *last = Some((place.to_path_buf(), params.frames, found));
+            found
+        }
+    })
+}
+
+fn looked_at(place: &Path, params: &PrepareParams) -> Pictures {
     let of_films = params.origin.as_ref().is_some_and(|origin| origin.recipe == Recipe::Druva);
     if place.is_file() {
         return (if of_films || is_film(place) { params.frames } else { USUAL }, None);
@@ -126,12 +146,13 @@ mod tests {
         let params = PrepareParams { frames: 120, ..PrepareParams::default() };
         let film = dir.path().join("a.mp4");
         std::fs::write(&film, "film").unwrap();
-        assert_eq!(pictures(&film, &params), (120, None));
+        assert_eq!(looked_at(&film, &params), (120, None));
         let folder = dir.path().join("images_wb");
         for name in ["a.png", "b.png"] {
             let image = use3d_capture::Raster::<u16, 3>::new(8, 4);
             use3d_io_image::write_png16(&folder.join(name), &image).unwrap();
         }
         assert_eq!(pictures(dir.path(), &params), (2, Some((8, 4))));
+        assert_eq!(pictures(&film, &params), (120, None), "another place");
     }
 }

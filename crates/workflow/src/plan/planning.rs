@@ -59,7 +59,7 @@ pub struct PlannedNode {
     /// The changes since its last artifact.
     pub changes: Vec<Difference>,
     /// Its estimated cost.
-    pub forecast: Option<Forecast>,
+    pub forecast: Option<Box<Forecast>>,
     /// Its likely cost, if it never ran.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub expected: Option<Expected>,
@@ -126,7 +126,7 @@ impl Plan {
     /// The sum of the forecasts, and the number of nodes to run without a forecast.
     pub fn forecast(&self) -> (f64, usize) {
         let would_run = self.own().filter(|n| matches!(n.state, State::Run(_) | State::Waiting(_)));
-        would_run.fold((0.0, 0), |(sum, without), node| match node.forecast {
+        would_run.fold((0.0, 0), |(sum, without), node| match &node.forecast {
             Some(forecast) => (sum + forecast.seconds, without),
             None => (sum, without + 1),
         })
@@ -202,7 +202,8 @@ impl Builder {
             if matches!(planned.state, State::Run(_) | State::Waiting(_)) {
                 let stage = &self.registry.stages()[node.stage];
                 planned.usual_cost = stage.usual_cost(&node.parameters);
-                planned.forecast = timings.forecast(stage.name, &node.scene, stage.length(&node.parameters));
+                let forecast = timings.forecast(stage.name, &node.scene, stage.length(&node.parameters));
+                planned.forecast = forecast.map(Box::new);
                 let inputs = resolve::existing_inputs(graph, i, &outcomes);
                 planned.memory = stage.known_memory(&node.parameters, &inputs);
                 let place = &node.place;

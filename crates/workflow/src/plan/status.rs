@@ -299,14 +299,16 @@ mod tests {
         let node = |state: State, usual_cost: f64, seconds: Option<f64>| PlannedNode {
             state,
             usual_cost,
-            forecast: seconds.map(|seconds| Forecast {
-                seconds,
-                least: seconds,
-                most: seconds,
-                output: 0,
-                peak_memory: 0,
-                records: 1,
-                own: true,
+            forecast: seconds.map(|seconds| {
+                Box::new(Forecast {
+                    seconds,
+                    least: seconds,
+                    most: seconds,
+                    output: 0,
+                    peak_memory: 0,
+                    records: 1,
+                    own: true,
+                })
             }),
             ..PlannedNode::default()
         };
