@@ -270,6 +270,8 @@ fn downloads_become_all_tables_by_one_command_and_a_broken_scene_costs_no_other(
     // Curasao is in an archive, and D3 has no cameras. Panama is a capture already.
     // Without depth priors, `rbf-without-prior` is the full model.
     assert_eq!(["prepare", "import", "reconstruct", "enhance"].map(count), [2, 3, 3 + 2 * 4, 3 + 2 * 3]);
+    // Photographs are judged once for all variants of a scene.
+    assert_eq!(["baseline", "evaluate"].map(count), [3, 3 + 2 * 8]);
     lab.check_tables(["A5", "A20"]);
     let page = lab.read("out/report.html");
     assert!(page.contains("A5") && !page.contains("(published)"));
@@ -290,7 +292,10 @@ fn downloads_become_all_tables_by_one_command_and_a_broken_scene_costs_no_other(
     assert_eq!(lab.run(&scenes, &[]), [], "a second run does nothing");
     let again = lab.run(&scenes, &["evaluate.path_steps=3"]);
     assert!(!again.is_empty());
-    assert!(again.iter().all(|(stage, _)| ["evaluate", "report"].contains(&&**stage)), "{again:?}");
+    assert!(
+        again.iter().all(|(stage, _)| ["baseline", "evaluate", "report"].contains(&&**stage)),
+        "{again:?}"
+    );
 }
 
 #[test]
@@ -308,7 +313,10 @@ fn all_26_scenes_from_downloads_to_tables() {
             assert_eq!(done, []);
         }
         if what == "other pairs" {
-            assert!(done.iter().all(|(stage, _)| ["evaluate", "report"].contains(&&**stage)), "{done:?}");
+            assert!(
+                done.iter().all(|(stage, _)| ["baseline", "evaluate", "report"].contains(&&**stage)),
+                "{done:?}"
+            );
         }
         lab.check_tables(["A5", "A20"]);
     }

@@ -36,7 +36,7 @@ use serde_json::{Map, Value};
 
 use use3d_workflow::error::{Problem, nearest};
 use use3d_workflow::graph::{External, Overrides};
-use use3d_workflow::{Batch, BatchScene, ParameterError, Registry, Variant, canonical, read};
+use use3d_workflow::{Batch, BatchScene, ParameterError, Registry, Stage, Variant, canonical, read};
 
 mod document;
 mod downloads;
@@ -326,8 +326,8 @@ impl Reader<'_> {
     fn stages(&self, base: &str, tables: Map<String, Value>) -> Result<Overrides, ConfigError> {
         for (name, given) in &tables {
             let path = join(base, name);
-            let Ok(stage) = self.registry.stage(name) else {
-                let known = self.registry.stages().iter().map(|s| s.name());
+            let Some(stage) = self.registry.sections().find(|stage| stage.name() == name) else {
+                let known = self.registry.sections().map(Stage::name);
                 return Err(self.document.key_error(&path, unknown_key(name, known)));
             };
             if !given.is_object() {
@@ -391,7 +391,7 @@ impl Reader<'_> {
 
     /// The key words that a place accepts in addition to its own keys.
     fn words(&self, place: &str) -> Vec<&'static str> {
-        let stages = self.registry.stages().iter().map(|s| s.name());
+        let stages = self.registry.sections().map(Stage::name);
         stages.chain(self.short_words(place)).chain(self.switch_words()).collect()
     }
 

@@ -44,12 +44,11 @@ pub fn parameters(
     stage: Option<&str>,
     preset: Option<&str>,
 ) -> Result<Vec<StageParameters>, ConfigError> {
-    if let Some(name) = stage {
-        registry.stage(name).map_err(|e| ConfigError::plain(e.to_string()))?;
-    }
+    let section = |name| registry.stage(name).map(Stage::section);
+    let stage = stage.map(section).transpose().map_err(|e| ConfigError::plain(e.to_string()))?;
     let preset = preset.map(preset_values).transpose()?.unwrap_or_default();
     let schema = schema(registry);
-    let chosen = registry.stages().iter().filter(|s| stage.is_none_or(|name| s.name() == name));
+    let chosen = registry.sections().filter(|s| stage.is_none_or(|name| s.name() == name));
     let of = |stage: &Stage| {
         let table = &schema["properties"]["defaults"]["properties"][stage.name()]["allOf"][0];
         let of = |given: &Value| stage.parameters(given).map_or(Value::Null, |p| Value::clone(p.json()));

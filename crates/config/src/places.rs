@@ -151,7 +151,7 @@ pub(super) fn one_proposer_for_all(batch: &mut Batch, registry: &Registry) {
         let defaults = stage.parameters(&Value::Object(Map::new()));
         stage.name() != TARGETS && defaults.is_ok_and(|own| own.json().get("proposer").is_some())
     };
-    let following: Vec<&Stage> = registry.stages().iter().filter(has_proposer).collect();
+    let following: Vec<&Stage> = registry.sections().filter(has_proposer).collect();
     let all: Vec<&str> = following.iter().map(|stage| stage.name()).collect();
     // Pairs are shared by all scenes.
     let of_scenes = following.iter().filter(|stage| stage.scope() == Scope::Scene);

@@ -14,7 +14,7 @@ pub fn schema(registry: &Registry) -> Value {
     let mut scene = SceneEntry::json_schema(&mut generator).to_value();
     let mut variant = VariantEntry::json_schema(&mut generator).to_value();
     let mut stages = Map::new();
-    for stage in registry.stages() {
+    for stage in registry.sections() {
         let schema = stage.schema(&mut generator).to_value();
         let schema = json!({ "description": stage.about, "allOf": [schema] });
         stages.insert(stage.name().to_string(), schema.clone());

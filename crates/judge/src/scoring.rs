@@ -17,6 +17,7 @@ use use3d_metrics::{
 };
 use use3d_nets::{Models, NetError, limit_long_side};
 
+use crate::flow::{self, Correspondence};
 use crate::scores::{Score, Scores};
 
 /// Relative difference of depths that counts as the same surface when warping by geometry.
@@ -183,17 +184,12 @@ fn whole<'a>(image: &'a Image, mask: Option<&Mask>) -> Result<Cow<'a, Image>, Me
     }
 }
 
-/// A flow to the next view with the mask of its valid pixels, or the reason why there is none.
-type Correspondence = Result<(Flow, Mask), ScoreError>;
-
 /// The data by which a view is compared; none of it belongs to a method.
 pub struct ComparedView<'a> {
     /// The camera.
     pub camera: &'a Camera,
     /// Depth along the optical axis; 0 where unknown.
     pub depth: &'a Map,
-    /// The raw input of this view: the photograph, or stage 1's rendering if there is none.
-    pub raw: &'a Image,
     /// Mask of the pixels that count.
     pub mask: Option<&'a Mask>,
 }
@@ -212,27 +208,29 @@ pub struct Pairing {
 }
 
 impl Pairing {
-    /// The correspondence of two views.
-    pub fn new(judges: &Judges, first: &ComparedView<'_>, second: &ComparedView<'_>) -> Self {
+    /// The correspondence of two views by depth and by their [`Judges::flow`].
+    pub fn new(flow: Correspondence, first: &ComparedView<'_>, second: &ComparedView<'_>) -> Self {
         let geometry = geometric_warp(first.geometry(), second.geometry(), SAME_SURFACE);
-        let among = |found: Correspondence| {
-            let (flow, mask) = found?;
+        let geometry = geometry.map_err(ScoreError::from).map(|(flow, mask)| {
             let mask = counting(&flow, mask, first.mask, second.mask);
-            Ok((flow, mask))
-        };
-        Self {
-            geometry: among(geometry.map_err(ScoreError::from)),
-            flow: among(judges.flow(first.raw, second.raw)),
-        }
+            (flow, mask)
+        });
+        Self { geometry, flow }
     }
 
     /// `wlpips`, `w_delta_e` and `w_ssim` of one method's images of the two views, with the shares of pixels
     /// that they compare: `coverage` (by depth) and `flow_coverage`. `prefix` is put before each name.
-    pub fn scores(&self, judges: &Judges, first: &Image, second: &Image, prefix: &str) -> Scores {
+    /// `known` are the scores along the flow, if they are known already.
+    pub fn scores(
+        &self,
+        judges: &Judges,
+        [first, second]: [&Image; 2],
+        prefix: &str,
+        known: Option<Scores>,
+    ) -> Scores {
         let (first, second) = (clamped(first), clamped(second));
-        let mut scores = Scores::new();
+        let mut scores = known.unwrap_or_else(|| judges.along(&self.flow, [&first, &second], prefix));
         let mut insert = |name: &str, score: Score| scores.insert(format!("{prefix}{name}"), score);
-        let covered = |mask: &Mask| Score::of(share(Some(mask)));
         match &self.geometry {
             Ok((flow, mask)) => {
                 let of = |c: Result<use3d_metrics::Consistency, MetricError>| {
@@ -240,26 +238,10 @@ impl Pairing {
                 };
                 insert("w_delta_e", of(warped_delta_e(&first, &second, flow, mask)));
                 insert("w_ssim", of(warped_ssim(&first, &second, flow, mask)));
-                insert("coverage", covered(mask));
+                insert("coverage", Score::of(share(Some(mask))));
             }
             Err(reason) => {
                 for name in ["w_delta_e", "w_ssim", "coverage"] {
-                    insert(name, Score::NotAvailable(reason.to_string()));
-                }
-            }
-        }
-        match &self.flow {
-            Ok((flow, mask)) => {
-                let distance = if counted(mask) == 0 {
-                    Score::measured(Err(MetricError::NothingInCommon))
-                } else {
-                    judges.warped_lpips(&first, &second, flow, mask)
-                };
-                insert("wlpips", distance);
-                insert("flow_coverage", covered(mask));
-            }
-            Err(reason) => {
-                for name in ["wlpips", "flow_coverage"] {
                     insert(name, Score::NotAvailable(reason.to_string()));
                 }
             }
@@ -293,11 +275,30 @@ fn counting(flow: &Flow, mut mask: Mask, first: Option<&Mask>, second: Option<&M
 }
 
 impl Judges {
-    fn flow(&self, a: &Image, b: &Image) -> Correspondence {
+    /// The flow from one view to the next in both directions, as it is stored. It counts where the two agree,
+    /// and inside the masks of the views.
+    pub fn flow(&self, raw: [&Image; 2], masks: [Option<&Mask>; 2]) -> Correspondence {
         let raft = self.raft.as_ref().map_err(Clone::clone)?;
+        let [a, b] = raw;
         let (forward, backward) = (raft(a, b)?, raft(b, a)?);
         let mask = use3d_metrics::forward_backward(&forward, &backward)?.relative_mask(0.01, 0.5);
-        Ok((forward, mask))
+        let mask = counting(&forward, mask, masks[0], masks[1]);
+        Ok(flow::stored(&forward, &mask))
+    }
+
+    /// `wlpips` and `flow_coverage` of one method's images of two views, along their flow.
+    pub fn along(&self, flow: &Correspondence, [first, second]: [&Image; 2], prefix: &str) -> Scores {
+        let [distance, covered] = match flow {
+            Ok((flow, mask)) => {
+                let distance = match counted(mask) {
+                    0 => Score::measured(Err(MetricError::NothingInCommon)),
+                    _ => self.warped_lpips(&clamped(first), &clamped(second), flow, mask),
+                };
+                [distance, Score::of(share(Some(mask)))]
+            }
+            Err(reason) => [(); 2].map(|()| Score::NotAvailable(reason.to_string())),
+        };
+        [("wlpips", distance), ("flow_coverage", covered)].map(|(n, s)| (format!("{prefix}{n}"), s)).into()
     }
 
     fn warped_lpips(&self, a: &Image, b: &Image, flow: &Flow, mask: &Mask) -> Score {
@@ -378,10 +379,11 @@ mod tests {
         let cameras = [at(0.0), at(0.2), at(50.0)];
         let mut left = Mask::filled(40, 30, 1);
         (0..30).for_each(|y| (0..20).for_each(|x| left.set_pixel(x, y, [0])));
-        let seen = |i: usize, mask| ComparedView { camera: &cameras[i], depth: &depth, raw: &raw, mask };
+        let seen = |i: usize, mask| ComparedView { camera: &cameras[i], depth: &depth, mask };
         let of = |second, mask| {
-            let pairing = Pairing::new(&judges, &seen(0, mask), &seen(second, None));
-            pairing.scores(&judges, &raw, &raw, "path_")
+            let pairing =
+                Pairing::new(judges.flow([&raw; 2], [mask, None]), &seen(0, mask), &seen(second, None));
+            pairing.scores(&judges, [&raw; 2], "path_", None)
         };
         let near = of(1, None);
         let share = near["path_coverage"].value().unwrap();

@@ -22,16 +22,17 @@ use std::time::Duration;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_atc::proposers::Proposer;
-use use3d_capture::{Appearance, Camera, Capture, Frame, Image, Map, View, path};
-use use3d_import::{ImageSize, load_mask, load_pixels};
+use use3d_capture::{Appearance, Camera, Capture, Image, Map, View};
+use use3d_import::{ImageSize, load_pixels};
 use use3d_io_image::{read_image, write_png};
-use use3d_metrics::{Mask, mask_of, share};
+use use3d_metrics::{Mask, share};
 use use3d_numerics::range::within;
 use use3d_render::{Mode, Rendering, SceneRenderer, cover};
 use use3d_scene::Scene;
 use use3d_workflow::{Figure, StageContext, StageError, machine};
 
 use crate::engines::{Drawn, EngineChoice};
+use crate::parts::baselines::{Baseline, First, PAIRS, STEPS, frames, mask, neighbours, stored, strip_views};
 use crate::parts::captured::capture;
 use crate::parts::files::{
     ENHANCED_IN_2D, EVALUATION, SCORES, SPEED, STRIP, TRUE_VIEWS, choice_sources, folder, out_of_range,
@@ -39,8 +40,9 @@ use crate::parts::files::{
 };
 use crate::parts::proposer::{ProposerChoice, open};
 use crate::parts::published_clear::PublishedClear;
+use crate::parts::reference::Reference;
 use crate::parts::scene::{drawn, shown_scene};
-use crate::parts::visits::{each_once, evenly};
+use crate::parts::visits::each_once;
 use use3d_judge::scores::{
     self, Finite, Method, MethodScores, PairScores, SceneScores, SceneSpeed, Scores, ViewScores, Warp,
 };
@@ -91,9 +93,9 @@ impl Default for Params {
             proposer: ProposerChoice::default(),
             scores: Wanted::Available,
             published_clear: PublishedClear::None,
-            neighbour_pairs: 8,
-            path_pairs: 8,
-            path_steps: 4,
+            neighbour_pairs: PAIRS,
+            path_pairs: PAIRS,
+            path_steps: STEPS,
             fps_size: None,
             engine: EngineChoice::Cpu,
         }
@@ -144,6 +146,7 @@ pub(crate) mod definition {
             .optional_input("proposals", "propose")
             .optional_input("enhanced", "enhance")
             .optional_input("photographs", "photographs")
+            .optional_input("baseline", "baseline")
             .reference_input("reference", "reconstruct", |all| !learns_from_proposals(all))
             .optional_external("models", "models")
             .select(|_: &Params, models| Ok(judge_files(models)))
@@ -236,8 +239,13 @@ struct Looker<'a> {
 }
 
 impl Looker<'_> {
-    /// All appearances at a camera, with those made of a photograph if there is one.
-    fn look(&mut self, camera: &Camera, photograph: Option<Image>) -> Result<Appearances, StageError> {
+    /// All appearances at a camera, with those made of a photograph if there is one. It may come with the 2D
+    /// enhancer's picture of it.
+    fn look(
+        &mut self,
+        camera: &Camera,
+        photograph: Option<(Image, Option<Image>)>,
+    ) -> Result<Appearances, StageError> {
         let mut modes =
             vec![Mode::Reconstruction, Mode::Depth, Mode::Alpha, Mode::Attenuation, Mode::Backscatter];
         if self.learnt == Method::Reconstruction {
@@ -247,8 +255,9 @@ impl Looker<'_> {
             modes.extend([Mode::Enhanced, Mode::EnhancedClear]);
         }
         let mut images = Vec::new();
-        if let Some(captured) = photograph {
-            let proposal = self.proposer.enhance(&captured)?;
+        if let Some((captured, known)) = photograph {
+            let proposal =
+                known.map_or_else(|| Ok(stored(&self.proposer.enhance(&captured)?)), Ok::<_, StageError>)?;
             images.extend([(Method::Captured, captured), (Method::Proposal, proposal)]);
         }
         let (mut depth, mut accumulation) = (Map::new(0, 0), Map::new(0, 0));
@@ -278,11 +287,6 @@ impl Looker<'_> {
     }
 }
 
-/// The mask of the valid pixels of a view; `None` if all are valid.
-fn mask(view: &View) -> Result<Option<Mask>, StageError> {
-    Ok(load_mask(view)?.map(|weights| mask_of(&weights)).filter(|m| m.data().contains(&0)))
-}
-
 /// Lists by method.
 type Lists<T> = BTreeMap<Method, Vec<T>>;
 
@@ -294,6 +298,8 @@ struct Evaluation<'a> {
     looker: Looker<'a>,
     /// The reference variant's stage 1; `None` if it is the scene's own.
     reference: Option<Reference<'a>>,
+    /// What is known of the photographs beforehand.
+    baseline: Baseline,
 }
 
 impl Evaluation<'_> {
@@ -307,7 +313,10 @@ impl Evaluation<'_> {
     ) -> Result<Station, StageError> {
         self.context.alive()?;
         let (photograph, mask) = match view {
-            Some(view) => (Some(load_pixels(view)?.to_image()), mask(view)?),
+            Some(view) => {
+                let photograph = load_pixels(view)?.to_image();
+                (Some((photograph, self.baseline.proposal(view)?)), mask(view)?)
+            }
             None => (None, None),
         };
         let looks = self.looker.look(camera, photograph)?;
@@ -321,18 +330,32 @@ impl Evaluation<'_> {
         Ok(Station { camera: *camera, raw, depth: warp.map(|(depth, _)| depth), mask, looks })
     }
 
-    /// Adds the scores of every method on one pair to `lists`.
-    fn pair(&self, ends: [&Station; 2], names: &[String; 2], prefix: &str, lists: &mut Lists<PairScores>) {
+    /// Adds the scores of every method on one pair, of captured views or of frames, to `lists`.
+    fn pair(
+        &self,
+        ends: [&Station; 2],
+        at: First<'_>,
+        names: &[String; 2],
+        lists: &mut Lists<PairScores>,
+    ) -> Result<(), StageError> {
         let [first, second] = ends;
-        let pairing = Pairing::new(&self.judges, &first.compared(), &second.compared());
+        let found = || self.judges.flow([&first.raw, &second.raw], ends.map(|end| end.mask.as_ref()));
+        let flow = self.baseline.flow(at)?.unwrap_or_else(found);
+        let pairing = Pairing::new(flow, &first.compared(), &second.compared());
+        let (prefix, known) = match at {
+            First::View(view) => ("", self.baseline.neighbours.get(&*view.name)),
+            First::Frame(_) => ("path_", None),
+        };
         for (method, image) in &first.looks.images {
             let Some(other) = second.looks.of(*method) else { continue };
             let [first, second] = names.clone();
             let place = format!("{first} and {second}");
-            let scores = pairing.scores(&self.judges, image, other, prefix);
+            let known = known.and_then(|scores| scores.get(method)).cloned();
+            let scores = pairing.scores(&self.judges, [image, other], prefix, known);
             let scores = scores.into_iter().map(|(name, score)| (name, score.named(&place))).collect();
             lists.entry(*method).or_default().push(PairScores { first, second, scores });
         }
+        Ok(())
     }
 
     /// Renders every view that is held out, compared with a neighbour or shown in the strip once. `held_out`
@@ -347,7 +370,7 @@ impl Evaluation<'_> {
         let (mut lists, mut shown) = (Lists::new(), Vec::new());
         let capture = self.capture;
         let views = &capture.views;
-        let pairs: BTreeSet<usize> = evenly(views.len().saturating_sub(1), most).into_iter().collect();
+        let pairs = neighbours(capture, most);
         let test: BTreeSet<usize> = capture.split.test.iter().copied().collect();
         let alone: BTreeSet<usize> = test.iter().copied().chain(strip.views.clone()).collect();
         each_once(&alone, &pairs, |i, before: Option<&Station>| {
@@ -360,7 +383,7 @@ impl Evaluation<'_> {
             }
             if let Some(before) = before {
                 let names = [views[i - 1].name.to_string(), view.name.to_string()];
-                self.pair([before, &station], &names, "", &mut lists);
+                self.pair([before, &station], First::View(&views[i - 1]), &names, &mut lists)?;
             }
             if strip.views.contains(&i) {
                 shown.push(station.looks.only(&strip.methods));
@@ -373,16 +396,13 @@ impl Evaluation<'_> {
     /// Scores of pairs of adjacent frames of a path through the training cameras.
     fn path(&mut self, most: usize, steps: usize) -> Result<Lists<PairScores>, StageError> {
         let mut lists = Lists::new();
-        let keys: Vec<Camera> = self.capture.training_views().map(|v| v.camera).collect();
-        let frames = path::interpolate(&keys, keys.len().saturating_sub(1) * steps + 1);
-        let chosen = evenly(frames.len().saturating_sub(1), if keys.len() < 2 { 0 } else { most });
-        let (pairs, mut done) = (chosen.into_iter().collect::<BTreeSet<usize>>(), 0);
+        let ((frames, pairs), mut done) = (frames(self.capture, most, steps), 0);
         each_once(&BTreeSet::new(), &pairs, |i, before: Option<&Station>| {
             self.context.progress_with(done, pairs.len() as u64, "pairs of frames", "");
             let station = self.station(&frames[i], None, true)?;
             if let Some(before) = before {
                 let names = [i - 1, i].map(|f| format!("frame {f}"));
-                self.pair([before, &station], &names, "path_", &mut lists);
+                self.pair([before, &station], First::Frame(i - 1), &names, &mut lists)?;
                 done += 1;
             }
             Ok::<_, StageError>(station)
@@ -404,7 +424,7 @@ struct Station {
 impl Station {
     fn compared(&self) -> ComparedView<'_> {
         let depth = self.depth.as_ref().unwrap_or(&self.looks.depth);
-        ComparedView { camera: &self.camera, depth, raw: &self.raw, mask: self.mask.as_ref() }
+        ComparedView { camera: &self.camera, depth, mask: self.mask.as_ref() }
     }
 }
 
@@ -418,39 +438,6 @@ fn learnt_from(context: &StageContext) -> Method {
         Method::EnhanceThenReconstruct
     } else {
         Method::Reconstruction
-    }
-}
-
-/// The reference variant's stage 1, rendered from cameras of the scene that is scored. A variant that is
-/// imported with other parameters may have another frame; both frames come from the same model.
-struct Reference<'a> {
-    renderer: SceneRenderer<'a>,
-    /// The frame of the scored scene and that of the reference, if they differ.
-    between: Option<[Frame; 2]>,
-}
-
-impl<'a> Reference<'a> {
-    fn new(reference: &Drawn<'a>, scored: &Scene) -> Result<Self, StageError> {
-        let [from, to] = [scored.frame, reference.scene.frame];
-        Ok(Self { renderer: reference.renderer(1.0)?, between: (from != to).then_some([from, to]) })
-    }
-
-    /// Depth, in units of the scored scene, and the rendering at one of the scored scene's cameras.
-    fn look(&mut self, camera: &Camera) -> Result<(Map, Image), StageError> {
-        let (mut camera, mut unit) = (*camera, 1.0);
-        if let Some([scored, reference]) = &self.between {
-            camera.pose = reference.apply_pose(&scored.invert_pose(&camera.pose));
-            unit = (scored.scale / reference.scale) as f32;
-        }
-        let (mut depth, mut image) = (Map::new(0, 0), Image::new(0, 0));
-        for frame in self.renderer.render(&camera, &[Mode::Depth, Mode::Reconstruction])? {
-            match frame {
-                Rendering::Scalar(map) if unit == 1.0 => depth = map,
-                Rendering::Scalar(map) => depth = map.map(|z| unit * z),
-                Rendering::Color(rendered) => image = rendered,
-            }
-        }
-        Ok((depth, image))
     }
 }
 
@@ -489,7 +476,8 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
             learnt,
             published: params.published_clear,
         },
-        reference: reference_shown.as_ref().map(|r| Reference::new(r, &scene)).transpose()?,
+        reference: reference_shown.as_ref().map(|r| Reference::new(r, scene.frame)).transpose()?,
+        baseline: Baseline::read(context.optional_input("baseline"))?,
     };
 
     let size = views.first().map_or((0, 0), |v| (v.camera.intrinsics.width, v.camera.intrinsics.height));
@@ -522,10 +510,14 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
             write_png(&proposal_of(&true_views, view), &truth.clean)?;
         }
         for (method, image) in now.images.iter().chain(&photograph) {
-            let mut scores: Scores = judges.alone(image, mask.as_ref());
-            if let (true, Some(captured)) = (*method != Method::Captured, now.of(Method::Captured)) {
-                scores.extend(judges.against(image, captured, mask.as_ref()));
-            }
+            let known = evaluation.baseline.views.get(&*view.name).and_then(|known| known.get(method));
+            let mut scores = known.cloned().unwrap_or_else(|| {
+                let mut scores: Scores = judges.alone(image, mask.as_ref());
+                if let (true, Some(captured)) = (*method != Method::Captured, now.of(Method::Captured)) {
+                    scores.extend(judges.against(image, captured, mask.as_ref()));
+                }
+                scores
+            });
             if let Some(truth) = &true_view {
                 if *method == learnt && knows_depth {
                     scores.insert("depth_error".into(), truth.depth_error(&now.depth, scale));
@@ -617,16 +609,13 @@ struct StripRows {
 
 impl StripRows {
     fn new(capture: &Capture, scene: &Scene, learnt: Method) -> Self {
-        let held_out = &capture.split.test;
-        let middle = held_out.get(held_out.len() / 2).copied().unwrap_or(capture.views.len() / 2);
-        let first = middle.saturating_sub(1).min(capture.views.len().saturating_sub(3));
         let last = match scene.enhancement.as_ref().map(|e| e.appearance) {
             Some(Appearance::Clear) => Method::EnhancedClear,
             Some(Appearance::Water) => Method::Enhanced,
             None => learnt,
         };
         let methods = [Method::Captured, Method::Proposal, Method::ProposalOfRender, last];
-        Self { views: first..(first + 3).min(capture.views.len()), methods }
+        Self { views: strip_views(capture), methods }
     }
 }
 
@@ -654,45 +643,4 @@ fn strip(
     let rows = shown.iter().map(|m| m.label().to_string()).zip(moved).collect();
     let strip = Strip { views: views.iter().map(|v| v.name.to_string()).collect(), rows, side, corners };
     write_json(&context.output().join(STRIP.1), &strip)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use use3d_capture::{Intrinsics, Pose};
-    use use3d_medium::MediumModel;
-    use use3d_splat::Gaussians;
-
-    /// One Gaussian two COLMAP units in front of the origin, in a frame of that scale.
-    fn scene(scale: f64) -> Scene {
-        let gaussians = Gaussians {
-            sh_degree: 0,
-            means: vec![[0.0, 0.0, 2.0 * scale as f32]],
-            log_scales: vec![[use3d_numerics::math::ln(0.2 * scale as f32); 3]],
-            quaternions: vec![[1.0, 0.0, 0.0, 0.0]],
-            opacity_logits: vec![4.0],
-            sh: vec![[[0.5; 3]; 16]],
-        };
-        Scene {
-            gaussians,
-            frame: Frame { scale, ..Frame::IDENTITY },
-            medium: MediumModel::None,
-            medium_degree: 0,
-            enhancement: None,
-        }
-    }
-
-    #[test]
-    fn a_reference_of_another_frame_is_seen_from_the_same_place_in_the_same_units() {
-        let intrinsics = Intrinsics { width: 16, height: 12, fx: 12.0, fy: 12.0, cx: 8.0, cy: 6.0 };
-        let camera = Camera { intrinsics, pose: Pose::IDENTITY };
-        let (scored, other) = (scene(1.0), scene(0.25));
-        let depth = |reference: &Scene| {
-            let reference = Drawn::new(reference, &EngineChoice::Cpu).expect("the processor");
-            let mut reference = Reference::new(&reference, &scored).map_err(|_| ()).expect("a renderer");
-            reference.look(&camera).map_err(|_| ()).expect("a picture").0.pixel(8, 6)[0]
-        };
-        assert!((depth(&scored) - 2.0).abs() < 0.2, "{}", depth(&scored));
-        assert!((depth(&other) - depth(&scored)).abs() < 1e-2, "{} {}", depth(&other), depth(&scored));
-    }
 }

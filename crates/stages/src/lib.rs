@@ -15,8 +15,10 @@
 //! For comparison, `propose` can precede `reconstruct`, which then learns from photographs that were enhanced
 //! one by one; `targets` and `enhance` are left out in that case. `pairs` and `calibrate` run once for all
 //! scenes, and not at all if every scene has a finished calibrator. `report` runs once, on all results.
+//! `baseline` precedes `evaluate`: it does once what the variants of a scene share.
 //! `photographs` stands beside `render`: it enhances the held-out photographs by the enhanced scene.
 
+mod baseline;
 mod calibrate;
 pub mod code;
 mod depth;
@@ -66,6 +68,7 @@ pub fn registry() -> Result<Registry, BuildError> {
         enhance::definition::stage(),
         photographs::definition::stage(),
         render::definition::stage(),
+        baseline::definition::stage(),
         evaluate::definition::stage(),
         report::definition::stage(),
     ];

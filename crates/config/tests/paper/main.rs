@@ -46,7 +46,7 @@ fn the_preset_has_every_parameter_with_its_source() {
     let registry = registry().expect("the stage table");
     let written = preset_values("paper").expect("the preset");
     let (mut there, mut said) = (BTreeMap::new(), BTreeMap::new());
-    for stage in registry.stages() {
+    for stage in registry.sections() {
         let given = written.get(stage.name()).cloned().unwrap_or_else(|| json!({}));
         leaves(stage.parameters(&given).expect("the preset fits").json(), stage.name(), &mut there);
     }

@@ -1,6 +1,7 @@
 //! The parts that several stages share.
 
 pub(crate) mod appearance;
+pub(crate) mod baselines;
 pub(crate) mod calibrator;
 pub(crate) mod captured;
 pub(crate) mod contact_sheet;
@@ -10,6 +11,7 @@ pub(crate) mod judgement;
 pub(crate) mod kept_water;
 pub(crate) mod proposer;
 pub(crate) mod published_clear;
+pub(crate) mod reference;
 pub(crate) mod scene;
 pub(crate) mod sights;
 pub(crate) mod target_params;

@@ -20,8 +20,9 @@ const MUSIQ: f64 = 0.9;
 const LPIPS: f64 = 0.4;
 /// Seconds for a picture, whatever its size: the largest Depth Anything V2.
 const DEPTH: f64 = 13.0;
-/// Looks of a view that are scored and compared, and those of them that need no photograph.
-const LOOKS: [f64; 2] = [7.0, 5.0];
+/// Pictures of a view that are scored and compared: those of photographs, and those of a scene.
+const PHOTOGRAPHS: f64 = 2.0;
+const LOOKS: f64 = 5.0;
 /// Seconds of a step of stage 1 for a megapixel.
 const STEP: f64 = 0.3;
 /// The share of that for a step of stage 2, which sees a part of the pixels.
@@ -118,22 +119,36 @@ pub(crate) fn of_training(
     Some(Expected { seconds: STEP * steps as f64 * mega * share, bytes: 1e6 * SCENE * mega })
 }
 
-/// The networks of an evaluation. Each view is enhanced once, as a photograph and as a render, and the flow
-/// of each pair of views is computed once in both directions.
+/// The views that are compared or held out, the latter alone, and the pairs of views and of frames.
+fn compared(all: &AllParameters, count: f64) -> Option<[f64; 4]> {
+    let own = all.get("evaluate")?.json();
+    let [neighbours, path] =
+        ["neighbour_pairs", "path_pairs"].map(|name| own[name].as_f64().unwrap_or_default());
+    let (neighbours, held_out) = (neighbours.min(count - 1.0).max(0.0), (count / 8.0).ceil());
+    Some([(2.0 * neighbours + held_out).min(count), held_out, neighbours, path])
+}
+
+/// The networks on photographs: each is enhanced once, and the flow of each pair of views and of frames is
+/// computed once in both directions.
+pub(crate) fn of_baseline(all: &AllParameters, named: &Named, inputs: &[StageInput]) -> Option<Expected> {
+    let Views { count, mega } = Views::of(all, named, inputs)?;
+    let [views, held_out, neighbours, path] = compared(all, count)?;
+    let flow = 2.0 * RAFT * (neighbours + path) + 2.0 * LPIPS * neighbours;
+    let scored = held_out * (PHOTOGRAPHS * (URANKER + MUSIQ) + LPIPS);
+    let bytes = 1e6 * PICTURE * (2.0 * views + neighbours + path) * mega;
+    Some(Expected { seconds: mega * (NU2NET * views + flow + scored), bytes })
+}
+
+/// The networks of an evaluation: each view is enhanced once, as a render.
 pub(crate) fn of_evaluation(all: &AllParameters, named: &Named, inputs: &[StageInput]) -> Option<Expected> {
     named.path("models")?;
-    let own = all.get("evaluate")?.json();
-    let pairs = ["neighbour_pairs", "path_pairs"].map(|name| own[name].as_f64().unwrap_or_default());
     let Views { count, mega } = Views::of(all, named, inputs)?;
-    let [neighbours, path] = pairs;
-    let (neighbours, held_out) = (neighbours.min(count - 1.0).max(0.0), (count / 8.0).ceil());
-    let views = (2.0 * neighbours + held_out).min(count);
+    let [views, held_out, neighbours, path] = compared(all, count)?;
     let frames = if path > 0.0 { path + 1.0 } else { 0.0 };
-    let enhanced = NU2NET * (2.0 * views + frames);
-    let [looks, of_path] = LOOKS;
-    let compared = neighbours * (2.0 * RAFT + LPIPS * looks) + path * (2.0 * RAFT + LPIPS * of_path);
-    let scored = held_out * (looks * (URANKER + MUSIQ) + LPIPS);
-    Some(Expected { seconds: mega * (enhanced + compared + scored), bytes: 1e6 * PICTURE * held_out * mega })
+    let compared = LPIPS * LOOKS * (neighbours + path);
+    let scored = held_out * LOOKS * (URANKER + MUSIQ + LPIPS);
+    let seconds = mega * (NU2NET * (views + frames) + compared + scored);
+    Some(Expected { seconds, bytes: 1e6 * PICTURE * held_out * mega })
 }
 
 #[cfg(test)]

@@ -441,7 +441,7 @@ impl GraphBuilder<'_> {
             let scene = scene.filter(|_| stage.scope == Scope::Scene);
             let variant = Some(variant).filter(|_| stage.scope != Scope::Batch);
             let mut given = Value::Object(Map::new());
-            for layer in layers::of(self.batch, scene, variant, stage.name) {
+            for layer in layers::of(self.batch, scene, variant, stage.section()) {
                 canonical::merge(&mut given, layer);
             }
             let parameters = stage.parameters(&given).map_err(|error| BuildError::Parameters {

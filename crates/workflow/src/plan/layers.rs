@@ -64,8 +64,13 @@ pub(super) fn check_names(registry: &Registry, batch: &Batch) -> Result<(), Buil
     let variants = batch.variants.iter().map(|v| &v.overrides);
     for overrides in [&batch.preset, &batch.defaults, &batch.forced].into_iter().chain(scenes).chain(variants)
     {
-        for stage in overrides.keys().filter(|key| registry.switch_of(key).is_none()) {
-            registry.index(stage)?;
+        for name in overrides.keys().filter(|key| registry.switch_of(key).is_none()) {
+            let section = registry.stage(name)?.section();
+            if section != name {
+                let message = format!("`{name}` follows `{section}`; set it in `{section}`");
+                let error = ParameterError::new(name, message).into();
+                return Err(BuildError::Parameters { place: format!("stage {name}"), error });
+            }
         }
     }
     Ok(())

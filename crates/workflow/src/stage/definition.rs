@@ -85,6 +85,8 @@ type Run = Arc<dyn Fn(&StageContext, &Parameters) -> Result<(), StageError> + Se
 #[derive(Clone)]
 pub struct Stage {
     pub(crate) name: &'static str,
+    /// The stage whose parameters it takes, if it has none of its own.
+    pub(crate) parameters_of: Option<&'static str>,
     /// Its description, one line.
     pub about: &'static str,
     pub(crate) version: u32,
@@ -139,6 +141,7 @@ impl Stage {
     {
         Self {
             name,
+            parameters_of: None,
             about: "",
             version: 1,
             scope,
@@ -168,6 +171,18 @@ impl Stage {
                 run(context, parameters.of().ok_or_else(|| StageError::message(OTHER_TYPE))?)
             }),
         }
+    }
+
+    /// Takes the parameters of another stage, of which its type `P` reads some. Only these are part of its key.
+    /// It has no parameters of its own, so nobody sets any by its name.
+    #[must_use]
+    pub fn with_parameters_of(self, stage: &'static str) -> Self {
+        Self { parameters_of: Some(stage), ..self }
+    }
+
+    /// The name under which its parameters are set: its own, or that of another stage.
+    pub fn section(&self) -> &'static str {
+        self.parameters_of.unwrap_or(self.name)
     }
 
     /// Sets its description, one line.

@@ -130,6 +130,11 @@ impl Registry {
         &self.stages
     }
 
+    /// The stages that have parameters of their own.
+    pub fn sections(&self) -> impl Iterator<Item = &Stage> + Clone {
+        self.stages.iter().filter(|stage| stage.section() == stage.name)
+    }
+
     /// The shorthands.
     pub fn shorthands(&self) -> &[Shorthand] {
         &self.shorthands
