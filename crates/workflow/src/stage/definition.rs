@@ -173,8 +173,8 @@ impl Stage {
         }
     }
 
-    /// Takes the parameters of another stage, of which its type `P` reads some. Only these are part of its key.
-    /// It has no parameters of its own, so nobody sets any by its name.
+    /// Takes the parameters of another stage, of which its type `P` reads some. Only these are part of its
+    /// key. It has no parameters of its own, so nobody sets any by its name.
     #[must_use]
     pub fn with_parameters_of(self, stage: &'static str) -> Self {
         Self { parameters_of: Some(stage), ..self }
